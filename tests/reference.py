@@ -19,8 +19,6 @@ With NAIF's `bennu_v16.tpc`; 20:32:08 UTC, uncertain by five seconds.
 EPOCH_ET = 632_910_797.184
 """The same in TDB seconds past J2000: 7324 days, 30797.184 s past noon."""
 
-# --- Echigo et al., arXiv 2412.06816 ------------------------------------------------------------
-
 PRINTED_STATES = {
     "initial_state": (70.2, -1096.3, 406.4, -0.0047, -0.0167, 0.0278),
     "final_state": (19.9, 1128.7, -140.9, 0.0003, 0.0496, -0.0457),
@@ -29,8 +27,6 @@ PRINTED_STATES = {
 
 PRINTED_SITE_NORMAL = (0.394316, 0.565411, 0.724448)
 """Normal of Nightingale in the body's frame: the same table."""
-
-# --- Bennu's orientation: NAIF, bennu_v16.tpc (NAIF/JPL, LPL/UA, KinetX) --------------------------
 
 BENNU = 2101955
 """NAIF's number of Bennu."""
@@ -69,8 +65,6 @@ def write_bennu_kernel(folder: Path) -> Path:
     return path
 
 
-# --- Bennu's gravity: Chesley et al. 2020, supplementary field `grav_20_particles` ----------------
-
 GM_M3_S2, REFERENCE_RADIUS_M = 4.89044967462, 290.0
 GRAVITY_DEGREE = 10
 COEFFICIENTS: dict[tuple[int, int], tuple[float, float]] = {
@@ -88,8 +82,6 @@ COEFFICIENTS: dict[tuple[int, int], tuple[float, float]] = {
     (10, 10): (-3.2422729846573093e-05, 6.4237288305565024e-05),
 }
 """A dozen of the 63: degree and order to fully normalised (4 pi) C and S in the body's frame."""
-
-# --- Bennu's orbit: JPL Horizons, solution 118, integrated with DE440's Sun, planets and Moon -----
 
 SUN_TO_BODY_KM = (151091819.0, -4888099.83, -3401500.27)
 SUN_TO_BODY_KM_S = (-4.30313922, 26.81106478, 15.16848766)
@@ -113,8 +105,6 @@ SUN_DIRECTIONS: tuple[Numbers, ...] = (
 )
 """TDB seconds past J2000, and the unit vector from Bennu to the Sun, J2000; hourly."""
 
-# --- the boundary states in the Sun-North frame (ORX_BENNU_SUN_NORTH of NAIF's orx_v14.tf) --------
-
 SUN_NORTH_TO_J2000 = (
     (-0.99922417, 0.03922284, -0.00355358),
     (0.03232675, 0.8683759, 0.49485177),
@@ -131,20 +121,14 @@ STATES_FROM_SUN_NORTH = {
 DEPARTURE_M_S = 0.0717
 """First impulse of the ballistic arc between them; an independent prototype, field of degree 10."""
 
-# --- Nightingale: ray cast on the mission's v20 shape (NASA/Goddard/University of Arizona) --------
-
 SITE_LATITUDE_DEG, SITE_LONGITUDE_DEG = 55.9, 41.8
 """Where OSIRIS-REx touched: Lauretta et al. 2022, from memory."""
 
 SITE_BODY_M = (91.393, 81.715, 181.075)
 """On 14,744 facets of that shape (geodesyNets, `bennu_raw`)."""
 
-# --- the spacecraft: nasa/muscat, Mission_DARE_concept.m ------------------------------------------
-
 MASS_KG, SUN_FACING_AREA_M2, SOLAR_CONSTANT_W_M2 = 178.0, 0.85, 1361.0
 """The area is derived from the panels' sizes there."""
-
-# --- a ballistic arc past Nightingale, by an independent prototype --------------------------------
 
 ARC_COLUMNS = ("t", "x", "y", "z", "vx", "vy", "vz")
 ARC_ANGLES = ("d_site", "emission", "phase", "incidence", "lst")

@@ -37,9 +37,6 @@ def cones(scenario: Scenario, vehicle: Vehicle, panels: SolarArray) -> list[Reco
     return find_cones(panels, samples, mode_loads(vehicle, scenario), vehicle.loads.housekeeping_w)
 
 
-# --- the vehicle's panels and plates --------------------------------------------------------------
-
-
 def test_panel_powers(panels: SolarArray) -> None:
     """Peaks of SP1 to SP5 by areas of 0.0286, 0.0676 and 0.36 m^2, 30 % cells and 1332 W/m^2."""
     assert panels.peak_w == pytest.approx([11.4, 27.0, 27.0, 143.9, 143.9], abs=0.05)
@@ -55,9 +52,6 @@ def test_light_pushes_the_vehicle_as_its_areas_say(scenario: Scenario, vehicle: 
     to_panels = plates.force_per_pressure(-np.eye(3)[0])
     np.testing.assert_allclose(to_panels, [1.01 * cells + 1.6 * structure, 0.0, 0.0], atol=1e-12)
     assert pressure * to_panels[0] == pytest.approx(4.05e-6, rel=2e-3)
-
-
-# --- the cones ------------------------------------------------------------------------------------
 
 
 def test_calibrated_cones_are_the_papers_and_others_what_the_panels_give(

@@ -71,8 +71,6 @@ from tests.helpers import usually
 from tests.normal_law import cone_probability
 from tests.scp_recon.support import flight_beyond
 
-from .cell_works import works_for_ever
-
 CELLS = [Cell("matrix", "recon_b", (), REFERENCE, "random", seed) for seed in range(3)]
 LIMIT_S = 2.0
 UNGUARDED_FROZEN = Method("frozen-covariance", UNGUARDED, "CLARABEL")
@@ -138,12 +136,6 @@ def test_a_cell_that_fails_is_a_row_and_is_tried_again_but_for_one_at_its_limit(
     for solve in (never_ends, figures_of):
         (row,) = collect(tmp_path / "other", solve, CELLS[:1])
         assert row.detail == "no end after 2 s"
-
-
-def test_a_process_solves_a_cell_and_is_ended_at_its_limit(tmp_path: Path) -> None:
-    with Store(tmp_path / ROWS_FILE, {}) as store:
-        (row,) = run_cells(CELLS[:1], store, flights=0, limit_s=0.3, solve=works_for_ever)
-    assert (row.status, row.detail, row.limit_s) == (FAILED, "no end after 0.3 s", 0.3)
 
 
 def test_a_cell_is_solved_as_the_planner_solves_it(mission: Mission) -> None:

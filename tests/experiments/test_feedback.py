@@ -31,7 +31,6 @@ def test_the_whole_gain_targets_the_planned_position_from_the_estimate(mission: 
     )
     iterate = initial_guess.from_burns(mission, burns)
     problem = mission.problem
-    assert problem.feedback is not None
     lin = mission.dynamics.linearise(
         problem, type(iterate)(iterate.burns, iterate.mean, np.zeros(problem.feedback.size))
     )

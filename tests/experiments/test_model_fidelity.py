@@ -56,9 +56,6 @@ class Nothing:
         return 0.0 * x, 0.0 * y, 0.0 * z
 
 
-# --- the flights ----------------------------------------------------------------------------------
-
-
 def test_the_planners_model_is_flown_to_a_millimetre(mission: Mission, flight: Flight) -> None:
     """Against the planner's own equations, integrated by Runge and Kutta in steps of 20 s."""
     choices = Choices.of(flight)
@@ -98,9 +95,6 @@ def test_in_empty_space_a_burn_acts_from_its_middle(
         np.testing.assert_allclose(state[:3], expected, atol=1e-6)
 
 
-# --- the rule -------------------------------------------------------------------------------------
-
-
 def test_the_lowest_fidelity_within_the_limit_is_named() -> None:
     names = ["crude", "better", "good", "truth"]
     distance = {"crude": 30.0, "better": 9.9, "good": 12.0}
@@ -128,9 +122,6 @@ def test_distances_on_the_arc(compared: list[Compared], flight: Flight) -> None:
     assert planner.model == "cannonball, J2, impulsive"
     assert planner.passes
     assert planner.terminal_m <= sum(end[m] for m in planner.model.split(", ")) + 0.1
-
-
-# --- the command ----------------------------------------------------------------------------------
 
 
 @nightly

@@ -58,9 +58,6 @@ def p3() -> Row:
     return next(row for row in rows(ipopt=False) if row.key == "p3")
 
 
-# --- the table ----------------------------------------------------------------------------------
-
-
 def test_every_statement_has_its_outcome(
     measured: list[Record], finished: tuple[Path, str]
 ) -> None:
@@ -110,7 +107,6 @@ def test_the_middle_of_two_points_of_a_facet_lies_beyond_it(finished: tuple[Path
     """By the difference of one over the root of two and a half, of the facet's spread."""
     plan = read_solution(finished[0] / "scp_cold")
     facets = plan.facets
-    assert facets is not None
     covariance = np.array(plan.nodes.covariance)[facets.node, :3, :3]
     normal = np.array(facets.normal)
     deviation = np.sqrt(np.einsum("mi,mij,mj->m", normal, covariance, normal))
@@ -118,9 +114,6 @@ def test_the_middle_of_two_points_of_a_facet_lies_beyond_it(finished: tuple[Path
     assert np.abs(spreads - middle_beyond_facet_m(plan)).min() < 1e-3
     assert middle_beyond_facet_m(plan) > 1.0
     assert middle_beyond_facet_m(read_solution(finished[0] / "p3")) == ""
-
-
-# --- variants -----------------------------------------------------------------------------------
 
 
 def test_a_variant_is_planned_and_flown_in_its_own_mission(
@@ -135,9 +128,6 @@ def test_a_variant_is_planned_and_flown_in_its_own_mission(
     _, *tables = (part for part in report([found]) if not isinstance(part, str))
     assert [len(table.rows) for table in tables[-1:]] == [1]
     assert standing_for(row.printed, [found]) == []
-
-
-# --- taking up ----------------------------------------------------------------------------------
 
 
 def test_a_rerun_takes_up_what_is_complete(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -165,9 +155,6 @@ def test_a_design_is_kept_and_what_it_lacks_is_made(copy: Path, mission: Mission
     assert json.loads((folder / "montecarlo.json").read_text())["plan_hash"] != solution.plan_hash
     row, _ = run_row(p3, mission, folder, samples=100, check=True)
     assert row["status"] == "P3 converged, verified"
-
-
-# --- failure ------------------------------------------------------------------------------------
 
 
 def failing(_: Mission) -> Solution:

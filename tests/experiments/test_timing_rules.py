@@ -17,8 +17,10 @@ from experiments.timing_rules import (
 from scp_recon.mission.mission import Mission
 from scp_recon.simulation.panels import SolarArray, irradiance
 from scp_recon.simulation.vehicle import Vehicle
+from tests.helpers import nightly
 
 
+@nightly
 def test_a_half_turn_takes_at_least_the_limited_rate_and_settles(
     mission: Mission, vehicle: Vehicle, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -45,9 +45,6 @@ def study(*words: str) -> int:
     return main(["uncertainty_sources", *words])
 
 
-# --- verdicts -------------------------------------------------------------------------------------
-
-
 def entries(solution: Solution, vehicle: Vehicle, attitude_m: float) -> list[Measured]:
     found = measure_paths(solution, vehicle, 300, 0)
     flights = [flown(NO_ERRORS, 0, (0.0,) * 6)]
@@ -65,9 +62,6 @@ def test_the_attitude_may_be_left_out_only_while_it_is_small(
     found = claims(entries(solution, vehicle, attitude_m))
     (claim,) = (c for c in found if c.claim.startswith("the path may be planned without"))
     assert claim.holds is holds
-
-
-# --- the command ----------------------------------------------------------------------------------
 
 
 def test_the_command_measures_every_set(
@@ -91,9 +85,6 @@ def test_the_command_measures_every_set(
     assert len(written) == 61
     assert set(STATE) <= set(written[0])
     assert "## Alone, from the largest" in (out / "uncertainty_sources.md").read_text("utf-8")
-
-
-# --- flights --------------------------------------------------------------------------------------
 
 
 def test_paths_spread_as_the_linearised_flight_does(solution: Solution, vehicle: Vehicle) -> None:
@@ -125,9 +116,6 @@ def test_sets_are_the_vehicles_errors(vehicle: Vehicle) -> None:
     assert all(sum(field.startswith(name) for field in fields) == 1 for name in SETS["all"])
     alone = [sources for sources in SETS.values() if len(sources) == 1]
     assert sorted(alone) == sorted((source,) for source in SETS["all"])
-
-
-# --- their spread ---------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("flights", [3, 8])

@@ -49,9 +49,6 @@ def problem_with(constraint: StateConstraint) -> FlybyProblem:
     return replace(problem, constraints=(constraint,))
 
 
-# --- one facet ----------------------------------------------------------------------------------
-
-
 @given(probabilities, probabilities, generators)
 def test_a_facet_with_zero_margin_holds_with_just_the_required_probability(
     probability: float, more: float, rng: np.random.Generator
@@ -114,25 +111,11 @@ def test_no_quantile_where_the_condition_is_not_convex_or_never_met(probability:
         quantile(probability)
 
 
-# --- Boole's inequality -------------------------------------------------------------------------
-
-
 @given(probabilities, st.integers(1, 100))
 def test_booles_shares_of_the_risk_add_up_to_the_whole(probability: float, parts: int) -> None:
     share = split_risk(probability, parts)
     assert parts * (1.0 - share) == pytest.approx(1.0 - probability, abs=1e-12)
     assert probability <= share < 1.0
-
-
-@given(probabilities, st.floats(0.0, 1.0))
-def test_booles_split_is_tight_for_two_opposite_facets(probability: float, share: float) -> None:
-    # Their failures exclude one another, so that nothing is lost: 1 - p = sum of what fails.
-    q = quantile(split_risk(probability, 2))
-    assert norm.cdf(q) - norm.cdf(-q) == pytest.approx(probability, abs=1e-12)
-    risk = 1.0 - probability  # any other split of the risk keeps the sum, too
-    assume(0.01 < share < 0.99)
-    held = norm.isf(share * risk), norm.isf((1.0 - share) * risk)
-    assert norm.cdf(held[0]) - norm.cdf(-held[1]) == pytest.approx(probability, abs=1e-12)
 
 
 def joint_probability(facets: Facets, mean: Array, factor: Array) -> float:
@@ -191,9 +174,6 @@ def largest_scale(facets: Facets, mean: Array, factor: Array) -> float:
     """The number by which the factor can grow until the first facet has no margin left."""
     distance = facets.margin(mean, 0.0 * factor)
     return float(np.min(distance / (distance - facets.margin(mean, factor))))
-
-
-# --- facets and their region --------------------------------------------------------------------
 
 
 def test_the_quasi_random_sample_is_as_accurate_as_claimed() -> None:

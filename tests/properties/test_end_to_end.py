@@ -88,7 +88,6 @@ def ended(overrides: tuple[str, ...], options: list[str]) -> tuple[CommandLine, 
     if solution is None or run.exit_code != NOT_VERIFIED:
         return run, solution
     assert solution.status == Status.CONVERGED.value.name
-    assert solution.verification is not None
     assert not solution.verification.ok
     assert "smaller grid.step_max_s" in run.output
     reliability.count(reliability.REFINED)
@@ -105,7 +104,6 @@ def assert_barred(run: CommandLine) -> None:
 
 def assert_solved(run: CommandLine, solution: Solution) -> None:
     assert solution.status == Status.CONVERGED.value.name
-    assert solution.verification is not None
     assert solution.verification.ok
     assert solution.verification.failed == []
     assert run.output.rstrip().splitlines()[-2] == "verified"
@@ -121,7 +119,6 @@ def assert_solved(run: CommandLine, solution: Solution) -> None:
 
 def assert_infeasible(run: CommandLine, solution: Solution) -> None:
     assert solution.status == Status.INFEASIBLE.value.name
-    assert solution.verification is not None
     assert not solution.verification.ok
     assert solution.violation.max > 0.0
     for name, amount in solution.violation.by_constraint.items():

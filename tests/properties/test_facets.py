@@ -90,9 +90,6 @@ def faced(region: Region, point: Array) -> tuple[Array, Array]:
     return region.apex[0] + ray, np.cos(angle) * side - np.sin(angle) * axis
 
 
-# --- inside -------------------------------------------------------------------------------------
-
-
 @given(balls(), polytopes, points)
 def test_inner_facets_of_a_ball_bound_a_polytope_inside_it(
     region: Ball, shapes: Polytopes, point: Array
@@ -122,9 +119,6 @@ def test_inner_facets_of_a_cone_bound_a_pyramid_inside_it(
     slack = offset - normal @ faced(region, point)[0]
     assert slack.min() == pytest.approx(0.0, abs=EXACT)
     assert np.sum(slack < EXACT) == 2
-
-
-# --- around -------------------------------------------------------------------------------------
 
 
 @given(balls(), polytopes, points)
@@ -168,9 +162,6 @@ def test_one_outer_facet_faces_the_point_and_touches_the_region_there(
         assert len(normal) == 1
         assert np.array_equal(inner.normal, normal)
         assert np.array_equal(inner.offset, offset)
-
-
-# --- choosing -----------------------------------------------------------------------------------
 
 
 def problem_with(*constraints: StateConstraint) -> FlybyProblem:
@@ -274,9 +265,6 @@ def test_facets_are_those_of_their_constraint_and_node(
         )
         for field in ("node", "normal", "offset", "quantile"):
             assert np.array_equal(getattr(facets, field)[own], getattr(alone, field))
-
-
-# --- margins ------------------------------------------------------------------------------------
 
 
 @given(generators, beliefs())

@@ -11,7 +11,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from formulations.arrays import Array, Indices
-from formulations.linearisation.dynamics import Dynamics
 from formulations.linearisation.factor import propagate_factor
 from formulations.linearisation.linearisation import (
     Linearisation,
@@ -23,8 +22,6 @@ from formulations.linearisation.linearisation import (
 )
 from formulations.problem.flyby import FlybyProblem, Iterate, Legs, factor_columns_used
 from formulations.program.lifted import compose
-from scp_recon.physics.flow import GridFlow
-from scp_recon.physics.forces import ForceModel
 from tests.helpers import Arcs, Flyby, generators, random_flyby, random_rotation
 
 
@@ -177,33 +174,6 @@ def test_without_curvature_the_factor_is_that_of_the_iterates_stms(
     _, factor = applied(condense(lin, curvature=False), burns)
     expected = factor_of(flyby.problem, lin.arcs.stm, burns)
     close(factor, expected)
-
-
-@given(generators)
-def test_condense_is_the_derivative_of_a_keplerian_arc_with_oblateness(
-    rng: np.random.Generator,
-) -> None:
-    forces = ForceModel(1.0, 0.01, random_rotation(rng)[0], 0.01 * rng.normal(size=3))
-    nodes = np.array([0, 3, 8])
-    dynamics = Dynamics(GridFlow(forces, rng.uniform(0.05, 0.15, 8), 2), nodes)
-    # Nearly circular, so that no arc comes near the singular centre.
-    state = np.concatenate([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0] + 0.05 * rng.normal(size=3)])
-    burns = 0.05 * rng.normal(size=(3, 3))
-    base = random_flyby(rng).problem
-    problem = replace(base, burn_nodes=nodes, initial_state=state)
-
-    def flown(z: Array) -> tuple[Iterate, Linearisation]:
-        iterate = Iterate(z, dynamics.rollout(state, z))
-        return iterate, dynamics.linearise(problem, iterate)
-
-    _, lin = flown(burns)
-    s, h = condense(lin), 1e-5
-    step = h * rng.normal(size=(3, 3))
-    (ahead, up), (behind, down) = flown(burns + step), flown(burns - step)
-    mean = s.mean_jacobian @ step.ravel()
-    factor = s.factor_jacobian @ step.ravel()
-    close(mean, (ahead.mean - behind.mean) / 2.0, 1e-6, 1e-13)
-    close(factor, (up.factor - down.factor) / 2.0, 1e-6, 1e-13)
 
 
 # --- one model in several forms -----------------------------------------------------------------

@@ -34,7 +34,6 @@ from scp_recon.scp.loop import Algorithm, Record, State, Timing
 from scp_recon.scp.status import Status
 from tests.helpers import share_of_examples
 from tests.scenarios import planned, scenarios
-from tests.scp_recon.support import fly as flown_adaptively
 
 expensive = settings(
     max_examples=share_of_examples(20, usual=1),
@@ -296,28 +295,3 @@ def test_accepted_steps_never_raise_the_merit(algorithm: str, overrides: tuple[s
         charge = before.charge if before.charge.multipliers is not None else after.charge
         old, new = (merit_of(mission, subproblem, state, charge) for state in (before, after))
         assert new <= old + 1e-8 * max(1.0, abs(old))
-
-
-@expensive
-@given(scenarios())
-def test_what_is_called_converged_is_feasible_when_integrated_again(
-    overrides: tuple[str, ...],
-) -> None:
-    mission, found = converged(overrides)
-    lin, units, facets = found.final.result.lin, mission.units, found.final.facets
-    assert facets is not None
-    burns = lin.iterate.burns * units.speed_m_s
-    mean = flown_adaptively(mission, burns, mission.times_s)
-    np.testing.assert_allclose(mean[-1, :3], mission.final_state[:3], rtol=0.0, atol=1.0)
-    np.testing.assert_allclose(mean[-1, 3:], mission.final_state[3:], rtol=0.0, atol=1e-4)
-    covariance = fly(mission, lin.iterate.burns[None])[1][facets.node, 0, :3, :3]
-    spread = np.sqrt(np.einsum("mi,mij,mj->m", facets.normal, covariance, facets.normal))
-    distance = facets.offset - np.einsum(
-        "mi,mi->m", facets.normal, mean[facets.node, :3] / units.length_m
-    )
-    margin_m = (distance - facets.quantile * spread) * units.length_m
-    assert margin_m.min() > -0.1
-    assert np.linalg.norm(burns, axis=1).max() <= mission.scenario.burns.dv_max_m_s * (1.0 + 1e-6)
-    # And no buffer holds anything.
-    buffers = found.final.merit.violations(lin)
-    assert max(float(amounts.max(initial=0.0)) for amounts in buffers.values()) <= SCvx.feasible

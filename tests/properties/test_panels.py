@@ -76,9 +76,6 @@ def test_no_panel_and_too_many_are_refused() -> None:
             SolarArray(np.ones((count, 3)), np.ones(count))
 
 
-# --- plates ------------------------------------------------------------------------------------
-
-
 def sphere(count: int, specular: float, diffuse: float) -> Plates:
     """Equal plates at the points of a Fibonacci lattice: a unit sphere."""
     k = np.arange(count) + 0.5

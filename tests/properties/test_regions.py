@@ -69,12 +69,6 @@ def members(rng: np.random.Generator, region: Region, count: int = 200) -> Array
     return region.apex + rng.exponential(2.0, (count, 1)) * ray
 
 
-def surface(rng: np.random.Generator, cone: Cone, count: int = 200) -> Array:
-    """Rays of a cone's surface, (count, 3)."""
-    side = across(cone.axis, rng.uniform(0.0, 2.0 * np.pi, count))
-    return np.cos(cone.half_angle) * cone.axis + np.sin(cone.half_angle) * side
-
-
 def contains(halfspaces: Halfspaces, inner_points: Array) -> bool:
     slack = halfspaces.offset - inner_points @ halfspaces.normal[0]
     return bool(np.all(slack >= -EXACT * (1.0 + lengths(inner_points))))
@@ -84,9 +78,6 @@ def cone_slack(cone: SecondOrderCone, point: Array) -> Array:
     d = point - cone.origin
     left = lengths(np.einsum("nij,nj->ni", cone.matrix, d))
     return np.sum(cone.linear * d, axis=-1) + cone.constant - left
-
-
-# --- signed distance ----------------------------------------------------------------------------
 
 
 @given(balls, points)
@@ -102,18 +93,6 @@ def test_inside_of_a_cone_is_the_sine_of_the_angle_to_its_surface(cone: Cone, po
     angle = cone.half_angle - angle_off_axis(cone, point)
     distance = lengths(point - cone.apex) * np.sin(angle)
     assert cone.inside(point) == pytest.approx(distance, abs=EXACT)
-
-
-@given(cones, points, generators)
-def test_no_point_of_a_cones_surface_is_nearer_than_the_distance_inside(
-    cone: Cone, point: Array, rng: np.random.Generator
-) -> None:
-    d, rays = point - cone.apex, surface(rng, cone)
-    nearest = np.maximum(d @ rays.T, 0.0).T * rays
-    assert np.all(lengths(d - nearest) >= np.abs(cone.inside(point)) - EXACT)
-
-
-# --- supporting half-spaces ---------------------------------------------------------------------
 
 
 @given(st.one_of(balls, cones), points, points, generators)
@@ -196,9 +175,6 @@ def assert_supports(cone: Cone, halfspaces: Halfspaces) -> None:
     rise = along * np.cos(cone.half_angle) + aside * np.sin(cone.half_angle)
     assert rise == pytest.approx(0.0, abs=1e-9)
     assert offset[0] == pytest.approx(np.sum(normal * cone.apex), abs=EXACT)
-
-
-# --- second-order cones and margins -------------------------------------------------------------
 
 
 @given(st.one_of(balls, cones), points)

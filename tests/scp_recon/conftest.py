@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import pytest
 
 from scp_recon.mission.mission import Mission
+from scp_recon.monte_carlo import estimates
 from scp_recon.planning import initial_guess
 from scp_recon.planning.planner import Plan, plan
 from scp_recon.results.solution import Solution, make_solution
@@ -50,3 +53,12 @@ def default_run(tmp_path_factory: pytest.TempPathFactory) -> CommandLine:
 def few_flights(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of verifications within the test; those of what is made once have as many as ever."""
     fly_few(monkeypatch)
+
+
+@pytest.fixture(scope="module")
+def fewer() -> Iterator[None]:
+    """A tenth of the flights that certify."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(estimates, "FLIGHTS_MIN", 1_000)
+        patch.setattr(estimates, "FAILURES", 50)
+        yield

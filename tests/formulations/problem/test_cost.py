@@ -77,7 +77,6 @@ def test_corrections_across_a_burn_have_the_law_of_one_normal_number(sigma: floa
 def test_the_program_curves_as_the_cost_does(across: float, along: float) -> None:
     """In its direction of most curvature, which little correction along burns makes large."""
     problem, z = case("dv99")
-    assert problem.feedback is not None
     for burn in problem.feedback.burns:
         first, stop = problem.controls_before[burn : burn + 2]
         v, gains = z[first : first + 3], z[first + 3 : stop].reshape(3, -1)

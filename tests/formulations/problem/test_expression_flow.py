@@ -90,35 +90,13 @@ def test_derivatives_are_those_of_the_map(acceleration: Acceleration, p: list[fl
 
 def test_all_operations_are_casadis() -> None:
     x, y = ca.SX.sym("x"), ca.SX.sym("y")
-    both = [
-        x + y,
-        x - y,
-        x * y,
-        x / y,
-        x**y,
-        x**3.7,
-        ca.atan2(x, y),
-        ca.fmod(x, y),
-        ca.copysign(x, -y),
-    ]
+    both = [x + y, x - y, x * y, x / y, x**y, x**3.7]
+    both += [ca.atan2(x, y), ca.fmod(x, y), ca.copysign(x, -y)]
     both += [ca.fmin(x, y), ca.fmax(x, y), ca.hypot(x, y), ca.if_else(x < y, x, -y), 2.0 * x, 1 / y]
     both += [ca.logic_and(x < y, x <= 0.7), ca.logic_or(x == y, x != 0.5), ca.logic_not(x < y)]
-    names = (
-        "exp",
-        "log",
-        "sqrt",
-        "sin",
-        "cos",
-        "tan",
-        "asin",
-        "acos",
-        "atan",
-        "sinh",
-        "cosh",
-        "tanh",
-    )
-    names += ("asinh", "atanh", "floor", "ceil", "sign", "fabs", "erf", "expm1", "log1p")
-    both += [getattr(ca, name)(x - 0.3) for name in names if name not in ("log", "sqrt")]
+    names = "exp sin cos tan asin acos atan sinh cosh tanh asinh atanh floor ceil sign fabs erf"
+    names += " expm1 log1p"
+    both += [getattr(ca, name)(x - 0.3) for name in names.split()]
     both += [ca.acosh(1.0 + x), ca.log(x), ca.sqrt(x), x * x, ca.SX(2.5)]
     function = ca.Function("f", [x, y], [ca.vertcat(*both)])
     at = np.array([[0.4, 0.9, 0.5], [0.8, 0.6, 0.5]])

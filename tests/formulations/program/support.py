@@ -92,9 +92,6 @@ def need(solver: str) -> None:
         pytest.skip(f"{solver} is not installed")
 
 
-# --- cone programs as numbers -------------------------------------------------------------------
-
-
 def tent(price: float = 1.0, size: float = 1.0) -> tuple[ConeProgram, Array, Array]:
     """Min price t with t >= ||(x - size, x + size)||, x <= 10 size and y = x; optimum and proof."""
     rows = [[0, 1, -1], [0, 1, 0], [-1, 0, 0], [0, -1, 0], [0, -1, 0]]
@@ -112,9 +109,6 @@ def disk(rng: np.random.Generator, equations: int) -> ConeProgram:
     matrix = np.vstack([plane, np.eye(3), -np.eye(3), np.zeros((1, 3)), -np.eye(3)])
     bound = np.concatenate([plane @ rng.uniform(-0.2, 0.2, 3), np.ones(6), [1.1], np.zeros(3)])
     return ConeProgram(rng.normal(size=3), sp.csc_array(matrix), bound, equations, 6, (4,))
-
-
-# --- the same program, said plainly -------------------------------------------------------------
 
 
 class Optimum(NamedTuple):

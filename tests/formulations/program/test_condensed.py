@@ -50,9 +50,6 @@ def make(
     return subproblem
 
 
-# --- which rows ---------------------------------------------------------------------------------
-
-
 class Told(CondensedSubproblem):
     """A subproblem that is told how far each of its rows is from binding."""
 
@@ -149,21 +146,6 @@ def test_the_room_of_a_row_is_its_cones(lin: Linearisation) -> None:
             y = values @ burns.reshape(-1)[: values.shape[1]] + constants
             expected[row] = y[0] - np.sqrt((y[1:] ** 2).sum())
     assert subproblem._slack(burns.ravel()) == pytest.approx(expected, rel=1e-9, abs=1e-12)
-
-
-def test_rows_far_from_binding_are_left_out_and_come_back(monkeypatch: pytest.MonkeyPatch) -> None:
-    lin = linearised(np.random.default_rng(7))
-    subproblem = Told(lin)
-    near_from(monkeypatch, -np.inf)
-    subproblem.update(lin)
-    subproblem.solve(0.5, 10.0)
-    sizes = [len(taken) for taken in subproblem.attempts]
-    assert sizes[0] == 0
-    assert sizes == sorted(set(sizes))
-    assert 0 < sizes[-1] < subproblem.rows.count
-
-
-# --- which slots --------------------------------------------------------------------------------
 
 
 def test_half_of_the_slots_go_to_the_rows_with_the_least_room(
@@ -279,9 +261,6 @@ def test_the_default_plan_needs_three_programs_at_the_most(
     assert compiled == len(sizes)
     plan(mission, initial_guess.cold(mission))
     assert compile_condensed.cache_info().misses == compiled
-
-
-# --- reductions and updates ---------------------------------------------------------------------
 
 
 @given(generators)

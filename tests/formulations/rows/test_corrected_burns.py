@@ -55,7 +55,6 @@ def test_margins_are_quantiles_of_the_distance_to_the_limits(case: Case, spread:
     """Of drawn commands the required share keeps the limit when it is moved by the margin."""
     problem, _, rng = case
     feedback, lin = problem.feedback, at(case, some_controls(case, spread))
-    assert feedback is not None
     p, draws = feedback.probability, 10_000
     found = CorrectedBurns(problem, 0).margins(lin)
     xi = rng.normal(size=(draws, 6 * len(feedback.burns)))
@@ -99,7 +98,6 @@ def test_corrections_may_be_along_a_line(case: Case, spread: float) -> None:
     """That of the burn itself, whose law has one dimension and a singular covariance."""
     problem, _, rng = case
     feedback, controls = problem.feedback, some_controls(case, 0.0)
-    assert feedback is not None
     problem = replace(problem, dv_cone=0.0)
     burns, gains = controls[problem.burn_controls[feedback.burns]], []
     sizes = np.linalg.norm(burns, axis=1)
@@ -119,7 +117,6 @@ def test_without_corrections_margins_are_those_of_the_burns(case: Case) -> None:
     """And the rows know what the first gains will cost: they have a kink there."""
     problem, _, rng = case
     feedback, controls = problem.feedback, some_controls(case, 0.0)
-    assert feedback is not None
     lin, rows = at(case, controls), CorrectedBurns(problem, 0)
     of_burns = problem.burn_margins(lin.iterate.burns)
     found = rows.margins(lin)

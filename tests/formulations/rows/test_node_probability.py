@@ -100,27 +100,6 @@ def away(rng: np.random.Generator, region: Region, factor: Array, deviations: fl
     return np.asarray(point + deviations * sigma * normal)
 
 
-# --- the oracles themselves ---------------------------------------------------------------------
-
-
-@given(st.floats(0.01, 0.5), st.floats(0.0, 1.5))
-@few
-def test_slices_of_a_ball_add_up_to_the_noncentral_chi_square_law(
-    sigma: float, distance: float
-) -> None:
-    mean, ball = np.array([0.0, distance, 0.0]), Ball(np.zeros((1, 3)), 1.0)
-    found = ball_probability(ball, mean, sigma**2 * np.eye(3))
-    expected = round_ball_probability(1.0, np.array(distance), np.array(sigma))
-    assert found == pytest.approx(float(expected), abs=1e-11)
-
-
-@pytest.mark.parametrize("half_angle", [0.2, 0.7, 1.3])
-def test_slices_of_a_cone_about_the_mean_add_up_to_its_solid_angle(half_angle: float) -> None:
-    cone = Cone(np.zeros((1, 3)), np.array([[0.6, 0.0, 0.8]]), half_angle)
-    share = 0.5 * (1.0 - np.cos(half_angle))
-    assert cone_probability(cone, np.zeros(3), np.eye(3)) == pytest.approx(share, abs=1e-10)
-
-
 # --- probabilities ------------------------------------------------------------------------------
 
 
@@ -137,24 +116,6 @@ def test_balls_follow_the_noncentral_chi_square_law(sigma: float, rng: np.random
     without = probability(node_quantiles(event((), (ball,)), mean, factor))
     np.testing.assert_allclose(within, expected, rtol=0.0, atol=1e-8)
     np.testing.assert_allclose(without, 1.0 - expected, rtol=0.0, atol=1e-8)
-
-
-@given(st.floats(0.01, 0.28), st.floats(0.3, 0.9), generators)
-@few
-def test_a_shell_is_the_difference_of_two_balls(
-    share: float, inner: float, rng: np.random.Generator
-) -> None:
-    """However thin against the spread, which is up to half the smaller radius."""
-    n, sigma = 30, share * inner
-    distance = np.maximum(rng.uniform(inner - 3.0 * sigma, 1.0 + 3.0 * sigma, n), 0.0)
-    distance[:3] = 0.0, inner, 1.0 + 9.0 * sigma
-    mean = distance[:, None] * random_unit(rng, n)
-    outer, hole = (many(Ball(np.zeros((1, 3)), radius), n) for radius in (1.0, inner))
-    factor = np.broadcast_to(sigma * np.eye(3), (n, 3, 3))
-    expected = round_ball_probability(1.0, distance, np.hypot(sigma, SPREAD_MIN))
-    expected = expected - round_ball_probability(inner, distance, np.hypot(sigma, SPREAD_MIN))
-    found = probability(node_quantiles(event((outer,), (hole,)), mean, factor))
-    np.testing.assert_allclose(found, expected, rtol=0.0, atol=QUADRATURE)
 
 
 @given(st.floats(0.002, 0.5), st.floats(1.0, SLENDER), sigmas_away, generators)
@@ -297,32 +258,6 @@ def test_where_nothing_is_left_to_see_g_stays_beyond_what_is_told(rng: np.random
 
 
 # --- gradients ----------------------------------------------------------------------------------
-
-
-@given(st.floats(0.005, 0.5), st.floats(-3.0, 3.0), generators, st.booleans())
-@few
-def test_gradients_are_those_of_finite_differences(
-    spread: float, deviations: float, rng: np.random.Generator, out: bool
-) -> None:
-    """In means and factors, relative to a standard deviation."""
-    region, factor = some_region(rng), root(rng, spread, 5.0)
-    mean = away(rng, region, factor, deviations)
-    it = event((), (region,)) if out else event((region,))
-    found = node_quantiles(it, mean, factor)
-    step = 1e-4 * spread
-    moves = np.concatenate([np.eye(18), -np.eye(18)]) * step
-    means = mean + moves[:, :3]
-    factors = factor + moves[:, 3:].reshape(-1, 3, 5)
-    region = many(region, len(moves))
-    it = event((), (region,)) if out else event((region,))
-    forward, backward = np.split(node_quantiles(it, means, factors).value, 2)
-    slope = spread * (forward - backward) / (2.0 * step)
-    by = spread * np.concatenate([found.by_mean.ravel(), found.by_factor.ravel()])
-    np.testing.assert_allclose(by, slope, rtol=0.0, atol=GRADIENT * (1.0 + np.abs(by).max()))
-
-
-GRADIENT = 1e-4
-"""Near an apex; the next test has what is reached elsewhere."""
 
 
 @pytest.mark.parametrize("slenderness", [2.0, SLENDER])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -22,7 +21,6 @@ from scp_recon.certification.certify import ROUNDS_MAX, certify
 from scp_recon.certification.flights import LOOK_WIDTH, Step, certificate_of, kept_of, with_nodes_at
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
-from scp_recon.monte_carlo import estimates
 from scp_recon.monte_carlo.estimates import (
     CONFIDENCE,
     FIRST_LOOK_SEED,
@@ -47,18 +45,12 @@ from scp_recon.results.solution import Solution, make_solution
 from scp_recon.verification.consistency import inconsistencies
 from scp_recon.verification.probabilities import shortfalls
 from scp_recon.verification.reintegration import verify
+from tests.helpers import usually
 from tests.scp_recon.certification.support import mission_of
 
+pytestmark = pytest.mark.usefixtures("fewer")
+
 ASKED = 0.9
-
-
-@pytest.fixture(scope="module", autouse=True)
-def fewer() -> Iterator[None]:
-    """A tenth of the flights."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(estimates, "FLIGHTS_MIN", 1_000)
-        patch.setattr(estimates, "FAILURES", 50)
-        yield
 
 
 @dataclass(frozen=True)
@@ -69,7 +61,7 @@ class Certified:
     seeds: list[int]
 
 
-@pytest.fixture(scope="module", params=["node", "flight", "strata", "node strata"])
+@pytest.fixture(scope="module", params=usually(["flight", "strata", "node strata", "node"], 3))
 def run(request: pytest.FixtureRequest) -> Certified:
     """Of plain flights with each scope, and of flights in strata."""
     scope = "node" if "node" in request.param else "flight"
@@ -117,7 +109,6 @@ def test_so_many_successes_and_no_fewer_reach_what_is_asked(asked: float, sample
 
 def test_the_lower_limit_is_what_was_asked(certified: Plan) -> None:
     reached = certified.certificate
-    assert reached is not None
     assert certified.target is not None
     assert reached.low >= ASKED
     assert certified.target > ASKED
@@ -144,7 +135,6 @@ def test_rounding_leaves_no_flight_that_keeps_all_but_not_the_nodes() -> None:
 def test_what_judges_no_round_has_flown(run: Certified) -> None:
     """Rounds come first, then at most two looks; a seed is flown once."""
     reached = run.plan.certificate
-    assert reached is not None
     rounds, looks = run.seeds[: reached.rounds], run.seeds[reached.rounds :]
     assert rounds == list(range(FIRST_SEED, FIRST_SEED + reached.rounds))
     assert looks == [look_seed(number + 1) for number in range(reached.looks)]
@@ -173,7 +163,6 @@ def checked(certified: Plan, solution: Solution) -> Verification:
 def test_the_solution_says_so_and_is_verified(
     certified: Plan, solution: Solution, checked: Verification
 ) -> None:
-    assert solution.risk is not None
     assert solution.risk.certificate is not None
     assert (solution.risk.required, solution.risk.target) == (ASKED, certified.target)
     assert checked.ok, checked.failed
@@ -189,7 +178,6 @@ def failures(certified: Plan, told: Solution, checked: Verification) -> list[str
 
 def claiming(solution: Solution, **changes: Any) -> Solution:
     """With another certificate, whose interval is that of its flights unless it is changed."""
-    assert solution.risk is not None
     assert solution.risk.certificate is not None
     told = replace(solution.risk.certificate, **changes)
     if told.strata is not None:
@@ -264,9 +252,7 @@ def test_strata_that_claim_what_is_not_so_are_named(
     certified: Plan, solution: Solution, checked: Verification, tmp_path: Path
 ) -> None:
     """Fewer flights unlike the law would have reached more, and fewer draws are not enough."""
-    assert certified.certificate is not None
     strata = certified.certificate.strata
-    assert strata is not None
     fewer = replace(strata.allocation, draws=0.01 * strata.allocation.draws)
     lies: list[dict[str, Any]] = [
         {"strata": replace(strata, unlike=(0,) * 6)},
@@ -301,7 +287,6 @@ def test_what_nothing_certifies_has_to_aim_at_what_was_asked(
 def test_a_plan_that_misses_its_aim_has_not_converged(
     certified: Plan, solution: Solution, checked: Verification
 ) -> None:
-    assert solution.risk is not None
     target = float(ndtr(ndtri(solution.risk.target) + 0.01))
     told = replace(solution, risk=replace(solution.risk, target=target))
     assert failures(certified, told, checked) == ["violation"]
@@ -312,7 +297,6 @@ def test_a_probability_that_the_nodes_do_not_have_is_named(
     certified: Plan, solution: Solution, checked: Verification, off: float
 ) -> None:
     """By no more than 0.006 of about 0.91: of a flight it is its flights that have to tell."""
-    assert solution.risk is not None
     law = solution.risk.normal_law
     least = min(law, key=lambda event: min(event.probability))
     at = int(np.argmin(least.probability))
@@ -332,7 +316,6 @@ def test_a_flight_law_that_flights_contradict_is_named(
     certified: Plan, solution: Solution, checked: Verification, told: float
 ) -> None:
     """Of a plan that nothing certifies: 0.3 standard deviations off."""
-    assert solution.risk is not None
     law = [replace(solution.risk.normal_law[0], probability=[told], sigma=None)]
     risk = replace(solution.risk, normal_law=law, certificate=None)
     found = failures(certified, replace(solution, risk=risk), checked)

@@ -5,10 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from scp_recon.certification.certify import certify
-from scp_recon.certification.flights import LOST_BETWEEN
 from scp_recon.mission.mission import Mission
-from scp_recon.monte_carlo import estimates
 from scp_recon.monte_carlo.observation_time import joint_margins
 from scp_recon.monte_carlo.sampling import fly_block
 from scp_recon.monte_carlo.whole_flight import LOOK_S, SAFETY, KeptFlights, kept_flights
@@ -71,24 +68,3 @@ def test_flights_that_break_a_limit_between_nodes_are_found(
     broken = seconds[~every[:, lost].all(axis=1)]
     assert np.abs(kept.touched_s[:, None] - broken).min(axis=1).max() <= 1.0
     assert np.abs(broken[:, None] - kept.touched_s).min(axis=1).max() <= 0.5 * LOOK_S
-
-
-def test_nodes_are_added_until_flights_lose_next_to_nothing_between(
-    sparse: Plan, kept: KeptFlights, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(estimates, "FLIGHTS_MIN", 1_000)
-    monkeypatch.setattr(estimates, "FAILURES", 100)
-    mission = sparse.mission
-    lost = min(c.min() for c in kept.at_nodes.values()) - min(kept.throughout.values())
-    assert lost > LOST_BETWEEN * (1.0 - ASKED) * FLIGHTS
-    found = certify(
-        mission,
-        initial_guess.from_burns(mission, sparse.burns_m_s),
-        lambda m, s, target: plan(m, s, target=target),
-    )
-    reached = found.certificate
-    assert reached is not None
-    assert reached.at_nodes - reached.reached <= 0.5 * lost / FLIGHTS
-    assert reached.low >= ASKED
-    assert set(mission.times_s) < set(found.times_s)
-    assert found.mission.scenario.grid.nodes_s

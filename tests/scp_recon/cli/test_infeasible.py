@@ -66,9 +66,6 @@ def refused(tmp_path_factory: pytest.TempPathFactory) -> CommandLine:
         return run_solve(folder, *SPLIT_TOO_DEAR, "--facet-rounds", "1")
 
 
-# --- the line -----------------------------------------------------------------------------------
-
-
 def printed_options(run: CommandLine) -> list[str]:
     return shlex.split(said(run).rsplit("with: ", 1)[1])
 
@@ -80,7 +77,6 @@ def test_the_very_line_ends_verified(refused: CommandLine, tmp_path: Path) -> No
     again = run_solve(tmp_path, *SPLIT_TOO_DEAR, "--facet-rounds", "1", *line)
     assert (again.exit_code, again.errors) == (0, "")
     solution = read_solution(tmp_path)
-    assert solution.verification is not None
     assert solution.verification.ok
     assert solution.scenario.risk.p_chance == 0.98
     assert f"feasible, for {solution.total_dv_m_s:.4f} m/s, with: " in said(refused)
@@ -125,9 +121,6 @@ def test_the_line_is_taken_after_a_budget() -> None:
 def test_a_final_covariance_that_no_plan_keeps_is_what_binds() -> None:
     found = failed(*EXACT, "boundary.final_sigma_position_m=0.05")
     assert module._freed(found, module.FINAL_SPREAD) is not None
-
-
-# --- what binds, and what exact risk can --------------------------------------------------------
 
 
 def test_exact_risk_solves_what_the_split_cannot_and_says_at_what_price(
@@ -176,9 +169,7 @@ def test_the_largest_probability_is_the_last_that_has_a_plan(
     small_burns: tuple[Plan, Diagnosis],
 ) -> None:
     found, out = small_burns
-    assert out.largest is not None
     assert out.largest.target is not None
-    assert out.verified is not None
     assert 0.5 < out.largest.target < 0.9
     beyond = float(ndtr(ndtri(out.largest.target) + 0.3))
     last = out.largest.final.result.lin.iterate
@@ -203,7 +194,6 @@ def test_what_the_normal_law_allows_and_flights_do_not_certify_is_told_apart(
     found = failed(*EXACT, "burns.dv_max_m_s=0.038", "risk.p_chance=0.7", target=0.9)
     out = diagnose(found)
     words = "\n".join(what_would_do(out, found, ()))
-    assert out.exact is not None
     assert out.exact.target == 0.7
     assert "exact risk solves" not in words
     assert "0.7 has a plan under the normal law" in words
@@ -216,7 +206,6 @@ def test_what_flights_refute_is_proposed_with_flights_that_certify_it(
 ) -> None:
     """A certified plan aims higher; where that takes more than there is, less is promised."""
     found, out = small_burns
-    assert out.largest is not None
     made: list[float] = []
 
     def certify(mission: Mission, start: Iterate, make: AimedPlanning, _: object) -> Plan:
@@ -231,14 +220,10 @@ def test_what_flights_refute_is_proposed_with_flights_that_certify_it(
     )
     start = initial_guess.cold(found.mission)
     chosen = module._verified(out.largest, 0.9, found, start)
-    assert chosen is not None
     assert chosen.certificate is REACHED
     assert chosen.mission.scenario.risk.p_chance == made[-1] < made[0] <= out.largest.target
     words = "\n".join(what_would_do(dataclasses.replace(out, verified=chosen), found, ()))
     assert f"--set risk.p_chance={made[-1]:g} --certify yes" in words
-
-
-# --- without uncertainty ------------------------------------------------------------------------
 
 
 def test_burns_that_are_too_small_are_what_binds() -> None:

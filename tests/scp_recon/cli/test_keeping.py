@@ -105,8 +105,6 @@ def test_a_folder_of_the_user_is_not_removed(tmp_path: Path) -> None:
     assert (tmp_path / "mine").is_dir()
 
 
-# --- warnings ------------------------------------------------------------------------------------
-
 STRANGE = "observation.emission_min_deg=0.349"
 
 

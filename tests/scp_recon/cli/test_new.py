@@ -16,6 +16,7 @@ from scp_recon.cli.commands import new
 from scp_recon.drafting import draft as drafting
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scp.status import Status
+from tests.helpers import usually
 
 pytestmark = pytest.mark.usefixtures("few_flights")
 
@@ -39,7 +40,9 @@ def run(*arguments: str) -> int:
         return int(end.code or 0)
 
 
-@pytest.mark.parametrize("options", [BENNU, STONE], ids=["packaged", "by numbers"])
+@pytest.mark.parametrize(
+    "options", usually([BENNU, STONE], 1), ids=usually(["packaged", "by numbers"], 1)
+)
 def test_what_is_written_solves(
     options: tuple[str, ...], capsys: pytest.CaptureFixture[str]
 ) -> None:

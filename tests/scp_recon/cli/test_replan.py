@@ -60,7 +60,6 @@ def test_a_replan_is_kept_verified_flown_and_compared(
     assert "over, nothing is observed any more" in said
     assert "\nverified" in said
     found = read_solution(out)
-    assert found.parent is not None
     assert (found.parent.name, found.parent.at_s) == (str(plan_folder), 17_000.0)
     assert found.parent.plan_hash == read_solution(plan_folder).plan_hash
     assert found.flown_m_s[1].tolist() == [-0.0066, 0.0266, -0.0074]
@@ -86,8 +85,6 @@ def test_the_verdict_says_what_one_burn_misses(
     assert "the final state is missed by 58.8" in capsys.readouterr().out
     found = read_solution(out)
     assert found.scenario.start_s == 26_000.0
-    assert found.verification is not None
-    assert found.verification.missed is not None
     assert found.verification.missed.position_m == pytest.approx(58.8, abs=0.1)
     assert found.violation.by_constraint == {}
     assert verify.main([str(out)]) == 0

@@ -43,9 +43,6 @@ def flat(text: str) -> str:
     return " ".join(text.split())
 
 
-# --- the main job -------------------------------------------------------------------------------
-
-
 def test_default_ends_with_zero_and_a_verified_solution_alone(default_run: CommandLine) -> None:
     assert (default_run.exit_code, default_run.errors) == (0, "")
     assert [path.name for path in default_run.folder.iterdir()] == ["solution.json"]
@@ -53,7 +50,6 @@ def test_default_ends_with_zero_and_a_verified_solution_alone(default_run: Comma
     assert solution.status == "converged"
     assert (solution.problem, solution.init, solution.formulation) == ("P2", "cold", "condensed")
     assert solution.total_dv_m_s <= 0.1420
-    assert solution.verification is not None
     assert solution.verification.ok
     assert min(p.estimate for p in solution.verification.probabilities) >= 0.70
 
@@ -67,7 +63,6 @@ def test_it_shows_case_verdict_burns_and_every_constraint(default_run: CommandLi
         for component in burn.dv_m_s:
             assert f"{component:+.6f}" in shown
     assert all(constraint.name in shown for constraint in solution.constraints)
-    assert solution.verification is not None
     for p in solution.verification.probabilities:
         assert f"{p.estimate:.4f} {p.low:.4f} {p.high:.4f}" in shown
     assert str(default_run.folder / "solution.json") in default_run.output.replace("\n", "")
@@ -77,9 +72,6 @@ def test_it_runs_as_a_module(tmp_path: Path) -> None:
     run = run_module("scp_recon.solve", "--init", "cold", "--problem", "P3", "--out", str(tmp_path))
     assert (run.returncode, run.stderr) == (0, "")
     assert read_solution(tmp_path).problem == "P3"
-
-
-# --- starts -------------------------------------------------------------------------------------
 
 
 def test_a_solution_brings_its_scenario_which_may_be_overridden(tmp_path: Path) -> None:
@@ -115,15 +107,11 @@ def test_a_users_own_files_in_the_folder_are_left_alone(tmp_path: Path) -> None:
     assert len(list(tmp_path.iterdir())) == 4
 
 
-# --- infeasible ---------------------------------------------------------------------------------
-
-
 def test_infeasible_ends_with_three_and_names_what_is_violated(tmp_path: Path) -> None:
     run = run_solve(tmp_path, "--set", "burns.dv_max_m_s=0.02", "--set", COARSE)
     assert (run.exit_code, run.errors) == (3, "")
     solution = read_solution(tmp_path)
     assert solution.status == "infeasible"
-    assert solution.verification is not None
     assert not solution.verification.ok
     lines = run.output.splitlines()
     assert "verified" not in [line.strip() for line in lines]
@@ -132,9 +120,6 @@ def test_infeasible_ends_with_three_and_names_what_is_violated(tmp_path: Path) -
         assert any({name, f"{amount.max:.6g}", amount.unit} <= {*line.split()} for line in lines), (
             name
         )
-
-
-# --- bad input ----------------------------------------------------------------------------------
 
 
 @pytest.fixture
@@ -198,9 +183,6 @@ def run_with_own_out(given: list[str]) -> CommandLine:
     return run_solve(Path(given[at + 1]), *given[:at], *given[at + 2 :])
 
 
-# --- Ctrl-C -------------------------------------------------------------------------------------
-
-
 @pytest.fixture
 def ctrl_c_in_the_fourth_iteration(monkeypatch: pytest.MonkeyPatch) -> None:
     calls: Iterator[int] = iter(range(1, 1000))
@@ -259,9 +241,6 @@ def test_ctrl_c_between_the_steps_keeps_what_was_done(
         return
     solution = read_solution(tmp_path)
     assert (solution.status, solution.verification) == (left, None)
-
-
-# --- verify -------------------------------------------------------------------------------------
 
 
 def run_verify(capsys: pytest.CaptureFixture[str], path: Path) -> CommandLine:

@@ -28,6 +28,7 @@ from scp_recon.jobs.processes import UnfitError
 from scp_recon.monte_carlo.summary import FILE_NAME
 from scp_recon.results.facts import Verification
 from scp_recon.results.solution import Solution
+from tests.helpers import nightly
 from tests.scp_recon.jobs.support import LIMITS, computed, run_all, some_jobs
 from tests.scp_recon.jobs.works import ENDS, Naughty, Quick
 
@@ -254,6 +255,7 @@ def test_jobs_that_misbehave_are_rows(cluster: LocalCluster, tmp_path: Path) -> 
     assert cluster.pids() == before, "no worker has died of it"
 
 
+@nightly
 def test_the_scheduler_is_restarted_in_mid_run(cluster: LocalCluster, tmp_path: Path) -> None:
     jobs, said = some_jobs(60), list[str]()
     cluster.pids()

@@ -70,14 +70,12 @@ def test_cut_offs_are_nodes_a_lead_before_the_burns_between(
 ) -> None:
     found = mission_of(*FEEDBACK, *overrides)
     feedback = found.problem.feedback
-    assert feedback is not None
     assert feedback.burns.tolist() == burns
     assert found.times_s[feedback.cut_offs].tolist() == cut_offs
 
 
 def test_cost_and_probability_are_the_scenarios() -> None:
     feedback = mission_of(*FEEDBACK, "policy.cost=expected", "risk.p_chance=0.9").problem.feedback
-    assert feedback is not None
     assert (feedback.cost, feedback.probability) == ("expected", 0.9)
 
 
@@ -97,7 +95,6 @@ def test_in_flight_the_next_burn_is_corrected_where_its_cut_off_is_to_come(
     """A state delivered at its cut-off, to the last bit of a difference of times, is what is known."""
     left = in_flight(corrected.scenario, 17_000.0, flown=2)
     feedback = left.problem.feedback
-    assert feedback is not None
     assert feedback.burns.tolist() == [0]
     assert left.times_s[feedback.cut_offs[0]] == 21_400.0
     for lead_s, at_s in ((3600.0, 21_400.0), (3600.1, 21_399.9)):
@@ -111,14 +108,12 @@ def test_in_flight_there_may_be_nothing_left_to_correct(corrected: Mission) -> N
     assert in_flight(corrected.scenario, 26_000.0, flown=3).problem.feedback is None
     last = corrected.scenario.replace({"boundary.final_sigma_velocity_m_s": 0.01})
     feedback = in_flight(last, 26_000.0, flown=3).problem.feedback
-    assert feedback is not None
     assert feedback.burns.tolist() == [0]
 
 
 def covariances(mission: Mission) -> np.ndarray:
     """Of what is measured at each cut-off, SI."""
     feedback = mission.problem.feedback
-    assert feedback is not None
     factors = mission.units.state[:, None] * feedback.measurement
     return factors @ np.swapaxes(factors, 1, 2)
 
@@ -136,7 +131,6 @@ def test_a_covariance_in_rtn_turns_with_the_path() -> None:
     mission = in_frame("rtn")
     path = initial_guess.ballistic(mission).mean
     feedback = mission.problem.feedback
-    assert feedback is not None
     factors = mission.units.state[:, None] * mission.measurement(path[feedback.cut_offs])
     found = factors @ np.swapaxes(factors, 1, 2)
     given = np.array(mission.scenario.navigation.covariance)
@@ -156,7 +150,6 @@ def test_before_there_is_a_plan_rtn_is_that_of_a_transfer() -> None:
     mission = in_frame("rtn")
     path = initial_guess.ballistic(mission).mean
     feedback = mission.problem.feedback
-    assert feedback is not None
     near = mission.measurement(path[feedback.cut_offs])
     off = np.linalg.norm(feedback.measurement - near) / np.linalg.norm(near)
     assert off < 0.02

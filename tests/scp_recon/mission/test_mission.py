@@ -15,8 +15,6 @@ from scp_recon.mission.mission import Mission
 from scp_recon.physics import geometry
 from tests.scp_recon.support import mission_of
 
-# --- the grid -----------------------------------------------------------------------------------
-
 
 @given(
     fixed=st.lists(st.floats(0.0, 1e5), min_size=2, max_size=8, unique=True),
@@ -54,9 +52,6 @@ def test_burns_and_window_are_nodes_of_any_grid(mission: Mission) -> None:
         np.testing.assert_array_equal(window, times[(times >= first) & (times <= last)])
 
 
-# --- units --------------------------------------------------------------------------------------
-
-
 def test_problem_is_the_scenario_in_units_of_gm_and_the_initial_radius(mission: Mission) -> None:
     problem, units, scenario = mission.problem, mission.units, mission.scenario
     assert mission.forces.in_units(units.length_m, units.time_s).gm == pytest.approx(1.0)
@@ -73,9 +68,6 @@ def test_problem_is_the_scenario_in_units_of_gm_and_the_initial_radius(mission: 
     # Sigma_t0 = 1e-4 diag(x0 o x0), x0 in J2000.
     factor, x0 = problem.initial_factor * units.state[:, None], mission.initial_state
     np.testing.assert_allclose(factor @ factor.T, 1e-4 * np.diag(x0 * x0), rtol=1e-12)
-
-
-# --- constraints --------------------------------------------------------------------------------
 
 
 def constraint(mission: Mission, name: str) -> StateConstraint:
@@ -168,9 +160,6 @@ def test_polytopes_are_those_chosen() -> None:
         polytopes = mission_of(f"polytopes.ball={ball}", f"polytopes.cone={cone}").polytopes
         assert (polytopes.ball and len(polytopes.ball.normals)) == ball_facets
         assert polytopes.cone_facets == cone_facets
-
-
-# --- other initial states -----------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("frame", ["sun_north", "j2000"])

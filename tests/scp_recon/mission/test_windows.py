@@ -142,9 +142,6 @@ def test_a_body_that_turns_too_often_to_be_searched_is_refused() -> None:
         scan_step_s(2.0 * np.pi, (0.0, 34_842.0))
 
 
-# --- the survey ---------------------------------------------------------------------------------
-
-
 def test_the_first_window_of_the_survey_is_the_missions(mission: Mission) -> None:
     """But for the curvature of the orbit, which a mission leaves out: 2 ms of time at most."""
     found = survey(mission.scenario, (0.0, DAY_S))

@@ -93,9 +93,6 @@ def test_no_limit_within_reach_is_kept_for_sure() -> None:
     assert survey(free, toy, SEED).share.tolist() == [0.0, 0.0, 0.0, 0.0, 0.0, 1.0]
 
 
-# --- of a mission ---------------------------------------------------------------------------------
-
-
 @pytest.fixture(scope="module")
 def law(solution: Solution) -> tuple[Mission, Law]:
     mission = Mission.from_scenario(solution.scenario)

@@ -103,9 +103,6 @@ def test_draws_that_cross_a_limit_between_nodes_are_next_to_it() -> None:
     assert law.nearest({"ball": margins}).tolist() == [0.0, 3.0, 0.0]
 
 
-# --- of a mission ---------------------------------------------------------------------------------
-
-
 def test_a_course_counts_what_flights_do_at_each_second(
     mission: Mission, default_plan: Plan
 ) -> None:

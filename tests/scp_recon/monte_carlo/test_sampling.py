@@ -1,19 +1,47 @@
-"""Sampled flights: the right distribution, the right dynamics, and no dependence on how many."""
+"""Flights: their draws, what happens between nodes, time observed, and intervals."""
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
-from scipy.stats import kstest, norm
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.stats import beta, binom, kstest
 
 from formulations.arrays import Array
+from scp_recon.certification.flights import with_nodes_at
 from scp_recon.mission.mission import Mission
-from scp_recon.monte_carlo import sampling
-from scp_recon.monte_carlo.estimates import proportion
-from scp_recon.monte_carlo.sampling import BLOCK, fly_block, sample_positions
+from scp_recon.monte_carlo.estimates import CONFIDENCE, binomial_quantile, proportion
+from scp_recon.monte_carlo.flights import FlightConfig
+from scp_recon.monte_carlo.observation_time import (
+    ALL,
+    SCIENCE,
+    joint_margins,
+    observation_margins,
+    time_held,
+)
+from scp_recon.monte_carlo.sampling import (
+    BLOCK,
+    draw,
+    fly_block,
+    number_of_sources,
+    sample_positions,
+)
+from scp_recon.monte_carlo.whole_flight import (
+    LOOK_S,
+    PARTS,
+    SAFETY,
+    KeptFlights,
+    kept_flights,
+    looked_at,
+    may_dip,
+)
 from scp_recon.planning.initial_guess import from_burns
 from scp_recon.results.solution import Solution
-from tests.scp_recon.support import fly, integrate, mission_of
+from tests.helpers import share_of_examples
+from tests.scp_recon.support import integrate, mission_of
 
 LOOK = np.array([0.0, 8000.0, 13_140.5, 25_000.0, 34_842.0])
 
@@ -45,15 +73,6 @@ def test_looking_more_often_does_not_change_the_flights(mission: Mission, burns:
     np.testing.assert_allclose(rarely, often, rtol=0.0, atol=1e-2)
 
 
-def test_without_uncertainty_every_flight_is_the_planned_one(burns: Array) -> None:
-    certain = mission_of("uncertainty.initial_sigma_fraction=0", "uncertainty.execution_error=0")
-    positions = sample_positions(certain, burns, LOOK, 3, 0)
-    look = np.union1d(LOOK, certain.scenario.burns.times_s)
-    planned = fly(certain, burns, look)[np.searchsorted(look, LOOK), :3]
-    for flight in range(3):
-        np.testing.assert_allclose(positions[:, flight], planned, rtol=0.0, atol=1e-3)
-
-
 def test_each_flight_is_that_of_an_adaptive_integration(mission: Mission, burns: Array) -> None:
     times = np.array(mission.scenario.burns.times_s)
     flights = fly_block(mission, burns, times, 0, flights=4)
@@ -64,15 +83,6 @@ def test_each_flight_is_that_of_an_adaptive_integration(mission: Mission, burns:
             arrived = flights.states[leg + 1, flight]
             np.testing.assert_allclose(arrived[:3], end[:3], rtol=0.0, atol=5e-3)
             np.testing.assert_allclose(arrived[3:], end[3:], rtol=0.0, atol=1e-6)
-
-
-def test_the_time_step_is_fine_enough(
-    mission: Mission, burns: Array, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    coarse = sample_positions(mission, burns, LOOK, 200, 0)
-    monkeypatch.setattr(sampling, "RK4_STEP_MAX_S", 30.0)
-    fine = sample_positions(mission, burns, LOOK, 200, 0)
-    assert np.linalg.norm(coarse - fine, axis=2).max() < 1e-2
 
 
 def assert_white(standard: Array) -> None:
@@ -89,19 +99,6 @@ def test_initial_states_and_burns_err_as_specified(mission: Mission, burns: Arra
     assert_white((flown - x0) / (0.01 * np.abs(x0)))
     executed = fly_block(mission, burns, LOOK[:1], 0).burns_m_s
     assert_white(((executed / burns - 1.0) / 0.08).reshape(BLOCK, 12))
-
-
-@pytest.mark.parametrize("sigmas", [-1.0, 0.0, 0.5, 1.5])
-def test_a_known_probability_is_in_the_interval(
-    mission: Mission, burns: Array, sigmas: float
-) -> None:
-    """At t = 0 a plane is on one side of the flights with a probability that is known exactly."""
-    positions = sample_positions(mission, burns, LOOK[:1], 4000, 0)[0]
-    normal = np.array([2.0, -1.0, 2.0]) / 3.0
-    mean = normal @ mission.initial_state[:3]
-    sigma = np.linalg.norm(normal * mission.initial_sigma[:3])
-    estimate = proportion(int((positions @ normal <= mean + sigmas * sigma).sum()), 4000)
-    assert estimate.low < norm.cdf(sigmas) < estimate.high
 
 
 def test_sampled_covariance_is_the_predicted_one_where_errors_are_small(burns: Array) -> None:
@@ -124,3 +121,213 @@ def test_sampled_covariance_is_the_predicted_one_where_errors_are_small(burns: A
         error = white.T @ white / samples - np.eye(6)
         assert np.abs(error).max() < 5.0 * np.sqrt(2.0 / samples)
         assert np.abs(white.mean(axis=0)).max() < 5.0 / np.sqrt(samples)
+
+
+# --- how far a margin dips between looks --------------------------------------------------------
+
+
+@given(
+    speed=st.floats(0.01, 1e4),
+    closest=st.floats(1.0, 1e4),
+    share=st.floats(0.0, 1.0),
+    radius=st.floats(0.0, 1e4),
+)
+def test_a_flight_past_a_ball_is_seen_at_any_speed(
+    speed: float, closest: float, share: float, radius: float
+) -> None:
+    """Straight past a centre: where a limit is broken between two looks, the dip allows for it."""
+    looks = LOOK_S * np.arange(-4.0, 5.0)
+    passed = share * LOOK_S
+    fine = np.linspace(0.0, LOOK_S, 301)
+
+    def margin(time: Array) -> Array:
+        return np.hypot(closest, speed * (time - passed)) - radius
+
+    ends = margin(looks)[4:6]
+    if margin(fine).min() < 0.0:
+        assert ends.min() < may_dip(looks, margin(looks))[4] + 1e-9 * (radius + closest)
+
+
+def test_a_slow_flight_is_not_looked_at_far_from_a_limit() -> None:
+    """At Bennu's speeds margins dip by centimetres in half a minute."""
+    looks = LOOK_S * np.arange(100.0)
+    margin = np.hypot(600.0, 0.15 * (looks - 1500.0)) - 500.0
+    assert may_dip(looks, margin).max() < 0.05
+
+
+def test_two_looks_tell_nothing_of_what_is_between_them() -> None:
+    assert np.isinf(may_dip(np.array([0.0, 30.0]), np.array([[5.0], [5.0]]))).all()
+
+
+# --- flights ------------------------------------------------------------------------------------
+
+FLIGHTS, SEED = 1000, 5
+
+
+def test_until_a_burn_the_path_goes_on_as_it_did(solution: Solution) -> None:
+    """Between the last look and a burn at the next one: with the velocity before it, not after it."""
+    burn_s = solution.scenario.burns.times_s[1]
+    burns = solution.burns_m_s.copy()
+    burns[1] = [0.0, 0.0, 0.19]
+    mission = Mission.from_scenario(solution.scenario)
+    looks = np.union1d(np.arange(0.0, mission.times_s[-1], LOOK_S), mission.times_s)
+    arc = int(np.searchsorted(looks, burn_s)) - 1
+    seconds = looks[arc] + (looks[arc + 1] - looks[arc]) * np.arange(1, PARTS) / PARTS
+    distance = np.linalg.norm(sample_positions(mission, burns, seconds, FLIGHTS, SEED), axis=2)
+    limit = float(np.median(distance[2 * PARTS // 3]))
+    at_limit = solution.scenario.replace({"safety.radius_min_m": limit})
+    tight = dataclasses.replace(mission, scenario=at_limit)  # a limit in the flight's own way
+    draws = draw(SEED, 0, number_of_sources(tight, burns))
+    found = looked_at(tight, burns, looks, draws).between[SAFETY][arc]
+    np.testing.assert_allclose(found, np.sum(distance >= limit, axis=1), atol=1)
+
+
+@pytest.fixture(scope="module")
+def sparse(solution: Solution) -> tuple[Mission, Array, KeptFlights]:
+    """A plan that breaks a limit between the edges of the window, which has no other nodes."""
+    mission = mission_of("observation.emission_max_deg=36", "grid.step_max_s=3500")
+    return mission, solution.burns_m_s, kept_flights(mission, solution.burns_m_s, FLIGHTS, SEED)
+
+
+def test_seconds_between_nodes_that_are_touched_are_less_likely_than_every_node(
+    sparse: tuple[Mission, Array, KeptFlights],
+) -> None:
+    mission, burns, kept = sparse
+    least = min(int(counts.min()) for counts in kept.at_nodes.values())
+    lowest = min(kept.throughout.values())
+    assert lowest < least - 100
+    assert len(kept.touched_s) > 0
+    some = np.unique(kept.touched_s)[:: max(1, len(kept.touched_s) // 20)]
+    positions = sample_positions(mission, burns, some, FLIGHTS, SEED)
+    margins = joint_margins(mission, some, positions)
+    margins[SAFETY] = np.linalg.norm(positions, axis=2) - mission.scenario.safety.radius_min_m
+    counts = np.min([np.sum(margin >= 0.0, axis=1) for margin in margins.values()], axis=0)
+    assert np.all(counts <= least - 0.5 * (least - lowest) + 1)
+
+
+def test_nodes_there_close_the_gap(sparse: tuple[Mission, Array, KeptFlights]) -> None:
+    mission, burns, kept = sparse
+    finer = with_nodes_at(mission, kept.touched_s)
+    again = kept_flights(finer, burns, FLIGHTS, SEED)
+    assert min(again.throughout.values()) == min(kept.throughout.values())
+    lost = [
+        min(int(counts.min()) for counts in of.at_nodes.values()) - min(of.throughout.values())
+        for of in (kept, again)
+    ]
+    assert lost[0] > 100
+    assert lost[1] <= 0.3 * lost[0]
+
+
+SCANNED = 60
+
+
+@pytest.fixture(scope="module")
+def bold_burns(solution: Solution) -> np.ndarray:
+    """Burns that make many flights cross limits."""
+    return solution.burns_m_s * np.array([1.03, 0.97, 1.0, 1.0])[:, None]
+
+
+def test_time_held_matches_a_scan_at_half_a_second(
+    mission: Mission, bold_burns: np.ndarray
+) -> None:
+    looks = FlightConfig(mission, bold_burns).looks_s
+    coarse = fly_block(mission, bold_burns, looks, 0, flights=SCANNED)
+    found = time_held(mission, looks, coarse.states)
+    step, length = 0.5, looks[-1] - looks[0]
+    fine = np.arange(looks[0] + 0.5 * step, looks[-1], step)
+    states = fly_block(mission, bold_burns, fine, 0, flights=SCANNED).states
+    joint = joint_margins(mission, fine, states[..., :3])
+    for name in (*SCIENCE, ALL):
+        held = found[name]
+        wanted = SCIENCE if name == ALL else (name,)
+        holds = np.logical_and.reduce([joint[n] >= 0.0 for n in wanted])
+        scanned = holds.sum(axis=0) * length / len(fine)
+        assert np.abs(held.duration - scanned).max() < 1.0
+        ever = holds.any(axis=0)
+        np.testing.assert_array_equal(np.isfinite(held.entry), ever)
+        first = fine[np.argmax(holds, axis=0)]
+        last = fine[len(fine) - 1 - np.argmax(holds[::-1], axis=0)]
+        assert np.abs(held.entry - first)[ever].max() < 1.0
+        assert np.abs(held.exit - last)[ever].max() < 1.0
+    partly = (found[ALL].duration > 1.0) & (found[ALL].duration < length - 1.0)
+    assert partly.sum() >= 5, "or constants were compared"
+
+
+def test_a_dip_between_two_looks_is_counted(mission: Mission) -> None:
+    """A flight straight through the upper distance limit and back within one spacing."""
+    looks = np.linspace(*mission.schedule.window_s, 58)
+    spacing = looks[1] - looks[0]
+    limit = mission.scenario.observation.site_distance_max_m
+    middle = looks[20] + 0.45 * spacing
+    curvature, peak = 2e-3, 0.4
+
+    def flight(time: np.ndarray) -> np.ndarray:
+        from scp_recon.physics import geometry
+
+        track = geometry.track(mission.site, mission.rotation, time)
+        across = np.cross(track.normal, mission.sun_direction(time))
+        across /= np.linalg.norm(across, axis=-1, keepdims=True)
+        tilt = np.deg2rad(30.0)
+        sight = np.cos(tilt) * track.normal + np.sin(tilt) * across
+        distance = limit + peak - curvature * (time - middle) ** 2
+        return track.position + np.maximum(distance, 600.0)[:, None] * sight
+
+    step = 1e-2
+    velocity = (flight(looks + step) - flight(looks - step)) / (2 * step)
+    states = np.concatenate([flight(looks), velocity], axis=1)[:, None]
+    margin = joint_margins(mission, looks, states[..., :3])["site_distance"]
+    above = 2.0 * np.sqrt(peak / curvature)
+    assert above < spacing
+    assert (margin >= 0.0).sum() >= len(looks) - 1
+    held = time_held(mission, looks, states)["site_distance"].duration[0]
+    assert looks[-1] - looks[0] - held == pytest.approx(above, abs=1.0)
+
+
+def test_margins_vanish_on_the_limits(mission: Mission) -> None:
+    from scp_recon.physics import geometry
+
+    time = np.array([mission.schedule.window_s[0]])
+    track = geometry.track(mission.site, mission.rotation, time)
+    limits = mission.scenario.observation
+    overhead = track.position + limits.site_distance_max_m * track.normal
+    margins = observation_margins(mission, time, overhead)
+    assert margins["site_distance_max"][1] == pytest.approx([0.0], abs=1e-9)
+    assert margins["emission_min"][1] == pytest.approx([-np.deg2rad(limits.emission_min_deg)])
+    incidence = geometry.incidence(track, mission.sun_direction(time))
+    assert margins["phase_min"][1] == pytest.approx(incidence - np.deg2rad(limits.phase_min_deg))
+
+
+@given(samples=st.integers(1, 20_000), share=st.floats(0.0, 1.0))
+def test_interval_is_clopper_and_pearsons(samples: int, share: float) -> None:
+    successes = round(share * samples)
+    tail = 0.5 * (1.0 - CONFIDENCE)
+    low = beta.ppf(tail, successes, samples - successes + 1) if successes else 0.0
+    high = beta.ppf(1 - tail, successes + 1, samples - successes) if successes < samples else 1.0
+    estimate = proportion(successes, samples)
+    assert estimate.value == successes / samples
+    assert (estimate.low, estimate.high) == pytest.approx((low, high), abs=1e-9)
+    assert 0.0 <= estimate.low <= estimate.value <= estimate.high <= 1.0
+
+
+@settings(max_examples=share_of_examples(3))
+@given(
+    level=st.floats(1e-9, 1.0 - 1e-9), samples=st.integers(1, 20_000), share=st.floats(1e-3, 0.999)
+)
+def test_quantile_is_the_binomial_law_s(level: float, samples: int, share: float) -> None:
+    """But for rounding where the law steps at the very level."""
+    ours, theirs = binomial_quantile(level, samples, share), binom.ppf(level, samples, share)
+    least = min(ours, theirs)
+    assert ours == theirs or binom.cdf(least, samples, share) == pytest.approx(level, rel=1e-9)
+
+
+@pytest.mark.parametrize("samples", [10, 60, 200])
+@pytest.mark.parametrize("truth", [0.01, 0.3, 0.7, 0.95])
+def test_interval_holds_the_truth_at_least_as_often_as_it_claims(
+    samples: int, truth: float
+) -> None:
+    """Summed over all outcomes: no sampling in the test of the sampling."""
+    holds = [
+        estimate.low <= truth <= estimate.high
+        for estimate in (proportion(successes, samples) for successes in range(samples + 1))
+    ]
+    assert binom.pmf(np.arange(samples + 1), samples, truth) @ holds >= CONFIDENCE

@@ -145,8 +145,6 @@ def test_kingfisher_as_packaged_has_a_pass_with_feedback() -> None:
     """It has none open loop."""
     scenario = load_scenario("kingfisher").replace(MEASURED | {"risk.p_chance": 0.9})
     plan = sr.design(scenario).plan
-    assert plan is not None
-    assert plan.certificate is not None
     assert plan.certificate.certifies(0.9)
     assert min(margin for margin, _ in plan.worst_margins.values()) > -1e-4
     cost_m_s = plan.final.result.lin.cost.value * plan.mission.units.speed_m_s

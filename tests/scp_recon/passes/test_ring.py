@@ -113,7 +113,6 @@ def test_the_file_is_named_relative_to_its_scenario_and_designs_alone_take_it(
     assert "ephemeris_file" in text
     (tmp_path / "scenario.toml").write_text(text)
     scenario = load_scenario(tmp_path / "scenario.toml")
-    assert scenario.boundary.home is not None
     assert scenario.boundary.home.ephemeris_file == str(tmp_path / "home.csv")
     with pytest.raises(InputError, match=r"boundary\.home.*scp_recon design"):
         Mission.from_scenario(scenario)

@@ -29,7 +29,6 @@ def test_the_home_orbit_is_a_circle_at_two_body_speed_in_its_plane(
 ) -> None:
     scenario = home_scenario(sense=sense)
     home, gm = scenario.boundary.home, scenario.body.gm_m3_s2
-    assert home is not None
     r, v = home.state(phase, gm).reshape(2, 3)
     np.testing.assert_allclose(r, 1000.0 * np.array([0, np.cos(phase), np.sin(phase)]), atol=1e-9)
     assert np.linalg.norm(v) == pytest.approx(np.sqrt(gm / 1000.0), rel=1e-12)

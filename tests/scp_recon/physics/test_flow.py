@@ -138,16 +138,6 @@ def test_a_small_move_needs_no_new_derivatives(
     np.testing.assert_allclose(here.stm, there.stm, rtol=0.0, atol=1e-6)
 
 
-def test_propagation_broadcasts_durations(forces: ForceModel, arc: float) -> None:
-    state = np.array([1.0, 0.1, 0.0, 0.0, 0.9, 0.2])
-    durations = arc * np.array([[0.5, 1.0, 1.5], [-1.0, 0.0, 2.0]])
-    together = propagate(np.broadcast_to(state, (2, 3, 6)), durations, forces)
-    for index in np.ndindex(2, 3):
-        alone = propagate(state, durations[index], forces)
-        np.testing.assert_allclose(together[index], alone, rtol=1e-14)
-    np.testing.assert_array_equal(together[1, 1], state)
-
-
 QUICK_ORBIT = np.array([0.6, 0.1, -0.2, -0.3, 1.0, 0.5])
 """Low and fast, so that the scheme's error stands far above roundoff; nondimensional."""
 
@@ -173,26 +163,6 @@ def test_the_planner_stays_within_a_millimetre_over_the_whole_flight(
     assert np.linalg.norm(planned[:, :3] - flown[:, :3], axis=1).max() < 1e-3
     assert np.linalg.norm(planned[:, 3:] - flown[:, 3:], axis=1).max() < 1e-6
     assert np.diff(mission.times_s).max() / mission.arc_substeps <= RK4_STEP_MAX_S
-
-
-# --- between the steps --------------------------------------------------------------------------
-
-
-@given(
-    coefficients=st.lists(st.floats(-2.0, 2.0), min_size=4, max_size=4),
-    h=st.floats(0.1, 5.0),
-    u=st.floats(0.0, 1.0),
-)
-def test_interpolation_is_exact_for_cubics(coefficients: list[float], h: float, u: float) -> None:
-    path = np.polynomial.Polynomial(coefficients)
-    speed = path.deriv()
-
-    def at(t: float) -> tuple[Array, Array]:
-        return np.array([path(t)]), np.array([speed(t)])
-
-    position, velocity = interpolate(at(0.0), at(h), h, u)
-    assert position == pytest.approx(path(u * h), rel=1e-9, abs=1e-9)
-    assert velocity == pytest.approx(speed(u * h), rel=1e-9, abs=1e-9)
 
 
 @given(state=states(), u=st.floats(0.0, 1.0))

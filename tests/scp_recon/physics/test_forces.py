@@ -15,7 +15,6 @@ from scp_recon.mission.mission import Mission
 from scp_recon.physics.forces import (
     ForceModel,
     acceleration,
-    accelerations,
     gravity_curvature,
     gravity_gradient,
 )
@@ -92,18 +91,6 @@ def test_closed_form_derivatives_are_those_of_the_acceleration(
     )
     for closed_form, expected in closed_forms:
         assert np.abs(closed_form - expected).max() < 1e-12 * np.abs(expected).max()
-
-
-def test_many_positions_are_those_one_by_one(mission: Mission) -> None:
-    forces, r = mission.forces, np.random.default_rng(2).normal(scale=800.0, size=(3, 12))
-    values = np.stack(acceleration(*r.reshape(3, 4, 3), forces)).reshape(3, 12)
-    gradients, curvatures = gravity_gradient(r.T, forces), gravity_curvature(r.T, forces)
-    np.testing.assert_allclose(accelerations(r, forces), values, rtol=1e-13)
-    for n, position in enumerate(r.T):
-        np.testing.assert_allclose(values[:, n], at(position, forces), rtol=1e-14)
-        alone = position[None]
-        np.testing.assert_allclose(gradients[n], gravity_gradient(alone, forces)[0], rtol=1e-13)
-        np.testing.assert_allclose(curvatures[n], gravity_curvature(alone, forces)[0], rtol=1e-13)
 
 
 @given(position=positions(), length=st.floats(1.0, 1e4), time=st.floats(1.0, 1e5))

@@ -34,9 +34,6 @@ def ballistic(mission: Mission) -> Iterate:
     return initial_guess.ballistic(mission)
 
 
-# --- cold ---------------------------------------------------------------------------------------
-
-
 def test_cold_is_the_straight_line_with_next_to_no_burns(mission: Mission) -> None:
     cold = initial_guess.cold(mission)
     states, fraction = states_of(mission, cold), mission.times_s / mission.times_s[-1]
@@ -45,9 +42,6 @@ def test_cold_is_the_straight_line_with_next_to_no_burns(mission: Mission) -> No
     np.testing.assert_allclose(states, expected, rtol=1e-12, atol=1e-12)
     # Echigo et al., section VI.
     np.testing.assert_allclose(burns_of(mission, cold.burns), np.full((4, 3), 1e-10), rtol=1e-12)
-
-
-# --- ballistic ----------------------------------------------------------------------------------
 
 
 def test_ballistic_arc_flies_between_the_boundary_states_with_two_impulses(
@@ -86,9 +80,6 @@ def test_ballistic_arc_exists_where_the_plane_is_not_given(final: str) -> None:
     assert np.abs(defects_of(mission, iterate)[:, :3]).max() < 1e-2
 
 
-# --- burns --------------------------------------------------------------------------------------
-
-
 def test_given_burns_are_rolled_out(mission: Mission, default_plan: Plan) -> None:
     planned = default_plan.final.result.lin.iterate
     burns = 1.1 * burns_of(mission, planned.burns)
@@ -106,9 +97,6 @@ def test_other_numbers_of_burns_are_refused(mission: Mission, shape: tuple[int, 
         initial_guess.from_burns(mission, np.zeros(shape))
     assert caught.value.entry == "init"
     assert "4" in caught.value.allowed
-
-
-# --- tables -------------------------------------------------------------------------------------
 
 
 def write(path: Path, times: Array, states: Array, header: tuple[str, ...] = WITH_UNITS) -> Path:

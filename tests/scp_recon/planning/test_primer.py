@@ -37,9 +37,6 @@ def plan(planner: Planner) -> Plan:
     return planner.plan(initial_guess.cold(planner.mission))
 
 
-# --- against plans ------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True, eq=False)
 class Kicked(GridFlow):
     """A flow in which the flight is pushed at the end of one arc, whatever the burns."""
@@ -70,7 +67,6 @@ def test_a_small_burn_more_saves_what_the_primer_says(
     planner: Planner, plan: Plan, time_s: float
 ) -> None:
     history = primer_of(plan)
-    assert history is not None
     assert history.residual < 1e-3
     node = int(np.argmin(np.abs(np.array(history.t_s) - time_s)))
     size, p = 1e-3, np.array(history.vector[node])
@@ -84,16 +80,12 @@ def test_a_burn_where_it_exceeds_one_makes_the_plan_cheaper() -> None:
     few = mission_of(COARSE, *tangent, "burns.times_s=[0,25000,34842]")
     plan = Planner(few).plan(initial_guess.cold(few))
     history = primer_of(plan)
-    assert history is not None
     best = np.argmax(np.where(history.legal, history.allowed, -np.inf))
     assert history.allowed[best] > 1.0 + WORTH
     times = sorted((*few.scenario.burns.times_s, history.t_s[best]))
     mission = Mission.from_scenario(few.scenario.replace({"burns.times_s": times}))
     more = Planner(mission).plan(initial_guess.cold(mission))
     assert more.total_dv_m_s < 0.99 * plan.total_dv_m_s
-
-
-# --- against Lawden's ---------------------------------------------------------------------------
 
 
 def test_without_uncertainty_and_constraints_it_is_lawden_s() -> None:
@@ -108,7 +100,6 @@ def test_without_uncertainty_and_constraints_it_is_lawden_s() -> None:
     start = mission.dynamics.linearise(problem, initial_guess.cold(mission))
     stage = planner.solve("P3", rows, start, mission.dynamics, lambda *_: None)
     history = primer_history(mission, stage)
-    assert history is not None
     burns = stage.result.lin.iterate.burns
     first, last = burns / np.linalg.norm(burns, axis=1)[:, None]
     nodes = np.array(history.t_s) / mission.units.time_s
@@ -128,9 +119,6 @@ def test_without_uncertainty_and_constraints_it_is_lawden_s() -> None:
     assert lawden.success
     np.testing.assert_allclose(history.vector, lawden.sol(nodes)[6:9].T, atol=2e-4)
     assert any(history.legal)
-
-
-# --- directions, times, and what has none -------------------------------------------------------
 
 
 @given(st.integers(0, 2**32 - 1), st.floats(0.0, 1.2))

@@ -31,7 +31,6 @@ def found(mission: Mission) -> Plan:
 def test_both_optima_of_p3_are_found_and_the_better_one_is_kept(
     mission: Mission, found: Plan
 ) -> None:
-    assert found.starts is not None
     near, far = found.starts.optima
     assert near.total_dv_m_s == pytest.approx(0.107723, rel=1e-4)
     assert far.total_dv_m_s == pytest.approx(0.159273, rel=1e-4)
@@ -93,7 +92,6 @@ def test_an_interrupt_keeps_the_best_start_so_far(mission: Mission) -> None:
     found = THREE(mission, initial_guess.cold(mission), seen=stop)
     assert found.status is Status.INTERRUPTED
     assert found.total_dv_m_s == pytest.approx(0.107723, rel=1e-4)
-    assert found.starts is not None
     assert [o.starts for o in found.starts.optima] == [(0, 1)]
 
 
@@ -109,7 +107,6 @@ def test_the_front_door_and_the_file_list_the_optima() -> None:
     found = sr.plan(problem="P3", starts=3, seed=0)
     assert "local optima of 3 starts, seed 0" in str(found)
     listed = make_solution(found).starts
-    assert listed is not None
     assert [o.starts for o in listed.optima] == [(0, 1), (2,)]
     assert (listed.number, listed.seed) == (3, 0)
 

@@ -86,9 +86,6 @@ def test_the_spread_is_that_of_flights_in_which_measured_burns_do_not_err(
     assert spread == pytest.approx(found.covariance / np.outer(sigma, sigma), abs=0.1)
 
 
-# --- plans with corrected burns -------------------------------------------------------------------
-
-
 @pytest.fixture(scope="module")
 def corrected() -> Solution:
     """Corrections of burns 2, 3 and 4, of which the later ones act on every estimate so far."""
@@ -113,7 +110,6 @@ def test_the_gains_of_a_file_are_those_that_it_was_made_of(words: tuple[str, ...
 
 
 def test_a_file_of_other_gains_contradicts_its_covariances(corrected: Solution) -> None:
-    assert corrected.policy is not None
     first, *others = corrected.policy.corrections
     gain = [(2.0 * np.array(block)).tolist() for block in first.gain]
     policy = replace(corrected.policy, corrections=[replace(first, gain=gain), *others])
@@ -170,9 +166,7 @@ def test_a_plan_with_corrections_is_continued_from_its_cut_off(corrected: Soluti
     )
     made = make_solution(again)
     assert [(one.burn, one.cut_off_s) for one in made.corrections] == [(1, 21_400.0), (2, 31_242.0)]
-    assert made.policy is not None
     assert [one.burn for one in made.policy.corrections] == [3, 4]
-    assert again.parent is not None
     assert again.parent.commanded_m_s == pytest.approx(flown.commanded(state, 4_400.0))
     assert made.by_policy is not None
     assert "by the policy of a solution alone burn 2 at 8000 s were" in made.by_policy

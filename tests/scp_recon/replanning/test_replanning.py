@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -15,7 +14,6 @@ from scp_recon.api.replans import plan_left
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.schedule import MISS_WEIGHT
-from scp_recon.monte_carlo import estimates
 from scp_recon.planning import initial_guess, ipopt
 from scp_recon.planning.method import ScpMethod, scp_method
 from scp_recon.planning.mission_stages import MissionRunner
@@ -28,20 +26,14 @@ from scp_recon.results.solution import Solution, make_solution
 from scp_recon.scenario.schema import Scenario
 from scp_recon.scp.status import Status
 from scp_recon.verification.reintegration import verify
+from tests.helpers import nightly
 from tests.scenarios import COARSE
 from tests.scp_recon.support import integrate, mission_of
 
+pytestmark = pytest.mark.usefixtures("fewer")
+
 OFF = np.array([40.0, -40.0, 20.0, 2e-3, 2e-3, -1e-3])
 """60 m and 3 mm/s."""
-
-
-@pytest.fixture(scope="module", autouse=True)
-def fewer() -> Iterator[None]:
-    """A tenth of the flights that certify."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(estimates, "FLIGHTS_MIN", 1_000)
-        patch.setattr(estimates, "FAILURES", 50)
-        yield
 
 
 @pytest.fixture(scope="module")
@@ -146,7 +138,6 @@ def test_one_burn_meets_the_velocity_and_misses_what_the_coast_misses(late: Plan
     mission = late.mission
     end = integrate(mission.forces, mission.initial_state, [26_000.0, 34_842.0])[-1]
     missed = verify(mission, make_solution(late)).missed
-    assert missed is not None
     expected = np.linalg.norm(end[:3] - mission.final_state[:3])
     assert missed.position_m == pytest.approx(expected, abs=1e-3)
     assert missed.velocity_m_s < 1e-8
@@ -173,7 +164,6 @@ def test_a_burn_that_cannot_meet_it_misses_the_least_by_its_weight(flown: FlownP
     assert np.linalg.norm(burn) <= 0.03 + 1e-7
     assert weighted(burn) <= min(t.fun for t in tries if t.success) + 1e-6
     found = verify(mission, make_solution(plan))
-    assert found.missed is not None
     assert found.missed.velocity_m_s > 1e-3
     assert "missed" in str(found)
 
@@ -224,14 +214,11 @@ def test_the_covariance_is_the_initial_one_unless_given(
 
 def test_a_replan_is_flown_and_replanned_in_its_turn(flown: FlownPlan, default_plan: Plan) -> None:
     first = again(flown, 9_000.0, 0.1 * drawn(flown, 9_000.0))
-    assert first.parent is not None
     assert first.parent.plan_hash == make_solution(default_plan).plan_hash
     child = FlownPlan.of(first)
     second = again(child, 26_000.0, drawn(child, 26_000.0))
-    assert second.parent is not None
     assert second.parent.plan_hash == make_solution(first).plan_hash
     history = second.mission.scenario.in_flight
-    assert history is not None
     expected = [*default_plan.burns_m_s[:2], first.burns_m_s[0]]
     assert np.array(history.flown_m_s) == pytest.approx(np.array(expected))
     assert second.mission.scenario.burn_times_s == (34_842.0,)
@@ -296,6 +283,7 @@ def test_what_is_known_of_a_mission_is_what_would_be_found_again(flown: FlownPla
     assert known.warnings[0].entry == "in_flight.position_m"
 
 
+@nightly
 @pytest.mark.usefixtures("few_flights")
 def test_exact_risk_goes_on_in_flight(flown: FlownPlan) -> None:
     off = drawn(flown, 3_000.0)
@@ -312,7 +300,6 @@ def test_whole_flights_are_certified_in_flight(flown: FlownPlan) -> None:
     asked = ("risk.allocation=exact", "risk.scope=flight", "risk.p_chance=0.9")
     mission = mission_left(flown, Delivery(17_000.0, state), asked)
     plan = plan_left(flown, mission)
-    assert plan.certificate is not None
     assert plan.certificate.low >= 0.9
     assert plan.mission.warnings == mission.warnings
     assert verify(plan.mission, make_solution(plan)).ok
@@ -342,7 +329,6 @@ def test_a_measured_burn_explains_a_state_and_stands_in_the_history(
     assert [warning.entry for warning in strange] == ["state"]
     plan = sr.replan(default_plan, 17_000.0, state, measured_burns={2: burn})
     assert [warning.entry for warning in plan.mission.warnings] == []
-    assert plan.mission.scenario.in_flight is not None
     assert plan.mission.scenario.in_flight.flown_m_s[1] == pytest.approx(burn)
 
 

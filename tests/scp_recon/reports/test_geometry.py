@@ -155,7 +155,6 @@ def test_probabilities_are_the_verification_s(
 ) -> None:
     """The same draws: at the nodes the same numbers."""
     checked = verified.verification
-    assert checked is not None
     found = {one.name: one for one in achieved(subject, flown)}
     for p in checked.probabilities:
         one = found[p.name]

@@ -1,4 +1,4 @@
-"""The page without a browser: it stands alone, and says what the solution file says."""
+"""The page without a browser: it stands alone, says what the solution file says, also of a flight."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ import shlex
 from dataclasses import replace
 from datetime import timedelta
 from decimal import Decimal
-from functools import partial
 from html import unescape
 from pathlib import Path
 from typing import Any
@@ -16,27 +15,27 @@ from typing import Any
 import numpy as np
 import pytest
 
+from scp_recon.api.replans import plan_left
 from scp_recon.cli.commands import report, solve
 from scp_recon.errors import InputError
-from scp_recon.reports import flights
+from scp_recon.planning.plan import Plan
+from scp_recon.replanning.delivery import Delivery
+from scp_recon.replanning.flown import FlownPlan, predict
+from scp_recon.replanning.remainder import mission_left
 from scp_recon.reports.flights import fly
 from scp_recon.reports.ground import Camera
 from scp_recon.reports.page import Page, _surplus, render, verdict_of
 from scp_recon.reports.subject import PLANS_MAX, Subject, subjects_of
 from scp_recon.reports.write import page_of
-from scp_recon.results.solution import Solution
+from scp_recon.results.solution import Solution, make_solution
 from scp_recon.results.table import Table
 from scp_recon.scenario.load import load_scenario
+from tests.scenarios import COARSE
+from tests.scp_recon.support import run_solve
 
 from .conftest import MADE
 
 BYTES_MAX = 8_000_000
-
-
-@pytest.fixture
-def few_flights(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where the numbers do not matter."""
-    monkeypatch.setattr(flights, "fly", partial(fly, samples=200))
 
 
 @pytest.fixture(scope="module")
@@ -81,7 +80,6 @@ def test_tables_equal_the_solution_file(page: Page, verified: Solution, html: st
         c.name: (c.worst_margin, c.worst_t_s) for c in verified.constraints
     }
     checked = verified.verification
-    assert checked is not None
     assert numbers(tables["probabilities"]) == [
         [p.estimate, p.low, p.high, p.worst_t_s, 0.7] for p in checked.probabilities
     ]
@@ -140,7 +138,6 @@ def test_names_are_shown_as_they_are_and_end_no_script(verified: Solution) -> No
     assert "<b onload" not in text
     assert hostile in unescape(text)
     data = re.search(r'id="report-data">(.*?)</script>', text)
-    assert data is not None
     assert json.loads(data[1])["scene"]["motion"]["plans"][0]["name"] == hostile
 
 
@@ -224,3 +221,72 @@ def test_flights_of_another_plan_are_passed_over_and_named(
     (found,) = subjects_of([tmp_path])
     assert found.summary is None
     assert found.passed_over == (f"{tmp_path / 'montecarlo.json'}: flights of another plan",)
+
+
+@pytest.mark.usefixtures("few_flights")
+def test_solve_writes_it_beside_the_plan_and_one_of_a_failed_plan_beside_that(
+    tmp_path: Path,
+) -> None:
+    run = run_solve(tmp_path, "--report")
+    assert run.exit_code == 0
+    page = (tmp_path / "report.html").read_text("utf-8")
+    assert "<strong>verified</strong>" in page
+    assert run.output.rstrip().endswith(f"written: {tmp_path / 'report.html'}")
+    impossible = ("--problem", "P3", "--set", "burns.dv_max_m_s=0.02", "--set", COARSE)
+    assert run_solve(tmp_path, *impossible, "--report").exit_code == 3
+    assert (tmp_path / "report.html").read_text("utf-8") == page
+    other = (tmp_path / "report_unverified.html").read_text("utf-8")
+    assert "<strong>not verified: status" in other
+    assert "violated by up to" in other
+
+
+IN_THE_WINDOW, AFTER_IT = 15_000.0, 17_000.0
+OF_THE_WINDOW = {"observation", "resolution"}
+
+
+@pytest.fixture(scope="module")
+def left(default_plan: Plan) -> dict[float, Solution]:
+    flown = FlownPlan.of(default_plan)
+
+    def from_time(at_s: float) -> Solution:
+        delivery = Delivery(at_s, predict(flown, at_s, {}).state)
+        return make_solution(plan_left(flown, mission_left(flown, delivery, ())))
+
+    return {at_s: from_time(at_s) for at_s in (IN_THE_WINDOW, AFTER_IT)}
+
+
+def earliest(page: Page, keys: set[str]) -> float:
+    """Of all times on the horizontal axes of some charts."""
+    charts = [chart for chart in page.charts if chart["key"] in keys]
+    given = [trace["x"] for chart in charts for trace in chart["data"]]
+    return float(min(np.nanmin(np.array(x, dtype=float)) for x in given if len(x)))
+
+
+@pytest.mark.usefixtures("few_flights")
+@pytest.mark.parametrize("at_s", [IN_THE_WINDOW, AFTER_IT])
+def test_nothing_is_shown_of_a_time_before_the_plan(
+    left: dict[float, Solution], at_s: float
+) -> None:
+    (subject,) = subjects_of([left[at_s]])
+    assert fly(subject, samples=10).times_s[0] == at_s
+    page = page_of([subject], Camera(), MADE)
+    assert earliest(page, {"ranges", "probability", *OF_THE_WINDOW}) == pytest.approx(at_s)
+    moving = page.scene["motion"]
+    assert moving["ends_s"][0] == at_s
+    assert all(look >= at_s for look in moving["plans"][0]["looks_s"])
+    shown = {chart["key"] for chart in page.charts}
+    assert (shown >= OF_THE_WINDOW) == (at_s < subject.mission.schedule.window_s[1])
+    assert "<html" in render(page)
+
+
+@pytest.mark.usefixtures("few_flights")
+def test_burns_have_the_numbers_that_they_have_in_the_flight(left: dict[float, Solution]) -> None:
+    page = page_of(subjects_of([left[AFTER_IT]]), Camera(), MADE)
+    charts = {chart["key"]: chart["data"] for chart in page.charts}
+    assert charts["budget"][0]["x"] == ["burn 3", "burn 4"]
+    words = [word["text"] for word in page.scene["layout"]["scene"]["annotations"]]
+    words += [text for trace in charts["timeline"] for text in trace.get("text", ())]
+    assert [word[0] for word in words if word.endswith("mm/s")] == ["3", "4"] * 2
+    tables = {table.key: table for table in page.tables[0]}
+    assert [row[0].text for row in tables["burns"].rows[:2]] == ["3", "4"]
+    assert [row[0].text for row in tables["budget"].rows[:2]] == ["3", "4"]

@@ -68,9 +68,6 @@ def keys_of(data: Any, path: str = "") -> set[str]:
     )
 
 
-# --- older files --------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("number", [1, 2, 3])
 def test_the_figures_of_an_older_file_follow_from_its_facts(
     older: Data, number: int, tmp_path: Path
@@ -91,7 +88,6 @@ def test_the_figures_of_an_older_file_follow_from_its_facts(
 
 def test_an_older_file_is_verified_as_it_was(older: Data, tmp_path: Path) -> None:
     found = read(older, tmp_path)
-    assert found.verification is not None
     assert found.verification.failed == older["verification"]["failed"]
     assert verify(found.mission, found).failed == found.verification.failed
 
@@ -100,9 +96,6 @@ def test_written_again_it_is_a_file_of_today(older: Data, written: Data, tmp_pat
     assert written["schema"] == SCHEMA
     assert keys_of(older) - {".scenario.schedule.decision_lead_s"} <= keys_of(written)
     assert read(written, tmp_path) == parsed(older)
-
-
-# --- what a file carries ------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -119,7 +112,6 @@ def test_a_figure_that_does_not_follow_from_the_facts_is_not_believed(
     failed = written["verification"]["failed"]
     change(written)
     found = read(written, tmp_path)
-    assert found.verification is not None
     assert not found.verification.ok
     assert found.verification.failed == [named, *failed]
     assert f"{named} that do not follow" in str(found.warnings[-1])
@@ -140,7 +132,6 @@ def test_a_risk_that_is_not_its_quantiles_or_not_the_scenarios_is_named(
 ) -> None:
     change(written["risk"])
     found = read(written, tmp_path)
-    assert found.verification is not None
     assert found.verification.failed[0] == "risk"
 
 
@@ -159,7 +150,6 @@ def test_a_status_that_no_stage_ended_with_or_that_violations_refute_is_named(
     written["status"] = status
     written["stages"][-1]["status"] = last_stage
     found, failed = read(written, tmp_path), named.split(", ")
-    assert found.verification is not None
     assert found.verification.failed[: len(failed)] == failed
     assert set(failed) <= set(verify(found.mission, found).failed)
     assert f"{named} that do not follow" in str(found.warnings[-1])
@@ -173,13 +163,9 @@ def test_a_final_state_that_was_told_in_sigmas_is_one_in_metres(tmp_path: Path) 
     parts[FINAL_STATE] = {"max": 0.1, "total": 0.2, "unit": "sigma"}  # its arc misses it too
     whole["total"] += 0.2 * length
     carried = parsed(data).carried
-    assert carried is not None
     assert carried.violation.by_constraint[FINAL_STATE].unit == "m"
     found = read(data, tmp_path)
     assert found.violation.by_constraint[FINAL_STATE].max == pytest.approx(0.1 * length, rel=1e-3)
-
-
-# --- what a solution shows ----------------------------------------------------------------------
 
 
 def test_a_copy_is_equal_and_computes_its_figures_again(written: Data) -> None:

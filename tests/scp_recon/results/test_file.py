@@ -23,6 +23,7 @@ from scp_recon.results.solution import SCHEMA, Solution, make_solution
 from scp_recon.scenario.load import validate_scenario
 from scp_recon.verification.reintegration import verify
 from tests import reliability
+from tests.helpers import usually
 from tests.scenarios import COARSE
 from tests.scp_recon.support import mission_of, numbers, with_value
 
@@ -114,7 +115,6 @@ def test_a_file_that_was_edited_by_hand_is_not_verified_and_says_why(
     assert data["verification"]["ok"]
     (tmp_path / "solution.json").write_text(edited(data, path, 0.6), "utf-8")
     read = read_solution(tmp_path)
-    assert read.verification is not None
     assert not read.verification.ok
     assert read.verification.failed == ["plan_hash"]
     assert "changed after it was written" in str(read.warnings[-1])
@@ -123,7 +123,6 @@ def test_a_file_that_was_edited_by_hand_is_not_verified_and_says_why(
 def test_a_file_from_before_it_held_its_hash_is_believed(data: Data, tmp_path: Path) -> None:
     (tmp_path / "solution.json").write_text(edited(data, "plan_hash", ...), "utf-8")
     read = read_solution(tmp_path)
-    assert read.verification is not None
     assert read.verification.ok
     assert not read.warnings
 
@@ -327,7 +326,9 @@ def test_every_number_is_a_number(tmp_path: Path, data: Data) -> None:
     """Neither a boolean nor a string nor a list."""
     places = list(numbers(data))
     assert len(places) > 80
-    for where, value in zip(places, cycle([True, "1", False, [1.0]]), strict=False):
+    for where, value in zip(
+        usually(places[::5] + places, 25), cycle([True, "1", False, [1.0]]), strict=False
+    ):
         error = refused(tmp_path / "s.json", json.dumps(with_value(data, where, value)))
         assert str(where[0]) in error.entry
 

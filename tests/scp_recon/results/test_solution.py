@@ -117,7 +117,6 @@ def test_a_chance_margin_is_that_of_the_most_probable_tangent_plane(
 
 def test_the_primer_is_known_at_every_node(solution: Solution) -> None:
     primer = solution.primer
-    assert primer is not None
     assert primer.t_s == solution.nodes.t_s
     assert np.all(np.array(primer.allowed) <= np.linalg.norm(primer.vector, axis=1) + 1e-12)
     assert primer.residual < 1e-3

@@ -113,9 +113,6 @@ def test_what_follows_from_nothing_is_told_beside_an_entry_that_is_wrong() -> No
         validate_scenario(tables)
 
 
-# --- the graph itself ------------------------------------------------------------------------------
-
-
 def test_the_graph_is_of_entries_that_a_scenario_has() -> None:
     for edge in GRAPH:
         for name in (*edge.sources, *edge.followers, *filter(None, [edge.given])):

@@ -21,7 +21,7 @@ from scp_recon.mission.scene import Scene, truth_field
 from scp_recon.scenario.load import load_scenario, override, validate_scenario
 from scp_recon.scenario.resolution.agreement import angle_deg
 from scp_recon.scenario.schema import Scenario
-from tests.scp_recon.bodies.test_gravity_file import BARE, GFC
+from tests.scp_recon.bodies.test_kernels import BARE, GFC
 from tests.scp_recon.bodies.test_surface import box, write_obj
 
 ROCK: dict[str, Any] = {
@@ -291,7 +291,6 @@ def test_a_table_without_radius_takes_the_bodys(tmp_path: Path) -> None:
     (tmp_path / "field.tab").write_text(BARE, "utf-8")
     body = ROCK | {"j2": math.sqrt(5.0) * 0.0192, "gravity_file": str(tmp_path / "field.tab")}
     gravity = rock(body=body).body.gravity
-    assert gravity is not None
     assert gravity.reference_radius_m == ROCK["reference_radius_m"]
 
 

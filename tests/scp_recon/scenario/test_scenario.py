@@ -1,4 +1,4 @@
-"""The scenario: the packaged one, derived files, overrides, and every way to get it wrong."""
+"""Scenarios: files, overrides, messages, and the JSON schema."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from pydantic import BaseModel, ValidationError
 
 from scp_recon.errors import InputError
+from scp_recon.scenario.json_schema import schema_text
 from scp_recon.scenario.load import Scenario, load_scenario, validate_scenario
 from tests import reliability
 
@@ -360,3 +361,21 @@ def test_the_mark_that_some_editors_begin_a_file_with_is_skipped(tmp_path: Path)
     path = tmp_path / "mine.toml"
     path.write_text('base = "recon_b"\nname = "mine"\n', encoding="utf-8-sig")
     assert load_scenario(path).name == "mine"
+
+
+PUBLISHED = Path(__file__).parents[3] / "docs" / "scenario.schema.json"
+
+
+def test_it_is_up_to_date() -> None:
+    assert PUBLISHED.read_text("utf-8") == schema_text(), (
+        "run python -m scp_recon schema docs/scenario.schema.json"
+    )
+
+
+def test_every_entry_is_described_and_none_unknown_is_let_in() -> None:
+    published = json.loads(PUBLISHED.read_text("utf-8"))
+    for name, table in {"the file": published, **published["definitions"]}.items():
+        assert table["additionalProperties"] is False
+        assert "required" not in table  # a base may give it
+        for key, entry in table["properties"].items():
+            assert len(entry.get("description", "")) > 5, f"{name}.{key}"

@@ -129,9 +129,6 @@ def test_nothing_given_is_refused_and_answered(missing: str) -> None:
         validate_scenario(data)
 
 
-# --- the factor ---------------------------------------------------------------------------------
-
-
 def random_covariance(rng: np.random.Generator, rank: int) -> Array:
     root = np.diag([20.0, 20.0, 20.0, 1e-3, 1e-3, 1e-3]) @ rng.normal(size=(6, rank))
     matrix: Array = root @ root.T

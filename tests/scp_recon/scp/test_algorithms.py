@@ -1,26 +1,30 @@
-"""SCvx, PTR and SCvx* end at the same optimum, and none of them claims what it cannot know."""
+"""Algorithms of SCP: their optima, accepted steps, and flown steps."""
 
 from __future__ import annotations
 
 import itertools
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
-from formulations.linearisation.linearisation import Linearisation
+from formulations.linearisation import dynamics
+from formulations.linearisation.linearisation import Linearisation, final_state_map, step_mean
 from formulations.program.condensed import CondensedSubproblem
-from formulations.program.subproblem import Step, SubproblemError
+from formulations.program.subproblem import PenaltyParameters, Step, SubproblemError
 from formulations.registry import make_subproblem
 from formulations.rows.uniform import DeterministicRows
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
 from scp_recon.planning.planner import Plan, plan
+from scp_recon.scp import algorithms
 from scp_recon.scp.algorithms import ALGORITHMS, PTR, SCvx, SCvxStar
-from scp_recon.scp.loop import Algorithm, Record, Result, Timing, run
+from scp_recon.scp.loop import Algorithm, Record, Result, State, Timing, Trial, run
 from scp_recon.scp.status import Status
 from tests.scenarios import COARSE
-from tests.scp_recon.support import mission_of
+from tests.scp_recon.support import burns_of, fly, mission_of
 
 OTHERS = ["ptr", "scvx-star"]
 
@@ -162,7 +166,6 @@ def test_multipliers_end_at_the_price_of_the_final_state(
         state, record = algorithm.step(subproblem, mission.dynamics, state, k, Timing())
         if algorithm.terminate(subproblem, state, record):
             break
-    assert state.charge.multipliers is not None
     step = np.zeros(6)
     step[4] = 1e-3
     moved = replace(mission.problem, final_state=mission.problem.final_state + step)
@@ -179,3 +182,142 @@ def test_ptr_begun_at_an_optimum_ends_there(mission: Mission, prox_run: Result) 
     again = p3_by(PTR(), mission, nearer.lin)
     assert again.status is Status.CONVERGED
     assert len(again.records) <= 4
+
+
+STEP = 0.1
+
+
+def at(burns: float, *, flown: bool = True) -> Any:
+    """A linearisation of which only the burns are known."""
+    iterate = SimpleNamespace(burns=np.full((2, 3), burns), total_dv=1.0)
+    controls = iterate.burns.ravel()
+    problem = SimpleNamespace(controls=lambda burns, _: burns.ravel())
+    return SimpleNamespace(
+        is_dynamically_feasible=flown, iterate=iterate, controls=controls, problem=problem
+    )
+
+
+class Merit:
+    """Of a problem without constraints, at an iterate with nothing violated."""
+
+    def violations(self, _: object) -> dict[str, Any]:
+        return {"dynamics": np.zeros((1, 6)), "rows": np.zeros(1)}
+
+    def cost(self, _: object) -> float:
+        return 1.0
+
+    def excess(self, _: object) -> Any:
+        return np.zeros(7)
+
+    def __call__(self, *_: object) -> float:
+        return 1.0
+
+
+STUB = SimpleNamespace(merit=Merit())
+
+
+@pytest.fixture(params=["scvx", "ptr", "scvx-star"])
+def algorithm(request: pytest.FixtureRequest) -> Any:
+    return ALGORITHMS[request.param]()
+
+
+def after_a_step(
+    monkeypatch: pytest.MonkeyPatch, algorithm: Any, predicted: float, actual: float, before: Any
+) -> tuple[State, State]:
+    """The state before and after a step with these reductions."""
+    answer = Step(np.full((2, 3), STEP), 1.0 - predicted, 0.0, 0.0)
+    trial = Trial(answer, at(STEP), 1.0 - actual, predicted, actual, STEP)
+    monkeypatch.setattr(algorithms, "trial_step", lambda *_: trial)
+    state = State(before, 1.0, 1.0, PenaltyParameters(10.0, multipliers=np.zeros(7)))
+    new, record = algorithm.step(STUB, None, state, 2, Timing())
+    assert record.accepted == (new.lin is trial.lin)
+    return state, new
+
+
+@pytest.mark.parametrize("actual", [-1e3, -1e-12, 0.0, 0.2, 3.0])
+def test_a_step_is_taken_if_it_keeps_a_share_of_its_promise(
+    monkeypatch: pytest.MonkeyPatch, algorithm: Any, actual: float
+) -> None:
+    before, after = after_a_step(monkeypatch, algorithm, 1.0, actual, at(0.0))
+    assert (after.lin is before.lin) == (actual <= 0.0)
+    assert after.merit == pytest.approx(1.0 - max(actual, 0.0))
+    assert actual > 0.0 or after.radius < before.radius
+
+
+def test_the_step_from_a_guess_is_taken_whatever_it_leads_to(
+    monkeypatch: pytest.MonkeyPatch, algorithm: Any
+) -> None:
+    before, after = after_a_step(monkeypatch, algorithm, 1.0, -1e3, at(0.0, flown=False))
+    assert after.lin is not before.lin
+
+
+@pytest.mark.parametrize(("dv_max", "verdict"), [(0.1, Status.INFEASIBLE), (10.0, None)])
+def test_the_dearest_plan_is_told_by_the_limits_of_the_merit(
+    dv_max: float, verdict: Status | None
+) -> None:
+    """Above two burns of that size no plan can be; the iterate's own problem has other limits."""
+    algorithm = algorithms.SCvx()
+    subproblem: Any = SimpleNamespace(
+        merit=SimpleNamespace(problem=SimpleNamespace(n_burns=2, dv_max=dv_max))
+    )
+    lin: Any = SimpleNamespace(problem=SimpleNamespace(n_burns=2, dv_max=1.0))
+    charge = PenaltyParameters(algorithm.weight_max)
+    state = State(lin, 1.0, 1.0, charge, stationary=True)
+    record = Record(1, 1.0, 0.0, 0.0, True, 1.0, 0.2, 0.1, 0.0, 0.0, 0.0)
+    assert algorithm.terminate(subproblem, state, record) is verdict
+
+
+@pytest.fixture(scope="module")
+def optimum(default_plan: Plan) -> Linearisation:
+    return default_plan.final.result.lin
+
+
+def test_rollout_is_the_flight_with_the_burns(mission: Mission, optimum: Linearisation) -> None:
+    burns = optimum.iterate.burns * [[1.3], [0.5], [-1.0], [2.0]]
+    rolled = mission.dynamics.rollout(mission.problem.initial_state, burns) * mission.units.state
+    flown = fly(mission, burns_of(mission, burns), mission.times_s)
+    np.testing.assert_allclose(rolled[:, :3], flown[:, :3], rtol=0.0, atol=5e-3)
+
+
+@pytest.mark.parametrize("size", [1e-4, 1e-2, 0.1])
+def test_a_flown_step_obeys_the_dynamics_and_ends_where_the_model_promised(
+    mission: Mission, optimum: Linearisation, size: float
+) -> None:
+    change = np.random.default_rng(5).normal(scale=size, size=optimum.iterate.burns.shape)
+    # Only steps that keep the final state of the linear model are proposed near a solution.
+    jacobian = final_state_map(optimum)[1]
+    change -= (np.linalg.pinv(jacobian) @ jacobian @ change.ravel()).reshape(change.shape)
+    burns = optimum.iterate.burns + change
+    promised = step_mean(optimum, burns)[-1]
+    flown = mission.dynamics.close_defects(optimum, burns)
+    assert np.abs(flown.defects[:-1]).max() < 1e-11
+    np.testing.assert_allclose(flown.iterate.mean[-1], promised, rtol=0.0, atol=1e-9)
+    # The correction is of second order in the step.
+    assert np.abs(flown.iterate.burns - burns).max() < 100.0 * size**2
+
+
+@pytest.mark.parametrize("size", [0.3, 3.0, 30.0, None])
+def test_no_step_is_too_large_to_end_dynamically_exact(
+    mission: Mission, optimum: Linearisation, size: float | None
+) -> None:
+    """From a flight, or from the straight line to the final state."""
+    start, problem = optimum, mission.problem
+    if size is None:
+        start = mission.dynamics.linearise(problem, initial_guess.cold(mission))
+        constant, jacobian = final_state_map(start)
+        burns = np.linalg.lstsq(jacobian, problem.final_state - constant)[0].reshape(-1, 3)
+    else:
+        burns = optimum.iterate.burns + size
+    flown = mission.dynamics.close_defects(start, burns)
+    assert np.abs(flown.defects[:-1]).max() < 1e-9
+
+
+def test_where_newton_s_method_does_not_converge_the_burns_are_rolled_out_as_they_are(
+    mission: Mission, optimum: Linearisation, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(dynamics, "NEWTON_MAX", 1)
+    burns = optimum.iterate.burns + 0.1
+    flown = mission.dynamics.close_defects(optimum, burns)
+    np.testing.assert_array_equal(flown.iterate.burns, burns)
+    rolled = mission.dynamics.rollout(mission.problem.initial_state, burns)
+    np.testing.assert_array_equal(flown.iterate.mean, rolled)

@@ -41,6 +41,7 @@ from scp_recon.scp.status import Status
 from scp_recon.verification.consistency import inconsistencies
 from scp_recon.verification.reintegration import limits_of, verify
 from scp_recon.verification.remedies import COMMANDS, kind_of
+from tests.helpers import usually
 from tests.scenarios import COARSE
 from tests.scp_recon.support import fly_few, mission_of
 
@@ -107,7 +108,6 @@ def test_what_is_told_of_a_plan_tells_of_its_corrections(crossed: Solution) -> N
 
 def some_gains(mission: Mission) -> Array:
     """On innovations, nondimensional."""
-    assert mission.feedback is not None
     return np.random.default_rng(1).normal(scale=5e-3, size=mission.feedback.size)
 
 
@@ -136,16 +136,19 @@ def gates(magnitude: float, bias: float) -> str:
 
 @pytest.mark.parametrize(
     ("overrides", "burns"),
-    [
-        (("navigation.lead_s=0",), [2, 3]),
-        (("navigation.lead_s=3600", LAST_TOO), [2, 3, 4]),
-        # The state is measured twice before burn 2 is done, which no estimate may know of.
-        (("navigation.lead_s=20000", LAST_TOO), [3, 4]),
-        (("navigation.lead_s=3600", gates(0.03, 0.0)), [2, 3]),
-        (("navigation.lead_s=3600", gates(0.01, 0.0)), [2, 3]),
-        (("navigation.lead_s=3600", gates(0.03, 0.02)), [2, 3]),
-    ],
-    ids=["none", "hour", "long", "along", "across", "bias"],
+    usually(
+        [
+            (("navigation.lead_s=0",), [2, 3]),
+            (("navigation.lead_s=3600", LAST_TOO), [2, 3, 4]),
+            # The state is measured twice before burn 2 is done, which no estimate may know of.
+            (("navigation.lead_s=20000", LAST_TOO), [3, 4]),
+            (("navigation.lead_s=3600", gates(0.03, 0.0)), [2, 3]),
+            (("navigation.lead_s=3600", gates(0.01, 0.0)), [2, 3]),
+            (("navigation.lead_s=3600", gates(0.03, 0.02)), [2, 3]),
+        ],
+        4,
+    ),
+    ids=usually(["none", "hour", "long", "along", "across", "bias"], 4),
 )
 def test_the_closed_loop_is_that_of_the_corrections_alone(
     overrides: tuple[str, ...], burns: list[int]
@@ -153,7 +156,6 @@ def test_the_closed_loop_is_that_of_the_corrections_alone(
     given = with_gains(*overrides)
     v = checked(given)
     limits = limits_of(given.mission)
-    assert given.policy is not None
     assert [correction.burn for correction in given.policy.corrections] == burns
     assert v.covariance_error <= limits["covariance_error"]
     assert v.knowledge_error is not None
@@ -185,7 +187,6 @@ def test_knowledge_is_no_more_than_dispersion_and_less_after_a_measurement(
     known = np.array(solution.nodes.knowledge)
     scale = np.outer(solution.mission.units.state, solution.mission.units.state)
     spread = np.array(solution.nodes.covariance)
-    assert solution.policy is not None
     for correction in solution.policy.corrections:
         before, after = (
             np.array(given)
@@ -334,7 +335,6 @@ def test_it_is_read_back_and_a_changed_gain_is_another_plan(
     scaled(*FIRST, "gain", 0, 0, 0)(data)
     (tmp_path / FILE_NAME).write_text(json.dumps(data))
     doubted = read_solution(tmp_path)
-    assert doubted.verification is not None
     assert HASH in doubted.verification.failed
     scaled(*FIRST, "cut_off_s")(data)
     (tmp_path / FILE_NAME).write_text(json.dumps(data))
@@ -367,7 +367,6 @@ def test_the_terminal_tells_the_policy(solution: Solution, verification: Verific
     show_solution(console, solution)
     show_verification(console, solution.mission, solution, verification)
     text = shown.getvalue()
-    assert solution.policy is not None
     assert f"99 % {solution.policy.dv99_m_s:.6f} m/s" in text
     assert "correction, 1 sigma" in text
     assert "dv_battery" in text.partition("probability")[2]
