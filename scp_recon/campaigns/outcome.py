@@ -35,10 +35,11 @@ SHORTFALLS = ("flown_shortfalls", "simulated_shortfalls")
 """Columns of requirements that a plan's own flights or its simulation did not meet."""
 AXES_DRAWN = 3
 """Number of entries that curves can show: along the curve, by curve, and by panel."""
-DELTA_V, PROBABILITY = "total delta-v (m/s)", "lowest probability (-)"
-COST, CHANCE = "total_dv_m_s", "probability"
+DELTA_V, PROBABILITY = "delta-v (m/s)", "lowest probability (-)"
+COST, CHANCE = "dv99_m_s", "probability"
 MEASURES = ((COST, DELTA_V), (CHANCE, PROBABILITY))
-"""Columns that are drawn, and what they are called. The probability is the lowest of the joint
+"""Columns that are drawn, and what they are called. The delta-v is 99 % of what is commanded, in
+older campaigns the total. The probability is the lowest of the joint
 constraints over the nodes, of 10,000 flights of the nonlinear dynamics."""
 COLOURS = "viridis"
 """Colormap, here and in Plotly, that is told apart with any colour vision and holds no grey."""
@@ -130,7 +131,7 @@ class CampaignResults:
     def by_site(self) -> CampaignResults:
         """One case per site: the cheapest feasible one, or else the first that came furthest."""
         ranks = [ENDS.index(end) for end in self.ends]
-        costs = self.table["total_dv_m_s"].where([end == FEASIBLE for end in self.ends])
+        costs = self.table[COST].where([end == FEASIBLE for end in self.ends])
         rows = self.table.assign(rank=ranks, cost=costs).sort_values(["rank", "cost", "case"])
         kept = rows.drop_duplicates([LATITUDE, LONGITUDE])["case"]
         return replace(self, table=self.table[self.table["case"].isin(kept)])
@@ -140,7 +141,7 @@ class CampaignResults:
         """Whether several cases share a place in the pictures, which show the cheapest."""
         if self.is_map:
             return len(self.by_site.table) < len(self.table)
-        return bool(self.varies) and not len(self.free) == len(self.varies) <= AXES_DRAWN
+        return bool(self.varies) and len(self.free) > AXES_DRAWN
 
     def scatters(self, entry: str) -> bool:
         """Whether other entries vary irregularly along this one, as where several are drawn."""
@@ -185,15 +186,21 @@ def read_campaign(folder: Path) -> CampaignResults:
         entries, cases = tuple(found["entries"]), int(found["cases"])
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise InputError("folder", f"{folder} ({error})"[:200], "must hold a campaign") from None
-    return CampaignResults(folder, read_results(folder), base, campaign, entries, cases)
+    table = read_results(folder)
+    total = table["total_dv_m_s"]
+    table = table.assign(**{COST: table[COST].fillna(total) if COST in table else total})
+    return CampaignResults(folder, table, base, campaign, entries, cases)
 
 
 def axes_of(results: CampaignResults) -> tuple[str, str | None, str | None]:
-    """Entries along curves, by curve and by panel: in order of their numbers of values."""
-    counts = {entry: results.table[entry].nunique() for entry in results.varies}
-    ordered = sorted(counts, key=lambda entry: -counts[entry])
-    first, second, third, *_ = *ordered, None, None
-    assert first is not None
+    """Entries along curves, by curve and by panel, in order of their numbers of values.
+
+    Along curves it is one with numbers, or the epoch.
+    """
+    counts = {entry: results.table[entry].nunique() for entry in results.free}
+    first = max(results.varies, key=lambda entry: counts[entry])
+    others = sorted((e for e in counts if e != first), key=lambda entry: -counts[entry])
+    second, third, *_ = *others, None, None
     return first, second, third
 
 

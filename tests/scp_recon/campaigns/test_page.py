@@ -102,6 +102,14 @@ def test_cases_that_share_a_place_are_told_and_the_cheapest_is_drawn(tmp_path: P
         assert results.overlaid == (count == 4)
         assert len(figures(results)["curves"].axes[0].lines[0].get_xdata()) == 3
         assert all(len(trace["x"]) == 3 for trace in charts_of(results)[0]["data"])
+    campaign_of({"axis": grids[::3]}, tmp_path / "words")
+    results = read_campaign(tmp_path / "words")
+    assert not results.overlaid
+    assert [trace["name"] for trace in charts_of(results)[0]["data"]] == [
+        "ball (-) paper",
+        "ball (-) tangent",
+    ]
+    assert len(figures(results)["curves"].axes[0].lines) == 2
 
 
 def test_pictures_suit_the_axes(
