@@ -39,9 +39,9 @@ class TwoSidedChiLaw:
         apart, half = (low > 0.0) | (high < 0.0), 0.5 * self.dimension
         between = np.empty(np.shape(apart))
         for side, one_side, sign in ((~apart, gammainc, 1.0), (apart, gammaincc, -1.0)):
-            start, end = np.broadcast_arrays(low, high)
-            near, far = np.sort(np.abs([start[side], end[side]]), axis=0)
-            between[side] = one_side(half, 0.5 * near**2) + sign * one_side(half, 0.5 * far**2)
+            start, end = (0.5 * s[side] ** 2 for s in np.broadcast_arrays(low, high))
+            near, far = np.minimum(start, end), np.maximum(start, end)
+            between[side] = one_side(half, near) + sign * one_side(half, far)
         return 0.5 * between
 
     @property
@@ -72,49 +72,52 @@ class Segments(NamedTuple):
     high_limit: Indices
 
 
-def kept_segments(keep_in: tuple[Array, Array], keep_out: tuple[Array, Array]) -> Segments:
+class Chords(NamedTuple):
+    """Intervals of some limits on some lines, one entry each; limits by index as in `Segments`."""
+
+    limit: Indices
+    line: Indices
+    low: Array
+    high: Array
+
+
+def kept_segments(keep_in: tuple[Array, Array], keep_out: Chords) -> Segments:
     """Parts of lines inside all keep-in intervals and outside all keep-out intervals.
 
     Args:
-        keep_in: starts and ends of the intervals, shape (lines, i) each; an empty one starts after it
+        keep_in: starts and ends of the intervals, shape (i, lines) each; an empty one starts after it
             ends.
-        keep_out: the same, shape (lines, o); an empty one is (inf, inf).
+        keep_out: those that are not empty.
     """
-    (in_low, in_high), (out_low, out_high) = keep_in, keep_out
-    first = in_low.max(axis=1, initial=-np.inf)
-    last = in_high.min(axis=1, initial=np.inf)
-    lost = (out_low < last[:, None]) & (out_high > first[:, None])
-    interrupted = lost.any(axis=1)
-    whole = np.flatnonzero(~interrupted & (first < last))
-    starts, ends = _met(in_low[whole], first[whole]), _met(in_high[whole], last[whole])
-    unbroken = Segments(whole, first[whole], last[whole], starts, ends)
-    some = np.flatnonzero(interrupted)
-    inner, outer = (in_low[some], in_high[some]), (out_low[some], out_high[some])
-    parts = _segments(inner, outer, first[some, None], last[some, None])
-    broken = parts._replace(line=some[parts.line])
+    in_low, in_high = keep_in
+    first, last = in_low.max(axis=0, initial=-np.inf), in_high.min(axis=0, initial=np.inf)
+    lost = (keep_out.low < last[keep_out.line]) & (keep_out.high > first[keep_out.line])
+    out = Chords(*(part[lost] for part in keep_out))
+    some, place = np.unique(out.line, return_inverse=True)
+    whole = first < last
+    whole[some] = False
+    starts, ends = _met(in_low, first), _met(in_high, last)
+    unbroken = Segments(np.flatnonzero(whole), *(p[whole] for p in (first, last, starts, ends)))
+    limits, column = np.unique(out.limit, return_inverse=True)
+    opens = np.full((len(limits), len(some)), np.inf)
+    closes = opens.copy()
+    opens[column, place], closes[column, place] = out.low, out.high
+    order = np.argsort(opens, axis=0)
+    sorted_, until = (np.take_along_axis(ends_, order, axis=0) for ends_ in (opens, closes))
+    low = np.vstack([first[None, some], np.maximum(np.maximum.accumulate(until), first[some])])
+    high = np.vstack([np.minimum(sorted_, last[some]), last[None, some]])
+    at, segment = np.nonzero((high > low).T)
+    low, high = low[segment, at], high[segment, at]
+    named = np.concatenate([np.arange(len(in_low)), limits, [-1]])
+    starts = named[_met(np.vstack([in_low[:, some], closes])[:, at], low)]
+    ends = named[_met(np.vstack([in_high[:, some], opens])[:, at], high)]
+    broken = Segments(some[at], low, high, starts, ends)
     return Segments(*(np.concatenate(pair) for pair in zip(unbroken, broken, strict=True)))
 
 
-def _segments(
-    keep_in: tuple[Array, Array], keep_out: tuple[Array, Array], first: Array, last: Array
-) -> Segments:
-    """Parts of [first, last] of each line, shape (lines, 1), outside the keep-out intervals."""
-    (in_low, in_high), (out_low, out_high) = keep_in, keep_out
-    order = np.argsort(out_low, axis=1)
-    opens = np.take_along_axis(out_low, order, axis=1)
-    closes = np.maximum.accumulate(np.take_along_axis(out_high, order, axis=1), axis=1)
-    low = np.hstack([first, np.maximum(closes, first)])
-    high = np.hstack([np.minimum(opens, last), last])
-    line, segment = np.nonzero(high > low)
-    low, high = low[line, segment], high[line, segment]
-    starts = np.hstack([in_low, out_high])[line]
-    ends = np.hstack([in_high, out_low])[line]
-    return Segments(line, low, high, _met(starts, low), _met(ends, high))
-
-
 def _met(candidates: Array, value: Array) -> Indices:
-    """Index of the candidate that equals a value, -1 for infinite values."""
-    if candidates.shape[1] == 0:
-        return np.full(len(value), -1)
-    index = np.argmax(candidates == value[:, None], axis=1)
+    """Index of the first candidate (i, n) that equals a value (n,), -1 for infinite values."""
+    index = np.full(len(value), -1)
+    found, at = np.nonzero(candidates == value)
+    index[at[::-1]] = found[::-1]
     return np.where(np.isfinite(value), index, -1)

@@ -25,7 +25,7 @@ from formulations.risk.directions import Directions, aimed_directions, sphere_di
 from formulations.rows.cones import Cones, Margins, Pulled, StateCones
 from formulations.rows.corrected_burns import FurtherRows
 from formulations.rows.exact import ExactRows, bent_by_gains, curved_cones, on_states
-from formulations.rows.flight_probability import FlightProbability, Limits
+from formulations.rows.flight_probability import FlightProbability, FlightQuantile, Limits
 from formulations.rows.node_probability import Quantiles
 
 FLIGHT = "whole_flight"
@@ -97,16 +97,33 @@ class Coordinates:
         self, probability: FlightProbability, mean: Array, factor: Array, limits: Limits | None
     ) -> FlightValue:
         """G for means (n_nodes, 3) and factors (n_nodes, 6, c) at all nodes."""
-        root, rows = self._root(factor)
-        g = probability(mean, factor[:, :3] @ rows.T, limits)
-        by_mean, by_factor = np.zeros((len(mean), 3)), np.zeros(factor.shape)
+        if limits is None:
+            limits = probability.limits(mean, self.reduced(factor))
+        return self.of_many(probability, mean[None], factor[None], limits)[0]
+
+    def of_many(
+        self, probability: FlightProbability, mean: Array, factor: Array, limits: Limits
+    ) -> list[FlightValue]:
+        """G of b flights by the same limits, from (b, n_nodes, 3) and (b, n_nodes, 6, c)."""
+        roots = [self._root(one) for one in factor]
+        reduced = [self._reduced(one, rows) for one, (_, rows) in zip(factor, roots, strict=True)]
+        found = probability.of_many(mean, np.stack(reduced), limits)
+        parts = zip(found, factor, reduced, roots, strict=True)
+        return [self._value(g, one, few, *root) for g, one, few, root in parts]
+
+    def _value(
+        self, g: FlightQuantile, factor: Array, reduced: Array, root: Array, rows: Array
+    ) -> FlightValue:
+        """G with derivatives at all nodes from those in the coordinates, whose W and R are given."""
+        by_mean, by_factor = np.zeros((len(factor), 3)), np.zeros(factor.shape)
         np.add.at(by_mean, g.nodes, g.by_mean)
-        here = np.zeros((len(mean), 3, self.count))
-        np.add.at(here, g.nodes, g.by_factor)
-        by_factor[:, :3] = here @ rows
+        nodes, which = np.unique(g.nodes, return_inverse=True)
+        here = np.zeros((len(nodes), 3, self.count))
+        np.add.at(here, which, g.by_factor)
+        by_factor[nodes, :3] = here @ rows
         # What turning the coordinates does to directions that stay as they are: W has a derivative,
         # W low(A + A') with A = W^-1 dY R', where W A is already counted.
-        turned = np.einsum("nir,nis->rs", factor[:, :3] @ rows.T, here)
+        turned = np.tensordot(reduced[nodes], here, axes=([0, 1], [0, 1]))
         turned = np.triu(turned.T - turned, 1)
         by_own = solve_triangular(root, turned @ rows, lower=True, trans="T")
         np.add.at(by_factor, (self._node, self._row), by_own)
@@ -114,7 +131,11 @@ class Coordinates:
 
     def reduced(self, factor: Array) -> Array:
         """Factors of the positions in fewer columns, S R', shape (n_nodes, 3, count)."""
-        return factor[:, :3] @ self._root(factor)[1].T
+        return self._reduced(factor, self._root(factor)[1])
+
+    def _reduced(self, factor: Array, rows: Array) -> Array:
+        flat = factor[:, :3].reshape(-1, factor.shape[2])
+        return np.asarray(flat @ rows.T).reshape(-1, 3, self.count)
 
     def _root(self, factor: Array) -> tuple[Array, Array]:
         """W and R, by an orthogonal factorisation, which bears any ratio of standard deviations."""
@@ -181,7 +202,8 @@ class FlightRows(ExactRows):
     def cones(self, lin: Linearisation, s: Sensitivity) -> list[Cones]:
         """One row in all controls."""
         g, z = self.at(lin), lin.controls
-        slope, hessian = self._slope(lin, g), self._hessian(lin, g)
+        slope = gradient(lin, g.by_mean, g.by_factor)
+        hessian = self._hessian(lin, g, slope)
         margin = np.array([g.value - self.required])
         own = curved_cones(np.zeros(1, np.intp), margin, slope[None], hessian[None], z, most=len(z))
         return [own, *self.further.cones(lin, s)]
@@ -215,17 +237,12 @@ class FlightRows(ExactRows):
         self._seen = [(mean, factor, found), *self._seen[: REMEMBERED - 1]]
         return found
 
-    def _slope(self, lin: Linearisation, g: FlightValue) -> Array:
-        """dg/dz by all controls z, with the derivatives of means and factors at an iterate."""
-        return gradient(lin, g.by_mean, g.by_factor)
-
-    def _hessian(self, lin: Linearisation, g: FlightValue) -> Array:
+    def _hessian(self, lin: Linearisation, g: FlightValue, slope: Array) -> Array:
         """d2g/dz2 by all controls: by differences along some directions, else by `bent_by_gains`.
 
         The differences are kept until the controls have moved so far that they tell something else.
         """
         z, own = lin.controls, self._bent_by_gains(lin, g)
-        slope = self._slope(lin, g)
         free = _keeping_final_state(lin)
         step = APART / max(float(np.linalg.norm(slope @ free)), APART)
         if self._bent is None and self._begun is not None:
@@ -261,32 +278,37 @@ class FlightRows(ExactRows):
         nodes = np.union1d(met.nodes, self._coordinates.nodes)
         s, burns = condense(lin, nodes), self.problem.burn_controls.ravel()
 
-        def slope(move: Array) -> Array:
-            mean, factor = lin.iterate.mean[:, :3].copy(), lin.factor.copy()
-            mean[nodes] += s.mean_jacobian[:, :3] @ move
-            factor[nodes] += s.factor_jacobian @ move
-            return self._slope(lin, self._coordinates(self._rough, mean, factor, met))
+        def slopes(moves: Array) -> Array:
+            mean = np.repeat(lin.iterate.mean[None, :, :3], len(moves), axis=0)
+            factor = np.repeat(lin.factor[None], len(moves), axis=0)
+            mean[:, nodes] += np.moveaxis(s.mean_jacobian[:, :3] @ moves.T, 2, 0)
+            factor[:, nodes] += np.moveaxis(s.factor_jacobian @ moves.T, 3, 0)
+            found = self._coordinates.of_many(self._rough, mean, factor, met)
+            by_mean = np.stack([g.by_mean[nodes].ravel() for g in found])
+            by_factor = np.stack([g.by_factor[nodes].ravel() for g in found])
+            by_controls = s.mean_jacobian[:, :3], s.factor_jacobian
+            maps = [part.reshape(-1, len(lin.controls)) for part in by_controls]
+            return np.asarray(by_mean @ maps[0] + by_factor @ maps[1])
 
-        def differs(direction: Array) -> Array:
-            ahead, behind = slope(step * direction), slope(-step * direction)
-            return free @ (free.T @ ((ahead - behind) / (2.0 * step) - known @ direction))
+        def differ(along: Array) -> Array:
+            ahead, behind = np.split(slopes(step * np.vstack([along, -along])), 2)
+            return np.asarray((ahead - behind) / (2.0 * step) - along @ known) @ free @ free.T
 
-        of_burns = free[:, free[burns].any(axis=0)]
-        along = list(of_burns.T)
-        left = [differs(direction) for direction in along]
-        following = slope(np.zeros(len(lin.controls)))
+        along = free[:, free[burns].any(axis=0)].T
+        left = differ(along)
+        if self.problem.feedback is None:
+            return along.T, left.T
+        following = slopes(np.zeros((1, len(lin.controls))))[0]
         following[burns] = 0.0
-        for _ in range(LANCZOS if self.problem.feedback is not None else 0):
-            basis = np.reshape(along, (-1, len(lin.controls)))
-            following = following - basis.T @ (basis @ following)
+        for _ in range(LANCZOS):
+            following = following - along.T @ (along @ following)
             size = float(np.linalg.norm(following))
             if size < ENDS_MIN:
                 break
-            along.append(following / size)
-            left.append(differs(along[-1]))
-            following = left[-1].copy()
-        shape = -1, len(lin.controls)
-        return np.reshape(along, shape).T, np.reshape(left, shape).T
+            along = np.vstack([along, following / size])
+            left = np.vstack([left, differ(along[-1:])])
+            following = left[-1]
+        return along.T, left.T
 
 
 def _keeping_final_state(lin: Linearisation) -> Array:

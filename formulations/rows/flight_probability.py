@@ -14,13 +14,12 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-import scipy.sparse as sp
 from scipy.special import ndtri
 
 from formulations.arrays import Array, Booleans, Indices
 from formulations.problem.regions import Region
 from formulations.risk.directions import Directions
-from formulations.risk.lines import Segments, TwoSidedChiLaw, kept_segments, normal_density
+from formulations.risk.lines import Chords, Segments, TwoSidedChiLaw, kept_segments, normal_density
 from formulations.rows.node_probability import Event
 
 SURE = 1e-12
@@ -34,6 +33,9 @@ good to a tenth at 1e-3, a third at 1e-4, a half (0.1 standard deviations) at 1e
 GRAZING = 1e-6
 """Least cosine between line and normal, which bounds the velocity of ends of nearly tangent lines."""
 
+
+ROWS, LINES = 16, 1024
+"""Of a block of chords, whose arrays stay in the processor's cache."""
 
 ROUNDING = 1e-9
 """Distance from a plane at which a line may be on either side of it, in units of length."""
@@ -78,12 +80,14 @@ class Limits(NamedTuple):
         return Limits(tuple(kept[:count]), tuple(kept[count:]))
 
     def normals(self, row: Indices, point: Array) -> Array:
-        """Normals to the surface of the region of some rows at points (m, 3) on it."""
+        """Normals to the surface of the region of ascending rows at points (m, 3) on it."""
         normal, first = np.empty_like(point), self.first
-        for limit, start, stop in zip(self.inner + self.outer, first, first[1:], strict=False):
-            mine = np.flatnonzero((row >= start) & (row < stop))
-            region = limit.region.at(row[mine] - start)
-            normal[mine] = region.supporting(point[mine]).normal
+        cuts = np.searchsorted(row, first)
+        for limit, start, cut, stop in zip(
+            self.inner + self.outer, first, cuts, cuts[1:], strict=False
+        ):
+            region = limit.region.at(row[cut:stop] - start)
+            normal[cut:stop] = region.supporting(point[cut:stop]).normal
         return normal
 
 
@@ -138,33 +142,45 @@ class FlightProbability:
         """
         if limits is None:
             limits = self.limits(mean, factor)
-        (unit, weight), law = self.directions, self._law
-        lines, d = unit.shape
-        factor = factor[:, :, :d]
-        kept = self._kept(mean, factor, limits)
-        between = np.bincount(kept.line, law.between(kept.low, kept.high), lines)
-        p = 1.0 - float(weight @ (1.0 - between)) / lines
-        nodes = limits.nodes
-        r = len(nodes)
+        return self.of_many(mean[None], factor[None], limits)[0]
+
+    def of_many(self, mean: Array, factor: Array, limits: Limits) -> list[FlightQuantile]:
+        """The quantiles g of b flights by the same limits, from (b, n, 3) and (b, n, 3, c)."""
+        (unit, weight), law, nodes = self.directions, self._law, limits.nodes
+        (lines, d), b, r = unit.shape, len(mean), len(nodes)
+        at, spread = mean[:, nodes], factor[:, nodes, :, :d]
+        kept = self._kept(at, spread, limits)
+        between = np.bincount(kept.line, law.between(kept.low, kept.high), b * lines)
+        p = 1.0 - (1.0 - between.reshape(b, lines)) @ weight / lines
+        g = ndtri(np.clip(p, SURE, 1.0 - SURE))
         row, s = np.hstack([kept.low_limit, kept.high_limit]), np.hstack([kept.low, kept.high])
-        sign = np.repeat([-1.0, 1.0], len(kept.line))
-        met = row >= 0
-        row, s, sign, u = row[met], s[met], sign[met], unit[np.tile(kept.line, 2)[met]]
-        velocity = np.einsum("nid,nd->ni", factor[nodes[row]], u)
-        normal = limits.normals(row, mean[nodes[row]] + s[:, None] * velocity)
-        density = weight[np.tile(kept.line, 2)[met]] * law.density(s) / lines
+        flight, line = np.divmod(np.tile(kept.line, 2), lines)
+        sign = np.repeat([-1.0, 1.0], len(kept.line)) / normal_density(g)[flight]
+        seen = np.flatnonzero((row >= 0) & (np.abs(s) < law.farthest))
+        order = seen[np.argsort((b * row + flight)[seen], kind="stable")]
+        row, flight, line = row[order], flight[order], line[order]
+        s, sign = s[order], sign[order]
+        u = unit[line]
+        velocity = np.einsum("nid,nd->ni", spread[flight, row], u)
+        normal = limits.normals(row, at[flight, row] + s[:, None] * velocity)
+        density = weight[line] * law.density(s) / lines
         gradient = (sign * density)[:, None] * _end_velocity(normal, velocity)
-        gather = _adding_up(row, r)
-        by_factor = [gather @ ((gradient[:, axis] * s)[:, None] * u) for axis in range(3)]
-        g = float(ndtri(np.clip(p, SURE, 1.0 - SURE)))
-        scale = 1.0 / normal_density(np.array(g))
-        by_mean, ends = gather @ gradient, gather @ density
-        return FlightQuantile(g, limits, scale * by_mean, scale * np.stack(by_factor, axis=1), ends)
+        moved = (gradient * s[:, None])[:, :, None] * u[:, None]
+        met, start = np.unique(b * row + flight, return_index=True)
+        sums = [np.zeros((r, b, *parts.shape[1:])) for parts in (gradient, moved, density)]
+        if len(met):
+            for of_all, parts in zip(sums, (gradient, moved, density), strict=True):
+                of_all[np.divmod(met, b)] = np.add.reduceat(parts, start)
+        return [
+            FlightQuantile(float(g[j]), limits, *(part[:, j] for part in sums)) for j in range(b)
+        ]
 
     def failing(self, mean: Array, factor: Array) -> Array:
         """Probability that a flight on each of the lines fails, shape (lines,)."""
         lines, d = self.directions.unit.shape
-        kept = self._kept(mean, factor[:, :, :d], self.limits(mean, factor))
+        limits = self.limits(mean, factor)
+        nodes = limits.nodes
+        kept = self._kept(mean[None, nodes], factor[None, nodes, :, :d], limits)
         between = self._law.between(kept.low, kept.high)
         return np.asarray(1.0 - np.bincount(kept.line, between, lines))
 
@@ -172,49 +188,59 @@ class FlightProbability:
     def _law(self) -> TwoSidedChiLaw:
         return TwoSidedChiLaw(self.directions.unit.shape[1])
 
-    def _kept(self, mean: Array, factor: Array, limits: Limits) -> Segments:
+    def _kept(self, at: Array, spread: Array, limits: Limits) -> Segments:
         """Segments of the lines on which all limits hold, whose ends are rows of the limits.
 
         Of keep-outs only chords are computed that a line may meet before it leaves the keep-ins, or
         before the law ends: one in a hundred or fewer.
-        """
-        inner = self._chords(limits.inner, mean, factor)
-        farthest = self._law.farthest
-        first = np.maximum(inner[0].max(axis=1, initial=-np.inf), -farthest)
-        last = np.minimum(inner[1].min(axis=1, initial=np.inf), farthest)
-        met: list[Indices] = []
-        lows: list[Array] = []
-        highs: list[Array] = []
-        for limit, row in zip(limits.outer, limits.first[len(limits.inner) :], strict=False):
-            spread, at = factor[limit.nodes], mean[limit.nodes]
-            plane = limit.region.supporting(at)
-            towards = -np.einsum("ni,nic->nc", plane.normal, spread) @ self.directions.unit.T
-            beyond = np.maximum(first * towards, last * towards) + plane.slack(at)[:, None]
-            k, line = np.nonzero(beyond >= -ROUNDING)
-            direction = np.einsum("nic,nc->ni", spread[k], self.directions.unit[line])
-            chord = limit.region.at(k).chord(at[k, None], direction[:, None])
-            rows, column = np.unique(k, return_inverse=True)
-            for ends, found in zip((lows, highs), chord, strict=True):
-                ends.append(np.full((len(first), len(rows)), np.inf))
-                ends[-1][line, column] = found[:, 0]
-            met.append(row + rows)
-        outer = tuple(np.hstack([np.zeros((len(first), 0)), *ends]) for ends in (lows, highs))
-        kept = kept_segments(inner, (outer[0], outer[1]))
-        row_of = np.concatenate([np.arange(inner[0].shape[1]), *met, [-1]]).astype(np.intp)
-        return kept._replace(low_limit=row_of[kept.low_limit], high_limit=row_of[kept.high_limit])
 
-    def _chords(self, limits: Sequence[Limit], mean: Array, factor: Array) -> tuple[Array, Array]:
-        """Intervals of the lines in each row's region: starts and ends, shape (lines, rows) each."""
-        lines = len(self.directions.unit)
-        lows, highs = [np.zeros((0, lines))], [np.zeros((0, lines))]
-        for limit in limits:
-            # Components first: one product of matrices, and operations run along the lines.
-            along = factor[limit.nodes].reshape(-1, factor.shape[2]) @ self.directions.unit.T
-            along = np.moveaxis(along.reshape(-1, 3, lines), 1, 2)
-            low, high = limit.region.chord(mean[limit.nodes, None], along)
-            lows.append(low)
-            highs.append(high)
-        return np.vstack(lows).T, np.vstack(highs).T
+        Args:
+            at: mean positions of b flights at the rows of the limits, shape (b, r, 3).
+            spread: their factors there, shape (b, r, 3, d).
+            limits: of r rows.
+
+        Returns:
+            Segments of the first flight's lines, then of the second's, and so on.
+        """
+        lines, farthest = len(self.directions.unit), self._law.farthest
+        kept_in = int(limits.first[len(limits.inner)])
+        inner, outer = list(_parts(limits.inner, 0)), list(_parts(limits.outer, kept_in))
+        low, high = np.empty((2, kept_in, len(at) * lines))
+        out = [Chords(*np.zeros((2, 0), np.intp), *np.zeros((2, 0)))]
+        for flight, (start, factor) in enumerate(zip(at, spread, strict=True)):
+            planes = [region.supporting(start[rows]) for region, rows in outer]
+            for begin in range(0, lines, LINES):
+                unit, before = self.directions.unit[begin : begin + LINES].T, flight * lines + begin
+                count = unit.shape[1]
+                here = slice(before, before + count)
+                for region, rows in inner:
+                    # Components first: one product of matrices, and operations run along the lines.
+                    along = (factor[rows].reshape(-1, len(unit)) @ unit).reshape(-1, 3, count)
+                    chord = region.chord(start[rows, None], np.moveaxis(along, 1, 2))
+                    low[rows, here], high[rows, here] = chord
+                first = np.maximum(low[:, here].max(axis=0, initial=-np.inf), -farthest)
+                last = np.minimum(high[:, here].min(axis=0, initial=np.inf), farthest)
+                for (region, rows), plane in zip(outer, planes, strict=True):
+                    ahead = np.einsum("ni,nic->nc", plane.normal, factor[rows]) @ unit
+                    least = np.minimum(first * ahead, last * ahead)
+                    k, line = np.nonzero(least <= ROUNDING + plane.slack(start[rows])[:, None])
+                    if len(k) == 0:
+                        continue
+                    direction = np.einsum("nic,cn->ni", factor[rows][k], unit[:, line])
+                    chord = region.at(k).chord(start[rows][k, None], direction[:, None])
+                    out.append(Chords(rows.start + k, before + line, *(s[:, 0] for s in chord)))
+        keep_out = Chords(*(np.concatenate(parts) for parts in zip(*out, strict=True)))
+        return kept_segments((low, high), keep_out)
+
+
+def _parts(limits: Sequence[Limit], first: int) -> Iterator[tuple[Region, slice]]:
+    """Regions of some limits, and their rows from the first on, in blocks."""
+    for limit in limits:
+        count = len(limit.nodes)
+        for start in range(0, count, ROWS):
+            some = np.arange(start, min(start + ROWS, count))
+            yield limit.region.at(some), slice(first + some[0], first + some[-1] + 1)
+        first += count
 
 
 def limits_within(events: tuple[Event, ...], mean: Array, spread: Array) -> Limits:
@@ -243,12 +269,6 @@ def _met_outside(event: Event, mean: Array, spread: Array) -> Iterator[Limit]:
         near = np.flatnonzero(planes.slack(mean[at]) < along)
         if len(near):
             yield Limit(region.at(near), at[near])
-
-
-def _adding_up(rows: Indices, count: int) -> sp.csr_array:
-    """Map that sums entries by row, shape (count, entries)."""
-    entries = len(rows)
-    return sp.csr_array((np.ones(entries), (rows, np.arange(entries))), shape=(count, entries))
 
 
 def _end_velocity(normal: Array, direction: Array) -> Array:

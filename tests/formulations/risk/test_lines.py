@@ -12,7 +12,7 @@ from scipy.stats import chi, ncx2, norm
 
 from formulations.arrays import Array
 from formulations.risk.directions import Directions, aimed_directions, sphere_directions
-from formulations.risk.lines import Segments, TwoSidedChiLaw, kept_segments, normal_density
+from formulations.risk.lines import Chords, Segments, TwoSidedChiLaw, kept_segments, normal_density
 from formulations.risk.quadratic_forms import below, below_beyond
 from tests.helpers import generators, random_rotation
 
@@ -87,12 +87,18 @@ GRID = np.linspace(-5.0, 5.0, 2001) + 1e-4
 
 def some_intervals(rng: np.random.Generator, lines: int, count: int) -> tuple[Array, Array]:
     """Starts and ends; some empty, some of them half-lines or whole ones, some on top of others."""
-    low = rng.integers(-8, 8, (lines, count)) / 2.0
-    high = low + rng.integers(1, 12, (lines, count)) / 2.0
+    low = rng.integers(-8, 8, (count, lines)) / 2.0
+    high = low + rng.integers(1, 12, (count, lines)) / 2.0
     low = np.where(rng.random(low.shape) < 0.15, -np.inf, low)
     high = np.where(rng.random(low.shape) < 0.15, np.inf, high)
     empty = rng.random(low.shape) < 0.15
     return np.where(empty, np.inf, low), np.where(empty, np.inf, high)
+
+
+def chords(intervals: tuple[Array, Array], first: int = 0) -> Chords:
+    """Of keep-outs that come after so many keep-ins, those that are not empty."""
+    limit, line = np.nonzero(intervals[0] < np.inf)
+    return Chords(first + limit, line, *(end[limit, line] for end in intervals))
 
 
 def kept_of(segments: Segments, lines: int) -> Array:
@@ -114,10 +120,9 @@ def test_segments_are_where_all_limits_hold(
         low, high = (end[:, :, None] for end in intervals)
         return (low < GRID) & (high > GRID)
 
-    expected = within(keep_in).all(axis=1) & ~within(keep_out).any(axis=1)
-    np.testing.assert_array_equal(
-        kept_of(kept_segments(keep_in, keep_out), lines), expected.astype(float)
-    )
+    expected = within(keep_in).all(axis=0) & ~within(keep_out).any(axis=0)
+    found = kept_segments(keep_in, chords(keep_out, inner))
+    np.testing.assert_array_equal(kept_of(found, lines), expected.astype(float))
 
 
 @given(generators, st.integers(0, 3), st.integers(0, 5))
@@ -125,23 +130,23 @@ def test_the_ends_of_a_segment_are_those_of_the_limits_named(
     rng: np.random.Generator, inner: int, outer: int
 ) -> None:
     keep_in, keep_out = some_intervals(rng, 6, inner), some_intervals(rng, 6, outer)
-    found = kept_segments(keep_in, keep_out)
+    found = kept_segments(keep_in, chords(keep_out, inner))
     assert np.all(found.low < found.high)
-    starts = np.hstack([keep_in[0], keep_out[1]])
-    ends = np.hstack([keep_in[1], keep_out[0]])
+    starts = np.vstack([keep_in[0], keep_out[1]])
+    ends = np.vstack([keep_in[1], keep_out[0]])
     for values, limits, candidates in (
         (found.low, found.low_limit, starts),
         (found.high, found.high_limit, ends),
     ):
         met = limits >= 0
         np.testing.assert_array_equal(met, np.isfinite(values))
-        named = candidates[found.line[met], limits[met]]
+        named = candidates[limits[met], found.line[met]]
         np.testing.assert_array_equal(named, values[met])
 
 
 def test_a_line_that_meets_nothing_is_kept_whole() -> None:
-    nothing = np.zeros((2, 0))
-    found = kept_segments((nothing, nothing), (nothing, nothing))
+    nothing = np.zeros((0, 2)), np.zeros((0, 2))
+    found = kept_segments(nothing, chords(nothing))
     np.testing.assert_array_equal(found.line, [0, 1])
     assert np.all(found.low == -np.inf)
     assert np.all(found.high == np.inf)
@@ -150,9 +155,9 @@ def test_a_line_that_meets_nothing_is_kept_whole() -> None:
 
 
 def test_keep_outs_that_touch_or_overlap_leave_nothing_between() -> None:
-    none = np.zeros((1, 0))
-    out = np.array([[0.0, 1.0, 0.5]]), np.array([[1.0, 3.0, 2.0]])
-    found = kept_segments((none, none), out)
+    none = np.zeros((0, 1)), np.zeros((0, 1))
+    out = np.array([[0.0], [1.0], [0.5]]), np.array([[1.0], [3.0], [2.0]])
+    found = kept_segments(none, chords(out))
     np.testing.assert_array_equal(found.low, [-np.inf, 3.0])
     np.testing.assert_array_equal(found.high, [0.0, np.inf])
     np.testing.assert_array_equal(found.high_limit[0], 0)

@@ -13,7 +13,7 @@ from scipy.special import ndtr, ndtri
 from formulations.arrays import Array
 from formulations.problem.regions import Ball, Cone
 from formulations.risk.directions import sphere_directions
-from formulations.risk.lines import Segments, kept_segments
+from formulations.risk.lines import Chords, Segments, kept_segments
 from formulations.rows.flight_probability import (
     PROBABILITY_MAX,
     FlightProbability,
@@ -148,9 +148,18 @@ def test_chords_that_no_line_comes_near_are_missed_by_none(
     estimate = of_flight(flight, 512)
     found = estimate(flight.mean, flight.factor)
 
-    def every(self: FlightProbability, mean: Array, factor: Array, limits: Limits) -> Segments:
-        chords = (self._chords(part, mean, factor) for part in limits)
-        return kept_segments(*chords)
+    def every(self: FlightProbability, at: Array, spread: Array, limits: Limits) -> Segments:
+        ends: tuple[list[Array], list[Array]] = [], []
+        for limit, first in zip((*limits.inner, *limits.outer), limits.first, strict=False):
+            rows = slice(first, first + len(limit.nodes))
+            along = np.einsum("nid,ld->nli", spread[0, rows], self.directions.unit)
+            for end, found in zip(ends, limit.region.chord(at[0, rows, None], along), strict=True):
+                end.append(found)
+        low, high = (np.vstack(end) for end in ends)
+        inner = sum(len(limit.nodes) for limit in limits.inner)
+        met = np.nonzero(low[inner:] < np.inf)
+        out = Chords(inner + met[0], met[1], *(end[inner:][met] for end in (low, high)))
+        return kept_segments((low[:inner], high[:inner]), out)
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(FlightProbability, "_kept", every)
@@ -216,3 +225,16 @@ def test_shares_of_flights_that_end_are_those_of_the_gradient() -> None:
     assert silent.any()
     assert np.all(found.by_mean[silent] == 0.0)
     assert np.all(found.by_factor[silent] == 0.0)
+
+
+def test_many_flights_at_once_are_as_each_by_itself() -> None:
+    flight, rng = some_flight(1, -0.02), np.random.default_rng(1)
+    estimate = of_flight(flight, 512)
+    mean = flight.mean + 1e-3 * rng.normal(size=(3, *flight.mean.shape))
+    factor = flight.factor * (1.0 + 0.01 * rng.normal(size=(3, *flight.factor.shape)))
+    limits = estimate.limits(flight.mean, flight.factor)
+    for j, found in enumerate(estimate.of_many(mean, factor, limits)):
+        alone = estimate(mean[j], factor[j], limits)
+        for one, other in zip(found, alone, strict=True):
+            if not isinstance(one, Limits):
+                np.testing.assert_allclose(one, other, rtol=1e-12, atol=1e-12)
