@@ -7,20 +7,24 @@ from collections.abc import Generator, Iterable
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import pyarrow
 import pytest
 
+from scp_recon.api import campaigns
 from scp_recon.campaigns.cases import Case
 from scp_recon.campaigns.results import RESULTS, ROWS, cell, kind_of, read_results
 from scp_recon.campaigns.run import FILE_NAME, Observer, run_study
-from scp_recon.campaigns.study import Campaign, Study
+from scp_recon.campaigns.study import Campaign, Do, Study
 from scp_recon.errors import InputError
 from scp_recon.jobs.job import Done, Executor, Job, Work, here
 from scp_recon.jobs.processes import Limits, Processes
 from scp_recon.jobs.store import Row
+from scp_recon.planning.plan import Plan
+from scp_recon.results.facts import Verification
 from scp_recon.scenario.load import load_scenario
+from scp_recon.scenario.schema import Scenario
 from tests.scp_recon.campaigns.support import table_of
 
 STUDY = Study(
@@ -135,3 +139,29 @@ def test_a_column_holds_all_values_of_an_entry(values: list[Any], cells: list[An
     found = [cell(value, kind_of(values)) for value in values]
     assert found == cells
     assert list(map(type, found)) == list(map(type, cells))
+
+
+@pytest.mark.parametrize("do", get_args(Do))
+def test_a_case_has_done_to_it_what_its_campaign_says(
+    do: Do, default_plan: Plan, verification: Verification, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With its own seed; only what is to be certified is planned so."""
+    certified: list[bool] = []
+
+    def planned(_: Scenario, *, certify: bool) -> Plan:
+        certified.append(certify)
+        return default_plan
+
+    ways = {"certify": "certified_row", "fly": "flown_row", "simulate": "simulated_row"}
+    for name in ways.values():
+        monkeypatch.setattr(campaigns, name, lambda *given, name=name: {"done": (name, given)})
+    monkeypatch.setattr(campaigns, "planned", planned)
+    monkeypatch.setattr(campaigns, "designed", lambda _: (default_plan, {}))
+    monkeypatch.setattr(campaigns, "verify", lambda *_: verification)
+    monkeypatch.setattr(campaigns, "check_do", lambda *_: None)
+    row = campaigns.StudyWork(load_scenario(), Path(), Campaign(do=do))(Case(0, 7, {})).values
+    assert certified == ([] if do == "design" else [do == "certify"])
+    way, given = row.get("done", (None, ()))
+    assert way == ways.get(do)
+    seeds = [7 for one in given if one == 7 or getattr(one, "seed", None) == 7]
+    assert len(seeds) == (do in ("fly", "simulate"))
