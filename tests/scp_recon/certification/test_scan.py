@@ -14,7 +14,7 @@ from scp_recon.planning.plan import Plan
 from scp_recon.planning.planner import plan
 from tests.scp_recon.certification.support import mission_of
 
-ASKED, FLIGHTS, SEED = 0.9, 200, 3
+FLIGHTS, SEED = 200, 3
 CHANGES = {
     "observation.window_s": [13300.0, 18000.0],
     "observation.emission_max_deg": 40.0,
@@ -25,7 +25,7 @@ CHANGES = {
 
 @pytest.fixture(scope="module")
 def sparse() -> Plan:
-    mission = Mission.from_scenario(mission_of("node", ASKED).scenario.replace(CHANGES))
+    mission = Mission.from_scenario(mission_of("node", 0.9).scenario.replace(CHANGES))
     return plan(mission, initial_guess.cold(mission))
 
 

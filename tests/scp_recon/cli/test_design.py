@@ -18,8 +18,6 @@ from scp_recon.results.read import read_solution
 from scp_recon.scenario.load import load_scenario, scenario_text
 from tests.scp_recon.passes.support import home_scenario
 
-pytestmark = pytest.mark.usefixtures("few_flights")
-
 
 def scenario_file(folder: Path, changes: dict[str, object]) -> Path:
     path = folder / "home.toml"

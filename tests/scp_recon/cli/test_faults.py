@@ -44,8 +44,6 @@ from tests.helpers import usually
 from tests.scenarios import COARSE
 from tests.scp_recon.support import run_solve
 
-pytestmark = pytest.mark.usefixtures("few_flights")
-
 PROJECT = Path(__file__).parents[3]
 
 # --- the conic solver ---------------------------------------------------------------------------

@@ -37,8 +37,6 @@ from scp_recon.scp.status import Status
 from tests.scenarios import COARSE
 from tests.scp_recon.support import CommandLine, fly_few, mission_of, run_solve
 
-pytestmark = pytest.mark.usefixtures("few_flights")
-
 SPLIT_TOO_DEAR = ("--set", "risk.p_chance=0.98", "--set", COARSE)
 EXACT = ("risk.allocation=exact", COARSE)
 

@@ -18,8 +18,6 @@ from scp_recon.results.read import read_solution
 from scp_recon.results.solution import Solution
 from tests.scp_recon.support import run_solve
 
-pytestmark = pytest.mark.usefixtures("few_flights")
-
 HOPELESS = ("--problem", "P3", "--set", "burns.dv_max_m_s=0.02", "--set", "grid.step_max_s=3000.0")
 
 

@@ -23,8 +23,6 @@ from scp_recon.results.solution import Solution
 from scp_recon.scenario.load import load_scenario
 from tests import reference
 
-pytestmark = pytest.mark.usefixtures("few_flights")
-
 CRAFT, STONE, SUN = -64, 20099942, 10
 FROM, TO = "2020-01-21T20:32:08", "2020-01-22T06:12:49"
 SITE = ("--site", "55.9,41.8")

@@ -17,8 +17,6 @@ from scp_recon.results.facts import Verification
 from scp_recon.results.read import read_solution
 from scp_recon.results.solution import Solution
 
-pytestmark = pytest.mark.usefixtures("few_flights")
-
 OFF = np.array([40.0, -40.0, 20.0, 2e-3, 2e-3, -1e-3])
 
 

@@ -21,8 +21,6 @@ from tests import reliability
 from tests.scenarios import COARSE
 from tests.scp_recon.support import CommandLine, run_solve
 
-pytestmark = pytest.mark.usefixtures("few_flights")
-
 PROJECT = Path(__file__).parents[3]
 
 

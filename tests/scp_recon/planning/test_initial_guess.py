@@ -1,20 +1,30 @@
-"""Initial guesses: straight line, ballistic arc, burns, and tables of states."""
+"""Initial guesses, the first stage that each leads to, and several starts."""
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+import scp_recon as sr
 from formulations.arrays import Array
 from formulations.problem.flyby import Iterate
+from formulations.rows.uniform import DeterministicRows
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
-from scp_recon.planning.planner import Plan
+from scp_recon.planning.plan import Plan
+from scp_recon.planning.planner import plan
+from scp_recon.planning.stages import contradicts_itself, without_parting_sets
+from scp_recon.planning.starts import local_optima, plan_from_several, random_flight
+from scp_recon.results.solution import make_solution
+from scp_recon.scp.algorithms import ALGORITHMS
+from scp_recon.scp.loop import Record
+from scp_recon.scp.status import Status
 from tests import reference, reliability
-from tests.scp_recon.support import burns_of, fly, integrate, mission_of
+from tests.scp_recon.support import burns_of, flight_beyond, fly, integrate, mission_of
 
 SHORT = ("t", "x", "y", "z", "vx", "vy", "vz")
 WITH_UNITS = ("t_s", "x_m", "y_m", "z_m", "vx_m_s", "vy_m_s", "vz_m_s")
@@ -225,3 +235,165 @@ def test_a_table_in_other_units_or_axes_is_refused(
     ):
         error = refused(mission, write(tmp_path / "t.csv", mission.times_s, wrong))
         assert named in str(error)
+
+
+LOST = (0, 8)
+"""Random guesses from which P3 with all its rows ends at its second optimum."""
+
+
+@pytest.mark.parametrize("algorithm", ALGORITHMS)
+def test_random_guesses_end_at_the_better_optimum_at_the_first_try(
+    algorithm: str, mission: Mission
+) -> None:
+    for seed in LOST:
+        found = plan(mission, initial_guess.random(mission, seed), algorithm=algorithm)
+        assert [stage.name for stage in found.stages] == ["P3.open", "P3", "P2"]
+        assert found.status is Status.CONVERGED
+        assert found.total_dv_m_s == pytest.approx(0.140135, rel=1e-4)
+
+
+def test_what_holds_throughout_and_what_is_kept_in_stay(mission: Mission) -> None:
+    names = {c.name for c in without_parting_sets(mission.problem).constraints}
+    assert names == {"safety_radius", "site_distance_max", "emission_max"}
+    kept = [c for c in mission.problem.constraints if c.name in names]
+    assert list(without_parting_sets(mission.problem).constraints) == kept
+
+
+def test_guesses_that_fly_or_claim_no_burns_begin_with_all_rows(
+    mission: Mission, default_plan: Plan
+) -> None:
+    table = np.column_stack([default_plan.times_s, default_plan.states])
+    coarse = np.vstack([table[::10], table[-1:]]) if (len(table) - 1) % 10 else table[::10]
+    for guess in (
+        initial_guess.cold(mission),
+        initial_guess.ballistic(mission),
+        initial_guess.circular(mission, -1.0),
+        initial_guess.from_states(mission, coarse),
+        flight_beyond(mission),
+    ):
+        assert not contradicts_itself(mission.dynamics.linearise(mission.problem, guess))
+    for seed in range(10):
+        guess = initial_guess.random(mission, seed)
+        assert contradicts_itself(mission.dynamics.linearise(mission.problem, guess))
+
+
+def test_a_flight_stays_on_its_side(mission: Mission) -> None:
+    """Whoever gives a flight beyond the cone means that side."""
+    found = plan(mission, flight_beyond(mission), problem="P3")
+    assert [stage.name for stage in found.stages] == ["P3", "P3.held"]  # without its third burn
+    assert found.total_dv_m_s == pytest.approx(0.159273, rel=1e-4)
+
+
+def test_an_interrupted_opening_is_judged_by_all_rows(mission: Mission) -> None:
+    def stop(_: str, record: Record) -> None:
+        if record.k == 2:
+            raise KeyboardInterrupt
+
+    found = plan(mission, initial_guess.random(mission, 0), observe=stop)
+    assert found.status is Status.INTERRUPTED
+    assert found.final.name == "P3.open"
+    rows = found.final.merit.rows
+    assert isinstance(rows, DeterministicRows)
+    assert {"emission_min", "phase_min"} <= found.final.margins.keys()
+    assert make_solution(found).problem == "P3"
+
+
+THREE = partial(plan_from_several, make_plan=partial(plan, problem="P3"), starts=3)
+"""Of which the third, by seed 0, flies beyond the cone of the least emission."""
+
+
+@pytest.fixture(scope="module")
+def found(mission: Mission) -> Plan:
+    return THREE(mission, initial_guess.cold(mission))
+
+
+def test_both_optima_of_p3_are_found_and_the_better_one_is_kept(
+    mission: Mission, found: Plan
+) -> None:
+    near, far = found.starts.optima
+    assert near.total_dv_m_s == pytest.approx(0.107723, rel=1e-4)
+    assert far.total_dv_m_s == pytest.approx(0.159273, rel=1e-4)
+    assert (near.starts, far.starts) == ((0, 1), (2,))
+    assert found.total_dv_m_s == min(near.total_dv_m_s, found.total_dv_m_s)
+    sizes = np.linalg.norm(far.burns_m_s, axis=1)
+    assert sizes.sum() == pytest.approx(far.total_dv_m_s)
+    burns = np.array(far.burns_m_s)
+    ends = initial_guess.from_burns(mission, burns).mean[-1]
+    assert ends == pytest.approx(mission.problem.final_state, abs=1e-6)
+
+
+def test_neither_plan_nor_optima_depend_on_the_processes(mission: Mission, found: Plan) -> None:
+    split = THREE(mission, initial_guess.cold(mission), workers=2)
+    assert split == found
+    assert split.starts == found.starts
+
+
+def test_another_seed_draws_other_flights(mission: Mission) -> None:
+    one, same, number, seed = (random_flight(mission, *k) for k in ((0, 1), (0, 1), (0, 2), (1, 1)))
+    np.testing.assert_array_equal(one.mean, same.mean)
+    for other in (number, seed):
+        assert np.abs(one.mean - other.mean).max() > 0.01
+
+
+@pytest.mark.parametrize("number", range(1, 4))
+def test_a_random_flight_obeys_the_dynamics_and_ends_where_it_should(
+    mission: Mission, number: int
+) -> None:
+    flight = random_flight(mission, 3, number)
+    lin = mission.dynamics.linearise(mission.problem, flight)
+    assert lin.is_dynamically_feasible
+    assert not contradicts_itself(lin)
+    flown = initial_guess.from_burns(mission, flight.burns * mission.units.speed_m_s)
+    np.testing.assert_allclose(flown.mean, flight.mean, atol=1e-8)
+
+
+def test_what_p2_finds_infeasible_is_listed_and_not_kept(
+    mission: Mission, default_plan: Plan
+) -> None:
+    """From the far optimum there is no way; with `once` it begins nowhere else."""
+    far = plan(mission, flight_beyond(mission), once=True)
+    assert {stage.name.partition(".")[0] for stage in far.stages} == {"P3", "P2"}
+    assert far.status is Status.INFEASIBLE
+    optima = local_optima([far, default_plan])
+    assert [(o.problem, o.status, o.starts) for o in optima] == [
+        ("P3", "converged", (1,)),
+        ("P3", "converged", (0,)),
+        ("P2", "converged", (1,)),
+        ("P2", "infeasible", (0,)),
+    ]
+
+
+def test_an_interrupt_keeps_the_best_start_so_far(mission: Mission) -> None:
+    def stop(number: int, _: Plan) -> None:
+        if number == 1:
+            raise KeyboardInterrupt
+
+    found = THREE(mission, initial_guess.cold(mission), seen=stop)
+    assert found.status is Status.INTERRUPTED
+    assert found.total_dv_m_s == pytest.approx(0.107723, rel=1e-4)
+    assert [o.starts for o in found.starts.optima] == [(0, 1)]
+
+
+def test_an_interrupt_before_any_start_is_no_plan(mission: Mission) -> None:
+    def stop(*_: object, **__: object) -> Plan:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        plan_from_several(mission, initial_guess.cold(mission), stop, starts=2)
+
+
+def test_the_front_door_and_the_file_list_the_optima() -> None:
+    found = sr.plan(problem="P3", starts=3, seed=0)
+    assert "local optima of 3 starts, seed 0" in str(found)
+    listed = make_solution(found).starts
+    assert [o.starts for o in listed.optima] == [(0, 1), (2,)]
+    assert (listed.number, listed.seed) == (3, 0)
+
+
+@pytest.mark.parametrize(
+    ("argument", "given"), [("starts", 0), ("starts", 1.5), ("seed", -1), ("workers", 0)]
+)
+def test_the_front_door_refuses_what_is_no_number_of_starts(argument: str, given: object) -> None:
+    arguments: dict[str, object] = {argument: given}
+    with pytest.raises(InputError, match=argument):
+        sr.plan(**arguments)  # type: ignore[arg-type]

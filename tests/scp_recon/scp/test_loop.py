@@ -240,3 +240,23 @@ def test_the_first_trust_region_is_no_matter_of_life_and_death(
 ) -> None:
     result = run(p3, mission.dynamics, cold, SCvx(initial_radius=radius), ignore)
     assert result.status is Status.CONVERGED
+
+
+EXIT_CODES = {"converged": 0, "infeasible": 3, "lost": 5, "interrupted": 130}
+BAD_INPUT = 2
+
+
+@pytest.mark.parametrize("status", Status)
+def test_a_status_has_its_name_words_and_exit_code(status: Status) -> None:
+    outcome = status.value
+    assert Status.named(outcome.name) is status
+    assert outcome.message
+    solved = status is Status.CONVERGED
+    assert (bool(outcome.remedy), outcome.exit_code == 0) == (not solved, solved)
+    assert outcome.exit_code != BAD_INPUT
+    assert outcome.exit_code == EXIT_CODES.get(outcome.name, outcome.exit_code)
+
+
+def test_an_unknown_name_is_refused() -> None:
+    with pytest.raises(ValueError, match="'done'"):
+        Status.named("done")

@@ -1,0 +1,9 @@
+"""Commands verify with few flights here: what is tested depends not on their number."""
+
+from __future__ import annotations
+
+import pytest
+
+
+@pytest.fixture(autouse=True)
+def _few(few_flights: None) -> None: ...
