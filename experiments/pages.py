@@ -100,7 +100,7 @@ class _Filler(Formatter):
     def __init__(self, row: Mapping[str, Any]) -> None:
         self._row = row
 
-    def get_field(self, field_name: str, args: Any, kwargs: Any) -> tuple[Any, str]:  # noqa: ARG002
+    def get_field(self, field_name: str, args: Any, kwargs: Any) -> tuple[Any, str]:  # noqa: ARG002  Formatter's
         whole = FIELD.fullmatch(field_name)
         if whole is None:
             return _value(self._row, field_name), ""
@@ -108,7 +108,7 @@ class _Filler(Formatter):
         return _value(_row(_table(name, table), key, field_name), column), ""
 
     def format_field(self, value: Any, format_spec: str) -> str:
-        factor, form = FORM.fullmatch(format_spec).groups()  # type: ignore[union-attr]
+        factor, form = FORM.fullmatch(format_spec).groups()  # type: ignore[union-attr]  # matches all
         if value is None or isinstance(value, str):
             return value or ""
         if isinstance(value, bool):

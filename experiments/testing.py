@@ -89,7 +89,10 @@ def mutation(session: Session) -> list[Record]:
         module: sorted(draw.sample(mutants, min(DRAWN, len(mutants))))
         for module, mutants in sorted(modules.items())
     }
-    work: Callable[[str], Record] = lambda module: tried(module, drawn[module])  # noqa: E731
+
+    def work(module: str) -> Record:
+        return tried(module, drawn[module])
+
     jobs, store = [Job(module, module) for module in drawn], session.store(work="tests")
     rows = session.rows("modules", work, jobs, store)
     total = {

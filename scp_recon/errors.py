@@ -152,11 +152,12 @@ def whole_number(entry: str, given: object, low: int, high: int) -> int:
     Raises:
         InputError: if it is none, or beyond them.
     """
-    is_whole = isinstance(given, Integral) and not isinstance(given, bool)
     if isinstance(given, float):
-        is_whole = abs(given) < EXACT and given % 1 == 0
-    if is_whole and low <= int(given) <= high:  # type: ignore[call-overload]
-        return int(given)  # type: ignore[call-overload]
+        whole = int(given) if abs(given) < EXACT and given.is_integer() else None
+    else:
+        whole = int(given) if isinstance(given, Integral) and not isinstance(given, bool) else None
+    if whole is not None and low <= whole <= high:
+        return whole
     raise InputError(entry, shortened(given), f"must be a whole number from {low} to {high}")
 
 

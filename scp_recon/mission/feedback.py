@@ -95,13 +95,7 @@ def check_feedback(scenario: Scenario) -> None:
     """
     if scenario.policy.kind == "open":
         return
-    if not scenario.navigation.measures:
-        raise InputError(
-            "policy.kind",
-            "'feedback' without a measurement",
-            "must be 'open', or [navigation] must have sigma_position_m with sigma_velocity_m_s, or "
-            "covariance with frame",
-        )
+    require_measurement(scenario, "policy.kind", "'feedback'")
     if scenario.in_flight is not None:
         return
     correctable = _correctable(scenario)
@@ -117,6 +111,21 @@ def check_feedback(scenario: Scenario) -> None:
             "navigation.lead_s",
             f"{scenario.navigation.lead_s:g} s, with which every cut-off precedes departure",
             f"must be at most {correctable[latest]:g} s, for burn {latest + 1} to be corrected",
+        )
+
+
+def require_measurement(scenario: Scenario, entry: str, policy: str) -> None:
+    """Refuse a policy that needs measurements where nothing is measured.
+
+    Raises:
+        InputError: naming the entry, or option, that chose the policy.
+    """
+    if not scenario.navigation.measures:
+        raise InputError(
+            entry,
+            f"{policy} without a measurement",
+            "must be 'open', or [navigation] must have sigma_position_m with sigma_velocity_m_s, or "
+            "covariance with frame",
         )
 
 

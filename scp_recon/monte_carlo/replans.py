@@ -16,13 +16,13 @@ import numpy as np
 from formulations.arrays import Array, Booleans
 from formulations.problem.flyby import Iterate
 from scp_recon.errors import InputError, option
+from scp_recon.mission.feedback import require_measurement
 from scp_recon.mission.grid import RK4_STEP_MAX_S
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.schedule import BURNS_TO_MEET
 from scp_recon.monte_carlo.closed_loop import MEASURED
 from scp_recon.physics.flow import propagate
 from scp_recon.results.policy import CutOff
-from scp_recon.scenario.schema import Scenario
 
 LEAST_LEAD_S = 1.0
 """From a measurement to the burn that is planned from it, where navigation has no lead at all."""
@@ -45,21 +45,6 @@ Replans = tuple[Replan, ...]
 """In the order of their cut-offs and burns."""
 
 
-def require_measured(scenario: Scenario) -> None:
-    """Refuse a scenario in which nothing is measured to plan again from.
-
-    Raises:
-        InputError: then.
-    """
-    if not scenario.navigation.measures:
-        raise InputError(
-            option("policy"),
-            "'replan' of a plan without a measurement",
-            "must be 'open', or [navigation] must have sigma_position_m with sigma_velocity_m_s, or "
-            "covariance with frame",
-        )
-
-
 def replans(mission: Mission, burns_m_s: Array) -> Replans:
     """Planning again before every burn of a plan whose cut-off is after its beginning.
 
@@ -68,7 +53,7 @@ def replans(mission: Mission, burns_m_s: Array) -> Replans:
             burn before.
     """
     scenario = mission.scenario
-    require_measured(scenario)
+    require_measurement(scenario, option("policy"), "'replan'")
     lead, firing = max(scenario.navigation.lead_s, LEAST_LEAD_S), scenario.burn_times_s
     cut_offs = {i: t - lead for i, t in enumerate(firing) if t - lead > scenario.start_s}
     early = [i for i, at in cut_offs.items() if i > 0 and at <= firing[i - 1]]

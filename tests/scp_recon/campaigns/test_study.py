@@ -224,7 +224,7 @@ SITES = {
         ([COST], {"overrides": MEASURED}, r"axis 1: policy.cost: got with policy.kind = 'open'"),
         ([LEAD], {}, r"axis 1: navigation.lead_s: got with policy.kind = 'open'; needs"),
         ([], {"policy": "replan"}, r"campaign.policy: got 'replan' with do = 'plan'; needs"),
-        ([LEAD], {"do": "fly", "policy": "replan"}, r"'replan' of a plan without a measurement"),
+        ([LEAD], {"do": "fly", "policy": "replan"}, r"'replan' without a measurement"),
         ([KIND], {}, r"axis 1, row 2: policy.kind: got 'feedback' without a measurement"),
         ([LEAD], {"overrides": FEEDBACK}, r"navigation: .* must have sigma_position_m"),
         (
