@@ -25,7 +25,10 @@ from formulations.program.subproblem import DYNAMICS_WEIGHT
 
 @dataclass(frozen=True)
 class Arcs:
-    """CasADi flow map F(x, h) -> x_next of states (6,), which takes SX symbols, and each arc's h."""
+    """CasADi flow map F(x, h) -> x_next of states (6,), which takes SX symbols, and each arc's h.
+
+    That is its duration, shape (n,), with its start beside it, (n, 2), where forces depend on time.
+    """
 
     flow: ca.Function
     durations: Array

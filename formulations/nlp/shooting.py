@@ -125,6 +125,10 @@ def _layout(problem: FlybyProblem, spread: Spread | None, looked_at: Indices | N
     return _Layout(3 * problem.n_burns + np.cumsum(size) - size, size, carried)
 
 
+def _arc_symbol(arcs: Arcs) -> ca.SX:
+    return ca.SX.sym("h", arcs.flow.size1_in(1))
+
+
 class _Group:
     """Consecutive arcs of one size, as one SX function of y (s,) and h, and its derivatives."""
 
@@ -135,7 +139,7 @@ class _Group:
         self.size = int(layout.carried[first])
         self.start, self.row = layout.start[first:last], layout.row[first + 1 : last + 1]
         self._durations = ca.DM(arcs.durations[first:last]).T
-        self._y, self._h = ca.SX.sym("y", self.size), ca.SX.sym("h")
+        self._y, self._h = ca.SX.sym("y", self.size), _arc_symbol(arcs)
         self._end = step(arcs, spread, self._y, self._h)
         self._function = ca.Function("arc", [self._y, self._h], [self._end])
 
@@ -149,7 +153,7 @@ class _Group:
         inputs, durations = self.inputs(x), self._durations
         if mapped:
             return ca.vec(self._function.map(self.count)(inputs, durations))
-        ends = (self._function(inputs[:, j], durations[j]) for j in range(self.count))
+        ends = (self._function(inputs[:, j], durations[:, j]) for j in range(self.count))
         return ca.vertcat(*ends)
 
     def jacobian(self, x: ca.MX, rows: int) -> ca.MX:
@@ -331,7 +335,7 @@ def _factor_at(problem: FlybyProblem, factor: list[ca.MX], stm: list[ca.MX], nod
 
 def _fly(arcs: Arcs, y: ca.MX, first: int, end: int) -> ca.MX:
     """Mean and, if y has it, STM at the ends of the arcs between two nodes, (s, n)."""
-    symbol, h = ca.SX.sym("y", y.numel()), ca.SX.sym("h")
+    symbol, h = ca.SX.sym("y", y.numel()), _arc_symbol(arcs)
     after = arcs.flow(symbol[:6], h)
     if y.numel() > 6:
         stm = ca.jacobian(after, symbol[:6]) @ ca.reshape(symbol[6:], 6, 6)

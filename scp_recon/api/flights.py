@@ -122,7 +122,7 @@ def fly(
         seed: of all draws.
         until: stop when every joint probability's interval is this narrow, e.g. 0.005; where 10,000
             flights leave one wider, these probabilities are of further flights, few of many draws.
-        truth: point mass with J2 as the "planner" has it, or "harmonics" turning with the body: of
+        truth: gravity as the "planner" has it, or all "harmonics" turning with the body: of
             body.gravity_file, or degree 8 of a packaged field.
         errors: of the burns: "componentwise", or "gates", by magnitude and pointing (default: the
             scenario's).

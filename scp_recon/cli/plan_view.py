@@ -182,7 +182,7 @@ def show_verification(
     console.print()
     console.print(terminal(reintegration_table(mission, v)))
     console.print(terminal(mean_margins_table(mission, v)))
-    probabilities = probabilities_table(v, mission.scenario.risk.p_chance)
+    probabilities = probabilities_table(mission, v)
     console.print(terminal(probabilities))
     show_line(console, probabilities.note, "dim")
     if v.burn_limits:

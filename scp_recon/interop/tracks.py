@@ -227,7 +227,8 @@ def pull_doubts(mission: Mission, track: Track) -> Iterator[ScenarioWarning]:
     times, states = track.times_s[chosen], track.states[chosen]
     took = np.diff(times)
     later = took > 0.0
-    arrived = propagate(states[:-1][later], took[later], mission.forces, SUBSTEPS)
+    begin = times[:-1][later]
+    arrived = propagate(states[:-1][later], took[later], mission.forces, SUBSTEPS, begin)
     gained = np.linalg.norm((states[1:] - states[:-1])[later, 3:], axis=1)
     off = np.linalg.norm(arrived[:, 3:] - states[1:][later, 3:], axis=1)
     share = float(np.median(off) / max(float(np.median(gained)), 1e-12))

@@ -24,7 +24,7 @@ from scp_recon.mission.checks.checks import check_plausible, check_scene, check_
 from scp_recon.mission.constraints import Limit, observation_limits, state_constraints
 from scp_recon.mission.feedback import check_feedback, felt_cut_offs_s, require_open_loop
 from scp_recon.mission.grid import RK4_STEP_MAX_S, Units, make_grid
-from scp_recon.mission.scene import Scene, execution_errors, truth_field
+from scp_recon.mission.scene import Scene, execution_errors, planned_field, truth_field
 from scp_recon.mission.schedule import (
     BURNS_TO_MEET,
     MISS_WEIGHT,
@@ -39,7 +39,7 @@ from scp_recon.physics import geometry
 from scp_recon.physics.flow import GridFlow
 from scp_recon.physics.forces import ForceModel, cannonball_srp
 from scp_recon.physics.frames import Rotation
-from scp_recon.physics.harmonics import HarmonicField
+from scp_recon.physics.harmonics import HarmonicField, TurningField
 from scp_recon.physics.two_body import lambert
 from scp_recon.scenario.fields import ScenarioWarning
 from scp_recon.scenario.schema import Risk, Scenario
@@ -111,6 +111,7 @@ class Mission:
             warnings += check_window(scene, window)
         schedule = make_schedule(scenario.burns.times_s, window, scenario.schedule)
         execution_errors(scenario)
+        planned_field(scenario)
         warnings += check_state(scene)
         initial, start = scene.initial_state, scenario.start_s
         burns_s = *scenario.burn_times_s, *felt_cut_offs_s(scene, window).values()
@@ -174,13 +175,31 @@ class Mission:
 
     @cached_property
     def forces(self) -> ForceModel:
-        """Forces in SI, J2000."""
+        """Forces with which it is planned, SI, J2000."""
+        return self._forces(planned_field(self.scenario))
+
+    @cached_property
+    def true_forces(self) -> ForceModel:
+        """The same with all of the body's gravity field."""
+        return self._forces(self.truth_field)
+
+    @property
+    def planned_gravity(self) -> str:
+        """The gravity with which it is planned, in words."""
+        degree = self.scenario.body.planned_degree
+        return "point mass and J2" if degree is None else f"harmonics to degree {degree}"
+
+    def _forces(self, field: HarmonicField | None) -> ForceModel:
         body, craft = self.scenario.body, self.scenario.spacecraft
         distance = np.linalg.norm(self.scenario.sun.body_position_km)
+        j2, radius = (
+            (body.j2, body.reference_radius_m) if field is None else (field.j2, field.radius)
+        )
         return ForceModel(
             gm=body.gm_m3_s2,
-            j2_strength=1.5 * body.gm_m3_s2 * body.j2 * body.reference_radius_m**2,
+            j2_strength=1.5 * body.gm_m3_s2 * j2 * radius**2,
             pole=self.rotation.pole,
+            field=None if field is None else TurningField(field.beside_j2(), self.rotation),
             srp=cannonball_srp(
                 self.sun_direction(0.0),
                 craft.srp_area_m2,
@@ -353,7 +372,9 @@ class Mission:
     def flow(self) -> GridFlow:
         """Nondimensional flow map of the grid's arcs."""
         forces = self.forces.in_units(self.units.length_m, self.units.time_s)
-        return GridFlow(forces, np.diff(self.times_s) / self.units.time_s, self.arc_substeps)
+        times = self.times_s / self.units.time_s
+        durations = np.diff(self.times_s) / self.units.time_s
+        return GridFlow(forces, times[:-1], durations, self.arc_substeps)
 
     @cached_property
     def dynamics(self) -> Dynamics:

@@ -242,7 +242,26 @@ SAME_GM, SAME_J2 = 0.01, 0.1
 """How far a scenario's GM and J2 may be off the packaged field's, relative."""
 
 
-def truth_field(scenario: Scenario) -> HarmonicField:
+def planned_field(scenario: Scenario) -> HarmonicField | None:
+    """The field to `body.planned_degree`, SI; None where the point mass and J2 are planned with.
+
+    Raises:
+        InputError: as `truth_field`, and if the body's field has no such degree.
+    """
+    degree = scenario.body.planned_degree
+    if degree is None:
+        return None
+    field = truth_field(scenario, PLANNED)
+    most = len(field.c) - 1
+    if degree > most:
+        raise InputError(PLANNED, str(degree), f"must be at most {most}, the degree of the field")
+    return field.up_to(degree)
+
+
+PLANNED = "body.planned_degree"
+
+
+def truth_field(scenario: Scenario, needed_by: str = option("truth", "harmonics")) -> HarmonicField:
     """The field of `body.gravity_file` in full, else that of the packaged body to degree 8; SI.
 
     Raises:
@@ -256,25 +275,25 @@ def truth_field(scenario: Scenario) -> HarmonicField:
         return HarmonicField.of_rows(body.gm_m3_s2, body.gravity.reference_radius_m, degree, rows)
     if packaged_body(body.name) is packaged_body(FIELD_BODY):
         field = HarmonicField.bennu(body.gm_m3_s2, HARMONICS_DEGREE)
-        _check_is_packaged(body, field)
+        _check_is_packaged(body, field, needed_by)
         return field
     raise InputError(
         "body.gravity_file",
         f"nothing for {body.name}",
-        "must name a gravity field (.gfc, or a PDS SHA table) for harmonics of this body to be flown",
+        f"must name a gravity field (.gfc, or a PDS SHA table) for {needed_by}",
     )
 
 
-def _check_is_packaged(body: Body, field: HarmonicField) -> None:
+def _check_is_packaged(body: Body, field: HarmonicField, needed_by: str) -> None:
     for entry, given, own, share in (
         ("gm_m3_s2", body.gm_m3_s2, FIELD_GM_M3_S2, SAME_GM),
         ("reference_radius_m", body.reference_radius_m, field.radius, 0.0),
-        ("j2", body.j2, -float(field.c[2, 0]), SAME_J2),
+        ("j2", body.j2, field.j2, SAME_J2),
     ):
         if abs(given - own) > share * own:
             within = f"within {100 * share:g} % of " if share else ""
             raise InputError(
-                option("truth", "harmonics"),
+                needed_by,
                 f"body.{entry} {given:g}",
                 f"must be {within}{own:g}: the packaged gravity field is that of {FIELD_BODY}",
             )

@@ -146,7 +146,8 @@ class ReplanLoop:
             if stop > self._now:
                 steps = int(np.ceil((stop - self._now) / RK4_STEP_MAX_S))
                 took = np.full(len(self._estimates), stop - self._now)
-                self._estimates = propagate(self._estimates, took, self._mission.forces, steps)
+                forces, begin = self._mission.forces, self._now
+                self._estimates = propagate(self._estimates, took, forces, steps, begin)
                 self._now = stop
             if time >= until_s:
                 return

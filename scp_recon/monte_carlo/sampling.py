@@ -113,10 +113,10 @@ def fly_draws(
     The initial state is Gaussian about the mission's. A burn is executed with the scenario's errors:
     dv (1 + beta w) by component with w standard normal (Echigo et al., eq. 3), or Gates' model.
     With `errors` = "gates" Gates' model replaces the former by its isotropic counterpart: errors of
-    beta in magnitude and of beta rad about each axis across. The dynamics are a point mass with J2,
-    or the mission's `truth_field` turning with the body. Integration steps depend on the burns' times
-    alone; states at the ascending `times_s` are interpolated. A policy corrects burns, or plans them
-    again; their errors are those of the commanded burn.
+    beta in magnitude and of beta rad about each axis across. The forces are those of the plan, or with
+    "harmonics" the whole gravity field turning with the body. Integration steps depend on the burns'
+    times alone; states at the ascending `times_s` are interpolated. A policy corrects burns, or plans
+    them again; their errors are those of the commanded burn.
 
     Raises:
         InputError: if the scenario's errors have no such counterpart.
@@ -209,15 +209,12 @@ def sample_positions(
 
 def _flow(mission: Mission, truth: TruthModel) -> Flow:
     """Flow of positions and velocities (3, flights) from a time over a duration."""
-    forces, field = mission.forces, mission.truth_field if truth == "harmonics" else None
-
-    def acceleration(at: Array, time_s: float) -> Array:
-        if field is None:
-            return accelerations(at, forces)
-        to_j2000 = mission.rotation.body_to_j2000(time_s)
-        return to_j2000 @ np.stack(field.acceleration(*(to_j2000.T @ at))) + forces.srp[:, None]
+    forces = mission.true_forces if truth == "harmonics" else mission.forces
 
     def flow(r: Array, v: Array, start: float, duration: float) -> tuple[Array, Array]:
-        return advance(r, v, duration, lambda at, elapsed: acceleration(at, start + elapsed), 1)
+        def acceleration(at: Array, elapsed: float) -> Array:
+            return accelerations(at, forces, forces.turn(start + elapsed))
+
+        return advance(r, v, duration, acceleration, 1)
 
     return flow

@@ -6,6 +6,7 @@ An ephemeris is a table of states, a CCSDS OEM or SPICE kernels.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -60,8 +61,9 @@ def directions(home: HomeOrbit, axes: Array) -> tuple[Array, Array, float]:
 def flown_ring(home: HomeOrbit, forces: ForceModel, axes: Array) -> Ring:
     """One revolution under a mission's forces, from the circle's state at phase zero on.
 
-    Phases are angles about the circle's normal; the ends of the revolution meet only approximately.
-    Axes (3, 3) rotate from boundary.frame to J2000.
+    Harmonics that turn with the body are left out, as the spacecraft may leave at any time. Phases are
+    angles about the circle's normal; the ends of the revolution meet only approximately. Axes (3, 3)
+    rotate from boundary.frame to J2000.
 
     Raises:
         InputError: if it does not come round within three of the circle's revolutions.
@@ -69,6 +71,8 @@ def flown_ring(home: HomeOrbit, forces: ForceModel, axes: Array) -> Ring:
     start = home_ring(home, forces.gm, axes)(0.0)
     first, second, sense = directions(home, axes)
     period = TURN * np.sqrt(home.radius_m**3 / forces.gm)
+
+    forces = replace(forces, field=None)
 
     def rate(_: float, y: Array) -> Array:
         return np.array([*y[3:], *acceleration(y[0], y[1], y[2], forces)])

@@ -16,6 +16,7 @@ import numpy as np
 
 from formulations.arrays import Array
 from scp_recon.physics.forces import ForceModel, accelerations, gravity_curvature, gravity_gradient
+from scp_recon.physics.harmonics import Turn
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,11 +64,13 @@ class GridFlow:
 
     Attributes:
         forces: acceleration of the spacecraft.
+        starts: times at which arcs begin, from the epoch on, shape (n,).
         durations: of the arcs, shape (n,).
         substeps: Runge-Kutta steps per arc.
     """
 
     forces: ForceModel
+    starts: Array
     durations: Array
     substeps: int
 
@@ -78,21 +81,23 @@ class GridFlow:
 
     def propagate(self, state: Array, arc: int) -> Array:
         """Carry states (..., 6) along one arc."""
-        return propagate(state, self.durations[arc], self.forces, self.substeps)
+        start, duration = self.starts[arc], self.durations[arc]
+        return propagate(state, duration, self.forces, self.substeps, start)
 
     def differentiate(self, state: Array) -> FlowDerivatives:
         """Derivatives of all arcs, from their starts (n, 6)."""
-        return differentiate(state, self.durations, self.forces, self.substeps)
+        return differentiate(state, self.durations, self.forces, self.substeps, self.starts)
 
 
 class _Stages(NamedTuple):
     """Stages of one Runge-Kutta step.
 
-    Step lengths (n,), then for the four stages positions (4, n, 3), gravity
+    Step lengths (n,), then for the four stages times (4, n), positions (4, n, 3), gravity
     gradients (4, n, 3, 3) and the positions' first derivatives (4, n, 3, 6).
     """
 
     h: Array
+    time: Array
     position: Array
     gradient: Array
     first: Array
@@ -103,16 +108,38 @@ class _Stages(NamedTuple):
 
 
 def propagate(
-    state: Array, duration: Array | float, forces: ForceModel, substeps: int = 1
+    state: Array,
+    duration: Array | float,
+    forces: ForceModel,
+    substeps: int = 1,
+    start: Array | float | None = None,
 ) -> Array:
-    """Carry states over their arcs; `state` (..., 6), `duration` broadcast against (...)."""
+    """Carry states over their arcs; `state` (..., 6), `duration` and `start` broadcast against (...).
 
-    def rate(r: Array, _: Any) -> Array:
-        return accelerations(r.reshape(3, -1), forces).reshape(r.shape)
+    The time at which an arc starts is needed where forces have harmonics.
+    """
+    begin = _begin(start, forces)
+
+    def rate(r: Array, elapsed: Any) -> Array:
+        turn = _turn(forces, begin + elapsed, r.shape[1:])
+        return accelerations(r.reshape(3, -1), forces, turn).reshape(r.shape)
 
     r = np.moveaxis(np.asarray(state)[..., :3], -1, 0)
     v = np.moveaxis(np.asarray(state)[..., 3:], -1, 0)
     return np.moveaxis(np.concatenate(advance(r, v, duration, rate, substeps)), 0, -1)
+
+
+def _begin(start: Array | float | None, forces: ForceModel) -> Array:
+    if start is None and forces.field is not None:
+        raise ValueError("harmonics turn with the body: expected the times at which arcs start")
+    return np.asarray(0.0 if start is None else start)
+
+
+def _turn(forces: ForceModel, time: Array, shape: tuple[int, ...]) -> Turn | None:
+    """How far the body has turned at times, of positions of a shape in a row."""
+    if forces.field is None:
+        return None
+    return forces.turn(np.broadcast_to(time, shape).ravel())
 
 
 def advance(
@@ -156,38 +183,47 @@ def interpolate(
 
 
 def differentiate(
-    state: Array, duration: Array, forces: ForceModel, substeps: int = 1
+    state: Array,
+    duration: Array,
+    forces: ForceModel,
+    substeps: int = 1,
+    start: Array | float | None = None,
 ) -> FlowDerivatives:
     """Flow map and state-transition matrix of every arc in one call, its second-order tensor later.
 
-    Initial states have shape (n, 6), durations (n,), and `substeps` is Runge-Kutta steps per arc.
+    Initial states have shape (n, 6), durations and starts (n,), and `substeps` is Runge-Kutta steps per
+    arc. The time at which an arc starts is needed where forces have harmonics.
     """
+    begin = _begin(start, forces)
     n, h = len(state), np.asarray(duration, dtype=float) / substeps
     r, v = np.asarray(state)[:, :3].T, np.asarray(state)[:, 3:].T
     stm = np.broadcast_to(np.eye(6).reshape(2, 3, 6), (n, 2, 3, 6))
     steps = []
-    for _ in range(substeps):
+    for k in range(substeps):
+        time = begin + h * (k + np.array([[0.0], [0.5], [0.5], [1.0]]))
         # The stages' positions come first: the gradients are evaluated at all of them at once.
-        position, r, v = _stage_positions(r, v, h, forces)
-        gradient = gravity_gradient(position.reshape(-1, 3), forces).reshape(4, n, 3, 3)
+        position, r, v = _stage_positions(r, v, h, time, forces)
+        turn = _turn(forces, time, (4, n))
+        gradient = gravity_gradient(position.reshape(-1, 3), forces, turn).reshape(4, n, 3, 3)
         first, stm = _first_order(stm, gradient, h)
-        steps.append(_Stages(h, position, gradient, first))
+        steps.append(_Stages(h, time, position, gradient, first))
     return FlowDerivatives(
         np.concatenate([r, v]).T.copy(), stm.reshape(n, 6, 6), tuple(steps), forces
     )
 
 
 def _stage_positions(
-    r: Array, v: Array, h: Array, forces: ForceModel
+    r: Array, v: Array, h: Array, time: Array, forces: ForceModel
 ) -> tuple[Array, Array, Array]:
     """Positions of the four stages (4, n, 3), and the step's end, for r and v of shape (3, n)."""
     half, full = r + (0.5 * h) * v, r + h * v
-    a1 = accelerations(r, forces)
-    a2 = accelerations(half, forces)
+    turns = [_turn(forces, at, at.shape) for at in time]
+    a1 = accelerations(r, forces, turns[0])
+    a2 = accelerations(half, forces, turns[1])
     third = half + (0.25 * h * h) * a1
-    a3 = accelerations(third, forces)
+    a3 = accelerations(third, forces, turns[2])
     fourth = full + (0.5 * h * h) * a2
-    a4 = accelerations(fourth, forces)
+    a4 = accelerations(fourth, forces, turns[3])
     middle = a2 + a3
     position = np.stack([r, half, third, fourth]).transpose(0, 2, 1)
     end = full + (h * h / 6.0) * (a1 + middle)
@@ -214,7 +250,8 @@ def _second_order(tensor: Array, stages: _Stages, forces: ForceModel) -> Array:
     """
     n, w, g = len(tensor), stages.h[:, None, None], stages.gradient
     first = stages.first.reshape(4 * n, 3, 6)
-    curvature = gravity_curvature(stages.position.reshape(-1, 3), forces)
+    turn = _turn(forces, stages.time, stages.time.shape)
+    curvature = gravity_curvature(stages.position.reshape(-1, 3), forces, turn)
     # Columns (i, k) of H_lim r_mk and then of r_lj H_lim r_mk, as H is symmetric.
     along = (curvature.reshape(-1, 9, 3) @ first).reshape(-1, 3, 18)
     both = (first.transpose(0, 2, 1) @ along).reshape(4, n, 6, 3, 6)

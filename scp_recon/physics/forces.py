@@ -1,7 +1,8 @@
-"""Forces on the spacecraft: point mass, J2 and cannonball solar radiation pressure.
+"""Forces on the spacecraft: point mass, J2, harmonics, and cannonball solar radiation pressure.
 
 The acceleration is written once, over plain arithmetic, so that NumPy arrays (real or complex) and
-CasADi symbols pass through it alike. Its first and second derivatives are in closed form.
+CasADi symbols pass through it alike. Its first and second derivatives are in closed form. Where there
+are harmonics, functions take how far the body has turned, as `ForceModel.turn` gives it.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from formulations.arrays import Array
+from scp_recon.physics.harmonics import Turn, TurningField
 
 SPEED_OF_LIGHT_M_S = 299_792_458.0
 """Exact by the definition of the metre."""
@@ -26,12 +28,24 @@ class ForceModel:
         j2_strength: 3/2 gm J2 R^2, length^5 / time^2.
         pole: unit vector of the spin axis in the inertial frame, shape (3,).
         srp: constant acceleration by solar radiation pressure, shape (3,), length / time^2.
+        field: harmonics beside the point mass and that J2.
     """
 
     gm: float
     j2_strength: float
     pole: Array
     srp: Array
+    field: TurningField | None = None
+
+    def turn(self, time: Any, functions: Any = np) -> Turn | None:
+        """Cosine and sine of the body's angle at times; None without harmonics.
+
+        Symbols need the `functions` of their library.
+        """
+        if self.field is None:
+            return None
+        angle = self.field.rotation.angle(time)
+        return functions.cos(angle), functions.sin(angle)
 
     def in_units(self, length: float, time: float) -> ForceModel:
         """The same forces measured in units of `length` and `time`."""
@@ -40,6 +54,7 @@ class ForceModel:
             j2_strength=self.j2_strength * time**2 / length**5,
             pole=self.pole,
             srp=self.srp * time**2 / length,
+            field=self.field and self.field.in_units(length, time),
         )
 
 
@@ -59,21 +74,35 @@ def cannonball_srp(
     return -pressure * reflectivity * area_m2 / mass_kg * sun_direction
 
 
-def acceleration(x: Any, y: Any, z: Any, forces: ForceModel) -> tuple[Any, Any, Any]:
+def acceleration(
+    x: Any, y: Any, z: Any, forces: ForceModel, turn: Turn | None = None
+) -> tuple[Any, Any, Any]:
     """Acceleration at a position given by components (scalars, arrays or symbols alike)."""
     px, py, pz = forces.pole
     radial, polar = _pulls(x * x + y * y + z * z, px * x + py * y + pz * z, forces)
     sx, sy, sz = forces.srp
-    return radial * x + polar * px + sx, radial * y + polar * py + sy, radial * z + polar * pz + sz
+    ax, ay, az = radial * x + polar * px, radial * y + polar * py, radial * z + polar * pz
+    if forces.field is not None:
+        more = forces.field.acceleration(x, y, z, _turned(turn))
+        ax, ay, az = ax + more[0], ay + more[1], az + more[2]
+    return ax + sx, ay + sy, az + sz
 
 
-def accelerations(position: Array, forces: ForceModel) -> Array:
+def _turned(turn: Turn | None) -> Turn:
+    if turn is None:
+        raise ValueError("harmonics turn with the body: expected the cosine and sine of its angle")
+    return turn
+
+
+def accelerations(position: Array, forces: ForceModel, turn: Turn | None = None) -> Array:
     """Accelerations at positions (3, n), shape (3, n), in a third of `acceleration`'s operations."""
     r2 = np.einsum("in,in->n", position, position)
     radial, polar = _pulls(r2, forces.pole @ position, forces)
     value = radial * position
     value += forces.pole[:, None] * polar
     value += forces.srp[:, None]
+    if forces.field is not None:
+        value += forces.field.derivatives(position, _turned(turn), 0)
     return value
 
 
@@ -90,7 +119,7 @@ def _pulls(r2: Any, u: Any, forces: ForceModel) -> tuple[Any, Any]:
     return radial, -2.0 * inverse5 * u
 
 
-def gravity_gradient(position: Array, forces: ForceModel) -> Array:
+def gravity_gradient(position: Array, forces: ForceModel, turn: Turn | None = None) -> Array:
     """Gravity gradient da_i/dx_j at positions (n, 3), shape (n, 3, 3), symmetric.
 
     The acceleration is f(x) x + g(x) p + const. With f_j = e1 x_j + e2 p_j and
@@ -107,10 +136,12 @@ def gravity_gradient(position: Array, forces: ForceModel) -> Array:
     gradient = position[:, :, None] * (e1[:, None] * position + e2[:, None] * p)[:, None, :]
     gradient += p[:, None] * (e2[:, None] * position + e3[:, None] * p)[:, None, :]
     gradient[:, [0, 1, 2], [0, 1, 2]] += f[:, None]
+    if forces.field is not None:
+        gradient += forces.field.derivatives(position.T, _turned(turn), 1).transpose(2, 0, 1)
     return gradient
 
 
-def gravity_curvature(position: Array, forces: ForceModel) -> Array:
+def gravity_curvature(position: Array, forces: ForceModel, turn: Turn | None = None) -> Array:
     """Gravity's second derivative d2a_i/dx_j dx_k at positions (n, 3), shape (n, 3, 3, 3), symmetric.
 
     With e1 = .. + c x and so on for the coefficients of the gradient it is
@@ -134,7 +165,10 @@ def gravity_curvature(position: Array, forces: ForceModel) -> Array:
     beside_x[:, [0, 1, 2], [0, 1, 2]] += e1[:, None]
     beside_p[:, [0, 1, 2], [0, 1, 2]] += e2[:, None]
     part = beside_x[:, :, :, None] * x[:, None, None, :] + beside_p[:, :, :, None] * p
-    return part + part.transpose(0, 3, 1, 2) + part.transpose(0, 2, 3, 1)
+    part = part + part.transpose(0, 3, 1, 2) + part.transpose(0, 2, 3, 1)
+    if forces.field is not None:
+        part += forces.field.derivatives(position.T, _turned(turn), 2).transpose(3, 0, 1, 2)
+    return part
 
 
 def _oblate(position: Array, pole: Array) -> tuple[Array, Array, Array]:

@@ -5,8 +5,9 @@ A matrix named `a_to_b` maps components in frame a to components in frame b.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -79,8 +80,16 @@ class Rotation:
 
         The transpose of R3(W) R1(90 deg - dec) R3(90 deg + ra), Archinal et al. 2018, fig. 1.
         """
-        t = np.asarray(time_s, dtype=float)
-        w = self.meridian + self.rate * t + 0.5 * self.acceleration * t**2
+        w = self.angle(np.asarray(time_s, dtype=float))[..., None]
+        c, s = np.cos(w), np.sin(w)
+        node, across, pole = self.equator
+        x = c * node + s * across
+        y = -s * node + c * across
+        return np.stack([x, y, np.broadcast_to(pole, x.shape)], axis=-1)
+
+    @cached_property
+    def equator(self) -> Array:
+        """Node of the equator on J2000's, a quarter turn on, and pole, as rows of shape (3, 3)."""
         node = np.array([-np.sin(self.pole_ra), np.cos(self.pole_ra), 0.0])
         pole = np.array(
             [
@@ -89,8 +98,12 @@ class Rotation:
                 np.sin(self.pole_dec),
             ]
         )
-        across = np.cross(pole, node)
-        c, s = np.cos(w)[..., None], np.sin(w)[..., None]
-        x = c * node + s * across
-        y = -s * node + c * across
-        return np.stack([x, y, np.broadcast_to(pole, x.shape)], axis=-1)
+        return np.stack([node, np.cross(pole, node), pole])
+
+    def angle(self, time: Any) -> Any:
+        """Angle W of the prime meridian at times, arrays or symbols alike, rad."""
+        return self.meridian + self.rate * time + 0.5 * self.acceleration * time**2
+
+    def in_units(self, time: float) -> Rotation:
+        """The same rotation by times in units of `time`."""
+        return replace(self, rate=self.rate * time, acceleration=self.acceleration * time**2)

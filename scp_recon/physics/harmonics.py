@@ -1,10 +1,11 @@
-"""Spherical harmonics of a rotating body: the true gravity against which the planner's J2 is tested."""
+"""Spherical harmonics of a rotating body, with the first and second derivatives of their pull."""
 
 from __future__ import annotations
 
 import tomllib
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from importlib.resources import files
 from math import factorial, sqrt
 from typing import Any
@@ -13,16 +14,20 @@ import numpy as np
 import numpy.typing as npt
 
 from formulations.arrays import Array
+from scp_recon.physics.frames import Rotation
+
+Coefficients = npt.NDArray[np.complex128]
+"""C - i S of functions that are sums of Re[(C - i S)(V + i W)], shape (..., n + 1, n + 1)."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class HarmonicField:
     """Gravity of a body in its body-fixed frame, in any consistent units.
 
     Attributes:
         gm: gravitational parameter.
         radius: reference radius.
-        c, s: unnormalised coefficients, shape (n + 1, n + 1), with c[0, 0] = 1.
+        c, s: unnormalised coefficients, shape (n + 1, n + 1); c[0, 0] = 1 is the point mass.
     """
 
     gm: float
@@ -58,41 +63,146 @@ class HarmonicField:
         )
         return self.c / norm, self.s / norm
 
-    def acceleration(self, x: Array, y: Array, z: Array) -> tuple[Array, Array, Array]:
-        """Acceleration at a body-fixed position, in the body's frame, by Cunningham's recursion.
+    def in_units(self, length: float, time: float) -> HarmonicField:
+        """The same field measured in units of `length` and `time`."""
+        return replace(self, gm=self.gm * time**2 / length**3, radius=self.radius / length)
 
-        Montenbruck & Gill, Satellite Orbits, eq. 3.33, with the harmonics as V + i W and the
-        coefficients as C - i S.
+    @property
+    def j2(self) -> float:
+        """Unnormalised J2 at the reference radius; zero of a field of degree 1 or less."""
+        return -float(self.c[2, 0]) if len(self.c) > 2 else 0.0
+
+    def up_to(self, degree: int) -> HarmonicField:
+        """The field without what is above a degree."""
+        kept = slice(degree + 1), slice(degree + 1)
+        return replace(self, c=self.c[kept], s=self.s[kept])
+
+    def beside_j2(self) -> HarmonicField:
+        """The field without the point mass and J2, which have closed forms of their own."""
+        c = self.c.copy()
+        c[:3:2, 0] = 0.0
+        return replace(self, c=c)
+
+    def acceleration(self, x: Any, y: Any, z: Any) -> tuple[Any, Any, Any]:
+        """Acceleration at a body-fixed position, in the body's frame; arrays or symbols alike."""
+        slopes = self._derivatives[0]
+        zonal, turned = self._solid_harmonics(x, y, z, slopes.shape[-1])
+        ax, ay, az = (
+            sum(
+                zonal[n, m] * (k.real * turned[m][0] - k.imag * turned[m][1])
+                for n, m in np.argwhere(own).tolist()
+                for k in (complex(own[n, m]),)
+            )
+            for own in slopes
+        )
+        return ax, ay, az
+
+    def derivatives(self, position: Array, order: int) -> Array:
+        """Derivatives of the acceleration at body-fixed positions (3, n): of order 0 itself, (3, n).
+
+        First derivatives have shape (3, 3, n), second ones (3, 3, 3, n); both are symmetric.
         """
-        harmonics = self._solid_harmonics(x, y, z, len(self.c))
-        across, up = np.zeros_like(x, dtype=complex), np.zeros_like(x)
-        for n, m in np.argwhere((self.c != 0.0) | (self.s != 0.0)).tolist():
-            k = complex(self.c[n, m], -self.s[n, m])
-            outer = k * harmonics[n + 1, m + 1]
-            if m == 0:
-                across -= outer
-            else:
-                inner = k * harmonics[n + 1, m - 1]
-                across += 0.5 * ((n - m + 2) * (n - m + 1) * inner.conj() - outer)
-            up -= (n - m + 1) * (k * harmonics[n + 1, m]).real
-        scale = self.gm / self.radius**2
-        return scale * across.real, scale * across.imag, scale * up
+        coefficients, (x, y, z) = self._derivatives[order], position
+        zonal, turned = self._solid_harmonics(x, y, z, coefficients.shape[-1])
+        n, m = np.array(list(zonal)).T
+        own, size = coefficients[..., n, m], np.stack(list(zonal.values()))
+        about = np.array(turned)[m]
+        return np.asarray(own.real @ (size * about[:, 0]) - own.imag @ (size * about[:, 1]))
+
+    @cached_property
+    def _derivatives(self) -> tuple[Coefficients, ...]:
+        """Coefficients of the acceleration and its first and second derivatives."""
+        potential = (self.gm / self.radius * (self.c - 1j * self.s)).astype(np.complex128)
+        first = _gradient(potential, self.radius)
+        second = _gradient(first, self.radius)
+        return first, second, _gradient(second, self.radius)
 
     def _solid_harmonics(
-        self, x: Array, y: Array, z: Array, degree: int
-    ) -> dict[tuple[int, int], npt.NDArray[Any]]:
-        """V_nm + i W_nm of Montenbruck & Gill, eqs. 3.29 to 3.31."""
-        r2 = x * x + y * y + z * z
-        rho = self.radius**2 / r2
-        x0, y0, z0 = (self.radius * u / r2 for u in (x, y, z))
-        found = {(0, 0): self.radius / np.sqrt(r2) + 0j}
-        for m in range(degree + 1):
-            if m > 0:
-                found[m, m] = (2 * m - 1) * (x0 + 1j * y0) * found[m - 1, m - 1]
-            for n in range(m + 1, degree + 1):
+        self, x: Any, y: Any, z: Any, count: int
+    ) -> tuple[dict[tuple[int, int], Any], list[tuple[Any, Any]]]:
+        """Of V_nm + i W_nm = H_nm (x + iy)^m (R / r^2)^m, for all n < count: H_nm, and what it turns.
+
+        The recursions are those of Montenbruck & Gill, eqs. 3.29 to 3.31, of which all but the powers
+        of x + iy is real.
+        """
+        inverse = 1.0 / (x * x + y * y + z * z)
+        x0, y0, z0 = (self.radius * u * inverse for u in (x, y, z))
+        rho, sectoral = self.radius**2 * inverse, self.radius * inverse**0.5
+        turned = [(1.0 + 0.0 * x, 0.0 * x)]
+        found = {}
+        for m in range(count):
+            found[m, m] = sectoral
+            sectoral = (2 * m + 1) * sectoral
+            for n in range(m + 1, count):
                 found[n, m] = (2 * n - 1) / (n - m) * z0 * found[n - 1, m]
                 if n > m + 1:
-                    found[n, m] -= (n + m - 1) / (n - m) * rho * found[n - 2, m]
+                    found[n, m] = found[n, m] - (n + m - 1) / (n - m) * rho * found[n - 2, m]
+            c, s = turned[m]
+            turned.append((x0 * c - y0 * s, x0 * s + y0 * c))
+        return found, turned[:count]
+
+
+def _gradient(of: Coefficients, radius: float) -> Coefficients:
+    """Coefficients (..., 3, n + 2, n + 2) of the gradients of functions (..., n + 1, n + 1).
+
+    With Z = V + i W, Montenbruck & Gill, eq. 3.33, say of every harmonic (Cunningham 1970)
+
+        R dZ_nm/dz = -(n - m + 1) Z_n+1,m
+        R (d/dx + i d/dy) Z_nm = -Z_n+1,m+1
+        R (d/dx - i d/dy) Z_nm = (n - m + 2) (n - m + 1) Z_n+1,m-1,  -conj Z_n+1,1 for m = 0.
+    """
+    count = of.shape[-1]
+    found = np.zeros((*of.shape[:-2], 3, count + 1, count + 1), dtype=np.complex128)
+    for n in range(count):
+        for m in range(n + 1):
+            k = of[..., n, m] / radius if m else of[..., n, m].real / radius
+            outer = -0.5 * k if m else -1.0 * k
+            found[..., 0, n + 1, m + 1] += outer
+            found[..., 1, n + 1, m + 1] += -1j * outer
+            if m:
+                inner = 0.5 * (n - m + 2) * (n - m + 1) * k
+                found[..., 0, n + 1, m - 1] += inner
+                found[..., 1, n + 1, m - 1] += 1j * inner
+            found[..., 2, n + 1, m] -= (n - m + 1) * k
+    return found
+
+
+Turn = tuple[Any, Any]
+"""Cosine and sine of a body's angle W, of each position or of all."""
+
+
+@dataclass(frozen=True, eq=False)
+class TurningField:
+    """A field that turns with its body, in the inertial frame."""
+
+    field: HarmonicField
+    rotation: Rotation
+
+    def in_units(self, length: float, time: float) -> TurningField:
+        """The same measured in units of `length` and `time`."""
+        return TurningField(self.field.in_units(length, time), self.rotation.in_units(time))
+
+    def acceleration(self, x: Any, y: Any, z: Any, turn: Turn) -> tuple[Any, Any, Any]:
+        """Acceleration at a position given by components, arrays or symbols alike."""
+        rows, (c, s) = self.rotation.equator, turn
+        a, b, up = (e[0] * x + e[1] * y + e[2] * z for e in rows)
+        ax, ay, az = self.field.acceleration(c * a + s * b, c * b - s * a, up)
+        a, b = c * ax - s * ay, s * ax + c * ay
+        ex, ey, ez = (e[0] * a + e[1] * b + e[2] * az for e in rows.T)
+        return ex, ey, ez
+
+    def derivatives(self, position: Array, turn: Turn, order: int) -> Array:
+        """Derivatives of the acceleration at positions (3, n), shape (3, .., n)."""
+        node, across, pole = self.rotation.equator
+        c, s = (np.broadcast_to(x, position.shape[1:]) for x in turn)
+        axes = np.empty((3, *position.shape))
+        axes[0] = np.outer(node, c) + np.outer(across, s)
+        axes[1] = np.outer(across, c) - np.outer(node, s)
+        axes[2] = pole[:, None]
+        found = self.field.derivatives(np.einsum("bin,in->bn", axes, position), order)
+        for _ in range(order + 1):
+            # Turn the first index, and put it behind the others: after all the order is as it was.
+            found = np.einsum("b...n,bin->...in", found, axes)
         return found
 
 

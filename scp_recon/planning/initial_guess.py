@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -57,8 +58,8 @@ def ballistic(mission: Mission, entry: str = "init") -> Iterate:
     """Two impulses, at the first and the last burn, joined by the arc of least total delta-v.
 
     A flight that is under way coasts to its first burn. Both ways round the body are tried; each is a
-    boundary-value problem for the planner's forces, started from a circular sweep of the direction. A
-    surrogate for a flown trajectory.
+    boundary-value problem for point mass, J2 and sunlight, started from a circular sweep of the
+    direction. A surrogate for a flown trajectory.
 
     Raises:
         InputError: if neither boundary-value problem can be solved, or there are not two burns.
@@ -105,11 +106,13 @@ def _two_impulses(mission: Mission, way: float) -> Iterate | None:
     from scipy.integrate import solve_bvp  # what is not begun at this arc needs no integrators
 
     first, times = mission.burn_nodes[0], mission.times_s
-    none = np.zeros((len(mission.burn_nodes), 3))
-    coast = mission.dynamics.rollout(mission.problem.initial_state, none)[: first + 1]
-    coast *= mission.units.state
-    start, end = coast[-1], mission.final_state
-    duration, forces = times[-1] - times[first], mission.forces
+    coast = [mission.problem.initial_state]
+    for arc in range(first):
+        coast.append(mission.flow.propagate(coast[-1], arc))
+    states = np.array(coast) * mission.units.state
+    start, end = states[-1], mission.final_state
+    # Point mass and J2 are near enough for a guess, and far faster than all harmonics.
+    duration, forces = times[-1] - times[first], replace(mission.forces, field=None)
     mesh = np.linspace(0.0, 1.0, 41)
     position = _circular_positions(mission, (start, end), way, mesh)
     length, time = mission.units.length_m, duration
@@ -125,8 +128,8 @@ def _two_impulses(mission: Mission, way: float) -> Iterate | None:
     solution = solve_bvp(rate, boundary, mesh, guess, tol=1e-8, max_nodes=20_000)
     if not solution.success:
         return None
-    states = solution.sol((times[first:] - times[first]) / duration).T
-    states = np.vstack([coast[:-1], states * np.repeat([length, length / time], 3)])
+    arc_states = solution.sol((times[first:] - times[first]) / duration).T
+    states = np.vstack([states[:-1], arc_states * np.repeat([length, length / time], 3)])
     burns = np.zeros((len(mission.burn_nodes), 3))
     burns[0] = states[first, 3:] - start[3:]
     burns[-1] = end[3:] - states[-1, 3:]
@@ -231,8 +234,8 @@ def from_states(mission: Mission, table: Array, entry: str = "init") -> Iterate:
         )
     _check_units(mission, entry, time, states)
     nodes = _interpolated(pieces, mission.times_s)
-    durations = np.diff(mission.times_s)
-    arrivals = propagate(nodes[:-1], durations, mission.forces, mission.arc_substeps)
+    begin, durations = mission.times_s[:-1], np.diff(mission.times_s)
+    arrivals = propagate(nodes[:-1], durations, mission.forces, mission.arc_substeps, begin)
     before = np.vstack([mission.initial_state, arrivals])[mission.burn_nodes]
     after = nodes[mission.burn_nodes]
     after[-1] = mission.final_state

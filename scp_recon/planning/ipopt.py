@@ -41,20 +41,23 @@ class NlpStage(Stage):
 
 def casadi_arcs(flow: GridFlow) -> Arcs:
     """The flow map of `flow.propagate` over CasADi symbols: same forces, scheme and substeps."""
-    state, duration = ca.SX.sym("x", 6), ca.SX.sym("h")
-    h = duration / flow.substeps
+    forces, turns = flow.forces, flow.forces.field is not None
+    arcs = np.column_stack([flow.durations, flow.starts]) if turns else flow.durations
+    state, arc = ca.SX.sym("x", 6), ca.SX.sym("h", 1 + turns)
+    h = arc[0] / flow.substeps
 
-    def rate(y: ca.SX) -> ca.SX:
-        return ca.vertcat(y[3:], *acceleration(y[0], y[1], y[2], flow.forces))
+    def rate(y: ca.SX, elapsed: ca.SX) -> ca.SX:
+        turn = forces.turn(arc[1] + elapsed, ca) if turns else None
+        return ca.vertcat(y[3:], *acceleration(y[0], y[1], y[2], forces, turn))
 
     y = state
-    for _ in range(flow.substeps):
-        k1 = rate(y)
-        k2 = rate(y + 0.5 * h * k1)
-        k3 = rate(y + 0.5 * h * k2)
-        k4 = rate(y + h * k3)
+    for k in range(flow.substeps):
+        k1 = rate(y, k * h)
+        k2 = rate(y + 0.5 * h * k1, (k + 0.5) * h)
+        k3 = rate(y + 0.5 * h * k2, (k + 0.5) * h)
+        k4 = rate(y + h * k3, (k + 1) * h)
         y = y + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
-    return Arcs(ca.Function("flow", [state, duration], [y]), flow.durations)
+    return Arcs(ca.Function("flow", [state, arc], [y]), arcs)
 
 
 def plan(

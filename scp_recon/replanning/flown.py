@@ -50,12 +50,13 @@ class Prediction:
         """Shape (6, 6)."""
         return self.factor @ self.factor.T
 
-    def carried(self, duration_s: float, forces: ForceModel) -> Prediction:
-        """After a coast."""
+    def carried(self, duration_s: float, forces: ForceModel, start_s: float) -> Prediction:
+        """After a coast that starts at a time."""
         state, factor = self.state, self.factor
         steps = int(np.ceil(duration_s / RK4_STEP_MAX_S))
-        for _ in range(steps):
-            arc = differentiate(state[None], np.array([duration_s / steps]), forces)
+        for k in range(steps):
+            took = np.array([duration_s / steps])
+            arc = differentiate(state[None], took, forces, start=start_s + k * took)
             state, factor = arc.state[0], arc.stm[0] @ factor
         return Prediction(state, factor)
 
@@ -211,7 +212,7 @@ class FlownPlan:
                     return None
                 planned = self._carried(self.factors, at_s)
                 apart = Prediction(planned.state, (state - planned.state)[:, None])
-                apart = apart.carried(max(one.cut_off_s - at_s, 0.0), self.mission.forces)
+                apart = apart.carried(max(one.cut_off_s - at_s, 0.0), self.mission.forces, at_s)
                 return np.asarray(self.burns_m_s[burn] + one.gains[-1] @ apart.factor[:, 0])
         return self.burns_m_s[burn] if self.policy else None
 
@@ -219,7 +220,8 @@ class FlownPlan:
         """Its path at a time, after a burn there, and factors of its nodes carried there."""
         node = int(np.searchsorted(self.times_s, at_s, side="right")) - 1
         last = Prediction(self.states[node], factors[node])
-        return last.carried(at_s - self.times_s[node], self.mission.forces)
+        since = float(self.times_s[node])
+        return last.carried(at_s - since, self.mission.forces, since)
 
     def is_lost(self, miss: Array) -> bool:
         """Whether a miss of the final state is beyond three sigma of the plan's own final dispersion.
@@ -301,6 +303,6 @@ def predict(flown: FlownPlan, at_s: float, measured: Mapping[int, Array]) -> Pre
                 known = measured.get(i + first)
                 burn = flown.burns_m_s[i] if known is None else known
                 kick = flown.kicks[i] if known is None else np.zeros_like(flown.kicks[i])
-                state = state.carried(time - now, forces).burnt(burn, kick)
+                state = state.carried(time - now, forces, now).burnt(burn, kick)
                 now = time
-    return state.carried(at_s - now, forces)
+    return state.carried(at_s - now, forces, now)

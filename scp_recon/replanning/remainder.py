@@ -127,6 +127,7 @@ def path_planned(flown: FlownPlan, mission: Mission) -> Iterate:
             f"must leave the {len(burns)} of the plan that is flown",
         )
     last = np.searchsorted(flown.times_s, mission.times_s, side="right") - 1
-    since = mission.times_s - flown.times_s[last]
-    states = propagate(flown.states[last], since, mission.forces, mission.arc_substeps)
+    begin = flown.times_s[last]
+    since, steps = mission.times_s - begin, mission.arc_substeps
+    states = propagate(flown.states[last], since, mission.forces, steps, begin)
     return Iterate(burns / mission.units.speed_m_s, states / mission.units.state)

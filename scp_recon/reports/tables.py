@@ -195,8 +195,9 @@ def reintegration_table(mission: Mission, v: Verification) -> Table:
     )
 
 
-def probabilities_table(v: Verification, required: float) -> Table:
+def probabilities_table(mission: Mission, v: Verification) -> Table:
     """Lowest probabilities of the joint constraints, with their intervals."""
+    required = mission.scenario.risk.p_chance
     return Table.of(
         "Lowest probabilities, by the verification's flights",
         (
@@ -207,7 +208,8 @@ def probabilities_table(v: Verification, required: float) -> Table:
         ),
         ([p.name, p.estimate, p.low, p.high, p.worst_t_s, required] for p in v.probabilities),
         key="probabilities",
-        note=f"Monte Carlo, {v.samples} flights, {100 * v.confidence:.0f} % intervals.",
+        note=f"Monte Carlo, {v.samples} flights, {100 * v.confidence:.0f} % intervals. Planned and "
+        f"flown with {mission.planned_gravity}.",
     )
 
 

@@ -288,9 +288,8 @@ def _amounts(
     """
     states, units = np.array(facts.nodes.state), mission.units
     with np.errstate(all="ignore"):
-        arcs = propagate(
-            states[:-1], np.diff(facts.nodes.t_s), mission.forces, mission.arc_substeps
-        )
+        begin, took = np.array(facts.nodes.t_s[:-1]), np.diff(facts.nodes.t_s)
+        arcs = propagate(states[:-1], took, mission.forces, mission.arc_substeps, begin)
         flown = Iterate(burns_of(facts) / units.speed_m_s, states / units.state)
         defects = np.abs(mission.problem.defects(flown, arcs / units.state)) * units.length_m
     if not mission.must_meet:

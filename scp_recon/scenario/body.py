@@ -21,6 +21,8 @@ PERIOD_MIN_H = 0.01
 """Faster than any asteroid that has been seen turning."""
 DEGREE_MAX = 20
 """Largest degree of a gravity field: a file's coefficients above it are left out."""
+PLANNED_MAX = 8
+"""Largest degree with which flights are planned: the paper's ground truth has no more."""
 
 Path = Annotated[Line, Field(min_length=1, max_length=4000)]
 Degree = Annotated[int, Field(ge=1, le=DEGREE_MAX)]
@@ -89,9 +91,12 @@ class Body(Section):
     """NAIF's number of the body in kernels, 2101955 for Bennu."""
     gravity_file: Path | None = None
     """Gravity field by degree and order, fully normalised: ICGEM .gfc or PDS SHA table (.sha, .tab).
-    The planner keeps its J2, the Monte Carlo flies it. Relative to this file."""
+    The Monte Carlo flies it; the planner its J2, or what planned_degree says. Relative to this file."""
     gravity: GravityField | None = None
     """The field itself, as gravity_file gives it."""
+    planned_degree: Annotated[int, Field(ge=2, le=PLANNED_MAX)] | None = None
+    """Degree up to which the planner flies the body's gravity field, turning with the body, in place of
+    j2; without it the point mass and j2 alone."""
 
     @model_validator(mode="after")
     def _turns(self) -> Self:

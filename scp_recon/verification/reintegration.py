@@ -24,6 +24,7 @@ from scp_recon.monte_carlo.observation_time import observation_margins
 from scp_recon.monte_carlo.sampling import fly_block
 from scp_recon.physics import geometry
 from scp_recon.physics.forces import ForceModel, acceleration
+from scp_recon.physics.harmonics import Turn
 from scp_recon.results.facts import BurnLimit, FinalMiss, FinalSigma, MeanMargin, Verification
 from scp_recon.results.figures import is_converged, is_strange
 from scp_recon.results.policy import Policy
@@ -209,7 +210,7 @@ def integrated(mission: Mission, state: Array, span: tuple[float, float], **look
     `looks` says where it is looked at, as `solve_ivp` takes it.
     """
     return solve_ivp(
-        lambda _, y: variational_rate(y, mission.forces),
+        lambda t, y: variational_rate(y, mission.forces, mission.forces.turn(t)),
         span,
         np.concatenate([state, np.eye(6).ravel()]),
         method="DOP853",
@@ -219,7 +220,7 @@ def integrated(mission: Mission, state: Array, span: tuple[float, float], **look
     )
 
 
-def variational_rate(y: Array, forces: ForceModel) -> Array:
+def variational_rate(y: Array, forces: ForceModel, turn: Turn | None = None) -> Array:
     """d/dt of the state and the flattened STM, shape (42,).
 
     The gravity gradient is a complex step of the acceleration: exact to roundoff and independent of
@@ -227,7 +228,7 @@ def variational_rate(y: Array, forces: ForceModel) -> Array:
     """
     step = 1e-20
     r = y[:3, None] + 1j * step * np.eye(3)
-    columns = np.stack(acceleration(r[0], r[1], r[2], forces))
+    columns = np.stack(acceleration(r[0], r[1], r[2], forces, turn))
     stm = y[6:].reshape(6, 6)
     stm_rate = np.concatenate([stm[3:], columns.imag / step @ stm[:3]])
     return np.concatenate([y[3:6], columns.real[:, 0], stm_rate.ravel()])

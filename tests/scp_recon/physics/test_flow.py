@@ -91,14 +91,19 @@ def test_sensitivities_are_the_derivatives_of_the_scheme(
         assert np.abs(getattr(ours, name)[0] - truth).max() < 1e-12 * np.abs(truth).max(), name
 
 
+@pytest.mark.parametrize("degree", [None, 4])
 def test_an_expression_of_the_same_forces_gives_the_same_flow(
-    mission: Mission, default_plan: Plan, forces: ForceModel
+    degree: int | None, mission: Mission, default_plan: Plan
 ) -> None:
+    if degree is not None:
+        mission = mission.changed({"body.planned_degree": degree})
     flow, starts = mission.flow, default_plan.final.result.lin.iterate.mean[:-1]
-    times = np.r_[0.0, np.cumsum(flow.durations)]
-    other = ExpressionFlow(
-        lambda r, _v, _t, _p: acceleration(r[0], r[1], r[2], forces), times, substeps=flow.substeps
-    )
+    times, forces = mission.times_s / mission.units.time_s, flow.forces
+
+    def rate(r: ca.SX, _v: ca.SX, t: ca.SX, _p: ca.SX) -> tuple[ca.SX, ...]:
+        return acceleration(r[0], r[1], r[2], forces, forces.turn(t, ca))
+
+    other = ExpressionFlow(rate, times, substeps=flow.substeps)
     ours, theirs = flow.differentiate(starts), other.differentiate(starts)
     for name in ("state", "stm", "tensor"):
         expected = getattr(ours, name)

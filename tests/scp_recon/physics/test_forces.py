@@ -19,7 +19,8 @@ from scp_recon.physics.forces import (
     gravity_curvature,
     gravity_gradient,
 )
-from scp_recon.physics.harmonics import HarmonicField
+from scp_recon.physics.frames import Rotation
+from scp_recon.physics.harmonics import HarmonicField, TurningField
 from scp_recon.scenario.load import load_scenario
 from tests import reference
 from tests.scp_recon.support import mission_of
@@ -146,14 +147,6 @@ def evaluate(field: HarmonicField, position: np.ndarray) -> np.ndarray:
     return np.array(field.acceleration(*np.asarray(position)[:, None]))[:, 0]
 
 
-def gradient(field: HarmonicField, position: np.ndarray, step: float = 0.2) -> np.ndarray:
-    columns = [
-        (evaluate(field, position + step * e) - evaluate(field, position - step * e)) / (2 * step)
-        for e in np.eye(3)
-    ]
-    return np.stack(columns, axis=1)
-
-
 def test_degree_zero_is_a_point_mass() -> None:
     position = np.array([300.0, -500.0, 700.0])
     expected = -GM * position / np.linalg.norm(position) ** 3
@@ -178,10 +171,31 @@ def test_zonal_degree_two_is_the_planners_j2(
 def test_gradient_is_symmetric_and_trace_free(
     direction: tuple[float, float, float], radius: float, degree: int
 ) -> None:
-    g = gradient(HarmonicField.bennu(GM, degree), harmonics_at(direction, radius))
-    size = np.abs(g).max()
-    assert abs(np.trace(g)) < 1e-5 * size
-    assert np.abs(g - g.T).max() < 1e-5 * size
+    field = HarmonicField.bennu(GM, degree)
+    at_one = harmonics_at(direction, radius)[:, None]
+    for each in (field.derivatives(at_one, order)[..., 0] for order in (1, 2)):
+        size = np.abs(each).max()
+        assert np.abs(np.trace(each)).max() < 1e-12 * size
+        assert np.abs(each - each.swapaxes(0, 1)).max() < 1e-12 * size
+
+
+@given(directions, st.floats(300.0, 1500.0), st.integers(2, 8), st.floats(-1e5, 1e5))
+def test_derivatives_of_a_turning_field_are_those_of_its_acceleration(
+    direction: tuple[float, float, float], radius: float, degree: int, time: float
+) -> None:
+    rotation = Rotation(1.5, -1.05, 0.7, 4.06e-4, 1e-12)
+    field = TurningField(HarmonicField.bennu(GM, degree), rotation)
+    matrix, angle = rotation.body_to_j2000(time), rotation.angle(time)
+    position, turn = harmonics_at(direction, radius), (np.cos(angle), np.sin(angle))
+    r = ca.SX.sym("r", 3)
+    value = ca.vertcat(*field.acceleration(r[0], r[1], r[2], turn))
+    first = ca.jacobian(value, r)
+    outputs = [value, first, *(ca.jacobian(first[i, :].T, r) for i in range(3))]
+    own, slope, *bend = (np.array(x) for x in ca.Function("f", [r], outputs)(position))
+    fixed = matrix @ evaluate(field.field, matrix.T @ position)
+    for order, expected in ((0, fixed), (0, own[:, 0]), (1, slope), (2, np.stack(bend))):
+        found = field.derivatives(position[:, None], turn, order)[..., 0]
+        assert np.abs(found - expected).max() < 1e-12 * np.abs(expected).max()
 
 
 @pytest.mark.parametrize("indices", reference.COEFFICIENTS)
