@@ -24,6 +24,7 @@ STUDIES = {
     "plans": "the plans, and with --designs the passes, that the pages quote",
     "frontier": "delta-v against the required probability, and the cost of certifying",
     "feedback": "what feedback is worth, beside open loop and targeting gains",
+    "policies": "burns as planned, corrected by gains, and planned again before each",
     "compare_solvers": "forms, algorithms and conic solvers against IPOPT",
     "lifted": "sizes and times of P2 in its lifted and its condensed form",
     "nlp_tricks": "what each trick gains the nonlinear program",

@@ -70,6 +70,11 @@ SOURCES: Mapping[str, Source] = {
         ("experiments.feedback",),
         figures=("paper_figs feedback --runs {out} --out docs/feedback.png",),
     ),
+    "policies": Source(
+        "experiments policies",
+        ("experiments.policies",),
+        figures=("paper_figs policies --runs {out} --out docs/policies.png",),
+    ),
     "compare_solvers": Source(
         "experiments compare_solvers --full",
         (_SOLVERS,),

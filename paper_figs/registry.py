@@ -29,6 +29,7 @@ from paper_figs.studies import (
     flown_plan,
     frontier,
     model_fidelity,
+    policies,
     power_history,
     solver_comparison,
     timing_rules,
@@ -99,6 +100,7 @@ STUDIES: dict[str, Item] = {
     for module in (
         frontier,
         feedback,
+        policies,
         battery_cones,
         model_fidelity,
         uncertainty_sources,

@@ -252,6 +252,9 @@ QUICK = {
             ("experiments.feedback.ERRORS_AT", lambda at: at[-1:]),
         ),
     ),
+    "python -m experiments policies": Quick(
+        "--flights 20", less=(("experiments.policies.CASES", lambda cases: cases[:1]),)
+    ),
     "python -m experiments lifted": Quick(less=ONE_FORM),
     "python -m experiments openscvx_peer": Quick(
         needs="openscvx", less=(("experiments.openscvx_peer.CASES", lambda cases: cases[:1]),)

@@ -7,15 +7,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from experiments import feedback
+from experiments import feedback, policies
 from experiments.feedback import CORRECTED, ENDING, ERRORS, OPEN, TARGETED, Case
 from experiments.harness import Record
 from experiments.plans import FLIGHT
+from scp_recon.api.planning import plan
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
 from scp_recon.results.policy import policy_of, transition
 from scp_recon.scenario.load import load_scenario
+from tests.scp_recon.support import fly_few
 
 
 @pytest.fixture(scope="module")
@@ -80,6 +82,23 @@ def test_a_case_that_fails_is_a_row_that_says_so(monkeypatch: pytest.MonkeyPatch
 
 def figures(kind: str, p: float, cost: float, sigma: float = 200.0) -> Record:
     return {"kind": kind, "asked": p, "dv99_m_s": cost, "program_m_s": cost, "final_sigma_m": sigma}
+
+
+def test_policies_fly_their_own_plans(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Fixed burns cost what is planned; burns planned again end nearer to where they are to."""
+    fly_few(monkeypatch)
+    monkeypatch.setattr(policies, "plan", lambda scenario, **_: plan(scenario))
+    monkeypatch.setattr(policies, "FLIGHT", {"grid.step_max_s": 450.0, "policy.cost": "nominal"})
+    found = [policies.measure(30, policies.Case(kind, 0.7)) for kind in policies.FLIGHTS]  # type: ignore[arg-type]
+    fixed, corrected, replanned = found
+    assert {row["status"] for row in found} == {"converged"}
+    assert fixed["mean_dv_m_s"] == fixed["dv99_m_s"] == fixed["dv99_m_s_high"]
+    assert all(row["mean_dv_m_s"] < row["dv99_m_s"] for row in (corrected, replanned))
+    assert all(row["whole_flight_low"] < row["whole_flight"] for row in found)
+    assert replanned["final_sigma_m"] < 0.5 * min(
+        fixed["final_sigma_m"], corrected["final_sigma_m"]
+    )
+    assert replanned["failed_replans"] == 0
 
 
 def test_claims_tell_what_falls_short() -> None:

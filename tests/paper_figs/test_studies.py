@@ -34,6 +34,7 @@ from paper_figs.studies import (
     flown_plan,
     frontier,
     model_fidelity,
+    policies,
     power_history,
     solver_comparison,
     timing_rules,
@@ -187,6 +188,20 @@ def write_feedback(folder: Path) -> None:
         (folder / name).write_text(to_csv(rows), encoding="utf-8")
 
 
+def write_policies(folder: Path) -> None:
+    """Made-up figures in the study's own columns, one without a plan, and some over the error."""
+    folder.mkdir()
+    ends = [name + end for name in policies.FIGURES for end in ("_low", "", "_high")]
+    cases = [(policy, p, 1.0) for policy in policies.MARKS for p in (0.7, 0.99)]
+    cases += [(policy, 0.99, 10.0) for policy in ("feedback", "replan")]
+    rows = [
+        {"policy": policy, "asked": p, "scale": scale}
+        | {name: i + 0.1 * j if i else None for j, name in enumerate(ends)}
+        for i, (policy, p, scale) in enumerate(cases)
+    ]
+    (folder / "policies.csv").write_text(to_csv(rows), encoding="utf-8")
+
+
 @pytest.fixture(scope="module")
 def studies(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Folders of all studies."""
@@ -201,6 +216,7 @@ def studies(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_timing(out / timing_rules.SOURCE.folder)
     write_frontier(out / frontier.SOURCE.folder)
     write_feedback(out / feedback.SOURCE.folder)
+    write_policies(out / policies.SOURCE.folder)
     return out
 
 

@@ -1,0 +1,96 @@
+"""Compare three policies: burns as planned, corrected by gains, and planned again before each burn.
+
+The default scenario is planned for whole flights with exact risk, from a cold start and not certified:
+open loop, which is also the plan that is replanned, and with feedback. Each plan is flown by its
+policy, over the required probability and over the error of the measurement at each cut-off.
+OUT/policies.csv has a row for each, with 95 % intervals; `python -m paper_figs policies` draws them.
+After Ctrl-C the study continues with the missing rows.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from time import process_time
+from typing import NamedTuple
+
+import numpy as np
+
+from experiments.feedback import measured
+from experiments.frontier import SEED
+from experiments.harness import Findings, Record, Session, Study, number, records
+from experiments.plans import FLIGHT
+from scp_recon.api.flights import fly
+from scp_recon.api.planning import plan
+from scp_recon.jobs.job import Job
+from scp_recon.monte_carlo.sampling import PolicyKind
+from scp_recon.monte_carlo.summary import Interval
+from scp_recon.scenario.load import load_scenario
+from scp_recon.scp.status import Status
+
+PROBABILITIES = (0.7, 0.9, 0.99)
+ERRORS, ERRORS_AT = (0.1, 10.0), 0.99
+"""Times the usual error of the measurement, and the probability at which it varies."""
+FLIGHTS = {"open": 10_000, "feedback": 10_000, "replan": 370}
+"""Of a plan. The 99 % quantile of delta-v has an interval from 368 flights on."""
+
+
+class Case(NamedTuple):
+    """A policy, the required probability, and the measurement's error."""
+
+    policy: PolicyKind
+    asked: float
+    scale: float = 1.0
+
+
+CASES = [Case(kind, p) for p in PROBABILITIES for kind in FLIGHTS]  # type: ignore[arg-type]
+CASES += [Case(kind, ERRORS_AT, scale) for scale in ERRORS for kind in ("feedback", "replan")]
+
+
+def measure(most: int, case: Case) -> Record:
+    """Plan a case and fly it, at most so many times: a row."""
+    changes = FLIGHT | measured(case.scale) | {"risk.p_chance": case.asked}
+    if case.policy != "feedback":
+        changes |= {"policy.kind": "open"}
+    found = plan(load_scenario().replace(changes), certify=False)
+    row = {**case._asdict(), "status": found.status.value.name}
+    if found.status is not Status.CONVERGED:
+        return row
+    flights, begin = min(most, FLIGHTS[case.policy]), process_time()
+    flown = fly(found, flights, SEED, policy=case.policy)
+    seconds, dispersion = process_time() - begin, flown.terminal.sigma_position_m
+    fixed = Interval(value=found.total_dv_m_s, low=found.total_dv_m_s, high=found.total_dv_m_s)
+    dv = flown.commanded
+    failed = [one.failed for one in dv.burns if one.failed is not None] if dv else []
+    figures = {
+        "whole_flight": flown.whole_flight,
+        "mean_dv_m_s": dv.mean_dv_m_s if dv else fixed,
+        "dv99_m_s": dv.dv99_m_s if dv else fixed,
+        "final_sigma_m": dispersion,
+    }
+    for name, figure in figures.items():
+        assert figure is not None
+        ends = {"": figure.value, "_low": figure.low, "_high": figure.high}
+        row |= {name + end: np.nan if value is None else value for end, value in ends.items()}
+    return row | {"flights": flights, "failed_replans": sum(failed), "flying_s": seconds}
+
+
+def run(session: Session) -> Findings:
+    """Measure every case."""
+    flights = session.options.flights
+    jobs = [Job(repr(case), case) for case in CASES]
+    store = session.store(flights=flights)
+    rows = session.rows("cases", partial(measure, flights), jobs, store, line=_line)
+    return Findings([], {"policies.csv": records(rows)})
+
+
+def _line(row: Record) -> str:
+    said = f"{row['policy']}, {row['asked']:g}, error x {row['scale']:g}: {row['status']}"
+    return f"{said}, {row.get('dv99_m_s', np.nan):.5f} m/s"
+
+
+STUDY = Study(
+    "Three policies",
+    __doc__,
+    run,
+    [number("--flights", max(FLIGHTS.values()), 20, 10**6, "flights of a plan at most")],
+)
