@@ -8,7 +8,7 @@ from typing import get_args
 import casadi as ca
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy.optimize import brentq
 
@@ -169,10 +169,12 @@ def casadi_arcs(waves: Waves) -> Arcs:
     return Arcs(ca.Function("flow", [x, k], [end]), np.arange(len(ends), dtype=float))
 
 
-@given(generators, st.sampled_from(MODELS), st.sampled_from(get_args(Cost)))
-@settings(max_examples=share_of_examples(10, usual=2))
+@pytest.mark.parametrize("price", get_args(Cost))
+@given(generators, st.sampled_from(MODELS))
+@example(np.random.default_rng(1), MODELS[1])
+@settings(max_examples=share_of_examples(30, usual=1))
 def test_rows_cost_and_gradient_are_those_of_the_convex_side(
-    rng: np.random.Generator, errors: ExecutionErrors, price: Cost
+    price: Cost, rng: np.random.Generator, errors: ExecutionErrors
 ) -> None:
     """Whatever the burns and gains: the two are one problem. Gradients are CasADi's own."""
     coast = int(rng.integers(0, 2))

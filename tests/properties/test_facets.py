@@ -22,7 +22,7 @@ from formulations.problem.facets import (
 )
 from formulations.problem.flyby import FlybyProblem, StateConstraint
 from formulations.problem.polytopes import ball, paper_ball
-from formulations.problem.regions import Ball, Cone, Halfspaces, Region
+from formulations.problem.regions import Ball, Cone, Ellipsoid, Halfspaces, Region
 from tests.helpers import constrain, generators, random_flyby, random_unit
 
 EXACT = 1e-9
@@ -282,3 +282,16 @@ def test_a_facets_deviation_is_that_of_the_covariance_along_it(
     distance = facets.offset - np.sum(normal * mean[node, :3], axis=1)
     expected = distance - facets.quantile * facets.deviation(factor)
     assert facets.margin(mean, factor) == pytest.approx(expected, abs=EXACT)
+
+
+@given(generators, generous, points)
+def test_facets_of_an_ellipsoid_touch_it_and_without_a_constraint_there_are_none(
+    rng: np.random.Generator, shapes: Polytopes, point: Array
+) -> None:
+    matrix = rng.normal(size=(3, 3)) + 3.0 * np.eye(3)
+    egg = Ellipsoid(rng.normal(size=(1, 3)), matrix, 0.7)
+    normal, offset = stacked(outer_facets(egg, shapes, point))
+    reach = egg.radius * np.linalg.norm(np.linalg.solve(matrix.T, normal.T), axis=0)
+    assert offset == pytest.approx(normal @ egg.center[0] + reach, abs=EXACT)
+    none = choose_facets(problem_with(), shapes, np.zeros((9, 6)), np.zeros((9, 6, 6)))
+    assert len(none.node) == len(none.normal) == 0

@@ -12,7 +12,6 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
-from hypothesis import settings
 
 from formulations.arrays import Array
 from formulations.linearisation.linearisation import Linearisation
@@ -45,7 +44,7 @@ from scp_recon.results.solution import make_solution
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scp.status import Status
 from scp_recon.verification.reintegration import verify
-from tests.helpers import MANY, usually
+from tests.helpers import nightly, usually
 from tests.scenarios import COARSE
 
 
@@ -361,7 +360,7 @@ NAVIGATED = (
 )
 
 
-@pytest.mark.skipif(settings().max_examples < MANY, reason="IPOPT takes half a minute")
+@nightly
 def test_ipopt_and_scp_find_the_same_plan_with_corrected_burns() -> None:
     case = Case.of(COARSE, *NAVIGATED)
     result = ipopt.plan(case.mission, initial_guess.cold(case.mission))
@@ -371,6 +370,18 @@ def test_ipopt_and_scp_find_the_same_plan_with_corrected_burns() -> None:
     solution = make_solution(result)
     assert solution.policy is not None
     assert verify(case.mission, solution).ok
+
+
+def test_where_no_gains_are_given_ipopt_begins_with_some(monkeypatch: pytest.MonkeyPatch) -> None:
+    """At zero the cost has a kink. Two iterations, on few nodes."""
+    monkeypatch.setattr(solve, "EXACT", replace(EXACT, max_iterations=2))
+    few = "grid.step_max_s=3000", "burns.times_s=[0.0,8000.0,34842.0]"
+    mission = Mission.from_scenario(load_scenario(None, (*NAVIGATED, *few)))
+    arc, arcs = initial_guess.ballistic(mission), ipopt.casadi_arcs(mission.flow)
+    start = Start(arc, mission.dynamics.linearise(mission.problem, arc).factor)
+    result = solve_nlp(mission.problem, arcs, None, start, VARIANTS["tuned"])
+    assert result.outcome is NlpOutcome.LIMIT
+    assert result.iterate.gains.any()
 
 
 def test_the_paper_prints_no_corrections(coarse: Case) -> None:
