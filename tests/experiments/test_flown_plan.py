@@ -15,6 +15,7 @@ from scp_recon.mission.mission import Mission
 from scp_recon.results.solution import Solution
 from scp_recon.simulation.basilisk import simulation
 from scp_recon.simulation.record import read_record
+from tests.helpers import nightly
 from tests.scp_recon.simulation.short_plan import SHORT, short_plan
 from tests.scp_recon.support import mission_of
 
@@ -46,6 +47,7 @@ def flown(mission: Mission, tmp_path_factory: pytest.TempPathFactory) -> tuple[S
     return solution, out
 
 
+@nightly
 def test_the_table_is_what_the_flight_says(flown: tuple[Solution, Path]) -> None:
     _, out = flown
     with (out / "flown_plan.csv").open(encoding="utf-8", newline="") as file:
@@ -62,6 +64,7 @@ def test_the_table_is_what_the_flight_says(flown: tuple[Solution, Path]) -> None
     assert "| positions at all nodes |" in (out / "flown_plan.md").read_text("utf-8")
 
 
+@nightly
 def test_a_flight_that_is_there_is_not_flown_again(
     flown: tuple[Solution, Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:

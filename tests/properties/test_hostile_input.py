@@ -336,7 +336,7 @@ AT_THE_ENDS = [
 ]
 
 
-@pytest.mark.parametrize("override", usually(AT_THE_ENDS, 4))
+@pytest.mark.parametrize("override", usually(AT_THE_ENDS, 3))
 def test_a_scenario_at_the_ends_of_its_ranges_is_solved_or_refused(override: str) -> None:
     solved_or_refused([VERY_COARSE, override])
 

@@ -27,6 +27,7 @@ from scp_recon.planning.plan import Certificate, Parent, Plan, as_interrupted
 from scp_recon.results.facts import Verification
 from scp_recon.results.read import read_solution
 from scp_recon.results.solution import Solution
+from tests.helpers import nightly
 
 door: Any = sr
 """The interface to whoever gives it what its types forbid."""
@@ -332,6 +333,7 @@ def test_a_comparison_says_what_was_verified_and_of_which_scenario(
     assert set(table["total delta-v"]) == {solution.total_dv_m_s}
 
 
+@nightly
 def test_paths_on_different_grids_are_held_against_each_other_at_one_time() -> None:
     """The same burns on a grid twice as fine: the path between nodes is a cubic of its states."""
     fine = sr.plan(

@@ -454,6 +454,7 @@ def test_p2_needs_a_factor_to_start_from(coarse: Case) -> None:
         solve_nlp(coarse.problem, coarse.arcs, coarse.facets, start, VARIANTS["tuned"])
 
 
+@nightly
 @pytest.mark.parametrize("name", usually(["shooting", "tuned", "printed"], 1))
 def test_without_a_facet_p2_only_flies(coarse: Case, name: str) -> None:
     none = Facets(*(getattr(coarse.facets, field)[:0] for field in Facets.__annotations__))

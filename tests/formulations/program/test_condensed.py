@@ -24,7 +24,14 @@ from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
 from scp_recon.planning.planner import plan
 from scp_recon.scenario.load import load_scenario
-from tests.helpers import constrain, generators, near_from, random_flyby, share_of_examples
+from tests.helpers import (
+    constrain,
+    generators,
+    near_from,
+    random_flyby,
+    share_of_examples,
+    usually,
+)
 
 from .support import (
     PENALTIES,
@@ -202,7 +209,7 @@ def test_slots_double_for_those_cones_alone_that_run_out_of_them(
     assert subproblem._solver is built
 
 
-@pytest.mark.parametrize("slots", [1, 2])
+@pytest.mark.parametrize("slots", usually([2, 1], 1))
 @pytest.mark.parametrize("penalty", PENALTIES)
 @pytest.mark.parametrize("name", ["P3", "P2"])
 @settings(max_examples=share_of_examples(250, usual=1))

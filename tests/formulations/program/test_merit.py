@@ -16,14 +16,9 @@ from formulations.linearisation.linearisation import (
     condense,
     final_state_map,
 )
-from formulations.problem.execution_errors import (
-    ComponentwiseErrors,
-    ExecutionErrors,
-    GatesErrors,
-)
 from formulations.problem.feedback import Cost
 from formulations.problem.flyby import FlybyProblem
-from formulations.program.multipliers import adjoint, multipliers, primer, slope_left
+from formulations.program.multipliers import adjoint, multipliers, slope_left
 from formulations.program.subproblem import (
     MeritFunction,
     PenaltyParameters,
@@ -33,7 +28,7 @@ from formulations.rows.cones import Rows
 from formulations.rows.corrected_burns import CorrectedBurns
 from formulations.rows.exact import NodeRows
 from formulations.rows.exact_flight import FlightRows
-from formulations.rows.uniform import ChanceRows, DeterministicRows
+from formulations.rows.uniform import DeterministicRows
 from tests.helpers import constrain, generators, random_flyby, share_of_examples
 
 from .support import every_row
@@ -197,9 +192,6 @@ def test_a_miss_that_need_not_be_met_is_a_cost_and_no_violation(
     )
 
 
-BIASED = GatesErrors(0.0, 0.02, 0.0, 0.03, 0.04)
-
-
 def prices_of(rng: np.random.Generator, rows: Rows, burns: int) -> Array:
     """Random prices of the miss and of the rows, none of the burns' own limits."""
     of_rows = np.abs(rng.normal(size=rows.count))
@@ -269,48 +261,6 @@ def test_the_adjoint_is_the_affine_model_read_backwards(
     expected = by_burns(lin, rows, prices)
     scale = (1e-7 if exact else 1e-9) * max(1.0, float(np.abs(expected).max()))
     np.testing.assert_allclose(backwards(lin, rows, prices), expected, atol=scale)
-
-
-@given(generators, st.sampled_from([ComponentwiseErrors(0.05), BIASED]), st.booleans())
-@settings(max_examples=share_of_examples(2))
-def test_it_tells_what_a_small_burn_more_does_to_a_flight(
-    rng: np.random.Generator, errors: ExecutionErrors, corrected: bool
-) -> None:
-    """By differences of nonlinear flights with one more burn and all errors of it."""
-    flyby = constrain(rng, random_flyby(rng, nodes=9, burns=3))
-    flyby = flyby.corrected(rng) if corrected else flyby
-    problem = replace(flyby.problem, execution_errors=errors)
-    burns = flyby.burns + 0.1 * rng.normal(size=flyby.burns.shape)
-    lin = flyby.waves.linearise(problem, flyby.waves.rollout(problem, burns))
-    lin = with_gains(rng, lin) if corrected else lin
-    rows = every_row(lin, "P2")
-    assert isinstance(rows, ChanceRows)
-    prices = prices_of(rng, rows, problem.n_burns)
-    at = int(rng.choice(np.setdiff1d(np.arange(problem.n_nodes), problem.burn_nodes)))
-    place = int(np.searchsorted(problem.burn_nodes, at))
-    wider = replace(
-        problem,
-        burn_nodes=np.insert(problem.burn_nodes, place, at),
-        sun=np.insert(problem.sun, place, problem.sun[0], axis=0),
-    )
-    if problem.feedback is not None:
-        later = problem.feedback.burns + (problem.feedback.burns >= place)
-        wider = replace(wider, feedback=replace(problem.feedback, burns=later))
-    same_rows = ChanceRows(wider, rows.facets, rows.included)
-    u = rng.normal(size=3)
-
-    def priced(size: float) -> float:
-        more = np.insert(burns, place, size * u, axis=0)
-        iterate = replace(flyby.waves.rollout(wider, more), gains=lin.iterate.gains)
-        flown = flyby.waves.linearise(wider, iterate)
-        margins = [part.margin for part in same_rows.margins(flown).values()]
-        excess = np.concatenate([flown.defects[-1], *[-part for part in margins]])
-        return float(excess @ np.r_[prices[:6], prices[6 + 3 * problem.n_burns :]])
-
-    step = 1e-5
-    expected = (priced(step) - priced(-step)) / (2.0 * step)
-    found = -primer(rows, lin, prices)[at] @ u
-    assert found == pytest.approx(expected, rel=1e-5, abs=1e-6)
 
 
 @given(generators, st.booleans(), st.sampled_from([None, *get_args(Cost)]))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -21,7 +22,7 @@ from formulations.program.subproblem import (
     SubproblemError,
 )
 from formulations.registry import FORMULATIONS, make_subproblem
-from tests.helpers import generators, share_of_examples
+from tests.helpers import generators, share_of_examples, usually
 
 from .support import (
     PENALTIES,
@@ -36,6 +37,9 @@ from .support import (
     tighten,
 )
 
+KINDS = [*itertools.product(FORMULATIONS, ("P3", "P2"), PENALTIES)]
+CASES = usually(KINDS[::2] + KINDS[1::2], len(KINDS) // 2)
+
 
 def elsewhere(lin: Linearisation) -> Linearisation:
     """The same arcs around other burns and means."""
@@ -45,9 +49,7 @@ def elsewhere(lin: Linearisation) -> Linearisation:
     return Linearisation(lin.problem, replace(lin.iterate, burns=burns, mean=mean), lin.arcs)
 
 
-@pytest.mark.parametrize("penalty", PENALTIES)
-@pytest.mark.parametrize("name", ["P3", "P2"])
-@pytest.mark.parametrize("formulation", FORMULATIONS)
+@pytest.mark.parametrize(("formulation", "name", "penalty"), CASES)
 @settings(max_examples=share_of_examples(250, usual=1))
 @given(generators)
 def test_the_program_has_the_solution_of_the_one_said_plainly(
@@ -71,9 +73,7 @@ def test_the_program_has_the_solution_of_the_one_said_plainly(
     assert step.burns == pytest.approx(plain.burns, abs=1e-3)
 
 
-@pytest.mark.parametrize("penalty", PENALTIES)
-@pytest.mark.parametrize("name", ["P3", "P2"])
-@pytest.mark.parametrize("formulation", FORMULATIONS)
+@pytest.mark.parametrize(("formulation", "name", "penalty"), CASES)
 def test_an_updated_program_is_a_new_one(formulation: str, name: str, penalty: Penalty) -> None:
     """Every parameter is set again: nothing is left of the last iterate, radius and charge."""
     lin = small()

@@ -26,7 +26,6 @@ from scp_recon.results.solution import Solution, make_solution
 from scp_recon.scenario.schema import Scenario
 from scp_recon.scp.status import Status
 from scp_recon.verification.reintegration import verify
-from tests.helpers import nightly
 from tests.scenarios import COARSE
 from tests.scp_recon.support import integrate, mission_of
 
@@ -283,7 +282,6 @@ def test_what_is_known_of_a_mission_is_what_would_be_found_again(flown: FlownPla
     assert known.warnings[0].entry == "in_flight.position_m"
 
 
-@nightly
 @pytest.mark.usefixtures("few_flights")
 def test_exact_risk_goes_on_in_flight(flown: FlownPlan) -> None:
     off = drawn(flown, 3_000.0)

@@ -101,25 +101,6 @@ def test_p2_ends_superlinearly(default_plan: Plan) -> None:
         assert record.actual == pytest.approx(record.predicted, rel=0.05, abs=noise)
 
 
-def test_a_converged_run_has_no_better_neighbour(mission: Mission, optimum: Result) -> None:
-    """It is feasible, and random steps that keep the final state do not lower the exact merit."""
-    last = optimum.records[-1]
-    assert optimum.status is Status.CONVERGED
-    assert max(last.max_violation, last.max_defect) <= SCvx.feasible
-    assert last.predicted <= SCvx.stationary * max(1.0, last.merit)
-    subproblem = make_subproblem(mission.problem, DeterministicRows(mission.problem), "condensed")
-    weight = SCvx.weight
-    best = subproblem.merit(optimum.lin, weight)
-    rng = np.random.default_rng(8)
-    for size in (1e-3, 1e-2, 1e-1):
-        for _ in range(5):
-            burns = optimum.lin.iterate.burns
-            moved = mission.dynamics.close_defects(
-                optimum.lin, burns + rng.normal(scale=size, size=(4, 3))
-            )
-            assert subproblem.merit(moved, weight) > best - 1e-7
-
-
 def test_infeasible_is_told_with_the_least_violation(infeasible: Plan) -> None:
     result = infeasible.final.result
     assert result.status is Status.INFEASIBLE

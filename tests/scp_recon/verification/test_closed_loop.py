@@ -181,29 +181,6 @@ def test_flights_that_judge_a_plan_are_corrected(
     assert ours.estimate > others.estimate + 0.15
 
 
-def test_knowledge_is_no_more_than_dispersion_and_less_after_a_measurement(
-    solution: Solution,
-) -> None:
-    known = np.array(solution.nodes.knowledge)
-    scale = np.outer(solution.mission.units.state, solution.mission.units.state)
-    spread = np.array(solution.nodes.covariance)
-    for correction in solution.policy.corrections:
-        before, after = (
-            np.array(given)
-            for given in (correction.predicted_covariance, correction.estimate_covariance)
-        )
-        assert np.linalg.eigvalsh((before - after) / scale).min() > -1e-9
-        assert np.trace(after / scale) < 0.9 * np.trace(before / scale)
-        node = solution.nodes.t_s.index(correction.cut_off_s)
-        np.testing.assert_allclose(known[node] / scale, after / scale, atol=1e-12)
-    first = solution.nodes.t_s.index(solution.policy.corrections[0].cut_off_s)
-    np.testing.assert_allclose(known[:first], spread[:first], rtol=1e-12)
-    assert np.all(
-        np.trace(known[first:] / scale, axis1=1, axis2=2)
-        < np.trace(spread[first:] / scale, axis1=1, axis2=2)
-    )
-
-
 def test_an_exported_path_spreads_as_the_nodes_do() -> None:
     given = with_gains("navigation.lead_s=20000", LAST_TOO)
     stored = dict(zip(given.nodes.t_s, np.array(given.nodes.covariance), strict=True))

@@ -12,10 +12,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from formulations.arrays import Array
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.sampling import sample_positions
-from scp_recon.physics.forces import acceleration, gravity_gradient
 from scp_recon.planning import initial_guess
 from scp_recon.planning.planner import plan
 from scp_recon.results.facts import Verification
@@ -23,7 +21,7 @@ from scp_recon.results.read import parse_solution
 from scp_recon.results.solution import Solution, make_solution
 from scp_recon.verification.consistency import inconsistencies
 from scp_recon.verification.probabilities import MARGIN_LIMIT, holds
-from scp_recon.verification.reintegration import FIGURES, limits_of, variational_rate, verify
+from scp_recon.verification.reintegration import FIGURES, limits_of, verify
 from tests.helpers import usually
 from tests.scp_recon.support import mission_of
 
@@ -77,22 +75,6 @@ def test_probability_is_that_of_counting(
     again = np.mean((distance >= 500.0) & (distance <= 740.0))
     sigma = np.sqrt(2.0 * site.estimate * (1.0 - site.estimate) / 10_000)
     assert again == pytest.approx(site.estimate, abs=4.5 * sigma)
-
-
-def test_no_margin_at_the_solutions_own_nodes_is_below_the_worst(
-    mission: Mission, solution: Solution, verification: Verification
-) -> None:
-    """The worst margin between the nodes cannot be better than that at the nodes."""
-    states, times = np.array(solution.nodes.state), np.array(solution.nodes.t_s)
-    worst = {m.name: m.worst_margin for m in verification.mean_margins}
-    assert worst["safety_radius"] <= np.linalg.norm(states[:, :3], axis=1).min() - 500.0 + 1e-3
-    window = mission.window_nodes
-    to_j2000 = mission.rotation.body_to_j2000(times[window])
-    offset = states[window, :3] - to_j2000 @ mission.site.position_body
-    normal = to_j2000 @ mission.site.normal_body
-    emission = np.arccos(np.sum(offset * normal, 1) / np.linalg.norm(offset, axis=1))
-    assert worst["emission_min"] <= emission.min() - np.deg2rad(20.0) + 1e-6
-    assert worst["emission_max"] <= np.deg2rad(45.0) - emission.max() + 1e-6
 
 
 def test_p3_is_confirmed_without_asking_for_probabilities_but_not_as_p2(mission: Mission) -> None:
@@ -308,20 +290,23 @@ def test_a_window_edge_is_held_against_the_tolerance_of_reading(
 @pytest.mark.usefixtures("few_flights")
 @pytest.mark.parametrize(
     ("override", "named"),
-    [
-        ("burns.dv_max_m_s=0.04", "dv_max"),
-        ("battery.delta_v_cone_deg=80", "dv_battery"),
-        ("safety.radius_min_m=800", "safety_radius"),
-        ("observation.site_distance_max_m=560", "site_distance_max"),
-        ("observation.site_distance_min_m=600", "site_distance_min"),
-        ("observation.emission_min_deg=30", "emission_min"),
-        ("observation.emission_max_deg=35", "emission_max"),
-        ("observation.phase_min_deg=85", "phase_min"),
-        ("observation.phase_max_deg=60", "phase_max"),
-        ("battery.observation_cone_deg=85", "battery_observation"),
-        ("risk.p_chance=0.99", "P(emission)"),
-        ("uncertainty.execution_error=0.16", "covariance_error"),
-    ],
+    usually(
+        [
+            ("risk.p_chance=0.99", "P(emission)"),
+            ("uncertainty.execution_error=0.16", "covariance_error"),
+            ("burns.dv_max_m_s=0.04", "dv_max"),
+            ("battery.delta_v_cone_deg=80", "dv_battery"),
+            ("safety.radius_min_m=800", "safety_radius"),
+            ("observation.site_distance_max_m=560", "site_distance_max"),
+            ("observation.site_distance_min_m=600", "site_distance_min"),
+            ("observation.emission_min_deg=30", "emission_min"),
+            ("observation.emission_max_deg=35", "emission_max"),
+            ("observation.phase_min_deg=85", "phase_min"),
+            ("observation.phase_max_deg=60", "phase_max"),
+            ("battery.observation_cone_deg=85", "battery_observation"),
+        ],
+        7,
+    ),
 )
 def test_each_constraint_that_the_plan_breaks_is_named(
     solution: Solution, override: str, named: str
@@ -363,22 +348,3 @@ def test_constraints_are_checked_between_the_nodes(mission: Mission, solution: S
 
 
 # --- its own tools ------------------------------------------------------------------------------
-
-
-@given(
-    state=st.tuples(*[st.floats(-900.0, 900.0)] * 3).map(np.array).filter(lambda r: r @ r > 9e4),
-    seed=st.integers(0, 100),
-)
-def test_variational_rate_is_the_jacobian_of_the_dynamics(
-    state: Array, seed: int, mission: Mission
-) -> None:
-    rng = np.random.default_rng(seed)
-    velocity, stm = rng.normal(scale=0.1, size=3), rng.normal(size=(6, 6))
-    rate = variational_rate(np.concatenate([state, velocity, stm.ravel()]), mission.forces)
-    value, gradient = (
-        acceleration(*state, mission.forces),
-        gravity_gradient(state[None], mission.forces),
-    )
-    jacobian = np.block([[np.zeros((3, 3)), np.eye(3)], [gradient[0], np.zeros((3, 3))]])
-    np.testing.assert_allclose(rate[:6], [*velocity, *value], rtol=1e-12)
-    np.testing.assert_allclose(rate[6:].reshape(6, 6), jacobian @ stm, rtol=1e-11, atol=1e-15)
