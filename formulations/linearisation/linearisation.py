@@ -31,7 +31,7 @@ import numpy as np
 
 from formulations.arrays import Array, Indices
 from formulations.linearisation.factor import FactorSensitivity, Spread, propagate_factor
-from formulations.problem.cost import Bend, Valued, bend, cost
+from formulations.problem.cost import Bend, Valued, bends, cost
 from formulations.problem.feedback import Feedback
 from formulations.problem.flow import ArcDerivatives
 from formulations.problem.flyby import FlybyProblem, Iterate
@@ -104,9 +104,9 @@ class Linearisation:
         return cost(self.problem, self.iterate)
 
     @cached_property
-    def bend(self) -> Bend:
+    def bends(self) -> tuple[Bend, Bend]:
         """How what is minimised curves, where corrections cost."""
-        return bend(self.problem, self.iterate)
+        return bends(self.problem, self.iterate)
 
     @cached_property
     def factor(self) -> Array:

@@ -12,10 +12,11 @@ quantile is that of a mean over draws near it, in which xi is larger than in all
 
     sum_i ||(v_i, U_i) R_i||,    R_i R_i' = sum_n w_n (1, xi_n)(1, xi_n)',
 
-with the draws' weights w in that slope, or all alike for the mean. Where burn and gains vanish, no step
-costs less than this to first order (Jensen's inequality again). It is tilted so that at the iterate
-value and gradient are those over the draws, and beside it stands the curvature of the quantile that it
-lacks, which goes on straight (`bend`).
+with the draws' weights w in that slope, or all alike for the mean. Where burn and gains vanish, no
+step costs less than this to first order (Jensen's inequality again). Beside it stand
+2.326 ||sum_i s_i||, with s_i linearised, for its kink where corrections along burns cancel, and the
+quantile's curvature that both lack (`bends`). All is tilted so that at the iterate value
+and gradient are those over the draws.
 """
 
 from __future__ import annotations
@@ -78,15 +79,23 @@ class Valued(NamedTuple):
 
 
 class Bend(NamedTuple):
-    """How a cost curves about an iterate z: by ||(R (z' - z), c)|| - c, which goes on straight.
+    """A part of how a cost curves about an iterate z: ||(R (z' - z) + r, c)||, which goes on straight.
 
     Attributes:
-        root: R, shape (controls of corrected burns, controls).
+        root: R, shape (., controls).
+        start: r, shape (.,).
         over: c.
     """
 
     root: Array
+    start: Array
     over: float
+
+    @property
+    def at(self) -> Valued:
+        """At the iterate."""
+        size = float(np.hypot(np.linalg.norm(self.start), self.over))
+        return Valued(size, self.start @ self.root / max(size, TINY))
 
 
 def cost(problem: FlybyProblem, iterate: Iterate) -> Valued:
@@ -157,22 +166,26 @@ def roots_of(problem: FlybyProblem, iterate: Iterate) -> list[Array]:
     return roots
 
 
-def bend(problem: FlybyProblem, iterate: Iterate) -> Bend:
-    """What curves the 99 % quantile beside `formula`: its second derivative over the draws.
+def bends(problem: FlybyProblem, iterate: Iterate) -> tuple[Bend, Bend]:
+    """What curves the 99 % quantile beside `formula`: 2.326 ||sum s_i||, and what that lacks.
 
-    Along burns it is at least that of 2.326 ||sum s_i||, which tells how it goes on farther away. Where
-    nothing is corrected yet that is all, and a kink.
+    The first has a kink where corrections along burns cancel, and where nothing is corrected yet. Its c
+    stands for what spreads sizes otherwise. The second is curvature over the draws.
     """
     feedback = problem.feedback
     assert feedback is not None
     moved = problem.controls_of(feedback.burns.tolist())
     root = np.zeros((len(moved), problem.controls_before[-1]))
-    along, jacobian = size_spread(problem, iterate)
+    start, jacobian = size_spread(problem, iterate)
+    start, jacobian = QUANTILE * start, QUANTILE * jacobian
     if not iterate.gains.any():
-        root[: len(along)] = QUANTILE * jacobian
-        return Bend(root, 0.0)
+        return Bend(jacobian, start, 0.0), Bend(root, root[:, 0], 0.0)
     sizes = _Sizes.of(problem, iterate)
-    at, hessian = sizes.quantile, sizes.curvature()
+    over, hessian = QUANTILE * sizes.quantile.width, sizes.curvature()
+    across = float(np.sqrt(max(over**2 - float(start @ start), 0.0)))
+    spread = Bend(jacobian, start, across)
+    size, slope = spread.at
+    hessian -= (jacobian.T @ jacobian - np.outer(slope, slope)) / size
     for j, (burn, own_root) in enumerate(zip(feedback.burns, sizes.roots, strict=True)):
         if _vanished(problem, iterate, j):
             continue
@@ -184,15 +197,9 @@ def bend(problem: FlybyProblem, iterate: Iterate) -> Bend:
         curved = np.multiply.outer(np.eye(3), own_root @ own_root.T).swapaxes(1, 2)
         curved -= np.multiply.outer(slope, slope)
         hessian[np.ix_(place.ravel(), place.ravel())] -= curved.reshape(place.size, -1) / size
-    slope = along @ jacobian / at.width
-    least = QUANTILE / at.width * (jacobian.T @ jacobian - np.outer(slope, slope))
-    values, axes = np.linalg.eigh((least - hessian)[np.ix_(moved, moved)])
-    hessian = hessian[np.ix_(moved, moved)] + (axes * np.maximum(values, 0.0)) @ axes.T
-    values, axes = np.linalg.eigh(hessian)
-    over = QUANTILE * at.width
-    bent = np.sqrt(over * np.clip(values, 0.0, STEEPEST**2 / over))[:, None] * axes.T
-    root[:, moved] = np.linalg.qr(bent, mode="r")
-    return Bend(root, over)
+    values, axes = np.linalg.eigh(hessian[np.ix_(moved, moved)])
+    root[:, moved] = np.sqrt(over * np.clip(values, 0.0, STEEPEST**2 / over))[:, None] * axes.T
+    return spread, Bend(root, np.zeros(len(moved)), over)
 
 
 def size_spread(problem: FlybyProblem, iterate: Iterate) -> tuple[Array, Array]:

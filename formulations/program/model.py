@@ -164,9 +164,10 @@ def write_cost(
         total += cp.norm(both @ numbers.array(f"root_{j}", 1 + known, 1 + known), "fro")
     if shape.cost == "expected":
         return total, {"tilt": tilt}
-    n = sum(3 + one.size for one in gains)
-    bend, constant = numbers.array("bend", n, controls.size), numbers.array("bend_constant", n)
-    total += cp.norm(cp.hstack([bend @ controls + constant, numbers.array("bend_over", 1)]))
+    for part, n in enumerate((gains[-1].size // 3, sum(3 + one.size for one in gains))):
+        bent = numbers.array(f"bend_{part}", n, controls.size) @ controls
+        bent += numbers.array(f"bend_constant_{part}", n)
+        total += cp.norm(cp.hstack([bent, numbers.array(f"bend_over_{part}", 1)]))
     return total, {"tilt": tilt}
 
 
@@ -177,13 +178,16 @@ def cost_values(lin: Linearisation) -> tuple[Values, float]:
         return {}, 0.0
     at, true, roots = lin.controls, lin.cost, roots_of(problem, iterate)
     own = formula(problem, iterate, roots)
-    values = {"tilt": true.gradient - own.gradient}
-    left = true.value - own.value - float(values["tilt"] @ at)
+    value, slope, values = own.value, own.gradient.copy(), {}
     if feedback.cost == "dv99":
-        root, over = lin.bend
-        values |= {"bend": root, "bend_constant": -root @ at, "bend_over": np.array(over)}
-        values |= {f"root_{j}": root for j, root in enumerate(roots)}
-        left -= over
+        values = {f"root_{j}": root for j, root in enumerate(roots)}
+        for part, bend in enumerate(lin.bends):
+            values[f"bend_{part}"] = bend.root
+            values[f"bend_constant_{part}"] = bend.start - bend.root @ at
+            values[f"bend_over_{part}"] = np.array(bend.over)
+            value, slope = value + bend.at.value, slope + bend.at.gradient
+    values["tilt"] = true.gradient - slope
+    left = true.value - value - float(values["tilt"] @ at)
     return values, left
 
 
