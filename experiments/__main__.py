@@ -25,6 +25,7 @@ STUDIES = {
     "frontier": "delta-v against the required probability, and the cost of certifying",
     "feedback": "what feedback is worth, beside open loop and targeting gains",
     "policies": "burns as planned, corrected by gains, and planned again before each",
+    "sites": "how likely sites out of reach are seen with feedback, by navigation and lead",
     "compare_solvers": "forms, algorithms and conic solvers against IPOPT",
     "lifted": "sizes and times of P2 in its lifted and its condensed form",
     "nlp_tricks": "what each trick gains the nonlinear program",

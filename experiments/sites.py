@@ -1,0 +1,178 @@
+"""Measure how likely sites out of reach open loop are seen with feedback, and at what price.
+
+Kingfisher and Osprey are designed as packaged, measured without a lead to 10 m and 0.5 mm/s, and
+certified at 0.90 of whole flights, into OUT/SITE; a design that `scp-recon design` left there counts.
+That pass, its phases and times, is kept, and its probability raised: planned for more than any flights
+can certify, it ends as near as `ITERATIONS` come. From there burns and gains are planned again for
+every navigation and lead, in `ROUNDS` that look where flights fail now. Fresh flights judge the last
+plan, as they do in certifying, and others its delta-v. OUT/sites.csv has a row for each, OUT/passes.csv
+one for each design. After Ctrl-C the study continues with the missing rows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from time import process_time
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.special import ndtr, ndtri
+
+from experiments.feedback import Case, row
+from experiments.harness import Findings, Record, Session, Study, option, records
+from formulations.arrays import Array
+from formulations.rows.exact_flight import FLIGHT as WHOLE
+from scp_recon.api.designing import design
+from scp_recon.api.files import save
+from scp_recon.certification.flights import look_at
+from scp_recon.certification.largest import MOST
+from scp_recon.jobs.job import Job
+from scp_recon.mission.mission import Mission
+from scp_recon.monte_carlo.estimates import look_flights
+from scp_recon.planning.initial_guess import from_burns
+from scp_recon.planning.method import ALGORITHM, FORMULATION, SOLVER
+from scp_recon.planning.mission_stages import MissionRunner
+from scp_recon.planning.plan import Provenance, Stage
+from scp_recon.planning.planner import Planner
+from scp_recon.replanning.flown import FlownPlan
+from scp_recon.results.solution import FILE_NAME
+from scp_recon.scenario.load import load_scenario
+from scp_recon.scp.algorithms import ALGORITHMS
+from scp_recon.scp.status import Status
+
+SITES = ("kingfisher", "osprey")
+NAVIGATION = ((10.0, 5e-4), (1.0, 5e-5), (50.0, 2e-3))
+"""1 sigma of the measurement along each axis, m and m/s."""
+LEADS_H = (0.0, 1.0, 4.0)
+ASKED, BURNS_HOLD = 0.9, 0.99
+"""Required of a design; and of each limit on a corrected burn, where the probability is raised."""
+ITERATIONS, ROUNDS, ITERATIONS_AGAIN = 100, 3, 12
+RADIUS = 0.02
+"""Trust radius with which a round begins: what it starts from is near."""
+FLIGHTS, QUICK_FLIGHTS = 10_000, 500
+
+
+class Measured(NamedTuple):
+    """A site, and what is known before its burns."""
+
+    site: str
+    position_m: float
+    velocity_m_s: float
+    lead_h: float
+
+    def changes(self, p: float = BURNS_HOLD) -> dict[str, Any]:
+        """To the scenario."""
+        return {
+            "policy.kind": "feedback",
+            "navigation.lead_s": 3600.0 * self.lead_h,
+            "navigation.sigma_position_m": self.position_m,
+            "navigation.sigma_velocity_m_s": self.velocity_m_s,
+            "risk.p_chance": p,
+        }
+
+
+CASES = [Measured(site, *nav, lead) for lead in LEADS_H for nav in NAVIGATION for site in SITES]
+
+
+def raised(out: Path, site: str) -> Record:
+    """The pass of a site, and burns and gains, nondimensional, where raising its probability ends."""
+    begin, folder, case = process_time(), out / site, Measured(site, *NAVIGATION[0], 0.0)
+    if not (folder / FILE_NAME).is_file():
+        found = design(load_scenario(site).replace(case.changes(ASKED)))
+        assert found.plan is not None, found.message
+        save(found.plan, folder)
+    known = FlownPlan.of(folder)
+    mission = Mission.from_scenario(known.mission.scenario.replace(case.changes()))
+    burns_m_s = known.lin.iterate.burns * mission.units.speed_m_s
+    planner = Planner(mission, target=MOST)
+    planner.algorithm = ALGORITHMS[ALGORITHM](max_iterations=ITERATIONS)
+    end = planner.plan(from_burns(mission, burns_m_s), once=True).final.result.lin.iterate
+    return {
+        "site": site,
+        "burns_s": "; ".join(f"{time:.0f}" for time in mission.scenario.burn_times_s),
+        "total_dv_m_s": float(np.linalg.norm(burns_m_s, axis=1).sum()),
+        "burns": end.burns.tolist(),
+        "gains": end.gains.tolist(),
+        "processor_s": process_time() - begin,
+    }
+
+
+def measure(out: Path, flights: int, ends: Mapping[str, Record], case: Measured) -> Record:
+    """The likeliest plan that was found of a pass, judged by flights: a row."""
+    begin, known, end = process_time(), FlownPlan.of(out / case.site), ends[case.site]
+    mission = Mission.from_scenario(known.mission.scenario.replace(case.changes()))
+    feedback = mission.problem.feedback
+    assert feedback is not None
+    burns_m_s = mission.units.speed_m_s * np.array(end["burns"])
+    gains = last_gains(np.array(end["gains"]), len(feedback.burns))
+    iterate = replace(from_burns(mission, burns_m_s), gains=gains)
+    planner = Planner(mission, target=MOST)
+    planner.algorithm = ALGORITHMS[ALGORITHM](
+        max_iterations=ITERATIONS_AGAIN, initial_radius=RADIUS
+    )
+    runner, (*_, (_, rows)) = MissionRunner(mission, planner), planner.exact_rows()
+
+    def likelier() -> Stage:
+        at = iterate
+        for _ in range(ROUNDS):
+            stage = runner.solve("P2", rows, mission.dynamics.linearise(rows.problem, at))
+            at = stage.result.lin.iterate
+        # That it keeps less than it was planned for is no fault of it.
+        return replace(stage, result=replace(stage.result, status=Status.CONVERGED))
+
+    found = runner.run(likelier, Provenance(FORMULATION, ALGORITHM, SOLVER, "design"))
+    margins = {name: float(one.margin.min()) for name, one in found.final.margins.items()}
+    law = float(ndtr(ndtri(MOST) + margins.pop(WHOLE)))
+    judged, _, _ = look_at(replace(found, target=law), look_flights(law), 1, 1)
+    assert judged.certificate is not None
+    low, high = judged.certificate.low, judged.certificate.high
+    return {
+        **row(Case(case.site, low), judged, flights, process_time() - begin),
+        **case._asdict(),
+        "law": law,
+        "certified_high": high,
+        "corrected": len(feedback.burns),
+        "least_margin": min(margins.values()),
+    }
+
+
+def last_gains(gains: Array, left: int) -> Array:
+    """Gains of the last corrected burns, so many, without those on what was known before the first."""
+    parts, first = list[Array](), 0
+    while first < len(gains):
+        last = first + 18 * (len(parts) + 1)
+        parts.append(gains[first:last].reshape(3, -1))
+        first = last
+    gone = len(parts) - left
+    return np.concatenate([one[:, 6 * gone :].ravel() for one in parts[gone:]])
+
+
+def run(session: Session) -> Findings:
+    """Design both passes, and plan them again for everything that may be known in flight."""
+    quick = session.options.quick
+    cases, store = CASES[: 1 if quick else None], session.store(quick=quick)
+    sites = [Job(f"raised {site}", site) for site in SITES[: 1 if quick else None]]
+    passes = session.rows("passes", partial(raised, session.out), sites, store)
+    ends = {one["site"]: one for one in passes}
+    work = partial(measure, session.out, QUICK_FLIGHTS if quick else FLIGHTS, ends)
+    jobs = [Job(repr(case), case) for case in cases]
+    rows = session.rows("navigation", work, jobs, store, line=_line)
+    rows.sort(key=lambda one: (one["site"], one["position_m"], one["lead_h"]))
+    short = [{name: one[name] for name in one if name not in ("burns", "gains")} for one in passes]
+    return Findings([], {"sites.csv": records(rows), "passes.csv": records(short)})
+
+
+def _line(row: Record) -> str:
+    said = f"{row['site']}, {row['position_m']:g} m, lead {row['lead_h']:g} h: law {row['law']:.4f}"
+    return f"{said}, at least {row['certified_low']:.4f} for {row['dv99_m_s']:.4f} m/s"
+
+
+STUDY = Study(
+    "Sites out of reach open loop",
+    __doc__,
+    run,
+    [option("--quick", action="store_true", help="one row and few flights, to see that it runs")],
+)
