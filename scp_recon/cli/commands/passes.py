@@ -33,6 +33,10 @@ from scp_recon.scp.status import Status
 
 TABLE, MAP, SCENARIO, PRIMER = "design.csv", "design.png", "scenario.toml", "primer.png"
 """What a design writes besides its plan."""
+COSTS = {"nominal": "", "expected": ", mean with corrections", "dv99": ", 99 % with corrections"}
+"""What the delta-v of a pass with corrected burns is, by what is minimised."""
+RESIDUAL = 0.1
+"""Of a plan, above which its multipliers are not an optimum's: a primer errs by as much."""
 COLUMNS = (
     "step",
     "window",
@@ -115,13 +119,15 @@ def _progress(console: Console) -> Iterator[Callable[[Trial], None]]:
     least: dict[str, Trial] = {}
 
     def line(step: str) -> str:
-        best, count = least[step], f"{step:10} {counts[step]:4} plans"
+        best, many = least[step], "s" if counts[step] > 1 else ""
+        count = f"{step:10} {counts[step]:4} plan{many}"
         if not best.result.converged:
             return f"{count}, none that holds"
         departure, arrival = np.rad2deg(best.result.at.phases) % 360.0
         return (
             f"{count}, best {best.result.dv_m_s:.6f} m/s from {departure:.1f} to {arrival:.1f} deg"
             + (", without uncertainty" if step in ("map", "certain") else "")
+            + (COSTS[best.result.mission.scenario.policy.cost] if step == "corrected" else "")
         )
 
     with console.status("designing") as status:
@@ -165,6 +171,9 @@ def primer_says(primer: PrimerHistory | None) -> str:
     legal = np.flatnonzero(primer.legal)
     if len(legal) == 0:
         return "primer: no time is legal for another burn with these kept: it tells nothing of one"
+    if primer.residual > RESIDUAL:
+        left = f"multipliers leave a residual of {primer.residual:.2g}, at most {RESIDUAL:g} expected"
+        return f"primer: its {left}: it tells nothing of another burn"
     best = legal[np.argmax(np.array(primer.allowed)[legal])]
     most, when = primer.allowed[best], f"at {primer.t_s[best]:.0f} s"
     if most <= 1.0 + WORTH:
