@@ -124,8 +124,8 @@ class Designer:
         exact = self.scenario.risk.allocation == "exact"
         given = self.scenario.changed(SURROGATE) if exact else self.scenario
         if self.scenario.policy.kind == "feedback":
-            return self._with_corrections(_around(self.scenario))
-        around = _around(given)
+            return self._with_corrections(windows_of(self.scenario))
+        around = windows_of(given)
         begun = []
         for first in around:
             begun.append(self._map_and_descend(first))
@@ -153,7 +153,7 @@ class Designer:
         """
         tries: list[Best] = []
         for where in sorted(around, key=lambda one: -one.space.before(one.times_s)):
-            for one in self._certain(where)[:CORRECTED_MAX]:
+            for one in self.certain(where)[:CORRECTED_MAX]:
                 planned = self._correct(where, one) if one.converged else one
                 tries.append((where, planned))
                 if planned.converged:
@@ -161,7 +161,7 @@ class Designer:
         where, best = min(tries, key=lambda one: violation(one[1]))
         return where.space, best
 
-    def _certain(self, where: Around) -> list[PassResult]:
+    def certain(self, where: Around) -> list[PassResult]:
         """Passes about a window without uncertainty, the cheapest first."""
         mapped = scan(where.space, where.times_s, self._seen("map", where))
         seen = self._seen("certain", where)
@@ -265,7 +265,7 @@ class Designer:
         return seen
 
 
-def _around(scenario: Scenario) -> list[Around]:
+def windows_of(scenario: Scenario) -> list[Around]:
     """Every window's space, its times from its own first burn on."""
     return [
         Around(space, number, times[0], tuple(time - times[0] for time in times))

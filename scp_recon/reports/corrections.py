@@ -109,7 +109,7 @@ def ellipses_chart(plans: Sequence[Shown], spreads: Sequence[Spreads]) -> dict[s
             node = _node_served(plan.subject, one.burn)
             pair = [covariance[node, :3, :3] for covariance in spread.by_corrections[j : j + 2]]
             burn = plan.budget.first + one.burn
-            title = f"{name}burn {burn}, at {spread.times_s[node]:.0f} s: second axis (m)"
+            title = f"{name}burn {burn}, seen at {spread.times_s[node]:.0f} s: second axis (m)"
             drawn.append((title, pair))
     panels = Panels([title for title, _ in drawn], "longest axis before the correction (m)", 240)
     panels.layout["hovermode"] = "closest"

@@ -172,7 +172,9 @@ def primer_says(primer: PrimerHistory | None) -> str:
     if len(legal) == 0:
         return "primer: no time is legal for another burn with these kept: it tells nothing of one"
     if primer.residual > RESIDUAL:
-        left = f"multipliers leave a residual of {primer.residual:.2g}, at most {RESIDUAL:g} expected"
+        left = (
+            f"multipliers leave a residual of {primer.residual:.2g}, at most {RESIDUAL:g} expected"
+        )
         return f"primer: its {left}: it tells nothing of another burn"
     best = legal[np.argmax(np.array(primer.allowed)[legal])]
     most, when = primer.allowed[best], f"at {primer.t_s[best]:.0f} s"

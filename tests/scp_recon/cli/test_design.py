@@ -11,9 +11,11 @@ import pytest
 
 from scp_recon.api import charts
 from scp_recon.cli.commands import design, solve
+from scp_recon.cli.commands.passes import primer_says
 from scp_recon.mission.mission import Mission
 from scp_recon.passes.descent import PassResult
 from scp_recon.passes.design import Trial
+from scp_recon.planning.primer import PrimerHistory
 from scp_recon.results.read import read_solution
 from scp_recon.scenario.load import load_scenario, scenario_text
 from tests.scp_recon.passes.support import home_scenario
@@ -82,6 +84,26 @@ def test_a_design_that_finds_nothing_tells_limit_and_departure(
     assert "from 1" in said  # a departure between 140 and 175 deg
     assert not (out / "solution.json").exists()
     assert (out / "design.csv").exists()
+
+
+@pytest.mark.parametrize(
+    ("allowed", "legal", "residual", "says"),
+    [
+        (0.9, True, 1e-4, "no small burn more helps"),
+        (1.2, True, 1e-4, "a burn more at 60 s would help"),
+        (1.2, False, 1e-4, "no time is legal"),
+        (0.9, True, 0.75, "a residual of 0.75, at most 0.1 expected: it tells nothing"),
+    ],
+)
+def test_the_primer_tells_of_another_burn_what_its_multipliers_bear_out(
+    allowed: float, legal: bool, residual: float, says: str
+) -> None:
+    """Those of plans with gains may be far from an optimum's."""
+    ends = [(0.0, 0.0, 0.0)] * 3
+    history = PrimerHistory(
+        [0.0, 60.0, 120.0], ends, [1.0, allowed, 1.0], [False, legal, False], residual
+    )
+    assert says in primer_says(history)
 
 
 @pytest.mark.parametrize("command", ["solve", "design"])
