@@ -16,8 +16,9 @@ import numpy as np
 
 from scp_recon.campaigns.axes import LATITUDE, LONGITUDE, NAME
 from scp_recon.campaigns.cases import Changes, changed
-from scp_recon.errors import InputError, option, shortened
-from scp_recon.mission.feedback import check_feedback, require_measurement
+from scp_recon.errors import InputError, shortened
+from scp_recon.mission.feedback import check_feedback
+from scp_recon.monte_carlo.replans import cut_offs_s
 from scp_recon.scenario.schema import Scenario
 
 ROWS_MAX = 1_000_000
@@ -138,7 +139,7 @@ def _refusal_of(
         scenario = changed(base, changes, folder)
         check_feedback(scenario)
         if replanned:
-            require_measurement(scenario, option("policy"), "'replan'")
+            cut_offs_s(scenario)
     except InputError as error:
         return error
     return None

@@ -23,6 +23,7 @@ from scp_recon.mission.schedule import BURNS_TO_MEET
 from scp_recon.monte_carlo.closed_loop import MEASURED
 from scp_recon.physics.flow import propagate
 from scp_recon.results.policy import CutOff
+from scp_recon.scenario.schema import Scenario
 
 LEAST_LEAD_S = 1.0
 """From a measurement to the burn that is planned from it, where navigation has no lead at all."""
@@ -45,14 +46,13 @@ Replans = tuple[Replan, ...]
 """In the order of their cut-offs and burns."""
 
 
-def replans(mission: Mission, burns_m_s: Array) -> Replans:
-    """Planning again before every burn of a plan whose cut-off is after its beginning.
+def cut_offs_s(scenario: Scenario) -> dict[int, float]:
+    """Times at which a flight is planned again, s, by the number of the burn, from 0.
 
     Raises:
         InputError: if nothing is measured, no burn has a cut-off in flight, or a cut-off precedes the
             burn before.
     """
-    scenario = mission.scenario
     require_measurement(scenario, option("policy"), "'replan'")
     lead, firing = max(scenario.navigation.lead_s, LEAST_LEAD_S), scenario.burn_times_s
     cut_offs = {i: t - lead for i, t in enumerate(firing) if t - lead > scenario.start_s}
@@ -64,6 +64,17 @@ def replans(mission: Mission, burns_m_s: Array) -> Replans:
             f"{lead:g} s, with which the cut-off of burn {burn} precedes the one before",
             f"must be less for {option('policy')} 'replan'",
         )
+    return cut_offs
+
+
+def replans(mission: Mission, burns_m_s: Array) -> Replans:
+    """Planning again before every burn of a plan whose cut-off is after its beginning.
+
+    Raises:
+        InputError: as `cut_offs_s`.
+    """
+    scenario = mission.scenario
+    cut_offs = cut_offs_s(scenario)
     nodes = sorted({*scenario.grid.nodes_s, *cut_offs.values()})
     left, burns = Mission.from_scenario(scenario.replace({"grid.nodes_s": nodes})), burns_m_s
     found: list[Replan] = []

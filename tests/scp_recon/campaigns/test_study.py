@@ -225,6 +225,11 @@ SITES = {
         ([LEAD], {}, r"axis 1: navigation.lead_s: got with policy.kind = 'open'; needs"),
         ([], {"policy": "replan"}, r"campaign.policy: got 'replan' with do = 'plan'; needs"),
         ([LEAD], {"do": "fly", "policy": "replan"}, r"'replan' without a measurement"),
+        (
+            [LEAD | {"values": [0.0, 10000.0]}],
+            {"do": "fly", "policy": "replan", "overrides": MEASURED},
+            r"axis 1, row 2: navigation.lead_s: .* the cut-off of burn 4 precedes the one before",
+        ),
         ([KIND], {}, r"axis 1, row 2: policy.kind: got 'feedback' without a measurement"),
         ([LEAD], {"overrides": FEEDBACK}, r"navigation: .* must have sigma_position_m"),
         (
