@@ -36,11 +36,12 @@ settings.register_profile(
 )
 settings.load_profile(PROFILE)
 
-COUNT = "count"
+COUNT, SHARES = "count", "shares"
 TOTALS: Counter[str] = Counter()
 PASSED: set[str] = set()
 CALLS: defaultdict[str, float] = defaultdict(float)
 FIXTURES: defaultdict[str, float] = defaultdict(float)
+SHARING: set[str] = set()
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -77,6 +78,9 @@ def pytest_runtest_call(item: pytest.Item) -> Iterator[None]:
         raise
     finally:
         item.user_properties += [(COUNT, pair) for pair in reliability.COUNTS.items()]
+        fixtures = item._fixtureinfo.name2fixturedefs.values()  # type: ignore[attr-defined]
+        if any(used[-1].scope != "function" for used in fixtures):
+            item.user_properties += [(SHARES, True)]
 
 
 def pytest_runtest_logreport(report: pytest.TestReport) -> None:
@@ -86,7 +90,9 @@ def pytest_runtest_logreport(report: pytest.TestReport) -> None:
         FIXTURES[report.nodeid.partition("::")[0]] += report.duration
     if report.when == "call":
         for key, pair in report.user_properties:
-            if key == COUNT:
+            if key == SHARES:
+                SHARING.add(fast.function_of(report.nodeid))
+            elif key == COUNT:
                 name, times = pair
                 TOTALS[name] += times
         if report.passed:
@@ -100,7 +106,7 @@ def pytest_runtest_logreport(report: pytest.TestReport) -> None:
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
     if terminalreporter.config.getoption("write_slow"):
         fast.SLOW.write_text(
-            "\n".join(fast.slow_functions(CALLS, FIXTURES)) + "\n", encoding="utf-8"
+            "\n".join(fast.slow_functions(CALLS, FIXTURES, SHARING)) + "\n", encoding="utf-8"
         )
     path = terminalreporter.config.getoption("reliability")
     if path:

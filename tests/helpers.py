@@ -101,13 +101,6 @@ class Waves:
     def linearise(self, problem: FlybyProblem, iterate: Iterate) -> Linearisation:
         return Linearisation(problem, iterate, self.derivatives(iterate.mean[:-1]))
 
-    def in_coordinates(self, matrix: Array) -> Waves:
-        """The same arcs for states y = matrix x."""
-        inverse = np.linalg.inv(matrix)
-        return Waves(
-            matrix @ self.linear @ inverse, matrix @ self.amplitude, self.frequency @ inverse
-        )
-
 
 @dataclass(frozen=True)
 class Flyby:

@@ -9,9 +9,11 @@ from tests.fast import function_of, named_slow, slow_functions
 
 def test_the_cheapest_go_first() -> None:
     calls = {"a::dear": 5.0, "b::cheap": 1.0, "c::one": 0.5, "c::two": 0.5}
-    assert slow_functions(calls, {"c": 3.0}, budget_s=5.0) == ["a::dear"]
-    assert slow_functions(calls, {"c": 3.0}, budget_s=3.0) == ["a::dear", "c::two"]
-    assert slow_functions(calls, {}, budget_s=8.0) == []
+    both = ["c::one", "c::two"]
+    assert slow_functions(calls, {"c": 3.0}, both, budget_s=5.0) == ["a::dear"]
+    assert slow_functions(calls, {"c": 3.0}, both, budget_s=3.0) == ["a::dear", "c::two"]
+    assert slow_functions(calls, {"c": 3.0}, both[1:], budget_s=2.0) == ["a::dear", "c::two"]
+    assert slow_functions(calls, {}, (), budget_s=8.0) == []
 
 
 def test_a_slow_function_is_one_that_is_there() -> None:

@@ -22,7 +22,7 @@ from formulations.linearisation.linearisation import (
 )
 from formulations.problem.flyby import FlybyProblem, Iterate, Legs, factor_columns_used
 from formulations.program.lifted import compose
-from tests.helpers import Arcs, Flyby, generators, random_flyby, random_rotation
+from tests.helpers import Arcs, Flyby, generators, random_flyby
 
 
 @st.composite
@@ -154,17 +154,6 @@ def test_the_model_error_is_quadratic_and_without_curvature_the_factors_is_linea
     assert factor >= 1.8 if curvature else factor <= 1.2
 
 
-@given(some_flybys(0.0), curvatures, generators)
-def test_linear_arcs_are_modelled_exactly(
-    flyby: Flyby, curvature: bool, rng: np.random.Generator
-) -> None:
-    lin = flyby.perturbed(rng, 0.3, 0.1)
-    burns = some_burns(rng, flyby.problem)
-    model = applied(condense(lin, curvature=curvature), burns)
-    for found, expected in zip(model, nonlinear(flyby, burns), strict=True):
-        close(found, expected)
-
-
 @given(flybys, generators)
 def test_without_curvature_the_factor_is_that_of_the_iterates_stms(
     flyby: Flyby, rng: np.random.Generator
@@ -222,70 +211,6 @@ def test_composed_arcs_give_the_condensed_map_at_their_nodes(
             factor[3:, problem.columns_of_burn(i)] += columns
         close(mean, expected[0][last])
         close(factor, expected[1][last])
-
-
-# --- invariance ---------------------------------------------------------------------------------
-
-
-def in_coordinates(flyby: Flyby, matrix: Array, burn_map: Array) -> Flyby:
-    """The same flyby for states y = matrix x, burns mapped with the velocities."""
-    problem = flyby.problem
-    moved = replace(
-        problem,
-        initial_state=matrix @ problem.initial_state,
-        final_state=matrix @ problem.final_state,
-        initial_factor=matrix @ problem.initial_factor,
-    )
-    return Flyby(moved, flyby.waves.in_coordinates(matrix), flyby.burns @ burn_map.T)
-
-
-def both(
-    flyby: Flyby, moved: Flyby, burn_map: Array, rng: np.random.Generator
-) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
-    """The condensed map of the same burns around the same iterate, in old and new coordinates."""
-    around, burns = (
-        flyby.burns + 0.3 * some_burns(rng, flyby.problem),
-        some_burns(rng, flyby.problem),
-    )
-    maps = []
-    for one, turned in ((flyby, np.eye(3)), (moved, burn_map)):
-        iterate = one.waves.rollout(one.problem, around @ turned.T)
-        lin = one.waves.linearise(one.problem, iterate)
-        maps.append(applied(condense(lin), burns @ turned.T))
-    return maps[0], maps[1]
-
-
-@given(flybys, st.floats(0.01, 100.0), st.floats(0.01, 100.0), generators)
-def test_mean_and_factor_do_not_depend_on_the_units(
-    flyby: Flyby, length: float, time: float, rng: np.random.Generator
-) -> None:
-    units = np.diag(np.repeat([length, length / time], 3))
-    speed = length / time * np.eye(3)
-    old, new = both(flyby, in_coordinates(flyby, units, speed), speed, rng)
-    inverse = np.linalg.inv(units)
-    close(new[0] @ inverse.T, old[0], 1e-8, 1e-10)
-    close(inverse @ new[1], old[1], 1e-8, 1e-10)
-
-
-SIGNED_AXES = [
-    np.diag(signs)[list(order)]
-    for order in itertools.permutations(range(3))
-    for signs in itertools.product((1.0, -1.0), repeat=3)
-]
-
-
-@given(flybys, st.sampled_from(SIGNED_AXES), st.booleans(), generators)
-def test_mean_and_covariance_do_not_depend_on_the_axes(
-    flyby: Flyby, axes: Array, turned: bool, rng: np.random.Generator
-) -> None:
-    """Of the execution error, whose components are independent, on their names and signs only."""
-    q = random_rotation(rng) if turned else axes
-    matrix, columns = np.kron(np.eye(2), q), flyby.problem.factor_columns
-    old, new = both(flyby, in_coordinates(flyby, matrix, q), q, rng)
-    close(new[0], old[0] @ matrix.T)
-    kept = flyby.problem.initial_factor.shape[1] if turned else columns
-    expected = matrix @ covariance(old[1][..., :kept]) @ matrix.T
-    close(covariance(new[1][..., :kept]), expected)
 
 
 # --- no derivative, no model --------------------------------------------------------------------

@@ -507,15 +507,6 @@ def test_any_other_status_or_exception_is_a_failure_with_its_words(
         FallbackSolver("FAKE").solve(two_tents())
 
 
-@pytest.mark.parametrize("error", [MemoryError(), KeyboardInterrupt()])
-def test_what_is_no_fault_of_such_a_solver_goes_through(
-    error: BaseException, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    fake(monkeypatch, FakeInterface(error=error))
-    with pytest.raises(type(error)):
-        FallbackSolver("FAKE").solve(two_tents())
-
-
 @pytest.mark.parametrize("status", [cp.OPTIMAL_INACCURATE, cp.INFEASIBLE])
 def test_a_solver_asked_to_be_compared_stands_alone(
     status: str, monkeypatch: pytest.MonkeyPatch
@@ -532,16 +523,6 @@ def test_a_solver_asked_to_be_compared_stands_alone(
     else:
         assert not solver.solve(program).accurate
     assert (built, made) == ({"CLARABEL": 0, "QOCO": 0}, [])
-
-
-def test_an_answer_by_cvxpy_has_to_be_proved_too(monkeypatch: pytest.MonkeyPatch) -> None:
-    fake(monkeypatch, FakeInterface())
-    monkeypatch.setattr(ByCvxpy, "solve", lambda *_: Answer(x + 0.1, "optimal", True, 1.0, z))
-    program, x, z = tent()
-    with pytest.raises(
-        ValueError, match="FAKE ended with status optimal, but does not prove it optimal"
-    ):
-        FallbackSolver("FAKE").solve(program)
 
 
 def test_a_solver_that_stops_early_says_so_and_warns_nobody(

@@ -247,26 +247,6 @@ def test_a_wrong_status_is_found_out(liar: type[Liar], monkeypatch: pytest.Monke
     assert_honest(mission, found)
 
 
-@pytest.mark.parametrize("formulation", usually(["condensed", "lifted"], 1))
-def test_a_solver_behind_cvxpy_that_raises_ends_in_a_status(
-    formulation: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    pytest.importorskip("ecos", reason="there is no solver behind CVXPY")
-    from cvxpy.reductions.solvers.defines import SOLVER_MAP_CONIC
-
-    def broken(*_: object, **__: object) -> None:
-        raise RuntimeError("an assertion in the solver")
-
-    mission, _ = coarse()
-    monkeypatch.setattr(SOLVER_MAP_CONIC["ECOS"], "solve_via_data", broken)
-    start = initial_guess.cold(mission)
-    found = plan(mission, start, formulation=formulation, solver="ECOS", problem="P3")
-    assert found.final.result.status is Status.SOLVER_FAILED
-    words = {record.failure for record in found.final.result.records}
-    assert words == {"an assertion in the solver"}
-    reliability.count(reliability.FAULTS)
-
-
 # --- the disk and the terminal ------------------------------------------------------------------
 
 

@@ -27,7 +27,7 @@ from scp_recon.replanning.delivery import Delivery
 from scp_recon.replanning.flown import FlownPlan, predict
 from scp_recon.replanning.remainder import mission_left
 from scp_recon.results.solution import Solution, make_solution
-from tests.scp_recon.support import fly, integrate
+from tests.scp_recon.support import integrate
 
 
 def test_there_is_a_coast_on_each_side_of_each_burn_which_is_a_jump_of_the_velocity(
@@ -47,16 +47,6 @@ def test_there_is_a_coast_on_each_side_of_each_burn_which_is_a_jump_of_the_veloc
     off = coasts[-1].states[0] - export.mission.final_state
     assert np.linalg.norm(off[:3]) < 1e-3
     assert np.linalg.norm(off[3:]) < 1e-7
-
-
-def test_states_are_those_of_another_integrator(export: Export) -> None:
-    times = np.array(export.solution.nodes.t_s)
-    expected = fly(export.mission, export.solution.burns_m_s, times)
-    for coast in export.path.coasts[1:-1]:
-        at = np.flatnonzero(np.isin(coast.times_s, times[:-1]))[:-1]
-        node = np.searchsorted(times, coast.times_s[at])
-        np.testing.assert_allclose(coast.states[at, :3], expected[node, :3], atol=1e-5)
-        np.testing.assert_allclose(coast.states[at, 3:], expected[node, 3:], atol=1e-9)
 
 
 def test_covariances_are_the_plans_at_its_nodes(export: Export) -> None:
