@@ -98,7 +98,7 @@ class MissionRunner(StageRunner):
             raised = np.zeros_like(small)
             best = self._with_burns(stage, small, raised)
             for burn in sorted(np.flatnonzero(small), key=lambda i: -sizes[i]):
-                if not _clearly_better(stage, best):
+                if not _clearly_better(stage, best, self._left_open(stage)):
                     break
                 raised[burn] = True
                 other = self._with_burns(stage, small, raised)
@@ -121,6 +121,12 @@ class MissionRunner(StageRunner):
             for j, burn in enumerate(problem.feedback.burns):
                 sizes[burn] = np.hypot(sizes[burn], np.linalg.norm(problem.gains_of(iterate, j)))
         return np.asarray(sizes)
+
+    @staticmethod
+    def _left_open(stage: Stage) -> float:
+        """Relative difference of merits that a stage leaves open: with gains what its rows resolve."""
+        rows = stage.merit.rows
+        return RESOLVED if rows.problem.feedback is None else max(RESOLVED, rows.resolution)
 
     @property
     def _dv_min(self) -> float:
@@ -175,7 +181,7 @@ def _interrupted(stages: list[Stage]) -> Stage:
     return replace(best, result=replace(best.result, status=Status.INTERRUPTED))
 
 
-def _clearly_better(one: Stage, other: Stage) -> bool:
+def _clearly_better(one: Stage, other: Stage, left_open: float = RESOLVED) -> bool:
     """Whether a run ranks above another by more than stages leave open."""
     rank, merit = standing(one)
-    return (rank, merit * (1.0 + RESOLVED)) > standing(other)
+    return (rank, merit * (1.0 + left_open)) > standing(other)

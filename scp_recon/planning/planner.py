@@ -38,8 +38,9 @@ from scp_recon.planning.stages import (
 from scp_recon.scp.algorithms import ALGORITHMS
 from scp_recon.scp.loop import Algorithm, run
 
-FEW_LINES, LINES = 512, 4096
-"""Directions, each taken both ways, in which a plan of whole flights looks: first, and finally."""
+FEW_LINES, FEW_WITH_GAINS, LINES = 512, 1024, 4096
+"""Directions, each taken both ways, in which a plan of whole flights looks: first, first with corrected
+burns, and finally. With gains the kinks between few directions stop the search early."""
 
 COARSE, FINE, FINE_WITH_GAINS = 1e-3, 1e-5, 1e-4
 """Relative reduction of the merit at which their stages stop; sampling errs by more. Gains are many,
@@ -186,8 +187,10 @@ class ScpStages:
                 closed = NodeRows(problem, target, FINE_WITH_GAINS)
                 self._exact_rows = [(".open", open_loop), ("", closed)]
         elif not self._exact_rows:
-            fine = FINE if problem.feedback is None else FINE_WITH_GAINS
-            coarse = FlightRows(problem, target, FEW_LINES, COARSE)
+            few, fine = FEW_LINES, FINE
+            if problem.feedback is not None:
+                few, fine = FEW_WITH_GAINS, FINE_WITH_GAINS
+            coarse = FlightRows(problem, target, few, COARSE)
             self._exact_rows = [
                 (".node", NodeRows(problem.open_loop, target, COARSE)),
                 (".coarse", coarse),
