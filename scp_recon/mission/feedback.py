@@ -167,7 +167,8 @@ def useless_measurement(scene: Scene) -> Iterator[ScenarioWarning]:
         named = scene.scenario.navigation.covariance is None
         yield ScenarioWarning.of(
             "navigation.sigma_position_m" if named else "navigation.covariance",
-            f"measurements whose errors are {errors:.1g} times what a flight may stray, so that they "
+            f"measurements whose errors are {float(f'{errors:.1g}'):,.0f} times what a flight may "
+            "stray, so that they "
             "tell nothing and no burn is corrected",
-            f"expected errors of less than {USELESS:g} times that",
+            f"expected errors of less than {USELESS:,.0f} times that",
         )

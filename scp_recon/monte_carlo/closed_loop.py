@@ -10,6 +10,7 @@ import numpy as np
 from formulations.arrays import Array, Booleans
 from formulations.problem.flyby import Iterate
 from scp_recon.mission.mission import Mission
+from scp_recon.planning.initial_guess import from_burns
 from scp_recon.results.policy import CutOff, Policy, transition
 
 MEASURED = 6
@@ -96,10 +97,7 @@ class ClosedLoop:
 
     @cached_property
     def _iterate(self) -> Iterate:
-        mission = self._mission
-        burns = self._burns / mission.units.speed_m_s
-        start = mission.initial_state / mission.units.state
-        return Iterate(burns, mission.dynamics.rollout(start, burns))
+        return from_burns(self._mission, self._burns)
 
     @cached_property
     def _stm(self) -> Array:

@@ -79,13 +79,13 @@ class Law:
             length_m: of the unit of length.
             together: further names, of some constraints together.
         """
-        whole, spread = cls.of(lin, length_m), _drawn(lin)[:, :3]
+        whole = cls.of(lin, length_m)
         events = joint_events(lin.problem.constraints)
         names = {e.name: (e.name,) for e in events} | dict(together or {})
         laws = {}
         for name, those in names.items():
             own = tuple(event for event in events if event.name in those)
-            limits = limits_within(own, whole.mean, REACH * spread)
+            limits = limits_within(own, whole.mean, REACH * whole.factor)
             if limits.inner or limits.outer:
                 laws[name] = replace(whole, limits=limits)
         return laws

@@ -14,7 +14,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from formulations.arrays import Array, Booleans
-from formulations.problem.flyby import Iterate
 from scp_recon.errors import InputError, option
 from scp_recon.mission.feedback import require_measurement
 from scp_recon.mission.grid import RK4_STEP_MAX_S
@@ -22,6 +21,7 @@ from scp_recon.mission.mission import Mission
 from scp_recon.mission.schedule import BURNS_TO_MEET
 from scp_recon.monte_carlo.closed_loop import MEASURED
 from scp_recon.physics.flow import propagate
+from scp_recon.planning.initial_guess import from_burns
 from scp_recon.results.policy import CutOff
 from scp_recon.scenario.schema import Scenario
 
@@ -79,7 +79,7 @@ def replans(mission: Mission, burns_m_s: Array) -> Replans:
     left, burns = Mission.from_scenario(scenario.replace({"grid.nodes_s": nodes})), burns_m_s
     found: list[Replan] = []
     for burn, at_s in cut_offs.items():
-        lin = left.dynamics.linearise(left.problem.open_loop, _planned(left, burns))
+        lin = left.dynamics.linearise(left.problem.open_loop, from_burns(left, burns))
         node = int(np.searchsorted(left.times_s, at_s))
         state = lin.iterate.mean[node] * left.units.state
         factor = lin.factor[node] * left.units.state[:, None]
@@ -98,13 +98,6 @@ def replans(mission: Mission, burns_m_s: Array) -> Replans:
         left, burns = Mission.from_scenario(scenario_left, known=left), burns_m_s[burn:]
         found.append(Replan(burn, at_s, measured, after, left, burns))
     return tuple(found)
-
-
-def _planned(mission: Mission, burns_m_s: Array) -> Iterate:
-    """The flight of burns from a mission's beginning."""
-    burns = burns_m_s / mission.units.speed_m_s
-    start = mission.initial_state / mission.units.state
-    return Iterate(burns, mission.dynamics.rollout(start, burns))
 
 
 class ReplanLoop:
@@ -175,7 +168,7 @@ def _plan_again(one: Replan, states: Array) -> Array:
     planner = Planner(one.mission)
     settled = len(one.burns_m_s) <= BURNS_TO_MEET
     first = planner.plan(
-        _planned(one.mission, one.burns_m_s), once=settled, choices=0 if settled else CHOICES_MAX
+        from_burns(one.mission, one.burns_m_s), once=settled, choices=0 if settled else CHOICES_MAX
     )
     if first.final.problem != "P2":
         return found

@@ -13,12 +13,12 @@ import numpy as np
 from formulations.arrays import Array
 from formulations.linearisation.factor import knowledge
 from formulations.linearisation.linearisation import Linearisation
-from formulations.problem.flyby import Iterate
 from scp_recon.errors import InputError, shortened
 from scp_recon.mission.grid import RK4_STEP_MAX_S, Units
 from scp_recon.mission.mission import Mission
 from scp_recon.physics.flow import differentiate
 from scp_recon.physics.forces import ForceModel
+from scp_recon.planning.initial_guess import nondimensional
 from scp_recon.planning.method import ScpMethod, scp_method
 from scp_recon.planning.plan import Plan, Provenance
 from scp_recon.results.corrections import stored_policy
@@ -135,8 +135,8 @@ class FlownPlan:
         if strange := strange_times(mission, *times):
             given = f"{strange[0]} that contradict its scenario"
             raise InputError("plan", given, "must be of one plan")
-        units, states = mission.units, np.array(solution.nodes.state)
-        path = Iterate(solution.burns_m_s / units.speed_m_s, states / units.state)
+        states = np.array(solution.nodes.state)
+        path = nondimensional(mission, solution.burns_m_s, states)
         lin = mission.dynamics.linearise(mission.problem, path)
         if solution.policy is None or is_strange(mission, solution.policy):
             lin = lin.known(None)
@@ -150,7 +150,7 @@ class FlownPlan:
             method=_method(solution),
             status=solution.status,
             plan_hash=solution.plan_hash,
-            failed=tuple(dict.fromkeys((*failed, *_contradictions(solution, lin, units)))),
+            failed=tuple(dict.fromkeys((*failed, *_contradictions(solution, lin, mission.units)))),
             warnings=solution.warnings,
         )
 

@@ -18,6 +18,7 @@ from formulations.problem.flyby import Iterate
 from scp_recon.errors import InputError, option
 from scp_recon.mission.mission import Mission
 from scp_recon.physics.flow import propagate
+from scp_recon.planning.initial_guess import nondimensional
 from scp_recon.replanning.delivery import Delivery
 from scp_recon.replanning.flown import FlownPlan, predict
 from scp_recon.scenario.load import override
@@ -130,4 +131,4 @@ def path_planned(flown: FlownPlan, mission: Mission) -> Iterate:
     begin = flown.times_s[last]
     since, steps = mission.times_s - begin, mission.arc_substeps
     states = propagate(flown.states[last], since, mission.forces, steps, begin)
-    return Iterate(burns / mission.units.speed_m_s, states / mission.units.state)
+    return nondimensional(mission, burns, states)

@@ -10,7 +10,7 @@ import numpy as np
 
 from formulations.arrays import Array
 from formulations.linearisation.linearisation import Linearisation
-from formulations.problem.flyby import Iterate
+from scp_recon.planning.initial_guess import nondimensional
 from scp_recon.reports.flights import SHARE, Shown
 from scp_recon.reports.marks import DASHES, LOGARITHMIC, PLANS, Panels, faint
 from scp_recon.reports.subject import Subject
@@ -42,8 +42,7 @@ class Spreads:
         """Those of a plan's file."""
         mission, solution = subject.mission, subject.solution
         units, problem = mission.units, mission.problem
-        burns = solution.burns_m_s / units.speed_m_s
-        path = Iterate(burns, np.array(solution.nodes.state) / units.state)
+        path = nondimensional(mission, solution.burns_m_s, np.array(solution.nodes.state))
         lin = with_policy(mission, mission.dynamics.linearise(problem, path), solution.corrections)
         corrected = [one.burn for one in solution.corrections]
         covariances = []

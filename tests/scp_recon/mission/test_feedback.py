@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 
@@ -49,6 +51,7 @@ def test_a_measurement_that_tells_nothing_is_reported_and_leaves_the_plan_open_l
     np.testing.assert_array_equal(found.times_s, mission.times_s)
     (word,) = (word for word in found.warnings if "no burn is corrected" in word.given)
     assert word.entry == "navigation.sigma_position_m"
+    assert re.search(r"errors are \d{1,3}(,000)+ times", word.given), word.given
     # One of the two told alone is a measurement.
     half = mission_of("policy.kind=feedback", SIGMAS[0], errors[1], f"navigation.lead_s={lead_s:g}")
     assert half.problem.feedback is not None
