@@ -70,14 +70,19 @@ class MissionRunner(StageRunner):
     def go_on(self, last: Plan) -> Stage | None:
         """Solve P2 with exact risk from a plan, without the stages that lead to one.
 
+        Where the last stage alone does not converge from a plan with gains, all that have gains follow.
+
         Returns:
             The stage; None if it did not converge, or if risk is not exact.
         """
         if self.task.scenario.risk.allocation != "exact":
             return None
-        _, rows = self.solver.exact_rows()[-1]
+        *before, (_, rows) = self.solver.exact_rows()
         start = self.task.dynamics.linearise(rows.problem, self.flown(last))
         stage = self.solve("P2", rows, start)
+        leads = any(other.problem.feedback is rows.problem.feedback for _, other in before)
+        if stage.result.status is not Status.CONVERGED and start.iterate.gains.any() and leads:
+            stage = self.solve_exact("P2", start)
         return stage if stage.result.status is Status.CONVERGED else None
 
     def executable(self, stage: Stage) -> Stage:

@@ -224,11 +224,14 @@ class StageRunner:
         """Solve P2 with the true probabilities, after quicker stages as long as they converge.
 
         What has no plan open loop may have one with corrections. Where rows lead to them, the last
-        stage follows, however that one ends.
+        stage follows, however that one ends. A start with gains keeps them: it needs no stage without.
         """
         feedback, leading = self.task.problem.feedback, None
+        corrected = lin.iterate.gains.any()
         for way, rows in self.solver.exact_rows():
-            if leading is not None and way:
+            if (leading is not None and way) or (
+                corrected and rows.problem.feedback is not feedback
+            ):
                 continue
             stage = self.solve(name + way, rows, lin)
             lin = stage.result.lin

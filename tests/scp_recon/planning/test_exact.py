@@ -22,7 +22,6 @@ from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess, ipopt
 from scp_recon.planning.mission_stages import MissionRunner
 from scp_recon.planning.planner import Plan, Planner, plan
-from scp_recon.planning.stages import StageRunner
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scp.algorithms import ALGORITHMS
 from scp_recon.scp.status import Status
@@ -242,19 +241,46 @@ def test_other_formulations_have_no_exact_rows(formulation: str) -> None:
 )
 def test_gains_are_led_to_where_there_is_no_plan_without(ends: str, names: list[str]) -> None:
     """However the leading stage ends."""
-    ended, seen = iter(ends), []
+    runner, start, seen = runner_that_ends(ends, gains=0.0)
+    runner.solve_exact("", start)
+    assert seen == names
 
-    class Runner(StageRunner):
+
+@pytest.mark.parametrize(
+    ("ends", "names"),
+    [("c", ["P2"]), ("icc", ["P2", "P2.coarse", "P2"]), ("ii", ["P2", "P2.coarse"])],
+)
+def test_a_plan_with_gains_that_does_not_go_on_at_once_goes_on_with_them(
+    ends: str, names: list[str]
+) -> None:
+    runner, start, seen = runner_that_ends(ends, gains=1.0)
+    last: Any = None
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(MissionRunner, "flown", lambda *_: start.iterate)
+        stage = runner.go_on(last)
+    assert seen == names
+    assert (stage is None) == (ends[-1] == "i")
+
+
+def runner_that_ends(ends: str, gains: float) -> tuple[MissionRunner, Any, list[str]]:
+    """A runner whose stages end converged or infeasible, its start, and the names of its stages."""
+    ended, seen = iter(ends), []
+    start: Any = SimpleNamespace(iterate=SimpleNamespace(gains=np.array([gains])))
+
+    class Runner(MissionRunner):
         def solve(self, name: str, *_: Any) -> Any:
             seen.append(name)
             status = Status.CONVERGED if next(ended) == "c" else Status.INFEASIBLE
-            return SimpleNamespace(result=SimpleNamespace(status=status, lin=None))
+            return SimpleNamespace(result=SimpleNamespace(status=status, lin=start))
 
-    none, gains = (SimpleNamespace(problem=SimpleNamespace(feedback=f)) for f in (None, "gains"))
+    none, closed = (SimpleNamespace(problem=SimpleNamespace(feedback=f)) for f in (None, "gains"))
     solver: Any = SimpleNamespace(
-        exact_rows=lambda: [(".node", none), (".coarse", gains), ("", gains)], leading_rows=gains
+        exact_rows=lambda: [(".node", none), (".coarse", closed), ("", closed)],
+        leading_rows=closed,
     )
-    task: Any = gains
-    start: Any = None
-    Runner(task, solver).solve_exact("", start)
-    assert seen == names
+    task: Any = SimpleNamespace(
+        problem=closed.problem,
+        scenario=SimpleNamespace(risk=SimpleNamespace(allocation="exact")),
+        dynamics=SimpleNamespace(linearise=lambda *_: start),
+    )
+    return Runner(task, solver), start, seen
