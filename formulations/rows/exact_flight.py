@@ -279,6 +279,8 @@ class FlightRows(ExactRows):
         s, burns = condense(lin, nodes), self.problem.burn_controls.ravel()
 
         def slopes(moves: Array) -> Array:
+            if len(moves) == 0:  # too few burns are left to change any
+                return moves
             mean = np.repeat(lin.iterate.mean[None, :, :3], len(moves), axis=0)
             factor = np.repeat(lin.factor[None], len(moves), axis=0)
             mean[:, nodes] += np.moveaxis(s.mean_jacobian[:, :3] @ moves.T, 2, 0)
