@@ -30,7 +30,7 @@ from experiments.compare_solvers.cases import (
     crossing,
     exact_design,
 )
-from experiments.compare_solvers.cell import FAILED, Row, failed_row, solve_cell
+from experiments.compare_solvers.cell import FAILED, Row, Unguarded, failed_row, solve_cell
 from experiments.compare_solvers.claims import (
     FROZEN,
     MISS_M,
@@ -56,6 +56,7 @@ from experiments.harness import Findings
 from experiments.harness import report as as_markdown
 from formulations.arrays import Array
 from formulations.linearisation.linearisation import Linearisation
+from formulations.registry import make_subproblem
 from formulations.rows.node_probability import joint_events, node_quantiles
 from scp_recon.jobs.job import TIMED_OUT, Done, Executor, Failure, Job, attempt
 from scp_recon.jobs.processes import Limits
@@ -66,6 +67,7 @@ from scp_recon.planning.plan import Plan
 from scp_recon.planning.planner import plan
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scp.algorithms import ALGORITHMS
+from scp_recon.scp.loop import run
 from scp_recon.scp.status import Status
 from tests.helpers import usually
 from tests.normal_law import cone_probability
@@ -149,6 +151,16 @@ def test_a_cell_is_solved_as_the_planner_solves_it(mission: Mission) -> None:
         assert row.iterations_p2 == len(done.final.result.records)
         assert 0.0 < row.solver_s < row.total_s
         assert row.peak_mib > 10.0
+
+
+def test_the_full_linearisation_needs_no_guard_here(mission: Mission) -> None:
+    p3, p2 = plan(mission, initial_guess.cold(mission)).stages
+    subproblem = make_subproblem(mission.problem, p2.merit.rows)
+    algorithm = Unguarded(mission.problem)
+    found = run(subproblem, mission.dynamics, p3.result.lin, algorithm, lambda _: None)
+    assert found.status is Status.CONVERGED
+    expected = p2.result.lin.iterate.total_dv
+    assert found.lin.iterate.total_dv == pytest.approx(expected, rel=1e-5)
 
 
 # --- the design ---------------------------------------------------------------------------------
