@@ -186,17 +186,6 @@ def moved(burn: int, time: float) -> tuple[float, ...]:
     return (*FIRING[:burn], time, *FIRING[burn + 1 :])
 
 
-def test_firing_intervals_are_those_of_the_rules() -> None:
-    intervals = make_schedule(FIRING, WINDOW, RULES).firing_intervals_s
-    # 0 + 3000 + 3600; 11340 - 3000; 16537 + 3000 + 3600; 31242 - 3000; 25000 + 3000 + 3600.
-    assert intervals == (
-        (0.0, 0.0),
-        (6600.0, 8340.0),
-        (23_137.0, 28_242.0),
-        (31_600.0, np.inf),
-    )
-
-
 def test_what_the_message_offers_is_allowed() -> None:
     with pytest.raises(InputError, match=r"between 6600 s and 8340 s"):
         make_schedule(moved(1, 6000.0), WINDOW, RULES)

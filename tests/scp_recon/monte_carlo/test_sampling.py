@@ -189,22 +189,6 @@ def sparse(solution: Solution) -> tuple[Mission, Array, KeptFlights]:
     return mission, solution.burns_m_s, kept_flights(mission, solution.burns_m_s, FLIGHTS, SEED)
 
 
-def test_seconds_between_nodes_that_are_touched_are_less_likely_than_every_node(
-    sparse: tuple[Mission, Array, KeptFlights],
-) -> None:
-    mission, burns, kept = sparse
-    least = min(int(counts.min()) for counts in kept.at_nodes.values())
-    lowest = min(kept.throughout.values())
-    assert lowest < least - 100
-    assert len(kept.touched_s) > 0
-    some = np.unique(kept.touched_s)[:: max(1, len(kept.touched_s) // 20)]
-    positions = sample_positions(mission, burns, some, FLIGHTS, SEED)
-    margins = joint_margins(mission, some, positions)
-    margins[SAFETY] = np.linalg.norm(positions, axis=2) - mission.scenario.safety.radius_min_m
-    counts = np.min([np.sum(margin >= 0.0, axis=1) for margin in margins.values()], axis=0)
-    assert np.all(counts <= least - 0.5 * (least - lowest) + 1)
-
-
 def test_nodes_there_close_the_gap(sparse: tuple[Mission, Array, KeptFlights]) -> None:
     mission, burns, kept = sparse
     finer = with_nodes_at(mission, kept.touched_s)
@@ -318,16 +302,3 @@ def test_quantile_is_the_binomial_law_s(level: float, samples: int, share: float
     ours, theirs = binomial_quantile(level, samples, share), binom.ppf(level, samples, share)
     least = min(ours, theirs)
     assert ours == theirs or binom.cdf(least, samples, share) == pytest.approx(level, rel=1e-9)
-
-
-@pytest.mark.parametrize("samples", [10, 60, 200])
-@pytest.mark.parametrize("truth", [0.01, 0.3, 0.7, 0.95])
-def test_interval_holds_the_truth_at_least_as_often_as_it_claims(
-    samples: int, truth: float
-) -> None:
-    """Summed over all outcomes: no sampling in the test of the sampling."""
-    holds = [
-        estimate.low <= truth <= estimate.high
-        for estimate in (proportion(successes, samples) for successes in range(samples + 1))
-    ]
-    assert binom.pmf(np.arange(samples + 1), samples, truth) @ holds >= CONFIDENCE

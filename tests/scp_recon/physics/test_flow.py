@@ -111,27 +111,6 @@ def test_an_expression_of_the_same_forces_gives_the_same_flow(
     assert other.propagate(starts, 3) == pytest.approx(flow.propagate(starts, 3), rel=1e-12)
 
 
-@given(state=states())
-def test_propagation_and_differentiation_see_the_same_flow(
-    state: Array, forces: ForceModel, arc: float
-) -> None:
-    end = differentiate(state[None], np.array([arc]), forces, 3).state[0]
-    np.testing.assert_allclose(propagate(state, arc, forces, 3), end, rtol=1e-13, atol=1e-14)
-
-
-def test_all_arcs_in_one_call_are_the_arcs_one_by_one(forces: ForceModel, arc: float) -> None:
-    rng = np.random.default_rng(3)
-    many = rng.normal(size=(9, 6)) + np.array([2.0, 0.0, 0.0, 0.0, 0.0, 0.0])
-    durations = rng.uniform(0.1, 2.0, size=9) * arc
-    together = differentiate(many, durations, forces)
-    for n in range(9):
-        alone = differentiate(many[n : n + 1], durations[n : n + 1], forces)
-        for name in ("state", "stm", "tensor"):
-            np.testing.assert_allclose(
-                getattr(together, name)[n], getattr(alone, name)[0], rtol=1e-13, atol=1e-15
-            )
-
-
 @given(state=states(), seed=st.integers(0, 2**32 - 1))
 def test_a_small_move_needs_no_new_derivatives(
     state: Array, forces: ForceModel, arc: float, seed: int

@@ -13,9 +13,7 @@ from scp_recon.interop.ccsds import opm_text
 from scp_recon.interop.export import SPACECRAFT_ID, Export, Ids
 from scp_recon.interop.path import fly_path
 from scp_recon.planning.plan import Plan
-from scp_recon.reports.charts import _burn_marks
 from scp_recon.reports.flights import budget_of, budget_table, fly
-from scp_recon.reports.scene import Frame, arrows_of
 from scp_recon.reports.subject import Subject
 from scp_recon.reports.tables import burns_table
 from scp_recon.results.facts import Burn
@@ -140,17 +138,6 @@ def test_it_is_no_manoeuvre_and_the_others_keep_their_numbers(stored: Solution) 
     assert text.count("MAN_EPOCH_IGNITION") == 3
     assert any("burn 3: none" in line for line in numbers)
     assert "COMMENT 3 burns, impulses; " in text
-
-
-def test_it_is_not_drawn(stored: Solution) -> None:
-    subject = Subject("plan", stored)
-    frame = Frame(np.eye(3), np.zeros(3), np.ones(3), 100.0)
-    starts, ends = arrows_of(frame, subject)
-    assert len(starts) == 3
-    assert np.linalg.norm(ends - starts, axis=1).min() > 1.0
-    moves, *_, words = _burn_marks(subject, 0)
-    assert [text.partition(":")[0] for text in words["text"]] == ["1", "2", "4"]
-    assert moves["x"].count(None) == 3
 
 
 def test_it_is_shown_as_zero_and_never_as_minus_zero(stored: Solution) -> None:

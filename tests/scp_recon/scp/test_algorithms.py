@@ -141,8 +141,12 @@ def test_a_step_is_taken_for_a_tenth_of_its_promise_and_moves_the_soft_radius(
 
 @pytest.mark.parametrize(
     "algorithm",
-    [*map(PTR, (0.03, 30.0)), SCvxStar(weight=1.0), SCvxStar(weight=1e4)],
-    ids=["ptr of a small radius", "of a large one", "scvx-star of a small weight", "a large one"],
+    [
+        *map(PTR, (0.03, 30.0)),
+        *(SCvx(initial_radius=radius) for radius in (0.3, 6.0)),
+        *(SCvxStar(weight=weight) for weight in (1.0, 1e4)),
+    ],
+    ids=lambda algorithm: type(algorithm).__name__,
 )
 def test_the_first_radius_and_weight_are_no_matter_of_life_and_death(
     algorithm: Algorithm, mission: Mission, cold: Linearisation, prox_run: Result

@@ -215,14 +215,6 @@ def test_a_tiny_trust_region_proves_no_stationarity(
     assert len(result.records) > 3
 
 
-@pytest.mark.parametrize("radius", [0.3, 6.0])
-def test_the_first_trust_region_is_no_matter_of_life_and_death(
-    p3: Subproblem, cold: Linearisation, mission: Mission, radius: float
-) -> None:
-    result = run(p3, mission.dynamics, cold, SCvx(initial_radius=radius), ignore)
-    assert result.status is Status.CONVERGED
-
-
 EXIT_CODES = {"converged": 0, "infeasible": 3, "lost": 5, "interrupted": 130}
 BAD_INPUT = 2
 
