@@ -280,9 +280,10 @@ class Simulator:
         for i, firing in enumerate(self.plan.firings):
             if not firing.duration_s:
                 continue
-            during = slice(*np.searchsorted(self.times_s, [firing.start_s, firing.end_s]).tolist())
-            ends = slice(during.start + 1, during.stop + 1)
-            mean = 0.5 * (directions[during] + directions[ends]).mean(axis=0)
+            first, last = np.searchsorted(self.times_s, [firing.start_s, firing.end_s])
+            # A last burn that is commanded longer than it was planned outlasts what is recorded.
+            flown = directions[first : last + 1]
+            mean = 0.5 * (flown[:-1] + flown[1:]).mean(axis=0) if len(flown) > 1 else flown[0]
             size = np.linalg.norm(firing.dv_m_s) * (1.0 + self.firer.burn_error[i])
             burns[i] = size * mean
         return burns

@@ -3,6 +3,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -84,6 +85,20 @@ def test_the_velocity_gained_is_what_the_burns_are_said_to_be(perfect: Flight) -
     coast = perfect.states[k, 3:] - perfect.states[k - seconds, 3:]
     gain = perfect.states[k + seconds, 3:] - perfect.states[k, 3:] - coast
     np.testing.assert_allclose(gain, perfect.burns_m_s[1], atol=3e-6)
+
+
+def test_a_last_burn_may_be_commanded_longer_than_planned(perfect: Flight) -> None:
+    """Its end is not recorded; the burn is whole, along the attitudes that are."""
+    burns = np.array([firing.dv_m_s for firing in perfect.plan.firings])
+    burns[-1] *= 3.0
+    plan = perfect.plan.with_burns(burns)
+    assert plan.end_s > perfect.times_s[-1]
+    flown = SimpleNamespace(
+        plan=plan, times_s=perfect.times_s, firer=SimpleNamespace(burn_error=np.zeros(len(burns)))
+    )
+    found = simulation.Simulator._executed_burns(flown, perfect.attitudes)  # type: ignore[arg-type]
+    np.testing.assert_allclose(found[0], perfect.burns_m_s[0], rtol=1e-12)
+    np.testing.assert_allclose(found[-1], 3.0 * perfect.burns_m_s[-1], atol=1e-3 * 0.1)
 
 
 def test_every_mode_settles_on_wheels_after_a_slew_on_thrusters(perfect: Flight) -> None:
