@@ -33,6 +33,7 @@ from paper_figs.studies import (
     flight_record,
     flown_plan,
     frontier,
+    map_sample,
     model_fidelity,
     policies,
     power_history,
@@ -202,6 +203,25 @@ def write_policies(folder: Path) -> None:
     (folder / "policies.csv").write_text(to_csv(rows), encoding="utf-8")
 
 
+def write_sample(folder: Path) -> None:
+    """Made-up sites in the study's own columns: open loop, with feedback alone, and none."""
+    folder.mkdir()
+    rows = [
+        {"site.latitude_deg": 20.0 * k, "site.longitude_deg": -30.0 * k, "dv99_m_s": cost}
+        | {"open": k == 0, "corrected": k < 2}
+        for k, cost in enumerate((0.1, 0.2, None))
+    ]
+    (folder / "sample.csv").write_text(to_csv(rows), encoding="utf-8")
+
+
+def test_sites_are_counted_open_loop_and_with_feedback(studies: Path) -> None:
+    rows = map_sample.SOURCE.rows(studies / map_sample.SOURCE.folder)
+    for feedback_too, counts in ((False, [1, 0, 2]), (True, [1, 1, 1])):
+        found = map_sample.of_ends(rows, feedback=feedback_too)
+        assert [len(found[end]) for end in found] == counts
+    assert "1 of 3 open loop, 2 with burns corrected" in map_sample.caption(rows)
+
+
 @pytest.fixture(scope="module")
 def studies(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Folders of all studies."""
@@ -217,6 +237,7 @@ def studies(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_frontier(out / frontier.SOURCE.folder)
     write_feedback(out / feedback.SOURCE.folder)
     write_policies(out / policies.SOURCE.folder)
+    write_sample(out / map_sample.SOURCE.folder)
     return out
 
 

@@ -1,0 +1,37 @@
+"""The study of sites out of reach: which gains are left when fewer burns are corrected."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from experiments.maps import counted
+from experiments.sites import last_gains
+from formulations.problem.feedback import Feedback
+
+
+@pytest.mark.parametrize("left", [3, 2, 1])
+def test_gains_of_the_last_burns_act_on_what_is_known_from_their_first_cut_off_on(
+    left: int,
+) -> None:
+    def of(burns: int) -> Feedback:
+        numbers = np.arange(burns)
+        return Feedback(1 + numbers, numbers, np.array([np.eye(6)] * burns), "dv99", 0.9)
+
+    gains = np.random.default_rng(left).normal(size=of(3).size)
+    kept, gone = last_gains(gains, left), 3 - left
+    assert kept.shape == (of(left).size,)
+    for j in range(left):
+        whole = of(3).of_burn(gains, j + gone)
+        assert np.array_equal(of(left).of_burn(kept, j), whole[:, 6 * gone :])
+
+
+def test_sites_are_summed_up_by_how_they_are_reached() -> None:
+    alone = {"open": True, "corrected": True, "dv99_m_s": 0.1, "whole_flight": 0.91}
+    more = {"open": False, "corrected": True, "dv99_m_s": 0.3, "whole_flight": 0.88}
+    row = counted([alone, more, {"open": False, "corrected": False}])
+    assert (row["sites"], row["open"], row["more"]) == (3, 1, 1)
+    assert row["open_dv99_m_s_max"] == 0.1
+    assert row["more_dv99_m_s_min"] == 0.3
+    assert row["more_whole_flight_min"] == 0.88
+    assert counted([])["open_dv99_m_s_min"] is None
