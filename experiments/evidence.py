@@ -75,6 +75,7 @@ SOURCES: Mapping[str, Source] = {
         ("experiments.policies",),
         figures=("paper_figs policies --runs {out} --out docs/policies.png",),
     ),
+    "sites": Source("experiments sites", ("experiments.sites",)),
     "compare_solvers": Source(
         "experiments compare_solvers --full",
         (_SOLVERS,),

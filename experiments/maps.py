@@ -147,8 +147,7 @@ def run_sample(session: Session) -> Findings:
     """Plan the sampled sites."""
     sites = read_study(STUDIES / "reconnaissance_map.toml")
     numbers = np.random.default_rng(SEED).choice(len(sites.cases), SAMPLE, replace=False)
-    chosen = sorted(numbers.tolist())[: 1 if session.options.quick else None]
-    jobs = [Job(f"site {number}", number) for number in chosen]
+    jobs = [Job(f"site {number}", number) for number in sorted(numbers.tolist())]
     rows = session.rows("sites", partial(sampled, sites), jobs, session.store(), line=_line)
     bands = {band: [one for one in rows if latitude(one) == band] for band in BANDS} | {"all": rows}
     sums = [{"of": band, **counted(own)} for band, own in bands.items() if own]
@@ -181,7 +180,7 @@ def median(values: list[float]) -> float | None:
 
 def run(session: Session) -> Findings:
     """Run every campaign, and sum it up; or plan the sample."""
-    if session.options.sample or session.options.quick:
+    if session.options.sample:
         return run_sample(session)
     files, totals = dict[str, list[Record]](), []
     for name, (key, by) in SUMMED.items():
@@ -213,7 +212,6 @@ STUDY = Harnessed(
     [
         number("--workers", 1, 0, 256, "processes"),
         option("--sample", action="store_true", help="a sample of the map's sites, with feedback"),
-        option("--quick", action="store_true", help="one site of it, to see that it runs"),
         option("--pictures", type=Path, metavar="DIR", help="copy maps and curves to this folder"),
     ],
 )

@@ -22,7 +22,7 @@ import numpy as np
 from scipy.special import ndtr, ndtri
 
 from experiments.feedback import Case, row
-from experiments.harness import Findings, Record, Session, Study, option, records
+from experiments.harness import Findings, Record, Session, Study, records
 from formulations.arrays import Array
 from formulations.rows.exact_flight import FLIGHT as WHOLE
 from scp_recon.api.designing import design
@@ -52,7 +52,7 @@ ASKED, BURNS_HOLD = 0.9, 0.99
 ITERATIONS, ROUNDS, ITERATIONS_AGAIN = 100, 3, 12
 RADIUS = 0.02
 """Trust radius with which a round begins: what it starts from is near."""
-FLIGHTS, QUICK_FLIGHTS = 10_000, 500
+FLIGHTS = 10_000
 
 
 class Measured(NamedTuple):
@@ -100,7 +100,7 @@ def raised(out: Path, site: str) -> Record:
     }
 
 
-def measure(out: Path, flights: int, ends: Mapping[str, Record], case: Measured) -> Record:
+def measure(out: Path, ends: Mapping[str, Record], case: Measured) -> Record:
     """The likeliest plan that was found of a pass, judged by flights: a row."""
     begin, known, end = process_time(), FlownPlan.of(out / case.site), ends[case.site]
     mission = Mission.from_scenario(known.mission.scenario.replace(case.changes()))
@@ -132,7 +132,7 @@ def measure(out: Path, flights: int, ends: Mapping[str, Record], case: Measured)
     assert judged.certificate is not None
     low, high = judged.certificate.low, judged.certificate.high
     return {
-        **row(Case(case.site, low), judged, flights, process_time() - begin),
+        **row(Case(case.site, low), judged, FLIGHTS, process_time() - begin),
         **case._asdict(),
         "law": law,
         "certified_high": high,
@@ -154,13 +154,11 @@ def last_gains(gains: Array, left: int) -> Array:
 
 def run(session: Session) -> Findings:
     """Design both passes, and plan them again for everything that may be known in flight."""
-    quick = session.options.quick
-    cases, store = CASES[: 1 if quick else None], session.store(quick=quick)
-    sites = [Job(f"raised {site}", site) for site in SITES[: 1 if quick else None]]
+    store, sites = session.store(), [Job(f"raised {site}", site) for site in SITES]
     passes = session.rows("passes", partial(raised, session.out), sites, store)
     ends = {one["site"]: one for one in passes}
-    work = partial(measure, session.out, QUICK_FLIGHTS if quick else FLIGHTS, ends)
-    jobs = [Job(repr(case), case) for case in cases]
+    work = partial(measure, session.out, ends)
+    jobs = [Job(repr(case), case) for case in CASES]
     rows = session.rows("navigation", work, jobs, store, line=_line)
     rows.sort(key=lambda one: (one["site"], one["position_m"], one["lead_h"]))
     short = [{name: one[name] for name in one if name not in ("burns", "gains")} for one in passes]
@@ -172,9 +170,4 @@ def _line(row: Record) -> str:
     return f"{said}, at least {row['certified_low']:.4f} for {row['dv99_m_s']:.4f} m/s"
 
 
-STUDY = Study(
-    "Sites out of reach open loop",
-    __doc__,
-    run,
-    [option("--quick", action="store_true", help="one row and few flights, to see that it runs")],
-)
+STUDY = Study("Sites out of reach open loop", __doc__, run)
