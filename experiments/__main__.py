@@ -36,6 +36,7 @@ STUDIES = {
     "timing_rules": "the schedule's durations, measured on the spacecraft",
     "maps": "the campaigns of examples/studies, summed up",
     "testing": "reliability, coverage and mutation: what the tests reach",
+    "cross_check": "the default plan flown by Orekit and brahe",
     "flown_plan": "whether the spacecraft can fly a plan",
 }
 """The studies, and what each is about."""

@@ -83,6 +83,7 @@ SOURCES: Mapping[str, Source] = {
     ),
     "nlp_tricks": Source("experiments nlp_tricks", ("experiments.nlp_tricks",)),
     "openscvx_peer": Source("experiments openscvx_peer", ("experiments.openscvx_peer",)),
+    "cross_check": Source("experiments cross_check", ("experiments.cross_check",)),
     "lifted": Source("experiments lifted", ("experiments.lifted",)),
     "observation_table": Source(
         "experiments observation_table",

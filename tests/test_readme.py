@@ -259,6 +259,7 @@ QUICK = {
     "python -m experiments openscvx_peer": Quick(
         needs="openscvx", less=(("experiments.openscvx_peer.CASES", lambda cases: cases[:1]),)
     ),
+    "python -m experiments cross_check": Quick(needs="orekit_jpype"),
     "python -m experiments flown_plan": Quick(
         nightly=True,
         line="python -m experiments flown_plan runs/short --seeds 1 --out runs/flown_plan",
@@ -300,6 +301,7 @@ QUICK = {
 STUDIES = ("reconnaissance_map", "errors", "asteroid_year", "sizes", "navigation")
 APART = {
     "python -m pip install --constraint constraints.txt --editable '.[compare]'",
+    "python -m pip install --constraint constraints.txt --editable '.[crosscheck]'",
     "python -m benchmarks",  # takes minutes
     "python -m benchmarks.campaign_scale",
     "python -m benchmarks.waits",
@@ -467,7 +469,7 @@ def test_one_target_installs_every_extra_that_a_command_may_need() -> None:
     (everything,) = extras["all"]
     listed = re.findall(r"\w+", everything)
     assert listed[0] == project["name"]
-    assert {*listed[1:]} == extras.keys() - {"all", "peer", "test", "dev"}
+    assert {*listed[1:]} == extras.keys() - {"all", "crosscheck", "peer", "test", "dev"}
     makefile = (PROJECT / "Makefile").read_text("utf-8")
     assert re.search(r"^extras: \$\(VENV\)/\.extras ", makefile, re.MULTILINE)
     assert re.search(r"/\.extras: .*\n\t\$\(PIP\) --editable '\.\[all\]'", makefile)

