@@ -4,11 +4,11 @@ The law of the commanded sizes, sum_i |v_i + U_i xi|, depends on burns v and gai
 quantile are taken over fixed quasi-random draws of xi, and are smooth functions of both. A burn has
 about the size
 
-    ||(v, U)|| + s'xi,    s = U'v / ||(v, U, d)||,
+    ||(v, U)|| + s'xi,    s = U'v / ||(v, U)||,
 
-whose first term bounds the mean from above (Jensen's inequality), with a small d for burns without a
-direction, and the 99 % quantile is about sum_i ||(v_i, U_i)|| + 2.326 ||sum_i s_i||. The slope of the
-quantile is that of a mean over draws near it, in which xi is larger than in all. The convex program has
+whose first term bounds the mean from above (Jensen's inequality), and the 99 % quantile is about
+sum_i ||(v_i, U_i)|| + 2.326 ||sum_i s_i||. The slope of the quantile is that of a mean over draws near
+it, in which xi is larger than in all. The convex program has
 
     sum_i ||(v_i, U_i) R_i||,    R_i R_i' = sum_n w_n (1, xi_n)(1, xi_n)',
 
@@ -45,9 +45,6 @@ DRAWS = 8192
 
 SMOOTH = 0.5
 """Width of the kernel that smooths their distribution, over its standard deviation."""
-
-DIRECTED = 1e-2
-"""Over the largest burn: a smaller one has hardly a direction along which corrections add up."""
 
 STEEPEST = 3.0
 """Slope with which a bend goes on straight at most: a little more than the 2.58 standard deviations
@@ -103,9 +100,14 @@ def cost(problem: FlybyProblem, iterate: Iterate) -> Valued:
     feedback = problem.feedback
     if feedback is None or feedback.cost == "nominal" or not iterate.gains.any():
         return formula(problem, iterate, roots_of(problem, iterate))
-    sizes = _Sizes.of(problem, iterate)
     if feedback.cost == "expected":
+        sizes = _Sizes.of(problem, iterate)
         return Valued(float(sizes.total.mean()), sizes.slope(np.full(DRAWS, 1.0 / DRAWS)))
+    if not _corrects(problem, iterate):
+        value, gradient = formula(problem, iterate, roots_of(problem, iterate))
+        along, _ = size_spread(problem, iterate)
+        return Valued(value + QUANTILE * float(np.linalg.norm(along)), gradient)
+    sizes = _Sizes.of(problem, iterate)
     return Valued(sizes.quantile.value, sizes.slope(sizes.quantile.by_value))
 
 
@@ -142,6 +144,11 @@ def _vanished(problem: FlybyProblem, iterate: Iterate, j: int) -> bool:
     return bool(np.abs(own).max() <= VANISHED * problem.dv_max)
 
 
+def _corrects(problem: FlybyProblem, iterate: Iterate) -> bool:
+    """Whether any gain is more than rounding."""
+    return bool(np.abs(iterate.gains).max(initial=0.0) > VANISHED * problem.dv_max)
+
+
 def _places(known: int) -> Indices:
     """Where (v, U), shape (3, 1 + known), stand among a corrected burn's controls."""
     return np.column_stack([np.arange(3), 3 + np.arange(3 * known).reshape(3, known)])
@@ -151,17 +158,16 @@ def roots_of(problem: FlybyProblem, iterate: Iterate) -> list[Array]:
     """R of each corrected burn j, shape (6 j + 7, 6 j + 7); none where corrections cost nothing.
 
     Where nothing is corrected yet the quantile has no slope. There R is that of the mean, but for burns
-    without a direction, whose sizes' quantile is that of a norm of normal numbers.
+    that have vanished, whose sizes' quantile is that of a norm of normal numbers.
     """
     feedback = problem.feedback
     if feedback is None or feedback.cost == "nominal":
         return []
-    if feedback.cost == "dv99" and iterate.gains.any():
+    if feedback.cost == "dv99" and _corrects(problem, iterate):
         return _Sizes.of(problem, iterate).roots
     roots = []
-    for j, burn in enumerate(feedback.burns):
-        still = np.linalg.norm(iterate.burns[burn]) < DIRECTED * problem.dv_max
-        steep = STEEPEST if feedback.cost == "dv99" and still else 1.0
+    for j in range(len(feedback.burns)):
+        steep = STEEPEST if feedback.cost == "dv99" and _vanished(problem, iterate, j) else 1.0
         roots.append(np.diag(np.r_[1.0, np.full(6 * (j + 1), steep)]))
     return roots
 
@@ -178,8 +184,8 @@ def bends(problem: FlybyProblem, iterate: Iterate) -> tuple[Bend, Bend]:
     root = np.zeros((len(moved), problem.controls_before[-1]))
     start, jacobian = size_spread(problem, iterate)
     start, jacobian = QUANTILE * start, QUANTILE * jacobian
-    if not iterate.gains.any():
-        return Bend(jacobian, start, 0.0), Bend(root, root[:, 0], 0.0)
+    if not _corrects(problem, iterate):
+        return Bend(jacobian, 0.0 * start, 0.0), Bend(root, root[:, 0], 0.0)
     sizes = _Sizes.of(problem, iterate)
     over, hessian = QUANTILE * sizes.quantile.width, sizes.curvature()
     across = float(np.sqrt(max(over**2 - float(start @ start), 0.0)))
@@ -206,11 +212,11 @@ def size_spread(problem: FlybyProblem, iterate: Iterate) -> tuple[Array, Array]:
     """The sum of all s_i, shape (6 k,), and its derivative by the controls, shape (6 k, controls)."""
     feedback = problem.feedback
     assert feedback is not None
-    k, least = len(feedback.burns), DIRECTED * problem.dv_max
+    k = len(feedback.burns)
     value, jacobian = np.zeros(6 * k), np.zeros((6 * k, problem.controls_before[-1]))
     for j, burn in enumerate(feedback.burns):
         v, gains, n = iterate.burns[burn], problem.gains_of(iterate, j), 6 * (j + 1)
-        size = float(np.sqrt(v @ v + np.sum(gains**2) + least**2))
+        size = max(float(np.sqrt(v @ v + np.sum(gains**2))), VANISHED * problem.dv_max)
         along = v @ gains / size
         value[:n] += along
         first, stop = problem.controls_before[burn : burn + 2]

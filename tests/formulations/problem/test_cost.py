@@ -113,6 +113,22 @@ def test_the_program_curves_as_the_cost_does(across: float, along: float) -> Non
     assert ahead == pytest.approx(behind, rel=0.5)
 
 
+def test_gains_that_are_rounding_give_the_program_no_direction() -> None:
+    """Beside a burn that is nearly none; steps of gains longer than rounding and shorter than it."""
+    problem, z = case("dv99")
+    rng = np.random.default_rng(2)
+    first, _ = problem.controls_before[1:3]
+    z[first : first + 3] *= 1e-3
+    z[problem.gain_controls] *= 1e-9
+    model = model_of(problem, z)
+    for _ in range(20):
+        step = np.zeros_like(z)
+        step[problem.gain_controls] = rng.normal(size=len(problem.gain_controls))
+        step *= 1e-5 / np.linalg.norm(step)
+        said, real = model(z + step) - model(z), cost_at(problem, z + step) - cost_at(problem, z)
+        assert said == pytest.approx(real, rel=0.2)
+
+
 def test_the_program_has_the_kink_where_corrections_along_burns_cancel() -> None:
     """Across burns nothing adds up, so that past it the cost rises as it fell."""
     problem, z = case("dv99")
