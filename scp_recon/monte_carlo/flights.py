@@ -21,13 +21,14 @@ from scp_recon.mission.mission import Mission
 from scp_recon.mission.scene import errors_of_kind
 from scp_recon.monte_carlo.estimates import Estimate, Tally, proportion
 from scp_recon.monte_carlo.narrow import FlightsAtLooks, Narrowed, narrow
-from scp_recon.monte_carlo.observation_time import ALL, SCIENCE, joint_margins, time_held
+from scp_recon.monte_carlo.observation_time import ALL, SCIENCE, joint_holds, time_held
 from scp_recon.monte_carlo.sampling import (
     BLOCK,
     AnyPolicy,
     ErrorModel,
     PolicyKind,
     TruthModel,
+    corrections_of,
     fly_block,
     policy_kind,
 )
@@ -139,13 +140,10 @@ def run_block(config: FlightConfig, block: tuple[int, int]) -> FlightBlock:
     )
     seen, nothing = flown.states[:-1], np.zeros(0)
     held = time_held(mission, looks, seen) if len(looks) else {}
-    joint = joint_margins(mission, looks, seen[..., :3]) if len(looks) else {}
-    holds = {name: margin >= 0.0 for name, margin in joint.items()}
+    holds = joint_holds(mission, looks, seen[..., :3]) if len(looks) else {}
     whole = flown.closest_m >= mission.scenario.safety.radius_min_m
-    for name in joint:
-        whole &= holds[name].all(axis=0)
-    if joint:
-        holds[ALL] = np.logical_and.reduce([holds[name] for name in SCIENCE])
+    for kept in holds.values():
+        whole &= kept.all(axis=0)
     return FlightBlock(
         held={name: h.duration for name, h in held.items()},
         entry=held[ALL].entry if held else nothing,
@@ -334,12 +332,12 @@ def _narrowed(
 ) -> Narrowed | None:
     """Probabilities of further flights in strata.
 
-    None of policies, for which there is no law here, and after the window.
+    None where burns are planned again, for which there is no law, and after the window.
     """
     config, before = flown.config, flown.samples
-    if config.policy or not flown.node_counts:
+    if config.policy_kind == "replan" or not flown.node_counts:
         return None
-    how = config.looks_s, config.truth, config.errors
+    how = config.looks_s, config.truth, config.errors, corrections_of(config.policy)
     flights = FlightsAtLooks(config.mission, config.burns_m_s, *how)
     return narrow(
         flights,

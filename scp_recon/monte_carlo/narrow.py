@@ -14,13 +14,16 @@ import numpy as np
 from scipy.special import ndtri
 
 from formulations.arrays import Array, Booleans, Indices
+from formulations.linearisation.linearisation import Linearisation
 from formulations.risk.strata import Allocation, Counted, Survey, allocate
 from scp_recon.jobs.job import Executor, Job, in_order
 from scp_recon.mission.mission import Mission
+from scp_recon.mission.scene import errors_of_kind
+from scp_recon.monte_carlo.closed_loop import MEASURED
 from scp_recon.monte_carlo.estimates import CONFIDENCE, Estimate, of_strata, proportion
 from scp_recon.monte_carlo.law import Law, blocks_of
 from scp_recon.monte_carlo.law_in_time import CountsInTime, DrawsInTime, Events, survey_in_time
-from scp_recon.monte_carlo.observation_time import ALL, SCIENCE, joint_margins
+from scp_recon.monte_carlo.observation_time import ALL, SCIENCE, joint_holds
 from scp_recon.monte_carlo.sampling import (
     ErrorModel,
     TruthModel,
@@ -28,6 +31,7 @@ from scp_recon.monte_carlo.sampling import (
     number_of_sources,
 )
 from scp_recon.planning.initial_guess import from_burns
+from scp_recon.results.policy import Policy, with_policy
 
 TAIL = 0.5 * (1.0 - CONFIDENCE)
 DRAW, TIMES = 0.09, (1.1, 1.3, 1.6, 2.0, 3.0, 4.0)
@@ -84,13 +88,17 @@ class KeptAtLooks:
 
 @dataclass(frozen=True)
 class FlightsAtLooks:
-    """Flies draws of the errors with planned burns, J2000, m/s, shape (m, 3), and looks at times."""
+    """Flies draws of the errors with planned burns, J2000, m/s, shape (m, 3), and looks at times.
+
+    A policy corrects the burns.
+    """
 
     mission: Mission
     burns_m_s: Array
     looks_s: Array
     truth: TruthModel
     errors: ErrorModel | None
+    policy: Policy
 
     def positions(self, draws: Array) -> Array:
         """Positions at the nodes, J2000, m, shape (n, flights, 3)."""
@@ -98,16 +106,37 @@ class FlightsAtLooks:
 
     def courses(self, draws: Array) -> Iterator[KeptAtLooks]:
         """How they keep each joint constraint, and those of the observation together."""
-        margins = joint_margins(self.mission, self.looks_s, self._at(self.looks_s, draws))
-        holds = {name: margin >= 0.0 for name, margin in margins.items()}
-        holds[ALL] = np.logical_and.reduce([holds[name] for name in SCIENCE])
-        for name, kept in holds.items():
-            yield KeptAtLooks(name, kept)
+        holds = joint_holds(self.mission, self.looks_s, self._at(self.looks_s, draws))
+        return (KeptAtLooks(name, kept) for name, kept in holds.items())
+
+    @property
+    def linearised(self) -> Linearisation:
+        """The planned flight with their errors, and with their corrections if the mission has these."""
+        mission, speed = self.mission, self.mission.units.speed_m_s
+        feedback, burns = mission.feedback, [one.burn for one in self.policy]
+        corrected = feedback is not None and burns == feedback.burns.tolist()
+        problem = mission.problem if corrected else mission.problem.open_loop
+        errors = errors_of_kind(mission.scenario, self.errors).in_units(speed)
+        problem = replace(problem, execution_errors=errors)
+        lin = mission.dynamics.linearise(problem, from_burns(mission, self.burns_m_s))
+        return with_policy(mission, lin, self.policy)
+
+    @property
+    def sources(self) -> int:
+        """Number of standard normal numbers that a flight draws."""
+        own = number_of_sources(self.mission, self.burns_m_s, self.errors)
+        return own + MEASURED * len(self.policy)
 
     def _at(self, times_s: Array, draws: Array) -> Array:
-        how = {"truth": self.truth, "errors": self.errors}
-        flown = fly_draws(self.mission, self.burns_m_s, times_s, draws, **how)  # type: ignore[arg-type]
-        return flown.states[..., :3]
+        return fly_draws(
+            self.mission,
+            self.burns_m_s,
+            times_s,
+            draws,
+            truth=self.truth,
+            errors=self.errors,
+            policy=self.policy,
+        ).states[..., :3]
 
 
 def narrow(
@@ -135,10 +164,8 @@ def narrow(
             cheaper, or it was stopped.
     """
     mission = flights.mission
-    lin = mission.dynamics.linearise(mission.problem, from_burns(mission, flights.burns_m_s))
-    laws = Law.of_events(lin, mission.units.length_m, {ALL: SCIENCE})
-    sources = number_of_sources(mission, flights.burns_m_s, flights.errors)
-    if not laws or next(iter(laws.values())).sources != sources:
+    laws = Law.of_events(flights.linearised, mission.units.length_m, {ALL: SCIENCE})
+    if not laws or next(iter(laws.values())).sources != flights.sources:
         return None
     law, known = survey_in_time(laws, mission.times_s, flights, seed)
     allocation = _allocation(known, until)

@@ -54,6 +54,12 @@ def joint_margins(mission: Mission, times_s: Array, position: Array) -> dict[str
     return {joint: np.minimum.reduce(parts) for joint, parts in joints.items()}
 
 
+def joint_holds(mission: Mission, times_s: Array, position: Array) -> dict[str, Booleans]:
+    """Whether each joint constraint holds, and those of the observation together."""
+    holds = {name: m >= 0.0 for name, m in joint_margins(mission, times_s, position).items()}
+    return holds | {ALL: np.logical_and.reduce([holds[name] for name in SCIENCE])}
+
+
 @dataclass(frozen=True)
 class Held:
     """Time for which a constraint holds in the window, by flight; all of shape (flights,), s.

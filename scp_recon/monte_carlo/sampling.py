@@ -179,8 +179,12 @@ def start_loop(
     again = tuple(one for one in policy if isinstance(one, Replan))
     if again:
         return ReplanLoop(mission, burns_m_s, again, draws)
-    gains = tuple(one for one in policy if isinstance(one, Correction))
-    return ClosedLoop(mission, burns_m_s, gains, draws)
+    return ClosedLoop(mission, burns_m_s, corrections_of(policy), draws)
+
+
+def corrections_of(policy: AnyPolicy) -> Policy:
+    """What a policy corrects by gains."""
+    return tuple(one for one in policy if isinstance(one, Correction))
 
 
 def sample_positions(

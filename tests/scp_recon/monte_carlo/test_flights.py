@@ -38,6 +38,7 @@ from scp_recon.reports.tables import flown_probabilities_table
 from scp_recon.results.solution import Solution, make_solution
 from scp_recon.scenario.uncertainty import Uncertainty
 from tests import reliability
+from tests.scp_recon.monte_carlo.test_closed_loop import case_of
 from tests.scp_recon.simulation.short_plan import SHORT, short_plan
 from tests.scp_recon.support import mission_of
 
@@ -137,11 +138,34 @@ def narrowed(config: FlightConfig) -> Iterator[FlightTally]:
 
 
 def test_few_flights_narrow_what_takes_many(config: FlightConfig, narrowed: FlightTally) -> None:
-    found = narrowed.narrowed
     assert narrowed.samples == 1_000
-    assert narrowed.widest_interval() == found.widest <= 0.008
+    assert narrowed.widest_interval() <= 0.008
+    assert_narrowed(narrowed, fly_many(config, samples=4_000))
+
+
+@pytest.mark.parametrize(("kind", "until"), [("other errors", 0.02), ("corrections", 0.004)])
+def test_few_flights_narrow_what_errors_and_corrections_change(
+    kind: str,
+    until: float,
+    config: FlightConfig,
+    solution: Solution,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(flights, "PLAIN", 1_000)
+    config = replace(config, errors="gates")
+    if kind == "corrections":
+        case = case_of(3600.0, solution, "uncertainty.execution_error=0.05")
+        config = FlightConfig(case.mission, case.burns_m_s, seed=3, policy=case.policy)
+    found = fly_many(config, samples=10_000, until=until)
+    assert found.widest_interval() <= until
+    assert_narrowed(found, fly_many(config, samples=3_000))
+
+
+def assert_narrowed(narrowed: FlightTally, plain: FlightTally) -> None:
+    """Few of many draws have been flown, and say what plain flights say."""
+    found = narrowed.narrowed
+    assert narrowed.widest_interval() == found.widest
     assert found.flights < 0.25 * found.draws
-    plain = fly_many(config, samples=4_000)
     for name in plain.node_counts:
         (_, one), (_, other) = narrowed.worst_probability(name), plain.worst_probability(name)
         assert max(one.low, other.low) <= min(one.high, other.high)
