@@ -103,6 +103,11 @@ SOURCES: Mapping[str, Source] = {
     ),
     "campaign_scale": Source("benchmarks.campaign_scale", ("benchmarks.campaign_scale",)),
     "maps": Source("experiments maps --pictures docs", ("experiments.maps", "examples.studies")),
+    "map_sample": Source(
+        "experiments maps --sample",
+        ("experiments.maps", "examples.studies"),
+        figures=("paper_figs map_sample --runs {out} --out docs/map_sample.png",),
+    ),
     "reliability": Source("experiments testing reliability", _ALL, without=()),
     "coverage": Source("experiments testing coverage", _ALL, without=()),
     "mutation": Source("experiments testing mutation", ("tests", "formulations"), without=()),

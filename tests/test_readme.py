@@ -306,6 +306,7 @@ APART = {
     "python -m benchmarks.campaign_scale",
     "python -m benchmarks.waits",
     "python -m experiments maps",  # runs campaigns
+    "python -m experiments maps --sample",
     "python -m experiments sites",  # designs passes, which takes minutes
     "python -m experiments plans --designs",
     "python -m experiments testing reliability",  # runs tests
