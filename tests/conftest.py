@@ -79,7 +79,7 @@ def pytest_runtest_call(item: pytest.Item) -> Iterator[None]:
     finally:
         item.user_properties += [(COUNT, pair) for pair in reliability.COUNTS.items()]
         fixtures = item._fixtureinfo.name2fixturedefs.values()  # type: ignore[attr-defined]
-        if any(used[-1].scope != "function" for used in fixtures):
+        if any(used[-1].baseid and used[-1].scope != "function" for used in fixtures):
             item.user_properties += [(SHARES, True)]
 
 
