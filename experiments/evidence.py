@@ -54,6 +54,7 @@ class Source(NamedTuple):
     figures: tuple[str, ...] = ()
 
 
+_FLOWN = ("experiments.flown_plan",)
 _SOLVERS = "experiments.compare_solvers.cell"
 _ALL = ("tests", "formulations", "scp_recon")
 
@@ -96,7 +97,11 @@ SOURCES: Mapping[str, Source] = {
         "experiments uncertainty_sources --flights 4", ("experiments.uncertainty_sources.study",)
     ),
     "timing_rules": Source("experiments timing_rules", ("experiments.timing_rules",)),
-    "flown_plan": Source("experiments flown_plan", ("experiments.flown_plan",)),
+    "flown_plan": Source("experiments flown_plan", _FLOWN),
+    **{
+        f"flown_{name}": Source(f"experiments flown_plan --policies {name}", _FLOWN)
+        for name in ("default", "kingfisher")
+    },
     "benchmarks": Source("benchmarks", ("benchmarks.methods", "benchmarks.growth")),
     "waits": Source(
         "benchmarks.waits", ("benchmarks.waits", "formulations", "scp_recon"), without=()

@@ -266,6 +266,9 @@ QUICK = {
         needs="Basilisk",
         less=ONE_FLIGHT,
     ),
+    "python -m experiments flown_plan --policies default": Quick(
+        "--seeds 1", nightly=True, needs="Basilisk", less=ONE_FLIGHT
+    ),
     "python -m experiments timing_rules": Quick(
         "--slews 3",
         needs="Basilisk",

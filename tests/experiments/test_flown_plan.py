@@ -11,10 +11,11 @@ pytest.importorskip("Basilisk", reason="needs the extra [sim]")
 
 from experiments import flown_plan
 from experiments.__main__ import main
+from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.results.solution import Solution
 from scp_recon.simulation.basilisk import simulation
-from scp_recon.simulation.record import read_record
+from scp_recon.simulation.record import Record, read_record
 from tests.helpers import nightly
 from tests.scp_recon.simulation.short_plan import SHORT, short_plan
 from tests.scp_recon.support import mission_of
@@ -62,6 +63,33 @@ def test_the_table_is_what_the_flight_says(flown: tuple[Solution, Path]) -> None
     assert float(row["camera_max_deg"]) == record.summary.window_pointing_deg.camera.q100
     assert float(row["terminal_sigma"]) == record.arrays["node_sigma_distance"][-1]
     assert "| positions at all nodes |" in (out / "flown_plan.md").read_text("utf-8")
+
+
+def test_flights_by_policy_are_judged_and_summed_up(
+    flown: tuple[Solution, Path], mission: Mission, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of the flight that was flown, and of one whose commands the thruster cannot give."""
+    solution, out = flown
+    record = read_record(out / "seed_0")
+
+    def simulate(_: object, *, seed: int, **__: object) -> Record:
+        if seed:
+            raise InputError("vehicle", "a burn", "must end before the mode does")
+        return record
+
+    monkeypatch.setattr(flown_plan, "simulate", simulate)
+    rows = [
+        flown_plan.fly_policy({"short": solution}, None, ("short", "open", seed)) for seed in (0, 1)
+    ]
+    first, last = mission.schedule.window_s
+    assert rows[0]["window_s"] == last - first
+    assert 0.0 <= rows[0]["observed_s"] <= last - first + 1e-6
+    assert rows[0]["whole"] <= (rows[0]["observed_s"] > last - first - 1e-3)
+    assert rows[0]["commanded_m_s"] == pytest.approx(solution.total_dv_m_s)
+    assert "must end before" in rows[1]["shortfalls"]
+    (summed,) = flown_plan.by_policy(rows)
+    assert (summed["flights"], summed["observed_mean_s"]) == (2, rows[0]["observed_s"])
+    assert summed["as_required"] == (not rows[0]["shortfalls"])
 
 
 @nightly
