@@ -430,15 +430,13 @@ def _terminal(flown: FlightTally, solution: Solution) -> Terminal:
     predicted = np.diag(np.array(solution.nodes.covariance[-1]))
     spread = np.flatnonzero((predicted > 0.0) & (kept.std(axis=0) > 0.0))
     ratios = np.sqrt(np.diag(covariance)[spread] / predicted[spread])
-    low, high = _ends(n - 1)
     levels = (np.arange(1, 100) / 100.0).tolist()
     kept = kept[:, spread]
     standard = (kept - kept.mean(axis=0)) / kept.std(axis=0, ddof=1)
     names = [COMPONENTS[i] for i in spread]
     return Terminal(
         sigma_ratio={
-            name: Interval(value=ratio, low=ratio / low, high=ratio / high)
-            for name, ratio in zip(names, ratios.tolist(), strict=True)
+            name: _sigma(ratio, n - 1) for name, ratio in zip(names, ratios.tolist(), strict=True)
         },
         normality={
             name: Normality(
@@ -463,13 +461,11 @@ def _size(covariance: Array, samples: int) -> Interval:
     trace = float(np.trace(covariance))
     if trace <= 0.0:
         return Interval(value=0.0, low=0.0, high=0.0)
-    low, high = _ends((samples - 1) * trace**2 / float(np.sum(covariance**2)))
-    size = float(np.sqrt(trace))
-    return Interval(value=size, low=size / low, high=size / high)
+    return _sigma(float(np.sqrt(trace)), (samples - 1) * trace**2 / float(np.sum(covariance**2)))
 
 
-def _ends(freedom: float) -> tuple[float, float]:
-    """Divisor of a sampled sigma at the lower and the upper end of its interval."""
-    tails = (0.5 + 0.5 * CONFIDENCE, 0.5 - 0.5 * CONFIDENCE)
-    low, high = (float(np.sqrt(chdtri(freedom, 1.0 - p) / freedom)) for p in tails)
-    return low, high
+def _sigma(value: float, freedom: float) -> Interval:
+    """A sampled sigma, or its ratio, with the interval of so many degrees of freedom."""
+    tails = (0.5 - 0.5 * CONFIDENCE, 0.5 + 0.5 * CONFIDENCE)
+    low, high = (value / float(np.sqrt(chdtri(freedom, p) / freedom)) for p in tails)
+    return Interval(value=value, low=low, high=high)

@@ -16,7 +16,7 @@ import numpy.typing as npt
 from formulations.arrays import Array, Booleans, Indices
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.observation_time import joint_margins
-from scp_recon.monte_carlo.sampling import BLOCK, draw_flights, fly_draws
+from scp_recon.monte_carlo.sampling import BLOCK, Flights, draw_flights, fly_draws
 from scp_recon.physics.flow import interpolate
 from scp_recon.results.policy import Policy
 
@@ -70,11 +70,11 @@ def kept_flights(
     A policy corrects the burns. `progress` is called with the number flown so far after each block.
     """
     nodes, looks = mission.times_s, looks_of(mission)
-    blocks = []
+    fly, blocks = WholeFlights(mission, burns_m_s, policy), []
     for begun in range(0, samples, BLOCK):
         flights = min(BLOCK, samples - begun)
         draws = draw_flights(mission, burns_m_s, seed, begun // BLOCK, policy=policy)[:flights]
-        blocks.append(looked_at(mission, burns_m_s, looks, draws, policy))
+        blocks.append(fly.looked_at(draws))
         if progress:
             progress(begun + flights)
     names = blocks[0].at_looks
@@ -224,42 +224,6 @@ class Course:
         return self.holds[1:] & self.holds[:-1]
 
 
-def looked_at(
-    mission: Mission, burns_m_s: Array, looks: Array, draws: Array, policy: Policy = ()
-) -> LookedAt:
-    """Fly draws of the errors, shape (flights, sources), and see what they keep."""
-    courses = list(courses_of(mission, burns_m_s, looks, draws, policy))
-    kept_at_nodes, kept = np.ones((2, len(draws)), dtype=bool)
-    for course in courses:
-        kept_at_nodes &= course.holds[np.isin(course.looks, mission.times_s)].all(axis=0)
-        kept &= course.kept
-    lost = kept_at_nodes & ~kept
-    broken = [course.broken for course in courses] if lost.any() else []
-    return LookedAt(
-        {course.name: course.holds.sum(axis=1) for course in courses},
-        {course.name: course.counts_between for course in courses},
-        kept_at_nodes,
-        kept,
-        np.concatenate([np.zeros(0), *(time[lost[flight]] for time, flight in broken)]),
-    )
-
-
-def courses_of(
-    mission: Mission, burns_m_s: Array, looks: Array, draws: Array, policy: Policy = ()
-) -> Iterator[Course]:
-    """Fly draws of the errors, shape (flights, sources); how they keep each joint constraint."""
-    flown = fly_draws(mission, burns_m_s, looks, draws, policy=policy)
-    states = flown.states
-    window = np.isin(looks, _times(mission, looks, ""))
-    margins = _margins(mission, looks, states[..., :3], [SAFETY])
-    if window.any():
-        margins |= joint_margins(mission, looks[window], states[window, :, :3])
-    everywhere = _Arcs(looks, states, flown.burns_m_s)
-    observing = _Arcs(looks[window], states[window], flown.burns_m_s)
-    for name, margin in margins.items():
-        yield _follow(mission, name, everywhere if name == SAFETY else observing, margin)
-
-
 @dataclass(frozen=True)
 class _Arcs:
     """Flights between looks: times (n,), states after burns (n, flights, 6), burns as flown."""
@@ -319,16 +283,38 @@ class WholeFlights:
 
     def positions(self, draws: Array) -> Array:
         """Positions at the nodes, J2000, m, shape (n, flights, 3)."""
-        mission = self.mission
-        times, policy = mission.times_s, self.policy
-        return fly_draws(mission, self.burns_m_s, times, draws, policy=policy).states[..., :3]
+        return self._fly(self.mission.times_s, draws).states[..., :3]
 
     def looked_at(self, draws: Array) -> LookedAt:
         """Limits that the flights keep, at the nodes and between them."""
-        looks = looks_of(self.mission)
-        return looked_at(self.mission, self.burns_m_s, looks, draws, self.policy)
+        courses = list(self.courses(draws))
+        kept_at_nodes, kept = np.ones((2, len(draws)), dtype=bool)
+        for course in courses:
+            kept_at_nodes &= course.holds[np.isin(course.looks, self.mission.times_s)].all(axis=0)
+            kept &= course.kept
+        lost = kept_at_nodes & ~kept
+        broken = [course.broken for course in courses] if lost.any() else []
+        return LookedAt(
+            {course.name: course.holds.sum(axis=1) for course in courses},
+            {course.name: course.counts_between for course in courses},
+            kept_at_nodes,
+            kept,
+            np.concatenate([np.zeros(0), *(time[lost[flight]] for time, flight in broken)]),
+        )
 
     def courses(self, draws: Array) -> Iterator[Course]:
         """How they keep each joint constraint."""
-        looks = looks_of(self.mission)
-        return courses_of(self.mission, self.burns_m_s, looks, draws, self.policy)
+        mission, looks = self.mission, looks_of(self.mission)
+        flown = self._fly(looks, draws)
+        states = flown.states
+        window = np.isin(looks, _times(mission, looks, ""))
+        margins = _margins(mission, looks, states[..., :3], [SAFETY])
+        if window.any():
+            margins |= joint_margins(mission, looks[window], states[window, :, :3])
+        everywhere = _Arcs(looks, states, flown.burns_m_s)
+        observing = _Arcs(looks[window], states[window], flown.burns_m_s)
+        for name, margin in margins.items():
+            yield _follow(mission, name, everywhere if name == SAFETY else observing, margin)
+
+    def _fly(self, times_s: Array, draws: Array) -> Flights:
+        return fly_draws(self.mission, self.burns_m_s, times_s, draws, policy=self.policy)

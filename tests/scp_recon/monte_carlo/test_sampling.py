@@ -34,8 +34,8 @@ from scp_recon.monte_carlo.whole_flight import (
     PARTS,
     SAFETY,
     KeptFlights,
+    WholeFlights,
     kept_flights,
-    looked_at,
     may_dip,
 )
 from scp_recon.planning.initial_guess import from_burns
@@ -178,7 +178,7 @@ def test_until_a_burn_the_path_goes_on_as_it_did(solution: Solution) -> None:
     at_limit = solution.scenario.replace({"safety.radius_min_m": limit})
     tight = dataclasses.replace(mission, scenario=at_limit)  # a limit in the flight's own way
     draws = draw(SEED, 0, number_of_sources(tight, burns))
-    found = looked_at(tight, burns, looks, draws).between[SAFETY][arc]
+    found = WholeFlights(tight, burns).looked_at(draws).between[SAFETY][arc]
     np.testing.assert_allclose(found, np.sum(distance >= limit, axis=1), atol=1)
 
 
