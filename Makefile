@@ -92,7 +92,7 @@ $(VENV)/.test: $(VENV)/.venv pyproject.toml constraints.txt
 	@touch $@
 
 $(VENV)/.evidence: $(VENV)/.venv pyproject.toml constraints.txt
-	$(PIP) --editable '.[all,peer,test,dev]'
+	$(PIP) --editable '.[all,peers,test,dev]'
 	@touch $@
 
 $(VENV)/.dev: $(VENV)/.venv pyproject.toml constraints.txt

@@ -29,7 +29,7 @@ STUDIES = {
     "compare_solvers": "forms, algorithms and conic solvers against IPOPT",
     "lifted": "sizes and times of P2 in its lifted and its condensed form",
     "nlp_tricks": "what each trick gains the nonlinear program",
-    "openscvx_peer": "P3 in OpenSCvx, an outside peer",
+    "peers": "the planner beside scocp and OpenSCvx",
     "model_fidelity": "how good a model of forces and burns the planner needs",
     "battery_cones": "where the panels cannot carry the load",
     "uncertainty_sources": "what each source of uncertainty does to the flight",

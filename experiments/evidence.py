@@ -83,7 +83,7 @@ SOURCES: Mapping[str, Source] = {
         figures=("paper_figs solver_comparison --runs {out} --out docs",),
     ),
     "nlp_tricks": Source("experiments nlp_tricks", ("experiments.nlp_tricks",)),
-    "openscvx_peer": Source("experiments openscvx_peer", ("experiments.openscvx_peer",)),
+    "peers": Source("experiments peers", ("experiments.peers.study", "examples.halo_transfer")),
     "cross_check": Source("experiments cross_check", ("experiments.cross_check",)),
     "lifted": Source("experiments lifted", ("experiments.lifted",)),
     "observation_table": Source(

@@ -256,8 +256,12 @@ QUICK = {
         "--flights 20", less=(("experiments.policies.CASES", lambda cases: cases[:1]),)
     ),
     "python -m experiments lifted": Quick(less=ONE_FORM),
-    "python -m experiments openscvx_peer": Quick(
-        needs="openscvx", less=(("experiments.openscvx_peer.CASES", lambda cases: cases[:1]),)
+    "python -m experiments peers": Quick(
+        needs="scocp",
+        less=tuple(
+            (f"experiments.peers.study.{name}", lambda cases: cases[:1])
+            for name in ("OURS", "WEIGHTS", "P3_CASES", "GUESSED")
+        ),
     ),
     "python -m experiments cross_check": Quick(needs="orekit_jpype"),
     "python -m experiments flown_plan": Quick(
@@ -473,7 +477,7 @@ def test_one_target_installs_every_extra_that_a_command_may_need() -> None:
     (everything,) = extras["all"]
     listed = re.findall(r"\w+", everything)
     assert listed[0] == project["name"]
-    assert {*listed[1:]} == extras.keys() - {"all", "crosscheck", "peer", "test", "dev"}
+    assert {*listed[1:]} == extras.keys() - {"all", "crosscheck", "peers", "test", "dev"}
     makefile = (PROJECT / "Makefile").read_text("utf-8")
     assert re.search(r"^extras: \$\(VENV\)/\.extras ", makefile, re.MULTILINE)
     assert re.search(r"/\.extras: .*\n\t\$\(PIP\) --editable '\.\[all\]'", makefile)

@@ -28,10 +28,10 @@ from experiments.harness import FRESH, Findings, Record, Session, Study, option
 from scp_recon.errors import InputError
 from scp_recon.jobs.job import TIMED_OUT, Done, Job
 from scp_recon.jobs.processes import Limits, Processes
-from scp_recon.jobs.store import Store, read_rows, sources
+from scp_recon.jobs.store import Store, sources
 
 DEFAULT_OUT, QUICK_OUT = Path("runs") / "comparison", Path("runs") / "comparison_quick"
-ROWS_FILE, PEER_FILE = "rows.jsonl", "peer.jsonl"
+ROWS_FILE = "rows.jsonl"
 WORK = "experiments.compare_solvers.cell"
 """The module whose sources rows depend on."""
 FLIGHTS, LIMIT_S, QUICK_LIMIT_S, EXACT_LIMIT_S = 2_000, 30.0, 20.0, 150.0
@@ -84,14 +84,6 @@ def row_from(values: Record) -> Row:
     return Row(**values | {"burns_m_s": tuple(values["burns_m_s"])})
 
 
-def peer_rows(path: Path) -> list[Row]:
-    """Rows of `openscvx_peer` by these sources; none if there is no file."""
-    if not path.exists():
-        return []
-    found = [row_from(values) for _, values in read_rows(path)]
-    return [row for row in found if row.version == version()]
-
-
 # --- the study ------------------------------------------------------------------------------------
 
 
@@ -129,7 +121,6 @@ def run(session: Session) -> Findings:
             if row.status == FAILED:
                 session.say(f"{row.key}: {shown(row)}")
             done()
-    rows += peer_rows(session.out / PEER_FILE)
     session.say(
         f"`python -m paper_figs solver_comparison --runs {session.out} --out DIR` draws it."
     )

@@ -31,10 +31,6 @@ GUESSES_NOTE = """\
 What does not converge from a guess begins again elsewhere, by every method; seconds are those of all
 tries. Shares are of all guesses."""
 
-PEER_NOTE = """\
-Left by `python -m experiments openscvx_peer`; numbers after *ptr* are its weights of cost, virtual
-control and virtual buffer and the step at which it stops. All start at the ballistic arc."""
-
 EXACT_NOTE = """\
 Each scenario is the default one with other errors, boundary states, limits and probability, drawn from
 its number. *Reached* is the check's, with its standard error; *s* are of the processor, for references
@@ -75,7 +71,6 @@ def report(rows: Sequence[Row]) -> list[str | Table]:
         _guesses(of_group(rows, "guesses")),
         _optima(of_group(rows, "guesses")),
         _exact(rows),
-        peer_table(rows),
     ]
 
 
@@ -91,7 +86,7 @@ def _figure(value: float, form: str) -> str:
     return format(value, form) if np.isfinite(value) else "-"
 
 
-def _matrix(title: str, rows: Sequence[Row], key: str, note: str = "") -> Table:
+def _matrix(title: str, rows: Sequence[Row], key: str) -> Table:
     """A line for each problem, start and method; of repeats the first, with the median of the times."""
     columns = (
         "problem", "start", "method", "status", "delta-v m/s", "merit m/s", "worst violation m",
@@ -118,12 +113,7 @@ def _matrix(title: str, rows: Sequence[Row], key: str, note: str = "") -> Table:
                 _figure(row.observed_s, ".0f"),
             )
         )
-    return Table.of(title, columns, lines, key=key, note=note)
-
-
-def peer_table(rows: Sequence[Row]) -> Table:
-    """P3 by OpenSCvx and by the planner."""
-    return _matrix("P3 by OpenSCvx, an outside peer", of_group(rows, "peer"), "peer", PEER_NOTE)
+    return Table.of(title, columns, lines, key=key)
 
 
 def _scenarios(rows: Sequence[Row]) -> Table:

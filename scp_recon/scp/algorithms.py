@@ -116,6 +116,19 @@ class ExactPenalty:
             return None
         return self.RAISE * weight
 
+    def _settled(
+        self, state: State, new: State, trial: Trial, record: Record, *, stationary: bool
+    ) -> State:
+        """The next state, stationary as well where two steps in turn promised nothing worth a step.
+
+        Refused, and kept at a shorter step: the derivatives are right, and curvature eats what longer
+        steps promise. What it leaves is less than was promised then.
+        """
+        worthless = trial.predicted <= self._negligible(record)
+        kept = trial.actual > self.SHRINK * trial.predicted
+        settled = stationary or (worthless and state.worthless and kept)
+        return replace(new, stationary=settled, worthless=worthless and not record.accepted)
+
     def _judged(
         self,
         subproblem: Subproblem,
@@ -185,12 +198,7 @@ class SCvx(ExactPenalty):
         if stationary and state.radius < self.VERDICT_RADIUS and not state.unsure:
             # Within a tiny radius the solver's rounding hides what there is to gain: look again.
             return replace(new, radius=self.VERDICT_RADIUS), record
-        worthless = trial.predicted <= self._negligible(record)
-        if worthless and state.worthless and ratio > self.SHRINK_BELOW:
-            # Refused, and kept at a shorter step: the derivatives are right, and curvature eats what
-            # longer steps promise. What it leaves is less than was promised then.
-            stationary = True
-        return replace(new, stationary=stationary, worthless=worthless and not accepted), record
+        return self._settled(state, new, trial, record, stationary=stationary), record
 
     def _is_stationary(self, state: State, record: Record) -> bool:
         """No step within a unit radius promises a reduction that is worth one.
@@ -333,7 +341,9 @@ class PTR(ExactPenalty):
         bound = trial.predicted + prox * float(np.abs(moved).sum() - (moved**2).sum())
         worth = self._worth(state.charge, record)
         stationary = trial.answer.accurate and not guess and bound <= worth
-        return replace(new, stationary=stationary), record
+        if prox > 1.0:  # steps are short because they are charged
+            return replace(new, stationary=stationary), record
+        return self._settled(state, new, trial, record, stationary=stationary), record
 
 
 ALGORITHMS: dict[str, Callable[..., Algorithm]] = {

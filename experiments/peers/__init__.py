@@ -1,0 +1,1 @@
+"""The planner beside other tools, on problems that they can state."""

@@ -1,0 +1,93 @@
+"""Other tools: what is told without them, and that a row is of the burns that it reports."""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from experiments.__main__ import main
+from experiments.peers import openscvx, study
+from scp_recon.mission.mission import Mission
+from scp_recon.planning import initial_guess
+
+MISSING = importlib.util.find_spec("openscvx") is None or importlib.util.find_spec("scocp") is None
+
+
+@pytest.mark.skipif(not MISSING, reason="the peers are installed")
+def test_without_them_the_command_names_the_extra(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["peers", "--out", str(tmp_path)]) == 2
+    assert "scp_recon[peers]" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.fixture(scope="module")
+def halo() -> study.Halo:
+    return study.Halo()
+
+
+@pytest.mark.parametrize("algorithm", ["scvx", "ptr", "scvx-star"])
+def test_every_algorithm_solves_the_transfer(halo: study.Halo, algorithm: str) -> None:
+    """PTR too, whose longer steps promise what curvature takes back."""
+    row = halo.row(("condensed", algorithm))
+    assert row["status"] == "converged"
+    assert row["cost"] == pytest.approx(0.1945583, abs=3e-7)
+
+
+def test_burns_of_the_transfer_are_flown_by_another_integrator(halo: study.Halo) -> None:
+    row = halo.row(("condensed", "scvx"), 0)
+    assert (row["status"], row["seed"]) == ("converged", 0)
+    assert row["cost"] == pytest.approx(0.1945583, abs=2e-7)
+    assert row["missed"] < study.MISSED
+    plan = halo.problem.solve(halo.guess(0))
+    assert halo.missed(plan.burns) == pytest.approx(row["missed"])
+    assert halo.missed(plan.burns * 1.01) > study.MISSED
+
+
+def test_guesses_are_bent_between_the_ends_alone(halo: study.Halo) -> None:
+    bent, other = halo.guess(1), halo.guess(2)
+    assert np.abs(bent - halo.blended)[[0, -1]].max() < 1e-12
+    assert np.abs(bent - halo.blended).max() > study.SCALE
+    assert np.abs(bent - other).max() > study.SCALE
+    assert bent == pytest.approx(halo.guess(1))
+
+
+def test_what_counts_as_solved() -> None:
+    def row(status: str, cost: float, missed: float, method: str = "a") -> study.Record:
+        told = {"status": status, "cost": cost, "missed": missed, "method": method}
+        return told | {"iterations": 3, "solve_s": 0.5}
+
+    rows = [
+        row("converged", 1.0, 1e-9),
+        row("converged", 1.00005, 1e-9),
+        row("converged", 1.01, 1e-9),  # another optimum
+        row("converged", 0.9, 1e-3),  # misses the final state
+        row("max iterations", 1.0, 1e-9),
+        row("converged", 2.0, 1e-9, "b"),
+    ]
+    lines = [[cell.value for cell in line] for line in study.guesses(rows).rows]
+    assert [line[:4] for line in lines] == [["a", 5, 4, 2], ["b", 1, 1, 0]]
+
+
+def test_our_row_of_p3_flies_the_burns_that_it_reports(mission: Mission) -> None:
+    row = study.p3_row(mission, initial_guess.ballistic(mission), "scvx", "CLARABEL")
+    assert (row["problem"], row["status"]) == ("P3", "converged")
+    assert row["cost"] == pytest.approx(0.107723, abs=2e-6)
+    assert row["missed"] < 1e-3
+
+
+def test_its_nodes_are_those_of_window_and_burns_and_few_others(mission: Mission) -> None:
+    nodes = openscvx.nodes_of(mission, 5)
+    assert {*mission.window_nodes, *mission.burn_nodes} <= {*nodes}
+    assert len(nodes) < len(mission.times_s)
+
+
+@pytest.mark.skipif(MISSING, reason="the peers are not installed")
+def test_scocp_finds_the_optimum_of_its_own_test(halo: study.Halo) -> None:
+    row = halo.row("scocp")
+    assert (row["status"], row["iterations"]) == ("converged", 85)
+    assert row["cost"] == pytest.approx(0.1945583, abs=2e-7)
