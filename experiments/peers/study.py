@@ -212,7 +212,8 @@ def p3_row(mission: Mission, start: Iterate, algorithm: str, solver: str) -> Rec
     )
     taken, result = process_time() - begin, done.final.result
     status, burns = result.status.value.name, result.lin.iterate.burns
-    found = Found(status, burns, len(result.records), 0.0, taken)
+    iterations = sum(len(stage.result.records) for stage in done.stages)
+    found = Found(status, burns, iterations, 0.0, taken)
     return _judged(mission, f"condensed/{algorithm}/{solver}", found)
 
 
@@ -262,7 +263,7 @@ def run(session: Session) -> Findings:
     once = [row for row in rows if row.get("seed") is None]
     bent = [row for row in rows if row.get("seed") is not None]
     tables = methods(once), guesses(bent)
-    return Findings(tables, {f"peers_{table.key}.csv": table for table in tables})
+    return Findings(tables, {f"{table.key}.csv": table for table in tables})
 
 
 def methods(rows: Sequence[Record]) -> Table:

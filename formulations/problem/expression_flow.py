@@ -184,11 +184,13 @@ class ExpressionFlow:
         import casadi as ca  # which takes half a second: only who writes an expression waits for it
 
         self.times, self.parameters = np.asarray(times, float), np.asarray(parameters, float)
-        if self.times.ndim != 1 or len(self.times) < 2 or substeps < 1:
+        ascending = self.times.ndim == 1 and len(self.times) > 1 and np.all(np.diff(self.times) > 0)
+        if not ascending or substeps < 1 or substeps != int(substeps):
             raise ValueError(
-                f"expected two times or more and a step an arc, not {self.times}, {substeps}"
+                "expected two ascending times or more and a whole number of steps an arc, "
+                f"not {self.times}, {substeps}"
             )
-        self.substeps = substeps
+        self.substeps = int(substeps)
         y, t, p = ca.SX.sym("y", 6), ca.SX.sym("t"), ca.SX.sym("p", len(self.parameters))
         found = acceleration(y[:3], y[3:], t, p)
         rate = ca.vertcat(*found) if isinstance(found, (list, tuple)) else ca.SX(found)

@@ -10,6 +10,7 @@ import numpy as np
 from formulations.arrays import Array
 from formulations.linearisation.dynamics import Dynamics
 from formulations.rows.node_probability import joint_events
+from scp_recon.errors import InputError
 from scp_recon.monte_carlo.estimates import Estimate, proportion
 from scp_recon.monte_carlo.sampling import BLOCK, NAVIGATION, draw
 from scp_recon.planning.plan import Certificate, Stage
@@ -132,6 +133,8 @@ class ImpulsivePlan:
 
     def fly(self, samples: int = 10_000, seed: int = 0) -> Flights:
         """Fly the user's flow with errors drawn, and count the flights that keep the regions."""
+        if samples < 1:
+            raise InputError("samples", f"{samples}", "must be 1 or more")
         events = joint_events(self.final.merit.problem.constraints)
         counts = {event.name: np.zeros(len(event.nodes)) for event in events}
         whole, commanded, final = 0, [], []

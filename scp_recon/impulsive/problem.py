@@ -149,15 +149,25 @@ class ImpulsiveProblem:
             raise InputError("dv_max", f"{self.dv_max}", "must be positive and finite")
         if not 0.5 < self.probability <= 1.0 - 1e-9:
             raise InputError("probability", f"{self.probability}", "must be in (0.5, 1)")
-        if self.units is not None and not min(self.units) > 0.0:
+        if self.units is not None and (len(self.units) != 2 or not min(self.units) > 0.0):
             raise InputError("units", f"{self.units}", "must be a positive length and time")
         if self.initial_covariance is not None:
             _covariance_factor("initial_covariance", self.initial_covariance)
+        if not isinstance(self.errors, ExecutionErrors | None):
+            raise InputError("errors", f"{self.errors!r}", "must be a model, such as GatesErrors")
+        if any(limit is not None and not limit > 0.0 for limit in self.final_sigma):
+            raise InputError("final_sigma", f"{self.final_sigma}", "must be positive, or None")
+        if isinstance(self.regions, Keep) or not all(isinstance(k, Keep) for k in self.regions):
+            raise InputError(
+                "regions", "what is no Keep", 'must be a list of Keep("in" or "out", ..)'
+            )
         names = [name for name, _ in self._named]
         if len(set(names)) < len(names):
             raise InputError("regions", f"the names {', '.join(names)}", "must differ")
         if self.feedback is not None:
             self._check_feedback(self.feedback)
+        if self.is_deterministic:
+            self.require_plain("errors: initial_covariance, or errors of burns")
         _ = self.problem
 
     def _check_feedback(self, feedback: Feedback) -> None:
@@ -166,7 +176,17 @@ class ImpulsiveProblem:
         if shape != (k, 6, 6) or len(feedback.cut_offs) != k:
             needs = f"must be ({k}, 6, 6), and {k} cut-offs, for {k} corrected burns"
             raise InputError("feedback.measurement", f"shape {shape}", needs)
-        if np.any(np.asarray(feedback.cut_offs) > nodes[feedback.burns]):
+        burns, cut_offs = np.asarray(feedback.burns), np.asarray(feedback.cut_offs)
+        if not k or burns[0] < 0 or burns[-1] >= len(nodes) or np.any(np.diff(burns) <= 0):
+            needs = f"must be numbers of burns, ascending from 0 to {len(nodes) - 1}"
+            raise InputError("feedback.burns", f"{burns.tolist()}", needs)
+        if cut_offs[0] < 0 or np.any(np.diff(cut_offs) <= 0):
+            raise InputError("feedback.cut_offs", f"{cut_offs.tolist()}", "must ascend from 0")
+        one_of("feedback.cost", feedback.cost, ("nominal", "expected", "dv99"))
+        if not 0.5 < feedback.probability < 1.0:
+            found = f"{feedback.probability}"
+            raise InputError("feedback.probability", found, "must be in (0.5, 1)")
+        if np.any(cut_offs > nodes[burns]):
             found = f"cut-offs {list(feedback.cut_offs)}"
             raise InputError("feedback.cut_offs", found, "must not be after their burns' nodes")
 
@@ -313,7 +333,10 @@ class ImpulsiveProblem:
         try:
             check_flow(self.flow, self.unit, start.mean[:-1])
         except ValueError as error:
-            raise InputError("flow", str(error), "must be those of one map") from None
+            needs = (
+                "must be those of one map; or the guess leads where it is not smooth: give states"
+            )
+            raise InputError("flow", str(error), needs) from None
         stages = ScpStages(self, **method._asdict(), target=target)
         runner = StageRunner(self, stages, observe)
         final = runner.plan(start, "P3" if self.is_deterministic else "P2", once=True)

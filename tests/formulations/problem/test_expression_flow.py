@@ -113,7 +113,7 @@ def test_all_operations_are_casadis() -> None:
     [
         (lambda r, *_: r[:2], [0.0, 1.0], r"expected an acceleration of shape \(3, 1\)"),
         (lambda r, v, *_: [r, v], [0.0, 1.0], r"expected an acceleration of shape \(3, 1\)"),
-        (lambda r, *_: r, [0.0], "expected two times or more"),
+        (lambda r, *_: r, [0.0], "expected two ascending times or more"),
         (lambda r, *_: ca.remainder(r, 2.0), [0.0, 1.0], "without NumPy's"),
     ],
 )

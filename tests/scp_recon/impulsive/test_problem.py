@@ -227,6 +227,21 @@ FACES = np.vstack([np.eye(3), -np.eye(3)])
             {"feedback": sr.Feedback([1], [8], np.eye(3), "dv99", 0.9)},
             "feedback.measurement: got shape",
         ),
+        (
+            {"feedback": sr.Feedback([4], [8], np.eye(6)[None], "dv99", 0.9)},
+            "feedback.burns: .*from 0 to 3",
+        ),
+        (
+            {"feedback": sr.Feedback([1, 2], [8, 3], np.array([np.eye(6)] * 2), "dv99", 0.9)},
+            "feedback.cut_offs: .*must ascend",
+        ),
+        ({"feedback": sr.Feedback([1], [8], np.eye(6)[None], "dv95", 0.9)}, "feedback.cost"),
+        ({"feedback": sr.Feedback([1], [8], np.eye(6)[None], "dv99", 9)}, "feedback.probability"),
+        ({"final_sigma": (5.0, None)}, "final_sigma: .*goes with errors"),
+        ({"final_sigma": (-5.0, None)}, "final_sigma: .*positive"),
+        ({"regions": [sr.Ball(*BALL)]}, "regions: .*list of Keep"),
+        ({"errors": 0.01}, "errors: .*GatesErrors"),
+        ({"units": (1.0, 1.0, 1.0)}, "units: "),
         (lambda a: Changed(a.state[:, :3], a.stm, a.tensor), "flow: got state of shape"),
         (lambda a: Changed(a.state, a.stm[1:], a.tensor), "flow: got stm of shape"),
         (lambda a: Changed(a.state + 1.0, a.stm, a.tensor), "where `propagate` ends"),
@@ -250,6 +265,11 @@ def test_a_plan_tells_what_it_is(problem: sr.ImpulsiveProblem) -> None:
     assert str(plan).count("node") == len(BURNS)
     with pytest.raises(InputError, match=r"guess: got shape \(3, 6\)"):
         problem.solve(np.zeros((3, 6)))
-    closed = replace(problem, feedback=sr.Feedback([1], [8], np.eye(6)[None], "dv99", 0.9))
+    covariance = np.diag([2.0, 2.0, 2.0, 0.001, 0.001, 0.001]) ** 2
+    closed = replace(
+        problem,
+        initial_covariance=covariance,
+        feedback=sr.Feedback([1], [8], np.eye(6)[None], "dv99", 0.9),
+    )
     with pytest.raises(InputError, match="feedback: got corrected burns; goes with the formul"):
         closed.solve(formulation="frozen-stm")
