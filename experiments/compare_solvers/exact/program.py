@@ -4,8 +4,8 @@
     s.t. the final state is met, the burns keep their limits, Phi^-1(P(v)) >= Phi^-1(p)
 
 Everything is evaluated at the nonlinear flight of the burns, nothing at a model. A node's P is that of
-`ray_quantiles`; a whole flight's is the planner's own estimate, from the same directions, so that both
-solve one problem. Vanishing burns make a kink in the cost, which is rounded off as
+`ray_quantiles`; a whole flight's is the planner's own estimate, from as many directions, but in all
+columns of the factor. Vanishing burns make a kink in the cost, which is rounded off as
 sqrt(|v|^2 + r^2) - r.
 """
 
@@ -96,7 +96,7 @@ class NodeRows:
 
 
 class FlightRow:
-    """Probability of the whole flight, by the planner's directions; `LINES` of them in the end."""
+    """Probability of the whole flight, by as many directions as the planner's in the end, `LINES`."""
 
     def __init__(self, problem: FlybyProblem, probability: float, lines: int) -> None:
         events, self.asked = joint_events(problem.constraints), quantile(probability)
