@@ -50,7 +50,7 @@ def test_the_example_runs(capsys: pytest.CaptureFixture[str]) -> None:
     ("name", "cost"),
     [
         ("halo_transfer", "cost 0.1945583"),
-        ("hill_rendezvous", "cost 0.44 m/s"),
+        ("hill_rendezvous", "cost 0.43 m/s"),
         ("nrho_keeping", "cost 0.36 m/s"),
     ],
 )
