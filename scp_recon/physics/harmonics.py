@@ -173,7 +173,12 @@ Turn = tuple[Any, Any]
 
 @dataclass(frozen=True, eq=False)
 class TurningField:
-    """A field that turns with its body, in the inertial frame."""
+    """A field that turns with its body, in the inertial frame.
+
+    Attributes:
+        field: of the body, in its own axes.
+        rotation: of the body.
+    """
 
     field: HarmonicField
     rotation: Rotation
