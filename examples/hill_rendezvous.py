@@ -3,7 +3,7 @@
 In one revolution the chaser comes from 1 km behind, below and aside to 200 m ahead of the target, by
 seven burns with proportional errors of magnitude and pointing. Before the third and the fifth the state
 is measured, and they correct what is found. The risk is that of whole flights, spent where it costs
-least; the delta-v is what 99 % of flights need at most. Flights of the plan check both.
+least; the delta-v is the mean of flights. Flights of the plan check both.
 """
 
 from __future__ import annotations
@@ -46,7 +46,9 @@ problem = sr.ImpulsiveProblem(
     ],
     probability=0.99,
     scope="flight",
-    feedback=sr.Feedback(corrected, nodes[corrected], np.array([measurement] * 2), "dv99", 0.99),
+    feedback=sr.Feedback(
+        corrected, nodes[corrected], np.array([measurement] * 2), "expected", 0.99
+    ),
 )
 plan = problem.solve()
 flights = plan.fly(10_000)

@@ -27,8 +27,7 @@ def subject() -> Subject:
 
 @pytest.fixture(scope="module")
 def shown(subject: Subject) -> Shown:
-    patch = pytest.MonkeyPatch()
-    with patch.context():
+    with pytest.MonkeyPatch.context() as patch:
         patch.setattr("scp_recon.reports.flights.fly", lambda one: fly(one, samples=200))
         return Shown.of(subject, shape_of(subject.solution.scenario), Camera())
 
