@@ -253,7 +253,7 @@ class Orekit:
                 return transform(date, turned(matrix, 1e-10), vector(np.array([0.0, 0.0, rate])))
 
             # JPype cannot call the interface's own defaults, which would do the same.
-            getStaticTransform = getKinematicTransform = JOverride(getTransform)  # noqa: N815
+            getStaticTransform = getKinematicTransform = JOverride(getTransform)  # noqa: N815  Orekit's names
 
         return self._own("frames.Frame")(self._frame, Turning(), "body-fixed", False)
 
@@ -386,7 +386,7 @@ def compare(solution: Solution) -> list[Record]:
 
 def row(tool: str, forces: str, states: Array, own: Array) -> Record:
     """Largest distances over the flight, in position and velocity."""
-    off = np.abs(np.linalg.norm((states - own).reshape(-1, 2, 3), axis=2)).max(axis=0)
+    off = np.linalg.norm((states - own).reshape(-1, 2, 3), axis=2).max(axis=0)
     left_out = LEFT_OUT.get(forces, "")
     return {
         "tool": tool,

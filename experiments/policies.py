@@ -9,6 +9,7 @@ After Ctrl-C the study continues with the missing rows.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import partial
 from time import process_time
 from typing import NamedTuple
@@ -30,7 +31,7 @@ from scp_recon.scp.status import Status
 PROBABILITIES = (0.7, 0.9, 0.99)
 ERRORS, ERRORS_AT = (0.1, 10.0), 0.99
 """Times the usual error of the measurement, and the probability at which it varies."""
-FLIGHTS = {"open": 10_000, "feedback": 10_000, "replan": 370}
+FLIGHTS: Mapping[PolicyKind, int] = {"open": 10_000, "feedback": 10_000, "replan": 370}
 """Of a plan. The 99 % quantile of delta-v has an interval from 368 flights on."""
 
 
@@ -42,7 +43,7 @@ class Case(NamedTuple):
     scale: float = 1.0
 
 
-CASES = [Case(kind, p) for p in PROBABILITIES for kind in FLIGHTS]  # type: ignore[arg-type]
+CASES = [Case(kind, p) for p in PROBABILITIES for kind in FLIGHTS]
 CASES += [Case(kind, ERRORS_AT, scale) for scale in ERRORS for kind in ("feedback", "replan")]
 
 

@@ -86,7 +86,7 @@ def raised(out: Path, site: str) -> Record:
         save(found.plan, folder)
     known = FlownPlan.of(folder)
     mission = Mission.from_scenario(known.mission.scenario.replace(case.changes()))
-    burns_m_s = known.lin.iterate.burns * mission.units.speed_m_s
+    burns_m_s = known.burns_m_s
     planner = Planner(mission, target=MOST)
     planner.algorithm = ALGORITHMS[ALGORITHM](max_iterations=ITERATIONS)
     end = planner.plan(from_burns(mission, burns_m_s), once=True).final.result.lin.iterate
