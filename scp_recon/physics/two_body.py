@@ -1,6 +1,8 @@
-"""Two-body motion: a body's orbit about the Sun, and Lambert's arc between two positions."""
+"""Two-body motion: osculating orbits, a body's about the Sun, Lambert's arc between positions."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -15,6 +17,49 @@ NEAREST_KM = 1e7
 """Least distance from the Sun's centre, 0.067 au: no known asteroid comes nearer; cubics fail there."""
 NODE_STEP_S = 3600.0
 """Between nodes the motion is a cubic: off by 1e-7 km at 1 au, and by 0.1 km at `NEAREST_KM`."""
+
+
+@dataclass(frozen=True)
+class Orbit:
+    """Osculating orbit."""
+
+    axis: float
+    """Semi-major axis in the position's unit: negative of a hyperbola, infinite of a parabola."""
+    eccentricity: Array
+    """Vector to the pericentre as long as the eccentricity, shape (3,)."""
+    normal: Array
+    """Unit vector of the angular momentum, shape (3,); zero of a straight fall."""
+
+    @classmethod
+    def of(cls, position: npt.ArrayLike, velocity: npt.ArrayLike, gm: float) -> Orbit:
+        """Orbit of a state in any units: Bate, Mueller & White, Fundamentals of Astrodynamics, 2.4."""
+        position, velocity = (np.asarray(x, dtype=float) for x in (position, velocity))
+        away = np.linalg.norm(position)
+        momentum = np.cross(position, velocity)
+        size = np.linalg.norm(momentum)
+        energy = 2.0 / away - velocity @ velocity / gm
+        return cls(
+            axis=float(1.0 / energy) if energy else np.inf,
+            eccentricity=np.cross(velocity, momentum) / gm - position / away,
+            normal=momentum / size if size else momentum,
+        )
+
+    def angles(self, position: Array) -> tuple[float, float, float, float]:
+        """Inclination, node, argument of the pericentre, true anomaly of a position on it; rad.
+
+        The node of an orbit in the plane of x and y is x; the pericentre of a circle is at the node.
+        """
+        x, y, z = self.normal
+        node = np.array([-y, x, 0.0]) if np.hypot(x, y) > 1e-12 else np.array([1.0, 0.0, 0.0])
+        round_one = np.linalg.norm(self.eccentricity) <= 1e-12
+        nearest = node if round_one else self.eccentricity
+
+        def turn(a: Array, b: Array) -> float:
+            return float(np.arctan2(self.normal @ np.cross(a, b), a @ b) % (2.0 * np.pi))
+
+        inclination = float(np.arctan2(np.hypot(x, y), z))
+        ascending = float(np.arctan2(node[1], node[0]) % (2.0 * np.pi))
+        return inclination, ascending, turn(node, nearest), turn(nearest, position)
 
 
 def two_body(

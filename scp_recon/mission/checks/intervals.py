@@ -17,7 +17,7 @@ from scipy.constants import G
 from formulations.rows.flight_probability import PROBABILITY_MAX
 from scp_recon.bodies.catalogue import AU_KM, ECLIPTIC_NORTH, GM_SUN_KM3_S2, packaged_body
 from scp_recon.errors import InputError
-from scp_recon.mission.checks.known import J2_ENDS, Orbit
+from scp_recon.mission.checks.known import J2_ENDS, orbit_of_body
 from scp_recon.mission.grid import NODES_MAX, RK4_STEP_MAX_S
 from scp_recon.mission.scene import Scene
 from scp_recon.scenario.fields import ScenarioWarning, Section
@@ -157,7 +157,7 @@ def _off_the_equator_deg(scene: Scene, _: str) -> float:
     Components along the axes of the ecliptic, which many tables have, make the inclination the angle
     off the equator. Below 11.7 deg, half the obliquity, this warns, and never of a correct orbit.
     """
-    normal = Orbit.of_body(scene).normal
+    normal = orbit_of_body(scene).normal
     return angle_deg(normal, [0.0, 0.0, 1.0]) - angle_deg(normal, ECLIPTIC_NORTH)
 
 
@@ -336,18 +336,18 @@ INTERVALS = (
     ),
     # The orbits of what is flown to.
     Interval(
-        SUN_SPEED, "semi-major axis of the orbit", lambda s, _: Orbit.of_body(s).axis_au, "au",
+        SUN_SPEED, "semi-major axis of the orbit", lambda s, _: orbit_of_body(s).axis / AU_KM, "au",
         warn=(0.5, 6.0),
     ),
     # Few asteroids are beyond either; a Sun whose axes are swapped often is.
     Interval(
         SUN_SPEED, "eccentricity of the orbit",
-        lambda s, _: float(np.linalg.norm(Orbit.of_body(s).eccentricity)),
+        lambda s, _: float(np.linalg.norm(orbit_of_body(s).eccentricity)),
         warn=(-INF, 0.9), hint="; are the axes in order?",
     ),
     Interval(
         SUN_SPEED, "the orbit's plane off the ecliptic",
-        lambda s, _: angle_deg(Orbit.of_body(s).normal, ECLIPTIC_NORTH), "deg",
+        lambda s, _: angle_deg(orbit_of_body(s).normal, ECLIPTIC_NORTH), "deg",
         warn=(-INF, 50.0), hint="; J2000, axes in order?",
     ),
     Interval(

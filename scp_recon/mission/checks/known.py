@@ -8,13 +8,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
 from operator import attrgetter
 
 import numpy as np
-import numpy.typing as npt
 
-from formulations.arrays import Array
 from scp_recon.bodies.catalogue import (
     AU_KM,
     DAY_S,
@@ -27,6 +24,7 @@ from scp_recon.bodies.surface import coordinates_of
 from scp_recon.errors import InputError
 from scp_recon.mission.scene import Scene
 from scp_recon.physics.frames import Rotation, unit
+from scp_recon.physics.two_body import Orbit
 from scp_recon.scenario.dependencies import PLACE, STATE
 from scp_recon.scenario.fields import ScenarioWarning
 from scp_recon.scenario.load import base_names, packaged_scenario
@@ -183,35 +181,10 @@ SAME_PLACE_DEG = 0.5
 """How far along it, for each year outside the elements' span: mean motions change by 4e-4 deg/day."""
 
 
-@dataclass(frozen=True)
-class Orbit:
-    """Osculating orbit about the Sun."""
-
-    axis_au: float
-    """Semi-major axis, negative of what leaves the Solar System."""
-    eccentricity: Array
-    """Vector to the perihelion as long as the eccentricity, shape (3,), J2000."""
-    normal: Array
-    """Unit vector of the angular momentum, shape (3,), J2000; zero of a straight fall."""
-
-    @classmethod
-    def of_body(cls, scene: Scene) -> Orbit:
-        """Orbit of a scene's body at the epoch."""
-        return cls.of(scene.scenario.sun.body_position_km, scene.scenario.sun.body_velocity_km_s)
-
-    @classmethod
-    def of(cls, position_km: npt.ArrayLike, velocity_km_s: npt.ArrayLike) -> Orbit:
-        """Orbit of a heliocentric state: Bate, Mueller & White, Fundamentals of Astrodynamics, 2.4."""
-        position, velocity = (np.asarray(x, dtype=float) for x in (position_km, velocity_km_s))
-        away = np.linalg.norm(position)
-        momentum = np.cross(position, velocity)
-        size = np.linalg.norm(momentum)
-        energy = 2.0 / away - velocity @ velocity / GM_SUN_KM3_S2
-        return cls(
-            axis_au=float(1.0 / energy / AU_KM) if energy else np.inf,
-            eccentricity=np.cross(velocity, momentum) / GM_SUN_KM3_S2 - position / away,
-            normal=momentum / size if size else momentum,
-        )
+def orbit_of_body(scene: Scene) -> Orbit:
+    """The body's osculating orbit about the Sun at the epoch; km."""
+    sun = scene.scenario.sun
+    return Orbit.of(sun.body_position_km, sun.body_velocity_km_s, GM_SUN_KM3_S2)
 
 
 def known_orbit(scene: Scene) -> Iterator[ScenarioWarning]:
@@ -225,17 +198,18 @@ def known_orbit(scene: Scene) -> Iterator[ScenarioWarning]:
     if packaged is None:
         return
     days = (scenario.epoch.tdb - J2000_TDB).total_seconds() / DAY_S
-    found = Orbit.of_body(scene)
-    known = Orbit.of(*packaged.heliocentric(float(np.clip(days, *packaged.span))))
+    found = orbit_of_body(scene)
+    state = packaged.heliocentric(float(np.clip(days, *packaged.span)))
+    known = Orbit.of(*state, GM_SUN_KM3_S2)
     tilt = angle_deg(found.normal, known.normal)
     off = float(np.linalg.norm(found.eccentricity - known.eccentricity))
-    same = abs(found.axis_au / known.axis_au - 1.0) <= SAME_AXIS
+    same = abs(found.axis / known.axis - 1.0) <= SAME_AXIS
     if not same or tilt > SAME_PLANE_DEG or off > SAME_ECCENTRICITY:
         yield ScenarioWarning.of(
             "sun.body_position_km",
-            f"with the velocity an orbit of {found.axis_au:.3f} au, its plane {tilt:.2f} deg and "
+            f"with the velocity an orbit of {found.axis / AU_KM:.3f} au, its plane {tilt:.2f} deg and "
             f"its eccentricity vector {off:.3f} off that of {body.name}",
-            f"expected {known.axis_au:.3f} au, within {SAME_PLANE_DEG:g} deg and "
+            f"expected {known.axis / AU_KM:.3f} au, within {SAME_PLANE_DEG:g} deg and "
             f"{SAME_ECCENTRICITY:g}",
         )
         return

@@ -8,9 +8,10 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
+from scipy.spatial.transform import Rotation
 
 from scp_recon.bodies.catalogue import GM_SUN_KM3_S2
-from scp_recon.physics.two_body import lambert, two_body
+from scp_recon.physics.two_body import Orbit, lambert, two_body
 from tests.helpers import generators, random_rotation, random_unit
 
 AU_KM = 149_597_870.7
@@ -89,3 +90,28 @@ def test_points_in_line_with_the_centre_have_no_plane() -> None:
     start = np.array([1000.0, 0.0, 0.0])
     assert lambert(start, -start, 1e4, GM) is None
     assert lambert(start, 2.0 * start, 1e4, GM) is None
+
+
+@pytest.mark.parametrize(
+    ("position", "velocity"),
+    [
+        ([1.0, 0.2, -0.3], [0.1, 0.9, 0.4]),
+        ([1.0, 0.2, -0.3], [0.6, 1.9, 0.4]),  # a hyperbola
+        ([-0.4, 1.1, 0.2], [-0.5, -0.3, -0.6]),
+        ([1.0, 0.2, 0.0], [0.1, -0.9, 0.0]),  # backwards in the plane of x and y
+        ([0.6, 0.8, 0.0], [-0.8, 0.6, 0.0]),  # a circle in that plane
+    ],
+)
+def test_an_orbits_elements_lead_back_to_its_state(
+    position: list[float], velocity: list[float]
+) -> None:
+    orbit = Orbit.of(position, velocity, 1.0)
+    inclination, node, pericentre, anomaly = orbit.angles(np.array(position))
+    e = np.linalg.norm(orbit.eccentricity)
+    p = orbit.axis * (1.0 - e * e)
+    c, s = np.cos(anomaly), np.sin(anomaly)
+    flat = np.array([[p * c, p * s, 0.0], [-s, e + c, 0.0]])
+    flat[0] /= 1.0 + e * c
+    flat[1] /= np.sqrt(p)
+    turn = Rotation.from_euler("ZXZ", [node, inclination, pericentre])
+    np.testing.assert_allclose(turn.apply(flat), [position, velocity], atol=1e-13)
