@@ -156,9 +156,9 @@ class Orekit:
         """The flight of an exported OPM, and its OEM's times and states, shape (n, 7)."""
         source = self._own("data.DataSource")
         builder = self._own("files.ccsds.ndm.ParserBuilder")()
-        gm = self._mission.forces.gm
         (opm,), (oem,) = (list(folder.glob(f"*.{kind}")) for kind in ("opm", "oem"))
-        message = builder.withMu(gm).buildOpmParser().parseMessage(source(str(opm)))
+        message = builder.buildOpmParser().parseMessage(source(str(opm)))
+        gm = message.getData().getKeplerianElementsBlock().getMu()  # an OEM has none
         burns = list(message.getManeuvers())
         flight = Flight(
             self._mission,

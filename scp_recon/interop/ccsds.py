@@ -10,13 +10,18 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from datetime import UTC, datetime
 
+import numpy as np
+
 from formulations.arrays import Array
 from scp_recon.interop.export import Export, heading, maker
 from scp_recon.interop.path import Coast
 from scp_recon.physics.time_scales import iso_tdb
+from scp_recon.physics.two_body import Orbit
 
 KM = 1e-3
 AXES = ("X", "Y", "Z", "X_DOT", "Y_DOT", "Z_DOT")
+FRAME = "EME2000"
+"""Name of SPICE's J2000, whose axes are the ICRF's: docs/frames.md says why not ICRF."""
 UNITS = ("km",) * 3 + ("km/s",) * 3
 CUBIC = 3
 
@@ -30,7 +35,7 @@ def oem_text(export: Export) -> str:
 
 
 def opm_text(export: Export) -> str:
-    """The state before the first burn, its covariance, the spacecraft and every burn but of zero."""
+    """The state before the first burn, its orbit and covariance, spacecraft, every burn but of zero."""
     craft, before = export.mission.scenario.spacecraft, export.path.coasts[0]
     epoch = iso_tdb(export.instant(0.0))
     lines = [
@@ -41,10 +46,11 @@ def opm_text(export: Export) -> str:
             f"{axis} = {x:.15e} [{unit}]"
             for axis, x, unit in zip(AXES, KM * before.states[-1], UNITS, strict=True)
         ),
+        *_keplerian(before.states[-1], export.mission.forces.gm),
         f"MASS = {craft.mass_kg:.15e} [kg]",
         f"SOLAR_RAD_AREA = {craft.srp_area_m2:.15e} [m**2]",
         f"SOLAR_RAD_COEFF = {craft.reflectivity_coefficient:.15e}",
-        "COV_REF_FRAME = EME2000",
+        f"COV_REF_FRAME = {FRAME}",
     ]
     for row, name in enumerate(AXES):
         entries = KM**2 * before.covariances[-1][row, : row + 1]
@@ -58,10 +64,25 @@ def opm_text(export: Export) -> str:
             f"MAN_EPOCH_IGNITION = {iso_tdb(export.instant(burn.t_s))}",
             "MAN_DURATION = 0.0 [s]",
             "MAN_DELTA_MASS = 0.0 [kg]",
-            "MAN_REF_FRAME = EME2000",
+            f"MAN_REF_FRAME = {FRAME}",
             *(f"MAN_DV_{i} = {KM * x:.15e} [km/s]" for i, x in enumerate(burn.dv_m_s, start=1)),
         ]
     return "\n".join(lines) + "\n"
+
+
+def _keplerian(state: Array, gm: float) -> list[str]:
+    """The osculating orbit and GM, from which a reader learns GM; none of a parabola or a fall."""
+    orbit = Orbit.of(state[:3], state[3:], gm)
+    if np.isinf(orbit.axis) or not orbit.normal.any():
+        return []
+    angles = np.rad2deg(orbit.angles(state[:3]))
+    names = "INCLINATION", "RA_OF_ASC_NODE", "ARG_OF_PERICENTER", "TRUE_ANOMALY"
+    return [
+        f"SEMI_MAJOR_AXIS = {KM * orbit.axis:.15e} [km]",
+        f"ECCENTRICITY = {np.linalg.norm(orbit.eccentricity):.15e}",
+        *(f"{name} = {x:.15e} [deg]" for name, x in zip(names, angles, strict=True)),
+        f"GM = {KM**3 * gm:.15e} [km**3/s**2]",
+    ]
 
 
 def _header(kind: str, export: Export) -> list[str]:
@@ -78,7 +99,7 @@ def _object(export: Export) -> list[str]:
         f"OBJECT_NAME = {plain_name(export.mission.scenario.name)}",
         f"OBJECT_ID = {export.ids.spacecraft}",
         f"CENTER_NAME = {plain_name(export.mission.scenario.body.name)}",
-        "REF_FRAME = EME2000",
+        f"REF_FRAME = {FRAME}",
         "TIME_SYSTEM = TDB",
     ]
 
@@ -111,7 +132,7 @@ def _covariances(epochs: Sequence[str], matrices: Array) -> Iterable[str]:
     """Lower triangles, km^2, km^2/s and km^2/s^2."""
     for epoch, matrix in zip(epochs, KM**2 * matrices, strict=True):
         yield f"EPOCH = {epoch}"
-        yield "COV_REF_FRAME = EME2000"
+        yield f"COV_REF_FRAME = {FRAME}"
         yield from (_numbers(row[: i + 1]) for i, row in enumerate(matrix))
 
 

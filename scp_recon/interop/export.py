@@ -92,7 +92,7 @@ def heading(export: Export) -> list[str]:
         f"{export.verdict}",
         *(f"warning: {warning}" for warning in solution.warnings),
         f"center {scenario.body.name} (NAIF {export.ids.body}), spacecraft NAIF "
-        f"{export.ids.spacecraft}; axes J2000 (EME2000), inertial",
+        f"{export.ids.spacecraft}; axes J2000, which are the ICRF's, inertial",
         f"t_s = 0 is {iso_tdb(export.instant(0.0))} TDB, {iso_utc(export.instant(0.0))} UTC",
         f"mean and covariance of the planner's model; coasting {MARGIN_S:g} s before the first burn "
         "and after the last is not part of the plan",

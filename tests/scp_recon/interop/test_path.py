@@ -222,6 +222,19 @@ def test_the_opm_has_the_state_before_the_burns_and_every_burn(
     vector = data.state_vector
     read = [getattr(vector, axis).value for axis in ("x", "y", "z", "x_dot", "y_dot", "z_dot")]
     np.testing.assert_allclose(np.array(read) * 1e3, export.mission.initial_state, rtol=1e-14)
+    gm, orbit = export.mission.forces.gm, data.keplerian_elements
+    assert orbit.gm.value * 1e9 == pytest.approx(gm, rel=1e-14)
+    spice = pytest.importorskip("spiceypy")
+    known = spice.oscltx(export.mission.initial_state, 0.0, gm)
+    for key, value in (
+        ("inclination", known[2]),
+        ("ra_of_asc_node", known[3]),
+        ("arg_of_pericenter", known[4]),
+        ("true_anomaly", known[8]),
+    ):
+        assert getattr(orbit, key).value == pytest.approx(np.rad2deg(value), rel=1e-9), key
+    assert orbit.semi_major_axis.value * 1e3 == pytest.approx(known[9])
+    assert orbit.eccentricity == pytest.approx(known[1])
     factor = export.mission.initial_factor
     assert data.covariance_matrix.cx_x.value * 1e6 == pytest.approx((factor @ factor.T)[0, 0])
     assert len(data.maneuver_parameters) == len(export.solution.burns)
