@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import re
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from datetime import datetime, timedelta
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -31,6 +32,8 @@ STEP_S, STATES_MAX = 30.0, 100_000
 """Step between states read from kernels, s."""
 FRAMES = ("EME2000", "J2000", "ICRF", "GCRF")
 """CCSDS's names of J2000 axes, or of axes within 0.02 arcseconds of them."""
+BARYCENTER, EPOCH_SLACK_S = "BARYCENTER", 120.0
+"""What systems' names end with; and how far a frame's epoch may be off J2000, which no scale is."""
 SCALES = ("UTC", "TDB", "TT", "TAI")
 STATES, SUBSTEPS = 60, 20
 """Number of states propagated from each to the next; and steps of RK4 between two."""
@@ -125,6 +128,9 @@ def spice_body(
 def oem_track(path: Path, body: str) -> Track:
     """Read all segments of an OEM, in order; there are two states at a burn.
 
+    Spaces, case and signs of the centre's name do not count. States about the barycentre of a body's
+    system are taken for ones about the body, and the track doubts it.
+
     Raises:
         InputError: if the extra [oem] is missing, or the file is no OEM, of another frame, centre or
             time scale, or its segments are not in order.
@@ -136,26 +142,71 @@ def oem_track(path: Path, body: str) -> Track:
     if not path.is_file():
         raise InputError(entry, "no such file", "must be a readable OEM")
     _check_finite(path, entry)
-    rows = []
+    rows, doubts = [], dict[str, ScenarioWarning]()
+    j2000 = Time(J2000_TDB, scale="tdb")
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore")  # of leap seconds that nobody knows yet
         warnings.filterwarnings("error", message="Unsupported TIME_SYSTEM")
         try:
             segments = list(OrbitEphemerisMessage.open(str(path)))
         except Exception as error:  # of whatever kind: the library has none of its own
-            raise InputError(entry, f"no OEM ({str(error)[:120]})", "must be a CCSDS OEM") from None
+            raise InputError(
+                entry,
+                f"no OEM ({str(error)[:120]})",
+                "must be a CCSDS OEM as its CCSDS_OEM_VERS has it",
+            ) from None
         for segment in segments:
             about = segment.metadata
-            _one_of(entry, "REF_FRAME", about["REF_FRAME"], FRAMES)
-            _one_of(entry, "CENTER_NAME", about["CENTER_NAME"], (body.upper(), plain_name(body)))
+            turn = "; turn the states to one of them"
+            _one_of(entry, "REF_FRAME", about["REF_FRAME"], FRAMES, turn)
             _one_of(entry, "TIME_SYSTEM", about["TIME_SYSTEM"], SCALES)
+            if "REF_FRAME_EPOCH" in about:
+                _check_frame_epoch(entry, about, j2000)
+            doubts |= {str(doubt): doubt for doubt in _centre_doubts(entry, about, body)}
             rows += [(s.epoch.tdb, 1e3 * s.position, 1e3 * s.velocity) for s in segment.states]
     first = rows[0][0]
-    since = (first - Time(J2000_TDB, scale="tdb")).sec
+    since = (first - j2000).sec
     epoch = J2000_TDB + timedelta(microseconds=round(since * 1e6))  # as fine as a scenario's
     times = np.round([(row[0] - first).sec for row in rows], 9)
     states = np.array([np.concatenate(row[1:]) for row in rows])
-    return Track(epoch, times, states, f"from {path.name}")
+    return Track(epoch, times, states, f"from {path.name}", tuple(doubts.values()))
+
+
+def _check_frame_epoch(entry: str, about: Mapping[str, Any], j2000: Any) -> None:
+    """Refuse axes of another date than J2000, which none of `FRAMES` has.
+
+    Raises:
+        InputError: if REF_FRAME_EPOCH is another date, or none.
+    """
+    try:
+        off, given = (about["REF_FRAME_EPOCH"] - j2000).sec, about["REF_FRAME_EPOCH"].isot
+    except ValueError as error:
+        off, given = np.inf, str(error)
+    if abs(off) > EPOCH_SLACK_S:
+        raise InputError(
+            f"{entry}: REF_FRAME_EPOCH",
+            given,
+            f"must be 2000-01-01T12:00:00, or left out, as {about['REF_FRAME']} has no other; turn the "
+            "states to it if their axes are of that date",
+        )
+
+
+def _centre_doubts(entry: str, about: Mapping[str, str], body: str) -> Iterator[ScenarioWarning]:
+    """Warn of a system's barycentre in the place of a body's own centre.
+
+    Raises:
+        InputError: if the states are about something else.
+    """
+    given, own = (plain_name(name).replace("_", "") for name in (about["CENTER_NAME"], body))
+    if given not in (own, own + BARYCENTER):
+        _one_of(entry, "CENTER_NAME", about["CENTER_NAME"], (body.upper(), plain_name(body)))
+    if given != own:
+        yield ScenarioWarning.of(
+            "trajectory",
+            f"about {about['CENTER_NAME']}",
+            f"taken as about the centre of {body}: they are apart by what the system's other bodies "
+            "make of it",
+        )
 
 
 NOT_FINITE = re.compile(r"(?:^|[\s>])[+-]?(?:nan|inf|infinity)(?=[\s<]|$)", re.IGNORECASE)
@@ -212,9 +263,10 @@ def _et(when: datetime) -> float:
     return (when - J2000_TDB).total_seconds()
 
 
-def _one_of(entry: str, key: str, given: str, known: Sequence[str]) -> None:
+def _one_of(entry: str, key: str, given: str, known: Sequence[str], hint: str = "") -> None:
     if given.strip().upper() not in known:
-        raise InputError(f"{entry}: {key}", given, f"must be {' or '.join(dict.fromkeys(known))}")
+        allowed = f"must be {' or '.join(dict.fromkeys(known))}{hint}"
+        raise InputError(f"{entry}: {key}", given, allowed)
 
 
 def pull_doubts(mission: Mission, track: Track) -> Iterator[ScenarioWarning]:

@@ -175,7 +175,14 @@ def test_a_message_or_a_table_is_a_start(
 @pytest.mark.parametrize(
     ("key", "given", "message"),
     [
-        ("REF_FRAME", "TEME", "EME2000"),
+        ("REF_FRAME", "TEME", "EME2000.*; turn the states"),
+        (
+            "REF_FRAME",
+            "EME2000\nREF_FRAME_EPOCH = 2020-01-01T12:00:00",
+            "EPOCH: got 2020.*left out",
+        ),
+        ("REF_FRAME", "ICRF\nREF_FRAME_EPOCH = 2000-01-01", "REF_FRAME_EPOCH: got time data"),
+        ("CCSDS_OEM_VERS", "1.0\nREF_FRAME_EPOCH = 2000-01-01", "no OEM.*CCSDS_OEM_VERS"),
         ("CENTER_NAME", "EARTH", "BENNU"),
         ("TIME_SYSTEM", "MRT", "TIME_SYSTEM"),
         ("TIME_SYSTEM", "UT1", "UTC or TDB"),
@@ -190,6 +197,48 @@ def test_another_frame_centre_or_scale_is_refused(
     Path("plan.oem").write_text(text, encoding="ascii")
     with pytest.raises(InputError, match=message):
         oem_track(Path("plan.oem"), "Bennu")
+
+
+HERA = """CCSDS_OEM_VERS = 2.0
+CREATION_DATE  = 2023-08-23T00:00:00
+ORIGINATOR     = ESA/ESOC OPS-GFA
+
+META_START
+OBJECT_NAME    = Hera
+OBJECT_ID      = -91
+CENTER_NAME    = DidymosBarycenter
+REF_FRAME      = EME2000
+REF_FRAME_EPOCH = 2000-01-01T12:00:00.000
+TIME_SYSTEM    = TDB
+START_TIME     = 2027-02-01T00:00:00.000000
+STOP_TIME      = 2027-02-01T02:00:00.000000
+META_STOP
+
+2027-02-01T00:00:00.000000  10.0  -2.0  1.5 -1.0e-4  2.0e-5  0.0
+2027-02-01T01:00:00.000000  9.64  -1.928  1.5 -1.0e-4  2.0e-5  0.0
+2027-02-01T02:00:00.000000  9.28  -1.856  1.5 -1.0e-4  2.0e-5  0.0
+"""
+"""A file of our own with originator and names as in ESA's example trajectories of Hera, by the release
+notes in ANCDR/HERA/man/CReMA_2_0/Hera_2024_ECP_and_PDP_trajectory.zip."""
+
+
+@pytest.mark.parametrize(
+    ("body", "doubted"), [("Didymos", True), ("Didymos Barycenter", False), ("65803", None)]
+)
+def test_an_oem_about_a_systems_barycentre_is_read_with_a_doubt(
+    body: str, doubted: bool | None
+) -> None:
+    pytest.importorskip("oem")
+    Path("hera.oem").write_text(HERA, encoding="ascii")
+    if doubted is None:
+        with pytest.raises(InputError, match="CENTER_NAME: got DidymosBarycenter; must be 65803"):
+            oem_track(Path("hera.oem"), body)
+        return
+    track = oem_track(Path("hera.oem"), body)
+    assert track.epoch == datetime(2027, 2, 1)
+    np.testing.assert_array_equal(track.times_s, [0.0, 3600.0, 7200.0])
+    np.testing.assert_allclose(track.states[1], [9640.0, -1928.0, 1500.0, -0.1, 0.02, 0.0])
+    assert ["about DidymosBarycenter" in str(doubt) for doubt in track.doubts] == [True] * doubted
 
 
 @pytest.mark.parametrize(
