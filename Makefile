@@ -10,7 +10,7 @@ export PYTHONDONTWRITEBYTECODE :=
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet install --constraint constraints.txt
 
 .PHONY: help solve test fast extras nightly coverage mutation lint format types check release reference bench \
-	evidence figures clean
+	evidence figures site clean
 help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "%-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
@@ -70,6 +70,9 @@ figures: $(VENV)/.test  ## make all figures, the studies that are missing first,
 	$(BIN)/python -m paper_figs --all
 	$(BIN)/python -m paper_figs flyby --runs runs/paper/scp_cold --out docs/flyby.png
 
+site: $(VENV)/.docs  ## build the pages as a site in runs/site; any warning or broken link fails
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet
+
 clean:  ## remove the environment and what it produced
 	rm -rf $(VENV) runs mutants .coverage .mypy_cache .ruff_cache .pytest_cache .hypothesis *.egg-info
 
@@ -93,6 +96,10 @@ $(VENV)/.test: $(VENV)/.venv pyproject.toml constraints.txt
 
 $(VENV)/.evidence: $(VENV)/.venv pyproject.toml constraints.txt
 	$(PIP) --editable '.[all,peers,test,dev]'
+	@touch $@
+
+$(VENV)/.docs: $(VENV)/.venv pyproject.toml constraints.txt
+	$(PIP) --editable '.[docs]'
 	@touch $@
 
 $(VENV)/.dev: $(VENV)/.venv pyproject.toml constraints.txt

@@ -33,10 +33,11 @@ def option(name: str, value: object = None) -> str:
 class InputError(ValueError):
     """An entry of the input is unusable; the message names it, what was given and what is allowed.
 
-    >>> import scp_recon as sr
-    >>> sr.load_scenario().replace({"grid.step_max_s": 0.0})
-    Traceback (most recent call last):
-    scp_recon.errors.InputError: grid.step_max_s: got 0.0; must be at least 1 and at most 1e+07
+    Examples:
+        >>> import scp_recon as sr
+        >>> sr.load_scenario().replace({"grid.step_max_s": 0.0})
+        Traceback (most recent call last):
+        scp_recon.errors.InputError: grid.step_max_s: got 0.0; must be at least 1 and at most 1e+07
 
     Args:
         entry: dotted path of the entry, or the file or `option`.

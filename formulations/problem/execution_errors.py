@@ -97,8 +97,9 @@ class ExecutionErrors(ABC):
 class ComponentwiseErrors(ExecutionErrors):
     """Every component errs by a fraction beta of itself, 1 sigma: C = beta diag(v).
 
-    >>> ComponentwiseErrors(0.25).columns(np.array([[4.0, 0.0, 0.0]]))[0, 0, 0].item()
-    1.0
+    Examples:
+        >>> ComponentwiseErrors(0.25).columns(np.array([[4.0, 0.0, 0.0]]))[0, 0, 0].item()
+        1.0
 
     Echigo et al., eq. 3.
     """
@@ -142,10 +143,11 @@ class ComponentwiseErrors(ExecutionErrors):
 class GatesErrors(ExecutionErrors):
     """Errors of a burn's magnitude and pointing, each with a fixed and a proportional part; 1 sigma.
 
-    >>> errors = GatesErrors(0.0, 0.5, 0.0, 0.25)
-    >>> columns = errors.columns(np.array([[4.0, 0.0, 0.0]]))[0]
-    >>> np.diag(columns @ columns.T).tolist()
-    [4.0, 1.0, 1.0]
+    Examples:
+        >>> errors = GatesErrors(0.0, 0.5, 0.0, 0.25)
+        >>> columns = errors.columns(np.array([[4.0, 0.0, 0.0]]))[0]
+        >>> np.diag(columns @ columns.T).tolist()
+        [4.0, 1.0, 1.0]
 
         C C' = (s_f^2 + s_p^2 v^2) u u' + (p_f^2 + p_p^2 v^2) (I - u u'),   u = v / |v|
 

@@ -159,9 +159,10 @@ class ExpressionDerivatives:
 class ExpressionFlow:
     """The `Flow` of an acceleration along the arcs between times, in any consistent units.
 
-    >>> flow = ExpressionFlow(lambda r, v, t, p: -r, [0.0, np.pi], substeps=100)
-    >>> flow.propagate(np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0]), 0)[0].round(6).item()
-    -1.0
+    Examples:
+        >>> flow = ExpressionFlow(lambda r, v, t, p: -r, [0.0, np.pi], substeps=100)
+        >>> flow.propagate(np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0]), 0)[0].round(6).item()
+        -1.0
 
     Args:
         acceleration: of r (3,), v (3,), t and p (q,), over CasADi's symbols: three components.

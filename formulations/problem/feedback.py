@@ -27,9 +27,10 @@ Cost = Literal["nominal", "expected", "dv99"]
 class Feedback:
     """Corrected burns of a problem with k of them, and what they know.
 
-    >>> burns, cut_offs = np.array([1, 2]), np.array([5, 9])
-    >>> Feedback(burns, cut_offs, np.array([np.eye(6)] * 2), "dv99", 0.99).size
-    54
+    Examples:
+        >>> burns, cut_offs = np.array([1, 2]), np.array([5, 9])
+        >>> Feedback(burns, cut_offs, np.array([np.eye(6)] * 2), "dv99", 0.99).size
+        54
 
     Attributes:
         burns: numbers of the corrected burns from 0, ascending, shape (k,).

@@ -31,8 +31,9 @@ class Halfspaces:
         normal: a.
         offset: b.
 
-    >>> Halfspaces(np.array([[1.0, 0.0, 0.0]]), np.array([3.0])).inside(np.ones((1, 3))).item()
-    2.0
+    Examples:
+        >>> Halfspaces(np.array([[1.0, 0.0, 0.0]]), np.array([3.0])).inside(np.ones((1, 3))).item()
+        2.0
     """
 
     normal: Array
@@ -162,8 +163,9 @@ def _all_along(still: Booleans, low: Array, high: Array) -> Chord:
 class Ball:
     """Points within `radius` of `center` (n, 3).
 
-    >>> Ball(np.zeros((1, 3)), 2.0).inside(np.array([[0.0, 0.5, 0.0]])).item()
-    1.5
+    Examples:
+        >>> Ball(np.zeros((1, 3)), 2.0).inside(np.array([[0.0, 0.5, 0.0]])).item()
+        1.5
     """
 
     center: Array
@@ -208,9 +210,10 @@ class Ball:
 class Cone:
     """Points seen from `apex` (n, 3) within `half_angle` < pi/2 of the unit `axis` (n, 3).
 
-    >>> cone = Cone(np.zeros((1, 3)), np.array([[0.0, 0.0, 1.0]]), np.pi / 6.0)
-    >>> round(cone.inside(np.array([[0.0, 0.0, 2.0]])).item(), 9)
-    1.0
+    Examples:
+        >>> cone = Cone(np.zeros((1, 3)), np.array([[0.0, 0.0, 1.0]]), np.pi / 6.0)
+        >>> round(cone.inside(np.array([[0.0, 0.0, 2.0]])).item(), 9)
+        1.0
     """
 
     apex: Array
@@ -291,9 +294,10 @@ class Ellipsoid:
         matrix: of all nodes.
         radius: in the units of positions.
 
-    >>> egg = Ellipsoid(np.zeros((1, 3)), np.diag([1.0, 0.5, 0.5]), 2.0)
-    >>> egg.inside(np.array([[0.0, 4.0, 0.0]])).item()
-    0.0
+    Examples:
+        >>> egg = Ellipsoid(np.zeros((1, 3)), np.diag([1.0, 0.5, 0.5]), 2.0)
+        >>> egg.inside(np.array([[0.0, 4.0, 0.0]])).item()
+        0.0
     """
 
     center: Array
@@ -348,9 +352,10 @@ class Polytope:
         normal: a.
         offset: b.
 
-    >>> box = Polytope(np.vstack([np.eye(3), -np.eye(3)]), np.ones(6))
-    >>> box.inside(np.array([0.0, 0.75, 0.0])).item()
-    0.25
+    Examples:
+        >>> box = Polytope(np.vstack([np.eye(3), -np.eye(3)]), np.ones(6))
+        >>> box.inside(np.array([0.0, 0.75, 0.0])).item()
+        0.25
     """
 
     normal: Array

@@ -217,10 +217,11 @@ def new(
 
     With a trajectory of another tool the start that it gives is written beside it, NAME_start.csv.
 
-    >>> import scp_recon as sr
-    >>> drafted = sr.new("mission", "Bennu", (20.0, 150.0), "2020-01-21T20:33:17")
-    >>> drafted.is_verified, [file.name for file in drafted.files]
-    (True, ['mission.toml'])
+    Examples:
+        >>> import scp_recon as sr
+        >>> drafted = sr.new("mission", "Bennu", (20.0, 150.0), "2020-01-21T20:33:17")
+        >>> drafted.is_verified, [file.name for file in drafted.files]
+        (True, ['mission.toml'])
 
     Args:
         name: of the scenario, written to NAME.toml.

@@ -77,10 +77,11 @@ def solution_of(given: AnyPlan) -> Solution:
 def load(plan: AnyPlan) -> Solution:
     """Read the solution in a file or a folder.
 
-    >>> import scp_recon as sr
-    >>> folder = sr.save(sr.plan(problem="P3"), "runs/mine").parent
-    >>> sr.load(folder).problem
-    'P3'
+    Examples:
+        >>> import scp_recon as sr
+        >>> folder = sr.save(sr.plan(problem="P3"), "runs/mine").parent
+        >>> sr.load(folder).problem
+        'P3'
 
     Args:
         plan: the file or folder; a solution is itself, and a plan is verified to become one.
@@ -106,9 +107,10 @@ def verified(mission: Mission, solution: Solution) -> Solution:
 def verify(plan: AnyPlan) -> Verification:
     """Verify a plan without the solver: `ok`, and what `failed`.
 
-    >>> import scp_recon as sr
-    >>> sr.verify(sr.plan())
-    <Verification: verified>
+    Examples:
+        >>> import scp_recon as sr
+        >>> sr.verify(sr.plan())
+        <Verification: verified>
 
     Raises:
         InputError: if it is no plan and no file of one.
@@ -122,9 +124,10 @@ def save(plan: AnyPlan, folder: str | Path) -> Path:
     A plan that is not verified goes beside a verified one that is there, as `solution_unverified.json`;
     what was made of another plan is set aside (`old_montecarlo.json`).
 
-    >>> import scp_recon as sr
-    >>> sr.save(sr.plan(), "runs/mine").name
-    'solution.json'
+    Examples:
+        >>> import scp_recon as sr
+        >>> sr.save(sr.plan(), "runs/mine").name
+        'solution.json'
 
     Raises:
         InputError: if it is no plan and no file of one, or the folder cannot be written.
@@ -141,10 +144,11 @@ def save(plan: AnyPlan, folder: str | Path) -> Path:
 def compare(*plans: AnyPlan) -> comparison.Comparison:
     """Compare plans, solutions or their files; the paths are held against the first one's.
 
-    >>> import scp_recon as sr
-    >>> table = sr.compare(sr.plan(), sr.plan(problem="P3"))
-    >>> print(*(f"{dv:.3f} m/s" for dv in table["total delta-v"]))
-    0.140 m/s 0.108 m/s
+    Examples:
+        >>> import scp_recon as sr
+        >>> table = sr.compare(sr.plan(), sr.plan(problem="P3"))
+        >>> print(*(f"{dv:.3f} m/s" for dv in table["total delta-v"]))
+        0.140 m/s 0.108 m/s
 
     Raises:
         InputError: if there is none, or one is no plan and no file of a solution.
@@ -267,10 +271,11 @@ def export(
 ) -> Exported:
     """Write a plan for other tools: its burns are flown again, densely enough for their interpolation.
 
-    >>> import scp_recon as sr
-    >>> files, _ = sr.export(sr.plan(), "csv", "runs/mine/export")
-    >>> [file.suffix for file in files]
-    ['.csv']
+    Examples:
+        >>> import scp_recon as sr
+        >>> files, _ = sr.export(sr.plan(), "csv", "runs/mine/export")
+        >>> [file.suffix for file in files]
+        ['.csv']
 
     Args:
         plan: to write.

@@ -111,10 +111,11 @@ def fly(
 ) -> Summary:
     """Fly a plan many times with errors.
 
-    >>> import scp_recon as sr
-    >>> emission = sr.fly(sr.plan(), samples=1000).probability["emission"]
-    >>> print(f"{emission.value:.3f}, 95 % interval {emission.low:.3f} to {emission.high:.3f}")
-    0.982, 95 % interval 0.972 to 0.989
+    Examples:
+        >>> import scp_recon as sr
+        >>> emission = sr.fly(sr.plan(), samples=1000).probability["emission"]
+        >>> print(f"{emission.value:.3f}, 95 % interval {emission.low:.3f} to {emission.high:.3f}")
+        0.982, 95 % interval 0.972 to 0.989
 
     Args:
         plan: to fly; a solution, or its file.

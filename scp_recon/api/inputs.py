@@ -33,9 +33,10 @@ def scenario_of(given: Scenario | str | Path, overrides: Sequence[str] = ()) -> 
 def scenarios() -> dict[str, Scenario]:
     """The packaged scenarios by name, each ready to be planned or changed.
 
-    >>> import scp_recon as sr
-    >>> sr.scenarios()["recon_b"]
-    <Scenario recon_b: Bennu, site Nightingale, 4 burns>
+    Examples:
+        >>> import scp_recon as sr
+        >>> sr.scenarios()["recon_b"]
+        <Scenario recon_b: Bennu, site Nightingale, 4 burns>
     """
     return Named({name: packaged_scenario(name) for name in base_names()})
 

@@ -214,10 +214,11 @@ def plan(
 ) -> Plan:
     """Plan a flyby.
 
-    >>> import scp_recon as sr
-    >>> found = sr.plan(sr.load_scenario("recon_b").replace({"risk.p_chance": 0.8}))
-    >>> print(found.status.value.name, f"{found.total_dv_m_s:.3f} m/s")
-    converged 0.155 m/s
+    Examples:
+        >>> import scp_recon as sr
+        >>> found = sr.plan(sr.load_scenario("recon_b").replace({"risk.p_chance": 0.8}))
+        >>> print(found.status.value.name, f"{found.total_dv_m_s:.3f} m/s")
+        converged 0.155 m/s
 
     Args:
         scenario: a file, complete or with base = another, or a packaged one's name: kingfisher,

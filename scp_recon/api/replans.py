@@ -47,11 +47,12 @@ def replan(
     nearly as they can: `verify` says how much is missed. Beyond three sigma of the final dispersion
     that the flown plan predicts, the status is lost.
 
-    >>> import scp_recon as sr
-    >>> flown = sr.plan()
-    >>> left = sr.replan(flown, flown.times_s[80], flown.states[80])
-    >>> print(f"{len(left.burns_m_s)} burns, {left.total_dv_m_s:.3f} m/s")
-    2 burns, 0.062 m/s
+    Examples:
+        >>> import scp_recon as sr
+        >>> flown = sr.plan()
+        >>> left = sr.replan(flown, flown.times_s[80], flown.states[80])
+        >>> print(f"{len(left.burns_m_s)} burns, {left.total_dv_m_s:.3f} m/s")
+        2 burns, 0.062 m/s
 
     Args:
         plan: that is flown; nodes and spread of a solution, or its file, are held against its burns.

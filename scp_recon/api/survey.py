@@ -31,9 +31,10 @@ def windows(
 ) -> Survey:
     """All lighting windows of a span, with where burns may be about each.
 
-    >>> import scp_recon as sr
-    >>> len(sr.windows("recon_b", span_days=1.0).windows)
-    5
+    Examples:
+        >>> import scp_recon as sr
+        >>> len(sr.windows("recon_b", span_days=1.0).windows)
+        5
 
     Args:
         scenario: a file, or a packaged one's name, such as recon_b.

@@ -70,9 +70,10 @@ class Keep:
 
     Centres, apices, axes, normals and offsets are those of all nodes, or one for each.
 
-    >>> import scp_recon as sr
-    >>> sr.Keep("out", sr.Ball([0.0, 0.0, 0.0], 100.0), nodes=range(1, 25)).side
-    'out'
+    Examples:
+        >>> import scp_recon as sr
+        >>> sr.Keep("out", sr.Ball([0.0, 0.0, 0.0], 100.0), nodes=range(1, 25)).side
+        'out'
 
     Attributes:
         side: "in" or "out".
@@ -93,12 +94,13 @@ class ImpulsiveProblem:
 
     States are those after a burn at their node. Arrays may be lists.
 
-    >>> import scp_recon as sr
-    >>> flow = sr.ExpressionFlow(lambda r, v, t, p: -r, [0.0, 1.0, 2.0], substeps=20)
-    >>> start, goal = [1.0, 0.0, 0.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0, 0.0, 0.0]
-    >>> plan = sr.ImpulsiveProblem(flow, [0, 1, 2], start, goal, dv_max=2.0).solve()
-    >>> plan.ok, round(plan.cost, 4)
-    (True, 1.9541)
+    Examples:
+        >>> import scp_recon as sr
+        >>> flow = sr.ExpressionFlow(lambda r, v, t, p: -r, [0.0, 1.0, 2.0], substeps=20)
+        >>> start, goal = [1.0, 0.0, 0.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0, 0.0, 0.0]
+        >>> plan = sr.ImpulsiveProblem(flow, [0, 1, 2], start, goal, dv_max=2.0).solve()
+        >>> plan.ok, round(plan.cost, 4)
+        (True, 1.9541)
 
     Attributes:
         flow: the motion between nodes, n arcs; `ExpressionFlow`, or any other.

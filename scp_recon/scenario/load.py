@@ -36,9 +36,10 @@ BASES_MAX = 8
 def load_scenario(path: Path | str | None = None, overrides: Sequence[str] = ()) -> Scenario:
     """Read a scenario and apply `section.entry=value` overrides.
 
-    >>> import scp_recon as sr
-    >>> sr.load_scenario("recon_b").replace({"risk.p_chance": 0.8}).risk.p_chance
-    0.8
+    Examples:
+        >>> import scp_recon as sr
+        >>> sr.load_scenario("recon_b").replace({"risk.p_chance": 0.8}).risk.p_chance
+        0.8
 
     Args:
         path: a file, or the name of a packaged scenario; `recon_b` if not given.

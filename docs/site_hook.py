@@ -1,0 +1,63 @@
+"""Takes README and what the pages link to outside `docs` into the site: a hook of MkDocs.
+
+Pages link as files do in the repository, so that both a reader of the repository and one of the site
+get somewhere: `docs/frames.md` in README, `../examples/halo_transfer.py` in a page.
+"""
+
+from __future__ import annotations
+
+import posixpath
+import re
+from pathlib import Path
+from typing import Any
+
+from mkdocs.structure.files import File, Files
+
+_LINK = re.compile(r"(?<=\]\()([^)#\s]+)")
+_PAGES = {
+    "README.md": "index.md",
+    "CONTRIBUTING.md": "CONTRIBUTING.md",
+    "CHANGELOG.md": "CHANGELOG.md",
+}
+"""Pages of the repository's top folder, by their name in the site."""
+
+
+def on_files(files: Files, config: Any) -> Files:
+    """The site's files: those of `docs`, the top folder's pages, and what any of them links to."""
+    docs = Path(config.docs_dir)
+    for name, page in _PAGES.items():
+        files.append(File.generated(config, page, content=_of_top(docs.parent / name)))
+    for page in list(files.documentation_pages()):
+        for link in _LINK.findall(page.content_string):
+            path = posixpath.normpath(posixpath.join(posixpath.dirname(page.src_uri), link))
+            if path.startswith("../") and (target := docs / path).is_file():
+                name = f"source/{path.removeprefix('../')}"
+                if name not in files.src_uris:
+                    files.append(File.generated(config, name, content=target.read_bytes()))
+    return files
+
+
+def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
+    """A page with its links to files outside `docs` led to their copies in the site."""
+    here = posixpath.dirname(page.file.src_uri)
+
+    def led(match: re.Match[str]) -> str:
+        path = posixpath.normpath(posixpath.join(here, match[0]))
+        if not path.startswith("../"):
+            return match[0]
+        inside = _PAGES.get(name := path.removeprefix("../"), f"source/{name}")
+        return posixpath.relpath(inside, here or ".")
+
+    return _LINK.sub(led, markdown)
+
+
+def _of_top(file: Path) -> str:
+    """A page of the top folder with its links as they are in `docs`."""
+
+    def led(match: re.Match[str]) -> str:
+        link = match[0]
+        if "://" in link or link in _PAGES:
+            return _PAGES.get(link, link)
+        return link.removeprefix("docs/") if link.startswith("docs/") else f"../{link}"
+
+    return _LINK.sub(led, file.read_text("utf-8"))
