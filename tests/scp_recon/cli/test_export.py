@@ -60,35 +60,3 @@ def test_two_plans_and_two_spacecraft_never_share_a_name(
     assert len(texts) == 3
     assert sum("# NOT VERIFIED" in text for text in texts) == 1
     assert capsys.readouterr().out == ""
-
-
-@pytest.mark.parametrize(
-    ("words", "expected"),
-    [
-        (["--format", "xls"], "--format: got 'xls'; must be one of oem"),
-        ([], "--format"),
-        (["--format", "csv", "--spacecraft=64"], "must be a whole number from -99999 to -1"),
-        (["--format", "csv", "--spacecraft=-0"], "whole number"),
-        (["--format", "csv", "--spacecraft=-123456789"], "whole number"),
-        (["--format", "csv", "--vehicle", "nothing.toml"], "vehicle"),
-        (["--format", "csv", "--out", "solution.json"], "--out"),
-    ],
-)
-def test_bad_input_ends_in_one_message(
-    plan: Path,
-    words: list[str],
-    expected: str,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.chdir(plan)
-    try:
-        status = export.main([str(plan), *words, "--json"])
-    except SystemExit as end:  # argparse ends this way
-        status = int(end.code or 0)
-    said = capsys.readouterr()
-    assert status == 2
-    assert expected in said.err
-    document = json.loads(said.out)
-    assert (document["command"], document["status"]) == ("export", 2)
-    assert expected in document["error"]["message"]

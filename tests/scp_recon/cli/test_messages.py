@@ -74,39 +74,6 @@ def test_an_unknown_scenario_lists_the_packaged_ones(capsys: pytest.CaptureFixtu
     assert {*sr.scenarios()} == {*base_names()}
 
 
-WORDS = {
-    ("windows",): "error: SCENARIO: got nothing; must be given",
-    ("windows", "recon_b", "--span-days"): "error: --span-days: got nothing; must have a value",
-    ("windows", "--from", "-1x"): "error: --from: got '-1x', which begins as an option does; write "
-    "--from=-1x",
-    ("solve", "--nosuch"): "error: got --nosuch; there is no such option",
-    ("solve", "a", "b"): "error: got b; there is no such option or argument",
-    ("solve", "--sceanrio=x"): "error: got --sceanrio=x; there is no such option or argument; did "
-    "you mean --scenario?",
-    (
-        "solve",
-        "/",
-    ): "error: scenario /: got a folder; must be a scenario file in TOML; solve plans a "
-    "solution's scenario again with --init",
-    ("solve", "--certify", "perhaps"): "error: --certify: got 'perhaps'; must be yes or no",
-    ("solve", "a", "--scenario", "b"): "error: SCENARIO: got a and b; must be given once",
-}
-
-
-@pytest.mark.parametrize("words", WORDS)
-def test_a_slip_on_the_command_line_is_one_line(
-    words: tuple[str, ...], capsys: pytest.CaptureFixture[str]
-) -> None:
-    try:
-        status: object = main(words)
-    except SystemExit as ended:
-        status = ended.code
-    said = capsys.readouterr().err
-    assert status == 2
-    assert said.startswith(WORDS[words])
-    assert said.count("\n") == 1
-
-
 def test_a_number_that_is_none_in_an_oem_is_named_by_its_line(tmp_path: Path) -> None:
     pytest.importorskip("oem")
     file = tmp_path / "flight.oem"

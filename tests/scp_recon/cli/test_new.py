@@ -81,31 +81,6 @@ def test_what_cannot_be_flown_is_written_with_what_to_change(
     assert tomllib.loads(written)["name"] == "mine"
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        ((*BENNU[:2], *BENNU[4:]), "--site"),
-        ((*BENNU[:3], "95,0", *BENNU[4:]), "within 90 deg"),
-        ((*BENNU[:3], "north", *BENNU[4:]), "must be 2 numbers"),
-        ((*BENNU, "--gm", "5"), "--gm must be left out"),
-        (("--body", "Stone", *BENNU[2:]), "needs --gm, --radius, --period, --pole, --orbit"),
-        ((*BENNU[:5], "soon"), "must be a date"),
-        (
-            (*BENNU[:5], "1850-01-01"),
-            "--epoch: got 1850-01-01T00:00:00 of Bennu; must be from 2012",
-        ),
-    ],
-)
-def test_bad_input_is_told_in_one_message(
-    arguments: tuple[str, ...], words: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert run("mine", *arguments) == 2
-    said = capsys.readouterr().err
-    assert words in said
-    assert "Traceback" not in said
-    assert not Path("mine.toml").exists()
-
-
 def test_where_nothing_can_be_written_nothing_is_planned(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

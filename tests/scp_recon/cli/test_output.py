@@ -72,37 +72,6 @@ def test_json_is_one_document_and_quiet_is_silent(
     assert all(Path(file).is_file() for file in document.get("files", ()))
 
 
-@pytest.mark.parametrize("command", sorted({*every.COMMANDS} - {"scenarios"}))  # has no input
-def test_bad_input_is_a_document_too(
-    command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    nothing = str(tmp_path / "nothing" / "there")
-    words = {
-        "solve": ["--scenario", nothing],
-        "export": [nothing, "--format", "oem"],
-        "replan": [nothing, "--at", "17000", "--state", STATE],
-        "new": [nothing, "--body", "Nobody", *NEW[2:]],
-        "schema": ["/dev/null/schema.json"],
-        "campaign": [nothing, "--out", str(tmp_path / "out")],
-    }.get(command, [nothing])
-    assert every.main([command, *words, "--json", "--quiet"]) == 2
-    said = capsys.readouterr()
-    error = json.loads(said.out)["error"]
-    assert said.err.strip() == f"error: {error['message']}"
-    if "entry" in error:
-        assert error["message"] == f"{error['entry']}: got {error['given']}; {error['allowed']}"
-
-
-@pytest.mark.parametrize("command", sorted(every.COMMANDS))
-def test_a_command_line_that_cannot_be_read_is_a_document_too(
-    command: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    with pytest.raises(SystemExit) as end:
-        every.main([command, "--no-such-option", "--json"])
-    assert end.value.code == 2
-    assert json.loads(capsys.readouterr().out)["status"] == 2
-
-
 @pytest.mark.parametrize(
     ("module", "words", "extra"),
     [

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from scp_recon.cli.commands import compare, design, montecarlo, replan, simulate, verify
+from scp_recon.cli.commands import compare, montecarlo, replan, simulate, verify
 from scp_recon.cli.options import joined
 from scp_recon.planning.plan import Plan
 from scp_recon.replanning.flown import FlownPlan, predict
@@ -108,47 +108,6 @@ def test_a_covariance_comes_from_a_file_in_axes_of_its_own(
     assert trace == pytest.approx(525.0)
 
 
-BAD: dict[str, tuple[list[str], str]] = {
-    "no time": (["--at", "noon"], "--at: got 'noon'; must be seconds"),
-    "zone": (["--at", "2020-01-22T03:46:37Z"], "--at: got '2020-01-22T03:46:37Z'"),
-    "early date": (["--at", "2019-01-22T03:46:37"], "--at: got -3.1"),
-    "five": (["--state", "1", "2", "3", "4", "5"], "--state: got 5 numbers; must be six"),
-    "no file": (["--state", "nowhere.txt"], "--state nowhere.txt: got no such file"),
-    "twice": (["--measured-burn", "2=0,0,0.1", "--measured-burn=2=0,0,0.2"], "got burn 2 twice"),
-    "burns": (["--measured-burn", "0.1,0.2,0.3"], "--measured-burn: got '0.1,0.2,0.3'"),
-    "matrix": (["--covariance", "small.txt"], "--covariance small.txt: got 2 rows of 2 numbers"),
-    "indefinite": (["--covariance", "bad.txt"], "--covariance: got "),
-    "set": (["--set", "in_flight.at_s=9000.0"], "--set: got another in_flight"),
-    "flown": (["--set", "burns.times_s=[0.0, 7000.0, 25000.0, 34842.0]"], "burns.times_s: got "),
-    "fewer": (["--set", "burns.times_s=[0.0, 8000.0, 34842.0]"], "burns.times_s: got 1 burns left"),
-}
-
-
-@pytest.mark.parametrize("kind", BAD)
-def test_bad_input_is_one_message(
-    kind: str,
-    solution: Solution,
-    verification: Verification,
-    state_at: StateAt,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    replace(solution, verification=verification).write(tmp_path)
-    (tmp_path / "small.txt").write_text("1 0\n0 1\n")
-    rows = np.diag([1.0, 1.0, 1.0, -1.0, 1.0, 1.0]).tolist()
-    (tmp_path / "bad.txt").write_text("\n".join(" ".join(map(str, row)) for row in rows))
-    words, message = BAD[kind]
-    options = {"--at": ["17000"], "--state": state_at(17_000.0), words[0]: words[1:]}
-    arguments = [word for name, given in options.items() for word in (name, *given)]
-    assert replan.main(["solution.json", *arguments, "--out", "again"]) == 2
-    errors = capsys.readouterr().err
-    assert errors.count("error:") == 1
-    assert message in errors
-    assert not (tmp_path / "again" / "solution.json").exists()
-
-
 STATE = ["--state", "1", "-2", "3", "-4e-1", "5", "-6"]
 
 
@@ -168,14 +127,3 @@ STATE = ["--state", "1", "-2", "3", "-4e-1", "5", "-6"]
 )
 def test_a_list_takes_its_numbers_and_nothing_else(words: list[str], expected: list[str]) -> None:
     assert joined(words) == expected
-
-
-@pytest.mark.parametrize(
-    ("main", "words"), [(design.main, ["recon_b"]), (replan.main, ["runs/latest", "--at", "1"])]
-)
-def test_a_folder_has_a_name(
-    main: Callable[[list[str]], int], words: list[str], capsys: pytest.CaptureFixture[str]
-) -> None:
-    with pytest.raises(SystemExit, match="2"):
-        main([*words, "--state" if len(words) > 1 else "--out", "", "--out", ""])
-    assert "--out: got ''; must be a folder" in capsys.readouterr().err

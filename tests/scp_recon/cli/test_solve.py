@@ -17,7 +17,6 @@ from scp_recon.planning import planner, stages
 from scp_recon.results.read import read_solution
 from scp_recon.scp.algorithms import SCvx
 from scp_recon.scp.loop import Record, State
-from tests import reliability
 from tests.scenarios import COARSE
 from tests.scp_recon.support import CommandLine, run_solve
 
@@ -118,67 +117,6 @@ def test_infeasible_ends_with_three_and_names_what_is_violated(tmp_path: Path) -
         assert any({name, f"{amount.max:.6g}", amount.unit} <= {*line.split()} for line in lines), (
             name
         )
-
-
-@pytest.fixture
-def bad_files(tmp_path: Path) -> Path:
-    """Files that are no scenario, no solution and no table."""
-    folder = tmp_path / "bad"
-    folder.mkdir()
-    (folder / "words.toml").write_text("not a scenario at all", "utf-8")
-    (folder / "words.json").write_text("not a solution", "utf-8")
-    (folder / "other.json").write_text('{"schema": "something/1"}', "utf-8")
-    (folder / "other.txt").write_text(' {"schema": "something/1"}', "utf-8")
-    (folder / "words.csv").write_text("no,table,of\nstates,at,all\n", "utf-8")
-    (folder / "empty").mkdir()
-    return folder
-
-
-BAD_INPUT = [
-    # arguments, what the message must name
-    (["--set", "risk.p_chanse=0.8"], ["risk.p_chanse", "p_chance"]),
-    (["--set", "risk.p_chance"], ["--set", "risk.p_chance", "="]),
-    (["--scenario", "{bad}/none.toml"], ["none.toml", "no such file"]),
-    (["--scenario", "{bad}/words.toml"], ["words.toml", "TOML"]),
-    (["--scenario", "{bad}"], ["folder"]),
-    (["--init", "{bad}/none.json"], ["none.json", "no such file"]),
-    (["--init", "{bad}/words.json"], ["words.json", "JSON"]),
-    (["--init", "{bad}/other.json"], ["other.json", "something/1"]),
-    (["--init", "{bad}/empty"], ["solution.json", "no such file"]),
-    (["--init", "{bad}/none.csv"], ["none.csv", "no such file"]),
-    (["--init", "{bad}/words.csv"], ["words.csv", "t_s"]),
-    (["--init", "lukewarm"], ["lukewarm", "no such file"]),
-    (["--init", "{bad}/other.txt"], ["other.txt", "something/1"]),
-    (["--out", "{bad}/words.csv"], ["--out", "words.csv"]),
-    (["--out", "{bad}/words.csv/below"], ["--out", "words.csv"]),
-]
-
-
-@pytest.mark.parametrize(
-    ("arguments", "named"), BAD_INPUT, ids=[" ".join(case[0])[:60] for case in BAD_INPUT]
-)
-def test_bad_input_ends_with_two_and_one_message(
-    arguments: list[str], named: list[str], bad_files: Path, tmp_path: Path
-) -> None:
-    out = tmp_path / "out"
-    given = [argument.replace("{bad}", str(bad_files)) for argument in arguments]
-    before = sorted(path for path in tmp_path.rglob("*") if path != out)
-    run = run_solve(out, *given) if "--out" not in given else run_with_own_out(given)
-    assert run.exit_code == 2
-    assert run.output == ""
-    assert run.errors.count("error: ") == 1
-    assert "Traceback" not in run.errors
-    for piece in named:
-        assert piece in flat(run.errors).replace("- ", "-"), piece
-    # Nothing half-written: no folder, or an empty one.
-    assert list(out.rglob("*")) == []
-    assert sorted(path for path in tmp_path.rglob("*") if path != out) == before
-    reliability.count(reliability.BAD_INPUTS)
-
-
-def run_with_own_out(given: list[str]) -> CommandLine:
-    at = given.index("--out")
-    return run_solve(Path(given[at + 1]), *given[:at], *given[at + 2 :])
 
 
 @pytest.fixture

@@ -63,28 +63,6 @@ def test_a_chart_is_drawn_in_every_format_and_the_same_every_time(tmp_path: Path
     assert paths[0].read_bytes() == paths[1].read_bytes()
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["nothing.toml"], "nothing.toml"),
-        (["recon_b", "--span-days", "1000"], "0.01 to 100"),
-        (["recon_b", "--span-days", "nan"], "0.01 to 100"),
-        (["recon_b", "--from", "yesterday"], "must be a date"),
-        (["recon_b", "--from", "2020-01-21T20:33:17Z"], "without a zone"),
-        (["recon_b", "--from", "2029-01-01"], "within 100 days"),
-        (["recon_b", "--csv", "no/such/folder/w.csv"], "--csv"),
-        (["recon_b", "--span-days", "0.1", "--chart", "w.doc"], "--chart"),
-    ],
-)
-def test_bad_input_is_told_in_one_message(
-    arguments: list[str], words: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert run(*arguments) == 2
-    said = capsys.readouterr().err
-    assert words in said
-    assert "Traceback" not in said
-
-
 def test_a_site_without_windows_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("matplotlib", reason="needs the extra [report]")
     dark, always = tmp_path / "dark.toml", tmp_path / "always.toml"
