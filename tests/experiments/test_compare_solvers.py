@@ -30,7 +30,7 @@ from experiments.compare_solvers.cases import (
     crossing,
     exact_design,
 )
-from experiments.compare_solvers.cell import FAILED, Row, Unguarded, failed_row, solve_cell
+from experiments.compare_solvers.cell import FAILED, Row, failed_row, solve_cell
 from experiments.compare_solvers.claims import (
     FROZEN,
     MISS_M,
@@ -46,17 +46,12 @@ from experiments.compare_solvers.exact.program import (
     FlightRow,
     NodeRows,
     ProbabilityRows,
-    burn_limits,
     ray_quantiles,
 )
 from experiments.compare_solvers.exact.search import search
 from experiments.compare_solvers.study import ROWS_FILE, Solve, run_cells
-from experiments.compare_solvers.tables import report, shown
-from experiments.harness import Findings
-from experiments.harness import report as as_markdown
 from formulations.arrays import Array
 from formulations.linearisation.linearisation import Linearisation
-from formulations.registry import make_subproblem
 from formulations.rows.node_probability import joint_events, node_quantiles
 from scp_recon.jobs.job import TIMED_OUT, Done, Executor, Failure, Job, attempt
 from scp_recon.jobs.processes import Limits
@@ -66,12 +61,9 @@ from scp_recon.planning import initial_guess
 from scp_recon.planning.plan import Plan
 from scp_recon.planning.planner import plan
 from scp_recon.scenario.load import load_scenario
-from scp_recon.scp.algorithms import ALGORITHMS
-from scp_recon.scp.loop import run
 from scp_recon.scp.status import Status
 from tests.helpers import usually
 from tests.normal_law import cone_probability
-from tests.scp_recon.support import flight_beyond
 
 CELLS = [Cell("matrix", "recon_b", (), REFERENCE, "random", seed) for seed in range(3)]
 LIMIT_S = 2.0
@@ -114,10 +106,6 @@ def collect(
         return list(run_cells(cells, store, flights=5, limit_s=limit_s, solve=solve))
 
 
-def to_markdown(rows: list[Row]) -> str:
-    return as_markdown("", Findings(report(rows), {}, claims(rows)))
-
-
 # --- cells and rows -----------------------------------------------------------------------------
 
 
@@ -151,16 +139,6 @@ def test_a_cell_is_solved_as_the_planner_solves_it(mission: Mission) -> None:
         assert row.iterations_p2 == len(done.final.result.records)
         assert 0.0 < row.solver_s < row.total_s
         assert row.peak_mib > 10.0
-
-
-def test_the_full_linearisation_needs_no_guard_here(mission: Mission) -> None:
-    p3, p2 = plan(mission, initial_guess.cold(mission)).stages
-    subproblem = make_subproblem(mission.problem, p2.merit.rows)
-    algorithm = Unguarded(mission.problem)
-    found = run(subproblem, mission.dynamics, p3.result.lin, algorithm, lambda _: None)
-    assert found.status is Status.CONVERGED
-    expected = p2.result.lin.iterate.total_dv
-    assert found.lin.iterate.total_dv == pytest.approx(expected, rel=1e-5)
 
 
 # --- the design ---------------------------------------------------------------------------------
@@ -214,37 +192,8 @@ def held(rows: list[Row]) -> list[bool | None]:
     return [claim.holds for claim in claims(rows)]
 
 
-def trio(scenario: str, **other: tuple[float, str]) -> list[Row]:
-    """The three algorithms at 0.14 m/s but for those that are given."""
-    ends = dict.fromkeys(ALGORITHMS, (0.14, "converged"))
-    ends |= {name.replace("_", "-"): end for name, end in other.items()}
-    return [row_of(scenario, Method("condensed", a, "CLARABEL"), *end) for a, end in ends.items()]
-
-
 def test_claims_hold_where_the_rows_say_so() -> None:
     assert held(AGREEING) == [True, True, True, True, True, None, None, None, None]
-
-
-def test_algorithms_that_disagree_or_do_not_solve_break_the_claim() -> None:
-    assert held(trio("a", ptr=(0.14001, "converged")))[5] is True
-    assert held(trio("a", ptr=(0.1401, "converged")))[5] is False
-    assert held(trio("a")[:2])[5] is None
-    hopeless = dict.fromkeys(("scvx", "ptr", "scvx_star"), (1.0, "infeasible"))
-    claim = claims([*trio("a"), *trio("b", ptr=(0.1, "stalled")), *trio("c", **hopeless)])[5]
-    assert claim.holds is False
-    assert "only some solve: b (ptr stalled); none solves: c (infeasible)" in claim.measured
-
-
-def test_what_a_second_try_solves_is_not_solved_at_the_first() -> None:
-    """This flight leads P3 to an optimum from which P2 is infeasible."""
-    cell = Cell("guesses", "recon_b", (), REFERENCE, "random", 0)
-    with mock.patch("experiments.compare_solvers.cell.start_of", lambda m, _: flight_beyond(m)):
-        row = solve_cell(cell, 0)
-    assert row.solved
-    assert not row.solved_at_once
-    assert (row.first_status, row.from_arc) == ("infeasible", True)
-    assert shown(row) == "converged, from the ballistic arc"
-    assert "| 1 | 0 % | 0 to 98 % | 100 % |" in to_markdown([row])
 
 
 def test_the_command_leaves_its_tables_and_takes_up_its_rows(
@@ -328,19 +277,6 @@ def test_the_program_has_its_own_derivatives(scope: str, exact: Mission, planned
         expected = (getattr(ahead, value) - getattr(behind, value)) / (2.0 * step)
         told = getattr(here, slope) @ direction
         assert np.abs(told - expected).max() <= error * np.abs(expected).max()
-
-
-def test_limits_of_the_burns_are_the_problems(exact: Mission) -> None:
-    problem = exact.problem
-    burns = np.random.default_rng(0).normal(scale=problem.dv_max, size=(problem.n_burns, 3))
-    margins, jacobian = burn_limits(problem, burns)
-    size, toward, away = margins.reshape(3, -1)
-    told = problem.burn_margins(burns)
-    assert np.array_equal(size >= 0.0, told["dv_max"] >= 0.0)
-    assert np.minimum(toward, away) == pytest.approx(told["dv_battery"])
-    step = 1e-6 * np.random.default_rng(1).standard_normal(burns.shape)
-    ahead, behind = (burn_limits(problem, burns + way * step)[0] for way in (1.0, -1.0))
-    assert jacobian @ step.ravel() == pytest.approx(0.5 * (ahead - behind), rel=1e-4, abs=1e-11)
 
 
 # --- the searches and the check ---------------------------------------------------------------------

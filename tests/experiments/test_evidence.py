@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import re
 from collections.abc import Mapping
 from dataclasses import replace
@@ -235,29 +234,6 @@ def test_a_study_is_one_document_or_silent(
     assert main([*words, "--quiet"]) == 0
     assert capsys.readouterr() == ("", "")
     assert {str(path) for path in tmp_path.iterdir()} == set(document["files"])
-
-
-def test_a_study_goes_on_after_ctrl_c(tmp_path: Path) -> None:
-    jobs, done, said = [Job(k, k) for k in range(4)], [], list[str]()
-
-    def work(k: int) -> Record:
-        if k == 2 and done == [0, 1]:
-            raise KeyboardInterrupt
-        done.append(k)
-        return {"root": math.sqrt(k), "never": math.inf}
-
-    def rows() -> list[Record]:
-        with session_in(tmp_path) as session:
-            session.say = said.append  # type: ignore[method-assign]
-            return session.rows("roots", work, jobs, session.store(), line=lambda r: str(r["root"]))
-
-    with pytest.raises(KeyboardInterrupt):
-        rows()
-    done.append(-1)  # from now on nothing stops it
-    assert [row["root"] for row in rows()] == [math.sqrt(k) for k in range(4)]
-    assert done == [0, 1, -1, 2, 3]
-    assert said == [str(math.sqrt(k)) for k in (0, 1, 0, 1, 2, 3)]
-    assert {row["never"] for row in rows()} == {math.inf}
 
 
 def test_what_was_kept_goes_once_the_tables_have_it(tmp_path: Path) -> None:

@@ -2,7 +2,6 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Iterator
-from importlib.resources import files
 from pathlib import Path
 
 import pytest
@@ -14,7 +13,6 @@ from experiments.__main__ import main
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.results.solution import Solution
-from scp_recon.simulation.basilisk import simulation
 from scp_recon.simulation.record import Record, read_record
 from tests.helpers import nightly
 from tests.scp_recon.simulation.short_plan import SHORT, short_plan
@@ -90,26 +88,3 @@ def test_flights_by_policy_are_judged_and_summed_up(
     (summed,) = flown_plan.by_policy(rows)
     assert (summed["flights"], summed["observed_mean_s"]) == (2, rows[0]["observed_s"])
     assert summed["as_required"] == (not rows[0]["shortfalls"])
-
-
-@nightly
-def test_a_flight_that_is_there_is_not_flown_again(
-    flown: tuple[Solution, Path], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    _, out = flown
-    before = (out / "flown_plan.csv").read_bytes()
-
-    def refuse(*_: object, **__: object) -> None:
-        raise AssertionError("flown again")
-
-    monkeypatch.setattr(simulation, "simulate", refuse)
-    arguments = [str(out), "--out", str(out), "--seeds", "1"]
-    assert study(*arguments) == 0
-    assert (out / "flown_plan.csv").read_bytes() == before
-    # A vehicle of the same name that differs in one figure is another vehicle.
-    text = (files("scp_recon.simulation") / "data" / "dare.toml").read_text("utf-8")
-    other = out / "other.toml"
-    other.write_text(text.replace("imu_rad_s = 9.7e-5", "imu_rad_s = 9.8e-5"), encoding="utf-8")
-    for more in ("--fresh", "--seeds=2", f"--vehicle={other}"):
-        with pytest.raises(AssertionError, match="flown again"):
-            study(*arguments, more)

@@ -2,14 +2,9 @@
 
 from __future__ import annotations
 
-import csv
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-from experiments.__main__ import main
-from experiments.model_fidelity import study as model_fidelity
 from experiments.model_fidelity.models import (
     BURNS,
     GRAVITY,
@@ -122,21 +117,3 @@ def test_distances_on_the_arc(compared: list[Compared], flight: Flight) -> None:
     assert planner.model == "cannonball, J2, impulsive"
     assert planner.passes
     assert planner.terminal_m <= sum(end[m] for m in planner.model.split(", ")) + 0.1
-
-
-@nightly
-def test_the_command_writes_tables_and_verdicts(
-    tmp_path: Path, flight: Flight, compared: list[Compared], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(model_fidelity, "flights", lambda *_: [flight])
-    monkeypatch.setattr(model_fidelity, "compare", lambda *_: compared)
-    assert main(["model_fidelity", "--out", str(tmp_path)]) == 0
-    with (tmp_path / "model_fidelity.csv").open(encoding="utf-8") as file:
-        table = list(csv.DictReader(file))
-    named = [row for row in table if row["lowest_that_passes"] == "true"]
-    assert len(named) == 3
-    assert all(row["passes"] == "true" for row in named)
-    with (tmp_path / "model_fidelity_history.csv").open(encoding="utf-8") as file:
-        last = {row["model"]: float(row["distance_m"]) for row in csv.DictReader(file)}
-    assert all(last[row["model"]] == float(row["terminal_m"]) for row in table)
-    assert "## Claims" in (tmp_path / "model_fidelity.md").read_text("utf-8")

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import csv
-import json
-import math
 from dataclasses import replace
 from datetime import timedelta
 from pathlib import Path
@@ -33,7 +31,6 @@ from scp_recon.planning import initial_guess
 from scp_recon.results.read import read_solution
 from scp_recon.results.solution import Solution
 from scp_recon.scenario.schema import Epoch
-from tests.helpers import nightly
 
 from .support import QUICK, SAMPLES, table_of, write_kernel
 
@@ -139,24 +136,6 @@ def test_a_rerun_takes_up_what_is_complete(copy: Path, capsys: pytest.CaptureFix
     assert (copy / "observation_table.csv").read_text("utf-8") == table
 
 
-def test_a_design_is_kept_and_what_it_lacks_is_made(copy: Path, mission: Mission, p3: Row) -> None:
-    """Flights of a plan that differs by a bit or in another number, and a verification."""
-    folder = copy / "p3"
-    solution = read_solution(folder)
-    first, burn, *others = solution.burns
-    x, y, z = burn.dv_m_s
-    moved = replace(burn, dv_m_s=(math.nextafter(x, 0.0), y, z))
-    replace(solution, burns=[first, moved, *others]).write(folder)
-    written = (folder / "solution.json").read_bytes()
-    for samples in (SAMPLES, 100):
-        row, reused = run_row(p3, mission, folder, samples=samples, check=False)
-        assert (row["samples"], reused) == (samples, False)
-    assert (folder / "solution.json").read_bytes() == written
-    assert json.loads((folder / "montecarlo.json").read_text())["plan_hash"] != solution.plan_hash
-    row, _ = run_row(p3, mission, folder, samples=100, check=True)
-    assert row["status"] == "P3 converged, verified"
-
-
 def failing(_: Mission) -> Solution:
     raise RuntimeError("the solver\nlost its way")
 
@@ -213,38 +192,6 @@ def test_fitted_impulses_follow_a_burn_that_was_fired_away_from_the_firing_times
     table = initial_guess.from_table(mission, tmp_path / "states.csv")
     lost = initial_guess.from_burns(mission, table.burns * mission.units.speed_m_s).mean
     assert np.linalg.norm(lost[window, :3] - flown[window, :3] / mission.units.length_m) > 0.1
-
-
-@nightly
-def test_the_flight_gets_a_row_and_warm_rows_are_designed_anew_when_their_start_changes(
-    copy: Path, kernel: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    def run(*arguments: str) -> dict[str, str]:
-        """What is said of every row."""
-        assert study(*QUICK, "--out", str(copy), *arguments) == 0
-        lines = capsys.readouterr().out.splitlines()
-        return {line.split()[0]: line for line in lines if " m/s, observes " in line}
-
-    assert read_solution(copy / "scp_warm").init == "warm"
-    by_flight = run("--as-flown", str(kernel))
-    assert read_solution(copy / "scp_warm").init == "as_flown"
-    assert "taken up" not in by_flight["scp_warm"]
-    assert "taken up" in by_flight["scp_cold"]
-    assert table_of(copy)["scp_warm"]["label"] == "SCP, warm start from the flight"
-    own = table_of(copy)["as_flown"]
-    assert (own["paper_row"], own["status"]) == ("OSIRIS-REx", "given, not optimised")
-    text = (copy / "observation_table.md").read_text("utf-8")
-    assert "flight.bsp" in text
-    assert "kernel was not at hand" not in text
-    # From the flight as from the arc P2's optimum is the same.
-    assert read_solution(copy / "scp_warm").status == "converged"
-    warm, cold = (float(table_of(copy)[f"scp_{s}"]["total_dv_m_s"]) for s in ("warm", "cold"))
-    assert warm == pytest.approx(cold, rel=1e-4)
-    by_arc = run()
-    assert read_solution(copy / "scp_warm").init == "warm"
-    assert "taken up" not in by_arc["scp_warm"]
-    assert table_of(copy)["scp_warm"]["label"] == "SCP, warm start"
-    assert "taken up" in run()["scp_warm"]
 
 
 def test_a_kernel_that_does_not_cover_the_flight_exits_with_two(

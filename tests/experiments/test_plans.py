@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from time import process_time
 
 import pytest
 
@@ -17,7 +16,6 @@ from experiments.frontier import (
 )
 from experiments.harness import Record, fly_plan
 from experiments.nlp_tricks import measuring, tricks
-from formulations.nlp.solve import VARIANTS
 from formulations.problem.flyby import Iterate
 from scp_recon.api import planning
 from scp_recon.api.planning import plan
@@ -25,7 +23,6 @@ from scp_recon.certification.certify import AimedPlanning
 from scp_recon.mission.mission import Mission
 from scp_recon.planning.plan import Certificate, Plan
 from scp_recon.scenario.load import load_scenario
-from scp_recon.scenario.schema import Scenario
 from tests.scenarios import COARSE
 from tests.scp_recon.support import fly_few
 
@@ -95,22 +92,6 @@ def test_certifying_costs_more_than_aiming_at_the_probability(rows: list[Record]
     assert certified["certifying_processor_s"] == took
 
 
-def test_all_rounds_count(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Not only the last one's planning."""
-
-    def rounds(scenario: Scenario, certify: bool | None) -> Plan:
-        begin = process_time()
-        while process_time() - begin < 0.2:  # what the rounds before the last one take
-            pass
-        return plan(scenario, certify=certify)
-
-    monkeypatch.setattr(frontier, "plan", rounds)
-    monkeypatch.setattr(frontier, "load_scenario", lambda: load_scenario(None, (COARSE,)))
-    row = measure(100, ("uniform, paper polytopes", 0.7))
-    assert float(row["processor_s"]) >= 0.2
-    assert math.isnan(with_costs([row])[0]["certifying_dv_m_s"])  # it has no counterpart
-
-
 def test_a_plan_whose_flights_fall_short_is_no_certified_one() -> None:
     """Its delta-v is not the price of what was asked."""
     short = Certificate(20_000, 2_000, 0.7, 0.69, 0.71, 0.7, 1, 1, 0.975)
@@ -120,13 +101,6 @@ def test_a_plan_whose_flights_fall_short_is_no_certified_one() -> None:
     kept, missed = (record("certified, each node", p, found, flown, 1.0) for p in (0.69, 0.7))
     assert kept["total_dv_m_s"] == plain.total_dv_m_s
     assert (missed["status"], math.isnan(float(missed["total_dv_m_s"]))) == (NOT_CERTIFIED, True)
-
-
-def test_the_ladder_leads_from_the_printed_program_to_the_tuned_one() -> None:
-    variants = tricks()
-    assert next(iter(variants.values())) is VARIANTS["printed"]
-    assert variants["+ derivatives arc by arc = tuned"] is VARIANTS["tuned"]
-    assert variants["single shooting, L-BFGS = shooting"] == VARIANTS["shooting"]
 
 
 def test_a_row_holds_what_ipopt_did(mission: Mission) -> None:

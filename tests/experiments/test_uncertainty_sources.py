@@ -17,7 +17,6 @@ from experiments.uncertainty_sources.flights import (
     CHEMICAL,
     INITIAL,
     NO_ERRORS,
-    SETS,
     STATE,
     TRANSLATION,
     dispersion,
@@ -110,14 +109,6 @@ def test_paths_spread_as_the_linearised_flight_does(solution: Solution, vehicle:
         assert dispersion(found[:, :3] - ends[-1, :3]).value == pytest.approx(rms, rel=0.08)
 
 
-def test_sets_are_the_vehicles_errors(vehicle: Vehicle) -> None:
-    fields = type(vehicle.errors).model_fields  # a source's name, and its unit
-    assert len(fields) == len(SETS["all"])
-    assert all(sum(field.startswith(name) for field in fields) == 1 for name in SETS["all"])
-    alone = [sources for sources in SETS.values() if len(sources) == 1]
-    assert sorted(alone) == sorted((source,) for source in SETS["all"])
-
-
 @pytest.mark.parametrize("flights", [3, 8])
 @pytest.mark.parametrize("sigmas", [(1.0, 1.0, 1.0), (5.0, 1.0, 0.2)])
 def test_intervals_of_the_dispersion_cover_as_often_as_they_say(
@@ -165,14 +156,3 @@ def test_samples_spread_as_paths_with_the_same_errors_do() -> None:
     assert np.mean(found[:, -1]) == pytest.approx(np.mean(expected), rel=0.05)
     first = np.sqrt(np.mean(found[:, 0] ** 2))
     assert first == pytest.approx(np.linalg.norm(mission.initial_sigma[:3]) / SPREAD_M, rel=0.05)
-
-
-def test_the_planner_expects_errors_of_every_component_and_less_of_the_size() -> None:
-    """With no error of the start, along one burn: beta of the vehicle against the planner's."""
-    mission, vehicle = mission_of(*SHORT, "uncertainty.initial_sigma_fraction=0.0"), load_vehicle()
-    solution = short_plan(mission)
-    by_thrust, by_component = (sample_distances(solution, v, 2000) for v in (vehicle, None))
-    rms = [np.sqrt(np.mean(found[:, 1] ** 2)) for found in (by_thrust, by_component)]
-    beta = solution.scenario.uncertainty.execution_error
-    ratio = vehicle.errors.chemical_thruster / beta
-    assert rms[0] / rms[1] == pytest.approx(ratio, rel=0.05)

@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 
 from experiments.__main__ import main as experiments_main
+from experiments.evidence import Evidence, path_of
 from experiments.harness import records as as_table
 from experiments.model_fidelity.study import TOGETHER, Compared, history
 from experiments.model_fidelity.study import table as fidelity_table
-from experiments.timing_rules import SETTLED
 from experiments.uncertainty_sources.flights import TRANSLATION
 from experiments.uncertainty_sources.study import BOTH, SOURCES, Measured, quantiles
 from experiments.uncertainty_sources.study import PATH as BY_PATH
@@ -24,7 +24,7 @@ from experiments.uncertainty_sources.study import SPACECRAFT as BY_SPACECRAFT
 from experiments.uncertainty_sources.study import row as uncertainty_row
 from paper_figs import __main__ as command_line
 from paper_figs.__main__ import PICTURES, main, make_all
-from paper_figs.inputs import PLAN, TABLE, Row, run_missing
+from paper_figs.inputs import PLAN, Row, Source, run_missing
 from paper_figs.registry import EVERYTHING, STUDIES, Item
 from paper_figs.studies import (
     attitude_and_actuators,
@@ -143,21 +143,6 @@ def write_flown(folder: Path) -> None:
         write_flight(folder / f"seed_{seed}", seed)
 
 
-def write_timing(folder: Path) -> None:
-    """Made-up durations in the study's own form, one too long."""
-    folder.mkdir()
-    names = ("name", "measured_s", "allowed_s", "how", "holds")
-    found = [
-        ("slew to steady state", 900.0, 1800.0, "worst of 3 half turns", True),
-        ("recharge from empty", 1272.0, 1200.0, "65 W drawn", False),
-    ]
-    rules = to_csv([dict(zip(names, rule, strict=True)) for rule in found])
-    (folder / "timing_rules.csv").write_text(rules, encoding="utf-8")
-    times = [(600.0, 700.0, 800.0 + 50.0 * k) for k in range(3)]
-    table = to_csv([dict(zip(SETTLED.values(), own, strict=True)) for own in times])
-    (folder / "timing_rules_slews.csv").write_text(table, encoding="utf-8")
-
-
 def write_frontier(folder: Path) -> None:
     """Made-up costs in the study's own columns, one without a plan."""
     folder.mkdir()
@@ -175,51 +160,12 @@ def write_frontier(folder: Path) -> None:
     (folder / "frontier.csv").write_text(to_csv(rows), encoding="utf-8")
 
 
-def write_feedback(folder: Path) -> None:
-    """Made-up costs in the study's own columns, one without a plan, and some over the error."""
+def write_evidence(source: Source, folder: Path) -> None:
+    """The study's tables as they were measured."""
     folder.mkdir()
-    figures = ("dv99_m_s", "program_m_s", "final_sigma_m")
-    rows = [
-        {"kind": kind, "asked": p, "scope": "flight", "scale": 10.0**i}
-        | dict.fromkeys(figures, 0.11 + 0.001 * i + 0.01 * p if i or p < 0.9 else None)
-        for i, kind in enumerate(feedback.MARKS)
-        for p in (0.7, 0.9, 0.99)
-    ]
-    for name in feedback.SOURCE.tables:
-        (folder / name).write_text(to_csv(rows), encoding="utf-8")
-
-
-def write_policies(folder: Path) -> None:
-    """Made-up figures in the study's own columns, one without a plan, and some over the error."""
-    folder.mkdir()
-    ends = [name + end for name in policies.FIGURES for end in ("_low", "", "_high")]
-    cases = [(policy, p, 1.0) for policy in policies.MARKS for p in (0.7, 0.99)]
-    cases += [(policy, 0.99, 10.0) for policy in ("feedback", "replan")]
-    rows = [
-        {"policy": policy, "asked": p, "scale": scale}
-        | {name: i + 0.1 * j if i else None for j, name in enumerate(ends)}
-        for i, (policy, p, scale) in enumerate(cases)
-    ]
-    (folder / "policies.csv").write_text(to_csv(rows), encoding="utf-8")
-
-
-def write_sample(folder: Path) -> None:
-    """Made-up sites in the study's own columns: open loop, with feedback alone, and none."""
-    folder.mkdir()
-    rows = [
-        {"site.latitude_deg": 20.0 * k, "site.longitude_deg": -30.0 * k, "dv99_m_s": cost}
-        | {"open": k == 0, "corrected": k < 2}
-        for k, cost in enumerate((0.1, 0.2, None))
-    ]
-    (folder / "sample.csv").write_text(to_csv(rows), encoding="utf-8")
-
-
-def test_sites_are_counted_open_loop_and_with_feedback(studies: Path) -> None:
-    rows = map_sample.SOURCE.rows(studies / map_sample.SOURCE.folder)
-    for feedback_too, counts in ((False, [1, 0, 2]), (True, [1, 1, 1])):
-        found = map_sample.of_ends(rows, feedback=feedback_too)
-        assert [len(found[end]) for end in found] == counts
-    assert "1 of 3 open loop, 2 with burns corrected" in map_sample.caption(rows)
+    tables = Evidence.read(path_of(source.folder)).tables
+    for name in source.tables:
+        (folder / name).write_text(to_csv(tables[Path(name).stem]), encoding="utf-8")
 
 
 @pytest.fixture(scope="module")
@@ -233,11 +179,9 @@ def studies(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_uncertainty(out / uncertainty_sources.SOURCE.folder)
     write_flight(out / flight_record.SOURCE.folder)
     write_flown(out / flown_plan.SOURCE.folder)
-    write_timing(out / timing_rules.SOURCE.folder)
     write_frontier(out / frontier.SOURCE.folder)
-    write_feedback(out / feedback.SOURCE.folder)
-    write_policies(out / policies.SOURCE.folder)
-    write_sample(out / map_sample.SOURCE.folder)
+    for study in (timing_rules, feedback, policies, map_sample):
+        write_evidence(study.SOURCE, out / study.SOURCE.folder)
     return out
 
 
@@ -352,20 +296,6 @@ def test_what_is_missing_is_run_once_and_what_is_there_is_left_alone(tmp_path: P
     assert said.count("exit status 2: left out") == 1
 
 
-def test_of_a_plan_of_one_s_own_no_table_is_made(tmp_path: Path) -> None:
-    (tmp_path / "solution.json").write_text("{}", "utf-8")
-    ran: list[list[str]] = []
-    run_missing(
-        tmp_path, tmp_path / "studies", WANTED, lambda _: None, lambda w: ran.append(w) or 0
-    )
-    assert not [words for words in ran if "observation_table" in words]
-    assert str(tmp_path) in next(words for words in ran if "simulate" in words)
-    (tmp_path / "paper").mkdir()
-    (tmp_path / "paper" / TABLE).touch()
-    run_missing(tmp_path / "paper", tmp_path, [], lambda _: None, lambda w: ran.append(w) or 0)
-    assert not [words for words in ran if "observation_table" in words]
-
-
 def row(group: str, method: str, dv: float, status: str = "converged", **other: str) -> Row:
     formulation, algorithm, solver = method.split("/")
     return {
@@ -406,13 +336,6 @@ def test_shares_of_solved_guesses_and_of_those_at_the_best() -> None:
     ]
 
 
-def test_what_was_not_solved_is_hollow() -> None:
-    rows = [row("matrix", OURS, 0.14), row("matrix", THEIRS, 0.2, "failed")]
-    axes = solver_comparison.draw_times(rows).axes[0]
-    points = [line for line in axes.lines if len(line.get_xdata())]
-    assert [line.get_markerfacecolor() != "none" for line in points] == [True, False]
-
-
 def test_profiles_rise_to_the_share_that_is_solved() -> None:
     rows = [
         row("scenarios", OURS, 0.14, cpu_s="0.1"),
@@ -425,8 +348,3 @@ def test_profiles_rise_to_the_share_that_is_solved() -> None:
     assert list(ours.get_ydata()) == [0.5, 1.0]
     assert list(theirs.get_xdata()) == pytest.approx([10.0])
     assert list(theirs.get_ydata()) == [0.5]
-
-
-def test_a_missing_table_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["solver_comparison", "--runs", str(tmp_path), "--out", str(tmp_path)]) == 2
-    assert "comparison.csv" in capsys.readouterr().err
