@@ -91,7 +91,7 @@ def planners(mission: Mission) -> Coaster:
         forces = forces_of(mission, name)
 
         def rate(t: float, y: Array) -> Array:
-            return np.r_[y[3:], acceleration(y[0], y[1], y[2], forces, forces.turn(t))]
+            return np.r_[y[3:], acceleration(y[0], y[1], y[2], forces, forces.moment(t))]
 
         atol = TOLERANCE * np.repeat([1e3, 1.0], 3)
         flown = solve_ivp(

@@ -27,7 +27,7 @@ from formulations.program.subproblem import DYNAMICS_WEIGHT
 class Arcs:
     """CasADi flow map F(x, h) -> x_next of states (6,), which takes SX symbols, and each arc's h.
 
-    That is its duration, shape (n,), with its start beside it, (n, 2), where forces depend on time.
+    These are rows of an array (n, k): the duration first, then what forces that depend on time need.
     """
 
     flow: ca.Function

@@ -82,10 +82,7 @@ def kepler(elements: Array, days: float) -> tuple[Array, Array]:
     middle, motion_deg, e, *angles_deg = elements.tolist()
     motion = np.deg2rad(motion_deg)
     inclination, node, perihelion, anomaly = np.deg2rad(angles_deg)
-    mean = anomaly + motion * (days - middle)
-    eccentric = mean
-    for _ in range(50):  # Newton's method: e < 0.4 converges in five
-        eccentric -= (eccentric - e * np.sin(eccentric) - mean) / (1.0 - e * np.cos(eccentric))
+    eccentric = eccentric_anomaly(anomaly + motion * (days - middle), e)
     n = motion / DAY_S
     a = (GM_SUN_KM3_S2 / n**2) ** (1.0 / 3.0)
     b, rate = a * np.sqrt(1.0 - e * e), n / (1.0 - e * np.cos(eccentric))
@@ -93,6 +90,17 @@ def kepler(elements: Array, days: float) -> tuple[Array, Array]:
     moving = rate * np.array([-a * np.sin(eccentric), b * np.cos(eccentric), 0.0])
     turn = _about_x(OBLIQUITY) @ _about_z(node) @ _about_x(inclination) @ _about_z(perihelion)
     return turn @ in_plane, turn @ moving
+
+
+def eccentric_anomaly(mean: Any, eccentricity: float) -> Any:
+    """Eccentric anomaly of mean anomalies, rad, by Newton's method: converges in five for e < 0.4."""
+    found = mean
+    for _ in range(50 if eccentricity else 0):
+        miss = found - eccentricity * np.sin(found) - mean
+        before, found = found, found - miss / (1.0 - eccentricity * np.cos(found))
+        if np.all(found == before):
+            break
+    return found
 
 
 def _about_x(angle: float) -> Array:

@@ -15,6 +15,7 @@ from formulations.arrays import Array, Indices
 from formulations.problem.facets import split_risk
 from formulations.problem.flyby import StateConstraint
 from formulations.problem.regions import Ball, Cone
+from scp_recon.mission.scene import Scene
 from scp_recon.physics.geometry import SiteTrack
 from scp_recon.scenario.schema import Scenario
 
@@ -52,6 +53,29 @@ class Limit:
         return measured - self.value if self.sense == "min" else self.value - measured
 
 
+SAFETY, COMPANION = "safety_radius", "companion_distance"
+"""Constraints that count throughout the flight."""
+
+
+def companion_distance_m(scenario: Scenario) -> float:
+    """Least distance from the companion's centre, m; zero without one."""
+    companion = scenario.body.companion
+    own = 0.0 if companion is None else companion.radius_m
+    return scenario.safety.companion_distance_min_m or own
+
+
+def safety_margins(scene: Scene, times_s: Array, position: Array) -> dict[str, Array]:
+    """Margins of what counts throughout the flight, m, of positions (n, ..., 3) at times (n,)."""
+    scenario = scene.scenario
+    found = {SAFETY: np.linalg.norm(position, axis=-1) - scenario.safety.radius_min_m}
+    if scene.companion is not None:
+        centre = scene.companion.position(times_s)
+        centre = centre.reshape(len(centre), *[1] * (position.ndim - 2), 3)
+        apart = np.linalg.norm(position - centre, axis=-1)
+        found[COMPANION] = apart - companion_distance_m(scenario)
+    return found
+
+
 def observation_limits(scenario: Scenario) -> tuple[Limit, ...]:
     """All limits in the window; the battery's cone of observation is a least phase angle."""
     o, battery = scenario.observation, scenario.battery.observation_cone_deg
@@ -80,10 +104,12 @@ def observation_limits(scenario: Scenario) -> tuple[Limit, ...]:
 def limits_in_words(scenario: Scenario, limits: Sequence[Limit]) -> dict[str, str]:
     """Requirement on the mean by constraint, in words such as "at least 500 m"."""
     found = {
-        "safety_radius": f"at least {scenario.safety.radius_min_m:g} m",
+        SAFETY: f"at least {scenario.safety.radius_min_m:g} m",
         "dv_max": f"at most {scenario.burns.dv_max_m_s:g} m/s",
         "dv_battery": f"at least {scenario.battery.delta_v_cone_deg:g} deg",
     }
+    if scenario.body.companion is not None:
+        found[COMPANION] = f"at least {companion_distance_m(scenario):g} m"
     for limit in limits:
         value = limit.value if limit.unit == "m" else float(np.rad2deg(limit.value))
         sense = "at least" if limit.sense == "min" else "at most"
@@ -95,6 +121,7 @@ def state_constraints(
     scenario: Scenario,
     limits: Sequence[Limit],
     length_m: float,
+    companion: Array | None,
     n_nodes: int,
     window: Indices,
     track: SiteTrack,
@@ -102,14 +129,18 @@ def state_constraints(
 ) -> tuple[StateConstraint, ...]:
     """Build the nondimensional state constraints: safety at every node, the limits in the window.
 
-    `window` has the window's nodes, shape (n,), `track` the site there, J2000, m, and `sun` the
-    directions to the Sun there, shape (n, 3).
+    `companion` has the companion's centre at every node, J2000, m, shape (n_nodes, 3), `window` the
+    window's nodes, shape (n,), `track` the site there, J2000, m, and `sun` the directions to the Sun
+    there, shape (n, 3).
     """
     p = scenario.risk.p_chance
     at, axes = track.position / length_m, {"emission": track.normal, "phase": sun}
     everywhere = np.arange(n_nodes)
     body = Ball(np.zeros((n_nodes, 3)), scenario.safety.radius_min_m / length_m)
-    found = [StateConstraint("safety_radius", everywhere, body, "out", p)]
+    found = [StateConstraint(SAFETY, everywhere, body, "out", p)]
+    if companion is not None:
+        ball = Ball(companion / length_m, companion_distance_m(scenario) / length_m)
+        found.append(StateConstraint(COMPANION, everywhere, ball, "out", p))
     if not len(window):  # which is over for a flight that is under way
         return tuple(found)
     for limit in limits:

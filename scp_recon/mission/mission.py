@@ -186,8 +186,11 @@ class Mission:
     @property
     def planned_gravity(self) -> str:
         """The gravity with which it is planned, in words."""
-        degree = self.scenario.body.planned_degree
-        return "point mass and J2" if degree is None else f"harmonics to degree {degree}"
+        body = self.scenario.body
+        own = "point mass and J2"
+        if body.planned_degree is not None:
+            own = f"harmonics to degree {body.planned_degree}"
+        return own if body.companion is None else f"{own}, and the pull of {body.companion.name}"
 
     def _forces(self, field: HarmonicField | None) -> ForceModel:
         body, craft = self.scenario.body, self.scenario.spacecraft
@@ -200,6 +203,7 @@ class Mission:
             j2_strength=1.5 * body.gm_m3_s2 * j2 * radius**2,
             pole=self.rotation.pole,
             field=None if field is None else TurningField(field.beside_j2(), self.rotation),
+            companion=self.scene.companion,
             srp=cannonball_srp(
                 self.sun_direction(0.0),
                 craft.srp_area_m2,
@@ -315,6 +319,9 @@ class Mission:
                 scenario,
                 self.limits,
                 units.length_m,
+                None
+                if self.scene.companion is None
+                else self.scene.companion.position(self.times_s),
                 len(self.times_s),
                 window,
                 geometry.track(self.site, self.rotation, self.times_s[window]),

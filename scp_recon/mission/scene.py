@@ -17,6 +17,7 @@ from formulations.problem.execution_errors import ComponentwiseErrors, Execution
 from scp_recon.bodies.catalogue import packaged_body
 from scp_recon.errors import InputError, option
 from scp_recon.mission.windows import Lighting
+from scp_recon.physics.companion import Companion
 from scp_recon.physics.frames import Rotation, sun_north_to_j2000, unit
 from scp_recon.physics.geometry import Site
 from scp_recon.physics.harmonics import HarmonicField
@@ -66,6 +67,24 @@ class Scene:
         sun = self.scenario.sun
         position, velocity = np.array(sun.body_position_km), np.array(sun.body_velocity_km_s)
         return unit(-(position + np.multiply.outer(np.asarray(time_s, dtype=float), velocity)))
+
+    @cached_property
+    def companion(self) -> Companion | None:
+        """The body's companion, if it has one."""
+        given = self.scenario.body.companion
+        if given is None:
+            return None
+        return Companion.from_elements(
+            gm_m3_s2=given.gm_m3_s2,
+            semi_major_axis_m=given.semi_major_axis_m,
+            eccentricity=given.eccentricity,
+            pole_deg=(given.pole_ra_deg, given.pole_dec_deg),
+            periapsis_deg=given.periapsis_deg,
+            mean_anomaly_deg=given.mean_anomaly_deg,
+            period_h=given.period_h,
+            since=given.epoch_tdb,
+            tdb=self.scenario.epoch.tdb,
+        )
 
     @property
     def lighting(self) -> Lighting:

@@ -17,6 +17,7 @@ from scp_recon.errors import InputError, one_of, whole_number
 from scp_recon.jobs.job import Executor, Job, here, in_order
 from scp_recon.jobs.processes import Limits, Processes
 from scp_recon.jobs.store import Store, code
+from scp_recon.mission.constraints import companion_distance_m
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.scene import errors_of_kind
 from scp_recon.monte_carlo.estimates import Estimate, Tally, proportion
@@ -141,7 +142,9 @@ def run_block(config: FlightConfig, block: tuple[int, int]) -> FlightBlock:
     seen, nothing = flown.states[:-1], np.zeros(0)
     held = time_held(mission, looks, seen) if len(looks) else {}
     holds = joint_holds(mission, looks, seen[..., :3]) if len(looks) else {}
-    whole = flown.closest_m >= mission.scenario.safety.radius_min_m
+    scenario = mission.scenario
+    whole = flown.closest_m >= scenario.safety.radius_min_m
+    whole &= flown.apart_m >= companion_distance_m(scenario)
     for kept in holds.values():
         whole &= kept.all(axis=0)
     return FlightBlock(

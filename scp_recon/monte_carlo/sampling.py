@@ -42,6 +42,7 @@ class Flights:
         burns_m_s: executed burns, shape (flights, m, 3).
         commanded_m_s: commanded burns, of the same shape.
         closest_m: smallest distance from the body's centre at the ends of steps, shape (flights,).
+        apart_m: smallest distance from the companion's centre there, infinite without one.
         failed: whether planning again failed, at each of k cut-offs, shape (k, flights); k = 0 where
             nothing is planned again.
     """
@@ -51,6 +52,7 @@ class Flights:
     burns_m_s: Array
     commanded_m_s: Array
     closest_m: Array
+    apart_m: Array
     failed: Booleans
 
 
@@ -136,7 +138,8 @@ def fly_draws(
     # Components first, so that an operation runs along the flights.
     states = np.empty((len(times_s), 6, flights))
     r, v = (np.ascontiguousarray(half.T) for half in (state[:, :3], state[:, 3:]))
-    closest2 = np.full(flights, np.inf)
+    companion = mission.scene.companion
+    closest2, apart2 = np.full((2, flights), np.inf)
     for _ in due(policy, -np.inf, stops[0]):
         loop.measure(np.concatenate([r, v]))
     for k, stop in enumerate(stops.tolist()):
@@ -150,6 +153,9 @@ def fly_draws(
             v = v + executed[:, burn].T
         states[times_s == stop] = np.concatenate([r, v])
         closest2 = np.minimum(closest2, np.einsum("in,in->n", r, r))
+        if companion is not None:
+            apart = r - companion.position(stop)[:, None]
+            apart2 = np.minimum(apart2, np.einsum("in,in->n", apart, apart))
         if stop < stops[-1]:
             duration = stops[k + 1] - stop
             end = fly(r, v, stop, duration)
@@ -162,7 +168,7 @@ def fly_draws(
             r, v = end
     failed = np.array(loop.failed, dtype=np.bool_).reshape(-1, flights)
     states = np.moveaxis(states, 1, 2)
-    return Flights(times_s, states, executed, commanded, np.sqrt(closest2), failed)
+    return Flights(times_s, states, executed, commanded, np.sqrt(closest2), np.sqrt(apart2), failed)
 
 
 def policy_kind(policy: AnyPolicy) -> PolicyKind:
@@ -217,7 +223,7 @@ def _flow(mission: Mission, truth: TruthModel) -> Flow:
 
     def flow(r: Array, v: Array, start: float, duration: float) -> tuple[Array, Array]:
         def acceleration(at: Array, elapsed: float) -> Array:
-            return accelerations(at, forces, forces.turn(start + elapsed))
+            return accelerations(at, forces, forces.moment(start + elapsed))
 
         return advance(r, v, duration, acceleration, 1)
 

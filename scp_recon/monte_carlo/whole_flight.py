@@ -1,6 +1,6 @@
 """Count flights that keep all limits on the position, at the nodes and between them.
 
-Observation limits count in the window, the safety distance everywhere. Flights are sampled at times
+Observation limits count in the window, the safety distances everywhere. Flights are sampled at times
 here called looks, and every second between two looks if a margin may dip below zero there: second
 differences bound how far it dips below the line between the looks.
 """
@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from formulations.arrays import Array, Booleans, Indices
+from scp_recon.mission.constraints import COMPANION, SAFETY, safety_margins
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.observation_time import joint_margins
 from scp_recon.monte_carlo.sampling import BLOCK, Flights, draw_flights, fly_draws
@@ -23,7 +24,7 @@ from scp_recon.results.policy import Policy
 Counts = npt.NDArray[np.int64]
 State = tuple[Array, Array]
 
-SAFETY = "safety_radius"
+EVERYWHERE = SAFETY, COMPANION
 LOOK_S = 30.0
 PARTS = 30
 """Of the time between looks: a second each."""
@@ -142,7 +143,8 @@ def looks_of(mission: Mission) -> Array:
 
 def seconds_of(mission: Mission) -> dict[str, Array]:
     """Times at which each joint constraint counts, ascending, s: looks and the seconds between."""
-    names = [SAFETY, *dict.fromkeys(limit.joint for limit in mission.limits)]
+    constraints = mission.problem.constraints
+    names = dict.fromkeys(constraint.event for constraint in constraints)
     looks = {name: _times(mission, looks_of(mission), name) for name in names}
     return {name: np.sort(_seconds(times)) for name, times in looks.items() if len(times)}
 
@@ -150,17 +152,14 @@ def seconds_of(mission: Mission) -> dict[str, Array]:
 def _times(mission: Mission, looks: Array, name: str) -> Array:
     """The looks at which a constraint counts."""
     first, last = mission.observed_s or (np.inf, np.inf)
-    return looks if name == SAFETY else looks[(looks >= first) & (looks <= last)]
+    return looks if name in EVERYWHERE else looks[(looks >= first) & (looks <= last)]
 
 
-def _margins(mission: Mission, times: Array, position: Array, names: list[str]) -> dict[str, Array]:
-    """Margins of some joint constraints for positions (n, ..., 3) at times (n,)."""
-    found: dict[str, Array] = {}
-    if names != [SAFETY]:
-        found = joint_margins(mission, times, position)
-    if SAFETY in names:
-        found[SAFETY] = np.linalg.norm(position, axis=-1) - mission.scenario.safety.radius_min_m
-    return {name: found[name] for name in names}
+def _margin(mission: Mission, times: Array, position: Array, name: str) -> Array:
+    """Margin of a joint constraint for positions (n, ..., 3) at times (n,)."""
+    if name in EVERYWHERE:
+        return safety_margins(mission.scene, times, position)[name]
+    return joint_margins(mission, times, position)[name]
 
 
 @dataclass(frozen=True)
@@ -269,7 +268,7 @@ def _follow(mission: Mission, name: str, arcs: _Arcs, margin: Array) -> Course:
         share = part / PARTS
         position, _ = interpolate(ends[0], ends[1], step, share)
         time = times[k] + share * step[:, 0]
-        between[:, part - 1] = _margins(mission, time, position, [name])[name] >= 0.0
+        between[:, part - 1] = _margin(mission, time, position, name) >= 0.0
     return Course(name, times, margin >= 0.0, k, flight, between)
 
 
@@ -308,13 +307,13 @@ class WholeFlights:
         flown = self._fly(looks, draws)
         states = flown.states
         window = np.isin(looks, _times(mission, looks, ""))
-        margins = _margins(mission, looks, states[..., :3], [SAFETY])
+        margins = safety_margins(mission.scene, looks, states[..., :3])
         if window.any():
             margins |= joint_margins(mission, looks[window], states[window, :, :3])
         everywhere = _Arcs(looks, states, flown.burns_m_s)
         observing = _Arcs(looks[window], states[window], flown.burns_m_s)
         for name, margin in margins.items():
-            yield _follow(mission, name, everywhere if name == SAFETY else observing, margin)
+            yield _follow(mission, name, everywhere if name in EVERYWHERE else observing, margin)
 
     def _fly(self, times_s: Array, draws: Array) -> Flights:
         return fly_draws(self.mission, self.burns_m_s, times_s, draws, policy=self.policy)

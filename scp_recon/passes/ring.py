@@ -6,7 +6,6 @@ An ephemeris is a table of states, a CCSDS OEM or SPICE kernels.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -61,7 +60,7 @@ def directions(home: HomeOrbit, axes: Array) -> tuple[Array, Array, float]:
 def flown_ring(home: HomeOrbit, forces: ForceModel, axes: Array) -> Ring:
     """One revolution under a mission's forces, from the circle's state at phase zero on.
 
-    Harmonics that turn with the body are left out, as the spacecraft may leave at any time. Phases are
+    Forces that depend on time are left out, as the spacecraft may leave at any time. Phases are
     angles about the circle's normal; the ends of the revolution meet only approximately. Axes (3, 3)
     rotate from boundary.frame to J2000.
 
@@ -72,7 +71,7 @@ def flown_ring(home: HomeOrbit, forces: ForceModel, axes: Array) -> Ring:
     first, second, sense = directions(home, axes)
     period = TURN * np.sqrt(home.radius_m**3 / forces.gm)
 
-    forces = replace(forces, field=None)
+    forces = forces.autonomous
 
     def rate(_: float, y: Array) -> Array:
         return np.array([*y[3:], *acceleration(y[0], y[1], y[2], forces)])

@@ -15,8 +15,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from formulations.arrays import Array
-from scp_recon.physics.forces import ForceModel, accelerations, gravity_curvature, gravity_gradient
-from scp_recon.physics.harmonics import Turn
+from scp_recon.physics.forces import (
+    ForceModel,
+    Moment,
+    accelerations,
+    gravity_curvature,
+    gravity_gradient,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,13 +121,13 @@ def propagate(
 ) -> Array:
     """Carry states over their arcs; `state` (..., 6), `duration` and `start` broadcast against (...).
 
-    The time at which an arc starts is needed where forces have harmonics.
+    The time at which an arc starts is needed where forces depend on it.
     """
     begin = _begin(start, forces)
 
     def rate(r: Array, elapsed: Any) -> Array:
-        turn = _turn(forces, begin + elapsed, r.shape[1:])
-        return accelerations(r.reshape(3, -1), forces, turn).reshape(r.shape)
+        moment = _moment(forces, begin + elapsed, r.shape[1:])
+        return accelerations(r.reshape(3, -1), forces, moment).reshape(r.shape)
 
     r = np.moveaxis(np.asarray(state)[..., :3], -1, 0)
     v = np.moveaxis(np.asarray(state)[..., 3:], -1, 0)
@@ -130,16 +135,14 @@ def propagate(
 
 
 def _begin(start: Array | float | None, forces: ForceModel) -> Array:
-    if start is None and forces.field is not None:
-        raise ValueError("harmonics turn with the body: expected the times at which arcs start")
+    if start is None and forces.timed:
+        raise ValueError("forces that depend on time: expected the times at which arcs start")
     return np.asarray(0.0 if start is None else start)
 
 
-def _turn(forces: ForceModel, time: Array, shape: tuple[int, ...]) -> Turn | None:
-    """How far the body has turned at times, of positions of a shape in a row."""
-    if forces.field is None:
-        return None
-    return forces.turn(np.broadcast_to(time, shape).ravel())
+def _moment(forces: ForceModel, time: Array, shape: tuple[int, ...]) -> Moment | None:
+    """Surroundings at times, of positions of a shape in a row."""
+    return forces.moment(np.broadcast_to(time, shape).ravel())
 
 
 def advance(
@@ -192,7 +195,7 @@ def differentiate(
     """Flow map and state-transition matrix of every arc in one call, its second-order tensor later.
 
     Initial states have shape (n, 6), durations and starts (n,), and `substeps` is Runge-Kutta steps per
-    arc. The time at which an arc starts is needed where forces have harmonics.
+    arc. The time at which an arc starts is needed where forces depend on it.
     """
     begin = _begin(start, forces)
     n, h = len(state), np.asarray(duration, dtype=float) / substeps
@@ -203,8 +206,8 @@ def differentiate(
         time = begin + h * (k + np.array([[0.0], [0.5], [0.5], [1.0]]))
         # The stages' positions come first: the gradients are evaluated at all of them at once.
         position, r, v = _stage_positions(r, v, h, time, forces)
-        turn = _turn(forces, time, (4, n))
-        gradient = gravity_gradient(position.reshape(-1, 3), forces, turn).reshape(4, n, 3, 3)
+        moment = _moment(forces, time, (4, n))
+        gradient = gravity_gradient(position.reshape(-1, 3), forces, moment).reshape(4, n, 3, 3)
         first, stm = _first_order(stm, gradient, h)
         steps.append(_Stages(h, time, position, gradient, first))
     return FlowDerivatives(
@@ -217,13 +220,13 @@ def _stage_positions(
 ) -> tuple[Array, Array, Array]:
     """Positions of the four stages (4, n, 3), and the step's end, for r and v of shape (3, n)."""
     half, full = r + (0.5 * h) * v, r + h * v
-    turns = [_turn(forces, at, at.shape) for at in time]
-    a1 = accelerations(r, forces, turns[0])
-    a2 = accelerations(half, forces, turns[1])
+    moments = [_moment(forces, at, at.shape) for at in time]
+    a1 = accelerations(r, forces, moments[0])
+    a2 = accelerations(half, forces, moments[1])
     third = half + (0.25 * h * h) * a1
-    a3 = accelerations(third, forces, turns[2])
+    a3 = accelerations(third, forces, moments[2])
     fourth = full + (0.5 * h * h) * a2
-    a4 = accelerations(fourth, forces, turns[3])
+    a4 = accelerations(fourth, forces, moments[3])
     middle = a2 + a3
     position = np.stack([r, half, third, fourth]).transpose(0, 2, 1)
     end = full + (h * h / 6.0) * (a1 + middle)
@@ -250,8 +253,8 @@ def _second_order(tensor: Array, stages: _Stages, forces: ForceModel) -> Array:
     """
     n, w, g = len(tensor), stages.h[:, None, None], stages.gradient
     first = stages.first.reshape(4 * n, 3, 6)
-    turn = _turn(forces, stages.time, stages.time.shape)
-    curvature = gravity_curvature(stages.position.reshape(-1, 3), forces, turn)
+    moment = _moment(forces, stages.time, stages.time.shape)
+    curvature = gravity_curvature(stages.position.reshape(-1, 3), forces, moment)
     # Columns (i, k) of H_lim r_mk and then of r_lj H_lim r_mk, as H is symmetric.
     along = (curvature.reshape(-1, 9, 3) @ first).reshape(-1, 3, 18)
     both = (first.transpose(0, 2, 1) @ along).reshape(4, n, 6, 3, 6)

@@ -1,22 +1,31 @@
-"""Forces on the spacecraft: point mass, J2, harmonics, and cannonball solar radiation pressure.
+"""Forces on the spacecraft: point mass, J2, harmonics, a companion, and cannonball radiation pressure.
 
 The acceleration is written once, over plain arithmetic, so that NumPy arrays (real or complex) and
 CasADi symbols pass through it alike. Its first and second derivatives are in closed form. Where there
-are harmonics, functions take how far the body has turned, as `ForceModel.turn` gives it.
+are harmonics or a companion, functions take where these are, as `ForceModel.moment` gives it.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from formulations.arrays import Array
-from scp_recon.physics.harmonics import Turn, TurningField
+from scp_recon.physics.companion import Companion
+from scp_recon.physics.harmonics import TurningField
 
 SPEED_OF_LIGHT_M_S = 299_792_458.0
 """Exact by the definition of the metre."""
+
+
+Moment = Any
+"""Surroundings at a time, by rows of components in the inertial frame, shape (4, 3, ...).
+
+The body's three axes, then the position of its companion; zero of what there is not.
+"""
 
 
 @dataclass(frozen=True)
@@ -29,6 +38,7 @@ class ForceModel:
         pole: unit vector of the spin axis in the inertial frame, shape (3,).
         srp: constant acceleration by solar radiation pressure, shape (3,), length / time^2.
         field: harmonics beside the point mass and that J2.
+        companion: a second body in orbit about the first.
     """
 
     gm: float
@@ -36,16 +46,19 @@ class ForceModel:
     pole: Array
     srp: Array
     field: TurningField | None = None
+    companion: Companion | None = None
 
-    def turn(self, time: Any, functions: Any = np) -> Turn | None:
-        """Cosine and sine of the body's angle at times; None without harmonics.
-
-        Symbols need the `functions` of their library.
-        """
-        if self.field is None:
+    def moment(self, time: Array | float) -> Moment | None:
+        """Surroundings at times; None where forces do not depend on them."""
+        if not self.timed:
             return None
-        angle = self.field.rotation.angle(time)
-        return functions.cos(angle), functions.sin(angle)
+        rows = np.zeros((4, 3, *np.shape(time)))
+        if self.field is not None:
+            axes = self.field.rotation.body_to_j2000(time)
+            rows[:3] = np.moveaxis(axes, (-1, -2), (0, 1))
+        if self.companion is not None:
+            rows[3] = np.moveaxis(self.companion.position(time), -1, 0)
+        return rows
 
     def in_units(self, length: float, time: float) -> ForceModel:
         """The same forces measured in units of `length` and `time`."""
@@ -55,7 +68,24 @@ class ForceModel:
             pole=self.pole,
             srp=self.srp * time**2 / length,
             field=self.field and self.field.in_units(length, time),
+            companion=self.companion and self.companion.in_units(length, time),
         )
+
+    @property
+    def timed(self) -> bool:
+        """Whether they depend on time."""
+        return self.field is not None or self.companion is not None
+
+    @property
+    def autonomous(self) -> ForceModel:
+        """The forces without those that depend on time."""
+        return replace(self, field=None, companion=None)
+
+    @cached_property
+    def of_companion(self) -> ForceModel:
+        """The companion's pull on what is at a position from its centre."""
+        assert self.companion is not None
+        return ForceModel(self.companion.gm, 0.0, self.pole, np.zeros(3))
 
 
 def cannonball_srp(
@@ -75,7 +105,7 @@ def cannonball_srp(
 
 
 def acceleration(
-    x: Any, y: Any, z: Any, forces: ForceModel, turn: Turn | None = None
+    x: Any, y: Any, z: Any, forces: ForceModel, moment: Moment | None = None
 ) -> tuple[Any, Any, Any]:
     """Acceleration at a position given by components (scalars, arrays or symbols alike)."""
     px, py, pz = forces.pole
@@ -83,18 +113,33 @@ def acceleration(
     sx, sy, sz = forces.srp
     ax, ay, az = radial * x + polar * px, radial * y + polar * py, radial * z + polar * pz
     if forces.field is not None:
-        more = forces.field.acceleration(x, y, z, _turned(turn))
+        more = forces.field.acceleration(x, y, z, _given(moment)[:3])
         ax, ay, az = ax + more[0], ay + more[1], az + more[2]
+    if forces.companion is not None:
+        cx, cy, cz = _given(moment)[3]
+        dx, dy, dz = x - cx, y - cy, z - cz
+        near, far = (
+            -forces.companion.gm / (r2 * r2**0.5)
+            for r2 in (dx * dx + dy * dy + dz * dz, cx * cx + cy * cy + cz * cz)
+        )
+        # The frame falls towards the companion with the body.
+        ax, ay, az = ax + near * dx + far * cx, ay + near * dy + far * cy, az + near * dz + far * cz
     return ax + sx, ay + sy, az + sz
 
 
-def _turned(turn: Turn | None) -> Turn:
-    if turn is None:
-        raise ValueError("harmonics turn with the body: expected the cosine and sine of its angle")
-    return turn
+def _given(moment: Moment | None) -> Moment:
+    if moment is None:
+        raise ValueError("forces that depend on time: expected the surroundings of `moment`")
+    return moment
 
 
-def accelerations(position: Array, forces: ForceModel, turn: Turn | None = None) -> Array:
+def _apart(position: Array, moment: Moment | None) -> tuple[Array, Array]:
+    """Positions (3, n) from the companion's centre, and that centre, shape (3, n) or (3, 1)."""
+    centre = np.asarray(_given(moment)[3]).reshape(3, -1)
+    return position - centre, centre
+
+
+def accelerations(position: Array, forces: ForceModel, moment: Moment | None = None) -> Array:
     """Accelerations at positions (3, n), shape (3, n), in a third of `acceleration`'s operations."""
     r2 = np.einsum("in,in->n", position, position)
     radial, polar = _pulls(r2, forces.pole @ position, forces)
@@ -102,7 +147,11 @@ def accelerations(position: Array, forces: ForceModel, turn: Turn | None = None)
     value += forces.pole[:, None] * polar
     value += forces.srp[:, None]
     if forces.field is not None:
-        value += forces.field.derivatives(position, _turned(turn), 0)
+        value += forces.field.derivatives(position, _given(moment)[:3], 0)
+    if forces.companion is not None:
+        apart, centre = _apart(position, moment)
+        value += accelerations(apart, forces.of_companion)
+        value += accelerations(centre, forces.of_companion)
     return value
 
 
@@ -119,7 +168,7 @@ def _pulls(r2: Any, u: Any, forces: ForceModel) -> tuple[Any, Any]:
     return radial, -2.0 * inverse5 * u
 
 
-def gravity_gradient(position: Array, forces: ForceModel, turn: Turn | None = None) -> Array:
+def gravity_gradient(position: Array, forces: ForceModel, moment: Moment | None = None) -> Array:
     """Gravity gradient da_i/dx_j at positions (n, 3), shape (n, 3, 3), symmetric.
 
     The acceleration is f(x) x + g(x) p + const. With f_j = e1 x_j + e2 p_j and
@@ -137,11 +186,14 @@ def gravity_gradient(position: Array, forces: ForceModel, turn: Turn | None = No
     gradient += p[:, None] * (e2[:, None] * position + e3[:, None] * p)[:, None, :]
     gradient[:, [0, 1, 2], [0, 1, 2]] += f[:, None]
     if forces.field is not None:
-        gradient += forces.field.derivatives(position.T, _turned(turn), 1).transpose(2, 0, 1)
+        gradient += forces.field.derivatives(position.T, _given(moment)[:3], 1).transpose(2, 0, 1)
+    if forces.companion is not None:
+        apart, _ = _apart(position.T, moment)
+        gradient += gravity_gradient(apart.T, forces.of_companion)
     return gradient
 
 
-def gravity_curvature(position: Array, forces: ForceModel, turn: Turn | None = None) -> Array:
+def gravity_curvature(position: Array, forces: ForceModel, moment: Moment | None = None) -> Array:
     """Gravity's second derivative d2a_i/dx_j dx_k at positions (n, 3), shape (n, 3, 3, 3), symmetric.
 
     With e1 = .. + c x and so on for the coefficients of the gradient it is
@@ -167,7 +219,10 @@ def gravity_curvature(position: Array, forces: ForceModel, turn: Turn | None = N
     part = beside_x[:, :, :, None] * x[:, None, None, :] + beside_p[:, :, :, None] * p
     part = part + part.transpose(0, 3, 1, 2) + part.transpose(0, 2, 3, 1)
     if forces.field is not None:
-        part += forces.field.derivatives(position.T, _turned(turn), 2).transpose(3, 0, 1, 2)
+        part += forces.field.derivatives(position.T, _given(moment)[:3], 2).transpose(3, 0, 1, 2)
+    if forces.companion is not None:
+        apart, _ = _apart(position.T, moment)
+        part += gravity_curvature(apart.T, forces.of_companion)
     return part
 
 

@@ -167,10 +167,6 @@ def _gradient(of: Coefficients, radius: float) -> Coefficients:
     return found
 
 
-Turn = tuple[Any, Any]
-"""Cosine and sine of a body's angle W, of each position or of all."""
-
-
 @dataclass(frozen=True, eq=False)
 class TurningField:
     """A field that turns with its body, in the inertial frame.
@@ -187,23 +183,21 @@ class TurningField:
         """The same measured in units of `length` and `time`."""
         return TurningField(self.field.in_units(length, time), self.rotation.in_units(time))
 
-    def acceleration(self, x: Any, y: Any, z: Any, turn: Turn) -> tuple[Any, Any, Any]:
-        """Acceleration at a position given by components, arrays or symbols alike."""
-        rows, (c, s) = self.rotation.equator, turn
-        a, b, up = (e[0] * x + e[1] * y + e[2] * z for e in rows)
-        ax, ay, az = self.field.acceleration(c * a + s * b, c * b - s * a, up)
-        a, b = c * ax - s * ay, s * ax + c * ay
-        ex, ey, ez = (e[0] * a + e[1] * b + e[2] * az for e in rows.T)
-        return ex, ey, ez
+    def acceleration(self, x: Any, y: Any, z: Any, axes: Any) -> tuple[Any, Any, Any]:
+        """Acceleration at a position given by components, arrays or symbols alike.
 
-    def derivatives(self, position: Array, turn: Turn, order: int) -> Array:
-        """Derivatives of the acceleration at positions (3, n), shape (3, .., n)."""
-        node, across, pole = self.rotation.equator
-        c, s = (np.broadcast_to(x, position.shape[1:]) for x in turn)
-        axes = np.empty((3, *position.shape))
-        axes[0] = np.outer(node, c) + np.outer(across, s)
-        axes[1] = np.outer(across, c) - np.outer(node, s)
-        axes[2] = pole[:, None]
+        The rows of `axes` are the body's three axes in the inertial frame.
+        """
+        own = self.field.acceleration(*(e[0] * x + e[1] * y + e[2] * z for e in axes))
+        ax, ay, az = (sum(a * e[i] for a, e in zip(own, axes, strict=True)) for i in range(3))
+        return ax, ay, az
+
+    def derivatives(self, position: Array, axes: Array, order: int) -> Array:
+        """Derivatives of the acceleration at positions (3, n), shape (3, .., n).
+
+        Axes as `acceleration` takes them, shape (3, 3), or (3, 3, n) of each position.
+        """
+        axes = np.broadcast_to(axes.reshape(3, 3, -1), (3, *position.shape))
         found = self.field.derivatives(np.einsum("bin,in->bn", axes, position), order)
         for _ in range(order + 1):
             # Turn the first index, and put it behind the others: after all the order is as it was.

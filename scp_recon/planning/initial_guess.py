@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -112,7 +111,7 @@ def _two_impulses(mission: Mission, way: float) -> Iterate | None:
     states = np.array(coast) * mission.units.state
     start, end = states[-1], mission.final_state
     # Point mass and J2 are near enough for a guess, and far faster than all harmonics.
-    duration, forces = times[-1] - times[first], replace(mission.forces, field=None)
+    duration, forces = times[-1] - times[first], mission.forces.autonomous
     mesh = np.linspace(0.0, 1.0, 41)
     position = _circular_positions(mission, (start, end), way, mesh)
     length, time = mission.units.length_m, duration

@@ -41,21 +41,28 @@ class NlpStage(Stage):
 
 def casadi_arcs(flow: GridFlow) -> Arcs:
     """The flow map of `flow.propagate` over CasADi symbols: same forces, scheme and substeps."""
-    forces, turns = flow.forces, flow.forces.field is not None
-    arcs = np.column_stack([flow.durations, flow.starts]) if turns else flow.durations
-    state, arc = ca.SX.sym("x", 6), ca.SX.sym("h", 1 + turns)
+    forces, halves = flow.forces, np.linspace(0.0, 1.0, 2 * flow.substeps + 1)
+    # Surroundings are numbers of each arc, at the ends and middles of its steps.
+    moments = forces.moment(flow.starts[:, None] + flow.durations[:, None] * halves)
+    arcs = flow.durations[:, None]
+    if moments is not None:
+        arcs = np.hstack([arcs, np.moveaxis(moments, (0, 1), (2, 3)).reshape(flow.arcs, -1)])
+    state, arc = ca.SX.sym("x", 6), ca.SX.sym("h", arcs.shape[1])
     h = arc[0] / flow.substeps
 
-    def rate(y: ca.SX, elapsed: ca.SX) -> ca.SX:
-        turn = forces.turn(arc[1] + elapsed, ca) if turns else None
-        return ca.vertcat(y[3:], *acceleration(y[0], y[1], y[2], forces, turn))
+    def moment(half: int) -> list[list[ca.SX]] | None:
+        rows = range(1 + 12 * half, 13 + 12 * half, 3) if forces.timed else ()
+        return [ca.vertsplit(arc[first : first + 3]) for first in rows] or None
+
+    def rate(y: ca.SX, half: int) -> ca.SX:
+        return ca.vertcat(y[3:], *acceleration(y[0], y[1], y[2], forces, moment(half)))
 
     y = state
-    for k in range(flow.substeps):
-        k1 = rate(y, k * h)
-        k2 = rate(y + 0.5 * h * k1, (k + 0.5) * h)
-        k3 = rate(y + 0.5 * h * k2, (k + 0.5) * h)
-        k4 = rate(y + h * k3, (k + 1) * h)
+    for k in range(0, 2 * flow.substeps, 2):
+        k1 = rate(y, k)
+        k2 = rate(y + 0.5 * h * k1, k + 1)
+        k3 = rate(y + 0.5 * h * k2, k + 1)
+        k4 = rate(y + h * k3, k + 2)
         y = y + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
     return Arcs(ca.Function("flow", [state, arc], [y]), arcs)
 

@@ -7,7 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from formulations.arrays import Array, Booleans, Indices
-from scp_recon.mission.constraints import Measure
+from scp_recon.mission.constraints import (
+    COMPANION,
+    SAFETY,
+    Measure,
+    companion_distance_m,
+    safety_margins,
+)
 from scp_recon.monte_carlo.estimates import binomial_quantile, proportion
 from scp_recon.monte_carlo.observation_time import measured
 from scp_recon.monte_carlo.sampling import BLOCK, fly_block
@@ -147,8 +153,8 @@ def range_histories(plan: Shown) -> list[History]:
         size = np.linalg.norm(fixed, axis=-1)
         return size - plan.shape.radius(unit(fixed))
 
-    safety = ("safety_radius: at least", mission.scenario.safety.radius_min_m)
-    return [
+    safety = (f"{SAFETY}: at least", mission.scenario.safety.radius_min_m)
+    found = [
         History(
             "range to the surface (m)",
             times,
@@ -163,6 +169,16 @@ def range_histories(plan: Shown) -> list[History]:
             (safety,),
         ),
     ]
+    scenario, least = mission.scenario, companion_distance_m(mission.scenario)
+    if scenario.body.companion is not None:
+        means, sampled = (
+            safety_margins(mission.scene, times, position)[COMPANION] + least
+            for position in (mean, flown.positions)
+        )
+        title = f"distance from the centre of {scenario.body.companion.name} (m)"
+        limit = (f"{COMPANION}: at least", least)
+        found.append(History(title, times, means, bands_of(sampled, (1, 3)), (limit,)))
+    return found
 
 
 def lighting_histories(plan: Shown) -> list[History]:

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from formulations.arrays import Array
+from scp_recon.mission.constraints import companion_distance_m
 from scp_recon.mission.mission import Mission
 from scp_recon.physics.frames import sun_north_to_j2000, unit
 from scp_recon.reports.flights import Shown
@@ -209,6 +210,12 @@ def keep_sets(frame: Frame, subject: Subject) -> list[Trace]:
         moved(mesh(phase, f"{lit}, in the window", f"{lit} cone", KEEP_OUT, 0.22), "site"),
         _burn_cones(frame, subject),
     ]
+    if (other := mission.scene.companion) is not None:
+        middle = other.position(float(np.mean(mission.schedule.window_s)))
+        ball = sphere(companion_distance_m(scenario))
+        ball = Solid(ball.vertices_m + frame.seen(middle), ball.facets)
+        name = "keep out: companion, amid the window"
+        traces.append(mesh(ball, name, name, KEEP_OUT, 0.16))
     if "phase_max" in limits:
         name, most = "keep in: phase at most", about_the_sun(limits["phase_max"])
         traces.append(moved(mesh(most, name, name, KEEP_IN, 0.22), "site"))

@@ -13,6 +13,7 @@ from scp_recon.scenario.fields import (
     NonZeroVector,
     Positive,
     Section,
+    Tdb,
     Vector,
     Velocity,
 )
@@ -47,6 +48,33 @@ class GravityField(Section):
         if len(set(pairs)) != len(pairs) or any(m > n for n, m in pairs):
             raise ValueError("must have each degree and order once, the order at most the degree")
         return self
+
+
+class Companion(Section):
+    """A second body on a Kepler orbit about the first: it pulls, and flights keep away from it."""
+
+    name: Name
+    """Name of the companion."""
+    gm_m3_s2: Annotated[float, Field(ge=1e-9, le=1e20)]
+    """Gravitational parameter GM in m^3/s^2."""
+    radius_m: Positive
+    """Radius in m of the ball about its centre that holds it."""
+    semi_major_axis_m: Positive
+    """Semi-major axis in m of its orbit about the body's centre."""
+    eccentricity: Annotated[float, Field(ge=0, le=0.5)] = 0.0
+    """Eccentricity of that orbit."""
+    period_h: Annotated[float, Field(ge=0.01, le=1e6)]
+    """Orbital period in h."""
+    pole_ra_deg: Angle
+    """Right ascension in deg, J2000, of the orbit's pole, about which it moves right-handed."""
+    pole_dec_deg: Annotated[float, Field(ge=-90, le=90)]
+    """Declination of the orbit's pole in deg, J2000."""
+    periapsis_deg: Angle = 0.0
+    """Angle in deg from the ascending node on J2000's equator to the periapsis."""
+    mean_anomaly_deg: Angle
+    """Mean anomaly in deg at epoch_tdb."""
+    epoch_tdb: Tdb
+    """TDB of the mean anomaly, such as 2022-09-26T23:15:33; no time zone."""
 
 
 class Body(Section):
@@ -97,6 +125,8 @@ class Body(Section):
     planned_degree: Annotated[int, Field(ge=2, le=PLANNED_MAX)] | None = None
     """Degree up to which the planner flies the body's gravity field, turning with the body, in place of
     j2; without it the point mass and j2 alone."""
+    companion: Companion | None = None
+    """A second body in orbit about this one; a packaged body's is given with its name."""
 
     @model_validator(mode="after")
     def _turns(self) -> Self:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from datetime import datetime
 from typing import Annotated
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
@@ -58,6 +59,15 @@ Speed = Annotated[float, Field(ge=-1e6, le=1e6)]
 Velocity = tuple[Speed, Speed, Speed]
 Angle = Annotated[float, Field(ge=-1e9, le=1e9)]
 FlightTime = Annotated[float, Field(ge=0, le=1e7)]
+
+
+def _no_offset(tdb: datetime) -> datetime:
+    if tdb.tzinfo is not None:
+        raise ValueError("must have no time zone, it is TDB")
+    return tdb
+
+
+Tdb = Annotated[datetime, AfterValidator(_no_offset)]
 Share = Annotated[float, Field(ge=0, lt=1), zero_or_at_least(LEAST_SHARE)]
 Probability = Annotated[float, Field(ge=0, le=1)]
 ConeAngle = Annotated[float, Field(gt=0, lt=90)]

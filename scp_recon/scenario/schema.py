@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 import json
 from collections.abc import Mapping
-from datetime import datetime
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import (
@@ -21,7 +20,15 @@ from scp_recon.errors import InputError, shortened
 from scp_recon.scenario.body import Body, SiteSection, Sun
 from scp_recon.scenario.boundary import Boundary, Design
 from scp_recon.scenario.dependencies import inherit, layer_of
-from scp_recon.scenario.fields import ConeAngle, FlightTime, Name, NonNegative, Positive, Section
+from scp_recon.scenario.fields import (
+    ConeAngle,
+    FlightTime,
+    Name,
+    NonNegative,
+    Positive,
+    Section,
+    Tdb,
+)
 from scp_recon.scenario.messages import input_error
 from scp_recon.scenario.resolve import resolve
 from scp_recon.scenario.uncertainty import InFlight, Navigation, Policy, Uncertainty
@@ -30,15 +37,8 @@ from scp_recon.scenario.uncertainty import InFlight, Navigation, Policy, Uncerta
 class Epoch(Section):
     """Time zero of the flight."""
 
-    tdb: datetime
+    tdb: Tdb
     """TDB at the first burn, such as 2020-01-21T20:33:17.184; no time zone."""
-
-    @field_validator("tdb")
-    @classmethod
-    def _no_offset(cls, tdb: datetime) -> datetime:
-        if tdb.tzinfo is not None:
-            raise ValueError("must have no time zone, it is TDB")
-        return tdb
 
 
 class Spacecraft(Section):
@@ -107,10 +107,12 @@ class Observation(Section):
 
 
 class Safety(Section):
-    """Distance from the body's centre throughout the flight."""
+    """Distances from the centres of body and companion throughout the flight."""
 
     radius_min_m: Positive
     """Least distance from the body's centre in m."""
+    companion_distance_min_m: Positive | None = None
+    """Least distance from the centre of body.companion in m; its radius_m if left out."""
 
 
 class Battery(Section):

@@ -17,6 +17,7 @@ from formulations.problem.flyby import StateConstraint
 from formulations.problem.regions import Ball, Cone
 from formulations.rows.exact_flight import FLIGHT
 from scp_recon.errors import InputError
+from scp_recon.mission.constraints import safety_margins
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.estimates import (
     CONFIDENCE,
@@ -31,7 +32,6 @@ from scp_recon.monte_carlo.estimates import (
     proportion,
 )
 from scp_recon.monte_carlo.observation_time import joint_margins
-from scp_recon.monte_carlo.whole_flight import SAFETY
 from scp_recon.planning.plan import Certificate
 from scp_recon.results.facts import EventProbability, FacetTable, Risk
 from scp_recon.results.figures import (
@@ -167,10 +167,14 @@ def node_probabilities(mission: Mission, solution: Solution) -> dict[str, tuple[
         return np.asarray(mean[nodes, None] + draws @ root[nodes].swapaxes(1, 2))
 
     everywhere = np.ones(len(times), dtype=bool)
-    safe = np.linalg.norm(positions(everywhere), axis=2) >= mission.scenario.safety.radius_min_m
+    clear = safety_margins(mission.scene, times, positions(everywhere))
     seen = joint_margins(mission, times[window], positions(window)) if window.any() else {}
-    kept = {name: (times[window], (margin >= 0.0).mean(axis=1)) for name, margin in seen.items()}
-    return {SAFETY: (times, safe.mean(axis=1)), **kept}
+    margins = [(times, clear), (times[window], seen)]
+    return {
+        name: (at, (margin >= 0.0).mean(axis=1))
+        for at, found in margins
+        for name, margin in found.items()
+    }
 
 
 def _is_promise(risk: Risk) -> bool:

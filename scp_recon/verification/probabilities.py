@@ -7,11 +7,11 @@ from scipy.special import ndtri
 
 from formulations.arrays import Array, Booleans, Indices
 from formulations.rows.exact_flight import FLIGHT
+from scp_recon.mission.constraints import safety_margins
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.estimates import proportion
 from scp_recon.monte_carlo.observation_time import joint_margins
 from scp_recon.monte_carlo.sampling import fly_block, sample_positions
-from scp_recon.monte_carlo.whole_flight import SAFETY
 from scp_recon.results.facts import FinalSigma, JointProbability, Risk
 from scp_recon.results.figures import FINAL_SIGMAS, final_sigma_limits
 from scp_recon.results.policy import Policy
@@ -108,13 +108,13 @@ def joint_probabilities(
 def held(
     mission: Mission, times: Array, positions: Array, seen: Indices
 ) -> dict[str, tuple[Array, Booleans]]:
-    """Flights that keep the safety distance at all times, and each joint constraint at times `seen`.
+    """Flights that keep the safety distances at all times, and each joint constraint at times `seen`.
 
     By name: times, s, shape (n,), and flights, shape (n, flights); of positions (times, flights, 3).
     """
     joint = joint_margins(mission, times[seen], positions[seen]) if len(seen) else {}
-    radius = np.linalg.norm(positions, axis=2) - mission.scenario.safety.radius_min_m
-    kept = {SAFETY: (times, holds(radius, "m"))}
+    clear = safety_margins(mission.scene, times, positions)
+    kept = {name: (times, holds(margin, "m")) for name, margin in clear.items()}
     for name, margin in joint.items():
         kept[name] = times[seen], holds(margin, "m" if name == "site_distance" else "rad")
     return kept

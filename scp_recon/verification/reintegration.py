@@ -17,14 +17,14 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from formulations.arrays import Array, Indices
+from scp_recon.mission.constraints import safety_margins
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.schedule import MISS_WEIGHT
 from scp_recon.monte_carlo.estimates import CONFIDENCE
 from scp_recon.monte_carlo.observation_time import observation_margins
 from scp_recon.monte_carlo.sampling import fly_block
 from scp_recon.physics import geometry
-from scp_recon.physics.forces import ForceModel, acceleration
-from scp_recon.physics.harmonics import Turn
+from scp_recon.physics.forces import ForceModel, Moment, acceleration
 from scp_recon.results.facts import BurnLimit, FinalMiss, FinalSigma, MeanMargin, Verification
 from scp_recon.results.figures import is_converged, is_strange
 from scp_recon.results.policy import Policy
@@ -210,7 +210,7 @@ def integrated(mission: Mission, state: Array, span: tuple[float, float], **look
     `looks` says where it is looked at, as `solve_ivp` takes it.
     """
     return solve_ivp(
-        lambda t, y: variational_rate(y, mission.forces, mission.forces.turn(t)),
+        lambda t, y: variational_rate(y, mission.forces, mission.forces.moment(t)),
         span,
         np.concatenate([state, np.eye(6).ravel()]),
         method="DOP853",
@@ -220,7 +220,7 @@ def integrated(mission: Mission, state: Array, span: tuple[float, float], **look
     )
 
 
-def variational_rate(y: Array, forces: ForceModel, turn: Turn | None = None) -> Array:
+def variational_rate(y: Array, forces: ForceModel, moment: Moment | None = None) -> Array:
     """d/dt of the state and the flattened STM, shape (42,).
 
     The gravity gradient is a complex step of the acceleration: exact to roundoff and independent of
@@ -228,7 +228,7 @@ def variational_rate(y: Array, forces: ForceModel, turn: Turn | None = None) -> 
     """
     step = 1e-20
     r = y[:3, None] + 1j * step * np.eye(3)
-    columns = np.stack(acceleration(r[0], r[1], r[2], forces, turn))
+    columns = np.stack(acceleration(r[0], r[1], r[2], forces, moment))
     stm = y[6:].reshape(6, 6)
     stm_rate = np.concatenate([stm[3:], columns.imag / step @ stm[:3]])
     return np.concatenate([y[3:6], columns.real[:, 0], stm_rate.ravel()])
@@ -287,10 +287,10 @@ def _mean_margins(mission: Mission, flown: _Flown) -> list[MeanMargin]:
     window = (flown.times >= first) & (flown.times <= last)
     times = flown.times[window]
     margins = observation_margins(mission, times, flown.states[window, :3])
-    radius = np.linalg.norm(flown.states[:, :3], axis=1) - mission.scenario.safety.radius_min_m
+    clear = safety_margins(mission.scene, flown.times, flown.states[:, :3])
     observed = margins.items() if len(times) else ()
     seen = [_worst(name, unit, times, margin) for name, (unit, margin) in observed]
-    return [_worst("safety_radius", "m", flown.times, radius), *seen]
+    return [*(_worst(name, "m", flown.times, margin) for name, margin in clear.items()), *seen]
 
 
 def _burn_margins(mission: Mission, burns: Array) -> list[MeanMargin]:

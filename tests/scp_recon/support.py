@@ -26,6 +26,21 @@ from scp_recon.scenario.load import load_scenario, validate_scenario
 from scp_recon.scenario.schema import Scenario
 from scp_recon.verification import probabilities, reintegration
 
+COMPANION: dict[str, object] = {
+    "name": "Second",
+    "gm_m3_s2": 0.05,
+    "radius_m": 60.0,
+    "semi_major_axis_m": 950.0,
+    "eccentricity": 0.05,
+    "period_h": 22.99224,
+    "pole_ra_deg": 5.0,
+    "pole_dec_deg": -10.0,
+    "periapsis_deg": 40.0,
+    "mean_anomaly_deg": 30.0,
+    "epoch_tdb": "2020-01-20T00:00:00",
+}
+"""A companion of Bennu, made up: 1 % of its GM, with the period of its orbit."""
+
 
 def mission_of(*overrides: str) -> Mission:
     return Mission.from_scenario(load_scenario(None, overrides))
@@ -73,8 +88,8 @@ def integrate(
 ) -> Array:
     """States at `times` by SciPy's DOP853, the first at times[0]; an oracle for the flow map."""
 
-    def rate(_: float, y: Array) -> Array:
-        return np.array([*y[3:], *acceleration(y[0], y[1], y[2], forces)])
+    def rate(t: float, y: Array) -> Array:
+        return np.array([*y[3:], *acceleration(y[0], y[1], y[2], forces, forces.moment(t))])
 
     answer = solve_ivp(
         rate, (times[0], times[-1]), state, "DOP853", times, rtol=rtol, atol=rtol * 1e-3

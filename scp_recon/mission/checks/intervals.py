@@ -236,6 +236,23 @@ def _entries(table: str, model: type[Section], ending: str) -> str:
     return " ".join(f"{table}.{key}" for key in model.model_fields if key.endswith(ending))
 
 
+def _kepler(scene: Scene, _: str) -> float | None:
+    """Of a companion, n^2 a^3 over the sum of both GM: Kepler's third law."""
+    other = scene.companion
+    if other is None:
+        return None
+    cubed = other.rate**2 * other.semi_major_axis**3
+    return cubed / (scene.scenario.body.gm_m3_s2 + other.gm)
+
+
+def _clear_m(scene: Scene, _: str) -> float | None:
+    """How far apart two balls that hold body and companion are where the companion is nearest."""
+    other, body = scene.scenario.body.companion, scene.scenario.body
+    if other is None:
+        return None
+    return other.semi_major_axis_m * (1.0 - other.eccentricity) - body.reference_radius_m
+
+
 RUBBLE_RADIUS_M = 150.0
 """Above it a body without strength breaks up where it turns too fast: Pravec & Harris 2000."""
 RADIAN_DEG = 0.5 * math.pi
@@ -309,6 +326,16 @@ INTERVALS = (
         "body.j2", "of a body that is not packaged",
         lambda s, _: None if packaged_body(s.scenario.body.name) else s.scenario.body.j2,
         warn=J2_ENDS, hint="; unnormalised, which is -sqrt(5) C20?",
+    ),
+    # Oblateness shortens the period by a per cent or two; in km/s or days it is far off.
+    Interval(
+        "body.companion.period_h", "n^2 a^3 over the sum of both GM", _kepler,
+        refuse=(0.8, 1.25), warn=(0.95, 1.05), hint=", by Kepler's third law",
+    ),
+    Interval(
+        "body.companion.semi_major_axis_m", "from the surface at the nearest", _clear_m, "m",
+        refuse=(1.0, INF), hint=", outside the body",
+        scale=(lambda s, _: _given(s, "body.companion.radius_m"), "of its radii"),
     ),
     # Of a surface point: an elongated body reaches beyond its mean radius.
     Interval(

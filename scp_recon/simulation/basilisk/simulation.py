@@ -13,6 +13,7 @@ from Basilisk.utilities import SimulationBaseClass, macros
 from scipy.spatial.transform import Rotation
 
 from formulations.arrays import Array
+from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.closed_loop import MEASURED
 from scp_recon.monte_carlo.sampling import AnyPolicy, policy_kind, start_loop
@@ -104,9 +105,14 @@ def simulate(
     cut-offs, from the true state then with the errors of its measurement.
 
     Raises:
-        InputError: if the solution's scenario has no window or breaks a rule of the schedule.
+        InputError: if the solution's scenario has no window or breaks a rule of the schedule, or its
+            body a companion.
     """
     mission = solution.mission
+    if (companion := mission.scenario.body.companion) is not None:
+        raise InputError(
+            "body.companion", companion.name, "cannot be simulated: only the body pulls there"
+        )
     plan = FlightPlan.of(solution, mission, vehicle)
     times = CONTROL_PERIOD_S * np.arange(round(plan.end_s / CONTROL_PERIOD_S) + 1.0)
     factor = mission.initial_factor

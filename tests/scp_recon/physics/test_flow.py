@@ -18,7 +18,7 @@ from scp_recon.mission.mission import Mission
 from scp_recon.physics.flow import differentiate, interpolate, propagate
 from scp_recon.physics.forces import ForceModel, acceleration
 from scp_recon.planning.planner import Plan
-from tests.scp_recon.support import burns_of, fly, integrate
+from tests.scp_recon.support import COMPANION, burns_of, fly, integrate
 
 ARC_S = 232.0
 SUBSTEPS = 2
@@ -91,17 +91,37 @@ def test_sensitivities_are_the_derivatives_of_the_scheme(
         assert np.abs(getattr(ours, name)[0] - truth).max() < 1e-12 * np.abs(truth).max(), name
 
 
-@pytest.mark.parametrize("degree", [None, 4])
+def surroundings(forces: ForceModel, t: ca.SX) -> list[list[ca.SX]]:
+    """What `ForceModel.moment` gives, over symbols: the axes of the IAU, and Kepler's ellipse."""
+    rows = [[ca.SX(0.0)] * 3] * 4
+    if forces.field is not None:
+        rotation = forces.field.rotation
+        node, across, pole = rotation.equator
+        w = rotation.meridian + rotation.rate * t + 0.5 * rotation.acceleration * t**2
+        x, y = ca.cos(w) * node + ca.sin(w) * across, ca.cos(w) * across - ca.sin(w) * node
+        rows[:3] = [ca.vertsplit(x), ca.vertsplit(y), [ca.SX(part) for part in pole]]
+    if (other := forces.companion) is not None:
+        mean, e = other.mean_anomaly + other.rate * t, other.eccentricity
+        anomaly = reduce(lambda found, _: mean + e * ca.sin(found), range(30), mean)
+        along = (ca.cos(anomaly) - e, np.sqrt(1.0 - e**2) * ca.sin(anomaly))
+        place = sum(part * axis for part, axis in zip(along, other.axes, strict=True))
+        rows[3] = ca.vertsplit(other.semi_major_axis * place)
+    return rows
+
+
+@pytest.mark.parametrize(
+    "entries", [{}, {"body.planned_degree": 4}, {"body.companion": COMPANION}], ids=str
+)
 def test_an_expression_of_the_same_forces_gives_the_same_flow(
-    degree: int | None, mission: Mission, default_plan: Plan
+    entries: dict[str, object], mission: Mission, default_plan: Plan
 ) -> None:
-    if degree is not None:
-        mission = mission.changed({"body.planned_degree": degree})
+    if entries:
+        mission = mission.changed(entries)
     flow, starts = mission.flow, default_plan.final.result.lin.iterate.mean[:-1]
     times, forces = mission.times_s / mission.units.time_s, flow.forces
 
     def rate(r: ca.SX, _v: ca.SX, t: ca.SX, _p: ca.SX) -> tuple[ca.SX, ...]:
-        return acceleration(r[0], r[1], r[2], forces, forces.turn(t, ca))
+        return acceleration(r[0], r[1], r[2], forces, surroundings(forces, t))
 
     other = ExpressionFlow(rate, times, substeps=flow.substeps)
     ours, theirs = flow.differentiate(starts), other.differentiate(starts)

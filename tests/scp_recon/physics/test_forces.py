@@ -16,6 +16,7 @@ from scp_recon.mission.mission import Mission
 from scp_recon.physics.forces import (
     ForceModel,
     acceleration,
+    accelerations,
     gravity_curvature,
     gravity_gradient,
 )
@@ -23,7 +24,7 @@ from scp_recon.physics.frames import Rotation
 from scp_recon.physics.harmonics import HarmonicField, TurningField
 from scp_recon.scenario.load import load_scenario
 from tests import reference
-from tests.scp_recon.support import mission_of
+from tests.scp_recon.support import COMPANION, mission_of
 
 Derivatives = Callable[[Array], list[Array]]
 
@@ -41,11 +42,21 @@ def at(position: Array, forces: ForceModel) -> Array:
     return np.array(acceleration(*position, forces))
 
 
+TIME_S = 5000.0
+
+
+@pytest.fixture(scope="module", params=[False, True], ids=["alone", "with a companion"])
+def forces(request: pytest.FixtureRequest, mission: Mission) -> ForceModel:
+    return (
+        mission.changed({"body.companion": COMPANION}).forces if request.param else mission.forces
+    )
+
+
 @pytest.fixture(scope="module")
-def differentiated(mission: Mission) -> Derivatives:
+def differentiated(forces: ForceModel) -> Derivatives:
     """CasADi's acceleration, gradient and second derivative of the library's `acceleration`."""
     r = ca.SX.sym("r", 3)
-    value = ca.vertcat(*acceleration(r[0], r[1], r[2], mission.forces))
+    value = ca.vertcat(*acceleration(r[0], r[1], r[2], forces, forces.moment(TIME_S)))
     gradient = ca.jacobian(value, r)
     second = [ca.jacobian(gradient[i, :].T, r) for i in range(3)]
     function = ca.Function("f", [r], [value, gradient, *second])
@@ -84,13 +95,14 @@ def test_acceleration_is_the_gradient_of_the_potential(
 
 @given(position=positions())
 def test_closed_form_derivatives_are_those_of_the_acceleration(
-    position: Array, mission: Mission, differentiated: Derivatives
+    position: Array, forces: ForceModel, differentiated: Derivatives
 ) -> None:
     value, gradient, curvature = differentiated(position)
+    moment = forces.moment(TIME_S)
     closed_forms = (
-        (at(position, mission.forces), value),
-        (gravity_gradient(position[None], mission.forces)[0], gradient),
-        (gravity_curvature(position[None], mission.forces)[0], curvature),
+        (accelerations(position[:, None], forces, moment)[:, 0], value),
+        (gravity_gradient(position[None], forces, moment)[0], gradient),
+        (gravity_curvature(position[None], forces, moment)[0], curvature),
     )
     for closed_form, expected in closed_forms:
         assert np.abs(closed_form - expected).max() < 1e-12 * np.abs(expected).max()
@@ -185,16 +197,15 @@ def test_derivatives_of_a_turning_field_are_those_of_its_acceleration(
 ) -> None:
     rotation = Rotation(1.5, -1.05, 0.7, 4.06e-4, 1e-12)
     field = TurningField(HarmonicField.bennu(GM, degree), rotation)
-    matrix, angle = rotation.body_to_j2000(time), rotation.angle(time)
-    position, turn = harmonics_at(direction, radius), (np.cos(angle), np.sin(angle))
+    matrix, position = rotation.body_to_j2000(time), harmonics_at(direction, radius)
     r = ca.SX.sym("r", 3)
-    value = ca.vertcat(*field.acceleration(r[0], r[1], r[2], turn))
+    value = ca.vertcat(*field.acceleration(r[0], r[1], r[2], matrix.T))
     first = ca.jacobian(value, r)
     outputs = [value, first, *(ca.jacobian(first[i, :].T, r) for i in range(3))]
     own, slope, *bend = (np.array(x) for x in ca.Function("f", [r], outputs)(position))
     fixed = matrix @ evaluate(field.field, matrix.T @ position)
     for order, expected in ((0, fixed), (0, own[:, 0]), (1, slope), (2, np.stack(bend))):
-        found = field.derivatives(position[:, None], turn, order)[..., 0]
+        found = field.derivatives(position[:, None], matrix.T, order)[..., 0]
         assert np.abs(found - expected).max() < 1e-12 * np.abs(expected).max()
 
 

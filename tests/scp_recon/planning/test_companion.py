@@ -1,0 +1,118 @@
+"""A second body: it pulls as Newton says, and flights keep out of a ball that moves with it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from formulations.arrays import Array
+from formulations.problem.regions import Ball
+from scp_recon.errors import InputError
+from scp_recon.mission.constraints import COMPANION as NAME
+from scp_recon.mission.mission import Mission
+from scp_recon.monte_carlo.flights import FlightConfig, fly_many
+from scp_recon.monte_carlo.whole_flight import kept_flights
+from scp_recon.planning.initial_guess import ballistic
+from scp_recon.planning.planner import Plan, plan
+from scp_recon.results.solution import make_solution
+from scp_recon.verification.reintegration import verify
+from tests.helpers import nightly
+from tests.scenarios import COARSE
+from tests.scp_recon.support import COMPANION, fly_few, integrate, mission_of
+
+
+def test_a_companion_moves_and_pulls_as_three_bodies_do() -> None:
+    """Newton's law for three bodies in an inertial frame, with none of the library's arithmetic."""
+    mission = mission_of().changed({"body.companion": COMPANION})
+    forces = replace(mission.forces, j2_strength=0.0, srp=np.zeros(3))
+    other, state = mission.scene.companion, mission.initial_state
+    assert other is not None
+    gms, step = np.array([forces.gm, other.gm, 0.0]), 1.0
+    moving = (other.position(step) - other.position(-step)) / (2.0 * step)
+    start = np.array(
+        [[np.zeros(3), other.position(0.0), state[:3]], [np.zeros(3), moving, state[3:]]]
+    )
+
+    def rate(_: float, y: Array) -> Array:
+        r, v = y.reshape(2, 3, 3)
+        apart = r[:, None] - r
+        far = np.linalg.norm(apart, axis=2) + np.eye(3)
+        return np.concatenate(
+            [v.ravel(), -np.einsum("j,ijk->ik", gms, apart / far[..., None] ** 3).ravel()]
+        )
+
+    end = solve_ivp(rate, (0.0, 20_000.0), start.ravel(), "DOP853", rtol=1e-12, atol=1e-9).y[:9, -1]
+    body, second, craft = end.reshape(3, 3)
+    # The period is that of the semi-major axis to 1e-6.
+    assert other.position(20_000.0) == pytest.approx(second - body, abs=0.02)
+    flown = integrate(forces, state, [0.0, 20_000.0])[-1]
+    alone = integrate(forces.autonomous, state, [0.0, 20_000.0])[-1]
+    assert np.linalg.norm(flown[:3] - (craft - body)) < 0.05
+    assert np.linalg.norm(alone[:3] - (craft - body)) > 10.0
+
+
+def in_the_way(*overrides: str) -> Mission:
+    """The companion where the default plan passes at 25000 s, 250 m to keep from its centre."""
+    orbit = {"semi_major_axis_m": 1000.0, "eccentricity": 0.0, "period_h": 24.90673}
+    pole = {"pole_ra_deg": 184.9, "pole_dec_deg": 0.0, "gm_m3_s2": 0.02}
+    since = {"epoch_tdb": "2020-01-22T03:29:57", "mean_anomaly_deg": 5.8, "periapsis_deg": 0.0}
+    entries = {"body.companion": COMPANION | orbit | pole | since}
+    return mission_of(COARSE, "safety.companion_distance_min_m=250", *overrides).changed(entries)
+
+
+EXACT, FLIGHT = "risk.allocation=exact", "risk.scope=flight"
+
+
+@pytest.mark.parametrize(
+    "overrides",
+    [(EXACT,), *(pytest.param(rest, marks=nightly) for rest in ((), (EXACT, FLIGHT)))],
+    ids=str,
+)
+def test_a_plan_keeps_out_of_the_moving_ball(
+    overrides: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fly_few(monkeypatch)
+    mission = in_the_way(*overrides)
+    planned = plan(mission, ballistic(mission))
+    checked = verify(mission, make_solution(planned))
+    assert checked.ok, checked.failed
+    (margin,) = (m for m in checked.mean_margins if m.name == NAME)
+    assert 0.0 < margin.worst_margin < 20.0  # it binds
+    (chance,) = (p for p in checked.probabilities if p.name == NAME)
+    assert chance.low < 1.0
+    assert chance.high > 0.7
+    kept = kept_flights(mission, planned.burns_m_s, 200, 0)
+    assert kept.throughout[NAME] / 200 == pytest.approx(chance.estimate, abs=0.1)
+
+
+def test_flights_through_the_ball_are_counted_as_lost(default_plan: Plan) -> None:
+    counts = []
+    for mission in (mission_of(COARSE), in_the_way()):
+        flown = fly_many(FlightConfig(mission, default_plan.burns_m_s), samples=200)
+        counts.append((flown.whole, kept_flights(mission, default_plan.burns_m_s, 200, 0).whole))
+    assert min(counts[0]) > 150
+    assert max(counts[1]) < 10
+
+
+def test_the_distance_to_keep_is_the_companions_radius_if_none_is_given() -> None:
+    mission = mission_of().changed({"body.companion": COMPANION})
+    (found,) = (c for c in mission.problem.constraints if c.name == NAME)
+    assert isinstance(found.region, Ball)
+    assert found.region.radius * mission.units.length_m == pytest.approx(60.0)
+
+
+@pytest.mark.parametrize(
+    ("changes", "entry"),
+    [
+        ({"period_h": 30.0}, "body.companion.period_h"),
+        ({"semi_major_axis_m": 300.0, "period_h": 4.0803}, "body.companion.semi_major_axis_m"),
+        ({"epoch_tdb": "2020-01-20T00:00:00Z"}, "body.companion.epoch_tdb"),
+    ],
+)
+def test_an_orbit_that_cannot_be_is_refused(changes: dict[str, object], entry: str) -> None:
+    with pytest.raises(InputError) as refused:
+        mission_of().changed({"body.companion": COMPANION | changes})
+    assert refused.value.entry == entry
