@@ -7,7 +7,7 @@ from pathlib import Path
 from tests.fast import function_of, named_slow, slow_functions
 
 
-def test_the_cheapest_go_first() -> None:
+def test_the_cheapest_go_first():
     calls = {"a::dear": 5.0, "b::cheap": 1.0, "c::one": 0.5, "c::two": 0.5}
     both = ["c::one", "c::two"]
     assert slow_functions(calls, {"c": 3.0}, both, budget_s=5.0) == ["a::dear"]
@@ -16,7 +16,7 @@ def test_the_cheapest_go_first() -> None:
     assert slow_functions(calls, {}, (), budget_s=8.0) == []
 
 
-def test_a_slow_function_is_one_that_is_there() -> None:
+def test_a_slow_function_is_one_that_is_there():
     root = Path(__file__).parents[1]
     for name in named_slow():
         path, function = function_of(name).rsplit("::", 1)

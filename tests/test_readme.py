@@ -403,7 +403,7 @@ def is_due(line: str) -> bool:
 
 
 @pytest.mark.parametrize("line", [line for line in MODULES if is_due(line)])
-def test_a_command_that_is_shown_runs(line: str, workspace: Workspace) -> None:
+def test_a_command_that_is_shown_runs(line, workspace):
     assert line in QUICK, f"{SHOWN[line]} shows it, and QUICK does not say how to run it here"
     workspace.run(line)
 
@@ -412,7 +412,7 @@ def test_a_command_that_is_shown_runs(line: str, workspace: Workspace) -> None:
     "name",
     [n for n, s in SOURCES.items() if (line := f"python -m {s.command}") in QUICK and is_due(line)],
 )
-def test_a_study_writes_the_columns_that_the_pages_show(name: str, workspace: Workspace) -> None:
+def test_a_study_writes_the_columns_that_the_pages_show(name, workspace):
     """Of evidence that is renewed nothing is missing."""
     line = f"python -m {SOURCES[name].command}"
     workspace.run(line)
@@ -429,13 +429,11 @@ def test_a_study_writes_the_columns_that_the_pages_show(name: str, workspace: Wo
         assert not written or not missing, table
 
 
-def test_no_entry_is_left_of_a_line_that_is_shown_no_more() -> None:
+def test_no_entry_is_left_of_a_line_that_is_shown_no_more():
     assert {*QUICK, *APART} - SHOWN.keys() == set()
 
 
-def test_modules_options_and_files_that_are_shown_exist(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_modules_options_and_files_that_are_shown_exist(capsys, monkeypatch):
     """Also of what is run with other ones, or not at all."""
     monkeypatch.setenv("COLUMNS", "200")
     helps: dict[tuple[str, ...], str] = {}
@@ -459,7 +457,7 @@ def test_modules_options_and_files_that_are_shown_exist(
             assert re.search(rf"{option}\b", helps[key]), f"{key} has no option {option}"
 
 
-def test_targets_that_are_shown_exist_and_do_what_is_said() -> None:
+def test_targets_that_are_shown_exist_and_do_what_is_said():
     makefile = (PROJECT / "Makefile").read_text("utf-8")
     recipes = dict(re.findall(r"^(\w+):.*\n((?:\t.*\n)*)", makefile, re.MULTILINE))
     for line in (line for line in SHOWN if line.startswith("make ")):
@@ -470,7 +468,7 @@ def test_targets_that_are_shown_exist_and_do_what_is_said() -> None:
         assert f"python -m {words}" in recipes[target]
 
 
-def test_one_target_installs_every_extra_that_a_command_may_need() -> None:
+def test_one_target_installs_every_extra_that_a_command_may_need():
     """All but those of who works on this repository."""
     project = tomllib.loads((PROJECT / "pyproject.toml").read_text("utf-8"))["project"]
     extras = project["optional-dependencies"]
@@ -500,7 +498,7 @@ def snippets_of(page: Path) -> dict[str, list[str]]:
     return found
 
 
-def test_scenarios_that_are_shown_are_read(tmp_path: Path) -> None:
+def test_scenarios_that_are_shown_are_read(tmp_path):
     for block in (block for page in PAGES for block in snippets_of(page)["toml"]):
         if "campaign" in (tables := tomllib.loads(block)):
             assert len(Study.validated(tables).cases) > 1
@@ -513,9 +511,7 @@ SHOWING_PYTHON = {page.name: found for page in PAGES if (found := snippets_of(pa
 
 
 @pytest.mark.parametrize("page", SHOWING_PYTHON)
-def test_python_that_is_shown_runs(
-    page: str, workspace: Workspace, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_python_that_is_shown_runs(page, workspace, monkeypatch):
     """One snippet of a page after the other, as in one session, with fewer flights."""
     monkeypatch.chdir(workspace.folder)
     names: dict[str, object] = {}
@@ -524,7 +520,7 @@ def test_python_that_is_shown_runs(
         exec(compile(few, page, "exec"), names)
 
 
-def test_the_readme_shows_python_and_every_link_leads_somewhere() -> None:
+def test_the_readme_shows_python_and_every_link_leads_somewhere():
     assert "README.md" in SHOWING_PYTHON
     for page in (*PAGES, PROJECT / "CHANGELOG.md", *(PROJECT / "docs").glob("reference/*.md")):
         for target in re.findall(r"\]\(([^)#]+)", page.read_text("utf-8")):

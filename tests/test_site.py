@@ -23,14 +23,14 @@ EXTERNAL = sorted(
 )
 
 
-def test_every_public_name_is_on_the_page_of_python() -> None:
+def test_every_public_name_is_on_the_page_of_python():
     page = (PROJECT / "docs" / "api.md").read_text("utf-8")
     assert sorted(re.findall(r"^::: scp_recon\.(\w+)$", page, re.MULTILINE)) == scp_recon.__all__
 
 
 @nightly
 @pytest.mark.parametrize("link", EXTERNAL)
-def test_external_links_answer(link: str) -> None:
+def test_external_links_answer(link):
     request = urllib.request.Request(link, headers={"User-Agent": "Mozilla/5.0"})
     try:
         with urllib.request.urlopen(request, timeout=30) as answer:

@@ -10,7 +10,7 @@ import pytest
 
 import benchmarks.__main__ as command
 from benchmarks import waits
-from benchmarks.growth import STUDIES, Study
+from benchmarks.growth import STUDIES
 from benchmarks.methods import METHODS, Timed
 from benchmarks.tables import method_rows, ratio_rows
 from experiments.evidence import FILE, Evidence
@@ -35,9 +35,7 @@ def figures() -> dict[str, Timed]:
     return found
 
 
-def test_a_run_leaves_the_figures_as_evidence(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_run_leaves_the_figures_as_evidence(tmp_path, monkeypatch):
     """Of what ran before a stop it keeps the rows."""
     ran: list[str] = []
 
@@ -64,7 +62,7 @@ def test_a_run_leaves_the_figures_as_evidence(
     assert ratios["command line, s"] == 1.5
 
 
-def test_ratios_are_of_the_methods_they_name() -> None:
+def test_ratios_are_of_the_methods_they_name():
     rows = ratio_rows(figures(), {"solve": 1.5, "import cvxpy": 0.75})
     found = {row["figure"]: row["value"] for row in rows}
     assert found["IPOPT as printed over SCP, first plan of a process"] == pytest.approx(100)
@@ -80,7 +78,7 @@ def test_ratios_are_of_the_methods_they_name() -> None:
     assert found["command line over importing CVXPY"] == pytest.approx(2.0)
 
 
-def test_a_row_says_what_is_not_verified_and_how_far_it_is_off() -> None:
+def test_a_row_says_what_is_not_verified_and_how_far_it_is_off():
     found = figures()
     found["scp lifted"] = replace(PLANNED, verified=False, total_dv_m_s=0.14014)
     rows = {row["method"]: row for row in method_rows(found)}
@@ -91,16 +89,14 @@ def test_a_row_says_what_is_not_verified_and_how_far_it_is_off() -> None:
 
 
 @pytest.mark.parametrize("study", STUDIES, ids=lambda study: study.name)
-def test_every_size_is_a_mission(study: Study) -> None:
+def test_every_size_is_a_mission(study):
     for size in study.sizes[:: len(study.sizes) - 1]:
         mission = Mission.from_scenario(load_scenario(None, study.overrides(size)))
         if study.name == "burns":
             assert len(mission.burn_nodes) == size
 
 
-def test_of_each_command_the_run_of_least_processor_time_counts(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_of_each_command_the_run_of_least_processor_time_counts(tmp_path, monkeypatch):
     took = itertools.count(1)
 
     def waited(name: str, _: Path) -> dict[str, object]:

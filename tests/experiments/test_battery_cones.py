@@ -37,7 +37,7 @@ def cones(scenario: Scenario, vehicle: Vehicle, panels: SolarArray) -> list[Reco
     return find_cones(panels, samples, mode_loads(vehicle, scenario), vehicle.loads.housekeeping_w)
 
 
-def test_panel_powers(panels: SolarArray) -> None:
+def test_panel_powers(panels):
     """Peaks of SP1 to SP5 by areas of 0.0286, 0.0676 and 0.36 m^2, 30 % cells and 1332 W/m^2."""
     assert panels.peak_w == pytest.approx([11.4, 27.0, 27.0, 143.9, 143.9], abs=0.05)
     sun = -np.eye(3)[0]
@@ -45,7 +45,7 @@ def test_panel_powers(panels: SolarArray) -> None:
     assert np.linalg.norm(panels.best_direction()) == pytest.approx(300.4, abs=0.2)
 
 
-def test_light_pushes_the_vehicle_as_its_areas_say(scenario: Scenario, vehicle: Vehicle) -> None:
+def test_light_pushes_the_vehicle_as_its_areas_say(scenario, vehicle):
     plates = Plates.of(vehicle)
     pressure = irradiance(scenario) / SPEED_OF_LIGHT_M_S
     cells, structure = 0.7486, 0.0614 + 0.036
@@ -54,9 +54,7 @@ def test_light_pushes_the_vehicle_as_its_areas_say(scenario: Scenario, vehicle: 
     assert pressure * to_panels[0] == pytest.approx(4.05e-6, rel=2e-3)
 
 
-def test_calibrated_cones_are_the_papers_and_others_what_the_panels_give(
-    cones: list[Record], panels: SolarArray
-) -> None:
+def test_calibrated_cones_are_the_papers_and_others_what_the_panels_give(cones, panels):
     found = {cone["mode"]: cone["half_angle_deg"] for cone in cones if cone["calibrated"]}
     assert found["delta-V, warm-up"] == pytest.approx(23.3, abs=TOLERANCE_DEG)
     assert found["observation"] == pytest.approx(18.2, abs=TOLERANCE_DEG)
@@ -67,7 +65,7 @@ def test_calibrated_cones_are_the_papers_and_others_what_the_panels_give(
         assert np.sin(np.deg2rad(cone["half_angle_deg"])) * most == pytest.approx(cone["load_w"])
 
 
-def test_samples_bracket_the_half_angles(cones: list[Record]) -> None:
+def test_samples_bracket_the_half_angles(cones):
     for cone in cones:
         inside, outside = (cone[f"sampled_{end}_deg"] for end in ("below_up_to", "met_from"))
         assert inside <= cone["half_angle_deg"] <= outside < inside + 0.2

@@ -109,9 +109,7 @@ def collect(
 # --- cells and rows -----------------------------------------------------------------------------
 
 
-def test_a_cell_that_fails_is_a_row_and_is_tried_again_but_for_one_at_its_limit(
-    tmp_path: Path,
-) -> None:
+def test_a_cell_that_fails_is_a_row_and_is_tried_again_but_for_one_at_its_limit(tmp_path):
     path = tmp_path / ROWS_FILE
     (first,) = collect(path, figures_of, CELLS[:1])
     rows = collect(path, raises)
@@ -128,7 +126,7 @@ def test_a_cell_that_fails_is_a_row_and_is_tried_again_but_for_one_at_its_limit(
         assert row.detail == "no end after 2 s"
 
 
-def test_a_cell_is_solved_as_the_planner_solves_it(mission: Mission) -> None:
+def test_a_cell_is_solved_as_the_planner_solves_it(mission):
     done = plan(mission, initial_guess.cold(mission))
     expected = done.final.result.lin.iterate.total_dv * mission.units.speed_m_s
     for start in ("cold", "p3"):
@@ -145,7 +143,7 @@ def test_a_cell_is_solved_as_the_planner_solves_it(mission: Mission) -> None:
 
 
 @pytest.mark.parametrize("name", PROBLEMS)
-def test_every_problem_is_crossed_with_every_method_and_repeated(name: str) -> None:
+def test_every_problem_is_crossed_with_every_method_and_repeated(name):
     cells = [cell for cell in crossing() if cell.scenario == name]
     assert {(cell.method, cell.repeat) for cell in cells} == {
         (method, repeat) for method in (*SCP_METHODS, *NLP_METHODS) for repeat in range(REPEATS)
@@ -155,7 +153,7 @@ def test_every_problem_is_crossed_with_every_method_and_repeated(name: str) -> N
     assert plan(mission, initial_guess.cold(mission)).status is Status.CONVERGED
 
 
-def test_uno_finds_the_optimum_that_scp_finds() -> None:
+def test_uno_finds_the_optimum_that_scp_finds():
     ours, theirs = (
         solve_cell(Cell("scenarios", "recon_b", (), method, "p3"), 0)
         for method in (REFERENCE, SHOOTING_UNO)
@@ -192,13 +190,11 @@ def held(rows: list[Row]) -> list[bool | None]:
     return [claim.holds for claim in claims(rows)]
 
 
-def test_claims_hold_where_the_rows_say_so() -> None:
+def test_claims_hold_where_the_rows_say_so():
     assert held(AGREEING) == [True, True, True, True, True, None, None, None, None]
 
 
-def test_the_command_leaves_its_tables_and_takes_up_its_rows(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_leaves_its_tables_and_takes_up_its_rows(tmp_path, monkeypatch, capsys):
     cells = (Cell("matrix", "recon_b", (), REFERENCE, "cold"),)
     monkeypatch.setattr(compare_solvers, "quick_design", lambda: cells)
     monkeypatch.setattr(compare_solvers, "exact_design", lambda *_: ())
@@ -236,9 +232,7 @@ def p3(exact: Mission) -> Linearisation:
 # --- the probability along rays -------------------------------------------------------------------
 
 
-def test_rays_agree_with_nested_quadrature_and_with_the_planner(
-    exact: Mission, planned: Plan
-) -> None:
+def test_rays_agree_with_nested_quadrature_and_with_the_planner(exact, planned):
     lin = planned.final.result.lin
     event = next(e for e in joint_events(exact.problem.constraints) if e.name == "emission")
     event = event.at(np.arange(len(event.nodes) - 4, len(event.nodes)))
@@ -262,7 +256,7 @@ def program(mission: Mission, rows: ProbabilityRows, start: Linearisation) -> Bu
 
 
 @pytest.mark.parametrize("scope", ["node", "flight"])
-def test_the_program_has_its_own_derivatives(scope: str, exact: Mission, planned: Plan) -> None:
+def test_the_program_has_its_own_derivatives(scope, exact, planned):
     problem, lin = exact.problem, planned.final.result.lin
     rows = NodeRows(problem, 0.9, 8192) if scope == "node" else FlightRow(problem, 0.9, 64)
     nlp, z = program(exact, rows, lin), lin.iterate.burns.ravel() + 1e-3
@@ -283,9 +277,7 @@ def test_the_program_has_its_own_derivatives(scope: str, exact: Mission, planned
 
 
 @pytest.mark.parametrize("solver", usually(["IPOPT", "SLSQP"], 1))
-def test_references_reach_the_planners_optimum(
-    solver: str, exact: Mission, planned: Plan, p3: Linearisation
-) -> None:
+def test_references_reach_the_planners_optimum(solver, exact, planned, p3):
     found = search(exact, {"P3": p3}, solver, 60.0)
     assert found.holds
     cost = np.linalg.norm(found.burns, axis=1).sum() * exact.units.speed_m_s
@@ -293,7 +285,7 @@ def test_references_reach_the_planners_optimum(
 
 
 @pytest.mark.parametrize("scope", ["node", "flight"])
-def test_the_check_finds_what_was_asked_and_what_was_not_met(scope: str, planned: Plan) -> None:
+def test_the_check_finds_what_was_asked_and_what_was_not_met(scope, planned):
     mission = Mission.from_scenario(load_scenario().replace(EXACT | {"risk.scope": scope}))
     burns = (
         planned.burns_m_s
@@ -332,7 +324,7 @@ def rows_with(ours: float, theirs: Array | list[float], **about: object) -> list
     return [make(**about), *map(exact_row, others, theirs)]  # type: ignore[arg-type]
 
 
-def test_the_best_of_all_is_what_a_plan_is_held_against() -> None:
+def test_the_best_of_all_is_what_a_plan_is_held_against():
     rows = rows_with(0.1002, [0.11, 0.1])
     (verdict,) = verdicts(rows)
     assert verdict.excess == pytest.approx(2e-3)
@@ -342,7 +334,7 @@ def test_the_best_of_all_is_what_a_plan_is_held_against() -> None:
     assert "not in: node 00 (+0.33 %)" in exact_claims(dear)[0].measured
 
 
-def test_what_misses_the_probability_or_did_not_converge_is_no_answer() -> None:
+def test_what_misses_the_probability_or_did_not_converge_is_no_answer():
     rows = rows_with(0.1, [0.09, 0.1])
     assert verdicts(rows)[0].excess > WITHIN
     rows[1] = replace(rows[1], reached=0.85)

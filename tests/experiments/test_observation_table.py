@@ -55,9 +55,7 @@ def p3() -> Row:
     return next(row for row in rows(ipopt=False) if row.key == "p3")
 
 
-def test_every_statement_has_its_outcome(
-    measured: list[Record], finished: tuple[Path, str]
-) -> None:
+def test_every_statement_has_its_outcome(measured, finished):
     """The plan's flights break distance more often, the surrogate's emission, as the paper says."""
     found = {each.parts[1]: each.same for each in statements(measured)}
     more = "emission is violated more often than distance"
@@ -85,9 +83,7 @@ def test_every_statement_has_its_outcome(
     assert all(f"| {row['statement']} | {row['criterion']} | " in page for row in written)
 
 
-def test_under_a_still_sun_the_site_is_lit_for_as_long_as_its_turning_says(
-    mission: Mission,
-) -> None:
+def test_under_a_still_sun_the_site_is_lit_for_as_long_as_its_turning_says(mission):
     """The incidence's cosine then is a sinusoid of the body's turning alone."""
     pole, sun = mission.rotation.pole, mission.sun_direction(0.0)
     normal = geometry.track(mission.site, mission.rotation, np.zeros(1)).normal[0]
@@ -100,7 +96,7 @@ def test_under_a_still_sun_the_site_is_lit_for_as_long_as_its_turning_says(
     assert still_sun_window_s(Mission.from_scenario(given)) == ""
 
 
-def test_the_middle_of_two_points_of_a_facet_lies_beyond_it(finished: tuple[Path, str]) -> None:
+def test_the_middle_of_two_points_of_a_facet_lies_beyond_it(finished):
     """By the difference of one over the root of two and a half, of the facet's spread."""
     plan = read_solution(finished[0] / "scp_cold")
     facets = plan.facets
@@ -113,9 +109,7 @@ def test_the_middle_of_two_points_of_a_facet_lies_beyond_it(finished: tuple[Path
     assert middle_beyond_facet_m(read_solution(finished[0] / "p3")) == ""
 
 
-def test_a_variant_is_planned_and_flown_in_its_own_mission(
-    mission: Mission, tmp_path: Path
-) -> None:
+def test_a_variant_is_planned_and_flown_in_its_own_mission(mission, tmp_path):
     """It stands in no table of the paper's rows."""
     row = next(row for row in variants(mission.scenario) if row.key == "p3_j2000")
     found, _ = run_row(row, mission, tmp_path, samples=100, check=False)
@@ -127,7 +121,7 @@ def test_a_variant_is_planned_and_flown_in_its_own_mission(
     assert standing_for(row.printed, [found]) == []
 
 
-def test_a_rerun_takes_up_what_is_complete(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_rerun_takes_up_what_is_complete(copy, capsys):
     before = {path: path.stat().st_mtime_ns for path in copy.glob("*/*.json")}
     table = (copy / "observation_table.csv").read_text("utf-8")
     assert study(*QUICK, "--out", str(copy)) == 0
@@ -140,9 +134,7 @@ def failing(_: Mission) -> Solution:
     raise RuntimeError("the solver\nlost its way")
 
 
-def test_a_failed_row_says_so_and_the_others_run(
-    copy: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_failed_row_says_so_and_the_others_run(copy, monkeypatch, capsys):
     first, *others = rows(ipopt=False)
     broken = (replace(first, key="broken", design=failing), *others)
     monkeypatch.setattr(observation_table, "rows", lambda **_: broken)
@@ -173,14 +165,14 @@ def kernel(mission: Mission, flight: Array, tmp_path_factory: pytest.TempPathFac
     return write_kernel(tmp_path_factory.mktemp("kernel") / "flight.bsp", mission, flight)
 
 
-def test_states_come_back_from_the_kernel(mission: Mission, kernel: Path, flight: Array) -> None:
+def test_states_come_back_from_the_kernel(mission, kernel, flight):
     np.testing.assert_allclose(read_states(mission, kernel), flight, rtol=1e-12, atol=1e-9)
     assert spiceypy.ktotal("ALL") == 0  # and the kernel is put back
 
 
 def test_fitted_impulses_follow_a_burn_that_was_fired_away_from_the_firing_times(
-    mission: Mission, kernel: Path, flight: Array, tmp_path: Path
-) -> None:
+    mission, kernel, flight, tmp_path
+):
     burns, distance_m = as_flown_burns(mission, kernel, tmp_path / "states.csv")
     flown = initial_guess.from_burns(mission, burns).mean * mission.units.state
     window = mission.window_nodes
@@ -194,9 +186,7 @@ def test_fitted_impulses_follow_a_burn_that_was_fired_away_from_the_firing_times
     assert np.linalg.norm(lost[window, :3] - flown[window, :3] / mission.units.length_m) > 0.1
 
 
-def test_a_kernel_that_does_not_cover_the_flight_exits_with_two(
-    mission: Mission, kernel: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_kernel_that_does_not_cover_the_flight_exits_with_two(mission, kernel, tmp_path, capsys):
     later = mission.scenario.model_copy(
         update={"epoch": Epoch(tdb=mission.scenario.epoch.tdb + timedelta(days=1))}
     )

@@ -3,22 +3,18 @@
 from __future__ import annotations
 
 import importlib.util
-from pathlib import Path
 
 import pytest
 
 from experiments.__main__ import main
 from experiments.peers import openscvx, study
-from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
 
 MISSING = importlib.util.find_spec("openscvx") is None or importlib.util.find_spec("scocp") is None
 
 
 @pytest.mark.skipif(not MISSING, reason="the peers are installed")
-def test_without_them_the_command_names_the_extra(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_without_them_the_command_names_the_extra(tmp_path, capsys):
     assert main(["peers", "--out", str(tmp_path)]) == 2
     assert "scp_recon[peers]" in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
@@ -30,14 +26,14 @@ def halo() -> study.Halo:
 
 
 @pytest.mark.parametrize("algorithm", ["scvx", "ptr", "scvx-star"])
-def test_every_algorithm_solves_the_transfer(halo: study.Halo, algorithm: str) -> None:
+def test_every_algorithm_solves_the_transfer(halo, algorithm):
     """PTR too, whose longer steps promise what curvature takes back."""
     row = halo.row(("condensed", algorithm))
     assert row["status"] == "converged"
     assert row["cost"] == pytest.approx(0.1945583, abs=3e-7)
 
 
-def test_burns_of_the_transfer_are_flown_by_another_integrator(halo: study.Halo) -> None:
+def test_burns_of_the_transfer_are_flown_by_another_integrator(halo):
     row = halo.row(("condensed", "scvx"), 0)
     assert (row["status"], row["seed"]) == ("converged", 0)
     assert row["cost"] == pytest.approx(0.1945583, abs=2e-7)
@@ -47,7 +43,7 @@ def test_burns_of_the_transfer_are_flown_by_another_integrator(halo: study.Halo)
     assert halo.missed(plan.burns * 1.01) > study.MISSED
 
 
-def test_what_counts_as_solved() -> None:
+def test_what_counts_as_solved():
     def row(status: str, cost: float, missed: float, method: str = "a") -> study.Record:
         told = {"status": status, "cost": cost, "missed": missed, "method": method}
         return told | {"iterations": 3, "solve_s": 0.5}
@@ -64,21 +60,21 @@ def test_what_counts_as_solved() -> None:
     assert [line[:4] for line in lines] == [["a", 5, 4, 2], ["b", 1, 1, 0]]
 
 
-def test_our_row_of_p3_flies_the_burns_that_it_reports(mission: Mission) -> None:
+def test_our_row_of_p3_flies_the_burns_that_it_reports(mission):
     row = study.p3_row(mission, initial_guess.ballistic(mission), "scvx", "CLARABEL")
     assert (row["problem"], row["status"]) == ("P3", "converged")
     assert row["cost"] == pytest.approx(0.107723, abs=2e-6)
     assert row["missed"] < 1e-3
 
 
-def test_its_nodes_are_those_of_window_and_burns_and_few_others(mission: Mission) -> None:
+def test_its_nodes_are_those_of_window_and_burns_and_few_others(mission):
     nodes = openscvx.nodes_of(mission, 5)
     assert {*mission.window_nodes, *mission.burn_nodes} <= {*nodes}
     assert len(nodes) < len(mission.times_s)
 
 
 @pytest.mark.skipif(MISSING, reason="the peers are not installed")
-def test_scocp_finds_the_optimum_of_its_own_test(halo: study.Halo) -> None:
+def test_scocp_finds_the_optimum_of_its_own_test(halo):
     row = halo.row("scocp")
     assert (row["status"], row["iterations"]) == ("converged", 85)
     assert row["cost"] == pytest.approx(0.1945583, abs=2e-7)

@@ -27,7 +27,7 @@ from tests.scenarios import COARSE
 from tests.scp_recon.support import fly_few
 
 
-def test_a_row_is_the_plan_that_its_case_describes(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_row_is_the_plan_that_its_case_describes(monkeypatch):
     fly_few(monkeypatch)
     monkeypatch.setattr(plans, "FLIGHTS", 200)
     monkeypatch.setitem(plans.PLANS, "tangent", plans.TANGENT)
@@ -39,13 +39,13 @@ def test_a_row_is_the_plan_that_its_case_describes(monkeypatch: pytest.MonkeyPat
 
 
 @pytest.mark.parametrize("name", [*plans.PLANS, *plans.DESIGNS])
-def test_every_case_is_a_scenario(name: str) -> None:
+def test_every_case_is_a_scenario(name):
     base, changes = plans.DESIGNS.get(name, ("recon_b", plans.PLANS.get(name, {})))
     scenario = load_scenario(base).replace(changes)
     assert (scenario.boundary.home is not None) == (name in plans.DESIGNS)
 
 
-def test_cases_are_summed_up() -> None:
+def test_cases_are_summed_up():
     def case(status: str, cost: float, **more: object) -> dict[str, object]:
         known = {"verdict": "verified", "binds": "emission_max", "probability": cost}
         return known | {"status": status, "total_dv_m_s": cost} | more
@@ -82,7 +82,7 @@ def rows() -> list[Record]:
         return with_costs([measure(200, (kind, 0.9)) for kind in kinds])
 
 
-def test_certifying_costs_more_than_aiming_at_the_probability(rows: list[Record]) -> None:
+def test_certifying_costs_more_than_aiming_at_the_probability(rows):
     aimed, certified = rows
     assert math.isnan(float(aimed["certifying_dv_m_s"]))
     more = float(certified["certifying_dv_m_s"])
@@ -92,7 +92,7 @@ def test_certifying_costs_more_than_aiming_at_the_probability(rows: list[Record]
     assert certified["certifying_processor_s"] == took
 
 
-def test_a_plan_whose_flights_fall_short_is_no_certified_one() -> None:
+def test_a_plan_whose_flights_fall_short_is_no_certified_one():
     """Its delta-v is not the price of what was asked."""
     short = Certificate(20_000, 2_000, 0.7, 0.69, 0.71, 0.7, 1, 1, 0.975)
     plain = plan(load_scenario(None, (COARSE,)))
@@ -103,7 +103,7 @@ def test_a_plan_whose_flights_fall_short_is_no_certified_one() -> None:
     assert (missed["status"], math.isnan(float(missed["total_dv_m_s"]))) == (NOT_CERTIFIED, True)
 
 
-def test_a_row_holds_what_ipopt_did(mission: Mission) -> None:
+def test_a_row_holds_what_ipopt_did(mission):
     chosen = {k: v for k, v in tricks().items() if k.endswith(("= tuned", "= shooting"))}
     tuned, shooting = map(measuring(mission, chosen), chosen)
     assert shooting["status"] == "converged (Solve_Succeeded)"

@@ -11,9 +11,7 @@ from formulations.problem.feedback import Feedback
 
 
 @pytest.mark.parametrize("left", [3, 2, 1])
-def test_gains_of_the_last_burns_act_on_what_is_known_from_their_first_cut_off_on(
-    left: int,
-) -> None:
+def test_gains_of_the_last_burns_act_on_what_is_known_from_their_first_cut_off_on(left):
     def of(burns: int) -> Feedback:
         numbers = np.arange(burns)
         return Feedback(1 + numbers, numbers, np.array([np.eye(6)] * burns), "dv99", 0.9)
@@ -26,7 +24,7 @@ def test_gains_of_the_last_burns_act_on_what_is_known_from_their_first_cut_off_o
         assert np.array_equal(of(left).of_burn(kept, j), whole[:, 6 * gone :])
 
 
-def test_sites_are_summed_up_by_how_they_are_reached() -> None:
+def test_sites_are_summed_up_by_how_they_are_reached():
     alone = {"open": True, "corrected": True, "dv99_m_s": 0.1, "whole_flight": 0.91}
     more = {"open": False, "corrected": True, "dv99_m_s": 0.3, "whole_flight": 0.88}
     row = counted([alone, more, {"open": False, "corrected": False}])

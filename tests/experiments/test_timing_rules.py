@@ -14,16 +14,12 @@ from experiments.timing_rules import (
     measure_slew,
     rules,
 )
-from scp_recon.mission.mission import Mission
 from scp_recon.simulation.panels import SolarArray, irradiance
-from scp_recon.simulation.vehicle import Vehicle
 from tests.helpers import nightly
 
 
 @nightly
-def test_a_half_turn_takes_at_least_the_limited_rate_and_settles(
-    mission: Mission, vehicle: Vehicle, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_half_turn_takes_at_least_the_limited_rate_and_settles(mission, vehicle, monkeypatch):
     monkeypatch.setattr(timing_rules, "SLEW_S", 1500.0)
     slew = measure_slew(mission, vehicle, 0, 2)
     settling_s = [slew[column] for column in SETTLED.values()]
@@ -33,9 +29,7 @@ def test_a_half_turn_takes_at_least_the_limited_rate_and_settles(
     assert slew["steady_rms_deg"] < 0.2
 
 
-def test_a_recharge_takes_what_the_power_left_over_gives(
-    mission: Mission, vehicle: Vehicle, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_recharge_takes_what_the_power_left_over_gives(mission, vehicle, monkeypatch):
     """Batteries an eighth as large, so that the flight is short."""
     monkeypatch.setattr(timing_rules, "RECHARGE_S", 300.0)
     battery = vehicle.battery.model_copy(update={"capacity_wh": 5.0})
@@ -48,7 +42,7 @@ def test_a_recharge_takes_what_the_power_left_over_gives(
     assert measure_recharge(mission, small, 0) == np.inf
 
 
-def test_a_rule_holds_if_the_worst_is_within_it(mission: Mission, vehicle: Vehicle) -> None:
+def test_a_rule_holds_if_the_worst_is_within_it(mission, vehicle):
     slews = [dict(zip(SETTLED.values(), (t - 20.0, t - 10.0, t), strict=True)) for t in (900, 1801)]
     found = rules(mission, vehicle, slews, (1200.0, 1201.0))
     assert [rule["holds"] for rule in found] == [False, True, True, False]

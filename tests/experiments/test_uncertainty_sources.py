@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -55,17 +54,13 @@ def entries(solution: Solution, vehicle: Vehicle, attitude_m: float) -> list[Mea
 
 
 @pytest.mark.parametrize(("attitude_m", "holds"), [(0.5, True), (100.0, False)])
-def test_the_attitude_may_be_left_out_only_while_it_is_small(
-    solution: Solution, vehicle: Vehicle, attitude_m: float, holds: bool
-) -> None:
+def test_the_attitude_may_be_left_out_only_while_it_is_small(solution, vehicle, attitude_m, holds):
     found = claims(entries(solution, vehicle, attitude_m))
     (claim,) = (c for c in found if c.claim.startswith("the path may be planned without"))
     assert claim.holds is holds
 
 
-def test_the_command_measures_every_set(
-    solution: Solution, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_command_measures_every_set(solution, tmp_path, monkeypatch):
     monkeypatch.setattr(flights, "fly_spacecraft", simulated)
     solution.write(tmp_path)
     out = tmp_path / "out"
@@ -86,7 +81,7 @@ def test_the_command_measures_every_set(
     assert "## Alone, from the largest" in (out / "uncertainty_sources.md").read_text("utf-8")
 
 
-def test_paths_spread_as_the_linearised_flight_does(solution: Solution, vehicle: Vehicle) -> None:
+def test_paths_spread_as_the_linearised_flight_does(solution, vehicle):
     """Finite differences of the end by each error, times the errors' sigmas."""
     mission = Mission.from_scenario(solution.scenario)
     units, step = mission.units, 1e-4
@@ -111,9 +106,7 @@ def test_paths_spread_as_the_linearised_flight_does(solution: Solution, vehicle:
 
 @pytest.mark.parametrize("flights", [3, 8])
 @pytest.mark.parametrize("sigmas", [(1.0, 1.0, 1.0), (5.0, 1.0, 0.2)])
-def test_intervals_of_the_dispersion_cover_as_often_as_they_say(
-    sigmas: tuple[float, float, float], flights: int
-) -> None:
+def test_intervals_of_the_dispersion_cover_as_often_as_they_say(sigmas, flights):
     rng = np.random.default_rng(5)
     covariance = np.diag(np.square(sigmas))
     true = np.sqrt(np.trace(covariance))
@@ -125,7 +118,7 @@ def test_intervals_of_the_dispersion_cover_as_often_as_they_say(
     assert np.mean([e.value**2 for e in found]) == pytest.approx(true**2, rel=0.1)
 
 
-def test_normality_knows_a_normal_sample_from_another() -> None:
+def test_normality_knows_a_normal_sample_from_another():
     rng = np.random.default_rng(1)
     normal, skew = normality(rng.standard_normal(3000)), normality(rng.exponential(size=3000))
     assert normal.p_value > 0.01
@@ -141,7 +134,7 @@ SPREAD_M = 10.0
 """Of every position in the short plan's covariance."""
 
 
-def test_samples_spread_as_paths_with_the_same_errors_do() -> None:
+def test_samples_spread_as_paths_with_the_same_errors_do():
     mission, vehicle = mission_of(*SHORT), load_vehicle()
     solution = short_plan(mission)
     fraction = solution.scenario.uncertainty.initial_sigma_fraction

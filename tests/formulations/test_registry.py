@@ -15,9 +15,7 @@ from .program.support import PENALTIES, every_row, linearised
 
 
 @pytest.mark.parametrize("formulation", FORMULATIONS)
-def test_the_form_the_solver_the_rows_and_the_penalty_are_those_required(
-    formulation: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_form_the_solver_the_rows_and_the_penalty_are_those_required(formulation, monkeypatch):
     asked: list[str] = []
     for module in (condensed, lifted):
         monkeypatch.setattr(module, "FallbackSolver", lambda name, *_: asked.append(name))
@@ -38,7 +36,7 @@ def test_the_form_the_solver_the_rows_and_the_penalty_are_those_required(
     assert (asked[-1], usual._penalty) == ("CLARABEL", "exact")
 
 
-def test_every_condensation_is_a_formulation_and_others_are_refused() -> None:
+def test_every_condensation_is_a_formulation_and_others_are_refused():
     assert set(FORMULATIONS) == {"lifted", *CONDENSATIONS}
     lin = linearised(np.random.default_rng(3))
     with pytest.raises(KeyError, match="unheard of"):

@@ -74,9 +74,7 @@ def light(names: Any = FIGURES) -> dict[str, Item]:
     return {name: replace(FIGURES[name], dpi=DPI) for name in names}
 
 
-def test_everything_is_drawn_and_written_into_one_folder(
-    folder: Path, runs: Runs, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_everything_is_drawn_and_written_into_one_folder(folder, runs, tmp_path, monkeypatch):
     monkeypatch.setattr(command_line, "FIGURES", light())
     monkeypatch.setattr(command_line, "PICTURES", PICTURES[:1])
     written = list(make_all(runs, folder, tmp_path / "figures"))
@@ -92,9 +90,7 @@ def test_everything_is_drawn_and_written_into_one_folder(
         assert words in captions
 
 
-def test_a_plan_of_one_s_own_is_drawn_without_the_paper_s_table(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_plan_of_one_s_own_is_drawn_without_the_paper_s_table(tmp_path, monkeypatch):
     """Of five burns, two of them close to each other, without flights beside it."""
     own = mission_of("burns.times_s=[0.0, 8000.0, 23200.0, 29800.0, 36400.0]")
     make_solution(plan(own, initial_guess.cold(own), problem="P3")).write(tmp_path)
@@ -112,9 +108,7 @@ class Told(tuple[Any, ...]):
     """A policy without corrections that is known again."""
 
 
-def test_whatever_flies_a_plan_corrects_its_burns(
-    runs: Runs, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_whatever_flies_a_plan_corrects_its_burns(runs, monkeypatch):
     monkeypatch.setattr(Solution, "corrections", Told())
     fly, told = sampling.fly_draws, list[bool]()
 
@@ -141,7 +135,7 @@ def words_of(figure: Figure) -> set[str]:
     return {text.get_text() for text in figure.findobj(Text)}
 
 
-def test_a_burn_of_zero_is_in_no_figure(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_burn_of_zero_is_in_no_figure(tmp_path, monkeypatch):
     """P3 leaves out the third."""
     coarse = mission_of(COARSE)
     make_solution(plan(coarse, initial_guess.cold(coarse), problem="P3")).write(tmp_path)
@@ -161,7 +155,7 @@ def test_a_burn_of_zero_is_in_no_figure(tmp_path: Path, monkeypatch: pytest.Monk
     assert any("in 3 burns" in one for one in drawn)
 
 
-def test_drawn_pyramids_enclose_the_cone_or_are_enclosed(runs: Runs) -> None:
+def test_drawn_pyramids_enclose_the_cone_or_are_enclosed(runs):
     cut = cone_polytopes.section(runs.plan)
     angle_deg = 45.0
     radius = cut.height_m * np.tan(np.deg2rad(angle_deg))
@@ -178,7 +172,7 @@ def test_drawn_pyramids_enclose_the_cone_or_are_enclosed(runs: Runs) -> None:
         assert np.abs(middles - [radius, 0.0]).max(axis=1).min() < 1e-6 * radius
 
 
-def test_drawn_ball_polytopes_enclose_the_sphere_or_are_enclosed(runs: Runs) -> None:
+def test_drawn_ball_polytopes_enclose_the_sphere_or_are_enclosed(runs):
     """Of the paper's 14 corners one faces the spacecraft, and outside one of the facets."""
     seen = ball_polytopes.sphere(runs.plan)
     inside, outside = (ball_polytopes.facets(runs, seen, 740.0, keep) for keep in ("in", "out"))
@@ -194,7 +188,7 @@ def test_drawn_ball_polytopes_enclose_the_sphere_or_are_enclosed(runs: Runs) -> 
     np.testing.assert_allclose(outside.normal[chosen], [1.0, 0.0, 0.0], atol=1e-9)
 
 
-def test_sight_at_mid_window_keeps_the_angles(runs: Runs) -> None:
+def test_sight_at_mid_window_keeps_the_angles(runs):
     seen = observation_geometry.sight(runs.plan.mission, runs.plan.solution.burns_m_s, 14_838.8)
     assert 90.0 - seen.craft_at == pytest.approx(seen.emission)
     # Spherical law of cosines between the projected Sun and the exact angles.
@@ -215,9 +209,7 @@ def test_sight_at_mid_window_keeps_the_angles(runs: Runs) -> None:
         *(f"{row}/{name}.json" for row in (PLAN, SURROGATE) for name in ("solution", "montecarlo")),
     ],
 )
-def test_missing_input_exits_with_two_and_names_the_command(
-    copy: Path, tmp_path: Path, missing: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_missing_input_exits_with_two_and_names_the_command(copy, tmp_path, missing, capsys):
     (copy / missing).unlink()
     for names in ([], ["control_history"]):
         assert main([*names, "--runs", str(copy), "--out", str(tmp_path / "figures")]) == 2
@@ -229,14 +221,14 @@ def test_missing_input_exits_with_two_and_names_the_command(
 
 
 @pytest.mark.parametrize("damaged", [TABLE, "scp_cold/montecarlo.json"])
-def test_damaged_input_says_how_to_write_it_anew(copy: Path, damaged: str) -> None:
+def test_damaged_input_says_how_to_write_it_anew(copy, damaged):
     (copy / damaged).write_text("{", encoding="utf-8")
     with pytest.raises(InputError, match=f"{COMMAND} --fresh"):
         read_runs(copy)
 
 
 @pytest.mark.parametrize("age", ["of another plan", "older"])
-def test_flights_of_another_plan_are_refused(copy: Path, age: str) -> None:
+def test_flights_of_another_plan_are_refused(copy, age):
     file = copy / PLAN / "montecarlo.json"
     if age == "older":
         data = json.loads(file.read_text("utf-8"))
@@ -254,9 +246,7 @@ def test_flights_of_another_plan_are_refused(copy: Path, age: str) -> None:
 # --- files --------------------------------------------------------------------------------------
 
 
-def test_the_flyby_is_drawn_and_names_its_plan(
-    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_flyby_is_drawn_and_names_its_plan(folder, tmp_path, capsys):
     """Of a site whose name would be a formula, and a wrong one."""
     text = (folder / PLAN / "solution.json").read_text("utf-8")
     (tmp_path / "solution.json").write_text(text.replace("Nightingale", r"$\\frac{$"), "utf-8")
@@ -267,11 +257,8 @@ def test_the_flyby_is_drawn_and_names_its_plan(
 
 
 def test_figures_that_are_named_go_to_a_folder_or_a_single_one_to_a_file(
-    folder: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+    folder, tmp_path, monkeypatch, capsys
+):
     (tmp_path / "folder.png").mkdir()
     names = ["frames", "control_history"]
     for name in names:
@@ -288,8 +275,8 @@ def test_figures_that_are_named_go_to_a_folder_or_a_single_one_to_a_file(
 
 @pytest.mark.parametrize("name", ["file", "picture.xyz", "file/x.png"])
 def test_what_is_no_pictures_name_is_refused_and_nothing_is_written(
-    tmp_path: Path, name: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+    tmp_path, name, monkeypatch, capsys
+):
     monkeypatch.setitem(EVERYTHING, "frames", QUICK)
     (tmp_path / "file").touch()
     before = sorted(tmp_path.rglob("*"))
@@ -300,8 +287,8 @@ def test_what_is_no_pictures_name_is_refused_and_nothing_is_written(
 
 @pytest.mark.parametrize("ending", [".PDF", ".png", ".svg", ".eps"])
 def test_a_figure_is_the_same_file_every_time_and_names_its_plan_where_it_can(
-    runs: Runs, tmp_path: Path, ending: str
-) -> None:
+    runs, tmp_path, ending
+):
     def saved(name: str, plan: str | None) -> bytes:
         figure = Figure((1.0, 1.0))  # a figure that is drawn once more need not be the same
         figure.subplots().plot([0.0, 1.0])

@@ -185,9 +185,7 @@ def studies(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
-def test_studies_are_drawn_where_they_are_found(
-    studies: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_studies_are_drawn_where_they_are_found(studies, tmp_path, monkeypatch):
     monkeypatch.setattr(command_line, "FIGURES", {})
     monkeypatch.setitem(command_line.TABLES, "parameters", Item(lambda _: ""))
     study = replace(STUDIES["frontier"], dpi=40.0)
@@ -202,12 +200,8 @@ def test_studies_are_drawn_where_they_are_found(
 
 @pytest.mark.parametrize("name", STUDIES)
 def test_a_study_alone_is_drawn_or_says_what_is_missing(
-    studies: Path,
-    tmp_path: Path,
-    name: str,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+    studies, tmp_path, name, capsys, monkeypatch
+):
     """With the flights' plan in its metadata."""
     study, file = STUDIES[name], tmp_path / "figure.png"
     monkeypatch.setitem(EVERYTHING, name, replace(study, dpi=40.0))
@@ -232,9 +226,7 @@ def solution() -> Solution:
 
 
 @pytest.mark.parametrize("plan_hash", [NO_PLAN, None])
-def test_a_flight_of_another_plan_than_the_one_beside_it_is_refused(
-    solution: Solution, tmp_path: Path, plan_hash: str | None
-) -> None:
+def test_a_flight_of_another_plan_than_the_one_beside_it_is_refused(solution, tmp_path, plan_hash):
     single, many = tmp_path / "single", tmp_path / "many"
     write_flight(single, 4, plan_hash)
     many.mkdir()
@@ -253,7 +245,7 @@ def test_a_flight_of_another_plan_than_the_one_beside_it_is_refused(
     assert power_history.read(same).plan_hash == solution.plan_hash
 
 
-def test_a_flight_of_before_torques_is_to_be_flown_again(tmp_path: Path) -> None:
+def test_a_flight_of_before_torques_is_to_be_flown_again(tmp_path):
     write_flight(tmp_path / "flight")
     record = power_history.read(tmp_path / "flight")
     kept = {name: a for name, a in record.arrays.items() if name not in ADDED}
@@ -263,7 +255,7 @@ def test_a_flight_of_before_torques_is_to_be_flown_again(tmp_path: Path) -> None
         attitude_and_actuators.read(tmp_path / "flight")
 
 
-def test_flights_of_different_plans_make_no_figure(tmp_path: Path) -> None:
+def test_flights_of_different_plans_make_no_figure(tmp_path):
     (tmp_path / "flown_plan.csv").write_text("seed\n1\n2\n", encoding="utf-8")
     write_flight(tmp_path / "seed_1", 1)
     write_flight(tmp_path / "seed_2", 2, "2e" * 32)
@@ -274,7 +266,7 @@ def test_flights_of_different_plans_make_no_figure(tmp_path: Path) -> None:
 WANTED = [item.source for item in STUDIES.values()]
 
 
-def test_what_is_missing_is_run_once_and_what_is_there_is_left_alone(tmp_path: Path) -> None:
+def test_what_is_missing_is_run_once_and_what_is_there_is_left_alone(tmp_path):
     there = STUDIES["frontier"].source.folder
     (tmp_path / there).mkdir()
     ran: list[list[str]] = []
@@ -325,7 +317,7 @@ GUESSES = [
 ]
 
 
-def test_shares_of_solved_guesses_and_of_those_at_the_best() -> None:
+def test_shares_of_solved_guesses_and_of_those_at_the_best():
     left, right = solver_comparison.draw_guesses(GUESSES).axes
     assert [label.get_text() for label in left.get_yticklabels()] == [THEIRS, OURS]
     shares = [line.get_xdata()[0] for line in left.lines if line.get_marker() == "o"]
@@ -336,7 +328,7 @@ def test_shares_of_solved_guesses_and_of_those_at_the_best() -> None:
     ]
 
 
-def test_profiles_rise_to_the_share_that_is_solved() -> None:
+def test_profiles_rise_to_the_share_that_is_solved():
     rows = [
         row("scenarios", OURS, 0.14, cpu_s="0.1"),
         row("scenarios", THEIRS, 0.14, cpu_s="1.0"),

@@ -37,9 +37,7 @@ expensive = settings(
 
 @expensive
 @given(scenarios(), OPTIONS)
-def test_random_scenarios_end_verified_or_honestly_refused(
-    overrides: tuple[str, ...], options: tuple[list[str], list[str]]
-) -> None:
+def test_random_scenarios_end_verified_or_honestly_refused(overrides, options):
     with wrong_if_it_fails():
         run, solution = ended(overrides, [*options[0], *options[1]])
         if solution is None:
@@ -50,9 +48,7 @@ def test_random_scenarios_end_verified_or_honestly_refused(
 
 @expensive
 @given(generous(), OPTIONS)
-def test_scenarios_that_are_feasible_by_construction_are_solved(
-    overrides: tuple[str, ...], options: tuple[list[str], list[str]]
-) -> None:
+def test_scenarios_that_are_feasible_by_construction_are_solved(overrides, options):
     with wrong_if_it_fails():
         run, solution = ended(overrides, [*options[0], *options[1]])
         assert run.exit_code == 0

@@ -91,9 +91,7 @@ def faced(region: Region, point: Array) -> tuple[Array, Array]:
 
 
 @given(balls(), polytopes, points)
-def test_inner_facets_of_a_ball_bound_a_polytope_inside_it(
-    region: Ball, shapes: Polytopes, point: Array
-) -> None:
+def test_inner_facets_of_a_ball_bound_a_polytope_inside_it(region, shapes, point):
     facets = inner_facets(region, shapes, point)
     corners = vertices(facets, region.center[0])
     assert np.linalg.norm(corners - region.center, axis=1).max() <= region.radius * (1.0 + EXACT)
@@ -105,9 +103,7 @@ def test_inner_facets_of_a_ball_bound_a_polytope_inside_it(
 
 
 @given(cones(), polytopes, points)
-def test_inner_facets_of_a_cone_bound_a_pyramid_inside_it(
-    region: Cone, shapes: Polytopes, point: Array
-) -> None:
+def test_inner_facets_of_a_cone_bound_a_pyramid_inside_it(region, shapes, point):
     facets = inner_facets(region, shapes, point)
     normal, offset = stacked(facets)
     assert offset == pytest.approx(normal @ region.apex[0], abs=EXACT)
@@ -122,9 +118,7 @@ def test_inner_facets_of_a_cone_bound_a_pyramid_inside_it(
 
 
 @given(balls(), polytopes, points)
-def test_outer_facets_of_a_ball_bound_a_polytope_around_it(
-    region: Ball, shapes: Polytopes, point: Array
-) -> None:
+def test_outer_facets_of_a_ball_bound_a_polytope_around_it(region, shapes, point):
     facets = outer_facets(region, shapes, point)
     normal, offset = stacked(facets)
     # The farthest point of a ball along a unit normal is a radius from its centre.
@@ -134,9 +128,7 @@ def test_outer_facets_of_a_ball_bound_a_polytope_around_it(
 
 
 @given(cones(), polytopes, points)
-def test_outer_facets_of_a_cone_bound_a_pyramid_around_it(
-    region: Cone, shapes: Polytopes, point: Array
-) -> None:
+def test_outer_facets_of_a_cone_bound_a_pyramid_around_it(region, shapes, point):
     facets = outer_facets(region, shapes, point)
     normal, offset = stacked(facets)
     assert offset == pytest.approx(normal @ region.apex[0], abs=EXACT)
@@ -149,9 +141,7 @@ def test_outer_facets_of_a_cone_bound_a_pyramid_around_it(
 
 
 @given(st.one_of(balls(), cones()), generous, points)
-def test_one_outer_facet_faces_the_point_and_touches_the_region_there(
-    region: Region, shapes: Polytopes, point: Array
-) -> None:
+def test_one_outer_facet_faces_the_point_and_touches_the_region_there(region, shapes, point):
     place, outward = faced(region, point)
     normal, offset = stacked(outer_facets(region, shapes, point))
     best = np.argmax(normal @ outward)
@@ -189,9 +179,7 @@ def spread_over(region: Region, nodes: Array) -> Region:
 
 
 @given(st.one_of(balls(), cones()), generous, beliefs())
-def test_of_a_keep_out_polytope_the_most_probable_facet_is_chosen(
-    region: Region, shapes: Polytopes, belief: tuple[Array, Array]
-) -> None:
+def test_of_a_keep_out_polytope_the_most_probable_facet_is_chosen(region, shapes, belief):
     mean, factor = belief
     nodes = np.array([1, 4, 7])
     constraint = StateConstraint("out", nodes, spread_over(region, nodes), "out", 0.8)
@@ -214,8 +202,8 @@ def test_of_a_keep_out_polytope_the_most_probable_facet_is_chosen(
 
 @given(st.one_of(balls(), cones()), generous, generators, st.floats(-2.0, 3.0))
 def test_without_spread_the_facet_with_the_most_room_is_chosen_in_any_units(
-    region: Region, shapes: Polytopes, rng: np.random.Generator, decade: float
-) -> None:
+    region, shapes, rng, decade
+):
     mean = 10.0**decade * rng.normal(size=(9, 6))
     nodes = np.array([2])
     constraint = StateConstraint("out", nodes, region, "out", 0.8)
@@ -228,8 +216,8 @@ def test_without_spread_the_facet_with_the_most_room_is_chosen_in_any_units(
 
 @given(st.floats(0.5, 0.99), st.one_of(balls(), cones()), generous, beliefs())
 def test_keep_in_facets_share_the_risk_and_keep_out_facets_take_it_whole(
-    probability: float, region: Region, shapes: Polytopes, belief: tuple[Array, Array]
-) -> None:
+    probability, region, shapes, belief
+):
     nodes = np.array([3, 5])
     regions = spread_over(region, nodes)
     constraints = [
@@ -251,9 +239,7 @@ def test_keep_in_facets_share_the_risk_and_keep_out_facets_take_it_whole(
 
 
 @given(generators, polytopes)
-def test_facets_are_those_of_their_constraint_and_node(
-    rng: np.random.Generator, shapes: Polytopes
-) -> None:
+def test_facets_are_those_of_their_constraint_and_node(rng, shapes):
     flyby = constrain(rng, random_flyby(rng))
     lin = flyby.perturbed(rng, 0.1, 0.0)
     facets = choose_facets(flyby.problem, shapes, lin.iterate.mean, lin.factor)
@@ -268,9 +254,7 @@ def test_facets_are_those_of_their_constraint_and_node(
 
 
 @given(generators, beliefs())
-def test_a_facets_deviation_is_that_of_the_covariance_along_it(
-    rng: np.random.Generator, belief: tuple[Array, Array]
-) -> None:
+def test_a_facets_deviation_is_that_of_the_covariance_along_it(rng, belief):
     mean, factor = belief
     node, normal = rng.integers(0, 9, 20), random_unit(rng, 20)
     facets = Facets(
@@ -286,8 +270,8 @@ def test_a_facets_deviation_is_that_of_the_covariance_along_it(
 
 @given(generators, generous, points)
 def test_facets_of_an_ellipsoid_touch_it_and_without_a_constraint_there_are_none(
-    rng: np.random.Generator, shapes: Polytopes, point: Array
-) -> None:
+    rng, shapes, point
+):
     matrix = rng.normal(size=(3, 3)) + 3.0 * np.eye(3)
     egg = Ellipsoid(rng.normal(size=(1, 3)), matrix, 0.7)
     normal, offset = stacked(outer_facets(egg, shapes, point))

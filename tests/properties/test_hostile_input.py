@@ -204,7 +204,7 @@ def mission_of(path: Path) -> None:
 
 @patient
 @given(damaged(RECON_B, hostile))
-def test_a_damaged_scenario_is_read_or_refused(data: dict[str, Any]) -> None:
+def test_a_damaged_scenario_is_read_or_refused(data):
     tomllib.loads(document(data))  # what is refused is the content and not our writing
     read_alone(document(data), mission_of)
 
@@ -242,15 +242,13 @@ MISSION = Mission.from_scenario(load_scenario(None, [COARSE]))
 )
 @patient
 @given(st.data())
-def test_no_bytes_end_in_anything_but_what_they_say_or_a_message(
-    read: Callable[[Path], object], contents: st.SearchStrategy[bytes], data: st.DataObject
-) -> None:
+def test_no_bytes_end_in_anything_but_what_they_say_or_a_message(read, contents, data):
     read_alone(data.draw(contents), read)
 
 
 @patient
 @given(st.lists(words | hostile.map(str), max_size=3), words)
-def test_a_base_is_the_file_that_is_named_and_no_other(values: list[str], name: str) -> None:
+def test_a_base_is_the_file_that_is_named_and_no_other(values, name):
     content = document({"base": values if values else name, "name": name or "x"})
     named = [] if values or "\0" in name else [name]
     read_alone(content, load_scenario, PACKAGE / "data", *named)
@@ -261,9 +259,7 @@ entries = st.sampled_from([".".join(map(str, where)) for where in places(RECON_B
 
 @patient
 @given(st.lists(st.tuples(entries, hostile), min_size=1, max_size=3))
-def test_no_override_ends_in_anything_but_a_mission_or_a_message(
-    changes: list[tuple[str, Any]],
-) -> None:
+def test_no_override_ends_in_anything_but_a_mission_or_a_message(changes):
     overrides = [f"{entry}={toml(value)}" for entry, value in changes]
     read_or_refuse(lambda: Mission.from_scenario(load_scenario(None, overrides)).problem)
 
@@ -316,13 +312,13 @@ slow = settings(
 
 @slow
 @given(st.lists(strained(), min_size=1, max_size=3))
-def test_no_magnitudes_end_in_anything_but_a_plan_or_a_message(overrides: list[str]) -> None:
+def test_no_magnitudes_end_in_anything_but_a_plan_or_a_message(overrides):
     solved_or_refused([VERY_COARSE, *overrides])
 
 
 @slow
 @given(damaged(RECON_B | {"grid": {"step_max_s": 3000.0}}, hostile | magnitudes))
-def test_a_damaged_scenario_is_solved_or_refused(data: dict[str, Any]) -> None:
+def test_a_damaged_scenario_is_solved_or_refused(data):
     with file_with(document(data), "mine.toml") as path:
         solved_or_refused([], "--scenario", str(path))
 
@@ -337,7 +333,7 @@ AT_THE_ENDS = [
 
 
 @pytest.mark.parametrize("override", usually(AT_THE_ENDS, 3))
-def test_a_scenario_at_the_ends_of_its_ranges_is_solved_or_refused(override: str) -> None:
+def test_a_scenario_at_the_ends_of_its_ranges_is_solved_or_refused(override):
     solved_or_refused([VERY_COARSE, override])
 
 
@@ -356,7 +352,7 @@ def solved(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @patient
 @given(st.data())
-def test_a_damaged_solution_is_read_or_refused(solved: Path, data: st.DataObject) -> None:
+def test_a_damaged_solution_is_read_or_refused(solved, data):
     original = json.loads((solved / "solution.json").read_text("utf-8"))
     content = data.draw(damaged(original, plain | st.none() | st.lists(plain, max_size=3)))
     read_alone(
@@ -377,7 +373,7 @@ def with_a_word_as_key(content: dict[str, Any], word: str) -> None:
 
 @settings(patient, max_examples=share_of_examples(3, usual=5))
 @given(st.data())
-def test_a_damaged_solution_is_verified_or_refused(solved: Path, data: st.DataObject) -> None:
+def test_a_damaged_solution_is_verified_or_refused(solved, data):
     """And never confirmed where a number of the plan was changed."""
     original = json.loads((solved / "solution.json").read_text("utf-8"))
     part = data.draw(st.sampled_from(SHOWN))
@@ -417,7 +413,7 @@ READERS = [verify.main, montecarlo.main, simulate.main]
 
 
 @pytest.mark.parametrize("edit", EDITS)
-def test_a_solution_whose_parts_do_not_fit_together_is_refused(solved: Path, edit: str) -> None:
+def test_a_solution_whose_parts_do_not_fit_together_is_refused(solved, edit):
     """By each command that reads one; in usual runs by one of them in turn."""
     content = json.loads((solved / "solution.json").read_text("utf-8"))
     EDITS[edit](content)
@@ -429,9 +425,7 @@ def test_a_solution_whose_parts_do_not_fit_together_is_refused(solved: Path, edi
 
 
 @pytest.mark.parametrize("word", usually(["[/red]", "\\[", "[bold]", "[/]", "["], 2))
-def test_names_of_a_solution_are_shown_as_they_are(
-    solved: Path, tmp_path: Path, word: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_names_of_a_solution_are_shown_as_they_are(solved, tmp_path, word, monkeypatch):
     """Those of stages; constraints have the names of their scenario, whatever the file carries."""
     fly_few(monkeypatch)
     content = json.loads((solved / "solution.json").read_text("utf-8"))
@@ -480,7 +474,7 @@ def interrupted(*_: object, **__: object) -> None:
 
 @patient
 @given(argument_lists)
-def test_no_arguments_of_solve_end_in_a_traceback_or_write_elsewhere(arguments: list[str]) -> None:
+def test_no_arguments_of_solve_end_in_a_traceback_or_write_elsewhere(arguments):
     with tempfile.TemporaryDirectory() as folder, watched() as touched:
         out = Path(folder) / "out"
         with mock.patch.object(planner, "plan", interrupted):
@@ -497,9 +491,7 @@ def test_no_arguments_of_solve_end_in_a_traceback_or_write_elsewhere(arguments: 
 
 @patient
 @given(argument_lists, st.sampled_from([verify.main, montecarlo.main]))
-def test_no_arguments_of_the_other_commands_end_in_a_traceback(
-    arguments: list[str], main: Callable[[list[str]], int]
-) -> None:
+def test_no_arguments_of_the_other_commands_end_in_a_traceback(arguments, main):
     code = command(main, arguments)
     assert code in (0, 2)
     if code == 2:
@@ -509,7 +501,7 @@ def test_no_arguments_of_the_other_commands_end_in_a_traceback(
 # --- links --------------------------------------------------------------------------------------
 
 
-def test_a_link_in_the_folder_is_replaced_and_not_followed(solved: Path, tmp_path: Path) -> None:
+def test_a_link_in_the_folder_is_replaced_and_not_followed(solved, tmp_path):
     """The user did not name the file that a link named solution.json points to."""
     target = tmp_path / "precious"
     target.write_text("mine", "utf-8")
@@ -523,7 +515,7 @@ def test_a_link_in_the_folder_is_replaced_and_not_followed(solved: Path, tmp_pat
 
 
 @pytest.mark.parametrize("kind", ["scenario", "solution"])
-def test_a_link_in_a_circle_is_refused(tmp_path: Path, kind: str) -> None:
+def test_a_link_in_a_circle_is_refused(tmp_path, kind):
     circle = tmp_path / "circle"
     circle.symlink_to(circle)
     reader = {"scenario": load_scenario, "solution": read_solution}[kind]

@@ -79,9 +79,7 @@ def some_nodes(rng: np.random.Generator, problem: FlybyProblem) -> Indices:
 
 
 @given(flybys, generators)
-def test_the_factors_square_obeys_the_covariance_recursion(
-    flyby: Flyby, rng: np.random.Generator
-) -> None:
+def test_the_factors_square_obeys_the_covariance_recursion(flyby, rng):
     problem, burns = flyby.problem, some_burns(rng, flyby.problem)
     stm = rng.normal(size=(problem.n_nodes - 1, 6, 6))
     lifted = covariance(factor_of(problem, stm, burns))
@@ -95,7 +93,7 @@ def test_the_factors_square_obeys_the_covariance_recursion(
 
 
 @given(flybys, generators)
-def test_columns_left_out_are_zero_in_the_positions(flyby: Flyby, rng: np.random.Generator) -> None:
+def test_columns_left_out_are_zero_in_the_positions(flyby, rng):
     lin = flyby.perturbed(rng, 0.3, 0.1)
     count = int(rng.integers(1, flyby.problem.n_nodes))
     nodes = np.sort(rng.choice(flyby.problem.n_nodes, count, replace=False))
@@ -106,7 +104,7 @@ def test_columns_left_out_are_zero_in_the_positions(flyby: Flyby, rng: np.random
 
 
 @given(flybys)
-def test_columns_in_use_are_the_initial_ones_and_three_per_burn_before(flyby: Flyby) -> None:
+def test_columns_in_use_are_the_initial_ones_and_three_per_burn_before(flyby):
     problem = flyby.problem
     initial = problem.initial_factor.shape[1]
     assert np.array_equal(problem.leg_starts, np.union1d([0], problem.burn_nodes))
@@ -122,7 +120,7 @@ def test_columns_in_use_are_the_initial_ones_and_three_per_burn_before(flyby: Fl
 
 
 @given(flybys, generators)
-def test_condense_is_the_derivative_by_the_burns(flyby: Flyby, rng: np.random.Generator) -> None:
+def test_condense_is_the_derivative_by_the_burns(flyby, rng):
     lin = flyby.perturbed(rng, 0.3, 0.0)
     s, h = condense(lin), 1e-5
     direction = some_burns(rng, flyby.problem)
@@ -136,8 +134,8 @@ def test_condense_is_the_derivative_by_the_burns(flyby: Flyby, rng: np.random.Ge
 
 @given(flybys, st.sampled_from([0.0, 0.1]), curvatures, generators)
 def test_the_model_error_is_quadratic_and_without_curvature_the_factors_is_linear(
-    flyby: Flyby, defect: float, curvature: bool, rng: np.random.Generator
-) -> None:
+    flyby, defect, curvature, rng
+):
     """Of mean and factor, part of the way along a step that moves burns and closes all defects."""
     lin = flyby.perturbed(rng, 0.3, defect)
     burns, step = lin.iterate.burns, some_burns(rng, flyby.problem)
@@ -155,9 +153,7 @@ def test_the_model_error_is_quadratic_and_without_curvature_the_factors_is_linea
 
 
 @given(flybys, generators)
-def test_without_curvature_the_factor_is_that_of_the_iterates_stms(
-    flyby: Flyby, rng: np.random.Generator
-) -> None:
+def test_without_curvature_the_factor_is_that_of_the_iterates_stms(flyby, rng):
     lin = flyby.perturbed(rng, 0.3, 0.1)
     burns = some_burns(rng, flyby.problem)
     _, factor = applied(condense(lin, curvature=False), burns)
@@ -169,9 +165,7 @@ def test_without_curvature_the_factor_is_that_of_the_iterates_stms(
 
 
 @given(flybys, generators)
-def test_means_are_the_condensed_ones_which_close_every_defect_from_the_initial_state(
-    flyby: Flyby, rng: np.random.Generator
-) -> None:
+def test_means_are_the_condensed_ones_which_close_every_defect_from_the_initial_state(flyby, rng):
     lin = flyby.perturbed(rng, 0.3, 0.1)
     burns, s = some_burns(rng, flyby.problem), condense(lin)
     constant, jacobian = final_state_map(lin)
@@ -189,9 +183,7 @@ def test_means_are_the_condensed_ones_which_close_every_defect_from_the_initial_
 
 
 @given(flybys, generators)
-def test_composed_arcs_give_the_condensed_map_at_their_nodes(
-    flyby: Flyby, rng: np.random.Generator
-) -> None:
+def test_composed_arcs_give_the_condensed_map_at_their_nodes(flyby, rng):
     lin, problem = flyby.perturbed(rng, 0.3, 0.1), flyby.problem
     burns, nodes = some_burns(rng, problem), some_nodes(rng, problem)
     arcs = compose(lin, nodes)
@@ -217,9 +209,7 @@ def test_composed_arcs_give_the_condensed_map_at_their_nodes(
 
 
 @given(flybys, st.sampled_from(["state", "stm", "tensor"]), st.sampled_from([np.nan, np.inf]))
-def test_dynamics_without_finite_derivatives_have_no_affine_map(
-    flyby: Flyby, part: str, value: float
-) -> None:
+def test_dynamics_without_finite_derivatives_have_no_affine_map(flyby, part, value):
     iterate = flyby.waves.rollout(flyby.problem, flyby.burns)
     arcs: Arcs = flyby.waves.derivatives(iterate.mean[:-1])
     broken = getattr(arcs, part).copy()
@@ -235,9 +225,7 @@ def test_dynamics_without_finite_derivatives_have_no_affine_map(
 
 
 @given(st.integers(2, 60), st.integers(0, 6), st.integers(1, 7), generators)
-def test_legs_compose_the_arcs_since_the_last_burn(
-    n_nodes: int, between: int, size: int, rng: np.random.Generator
-) -> None:
+def test_legs_compose_the_arcs_since_the_last_burn(n_nodes, between, size, rng):
     inner = rng.choice(np.arange(1, n_nodes - 1), min(between, n_nodes - 2), replace=False)
     burns = np.unique([0, *inner, n_nodes - 1])
     maps = rng.normal(size=(n_nodes - 1, size, size)) / np.sqrt(size)
@@ -253,9 +241,7 @@ def test_legs_compose_the_arcs_since_the_last_burn(
 
 
 @given(flybys, generators)
-def test_condensing_some_nodes_is_condensing_all_and_choosing(
-    flyby: Flyby, rng: np.random.Generator
-) -> None:
+def test_condensing_some_nodes_is_condensing_all_and_choosing(flyby, rng):
     lin, nodes = flyby.perturbed(rng, 0.3, 0.1), some_nodes(rng, flyby.problem)
     every, some, mean = condense(lin), condense(lin, nodes), condense(lin, nodes, factor=False)
     for name in Sensitivity.__annotations__:

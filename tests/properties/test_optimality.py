@@ -203,9 +203,7 @@ def converged(overrides: tuple[str, ...]) -> tuple[Mission, Plan]:
 
 @expensive
 @given(scenarios())
-def test_a_converged_plan_satisfies_the_kkt_conditions_of_p2_with_facets_fixed(
-    overrides: tuple[str, ...],
-) -> None:
+def test_a_converged_plan_satisfies_the_kkt_conditions_of_p2_with_facets_fixed(overrides):
     mission, found = converged(overrides)
     at = conditions(mission, found.final)
     assert at.infeasibility < 2.0 * SCvx.feasible
@@ -221,7 +219,7 @@ def default_plan(formulation: str) -> tuple[Mission, Plan]:
     return mission, plan(mission, initial_guess.cold(mission), formulation=formulation)
 
 
-def test_the_default_plan_satisfies_the_kkt_conditions() -> None:
+def test_the_default_plan_satisfies_the_kkt_conditions():
     mission, found = default_plan("condensed")
     at = conditions(mission, found.final)
     assert at.infeasibility < SCvx.feasible
@@ -229,7 +227,7 @@ def test_the_default_plan_satisfies_the_kkt_conditions() -> None:
     assert at.complementarity < 1e-6
 
 
-def test_the_stms_dependence_on_the_mean_is_what_the_kkt_conditions_need() -> None:
+def test_the_stms_dependence_on_the_mean_is_what_the_kkt_conditions_need():
     """Frozen STMs converge to a feasible point of P2 that is none of its solutions."""
     mission, found = default_plan("frozen-stm")
     assert found.final.result.status is Status.CONVERGED
@@ -275,7 +273,7 @@ def merit_of(
 @pytest.mark.parametrize("algorithm", ["scvx", "ptr", "scvx-star"])
 @expensive
 @given(scenarios())
-def test_accepted_steps_never_raise_the_merit(algorithm: str, overrides: tuple[str, ...]) -> None:
+def test_accepted_steps_never_raise_the_merit(algorithm, overrides):
     """Under the charge that the step was judged by, which may change from one step to the next."""
     try:
         mission = Mission.from_scenario(load_scenario(None, overrides))

@@ -26,7 +26,7 @@ def turned(axis: Array, angle: Array) -> Array:
 
 
 @given(generators, st.floats(0.0, np.pi))
-def test_no_rotation_generates_more_than_the_best(rng: np.random.Generator, angle: float) -> None:
+def test_no_rotation_generates_more_than_the_best(rng, angle):
     panels, axis = random_panels(rng), random_unit(rng, 1)[0]
     side = np.cross(axis, random_unit(rng, 1)[0])
     sun = np.cos(angle) * axis + np.sin(angle) * side / np.linalg.norm(side)
@@ -39,7 +39,7 @@ def test_no_rotation_generates_more_than_the_best(rng: np.random.Generator, angl
 
 
 @given(generators)
-def test_the_attitude_found_generates_the_most(rng: np.random.Generator) -> None:
+def test_the_attitude_found_generates_the_most(rng):
     panels = random_panels(rng)
     axis_body, axis, sun = random_unit(rng, 3)
     angle = float(np.arccos(np.clip(axis @ sun, -1.0, 1.0)))
@@ -51,7 +51,7 @@ def test_the_attitude_found_generates_the_most(rng: np.random.Generator) -> None
 
 
 @given(generators)
-def test_no_attitude_generates_more_than_the_best_direction(rng: np.random.Generator) -> None:
+def test_no_attitude_generates_more_than_the_best_direction(rng):
     panels = random_panels(rng)
     best = panels.best_direction()
     most = np.linalg.norm(best)
@@ -60,7 +60,7 @@ def test_no_attitude_generates_more_than_the_best_direction(rng: np.random.Gener
     assert panels.generation(best / most).sum() == pytest.approx(most)
 
 
-def test_an_axis_along_the_sun_leaves_the_rotation_free() -> None:
+def test_an_axis_along_the_sun_leaves_the_rotation_free():
     z = np.array([0.0, 0.0, 1.0])
     for side in (z, -z):
         matrix = align(z, z, np.array([1.0, 0.0, 0.0]), side)
@@ -70,7 +70,7 @@ def test_an_axis_along_the_sun_leaves_the_rotation_free() -> None:
     assert upward.best_roll(z, 0.3) @ z == pytest.approx(0.0)
 
 
-def test_no_panel_and_too_many_are_refused() -> None:
+def test_no_panel_and_too_many_are_refused():
     for count in (0, 17):
         with pytest.raises(ValueError, match="panels"):
             SolarArray(np.ones((count, 3)), np.ones(count))
@@ -88,9 +88,7 @@ def sphere(count: int, specular: float, diffuse: float) -> Plates:
 
 
 @given(st.floats(0.0, 0.5), st.floats(0.0, 0.5), generators)
-def test_plates_of_a_sphere_are_the_cannonball(
-    specular: float, diffuse: float, rng: np.random.Generator
-) -> None:
+def test_plates_of_a_sphere_are_the_cannonball(specular, diffuse, rng):
     """A sphere has C_R = 1 + 4/9 rho_d, and specular reflection adds nothing."""
     sun = random_unit(rng, 1)[0]
     force = sphere(20_000, specular, diffuse).force_per_pressure(sun)
@@ -99,7 +97,7 @@ def test_plates_of_a_sphere_are_the_cannonball(
 
 
 @given(generators, st.floats(0.0, 1.0))
-def test_a_mirror_is_pushed_along_its_normal(rng: np.random.Generator, specular: float) -> None:
+def test_a_mirror_is_pushed_along_its_normal(rng, specular):
     normal = random_unit(rng, 1)
     sun = random_unit(rng, 1)[0]
     plate = Plates(normal, np.array([2.0]), np.array([specular]), np.array([0.0]))

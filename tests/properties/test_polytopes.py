@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -44,7 +43,7 @@ def norms(array: Array) -> Array:
 
 
 @pytest.mark.parametrize("facets", ["paper", *COUNTS])
-def test_a_polytope_fits_the_unit_ball_from_inside_and_from_outside(facets: int | str) -> None:
+def test_a_polytope_fits_the_unit_ball_from_inside_and_from_outside(facets):
     polytope = ball(facets) if isinstance(facets, int) else paper_ball()
     normals, count = polytope.normals, 24 if facets == "paper" else facets
     assert normals.shape == (count, 3)
@@ -58,14 +57,14 @@ def test_a_polytope_fits_the_unit_ball_from_inside_and_from_outside(facets: int 
 
 
 @pytest.mark.parametrize("facets", [4, 5, 6, 12, 13, 30, 63])
-def test_outer_polytopes_are_nested(facets: int) -> None:
+def test_outer_polytopes_are_nested(facets):
     fewer, more = ball(facets), ball(facets + 1)
     assert np.array_equal(more.normals[:facets], fewer.normals)
     assert more.reach <= fewer.reach + EXACT
 
 
 @pytest.mark.parametrize("facets", [*COUNTS, 128])
-def test_tightness_lies_between_the_covering_and_the_packing_bound(facets: int) -> None:
+def test_tightness_lies_between_the_covering_and_the_packing_bound(facets):
     # Caps of the angle alpha = acos(1 / reach) about the normals cover the sphere, each a fraction
     # (1 - cos alpha) / 2 of it; and as every normal was put where the covering was worst, caps of
     # half the angle are disjoint.
@@ -74,7 +73,7 @@ def test_tightness_lies_between_the_covering_and_the_packing_bound(facets: int) 
     assert tightness >= 1.0 - 8.0 / facets + 8.0 / facets**2 - EXACT
 
 
-def test_the_paper_polytope_has_24_facets_at_one_distance_and_14_vertices_on_the_sphere() -> None:
+def test_the_paper_polytope_has_24_facets_at_one_distance_and_14_vertices_on_the_sphere():
     polytope = paper_ball()
     assert polytope.normals.shape == (24, 3)
     assert len(np.unique(polytope.normals.round(9), axis=0)) == 24
@@ -92,7 +91,7 @@ def test_the_paper_polytope_has_24_facets_at_one_distance_and_14_vertices_on_the
 
 
 @pytest.mark.parametrize(("least", "make"), [(4, ball), (3, lambda n: inner_pyramid_angle(0.5, n))])
-def test_too_few_facets_bound_nothing(least: int, make: Callable[[int], object]) -> None:
+def test_too_few_facets_bound_nothing(least, make):
     for facets in (-1, 0, least - 1):
         with pytest.raises(ValueError, match=f"at least {least} facets, got {facets}"):
             make(facets)
@@ -104,7 +103,7 @@ LARGE = [128, 512]
 
 
 @pytest.mark.parametrize("facets", LARGE)
-def test_of_many_facets_none_lets_a_point_outside_the_unit_ball_through(facets: int) -> None:
+def test_of_many_facets_none_lets_a_point_outside_the_unit_ball_through(facets):
     """Random points are enough: every direction outside, and every one inside, is looked at."""
     polytope, sphere = ball(facets), random_unit(np.random.default_rng(facets), 20_000)
     height = (sphere @ polytope.normals.T).max(axis=1)
@@ -129,14 +128,14 @@ def off_axis(rays: Array) -> Array:
 
 
 @given(half_angles, facet_counts)
-def test_the_inner_pyramids_edges_lie_on_the_cone(half_angle: float, facets: int) -> None:
+def test_the_inner_pyramids_edges_lie_on_the_cone(half_angle, facets):
     normals, edges = pyramid(inner_pyramid_angle(half_angle, facets), facets)
     assert np.all(edges @ normals.T <= EXACT)  # they are edges, not only lines of two planes
     assert off_axis(edges) == pytest.approx(half_angle, abs=EXACT)
 
 
 @given(half_angles, facet_counts)
-def test_the_outer_pyramid_contains_the_cone(half_angle: float, facets: int) -> None:
+def test_the_outer_pyramid_contains_the_cone(half_angle, facets):
     normals, edges = pyramid(half_angle, facets)
     azimuth = np.linspace(0.0, 2.0 * np.pi, 400)
     rays = np.column_stack(
@@ -151,15 +150,15 @@ def test_the_outer_pyramid_contains_the_cone(half_angle: float, facets: int) -> 
 
 
 @given(half_angles, facet_counts)
-def test_pyramids_tighten_with_every_facet(half_angle: float, facets: int) -> None:
+def test_pyramids_tighten_with_every_facet(half_angle, facets):
     fewer, more = (inner_pyramid_angle(half_angle, n) for n in (facets, facets + 1))
     assert 0.0 < fewer < more < half_angle
 
 
 @given(half_angles, st.integers(8, 200))
 def test_pyramids_approach_the_cone_at_the_rate_of_one_over_the_square_of_the_facets(
-    half_angle: float, facets: int
-) -> None:
+    half_angle, facets
+):
     def gap(n: int) -> float:
         return 1.0 - np.tan(inner_pyramid_angle(half_angle, n)) / np.tan(half_angle)
 
@@ -178,18 +177,14 @@ def assert_smallest_rotations(rotation: Array, start: Array, end: Array) -> None
 
 
 @given(generators, st.integers(1, 6))
-def test_turn_is_the_smallest_rotation_from_start_to_end(
-    rng: np.random.Generator, count: int
-) -> None:
+def test_turn_is_the_smallest_rotation_from_start_to_end(rng, count):
     start, end = random_unit(rng), random_unit(rng, count)
     assume(np.all(end @ start > -0.999))
     assert_smallest_rotations(rotations_between(start, end), start, end)
 
 
 @given(st.sampled_from([*np.eye(3), -np.ones(3) / np.sqrt(3.0)]), generators)
-def test_turn_reverses_antiparallel_vectors_and_leaves_parallel_ones(
-    axis: Array, rng: np.random.Generator
-) -> None:
+def test_turn_reverses_antiparallel_vectors_and_leaves_parallel_ones(axis, rng):
     for start in (axis, random_unit(rng)):
         end = np.stack([-start, start])
         assert_smallest_rotations(rotations_between(start, end), start, end)
@@ -198,9 +193,7 @@ def test_turn_reverses_antiparallel_vectors_and_leaves_parallel_ones(
 @given(st.floats(-15.0, -1.0), generators)
 @example(-6.5, np.random.default_rng(0))
 @example(-5.5, np.random.default_rng(0))
-def test_turn_is_a_rotation_however_nearly_antiparallel_the_vectors(
-    decade: float, rng: np.random.Generator
-) -> None:
+def test_turn_is_a_rotation_however_nearly_antiparallel_the_vectors(decade, rng):
     q = random_rotation(rng)
     start, aside = q[0], q[1]
     angle = 10.0**decade

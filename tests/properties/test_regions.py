@@ -81,15 +81,13 @@ def cone_slack(cone: SecondOrderCone, point: Array) -> Array:
 
 
 @given(balls, points)
-def test_inside_of_a_ball_is_its_radius_less_the_distance_to_its_centre(
-    ball: Ball, point: Array
-) -> None:
+def test_inside_of_a_ball_is_its_radius_less_the_distance_to_its_centre(ball, point):
     distance = lengths(point - ball.center)
     assert ball.inside(point) == pytest.approx(ball.radius - distance, abs=EXACT)
 
 
 @given(cones, points)
-def test_inside_of_a_cone_is_the_sine_of_the_angle_to_its_surface(cone: Cone, point: Array) -> None:
+def test_inside_of_a_cone_is_the_sine_of_the_angle_to_its_surface(cone, point):
     angle = cone.half_angle - angle_off_axis(cone, point)
     distance = lengths(point - cone.apex) * np.sin(angle)
     assert cone.inside(point) == pytest.approx(distance, abs=EXACT)
@@ -98,8 +96,8 @@ def test_inside_of_a_cone_is_the_sine_of_the_angle_to_its_surface(cone: Cone, po
 @given(st.one_of(balls, cones), points, points, generators)
 @example(Ball(np.zeros((1, 3)), 1.0), np.array([[0.0, 0.0, 3e-162]]), np.zeros((1, 3)), None)
 def test_the_supporting_half_space_contains_its_region_and_its_complement_does_not(
-    region: Region, point: Array, other: Array, rng: np.random.Generator | None
-) -> None:
+    region, point, other, rng
+):
     halfspaces = region.supporting(point)
     assert lengths(halfspaces.normal) == pytest.approx(1.0, abs=EXACT)
     assert contains(halfspaces, members(rng or np.random.default_rng(0), region))
@@ -109,9 +107,7 @@ def test_the_supporting_half_space_contains_its_region_and_its_complement_does_n
 
 
 @given(balls, points)
-def test_the_supporting_half_space_touches_the_ball_where_the_line_of_sight_leaves_it(
-    ball: Ball, point: Array
-) -> None:
+def test_the_supporting_half_space_touches_the_ball_where_the_line_of_sight_leaves_it(ball, point):
     sight = point - ball.center
     assume(lengths(sight)[0] > 1e-3)
     touched = ball.center + ball.radius * sight / lengths(sight)
@@ -123,9 +119,7 @@ def test_the_supporting_half_space_touches_the_ball_where_the_line_of_sight_leav
 
 
 @given(cones, points)
-def test_the_supporting_half_space_touches_the_cone_along_the_ray_nearest_to_the_point(
-    cone: Cone, point: Array
-) -> None:
+def test_the_supporting_half_space_touches_the_cone_along_the_ray_nearest_to_the_point(cone, point):
     d = point - cone.apex
     side = d - np.sum(d * cone.axis) * cone.axis
     assume(lengths(side)[0] > 1e-3)
@@ -139,9 +133,7 @@ def test_the_supporting_half_space_touches_the_cone_along_the_ray_nearest_to_the
 @given(directions(), half_angles, st.floats(-16.0, -2.0))
 @example(np.array([[0.6, 0.0, 0.8]]), 1.0, -14.0)
 @example(np.array([[0.6, 0.0, 0.8]]), 1.0, -11.0)
-def test_the_half_space_at_and_near_a_cones_axis_contains_and_touches_it(
-    axis: Array, half_angle: float, decade: float
-) -> None:
+def test_the_half_space_at_and_near_a_cones_axis_contains_and_touches_it(axis, half_angle, decade):
     cone = Cone(np.zeros((1, 3)), axis, half_angle)
     side = perpendicular(axis)
     assert np.sum(side * axis) == pytest.approx(0.0, abs=EXACT)
@@ -152,9 +144,7 @@ def test_the_half_space_at_and_near_a_cones_axis_contains_and_touches_it(
 
 
 @given(st.floats(-14.0, 0.0), generators)
-def test_a_part_across_an_axis_is_what_is_left_of_it_and_nothing_where_rounding_is(
-    decade: float, rng: np.random.Generator
-) -> None:
+def test_a_part_across_an_axis_is_what_is_left_of_it_and_nothing_where_rounding_is(decade, rng):
     axis = random_unit(rng, 4)
     side = perpendicular(axis)
     vector = 3.0 * axis + 10.0**decade * side
@@ -178,15 +168,13 @@ def assert_supports(cone: Cone, halfspaces: Halfspaces) -> None:
 
 
 @given(st.one_of(balls, cones), points)
-def test_the_second_order_cone_holds_exactly_inside_and_by_the_same_amount(
-    region: Region, point: Array
-) -> None:
+def test_the_second_order_cone_holds_exactly_inside_and_by_the_same_amount(region, point):
     inside, slack = region.inside(point), cone_slack(region.second_order_cone, point)
     assert slack == pytest.approx(inside, abs=EXACT)
 
 
 @given(st.one_of(balls, cones), points)
-def test_margins_are_positive_on_the_allowed_side_only(region: Region, point: Array) -> None:
+def test_margins_are_positive_on_the_allowed_side_only(region, point):
     if isinstance(region, Ball):
         depth = region.radius - lengths(point - region.center)[0]
     else:
@@ -201,7 +189,7 @@ def test_margins_are_positive_on_the_allowed_side_only(region: Region, point: Ar
 
 
 @given(generators, st.booleans())
-def test_each_nodes_region_is_its_own(rng: np.random.Generator, alike: bool) -> None:
+def test_each_nodes_region_is_its_own(rng, alike):
     """Together and one by one, with points at distances of 1e-150 to 1e150 from their regions."""
     n = 5
     sizes = np.ones(n) if alike else np.array([1e-150, 1e-8, 1.0, 1e8, 1e150])

@@ -37,9 +37,7 @@ def mission() -> Mission:
 
 
 @given(times, generators, st.floats(300.0, 5000.0))
-def test_phase_emission_and_incidence_are_those_of_spice(
-    mission: Mission, spice: ModuleType, t: float, rng: np.random.Generator, distance: float
-) -> None:
+def test_phase_emission_and_incidence_are_those_of_spice(mission, spice, t, rng, distance):
     site = Site(250.0 * random_unit(rng), unit(random_unit(rng)))
     craft, sun = distance * random_unit(rng), random_unit(rng)
     turn = spice.tipbod("J2000", BENNU, EPOCH_ET + t)

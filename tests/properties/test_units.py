@@ -84,7 +84,7 @@ def is_told(scenario: Scenario, changes: Entries) -> bool:
 
 
 @given(consistent())
-def test_what_is_consistent_is_let_pass_without_a_word(scenario: Scenario) -> None:
+def test_what_is_consistent_is_let_pass_without_a_word(scenario):
     assert Mission.from_scenario(scenario).warnings == ()
 
 
@@ -137,16 +137,14 @@ wholly_in_km: Factors = dict.fromkeys((*LENGTHS, *SPEEDS), KM) | {"body.gm_m3_s2
     ids=["one entry", "some lengths", "limits in radians", "all in kilometres"],
 )
 @given(consistent(), st.data())
-def test_entries_in_another_unit_are_told(
-    wrong: st.SearchStrategy[Factors], scenario: Scenario, data: st.DataObject
-) -> None:
+def test_entries_in_another_unit_are_told(wrong, scenario, data):
     factors = data.draw(wrong)
     changes = {path: scaled(entry_of(scenario, path), factor) for path, factor in factors.items()}
     assert is_told(scenario, changes)
 
 
 @given(st.sets(st.sampled_from(BODY_ANGLES), min_size=1))
-def test_pole_and_spin_of_a_known_body_in_radians_or_swapped_are_told(paths: set[str]) -> None:
+def test_pole_and_spin_of_a_known_body_in_radians_or_swapped_are_told(paths):
     assert is_told(RECON_B, {path: np.deg2rad(entry_of(RECON_B, path)) for path in paths})
     body = RECON_B.body
     changes = {"body.pole_ra_deg": body.pole_dec_deg, "body.pole_dec_deg": body.pole_ra_deg}
@@ -160,7 +158,7 @@ SWAPS = {"xy": (1, 0, 2), "xz": (2, 1, 0), "yz": (0, 2, 1), "xyz": (1, 2, 0), "z
 
 @pytest.mark.parametrize("swap", SWAPS)
 @pytest.mark.parametrize("path", ["sun.body_position_km", "sun.body_velocity_km_s"])
-def test_swapped_axes_of_the_sun_are_told(path: str, swap: str) -> None:
+def test_swapped_axes_of_the_sun_are_told(path, swap):
     value = entry_of(RECON_B, path)
     assert is_told(RECON_B, {path: [value[i] for i in SWAPS[swap]]})
 
@@ -171,8 +169,8 @@ def test_swapped_axes_of_the_sun_are_told(path: str, swap: str) -> None:
     st.booleans(),
 )
 def test_a_sun_along_the_axes_of_the_ecliptic_is_told_and_of_the_equator_is_not(
-    node: float, inclination_deg: float, wrong: bool
-) -> None:
+    node, inclination_deg, wrong
+):
     """An orbit of low inclination about any node; SciPy's rotations make the components."""
     tilt = Rotation.from_euler("zx", [node, np.deg2rad(inclination_deg)])
     state = tilt.inv().apply([[1.5e8, 1e6, 0.0], [-2.0, 29.0, 0.0]])
@@ -191,9 +189,7 @@ def test_a_sun_along_the_axes_of_the_ecliptic_is_told_and_of_the_equator_is_not(
 @given(
     st.floats(1.01e-4, 0.0998), st.sampled_from([KM, MM]), st.sampled_from([(1, 0), (0, 1), (1, 1)])
 )
-def test_a_spread_in_another_unit_is_told(
-    share: float, factor: float, which: tuple[int, int]
-) -> None:
+def test_a_spread_in_another_unit_is_told(share, factor, which):
     """Position, velocity or both, whatever share of distance and speed is said without a word."""
     distance, speed = (np.linalg.norm(MISSION.initial_state[part]) for part in HALVES)
     speed = max(speed, np.sqrt(RECON_B.body.gm_m3_s2 / distance))
@@ -221,7 +217,7 @@ HALVES = slice(0, 3), slice(3, 6)
 
 
 @given(st.floats(-1.0, 1.0))
-def test_a_known_body_may_be_anywhere_on_its_orbit(days: float) -> None:
+def test_a_known_body_may_be_anywhere_on_its_orbit(days):
     """Carried on by SciPy's integrator about a Sun alone, a hundred days either way, with the epoch."""
     sun = RECON_B.sun
     later = RECON_B.epoch.tdb + timedelta(days=100.0 * days)
@@ -244,9 +240,7 @@ def test_a_known_body_may_be_anywhere_on_its_orbit(days: float) -> None:
     st.tuples(*[st.floats(-1.0, 1.0)] * 3).filter(lambda v: np.linalg.norm(v) > 0.1),
     st.sampled_from(list(SWAPS.values())),
 )
-def test_swapped_axes_of_a_site_are_told_where_its_slope_shows_them(
-    direction: tuple[float, float, float], swap: tuple[int, int, int]
-) -> None:
+def test_swapped_axes_of_a_site_are_told_where_its_slope_shows_them(direction, swap):
     normal, position = unit(direction), 250.0 * unit(direction)
     site = Site(position[list(swap)], normal)
     moved = np.rad2deg(np.arccos(np.clip(site.position_body @ position / 250.0**2, -1.0, 1.0)))

@@ -24,9 +24,7 @@ from scp_recon.api import files, flights, planning
 from scp_recon.api.options import PlanOptions
 from scp_recon.errors import InputError
 from scp_recon.planning.plan import Certificate, Parent, Plan, as_interrupted
-from scp_recon.results.facts import Verification
 from scp_recon.results.read import read_solution
-from scp_recon.results.solution import Solution
 from tests.helpers import nightly
 
 door: Any = sr
@@ -38,7 +36,7 @@ NEED_EXTRAS = {"read_campaign", "campaign", "charts", "report", "simulate", "des
 
 
 @pytest.mark.usefixtures("few_flights")
-def test_the_example_runs(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_example_runs(capsys):
     runpy.run_path(str(PROJECT / "examples" / "first_plan.py"))
     printed = capsys.readouterr().out
     assert "recon_b, P2: Converged" in printed
@@ -54,9 +52,7 @@ def test_the_example_runs(capsys: pytest.CaptureFixture[str]) -> None:
         ("nrho_keeping", "cost 0.36 m/s"),
     ],
 )
-def test_a_problem_by_hand_costs_what_its_page_says(
-    name: str, cost: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_problem_by_hand_costs_what_its_page_says(name, cost, capsys):
     script = PROJECT / "examples" / f"{name}.py"
     assert len(script.read_text("utf-8").splitlines()) <= 80
     runpy.run_path(str(script))
@@ -69,7 +65,7 @@ def test_a_problem_by_hand_costs_what_its_page_says(
 
 @pytest.mark.usefixtures("few_flights")
 @pytest.mark.parametrize("name", sorted({*sr.__all__} - NEED_EXTRAS))
-def test_docstrings_run(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_docstrings_run(name, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     part = sys.modules[getattr(sr, name).__module__]
     (found,) = doctest.DocTestFinder(recurse=False).find(getattr(sr, name), name, part)
@@ -77,7 +73,7 @@ def test_docstrings_run(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPat
     assert doctest.DocTestRunner().run(found).failed == 0
 
 
-def test_importing_the_package_imports_nothing_heavy() -> None:
+def test_importing_the_package_imports_nothing_heavy():
     code = (
         "import sys, scp_recon as sr; heavy = {'cvxpy', 'numpy', 'pydantic'} & set(sys.modules); "
         "assert not heavy, heavy; assert callable(sr.load_scenario); assert 'plan' in dir(sr)"
@@ -85,7 +81,7 @@ def test_importing_the_package_imports_nothing_heavy() -> None:
     subprocess.run([sys.executable, "-W", "error", "-c", code], check=True, cwd=PROJECT, timeout=60)
 
 
-def test_a_plan_speaks_si(default_plan: Plan, solution: Solution) -> None:
+def test_a_plan_speaks_si(default_plan, solution):
     plan = default_plan
     n = len(plan.times_s)
     assert plan.states.shape == (n, 6)
@@ -98,9 +94,7 @@ def test_a_plan_speaks_si(default_plan: Plan, solution: Solution) -> None:
     assert plan.worst_margins == stored
 
 
-def test_what_comes_back_tells_its_verdict(
-    default_plan: Plan, solution: Solution, verification: Verification
-) -> None:
+def test_what_comes_back_tells_its_verdict(default_plan, solution, verification):
     """What a plan is made of too, which is thousands of numbers."""
     text = str(default_plan)
     for piece in ("recon_b, P2: Converged", "0.140135 m/s", "p_chance 0.7", "25000"):
@@ -123,7 +117,7 @@ def test_what_comes_back_tells_its_verdict(
 
 
 @pytest.mark.usefixtures("few_flights")
-def test_a_path_is_taken_wherever_a_plan_is(solution: Solution, tmp_path: Path) -> None:
+def test_a_path_is_taken_wherever_a_plan_is(solution, tmp_path):
     first = sr.save(solution, tmp_path / "first")
     for given in (first, str(first.parent)):
         again = sr.load(sr.save(given, tmp_path / "again"))
@@ -133,9 +127,7 @@ def test_a_path_is_taken_wherever_a_plan_is(solution: Solution, tmp_path: Path) 
         )
 
 
-def test_a_misspelt_name_of_a_result_is_told_the_near_one(
-    default_plan: Plan, solution: Solution
-) -> None:
+def test_a_misspelt_name_of_a_result_is_told_the_near_one(default_plan, solution):
     flights = sr.fly(default_plan, samples=20)
     table = sr.compare(solution)
     for results, name, near in (
@@ -151,7 +143,7 @@ def test_a_misspelt_name_of_a_result_is_told_the_near_one(
             results[name]
 
 
-def test_a_plan_is_data(default_plan: Plan) -> None:
+def test_a_plan_is_data(default_plan):
     for again in (pickle.loads(pickle.dumps(default_plan)), copy.deepcopy(default_plan)):
         assert again == default_plan
         assert hash(again) == hash(default_plan)
@@ -163,7 +155,7 @@ def test_a_plan_is_data(default_plan: Plan) -> None:
     assert default_plan != 3
 
 
-def test_a_plan_is_another_one_with_anything_but_its_timing_changed(default_plan: Plan) -> None:
+def test_a_plan_is_another_one_with_anything_but_its_timing_changed(default_plan):
     certificate = Certificate(1000, 0, 0.71, 0.7, 0.72, 0.71, 1, 1, 0.975)
     for other in (
         as_interrupted(default_plan),
@@ -179,7 +171,7 @@ def test_a_plan_is_another_one_with_anything_but_its_timing_changed(default_plan
 
 
 @pytest.mark.usefixtures("few_flights")
-def test_planning_starts_from_files_and_tables(default_plan: Plan, tmp_path: Path) -> None:
+def test_planning_starts_from_files_and_tables(default_plan, tmp_path):
     saved = sr.save(default_plan, str(tmp_path / "mine"))
     assert read_solution(saved).verification is not None
     table = np.column_stack([default_plan.times_s, default_plan.states])
@@ -245,7 +237,7 @@ BAD_CALLS: dict[str, tuple[str, Callable[[Plan, Path], object]]] = {
 """The entry that the message names, and the call."""
 
 
-def test_whole_numbers_may_be_written_as_floats(default_plan: Plan) -> None:
+def test_whole_numbers_may_be_written_as_floats(default_plan):
     """As on the command line."""
     flown = sr.fly(default_plan, samples=2e1, seed=1.0)  # type: ignore[arg-type]
     assert flown == sr.fly(default_plan, samples=20, seed=1)
@@ -257,9 +249,7 @@ def test_whole_numbers_may_be_written_as_floats(default_plan: Plan) -> None:
 
 
 @pytest.mark.parametrize("name", BAD_CALLS)
-def test_a_wrong_argument_is_named_before_any_work(
-    name: str, default_plan: Plan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_wrong_argument_is_named_before_any_work(name, default_plan, tmp_path, monkeypatch):
     def work(*_: object, **__: object) -> None:
         raise AssertionError("work was begun")
 
@@ -275,7 +265,7 @@ def test_a_wrong_argument_is_named_before_any_work(
     assert "--" not in str(caught.value)
 
 
-def test_flights_are_counted_with_intervals(default_plan: Plan) -> None:
+def test_flights_are_counted_with_intervals(default_plan):
     flights = sr.fly(default_plan, samples=500, seed=1)
     low, value, high = (
         getattr(flights.probability["emission"], n) for n in ("low", "value", "high")
@@ -289,14 +279,14 @@ def test_flights_are_counted_with_intervals(default_plan: Plan) -> None:
     assert any(f"P(emission) {value:.4f}, {low:.4f}" in line for line in lines)
 
 
-def test_completion_offers_the_front_door_and_modules() -> None:
+def test_completion_offers_the_front_door_and_modules():
     offered = dir(sr)
     assert set(sr.__all__) <= set(offered)
     assert {name for name in offered if not ismodule(getattr(sr, name))} == set(sr.__all__)
 
 
 @pytest.mark.usefixtures("few_flights")
-def test_plans_stand_side_by_side(default_plan: Plan) -> None:
+def test_plans_stand_side_by_side(default_plan):
     p3 = sr.plan(problem="P3")
     table = sr.compare(default_plan, p3)
     assert table["total delta-v"] == (default_plan.total_dv_m_s, p3.total_dv_m_s)
@@ -312,9 +302,7 @@ def test_plans_stand_side_by_side(default_plan: Plan) -> None:
         table["delta-v"]
 
 
-def test_a_comparison_says_what_was_verified_and_of_which_scenario(
-    solution: Solution, verification: Verification
-) -> None:
+def test_a_comparison_says_what_was_verified_and_of_which_scenario(solution, verification):
     """Figures are those of the burns; what stands beside them says how far they can be compared."""
     failed = replace(verification, ok=False, failed=["status", "violation"])
     other = solution.scenario.replace(
@@ -334,7 +322,7 @@ def test_a_comparison_says_what_was_verified_and_of_which_scenario(
 
 
 @nightly
-def test_paths_on_different_grids_are_held_against_each_other_at_one_time() -> None:
+def test_paths_on_different_grids_are_held_against_each_other_at_one_time():
     """The same burns on a grid twice as fine: the path between nodes is a cubic of its states."""
     fine = sr.plan(
         sr.load_scenario("recon_b").replace({"grid.step_max_s": 116.0}), init="cold", problem="P3"
@@ -346,7 +334,7 @@ def test_paths_on_different_grids_are_held_against_each_other_at_one_time() -> N
     assert apart < 0.02 + 60_000.0 * difference
 
 
-def test_what_a_plan_is_made_of_is_equal_only_to_itself(default_plan: Plan) -> None:
+def test_what_a_plan_is_made_of_is_equal_only_to_itself(default_plan):
     """What holds arrays has no equality of its parts: asking must not end in a traceback."""
     again = copy.deepcopy(default_plan)
     for path in (
@@ -360,7 +348,7 @@ def test_what_a_plan_is_made_of_is_equal_only_to_itself(default_plan: Plan) -> N
 
 
 @pytest.mark.usefixtures("few_flights")
-def test_a_campaign_gives_a_table_and_figures(tmp_path: Path) -> None:
+def test_a_campaign_gives_a_table_and_figures(tmp_path):
     study = {"axis": [{"entry": "risk.p_chance", "values": [0.7, 0.75]}]}
     table, figures = sr.campaign(study, tmp_path, workers=0)
     assert list(table["risk.p_chance"]) == [0.7, 0.75]
@@ -375,7 +363,7 @@ def test_a_campaign_gives_a_table_and_figures(tmp_path: Path) -> None:
         sr.read_campaign(str(tmp_path / "none"))
 
 
-def test_a_bad_campaign_is_one_message(tmp_path: Path) -> None:
+def test_a_bad_campaign_is_one_message(tmp_path):
     with pytest.raises(InputError, match="workers"):
         sr.campaign({}, tmp_path, workers=-1)
     with pytest.raises(InputError, match="study"):

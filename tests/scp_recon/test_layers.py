@@ -14,7 +14,6 @@ from pathlib import Path
 import pytest
 
 from scp_recon.cli.commands import COMMANDS as BY_NAME
-from scp_recon.results.solution import Solution
 
 PROJECT = Path(__file__).parents[2]
 LIBRARY = ("formulations", "scp_recon")
@@ -70,9 +69,7 @@ def roots(path: Path) -> set[str]:
         ("scp_recon", set(UPPER_FLOORS)),
     ],
 )
-def test_a_wing_imports_nothing_above_it_and_formulations_no_file_format(
-    package: str, barred: set[str]
-) -> None:
+def test_a_wing_imports_nothing_above_it_and_formulations_no_file_format(package, barred):
     found = {module_name(path): roots(path) & barred for path in modules(package)}
     assert {name: wrong for name, wrong in found.items() if wrong} == {}
 
@@ -143,7 +140,7 @@ def floors_above(own: str, imported: Set[str]) -> set[str]:
     return {floor for floor in floors if FLOORS.index(floor) > FLOORS.index(own)}
 
 
-def test_folders_import_downwards_only() -> None:
+def test_folders_import_downwards_only():
     upwards = {}
     for path in (path for package in WINGS for path in modules(package)):
         own = floor_of(name := module_name(path))
@@ -154,13 +151,13 @@ def test_folders_import_downwards_only() -> None:
     assert upwards == {}
 
 
-def test_of_the_api_one_module_alone_plans() -> None:
+def test_of_the_api_one_module_alone_plans():
     """Every other way to a plan goes through it, so that all of them decide alike."""
     api = {path.stem: imports(path) for path in modules("scp_recon/api")}
     assert [name for name in api if "scp_recon.planning.planner" in api[name]] == ["planning"]
 
 
-def test_every_module_and_command_has_its_floor() -> None:
+def test_every_module_and_command_has_its_floor():
     """Commands are above all of their wing but the ways in, so that nothing below imports them."""
     assert {floor_of(command) for command in COMMANDS} == {"scp_recon.cli.commands"}
     assert floors_above("scp_recon.api", COMMANDS) == {"scp_recon.cli.commands"}
@@ -171,7 +168,7 @@ def test_every_module_and_command_has_its_floor() -> None:
 
 
 @pytest.mark.parametrize("wing", LIBRARY)
-def test_the_drawn_tree_is_the_house_from_the_top_down(wing: str) -> None:
+def test_the_drawn_tree_is_the_house_from_the_top_down(wing):
     """A wing's folders stand six spaces in, those of the floors and in their order."""
     drawn = re.findall(r"^ {6}(\w+)/", TREE.split(f"\n    {wing}/ ")[1].split("\n\n")[0], re.M)
     inside = [floor.split(".")[1:] for floor in FLOORS if floor.startswith(f"{wing}.")]
@@ -180,7 +177,7 @@ def test_the_drawn_tree_is_the_house_from_the_top_down(wing: str) -> None:
 
 
 @pytest.mark.parametrize("wing", WINGS[:-1])
-def test_the_drawn_tree_names_every_folder_and_study(wing: str) -> None:
+def test_the_drawn_tree_names_every_folder_and_study(wing):
     named = set(re.findall(r"\w+", TREE))
     for path in modules(wing):
         *folders, module = path.relative_to(PROJECT / wing).with_suffix("").parts
@@ -188,13 +185,13 @@ def test_the_drawn_tree_names_every_folder_and_study(wing: str) -> None:
         assert {*folders[: 2 if wing in LIBRARY else 1], *alone} <= named, path
 
 
-def test_the_drawn_tree_names_every_command() -> None:
+def test_the_drawn_tree_names_every_command():
     first = TREE.split("\n    scp_recon/ ")[1].split("api/")[0]
     assert {*BY_NAME} <= {*first.split()}
 
 
 @pytest.mark.parametrize("wing", WINGS[2:])
-def test_studies_figures_and_timings_use_the_library_and_not_each_other(wing: str) -> None:
+def test_studies_figures_and_timings_use_the_library_and_not_each_other(wing):
     """But for the harness, by which timings are a study as well."""
     others = tuple(f"{other}." for other in UPPER_FLOORS if other != wing)
     for path in modules(wing):
@@ -202,7 +199,7 @@ def test_studies_figures_and_timings_use_the_library_and_not_each_other(wing: st
         assert all(f"{name}.".startswith("experiments.harness.") for name in used), path
 
 
-def test_there_are_no_circles() -> None:
+def test_there_are_no_circles():
     graph = {
         module_name(path): imports(path)
         for package in WINGS
@@ -217,7 +214,7 @@ def test_there_are_no_circles() -> None:
     assert not graph, f"circle among {sorted(graph)}"
 
 
-def test_the_library_neither_prints_nor_asks() -> None:
+def test_the_library_neither_prints_nor_asks():
     for path in (path for package in LIBRARY for path in modules(package)):
         called = {
             node.func.id
@@ -227,7 +224,7 @@ def test_the_library_neither_prints_nor_asks() -> None:
         assert not called & {"print", "input", "breakpoint"}, path
 
 
-def test_nothing_global_is_set() -> None:
+def test_nothing_global_is_set():
     for path in (path for package in LIBRARY for path in modules(package)):
         text = path.read_text("utf-8")
         for setting in ("np.seterr(", "np.random.seed(", "warnings.simplefilter(", "os.environ["):
@@ -275,7 +272,7 @@ assert before == after, [(a, b) for a, b in zip(before, after) if a != b]
 """
 
 
-def test_importing_the_library_is_silent_and_changes_nothing_global() -> None:
+def test_importing_the_library_is_silent_and_changes_nothing_global():
     files = {module_name(path): path for package in LIBRARY for path in modules(package)}
     optional = {"casadi", "matplotlib", "spiceypy", "Basilisk"}
 
@@ -310,7 +307,7 @@ for name in {{commands!r}}:
 """
 
 
-def test_the_main_job_needs_nothing_heavy_at_import() -> None:
+def test_the_main_job_needs_nothing_heavy_at_import():
     """Of no command: what the first imports has no part in what the next is found to."""
     run = run_python(ONE_BY_ONE.format(commands=sorted(COMMANDS)))
     assert (run.returncode, run.stdout, run.stderr) == (0, "", "")
@@ -334,9 +331,7 @@ for command, heavy in ((verify, {("jinja2", *TO_PLAN)}), (report, {TO_PLAN})):
 """
 
 
-def test_help_verification_and_a_report_load_nothing_heavy(
-    solution: Solution, tmp_path: Path
-) -> None:
+def test_help_verification_and_a_report_load_nothing_heavy(solution, tmp_path):
     """In this order: what one imports the next may too."""
     solution.write(tmp_path)
     run = run_python(READ.format(folder=str(tmp_path)))

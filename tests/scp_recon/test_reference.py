@@ -19,7 +19,7 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize("name", PAGES)
-def test_a_page_is_current_and_describes_everything(name: str, written: Path) -> None:
+def test_a_page_is_current_and_describes_everything(name, written):
     text = (written / f"{name}.md").read_text("utf-8")
     assert (PUBLISHED / f"{name}.md").read_text("utf-8") == text, "run make reference"
     for line in text.splitlines():
@@ -27,5 +27,5 @@ def test_a_page_is_current_and_describes_everything(name: str, written: Path) ->
             assert len(line.rstrip(" |").rpartition(" | ")[2]) > 4, line
 
 
-def test_no_other_page_stands_there() -> None:
+def test_no_other_page_stands_there():
     assert {path.stem for path in PUBLISHED.iterdir()} == {*PAGES}

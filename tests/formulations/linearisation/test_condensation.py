@@ -13,7 +13,7 @@ from tests.helpers import generators, random_flyby
 @pytest.mark.parametrize("name", CONDENSATIONS)
 @settings(max_examples=10)
 @given(generators)
-def test_a_factor_that_is_not_wanted_is_not_there(name: str, rng: np.random.Generator) -> None:
+def test_a_factor_that_is_not_wanted_is_not_there(name, rng):
     lin = random_flyby(rng).perturbed(rng, 0.2, 0.1)
     nodes, columns = np.array([1, 4, 8]), lin.problem.factor_columns
     z, full = lin.iterate.burns.size, condense(lin, nodes)
@@ -28,7 +28,7 @@ def test_a_factor_that_is_not_wanted_is_not_there(name: str, rng: np.random.Gene
 @pytest.mark.parametrize("name", CONDENSATIONS)
 @settings(max_examples=10)
 @given(generators)
-def test_every_model_is_exact_at_its_iterate(name: str, rng: np.random.Generator) -> None:
+def test_every_model_is_exact_at_its_iterate(name, rng):
     lin = random_flyby(rng).perturbed(rng, 0.2, 0.0)
     nodes, z = np.array([0, 3, 8]), lin.iterate.burns.ravel()
     s = CONDENSATIONS[name](lin, nodes, factor=True)
@@ -40,9 +40,7 @@ def test_every_model_is_exact_at_its_iterate(name: str, rng: np.random.Generator
 
 @settings(max_examples=10)
 @given(generators)
-def test_frozen_forms_are_those_without_curvature_and_without_a_derivative(
-    rng: np.random.Generator,
-) -> None:
+def test_frozen_forms_are_those_without_curvature_and_without_a_derivative(rng):
     lin = random_flyby(rng).perturbed(rng, 0.2, 0.1)
     nodes = np.arange(lin.problem.n_nodes)
     stm, still = (

@@ -18,7 +18,7 @@ from formulations.linearisation.linearisation import Linearisation
 from formulations.nlp import solve
 from formulations.nlp.covariance import Covariance, Factor, Spread, initial_deviation
 from formulations.nlp.program import Arcs, Program, Start, Transcription, assemble
-from formulations.nlp.shooting import ArcStyle, MultipleShooting, SingleShooting
+from formulations.nlp.shooting import MultipleShooting, SingleShooting
 from formulations.nlp.solve import (
     EXACT,
     QUASI_NEWTON,
@@ -140,7 +140,7 @@ def within(value: Array) -> Any:
     return pytest.approx(value, rel=0.0, abs=1e-9)
 
 
-def test_casadi_flies_the_planners_arcs(coarse: Case) -> None:
+def test_casadi_flies_the_planners_arcs(coarse):
     lin, flow = coarse.near(1), coarse.mission.flow
     assert flow.substeps > 1
     start = lin.iterate.mean[:-1]
@@ -160,7 +160,7 @@ def _stm(arcs: Arcs) -> tuple[list[ca.SX], list[ca.SX]]:
 
 @pytest.mark.parametrize("seed", usually(range(3), 1))
 @pytest.mark.parametrize("style", ["called", "mapped", "differentiated"])
-def test_p3_has_the_rows_of_the_convex_side(coarse: Case, style: ArcStyle, seed: int) -> None:
+def test_p3_has_the_rows_of_the_convex_side(coarse, style, seed):
     """Also of a burn that is held, and of one that is raised."""
     lin = coarse.near(seed)
     problem = replace(coarse.problem, held=(1,), raised=(2,), dv_min=0.02)
@@ -182,7 +182,7 @@ def test_p3_has_the_rows_of_the_convex_side(coarse: Case, style: ArcStyle, seed:
 
 @pytest.mark.parametrize("seed", usually(range(3), 1))
 @pytest.mark.parametrize("spread", SPREADS)
-def test_p2_has_the_rows_of_the_convex_side(coarse: Case, spread: str, seed: int) -> None:
+def test_p2_has_the_rows_of_the_convex_side(coarse, spread, seed):
     lin, problem, facets = coarse.near(seed), coarse.problem, coarse.p2.facets
     assert facets is not None
     transcription = MultipleShooting(SPREADS[spread], "mapped", whole=True)
@@ -202,7 +202,7 @@ def test_p2_has_the_rows_of_the_convex_side(coarse: Case, spread: str, seed: int
 
 
 @pytest.mark.parametrize("seed", usually(range(3), 1))
-def test_single_shooting_has_the_rows_of_the_convex_side(coarse: Case, seed: int) -> None:
+def test_single_shooting_has_the_rows_of_the_convex_side(coarse, seed):
     lin, problem, facets = coarse.near(seed, flown=True), coarse.problem, coarse.p2.facets
     assert facets is not None
     program = coarse.program(SingleShooting(), facets, lin)
@@ -234,7 +234,7 @@ def _check_facet_rows(
 
 
 @pytest.mark.parametrize("seed", usually(range(3), 1))
-def test_p3_as_printed_bounds_the_same_sets(coarse: Case, seed: int) -> None:
+def test_p3_as_printed_bounds_the_same_sets(coarse, seed):
     """The paper's ratios, turned into distances from the apex, are the convex side's margins."""
     lin, problem = coarse.near(seed), coarse.problem
     transcription = VARIANTS["printed"].transcription
@@ -263,7 +263,7 @@ def test_p3_as_printed_bounds_the_same_sets(coarse: Case, seed: int) -> None:
 
 
 @pytest.mark.parametrize("spread", usually(["21 entries scaled", "factor", "36 entries"], 1))
-def test_derivatives_formed_arc_by_arc_are_those_of_the_whole(coarse: Case, spread: str) -> None:
+def test_derivatives_formed_arc_by_arc_are_those_of_the_whole(coarse, spread):
     lin = coarse.near(5)
     by_arc, whole = (
         assemble(coarse.program(MultipleShooting(SPREADS[spread], style), coarse.facets, lin), 10.0)
@@ -296,7 +296,7 @@ def test_derivatives_formed_arc_by_arc_are_those_of_the_whole(coarse: Case, spre
     ),
     ids=usually(["tuned", "shooting", "quasi-Newton"], 2),
 )
-def test_ipopt_and_scp_find_the_same_p2_from_the_same_p3(coarse: Case, variant: Variant) -> None:
+def test_ipopt_and_scp_find_the_same_p2_from_the_same_p3(coarse, variant):
     start = coarse.start(coarse.p3)
     result = solve_nlp(coarse.problem, coarse.arcs, coarse.facets, start, variant)
     assert result.outcome is NlpOutcome.SOLVED or variant.p2 is QUASI_NEWTON, result.status
@@ -304,7 +304,7 @@ def test_ipopt_and_scp_find_the_same_p2_from_the_same_p3(coarse: Case, variant: 
     assert result.iterate.total_dv == pytest.approx(expected, rel=1e-4)
 
 
-def test_ipopt_and_scp_agree_on_the_merit_of_an_infeasible_case(infeasible: Case) -> None:
+def test_ipopt_and_scp_agree_on_the_merit_of_an_infeasible_case(infeasible):
     stage, start, weight = infeasible.p2, infeasible.start(infeasible.p3), 1_000.0
     assert stage.result.status is Status.INFEASIBLE
     problem, variant = infeasible.problem, VARIANTS["shooting"]
@@ -317,7 +317,7 @@ def test_ipopt_and_scp_agree_on_the_merit_of_an_infeasible_case(infeasible: Case
 
 
 @pytest.mark.parametrize("name", ["tuned", "shooting"])
-def test_the_penalty_weighs_as_the_merit_does(coarse: Case, name: str) -> None:
+def test_the_penalty_weighs_as_the_merit_does(coarse, name):
     """At an iterate with every kind of violation, slacks that just fill it cost the merit."""
     lin, stage = coarse.near(7, flown=True), coarse.p2
     nlp = assemble(coarse.program(VARIANTS[name].transcription, coarse.facets, lin), 10.0)
@@ -329,9 +329,7 @@ def test_the_penalty_weighs_as_the_merit_does(coarse: Case, name: str) -> None:
 
 
 @pytest.mark.parametrize("variant", usually(["shooting", "tuned"], 1))
-def test_ipopt_and_scp_find_the_same_plan(
-    coarse: Case, variant: str, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_ipopt_and_scp_find_the_same_plan(coarse, variant, capfd):
     mission = coarse.mission
     lines: list[tuple[str, int]] = []
     result = ipopt.plan(
@@ -361,7 +359,7 @@ NAVIGATED = (
 
 
 @nightly
-def test_ipopt_and_scp_find_the_same_plan_with_corrected_burns() -> None:
+def test_ipopt_and_scp_find_the_same_plan_with_corrected_burns():
     case = Case.of(COARSE, *NAVIGATED)
     result = ipopt.plan(case.mission, initial_guess.cold(case.mission))
     assert result.final.result.status is Status.CONVERGED
@@ -372,7 +370,7 @@ def test_ipopt_and_scp_find_the_same_plan_with_corrected_burns() -> None:
     assert verify(case.mission, solution).ok
 
 
-def test_where_no_gains_are_given_ipopt_begins_with_some(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_where_no_gains_are_given_ipopt_begins_with_some(monkeypatch):
     """At zero the cost has a kink. Two iterations, on few nodes."""
     monkeypatch.setattr(solve, "EXACT", replace(EXACT, max_iterations=2))
     few = "grid.step_max_s=3000", "burns.times_s=[0.0,8000.0,34842.0]"
@@ -384,15 +382,13 @@ def test_where_no_gains_are_given_ipopt_begins_with_some(monkeypatch: pytest.Mon
     assert result.iterate.gains.any()
 
 
-def test_the_paper_prints_no_corrections(coarse: Case) -> None:
+def test_the_paper_prints_no_corrections(coarse):
     mission = Mission.from_scenario(load_scenario(None, (COARSE, *NAVIGATED)))
     with pytest.raises(InputError, match=r"feedback.*tuned.*or shooting"):
         ipopt.plan(mission, initial_guess.cold(coarse.mission), variant="printed")
 
 
-def test_what_does_not_converge_begins_again_at_the_ballistic_arc(
-    coarse: Case, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_does_not_converge_begins_again_at_the_ballistic_arc(coarse, monkeypatch):
     """As the planner has it; here P3 is given too few iterations, so that no try converges."""
     brief = replace(VARIANTS["shooting"], p3=replace(EXACT, max_iterations=3))
     monkeypatch.setitem(VARIANTS, "shooting", brief)
@@ -404,7 +400,7 @@ def test_what_does_not_converge_begins_again_at_the_ballistic_arc(
     assert np.abs(first.iterate.burns - again.iterate.burns).max() > 0.0
 
 
-def test_infeasible_is_never_called_solved(infeasible: Case) -> None:
+def test_infeasible_is_never_called_solved(infeasible):
     mission, start = infeasible.mission, infeasible.start(infeasible.p3)
     variant = replace(VARIANTS["shooting"], p2=replace(QUASI_NEWTON, max_iterations=60))
     hard = solve_nlp(infeasible.problem, infeasible.arcs, infeasible.facets, start, variant)
@@ -418,9 +414,7 @@ def test_infeasible_is_never_called_solved(infeasible: Case) -> None:
 
 
 @pytest.mark.parametrize("by_hand", [True, False], ids=["ctrl-c", "another exception"])
-def test_only_ctrl_c_is_called_an_interrupt(
-    coarse: Case, by_hand: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_only_ctrl_c_is_called_an_interrupt(coarse, by_hand, monkeypatch):
     """Both end as an exception in IPOPT."""
 
     class Thrown:
@@ -441,14 +435,14 @@ def test_only_ctrl_c_is_called_an_interrupt(
     assert result.outcome is (NlpOutcome.INTERRUPTED if by_hand else NlpOutcome.FAILED)
 
 
-def test_a_limit_is_said(coarse: Case) -> None:
+def test_a_limit_is_said(coarse):
     brief = Variant(SingleShooting(), p3=replace(EXACT, max_iterations=2), p2=Settings())
     start = Start(initial_guess.cold(coarse.mission))
     result = solve_nlp(coarse.problem, coarse.arcs, None, start, brief)
     assert result.outcome is NlpOutcome.LIMIT
 
 
-def test_p2_needs_a_factor_to_start_from(coarse: Case) -> None:
+def test_p2_needs_a_factor_to_start_from(coarse):
     start = Start(coarse.p3.result.lin.iterate)
     with pytest.raises(ValueError, match="factor"):
         solve_nlp(coarse.problem, coarse.arcs, coarse.facets, start, VARIANTS["tuned"])
@@ -456,7 +450,7 @@ def test_p2_needs_a_factor_to_start_from(coarse: Case) -> None:
 
 @nightly
 @pytest.mark.parametrize("name", usually(["shooting", "tuned", "printed"], 1))
-def test_without_a_facet_p2_only_flies(coarse: Case, name: str) -> None:
+def test_without_a_facet_p2_only_flies(coarse, name):
     none = Facets(*(getattr(coarse.facets, field)[:0] for field in Facets.__annotations__))
     start = coarse.start(coarse.p3)
     result = solve_nlp(coarse.problem, coarse.arcs, none, start, VARIANTS[name])

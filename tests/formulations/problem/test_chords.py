@@ -75,14 +75,14 @@ def assert_ends_on_the_surface(region: Region, start: Array, direction: Array) -
 
 
 @given(generators)
-def test_a_chord_holds_the_points_of_the_line_that_are_inside(rng: np.random.Generator) -> None:
+def test_a_chord_holds_the_points_of_the_line_that_are_inside(rng):
     region, start, direction = region_and_line(rng)
     assert_holds(region, start, direction)
     assert_ends_on_the_surface(region, start, direction)
 
 
 @given(generators, st.sampled_from([1e-12, 1e-6, 1e-3]), st.sampled_from([-1.0, 1.0]))
-def test_a_line_that_grazes_a_ball(rng: np.random.Generator, gap: float, side: float) -> None:
+def test_a_line_that_grazes_a_ball(rng, gap, side):
     ball = Ball(rng.normal(size=(1, 3)), 1.0)
     out = random_unit(rng)
     along = perpendicular(out[None])[0]
@@ -95,9 +95,7 @@ def test_a_line_that_grazes_a_ball(rng: np.random.Generator, gap: float, side: f
 
 
 @given(generators, st.sampled_from([-1.0, 1.0]), st.floats(0.02, 1.4), st.floats(0.0, 0.98))
-def test_a_steep_line_is_in_its_cone_from_one_point_on(
-    rng: np.random.Generator, up: float, half_angle: float, share: float
-) -> None:
+def test_a_steep_line_is_in_its_cone_from_one_point_on(rng, up, half_angle, share):
     """Whatever nappe it comes from."""
     cone = Cone(rng.normal(size=(1, 3)), random_unit(rng, 1), half_angle)
     tilt = share * half_angle
@@ -110,9 +108,7 @@ def test_a_steep_line_is_in_its_cone_from_one_point_on(
 
 
 @given(generators, st.floats(0.05, 1.4), st.floats(0.05, 1.0))
-def test_a_shallow_line_through_the_wrong_nappe_is_not_in_the_cone(
-    rng: np.random.Generator, half_angle: float, depth: float
-) -> None:
+def test_a_shallow_line_through_the_wrong_nappe_is_not_in_the_cone(rng, half_angle, depth):
     cone = Cone(rng.normal(size=(1, 3)), random_unit(rng, 1), half_angle)
     behind = cone.apex[0] - depth * cone.axis[0]
     assert chord(cone, behind, perpendicular(cone.axis)[0]) == (np.inf, np.inf)
@@ -122,9 +118,7 @@ def test_a_shallow_line_through_the_wrong_nappe_is_not_in_the_cone(
 
 
 @given(generators, st.floats(0.05, 1.4), st.floats(-3.0, 3.0), st.floats(0.0, 0.9))
-def test_a_steep_line_through_the_apex_is_in_the_cone_from_there(
-    rng: np.random.Generator, half_angle: float, back: float, share: float
-) -> None:
+def test_a_steep_line_through_the_apex_is_in_the_cone_from_there(rng, half_angle, back, share):
     cone = Cone(rng.normal(size=(1, 3)), random_unit(rng, 1), half_angle)
     tilt = share * half_angle
     direction = (np.cos(tilt) * cone.axis + np.sin(tilt) * perpendicular(cone.axis))[0]
@@ -138,7 +132,7 @@ def test_a_steep_line_through_the_apex_is_in_the_cone_from_there(
 
 
 @pytest.mark.parametrize("shift", [0.5, -0.5])
-def test_a_line_along_a_ray_of_the_surface_is_inside_from_one_point_or_never(shift: float) -> None:
+def test_a_line_along_a_ray_of_the_surface_is_inside_from_one_point_or_never(shift):
     """cos^2 |v|^2 = (u'v)^2 exactly: one of the roots is at infinity."""
     cone = Cone(np.zeros((1, 3)), np.array([[0.0, 0.0, 1.0]]), float(np.arccos(0.6)))
     direction = np.array([0.8, 0.0, 0.6])
@@ -151,7 +145,7 @@ def test_a_line_along_a_ray_of_the_surface_is_inside_from_one_point_or_never(shi
 
 
 @given(generators)
-def test_lines_along_normals_of_a_cone_of_45_degrees_leave_it(rng: np.random.Generator) -> None:
+def test_lines_along_normals_of_a_cone_of_45_degrees_leave_it(rng):
     """They are parallel to the rays of the far side, so that rounding alone says how steep they are."""
     cone = Cone(np.zeros((1, 3)), random_unit(rng, 1), np.pi / 4)
     point = cone.axis + rng.uniform(0.1, 0.9) * cone.across(rng.normal(size=(1, 3)))
@@ -162,7 +156,7 @@ def test_lines_along_normals_of_a_cone_of_45_degrees_leave_it(rng: np.random.Gen
 
 
 @given(generators)
-def test_a_line_without_direction_is_where_it_starts(rng: np.random.Generator) -> None:
+def test_a_line_without_direction_is_where_it_starts(rng):
     region, start, _ = region_and_line(rng)
     depth = region.inside(start[None]).item()
     assume(abs(depth) > 1e-9)
@@ -171,7 +165,7 @@ def test_a_line_without_direction_is_where_it_starts(rng: np.random.Generator) -
 
 
 @given(generators)
-def test_each_nodes_chords_are_its_own(rng: np.random.Generator) -> None:
+def test_each_nodes_chords_are_its_own(rng):
     """Of n regions, k lines each, from one start or from k."""
     n, k = 4, 5
     start, direction = rng.normal(size=(n, k, 3)), rng.normal(size=(n, k, 3))

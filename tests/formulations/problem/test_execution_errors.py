@@ -52,9 +52,7 @@ def printed(errors: GatesErrors, burns: Array) -> Array:
 
 
 @given(models, generators)
-def test_the_jacobian_is_the_derivative_by_finite_differences(
-    errors: ExecutionErrors, rng: np.random.Generator
-) -> None:
+def test_the_jacobian_is_the_derivative_by_finite_differences(errors, rng):
     burns = burns_about(rng, errors)
     found = errors.jacobian(burns)
     assert found.shape == (len(burns), 3, errors.shared + errors.own, 3)
@@ -65,9 +63,7 @@ def test_the_jacobian_is_the_derivative_by_finite_differences(
 
 
 @given(gates, generators)
-def test_from_its_own_fixed_error_on_a_burn_errs_as_gates_says(
-    errors: GatesErrors, rng: np.random.Generator
-) -> None:
+def test_from_its_own_fixed_error_on_a_burn_errs_as_gates_says(errors, rng):
     burns = (errors.fixed_bound + rng.uniform(1e-3, 1.0, (5, 1))) * random_unit(rng, 5)
     np.testing.assert_allclose(
         product(errors.columns(burns)), printed(errors, burns), rtol=1e-9, atol=1e-15
@@ -80,9 +76,7 @@ def test_from_its_own_fixed_error_on_a_burn_errs_as_gates_says(
 
 
 @given(gates, generators, st.floats(1.0, 2e3))
-def test_an_executed_burn_errs_no_less_than_gates_says(
-    errors: GatesErrors, rng: np.random.Generator, share: float
-) -> None:
+def test_an_executed_burn_errs_no_less_than_gates_says(errors, rng, share):
     """An isotropic bound near zero, where nothing depends on where the burn points."""
     bound = errors.fixed_bound or 1e-2
     burns = share * VANISHED * bound * random_unit(rng, 3)
@@ -94,9 +88,7 @@ def test_an_executed_burn_errs_no_less_than_gates_says(
 
 
 @given(gates, generators)
-def test_a_burn_that_has_vanished_has_no_error(
-    errors: GatesErrors, rng: np.random.Generator
-) -> None:
+def test_a_burn_that_has_vanished_has_no_error(errors, rng):
     assert not errors.columns(np.zeros((1, 3))).any()
     burns = 1e-3 * VANISHED * (errors.fixed_bound or 1e-2) * random_unit(rng, 1)
     # The slope of the fixed part is sqrt(3) there.
@@ -105,7 +97,7 @@ def test_a_burn_that_has_vanished_has_no_error(
 
 @few
 @given(gates.filter(lambda errors: not errors.affine), generators)
-def test_the_spread_does_not_jump_anywhere(errors: GatesErrors, rng: np.random.Generator) -> None:
+def test_the_spread_does_not_jump_anywhere(errors, rng):
     """On a ray from zero, across both places where the columns are written in another way."""
     share = np.sort(np.r_[np.geomspace(1e-2 * VANISHED, 3.0, 300), VANISHED, 1.0])
     share = np.repeat(share, 2) * np.tile([1 - 1e-9, 1 + 1e-9], len(share))
@@ -116,9 +108,7 @@ def test_the_spread_does_not_jump_anywhere(errors: GatesErrors, rng: np.random.G
 
 
 @given(gates, generators)
-def test_otherwise_are_the_vanished_burns_each_executed(
-    errors: GatesErrors, rng: np.random.Generator
-) -> None:
+def test_otherwise_are_the_vanished_burns_each_executed(errors, rng):
     burns = burns_about(rng, errors)
     others = list(errors.otherwise(burns))
     assert len(others) == (0 if errors.affine else 2)
@@ -133,9 +123,7 @@ def test_otherwise_are_the_vanished_burns_each_executed(
 
 @few
 @given(models, generators)
-def test_the_nonlinear_program_has_the_same_covariance(
-    errors: ExecutionErrors, rng: np.random.Generator
-) -> None:
+def test_the_nonlinear_program_has_the_same_covariance(errors, rng):
     burn = ca.MX.sym("v", 3)
     parts = [own_covariance(errors, burn), own_columns(errors, burn), shared_columns(errors, burn)]
     function = ca.Function("errors", [burn], parts)
@@ -159,7 +147,7 @@ def with_gates(rng: np.random.Generator) -> Flyby:
 
 @few
 @given(generators)
-def test_condense_is_the_derivative_of_the_factor(rng: np.random.Generator) -> None:
+def test_condense_is_the_derivative_of_the_factor(rng):
     flyby = with_gates(rng)
     lin = flyby.perturbed(rng, 0.1, 0.0)
     s, way, h = condense(lin), rng.normal(size=lin.iterate.burns.shape), 1e-5
@@ -185,7 +173,7 @@ def test_condense_is_the_derivative_of_the_factor(rng: np.random.Generator) -> N
     ],
     ids=["gates", "proportional", "componentwise"],
 )
-def test_sampled_errors_have_the_covariance_of_the_columns(errors: ExecutionErrors) -> None:
+def test_sampled_errors_have_the_covariance_of_the_columns(errors):
     """Of all burns at once, what they share between them included: large, small and vanished."""
     rng = np.random.default_rng(0)
     burns = np.array([1.0, 0.03, 0.0])[:, None] * random_unit(rng, 3)

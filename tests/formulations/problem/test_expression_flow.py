@@ -10,7 +10,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from formulations.arrays import Array
-from formulations.problem.expression_flow import NUMPY, Acceleration, Columns, ExpressionFlow
+from formulations.problem.expression_flow import NUMPY, Columns, ExpressionFlow
 
 MU = 1.215058560962404e-02
 STARTS = np.array(
@@ -41,9 +41,7 @@ def libration() -> ExpressionFlow:
 
 
 @pytest.mark.parametrize("arc", [0, 1])
-def test_the_flow_is_what_an_adaptive_integration_gives(
-    libration: ExpressionFlow, arc: int
-) -> None:
+def test_the_flow_is_what_an_adaptive_integration_gives(libration, arc):
     def rate(t: float, y: Array) -> Array:
         return np.r_[y[3:], [float(x) for x in cr3bp(ca.DM(y[:3]), ca.DM(y[3:]), t, [MU])]]
 
@@ -53,7 +51,7 @@ def test_the_flow_is_what_an_adaptive_integration_gives(
         assert libration.propagate(start, arc) == pytest.approx(truth, abs=1e-9)
 
 
-def test_an_oscillator_that_is_driven_in_time_moves_as_it_is_known_to() -> None:
+def test_an_oscillator_that_is_driven_in_time_moves_as_it_is_known_to():
     """x'' = -x + cos 2t has x = (4 cos t - cos 2t) / 3 from x = 1 at rest."""
     flow = ExpressionFlow(lambda r, _v, t, _p: -r + ca.cos(2.0 * t), np.linspace(0.0, 3.0, 61))
     end = np.ones((2, 6)) * [1.0, 1.0, 1.0, 0.0, 0.0, 0.0]
@@ -65,7 +63,7 @@ def test_an_oscillator_that_is_driven_in_time_moves_as_it_is_known_to() -> None:
 
 
 @pytest.mark.parametrize(("acceleration", "p"), [(cr3bp, [MU]), (driven, [1.3, 0.2])])
-def test_derivatives_are_those_of_the_map(acceleration: Acceleration, p: list[float]) -> None:
+def test_derivatives_are_those_of_the_map(acceleration, p):
     times, h = [0.3, 0.5, 0.9], 1e-5
 
     def flow(parameters: Any) -> ExpressionFlow:
@@ -88,7 +86,7 @@ def test_derivatives_are_those_of_the_map(acceleration: Acceleration, p: list[fl
     assert moved_ == pytest.approx(here.differentiate(STARTS + small).state, abs=1e-13)
 
 
-def test_all_operations_are_casadis() -> None:
+def test_all_operations_are_casadis():
     x, y = ca.SX.sym("x"), ca.SX.sym("y")
     both = [x + y, x - y, x * y, x / y, x**y, x**3.7]
     both += [ca.atan2(x, y), ca.fmod(x, y), ca.copysign(x, -y)]
@@ -117,6 +115,6 @@ def test_all_operations_are_casadis() -> None:
         (lambda r, *_: ca.remainder(r, 2.0), [0.0, 1.0], "without NumPy's"),
     ],
 )
-def test_what_is_no_flow_is_refused(acceleration: Acceleration, times: Any, says: str) -> None:
+def test_what_is_no_flow_is_refused(acceleration, times, says):
     with pytest.raises(ValueError, match=says):
         ExpressionFlow(acceleration, times)

@@ -105,9 +105,7 @@ def random_values(
 
 @pytest.mark.parametrize("penalty", PENALTIES)
 @pytest.mark.parametrize("kind", MODELS)
-def test_its_numbers_are_what_cvxpys_own_form_gives(
-    kind: str, penalty: Penalty, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_its_numbers_are_what_cvxpys_own_form_gives(kind, penalty, monkeypatch):
     model, (form, parameters) = MODELS[kind](penalty), parametric(kind, penalty, monkeypatch)
     compiled = CompiledProgram(model)
     assert bool(model.numbers.size) == ("lifted" not in kind)
@@ -147,7 +145,7 @@ def test_its_numbers_are_what_cvxpys_own_form_gives(
     assert len(sparsity) >= 2
 
 
-def test_a_number_in_a_sum_is_refused() -> None:
+def test_a_number_in_a_sum_is_refused():
     z, numbers = cp.Variable(2), Numbers()
     sums = numbers.array("one", 2) + numbers.array("other", 2)
     program = cp.Problem(cp.Minimize(cp.sum(z)), [z >= sums])
@@ -155,7 +153,7 @@ def test_a_number_in_a_sum_is_refused() -> None:
         CompiledProgram(Model(program, z, {}, numbers))
 
 
-def test_a_program_that_is_not_disciplined_is_refused() -> None:
+def test_a_program_that_is_not_disciplined_is_refused():
     burns, one, other = cp.Variable(3), cp.Parameter(3), cp.Parameter()
     parameters = {"one": one, "other": other}
     products = cp.Problem(cp.Minimize((other * one) @ burns), [cp.norm(burns) <= 1.0])
@@ -166,7 +164,7 @@ def test_a_program_that_is_not_disciplined_is_refused() -> None:
             CompiledProgram(Model(program, burns, parameters))
 
 
-def test_the_burns_are_those_of_the_variables_that_they_belong_to() -> None:
+def test_the_burns_are_those_of_the_variables_that_they_belong_to():
     """Min sum of ||z_i|| with z on planes: each burn has an answer of its own."""
     before, burns, sizes = cp.Variable(5), cp.Variable(6), cp.Variable(2)
     target = cp.Parameter(6)

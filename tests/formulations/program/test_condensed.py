@@ -95,7 +95,7 @@ def lin() -> Linearisation:
     return constrain(rng, random_flyby(rng, nodes=8, burns=4)).perturbed(rng, 0.1, 0.05)
 
 
-def test_rows_near_binding_are_taken_at_every_iterate_anew(lin: Linearisation) -> None:
+def test_rows_near_binding_are_taken_at_every_iterate_anew(lin):
     subproblem = Told(lin)
     solver = subproblem._solver
     assert subproblem.taken == []
@@ -110,9 +110,7 @@ def test_rows_near_binding_are_taken_at_every_iterate_anew(lin: Linearisation) -
         assert subproblem._solver is solver
 
 
-def test_an_answer_that_misses_rows_takes_them_in_and_no_others(
-    lin: Linearisation, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_answer_that_misses_rows_takes_them_in_and_no_others(lin, monkeypatch):
     subproblem = Told(lin)
     clock = iter([100.0, 107.0])
     monkeypatch.setattr(condensed, "perf_counter", lambda: next(clock))
@@ -130,9 +128,7 @@ def test_an_answer_that_misses_rows_takes_them_in_and_no_others(
 
 
 @pytest.mark.parametrize(("share", "again"), [(0.5, False), (1.5, True)])
-def test_a_row_is_missed_by_more_than_the_solvers_tolerance(
-    lin: Linearisation, share: float, again: bool
-) -> None:
+def test_a_row_is_missed_by_more_than_the_solvers_tolerance(lin, share, again):
     subproblem = Told(lin)
     room = subproblem.slack(within=[0, 1])
     room[3] = -share * condensed.MISSED
@@ -142,7 +138,7 @@ def test_a_row_is_missed_by_more_than_the_solvers_tolerance(
     assert subproblem.attempts == ([[], [3]] if again else [[]])
 
 
-def test_the_room_of_a_row_is_its_cones(lin: Linearisation) -> None:
+def test_the_room_of_a_row_is_its_cones(lin):
     """Of each row, wherever it stands among the cones, at any burns."""
     subproblem = Told(lin)
     subproblem.update(lin)
@@ -155,9 +151,7 @@ def test_the_room_of_a_row_is_its_cones(lin: Linearisation) -> None:
     assert subproblem._slack(burns.ravel()) == pytest.approx(expected, rel=1e-9, abs=1e-12)
 
 
-def test_half_of_the_slots_go_to_the_rows_with_the_least_room(
-    lin: Linearisation, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_half_of_the_slots_go_to_the_rows_with_the_least_room(lin, monkeypatch):
     """The other half stays free for what the answer misses."""
     monkeypatch.setattr(condensed, "SLOTS", 4)
     subproblem = Told(lin)
@@ -176,9 +170,7 @@ def test_half_of_the_slots_go_to_the_rows_with_the_least_room(
     assert subproblem._slots == [4] * len(blocks)
 
 
-def test_slots_double_for_those_cones_alone_that_run_out_of_them(
-    lin: Linearisation, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_slots_double_for_those_cones_alone_that_run_out_of_them(lin, monkeypatch):
     monkeypatch.setattr(condensed, "SLOTS", 2)
     subproblem = Told(lin)
     subproblem.told = [subproblem.slack()]
@@ -214,9 +206,7 @@ def test_slots_double_for_those_cones_alone_that_run_out_of_them(
 @pytest.mark.parametrize("name", ["P3", "P2"])
 @settings(max_examples=share_of_examples(250, usual=1))
 @given(generators)
-def test_few_slots_and_no_row_at_first_end_where_everything_taken_does(
-    name: str, penalty: Penalty, slots: int, rng: np.random.Generator
-) -> None:
+def test_few_slots_and_no_row_at_first_end_where_everything_taken_does(name, penalty, slots, rng):
     """And both where the plain program does, which has no slots and every row."""
     lin = linearised(rng)
     rows = every_row(lin, name)
@@ -237,7 +227,7 @@ def test_few_slots_and_no_row_at_first_end_where_everything_taken_does(
     assert every == pytest.approx(plain.value, rel=rel)
 
 
-def test_the_entries_of_a_cone_are_its_rows_or_a_triangle_below_its_first() -> None:
+def test_the_entries_of_a_cone_are_its_rows_or_a_triangle_below_its_first():
     rows, columns = ConeSize(3, 2, triangular=False, slots=5).entries
     assert list(zip(rows, columns, strict=True)) == [(0, 0), (0, 1), (1, 0), (1, 1), (2, 0), (2, 1)]
     rows, columns = ConeSize(4, 3, triangular=True, slots=5).entries
@@ -249,9 +239,7 @@ def test_the_entries_of_a_cone_are_its_rows_or_a_triangle_below_its_first() -> N
     ]
 
 
-def test_the_default_plan_needs_three_programs_at_the_most(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_the_default_plan_needs_three_programs_at_the_most(monkeypatch):
     """One a stage, and one more where its slots run out; a second plan needs none."""
     sizes: set[Any] = set()
 
@@ -271,7 +259,7 @@ def test_the_default_plan_needs_three_programs_at_the_most(
 
 
 @given(generators)
-def test_triangular_factors_preserve_every_facets_deviation(rng: np.random.Generator) -> None:
+def test_triangular_factors_preserve_every_facets_deviation(rng):
     lin = linearised(rng, ("in",))
     rows = every_row(lin, "P2")
     assert isinstance(rows, ChanceRows)

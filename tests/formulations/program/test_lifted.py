@@ -15,7 +15,7 @@ from formulations.problem.polytopes import ball
 from formulations.problem.regions import Ball
 from formulations.program import solvers
 from formulations.program.solvers import SOLVERS
-from formulations.program.subproblem import Penalty, PenaltyParameters
+from formulations.program.subproblem import PenaltyParameters
 from formulations.registry import FORMULATIONS, make_subproblem
 from formulations.rows.cones import PARTS
 from formulations.rows.uniform import ChanceRows, DeterministicRows
@@ -36,7 +36,7 @@ def limited(lin: Linearisation, parts: Limits) -> Limits:
 
 @every_limit
 @pytest.mark.parametrize("seed", range(6))
-def test_lifted_rows_may_start_and_end_at_any_node(seed: int, limits: Limits) -> None:
+def test_lifted_rows_may_start_and_end_at_any_node(seed, limits):
     """One constraint at a few nodes: before and after inner burns, at burns, in a coast."""
     flyby = small(seed, nodes=8, burns=4, coast=seed % 2)
     one = flyby.problem.constraints[0]
@@ -59,9 +59,7 @@ def test_lifted_rows_may_start_and_end_at_any_node(seed: int, limits: Limits) ->
 @every_limit
 @pytest.mark.parametrize("scope", ["node", "flight"])
 @pytest.mark.parametrize("seed", [3, 4])
-def test_the_gradient_of_exact_risk_acts_on_the_factor_as_it_does_on_the_burns(
-    seed: int, scope: str, limits: Limits
-) -> None:
+def test_the_gradient_of_exact_risk_acts_on_the_factor_as_it_does_on_the_burns(seed, scope, limits):
     """The same program, at a flight that obeys the dynamics, within 1e-6 with tightened loops."""
     flyby = small(seed, defect=0.0)
     problem = replace(flyby.problem, final_spread=limited(flyby, limits))
@@ -88,9 +86,7 @@ def corrected(seed: int, cost: Cost) -> Linearisation:
 @pytest.mark.parametrize(
     ("seed", "name", "cost"), [(1, "P2", "dv99"), (2, "node", "expected"), (3, "flight", "nominal")]
 )
-def test_corrections_are_linearised_as_in_the_condensed_form(
-    seed: int, name: str, cost: Cost
-) -> None:
+def test_corrections_are_linearised_as_in_the_condensed_form(seed, name, cost):
     lin = corrected(seed, cost)
     rows, steps = every_row(lin, name, 4), []
     for formulation in ("condensed", "lifted"):
@@ -109,9 +105,7 @@ def test_corrections_are_linearised_as_in_the_condensed_form(
     ("formulation", "solver"),
     [("condensed", "QOCO"), ("condensed", "ECOS"), *(("lifted", s) for s in (*SOLVERS, "ECOS"))],
 )
-def test_conic_solvers_agree(
-    penalty: Penalty, formulation: str, solver: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_conic_solvers_agree(penalty, formulation, solver, monkeypatch):
     """Built, then updated or built anew."""
     need(solver)
     lin = small()
@@ -127,9 +121,7 @@ def test_conic_solvers_agree(
     assert found[2:] == pytest.approx(found[:2], rel=1e-6)
 
 
-def test_clarabels_regularisation_is_what_this_form_needs_and_no_others(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_clarabels_regularisation_is_what_this_form_needs_and_no_others(monkeypatch):
     asked: list[Any] = []
 
     def recording(settings: Any) -> solvers.Clarabel:
@@ -147,7 +139,7 @@ def test_clarabels_regularisation_is_what_this_form_needs_and_no_others(
 
 @pytest.mark.parametrize("formulation", FORMULATIONS)
 @pytest.mark.parametrize("penalty", PENALTIES)
-def test_without_a_row_the_flight_alone_counts(penalty: Penalty, formulation: str) -> None:
+def test_without_a_row_the_flight_alone_counts(penalty, formulation):
     """P3 without constraints and P2 without a facet are the same program, in any charge."""
     lin = small()
     facets = choose_facets(lin.problem, Polytopes(ball(6), 4), lin.iterate.mean, lin.factor)

@@ -76,7 +76,7 @@ def signed(lin: Linearisation) -> dict[str, Array]:
 
 @some
 @given(generators)
-def test_violations_are_positive_parts_and_excess_has_their_signs(rng: np.random.Generator) -> None:
+def test_violations_are_positive_parts_and_excess_has_their_signs(rng):
     lin = mixed(rng)
     evaluation, amounts = MeritFunction(lin.problem, DeterministicRows(lin.problem)), signed(lin)
     violations = evaluation.violations(lin)
@@ -91,7 +91,7 @@ def test_violations_are_positive_parts_and_excess_has_their_signs(rng: np.random
 
 @some
 @given(generators)
-def test_margins_of_burns_belong_to_their_nodes(rng: np.random.Generator) -> None:
+def test_margins_of_burns_belong_to_their_nodes(rng):
     lin = mixed(rng)
     problem, amounts = lin.problem, signed(lin)
     margins = MeritFunction(problem, DeterministicRows(problem)).margins(lin)
@@ -107,7 +107,7 @@ def test_margins_of_burns_belong_to_their_nodes(rng: np.random.Generator) -> Non
 
 @some
 @given(generators)
-def test_the_merit_is_delta_v_plus_what_the_penalty_charges(rng: np.random.Generator) -> None:
+def test_the_merit_is_delta_v_plus_what_the_penalty_charges(rng):
     lin = mixed(rng)
     evaluation, amounts = MeritFunction(lin.problem, DeterministicRows(lin.problem)), signed(lin)
     broken = np.concatenate([np.maximum(a, 0.0) for a in amounts.values()])
@@ -149,9 +149,7 @@ def strange_flight(rng: np.random.Generator) -> tuple[FlybyProblem, Linearisatio
 
 @some
 @given(generators)
-def test_a_flight_from_elsewhere_is_judged_by_its_own_ends_and_the_merits_limits(
-    rng: np.random.Generator,
-) -> None:
+def test_a_flight_from_elsewhere_is_judged_by_its_own_ends_and_the_merits_limits(rng):
     problem, flight = strange_flight(rng)
     allowed = replace(
         flight.problem, dv_max=problem.dv_max, sun=problem.sun, constraints=problem.constraints
@@ -175,9 +173,7 @@ def test_a_flight_from_elsewhere_is_judged_by_its_own_ends_and_the_merits_limits
 
 @some
 @given(generators, st.integers(0, 4))
-def test_a_miss_that_need_not_be_met_is_a_cost_and_no_violation(
-    rng: np.random.Generator, coast: int
-) -> None:
+def test_a_miss_that_need_not_be_met_is_a_cost_and_no_violation(rng, coast):
     flyby = random_flyby(rng, coast=coast)
     problem = replace(flyby.problem, miss_weight=7.0)
     burns = flyby.burns + 0.1 * rng.normal(size=flyby.burns.shape)
@@ -236,9 +232,7 @@ def with_gains(rng: np.random.Generator, lin: Linearisation) -> Linearisation:
 
 @given(generators, st.sampled_from(["P3", "P2", "P2 and spread", "node", "flight"]), st.booleans())
 @settings(max_examples=share_of_examples(1))
-def test_the_adjoint_is_the_affine_model_read_backwards(
-    rng: np.random.Generator, name: str, corrected: bool
-) -> None:
+def test_the_adjoint_is_the_affine_model_read_backwards(rng, name, corrected):
     """For prices of rows that feel the states, and not of limits on the burns alone."""
     exact = name in ("node", "flight")
     flyby = random_flyby(rng, nodes=8, burns=3 if exact else 4)
@@ -265,9 +259,7 @@ def test_the_adjoint_is_the_affine_model_read_backwards(
 
 @given(generators, st.booleans(), st.sampled_from([None, *get_args(Cost)]))
 @settings(max_examples=share_of_examples(2, usual=4))
-def test_multipliers_are_the_best_signed_ones_of_what_binds(
-    rng: np.random.Generator, vanishing: bool, corrected: Cost | None
-) -> None:
+def test_multipliers_are_the_best_signed_ones_of_what_binds(rng, vanishing, corrected):
     """By differences of flown excesses, for the conditions of non-negative least squares."""
     flyby = constrain(rng, random_flyby(rng, nodes=8, burns=2 if corrected else 4))
     flyby = flyby.corrected(rng, corrected) if corrected else flyby
@@ -301,7 +293,7 @@ def test_multipliers_are_the_best_signed_ones_of_what_binds(
     assert np.all(against[6:][binding[6:]] > -scale)
 
 
-def test_where_steps_end_that_lower_the_merit_the_slope_left_certifies_burns_and_gains() -> None:
+def test_where_steps_end_that_lower_the_merit_the_slope_left_certifies_burns_and_gains():
     """From 0.94 at a start of random gains."""
     rng = np.random.default_rng(11)
     flyby = random_flyby(rng, nodes=5, burns=3, curvature=0.01)

@@ -17,7 +17,6 @@ from formulations.program.certificate import GAP, ConeProgram, is_optimal, outsi
 from formulations.program.model import penalty_values
 from formulations.program.subproblem import (
     DYNAMICS_WEIGHT,
-    Penalty,
     PenaltyParameters,
     SubproblemError,
 )
@@ -52,9 +51,7 @@ def elsewhere(lin: Linearisation) -> Linearisation:
 @pytest.mark.parametrize(("formulation", "name", "penalty"), CASES)
 @settings(max_examples=share_of_examples(250, usual=1))
 @given(generators)
-def test_the_program_has_the_solution_of_the_one_said_plainly(
-    formulation: str, name: str, penalty: Penalty, rng: np.random.Generator
-) -> None:
+def test_the_program_has_the_solution_of_the_one_said_plainly(formulation, name, penalty, rng):
     """Row by row, in CVXPY."""
     lin = linearised(rng)
     rows = every_row(lin, name)
@@ -74,7 +71,7 @@ def test_the_program_has_the_solution_of_the_one_said_plainly(
 
 
 @pytest.mark.parametrize(("formulation", "name", "penalty"), CASES)
-def test_an_updated_program_is_a_new_one(formulation: str, name: str, penalty: Penalty) -> None:
+def test_an_updated_program_is_a_new_one(formulation, name, penalty):
     """Every parameter is set again: nothing is left of the last iterate, radius and charge."""
     lin = small()
     rows, moved = every_row(lin, name, 4), elsewhere(lin)
@@ -94,7 +91,7 @@ def test_an_updated_program_is_a_new_one(formulation: str, name: str, penalty: P
 
 @pytest.mark.parametrize("formulation", FORMULATIONS)
 @pytest.mark.parametrize("solver", ["CLARABEL", "ECOS"])
-def test_dynamics_without_finite_derivatives_are_refused(formulation: str, solver: str) -> None:
+def test_dynamics_without_finite_derivatives_are_refused(formulation, solver):
     need(solver)
     lin = small()
     stm: Array = np.full_like(lin.arcs.stm, np.nan)
@@ -107,7 +104,7 @@ def test_dynamics_without_finite_derivatives_are_refused(formulation: str, solve
         subproblem.update(broken)
 
 
-def test_prices_are_those_of_the_charge_each_at_its_place() -> None:
+def test_prices_are_those_of_the_charge_each_at_its_place():
     """Misses first, then limits of the burns, then the buffers of the rows that have one."""
     m, rows = 2, np.array([3, 0, -1, 2])
     limits = 6 + 3 * m
@@ -126,9 +123,7 @@ def test_prices_are_those_of_the_charge_each_at_its_place() -> None:
 
 
 @given(generators, st.integers(0, 3), st.integers(0, 4), st.lists(st.integers(2, 5), max_size=3))
-def test_outside_is_the_worst_of_all_cones(
-    rng: np.random.Generator, zero: int, nonnegative: int, cones: list[int]
-) -> None:
+def test_outside_is_the_worst_of_all_cones(rng, zero, nonnegative, cones):
     y = rng.normal(size=zero + nonnegative + sum(cones))
     program = ConeProgram(
         np.zeros(1), sp.csc_array((len(y), 1)), np.zeros(len(y)), zero, nonnegative, tuple(cones)
@@ -144,7 +139,7 @@ def test_outside_is_the_worst_of_all_cones(
 
 @pytest.mark.parametrize("price", [1e-3, 1.0, 1e3])
 @pytest.mark.parametrize("size", [1e-3, 1.0, 1e3])
-def test_the_proof_of_an_optimum_holds_in_any_units(price: float, size: float) -> None:
+def test_the_proof_of_an_optimum_holds_in_any_units(price, size):
     program, x, z = tent(price, size)
     assert is_optimal(program, x, z)
 
@@ -171,16 +166,14 @@ def test_the_proof_of_an_optimum_holds_in_any_units(price: float, size: float) -
         (1.0, 1e3, (1, 0, 0), (0, 0, 0, 0, 0), 1e3 * np.sqrt(2.0)),
     ],
 )
-def test_each_condition_is_held_to_its_tolerance(
-    price: float, size: float, dx: tuple[float, ...], dz: tuple[float, ...], scale: float
-) -> None:
+def test_each_condition_is_held_to_its_tolerance(price, size, dx, dz, scale):
     program, x, z = tent(price, size)
     for share, optimal in ((0.9, True), (1.1, False)):
         step = share * GAP * scale
         assert is_optimal(program, x + step * np.array(dx), z + step * np.array(dz)) is optimal
 
 
-def test_the_largest_number_may_be_a_variable_and_the_largest_price_a_multiplier() -> None:
+def test_the_largest_number_may_be_a_variable_and_the_largest_price_a_multiplier():
     """Min x with x = y / 1000 and x >= 1; min x with x / 1000 >= 0."""
     matrix = sp.csc_array(np.array([[1.0, -1e-3], [-1.0, 0.0]]))
     program = ConeProgram(np.array([1.0, 0.0]), matrix, np.array([0.0, -1.0]), 1, 1, ())
@@ -198,7 +191,7 @@ def test_the_largest_number_may_be_a_variable_and_the_largest_price_a_multiplier
     assert not is_optimal(dear, np.zeros(2), np.array([1.0 + 1.1e-6, 0.0]))
 
 
-def test_multipliers_outside_their_cone_prove_nothing() -> None:
+def test_multipliers_outside_their_cone_prove_nothing():
     """Min x subject to -1 <= x <= 10: signs of multipliers make any gap close anywhere."""
     matrix, bound = sp.csc_array(np.array([[1.0], [-1.0]])), np.array([10.0, 1.0])
     program = ConeProgram(np.ones(1), matrix, bound, 0, 2, ())

@@ -38,9 +38,7 @@ FREE = ConeProgram(np.zeros(2), sp.csc_array((0, 2)), np.zeros(0), 0, 0, ())
 
 
 @pytest.mark.parametrize("solver", SOLVERS)
-def test_a_wide_tolerance_is_taken_at_its_word(
-    solver: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_wide_tolerance_is_taken_at_its_word(solver, monkeypatch):
     """Neither tolerance is left at the solver's own, which is far below this one."""
     need(solver)
     program, gaps = disk(np.random.default_rng(5), 0), []
@@ -53,7 +51,7 @@ def test_a_wide_tolerance_is_taken_at_its_word(
     assert gaps[1] > 1e-5
 
 
-def test_clarabel_is_set_up_for_new_numbers_on_one_core(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_clarabel_is_set_up_for_new_numbers_on_one_core(monkeypatch):
     """Presolving would make its data final; its threads are ours to give."""
     seen: list[Any] = []
     real = clarabel.DefaultSolver
@@ -77,9 +75,7 @@ def test_clarabel_is_set_up_for_new_numbers_on_one_core(monkeypatch: pytest.Monk
     assert tolerances == (solvers.TOLERANCE,) * 3
 
 
-def test_an_almost_solved_program_is_answered_and_not_vouched_for(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_an_almost_solved_program_is_answered_and_not_vouched_for(monkeypatch):
     found = SimpleNamespace(x=[1.0, 2.0, 3.0], z=[4.0], status="AlmostSolved")
     fake = SimpleNamespace(solve=lambda: found)
     monkeypatch.setattr(clarabel, "DefaultSolver", lambda *_: fake)
@@ -111,7 +107,7 @@ class FakeQoco:
 
 
 @pytest.mark.parametrize("equations", [0, 1])
-def test_qoco_gets_equations_apart_and_gives_multipliers_of_all(equations: int) -> None:
+def test_qoco_gets_equations_apart_and_gives_multipliers_of_all(equations):
     need("QOCO")
     program, fake, solver = (
         disk(np.random.default_rng(2), equations),
@@ -143,7 +139,7 @@ def test_qoco_gets_equations_apart_and_gives_multipliers_of_all(equations: int) 
 
 
 @pytest.mark.parametrize("solver", SOLVERS)
-def test_a_program_without_a_solution_has_no_answer(solver: str) -> None:
+def test_a_program_without_a_solution_has_no_answer(solver):
     need(solver)
     matrix = sp.csc_array(np.array([[1.0], [-1.0]]))
     program = ConeProgram(np.ones(1), matrix, np.array([-1.0, -1.0]), 0, 2, ())
@@ -153,9 +149,7 @@ def test_a_program_without_a_solution_has_no_answer(solver: str) -> None:
 
 @pytest.mark.parametrize("equations", [0, 1])
 @pytest.mark.parametrize("solver", SOLVERS)
-def test_a_solver_with_new_numbers_proves_its_answer_as_a_new_one_does(
-    solver: str, equations: int, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_a_solver_with_new_numbers_proves_its_answer_as_a_new_one_does(solver, equations, capfd):
     """And is silent."""
     need(solver)
     rng = np.random.default_rng(7)
@@ -244,13 +238,8 @@ FAILURE = ValueError("no")
     ],
 )
 def test_the_first_accurate_answer_counts_and_the_seconds_of_all(
-    first: list[Word],
-    second: list[Word],
-    expected: Answer,
-    seconds: float,
-    built: tuple[int, int],
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+    first, second, expected, seconds, built, monkeypatch
+):
     seen = script(monkeypatch, list(first), list(second))
     assert FallbackSolver("CLARABEL").solve(FREE) == expected._replace(solver_s=seconds)
     assert tuple(seen.values()) == built
@@ -265,20 +254,14 @@ def test_the_first_accurate_answer_counts_and_the_seconds_of_all(
         ("CLARABEL", [POOR, POOR, GOOD], [GOOD], (2, 1)),  # another that helped out is not kept
     ],
 )
-def test_the_one_named_is_kept(
-    name: str,
-    first: list[Word],
-    second: list[Word],
-    built: tuple[int, int],
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_the_one_named_is_kept(name, first, second, built, monkeypatch):
     seen, solver = script(monkeypatch, list(first), list(second)), FallbackSolver(name)
     for _ in range(2):
         assert solver.solve(FREE).status == "good"
     assert tuple(seen.values()) == built
 
 
-def test_another_that_is_not_installed_is_passed_over(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_another_that_is_not_installed_is_passed_over(monkeypatch):
     script(monkeypatch, [POOR, POOR, ValueError("a"), ValueError("b")], [])
 
     def absent(_: Settings) -> Scripted:
@@ -293,7 +276,7 @@ def test_another_that_is_not_installed_is_passed_over(monkeypatch: pytest.Monkey
         FallbackSolver("CLARABEL").solve(FREE)
 
 
-def test_where_all_fail_their_words_are_the_message(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_where_all_fail_their_words_are_the_message(monkeypatch):
     for error in (ValueError("x"), ZeroDivisionError("x"), Panic("x")):
         script(monkeypatch, [error, error], [ValueError("y")])
         with pytest.raises(ValueError, match=r"^x; y$"):
@@ -301,18 +284,14 @@ def test_where_all_fail_their_words_are_the_message(monkeypatch: pytest.MonkeyPa
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt, MemoryError])
-def test_what_is_no_fault_of_the_solver_goes_through(
-    error: type[BaseException], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_is_no_fault_of_the_solver_goes_through(error, monkeypatch):
     script(monkeypatch, [error(), GOOD], [GOOD])
     with pytest.raises(error):
         FallbackSolver("CLARABEL").solve(FREE)
 
 
 @pytest.mark.parametrize(("value", "taken"), [(0.9 * HUGE, True), (-HUGE, False), (np.nan, False)])
-def test_numbers_have_to_be_finite(
-    value: float, taken: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_numbers_have_to_be_finite(value, taken, monkeypatch):
     script(monkeypatch, [GOOD._replace(x=np.array([0.0, value])), POOR], [POOR])
     assert FallbackSolver("CLARABEL").solve(FREE).accurate is taken
     assert np.isfinite(value) or not taken
@@ -324,9 +303,7 @@ def test_numbers_have_to_be_finite(
             FallbackSolver("CLARABEL").solve(FREE)
 
 
-def test_only_an_accurate_answer_with_multipliers_is_held_to_them(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_only_an_accurate_answer_with_multipliers_is_held_to_them(monkeypatch):
     program, x, z = tent()
     right = Answer(x, "right", True, 1.0, z)
     off = right._replace(x=x + 0.1)
@@ -345,13 +322,13 @@ def test_only_an_accurate_answer_with_multipliers_is_held_to_them(
         FallbackSolver("CLARABEL").solve(program)
 
 
-def test_a_solver_that_is_not_installed_is_missed_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_solver_that_is_not_installed_is_missed_at_once(monkeypatch):
     monkeypatch.setitem(sys.modules, "qoco", None)
     with pytest.raises(ModuleNotFoundError, match="qoco"):
         FallbackSolver("QOCO")
 
 
-def test_every_solver_is_built_with_the_settings_for_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_every_solver_is_built_with_the_settings_for_it(monkeypatch):
     built: list[tuple[str, Settings]] = []
     for name in SOLVERS:
         answers = [POOR] if name == "CLARABEL" else [GOOD]
@@ -388,9 +365,7 @@ def two_tents(first: float = 0.5, second: float = 2.0) -> ConeProgram:
 
 
 @pytest.mark.parametrize("solver", [*SOLVERS, *ByCvxpy.SETTINGS])
-def test_the_same_multipliers_prove_every_solvers_answer(
-    solver: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_same_multipliers_prove_every_solvers_answer(solver, monkeypatch):
     need(solver)
     alone(monkeypatch, solver)
     program = two_tents()
@@ -406,7 +381,7 @@ def test_the_same_multipliers_prove_every_solvers_answer(
 
 
 @pytest.mark.parametrize("solver", [*SOLVERS, *ByCvxpy.SETTINGS])
-def test_each_program_is_solved_with_its_own_numbers(solver: str) -> None:
+def test_each_program_is_solved_with_its_own_numbers(solver):
     """Those of the call, with their own types, whatever is left in CVXPY's parameters by another."""
     need(solver)
     kept = SOLVERS[solver]({}) if solver in SOLVERS else ByCvxpy(solver, {})
@@ -450,9 +425,7 @@ def fake(monkeypatch: pytest.MonkeyPatch, interface: FakeInterface, name: str = 
 
 
 @pytest.mark.parametrize("solver", [*ByCvxpy.SETTINGS, "ANOTHER"])
-def test_solvers_get_their_settings_and_what_is_asked_besides(
-    solver: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_solvers_get_their_settings_and_what_is_asked_besides(solver, monkeypatch):
     interface, program = FakeInterface(), two_tents()
     fake(monkeypatch, interface, solver)
     settings = ByCvxpy.SETTINGS.get(solver, {})
@@ -472,9 +445,7 @@ def test_solvers_get_their_settings_and_what_is_asked_besides(
         assert ByCvxpy.SETTINGS[solver] == settings
 
 
-def test_an_answer_by_cvxpy_is_the_variables_the_multipliers_and_the_seconds(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_an_answer_by_cvxpy_is_the_variables_the_multipliers_and_the_seconds(monkeypatch):
     program = two_tents()
     for status, accurate in ((cp.OPTIMAL, True), (cp.OPTIMAL_INACCURATE, False)):
         fake(monkeypatch, FakeInterface(status))
@@ -499,18 +470,14 @@ def test_an_answer_by_cvxpy_is_the_variables_the_multipliers_and_the_seconds(
         ),
     ],
 )
-def test_any_other_status_or_exception_is_a_failure_with_its_words(
-    interface: FakeInterface, words: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_any_other_status_or_exception_is_a_failure_with_its_words(interface, words, monkeypatch):
     fake(monkeypatch, interface)
     with pytest.raises(ValueError, match=rf"^{words}$"):
         FallbackSolver("FAKE").solve(two_tents())
 
 
 @pytest.mark.parametrize("status", [cp.OPTIMAL_INACCURATE, cp.INFEASIBLE])
-def test_a_solver_asked_to_be_compared_stands_alone(
-    status: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_solver_asked_to_be_compared_stands_alone(status, monkeypatch):
     """It is not built again either, and no other answers in its place."""
     built = script(monkeypatch, [GOOD], [GOOD])
     interface, program = FakeInterface(status), two_tents()
@@ -525,9 +492,7 @@ def test_a_solver_asked_to_be_compared_stands_alone(
     assert (built, made) == ({"CLARABEL": 0, "QOCO": 0}, [])
 
 
-def test_a_solver_that_stops_early_says_so_and_warns_nobody(
-    capfd: pytest.CaptureFixture[str],
-) -> None:
+def test_a_solver_that_stops_early_says_so_and_warns_nobody(capfd):
     """Warnings are errors here, and CVXPY's own word for an inaccurate answer is one."""
     need("SCS")
     answer = ByCvxpy("SCS", {"max_iters": 5}).solve(two_tents())
@@ -535,7 +500,7 @@ def test_a_solver_that_stops_early_says_so_and_warns_nobody(
     assert capfd.readouterr() == ("", "")
 
 
-def test_installed_solvers_are_conic_ones_clarabel_first(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_installed_solvers_are_conic_ones_clarabel_first(monkeypatch):
     # GLPK has no second-order cones, OSQP no cones, and ECOS_BB is for integers.
     monkeypatch.setitem(defines.SOLVER_MAP_CONIC, "ALLCONES", defines.SOLVER_MAP_CONIC["ECOS"])
     names = ["SCS", "GLPK", "ECOS_BB", "OSQP", "ECOS", "ALLCONES", "CLARABEL", "QOCO"]

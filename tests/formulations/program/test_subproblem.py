@@ -120,9 +120,7 @@ def compiling(monkeypatch: pytest.MonkeyPatch) -> list[Model]:
 
 
 @pytest.mark.parametrize("name", ["P3", "P2"])
-def test_programs_are_compiled_once_and_only_their_numbers_change(
-    case: Case, name: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_programs_are_compiled_once_and_only_their_numbers_change(case, name, monkeypatch):
     models, applied, programs = compiling(monkeypatch), [], list[ConeProgram]()
     apply, solve = SolvingChain.apply, FallbackSolver.solve
 
@@ -176,9 +174,7 @@ def breaking_every_limit(rng: np.random.Generator) -> Linearisation:
 @settings(max_examples=share_of_examples(100, usual=1))
 @given(st.integers(0, 2**32 - 1))
 @example(1)  # a constraint on the last node, where the final state is missed
-def test_without_a_step_the_model_predicts_what_breaking_every_limit_costs(
-    formulation: str, name: str, seed: int
-) -> None:
+def test_without_a_step_the_model_predicts_what_breaking_every_limit_costs(formulation, name, seed):
     lin = breaking_every_limit(np.random.default_rng(seed))
     subproblem = make_subproblem(lin.problem, every_row(lin, name), formulation)
     subproblem.update(lin)
@@ -190,9 +186,7 @@ def test_without_a_step_the_model_predicts_what_breaking_every_limit_costs(
 @pytest.mark.parametrize("name", ["P3", "P2"])
 @settings(max_examples=share_of_examples(10))
 @given(generators, st.integers(4, 8))
-def test_the_predicted_merit_errs_quadratically_in_the_step(
-    name: str, rng: np.random.Generator, facets: int
-) -> None:
+def test_the_predicted_merit_errs_quadratically_in_the_step(name, rng, facets):
     keeps = [("in",), ("out",), ("in", "out")][int(rng.integers(3))]
     flyby = constrain(rng, random_flyby(rng, nodes=7), keeps)
     # A spread that counts, or its linearisation would not.
@@ -212,7 +206,7 @@ def test_the_predicted_merit_errs_quadratically_in_the_step(
 
 
 @pytest.mark.parametrize("formulation", FORMULATIONS)
-def test_two_burns_on_linear_arcs_are_what_the_boundary_demands(formulation: str) -> None:
+def test_two_burns_on_linear_arcs_are_what_the_boundary_demands(formulation):
     flyby = random_flyby(np.random.default_rng(5), nodes=8, burns=2, curvature=0.0)
     problem = flyby.problem
     total = np.eye(6)
@@ -237,8 +231,8 @@ def test_two_burns_on_linear_arcs_are_what_the_boundary_demands(formulation: str
 
 @pytest.mark.parametrize("formulation", FORMULATIONS)
 def test_only_frozen_models_promise_what_is_not_to_be_had_at_the_solution_of_p2(
-    case: Case, build: Build, formulation: str
-) -> None:
+    case, build, formulation
+):
     promise = promised(case, build(formulation, "P2"))
     if formulation in FROZEN:
         assert promise >= 10.0 * SCvx.stationary
@@ -258,9 +252,7 @@ def promised(case: Case, subproblem: Subproblem) -> float:
 
 
 @pytest.mark.parametrize("name", ["P3", "P2"])
-def test_at_convergence_every_buffer_is_zero_and_a_larger_weight_changes_nothing(
-    case: Case, build: Build, name: str
-) -> None:
+def test_at_convergence_every_buffer_is_zero_and_a_larger_weight_changes_nothing(case, build, name):
     lin, subproblem = case.at(name), build("condensed", name)
     assert max(v.max(initial=0.0) for v in subproblem.merit.violations(lin).values()) <= 1e-8
     subproblem.update(lin)
@@ -277,8 +269,8 @@ def test_at_convergence_every_buffer_is_zero_and_a_larger_weight_changes_nothing
 
 @pytest.mark.parametrize("name", ["P3", "P2"])
 def test_the_trust_region_bounds_every_component_and_a_larger_one_promises_no_less(
-    case: Case, build: Build, name: str
-) -> None:
+    case, build, name
+):
     lin, subproblem, merits = case.at("ballistic"), build("condensed", name), []
     subproblem.update(lin)
     for radius in (1e-3, 0.03, 0.1, 1.0):
@@ -320,8 +312,8 @@ def scripted(monkeypatch: pytest.MonkeyPatch, answer: Answer | str, other: str) 
     ],
 )
 def test_solvers_that_fail_or_give_no_finite_answer_raise_our_own_error(
-    case: Case, formulation: str, answer: Answer | str, words: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    case, formulation, answer, words, monkeypatch
+):
     scripted(monkeypatch, answer, other="so did I")
     subproblem = make_subproblem(case.problem, case.rows("P3"), formulation)
     subproblem.update(case.at("P3"))
@@ -331,9 +323,7 @@ def test_solvers_that_fail_or_give_no_finite_answer_raise_our_own_error(
 
 
 @pytest.mark.parametrize("formulation", ["condensed", "lifted"])
-def test_a_step_is_as_accurate_as_its_answer(
-    case: Case, formulation: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_step_is_as_accurate_as_its_answer(case, formulation, monkeypatch):
     answer = Answer(np.full(1, 0.125), "poor", False, 0.0)
     monkeypatch.setattr(condensed, "MISSED", np.inf)
     for accurate in (False, True):
@@ -384,7 +374,7 @@ def step(burns: Array, merit: float, seconds: float = 1.0) -> Step:
     return Step(burns, merit, seconds, 10.0 * seconds)
 
 
-def test_a_plane_touches_its_cone_nearest_to_the_burn() -> None:
+def test_a_plane_touches_its_cone_nearest_to_the_burn():
     burns = along([1e-3, 0.5, 1.0, 3.0])
     subproblem = Attempted(burns, [])
     problem, planes = subproblem.problem, subproblem.burn_planes(burns)
@@ -401,7 +391,7 @@ def test_a_plane_touches_its_cone_nearest_to_the_burn() -> None:
 
 
 @pytest.mark.parametrize("radius", [1.0, 0.5 * SMALL_BURN])
-def test_a_small_burn_that_may_turn_is_first_kept_out_of_no_cone(radius: float) -> None:
+def test_a_small_burn_that_may_turn_is_first_kept_out_of_no_cone(radius):
     """Small is a hundredth of the largest burn, or no more than the trust region lets it turn."""
     limit = min(radius, LIMIT)
     burns = along([0.0, 0.999 * limit, 1.001 * limit, 50.0 * limit])
@@ -414,7 +404,7 @@ def test_a_small_burn_that_may_turn_is_first_kept_out_of_no_cone(radius: float) 
     assert np.array_equal(planes[:, 2:], subproblem.burn_planes(burns)[:, 2:])
 
 
-def test_a_burn_of_the_limit_itself_counts_as_small() -> None:
+def test_a_burn_of_the_limit_itself_counts_as_small():
     burns = np.zeros((4, 3))
     burns[:, 0] = LIMIT
     for radius, small in ((1.0, True), (0.9 * LIMIT, False)):
@@ -425,7 +415,7 @@ def test_a_burn_of_the_limit_itself_counts_as_small() -> None:
         assert planes.any() is np.bool_(not small)
 
 
-def test_where_no_burn_is_small_one_answer_is_enough() -> None:
+def test_where_no_burn_is_small_one_answer_is_enough():
     burns = along([0.5, 1.0, 1.5, 2.0])
     subproblem = Attempted(burns, [])
     answer = step(5.0 * subproblem.problem.sun, 1.0)  # whatever cone it is in
@@ -434,7 +424,7 @@ def test_where_no_burn_is_small_one_answer_is_enough() -> None:
     assert np.array_equal(subproblem.planes[0], subproblem.burn_planes(burns))
 
 
-def test_from_a_guess_the_first_answer_is_taken_wherever_it_points() -> None:
+def test_from_a_guess_the_first_answer_is_taken_wherever_it_points():
     """There is no step to compare it with, and the next one is made at its burns."""
     subproblem = Attempted(along([0.5 * LIMIT, 1.0, 1.5, 2.0]), [], flown=False)
     inside = across(subproblem, 0.1)
@@ -444,7 +434,7 @@ def test_from_a_guess_the_first_answer_is_taken_wherever_it_points() -> None:
 
 
 @pytest.mark.parametrize("better", [1, 2])
-def test_a_small_burn_that_turns_into_a_cone_is_asked_again_both_ways(better: int) -> None:
+def test_a_small_burn_that_turns_into_a_cone_is_asked_again_both_ways(better):
     """With planes where the first answer points, and where the burn did; the lower merit counts."""
     burns = along([0.5 * LIMIT, 1.0, 1.5, 2.0])
     subproblem = Attempted(burns, [])
@@ -467,7 +457,7 @@ def test_a_small_burn_that_turns_into_a_cone_is_asked_again_both_ways(better: in
 
 
 @pytest.mark.parametrize("formulation", ["condensed", "lifted"])
-def test_held_burns_stay_and_raised_ones_are_no_smaller(formulation: str) -> None:
+def test_held_burns_stay_and_raised_ones_are_no_smaller(formulation):
     """At a weight that makes every burn shrink; before and after the kept program is as it was."""
     lin = linearised(np.random.default_rng(4))
     burns, problem = lin.iterate.burns, replace(lin.problem, dv_max=9.0)

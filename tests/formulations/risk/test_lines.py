@@ -37,12 +37,12 @@ def chi_between(dimension: int, low: float, high: float) -> float:
 
 
 @given(coordinates)
-def test_the_normal_density_is_scipys(s: float) -> None:
+def test_the_normal_density_is_scipys(s):
     assert normal_density(np.array(s)).item() == pytest.approx(norm.pdf(s), rel=1e-12, abs=1e-300)
 
 
 @given(dimensions, coordinates, coordinates)
-def test_the_chi_law_is_scipys_in_both_tails(dimension: int, one: float, other: float) -> None:
+def test_the_chi_law_is_scipys_in_both_tails(dimension, one, other):
     low, high = sorted([one, other])
     expected = chi_between(dimension, low, high)
     found = between(TwoSidedChiLaw(dimension), low, high)
@@ -53,7 +53,7 @@ def test_the_chi_law_is_scipys_in_both_tails(dimension: int, one: float, other: 
 
 
 @pytest.mark.parametrize("law", LAWS, ids=NAMES)
-def test_all_of_a_law_is_one_and_none_of_it_nothing(law: TwoSidedChiLaw) -> None:
+def test_all_of_a_law_is_one_and_none_of_it_nothing(law):
     assert between(law, -np.inf, np.inf) == pytest.approx(1.0, abs=1e-15)
     assert between(law, -np.inf, 0.0) == pytest.approx(0.5, abs=1e-15)
     for s in (-np.inf, -1.0, 0.0, 2.0, np.inf):
@@ -64,7 +64,7 @@ def test_all_of_a_law_is_one_and_none_of_it_nothing(law: TwoSidedChiLaw) -> None
 
 
 @given(st.sampled_from(LAWS), st.floats(-8.0, 8.0), st.floats(0.01, 6.0))
-def test_the_density_integrates_to_the_law(law: TwoSidedChiLaw, low: float, width: float) -> None:
+def test_the_density_integrates_to_the_law(law, low, width):
     high = low + width
     breaks = [0.0] if low < 0.0 < high else None
     found, _ = quad(lambda s: law.density(np.array(s)).item(), low, high, points=breaks)
@@ -72,7 +72,7 @@ def test_the_density_integrates_to_the_law(law: TwoSidedChiLaw, low: float, widt
 
 
 @pytest.mark.parametrize("law", LAWS, ids=NAMES)
-def test_the_density_is_even_and_finite_and_vanishes_at_infinity(law: TwoSidedChiLaw) -> None:
+def test_the_density_is_even_and_finite_and_vanishes_at_infinity(law):
     s = np.array([0.0, 1e-300, 1e-3, 1.0, 50.0, np.inf])
     density = law.density(s)
     if law.dimension == 1:
@@ -110,9 +110,7 @@ def kept_of(segments: Segments, lines: int) -> Array:
 
 
 @given(generators, st.integers(0, 3), st.integers(0, 5))
-def test_segments_are_where_all_limits_hold(
-    rng: np.random.Generator, inner: int, outer: int
-) -> None:
+def test_segments_are_where_all_limits_hold(rng, inner, outer):
     lines = 6
     keep_in, keep_out = some_intervals(rng, lines, inner), some_intervals(rng, lines, outer)
 
@@ -126,9 +124,7 @@ def test_segments_are_where_all_limits_hold(
 
 
 @given(generators, st.integers(0, 3), st.integers(0, 5))
-def test_the_ends_of_a_segment_are_those_of_the_limits_named(
-    rng: np.random.Generator, inner: int, outer: int
-) -> None:
+def test_the_ends_of_a_segment_are_those_of_the_limits_named(rng, inner, outer):
     keep_in, keep_out = some_intervals(rng, 6, inner), some_intervals(rng, 6, outer)
     found = kept_segments(keep_in, chords(keep_out, inner))
     assert np.all(found.low < found.high)
@@ -144,7 +140,7 @@ def test_the_ends_of_a_segment_are_those_of_the_limits_named(
         np.testing.assert_array_equal(named, values[met])
 
 
-def test_a_line_that_meets_nothing_is_kept_whole() -> None:
+def test_a_line_that_meets_nothing_is_kept_whole():
     nothing = np.zeros((0, 2)), np.zeros((0, 2))
     found = kept_segments(nothing, chords(nothing))
     np.testing.assert_array_equal(found.line, [0, 1])
@@ -154,7 +150,7 @@ def test_a_line_that_meets_nothing_is_kept_whole() -> None:
     assert np.all(found.high_limit == -1)
 
 
-def test_keep_outs_that_touch_or_overlap_leave_nothing_between() -> None:
+def test_keep_outs_that_touch_or_overlap_leave_nothing_between():
     none = np.zeros((0, 1)), np.zeros((0, 1))
     out = np.array([[0.0], [1.0], [0.5]]), np.array([[1.0], [3.0], [2.0]])
     found = kept_segments(none, chords(out))
@@ -168,7 +164,7 @@ LINES = 4096
 
 
 @pytest.mark.parametrize("dimension", [3, 9, 15])
-def test_even_directions_are_unit_vectors_spread_evenly(dimension: int) -> None:
+def test_even_directions_are_unit_vectors_spread_evenly(dimension):
     u, weight = sphere_directions(LINES, dimension)
     assert u.shape == (LINES, dimension)
     np.testing.assert_array_equal(weight, 1.0)
@@ -177,7 +173,7 @@ def test_even_directions_are_unit_vectors_spread_evenly(dimension: int) -> None:
     np.testing.assert_allclose(u.T @ u / LINES, np.eye(dimension) / dimension, atol=5e-3)
 
 
-def test_directions_are_the_same_for_everyone() -> None:
+def test_directions_are_the_same_for_everyone():
     for part in range(2):
         few, many = sphere_directions(64, 5)[part], sphere_directions(128, 5)[part]
         np.testing.assert_array_equal(few, sphere_directions(64, 5)[part])
@@ -193,7 +189,7 @@ def failing(directions: Directions, away: float) -> np.ndarray:
 
 @pytest.mark.parametrize("dimension", [6, 12])
 @pytest.mark.parametrize("away", [2.3, 3.1, 4.3])
-def test_aimed_directions_tell_a_half_spaces_probability(dimension: int, away: float) -> None:
+def test_aimed_directions_tell_a_half_spaces_probability(dimension, away):
     aimed = aimed_directions(LINES, dimension, lambda u: failing(u, away))
     assert aimed.weight.max() <= 2.0
     assert aimed.weight.mean() == pytest.approx(1.0, abs=0.02)
@@ -203,7 +199,7 @@ def test_aimed_directions_tell_a_half_spaces_probability(dimension: int, away: f
     assert found == pytest.approx(exact, rel=0.01 if dimension == 6 else 0.05)
 
 
-def test_where_nothing_fails_directions_stay_even() -> None:
+def test_where_nothing_fails_directions_stay_even():
     aimed = aimed_directions(64, 4, lambda u: np.zeros(len(u.unit)))
     np.testing.assert_array_equal(aimed.unit, sphere_directions(64, 4).unit)
 
@@ -219,9 +215,7 @@ def law(rng: np.random.Generator, n: int, slenderness: float = 30.0) -> tuple[Ar
 
 
 @given(st.floats(0.05, 20.0), st.floats(0.0, 10.0), st.floats(-4.0, 4.0), generators)
-def test_a_round_form_has_the_noncentral_chi_square_law(
-    sigma: float, distance: float, deviations: float, rng: np.random.Generator
-) -> None:
+def test_a_round_form_has_the_noncentral_chi_square_law(sigma, distance, deviations, rng):
     radius = max(distance + deviations * sigma, 0.1 * sigma)
     mean = distance * random_rotation(rng)[:1]
     found = below(np.eye(3)[None], mean, np.array([radius**2]), sigma**2 * np.eye(3)[None])
@@ -231,7 +225,7 @@ def test_a_round_form_has_the_noncentral_chi_square_law(
 
 
 @given(generators)
-def test_a_form_of_one_coordinate_is_a_slab(rng: np.random.Generator) -> None:
+def test_a_form_of_one_coordinate_is_a_slab(rng):
     """|a'x| < b, whatever the law is like in other directions."""
     n = 10
     mean, covariance = law(rng, n)
@@ -244,9 +238,7 @@ def test_a_form_of_one_coordinate_is_a_slab(rng: np.random.Generator) -> None:
 
 
 @given(st.floats(0.05, 20.0), generators)
-def test_a_double_wedge_about_the_mean_has_its_angle(
-    slope: float, rng: np.random.Generator
-) -> None:
+def test_a_double_wedge_about_the_mean_has_its_angle(slope, rng):
     """|u| < slope |v| of independent coordinates has the share 2 atan(slope) / pi; a side has half."""
     turn = random_rotation(rng)
     form = turn[0][:, None] * turn[0] - slope**2 * turn[1][:, None] * turn[1]
@@ -259,7 +251,7 @@ def test_a_double_wedge_about_the_mean_has_its_angle(
 
 
 @given(generators)
-def test_above_and_below_change_places_with_the_sign(rng: np.random.Generator) -> None:
+def test_above_and_below_change_places_with_the_sign(rng):
     n = 10
     mean, covariance = law(rng, n)
     matrix = np.array([np.diag(rng.normal(size=3)) for _ in range(n)])
@@ -270,9 +262,7 @@ def test_above_and_below_change_places_with_the_sign(rng: np.random.Generator) -
 
 
 @given(generators)
-def test_the_derivative_in_the_covariance_is_half_the_second_in_the_mean(
-    rng: np.random.Generator,
-) -> None:
+def test_the_derivative_in_the_covariance_is_half_the_second_in_the_mean(rng):
     """The heat equation, and the derivative in the mean by differences of values."""
     mean, covariance = law(rng, 1, 5.0)
     radius = np.linalg.norm(mean, axis=1) + 2.0

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -16,7 +15,6 @@ from formulations.risk.strata import (
     FAILS,
     Allocation,
     Counted,
-    Counts,
     Survey,
     allocate,
     failed_at,
@@ -113,9 +111,7 @@ def flights_like(a: Allocation, law: str, required: float) -> tuple[Array, Array
 @pytest.mark.parametrize(
     ("required", "mirrored"), [*((p, False) for p in REQUIRED), (0.9, True), (0.99, True)]
 )
-def test_no_limit_is_missed_more_often_than_it_says(
-    required: float, mirrored: bool, law: str
-) -> None:
+def test_no_limit_is_missed_more_often_than_it_says(required, mirrored, law):
     """However wrong the law is, of flights that reach just what is required."""
     a = allocation_of(required, mirrored=mirrored)
     assert not mirrored or a.share == a.share[::-1]
@@ -128,7 +124,7 @@ def test_no_limit_is_missed_more_often_than_it_says(
 
 
 @pytest.mark.parametrize("required", REQUIRED)
-def test_a_look_takes_a_tenth_of_the_flights_for_no_wider_an_interval(required: float) -> None:
+def test_a_look_takes_a_tenth_of_the_flights_for_no_wider_an_interval(required):
     """With flights as a survey expects them."""
     a, known, n = allocation_of(required), survey_of(required), look_flights(required)
     drawn = a.draws * known.share
@@ -144,7 +140,7 @@ def test_a_look_takes_a_tenth_of_the_flights_for_no_wider_an_interval(required: 
     assert counted.failed - least <= above
 
 
-def test_a_law_that_tells_nothing_leaves_plain_flights() -> None:
+def test_a_law_that_tells_nothing_leaves_plain_flights():
     share = np.array([0.0, 0.0, 0.1, 0.9, 0.0, 0.0])
     unknown = Survey(1e3, share, np.array([0.0, 0.0, 0.9, 0.1, 0.0, 0.0]))
     assert allocate(unknown, 20_000, plain_widths(0.9), TAIL) is None
@@ -168,7 +164,7 @@ FAIR = Allocation(1e4, 5.0, (0.1, 0.5, 0.6, 0.6, 0.5, 0.1), (0.09, 0.1))
     ],
     ids=str,
 )
-def test_an_allocation_that_gives_no_limits_is_refused(changes: dict[str, Any]) -> None:
+def test_an_allocation_that_gives_no_limits_is_refused(changes):
     with pytest.raises(ValueError, match="must be"):
         replace(FAIR, **changes)
 
@@ -182,12 +178,12 @@ def test_an_allocation_that_gives_no_limits_is_refused(changes: dict[str, Any]) 
         (NONE, NONE, NONE),
     ],
 )
-def test_counts_that_do_not_fit_are_refused(counts: tuple[Counts, Counts, Counts]) -> None:
+def test_counts_that_do_not_fit_are_refused(counts):
     with pytest.raises(ValueError, match="some are flown"):
         Counted(FAIR, *counts)
 
 
-def test_of_many_events_each_has_its_own_limit() -> None:
+def test_of_many_events_each_has_its_own_limit():
     rng = np.random.default_rng(5)
     drawn = np.tile([900, 40, 60, 500, 700, 7_800], (30, 1))
     drawn[:, [0, -1]] += np.outer(rng.integers(0, 30, 30), [1, -1])

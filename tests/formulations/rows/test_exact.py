@@ -39,9 +39,7 @@ def slack(cones: Cones, z: Array) -> Array:
 
 
 @given(generators, st.integers(1, 6))
-def test_a_curved_cone_has_value_slope_and_concave_curvature(
-    rng: np.random.Generator, p: int
-) -> None:
+def test_a_curved_cone_has_value_slope_and_concave_curvature(rng, p):
     """By differences of y_0 - ||y_1..|| about where it is made."""
     r, h = 3, 1e-4
     margin, slope, z = rng.normal(size=r), rng.normal(size=(r, p)), rng.normal(size=p)
@@ -70,7 +68,7 @@ def test_a_curved_cone_has_value_slope_and_concave_curvature(
 
 
 @given(generators)
-def test_what_curves_upwards_or_not_at_all_is_left_affine(rng: np.random.Generator) -> None:
+def test_what_curves_upwards_or_not_at_all_is_left_affine(rng):
     p, z = 4, rng.normal(size=4)
     root = rng.normal(size=(2, p, p))
     hessian = root @ root.swapaxes(1, 2)
@@ -82,9 +80,7 @@ def test_what_curves_upwards_or_not_at_all_is_left_affine(rng: np.random.Generat
 
 
 @given(generators)
-def test_a_curved_cone_is_never_below_its_parabola_and_never_above_its_tangent(
-    rng: np.random.Generator,
-) -> None:
+def test_a_curved_cone_is_never_below_its_parabola_and_never_above_its_tangent(rng):
     p, z = 4, rng.normal(size=4)
     root = rng.normal(size=(1, p, p))
     margin, slope = rng.normal(size=1), rng.normal(size=(1, p))
@@ -103,7 +99,7 @@ def test_a_curved_cone_is_never_below_its_parabola_and_never_above_its_tangent(
     assert slack(cones, z + size * d) == pytest.approx(expected, rel=1e-6, abs=1e-6)
 
 
-def test_rows_are_triangular() -> None:
+def test_rows_are_triangular():
     rng = np.random.default_rng(0)
     hessian = -np.eye(5) + np.zeros((2, 5, 5))
     cones = curved_cones(
@@ -143,7 +139,7 @@ def modelled(rows: Rows, lin: Linearisation, z: Array) -> Array:
 
 
 @pytest.mark.parametrize("scope", SCOPES)
-def test_at_the_iterate_rows_have_the_margins_themselves(scope: str) -> None:
+def test_at_the_iterate_rows_have_the_margins_themselves(scope):
     mission, lin = flown(scope)
     rows = rows_of(scope, mission)
     np.testing.assert_allclose(
@@ -152,7 +148,7 @@ def test_at_the_iterate_rows_have_the_margins_themselves(scope: str) -> None:
 
 
 @pytest.mark.parametrize(("scope", "accuracy"), [("node", 1e-3), ("flight", 3e-2)])
-def test_rows_have_the_slope_of_margins_along_flown_burns(scope: str, accuracy: float) -> None:
+def test_rows_have_the_slope_of_margins_along_flown_burns(scope, accuracy):
     """Along directions that keep the final state, whose steps are flown by Newton's method."""
     mission, lin = flown(scope)
     rows, z = rows_of(scope, mission), lin.iterate.burns.ravel()
@@ -173,7 +169,7 @@ def test_rows_have_the_slope_of_margins_along_flown_burns(scope: str, accuracy: 
         np.testing.assert_allclose(difference, expected, rtol=0.0, atol=accuracy * scale)
 
 
-def test_curvature_of_a_node_is_that_of_its_margin() -> None:
+def test_curvature_of_a_node_is_that_of_its_margin():
     """On the affine model: second differences of g, where g is concave along a direction."""
     mission, lin = flown("node")
     rows, z = NodeRows(mission.problem, 0.9), lin.iterate.burns.ravel()
@@ -192,7 +188,7 @@ def test_curvature_of_a_node_is_that_of_its_margin() -> None:
         assert model == pytest.approx(min(second, 0.0), abs=0.35 * abs(second) + 2e-3)
 
 
-def test_a_flights_margin_is_told_at_the_node_where_most_flights_end() -> None:
+def test_a_flights_margin_is_told_at_the_node_where_most_flights_end():
     mission, lin = flown("flight")
     rows = rows_of("flight", mission)
     ((name, found),) = rows.margins(lin).items()
@@ -206,14 +202,14 @@ def test_a_flights_margin_is_told_at_the_node_where_most_flights_end() -> None:
 
 
 @pytest.mark.parametrize("scope", SCOPES)
-def test_asking_more_leaves_less_by_the_difference_of_quantiles(scope: str) -> None:
+def test_asking_more_leaves_less_by_the_difference_of_quantiles(scope):
     mission, lin = flown(scope)
     less, more = (rows_of(scope, mission, p) for p in (0.8, 0.95))
     apart = margins(less, lin) - margins(more, lin)
     np.testing.assert_allclose(apart, 1.6448536269514722 - 0.8416212335729143, rtol=1e-9)
 
 
-def test_rows_look_at_all_nodes_of_their_events() -> None:
+def test_rows_look_at_all_nodes_of_their_events():
     mission, lin = flown("node")
     rows = NodeRows(mission.problem, 0.9)
     assert rows.count == sum(len(event.nodes) for event in rows.events)
@@ -224,7 +220,7 @@ def test_rows_look_at_all_nodes_of_their_events() -> None:
 # --- coordinates of flights ---------------------------------------------------------------------
 
 
-def test_a_burn_that_vanished_with_its_corrections_turns_no_coordinates() -> None:
+def test_a_burn_that_vanished_with_its_corrections_turns_no_coordinates():
     """Its velocities are all but known from what came before: nearly nothing has any direction."""
     problem = Mission.from_scenario(load_scenario(None, (COARSE,))).problem
     rng = np.random.default_rng(5)
@@ -254,8 +250,8 @@ def flown_spread(rng: np.random.Generator, *spread: float | None) -> Linearisati
 
 @given(generators, limits, limits, st.integers(0, 5))
 def test_each_limit_is_one_row_after_the_others_with_the_root_of_the_summed_variances(
-    rng: np.random.Generator, position: float | None, velocity: float | None, first: int
-) -> None:
+    rng, position, velocity, first
+):
     lin = flown_spread(rng, position, velocity)
     rows, last = FinalSpread(lin.problem, first), lin.problem.n_nodes - 1
     wanted = {
@@ -285,9 +281,7 @@ def test_each_limit_is_one_row_after_the_others_with_the_root_of_the_summed_vari
 
 
 @given(generators, st.integers(0, 4), st.booleans())
-def test_what_pulls_is_the_derivative_of_the_root_at_its_price(
-    rng: np.random.Generator, first: int, certain: bool
-) -> None:
+def test_what_pulls_is_the_derivative_of_the_root_at_its_price(rng, first, certain):
     """By differences of margins, on top of what the rows before pull."""
     lin = flown_spread(rng, 0.3, 0.2)
     rows, prices = FinalSpread(lin.problem, first), rng.uniform(0.5, 2.0, first + 2)
@@ -318,7 +312,7 @@ def test_what_pulls_is_the_derivative_of_the_root_at_its_price(
     assert np.sum(own[-1] * move) == pytest.approx(slope, rel=1e-6, abs=1e-8)
 
 
-def test_without_a_limit_nothing_is_added() -> None:
+def test_without_a_limit_nothing_is_added():
     lin = flown_spread(np.random.default_rng(0), None, None)
     before = Pulled(np.zeros((9, 3)), np.zeros((9, 3, 2)))
     rows = FinalSpread(lin.problem, 3)

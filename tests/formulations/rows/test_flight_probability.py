@@ -85,7 +85,7 @@ def sampled(flight: Flight, count: int = SAMPLES) -> float:
 
 @given(seeds, st.sampled_from([None, 0.0, 0.01]))
 @settings(max_examples=share_of_examples(12))
-def test_plain_monte_carlo_agrees(seed: int, outside: float | None) -> None:
+def test_plain_monte_carlo_agrees(seed, outside):
     """Also where the mean of a node is outside a limit, so that flights come in and leave again."""
     flight = some_flight(seed, outside)
     share, found = sampled(flight), probability(flight)
@@ -95,9 +95,7 @@ def test_plain_monte_carlo_agrees(seed: int, outside: float | None) -> None:
 
 @pytest.mark.parametrize("deviations", [3.1, 3.7, float(ndtri(PROBABILITY_MAX))])
 @pytest.mark.parametrize("dimension", [9, 15])
-def test_up_to_what_may_be_asked_the_rest_is_told_to_a_half(
-    deviations: float, dimension: int
-) -> None:
+def test_up_to_what_may_be_asked_the_rest_is_told_to_a_half(deviations, dimension):
     """Of one limit at one node, for which the nodes' quadrature is exact."""
     law = sphere_directions(LINES, dimension)
     for seed in range(6):
@@ -118,8 +116,8 @@ def test_up_to_what_may_be_asked_the_rest_is_told_to_a_half(
 @given(seeds, st.floats(0.5, 2.5))
 @few
 def test_half_spaces_that_only_one_part_of_the_errors_knows_have_their_closed_form(
-    seed: int, deviations: float
-) -> None:
+    seed, deviations
+):
     """Huge balls at several nodes, in whose normals all factors are along one direction of w.
 
     A flight keeps all of them if it keeps the one nearest in standard deviations.
@@ -140,9 +138,7 @@ def test_half_spaces_that_only_one_part_of_the_errors_knows_have_their_closed_fo
 
 @given(seed=seeds, outside=st.sampled_from([None, -0.02, 0.02]))
 @few
-def test_chords_that_no_line_comes_near_are_missed_by_none(
-    seed: int, outside: float | None
-) -> None:
+def test_chords_that_no_line_comes_near_are_missed_by_none(seed, outside):
     """Against all chords of all lines, which a plane through each keep-out decides not to compute."""
     flight = some_flight(seed, outside)
     estimate = of_flight(flight, 512)
@@ -171,7 +167,7 @@ def test_chords_that_no_line_comes_near_are_missed_by_none(
 
 @pytest.mark.parametrize("keep", ["in", "out"])
 @pytest.mark.parametrize("side", [-0.1, 0.1])
-def test_without_any_spread_the_means_side_tells(keep: str, side: float) -> None:
+def test_without_any_spread_the_means_side_tells(keep, side):
     ball = (Ball(np.zeros((1, 3)), 1.0),)
     event = Event("e", np.array([0]), *((ball, ()) if keep == "in" else ((), ball)))
     flight = Flight(np.array([[1.0 + side, 0.0, 0.0]]), np.zeros((1, 3, 6)), (event,))
@@ -181,7 +177,7 @@ def test_without_any_spread_the_means_side_tells(keep: str, side: float) -> None
     assert np.isfinite(found.by_mean).all()
 
 
-def test_a_flight_that_meets_nothing_is_certain() -> None:
+def test_a_flight_that_meets_nothing_is_certain():
     flight = some_flight(0)
     found = of_flight(flight._replace(events=()))(flight.mean, flight.factor)
     assert found.value > 7.0
@@ -209,14 +205,14 @@ def slopes(flight: Flight, rng: np.random.Generator, step: float) -> tuple[float
 
 @given(seeds, st.sampled_from([None, 0.01]))
 @few
-def test_the_gradient_is_that_of_the_sampled_function(seed: int, outside: float | None) -> None:
+def test_the_gradient_is_that_of_the_sampled_function(seed, outside):
     """But for the kinks of lines that pass from one limit to another within the step."""
     flight = some_flight(seed, outside)
     slope, difference = slopes(flight, np.random.default_rng(seed), 1e-6)
     assert slope == pytest.approx(difference, rel=1e-2, abs=1e-2)
 
 
-def test_shares_of_flights_that_end_are_those_of_the_gradient() -> None:
+def test_shares_of_flights_that_end_are_those_of_the_gradient():
     """A limit that ends no flight has no say."""
     flight = some_flight(2)
     found = of_flight(flight, reach=100.0)(flight.mean, flight.factor)
@@ -227,7 +223,7 @@ def test_shares_of_flights_that_end_are_those_of_the_gradient() -> None:
     assert np.all(found.by_factor[silent] == 0.0)
 
 
-def test_many_flights_at_once_are_as_each_by_itself() -> None:
+def test_many_flights_at_once_are_as_each_by_itself():
     flight, rng = some_flight(1, -0.02), np.random.default_rng(1)
     estimate = of_flight(flight, 512)
     mean = flight.mean + 1e-3 * rng.normal(size=(3, *flight.mean.shape))

@@ -105,7 +105,7 @@ def away(rng: np.random.Generator, region: Region, factor: Array, deviations: fl
 
 @given(st.floats(0.002, 0.5 / np.sqrt(3.0)), generators)
 @few
-def test_balls_follow_the_noncentral_chi_square_law(sigma: float, rng: np.random.Generator) -> None:
+def test_balls_follow_the_noncentral_chi_square_law(sigma, rng):
     n = 40
     normal = random_unit(rng, n)
     distance = np.r_[0.0, rng.uniform(0.0, 1.0, 9), 1.0 + sigma * rng.uniform(-5.0, 5.0, n - 10)]
@@ -120,9 +120,7 @@ def test_balls_follow_the_noncentral_chi_square_law(sigma: float, rng: np.random
 
 @given(st.floats(0.002, 0.5), st.floats(1.0, SLENDER), sigmas_away, generators)
 @few
-def test_balls_and_cones_agree_with_nested_quadrature(
-    spread: float, slenderness: float, deviations: float, rng: np.random.Generator
-) -> None:
+def test_balls_and_cones_agree_with_nested_quadrature(spread, slenderness, deviations, rng):
     """Wide and slender laws too."""
     region = some_region(rng)
     factor = root(rng, spread, slenderness)
@@ -137,9 +135,7 @@ def test_balls_and_cones_agree_with_nested_quadrature(
 
 @given(st.floats(0.05, 0.5), st.floats(0.0, 1.0), generators)
 @few
-def test_a_long_law_deep_inside_a_ball_reaches_out_of_it(
-    spread: float, distance: float, rng: np.random.Generator
-) -> None:
+def test_a_long_law_deep_inside_a_ball_reaches_out_of_it(spread, distance, rng):
     """Lying across the way to the nearest point of the limit, which it is far from."""
     normal, side, other = random_rotation(rng)
     factor = np.stack([spread / SLENDER * normal, spread * side, spread / 10.0 * other], axis=1)[
@@ -153,9 +149,7 @@ def test_a_long_law_deep_inside_a_ball_reaches_out_of_it(
 
 @given(st.floats(0.1, 1.0), st.floats(1.0, SLENDER), generators)
 @few
-def test_about_its_apex_a_cone_has_one_nappe(
-    away: float, slenderness: float, rng: np.random.Generator
-) -> None:
+def test_about_its_apex_a_cone_has_one_nappe(away, slenderness, rng):
     """Whichever nappe of the double cone the mean is on or beside."""
     cone = Cone(rng.normal(size=(1, 3)), random_unit(rng, 1), float(rng.uniform(0.2, 1.3)))
     factor = root(rng, 1.0, slenderness)
@@ -168,7 +162,7 @@ def test_about_its_apex_a_cone_has_one_nappe(
 
 
 @pytest.mark.parametrize("half_angle", [0.1, 0.7, 1.5])
-def test_a_cone_about_the_mean_holds_its_solid_angle(half_angle: float) -> None:
+def test_a_cone_about_the_mean_holds_its_solid_angle(half_angle):
     cone = Cone(np.zeros((1, 3)), np.array([[0.6, 0.0, 0.8]]), half_angle)
     found = node_quantiles(event((cone,)), np.zeros((1, 3)), np.eye(3)[None])
     share = 0.5 * (1.0 - np.cos(half_angle))
@@ -177,7 +171,7 @@ def test_a_cone_about_the_mean_holds_its_solid_angle(half_angle: float) -> None:
 
 @given(st.floats(0.01, 0.5), st.floats(1.0, SLENDER), generators)
 @few
-def test_between_two_limits(spread: float, slenderness: float, rng: np.random.Generator) -> None:
+def test_between_two_limits(spread, slenderness, rng):
     inner: Region
     outer: Region
     if rng.integers(2):
@@ -194,7 +188,7 @@ def test_between_two_limits(spread: float, slenderness: float, rng: np.random.Ge
     assert found.item() == pytest.approx(expected, abs=NEAR_APEX)
 
 
-def test_limits_that_are_not_nested_are_refused() -> None:
+def test_limits_that_are_not_nested_are_refused():
     """Their probabilities of being missed would not add up."""
     mean, factor = np.array([[0.0, 0.0, 1.0]]), 0.1 * np.eye(3)[None]
     ball, apart = Ball(np.zeros((1, 3)), 1.0), Ball(np.array([[0.0, 0.0, 1.0]]), 0.5)
@@ -209,7 +203,7 @@ def test_limits_that_are_not_nested_are_refused() -> None:
 
 
 @given(st.floats(-6.5, 6.5) | st.floats(7.5, 9.0) | st.floats(-9.0, -7.5), generators)
-def test_a_half_space_has_its_closed_form(deviations: float, rng: np.random.Generator) -> None:
+def test_a_half_space_has_its_closed_form(deviations, rng):
     """A huge ball: g = (b - a'mu) / ||S'a||, and the gradients of that."""
     normal, factor, radius = random_unit(rng), root(rng, 1.0, 5.0), 1e6
     ball = Ball(-radius * normal[None], radius)
@@ -227,7 +221,7 @@ def test_a_half_space_has_its_closed_form(deviations: float, rng: np.random.Gene
 
 
 @given(generators, st.booleans())
-def test_without_any_spread_the_means_side_tells(rng: np.random.Generator, out: bool) -> None:
+def test_without_any_spread_the_means_side_tells(rng, out):
     region, none = some_region(rng), np.zeros((1, 3, 4))
     point, normal = touched(rng, region)
     for side in (-0.01, 0.01):
@@ -241,7 +235,7 @@ def test_without_any_spread_the_means_side_tells(rng: np.random.Generator, out: 
 
 @given(generators)
 @few
-def test_where_nothing_is_left_to_see_g_stays_beyond_what_is_told(rng: np.random.Generator) -> None:
+def test_where_nothing_is_left_to_see_g_stays_beyond_what_is_told(rng):
     """A slender law beside a ball: its tangent plane is near, and the ball itself out of reach."""
     ball = Ball(np.zeros((1, 3)), 0.43)
     turn = random_rotation(rng)
@@ -263,7 +257,7 @@ def test_where_nothing_is_left_to_see_g_stays_beyond_what_is_told(rng: np.random
 @pytest.mark.parametrize("slenderness", [2.0, SLENDER])
 @pytest.mark.parametrize("spread", [0.02, 0.1, 0.5])
 @pytest.mark.parametrize("kind", ["ball", "cone", "shell", "half-space", "ellipsoid"])
-def test_gradients_are_good_to_a_millionth(kind: str, spread: float, slenderness: float) -> None:
+def test_gradients_are_good_to_a_millionth(kind, spread, slenderness):
     rng = np.random.default_rng(11)
     ball, hole = Ball(np.zeros((1, 3)), 1.0), Ball(np.zeros((1, 3)), 1.0 / (1.0 + 3.0 * spread))
     cone = Cone(np.zeros((1, 3)), random_unit(rng, 1), 0.7)
@@ -290,9 +284,7 @@ def test_gradients_are_good_to_a_millionth(kind: str, spread: float, slenderness
 
 @few
 @given(generators)
-def test_flat_and_stretched_regions_hold_what_draws_of_the_law_say(
-    rng: np.random.Generator,
-) -> None:
+def test_flat_and_stretched_regions_hold_what_draws_of_the_law_say(rng):
     """An ellipsoid exactly; many faces by the sum of what each loses, a bound, in and out."""
     factor, faces = root(rng, 0.5), random_unit(rng, 5)
     mean, room = rng.normal(scale=0.3, size=(1, 3)), rng.uniform(0.6, 1.5, 5)
@@ -318,7 +310,7 @@ def test_flat_and_stretched_regions_hold_what_draws_of_the_law_say(
 
 @given(generators)
 @few
-def test_nodes_do_not_know_of_each_other(rng: np.random.Generator) -> None:
+def test_nodes_do_not_know_of_each_other(rng):
     """Whatever their spread and wherever they are: together and one by one."""
     n = 6
     mean, anchor = rng.normal(size=(n, 3)), rng.normal(size=(n, 3))
@@ -332,7 +324,7 @@ def test_nodes_do_not_know_of_each_other(rng: np.random.Generator) -> None:
             np.testing.assert_allclose(part[0], whole[i], rtol=1e-9, atol=1e-12)
 
 
-def test_joint_events_are_made_of_their_sides() -> None:
+def test_joint_events_are_made_of_their_sides():
     nodes = np.array([2, 5])
     ball, hole = Ball(np.zeros((2, 3)), 2.0), Ball(np.zeros((2, 3)), 1.0)
     cone = Cone(np.zeros((2, 3)), np.tile([[0.0, 0.0, 1.0]], (2, 1)), 0.3)
@@ -350,9 +342,7 @@ def test_joint_events_are_made_of_their_sides() -> None:
 
 @pytest.mark.parametrize("left", [1e-3, 1e-6, 1e-9])
 @pytest.mark.parametrize("spread", [0.01, 0.1])
-def test_what_is_left_of_a_probability_near_one_keeps_its_digits(
-    left: float, spread: float
-) -> None:
+def test_what_is_left_of_a_probability_near_one_keeps_its_digits(left, spread):
     """Down to the least that a scenario may leave, 1e-9: by the noncentral chi-square law."""
     mean = np.array([[1.0, 0.0, 0.0]])
     factor = spread * np.eye(3)[None]

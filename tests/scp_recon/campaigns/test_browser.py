@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -25,9 +24,7 @@ def browser() -> Iterator[Any]:
 
 
 @pytest.mark.parametrize(("tables", "charts"), [(PLACES, 2), (ERRORS, 2)])
-def test_it_draws_opens_cases_and_asks_the_network_for_nothing(
-    browser: Any, tmp_path: Path, tables: dict[str, Any], charts: int
-) -> None:
+def test_it_draws_opens_cases_and_asks_the_network_for_nothing(browser, tmp_path, tables, charts):
     campaign_of(tables, tmp_path)
     file = write_pictures(read_campaign(tmp_path))[0]
     page = browser.new_context(viewport=WINDOW).new_page()

@@ -40,9 +40,7 @@ def written(path: Path, text: str) -> str:
     return str(path)
 
 
-def test_without_the_extra_for_pages_the_rest_is_there(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_without_the_extra_for_pages_the_rest_is_there(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(campaigns, "has_extras", lambda: False)
     text = REFUSED.replace("count = 40", "count = 2")
     study, out = written(tmp_path / "study.toml", text), tmp_path / "out"
@@ -52,9 +50,7 @@ def test_without_the_extra_for_pages_the_rest_is_there(
     assert "no campaign.html" in said
 
 
-def test_a_study_ends_with_its_table_and_its_solutions(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_study_ends_with_its_table_and_its_solutions(tmp_path, capsys):
     study, out = written(tmp_path / "study.toml", STUDY), tmp_path / "out"
     assert command.main([study, "--out", str(out), "--workers", "0", "--json"]) == 0
     said = capsys.readouterr()
@@ -82,9 +78,7 @@ def test_a_study_ends_with_its_table_and_its_solutions(
         ({"limit_s": 5.0}, ["limit_s: not kept with --workers 0, where no case can be ended"]),
     ],
 )
-def test_limits_that_are_asked_for_and_not_kept_are_told(
-    limits: dict[str, float], said: list[str]
-) -> None:
+def test_limits_that_are_asked_for_and_not_kept_are_told(limits, said):
     study, heard = Study.validated({"campaign": limits}), list[str]()
     assert executor_of(study, 0, None, heard.append) is here
     assert heard == said
@@ -92,9 +86,7 @@ def test_limits_that_are_asked_for_and_not_kept_are_told(
     assert heard == said
 
 
-def test_an_interrupted_campaign_keeps_what_is_done_and_goes_on(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_interrupted_campaign_keeps_what_is_done_and_goes_on(tmp_path, monkeypatch, capsys):
     """Ctrl-C with the third row, and a termination with the fifth, of a real process."""
     text = REFUSED.replace("count = 40", "count = 7")
     study, out, put = written(tmp_path / "study.toml", text), tmp_path / "out", Store.put

@@ -9,7 +9,6 @@ from dataclasses import replace
 from datetime import UTC, datetime
 from html import unescape
 from io import BytesIO
-from pathlib import Path
 
 import pytest
 
@@ -38,9 +37,7 @@ def errors(tmp_path_factory: pytest.TempPathFactory) -> CampaignResults:
     return read_campaign(folder)
 
 
-def test_a_campaign_from_before_there_was_navigation_is_read(
-    mapped: tuple[Study, CampaignResults], tmp_path: Path
-) -> None:
+def test_a_campaign_from_before_there_was_navigation_is_read(mapped, tmp_path):
     _, results = mapped
     folder = shutil.copytree(results.folder, tmp_path / "older")
     data = json.loads((folder / FILE_NAME).read_text("utf-8"))
@@ -50,9 +47,7 @@ def test_a_campaign_from_before_there_was_navigation_is_read(
 
 
 @pytest.mark.parametrize("column", ["flown_shortfalls", "simulated_shortfalls"])
-def test_the_remarks_say_why_cases_have_no_plan(
-    mapped: tuple[Study, CampaignResults], errors: CampaignResults, column: str
-) -> None:
+def test_the_remarks_say_why_cases_have_no_plan(mapped, errors, column):
     """Nor is feasible what fell short of its limits in its flights, or with the spacecraft."""
     said = remarks(mapped[1])
     assert any(line.startswith("Broken most: emission_max (") for line in said)
@@ -72,7 +67,7 @@ def test_the_remarks_say_why_cases_have_no_plan(
     assert len(answer) < 200
 
 
-def test_cases_that_share_a_place_are_told_and_the_cheapest_is_drawn(tmp_path: Path) -> None:
+def test_cases_that_share_a_place_are_told_and_the_cheapest_is_drawn(tmp_path):
     sites = {
         "latitude_deg": {"from": -30.0, "to": 30.0, "count": 2},
         "longitude_deg": {"from": 0.0, "to": 240.0, "count": 3},
@@ -112,9 +107,7 @@ def test_cases_that_share_a_place_are_told_and_the_cheapest_is_drawn(tmp_path: P
     assert len(figures(results)["curves"].axes[0].lines) == 2
 
 
-def test_pictures_suit_the_axes(
-    mapped: tuple[Study, CampaignResults], errors: CampaignResults
-) -> None:
+def test_pictures_suit_the_axes(mapped, errors):
     drawn = figures(mapped[1]) | figures(errors)
     assert list(drawn) == ["map", "globe", "curves"]
     for figure in drawn.values():
@@ -126,7 +119,7 @@ def test_pictures_suit_the_axes(
     assert drawn["map"].axes[0].collections[0].get_offsets().shape == (mapped[1].feasible, 2)
 
 
-def test_the_page_says_it_all_and_escapes(mapped: tuple[Study, CampaignResults]) -> None:
+def test_the_page_says_it_all_and_escapes(mapped):
     """Each case with what it changes; a plan that was kept is linked."""
     _, results = mapped
     kept = results.folder / "solutions" / "case-0000003"
@@ -152,9 +145,7 @@ def test_the_page_says_it_all_and_escapes(mapped: tuple[Study, CampaignResults])
     assert 'href="solutions/case-0000003/report.html"' in render(results, MADE)
 
 
-def test_what_was_stopped_is_shown_as_far_as_it_came(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_was_stopped_is_shown_as_far_as_it_came(tmp_path, capsys):
     campaign_of(ERRORS, tmp_path, stop_after=5)
     assert report.main([str(tmp_path)]) == 0
     said = capsys.readouterr().out
@@ -162,7 +153,7 @@ def test_what_was_stopped_is_shown_as_far_as_it_came(
     assert {path.name for path in tmp_path.iterdir()} >= {"campaign.html", "curves.png"}
 
 
-def test_a_folder_without_a_campaign_is_one_message(tmp_path: Path) -> None:
+def test_a_folder_without_a_campaign_is_one_message(tmp_path):
     with pytest.raises(InputError, match="must hold a campaign"):
         read_campaign(tmp_path)
     (tmp_path / "campaign.json").write_text('{"schema": "another"}')

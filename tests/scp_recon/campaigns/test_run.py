@@ -25,7 +25,6 @@ from scp_recon.jobs.job import Done, Executor, Job, Work, here
 from scp_recon.jobs.processes import Limits, Processes
 from scp_recon.jobs.store import Row
 from scp_recon.planning.plan import Plan
-from scp_recon.results.facts import Verification
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scenario.schema import Scenario
 from tests.scp_recon.campaigns.support import table_of
@@ -53,7 +52,7 @@ def stopped(work: Work, jobs: Iterable[Job]) -> Generator[Done, None, None]:
     raise KeyboardInterrupt
 
 
-def test_a_table_is_the_same_stopped_and_continued_elsewhere(tmp_path: Path) -> None:
+def test_a_table_is_the_same_stopped_and_continued_elsewhere(tmp_path):
     with pytest.raises(KeyboardInterrupt):
         run(tmp_path / "a", stopped)
     kept = read_results(tmp_path / "a")
@@ -70,7 +69,7 @@ def test_a_table_is_the_same_stopped_and_continued_elsewhere(tmp_path: Path) -> 
     assert whole.message[3] == "x: got 0; must be more"
 
 
-def test_two_campaigns_in_one_folder_are_refused(tmp_path: Path) -> None:
+def test_two_campaigns_in_one_folder_are_refused(tmp_path):
     def again(*_: object) -> None:
         with pytest.raises(InputError, match="at work"):
             run(tmp_path)
@@ -80,7 +79,7 @@ def test_two_campaigns_in_one_folder_are_refused(tmp_path: Path) -> None:
         run_study(replace(STUDY, campaign=Campaign(seed=1)), tmp_path, work, here)
 
 
-def test_rows_of_other_code_are_refused_and_what_differs_is_told(tmp_path: Path) -> None:
+def test_rows_of_other_code_are_refused_and_what_differs_is_told(tmp_path):
     run(tmp_path)
     found = json.loads((tmp_path / FILE_NAME).read_text("utf-8"))
     earlier = found | {"hash": "0", "sources": "0", "versions": found["versions"] | {"numpy": "1"}}
@@ -89,7 +88,7 @@ def test_rows_of_other_code_are_refused_and_what_differs_is_told(tmp_path: Path)
         run(tmp_path)
 
 
-def test_a_folder_that_is_no_campaigns_is_refused_as_such(tmp_path: Path) -> None:
+def test_a_folder_that_is_no_campaigns_is_refused_as_such(tmp_path):
     """A table that was copied there would pass for this study's."""
     for left in (RESULTS, ROWS, "rows"):
         (tmp_path / left).write_bytes(b"")
@@ -111,7 +110,7 @@ def test_a_folder_that_is_no_campaigns_is_refused_as_such(tmp_path: Path) -> Non
         run(tmp_path)
 
 
-def test_a_finished_campaign_is_not_run_again_and_says_so(tmp_path: Path) -> None:
+def test_a_finished_campaign_is_not_run_again_and_says_so(tmp_path):
     def never(*_: object) -> Any:
         raise AssertionError
 
@@ -121,7 +120,7 @@ def test_a_finished_campaign_is_not_run_again_and_says_so(tmp_path: Path) -> Non
     assert seen == [(9, 9, None)]
 
 
-def test_a_table_has_all_rows_or_is_not_written(tmp_path: Path) -> None:
+def test_a_table_has_all_rows_or_is_not_written(tmp_path):
     """Whatever an executor leaves out."""
     with pytest.raises(RuntimeError, match="2 rows of 9 cases"):
         run(tmp_path, lambda work, jobs: here(work, list(jobs)[:2]))
@@ -138,16 +137,14 @@ def test_a_table_has_all_rows_or_is_not_written(tmp_path: Path) -> None:
         (["paper", 24, [1.5, "x"]], ["paper", "24", '[1.5, "x"]']),
     ],
 )
-def test_a_column_holds_all_values_of_an_entry(values: list[Any], cells: list[Any]) -> None:
+def test_a_column_holds_all_values_of_an_entry(values, cells):
     found = [cell(value, kind_of(values)) for value in values]
     assert found == cells
     assert list(map(type, found)) == list(map(type, cells))
 
 
 @pytest.mark.parametrize("do", get_args(Do))
-def test_a_case_has_done_to_it_what_its_campaign_says(
-    do: Do, default_plan: Plan, verification: Verification, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_case_has_done_to_it_what_its_campaign_says(do, default_plan, verification, monkeypatch):
     """With its own seed; only what is to be certified is planned so."""
     certified: list[bool] = []
 
@@ -180,11 +177,11 @@ def study_of(name: str) -> Study:
 
 
 @pytest.mark.parametrize(("name", "cases"), SIZES.items())
-def test_a_study_that_is_shown_can_be_run(name: str, cases: int) -> None:
+def test_a_study_that_is_shown_can_be_run(name, cases):
     assert len(study_of(name).cases) == cases
 
 
-def test_the_year_takes_a_window_of_so_many() -> None:
+def test_the_year_takes_a_window_of_so_many():
     tables = tomllib.loads((STUDIES / "asteroid_year.toml").read_text("utf-8"))
     axis = tables["axis"][0]["windows"]
     assert axis["span_days"] == pytest.approx(436.65, abs=0.1)  # Bennu's year
@@ -194,7 +191,7 @@ def test_the_year_takes_a_window_of_so_many() -> None:
     assert len(cases) == round(10.0 * 24.0 / 4.2957 / 20.0)
 
 
-def test_a_site_in_the_dark_is_refused_with_its_reason() -> None:
+def test_a_site_in_the_dark_is_refused_with_its_reason():
     study = study_of("reconnaissance_map")
     dark = next(case for case in study.cases if case.changes["site.latitude_deg"] < -70.0)
     with pytest.raises(ValueError, match="lighting window"):
@@ -203,7 +200,7 @@ def test_a_site_in_the_dark_is_refused_with_its_reason() -> None:
 
 
 @pytest.mark.usefixtures("few_flights")
-def test_a_case_is_flown_by_the_campaigns_policy() -> None:
+def test_a_case_is_flown_by_the_campaigns_policy():
     """Planned again, it ends nearer to where it is to than its gains alone bring it, at its cost."""
     tables = tomllib.loads((STUDIES / "navigation.toml").read_text("utf-8"))
     quick = {"grid.step_max_s": 450.0, "policy.cost": "nominal"}

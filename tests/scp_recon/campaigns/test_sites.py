@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial import ConvexHull, KDTree
 
-from scp_recon.bodies.surface import Ellipsoid, Mesh, Surface, direction_of
+from scp_recon.bodies.surface import Ellipsoid, Mesh, direction_of
 from scp_recon.campaigns.axes import ShapeSites
 from scp_recon.campaigns.cases import changed
 from scp_recon.campaigns.sites import even_sites, fibonacci, noons_of, parts, surface_of
@@ -44,20 +44,20 @@ def shares(surface: Ellipsoid, sites: list[tuple[float, float]]) -> np.ndarray:
 
 
 @pytest.mark.parametrize("surface", [SPHERE, BENNU])
-def test_each_site_has_its_share_of_the_area(surface: Ellipsoid) -> None:
+def test_each_site_has_its_share_of_the_area(surface):
     found = shares(surface, even_sites(surface, 60))
     assert found.std() < 0.12
     assert 0.7 < found.min() < found.max() < 1.4
 
 
 @pytest.mark.parametrize("surface", [BENNU, LONG])
-def test_a_mesh_has_the_sites_of_the_surface_it_is_of(surface: Ellipsoid) -> None:
+def test_a_mesh_has_the_sites_of_the_surface_it_is_of(surface):
     found = shares(surface, even_sites(meshed(surface), 60)).std()
     assert found == pytest.approx(shares(surface, even_sites(surface, 60)).std(), abs=0.1)
 
 
 @pytest.mark.parametrize("surface", [SPHERE, meshed(SPHERE)])
-def test_the_parts_make_up_the_surface(surface: Surface) -> None:
+def test_the_parts_make_up_the_surface(surface):
     middles, areas = parts(surface, 3000)
     assert len(areas) >= 3000
     assert areas.sum() == pytest.approx(4.0 * np.pi * 100.0**2, rel=0.02)
@@ -65,7 +65,7 @@ def test_the_parts_make_up_the_surface(surface: Surface) -> None:
 
 
 @pytest.mark.parametrize("longitude", [0.0, 41.8, -120.0, 179.9])
-def test_it_is_noon_when_it_is_said_to_be(longitude: float) -> None:
+def test_it_is_noon_when_it_is_said_to_be(longitude):
     scenario = load_scenario("recon_b")
     moment = noons_of(scenario)(longitude)
     rotation = Scene.of(scenario).rotation
@@ -76,7 +76,7 @@ def test_it_is_noon_when_it_is_said_to_be(longitude: float) -> None:
     assert abs((apart + 180.0) % 360.0 - 180.0) < 0.3
 
 
-def test_a_study_spreads_sites_and_moves_their_epochs() -> None:
+def test_a_study_spreads_sites_and_moves_their_epochs():
     axis = {"spread": {"count": 12, "noon_at_s": 14_838.0}}
     study = Study.validated({"campaign": {"base": "kingfisher", "do": "design"}, "axis": [axis]})
     assert study.entries == (
@@ -90,14 +90,14 @@ def test_a_study_spreads_sites_and_moves_their_epochs() -> None:
         assert noon_s == pytest.approx(14_838, abs=2)
 
 
-def test_a_body_without_a_shape_has_no_sites_to_spread() -> None:
+def test_a_body_without_a_shape_has_no_sites_to_spread():
     base = load_scenario("recon_b")
     body = base.body.model_copy(update={"radii_m": None})
     with pytest.raises(InputError, match=r"body\.radii_m"):
         surface_of(base.model_copy(update={"body": body}))
 
 
-def test_the_first_sites_are_spread_too() -> None:
+def test_the_first_sites_are_spread_too():
     base = load_scenario("recon_b")
     rows = ShapeSites.model_validate({"spread": {"count": 128}}).rows(base, (0,))
     places = [direction_of(row["site.latitude_deg"], row["site.longitude_deg"]) for row in rows]

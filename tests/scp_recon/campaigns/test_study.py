@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -25,7 +24,7 @@ def study(*axes: dict[str, Any], **campaign: Any) -> Study:
 
 
 @given(st.lists(st.integers(1, 5), max_size=4), st.integers(0, 2**63 - 1))
-def test_the_cases_are_the_product_of_the_axes(sizes: list[int], seed: int) -> None:
+def test_the_cases_are_the_product_of_the_axes(sizes, seed):
     axes = tuple([{f"e{k}": i} for i in range(size)] for k, size in enumerate(sizes))
     cases = Cases(axes, seed)
     found = [tuple(cases[n].changes[f"e{k}"] for k in range(len(sizes))) for n in range(len(cases))]
@@ -33,7 +32,7 @@ def test_the_cases_are_the_product_of_the_axes(sizes: list[int], seed: int) -> N
     assert [cases[n].number for n in range(len(cases))] == list(range(len(found)))
 
 
-def test_every_kind_of_axis_gives_its_rows() -> None:
+def test_every_kind_of_axis_gives_its_rows():
     found = study(
         {"entries": ["risk.p_chance", "burns.dv_max_m_s"], "values": [[0.7, 0.2], [0.8, 0.3]]},
         {
@@ -72,9 +71,7 @@ def test_every_kind_of_axis_gives_its_rows() -> None:
         ({"law": "loguniform", "low": 100.0, "high": 200.0}, 144.27, 28.69),
     ],
 )
-def test_draws_follow_their_law_and_more_of_them_keep_the_first(
-    law: dict[str, Any], mean: float, spread: float
-) -> None:
+def test_draws_follow_their_law_and_more_of_them_keep_the_first(law, mean, spread):
     def drawn(count: int) -> list[float]:
         axis = {"draws": [{"entry": "spacecraft.mass_kg", **law}], "count": count}
         return [row["spacecraft.mass_kg"] for row in study(axis).axes[0]]
@@ -85,7 +82,7 @@ def test_draws_follow_their_law_and_more_of_them_keep_the_first(
     assert drawn(10) == many[:10]
 
 
-def test_epochs_are_taken_from_the_lighting_windows() -> None:
+def test_epochs_are_taken_from_the_lighting_windows():
     """Each is a mission whose window stands between the same burns as the base's."""
     found = study({"windows": {"span_days": 2.0}})
     assert len(found.cases) > 5
@@ -123,7 +120,7 @@ BAD_AXES: list[tuple[dict[str, Any], str, str]] = [
 ]
 
 
-def test_a_bad_axis_is_refused() -> None:
+def test_a_bad_axis_is_refused():
     for axis, entry, words in BAD_AXES:
         with pytest.raises(InputError) as caught:
             study(axis)
@@ -135,14 +132,14 @@ def test_a_bad_axis_is_refused() -> None:
     assert "axis 2, row 1: burns.dv_max" in str(caught.value)
 
 
-def test_an_entry_is_on_one_axis() -> None:
+def test_an_entry_is_on_one_axis():
     with pytest.raises(InputError, match="must be on one axis"):
         study(P_CHANCE, P_CHANCE)
     with pytest.raises(InputError, match=r"risk.p_chance: got on axis 1 and axis 2"):
         study(P_CHANCE, {"entry": "risk", "values": [{"p_chance": 0.9}]})
 
 
-def test_axes_that_contradict_each_other_in_every_case_are_refused() -> None:
+def test_axes_that_contradict_each_other_in_every_case_are_refused():
     """Each is a scenario alone."""
     sigmas = ("initial_sigma_position_m", "initial_sigma_velocity_m_s", "initial_frame")
     absolute = {
@@ -166,7 +163,7 @@ def test_axes_that_contradict_each_other_in_every_case_are_refused() -> None:
         ({"baze": "x"}, "campaign.baze", "must be one of"),
     ],
 )
-def test_a_bad_campaign_is_refused(campaign: dict[str, Any], entry: str, words: str) -> None:
+def test_a_bad_campaign_is_refused(campaign, entry, words):
     with pytest.raises(InputError) as caught:
         study(**campaign)
     assert caught.value.entry == entry
@@ -239,15 +236,13 @@ SITES = {
         ),
     ],
 )
-def test_what_no_case_would_do_is_refused(
-    axes: list[dict[str, Any]], campaign: dict[str, Any], words: str
-) -> None:
+def test_what_no_case_would_do_is_refused(axes, campaign, words):
     """Rather than left out without a word."""
     with pytest.raises(InputError, match=words):
         study(*axes, **campaign)
 
 
-def test_policies_and_navigation_are_axes() -> None:
+def test_policies_and_navigation_are_axes():
     """One figure of a measurement may be swept where the other one is the same in all cases."""
     assert len(study(KIND, COST, LEAD, overrides=MEASURED).cases) == 8
     swept = study(
@@ -260,7 +255,7 @@ def test_policies_and_navigation_are_axes() -> None:
     assert study(LEAD, do="fly", policy="replan", overrides=MEASURED).campaign.policy == "replan"
 
 
-def test_a_billion_cases_are_counted_not_made_and_have_to_be_meant() -> None:
+def test_a_billion_cases_are_counted_not_made_and_have_to_be_meant():
     grids = [
         {"entry": entry, "grid": {"from": 0.1, "to": 0.2, "count": 1000}}
         for entry in ("burns.dv_max_m_s", "uncertainty.execution_error", "risk.p_chance")
@@ -273,14 +268,14 @@ def test_a_billion_cases_are_counted_not_made_and_have_to_be_meant() -> None:
     assert time.process_time() - begun < 1.0
 
 
-def test_the_hash_is_of_the_ephemeris_too(tmp_path: Path) -> None:
+def test_the_hash_is_of_the_ephemeris_too(tmp_path):
     """Which an entry two levels deep names."""
     file = tmp_path / "ring.csv"
     table = {"boundary": {"home": {"ephemeris_file": str(file)}}, "name": "x"}
     assert list(files_in(table)) == [str(file)]
 
 
-def test_the_hash_is_of_what_decides_the_rows(tmp_path: Path) -> None:
+def test_the_hash_is_of_what_decides_the_rows(tmp_path):
     def hashed(text: str) -> str:
         path = tmp_path / "study.toml"
         path.write_text(text)
@@ -302,7 +297,7 @@ def test_the_hash_is_of_what_decides_the_rows(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("text", ["[campaign", "[campaign]\n[[axes]]\n", "axis = 3"])
-def test_a_file_that_is_no_study_is_refused(text: str, tmp_path: Path) -> None:
+def test_a_file_that_is_no_study_is_refused(text, tmp_path):
     path = tmp_path / "study.toml"
     path.write_text(text)
     with pytest.raises(InputError):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -100,14 +99,14 @@ def certified(run: Certified) -> Plan:
 
 
 @given(asked=st.floats(0.5, 0.999), samples=st.integers(1000, 100_000))
-def test_so_many_successes_and_no_fewer_reach_what_is_asked(asked: float, samples: int) -> None:
+def test_so_many_successes_and_no_fewer_reach_what_is_asked(asked, samples):
     needed = successes_needed(asked, samples)
     if needed < samples:
         assert look_interval(needed, samples).low >= asked
     assert look_interval(needed - 1, samples).low < asked
 
 
-def test_the_lower_limit_is_what_was_asked(certified: Plan) -> None:
+def test_the_lower_limit_is_what_was_asked(certified):
     reached = certified.certificate
     assert certified.target is not None
     assert reached.low >= ASKED
@@ -122,7 +121,7 @@ def test_the_lower_limit_is_what_was_asked(certified: Plan) -> None:
         assert "draws of look" in str(reached)
 
 
-def test_rounding_leaves_no_flight_that_keeps_all_but_not_the_nodes() -> None:
+def test_rounding_leaves_no_flight_that_keeps_all_but_not_the_nodes():
     """In strata flights are as many plain ones as they are worth: a share of them is a quotient."""
     allocation = Allocation(1e4, 5.0, (0.1, 0.5, 0.6, 0.6, 0.5, 0.1), (0.09, 0.1))
     for failing in range(60):
@@ -132,7 +131,7 @@ def test_rounding_leaves_no_flight_that_keeps_all_but_not_the_nodes() -> None:
         assert told.reached <= told.at_nodes == pytest.approx(told.reached)
 
 
-def test_what_judges_no_round_has_flown(run: Certified) -> None:
+def test_what_judges_no_round_has_flown(run):
     """Rounds come first, then at most two looks; a seed is flown once."""
     reached = run.plan.certificate
     rounds, looks = run.seeds[: reached.rounds], run.seeds[reached.rounds :]
@@ -144,7 +143,7 @@ def test_what_judges_no_round_has_flown(run: Certified) -> None:
     assert set(rounds).isdisjoint(looks)
 
 
-def test_other_flights_bear_it_out(certified: Plan) -> None:
+def test_other_flights_bear_it_out(certified):
     flown = kept_flights(certified.mission, certified.burns_m_s, 1_000, seed=77)
     kept = kept_of(certified.mission, flown)
     assert proportion(kept.throughout, kept.samples).high >= ASKED
@@ -160,9 +159,7 @@ def checked(certified: Plan, solution: Solution) -> Verification:
     return verify(certified.mission, solution)
 
 
-def test_the_solution_says_so_and_is_verified(
-    certified: Plan, solution: Solution, checked: Verification
-) -> None:
+def test_the_solution_says_so_and_is_verified(certified, solution, checked):
     assert solution.risk.certificate is not None
     assert (solution.risk.required, solution.risk.target) == (ASKED, certified.target)
     assert checked.ok, checked.failed
@@ -191,9 +188,7 @@ def claiming(solution: Solution, **changes: Any) -> Solution:
     return replace(solution, risk=risk)
 
 
-def test_what_the_certificate_says_is_found_sound(
-    certified: Plan, solution: Solution, checked: Verification
-) -> None:
+def test_what_the_certificate_says_is_found_sound(certified, solution, checked):
     assert failures(certified, claiming(solution), checked) == []
 
 
@@ -202,9 +197,7 @@ OLDER: dict[str, Any] = {"looks": 0, "confidence": CONFIDENCE, "seed": FIRST_SEE
 
 
 @pytest.mark.parametrize("run", ["flight"], indirect=True)
-def test_a_certificate_of_an_older_file_is_read_and_sound(
-    certified: Plan, solution: Solution, checked: Verification, tmp_path: Path
-) -> None:
+def test_a_certificate_of_an_older_file_is_read_and_sound(certified, solution, checked, tmp_path):
     """The file of a number before has neither of the keys that tell it apart, and today's has to."""
     older = claiming(solution, **OLDER, samples=1_000)
     data = json.loads(older.write(tmp_path).read_text("utf-8"))
@@ -238,19 +231,13 @@ def test_a_certificate_of_an_older_file_is_read_and_sound(
     ids=lambda value: str(value),
 )
 def test_a_certificate_that_claims_what_is_not_so_is_named(
-    certified: Plan,
-    solution: Solution,
-    checked: Verification,
-    changes: dict[str, Any],
-    name: str,
-) -> None:
+    certified, solution, checked, changes, name
+):
     assert name in failures(certified, claiming(solution, **changes), checked)
 
 
 @pytest.mark.parametrize("run", ["strata"], indirect=True)
-def test_strata_that_claim_what_is_not_so_are_named(
-    certified: Plan, solution: Solution, checked: Verification, tmp_path: Path
-) -> None:
+def test_strata_that_claim_what_is_not_so_are_named(certified, solution, checked, tmp_path):
     """Fewer flights unlike the law would have reached more, and fewer draws are not enough."""
     strata = certified.certificate.strata
     fewer = replace(strata.allocation, draws=0.01 * strata.allocation.draws)
@@ -269,9 +256,7 @@ def test_strata_that_claim_what_is_not_so_are_named(
     assert read.risk == solution.risk
 
 
-def test_what_nothing_certifies_has_to_aim_at_what_was_asked(
-    certified: Plan, solution: Solution, checked: Verification
-) -> None:
+def test_what_nothing_certifies_has_to_aim_at_what_was_asked(certified, solution, checked):
     """The plan of a lower probability does not pass for one of a higher."""
     assert solution.risk is not None
     risk = replace(solution.risk, certificate=None)
@@ -284,18 +269,14 @@ def test_what_nothing_certifies_has_to_aim_at_what_was_asked(
     assert inconsistencies(mission, told) == ["risk"]
 
 
-def test_a_plan_that_misses_its_aim_has_not_converged(
-    certified: Plan, solution: Solution, checked: Verification
-) -> None:
+def test_a_plan_that_misses_its_aim_has_not_converged(certified, solution, checked):
     target = float(ndtr(ndtri(solution.risk.target) + 0.01))
     told = replace(solution, risk=replace(solution.risk, target=target))
     assert failures(certified, told, checked) == ["violation"]
 
 
 @pytest.mark.parametrize("off", [0.006, -0.006])
-def test_a_probability_that_the_nodes_do_not_have_is_named(
-    certified: Plan, solution: Solution, checked: Verification, off: float
-) -> None:
+def test_a_probability_that_the_nodes_do_not_have_is_named(certified, solution, checked, off):
     """By no more than 0.006 of about 0.91: of a flight it is its flights that have to tell."""
     law = solution.risk.normal_law
     least = min(law, key=lambda event: min(event.probability))
@@ -312,9 +293,7 @@ def test_a_probability_that_the_nodes_do_not_have_is_named(
 
 @pytest.mark.parametrize("run", ["flight"], indirect=True)
 @pytest.mark.parametrize("told", [0.96, 0.84])
-def test_a_flight_law_that_flights_contradict_is_named(
-    certified: Plan, solution: Solution, checked: Verification, told: float
-) -> None:
+def test_a_flight_law_that_flights_contradict_is_named(certified, solution, checked, told):
     """Of a plan that nothing certifies: 0.3 standard deviations off."""
     law = [replace(solution.risk.normal_law[0], probability=[told], sigma=None)]
     risk = replace(solution.risk, normal_law=law, certificate=None)
@@ -322,7 +301,7 @@ def test_a_flight_law_that_flights_contradict_is_named(
     assert "risk" in found
 
 
-def test_nodes_are_added_where_flights_touch() -> None:
+def test_nodes_are_added_where_flights_touch():
     mission = mission_of("node")
     a, b = mission.times_s[70:72]
     finer = with_nodes_at(mission, np.array([a + 20.0, a + 30.0, a + 31.0, b + 40.0]))

@@ -50,7 +50,7 @@ def looked_for(world: World, patch: pytest.MonkeyPatch, budget_m_s: float = floa
     return Search(world.make_plan, budget_m_s).run(world.real.mission, world.start)
 
 
-def test_the_last_one_with_a_plan_is_found(real: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_last_one_with_a_plan_is_found(real, monkeypatch):
     def status(target: float, _: str) -> Status:
         return Status.CONVERGED if target <= LAST else Status.INFEASIBLE
 
@@ -60,22 +60,18 @@ def test_the_last_one_with_a_plan_is_found(real: Plan, monkeypatch: pytest.Monke
     assert found.mission.warnings == real.mission.warnings
 
 
-def test_where_all_have_one_it_is_the_largest_that_flights_can_certify(
-    real: Plan, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_where_all_have_one_it_is_the_largest_that_flights_can_certify(real, monkeypatch):
     found = looked_for(World(real, honest), monkeypatch)
     assert found.target is not None
     assert ndtri(MOST) - ndtri(found.target) <= CLOSE
 
 
-def test_the_budget_ends_it(real: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_budget_ends_it(real, monkeypatch):
     found = looked_for(World(real, honest), monkeypatch, LAST * real.total_dv_m_s)
     assert is_at(found, LAST)
 
 
-def test_a_try_without_a_verdict_is_made_again_from_the_first_start(
-    real: Plan, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_try_without_a_verdict_is_made_again_from_the_first_start(real, monkeypatch):
     """From the best burns nothing converges beyond 0.7, and what that means nobody knows."""
 
     def status(target: float, start: str) -> Status:
@@ -88,7 +84,7 @@ def test_a_try_without_a_verdict_is_made_again_from_the_first_start(
     assert found.mission.warnings == real.mission.warnings
 
 
-def test_no_verdict_is_told_from_infeasible(real: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_verdict_is_told_from_infeasible(real, monkeypatch):
     def status(target: float, _: str) -> Status:
         return Status.CONVERGED if target <= LAST else Status.STALLED
 
@@ -100,9 +96,7 @@ def test_no_verdict_is_told_from_infeasible(real: Plan, monkeypatch: pytest.Monk
     assert "a larger one may have one" in told.expected
 
 
-def test_ctrl_c_ends_the_search_with_the_best_so_far(
-    real: Plan, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_ctrl_c_ends_the_search_with_the_best_so_far(real, monkeypatch):
     def status(target: float, _: str) -> Status:
         return Status.CONVERGED if target < 0.97 else Status.INTERRUPTED
 
@@ -119,16 +113,14 @@ def promised(world: World, patch: pytest.MonkeyPatch, *, certified: bool) -> Pla
     return largest_promise(world.real.mission, world.start, search, certified=certified)
 
 
-def test_what_it_aims_at_is_asked_without_flights(
-    real: Plan, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_it_aims_at_is_asked_without_flights(real, monkeypatch):
     found = promised(World(real, honest), monkeypatch, certified=False)
     assert found.target is not None
     assert found.certificate is None
     assert found.mission.scenario.risk.p_chance == rounded_down(found.target)
 
 
-def test_what_a_look_reaches_at_least_is_asked(real: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_a_look_reaches_at_least_is_asked(real, monkeypatch):
     """Of flights that no round has used, whatever those reached."""
 
     def reach(target: float, seed: int) -> Reached:
@@ -144,9 +136,7 @@ def test_what_a_look_reaches_at_least_is_asked(real: Plan, monkeypatch: pytest.M
     assert found.mission.scenario.risk.p_chance == rounded_down(reached.low) < found.target
 
 
-def test_nodes_are_added_and_it_is_looked_for_again(
-    real: Plan, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_nodes_are_added_and_it_is_looked_for_again(real, monkeypatch):
     between = float(real.times_s[70]) + 20.0
 
     def reach(target: float, seed: int) -> Reached:
@@ -162,9 +152,7 @@ def test_nodes_are_added_and_it_is_looked_for_again(
 
 
 @pytest.mark.parametrize("stop", [FIRST_SEED, look_seed(1)])
-def test_ctrl_c_among_its_flights_keeps_the_plan(
-    real: Plan, monkeypatch: pytest.MonkeyPatch, stop: int
-) -> None:
+def test_ctrl_c_among_its_flights_keeps_the_plan(real, monkeypatch, stop):
     def reach(target: float, seed: int) -> Reached:
         if seed == stop:
             raise KeyboardInterrupt
@@ -176,7 +164,7 @@ def test_ctrl_c_among_its_flights_keeps_the_plan(
     assert is_at(found, LAST)
 
 
-def test_the_budget_buys_so_much_and_no_more() -> None:
+def test_the_budget_buys_so_much_and_no_more():
     """On the default scenario, roughly."""
     mission, budget, close = mission_of("node"), 0.1095, 0.5
     start = initial_guess.cold(mission)

@@ -80,9 +80,7 @@ def later(ending: Status) -> Callable[[float, str], Status]:
 # --- aiming -------------------------------------------------------------------------------------
 
 
-def test_what_reaches_more_than_sampling_explains_aims_lower(
-    real: Plan, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_reaches_more_than_sampling_explains_aims_lower(real, monkeypatch):
     """Flights that reach more than the law says: by three standard errors of a round, always."""
     gain = float(ndtri(AIMED + 3.0 * ERROR) - ndtri(AIMED))
     found = certified(world := World(real, losing(-gain)), monkeypatch)
@@ -91,23 +89,21 @@ def test_what_reaches_more_than_sampling_explains_aims_lower(
     assert found.certificate.reached == pytest.approx(AIMED, abs=0.6 * ERROR)
 
 
-def test_what_falls_short_aims_higher(real: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_falls_short_aims_higher(real, monkeypatch):
     found = certified(World(real, losing(0.1)), monkeypatch)
     assert steps(found) == (2, 1)
     assert low(found) >= ASKED
     assert found.certificate.reached == pytest.approx(AIMED, abs=0.6 * ERROR)
 
 
-def test_what_is_settled_is_looked_at_as_it_is(real: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_settled_is_looked_at_as_it_is(real, monkeypatch):
     found = certified(world := World(real, losing(0.0)), monkeypatch)
     assert world.aims == [found.target]
     assert world.seeds == [FIRST_SEED, *LOOKS[:1]]
     assert steps(found) == (1, 1)
 
 
-def test_rounds_that_never_settle_end_in_a_look(
-    real: Plan, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_rounds_that_never_settle_end_in_a_look(real, monkeypatch):
     """Flights reach the same whatever is aimed at."""
     found = certified(world := World(real, lambda *_: (0.95, 0.95)), monkeypatch)
     assert len(world.aims) == ROUNDS_MAX + 1
@@ -116,9 +112,7 @@ def test_rounds_that_never_settle_end_in_a_look(
     assert low(found) >= ASKED
 
 
-def test_what_is_lost_between_nodes_counts_once(
-    real: Plan, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_is_lost_between_nodes_counts_once(real, monkeypatch):
     """Nodes give it back, so that the aim need not make up for it too."""
     between = real.times_s[70] + 20.0
 
@@ -135,9 +129,7 @@ def test_what_is_lost_between_nodes_counts_once(
 
 
 @pytest.mark.parametrize("slack", [2.0, 40.0])
-def test_where_nothing_binds_a_lower_aim_is_not_tried(
-    real: Plan, monkeypatch: pytest.MonkeyPatch, slack: float
-) -> None:
+def test_where_nothing_binds_a_lower_aim_is_not_tried(real, monkeypatch, slack):
     """It would save nothing, whatever flights reach, and however sure the law is."""
     world = World(real, lambda *_: (1.0, 1.0), slack=slack)
     found = certified(world, monkeypatch)
@@ -146,9 +138,7 @@ def test_where_nothing_binds_a_lower_aim_is_not_tried(
 
 
 @pytest.mark.parametrize("share", [0.0, 1.0])
-def test_flights_that_all_fail_or_all_hold_leave_an_aim(
-    real: Plan, monkeypatch: pytest.MonkeyPatch, share: float
-) -> None:
+def test_flights_that_all_fail_or_all_hold_leave_an_aim(real, monkeypatch, share):
     world = World(real, lambda *_: (share, share))
     certified(world, monkeypatch)
     assert len(world.aims) > 1
@@ -158,9 +148,7 @@ def test_flights_that_all_fail_or_all_hold_leave_an_aim(
 # --- judging ------------------------------------------------------------------------------------
 
 
-def test_a_look_that_fails_leads_to_a_higher_aim_and_the_last_look(
-    real: Plan, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_look_that_fails_leads_to_a_higher_aim_and_the_last_look(real, monkeypatch):
     world = World(real, looking(NEEDED - ERROR, NEEDED + ERROR))
     found = certified(world, monkeypatch)
     assert world.seeds == [FIRST_SEED, *LOOKS]
@@ -170,9 +158,7 @@ def test_a_look_that_fails_leads_to_a_higher_aim_and_the_last_look(
 
 
 @pytest.mark.parametrize("looks", [(0.89, 0.88), (0.88, 0.89)])
-def test_two_looks_that_fail_leave_the_nearest_and_no_third(
-    real: Plan, monkeypatch: pytest.MonkeyPatch, looks: tuple[float, float]
-) -> None:
+def test_two_looks_that_fail_leave_the_nearest_and_no_third(real, monkeypatch, looks):
     """Whose certificate says that it certifies nothing, though rounds had reached enough."""
     found = certified(world := World(real, looking(*looks)), monkeypatch)
     assert world.seeds == [FIRST_SEED, *LOOKS]
@@ -182,18 +168,14 @@ def test_two_looks_that_fail_leave_the_nearest_and_no_third(
     assert found.target == world.aims[looks.index(0.89)]
 
 
-def test_a_cheaper_plan_that_passes_is_not_looked_for(
-    real: Plan, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_cheaper_plan_that_passes_is_not_looked_for(real, monkeypatch):
     """Whatever the look reaches: who picks the cheapest of several that pass picks the luckiest."""
     found = certified(world := World(real, looking(1.0)), monkeypatch)
     assert world.seeds == [FIRST_SEED, LOOKS[0]]
     assert found.target == world.aims[-1]
 
 
-def test_chance_neither_wastes_much_nor_breaks_the_promise(
-    real: Plan, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_chance_neither_wastes_much_nor_breaks_the_promise(real, monkeypatch):
     """Flights drawn from the binomial law, with losses that a plan does not know."""
     rng = np.random.default_rng(5)
     excess, rounds, first, broken, none = [], [], 0, 0, 0
@@ -229,9 +211,7 @@ def test_chance_neither_wastes_much_nor_breaks_the_promise(
 
 
 @pytest.mark.parametrize("flights", [0, 1])
-def test_ctrl_c_among_flights_keeps_what_there_is(
-    real: Plan, monkeypatch: pytest.MonkeyPatch, flights: int
-) -> None:
+def test_ctrl_c_among_flights_keeps_what_there_is(real, monkeypatch, flights):
     """In a round and in the first look alike no look stands behind it."""
 
     def reach(target: float, seed: int) -> Reached:
@@ -244,25 +224,21 @@ def test_ctrl_c_among_flights_keeps_what_there_is(
     assert found.certificate is None
 
 
-def test_ctrl_c_after_a_look_keeps_the_plan_that_was_looked_at(
-    real: Plan, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_ctrl_c_after_a_look_keeps_the_plan_that_was_looked_at(real, monkeypatch):
     world = World(real, looking(0.89), later(Status.INTERRUPTED))
     found = certified(world, monkeypatch)
     assert (found.status, found.target) == (Status.INTERRUPTED, world.aims[0])
     assert low(found) < ASKED
 
 
-def test_ctrl_c_in_a_later_plan_keeps_the_one_before(
-    real: Plan, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_ctrl_c_in_a_later_plan_keeps_the_one_before(real, monkeypatch):
     world = World(real, lambda *_: (0.5, 0.5), later(Status.INTERRUPTED))
     found = certified(world, monkeypatch)
     assert (found.status, found.target) == (Status.INTERRUPTED, world.aims[0])
     assert found.certificate is None
 
 
-def test_an_aim_that_has_no_plan_ends_it(real: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_aim_that_has_no_plan_ends_it(real, monkeypatch):
     """Without a certificate, unless the plan of an aim before passes its look."""
     ended = later(Status.INFEASIBLE)
     short = certified(world := World(real, looking(0.5, rounds=0.88), ended), monkeypatch)
@@ -275,9 +251,7 @@ def test_an_aim_that_has_no_plan_ends_it(real: Plan, monkeypatch: pytest.MonkeyP
     assert (after.status, after.certificate) == (Status.INFEASIBLE, None)
 
 
-def test_an_aim_without_a_verdict_leaves_the_nearest(
-    real: Plan, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_aim_without_a_verdict_leaves_the_nearest(real, monkeypatch):
     for rounds in (0.88, AIMED):
         world = World(real, looking(0.89, rounds=rounds), later(Status.MAX_ITERATIONS))
         short = certified(world, monkeypatch)
@@ -289,7 +263,7 @@ def test_an_aim_without_a_verdict_leaves_the_nearest(
     assert first.seeds == []
 
 
-def test_the_watch_sees_flights_begin_and_end(real: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_watch_sees_flights_begin_and_end(real, monkeypatch):
     seen: list[tuple[str, int, int, float | None]] = []
 
     def watch(
@@ -309,11 +283,11 @@ def test_the_watch_sees_flights_begin_and_end(real: Plan, monkeypatch: pytest.Mo
 
 
 @given(asked=st.floats(0.5, 0.9996))
-def test_flights_are_enough_for_a_few_hundred_failures(asked: float) -> None:
+def test_flights_are_enough_for_a_few_hundred_failures(asked):
     assert flights_needed(asked) >= max(10_000, 300 / (1.0 - asked)) - 1e-6
 
 
-def test_a_probability_that_takes_too_many_flights_is_refused() -> None:
+def test_a_probability_that_takes_too_many_flights_is_refused():
     with pytest.raises(InputError) as error:
         flights_needed(1.0 - 1e-7)
     assert error.value.entry == "risk.p_chance"
@@ -350,9 +324,7 @@ def wrongly_certified(required: float) -> float:
 
 
 @pytest.mark.parametrize("required", [0.7, 0.9, 0.99, 0.999])
-def test_a_plan_that_reaches_just_what_is_required_is_hardly_ever_certified(
-    required: float, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_plan_that_reaches_just_what_is_required_is_hardly_ever_certified(required, monkeypatch):
     """At most 2.5 times in 100, both looks together; with 97.5 % each, as of a single look, more."""
     assert 0.8 * WRONGLY < wrongly_certified(required) <= WRONGLY
     monkeypatch.setattr(flights, "LOOK_CONFIDENCE", estimates.CONFIDENCE)
@@ -360,13 +332,13 @@ def test_a_plan_that_reaches_just_what_is_required_is_hardly_ever_certified(
 
 
 @pytest.mark.parametrize("required", [0.7, 0.99])
-def test_a_look_passes_with_the_successes_that_are_aimed_at_and_no_fewer(required: float) -> None:
+def test_a_look_passes_with_the_successes_that_are_aimed_at_and_no_fewer(required):
     n = look_flights(required)
     needed = successes_needed(required, n)
     assert certifies(needed, n, required)
     assert not certifies(needed - 1, n, required)
 
 
-def test_no_look_has_the_seed_of_a_round() -> None:
+def test_no_look_has_the_seed_of_a_round():
     rounds = {FIRST_SEED + number for number in range(100)}
     assert rounds.isdisjoint(look_seed(number) for number in range(1, LOOKS_MAX + 1))

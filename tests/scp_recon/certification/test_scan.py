@@ -40,9 +40,7 @@ def kept(sparse: Plan) -> KeptFlights:
     return found
 
 
-def test_flights_that_break_a_limit_between_nodes_are_found(
-    sparse: Plan, kept: KeptFlights
-) -> None:
+def test_flights_that_break_a_limit_between_nodes_are_found(sparse, kept):
     """Against the same flights looked at every second of the window."""
     mission = sparse.mission
     assert mission.observed_s is not None

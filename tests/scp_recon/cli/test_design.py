@@ -34,9 +34,7 @@ NARROW = {
 }
 
 
-def test_a_design_ends_with_a_verified_plan_its_scenario_a_table_and_a_map(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_design_ends_with_a_verified_plan_its_scenario_a_table_and_a_map(tmp_path, monkeypatch):
     out, drawn, draw = tmp_path / "out", [], charts.draw_design
 
     def seen(tried: Sequence[Trial], found: PassResult, dv_m_s: float) -> bytes:
@@ -71,9 +69,7 @@ def test_a_design_ends_with_a_verified_plan_its_scenario_a_table_and_a_map(
     assert primer.residual < 1e-3
 
 
-def test_a_design_that_finds_nothing_tells_limit_and_departure(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_design_that_finds_nothing_tells_limit_and_departure(tmp_path, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "300")
     changes = NARROW | {"burns.dv_max_m_s": 0.001, "boundary.home.arrival_deg": [0.0, 0.0]}
     out = tmp_path / "out"
@@ -96,8 +92,8 @@ def test_a_design_that_finds_nothing_tells_limit_and_departure(
     ],
 )
 def test_the_primer_tells_of_another_burn_what_its_multipliers_bear_out(
-    allowed: float, legal: bool, residual: float, says: str
-) -> None:
+    allowed, legal, residual, says
+):
     """Those of plans with gains may be far from an optimum's."""
     ends = [(0.0, 0.0, 0.0)] * 3
     history = PrimerHistory(
@@ -107,9 +103,7 @@ def test_the_primer_tells_of_another_burn_what_its_multipliers_bear_out(
 
 
 @pytest.mark.parametrize("command", ["solve", "design"])
-def test_each_command_refuses_the_other_s_boundary(
-    command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_each_command_refuses_the_other_s_boundary(command, tmp_path, capsys):
     free = scenario_file(tmp_path, {})
     status = (
         solve.main(["--scenario", str(free)]) if command == "solve" else design.main(["recon_b"])

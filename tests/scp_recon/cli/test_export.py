@@ -23,9 +23,7 @@ def plan(default_run: CommandLine, tmp_path_factory: pytest.TempPathFactory) -> 
 
 
 @pytest.mark.parametrize("form", FORMATS)
-def test_every_format_is_written_beside_the_plan(
-    plan: Path, form: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_every_format_is_written_beside_the_plan(plan, form, capsys):
     if form in ("spk", "ck"):
         pytest.importorskip("spiceypy")
     if form == "parquet":
@@ -42,9 +40,7 @@ def test_every_format_is_written_beside_the_plan(
     assert read_solution(plan).plan_hash[:8] in names
 
 
-def test_two_plans_and_two_spacecraft_never_share_a_name(
-    plan: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_two_plans_and_two_spacecraft_never_share_a_name(plan, tmp_path, capsys):
     """And one that is not verified says so in its file."""
     solution = read_solution(plan)
     first, *others = solution.burns

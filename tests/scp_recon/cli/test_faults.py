@@ -29,14 +29,12 @@ from formulations.program.certificate import ConeProgram
 from formulations.program.solvers import SOLVERS, Answer, Clarabel
 from scp_recon import files
 from scp_recon.api import flights
-from scp_recon.cli.command import Command
 from scp_recon.cli.commands import montecarlo, planning, plans, simulate, solve, verify
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess, planner
 from scp_recon.planning.planner import Plan, plan
 from scp_recon.results.facts import Verification
 from scp_recon.results.read import read_solution
-from scp_recon.results.solution import Solution
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scp.status import Status
 from tests import reliability
@@ -133,9 +131,7 @@ def assert_honest(mission: Mission, found: Plan) -> None:
 
 
 @pytest.mark.parametrize("name", usually([*FAULTS], 3))
-def test_a_solver_that_fails_now_and_then_is_asked_again(
-    name: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_solver_that_fails_now_and_then_is_asked_again(name, monkeypatch):
     mission, _ = coarse()
     calls: Iterator[int] = iter(range(10_000))
     inject(monkeypatch, FAULTS[name], lambda: next(calls) % 3 == 1, others=False)
@@ -147,9 +143,7 @@ def test_a_solver_that_fails_now_and_then_is_asked_again(
 @pytest.mark.parametrize(
     "name", usually(["error", "panic", "not finite", "foreign error", "arithmetic"], 1)
 )
-def test_where_a_solver_always_fails_another_one_is_asked(
-    name: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_where_a_solver_always_fails_another_one_is_asked(name, monkeypatch):
     pytest.importorskip("qoco", reason="there is no other solver")
     mission, _ = coarse()
     inject(monkeypatch, FAULTS[name], lambda: True, others=True)
@@ -159,9 +153,7 @@ def test_where_a_solver_always_fails_another_one_is_asked(
 
 
 @pytest.mark.parametrize("name", usually([*FAULTS], 1))
-def test_where_every_solver_fails_the_plan_ends_in_a_status(
-    name: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_where_every_solver_fails_the_plan_ends_in_a_status(name, monkeypatch):
     mission, _ = coarse()
     inject(monkeypatch, FAULTS[name], lambda: True, others=False)
     found = plan(mission, initial_guess.cold(mission))
@@ -234,7 +226,7 @@ class Unnamed(Mislabelled):
 
 
 @pytest.mark.parametrize("liar", usually([Stale, Timid, Mislabelled, Zero, Unbounded, Unnamed], 3))
-def test_a_wrong_status_is_found_out(liar: type[Liar], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_wrong_status_is_found_out(liar, monkeypatch):
     """A verdict needs a closed duality gap, whatever the solver calls its answer."""
     mission, _ = coarse()
     names = {name: getattr(clarabel, name) for name in dir(clarabel)}
@@ -281,13 +273,8 @@ WRITING: list[tuple[object, str]] = [
 @pytest.mark.parametrize("trouble", [full, barred])
 @pytest.mark.parametrize(("place", "name"), WRITING, ids=[name for _, name in WRITING])
 def test_a_disk_that_cannot_be_written_ends_with_a_message_and_the_old_file(
-    place: object,
-    name: str,
-    trouble: Callable[..., None],
-    tmp_path: Path,
-    solution: Solution,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+    place, name, trouble, tmp_path, solution, monkeypatch
+):
     before = solution.write(tmp_path).read_bytes()
     monkeypatch.setattr(place, name, trouble)
     run = run_solve(tmp_path)
@@ -311,14 +298,8 @@ def test_a_disk_that_cannot_be_written_ends_with_a_message_and_the_old_file(
 )
 @pytest.mark.parametrize("fault", ["a folder in the file's place", "a barred folder"])
 def test_a_target_that_cannot_be_written_is_found_out_before_the_work(
-    command: Command,
-    name: str,
-    fault: str,
-    tmp_path: Path,
-    solution: Solution,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+    command, name, fault, tmp_path, solution, monkeypatch, capsys
+):
     solution.write(tmp_path)
     out = tmp_path / "out" if command is not montecarlo else tmp_path
     if fault == "a barred folder":
@@ -344,13 +325,8 @@ class FullDevice(io.BytesIO):
 @pytest.mark.usefixtures("instant")
 @pytest.mark.parametrize("command", ["solve", "verify", "montecarlo"])
 def test_a_full_device_behind_the_terminal_ends_with_a_message(
-    command: str,
-    tmp_path: Path,
-    solution: Solution,
-    monkeypatch: pytest.MonkeyPatch,
-    verification: Verification,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+    command, tmp_path, solution, monkeypatch, verification, capsys
+):
     solution.write(tmp_path)
     monkeypatch.setattr(plans, "verified", lambda *_: verification)
     run = {
@@ -366,9 +342,7 @@ def test_a_full_device_behind_the_terminal_ends_with_a_message(
     reliability.count(reliability.FAULTS)
 
 
-def test_running_out_of_memory_ends_with_a_message(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_running_out_of_memory_ends_with_a_message(tmp_path, monkeypatch):
     def greedy(*_: object, **__: object) -> None:
         raise MemoryError
 
@@ -431,9 +405,7 @@ KILLED = """
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="there is no SIGKILL here")
-def test_killed_at_any_moment_of_writing_the_file_is_the_old_or_the_new_one(
-    tmp_path: Path, solution: Solution
-) -> None:
+def test_killed_at_any_moment_of_writing_the_file_is_the_old_or_the_new_one(tmp_path, solution):
     replace(solution, message="the old one").write(tmp_path)
     done = subprocess.run(
         [sys.executable, "-c", textwrap.dedent(KILLED), str(tmp_path)],

@@ -31,7 +31,7 @@ def another(solution: Solution) -> Solution:
     return replace(solution, burns=burns)
 
 
-def test_an_infeasible_run_leaves_a_verified_plan_alone(verified: Solution, tmp_path: Path) -> None:
+def test_an_infeasible_run_leaves_a_verified_plan_alone(verified, tmp_path):
     before = verified.write(tmp_path).read_bytes()
     run = run_solve(tmp_path, *HOPELESS)
     assert run.exit_code == 3
@@ -44,16 +44,14 @@ def test_an_infeasible_run_leaves_a_verified_plan_alone(verified: Solution, tmp_
     assert [path.name for path in tmp_path.iterdir()] == ["solution.json"]
 
 
-def test_a_plan_that_is_not_verified_gives_way_to_any(solution: Solution, tmp_path: Path) -> None:
+def test_a_plan_that_is_not_verified_gives_way_to_any(solution, tmp_path):
     solution.write(tmp_path)
     path, _ = keep_plan(another(solution), tmp_path)
     assert path.name == "solution.json"
     assert read_solution(tmp_path).plan_hash == another(solution).plan_hash
 
 
-def test_results_of_another_plan_are_set_aside(
-    verified: Solution, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_results_of_another_plan_are_set_aside(verified, tmp_path, capsys):
     verified.write(tmp_path)
     assert montecarlo.main([str(tmp_path), "--samples", "40"]) in (0, 4)
     keep_plan(verified, tmp_path)
@@ -66,13 +64,13 @@ def test_results_of_another_plan_are_set_aside(
     assert capsys.readouterr().err.count("error") == 0
 
 
-def test_a_result_does_not_go_beside_another_plan(verified: Solution, tmp_path: Path) -> None:
+def test_a_result_does_not_go_beside_another_plan(verified, tmp_path):
     another(verified).write(tmp_path)
     with pytest.raises(InputError, match="holds another plan"):
         check_holds(tmp_path, verified, "--out")
 
 
-def test_two_runs_into_one_folder_are_refused_before_the_work(tmp_path: Path) -> None:
+def test_two_runs_into_one_folder_are_refused_before_the_work(tmp_path):
     with only_run_in(tmp_path, "--out"):
         run = run_solve(tmp_path, "--problem", "P3")
     assert run.exit_code == 2
@@ -80,9 +78,7 @@ def test_two_runs_into_one_folder_are_refused_before_the_work(tmp_path: Path) ->
     assert list(tmp_path.iterdir()) == []
 
 
-def test_without_a_folder_a_run_has_one_of_its_own(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_without_a_folder_a_run_has_one_of_its_own(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert solve.main(["--problem", "P3", "--set", "name=my plan"]) == 0
     (mine,) = (tmp_path / "runs" / "my_plan").iterdir()
@@ -97,7 +93,7 @@ def test_without_a_folder_a_run_has_one_of_its_own(
     assert "points to the last finished run" in capsys.readouterr().err
 
 
-def test_a_folder_of_the_user_is_not_removed(tmp_path: Path) -> None:
+def test_a_folder_of_the_user_is_not_removed(tmp_path):
     with run_folder(tmp_path / "mine", "name"):
         pass
     assert (tmp_path / "mine").is_dir()
@@ -106,9 +102,7 @@ def test_a_folder_of_the_user_is_not_removed(tmp_path: Path) -> None:
 STRANGE = "observation.emission_min_deg=0.349"
 
 
-def test_warnings_go_with_the_plan_to_every_verdict(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_warnings_go_with_the_plan_to_every_verdict(tmp_path, capsys):
     run = run_solve(tmp_path, "--set", STRANGE, "--set", "grid.step_max_s=600.0")
     assert run.exit_code == 0  # a warning is no failure
     said = "observation.emission_min_deg: got 0.349 deg"

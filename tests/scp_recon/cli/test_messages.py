@@ -39,9 +39,7 @@ def chain(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 @pytest.mark.parametrize("name", BROKEN)
-def test_an_error_of_a_scenario_names_the_file_that_holds_it(
-    name: str, chain: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_error_of_a_scenario_names_the_file_that_holds_it(name, chain, capsys):
     file, text, said = BROKEN[name]
     with (chain / file).open("a", encoding="utf-8") as opened:
         opened.write(text)
@@ -54,7 +52,7 @@ def test_an_error_of_a_scenario_names_the_file_that_holds_it(
     assert caught.value.file == file
 
 
-def test_what_stands_in_no_file_names_none(chain: Path) -> None:
+def test_what_stands_in_no_file_names_none(chain):
     for given in ("recon_b", "c.toml"):
         with pytest.raises(InputError, match=r"^risk\.p_chance: got 1\.7"):
             sr.load_scenario(given, ["risk.p_chance=1.7"])
@@ -63,7 +61,7 @@ def test_what_stands_in_no_file_names_none(chain: Path) -> None:
         sr.load_scenario("c.toml")
 
 
-def test_an_unknown_scenario_lists_the_packaged_ones(capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_unknown_scenario_lists_the_packaged_ones(capsys):
     assert main(["windows", "recon_c"]) == 2
     said = capsys.readouterr().err
     assert "no such file" in said
@@ -74,7 +72,7 @@ def test_an_unknown_scenario_lists_the_packaged_ones(capsys: pytest.CaptureFixtu
     assert {*sr.scenarios()} == {*base_names()}
 
 
-def test_a_number_that_is_none_in_an_oem_is_named_by_its_line(tmp_path: Path) -> None:
+def test_a_number_that_is_none_in_an_oem_is_named_by_its_line(tmp_path):
     pytest.importorskip("oem")
     file = tmp_path / "flight.oem"
     file.write_text(
@@ -84,6 +82,6 @@ def test_a_number_that_is_none_in_an_oem_is_named_by_its_line(tmp_path: Path) ->
         oem_track(file, "BENNU")
 
 
-def test_it_says_its_version(capsys: pytest.CaptureFixture[str]) -> None:
+def test_it_says_its_version(capsys):
     assert main(["--version"]) == 0
     assert capsys.readouterr().out == f"scp-recon {sr.__version__}\n"

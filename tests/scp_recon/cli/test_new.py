@@ -41,9 +41,7 @@ def run(*arguments: str) -> int:
 @pytest.mark.parametrize(
     "options", usually([BENNU, STONE], 1), ids=usually(["packaged", "by numbers"], 1)
 )
-def test_what_is_written_solves(
-    options: tuple[str, ...], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_is_written_solves(options, capsys):
     assert run("mine", *options, "--json") == 0
     shown = capsys.readouterr()
     assert json.loads(shown.out)["plan"]["verification"]["ok"] is True
@@ -56,9 +54,7 @@ def test_what_is_written_solves(
     assert line.startswith(f"total delta-v {total:.6f} m/s")
 
 
-def test_what_cannot_be_flown_is_written_with_what_to_change(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_cannot_be_flown_is_written_with_what_to_change(monkeypatch, capsys):
     """As if the planner had found nothing: what is infeasible takes it long to tell."""
     planned = drafts._planned
 
@@ -81,9 +77,7 @@ def test_what_cannot_be_flown_is_written_with_what_to_change(
     assert tomllib.loads(written)["name"] == "mine"
 
 
-def test_where_nothing_can_be_written_nothing_is_planned(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_where_nothing_can_be_written_nothing_is_planned(capsys, monkeypatch):
     Path("mine.toml").write_text("mine", "utf-8")
     monkeypatch.setattr(drafts, "_planned", lambda _: pytest.fail("planned"))
     assert run("mine.toml/below", *BENNU) == 2

@@ -105,9 +105,7 @@ def state_of(meta: Path, body: int, utc: str) -> np.ndarray:
 
 
 @pytest.mark.parametrize(("name", "number"), [("Bennu", reference.BENNU), ("Stone", STONE)])
-def test_body_sun_boundary_and_start_are_the_kernels(
-    meta: Path, name: str, number: int, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_body_sun_boundary_and_start_are_the_kernels(meta, name, number, capsys):
     words = ("--from-spice", str(meta), f"--spacecraft={CRAFT}", "--body", name, *SITE, *SPAN)
     assert run("mine", *words) == 0
     assert "\nverified" in capsys.readouterr().out
@@ -144,18 +142,14 @@ def test_body_sun_boundary_and_start_are_the_kernels(
         ((FROM, "2020-01-22T02:00:00"), "begin earlier or end later"),
     ],
 )
-def test_a_span_that_cannot_be_is_refused(
-    meta: Path, span: tuple[str, str], said: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_span_that_cannot_be_is_refused(meta, span, said, capsys):
     assert run("mine", *about_bennu(meta), "--from", span[0], "--to", span[1]) == 2
     assert said in capsys.readouterr().err
     assert not Path("mine.toml").exists()
 
 
 @pytest.mark.parametrize("form", ["oem", "csv"])
-def test_a_message_or_a_table_is_a_start(
-    export: Export, form: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_message_or_a_table_is_a_start(export, form, capsys):
     if form == "oem":
         pytest.importorskip("oem")
     path = Path(f"plan.{form}")
@@ -188,9 +182,7 @@ def test_a_message_or_a_table_is_a_start(
         ("TIME_SYSTEM", "UT1", "UTC or TDB"),
     ],
 )
-def test_another_frame_centre_or_scale_is_refused(
-    export: Export, key: str, given: str, message: str
-) -> None:
+def test_another_frame_centre_or_scale_is_refused(export, key, given, message):
     pytest.importorskip("oem")
     lines = oem_text(export).splitlines()
     text = "\n".join(f"{key} = {given}" if line.startswith(f"{key} =") else line for line in lines)
@@ -225,9 +217,7 @@ notes in ANCDR/HERA/man/CReMA_2_0/Hera_2024_ECP_and_PDP_trajectory.zip."""
 @pytest.mark.parametrize(
     ("body", "doubted"), [("Didymos", True), ("Didymos Barycenter", False), ("65803", None)]
 )
-def test_an_oem_about_a_systems_barycentre_is_read_with_a_doubt(
-    body: str, doubted: bool | None
-) -> None:
+def test_an_oem_about_a_systems_barycentre_is_read_with_a_doubt(body, doubted):
     pytest.importorskip("oem")
     Path("hera.oem").write_text(HERA, encoding="ascii")
     if doubted is None:
@@ -256,9 +246,7 @@ def test_an_oem_about_a_systems_barycentre_is_read_with_a_doubt(
         (("--from-spice", "META", "--spacecraft=-64", *SPAN, "--gm", "3"), "--gm: got 3.0"),
     ],
 )
-def test_bad_input_ends_in_one_message(
-    meta: Path, words: tuple[str, ...], expected: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_bad_input_ends_in_one_message(meta, words, expected, capsys):
     given = [str(meta) if word == "META" else word for word in words]
     assert run("mine", "--body", "Bennu", *SITE, *given) == 2
     said = capsys.readouterr()
@@ -274,7 +262,7 @@ def track(export: Export, tmp_path_factory: pytest.TempPathFactory) -> Track:
     return csv_track(path, export.mission.scenario.epoch.tdb)
 
 
-def test_what_bends_otherwise_than_the_body_pulls_is_told(export: Export, track: Track) -> None:
+def test_what_bends_otherwise_than_the_body_pulls_is_told(export, track):
     """Another body's; metres that are kilometres; axes that turn, with their own velocities."""
     assert not list(step_doubts(track))
     assert not list(pull_doubts(export.mission, track))
@@ -292,7 +280,7 @@ def test_what_bends_otherwise_than_the_body_pulls_is_told(export: Export, track:
         assert "otherwise than Bennu and sunlight" in str(doubt)
 
 
-def test_gaps_and_states_that_are_elsewhere_are_told(track: Track) -> None:
+def test_gaps_and_states_that_are_elsewhere_are_told(track):
     kept = (track.times_s < 12_000.0) | (track.times_s > 14_000.0)
     gap = replace(track, times_s=track.times_s[kept], states=track.states[kept])
     assert "without a state from" in str(next(step_doubts(gap)))
@@ -301,7 +289,7 @@ def test_gaps_and_states_that_are_elsewhere_are_told(track: Track) -> None:
     assert "positions jump" in str(next(step_doubts(replace(track, states=states))))
 
 
-def test_ends_that_are_not_those_asked_for_are_told(track: Track) -> None:
+def test_ends_that_are_not_those_asked_for_are_told(track):
     begin = track.epoch + timedelta(seconds=float(track.times_s[3]) - 30.0)
     told = cut(track, begin, track.epoch + timedelta(seconds=1e6)).doubts
     assert [doubt.entry for doubt in told] == ["--from", "--to"]

@@ -57,9 +57,7 @@ RUN = sorted(every.COMMANDS.keys() - {"simulate", "design"})
 
 
 @pytest.mark.parametrize("command", RUN)
-def test_json_is_one_document_and_quiet_is_silent(
-    command: str, folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_json_is_one_document_and_quiet_is_silent(command, folder, tmp_path, capsys):
     words = words_of(command, folder, tmp_path)
     status = every.main([command, *words, "--json", "--quiet"])
     said = capsys.readouterr()
@@ -85,14 +83,8 @@ def test_json_is_one_document_and_quiet_is_silent(
     ],
 )
 def test_an_extra_that_is_missing_is_named_before_any_work(
-    module: str,
-    words: str,
-    extra: str,
-    folder: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+    module, words, extra, folder, tmp_path, monkeypatch, capsys
+):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "plan.oem").touch()
     for name in [name for name in sys.modules if module.lower() in name.lower()]:
@@ -106,9 +98,7 @@ def test_an_extra_that_is_missing_is_named_before_any_work(
     assert [path.name for path in tmp_path.iterdir()] == ["plan.oem"]
 
 
-def test_json_has_the_plans_figures_to_the_last_digit_and_the_text_its_frame(
-    folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_json_has_the_plans_figures_to_the_last_digit_and_the_text_its_frame(folder, capsys):
     assert every.main(["verify", str(folder), "--json"]) == 0
     said = capsys.readouterr()
     document, solution = json.loads(said.out), read_solution(folder)
@@ -121,9 +111,7 @@ def test_json_has_the_plans_figures_to_the_last_digit_and_the_text_its_frame(
     assert f"x, y, z along J2000; {epoch}" in said.err
 
 
-def test_help_names_every_command_and_so_does_what_is_none(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_help_names_every_command_and_so_does_what_is_none(capsys):
     for words in ([], ["fly"], ["--verse"]):
         assert every.main(words) == 2
         assert "solve" in capsys.readouterr().err

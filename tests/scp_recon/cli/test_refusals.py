@@ -162,9 +162,7 @@ def files_in(folder: Path) -> set[Path]:
         *(f"{name} --no-such-option -> got" for name in COMMANDS),
     ],
 )
-def test_bad_input_is_one_message_and_one_document(
-    line: str, folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_bad_input_is_one_message_and_one_document(line, folder, monkeypatch, capsys):
     monkeypatch.chdir(folder)
     before = files_in(folder)
     words, _, said = line.partition(" -> ")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import inspect
-from pathlib import Path
 
 import pytest
 
@@ -24,7 +23,7 @@ OWN = {
 """Options without a parameter: a script saves what a function returns, and `report` is a function."""
 
 
-def test_every_verb_has_its_command() -> None:
+def test_every_verb_has_its_command():
     """But for what commands read and write themselves, and what a report draws. Classes are parts of
     problems by hand.
     """
@@ -35,7 +34,7 @@ def test_every_verb_has_its_command() -> None:
 
 
 @pytest.mark.parametrize("name", COMMANDS)
-def test_options_are_those_of_the_function(name: str) -> None:
+def test_options_are_those_of_the_function(name):
     """What is read of a function is what Python knows of it, and all of it is described."""
     function = FUNCTIONS.get(name)
     read = parameters(function) if function else []
@@ -60,7 +59,7 @@ def test_options_are_those_of_the_function(name: str) -> None:
 @pytest.mark.parametrize(
     ("algorithm", "solver"), [("ptr", "clarabel"), ("scvx-star", "CLARABEL"), ("scvx", "ecos")]
 )
-def test_algorithm_and_solver_are_recorded(tmp_path: Path, algorithm: str, solver: str) -> None:
+def test_algorithm_and_solver_are_recorded(tmp_path, algorithm, solver):
     if solver == "ecos":
         pytest.importorskip("ecos")
     run = run_solve(tmp_path, "--algorithm", algorithm, "--solver", solver, "--problem", "P3")

@@ -40,7 +40,7 @@ def flat(text: str) -> str:
     return " ".join(text.split())
 
 
-def test_default_ends_with_zero_and_a_verified_solution_alone(default_run: CommandLine) -> None:
+def test_default_ends_with_zero_and_a_verified_solution_alone(default_run):
     assert (default_run.exit_code, default_run.errors) == (0, "")
     assert [path.name for path in default_run.folder.iterdir()] == ["solution.json"]
     solution = read_solution(default_run.folder)
@@ -51,7 +51,7 @@ def test_default_ends_with_zero_and_a_verified_solution_alone(default_run: Comma
     assert min(p.estimate for p in solution.verification.probabilities) >= 0.70
 
 
-def test_it_shows_case_verdict_burns_and_every_constraint(default_run: CommandLine) -> None:
+def test_it_shows_case_verdict_burns_and_every_constraint(default_run):
     shown, solution = flat(default_run.output), read_solution(default_run.folder)
     for piece in ("recon_b", "Nightingale", "13140.2 to 16537.5 s", "154 nodes", "Converged"):
         assert piece in shown
@@ -65,13 +65,13 @@ def test_it_shows_case_verdict_burns_and_every_constraint(default_run: CommandLi
     assert str(default_run.folder / "solution.json") in default_run.output.replace("\n", "")
 
 
-def test_it_runs_as_a_module(tmp_path: Path) -> None:
+def test_it_runs_as_a_module(tmp_path):
     run = run_module("scp_recon.solve", "--init", "cold", "--problem", "P3", "--out", str(tmp_path))
     assert (run.returncode, run.stderr) == (0, "")
     assert read_solution(tmp_path).problem == "P3"
 
 
-def test_a_solution_brings_its_scenario_which_may_be_overridden(tmp_path: Path) -> None:
+def test_a_solution_brings_its_scenario_which_may_be_overridden(tmp_path):
     first = run_solve(tmp_path / "a", "--problem", "P3", "--set", "name=mine")
     assert first.exit_code == 0
     again = run_solve(
@@ -84,9 +84,7 @@ def test_a_solution_brings_its_scenario_which_may_be_overridden(tmp_path: Path) 
     assert "mine" in again.output
 
 
-def test_it_goes_on_from_a_solution_that_is_known_by_its_content(
-    default_run: CommandLine, tmp_path: Path
-) -> None:
+def test_it_goes_on_from_a_solution_that_is_known_by_its_content(default_run, tmp_path):
     first, renamed = read_solution(default_run.folder), tmp_path / "best.txt"
     renamed.write_bytes((default_run.folder / "solution.json").read_bytes())
     assert run_solve(tmp_path / "out", "--init", str(renamed)).exit_code == 0
@@ -95,7 +93,7 @@ def test_it_goes_on_from_a_solution_that_is_known_by_its_content(
     assert (solution.scenario, solution.init) == (first.scenario, str(renamed))
 
 
-def test_a_users_own_files_in_the_folder_are_left_alone(tmp_path: Path) -> None:
+def test_a_users_own_files_in_the_folder_are_left_alone(tmp_path):
     mine = [tmp_path / ".probe", tmp_path / ".solution.json", tmp_path / "notes.txt"]
     for file in mine:
         file.write_text("mine", "utf-8")
@@ -104,7 +102,7 @@ def test_a_users_own_files_in_the_folder_are_left_alone(tmp_path: Path) -> None:
     assert len(list(tmp_path.iterdir())) == 4
 
 
-def test_infeasible_ends_with_three_and_names_what_is_violated(tmp_path: Path) -> None:
+def test_infeasible_ends_with_three_and_names_what_is_violated(tmp_path):
     run = run_solve(tmp_path, "--set", "burns.dv_max_m_s=0.02", "--set", COARSE)
     assert (run.exit_code, run.errors) == (3, "")
     solution = read_solution(tmp_path)
@@ -133,8 +131,8 @@ def ctrl_c_in_the_fourth_iteration(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_ctrl_c_leaves_the_best_iterate_marked_as_such_which_goes_on(
-    tmp_path: Path, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    tmp_path, request, monkeypatch
+):
     request.getfixturevalue("ctrl_c_in_the_fourth_iteration")
     run = run_solve(tmp_path, "--init", "cold")
     assert run.exit_code == 130
@@ -160,9 +158,7 @@ def test_ctrl_c_leaves_the_best_iterate_marked_as_such_which_goes_on(
         (planner, "plan", None),
     ],
 )
-def test_ctrl_c_between_the_steps_keeps_what_was_done(
-    module: object, name: str, left: str | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_ctrl_c_between_the_steps_keeps_what_was_done(module, name, left, tmp_path, monkeypatch):
     """Between P3 and P2, in the verification, and before anything."""
 
     def ctrl_c(*_: object, **__: object) -> None:
@@ -185,9 +181,7 @@ def run_verify(capsys: pytest.CaptureFixture[str], path: Path) -> CommandLine:
     return CommandLine(code, *capsys.readouterr(), path)
 
 
-def test_verify_finds_a_falsified_solution_out(
-    default_run: CommandLine, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_verify_finds_a_falsified_solution_out(default_run, tmp_path, capsys):
     data = json.loads((default_run.folder / "solution.json").read_text("utf-8"))
     data["burns"][2]["dv_m_s"][0] += 1e-3
     (tmp_path / "solution.json").write_text(json.dumps(data), "utf-8")

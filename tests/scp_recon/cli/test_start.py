@@ -34,7 +34,7 @@ AS_CTRL_C = """
 
 
 @pytest.mark.parametrize(("late", "command"), usually(CASES, 7))
-def test_ctrl_c_during_an_import_ends_in_one_line(late: str, command: str) -> None:
+def test_ctrl_c_during_an_import_ends_in_one_line(late, command):
     done = subprocess.run(
         [sys.executable, "-c", textwrap.dedent(AS_CTRL_C), late, *command.split()],
         cwd=PROJECT,
@@ -47,7 +47,7 @@ def test_ctrl_c_during_an_import_ends_in_one_line(late: str, command: str) -> No
     reliability.count(reliability.FAULTS)
 
 
-def test_what_stands_before_the_first_line_of_a_command_is_light() -> None:
+def test_what_stands_before_the_first_line_of_a_command_is_light():
     """Until `exit_on_sigint` has run, Ctrl-C ends as Python ends it."""
     code = "import scp_recon.cli.command, sys; print(*{'numpy', 'rich', 'pydantic'} & set(sys.modules))"
     done = subprocess.run(

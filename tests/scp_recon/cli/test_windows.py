@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import csv
-from pathlib import Path
 
 import pytest
 
 from scp_recon.cli.commands import windows
-from scp_recon.mission.mission import Mission
 
 
 def run(*arguments: str) -> int:
@@ -23,9 +21,7 @@ def _wide(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("COLUMNS", "200")
 
 
-def test_what_is_hardly_meant_is_warned_about_and_what_cannot_be_is_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_is_hardly_meant_is_warned_about_and_what_cannot_be_is_refused(tmp_path, capsys):
     path = tmp_path / "mine.toml"
     path.write_text('base = "recon_b"\n[body]\npole_dec_deg = 60.3586\n', "utf-8")
     assert run(str(path), "--span-days", "0.2") == 0
@@ -36,9 +32,7 @@ def test_what_is_hardly_meant_is_warned_about_and_what_cannot_be_is_refused(
     assert "safety.radius_min_m: got 0.5 m" in capsys.readouterr().err
 
 
-def test_the_table_holds_the_windows_from_before_the_epoch_on(
-    tmp_path: Path, mission: Mission, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_table_holds_the_windows_from_before_the_epoch_on(tmp_path, mission, capsys):
     """Of a scenario whose own burns are illegal, too."""
     scenario, path = tmp_path / "mine.toml", tmp_path / "w.csv"
     scenario.write_text('base = "recon_b"\nburns.times_s = [0.0, 13500.0, 20000.0, 40000.0]\n')
@@ -54,7 +48,7 @@ def test_the_table_holds_the_windows_from_before_the_epoch_on(
             assert float(row[f"burn_{i}_earliest_s"]) < float(row[f"burn_{i}_latest_s"])
 
 
-def test_a_chart_is_drawn_in_every_format_and_the_same_every_time(tmp_path: Path) -> None:
+def test_a_chart_is_drawn_in_every_format_and_the_same_every_time(tmp_path):
     pytest.importorskip("matplotlib", reason="needs the extra [report]")
     paths = [tmp_path / name for name in ("a.png", "b.png", "a.svg", "a.pdf")]
     for path in paths:
@@ -63,7 +57,7 @@ def test_a_chart_is_drawn_in_every_format_and_the_same_every_time(tmp_path: Path
     assert paths[0].read_bytes() == paths[1].read_bytes()
 
 
-def test_a_site_without_windows_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_site_without_windows_says_so(tmp_path, capsys):
     pytest.importorskip("matplotlib", reason="needs the extra [report]")
     dark, always = tmp_path / "dark.toml", tmp_path / "always.toml"
     dark.write_text('base = "recon_b"\n[observation]\nincidence_max_deg = 5.0\n', "utf-8")

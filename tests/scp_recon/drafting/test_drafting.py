@@ -44,7 +44,7 @@ def assert_on_the_terminator(scenario: Scenario) -> None:
 @pytest.mark.parametrize(
     ("site", "body"), [((55.9, 41.8), None), ((-30.0, 200.0), None), ((20.0, 0.0), FAST)]
 )
-def test_a_draft_is_a_legal_mission(site: tuple[float, float], body: GivenBody | None) -> None:
+def test_a_draft_is_a_legal_mission(site, body):
     """Its window is the one it was designed for, and its burns have room about it."""
     draft = next(drafts(first(site, body)))
     scenario = scenario_of(draft)
@@ -61,7 +61,7 @@ def test_a_draft_is_a_legal_mission(site: tuple[float, float], body: GivenBody |
     assert (scenario.observation.window_s is not None) == (body is FAST)
 
 
-def test_a_given_body_moves_and_turns_on_with_its_epoch() -> None:
+def test_a_given_body_moves_and_turns_on_with_its_epoch():
     draft = next(drafts(first((20.0, 0.0), FAST)))
     shift = (draft.epoch - EPOCH).total_seconds()
     assert shift > 0.0
@@ -73,7 +73,7 @@ def test_a_given_body_moves_and_turns_on_with_its_epoch() -> None:
     assert (draft.given.meridian_deg - turned) % 360.0 == pytest.approx(0.0, abs=1e-3)
 
 
-def test_every_entry_has_a_comment() -> None:
+def test_every_entry_has_a_comment():
     for body in (None, FAST):
         text = draft_text(next(drafts(first((20.0, 0.0), body))))
         entries = [line for line in text.splitlines() if " = " in line]
@@ -81,6 +81,6 @@ def test_every_entry_has_a_comment() -> None:
         assert all(len(line.split("  # ")[1]) > 3 for line in entries)
 
 
-def test_a_site_in_the_dark_is_refused() -> None:
+def test_a_site_in_the_dark_is_refused():
     with pytest.raises(InputError, match="must be lit"):
         next(drafts(Draft("x", "Eros", None, (-70.0, 0.0), datetime(2021, 3, 4), 16_000.0)))

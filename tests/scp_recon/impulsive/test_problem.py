@@ -51,9 +51,7 @@ def erring(problem: sr.ImpulsiveProblem) -> sr.ImpulsiveProblem:
     )
 
 
-def test_without_regions_the_flight_meets_the_final_state_at_least_cost(
-    problem: sr.ImpulsiveProblem,
-) -> None:
+def test_without_regions_the_flight_meets_the_final_state_at_least_cost(problem):
     """Of two of the burns alone there is one choice: so many of all four can only cost less."""
     plan = problem.solve()
     assert plan.ok
@@ -72,23 +70,19 @@ def test_without_regions_the_flight_meets_the_final_state_at_least_cost(
     ("formulation", "algorithm"),
     [*((name, "scvx") for name in FORMULATIONS), *(("condensed", name) for name in ALGORITHMS)],
 )
-def test_every_formulation_and_algorithm_finds_the_optimum(
-    problem: sr.ImpulsiveProblem, formulation: str, algorithm: str
-) -> None:
+def test_every_formulation_and_algorithm_finds_the_optimum(problem, formulation, algorithm):
     plan = problem.solve(formulation=formulation, algorithm=algorithm)
     assert plan.ok
     assert plan.cost == pytest.approx(problem.solve().cost, rel=1e-4)
 
 
-def test_units_within_change_nothing(problem: sr.ImpulsiveProblem) -> None:
+def test_units_within_change_nothing(problem):
     other = replace(problem, units=(500.0, 1500.0)).solve()
     assert other.cost == pytest.approx(problem.solve().cost, rel=1e-5)
 
 
 @pytest.mark.parametrize("scope", ["node", "flight", "uniform"])
-def test_flights_keep_a_region_with_the_probability_that_was_planned(
-    erring: sr.ImpulsiveProblem, scope: Any
-) -> None:
+def test_flights_keep_a_region_with_the_probability_that_was_planned(erring, scope):
     """Hill's equations are linear: the normal law is exact, but for errors of Gates' products."""
     plan = replace(erring, scope=scope).solve()
     assert plan.ok
@@ -104,9 +98,7 @@ def test_flights_keep_a_region_with_the_probability_that_was_planned(
     )
 
 
-def test_a_certified_plan_costs_more_and_fresh_flights_reach_the_probability(
-    erring: sr.ImpulsiveProblem,
-) -> None:
+def test_a_certified_plan_costs_more_and_fresh_flights_reach_the_probability(erring):
     own = replace(erring, probability=0.9)
     plan, aimed = own.certify(), own.solve()
     assert plan.certificate.certifies(0.9)
@@ -131,7 +123,7 @@ def around(sizes: Array) -> list[sr.Keep]:
 
 
 @pytest.mark.parametrize("scope", ["node", "flight", "uniform", None])
-def test_every_kind_of_region_is_kept(erring: sr.ImpulsiveProblem, scope: Any) -> None:
+def test_every_kind_of_region_is_kept(erring, scope):
     regions = around(np.array([120.0, 160.0, 100.0]))
     own = replace(erring, regions=regions, scope=scope or "node")
     if scope is None:
@@ -146,7 +138,7 @@ def test_every_kind_of_region_is_kept(erring: sr.ImpulsiveProblem, scope: Any) -
     assert min(estimate.high for estimate in flights.kept.values()) > 0.95
 
 
-def test_corrected_burns_fly_as_planned(erring: sr.ImpulsiveProblem) -> None:
+def test_corrected_burns_fly_as_planned(erring):
     measured = np.diag([1.0, 1.0, 1.0, 0.001, 0.001, 0.001])[None]
     feedback = sr.Feedback(np.array([2]), np.array([15]), measured, "dv99", 0.99)
     own = replace(erring, feedback=feedback, final_sigma=(30.0, None))
@@ -249,16 +241,14 @@ FACES = np.vstack([np.eye(3), -np.eye(3)])
         (lambda a: Changed(a.state, a.stm, a.tensor + 1.0), "a tensor that is not its STM's"),
     ],
 )
-def test_bad_input_has_one_message_each(
-    problem: sr.ImpulsiveProblem, flow: sr.ExpressionFlow, change: Any, says: str
-) -> None:
+def test_bad_input_has_one_message_each(problem, flow, change, says):
     if not isinstance(change, dict):
         change = {"flow": Off(flow, change)}
     with pytest.raises(InputError, match=says):
         replace(problem, **change).solve()
 
 
-def test_a_plan_tells_what_it_is(problem: sr.ImpulsiveProblem) -> None:
+def test_a_plan_tells_what_it_is(problem):
     plan = problem.solve()
     assert isinstance(plan, ImpulsivePlan)
     assert repr(plan).startswith("<ImpulsivePlan: converged, cost ")

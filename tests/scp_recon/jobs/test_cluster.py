@@ -26,8 +26,6 @@ from scp_recon.jobs.cluster import Cluster, Session, run_in_child
 from scp_recon.jobs.job import Done, Key, attempt
 from scp_recon.jobs.processes import UnfitError
 from scp_recon.monte_carlo.summary import FILE_NAME
-from scp_recon.results.facts import Verification
-from scp_recon.results.solution import Solution
 from tests.helpers import nightly
 from tests.scp_recon.jobs.support import LIMITS, computed, run_all, some_jobs
 from tests.scp_recon.jobs.works import ENDS, Naughty, Quick
@@ -115,9 +113,7 @@ class After:
             self.action()
 
 
-def test_a_scheduler_without_workers_is_told_once_until_one_joins(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_scheduler_without_workers_is_told_once_until_one_joins(monkeypatch):
     workers: list[dict[str, int]] = [{}, {}, {"a": 2}, {}]
     said: list[str] = []
     session = Session(Cluster("tcp://127.0.0.1:1", LIMITS, said.append), b"")
@@ -199,9 +195,7 @@ class LosingClient:
 
 
 @pytest.mark.parametrize("lost", [{0}, {1}, {2}, {0, 2}, {0, 1, 2}])
-def test_a_lost_result_is_sent_again_and_the_others_keep_their_own(
-    monkeypatch: pytest.MonkeyPatch, lost: set[int]
-) -> None:
+def test_a_lost_result_is_sent_again_and_the_others_keep_their_own(monkeypatch, lost):
     clients = [LosingClient(lost), LosingClient()]
     found, said = ran_with(clients, monkeypatch)
     assert [client.sent for client in clients] == [[0, 1, 2], sorted(lost)]
@@ -210,9 +204,7 @@ def test_a_lost_result_is_sent_again_and_the_others_keep_their_own(
     assert sum("sent again" in line for line in said) == 1
 
 
-def test_jobs_that_a_closed_client_refuses_are_sent_by_the_next(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_jobs_that_a_closed_client_refuses_are_sent_by_the_next(monkeypatch):
     """Dask's client closes itself once its scheduler has been away for its timeout."""
     clients = [LosingClient(takes=1), LosingClient()]
     found, _ = ran_with(clients, monkeypatch)
@@ -232,7 +224,7 @@ def ran_with(
     return list(executor(Quick(), some_jobs(3))), said
 
 
-def test_a_worker_is_killed_in_mid_run(cluster: LocalCluster, tmp_path: Path) -> None:
+def test_a_worker_is_killed_in_mid_run(cluster, tmp_path):
     jobs = some_jobs(60)
     victim = cluster.pids()[0]
     killed = After(8, lambda: os.kill(victim, signal.SIGKILL))
@@ -243,7 +235,7 @@ def test_a_worker_is_killed_in_mid_run(cluster: LocalCluster, tmp_path: Path) ->
     assert victim not in cluster.pids()
 
 
-def test_jobs_that_misbehave_are_rows(cluster: LocalCluster, tmp_path: Path) -> None:
+def test_jobs_that_misbehave_are_rows(cluster, tmp_path):
     jobs, ways = some_jobs(20), dict(zip((2, 5, 7, 8, 11, 13, 15, 17), ENDS, strict=True))
     before = cluster.pids()
     work = Naughty(ways=tuple(ways.items()))
@@ -256,7 +248,7 @@ def test_jobs_that_misbehave_are_rows(cluster: LocalCluster, tmp_path: Path) -> 
 
 
 @nightly
-def test_the_scheduler_is_restarted_in_mid_run(cluster: LocalCluster, tmp_path: Path) -> None:
+def test_the_scheduler_is_restarted_in_mid_run(cluster, tmp_path):
     jobs, said = some_jobs(60), list[str]()
     cluster.pids()
     restarting = threading.Thread(target=cluster.begin_again)
@@ -274,9 +266,7 @@ def test_the_scheduler_is_restarted_in_mid_run(cluster: LocalCluster, tmp_path: 
     assert computed(rows) == computed(run_all(Quick(), jobs, tmp_path / "b"))
 
 
-def test_a_lost_scheduler_is_told_in_one_line_not_in_a_traceback(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_lost_scheduler_is_told_in_one_line_not_in_a_traceback(monkeypatch):
     """Dask's client would log one; other programs' logs are theirs again afterwards."""
     log, heard = logging.getLogger("distributed.client"), list[bool]()
 
@@ -290,20 +280,18 @@ def test_a_lost_scheduler_is_told_in_one_line_not_in_a_traceback(
     assert (heard, log.isEnabledFor(logging.CRITICAL)) == ([False], True)
 
 
-def test_a_worker_of_other_versions_is_unfit() -> None:
+def test_a_worker_of_other_versions_is_unfit():
     with pytest.raises(UnfitError, match="instead of"):
         run_in_child(pickle.dumps(({"scp_recon": "0"}, b"")), b"", LIMITS)
 
 
 @pytest.mark.parametrize("address", ["foo", "", "tcp://127.0.0.1:x"])
-def test_what_is_no_address_is_told_at_once(tmp_path: Path, address: str) -> None:
+def test_what_is_no_address_is_told_at_once(tmp_path, address):
     with pytest.raises(InputError, match="must be the address of a Dask scheduler"):
         run_all(Quick(), some_jobs(2), tmp_path / "a", Cluster(address, LIMITS))
 
 
-def test_flights_are_the_same_on_a_cluster(
-    cluster: LocalCluster, solution: Solution, verification: Verification, tmp_path: Path
-) -> None:
+def test_flights_are_the_same_on_a_cluster(cluster, solution, verification, tmp_path):
     replace(solution, verification=verification).write(tmp_path)
     words = [str(tmp_path), "--samples", "2500", "--seed", "4"]
     assert montecarlo.main(words) == 0

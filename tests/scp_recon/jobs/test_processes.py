@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from scp_recon.errors import InputError
-from scp_recon.jobs.job import Done, Executor, Job, Work, attempt, here, in_order
+from scp_recon.jobs.job import Done, Job, Work, attempt, here, in_order
 from scp_recon.jobs.processes import Limits, Processes
 from scp_recon.jobs.store import Store, run
 from tests.scp_recon.jobs.support import LIMITS, computed, run_all, some_jobs
@@ -24,20 +24,20 @@ def backwards(work: Work, jobs: Iterable[Job]) -> Generator[Done, None, None]:
 
 
 @pytest.mark.parametrize("executor", [Processes(1, LIMITS), Processes(3, LIMITS), backwards])
-def test_rows_are_the_same_for_any_split(executor: Executor, tmp_path: Path) -> None:
+def test_rows_are_the_same_for_any_split(executor, tmp_path):
     jobs = some_jobs(40)
     rows = run_all(Quick(), jobs, tmp_path / "a", executor)
     assert computed(rows) == computed(run_all(Quick(), jobs, tmp_path / "b"))
 
 
 @pytest.mark.parametrize("executor", [here, Processes(3), backwards])
-def test_results_come_in_the_order_of_the_jobs(executor: Executor) -> None:
+def test_results_come_in_the_order_of_the_jobs(executor):
     found = list(in_order(executor, Quick(), iter(some_jobs(20))))
     assert [done.key for done in found] == list(range(20))
     assert [done.result() for done in found] == [Quick()(number) for number in range(20)]
 
 
-def test_jobs_that_misbehave_are_rows_and_the_others_are_as_ever(tmp_path: Path) -> None:
+def test_jobs_that_misbehave_are_rows_and_the_others_are_as_ever(tmp_path):
     jobs, ways = some_jobs(18), dict(zip(range(1, 17, 2), ENDS, strict=True))
     found = run_all(Naughty(ways=tuple(ways.items())), jobs, tmp_path / "a", Processes(2, LIMITS))
     assert {n: found[n]["status"] for n in ways} == {n: ENDS[way] for n, way in ways.items()}
@@ -53,7 +53,7 @@ def test_jobs_that_misbehave_are_rows_and_the_others_are_as_ever(tmp_path: Path)
     assert all(found[n]["value"] == serial[n]["value"] for n in range(18) if n not in ways)
 
 
-def test_what_raises_is_the_same_row_here(tmp_path: Path) -> None:
+def test_what_raises_is_the_same_row_here(tmp_path):
     raising = [way for way in ENDS if way in ("end", "raise", "refuse", "raise oddly")]
     work = Naughty(ways=tuple(enumerate(raising)))
     rows = [
@@ -64,7 +64,7 @@ def test_what_raises_is_the_same_row_here(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("executor", [here, Processes(1, LIMITS)])
-def test_a_result_raises_what_the_work_raised(executor: Executor, tmp_path: Path) -> None:
+def test_a_result_raises_what_the_work_raised(executor, tmp_path):
     work = Naughty(ways=((0, "raise"), (1, "refuse")))
     first, second = in_order(executor, work, some_jobs(2))
     with pytest.raises(ZeroDivisionError, match="in\nthe job"):
@@ -79,7 +79,7 @@ def test_a_result_raises_what_the_work_raised(executor: Executor, tmp_path: Path
         run(work, some_jobs(2), store, executor)
 
 
-def test_what_does_not_pickle_is_a_message() -> None:
+def test_what_does_not_pickle_is_a_message():
     odd, dead, whole = in_order(
         Processes(1, LIMITS), Naughty(ways=((0, "raise oddly"), (1, "die"))), some_jobs(3)
     )
@@ -102,7 +102,7 @@ def unpicklable(_: int) -> object:
     return lambda: None
 
 
-def test_jobs_are_taken_as_they_are_needed_and_an_early_end_leaves_no_process() -> None:
+def test_jobs_are_taken_as_they_are_needed_and_an_early_end_leaves_no_process():
     """Who stops early, as flights do whose interval is narrow, has not had a million jobs made."""
     taken, before = [], set(children())
 
@@ -118,7 +118,7 @@ def test_jobs_are_taken_as_they_are_needed_and_an_early_end_leaves_no_process() 
     assert set(children()) <= before
 
 
-def test_a_process_ends_with_who_began_it() -> None:
+def test_a_process_ends_with_who_began_it():
     """Killed, a parent cannot end its processes: they see to it."""
     pid = os.fork()
     if pid == 0:  # begins one that would sleep, and is killed
@@ -137,7 +137,7 @@ def test_a_process_ends_with_who_began_it() -> None:
     assert not is_there(found[0])
 
 
-def test_work_that_cannot_be_loaded_is_one_message(tmp_path: Path) -> None:
+def test_work_that_cannot_be_loaded_is_one_message(tmp_path):
     with pytest.raises(InputError, match="AttributeError"):
         run_all(Vanishing(), some_jobs(3), tmp_path, Processes(1, LIMITS))
 

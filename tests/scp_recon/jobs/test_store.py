@@ -36,7 +36,7 @@ STEPS = st.lists(
 
 
 @given(STEPS)
-def test_no_row_is_lost_or_doubled(steps: list[tuple[str, int]]) -> None:
+def test_no_row_is_lost_or_doubled(steps):
     """Rows are added once each, and between them the process ends in every way that it can."""
     with TemporaryDirectory() as name, pytest.MonkeyPatch.context() as patch:
         patch.setattr("os.fsync", lambda _: None)
@@ -60,7 +60,7 @@ def test_no_row_is_lost_or_doubled(steps: list[tuple[str, int]]) -> None:
 
 
 @pytest.mark.parametrize("place", [5, -5])
-def test_a_damaged_row_is_none_and_the_others_stay(tmp_path: Path, place: int) -> None:
+def test_a_damaged_row_is_none_and_the_others_stay(tmp_path, place):
     path = tmp_path / "rows.jsonl"
     with Store(path, DEPENDS_ON) as store:
         for key in range(3):
@@ -77,7 +77,7 @@ def test_a_damaged_row_is_none_and_the_others_stay(tmp_path: Path, place: int) -
     reliability.count(reliability.FAULTS)
 
 
-def test_a_later_row_of_a_key_counts_and_a_row_is_made_once(tmp_path: Path) -> None:
+def test_a_later_row_of_a_key_counts_and_a_row_is_made_once(tmp_path):
     with Store(tmp_path / "rows.jsonl", DEPENDS_ON) as store:
         store.put("a", {"x": 1})
         store.put("a", {"x": 2})
@@ -90,9 +90,7 @@ def test_a_later_row_of_a_key_counts_and_a_row_is_made_once(tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize("text", ["", "{", '{"schema": "another", "depends_on": {}}\n{"key": 1}\n'])
-def test_rows_of_anything_else_do_not_count_and_are_there_until_the_first_row(
-    tmp_path: Path, text: str
-) -> None:
+def test_rows_of_anything_else_do_not_count_and_are_there_until_the_first_row(tmp_path, text):
     path = tmp_path / "rows.jsonl"
     path.write_text(text, encoding="utf-8")
     with Store(path, DEPENDS_ON) as store:
@@ -107,19 +105,19 @@ def test_rows_of_anything_else_do_not_count_and_are_there_until_the_first_row(
 
 
 @pytest.mark.parametrize("text", ["[]\n", "{}\n", "{"])
-def test_what_is_no_store_has_no_head(tmp_path: Path, text: str) -> None:
+def test_what_is_no_store_has_no_head(tmp_path, text):
     (tmp_path / "rows.jsonl").write_text(text, encoding="utf-8")
     with pytest.raises(ValueError, match=r"no store|Expecting"):
         read_head(tmp_path / "rows.jsonl")
 
 
-def test_one_writer_at_a_time(tmp_path: Path) -> None:
+def test_one_writer_at_a_time(tmp_path):
     with Store(tmp_path / "rows.jsonl", DEPENDS_ON), pytest.raises(InputError, match="at work"):
         Store(tmp_path / "rows.jsonl", DEPENDS_ON)
     Store(tmp_path / "rows.jsonl", DEPENDS_ON).close()
 
 
-def test_a_disk_that_is_full_ends_with_one_message_and_is_continued(tmp_path: Path) -> None:
+def test_a_disk_that_is_full_ends_with_one_message_and_is_continued(tmp_path):
     """The system itself refuses to make a file longer, in the middle of a line."""
     jobs, unlimited = some_jobs(50), resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (2_000, unlimited[1]))
@@ -137,7 +135,7 @@ def test_a_disk_that_is_full_ends_with_one_message_and_is_continued(tmp_path: Pa
     reliability.count(reliability.FAULTS)
 
 
-def test_a_row_has_its_files_before_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_row_has_its_files_before_it(tmp_path, monkeypatch):
     """A disk without room for a file has none for the row."""
     run_all(Quick(), some_jobs(1), tmp_path)
     assert (tmp_path / "files" / "0.txt").read_bytes() == b"a file"
@@ -151,7 +149,7 @@ def test_a_row_has_its_files_before_it(tmp_path: Path, monkeypatch: pytest.Monke
     assert [key for key, _ in read_rows(tmp_path / "rows.jsonl")] == [0]
 
 
-def test_what_is_no_file_is_one_message_and_leaves_no_lock(tmp_path: Path) -> None:
+def test_what_is_no_file_is_one_message_and_leaves_no_lock(tmp_path):
     (tmp_path / "rows.jsonl").mkdir()
     with pytest.raises(InputError, match=r"is a directory.* must be a folder to write to"):
         Store(tmp_path / "rows.jsonl", DEPENDS_ON)
@@ -161,7 +159,7 @@ def test_what_is_no_file_is_one_message_and_leaves_no_lock(tmp_path: Path) -> No
         Store(tmp_path / "file" / "rows.jsonl", DEPENDS_ON)
 
 
-def test_rows_are_json_whose_numbers_come_back_to_the_last_bit(tmp_path: Path) -> None:
+def test_rows_are_json_whose_numbers_come_back_to_the_last_bit(tmp_path):
     values = {"tiny": 5e-324, "third": 1.0 / 3.0, "big": 2**62, "list": [True, None, "x"]}
     with Store(tmp_path / "rows.jsonl", {"a": 1}) as store:
         store.put("key", values)
@@ -173,7 +171,7 @@ def test_rows_are_json_whose_numbers_come_back_to_the_last_bit(tmp_path: Path) -
     ]
 
 
-def test_sources_are_of_a_module_and_what_it_imports_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_sources_are_of_a_module_and_what_it_imports_alone(monkeypatch):
     read: set[str] = set()
     real = Path.read_bytes
 

@@ -20,9 +20,7 @@ from tests.scp_recon.support import mission_of
     fixed=st.lists(st.floats(0.0, 1e5), min_size=2, max_size=8, unique=True),
     step=st.floats(1.0, 5e4),
 )
-def test_grid_is_ascending_fine_enough_and_holds_the_fixed_times(
-    fixed: list[float], step: float
-) -> None:
+def test_grid_is_ascending_fine_enough_and_holds_the_fixed_times(fixed, step):
     assume(np.diff(np.sort(fixed)).min() > 1e-3)
     assume(np.ptp(fixed) / step < 1e4)
     grid = make_grid(tuple(fixed), step)
@@ -35,12 +33,12 @@ def test_grid_is_ascending_fine_enough_and_holds_the_fixed_times(
 
 
 @given(length=st.floats(1.0, 1e5), step=st.floats(1.0, 1e4))
-def test_grid_has_no_more_nodes_than_it_needs(length: float, step: float) -> None:
+def test_grid_has_no_more_nodes_than_it_needs(length, step):
     arcs = len(make_grid((0.0, length), step)) - 1
     assert arcs == 1 or length / (arcs - 1) > step * (1.0 - 1e-8)
 
 
-def test_burns_and_window_are_nodes_of_any_grid(mission: Mission) -> None:
+def test_burns_and_window_are_nodes_of_any_grid(mission):
     assert len(mission.times_s) - 1 == 153  # the grid of the independent prototype
     for one in (mission, mission_of("grid.step_max_s=50")):
         times, (first, last) = one.times_s, one.schedule.window_s
@@ -52,7 +50,7 @@ def test_burns_and_window_are_nodes_of_any_grid(mission: Mission) -> None:
         np.testing.assert_array_equal(window, times[(times >= first) & (times <= last)])
 
 
-def test_problem_is_the_scenario_in_units_of_gm_and_the_initial_radius(mission: Mission) -> None:
+def test_problem_is_the_scenario_in_units_of_gm_and_the_initial_radius(mission):
     problem, units, scenario = mission.problem, mission.units, mission.scenario
     assert mission.forces.in_units(units.length_m, units.time_s).gm == pytest.approx(1.0)
     assert np.linalg.norm(problem.initial_state[:3]) == pytest.approx(1.0)
@@ -74,7 +72,7 @@ def constraint(mission: Mission, name: str) -> StateConstraint:
     return next(c for c in mission.problem.constraints if c.name == name)
 
 
-def test_joint_risk_is_split_by_boole(mission: Mission, fully_limited: Mission) -> None:
+def test_joint_risk_is_split_by_boole(mission, fully_limited):
     two_sided = 1.0 - 0.30 / 2
     split = {
         "safety_radius": 0.70,
@@ -91,9 +89,7 @@ def test_joint_risk_is_split_by_boole(mission: Mission, fully_limited: Mission) 
         assert found == pytest.approx(expected)
 
 
-def test_safety_holds_at_every_node_and_observation_throughout_the_window(
-    mission: Mission,
-) -> None:
+def test_safety_holds_at_every_node_and_observation_throughout_the_window(mission):
     for c in mission.problem.constraints:
         everywhere = np.arange(len(mission.times_s))
         expected = everywhere if c.name == "safety_radius" else mission.window_nodes
@@ -115,9 +111,7 @@ def fully_limited() -> Mission:
 
 
 @given(offset=offsets(), index=st.integers(0, 15))
-def test_constraints_of_the_problem_are_the_limits_on_the_geometry(
-    offset: Array, index: int, fully_limited: Mission
-) -> None:
+def test_constraints_of_the_problem_are_the_limits_on_the_geometry(offset, index, fully_limited):
     """The regions' signed distances have the signs of the angles' and the range's margins."""
     m = fully_limited
     node = m.window_nodes[index]
@@ -151,7 +145,7 @@ def test_constraints_of_the_problem_are_the_limits_on_the_geometry(
             assert ours == pytest.approx(site_range * np.sin(np.deg2rad(margin)), abs=1e-6)
 
 
-def test_polytopes_are_those_chosen() -> None:
+def test_polytopes_are_those_chosen():
     for ball, cone, ball_facets, cone_facets in (
         ("paper", "paper", 24, 4),
         ("tangent", "12", None, 12),
@@ -163,7 +157,7 @@ def test_polytopes_are_those_chosen() -> None:
 
 
 @pytest.mark.parametrize("frame", ["sun_north", "j2000"])
-def test_a_mission_from_another_initial_state_is_that_of_its_scenario(frame: str) -> None:
+def test_a_mission_from_another_initial_state_is_that_of_its_scenario(frame):
     mission = mission_of(f'boundary.frame="{frame}"')
     state = mission.initial_state * np.array([1.01, 0.99, 1.02, 0.95, 1.1, 0.9])
     moved = mission.with_initial_state(state)

@@ -15,7 +15,6 @@ from scipy.spatial.transform import Rotation as SciPyRotation
 from formulations.arrays import Array
 from scp_recon.errors import InputError
 from scp_recon.mission.legal_burns import legal_additions, legal_burns, legal_shifts, legal_starts
-from scp_recon.mission.mission import Mission
 from scp_recon.mission.scene import Scene
 from scp_recon.mission.schedule import Mode, Schedule, find_window, make_schedule
 from scp_recon.mission.windows import Lighting
@@ -32,7 +31,7 @@ RULE = "sun-pointing leg lasts at least one slew and one recharge"
 # --- the window ---------------------------------------------------------------------------------
 
 
-def test_window_is_the_papers(mission: Mission) -> None:
+def test_window_is_the_papers(mission):
     first, last = mission.schedule.window_s
     assert first == pytest.approx(13_140.0, abs=1.0)
     assert last - first == pytest.approx(3397.3, abs=0.5)
@@ -55,7 +54,7 @@ def independent_incidence(scenario: Scenario, times: Array) -> Array:
     return np.rad2deg(np.arccos(cosine))
 
 
-def test_incidence_is_at_its_limit_at_the_edges_and_below_between(mission: Mission) -> None:
+def test_incidence_is_at_its_limit_at_the_edges_and_below_between(mission):
     first, last = mission.schedule.window_s
     times = np.linspace(first, last, 400)
     incidence = independent_incidence(mission.scenario, times)
@@ -69,7 +68,7 @@ def test_incidence_is_at_its_limit_at_the_edges_and_below_between(mission: Missi
     assert not np.any(lit[1:] & ~lit[:-1])
 
 
-def test_local_solar_time_may_close_the_window_instead() -> None:
+def test_local_solar_time_may_close_the_window_instead():
     whole, short = mission_of(), mission_of("observation.local_solar_time_max_h=11.0")
     assert short.schedule.window_s[0] == whole.schedule.window_s[0]
     assert short.schedule.window_s[1] < whole.schedule.window_s[1] - 60.0
@@ -81,7 +80,7 @@ def test_local_solar_time_may_close_the_window_instead() -> None:
 @pytest.mark.parametrize(
     "window", [(-10.0, 1000.0), (30_000.0, 40_000.0), (15_000.0, 14_000.0), (9e3, 9e3), (0.0, 9e3)]
 )
-def test_a_window_outside_the_flight_is_refused(window: tuple[float, float]) -> None:
+def test_a_window_outside_the_flight_is_refused(window):
     with pytest.raises(InputError) as caught:
         mission_of(f"observation.window_s={list(window)}")
     error = caught.value
@@ -107,7 +106,7 @@ def window_of(lit: list[tuple[float, float]], end: float) -> tuple[float, float]
     return find_window(scenario, Intervals(scene.site, scene.rotation, scene.sun_direction))
 
 
-def test_the_first_whole_window_is_taken() -> None:
+def test_the_first_whole_window_is_taken():
     begun_before, outlasting = (-500.0, 300.0), (9000.0, 12_000.0)
     lit = [begun_before, (2000.0, 3000.0), (7000.0, 8000.0)]
     assert window_of(lit, 10_000.0) == pytest.approx((2000.0, 3000.0), abs=1e-4)
@@ -118,7 +117,7 @@ def test_the_first_whole_window_is_taken() -> None:
 # --- the schedule -------------------------------------------------------------------------------
 
 
-def test_timeline_is_that_of_the_rules_worked_out_by_hand(mission: Mission) -> None:
+def test_timeline_is_that_of_the_rules_worked_out_by_hand(mission):
     # Echigo et al., section V.A: half an hour each for slews and heating, before burns and window.
     expected = [
         (Mode.SUN_POINTING, 0, 4400),
@@ -151,9 +150,7 @@ ascending = st.lists(st.floats(1.0, 60_000.0), min_size=1, max_size=5, unique=Tr
 @example(times=list(FIRING[1:]), window=(WINDOW[0] / FIRING[-1], WINDOW[1] / FIRING[-1]))
 @example(times=[30_000.0], window=(0.3, 0.4))
 @example(times=[8000.0, 30_000.0], window=(0.5, 0.6))
-def test_firing_times_are_accepted_exactly_when_the_rules_hold(
-    times: list[float], window: tuple[float, float]
-) -> None:
+def test_firing_times_are_accepted_exactly_when_the_rules_hold(times, window):
     firing = (0.0, *times)
     first, last = sorted(edge * firing[-1] for edge in window)
     assume(first < last)
@@ -186,7 +183,7 @@ def moved(burn: int, time: float) -> tuple[float, ...]:
     return (*FIRING[:burn], time, *FIRING[burn + 1 :])
 
 
-def test_what_the_message_offers_is_allowed() -> None:
+def test_what_the_message_offers_is_allowed():
     with pytest.raises(InputError, match=r"between 6600 s and 8340 s"):
         make_schedule(moved(1, 6000.0), WINDOW, RULES)
     with pytest.raises(InputError, match=r"from 34900 s on"):
@@ -194,7 +191,7 @@ def test_what_the_message_offers_is_allowed() -> None:
     make_schedule((0.0, 8000.0, 28_300.0, 34_900.0), WINDOW, RULES)
 
 
-def test_a_window_too_early_for_any_burn_is_blamed_on_the_window() -> None:
+def test_a_window_too_early_for_any_burn_is_blamed_on_the_window():
     # The first burn is at zero in every scenario: it cannot be what the user has to change.
     with pytest.raises(InputError) as caught:
         mission_of("observation.window_s=[1000.0, 2000.0]")
@@ -238,9 +235,7 @@ def by_linear_program(
     after=counts[1],
     rules=rule_sets,
 )
-def test_intervals_are_those_of_a_linear_program(
-    window: tuple[float, float], duration: float, before: int, after: int, rules: ScheduleRules
-) -> None:
+def test_intervals_are_those_of_a_linear_program(window, duration, before, after, rules):
     edges = window[0], window[0] + window[1]
     early, late = legal_starts(edges, duration, before, after, rules)
     assume(abs(early - late) > 1e-3)
@@ -257,9 +252,7 @@ def test_intervals_are_those_of_a_linear_program(
     window=st.tuples(st.floats(-1e5, 1e5), st.floats(100.0, 8000.0)),
     share=st.floats(0.001, 0.999),
 )
-def test_a_shift_within_its_interval_is_legal_and_one_beyond_is_not(
-    gaps: list[float], window: tuple[float, float], share: float
-) -> None:
+def test_a_shift_within_its_interval_is_legal_and_one_beyond_is_not(gaps, window, share):
     times = (0.0, *np.cumsum(gaps).tolist())
     edges = window[0], window[0] + window[1]
     shifts = legal_shifts(edges, times, RULES)
@@ -278,9 +271,7 @@ def test_a_shift_within_its_interval_is_legal_and_one_beyond_is_not(
     share=st.floats(0.0, 1.0),
     added=st.floats(0.0, 1.0),
 )
-def test_another_burn_is_legal_in_its_spans_and_nowhere_else(
-    gaps: list[float], length: float, share: float, added: float
-) -> None:
+def test_another_burn_is_legal_in_its_spans_and_nowhere_else(gaps, length, share, added):
     """The oracle is the schedule itself, with the burn in it."""
     gaps[0] += length + 11_400.0 - 6600.0
     times = (0.0, *np.cumsum(gaps).tolist())
@@ -314,7 +305,7 @@ def message(*overrides: str) -> str:
         ("2020-01-21T23:33:17.184", "is broken"),
     ],
 )
-def test_following_the_message_makes_the_flight_legal(epoch: str, fault: str) -> None:
+def test_following_the_message_makes_the_flight_legal(epoch, fault):
     """By the shift that is told, where there is no window in the flight or it is too early."""
     burns = "burns.times_s=[0.0, 15500.0]"
     said = message(burns, f"epoch.tdb={epoch}")
@@ -346,9 +337,7 @@ ALWAYS = (
         (["observation.incidence_max_deg=10"], ["10 deg", "34842", "least incidence is 48.9 deg"]),
     ],
 )
-def test_a_flight_without_a_whole_window_is_told_what_there_is(
-    overrides: list[str], told: list[str]
-) -> None:
+def test_a_flight_without_a_whole_window_is_told_what_there_is(overrides, told):
     said = message(*overrides)
     assert said.startswith("observation: got incidence at most")
     assert all(words in said for words in told)

@@ -44,7 +44,7 @@ wave = st.tuples(st.floats(0.05, 1.0), st.floats(3000.0, 40_000.0), st.floats(0.
 
 
 @given(terms=st.lists(wave, min_size=1, max_size=3))
-def test_windows_are_those_of_dense_sampling(terms: list[tuple[float, float, float]]) -> None:
+def test_windows_are_those_of_dense_sampling(terms):
     slack = waves(*terms)
     dense = np.linspace(*SPAN, 40_001)
     lit = slack(dense) >= 0.0
@@ -59,7 +59,7 @@ def test_windows_are_those_of_dense_sampling(terms: list[tuple[float, float, flo
 
 
 @given(at=st.floats(100.0, 900.0), width=st.floats(1e-3, 30.0), lit=st.booleans())
-def test_what_is_shorter_than_a_step_is_found(at: float, width: float, lit: bool) -> None:
+def test_what_is_shorter_than_a_step_is_found(at, width, lit):
     """A window, or a shade within one, whose function is smooth on the scale of the step."""
     sign = 1.0 if lit else -1.0
 
@@ -74,7 +74,7 @@ def test_what_is_shorter_than_a_step_is_found(at: float, width: float, lit: bool
 
 @given(at=st.floats(100.0, 900.0), width=st.floats(1e-3, 30.0))
 @example(at=100.0, width=1.0)
-def test_a_window_between_two_limits_is_found_however_short(at: float, width: float) -> None:
+def test_a_window_between_two_limits_is_found_however_short(at, width):
     """One limit begins to hold shortly before another ceases to: a corner, not a smooth peak."""
 
     def slack(t: Array) -> Array:
@@ -84,7 +84,7 @@ def test_a_window_between_two_limits_is_found_however_short(at: float, width: fl
     assert window == pytest.approx((at, at + width), abs=1e-5)
 
 
-def test_the_ends_of_the_span_cut_windows() -> None:
+def test_the_ends_of_the_span_cut_windows():
     slack = waves((1.0, 10_000.0, 0.0))
     found = all_windows(slack, (0.0, 20_000.0), SCAN_STEP_S)
     assert found[0][0] == 0.0
@@ -102,8 +102,8 @@ def test_the_ends_of_the_span_cut_windows() -> None:
     retrograde=st.booleans(),
 )
 def test_at_the_equator_with_the_sun_above_it_incidence_is_the_hour_angle(
-    period_h: float, meridian: float, limit: float, hours: tuple[float, float], retrograde: bool
-) -> None:
+    period_h, meridian, limit, hours, retrograde
+):
     rate = 2.0 * np.pi / (3600.0 * period_h) * (-1.0 if retrograde else 1.0)
     rotation = Rotation(0.0, np.pi / 2.0, meridian, rate, 0.0)
     site = Site(np.array([1.0, 0.0, 0.0]), np.array([1.0, 0.0, 0.0]))
@@ -134,7 +134,7 @@ def test_at_the_equator_with_the_sun_above_it_incidence_is_the_hour_angle(
     np.testing.assert_allclose(found, expected, atol=1e-4)
 
 
-def test_a_body_that_turns_too_often_to_be_searched_is_refused() -> None:
+def test_a_body_that_turns_too_often_to_be_searched_is_refused():
     assert scan_step_s(2.0 * np.pi / 15_466.0, (0.0, 34_842.0)) == SCAN_STEP_S
     assert scan_step_s(0.0, (0.0, 34_842.0)) == SCAN_STEP_S
     assert scan_step_s(-2.0 * np.pi / 1000.0, (0.0, 34_842.0)) == pytest.approx(2.0)
@@ -142,7 +142,7 @@ def test_a_body_that_turns_too_often_to_be_searched_is_refused() -> None:
         scan_step_s(2.0 * np.pi, (0.0, 34_842.0))
 
 
-def test_the_first_window_of_the_survey_is_the_missions(mission: Mission) -> None:
+def test_the_first_window_of_the_survey_is_the_missions(mission):
     """But for the curvature of the orbit, which a mission leaves out: 2 ms of time at most."""
     found = survey(mission.scenario, (0.0, DAY_S))
     assert found.windows[0].edges_s == pytest.approx(mission.schedule.window_s, abs=0.002)
@@ -150,7 +150,7 @@ def test_the_first_window_of_the_survey_is_the_missions(mission: Mission) -> Non
     assert not found.always
 
 
-def test_windows_of_the_survey_are_lit_and_nothing_else_is(mission: Mission) -> None:
+def test_windows_of_the_survey_are_lit_and_nothing_else_is(mission):
     span = 10.0 * DAY_S, 11.0 * DAY_S
     found = survey(mission.scenario, span)
     times = np.linspace(*span, 20_000)
@@ -169,7 +169,7 @@ def test_windows_of_the_survey_are_lit_and_nothing_else_is(mission: Mission) -> 
     assert 0.05 < np.abs(straight - incidence).max() < 3.0
 
 
-def test_a_flight_moved_to_another_window_observes_in_it(mission: Mission) -> None:
+def test_a_flight_moved_to_another_window_observes_in_it(mission):
     """The epoch's shift is legal at the edges of its interval, and not beyond."""
     window = survey(mission.scenario, (0.0, DAY_S)).windows[2]
     sun = mission.scenario.sun
@@ -190,7 +190,7 @@ def test_a_flight_moved_to_another_window_observes_in_it(mission: Mission) -> No
                 Mission.from_scenario(given)
 
 
-def test_a_body_that_falls_into_the_sun_has_no_windows() -> None:
+def test_a_body_that_falls_into_the_sun_has_no_windows():
     falling = file_of(load_scenario(), {"sun.body_velocity_km_s": [0.0, 0.0, 0.0]}, name="Stone")
     with pytest.raises(InputError, match="Sun's centre"):
         survey(falling, (0.0, 100.0 * DAY_S))

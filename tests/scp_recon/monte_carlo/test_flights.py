@@ -17,7 +17,7 @@ from scp_recon.api import flights as api
 from scp_recon.cli.command import asked_to_stop
 from scp_recon.cli.commands import montecarlo
 from scp_recon.errors import InputError
-from scp_recon.jobs.job import DIED, Done, Executor, Failure, Job, Work, attempt
+from scp_recon.jobs.job import DIED, Done, Failure, Job, Work, attempt
 from scp_recon.jobs.processes import Processes
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo import flights, narrow
@@ -46,7 +46,7 @@ PROJECT = Path(__file__).parents[3]
 SAMPLES = 3_400
 
 
-def test_until_stops_at_the_width_asked(mission: Mission, solution: Solution) -> None:
+def test_until_stops_at_the_width_asked(mission, solution):
     config = FlightConfig(mission, solution.burns_m_s)
     stopped = fly_many(config, samples=20_000, until=0.03)
     assert stopped.widest_interval() <= 0.03
@@ -55,9 +55,7 @@ def test_until_stops_at_the_width_asked(mission: Mission, solution: Solution) ->
     assert earlier.widest_interval() > 0.03
 
 
-def test_a_plan_holds_all_constraints_when_nothing_errs(
-    mission: Mission, solution: Solution
-) -> None:
+def test_a_plan_holds_all_constraints_when_nothing_errs(mission, solution):
     certain = mission.scenario.uncertainty.model_copy(
         update={"initial_sigma_fraction": 0.0, "execution_error": 0.0}
     )
@@ -68,9 +66,7 @@ def test_a_plan_holds_all_constraints_when_nothing_errs(
     assert flown.executed_dv.mean().value == pytest.approx(solution.total_dv_m_s, abs=1e-12)
 
 
-def test_without_uncertainty_nothing_spreads_and_the_report_is_json(
-    mission: Mission, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_without_uncertainty_nothing_spreads_and_the_report_is_json(mission, tmp_path, capsys):
     known = {"initial_sigma_fraction": 0.0, "execution_error": 0.0}
     certain = Mission.from_scenario(
         mission.scenario.model_copy(update={"uncertainty": Uncertainty(**known)})
@@ -123,9 +119,7 @@ def alone(config: FlightConfig) -> FlightTally:
 
 
 @pytest.mark.parametrize("executor", [backwards, Processes(2)])
-def test_tallies_are_the_same_for_any_split(
-    executor: Executor, config: FlightConfig, alone: FlightTally
-) -> None:
+def test_tallies_are_the_same_for_any_split(executor, config, alone):
     assert same(fly_many(config, samples=SAMPLES, executor=executor), alone)
 
 
@@ -137,7 +131,7 @@ def narrowed(config: FlightConfig) -> Iterator[FlightTally]:
         yield fly_many(config, samples=10_000, until=0.008)
 
 
-def test_few_flights_narrow_what_takes_many(config: FlightConfig, narrowed: FlightTally) -> None:
+def test_few_flights_narrow_what_takes_many(config, narrowed):
     assert narrowed.samples == 1_000
     assert narrowed.widest_interval() <= 0.008
     assert_narrowed(narrowed, fly_many(config, samples=4_000))
@@ -145,12 +139,8 @@ def test_few_flights_narrow_what_takes_many(config: FlightConfig, narrowed: Flig
 
 @pytest.mark.parametrize(("kind", "until"), [("other errors", 0.02), ("corrections", 0.004)])
 def test_few_flights_narrow_what_errors_and_corrections_change(
-    kind: str,
-    until: float,
-    config: FlightConfig,
-    solution: Solution,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+    kind, until, config, solution, monkeypatch
+):
     monkeypatch.setattr(flights, "PLAIN", 1_000)
     config = replace(config, errors="gates")
     if kind == "corrections":
@@ -171,9 +161,7 @@ def assert_narrowed(narrowed: FlightTally, plain: FlightTally) -> None:
         assert max(one.low, other.low) <= min(one.high, other.high)
 
 
-def test_narrowed_probabilities_are_the_same_for_any_split(
-    config: FlightConfig, narrowed: FlightTally, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_narrowed_probabilities_are_the_same_for_any_split(config, narrowed, monkeypatch):
     def sent(work: Work, jobs: Iterable[Job]) -> Generator[Done, None, None]:
         """As to another process."""
         yield from backwards(pickle.loads(pickle.dumps(work)), jobs)
@@ -184,9 +172,7 @@ def test_narrowed_probabilities_are_the_same_for_any_split(
     assert other.narrowed == narrowed.narrowed
 
 
-def test_a_summary_tells_the_flights_that_narrowed_it(
-    solution: Solution, narrowed: FlightTally, tmp_path: Path
-) -> None:
+def test_a_summary_tells_the_flights_that_narrowed_it(solution, narrowed, tmp_path):
     summary = summarise(narrowed, solution)
     summary.write(tmp_path)
     read = read_summary(tmp_path)
@@ -196,9 +182,7 @@ def test_a_summary_tells_the_flights_that_narrowed_it(
     assert read.probability["emission"].estimate == narrowed.worst_probability("emission")[1]
 
 
-def test_nothing_is_narrowed_where_flights_are_stopped_or_too_few(
-    config: FlightConfig, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_nothing_is_narrowed_where_flights_are_stopped_or_too_few(config, monkeypatch):
     monkeypatch.setattr(flights, "PLAIN", 1_000)
     few = fly_many(config, samples=1_500, until=0.008)
     assert (few.samples, few.narrowed) == (1_500, None)
@@ -209,7 +193,7 @@ def test_nothing_is_narrowed_where_flights_are_stopped_or_too_few(
     assert (stopped.samples, stopped.narrowed) == (1_000, None)
 
 
-def test_a_block_that_cannot_be_flown_is_told(config: FlightConfig) -> None:
+def test_a_block_that_cannot_be_flown_is_told(config):
     with pytest.raises(InputError, match="block 2, died: of hunger"):
         fly_many(config, samples=SAMPLES, executor=failing)
 
@@ -229,9 +213,7 @@ def short_config(short: Mission, tame: Solution) -> FlightConfig:
     return FlightConfig(short, tame.burns_m_s, seed=3)
 
 
-def test_stopped_and_continued_is_as_flown_at_once(
-    short_config: FlightConfig, tame: Solution, tmp_path: Path
-) -> None:
+def test_stopped_and_continued_is_as_flown_at_once(short_config, tame, tmp_path):
     whole = fly_many(short_config, samples=2500)
     stopped = fly_many(short_config, samples=2500, stop=lambda: True)
     assert stopped.samples == 1000
@@ -246,9 +228,7 @@ def test_stopped_and_continued_is_as_flown_at_once(
 
 
 @pytest.mark.parametrize("change", ["seed", "truth", "plan", "damage", "cut", "none"])
-def test_other_flights_and_damaged_files_count_as_none(
-    short: Mission, short_config: FlightConfig, tame: Solution, tmp_path: Path, change: str
-) -> None:
+def test_other_flights_and_damaged_files_count_as_none(short, short_config, tame, tmp_path, change):
     keep_flights(fly_many(short_config, samples=1000), tame, tmp_path)
     file = tmp_path / PARTIAL
     if change == "seed":
@@ -268,7 +248,7 @@ def test_other_flights_and_damaged_files_count_as_none(
     reliability.count(reliability.FAULTS)
 
 
-def test_ctrl_c_is_heard_once_and_then_at_once() -> None:
+def test_ctrl_c_is_heard_once_and_then_at_once():
     with asked_to_stop() as stop:
         assert not stop()
         signal.raise_signal(signal.SIGINT)
@@ -278,7 +258,7 @@ def test_ctrl_c_is_heard_once_and_then_at_once() -> None:
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
-def test_in_another_thread_nobody_asks() -> None:
+def test_in_another_thread_nobody_asks():
     heard: list[bool] = []
 
     def work() -> None:
@@ -291,12 +271,7 @@ def test_in_another_thread_nobody_asks() -> None:
     assert heard == [False]
 
 
-def test_the_command_keeps_and_continues(
-    tame: Solution,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_the_command_keeps_and_continues(tame, tmp_path, monkeypatch, capsys):
     folders = tmp_path / "a", tmp_path / "b"
     for folder in folders:
         folder.mkdir()

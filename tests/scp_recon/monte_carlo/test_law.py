@@ -59,7 +59,7 @@ def allocated(toy: Toy, flights: int = 20_000) -> Allocation:
 
 
 @pytest.mark.parametrize("bend_m", [0.0, 0.1, -0.2])
-def test_few_flights_reach_what_all_reach(bend_m: float) -> None:
+def test_few_flights_reach_what_all_reach(bend_m):
     toy = Toy(bend_m)
     found = fly_strata(LAW, toy, allocated(toy), SEED)
     reached = of_strata(found.whole, 0.975)
@@ -70,7 +70,7 @@ def test_few_flights_reach_what_all_reach(bend_m: float) -> None:
     assert reached.high - reached.low < 1.03 * (as_plain.high - as_plain.low)
 
 
-def test_a_law_that_is_wrong_where_it_was_sure_widens_the_interval() -> None:
+def test_a_law_that_is_wrong_where_it_was_sure_widens_the_interval():
     """Allocated for flights that follow the law, which others do not."""
     toy = Toy(-4.0)
     found = fly_strata(LAW, toy, allocated(Toy(0.1)), SEED).whole
@@ -80,14 +80,14 @@ def test_a_law_that_is_wrong_where_it_was_sure_widens_the_interval() -> None:
     assert reached.low <= truth <= reached.high
 
 
-def test_flights_are_told_as_they_are_flown() -> None:
+def test_flights_are_told_as_they_are_flown():
     toy, told = Toy(0.1), []
     found = fly_strata(LAW, toy, allocated(toy), SEED, lambda *numbers: told.append(numbers))
     assert told[-1] == (sum(found.whole.flown),) * 2
     assert [flown for _, flown in told] == sorted({flown for _, flown in told})
 
 
-def test_no_limit_within_reach_is_kept_for_sure() -> None:
+def test_no_limit_within_reach_is_kept_for_sure():
     free, toy = replace(LAW, limits=Limits((), ())), Toy(0.0)
     assert np.all(np.isinf(free.margin(draw(0, 0, SOURCES))))
     assert survey(free, toy, SEED).share.tolist() == [0.0, 0.0, 0.0, 0.0, 0.0, 1.0]
@@ -101,9 +101,7 @@ def law(solution: Solution) -> tuple[Mission, Law]:
     return mission, Law.of(lin, mission.units.length_m)
 
 
-def test_the_law_has_the_numbers_that_a_flight_draws_in_their_order(
-    solution: Solution, law: tuple[Mission, Law]
-) -> None:
+def test_the_law_has_the_numbers_that_a_flight_draws_in_their_order(solution, law):
     mission, its = law
     assert its.sources == number_of_sources(mission, solution.burns_m_s)
     draws = 0.01 * draw(3, 0, its.sources)[:50]
@@ -116,9 +114,7 @@ def test_the_law_has_the_numbers_that_a_flight_draws_in_their_order(
     assert its.margin(draws) == pytest.approx(its.margin_at(flown), abs=0.02)
 
 
-def test_a_mission_s_flights_in_strata_reach_what_plain_ones_reach(
-    solution: Solution, law: tuple[Mission, Law]
-) -> None:
+def test_a_mission_s_flights_in_strata_reach_what_plain_ones_reach(solution, law):
     mission, its = law
     flights = WholeFlights(mission, solution.burns_m_s)
     known = survey(its, flights, SEED)

@@ -10,7 +10,6 @@ import pytest
 
 from formulations.arrays import Array
 from formulations.risk.strata import Allocation, allocate
-from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.estimates import of_strata, proportion
 from scp_recon.monte_carlo.law import Law
 from scp_recon.monte_carlo.law_in_time import FlightsInTime, LawInTime, fly_in_time, survey_in_time
@@ -23,7 +22,6 @@ from scp_recon.monte_carlo.whole_flight import (
     looks_of,
     seconds_of,
 )
-from scp_recon.planning.plan import Plan
 from tests.scp_recon.monte_carlo.test_law import LAW, NODES, SEED, SOURCES
 
 NODES_S = 90.0 * np.arange(NODES)
@@ -72,7 +70,7 @@ def flown(toy: Toy, draws: float, share: float | None) -> FlightsInTime:
 
 
 @pytest.mark.parametrize("less_m", [0.0, 1.0, -3.0])
-def test_all_draws_flown_are_plain_flights_whatever_the_law_says(less_m: float) -> None:
+def test_all_draws_flown_are_plain_flights_whatever_the_law_says(less_m):
     toy = Toy(less_m)
     found = flown(toy, 3_000.0, 1.0)
     number = sum(found.throughout.drawn)
@@ -85,7 +83,7 @@ def test_all_draws_flown_are_plain_flights_whatever_the_law_says(less_m: float) 
 
 
 @pytest.mark.parametrize("less_m", [0.3, -1.0])
-def test_few_flights_reach_what_all_reach(less_m: float) -> None:
+def test_few_flights_reach_what_all_reach(less_m):
     toy, n = Toy(less_m), 20_000
     found = flown(toy, n, None).throughout
     draws = np.concatenate([draw(7, block, SOURCES) for block in range(20)])
@@ -97,15 +95,13 @@ def test_few_flights_reach_what_all_reach(less_m: float) -> None:
     assert reached.high - reached.low < 1.03 * (plain.high - plain.low)
 
 
-def test_draws_that_cross_a_limit_between_nodes_are_next_to_it() -> None:
+def test_draws_that_cross_a_limit_between_nodes_are_next_to_it():
     law = LawInTime({"ball": LAW}, NODES_S, {"ball": np.array([False, True, False, False])})
     margins = np.array([[5.0, 5.0, 5.0], [3.0, 3.0, -4.0], [-1.0, 1.0, -1.0], [-9.0, -9.0, 9.0]])
     assert law.nearest({"ball": margins}).tolist() == [0.0, 3.0, 0.0]
 
 
-def test_a_course_counts_what_flights_do_at_each_second(
-    mission: Mission, default_plan: Plan
-) -> None:
+def test_a_course_counts_what_flights_do_at_each_second(mission, default_plan):
     burns = 0.9 * default_plan.burns_m_s
     draws = draw(3, 0, number_of_sources(mission, burns))[:40]
     courses = WholeFlights(mission, burns).courses(draws)
@@ -126,9 +122,7 @@ def test_a_course_counts_what_flights_do_at_each_second(
     assert set(its.looks) <= set(looks_of(mission))
 
 
-def test_a_mission_s_flights_in_strata_reach_what_plain_ones_reach(
-    mission: Mission, default_plan: Plan
-) -> None:
+def test_a_mission_s_flights_in_strata_reach_what_plain_ones_reach(mission, default_plan):
     burns = default_plan.burns_m_s
     laws = Law.of_events(default_plan.final.result.lin, mission.units.length_m)
     flights = WholeFlights(mission, burns)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -40,9 +39,7 @@ def flown(solution: Solution, flights: int, *words: str) -> tuple[Flights, tuple
 
 
 @pytest.mark.parametrize("lead_s", [3600.0, 7000.0])
-def test_what_is_known_at_cut_offs_is_what_the_planners_filter_knows(
-    solution: Solution, lead_s: float
-) -> None:
+def test_what_is_known_at_cut_offs_is_what_the_planners_filter_knows(solution, lead_s):
     """By rows of innovations, without corrections."""
     case = case_of(lead_s, solution, size=0.0)
     found = replans(case.mission, case.burns_m_s)
@@ -58,9 +55,7 @@ def test_what_is_known_at_cut_offs_is_what_the_planners_filter_knows(
         np.testing.assert_allclose(known / scale, one.estimate_covariance / scale, atol=1e-6)
 
 
-def test_estimates_are_as_good_as_the_filter_says(
-    solution: Solution, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_estimates_are_as_good_as_the_filter_says(solution, monkeypatch):
     """With small errors: flights far off the plan bend away from what a linear filter expects."""
     seen: list[Array] = []
 
@@ -78,9 +73,7 @@ def test_estimates_are_as_good_as_the_filter_says(
         np.testing.assert_allclose(values, 1.0, atol=VALUES)
 
 
-def test_a_flight_that_cannot_be_planned_again_flies_its_last_plan(
-    solution: Solution, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_flight_that_cannot_be_planned_again_flies_its_last_plan(solution, monkeypatch):
     """Where the first replan finds burns for half of the flights, and the others none."""
     found: list[Array] = []
 
@@ -99,9 +92,7 @@ def test_a_flight_that_cannot_be_planned_again_flies_its_last_plan(
     np.testing.assert_array_equal(flights.burns_m_s[1::2], alone.burns_m_s[1::2])
 
 
-def test_the_command_flies_a_plan_by_any_policy(
-    solution: Solution, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_flies_a_plan_by_any_policy(solution, tmp_path, capsys):
     """Another policy than the plan's has a file of its own. What is planned again meets the end."""
     replace(solution, scenario=mission_of(*MEASURED).scenario).write(tmp_path)
     montecarlo.main([str(tmp_path), "--samples=20", "--policy=replan"])
@@ -127,9 +118,7 @@ def test_the_command_flies_a_plan_by_any_policy(
         ("replan", (*MEASURED, "navigation.lead_s=20000"), "cut-off of burn 3 precedes"),
     ],
 )
-def test_policies_that_a_plan_cannot_fly_are_refused(
-    solution: Solution, policy: str, words: tuple[str, ...], told: str
-) -> None:
+def test_policies_that_a_plan_cannot_fly_are_refused(solution, policy, words, told):
     given = replace(solution, scenario=mission_of(*words).scenario)
     with pytest.raises(InputError, match=told):
         fly(given, samples=20, policy=policy)  # type: ignore[arg-type]

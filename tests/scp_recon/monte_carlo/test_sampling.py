@@ -51,9 +51,7 @@ def burns(solution: Solution) -> Array:
     return solution.burns_m_s
 
 
-def test_flights_do_not_depend_on_how_many_are_flown_and_no_two_are_the_same(
-    mission: Mission, burns: Array
-) -> None:
+def test_flights_do_not_depend_on_how_many_are_flown_and_no_two_are_the_same(mission, burns):
     before = np.random.get_state()[1].copy()  # noqa: NPY002
     few = sample_positions(mission, burns, LOOK, 500, 0)
     many = sample_positions(mission, burns, LOOK, 1500, 0)
@@ -67,13 +65,13 @@ def test_flights_do_not_depend_on_how_many_are_flown_and_no_two_are_the_same(
     np.testing.assert_array_equal(np.random.get_state()[1], before)  # noqa: NPY002
 
 
-def test_looking_more_often_does_not_change_the_flights(mission: Mission, burns: Array) -> None:
+def test_looking_more_often_does_not_change_the_flights(mission, burns):
     rarely = sample_positions(mission, burns, LOOK[-1:], 50, 0)[-1]
     often = sample_positions(mission, burns, np.linspace(0.0, LOOK[-1], 700), 50, 0)[-1]
     np.testing.assert_allclose(rarely, often, rtol=0.0, atol=1e-2)
 
 
-def test_each_flight_is_that_of_an_adaptive_integration(mission: Mission, burns: Array) -> None:
+def test_each_flight_is_that_of_an_adaptive_integration(mission, burns):
     times = np.array(mission.scenario.burns.times_s)
     flights = fly_block(mission, burns, times, 0, flights=4)
     for flight in range(4):
@@ -93,7 +91,7 @@ def assert_white(standard: Array) -> None:
     assert np.abs(correlation).max() < 5.0 / np.sqrt(BLOCK)
 
 
-def test_initial_states_and_burns_err_as_specified(mission: Mission, burns: Array) -> None:
+def test_initial_states_and_burns_err_as_specified(mission, burns):
     x0 = mission.initial_state
     flown = fly_block(mission, np.zeros((4, 3)), LOOK[:1], 0).states[0]
     assert_white((flown - x0) / (0.01 * np.abs(x0)))
@@ -101,7 +99,7 @@ def test_initial_states_and_burns_err_as_specified(mission: Mission, burns: Arra
     assert_white(((executed / burns - 1.0) / 0.08).reshape(BLOCK, 12))
 
 
-def test_sampled_covariance_is_the_predicted_one_where_errors_are_small(burns: Array) -> None:
+def test_sampled_covariance_is_the_predicted_one_where_errors_are_small(burns):
     """With a hundredth of the uncertainty the spread is linear, and its covariance exact."""
     small = mission_of(
         "uncertainty.initial_sigma_fraction=0.0001", "uncertainty.execution_error=0.0008"
@@ -132,9 +130,7 @@ def test_sampled_covariance_is_the_predicted_one_where_errors_are_small(burns: A
     share=st.floats(0.0, 1.0),
     radius=st.floats(0.0, 1e4),
 )
-def test_a_flight_past_a_ball_is_seen_at_any_speed(
-    speed: float, closest: float, share: float, radius: float
-) -> None:
+def test_a_flight_past_a_ball_is_seen_at_any_speed(speed, closest, share, radius):
     """Straight past a centre: where a limit is broken between two looks, the dip allows for it."""
     looks = LOOK_S * np.arange(-4.0, 5.0)
     passed = share * LOOK_S
@@ -148,14 +144,14 @@ def test_a_flight_past_a_ball_is_seen_at_any_speed(
         assert ends.min() < may_dip(looks, margin(looks))[4] + 1e-9 * (radius + closest)
 
 
-def test_a_slow_flight_is_not_looked_at_far_from_a_limit() -> None:
+def test_a_slow_flight_is_not_looked_at_far_from_a_limit():
     """At Bennu's speeds margins dip by centimetres in half a minute."""
     looks = LOOK_S * np.arange(100.0)
     margin = np.hypot(600.0, 0.15 * (looks - 1500.0)) - 500.0
     assert may_dip(looks, margin).max() < 0.05
 
 
-def test_two_looks_tell_nothing_of_what_is_between_them() -> None:
+def test_two_looks_tell_nothing_of_what_is_between_them():
     assert np.isinf(may_dip(np.array([0.0, 30.0]), np.array([[5.0], [5.0]]))).all()
 
 
@@ -164,7 +160,7 @@ def test_two_looks_tell_nothing_of_what_is_between_them() -> None:
 FLIGHTS, SEED = 1000, 5
 
 
-def test_until_a_burn_the_path_goes_on_as_it_did(solution: Solution) -> None:
+def test_until_a_burn_the_path_goes_on_as_it_did(solution):
     """Between the last look and a burn at the next one: with the velocity before it, not after it."""
     burn_s = solution.scenario.burns.times_s[1]
     burns = solution.burns_m_s.copy()
@@ -189,7 +185,7 @@ def sparse(solution: Solution) -> tuple[Mission, Array, KeptFlights]:
     return mission, solution.burns_m_s, kept_flights(mission, solution.burns_m_s, FLIGHTS, SEED)
 
 
-def test_nodes_there_close_the_gap(sparse: tuple[Mission, Array, KeptFlights]) -> None:
+def test_nodes_there_close_the_gap(sparse):
     mission, burns, kept = sparse
     finer = with_nodes_at(mission, kept.touched_s)
     again = kept_flights(finer, burns, FLIGHTS, SEED)
@@ -211,9 +207,7 @@ def bold_burns(solution: Solution) -> np.ndarray:
     return solution.burns_m_s * np.array([1.03, 0.97, 1.0, 1.0])[:, None]
 
 
-def test_time_held_matches_a_scan_at_half_a_second(
-    mission: Mission, bold_burns: np.ndarray
-) -> None:
+def test_time_held_matches_a_scan_at_half_a_second(mission, bold_burns):
     looks = FlightConfig(mission, bold_burns).looks_s
     coarse = fly_block(mission, bold_burns, looks, 0, flights=SCANNED)
     found = time_held(mission, looks, coarse.states)
@@ -237,7 +231,7 @@ def test_time_held_matches_a_scan_at_half_a_second(
     assert partly.sum() >= 5, "or constants were compared"
 
 
-def test_a_dip_between_two_looks_is_counted(mission: Mission) -> None:
+def test_a_dip_between_two_looks_is_counted(mission):
     """A flight straight through the upper distance limit and back within one spacing."""
     looks = np.linspace(*mission.schedule.window_s, 58)
     spacing = looks[1] - looks[0]
@@ -267,7 +261,7 @@ def test_a_dip_between_two_looks_is_counted(mission: Mission) -> None:
     assert looks[-1] - looks[0] - held == pytest.approx(above, abs=1.0)
 
 
-def test_margins_vanish_on_the_limits(mission: Mission) -> None:
+def test_margins_vanish_on_the_limits(mission):
     from scp_recon.physics import geometry
 
     time = np.array([mission.schedule.window_s[0]])
@@ -282,7 +276,7 @@ def test_margins_vanish_on_the_limits(mission: Mission) -> None:
 
 
 @given(samples=st.integers(1, 20_000), share=st.floats(0.0, 1.0))
-def test_interval_is_clopper_and_pearsons(samples: int, share: float) -> None:
+def test_interval_is_clopper_and_pearsons(samples, share):
     successes = round(share * samples)
     tail = 0.5 * (1.0 - CONFIDENCE)
     low = beta.ppf(tail, successes, samples - successes + 1) if successes else 0.0
@@ -297,7 +291,7 @@ def test_interval_is_clopper_and_pearsons(samples: int, share: float) -> None:
 @given(
     level=st.floats(1e-9, 1.0 - 1e-9), samples=st.integers(1, 20_000), share=st.floats(1e-3, 0.999)
 )
-def test_quantile_is_the_binomial_law_s(level: float, samples: int, share: float) -> None:
+def test_quantile_is_the_binomial_law_s(level, samples, share):
     """But for rounding where the law steps at the very level."""
     ours, theirs = binomial_quantile(level, samples, share), binom.ppf(level, samples, share)
     least = min(ours, theirs)

@@ -62,9 +62,7 @@ def refused(path: Path, content: str) -> InputError:
     return caught.value
 
 
-def test_the_file_has_the_keys_it_always_had_and_the_plans_hash(
-    data: Data, solution: Solution
-) -> None:
+def test_the_file_has_the_keys_it_always_had_and_the_plans_hash(data, solution):
     assert list(data) == [
         *("schema", "plan_hash", "samples", "seed", "truth", "errors", "policy", "confidence"),
         *("planned_dv_m_s", "window_s", "held_s", "entry_s", "exit_s", "probability"),
@@ -77,9 +75,7 @@ def test_the_file_has_the_keys_it_always_had_and_the_plans_hash(
     assert set(data["terminal"]["sigma_ratio"]) == set(COMPONENTS)
 
 
-def test_an_open_end_is_null_in_the_file_and_infinite_in_the_estimate(
-    data: Data, summary: Summary
-) -> None:
+def test_an_open_end_is_null_in_the_file_and_infinite_in_the_estimate(data, summary):
     mean = summary.held_s[ALL].mean
     assert data["held_s"][ALL]["mean"] == {"value": mean.value, "low": None, "high": None}
     assert mean.estimate == (mean.value, -math.inf, math.inf)
@@ -87,9 +83,7 @@ def test_an_open_end_is_null_in_the_file_and_infinite_in_the_estimate(
     assert math.isnan(nothing.estimate.value)
 
 
-def test_a_spread_of_no_flights_is_its_count(
-    mission: Mission, solution: Solution, flown: FlightTally, tmp_path: Path
-) -> None:
+def test_a_spread_of_no_flights_is_its_count(mission, solution, flown, tmp_path):
     none = FlightTally(FlightConfig(mission, solution.burns_m_s))
     never = copy.copy(flown)
     never.entry, never.exit = none.entry, none.exit
@@ -98,9 +92,7 @@ def test_a_spread_of_no_flights_is_its_count(
     assert read_summary(path).exit_s.mean is None
 
 
-def test_flights_of_another_plan_are_not_summarised(
-    mission: Mission, solution: Solution, flown: FlightTally
-) -> None:
+def test_flights_of_another_plan_are_not_summarised(mission, solution, flown):
     doubled = FlightConfig(mission, 2.0 * solution.burns_m_s)
     with pytest.raises(ValueError, match="another plan"):
         summarise(fly_many(doubled, samples=20), solution)
@@ -110,7 +102,7 @@ def test_flights_of_another_plan_are_not_summarised(
         summarise(flown, replace(solution, scenario=scenario))
 
 
-def test_round_trip_through_file_and_folder(summary: Summary, tmp_path: Path) -> None:
+def test_round_trip_through_file_and_folder(summary, tmp_path):
     path = summary.write(tmp_path)
     assert path == tmp_path / FILE_NAME
     assert read_summary(path) == read_summary(tmp_path) == summary
@@ -118,9 +110,7 @@ def test_round_trip_through_file_and_folder(summary: Summary, tmp_path: Path) ->
     assert read_summary(tmp_path).write(tmp_path).read_bytes() == before
 
 
-def test_a_summary_knows_its_plan_unless_its_file_is_older(
-    summary: Summary, data: Data, solution: Solution, tmp_path: Path
-) -> None:
+def test_a_summary_knows_its_plan_unless_its_file_is_older(summary, data, solution, tmp_path):
     assert summary.is_of(solution)
     first, *others = solution.burns
     moved = replace(first, dv_m_s=(math.nextafter(first.dv_m_s[0], 1.0), 0.0, 0.0))
@@ -132,7 +122,7 @@ def test_a_summary_knows_its_plan_unless_its_file_is_older(
     assert not read.is_of(solution)
 
 
-def test_every_number_is_a_number(tmp_path: Path, data: Data) -> None:
+def test_every_number_is_a_number(tmp_path, data):
     places = list(numbers(data))
     assert len(places) > 100
     for where, value in zip(
@@ -156,9 +146,7 @@ def test_every_number_is_a_number(tmp_path: Path, data: Data) -> None:
         (("terminal", "normality", "x", "levels"), [0.5]),
     ],
 )
-def test_parts_that_do_not_fit_together_are_refused(
-    tmp_path: Path, data: Data, path: tuple[str, ...], value: object
-) -> None:
+def test_parts_that_do_not_fit_together_are_refused(tmp_path, data, path, value):
     wrong = json.dumps(with_value(data, path, value))
     assert path[0] in str(refused(tmp_path / FILE_NAME, wrong))
 
@@ -173,9 +161,7 @@ def requiring(solution: Solution, p: float) -> Solution:
 
 
 @pytest.mark.parametrize(("until", "status"), [("30%", 0), ("5%", 4)])
-def test_an_interval_that_stays_too_wide_is_told(
-    until: str, status: int, solution: Solution, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_interval_that_stays_too_wide_is_told(until, status, solution, tmp_path, capsys):
     """Where the flights allowed are too few to narrow it."""
     solution.write(tmp_path)
     assert montecarlo.main([str(tmp_path), "--samples", "300", "--until", until]) == status
@@ -183,7 +169,7 @@ def test_an_interval_that_stays_too_wide_is_told(
     assert ("%, required 5 %: needs more --samples" in said) == bool(status)
 
 
-def test_what_is_not_met_stands_beside_what_is_required(many: Summary, solution: Solution) -> None:
+def test_what_is_not_met_stands_beside_what_is_required(many, solution):
     assert shortfalls(many, solution) == []
     found = shortfalls(many, requiring(solution, 0.99))
     short = {n for n, p in many.probability.items() if p.estimate.value < 0.99} - {ALL}
@@ -206,9 +192,7 @@ def test_what_is_not_met_stands_beside_what_is_required(many: Summary, solution:
         ({"name": "Apophis"}, "nothing for Apophis"),
     ],
 )
-def test_the_packaged_field_is_flown_about_its_own_body_only(
-    changes: dict[str, float], words: str, mission: Mission, solution: Solution
-) -> None:
+def test_the_packaged_field_is_flown_about_its_own_body_only(changes, words, mission, solution):
     """Even where all the figures of another body are Bennu's."""
     if "name" in changes:
         other = Mission.from_scenario(file_of(solution.scenario, {}, **changes))

@@ -40,7 +40,7 @@ def near(space: Space) -> Near:
 STEP = 1e-3
 
 
-def test_multipliers_give_the_derivative_by_phases_and_times(space: Space, near: Near) -> None:
+def test_multipliers_give_the_derivative_by_phases_and_times(space, near):
     first = near.first
     assert first.converged
     unit = first.mission.units.speed_m_s
@@ -52,9 +52,7 @@ def test_multipliers_give_the_derivative_by_phases_and_times(space: Space, near:
         assert slope[j] == pytest.approx((ahead - behind) / (2.0 * STEP), rel=2e-3, abs=1e-6)
 
 
-def test_a_descent_is_never_worse_and_its_pass_can_be_planned_as_it_is(
-    space: Space, near: Near
-) -> None:
+def test_a_descent_is_never_worse_and_its_pass_can_be_planned_as_it_is(space, near):
     seen: list[PassResult] = []
     best = descend(space, near.first.at, near.first.burns_m_s, seen.append, rounds_max=1)
     assert best.dv_m_s < 0.95 * near.first.dv_m_s
@@ -65,7 +63,7 @@ def test_a_descent_is_never_worse_and_its_pass_can_be_planned_as_it_is(
     assert again.total_dv_m_s == pytest.approx(best.dv_m_s, rel=2e-3)
 
 
-def test_times_that_are_all_given_leave_no_rules_to_keep(near: Near) -> None:
+def test_times_that_are_all_given_leave_no_rules_to_keep(near):
     space = spaces_of(home_scenario(design={"burn_times": "given"}))[0][0]
     at = Pass(near.first.at.phases, space.mission.scenario.burns.times_s)
     best = descend(space, at, near.first.burns_m_s, lambda _: None, rounds_max=1)
@@ -85,7 +83,7 @@ def _interrupted(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("_interrupted")
-def test_an_interrupt_ends_the_map_and_a_descent(space: Space) -> None:
+def test_an_interrupt_ends_the_map_and_a_descent(space):
     times = (0.0, 8000.0, 24_000.0, 34_842.0)
     with pytest.raises(KeyboardInterrupt):
         scan(space, times, lambda _: None)
@@ -116,9 +114,7 @@ def few() -> tuple[Space, Near]:
     return near_of(home_scenario(COARSE | {"burns.times_s": [0.0, 25_000.0, 34_842.0]}))
 
 
-def test_a_burn_is_tried_where_the_primer_exceeds_one_and_makes_the_pass_cheaper(
-    few: tuple[Space, Near],
-) -> None:
+def test_a_burn_is_tried_where_the_primer_exceeds_one_and_makes_the_pass_cheaper(few):
     space, near = few
     found = near.first
     assert found.converged
@@ -149,14 +145,12 @@ def test_a_burn_is_tried_where_the_primer_exceeds_one_and_makes_the_pass_cheaper
     assert after < 0.99 * before
 
 
-def test_there_are_eight_burns_at_most(
-    few: tuple[Space, Near], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_there_are_eight_burns_at_most(few, monkeypatch):
     monkeypatch.setattr(design, "BURNS_MAX", 3)
     assert other_counts(few[0], few[1].first) == []
 
 
-def test_inner_burns_that_have_vanished_are_left_out_with_their_rules() -> None:
+def test_inner_burns_that_have_vanished_are_left_out_with_their_rules():
     space, near = near_of(home_scenario(COARSE | {"burns.times_s": [0.0, 25_000.0, 34_842.0]}))
     found = near.first
     assert vanished(space, found) is None
@@ -167,7 +161,7 @@ def test_inner_burns_that_have_vanished_are_left_out_with_their_rules() -> None:
     assert fewer.burns_m_s.shape == (2, 3)
 
 
-def test_where_errors_do_not_shrink_one_more_and_one_less_is_tried() -> None:
+def test_where_errors_do_not_shrink_one_more_and_one_less_is_tried():
     changes = COARSE | GATES | {"burns.times_s": [0.0, 25_000.0, 38_000.0]}
     space, near = near_of(home_scenario(changes, design={"arrival_s": [36_000.0, 52_000.0]}))
     assert near.first.converged

@@ -89,9 +89,7 @@ def run(world: World, patch: pytest.MonkeyPatch) -> tuple[Any, int, list[Trial]]
     return found, edges.index(space.window_s), designer.trials
 
 
-def test_the_next_window_is_mapped_where_the_first_has_no_pass(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_the_next_window_is_mapped_where_the_first_has_no_pass(monkeypatch):
     costs = tuple(float(10 - k) for k in range(12))
     found, window, tried = run(World({1, 2}, {2}, costs=costs), monkeypatch)
     assert found.converged
@@ -99,7 +97,7 @@ def test_the_next_window_is_mapped_where_the_first_has_no_pass(
     assert [one.window for one in tried if one.step == "map"] == [0, 1, 2]
 
 
-def test_later_windows_are_tried_and_the_cheapest_counts(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_later_windows_are_tried_and_the_cheapest_counts(monkeypatch):
     costs = (3.0, 1.0, *([5.0] * 10))
     everywhere = set(range(12))
     found, window, tried = run(World(everywhere, everywhere, costs=costs), monkeypatch)
@@ -107,9 +105,7 @@ def test_later_windows_are_tried_and_the_cheapest_counts(monkeypatch: pytest.Mon
     assert [one.window for one in tried if one.step == "map"] == [0]
 
 
-def test_a_valley_without_a_plan_is_left_by_way_of_one_without_uncertainty(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_valley_without_a_plan_is_left_by_way_of_one_without_uncertainty(monkeypatch):
     world = World({0}, {0}, only_after_certain=True, costs=tuple(float(k) for k in range(12)))
     found, window, tried = run(world, monkeypatch)
     assert found.converged
@@ -121,8 +117,8 @@ def test_a_valley_without_a_plan_is_left_by_way_of_one_without_uncertainty(
 
 @pytest.mark.parametrize(("planned", "tried"), [({1}, [1]), ({0}, [1, 0]), (set(), [1, 0])])
 def test_with_feedback_a_pass_without_uncertainty_has_to_have_a_plan_with_gains(
-    monkeypatch: pytest.MonkeyPatch, planned: set[int], tried: list[int]
-) -> None:
+    monkeypatch, planned, tried
+):
     """Windows with more burns before them come first."""
     scenario = load_scenario("kingfisher").replace(MEASURED)
     edges = [space.window_s for space, _ in spaces_of(scenario)]
@@ -141,7 +137,7 @@ def test_with_feedback_a_pass_without_uncertainty_has_to_have_a_plan_with_gains(
 
 
 @nightly
-def test_kingfisher_as_packaged_has_a_pass_with_feedback() -> None:
+def test_kingfisher_as_packaged_has_a_pass_with_feedback():
     """It has none open loop."""
     scenario = load_scenario("kingfisher").replace(MEASURED | {"risk.p_chance": 0.9})
     plan = sr.design(scenario).plan
@@ -152,18 +148,14 @@ def test_kingfisher_as_packaged_has_a_pass_with_feedback() -> None:
 
 
 @pytest.mark.parametrize(("mapped", "furthest"), [(set(), 0), ({1}, 1)])
-def test_where_none_has_a_plan_the_one_that_came_furthest_is_told(
-    monkeypatch: pytest.MonkeyPatch, mapped: set[int], furthest: int
-) -> None:
+def test_where_none_has_a_plan_the_one_that_came_furthest_is_told(monkeypatch, mapped, furthest):
     """Where the second is mapped it is short by 0.2, and the first one's map by 1."""
     found, window, _ = run(World(mapped, set(), costs=(1.0,) * 12), monkeypatch)
     assert (found.converged, window) == (False, furthest)
 
 
 @pytest.mark.parametrize(("cost", "burns"), [(9.0, 4), (0.5, 5)])
-def test_a_burn_more_counts_only_where_it_is_cheaper(
-    monkeypatch: pytest.MonkeyPatch, cost: float, burns: int
-) -> None:
+def test_a_burn_more_counts_only_where_it_is_cheaper(monkeypatch, cost, burns):
     """Whatever the descent with one more ends at: with it no pass is dearer than without."""
 
     def more(space: Any, found: Made) -> list[Candidate]:

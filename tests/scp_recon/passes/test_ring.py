@@ -79,7 +79,7 @@ def from_file(path: Path, **home: Any) -> Scenario:
 
 
 @pytest.mark.parametrize("kind", ["csv", "oem", "bsp"])
-def test_the_ring_of_a_file_is_the_revolution_in_it(kind: str, tmp_path: Path) -> None:
+def test_the_ring_of_a_file_is_the_revolution_in_it(kind, tmp_path):
     times, states = revolution()
     path, more = tmp_path / f"home.{kind}", {}
     if kind == "csv":
@@ -103,9 +103,7 @@ def test_the_ring_of_a_file_is_the_revolution_in_it(kind: str, tmp_path: Path) -
     )
 
 
-def test_the_file_is_named_relative_to_its_scenario_and_designs_alone_take_it(
-    tmp_path: Path,
-) -> None:
+def test_the_file_is_named_relative_to_its_scenario_and_designs_alone_take_it(tmp_path):
     write_csv(tmp_path / "home.csv", *revolution())
     text = scenario_text(home_scenario()).replace(
         "[boundary.home]", '[boundary.home]\nephemeris_file = "home.csv"'
@@ -131,22 +129,20 @@ FILE = r"boundary\.home\.ephemeris_file"
         ((1.3, 1.0, 400), {"spacecraft_id": -64}, r"boundary\.home\.spacecraft_id.*no kernel"),
     ],
 )
-def test_a_file_that_is_no_home_orbit_is_refused(
-    track: tuple[float, float, int], home: dict[str, Any], told: str, tmp_path: Path
-) -> None:
+def test_a_file_that_is_no_home_orbit_is_refused(track, home, told, tmp_path):
     path = write_csv(tmp_path / "home.csv", *revolution(*track))
     with pytest.raises(InputError, match=told):
         spaces_of(from_file(path, **home))
 
 
-def test_a_burn_on_the_way_round_is_told(tmp_path: Path) -> None:
+def test_a_burn_on_the_way_round_is_told(tmp_path):
     times, states = revolution()
     times, states = np.insert(times, 100, times[100]), np.insert(states, 100, states[100], axis=0)
     with pytest.raises(InputError, match=f"{FILE}.*without a burn"):
         spaces_of(from_file(write_csv(tmp_path / "home.csv", times, states)))
 
 
-def test_bad_files_are_told_by_the_entry(tmp_path: Path) -> None:
+def test_bad_files_are_told_by_the_entry(tmp_path):
     with pytest.raises(InputError, match=f"^{FILE}"):
         spaces_of(from_file(tmp_path / "none.csv"))
     pytest.importorskip("oem")

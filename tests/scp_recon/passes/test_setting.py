@@ -24,9 +24,7 @@ RULES = ScheduleRules(attitude_s=1800.0, heating_s=1800.0, recharge_s=1200.0)
 
 
 @given(st.floats(0, 2 * np.pi), st.sampled_from(["right_handed", "left_handed"]))
-def test_the_home_orbit_is_a_circle_at_two_body_speed_in_its_plane(
-    phase: float, sense: str
-) -> None:
+def test_the_home_orbit_is_a_circle_at_two_body_speed_in_its_plane(phase, sense):
     scenario = home_scenario(sense=sense)
     home, gm = scenario.boundary.home, scenario.body.gm_m3_s2
     r, v = home.state(phase, gm).reshape(2, 3)
@@ -38,7 +36,7 @@ def test_the_home_orbit_is_a_circle_at_two_body_speed_in_its_plane(
     )
 
 
-def test_a_flown_home_orbit_leaves_the_circle_slowly_and_obeys_the_forces() -> None:
+def test_a_flown_home_orbit_leaves_the_circle_slowly_and_obeys_the_forces():
     """Held against an integration of the test's own, from one phase to another."""
     space, _ = spaces_of(home_scenario(flown=True))[0]
     circle, _ = spaces_of(home_scenario())[0]
@@ -57,14 +55,14 @@ def test_a_flown_home_orbit_leaves_the_circle_slowly_and_obeys_the_forces() -> N
 
 
 @pytest.mark.parametrize("site", ["nightingale", "kingfisher", "osprey", "sandpiper"])
-def test_packaged_designs_have_a_window_and_legal_times(site: str) -> None:
+def test_packaged_designs_have_a_window_and_legal_times(site):
     scenario = load_scenario(site)
     assert scenario.site.name.casefold() == site
     assert scenario.body == load_scenario("recon_b").body
     assert spaces_of(scenario)
 
 
-def test_with_feedback_as_many_burns_as_fit_come_before_each_window() -> None:
+def test_with_feedback_as_many_burns_as_fit_come_before_each_window():
     """Legal, planned open loop, and told to correct again in the scenario that is found."""
     scenario = load_scenario("kingfisher").replace(MEASURED)
     counts = []
@@ -80,7 +78,7 @@ def test_with_feedback_as_many_burns_as_fit_come_before_each_window() -> None:
     assert fixed.policy == scenario.policy
 
 
-def test_a_home_orbit_with_fixed_phases_is_planned_like_any_boundary() -> None:
+def test_a_home_orbit_with_fixed_phases_is_planned_like_any_boundary():
     fixed = home_scenario(departure_deg=[150.0, 150.0], arrival_deg=[0.0, 0.0])
     mission = Mission.from_scenario(fixed)
     axes = mission.scene.boundary_axes
@@ -90,12 +88,12 @@ def test_a_home_orbit_with_fixed_phases_is_planned_like_any_boundary() -> None:
     assert moved.scenario.boundary.home is None
 
 
-def test_free_phases_are_refused_where_nothing_chooses_them() -> None:
+def test_free_phases_are_refused_where_nothing_chooses_them():
     with pytest.raises(InputError, match=r"boundary.home.*scp_recon design"):
         Mission.from_scenario(home_scenario())
 
 
-def test_states_and_a_home_orbit_take_each_other_s_place() -> None:
+def test_states_and_a_home_orbit_take_each_other_s_place():
     scenario = home_scenario()
     given_states = scenario.replace({"boundary.initial_position_m": [900.0, 0.0, 100.0]})
     assert given_states.boundary.home is None
@@ -122,12 +120,12 @@ def test_states_and_a_home_orbit_take_each_other_s_place() -> None:
         ({"design.burn_times": "any"}, "design.burn_times"),
     ],
 )
-def test_bad_entries_are_named(changes: dict[str, object], entry: str) -> None:
+def test_bad_entries_are_named(changes, entry):
     with pytest.raises(InputError, match=f"^{entry}"):
         home_scenario(changes)
 
 
-def test_a_wrong_entry_beside_a_home_orbit_calls_no_state_missing() -> None:
+def test_a_wrong_entry_beside_a_home_orbit_calls_no_state_missing():
     """They follow as soon as it is mended."""
     text = {"base": "nightingale", "boundary": {"final_sigma_position_m": -1.0}}
     with pytest.raises(InputError, match=r"^boundary\.final_sigma_position_m") as told:
@@ -150,19 +148,17 @@ def test_a_wrong_entry_beside_a_home_orbit_calls_no_state_missing() -> None:
         ({}, {"arrival_s": [30_000.0, 900_000.0]}, "at most 24"),
     ],
 )
-def test_what_no_design_can_begin_with_is_refused(
-    changes: dict[str, object], design: dict[str, object] | None, told: str
-) -> None:
+def test_what_no_design_can_begin_with_is_refused(changes, design, told):
     with pytest.raises(InputError, match=told):
         spaces_of(home_scenario(changes, design))
 
 
-def test_a_design_needs_a_home_orbit() -> None:
+def test_a_design_needs_a_home_orbit():
     with pytest.raises(InputError, match=r"boundary\.home.*nothing"):
         spaces_of(load_scenario())
 
 
-def test_every_window_of_a_span_has_a_space_with_legal_times() -> None:
+def test_every_window_of_a_span_has_a_space_with_legal_times():
     design = {"departure_s": [-20_000.0, 30_000.0], "arrival_s": [10_000.0, 70_000.0]}
     scenario = home_scenario(design=design)
     spaces = spaces_of(scenario)
@@ -176,7 +172,7 @@ def test_every_window_of_a_span_has_a_space_with_legal_times() -> None:
 
 
 @pytest.mark.parametrize("later_s", [0.0, 777.0])
-def test_a_settled_pass_starts_and_ends_on_the_ring_with_the_same_window(later_s: float) -> None:
+def test_a_settled_pass_starts_and_ends_on_the_ring_with_the_same_window(later_s):
     span = [0.0, 2000.0]
     scenario = home_scenario(design={"departure_s": span, "arrival_s": [30_000.0, 40_000.0]})
     space, times = spaces_of(scenario)[0]
@@ -193,7 +189,7 @@ def test_a_settled_pass_starts_and_ends_on_the_ring_with_the_same_window(later_s
     assert fixed.design is None
 
 
-def test_a_scenario_written_out_reads_back_the_same() -> None:
+def test_a_scenario_written_out_reads_back_the_same():
     scenario = home_scenario({"grid.nodes_s": [100.0]}, design={"departure_s": [0.0, 1.0]})
     assert validate_scenario(tomllib.loads(scenario_text(scenario))) == scenario
 
@@ -203,9 +199,7 @@ def test_a_scenario_written_out_reads_back_the_same() -> None:
     st.floats(5_000, 30_000),
     st.integers(0, 4),
 )
-def test_nearest_legal_times_keep_the_schedule_s_rules(
-    wanted: list[float], opens: float, before: int
-) -> None:
+def test_nearest_legal_times_keep_the_schedule_s_rules(wanted, opens, before):
     """The oracle is the schedule itself, which is laid out burn by burn."""
     window, m = (opens, opens + 3000.0), len(wanted)
     spans = [(0.0, 0.0), *[(0.0, 90_000.0)] * (m - 1)]

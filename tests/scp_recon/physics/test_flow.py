@@ -17,7 +17,6 @@ from scp_recon.mission.grid import RK4_STEP_MAX_S
 from scp_recon.mission.mission import Mission
 from scp_recon.physics.flow import differentiate, interpolate, propagate
 from scp_recon.physics.forces import ForceModel, acceleration
-from scp_recon.planning.planner import Plan
 from tests.scp_recon.support import COMPANION, burns_of, fly, integrate
 
 ARC_S = 232.0
@@ -79,12 +78,7 @@ def differentiated(forces: ForceModel) -> Callable[[Array, float], list[Array]]:
 
 @settings(max_examples=30)
 @given(state=states())
-def test_sensitivities_are_the_derivatives_of_the_scheme(
-    state: Array,
-    forces: ForceModel,
-    arc: float,
-    differentiated: Callable[[Array, float], list[Array]],
-) -> None:
+def test_sensitivities_are_the_derivatives_of_the_scheme(state, forces, arc, differentiated):
     ours = differentiate(state[None], np.array([arc]), forces, SUBSTEPS)
     expected = differentiated(state, arc)
     for name, truth in zip(("state", "stm", "tensor"), expected, strict=True):
@@ -112,9 +106,7 @@ def surroundings(forces: ForceModel, t: ca.SX) -> list[list[ca.SX]]:
 @pytest.mark.parametrize(
     "entries", [{}, {"body.planned_degree": 4}, {"body.companion": COMPANION}], ids=str
 )
-def test_an_expression_of_the_same_forces_gives_the_same_flow(
-    entries: dict[str, object], mission: Mission, default_plan: Plan
-) -> None:
+def test_an_expression_of_the_same_forces_gives_the_same_flow(entries, mission, default_plan):
     if entries:
         mission = mission.changed(entries)
     flow, starts = mission.flow, default_plan.final.result.lin.iterate.mean[:-1]
@@ -132,17 +124,13 @@ def test_an_expression_of_the_same_forces_gives_the_same_flow(
 
 
 @given(state=states())
-def test_propagation_and_differentiation_see_the_same_flow(
-    state: Array, forces: ForceModel, arc: float
-) -> None:
+def test_propagation_and_differentiation_see_the_same_flow(state, forces, arc):
     end = differentiate(state[None], np.array([arc]), forces, 3).state[0]
     np.testing.assert_allclose(propagate(state, arc, forces, 3), end, rtol=1e-13, atol=1e-14)
 
 
 @given(state=states(), seed=st.integers(0, 2**32 - 1))
-def test_a_small_move_needs_no_new_derivatives(
-    state: Array, forces: ForceModel, arc: float, seed: int
-) -> None:
+def test_a_small_move_needs_no_new_derivatives(state, forces, arc, seed):
     deviation = 1e-8 * np.random.default_rng(seed).standard_normal((1, 6))
     there = differentiate(state[None] + deviation, np.array([arc]), forces, SUBSTEPS)
     here = differentiate(state[None], np.array([arc]), forces, SUBSTEPS).moved(deviation)
@@ -154,9 +142,7 @@ QUICK_ORBIT = np.array([0.6, 0.1, -0.2, -0.3, 1.0, 0.5])
 """Low and fast, so that the scheme's error stands far above roundoff; nondimensional."""
 
 
-def test_flow_converges_to_an_adaptive_integration_with_the_fourth_power(
-    forces: ForceModel, arc: float
-) -> None:
+def test_flow_converges_to_an_adaptive_integration_with_the_fourth_power(forces, arc):
     """Each halving of the step divides the error by about 2^4, down to roundoff."""
     truth = integrate(forces, QUICK_ORBIT, [0.0, 6.0 * arc], rtol=1e-13)[-1]
     flown = [propagate(QUICK_ORBIT, 6.0 * arc, forces, n) for n in (2, 4, 8, 16)]
@@ -166,9 +152,7 @@ def test_flow_converges_to_an_adaptive_integration_with_the_fourth_power(
     assert np.all((errors[:-1] / errors[1:])[above_roundoff] > 10.0)
 
 
-def test_the_planner_stays_within_a_millimetre_over_the_whole_flight(
-    mission: Mission, default_plan: Plan
-) -> None:
+def test_the_planner_stays_within_a_millimetre_over_the_whole_flight(mission, default_plan):
     lin = default_plan.final.result.lin
     flown = fly(mission, burns_of(mission, lin.iterate.burns), mission.times_s)
     planned = lin.iterate.mean * mission.units.state
@@ -178,9 +162,7 @@ def test_the_planner_stays_within_a_millimetre_over_the_whole_flight(
 
 
 @given(state=states(), u=st.floats(0.0, 1.0))
-def test_between_the_steps_a_flight_is_known_as_well_as_at_them(
-    state: Array, u: float, forces: ForceModel, arc: float
-) -> None:
+def test_between_the_steps_a_flight_is_known_as_well_as_at_them(state, u, forces, arc):
     end = propagate(state, arc, forces)
     position, velocity = interpolate((state[:3], state[3:]), (end[:3], end[3:]), arc, u)
     inside = propagate(state, u * arc, forces, 8)

@@ -85,18 +85,14 @@ def gradient_of_potential(mission: Mission) -> Callable[[Array], Array]:
 
 
 @given(position=positions())
-def test_acceleration_is_the_gradient_of_the_potential(
-    position: Array, mission: Mission, gradient_of_potential: Callable[[Array], Array]
-) -> None:
+def test_acceleration_is_the_gradient_of_the_potential(position, mission, gradient_of_potential):
     expected = gradient_of_potential(position)
     error = np.abs(at(position, mission.forces) - expected).max()
     assert error < 1e-12 * np.linalg.norm(expected)
 
 
 @given(position=positions())
-def test_closed_form_derivatives_are_those_of_the_acceleration(
-    position: Array, forces: ForceModel, differentiated: Derivatives
-) -> None:
+def test_closed_form_derivatives_are_those_of_the_acceleration(position, forces, differentiated):
     value, gradient, curvature = differentiated(position)
     moment = forces.moment(TIME_S)
     closed_forms = (
@@ -109,21 +105,19 @@ def test_closed_form_derivatives_are_those_of_the_acceleration(
 
 
 @given(position=positions(), length=st.floats(1.0, 1e4), time=st.floats(1.0, 1e5))
-def test_a_change_of_units_changes_only_the_numbers(
-    position: Array, length: float, time: float, mission: Mission
-) -> None:
+def test_a_change_of_units_changes_only_the_numbers(position, length, time, mission):
     scaled = at(position / length, mission.forces.in_units(length, time))
     np.testing.assert_allclose(scaled * length / time**2, at(position, mission.forces), rtol=1e-12)
 
 
-def test_gravity_constants_are_those_of_the_flight_field(mission: Mission) -> None:
+def test_gravity_constants_are_those_of_the_flight_field(mission):
     body, (zonal, _) = mission.scenario.body, reference.COEFFICIENTS[2, 0]
     assert body.gm_m3_s2 == pytest.approx(reference.GM_M3_S2, rel=1e-12)
     assert body.reference_radius_m == reference.REFERENCE_RADIUS_M
     assert body.j2 == pytest.approx(-np.sqrt(5.0) * zonal, rel=1e-12)
 
 
-def test_radiation_pressure_pushes_away_from_the_sun_as_at_its_distance(mission: Mission) -> None:
+def test_radiation_pressure_pushes_away_from_the_sun_as_at_its_distance(mission):
     srp = mission.forces.srp
     # 1361 W/m^2 at 1.0108 au on 0.85 m^2 x 1.127 of 178 kg (nasa/muscat, DARE).
     assert np.linalg.norm(srp) == pytest.approx(2.39e-8, rel=2e-3)
@@ -136,7 +130,7 @@ def test_radiation_pressure_pushes_away_from_the_sun_as_at_its_distance(mission:
     assert ratio == pytest.approx(reference.SUN_DISTANCE_AU**2, rel=1e-7)
 
 
-def test_radiation_pressure_scales_as_the_cannonball_law(mission: Mission) -> None:
+def test_radiation_pressure_scales_as_the_cannonball_law(mission):
     for doubled, effect in (
         ("spacecraft.srp_area_m2=1.7", 2.0),
         ("spacecraft.mass_kg=356", 0.5),
@@ -159,16 +153,14 @@ def evaluate(field: HarmonicField, position: np.ndarray) -> np.ndarray:
     return np.array(field.acceleration(*np.asarray(position)[:, None]))[:, 0]
 
 
-def test_degree_zero_is_a_point_mass() -> None:
+def test_degree_zero_is_a_point_mass():
     position = np.array([300.0, -500.0, 700.0])
     expected = -GM * position / np.linalg.norm(position) ** 3
     assert evaluate(HarmonicField.bennu(GM, 0), position) == pytest.approx(expected, rel=1e-14)
 
 
 @given(directions, st.floats(350.0, 2000.0))
-def test_zonal_degree_two_is_the_planners_j2(
-    direction: tuple[float, float, float], radius: float
-) -> None:
+def test_zonal_degree_two_is_the_planners_j2(direction, radius):
     field = HarmonicField.bennu(GM, 2)
     zonal = HarmonicField(GM, 290.0, np.diag([1.0, 0.0, 0.0]), np.zeros((3, 3)))
     zonal.c[2, 0] = field.c[2, 0]
@@ -180,9 +172,7 @@ def test_zonal_degree_two_is_the_planners_j2(
 
 
 @given(directions, st.floats(400.0, 1500.0), st.integers(0, 10))
-def test_gradient_is_symmetric_and_trace_free(
-    direction: tuple[float, float, float], radius: float, degree: int
-) -> None:
+def test_gradient_is_symmetric_and_trace_free(direction, radius, degree):
     field = HarmonicField.bennu(GM, degree)
     at_one = harmonics_at(direction, radius)[:, None]
     for each in (field.derivatives(at_one, order)[..., 0] for order in (1, 2)):
@@ -193,8 +183,8 @@ def test_gradient_is_symmetric_and_trace_free(
 
 @given(directions, st.floats(300.0, 1500.0), st.integers(2, 8), st.floats(-1e5, 1e5))
 def test_derivatives_of_a_turning_field_are_those_of_its_acceleration(
-    direction: tuple[float, float, float], radius: float, degree: int, time: float
-) -> None:
+    direction, radius, degree, time
+):
     rotation = Rotation(1.5, -1.05, 0.7, 4.06e-4, 1e-12)
     field = TurningField(HarmonicField.bennu(GM, degree), rotation)
     matrix, position = rotation.body_to_j2000(time), harmonics_at(direction, radius)
@@ -210,7 +200,7 @@ def test_derivatives_of_a_turning_field_are_those_of_its_acceleration(
 
 
 @pytest.mark.parametrize("indices", reference.COEFFICIENTS)
-def test_coefficients_are_those_of_the_source(indices: tuple[int, int]) -> None:
+def test_coefficients_are_those_of_the_source(indices):
     n, m = indices
     # N_nm = sqrt((2 - delta_0m) (2n + 1) (n - m)! / (n + m)!)
     norm = np.sqrt((2 - (m == 0)) * (2 * n + 1) * factorial(n - m) / factorial(n + m))
@@ -220,7 +210,7 @@ def test_coefficients_are_those_of_the_source(indices: tuple[int, int]) -> None:
     assert ours == pytest.approx(norm * np.array(reference.COEFFICIENTS[indices]), rel=1e-12)
 
 
-def test_every_degree_and_order_of_the_source_is_there() -> None:
+def test_every_degree_and_order_of_the_source_is_there():
     field = HarmonicField.bennu(GM, reference.GRAVITY_DEGREE)
     there = (field.c != 0.0) | (field.s != 0.0)
     expected = np.tri(reference.GRAVITY_DEGREE + 1, dtype=bool)

@@ -15,7 +15,6 @@ from scipy.spatial.transform import Rotation as SciPyRotation
 
 from formulations.arrays import Array
 from scp_recon.errors import InputError
-from scp_recon.mission.mission import Mission
 from scp_recon.physics.frames import Rotation, sun_north_to_j2000
 from scp_recon.physics.time_scales import (
     FIRST_TAI_MINUS_UTC_S,
@@ -60,14 +59,14 @@ def spice(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ModuleType]:
     spiceypy.kclear()
 
 
-def test_body_orientation_is_that_of_spice(mission: Mission, spice: ModuleType) -> None:
+def test_body_orientation_is_that_of_spice(mission, spice):
     flight = np.linspace(0.0, FLIGHT_S, 200)
     ours = mission.rotation.body_to_j2000(flight)
     theirs = [spice.tipbod("J2000", BENNU, EPOCH_ET + t).T for t in flight]
     np.testing.assert_allclose(ours, theirs, rtol=0.0, atol=1e-9)
 
 
-def test_orientation_at_the_epoch_and_period_are_the_recorded_ones(mission: Mission) -> None:
+def test_orientation_at_the_epoch_and_period_are_the_recorded_ones(mission):
     recorded = reference.ORIENTATION_AT_EPOCH
     rotation = mission.rotation
     # The record counts TDB with its periodic term, which moves the meridian by less than 1e-6 rad.
@@ -79,7 +78,7 @@ def test_orientation_at_the_epoch_and_period_are_the_recorded_ones(mission: Miss
         np.testing.assert_allclose(found, recorded["body_to_j2000"], rtol=0.0, atol=1e-6)
 
 
-def test_iau_polynomial_counts_days_from_j2000_noon() -> None:
+def test_iau_polynomial_counts_days_from_j2000_noon():
     # Two and a half days past J2000: W = 10 + 100 * 2.5 + 0.4 * 6.25 = 262.5 deg.
     rotation = Rotation.from_iau(0.0, 90.0, (10.0, 100.0, 0.4), datetime(2000, 1, 4))
     assert np.rad2deg(rotation.meridian) == pytest.approx(262.5)
@@ -89,7 +88,7 @@ def test_iau_polynomial_counts_days_from_j2000_noon() -> None:
 
 
 @given(rotations, times)
-def test_body_orientation_is_the_iau_sequence_of_rotations(rotation: Rotation, t: float) -> None:
+def test_body_orientation_is_the_iau_sequence_of_rotations(rotation, t):
     w = rotation.meridian + rotation.rate * t + 0.5 * rotation.acceleration * t**2
     # R3(W) R1(90 deg - dec) R3(90 deg + ra) turns frames; its transpose turns vectors the same way.
     sequence = [np.pi / 2 + rotation.pole_ra, np.pi / 2 - rotation.pole_dec, w]
@@ -98,7 +97,7 @@ def test_body_orientation_is_the_iau_sequence_of_rotations(rotation: Rotation, t
 
 
 @given(directions(), directions())
-def test_sun_north_frame_has_x_to_the_sun_and_z_towards_the_pole(sun: Array, pole: Array) -> None:
+def test_sun_north_frame_has_x_to_the_sun_and_z_towards_the_pole(sun, pole):
     if np.linalg.norm(np.cross(sun, pole)) < 1e-3:
         return  # the frame is not defined where the Sun stands over the pole
     matrix = sun_north_to_j2000(sun, pole)
@@ -109,15 +108,13 @@ def test_sun_north_frame_has_x_to_the_sun_and_z_towards_the_pole(sun: Array, pol
     assert matrix[:, 2] @ pole == pytest.approx(np.linalg.norm(np.cross(sun, pole)))
 
 
-def test_sun_north_frame_at_the_epoch_is_the_recorded_one(mission: Mission) -> None:
+def test_sun_north_frame_at_the_epoch_is_the_recorded_one(mission):
     matrix = sun_north_to_j2000(mission.sun_direction(0.0), mission.rotation.pole)
     np.testing.assert_allclose(matrix, reference.SUN_NORTH_TO_J2000, rtol=0.0, atol=1e-7)
 
 
 @pytest.mark.parametrize("which", ["initial_state", "final_state"])
-def test_boundary_states_are_converted_from_the_sun_north_frame(
-    mission: Mission, which: str
-) -> None:
+def test_boundary_states_are_converted_from_the_sun_north_frame(mission, which):
     recorded = reference.STATES_FROM_SUN_NORTH[which]
     state = getattr(mission, which)
     np.testing.assert_allclose(state[:3], recorded[:3], rtol=0.0, atol=0.05)
@@ -126,7 +123,7 @@ def test_boundary_states_are_converted_from_the_sun_north_frame(
     np.testing.assert_array_equal(getattr(literal, which), reference.PRINTED_STATES[which])
 
 
-def test_sun_direction_over_the_flight_is_that_of_the_ephemeris(mission: Mission) -> None:
+def test_sun_direction_over_the_flight_is_that_of_the_ephemeris(mission):
     hourly = np.array(reference.SUN_DIRECTIONS)
     times, suns = hourly[:, 0] - EPOCH_ET, hourly[:, 1:]
     # Table of parameters of Echigo et al.
@@ -142,7 +139,7 @@ MODEL_S = 5e-5
 """What the term of TDB - TT leaves out."""
 
 
-def test_leap_seconds_are_those_of_the_iers() -> None:
+def test_leap_seconds_are_those_of_the_iers():
     erfa = pytest.importorskip("erfa")
     table = erfa.leap_seconds.get()
     known = [(int(row["year"]), int(row["month"])) for row in table if row["year"] >= 1972]
@@ -151,7 +148,7 @@ def test_leap_seconds_are_those_of_the_iers() -> None:
 
 
 @given(date=DATES)
-def test_utc_is_astropys(date: datetime) -> None:
+def test_utc_is_astropys(date):
     time = pytest.importorskip("astropy.time")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # that the future is dubious
@@ -163,7 +160,7 @@ def test_utc_is_astropys(date: datetime) -> None:
 # Two weeks after UTC begins, so that what is earlier has a UTC too.
 
 
-def test_a_leap_second_has_a_name_of_its_own() -> None:
+def test_a_leap_second_has_a_name_of_its_own():
     before = tdb_of_utc(datetime(2016, 12, 31, 23, 59, 59))
     after = tdb_of_utc(datetime(2017, 1, 1))
     assert after - before == timedelta(seconds=2)
@@ -171,13 +168,13 @@ def test_a_leap_second_has_a_name_of_its_own() -> None:
     assert names == ["2016-12-31T23:59:59.0", "2016-12-31T23:59:60.0", "2017-01-01T00:00:00.0"]
 
 
-def test_a_zone_is_brought_to_utc() -> None:
+def test_a_zone_is_brought_to_utc():
     zone = timezone(timedelta(hours=2))
     given = datetime(2020, 1, 1, 2, tzinfo=zone)
     assert tdb_of_utc(given) == tdb_of_utc(datetime(2020, 1, 1, tzinfo=UTC))
 
 
-def test_before_1972_there_is_no_utc_of_whole_seconds() -> None:
+def test_before_1972_there_is_no_utc_of_whole_seconds():
     with pytest.raises(InputError, match="1972"):
         iso_utc(instant(datetime(1971, 12, 31)))
     with pytest.raises(InputError, match="1972"):
@@ -195,5 +192,5 @@ def test_before_1972_there_is_no_utc_of_whole_seconds() -> None:
         ("1972-01-01T00:00:42.184", "1972-01-01 00:00:00"),
     ],
 )
-def test_utc_is_shown_to_the_nearest_second(tdb: str, utc: str) -> None:
+def test_utc_is_shown_to_the_nearest_second(tdb, utc):
     assert shown_utc(instant(datetime.fromisoformat(tdb))) == utc

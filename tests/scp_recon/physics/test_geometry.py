@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 
 from formulations.arrays import Array
 from scp_recon.bodies.surface import direction_of
-from scp_recon.mission.mission import Mission
 from scp_recon.physics import geometry
 from scp_recon.physics.frames import Rotation, unit
 from scp_recon.physics.geometry import Site, SiteTrack
@@ -26,7 +25,7 @@ components = st.floats(-1e3, 1e3)
 vectors = st.tuples(components, components, components).map(np.array)
 
 
-def test_a_site_is_carried_eastwards_by_the_rotation() -> None:
+def test_a_site_is_carried_eastwards_by_the_rotation():
     track = geometry.track(EQUATOR, UPRIGHT, np.array([0.0, 100.0, 200.0]))
     expected = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]]
     np.testing.assert_allclose(track.normal, expected, atol=1e-15)
@@ -44,9 +43,7 @@ def test_a_site_is_carried_eastwards_by_the_rotation() -> None:
         ([1.0, 0.0, np.sqrt(3.0)], 2.0, 60.0, 90.0),
     ],
 )
-def test_range_emission_and_phase_of_known_positions(
-    offset: list[float], range_m: float, emission_deg: float, phase_deg: float
-) -> None:
+def test_range_emission_and_phase_of_known_positions(offset, range_m, emission_deg, phase_deg):
     position = HERE.position + np.array([offset])
     sun = np.array([[0.0, 1.0, 0.0]])
     assert geometry.distance(position, HERE)[0] == pytest.approx(range_m)
@@ -55,13 +52,13 @@ def test_range_emission_and_phase_of_known_positions(
 
 
 @pytest.mark.parametrize("degrees", [0.0, 60.0, 120.0])
-def test_incidence_is_the_angle_of_the_sun_from_the_zenith(degrees: float) -> None:
+def test_incidence_is_the_angle_of_the_sun_from_the_zenith(degrees):
     sun = np.array([np.cos(np.deg2rad(degrees)), 0.0, np.sin(np.deg2rad(degrees))])
     assert np.rad2deg(geometry.incidence(HERE, sun)[0]) == pytest.approx(degrees)
 
 
 @given(a=vectors, b=vectors)
-def test_angle_is_that_of_spice_in_either_order(a: Array, b: Array) -> None:
+def test_angle_is_that_of_spice_in_either_order(a, b):
     spice = pytest.importorskip("spiceypy")
     assume(min(np.linalg.norm(a), np.linalg.norm(b)) > 1e-3)
     angle = geometry.angle(a, unit(b))
@@ -70,7 +67,7 @@ def test_angle_is_that_of_spice_in_either_order(a: Array, b: Array) -> None:
 
 
 @pytest.mark.parametrize("tiny", [1e-3, 1e-6, 1e-9, 1e-12])
-def test_angle_is_accurate_near_zero_and_a_half_turn(tiny: float) -> None:
+def test_angle_is_accurate_near_zero_and_a_half_turn(tiny):
     # The arc cosine of the dot product would be wrong by 1e-8 here, and give zero at 1e-9.
     a, b = np.array([1.0, 0.0, 0.0]), np.array([np.cos(tiny), np.sin(tiny), 0.0])
     assert geometry.angle(a, b) == pytest.approx(tiny, rel=1e-9)
@@ -86,13 +83,8 @@ def test_angle_is_accurate_near_zero_and_a_half_turn(tiny: float) -> None:
     meridian=st.floats(-3.0, 3.0),
 )
 def test_local_solar_time_is_noon_when_the_sun_is_over_the_sites_meridian(
-    longitude: float,
-    latitude: float,
-    sun_latitude: float,
-    hours: float,
-    time: float,
-    meridian: float,
-) -> None:
+    longitude, latitude, sun_latitude, hours, time, meridian
+):
     def direction(latitude: float, longitude: float) -> Array:
         return direction_of(*np.rad2deg([latitude, longitude]))
 
@@ -105,7 +97,7 @@ def test_local_solar_time_is_noon_when_the_sun_is_over_the_sites_meridian(
     assert hour == pytest.approx(12.0 + hours, abs=1e-9)
 
 
-def test_nightingale_is_where_and_as_recorded(mission: Mission) -> None:
+def test_nightingale_is_where_and_as_recorded(mission):
     site = mission.site
     np.testing.assert_array_equal(site.position_body, reference.SITE_BODY_M)
     x, y, z = site.position_body
@@ -116,7 +108,7 @@ def test_nightingale_is_where_and_as_recorded(mission: Mission) -> None:
     np.testing.assert_allclose(site.normal_body, printed / np.linalg.norm(printed), atol=1e-15)
 
 
-def test_angles_along_the_reconstructed_arc_are_the_tabulated_ones(mission: Mission) -> None:
+def test_angles_along_the_reconstructed_arc_are_the_tabulated_ones(mission):
     names = (*reference.ARC_COLUMNS, *reference.ARC_ANGLES)
     table = dict(zip(names, np.array(reference.ARC).T, strict=True))
     t, position = table["t"], np.stack([table[key] for key in "xyz"], axis=1)

@@ -24,9 +24,7 @@ AU_KM = 149_597_870.7
     days=st.floats(-300.0, 300.0),
     seed=st.integers(0, 2**32 - 1),
 )
-def test_motion_is_keplers(
-    axis_au: float, eccentricity: float, anomaly: float, days: float, seed: int
-) -> None:
+def test_motion_is_keplers(axis_au, eccentricity, anomaly, days, seed):
     turn = random_rotation(np.random.default_rng(seed))
     a, e = axis_au * AU_KM, eccentricity
     rate = np.sqrt(GM_SUN_KM3_S2 / a**3)
@@ -45,13 +43,13 @@ def test_motion_is_keplers(
     assert np.linalg.norm(motion(0.0) - position) < 1e-6
 
 
-def test_shapes_follow_the_times() -> None:
+def test_shapes_follow_the_times():
     motion = two_body([AU_KM, 0.0, 0.0], [0.0, 29.8, 0.0], (-1e5, 1e5))
     assert motion(0.0).shape == (3,)
     assert motion(np.zeros((2, 5))).shape == (2, 5, 3)
 
 
-def test_what_is_in_the_sun_or_falls_into_it_is_refused() -> None:
+def test_what_is_in_the_sun_or_falls_into_it_is_refused():
     for position in ([1e5, 0.0, 0.0], [2e7, 0.0, 0.0]):
         with pytest.raises(ValueError, match="Sun's centre"):
             two_body(position, [0.0, 0.0, 0.0], (0.0, 1e7))
@@ -61,9 +59,7 @@ GM = 4.9
 
 
 @given(rng=generators, speed=st.floats(0.2, 3.0), share=st.floats(0.02, 0.4))
-def test_the_arc_between_two_points_of_a_flight_is_that_flight(
-    rng: np.random.Generator, speed: float, share: float
-) -> None:
+def test_the_arc_between_two_points_of_a_flight_is_that_flight(rng, speed, share):
     """Ellipses and hyperbolas, of less than half a revolution."""
     start = 1000.0 * random_unit(rng)
     across = np.cross(start, random_unit(rng))
@@ -86,7 +82,7 @@ def test_the_arc_between_two_points_of_a_flight_is_that_flight(
     np.testing.assert_allclose(found[1], flown[3:, -1], atol=1e-6)
 
 
-def test_points_in_line_with_the_centre_have_no_plane() -> None:
+def test_points_in_line_with_the_centre_have_no_plane():
     start = np.array([1000.0, 0.0, 0.0])
     assert lambert(start, -start, 1e4, GM) is None
     assert lambert(start, 2.0 * start, 1e4, GM) is None
@@ -102,9 +98,7 @@ def test_points_in_line_with_the_centre_have_no_plane() -> None:
         ([0.6, 0.8, 0.0], [-0.8, 0.6, 0.0]),  # a circle in that plane
     ],
 )
-def test_an_orbits_elements_lead_back_to_its_state(
-    position: list[float], velocity: list[float]
-) -> None:
+def test_an_orbits_elements_lead_back_to_its_state(position, velocity):
     orbit = Orbit.of(position, velocity, 1.0)
     inclination, node, pericentre, anomaly = orbit.angles(np.array(position))
     e = np.linalg.norm(orbit.eccentricity)

@@ -16,7 +16,7 @@ from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.flights import FlightConfig, fly_many
 from scp_recon.monte_carlo.whole_flight import kept_flights
 from scp_recon.planning.initial_guess import ballistic
-from scp_recon.planning.planner import Plan, plan
+from scp_recon.planning.planner import plan
 from scp_recon.results.solution import make_solution
 from scp_recon.verification.reintegration import verify
 from tests.helpers import nightly
@@ -24,7 +24,7 @@ from tests.scenarios import COARSE
 from tests.scp_recon.support import COMPANION, fly_few, integrate, mission_of
 
 
-def test_a_companion_moves_and_pulls_as_three_bodies_do() -> None:
+def test_a_companion_moves_and_pulls_as_three_bodies_do():
     """Newton's law for three bodies in an inertial frame, with none of the library's arithmetic."""
     mission = mission_of().changed({"body.companion": COMPANION})
     forces = replace(mission.forces, j2_strength=0.0, srp=np.zeros(3))
@@ -71,9 +71,7 @@ EXACT, FLIGHT = "risk.allocation=exact", "risk.scope=flight"
     [(EXACT,), *(pytest.param(rest, marks=nightly) for rest in ((), (EXACT, FLIGHT)))],
     ids=str,
 )
-def test_a_plan_keeps_out_of_the_moving_ball(
-    overrides: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_plan_keeps_out_of_the_moving_ball(overrides, monkeypatch):
     fly_few(monkeypatch)
     mission = in_the_way(*overrides)
     planned = plan(mission, ballistic(mission))
@@ -88,7 +86,7 @@ def test_a_plan_keeps_out_of_the_moving_ball(
     assert kept.throughout[NAME] / 200 == pytest.approx(chance.estimate, abs=0.1)
 
 
-def test_flights_through_the_ball_are_counted_as_lost(default_plan: Plan) -> None:
+def test_flights_through_the_ball_are_counted_as_lost(default_plan):
     counts = []
     for mission in (mission_of(COARSE), in_the_way()):
         flown = fly_many(FlightConfig(mission, default_plan.burns_m_s), samples=200)
@@ -97,7 +95,7 @@ def test_flights_through_the_ball_are_counted_as_lost(default_plan: Plan) -> Non
     assert max(counts[1]) < 10
 
 
-def test_the_distance_to_keep_is_the_companions_radius_if_none_is_given() -> None:
+def test_the_distance_to_keep_is_the_companions_radius_if_none_is_given():
     mission = mission_of().changed({"body.companion": COMPANION})
     (found,) = (c for c in mission.problem.constraints if c.name == NAME)
     assert isinstance(found.region, Ball)
@@ -112,7 +110,7 @@ def test_the_distance_to_keep_is_the_companions_radius_if_none_is_given() -> Non
         ({"epoch_tdb": "2020-01-20T00:00:00Z"}, "body.companion.epoch_tdb"),
     ],
 )
-def test_an_orbit_that_cannot_be_is_refused(changes: dict[str, object], entry: str) -> None:
+def test_an_orbit_that_cannot_be_is_refused(changes, entry):
     with pytest.raises(InputError) as refused:
         mission_of().changed({"body.companion": COMPANION | changes})
     assert refused.value.entry == entry

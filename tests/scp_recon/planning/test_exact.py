@@ -52,7 +52,7 @@ def found(scope: str, p: float, algorithm: str = "scvx") -> Plan:
 @pytest.mark.parametrize(
     ("scope", "p", "goal"), [(scope, p, g) for scope, row in GOALS.items() for p, g in row.items()]
 )
-def test_the_default_scenario_from_a_cold_start(scope: str, p: float, goal: float) -> None:
+def test_the_default_scenario_from_a_cold_start(scope, p, goal):
     of = found(scope, p)
     assert of.status is Status.CONVERGED
     assert of.final.name in ("P2", "P2.held")
@@ -64,7 +64,7 @@ def test_the_default_scenario_from_a_cold_start(scope: str, p: float, goal: floa
     assert min(sigmas) < 1e-5
 
 
-def test_more_probability_costs_more_and_whole_flights_more_than_nodes() -> None:
+def test_more_probability_costs_more_and_whole_flights_more_than_nodes():
     for scope, row in GOALS.items():
         costs = [found(scope, p).total_dv_m_s for p in row]
         assert all(less < more for less, more in pairwise(costs))
@@ -73,21 +73,21 @@ def test_more_probability_costs_more_and_whole_flights_more_than_nodes() -> None
 
 
 @pytest.mark.parametrize("scope", ["node", "flight"])
-def test_a_plan_goes_on_from_another_with_its_last_stage_alone(scope: str) -> None:
+def test_a_plan_goes_on_from_another_with_its_last_stage_alone(scope):
     near, end = found(scope, 0.9), found(scope, 0.99)
     on = plan(end.mission, near)
     assert {stage.name for stage in on.stages} <= {"P2", "P2.held"}
     assert on.total_dv_m_s == pytest.approx(end.total_dv_m_s, rel=1e-4)
 
 
-def test_other_risk_begins_at_a_plan_s_burns() -> None:
+def test_other_risk_begins_at_a_plan_s_burns():
     uniform = plan(mission_of(), found("node", 0.9))
     assert uniform.status is Status.CONVERGED
     assert [stage.name for stage in uniform.stages] == ["P3", "P2"]
 
 
 @pytest.mark.parametrize("algorithm", sorted(set(ALGORITHMS) - {"scvx"}))
-def test_all_algorithms_find_the_same(algorithm: str) -> None:
+def test_all_algorithms_find_the_same(algorithm):
     other = found("node", 0.9, algorithm)
     assert other.status is Status.CONVERGED
     assert other.total_dv_m_s == pytest.approx(found("node", 0.9).total_dv_m_s, rel=1e-4)
@@ -99,9 +99,7 @@ def test_all_algorithms_find_the_same(algorithm: str) -> None:
     suppress_health_check=[HealthCheck.too_slow, HealthCheck.filter_too_much],
 )
 @given(scenarios())
-def test_started_at_a_plan_with_inner_polytopes_exact_never_costs_more(
-    overrides: tuple[str, ...],
-) -> None:
+def test_started_at_a_plan_with_inner_polytopes_exact_never_costs_more(overrides):
     try:
         mission, uniform = planned(overrides)
     except InputError:
@@ -120,7 +118,7 @@ def test_started_at_a_plan_with_inner_polytopes_exact_never_costs_more(
     )
 
 
-def test_with_better_measurements_no_plan_costs_more_than_its_neighbour() -> None:
+def test_with_better_measurements_no_plan_costs_more_than_its_neighbour():
     """Each begins at the plan before it, the first at the plan without corrections."""
     last = found("flight", 0.9)
     for metres in usually([10.0, 3.0, 1.0], 1):
@@ -151,14 +149,14 @@ def kept(of: Plan, count: int) -> Array:
 
 
 @pytest.mark.parametrize(("p", "optimism"), [(0.9, 2e-3), (0.99, 1e-3)])
-def test_fresh_flights_hold_as_often_as_asked(p: float, optimism: float) -> None:
+def test_fresh_flights_hold_as_often_as_asked(p, optimism):
     """But for what is lost by optimising against the same directions."""
     count = 20_000
     share = float(kept(found("flight", p), count).mean())
     assert share == pytest.approx(p, abs=4.0 * np.sqrt(p * (1.0 - p) / count) + optimism)
 
 
-def test_a_plan_of_whole_flights_holds_at_every_node_too() -> None:
+def test_a_plan_of_whole_flights_holds_at_every_node_too():
     of = found("flight", 0.9)
     lin = of.final.result.lin
     nodes = NodeRows(of.mission.problem, 0.9).margins(lin)
@@ -173,7 +171,7 @@ def test_a_plan_of_whole_flights_holds_at_every_node_too() -> None:
 
 
 @pytest.mark.parametrize(("scope", "p"), [("node", 0.9), ("node", 0.99), ("flight", 0.9)])
-def test_exact_plans_satisfy_the_first_order_conditions(scope: str, p: float) -> None:
+def test_exact_plans_satisfy_the_first_order_conditions(scope, p):
     """The mean rolled out and linearised anew for each of the burns; no slope of a row is used."""
     of = found(scope, p)
     mission, rows = of.mission, of.final.merit.rows
@@ -202,7 +200,7 @@ RESIDUAL = {"node": 1e-4, "flight": 2e-3}
 
 
 @pytest.mark.parametrize("scope", usually([*GOALS], 1))
-def test_an_exact_plan_can_be_planned_again(scope: str) -> None:
+def test_an_exact_plan_can_be_planned_again(scope):
     mission = mission_of(*exact(scope, 0.9, COARSE))
     planner = Planner(mission)
     first = planner.plan(initial_guess.cold(mission))
@@ -221,7 +219,7 @@ def never(*_: object) -> None:
 
 
 @pytest.mark.parametrize("formulation", ["frozen-stm", "frozen-covariance", "ipopt"])
-def test_other_formulations_have_no_exact_rows(formulation: str) -> None:
+def test_other_formulations_have_no_exact_rows(formulation):
     mission = mission_of(*exact("node", 0.9, COARSE))
     cold = initial_guess.cold(mission)
     needed = "scp" if formulation == "ipopt" else "condensed and lifted"
@@ -239,7 +237,7 @@ def test_other_formulations_have_no_exact_rows(formulation: str) -> None:
         ("ci", [".node", ".coarse"]),
     ],
 )
-def test_gains_are_led_to_where_there_is_no_plan_without(ends: str, names: list[str]) -> None:
+def test_gains_are_led_to_where_there_is_no_plan_without(ends, names):
     """However the leading stage ends."""
     runner, start, seen = runner_that_ends(ends, gains=0.0)
     runner.solve_exact("", start)
@@ -250,9 +248,7 @@ def test_gains_are_led_to_where_there_is_no_plan_without(ends: str, names: list[
     ("ends", "names"),
     [("c", ["P2"]), ("icc", ["P2", "P2.coarse", "P2"]), ("ii", ["P2", "P2.coarse"])],
 )
-def test_a_plan_with_gains_that_does_not_go_on_at_once_goes_on_with_them(
-    ends: str, names: list[str]
-) -> None:
+def test_a_plan_with_gains_that_does_not_go_on_at_once_goes_on_with_them(ends, names):
     runner, start, seen = runner_that_ends(ends, gains=1.0)
     last: Any = None
     with pytest.MonkeyPatch.context() as patch:

@@ -44,7 +44,7 @@ def ballistic(mission: Mission) -> Iterate:
     return initial_guess.ballistic(mission)
 
 
-def test_cold_is_the_straight_line_with_next_to_no_burns(mission: Mission) -> None:
+def test_cold_is_the_straight_line_with_next_to_no_burns(mission):
     cold = initial_guess.cold(mission)
     states, fraction = states_of(mission, cold), mission.times_s / mission.times_s[-1]
     expected = np.outer(1.0 - fraction, mission.initial_state)
@@ -54,9 +54,7 @@ def test_cold_is_the_straight_line_with_next_to_no_burns(mission: Mission) -> No
     np.testing.assert_allclose(burns_of(mission, cold.burns), np.full((4, 3), 1e-10), rtol=1e-12)
 
 
-def test_ballistic_arc_flies_between_the_boundary_states_with_two_impulses(
-    mission: Mission, ballistic: Iterate
-) -> None:
+def test_ballistic_arc_flies_between_the_boundary_states_with_two_impulses(mission, ballistic):
     states, burns = states_of(mission, ballistic), burns_of(mission, ballistic.burns)
     defects = np.abs(defects_of(mission, ballistic))
     assert defects[:, :3].max() < 1e-3
@@ -73,7 +71,7 @@ def test_ballistic_arc_flies_between_the_boundary_states_with_two_impulses(
     assert 0.10 < sizes.sum() < 0.30
 
 
-def test_ballistic_arc_is_the_cheaper_way_round(mission: Mission, ballistic: Iterate) -> None:
+def test_ballistic_arc_is_the_cheaper_way_round(mission, ballistic):
     ways = [initial_guess._two_impulses(mission, way) for way in (1.0, -1.0)]
     found = [way.total_dv for way in ways if way is not None]
     assert len(found) == 2
@@ -84,13 +82,13 @@ def test_ballistic_arc_is_the_cheaper_way_round(mission: Mission, ballistic: Ite
 @pytest.mark.parametrize(
     "final", ["[-70.2, 1096.3, -406.4]", "[70.2, -1096.3, 406.4]"], ids=["opposite", "the same"]
 )
-def test_ballistic_arc_exists_where_the_plane_is_not_given(final: str) -> None:
+def test_ballistic_arc_exists_where_the_plane_is_not_given(final):
     mission = mission_of(f"boundary.final_position_m={final}")
     iterate = initial_guess.ballistic(mission)
     assert np.abs(defects_of(mission, iterate)[:, :3]).max() < 1e-2
 
 
-def test_given_burns_are_rolled_out(mission: Mission, default_plan: Plan) -> None:
+def test_given_burns_are_rolled_out(mission, default_plan):
     planned = default_plan.final.result.lin.iterate
     burns = 1.1 * burns_of(mission, planned.burns)
     iterate = initial_guess.from_burns(mission, burns)
@@ -102,7 +100,7 @@ def test_given_burns_are_rolled_out(mission: Mission, default_plan: Plan) -> Non
 
 
 @pytest.mark.parametrize("shape", [(3, 3), (5, 3), (0, 3), (4, 2)])
-def test_other_numbers_of_burns_are_refused(mission: Mission, shape: tuple[int, int]) -> None:
+def test_other_numbers_of_burns_are_refused(mission, shape):
     with pytest.raises(InputError) as caught:
         initial_guess.from_burns(mission, np.zeros(shape))
     assert caught.value.entry == "init"
@@ -118,9 +116,7 @@ def write(path: Path, times: Array, states: Array, header: tuple[str, ...] = WIT
 @pytest.mark.parametrize(
     ("rows", "header"), [(None, SHORT), (None, WITH_UNITS), (2, SHORT), (3, SHORT), (300, SHORT)]
 )
-def test_a_table_gives_the_trajectory_back(
-    tmp_path: Path, mission: Mission, ballistic: Iterate, rows: int | None, header: tuple[str, ...]
-) -> None:
+def test_a_table_gives_the_trajectory_back(tmp_path, mission, ballistic, rows, header):
     """At the nodes exactly, at other times interpolated; a sparse one is read."""
     times, states = mission.times_s, states_of(mission, ballistic)
     if rows is not None:
@@ -136,9 +132,7 @@ def test_a_table_gives_the_trajectory_back(
         assert np.abs(apart[[0, -1]]).max() < burn_m_s
 
 
-def test_burns_of_a_table_are_what_the_arcs_miss(
-    tmp_path: Path, mission: Mission, default_plan: Plan
-) -> None:
+def test_burns_of_a_table_are_what_the_arcs_miss(tmp_path, mission, default_plan):
     # Between two rows on either side of a burn the table's velocity turns within a second.
     planned = default_plan.final.result.lin.iterate
     states, burns = states_of(mission, planned), burns_of(mission, planned.burns)
@@ -156,7 +150,7 @@ def test_burns_of_a_table_are_what_the_arcs_miss(
     np.testing.assert_allclose(burns_of(mission, read.burns), burns, rtol=0.0, atol=1e-6)
 
 
-def test_the_reconstructed_arc_is_read(mission: Mission, tmp_path: Path) -> None:
+def test_the_reconstructed_arc_is_read(mission, tmp_path):
     """From every other row; the rows between lie on it too."""
     file = reference.write_arc(tmp_path / "arc.csv", reference.ARC[::2])
     read = initial_guess.from_table(mission, file)
@@ -207,18 +201,14 @@ ROWS = ["0,1,2,3,4,5,6", "40000,1,2,3,4,5,6"]
         ("\n".join(["t,t_s,x,y,z,vx,vy", *ROWS]), "vz_m_s"),
     ],
 )
-def test_a_bad_table_is_refused(
-    mission: Mission, tmp_path: Path, content: str | None, named: str
-) -> None:
+def test_a_bad_table_is_refused(mission, tmp_path, content, named):
     file = tmp_path / "bad.csv"
     if content is not None:
         file.write_bytes(content.encode("latin-1"))
     assert named in str(refused(mission, file))
 
 
-def test_a_table_in_other_units_or_axes_is_refused(
-    mission: Mission, ballistic: Iterate, tmp_path: Path
-) -> None:
+def test_a_table_in_other_units_or_axes_is_refused(mission, ballistic, tmp_path):
     states = states_of(mission, ballistic)
     turning = np.array([mission.rotation.body_to_j2000(t).T for t in mission.times_s])
     body_fixed = np.einsum("nij,nkj->nki", turning, states.reshape(-1, 2, 3)).reshape(-1, 6)
@@ -242,9 +232,7 @@ LOST = (0, 8)
 
 
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
-def test_random_guesses_end_at_the_better_optimum_at_the_first_try(
-    algorithm: str, mission: Mission
-) -> None:
+def test_random_guesses_end_at_the_better_optimum_at_the_first_try(algorithm, mission):
     for seed in LOST:
         found = plan(mission, initial_guess.random(mission, seed), algorithm=algorithm)
         assert [stage.name for stage in found.stages] == ["P3.open", "P3", "P2"]
@@ -252,16 +240,14 @@ def test_random_guesses_end_at_the_better_optimum_at_the_first_try(
         assert found.total_dv_m_s == pytest.approx(0.140135, rel=1e-4)
 
 
-def test_what_holds_throughout_and_what_is_kept_in_stay(mission: Mission) -> None:
+def test_what_holds_throughout_and_what_is_kept_in_stay(mission):
     names = {c.name for c in without_parting_sets(mission.problem).constraints}
     assert names == {"safety_radius", "site_distance_max", "emission_max"}
     kept = [c for c in mission.problem.constraints if c.name in names]
     assert list(without_parting_sets(mission.problem).constraints) == kept
 
 
-def test_guesses_that_fly_or_claim_no_burns_begin_with_all_rows(
-    mission: Mission, default_plan: Plan
-) -> None:
+def test_guesses_that_fly_or_claim_no_burns_begin_with_all_rows(mission, default_plan):
     table = np.column_stack([default_plan.times_s, default_plan.states])
     coarse = np.vstack([table[::10], table[-1:]]) if (len(table) - 1) % 10 else table[::10]
     for guess in (
@@ -277,14 +263,14 @@ def test_guesses_that_fly_or_claim_no_burns_begin_with_all_rows(
         assert contradicts_itself(mission.dynamics.linearise(mission.problem, guess))
 
 
-def test_a_flight_stays_on_its_side(mission: Mission) -> None:
+def test_a_flight_stays_on_its_side(mission):
     """Whoever gives a flight beyond the cone means that side."""
     found = plan(mission, flight_beyond(mission), problem="P3")
     assert [stage.name for stage in found.stages] == ["P3", "P3.held"]  # without its third burn
     assert found.total_dv_m_s == pytest.approx(0.159273, rel=1e-4)
 
 
-def test_an_interrupted_opening_is_judged_by_all_rows(mission: Mission) -> None:
+def test_an_interrupted_opening_is_judged_by_all_rows(mission):
     def stop(_: str, record: Record) -> None:
         if record.k == 2:
             raise KeyboardInterrupt
@@ -307,9 +293,7 @@ def found(mission: Mission) -> Plan:
     return THREE(mission, initial_guess.cold(mission))
 
 
-def test_both_optima_of_p3_are_found_and_the_better_one_is_kept(
-    mission: Mission, found: Plan
-) -> None:
+def test_both_optima_of_p3_are_found_and_the_better_one_is_kept(mission, found):
     near, far = found.starts.optima
     assert near.total_dv_m_s == pytest.approx(0.107723, rel=1e-4)
     assert far.total_dv_m_s == pytest.approx(0.159273, rel=1e-4)
@@ -322,13 +306,13 @@ def test_both_optima_of_p3_are_found_and_the_better_one_is_kept(
     assert ends == pytest.approx(mission.problem.final_state, abs=1e-6)
 
 
-def test_neither_plan_nor_optima_depend_on_the_processes(mission: Mission, found: Plan) -> None:
+def test_neither_plan_nor_optima_depend_on_the_processes(mission, found):
     split = THREE(mission, initial_guess.cold(mission), workers=2)
     assert split == found
     assert split.starts == found.starts
 
 
-def test_another_seed_draws_other_flights(mission: Mission) -> None:
+def test_another_seed_draws_other_flights(mission):
     one, same, number, seed = (random_flight(mission, *k) for k in ((0, 1), (0, 1), (0, 2), (1, 1)))
     np.testing.assert_array_equal(one.mean, same.mean)
     for other in (number, seed):
@@ -336,9 +320,7 @@ def test_another_seed_draws_other_flights(mission: Mission) -> None:
 
 
 @pytest.mark.parametrize("number", range(1, 4))
-def test_a_random_flight_obeys_the_dynamics_and_ends_where_it_should(
-    mission: Mission, number: int
-) -> None:
+def test_a_random_flight_obeys_the_dynamics_and_ends_where_it_should(mission, number):
     flight = random_flight(mission, 3, number)
     lin = mission.dynamics.linearise(mission.problem, flight)
     assert lin.is_dynamically_feasible
@@ -347,9 +329,7 @@ def test_a_random_flight_obeys_the_dynamics_and_ends_where_it_should(
     np.testing.assert_allclose(flown.mean, flight.mean, atol=1e-8)
 
 
-def test_what_p2_finds_infeasible_is_listed_and_not_kept(
-    mission: Mission, default_plan: Plan
-) -> None:
+def test_what_p2_finds_infeasible_is_listed_and_not_kept(mission, default_plan):
     """From the far optimum there is no way; with `once` it begins nowhere else."""
     far = plan(mission, flight_beyond(mission), once=True)
     assert {stage.name.partition(".")[0] for stage in far.stages} == {"P3", "P2"}
@@ -363,7 +343,7 @@ def test_what_p2_finds_infeasible_is_listed_and_not_kept(
     ]
 
 
-def test_an_interrupt_keeps_the_best_start_so_far(mission: Mission) -> None:
+def test_an_interrupt_keeps_the_best_start_so_far(mission):
     def stop(number: int, _: Plan) -> None:
         if number == 1:
             raise KeyboardInterrupt
@@ -374,7 +354,7 @@ def test_an_interrupt_keeps_the_best_start_so_far(mission: Mission) -> None:
     assert [o.starts for o in found.starts.optima] == [(0, 1)]
 
 
-def test_an_interrupt_before_any_start_is_no_plan(mission: Mission) -> None:
+def test_an_interrupt_before_any_start_is_no_plan(mission):
     def stop(*_: object, **__: object) -> Plan:
         raise KeyboardInterrupt
 
@@ -382,7 +362,7 @@ def test_an_interrupt_before_any_start_is_no_plan(mission: Mission) -> None:
         plan_from_several(mission, initial_guess.cold(mission), stop, starts=2)
 
 
-def test_the_front_door_and_the_file_list_the_optima() -> None:
+def test_the_front_door_and_the_file_list_the_optima():
     found = sr.plan(problem="P3", starts=3, seed=0)
     assert "local optima of 3 starts, seed 0" in str(found)
     listed = make_solution(found).starts
@@ -393,7 +373,7 @@ def test_the_front_door_and_the_file_list_the_optima() -> None:
 @pytest.mark.parametrize(
     ("argument", "given"), [("starts", 0), ("starts", 1.5), ("seed", -1), ("workers", 0)]
 )
-def test_the_front_door_refuses_what_is_no_number_of_starts(argument: str, given: object) -> None:
+def test_the_front_door_refuses_what_is_no_number_of_starts(argument, given):
     arguments: dict[str, object] = {argument: given}
     with pytest.raises(InputError, match=argument):
         sr.plan(**arguments)  # type: ignore[arg-type]

@@ -108,8 +108,8 @@ def coarse() -> Mission:
 
 @pytest.mark.parametrize("formulation", ["condensed", "lifted"])
 def test_every_iteration_is_solved_with_the_numbers_of_cvxpys_compiled_form(
-    coarse: Mission, formulation: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    coarse, formulation, monkeypatch
+):
     seen, iterations = watch(monkeypatch), list[Record]()
 
     def observe(_: str, record: Record) -> None:

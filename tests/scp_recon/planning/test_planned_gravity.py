@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import casadi as ca
 import numpy as np
 import pytest
@@ -14,7 +12,7 @@ from scp_recon.physics.flow import propagate
 from scp_recon.physics.forces import accelerations
 from scp_recon.planning.initial_guess import ballistic
 from scp_recon.planning.ipopt import casadi_arcs
-from scp_recon.planning.planner import Plan, plan
+from scp_recon.planning.planner import plan
 from scp_recon.reports.tables import probabilities_table
 from scp_recon.results.solution import make_solution
 from scp_recon.verification.reintegration import verify
@@ -25,7 +23,7 @@ from tests.scp_recon.support import COMPANION, fly_few, mission_of
 DEGREE = "body.planned_degree"
 
 
-def test_a_plan_with_harmonics_is_verified(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_plan_with_harmonics_is_verified(monkeypatch):
     fly_few(monkeypatch)
     mission = mission_of(f"{DEGREE}=3")
     checked = verify(mission, make_solution(plan(mission, ballistic(mission))))
@@ -33,7 +31,7 @@ def test_a_plan_with_harmonics_is_verified(monkeypatch: pytest.MonkeyPatch) -> N
     assert "flown with harmonics to degree 3" in probabilities_table(mission, checked).note
 
 
-def test_all_of_the_field_is_flown_as_the_truth_is(default_plan: Plan) -> None:
+def test_all_of_the_field_is_flown_as_the_truth_is(default_plan):
     j2, turning = default_plan.mission, mission_of(f"{DEGREE}=8")
     planner, truth, before = (
         fly_block(each, default_plan.burns_m_s, each.times_s, 0, flights=3, truth=field).states[-1]
@@ -44,7 +42,7 @@ def test_all_of_the_field_is_flown_as_the_truth_is(default_plan: Plan) -> None:
 
 
 @pytest.mark.parametrize("entries", [{DEGREE: 4}, {"body.companion": COMPANION}], ids=str)
-def test_arcs_over_symbols_are_the_planners(entries: dict[str, object]) -> None:
+def test_arcs_over_symbols_are_the_planners(entries):
     mission = mission_of(COARSE).changed(entries)
     flow, starts = mission.flow, ballistic(mission).mean[:-1]
     arcs = casadi_arcs(flow)
@@ -61,9 +59,7 @@ def test_arcs_over_symbols_are_the_planners(entries: dict[str, object]) -> None:
         ((f"{DEGREE}=4", 'body.gravity_file="{field}"'), "4"),
     ],
 )
-def test_a_degree_that_the_field_does_not_have_is_refused(
-    overrides: tuple[str, ...], given: str, tmp_path: Path
-) -> None:
+def test_a_degree_that_the_field_does_not_have_is_refused(overrides, given, tmp_path):
     field = tmp_path / "field.gfc"
     field.write_text(GFC, "utf-8")
     with pytest.raises(InputError) as refused:
@@ -71,7 +67,7 @@ def test_a_degree_that_the_field_does_not_have_is_refused(
     assert (refused.value.entry, refused.value.given) == (DEGREE, given)
 
 
-def test_forces_that_turn_need_a_time() -> None:
+def test_forces_that_turn_need_a_time():
     turning = mission_of(f"{DEGREE}=2")
     state = turning.initial_state
     with pytest.raises(ValueError, match="times at which arcs start"):

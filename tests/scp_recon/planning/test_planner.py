@@ -9,7 +9,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from formulations.arrays import Array
 from formulations.linearisation.linearisation import Linearisation
 from formulations.problem.facets import choose_facets
 from formulations.problem.flyby import FlybyProblem, Iterate
@@ -55,9 +54,7 @@ def two_rounds(mission: Mission) -> Plan:
 # --- delta-v and iterations to reach ------------------------------------------------------------
 
 
-def test_every_stage_converges_and_costs_what_it_should(
-    mission: Mission, default_plan: Plan, two_rounds: Plan
-) -> None:
+def test_every_stage_converges_and_costs_what_it_should(mission, default_plan, two_rounds):
     """The first three figures are those of an independent prototype: IPOPT on the same grid."""
     tight_mission = mission_of("polytopes.ball=tangent", "polytopes.cone=12")
     tight = plan(tight_mission, initial_guess.cold(tight_mission))
@@ -87,9 +84,7 @@ def test_every_stage_converges_and_costs_what_it_should(
 
 
 @pytest.mark.parametrize("aside_m", [0.0, 20.0])
-def test_a_warm_start_meets_the_cold_one_wherever_it_begins(
-    mission: Mission, default_plan: Plan, aside_m: float
-) -> None:
+def test_a_warm_start_meets_the_cold_one_wherever_it_begins(mission, default_plan, aside_m):
     """A table of states need not begin where the flight does; the plan must."""
     arc = initial_guess.ballistic(mission)
     aside = arc.mean.copy()
@@ -106,9 +101,7 @@ def test_a_warm_start_meets_the_cold_one_wherever_it_begins(
 # --- stages and facets --------------------------------------------------------------------------
 
 
-def test_facets_are_those_of_the_p3_solution_and_all_hold(
-    mission: Mission, default_plan: Plan
-) -> None:
+def test_facets_are_those_of_the_p3_solution_and_all_hold(mission, default_plan):
     """Those left out of the program too."""
     p3, p2 = default_plan.stages
     start, end = p3.result.lin, p2.result.lin
@@ -121,9 +114,7 @@ def test_facets_are_those_of_the_p3_solution_and_all_hold(
     assert not (margin < mission.clearances[0]).all()
 
 
-def test_a_facet_round_is_kept_only_while_it_is_cheaper(
-    mission: Mission, default_plan: Plan
-) -> None:
+def test_a_facet_round_is_kept_only_while_it_is_cheaper(mission, default_plan):
     many = plan(mission, initial_guess.cold(mission), facet_rounds=3)
     kept = [stage for stage in many.stages if stage.facets is not None]
     costs = [total_dv(mission, stage) for stage in kept]
@@ -134,9 +125,7 @@ def test_a_facet_round_is_kept_only_while_it_is_cheaper(
     assert many.final.result.status is Status.CONVERGED
 
 
-def test_facets_wrongly_left_out_are_restored(
-    mission: Mission, default_plan: Plan, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_facets_wrongly_left_out_are_restored(mission, default_plan, monkeypatch):
     """Without any clearance only what P3 violates is known at first."""
     monkeypatch.setattr(Mission, "clearances", (0.0, 0.0))
     screened = plan(mission, initial_guess.cold(mission))
@@ -184,9 +173,7 @@ def exact_rows(scope: str, problem: FlybyProblem) -> Rows:
 
 
 @pytest.mark.parametrize("kind", usually(["facets", "flight", "node"], 2))
-def test_lifted_and_condensed_agree_at_convergence(
-    coarse_plan: Plan, at_nodes: tuple[Mission, Linearisation], kind: str
-) -> None:
+def test_lifted_and_condensed_agree_at_convergence(coarse_plan, at_nodes, kind):
     if kind == "facets":
         found = [solve_p2(coarse_plan, "lifted")[0], coarse_plan.final.result]
     else:
@@ -206,7 +193,7 @@ def test_lifted_and_condensed_agree_at_convergence(
 
 @nightly
 @pytest.mark.parametrize("risk", [[], ["risk.allocation=exact", "risk.p_chance=0.9"]])
-def test_lifted_and_condensed_agree_with_corrected_burns(risk: list[str]) -> None:
+def test_lifted_and_condensed_agree_with_corrected_burns(risk):
     """On few nodes, with exact risk of nodes and with facets."""
     navigation = ("sigma_position_m=10", "sigma_velocity_m_s=0.0005", "lead_s=0")
     mission = mission_of(
@@ -226,9 +213,7 @@ def test_lifted_and_condensed_agree_with_corrected_burns(risk: list[str]) -> Non
 # --- manners ------------------------------------------------------------------------------------
 
 
-def test_planning_again_is_the_same_silent_and_observed(
-    mission: Mission, default_plan: Plan, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_planning_again_is_the_same_silent_and_observed(mission, default_plan, capfd):
     rng, errors, filters = np.random.get_state(), np.geterr(), list(warnings.filters)  # noqa: NPY002
     seen: list[tuple[str, Record]] = []
     found = plan(mission, initial_guess.cold(mission), observe=lambda *of: seen.append(of))
@@ -243,9 +228,7 @@ def test_planning_again_is_the_same_silent_and_observed(
 
 
 @pytest.mark.parametrize("when", ["P3", "P2"])
-def test_an_interrupt_ends_with_the_best_stage_marked_as_interrupted(
-    mission: Mission, default_plan: Plan, when: str
-) -> None:
+def test_an_interrupt_ends_with_the_best_stage_marked_as_interrupted(mission, default_plan, when):
     def ctrl_c(stage: str, record: Record) -> None:
         if stage == when and record.k == 2:
             raise KeyboardInterrupt
@@ -258,7 +241,7 @@ def test_an_interrupt_ends_with_the_best_stage_marked_as_interrupted(
     assert found.final.result.lin.iterate.total_dv == pytest.approx(expected.total_dv, rel=1e-9)
 
 
-def test_an_optimum_of_p3_from_which_p2_is_infeasible_is_left(mission: Mission) -> None:
+def test_an_optimum_of_p3_from_which_p2_is_infeasible_is_left(mission):
     """This flight leads P3 to its second optimum, half as dear again."""
     found = plan(mission, flight_beyond(mission))
     assert [stage.name for stage in found.stages] == ["P3", "P2", "P3b", "P2b"]
@@ -269,7 +252,7 @@ def test_an_optimum_of_p3_from_which_p2_is_infeasible_is_left(mission: Mission) 
 
 
 @pytest.mark.usefixtures("few_flights")
-def test_facets_that_leave_nothing_feasible_are_chosen_again() -> None:
+def test_facets_that_leave_nothing_feasible_are_chosen_again():
     """Where the first choice ended; every stage has a name of its own."""
     mission = mission_of("risk.p_chance=0.9", COARSE)
     found = plan(mission, initial_guess.cold(mission))
@@ -285,9 +268,7 @@ def test_facets_that_leave_nothing_feasible_are_chosen_again() -> None:
 
 
 @pytest.mark.parametrize("formulation", ["condensed", "lifted"])
-def test_planning_again_finds_what_p2_with_these_facets_finds_from_afar(
-    coarse_plan: Plan, formulation: str
-) -> None:
+def test_planning_again_finds_what_p2_with_these_facets_finds_from_afar(coarse_plan, formulation):
     """Also in CVXPY, whose kept program must not remember the old initial state."""
     mission, last = coarse_plan.mission, coarse_plan
     again = Planner(mission, formulation=formulation)
@@ -309,7 +290,7 @@ def test_planning_again_finds_what_p2_with_these_facets_finds_from_afar(
     assert rows.missed(found.result.lin, 1e-6).sum() == 0
 
 
-def test_a_planner_keeps_its_programs(mission: Mission, default_plan: Plan) -> None:
+def test_a_planner_keeps_its_programs(mission, default_plan):
     planner = Planner(mission)
     first, second = (planner.plan(initial_guess.cold(mission)) for _ in range(2))
     assert first.stages[0].merit is second.stages[0].merit
@@ -323,9 +304,7 @@ def test_a_planner_keeps_its_programs(mission: Mission, default_plan: Plan) -> N
         )
 
 
-def test_only_p2_of_the_same_mission_can_be_planned_again(
-    mission: Mission, default_plan: Plan
-) -> None:
+def test_only_p2_of_the_same_mission_can_be_planned_again(mission, default_plan):
     p3 = replace(default_plan, final=default_plan.stages[0])
     with pytest.raises(ValueError, match="only a plan of P2"):
         Planner(mission).replan(p3, mission.initial_state)
@@ -337,9 +316,7 @@ def test_only_p2_of_the_same_mission_can_be_planned_again(
 @pytest.mark.parametrize(
     "state", [np.zeros(6), np.full(6, np.nan), np.ones(3), np.r_[100.0, 0.0, 0.0, 1.0, 1.0, 1.0]]
 )
-def test_no_plan_starts_from_what_is_no_state_outside_the_body(
-    mission: Mission, default_plan: Plan, state: Array
-) -> None:
+def test_no_plan_starts_from_what_is_no_state_outside_the_body(mission, default_plan, state):
     with pytest.raises(ValueError, match="an initial state"):
         Planner(mission).replan(default_plan, state)
 
@@ -347,9 +324,7 @@ def test_no_plan_starts_from_what_is_no_state_outside_the_body(
 # --- reductions leave a stage's solution unchanged ----------------------------------------------
 
 
-def test_rows_left_out_of_its_programs_do_not_change_a_stage(
-    mission: Mission, default_plan: Plan, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_rows_left_out_of_its_programs_do_not_change_a_stage(mission, default_plan, monkeypatch):
     """Neither those far from binding at the start nor those that the condensed program leaves out."""
     facets, start = default_plan.final.facets, default_plan.stages[0].result.lin
     found = []

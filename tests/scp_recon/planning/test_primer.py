@@ -63,9 +63,7 @@ def least_dv(planner: Planner, plan: Plan, node: int, kick: Array) -> float:
 
 
 @pytest.mark.parametrize("time_s", [5000.0, 14_900.0, 27_000.0])
-def test_a_small_burn_more_saves_what_the_primer_says(
-    planner: Planner, plan: Plan, time_s: float
-) -> None:
+def test_a_small_burn_more_saves_what_the_primer_says(planner, plan, time_s):
     history = primer_of(plan)
     assert history.residual < 1e-3
     node = int(np.argmin(np.abs(np.array(history.t_s) - time_s)))
@@ -75,7 +73,7 @@ def test_a_small_burn_more_saves_what_the_primer_says(
         assert (behind - ahead) / (2.0 * size) == pytest.approx(p @ u, abs=2e-3)
 
 
-def test_a_burn_where_it_exceeds_one_makes_the_plan_cheaper() -> None:
+def test_a_burn_where_it_exceeds_one_makes_the_plan_cheaper():
     tangent = "polytopes.ball='tangent'", "polytopes.cone=12"
     few = mission_of(COARSE, *tangent, "burns.times_s=[0,25000,34842]")
     plan = Planner(few).plan(initial_guess.cold(few))
@@ -88,7 +86,7 @@ def test_a_burn_where_it_exceeds_one_makes_the_plan_cheaper() -> None:
     assert more.total_dv_m_s < 0.99 * plan.total_dv_m_s
 
 
-def test_without_uncertainty_and_constraints_it_is_lawden_s() -> None:
+def test_without_uncertainty_and_constraints_it_is_lawden_s():
     """Two impulses about a point mass: p'' = G(r) p between the burns' directions."""
     mission = mission_of(
         COARSE, "burns.times_s=[0,34842]", "body.j2=0", "spacecraft.srp_area_m2=1e-9"
@@ -122,9 +120,7 @@ def test_without_uncertainty_and_constraints_it_is_lawden_s() -> None:
 
 
 @given(st.integers(0, 2**32 - 1), st.floats(0.0, 1.2))
-def test_the_allowed_part_is_the_largest_over_directions_off_the_cones(
-    seed: int, half_angle: float
-) -> None:
+def test_the_allowed_part_is_the_largest_over_directions_off_the_cones(seed, half_angle):
     rng = np.random.default_rng(seed)
     p, sun = rng.normal(size=(5, 3)), random_unit(rng, 5)
     found = allowed_part(p, sun, half_angle)
@@ -139,7 +135,7 @@ def test_the_allowed_part_is_the_largest_over_directions_off_the_cones(
     assert np.all(np.where(off, np.sum(some * p, axis=2), -np.inf) <= found + 1e-12)
 
 
-def test_errors_that_do_not_shrink_have_no_primer() -> None:
+def test_errors_that_do_not_shrink_have_no_primer():
     mission = mission_of(
         COARSE,
         *("uncertainty.gates.magnitude_fixed_m_s=1e-5", "uncertainty.gates.pointing_fixed_m_s=0"),

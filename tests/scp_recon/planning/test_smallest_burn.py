@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -45,7 +44,7 @@ def without_uncertainty(least: float, **options: str) -> Plan:
     return sr.plan(problem="P3", overrides=[f"burns.dv_min_m_s={least}"], **options)  # type: ignore[arg-type]
 
 
-def test_a_burn_below_the_smallest_is_none_and_costs_nothing() -> None:
+def test_a_burn_below_the_smallest_is_none_and_costs_nothing():
     any_size, least = without_uncertainty(0.0), without_uncertainty(1e-4)
     assert 0.0 < sizes_of(any_size)[2] < 1e-7
     assert sizes_of(least)[2] == 0.0
@@ -56,7 +55,7 @@ def test_a_burn_below_the_smallest_is_none_and_costs_nothing() -> None:
 
 
 @pytest.mark.parametrize("options", [{}, {"algorithm": "ptr"}])
-def test_it_is_raised_where_that_is_cheaper(options: dict[str, str]) -> None:
+def test_it_is_raised_where_that_is_cheaper(options):
     """Burn 2 of 22.5 mm/s; without it the plan would cost 7 mm/s more."""
     raised = without_uncertainty(0.025, **options)
     assert raised.status is Status.CONVERGED
@@ -67,7 +66,7 @@ def test_it_is_raised_where_that_is_cheaper(options: dict[str, str]) -> None:
     assert raised.final is raised.stages[2]
 
 
-def test_ipopt_decides_as_scp_does() -> None:
+def test_ipopt_decides_as_scp_does():
     how = {"problem": "P3", "overrides": [COARSE, "burns.dv_min_m_s=0.025"]}
     found, expected = sr.plan(method="ipopt", **how), sr.plan(**how)  # type: ignore[arg-type]
     assert found.status is Status.CONVERGED
@@ -76,14 +75,14 @@ def test_ipopt_decides_as_scp_does() -> None:
     assert found.final.result.lin.is_dynamically_feasible
 
 
-def test_each_small_burn_has_a_choice_of_its_own() -> None:
+def test_each_small_burn_has_a_choice_of_its_own():
     """Of three the last is needed; with all three raised the plan would cost 0.16 m/s at least."""
     plan = without_uncertainty(0.04)
     assert plan.status is Status.CONVERGED
     assert sizes_of(plan) == pytest.approx([0.070969, 0.0, 0.0, 0.044315], abs=2e-6)
 
 
-def test_no_correction_of_a_flight_makes_a_raised_burn_smaller() -> None:
+def test_no_correction_of_a_flight_makes_a_raised_burn_smaller():
     """The floor is hard: an iterate below it would leave the next program without a worse answer."""
     plan = sr.plan(overrides=["burns.dv_min_m_s=0.027"])
     assert plan.status is Status.CONVERGED
@@ -91,7 +90,7 @@ def test_no_correction_of_a_flight_makes_a_raised_burn_smaller() -> None:
     assert plan.mission.warnings == ()
 
 
-def test_where_neither_is_a_plan_it_stays_with_a_warning(default_plan: Plan) -> None:
+def test_where_neither_is_a_plan_it_stays_with_a_warning(default_plan):
     """Two burns leave no choice: the final state says what they are."""
     at, state = default_plan.times_s[80], default_plan.states[80]
     left = sr.replan(default_plan, at, state, overrides=["burns.dv_min_m_s=0.025"])
@@ -101,7 +100,7 @@ def test_where_neither_is_a_plan_it_stays_with_a_warning(default_plan: Plan) -> 
     assert warning.given == "burn 3 of 2.4e-02 m/s"
 
 
-def test_a_plan_of_whole_flights_has_none_of_next_to_nothing(exact: Plan) -> None:
+def test_a_plan_of_whole_flights_has_none_of_next_to_nothing(exact):
     assert exact.status is Status.CONVERGED
     assert exact.burns_m_s[2].tolist() == [0.0, 0.0, 0.0]
     assert exact.total_dv_m_s == pytest.approx(0.109080, abs=1e-6)
@@ -110,7 +109,7 @@ def test_a_plan_of_whole_flights_has_none_of_next_to_nothing(exact: Plan) -> Non
 
 
 @pytest.mark.usefixtures("few_flights")
-def test_a_file_with_a_burn_of_zero_is_verified_and_held(stored: Solution, tmp_path: Path) -> None:
+def test_a_file_with_a_burn_of_zero_is_verified_and_held(stored, tmp_path):
     checked = stored.with_verification(verify(stored.mission, stored))
     assert checked.verification.ok
     checked.write(tmp_path)
@@ -122,7 +121,7 @@ def test_a_file_with_a_burn_of_zero_is_verified_and_held(stored: Solution, tmp_p
     assert "max_defect" in verify(other.mission, other).failed
 
 
-def test_no_limit_judges_it(exact: Plan, stored: Solution) -> None:
+def test_no_limit_judges_it(exact, stored):
     """Of a burn of zero the battery's cone would have no room at all."""
     (battery,) = [c for c in stored.constraints if c.name == "dv_battery"]
     assert battery.worst_margin > 0.01
@@ -130,7 +129,7 @@ def test_no_limit_judges_it(exact: Plan, stored: Solution) -> None:
     assert exact.worst_margins["dv_battery"][0] == pytest.approx(battery.worst_margin, abs=1e-6)
 
 
-def test_it_is_no_manoeuvre_and_the_others_keep_their_numbers(stored: Solution) -> None:
+def test_it_is_no_manoeuvre_and_the_others_keep_their_numbers(stored):
     path = fly_path(stored.mission, stored)
     text = opm_text(Export(stored, stored.mission, path, Ids(SPACECRAFT_ID, 2101955)))
     numbers = [line for line in text.splitlines() if line.startswith("COMMENT burn ")]
@@ -140,7 +139,7 @@ def test_it_is_no_manoeuvre_and_the_others_keep_their_numbers(stored: Solution) 
     assert "COMMENT 3 burns, impulses; " in text
 
 
-def test_it_is_shown_as_zero_and_never_as_minus_zero(stored: Solution) -> None:
+def test_it_is_shown_as_zero_and_never_as_minus_zero(stored):
     first = replace(stored.burns[0], dv_m_s=(-1e-9, 0.02, 1e-9))
     table = burns_table(replace(stored, burns=[first, *stored.burns[1:]]))
     shown = [[cell.text for cell in row] for row in table.rows]

@@ -18,8 +18,7 @@ from scp_recon.planning.planner import Planner
 from scp_recon.replanning.delivery import Delivery
 from scp_recon.replanning.flown import FlownPlan, predict
 from scp_recon.replanning.remainder import mission_left
-from scp_recon.results.facts import Verification
-from scp_recon.results.solution import Solution, make_solution
+from scp_recon.results.solution import make_solution
 from scp_recon.verification import reintegration
 
 AT = 17_000.0
@@ -89,9 +88,7 @@ NONE_OF_THESE: dict[str, list[tuple[str, Any]]] = {
     ("name", "words", "value"),
     [(name, *case) for name, cases in NONE_OF_THESE.items() for case in cases],
 )
-def test_what_cannot_be_is_refused_by_its_name(
-    default_plan: Plan, state: Array, name: str, words: str, value: Any
-) -> None:
+def test_what_cannot_be_is_refused_by_its_name(default_plan, state, name, words, value):
     """States in other units or of another flight; burns not flown, or in mm/s."""
     made_of = {"state": state, "measured_burns": default_plan.burns_m_s}
     wrong = value(made_of[name]) if callable(value) else value
@@ -109,7 +106,7 @@ def told(plan: Plan, *given: Any, **named: Any) -> set[str]:
     return {warning.entry for warning in mission.warnings}
 
 
-def test_what_hardly_can_be_is_told(default_plan: Plan, state: Array) -> None:
+def test_what_hardly_can_be_is_told(default_plan, state):
     """Far from the prediction, in other axes or units; times may be any real number."""
     for off in (10_000.0 * METRES, 60.0 * METRES, 0.01 * (1.0 - METRES)):
         assert "state" in told(default_plan, AT, state + off)
@@ -120,7 +117,7 @@ def test_what_hardly_can_be_is_told(default_plan: Plan, state: Array) -> None:
     assert "measured_burns" in told(default_plan, AT, state, measured=burn)
 
 
-def test_a_covariance_has_axes_of_its_own(default_plan: Plan, state: Array) -> None:
+def test_a_covariance_has_axes_of_its_own(default_plan, state):
     """The radial direction is the position's."""
     radial = np.diag([100.0, 0.0, 0.0, 1e-8, 1e-8, 1e-8])
     plan = sr.replan(default_plan, AT, state, radial, covariance_frame="rtn")
@@ -130,14 +127,12 @@ def test_a_covariance_has_axes_of_its_own(default_plan: Plan, state: Array) -> N
         sr.replan(plan, 16_000.0, state)
 
 
-def test_what_is_left_may_be_asked_otherwise(default_plan: Plan, state: Array) -> None:
+def test_what_is_left_may_be_asked_otherwise(default_plan, state):
     plan = sr.replan(default_plan, AT, state, overrides=["risk.p_chance=0.6"])
     assert plan.mission.scenario.risk.p_chance == 0.6
 
 
-def test_only_exact_risk_with_uncertainty_is_certified(
-    default_plan: Plan, p3_plan: Plan, state: Array
-) -> None:
+def test_only_exact_risk_with_uncertainty_is_certified(default_plan, p3_plan, state):
     exact = ["risk.allocation=exact"]
     with pytest.raises(InputError, match=r"^certify: got False; goes with problem='P2'"):
         sr.replan(p3_plan, AT, state, overrides=exact, certify=False)
@@ -146,9 +141,7 @@ def test_only_exact_risk_with_uncertainty_is_certified(
     assert plan.target is not None
 
 
-def test_a_solution_is_not_verified_again_to_be_flown(
-    default_plan: Plan, state: Array, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_solution_is_not_verified_again_to_be_flown(default_plan, state, monkeypatch):
     """Neither its flights nor its reintegration are needed: two seconds and a half."""
 
     def refuse(*_: object, **__: object) -> None:
@@ -170,24 +163,22 @@ def test_a_solution_is_not_verified_again_to_be_flown(
     ],
 )
 def test_nodes_that_do_not_follow_from_scenario_and_burns_are_told(
-    solution: Solution, state: Array, entry: str, value: Any, failed: str
-) -> None:
+    solution, state, entry, value, failed
+):
     edited = solution.scenario.replace({entry: value})
     flown = FlownPlan.of(replace(solution, scenario=edited))
     assert failed in flown.failed
     assert "parent" in [w.entry for w in mission_left(flown, Delivery(AT, state)).warnings]
 
 
-def test_what_a_file_says_of_its_verification_is_told(
-    solution: Solution, verification: Verification, state: Array
-) -> None:
+def test_what_a_file_says_of_its_verification_is_told(solution, verification, state):
     bad = replace(verification, ok=False, failed=["safety_radius"])
     found = FlownPlan.of(replace(solution, verification=bad))
     (warning,) = mission_left(found, Delivery(AT, state)).warnings
     assert "not verified: safety_radius" in str(warning)
 
 
-def test_a_solution_of_another_grid_is_refused(solution: Solution) -> None:
+def test_a_solution_of_another_grid_is_refused(solution):
     finer = solution.scenario.replace({"grid.step_max_s": 200.0})
     with pytest.raises(InputError, match=r"^plan: got nodes.t_s that contradict"):
         FlownPlan.of(replace(solution, scenario=finer))

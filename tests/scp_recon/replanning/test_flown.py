@@ -41,7 +41,7 @@ def with_gates(plan: Plan, initial: float, **gates: float) -> FlownPlan:
     return replace(FlownPlan.of(plan), mission=mission, lin=lin)
 
 
-def test_no_measured_burn_makes_a_variance_negative(default_plan: Plan) -> None:
+def test_no_measured_burn_makes_a_variance_negative(default_plan):
     @given(
         bias=st.just(0.0) | st.floats(1e-6, 0.3),
         own=st.just(0.0) | st.floats(1e-6, 0.1),
@@ -61,9 +61,7 @@ def test_no_measured_burn_makes_a_variance_negative(default_plan: Plan) -> None:
 
 
 @pytest.mark.parametrize("measured", [(), (1,), (2,), (1, 3), (2, 3)])
-def test_the_spread_is_that_of_flights_in_which_measured_burns_do_not_err(
-    default_plan: Plan, measured: tuple[int, ...]
-) -> None:
+def test_the_spread_is_that_of_flights_in_which_measured_burns_do_not_err(default_plan, measured):
     """Small errors, so that flights are linear; the bias is one draw for all burns of a flight."""
     flown = with_gates(default_plan, 2e-3, magnitude_bias=0.02, pointing_proportional_rad=0.005)
     mission, firing = flown.mission, (0.0, 8_000.0, 25_000.0)
@@ -97,7 +95,7 @@ def corrected() -> Solution:
     "words",
     [("navigation.lead_s=0",), ("navigation.lead_s=20000", LAST_TOO), (gates(0.03, 0.02),)],
 )
-def test_the_gains_of_a_file_are_those_that_it_was_made_of(words: tuple[str, ...]) -> None:
+def test_the_gains_of_a_file_are_those_that_it_was_made_of(words):
     given = with_gains(*words)
     flown = FlownPlan.of(given)
     assert flown.failed == ()
@@ -109,14 +107,14 @@ def test_the_gains_of_a_file_are_those_that_it_was_made_of(words: tuple[str, ...
         np.testing.assert_allclose(ours.gains, stored.gains, rtol=1e-9, atol=1e-12)
 
 
-def test_a_file_of_other_gains_contradicts_its_covariances(corrected: Solution) -> None:
+def test_a_file_of_other_gains_contradicts_its_covariances(corrected):
     first, *others = corrected.policy.corrections
     gain = [(2.0 * np.array(block)).tolist() for block in first.gain]
     policy = replace(corrected.policy, corrections=[replace(first, gain=gain), *others])
     assert "covariance_error" in FlownPlan.of(replace(corrected, policy=policy)).failed
 
 
-def test_a_measured_burn_was_not_corrected_by_chance(corrected: Solution) -> None:
+def test_a_measured_burn_was_not_corrected_by_chance(corrected):
     """Its correction adds as little to the spread as its errors."""
     flown = FlownPlan.of(corrected)
     found = predict(flown, 15_000.0, {2: flown.burns_m_s[1]})
@@ -133,9 +131,7 @@ OFF = np.array([20.0, -10.0, 5.0, 1e-3, 2e-3, -1e-3])
 
 
 @pytest.mark.parametrize("at_s", [4_400.0, 3_000.0])
-def test_the_policy_alone_acts_on_the_estimate_at_the_cut_off(
-    corrected: Solution, at_s: float
-) -> None:
+def test_the_policy_alone_acts_on_the_estimate_at_the_cut_off(corrected, at_s):
     """From an earlier state on the estimate that follows from it."""
     flown, first = FlownPlan.of(corrected), corrected.corrections[0]
     planned = predict(flown, at_s, {}).state
@@ -150,7 +146,7 @@ def test_the_policy_alone_acts_on_the_estimate_at_the_cut_off(
     assert flown.commanded(planned + OFF, 17_000.0) is None
 
 
-def test_a_plan_with_corrections_is_continued_from_its_cut_off(corrected: Solution) -> None:
+def test_a_plan_with_corrections_is_continued_from_its_cut_off(corrected):
     """The next burn is as it is; later ones are corrected by measurements to come."""
     flown, first = FlownPlan.of(corrected), corrected.corrections[0]
     state = predict(flown, 4_400.0, {}).state + OFF

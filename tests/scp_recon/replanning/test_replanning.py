@@ -22,7 +22,7 @@ from scp_recon.planning.planner import Planner
 from scp_recon.replanning.delivery import Delivery
 from scp_recon.replanning.flown import FlownPlan, predict
 from scp_recon.replanning.remainder import mission_left, path_planned
-from scp_recon.results.solution import Solution, make_solution
+from scp_recon.results.solution import make_solution
 from scp_recon.scenario.schema import Scenario
 from scp_recon.scp.status import Status
 from scp_recon.verification.reintegration import verify
@@ -72,9 +72,7 @@ def drawn(flown: FlownPlan, at_s: float, seed: int = 0) -> Array:
         (31_242.0, 1, False),
     ],
 )
-def test_from_every_leg_what_is_left_is_planned_and_verified(
-    flown: FlownPlan, at_s: float, left: int, observed: bool
-) -> None:
+def test_from_every_leg_what_is_left_is_planned_and_verified(flown, at_s, left, observed):
     plan = again(flown, at_s, drawn(flown, at_s))
     mission = plan.mission
     assert plan.status is Status.CONVERGED
@@ -92,7 +90,7 @@ def test_from_every_leg_what_is_left_is_planned_and_verified(
 
 
 @pytest.mark.parametrize("seed", [0, 2])
-def test_before_the_window_a_flight_is_met_or_cannot_be_helped(flown: FlownPlan, seed: int) -> None:
+def test_before_the_window_a_flight_is_met_or_cannot_be_helped(flown, seed):
     """No burn is left before the window; what is infeasible says so at once, and by how much."""
     plan = again(flown, 8_000.0, drawn(flown, 8_000.0, seed))
     mission, solution = plan.mission, make_solution(plan)
@@ -107,7 +105,7 @@ def test_before_the_window_a_flight_is_met_or_cannot_be_helped(flown: FlownPlan,
         assert worst == pytest.approx(-solution.violation.max, rel=1e-6)
 
 
-def test_in_the_window_what_is_left_of_it_counts(flown: FlownPlan) -> None:
+def test_in_the_window_what_is_left_of_it_counts(flown):
     plan = again(flown, 15_000.0, np.zeros(6), "risk.p_chance=0.6")
     first, last = plan.mission.schedule.window_s
     assert first < 15_000.0
@@ -117,7 +115,7 @@ def test_in_the_window_what_is_left_of_it_counts(flown: FlownPlan) -> None:
 
 
 @pytest.mark.parametrize("at_s", [3_000.0, 17_000.0])
-def test_ipopt_finds_the_same_of_the_remaining_problem(flown: FlownPlan, at_s: float) -> None:
+def test_ipopt_finds_the_same_of_the_remaining_problem(flown, at_s):
     """From scratch: a cold start, facets at IPOPT's own solution without spread."""
     plan = again(flown, at_s, drawn(flown, at_s), "risk.p_chance=0.9")
     mission = plan.mission
@@ -133,7 +131,7 @@ def test_ipopt_finds_the_same_of_the_remaining_problem(flown: FlownPlan, at_s: f
 # --- one burn left --------------------------------------------------------------------------------
 
 
-def test_one_burn_meets_the_velocity_and_misses_what_the_coast_misses(late: Plan) -> None:
+def test_one_burn_meets_the_velocity_and_misses_what_the_coast_misses(late):
     mission = late.mission
     end = integrate(mission.forces, mission.initial_state, [26_000.0, 34_842.0])[-1]
     missed = verify(mission, make_solution(late)).missed
@@ -147,7 +145,7 @@ def test_one_burn_meets_the_velocity_and_misses_what_the_coast_misses(late: Plan
     assert late.burns_m_s[0] == pytest.approx(mission.final_state[3:] - end[3:], abs=1e-7)
 
 
-def test_a_burn_that_cannot_meet_it_misses_the_least_by_its_weight(flown: FlownPlan) -> None:
+def test_a_burn_that_cannot_meet_it_misses_the_least_by_its_weight(flown):
     plan = again(flown, 26_000.0, OFF, "burns.dv_max_m_s=0.03")
     mission, burn = plan.mission, plan.burns_m_s[0]
     before = plan.states[-1, 3:] - burn
@@ -167,9 +165,7 @@ def test_a_burn_that_cannot_meet_it_misses_the_least_by_its_weight(flown: FlownP
     assert "missed" in str(found)
 
 
-def test_a_flight_is_lost_beyond_three_sigma_of_the_final_dispersion(
-    flown: FlownPlan, default_plan: Plan
-) -> None:
+def test_a_flight_is_lost_beyond_three_sigma_of_the_final_dispersion(flown, default_plan):
     """In position or in velocity, by the roots of their summed variances; one burn meets velocity."""
     end = default_plan.covariances[-1]
     sigmas = [np.sqrt(np.trace(block)) for block in (end[:3, :3], end[3:, 3:])]
@@ -189,7 +185,7 @@ def test_a_flight_is_lost_beyond_three_sigma_of_the_final_dispersion(
     assert "status" in verify(lost.mission, make_solution(lost)).failed
 
 
-def test_scvx_star_says_that_it_cannot_weigh_a_miss(late: Plan) -> None:
+def test_scvx_star_says_that_it_cannot_weigh_a_miss(late):
     with pytest.raises(InputError, match=r"algorithm.*must be scvx or ptr"):
         Planner(late.mission, algorithm="scvx-star")
 
@@ -197,9 +193,7 @@ def test_scvx_star_says_that_it_cannot_weigh_a_miss(late: Plan) -> None:
 # --- what is kept ---------------------------------------------------------------------------------
 
 
-def test_the_covariance_is_the_initial_one_unless_given(
-    flown: FlownPlan, default_plan: Plan
-) -> None:
+def test_the_covariance_is_the_initial_one_unless_given(flown, default_plan):
     factor = default_plan.mission.initial_factor
     initial = factor @ factor.T
     plan = again(flown, 17_000.0, np.zeros(6))
@@ -211,7 +205,7 @@ def test_the_covariance_is_the_initial_one_unless_given(
     assert make_solution(other).plan_hash != make_solution(plan).plan_hash
 
 
-def test_a_replan_is_flown_and_replanned_in_its_turn(flown: FlownPlan, default_plan: Plan) -> None:
+def test_a_replan_is_flown_and_replanned_in_its_turn(flown, default_plan):
     first = again(flown, 9_000.0, 0.1 * drawn(flown, 9_000.0))
     assert first.parent.plan_hash == make_solution(default_plan).plan_hash
     child = FlownPlan.of(first)
@@ -223,7 +217,7 @@ def test_a_replan_is_flown_and_replanned_in_its_turn(flown: FlownPlan, default_p
     assert second.mission.scenario.burn_times_s == (34_842.0,)
 
 
-def test_a_plan_without_uncertainty_is_replanned_without(mission: Mission) -> None:
+def test_a_plan_without_uncertainty_is_replanned_without(mission):
     """And to the end: where P2 follows P3 may stop before."""
     plan = Planner(mission).plan(initial_guess.cold(mission), problem="P3")
     found = again(FlownPlan.of(plan), 3_000.0, OFF).final
@@ -232,7 +226,7 @@ def test_a_plan_without_uncertainty_is_replanned_without(mission: Mission) -> No
     assert found.result.records[-1].predicted < 1e-6
 
 
-def test_where_p3_stops_before_its_end_p2_ends_at_the_same(flown: FlownPlan) -> None:
+def test_where_p3_stops_before_its_end_p2_ends_at_the_same(flown):
     state = predict(flown, 5_000.0, {}).state + drawn(flown, 5_000.0, 3)
     mission = mission_left(flown, Delivery(5_000.0, state), ["navigation.lead_s=1800"])
     whole = Planner(mission).plan(path_planned(flown, mission))
@@ -242,7 +236,7 @@ def test_where_p3_stops_before_its_end_p2_ends_at_the_same(flown: FlownPlan) -> 
     assert quick.total_dv_m_s == pytest.approx(whole.total_dv_m_s, rel=1e-6)
 
 
-def test_a_replan_is_made_as_its_parent_was(flown: FlownPlan) -> None:
+def test_a_replan_is_made_as_its_parent_was(flown):
     mission = mission_of(COARSE)
     planner = Planner(mission, formulation="lifted", algorithm="ptr")
     parent = planner.plan(initial_guess.cold(mission), problem="P3")
@@ -257,9 +251,7 @@ def test_a_replan_is_made_as_its_parent_was(flown: FlownPlan) -> None:
     assert exact.provenance.formulation == "condensed"  # of which exact risk has rows
 
 
-def test_a_method_that_is_not_here_gives_way_and_one_that_is_none_is_refused(
-    solution: Solution,
-) -> None:
+def test_a_method_that_is_not_here_gives_way_and_one_that_is_none_is_refused(solution):
     elsewhere = replace(solution, solver="ELSEWHERE")
     assert FlownPlan.of(elsewhere).method.solver == "CLARABEL"
     by_ipopt = replace(solution, method="ipopt", formulation="tuned")
@@ -268,7 +260,7 @@ def test_a_method_that_is_not_here_gives_way_and_one_that_is_none_is_refused(
         FlownPlan.of(replace(solution, formulation="none"))
 
 
-def test_what_is_known_of_a_mission_is_what_would_be_found_again(flown: FlownPlan) -> None:
+def test_what_is_known_of_a_mission_is_what_would_be_found_again(flown):
     state = predict(flown, 17_000.0, {}).state
     left = mission_left(flown, Delivery(17_000.0, state))
     anew = Mission.from_scenario(left.scenario)
@@ -283,7 +275,7 @@ def test_what_is_known_of_a_mission_is_what_would_be_found_again(flown: FlownPla
 
 
 @pytest.mark.usefixtures("few_flights")
-def test_exact_risk_goes_on_in_flight(flown: FlownPlan) -> None:
+def test_exact_risk_goes_on_in_flight(flown):
     off = drawn(flown, 3_000.0)
     uniform = again(flown, 3_000.0, off, "risk.p_chance=0.95", COARSE)
     exact = again(flown, 3_000.0, off, "risk.p_chance=0.95", "risk.allocation=exact", COARSE)
@@ -293,7 +285,7 @@ def test_exact_risk_goes_on_in_flight(flown: FlownPlan) -> None:
 
 
 @pytest.mark.usefixtures("few_flights")
-def test_whole_flights_are_certified_in_flight(flown: FlownPlan) -> None:
+def test_whole_flights_are_certified_in_flight(flown):
     state = predict(flown, 17_000.0, {}).state + OFF
     asked = ("risk.allocation=exact", "risk.scope=flight", "risk.p_chance=0.9")
     mission = mission_left(flown, Delivery(17_000.0, state), asked)
@@ -306,7 +298,7 @@ def test_whole_flights_are_certified_in_flight(flown: FlownPlan) -> None:
 # --- burns as telemetry saw them ------------------------------------------------------------------
 
 
-def test_a_measured_burn_is_what_the_prediction_flies(flown: FlownPlan, default_plan: Plan) -> None:
+def test_a_measured_burn_is_what_the_prediction_flies(flown, default_plan):
     burn = 1.1 * flown.burns_m_s[1]
     found = predict(flown, 17_000.0, {2: burn})
     state = default_plan.states[default_plan.times_s == 8_000.0][0].copy()
@@ -318,9 +310,7 @@ def test_a_measured_burn_is_what_the_prediction_flies(flown: FlownPlan, default_
     assert np.trace(found.covariance[:3, :3]) < np.trace(planned[:3, :3])
 
 
-def test_a_measured_burn_explains_a_state_and_stands_in_the_history(
-    flown: FlownPlan, default_plan: Plan
-) -> None:
+def test_a_measured_burn_explains_a_state_and_stands_in_the_history(flown, default_plan):
     burn = 1.4 * flown.burns_m_s[1]
     state = predict(flown, 17_000.0, {2: burn}).state
     strange = sr.replan(default_plan, 17_000.0, state).mission.warnings
@@ -333,7 +323,7 @@ def test_a_measured_burn_explains_a_state_and_stands_in_the_history(
 # --- frames, files and time -----------------------------------------------------------------------
 
 
-def test_a_state_may_be_in_sun_north_axes(default_plan: Plan, flown: FlownPlan) -> None:
+def test_a_state_may_be_in_sun_north_axes(default_plan, flown):
     mission, state = default_plan.mission, predict(flown, 17_000.0, {}).state + OFF
     axes = mission.scene.axes("sun_north").T
     turned = np.concatenate([axes @ state[:3], axes @ state[3:]])
@@ -342,7 +332,7 @@ def test_a_state_may_be_in_sun_north_axes(default_plan: Plan, flown: FlownPlan) 
     assert plan.burns_m_s == pytest.approx(plain.burns_m_s, abs=1e-9)
 
 
-def test_a_scenario_in_flight_can_be_written_by_hand_or_left_out(scenario: Scenario) -> None:
+def test_a_scenario_in_flight_can_be_written_by_hand_or_left_out(scenario):
     flight = {
         "at_s": 17_000.0,
         "position_m": [-122.6, 419.9, -556.2],

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from scp_recon.physics import geometry
-from scp_recon.reports.subject import Subject
 from tests.scp_recon.browser import WINDOW, chromium, needed
 
 PATIENCE_MS = 120_000
@@ -48,13 +47,13 @@ def seen(browser: Any, html_file: Path) -> Seen:
     return found
 
 
-def test_it_says_no_error_and_asks_the_network_for_nothing(seen: Seen, html_file: Path) -> None:
+def test_it_says_no_error_and_asks_the_network_for_nothing(seen, html_file):
     assert seen.said == []
     outside = [url for url in seen.asked_for if not url.startswith(("data:", "blob:"))]
     assert outside == [html_file.as_uri()]
 
 
-def test_the_verdict_is_there_before_every_chart_is_drawn(seen: Seen) -> None:
+def test_the_verdict_is_there_before_every_chart_is_drawn(seen):
     painted, view = seen.page.evaluate(
         "[performance.getEntriesByName('first-contentful-paint')[0].startTime,"
         " performance.getEntriesByName('first-view')[0].startTime]"
@@ -70,8 +69,8 @@ def test_the_verdict_is_there_before_every_chart_is_drawn(seen: Seen) -> None:
 
 
 def test_the_slider_moves_the_spacecraft_to_the_nodes_as_far_from_the_site_as_is_said(
-    seen: Seen, subject: Subject
-) -> None:
+    seen, subject
+):
     states = np.array(subject.solution.nodes.state)
     for node in (0, 40, len(states) - 1):
         time = subject.nodes_s[node]
@@ -107,7 +106,7 @@ def test_the_slider_moves_the_spacecraft_to_the_nodes_as_far_from_the_site_as_is
     assert apart == pytest.approx(away, abs=2.5)  # the marker stands a little above the ground
 
 
-def test_the_body_turns_and_night_moves_over_it(seen: Seen) -> None:
+def test_the_body_turns_and_night_moves_over_it(seen):
     take = (
         "() => { const d = document.getElementById('flight').data[0];"
         " return [Array.from(d.x), Array.from(d.intensity)]; }"
@@ -126,7 +125,7 @@ def eye(seen: Seen) -> np.ndarray[Any, np.dtype[np.float64]]:
     return np.array([found[axis] for axis in "xyz"])
 
 
-def test_tables_are_read_without_scripts(browser: Any, html_file: Path, subject: Subject) -> None:
+def test_tables_are_read_without_scripts(browser, html_file, subject):
     page = browser.new_context(java_script_enabled=False).new_page()
     page.goto(html_file.as_uri())
     assert "Required:" in page.inner_text("header")
@@ -135,7 +134,7 @@ def test_tables_are_read_without_scripts(browser: Any, html_file: Path, subject:
     page.context.close()
 
 
-def test_it_prints_at_once_with_every_chart_and_the_view(browser: Any, html_file: Path) -> None:
+def test_it_prints_at_once_with_every_chart_and_the_view(browser, html_file):
     """As a browser without a window does, which waits for no frame."""
     page = browser.new_context(viewport=WINDOW).new_page()
     page.add_init_script(

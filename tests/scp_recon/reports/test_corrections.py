@@ -16,7 +16,6 @@ from scp_recon.reports.ground import Camera
 from scp_recon.reports.subject import Subject
 from scp_recon.reports.surfaces import shape_of
 from scp_recon.reports.write import page_of
-from scp_recon.results.solution import Solution
 from tests.scp_recon.verification.test_closed_loop import LAST_TOO, with_gains
 
 
@@ -37,7 +36,7 @@ def charts(shown: Shown) -> dict[str, dict[str, Any]]:
     return {chart["key"]: chart for chart in correction_charts([shown])}
 
 
-def test_all_corrections_together_are_the_files_covariance(subject: Subject) -> None:
+def test_all_corrections_together_are_the_files_covariance(subject):
     spreads, nodes = Spreads.of(subject), subject.solution.nodes
     size = np.outer(subject.mission.units.state, subject.mission.units.state)
     assert len(spreads.by_corrections) == 4
@@ -47,9 +46,7 @@ def test_all_corrections_together_are_the_files_covariance(subject: Subject) -> 
         assert np.abs(before / size - after / size).max() > 1e-6
 
 
-def test_knowledge_and_dispersion_are_drawn_at_the_nodes(
-    charts: dict[str, dict[str, Any]], subject: Subject
-) -> None:
+def test_knowledge_and_dispersion_are_drawn_at_the_nodes(charts, subject):
     position, velocity = (
         [t for t in charts["knowledge"]["data"] if t["yaxis"] == axis] for axis in ("y", "y2")
     )
@@ -63,9 +60,7 @@ def test_knowledge_and_dispersion_are_drawn_at_the_nodes(
     np.testing.assert_allclose(velocity[2]["y"], sigma, rtol=1e-5)
 
 
-def test_each_correction_has_ellipses_before_and_after_it(
-    charts: dict[str, dict[str, Any]], subject: Subject
-) -> None:
+def test_each_correction_has_ellipses_before_and_after_it(charts, subject):
     """The longer axis of the first is as long as its covariance says, along the chart."""
     data, spreads = charts["ellipses"]["data"], Spreads.of(subject)
     assert [trace["name"] for trace in data] == 3 * ["before", "after"]
@@ -77,7 +72,7 @@ def test_each_correction_has_ellipses_before_and_after_it(
     assert max(np.hypot(data[2]["x"], data[2]["y"])) == pytest.approx(longest, rel=1e-2)
 
 
-def test_delta_v_is_that_of_the_flights(charts: dict[str, dict[str, Any]], shown: Shown) -> None:
+def test_delta_v_is_that_of_the_flights(charts, shown):
     flights, *figures = charts["commanded"]["data"]
     assert np.sum(flights["y"][::2]) == pytest.approx(100.0, abs=1e-2)
     most = 1000.0 * float(np.quantile(shown.flown.commanded_m_s, 0.99))
@@ -85,9 +80,7 @@ def test_delta_v_is_that_of_the_flights(charts: dict[str, dict[str, Any]], shown
     assert figures[2]["x"][0] == pytest.approx(most, rel=1e-4)
 
 
-def test_python_has_the_charts_of_the_page(
-    shown: Shown, subject: Subject, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_python_has_the_charts_of_the_page(shown, subject, monkeypatch):
     monkeypatch.setattr(Shown, "of", lambda *_: shown)
     drawn = sr.charts(subject.solution)
     on_page = page_of([subject], Camera(), datetime.now(UTC)).charts
@@ -97,6 +90,6 @@ def test_python_has_the_charts_of_the_page(
         assert len(drawn[chart["key"]].data) == len(chart["data"])
 
 
-def test_a_plan_without_corrections_has_none_of_these(solution: Solution, shown: Shown) -> None:
+def test_a_plan_without_corrections_has_none_of_these(solution, shown):
     plain = replace(shown, subject=Subject("plain", solution))
     assert list(correction_charts([plain])) == []

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -15,10 +13,8 @@ from scp_recon.physics.frames import unit
 from scp_recon.reports.charts import BINS, thinned
 from scp_recon.reports.flights import SO_FAR, Flown, achieved, budget_of, fly
 from scp_recon.reports.ground import Camera, degrees_of, first_hit, ground_track, terminator
-from scp_recon.reports.page import Page
 from scp_recon.reports.subject import Subject
 from scp_recon.reports.surfaces import FACETS_MAX, RING, _of_mesh, ellipsoid, shape_of, shell, tube
-from scp_recon.results.solution import Solution
 from tests.helpers import generators, random_unit
 
 
@@ -28,7 +24,7 @@ def flown(subject: Subject) -> Flown:
 
 
 @given(generators)
-def test_rays_hit_an_ellipsoid_where_the_quadratic_says(rng: np.random.Generator) -> None:
+def test_rays_hit_an_ellipsoid_where_the_quadratic_says(rng):
     radii = rng.uniform(100.0, 400.0, 3)
     shape = ellipsoid(radii, "")
     start = 2000.0 * random_unit(rng, 20)
@@ -45,9 +41,7 @@ def test_rays_hit_an_ellipsoid_where_the_quadratic_says(rng: np.random.Generator
     np.testing.assert_allclose(found[both], expected[both], atol=1e-3)
 
 
-def test_the_field_of_view_is_about_the_site_at_the_camera_s_angle_on_the_ground(
-    subject: Subject,
-) -> None:
+def test_the_field_of_view_is_about_the_site_at_the_camera_s_angle_on_the_ground(subject):
     scenario, mission = subject.solution.scenario, subject.mission
     track = ground_track(subject, shape_of(scenario), Camera())
     site = mission.site.position_body
@@ -71,7 +65,7 @@ def in_the_body(subject: Subject, times_s: Array) -> Array:
     return np.einsum("nji,nj->ni", at, subject.positions(times_s))
 
 
-def test_the_sun_stands_on_the_horizon_at_the_terminator(subject: Subject) -> None:
+def test_the_sun_stands_on_the_horizon_at_the_terminator(subject):
     mission = subject.mission
     for time in (0.0, 15_000.0):
         longitude, latitude = np.deg2rad(terminator(subject, time))
@@ -84,7 +78,7 @@ def test_the_sun_stands_on_the_horizon_at_the_terminator(subject: Subject) -> No
 
 
 @given(generators)
-def test_a_tube_is_made_of_its_covariance(rng: np.random.Generator) -> None:
+def test_a_tube_is_made_of_its_covariance(rng):
     """Each point's deviation is in the plane across the path, and as many sigmas from it there."""
     path = np.cumsum(rng.uniform(0.5, 1.0, (12, 3)), axis=0) * 100.0
     factor = rng.normal(size=(12, 3, 3)) * 10.0
@@ -102,7 +96,7 @@ def test_a_tube_is_made_of_its_covariance(rng: np.random.Generator) -> None:
 
 
 @given(generators)
-def test_a_shell_keeps_to_its_distances_and_angles(rng: np.random.Generator) -> None:
+def test_a_shell_keeps_to_its_distances_and_angles(rng):
     axis, apex = random_unit(rng), 100.0 * rng.normal(size=3)
     points = shell(axis, apex, (500.0, 740.0), (0.3, 0.8)).vertices_m - apex
     distance = np.linalg.norm(points, axis=1)
@@ -111,7 +105,7 @@ def test_a_shell_keeps_to_its_distances_and_angles(rng: np.random.Generator) -> 
     assert ((angle > 0.3 - 1e-6) & (angle < 0.8 + 1e-6)).all()
 
 
-def test_a_large_mesh_is_drawn_with_fewer_facets_that_close_around_the_centre() -> None:
+def test_a_large_mesh_is_drawn_with_fewer_facets_that_close_around_the_centre():
     fine = ellipsoid(np.array([280.0, 270.0, 250.0]), "")
     vertices, facets = fine.vertices_m, fine.facets
     for _ in range(2):  # every facet in three, about its middle
@@ -133,9 +127,7 @@ def test_a_large_mesh_is_drawn_with_fewer_facets_that_close_around_the_centre() 
     np.testing.assert_allclose(shape.radius(ray), fine.radius(ray), rtol=0.01)
 
 
-def test_a_shape_file_is_drawn_and_a_missing_one_is_told(
-    solution: Solution, tmp_path: Path
-) -> None:
+def test_a_shape_file_is_drawn_and_a_missing_one_is_told(solution, tmp_path):
     lines = ["v 100 0 0", "v -100 0 0", "v 0 100 0", "v 0 -100 0", "v 0 0 90", "v 0 0 -90"]
     corners = ("1 3 5", "3 2 5", "2 4 5", "4 1 5", "3 1 6", "2 3 6", "4 2 6", "1 4 6")
     file = tmp_path / "rock.obj"
@@ -150,9 +142,7 @@ def test_a_shape_file_is_drawn_and_a_missing_one_is_told(
     assert "through the site" in shape_of(scenario.model_copy(update={"body": bare})).description
 
 
-def test_probabilities_are_the_verification_s(
-    subject: Subject, flown: Flown, verified: Solution
-) -> None:
+def test_probabilities_are_the_verification_s(subject, flown, verified):
     """The same draws: at the nodes the same numbers."""
     checked = verified.verification
     found = {one.name: one for one in achieved(subject, flown)}
@@ -167,7 +157,7 @@ def test_probabilities_are_the_verification_s(
     assert so_far[-1] <= min(one.value.min() for one in found.values())
 
 
-def test_the_budget_is_that_of_the_executed_burns(subject: Subject, flown: Flown) -> None:
+def test_the_budget_is_that_of_the_executed_burns(subject, flown):
     budget = budget_of(subject, flown)
     total = subject.solution.total_dv_m_s
     assert budget.planned_m_s.sum() == pytest.approx(total, rel=1e-12)
@@ -178,7 +168,7 @@ def test_the_budget_is_that_of_the_executed_burns(subject: Subject, flown: Flown
     assert budget.total_high_m_s < budget.high_m_s.sum()
 
 
-def test_the_view_moves_through_the_nodes(page: Page, subject: Subject) -> None:
+def test_the_view_moves_through_the_nodes(page, subject):
     motion = page.scene["motion"]
     plan = motion["plans"][0]
     axes = np.array(motion["rotation"]["axes"])
@@ -202,7 +192,7 @@ def test_the_view_moves_through_the_nodes(page: Page, subject: Subject) -> None:
 
 
 @given(generators, st.integers(2, 20_000))
-def test_thinning_loses_no_peak(rng: np.random.Generator, n: int) -> None:
+def test_thinning_loses_no_peak(rng, n):
     times, values = np.arange(n, dtype=float), rng.normal(size=n)
     t, v = thinned(times, values)
     assert len(t) <= max(2 * BINS, 2)

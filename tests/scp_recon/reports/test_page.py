@@ -53,9 +53,7 @@ def numbers(table: Table) -> list[list[float]]:
     return [[cell.value for cell in row if cell.is_number] for row in table.rows]  # type: ignore[misc]
 
 
-def test_one_file_refers_to_nothing_else_and_says_first_its_verdict(
-    html_file: Path, html: str, verified: Solution
-) -> None:
+def test_one_file_refers_to_nothing_else_and_says_first_its_verdict(html_file, html, verified):
     assert html_file.stat().st_size < BYTES_MAX
     shown = html[: html.index('id="report-data"')]
     referred = re.findall(r'\b(?:src|href|action)="([^"]*)"', shown)
@@ -70,7 +68,7 @@ def test_one_file_refers_to_nothing_else_and_says_first_its_verdict(
     assert text.count(f"recon_b, {when}, plan {verified.plan_hash[:12]} | scp_recon ") >= 11
 
 
-def test_tables_equal_the_solution_file(page: Page, verified: Solution, html: str) -> None:
+def test_tables_equal_the_solution_file(page, verified, html):
     tables = {table.key: table for table in page.tables[0]}
     assert all(table.html() in html for table in tables.values())
     expected = [[b.t_s, *b.dv_m_s, float(np.linalg.norm(b.dv_m_s))] for b in verified.burns]
@@ -105,7 +103,7 @@ def test_tables_equal_the_solution_file(page: Page, verified: Solution, html: st
             assert abs(float(figure) - cell.value) <= 0.51 * last, cell  # type: ignore[operator]
 
 
-def test_every_figure_is_one_of_plotlys(page: Page) -> None:
+def test_every_figure_is_one_of_plotlys(page):
     """Plotly refuses what it does not know, names and values alike."""
     go = pytest.importorskip("plotly.graph_objects")
     figures = [{"data": page.scene["traces"], "layout": page.scene["layout"]}, *page.charts]
@@ -115,7 +113,7 @@ def test_every_figure_is_one_of_plotlys(page: Page) -> None:
     assert len(set(keys)) == len(keys) == 9  # without a simulation
 
 
-def test_a_uniform_plan_that_reaches_more_is_told_of_exact_risk(verified: Solution) -> None:
+def test_a_uniform_plan_that_reaches_more_is_told_of_exact_risk(verified):
     (line,) = _surplus(Subject("plan", verified, path=Path("my runs/one")))
     assert re.match(r"flights reach at least 0\.\d{4} where 0\.7 is required", line)
     program, *words = shlex.split(line.rpartition("with: ")[2])
@@ -130,7 +128,7 @@ def test_a_uniform_plan_that_reaches_more_is_told_of_exact_risk(verified: Soluti
 
 
 @pytest.mark.usefixtures("few_flights")
-def test_names_are_shown_as_they_are_and_end_no_script(verified: Solution) -> None:
+def test_names_are_shown_as_they_are_and_end_no_script(verified):
     hostile = "</script><b onload=alert(1)>&\"'"
     scenario = verified.scenario.model_copy(update={"name": hostile})
     solution = replace(verified, scenario=scenario)
@@ -142,9 +140,7 @@ def test_names_are_shown_as_they_are_and_end_no_script(verified: Solution) -> No
 
 
 @pytest.mark.usefixtures("few_flights")
-def test_several_plans_are_laid_over_each_other(
-    page: Page, verified: Solution, plan_folder: Path
-) -> None:
+def test_several_plans_are_laid_over_each_other(page, verified, plan_folder):
     other = replace(verified, burns=verified.burns[:], status="stalled")
     both = page_of(subjects_of([plan_folder, other]), Camera(), MADE)
     assert [verdict_of(plan).good for plan in both.plans] == [True, False]
@@ -161,11 +157,8 @@ def test_several_plans_are_laid_over_each_other(
 
 @pytest.mark.usefixtures("few_flights")
 def test_the_command_writes_where_it_is_told_or_says_why_not(
-    plan_folder: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+    plan_folder, tmp_path, monkeypatch, capsys
+):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "folder.html").mkdir()
     for arguments, said in (
@@ -193,9 +186,7 @@ def elsewhere(solution: Solution, **sections: dict[str, Any]) -> Solution:
     return replace(solution, scenario=scenario)
 
 
-def test_too_many_plans_and_those_of_several_bodies_or_epochs_are_refused(
-    verified: Solution,
-) -> None:
+def test_too_many_plans_and_those_of_several_bodies_or_epochs_are_refused(verified):
     later = verified.scenario.epoch.tdb + timedelta(seconds=10)
     number = f"must be 1 to {PLANS_MAX} plans"
     for plans, said in (
@@ -208,9 +199,7 @@ def test_too_many_plans_and_those_of_several_bodies_or_epochs_are_refused(
             subjects_of(plans)
 
 
-def test_flights_of_another_plan_are_passed_over_and_named(
-    plan_folder: Path, subject: Subject, tmp_path: Path
-) -> None:
+def test_flights_of_another_plan_are_passed_over_and_named(plan_folder, subject, tmp_path):
     assert subject.summary is not None
     other = replace(subject.solution, burns=subject.solution.burns[::1])
     other.write(tmp_path)
@@ -224,9 +213,7 @@ def test_flights_of_another_plan_are_passed_over_and_named(
 
 
 @pytest.mark.usefixtures("few_flights")
-def test_solve_writes_it_beside_the_plan_and_one_of_a_failed_plan_beside_that(
-    tmp_path: Path,
-) -> None:
+def test_solve_writes_it_beside_the_plan_and_one_of_a_failed_plan_beside_that(tmp_path):
     run = run_solve(tmp_path, "--report")
     assert run.exit_code == 0
     page = (tmp_path / "report.html").read_text("utf-8")
@@ -264,9 +251,7 @@ def earliest(page: Page, keys: set[str]) -> float:
 
 @pytest.mark.usefixtures("few_flights")
 @pytest.mark.parametrize("at_s", [IN_THE_WINDOW, AFTER_IT])
-def test_nothing_is_shown_of_a_time_before_the_plan(
-    left: dict[float, Solution], at_s: float
-) -> None:
+def test_nothing_is_shown_of_a_time_before_the_plan(left, at_s):
     (subject,) = subjects_of([left[at_s]])
     assert fly(subject, samples=10).times_s[0] == at_s
     page = page_of([subject], Camera(), MADE)
@@ -280,7 +265,7 @@ def test_nothing_is_shown_of_a_time_before_the_plan(
 
 
 @pytest.mark.usefixtures("few_flights")
-def test_burns_have_the_numbers_that_they_have_in_the_flight(left: dict[float, Solution]) -> None:
+def test_burns_have_the_numbers_that_they_have_in_the_flight(left):
     page = page_of(subjects_of([left[AFTER_IT]]), Camera(), MADE)
     charts = {chart["key"]: chart["data"] for chart in page.charts}
     assert charts["budget"][0]["x"] == ["burn 3", "burn 4"]

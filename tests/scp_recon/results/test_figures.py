@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import json
 import pickle
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -69,9 +68,7 @@ def keys_of(data: Any, path: str = "") -> set[str]:
 
 
 @pytest.mark.parametrize("number", [1, 2, 3])
-def test_the_figures_of_an_older_file_follow_from_its_facts(
-    older: Data, number: int, tmp_path: Path
-) -> None:
+def test_the_figures_of_an_older_file_follow_from_its_facts(older, number, tmp_path):
     """Those that it carries were the planner's own."""
     data = older | {"schema": f"scp_recon.solution/{number}"}
     if number == 1:
@@ -86,13 +83,13 @@ def test_the_figures_of_an_older_file_follow_from_its_facts(
     assert found.plan_hash == older["plan_hash"]
 
 
-def test_an_older_file_is_verified_as_it_was(older: Data, tmp_path: Path) -> None:
+def test_an_older_file_is_verified_as_it_was(older, tmp_path):
     found = read(older, tmp_path)
     assert found.verification.failed == older["verification"]["failed"]
     assert verify(found.mission, found).failed == found.verification.failed
 
 
-def test_written_again_it_is_a_file_of_today(older: Data, written: Data, tmp_path: Path) -> None:
+def test_written_again_it_is_a_file_of_today(older, written, tmp_path):
     assert written["schema"] == SCHEMA
     assert keys_of(older) - {".scenario.schedule.decision_lead_s"} <= keys_of(written)
     assert read(written, tmp_path) == parsed(older)
@@ -107,8 +104,8 @@ def test_written_again_it_is_a_file_of_today(older: Data, written: Data, tmp_pat
     ],
 )
 def test_a_figure_that_does_not_follow_from_the_facts_is_not_believed(
-    written: Data, change: Callable[[Data], object], named: str, tmp_path: Path
-) -> None:
+    written, change, named, tmp_path
+):
     failed = written["verification"]["failed"]
     change(written)
     found = read(written, tmp_path)
@@ -127,9 +124,7 @@ def test_a_figure_that_does_not_follow_from_the_facts_is_not_believed(
         lambda r: r.update(scope="flight"),
     ],
 )
-def test_a_risk_that_is_not_its_quantiles_or_not_the_scenarios_is_named(
-    written: Data, change: Callable[[Data], object], tmp_path: Path
-) -> None:
+def test_a_risk_that_is_not_its_quantiles_or_not_the_scenarios_is_named(written, change, tmp_path):
     change(written["risk"])
     found = read(written, tmp_path)
     assert found.verification.failed[0] == "risk"
@@ -145,8 +140,8 @@ def test_a_risk_that_is_not_its_quantiles_or_not_the_scenarios_is_named(
     indirect=["older"],
 )
 def test_a_status_that_no_stage_ended_with_or_that_violations_refute_is_named(
-    written: Data, status: str, last_stage: str, named: str, tmp_path: Path
-) -> None:
+    written, status, last_stage, named, tmp_path
+):
     written["status"] = status
     written["stages"][-1]["status"] = last_stage
     found, failed = read(written, tmp_path), named.split(", ")
@@ -155,7 +150,7 @@ def test_a_status_that_no_stage_ended_with_or_that_violations_refute_is_named(
     assert f"{named} that do not follow" in str(found.warnings[-1])
 
 
-def test_a_final_state_that_was_told_in_sigmas_is_one_in_metres(tmp_path: Path) -> None:
+def test_a_final_state_that_was_told_in_sigmas_is_one_in_metres(tmp_path):
     data = json.loads((OLDER / "infeasible.json").read_text("utf-8"))
     length = data["units"]["length_m"]
     data["nodes"]["state"][-1][0] += 0.1 * length
@@ -168,7 +163,7 @@ def test_a_final_state_that_was_told_in_sigmas_is_one_in_metres(tmp_path: Path) 
     assert found.violation.by_constraint[FINAL_STATE].max == pytest.approx(0.1 * length, rel=1e-3)
 
 
-def test_a_copy_is_equal_and_computes_its_figures_again(written: Data) -> None:
+def test_a_copy_is_equal_and_computes_its_figures_again(written):
     solution = parsed(written)
     figures = solution.figures
     copy = pickle.loads(pickle.dumps(solution))
@@ -177,7 +172,7 @@ def test_a_copy_is_equal_and_computes_its_figures_again(written: Data) -> None:
     assert copy.figures == figures
 
 
-def test_what_is_not_finite_is_not_written(written: Data, tmp_path: Path) -> None:
+def test_what_is_not_finite_is_not_written(written, tmp_path):
     solution = parsed(written)
     diverged = replace(solution.iterations[0], merit=np.inf)
     with pytest.raises(ValueError, match="not JSON compliant"):
@@ -185,7 +180,7 @@ def test_what_is_not_finite_is_not_written(written: Data, tmp_path: Path) -> Non
     assert not (tmp_path / "diverged.json").exists()
 
 
-def test_what_stands_in_files_and_scenarios_shows_no_methods_of_its_base_class() -> None:
+def test_what_stands_in_files_and_scenarios_shows_no_methods_of_its_base_class():
     scenario = load_scenario()
     assert {"risk", "replace"} <= {*dir(scenario)}
     for shown in (scenario, scenario.risk):

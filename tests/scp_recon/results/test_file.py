@@ -54,7 +54,7 @@ def data(verified: Solution, tmp_path_factory: pytest.TempPathFactory) -> Data:
 # --- what is in it ------------------------------------------------------------------------------
 
 
-def test_it_is_plain_json_with_the_schema_first(verified: Solution, tmp_path: Path) -> None:
+def test_it_is_plain_json_with_the_schema_first(verified, tmp_path):
     text = verified.write(tmp_path).read_text("utf-8")
 
     def no_constant(name: str) -> None:
@@ -68,9 +68,7 @@ def test_it_is_plain_json_with_the_schema_first(verified: Solution, tmp_path: Pa
 # --- reading back -------------------------------------------------------------------------------
 
 
-def test_round_trip_through_file_and_folder(
-    solution: Solution, verified: Solution, tmp_path: Path
-) -> None:
+def test_round_trip_through_file_and_folder(solution, verified, tmp_path):
     for version in (solution, verified):
         path = version.write(tmp_path)
         assert path == tmp_path / "solution.json"
@@ -78,13 +76,13 @@ def test_round_trip_through_file_and_folder(
         assert read_solution(tmp_path) == version
 
 
-def test_keys_of_a_later_minor_version_are_tolerated(data: Data, tmp_path: Path) -> None:
+def test_keys_of_a_later_minor_version_are_tolerated(data, tmp_path):
     file = tmp_path / "solution.json"
     file.write_text(json.dumps({**data, "note": "added later"}), "utf-8")
     assert read_solution(file).total_dv_m_s == data["total_dv_m_s"]
 
 
-def test_what_older_files_lack_is_none(data: Data, tmp_path: Path) -> None:
+def test_what_older_files_lack_is_none(data, tmp_path):
     file = tmp_path / "solution.json"
     assert data["method"] == "scp"
     assert data["primer"] is not None
@@ -97,9 +95,7 @@ def test_what_older_files_lack_is_none(data: Data, tmp_path: Path) -> None:
 # --- which plan it is ---------------------------------------------------------------------------
 
 
-def test_the_plans_hash_is_that_of_scenario_and_burns_alone(
-    solution: Solution, verified: Solution, tmp_path: Path
-) -> None:
+def test_the_plans_hash_is_that_of_scenario_and_burns_alone(solution, verified, tmp_path):
     others = {"message": "", "iterations": [], "stages": [], "init": "x"}
     timing = replace(solution.timing_s, total=1.0)
     same = replace(solution, **others, timing_s=timing)
@@ -109,9 +105,7 @@ def test_the_plans_hash_is_that_of_scenario_and_burns_alone(
 
 
 @pytest.mark.parametrize("path", ["burns.0.dv_m_s.0", "scenario.risk.p_chance"])
-def test_a_file_that_was_edited_by_hand_is_not_verified_and_says_why(
-    data: Data, tmp_path: Path, path: str
-) -> None:
+def test_a_file_that_was_edited_by_hand_is_not_verified_and_says_why(data, tmp_path, path):
     assert data["verification"]["ok"]
     (tmp_path / "solution.json").write_text(edited(data, path, 0.6), "utf-8")
     read = read_solution(tmp_path)
@@ -120,7 +114,7 @@ def test_a_file_that_was_edited_by_hand_is_not_verified_and_says_why(
     assert "changed after it was written" in str(read.warnings[-1])
 
 
-def test_a_file_from_before_it_held_its_hash_is_believed(data: Data, tmp_path: Path) -> None:
+def test_a_file_from_before_it_held_its_hash_is_believed(data, tmp_path):
     (tmp_path / "solution.json").write_text(edited(data, "plan_hash", ...), "utf-8")
     read = read_solution(tmp_path)
     assert read.verification.ok
@@ -133,9 +127,7 @@ OLDER = Path(__file__).parent / "older" / "exact.json"
 @pytest.mark.parametrize(
     ("lead_s", "today_s"), [(1800.0, 3600.0), (3600.0, 3600.0), (900.0, 900.0)]
 )
-def test_an_older_lead_is_that_of_navigation_and_the_files_hash_its_own(
-    lead_s: float, today_s: float, tmp_path: Path
-) -> None:
+def test_an_older_lead_is_that_of_navigation_and_the_files_hash_its_own(lead_s, today_s, tmp_path):
     """The default of then gives way to today's, and an edited lead is another plan's."""
     data = json.loads(OLDER.read_text("utf-8"))
     tables = read_solution(OLDER).scenario.model_dump(mode="json", exclude_defaults=True)
@@ -179,9 +171,7 @@ def other(value: object) -> object:
     raise TypeError(value)
 
 
-def test_the_plans_hash_knows_every_entry_of_the_scenario_and_the_last_bit_of_every_burn(
-    solution: Solution,
-) -> None:
+def test_the_plans_hash_knows_every_entry_of_the_scenario_and_the_last_bit_of_every_burn(solution):
     scenario, found = solution.scenario, [solution.plan_hash]
     for name, section in scenario:
         if isinstance(section, str):
@@ -217,7 +207,7 @@ def interrupt(*_: object, **__: object) -> None:
     raise KeyboardInterrupt
 
 
-def test_others_may_read_the_file_as_any_other(solution: Solution, tmp_path: Path) -> None:
+def test_others_may_read_the_file_as_any_other(solution, tmp_path):
     """A result is shared: its permissions are those of every file made here."""
     ordinary = tmp_path / "ordinary"
     ordinary.write_text("", "utf-8")
@@ -236,7 +226,7 @@ def refused(file: Path, content: str | bytes) -> InputError:
     return caught.value
 
 
-def test_a_missing_file_or_an_empty_folder_is_refused(tmp_path: Path) -> None:
+def test_a_missing_file_or_an_empty_folder_is_refused(tmp_path):
     for path in (tmp_path / "none.json", tmp_path):
         with pytest.raises(InputError) as caught:
             read_solution(path)
@@ -248,7 +238,7 @@ def test_a_missing_file_or_an_empty_folder_is_refused(tmp_path: Path) -> None:
     [b"", b"{", b"\x89PNG\r\n\x1a\n", b"\xff\xfe\x00", b"nonsense", b"[" * 100_000],
     ids=["empty", "half a brace", "picture", "binary", "word", "deep"],
 )
-def test_what_is_no_json_is_refused(tmp_path: Path, content: bytes) -> None:
+def test_what_is_no_json_is_refused(tmp_path, content):
     assert "JSON" in str(refused(tmp_path / "s.json", content))
 
 
@@ -256,7 +246,7 @@ def test_what_is_no_json_is_refused(tmp_path: Path, content: bytes) -> None:
     "content",
     ["[]", "5", "null", '"text"', "{}", '{"schema": "scp_recon.solution/0"}', '{"schema": 1}'],
 )
-def test_another_schema_is_refused(tmp_path: Path, content: str) -> None:
+def test_another_schema_is_refused(tmp_path, content):
     error = refused(tmp_path / "s.json", content)
     assert SCHEMA in error.allowed
 
@@ -273,7 +263,7 @@ def edited(data: Data, path: str, value: object) -> str:
         *("total_dv_m_s", "timing_s", "violation.total", "stages.0.name", "verification"),
     ],
 )
-def test_a_missing_key_is_named(tmp_path: Path, data: Data, path: str) -> None:
+def test_a_missing_key_is_named(tmp_path, data, path):
     error = refused(tmp_path / "s.json", edited(data, path, ...))
     assert path in error.entry
     assert error.given == "nothing"
@@ -320,12 +310,12 @@ def test_a_missing_key_is_named(tmp_path: Path, data: Data, path: str) -> None:
         20,
     ),
 )
-def test_a_bad_value_is_named(tmp_path: Path, data: Data, path: str, value: object) -> None:
+def test_a_bad_value_is_named(tmp_path, data, path, value):
     error = refused(tmp_path / "s.json", edited(data, path, value))
     assert path.split(".", maxsplit=1)[0] in error.entry + error.allowed
 
 
-def test_every_number_is_a_number(tmp_path: Path, data: Data) -> None:
+def test_every_number_is_a_number(tmp_path, data):
     """Neither a boolean nor a string nor a list."""
     places = list(numbers(data))
     assert len(places) > 80
@@ -353,9 +343,7 @@ def with_time(data: Data, part: str, at: int, error_s: float) -> str:
 
 @pytest.mark.usefixtures("few_flights")
 @pytest.mark.parametrize("error_s", [1e-9, -1e-9, 0.9e-3])
-def test_a_window_edge_of_another_machine_reads_and_is_verified(
-    tmp_path: Path, data: Data, error_s: float
-) -> None:
+def test_a_window_edge_of_another_machine_reads_and_is_verified(tmp_path, data, error_s):
     file = tmp_path / "s.json"
     file.write_text(with_time(data, "nodes", window_edge(data), error_s), "utf-8")
     read = read_solution(file)
@@ -364,15 +352,13 @@ def test_a_window_edge_of_another_machine_reads_and_is_verified(
 
 
 @pytest.mark.parametrize("error_s", [1.0, -1.0, 1.1e-3])
-def test_a_window_edge_elsewhere_is_refused(tmp_path: Path, data: Data, error_s: float) -> None:
+def test_a_window_edge_elsewhere_is_refused(tmp_path, data, error_s):
     error = refused(tmp_path / "s.json", with_time(data, "nodes", window_edge(data), error_s))
     assert "nodes.t_s" in error.entry
 
 
 @pytest.mark.parametrize(("part", "at"), [("burns", 1), ("burns", 0), ("nodes", 0), ("nodes", -1)])
-def test_burns_and_their_nodes_are_at_the_scenarios_own_times(
-    tmp_path: Path, data: Data, part: str, at: int
-) -> None:
+def test_burns_and_their_nodes_are_at_the_scenarios_own_times(tmp_path, data, part, at):
     at %= len(data["nodes"]["t_s"]) if part == "nodes" else len(data["burns"])
     error = refused(tmp_path / "s.json", with_time(data, part, at, 1e-9))
     assert f"{part}.t_s" in error.entry

@@ -14,13 +14,12 @@ from scp_recon.errors import InputError
 from scp_recon.files import LOCK, only_run_in
 from scp_recon.results.read import read_solution
 from scp_recon.results.runs import folder_of, is_pointer, new_run, point_to
-from scp_recon.results.solution import Solution
 
 NAMES = ["recon_b", "", "latest", ".", "..", "../../etc", "/", "a b\\c", "é" * 300, "con:"]
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_every_run_has_a_folder_of_its_own_below_the_root(tmp_path: Path, name: str) -> None:
+def test_every_run_has_a_folder_of_its_own_below_the_root(tmp_path, name):
     root = tmp_path / "runs"
     made = {new_run(name, root) for _ in range(3)}
     assert len(made) == 3
@@ -32,9 +31,7 @@ def test_every_run_has_a_folder_of_its_own_below_the_root(tmp_path: Path, name: 
 
 
 @pytest.mark.parametrize("links", [True, False], ids=["links", "no links"])
-def test_latest_points_to_the_last_run(
-    tmp_path: Path, solution: Solution, links: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_latest_points_to_the_last_run(tmp_path, solution, links, monkeypatch):
     def refuse(*_: object, **__: object) -> None:
         raise OSError("no links here")
 
@@ -54,7 +51,7 @@ def test_latest_points_to_the_last_run(
     assert sorted(path.name for path in root.iterdir()) == ["latest", "mine"]
 
 
-def test_a_folder_of_that_name_is_kept_under_another(tmp_path: Path, solution: Solution) -> None:
+def test_a_folder_of_that_name_is_kept_under_another(tmp_path, solution):
     latest = tmp_path / "latest"
     latest.mkdir()
     solution.write(latest)
@@ -66,7 +63,7 @@ def test_a_folder_of_that_name_is_kept_under_another(tmp_path: Path, solution: S
     assert read_solution(kept) == solution
 
 
-def test_a_second_run_is_refused_by_name_and_a_later_one_is_not(tmp_path: Path) -> None:
+def test_a_second_run_is_refused_by_name_and_a_later_one_is_not(tmp_path):
     with only_run_in(tmp_path, "--out"):
         with pytest.raises(InputError, match=r"in which process \d+ is at work"):
             other_process(tmp_path)
@@ -91,7 +88,7 @@ def other_process(folder: Path, after: str = "") -> None:
 
 
 @pytest.mark.skipif(not hasattr(__import__("signal"), "SIGKILL"), reason="there is no SIGKILL here")
-def test_the_lock_of_a_process_that_was_killed_is_taken_over(tmp_path: Path) -> None:
+def test_the_lock_of_a_process_that_was_killed_is_taken_over(tmp_path):
     other_process(tmp_path, "os.kill(os.getpid(), signal.SIGKILL)")
     assert (tmp_path / LOCK).exists()
     with only_run_in(tmp_path, "--out"):

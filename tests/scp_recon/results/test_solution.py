@@ -20,9 +20,7 @@ def p3(mission: Mission) -> Solution:
     return make_solution(plan(mission, initial_guess.cold(mission), problem="P3"))
 
 
-def test_nodes_are_after_the_burns_at_their_firing_times(
-    mission: Mission, solution: Solution
-) -> None:
+def test_nodes_are_after_the_burns_at_their_firing_times(mission, solution):
     assert tuple(burn.t_s for burn in solution.burns) == solution.scenario.burns.times_s
     sizes = np.linalg.norm(solution.burns_m_s, axis=1)
     assert solution.total_dv_m_s == pytest.approx(sizes.sum(), rel=1e-12)
@@ -34,9 +32,7 @@ def test_nodes_are_after_the_burns_at_their_firing_times(
     np.testing.assert_allclose(last[3:], mission.final_state[3:], rtol=0.0, atol=1e-6)
 
 
-def test_covariances_are_covariances_and_begin_with_the_first_burns_error(
-    mission: Mission, solution: Solution
-) -> None:
+def test_covariances_are_covariances_and_begin_with_the_first_burns_error(mission, solution):
     covariance = np.array(solution.nodes.covariance)
     assert covariance.shape == (len(mission.times_s), 6, 6)
     np.testing.assert_allclose(covariance, covariance.transpose(0, 2, 1), rtol=1e-12)
@@ -47,7 +43,7 @@ def test_covariances_are_covariances_and_begin_with_the_first_burns_error(
     np.testing.assert_allclose(covariance[0], expected, rtol=1e-9, atol=1e-18)
 
 
-def test_stages_and_iterations_tell_one_story(solution: Solution) -> None:
+def test_stages_and_iterations_tell_one_story(solution):
     assert [stage.name for stage in solution.stages] == ["P3", "P2"]
     told = [(stage.name, k) for stage in solution.stages for k in range(1, stage.iterations + 1)]
     assert [(i.stage, i.k) for i in solution.iterations] == told
@@ -62,7 +58,7 @@ def test_stages_and_iterations_tell_one_story(solution: Solution) -> None:
                 assert drop == pytest.approx(after.actual, abs=1e-9), stage
 
 
-def test_timing_adds_up(solution: Solution) -> None:
+def test_timing_adds_up(solution):
     parts = asdict(solution.timing_s)
     assert parts.pop("total") == pytest.approx(sum(parts.values()))
     assert min(parts.values()) >= 0.0
@@ -70,7 +66,7 @@ def test_timing_adds_up(solution: Solution) -> None:
     assert parts["conic_solver"] == pytest.approx(solver)
 
 
-def test_every_constraint_has_its_worst_margin(mission: Mission, solution: Solution) -> None:
+def test_every_constraint_has_its_worst_margin(mission, solution):
     named = {c.name: c for c in solution.constraints}
     assert set(named) == {"dv_max", "dv_battery", *(c.name for c in mission.problem.constraints)}
     assert all(c.worst_margin >= -2e-3 for c in named.values())  # a millimetre
@@ -90,7 +86,7 @@ def test_every_constraint_has_its_worst_margin(mission: Mission, solution: Solut
     assert kinds["dv_max"] == "burn"
 
 
-def test_p3_margins_are_distances_of_the_mean(mission: Mission, p3: Solution) -> None:
+def test_p3_margins_are_distances_of_the_mean(mission, p3):
     assert p3.problem == "P3"
     (safety,) = (c for c in p3.constraints if c.name == "safety_radius")
     radius = np.linalg.norm(np.array(p3.nodes.state)[:, :3], axis=1)
@@ -99,9 +95,7 @@ def test_p3_margins_are_distances_of_the_mean(mission: Mission, p3: Solution) ->
     assert safety.facets == 0
 
 
-def test_a_chance_margin_is_that_of_the_most_probable_tangent_plane(
-    mission: Mission, solution: Solution
-) -> None:
+def test_a_chance_margin_is_that_of_the_most_probable_tangent_plane(mission, solution):
     """Safety's single facet asks at least as much as the exact one-dimensional quantile."""
     (safety,) = (c for c in solution.constraints if c.name == "safety_radius")
     states, covariance = np.array(solution.nodes.state), np.array(solution.nodes.covariance)
@@ -115,7 +109,7 @@ def test_a_chance_margin_is_that_of_the_most_probable_tangent_plane(
     assert mission.scenario.risk.p_chance == 0.70
 
 
-def test_the_primer_is_known_at_every_node(solution: Solution) -> None:
+def test_the_primer_is_known_at_every_node(solution):
     primer = solution.primer
     assert primer.t_s == solution.nodes.t_s
     assert np.all(np.array(primer.allowed) <= np.linalg.norm(primer.vector, axis=1) + 1e-12)
@@ -123,7 +117,7 @@ def test_the_primer_is_known_at_every_node(solution: Solution) -> None:
     assert not any(primer.legal)  # four burns leave none of the default flight's gaps to a fifth
 
 
-def test_an_infeasible_case_names_each_violated_constraint_with_its_amount() -> None:
+def test_an_infeasible_case_names_each_violated_constraint_with_its_amount():
     mission = mission_of("burns.dv_max_m_s=0.02")
     found = plan(mission, initial_guess.cold(mission))
     solution = make_solution(found)

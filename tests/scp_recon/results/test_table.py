@@ -25,13 +25,13 @@ MARGINS = Table.of(
 )
 
 
-def test_texts_are_rounded_and_values_are_not() -> None:
+def test_texts_are_rounded_and_values_are_not():
     assert [row[1].text for row in MARGINS.rows] == ["+1.23", "lost", "+0.00"]
     assert MARGINS.rows[0][1].value == 1.23456
     assert [row[2].text for row in MARGINS.rows] == ["4", "", "0"]
 
 
-def test_csv_holds_the_values_under_keys_with_units() -> None:
+def test_csv_holds_the_values_under_keys_with_units():
     lines = MARGINS.csv(["made by hand"]).splitlines()
     assert lines[0] == "# made by hand"
     assert list(csv.DictReader(StringIO("\n".join(lines[1:])))) == [
@@ -41,7 +41,7 @@ def test_csv_holds_the_values_under_keys_with_units() -> None:
     ]
 
 
-def test_records_are_json_whose_values_are_the_cells() -> None:
+def test_records_are_json_whose_values_are_the_cells():
     found = json.loads(json.dumps(MARGINS.records(), allow_nan=False))
     assert found[0] == {
         "constraint": "emission & more",
@@ -52,7 +52,7 @@ def test_records_are_json_whose_values_are_the_cells() -> None:
     assert found[1]["margin_m_s"] is None
 
 
-def test_html_escapes_and_gives_each_figure_its_value() -> None:
+def test_html_escapes_and_gives_each_figure_its_value():
     html = MARGINS.html()
     assert '<table data-table="margins">' in html
     assert '<th scope="row">emission &amp; more</th>' in html
@@ -62,7 +62,7 @@ def test_html_escapes_and_gives_each_figure_its_value() -> None:
     assert "margin (m/s)" in html
 
 
-def test_markdown_keeps_its_columns() -> None:
+def test_markdown_keeps_its_columns():
     assert MARGINS.markdown().splitlines()[:4] == [
         "| constraint | margin (m/s) | facets | kept |",
         "| --- | ---: | ---: | --- |",
@@ -72,7 +72,7 @@ def test_markdown_keeps_its_columns() -> None:
 
 
 @pytest.mark.parametrize("narrow", [False, True])
-def test_the_terminal_shows_texts_as_they_are(*, narrow: bool) -> None:
+def test_the_terminal_shows_texts_as_they_are(*, narrow):
     console = Console(file=StringIO(), width=100)
     console.print(terminal(MARGINS, narrow=narrow))
     said = console.file.getvalue().splitlines()  # type: ignore[attr-defined]

@@ -50,9 +50,7 @@ def p3_by(algorithm: Algorithm, mission: Mission, start: Linearisation) -> Resul
 
 
 @pytest.mark.parametrize("name", OTHERS)
-def test_every_algorithm_reaches_the_optimum_of_scvx(
-    name: str, mission: Mission, default_plan: Plan
-) -> None:
+def test_every_algorithm_reaches_the_optimum_of_scvx(name, mission, default_plan):
     found = plan(mission, initial_guess.cold(mission), algorithm=name)
     for ours, theirs in zip(found.stages, default_plan.stages, strict=True):
         assert ours.result.status is Status.CONVERGED
@@ -65,7 +63,7 @@ def test_every_algorithm_reaches_the_optimum_of_scvx(
 
 
 @pytest.mark.parametrize("name", OTHERS)
-def test_what_cannot_be_reached_is_infeasible_with_the_least_violation(name: str) -> None:
+def test_what_cannot_be_reached_is_infeasible_with_the_least_violation(name):
     """Burns of at most 2 cm/s; what is violated is the burns' size, not the final state."""
     mission = mission_of("burns.dv_max_m_s=0.02", COARSE)
     done = plan(mission, initial_guess.cold(mission), problem="P3", algorithm=name)
@@ -76,8 +74,8 @@ def test_what_cannot_be_reached_is_infeasible_with_the_least_violation(name: str
 
 @pytest.mark.parametrize("name", ALGORITHMS)
 def test_an_answer_that_the_solver_does_not_vouch_for_ends_in_no_verdict(
-    name: str, mission: Mission, cold: Linearisation, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    name, mission, cold, monkeypatch
+):
     original = CondensedSubproblem.solve
 
     def solve(self: CondensedSubproblem, *arguments: float) -> Step:
@@ -89,8 +87,8 @@ def test_an_answer_that_the_solver_does_not_vouch_for_ends_in_no_verdict(
 
 
 def test_where_the_solver_vouches_for_small_steps_alone_it_is_asked_twice(
-    mission: Mission, prox_run: Result, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    mission, prox_run, monkeypatch
+):
     """From the optimum: a small step gains nothing, and neither would an unsure larger one."""
     original = CondensedSubproblem.solve
 
@@ -104,9 +102,7 @@ def test_where_the_solver_vouches_for_small_steps_alone_it_is_asked_twice(
 
 
 @pytest.mark.parametrize("name", ALGORITHMS)
-def test_a_solver_that_always_fails_ends_the_run(
-    name: str, mission: Mission, cold: Linearisation, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_solver_that_always_fails_ends_the_run(name, mission, cold, monkeypatch):
     def solve(*_: object) -> Step:
         raise SubproblemError("no answer")
 
@@ -123,9 +119,7 @@ def test_a_solver_that_always_fails_ends_the_run(
 # --- PTR ----------------------------------------------------------------------------------------
 
 
-def test_a_step_is_taken_for_a_tenth_of_its_promise_and_moves_the_soft_radius(
-    prox_run: Result,
-) -> None:
+def test_a_step_is_taken_for_a_tenth_of_its_promise_and_moves_the_soft_radius(prox_run):
     records = prox_run.records
     assert not all(record.accepted for record in records)
     for record, after in itertools.pairwise(records[1:]):
@@ -149,17 +143,15 @@ def test_a_step_is_taken_for_a_tenth_of_its_promise_and_moves_the_soft_radius(
     ids=lambda algorithm: type(algorithm).__name__,
 )
 def test_the_first_radius_and_weight_are_no_matter_of_life_and_death(
-    algorithm: Algorithm, mission: Mission, cold: Linearisation, prox_run: Result
-) -> None:
+    algorithm, mission, cold, prox_run
+):
     result = p3_by(algorithm, mission, cold)
     assert result.status is Status.CONVERGED
     expected = prox_run.lin.iterate.total_dv
     assert result.lin.iterate.total_dv == pytest.approx(expected, rel=1e-4)
 
 
-def test_multipliers_end_at_the_price_of_the_final_state(
-    mission: Mission, cold: Linearisation, prox_run: Result
-) -> None:
+def test_multipliers_end_at_the_price_of_the_final_state(mission, cold, prox_run):
     """Moving the final state by d changes the least delta-v by -l'd, to first order."""
     algorithm = SCvxStar()
     rows = DeterministicRows(mission.problem)
@@ -180,7 +172,7 @@ def test_multipliers_end_at_the_price_of_the_final_state(
     assert change == pytest.approx(-state.charge.multipliers[:6] @ step, rel=0.05)
 
 
-def test_ptr_begun_at_an_optimum_ends_there(mission: Mission, prox_run: Result) -> None:
+def test_ptr_begun_at_an_optimum_ends_there(mission, prox_run):
     """What is left to gain is lost in the merit's rounding, and so is what a step gains."""
     nearer = p3_by(replace(PTR(), stationary=1e-9), mission, prox_run.lin)
     again = p3_by(PTR(), mission, nearer.lin)
@@ -239,26 +231,20 @@ def after_a_step(
 
 
 @pytest.mark.parametrize("actual", [-1e3, -1e-12, 0.0, 0.2, 3.0])
-def test_a_step_is_taken_if_it_keeps_a_share_of_its_promise(
-    monkeypatch: pytest.MonkeyPatch, algorithm: Any, actual: float
-) -> None:
+def test_a_step_is_taken_if_it_keeps_a_share_of_its_promise(monkeypatch, algorithm, actual):
     before, after = after_a_step(monkeypatch, algorithm, 1.0, actual, at(0.0))
     assert (after.lin is before.lin) == (actual <= 0.0)
     assert after.merit == pytest.approx(1.0 - max(actual, 0.0))
     assert actual > 0.0 or after.radius < before.radius
 
 
-def test_the_step_from_a_guess_is_taken_whatever_it_leads_to(
-    monkeypatch: pytest.MonkeyPatch, algorithm: Any
-) -> None:
+def test_the_step_from_a_guess_is_taken_whatever_it_leads_to(monkeypatch, algorithm):
     before, after = after_a_step(monkeypatch, algorithm, 1.0, -1e3, at(0.0, flown=False))
     assert after.lin is not before.lin
 
 
 @pytest.mark.parametrize(("dv_max", "verdict"), [(0.1, Status.INFEASIBLE), (10.0, None)])
-def test_the_dearest_plan_is_told_by_the_limits_of_the_merit(
-    dv_max: float, verdict: Status | None
-) -> None:
+def test_the_dearest_plan_is_told_by_the_limits_of_the_merit(dv_max, verdict):
     """Above two burns of that size no plan can be; the iterate's own problem has other limits."""
     algorithm = algorithms.SCvx()
     subproblem: Any = SimpleNamespace(
@@ -276,7 +262,7 @@ def optimum(default_plan: Plan) -> Linearisation:
     return default_plan.final.result.lin
 
 
-def test_rollout_is_the_flight_with_the_burns(mission: Mission, optimum: Linearisation) -> None:
+def test_rollout_is_the_flight_with_the_burns(mission, optimum):
     burns = optimum.iterate.burns * [[1.3], [0.5], [-1.0], [2.0]]
     rolled = mission.dynamics.rollout(mission.problem.initial_state, burns) * mission.units.state
     flown = fly(mission, burns_of(mission, burns), mission.times_s)
@@ -284,9 +270,7 @@ def test_rollout_is_the_flight_with_the_burns(mission: Mission, optimum: Lineari
 
 
 @pytest.mark.parametrize("size", [1e-4, 1e-2, 0.1])
-def test_a_flown_step_obeys_the_dynamics_and_ends_where_the_model_promised(
-    mission: Mission, optimum: Linearisation, size: float
-) -> None:
+def test_a_flown_step_obeys_the_dynamics_and_ends_where_the_model_promised(mission, optimum, size):
     change = np.random.default_rng(5).normal(scale=size, size=optimum.iterate.burns.shape)
     # Only steps that keep the final state of the linear model are proposed near a solution.
     jacobian = final_state_map(optimum)[1]
@@ -301,9 +285,7 @@ def test_a_flown_step_obeys_the_dynamics_and_ends_where_the_model_promised(
 
 
 @pytest.mark.parametrize("size", [0.3, 3.0, 30.0, None])
-def test_no_step_is_too_large_to_end_dynamically_exact(
-    mission: Mission, optimum: Linearisation, size: float | None
-) -> None:
+def test_no_step_is_too_large_to_end_dynamically_exact(mission, optimum, size):
     """From a flight, or from the straight line to the final state."""
     start, problem = optimum, mission.problem
     if size is None:
@@ -317,8 +299,8 @@ def test_no_step_is_too_large_to_end_dynamically_exact(
 
 
 def test_where_newton_s_method_does_not_converge_the_burns_are_rolled_out_as_they_are(
-    mission: Mission, optimum: Linearisation, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    mission, optimum, monkeypatch
+):
     monkeypatch.setattr(dynamics, "NEWTON_MAX", 1)
     burns = optimum.iterate.burns + 0.1
     flown = mission.dynamics.close_defects(optimum, burns)

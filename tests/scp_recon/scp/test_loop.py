@@ -55,7 +55,7 @@ def some_plan(request: pytest.FixtureRequest) -> Plan:
     return found
 
 
-def test_every_run_goes_by_its_rules(some_plan: Plan) -> None:
+def test_every_run_goes_by_its_rules(some_plan):
     """Merit, trust region, last record; all but the guess is flown."""
     for stage in some_plan.stages:
         records, lin = stage.result.records, stage.result.lin
@@ -87,7 +87,7 @@ def test_every_run_goes_by_its_rules(some_plan: Plan) -> None:
         assert last.max_violation == pytest.approx(worst)
 
 
-def test_p2_ends_superlinearly(default_plan: Plan) -> None:
+def test_p2_ends_superlinearly(default_plan):
     # With the product rule's second-order term the model is exact to second order; the predicted
     # reductions, relative to the merit, then fall with at least the power 3/2 down to the tolerance.
     records = default_plan.stages[1].result.records
@@ -101,7 +101,7 @@ def test_p2_ends_superlinearly(default_plan: Plan) -> None:
         assert record.actual == pytest.approx(record.predicted, rel=0.05, abs=noise)
 
 
-def test_infeasible_is_told_with_the_least_violation(infeasible: Plan) -> None:
+def test_infeasible_is_told_with_the_least_violation(infeasible):
     result = infeasible.final.result
     assert result.status is Status.INFEASIBLE
     assert result.records[-1].max_violation > 1e-3
@@ -112,13 +112,7 @@ def test_infeasible_is_told_with_the_least_violation(infeasible: Plan) -> None:
 
 
 @pytest.mark.parametrize("failing", [{1}, {2, 3, 4}])
-def test_a_solver_that_fails_now_and_then_is_survived(
-    p3: Subproblem,
-    cold: Linearisation,
-    mission: Mission,
-    monkeypatch: pytest.MonkeyPatch,
-    failing: set[int],
-) -> None:
+def test_a_solver_that_fails_now_and_then_is_survived(p3, cold, mission, monkeypatch, failing):
     calls = itertools.count(1)
     original = CondensedSubproblem.solve
 
@@ -136,9 +130,7 @@ def test_a_solver_that_fails_now_and_then_is_survived(
     assert max(last.max_violation, last.max_defect) <= SCvx.feasible
 
 
-def test_a_promise_never_kept_stalls(
-    p3: Subproblem, mission: Mission, optimum: Result, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_promise_never_kept_stalls(p3, mission, optimum, monkeypatch):
     merit = p3.merit(optimum.lin, SCvx.weight)
 
     def solve(self: CondensedSubproblem, radius: float, weight: float) -> Step:  # noqa: ARG001
@@ -153,12 +145,8 @@ def test_a_promise_never_kept_stalls(
 
 @pytest.mark.parametrize("within", [False, True])
 def test_a_limit_or_an_interrupt_keeps_the_last_whole_iteration(
-    p3: Subproblem,
-    cold: Linearisation,
-    mission: Mission,
-    monkeypatch: pytest.MonkeyPatch,
-    within: bool,
-) -> None:
+    p3, cold, mission, monkeypatch, within
+):
     limited = run(p3, mission.dynamics, cold, SCvx(max_iterations=3), ignore)
     original, calls = CondensedSubproblem.solve, itertools.count(1)
 
@@ -182,12 +170,8 @@ def test_a_limit_or_an_interrupt_keeps_the_last_whole_iteration(
 
 
 def test_an_inaccurate_answer_proves_no_stationarity(
-    p3: Subproblem,
-    mission: Mission,
-    default_plan: Plan,
-    optimum: Result,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+    p3, mission, default_plan, optimum, monkeypatch
+):
     """The convex model contains the iterate itself, so its optimum cannot be above the merit.
 
     An answer that is, by far more than the tolerance, is wrong. P2's solution is feasible for P3
@@ -205,9 +189,7 @@ def test_an_inaccurate_answer_proves_no_stationarity(
     assert result.status is not Status.CONVERGED
 
 
-def test_a_tiny_trust_region_proves_no_stationarity(
-    p3: Subproblem, mission: Mission, default_plan: Plan, optimum: Result
-) -> None:
+def test_a_tiny_trust_region_proves_no_stationarity(p3, mission, default_plan, optimum):
     start = default_plan.final.result.lin
     result = run(p3, mission.dynamics, start, SCvx(initial_radius=1e-5), ignore)
     if result.status is Status.CONVERGED:
@@ -220,7 +202,7 @@ BAD_INPUT = 2
 
 
 @pytest.mark.parametrize("status", Status)
-def test_a_status_has_its_name_words_and_exit_code(status: Status) -> None:
+def test_a_status_has_its_name_words_and_exit_code(status):
     outcome = status.value
     assert Status.named(outcome.name) is status
     assert outcome.message
@@ -230,6 +212,6 @@ def test_a_status_has_its_name_words_and_exit_code(status: Status) -> None:
     assert outcome.exit_code == EXIT_CODES.get(outcome.name, outcome.exit_code)
 
 
-def test_an_unknown_name_is_refused() -> None:
+def test_an_unknown_name_is_refused():
     with pytest.raises(ValueError, match="'done'"):
         Status.named("done")

@@ -65,7 +65,7 @@ def between_phases(departure_deg: int, arrival_deg: int, sense: int) -> list[str
     ]
 
 
-def test_a_burn_that_vanishes_beside_the_batterys_cone_does_not_cycle() -> None:
+def test_a_burn_that_vanishes_beside_the_batterys_cone_does_not_cycle():
     """Burn 3 is zero at the solution: where it points is the program's to find, not the iterate's."""
     found = planned(["risk.p_chance=0.8", 'polytopes.ball="tangent"'])
     final = found.final.result
@@ -85,17 +85,17 @@ FALSELY_INFEASIBLE = {
 
 
 @pytest.mark.parametrize("seed", CYCLED)
-def test_random_scenarios_end_with_a_verdict(seed: int) -> None:
+def test_random_scenarios_end_with_a_verdict(seed):
     assert planned(random_scenario(seed)).final.result.status in VERDICTS
 
 
 @pytest.mark.parametrize("seed", usually([*FALSELY_INFEASIBLE], 2))
-def test_what_was_once_called_infeasible_is_solved(seed: int) -> None:
+def test_what_was_once_called_infeasible_is_solved(seed):
     assert planned(random_scenario(seed)).final.result.status is Status.CONVERGED
 
 
 @nightly
-def test_what_is_called_infeasible_no_other_method_solves() -> None:
+def test_what_is_called_infeasible_no_other_method_solves():
     scenario = random_scenario(78)
     for start, algorithm in (("cold", "scvx"), ("warm", "ptr")):
         final = planned(scenario, start, algorithm).final.result
@@ -114,9 +114,7 @@ def test_what_is_called_infeasible_no_other_method_solves() -> None:
         1,
     ),
 )
-def test_flights_between_phases_of_an_orbit_end_with_a_verdict(
-    departure_deg: int, arrival_deg: int, sense: int
-) -> None:
+def test_flights_between_phases_of_an_orbit_end_with_a_verdict(departure_deg, arrival_deg, sense):
     assert (
         planned(between_phases(departure_deg, arrival_deg, sense)).final.result.status in VERDICTS
     )

@@ -11,7 +11,6 @@ pytest.importorskip("Basilisk", reason="needs the extra [sim]")
 from Basilisk.utilities import SimulationBaseClass, macros
 
 from experiments.model_fidelity.models import Plates
-from scp_recon.mission.mission import Mission
 from scp_recon.mission.schedule import Leg, Mode
 from scp_recon.physics.frames import unit
 from scp_recon.physics.harmonics import HarmonicField
@@ -25,12 +24,9 @@ from scp_recon.simulation.basilisk.simulation import (
 )
 from scp_recon.simulation.guidance import FlightPlan
 from scp_recon.simulation.panels import irradiance
-from scp_recon.simulation.vehicle import Vehicle
 
 
-def test_coasting_is_the_field_of_degree_eight_and_light_on_the_plates(
-    short_mission: Mission, vehicle: Vehicle
-) -> None:
+def test_coasting_is_the_field_of_degree_eight_and_light_on_the_plates(short_mission, vehicle):
     """Forty seconds at 400 m, where the degrees from five on still pull as much as light pushes."""
     state = short_mission.initial_state
     state = np.concatenate([400.0 * unit(state[:3]), state[3:]])
@@ -60,7 +56,7 @@ def test_coasting_is_the_field_of_degree_eight_and_light_on_the_plates(
     assert off[8] < 2e-10 < 1e-8 < min(off[4], np.linalg.norm(push))
 
 
-def test_sensors_err_as_their_sigmas_say(short_mission: Mission, vehicle: Vehicle) -> None:
+def test_sensors_err_as_their_sigmas_say(short_mission, vehicle):
     """Two thousand readings on a slow turn; a Sun sensor's are cosines, at any distance."""
     n, sigmas = 2000, sensor_sigmas(vehicle.errors, frozenset(Source))
     sun = short_mission.sun_direction(0.0)

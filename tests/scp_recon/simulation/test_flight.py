@@ -2,7 +2,6 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -68,9 +67,7 @@ def starved(short_solution: Solution, vehicle: Vehicle) -> Flight:
     return simulate(short_solution, weak(vehicle), 3, sources=PATH)
 
 
-def test_a_flight_without_errors_stays_with_the_plan(
-    perfect: Flight, short_solution: Solution
-) -> None:
+def test_a_flight_without_errors_stays_with_the_plan(perfect, short_solution):
     error = node_states(perfect, short_solution) - np.array(short_solution.nodes.state)
     assert np.linalg.norm(error[:, :3], axis=1).max() < 3.0
     burns = perfect.burns_m_s - short_solution.burns_m_s
@@ -78,7 +75,7 @@ def test_a_flight_without_errors_stays_with_the_plan(
     assert (sigma_distance(perfect, short_solution) < 0.3).all()
 
 
-def test_the_velocity_gained_is_what_the_burns_are_said_to_be(perfect: Flight) -> None:
+def test_the_velocity_gained_is_what_the_burns_are_said_to_be(perfect):
     """Gravity's share over the few seconds is taken from the coast before."""
     k = round(perfect.plan.firings[1].start_s)
     seconds = round(perfect.plan.firings[1].duration_s)
@@ -87,7 +84,7 @@ def test_the_velocity_gained_is_what_the_burns_are_said_to_be(perfect: Flight) -
     np.testing.assert_allclose(gain, perfect.burns_m_s[1], atol=3e-6)
 
 
-def test_a_last_burn_may_be_commanded_longer_than_planned(perfect: Flight) -> None:
+def test_a_last_burn_may_be_commanded_longer_than_planned(perfect):
     """Its end is not recorded; the burn is whole, along the attitudes that are."""
     burns = np.array([firing.dv_m_s for firing in perfect.plan.firings])
     burns[-1] *= 3.0
@@ -101,7 +98,7 @@ def test_a_last_burn_may_be_commanded_longer_than_planned(perfect: Flight) -> No
     np.testing.assert_allclose(found[-1], 3.0 * perfect.burns_m_s[-1], atol=1e-3 * 0.1)
 
 
-def test_every_mode_settles_on_wheels_after_a_slew_on_thrusters(perfect: Flight) -> None:
+def test_every_mode_settles_on_wheels_after_a_slew_on_thrusters(perfect):
     angles = pointing(perfect)
     for leg in perfect.plan.legs[1:]:
         k = np.flatnonzero((perfect.times_s >= leg.start_s) & (perfect.times_s < leg.end_s))
@@ -128,7 +125,7 @@ def corrected(gain: float, cut_off_s: float) -> Correction:
     )
 
 
-def test_a_burn_is_commanded_at_its_cut_off_from_the_state_there(vehicle: Vehicle) -> None:
+def test_a_burn_is_commanded_at_its_cut_off_from_the_state_there(vehicle):
     """With the length and the attitude of the corrected burn; what was before stays."""
     mission = mission_of(*SHORT, "grid.nodes_s=[2600.0]")
     solution, sources = short_plan(mission), {Source.INITIAL_STATE}
@@ -150,7 +147,7 @@ def test_a_burn_is_commanded_at_its_cut_off_from_the_state_there(vehicle: Vehicl
     assert (planned.inv() * flight.commands[:2600]).magnitude().max() == 0.0
 
 
-def test_a_cut_off_at_its_burn_is_a_control_period_before(short_mission: Mission) -> None:
+def test_a_cut_off_at_its_burn_is_a_control_period_before(short_mission):
     """The state is taken along to the cut-off."""
     burns = np.zeros((2, 3))
     policy = (corrected(2.0, 3270.0),)
@@ -165,7 +162,7 @@ def test_a_cut_off_at_its_burn_is_a_control_period_before(short_mission: Mission
     np.testing.assert_allclose(seen[0][:, 0], expected, rtol=1e-12)
 
 
-def test_modes_last_as_long_as_the_rules_say(perfect: Flight) -> None:
+def test_modes_last_as_long_as_the_rules_say(perfect):
     outcomes = list(leg_outcomes(perfect))
     assert [outcome.mode for outcome in outcomes] == [
         Mode.SUN_POINTING, Mode.OBSERVATION, Mode.SUN_POINTING, Mode.DELTA_V,
@@ -175,7 +172,7 @@ def test_modes_last_as_long_as_the_rules_say(perfect: Flight) -> None:
     assert max(outcome.settled_s or 0.0 for outcome in outcomes) > 180.0 / 0.4
 
 
-def test_loads_add_up_to_the_papers(perfect: Flight) -> None:
+def test_loads_add_up_to_the_papers(perfect):
     # The heater starts half an hour before the burn, here in the middle of the observation.
     times = np.array([100.0, 800.0, 1469.0, 1470.0, 1600.0, 3000.0, 3271.0])
     expected = [46.0, 46.0 + 19.0 + 25.0, 90.0, 90.0 + 50.0, 46.0 + 50.0, 115.0, 75.0]
@@ -195,7 +192,7 @@ def weak(vehicle: Vehicle) -> Vehicle:
     )
 
 
-def test_the_energy_ledger_closes_through_empty_and_full(starved: Flight) -> None:
+def test_the_energy_ledger_closes_through_empty_and_full(starved):
     assert abs(ledger_error(starved)) < 1e-6
     stored = starved.stored_wh
     assert stored.min() < 1e-6
@@ -214,9 +211,7 @@ def test_the_energy_ledger_closes_through_empty_and_full(starved: Flight) -> Non
     efficiency=st.floats(0.5, 1.0),
     data=st.data(),
 )
-def test_the_bus_keeps_all_energy(
-    net: float, room: list[float], efficiency: float, data: st.DataObject
-) -> None:
+def test_the_bus_keeps_all_energy(net, room, efficiency, data):
     limits = st.lists(st.floats(0.0, 500.0), min_size=len(room), max_size=len(room))
     charge = np.array(data.draw(limits))
     flow = distribute(net, np.array(room), charge, efficiency)
@@ -228,8 +223,8 @@ def test_the_bus_keeps_all_energy(
 
 
 def test_leaving_a_source_out_leaves_the_draws_of_the_others(
-    short_solution: Solution, short_mission: Mission, vehicle: Vehicle
-) -> None:
+    short_solution, short_mission, vehicle
+):
     plan = FlightPlan.of(short_solution, short_mission, vehicle)
     sigma, factor = short_mission.initial_sigma, short_mission.initial_factor
     every = Draws.of(plan, factor, 100, 5, frozenset(Source))
@@ -265,9 +260,7 @@ def short_run(
     return sim
 
 
-def test_momentum_is_dumped_and_the_attitude_kept(
-    short_solution: Solution, short_mission: Mission, vehicle: Vehicle
-) -> None:
+def test_momentum_is_dumped_and_the_attitude_kept(short_solution, short_mission, vehicle):
     """Wheels near their largest speed, with a net momentum, when sun-pointing begins."""
     sim = short_run(short_solution, short_mission, vehicle, 500, [205.0, -57.0, -157.0, 105.0])
     speeds = sim.plant.wheels.rwSpeedOutMsg.read().wheelSpeeds[:4]
@@ -282,9 +275,7 @@ def test_momentum_is_dumped_and_the_attitude_kept(
     assert np.abs(estimate - wanted).max() < 0.02
 
 
-def test_a_burn_of_zero_is_no_burn(
-    short_solution: Solution, short_mission: Mission, vehicle: Vehicle
-) -> None:
+def test_a_burn_of_zero_is_no_burn(short_solution, short_mission, vehicle):
     nothing = replace(short_solution.burns[0], dv_m_s=(0.0, 0.0, 0.0))
     solution = replace(short_solution, burns=[nothing, short_solution.burns[1]])
     plan = FlightPlan.of(solution, short_mission, vehicle)
@@ -303,9 +294,7 @@ def test_a_burn_of_zero_is_no_burn(
     np.testing.assert_allclose(drift, expected, atol=0.01)
 
 
-def test_what_moves_the_path_is_what_was_drawn(
-    perfect: Flight, starved: Flight, short_mission: Mission
-) -> None:
+def test_what_moves_the_path_is_what_was_drawn(perfect, starved, short_mission):
     """Velocities gained in the burns against those of the flight without errors."""
     plan, factor = starved.plan, short_mission.initial_factor
     draws = Draws.of(plan, factor, len(starved.times_s), 3, PATH)
@@ -321,15 +310,13 @@ def test_what_moves_the_path_is_what_was_drawn(
         assert along == pytest.approx(error, abs=5e-4)
 
 
-def test_the_attitude_holds_through_every_burn(perfect: Flight) -> None:
+def test_the_attitude_holds_through_every_burn(perfect):
     """From the first second on: a burn acts beside the centre of mass, and begins at time zero."""
     assert perfect.micro_on_s[1].any()
     assert np.rad2deg(pointing(perfect).executed).max() < 0.06
 
 
-def test_pulses_that_err_move_the_end(
-    perfect: Flight, short_solution: Solution, short_mission: Mission, vehicle: Vehicle
-) -> None:
+def test_pulses_that_err_move_the_end(perfect, short_solution, short_mission, vehicle):
     """The first slew, with a tenth of the thrust as error; without it nothing changes at all."""
     times, ends = np.arange(400.0), []
     for sigma in (0.0, 0.1 * vehicle.micro_thrusters.thrust_n):
@@ -350,7 +337,7 @@ def test_pulses_that_err_move_the_end(
     assert np.linalg.norm((ends[1] - ends[0])[3:]) > 1e-5
 
 
-def test_torques_are_those_that_turn_the_body(perfect: Flight, short_solution: Solution) -> None:
+def test_torques_are_those_that_turn_the_body(perfect, short_solution):
     """The thrusters' is the change of all momentum in J2000, but for burns, light and gravity."""
     plan, wheels = perfect.plan, perfect.plan.vehicle.wheels
     spin = wheels.inertia_kg_m2 * perfect.wheel_speeds_rad_s @ unit(wheels.axes)
@@ -372,9 +359,7 @@ def test_torques_are_those_that_turn_the_body(perfect: Flight, short_solution: S
     np.testing.assert_allclose(np.diff(spin, axis=0), -wheel_torque(perfect)[:-1], atol=1e-12)
 
 
-def test_a_record_is_read_as_it_was_written(
-    perfect: Flight, short_solution: Solution, tmp_path: Path
-) -> None:
+def test_a_record_is_read_as_it_was_written(perfect, short_solution, tmp_path):
     record = make_record(perfect, short_solution, 0)
     assert set(record.arrays) == set(ARRAYS)
     write_record(record, tmp_path)
@@ -386,12 +371,8 @@ def test_a_record_is_read_as_it_was_written(
 
 
 def test_the_command_writes_one_file_and_says_one_document_with_json(
-    perfect: Flight,
-    short_solution: Solution,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+    perfect, short_solution, tmp_path, monkeypatch, capsys
+):
     monkeypatch.setattr(simulation, "simulate", lambda *_, **__: perfect)
     short_solution.write(tmp_path)
     assert (
@@ -407,9 +388,7 @@ def test_the_command_writes_one_file_and_says_one_document_with_json(
     assert (summary.seed, summary.least_charge > 0.3) == (7, True)
 
 
-def test_a_seed_below_zero_is_refused_before_a_bar_shows(
-    short_solution: Solution, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_seed_below_zero_is_refused_before_a_bar_shows(short_solution, tmp_path, capsys):
     assert command.main([str(short_solution.write(tmp_path)), "--seed", "-1"]) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert "--seed" in line

@@ -15,7 +15,6 @@ from scp_recon.mission.mission import Mission
 from scp_recon.physics.flow import propagate
 from scp_recon.physics.forces import ForceModel
 from scp_recon.physics.harmonics import HarmonicField
-from scp_recon.results.solution import Solution
 from scp_recon.simulation.basilisk.plant import Start, build_plant
 from scp_recon.simulation.panels import irradiance
 from scp_recon.simulation.vehicle import Vehicle
@@ -42,9 +41,7 @@ def planned(forces: ForceModel, state: Array) -> Array:
     return propagate(state, DURATION_S, forces, substeps=1000)
 
 
-def test_a_point_mass_arc_is_the_planners_to_a_millimetre(
-    mission: Mission, vehicle: Vehicle, solution: Solution
-) -> None:
+def test_a_point_mass_arc_is_the_planners_to_a_millimetre(mission, vehicle, solution):
     forces = replace(mission.forces, j2_strength=0.0, srp=np.zeros(3))
     state = np.array(solution.nodes.state[0])
     error = flown(mission, vehicle, state, None) - planned(forces, state)
@@ -52,9 +49,7 @@ def test_a_point_mass_arc_is_the_planners_to_a_millimetre(
     assert np.linalg.norm(error[3:]) < 1e-7
 
 
-def test_an_oblate_field_turning_with_the_body_is_the_planners_j2(
-    mission: Mission, vehicle: Vehicle, solution: Solution
-) -> None:
+def test_an_oblate_field_turning_with_the_body_is_the_planners_j2(mission, vehicle, solution):
     body = mission.scenario.body
     c, s = np.zeros((3, 3)), np.zeros((3, 3))
     c[0, 0], c[2, 0] = 1.0, -body.j2
@@ -67,9 +62,7 @@ def test_an_oblate_field_turning_with_the_body_is_the_planners_j2(
     assert np.linalg.norm(error[:3]) < 1e-3
 
 
-def test_the_whole_field_turns_as_the_bodys_rotation_says(
-    mission: Mission, vehicle: Vehicle, solution: Solution
-) -> None:
+def test_the_whole_field_turns_as_the_bodys_rotation_says(mission, vehicle, solution):
     """Basilisk's acceleration against ours, after half a turn of the asteroid."""
     field = HarmonicField.bennu(mission.scenario.body.gm_m3_s2, 8)
     state = np.array(solution.nodes.state[70])
@@ -87,9 +80,7 @@ def test_the_whole_field_turns_as_the_bodys_rotation_says(
     np.testing.assert_allclose(mean, expected, atol=2e-11)
 
 
-def test_light_pushes_on_the_plates_as_their_formula_says(
-    mission: Mission, vehicle: Vehicle
-) -> None:
+def test_light_pushes_on_the_plates_as_their_formula_says(mission, vehicle):
     """Far from the asteroid nothing but light moves the spacecraft."""
     far = np.array([0.0, 1e6, 0.0, 0.0, 0.0, 0.0])
     attitude = Rotation.from_euler("xyz", [0.3, -0.5, 1.1])
@@ -106,7 +97,7 @@ def test_light_pushes_on_the_plates_as_their_formula_says(
     np.testing.assert_allclose(acceleration, expected, rtol=2e-5, atol=2e-13)
 
 
-def test_without_torques_norm_and_angular_momentum_stay(mission: Mission, vehicle: Vehicle) -> None:
+def test_without_torques_norm_and_angular_momentum_stay(mission, vehicle):
     """A tumble with spinning wheels: hub and wheels together keep their momentum in space."""
     state, speeds = mission.initial_state, np.array([150.0, -60.0, 30.0, 200.0])
     begin = Start(state, Rotation.from_euler("x", 0.4), np.array([0.01, 0.02, -0.015]), speeds)

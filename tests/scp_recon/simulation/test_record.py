@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from scp_recon.errors import InputError
-from scp_recon.results.solution import Solution
 from scp_recon.simulation.record import (
     ADDED,
     ARRAYS,
@@ -22,21 +21,19 @@ from scp_recon.simulation.record import (
     read_record,
     shortfalls,
 )
-from scp_recon.simulation.vehicle import Vehicle, check_vehicle, load_vehicle
+from scp_recon.simulation.vehicle import check_vehicle, load_vehicle
 from tests.scp_recon.simulation.made_up import arrays, entries, summary
 from tests.scp_recon.support import numbers, with_value
 
 
-def test_an_older_file_is_of_an_unknown_plan_and_what_a_later_one_adds_is_passed_over(
-    tmp_path: Path,
-) -> None:
+def test_an_older_file_is_of_an_unknown_plan_and_what_a_later_one_adds_is_passed_over(tmp_path):
     save(tmp_path, with_value(entries(), ("plan_hash",), ...), arrays())
     assert read_record(tmp_path).plan_hash is None
     save(tmp_path, entries(later=1), arrays() | {"later": np.zeros(7)})
     assert read_record(tmp_path).summary == summary()
 
 
-def test_numbers_are_neither_true_nor_words_nor_infinite(tmp_path: Path) -> None:
+def test_numbers_are_neither_true_nor_words_nor_infinite(tmp_path):
     for place in numbers(entries()):
         for strange in (True, "1", [1.0], float("nan"), float("inf")):
             save(tmp_path, with_value(entries(), place, strange), arrays())
@@ -45,7 +42,7 @@ def test_numbers_are_neither_true_nor_words_nor_infinite(tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize("name", ARRAYS)
-def test_arrays_are_finite_numbers_that_fit_together(tmp_path: Path, name: str) -> None:
+def test_arrays_are_finite_numbers_that_fit_together(tmp_path, name):
     whole = arrays()
     array = whole.pop(name)
     missing = [] if name in ADDED else [None]  # of older files
@@ -62,12 +59,12 @@ def test_arrays_are_finite_numbers_that_fit_together(tmp_path: Path, name: str) 
             read_record(tmp_path)
 
 
-def test_a_file_of_before_torques_is_read(tmp_path: Path) -> None:
+def test_a_file_of_before_torques_is_read(tmp_path):
     save(tmp_path, entries(), {name: a for name, a in arrays().items() if name not in ADDED})
     assert read_record(tmp_path).arrays.keys() == ARRAYS.keys() - {*ADDED}
 
 
-def test_what_is_no_record_is_named(tmp_path: Path) -> None:
+def test_what_is_no_record_is_named(tmp_path):
     for content in ([1], entries(schema="other"), {"schema": SCHEMA}):
         save(tmp_path, content, arrays())
         with pytest.raises(InputError, match=r"simulation\.npz"):
@@ -83,9 +80,7 @@ def save(folder: Path, content: object, named: Arrays) -> None:
     np.savez(folder / FILE_NAME, summary=np.array(json.dumps(content)), **named)  # type: ignore[arg-type]
 
 
-def test_the_digest_knows_every_entry_of_the_vehicle(
-    short_solution: Solution, vehicle: Vehicle
-) -> None:
+def test_the_digest_knows_every_entry_of_the_vehicle(short_solution, vehicle):
     errors = vehicle.errors.model_copy(update={"imu_rad_s": 1e-3})
     other = vehicle.model_copy(update={"errors": errors})
     digests = {inputs_digest(short_solution, v) for v in (vehicle, vehicle, other)}
@@ -122,20 +117,16 @@ def leg(**changes: object) -> dict[str, Any]:
         ),
     ],
 )
-def test_what_is_not_kept_stands_beside_what_was_asked(
-    changes: dict[str, Any], said: list[str], short_solution: Solution
-) -> None:
+def test_what_is_not_kept_stands_beside_what_was_asked(changes, said, short_solution):
     assert shortfalls(summary(**changes), short_solution) == said
 
 
-def test_a_plan_that_did_not_converge_is_named(short_solution: Solution) -> None:
+def test_a_plan_that_did_not_converge_is_named(short_solution):
     stalled = replace(short_solution, status="stalled")
     assert shortfalls(summary(), stalled) == ["the plan is stalled, required converged"]
 
 
-def test_a_vehicle_that_is_not_the_plans_spacecraft_is_warned_about(
-    short_solution: Solution,
-) -> None:
+def test_a_vehicle_that_is_not_the_plans_spacecraft_is_warned_about(short_solution):
     """A tonne is planned for, and the packaged vehicle flown."""
     vehicle, scenario = load_vehicle(None), short_solution.scenario
     assert list(check_vehicle(vehicle, scenario)) == []

@@ -32,7 +32,7 @@ from tests.scp_recon.support import fly
 DARE = Path(module.__file__).parent / "data" / "dare.toml"
 
 
-def test_the_packaged_vehicle_is_the_papers(vehicle: Vehicle) -> None:
+def test_the_packaged_vehicle_is_the_papers(vehicle):
     assert vehicle.mass.mass_kg < 180.0
     assert vehicle.battery.count * vehicle.battery.capacity_wh == 80.0
     assert len(vehicle.panels.panel) == 5
@@ -42,7 +42,7 @@ def test_the_packaged_vehicle_is_the_papers(vehicle: Vehicle) -> None:
     assert np.linalg.eigvalsh(vehicle.inertia).min() > 0.0
 
 
-def test_the_plates_are_closed_but_for_what_shades_itself(vehicle: Vehicle) -> None:
+def test_the_plates_are_closed_but_for_what_shades_itself(vehicle):
     """As much area looks along an axis as against it, where neither stage hides the other."""
     plates = Plates.of(vehicle)
     areas = plates.areas_m2[:, None] * np.maximum(
@@ -56,7 +56,7 @@ def test_the_plates_are_closed_but_for_what_shades_itself(vehicle: Vehicle) -> N
     assert back == pytest.approx(0.846)
 
 
-def test_micro_thrusters_make_every_torque_without_a_force(vehicle: Vehicle) -> None:
+def test_micro_thrusters_make_every_torque_without_a_force(vehicle):
     micro = vehicle.micro_thrusters
     force = np.array(micro.directions) / np.sqrt(2.0)
     torque = np.cross(micro.offsets_m, force)
@@ -88,7 +88,7 @@ def test_micro_thrusters_make_every_torque_without_a_force(vehicle: Vehicle) -> 
         ("[26.2, 0.6], [251.0, 6.0]", "[251.0, 6.0], [26.2, 0.6]", "ascending"),
     ],
 )
-def test_a_bad_entry_is_named(tmp_path: Path, old: str, new: str, entry: str) -> None:
+def test_a_bad_entry_is_named(tmp_path, old, new, entry):
     text = DARE.read_text("utf-8")
     assert old in text
     file = tmp_path / "mine.toml"
@@ -97,7 +97,7 @@ def test_a_bad_entry_is_named(tmp_path: Path, old: str, new: str, entry: str) ->
         load_vehicle(file)
 
 
-def test_a_file_that_cannot_be_read_is_named(tmp_path: Path) -> None:
+def test_a_file_that_cannot_be_read_is_named(tmp_path):
     with pytest.raises(InputError, match=r"no\.toml"):
         load_vehicle(tmp_path / "no.toml")
     with pytest.raises(InputError, match="more than 100 megabytes"):
@@ -109,7 +109,7 @@ def plan(solution: Solution, mission: Mission, vehicle: Vehicle) -> FlightPlan:
     return FlightPlan.of(solution, mission, vehicle)
 
 
-def test_burns_keep_their_attitude_to_the_end(plan: FlightPlan) -> None:
+def test_burns_keep_their_attitude_to_the_end(plan):
     thrust, mass = plan.vehicle.chemical_thruster.thrust_n, plan.vehicle.mass.mass_kg
     for firing in plan.firings:
         least = mass * np.linalg.norm(firing.dv_m_s) / thrust
@@ -120,17 +120,13 @@ def test_burns_keep_their_attitude_to_the_end(plan: FlightPlan) -> None:
     assert all(a.end_s == b.start_s for a, b in zip(plan.legs, plan.legs[1:], strict=False))
 
 
-def test_the_nominal_path_is_the_planned_mean_between_the_nodes(
-    plan: FlightPlan, solution: Solution, mission: Mission
-) -> None:
+def test_the_nominal_path_is_the_planned_mean_between_the_nodes(plan, solution, mission):
     times = np.union1d(np.arange(0.0, 34842.0, 971.0), mission.scenario.burns.times_s)
     truth = fly(mission, solution.burns_m_s, times)[:, :3]
     assert np.abs(plan.position(times) - truth).max() < 0.01
 
 
-def test_every_mode_points_what_it_serves_and_rolls_for_power(
-    plan: FlightPlan, mission: Mission
-) -> None:
+def test_every_mode_points_what_it_serves_and_rolls_for_power(plan, mission):
     times = np.arange(0.0, plan.end_s, 61.0)
     attitudes = plan.attitudes(times)
     sun = mission.sun_direction(times)
@@ -157,14 +153,14 @@ def test_every_mode_points_what_it_serves_and_rolls_for_power(
         np.testing.assert_allclose(power[k], most, rtol=1e-9)
 
 
-def test_commands_are_continuous_within_a_mode(plan: FlightPlan) -> None:
+def test_commands_are_continuous_within_a_mode(plan):
     for leg in plan.legs:
         times = np.arange(np.ceil(leg.start_s), leg.end_s)
         attitudes = plan.attitudes(times)
         assert (attitudes[1:] * attitudes[:-1].inv()).magnitude().max() < np.deg2rad(0.05)
 
 
-def test_a_burn_of_zero_keeps_the_panels_on_the_sun(plan: FlightPlan) -> None:
+def test_a_burn_of_zero_keeps_the_panels_on_the_sun(plan):
     """Whatever the others are: turned away for an hour or more, they would not charge."""
     burns = np.array([firing.dv_m_s for firing in plan.firings])
     burns[1] = 0.0
@@ -179,9 +175,7 @@ def test_a_burn_of_zero_keeps_the_panels_on_the_sun(plan: FlightPlan) -> None:
     assert geometry.angle(turned, sun).min() > 0.1
 
 
-def test_a_burn_longer_than_its_mode_is_refused(
-    solution: Solution, mission: Mission, vehicle: Vehicle
-) -> None:
+def test_a_burn_longer_than_its_mode_is_refused(solution, mission, vehicle):
     weak = vehicle.chemical_thruster.model_copy(update={"thrust_n": 1e-3})
     with pytest.raises(InputError, match="chemical_thruster"):
         FlightPlan.of(solution, mission, vehicle.model_copy(update={"chemical_thruster": weak}))
@@ -191,7 +185,7 @@ BORESIGHTS = np.vstack([np.eye(3), -np.eye(3)])
 
 
 @given(rng=generators)
-def test_quaternions_are_scipys_rotations(rng: np.random.Generator) -> None:
+def test_quaternions_are_scipys_rotations(rng):
     a, b = Rotation.random(2, rng=rng)
     p, q = (r.as_quat(scalar_first=True) for r in (a, b))
     np.testing.assert_allclose(matrix(product(p, q)), (a * b).as_matrix(), atol=1e-12)
@@ -206,7 +200,7 @@ def test_quaternions_are_scipys_rotations(rng: np.random.Generator) -> None:
 
 @settings(max_examples=6)
 @given(rng=generators, stars=st.booleans())
-def test_errors_are_as_large_as_the_filter_says(rng: np.random.Generator, stars: bool) -> None:
+def test_errors_are_as_large_as_the_filter_says(rng, stars):
     """Sixty filters on a tumble: the errors' normalised square averages to three."""
     sigmas = SensorSigmas(1e-4, 1e-4, 0.02)
     squares = []
@@ -233,7 +227,7 @@ def test_errors_are_as_large_as_the_filter_says(rng: np.random.Generator, stars:
     assert 1.6 < np.mean(squares) < 4.6
 
 
-def test_a_sun_sensor_in_shadow_is_not_believed() -> None:
+def test_a_sun_sensor_in_shadow_is_not_believed():
     sun = np.array([0.0, 0.0, 1.0])
     boresight = np.array([[0.0, 0.6, 0.8]])
     for reading, moves in ((0.0, False), (0.7, True)):

@@ -15,8 +15,6 @@ from scp_recon.drafting import draft as drafting
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.whole_flight import KeptFlights, kept_flights
 from scp_recon.planning import initial_guess
-from scp_recon.planning.plan import Plan
-from scp_recon.results.facts import Verification
 from scp_recon.results.solution import make_solution
 from scp_recon.scp.status import Status
 from scp_recon.verification import refinement, reintegration
@@ -31,9 +29,7 @@ def _tight(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(reintegration, "COVARIANCE_LIMIT", TIGHT)
 
 
-def test_the_estimate_is_what_the_verification_finds(
-    default_plan: Plan, verification: Verification
-) -> None:
+def test_the_estimate_is_what_the_verification_finds(default_plan, verification):
     error = refinement.covariance_error(default_plan)
     assert error == pytest.approx(verification.covariance_error, rel=0.02)
     assert refinement.refined(default_plan) is None
@@ -41,8 +37,8 @@ def test_the_estimate_is_what_the_verification_finds(
 
 @pytest.mark.usefixtures("_tight", "few_flights")
 def test_a_plan_whose_covariances_alone_are_wrong_is_made_again_on_a_finer_grid(
-    default_plan: Plan, mission: Mission
-) -> None:
+    default_plan, mission
+):
     assert verify(mission, make_solution(default_plan)).failed == ["covariance_error"]
     plan = sr.plan()
     step = plan.mission.scenario.grid.step_max_s
@@ -58,9 +54,7 @@ def test_a_plan_whose_covariances_alone_are_wrong_is_made_again_on_a_finer_grid(
 
 
 @pytest.mark.usefixtures("_tight", "fewer")
-def test_no_flights_certify_a_plan_whose_covariances_are_wrong(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_no_flights_certify_a_plan_whose_covariances_are_wrong(monkeypatch):
     flown: list[tuple[int, float]] = []
 
     def fly(mission: Mission, burns: Array, samples: int, seed: int, *_: object) -> KeptFlights:
@@ -82,9 +76,7 @@ def test_no_flights_certify_a_plan_whose_covariances_are_wrong(
 
 
 @pytest.mark.usefixtures("_tight")
-def test_no_grid_is_refined_that_is_no_remedy(
-    default_plan: Plan, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_no_grid_is_refined_that_is_no_remedy(default_plan, monkeypatch):
     assert refinement.refined(default_plan) is not None
     stage = default_plan.final
     stalled = replace(stage, result=replace(stage.result, status=Status.STALLED))
@@ -94,7 +86,7 @@ def test_no_grid_is_refined_that_is_no_remedy(
 
 
 @pytest.mark.usefixtures("_tight", "few_flights")
-def test_a_draft_has_the_grid_on_which_it_was_planned() -> None:
+def test_a_draft_has_the_grid_on_which_it_was_planned():
     first = drafting.Draft("m", "Bennu", None, (55.9, 41.8), datetime(2020, 1, 21), 290.0)
     draft = next(drafting.drafts(first))
     mission = Mission.from_scenario(drafting.scenario_of(draft))

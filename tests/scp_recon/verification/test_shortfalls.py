@@ -68,18 +68,13 @@ ENOUGH = successes_needed(ASKED, SAMPLES)
     ],
 )
 def test_what_flights_refute_and_no_certificate_promises_is_named(
-    exact: Mission,
-    solution: Solution,
-    certified: int | None,
-    by_law: float | None,
-    successes: int,
-    named: list[str],
-) -> None:
+    exact, solution, certified, by_law, successes, named
+):
     told = promising(solution, certified=certified, by_law=by_law)
     assert shortfalls(exact, told, [flown(successes)]) == named
 
 
-def test_an_estimate_below_what_was_asked_fails_a_plan_of_uniform_risk(solution: Solution) -> None:
+def test_an_estimate_below_what_was_asked_fails_a_plan_of_uniform_risk(solution):
     mission = mission_of(f"risk.p_chance={ASKED}")
     assert shortfalls(mission, solution, [flown(8_999)]) == [f"P({FLIGHT})"]
     assert shortfalls(mission, solution, [flown(9_000)]) == []
@@ -89,7 +84,7 @@ def failing(verification: Verification, *names: str, **figures: float) -> Verifi
     return replace(verification, **figures, failed=list(names), ok=False)  # type: ignore[arg-type]
 
 
-def test_every_check_has_a_remedy(mission: Mission, verification: Verification) -> None:
+def test_every_check_has_a_remedy(mission, verification):
     """By its kind; a probability or a margin by where it is missed."""
     v = verification
     between = replace(v.mean_margins[-1], worst_t_s=float(mission.times_s[:2].mean()))
@@ -113,9 +108,7 @@ def test_every_check_has_a_remedy(mission: Mission, verification: Verification) 
         assert {kind_of(name, mission, v) for name in names} == {kind}
 
 
-def test_it_says_how_fine_a_grid_is_enough(
-    mission: Mission, solution: Solution, verification: Verification
-) -> None:
+def test_it_says_how_fine_a_grid_is_enough(mission, solution, verification):
     """At fourth order: half the limit of covariances that err by 17 times it at 232 s."""
     failed = failing(verification, "covariance_error", covariance_error=1.7e-5)
     (line,) = what_next(mission, solution, failed)
@@ -126,8 +119,8 @@ def test_it_says_how_fine_a_grid_is_enough(
 
 
 def test_a_plan_that_has_not_converged_has_the_remedy_of_its_status(
-    mission: Mission, solution: Solution, verification: Verification
-) -> None:
+    mission, solution, verification
+):
     stalled = replace(solution, status=Status.STALLED.value.name)
     failed = failing(verification, "status", "P(emission)", "emission_max")
     (line,) = what_next(mission, stalled, failed)

@@ -16,7 +16,6 @@ from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.sampling import sample_positions
 from scp_recon.planning import initial_guess
 from scp_recon.planning.planner import plan
-from scp_recon.results.facts import Verification
 from scp_recon.results.read import parse_solution
 from scp_recon.results.solution import Solution, make_solution
 from scp_recon.verification.consistency import inconsistencies
@@ -30,9 +29,7 @@ Change = Callable[[dict[str, Any]], object]
 # --- a right solution ---------------------------------------------------------------------------
 
 
-def test_default_solution_is_confirmed(
-    mission: Mission, solution: Solution, verification: Verification
-) -> None:
+def test_default_solution_is_confirmed(mission, solution, verification):
     """Every probability and every constraint is looked at, the same every time."""
     v = verification
     assert (v.ok, v.failed) == (True, [])
@@ -54,7 +51,7 @@ def test_default_solution_is_confirmed(
     assert verify(mission, solution) == v
 
 
-def test_limits_grow_with_a_body_so_large_that_the_integrators_differ() -> None:
+def test_limits_grow_with_a_body_so_large_that_the_integrators_differ():
     mission = mission_of()
     limits = limits_of(mission)
     assert limits["sample_error_m"] == 0.01
@@ -63,9 +60,7 @@ def test_limits_grow_with_a_body_so_large_that_the_integrators_differ() -> None:
     assert limits.keys() == FIGURES.keys()
 
 
-def test_probability_is_that_of_counting(
-    mission: Mission, solution: Solution, verification: Verification
-) -> None:
+def test_probability_is_that_of_counting(mission, solution, verification):
     """The lowest probability of the site distance, counted again with different draws."""
     (site,) = (p for p in verification.probabilities if p.name == "site_distance")
     time = np.array([site.worst_t_s])
@@ -77,7 +72,7 @@ def test_probability_is_that_of_counting(
     assert again == pytest.approx(site.estimate, abs=4.5 * sigma)
 
 
-def test_p3_is_confirmed_without_asking_for_probabilities_but_not_as_p2(mission: Mission) -> None:
+def test_p3_is_confirmed_without_asking_for_probabilities_but_not_as_p2(mission):
     p3 = make_solution(plan(mission, initial_guess.cold(mission), problem="P3"))
     checked = verify(mission, p3)
     assert checked.ok
@@ -128,7 +123,7 @@ FALSIFIED: dict[str, Change] = {
 
 @pytest.mark.usefixtures("few_flights")
 @pytest.mark.parametrize("name", usually([*FALSIFIED], 6))
-def test_a_falsified_solution_is_found_out(mission: Mission, solution: Solution, name: str) -> None:
+def test_a_falsified_solution_is_found_out(mission, solution, name):
     checked = verify(mission, changed(solution, FALSIFIED[name]))
     assert not checked.ok
     assert checked.failed
@@ -201,18 +196,14 @@ CONTRADICTING: dict[str, list[Change]] = {
 
 
 @pytest.mark.parametrize("named", CONTRADICTING)
-def test_what_is_said_of_the_constraints_is_worked_out_again(
-    mission: Mission, solution: Solution, named: str
-) -> None:
+def test_what_is_said_of_the_constraints_is_worked_out_again(mission, solution, named):
     assert inconsistencies(mission, solution) == []
     for number, change in enumerate(CONTRADICTING[named]):
         assert inconsistencies(mission, changed(solution, change)) == [named], number
 
 
 @given(st.sampled_from(["m", "rad"]), st.floats(0.0, 0.9), st.floats(2.0, 100.0))
-def test_flights_are_judged_as_the_mean_is_only_where_they_hardly_spread(
-    unit: str, dip: float, spread: float
-) -> None:
+def test_flights_are_judged_as_the_mean_is_only_where_they_hardly_spread(unit, dip, spread):
     """Without uncertainty every flight is the mean, whose constraints bind to the last digit."""
     limit = -MARGIN_LIMIT[unit]
     together = np.full((1, 100), -dip * limit)
@@ -222,7 +213,7 @@ def test_flights_are_judged_as_the_mean_is_only_where_they_hardly_spread(
     assert holds(apart, unit).tolist() == (apart >= 0.0).tolist()
 
 
-def test_the_constraints_of_p3_and_of_infeasible_cases_are_worked_out_again() -> None:
+def test_the_constraints_of_p3_and_of_infeasible_cases_are_worked_out_again():
     for overrides, problem in (([], "P3"), (["burns.dv_max_m_s=0.03"], "P2")):
         case = mission_of(*overrides)
         found = plan(case, initial_guess.cold(case), problem=problem)
@@ -238,9 +229,7 @@ def infeasible() -> tuple[Mission, Solution]:
 
 @pytest.mark.parametrize("figure", ["max", "total"])
 @pytest.mark.parametrize("factor", [0.0, 0.5, 1.0 - 1e-6, 1.0 + 1e-6, 2.0, 1e6])
-def test_a_violation_that_does_not_add_up_is_named(
-    infeasible: tuple[Mission, Solution], figure: str, factor: float
-) -> None:
+def test_a_violation_that_does_not_add_up_is_named(infeasible, figure, factor):
     """Of the whole but for rounding, or of one constraint by more than that."""
     case, found = infeasible
     parts = found.violation.by_constraint
@@ -270,17 +259,13 @@ OTHER_UNIT = {"m": "m/s", "m/s": "m"}
     ],
     ids=["beyond the margins", "in the wrong unit"],
 )
-def test_a_violation_that_margins_contradict_is_named(
-    infeasible: tuple[Mission, Solution], change: Change
-) -> None:
+def test_a_violation_that_margins_contradict_is_named(infeasible, change):
     case, found = infeasible
     assert inconsistencies(case, changed(found, change)) == ["violation"]
 
 
 @pytest.mark.parametrize(("error_s", "found"), [(1e-9, []), (-9e-4, []), (1.0, ["nodes.t_s"])])
-def test_a_window_edge_is_held_against_the_tolerance_of_reading(
-    mission: Mission, solution: Solution, error_s: float, found: list[str]
-) -> None:
+def test_a_window_edge_is_held_against_the_tolerance_of_reading(mission, solution, error_s, found):
     def move(data: dict[str, Any]) -> None:
         data["nodes"]["t_s"][int(mission.window_nodes[0])] += error_s
 
@@ -308,9 +293,7 @@ def test_a_window_edge_is_held_against_the_tolerance_of_reading(
         7,
     ),
 )
-def test_each_constraint_that_the_plan_breaks_is_named(
-    solution: Solution, override: str, named: str
-) -> None:
+def test_each_constraint_that_the_plan_breaks_is_named(solution, override, named):
     """The same plan under a stricter limit."""
     checked = verify(mission_of(override), solution)
     assert not checked.ok
@@ -319,7 +302,7 @@ def test_each_constraint_that_the_plan_breaks_is_named(
 
 
 @pytest.mark.usefixtures("few_flights")
-def test_constraints_are_checked_between_the_nodes(mission: Mission, solution: Solution) -> None:
+def test_constraints_are_checked_between_the_nodes(mission, solution):
     """The same plan known only at its burns and the window's edges, where every limit is kept."""
     coarse = mission_of("grid.step_max_s=40000", "observation.emission_max_deg=38")
     keep = np.flatnonzero(np.isin(mission.times_s, coarse.times_s))
