@@ -20,6 +20,7 @@ from scp_recon.api.planning import Known, plan_mission
 from scp_recon.certification.largest import MOST, largest_kept, rounded_down
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
+from scp_recon.planning.initial_guess import from_burns
 from scp_recon.planning.plan import Plan
 from scp_recon.planning.stages import FIRST_STAGE
 from scp_recon.results.solution import make_solution
@@ -175,6 +176,8 @@ def _verified(largest: Plan, asked: float, failed: Plan, start: Iterate) -> Plan
         if p <= 0.5:
             return None
         mission = Mission.from_scenario(largest.mission.scenario.replace({"risk.p_chance": p}))
+        if len(start.mean) != len(mission.times_s):  # its grid is finer than that of the start
+            start = from_burns(mission, start.burns * mission.units.speed_m_s)
         options = PlanOptions(algorithm=names.algorithm, solver=names.solver, certify=certified)
         try:
             found = _uninterrupted(plan_mission(mission, start, options))

@@ -202,7 +202,10 @@ def test_what_the_normal_law_allows_and_flights_do_not_certify_is_told_apart(
 def test_what_flights_refute_is_proposed_with_flights_that_certify_it(
     small_burns: tuple[Plan, Diagnosis], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A certified plan aims higher; where that takes more than there is, less is promised."""
+    """A certified plan aims higher; where that takes more than there is, less is promised.
+
+    The start is on another grid, as where the plans that were tried had to be made on finer ones.
+    """
     found, out = small_burns
     made: list[float] = []
 
@@ -216,7 +219,7 @@ def test_what_flights_refute_is_proposed_with_flights_that_certify_it(
     monkeypatch.setattr(
         module, "verify", lambda _, of: SimpleNamespace(ok=of.certificate is not None)
     )
-    start = initial_guess.cold(found.mission)
+    start = initial_guess.cold(mission_of())
     chosen = module._verified(out.largest, 0.9, found, start)
     assert chosen.certificate is REACHED
     assert chosen.mission.scenario.risk.p_chance == made[-1] < made[0] <= out.largest.target
