@@ -27,8 +27,8 @@ from scp_recon.errors import needing
 from scp_recon.mission.mission import Mission
 from scp_recon.physics.forces import SPEED_OF_LIGHT_M_S, ForceModel, acceleration
 from scp_recon.physics.harmonics import HarmonicField
-from scp_recon.physics.time_scales import FIRST_TAI_MINUS_UTC_S, LEAPS
 from scp_recon.results.solution import Solution
+from scp_recon.scenario.time_scales import FIRST_TAI_MINUS_UTC_S, LEAPS
 
 TOLERANCE = 1e-13
 ROUNDED_S = 1e-6

@@ -30,6 +30,7 @@ from scp_recon.interop.tracks import (
     spice_track,
     step_doubts,
 )
+from scp_recon.mission.checks.intervals import DENSITIES, density
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
 from scp_recon.results.facts import Verification
@@ -151,6 +152,11 @@ class NewOptions:
             allowed = f"must be one of {', '.join(body_names())}, or needs {missing} too"
             raise InputError(option("body"), self.body, allowed)
         gm, radius, period, pole, orbit = numbers.values()
+        dense = density(gm, radius)
+        if not DENSITIES[0] <= dense <= DENSITIES[1]:  # before any search about such a body
+            low, high = DENSITIES
+            given = f"{gm:g} m^3/s^2 (density with {option('radius')}: {dense:.3g} kg/m^3)"
+            raise InputError(option("gm"), given, f"must make {low:g} to {high:g} kg/m^3")
         body = GivenBody(gm, radius, period, pole, orbit[:3], orbit[3:], 0.0)
         return Draft(self.title, self.body, body, site, epoch, radius)
 

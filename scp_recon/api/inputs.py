@@ -7,9 +7,9 @@ from datetime import datetime
 from pathlib import Path
 
 from scp_recon.errors import InputError, Named, option, shortened
-from scp_recon.physics.time_scales import tdb_of_utc
 from scp_recon.scenario.load import base_names, load_scenario, override, packaged_scenario
 from scp_recon.scenario.schema import Scenario
+from scp_recon.scenario.time_scales import tdb_of_utc
 
 
 def scenario_of(given: Scenario | str | Path, overrides: Sequence[str] = ()) -> Scenario:

@@ -15,13 +15,15 @@ from rich.table import Table as RichTable
 from rich.text import Text
 
 from formulations.arrays import Array
+from scp_recon.bodies.catalogue import AU_KM, packaged_body
 from scp_recon.cli.command import show_line
 from scp_recon.cli.rendering import show_verdict, show_warnings, terminal
 from scp_recon.errors import InputError
+from scp_recon.mission.checks.known import orbit_of_body
 from scp_recon.mission.mission import Mission
+from scp_recon.mission.scene import Scene
 from scp_recon.monte_carlo.estimates import Estimate
 from scp_recon.physics.geometry import angle
-from scp_recon.physics.time_scales import instant, iso_utc
 from scp_recon.planning.plan import Plan
 from scp_recon.reports.tables import (
     ITERATION_COLUMNS,
@@ -40,6 +42,7 @@ from scp_recon.results.solution import Solution, iteration_record
 from scp_recon.results.table import Cell, Table
 from scp_recon.scenario.fields import ScenarioWarning
 from scp_recon.scenario.schema import Scenario
+from scp_recon.scenario.time_scales import instant, iso_utc
 from scp_recon.scp.loop import Record
 from scp_recon.scp.status import Status
 from scp_recon.verification.remedies import what_next
@@ -59,6 +62,8 @@ def show_mission(console: Console, mission: Mission) -> None:
             style="not bold",
         )
     )
+    if packaged_body(scenario.body.name) is None:
+        show_line(console, f"body      {as_given(mission.scene)}")
     if mission.observed_s is None:
         origin += "; over, nothing is observed any more"
     show_line(console, f"window    {first:.1f} to {last:.1f} s ({last - first:.1f} s, {origin})")
@@ -83,6 +88,21 @@ def show_mission(console: Console, mission: Mission) -> None:
         console,
         f"grid      {len(mission.times_s)} nodes, {len(mission.window_nodes)} of them in the "
         f"window, arcs of {arcs.min():.0f} to {arcs.max():.0f} s",
+    )
+
+
+def as_given(scene: Scene) -> str:
+    """Of a body that is not packaged what no check tells from another body's, or another date's."""
+    body, spin = scene.scenario.body, scene.rotation
+    axis = spin.pole * np.sign(spin.rate)
+    tilt = np.rad2deg(angle(axis, orbit_of_body(scene).normal))
+    north = 90.0 - np.rad2deg(angle(axis, scene.sun_direction(0.0)))
+    away = np.linalg.norm(scene.scenario.sun.body_position_km) / AU_KM
+    way, side = "backwards" if tilt > 90.0 else "forwards", "north" if north > 0.0 else "south"
+    return (
+        f"{body.name} is not packaged, and taken as given: it turns in {spin.period_h:.4g} h, {way} "
+        f"(its axis {tilt:.0f} deg off that of its orbit); the Sun is {away:.3f} au away, "
+        f"{abs(north):.0f} deg {side} of its equator"
     )
 
 

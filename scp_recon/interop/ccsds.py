@@ -15,8 +15,8 @@ import numpy as np
 from formulations.arrays import Array
 from scp_recon.interop.export import Export, heading, maker
 from scp_recon.interop.path import Coast
-from scp_recon.physics.time_scales import iso_tdb
 from scp_recon.physics.two_body import Orbit
+from scp_recon.scenario.time_scales import iso_tdb
 
 KM = 1e-3
 AXES = ("X", "Y", "Z", "X_DOT", "Y_DOT", "Z_DOT")

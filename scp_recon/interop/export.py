@@ -11,8 +11,8 @@ import numpy as np
 from scp_recon.errors import printable, version_of
 from scp_recon.interop.path import MARGIN_S, WITHIN_M, FlownPath
 from scp_recon.mission.mission import Mission
-from scp_recon.physics.time_scales import instant, iso_tdb, iso_utc
 from scp_recon.results.solution import Solution
+from scp_recon.scenario.time_scales import instant, iso_tdb, iso_utc
 
 SPACECRAFT_ID = -999
 """Default number of the spacecraft; NAIF's are negative, and this one is not assigned."""

@@ -21,7 +21,7 @@ from scp_recon.errors import imported, option
 from scp_recon.files import write_atomically
 from scp_recon.interop import ccsds, kernels
 from scp_recon.interop.export import Export, heading
-from scp_recon.physics.time_scales import iso_tdb, iso_utc
+from scp_recon.scenario.time_scales import iso_tdb, iso_utc
 from scp_recon.simulation.guidance import FlightPlan
 from scp_recon.simulation.vehicle import Vehicle
 

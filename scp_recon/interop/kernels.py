@@ -27,7 +27,7 @@ from scp_recon.errors import imported, option
 from scp_recon.interop.export import Export, heading, maker
 from scp_recon.interop.path import MARGIN_S
 from scp_recon.mission.schedule import Leg
-from scp_recon.physics.time_scales import (
+from scp_recon.scenario.time_scales import (
     EB,
     FIRST_TAI_MINUS_UTC_S,
     K_S,

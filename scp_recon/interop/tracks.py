@@ -6,6 +6,7 @@ oddities of a trajectory become warnings, which stay with the plan.
 
 from __future__ import annotations
 
+import csv
 import re
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
@@ -228,10 +229,19 @@ def csv_track(path: Path, epoch: datetime) -> Track:
     """Read a table of states as for `--init`; `t_s` counts from the epoch, TDB.
 
     Raises:
-        InputError: if the file cannot be read.
+        InputError: if the file cannot be read, or has a column `tdb` that says another epoch.
     """
     table = read_table(path, f"{CSV} {path}")
     begin = epoch + timedelta(seconds=float(table[0, 0]))
+    lines = (line for line in read_text(path, CSV, "file").splitlines() if line[:1] != "#")
+    if (said := next(csv.DictReader(lines)).get("tdb")) is not None:
+        off = (begin - datetime.fromisoformat(said)).total_seconds()
+        if abs(off) > LATE_MAX_S:
+            raise InputError(
+                option("epoch"),
+                f"{epoch.isoformat()}, which puts the first row at {begin.isoformat()}",
+                f"must be TDB, and {-off:.3f} s later: the row's own column tdb says {said}",
+            )
     return Track(begin, table[:, 0] - table[0, 0], table[:, 1:], f"from {path.name}")
 
 

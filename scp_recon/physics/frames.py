@@ -70,6 +70,11 @@ class Rotation:
         )
 
     @property
+    def period_h(self) -> float:
+        """Time of a turn at `t = 0`, either way; infinite without one."""
+        return 2.0 * np.pi / abs(self.rate) / 3600.0 if self.rate else np.inf
+
+    @property
     def pole(self) -> Array:
         """Unit vector of the spin pole, J2000."""
         # A column in a row: products with a strided vector round otherwise than with its copy.

@@ -12,12 +12,12 @@ import numpy as np
 
 from formulations.rows.exact_flight import FLIGHT
 from scp_recon.errors import version_of
-from scp_recon.physics.time_scales import instant, iso_utc, shown_utc
 from scp_recon.planning.plan import NOT_CHECKED
 from scp_recon.reports.flights import SO_FAR, Shown
 from scp_recon.reports.marks import BODY, Trace, script
 from scp_recon.reports.subject import Subject
 from scp_recon.results.table import Table
+from scp_recon.scenario.time_scales import instant, iso_utc, shown_utc
 from scp_recon.scp.status import Status
 from scp_recon.verification.remedies import what_next
 

@@ -14,11 +14,11 @@ from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo import summary as summary_file
 from scp_recon.monte_carlo.summary import Summary, read_summary
-from scp_recon.physics.time_scales import instant, iso_tdb
 from scp_recon.results.comparison import path_of
 from scp_recon.results.read import read_solution
 from scp_recon.results.runs import folder_of, resolve_run
 from scp_recon.results.solution import Solution
+from scp_recon.scenario.time_scales import instant, iso_tdb
 from scp_recon.simulation import record as record_file
 from scp_recon.simulation.record import Record, read_record
 

@@ -14,12 +14,12 @@ import numpy as np
 from scp_recon.mission.constraints import limits_in_words
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.observation_time import ALL
-from scp_recon.physics.time_scales import instant, shown_utc
 from scp_recon.planning.plan import Starts
 from scp_recon.results.corrections import sigmas
 from scp_recon.results.facts import Burn, IterationRecord, Verification
 from scp_recon.results.solution import Solution
 from scp_recon.results.table import Cell, Column, Table
+from scp_recon.scenario.time_scales import instant, shown_utc
 from scp_recon.verification.reintegration import FIGURES, limits_of
 
 if TYPE_CHECKING:

@@ -43,7 +43,8 @@ class Edge(NamedTuple):
 
 GRAPH = (
     Edge(("body.name",), ("body", "site", *STATE, "sun.spk_files")),
-    Edge(("epoch.tdb",), (*STATE, "body.prime_meridian_at_epoch_deg")),
+    Edge(("epoch.tdb",), (*STATE, "body.prime_meridian_at_epoch_deg", "epoch.utc")),
+    Edge(("epoch.utc",), (*STATE, "body.prime_meridian_at_epoch_deg", "epoch.tdb")),
     Edge(("body.pck_file",), (*POLE, *MERIDIAN, *SPIN)),
     Edge(("body.rotation_period_h",), MERIDIAN),
     Edge(("body.prime_meridian_at_epoch_deg",), MERIDIAN[:1]),

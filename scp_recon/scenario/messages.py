@@ -50,6 +50,7 @@ def input_error(error: ValidationError, schema: type[BaseModel]) -> InputError:
 
 
 INSTEAD = {
+    "epoch.": "epoch: utc will do in place of tdb.",
     "body.": "body: the name of a packaged body gives the rest; so do pck_file, gravity_file, and "
     "rotation_period_h with prime_meridian_at_epoch_deg. Another body inherits nothing.",
     "sun.": "sun: computed for packaged bodies, and from spk_files. Another epoch inherits no Sun.",

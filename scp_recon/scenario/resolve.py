@@ -21,8 +21,10 @@ from scp_recon.scenario.body import Body, SiteSection, Sun
 from scp_recon.scenario.boundary import Boundary, HomeOrbit
 from scp_recon.scenario.dependencies import ENDS, Tables, entries, found, keys
 from scp_recon.scenario.fields import Section
+from scp_recon.scenario.resolution.agreement import check
 from scp_recon.scenario.resolution.body import resolve_gravity, resolve_rotation, resolve_sun
 from scp_recon.scenario.resolution.site import resolve_site
+from scp_recon.scenario.time_scales import tdb_of_utc
 
 SUBJECTS: dict[str, tuple[str, ...]] = {
     "rotation": (
@@ -54,6 +56,7 @@ def resolve(data: Mapping[str, Any], changes: Mapping[str, Any] | None = None) -
     """
     tables: Tables = {k: dict(v) if isinstance(v, Mapping) else v for k, v in data.items()}
     wanted = set(SUBJECTS) if changes is None else _touched(changes)
+    resolve_epoch(tables)
     body, days = tables.get("body"), _days(tables)
     if not isinstance(body, dict) or not _well_formed(body, Body):
         return tables
@@ -127,6 +130,34 @@ def _well_formed(table: Mapping[str, Any], schema: type[Section]) -> bool:
     except (ValueError, RecursionError):
         return False
     return True
+
+
+UTC_TOLERANCE_S = 0.001
+"""Within which a given TDB is that of a given UTC: a file's milliseconds."""
+
+
+def resolve_epoch(tables: Tables) -> None:
+    """Enter TDB in the place of UTC.
+
+    Raises:
+        InputError: if both are given, and not alike, as of a date in UTC that was taken for TDB.
+    """
+    epoch = tables.get("epoch")
+    if not isinstance(epoch, dict) or epoch.get("utc") is None:
+        return
+    try:
+        utc = datetime.fromisoformat(str(epoch["utc"]))
+        given = datetime.fromisoformat(str(epoch["tdb"])) if "tdb" in epoch else None
+    except ValueError:  # the schema tells
+        return
+    computed = tdb_of_utc(utc)
+    if given is None:
+        epoch["tdb"] = computed.isoformat()
+    elif given.tzinfo is None:
+        off = abs((given - computed).total_seconds())
+        why = f"which is epoch.utc in TDB; they are {off:.3f} s apart"
+        check("epoch.tdb", given.isoformat(), off <= UTC_TOLERANCE_S, computed.isoformat(), why)
+    del epoch["utc"]
 
 
 def _days(tables: Mapping[str, Any]) -> float | None:

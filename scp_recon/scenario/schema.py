@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 from collections.abc import Mapping
+from datetime import datetime
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import (
@@ -38,7 +39,10 @@ class Epoch(Section):
     """Time zero of the flight."""
 
     tdb: Tdb
-    """TDB at the first burn, such as 2020-01-21T20:33:17.184; no time zone."""
+    """TDB at the first burn, such as 2020-01-21T20:33:17.184; no time zone. Follows from utc."""
+    utc: datetime | None = None
+    """UTC at the first burn, such as 2020-01-21T20:32:08Z, in place of tdb, which alone is kept; beside
+    it, it has to agree."""
 
 
 class Spacecraft(Section):

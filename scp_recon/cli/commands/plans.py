@@ -22,10 +22,10 @@ from scp_recon.cli.rendering import show_verdict, show_warnings, terminal
 from scp_recon.errors import printable
 from scp_recon.interop.export import Export, heading
 from scp_recon.interop.path import WITHIN_M
-from scp_recon.physics.time_scales import iso_tdb, iso_utc
 from scp_recon.results import comparison
 from scp_recon.results.comparison import Comparison
 from scp_recon.results.runs import folder_of, resolve_run
+from scp_recon.scenario.time_scales import iso_tdb, iso_utc
 from scp_recon.verification.reintegration import verify as verified
 
 EXPORTS = "export"

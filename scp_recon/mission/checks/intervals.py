@@ -118,14 +118,34 @@ def _size(given: Any) -> float | None:
     return math.hypot(*given) if isinstance(given, tuple) else float(given)
 
 
+def density(gm: float, radius: float) -> float:
+    """Density in kg/m^3 of a ball by its GM in m^3/s^2 and its radius in m."""
+    return float(gm / (G * 4.0 / 3.0 * np.pi * radius**3))
+
+
 def _density(scene: Scene, _: str) -> float:
     body = scene.scenario.body
-    return body.gm_m3_s2 / (G * 4.0 / 3.0 * np.pi * body.reference_radius_m**3)
+    return density(body.gm_m3_s2, body.reference_radius_m)
+
+
+def _mean_radius_m(scene: Scene, _: str = "") -> float | None:
+    """Of a ball as large as the ellipsoid of a body that is not packaged."""
+    body = scene.scenario.body
+    known = body.radii_m is None or packaged_body(body.name) is not None
+    return None if known or body.radii_m is None else math.prod(body.radii_m) ** (1.0 / 3.0)
+
+
+def _density_of_radii(scene: Scene, _: str) -> float | None:
+    mean = _mean_radius_m(scene)
+    return None if mean is None else density(scene.scenario.body.gm_m3_s2, mean)
+
+
+def _year(scene: Scene, _: str) -> float:
+    return scene.scenario.epoch.tdb.year
 
 
 def _period_h(scene: Scene, _: str) -> float:
-    rate = abs(scene.rotation.rate)
-    return 2.0 * np.pi / rate / 3600.0 if rate else INF
+    return scene.rotation.period_h
 
 
 def _period_of_rubble_h(scene: Scene, entry: str) -> float | None:
@@ -264,6 +284,8 @@ SPREADS = (
 SPREAD = (1e-4, 0.0999)
 """1 sigma over distance or speed: 0.1 m at 1 km is the best that is flown. The ends are less than a
 factor of 1000 apart, so that nothing between them is there in kilometres, or millimetres, too."""
+DENSITIES = (3.0, 1e6)
+"""Density of any body by a radius within a factor of five of its own, kg/m^3."""
 SPIN, SUN_SPEED = "body.prime_meridian_rate_deg_day", "sun.body_velocity_km_s"
 HOME, FLIGHT = "boundary.home.radius_m", "in_flight.position_m"
 STEPS = f": the planner's steps are {RK4_STEP_MAX_S:g} s"
@@ -306,8 +328,19 @@ INTERVALS = (
     # From the most porous comet to iron; a reference radius may be well above the body's own.
     Interval(
         "body.gm_m3_s2", "density at body.reference_radius_m", _density, "kg/m^3",
-        refuse=(3.0, 1e6), warn=(300.0, 8000.0),
+        refuse=DENSITIES, warn=(300.0, 8000.0),
     ),
+    # A reference radius is one of the body's, which an ellipsoid's diameters are not.
+    Interval(
+        "body.radii_m", "of a body that is not packaged, the mean", _mean_radius_m, "m",
+        warn=(0.55, 1.5), scale=RADII, hint="; radii both, and no diameters?",
+    ),
+    # From the most porous body that was visited: comet 67P has 530. An eighth is that of diameters.
+    Interval(
+        "body.radii_m", "density of a body that is not packaged", _density_of_radii, "kg/m^3",
+        warn=(500.0, 8000.0), hint="; radii, and no diameters?",
+    ),
+    Interval("epoch.tdb", "year", _year, warn=(-INF, 2100.0)),
     # Below any body that has been flown to: Dimorphos has 75 m. In kilometres throughout, GM included,
     # a body is a smaller one of the same density.
     Interval("body.reference_radius_m", unit="m", warn=(50.0, INF), hint="; all of it in metres?"),

@@ -13,10 +13,13 @@ import pytest
 from scp_recon.api import drafts
 from scp_recon.api.planning import plan
 from scp_recon.cli.commands import new
+from scp_recon.cli.plan_view import as_given
 from scp_recon.drafting import draft as drafting
+from scp_recon.mission.scene import Scene
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scp.status import Status
 from tests.helpers import usually
+from tests.scp_recon.support import file_of
 
 BENNU = ("--body", "Bennu", "--site", "55.9,41.8", "--epoch", "2020-01-21T20:33:17")
 STONE = (
@@ -75,6 +78,27 @@ def test_what_cannot_be_flown_is_written_with_what_to_change(monkeypatch, capsys
     assert told in written.replace("\n#   ", " ")
     assert "To change, in this order" in written
     assert tomllib.loads(written)["name"] == "mine"
+
+
+OTHER_WAY = {"body.pole_ra_deg": 265.46097, "body.pole_dec_deg": 60.3586}
+OTHER_SPIN = {"body.prime_meridian_rate_deg_day": -2011.145755336826}
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({}, "turns in 4.296 h, backwards (its axis 178 deg off"),
+        (OTHER_WAY | OTHER_SPIN, "turns in 4.296 h, backwards (its axis 178 deg off"),
+        (OTHER_SPIN, "turns in 4.296 h, forwards (its axis 2 deg off"),
+        (
+            {"sun.body_position_km": [302183638.0, 0.0, 0.0]},
+            "the Sun is 2.020 au away, 2 deg south",
+        ),
+    ],
+)
+def test_what_is_taken_as_given_of_a_body_is_said(changes, said, scenario):
+    """No check tells its way of turning, its pole or its Sun from others."""
+    assert said in as_given(Scene.of(file_of(scenario, changes, name="Other")))
 
 
 def test_where_nothing_can_be_written_nothing_is_planned(capsys, monkeypatch):

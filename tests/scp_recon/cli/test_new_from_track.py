@@ -18,9 +18,9 @@ from scp_recon.interop.files import csv_text
 from scp_recon.interop.path import fly_path
 from scp_recon.interop.tracks import csv_track, cut, oem_track, pull_doubts, step_doubts
 from scp_recon.mission.mission import Mission
-from scp_recon.physics.time_scales import tdb_of_utc
 from scp_recon.results.solution import Solution
 from scp_recon.scenario.load import load_scenario
+from scp_recon.scenario.time_scales import tdb_of_utc
 from tests import reference
 
 CRAFT, STONE, SUN = -64, 20099942, 10
@@ -278,6 +278,13 @@ def test_what_bends_otherwise_than_the_body_pulls_is_told(export, track):
     ):
         (doubt,) = pull_doubts(export.mission, wrong)
         assert "otherwise than Bennu and sunlight" in str(doubt)
+
+
+def test_an_epoch_in_utc_for_a_table_in_tdb_is_refused(export):
+    Path("plan.csv").write_text(csv_text(export), encoding="utf-8")
+    epoch = export.mission.scenario.epoch.tdb
+    with pytest.raises(InputError, match=r"epoch: .*69\.184 s later.*column tdb"):
+        csv_track(Path("plan.csv"), epoch - timedelta(seconds=69.184))
 
 
 def test_gaps_and_states_that_are_elsewhere_are_told(track):

@@ -17,7 +17,7 @@ from scp_recon.interop import kernels
 from scp_recon.interop.export import UNNAMED_BODY_ID, Export, Ids
 from scp_recon.interop.files import write_export
 from scp_recon.interop.kernels import command_times, commanded
-from scp_recon.physics.time_scales import iso_utc
+from scp_recon.scenario.time_scales import iso_utc
 from scp_recon.simulation.guidance import FlightPlan
 from scp_recon.simulation.vehicle import Vehicle, load_vehicle
 from tests.scp_recon.support import integrate

@@ -34,6 +34,7 @@ ELSEWHERE = [-91.0, 81.0, 181.0]
 LATER = "2020-03-21T20:33:17"
 SUN_M = [1.51e11, -4.9e9, -3.4e9]
 SUN_M_S = [-4300.0, 26811.0, 15168.0]
+SUN, SUN_S = [1.51e8, -4.9e6, -3.4e6], [-4.3, 26.8, 15.2]
 INWARD = [0.4, -0.5, -0.7]
 SITE_KM = [0.0914, 0.0817, 0.1811]
 SITE, NORMAL, PLACE, SPEED = (
@@ -121,6 +122,9 @@ WARNED = [
     ),
     ({"spacecraft.mass_kg": 0.178}, "spacecraft.srp_area_m2", "m^2/kg"),
     ({"body.radii_m": RADII, "body.j2": 0.0193}, "body.j2", "has 0.0344 at 290 m"),
+    ({"body.radii_m": RADII, "body.reference_radius_m": 170.0}, "body.radii_m", "no diameters?"),
+    ({"body.radii_m": RADII, "body.gm_m3_s2": 1.6}, "body.radii_m", "packaged: 299 kg/m^3"),
+    ({"epoch.tdb": "2120-01-21T01:56:24", PLACE: SUN, SPEED: SUN_S}, "epoch.tdb", "2120"),
 ]
 
 

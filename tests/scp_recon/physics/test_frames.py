@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation as SciPyRotation
 from formulations.arrays import Array
 from scp_recon.errors import InputError
 from scp_recon.physics.frames import Rotation, sun_north_to_j2000
-from scp_recon.physics.time_scales import (
+from scp_recon.scenario.time_scales import (
     FIRST_TAI_MINUS_UTC_S,
     LEAPS,
     instant,

@@ -248,6 +248,30 @@ def test_a_sun_that_contradicts_the_packaged_one_is_refused(
     assert caught.value.entry == "sun.body_position_km"
 
 
+def test_an_epoch_in_utc_is_one_in_tdb_and_takes_its_place() -> None:
+    found = load_scenario(None, ["epoch.utc=2021-06-01T05:58:50.815Z"])
+    assert abs((found.epoch.tdb - datetime(2021, 6, 1, 6)).total_seconds()) < 2e-3
+    there = load_scenario(None, ["epoch.tdb=2021-06-01T06:00:00"]).sun.body_position_km
+    np.testing.assert_allclose(found.sun.body_position_km, there, atol=0.1)
+    later = found.replace({"epoch.utc": "2021-06-01T08:58:50.815+02:00"})
+    assert (later.epoch.tdb - found.epoch.tdb).total_seconds() == pytest.approx(3600.0)
+    assert found.replace({"epoch.tdb": "2021-06-02T06:00:00"}).epoch.tdb.day == 2
+
+
+@pytest.mark.parametrize(
+    ("utc", "tdb", "words"),
+    [
+        ("2020-01-21T20:33:17", "2020-01-21T20:33:17", "69.185 s apart"),
+        ("1960-01-01T00:00:00", None, "1972 or later"),
+        ("soon", None, "must be"),
+    ],
+)
+def test_utc_taken_for_tdb_beside_utc_is_refused(utc: str, tdb: str | None, words: str) -> None:
+    both = [f"epoch.utc={utc}", *([f"epoch.tdb={tdb}"] if tdb else [])]
+    with pytest.raises(InputError, match=words):
+        load_scenario(None, both)
+
+
 def test_an_epoch_without_a_known_sun_is_refused() -> None:
     with pytest.raises(InputError, match="2012 to 2035"):
         load_scenario(None, ["epoch.tdb=2050-01-01T00:00:00"])
