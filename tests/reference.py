@@ -127,8 +127,6 @@ SITE_LATITUDE_DEG, SITE_LONGITUDE_DEG = 55.9, 41.8
 SITE_BODY_M = (91.393, 81.715, 181.075)
 """On 14,744 facets of that shape (geodesyNets, `bennu_raw`)."""
 
-MASS_KG, SUN_FACING_AREA_M2, SOLAR_CONSTANT_W_M2 = 178.0, 0.85, 1361.0
-"""The area is derived from the panels' sizes there."""
 
 ARC_COLUMNS = ("t", "x", "y", "z", "vx", "vy", "vz")
 ARC_ANGLES = ("d_site", "emission", "phase", "incidence", "lst")
@@ -165,11 +163,3 @@ ARC: tuple[Numbers, ...] = (
 Not the flight: the printed positions in the Sun-North frame, joined in the field of degree 10 with the
 Sun's tide and light pressure.
 """
-
-
-def write_arc(path: Path, rows: tuple[Numbers, ...] = ARC) -> Path:
-    """The arc as a table of states with a comment and more columns than are needed."""
-    lines = ["# a ballistic arc", ",".join((*ARC_COLUMNS, *ARC_ANGLES))]
-    lines += [",".join(repr(number) for number in row) for row in rows]
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
-    return path

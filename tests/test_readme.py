@@ -45,7 +45,6 @@ PAGES = [
     *sorted(p for p in (PROJECT / "docs").rglob("*.md") if p.parent.name != "reference"),
 ]
 
-# --- what is shown --------------------------------------------------------------------------------
 
 INLINE = re.compile(r"`((?:\S*python -m|make) [^`]+)`")
 COMMAND = re.compile(r"^(?:\S*python -m|make) ")
@@ -89,9 +88,6 @@ def shown() -> dict[str, str]:
 
 SHOWN = shown()
 MODULES = [line for line in SHOWN if line.startswith("python ")]
-
-
-# --- how it is run --------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -479,9 +475,6 @@ def test_one_target_installs_every_extra_that_a_command_may_need():
     makefile = (PROJECT / "Makefile").read_text("utf-8")
     assert re.search(r"^extras: \$\(VENV\)/\.extras ", makefile, re.MULTILINE)
     assert re.search(r"/\.extras: .*\n\t\$\(PIP\) --editable '\.\[all\]'", makefile)
-
-
-# --- snippets and links ---------------------------------------------------------------------------
 
 
 def snippets_of(page: Path) -> dict[str, list[str]]:

@@ -62,7 +62,7 @@ from scp_recon.planning.plan import Plan
 from scp_recon.planning.planner import plan
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scp.status import Status
-from tests.helpers import usually
+from tests.helpers import nightly
 from tests.normal_law import cone_probability
 
 CELLS = [Cell("matrix", "recon_b", (), REFERENCE, "random", seed) for seed in range(3)]
@@ -106,9 +106,6 @@ def collect(
         return list(run_cells(cells, store, flights=5, limit_s=limit_s, solve=solve))
 
 
-# --- cells and rows -----------------------------------------------------------------------------
-
-
 def test_a_cell_that_fails_is_a_row_and_is_tried_again_but_for_one_at_its_limit(tmp_path):
     path = tmp_path / ROWS_FILE
     (first,) = collect(path, figures_of, CELLS[:1])
@@ -139,9 +136,6 @@ def test_a_cell_is_solved_as_the_planner_solves_it(mission):
         assert row.peak_mib > 10.0
 
 
-# --- the design ---------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("name", PROBLEMS)
 def test_every_problem_is_crossed_with_every_method_and_repeated(name):
     cells = [cell for cell in crossing() if cell.scenario == name]
@@ -153,6 +147,7 @@ def test_every_problem_is_crossed_with_every_method_and_repeated(name):
     assert plan(mission, initial_guess.cold(mission)).status is Status.CONVERGED
 
 
+@nightly
 def test_uno_finds_the_optimum_that_scp_finds():
     ours, theirs = (
         solve_cell(Cell("scenarios", "recon_b", (), method, "p3"), 0)
@@ -162,9 +157,6 @@ def test_uno_finds_the_optimum_that_scp_finds():
     assert theirs.iterations_p2 > 0
     assert theirs.total_dv_m_s == pytest.approx(ours.total_dv_m_s, rel=1e-6)
     assert theirs.setup_s < theirs.total_s
-
-
-# --- claims and tables --------------------------------------------------------------------------
 
 
 def row_of(scenario: str, method: Method, dv: float, status: str = "converged") -> Row:
@@ -229,9 +221,6 @@ def p3(exact: Mission) -> Linearisation:
     return plan(exact, initial_guess.cold(exact), problem="P3").final.result.lin
 
 
-# --- the probability along rays -------------------------------------------------------------------
-
-
 def test_rays_agree_with_nested_quadrature_and_with_the_planner(exact, planned):
     lin = planned.final.result.lin
     event = next(e for e in joint_events(exact.problem.constraints) if e.name == "emission")
@@ -246,9 +235,6 @@ def test_rays_agree_with_nested_quadrature_and_with_the_planner(exact, planned):
     assert ours.value == pytest.approx(theirs.value, abs=1e-3)
     for mine, planners in ((ours.by_mean, theirs.by_mean), (ours.by_factor, theirs.by_factor)):
         assert np.abs(mine - planners).max() < 5e-3 * np.abs(planners).max()
-
-
-# --- the program ----------------------------------------------------------------------------------
 
 
 def program(mission: Mission, rows: ProbabilityRows, start: Linearisation) -> BurnsProgram:
@@ -273,10 +259,8 @@ def test_the_program_has_its_own_derivatives(scope, exact, planned):
         assert np.abs(told - expected).max() <= error * np.abs(expected).max()
 
 
-# --- the searches and the check ---------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("solver", usually(["IPOPT", "SLSQP"], 1))
+@nightly
+@pytest.mark.parametrize("solver", ["IPOPT", "SLSQP"])
 def test_references_reach_the_planners_optimum(solver, exact, planned, p3):
     found = search(exact, {"P3": p3}, solver, 60.0)
     assert found.holds
@@ -299,9 +283,6 @@ def test_the_check_finds_what_was_asked_and_what_was_not_met(scope, planned):
     worse = check(mission, 1.02 * burns)
     assert worse.violation_m > 1.0
     assert worse.total_dv_m_s == pytest.approx(1.02 * found.total_dv_m_s)
-
-
-# --- the claims -------------------------------------------------------------------------------------
 
 
 def exact_row(cell: Cell, cost: float, reached: float = 0.9, status: str = "converged") -> Row:

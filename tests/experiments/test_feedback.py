@@ -89,7 +89,7 @@ def test_policies_fly_their_own_plans(monkeypatch: pytest.MonkeyPatch) -> None:
     fly_few(monkeypatch)
     monkeypatch.setattr(policies, "plan", lambda scenario, **_: plan(scenario))
     monkeypatch.setattr(policies, "FLIGHT", {"grid.step_max_s": 450.0, "policy.cost": "nominal"})
-    found = [policies.measure(30, policies.Case(kind, 0.7)) for kind in policies.FLIGHTS]  # type: ignore[arg-type]
+    found = [policies.measure(20, policies.Case(kind, 0.7)) for kind in policies.FLIGHTS]  # type: ignore[arg-type]
     fixed, corrected, replanned = found
     assert {row["status"] for row in found} == {"converged"}
     assert fixed["mean_dv_m_s"] == fixed["dv99_m_s"] == fixed["dv99_m_s_high"]

@@ -63,6 +63,7 @@ def test_the_table_is_what_the_flight_says(flown):
     assert "| positions at all nodes |" in (out / "flown_plan.md").read_text("utf-8")
 
 
+@nightly
 def test_flights_by_policy_are_judged_and_summed_up(flown, mission, monkeypatch):
     """Of the flight that was flown, and of one whose commands the thruster cannot give."""
     solution, out = flown

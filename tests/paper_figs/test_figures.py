@@ -24,7 +24,6 @@ from paper_figs.inputs import COMMAND, PLAN, SURROGATE, TABLE, Runs, read_runs
 from paper_figs.paper import (
     ball_polytopes,
     cone_polytopes,
-    control_history,
     observation_geometry,
     observation_histories,
     trajectories,
@@ -38,7 +37,6 @@ from scp_recon.planning.planner import plan
 from scp_recon.results.policy import Policy
 from scp_recon.results.solution import Solution, make_solution
 from scp_recon.scenario.load import load_scenario
-from tests.scenarios import COARSE
 from tests.scp_recon.support import mission_of
 
 SAMPLES = 400
@@ -127,32 +125,9 @@ def test_whatever_flies_a_plan_corrects_its_burns(runs, monkeypatch):
     assert all(told)
 
 
-# --- what they say ------------------------------------------------------------------------------
-
-
 def words_of(figure: Figure) -> set[str]:
     """All that is written in a figure, legends too."""
     return {text.get_text() for text in figure.findobj(Text)}
-
-
-def test_a_burn_of_zero_is_in_no_figure(tmp_path, monkeypatch):
-    """P3 leaves out the third."""
-    coarse = mission_of(COARSE)
-    make_solution(plan(coarse, initial_guess.cold(coarse), problem="P3")).write(tmp_path)
-    monkeypatch.setattr(inputs, "FLIGHTS", SAMPLES)
-    runs = read_runs(tmp_path)
-    numbers = [number for number, _ in runs.plan.solution.executed]
-    assert numbers == [1, 2, 4]
-    history = control_history.draw(runs)
-    assert [len(axes.lines[0].get_xdata()) for axes in history.axes] == [3, 3]
-    assert "in 3 burns" in control_history.caption(runs)
-    drawn = words_of(trajectories.draw(runs))
-    assert "burns 1, 2, 4, arrows to scale" in drawn
-    assert "3" not in drawn
-    assert trajectories.caption(runs).count(" 0.0") == 0
-    drawn = words_of(flyby.draw(runs.plan.solution))
-    assert [one for one in sorted(drawn) if "mm/s" in one][2].startswith("4: ")
-    assert any("in 3 burns" in one for one in drawn)
 
 
 def test_drawn_pyramids_enclose_the_cone_or_are_enclosed(runs):
@@ -199,9 +174,6 @@ def test_sight_at_mid_window_keeps_the_angles(runs):
         assert np.rad2deg(np.arccos(cosine)) == pytest.approx(exact)
 
 
-# --- input --------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     "missing",
     [
@@ -241,9 +213,6 @@ def test_flights_of_another_plan_are_refused(copy, age):
     for words in (str(file), str(file.with_name("solution.json")), f"{COMMAND} --out {copy}`"):
         assert words in str(caught.value)
     assert ("an unknown plan" in str(caught.value)) == (age == "older")
-
-
-# --- files --------------------------------------------------------------------------------------
 
 
 def test_the_flyby_is_drawn_and_names_its_plan(folder, tmp_path, capsys):

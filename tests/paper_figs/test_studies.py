@@ -216,9 +216,6 @@ def test_a_study_alone_is_drawn_or_says_what_is_missing(
         study.read(damaged)
 
 
-# --- whose flights they are ---------------------------------------------------------------------
-
-
 @pytest.fixture(scope="module")
 def solution() -> Solution:
     """Burns that are given, not planned."""

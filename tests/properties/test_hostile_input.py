@@ -47,7 +47,6 @@ patient = settings(
     suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large],
 )
 
-# --- damage -------------------------------------------------------------------------------------
 
 numbers = (
     st.sampled_from([0, -0.0, -1, 1, 5e-324, 1e-300, 1e308, -1e308, 10**18, 2**63])
@@ -120,8 +119,6 @@ def document(data: dict[str, Any]) -> str:
     return "\n".join(f"{toml(key)} = {toml(value)}" for key, value in data.items())
 
 
-# --- what the program touches -------------------------------------------------------------------
-
 TOUCHED: list[tuple[str, Any]] | None = None
 WATCHED = ("open", "os.system", "subprocess.Popen", "os.exec", "os.posix_spawn", "os.fork", "exec")
 WATCHED += ("os.remove", "os.rename", "os.mkdir", "os.link", "os.symlink", "socket.connect")
@@ -163,9 +160,6 @@ def assert_touched_only(touched: list[tuple[str, Any]], *allowed: Path) -> None:
         writes = event != "open" or set("wxa+") & set(str(arguments[1] or "r"))
         assert not writes, (event, arguments)
         assert any(at.is_relative_to(place) for place in LIBRARIES), (event, arguments)
-
-
-# --- scenarios ----------------------------------------------------------------------------------
 
 
 def read_or_refuse(read: Callable[[], object]) -> None:
@@ -264,8 +258,6 @@ def test_no_override_ends_in_anything_but_a_mission_or_a_message(changes):
     read_or_refuse(lambda: Mission.from_scenario(load_scenario(None, overrides)).problem)
 
 
-# --- planning -----------------------------------------------------------------------------------
-
 magnitudes = st.builds(
     lambda sign, decade: sign * 10.0**decade, st.sampled_from([1, -1]), st.floats(-12.0, 12.0)
 )
@@ -335,9 +327,6 @@ AT_THE_ENDS = [
 @pytest.mark.parametrize("override", usually(AT_THE_ENDS, 3))
 def test_a_scenario_at_the_ends_of_its_ranges_is_solved_or_refused(override):
     solved_or_refused([VERY_COARSE, override])
-
-
-# --- solutions ----------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
@@ -438,9 +427,6 @@ def test_names_of_a_solution_are_shown_as_they_are(solved, tmp_path, word, monke
     assert shown.getvalue().count(word) == 1
 
 
-# --- command lines ------------------------------------------------------------------------------
-
-
 def command(main: Callable[[list[str]], int], arguments: list[str]) -> int:
     """A command's exit status, with its output swallowed but for a traceback."""
     errors = io.StringIO()
@@ -496,9 +482,6 @@ def test_no_arguments_of_the_other_commands_end_in_a_traceback(arguments, main):
     assert code in (0, 2)
     if code == 2:
         reliability.count(reliability.BAD_INPUTS)
-
-
-# --- links --------------------------------------------------------------------------------------
 
 
 def test_a_link_in_the_folder_is_replaced_and_not_followed(solved, tmp_path):

@@ -75,9 +75,6 @@ def some_nodes(rng: np.random.Generator, problem: FlybyProblem) -> Indices:
     return np.union1d(problem.leg_starts, others)
 
 
-# --- the factor is the covariance ---------------------------------------------------------------
-
-
 @given(flybys, generators)
 def test_the_factors_square_obeys_the_covariance_recursion(flyby, rng):
     problem, burns = flyby.problem, some_burns(rng, flyby.problem)
@@ -114,9 +111,6 @@ def test_columns_in_use_are_the_initial_ones_and_three_per_burn_before(flyby):
     for node in range(problem.n_nodes):
         before = int((problem.burn_nodes < node).sum())
         assert factor_columns_used(problem, np.array([0, node])) == initial + 3 * before
-
-
-# --- the affine map is the derivative -----------------------------------------------------------
 
 
 @given(flybys, generators)
@@ -161,9 +155,6 @@ def test_without_curvature_the_factor_is_that_of_the_iterates_stms(flyby, rng):
     close(factor, expected)
 
 
-# --- one model in several forms -----------------------------------------------------------------
-
-
 @given(flybys, generators)
 def test_means_are_the_condensed_ones_which_close_every_defect_from_the_initial_state(flyby, rng):
     lin = flyby.perturbed(rng, 0.3, 0.1)
@@ -205,9 +196,6 @@ def test_composed_arcs_give_the_condensed_map_at_their_nodes(flyby, rng):
         close(factor, expected[1][last])
 
 
-# --- no derivative, no model --------------------------------------------------------------------
-
-
 @given(flybys, st.sampled_from(["state", "stm", "tensor"]), st.sampled_from([np.nan, np.inf]))
 def test_dynamics_without_finite_derivatives_have_no_affine_map(flyby, part, value):
     iterate = flyby.waves.rollout(flyby.problem, flyby.burns)
@@ -219,9 +207,6 @@ def test_dynamics_without_finite_derivatives_have_no_affine_map(flyby, part, val
         for model in (condense, lambda lin: compose(lin, lin.problem.leg_starts)):
             with pytest.raises(LinearisationError, match="no finite derivatives"):
                 model(lin)
-
-
-# --- legs ---------------------------------------------------------------------------------------
 
 
 @given(st.integers(2, 60), st.integers(0, 6), st.integers(1, 7), generators)

@@ -96,12 +96,8 @@ def test_a_plan_speaks_si(default_plan, solution):
 
 def test_what_comes_back_tells_its_verdict(default_plan, solution, verification):
     """What a plan is made of too, which is thousands of numbers."""
-    text = str(default_plan)
-    for piece in ("recon_b, P2: Converged", "0.140135 m/s", "p_chance 0.7", "25000"):
-        assert piece in text
-    assert all(name in text for name in default_plan.worst_margins)
+    assert all(name in str(default_plan) for name in default_plan.worst_margins)
     assert default_plan._repr_html_().startswith("<pre>")
-    assert repr(default_plan) == "<Plan recon_b: converged, not checked, 0.140135 m/s>"
     failed = replace(verification, ok=False, failed=["status"])
     assert str(verification).splitlines()[0] == "verified"
     for verdict, found in {"verified": verification, "not verified: status": failed}.items():

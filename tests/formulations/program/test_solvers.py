@@ -34,9 +34,6 @@ Settings = Mapping[str, float]
 FREE = ConeProgram(np.zeros(2), sp.csc_array((0, 2)), np.zeros(0), 0, 0, ())
 
 
-# --- each solver --------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_a_wide_tolerance_is_taken_at_its_word(solver, monkeypatch):
     """Neither tolerance is left at the solver's own, which is far below this one."""
@@ -169,8 +166,6 @@ def test_a_solver_with_new_numbers_proves_its_answer_as_a_new_one_does(solver, e
         assert 0.0 < answer.solver_s < 1.0
     assert capfd.readouterr() == ("", "")
 
-
-# --- one that fails, and others behind it -------------------------------------------------------
 
 Word = Answer | BaseException
 
@@ -343,9 +338,6 @@ def test_every_solver_is_built_with_the_settings_for_it(monkeypatch):
     FallbackSolver("CLARABEL", settings).solve(FREE)
     own = ("CLARABEL", settings["CLARABEL"])
     assert built == [own, own, ("QOCO", {})]
-
-
-# --- those that are asked by CVXPY --------------------------------------------------------------
 
 
 @cache

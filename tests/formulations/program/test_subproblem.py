@@ -102,9 +102,6 @@ def build(case: Case) -> Build:
     return get
 
 
-# --- compiled once ------------------------------------------------------------------
-
-
 def compiling(monkeypatch: pytest.MonkeyPatch) -> list[Model]:
     """The models that are compiled from now on; those of condensed forms with slots for all rows."""
     compiled: list[Model] = []
@@ -147,9 +144,6 @@ def test_programs_are_compiled_once_and_only_their_numbers_change(case, name, mo
         assert np.array_equal(program.matrix.indptr, programs[0].matrix.indptr)
     norms = [np.linalg.norm(program.matrix.data) for program in of]
     assert norms[0] != norms[1] != norms[2]
-
-
-# --- exact at the iterate -----------------------------------------------------------------------
 
 
 def breaking_every_limit(rng: np.random.Generator) -> Linearisation:
@@ -226,9 +220,6 @@ def test_two_burns_on_linear_arcs_are_what_the_boundary_demands(formulation):
     assert step.merit == pytest.approx(np.linalg.norm(burns, axis=1).sum(), rel=1e-6)
 
 
-# --- what is frozen -----------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("formulation", FORMULATIONS)
 def test_only_frozen_models_promise_what_is_not_to_be_had_at_the_solution_of_p2(
     case, build, formulation
@@ -248,9 +239,6 @@ def promised(case: Case, subproblem: Subproblem) -> float:
     return (merit - subproblem.solve(1.0, WEIGHT).merit) / merit
 
 
-# --- penalty ------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("name", ["P3", "P2"])
 def test_at_convergence_every_buffer_is_zero_and_a_larger_weight_changes_nothing(case, build, name):
     lin, subproblem = case.at(name), build("condensed", name)
@@ -262,9 +250,6 @@ def test_at_convergence_every_buffer_is_zero_and_a_larger_weight_changes_nothing
         assert np.linalg.norm(step.burns, axis=1).sum() == pytest.approx(step.merit, rel=1e-7)
     if name == "P2":  # below the multipliers it is not exact
         assert subproblem.solve(1.0, 1e-2).merit < 0.9 * lin.iterate.total_dv
-
-
-# --- trust region and failures ------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", ["P3", "P2"])

@@ -72,6 +72,7 @@ def test_margins_are_quantiles_of_the_distance_to_the_limits(case: Case, spread:
         assert failing == pytest.approx(1.0 - p, abs=2.0 * error)
 
 
+@settings(max_examples=share_of_examples(3))
 @given(cases(), st.floats(0.01, 0.3))
 def test_rows_have_the_margins_value_and_derivative(case: Case, spread: float) -> None:
     problem, _, rng = case

@@ -35,9 +35,6 @@ def slack(cones: Cones, z: Array) -> Array:
     return np.asarray(y[:, 0] - np.linalg.norm(y[:, 1:], axis=1))
 
 
-# --- curved cones -------------------------------------------------------------------------------
-
-
 @given(generators, st.integers(1, 6))
 def test_a_curved_cone_has_value_slope_and_concave_curvature(rng, p):
     """By differences of y_0 - ||y_1..|| about where it is made."""
@@ -108,9 +105,6 @@ def test_rows_are_triangular():
     both = np.concatenate([cones.values, cones.constants[..., None]], axis=2)
     assert cones.triangular
     np.testing.assert_array_equal(both[:, 1:], np.triu(both[:, 1:]))
-
-
-# --- rows of a flyby ----------------------------------------------------------------------------
 
 
 @cache
@@ -215,9 +209,6 @@ def test_rows_look_at_all_nodes_of_their_events():
     assert rows.count == sum(len(event.nodes) for event in rows.events)
     assert list(rows.margins(lin)) == [event.name for event in rows.events]
     np.testing.assert_array_equal(rows.nodes, np.arange(mission.problem.n_nodes))
-
-
-# --- coordinates of flights ---------------------------------------------------------------------
 
 
 def test_a_burn_that_vanished_with_its_corrections_turns_no_coordinates():

@@ -100,9 +100,6 @@ def away(rng: np.random.Generator, region: Region, factor: Array, deviations: fl
     return np.asarray(point + deviations * sigma * normal)
 
 
-# --- probabilities ------------------------------------------------------------------------------
-
-
 @given(st.floats(0.002, 0.5 / np.sqrt(3.0)), generators)
 @few
 def test_balls_follow_the_noncentral_chi_square_law(sigma, rng):
@@ -251,9 +248,6 @@ def test_where_nothing_is_left_to_see_g_stays_beyond_what_is_told(rng):
     assert found.value.item() > 7.0
 
 
-# --- gradients ----------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("slenderness", [2.0, SLENDER])
 @pytest.mark.parametrize("spread", [0.02, 0.1, 0.5])
 @pytest.mark.parametrize("kind", ["ball", "cone", "shell", "half-space", "ellipsoid"])
@@ -303,9 +297,6 @@ def test_flat_and_stretched_regions_hold_what_draws_of_the_law_say(rng):
     assert kept_out <= 1.0 - inside + 0.01
     beyond = max(1.0 - (half.inside(draws[None]) > 0.0).mean() for half in halves)
     assert kept_out == pytest.approx(beyond, abs=0.01)
-
-
-# --- what must be true --------------------------------------------------------------------------
 
 
 @given(generators)

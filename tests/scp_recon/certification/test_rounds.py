@@ -77,9 +77,6 @@ def later(ending: Status) -> Callable[[float, str], Status]:
     return lambda _, start: Status.CONVERGED if start == "given" else ending
 
 
-# --- aiming -------------------------------------------------------------------------------------
-
-
 def test_what_reaches_more_than_sampling_explains_aims_lower(real, monkeypatch):
     """Flights that reach more than the law says: by three standard errors of a round, always."""
     gain = float(ndtri(AIMED + 3.0 * ERROR) - ndtri(AIMED))
@@ -145,9 +142,6 @@ def test_flights_that_all_fail_or_all_hold_leave_an_aim(real, monkeypatch, share
     assert all(0.5 < target < 1.0 for target in world.aims)
 
 
-# --- judging ------------------------------------------------------------------------------------
-
-
 def test_a_look_that_fails_leads_to_a_higher_aim_and_the_last_look(real, monkeypatch):
     world = World(real, looking(NEEDED - ERROR, NEEDED + ERROR))
     found = certified(world, monkeypatch)
@@ -205,9 +199,6 @@ def test_chance_neither_wastes_much_nor_breaks_the_promise(real, monkeypatch):
     assert np.mean(rounds) < 2.1
     assert 3.2 < np.mean(excess) < 3.6
     assert np.quantile(excess, 0.95) < 4.9
-
-
-# --- where it ends otherwise ----------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("flights", [0, 1])

@@ -44,8 +44,6 @@ from tests.scp_recon.support import run_solve
 
 PROJECT = Path(__file__).parents[3]
 
-# --- the conic solver ---------------------------------------------------------------------------
-
 
 class PanicError(BaseException):
     """As a panic in Rust arrives in Python: no Exception."""
@@ -130,38 +128,31 @@ def assert_honest(mission: Mission, found: Plan) -> None:
     reliability.count(reliability.FAULTS)
 
 
-@pytest.mark.parametrize("name", usually([*FAULTS], 3))
-def test_a_solver_that_fails_now_and_then_is_asked_again(name, monkeypatch):
-    mission, _ = coarse()
-    calls: Iterator[int] = iter(range(10_000))
-    inject(monkeypatch, FAULTS[name], lambda: next(calls) % 3 == 1, others=False)
-    found = plan(mission, initial_guess.cold(mission))
-    assert found.final.result.status is Status.CONVERGED
-    assert_honest(mission, found)
+GIVEN_UP = (Status.SOLVER_FAILED, Status.STALLED, Status.MAX_ITERATIONS)
+
+ANOTHER = ["error", "panic", "not finite", "foreign error", "arithmetic"]
 
 
 @pytest.mark.parametrize(
-    "name", usually(["error", "panic", "not finite", "foreign error", "arithmetic"], 1)
+    ("name", "how"),
+    [
+        *usually([(name, "now and then") for name in FAULTS], 3),
+        *usually([(name, "another is there") for name in ANOTHER], 1),
+        *usually([(name, "always") for name in FAULTS], 1),
+    ],
 )
-def test_where_a_solver_always_fails_another_one_is_asked(name, monkeypatch):
-    pytest.importorskip("qoco", reason="there is no other solver")
+def test_a_solver_that_fails_is_asked_again_then_another_and_then_the_plan_ends_in_a_status(
+    name, how, monkeypatch
+):
     mission, _ = coarse()
-    inject(monkeypatch, FAULTS[name], lambda: True, others=True)
+    calls: Iterator[int] = iter(range(10_000))
+    spoilt = (lambda: next(calls) % 3 == 1) if how == "now and then" else lambda: True
+    if others := how == "another is there":
+        pytest.importorskip("qoco", reason="there is no other solver")
+    inject(monkeypatch, FAULTS[name], spoilt, others=others)
     found = plan(mission, initial_guess.cold(mission))
-    assert found.final.result.status is Status.CONVERGED
-    assert_honest(mission, found)
-
-
-@pytest.mark.parametrize("name", usually([*FAULTS], 1))
-def test_where_every_solver_fails_the_plan_ends_in_a_status(name, monkeypatch):
-    mission, _ = coarse()
-    inject(monkeypatch, FAULTS[name], lambda: True, others=False)
-    found = plan(mission, initial_guess.cold(mission))
-    assert found.final.result.status in (
-        Status.SOLVER_FAILED,
-        Status.STALLED,
-        Status.MAX_ITERATIONS,
-    )
+    expected = GIVEN_UP if how == "always" else (Status.CONVERGED,)
+    assert found.final.result.status in expected
     assert_honest(mission, found)
 
 
@@ -194,12 +185,6 @@ class Stale(Liar):
         return self.first
 
 
-class Zero(Liar):
-    def told(self, found: Any) -> Any:
-        nothing = np.zeros(len(found.x))
-        return SimpleNamespace(x=nothing, z=found.z, status="Solved", solve_time=0.0)
-
-
 class Timid(Liar):
     """Feasible, and far from optimal: the best next to where it stands, called solved."""
 
@@ -211,21 +196,11 @@ class Timid(Liar):
 
 
 class Mislabelled(Liar):
-    status = "PrimalInfeasible"
-
     def told(self, found: Any) -> Any:
-        return SimpleNamespace(x=found.x, z=found.z, status=self.status, solve_time=0.0)
+        return SimpleNamespace(x=found.x, z=found.z, status="PrimalInfeasible", solve_time=0.0)
 
 
-class Unbounded(Mislabelled):
-    status = "DualInfeasible"
-
-
-class Unnamed(Mislabelled):
-    status = "SomethingNew"
-
-
-@pytest.mark.parametrize("liar", usually([Stale, Timid, Mislabelled, Zero, Unbounded, Unnamed], 3))
+@pytest.mark.parametrize("liar", [Stale, Timid, Mislabelled])
 def test_a_wrong_status_is_found_out(liar, monkeypatch):
     """A verdict needs a closed duality gap, whatever the solver calls its answer."""
     mission, _ = coarse()
@@ -237,9 +212,6 @@ def test_a_wrong_status_is_found_out(liar, monkeypatch):
     # Asked again from nothing, one that repeats itself tells the truth.
     assert (found.final.result.status is Status.CONVERGED) == (liar is Stale)
     assert_honest(mission, found)
-
-
-# --- the disk and the terminal ------------------------------------------------------------------
 
 
 @pytest.fixture
@@ -352,8 +324,6 @@ def test_running_out_of_memory_ends_with_a_message(tmp_path, monkeypatch):
     assert "memory" in run.errors
     reliability.count(reliability.FAULTS)
 
-
-# --- killed while writing -----------------------------------------------------------------------
 
 KILLED = """
     import json, os, signal, sys, time

@@ -16,6 +16,7 @@ from scp_recon.monte_carlo.summary import FILE_NAME, read_summary
 from scp_recon.results.facts import Verification
 from scp_recon.results.read import read_solution
 from scp_recon.results.solution import Solution
+from tests.scenarios import COARSE
 from tests.scp_recon.support import run_solve
 
 HOPELESS = ("--problem", "P3", "--set", "burns.dv_max_m_s=0.02", "--set", "grid.step_max_s=3000.0")
@@ -80,7 +81,7 @@ def test_two_runs_into_one_folder_are_refused_before_the_work(tmp_path):
 
 def test_without_a_folder_a_run_has_one_of_its_own(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    assert solve.main(["--problem", "P3", "--set", "name=my plan"]) == 0
+    assert solve.main(["--problem", "P3", "--set", "name=my plan", "--set", COARSE]) == 0
     (mine,) = (tmp_path / "runs" / "my_plan").iterdir()
     assert (tmp_path / "runs" / "latest").resolve() == mine
     assert solve.main(list(HOPELESS)) == 3

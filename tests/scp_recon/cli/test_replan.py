@@ -43,9 +43,6 @@ def state_at(default_plan: Plan) -> Callable[[float], list[str]]:
     return words
 
 
-StateAt = Callable[[float], list[str]]
-
-
 def test_a_replan_is_kept_verified_flown_and_compared(plan_folder, state_at, tmp_path, capsys):
     out = tmp_path / "again"
     burn = "--measured-burn=2=-0.0066,0.0266,-0.0074"

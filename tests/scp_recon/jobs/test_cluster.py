@@ -194,7 +194,7 @@ class LosingClient:
         self.status = "closed"
 
 
-@pytest.mark.parametrize("lost", [{0}, {1}, {2}, {0, 2}, {0, 1, 2}])
+@pytest.mark.parametrize("lost", [{1}, {0, 2}])
 def test_a_lost_result_is_sent_again_and_the_others_keep_their_own(monkeypatch, lost):
     clients = [LosingClient(lost), LosingClient()]
     found, said = ran_with(clients, monkeypatch)
@@ -224,6 +224,7 @@ def ran_with(
     return list(executor(Quick(), some_jobs(3))), said
 
 
+@nightly
 def test_a_worker_is_killed_in_mid_run(cluster, tmp_path):
     jobs = some_jobs(60)
     victim = cluster.pids()[0]
@@ -235,6 +236,7 @@ def test_a_worker_is_killed_in_mid_run(cluster, tmp_path):
     assert victim not in cluster.pids()
 
 
+@nightly
 def test_jobs_that_misbehave_are_rows(cluster, tmp_path):
     jobs, ways = some_jobs(20), dict(zip((2, 5, 7, 8, 11, 13, 15, 17), ENDS, strict=True))
     before = cluster.pids()

@@ -28,9 +28,6 @@ FIRING = (0.0, 8000.0, 25_000.0, 34_842.0)
 RULE = "sun-pointing leg lasts at least one slew and one recharge"
 
 
-# --- the window ---------------------------------------------------------------------------------
-
-
 def test_window_is_the_papers(mission):
     first, last = mission.schedule.window_s
     assert first == pytest.approx(13_140.0, abs=1.0)
@@ -112,9 +109,6 @@ def test_the_first_whole_window_is_taken():
     assert window_of(lit, 10_000.0) == pytest.approx((2000.0, 3000.0), abs=1e-4)
     with pytest.raises(InputError, match="whole window"):
         window_of([begun_before, outlasting], 10_000.0)
-
-
-# --- the schedule -------------------------------------------------------------------------------
 
 
 def test_timeline_is_that_of_the_rules_worked_out_by_hand(mission):
@@ -287,9 +281,6 @@ def test_another_burn_is_legal_in_its_spans_and_nowhere_else(gaps, length, share
     else:
         with pytest.raises(InputError):
             make_schedule(tuple(sorted((*times, time))), window, RULES)
-
-
-# --- in the messages ----------------------------------------------------------------------------
 
 
 def message(*overrides: str) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import json
 import math
 from dataclasses import replace
@@ -73,23 +72,6 @@ def test_the_file_has_the_keys_it_always_had_and_the_plans_hash(data, solution):
     assert set(data["held_s"]) == {*SCIENCE, ALL}
     assert all(sum(held["histogram"]["count"]) == 40 for held in data["held_s"].values())
     assert set(data["terminal"]["sigma_ratio"]) == set(COMPONENTS)
-
-
-def test_an_open_end_is_null_in_the_file_and_infinite_in_the_estimate(data, summary):
-    mean = summary.held_s[ALL].mean
-    assert data["held_s"][ALL]["mean"] == {"value": mean.value, "low": None, "high": None}
-    assert mean.estimate == (mean.value, -math.inf, math.inf)
-    nothing = mean.model_copy(update={"value": None})
-    assert math.isnan(nothing.estimate.value)
-
-
-def test_a_spread_of_no_flights_is_its_count(mission, solution, flown, tmp_path):
-    none = FlightTally(FlightConfig(mission, solution.burns_m_s))
-    never = copy.copy(flown)
-    never.entry, never.exit = none.entry, none.exit
-    path = summarise(never, solution).write(tmp_path)
-    assert json.loads(path.read_text("utf-8"))["entry_s"] == {"samples": 0}
-    assert read_summary(path).exit_s.mean is None
 
 
 def test_flights_of_another_plan_are_not_summarised(mission, solution, flown):

@@ -17,7 +17,7 @@ from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
 from scp_recon.planning.plan import Plan
 from scp_recon.planning.planner import plan
-from scp_recon.planning.stages import contradicts_itself, without_parting_sets
+from scp_recon.planning.stages import contradicts_itself
 from scp_recon.planning.starts import local_optima, plan_from_several, random_flight
 from scp_recon.results.solution import make_solution
 from scp_recon.scp.algorithms import ALGORITHMS
@@ -150,22 +150,6 @@ def test_burns_of_a_table_are_what_the_arcs_miss(tmp_path, mission, default_plan
     np.testing.assert_allclose(burns_of(mission, read.burns), burns, rtol=0.0, atol=1e-6)
 
 
-def test_the_reconstructed_arc_is_read(mission, tmp_path):
-    """From every other row; the rows between lie on it too."""
-    file = reference.write_arc(tmp_path / "arc.csv", reference.ARC[::2])
-    read = initial_guess.from_table(mission, file)
-    table = np.array(reference.ARC)[:, :7]
-    states = states_of(mission, read)
-    np.testing.assert_allclose(states[0], table[0, 1:], rtol=0.0, atol=1e-9)
-    nearest = np.abs(mission.times_s[:, None] - table[:-1, 0]).argmin(axis=0)
-    gap = (mission.times_s[nearest] - table[:-1, 0])[:, None]
-    expected = table[:-1, 1:4] + gap * table[:-1, 4:7]
-    error = np.linalg.norm(expected - states[nearest, :3], axis=1)
-    # Gravity bends a straight line by half of 7e-6 m/s^2; a cubic over 6000 s is off by 0.3 m.
-    assert np.all(error < 3.5e-6 * gap[:, 0] ** 2 + 0.5)
-    assert np.all(np.linalg.norm(burns_of(mission, read.burns), axis=1) < 0.2)
-
-
 def refused(mission: Mission, path: Path) -> InputError:
     with pytest.raises(InputError) as caught:
         initial_guess.from_table(mission, path)
@@ -238,13 +222,6 @@ def test_random_guesses_end_at_the_better_optimum_at_the_first_try(algorithm, mi
         assert [stage.name for stage in found.stages] == ["P3.open", "P3", "P2"]
         assert found.status is Status.CONVERGED
         assert found.total_dv_m_s == pytest.approx(0.140135, rel=1e-4)
-
-
-def test_what_holds_throughout_and_what_is_kept_in_stay(mission):
-    names = {c.name for c in without_parting_sets(mission.problem).constraints}
-    assert names == {"safety_radius", "site_distance_max", "emission_max"}
-    kept = [c for c in mission.problem.constraints if c.name in names]
-    assert list(without_parting_sets(mission.problem).constraints) == kept
 
 
 def test_guesses_that_fly_or_claim_no_burns_begin_with_all_rows(mission, default_plan):
@@ -368,12 +345,3 @@ def test_the_front_door_and_the_file_list_the_optima():
     listed = make_solution(found).starts
     assert [o.starts for o in listed.optima] == [(0, 1), (2,)]
     assert (listed.number, listed.seed) == (3, 0)
-
-
-@pytest.mark.parametrize(
-    ("argument", "given"), [("starts", 0), ("starts", 1.5), ("seed", -1), ("workers", 0)]
-)
-def test_the_front_door_refuses_what_is_no_number_of_starts(argument, given):
-    arguments: dict[str, object] = {argument: given}
-    with pytest.raises(InputError, match=argument):
-        sr.plan(**arguments)  # type: ignore[arg-type]

@@ -51,9 +51,6 @@ def two_rounds(mission: Mission) -> Plan:
     return plan(mission, initial_guess.cold(mission), facet_rounds=1)
 
 
-# --- delta-v and iterations to reach ------------------------------------------------------------
-
-
 def test_every_stage_converges_and_costs_what_it_should(mission, default_plan, two_rounds):
     """The first three figures are those of an independent prototype: IPOPT on the same grid."""
     tight_mission = mission_of("polytopes.ball=tangent", "polytopes.cone=12")
@@ -80,9 +77,6 @@ def test_every_stage_converges_and_costs_what_it_should(mission, default_plan, t
         assert_no_buffer_is_used(found)
 
 
-# --- starts -------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("aside_m", [0.0, 20.0])
 def test_a_warm_start_meets_the_cold_one_wherever_it_begins(mission, default_plan, aside_m):
     """A table of states need not begin where the flight does; the plan must."""
@@ -96,9 +90,6 @@ def test_a_warm_start_meets_the_cold_one_wherever_it_begins(mission, default_pla
     assert total_dv(mission, found) == pytest.approx(
         total_dv(mission, default_plan.stages[0]), rel=1e-5
     )
-
-
-# --- stages and facets --------------------------------------------------------------------------
 
 
 def test_facets_are_those_of_the_p3_solution_and_all_hold(mission, default_plan):
@@ -138,9 +129,6 @@ def test_facets_wrongly_left_out_are_restored(mission, default_plan, monkeypatch
     assert total_dv(mission, final) == pytest.approx(
         total_dv(mission, default_plan.final), rel=1e-5
     )
-
-
-# --- formulations -------------------------------------------------------------------------------
 
 
 def solve_p2(of: Plan, formulation: str) -> tuple[Result, Subproblem]:
@@ -210,9 +198,6 @@ def test_lifted_and_condensed_agree_with_corrected_burns(risk):
     assert ours.cost.value == pytest.approx(theirs.cost.value, rel=5e-6)
 
 
-# --- manners ------------------------------------------------------------------------------------
-
-
 def test_planning_again_is_the_same_silent_and_observed(mission, default_plan, capfd):
     rng, errors, filters = np.random.get_state(), np.geterr(), list(warnings.filters)  # noqa: NPY002
     seen: list[tuple[str, Record]] = []
@@ -262,9 +247,6 @@ def test_facets_that_leave_nothing_feasible_are_chosen_again():
     assert found.final is found.stages[-1]
     assert found.status is Status.CONVERGED
     assert verify(mission, make_solution(found)).ok
-
-
-# --- planning again -----------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("formulation", ["condensed", "lifted"])
@@ -319,9 +301,6 @@ def test_only_p2_of_the_same_mission_can_be_planned_again(mission, default_plan)
 def test_no_plan_starts_from_what_is_no_state_outside_the_body(mission, default_plan, state):
     with pytest.raises(ValueError, match="an initial state"):
         Planner(mission).replan(default_plan, state)
-
-
-# --- reductions leave a stage's solution unchanged ----------------------------------------------
 
 
 def test_rows_left_out_of_its_programs_do_not_change_a_stage(mission, default_plan, monkeypatch):

@@ -58,9 +58,6 @@ def drawn(flown: FlownPlan, at_s: float, seed: int = 0) -> Array:
     return np.random.default_rng(seed).multivariate_normal(np.zeros(6), covariance)
 
 
-# --- from every leg -------------------------------------------------------------------------------
-
-
 @pytest.mark.usefixtures("few_flights")
 @pytest.mark.parametrize(
     ("at_s", "left", "observed"),
@@ -128,9 +125,6 @@ def test_ipopt_finds_the_same_of_the_remaining_problem(flown, at_s):
         assert plan.burns_m_s == pytest.approx(reference.burns_m_s, abs=1e-6)
 
 
-# --- one burn left --------------------------------------------------------------------------------
-
-
 def test_one_burn_meets_the_velocity_and_misses_what_the_coast_misses(late):
     mission = late.mission
     end = integrate(mission.forces, mission.initial_state, [26_000.0, 34_842.0])[-1]
@@ -190,9 +184,6 @@ def test_scvx_star_says_that_it_cannot_weigh_a_miss(late):
         Planner(late.mission, algorithm="scvx-star")
 
 
-# --- what is kept ---------------------------------------------------------------------------------
-
-
 def test_the_covariance_is_the_initial_one_unless_given(flown, default_plan):
     factor = default_plan.mission.initial_factor
     initial = factor @ factor.T
@@ -215,15 +206,6 @@ def test_a_replan_is_flown_and_replanned_in_its_turn(flown, default_plan):
     expected = [*default_plan.burns_m_s[:2], first.burns_m_s[0]]
     assert np.array(history.flown_m_s) == pytest.approx(np.array(expected))
     assert second.mission.scenario.burn_times_s == (34_842.0,)
-
-
-def test_a_plan_without_uncertainty_is_replanned_without(mission):
-    """And to the end: where P2 follows P3 may stop before."""
-    plan = Planner(mission).plan(initial_guess.cold(mission), problem="P3")
-    found = again(FlownPlan.of(plan), 3_000.0, OFF).final
-    assert found.problem == "P3"
-    assert found.tolerance == plan.final.tolerance
-    assert found.result.records[-1].predicted < 1e-6
 
 
 def test_where_p3_stops_before_its_end_p2_ends_at_the_same(flown):
@@ -295,21 +277,6 @@ def test_whole_flights_are_certified_in_flight(flown):
     assert verify(plan.mission, make_solution(plan)).ok
 
 
-# --- burns as telemetry saw them ------------------------------------------------------------------
-
-
-def test_a_measured_burn_is_what_the_prediction_flies(flown, default_plan):
-    burn = 1.1 * flown.burns_m_s[1]
-    found = predict(flown, 17_000.0, {2: burn})
-    state = default_plan.states[default_plan.times_s == 8_000.0][0].copy()
-    state[3:] += burn - flown.burns_m_s[1]
-    expected = integrate(default_plan.mission.forces, state, [8_000.0, 17_000.0])[-1]
-    assert found.state == pytest.approx(expected, abs=1e-3)
-    planned = predict(flown, 17_000.0, {}).covariance
-    assert np.linalg.eigvalsh((planned - found.covariance)[:3, :3]).min() > -1e-6
-    assert np.trace(found.covariance[:3, :3]) < np.trace(planned[:3, :3])
-
-
 def test_a_measured_burn_explains_a_state_and_stands_in_the_history(flown, default_plan):
     burn = 1.4 * flown.burns_m_s[1]
     state = predict(flown, 17_000.0, {2: burn}).state
@@ -318,9 +285,6 @@ def test_a_measured_burn_explains_a_state_and_stands_in_the_history(flown, defau
     plan = sr.replan(default_plan, 17_000.0, state, measured_burns={2: burn})
     assert [warning.entry for warning in plan.mission.warnings] == []
     assert plan.mission.scenario.in_flight.flown_m_s[1] == pytest.approx(burn)
-
-
-# --- frames, files and time -----------------------------------------------------------------------
 
 
 def test_a_state_may_be_in_sun_north_axes(default_plan, flown):

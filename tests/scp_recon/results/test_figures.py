@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import json
-import pickle
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,7 +16,6 @@ import pytest
 from scp_recon.results.figures import FINAL_STATE, Figures
 from scp_recon.results.read import parse_solution, read_solution
 from scp_recon.results.solution import SCHEMA, Solution
-from scp_recon.scenario.load import load_scenario
 from scp_recon.verification.reintegration import verify
 
 OLDER = Path(__file__).parent / "older"
@@ -163,25 +161,9 @@ def test_a_final_state_that_was_told_in_sigmas_is_one_in_metres(tmp_path):
     assert found.violation.by_constraint[FINAL_STATE].max == pytest.approx(0.1 * length, rel=1e-3)
 
 
-def test_a_copy_is_equal_and_computes_its_figures_again(written):
-    solution = parsed(written)
-    figures = solution.figures
-    copy = pickle.loads(pickle.dumps(solution))
-    assert copy == solution
-    assert vars(copy).keys().isdisjoint({"mission", "figures"})
-    assert copy.figures == figures
-
-
 def test_what_is_not_finite_is_not_written(written, tmp_path):
     solution = parsed(written)
     diverged = replace(solution.iterations[0], merit=np.inf)
     with pytest.raises(ValueError, match="not JSON compliant"):
         replace(solution, iterations=[diverged]).write(tmp_path, "diverged.json")
     assert not (tmp_path / "diverged.json").exists()
-
-
-def test_what_stands_in_files_and_scenarios_shows_no_methods_of_its_base_class():
-    scenario = load_scenario()
-    assert {"risk", "replace"} <= {*dir(scenario)}
-    for shown in (scenario, scenario.risk):
-        assert not {*dir(shown)} & {"model_dump", "model_fields", "copy", "json"}

@@ -51,23 +51,6 @@ def data(verified: Solution, tmp_path_factory: pytest.TempPathFactory) -> Data:
     return parsed
 
 
-# --- what is in it ------------------------------------------------------------------------------
-
-
-def test_it_is_plain_json_with_the_schema_first(verified, tmp_path):
-    text = verified.write(tmp_path).read_text("utf-8")
-
-    def no_constant(name: str) -> None:
-        raise AssertionError(f"{name} is no JSON")
-
-    parsed = json.loads(text, parse_constant=no_constant)
-    assert next(iter(parsed)) == "schema"
-    assert parsed["schema"] == SCHEMA
-
-
-# --- reading back -------------------------------------------------------------------------------
-
-
 def test_round_trip_through_file_and_folder(solution, verified, tmp_path):
     for version in (solution, verified):
         path = version.write(tmp_path)
@@ -90,9 +73,6 @@ def test_what_older_files_lack_is_none(data, tmp_path):
     file.write_text(json.dumps(older), "utf-8")
     read = read_solution(file)
     assert (read.method, read.primer) == (None, None)
-
-
-# --- which plan it is ---------------------------------------------------------------------------
 
 
 def test_the_plans_hash_is_that_of_scenario_and_burns_alone(solution, verified, tmp_path):
@@ -192,29 +172,11 @@ def test_the_plans_hash_knows_every_entry_of_the_scenario_and_the_last_bit_of_ev
     assert len(set(found)) == len(found) > 50
 
 
-# --- writing whole or not at all ----------------------------------------------------------------
-
-
-class DiskFullError(OSError):
-    pass
-
-
-def fail(*_: object, **__: object) -> None:
-    raise DiskFullError("no space left on device")
-
-
-def interrupt(*_: object, **__: object) -> None:
-    raise KeyboardInterrupt
-
-
 def test_others_may_read_the_file_as_any_other(solution, tmp_path):
     """A result is shared: its permissions are those of every file made here."""
     ordinary = tmp_path / "ordinary"
     ordinary.write_text("", "utf-8")
     assert solution.write(tmp_path).stat().st_mode == ordinary.stat().st_mode
-
-
-# --- damaged files ------------------------------------------------------------------------------
 
 
 def refused(file: Path, content: str | bytes) -> InputError:
@@ -324,9 +286,6 @@ def test_every_number_is_a_number(tmp_path, data):
     ):
         error = refused(tmp_path / "s.json", json.dumps(with_value(data, where, value)))
         assert str(where[0]) in error.entry
-
-
-# --- times --------------------------------------------------------------------------------------
 
 
 def window_edge(data: Data) -> int:

@@ -116,9 +116,6 @@ def test_a_solver_that_always_fails_ends_the_run(name, mission, cold, monkeypatc
     assert len(radii) >= 2
 
 
-# --- PTR ----------------------------------------------------------------------------------------
-
-
 def test_a_step_is_taken_for_a_tenth_of_its_promise_and_moves_the_soft_radius(prox_run):
     records = prox_run.records
     assert not all(record.accepted for record in records)
@@ -128,9 +125,6 @@ def test_a_step_is_taken_for_a_tenth_of_its_promise_and_moves_the_soft_radius(pr
         expected = min(factor * record.trust_radius, PTR.FREE)
         assert after.merit <= record.merit
         assert after.trust_radius == pytest.approx(expected)
-
-
-# --- SCvx* --------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -170,14 +164,6 @@ def test_multipliers_end_at_the_price_of_the_final_state(mission, cold, prox_run
     result = run(again, mission.dynamics, start, PTR(), ignore)
     change = result.lin.iterate.total_dv - prox_run.lin.iterate.total_dv
     assert change == pytest.approx(-state.charge.multipliers[:6] @ step, rel=0.05)
-
-
-def test_ptr_begun_at_an_optimum_ends_there(mission, prox_run):
-    """What is left to gain is lost in the merit's rounding, and so is what a step gains."""
-    nearer = p3_by(replace(PTR(), stationary=1e-9), mission, prox_run.lin)
-    again = p3_by(PTR(), mission, nearer.lin)
-    assert again.status is Status.CONVERGED
-    assert len(again.records) <= 4
 
 
 STEP = 0.1

@@ -197,21 +197,6 @@ def test_a_tiny_trust_region_proves_no_stationarity(p3, mission, default_plan, o
     assert len(result.records) > 3
 
 
-EXIT_CODES = {"converged": 0, "infeasible": 3, "lost": 5, "interrupted": 130}
-BAD_INPUT = 2
-
-
-@pytest.mark.parametrize("status", Status)
-def test_a_status_has_its_name_words_and_exit_code(status):
-    outcome = status.value
-    assert Status.named(outcome.name) is status
-    assert outcome.message
-    solved = status is Status.CONVERGED
-    assert (bool(outcome.remedy), outcome.exit_code == 0) == (not solved, solved)
-    assert outcome.exit_code != BAD_INPUT
-    assert outcome.exit_code == EXIT_CODES.get(outcome.name, outcome.exit_code)
-
-
 def test_an_unknown_name_is_refused():
     with pytest.raises(ValueError, match="'done'"):
         Status.named("done")

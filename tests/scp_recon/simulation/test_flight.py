@@ -20,7 +20,7 @@ from scp_recon.physics.frames import unit
 from scp_recon.results.policy import Correction
 from scp_recon.results.solution import Solution
 from scp_recon.simulation.basilisk import simulation
-from scp_recon.simulation.basilisk.power import distribute, mode_loads
+from scp_recon.simulation.basilisk.power import distribute
 from scp_recon.simulation.basilisk.simulation import (
     Draws,
     Simulator,
@@ -43,7 +43,6 @@ from scp_recon.simulation.guidance import FlightPlan
 from scp_recon.simulation.record import (
     ARRAYS,
     FILE_NAME,
-    leg_outcomes,
     make_record,
     read_record,
     write_record,
@@ -160,23 +159,6 @@ def test_a_cut_off_at_its_burn_is_a_control_period_before(short_mission):
     np.testing.assert_array_equal(commander.burns_m_s(state), [[0.0] * 3, [1.0] * 3])
     expected = [100.1, 200.2, 300.3, 0.1, 0.2, 0.3]
     np.testing.assert_allclose(seen[0][:, 0], expected, rtol=1e-12)
-
-
-def test_modes_last_as_long_as_the_rules_say(perfect):
-    outcomes = list(leg_outcomes(perfect))
-    assert [outcome.mode for outcome in outcomes] == [
-        Mode.SUN_POINTING, Mode.OBSERVATION, Mode.SUN_POINTING, Mode.DELTA_V,
-    ]  # fmt: skip
-    assert all(outcome.ok and outcome.settled_in_time for outcome in outcomes)
-    # A half turn at 0.4 deg/s takes as long as that.
-    assert max(outcome.settled_s or 0.0 for outcome in outcomes) > 180.0 / 0.4
-
-
-def test_loads_add_up_to_the_papers(perfect):
-    # The heater starts half an hour before the burn, here in the middle of the observation.
-    times = np.array([100.0, 800.0, 1469.0, 1470.0, 1600.0, 3000.0, 3271.0])
-    expected = [46.0, 46.0 + 19.0 + 25.0, 90.0, 90.0 + 50.0, 46.0 + 50.0, 115.0, 75.0]
-    assert mode_loads(perfect.plan, times).tolist() == expected
 
 
 def weak(vehicle: Vehicle) -> Vehicle:
@@ -308,12 +290,6 @@ def test_what_moves_the_path_is_what_was_drawn(perfect, starved, short_mission):
         np.testing.assert_allclose(more, error * firing.dv_m_s, atol=6e-5)
         along = more @ firing.direction / np.linalg.norm(firing.dv_m_s)
         assert along == pytest.approx(error, abs=5e-4)
-
-
-def test_the_attitude_holds_through_every_burn(perfect):
-    """From the first second on: a burn acts beside the centre of mass, and begins at time zero."""
-    assert perfect.micro_on_s[1].any()
-    assert np.rad2deg(pointing(perfect).executed).max() < 0.06
 
 
 def test_pulses_that_err_move_the_end(perfect, short_solution, short_mission, vehicle):

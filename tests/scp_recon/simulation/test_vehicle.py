@@ -153,13 +153,6 @@ def test_every_mode_points_what_it_serves_and_rolls_for_power(plan, mission):
         np.testing.assert_allclose(power[k], most, rtol=1e-9)
 
 
-def test_commands_are_continuous_within_a_mode(plan):
-    for leg in plan.legs:
-        times = np.arange(np.ceil(leg.start_s), leg.end_s)
-        attitudes = plan.attitudes(times)
-        assert (attitudes[1:] * attitudes[:-1].inv()).magnitude().max() < np.deg2rad(0.05)
-
-
 def test_a_burn_of_zero_keeps_the_panels_on_the_sun(plan):
     """Whatever the others are: turned away for an hour or more, they would not charge."""
     burns = np.array([firing.dv_m_s for firing in plan.firings])

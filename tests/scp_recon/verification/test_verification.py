@@ -26,8 +26,6 @@ from tests.scp_recon.support import mission_of
 
 Change = Callable[[dict[str, Any]], object]
 
-# --- a right solution ---------------------------------------------------------------------------
-
 
 def test_default_solution_is_confirmed(mission, solution, verification):
     """Every probability and every constraint is looked at, the same every time."""
@@ -83,9 +81,6 @@ def test_p3_is_confirmed_without_asking_for_probabilities_but_not_as_p2(mission)
     assert all(name.startswith("P(") or name == "facets" for name in as_p2.failed)
 
 
-# --- wrong solutions ----------------------------------------------------------------------------
-
-
 def changed(solution: Solution, change: Change) -> Solution:
     data = json.loads(solution.text())
     change(data)
@@ -122,7 +117,7 @@ FALSIFIED: dict[str, Change] = {
 
 
 @pytest.mark.usefixtures("few_flights")
-@pytest.mark.parametrize("name", usually([*FALSIFIED], 6))
+@pytest.mark.parametrize("name", usually([*FALSIFIED], 4))
 def test_a_falsified_solution_is_found_out(mission, solution, name):
     checked = verify(mission, changed(solution, FALSIFIED[name]))
     assert not checked.ok
@@ -328,6 +323,3 @@ def test_constraints_are_checked_between_the_nodes(mission, solution):
     (probability,) = (p for p in checked.probabilities if p.name == "emission")
     for time in (margin.worst_t_s, probability.worst_t_s):
         assert 13_200.0 < time < 16_500.0
-
-
-# --- its own tools ------------------------------------------------------------------------------
