@@ -89,13 +89,6 @@ def test_joint_risk_is_split_by_boole(mission, fully_limited):
         assert found == pytest.approx(expected)
 
 
-def test_safety_holds_at_every_node_and_observation_throughout_the_window(mission):
-    for c in mission.problem.constraints:
-        everywhere = np.arange(len(mission.times_s))
-        expected = everywhere if c.name == "safety_radius" else mission.window_nodes
-        np.testing.assert_array_equal(c.nodes, expected)
-
-
 @st.composite
 def offsets(draw: st.DrawFn) -> Array:
     """From the site, m."""

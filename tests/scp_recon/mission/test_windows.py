@@ -58,20 +58,6 @@ def test_windows_are_those_of_dense_sampling(terms):
     np.testing.assert_allclose(slack(np.array(edges)), 0.0, atol=1e-7)
 
 
-@given(at=st.floats(100.0, 900.0), width=st.floats(1e-3, 30.0), lit=st.booleans())
-def test_what_is_shorter_than_a_step_is_found(at, width, lit):
-    """A window, or a shade within one, whose function is smooth on the scale of the step."""
-    sign = 1.0 if lit else -1.0
-
-    def slack(t: Array) -> Array:
-        return sign * 1e-4 * ((0.5 * width) ** 2 - (t - at) ** 2)
-
-    found = all_windows(slack, (0.0, 1000.0), SCAN_STEP_S)
-    edges = [at - 0.5 * width, at + 0.5 * width]
-    expected = edges if lit else [0.0, *edges, 1000.0]
-    np.testing.assert_allclose(np.ravel(found), expected, atol=1e-5)
-
-
 @given(at=st.floats(100.0, 900.0), width=st.floats(1e-3, 30.0))
 @example(at=100.0, width=1.0)
 def test_a_window_between_two_limits_is_found_however_short(at, width):

@@ -13,12 +13,11 @@ from scipy.integrate import solve_bvp
 from formulations.arrays import Array
 from formulations.linearisation.dynamics import Dynamics
 from formulations.rows.uniform import DeterministicRows
-from scp_recon.mission.mission import Mission
 from scp_recon.physics.flow import FlowDerivatives, GridFlow
 from scp_recon.planning import initial_guess
 from scp_recon.planning.plan import Plan
 from scp_recon.planning.planner import Planner
-from scp_recon.planning.primer import WORTH, allowed_part, primer_history, primer_of
+from scp_recon.planning.primer import allowed_part, primer_history, primer_of
 from scp_recon.results.solution import make_solution
 from scp_recon.scp.loop import run
 from scp_recon.scp.status import Status
@@ -71,19 +70,6 @@ def test_a_small_burn_more_saves_what_the_primer_says(planner, plan, time_s):
     for u in (p / np.linalg.norm(p), random_unit(np.random.default_rng(3), 1)[0]):
         ahead, behind = (least_dv(planner, plan, node, side * size * u) for side in (1, -1))
         assert (behind - ahead) / (2.0 * size) == pytest.approx(p @ u, abs=2e-3)
-
-
-def test_a_burn_where_it_exceeds_one_makes_the_plan_cheaper():
-    tangent = "polytopes.ball='tangent'", "polytopes.cone=12"
-    few = mission_of(COARSE, *tangent, "burns.times_s=[0,25000,34842]")
-    plan = Planner(few).plan(initial_guess.cold(few))
-    history = primer_of(plan)
-    best = np.argmax(np.where(history.legal, history.allowed, -np.inf))
-    assert history.allowed[best] > 1.0 + WORTH
-    times = sorted((*few.scenario.burns.times_s, history.t_s[best]))
-    mission = Mission.from_scenario(few.scenario.replace({"burns.times_s": times}))
-    more = Planner(mission).plan(initial_guess.cold(mission))
-    assert more.total_dv_m_s < 0.99 * plan.total_dv_m_s
 
 
 def test_without_uncertainty_and_constraints_it_is_lawden_s():
