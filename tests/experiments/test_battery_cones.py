@@ -5,13 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from experiments.battery_cones import (
-    SAMPLES,
-    TOLERANCE_DEG,
-    find_cones,
-    mode_loads,
-    sample,
-)
+from experiments.battery_cones import SAMPLES, TOLERANCE_DEG, find_cones, mode_loads, sample
 from experiments.harness import Record
 from experiments.model_fidelity.models import Plates
 from scp_recon.physics.forces import SPEED_OF_LIGHT_M_S

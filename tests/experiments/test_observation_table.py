@@ -15,11 +15,7 @@ from experiments.__main__ import main
 from experiments.harness import Record
 from experiments.observation_table import study as observation_table
 from experiments.observation_table.rows import Row, as_flown_burns, read_states, rows, variants
-from experiments.observation_table.runs import (
-    middle_beyond_facet_m,
-    run_row,
-    still_sun_window_s,
-)
+from experiments.observation_table.runs import middle_beyond_facet_m, run_row, still_sun_window_s
 from experiments.observation_table.statements import standing_for, statements
 from experiments.observation_table.study import measure, report
 from formulations.arrays import Array

@@ -8,12 +8,7 @@ from dataclasses import replace
 import pytest
 
 from experiments import frontier, maps, plans
-from experiments.frontier import (
-    NOT_CERTIFIED,
-    measure,
-    record,
-    with_costs,
-)
+from experiments.frontier import NOT_CERTIFIED, measure, record, with_costs
 from experiments.harness import Record, fly_plan
 from experiments.nlp_tricks import measuring, tricks
 from formulations.problem.flyby import Iterate

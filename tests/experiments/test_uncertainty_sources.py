@@ -92,11 +92,7 @@ def test_paths_spread_as_the_linearised_flight_does(solution, vehicle):
     burns = solution.burns_m_s * (1.0 + vehicle.errors.chemical_thruster * factors[:, :, None])
     ends = mission.dynamics.rollout(starts / units.state, burns / units.speed_m_s)[-1] * units.state
     sensitivity = (ends[:-1] - ends[-1]) / step
-    expected = {
-        (INITIAL,): sensitivity[:6],
-        (CHEMICAL,): sensitivity[6:],
-        TRANSLATION: sensitivity,
-    }
+    expected = {(INITIAL,): sensitivity[:6], (CHEMICAL,): sensitivity[6:], TRANSLATION: sensitivity}
     for sources, factor in expected.items():
         found = fly_paths(solution, vehicle, sources, 4000, 1)
         rms = np.sqrt(np.sum(factor[:, :3] ** 2))

@@ -319,10 +319,7 @@ def test_shares_of_solved_guesses_and_of_those_at_the_best():
     assert [label.get_text() for label in left.get_yticklabels()] == [THEIRS, OURS]
     shares = [line.get_xdata()[0] for line in left.lines if line.get_marker() == "o"]
     assert shares == pytest.approx([0.5, 0.5, 0.75, 0.5])  # each time over at the first try
-    assert [text.get_text() for text in right.texts] == [
-        "0 of 2 at the best",
-        "3 of 4 at the best",
-    ]
+    assert [text.get_text() for text in right.texts] == ["0 of 2 at the best", "3 of 4 at the best"]
 
 
 def test_profiles_rise_to_the_share_that_is_solved():

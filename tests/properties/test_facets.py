@@ -13,13 +13,7 @@ from scipy.spatial import HalfspaceIntersection
 from scipy.stats import norm
 
 from formulations.arrays import Array
-from formulations.problem.facets import (
-    Facets,
-    Polytopes,
-    choose_facets,
-    inner_facets,
-    outer_facets,
-)
+from formulations.problem.facets import Facets, Polytopes, choose_facets, inner_facets, outer_facets
 from formulations.problem.flyby import FlybyProblem, StateConstraint
 from formulations.problem.polytopes import ball, paper_ball
 from formulations.problem.regions import Ball, Cone, Ellipsoid, Halfspaces, Region

@@ -163,11 +163,7 @@ def test_swapped_axes_of_the_sun_are_told(path, swap):
     assert is_told(RECON_B, {path: [value[i] for i in SWAPS[swap]]})
 
 
-@given(
-    st.floats(0.0, 2.0 * np.pi),
-    st.floats(0.0, 11.6),
-    st.booleans(),
-)
+@given(st.floats(0.0, 2.0 * np.pi), st.floats(0.0, 11.6), st.booleans())
 def test_a_sun_along_the_axes_of_the_ecliptic_is_told_and_of_the_equator_is_not(
     node, inclination_deg, wrong
 ):

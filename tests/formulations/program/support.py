@@ -11,11 +11,7 @@ import pytest
 import scipy.sparse as sp
 
 from formulations.arrays import Array
-from formulations.linearisation.linearisation import (
-    Condensation,
-    Linearisation,
-    condense,
-)
+from formulations.linearisation.linearisation import Condensation, Linearisation, condense
 from formulations.problem.facets import Polytopes, choose_facets
 from formulations.problem.polytopes import ball
 from formulations.problem.regions import Ball

@@ -14,10 +14,7 @@ from hypothesis import given, settings
 
 from formulations.arrays import Array, Indices
 from formulations.program import model as written
-from formulations.program.condensed import (
-    ConeSize,
-    write_states,
-)
+from formulations.program.condensed import ConeSize, write_states
 from formulations.program.lifted import LiftedSubproblem
 from formulations.program.model import CompiledProgram, Model, Numbers, Shape, write_model
 from formulations.program.subproblem import Penalty

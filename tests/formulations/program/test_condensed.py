@@ -10,11 +10,7 @@ import pytest
 from hypothesis import given, settings
 
 from formulations.arrays import Array
-from formulations.linearisation.linearisation import (
-    CONDENSATIONS,
-    Linearisation,
-    condense,
-)
+from formulations.linearisation.linearisation import CONDENSATIONS, Linearisation, condense
 from formulations.program import condensed
 from formulations.program.condensed import CondensedSubproblem, ConeSize, compile_condensed
 from formulations.program.subproblem import Penalty, Step
@@ -24,24 +20,9 @@ from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
 from scp_recon.planning.planner import plan
 from scp_recon.scenario.load import load_scenario
-from tests.helpers import (
-    constrain,
-    generators,
-    near_from,
-    random_flyby,
-    share_of_examples,
-    usually,
-)
+from tests.helpers import constrain, generators, near_from, random_flyby, share_of_examples, usually
 
-from .support import (
-    PENALTIES,
-    charge_for,
-    every_row,
-    linearised,
-    minimum,
-    solve_plainly,
-    tighten,
-)
+from .support import PENALTIES, charge_for, every_row, linearised, minimum, solve_plainly, tighten
 
 FAR, WITHIN, MISSED = 1.0, 0.5 * NEAR_LENGTH, -10.0 * condensed.MISSED
 MANY = 64

@@ -11,18 +11,11 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from formulations.arrays import Array
-from formulations.linearisation.linearisation import (
-    Linearisation,
-    condense,
-    final_state_map,
-)
+from formulations.linearisation.linearisation import Linearisation, condense, final_state_map
 from formulations.problem.feedback import Cost
 from formulations.problem.flyby import FlybyProblem
 from formulations.program.multipliers import adjoint, multipliers, slope_left
-from formulations.program.subproblem import (
-    MeritFunction,
-    PenaltyParameters,
-)
+from formulations.program.subproblem import MeritFunction, PenaltyParameters
 from formulations.registry import make_subproblem
 from formulations.rows.cones import Rows
 from formulations.rows.corrected_burns import CorrectedBurns
@@ -64,10 +57,7 @@ def signed(lin: Linearisation) -> dict[str, Array]:
         size * np.sin(problem.dv_cone - angle)
         for angle, size in zip(angles, sizes * 2, strict=True)
     ]
-    found = {
-        "dv_max": np.array(sizes) - problem.dv_max,
-        "dv_battery": np.array(depth),
-    }
+    found = {"dv_max": np.array(sizes) - problem.dv_max, "dv_battery": np.array(depth)}
     for c in problem.constraints:
         inside = c.region.inside(lin.iterate.mean[c.nodes, :3])
         found[c.name] = -inside if c.keep == "in" else inside

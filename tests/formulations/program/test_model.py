@@ -15,11 +15,7 @@ from formulations.arrays import Array
 from formulations.linearisation.linearisation import CONDENSATIONS, Linearisation
 from formulations.program.certificate import GAP, ConeProgram, is_optimal, outside
 from formulations.program.model import penalty_values
-from formulations.program.subproblem import (
-    DYNAMICS_WEIGHT,
-    PenaltyParameters,
-    SubproblemError,
-)
+from formulations.program.subproblem import DYNAMICS_WEIGHT, PenaltyParameters, SubproblemError
 from formulations.registry import FORMULATIONS, make_subproblem
 from tests.helpers import generators, share_of_examples, usually
 

@@ -13,10 +13,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from formulations.arrays import Array
-from formulations.linearisation.linearisation import (
-    Linearisation,
-    condense,
-)
+from formulations.linearisation.linearisation import Linearisation, condense
 from formulations.problem.flyby import FlybyProblem, Iterate
 from formulations.program import condensed
 from formulations.program.certificate import ConeProgram

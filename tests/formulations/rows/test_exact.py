@@ -11,11 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from formulations.arrays import Array
-from formulations.linearisation.linearisation import (
-    Linearisation,
-    condense,
-    final_state_map,
-)
+from formulations.linearisation.linearisation import Linearisation, condense, final_state_map
 from formulations.rows.cones import FINAL_POSITION, FINAL_VELOCITY, Cones, FinalSpread, Pulled, Rows
 from formulations.rows.exact import BEND, NodeRows, curved_cones
 from formulations.rows.exact_flight import FLIGHT, Coordinates, FlightRows

@@ -250,7 +250,7 @@ def test_policies_and_navigation_are_axes():
     )
     found = [changed(swept.base, case.changes, swept.folder).navigation for case in swept.cases]
     assert [(one.sigma_position_m, one.sigma_velocity_m_s) for one in found] == [
-        *((1.0, 5e-4), (50.0, 5e-4)),
+        *((1.0, 5e-4), (50.0, 5e-4))
     ]
     assert study(LEAD, do="fly", policy="replan", overrides=MEASURED).campaign.policy == "replan"
 

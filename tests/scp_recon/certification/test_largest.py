@@ -15,12 +15,7 @@ from scp_recon.certification.largest import (
     rounded_down,
 )
 from scp_recon.mission.mission import Mission
-from scp_recon.monte_carlo.estimates import (
-    FIRST_SEED,
-    look_flights,
-    look_interval,
-    look_seed,
-)
+from scp_recon.monte_carlo.estimates import FIRST_SEED, look_flights, look_interval, look_seed
 from scp_recon.planning import initial_guess
 from scp_recon.planning.plan import Plan
 from scp_recon.planning.planner import plan

@@ -216,9 +216,7 @@ def test_a_wrong_status_is_found_out(liar, monkeypatch):
 
 @pytest.fixture
 def instant(
-    monkeypatch: pytest.MonkeyPatch,
-    default_plan: Plan,
-    verification: Verification,
+    monkeypatch: pytest.MonkeyPatch, default_plan: Plan, verification: Verification
 ) -> None:
     """The planning and the verification of the default scenario, done already."""
     monkeypatch.setattr(planner, "plan", lambda *_, **__: default_plan)
@@ -261,11 +259,7 @@ def test_a_disk_that_cannot_be_written_ends_with_a_message_and_the_old_file(
 
 @pytest.mark.parametrize(
     ("command", "name"),
-    [
-        (solve, "solution.json"),
-        (montecarlo, "montecarlo.json"),
-        (simulate, "simulation.npz"),
-    ],
+    [(solve, "solution.json"), (montecarlo, "montecarlo.json"), (simulate, "simulation.npz")],
     ids=lambda given: getattr(given, "name", ""),
 )
 @pytest.mark.parametrize("fault", ["a folder in the file's place", "a barred folder"])

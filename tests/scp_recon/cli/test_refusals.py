@@ -159,10 +159,7 @@ def files_in(folder: Path) -> set[Path]:
 
 @pytest.mark.parametrize(
     "line",
-    [
-        *REFUSED.strip().splitlines(),
-        *(f"{name} --no-such-option -> got" for name in COMMANDS),
-    ],
+    [*REFUSED.strip().splitlines(), *(f"{name} --no-such-option -> got" for name in COMMANDS)],
 )
 def test_bad_input_is_one_message_and_one_document(line, folder, monkeypatch, capsys):
     monkeypatch.chdir(folder)

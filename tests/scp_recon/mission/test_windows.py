@@ -15,13 +15,7 @@ from scp_recon.bodies.catalogue import DAY_S
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.survey import survey
-from scp_recon.mission.windows import (
-    SCAN_STEP_S,
-    Lighting,
-    all_windows,
-    scan_step_s,
-    whole_windows,
-)
+from scp_recon.mission.windows import SCAN_STEP_S, Lighting, all_windows, scan_step_s, whole_windows
 from scp_recon.physics.frames import Rotation
 from scp_recon.physics.geometry import Site
 from scp_recon.physics.two_body import two_body

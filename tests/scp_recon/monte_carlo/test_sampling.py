@@ -15,12 +15,7 @@ from scp_recon.certification.flights import with_nodes_at
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.estimates import CONFIDENCE, binomial_quantile, proportion
 from scp_recon.monte_carlo.flights import FlightConfig
-from scp_recon.monte_carlo.observation_time import (
-    ALL,
-    SCIENCE,
-    joint_margins,
-    time_held,
-)
+from scp_recon.monte_carlo.observation_time import ALL, SCIENCE, joint_margins, time_held
 from scp_recon.monte_carlo.sampling import (
     BLOCK,
     draw,

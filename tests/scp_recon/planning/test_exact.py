@@ -272,8 +272,7 @@ def runner_that_ends(ends: str, gains: float) -> tuple[MissionRunner, Any, list[
 
     none, closed = (SimpleNamespace(problem=SimpleNamespace(feedback=f)) for f in (None, "gains"))
     solver: Any = SimpleNamespace(
-        exact_rows=lambda: [(".node", none), (".coarse", closed), ("", closed)],
-        leading_rows=closed,
+        exact_rows=lambda: [(".node", none), (".coarse", closed), ("", closed)], leading_rows=closed
     )
     task: Any = SimpleNamespace(
         problem=closed.problem,

@@ -92,8 +92,7 @@ def corrected() -> Solution:
 
 
 @pytest.mark.parametrize(
-    "words",
-    [("navigation.lead_s=0",), ("navigation.lead_s=20000", LAST_TOO), (gates(0.03, 0.02),)],
+    "words", [("navigation.lead_s=0",), ("navigation.lead_s=20000", LAST_TOO), (gates(0.03, 0.02),)]
 )
 def test_the_gains_of_a_file_are_those_that_it_was_made_of(words):
     given = with_gains(*words)

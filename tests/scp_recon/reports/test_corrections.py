@@ -52,7 +52,7 @@ def test_knowledge_and_dispersion_are_drawn_at_the_nodes(charts, subject):
     )
     known = np.array(subject.solution.nodes.knowledge)
     assert [trace["name"].split(":")[0] for trace in position] == [
-        *("dispersion", "dispersion without corrections", "knowledge"),
+        *("dispersion", "dispersion without corrections", "knowledge")
     ]
     sigma = np.sqrt(np.trace(known[:, :3, :3], axis1=1, axis2=2))
     np.testing.assert_allclose(position[2]["y"], sigma, rtol=1e-5)

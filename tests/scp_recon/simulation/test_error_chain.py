@@ -16,12 +16,7 @@ from scp_recon.physics.frames import unit
 from scp_recon.physics.harmonics import HarmonicField
 from scp_recon.simulation.basilisk.navigation import build_sensors
 from scp_recon.simulation.basilisk.plant import Start, build_plant
-from scp_recon.simulation.basilisk.simulation import (
-    Draws,
-    Simulator,
-    Source,
-    sensor_sigmas,
-)
+from scp_recon.simulation.basilisk.simulation import Draws, Simulator, Source, sensor_sigmas
 from scp_recon.simulation.guidance import FlightPlan
 from scp_recon.simulation.panels import irradiance
 

@@ -40,13 +40,7 @@ from scp_recon.simulation.flight import (
     wheel_torque,
 )
 from scp_recon.simulation.guidance import FlightPlan
-from scp_recon.simulation.record import (
-    ARRAYS,
-    FILE_NAME,
-    make_record,
-    read_record,
-    write_record,
-)
+from scp_recon.simulation.record import ARRAYS, FILE_NAME, make_record, read_record, write_record
 from scp_recon.simulation.vehicle import Vehicle
 from tests.scp_recon.simulation.short_plan import SHORT, short_plan
 from tests.scp_recon.support import mission_of

@@ -107,10 +107,7 @@ def leg(**changes: object) -> dict[str, Any]:
         ({"least_charge": 0.3}, []),
         ({"least_charge": 0.0}, ["least state of charge 0.000, required 0.30"]),
         ({"energy_wh": KEPT["energy_wh"] | {"short": 2.5}}, ["2.5 Wh short, required 0"]),
-        (
-            leg(ok=False, duration_s=800.0),
-            ["delta-V mode from 100 s 800 s long, required 900 s"],
-        ),
+        (leg(ok=False, duration_s=800.0), ["delta-V mode from 100 s 800 s long, required 900 s"]),
         (
             leg(settled_s=None, settled_in_time=False),
             ["delta-V mode from 100 s steady never, required 650 s"],
