@@ -6,7 +6,8 @@ Every number's source stands in `data/bodies/NAME.toml`.
 from __future__ import annotations
 
 import tomllib
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from datetime import datetime, timedelta
 from functools import cache
 from importlib.resources import files
@@ -34,13 +35,14 @@ class PackagedBody:
     """A body's packaged data.
 
     Attributes:
-        entries: entries of the table `[body]`, in its units.
+        entries: entries of the table `[body]`, in its units; without pole and meridian if it tumbles.
         elements: Kepler orbits, one a year: TDB days past J2000 of its middle, mean motion (deg/day),
             eccentricity, inclination, node, argument of perihelion, mean anomaly (deg), J2000 ecliptic,
             heliocentric; shape (n, 7).
         span: first and last day of the elements, TDB days past J2000.
         years: first and last year of that.
         other_meridian: W0, W1, W2 of a second source, where that differs by degrees.
+        assumed: of entries that no measurement gives, dotted from `[body]` on, what is assumed.
     """
 
     entries: dict[str, Any]
@@ -48,6 +50,7 @@ class PackagedBody:
     span: tuple[float, float]
     years: tuple[int, int]
     other_meridian: tuple[float, float, float] | None = None
+    assumed: Mapping[str, str] = field(default_factory=dict)
 
     def covers(self, days: float) -> bool:
         """Whether an epoch, TDB days past J2000, is in the elements' span."""
@@ -134,6 +137,8 @@ def _bodies() -> dict[str, PackagedBody]:
     for file in sorted(folder.iterdir(), key=lambda file: file.name):
         if file.name.endswith(".toml"):
             data = tomllib.loads(file.read_text(encoding="utf-8"))
+            if "attitude_file" in data["body"]:
+                data["body"]["attitude_file"] = str(folder / data["body"]["attitude_file"])
             elements = np.array(data["sun"]["elements"])
             elements[:, 0] -= 2_451_545.0
             half = 0.5 * np.diff(elements[:2, 0]).item()
@@ -141,6 +146,11 @@ def _bodies() -> dict[str, PackagedBody]:
             first, last = data["sun"]["years"]
             other = data.get("second_source", {}).get("prime_meridian")
             found[data["body"]["name"].casefold()] = PackagedBody(
-                data["body"], elements, span, (first, last), other and tuple(other)
+                data["body"],
+                elements,
+                span,
+                (first, last),
+                other and tuple(other),
+                data.get("assumed", {}),
             )
     return found

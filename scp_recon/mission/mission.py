@@ -190,19 +190,25 @@ class Mission:
         own = "point mass and J2"
         if body.planned_degree is not None:
             own = f"harmonics to degree {body.planned_degree}"
+        if body.attitude is not None:
+            own += " that tumble with the body"
         return own if body.companion is None else f"{own}, and the pull of {body.companion.name}"
 
     def _forces(self, field: HarmonicField | None) -> ForceModel:
         body, craft = self.scenario.body, self.scenario.spacecraft
         distance = np.linalg.norm(self.scenario.sun.body_position_km)
+        tumbles = body.attitude is not None
+        if tumbles and field is None:  # J2 has a closed form about a fixed axis alone
+            field = HarmonicField.zonal(body.gm_m3_s2, body.reference_radius_m, body.j2)
         j2, radius = (
             (body.j2, body.reference_radius_m) if field is None else (field.j2, field.radius)
         )
+        closed = (0,) if tumbles else (0, 2)
         return ForceModel(
             gm=body.gm_m3_s2,
-            j2_strength=1.5 * body.gm_m3_s2 * j2 * radius**2,
+            j2_strength=0.0 if tumbles else 1.5 * body.gm_m3_s2 * j2 * radius**2,
             pole=self.rotation.pole,
-            field=None if field is None else TurningField(field.beside_j2(), self.rotation),
+            field=None if field is None else TurningField(field.beside(*closed), self.rotation),
             companion=self.scene.companion,
             srp=cannonball_srp(
                 self.sun_direction(0.0),

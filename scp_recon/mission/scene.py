@@ -14,11 +14,12 @@ import numpy.typing as npt
 from formulations.arrays import Array
 from formulations.linearisation.factor import factor_of
 from formulations.problem.execution_errors import ComponentwiseErrors, ExecutionErrors, GatesErrors
+from scp_recon.bodies.attitude import AttitudeTable
 from scp_recon.bodies.catalogue import packaged_body
 from scp_recon.errors import InputError, option
 from scp_recon.mission.windows import Lighting
 from scp_recon.physics.companion import Companion
-from scp_recon.physics.frames import Rotation, sun_north_to_j2000, unit
+from scp_recon.physics.frames import Rotation, TabulatedRotation, sun_north_to_j2000, unit
 from scp_recon.physics.geometry import Site
 from scp_recon.physics.harmonics import HarmonicField
 from scp_recon.scenario.body import Body
@@ -44,18 +45,14 @@ class Scene:
 
     @classmethod
     def of(cls, scenario: Scenario) -> Scene:
-        """The scene of a scenario."""
-        body, site = scenario.body, scenario.site
-        rotation = Rotation.from_iau(
-            body.pole_ra_deg,
-            body.pole_dec_deg,
-            (
-                body.prime_meridian_deg,
-                body.prime_meridian_rate_deg_day,
-                body.prime_meridian_acceleration_deg_day2,
-            ),
-            scenario.epoch.tdb,
-        )
+        """The scene of a scenario.
+
+        Raises:
+            InputError: if a table of attitudes does not span the flight.
+        """
+        site = scenario.site
+        rotation = rotation_of(scenario)
+        rotation.body_to_j2000([scenario.start_s, scenario.duration_s])
         return cls(scenario, rotation, Site(np.array(site.position_body_m), unit(site.normal_body)))
 
     def sun_direction(self, time_s: npt.ArrayLike) -> Array:
@@ -193,6 +190,20 @@ class Scene:
         circular = float(np.sqrt(self.scenario.body.gm_m3_s2 / distance))
         speed = max(float(np.linalg.norm(state[3:])), circular)
         return (distance, "distance from the centre"), (speed, "speed, or that of a circular orbit")
+
+
+def rotation_of(scenario: Scenario) -> Rotation:
+    """The rotation of a scenario's body: uniform, or by its table of attitudes."""
+    body, tdb = scenario.body, scenario.epoch.tdb
+    if (given := body.attitude) is not None:
+        table = AttitudeTable(np.array(given.tdb_s), np.array(given.quaternions))
+        return TabulatedRotation.from_table(table, tdb)
+    meridian = (
+        body.prime_meridian_deg,
+        body.prime_meridian_rate_deg_day,
+        body.prime_meridian_acceleration_deg_day2,
+    )
+    return Rotation.from_iau(body.pole_ra_deg, body.pole_dec_deg, meridian, tdb)
 
 
 def _rtn_to_j2000(state: Array, entry: str) -> Array:

@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from formulations.arrays import Array
+from scp_recon.bodies.attitude import AttitudeTable
 from scp_recon.bodies.catalogue import DAY_S, J2000_TDB
 
 
@@ -112,3 +113,34 @@ class Rotation:
     def in_units(self, time: float) -> Rotation:
         """The same rotation by times in units of `time`."""
         return replace(self, rate=self.rate * time, acceleration=self.acceleration * time**2)
+
+
+@dataclass(frozen=True)
+class TabulatedRotation(Rotation):
+    """A body that turns as a table of attitudes says; angles and rate are those at the epoch.
+
+    Attributes:
+        table: of attitudes.
+        epoch_s: time zero in the table, s.
+        unit_s: of times, s.
+    """
+
+    table: AttitudeTable
+    epoch_s: float
+    unit_s: float = 1.0
+
+    @classmethod
+    def from_table(cls, table: AttitudeTable, tdb: datetime) -> TabulatedRotation:
+        """The rotation with `tdb` as time zero."""
+        seconds = (tdb - J2000_TDB).total_seconds()
+        ra, dec, meridian, rate = np.deg2rad(table.iau(seconds / DAY_S)).tolist()
+        return cls(ra, dec, meridian, rate / DAY_S, 0.0, table, seconds)
+
+    def body_to_j2000(self, time_s: Any) -> Array:
+        """Rotation matrices at times, shape (..., 3, 3); raises InputError outside the table."""
+        times = np.asarray(time_s, dtype=float)
+        return self.table.matrix(self.epoch_s + self.unit_s * times)
+
+    def in_units(self, time: float) -> TabulatedRotation:
+        """The same rotation by times in units of `time`."""
+        return replace(self, rate=self.rate * time, unit_s=self.unit_s * time)

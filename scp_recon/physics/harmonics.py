@@ -55,6 +55,11 @@ class HarmonicField:
             c[n, m], s[n, m] = norm * c_bar, norm * s_bar
         return cls(gm, radius, c, s)
 
+    @classmethod
+    def zonal(cls, gm: float, radius: float, j2: float) -> HarmonicField:
+        """Point mass and J2."""
+        return cls.of_rows(gm, radius, 2, [(2, 0, -j2 / sqrt(5.0), 0.0)])
+
     def normalised(self) -> tuple[Array, Array]:
         """Fully normalised coefficients, shape (n + 1, n + 1) each."""
         degree = len(self.c)
@@ -77,10 +82,10 @@ class HarmonicField:
         kept = slice(degree + 1), slice(degree + 1)
         return replace(self, c=self.c[kept], s=self.s[kept])
 
-    def beside_j2(self) -> HarmonicField:
-        """The field without the point mass and J2, which have closed forms of their own."""
+    def beside(self, *degrees: int) -> HarmonicField:
+        """The field without the zonals of some degrees, which have closed forms of their own."""
         c = self.c.copy()
-        c[:3:2, 0] = 0.0
+        c[list(degrees), 0] = 0.0
         return replace(self, c=c)
 
     def acceleration(self, x: Any, y: Any, z: Any) -> tuple[Any, Any, Any]:

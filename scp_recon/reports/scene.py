@@ -16,7 +16,7 @@ import numpy as np
 from formulations.arrays import Array
 from scp_recon.mission.constraints import companion_distance_m
 from scp_recon.mission.mission import Mission
-from scp_recon.physics.frames import sun_north_to_j2000, unit
+from scp_recon.physics.frames import TabulatedRotation, sun_north_to_j2000, unit
 from scp_recon.reports.flights import Shown
 from scp_recon.reports.marks import (
     BURN,
@@ -131,6 +131,10 @@ def scene(plans: Sequence[Shown], shape: Shape) -> dict[str, Any]:
 def _rotation(frame: Frame, mission: Mission) -> dict[str, Any]:
     """The attitude at angle W is `axes` turned by W about their third."""
     rotation = mission.rotation
+    if isinstance(rotation, TabulatedRotation):  # shown as it is amid the window
+        at = rotation.body_to_j2000(float(np.mean(mission.schedule.window_s)))
+        axes = compact(frame.to_j2000.T @ at, 9)
+        return {"axes": axes, "meridian": 0.0, "rate": 0.0, "acceleration": 0.0}
     still = rotation.body_to_j2000(0.0)
     c, s = np.cos(rotation.meridian), np.sin(rotation.meridian)
     axes = still @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]).T

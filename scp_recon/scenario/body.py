@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+from itertools import pairwise
+from operator import mul
 from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
@@ -11,6 +14,7 @@ from scp_recon.scenario.fields import (
     Line,
     Name,
     NonZeroVector,
+    Number,
     Positive,
     Section,
     Tdb,
@@ -47,6 +51,35 @@ class GravityField(Section):
         pairs = [(n, m) for n, m, _, _ in self.coefficients]
         if len(set(pairs)) != len(pairs) or any(m > n for n, m in pairs):
             raise ValueError("must have each degree and order once, the order at most the degree")
+        return self
+
+
+TURN_MAX_DEG = 30.0
+"""Between two attitudes of a table: beyond it a spline through them says little."""
+
+
+class Attitude(Section):
+    """Attitudes of a body that tumbles, between which it turns smoothly."""
+
+    tdb_s: Annotated[tuple[Number, ...], Field(min_length=2, max_length=10_000)]
+    """Times in s of TDB past J2000, ascending."""
+    quaternions: Annotated[
+        tuple[tuple[Coefficient, Coefficient, Coefficient, Coefficient], ...],
+        Field(min_length=2, max_length=10_000),
+    ]
+    """Quaternions, scalar first, that turn body-fixed components into J2000."""
+
+    @model_validator(mode="after")
+    def _is_a_motion(self) -> Self:
+        if len(self.tdb_s) != len(self.quaternions):
+            raise ValueError("must have as many quaternions as times")
+        if any(b <= a for a, b in pairwise(self.tdb_s)):
+            raise ValueError("must have times in ascending order")
+        if any(abs(math.hypot(*q) - 1.0) > 1e-3 for q in self.quaternions):
+            raise ValueError("must have quaternions of length one, to 0.001")
+        least = math.cos(0.5 * math.radians(TURN_MAX_DEG)) * (1.0 - 2e-3)
+        if any(abs(sum(map(mul, a, b))) < least for a, b in pairwise(self.quaternions)):
+            raise ValueError(f"must turn by at most {TURN_MAX_DEG:g} deg from row to row")
         return self
 
 
@@ -117,6 +150,12 @@ class Body(Section):
     this file."""
     naif_id: Annotated[int, Field(ge=1, le=99_999_999)] | None = None
     """NAIF's number of the body in kernels, 2101955 for Bennu."""
+    attitude_file: Path | None = None
+    """Attitudes of a body that tumbles, in place of pole and prime meridian: a table (.csv) with the
+    header tdb_s,qw,qx,qy,qz (TDB past J2000; body-fixed to J2000, scalar first). Relative to this
+    file."""
+    attitude: Attitude | None = None
+    """The attitudes themselves, as attitude_file gives them; pole and meridian follow at the epoch."""
     gravity_file: Path | None = None
     """Gravity field by degree and order, fully normalised: ICGEM .gfc or PDS SHA table (.sha, .tab).
     The Monte Carlo flies it; the planner its J2, or what planned_degree says. Relative to this file."""

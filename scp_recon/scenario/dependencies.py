@@ -46,6 +46,8 @@ GRAPH = (
     Edge(("epoch.tdb",), (*STATE, "body.prime_meridian_at_epoch_deg", "epoch.utc")),
     Edge(("epoch.utc",), (*STATE, "body.prime_meridian_at_epoch_deg", "epoch.tdb")),
     Edge(("body.pck_file",), (*POLE, *MERIDIAN, *SPIN)),
+    Edge(("body.attitude_file",), ("body.attitude", *POLE, *MERIDIAN, *SPIN)),
+    Edge(("epoch.tdb", "body.attitude"), (*POLE, *MERIDIAN), "body.attitude"),
     Edge(("body.rotation_period_h",), MERIDIAN),
     Edge(("body.prime_meridian_at_epoch_deg",), MERIDIAN[:1]),
     Edge(MERIDIAN[:1], SPIN[1:]),

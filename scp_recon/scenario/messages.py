@@ -51,7 +51,8 @@ def input_error(error: ValidationError, schema: type[BaseModel]) -> InputError:
 
 INSTEAD = {
     "epoch.": "epoch: utc will do in place of tdb.",
-    "body.": "body: the name of a packaged body gives the rest; so do pck_file, gravity_file, and "
+    "body.": "body: the name of a packaged body gives the rest; so do pck_file, attitude_file, "
+    "gravity_file, and "
     "rotation_period_h with prime_meridian_at_epoch_deg. Another body inherits nothing.",
     "sun.": "sun: computed for packaged bodies, and from spk_files. Another epoch inherits no Sun.",
     "boundary.": "boundary: a home orbit, boundary.home, gives the states.",

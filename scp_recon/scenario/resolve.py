@@ -21,7 +21,7 @@ from scp_recon.scenario.body import Body, SiteSection, Sun
 from scp_recon.scenario.boundary import Boundary, HomeOrbit
 from scp_recon.scenario.dependencies import ENDS, Tables, entries, found, keys
 from scp_recon.scenario.fields import Section
-from scp_recon.scenario.resolution.agreement import check
+from scp_recon.scenario.resolution.agreement import check, fill
 from scp_recon.scenario.resolution.body import resolve_gravity, resolve_rotation, resolve_sun
 from scp_recon.scenario.resolution.site import resolve_site
 from scp_recon.scenario.time_scales import tdb_of_utc
@@ -33,6 +33,7 @@ SUBJECTS: dict[str, tuple[str, ...]] = {
         "body.rotation_",
         "body.pck_",
         "body.naif_",
+        "body.attitude",
         "body.name",
     ),
     "gravity": ("body.gm_", "body.j2", "body.reference_", "body.gravity", "body.name"),
@@ -41,7 +42,7 @@ SUBJECTS: dict[str, tuple[str, ...]] = {
     "boundary": ("boundary.", "body.gm_", "body.gravity_", "body.name"),
 }
 """Prefixes of the entries from which each subject is computed, and against which it is checked."""
-FILES = ("body.shape_file", "body.pck_file", "body.gravity_file")
+FILES = ("body.shape_file", "body.pck_file", "body.attitude_file", "body.gravity_file")
 
 
 def resolve(data: Mapping[str, Any], changes: Mapping[str, Any] | None = None) -> Tables:
@@ -63,10 +64,13 @@ def resolve(data: Mapping[str, Any], changes: Mapping[str, Any] | None = None) -
     known = packaged_body(body.get("name"))
     if known is not None:
         body.setdefault("naif_id", known.entries["naif_id"])
-    if "rotation" in wanted:
+    if "rotation" in wanted or body.get("attitude") is not None:
         resolve_rotation(body, known, days)
     if known is not None:  # where no kernel has told them
-        body.setdefault("radii_m", known.entries["radii_m"])
+        fill(
+            body,
+            {key: known.entries[key] for key in ("radii_m", "companion") if key in known.entries},
+        )
     if "gravity" in wanted:
         resolve_gravity(body, known)
     if "sun" in wanted:

@@ -34,6 +34,7 @@ CHECKS: tuple[Check, ...] = (
     known.stale_entries,
     *(row.check for row in INTERVALS),
     known.known_body,
+    known.assumed,
     known.oblateness,
     known.site_angles,
     known.named_site,

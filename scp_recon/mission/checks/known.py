@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from operator import attrgetter
+from functools import reduce
+from operator import attrgetter, getitem
 
 import numpy as np
 
@@ -84,8 +85,10 @@ def known_body(scene: Scene) -> Iterator[ScenarioWarning]:
         ("gm_m3_s2", known["gm_m3_s2"], SAME_GM),
         ("reference_radius_m", radius, SAME_RADIUS),
         ("j2", known["j2"] * (radius / body.reference_radius_m) ** 2, SAME_J2),
-        ("prime_meridian_rate_deg_day", known["prime_meridian_rate_deg_day"], SAME_RATE),
+        ("prime_meridian_rate_deg_day", known.get("prime_meridian_rate_deg_day"), SAME_RATE),
     ):
+        if right is None:  # of a body that tumbles
+            continue
         value = getattr(body, entry)
         if abs(value - right) > most * abs(right):
             yield ScenarioWarning.of(
@@ -97,7 +100,24 @@ def known_body(scene: Scene) -> Iterator[ScenarioWarning]:
             f"{list(body.radii_m)} m",
             f"{known['name']} has {known['radii_m']} m along x, y and z",
         )
-    yield from _known_attitude(scene, packaged)
+    if body.attitude is None and "pole_ra_deg" in known:
+        yield from _known_attitude(scene, packaged)
+
+
+def assumed(scene: Scene) -> Iterator[ScenarioWarning]:
+    """Warn of what is assumed of a packaged body, where no measurement is known."""
+    body = scene.scenario.body
+    packaged = packaged_body(body.name)
+    if packaged is None:
+        return
+    for entry, text in packaged.assumed.items():
+        value = attrgetter(entry)(body)
+        own = reduce(getitem, entry.split("."), packaged.entries)
+        if value == own:
+            given = (
+                f"{value:g}" if isinstance(value, float) else f"that of {packaged.entries['name']}"
+            )
+            yield ScenarioWarning.of(f"body.{entry}", f"{given}, which is assumed", text)
 
 
 def _known_attitude(scene: Scene, packaged: PackagedBody) -> Iterator[ScenarioWarning]:

@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pydantic import ValidationError
 
+from scp_recon.bodies.attitude import AttitudeTable, read_attitude
 from scp_recon.bodies.catalogue import DAY_S, PackagedBody
 from scp_recon.bodies.gravity_file import GravityTable, read_gravity
 from scp_recon.bodies.kernels import read_heliocentric, read_pck
 from scp_recon.bodies.surface import direction_of
 from scp_recon.errors import InputError
 from scp_recon.scenario import dependencies
-from scp_recon.scenario.body import DEGREE_MAX
+from scp_recon.scenario.body import DEGREE_MAX, Attitude
 from scp_recon.scenario.dependencies import keys
 from scp_recon.scenario.resolution.agreement import angle_deg, check, check_share, fill, has, lacks
 
@@ -39,12 +42,17 @@ def resolve_rotation(body: dict[str, Any], known: PackagedBody | None, days: flo
     """
     if has(body, "pck_file") and days is not None:
         _from_kernel(body, days)
-    if known is not None:
+    if known is not None and "attitude_file" in known.entries:
+        if lacks(body, *POLE, *MERIDIAN, "rotation_period_h", "attitude"):
+            fill(body, {"attitude_file": known.entries["attitude_file"]})
+    elif known is not None and lacks(body, "attitude_file", "attitude"):
         if lacks(body, *POLE):
             fill(body, {key: known.entries[key] for key in POLE})
         if lacks(body, *MERIDIAN, "rotation_period_h"):
             spin = MERIDIAN if lacks(body, "prime_meridian_at_epoch_deg") else MERIDIAN[1:]
             fill(body, {key: known.entries[key] for key in spin})
+    if has(body, "attitude_file") or has(body, "attitude"):
+        _from_attitudes(body, days)
     if has(body, "rotation_period_h"):
         rate = 360.0 * 24.0 / body["rotation_period_h"]
         fill(body, {MERIDIAN[1]: rate, MERIDIAN[2]: 0.0})
@@ -56,6 +64,22 @@ def resolve_rotation(body: dict[str, Any], known: PackagedBody | None, days: flo
         at_epoch = body["prime_meridian_at_epoch_deg"]
         fill(body, {MERIDIAN[0]: (at_epoch - turned) % 360.0})
         _check_meridian(at_epoch, body, days, "prime_meridian_at_epoch_deg")
+
+
+def _from_attitudes(body: dict[str, Any], days: float | None) -> None:
+    """Enter a table of attitudes, and pole and meridian that turn with it at the epoch."""
+    if lacks(body, "attitude"):
+        read = read_attitude(Path(body["attitude_file"]))
+        body["attitude"] = {"tdb_s": read.tdb_s.tolist(), "quaternions": read.quaternions.tolist()}
+    try:
+        given = Attitude.model_validate_json(json.dumps(body["attitude"]))
+    except ValidationError:  # the schema tells what is wrong
+        return
+    if days is not None:
+        table = AttitudeTable(np.array(given.tdb_s), np.array(given.quaternions))
+        ra, dec, meridian, rate = table.iau(days)
+        at_epoch = ra, dec, (meridian - rate * days) % 360.0, rate, 0.0
+        fill(body, dict(zip((*POLE, *MERIDIAN), at_epoch, strict=True)))
 
 
 def _from_kernel(body: dict[str, Any], days: float) -> None:

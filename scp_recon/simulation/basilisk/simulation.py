@@ -106,13 +106,15 @@ def simulate(
 
     Raises:
         InputError: if the solution's scenario has no window or breaks a rule of the schedule, or its
-            body a companion.
+            body has a companion or tumbles.
     """
     mission = solution.mission
-    if (companion := mission.scenario.body.companion) is not None:
-        raise InputError(
-            "body.companion", companion.name, "cannot be simulated: only the body pulls there"
-        )
+    body = mission.scenario.body
+    if body.companion is not None or body.attitude is not None:
+        entry, given = "body.companion", f"a companion of {body.name}"
+        if body.attitude is not None:
+            entry, given = "body.attitude", f"{body.name} tumbling"
+        raise InputError(entry, given, "cannot be simulated: one body alone turns evenly there")
     plan = FlightPlan.of(solution, mission, vehicle)
     times = CONTROL_PERIOD_S * np.arange(round(plan.end_s / CONTROL_PERIOD_S) + 1.0)
     factor = mission.initial_factor

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from datetime import datetime
 from types import ModuleType
 
@@ -20,12 +21,19 @@ from scp_recon.bodies.catalogue import (
     packaged_body,
 )
 from scp_recon.errors import InputError
+from scp_recon.mission.checks.known import assumed
+from scp_recon.mission.scene import Scene
 from scp_recon.scenario.body import Body
+from scp_recon.scenario.dependencies import MERIDIAN, POLE, keys
+from scp_recon.scenario.load import packaged_scenario
 from scp_recon.scenario.resolution.agreement import angle_deg
 from tests import reference
 
 GOOD_TO_DEG = 0.01
-BODIES = ("Bennu", "Eros")
+BODIES = ("Apophis", "Bennu", "Didymos", "Eros")
+
+
+SPIN = keys((*POLE, *MERIDIAN))
 
 
 @pytest.fixture(scope="module")
@@ -38,7 +46,9 @@ def test_the_documented_bodies_are_packaged_and_complete() -> None:
     assert body_names() == list(BODIES)
     for name in BODIES:
         body = packaged_body(name.upper())
-        Body.model_validate(body.entries | {"radii_m": tuple(body.entries["radii_m"])})
+        spin = {} if "pole_ra_deg" in body.entries else dict.fromkeys(SPIN, 0.0)
+        entries = body.entries | {"radii_m": tuple(body.entries["radii_m"])} | spin
+        Body.model_validate_json(json.dumps(entries))
     assert packaged_body("Ryugu") is None
     assert packaged_body(5) is None
 
@@ -100,3 +110,25 @@ def test_outside_the_span_the_years_are_told(days: float) -> None:
     bennu = packaged_body("Bennu")
     with pytest.raises(InputError, match="2012 to 2035"):
         bennu.heliocentric(days)
+
+
+def test_what_is_assumed_of_a_packaged_body_is_said_unless_it_is_given() -> None:
+    scenario = packaged_scenario("didymos")
+    found = {w.entry for w in assumed(Scene.of(scenario))}
+    assert found == {"body.prime_meridian_deg", "body.j2", "body.companion.mean_anomaly_deg"}
+    measured = Scene.of(scenario.replace({"body.j2": 0.09}))
+    assert {w.entry for w in assumed(measured)} == found - {"body.j2"}
+    tumbling = {w.entry for w in assumed(Scene.of(packaged_scenario("apophis")))}
+    assert tumbling == {"body.gm_m3_s2", "body.j2", "body.attitude_file"}
+
+
+def test_dimorphos_goes_round_as_after_the_impact() -> None:
+    """In 11.3674 h, at Kepler's distance with Didymos' J2, in the plane of its equator."""
+    scene = Scene.of(packaged_scenario("didymos"))
+    orbit, body = scene.companion, scene.scenario.body
+    assert orbit is not None
+    assert 2.0 * np.pi / orbit.rate == pytest.approx(11.3674 * 3600.0)
+    a, oblate = orbit.semi_major_axis, 1.5 * body.j2 * body.reference_radius_m**2
+    pull = (body.gm_m3_s2 + orbit.gm) * (1.0 + oblate / a**2)
+    assert orbit.rate**2 * a**3 == pytest.approx(pull, rel=1e-3)
+    assert np.abs(orbit.axes @ scene.rotation.pole).max() < 1e-12
