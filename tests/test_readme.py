@@ -153,6 +153,16 @@ MEASURED = (
 )
 EXACT = f"{SOLVE} --set 'risk.allocation=\"exact\"'"
 CAMPAIGN = f"{RUN} campaign STUDY.toml --out DIR"
+EV5 = (
+    f"{RUN} new ev5 --body '2008 EV5' --site=-20,240 --epoch 2017-09-04T00:00:00 --gm 2.91 "
+    "--radius 200 --period 3.725 --pole=90,-66.56 "
+    "--orbit=-152107575,-147026,21468081,-0.2953,-26.0849,-11.0290"
+)
+OWN = (
+    f"{SOLVE} --scenario ev5.toml --set 'body.radii_m=[210, 205, 195]' --set body.j2=0.025 "
+    "--set 'risk.allocation=\"exact\"' --set 'risk.scope=\"flight\"' --set risk.p_chance=0.9 "
+    "--out runs/ev5"
+)
 STATE = "-122.618 419.945 -556.206 0.0069457 0.0794873 0.0655264"
 NEVER_LIT = '[[axis]]\nentry = "observation.incidence_max_deg"\nvalues = [0.01, 0.02]\n'
 NARROW = " ".join(
@@ -193,6 +203,11 @@ QUICK = {
         "--spacecraft=-999", needs="spiceypy"
     ),
     f"{SOLVE} --scenario flown.toml --init flown_start.csv": FROM_TABLE,
+    EV5: PLAIN,
+    OWN: Quick(after=(EV5,)),
+    f"{RUN} verify runs/ev5": Quick(after=(OWN,)),
+    f"{RUN} report runs/ev5": Quick(after=(OWN,), needs="plotly"),
+    f"{RUN} export runs/ev5 --format oem": Quick(after=(OWN,)),
     f"{RUN} windows recon_b": PLAIN,
     f"{RUN} windows recon_b --from 2020-02-01 --span-days 3 --csv windows.csv "
     "--chart windows.png": Quick(needs="matplotlib"),
@@ -471,7 +486,7 @@ def test_one_target_installs_every_extra_that_a_command_may_need():
     (everything,) = extras["all"]
     listed = re.findall(r"\w+", everything)
     assert listed[0] == project["name"]
-    assert {*listed[1:]} == extras.keys() - {"all", "crosscheck", "peers", "test", "dev"}
+    assert {*listed[1:]} == extras.keys() - {"all", "crosscheck", "docs", "peers", "test", "dev"}
     makefile = (PROJECT / "Makefile").read_text("utf-8")
     assert re.search(r"^extras: \$\(VENV\)/\.extras ", makefile, re.MULTILINE)
     assert re.search(r"/\.extras: .*\n\t\$\(PIP\) --editable '\.\[all\]'", makefile)
