@@ -254,7 +254,7 @@ def test_what_is_no_pictures_name_is_refused_and_nothing_is_written(
     assert sorted(tmp_path.rglob("*")) == before
 
 
-@pytest.mark.parametrize("ending", [".PDF", ".png", ".svg", ".eps"])
+@pytest.mark.parametrize("ending", [".PDF", ".eps"])
 def test_a_figure_is_the_same_file_every_time_and_names_its_plan_where_it_can(
     runs, tmp_path, ending
 ):

@@ -66,13 +66,23 @@ def test_it_shows_case_verdict_burns_and_every_constraint(default_run):
 
 
 def test_it_runs_as_a_module(tmp_path):
-    run = run_module("scp_recon.solve", "--init", "cold", "--problem", "P3", "--out", str(tmp_path))
+    run = run_module(
+        "scp_recon.solve",
+        "--init",
+        "cold",
+        "--problem",
+        "P3",
+        "--set",
+        COARSE,
+        "--out",
+        str(tmp_path),
+    )
     assert (run.returncode, run.stderr) == (0, "")
     assert read_solution(tmp_path).problem == "P3"
 
 
 def test_a_solution_brings_its_scenario_which_may_be_overridden(tmp_path):
-    first = run_solve(tmp_path / "a", "--problem", "P3", "--set", "name=mine")
+    first = run_solve(tmp_path / "a", "--problem", "P3", "--set", "name=mine", "--set", COARSE)
     assert first.exit_code == 0
     again = run_solve(
         tmp_path / "b",
@@ -97,7 +107,7 @@ def test_a_users_own_files_in_the_folder_are_left_alone(tmp_path):
     mine = [tmp_path / ".probe", tmp_path / ".solution.json", tmp_path / "notes.txt"]
     for file in mine:
         file.write_text("mine", "utf-8")
-    assert run_solve(tmp_path, "--problem", "P3").exit_code == 0
+    assert run_solve(tmp_path, "--problem", "P3", "--set", COARSE).exit_code == 0
     assert [file.read_text("utf-8") for file in mine] == ["mine"] * 3
     assert len(list(tmp_path.iterdir())) == 4
 
@@ -134,7 +144,7 @@ def test_ctrl_c_leaves_the_best_iterate_marked_as_such_which_goes_on(
     tmp_path, request, monkeypatch
 ):
     request.getfixturevalue("ctrl_c_in_the_fourth_iteration")
-    run = run_solve(tmp_path, "--init", "cold")
+    run = run_solve(tmp_path, "--init", "cold", "--set", COARSE)
     assert run.exit_code == 130
     assert "Traceback" not in run.errors
     solution = read_solution(tmp_path)

@@ -87,7 +87,7 @@ def test_other_risk_begins_at_a_plan_s_burns():
     assert [stage.name for stage in uniform.stages] == ["P3", "P2"]
 
 
-@pytest.mark.parametrize("algorithm", sorted(set(ALGORITHMS) - {"scvx"}))
+@pytest.mark.parametrize("algorithm", usually(sorted(set(ALGORITHMS) - {"scvx"}), 1))
 def test_all_algorithms_find_the_same(algorithm):
     other = found("node", 0.9, algorithm)
     assert other.status is Status.CONVERGED
@@ -171,7 +171,9 @@ def test_a_plan_of_whole_flights_holds_at_every_node_too():
     assert reached > 0.9
 
 
-@pytest.mark.parametrize(("scope", "p"), [("node", 0.9), ("node", 0.99), ("flight", 0.9)])
+@pytest.mark.parametrize(
+    ("scope", "p"), usually([("flight", 0.9), ("node", 0.9), ("node", 0.99)], 2)
+)
 def test_exact_plans_satisfy_the_first_order_conditions(scope, p):
     """The mean rolled out and linearised anew for each of the burns; no slope of a row is used."""
     of = found(scope, p)

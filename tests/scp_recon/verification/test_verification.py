@@ -70,6 +70,7 @@ def test_probability_is_that_of_counting(mission, solution, verification):
     assert again == pytest.approx(site.estimate, abs=4.5 * sigma)
 
 
+@pytest.mark.usefixtures("few_flights")
 def test_p3_is_confirmed_without_asking_for_probabilities_but_not_as_p2(mission):
     p3 = make_solution(plan(mission, initial_guess.cold(mission), problem="P3"))
     checked = verify(mission, p3)
@@ -285,7 +286,7 @@ def test_a_window_edge_is_held_against_the_tolerance_of_reading(mission, solutio
             ("observation.phase_max_deg=60", "phase_max"),
             ("battery.observation_cone_deg=85", "battery_observation"),
         ],
-        7,
+        4,
     ),
 )
 def test_each_constraint_that_the_plan_breaks_is_named(solution, override, named):
