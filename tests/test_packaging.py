@@ -43,7 +43,7 @@ def files_of(package: str) -> set[str]:
     return {str(path.relative_to(PROJECT)) for path in found if path.suffix != ".pyc"}
 
 
-def test_the_citation_has_the_keys_of_its_format_and_says_what_the_project_says() -> None:
+def test_the_citation_has_the_keys_of_its_format_and_says_what_the_project_says():
     yaml = pytest.importorskip("yaml")
     cited = yaml.safe_load((PROJECT / "CITATION.cff").read_text("utf-8"))
     assert CITED <= cited.keys() <= KNOWN
@@ -58,7 +58,7 @@ def test_the_citation_has_the_keys_of_its_format_and_says_what_the_project_says(
         assert all("family-names" in author for author in work["authors"])
 
 
-def test_every_file_beside_the_modules_is_package_data() -> None:
+def test_every_file_beside_the_modules_is_package_data():
     packaging = PYPROJECT["tool"]["setuptools"]
     assert packaging["packages"]["find"]["include"] == [f"{name}*" for name in PACKAGES]
     globs = [
@@ -74,9 +74,7 @@ def test_every_file_beside_the_modules_is_package_data() -> None:
 
 @nightly
 @pytest.mark.timeout(1800)
-def test_the_wheel_of_the_source_distribution_plans_in_an_environment_of_its_own(
-    tmp_path: Path,
-) -> None:
+def test_the_wheel_of_the_source_distribution_plans_in_an_environment_of_its_own(tmp_path):
     """Outside the checkout, with nothing but what the wheel asks for; it installs two packages only."""
     source, dist, work = (tmp_path / name for name in ("source", "dist", "work"))
     work.mkdir()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import shlex
-from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -13,14 +12,7 @@ from scipy.special import ndtr, ndtri
 from formulations.problem.flyby import Iterate
 from scp_recon.api import infeasibility as module
 from scp_recon.api import planning
-from scp_recon.api.infeasibility import (
-    LIMITS,
-    SIZE,
-    SPLIT,
-    Diagnosis,
-    diagnose,
-    exact_plan,
-)
+from scp_recon.api.infeasibility import LIMITS, SIZE, SPLIT, Diagnosis, diagnose, exact_plan
 from scp_recon.certification.certify import AimedPlanning
 from scp_recon.cli.commands import solve
 from scp_recon.cli.commands.planning import plan_options, undoing, what_binds, what_would_do
@@ -68,7 +60,7 @@ def printed_options(run: CommandLine) -> list[str]:
     return shlex.split(said(run).rsplit("with: ", 1)[1])
 
 
-def test_the_very_line_ends_verified(refused: CommandLine, tmp_path: Path) -> None:
+def test_the_very_line_ends_verified(refused, tmp_path):
     """After the options that the command had, facet rounds among them."""
     assert refused.exit_code == 3
     line = printed_options(refused)
@@ -80,7 +72,7 @@ def test_the_very_line_ends_verified(refused: CommandLine, tmp_path: Path) -> No
     assert f"feasible, for {solution.total_dv_m_s:.4f} m/s, with: " in said(refused)
 
 
-def test_the_report_says_the_same(refused: CommandLine) -> None:
+def test_the_report_says_the_same(refused):
     solution = read_solution(refused.folder)
     assert solution.advice == tuple(said(refused).splitlines())
     remarks = _remarks(Subject("plan", solution), Status.INFEASIBLE)
@@ -97,7 +89,7 @@ def test_the_report_says_the_same(refused: CommandLine) -> None:
     ],
     ids=" ".join,
 )
-def test_the_line_goes_with_every_method(own: tuple[str, ...]) -> None:
+def test_the_line_goes_with_every_method(own):
     """What the command says against exact risk is undone by what stands after it."""
     line = ("--set", "risk.allocation=exact", "--certify", "no")
     before = solve.parser().parse_args([*own, *line])
@@ -108,7 +100,7 @@ def test_the_line_goes_with_every_method(own: tuple[str, ...]) -> None:
     plan_options(after).check(scenario)
 
 
-def test_the_line_is_taken_after_a_budget() -> None:
+def test_the_line_is_taken_after_a_budget():
     words = ["--objective", "probability", "--dv-budget", "0.2"]
     undone = undoing(solve.parser().parse_args(words))
     options = solve.parser().parse_args([*words, *undone])
@@ -116,14 +108,12 @@ def test_the_line_is_taken_after_a_budget() -> None:
     assert (options.objective, options.dv_budget_m_s) == ("delta-v", None)
 
 
-def test_a_final_covariance_that_no_plan_keeps_is_what_binds() -> None:
+def test_a_final_covariance_that_no_plan_keeps_is_what_binds():
     found = failed(*EXACT, "boundary.final_sigma_position_m=0.05")
     assert module._freed(found, module.FINAL_SPREAD) is not None
 
 
-def test_exact_risk_solves_what_the_split_cannot_and_says_at_what_price(
-    refused: CommandLine,
-) -> None:
+def test_exact_risk_solves_what_the_split_cannot_and_says_at_what_price(refused):
     words = said(refused)
     assert words.startswith(f"what binds: {SPLIT}; violated: ")
     (cost,) = (line.split()[-2] for line in words.splitlines() if "exact risk solves" in line)
@@ -146,7 +136,7 @@ def small_burns() -> tuple[Plan, Diagnosis]:
         return found, diagnose(found)
 
 
-def test_what_suffices_alone_is_named_with_its_size(small_burns: tuple[Plan, Diagnosis]) -> None:
+def test_what_suffices_alone_is_named_with_its_size(small_burns):
     """And exact risk, which has failed, is not praised."""
     found, out = small_burns
     assert out.exact is None
@@ -163,9 +153,7 @@ def test_what_suffices_alone_is_named_with_its_size(small_burns: tuple[Plan, Dia
     assert plan(larger, start, once=True).status is Status.CONVERGED
 
 
-def test_the_largest_probability_is_the_last_that_has_a_plan(
-    small_burns: tuple[Plan, Diagnosis],
-) -> None:
+def test_the_largest_probability_is_the_last_that_has_a_plan(small_burns):
     found, out = small_burns
     assert out.largest.target is not None
     assert 0.5 < out.largest.target < 0.9
@@ -183,9 +171,7 @@ def test_the_largest_probability_is_the_last_that_has_a_plan(
     )
 
 
-def test_what_the_normal_law_allows_and_flights_do_not_certify_is_told_apart(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_what_the_normal_law_allows_and_flights_do_not_certify_is_told_apart(monkeypatch):
     """A plan that aims above what was asked may be the only one that is missing."""
     monkeypatch.setattr(module, "CLOSE", 1.0)
     monkeypatch.setattr(module, "_verified", lambda largest, *_: largest)
@@ -199,9 +185,7 @@ def test_what_the_normal_law_allows_and_flights_do_not_certify_is_told_apart(
     assert "risk.p_chance=0.7 --certify no" in words
 
 
-def test_what_flights_refute_is_proposed_with_flights_that_certify_it(
-    small_burns: tuple[Plan, Diagnosis], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_flights_refute_is_proposed_with_flights_that_certify_it(small_burns, monkeypatch):
     """A certified plan aims higher; where that takes more than there is, less is promised.
 
     The start is on another grid, as where the plans that were tried had to be made on finer ones.
@@ -227,7 +211,7 @@ def test_what_flights_refute_is_proposed_with_flights_that_certify_it(
     assert f"--set risk.p_chance={made[-1]:g} --certify yes" in words
 
 
-def test_burns_that_are_too_small_are_what_binds() -> None:
+def test_burns_that_are_too_small_are_what_binds():
     found = failed("burns.dv_max_m_s=0.02", COARSE)
     out = diagnose(found)
     assert out.without_uncertainty is Status.INFEASIBLE
@@ -241,7 +225,7 @@ def test_burns_that_are_too_small_are_what_binds() -> None:
     assert p3.status is Status.CONVERGED
 
 
-def test_what_has_not_ended_shows_nothing_of_lower_probabilities() -> None:
+def test_what_has_not_ended_shows_nothing_of_lower_probabilities():
     found = failed("burns.dv_max_m_s=0.02", COARSE)
     unknown = Diagnosis(Status.MAX_ITERATIONS, (), ())
     words = "\n".join([what_binds(unknown), *what_would_do(unknown, found, ())])

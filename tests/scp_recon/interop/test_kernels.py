@@ -54,9 +54,7 @@ def spice(folder: Path) -> Iterator[ModuleType]:
     spiceypy.kclear()
 
 
-def test_positions_are_within_a_millimetre_at_the_states_and_between_them(
-    spice: ModuleType, export: Export
-) -> None:
+def test_positions_are_within_a_millimetre_at_the_states_and_between_them(spice, export):
     for coast in export.path.coasts:
         read = np.array(
             [spice.spkezr(SPACECRAFT, t, "J2000", "NONE", BODY)[0] * 1e3
@@ -72,7 +70,7 @@ def test_positions_are_within_a_millimetre_at_the_states_and_between_them(
             assert np.linalg.norm(between - exact[-1, :3]) < 1e-6
 
 
-def test_a_burn_has_its_state_before_and_after(spice: ModuleType, export: Export) -> None:
+def test_a_burn_has_its_state_before_and_after(spice, export):
     for burn, (before, after) in zip(
         export.solution.burns, itertools.pairwise(export.path.coasts), strict=True
     ):
@@ -83,9 +81,7 @@ def test_a_burn_has_its_state_before_and_after(spice: ModuleType, export: Export
         np.testing.assert_allclose(late[3:], after.states[0, 3:], atol=1e-12)
 
 
-def test_attitudes_and_rates_are_those_commanded(
-    spice: ModuleType, export: Export, vehicle: Vehicle
-) -> None:
+def test_attitudes_and_rates_are_those_commanded(spice, export, vehicle):
     flight = FlightPlan.of(export.solution, export.mission, vehicle)
     for leg in flight.legs:
         times = command_times(flight, leg)
@@ -102,7 +98,7 @@ def test_attitudes_and_rates_are_those_commanded(
             np.testing.assert_allclose(found, rate, atol=2e-6)
 
 
-def test_the_body_turns_and_moves_as_the_planner_has_it(spice: ModuleType, export: Export) -> None:
+def test_the_body_turns_and_moves_as_the_planner_has_it(spice, export):
     mission = export.mission
     for time in np.linspace(0.0, mission.scenario.duration_s, 11):
         et = export.et(np.array([time]))[0]
@@ -119,15 +115,15 @@ def test_the_body_turns_and_moves_as_the_planner_has_it(spice: ModuleType, expor
 
 
 @pytest.mark.parametrize("body", [BENNU, UNNAMED_BODY_ID, 20_600_001, 433])
-def test_frame_numbers_are_those_that_are_free(export: Export, body: int) -> None:
+def test_frame_numbers_are_those_that_are_free(export, body):
     given = Export(export.solution, export.mission, export.path, Ids(-999, body))
     found = re.search(rf"FRAME_B{body}_FIXED = (\d+)\n", kernels.frames(given))
     assert 1_400_000 <= int(found[1]) <= 2_000_000
 
 
 def test_a_kernel_that_cannot_be_filled_leaves_nothing_behind(
-    export: Export, vehicle: Vehicle, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    export, vehicle, tmp_path, monkeypatch
+):
     pytest.importorskip("spiceypy")
 
     def fails(*_: object) -> None:

@@ -6,7 +6,6 @@ import csv
 import io
 import itertools
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,18 +20,14 @@ from scp_recon.interop.ccsds import oem_text, opm_text
 from scp_recon.interop.export import Export, Ids
 from scp_recon.interop.files import columns, csv_text, parquet_bytes
 from scp_recon.interop.path import MARGIN_S, WITHIN_M, fly_path
-from scp_recon.mission.mission import Mission
-from scp_recon.planning.plan import Plan
 from scp_recon.replanning.delivery import Delivery
 from scp_recon.replanning.flown import FlownPlan, predict
 from scp_recon.replanning.remainder import mission_left
-from scp_recon.results.solution import Solution, make_solution
+from scp_recon.results.solution import make_solution
 from tests.scp_recon.support import integrate
 
 
-def test_there_is_a_coast_on_each_side_of_each_burn_which_is_a_jump_of_the_velocity(
-    export: Export,
-) -> None:
+def test_there_is_a_coast_on_each_side_of_each_burn_which_is_a_jump_of_the_velocity(export):
     coasts, firing = export.path.coasts, export.mission.scenario.burns.times_s
     edges = [(c.times_s[0], c.times_s[-1]) for c in coasts]
     assert edges == list(itertools.pairwise((firing[0] - MARGIN_S, *firing, firing[-1] + MARGIN_S)))
@@ -49,7 +44,7 @@ def test_there_is_a_coast_on_each_side_of_each_burn_which_is_a_jump_of_the_veloc
     assert np.linalg.norm(off[3:]) < 1e-7
 
 
-def test_covariances_are_the_plans_at_its_nodes(export: Export) -> None:
+def test_covariances_are_the_plans_at_its_nodes(export):
     stored = np.array(export.solution.nodes.covariance)
     times, seen = np.array(export.solution.nodes.t_s), 0
     scale = np.outer(export.mission.units.state, export.mission.units.state)
@@ -63,9 +58,7 @@ def test_covariances_are_the_plans_at_its_nodes(export: Export) -> None:
 
 
 @given(share=st.floats(0.0, 1.0 - 1e-9))
-def test_straight_lines_between_neighbours_are_within_a_centimetre(
-    export: Export, share: float
-) -> None:
+def test_straight_lines_between_neighbours_are_within_a_centimetre(export, share):
     for coast in export.path.coasts:
         span = coast.times_s[-1] - coast.times_s[0]
         time = coast.times_s[0] + share * span
@@ -78,26 +71,20 @@ def test_straight_lines_between_neighbours_are_within_a_centimetre(
         assert coast.linear_error_m <= WITHIN_M
 
 
-def test_a_path_that_bends_more_gets_more_states(
-    mission: Mission, solution: Solution, export: Export, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_path_that_bends_more_gets_more_states(mission, solution, export, monkeypatch):
     monkeypatch.setattr(path_module, "WITHIN_M", 1e-4)
     denser = fly_path(mission, solution)
     assert denser.linear_error_m <= 1e-4 < export.path.linear_error_m
     assert denser.size > 3 * export.path.size
 
 
-def test_what_needs_too_many_states_is_refused(
-    mission: Mission, solution: Solution, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_needs_too_many_states_is_refused(mission, solution, monkeypatch):
     monkeypatch.setattr(path_module, "STATES_MAX", 100)
     with pytest.raises(InputError, match="more than 100 states"):
         fly_path(mission, solution)
 
 
-def test_nodes_that_are_not_where_the_burns_lead_are_refused(
-    mission: Mission, solution: Solution
-) -> None:
+def test_nodes_that_are_not_where_the_burns_lead_are_refused(mission, solution):
     states = [list(state) for state in solution.nodes.state]
     states[40][1] += 0.02
     nodes = replace(solution.nodes, state=states)
@@ -105,7 +92,7 @@ def test_nodes_that_are_not_where_the_burns_lead_are_refused(
         fly_path(mission, replace(solution, nodes=nodes))
 
 
-def test_the_csv_is_the_path_to_the_last_digit(export: Export) -> None:
+def test_the_csv_is_the_path_to_the_last_digit(export):
     lines = [line for line in csv_text(export).splitlines() if not line.startswith("#")]
     rows = list(csv.DictReader(lines))
     assert len(rows) == export.path.size
@@ -121,7 +108,7 @@ def test_the_csv_is_the_path_to_the_last_digit(export: Export) -> None:
         assert coasts[times == burn.t_s].tolist() == [number, number + 1]  # two rows at a burn
 
 
-def test_parquet_holds_the_same(export: Export) -> None:
+def test_parquet_holds_the_same(export):
     parquet = pytest.importorskip("pyarrow.parquet")
     table = parquet.read_table(io.BytesIO(parquet_bytes(export)))
     assert table.to_pydict() == columns(export)
@@ -142,7 +129,7 @@ def message(export: Export, tmp_path_factory: pytest.TempPathFactory) -> Any:
     return oem.OrbitEphemerisMessage.open(str(path))
 
 
-def test_every_segment_is_a_coast_of_the_path(message: Any, export: Export) -> None:
+def test_every_segment_is_a_coast_of_the_path(message, export):
     from astropy.time import Time
 
     epoch = Time(export.mission.scenario.epoch.tdb, scale="tdb")
@@ -164,7 +151,7 @@ def test_every_segment_is_a_coast_of_the_path(message: Any, export: Export) -> N
         )
 
 
-def test_the_readers_interpolation_is_within_a_centimetre(message: Any, export: Export) -> None:
+def test_the_readers_interpolation_is_within_a_centimetre(message, export):
     from astropy.time import Time, TimeDelta
 
     epoch = Time(export.mission.scenario.epoch.tdb, scale="tdb")
@@ -177,7 +164,7 @@ def test_the_readers_interpolation_is_within_a_centimetre(message: Any, export: 
             assert np.linalg.norm(found - exact[-1, :3]) < 1e-5
 
 
-def test_segments_meet_at_the_burns_which_are_their_jumps(message: Any, export: Export) -> None:
+def test_segments_meet_at_the_burns_which_are_their_jumps(message, export):
     for burn, (before, after) in zip(
         export.solution.burns, itertools.pairwise(message), strict=True
     ):
@@ -186,7 +173,7 @@ def test_segments_meet_at_the_burns_which_are_their_jumps(message: Any, export: 
         np.testing.assert_allclose((first.velocity - last.velocity) * 1e3, burn.dv_m_s, atol=1e-12)
 
 
-def test_a_plan_in_flight_numbers_its_burns_as_the_flight_does(default_plan: Plan) -> None:
+def test_a_plan_in_flight_numbers_its_burns_as_the_flight_does(default_plan):
     flown = FlownPlan.of(default_plan)
     delivery = Delivery(17_000.0, predict(flown, 17_000.0, {}).state)
     plan = plan_left(flown, mission_left(flown, delivery, ()))
@@ -198,9 +185,7 @@ def test_a_plan_in_flight_numbers_its_burns_as_the_flight_does(default_plan: Pla
     assert "burn 1" not in text
 
 
-def test_comments_tell_burns_plan_and_verdict_in_lines_as_short_as_the_standard_asks(
-    export: Export,
-) -> None:
+def test_comments_tell_burns_plan_and_verdict_in_lines_as_short_as_the_standard_asks(export):
     unchecked = replace(export.solution, verification=None, status="interrupted")
     for form in (oem_text, opm_text):
         text = form(export)
@@ -212,9 +197,7 @@ def test_comments_tell_burns_plan_and_verdict_in_lines_as_short_as_the_standard_
         assert "COMMENT NOT VERIFIED: interrupted" in form(replace(export, solution=unchecked))
 
 
-def test_the_opm_has_the_state_before_the_burns_and_every_burn(
-    export: Export, tmp_path: Path
-) -> None:
+def test_the_opm_has_the_state_before_the_burns_and_every_burn(export, tmp_path):
     io = pytest.importorskip("ccsds_ndm.ndm_io")  # under the GPL: it serves this test alone
     path = tmp_path / "plan.opm"
     path.write_text(opm_text(export), encoding="ascii")

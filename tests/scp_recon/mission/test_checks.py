@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
 from datetime import timedelta
 from typing import Any, get_args
 
@@ -15,12 +14,7 @@ from scp_recon.bodies.catalogue import J2000_TDB, packaged_body
 from scp_recon.errors import InputError
 from scp_recon.mission.checks import known
 from scp_recon.mission.checks.checks import check_plausible, check_scene
-from scp_recon.mission.checks.intervals import (
-    INTERVALS,
-    PLANNER_INTERVALS,
-    STATE_INTERVALS,
-    Interval,
-)
+from scp_recon.mission.checks.intervals import INTERVALS, PLANNER_INTERVALS, STATE_INTERVALS
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.scene import Scene
 from scp_recon.physics.two_body import two_body
@@ -63,9 +57,7 @@ REFUSED = [
 
 
 @pytest.mark.parametrize(("changes", "entry", "words"), REFUSED)
-def test_what_physics_rules_out_is_refused(
-    changes: dict[str, Any], entry: str, words: str, scenario: Scenario
-) -> None:
+def test_what_physics_rules_out_is_refused(changes, entry, words, scenario):
     """In a file copied for a body of which nothing is computed."""
     with pytest.raises(InputError) as caught:
         Mission.from_scenario(file_of(scenario, changes, name="Other"))
@@ -81,9 +73,7 @@ CONTRADICTING = [
 
 
 @pytest.mark.parametrize(("entry", "value"), CONTRADICTING)
-def test_what_contradicts_what_is_computed_is_refused(
-    entry: str, value: object, scenario: Scenario
-) -> None:
+def test_what_contradicts_what_is_computed_is_refused(entry, value, scenario):
     """In a file copied for Bennu, of which Sun and surface are known."""
     with pytest.raises(InputError, match="must agree with") as caught:
         file_of(scenario, {entry: value})
@@ -129,9 +119,7 @@ WARNED = [
 
 
 @pytest.mark.parametrize(("changes", "entry", "words"), WARNED)
-def test_what_is_unlikely_is_warned_about(
-    changes: dict[str, Any], entry: str, words: str, scenario: Scenario
-) -> None:
+def test_what_is_unlikely_is_warned_about(changes, entry, words, scenario):
     warnings = Mission.from_scenario(file_of(scenario, changes, name="Other")).warnings
     assert [w for w in warnings if w.entry == entry and words in w.given + w.expected]
     assert all(str(w).isprintable() and str(w).startswith(w.entry) for w in warnings)
@@ -151,9 +139,7 @@ def eros(scenario: Scenario, latitude: float = 10.0, year: int | None = None, **
     return Scene.of(validate_scenario(tables))
 
 
-def test_figures_of_a_packaged_body_that_are_not_its_own_are_warned_about(
-    scenario: Scenario,
-) -> None:
+def test_figures_of_a_packaged_body_that_are_not_its_own_are_warned_about(scenario):
     (warning,) = mission_of("body.gm_m3_s2=4.0").warnings
     assert str(warning) == "body.gm_m3_s2: got 4; Bennu has 4.89045"
     # C20 as fields have it, normalised; the right J2 at another radius; axes in another order.
@@ -172,7 +158,7 @@ def test_figures_of_a_packaged_body_that_are_not_its_own_are_warned_about(
     assert list(known.known_orbit(scene)) == []
 
 
-def test_a_prime_meridian_that_is_not_a_packaged_bodys_is_warned_about(scenario: Scenario) -> None:
+def test_a_prime_meridian_that_is_not_a_packaged_bodys_is_warned_about(scenario):
     """Ten degrees back; the schedule has room for the 430 s that the window comes later."""
     right = scenario.body.prime_meridian_deg
     (warning,) = mission_of(f"body.prime_meridian_deg={right - 10.0}").warnings
@@ -181,7 +167,7 @@ def test_a_prime_meridian_that_is_not_a_packaged_bodys_is_warned_about(scenario:
     assert mission_of(f"body.prime_meridian_deg={right + 361.0}").warnings == ()
 
 
-def test_a_packaged_sites_name_goes_with_its_place() -> None:
+def test_a_packaged_sites_name_goes_with_its_place():
     """Latitude and longitude swapped, in what is based on the packaged scenario."""
     (warning,) = mission_of("site.latitude_deg=41.8", "site.longitude_deg=55.9").warnings
     assert warning.entry == "site.name"
@@ -195,8 +181,8 @@ def test_a_packaged_sites_name_goes_with_its_place() -> None:
     [(0.976, 0.73, 1), (-1.2, -3.0, 1), (0.0, 0.73, 0), (0.976, 41.8, 0), (55.9, 0.73, 0)],
 )
 def test_a_site_whose_angles_are_likely_in_radians_is_warned_about(
-    scenario: Scenario, latitude: float, longitude: float, told: int
-) -> None:
+    scenario, latitude, longitude, told
+):
     changes = {"site.latitude_deg": latitude, "site.longitude_deg": longitude}
     found = scenario.replace(changes)
     scene = Scene.of(found)
@@ -214,9 +200,7 @@ def test_a_site_whose_angles_are_likely_in_radians_is_warned_about(
         (2026, [300.0, 1639.389232, 0.0], "20.4 deg off"),
     ],
 )
-def test_how_well_the_phase_of_eros_is_known_goes_with_the_verdict(
-    year: int, meridian: list[float] | None, told: str, scenario: Scenario
-) -> None:
+def test_how_well_the_phase_of_eros_is_known_goes_with_the_verdict(year, meridian, told, scenario):
     """NEAR's rate and the IAU's part after 2001; either may be given."""
     keys = [f"prime_meridian_{key}" for key in ("deg", "rate_deg_day", "acceleration_deg_day2")]
     scene = eros(scenario, year=year, **dict(zip(keys, meridian or [], strict=False)))
@@ -225,7 +209,7 @@ def test_how_well_the_phase_of_eros_is_known_goes_with_the_verdict(
     assert all(told in w.given for w in warnings)
 
 
-def test_the_slopes_of_a_long_body_are_no_question(scenario: Scenario) -> None:
+def test_the_slopes_of_a_long_body_are_no_question(scenario):
     """On Eros' ellipsoid at 30 deg north the normal is 46 deg off the direction from the centre."""
     scene = eros(scenario, latitude=30.0)
     assert angle_deg(scene.site.position_body, scene.site.normal_body) > 45.0
@@ -235,9 +219,7 @@ def test_the_slopes_of_a_long_body_are_no_question(scenario: Scenario) -> None:
 
 
 @pytest.mark.parametrize(("carried_days", "told"), [(0.0, True), (730.5, False), (700.0, True)])
-def test_a_packaged_body_is_about_where_it_would_be_outside_its_span(
-    carried_days: float, told: bool, scenario: Scenario
-) -> None:
+def test_a_packaged_body_is_about_where_it_would_be_outside_its_span(carried_days, told, scenario):
     """Two years past its elements, with the Sun of their last day, or carried on as far as that."""
     bennu = packaged_body("Bennu")
     last = bennu.span[1] - 1.0
@@ -260,9 +242,7 @@ def test_a_packaged_body_is_about_where_it_would_be_outside_its_span(
 
 
 @pytest.mark.parametrize(("fraction", "told"), [(0.0, 0), (0.001, 0), (0.09, 0), (0.3, 2)])
-def test_a_state_that_is_known_raises_no_question_and_a_guess_does(
-    fraction: float, told: int, mission: Mission
-) -> None:
+def test_a_state_that_is_known_raises_no_question_and_a_guess_does(fraction, told, mission):
     """Nor does anything of the packaged scenario."""
     warnings = mission_of(f"uncertainty.initial_sigma_fraction={fraction}").warnings
     assert [w.entry for w in warnings] == told * ["uncertainty.initial_sigma_fraction"]
@@ -279,9 +259,7 @@ def test_a_state_that_is_known_raises_no_question_and_a_guess_does(
         ("[13200.0, 16500.0]", 11.0, "local solar time", "8 and 11 h"),
     ],
 )
-def test_a_window_beyond_the_files_own_limit_is_told_with_the_worst(
-    window: str, hour: float, given: str, expected: str
-) -> None:
+def test_a_window_beyond_the_files_own_limit_is_told_with_the_worst(window, hour, given, expected):
     (warning,) = mission_of(
         f"observation.window_s={window}", f"observation.local_solar_time_max_h={hour}"
     ).warnings
@@ -290,10 +268,7 @@ def test_a_window_beyond_the_files_own_limit_is_told_with_the_worst(
     assert expected in warning.expected
 
 
-# --- how an entry was left as it was -------------------------------------------------------------
-
-
-def test_changes_of_ones_own_scenario_inherit_what_holds_only(scenario: Scenario) -> None:
+def test_changes_of_ones_own_scenario_inherit_what_holds_only(scenario):
     """Of a body of which nothing is computed, what followed from the change has to be given."""
     own = file_of(scenario, {"site.normal_body": [0.4, 0.5, 0.7]}, name="Other")
     with pytest.raises(InputError, match=r"site\.normal_body: got nothing"):
@@ -302,7 +277,7 @@ def test_changes_of_ones_own_scenario_inherit_what_holds_only(scenario: Scenario
         own.replace({"epoch.tdb": LATER})
 
 
-def test_small_moves_keep_sun_and_normal_that_are_given(scenario: Scenario) -> None:
+def test_small_moves_keep_sun_and_normal_that_are_given(scenario):
     """A metre and forty seconds, in a copied file."""
     moved = [x + 1.0 for x in scenario.site.position_body_m]
     near = {"site.position_body_m": moved, "epoch.tdb": "2020-01-21T20:34:00"}
@@ -331,21 +306,21 @@ DARK = (
         ((*WHOLE, "risk.p_chance=0.999999"), "risk.p_chance", "at least 1e-05"),
     ],
 )
-def test_it_is_refused_by_name(overrides: Sequence[str], entry: str, words: str) -> None:
+def test_it_is_refused_by_name(overrides, entry, words):
     with pytest.raises(InputError, match=re.escape(words)) as caught:
         mission_of(*overrides)
     assert caught.value.entry == entry
     reliability.count(reliability.BAD_INPUTS)
 
 
-def test_a_body_that_could_reach_the_sun_is_refused(scenario: Scenario) -> None:
+def test_a_body_that_could_reach_the_sun_is_refused(scenario):
     sun = scenario.sun.model_copy(update={"body_position_km": (1.0, 0.0, 0.0)})
     with pytest.raises(InputError, match=r"0\.5 times the way to the Sun") as caught:
         Mission.from_scenario(scenario.model_copy(update={"sun": sun}))
     assert caught.value.entry == "sun.body_velocity_km_s"
 
 
-def test_a_state_in_flight_is_not_blamed_on_the_gravity(scenario: Scenario) -> None:
+def test_a_state_in_flight_is_not_blamed_on_the_gravity(scenario):
     """About a body whose boundary states are far enough out; outside it all the same."""
     flight = {
         "at_s": 17_000.0,
@@ -360,26 +335,23 @@ def test_a_state_in_flight_is_not_blamed_on_the_gravity(scenario: Scenario) -> N
     check_plausible(Scene.of(heavy.replace({"in_flight.position_m": [800.0, 0.0, 0.0]})))
 
 
-def test_a_home_orbit_inside_the_body_is_refused_by_its_radius() -> None:
+def test_a_home_orbit_inside_the_body_is_refused_by_its_radius():
     home = {"radius_m": 250.0, "normal": [1, 0, 0], "departure_deg": [160, 160]}
     given = {"base": "recon_b", "boundary": {"home": home | {"arrival_deg": [0, 0]}}}
     with pytest.raises(InputError, match=r"^boundary\.home\.radius_m: got 250 \(from the centre"):
         Mission.from_scenario(validate_scenario(given))
 
 
-def test_as_much_may_be_asked_of_whole_flights_as_the_estimates_tell() -> None:
+def test_as_much_may_be_asked_of_whole_flights_as_the_estimates_tell():
     assert mission_of(*WHOLE, f"risk.p_chance={PROBABILITY_MAX}").scenario.risk.scope == "flight"
     mission_of("risk.allocation=exact", "risk.p_chance=0.999999999")
-
-
-# --- the rows -----------------------------------------------------------------------------------
 
 
 ROWS = (*PLANNER_INTERVALS, *INTERVALS, *STATE_INTERVALS)
 
 
 @pytest.mark.parametrize("row", ROWS, ids=lambda row: row.quantity)
-def test_the_rows_are_about_entries_of_a_scenario(row: Interval) -> None:
+def test_the_rows_are_about_entries_of_a_scenario(row):
     """And what is refused is beyond what is warned about."""
     for entry in row.entries.split():
         table: Any = Scenario

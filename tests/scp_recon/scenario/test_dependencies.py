@@ -16,7 +16,7 @@ from scp_recon.scenario.schema import Scenario
 from tests.scp_recon.scenario.test_resolution import PLACE, rock
 
 
-def test_the_documented_example_loads(tmp_path: Path) -> None:
+def test_the_documented_example_loads(tmp_path):
     page = (Path(__file__).parents[3] / "docs" / "scenario.md").read_text("utf-8")
     (tmp_path / "mine.toml").write_text(page.split("```toml\n")[1].split("```")[0], "utf-8")
     found = load_scenario(tmp_path / "mine.toml")
@@ -31,7 +31,7 @@ def chain(folder: Path, *texts: str) -> Path:
     return folder / f"{len(texts) - 1}.toml"
 
 
-def test_a_base_may_be_ones_own_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_base_may_be_ones_own_file(tmp_path, monkeypatch):
     (tmp_path / "a").mkdir()
     chain(tmp_path / "a", "[risk]\np_chance = 0.8\n", "[grid]\nstep_max_s = 100.0\n")
     (tmp_path / "top.toml").write_text('base = "a/1.toml"\nname = "top"\n', "utf-8")
@@ -43,7 +43,7 @@ def test_a_base_may_be_ones_own_file(tmp_path: Path, monkeypatch: pytest.MonkeyP
 @pytest.mark.parametrize(
     "base", ['"1.toml"', '"./0.toml"', '"no.toml"', '"/"', '""', "5", "[1]", '"a\\nb"']
 )
-def test_a_base_that_is_none_is_refused(base: str, tmp_path: Path) -> None:
+def test_a_base_that_is_none_is_refused(base, tmp_path):
     last = chain(tmp_path, "", "")
     (tmp_path / "0.toml").write_text(f"base = {base}\n", "utf-8")
     with pytest.raises(InputError) as caught:
@@ -51,14 +51,14 @@ def test_a_base_that_is_none_is_refused(base: str, tmp_path: Path) -> None:
     assert caught.value.entry == "base"
 
 
-def test_bases_come_to_an_end(tmp_path: Path) -> None:
+def test_bases_come_to_an_end(tmp_path):
     assert load_scenario(chain(tmp_path, *[""] * 8))
     with pytest.raises(InputError, match="8 files at most"):
         load_scenario(chain(tmp_path, *[""] * 12))
 
 
 @given(latitude=st.floats(-80.0, 80.0), other=st.floats(-80.0, 80.0))
-def test_a_base_is_taken_over_as_far_as_it_still_holds(latitude: float, other: float) -> None:
+def test_a_base_is_taken_over_as_far_as_it_still_holds(latitude, other):
     assume(abs(latitude - other) > 1e-3)
     first = rock(site=PLACE | {"latitude_deg": latitude})
     second = first.replace({"site.latitude_deg": other})
@@ -69,7 +69,7 @@ def test_a_base_is_taken_over_as_far_as_it_still_holds(latitude: float, other: f
     assert third.site.latitude_deg is None
 
 
-def test_another_body_inherits_nothing_of_the_first() -> None:
+def test_another_body_inherits_nothing_of_the_first():
     with pytest.raises(InputError) as caught:
         load_scenario(None, ["body.name=Rock"])
     told = str(caught.value)
@@ -78,7 +78,7 @@ def test_another_body_inherits_nothing_of_the_first() -> None:
     assert "risk.p_chance" not in told
 
 
-def test_all_missing_entries_are_told_at_once() -> None:
+def test_all_missing_entries_are_told_at_once():
     with pytest.raises(InputError) as caught:
         validate_scenario({"name": "empty", "risk": {}})
     told = str(caught.value).splitlines()[0]
@@ -95,9 +95,7 @@ def test_all_missing_entries_are_told_at_once() -> None:
         ("site.latitude_deg=95.0", "site.latitude_deg"),
     ],
 )
-def test_what_follows_from_an_entry_that_is_wrong_is_not_called_missing(
-    override: str, entry: str
-) -> None:
+def test_what_follows_from_an_entry_that_is_wrong_is_not_called_missing(override, entry):
     """It is computed once that is right."""
     with pytest.raises(InputError) as caught:
         load_scenario(None, [override, "site.longitude_deg=10.0"])
@@ -105,7 +103,7 @@ def test_what_follows_from_an_entry_that_is_wrong_is_not_called_missing(
     assert "missing" not in str(caught.value)
 
 
-def test_what_follows_from_nothing_is_told_beside_an_entry_that_is_wrong() -> None:
+def test_what_follows_from_nothing_is_told_beside_an_entry_that_is_wrong():
     tables = load_scenario().model_dump(mode="json", exclude_none=True)
     tables["epoch"]["tdb"] = "tomorrow"
     del tables["sun"], tables["risk"]["p_chance"]
@@ -113,7 +111,7 @@ def test_what_follows_from_nothing_is_told_beside_an_entry_that_is_wrong() -> No
         validate_scenario(tables)
 
 
-def test_the_graph_is_of_entries_that_a_scenario_has() -> None:
+def test_the_graph_is_of_entries_that_a_scenario_has():
     for edge in GRAPH:
         for name in (*edge.sources, *edge.followers, *filter(None, [edge.given])):
             table, _, key = name.partition(".")
@@ -121,7 +119,7 @@ def test_the_graph_is_of_entries_that_a_scenario_has() -> None:
             assert not key or key in getattr(model, "model_fields", {}), name
 
 
-def test_what_follows_may_follow_by_way_of_other_tables() -> None:
+def test_what_follows_may_follow_by_way_of_other_tables():
     """An epoch turns the prime meridian; a radius of the site is of no consequence to the body."""
     assert {"sun.body_position_km", "body.prime_meridian_deg"} <= computed_from({"epoch"})
     assert not any(entry.startswith("body.") for entry in computed_from({"site"}))

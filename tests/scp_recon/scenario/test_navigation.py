@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,7 +16,7 @@ MATRIX = f"navigation.covariance={np.diag([100.0] * 3 + [2.5e-7] * 3).tolist()}"
 RTN = "navigation.frame=rtn"
 
 
-def test_tables_that_say_nothing_are_not_written() -> None:
+def test_tables_that_say_nothing_are_not_written():
     """So that files, and hashes of plans, from before there were any stay what they were."""
     scenario = load_scenario()
     assert not {"navigation", "policy"} & scenario.model_dump(mode="json").keys()
@@ -25,7 +24,7 @@ def test_tables_that_say_nothing_are_not_written() -> None:
     assert scenario_text(same) == scenario_text(scenario)
 
 
-def test_what_is_said_is_written_and_read_again(tmp_path: Path) -> None:
+def test_what_is_said_is_written_and_read_again(tmp_path):
     told = load_scenario(None, [MATRIX, RTN, "navigation.lead_s=14400", "policy.kind=feedback"])
     file = tmp_path / "mine.toml"
     file.write_text(scenario_text(told), "utf-8")
@@ -34,7 +33,7 @@ def test_what_is_said_is_written_and_read_again(tmp_path: Path) -> None:
     assert not load_scenario(None, ["navigation.lead_s=0"]).navigation.measures
 
 
-def test_one_way_to_say_the_errors_replaces_the_other() -> None:
+def test_one_way_to_say_the_errors_replaces_the_other():
     first = load_scenario(None, [MATRIX, RTN])
     second = first.replace(
         {"navigation.sigma_position_m": 1.0, "navigation.sigma_velocity_m_s": 1e-4}
@@ -64,16 +63,14 @@ def test_one_way_to_say_the_errors_replaces_the_other() -> None:
         (["schedule.decision_lead_s=900"], "schedule.decision_lead_s", "navigation.lead_s"),
     ],
 )
-def test_what_does_not_go_is_refused_in_one_message(
-    overrides: list[str], entry: str, words: str
-) -> None:
+def test_what_does_not_go_is_refused_in_one_message(overrides, entry, words):
     with pytest.raises(InputError) as caught:
         load_scenario(None, overrides)
     assert (caught.value.entry, "\n" in caught.value.allowed) == (entry, False)
     assert words in caught.value.allowed
 
 
-def test_a_stored_flight_under_way_keeps_the_lead_that_it_was_planned_with() -> None:
+def test_a_stored_flight_under_way_keeps_the_lead_that_it_was_planned_with():
     """Of a whole flight, on which only later decisions bear, today's default counts."""
     stored = {"schedule": {"attitude_s": 1800.0, "decision_lead_s": 1800.0}, "in_flight": None}
     assert with_todays_lead(stored) == {"schedule": {"attitude_s": 1800.0}, "in_flight": None}

@@ -33,9 +33,6 @@ def file_refused(path: Path) -> InputError:
     return caught.value
 
 
-# --- what is in the package ---------------------------------------------------------------------
-
-
 PAPER = {
     "observation.site_distance_min_m": 500.0,
     "observation.site_distance_max_m": 740.0,
@@ -70,7 +67,7 @@ PAPER = {
 """Echigo et al., table of numerical parameters."""
 
 
-def test_default_is_the_papers_table(scenario: Scenario) -> None:
+def test_default_is_the_papers_table(scenario):
     assert {entry: attrgetter(entry)(scenario) for entry in PAPER} == PAPER
     assert scenario.duration_s == 34_842.0
 
@@ -100,24 +97,21 @@ def numeric_entries(model: type[BaseModel]) -> list[str]:
     return names
 
 
-def test_units_are_in_the_key_names() -> None:
+def test_units_are_in_the_key_names():
     entries = numeric_entries(Scenario)
     assert len(entries) > 35
     for name in entries:
         assert name in DIMENSIONLESS or name.endswith(UNITS + COMPOUND_UNITS), name
 
 
-def test_scenario_cannot_be_changed(scenario: Scenario) -> None:
+def test_scenario_cannot_be_changed(scenario):
     with pytest.raises(ValidationError):
         scenario.name = "other"
     with pytest.raises(ValidationError):
         scenario.risk.p_chance = 0.9
 
 
-# --- files and overrides ------------------------------------------------------------------------
-
-
-def test_a_derived_file_holds_only_what_differs(tmp_path: Path, scenario: Scenario) -> None:
+def test_a_derived_file_holds_only_what_differs(tmp_path, scenario):
     file = tmp_path / "mine.toml"
     file.write_text('base = "recon_b"\nname = "mine"\n[risk]\np_chance = 0.8\n', "utf-8")
     mine = load_scenario(file)
@@ -126,13 +120,13 @@ def test_a_derived_file_holds_only_what_differs(tmp_path: Path, scenario: Scenar
     assert mine.model_dump() == expected
 
 
-def test_a_complete_file_needs_no_base(tmp_path: Path, scenario: Scenario) -> None:
+def test_a_complete_file_needs_no_base(tmp_path, scenario):
     file = tmp_path / "whole.toml"
     file.write_text((files("scp_recon") / "data" / "recon_b.toml").read_text("utf-8"), "utf-8")
     assert load_scenario(file) == scenario
 
 
-def test_a_later_override_wins_over_an_earlier_one_and_the_file() -> None:
+def test_a_later_override_wins_over_an_earlier_one_and_the_file():
     given = {"base": "recon_b", "risk": {"p_chance": 0.8}}
     for overrides in (["risk.p_chance=0.9"], ["risk.p_chance=0.95", "risk.p_chance=0.9"]):
         assert validate_scenario(given, overrides).risk.p_chance == 0.9
@@ -153,9 +147,7 @@ def test_a_later_override_wins_over_an_earlier_one_and_the_file() -> None:
         ("body.j2=-0.01", "body.j2", -0.01),
     ],
 )
-def test_an_override_changes_one_entry(
-    override: str, path: str, value: object, scenario: Scenario
-) -> None:
+def test_an_override_changes_one_entry(override, path, value, scenario):
     changed = load_scenario(None, [override])
     found: Any = changed
     for part in path.split("."):
@@ -169,7 +161,7 @@ def test_an_override_changes_one_entry(
     assert {k for k in before if before[k] != after[k]} == {key}
 
 
-def test_epoch_may_be_a_toml_date_or_a_string(scenario: Scenario) -> None:
+def test_epoch_may_be_a_toml_date_or_a_string(scenario):
     for text in ("2020-01-21T20:33:17.184", '"2020-01-21T20:33:17.184"'):
         assert load_scenario(None, [f"epoch.tdb={text}"]) == scenario
 
@@ -181,9 +173,7 @@ def test_epoch_may_be_a_toml_date_or_a_string(scenario: Scenario) -> None:
     ball=st.sampled_from(["paper", "tangent"]) | st.integers(4, 512),
     window=st.none() | st.tuples(st.floats(0.0, 1e5), st.floats(0.0, 1e5)),
 )
-def test_json_round_trip(
-    p: float, dv: float, times: list[float], ball: str | int, window: tuple[float, float] | None
-) -> None:
+def test_json_round_trip(p, dv, times, ball, window):
     overrides = [
         f"risk.p_chance={p!r}",
         f"burns.dv_max_m_s={dv!r}",
@@ -196,8 +186,6 @@ def test_json_round_trip(
     text = json.dumps(scenario.model_dump(mode="json"))
     assert validate_scenario(json.loads(text)) == scenario
 
-
-# --- bad values ---------------------------------------------------------------------------------
 
 BAD_VALUES = [
     # override, entry, what the message shows of the value, what it says is allowed
@@ -255,9 +243,7 @@ BAD_VALUES = [
 @pytest.mark.parametrize(
     ("override", "entry", "shown", "allowed"), BAD_VALUES, ids=[case[0] for case in BAD_VALUES]
 )
-def test_a_bad_value_is_named_shown_and_answered(
-    override: str, entry: str, shown: str, allowed: str
-) -> None:
+def test_a_bad_value_is_named_shown_and_answered(override, entry, shown, allowed):
     error = refused(override)
     assert error.entry == entry
     assert shown in (error.allowed if error.given == "these values" else error.given)
@@ -267,7 +253,7 @@ def test_a_bad_value_is_named_shown_and_answered(
 
 
 @pytest.mark.parametrize("override", ["risk.p_chance.more=0.8", "burns.times_s.1=8000"])
-def test_a_table_where_a_value_belongs_is_refused(override: str) -> None:
+def test_a_table_where_a_value_belongs_is_refused(override):
     assert refused(override).entry == ".".join(override.split(".")[:2])
 
 
@@ -282,14 +268,14 @@ def test_a_table_where_a_value_belongs_is_refused(override: str) -> None:
         ("risk.xyzzy=1", "risk.xyzzy", "p_chance"),
     ],
 )
-def test_an_unknown_key_gets_the_nearest_known_one(override: str, entry: str, hint: str) -> None:
+def test_an_unknown_key_gets_the_nearest_known_one(override, entry, hint):
     error = refused(override)
     assert error.entry == entry
     assert "unknown" in error.given
     assert hint in error.allowed
 
 
-def test_every_problem_is_told_at_once_up_to_a_handful() -> None:
+def test_every_problem_is_told_at_once_up_to_a_handful():
     error = refused("risk.p_chance=2", "grid.step_max_s=0", "schedule.attitude_s=-1")
     for entry in ("risk.p_chance", "grid.step_max_s", "schedule.attitude_s"):
         assert entry in str(error)
@@ -306,7 +292,7 @@ def test_every_problem_is_told_at_once_up_to_a_handful() -> None:
         "risk.p_chance=0.8\nburns.dv_max_m_s=0.1",
     ],
 )
-def test_an_override_that_is_not_one_entry_on_one_line_is_refused(override: str) -> None:
+def test_an_override_that_is_not_one_entry_on_one_line_is_refused(override):
     error = refused(override)
     assert error.entry == "overrides"
     assert repr(override) in error.given
@@ -318,11 +304,9 @@ def test_an_override_that_is_not_one_entry_on_one_line_is_refused(override: str)
     ["1" * 400, "1" * 5000, "1e999", "0x" + "f" * 5000, "[" * 5000, "{a=" * 2000, "9999-99-99"],
     ids=["400 digits", "5000 digits", "1e999", "hexadecimal", "brackets", "tables", "no date"],
 )
-def test_monstrous_values_end_in_an_input_error(value: str) -> None:
+def test_monstrous_values_end_in_an_input_error(value):
     assert len(str(refused(f"burns.dv_max_m_s={value}"))) < 400
 
-
-# --- bad files ----------------------------------------------------------------------------------
 
 HEAD = 'base = "recon_b"\n'
 SOLUTION = '{"schema": "scp_recon.solution/2",\n"nodes": [[' + "0.5, " * 300 + "1.0]]}"
@@ -347,9 +331,7 @@ BAD_FILES: dict[str, tuple[str | bytes, str, str]] = {
 
 @pytest.mark.timeout(10)
 @pytest.mark.parametrize(("content", "entry", "words"), BAD_FILES.values(), ids=BAD_FILES)
-def test_a_bad_file_is_refused_at_once(
-    tmp_path: Path, content: str | bytes, entry: str, words: str
-) -> None:
+def test_a_bad_file_is_refused_at_once(tmp_path, content, entry, words):
     file = tmp_path / "bad.toml"
     file.write_bytes(content if isinstance(content, bytes) else content.encode())
     error = file_refused(file)
@@ -357,7 +339,7 @@ def test_a_bad_file_is_refused_at_once(
     assert re.search(words, str(error), re.DOTALL)
 
 
-def test_the_mark_that_some_editors_begin_a_file_with_is_skipped(tmp_path: Path) -> None:
+def test_the_mark_that_some_editors_begin_a_file_with_is_skipped(tmp_path):
     path = tmp_path / "mine.toml"
     path.write_text('base = "recon_b"\nname = "mine"\n', encoding="utf-8-sig")
     assert load_scenario(path).name == "mine"
@@ -366,13 +348,13 @@ def test_the_mark_that_some_editors_begin_a_file_with_is_skipped(tmp_path: Path)
 PUBLISHED = Path(__file__).parents[3] / "docs" / "scenario.schema.json"
 
 
-def test_it_is_up_to_date() -> None:
+def test_it_is_up_to_date():
     assert PUBLISHED.read_text("utf-8") == schema_text(), (
         "run python -m scp_recon schema docs/scenario.schema.json"
     )
 
 
-def test_every_entry_is_described_and_none_unknown_is_let_in() -> None:
+def test_every_entry_is_described_and_none_unknown_is_let_in():
     published = json.loads(PUBLISHED.read_text("utf-8"))
     for name, table in {"the file": published, **published["definitions"]}.items():
         assert table["additionalProperties"] is False

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -48,7 +47,7 @@ def changed(entries: dict[tuple[int, int], float]) -> Array:
 
 
 @pytest.mark.parametrize("overrides", [(*ABSOLUTE, gates()), (*covariance(DIAGONAL), gates())])
-def test_another_way_replaces_the_bases_and_back(overrides: tuple[str, ...]) -> None:
+def test_another_way_replaces_the_bases_and_back(overrides):
     base = load_scenario()
     mine = load_scenario(None, overrides)
     given = mine.uncertainty.model_dump()
@@ -58,13 +57,13 @@ def test_another_way_replaces_the_bases_and_back(overrides: tuple[str, ...]) -> 
     assert mine.replace(back) == base
 
 
-def test_what_is_not_given_is_not_written() -> None:
+def test_what_is_not_given_is_not_written():
     """So that files, and hashes of plans, from before there was a choice stay what they were."""
     expected = {"initial_sigma_fraction": 0.01, "execution_error": 0.08}
     assert load_scenario().model_dump(mode="json")["uncertainty"] == expected
 
 
-def test_a_file_with_a_base_may_change_one_number_of_the_same_way(tmp_path: Path) -> None:
+def test_a_file_with_a_base_may_change_one_number_of_the_same_way(tmp_path):
     first = load_scenario(None, [gates()])
     assert first.replace({"uncertainty.gates.magnitude_bias": 0.02}).uncertainty.gates is not None
     file = tmp_path / "mine.toml"
@@ -112,9 +111,7 @@ REFUSED = [
 
 
 @pytest.mark.parametrize(("overrides", "entry", "words"), REFUSED)
-def test_what_does_not_go_is_refused_in_one_message(
-    overrides: tuple[str, ...], entry: str, words: str
-) -> None:
+def test_what_does_not_go_is_refused_in_one_message(overrides, entry, words):
     with pytest.raises(InputError) as caught:
         Mission.from_scenario(load_scenario(None, overrides))
     assert caught.value.entry == f"uncertainty.{entry}".rstrip(".")
@@ -122,7 +119,7 @@ def test_what_does_not_go_is_refused_in_one_message(
 
 
 @pytest.mark.parametrize("missing", ["initial_sigma_fraction", "execution_error"])
-def test_nothing_given_is_refused_and_answered(missing: str) -> None:
+def test_nothing_given_is_refused_and_answered(missing):
     data: dict[str, Any] = load_scenario().model_dump(mode="json")
     del data["uncertainty"][missing]
     with pytest.raises(InputError, match=f"{missing}.*not nothing"):
@@ -136,9 +133,7 @@ def random_covariance(rng: np.random.Generator, rank: int) -> Array:
 
 
 @given(generators, st.integers(1, 6), st.sampled_from(["j2000", "sun_north", "body_fixed", "rtn"]))
-def test_the_factor_is_a_root_of_the_covariance_in_its_frame(
-    rng: np.random.Generator, rank: int, frame: str
-) -> None:
+def test_the_factor_is_a_root_of_the_covariance_in_its_frame(rng, rank, frame):
     matrix = random_covariance(rng, rank)
     scenario = load_scenario(None, [covariance(matrix)[0], f"uncertainty.initial_frame={frame}"])
     mission = Mission.from_scenario(scenario)
@@ -161,9 +156,7 @@ def test_the_factor_is_a_root_of_the_covariance_in_its_frame(
 
 
 @given(generators, st.floats(0.1, 0.9))
-def test_a_matrix_as_printed_is_taken_within_its_tolerance(
-    rng: np.random.Generator, share: float
-) -> None:
+def test_a_matrix_as_printed_is_taken_within_its_tolerance(rng, share):
     """Rounding makes a singular covariance a little indefinite and a little asymmetric."""
     matrix = random_covariance(rng, 2)
     scale = np.sqrt(np.outer(np.diag(matrix), np.diag(matrix)))
