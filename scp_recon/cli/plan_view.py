@@ -112,9 +112,12 @@ def _place(mission: Mission, time_s: float, state: Array) -> str:
     distance, speed = np.linalg.norm(position), np.linalg.norm(velocity)
     off_sun = np.rad2deg(angle(position, mission.sun_direction(time_s)))
     climb = velocity @ position / distance
+    normal = np.cross(position, velocity)
+    tilt = np.rad2deg(angle(normal, mission.sun_direction(time_s)))
     return (
         f"at {time_s:g} s {distance:.0f} m from the centre, {off_sun:.1f} deg off the Sun, "
-        f"{speed:.4f} m/s of which {climb:+.4f} upwards"
+        f"{speed:.4f} m/s of which {climb:+.4f} upwards, in a plane {min(tilt, 180.0 - tilt):.0f} deg "
+        "off the terminator's"
     )
 
 

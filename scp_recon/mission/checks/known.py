@@ -26,7 +26,7 @@ from scp_recon.errors import InputError
 from scp_recon.mission.scene import Scene
 from scp_recon.physics.frames import Rotation, unit
 from scp_recon.physics.two_body import Orbit
-from scp_recon.scenario.dependencies import PLACE, STATE
+from scp_recon.scenario.dependencies import COORDINATES, PLACE, POLE, STATE
 from scp_recon.scenario.fields import ScenarioWarning
 from scp_recon.scenario.load import base_names, packaged_scenario
 from scp_recon.scenario.resolution.agreement import angle_deg
@@ -180,19 +180,18 @@ def oblateness(scene: Scene) -> Iterator[ScenarioWarning]:
         )
 
 
-def site_angles(scene: Scene) -> Iterator[ScenarioWarning]:
-    """Warn of a latitude within 1.57 deg beside a longitude within 6.28 deg: radians, probably."""
-    site = scene.scenario.site
-    latitude, longitude = site.latitude_deg, site.longitude_deg
-    if latitude is None or longitude is None:
-        return
-    if 0.0 < abs(latitude) < 0.5 * np.pi and 0.0 < abs(longitude) < 2.0 * np.pi:
-        yield ScenarioWarning.of(
-            "site.latitude_deg",
-            f"{latitude:g} deg, and longitude {longitude:g} deg",
-            f"expected a latitude beyond {0.5 * np.pi:.2f} or a longitude beyond "
-            f"{2.0 * np.pi:.2f} deg; degrees?",
-        )
+def angles_in_radians(scene: Scene) -> Iterator[ScenarioWarning]:
+    """Warn of a site or a pole within 1.57 deg one way and 6.28 deg the other: radians, probably."""
+    for entry, other in (COORDINATES, POLE[::-1]):
+        north, east = (attrgetter(name)(scene.scenario) for name in (entry, other))
+        if north is None or east is None:
+            continue
+        if 0.0 < abs(north) < 0.5 * np.pi and 0.0 < abs(east) < 2.0 * np.pi:
+            yield ScenarioWarning.of(
+                entry,
+                f"{north:g} deg, and {other.partition('.')[2]} {east:g} deg",
+                f"expected more than {0.5 * np.pi:.2f} or {2.0 * np.pi:.2f} deg; degrees?",
+            )
 
 
 SAME_AXIS, SAME_PLANE_DEG, SAME_ECCENTRICITY = 0.01, 0.2, 0.02

@@ -176,17 +176,22 @@ def test_a_packaged_sites_name_goes_with_its_place():
     assert mission_of("site.latitude_deg=41.8", "site.longitude_deg=55.9", named).warnings == ()
 
 
+SITE_AT = "site.latitude_deg", "site.longitude_deg"
+POLE_AT = "body.pole_dec_deg", "body.pole_ra_deg"
+
+
 @pytest.mark.parametrize(
-    ("latitude", "longitude", "told"),
-    [(0.976, 0.73, 1), (-1.2, -3.0, 1), (0.0, 0.73, 0), (0.976, 41.8, 0), (55.9, 0.73, 0)],
+    ("entries", "north", "east", "told"),
+    [
+        *((SITE_AT, *row) for row in ((0.976, 0.73, 1), (-1.2, -3.0, 1), (0.0, 0.73, 0))),
+        *((SITE_AT, *row) for row in ((0.976, 41.8, 0), (55.9, 0.73, 0))),
+        (POLE_AT, -1.0535, 1.4916, 1),
+        (POLE_AT, -1.0535, 85.46, 0),
+    ],
 )
-def test_a_site_whose_angles_are_likely_in_radians_is_warned_about(
-    scenario, latitude, longitude, told
-):
-    changes = {"site.latitude_deg": latitude, "site.longitude_deg": longitude}
-    found = scenario.replace(changes)
-    scene = Scene.of(found)
-    warnings = [w for w in check_scene(scene) if w.entry == "site.latitude_deg"]
+def test_angles_that_are_likely_in_radians_are_warned_about(entries, north, east, told, scenario):
+    scene = Scene.of(scenario.replace(dict(zip(entries, (north, east), strict=True))))
+    warnings = [w for w in check_scene(scene) if w.entry == entries[0]]
     assert len(warnings) == told
     assert all("degrees?" in w.expected for w in warnings)
 
