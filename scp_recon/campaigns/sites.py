@@ -99,7 +99,12 @@ def noons_of(scenario: Scenario) -> Callable[[float], float]:
     """Make a function from east longitude, deg, to the first local solar noon, s past the epoch.
 
     Newton's method on the Sun's body-fixed longitude.
+
+    Raises:
+        InputError: of a body that tumbles, which has no days.
     """
+    if scenario.body.attitude is not None:
+        raise InputError("body.attitude", "a body that tumbles", "has no noons to begin a map at")
     rotation, sun = Scene.of(scenario).rotation, scenario.sun
     day = 2.0 * np.pi / abs(rotation.rate)
     to_body = two_body(sun.body_position_km, sun.body_velocity_km_s, (0.0, 3.0 * day))

@@ -232,10 +232,18 @@ def scenario_text(scenario: Scenario) -> str:
     return "\n".join(_lines("", tables)) + "\n"
 
 
+def _value(value: Any) -> str:
+    """A value in TOML; of a long list each item in a line, as long lines are not read."""
+    text = json.dumps(value)
+    if text.count(".") <= DOTS_MAX:
+        return text
+    return "[\n" + ",\n".join(json.dumps(item) for item in value) + "\n]"
+
+
 def _lines(name: str, table: Mapping[str, Any]) -> Iterator[str]:
     inner = {key: value for key, value in table.items() if isinstance(value, dict)}
     if name:
         yield f"\n[{name}]"
-    yield from (f"{key} = {json.dumps(table[key])}" for key in table if key not in inner)
+    yield from (f"{key} = {_value(table[key])}" for key in table if key not in inner)
     for key, value in inner.items():
         yield from _lines(f"{name}.{key}" if name else key, value)

@@ -5,7 +5,7 @@ the variational equations with a complex-step gravity gradient; every original c
 polytope) is evaluated between the nodes too, and every joint probability is estimated by Monte
 Carlo of the nonlinear dynamics. The samples fly with the planner's fixed-step integrator for speed;
 some of them are flown again with the adaptive one. Common ground is what defines the problem: the
-acceleration, the body's rotation, the Sun's direction and the boundary states.
+acceleration, the body's rotation, its companion's orbit, the Sun's direction and the boundary states.
 """
 
 from __future__ import annotations

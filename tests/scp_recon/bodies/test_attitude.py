@@ -13,13 +13,14 @@ from scipy.spatial.transform import Rotation as SciPyRotation
 from formulations.arrays import Array
 from scp_recon.bodies.attitude import AttitudeTable, read_attitude
 from scp_recon.bodies.catalogue import J2000_TDB, OBLIQUITY, packaged_body
+from scp_recon.campaigns.sites import noons_of
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.scene import Scene
 from scp_recon.planning.initial_guess import ballistic
 from scp_recon.planning.ipopt import casadi_arcs
 from scp_recon.planning.planner import Plan, plan
-from scp_recon.scenario.load import load_scenario
+from scp_recon.scenario.load import load_scenario, packaged_scenario, scenario_text
 from tests.scenarios import COARSE
 from tests.scp_recon.support import mission_of
 
@@ -76,6 +77,17 @@ def test_the_table_goes_with_the_scenario_and_its_epoch(tabulated: Mission) -> N
     assert later.body.pole_ra_deg == pytest.approx(scenario.body.pole_ra_deg, abs=1e-6)
     matrices = Scene.of(later).rotation.body_to_j2000(0.0), tabulated.rotation.body_to_j2000(120.0)
     assert matrices[0] == pytest.approx(matrices[1], abs=1e-9)
+
+
+def test_a_table_is_written_with_its_scenario_and_read(tmp_path: Path) -> None:
+    scenario, file = packaged_scenario("apophis"), tmp_path / "scenario.toml"
+    file.write_text(scenario_text(scenario), "utf-8")
+    assert load_scenario(file) == scenario
+
+
+def test_a_body_that_tumbles_has_no_noons() -> None:
+    with pytest.raises(InputError, match="no noons"):
+        noons_of(packaged_scenario("apophis"))
 
 
 def test_a_flight_beyond_the_table_is_refused(uniform: str) -> None:

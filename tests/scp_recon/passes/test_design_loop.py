@@ -147,6 +147,18 @@ def test_kingfisher_as_packaged_has_a_pass_with_feedback():
     assert plan.total_dv_m_s < cost_m_s < 0.56
 
 
+@nightly
+@pytest.mark.parametrize("name", ["didymos", "apophis"])
+def test_other_bodies_as_packaged_have_a_certified_pass(name):
+    """About a companion on its orbit, and over a site that tumbles; fresh flights bear it out."""
+    scenario = load_scenario(name)
+    plan = sr.design(scenario).plan
+    assert plan.certificate.certifies(scenario.risk.p_chance)
+    assert sr.verify(plan).ok
+    whole = sr.fly(plan, samples=10_000, seed=7).whole_flight
+    assert whole.high > scenario.risk.p_chance
+
+
 @pytest.mark.parametrize(("mapped", "furthest"), [(set(), 0), ({1}, 1)])
 def test_where_none_has_a_plan_the_one_that_came_furthest_is_told(monkeypatch, mapped, furthest):
     """Where the second is mapped it is short by 0.2, and the first one's map by 1."""
