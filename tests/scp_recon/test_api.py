@@ -7,7 +7,6 @@ import doctest
 import pickle
 import re
 import runpy
-import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import replace
@@ -71,14 +70,6 @@ def test_docstrings_run(name, tmp_path, monkeypatch):
     (found,) = doctest.DocTestFinder(recurse=False).find(getattr(sr, name), name, part)
     assert found.examples
     assert doctest.DocTestRunner().run(found).failed == 0
-
-
-def test_importing_the_package_imports_nothing_heavy():
-    code = (
-        "import sys, scp_recon as sr; heavy = {'cvxpy', 'numpy', 'pydantic'} & set(sys.modules); "
-        "assert not heavy, heavy; assert callable(sr.load_scenario); assert 'plan' in dir(sr)"
-    )
-    subprocess.run([sys.executable, "-W", "error", "-c", code], check=True, cwd=PROJECT, timeout=60)
 
 
 def test_a_plan_speaks_si(default_plan, solution):

@@ -24,8 +24,6 @@ from formulations.nlp.solve import (
     QUASI_NEWTON,
     VARIANTS,
     NlpOutcome,
-    Settings,
-    Variant,
     paper_covariance,
     scaled_covariance,
     solve_nlp,
@@ -433,13 +431,6 @@ def test_only_ctrl_c_is_called_an_interrupt(coarse, by_hand, monkeypatch):
     start = Start(initial_guess.cold(coarse.mission))
     result = solve_nlp(coarse.problem, coarse.arcs, None, start, VARIANTS["shooting"])
     assert result.outcome is (NlpOutcome.INTERRUPTED if by_hand else NlpOutcome.FAILED)
-
-
-def test_a_limit_is_said(coarse):
-    brief = Variant(SingleShooting(), p3=replace(EXACT, max_iterations=2), p2=Settings())
-    start = Start(initial_guess.cold(coarse.mission))
-    result = solve_nlp(coarse.problem, coarse.arcs, None, start, brief)
-    assert result.outcome is NlpOutcome.LIMIT
 
 
 def test_p2_needs_a_factor_to_start_from(coarse):

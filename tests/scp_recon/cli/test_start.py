@@ -45,12 +45,3 @@ def test_ctrl_c_during_an_import_ends_in_one_line(late, command):
     )
     assert (done.returncode, done.stdout, done.stderr) == (130, "", "\ninterrupted\n")
     reliability.count(reliability.FAULTS)
-
-
-def test_what_stands_before_the_first_line_of_a_command_is_light():
-    """Until `exit_on_sigint` has run, Ctrl-C ends as Python ends it."""
-    code = "import scp_recon.cli.command, sys; print(*{'numpy', 'rich', 'pydantic'} & set(sys.modules))"
-    done = subprocess.run(
-        [sys.executable, "-c", code], cwd=PROJECT, capture_output=True, text=True, check=True
-    )
-    assert done.stdout.strip() == ""
