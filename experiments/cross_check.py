@@ -111,7 +111,7 @@ def planners(mission: Mission) -> Coaster:
 def forces_of(mission: Mission, name: str) -> ForceModel:
     """The planner's forces of a name, SI."""
     if name == PLAIN[3]:
-        return mission.true_forces
+        return mission.true_forces("harmonics")
     kept = mission.forces
     if "J2" not in name:
         kept = replace(kept, j2_strength=0.0)

@@ -20,6 +20,7 @@ from scp_recon.errors import (
     whole_number,
 )
 from scp_recon.files import check_writable, only_run_in, unwritable
+from scp_recon.mission.scene import TruthModel
 from scp_recon.monte_carlo.flights import (
     LIMITS,
     SAMPLES_MAX,
@@ -35,7 +36,7 @@ from scp_recon.monte_carlo.flights import (
 )
 from scp_recon.monte_carlo.observation_time import ALL
 from scp_recon.monte_carlo.replans import replans
-from scp_recon.monte_carlo.sampling import AnyPolicy, ErrorModel, PolicyKind, TruthModel
+from scp_recon.monte_carlo.sampling import AnyPolicy, ErrorModel, PolicyKind
 from scp_recon.monte_carlo.summary import FILE_NAME, Interval, Summary, summarise
 from scp_recon.results.solution import Solution, require_whole_flight
 from scp_recon.scp.status import Status
@@ -123,8 +124,9 @@ def fly(
         seed: of all draws.
         until: stop when every joint probability's interval is this narrow, e.g. 0.005; where 10,000
             flights leave one wider, these probabilities are of further flights, few of many draws.
-        truth: gravity as the "planner" has it, or all "harmonics" turning with the body: of
-            body.gravity_file, or degree 8 of a packaged field.
+        truth: gravity as the "planner" has it, or turning with the body all "harmonics", of
+            body.gravity_file or degree 8 of a packaged field, or a homogeneous "polyhedron", of
+            body.solid_file or the ellipsoid body.radii_m.
         errors: of the burns: "componentwise", or "gates", by magnitude and pointing (default: the
             scenario's).
         policy: what burns are commanded: "open", those planned; "replan", planned again before each

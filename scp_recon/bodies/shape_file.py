@@ -18,9 +18,13 @@ BYTES_MAX = 400_000_000
 
 
 def read_shape(
-    path: Path, unit: str | None, normal_radius_m: float = 0.0, naif_id: int | None = None
+    path: Path,
+    unit: str | None,
+    normal_radius_m: float = 0.0,
+    naif_id: int | None = None,
+    entry: str = ENTRY,
 ) -> Mesh:
-    """Read a DSK (.bds) of the body `naif_id`, or an OBJ in a unit, "m" or "km".
+    """Read a DSK (.bds) of the body `naif_id`, or an OBJ in a unit, "m" or "km", named by an entry.
 
     Raises:
         InputError: if the file cannot be read, is no mesh of triangles, or its unit is not given.
@@ -32,20 +36,20 @@ def read_shape(
             raise InputError(
                 "body.shape_unit", "nothing", 'must be "m" or "km": an OBJ has no units'
             )
-        vertices, facets = _read_obj(path)
+        vertices, facets = _read_obj(path, entry)
         vertices = vertices * {"m": 1.0, "km": 1000.0}[unit]
     if len(facets) < 4 or facets.min() < 0 or facets.max() >= len(vertices):
-        raise InputError(ENTRY, str(path), "must be facets of its own vertices, four at least")
+        raise InputError(entry, str(path), "must be facets of its own vertices, four at least")
     if not np.isfinite(vertices).all() or np.abs(vertices).max() > 1e12:
-        raise InputError(ENTRY, str(path), "must have finite coordinates")
+        raise InputError(entry, str(path), "must have finite coordinates")
     return Mesh(vertices, facets, normal_radius_m)
 
 
-def _read_obj(path: Path) -> tuple[np.ndarray, np.ndarray]:
+def _read_obj(path: Path, entry: str) -> tuple[np.ndarray, np.ndarray]:
     """Parse vertices and triangles; polygons become fans, textures and normals are ignored."""
     vertices: list[list[float]] = []
     facets: list[tuple[int, int, int]] = []
-    lines = read_text(path, f"{ENTRY} {path}", "shape model", BYTES_MAX).splitlines()
+    lines = read_text(path, f"{entry} {path}", "shape model", BYTES_MAX).splitlines()
     for number, line in enumerate(lines, start=1):
         kind, *values = line.split() or [""]
         try:
@@ -59,10 +63,10 @@ def _read_obj(path: Path) -> tuple[np.ndarray, np.ndarray]:
                 facets += [(corners[0], *pair) for pair in itertools.pairwise(corners[1:])]
         except (ValueError, OverflowError):
             raise InputError(
-                ENTRY, f"{path}, line {number}: {line[:60]!r}", "must be an OBJ of v and f lines"
+                entry, f"{path}, line {number}: {line[:60]!r}", "must be an OBJ of v and f lines"
             ) from None
     try:
         corners_of = np.array(facets, dtype=np.intp).reshape(-1, 3)
     except OverflowError:
-        raise InputError(ENTRY, str(path), "must be an OBJ of v and f lines") from None
+        raise InputError(entry, str(path), "must be an OBJ of v and f lines") from None
     return np.array(vertices, dtype=float).reshape(-1, 3), corners_of

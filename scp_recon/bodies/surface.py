@@ -5,7 +5,7 @@ Body-fixed, m. Latitudes are planetocentric: of the position vector, not of the 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -36,6 +36,28 @@ class Ellipsoid:
         position = direction / np.linalg.norm(direction / self.radii_m)
         gradient = position / self.radii_m**2
         return position, gradient / np.linalg.norm(gradient)
+
+    def tessellated(self, halvings: int) -> Mesh:
+        """A mesh of 8 * 4^halvings facets of the same volume: an octahedron whose sides are halved.
+
+        It has the ellipsoid's three planes of symmetry.
+        """
+        signs = 1.0 - 2.0 * np.array(list(np.ndindex(2, 2, 2)))
+        corners = signs[:, :, None] * np.eye(3)
+        mirrored = signs.prod(axis=1) < 0.0
+        corners[mirrored] = corners[mirrored, ::-1]
+        for _ in range(halvings):
+            a, b, c = np.moveaxis(corners, 1, 0)
+            ab, bc, ca = (x + y for x, y in ((a, b), (b, c), (c, a)))
+            parts = [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)]
+            corners = np.concatenate([np.stack(part, axis=1) for part in parts])
+            corners /= np.linalg.norm(corners, axis=2, keepdims=True)
+        vertices, facets = np.unique(
+            corners.reshape(-1, 3).round(12) + 0.0, axis=0, return_inverse=True
+        )
+        mesh = Mesh(vertices * self.radii_m, facets.reshape(-1, 3))
+        full = 4.0 / 3.0 * np.pi * float(self.radii_m.prod())
+        return replace(mesh, vertices_m=mesh.vertices_m * np.cbrt(full / Solid.of(mesh).volume_m3))
 
 
 class OpenShapeError(ValueError):

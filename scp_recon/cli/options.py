@@ -145,7 +145,7 @@ ROWS: dict[str, dict[str, Any]] = {
         "six",
     },
     "study": {"type": Path, "metavar": "STUDY", "help": "TOML file; see docs/campaigns.md"},
-    "truth": {"metavar": "planner|harmonics"},
+    "truth": {"metavar": "planner|harmonics|polyhedron"},
     "errors": {"metavar": "componentwise|gates"},
     "format": {"metavar": "oem|spk|ck|csv|parquet"},
     "until": {

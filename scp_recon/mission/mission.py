@@ -19,12 +19,21 @@ from formulations.problem.feedback import Feedback
 from formulations.problem.flyby import FlybyProblem
 from formulations.problem.polytopes import ball, paper_ball
 from scp_recon.bodies.catalogue import AU_KM
+from scp_recon.bodies.surface import Mesh
 from scp_recon.errors import InputError
 from scp_recon.mission.checks.checks import check_plausible, check_scene, check_state, check_window
 from scp_recon.mission.constraints import Limit, observation_limits, state_constraints
 from scp_recon.mission.feedback import check_feedback, felt_cut_offs_s, require_open_loop
 from scp_recon.mission.grid import RK4_STEP_MAX_S, Units, make_grid
-from scp_recon.mission.scene import Scene, execution_errors, planned_field, truth_field
+from scp_recon.mission.scene import (
+    Scene,
+    TruthModel,
+    execution_errors,
+    is_planned_as_solid,
+    planned_field,
+    solid_of,
+    truth_field,
+)
 from scp_recon.mission.schedule import (
     BURNS_TO_MEET,
     MISS_WEIGHT,
@@ -40,6 +49,7 @@ from scp_recon.physics.flow import GridFlow
 from scp_recon.physics.forces import ForceModel, cannonball_srp
 from scp_recon.physics.frames import Rotation
 from scp_recon.physics.harmonics import HarmonicField, TurningField
+from scp_recon.physics.polyhedron import PolyhedronField
 from scp_recon.physics.two_body import lambert
 from scp_recon.scenario.fields import ScenarioWarning
 from scp_recon.scenario.schema import Risk, Scenario
@@ -178,10 +188,38 @@ class Mission:
         """Forces with which it is planned, SI, J2000."""
         return self._forces(planned_field(self.scenario))
 
+    def true_forces(self, truth: TruthModel) -> ForceModel:
+        """Forces with which flights are flown: those of the plan, or with another gravity.
+
+        Raises:
+            InputError: if the body has no field, or its shape is not known.
+        """
+        if truth == "harmonics":
+            return self._forces(self.truth_field)
+        if truth == "planner":
+            return self.forces
+        field = PolyhedronField(
+            self.scenario.body.gm_m3_s2, self.solid.vertices_m, self.solid.facets
+        )
+        turning = TurningField(field, self.rotation)
+        return replace(self._forces(None), gm=0.0, j2_strength=0.0, field=turning)
+
+    def true_gravity(self, truth: TruthModel) -> str:
+        """The gravity with which flights are flown, in words."""
+        if truth == "planner":
+            return self.planned_gravity
+        if truth == "harmonics":
+            return self._in_full(f"harmonics to degree {len(self.truth_field.c) - 1}")
+        return self._in_full(f"a homogeneous polyhedron of {len(self.solid.facets)} facets")
+
     @cached_property
-    def true_forces(self) -> ForceModel:
-        """The same with all of the body's gravity field."""
-        return self._forces(self.truth_field)
+    def solid(self) -> Mesh:
+        """The body as a homogeneous polyhedron.
+
+        Raises:
+            InputError: if its shape is not known.
+        """
+        return solid_of(self.scenario.body)
 
     @property
     def planned_gravity(self) -> str:
@@ -189,7 +227,13 @@ class Mission:
         body = self.scenario.body
         own = "point mass and J2"
         if body.planned_degree is not None:
-            own = f"harmonics to degree {body.planned_degree}"
+            of = " of a homogeneous solid" if is_planned_as_solid(body) else ""
+            own = f"harmonics{of} to degree {body.planned_degree}"
+        return self._in_full(own)
+
+    def _in_full(self, own: str) -> str:
+        """Words of the body's own gravity, with how it moves and what pulls beside it."""
+        body = self.scenario.body
         if body.attitude is not None:
             own += " that tumble with the body"
         return own if body.companion is None else f"{own}, and the pull of {body.companion.name}"

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -16,6 +17,7 @@ from formulations.linearisation.factor import factor_of
 from formulations.problem.execution_errors import ComponentwiseErrors, ExecutionErrors, GatesErrors
 from scp_recon.bodies.attitude import AttitudeTable
 from scp_recon.bodies.catalogue import packaged_body
+from scp_recon.bodies.surface import Ellipsoid, Mesh
 from scp_recon.errors import InputError, option
 from scp_recon.mission.windows import Lighting
 from scp_recon.physics.companion import Companion
@@ -25,6 +27,8 @@ from scp_recon.physics.harmonics import HarmonicField
 from scp_recon.scenario.body import Body
 from scp_recon.scenario.schema import Scenario
 
+TruthModel = Literal["planner", "harmonics", "polyhedron"]
+"""Gravity with which flights are flown: the plan's, all harmonics, or the homogeneous solid's."""
 ALONG = 1e-6
 """Sine of the angle between position and velocity below which they span no plane."""
 
@@ -278,9 +282,12 @@ def planned_field(scenario: Scenario) -> HarmonicField | None:
     Raises:
         InputError: as `truth_field`, and if the body's field has no such degree.
     """
-    degree = scenario.body.planned_degree
+    body, degree = scenario.body, scenario.body.planned_degree
     if degree is None:
         return None
+    if is_planned_as_solid(body):
+        mesh = solid_of(body, PLANNED)
+        return HarmonicField.of_solid(mesh, body.gm_m3_s2, body.reference_radius_m, degree)
     field = truth_field(scenario, PLANNED)
     most = len(field.c) - 1
     if degree > most:
@@ -289,6 +296,31 @@ def planned_field(scenario: Scenario) -> HarmonicField | None:
 
 
 PLANNED = "body.planned_degree"
+
+
+def is_planned_as_solid(body: Body) -> bool:
+    """Whether harmonics that are planned with are those of the homogeneous solid: no field is known."""
+    known = body.gravity is not None or packaged_body(body.name) is packaged_body(FIELD_BODY)
+    return not known and (body.solid is not None or body.radii_m is not None)
+
+
+def solid_of(body: Body, needed_by: str = option("truth", "polyhedron")) -> Mesh:
+    """The body as a homogeneous polyhedron: that of `body.solid_file`, else the ellipsoid's.
+
+    Raises:
+        InputError: if the body has neither.
+    """
+    if body.solid is not None:
+        return Mesh(np.array(body.solid.vertices_m), np.array(body.solid.facets, dtype=np.intp))
+    if body.radii_m is None:
+        allowed = f"must name a shape model, or body.radii_m be given, for {needed_by}"
+        raise InputError("body.solid_file", "nothing", allowed)
+    return Ellipsoid(np.array(body.radii_m)).tessellated(HALVINGS)
+
+
+HALVINGS = 3
+"""Of the octahedron that becomes an ellipsoid: 512 facets. Of Itokawa's, at 500 m, 3e-4 of the pull is
+lost by that."""
 
 
 def truth_field(scenario: Scenario, needed_by: str = option("truth", "harmonics")) -> HarmonicField:

@@ -19,7 +19,7 @@ from scp_recon.jobs.processes import Limits, Processes
 from scp_recon.jobs.store import Store, code
 from scp_recon.mission.constraints import companion_distance_m
 from scp_recon.mission.mission import Mission
-from scp_recon.mission.scene import errors_of_kind
+from scp_recon.mission.scene import TruthModel, errors_of_kind
 from scp_recon.monte_carlo.estimates import Estimate, Tally, proportion
 from scp_recon.monte_carlo.narrow import FlightsAtLooks, Narrowed, narrow
 from scp_recon.monte_carlo.observation_time import ALL, SCIENCE, joint_holds, time_held
@@ -28,7 +28,6 @@ from scp_recon.monte_carlo.sampling import (
     AnyPolicy,
     ErrorModel,
     PolicyKind,
-    TruthModel,
     corrections_of,
     fly_block,
     policy_kind,
@@ -89,8 +88,7 @@ class FlightConfig:
         if self.errors is not None:
             one_of("errors", self.errors, get_args(ErrorModel))
         errors_of_kind(self.mission.scenario, self.errors)
-        if self.truth == "harmonics":
-            _ = self.mission.truth_field
+        _ = self.mission.true_gravity(self.truth)
 
     @property
     def looks_s(self) -> Array:

@@ -18,7 +18,7 @@ from formulations.linearisation.linearisation import Linearisation
 from formulations.risk.strata import Allocation, Counted, Survey, allocate
 from scp_recon.jobs.job import Executor, Job, in_order
 from scp_recon.mission.mission import Mission
-from scp_recon.mission.scene import errors_of_kind
+from scp_recon.mission.scene import TruthModel, errors_of_kind
 from scp_recon.monte_carlo.closed_loop import MEASURED
 from scp_recon.monte_carlo.estimates import CONFIDENCE, Estimate, of_strata, proportion
 from scp_recon.monte_carlo.law import Law, blocks_of
@@ -26,7 +26,6 @@ from scp_recon.monte_carlo.law_in_time import CountsInTime, DrawsInTime, Events,
 from scp_recon.monte_carlo.observation_time import ALL, SCIENCE, joint_holds
 from scp_recon.monte_carlo.sampling import (
     ErrorModel,
-    TruthModel,
     fly_draws,
     number_of_sources,
 )

@@ -11,14 +11,13 @@ import numpy as np
 from formulations.arrays import Array, Booleans
 from scp_recon.mission.grid import RK4_STEP_MAX_S, make_grid
 from scp_recon.mission.mission import Mission
-from scp_recon.mission.scene import errors_of_kind
+from scp_recon.mission.scene import TruthModel, errors_of_kind
 from scp_recon.monte_carlo.closed_loop import MEASURED, ClosedLoop, due
 from scp_recon.monte_carlo.replans import Replan, ReplanLoop, Replans
 from scp_recon.physics.flow import advance, interpolate
 from scp_recon.physics.forces import accelerations
 from scp_recon.results.policy import Correction, Policy
 
-TruthModel = Literal["planner", "harmonics"]
 ErrorModel = Literal["componentwise", "gates"]
 AnyPolicy = Policy | Replans
 PolicyKind = Literal["open", "replan", "feedback"]
@@ -115,10 +114,11 @@ def fly_draws(
     The initial state is Gaussian about the mission's. A burn is executed with the scenario's errors:
     dv (1 + beta w) by component with w standard normal (Echigo et al., eq. 3), or Gates' model.
     With `errors` = "gates" Gates' model replaces the former by its isotropic counterpart: errors of
-    beta in magnitude and of beta rad about each axis across. The forces are those of the plan, or with
-    "harmonics" the whole gravity field turning with the body. Integration steps depend on the burns'
-    times alone; states at the ascending `times_s` are interpolated. A policy corrects burns, or plans
-    them again; their errors are those of the commanded burn.
+    beta in magnitude and of beta rad about each axis across. The forces are those of the plan, or have
+    another gravity turning with the body: with "harmonics" the whole field, with "polyhedron" that of a
+    homogeneous solid. Integration steps depend on the burns' times alone; states at the ascending
+    `times_s` are interpolated. A policy corrects burns, or plans them again; their errors are those of
+    the commanded burn.
 
     Raises:
         InputError: if the scenario's errors have no such counterpart.
@@ -219,7 +219,7 @@ def sample_positions(
 
 def _flow(mission: Mission, truth: TruthModel) -> Flow:
     """Flow of positions and velocities (3, flights) from a time over a duration."""
-    forces = mission.true_forces if truth == "harmonics" else mission.forces
+    forces = mission.true_forces(truth)
 
     def flow(r: Array, v: Array, start: float, duration: float) -> tuple[Array, Array]:
         def acceleration(at: Array, elapsed: float) -> Array:

@@ -12,10 +12,11 @@ from scipy.special import chdtri
 
 from formulations.arrays import Array
 from scp_recon.files import write_atomically
+from scp_recon.mission.scene import TruthModel
 from scp_recon.monte_carlo.estimates import CONFIDENCE, Estimate, Tally, proportion
 from scp_recon.monte_carlo.flights import FlightTally
 from scp_recon.monte_carlo.observation_time import ALL, SCIENCE
-from scp_recon.monte_carlo.sampling import ErrorModel, PolicyKind, TruthModel
+from scp_recon.monte_carlo.sampling import ErrorModel, PolicyKind
 from scp_recon.results.policy import Correction
 from scp_recon.results.read import File, read_file
 from scp_recon.results.solution import Solution
@@ -220,7 +221,9 @@ class Summary(File):
         plan_hash: of the plan flown.
         samples: flights.
         seed: of their errors.
-        truth: gravity that they felt, "planner" or "harmonics".
+        truth: gravity that they felt, "planner", "harmonics" or "polyhedron".
+        planned_gravity: with which the plan was made, in words; null in older files.
+        flown_gravity: that which they felt, in words; null in older files.
         errors: model of the burns' errors, "componentwise" or "gates".
         policy: that commanded the burns, "open", "replan" or "feedback"; null in older files.
         confidence: of all intervals, 0.95.
@@ -242,6 +245,8 @@ class Summary(File):
     samples: Count
     seed: Count
     truth: TruthModel
+    planned_gravity: Line | None = None
+    flown_gravity: Line | None = None
     errors: ErrorModel
     policy: PolicyKind | None = None
     confidence: float
@@ -338,6 +343,8 @@ def summarise(flown: FlightTally, solution: Solution) -> Summary:
         samples=flown.samples,
         seed=config.seed,
         truth=config.truth,
+        planned_gravity=config.mission.planned_gravity,
+        flown_gravity=config.mission.true_gravity(config.truth),
         errors=config.errors or config.mission.scenario.uncertainty.errors,
         policy=config.policy_kind,
         confidence=CONFIDENCE,

@@ -1,4 +1,4 @@
-"""Spherical harmonics of a rotating body, with the first and second derivatives of their pull."""
+"""Gravity that turns with its body: spherical harmonics, with the derivatives of their pull."""
 
 from __future__ import annotations
 
@@ -14,7 +14,9 @@ import numpy as np
 import numpy.typing as npt
 
 from formulations.arrays import Array
+from scp_recon.bodies.surface import Mesh
 from scp_recon.physics.frames import Rotation
+from scp_recon.physics.polyhedron import PolyhedronField
 
 Coefficients = npt.NDArray[np.complex128]
 """C - i S of functions that are sums of Re[(C - i S)(V + i W)], shape (..., n + 1, n + 1)."""
@@ -59,6 +61,34 @@ class HarmonicField:
     def zonal(cls, gm: float, radius: float, j2: float) -> HarmonicField:
         """Point mass and J2."""
         return cls.of_rows(gm, radius, 2, [(2, 0, -j2 / sqrt(5.0), 0.0)])
+
+    @classmethod
+    def of_solid(cls, mesh: Mesh, gm: float, radius: float, degree: int) -> HarmonicField:
+        """Field of a homogeneous solid, outside the sphere about it.
+
+        A solid harmonic of degree n is homogeneous: over the tetrahedron from the origin to a facet its
+        mean is 3 / (n + 3) of that over the facet, which Gauss's rule gives exactly.
+        """
+        corners = mesh.vertices_m[mesh.facets] / radius
+        volumes = np.linalg.det(corners)
+        nodes, weights = np.polynomial.legendre.leggauss((degree + 3) // 2)
+        u, v = np.meshgrid(0.5 + 0.5 * nodes, 0.5 + 0.5 * nodes, indexing="ij")
+        weight = (0.5 * np.outer(weights, weights) * u).ravel()
+        shares = np.stack([1.0 - u, u * (1.0 - v), u * v], axis=-1).reshape(-1, 3)
+        x, y, z = np.einsum("qk,fki->iqf", shares, corners)
+        rho = x * x + y * y + z * z
+        c, s = np.zeros((2, degree + 1, degree + 1))
+        sectoral = np.ones_like(x + 1j * y)
+        for m in range(degree + 1):
+            below, this = np.zeros_like(sectoral), sectoral
+            for n in range(m, degree + 1):
+                mean = 3.0 / (n + 3) * (weight @ this) @ volumes / volumes.sum()
+                mean *= (2.0 - (m == 0)) * factorial(n - m) / factorial(n + m)
+                c[n, m], s[n, m] = mean.real, mean.imag
+                above = (2 * n + 1) * z * this - (n + m) * rho * below
+                below, this = this, above / (n + 1 - m)
+            sectoral = (2 * m + 1) * (x + 1j * y) * sectoral
+        return cls(gm, radius, c, s)
 
     def normalised(self) -> tuple[Array, Array]:
         """Fully normalised coefficients, shape (n + 1, n + 1) each."""
@@ -181,7 +211,7 @@ class TurningField:
         rotation: of the body.
     """
 
-    field: HarmonicField
+    field: HarmonicField | PolyhedronField
     rotation: Rotation
 
     def in_units(self, length: float, time: float) -> TurningField:

@@ -254,8 +254,9 @@ def observation_times_table(summary: Summary) -> Table:
             for name, held in summary.held_s.items()
         ),
         key="flights",
-        note=f"{summary.samples} flights, seed {summary.seed}, truth: {summary.truth}, "
-        f"{summary.errors} errors, as in montecarlo.json.",
+        note=f"{summary.samples} flights, seed {summary.seed}, {summary.errors} errors, planned with "
+        f"{summary.planned_gravity or 'the plan'}, flown with "
+        f"{summary.flown_gravity or summary.truth}, as in montecarlo.json.",
     )  # fmt: skip
 
 

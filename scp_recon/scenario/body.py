@@ -28,11 +28,14 @@ DEGREE_MAX = 20
 """Largest degree of a gravity field: a file's coefficients above it are left out."""
 PLANNED_MAX = 8
 """Largest degree with which flights are planned: the paper's ground truth has no more."""
+FACETS_MAX = 20_000
+"""Largest number of facets of a solid: 10,000 flights about it take hours."""
 
 Path = Annotated[Line, Field(min_length=1, max_length=4000)]
 Degree = Annotated[int, Field(ge=1, le=DEGREE_MAX)]
 Order = Annotated[int, Field(ge=0, le=DEGREE_MAX)]
 Coefficient = Annotated[float, Field(ge=-1, le=1)]
+Corner = Annotated[int, Field(ge=0, lt=FACETS_MAX)]
 
 
 class GravityField(Section):
@@ -110,11 +113,23 @@ class Companion(Section):
     """TDB of the mean anomaly, such as 2022-09-26T23:15:33; no time zone."""
 
 
+class Solid(Section):
+    """A homogeneous solid: closed, body-fixed, its facets turning outward."""
+
+    vertices_m: Annotated[tuple[Vector, ...], Field(min_length=4, max_length=FACETS_MAX)]
+    """Corners in m."""
+    facets: Annotated[
+        tuple[tuple[Corner, Corner, Corner], ...], Field(min_length=4, max_length=FACETS_MAX)
+    ]
+    """Three corners each, counted from 0."""
+
+
 class Body(Section):
     """The asteroid: gravity and IAU rotation."""
 
     name: Name
-    """Name. That of a packaged body (Bennu, Eros) gives what is left out."""
+    """Name. That of a packaged body (Apophis, Bennu, Didymos, Eros, Itokawa, Ryugu) gives what is
+    left out."""
     gm_m3_s2: Annotated[float, Field(ge=1e-6, le=1e20)]
     """Gravitational parameter GM in m^3/s^2."""
     j2: Annotated[float, Field(ge=-1, le=1)]
@@ -161,9 +176,16 @@ class Body(Section):
     The Monte Carlo flies it; the planner its J2, or what planned_degree says. Relative to this file."""
     gravity: GravityField | None = None
     """The field itself, as gravity_file gives it."""
+    solid_file: Path | None = None
+    """Shape model taken as homogeneous, which `--truth polyhedron` flies in place of the ellipsoid
+    radii_m: OBJ (with shape_unit), or SPICE DSK. Gives j2 and reference_radius_m where they are left
+    out. Relative to this file."""
+    solid: Solid | None = None
+    """The solid itself, as solid_file gives it."""
     planned_degree: Annotated[int, Field(ge=2, le=PLANNED_MAX)] | None = None
     """Degree up to which the planner flies the body's gravity field, turning with the body, in place of
-    j2; without it the point mass and j2 alone."""
+    j2; without it the point mass and j2 alone. Where no field is known it is that of the homogeneous
+    solid or ellipsoid."""
     companion: Companion | None = None
     """A second body in orbit about this one; a packaged body's is given with its name."""
 

@@ -53,6 +53,7 @@ GRAPH = (
     Edge(MERIDIAN[:1], SPIN[1:]),
     Edge(MERIDIAN[1:2], SPIN[:1]),
     Edge(("body.gravity_file",), FIELD),
+    Edge(("body.solid_file", "body.shape_unit"), ("body.solid",)),
     Edge(("sun.spk_files",), STATE),
     Edge(("boundary.home",), ENDS),
     Edge(ENDS, ("boundary.home",)),

@@ -36,13 +36,19 @@ SUBJECTS: dict[str, tuple[str, ...]] = {
         "body.attitude",
         "body.name",
     ),
-    "gravity": ("body.gm_", "body.j2", "body.reference_", "body.gravity", "body.name"),
+    "gravity": (
+        *("body.gm_", "body.j2", "body.reference_", "body.gravity", "body.name"),
+        *("body.solid", "body.shape_unit"),
+    ),
     "sun": ("sun.", "epoch.", "body.name", "body.naif_"),
     "site": ("site.", "body.name", "body.radii_", "body.shape_", "body.pck_"),
     "boundary": ("boundary.", "body.gm_", "body.gravity_", "body.name"),
 }
 """Prefixes of the entries from which each subject is computed, and against which it is checked."""
-FILES = ("body.shape_file", "body.pck_file", "body.attitude_file", "body.gravity_file")
+FILES = (
+    *("body.shape_file", "body.solid_file"),
+    *("body.pck_file", "body.attitude_file", "body.gravity_file"),
+)
 
 
 def resolve(data: Mapping[str, Any], changes: Mapping[str, Any] | None = None) -> Tables:

@@ -154,7 +154,8 @@ def show_summary(console: Console, summary: Summary, asked: float | None = None)
     window = f"window {last - first:.1f} s" if summary.window_s else "the window is over"
     console.print(
         f"{summary.samples} flights, truth {summary.truth}, errors {summary.errors}, "
-        f"policy {summary.policy}, "
+        f"policy {summary.policy}, planned with {summary.planned_gravity}, "
+        f"flown with {summary.flown_gravity}, "
         f"{100 * summary.confidence:.0f} % intervals; {window}",
         highlight=False,
     )

@@ -125,7 +125,10 @@ def density(gm: float, radius: float) -> float:
 
 def _density(scene: Scene, _: str) -> float:
     body = scene.scenario.body
-    return density(body.gm_m3_s2, body.reference_radius_m)
+    known, radius = packaged_body(body.name), body.reference_radius_m
+    if known is not None:  # whose sphere may be far larger than the body
+        radius = min(radius, math.prod(known.entries["radii_m"]) ** (1.0 / 3.0))
+    return density(body.gm_m3_s2, radius)
 
 
 def _mean_radius_m(scene: Scene, _: str = "") -> float | None:

@@ -15,12 +15,14 @@ from scp_recon.bodies.attitude import AttitudeTable, read_attitude
 from scp_recon.bodies.catalogue import DAY_S, PackagedBody
 from scp_recon.bodies.gravity_file import GravityTable, read_gravity
 from scp_recon.bodies.kernels import read_heliocentric, read_pck
+from scp_recon.bodies.shape_file import read_shape
 from scp_recon.bodies.surface import direction_of
 from scp_recon.errors import InputError
 from scp_recon.scenario import dependencies
-from scp_recon.scenario.body import DEGREE_MAX, Attitude
+from scp_recon.scenario.body import DEGREE_MAX, FACETS_MAX, Attitude
 from scp_recon.scenario.dependencies import keys
 from scp_recon.scenario.resolution.agreement import angle_deg, check, check_share, fill, has, lacks
+from scp_recon.scenario.resolution.site import check_solid
 
 POLE, MERIDIAN, STATE = (
     keys(dependencies.POLE),
@@ -139,10 +141,29 @@ def resolve_gravity(body: dict[str, Any], known: PackagedBody | None) -> None:
     elif has(body, "gravity", "j2", "reference_radius_m"):
         field = body["gravity"]
         _check_j2(body, _j2(field["coefficients"]), field["reference_radius_m"], "gravity")
+    if has(body, "solid_file"):
+        _enter_solid(body)
     if known is not None:
         fill(body, {"gm_m3_s2": known.entries["gm_m3_s2"]})
         if lacks(body, "j2", "reference_radius_m"):
             fill(body, {key: known.entries[key] for key in ("j2", "reference_radius_m")})
+
+
+def _enter_solid(body: dict[str, Any]) -> None:
+    """Enter a homogeneous solid, and its J2 at its largest radius where none is given."""
+    entry, name = "body.solid_file", body["solid_file"]
+    unit, naif_id = body.get("shape_unit"), body.get("naif_id")
+    mesh = read_shape(Path(name), unit, naif_id=naif_id, entry=entry)
+    if len(mesh.facets) > FACETS_MAX:
+        raise InputError(
+            entry, f"{len(mesh.facets)} facets", f"must have at most {FACETS_MAX}: a coarser model"
+        )
+    (xx, yy, zz) = np.diag(check_solid(entry, name, mesh).inertia_m2).tolist()
+    radius = float(np.linalg.norm(mesh.vertices_m, axis=1).max())
+    if lacks(body, "j2", "reference_radius_m"):
+        j2 = (zz - 0.5 * (xx + yy)) / radius**2
+        fill(body, {"j2": j2, "reference_radius_m": radius})
+    body["solid"] = {"vertices_m": mesh.vertices_m.tolist(), "facets": mesh.facets.tolist()}
 
 
 def _enter_field(body: dict[str, Any], table: GravityTable, known: PackagedBody | None) -> None:

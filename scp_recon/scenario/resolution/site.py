@@ -102,13 +102,16 @@ def _surface(site: dict[str, Any], body: dict[str, Any]) -> Surface | None:
         why = f"body.radii_m along x, y and z, within a factor of {OFF_RADII:g}: mind unit and axes"
         near = bool(np.all((ratio <= OFF_RADII) & (ratio >= 1.0 / OFF_RADII)))
         check("body.shape_file", [*mesh.half_extents_m], near, radii, why)
-    _check_solid(str(path), mesh)
+    check_solid("body.shape_file", str(path), mesh)
     return mesh
 
 
-def _check_solid(given: str, mesh: Mesh) -> None:
-    """Refuse a mesh that is open, inside out, off the centre of mass, or off its principal axis."""
-    entry = "body.shape_file"
+def check_solid(entry: str, given: str, mesh: Mesh) -> Solid:
+    """The solid in a mesh.
+
+    Raises:
+        InputError: if it is open, inside out, off the centre of mass, or off its principal axis.
+    """
     try:
         solid = Solid.of(mesh)
     except ValueError as error:
@@ -134,6 +137,7 @@ def _check_solid(given: str, mesh: Mesh) -> None:
             f"{given}, whose axis of largest inertia is {tilt:.0f} deg off z",
             "must turn about that axis, as bodies do: are the axes in order?",
         )
+    return solid
 
 
 def _check_coordinates(site: dict[str, Any], direction: Array) -> None:

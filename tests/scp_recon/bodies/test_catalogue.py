@@ -30,9 +30,7 @@ from scp_recon.scenario.resolution.agreement import angle_deg
 from tests import reference
 
 GOOD_TO_DEG = 0.01
-BODIES = ("Apophis", "Bennu", "Didymos", "Eros")
-
-
+BODIES = ("Apophis", "Bennu", "Didymos", "Eros", "Itokawa", "Ryugu")
 SPIN = keys((*POLE, *MERIDIAN))
 
 
@@ -49,7 +47,7 @@ def test_the_documented_bodies_are_packaged_and_complete() -> None:
         spin = {} if "pole_ra_deg" in body.entries else dict.fromkeys(SPIN, 0.0)
         entries = body.entries | {"radii_m": tuple(body.entries["radii_m"])} | spin
         Body.model_validate_json(json.dumps(entries))
-    assert packaged_body("Ryugu") is None
+    assert packaged_body("Ceres") is None
     assert packaged_body(5) is None
 
 
@@ -64,14 +62,33 @@ def test_bennus_sun_is_that_of_the_reference() -> None:
     np.testing.assert_allclose(velocity, reference.SUN_TO_BODY_KM_S, atol=0.01)
 
 
-def test_eros_is_where_jpls_elements_have_it() -> None:
-    """Osculating elements of Eros: deg/day, e, deg."""
-    eros = packaged_body("Eros")
-    days, motion = 2_461_200.5 - 2_451_545.0, 0.5597046347
-    anomaly = motion * (2_461_200.5 - 2_461_088.813494)
-    elements = [days, motion, 0.222877963, 10.828544, 304.267971, 178.918132, anomaly]
-    osculating, moving = kepler(np.array(elements), days)
-    position, velocity = eros.heliocentric(days)
+@pytest.mark.parametrize(
+    ("name", "epoch", "elements"),
+    [
+        (
+            "Eros",
+            2_461_200.5,
+            (0.5597046347, 0.222877963, 10.828544, 304.267971, 178.918132, 62.511566),
+        ),
+        (
+            "Ryugu",
+            2_459_000.5,
+            (0.759554734, 0.190301168, 5.881927, 251.578333, 211.485317, 193.637648),
+        ),
+        (
+            "Itokawa",
+            2_459_000.5,
+            (0.646881, 0.280116646, 1.621304, 69.080390, 162.814770, 187.632752),
+        ),
+    ],
+)
+def test_bodies_are_where_jpls_elements_have_them(
+    name: str, epoch: float, elements: tuple[float, ...]
+) -> None:
+    """Osculating elements: deg/day, e, deg."""
+    days = epoch - 2_451_545.0
+    osculating, moving = kepler(np.array([days, *elements]), days)
+    position, velocity = packaged_body(name).heliocentric(days)
     assert angle_deg(position, osculating) < GOOD_TO_DEG
     np.testing.assert_allclose(velocity, moving, atol=0.01)
 
@@ -83,7 +100,8 @@ def test_the_orbits_of_neighbouring_years_meet(name: str) -> None:
         border = 0.5 * (before[0] + after[0])
         assert after[0] - before[0] == pytest.approx(365.25)
         apart = angle_deg(kepler(before, border)[0], kepler(after, border)[0])
-        assert apart < 2.0 * GOOD_TO_DEG
+        # Ryugu passes the Earth in 2020 and 2033, which no Kepler orbit of a year follows so well.
+        assert apart < (3.0 if name == "Ryugu" else 2.0) * GOOD_TO_DEG
 
 
 @given(

@@ -63,7 +63,8 @@ def refused(path: Path, content: str) -> InputError:
 
 def test_the_file_has_the_keys_it_always_had_and_the_plans_hash(data, solution):
     assert list(data) == [
-        *("schema", "plan_hash", "samples", "seed", "truth", "errors", "policy", "confidence"),
+        *("schema", "plan_hash", "samples", "seed", "truth", "planned_gravity", "flown_gravity"),
+        *("errors", "policy", "confidence"),
         *("planned_dv_m_s", "window_s", "held_s", "entry_s", "exit_s", "probability"),
         *("whole_flight", "closest_m", "executed_dv_m_s", "terminal"),
     ]

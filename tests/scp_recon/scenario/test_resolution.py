@@ -15,14 +15,16 @@ from hypothesis import strategies as st
 from scipy.spatial import ConvexHull
 
 from scp_recon.bodies.catalogue import J2000_TDB
-from scp_recon.bodies.surface import Mesh, direction_of
+from scp_recon.bodies.surface import Ellipsoid, Mesh, direction_of
 from scp_recon.errors import InputError
-from scp_recon.mission.scene import Scene, truth_field
+from scp_recon.mission.scene import Scene, planned_field, solid_of, truth_field
+from scp_recon.physics.forces import accelerations
 from scp_recon.scenario.load import load_scenario, override, validate_scenario
 from scp_recon.scenario.resolution.agreement import angle_deg
 from scp_recon.scenario.schema import Scenario
 from tests.scp_recon.bodies.test_kernels import BARE, GFC
 from tests.scp_recon.bodies.test_surface import box, write_obj
+from tests.scp_recon.support import mission_of
 
 ROCK: dict[str, Any] = {
     "name": "Rock",
@@ -132,6 +134,45 @@ def test_a_site_on_a_shape_file_beside_the_scenario(tmp_path: Path) -> None:
     with pytest.raises(InputError) as caught:
         found.replace({"site.latitude_deg": 70.0})
     assert "shape" in caught.value.entry
+
+
+def test_a_solid_is_read_once_and_gives_the_planner_j2(tmp_path: Path) -> None:
+    mesh = Ellipsoid(np.array([300.0, 200.0, 150.0])).tessellated(2)
+    file = write_obj(tmp_path / "solid.obj", mesh)
+    bare = {key: ROCK[key] for key in ROCK if key not in ("j2", "reference_radius_m")}
+    found = rock(body=bare | {"solid_file": str(file), "shape_unit": "m"})
+    file.unlink()
+    again = Scenario.model_validate_json(found.model_dump_json())
+    np.testing.assert_allclose(solid_of(again.body).vertices_m, mesh.vertices_m, rtol=1e-9)
+    planned = planned_field(again.replace({"body.planned_degree": 2}))
+    assert planned is not None
+    assert again.body.j2 == pytest.approx(planned.j2, rel=1e-6)
+    assert 300.0 < again.body.reference_radius_m < 330.0  # of the same volume, so a little longer
+
+
+def test_a_solid_is_flown_where_it_is_asked_for(tmp_path: Path) -> None:
+    """A ball's pull is that of a point, but for its facets; the verdict says what was flown."""
+    mesh = Ellipsoid(np.full(3, 290.0)).tessellated(3)
+    file = write_obj(tmp_path / "ball.obj", mesh)
+    mission = mission_of(f'body.solid_file="{file}"', 'body.shape_unit="m"', "body.j2=0")
+    assert mission.true_gravity("polyhedron") == "a homogeneous polyhedron of 512 facets"
+    at = np.array([[900.0], [500.0], [-700.0]])
+    exact, point = (
+        accelerations(at, forces, forces.moment(0.0))
+        for forces in map(mission.true_forces, ("polyhedron", "planner"))
+    )
+    np.testing.assert_allclose(exact, point, rtol=1e-4)
+
+
+def test_a_solid_that_is_none_is_refused(tmp_path: Path) -> None:
+    mesh = Ellipsoid(np.full(3, 250.0)).tessellated(2)
+    inward = write_obj(tmp_path / "inward.obj", Mesh(mesh.vertices_m, mesh.facets[:, ::-1]))
+    error = refused(body=ROCK | {"solid_file": str(inward), "shape_unit": "m"})
+    assert (error.entry, "turn inward" in str(error)) == ("body.solid_file", True)
+    assert refused(body=ROCK | {"solid_file": str(inward)}).entry == "body.shape_unit"
+    with pytest.raises(InputError, match="truth='polyhedron'") as caught:
+        solid_of(rock().body.model_copy(update={"radii_m": None}))
+    assert caught.value.entry == "body.solid_file"
 
 
 NEARLY_ROUND, LONG = (283.0, 271.0, 250.0), (400.0, 280.0, 150.0)
