@@ -172,7 +172,7 @@ def test_what_is_not_met_stands_beside_what_is_required(many, solution):
         ({"body.gm_m3_s2": 4.0}, "body.gm_m3_s2 4"),
         ({"body.reference_radius_m": 280.0}, "body.reference_radius_m 280"),
         ({"body.j2": 0.01}, "body.j2 0.01"),
-        ({"name": "Apophis"}, "nothing for Apophis"),
+        ({"name": "Vesta"}, "nothing for Vesta"),
     ],
 )
 def test_the_packaged_field_is_flown_about_its_own_body_only(changes, words, mission, solution):
