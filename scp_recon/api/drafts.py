@@ -155,8 +155,9 @@ class NewOptions:
         dense = density(gm, radius)
         if not DENSITIES[0] <= dense <= DENSITIES[1]:  # before any search about such a body
             low, high = DENSITIES
-            given = f"{gm:g} m^3/s^2 (density with {option('radius')}: {dense:.3g} kg/m^3)"
-            raise InputError(option("gm"), given, f"must make {low:g} to {high:g} kg/m^3")
+            given = f"{gm:g} m^3/s^2, a density of {dense:.3g} kg/m^3"
+            allowed = f"must make {low:g} to {high:g} kg/m^3 with {option('radius')}"
+            raise InputError(option("gm"), given, allowed)
         body = GivenBody(gm, radius, period, pole, orbit[:3], orbit[3:], 0.0)
         return Draft(self.title, self.body, body, site, epoch, radius)
 

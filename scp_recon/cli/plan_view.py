@@ -69,8 +69,8 @@ def show_mission(console: Console, mission: Mission) -> None:
     show_line(console, f"window    {first:.1f} to {last:.1f} s ({last - first:.1f} s, {origin})")
     start, end = mission.times_s[[0, -1]]
     places = (
-        _place(mission, start, mission.initial_state),
-        _place(mission, end, mission.final_state),
+        place_of(mission, start, mission.initial_state),
+        place_of(mission, end, mission.final_state),
     )
     show_line(console, f"boundary  {'; '.join(places)}")
     legs = ", ".join(f"{leg.mode} {leg.start_s:.0f}-{leg.end_s:.0f}" for leg in schedule.legs)
@@ -106,18 +106,19 @@ def as_given(scene: Scene) -> str:
     )
 
 
-def _place(mission: Mission, time_s: float, state: Array) -> str:
-    """Of a boundary state what does not depend on axes: wrong ones show here, and nowhere else."""
+def place_of(mission: Mission, time_s: float, state: Array) -> str:
+    """Of a boundary state what can be known in any axes: wrong ones show here, and nowhere else."""
     position, velocity = state[:3], state[3:]
     distance, speed = np.linalg.norm(position), np.linalg.norm(velocity)
     off_sun = np.rad2deg(angle(position, mission.sun_direction(time_s)))
     climb = velocity @ position / distance
+    latitude = 90.0 - np.rad2deg(angle(position, mission.rotation.pole))
     normal = np.cross(position, velocity)
     tilt = np.rad2deg(angle(normal, mission.sun_direction(time_s)))
     return (
-        f"at {time_s:g} s {distance:.0f} m from the centre, {off_sun:.1f} deg off the Sun, "
-        f"{speed:.4f} m/s of which {climb:+.4f} upwards, in a plane {min(tilt, 180.0 - tilt):.0f} deg "
-        "off the terminator's"
+        f"at {time_s:g} s {distance:.0f} m from the centre, over latitude {latitude:+.0f} deg, "
+        f"{off_sun:.1f} deg off the Sun, {speed:.4f} m/s of which {climb:+.4f} upwards, in a plane "
+        f"{min(tilt, 180.0 - tilt):.0f} deg off the terminator's"
     )
 
 

@@ -6,11 +6,11 @@ values become warnings, which stand in `solution.json` and above every verdict a
 status. A quantity held to an interval is a row of `intervals`; every other check is a function.
 
 Nothing here can check a probability; the axes of the boundary states, unless wrong ones lead into the
-shadow (`solve` shows distance, angle off the Sun, climb and plane); the prime meridian, pole, spin or
-Sun of a body that is not packaged (`solve` says what is taken as given: way of turning, distance and
-season of the Sun); UTC taken for TDB, unless `epoch.utc` stands beside it (every table of burns has
-both scales); or a small body wholly in kilometres. Name a complete file as `base`, and nothing of
-another date or body is taken over.
+shadow (`solve` shows distance, latitude, climb, plane, and angle off the Sun); the prime meridian,
+pole, spin or Sun of a body that is not packaged (`solve` says what is taken as given: way of turning,
+distance and season of the Sun); UTC taken for TDB, unless `epoch.utc` stands beside it (every table of
+burns has both scales); or a small body wholly in kilometres. Name a complete file as `base`, and
+nothing of another date or body is taken over.
 """
 
 from __future__ import annotations

@@ -93,7 +93,7 @@ new mine --body Bennu --site 95,0 EPOCH -> within 90 deg
 new mine --body Bennu --site north EPOCH -> must be 2 numbers
 new mine BENNU EPOCH --gm 5 -> --gm must be left out
 new mine STONE EPOCH -> needs --gm, --radius, --period, --pole, --orbit
-new mine STONE EPOCH --gm 2e10 --radius 165 --period 12 --pole 90,-66 ORBIT -> 3 to 1e+06 kg/m^3
+new mine STONE EPOCH --gm 2e10 --radius 165 --period 12 --pole 90,-66 ORBIT -> 1e+06 kg/m^3 with --r
 new mine BENNU -> --epoch
 new mine BENNU --epoch soon -> must be a date
 new mine BENNU --epoch 1850-01-01 -> --epoch: got 1850-01-01T00:00:00 of Bennu; must be from 2012
