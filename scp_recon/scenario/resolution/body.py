@@ -80,6 +80,7 @@ def _from_attitudes(body: dict[str, Any], days: float | None) -> None:
     if days is not None:
         table = AttitudeTable(np.array(given.tdb_s), np.array(given.quaternions))
         ra, dec, meridian, rate = table.iau(days)
+        _check_pole(body, (ra, dec), "attitude")
         at_epoch = ra, dec, (meridian - rate * days) % 360.0, rate, 0.0
         fill(body, dict(zip((*POLE, *MERIDIAN), at_epoch, strict=True)))
 
@@ -89,11 +90,7 @@ def _from_kernel(body: dict[str, Any], days: float) -> None:
         raise InputError("body.naif_id", "nothing", "must be NAIF's number of the body in pck_file")
     kernel = read_pck(Path(body["pck_file"]), body["naif_id"], days)
     pole = kernel.pole_ra_deg, kernel.pole_dec_deg
-    if has(body, *POLE):
-        given = body[POLE[0]], body[POLE[1]]
-        apart = angle_deg(direction_of(given[1], given[0]), direction_of(pole[1], pole[0]))
-        why = f"the pole in pck_file, to {POLE_TOLERANCE_DEG:g} deg"
-        check("body.pole_ra_deg, pole_dec_deg", given, apart <= POLE_TOLERANCE_DEG, pole, why)
+    _check_pole(body, pole, "pck_file")
     fill(body, dict(zip(POLE, pole, strict=True)))
     if lacks(body, *MERIDIAN, "rotation_period_h", "prime_meridian_at_epoch_deg"):
         fill(body, dict(zip(MERIDIAN, kernel.prime_meridian, strict=True)))
@@ -106,6 +103,14 @@ def _from_kernel(body: dict[str, Any], days: float) -> None:
         )
     if kernel.radii_m is not None and lacks(body, "radii_m"):
         body["radii_m"] = list(kernel.radii_m)
+
+
+def _check_pole(body: dict[str, Any], pole: tuple[float, float], source: str) -> None:
+    if has(body, *POLE):
+        given = body[POLE[0]], body[POLE[1]]
+        apart = angle_deg(direction_of(given[1], given[0]), direction_of(pole[1], pole[0]))
+        why = f"the pole in {source}, to {POLE_TOLERANCE_DEG:g} deg"
+        check("body.pole_ra_deg, pole_dec_deg", given, apart <= POLE_TOLERANCE_DEG, pole, why)
 
 
 def _check_meridian(at_epoch: float, body: dict[str, Any], days: float, source: str) -> None:

@@ -85,6 +85,11 @@ def test_a_table_is_written_with_its_scenario_and_read(tmp_path: Path) -> None:
     assert load_scenario(file) == scenario
 
 
+def test_a_pole_beside_the_table_has_to_be_its_own(uniform: str) -> None:
+    with pytest.raises(InputError, match="the pole in attitude"):
+        load_scenario(None, [f'{FILE}="{uniform}"', "body.pole_ra_deg=80", "body.pole_dec_deg=0"])
+
+
 def test_a_body_that_tumbles_has_no_noons() -> None:
     with pytest.raises(InputError, match="no noons"):
         noons_of(packaged_scenario("apophis"))
