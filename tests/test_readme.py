@@ -184,7 +184,9 @@ QUICK = {
     # planning
     f"{SOLVE} --init warm --facet-rounds 1": PLAIN,
     f"{SOLVE} --scenario mine.toml --set risk.p_chance=0.8 --out runs/mine": PLAIN,
-    f"{SOLVE} --starts 8 --seed 0 --workers 2": Quick("--starts 2 --problem P3 --workers 1"),
+    f"{SOLVE} --starts 8 --seed 0 --workers 2": Quick(
+        "--starts 2 --problem P3 --workers 1", nightly=True
+    ),
     f"{SOLVE} --method ipopt": LATER,
     f"{SOLVE} --formulation lifted": LATER,
     f"{SOLVE} --set 'boundary.frame=\"j2000\"'": P3,
@@ -248,12 +250,8 @@ QUICK = {
     COMPARISON: Quick(less=ONE_CELL, nightly=True),
     "python -m experiments compare_solvers --exact": Quick(less=ONE_CELL, nightly=True),
     "python -m experiments nlp_tricks": Quick(
-        less=(
-            (
-                "experiments.nlp_tricks.tricks",
-                lambda tricks: lambda: dict([*tricks().items()][-1:]),
-            ),
-        )
+        nightly=True,
+        less=(("experiments.nlp_tricks.tricks", lambda it: lambda: dict([*it().items()][-1:])),),
     ),
     "python -m experiments frontier": Quick(less=TWO_KINDS),
     "python -m experiments feedback": Quick(
@@ -287,6 +285,7 @@ QUICK = {
     "python -m experiments timing_rules": Quick(
         "--slews 3",
         needs="Basilisk",
+        nightly=True,
         less=tuple(
             (f"experiments.timing_rules.{name}", lambda _: 100.0)
             for name in ("SLEW_S", "RECHARGE_S")
@@ -294,6 +293,7 @@ QUICK = {
     ),
     "python -m experiments model_fidelity": Quick(
         "--solution runs/short",
+        nightly=True,
         less=(("experiments.model_fidelity.study.flights", lambda fly: lambda *a: fly(*a)[1:]),),
     ),
     CONES: Quick("--samples 500"),

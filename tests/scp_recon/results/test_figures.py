@@ -81,6 +81,7 @@ def test_the_figures_of_an_older_file_follow_from_its_facts(older, number, tmp_p
     assert found.plan_hash == older["plan_hash"]
 
 
+@pytest.mark.usefixtures("few_flights")
 def test_an_older_file_is_verified_as_it_was(older, tmp_path):
     found = read(older, tmp_path)
     assert found.verification.failed == older["verification"]["failed"]
@@ -128,6 +129,7 @@ def test_a_risk_that_is_not_its_quantiles_or_not_the_scenarios_is_named(written,
     assert found.verification.failed[0] == "risk"
 
 
+@pytest.mark.usefixtures("few_flights")
 @pytest.mark.parametrize(
     ("older", "status", "last_stage", "named"),
     [
