@@ -15,7 +15,13 @@ import numpy as np
 from scipy.constants import G
 
 from formulations.rows.flight_probability import PROBABILITY_MAX
-from scp_recon.bodies.catalogue import AU_KM, ECLIPTIC_NORTH, GM_SUN_KM3_S2, packaged_body
+from scp_recon.bodies.catalogue import (
+    AU_KM,
+    ECLIPTIC_NORTH,
+    GM_SUN_KM3_S2,
+    J2000_TDB,
+    packaged_body,
+)
 from scp_recon.errors import InputError
 from scp_recon.mission.checks.known import J2_ENDS, orbit_of_body
 from scp_recon.mission.grid import NODES_MAX, RK4_STEP_MAX_S
@@ -143,8 +149,8 @@ def _density_of_radii(scene: Scene, _: str) -> float | None:
     return None if mean is None else density(scene.scenario.body.gm_m3_s2, mean)
 
 
-def _year(scene: Scene, _: str) -> float:
-    return scene.scenario.epoch.tdb.year
+def _years(scene: Scene, _: str) -> float:
+    return scene.scenario.epoch.tdb.year - J2000_TDB.year
 
 
 def _period_h(scene: Scene, _: str) -> float:
@@ -343,7 +349,7 @@ INTERVALS = (
         "body.radii_m", "density of a body that is not packaged", _density_of_radii, "kg/m^3",
         warn=(500.0, 8000.0), hint="; radii, and no diameters?",
     ),
-    Interval("epoch.tdb", "year", _year, warn=(-INF, 2100.0)),
+    Interval("epoch.tdb", "years after 2000", _years, warn=(-INF, 100.0), hint="; is it right?"),
     # Below any body that has been flown to: Dimorphos has 75 m. In kilometres throughout, GM included,
     # a body is a smaller one of the same density.
     Interval("body.reference_radius_m", unit="m", warn=(50.0, INF), hint="; all of it in metres?"),
