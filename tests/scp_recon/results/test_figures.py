@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import json
+import pickle
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -169,3 +170,14 @@ def test_what_is_not_finite_is_not_written(written, tmp_path):
     with pytest.raises(ValueError, match="not JSON compliant"):
         replace(solution, iterations=[diverged]).write(tmp_path, "diverged.json")
     assert not (tmp_path / "diverged.json").exists()
+
+
+def test_a_copy_computes_its_figures_again_and_a_scenario_shows_its_own_names_alone(written):
+    solution = parsed(written)
+    figures, copy = solution.figures, pickle.loads(pickle.dumps(solution))
+    assert copy == solution
+    assert vars(copy).keys().isdisjoint({"mission", "figures"})
+    assert copy.figures == figures
+    for shown in (solution.scenario, solution.scenario.risk):
+        assert {"replace", "p_chance"} & {*dir(shown)}
+        assert not {*dir(shown)} & {"model_dump", "model_fields", "copy", "json"}
