@@ -147,7 +147,6 @@ def test_every_problem_is_crossed_with_every_method_and_repeated(name):
     assert plan(mission, initial_guess.cold(mission)).status is Status.CONVERGED
 
 
-@nightly
 def test_uno_finds_the_optimum_that_scp_finds():
     ours, theirs = (
         solve_cell(Cell("scenarios", "recon_b", (), method, "p3"), 0)

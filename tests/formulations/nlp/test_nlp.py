@@ -398,7 +398,6 @@ def test_what_does_not_converge_begins_again_at_the_ballistic_arc(coarse, monkey
     assert np.abs(first.iterate.burns - again.iterate.burns).max() > 0.0
 
 
-@nightly
 def test_infeasible_is_never_called_solved(infeasible):
     mission, start = infeasible.mission, infeasible.start(infeasible.p3)
     variant = replace(VARIANTS["shooting"], p2=replace(QUASI_NEWTON, max_iterations=60))

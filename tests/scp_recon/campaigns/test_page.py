@@ -17,6 +17,7 @@ from scp_recon.campaigns.page import charts_of, render
 from scp_recon.campaigns.run import FILE_NAME
 from scp_recon.campaigns.study import Study
 from scp_recon.cli.commands import report
+from scp_recon.errors import InputError
 from tests.scp_recon.campaigns.shown import ERRORS, PLACES, campaign_of
 
 MADE = datetime(2026, 1, 2, 3, 4, 5, tzinfo=UTC)
@@ -131,3 +132,11 @@ def test_what_was_stopped_is_shown_as_far_as_it_came(tmp_path, capsys):
     said = capsys.readouterr().out
     assert "5 feasible of 5 cases run so far, of 8 in the study" in said
     assert {path.name for path in tmp_path.iterdir()} >= {"campaign.html", "curves.png"}
+
+
+def test_a_folder_without_a_campaign_is_one_message(tmp_path):
+    for text in (None, '{"schema": "another"}'):
+        if text:
+            (tmp_path / FILE_NAME).write_text(text)
+        with pytest.raises(InputError, match="must hold a campaign"):
+            read_campaign(tmp_path)
