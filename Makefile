@@ -9,7 +9,7 @@ BY_FILE := -n 2 --dist loadfile
 export PYTHONDONTWRITEBYTECODE :=
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet install --constraint constraints.txt
 
-.PHONY: help solve test fast extras nightly coverage mutation lint format types check release reference bench \
+.PHONY: help solve test fast extras nightly coverage mutation lint format types check release reference bench gallery \
 	evidence figures site clean
 help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "%-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -69,6 +69,12 @@ drawings: $(VENV)/.test  ## make the pictures of the pages that no study feeds
 figures: $(VENV)/.test  ## make all figures, the studies that are missing first, and that of docs/validation/paper.md
 	$(BIN)/python -m paper_figs --all
 	$(BIN)/python -m paper_figs flyby --runs runs/paper/scp_cold --out docs/flyby.png
+
+gallery: $(VENV)/.extras  ## draw docs/gallery: passes over packaged bodies, designed, and flown about the solid
+	for name in ryugu itokawa; do \
+	$(BIN)/python -m scp_recon design $$name --out runs/$$name && \
+	$(BIN)/python -m scp_recon montecarlo runs/$$name --truth polyhedron && \
+	$(BIN)/python -m paper_figs flyby --runs runs/$$name --out docs/gallery/$$name.png || exit 1; done
 
 site: $(VENV)/.docs  ## build the pages as a site in runs/site; any warning or broken link fails
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet

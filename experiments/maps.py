@@ -1,4 +1,4 @@
-"""Run the four campaigns of `examples/studies`, and sum up what a designer reads from them.
+"""Run five campaigns of `examples/studies`, and sum up what a designer reads from them.
 
 Each is run into OUT/NAME, where an earlier run's cases count. OUT/campaigns.csv has a row for each
 campaign, the other files one for each latitude, error or size: how many cases have a verified plan,
@@ -67,11 +67,13 @@ SUMMED: Mapping[str, tuple[str, Callable[[Record], str]]] = {
     "asteroid_year": ("year", lambda _: "all"),
     "errors": ("errors", lambda case: f"{case['uncertainty.execution_error']:.3g}"),
     "reconnaissance_map": ("latitudes", latitude),
+    "ryugu_map": ("ryugu_latitudes", latitude),
 }
 """Of each campaign the name of its summary, and what it is summed up by."""
 PICTURES = {
     "reconnaissance_map/map": "studies_map",
     "reconnaissance_map/globe": "studies_globe",
+    "ryugu_map/map": "gallery/ryugu_map",
     "errors/curves": "studies_errors",
     "asteroid_year/curves": "studies_year",
     "sizes/curves": "studies_sizes",

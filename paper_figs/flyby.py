@@ -9,11 +9,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import Circle
+from matplotlib.patches import Circle, Patch, Polygon
+from scipy.spatial import ConvexHull
 
 from formulations.arrays import Array
 from paper_figs.drawing import BURN, draw_burns, page, shade_bands
@@ -99,13 +101,23 @@ def _draw_path(axes: Axes, mission: Mission, solution: Solution) -> None:
     axes.plot(*mean[window].T, color="C0", lw=4, solid_capstyle="butt", label="window", zorder=3)
     track = geometry.track(mission.site, mission.rotation, times[window])
     axes.plot(*seen(track.position).T, color="C1", lw=3, label="site in the window", zorder=3)
-    radius = float(np.linalg.norm(mission.site.position_body)) / 1000.0
-    axes.add_patch(Circle((0.0, 0.0), radius, facecolor="0.9", edgecolor="0.4", zorder=2))
+    axes.add_patch(_body(mission))
     draw_burns(axes, *_arrows(mission, solution), SHORT)
     axes.set(xlabel="Sun-North Y (km), seen from the Sun", ylabel="Sun-North Z (km)")
     axes.set_aspect("equal")
     axes.margins(0.12)
     axes.legend(ncols=2, loc="lower center", bbox_to_anchor=(0.5, 1.0))
+
+
+def _body(mission: Mission) -> Patch:
+    """The body's outline in the middle of the window; a circle where its shape is not known."""
+    look: dict[str, Any] = {"facecolor": "0.9", "edgecolor": "0.4", "zorder": 2}
+    body = mission.scenario.body
+    if body.solid is None and body.radii_m is None:
+        return Circle((0.0, 0.0), float(np.linalg.norm(mission.site.position_body)) / 1e3, **look)
+    axes = mission.rotation.body_to_j2000(np.mean(mission.schedule.window_s))
+    corners = seen_from_sun(mission, mission.solid.vertices_m @ axes.T)
+    return Polygon(corners[ConvexHull(corners).vertices], **look)
 
 
 def _draw_histories(panels: Sequence[Axes], mission: Mission, solution: Solution) -> None:

@@ -316,7 +316,7 @@ QUICK = {
     ),
 }
 
-STUDIES = ("reconnaissance_map", "errors", "asteroid_year", "sizes", "navigation")
+STUDIES = ("reconnaissance_map", "ryugu_map", "errors", "asteroid_year", "sizes", "navigation")
 APART = {
     "python -m pip install --constraint constraints.txt --editable '.[compare]'",
     "python -m pip install --constraint constraints.txt --editable '.[crosscheck]'",
@@ -325,6 +325,8 @@ APART = {
     "python -m benchmarks.waits",
     "python -m experiments maps",  # runs campaigns
     "python -m experiments maps --sample",
+    f"{RUN} design ryugu",
+    f"{RUN} montecarlo runs/latest --truth polyhedron",
     "python -m experiments sites",  # designs passes, which takes minutes
     "python -m experiments plans --designs",
     "python -m experiments testing reliability",  # runs tests

@@ -159,6 +159,17 @@ def test_other_bodies_as_packaged_have_a_certified_pass(name):
     assert whole.high > scenario.risk.p_chance
 
 
+@nightly
+@pytest.mark.parametrize("body", ["ryugu", "itokawa"])
+def test_passes_over_packaged_bodies_keep_their_limits_about_the_solid(body):
+    """They are planned with J2, and with harmonics to degree 4."""
+    plan = sr.design(load_scenario(body)).plan
+    assert plan.certificate.certifies(0.7)
+    flown = sr.fly(plan, samples=10_000, truth="polyhedron")
+    assert flown.flown_gravity == "a homogeneous polyhedron of 512 facets"
+    assert flown.whole_flight.high > 0.7
+
+
 @pytest.mark.parametrize(("mapped", "furthest"), [(set(), 0), ({1}, 1)])
 def test_where_none_has_a_plan_the_one_that_came_furthest_is_told(monkeypatch, mapped, furthest):
     """Where the second is mapped it is short by 0.2, and the first one's map by 1."""
