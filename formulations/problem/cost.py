@@ -47,8 +47,8 @@ SMOOTH = 0.5
 """Width of the kernel that smooths their distribution, over its standard deviation."""
 
 STEEPEST = 3.0
-"""Slope with which a bend goes on straight at most: a little more than the 2.58 standard deviations
-that hold 99 % of a normal number."""
+"""Slope of the cost in the gains of a burn that has vanished, where gains vanish with it: a little more
+than the 2.58 standard deviations that hold 99 % of a normal number."""
 
 FAR = 12.0
 """Widths of the kernel beyond which nothing is left of it."""
@@ -204,7 +204,7 @@ def bends(problem: FlybyProblem, iterate: Iterate) -> tuple[Bend, Bend]:
         curved -= np.multiply.outer(slope, slope)
         hessian[np.ix_(place.ravel(), place.ravel())] -= curved.reshape(place.size, -1) / size
     values, axes = np.linalg.eigh(hessian[np.ix_(moved, moved)])
-    root[:, moved] = np.sqrt(over * np.clip(values, 0.0, STEEPEST**2 / over))[:, None] * axes.T
+    root[:, moved] = np.sqrt(over * np.maximum(values, 0.0))[:, None] * axes.T
     return spread, Bend(root, np.zeros(len(moved)), over)
 
 

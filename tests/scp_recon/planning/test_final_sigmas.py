@@ -27,7 +27,7 @@ from scp_recon.scp.status import Status
 from scp_recon.verification.consistency import inconsistencies
 from scp_recon.verification.probabilities import exceeded, flown_sigmas
 from scp_recon.verification.reintegration import verify
-from tests.helpers import usually
+from tests.helpers import nightly, usually
 from tests.scenarios import COARSE
 from tests.scp_recon.support import mission_of
 
@@ -228,3 +228,23 @@ def test_flights_take_no_errors_by_component_for_gates() -> None:
         FlightConfig(found.mission, found.burns_m_s, errors="componentwise")
     assert np.array_equal(drawn(UNLIKE)[1], drawn(UNLIKE, errors="gates")[1])
     assert not np.array_equal(drawn()[1], drawn(errors="gates")[1])
+
+
+@nightly
+def test_a_correction_after_the_window_makes_up_for_what_one_before_it_spends() -> None:
+    """A limit too loose to bind has that burn corrected too, to nothing where the other is large."""
+    navigated = (
+        "risk.p_chance=0.9",
+        'policy.kind="feedback"',
+        "navigation.lead_s=0",
+        "navigation.sigma_position_m=10",
+        "navigation.sigma_velocity_m_s=0.0005",
+    )
+    costs = []
+    for limit in ((), (f"{LIMITS['position']}=1000",)):
+        mission = mission_of(*navigated, *limit)
+        found = Planner(mission).plan(initial_guess.cold(mission))
+        assert found.status is Status.CONVERGED
+        costs.append(found.final.result.lin.cost.value)
+    assert final_sigmas(found)[0] < 900.0
+    assert costs[1] < 0.98 * costs[0]
