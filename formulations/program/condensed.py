@@ -38,8 +38,8 @@ from formulations.program.solvers import SOLVERS, FallbackSolver
 from formulations.program.subproblem import Penalty, PenaltyParameters, Step, SubproblemError
 from formulations.rows.cones import Rows
 
-SLOTS = 32
-"""Slots for each size of cone, to begin with."""
+SLOTS, SLOTS_WITH_GAINS = 32, 16
+"""Slots for each size of cone, to begin with; with corrected burns cones are large, and few bind."""
 
 FEW = 8
 """Violated rows per free slot up to which slots are not doubled: a kept solver solves again quickly."""
@@ -124,7 +124,8 @@ class CondensedSubproblem(ConvexSubproblem):
         constant, by_burns = final_state_map(lin)
         miss = constant - lin.problem.final_state
         self._final = {"miss_jacobian": lin.problem.by_controls(by_burns), "miss": miss}
-        self._slots = self._slots or [min(SLOTS, 2 * len(cones.rows)) for cones in self._cones]
+        most = SLOTS if lin.problem.feedback is None else min(SLOTS, SLOTS_WITH_GAINS)
+        self._slots = self._slots or [min(most, 2 * len(cones.rows)) for cones in self._cones]
         slack = self._slack(lin.controls)
         self._active[:] = False
         if self._name in SOLVERS:
