@@ -11,9 +11,11 @@
           v >= 0
 
 with the burns z, and s the sum of squares that a penalty may charge: a cone, because with a quadratic
-objective the solvers do not reach their tolerances. Each formulation writes the miss and the rows y as
-functions of the burns: see `condensed` and `lifted`. Everything that changes between iterations is a
-parameter or one of `Numbers`, so that the program is compiled once.
+objective the solvers do not reach their tolerances. The cone of an augmented Lagrangian holds the root
+of its weight, and its curvature is 1: a weight outside would multiply the solver's tolerance. Each
+formulation writes the miss and the rows y as functions of the burns: see `condensed` and `lifted`.
+Everything that changes between iterations is a parameter or one of `Numbers`, so that the program is
+compiled once.
 """
 
 from __future__ import annotations
@@ -206,7 +208,6 @@ def write_model(shape: Shape, penalty: Penalty, write_states: StateModelWriter) 
         "dv_max": cp.Parameter(),
         "cone_normals": cp.Parameter((2 * m, 3)),
         "prices": cp.Parameter(6 + 3 * m + n_rows),
-        "curvature": cp.Parameter(),
     }
     step, (burns, _) = z - own["centre"], shape.split(z)
     total, of_cost = write_cost(shape, z, size, numbers)
@@ -238,11 +239,14 @@ def write_model(shape: Shape, penalty: Penalty, write_states: StateModelWriter) 
     else:
         constraints += [states.miss <= excess, -states.miss <= excess]
     objective = total + own["prices"] @ charged
-    if penalty == "exact":
-        del own["curvature"]
-    else:
+    if penalty == "proximal":
+        own["curvature"] = cp.Parameter()
         objective += own["curvature"] * squares
-        constraints.append(cp.sum_squares(step if penalty == "proximal" else charged) <= squares)
+        constraints.append(cp.sum_squares(step) <= squares)
+    elif penalty == "augmented":
+        own["root"] = cp.Parameter()
+        objective += squares
+        constraints.append(cp.sum_squares(own["root"] * charged) <= squares)
     return Model(cp.Problem(cp.Minimize(objective), constraints), z, own, numbers)
 
 
@@ -253,7 +257,7 @@ def penalty_values(
     rows: Indices,
     miss_weight: float | None = None,
 ) -> Values:
-    """Values of prices and curvature for a charge; `rows` holds the row of each buffer, -1 for none.
+    """Values of prices and curvature or root for a charge; `rows` has each buffer's row, -1 for none.
 
     The miss weight is `FlybyProblem`'s; the penalty "augmented" does not support one.
     """
@@ -263,7 +267,7 @@ def penalty_values(
         assert charge.multipliers is not None
         prices[:limits] = charge.multipliers[:limits]
         prices[limits:] = np.where(rows < 0, 0.0, charge.multipliers[limits:][rows])
-        return {"prices": prices, "curvature": np.array(0.5 * charge.weight)}
+        return {"prices": prices, "root": np.array(np.sqrt(0.5 * charge.weight))}
     prices[:6] = charge.weight * DYNAMICS_WEIGHT if miss_weight is None else miss_weight
     if penalty == "proximal":
         return {"prices": prices, "curvature": np.array(0.5 * charge.prox)}

@@ -113,7 +113,7 @@ def test_prices_are_those_of_the_charge_each_at_its_place():
     multipliers = np.arange(1.0, limits + 5.0)
     charge = PenaltyParameters(5.0, multipliers=multipliers)
     augmented = penalty_values("augmented", charge, m, rows)
-    assert augmented["curvature"] == 2.5
+    assert augmented["root"] ** 2 == pytest.approx(2.5)
     own = [multipliers[limits + 3], multipliers[limits], 0.0, multipliers[limits + 2]]
     assert augmented["prices"].tolist() == [*multipliers[:limits], *own]
 
