@@ -38,7 +38,12 @@ class Dynamics:
         return Linearisation(problem, iterate, self.flow.differentiate(iterate.mean[:-1]))
 
     def close_defects(
-        self, lin: Linearisation, burns: Array, gains: Array = NO_GAINS
+        self,
+        lin: Linearisation,
+        burns: Array,
+        gains: Array = NO_GAINS,
+        *,
+        misses: bool = False,
     ) -> Linearisation:
         """Make a step of the linear model dynamically exact.
 
@@ -48,13 +53,16 @@ class Dynamics:
         it the final state's curvature, weighed by the penalty, rejects good steps (the Maratos effect;
         Nocedal & Wright, Numerical Optimization, section 15.5). Where Newton's method does not
         converge the burns, shape (m, 3), are rolled out as they are. Gains do not move the mean.
+
+        `misses` where the model means even its smallest miss, as by an augmented Lagrangian: to
+        correct it would move burns that the model left out, whose sizes have a kink there.
         """
         problem = lin.problem
         free = _may_change(problem, burns)
         iterate = Iterate(burns, step_mean(lin, burns), gains)
         goal = iterate.mean[-1]
         # What the conic solver leaves of a miss is its tolerance, not the model's promise.
-        if np.abs(goal - problem.final_state).max() < SOLVER_MISS:
+        if not misses and np.abs(goal - problem.final_state).max() < SOLVER_MISS:
             goal = problem.final_state
         for _ in range(NEWTON_MAX):
             trial = self.linearise(problem, iterate)

@@ -239,7 +239,8 @@ def trial_step(
     if state.lin.is_dynamically_feasible and answer.merit > worst:
         raise SubproblemError(f"the answer is worse than no step: {answer.merit:g}")
     start = perf_counter()
-    lin = dynamics.close_defects(state.lin, answer.burns, answer.gains)
+    misses = state.charge.multipliers is not None
+    lin = dynamics.close_defects(state.lin, answer.burns, answer.gains, misses=misses)
     timing.linearise += perf_counter() - start
     merit = subproblem.merit(lin, state.charge)
     step = float(abs(controls_of(answer, state.lin) - state.lin.controls).max())
