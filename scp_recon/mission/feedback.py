@@ -59,7 +59,8 @@ def cut_offs_s(scenario: Scenario) -> dict[int, float]:
 def in_vain(scene: Scene) -> float:
     """Measurements' errors over what a flight strays until the last cut-off, where least.
 
-    On straight lines, from the initial errors and those of the largest burns before.
+    On straight lines, from the initial errors and those of the largest burns before; infinite where
+    there are none.
     """
     scenario = scene.scenario
     first, last = scenario.start_s, max(cut_offs_s(scenario).values())
@@ -70,8 +71,9 @@ def in_vain(scene: Scene) -> float:
     speed = np.hypot(np.linalg.norm(sigma[3:]), np.sqrt(burns) * of_burn)
     position = np.hypot(np.linalg.norm(sigma[:3]), speed * (last - first))
     strays = np.repeat([position, speed], 3)
-    measured = scene.measurement_factors(scene.initial_state[None])[0] / strays[:, None]
-    return float(np.linalg.svd(measured, compute_uv=False)[-1])
+    (measured,) = scene.measurement_factors(scene.initial_state[None])
+    known = float(np.linalg.norm(np.linalg.solve(measured, np.diag(strays)), 2))
+    return 1.0 / known if known > 0.0 else np.inf
 
 
 def _correctable(scenario: Scenario) -> dict[int, float]:
@@ -166,10 +168,11 @@ def useless_measurement(scene: Scene) -> Iterator[ScenarioWarning]:
     errors = in_vain(scene)
     if errors >= USELESS:
         named = scene.scenario.navigation.covariance is None
+        compared = f"whose errors are {float(f'{errors:.1g}'):,.0f} times what a flight may stray"
+        if np.isinf(errors):
+            compared = "of flights that stray by nothing"
         yield ScenarioWarning.of(
             "navigation.sigma_position_m" if named else "navigation.covariance",
-            f"measurements whose errors are {float(f'{errors:.1g}'):,.0f} times what a flight may "
-            "stray, so that they "
-            "tell nothing and no burn is corrected",
+            f"measurements {compared}, so that they tell nothing and no burn is corrected",
             f"expected errors of less than {USELESS:,.0f} times that",
         )

@@ -17,6 +17,7 @@ from pydantic import (
     model_validator,
 )
 
+from formulations.arrays import Array
 from formulations.problem.feedback import Cost
 from scp_recon.scenario.fields import (
     Component,
@@ -30,6 +31,9 @@ from scp_recon.scenario.fields import (
 
 MATRIX_TOLERANCE = 1e-6
 """Tolerance of a covariance over the product of its two sigmas: rounding of printed digits."""
+
+LEAST_EIGENVALUE = 1e-10
+"""Of a measurement's correlations: with less, weights by the inverse are lost in rounding."""
 
 LEAST_SIGMA, LARGEST_SIGMA = 1e-12, 1e12
 """In m or m/s, of a sigma that is not zero: squares of others are lost in rounding, or overflow."""
@@ -60,7 +64,7 @@ def _covariance(rows: tuple[tuple[float, ...], ...]) -> Any:
             f"must be symmetric: entries {i + 1},{j + 1} and {j + 1},{i + 1} are "
             f"{matrix[i, j]:g} and {matrix[j, i]:g}"
         )
-    least = float(np.linalg.eigvalsh(0.5 * (scaled + scaled.T))[0])
+    least = _least_eigenvalue(scaled)
     if least < -MATRIX_TOLERANCE:
         raise ValueError(
             "must be positive semidefinite: the smallest eigenvalue of its correlations is "
@@ -69,10 +73,28 @@ def _covariance(rows: tuple[tuple[float, ...], ...]) -> Any:
     return rows
 
 
+def _of_a_measurement(rows: tuple[tuple[float, ...], ...]) -> Any:
+    """Validate a covariance whose inverse weighs what is measured."""
+    matrix = np.array(rows)
+    sigma = np.sqrt(np.diag(matrix))
+    if not sigma.all() or _least_eigenvalue(matrix / np.outer(sigma, sigma)) < LEAST_EIGENVALUE:
+        raise ValueError(
+            "must be positive definite: no state is measured without an error; a sigma that hardly "
+            "counts will do"
+        )
+    return rows
+
+
+def _least_eigenvalue(matrix: Array) -> float:
+    return float(np.linalg.eigvalsh(0.5 * (matrix + matrix.T))[0])
+
+
 ZeroOrSome = zero_or_at_least(LEAST_SIGMA)
 Sigma = Annotated[float, Field(ge=0, le=LARGEST_SIGMA), ZeroOrSome]
+MeasuredSigma = Annotated[float, Field(ge=LEAST_SIGMA, le=LARGEST_SIGMA)]
 Sigmas = tuple[Sigma, Sigma, Sigma]
 Matrix = Annotated[tuple[tuple[Component, ...], ...], AfterValidator(_covariance)]
+MeasuredMatrix = Annotated[Matrix, AfterValidator(_of_a_measurement)]
 FixedError = Annotated[float, Field(ge=0, le=1e6), ZeroOrSome]
 SmallAngle = Annotated[float, Field(ge=0, le=0.2), ZeroOrSome]
 """In rad: beyond it pointing errors are not linear any more, by 2 %, and degrees were meant."""
@@ -230,11 +252,11 @@ class Navigation(OneWay):
 
     lead_s: FlightTime = 3600.0
     """From the cut-off to its burn in s, which is the least time that a decision takes in flight."""
-    sigma_position_m: Sigma | None = None
+    sigma_position_m: MeasuredSigma | None = None
     """1 sigma of the measured position along each axis in m."""
-    sigma_velocity_m_s: Sigma | None = None
+    sigma_velocity_m_s: MeasuredSigma | None = None
     """1 sigma of the measured velocity along each axis in m/s."""
-    covariance: Matrix | None = None
+    covariance: MeasuredMatrix | None = None
     """Covariance of the measured state, six by six, position first, in m and m/s along frame."""
     frame: Literal["j2000", "rtn"] | None = None
     """Axes of the covariance: rtn are radial, transverse and normal, at the cut-off on the transfer of

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -286,10 +286,7 @@ RUBBLE_RADIUS_M = 150.0
 """Above it a body without strength breaks up where it turns too fast: Pravec & Harris 2000."""
 RADIAN_DEG = 0.5 * math.pi
 """Bound on every angle of a cone in radians; below it degrees were hardly meant."""
-SPREADS = (
-    "in_flight.covariance uncertainty.initial_sigma_fraction uncertainty.initial_covariance "
-    "navigation.covariance"
-)
+SPREADS = "in_flight.covariance uncertainty.initial_sigma_fraction uncertainty.initial_covariance"
 SPREAD = (1e-4, 0.0999)
 """1 sigma over distance or speed: 0.1 m at 1 km is the best that is flown. The ends are less than a
 factor of 1000 apart, so that nothing between them is there in kilometres, or millimetres, too."""
@@ -300,6 +297,24 @@ HOME, FLIGHT = "boundary.home.radius_m", "in_flight.position_m"
 STEPS = f": the planner's steps are {RK4_STEP_MAX_S:g} s"
 RADII = (lambda scene, _: scene.scenario.body.reference_radius_m), "reference radii"
 ESCAPE = _escape_m_s, "times the speed of escape there"
+SIGMAS = (
+    Interval(
+        f"{SPREADS} uncertainty.initial_sigma_position_m", "1 sigma",
+        lambda s, entry: _sigma(s, entry, 0), "m", warn=SPREAD, hint="; metres and seconds?",
+        or_zero=True,
+        scale=(lambda s, _: s.sizes(s.initial_state)[0][0], "times the distance from the centre"),
+    ),
+    Interval(
+        f"{SPREADS} uncertainty.initial_sigma_velocity_m_s", "1 sigma",
+        lambda s, entry: _sigma(s, entry, 1), "m/s", warn=SPREAD, hint="; metres and seconds?",
+        or_zero=True,
+        scale=(
+            lambda s, _: s.sizes(s.initial_state)[1][0],
+            "times the speed, or that of a circular orbit",
+        ),
+    ),
+)  # fmt: skip
+"""Rows for the state where planning begins; what is measured of it is never without an error."""
 
 PLANNER_INTERVALS = (
     Interval(
@@ -503,20 +518,12 @@ STATE_INTERVALS = (
     Interval(
         "in_flight.velocity_m_s", unit="m/s", warn=(0.01, 20.0), or_zero=True, scale=ESCAPE
     ),
-    Interval(
-        f"{SPREADS} uncertainty.initial_sigma_position_m navigation.sigma_position_m", "1 sigma",
-        lambda s, entry: _sigma(s, entry, 0), "m", warn=SPREAD, hint="; metres and seconds?",
-        or_zero=True,
-        scale=(lambda s, _: s.sizes(s.initial_state)[0][0], "times the distance from the centre"),
-    ),
-    Interval(
-        f"{SPREADS} uncertainty.initial_sigma_velocity_m_s navigation.sigma_velocity_m_s", "1 sigma",
-        lambda s, entry: _sigma(s, entry, 1), "m/s", warn=SPREAD, hint="; metres and seconds?",
-        or_zero=True,
-        scale=(
-            lambda s, _: s.sizes(s.initial_state)[1][0],
-            "times the speed, or that of a circular orbit",
-        ),
+    *SIGMAS,
+    *(
+        replace(row, entries=f"navigation.covariance {measured}", or_zero=False)
+        for row, measured in zip(
+            SIGMAS, ("navigation.sigma_position_m", "navigation.sigma_velocity_m_s"), strict=True
+        )
     ),
 )  # fmt: skip
 """Rows for the state where planning begins: for a flight under way, the state in flight."""

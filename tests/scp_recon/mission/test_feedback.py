@@ -52,6 +52,10 @@ def test_a_measurement_that_tells_nothing_is_reported_and_leaves_the_plan_open_l
     (word,) = (word for word in found.warnings if "no burn is corrected" in word.given)
     assert word.entry == "navigation.sigma_position_m"
     assert re.search(r"errors are \d{1,3}(,000)+ times", word.given), word.given
+    exact = "uncertainty.initial_sigma_fraction=0", "uncertainty.execution_error=0"
+    sure = mission_of("policy.kind=feedback", *SIGMAS, *exact, f"navigation.lead_s={lead_s:g}")
+    assert sure.problem.feedback is None
+    assert "of flights that stray by nothing" in sure.warnings[-1].given
     # One of the two told alone is a measurement.
     half = mission_of("policy.kind=feedback", SIGMAS[0], errors[1], f"navigation.lead_s={lead_s:g}")
     assert half.problem.feedback is not None

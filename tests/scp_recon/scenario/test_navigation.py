@@ -49,7 +49,27 @@ def test_one_way_to_say_the_errors_replaces_the_other():
     ("overrides", "entry", "words"),
     [
         (["navigation.lead_s=-1"], "navigation.lead_s", "at least 0"),
-        (["navigation.sigma_position_m=-10", SIGMAS[1]], "navigation.sigma_position_m", "least 0"),
+        (
+            ["navigation.sigma_position_m=-10", SIGMAS[1]],
+            "navigation.sigma_position_m",
+            "least 1e-12",
+        ),
+        (
+            ["navigation.sigma_position_m=0", SIGMAS[1]],
+            "navigation.sigma_position_m",
+            "least 1e-12",
+        ),
+        ([MATRIX.replace("100.0", "0.0", 1), RTN], "navigation.covariance", "positive definite"),
+        (
+            [
+                MATRIX.replace("[100.0, 0.0", "[100.0, 100.0", 1).replace(
+                    "[0.0, 100.0", "[100.0, 100.0"
+                ),
+                RTN,
+            ],
+            "navigation.covariance",
+            "positive definite",
+        ),
         (SIGMAS[:1], "navigation", "must have sigma_velocity_m_s"),
         (SIGMAS[1:], "navigation", "must have sigma_position_m"),
         ([*SIGMAS, MATRIX, RTN], "navigation", "in one way"),
