@@ -70,11 +70,12 @@ figures: $(VENV)/.test  ## make all figures, the studies that are missing first,
 	$(BIN)/python -m paper_figs --all
 	$(BIN)/python -m paper_figs flyby --runs runs/paper/scp_cold --out docs/flyby.png
 
-gallery: $(VENV)/.extras  ## draw docs/gallery: passes over packaged bodies, designed, and flown about the solid
-	for name in ryugu itokawa; do \
-	$(BIN)/python -m scp_recon design $$name --out runs/$$name && \
-	$(BIN)/python -m scp_recon montecarlo runs/$$name --truth polyhedron && \
-	$(BIN)/python -m paper_figs flyby --runs runs/$$name --out docs/gallery/$$name.png || exit 1; done
+gallery: $(VENV)/.extras  ## draw docs/gallery: passes over packaged bodies, designed, and flown in their full field
+	for name in ryugu:polyhedron itokawa:polyhedron didymos:planner apophis:planner; do \
+	body=$${name%%:*}; \
+	$(BIN)/python -m scp_recon design $$body --out runs/$$body && \
+	$(BIN)/python -m scp_recon montecarlo runs/$$body --truth $${name##*:} && \
+	$(BIN)/python -m paper_figs flyby --runs runs/$$body --out docs/gallery/$$body.png || exit 1; done
 
 site: $(VENV)/.docs  ## build the pages as a site in runs/site; any warning or broken link fails
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet

@@ -21,6 +21,7 @@ from formulations.arrays import Array
 from paper_figs.drawing import BURN, draw_burns, page, shade_bands
 from paper_figs.labels import place_labels
 from paper_figs.paper.observed import SEED, observed
+from scp_recon.mission.constraints import companion_distance_m
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.sampling import sample_positions
 from scp_recon.physics import geometry
@@ -102,11 +103,24 @@ def _draw_path(axes: Axes, mission: Mission, solution: Solution) -> None:
     track = geometry.track(mission.site, mission.rotation, times[window])
     axes.plot(*seen(track.position).T, color="C1", lw=3, label="site in the window", zorder=3)
     axes.add_patch(_body(mission))
+    _draw_companion(axes, mission)
     draw_burns(axes, *_arrows(mission, solution), SHORT)
     axes.set(xlabel="Sun-North Y (km), seen from the Sun", ylabel="Sun-North Z (km)")
     axes.set_aspect("equal")
     axes.margins(0.12)
     axes.legend(ncols=2, loc="lower center", bbox_to_anchor=(0.5, 1.0))
+
+
+def _draw_companion(axes: Axes, mission: Mission) -> None:
+    """The companion's way during the flight, and what is kept clear of it amid the window."""
+    companion = mission.scene.companion
+    if companion is None:
+        return
+    way = seen_from_sun(mission, companion.position(mission.times_s))
+    amid = seen_from_sun(mission, companion.position(np.mean(mission.schedule.window_s)))
+    radius = companion_distance_m(mission.scenario) / 1e3
+    axes.plot(*way.T, color="C2", lw=1, ls=":", label="companion, kept clear")
+    axes.add_patch(Circle(tuple(amid), radius, facecolor="none", edgecolor="C2", zorder=2))
 
 
 def _body(mission: Mission) -> Patch:
