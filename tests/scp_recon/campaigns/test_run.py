@@ -196,7 +196,7 @@ def test_a_site_in_the_dark_is_refused_with_its_reason():
     dark = next(case for case in study.cases if case.changes["site.latitude_deg"] < -70.0)
     with pytest.raises(ValueError, match="lighting window"):
         work_of(study)(dark)
-    assert {path.stem for path in STUDIES.glob("*.toml")} == {*SIZES, "asteroid_year"}
+    assert {path.stem for path in STUDIES.glob("*.toml")} == {*SIZES, "asteroid_year", "ryugu_map"}
 
 
 @pytest.mark.usefixtures("few_flights")
