@@ -5,8 +5,6 @@ reliability; what evidence is out of date.
 time, so that a change is judged by what it changes.
 """
 
-from __future__ import annotations
-
 import os
 import signal
 from collections import Counter, defaultdict

@@ -6,8 +6,6 @@ counts in equal parts for those of its functions that use what is made once for 
 function that is not named is fast, and so is every new one.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Collection, Mapping
 from pathlib import Path

@@ -4,8 +4,6 @@ Oracles for `formulations.rows.node_probability`: they know neither transforms n
 sets along fixed axes, and take hundreds of thousands of points for one number.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.special import ndtr
 from scipy.stats import ncx2

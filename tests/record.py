@@ -8,8 +8,6 @@ what JSON, CSV and Parquet files hold, by their places. It knows the command lin
 its name. Long lists are kept as number, least, largest and root mean square.
 """
 
-from __future__ import annotations
-
 import argparse
 import csv
 import json

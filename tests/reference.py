@@ -3,8 +3,6 @@
 They are numbers, and of long tables a dozen rows. Nothing of the project computes them.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -5,8 +5,6 @@ all tests, over all processes, and the examples that Hypothesis ran. `pytest --r
 them.
 """
 
-from __future__ import annotations
-
 import json
 import re
 from collections import Counter

@@ -1,7 +1,5 @@
 """Random scenarios around Reconnaissance B, most of which can be flown, and their plans."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The tests of `make fast`: the cheapest ones, and every new one."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from tests.fast import function_of, named_slow, slow_functions

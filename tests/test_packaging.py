@@ -1,7 +1,5 @@
 """What is installed, built and cited: the wheel, the source distribution, CITATION.cff."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

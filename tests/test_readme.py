@@ -4,8 +4,6 @@ A command is run as it is shown, or where it takes long with less work, as `QUIC
 entry there fails. What sets up, times, or takes hours stands in `APART`.
 """
 
-from __future__ import annotations
-
 import ast
 import importlib
 import importlib.util

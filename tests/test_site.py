@@ -1,7 +1,5 @@
 """The site's pages: what `make site` does not see by itself."""
 
-from __future__ import annotations
-
 import re
 import urllib.error
 import urllib.request

@@ -1,7 +1,5 @@
 """Tables and ratios of the benchmarks from made-up times; no time is tested."""
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import asdict, replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The table made once, by the command, with few flights; a plan, and what flies it."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import shutil

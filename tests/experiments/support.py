@@ -1,7 +1,5 @@
 """Sessions, tables and flights that several tests of this wing use."""
 
-from __future__ import annotations
-
 import csv
 from argparse import Namespace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Generation about the asteroid: the panels' law, the two cones, and the command."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

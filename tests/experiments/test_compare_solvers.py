@@ -1,7 +1,5 @@
 """The comparison of solvers, and of exact risk with other programs: rows, and claims that follow."""
 
-from __future__ import annotations
-
 from collections.abc import Generator, Iterable
 from dataclasses import asdict, fields, replace
 from functools import partial

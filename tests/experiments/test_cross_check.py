@@ -1,7 +1,5 @@
 """Flights by other tools: what is told without them, what they are given, and what they find."""
 
-from __future__ import annotations
-
 import sys
 
 import numpy as np

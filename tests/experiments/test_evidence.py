@@ -1,7 +1,5 @@
 """The shell of the studies and what they leave: evidence, the pages that show it, tests counted."""
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """The study of feedback: scaled targeting gains do what they say, and claims judge what is there."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

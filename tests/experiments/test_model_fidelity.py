@@ -1,7 +1,5 @@
 """The fidelity study: its flights against independent ones, its rule, and the command."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The paper's table: rows, statements, variants, the flight's kernel, and what is taken up again."""
 
-from __future__ import annotations
-
 import csv
 from dataclasses import replace
 from datetime import timedelta

@@ -1,7 +1,5 @@
 """Other tools: what is told without them, and that a row is of the burns that it reports."""
 
-from __future__ import annotations
-
 import importlib.util
 
 import pytest

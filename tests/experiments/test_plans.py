@@ -1,7 +1,5 @@
 """Studies of plans: rows are what their cases describe, all rounds count, maps are summed up."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The study of sites out of reach: which gains are left when fewer burns are corrected."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The uncertainty study: flights of each source, their spread, normality, and its verdicts."""
 
-from __future__ import annotations
-
 import csv
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A name of a formulation and one of a solver make the subproblem that is meant."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

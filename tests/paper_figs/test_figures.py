@@ -1,7 +1,5 @@
 """Every figure of the paper is drawn once, in silence, and written; and what they say is true."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from dataclasses import replace

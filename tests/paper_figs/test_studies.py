@@ -1,7 +1,5 @@
 """Figures of the studies: each drawn once, in silence, true to its tables; missing studies are run."""
 
-from __future__ import annotations
-
 import shutil
 import sys
 from dataclasses import replace

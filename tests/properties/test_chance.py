@@ -1,7 +1,5 @@
 """Chance constraints: a facet's condition is its probability, and facets imply their region."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Corrected burns: covariances of flights with a filter; IPOPT's programs against the convex side."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import get_args
 

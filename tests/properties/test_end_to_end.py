@@ -1,7 +1,5 @@
 """The command line on random scenarios: verified, or refused in so many words; nothing else."""
 
-from __future__ import annotations
-
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager

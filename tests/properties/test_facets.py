@@ -1,7 +1,5 @@
 """Facets of chance constraints: inside or around their region, turned to the guess, chosen well."""
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import replace
 

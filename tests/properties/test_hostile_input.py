@@ -3,8 +3,6 @@
 Ten examples of each campaign in usual runs, all of them in the nightly profile.
 """
 
-from __future__ import annotations
-
 import contextlib
 import copy
 import io

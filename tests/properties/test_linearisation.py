@@ -1,7 +1,5 @@
 """Covariance lifting: the factor is the covariance, and its affine map is the derivative."""
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import replace
 

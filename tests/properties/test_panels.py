@@ -1,7 +1,5 @@
 """Solar panels: the largest power over rotations, and the attitude that gives it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

@@ -1,7 +1,5 @@
 """Polytopes about the ball and pyramids about the cone: inclusion, tightness, turning."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Balls and cones: signed distances, supporting half-spaces, second-order cones."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import assume, example, given

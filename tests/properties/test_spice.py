@@ -1,7 +1,5 @@
 """Observation geometry at random times and places, against SPICE and the kernel of Bennu."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from types import ModuleType
 

@@ -5,8 +5,6 @@ the prime meridian, the pole and the spin of a body that is not packaged, in rad
 probability, and small errors; and a `dv_max_m_s` in km/s, which leaves no plan.
 """
 
-from __future__ import annotations
-
 from datetime import timedelta
 from typing import Any
 

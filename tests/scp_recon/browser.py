@@ -1,7 +1,5 @@
 """Headless Chromium for tests of pages, which skip without it or without Playwright to drive it."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager

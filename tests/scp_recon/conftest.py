@@ -1,7 +1,5 @@
 """The default mission, planned and verified once for all tests of this wing."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import pytest

@@ -1,7 +1,5 @@
 """Missions, an integrator and command lines that several tests of this wing use."""
 
-from __future__ import annotations
-
 import contextlib
 import copy
 import io

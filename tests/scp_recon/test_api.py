@@ -1,7 +1,5 @@
 """The front door: what a notebook needs, in SI, lazily imported, with docstrings that run."""
 
-from __future__ import annotations
-
 import copy
 import doctest
 import pickle

@@ -1,7 +1,5 @@
 """Attributes of all that functions of `scp_recon` return are described at their class."""
 
-from __future__ import annotations
-
 import ast
 import dataclasses
 import inspect

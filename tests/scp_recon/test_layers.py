@@ -1,7 +1,5 @@
 """The house's floors: who may import whom, and the library's manners at import."""
 
-from __future__ import annotations
-
 import ast
 import json
 import re

@@ -1,7 +1,5 @@
 """The generated reference pages: current, with every option, entry and key described."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

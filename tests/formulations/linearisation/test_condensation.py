@@ -1,7 +1,5 @@
 """Every way to eliminate mean and factor has the same shapes and the same mean."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

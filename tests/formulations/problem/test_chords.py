@@ -1,7 +1,5 @@
 """Chords of lines in regions: against points along them, and where they graze or stand."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import assume, given

@@ -1,7 +1,5 @@
 """The cost of corrected burns: its gradient, its law where that is known, and what the program says."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from unittest.mock import Mock

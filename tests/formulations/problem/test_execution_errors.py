@@ -1,7 +1,5 @@
 """Columns of the burns' errors: their derivative, their product, what they forbid, what is drawn."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import casadi as ca

@@ -1,7 +1,5 @@
 """Flows from expressions, against SciPy's integrators, known motions and differences of the map."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import casadi as ca

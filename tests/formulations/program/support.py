@@ -1,7 +1,5 @@
 """Shared by the tests of the convex program: flybys, charges, and the same program said plainly."""
 
-from __future__ import annotations
-
 import warnings
 from typing import NamedTuple, get_args
 

@@ -1,7 +1,5 @@
 """The compiled program is CVXPY's own, evaluated; and it has no state."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import partial
 from typing import Any

@@ -1,7 +1,5 @@
 """Rows and slots of a condensed subproblem; neither changes its answer."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Mean, factor and virtual control as variables make the condensed program again."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Cost and violations of an iterate by their definitions; the primer and multipliers by flights."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import get_args
 

@@ -1,7 +1,5 @@
 """Convex programs: said plainly, of the iterate, radius and charge at hand; proofs of optimality."""
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Conic solvers say what they found, a verdict needs a proof, and failures have others behind."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable, Mapping
 from functools import cache

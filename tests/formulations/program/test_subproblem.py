@@ -1,7 +1,5 @@
 """Subproblems: exact at their iterate, wrong by the square of the step, planes at small burns."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Probability along lines: the laws, segments within limits, directions, forms of normal vectors."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

@@ -1,7 +1,5 @@
 """Limits of flights in strata, held to the Poisson law of their counts: no luck is in it."""
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Limits of corrected burns: kept by draws with the probability, with true derivatives."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

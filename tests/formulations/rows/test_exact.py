@@ -1,7 +1,5 @@
 """Exact rows: margins, slopes and curvature at the iterate; limits of the final spread."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 

@@ -1,7 +1,5 @@
 """Probabilities of whole flights: against nodes, Boole, plain Monte Carlo, and differences."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

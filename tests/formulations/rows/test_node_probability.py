@@ -1,7 +1,5 @@
 """Probabilities at nodes: against known laws and nested quadrature, and their gradients."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

@@ -1,7 +1,5 @@
 """Tables of attitudes: one that turns evenly, one that tumbles freely, and what is no table."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

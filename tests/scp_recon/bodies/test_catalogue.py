@@ -1,7 +1,5 @@
 """The packaged bodies: what they hold, and how well their mean elements say where the Sun is."""
 
-from __future__ import annotations
-
 import json
 from datetime import datetime
 from types import ModuleType

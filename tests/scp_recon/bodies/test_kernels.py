@@ -1,7 +1,5 @@
 """Kernels and gravity files: what they say, and what is refused."""
 
-from __future__ import annotations
-
 import sys
 from datetime import timedelta
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Surfaces: latitude and longitude to position and normal, and back."""
 
-from __future__ import annotations
-
 import itertools
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Campaigns whose rows are made by hand, to be shown."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """The part of a campaign's table that the tests compare."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pyarrow.parquet

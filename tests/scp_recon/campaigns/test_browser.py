@@ -1,7 +1,5 @@
 """A campaign's page in headless Chromium; skipped where there is none, or no Playwright to drive it."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The command: what it says, when it refuses, and that it goes on where it was stopped."""
 
-from __future__ import annotations
-
 import json
 import signal
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Ends, pictures and page of a campaign."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil

@@ -1,7 +1,5 @@
 """A campaign's folder: whose it is, a table that is whole or not there; studies that are shown."""
 
-from __future__ import annotations
-
 import functools
 import json
 import tomllib

@@ -1,7 +1,5 @@
 """Sites spread over a shape: evenly, from the first ones on, and seen at noon."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.spatial import ConvexHull, KDTree

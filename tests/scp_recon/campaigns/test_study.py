@@ -1,7 +1,5 @@
 """Studies as read, and refused before any work."""
 
-from __future__ import annotations
-
 import time
 from typing import Any
 

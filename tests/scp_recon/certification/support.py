@@ -1,7 +1,5 @@
 """A world in which planning takes no time, and flights reach what a test says."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 

@@ -1,7 +1,5 @@
 """A certified plan's promise is what flights reach that planning has not seen."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import dataclass, replace
 from typing import Any

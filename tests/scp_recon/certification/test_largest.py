@@ -1,7 +1,5 @@
 """The largest probability: found where it ends, told where it is not known, promised as flown."""
 
-from __future__ import annotations
-
 import pytest
 from scipy.special import ndtr, ndtri
 

@@ -1,7 +1,5 @@
 """Rounds aim as high as a look takes and no higher, and only looks judge, by the binomial law."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Between nodes flights are known to the second, and nodes are added where they touch a limit."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

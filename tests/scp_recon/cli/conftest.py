@@ -1,7 +1,5 @@
 """Commands verify with few flights here: what is tested depends not on their number."""
 
-from __future__ import annotations
-
 import pytest
 
 

@@ -1,7 +1,5 @@
 """`python -m scp_recon design`: what it leaves on disk, and what it says where nothing is found."""
 
-from __future__ import annotations
-
 import csv
 from collections.abc import Sequence
 from pathlib import Path

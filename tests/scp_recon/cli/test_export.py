@@ -1,7 +1,5 @@
 """`python -m scp_recon export`: every format, what it says, and what it refuses."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from dataclasses import replace

@@ -3,8 +3,6 @@
 Usual runs take a few faults of each kind, ten of the conic solvers' in all; `nightly` takes every one.
 """
 
-from __future__ import annotations
-
 import errno
 import io
 import os

@@ -1,7 +1,5 @@
 """The diagnosis of an infeasible run: what binds, the largest probability, a line that is feasible."""
 
-from __future__ import annotations
-
 import dataclasses
 import shlex
 from types import SimpleNamespace

@@ -1,7 +1,5 @@
 """A plan is not lost to a failed run, and what is made of a plan stays with it."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

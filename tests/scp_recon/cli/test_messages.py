@@ -1,7 +1,5 @@
 """Messages about wrong words and files: one line, with the file or the line."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

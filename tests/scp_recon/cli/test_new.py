@@ -1,7 +1,5 @@
 """`python -m scp_recon new`: a file that solves, or that says what to change."""
 
-from __future__ import annotations
-
 import json
 import re
 import tomllib

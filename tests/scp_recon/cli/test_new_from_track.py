@@ -1,7 +1,5 @@
 """`python -m scp_recon new --from-spice`, `--from-oem`, `--from-csv`: kernels that the tests write."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from datetime import datetime, timedelta
 from pathlib import Path

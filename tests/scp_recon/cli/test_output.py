@@ -1,7 +1,5 @@
 """--json, --quiet and pipes: what every command says, where it says it, and how wide."""
 
-from __future__ import annotations
-
 import json
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What each command refuses: one message, a document with --json, and nothing is left behind."""
 
-from __future__ import annotations
-
 import json
 import shlex
 from dataclasses import replace

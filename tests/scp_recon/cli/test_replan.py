@@ -1,7 +1,5 @@
 """`python -m scp_recon replan`: plan and verdict, what others make of them, and its messages."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Options of commands and functions are the same, and what cannot be chosen is refused."""
 
-from __future__ import annotations
-
 import inspect
 
 import pytest

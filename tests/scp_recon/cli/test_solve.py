@@ -1,7 +1,5 @@
 """The command line: what it shows, what it leaves on disk, and how it ends."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

@@ -1,7 +1,5 @@
 """Ctrl-C while a command is still importing ends in one line and its exit status."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 import textwrap

@@ -1,7 +1,5 @@
 """`python -m scp_recon windows`: table, CSV, chart, and what it refuses."""
 
-from __future__ import annotations
-
 import csv
 
 import pytest

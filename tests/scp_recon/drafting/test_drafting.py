@@ -1,7 +1,5 @@
 """Drafts of a scenario: legal by the schedule's rules, on the home orbit, and said line by line."""
 
-from __future__ import annotations
-
 from datetime import datetime
 
 import numpy as np

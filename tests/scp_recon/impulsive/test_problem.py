@@ -1,7 +1,5 @@
 """Problems by hand: known optima, every method, flights with errors, and words for bad input."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any

@@ -1,7 +1,5 @@
 """The default plan, ready to be written."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

@@ -1,7 +1,5 @@
 """Kernels of a plan, loaded by their own list and read by SPICE."""
 
-from __future__ import annotations
-
 import itertools
 import re
 from collections.abc import Iterator

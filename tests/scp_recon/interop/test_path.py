@@ -1,7 +1,5 @@
 """Exported paths: states, tables, and CCSDS messages."""
 
-from __future__ import annotations
-
 import csv
 import io
 import itertools

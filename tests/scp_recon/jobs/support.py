@@ -1,7 +1,5 @@
 """Run jobs into a store, and compare rows."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Jobs in this process and on processes of this machine: the same rows, and nothing left behind."""
 
-from __future__ import annotations
-
 import os
 import signal
 import time

@@ -1,7 +1,5 @@
 """Rows on the disk: none lost, none doubled, wherever the work stops."""
 
-from __future__ import annotations
-
 import errno
 import json
 import resource

@@ -1,7 +1,5 @@
 """Work that costs nothing, and such as misbehaves; few modules, for the processes that run it."""
 
-from __future__ import annotations
-
 import ctypes
 import os
 import signal

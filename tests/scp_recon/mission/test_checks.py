@@ -1,7 +1,5 @@
 """Missions that are hardly what was meant: refused, or warned about in so many words."""
 
-from __future__ import annotations
-
 import re
 from datetime import timedelta
 from typing import Any, get_args

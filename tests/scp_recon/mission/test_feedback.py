@@ -1,7 +1,5 @@
 """Burns that feedback corrects, their cut-offs among the nodes, and what is measured there."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np

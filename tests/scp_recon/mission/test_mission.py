@@ -1,7 +1,5 @@
 """The grid, the units, and the nondimensional problem that stands for the scenario."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import assume, given

@@ -1,7 +1,5 @@
 """What a flight's schedule allows: the window, timing rules, and burns that are legal."""
 
-from __future__ import annotations
-
 import itertools
 import re
 

@@ -1,7 +1,5 @@
 """All lighting windows of a span: none missed, none invented, edges where they are."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from datetime import timedelta
 

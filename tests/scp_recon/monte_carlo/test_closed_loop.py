@@ -1,7 +1,5 @@
 """Flights that correct their burns: the closed loop's normal law, and open loop to the last bit."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path

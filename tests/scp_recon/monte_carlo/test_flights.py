@@ -1,7 +1,5 @@
 """Tallies of flights depend on their configuration alone; intervals narrow as promised."""
 
-from __future__ import annotations
-
 import json
 import pickle
 import signal

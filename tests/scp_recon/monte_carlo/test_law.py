@@ -1,7 +1,5 @@
 """Flights chosen by the law's margin reach what all flights reach, however wrong the law is."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

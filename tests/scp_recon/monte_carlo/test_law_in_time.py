@@ -1,7 +1,5 @@
 """Each limit at each second by itself: flights chosen by the law reach what all flights reach."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 

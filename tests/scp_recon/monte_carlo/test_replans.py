@@ -1,7 +1,5 @@
 """Flights that are planned again before each burn: what they know, what they fly, and what fails."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Flights: their draws, what happens between nodes, time observed, and intervals."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The summary of flights: the file as before and the plan's hash, read as written or refused."""
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import replace

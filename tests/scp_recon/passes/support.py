@@ -1,7 +1,5 @@
 """A home orbit that tests design from: the terminator's, about the default scenario's window."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from scp_recon.scenario.load import validate_scenario

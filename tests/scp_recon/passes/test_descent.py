@@ -1,7 +1,5 @@
 """Burns of a pass: how many, and the descent of their phases and times."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The loop of a design, its plans made up: which windows are tried, and what counts in the end."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """A home orbit from a file that the test writes: a table, an OEM, a kernel, held against the circle."""
 
-from __future__ import annotations
-
 from datetime import timedelta
 from pathlib import Path
 from typing import Any

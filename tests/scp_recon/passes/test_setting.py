@@ -1,7 +1,5 @@
 """From a home orbit to spaces of passes and back to a scenario: epochs, windows, rules, messages."""
 
-from __future__ import annotations
-
 from datetime import timedelta
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The flow map and its sensitivities, against SciPy, automatic differentiation and invariants."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import reduce
 

@@ -1,7 +1,5 @@
 """Forces: derivatives, units, light, and spherical harmonics."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from math import factorial
 

@@ -1,7 +1,5 @@
 """Frames and time scales."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Iterator
 from datetime import UTC, datetime, timedelta, timezone

@@ -1,7 +1,5 @@
 """Observation angles on cases whose answer is known, and against SPICE."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import assume, given

@@ -1,7 +1,5 @@
 """A homogeneous polyhedron against the ellipsoid's closed form, Poisson's equation, its harmonics."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.optimize import brentq

@@ -1,7 +1,5 @@
 """Heliocentric motion against Kepler's equation, and Lambert's problem against flown arcs."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import assume, given

@@ -1,7 +1,5 @@
 """A second body: it pulls as Newton says, and flights keep out of a ball that moves with it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

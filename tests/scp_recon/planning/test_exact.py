@@ -1,7 +1,5 @@
 """Plans that spend the risk that was asked for: what they cost and reach, and what they refuse."""
 
-from __future__ import annotations
-
 import os
 from functools import cache, partial
 from itertools import pairwise

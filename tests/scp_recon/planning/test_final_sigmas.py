@@ -1,7 +1,5 @@
 """Plans with limits of the final spread, and under other execution errors."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 

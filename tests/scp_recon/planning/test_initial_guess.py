@@ -1,7 +1,5 @@
 """Initial guesses, the first stage that each leads to, and several starts."""
 
-from __future__ import annotations
-
 from functools import partial
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A plan's conic programs are CVXPY's and nobody else's."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Plans with harmonics that turn with the body: verified, flown, and IPOPT's arcs alike."""
 
-from __future__ import annotations
-
 import casadi as ca
 import numpy as np
 import pytest

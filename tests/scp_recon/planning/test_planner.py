@@ -1,7 +1,5 @@
 """The three stages on the real scenario: what they must reach."""
 
-from __future__ import annotations
-
 import itertools
 import warnings
 from dataclasses import replace

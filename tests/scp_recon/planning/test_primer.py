@@ -1,7 +1,5 @@
 """The primer's history of plans: against plans with a small burn added, and against Lawden's primer."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Burns that no thruster can fire are left out or raised, and nothing speaks of those left out."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Deliveries that cannot be are refused in one message; unlikely ones are told."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """A plan's prediction in flight: the spread of flights, whichever of their burns were measured."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

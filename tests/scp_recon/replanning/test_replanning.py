@@ -1,7 +1,5 @@
 """Plans of what is left of a flight: legal, met or missed as said, and as IPOPT finds them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

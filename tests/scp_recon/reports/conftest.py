@@ -1,7 +1,5 @@
 """Reports of the default plan, written once."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path

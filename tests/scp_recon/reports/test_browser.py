@@ -1,7 +1,5 @@
 """The page in headless Chromium; skipped where there is none, or no Playwright to drive it."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path

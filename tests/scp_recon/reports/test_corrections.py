@@ -1,7 +1,5 @@
 """What a report draws of corrections: the file's own spread and knowledge, and the flights' delta-v."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from datetime import UTC, datetime
 from typing import Any

@@ -1,7 +1,5 @@
 """Geometry of the report: against closed forms, SPICE's habits, and the verification."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

@@ -1,7 +1,5 @@
 """The page without a browser: it stands alone, says what the solution file says, also of a flight."""
 
-from __future__ import annotations
-
 import json
 import re
 import shlex

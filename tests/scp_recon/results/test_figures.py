@@ -3,8 +3,6 @@
 `older` holds files of `scp_recon.solution/2` on very coarse grids, as that version wrote them.
 """
 
-from __future__ import annotations
-
 import json
 import pickle
 from dataclasses import replace

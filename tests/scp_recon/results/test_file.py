@@ -1,7 +1,5 @@
 """The solution file: complete, read back as written, whole or not at all."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import math

@@ -1,7 +1,5 @@
 """Folders of runs: one of its own for each, one run at a time, and a pointer to the last."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """From a plan to a solution: SI, consistent, and honest about what is violated."""
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import asdict
 

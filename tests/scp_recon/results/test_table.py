@@ -1,7 +1,5 @@
 """One table: every renderer shows the same cells, people's texts or programs' values."""
 
-from __future__ import annotations
-
 import csv
 import json
 from io import StringIO

@@ -1,7 +1,5 @@
 """The graph of dependencies, and what a file takes over from its base by it."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The tables `[navigation]` and `[policy]`: what is said in them, what is refused, what is kept."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

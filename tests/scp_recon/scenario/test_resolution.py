@@ -1,7 +1,5 @@
 """From what the user knows to numbers: site, body, Sun and gravity, and what contradicts them."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from datetime import datetime

@@ -1,7 +1,5 @@
 """Scenarios: files, overrides, messages, and the JSON schema."""
 
-from __future__ import annotations
-
 import json
 import re
 from importlib.resources import files

@@ -1,7 +1,5 @@
 """The table `[uncertainty]`: each thing said in one way, and one message where it is not."""
 
-from __future__ import annotations
-
 import json
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Algorithms of SCP: their optima, accepted steps, and flown steps."""
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import replace
 from types import SimpleNamespace

@@ -1,7 +1,5 @@
 """The SCP loop: it never gets worse, it ends as it says, and it survives its solver."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

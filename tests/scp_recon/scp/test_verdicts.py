@@ -4,8 +4,6 @@ The quick form of two studies that are run by hand, 1,000 random scenarios and 2
 phases of a circular orbit: those that once cycled, stalled or failed, and a few others.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

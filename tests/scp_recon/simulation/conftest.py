@@ -1,7 +1,5 @@
 """The vehicle, and a short plan for it."""
 
-from __future__ import annotations
-
 import pytest
 
 from scp_recon.mission.mission import Mission

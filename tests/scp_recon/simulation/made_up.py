@@ -1,7 +1,5 @@
 """A record of no flight, for whatever reads one."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

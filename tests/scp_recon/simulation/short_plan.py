@@ -1,7 +1,5 @@
 """A plan of an hour with every mode."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from scp_recon.mission.mission import Mission

@@ -1,7 +1,5 @@
 """A bare plant that flies without flight software."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Errors of a simulated flight are as large as was drawn, and nothing else moves it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation

@@ -1,7 +1,5 @@
 """The file of a simulated flight, what it refuses to read, and the verdict on what it fell short of."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

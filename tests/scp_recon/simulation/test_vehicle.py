@@ -1,7 +1,5 @@
 """What flies: the packaged vehicle, its guidance and its estimator."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

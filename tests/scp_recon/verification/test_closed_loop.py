@@ -1,7 +1,5 @@
 """Plans with feedback: the verification flies their corrections anew, and finds what was changed."""
 
-from __future__ import annotations
-
 import io
 import json
 import re

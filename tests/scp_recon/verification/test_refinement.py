@@ -1,7 +1,5 @@
 """Finer grids where steps are too long for right covariances."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from datetime import datetime
 

@@ -1,7 +1,5 @@
 """How a verdict is told: shortfalls of flights, and what would remedy them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

@@ -1,7 +1,5 @@
 """Verification: it confirms a right solution, and every wrong one is found out."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from dataclasses import replace
