@@ -7,9 +7,8 @@ narrower one it warns. docs/reference/warnings.md shows these rows.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from scipy.constants import G
@@ -22,106 +21,13 @@ from scp_recon.bodies.catalogue import (
     J2000_TDB,
     packaged_body,
 )
-from scp_recon.errors import InputError
+from scp_recon.mission.checks.interval import INF, Interval, size, value_at
 from scp_recon.mission.checks.known import J2_ENDS, orbit_of_body
 from scp_recon.mission.grid import NODES_MAX, RK4_STEP_MAX_S
 from scp_recon.mission.scene import Scene
-from scp_recon.scenario.fields import ScenarioWarning, Section
-from scp_recon.scenario.resolution.agreement import angle_deg, shown
+from scp_recon.scenario.fields import Section
+from scp_recon.scenario.resolution.agreement import angle_deg
 from scp_recon.scenario.schema import Battery, Observation, ScheduleRules
-
-Ends = tuple[float, float]
-"""Ends of an interval; an infinite one bounds nothing."""
-INF = math.inf
-
-
-@dataclass(frozen=True)
-class Interval:
-    """A quantity of a scenario, and the intervals outside which it is refused or warned of."""
-
-    entries: str
-    """Dotted paths, separated by spaces; each has the quantity."""
-    quantity: str = ""
-    """Bounded quantity in words; the entry itself, or its length, if empty."""
-    value: Callable[[Scene, str], float | None] = lambda scene, entry: _size(_given(scene, entry))
-    """The quantity of an entry; None where the row does not apply."""
-    unit: str = ""
-    refuse: Ends | None = None
-    warn: Ends | None = None
-    hint: str = ""
-    """The likely slip, or the reason."""
-    or_zero: bool = False
-    """Whether zero is meant, and never in question."""
-    scale: tuple[Callable[[Scene, str], float | None], str] | None = None
-    """Unit of the ends, as a function, and its name; None where the row does not apply."""
-
-    def check(self, scene: Scene) -> Iterator[ScenarioWarning]:
-        """Check a scene against the row; yield its warnings.
-
-        Raises:
-            InputError: naming the entry, what was given and what is allowed.
-        """
-        for entry in self.entries.split():
-            value = self.value(scene, entry)
-            if value is None or (self.or_zero and value == 0.0):
-                continue
-            scale = self.scale[0](scene, entry) if self.scale else 1.0
-            if scale is None:
-                continue
-            if self.refuse and not self.refuse[0] <= value / scale <= self.refuse[1]:
-                allowed = f"must be {self._expected(self.refuse, scale)}"
-                raise InputError(entry, self._shown(_given(scene, entry), value), allowed)
-            if self.warn and not self.warn[0] <= value / scale <= self.warn[1]:
-                expected = f"expected {self._expected(self.warn, scale)}"
-                given = self._shown(_given(scene, entry), value)
-                yield ScenarioWarning.of(entry, given, expected)
-
-    def _shown(self, given: Any, value: float) -> str:
-        """The quantity beside the number or vector it is computed from."""
-        if not self.quantity:
-            digits = 12 if isinstance(given, float) else 4
-            return f"{value:.{digits}g} {self.unit}".rstrip()
-        number = f"{self.quantity}: {value:.3g} {self.unit}".rstrip()
-        if isinstance(given, tuple) and (len(given) > 3 or isinstance(given[0], tuple)):
-            return number
-        return f"{f'{given:.12g}' if isinstance(given, float) else shown(given)} ({number})"
-
-    def _expected(self, ends: Ends, scale: float) -> str:
-        if self.scale is None:
-            return f"{self.within(ends)}{self.hint}"
-        absolute = _within((ends[0] * scale, ends[1] * scale), self.unit)
-        relative = _within(ends, self.scale[1]).removeprefix("at least ").removeprefix("at most ")
-        return f"{'0, or ' if self.or_zero else ''}{absolute} ({relative}){self.hint}"
-
-    def within(self, ends: Ends) -> str:
-        """An interval in words: "300 to 8000 kg/m^3", "0, or at least 60 s", "at most 2 radii"."""
-        words = _within(ends, self.scale[1] if self.scale else self.unit)
-        return f"{'0, or ' if self.or_zero else ''}{words}"
-
-
-def _within(ends: Ends, unit: str) -> str:
-    low, high = ends
-    words = f"{low:.4g} to {high:.4g}"
-    if high == INF:
-        words = f"at least {low:.4g}"
-    elif low == -INF:
-        words = f"at most {high:.4g}"
-    return f"{words} {unit}".rstrip()
-
-
-def _given(scene: Scene, entry: str) -> Any:
-    """Value of a scenario at a dotted path; None below a table that it lacks."""
-    found: Any = scene.scenario
-    for key in entry.split("."):
-        found = getattr(found, key, None)
-    return found
-
-
-def _size(given: Any) -> float | None:
-    """A number, or the length of a vector."""
-    if given is None:
-        return None
-    return math.hypot(*given) if isinstance(given, tuple) else float(given)
 
 
 def density(gm: float, radius: float) -> float:
@@ -133,15 +39,21 @@ def _density(scene: Scene, _: str) -> float:
     body = scene.scenario.body
     known, radius = packaged_body(body.name), body.reference_radius_m
     if known is not None:  # whose sphere may be far larger than the body
-        radius = min(radius, math.prod(known.entries["radii_m"]) ** (1.0 / 3.0))
+        radius = min(radius, _mean_m(known.entries["radii_m"]))
     return density(body.gm_m3_s2, radius)
 
 
+def _mean_m(radii_m: Sequence[float]) -> float:
+    """Radius of a ball as large as an ellipsoid."""
+    return math.prod(radii_m) ** (1.0 / 3.0)
+
+
 def _mean_radius_m(scene: Scene, _: str = "") -> float | None:
-    """Of a ball as large as the ellipsoid of a body that is not packaged."""
+    """Of the ellipsoid of a body that is not packaged."""
     body = scene.scenario.body
-    known = body.radii_m is None or packaged_body(body.name) is not None
-    return None if known or body.radii_m is None else math.prod(body.radii_m) ** (1.0 / 3.0)
+    if body.radii_m is None or packaged_body(body.name) is not None:
+        return None
+    return _mean_m(body.radii_m)
 
 
 def _density_of_radii(scene: Scene, _: str) -> float | None:
@@ -207,7 +119,7 @@ def _nearest_to_site_m(scene: Scene, _: str) -> float | None:
 
 def _escape_m_s(scene: Scene, entry: str) -> float:
     """Escape speed at the position that belongs to a velocity entry."""
-    distance = math.hypot(*_given(scene, entry.replace("velocity_m_s", "position_m")))
+    distance = math.hypot(*value_at(scene, entry.replace("velocity_m_s", "position_m")))
     return math.sqrt(2.0 * scene.scenario.body.gm_m3_s2 / distance)
 
 
@@ -221,7 +133,7 @@ def _largest_speed_m_s(scene: Scene, _: str) -> float:
 def _outside_m(scene: Scene, entry: str) -> float | None:
     """Boundary states that follow from a home orbit have its radius."""
     of_home = entry.startswith("boundary.") and scene.scenario.boundary.home is not None
-    return None if of_home and entry != HOME else _size(_given(scene, entry))
+    return None if of_home and entry != HOME else size(value_at(scene, entry))
 
 
 def _followed_m3_s2(scene: Scene, _: str) -> float:
@@ -244,7 +156,7 @@ def _risk_of_flights(scene: Scene, _: str) -> float | None:
 def _sigma(scene: Scene, entry: str, part: int) -> float | None:
     """The largest 1-sigma error, m or m/s, where planning begins or measured, if this entry says it."""
     if entry.startswith("navigation."):
-        measured = _given(scene, entry)
+        measured = value_at(scene, entry)
         matrix = np.ndim(measured) == 2
         return float(np.sqrt(np.diag(measured))[3 * part :][:3].max()) if matrix else measured
     given, flight = scene.scenario.uncertainty, scene.scenario.in_flight
@@ -318,12 +230,12 @@ SIGMAS = (
 
 PLANNER_INTERVALS = (
     Interval(
-        "grid.nodes_s", "the last", lambda s, entry: max(_given(s, entry), default=0.0), "s",
+        "grid.nodes_s", "the last", lambda s, entry: max(value_at(s, entry), default=0.0), "s",
         refuse=(-INF, 1.0), scale=(lambda s, _: s.scenario.duration_s, "times the flight"),
     ),
     Interval(
         "grid.step_max_s", "nodes in the flight",
-        lambda s, entry: s.scenario.duration_s / float(_given(s, entry)), refuse=(-INF, NODES_MAX),
+        lambda s, entry: s.scenario.duration_s / float(value_at(s, entry)), refuse=(-INF, NODES_MAX),
     ),
     # The body moves on a straight line, which must not lead to the Sun.
     Interval(
@@ -392,7 +304,7 @@ INTERVALS = (
     Interval(
         "body.companion.semi_major_axis_m", "from the surface at the nearest", _clear_m, "m",
         refuse=(1.0, INF), hint=", outside the body",
-        scale=(lambda s, _: _given(s, "body.companion.radius_m"), "of its radii"),
+        scale=(lambda s, _: value_at(s, "body.companion.radius_m"), "of its radii"),
     ),
     # Of a surface point: an elongated body reaches beyond its mean radius.
     Interval(
@@ -449,7 +361,7 @@ INTERVALS = (
     Interval("observation.site_distance_min_m", unit="m", warn=(-INF, 100.0), scale=RADII),
     Interval(
         "observation.site_distance_min_m", "the largest distance over it",
-        lambda s, entry: s.scenario.observation.site_distance_max_m / float(_given(s, entry)),
+        lambda s, entry: s.scenario.observation.site_distance_max_m / float(value_at(s, entry)),
         warn=(-INF, 100.0), hint="; metres both?",
     ),
     Interval(
@@ -481,7 +393,7 @@ INTERVALS = (
     # From a solid block to a solar sail.
     Interval(
         "spacecraft.srp_area_m2", "over the mass",
-        lambda s, entry: float(_given(s, entry)) / s.scenario.spacecraft.mass_kg, "m^2/kg",
+        lambda s, entry: float(value_at(s, entry)) / s.scenario.spacecraft.mass_kg, "m^2/kg",
         warn=(1e-4, 1.0), or_zero=True,
     ),
     # Of what is between a mirror that sends the light on and one that sends it back.
