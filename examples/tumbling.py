@@ -19,11 +19,13 @@ from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
 from scp_recon.bodies.catalogue import J2000_TDB, OBLIQUITY
+from scp_recon.bodies.surface import direction_of
 
 MOMENTS = np.array([0.64, 0.97, 1.0])
 """Of Apophis, over the largest; with the rest from Lee et al. 2022, A&A 661, L3, abstract."""
 PRECESSION_H, ROTATION_H = 27.38547, 264.178
-MOMENTUM_ECLIPTIC_DEG = 275.0, -85.0
+MOMENTUM_ECLIPTIC = -85.0, 275.0
+"""Latitude and longitude of the angular momentum, deg."""
 START, DAYS, STEP_S = datetime(2028, 10, 1), 10.0, 1800.0
 
 
@@ -78,11 +80,7 @@ def table() -> tuple[np.ndarray, np.ndarray]:
     tilt, unit_s = tilt_and_second()
     times = np.arange(0.0, DAYS * 86_400.0 + STEP_S, STEP_S)
     about = Rotation.from_quat(motion(tilt, times / unit_s)[:, 3:])
-    longitude, latitude = np.deg2rad(MOMENTUM_ECLIPTIC_DEG)
-    away = np.cos(latitude)
-    ecliptic = np.array([away * np.cos(longitude), away * np.sin(longitude), np.sin(latitude)])
-    c, s = np.cos(OBLIQUITY), np.sin(OBLIQUITY)
-    z = np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]]) @ ecliptic
+    z = Rotation.from_euler("x", OBLIQUITY).apply(direction_of(*MOMENTUM_ECLIPTIC))
     node = np.array([-z[1], z[0], 0.0]) / np.hypot(z[0], z[1])
     to_j2000 = Rotation.from_matrix(np.column_stack([node, np.cross(z, node), z]))
     seconds = (START - J2000_TDB).total_seconds() + times

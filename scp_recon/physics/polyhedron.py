@@ -123,14 +123,12 @@ class PolyhedronField:
         lengths = np.linalg.norm(sides, axis=1)
         normal = np.tile(normals, (3, 1))
         outward = np.cross(sides / lengths[:, None], normal)
-        ends, edge = np.unique(
-            np.sort(np.stack([begin, end], 1), axis=1), axis=0, return_inverse=True
-        )
+        pairs = np.sort(np.stack([begin, end], 1), axis=1)
+        ends, first, edge = np.unique(pairs, axis=0, return_index=True, return_inverse=True)
         dyads = np.zeros((len(ends), 3, 3))
         np.add.at(dyads, edge.ravel(), normal[:, :, None] * outward[:, None, :])
-        length = np.linalg.norm(self.vertices[ends[:, 1]] - self.vertices[ends[:, 0]], axis=1)
         edge_terms = _terms(dyads, self.vertices[ends[:, 0]])
-        return _Sums(ends, length, edge_terms, facet_terms, volumes, areas)
+        return _Sums(ends, lengths[first], edge_terms, facet_terms, volumes, areas)
 
 
 def _terms(dyads: Array, points: Array) -> Array:
