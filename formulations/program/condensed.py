@@ -124,7 +124,7 @@ class CondensedSubproblem(ConvexSubproblem):
         constant, by_burns = final_state_map(lin)
         miss = constant - lin.problem.final_state
         self._final = {"miss_jacobian": lin.problem.by_controls(by_burns), "miss": miss}
-        most = SLOTS if lin.problem.feedback is None else min(SLOTS, SLOTS_WITH_GAINS)
+        most = SLOTS if lin.problem.feedback is None else SLOTS_WITH_GAINS
         self._slots = self._slots or [min(most, 2 * len(cones.rows)) for cones in self._cones]
         slack = self._slack(lin.controls)
         self._active[:] = False
