@@ -196,7 +196,7 @@ def constrain(
     return replace(flyby, problem=replace(problem, constraints=tuple(constraints)))
 
 
-def near_from(patch: pytest.MonkeyPatch, room: float) -> None:
+def near_from(patch, room: float) -> None:
     """Let the rows of P3 and P2 take part in condensed programs from this room on."""
     for rows in (ChanceRows, DeterministicRows):
         patch.setattr(rows, "near", room)

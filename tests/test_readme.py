@@ -375,7 +375,7 @@ def call(words: Sequence[str]) -> int:
 
 
 @pytest.fixture(scope="module")
-def workspace(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Workspace]:
+def workspace(tmp_path_factory) -> Iterator[Workspace]:
     """With the folders and files that the lines speak of; verification flies few flights."""
     folder = tmp_path_factory.mktemp("workspace")
     (folder / "mine.toml").write_text(snippets_of(PROJECT / "README.md")["toml"][0], "utf-8")

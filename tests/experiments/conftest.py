@@ -23,7 +23,7 @@ def mission() -> Mission:
 
 
 @pytest.fixture(scope="session")
-def finished(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+def finished(tmp_path_factory) -> tuple[Path, str]:
     """A whole run of the command: its folder and what it printed."""
     out = tmp_path_factory.mktemp("paper")
     printed = io.StringIO()
@@ -33,7 +33,7 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
 
 
 @pytest.fixture
-def copy(finished: tuple[Path, str], tmp_path: Path) -> Path:
+def copy(finished, tmp_path) -> Path:
     return Path(shutil.copytree(finished[0], tmp_path / "copy"))
 
 

@@ -10,7 +10,6 @@ from scp_recon.physics.forces import SPEED_OF_LIGHT_M_S
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scenario.schema import Scenario
 from scp_recon.simulation.panels import SolarArray, irradiance
-from scp_recon.simulation.vehicle import Vehicle
 
 
 @pytest.fixture(scope="module")
@@ -19,12 +18,12 @@ def scenario() -> Scenario:
 
 
 @pytest.fixture(scope="module")
-def panels(scenario: Scenario, vehicle: Vehicle) -> SolarArray:
+def panels(scenario, vehicle) -> SolarArray:
     return SolarArray.of(vehicle, irradiance(scenario))
 
 
 @pytest.fixture(scope="module")
-def cones(scenario: Scenario, vehicle: Vehicle, panels: SolarArray) -> list[Record]:
+def cones(scenario, vehicle, panels) -> list[Record]:
     samples = sample(panels, SAMPLES, 0, scenario.body.reference_radius_m)
     return find_cones(panels, samples, mode_loads(vehicle, scenario), vehicle.loads.housekeeping_w)
 

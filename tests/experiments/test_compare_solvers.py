@@ -209,12 +209,12 @@ def exact() -> Mission:
 
 
 @pytest.fixture(scope="module")
-def planned(exact: Mission) -> Plan:
+def planned(exact) -> Plan:
     return plan(exact, initial_guess.cold(exact))
 
 
 @pytest.fixture(scope="module")
-def p3(exact: Mission) -> Linearisation:
+def p3(exact) -> Linearisation:
     return plan(exact, initial_guess.cold(exact), problem="P3").final.result.lin
 
 

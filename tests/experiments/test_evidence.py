@@ -36,7 +36,7 @@ QUICK = Source("experiments battery_cones --samples 100", (battery_cones.__name_
 
 
 @pytest.fixture
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def folder(tmp_path, monkeypatch) -> Path:
     """Where evidence goes, of one quick study, and one page."""
     page = tmp_path / "page.md"
     page.write_text(
@@ -266,7 +266,7 @@ ROWS = [
 
 
 @pytest.fixture
-def rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def rows(tmp_path, monkeypatch) -> None:
     monkeypatch.setattr(evidence, "FOLDER", tmp_path)
     monkeypatch.setattr(pages, "_tables", pages._tables.__wrapped__)
     tables = {"plans": ROWS, "more": ROWS[:1]}

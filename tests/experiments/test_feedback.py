@@ -24,7 +24,7 @@ def mission() -> Mission:
     return Mission.from_scenario(load_scenario().replace(changes))
 
 
-def test_the_whole_gain_targets_the_planned_position_from_the_estimate(mission: Mission) -> None:
+def test_the_whole_gain_targets_the_planned_position_from_the_estimate(mission):
     """Carried to the burn, corrected, and carried on, what is estimated leaves no deviation there."""
     burns = np.array(
         [[-0.01, 0.045, 0.02], [-0.007, 0.026, -0.007], [0.0] * 3, [-0.009, 0.035, 0.014]]
@@ -46,7 +46,7 @@ def test_the_whole_gain_targets_the_planned_position_from_the_estimate(mission: 
     np.testing.assert_allclose(left[:3] / size, 0.0, atol=1e-7)
 
 
-def test_the_least_share_reaches_what_is_asked_and_no_less_does() -> None:
+def test_the_least_share_reaches_what_is_asked_and_no_less_does():
     """Of a made-up surplus that rises and falls again."""
 
     class Rows:
@@ -68,7 +68,7 @@ def test_the_least_share_reaches_what_is_asked_and_no_less_does() -> None:
     assert feedback.scaled(At, Rows()) is feedback.NO_GAIN  # type: ignore[arg-type]
 
 
-def test_a_case_that_fails_is_a_row_that_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_case_that_fails_is_a_row_that_says_so(monkeypatch):
     def fail(*_: object, **__: object) -> None:
         raise InputError("policy.kind", "'feedback'", "goes with nothing")
 
@@ -82,7 +82,7 @@ def figures(kind: str, p: float, cost: float, sigma: float = 200.0) -> Record:
     return {"kind": kind, "asked": p, "dv99_m_s": cost, "program_m_s": cost, "final_sigma_m": sigma}
 
 
-def test_policies_fly_their_own_plans(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_policies_fly_their_own_plans(monkeypatch):
     """Fixed burns cost what is planned; burns planned again end nearer to where they are to."""
     fly_few(monkeypatch)
     monkeypatch.setattr(policies, "plan", lambda scenario, **_: plan(scenario))
@@ -99,7 +99,7 @@ def test_policies_fly_their_own_plans(monkeypatch: pytest.MonkeyPatch) -> None:
     assert replanned["failed_replans"] == 0
 
 
-def test_claims_tell_what_falls_short() -> None:
+def test_claims_tell_what_falls_short():
     rows = [
         figures(OPEN, 0.99, 0.13),
         figures(CORRECTED, 0.99, 0.1155),

@@ -36,7 +36,7 @@ def mission() -> Mission:
 
 
 @pytest.fixture(scope="module")
-def flown(mission: Mission, tmp_path_factory: pytest.TempPathFactory) -> tuple[Solution, Path]:
+def flown(mission, tmp_path_factory) -> tuple[Solution, Path]:
     """The folder after one flight."""
     solution, out = short_plan(mission), tmp_path_factory.mktemp("flown")
     solution.write(out)

@@ -16,7 +16,6 @@ from experiments.model_fidelity.models import (
     relapses,
 )
 from experiments.model_fidelity.study import Compared, compare
-from scp_recon.mission.mission import Mission
 from scp_recon.physics.flow import propagate
 from scp_recon.results.solution import ballistic_arc
 from scp_recon.simulation.vehicle import load_vehicle
@@ -28,12 +27,12 @@ THRUST_M_S2 = 1.0 / 178.0
 
 
 @pytest.fixture(scope="module")
-def flight(mission: Mission) -> Flight:
+def flight(mission) -> Flight:
     return Flight.of("ballistic arc", ballistic_arc(mission), mission, load_vehicle())
 
 
 @pytest.fixture(scope="module")
-def compared(flight: Flight, tmp_path_factory: pytest.TempPathFactory) -> list[Compared]:
+def compared(flight, tmp_path_factory) -> list[Compared]:
     with session_in(tmp_path_factory.mktemp("fidelity")) as session:
         return compare(flight, session, session.store())
 

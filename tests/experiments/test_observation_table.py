@@ -40,7 +40,7 @@ KEYS = ("ballistic", "p3", "scp_warm", "scp_cold")
 
 
 @pytest.fixture(scope="module")
-def measured(mission: Mission, finished: tuple[Path, str]) -> list[Record]:
+def measured(mission, finished) -> list[Record]:
     return measure(mission, rows(ipopt=False), finished[0], samples=SAMPLES)
 
 
@@ -141,7 +141,7 @@ def test_a_failed_row_says_so_and_the_others_run(copy, monkeypatch, capsys):
 
 
 @pytest.fixture(scope="module")
-def flight(mission: Mission) -> Array:
+def flight(mission) -> Array:
     """The ballistic arc, its departure in two halves of which the second comes half an hour late."""
     half = 0.5 * initial_guess.ballistic(mission).burns[0] * mission.units.speed_m_s
     late = int(np.searchsorted(mission.times_s, 1800.0))
@@ -155,7 +155,7 @@ def flight(mission: Mission) -> Array:
 
 
 @pytest.fixture(scope="module")
-def kernel(mission: Mission, flight: Array, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def kernel(mission, flight, tmp_path_factory) -> Path:
     return write_kernel(tmp_path_factory.mktemp("kernel") / "flight.bsp", mission, flight)
 
 

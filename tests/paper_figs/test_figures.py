@@ -45,7 +45,7 @@ QUICK = Item(lambda _: Figure(), read=lambda _: None)
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(tmp_path_factory) -> Path:
     """What experiments write, for the two rows that figures are drawn from."""
     out = tmp_path_factory.mktemp("runs")
     needed = [row for row in rows(ipopt=False) if row.key in (PLAN, SURROGATE)]
@@ -57,12 +57,12 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def runs(folder: Path) -> Runs:
+def runs(folder) -> Runs:
     return read_runs(folder)
 
 
 @pytest.fixture
-def copy(folder: Path, tmp_path: Path) -> Path:
+def copy(folder, tmp_path) -> Path:
     return Path(shutil.copytree(folder, tmp_path / "copy"))
 
 

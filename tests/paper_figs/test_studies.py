@@ -167,7 +167,7 @@ def write_evidence(source: Source, folder: Path) -> None:
 
 
 @pytest.fixture(scope="module")
-def studies(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def studies(tmp_path_factory) -> Path:
     """Folders of all studies."""
     out = tmp_path_factory.mktemp("studies")
     experiments_main(

@@ -15,11 +15,7 @@ from formulations.linearisation.adjoint import gradient
 from formulations.linearisation.linearisation import Linearisation, condense
 from formulations.nlp.program import Arcs, Start
 from formulations.nlp.shooting import SingleShooting
-from formulations.problem.execution_errors import (
-    ComponentwiseErrors,
-    ExecutionErrors,
-    GatesErrors,
-)
+from formulations.problem.execution_errors import ComponentwiseErrors, GatesErrors
 from formulations.problem.feedback import Cost
 from formulations.problem.flyby import Iterate
 from formulations.rows.uniform import ChanceRows
@@ -52,9 +48,7 @@ def some_controls(flyby: Flyby, rng: np.random.Generator) -> Array:
 
 
 @given(corrected_flybys())
-def test_condense_is_the_derivative_by_burns_and_gains(
-    case: tuple[Flyby, np.random.Generator],
-) -> None:
+def test_condense_is_the_derivative_by_burns_and_gains(case):
     flyby, rng = case
     controls, h = some_controls(flyby, rng), 1e-6
     direction = rng.normal(size=controls.shape)
@@ -68,9 +62,7 @@ def test_condense_is_the_derivative_by_burns_and_gains(
 
 
 @given(corrected_flybys())
-def test_flights_of_linear_arcs_with_a_kalman_filter_of_their_own_have_the_factors_covariance(
-    case: tuple[Flyby, np.random.Generator],
-) -> None:
+def test_flights_of_linear_arcs_with_a_kalman_filter_of_their_own_have_the_factors_covariance(case):
     """Every source of errors, one at a time, through the textbook's filter and the gains.
 
     The second moment of the correction's errors of execution comes in as a source of its own.
@@ -115,9 +107,7 @@ def test_flights_of_linear_arcs_with_a_kalman_filter_of_their_own_have_the_facto
 
 
 @given(corrected_flybys())
-def test_a_correction_knows_only_what_was_measured_by_its_cut_off(
-    case: tuple[Flyby, np.random.Generator],
-) -> None:
+def test_a_correction_knows_only_what_was_measured_by_its_cut_off(case):
     """A burn's velocity does not depend on sources that enter after its cut-off."""
     flyby, rng = case
     problem = flyby.problem
@@ -141,9 +131,7 @@ def test_a_correction_knows_only_what_was_measured_by_its_cut_off(
 
 
 @given(corrected_flybys())
-def test_the_adjoint_gives_the_condensed_maps_derivative(
-    case: tuple[Flyby, np.random.Generator],
-) -> None:
+def test_the_adjoint_gives_the_condensed_maps_derivative(case):
     flyby, rng = case
     lin = linearised(flyby, some_controls(flyby, rng))
     by_mean = rng.normal(size=lin.iterate.mean.shape)
@@ -171,9 +159,7 @@ def casadi_arcs(waves: Waves) -> Arcs:
 @given(generators, st.sampled_from(MODELS))
 @example(np.random.default_rng(1), MODELS[1])
 @settings(max_examples=share_of_examples(30, usual=1))
-def test_rows_cost_and_gradient_are_those_of_the_convex_side(
-    price: Cost, rng: np.random.Generator, errors: ExecutionErrors
-) -> None:
+def test_rows_cost_and_gradient_are_those_of_the_convex_side(price, rng, errors):
     """Whatever the burns and gains: the two are one problem. Gradients are CasADi's own."""
     coast = int(rng.integers(0, 2))
     flyby = constrain(rng, random_flyby(rng, nodes=7, burns=3, coast=coast)).corrected(rng, price)
@@ -220,10 +206,7 @@ def test_rows_cost_and_gradient_are_those_of_the_convex_side(
     )
     of_cost, of_rows, of_defined = (np.array(slope) for slope in slopes(point))
     moved = -np.linalg.solve(of_defined[:, own:], of_defined[:, :own])
-    for slope, expected in (
-        (of_cost, lin.cost.gradient),
-        (of_rows, slope_of(rows, lin, prices)),
-    ):
+    for slope, expected in ((of_cost, lin.cost.gradient), (of_rows, slope_of(rows, lin, prices))):
         total = slope[0, :own] + slope[0, own:] @ moved
         np.testing.assert_allclose(total, expected, atol=1e-6 * np.abs(expected).max())
 

@@ -328,7 +328,7 @@ def test_a_scenario_at_the_ends_of_its_ranges_is_solved_or_refused(override):
 
 
 @pytest.fixture(scope="module")
-def solved(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def solved(tmp_path_factory) -> Path:
     """A small solution."""
     folder = tmp_path_factory.mktemp("solved")
     mission = Mission.from_scenario(load_scenario(None, ["grid.step_max_s=3000.0"]))

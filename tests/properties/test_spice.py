@@ -21,7 +21,7 @@ times = st.floats(-2e4, 4e4).map(lambda t: round(t, 6))
 
 
 @pytest.fixture(scope="module")
-def spice(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ModuleType]:
+def spice(tmp_path_factory) -> Iterator[ModuleType]:
     spiceypy = pytest.importorskip("spiceypy")
     spiceypy.kclear()
     spiceypy.furnsh(str(write_bennu_kernel(tmp_path_factory.mktemp("kernel"))))

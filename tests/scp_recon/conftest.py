@@ -21,34 +21,34 @@ def scenario() -> Scenario:
 
 
 @pytest.fixture(scope="session")
-def mission(scenario: Scenario) -> Mission:
+def mission(scenario) -> Mission:
     return Mission.from_scenario(scenario)
 
 
 @pytest.fixture(scope="session")
-def default_plan(mission: Mission) -> Plan:
+def default_plan(mission) -> Plan:
     """Cold start, condensed, facets from P3."""
     return plan(mission, initial_guess.cold(mission))
 
 
 @pytest.fixture(scope="session")
-def solution(default_plan: Plan) -> Solution:
+def solution(default_plan) -> Solution:
     return make_solution(default_plan)
 
 
 @pytest.fixture(scope="session")
-def verification(mission: Mission, solution: Solution) -> Verification:
+def verification(mission, solution) -> Verification:
     return verify(mission, solution)
 
 
 @pytest.fixture(scope="session")
-def default_run(tmp_path_factory: pytest.TempPathFactory) -> CommandLine:
+def default_run(tmp_path_factory) -> CommandLine:
     """`python -m scp_recon.solve --init cold`, once."""
     return run_solve(tmp_path_factory.mktemp("default"), "--init", "cold")
 
 
 @pytest.fixture
-def few_flights(monkeypatch: pytest.MonkeyPatch) -> None:
+def few_flights(monkeypatch) -> None:
     """Of verifications within the test; those of what is made once have as many as ever."""
     fly_few(monkeypatch)
 

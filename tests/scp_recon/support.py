@@ -44,7 +44,7 @@ def mission_of(*overrides: str) -> Mission:
     return Mission.from_scenario(load_scenario(None, overrides))
 
 
-def fly_few(patch: pytest.MonkeyPatch) -> None:
+def fly_few(patch) -> None:
     """Have verifications and reports fly few: where what is tested depends not on their number."""
     for module in (probabilities, reintegration):
         patch.setattr(module, "SAMPLES", 500)

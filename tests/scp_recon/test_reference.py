@@ -10,7 +10,7 @@ PUBLISHED = Path(__file__).parents[2] / "docs" / "reference"
 
 
 @pytest.fixture(scope="module")
-def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def written(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("reference")
     assert main([str(folder)]) == 0
     return folder

@@ -63,7 +63,7 @@ def model_of(problem: FlybyProblem, at: Array) -> Callable[[Array], float]:
 
 @pytest.mark.parametrize("value", ["cost", "formula"])
 @pytest.mark.parametrize("kind", ["nominal", "expected", "dv99"])
-def test_the_gradient_is_that_of_differences(kind: Cost, value: str) -> None:
+def test_the_gradient_is_that_of_differences(kind, value):
     problem, controls = case(kind)
     roots = roots_of(problem, iterate_of(problem, controls))
 
@@ -77,7 +77,7 @@ def test_the_gradient_is_that_of_differences(kind: Cost, value: str) -> None:
 
 
 @pytest.mark.parametrize("sigma", [0.02, 0.2, 2.0])
-def test_corrections_across_a_burn_have_the_law_of_one_normal_number(sigma: float) -> None:
+def test_corrections_across_a_burn_have_the_law_of_one_normal_number(sigma):
     """|v + sigma z| is monotonic in |z|. The law is skewed, which the smoothed cost tells less well."""
     problem, controls = case("dv99")
     iterate = iterate_of(problem, controls)
@@ -94,7 +94,7 @@ def test_corrections_across_a_burn_have_the_law_of_one_normal_number(sigma: floa
 
 
 @pytest.mark.parametrize(("across", "along"), [(0.1, 0.1), (0.05, 0.0), (0.1, 0.01)])
-def test_the_program_curves_as_the_cost_does(across: float, along: float) -> None:
+def test_the_program_curves_as_the_cost_does(across, along):
     """In its direction of most curvature, which little correction along burns makes large."""
     problem, z = case("dv99")
     for burn in problem.feedback.burns:
@@ -111,7 +111,7 @@ def test_the_program_curves_as_the_cost_does(across: float, along: float) -> Non
     assert ahead == pytest.approx(behind, rel=0.5)
 
 
-def test_gains_that_are_rounding_give_the_program_no_direction() -> None:
+def test_gains_that_are_rounding_give_the_program_no_direction():
     """Beside a burn that is nearly none; steps of gains longer than rounding and shorter than it."""
     problem, z = case("dv99")
     rng = np.random.default_rng(2)
@@ -127,7 +127,7 @@ def test_gains_that_are_rounding_give_the_program_no_direction() -> None:
         assert said == pytest.approx(real, rel=0.2)
 
 
-def test_the_program_has_the_kink_where_corrections_along_burns_cancel() -> None:
+def test_the_program_has_the_kink_where_corrections_along_burns_cancel():
     """Across burns nothing adds up, so that past it the cost rises as it fell."""
     problem, z = case("dv99")
     assert problem.feedback is not None
@@ -152,9 +152,7 @@ def test_the_program_has_the_kink_where_corrections_along_burns_cancel() -> None
     st.sampled_from([(), (1,), (2,), (1, 2)]),
     st.floats(0.0, 1.0),
 )
-def test_the_program_touches_the_cost_and_no_small_step_costs_less(
-    rng: np.random.Generator, kind: Cost, gone: tuple[int, ...], share: float
-) -> None:
+def test_the_program_touches_the_cost_and_no_small_step_costs_less(rng, kind, gone, share):
     """To first order, with burns and their gains that have vanished, where the cost has kinks, or none.
 
     Where nothing is corrected yet the program knows no draws near a quantile: gains alone count there.

@@ -69,12 +69,12 @@ def minimum(step: Step, lin: Linearisation, charge: PenaltyParameters) -> float:
     return step.merit + 0.5 * charge.prox * float(((step.burns - lin.iterate.burns) ** 2).sum())
 
 
-def tighten(patch: pytest.MonkeyPatch) -> None:
+def tighten(patch) -> None:
     """Have every solver that our tolerance reaches solve to `TIGHT`."""
     patch.setattr(solvers, "TOLERANCE", TIGHT)
 
 
-def alone(patch: pytest.MonkeyPatch, solver: str) -> None:
+def alone(patch, solver: str) -> None:
     """Leave a solver nobody to fall back on, so that what is answered it has answered itself."""
     for other in [name for name in solvers.SOLVERS if name != solver]:
         patch.delitem(solvers.SOLVERS, other)

@@ -72,9 +72,7 @@ class Parameters(Numbers):
         return cp.reshape(spread @ self.own[name], shape, order="F")
 
 
-def parametric(
-    kind: str, penalty: Penalty, monkeypatch: pytest.MonkeyPatch
-) -> tuple[Any, dict[str, cp.Parameter]]:
+def parametric(kind: str, penalty: Penalty, monkeypatch) -> tuple[Any, dict[str, cp.Parameter]]:
     """CVXPY's own form of a model, and its parameters by name."""
     monkeypatch.setattr(written, "Numbers", Parameters)
     model = MODELS[kind](penalty)

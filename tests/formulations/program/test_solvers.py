@@ -181,9 +181,7 @@ class Scripted:
         return word
 
 
-def script(
-    monkeypatch: pytest.MonkeyPatch, first: list[Word], second: list[Word]
-) -> dict[str, int]:
+def script(monkeypatch, first: list[Word], second: list[Word]) -> dict[str, int]:
     """Two solvers with what they say from now on; counts how often each was built."""
     built = {"CLARABEL": 0, "QOCO": 0}
 
@@ -410,7 +408,7 @@ class FakeInterface:
         return SimpleNamespace(status=self._status, primal_vars=primal, dual_vars=duals)
 
 
-def fake(monkeypatch: pytest.MonkeyPatch, interface: FakeInterface, name: str = "FAKE") -> None:
+def fake(monkeypatch, interface: FakeInterface, name: str = "FAKE") -> None:
     monkeypatch.setitem(defines.SOLVER_MAP_CONIC, name, interface)
 
 

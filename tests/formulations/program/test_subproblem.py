@@ -84,7 +84,7 @@ Build = Callable[[str, str], Subproblem]
 
 
 @pytest.fixture(scope="module")
-def build(case: Case) -> Build:
+def build(case) -> Build:
     """Subproblems by formulation and name, each compiled once."""
     built: dict[tuple[str, str], Subproblem] = {}
 
@@ -97,7 +97,7 @@ def build(case: Case) -> Build:
     return get
 
 
-def compiling(monkeypatch: pytest.MonkeyPatch) -> list[Model]:
+def compiling(monkeypatch) -> list[Model]:
     """The models that are compiled from now on; those of condensed forms with slots for all rows."""
     compiled: list[Model] = []
 
@@ -276,7 +276,7 @@ class Scripted:
         return self._answer._replace(x=np.full(len(program.cost), self._answer.x[0]))
 
 
-def scripted(monkeypatch: pytest.MonkeyPatch, answer: Answer | str, other: str) -> None:
+def scripted(monkeypatch, answer: Answer | str, other: str) -> None:
     """One solver with this answer, however often it is built, and another that fails."""
     monkeypatch.setitem(SOLVERS, "CLARABEL", lambda _: Scripted(answer))
     monkeypatch.setitem(SOLVERS, "QOCO", lambda _: Scripted(other))

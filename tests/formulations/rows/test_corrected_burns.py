@@ -49,7 +49,7 @@ def some_controls(case: Case, spread: float) -> Array:
 
 
 @given(cases(), st.floats(0.01, 0.3))
-def test_margins_are_quantiles_of_the_distance_to_the_limits(case: Case, spread: float) -> None:
+def test_margins_are_quantiles_of_the_distance_to_the_limits(case, spread):
     """Of drawn commands the required share keeps the limit when it is moved by the margin."""
     problem, _, rng = case
     feedback, lin = problem.feedback, at(case, some_controls(case, spread))
@@ -72,7 +72,7 @@ def test_margins_are_quantiles_of_the_distance_to_the_limits(case: Case, spread:
 
 @settings(max_examples=share_of_examples(3))
 @given(cases(), st.floats(0.01, 0.3))
-def test_rows_have_the_margins_value_and_derivative(case: Case, spread: float) -> None:
+def test_rows_have_the_margins_value_and_derivative(case, spread):
     problem, _, rng = case
     controls, h = some_controls(case, spread), 1e-5
     direction, rows = rng.normal(size=controls.shape), CorrectedBurns(problem, 0)
@@ -93,7 +93,7 @@ def test_rows_have_the_margins_value_and_derivative(case: Case, spread: float) -
 
 
 @given(cases(), st.floats(0.01, 3.0))
-def test_corrections_may_be_along_a_line(case: Case, spread: float) -> None:
+def test_corrections_may_be_along_a_line(case, spread):
     """That of the burn itself, whose law has one dimension and a singular covariance."""
     problem, _, rng = case
     feedback, controls = problem.feedback, some_controls(case, 0.0)
@@ -112,7 +112,7 @@ def test_corrections_may_be_along_a_line(case: Case, spread: float) -> None:
 
 
 @given(cases())
-def test_without_corrections_margins_are_those_of_the_burns(case: Case) -> None:
+def test_without_corrections_margins_are_those_of_the_burns(case):
     """And the rows know what the first gains will cost: they have a kink there."""
     problem, _, rng = case
     feedback, controls = problem.feedback, some_controls(case, 0.0)
@@ -134,7 +134,7 @@ def test_without_corrections_margins_are_those_of_the_burns(case: Case) -> None:
 
 @settings(max_examples=share_of_examples(10))
 @given(cases())
-def test_they_follow_the_final_spread_and_need_no_states(case: Case) -> None:
+def test_they_follow_the_final_spread_and_need_no_states(case):
     problem = replace(case[0], final_spread=(0.1, None))
     case = problem, *case[1:]
     lin = at(case, some_controls(case, 0.1))
@@ -149,7 +149,7 @@ def test_they_follow_the_final_spread_and_need_no_states(case: Case) -> None:
         np.testing.assert_array_equal(lifted.constants, block.constants)
 
 
-def test_a_zero_burn_without_corrections_is_at_the_apex_and_open_loops_have_no_rows() -> None:
+def test_a_zero_burn_without_corrections_is_at_the_apex_and_open_loops_have_no_rows():
     rng = np.random.default_rng(1)
     flyby = random_flyby(rng).corrected(rng)
     case = flyby.problem, flyby, rng

@@ -17,7 +17,7 @@ from scp_recon.mission.mission import Mission
 from scp_recon.mission.scene import Scene
 from scp_recon.planning.initial_guess import ballistic
 from scp_recon.planning.ipopt import casadi_arcs
-from scp_recon.planning.planner import Plan, plan
+from scp_recon.planning.planner import plan
 from scp_recon.scenario.load import load_scenario, packaged_scenario, scenario_text
 from tests.scenarios import COARSE
 from tests.scp_recon.support import mission_of
@@ -33,7 +33,7 @@ def written(path: Path, times: Array, quaternions: Array, header: str = HEADER) 
 
 
 @pytest.fixture(scope="module")
-def uniform(mission: Mission, tmp_path_factory: pytest.TempPathFactory) -> str:
+def uniform(mission, tmp_path_factory) -> str:
     """A table of Bennu's uniform rotation, from before the default flight to after it."""
     times = np.arange(-600.0, 36_001.0, 300.0)
     turned = SciPyRotation.from_matrix(mission.rotation.body_to_j2000(times))
@@ -43,13 +43,11 @@ def uniform(mission: Mission, tmp_path_factory: pytest.TempPathFactory) -> str:
 
 
 @pytest.fixture(scope="module")
-def tabulated(uniform: str) -> Mission:
+def tabulated(uniform) -> Mission:
     return mission_of(f'{FILE}="{uniform}"')
 
 
-def test_a_table_of_a_uniform_rotation_changes_nothing(
-    tabulated: Mission, mission: Mission, default_plan: Plan
-) -> None:
+def test_a_table_of_a_uniform_rotation_changes_nothing(tabulated, mission, default_plan):
     """Neither window nor plan, J2 included, which a body that tumbles carries with it."""
     assert tabulated.schedule.window_s == pytest.approx(mission.schedule.window_s, abs=1e-3)
     planned = plan(tabulated, ballistic(tabulated))
@@ -59,7 +57,7 @@ def test_a_table_of_a_uniform_rotation_changes_nothing(
     assert tabulated.planned_gravity == "point mass and J2 that tumble with the body"
 
 
-def test_arcs_over_symbols_tumble_too(uniform: str) -> None:
+def test_arcs_over_symbols_tumble_too(uniform):
     flow = mission_of(COARSE, f'{FILE}="{uniform}"').flow
     starts = np.tile([0.9, 0.1, -0.2, 0.1, 0.8, 0.1], (flow.arcs, 1))
     arcs = casadi_arcs(flow)
@@ -67,7 +65,7 @@ def test_arcs_over_symbols_tumble_too(uniform: str) -> None:
     assert ends == pytest.approx(flow.differentiate(starts).state, rel=1e-12, abs=1e-13)
 
 
-def test_the_table_goes_with_the_scenario_and_its_epoch(tabulated: Mission) -> None:
+def test_the_table_goes_with_the_scenario_and_its_epoch(tabulated):
     """Pole and meridian are those of the epoch."""
     scenario = tabulated.scenario
     later = scenario.replace({"epoch.tdb": "2020-01-21T20:35:17.184"})
@@ -77,23 +75,23 @@ def test_the_table_goes_with_the_scenario_and_its_epoch(tabulated: Mission) -> N
     assert matrices[0] == pytest.approx(matrices[1], abs=1e-9)
 
 
-def test_a_table_is_written_with_its_scenario_and_read(tmp_path: Path) -> None:
+def test_a_table_is_written_with_its_scenario_and_read(tmp_path):
     scenario, file = packaged_scenario("apophis"), tmp_path / "scenario.toml"
     file.write_text(scenario_text(scenario), "utf-8")
     assert load_scenario(file) == scenario
 
 
-def test_a_pole_beside_the_table_has_to_be_its_own(uniform: str) -> None:
+def test_a_pole_beside_the_table_has_to_be_its_own(uniform):
     with pytest.raises(InputError, match="the pole in attitude"):
         load_scenario(None, [f'{FILE}="{uniform}"', "body.pole_ra_deg=80", "body.pole_dec_deg=0"])
 
 
-def test_a_body_that_tumbles_has_no_noons() -> None:
+def test_a_body_that_tumbles_has_no_noons():
     with pytest.raises(InputError, match="no noons"):
         noons_of(packaged_scenario("apophis"))
 
 
-def test_a_flight_beyond_the_table_is_refused(uniform: str) -> None:
+def test_a_flight_beyond_the_table_is_refused(uniform):
     with pytest.raises(InputError, match="must span") as refused:
         mission_of(f'{FILE}="{uniform}"', "epoch.tdb=2020-01-21T21:33:17", "sun={}")
     assert refused.value.entry == FILE
@@ -105,7 +103,7 @@ def apophis() -> AttitudeTable:
     return read_attitude(Path(known.entries["attitude_file"]))
 
 
-def test_apophis_turns_freely_as_published() -> None:
+def test_apophis_turns_freely_as_published():
     """Angular momentum in J2000 stays at ecliptic (275, -85) deg for moments 0.64 : 0.97 : 1."""
     table, moments = apophis(), np.array([0.64, 0.97, 1.0])
     times = np.linspace(table.tdb_s[20], table.tdb_s[-20], 200)
@@ -140,9 +138,7 @@ ONE = [1.0, 0.0, 0.0, 0.0]
         ([0.0, 1.0], [ONE, [0.9, 0.0, 0.0, 0.0]], HEADER, "length one"),
     ],
 )
-def test_what_is_no_table_of_attitudes_is_refused(
-    times: list[float], quaternions: list[list[float]], header: str, words: str, tmp_path: Path
-) -> None:
+def test_what_is_no_table_of_attitudes_is_refused(times, quaternions, header, words, tmp_path):
     path = written(tmp_path / "wrong.csv", np.array(times), np.array(quaternions), header)
     with pytest.raises(InputError, match=re.escape(words)):
         load_scenario(None, [f'{FILE}="{path}"'])

@@ -38,7 +38,7 @@ def spice() -> ModuleType:
     return module
 
 
-def test_the_documented_bodies_are_packaged_and_complete() -> None:
+def test_the_documented_bodies_are_packaged_and_complete():
     assert body_names() == list(BODIES)
     for name in BODIES:
         body = packaged_body(name.upper())
@@ -49,7 +49,7 @@ def test_the_documented_bodies_are_packaged_and_complete() -> None:
     assert packaged_body(5) is None
 
 
-def test_bennus_sun_is_that_of_the_reference() -> None:
+def test_bennus_sun_is_that_of_the_reference():
     bennu = packaged_body("Bennu")
     epoch = datetime.fromisoformat(reference.EPOCH_TDB) - J2000_TDB
     position, velocity = bennu.heliocentric(epoch.total_seconds() / DAY_S)
@@ -80,9 +80,7 @@ def test_bennus_sun_is_that_of_the_reference() -> None:
         ),
     ],
 )
-def test_bodies_are_where_jpls_elements_have_them(
-    name: str, epoch: float, elements: tuple[float, ...]
-) -> None:
+def test_bodies_are_where_jpls_elements_have_them(name, epoch, elements):
     """Osculating elements: deg/day, e, deg."""
     days = epoch - 2_451_545.0
     osculating, moving = kepler(np.array([days, *elements]), days)
@@ -92,7 +90,7 @@ def test_bodies_are_where_jpls_elements_have_them(
 
 
 @pytest.mark.parametrize("name", BODIES)
-def test_the_orbits_of_neighbouring_years_meet(name: str) -> None:
+def test_the_orbits_of_neighbouring_years_meet(name):
     body = packaged_body(name)
     for before, after in zip(body.elements[:-1], body.elements[1:], strict=True):
         border = 0.5 * (before[0] + after[0])
@@ -109,9 +107,7 @@ def test_the_orbits_of_neighbouring_years_meet(name: str) -> None:
     # SPICE's propagation refuses times that are almost no number, such as 1e-319 s.
     days=st.floats(-400.0, 400.0).map(lambda days: round(days, 9)),
 )
-def test_kepler_agrees_with_spice(
-    e: float, angles: tuple[float, ...], motion: float, days: float, spice: ModuleType
-) -> None:
+def test_kepler_agrees_with_spice(e, angles, motion, days, spice):
     a = (GM_SUN_KM3_S2 / (np.deg2rad(motion) / DAY_S) ** 2) ** (1.0 / 3.0)
     conic = [a * (1.0 - e), e, *np.deg2rad(angles), 0.0, GM_SUN_KM3_S2]
     ecliptic = spice.conics(conic, days * DAY_S)
@@ -122,13 +118,13 @@ def test_kepler_agrees_with_spice(
 
 
 @pytest.mark.parametrize("days", [-40_000.0, 4_000.0, 15_000.0])
-def test_outside_the_span_the_years_are_told(days: float) -> None:
+def test_outside_the_span_the_years_are_told(days):
     bennu = packaged_body("Bennu")
     with pytest.raises(InputError, match="2012 to 2035"):
         bennu.heliocentric(days)
 
 
-def test_what_is_assumed_of_a_packaged_body_is_said_unless_it_is_given() -> None:
+def test_what_is_assumed_of_a_packaged_body_is_said_unless_it_is_given():
     scenario = packaged_scenario("didymos")
     found = {w.entry for w in assumed(Scene.of(scenario))}
     assert found == {"body.prime_meridian_deg", "body.j2", "body.companion.mean_anomaly_deg"}
@@ -138,7 +134,7 @@ def test_what_is_assumed_of_a_packaged_body_is_said_unless_it_is_given() -> None
     assert tumbling == {"body.gm_m3_s2", "body.j2", "body.attitude_file"}
 
 
-def test_dimorphos_goes_round_as_after_the_impact() -> None:
+def test_dimorphos_goes_round_as_after_the_impact():
     """In 11.3674 h, at Kepler's distance with Didymos' J2, in the plane of its equator."""
     scene = Scene.of(packaged_scenario("didymos"))
     orbit, body = scene.companion, scene.scenario.body

@@ -72,7 +72,7 @@ def write_dsk(path: Path, mesh: Mesh, spice: Any, segments: int = 1) -> Path:
     return path
 
 
-def test_a_dsk_of_another_body_or_of_several_shapes_is_refused(tmp_path: Path, spice: Any) -> None:
+def test_a_dsk_of_another_body_or_of_several_shapes_is_refused(tmp_path, spice):
     mesh = box(np.array([280.0, 270.0, 250.0]))
     one = write_dsk(tmp_path / "one.bds", mesh, spice)
     assert len(read_dsk(one, ROCK_ID)[1]) == len(mesh.facets)
@@ -83,7 +83,7 @@ def test_a_dsk_of_another_body_or_of_several_shapes_is_refused(tmp_path: Path, s
 
 
 @pytest.mark.usefixtures("spice")
-def test_a_list_of_kernels_is_read_from_its_own_folder_too(tmp_path: Path) -> None:
+def test_a_list_of_kernels_is_read_from_its_own_folder_too(tmp_path):
     """As an export writes it, from wherever the program runs."""
     file = write_pck(tmp_path / "rock.tpc")
     words = "PATH_VALUES=('.')\nPATH_SYMBOLS=('HERE')\nKERNELS_TO_LOAD=('$HERE/rock.tpc')\n"
@@ -92,7 +92,7 @@ def test_a_list_of_kernels_is_read_from_its_own_folder_too(tmp_path: Path) -> No
     assert read_pck(listed, ROCK_ID, DAYS) == read_pck(file, ROCK_ID, DAYS)
 
 
-def test_the_rotation_of_a_pck_is_spices(tmp_path: Path, spice: Any) -> None:
+def test_the_rotation_of_a_pck_is_spices(tmp_path, spice):
     file = write_pck(tmp_path / "rock.tpc")
     found = read_pck(file, ROCK_ID, DAYS)
     assert found.radii_m == pytest.approx((280.0, 270.0, 250.0))
@@ -104,16 +104,14 @@ def test_the_rotation_of_a_pck_is_spices(tmp_path: Path, spice: Any) -> None:
             np.testing.assert_allclose(ours.body_to_j2000(seconds), theirs, atol=1e-8)
 
 
-def test_the_state_of_an_spk_is_the_one_written(tmp_path: Path, spice: Any) -> None:
+def test_the_state_of_an_spk_is_the_one_written(tmp_path, spice):
     file, states = write_spk(tmp_path / "rock.bsp", spice)
     position, velocity = read_heliocentric([file], ROCK_ID, DAYS * DAY_S)
     np.testing.assert_allclose([*position, *velocity], states[12], rtol=1e-12)
 
 
 @pytest.mark.parametrize(("latitude", "longitude"), [(10.0, 20.0), (-70.0, 100.0), (40.0, -130.0)])
-def test_a_ray_meets_the_shape_of_a_dsk_where_spice_has_it(
-    latitude: float, longitude: float, tmp_path: Path, spice: Any
-) -> None:
+def test_a_ray_meets_the_shape_of_a_dsk_where_spice_has_it(latitude, longitude, tmp_path, spice):
     file = write_dsk(tmp_path / "rock.bds", box(np.array([280.0, 270.0, 250.0])), spice)
     vertices, facets = read_dsk(file)
     direction = direction_of(latitude, longitude)
@@ -127,7 +125,7 @@ def test_a_ray_meets_the_shape_of_a_dsk_where_spice_has_it(
         np.testing.assert_allclose(normal, spice.dskn02(handle, segment, plate), atol=1e-12)
 
 
-def test_a_scenario_by_kernels_needs_them_once(tmp_path: Path, spice: Any) -> None:
+def test_a_scenario_by_kernels_needs_them_once(tmp_path, spice):
     write_pck(tmp_path / "rock.tpc")
     write_spk(tmp_path / "rock.bsp", spice)
     write_dsk(tmp_path / "rock.bds", box(np.array([280.0, 270.0, 250.0])), spice)
@@ -156,7 +154,7 @@ def test_a_scenario_by_kernels_needs_them_once(tmp_path: Path, spice: Any) -> No
     assert found.replace({"risk.p_chance": 0.8}).sun == found.sun
 
 
-def test_the_users_own_kernels_stay(tmp_path: Path, spice: Any) -> None:
+def test_the_users_own_kernels_stay(tmp_path, spice):
     mine = write_pck(tmp_path / "mine.tpc", PCK.replace("2011.1", "100.0"))
     with spice.KernelPool(str(mine)):
         read_pck(write_pck(tmp_path / "rock.tpc"), ROCK_ID, DAYS)
@@ -178,7 +176,7 @@ def refusals(path: Path) -> list[InputError]:
 
 
 @pytest.mark.parametrize("text", [None, "", "no kernel\n", "KPL/PCK\n\\begindata\nX = 1\n"])
-def test_what_is_no_kernel_is_refused(text: str | None, tmp_path: Path, spice: Any) -> None:
+def test_what_is_no_kernel_is_refused(text, tmp_path, spice):
     assert spice.ktotal("all") == 0
     path = tmp_path / "no.tpc"
     if text is not None:
@@ -187,15 +185,13 @@ def test_what_is_no_kernel_is_refused(text: str | None, tmp_path: Path, spice: A
     assert entries == ["body.pck_file", "sun.spk_files", "body.shape_file"]
 
 
-def test_an_epoch_that_kernels_do_not_cover_is_refused(tmp_path: Path, spice: Any) -> None:
+def test_an_epoch_that_kernels_do_not_cover_is_refused(tmp_path, spice):
     file, _ = write_spk(tmp_path / "rock.bsp", spice)
     with pytest.raises(InputError, match="at the epoch"):
         read_heliocentric([file], ROCK_ID, (DAYS + 50.0) * DAY_S)
 
 
-def test_without_spiceypy_the_extra_is_named(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_spiceypy_the_extra_is_named(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "spiceypy", None)
     for error in refusals(write_pck(tmp_path / "rock.tpc")):
         assert "scp_recon[spice]" in error.allowed
@@ -232,7 +228,7 @@ def written(folder: Path, text: str) -> Path:
 
 
 @pytest.mark.parametrize("text", [GFC, SHA], ids=["gfc", "sha"])
-def test_both_formats_say_the_same(text: str, tmp_path: Path) -> None:
+def test_both_formats_say_the_same(text, tmp_path):
     table = read_gravity(written(tmp_path, text), 20)
     assert table.gm_m3_s2 == pytest.approx(4.89)
     assert table.radius_m == pytest.approx(290.0)
@@ -240,7 +236,7 @@ def test_both_formats_say_the_same(text: str, tmp_path: Path) -> None:
     assert read_gravity(written(tmp_path, text), 2).rows == ROWS[:2]
 
 
-def test_a_table_without_a_first_record_has_no_gm_and_no_radius(tmp_path: Path) -> None:
+def test_a_table_without_a_first_record_has_no_gm_and_no_radius(tmp_path):
     table = read_gravity(written(tmp_path, BARE), 20)
     assert (table.gm_m3_s2, table.radius_m, table.rows) == (None, None, ROWS)
 
@@ -264,7 +260,7 @@ def test_a_table_without_a_first_record_has_no_gm_and_no_radius(tmp_path: Path) 
         ),
     ],
 )
-def test_what_is_no_normalised_field_is_refused_in_one_message(text: str, tmp_path: Path) -> None:
+def test_what_is_no_normalised_field_is_refused_in_one_message(text, tmp_path):
     with pytest.raises(InputError) as caught:
         read_gravity(written(tmp_path, text), 20)
     assert caught.value.entry.startswith("body.gravity_file")

@@ -47,8 +47,8 @@ def write_obj(path: Path, mesh: Mesh) -> Path:
 
 @given(radii=radii, latitude=latitudes, longitude=longitudes)
 def test_coordinates_of_a_position_on_the_ellipsoid_are_those_that_were_asked_for(
-    radii: Array, latitude: float, longitude: float
-) -> None:
+    radii, latitude, longitude
+):
     position, normal = Ellipsoid(radii).at(direction_of(latitude, longitude))
     found = coordinates_of(position)
     np.testing.assert_allclose(direction_of(*found), direction_of(latitude, longitude), atol=1e-12)
@@ -59,9 +59,7 @@ def test_coordinates_of_a_position_on_the_ellipsoid_are_those_that_were_asked_fo
 
 
 @given(radii=radii, latitude=latitudes, longitude=longitudes, turn=st.floats(0.0, 6.3))
-def test_the_ellipsoids_normal_is_at_right_angles_to_its_surface(
-    radii: Array, latitude: float, longitude: float, turn: float
-) -> None:
+def test_the_ellipsoids_normal_is_at_right_angles_to_its_surface(radii, latitude, longitude, turn):
     # Every other point of a convex body is below the tangent plane.
     position, normal = Ellipsoid(radii).at(direction_of(latitude, longitude))
     other, _ = Ellipsoid(radii).at(direction_of(np.rad2deg(np.sin(turn)), 50.0 * turn))
@@ -69,9 +67,7 @@ def test_the_ellipsoids_normal_is_at_right_angles_to_its_surface(
 
 
 @given(half=radii, latitude=latitudes, longitude=longitudes)
-def test_a_ray_leaves_a_box_through_the_side_that_it_meets_last(
-    half: Array, latitude: float, longitude: float
-) -> None:
+def test_a_ray_leaves_a_box_through_the_side_that_it_meets_last(half, latitude, longitude):
     direction = direction_of(latitude, longitude)
     share = np.abs(direction) / half
     assume(np.sort(share)[-1] > 1.001 * np.sort(share)[-2])
@@ -82,9 +78,7 @@ def test_a_ray_leaves_a_box_through_the_side_that_it_meets_last(
 
 
 @given(latitude=latitudes, longitude=longitudes)
-def test_the_outermost_of_two_shells_is_the_surface_however_facets_turn(
-    latitude: float, longitude: float
-) -> None:
+def test_the_outermost_of_two_shells_is_the_surface_however_facets_turn(latitude, longitude):
     inner, outer = box(np.full(3, 50.0)), box(np.full(3, 80.0))
     facets = np.concatenate([outer.facets + 8, inner.facets])
     both = Mesh(np.concatenate([inner.vertices_m, outer.vertices_m]), facets[:, ::-1])
@@ -94,7 +88,7 @@ def test_the_outermost_of_two_shells_is_the_surface_however_facets_turn(
     assert normal @ direction > 0.0
 
 
-def test_normals_are_averaged_by_area_within_the_radius() -> None:
+def test_normals_are_averaged_by_area_within_the_radius():
     cube = box(np.full(3, 10.0))
     everywhere = Mesh(cube.vertices_m, cube.facets, 16.0)
     _, alone = cube.at(direction_of(5.0, 3.0))
@@ -104,13 +98,13 @@ def test_normals_are_averaged_by_area_within_the_radius() -> None:
     assert np.linalg.norm(averaged) == pytest.approx(1.0)
 
 
-def test_an_open_shape_has_no_site_where_it_is_open() -> None:
+def test_an_open_shape_has_no_site_where_it_is_open():
     cube = box(np.full(3, 10.0))
     with pytest.raises(OpenShapeError):
         Mesh(cube.vertices_m, cube.facets[:-2]).at(np.array([0.0, 0.0, 1.0]))
 
 
-def test_an_obj_is_read_in_its_unit_with_polygons_and_relative_indices(tmp_path: Path) -> None:
+def test_an_obj_is_read_in_its_unit_with_polygons_and_relative_indices(tmp_path):
     cube = box(np.full(3, 2.0))
     file = write_obj(tmp_path / "box.obj", cube)
     np.testing.assert_array_equal(read_shape(file, "m").vertices_m, cube.vertices_m)
@@ -137,14 +131,14 @@ def test_an_obj_is_read_in_its_unit_with_polygons_and_relative_indices(tmp_path:
         "v 1 0 0\nv 0 1 0\nv 0 0 1\nv 0 0 0\nf 1 2 99999999999999999999\nf 1 2 3\nf 1 3 4\nf 2 3 4\n",
     ],
 )
-def test_what_is_no_shape_is_refused_in_one_message(text: str, tmp_path: Path) -> None:
+def test_what_is_no_shape_is_refused_in_one_message(text, tmp_path):
     (tmp_path / "no.obj").write_text(text, "utf-8")
     with pytest.raises(InputError) as caught:
         read_shape(tmp_path / "no.obj", "m")
     assert caught.value.entry.startswith("body.shape_file")
 
 
-def test_an_obj_without_a_unit_is_refused(tmp_path: Path) -> None:
+def test_an_obj_without_a_unit_is_refused(tmp_path):
     file = write_obj(tmp_path / "box.obj", box(np.full(3, 2.0)))
     with pytest.raises(InputError, match="shape_unit"):
         read_shape(file, None)
@@ -155,9 +149,7 @@ anywhere = st.tuples(*[st.floats(-1e3, 1e3)] * 3).map(np.array)
 
 
 @given(half=halves, centre=anywhere, turn=st.integers(0, 1000))
-def test_a_box_has_the_volume_centre_and_inertia_of_a_box(
-    half: np.ndarray, centre: np.ndarray, turn: int
-) -> None:
+def test_a_box_has_the_volume_centre_and_inertia_of_a_box(half, centre, turn):
     """Wherever it is and however it is turned: m (b^2 + c^2) / 3 about an axis through its centre."""
     axes = Rotation.random(random_state=turn).as_matrix()
     mesh = box(half)
@@ -170,7 +162,7 @@ def test_a_box_has_the_volume_centre_and_inertia_of_a_box(
     np.testing.assert_allclose(solid.inertia_m2, expected, atol=1e-6 * size**2)
 
 
-def test_facets_that_turn_inward_have_a_negative_volume_and_the_same_centre() -> None:
+def test_facets_that_turn_inward_have_a_negative_volume_and_the_same_centre():
     mesh = box(np.array([3.0, 2.0, 1.0]))
     inward = Solid.of(Mesh(mesh.vertices_m + 5.0, mesh.facets[:, ::-1]))
     assert inward.volume_m3 == pytest.approx(-48.0)
@@ -178,7 +170,7 @@ def test_facets_that_turn_inward_have_a_negative_volume_and_the_same_centre() ->
     assert inward.radius_m == pytest.approx(2.2545, rel=1e-4)
 
 
-def test_a_sheet_has_no_volume() -> None:
+def test_a_sheet_has_no_volume():
     mesh = box(np.array([3.0, 2.0, 1.0]))
     with pytest.raises(ValueError, match="no volume"):
         Solid.of(Mesh(mesh.vertices_m * [1.0, 1.0, 0.0], mesh.facets))

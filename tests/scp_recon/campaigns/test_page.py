@@ -22,13 +22,13 @@ MADE = datetime(2026, 1, 2, 3, 4, 5, tzinfo=UTC)
 
 
 @pytest.fixture(scope="module")
-def mapped(tmp_path_factory: pytest.TempPathFactory) -> tuple[Study, CampaignResults]:
+def mapped(tmp_path_factory) -> tuple[Study, CampaignResults]:
     folder = tmp_path_factory.mktemp("map")
     return campaign_of(PLACES, folder), read_campaign(folder)
 
 
 @pytest.fixture(scope="module")
-def errors(tmp_path_factory: pytest.TempPathFactory) -> CampaignResults:
+def errors(tmp_path_factory) -> CampaignResults:
     folder = tmp_path_factory.mktemp("errors")
     campaign_of(ERRORS, folder)
     return read_campaign(folder)

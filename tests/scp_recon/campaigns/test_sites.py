@@ -77,10 +77,7 @@ def test_it_is_noon_when_it_is_said_to_be(longitude):
 def test_a_study_spreads_sites_and_moves_their_epochs():
     axis = {"spread": {"count": 12, "noon_at_s": 14_838.0}}
     study = Study.validated({"campaign": {"base": "kingfisher", "do": "design"}, "axis": [axis]})
-    assert study.entries == (
-        *("site.name", "site.latitude_deg", "site.longitude_deg"),
-        "epoch.tdb",
-    )
+    assert study.entries == (*("site.name", "site.latitude_deg", "site.longitude_deg"), "epoch.tdb")
     for case in (study.cases[0], study.cases[7]):
         scenario = changed(study.base, case.changes, study.folder)
         assert scenario.site.name == case.changes["site.name"]

@@ -4,7 +4,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-import pytest
 
 from formulations.arrays import Array
 from formulations.problem.flyby import Iterate
@@ -107,7 +106,7 @@ class World:
         """That planning begins at."""
         return self.real.final.result.lin.iterate
 
-    def enter(self, patch: pytest.MonkeyPatch) -> None:
+    def enter(self, patch) -> None:
         """Let certification take place here."""
         patch.setattr(certification, "slack", lambda _: self.slack)
         patch.setattr(flights, "kept_flights", self.fly)

@@ -59,7 +59,7 @@ class Certified:
 
 
 @pytest.fixture(scope="module", params=usually(["flight", "strata", "node strata", "node"], 3))
-def run(request: pytest.FixtureRequest) -> Certified:
+def run(request) -> Certified:
     """Of plain flights with each scope, and of flights in strata."""
     scope = "node" if "node" in request.param else "flight"
     sampling = "strata" if "strata" in request.param else "plain"
@@ -92,7 +92,7 @@ def run(request: pytest.FixtureRequest) -> Certified:
 
 
 @pytest.fixture(scope="module")
-def certified(run: Certified) -> Plan:
+def certified(run) -> Plan:
     return run.plan
 
 
@@ -148,12 +148,12 @@ def test_other_flights_bear_it_out(certified):
 
 
 @pytest.fixture(scope="module")
-def solution(certified: Plan) -> Solution:
+def solution(certified) -> Solution:
     return make_solution(certified)
 
 
 @pytest.fixture(scope="module")
-def checked(certified: Plan, solution: Solution) -> Verification:
+def checked(certified, solution) -> Verification:
     return verify(certified.mission, solution)
 
 

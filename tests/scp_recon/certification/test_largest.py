@@ -38,7 +38,7 @@ def is_at(found: Plan, last: float) -> bool:
     return last - CLOSE * 0.2 < found.target <= last
 
 
-def looked_for(world: World, patch: pytest.MonkeyPatch, budget_m_s: float = float("inf")) -> Plan:
+def looked_for(world: World, patch, budget_m_s: float = float("inf")) -> Plan:
     world.enter(patch)
     return Search(world.make_plan, budget_m_s).run(world.real.mission, world.start)
 
@@ -100,7 +100,7 @@ def test_ctrl_c_ends_the_search_with_the_best_so_far(real, monkeypatch):
     assert world.aims[-1] >= 0.97  # and nothing is tried after it
 
 
-def promised(world: World, patch: pytest.MonkeyPatch, *, certified: bool) -> Plan:
+def promised(world: World, patch, *, certified: bool) -> Plan:
     world.enter(patch)
     search = Search(world.make_plan, LAST * world.real.total_dv_m_s)
     return largest_promise(world.real.mission, world.start, search, certified=certified)

@@ -41,7 +41,7 @@ def real() -> Plan:
     return a_plan(ASKED)
 
 
-def certified(world: World, patch: pytest.MonkeyPatch) -> Plan:
+def certified(world: World, patch) -> Plan:
     world.enter(patch)
     return certify(world.real.mission, world.start, world.make_plan)
 

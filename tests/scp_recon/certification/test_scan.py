@@ -28,7 +28,7 @@ def sparse() -> Plan:
 
 
 @pytest.fixture(scope="module")
-def kept(sparse: Plan) -> KeptFlights:
+def kept(sparse) -> KeptFlights:
     """As flights that are to keep everything."""
     whole = Mission.from_scenario(sparse.mission.scenario.replace({"risk.scope": "flight"}))
     told: list[int] = []

@@ -10,11 +10,10 @@ import pytest
 from scp_recon.cli.commands import export
 from scp_recon.interop.files import FORMATS
 from scp_recon.results.read import read_solution
-from tests.scp_recon.support import CommandLine
 
 
 @pytest.fixture(scope="module")
-def plan(default_run: CommandLine, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def plan(default_run, tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("plan")
     shutil.copy(default_run.folder / "solution.json", folder)
     return folder

@@ -28,7 +28,6 @@ from scp_recon.cli.commands import montecarlo, planning, plans, simulate, solve,
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess, planner
 from scp_recon.planning.planner import Plan, plan
-from scp_recon.results.facts import Verification
 from scp_recon.results.read import read_solution
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scp.status import Status
@@ -96,9 +95,7 @@ class Faulty:
         return self._fault(program, answer) if self._spoilt() else answer
 
 
-def inject(
-    monkeypatch: pytest.MonkeyPatch, fault: Fault, spoilt: Callable[[], bool], *, others: bool
-) -> None:
+def inject(monkeypatch, fault: Fault, spoilt: Callable[[], bool], *, others: bool) -> None:
     monkeypatch.setitem(SOLVERS, "CLARABEL", lambda _: Faulty(fault, spoilt))
     if not others:
         monkeypatch.delitem(SOLVERS, "QOCO")
@@ -210,9 +207,7 @@ def test_a_wrong_status_is_found_out(liar, monkeypatch):
 
 
 @pytest.fixture
-def instant(
-    monkeypatch: pytest.MonkeyPatch, default_plan: Plan, verification: Verification
-) -> None:
+def instant(monkeypatch, default_plan, verification) -> None:
     """The planning and the verification of the default scenario, done already."""
     monkeypatch.setattr(planner, "plan", lambda *_, **__: default_plan)
     monkeypatch.setattr(planning, "verify", lambda *_: verification)

@@ -46,7 +46,7 @@ def said(run: CommandLine) -> str:
 
 
 @pytest.fixture(scope="module")
-def refused(tmp_path_factory: pytest.TempPathFactory) -> CommandLine:
+def refused(tmp_path_factory) -> CommandLine:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(module, "CLOSE", 1.0)
         fly_few(patch)

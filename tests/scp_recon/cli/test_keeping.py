@@ -11,7 +11,6 @@ from scp_recon.cli.commands import compare, montecarlo, solve, verify
 from scp_recon.errors import InputError
 from scp_recon.files import only_run_in
 from scp_recon.monte_carlo.summary import FILE_NAME, read_summary
-from scp_recon.results.facts import Verification
 from scp_recon.results.read import read_solution
 from scp_recon.results.solution import Solution
 from tests.scenarios import COARSE
@@ -21,7 +20,7 @@ HOPELESS = ("--problem", "P3", "--set", "burns.dv_max_m_s=0.02", "--set", "grid.
 
 
 @pytest.fixture(scope="module")
-def verified(solution: Solution, verification: Verification) -> Solution:
+def verified(solution, verification) -> Solution:
     return replace(solution, verification=verification)
 
 

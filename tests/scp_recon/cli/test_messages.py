@@ -29,7 +29,7 @@ BROKEN = {
 
 
 @pytest.fixture
-def chain(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def chain(tmp_path, monkeypatch) -> Path:
     monkeypatch.chdir(tmp_path)
     for name, text in CHAIN.items():
         (tmp_path / name).write_text(text, "utf-8")

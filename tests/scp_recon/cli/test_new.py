@@ -30,7 +30,7 @@ STONE = (
 
 
 @pytest.fixture(autouse=True)
-def _elsewhere(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def _elsewhere(monkeypatch, tmp_path) -> None:
     monkeypatch.chdir(tmp_path)
 
 

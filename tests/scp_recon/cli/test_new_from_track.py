@@ -15,8 +15,6 @@ from scp_recon.interop.export import Export, Ids
 from scp_recon.interop.files import csv_text
 from scp_recon.interop.path import fly_path
 from scp_recon.interop.tracks import csv_track, cut, oem_track, pull_doubts, step_doubts
-from scp_recon.mission.mission import Mission
-from scp_recon.results.solution import Solution
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scenario.time_scales import tdb_of_utc
 from tests import reference
@@ -35,17 +33,17 @@ def about_bennu(meta: Path) -> tuple[str, ...]:
 
 
 @pytest.fixture(autouse=True)
-def _elsewhere(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def _elsewhere(monkeypatch, tmp_path) -> None:
     monkeypatch.chdir(tmp_path)
 
 
 @pytest.fixture(scope="module")
-def export(mission: Mission, solution: Solution) -> Export:
+def export(mission, solution) -> Export:
     return Export(solution, mission, fly_path(mission, solution), Ids(CRAFT, reference.BENNU))
 
 
 @pytest.fixture(scope="module")
-def meta(export: Export, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def meta(export, tmp_path_factory) -> Path:
     """A meta-kernel of Bennu and of Stone, with the plan as what CRAFT flew about both."""
     spice = pytest.importorskip("spiceypy")
     folder = tmp_path_factory.mktemp("kernels")
@@ -254,7 +252,7 @@ def test_bad_input_ends_in_one_message(meta, words, expected, capsys):
 
 
 @pytest.fixture(scope="module")
-def track(export: Export, tmp_path_factory: pytest.TempPathFactory) -> Track:
+def track(export, tmp_path_factory) -> Track:
     path = tmp_path_factory.mktemp("track") / "plan.csv"
     path.write_text(csv_text(export), encoding="utf-8")
     return csv_track(path, export.mission.scenario.epoch.tdb)

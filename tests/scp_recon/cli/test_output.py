@@ -10,7 +10,6 @@ import pytest
 from scp_recon import __main__ as every
 from scp_recon.cli.command import DOCUMENT
 from scp_recon.results.read import read_solution
-from tests.scp_recon.support import CommandLine
 
 STATE = "-122.618 419.945 -556.206 0.0069457 0.0794873 0.0655264"
 """Near the default plan at 17,000 s, J2000."""
@@ -18,7 +17,7 @@ NEW = ("--body", "Bennu", "--site", "20,150", "--epoch", "2020-01-21T20:33:17")
 
 
 @pytest.fixture(scope="module")
-def folder(default_run: CommandLine, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(default_run, tmp_path_factory) -> Path:
     """Of a plan."""
     folder = tmp_path_factory.mktemp("output")
     read_solution(default_run.folder).write(folder)

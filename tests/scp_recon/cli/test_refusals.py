@@ -8,8 +8,6 @@ from pathlib import Path
 import pytest
 
 from scp_recon.__main__ import COMMANDS, main
-from scp_recon.results.facts import Verification
-from scp_recon.results.solution import Solution
 from tests import reliability
 
 SHORT = {
@@ -128,9 +126,7 @@ replan plan --at 17000 STATE --set burns.times_s=[0.0,8000.0,34842.0] -> burns.t
 
 
 @pytest.fixture(scope="module")
-def folder(
-    solution: Solution, verification: Verification, tmp_path_factory: pytest.TempPathFactory
-) -> Path:
+def folder(solution, verification, tmp_path_factory) -> Path:
     """A plan, and files that are no scenario, no solution, no table and no covariance."""
     folder = tmp_path_factory.mktemp("bad")
     for name in ("plan", "empty"):

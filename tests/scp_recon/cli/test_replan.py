@@ -9,22 +9,19 @@ import pytest
 
 from scp_recon.cli.commands import compare, montecarlo, replan, simulate, verify
 from scp_recon.cli.options import joined
-from scp_recon.planning.plan import Plan
 from scp_recon.replanning.flown import FlownPlan, predict
-from scp_recon.results.facts import Verification
 from scp_recon.results.read import read_solution
-from scp_recon.results.solution import Solution
 
 OFF = np.array([40.0, -40.0, 20.0, 2e-3, 2e-3, -1e-3])
 
 
 @pytest.fixture(autouse=True)
-def wide(monkeypatch: pytest.MonkeyPatch) -> None:
+def wide(monkeypatch) -> None:
     monkeypatch.setenv("COLUMNS", "200")
 
 
 @pytest.fixture
-def plan_folder(solution: Solution, verification: Verification, tmp_path: Path) -> Path:
+def plan_folder(solution, verification, tmp_path) -> Path:
     folder = tmp_path / "plan"
     folder.mkdir()
     replace(solution, verification=verification).write(folder)
@@ -32,7 +29,7 @@ def plan_folder(solution: Solution, verification: Verification, tmp_path: Path) 
 
 
 @pytest.fixture(scope="module")
-def state_at(default_plan: Plan) -> Callable[[float], list[str]]:
+def state_at(default_plan) -> Callable[[float], list[str]]:
     flown = FlownPlan.of(default_plan)
 
     def words(at_s: float) -> list[str]:

@@ -126,7 +126,7 @@ def test_infeasible_ends_with_three_and_names_what_is_violated(tmp_path):
 
 
 @pytest.fixture
-def ctrl_c_in_the_fourth_iteration(monkeypatch: pytest.MonkeyPatch) -> None:
+def ctrl_c_in_the_fourth_iteration(monkeypatch) -> None:
     calls: Iterator[int] = iter(range(1, 1000))
     original: Callable[..., tuple[State, Record]] = SCvx.step
 
@@ -183,7 +183,7 @@ def test_ctrl_c_between_the_steps_keeps_what_was_done(module, name, left, tmp_pa
     assert (solution.status, solution.verification) == (left, None)
 
 
-def run_verify(capsys: pytest.CaptureFixture[str], path: Path) -> CommandLine:
+def run_verify(capsys, path: Path) -> CommandLine:
     capsys.readouterr()
     code = verify.main([str(path)])
     return CommandLine(code, *capsys.readouterr(), path)

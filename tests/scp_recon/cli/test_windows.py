@@ -15,7 +15,7 @@ def run(*arguments: str) -> int:
 
 
 @pytest.fixture(autouse=True)
-def _wide(monkeypatch: pytest.MonkeyPatch) -> None:
+def _wide(monkeypatch) -> None:
     monkeypatch.setenv("COLUMNS", "200")
 
 

@@ -30,13 +30,13 @@ def flow() -> sr.ExpressionFlow:
 
 
 @pytest.fixture(scope="module")
-def problem(flow: sr.ExpressionFlow) -> sr.ImpulsiveProblem:
+def problem(flow) -> sr.ImpulsiveProblem:
     start, goal = [-200.0, -900.0, 100.0, 0.0, 0.3, 0.0], [0.0, 250.0, 0.0, 0.0, 0.0, 0.0]
     return sr.ImpulsiveProblem(flow, BURNS, start, goal, dv_max=1.0)
 
 
 @pytest.fixture(scope="module")
-def erring(problem: sr.ImpulsiveProblem) -> sr.ImpulsiveProblem:
+def erring(problem) -> sr.ImpulsiveProblem:
     """Out of a ball to the end of its third leg."""
     covariance = np.diag([2.0, 2.0, 2.0, 0.001, 0.001, 0.001]) ** 2
     ball = sr.Keep("out", sr.Ball(np.zeros(3), 250.0), range(1, 17), "ball")

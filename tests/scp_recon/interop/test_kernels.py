@@ -30,7 +30,7 @@ def vehicle() -> Vehicle:
 
 
 @pytest.fixture(scope="module")
-def folder(export: Export, vehicle: Vehicle, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(export, vehicle, tmp_path_factory) -> Path:
     pytest.importorskip("spiceypy")
     # A path longer than a string in a kernel may be.
     folder = tmp_path_factory.mktemp("kernels") / ("it's a deep folder " * 5).strip()
@@ -41,7 +41,7 @@ def folder(export: Export, vehicle: Vehicle, tmp_path_factory: pytest.TempPathFa
 
 
 @pytest.fixture(scope="module")
-def spice(folder: Path) -> Iterator[ModuleType]:
+def spice(folder) -> Iterator[ModuleType]:
     """With nothing loaded but the list, from a folder to which the kernels were moved."""
     spiceypy: ModuleType = pytest.importorskip("spiceypy")
     (listed,) = folder.glob("*.tm")

@@ -120,7 +120,7 @@ LINE_MAX = 254
 
 
 @pytest.fixture(scope="module")
-def message(export: Export, tmp_path_factory: pytest.TempPathFactory) -> Any:
+def message(export, tmp_path_factory) -> Any:
     oem = pytest.importorskip("oem")
     path = tmp_path_factory.mktemp("oem") / "plan.oem"
     path.write_text(oem_text(export), encoding="ascii")

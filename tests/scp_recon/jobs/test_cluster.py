@@ -92,7 +92,7 @@ def end(*processes: subprocess.Popen[bytes]) -> None:
 
 
 @pytest.fixture(scope="module")
-def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[LocalCluster]:
+def cluster(tmp_path_factory) -> Iterator[LocalCluster]:
     begun = LocalCluster(tmp_path_factory.mktemp("cluster") / "log.txt")
     yield begun
     begun.close()
@@ -213,9 +213,7 @@ def test_jobs_that_a_closed_client_refuses_are_sent_by_the_next(monkeypatch):
     assert len(found) == 3
 
 
-def ran_with(
-    clients: list[LosingClient], monkeypatch: pytest.MonkeyPatch
-) -> tuple[list[Done], list[str]]:
+def ran_with(clients: list[LosingClient], monkeypatch) -> tuple[list[Done], list[str]]:
     """Three jobs over one client after the other, and what was said."""
     coming, said = iter(clients), list[str]()
     monkeypatch.setattr(distributed, "Client", lambda *_, **__: next(coming))

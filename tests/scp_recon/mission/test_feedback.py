@@ -32,7 +32,7 @@ def corrected() -> Mission:
     return mission_of(*FEEDBACK, END)
 
 
-def test_without_feedback_nothing_changes(mission: Mission) -> None:
+def test_without_feedback_nothing_changes(mission):
     measured = mission_of(*SIGMAS, "navigation.lead_s=7000")
     np.testing.assert_array_equal(measured.times_s, mission.times_s)
     assert measured.problem.feedback is mission.problem.feedback is None
@@ -40,8 +40,8 @@ def test_without_feedback_nothing_changes(mission: Mission) -> None:
 
 @pytest.mark.parametrize("lead_s", [0.0, 3600.0])
 def test_a_measurement_that_tells_nothing_is_reported_and_leaves_the_plan_open_loop(
-    mission: Mission, lead_s: float
-) -> None:
+    mission, lead_s
+):
     """Errors a million times the dispersion: the mission is the one without feedback."""
     errors = "navigation.sigma_position_m=5e7", "navigation.sigma_velocity_m_s=5e4"
     found = mission_of("policy.kind=feedback", *errors, f"navigation.lead_s={lead_s:g}")
@@ -70,16 +70,14 @@ def test_a_measurement_that_tells_nothing_is_reported_and_leaves_the_plan_open_l
         ((END,), [1, 2], [4400.0, 21_400.0]),
     ],
 )
-def test_cut_offs_are_nodes_a_lead_before_the_burns_between(
-    overrides: tuple[str, ...], burns: list[int], cut_offs: list[float]
-) -> None:
+def test_cut_offs_are_nodes_a_lead_before_the_burns_between(overrides, burns, cut_offs):
     found = mission_of(*FEEDBACK, *overrides)
     feedback = found.problem.feedback
     assert feedback.burns.tolist() == burns
     assert found.times_s[feedback.cut_offs].tolist() == cut_offs
 
 
-def test_cost_and_probability_are_the_scenarios() -> None:
+def test_cost_and_probability_are_the_scenarios():
     feedback = mission_of(*FEEDBACK, "policy.cost=expected", "risk.p_chance=0.9").problem.feedback
     assert (feedback.cost, feedback.probability) == ("expected", 0.9)
 
@@ -94,9 +92,7 @@ def in_flight(scenario: Scenario, at_s: float, *, flown: int) -> Mission:
     return Mission.from_scenario(scenario.replace({"in_flight": flight}))
 
 
-def test_in_flight_the_next_burn_is_corrected_where_its_cut_off_is_to_come(
-    corrected: Mission,
-) -> None:
+def test_in_flight_the_next_burn_is_corrected_where_its_cut_off_is_to_come(corrected):
     """A state delivered at its cut-off, to the last bit of a difference of times, is what is known."""
     left = in_flight(corrected.scenario, 17_000.0, flown=2)
     feedback = left.problem.feedback
@@ -109,7 +105,7 @@ def test_in_flight_the_next_burn_is_corrected_where_its_cut_off_is_to_come(
         assert not left.warnings
 
 
-def test_in_flight_there_may_be_nothing_left_to_correct(corrected: Mission) -> None:
+def test_in_flight_there_may_be_nothing_left_to_correct(corrected):
     assert in_flight(corrected.scenario, 26_000.0, flown=3).problem.feedback is None
     last = corrected.scenario.replace({"boundary.final_sigma_velocity_m_s": 0.01})
     feedback = in_flight(last, 26_000.0, flown=3).problem.feedback
@@ -123,7 +119,7 @@ def covariances(mission: Mission) -> np.ndarray:
     return factors @ np.swapaxes(factors, 1, 2)
 
 
-def test_measurements_are_the_scenarios_in_units(corrected: Mission) -> None:
+def test_measurements_are_the_scenarios_in_units(corrected):
     expected = np.diag([100.0] * 3 + [2.5e-7] * 3)
     np.testing.assert_allclose(covariances(corrected), [expected] * 2, rtol=1e-12)
     fixed = in_frame("j2000")
@@ -131,7 +127,7 @@ def test_measurements_are_the_scenarios_in_units(corrected: Mission) -> None:
     np.testing.assert_allclose(covariances(fixed), [given] * 2, rtol=1e-9, atol=1e-12)
 
 
-def test_a_covariance_in_rtn_turns_with_the_path() -> None:
+def test_a_covariance_in_rtn_turns_with_the_path():
     """By the directions themselves: along the position, across in the plane, and normal to it."""
     mission = in_frame("rtn")
     path = initial_guess.ballistic(mission).mean
@@ -150,7 +146,7 @@ def test_a_covariance_in_rtn_turns_with_the_path() -> None:
     assert not np.allclose(found[0], found[1])
 
 
-def test_before_there_is_a_plan_rtn_is_that_of_a_transfer() -> None:
+def test_before_there_is_a_plan_rtn_is_that_of_a_transfer():
     """Lambert's arc is near the two-impulse flight, which is solved with the planner's forces."""
     mission = in_frame("rtn")
     path = initial_guess.ballistic(mission).mean
@@ -168,16 +164,14 @@ def test_before_there_is_a_plan_rtn_is_that_of_a_transfer() -> None:
         ((*FEEDBACK, LAST, "navigation.lead_s=40000"), "navigation.lead_s", "34842 s, for burn 4"),
     ],
 )
-def test_feedback_that_can_correct_nothing_is_refused(
-    overrides: tuple[str, ...], entry: str, words: str
-) -> None:
+def test_feedback_that_can_correct_nothing_is_refused(overrides, entry, words):
     with pytest.raises(InputError) as caught:
         mission_of(*overrides)
     assert caught.value.entry == entry
     assert words in caught.value.allowed
 
 
-def test_a_burn_whose_cut_off_precedes_departure_is_named(corrected: Mission) -> None:
+def test_a_burn_whose_cut_off_precedes_departure_is_named(corrected):
     assert not corrected.warnings
     (warning,) = mission_of(*FEEDBACK, "navigation.lead_s=9000").warnings
     assert str(warning) == (
@@ -193,12 +187,12 @@ def test_a_burn_whose_cut_off_precedes_departure_is_named(corrected: Mission) ->
         ("navigation.sigma_velocity_m_s=0.5", "navigation.sigma_velocity_m_s"),
     ],
 )
-def test_errors_in_other_units_are_warned_about(override: str, entry: str) -> None:
+def test_errors_in_other_units_are_warned_about(override, entry):
     (warning,) = mission_of(*SIGMAS, override).warnings
     assert warning.entry == entry
 
 
-def test_a_method_without_gains_refuses_feedback() -> None:
+def test_a_method_without_gains_refuses_feedback():
     corrected = mission_of(*FEEDBACK)
     guess = initial_guess.cold(corrected)
     with pytest.raises(InputError, match=r"^policy\.kind: .*condensed and lifted"):

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -91,9 +90,7 @@ def whitened(sampled: Array, factor: Array) -> Array:
 @pytest.mark.parametrize(
     ("kind", "lead_s"), [("open", 0.0), *(("feedback", t) for t in (0.0, 3600.0, 8000.0, 17_500.0))]
 )
-def test_flights_of_small_errors_have_the_closed_loops_covariance(
-    kind: str, lead_s: float, solution: Solution
-) -> None:
+def test_flights_of_small_errors_have_the_closed_loops_covariance(kind, lead_s, solution):
     case = case_of(lead_s, solution, kind=kind)
     mission, lin = case.mission, case.lin
     nodes = [*mission.window_nodes[[0, -1]], mission.burn_nodes[2], len(mission.times_s) - 1]
@@ -111,9 +108,7 @@ def test_flights_of_small_errors_have_the_closed_loops_covariance(
 
 
 @pytest.mark.parametrize("frame", ["", "rtn"])
-def test_the_law_has_the_numbers_that_corrected_flights_draw(
-    solution: Solution, frame: str
-) -> None:
+def test_the_law_has_the_numbers_that_corrected_flights_draw(solution, frame):
     """Positions by its columns are those flown, but for what executing corrections adds."""
     along = np.diag([0.5, 0.2, 1.0, 3e-5, 1e-5, 6e-5]) ** 2
     along[0, 4] = along[4, 0] = -0.9 * np.sqrt(along[0, 0] * along[4, 4])
@@ -130,7 +125,7 @@ def test_the_law_has_the_numbers_that_corrected_flights_draw(
     np.testing.assert_allclose(flown, linear, atol=0.03 * np.abs(linear).max())
 
 
-def test_without_gains_flights_are_those_of_open_loop_to_the_last_bit(solution: Solution) -> None:
+def test_without_gains_flights_are_those_of_open_loop_to_the_last_bit(solution):
     case = case_of(3600.0, solution, size=0.0)
     assert len(case.policy) == 3
     times = case.mission.times_s
@@ -140,7 +135,7 @@ def test_without_gains_flights_are_those_of_open_loop_to_the_last_bit(solution: 
     np.testing.assert_array_equal(corrected.burns_m_s, alone.burns_m_s)
 
 
-def test_measurements_draw_from_a_stream_of_their_own(solution: Solution) -> None:
+def test_measurements_draw_from_a_stream_of_their_own(solution):
     case = case_of(3600.0, solution)
     mission, burns = case.mission, case.burns_m_s
     sources = number_of_sources(mission, burns)
@@ -150,7 +145,7 @@ def test_measurements_draw_from_a_stream_of_their_own(solution: Solution) -> Non
     assert len(np.unique(draws)) == draws.size
 
 
-def test_errors_of_execution_are_those_of_the_commanded_burn(solution: Solution) -> None:
+def test_errors_of_execution_are_those_of_the_commanded_burn(solution):
     case = case_of(3600.0, solution, size=300.0)
     mission, burns = case.mission, case.burns_m_s
     flown = case.fly(mission.times_s[-1:])
@@ -162,7 +157,7 @@ def test_errors_of_execution_are_those_of_the_commanded_burn(solution: Solution)
     assert np.std(flown.commanded_m_s[:, 1:], axis=0).min() > 1e-3
 
 
-def test_what_policies_store_gives_kalmans_gain(solution: Solution) -> None:
+def test_what_policies_store_gives_kalmans_gain(solution):
     """P R^-1 is the gain of the covariances before the update."""
     case = case_of(3600.0, solution)
     units = case.mission.units.state
@@ -173,7 +168,7 @@ def test_what_policies_store_gives_kalmans_gain(solution: Solution) -> None:
         )
 
 
-def test_flights_count_what_corrected_burns_break(solution: Solution) -> None:
+def test_flights_count_what_corrected_burns_break(solution):
     """Each limit and each burn for itself; a burn beyond its limit is flown as it is commanded."""
     largest = float(np.linalg.norm(solution.burns_m_s[2]))
     case = case_of(3600.0, solution, f"burns.dv_max_m_s={largest}", size=0.3)
@@ -193,7 +188,7 @@ def test_flights_count_what_corrected_burns_break(solution: Solution) -> None:
     assert quantile.low < np.quantile(total, 0.99) < quantile.high
 
 
-def test_a_measurement_of_nothing_corrects_nothing(solution: Solution) -> None:
+def test_a_measurement_of_nothing_corrects_nothing(solution):
     """An estimate that never leaves zero leaves the burns as they are."""
     case = case_of(3600.0, solution)
     blind = tuple(
@@ -207,7 +202,7 @@ def test_a_measurement_of_nothing_corrects_nothing(solution: Solution) -> None:
 
 
 @pytest.fixture(scope="module")
-def corrected(solution: Solution) -> Solution:
+def corrected(solution) -> Solution:
     """A plan's file with gains."""
     case = case_of(3600.0, solution)
     merit = MeritFunction(case.lin.problem, DeterministicRows(case.lin.problem))
@@ -216,9 +211,7 @@ def corrected(solution: Solution) -> Solution:
     return make_solution(Plan(case.mission, provenance, (stage,), stage, Timing(), 0.0))
 
 
-def test_the_command_flies_what_the_file_stores(
-    corrected: Solution, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_flies_what_the_file_stores(corrected, tmp_path, capsys):
     corrected.write(tmp_path)
     montecarlo.main([str(tmp_path), "--samples=2000"])
     shown = capsys.readouterr().out
@@ -244,7 +237,7 @@ def test_the_command_flies_what_the_file_stores(
     assert commanded.dv99_m_s.low < np.quantile(flown, 0.99) < commanded.dv99_m_s.high
 
 
-def test_flights_of_other_gains_are_another_plans(corrected: Solution) -> None:
+def test_flights_of_other_gains_are_another_plans(corrected):
     """Without gains they are the plan's own, flown open loop."""
     mission, burns, policy = corrected.mission, corrected.burns_m_s, corrected.corrections
     for other in (policy[:1], (replace(policy[0], gains=2.0 * policy[0].gains), *policy[1:])):

@@ -30,7 +30,6 @@ from scp_recon.monte_carlo.flights import (
 from scp_recon.monte_carlo.observation_time import ALL
 from scp_recon.monte_carlo.summary import FILE_NAME, read_summary, summarise
 from scp_recon.planning import initial_guess
-from scp_recon.planning.plan import Plan
 from scp_recon.planning.planner import plan
 from scp_recon.reports.tables import flown_probabilities_table
 from scp_recon.results.solution import Solution, make_solution
@@ -107,12 +106,12 @@ def _equal(a: object, b: object) -> bool:
 
 
 @pytest.fixture(scope="module")
-def config(default_plan: Plan) -> FlightConfig:
+def config(default_plan) -> FlightConfig:
     return FlightConfig(default_plan.mission, default_plan.burns_m_s, seed=3)
 
 
 @pytest.fixture(scope="module")
-def alone(config: FlightConfig) -> FlightTally:
+def alone(config) -> FlightTally:
     return fly_many(config, samples=SAMPLES)
 
 
@@ -122,7 +121,7 @@ def test_tallies_are_the_same_for_any_split(executor, config, alone):
 
 
 @pytest.fixture(scope="module")
-def narrowed(config: FlightConfig) -> Iterator[FlightTally]:
+def narrowed(config) -> Iterator[FlightTally]:
     """Flights to a width that takes some 20,000 plain ones."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(flights, "PLAIN", 1_000)
@@ -202,12 +201,12 @@ def short() -> Mission:
 
 
 @pytest.fixture(scope="module")
-def tame(short: Mission) -> Solution:
+def tame(short) -> Solution:
     return short_plan(short)
 
 
 @pytest.fixture(scope="module")
-def short_config(short: Mission, tame: Solution) -> FlightConfig:
+def short_config(short, tame) -> FlightConfig:
     return FlightConfig(short, tame.burns_m_s, seed=3)
 
 

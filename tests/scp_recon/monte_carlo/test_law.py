@@ -15,7 +15,6 @@ from scp_recon.monte_carlo.law import Law, fly_strata, survey
 from scp_recon.monte_carlo.sampling import draw, fly_draws, number_of_sources
 from scp_recon.monte_carlo.whole_flight import LookedAt, WholeFlights, kept_flights
 from scp_recon.planning.initial_guess import from_burns
-from scp_recon.results.solution import Solution
 
 SOURCES, NODES, SEED = 5, 4, 11
 rng = np.random.default_rng(1)
@@ -92,7 +91,7 @@ def test_no_limit_within_reach_is_kept_for_sure():
 
 
 @pytest.fixture(scope="module")
-def law(solution: Solution) -> tuple[Mission, Law]:
+def law(solution) -> tuple[Mission, Law]:
     mission = Mission.from_scenario(solution.scenario)
     guess = from_burns(mission, solution.burns_m_s)
     lin = mission.dynamics.linearise(mission.problem, guess)

@@ -31,7 +31,6 @@ from scp_recon.monte_carlo.whole_flight import (
     may_dip,
 )
 from scp_recon.planning.initial_guess import from_burns
-from scp_recon.results.solution import Solution
 from tests.helpers import share_of_examples
 from tests.scp_recon.support import integrate, mission_of
 
@@ -39,7 +38,7 @@ LOOK = np.array([0.0, 8000.0, 13_140.5, 25_000.0, 34_842.0])
 
 
 @pytest.fixture(scope="module")
-def burns(solution: Solution) -> Array:
+def burns(solution) -> Array:
     return solution.burns_m_s
 
 
@@ -153,7 +152,7 @@ def test_until_a_burn_the_path_goes_on_as_it_did(solution):
 
 
 @pytest.fixture(scope="module")
-def sparse(solution: Solution) -> tuple[Mission, Array, KeptFlights]:
+def sparse(solution) -> tuple[Mission, Array, KeptFlights]:
     """A plan that breaks a limit between the edges of the window, which has no other nodes."""
     mission = mission_of("observation.emission_max_deg=36", "grid.step_max_s=3500")
     return mission, solution.burns_m_s, kept_flights(mission, solution.burns_m_s, FLIGHTS, SEED)
@@ -176,7 +175,7 @@ SCANNED = 60
 
 
 @pytest.fixture(scope="module")
-def bold_burns(solution: Solution) -> np.ndarray:
+def bold_burns(solution) -> np.ndarray:
     """Burns that make many flights cross limits."""
     return solution.burns_m_s * np.array([1.03, 0.97, 1.0, 1.0])[:, None]
 

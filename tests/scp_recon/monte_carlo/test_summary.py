@@ -32,18 +32,18 @@ Data = dict[str, Any]
 
 
 @pytest.fixture(scope="module")
-def flown(mission: Mission, solution: Solution) -> FlightTally:
+def flown(mission, solution) -> FlightTally:
     """Few flights: a single batch, whose means have no interval."""
     return fly_many(FlightConfig(mission, solution.burns_m_s), samples=40)
 
 
 @pytest.fixture(scope="module")
-def summary(flown: FlightTally, solution: Solution) -> Summary:
+def summary(flown, solution) -> Summary:
     return summarise(flown, solution)
 
 
 @pytest.fixture(scope="module")
-def data(summary: Summary, tmp_path_factory: pytest.TempPathFactory) -> Data:
+def data(summary, tmp_path_factory) -> Data:
     """What is in the file."""
     path = summary.write(tmp_path_factory.mktemp("written"))
     parsed: Data = json.loads(path.read_text("utf-8"))
@@ -133,7 +133,7 @@ def test_parts_that_do_not_fit_together_are_refused(tmp_path, data, path, value)
 
 
 @pytest.fixture(scope="module")
-def many(mission: Mission, solution: Solution) -> Summary:
+def many(mission, solution) -> Summary:
     return summarise(fly_many(FlightConfig(mission, solution.burns_m_s), samples=1000), solution)
 
 

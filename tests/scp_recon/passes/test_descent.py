@@ -28,7 +28,7 @@ def space() -> Space:
 
 
 @pytest.fixture(scope="module")
-def near(space: Space) -> Near:
+def near(space) -> Near:
     at = Pass((np.deg2rad(155.0), 0.0), (0.0, 8000.0, 24_000.0, 34_842.0))
     mission = space.mission_of(at)
     plan = Planner(mission).plan(cold(mission))
@@ -71,7 +71,7 @@ def test_times_that_are_all_given_leave_no_rules_to_keep(near):
 
 
 @pytest.fixture
-def _interrupted(monkeypatch: pytest.MonkeyPatch) -> None:
+def _interrupted(monkeypatch) -> None:
     """As soon as something is iterated."""
 
     def step(*_: object) -> Record:

@@ -47,7 +47,7 @@ class World:
     only_after_certain: bool = False
     costs: tuple[float, ...] = (3.0, 2.0, 1.0)
 
-    def install(self, patch: pytest.MonkeyPatch, edges: list[tuple[float, float]]) -> None:
+    def install(self, patch, edges: list[tuple[float, float]]) -> None:
         def number(space: Any) -> int:
             return edges.index(space.window_s)
 
@@ -76,7 +76,7 @@ class World:
         patch.setattr(design, "other_counts", lambda *_: [])
 
 
-def run(world: World, patch: pytest.MonkeyPatch) -> tuple[Any, int, list[Trial]]:
+def run(world: World, patch) -> tuple[Any, int, list[Trial]]:
     """What is found, in which window, and all that was tried."""
     scenario = home_scenario(design=SPANS)
     edges = [space.window_s for space, _ in spaces_of(scenario)]

@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 from formulations.arrays import Array
 from formulations.problem.expression_flow import ExpressionFlow
 from scp_recon.mission.grid import RK4_STEP_MAX_S
-from scp_recon.mission.mission import Mission
 from scp_recon.physics.flow import differentiate, interpolate, propagate
 from scp_recon.physics.forces import ForceModel, acceleration
 from tests.scp_recon.support import COMPANION, burns_of, fly, integrate
@@ -22,13 +21,13 @@ SUBSTEPS = 2
 
 
 @pytest.fixture(scope="module")
-def forces(mission: Mission) -> ForceModel:
+def forces(mission) -> ForceModel:
     """Nondimensional, so that positions and velocities are of one size."""
     return mission.forces.in_units(mission.units.length_m, mission.units.time_s)
 
 
 @pytest.fixture(scope="module")
-def arc(mission: Mission) -> float:
+def arc(mission) -> float:
     return ARC_S / mission.units.time_s
 
 
@@ -48,7 +47,7 @@ def states(draw: st.DrawFn) -> Array:
 
 
 @pytest.fixture(scope="module")
-def differentiated(forces: ForceModel) -> Callable[[Array, float], list[Array]]:
+def differentiated(forces) -> Callable[[Array, float], list[Array]]:
     """State, STM and tensor of a Runge-Kutta scheme written here, by CasADi."""
 
     def rate(y: ca.SX) -> ca.SX:

@@ -44,14 +44,14 @@ TIME_S = 5000.0
 
 
 @pytest.fixture(scope="module", params=[False, True], ids=["alone", "with a companion"])
-def forces(request: pytest.FixtureRequest, mission: Mission) -> ForceModel:
+def forces(request, mission) -> ForceModel:
     return (
         mission.changed({"body.companion": COMPANION}).forces if request.param else mission.forces
     )
 
 
 @pytest.fixture(scope="module")
-def differentiated(forces: ForceModel) -> Derivatives:
+def differentiated(forces) -> Derivatives:
     """CasADi's acceleration, gradient and second derivative of the library's `acceleration`."""
     r = ca.SX.sym("r", 3)
     value = ca.vertcat(*acceleration(r[0], r[1], r[2], forces, forces.moment(TIME_S)))
@@ -67,7 +67,7 @@ def differentiated(forces: ForceModel) -> Derivatives:
 
 
 @pytest.fixture(scope="module")
-def gradient_of_potential(mission: Mission) -> Callable[[Array], Array]:
+def gradient_of_potential(mission) -> Callable[[Array], Array]:
     """CasADi's gradient of the textbook potential, with none of the library's arithmetic.
 
     U = GM/r [1 - J2 (R/r)^2 (3 sin^2 latitude - 1) / 2] + a_srp . r

@@ -48,7 +48,7 @@ def directions(draw: st.DrawFn) -> Array:
 
 
 @pytest.fixture(scope="module")
-def spice(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ModuleType]:
+def spice(tmp_path_factory) -> Iterator[ModuleType]:
     """SPICE with the figures of NAIF's kernel of Bennu."""
     spiceypy = pytest.importorskip("spiceypy")
     spiceypy.kclear()

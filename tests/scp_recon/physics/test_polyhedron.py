@@ -41,7 +41,7 @@ def of_ellipsoid(position: Array) -> Array:
 
 
 @pytest.mark.parametrize(("halvings", "within"), [(2, 4e-3), (3, 8e-4), (4, 2e-4)])
-def test_finer_facets_come_to_the_ellipsoids_closed_form(halvings: int, within: float) -> None:
+def test_finer_facets_come_to_the_ellipsoids_closed_form(halvings, within):
     mesh = Ellipsoid(RADII).tessellated(halvings)
     assert (len(mesh.facets), len(mesh.vertices_m)) == (8 * 4**halvings, 4 * 4**halvings + 2)
     assert Solid.of(mesh).volume_m3 == pytest.approx(4.0 / 3.0 * np.pi * RADII.prod(), rel=1e-12)
@@ -51,7 +51,7 @@ def test_finer_facets_come_to_the_ellipsoids_closed_form(halvings: int, within: 
     assert (off / np.linalg.norm(exact, axis=0)).max() < within
 
 
-def test_the_pull_is_a_gradient_without_sources_outside_and_uniform_inside() -> None:
+def test_the_pull_is_a_gradient_without_sources_outside_and_uniform_inside():
     """Poisson's equation: the divergence is -4 pi G rho inside, and none outside; nowhere a curl."""
     solid, step = field(TETRAHEDRON), 0.01
     density = GM / Solid.of(TETRAHEDRON).volume_m3
@@ -66,7 +66,7 @@ def test_the_pull_is_a_gradient_without_sources_outside_and_uniform_inside() -> 
 
 
 @pytest.mark.parametrize("mesh", [TETRAHEDRON, Ellipsoid(RADII).tessellated(2)])
-def test_its_harmonics_are_its_pull_outside(mesh: Mesh) -> None:
+def test_its_harmonics_are_its_pull_outside(mesh):
     positions = around(1200.0)
     pull = field(mesh).derivatives(positions, 0)
     size = np.linalg.norm(pull, axis=0).max()
@@ -82,7 +82,7 @@ def _oblateness(mesh: Mesh) -> float:
     return float(z - 0.5 * (x + y))
 
 
-def test_units_turn_nothing_and_only_the_pull_is_known() -> None:
+def test_units_turn_nothing_and_only_the_pull_is_known():
     solid, positions = field(TETRAHEDRON), around(500.0)
     scaled = solid.in_units(1000.0, 3600.0).derivatives(positions / 1000.0, 0)
     np.testing.assert_allclose(
@@ -93,7 +93,7 @@ def test_units_turn_nothing_and_only_the_pull_is_known() -> None:
         solid.derivatives(positions, 1)
 
 
-def test_esas_library_pulls_alike() -> None:
+def test_esas_library_pulls_alike():
     """Schuhmacher et al. 2024, by Tsoulis's line integrals."""
     library = pytest.importorskip("polyhedral_gravity")
     mesh = Ellipsoid(RADII).tessellated(3)

@@ -53,7 +53,7 @@ def free() -> Plan:
 
 @pytest.mark.usefixtures("few_flights")
 @pytest.mark.parametrize("part", ["position", "velocity"])
-def test_a_limit_that_is_less_binds_and_costs(free: Plan, part: str) -> None:
+def test_a_limit_that_is_less_binds_and_costs(free, part):
     which = list(LIMITS).index(part)
     limit = 0.9 * final_sigmas(free)[which]
     plan = planned(f"{LIMITS[part]}={limit}")
@@ -73,7 +73,7 @@ def test_a_limit_that_is_less_binds_and_costs(free: Plan, part: str) -> None:
     assert flown.flown == pytest.approx(limit, rel=0.1)
 
 
-def test_a_limit_that_is_more_changes_nothing(free: Plan) -> None:
+def test_a_limit_that_is_more_changes_nothing(free):
     position, velocity = final_sigmas(free)
     loose = planned(
         f"{LIMITS['position']}={1.1 * position}", f"{LIMITS['velocity']}={1.1 * velocity}"
@@ -82,7 +82,7 @@ def test_a_limit_that_is_more_changes_nothing(free: Plan) -> None:
 
 
 @pytest.mark.parametrize("scope", usually(["node", "flight"], 1))
-def test_it_binds_with_exact_risk_too(scope: str) -> None:
+def test_it_binds_with_exact_risk_too(scope):
     """Without a limit it is 204.96 m."""
     exact = "risk.allocation='exact'", f"risk.scope={scope!r}", "risk.p_chance=0.6"
     limit = 185.0
@@ -92,7 +92,7 @@ def test_it_binds_with_exact_risk_too(scope: str) -> None:
     assert inconsistencies(plan.mission, make_solution(plan)) == []
 
 
-def test_a_file_that_says_otherwise_is_found_out(free: Plan) -> None:
+def test_a_file_that_says_otherwise_is_found_out(free):
     limit = 0.9 * final_sigmas(free)[0]
     scenario = free.mission.scenario.replace({LIMITS["position"]: limit})
     mission = Mission.from_scenario(scenario)  # of other limits than were planned
@@ -102,7 +102,7 @@ def test_a_file_that_says_otherwise_is_found_out(free: Plan) -> None:
     assert FINAL_POSITION in exceeded(flown_sigmas(mission, free.burns_m_s, seed=1))
 
 
-def test_what_cannot_keep_them_refuses_them() -> None:
+def test_what_cannot_keep_them_refuses_them():
     mission = mission_of(COARSE, f"{LIMITS['velocity']}=0.01")
     with pytest.raises(
         InputError, match=r"boundary\.final_sigma_velocity_m_s.*condensed and lifted"
@@ -136,7 +136,7 @@ def planned_by(*overrides: str, formulation: str = "condensed") -> Plan:
 
 
 @pytest.mark.parametrize("formulation", usually(["tuned", "shooting", "lifted"], 1))
-def test_every_method_finds_the_same_plan_under_gates_errors(formulation: str) -> None:
+def test_every_method_finds_the_same_plan_under_gates_errors(formulation):
     ours = planned_by(UNLIKE)
     if formulation == "lifted":
         other = planned_by(UNLIKE, formulation=formulation)
@@ -150,7 +150,7 @@ def test_every_method_finds_the_same_plan_under_gates_errors(formulation: str) -
 
 @pytest.mark.usefixtures("few_flights")
 @pytest.mark.parametrize("errors", [UNLIKE, ALIKE], ids=["unlike", "alike"])
-def test_a_plan_under_gates_errors_is_verified(errors: str) -> None:
+def test_a_plan_under_gates_errors_is_verified(errors):
     """Its covariance by closed forms and variational equations, its probabilities by sampling."""
     found = planned_by(errors)
     checked = verify(found.mission, make_solution(found))
@@ -158,7 +158,7 @@ def test_a_plan_under_gates_errors_is_verified(errors: str) -> None:
     assert checked.covariance_error < 1e-6
 
 
-def test_a_vanished_burn_comes_back_or_stays_and_the_iteration_ends() -> None:
+def test_a_vanished_burn_comes_back_or_stays_and_the_iteration_ends():
     """P3 leaves out the third burn: one set of errors calls for it, the other does not."""
     for errors, needed in ((UNLIKE, True), (ALIKE, False)):
         found = planned_by(errors)
@@ -175,9 +175,7 @@ def test_a_vanished_burn_comes_back_or_stays_and_the_iteration_ends() -> None:
         assert (last[2] < VANISHED * model.fixed_bound) != needed
 
 
-def test_a_vanished_burn_may_be_executed_where_that_promises_more(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_vanished_burn_may_be_executed_where_that_promises_more(monkeypatch):
     """Before the window, where its errors count: its own model forbids it to leave zero far."""
     found, radius = planned_by(UNLIKE), 0.3
     problem, dynamics = found.mission.problem, found.mission.dynamics
@@ -206,7 +204,7 @@ def drawn(*overrides: str, errors: str | None = None) -> tuple[Array, Array]:
     return initial, flights.burns_m_s - burns
 
 
-def test_flights_have_the_errors_that_the_planner_counts_on() -> None:
+def test_flights_have_the_errors_that_the_planner_counts_on():
     _, errors = drawn(UNLIKE)
     found = planned_by(UNLIKE)
     columns = mission_of(COARSE, UNLIKE).problem.execution_errors.columns(
@@ -219,7 +217,7 @@ def test_flights_have_the_errors_that_the_planner_counts_on() -> None:
         assert (np.abs(sampled - expected) < 5.0 * scatter).all()
 
 
-def test_flights_take_no_errors_by_component_for_gates() -> None:
+def test_flights_take_no_errors_by_component_for_gates():
     """The other way there is an isotropic counterpart of the same size."""
     found = planned_by(UNLIKE)
     with pytest.raises(InputError, match="gates"):
@@ -229,7 +227,7 @@ def test_flights_take_no_errors_by_component_for_gates() -> None:
 
 
 @nightly
-def test_a_correction_after_the_window_makes_up_for_what_one_before_it_spends() -> None:
+def test_a_correction_after_the_window_makes_up_for_what_one_before_it_spends():
     """A limit too loose to bind has that burn corrected too, to nothing where the other is large."""
     navigated = (
         "risk.p_chance=0.9",

@@ -38,7 +38,7 @@ def defects_of(mission: Mission, iterate: Iterate) -> Array:
 
 
 @pytest.fixture(scope="module")
-def ballistic(mission: Mission) -> Iterate:
+def ballistic(mission) -> Iterate:
     return initial_guess.ballistic(mission)
 
 
@@ -264,7 +264,7 @@ THREE = partial(plan_from_several, make_plan=partial(plan, problem="P3"), starts
 
 
 @pytest.fixture(scope="module")
-def found(mission: Mission) -> Plan:
+def found(mission) -> Plan:
     return THREE(mission, initial_guess.cold(mission))
 
 

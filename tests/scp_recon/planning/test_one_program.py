@@ -35,7 +35,7 @@ class Watched:
     after: list[int] = field(default_factory=list)
 
 
-def watch(monkeypatch: pytest.MonkeyPatch) -> Watched:
+def watch(monkeypatch) -> Watched:
     seen = Watched()
     read = CompiledProgram.controls
     compile_, solve, real = cp.Problem.get_problem_data, Clarabel.solve, clarabel.DefaultSolver

@@ -45,7 +45,7 @@ def coarse_plan() -> Plan:
 
 
 @pytest.fixture(scope="module")
-def two_rounds(mission: Mission) -> Plan:
+def two_rounds(mission) -> Plan:
     return plan(mission, initial_guess.cold(mission), facet_rounds=1)
 
 

@@ -30,7 +30,7 @@ def planner() -> Planner:
 
 
 @pytest.fixture(scope="module")
-def plan(planner: Planner) -> Plan:
+def plan(planner) -> Plan:
     return planner.plan(initial_guess.cold(planner.mission))
 
 

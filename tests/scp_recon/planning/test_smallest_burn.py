@@ -34,7 +34,7 @@ def exact() -> Plan:
 
 
 @pytest.fixture(scope="module")
-def stored(exact: Plan) -> Solution:
+def stored(exact) -> Solution:
     return make_solution(exact)
 
 

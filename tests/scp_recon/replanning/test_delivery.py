@@ -9,7 +9,6 @@ import pytest
 import scp_recon as sr
 from formulations.arrays import Array
 from scp_recon.errors import InputError
-from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
 from scp_recon.planning.plan import Plan
 from scp_recon.planning.planner import Planner
@@ -25,12 +24,12 @@ METRES = np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
 
 
 @pytest.fixture(scope="module")
-def state(default_plan: Plan) -> Array:
+def state(default_plan) -> Array:
     return predict(FlownPlan.of(default_plan), AT, {}).state
 
 
 @pytest.fixture(scope="module")
-def p3_plan(mission: Mission) -> Plan:
+def p3_plan(mission) -> Plan:
     return Planner(mission).plan(initial_guess.cold(mission), problem="P3")
 
 

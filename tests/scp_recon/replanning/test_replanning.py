@@ -34,12 +34,12 @@ OFF = np.array([40.0, -40.0, 20.0, 2e-3, 2e-3, -1e-3])
 
 
 @pytest.fixture(scope="module")
-def flown(default_plan: Plan) -> FlownPlan:
+def flown(default_plan) -> FlownPlan:
     return FlownPlan.of(default_plan)
 
 
 @pytest.fixture(scope="module")
-def late(flown: FlownPlan) -> Plan:
+def late(flown) -> Plan:
     """With one burn left."""
     return again(flown, 26_000.0, OFF)
 

@@ -13,18 +13,17 @@ from scp_recon.reports.page import Page
 from scp_recon.reports.subject import Subject, subjects_of
 from scp_recon.reports.write import page_of, write_report
 from scp_recon.results.solution import Solution
-from scp_recon.verification.reintegration import Verification
 
 MADE = datetime(2026, 1, 2, 3, 4, 5, tzinfo=UTC)
 
 
 @pytest.fixture(scope="session")
-def verified(solution: Solution, verification: Verification) -> Solution:
+def verified(solution, verification) -> Solution:
     return replace(solution, verification=verification)
 
 
 @pytest.fixture(scope="session")
-def plan_folder(verified: Solution, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def plan_folder(verified, tmp_path_factory) -> Path:
     """With flights of the plan beside it."""
     folder = tmp_path_factory.mktemp("plan")
     verified.write(folder)
@@ -35,15 +34,15 @@ def plan_folder(verified: Solution, tmp_path_factory: pytest.TempPathFactory) ->
 
 
 @pytest.fixture(scope="session")
-def subject(plan_folder: Path) -> Subject:
+def subject(plan_folder) -> Subject:
     return subjects_of([plan_folder])[0]
 
 
 @pytest.fixture(scope="session")
-def page(subject: Subject) -> Page:
+def page(subject) -> Page:
     return page_of([subject], Camera(), MADE)
 
 
 @pytest.fixture(scope="session")
-def html_file(plan_folder: Path) -> Path:
+def html_file(plan_folder) -> Path:
     return write_report([plan_folder], plan_folder / "report.html", now=lambda: MADE)

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -33,7 +32,7 @@ def browser() -> Iterator[Any]:
 
 
 @pytest.fixture(scope="module")
-def seen(browser: Any, html_file: Path) -> Seen:
+def seen(browser, html_file) -> Seen:
     page = browser.new_context(viewport=WINDOW).new_page()
     page.set_default_timeout(PATIENCE_MS)
     found = Seen(page)

@@ -23,14 +23,14 @@ def subject() -> Subject:
 
 
 @pytest.fixture(scope="module")
-def shown(subject: Subject) -> Shown:
+def shown(subject) -> Shown:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("scp_recon.reports.flights.fly", lambda one: fly(one, samples=200))
         return Shown.of(subject, shape_of(subject.solution.scenario), Camera())
 
 
 @pytest.fixture(scope="module")
-def charts(shown: Shown) -> dict[str, dict[str, Any]]:
+def charts(shown) -> dict[str, dict[str, Any]]:
     return {chart["key"]: chart for chart in correction_charts([shown])}
 
 

@@ -17,7 +17,7 @@ from tests.helpers import generators, random_unit
 
 
 @pytest.fixture(scope="module")
-def flown(subject: Subject) -> Flown:
+def flown(subject) -> Flown:
     return fly(subject)
 
 

@@ -16,7 +16,6 @@ import pytest
 from scp_recon.api.replans import plan_left
 from scp_recon.cli.commands import report, solve
 from scp_recon.errors import InputError
-from scp_recon.planning.plan import Plan
 from scp_recon.replanning.delivery import Delivery
 from scp_recon.replanning.flown import FlownPlan, predict
 from scp_recon.replanning.remainder import mission_left
@@ -37,7 +36,7 @@ BYTES_MAX = 8_000_000
 
 
 @pytest.fixture(scope="module")
-def html(html_file: Path) -> str:
+def html(html_file) -> str:
     return html_file.read_text("utf-8")
 
 
@@ -230,7 +229,7 @@ OF_THE_WINDOW = {"observation", "resolution"}
 
 
 @pytest.fixture(scope="module")
-def left(default_plan: Plan) -> dict[float, Solution]:
+def left(default_plan) -> dict[float, Solution]:
     flown = FlownPlan.of(default_plan)
 
     def from_time(at_s: float) -> Solution:

@@ -22,7 +22,7 @@ Data = dict[str, Any]
 
 
 @pytest.fixture(params=["facets", "exact", "infeasible"])
-def older(request: pytest.FixtureRequest) -> Data:
+def older(request) -> Data:
     """A file of the second schema, as it stands."""
     data: Data = json.loads((OLDER / f"{request.param}.json").read_text("utf-8"))
     assert data["schema"] == "scp_recon.solution/2"
@@ -30,7 +30,7 @@ def older(request: pytest.FixtureRequest) -> Data:
 
 
 @pytest.fixture
-def written(older: Data, tmp_path: Path) -> Data:
+def written(older, tmp_path) -> Data:
     """The same plan as this version writes it."""
     return json.loads(parsed(older).write(tmp_path).read_text("utf-8"))
 

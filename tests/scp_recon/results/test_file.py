@@ -36,13 +36,13 @@ def solution() -> Solution:
 
 
 @pytest.fixture(scope="module")
-def verified(solution: Solution) -> Solution:
+def verified(solution) -> Solution:
     checked = verify(Mission.from_scenario(solution.scenario), solution)
     return replace(solution, verification=checked)
 
 
 @pytest.fixture(scope="module")
-def data(verified: Solution, tmp_path_factory: pytest.TempPathFactory) -> Data:
+def data(verified, tmp_path_factory) -> Data:
     """What is in the file."""
     path = verified.write(tmp_path_factory.mktemp("written"))
     parsed: Data = json.loads(path.read_text("utf-8"))

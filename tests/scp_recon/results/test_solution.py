@@ -6,7 +6,6 @@ from dataclasses import asdict
 import numpy as np
 import pytest
 
-from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
 from scp_recon.planning.planner import plan
 from scp_recon.results.solution import Solution, make_solution
@@ -14,7 +13,7 @@ from tests.scp_recon.support import mission_of
 
 
 @pytest.fixture(scope="module")
-def p3(mission: Mission) -> Solution:
+def p3(mission) -> Solution:
     return make_solution(plan(mission, initial_guess.cold(mission), problem="P3"))
 
 

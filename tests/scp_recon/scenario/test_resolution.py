@@ -3,7 +3,6 @@
 import itertools
 import math
 from datetime import datetime
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -67,9 +66,7 @@ def w_deg(scenario: Scenario) -> float:
     meridian=st.floats(-360.0, 360.0),
     epoch=st.datetimes(datetime(1990, 1, 1), datetime(2060, 1, 1)),
 )
-def test_a_period_is_a_rate_and_the_meridian_is_met_at_the_epoch(
-    period: float, meridian: float, epoch: datetime
-) -> None:
+def test_a_period_is_a_rate_and_the_meridian_is_met_at_the_epoch(period, meridian, epoch):
     body = ROCK | {"rotation_period_h": period, "prime_meridian_at_epoch_deg": meridian}
     found = rock(body=body, epoch={"tdb": epoch.isoformat()})
     assert found.body.prime_meridian_rate_deg_day * period / 24.0 == pytest.approx(360.0)
@@ -78,7 +75,7 @@ def test_a_period_is_a_rate_and_the_meridian_is_met_at_the_epoch(
     assert abs(apart) < 1e-12 * abs(8640.0 / period) * days + 1e-9
 
 
-def test_a_packaged_body_needs_only_its_name(scenario: Scenario) -> None:
+def test_a_packaged_body_needs_only_its_name(scenario):
     tables = {"base": "recon_b", "body": {"name": "Bennu"}}
     bare = scenario.model_dump(mode="json", exclude_none=True)
     del bare["sun"]
@@ -90,7 +87,7 @@ def test_a_packaged_body_needs_only_its_name(scenario: Scenario) -> None:
     assert angle_deg(found.sun.body_position_km, scenario.sun.body_position_km) < 0.01
 
 
-def test_what_is_given_beside_the_name_wins_group_by_group() -> None:
+def test_what_is_given_beside_the_name_wins_group_by_group():
     heavier = load_scenario(None, ["body.gm_m3_s2=6.0"])
     assert (heavier.body.gm_m3_s2, heavier.body.pole_ra_deg) == (6.0, 85.46097)
     bare = {"base": "recon_b", "body": {"name": "Eros", "j2": 0.1}, "site": PLACE}
@@ -103,9 +100,7 @@ def test_what_is_given_beside_the_name_wins_group_by_group() -> None:
 
 
 @given(latitude=st.floats(-90.0, 90.0), longitude=st.floats(-180.0, 180.0))
-def test_a_site_by_coordinates_is_the_one_by_its_position(
-    latitude: float, longitude: float
-) -> None:
+def test_a_site_by_coordinates_is_the_one_by_its_position(latitude, longitude):
     place = {"name": "Place", "latitude_deg": latitude, "longitude_deg": longitude}
     site = rock(site=place).site
     assert angle_deg(site.position_body_m, direction_of(latitude, longitude)) < 1e-9
@@ -114,7 +109,7 @@ def test_a_site_by_coordinates_is_the_one_by_its_position(
     np.testing.assert_allclose(again.normal_body, site.normal_body, atol=1e-9)
 
 
-def test_a_site_on_a_shape_file_beside_the_scenario(tmp_path: Path) -> None:
+def test_a_site_on_a_shape_file_beside_the_scenario(tmp_path):
     write_obj(tmp_path / "box.obj", box(np.array([0.28, 0.27, 0.25])))
     text = (
         'base = "recon_b"\n[body]\nname = "Bennu"\nshape_file = "box.obj"\nshape_unit = "km"\n'
@@ -134,7 +129,7 @@ def test_a_site_on_a_shape_file_beside_the_scenario(tmp_path: Path) -> None:
     assert "shape" in caught.value.entry
 
 
-def test_a_solid_is_read_once_and_gives_the_planner_j2(tmp_path: Path) -> None:
+def test_a_solid_is_read_once_and_gives_the_planner_j2(tmp_path):
     mesh = Ellipsoid(np.array([300.0, 200.0, 150.0])).tessellated(2)
     file = write_obj(tmp_path / "solid.obj", mesh)
     bare = {key: ROCK[key] for key in ROCK if key not in ("j2", "reference_radius_m")}
@@ -148,7 +143,7 @@ def test_a_solid_is_read_once_and_gives_the_planner_j2(tmp_path: Path) -> None:
     assert 300.0 < again.body.reference_radius_m < 330.0  # of the same volume, so a little longer
 
 
-def test_a_solid_is_flown_where_it_is_asked_for(tmp_path: Path) -> None:
+def test_a_solid_is_flown_where_it_is_asked_for(tmp_path):
     """A ball's pull is that of a point, but for its facets; the verdict says what was flown."""
     mesh = Ellipsoid(np.full(3, 290.0)).tessellated(3)
     file = write_obj(tmp_path / "ball.obj", mesh)
@@ -162,7 +157,7 @@ def test_a_solid_is_flown_where_it_is_asked_for(tmp_path: Path) -> None:
     np.testing.assert_allclose(exact, point, rtol=1e-4)
 
 
-def test_a_solid_that_is_none_is_refused(tmp_path: Path) -> None:
+def test_a_solid_that_is_none_is_refused(tmp_path):
     mesh = Ellipsoid(np.full(3, 250.0)).tessellated(2)
     inward = write_obj(tmp_path / "inward.obj", Mesh(mesh.vertices_m, mesh.facets[:, ::-1]))
     error = refused(body=ROCK | {"solid_file": str(inward), "shape_unit": "m"})
@@ -187,9 +182,7 @@ NEARLY_ROUND, LONG = (283.0, 271.0, 250.0), (400.0, 280.0, 150.0)
         (NEARLY_ROUND, (1, 2, 0), "90 deg off z"),
     ],
 )
-def test_swapped_axes_and_other_units_of_a_shape_are_refused(
-    half: tuple[float, ...], order: tuple[int, ...], words: str, tmp_path: Path
-) -> None:
+def test_swapped_axes_and_other_units_of_a_shape_are_refused(half, order, words, tmp_path):
     mesh = box(np.array(half))
     body = ROCK | {"radii_m": list(half), "shape_unit": "m"}
     straight = {"shape_file": str(write_obj(tmp_path / "straight.obj", mesh))}
@@ -202,7 +195,7 @@ def test_swapped_axes_and_other_units_of_a_shape_are_refused(
 
 
 @pytest.mark.parametrize("radius_m", [0.03, 30_000.0])
-def test_a_radius_of_normals_in_another_unit_is_refused(radius_m: float, tmp_path: Path) -> None:
+def test_a_radius_of_normals_in_another_unit_is_refused(radius_m, tmp_path):
     """Thirty metres in kilometres, and in millimetres; of a closed surface the sum of all is noise."""
     points = np.array([direction_of(x, y) for x in range(-80, 90, 20) for y in range(0, 360, 20)])
     points *= NEARLY_ROUND
@@ -217,7 +210,7 @@ def test_a_radius_of_normals_in_another_unit_is_refused(radius_m: float, tmp_pat
     assert "from a tenth of a facet" in error.allowed
 
 
-def test_a_shape_about_another_origin_is_refused(tmp_path: Path) -> None:
+def test_a_shape_about_another_origin_is_refused(tmp_path):
     mesh = box(np.array(NEARLY_ROUND))
     vertices = mesh.vertices_m + np.array([0.0, 60.0, 0.0])
     moved = write_obj(tmp_path / "moved.obj", Mesh(vertices, mesh.facets))
@@ -236,16 +229,16 @@ def test_a_shape_about_another_origin_is_refused(tmp_path: Path) -> None:
         ({"latitude_deg": 56.0}, "site"),
     ],
 )  # fmt: skip
-def test_a_site_that_contradicts_itself_is_refused(site: dict[str, Any], entry: str) -> None:
+def test_a_site_that_contradicts_itself_is_refused(site, entry):
     assert refused(site={"name": "Place"} | site).entry.startswith(entry)
 
 
 @pytest.mark.parametrize("entry", ["sun.body_position_km", "site.position_body_m", "body.radii_m"])
-def test_a_vector_of_two_is_told_and_nothing_is_computed_from_it(entry: str) -> None:
+def test_a_vector_of_two_is_told_and_nothing_is_computed_from_it(entry):
     assert refused(f"{entry}=[1.0, 2.0]").entry == entry
 
 
-def test_coordinates_need_a_shape() -> None:
+def test_coordinates_need_a_shape():
     body = {key: value for key, value in ROCK.items() if key != "radii_m"}
     assert "body.radii_m" in refused(body=body).allowed
 
@@ -253,10 +246,8 @@ def test_coordinates_need_a_shape() -> None:
 # --- the Sun ------------------------------------------------------------------------------------
 
 
-@given(
-    epoch=st.datetimes(datetime(2012, 1, 2), datetime(2035, 12, 30)),
-)
-def test_another_epoch_has_its_own_sun(epoch: datetime) -> None:
+@given(epoch=st.datetimes(datetime(2012, 1, 2), datetime(2035, 12, 30)))
+def test_another_epoch_has_its_own_sun(epoch):
     found = load_scenario(None, [f"epoch.tdb={epoch.isoformat()}"])
     again = found.replace({"epoch.tdb": "2020-01-21T20:33:17.184"})
     position = np.array(found.sun.body_position_km)
@@ -272,9 +263,7 @@ def test_another_epoch_has_its_own_sun(epoch: datetime) -> None:
     off=st.floats(0.2, 179.0),
     turn=st.floats(0.0, 6.3),
 )
-def test_a_sun_that_contradicts_the_packaged_one_is_refused(
-    factor: float, off: float, turn: float
-) -> None:
+def test_a_sun_that_contradicts_the_packaged_one_is_refused(factor, off, turn):
     """In another direction, or at another distance: another unit."""
     sun = np.array(STATE["body_position_km"])
     along = sun / np.linalg.norm(sun)
@@ -287,7 +276,7 @@ def test_a_sun_that_contradicts_the_packaged_one_is_refused(
     assert caught.value.entry == "sun.body_position_km"
 
 
-def test_an_epoch_in_utc_is_one_in_tdb_and_takes_its_place() -> None:
+def test_an_epoch_in_utc_is_one_in_tdb_and_takes_its_place():
     found = load_scenario(None, ["epoch.utc=2021-06-01T05:58:50.815Z"])
     assert abs((found.epoch.tdb - datetime(2021, 6, 1, 6)).total_seconds()) < 2e-3
     there = load_scenario(None, ["epoch.tdb=2021-06-01T06:00:00"]).sun.body_position_km
@@ -305,13 +294,13 @@ def test_an_epoch_in_utc_is_one_in_tdb_and_takes_its_place() -> None:
         ("soon", None, "must be"),
     ],
 )
-def test_utc_taken_for_tdb_beside_utc_is_refused(utc: str, tdb: str | None, words: str) -> None:
+def test_utc_taken_for_tdb_beside_utc_is_refused(utc, tdb, words):
     both = [f"epoch.utc={utc}", *([f"epoch.tdb={tdb}"] if tdb else [])]
     with pytest.raises(InputError, match=words):
         load_scenario(None, both)
 
 
-def test_an_epoch_without_a_known_sun_is_refused() -> None:
+def test_an_epoch_without_a_known_sun_is_refused():
     with pytest.raises(InputError, match="2012 to 2035"):
         load_scenario(None, ["epoch.tdb=2050-01-01T00:00:00"])
     error = refused("epoch.tdb=2021-01-01T00:00:00", "body.prime_meridian_at_epoch_deg=3.0")
@@ -322,7 +311,7 @@ def test_an_epoch_without_a_known_sun_is_refused() -> None:
 # --- gravity ------------------------------------------------------------------------------------
 
 
-def test_a_gravity_file_gives_j2_to_the_planner_and_the_field_to_the_truth(tmp_path: Path) -> None:
+def test_a_gravity_file_gives_j2_to_the_planner_and_the_field_to_the_truth(tmp_path):
     (tmp_path / "field.gfc").write_text(GFC, "utf-8")
     light = {k: v for k, v in ROCK.items() if k not in ("gm_m3_s2", "j2", "reference_radius_m")}
     found = rock(body=light | {"gravity_file": str(tmp_path / "field.gfc")})
@@ -338,7 +327,7 @@ def test_a_gravity_file_gives_j2_to_the_planner_and_the_field_to_the_truth(tmp_p
     np.testing.assert_array_equal(truth_field(again.replace({"risk.p_chance": 0.8})).c, field.c)
 
 
-def test_j2_of_a_gravity_file_agrees_with_what_is_given_at_its_radius(tmp_path: Path) -> None:
+def test_j2_of_a_gravity_file_agrees_with_what_is_given_at_its_radius(tmp_path):
     (tmp_path / "field.gfc").write_text(GFC, "utf-8")
     j2 = math.sqrt(5.0) * 0.0192
     body = ROCK | {"gm_m3_s2": 4.89, "gravity_file": str(tmp_path / "field.gfc")}
@@ -350,14 +339,14 @@ def test_j2_of_a_gravity_file_agrees_with_what_is_given_at_its_radius(tmp_path: 
     assert nearer.body.j2 == pytest.approx(4.0 * j2)
 
 
-def test_a_table_without_radius_takes_the_bodys(tmp_path: Path) -> None:
+def test_a_table_without_radius_takes_the_bodys(tmp_path):
     (tmp_path / "field.tab").write_text(BARE, "utf-8")
     body = ROCK | {"j2": math.sqrt(5.0) * 0.0192, "gravity_file": str(tmp_path / "field.tab")}
     gravity = rock(body=body).body.gravity
     assert gravity.reference_radius_m == ROCK["reference_radius_m"]
 
 
-def test_a_field_in_the_scenario_itself_agrees_with_the_planners_j2() -> None:
+def test_a_field_in_the_scenario_itself_agrees_with_the_planners_j2():
     """As a solution file has it, whose gravity file is gone."""
     rows = [[2, 0, -0.0192, 0.0], [2, 2, 0.003, 0.001]]
     body = ROCK | {"gravity": {"reference_radius_m": 145.0, "coefficients": rows}}

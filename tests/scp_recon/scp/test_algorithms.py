@@ -16,7 +16,7 @@ from formulations.registry import make_subproblem
 from formulations.rows.uniform import DeterministicRows
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
-from scp_recon.planning.planner import Plan, plan
+from scp_recon.planning.planner import plan
 from scp_recon.scp import algorithms
 from scp_recon.scp.algorithms import ALGORITHMS, PTR, SCvx, SCvxStar
 from scp_recon.scp.loop import Algorithm, Record, Result, State, Timing, Trial, run
@@ -32,12 +32,12 @@ def ignore(_: Record) -> None:
 
 
 @pytest.fixture(scope="module")
-def cold(mission: Mission) -> Linearisation:
+def cold(mission) -> Linearisation:
     return mission.dynamics.linearise(mission.problem, initial_guess.cold(mission))
 
 
 @pytest.fixture(scope="module")
-def prox_run(mission: Mission, cold: Linearisation) -> Result:
+def prox_run(mission, cold) -> Result:
     return p3_by(PTR(), mission, cold)
 
 
@@ -197,12 +197,12 @@ STUB = SimpleNamespace(merit=Merit())
 
 
 @pytest.fixture(params=["scvx", "ptr", "scvx-star"])
-def algorithm(request: pytest.FixtureRequest) -> Any:
+def algorithm(request) -> Any:
     return ALGORITHMS[request.param]()
 
 
 def after_a_step(
-    monkeypatch: pytest.MonkeyPatch, algorithm: Any, predicted: float, actual: float, before: Any
+    monkeypatch, algorithm: Any, predicted: float, actual: float, before: Any
 ) -> tuple[State, State]:
     """The state before and after a step with these reductions."""
     answer = Step(np.full((2, 3), STEP), 1.0 - predicted, 0.0, 0.0)
@@ -242,7 +242,7 @@ def test_the_dearest_plan_is_told_by_the_limits_of_the_merit(dv_max, verdict):
 
 
 @pytest.fixture(scope="module")
-def optimum(default_plan: Plan) -> Linearisation:
+def optimum(default_plan) -> Linearisation:
     return default_plan.final.result.lin
 
 

@@ -10,7 +10,6 @@ from formulations.program.condensed import CondensedSubproblem
 from formulations.program.subproblem import Step, Subproblem, SubproblemError
 from formulations.registry import make_subproblem
 from formulations.rows.uniform import DeterministicRows
-from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
 from scp_recon.planning.planner import Plan, plan
 from scp_recon.scp.algorithms import SCvx
@@ -24,17 +23,17 @@ def ignore(_: Record) -> None:
 
 
 @pytest.fixture(scope="module")
-def p3(mission: Mission) -> Subproblem:
+def p3(mission) -> Subproblem:
     return make_subproblem(mission.problem, DeterministicRows(mission.problem), "condensed")
 
 
 @pytest.fixture(scope="module")
-def cold(mission: Mission) -> Linearisation:
+def cold(mission) -> Linearisation:
     return mission.dynamics.linearise(mission.problem, initial_guess.cold(mission))
 
 
 @pytest.fixture(scope="module")
-def optimum(default_plan: Plan) -> Result:
+def optimum(default_plan) -> Result:
     """P3 from a cold start, undisturbed."""
     return default_plan.stages[0].result
 
@@ -47,7 +46,7 @@ def infeasible() -> Plan:
 
 
 @pytest.fixture(scope="module", params=["default", "infeasible"])
-def some_plan(request: pytest.FixtureRequest) -> Plan:
+def some_plan(request) -> Plan:
     name = "default_plan" if request.param == "default" else "infeasible"
     found: Plan = request.getfixturevalue(name)
     return found

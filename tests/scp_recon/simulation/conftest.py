@@ -21,5 +21,5 @@ def short_mission() -> Mission:
 
 
 @pytest.fixture(scope="session")
-def short_solution(short_mission: Mission) -> Solution:
+def short_solution(short_mission) -> Solution:
     return short_plan(short_mission)

@@ -47,13 +47,13 @@ PATH = frozenset({Source.INITIAL_STATE, Source.CHEMICAL_THRUSTER})
 
 
 @pytest.fixture(scope="module")
-def perfect(short_solution: Solution, vehicle: Vehicle) -> Flight:
+def perfect(short_solution, vehicle) -> Flight:
     """The short plan flown without errors."""
     return simulate(short_solution, vehicle, sources=())
 
 
 @pytest.fixture(scope="module")
-def starved(short_solution: Solution, vehicle: Vehicle) -> Flight:
+def starved(short_solution, vehicle) -> Flight:
     """Off the path by what it begins and burns with, its batteries emptied and filled again."""
     return simulate(short_solution, weak(vehicle), 3, sources=PATH)
 

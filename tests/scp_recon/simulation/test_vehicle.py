@@ -10,10 +10,8 @@ from scipy.spatial.transform import Rotation
 
 from experiments.model_fidelity.models import Plates
 from scp_recon.errors import InputError
-from scp_recon.mission.mission import Mission
 from scp_recon.mission.schedule import Mode
 from scp_recon.physics import geometry
-from scp_recon.results.solution import Solution
 from scp_recon.simulation import vehicle as module
 from scp_recon.simulation.estimator import (
     AttitudeFilter,
@@ -23,7 +21,7 @@ from scp_recon.simulation.estimator import (
     product,
 )
 from scp_recon.simulation.guidance import FlightPlan
-from scp_recon.simulation.vehicle import Vehicle, load_vehicle
+from scp_recon.simulation.vehicle import load_vehicle
 from tests.helpers import generators, random_unit
 from tests.scp_recon.support import fly
 
@@ -103,7 +101,7 @@ def test_a_file_that_cannot_be_read_is_named(tmp_path):
 
 
 @pytest.fixture(scope="module")
-def plan(solution: Solution, mission: Mission, vehicle: Vehicle) -> FlightPlan:
+def plan(solution, mission, vehicle) -> FlightPlan:
     return FlightPlan.of(solution, mission, vehicle)
 
 

@@ -5,7 +5,6 @@ import json
 import re
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -77,7 +76,7 @@ def crossed() -> Solution:
 
 
 @pytest.fixture(scope="module")
-def verification(solution: Solution) -> Verification:
+def verification(solution) -> Verification:
     return checked(solution)
 
 
@@ -87,7 +86,7 @@ def checked(solution: Solution, mission: Mission | None = None) -> Verification:
         return verify(mission or solution.mission, solution)
 
 
-def test_what_is_told_of_a_plan_tells_of_its_corrections(crossed: Solution) -> None:
+def test_what_is_told_of_a_plan_tells_of_its_corrections(crossed):
     """In the heading of every file for other tools, and beside other plans."""
     policy, ids = crossed.policy, Ids(-999, 2101955)
     assert policy is not None
@@ -148,9 +147,7 @@ def gates(magnitude: float, bias: float) -> str:
     ),
     ids=usually(["none", "hour", "long", "along", "across", "bias"], 4),
 )
-def test_the_closed_loop_is_that_of_the_corrections_alone(
-    overrides: tuple[str, ...], burns: list[int]
-) -> None:
+def test_the_closed_loop_is_that_of_the_corrections_alone(overrides, burns):
     given = with_gains(*overrides)
     v = checked(given)
     limits = limits_of(given.mission)
@@ -161,16 +158,14 @@ def test_the_closed_loop_is_that_of_the_corrections_alone(
     assert not {name for name in v.failed if name.startswith("policy")}
 
 
-def test_a_plan_with_feedback_is_confirmed(verification: Verification) -> None:
+def test_a_plan_with_feedback_is_confirmed(verification):
     assert verification.ok, verification.failed
     assert [(b.burn, b.name) for b in verification.burn_limits] == [
         (burn, name) for burn in (2, 3) for name in ("dv_max", "dv_battery")
     ]
 
 
-def test_flights_that_judge_a_plan_are_corrected(
-    solution: Solution, verification: Verification
-) -> None:
+def test_flights_that_judge_a_plan_are_corrected(solution, verification):
     """Without corrections they keep the emission angle far less often: in 0.72 of many, not 0.98."""
     open_loop = checked(replace(solution, policy=None))
     ours, others = (
@@ -179,7 +174,7 @@ def test_flights_that_judge_a_plan_are_corrected(
     assert ours.estimate > others.estimate + 0.15
 
 
-def test_an_exported_path_spreads_as_the_nodes_do() -> None:
+def test_an_exported_path_spreads_as_the_nodes_do():
     given = with_gains("navigation.lead_s=20000", LAST_TOO)
     stored = dict(zip(given.nodes.t_s, np.array(given.nodes.covariance), strict=True))
     scale = np.outer(given.mission.units.state, given.mission.units.state)
@@ -197,7 +192,7 @@ def test_an_exported_path_spreads_as_the_nodes_do() -> None:
 # --- limits on corrected burns ------------------------------------------------------------------
 
 
-def test_limits_on_corrected_burns_are_those_of_normal_commands(crossed: Solution) -> None:
+def test_limits_on_corrected_burns_are_those_of_normal_commands(crossed):
     """Against the integrals along contours that the planner has for balls and cones."""
     speed, burn = crossed.units.speed_m_s, crossed.burns_m_s[1:2]
     factor = some_gains(crossed.mission)[:18].reshape(1, 3, 6)
@@ -221,7 +216,7 @@ def test_limits_on_corrected_burns_are_those_of_normal_commands(crossed: Solutio
         assert (str(found) in v.failed) == (found.probability < 0.7)
 
 
-def test_a_limit_that_corrections_break_is_named(crossed: Solution) -> None:
+def test_a_limit_that_corrections_break_is_named(crossed):
     """With what would do about it."""
     stricter = mission_of(*CROSSED, "burns.dv_max_m_s=0.018")
     v = checked(crossed, stricter)
@@ -273,9 +268,7 @@ def changed(solution: Solution, *changes: Change) -> Solution:
         ),
     ],
 )
-def test_what_was_changed_is_named(
-    crossed: Solution, changes: list[Change], named: list[str]
-) -> None:
+def test_what_was_changed_is_named(crossed, changes, named):
     assert set(named) <= set(checked(changed(crossed, *changes)).failed)
 
 
@@ -287,19 +280,17 @@ def test_what_was_changed_is_named(
         lambda data: data["policy"]["corrections"].pop(),
     ],
 )
-def test_a_policy_of_another_scenario_is_named(crossed: Solution, change: Change) -> None:
+def test_a_policy_of_another_scenario_is_named(crossed, change):
     assert "policy.corrections" not in inconsistencies(crossed.mission, crossed)
     assert "policy.corrections" in inconsistencies(crossed.mission, changed(crossed, change))
 
 
-def test_a_plan_that_lost_its_policy_is_named(solution: Solution) -> None:
+def test_a_plan_that_lost_its_policy_is_named(solution):
     failed = checked(replace(solution, policy=None)).failed
     assert {"policy.corrections", "covariance_error"} <= set(failed)
 
 
-def test_it_is_read_back_and_a_changed_gain_is_another_plan(
-    solution: Solution, verification: Verification, tmp_path: Path
-) -> None:
+def test_it_is_read_back_and_a_changed_gain_is_another_plan(solution, verification, tmp_path):
     written = solution.with_verification(verification)
     written.write(tmp_path)
     read = read_solution(tmp_path)
@@ -327,16 +318,14 @@ def test_it_is_read_back_and_a_changed_gain_is_another_plan(
         (lambda p: p["corrections"][1].update(burn=9), "burns that are planned"),
     ],
 )
-def test_a_policy_of_another_shape_is_refused(
-    solution: Solution, change: Change, told: str
-) -> None:
+def test_a_policy_of_another_shape_is_refused(solution, change, told):
     data = json.loads(solution.text())
     change(data["policy"])
     with pytest.raises(InputError, match=told):
         parse_solution(data, "a solution")
 
 
-def test_the_terminal_tells_the_policy(solution: Solution, verification: Verification) -> None:
+def test_the_terminal_tells_the_policy(solution, verification):
     shown = io.StringIO()
     console = Console(file=shown, width=WIDE)
     show_solution(console, solution)

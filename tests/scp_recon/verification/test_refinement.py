@@ -23,7 +23,7 @@ TIGHT = 2e-8
 
 
 @pytest.fixture
-def _tight(monkeypatch: pytest.MonkeyPatch) -> None:
+def _tight(monkeypatch) -> None:
     monkeypatch.setattr(reintegration, "COVARIANCE_LIMIT", TIGHT)
 
 
