@@ -31,7 +31,13 @@ SCHEMA = "scp_recon.evidence/1"
 UNKNOWN = "unknown"
 """Hash of evidence that was measured before there were hashes."""
 DATA = ("scp_recon.data", "scp_recon.simulation.data")
-ABOVE = ("scp_recon.api", "scp_recon.cli", "experiments.harness", "experiments.evidence")
+ABOVE = (
+    "scp_recon.api",
+    "scp_recon.cli",
+    "scp_recon.jobs",
+    "experiments.harness",
+    "experiments.evidence",
+)
 """Modules that a study's figures do not depend on: the shell around it."""
 
 Records = Sequence[Mapping[str, Any]]

@@ -268,6 +268,8 @@ def code(*names: str) -> dict[str, Any]:
 def sources(*names: str, without: tuple[str, ...] = ()) -> str:
     """Hash the source of modules and of all that they import of this project; hexadecimal.
 
+    Lines of comments and docstrings do not count: other words change no result.
+
     Args:
         names: of modules (`__name__`), of packages for all their files, or of folders with data
             (`scp_recon.data`).
@@ -275,16 +277,16 @@ def sources(*names: str, without: tuple[str, ...] = ()) -> str:
     """
     root, digest = Path(__file__).parents[2], hashlib.sha256()
     wings = WINGS | {name.partition(".")[0] for name in names}
-    known: set[Path] = set()
+    known: dict[Path, bytes] = {}
     left = [path for name in names for path in _files(root, name)]
     while left:
         path = left.pop()
         if path not in known:
-            known.add(path)
-            left += _imported(root, path, wings) if path.suffix == ".py" else []
+            known[path], imported = _read(root, path, wings)
+            left += imported
     left_out = {path for name in without for path in _files(root, name)}
-    for path in sorted(known - left_out):
-        digest.update(path.relative_to(root).as_posix().encode() + path.read_bytes())
+    for path in sorted(known.keys() - left_out):
+        digest.update(path.relative_to(root).as_posix().encode() + known[path])
     return digest.hexdigest()
 
 
@@ -297,10 +299,34 @@ def _files(root: Path, name: str) -> list[Path]:
 
 
 @cache
-def _imported(root: Path, path: Path, wings: frozenset[str]) -> list[Path]:
-    """Files of the modules that a module imports, wherever in it, and of the packages around them."""
+def _read(root: Path, path: Path, wings: frozenset[str]) -> tuple[bytes, list[Path]]:
+    """What of a file counts, and files of the modules that it imports and of packages around them."""
+    content = path.read_bytes()
+    if path.suffix != ".py":
+        return content, []
+    nodes = list(ast.walk(ast.parse(content)))
+    return _without_prose(content, nodes), _imported(root, nodes, wings)
+
+
+def _without_prose(content: bytes, nodes: Iterable[ast.AST]) -> bytes:
+    """A module's lines except blank ones and those of comments and of strings that are statements."""
+    strings = {n for n in nodes if isinstance(n, ast.Constant) and isinstance(n.value, str)}
+    prose = strings & {node.value for node in nodes if isinstance(node, ast.Expr)}
+    left_out, quoted = (
+        {line for n in found for line in range(n.lineno, (n.end_lineno or n.lineno) + 1)}
+        for found in (prose, strings - prose)
+    )
+    return b"\n".join(
+        line
+        for number, line in enumerate(content.splitlines(), 1)
+        if number in quoted
+        or (number not in left_out and line.strip() and not line.lstrip().startswith(b"#"))
+    )
+
+
+def _imported(root: Path, nodes: Iterable[ast.AST], wings: frozenset[str]) -> list[Path]:
     found = []
-    for node in ast.walk(ast.parse(path.read_bytes())):
+    for node in nodes:
         if isinstance(node, ast.Import):
             names = [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom) and node.module:

@@ -68,6 +68,7 @@ def begun(**changes: Any) -> Evidence:
         ("experiments/frontier.py", True),
         ("scp_recon/api/planning.py", False),
         ("scp_recon/cli/options.py", False),
+        ("scp_recon/jobs/store.py", False),
         ("experiments/harness.py", False),
     ],
 )
@@ -77,12 +78,14 @@ def test_the_hash_counts_scenarios_and_what_is_below_api(changed, counts, monkey
         return store.sources.__wrapped__(*names, without=evidence.ABOVE)
 
     before, read = digest(), Path.read_bytes
+    store._read.cache_clear()
 
     def edited(path: Path) -> bytes:
-        return read(path) + b"\n#" * (path == evidence.ROOT / changed)
+        return read(path) + b"\nx = 1" * (path == evidence.ROOT / changed)
 
     monkeypatch.setattr(Path, "read_bytes", edited)
     assert (digest() != before) == counts
+    store._read.cache_clear()
 
 
 @pytest.mark.parametrize(

@@ -187,3 +187,27 @@ def test_sources_are_of_a_module_and_what_it_imports_alone(monkeypatch):
     assert sources("scp_recon.physics.forces") == first
     with pytest.raises(FileNotFoundError):
         sources("scp_recon.no_such_module")
+
+
+def test_sources_do_not_change_with_their_words(tmp_path, monkeypatch):
+    monkeypatch.setattr(module, "__file__", str(tmp_path / "scp_recon" / "jobs" / "store.py"))
+    path = tmp_path / "formulations" / "path.py"
+    path.parent.mkdir()
+
+    def hashed(text: str) -> str:
+        path.write_text(text, encoding="utf-8")
+        sources.cache_clear()
+        module._read.cache_clear()
+        return sources("formulations.path")
+
+    code = (
+        '"""Says."""\n\n# Why.\nX = """\n# kept"""\n\n\ndef f():\n    """Does."""\n    return 1\n'
+    )
+    first = hashed(code)
+    assert (
+        hashed(code.replace("Says", "Tells").replace("Why", "How").replace("Does.", "A\n\n    b"))
+        == first
+    )
+    assert hashed(code.replace("# kept", "# lost")) != first
+    assert hashed(code.replace("return 1", "return 2")) != first
+    assert hashed(code.replace("def f", "# Now.\ndef f")) == first
