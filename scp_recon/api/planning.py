@@ -20,7 +20,7 @@ from scp_recon.certification.largest import LEAST, Search, largest_promise
 from scp_recon.errors import InputError, option, shortened
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess, planner
-from scp_recon.planning.initial_guess import from_burns
+from scp_recon.planning.initial_guess import from_burns, going_on
 from scp_recon.planning.plan import Plan
 from scp_recon.planning.starts import plan_from_several
 from scp_recon.results.read import read_solution
@@ -106,8 +106,7 @@ def _on_right_grid(
     finer = refined(found)
     if finer is None:
         return found
-    corrected = found.provenance.method == "scp" and found.final.result.lin.iterate.gains.any()
-    return make_plan(finer, found if corrected else from_burns(finer, found.burns_m_s), **how)
+    return make_plan(finer, going_on(finer, found), **how)
 
 
 @dataclass(frozen=True)
@@ -177,11 +176,11 @@ class _ByScp:
             certified=self.options.is_certified(mission.scenario),
             watch=self.observe.flights if self.observe else None,
         )
-        if best.status is Status.CONVERGED and best.total_dv_m_s > budget:
+        if best.status is Status.CONVERGED and best.cost_m_s > budget:
             raise InputError(
                 option("dv_budget_m_s"),
                 f"{budget:g} m/s",
-                f"must be at least {best.total_dv_m_s:.6f} m/s, which {LEAST} costs",
+                f"must be at least {best.cost_m_s:.6f} m/s, which {LEAST} costs",
             )
         return best
 
@@ -238,8 +237,8 @@ def plan(
             reach what was required (default: yes).
         objective: the least "delta-v"; or with risk.allocation = exact the largest "probability",
             whatever risk.p_chance says.
-        dv_budget_m_s: with `objective` probability, most delta-v that the plan may cost, m/s (default:
-            any).
+        dv_budget_m_s: with `objective` probability, most delta-v that the plan may cost, as policy.cost
+            counts it, m/s (default: any).
         starts: plan from `init` and from so many random flights less one, list the distinct local
             optima and keep the best (default: 1).
         seed: of the random flights (default: 0).

@@ -1,8 +1,8 @@
 """The largest probability that a plan can have, at all or for a delta-v budget.
 
 Delta-v grows with the probability asked, so that bisection on the normal quantile scale finds the last
-one that has a plan. Each try begins at the burns of the best one so far, and at the first start where
-that settles nothing.
+one that has a plan. Each try begins at the best one so far, its burns and gains, and at the first start
+where that settles nothing.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from scp_recon.certification.certify import ROUNDS_MAX, AimedPlanning
 from scp_recon.certification.flights import Watch, fly_plan, fly_round, look_at, with_nodes_at
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.estimates import FAILURES, FLIGHTS_MAX, flights_needed, look_flights
-from scp_recon.planning.initial_guess import from_burns
+from scp_recon.planning.initial_guess import going_on
 from scp_recon.planning.plan import Plan, as_interrupted
 from scp_recon.scenario.fields import ScenarioWarning
 from scp_recon.scp.status import Status
@@ -48,7 +48,7 @@ class Search:
     budget_m_s: float = float("inf")
     close: float = CLOSE
 
-    def run(self, mission: Mission, start: Iterate) -> Plan:
+    def run(self, mission: Mission, start: Iterate | Plan) -> Plan:
         """The plan of the largest probability by the normal law; the mission's allocation is exact.
 
         Ctrl-C ends with the best so far, marked as interrupted.
@@ -57,16 +57,16 @@ class Search:
             A plan whose `target` is that probability; the try for `LEAST` where none is kept. Where
                 the try above it came to no verdict it has a warning that says so.
         """
-        best = self.make_plan(mission, start, LEAST)
+        best = self._planned(mission, start, LEAST)
         if not self.keeps(best):
             return best
 
         def attempt(best: Plan, target: float) -> Plan:
             """From the first start too, where the best burns lead to no verdict."""
             at = best.mission
-            found = self.make_plan(at, from_burns(at, best.burns_m_s), target)
+            found = self._planned(at, going_on(at, best), target)
             if found.status not in ANSWERS:
-                again = self.make_plan(mission, start, target)
+                again = self._planned(mission, start, target)
                 found = again if again.status in ANSWERS else found
             return found
 
@@ -75,9 +75,13 @@ class Search:
             return best
         return with_warning(best, above)
 
+    def _planned(self, mission: Mission, start: Iterate | Plan, target: float) -> Plan:
+        """A plan for a probability. Its mission asks for it: so do the limits on corrected burns."""
+        return self.make_plan(mission.changed({"risk.p_chance": target}), start, target)
+
     def keeps(self, plan: Plan) -> bool:
         """Whether a trial has a plan within the budget."""
-        return plan.status is Status.CONVERGED and plan.total_dv_m_s <= self.budget_m_s
+        return plan.status is Status.CONVERGED and plan.cost_m_s <= self.budget_m_s
 
 
 def largest_kept(
@@ -126,7 +130,7 @@ def with_warning(best: Plan, undecided: Plan) -> Plan:
 
 def largest_promise(
     mission: Mission,
-    start: Iterate,
+    start: Iterate | Plan,
     search: Search,
     *,
     certified: bool,
@@ -164,7 +168,7 @@ def largest_promise(
         if kept.are_close(kept.reached):
             break
         mission = with_nodes_at(best.mission, touched_s)
-        start = from_burns(mission, best.burns_m_s)
+        start = going_on(mission, best)
     assert found is not None
     return _promised(found, number, watch)
 

@@ -15,6 +15,7 @@ from scp_recon.files import read_text
 from scp_recon.mission.mission import Mission
 from scp_recon.physics.flow import propagate
 from scp_recon.physics.forces import acceleration
+from scp_recon.planning.plan import Plan
 
 COLD_BURN_M_S = 1e-10
 """Every component of every burn: Echigo et al., section VI."""
@@ -179,6 +180,12 @@ def from_burns(mission: Mission, burns_m_s: Array, entry: str = "init") -> Itera
         )
     burns = burns_m_s / mission.units.speed_m_s
     return Iterate(burns, mission.dynamics.rollout(mission.problem.initial_state, burns))
+
+
+def going_on(mission: Mission, last: Plan) -> Iterate | Plan:
+    """Where planning goes on from a plan: at the plan, if SCP gave it gains, else at its burns."""
+    corrected = last.provenance.method == "scp" and last.final.result.lin.iterate.gains.any()
+    return last if corrected else from_burns(mission, last.burns_m_s)
 
 
 def nondimensional(mission: Mission, burns_m_s: Array, states: Array) -> Iterate:

@@ -313,6 +313,15 @@ class Plan:
         """Sum of the burns' sizes, m/s."""
         return float(np.linalg.norm(self.burns_m_s, axis=1).sum())
 
+    @property
+    def cost_m_s(self) -> float:
+        """The total delta-v as `policy.cost` counts it, which is minimised, m/s."""
+        feedback = self.final.result.lin.problem.feedback
+        if feedback is None or self.commanded is None or feedback.cost == "nominal":
+            return self.total_dv_m_s
+        mean, most = self.commanded
+        return mean if feedback.cost == "expected" else most
+
     @cached_property
     def commanded(self) -> tuple[float, float] | None:
         """Mean and 99 % quantile of the delta-v commanded in flight, m/s; None with fixed burns."""

@@ -46,16 +46,17 @@ def solve(options: argparse.Namespace, console: Console) -> Answer:
     mission, start = inputs(_scenario(options), options.init, options.overrides)
     how.check(mission.scenario)
     with run_folder(options.out, mission.scenario.name) as folder:
+        made: list[Plan] = []
+
+        def make_plan(seen: Progress) -> Plan:
+            made.append(plan_mission(mission, start, how, seen, init=options.init))
+            return made[-1]
+
         answer = plan_into(
-            folder,
-            mission,
-            lambda seen: plan_mission(mission, start, how, seen, init=options.init),
-            console,
-            start=start,
-            instead=undoing(options),
+            folder, mission, make_plan, console, start=start, instead=undoing(options)
         )
         if how.objective == "probability" and answer.status == 0:
-            _show_largest(how.dv_budget_m_s, answer, console)
+            _show_largest(how.dv_budget_m_s, made[-1], console)
         if options.report and answer.status != Status.INTERRUPTED.value.exit_code:
             _report(folder, console)
     point_latest(options.out, folder, answer.status)
@@ -82,11 +83,10 @@ def plan_options(options: argparse.Namespace) -> PlanOptions:
     )
 
 
-def _show_largest(budget_m_s: float | None, answer: Answer, console: Console) -> None:
+def _show_largest(budget_m_s: float | None, plan: Plan, console: Console) -> None:
     """The largest probability beside what it was allowed to cost."""
-    plan = answer.document["plan"]
     most = "any delta-v" if budget_m_s is None else f"at most {budget_m_s:g} m/s"
-    found = f"{plan['risk']['asked']:.5g}, for {plan['total_dv_m_s']:.6f} m/s"
+    found = f"{plan.mission.scenario.risk.p_chance:.5g}, for {plan.cost_m_s:.6f} m/s"
     show_line(console, f"largest probability found for {most}: {found}")
 
 
@@ -224,7 +224,7 @@ def what_would_do(found: Diagnosis, failed: Plan, more: Sequence[str]) -> list[s
     risk, largest = failed.mission.scenario.risk, found.largest
     what = "whole flights" if risk.scope == "flight" else "each constraint at each node"
     if found.exact is not None:
-        cost = f"{found.exact.total_dv_m_s:.4f} m/s"
+        cost = f"{found.exact.cost_m_s:.4f} m/s"
         if risk.allocation == "uniform":
             word = f"exact risk solves what the uniform split cannot: {risk.p_chance} for {cost}"
         else:
@@ -240,14 +240,14 @@ def what_would_do(found: Diagnosis, failed: Plan, more: Sequence[str]) -> list[s
         return lines
     lines.append(
         f"the largest probability found feasible, of {what}: {rounded_down(largest.target):g} "
-        f"for {largest.total_dv_m_s:.4f} m/s"
+        f"for {largest.cost_m_s:.4f} m/s"
     )
     if found.verified is None:
         return [*lines, "of exact risk no plan was found that ends verified"]
     asked = found.verified.mission.scenario.risk.p_chance
     certify = "no" if found.verified.certificate is None else "yes"
     options = [*more, "--set 'risk.allocation=\"exact\"'", f"--set risk.p_chance={asked}"]
-    cost = f"{found.verified.total_dv_m_s:.4f} m/s"
+    cost = f"{found.verified.cost_m_s:.4f} m/s"
     lines.append(f"feasible, for {cost}, with: {' '.join([*options, f'--certify {certify}'])}")
     return lines
 

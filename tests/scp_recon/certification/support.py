@@ -8,7 +8,7 @@ import numpy as np
 from formulations.arrays import Array
 from formulations.problem.flyby import Iterate
 from scp_recon.certification import certify as certification
-from scp_recon.certification import flights, largest
+from scp_recon.certification import flights
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.whole_flight import KeptFlights
 from scp_recon.planning import initial_guess
@@ -110,4 +110,4 @@ class World:
         """Let certification take place here."""
         patch.setattr(certification, "slack", lambda _: self.slack)
         patch.setattr(flights, "kept_flights", self.fly)
-        patch.setattr(largest, "from_burns", self.last_burns)
+        patch.setattr(initial_guess, "from_burns", self.last_burns)

@@ -20,6 +20,13 @@ from scp_recon.planning.planner import plan
 from scp_recon.scp.status import Status
 from tests.scp_recon.certification.support import Reached, World, a_plan, mission_of
 
+MEASURED = {
+    "policy.kind": "feedback",
+    "navigation.lead_s": 0.0,
+    "navigation.sigma_position_m": 10.0,
+    "navigation.sigma_velocity_m_s": 5e-4,
+}
+
 LAST = 0.93
 """Probability above which there is no plan."""
 
@@ -157,16 +164,25 @@ def test_ctrl_c_among_its_flights_keeps_the_plan(real, monkeypatch, stop):
     assert is_at(found, LAST)
 
 
-def test_the_budget_buys_so_much_and_no_more():
-    """On the default scenario, roughly."""
-    mission, budget, close = mission_of("node"), 0.1095, 0.5
-    start = initial_guess.cold(mission)
+@pytest.mark.parametrize(("changes", "budget"), [({}, 0.1095), (MEASURED, 0.1125)])
+def test_the_budget_buys_so_much_and_no_more(changes, budget):
+    """On the default scenario, roughly; with feedback it is for what is commanded in flight."""
+    mission, close = mission_of("node").changed(changes), 1.0
+    tries: list[tuple[Iterate | Plan, Plan]] = []
 
-    def make_plan(mission: Mission, start: Iterate, target: float) -> Plan:
-        return plan(mission, start, target=target)
+    def make_plan(mission: Mission, start: Iterate | Plan, target: float) -> Plan:
+        tries.append((start, plan(mission, start, target=target)))
+        return tries[-1][1]
 
-    best = Search(make_plan, budget, close).run(mission, start)
+    best = Search(make_plan, budget, close).run(mission, initial_guess.cold(mission))
     assert best.target is not None
-    assert best.total_dv_m_s <= budget
-    more = plan(mission, start, target=float(ndtr(ndtri(best.target) + close)))
-    assert more.total_dv_m_s > budget
+    assert best.total_dv_m_s <= best.cost_m_s <= budget
+    assert (best.total_dv_m_s < best.cost_m_s) == bool(changes)
+    more = [made.target for _, made in tries if made.cost_m_s > budget]
+    assert best.target < min(more) <= ndtr(ndtri(best.target) + close)
+    lin = best.final.result.lin
+    if lin.problem.feedback is None:
+        return
+    # Limits on corrected burns hold with what is looked for, and tries go on from gains.
+    assert lin.problem.feedback.probability == best.target > mission.scenario.risk.p_chance
+    assert any(start is best for start, _ in tries)
