@@ -38,6 +38,7 @@ STUDIES = {
     "testing": "reliability, coverage and mutation: what the tests reach",
     "cross_check": "the default plan flown by Orekit and brahe",
     "flown_plan": "whether the spacecraft can fly a plan",
+    "flown_policies": "policies flown by the spacecraft: as planned, by gains, planned again",
 }
 """The studies, and what each is about."""
 RENEW = "evidence"
@@ -59,9 +60,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def module_of(name: str) -> str:
-    """Name of a study's module: the study's own, or `study` in its folder."""
-    folder = Path(__file__).with_name(name).is_dir()
-    return f"experiments.{name}.study" if folder else f"experiments.{name}"
+    """Name of a study's module, in whichever folder: the study's own, or `study` in its folder."""
+    root = Path(__file__).parent
+    (found,) = [*root.rglob(f"{name}.py"), *root.rglob(f"{name}/study.py")]
+    return ".".join(("experiments", *found.relative_to(root).with_suffix("").parts))
 
 
 def _list_them(console: Console) -> int:

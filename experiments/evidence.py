@@ -60,8 +60,7 @@ class Source(NamedTuple):
     figures: tuple[str, ...] = ()
 
 
-_FLOWN = ("experiments.flown_plan",)
-_SOLVERS = "experiments.compare_solvers.cell"
+_SOLVERS = "experiments.solvers.compare_solvers.cell"
 _ALL = ("tests", "formulations", "scp_recon")
 
 SOURCES: Mapping[str, Source] = {
@@ -74,38 +73,43 @@ SOURCES: Mapping[str, Source] = {
     ),
     "feedback": Source(
         "experiments feedback",
-        ("experiments.feedback",),
+        ("experiments.in_flight.feedback",),
         figures=("paper_figs feedback --runs {out} --out docs/feedback.png",),
     ),
     "policies": Source(
         "experiments policies",
-        ("experiments.policies",),
+        ("experiments.in_flight.policies",),
         figures=("paper_figs policies --runs {out} --out docs/policies.png",),
     ),
-    "sites": Source("experiments sites", ("experiments.sites",)),
+    "sites": Source("experiments sites", ("experiments.in_flight.sites",)),
     "compare_solvers": Source(
         "experiments compare_solvers --full",
         (_SOLVERS,),
         figures=("paper_figs solver_comparison --runs {out} --out docs",),
     ),
-    "nlp_tricks": Source("experiments nlp_tricks", ("experiments.nlp_tricks",)),
-    "peers": Source("experiments peers", ("experiments.peers.study", "examples.halo_transfer")),
+    "nlp_tricks": Source("experiments nlp_tricks", ("experiments.solvers.nlp_tricks",)),
+    "peers": Source(
+        "experiments peers", ("experiments.solvers.peers.study", "examples.halo_transfer")
+    ),
     "cross_check": Source("experiments cross_check", ("experiments.cross_check",)),
-    "lifted": Source("experiments lifted", ("experiments.lifted",)),
+    "lifted": Source("experiments lifted", ("experiments.solvers.lifted",)),
     "observation_table": Source(
         "experiments observation_table",
         ("experiments.observation_table.study",),
         figures=("paper_figs flyby --runs {out}/scp_cold --out docs/flyby.png",),
     ),
     "model_fidelity": Source("experiments model_fidelity", ("experiments.model_fidelity.study",)),
-    "battery_cones": Source("experiments battery_cones", ("experiments.battery_cones",)),
+    "battery_cones": Source("experiments battery_cones", ("experiments.spacecraft.battery_cones",)),
     "uncertainty_sources": Source(
-        "experiments uncertainty_sources --flights 4", ("experiments.uncertainty_sources.study",)
+        "experiments uncertainty_sources --flights 4",
+        ("experiments.spacecraft.uncertainty_sources.study",),
     ),
-    "timing_rules": Source("experiments timing_rules", ("experiments.timing_rules",)),
-    "flown_plan": Source("experiments flown_plan", _FLOWN),
+    "timing_rules": Source("experiments timing_rules", ("experiments.spacecraft.timing_rules",)),
+    "flown_plan": Source("experiments flown_plan", ("experiments.spacecraft.flown_plan",)),
     **{
-        f"flown_{name}": Source(f"experiments flown_plan --policies {name}", _FLOWN)
+        f"flown_{name}": Source(
+            f"experiments flown_policies {name}", ("experiments.in_flight.flown_policies",)
+        )
         for name in ("default", "kingfisher")
     },
     "benchmarks": Source("benchmarks", ("benchmarks.methods", "benchmarks.growth")),

@@ -24,9 +24,9 @@ from typing import Any
 import numpy as np
 
 from experiments.evidence import ROOT
-from experiments.feedback import measured
 from experiments.harness import Findings, Record, Session, fly_plan, number, option, records
 from experiments.harness import Study as Harnessed
+from experiments.in_flight.feedback import measured
 from scp_recon.api.campaigns import campaign
 from scp_recon.campaigns.cases import changed
 from scp_recon.campaigns.results import VERIFIED

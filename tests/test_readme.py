@@ -125,7 +125,7 @@ def once(simulate: Callable[..., object]) -> Callable[..., object]:
 
 ONE_FLIGHT = (
     ("scp_recon.simulation.basilisk.simulation.simulate", once),
-    ("experiments.flown_plan.SAMPLES", lambda _: 500),
+    ("experiments.spacecraft.flown_plan.SAMPLES", lambda _: 500),
 )
 ONE_FIGURE = (("paper_figs.__main__.FIGURES", lambda every: dict([*every.items()][3:4])),)
 TWO_KINDS = (
@@ -133,10 +133,13 @@ TWO_KINDS = (
     ("experiments.frontier.PROBABILITIES", lambda _: (0.7,)),
     ("experiments.frontier.FLIGHTS", lambda _: 100),
 )
-ONE_FORM = (("experiments.lifted.FORMS", lambda forms: forms[:1]),)
+ONE_FORM = (("experiments.solvers.lifted.FORMS", lambda forms: forms[:1]),)
 ONE_CELL = (
-    ("experiments.compare_solvers.study.full_design", lambda cells: lambda: cells()[:1]),
-    ("experiments.compare_solvers.study.exact_design", lambda cells: lambda: cells(range(1))[:1]),
+    ("experiments.solvers.compare_solvers.study.full_design", lambda cells: lambda: cells()[:1]),
+    (
+        "experiments.solvers.compare_solvers.study.exact_design",
+        lambda cells: lambda: cells(range(1))[:1],
+    ),
 )
 
 TABLE = "python -m experiments observation_table"
@@ -249,24 +252,29 @@ QUICK = {
     "python -m experiments compare_solvers --exact": Quick(less=ONE_CELL, nightly=True),
     "python -m experiments nlp_tricks": Quick(
         nightly=True,
-        less=(("experiments.nlp_tricks.tricks", lambda it: lambda: dict([*it().items()][-1:])),),
+        less=(
+            (
+                "experiments.solvers.nlp_tricks.tricks",
+                lambda it: lambda: dict([*it().items()][-1:]),
+            ),
+        ),
     ),
     "python -m experiments frontier": Quick(less=TWO_KINDS),
     "python -m experiments feedback": Quick(
         "--quick",
         less=(
-            ("experiments.feedback.QUICK", lambda cases: cases[:1]),
-            ("experiments.feedback.ERRORS_AT", lambda at: at[-1:]),
+            ("experiments.in_flight.feedback.QUICK", lambda cases: cases[:1]),
+            ("experiments.in_flight.feedback.ERRORS_AT", lambda at: at[-1:]),
         ),
     ),
     "python -m experiments policies": Quick(
-        "--flights 20", less=(("experiments.policies.CASES", lambda cases: cases[:1]),)
+        "--flights 20", less=(("experiments.in_flight.policies.CASES", lambda cases: cases[:1]),)
     ),
     "python -m experiments lifted": Quick(less=ONE_FORM),
     "python -m experiments peers": Quick(
         needs="scocp",
         less=tuple(
-            (f"experiments.peers.study.{name}", lambda cases: cases[:1])
+            (f"experiments.solvers.peers.study.{name}", lambda cases: cases[:1])
             for name in ("OURS", "WEIGHTS", "P3_CASES", "GUESSED")
         ),
     ),
@@ -277,7 +285,7 @@ QUICK = {
         needs="Basilisk",
         less=ONE_FLIGHT,
     ),
-    "python -m experiments flown_plan --policies default": Quick(
+    "python -m experiments flown_policies default": Quick(
         "--seeds 1", nightly=True, needs="Basilisk", less=ONE_FLIGHT
     ),
     "python -m experiments timing_rules": Quick(
@@ -285,7 +293,7 @@ QUICK = {
         needs="Basilisk",
         nightly=True,
         less=tuple(
-            (f"experiments.timing_rules.{name}", lambda _: 100.0)
+            (f"experiments.spacecraft.timing_rules.{name}", lambda _: 100.0)
             for name in ("SLEW_S", "RECHARGE_S")
         ),
     ),

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from experiments import battery_cones, evidence, frontier, harness, pages, renewal, testing
+from experiments import evidence, frontier, harness, pages, renewal, testing
 from experiments.__main__ import STUDIES, main, module_of
 from experiments.evidence import (
     FILE,
@@ -23,6 +23,7 @@ from experiments.evidence import (
     path_of,
 )
 from experiments.harness import Findings, Record, Session, Study, plan_or_default, run
+from experiments.spacecraft import battery_cones
 from scp_recon.errors import InputError
 from scp_recon.jobs import store
 from scp_recon.jobs.job import Job

@@ -8,7 +8,7 @@ import pytest
 from experiments import frontier, maps, plans
 from experiments.frontier import NOT_CERTIFIED, measure, record, with_costs
 from experiments.harness import Record, fly_plan
-from experiments.nlp_tricks import measuring, tricks
+from experiments.solvers.nlp_tricks import measuring, tricks
 from formulations.problem.flyby import Iterate
 from scp_recon.api import planning
 from scp_recon.api.planning import plan

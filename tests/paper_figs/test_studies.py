@@ -15,11 +15,11 @@ from experiments.evidence import Evidence, path_of
 from experiments.harness import records as as_table
 from experiments.model_fidelity.study import TOGETHER, Compared, history
 from experiments.model_fidelity.study import table as fidelity_table
-from experiments.uncertainty_sources.flights import TRANSLATION
-from experiments.uncertainty_sources.study import BOTH, SOURCES, Measured, quantiles
-from experiments.uncertainty_sources.study import PATH as BY_PATH
-from experiments.uncertainty_sources.study import SPACECRAFT as BY_SPACECRAFT
-from experiments.uncertainty_sources.study import row as uncertainty_row
+from experiments.spacecraft.uncertainty_sources.flights import TRANSLATION
+from experiments.spacecraft.uncertainty_sources.study import BOTH, SOURCES, Measured, quantiles
+from experiments.spacecraft.uncertainty_sources.study import PATH as BY_PATH
+from experiments.spacecraft.uncertainty_sources.study import SPACECRAFT as BY_SPACECRAFT
+from experiments.spacecraft.uncertainty_sources.study import row as uncertainty_row
 from paper_figs import __main__ as command_line
 from paper_figs.__main__ import PICTURES, main, make_all
 from paper_figs.inputs import PLAN, Row, Source, run_missing

@@ -110,7 +110,7 @@ FLOORS = (
     "experiments.evidence",
     "experiments.harness",
     "experiments.observation_table",
-    "experiments.compare_solvers",
+    "experiments.solvers.compare_solvers",
     "experiments",
     "paper_figs.inputs",
     "paper_figs.labels",

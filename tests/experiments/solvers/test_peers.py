@@ -5,7 +5,7 @@ import importlib.util
 import pytest
 
 from experiments.__main__ import main
-from experiments.peers import openscvx, study
+from experiments.solvers.peers import openscvx, study
 from scp_recon.planning import initial_guess
 
 MISSING = importlib.util.find_spec("openscvx") is None or importlib.util.find_spec("scocp") is None

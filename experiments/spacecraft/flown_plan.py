@@ -4,24 +4,17 @@ The plan is simulated with every source of error, once for each seed. Charge, mo
 flown path against the planned covariance go to OUT/flown_plan.csv, a row for each seed, and .md;
 the flights themselves to OUT/seed_N/simulation.npz. Existing flights of the same plan and vehicle are
 kept.
-
-With --policies, flights of the default scenario's plans or of a pass of Kingfisher by three policies
-instead: burns as planned, corrected by gains, and planned again. OUT/flown_policies.csv has a row for
-each plan and policy, flown_policies_flights.csv one for each flight.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from scipy.interpolate import CubicHermiteSpline
 from scipy.stats import chi2
 
-from experiments.feedback import LEAD_S, measured
 from experiments.harness import (
     FRESH,
     VEHICLE,
@@ -36,30 +29,19 @@ from experiments.harness import (
 )
 from experiments.harness import Record as Row
 from formulations.arrays import Array, Booleans
-from scp_recon.api.designing import design
 from scp_recon.api.flights import simulate
-from scp_recon.api.options import PlanOptions
-from scp_recon.api.planning import plan, plan_mission
-from scp_recon.errors import InputError
 from scp_recon.jobs.job import Job
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.scene import execution_errors
 from scp_recon.monte_carlo.estimates import proportion
-from scp_recon.monte_carlo.observation_time import ALL, joint_margins, time_held
-from scp_recon.monte_carlo.sampling import PolicyKind
-from scp_recon.planning.initial_guess import from_burns
-from scp_recon.planning.plan import Plan
-from scp_recon.results.read import read_solution
-from scp_recon.results.solution import FILE_NAME, Solution, make_solution
+from scp_recon.results.solution import Solution
 from scp_recon.results.table import Column, Table, Value
-from scp_recon.scenario.load import load_scenario
 from scp_recon.simulation.flight import Actuators, distance_in_sigmas
 from scp_recon.simulation.record import (
     FlightSummary,
     Record,
     inputs_digest,
     read_record,
-    shortfalls,
     write_record,
 )
 from scp_recon.simulation.vehicle import Vehicle, load_vehicle
@@ -68,16 +50,6 @@ SEEDS, SAMPLES, BLOCK = 20, 10_000, 1000
 RADIUS_SIGMA = 3.0
 EXPECTED = float(chi2.cdf(RADIUS_SIGMA**2, 3))
 """Share of a normal position that lies within three sigma."""
-
-PLANS: Mapping[str, tuple[str, dict[str, Any], tuple[PolicyKind, ...]]] = {
-    "default": ("recon_b", measured(lead_s=LEAD_S) | {"policy.kind": "open"}, ("open", "replan")),
-    "default, with gains": ("recon_b", measured(lead_s=LEAD_S), ("feedback",)),
-    "kingfisher, designed": ("kingfisher", measured() | {"risk.p_chance": 0.9}, ()),
-    "kingfisher": ("kingfisher", measured(lead_s=LEAD_S), ("open", "feedback", "replan")),
-}
-"""Base, changes and policies of each plan that is flown by policies."""
-SUBJECTS = ("default", "kingfisher")
-"""How the names of plans begin that are flown together."""
 
 
 def fly(solution: Solution, vehicle: Path | None, out: Path, seed: int) -> Row:
@@ -304,124 +276,9 @@ def sample_distances(
     return np.concatenate(found)
 
 
-def plan_of(out: Path, name: str) -> Solution:
-    """The plan of a name, kept in a folder of that name.
-
-    A pass is designed with measurements at the burns, and planned again for a lead in which the
-    spacecraft can turn.
-
-    Raises:
-        InputError: if there is none.
-    """
-    folder = out / name
-    if (folder / FILE_NAME).is_file():
-        return read_solution(folder)
-    base, changes, flown = PLANS[name]
-    scenario = load_scenario(base).replace(changes)
-    if scenario.boundary.home is None:
-        found: Plan | None = plan(scenario)
-    elif not flown:
-        found = design(scenario).plan
-    else:
-        pass_ = plan_of(out, f"{name}, designed")
-        mission = Mission.from_scenario(pass_.scenario.replace(changes))
-        start, options = from_burns(mission, pass_.burns_m_s), PlanOptions(certify=False)
-        found = plan_mission(mission, start, options)
-    if found is None:
-        raise InputError("plan", name, "must be found")
-    solution = make_solution(found)
-    folder.mkdir(parents=True, exist_ok=True)
-    solution.write(folder)
-    return solution
-
-
-def fly_policy(
-    plans: Mapping[str, Solution], vehicle: Path | None, case: tuple[str, PolicyKind, int]
-) -> Row:
-    """Simulate a flight of a plan by a policy: a row."""
-    name, policy, seed = case
-    solution, begun = plans[name], {"plan": name, "policy": policy, "seed": seed}
-    try:
-        record = simulate(solution, seed=seed, policy=policy, vehicle=vehicle)
-    except InputError as error:  # as of a burn that the thruster cannot give in its time
-        return begun | {"shortfalls": str(error)}
-    commanded = [np.linalg.norm(burn.planned_m_s) for burn in record.summary.burns]
-    more: Row = {
-        "commanded_m_s": float(sum(commanded)),
-        "shortfalls": "; ".join(shortfalls(record.summary, solution)),
-    }
-    return begun | row(record) | observed(record, solution.mission) | more
-
-
-def observed(record: Record, mission: Mission) -> Row:
-    """Time for which a flight observes, and whether it keeps every limit on its path."""
-    times, states = record.arrays["t_s"], record.arrays["state"]
-    first, last = mission.schedule.window_s
-    looks = np.unique([first, last, *times[(times > first) & (times < last)]])
-    path = CubicHermiteSpline(times, states[:, :3], states[:, 3:])
-    seen = np.hstack([path(looks), path(looks, 1)])[:, None]
-    margins = joint_margins(mission, looks, seen[..., :3]).values()
-    radius = np.linalg.norm(states[:, :3], axis=1).min() - mission.scenario.safety.radius_min_m
-    return {
-        "observed_s": float(time_held(mission, looks, seen)[ALL].duration[0]),
-        "window_s": last - first,
-        "whole": bool(min(radius, *(float(margin.min()) for margin in margins)) >= 0.0),
-    }
-
-
-def by_policy(rows: Sequence[Row]) -> list[Row]:
-    """A row for each plan and policy."""
-    found = []
-    for name, policy in dict.fromkeys((row["plan"], row["policy"]) for row in rows):
-        own = [row for row in rows if (row["plan"], row["policy"]) == (name, policy)]
-        names = ("observed_s", "window_s", "commanded_m_s", "terminal_miss_m", "whole")
-        observed_s, window_s, commanded, missed, whole = (
-            np.array([float(row.get(name, np.nan)) for row in own]) for name in names
-        )
-        share = proportion(int(np.nansum(whole)), len(own))
-        found.append(
-            {
-                "plan": name,
-                "policy": policy,
-                "flights": len(own),
-                "whole": int(np.nansum(whole)),
-                "whole_low": share.low,
-                "whole_high": share.high,
-                "window_s": float(np.nanmax(window_s)),
-                "observed_mean_s": float(np.nanmean(observed_s)),
-                "observed_least_s": float(np.nanmin(observed_s)),
-                "commanded_mean_m_s": float(np.nanmean(commanded)),
-                "commanded_most_m_s": float(np.nanmax(commanded)),
-                "miss_m": float(np.sqrt(np.nanmean(missed**2))),
-                "as_required": sum(not row["shortfalls"] for row in own),
-            }
-        )
-    return found
-
-
-def run_policies(session: Session) -> Findings:
-    """Fly each plan by its policies, once for each seed; seed by seed."""
-    out, vehicle = session.out, session.options.vehicle
-    names = [name for name in PLANS if name.startswith(session.options.policies)]
-    plans = {name: plan_of(out, name) for name in names}
-    digests = [inputs_digest(one, load_vehicle(vehicle)) for one in plans.values()]
-    store = session.store("flown_policies.jsonl", inputs=digests)
-    jobs = [
-        Job(f"{name}: {policy}, seed {seed}", (name, policy, seed))
-        for seed in range(session.options.seeds)
-        for name in names
-        for policy in PLANS[name][2]
-    ]
-    rows = session.rows("flights", partial(fly_policy, plans, vehicle), jobs, store)
-    files = {"flown_policies": by_policy(rows), "flown_policies_flights": rows}
-    return Findings([], {f"{name}.csv": records(found) for name, found in files.items()})
-
-
 def run(session: Session) -> Findings:
     """Fly the plan once for each seed, and sample what it would do without a spacecraft."""
     options, out = session.options, session.out
-    if options.policies:
-        return run_policies(session)
     solution, vehicle = plan_or_default(options.solution), load_vehicle(options.vehicle)
     store = session.store("flown_plan.jsonl", inputs=inputs_digest(solution, vehicle))
     if options.fresh:
@@ -451,7 +308,6 @@ STUDY = Study(
             help="folder with a solution.json, or the file (default: the default plan)",
         ),
         number("--seeds", SEEDS, 1, 10_000, "flights, of the seeds from 0 on"),
-        option("--policies", choices=SUBJECTS, help="fly plans of its own by three policies"),
         FRESH,
         VEHICLE,
     ),

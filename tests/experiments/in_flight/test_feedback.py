@@ -5,9 +5,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from experiments import feedback, policies
-from experiments.feedback import CORRECTED, ENDING, ERRORS, OPEN, TARGETED, Case
 from experiments.harness import Record
+from experiments.in_flight import feedback, policies
+from experiments.in_flight.feedback import CORRECTED, ENDING, ERRORS, OPEN, TARGETED, Case
 from experiments.plans import FLIGHT
 from scp_recon.api.planning import plan
 from scp_recon.errors import InputError

@@ -7,9 +7,10 @@ from dataclasses import asdict
 
 import numpy as np
 
-from experiments.compare_solvers.cases import EXACT
-from experiments.compare_solvers.cell import Row
-from experiments.compare_solvers.claims import (
+from experiments.harness import records
+from experiments.solvers.compare_solvers.cases import EXACT
+from experiments.solvers.compare_solvers.cell import Row
+from experiments.solvers.compare_solvers.claims import (
     AGREE,
     SOLVERS,
     agreements,
@@ -19,7 +20,6 @@ from experiments.compare_solvers.claims import (
     of_group,
     verdicts,
 )
-from experiments.harness import records
 from scp_recon.monte_carlo.estimates import proportion
 from scp_recon.results.table import Column, Table, Value
 

@@ -29,9 +29,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from experiments.compare_solvers.exact.check import rolled_out
 from experiments.harness import Findings, Record, Session, Study
-from experiments.peers.openscvx import Answer, Settings, Solver, Transfer, solve_p3
+from experiments.solvers.compare_solvers.exact.check import rolled_out
+from experiments.solvers.peers.openscvx import Answer, Settings, Solver, Transfer, solve_p3
 from formulations.arrays import Array
 from formulations.problem.flyby import Iterate
 from formulations.program.subproblem import MeritFunction
@@ -53,7 +53,7 @@ from scp_recon.scp.algorithms import ALGORITHMS
 Method = tuple[str, str] | Settings | str
 """Formulation and algorithm of the planner, settings of OpenSCvx, or scocp."""
 
-EXAMPLE = Path(__file__).parents[2] / "examples" / "halo_transfer.py"
+EXAMPLE = Path(__file__).parents[3] / "examples" / "halo_transfer.py"
 TOLERANCE = 1e-9
 SEEDS, SCALE, SINES = 20, 0.1, 3
 MISSED, DEARER = 1e-5, 1e-4

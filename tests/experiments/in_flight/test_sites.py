@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from experiments.in_flight.sites import last_gains
 from experiments.maps import counted
-from experiments.sites import last_gains
 from formulations.problem.feedback import Feedback
 
 

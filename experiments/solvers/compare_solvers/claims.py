@@ -8,7 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import ndtri
 
-from experiments.compare_solvers.cases import (
+from experiments.harness import Claim
+from experiments.solvers.compare_solvers.cases import (
     ELASTIC,
     EXACT,
     REFERENCE,
@@ -17,8 +18,7 @@ from experiments.compare_solvers.cases import (
     Method,
     scenarios,
 )
-from experiments.compare_solvers.cell import Row
-from experiments.harness import Claim
+from experiments.solvers.compare_solvers.cell import Row
 from scp_recon.scp.algorithms import ALGORITHMS
 from scp_recon.scp.status import Status
 

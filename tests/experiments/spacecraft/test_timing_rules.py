@@ -3,8 +3,8 @@ import pytest
 
 pytest.importorskip("Basilisk", reason="needs the extra [sim]")
 
-from experiments import timing_rules
-from experiments.timing_rules import (
+from experiments.spacecraft import timing_rules
+from experiments.spacecraft.timing_rules import (
     SETTLED,
     claim,
     dark_charge,

@@ -6,8 +6,8 @@ import pytest
 
 pytest.importorskip("Basilisk", reason="needs the extra [sim]")
 
-from experiments import flown_plan
 from experiments.__main__ import main
+from experiments.spacecraft import flown_plan
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.results.solution import Solution

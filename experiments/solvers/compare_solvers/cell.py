@@ -11,7 +11,7 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from experiments.compare_solvers.cases import (
+from experiments.solvers.compare_solvers.cases import (
     EVERY_NODE,
     NLP_SOLVERS,
     REFERENCE,
@@ -21,7 +21,7 @@ from experiments.compare_solvers.cases import (
     Method,
     start_of,
 )
-from experiments.compare_solvers.exact.check import check, rolled_out
+from experiments.solvers.compare_solvers.exact.check import check, rolled_out
 from formulations.linearisation.dynamics import Dynamics
 from formulations.linearisation.linearisation import Linearisation
 from formulations.problem.facets import choose_facets
@@ -344,7 +344,7 @@ def _planned(mission: Mission, cell: Cell) -> Row:
 
 def _searched(mission: Mission, cell: Cell) -> Row:
     """Solve by a reference."""
-    from experiments.compare_solvers.exact.search import search  # by CasADi
+    from experiments.solvers.compare_solvers.exact.search import search  # by CasADi
 
     starts = _starts(mission)
     begin = process_time()

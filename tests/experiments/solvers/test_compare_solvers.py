@@ -12,8 +12,8 @@ import pytest
 from scipy.special import ndtr
 
 from experiments.__main__ import main
-from experiments.compare_solvers import study as compare_solvers
-from experiments.compare_solvers.cases import (
+from experiments.solvers.compare_solvers import study as compare_solvers
+from experiments.solvers.compare_solvers.cases import (
     ELASTIC,
     NLP_METHODS,
     PROBLEMS,
@@ -28,8 +28,8 @@ from experiments.compare_solvers.cases import (
     crossing,
     exact_design,
 )
-from experiments.compare_solvers.cell import FAILED, Row, failed_row, solve_cell
-from experiments.compare_solvers.claims import (
+from experiments.solvers.compare_solvers.cell import FAILED, Row, failed_row, solve_cell
+from experiments.solvers.compare_solvers.claims import (
     FROZEN,
     MISS_M,
     WITHIN,
@@ -38,16 +38,16 @@ from experiments.compare_solvers.claims import (
     holds,
     verdicts,
 )
-from experiments.compare_solvers.exact.check import check
-from experiments.compare_solvers.exact.program import (
+from experiments.solvers.compare_solvers.exact.check import check
+from experiments.solvers.compare_solvers.exact.program import (
     BurnsProgram,
     FlightRow,
     NodeRows,
     ProbabilityRows,
     ray_quantiles,
 )
-from experiments.compare_solvers.exact.search import search
-from experiments.compare_solvers.study import ROWS_FILE, Solve, run_cells
+from experiments.solvers.compare_solvers.exact.search import search
+from experiments.solvers.compare_solvers.study import ROWS_FILE, Solve, run_cells
 from formulations.arrays import Array
 from formulations.linearisation.linearisation import Linearisation
 from formulations.rows.node_probability import joint_events, node_quantiles

@@ -16,9 +16,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from experiments.feedback import measured
 from experiments.frontier import SEED
 from experiments.harness import Findings, Record, Session, Study, number, records
+from experiments.in_flight.feedback import measured
 from experiments.plans import FLIGHT
 from scp_recon.api.flights import fly
 from scp_recon.api.planning import plan

@@ -13,7 +13,8 @@ from importlib.metadata import version as release_of
 from itertools import chain
 from pathlib import Path
 
-from experiments.compare_solvers.cases import (
+from experiments.harness import FRESH, Findings, Record, Session, Study, option
+from experiments.solvers.compare_solvers.cases import (
     EXACT,
     QUICK,
     Cell,
@@ -21,10 +22,15 @@ from experiments.compare_solvers.cases import (
     full_design,
     quick_design,
 )
-from experiments.compare_solvers.cell import FAILED, Row, failed_row, solve_cell, solve_exact
-from experiments.compare_solvers.claims import claims
-from experiments.compare_solvers.tables import csv_of, report, shown
-from experiments.harness import FRESH, Findings, Record, Session, Study, option
+from experiments.solvers.compare_solvers.cell import (
+    FAILED,
+    Row,
+    failed_row,
+    solve_cell,
+    solve_exact,
+)
+from experiments.solvers.compare_solvers.claims import claims
+from experiments.solvers.compare_solvers.tables import csv_of, report, shown
 from scp_recon.errors import InputError
 from scp_recon.jobs.job import TIMED_OUT, Done, Job
 from scp_recon.jobs.processes import Limits, Processes
@@ -32,7 +38,7 @@ from scp_recon.jobs.store import Store, sources
 
 DEFAULT_OUT, QUICK_OUT = Path("runs") / "comparison", Path("runs") / "comparison_quick"
 ROWS_FILE = "rows.jsonl"
-WORK = "experiments.compare_solvers.cell"
+WORK = "experiments.solvers.compare_solvers.cell"
 """The module whose sources rows depend on."""
 FLIGHTS, LIMIT_S, QUICK_LIMIT_S, EXACT_LIMIT_S = 2_000, 30.0, 20.0, 150.0
 ASLEEP = 20.0

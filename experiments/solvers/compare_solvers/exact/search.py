@@ -11,7 +11,13 @@ import casadi as ca
 import numpy as np
 from scipy.optimize import minimize
 
-from experiments.compare_solvers.exact.program import GAIN, BurnsProgram, Point, Stop, rows_of
+from experiments.solvers.compare_solvers.exact.program import (
+    GAIN,
+    BurnsProgram,
+    Point,
+    Stop,
+    rows_of,
+)
 from formulations.arrays import Array
 from formulations.linearisation.linearisation import Linearisation, LinearisationError
 from formulations.nlp.solve import QUASI_NEWTON

@@ -21,8 +21,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.special import ndtr, ndtri
 
-from experiments.feedback import Case, row
 from experiments.harness import Findings, Record, Session, Study, records
+from experiments.in_flight.feedback import Case, row
 from formulations.arrays import Array
 from formulations.rows.exact_flight import FLIGHT as WHOLE
 from scp_recon.api.designing import design

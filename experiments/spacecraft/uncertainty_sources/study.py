@@ -30,8 +30,8 @@ from experiments.harness import (
     records,
     view,
 )
-from experiments.uncertainty_sources import flights
-from experiments.uncertainty_sources.flights import (
+from experiments.spacecraft.uncertainty_sources import flights
+from experiments.spacecraft.uncertainty_sources.flights import (
     ATTITUDE,
     CHEMICAL,
     INITIAL,

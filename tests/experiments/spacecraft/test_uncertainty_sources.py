@@ -7,9 +7,9 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from experiments.__main__ import main
-from experiments.flown_plan import sample_distances
-from experiments.uncertainty_sources import flights
-from experiments.uncertainty_sources.flights import (
+from experiments.spacecraft.flown_plan import sample_distances
+from experiments.spacecraft.uncertainty_sources import flights
+from experiments.spacecraft.uncertainty_sources.flights import (
     ATTITUDE,
     CHEMICAL,
     INITIAL,
@@ -20,7 +20,7 @@ from experiments.uncertainty_sources.flights import (
     fly_paths,
     normality,
 )
-from experiments.uncertainty_sources.study import (
+from experiments.spacecraft.uncertainty_sources.study import (
     BOTH,
     Measured,
     claims,
@@ -30,10 +30,9 @@ from experiments.uncertainty_sources.study import (
 from scp_recon.mission.mission import Mission
 from scp_recon.results.solution import Solution
 from scp_recon.simulation.vehicle import Vehicle, load_vehicle
+from tests.experiments.support import flown, simulated
 from tests.scp_recon.simulation.short_plan import SHORT, short_plan
 from tests.scp_recon.support import mission_of
-
-from .support import flown, simulated
 
 
 def study(*words: str) -> int:

@@ -3,9 +3,15 @@
 import numpy as np
 import pytest
 
-from experiments.battery_cones import SAMPLES, TOLERANCE_DEG, find_cones, mode_loads, sample
 from experiments.harness import Record
 from experiments.model_fidelity.models import Plates
+from experiments.spacecraft.battery_cones import (
+    SAMPLES,
+    TOLERANCE_DEG,
+    find_cones,
+    mode_loads,
+    sample,
+)
 from scp_recon.physics.forces import SPEED_OF_LIGHT_M_S
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scenario.schema import Scenario

@@ -1,0 +1,186 @@
+"""Fly plans by three policies with the spacecraft: as planned, corrected by gains, and planned again.
+
+OUT/flown_policies.csv has a row for each plan and policy, flown_policies_flights.csv one for each
+flight. Flights that were flown before are kept.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.interpolate import CubicHermiteSpline
+
+from experiments.harness import (
+    VEHICLE,
+    Findings,
+    Session,
+    Study,
+    number,
+    option,
+    records,
+)
+from experiments.harness import Record as Row
+from experiments.in_flight.feedback import LEAD_S, measured
+from experiments.spacecraft.flown_plan import SEEDS, row
+from scp_recon.api.designing import design
+from scp_recon.api.flights import simulate
+from scp_recon.api.options import PlanOptions
+from scp_recon.api.planning import plan, plan_mission
+from scp_recon.errors import InputError
+from scp_recon.jobs.job import Job
+from scp_recon.mission.mission import Mission
+from scp_recon.monte_carlo.estimates import proportion
+from scp_recon.monte_carlo.observation_time import ALL, joint_margins, time_held
+from scp_recon.monte_carlo.sampling import PolicyKind
+from scp_recon.planning.initial_guess import from_burns
+from scp_recon.planning.plan import Plan
+from scp_recon.results.read import read_solution
+from scp_recon.results.solution import FILE_NAME, Solution, make_solution
+from scp_recon.scenario.load import load_scenario
+from scp_recon.simulation.record import (
+    Record,
+    inputs_digest,
+    shortfalls,
+)
+from scp_recon.simulation.vehicle import load_vehicle
+
+PLANS: Mapping[str, tuple[str, dict[str, Any], tuple[PolicyKind, ...]]] = {
+    "default": ("recon_b", measured(lead_s=LEAD_S) | {"policy.kind": "open"}, ("open", "replan")),
+    "default, with gains": ("recon_b", measured(lead_s=LEAD_S), ("feedback",)),
+    "kingfisher, designed": ("kingfisher", measured() | {"risk.p_chance": 0.9}, ()),
+    "kingfisher": ("kingfisher", measured(lead_s=LEAD_S), ("open", "feedback", "replan")),
+}
+"""Base, changes and policies of each plan that is flown by policies."""
+SUBJECTS = ("default", "kingfisher")
+"""How the names of plans begin that are flown together."""
+
+
+def plan_of(out: Path, name: str) -> Solution:
+    """The plan of a name, kept in a folder of that name.
+
+    A pass is designed with measurements at the burns, and planned again for a lead in which the
+    spacecraft can turn.
+
+    Raises:
+        InputError: if there is none.
+    """
+    folder = out / name
+    if (folder / FILE_NAME).is_file():
+        return read_solution(folder)
+    base, changes, flown = PLANS[name]
+    scenario = load_scenario(base).replace(changes)
+    if scenario.boundary.home is None:
+        found: Plan | None = plan(scenario)
+    elif not flown:
+        found = design(scenario).plan
+    else:
+        pass_ = plan_of(out, f"{name}, designed")
+        mission = Mission.from_scenario(pass_.scenario.replace(changes))
+        start, options = from_burns(mission, pass_.burns_m_s), PlanOptions(certify=False)
+        found = plan_mission(mission, start, options)
+    if found is None:
+        raise InputError("plan", name, "must be found")
+    solution = make_solution(found)
+    folder.mkdir(parents=True, exist_ok=True)
+    solution.write(folder)
+    return solution
+
+
+def fly_policy(
+    plans: Mapping[str, Solution], vehicle: Path | None, case: tuple[str, PolicyKind, int]
+) -> Row:
+    """Simulate a flight of a plan by a policy: a row."""
+    name, policy, seed = case
+    solution, begun = plans[name], {"plan": name, "policy": policy, "seed": seed}
+    try:
+        record = simulate(solution, seed=seed, policy=policy, vehicle=vehicle)
+    except InputError as error:  # as of a burn that the thruster cannot give in its time
+        return begun | {"shortfalls": str(error)}
+    commanded = [np.linalg.norm(burn.planned_m_s) for burn in record.summary.burns]
+    more: Row = {
+        "commanded_m_s": float(sum(commanded)),
+        "shortfalls": "; ".join(shortfalls(record.summary, solution)),
+    }
+    return begun | row(record) | observed(record, solution.mission) | more
+
+
+def observed(record: Record, mission: Mission) -> Row:
+    """Time for which a flight observes, and whether it keeps every limit on its path."""
+    times, states = record.arrays["t_s"], record.arrays["state"]
+    first, last = mission.schedule.window_s
+    looks = np.unique([first, last, *times[(times > first) & (times < last)]])
+    path = CubicHermiteSpline(times, states[:, :3], states[:, 3:])
+    seen = np.hstack([path(looks), path(looks, 1)])[:, None]
+    margins = joint_margins(mission, looks, seen[..., :3]).values()
+    radius = np.linalg.norm(states[:, :3], axis=1).min() - mission.scenario.safety.radius_min_m
+    return {
+        "observed_s": float(time_held(mission, looks, seen)[ALL].duration[0]),
+        "window_s": last - first,
+        "whole": bool(min(radius, *(float(margin.min()) for margin in margins)) >= 0.0),
+    }
+
+
+def by_policy(rows: Sequence[Row]) -> list[Row]:
+    """A row for each plan and policy."""
+    found = []
+    for name, policy in dict.fromkeys((one["plan"], one["policy"]) for one in rows):
+        own = [one for one in rows if (one["plan"], one["policy"]) == (name, policy)]
+        names = ("observed_s", "window_s", "commanded_m_s", "terminal_miss_m", "whole")
+        observed_s, window_s, commanded, missed, whole = (
+            np.array([float(row.get(name, np.nan)) for row in own]) for name in names
+        )
+        share = proportion(int(np.nansum(whole)), len(own))
+        found.append(
+            {
+                "plan": name,
+                "policy": policy,
+                "flights": len(own),
+                "whole": int(np.nansum(whole)),
+                "whole_low": share.low,
+                "whole_high": share.high,
+                "window_s": float(np.nanmax(window_s)),
+                "observed_mean_s": float(np.nanmean(observed_s)),
+                "observed_least_s": float(np.nanmin(observed_s)),
+                "commanded_mean_m_s": float(np.nanmean(commanded)),
+                "commanded_most_m_s": float(np.nanmax(commanded)),
+                "miss_m": float(np.sqrt(np.nanmean(missed**2))),
+                "as_required": sum(not row["shortfalls"] for row in own),
+            }
+        )
+    return found
+
+
+def run(session: Session) -> Findings:
+    """Fly each plan by its policies, once for each seed; seed by seed."""
+    out, vehicle = session.out, session.options.vehicle
+    names = [name for name in PLANS if name.startswith(session.options.subject)]
+    plans = {name: plan_of(out, name) for name in names}
+    digests = [inputs_digest(one, load_vehicle(vehicle)) for one in plans.values()]
+    store = session.store("flown_policies.jsonl", inputs=digests)
+    jobs = [
+        Job(f"{name}: {policy}, seed {seed}", (name, policy, seed))
+        for seed in range(session.options.seeds)
+        for name in names
+        for policy in PLANS[name][2]
+    ]
+    rows = session.rows("flights", partial(fly_policy, plans, vehicle), jobs, store)
+    files = {"flown_policies": by_policy(rows), "flown_policies_flights": rows}
+    return Findings([], {f"{name}.csv": records(found) for name, found in files.items()})
+
+
+STUDY = Study(
+    "Policies as they are flown",
+    __doc__,
+    run,
+    (
+        option(
+            "subject", choices=SUBJECTS, metavar="SUBJECT", help=f"one of {', '.join(SUBJECTS)}"
+        ),
+        number("--seeds", SEEDS, 1, 10_000, "flights, of the seeds from 0 on"),
+        VEHICLE,
+    ),
+)

@@ -1,0 +1,1 @@
+"""Studies that fly plans by the spacecraft."""
