@@ -192,12 +192,16 @@ QUICK = {
     f"{SOLVE} --formulation lifted": LATER,
     f"{SOLVE} --set 'boundary.frame=\"j2000\"'": P3,
     f"{SOLVE} --out DIR": Quick(IN_P3),
-    f"{EXACT} --set 'risk.scope=\"flight\"' --set risk.p_chance=0.9": Quick("--certify no"),
+    f"{EXACT} --set 'risk.scope=\"flight\"' --set risk.p_chance=0.9": Quick(
+        "--certify no", nightly=True
+    ),
     f"{SOLVE} --set 'policy.kind=\"feedback\"' --set navigation.lead_s=0 "
     "--set navigation.sigma_position_m=10 --set navigation.sigma_velocity_m_s=0.0005": PLAIN,
     MEASURED: PLAIN,
     f"{EXACT} --objective probability --dv-budget 0.115": Quick(
-        "--certify no", less=(("scp_recon.api.planning.Search", lambda s: partial(s, close=1.0)),)
+        "--certify no",
+        nightly=True,
+        less=(("scp_recon.api.planning.Search", lambda s: partial(s, close=1.0)),),
     ),
     # where it may go
     f"{RUN} new mission --body Bennu --site 20,150 --epoch 2020-01-21T20:33:17": PLAIN,
@@ -268,11 +272,14 @@ QUICK = {
         ),
     ),
     "python -m experiments policies": Quick(
-        "--flights 20", less=(("experiments.in_flight.policies.CASES", lambda cases: cases[:1]),)
+        "--flights 20",
+        nightly=True,
+        less=(("experiments.in_flight.policies.CASES", lambda cases: cases[:1]),),
     ),
     "python -m experiments lifted": Quick(less=ONE_FORM),
     "python -m experiments peers": Quick(
         needs="scocp",
+        nightly=True,
         less=tuple(
             (f"experiments.solvers.peers.study.{name}", lambda cases: cases[:1])
             for name in ("OURS", "WEIGHTS", "P3_CASES", "GUESSED")

@@ -328,6 +328,14 @@ def evidence_of(what: str, out: Path) -> dict[str, dict[str, object]]:
     return {str(next(iter(row.values()))): dict(row) for row in rows}
 
 
+@pytest.fixture
+def hashed(monkeypatch) -> None:
+    """The sources of these tests, which take long to read."""
+    for module in (store, evidence):
+        monkeypatch.setattr(module, "sources", lambda *_, **__: "0" * 64)
+
+
+@pytest.mark.usefixtures("hashed")
 def test_counts_of_all_seeds_are_added_and_a_stopped_run_goes_on(tmp_path, monkeypatch):
     ran: list[int] = []
 
@@ -350,6 +358,7 @@ def test_counts_of_all_seeds_are_added_and_a_stopped_run_goes_on(tmp_path, monke
     assert ran == [1, 2, 3, 3, 4, 5]
 
 
+@pytest.mark.usefixtures("hashed")
 def test_mutants_are_drawn_tried_and_counted(tmp_path, monkeypatch):
     ends = {f"formulations.{m}.x__mutmut_{k}": "not checked" for m in "ab" for k in range(30)}
 

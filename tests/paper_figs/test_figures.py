@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
-from matplotlib.text import Text
 
 from experiments.harness import records
 from experiments.observation_table.rows import rows
@@ -49,7 +48,6 @@ def folder(tmp_path_factory) -> Path:
     """What experiments write, for the two rows that figures are drawn from."""
     out = tmp_path_factory.mktemp("runs")
     needed = [row for row in rows(ipopt=False) if row.key in (PLAN, SURROGATE)]
-    mission = Mission.from_scenario(load_scenario())
     mission = Mission.from_scenario(load_scenario())
     table = records(measure(mission, needed, out, samples=SAMPLES))
     (out / TABLE).write_text(table.csv(), encoding="utf-8")
@@ -121,11 +119,6 @@ def test_whatever_flies_a_plan_corrects_its_burns(runs, monkeypatch):
     inputs._fly(runs.plan.mission, runs.plan.solution)
     assert len(told) > 3
     assert all(told)
-
-
-def words_of(figure: Figure) -> set[str]:
-    """All that is written in a figure, legends too."""
-    return {text.get_text() for text in figure.findobj(Text)}
 
 
 def test_drawn_pyramids_enclose_the_cone_or_are_enclosed(runs):

@@ -35,7 +35,7 @@ from scp_recon.scp.algorithms import ALGORITHMS, SCvx
 from tests import reliability
 from tests.helpers import share_of_examples, usually
 from tests.scenarios import COARSE
-from tests.scp_recon.support import fly_few
+from tests.scp_recon.support import fly_few, status_of
 
 RECON_B: dict[str, Any] = tomllib.loads(
     (files("scp_recon") / "data" / "recon_b.toml").read_text("utf-8")
@@ -429,10 +429,7 @@ def command(main: Callable[[list[str]], int], arguments: list[str]) -> int:
     """A command's exit status, with its output swallowed but for a traceback."""
     errors = io.StringIO()
     with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(errors):
-        try:
-            code = main(arguments)
-        except SystemExit as end:  # as argparse ends
-            code = int(end.code or 0)
+        code = status_of(main, *arguments)
     assert "Traceback" not in errors.getvalue()
     if code == 2:
         assert "error: " in errors.getvalue()

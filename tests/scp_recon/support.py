@@ -3,7 +3,7 @@
 import contextlib
 import copy
 import io
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -126,6 +126,14 @@ class CommandLine:
     folder: Path
 
 
+def status_of(main: Callable[[Sequence[str]], int], *arguments: str) -> int:
+    """How a command ends."""
+    try:
+        return main(arguments)
+    except SystemExit as end:  # argparse ends this way
+        return int(end.code or 0)
+
+
 def run_solve(folder: Path, *arguments: str) -> CommandLine:
     """The command line with its two streams captured, as a terminal 200 columns wide."""
     output, errors = io.StringIO(), io.StringIO()
@@ -135,10 +143,7 @@ def run_solve(folder: Path, *arguments: str) -> CommandLine:
         contextlib.redirect_stderr(errors),
     ):
         patch.setenv("COLUMNS", "200")
-        try:
-            code = solve.main([*arguments, "--out", str(folder)])
-        except SystemExit as end:  # argparse ends this way
-            code = int(end.code or 0)
+        code = status_of(solve.main, *arguments, "--out", str(folder))
     return CommandLine(code, output.getvalue(), errors.getvalue(), folder)
 
 

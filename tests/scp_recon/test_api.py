@@ -22,7 +22,7 @@ from scp_recon.api.options import PlanOptions
 from scp_recon.errors import InputError
 from scp_recon.planning.plan import Certificate, Parent, Plan, as_interrupted
 from scp_recon.results.read import read_solution
-from tests.helpers import nightly
+from tests.helpers import nightly, usually
 
 door: Any = sr
 """The interface to whoever gives it what its types forbid."""
@@ -32,6 +32,7 @@ PROJECT = Path(__file__).parents[2]
 NEED_EXTRAS = {"read_campaign", "campaign", "charts", "report", "simulate", "design"}
 
 
+@nightly
 @pytest.mark.usefixtures("few_flights")
 def test_the_example_runs(capsys):
     runpy.run_path(str(PROJECT / "examples" / "first_plan.py"))
@@ -43,11 +44,14 @@ def test_the_example_runs(capsys):
 
 @pytest.mark.parametrize(
     ("name", "cost"),
-    [
-        ("halo_transfer", "cost 0.1945583"),
-        ("hill_rendezvous", "cost 0.43 m/s"),
-        ("nrho_keeping", "cost 0.36 m/s"),
-    ],
+    usually(
+        [
+            ("halo_transfer", "cost 0.1945583"),
+            ("hill_rendezvous", "cost 0.43 m/s"),
+            ("nrho_keeping", "cost 0.36 m/s"),
+        ],
+        1,
+    ),
 )
 def test_a_problem_by_hand_costs_what_its_page_says(name, cost, capsys):
     script = PROJECT / "examples" / f"{name}.py"

@@ -6,13 +6,15 @@ from pathlib import Path
 
 import pytest
 
+from scp_recon.api.infeasibility import Diagnosis
 from scp_recon.api.keeping import UNVERIFIED, check_holds, keep_plan, run_folder
-from scp_recon.cli.commands import compare, montecarlo, solve, verify
+from scp_recon.cli.commands import compare, montecarlo, planning, solve, verify
 from scp_recon.errors import InputError
 from scp_recon.files import only_run_in
 from scp_recon.monte_carlo.summary import FILE_NAME, read_summary
 from scp_recon.results.read import read_solution
 from scp_recon.results.solution import Solution
+from scp_recon.scp.status import Status
 from tests.scenarios import COARSE
 from tests.scp_recon.support import run_solve
 
@@ -24,11 +26,18 @@ def verified(solution, verification) -> Solution:
     return replace(solution, verification=verification)
 
 
+@pytest.fixture
+def undiagnosed(monkeypatch) -> None:
+    """Why there is no plan is told elsewhere, and takes long to find."""
+    monkeypatch.setattr(planning, "diagnose", lambda *_: Diagnosis(Status.MAX_ITERATIONS, (), ()))
+
+
 def another(solution: Solution) -> Solution:
     burns = [replace(burn, dv_m_s=(0.0, 0.0, 0.1)) for burn in solution.burns]
     return replace(solution, burns=burns)
 
 
+@pytest.mark.usefixtures("undiagnosed")
 def test_an_infeasible_run_leaves_a_verified_plan_alone(verified, tmp_path):
     before = verified.write(tmp_path).read_bytes()
     run = run_solve(tmp_path, *HOPELESS)
@@ -76,6 +85,7 @@ def test_two_runs_into_one_folder_are_refused_before_the_work(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.usefixtures("undiagnosed")
 def test_without_a_folder_a_run_has_one_of_its_own(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert solve.main(["--problem", "P3", "--set", "name=my plan", "--set", COARSE]) == 0

@@ -4,6 +4,7 @@ import json
 import re
 import tomllib
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,7 @@ from scp_recon.mission.scene import Scene
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scp.status import Status
 from tests.helpers import usually
-from tests.scp_recon.support import file_of
+from tests.scp_recon.support import file_of, status_of
 
 BENNU = ("--body", "Bennu", "--site", "55.9,41.8", "--epoch", "2020-01-21T20:33:17")
 STONE = (
@@ -34,11 +35,7 @@ def _elsewhere(monkeypatch, tmp_path) -> None:
     monkeypatch.chdir(tmp_path)
 
 
-def run(*arguments: str) -> int:
-    try:
-        return new.main(arguments)
-    except SystemExit as end:  # argparse ends this way
-        return int(end.code or 0)
+run = partial(status_of, new.main)
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from datetime import datetime, timedelta
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,7 @@ from scp_recon.interop.tracks import csv_track, cut, oem_track, pull_doubts, ste
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scenario.time_scales import tdb_of_utc
 from tests import reference
+from tests.scp_recon.support import status_of
 
 CRAFT, STONE, SUN = -64, 20099942, 10
 FROM, TO = "2020-01-21T20:32:08", "2020-01-22T06:12:49"
@@ -85,11 +87,7 @@ def meta(export, tmp_path_factory) -> Path:
     return listed
 
 
-def run(*arguments: str) -> int:
-    try:
-        return new.main(arguments)
-    except SystemExit as end:  # argparse ends this way
-        return int(end.code or 0)
+run = partial(status_of, new.main)
 
 
 def state_of(meta: Path, body: int, utc: str) -> np.ndarray:

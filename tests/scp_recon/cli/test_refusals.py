@@ -9,6 +9,7 @@ import pytest
 
 from scp_recon.__main__ import COMMANDS, main
 from tests import reliability
+from tests.scp_recon.support import status_of
 
 SHORT = {
     "EXACT": "risk.allocation=exact",
@@ -161,10 +162,7 @@ def test_bad_input_is_one_message_and_one_document(line, folder, monkeypatch, ca
     words, _, said = line.partition(" -> ")
     for short, long in SHORT.items():
         words = words.replace(short, long)
-    try:
-        status: object = main([*shlex.split(words), "--json", "--quiet"])
-    except SystemExit as end:  # argparse ends this way
-        status = end.code
+    status = status_of(main, *shlex.split(words), "--json", "--quiet")
     printed = capsys.readouterr()
     error = json.loads(printed.out)["error"]
     assert status == json.loads(printed.out)["status"] == 2

@@ -1,17 +1,14 @@
 """`python -m scp_recon windows`: table, CSV, chart, and what it refuses."""
 
 import csv
+from functools import partial
 
 import pytest
 
 from scp_recon.cli.commands import windows
+from tests.scp_recon.support import status_of
 
-
-def run(*arguments: str) -> int:
-    try:
-        return windows.main(arguments)
-    except SystemExit as end:  # argparse ends this way
-        return int(end.code or 0)
+run = partial(status_of, windows.main)
 
 
 @pytest.fixture(autouse=True)

@@ -22,6 +22,7 @@ from scp_recon.scp.algorithms import ALGORITHMS
 from scp_recon.scp.loop import Record
 from scp_recon.scp.status import Status
 from tests import reference, reliability
+from tests.helpers import nightly
 from tests.scp_recon.support import burns_of, flight_beyond, fly, integrate, mission_of
 
 SHORT = ("t", "x", "y", "z", "vx", "vy", "vz")
@@ -281,6 +282,7 @@ def test_both_optima_of_p3_are_found_and_the_better_one_is_kept(mission, found):
     assert ends == pytest.approx(mission.problem.final_state, abs=1e-6)
 
 
+@nightly
 def test_neither_plan_nor_optima_depend_on_the_processes(mission, found):
     split = THREE(mission, initial_guess.cold(mission), workers=2)
     assert split == found

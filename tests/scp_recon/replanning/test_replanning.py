@@ -24,6 +24,7 @@ from scp_recon.results.solution import make_solution
 from scp_recon.scenario.schema import Scenario
 from scp_recon.scp.status import Status
 from scp_recon.verification.reintegration import verify
+from tests.helpers import usually
 from tests.scenarios import COARSE
 from tests.scp_recon.support import integrate, mission_of
 
@@ -59,13 +60,16 @@ def drawn(flown: FlownPlan, at_s: float, seed: int = 0) -> Array:
 @pytest.mark.usefixtures("few_flights")
 @pytest.mark.parametrize(
     ("at_s", "left", "observed"),
-    [
-        (0.0, 3, True),
-        (4_000.0, 3, True),
-        (17_000.0, 2, False),
-        (25_000.0, 1, False),
-        (31_242.0, 1, False),
-    ],
+    usually(
+        [
+            (4_000.0, 3, True),
+            (17_000.0, 2, False),
+            (31_242.0, 1, False),
+            (0.0, 3, True),
+            (25_000.0, 1, False),
+        ],
+        3,
+    ),
 )
 def test_from_every_leg_what_is_left_is_planned_and_verified(flown, at_s, left, observed):
     plan = again(flown, at_s, drawn(flown, at_s))

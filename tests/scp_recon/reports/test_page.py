@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from scp_recon.api.infeasibility import Diagnosis
 from scp_recon.api.replans import plan_left
-from scp_recon.cli.commands import report, solve
+from scp_recon.cli.commands import planning, report, solve
 from scp_recon.errors import InputError
 from scp_recon.replanning.delivery import Delivery
 from scp_recon.replanning.flown import FlownPlan, predict
@@ -27,6 +28,7 @@ from scp_recon.reports.write import page_of
 from scp_recon.results.solution import Solution, make_solution
 from scp_recon.results.table import Table
 from scp_recon.scenario.load import load_scenario
+from scp_recon.scp.status import Status
 from tests.scenarios import COARSE
 from tests.scp_recon.support import run_solve
 
@@ -210,7 +212,11 @@ def test_flights_of_another_plan_are_passed_over_and_named(plan_folder, subject,
 
 
 @pytest.mark.usefixtures("few_flights")
-def test_solve_writes_it_beside_the_plan_and_one_of_a_failed_plan_beside_that(tmp_path):
+def test_solve_writes_it_beside_the_plan_and_one_of_a_failed_plan_beside_that(
+    tmp_path, monkeypatch
+):
+    unknown = Diagnosis(Status.MAX_ITERATIONS, (), ())  # which takes long to find out
+    monkeypatch.setattr(planning, "diagnose", lambda *_: unknown)
     run = run_solve(tmp_path, "--report")
     assert run.exit_code == 0
     page = (tmp_path / "report.html").read_text("utf-8")
