@@ -104,7 +104,9 @@ def collect(
         return list(run_cells(cells, store, flights=5, limit_s=limit_s, solve=solve))
 
 
-def test_a_cell_that_fails_is_a_row_and_is_tried_again_but_for_one_at_its_limit(tmp_path):
+def test_a_cell_that_fails_is_a_row_and_is_tried_again_but_for_one_at_its_limit(
+    tmp_path, monkeypatch
+):
     path = tmp_path / ROWS_FILE
     (first,) = collect(path, figures_of, CELLS[:1])
     rows = collect(path, raises)
@@ -119,6 +121,12 @@ def test_a_cell_that_fails_is_a_row_and_is_tried_again_but_for_one_at_its_limit(
     for solve in (never_ends, figures_of):
         (row,) = collect(tmp_path / "other", solve, CELLS[:1])
         assert row.detail == "no end after 2 s"
+    again = replace(CELLS[0], repeat=1)
+    monkeypatch.setattr(compare_solvers, "CORES", 1)
+    rows = collect(tmp_path / "other", raises, [CELLS[0], again])
+    assert [(row.key, row.detail) for row in rows] == [
+        (cell.key, "no end after 2 s") for cell in (CELLS[0], again)
+    ]
 
 
 def test_a_cell_is_solved_as_the_planner_solves_it(mission):
