@@ -105,6 +105,9 @@ class Command:
         from scp_recon.cli.options import joined
 
         options = parse(p, joined(sys.argv[1:] if arguments is None else arguments))
+        from scp_recon.cli.loading import load_lightly
+
+        load_lightly()
         run = getattr(import_module(f"scp_recon.cli.commands.{self.module}"), self.name)
         return run_command(lambda console: run(options, console), options)
 

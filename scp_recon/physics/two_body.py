@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 from scipy.integrate import solve_ivp
-from scipy.interpolate import CubicHermiteSpline
 from scipy.optimize import brentq
 
 from formulations.arrays import Array
 from scp_recon.bodies.catalogue import GM_SUN_KM3_S2
+
+if TYPE_CHECKING:
+    from scipy.interpolate import CubicHermiteSpline
 
 NEAREST_KM = 1e7
 """Least distance from the Sun's centre, 0.067 au: no known asteroid comes nearer; cubics fail there."""
@@ -73,6 +76,8 @@ def two_body(
     Raises:
         ValueError: if the body comes within `NEAREST_KM` of the Sun's centre.
     """
+    from scipy.interpolate import CubicHermiteSpline  # of one scenario in many
+
     start = np.concatenate([np.asarray(position_km, float), np.asarray(velocity_km_s, float)])
 
     def rate(_: float, y: Array) -> Array:

@@ -118,7 +118,7 @@ export = Command(
     "Write a plan for other tools.",
     {"out": FOLDER | {"default": None, "help": "folder for the files (default: export in PLAN's)"}},
 )
-new = Command("new", "planning", "api.drafts.new", "Draft a scenario for one's own site and body.")
+new = Command("new", "scenarios", "api.drafts.new", "Draft a scenario for one's own site and body.")
 windows = Command(
     "windows", "scenarios", "api.survey.windows", "Find lighting windows and legal burn times."
 )

@@ -12,8 +12,6 @@ from rich.console import Console
 
 from formulations.problem.flyby import Iterate
 from formulations.registry import FULL
-from scp_recon.api.drafts import NewOptions
-from scp_recon.api.drafts import new as draft_scenario
 from scp_recon.api.infeasibility import SIZE, Diagnosis, diagnose
 from scp_recon.api.keeping import UNVERIFIED, point_latest, run_folder, write_plan
 from scp_recon.api.options import PlanOptions
@@ -250,19 +248,3 @@ def what_would_do(found: Diagnosis, failed: Plan, more: Sequence[str]) -> list[s
     cost = f"{found.verified.cost_m_s:.4f} m/s"
     lines.append(f"feasible, for {cost}, with: {' '.join([*options, f'--certify {certify}'])}")
     return lines
-
-
-def new(options: argparse.Namespace, console: Console) -> Answer:
-    """Draft, plan, show and write."""
-    given = {field.name: getattr(options, field.name) for field in fields(NewOptions)}
-    found = draft_scenario(**given, progress=lambda line: show_line(console, line))
-    plan_view.show_mission(console, found.mission)
-    plan_view.show_solution(console, found.solution)
-    plan_view.show_verification(
-        console, found.mission, found.solution, found.verification, found.mission.warnings
-    )
-    for file in found.files:
-        show_written(console, file)
-    code = Status.named(found.solution.status).value.exit_code
-    status = code or (0 if found.is_verified else NOT_VERIFIED)
-    return Answer(status, plan_document(found.solution, found.files))

@@ -1,21 +1,26 @@
-"""The commands about scenarios: which are packaged, when one is lit, and the format of their files."""
+"""The commands about scenarios: draft one, which are packaged, when one is lit, the format of files."""
 
 from __future__ import annotations
 
 import argparse
 from collections.abc import Mapping
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
 from rich.console import Console
 from rich.text import Text
 
+from scp_recon.api.drafts import NewOptions
+from scp_recon.api.drafts import new as draft_scenario
 from scp_recon.api.inputs import scenario_of
 from scp_recon.api.inputs import scenarios as packaged_scenarios
 from scp_recon.api.survey import tdb
 from scp_recon.api.survey import windows as survey_windows
 from scp_recon.bodies.catalogue import DAY_S
-from scp_recon.cli.command import Answer, show_written
+from scp_recon.cli import plan_view
+from scp_recon.cli.command import NOT_VERIFIED, Answer, show_line, show_written
+from scp_recon.cli.plan_view import plan_document
 from scp_recon.cli.rendering import show_warnings, terminal
 from scp_recon.errors import option
 from scp_recon.files import check_writable, unwritable, write_atomically
@@ -27,6 +32,23 @@ from scp_recon.results.table import Column, Table
 from scp_recon.scenario.json_schema import schema_text
 from scp_recon.scenario.load import naming_files
 from scp_recon.scenario.schema import Scenario
+from scp_recon.scp.status import Status
+
+
+def new(options: argparse.Namespace, console: Console) -> Answer:
+    """Draft, plan, show and write."""
+    given = {field.name: getattr(options, field.name) for field in fields(NewOptions)}
+    found = draft_scenario(**given, progress=lambda line: show_line(console, line))
+    plan_view.show_mission(console, found.mission)
+    plan_view.show_solution(console, found.solution)
+    plan_view.show_verification(
+        console, found.mission, found.solution, found.verification, found.mission.warnings
+    )
+    for file in found.files:
+        show_written(console, file)
+    code = Status.named(found.solution.status).value.exit_code
+    status = code or (0 if found.is_verified else NOT_VERIFIED)
+    return Answer(status, plan_document(found.solution, found.files))
 
 
 def windows(options: argparse.Namespace, console: Console) -> Answer:
