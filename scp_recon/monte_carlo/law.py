@@ -19,6 +19,7 @@ from formulations.linearisation.linearisation import Linearisation
 from formulations.risk.strata import COUNT, FAILS, Allocation, Counted, Survey, strata_of
 from formulations.rows.flight_probability import Limits, limits_within
 from formulations.rows.node_probability import joint_events
+from scp_recon.jobs.cores import each
 from scp_recon.monte_carlo.sampling import BLOCK, draw
 from scp_recon.monte_carlo.whole_flight import LookedAt
 
@@ -218,22 +219,27 @@ def fly_strata(
 ) -> StratifiedFlights:
     """Draw, sort by the law, and fly of each stratum what is allotted.
 
-    `progress` is called with the number of all, and that flown so far, after each block.
+    `progress` is called with the number of all, and that flown so far, now and then.
     """
-    drawn, draws, strata = np.zeros(COUNT, dtype=np.intp), [np.zeros((0, law.sources))], []
-    for block, size in blocks_of(allocation, seed):
-        some, coins = tossed(seed, law.sources, block, size)
+    share = np.array(allocation.share)
+
+    def drawn_of(one: tuple[int, int]) -> tuple[Indices, Array, Indices]:
+        some, coins = tossed(seed, law.sources, *one)
         own = allocation.strata(law.margin(some))
-        flown = coins < np.array(allocation.share)[own]
-        drawn += np.bincount(own, minlength=COUNT)
-        draws.append(some[flown])
-        strata.append(own[flown])
-    chosen, stratum = np.concatenate(draws), np.concatenate([np.zeros(0, np.intp), *strata])
-    seen = []
-    for first in range(0, len(chosen), BLOCK):
-        seen.append(flights.looked_at(chosen[first : first + BLOCK]))
+        flown = coins < share[own]
+        return np.bincount(own, minlength=COUNT), some[flown], own[flown]
+
+    none = np.zeros(COUNT, np.intp), np.zeros((0, law.sources)), np.zeros(0, np.intp)
+    counts, draws, strata = zip(none, *each(drawn_of, blocks_of(allocation, seed)), strict=True)
+    drawn, chosen, stratum = np.sum(counts, axis=0), np.concatenate(draws), np.concatenate(strata)
+
+    blocks = [chosen[first : first + BLOCK] for first in range(0, len(chosen), BLOCK)]
+
+    def told(done: int) -> None:
         if progress:
-            progress(len(chosen), min(first + BLOCK, len(chosen)))
+            progress(len(chosen), min(done * BLOCK, len(chosen)))
+
+    seen = each(flights.looked_at, blocks, told)
 
     def counted(kept: list[Booleans]) -> Counted:
         unlike = np.concatenate([np.zeros(0, dtype=bool), *kept]) == FAILS[stratum]

@@ -17,6 +17,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from formulations.arrays import Array, Indices
+from scp_recon.jobs.cores import beside
 from scp_recon.mission.constraints import safety_margins
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.schedule import MISS_WEIGHT
@@ -78,19 +79,21 @@ def verify(mission: Mission, solution: Solution) -> Verification:
     states = np.array(solution.nodes.state)
     fine = np.arange(mission.times_s[0], mission.times_s[-1], MARGIN_STEP_S)
     policy = () if is_strange(mission, solution.policy) else solution.corrections
-    flown = _fly(mission, burns, np.union1d(times, fine), mission.initial_state, policy)
+    with beside(lambda: joint_probabilities(mission, burns, policy)) as coming:
+        flown = _fly(mission, burns, np.union1d(times, fine), mission.initial_state, policy)
+        sample_error = _sample_error(mission, burns, policy)
+        probabilities = coming()
     at_nodes = np.searchsorted(flown.times, times)
     stored = np.array(solution.nodes.covariance)
     defects = np.abs(flown.states[at_nodes] - states) / mission.units.state * mission.units.length_m
     final = np.abs(flown.states[-1] - mission.final_state)
     missed = None if mission.must_meet else final_miss(mission, final)
     margins = [*_burn_margins(mission, burns), *_mean_margins(mission, flown)]
-    probabilities = joint_probabilities(mission, burns, policy)
     figures = {
         "terminal_position_error_m": _finite(np.linalg.norm(final[:3])),
         "terminal_velocity_error_m_s": _finite(np.linalg.norm(final[3:])),
         "max_defect": _finite(defects.max()),
-        "sample_error_m": _sample_error(mission, burns, policy),
+        "sample_error_m": sample_error,
         "covariance_error": _covariance_error(mission, stored, flown.covariances[at_nodes]),
     }
     if policy:

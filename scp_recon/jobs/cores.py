@@ -1,0 +1,133 @@
+"""Divide work of some tenths of a second among this machine's cores, by copies of this process.
+
+A copy has imported what this process has, and begins at once; those of `processes` take a second. What
+is computed does not depend on the number of cores. Where a process cannot be copied, or other threads
+are at work in it, one core does the work.
+"""
+
+from __future__ import annotations
+
+import os
+import pickle
+import signal
+import threading
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
+from functools import partial
+from typing import IO, TypeVar
+
+CORES = "OMP_NUM_THREADS"
+"""Says how many cores a process may use, as it says to NumPy."""
+FIRST = os.getpid()
+"""The process that is not a copy."""
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+
+def each(
+    function: Callable[[Item], Result],
+    items: Sequence[Item],
+    told: Callable[[int], None] | None = None,
+) -> list[Result]:
+    """A function's results, in the order of the items; they have to pickle.
+
+    `told` is called now and then with the number of items that should be done.
+    """
+    here, count = os.getpid(), _number_of_shares(items)
+
+    def done(share: Sequence[Item]) -> list[Result]:
+        found = []
+        for item in share:
+            found.append(function(item))
+            if told and os.getpid() == here:
+                told(min(len(items), len(found) * count))
+        return found
+
+    parts = in_shares(done, items)
+    return [parts[k % len(parts)][k // len(parts)] for k in range(len(items))]
+
+
+def in_shares(function: Callable[[Sequence[Item]], Result], items: Sequence[Item]) -> list[Result]:
+    """A function's results of shares of the items, each of every so manieth; the first is done here."""
+    count = _number_of_shares(items)
+    with ExitStack() as stack:
+        others = [
+            stack.enter_context(beside(partial(function, items[k::count]))) for k in range(1, count)
+        ]
+        return [function(items[::count]), *(other() for other in others)]
+
+
+def _number_of_shares(items: Sequence[Item]) -> int:
+    return max(1, min(cores(), len(items)))
+
+
+@contextmanager
+def beside(work: Callable[[], Result]) -> Iterator[Callable[[], Result]]:
+    """Do work on another core; what it yields waits for the result, which has to pickle.
+
+    Without another core, or where the copy comes to nothing, the work is done then.
+    """
+    child = _copied(work) if cores() > 1 else None
+    if child is None:
+        yield work
+        return
+    process, pipe = child
+
+    def result() -> Result:
+        try:
+            found: Result = pickle.load(pipe)
+        except (OSError, EOFError, pickle.UnpicklingError):  # an exception is raised again, here
+            return work()
+        return found
+
+    try:
+        yield result
+    finally:
+        pipe.close()
+        with suppress(ProcessLookupError):
+            os.kill(process, signal.SIGKILL)
+        with suppress(ChildProcessError):
+            os.waitpid(process, 0)
+
+
+def cores() -> int:
+    """Number of cores that this process may use; 1 where it cannot be copied, or is a copy."""
+    alone = threading.active_count() == 1 and threading.current_thread() is threading.main_thread()
+    if not alone or os.getpid() != FIRST or not hasattr(os, "sched_getaffinity"):
+        return 1
+    here, told = len(os.sched_getaffinity(0)), os.environ.get(CORES, "")
+    return min(here, int(told)) if told.isdigit() and told.strip("0") else here
+
+
+def _copied(work: Callable[[], object]) -> tuple[int, IO[bytes]] | None:
+    """A copy of this process that does work and writes the result, and the pipe to read it from."""
+    read, write = os.pipe()
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", category=DeprecationWarning)  # NumPy's threads
+            process = os.fork()
+    except OSError:
+        os.close(read)
+        os.close(write)
+        return None
+    else:
+        if process == 0:
+            os.close(read)  # or it would never learn that nobody reads any more
+            _do(work, write)
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+    os.close(write)
+    return process, os.fdopen(read, "rb")
+
+
+def _do(work: Callable[[], object], write: int) -> None:
+    """The life of a copy. Ctrl-C is the first process's to handle, which ends this one."""
+    try:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        with os.fdopen(write, "wb") as pipe:
+            pickle.dump(work(), pipe, pickle.HIGHEST_PROTOCOL)
+    finally:
+        os._exit(0)
