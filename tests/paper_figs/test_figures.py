@@ -19,7 +19,6 @@ from paper_figs.__main__ import PICTURES, main, make_all, plan_hash_of
 from paper_figs.drawing import save
 from paper_figs.inputs import COMMAND, PLAN, SURROGATE, TABLE, Runs, read_runs
 from paper_figs.paper import (
-    ball_polytopes,
     cone_polytopes,
     observation_geometry,
     observation_histories,
@@ -136,22 +135,6 @@ def test_drawn_pyramids_enclose_the_cone_or_are_enclosed(runs):
         # An edge of the inner one and a facet of the outer one face the spacecraft.
         assert np.abs(inside - [radius, 0.0]).max(axis=1).min() < 1e-6 * radius
         assert np.abs(middles - [radius, 0.0]).max(axis=1).min() < 1e-6 * radius
-
-
-def test_drawn_ball_polytopes_enclose_the_sphere_or_are_enclosed(runs):
-    """Of the paper's 14 corners one faces the spacecraft, and outside one of the facets."""
-    seen = ball_polytopes.sphere(runs.plan)
-    inside, outside = (ball_polytopes.facets(runs, seen, 740.0, keep) for keep in ("in", "out"))
-    corners = ball_polytopes.corners(inside)
-    assert corners.shape == (14, 3)
-    np.testing.assert_allclose(np.linalg.norm(corners, axis=1), 740.0)
-    np.testing.assert_allclose(corners[np.argmax(corners[:, 0])], [740.0, 0.0, 0.0], atol=1e-6)
-    np.testing.assert_allclose(outside.offset, 740.0)
-    assert ball_polytopes.polygon(inside).shape[1] == 2
-    chosen = cone_polytopes.most_probable(
-        outside.normal, outside.offset, seen.point_m, seen.covariance_m2
-    )
-    np.testing.assert_allclose(outside.normal[chosen], [1.0, 0.0, 0.0], atol=1e-9)
 
 
 def test_sight_at_mid_window_keeps_the_angles(runs):

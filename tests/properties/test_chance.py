@@ -61,36 +61,11 @@ def test_a_facet_with_zero_margin_holds_with_just_the_required_probability(proba
     assert (margin > 0.0) == (more < probability)
 
 
-@given(probabilities, generators)
-def test_margins_fall_with_the_covariance_in_loewner_order(probability, rng):
-    mean, factor = gaussian(rng)
-    added = rng.normal(size=(6, 6)) * (rng.uniform(size=6) < 0.5)
-    larger = np.linalg.cholesky(factor[0] @ factor[0].T + added @ added.T + 1e-12 * np.eye(6))
-    normal = random_unit(rng)
-    facet = one_facet(normal, 1.0, quantile(probability))
-    assert facet.margin(mean, larger[None])[0] <= facet.margin(mean, factor)[0] + 1e-12
-
-
 def facets_of(
     region: Region, keep: str, p: float, shapes: Polytopes, mean: Array, factor: Array
 ) -> Facets:
     constraint = StateConstraint("region", np.array([0]), region, keep, p)
     return choose_facets(problem_with(constraint), shapes, mean, factor)
-
-
-@given(st.sampled_from(["in", "out"]), probabilities, polytopes, generators)
-def test_a_larger_ball_is_kept_with_more_and_kept_out_of_with_less_probability(
-    keep, probability, shapes, rng
-):
-    """Deviations from the planes, which their probability grows with."""
-    mean, factor = gaussian(rng)
-    centre, radius, growth = rng.normal(size=(1, 3)), *rng.uniform(0.01, 2.0, 2)
-    deviations = []
-    for r in (radius, radius + growth):
-        facets = facets_of(Ball(centre, r), keep, probability, shapes, mean, factor)
-        deviations.append(facets.margin(mean, 0.0 * factor) / facets.deviation(factor))
-    small, large = deviations
-    assert np.all(large > small) if keep == "in" else np.all(large < small)
 
 
 @given(probabilities)

@@ -142,23 +142,6 @@ def test_the_outer_pyramid_contains_the_cone(half_angle, facets):
     assert np.all(off_axis(edges) >= half_angle - EXACT)
 
 
-@given(half_angles, facet_counts)
-def test_pyramids_tighten_with_every_facet(half_angle, facets):
-    fewer, more = (inner_pyramid_angle(half_angle, n) for n in (facets, facets + 1))
-    assert 0.0 < fewer < more < half_angle
-
-
-@given(half_angles, st.integers(8, 200))
-def test_pyramids_approach_the_cone_at_the_rate_of_one_over_the_square_of_the_facets(
-    half_angle, facets
-):
-    def gap(n: int) -> float:
-        return 1.0 - np.tan(inner_pyramid_angle(half_angle, n)) / np.tan(half_angle)
-
-    # 1 - cos(pi / n) = pi^2 / 2 n^2 up to the fourth order.
-    assert gap(facets) * facets**2 == pytest.approx(0.5 * np.pi**2, rel=0.02)
-
-
 def assert_smallest_rotations(rotation: Array, start: Array, end: Array) -> None:
     assert rotation @ start == pytest.approx(end, abs=EXACT)
     squared = rotation @ rotation.transpose(0, 2, 1)

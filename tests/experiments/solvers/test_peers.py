@@ -5,7 +5,7 @@ import importlib.util
 import pytest
 
 from experiments.__main__ import main
-from experiments.solvers.peers import openscvx, study
+from experiments.solvers.peers import study
 from scp_recon.planning import initial_guess
 
 MISSING = importlib.util.find_spec("openscvx") is None or importlib.util.find_spec("scocp") is None
@@ -70,12 +70,6 @@ def test_our_row_of_p3_flies_the_burns_that_it_reports(mission):
     assert (row["problem"], row["status"]) == ("P3", "converged")
     assert row["cost"] == pytest.approx(0.107723, abs=2e-6)
     assert row["missed"] < 1e-3
-
-
-def test_its_nodes_are_those_of_window_and_burns_and_few_others(mission):
-    nodes = openscvx.nodes_of(mission, 5)
-    assert {*mission.window_nodes, *mission.burn_nodes} <= {*nodes}
-    assert len(nodes) < len(mission.times_s)
 
 
 @pytest.mark.skipif(MISSING, reason="the peers are not installed")

@@ -160,21 +160,3 @@ def test_a_line_without_direction_is_where_it_starts(rng):
     assume(abs(depth) > 1e-9)
     everywhere, nowhere = (-np.inf, np.inf), (np.inf, np.inf)
     assert chord(region, start, np.zeros(3)) == (everywhere if depth > 0.0 else nowhere)
-
-
-@given(generators)
-def test_each_nodes_chords_are_its_own(rng):
-    """Of n regions, k lines each, from one start or from k."""
-    n, k = 4, 5
-    start, direction = rng.normal(size=(n, k, 3)), rng.normal(size=(n, k, 3))
-    anchor = rng.normal(size=(n, 3))
-    for regions in (Ball(anchor, 1.5), Cone(anchor, random_unit(rng, n), 0.7)):
-        for starts in (start, start[:, :1]):
-            low, high = regions.chord(starts, direction)
-            assert low.shape == high.shape == (n, k)
-            for i in range(n):
-                one = regions.at(np.array([i]))
-                for j in range(k):
-                    at = starts[i, min(j, starts.shape[1] - 1)]
-                    expected = chord(one, at, direction[i, j])
-                    assert (low[i, j], high[i, j]) == pytest.approx(expected)

@@ -13,7 +13,6 @@ from formulations.program import condensed
 from formulations.program.condensed import CondensedSubproblem, ConeSize, compile_condensed
 from formulations.program.subproblem import Penalty, Step
 from formulations.rows.cones import NEAR_LENGTH, Rows
-from formulations.rows.uniform import ChanceRows
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
 from scp_recon.planning.planner import plan
@@ -235,29 +234,3 @@ def test_the_default_plan_needs_three_programs_at_the_most(monkeypatch):
     assert compiled == len(sizes)
     plan(mission, initial_guess.cold(mission))
     assert compile_condensed.cache_info().misses == compiled
-
-
-@given(generators)
-def test_triangular_factors_preserve_every_facets_deviation(rng):
-    lin = linearised(rng, ("in",))
-    rows = every_row(lin, "P2")
-    assert isinstance(rows, ChanceRows)
-    s = condense(lin, rows.nodes)
-    z = lin.iterate.burns.ravel() + 0.3 * rng.normal(size=12)
-    carried = rows.carried
-    at = np.searchsorted(rows.nodes, carried.node)
-    mean = s.mean_constant[at, :3] + s.mean_jacobian[at, :3] @ z
-    factor = s.factor_constant[at, :3] + s.factor_jacobian[at, :3] @ z
-    deviation = np.linalg.norm(np.einsum("mi,mic->mc", carried.normal, factor), axis=1)
-    room = carried.offset - np.einsum("mi,mi->m", carried.normal, mean)
-    seen = np.zeros(rows.count, dtype=int)
-    for cones in rows.cones(lin, s):
-        p = cones.values.shape[2]
-        y = cones.values @ z[:p] + cones.constants
-        seen[cones.rows] += 1
-        assert y[:, 0] == pytest.approx(room[cones.rows], rel=1e-9, abs=1e-9)
-        spread = np.abs(carried.quantile[cones.rows]) * deviation[cones.rows]
-        assert np.linalg.norm(y[:, 1:], axis=1) == pytest.approx(spread, rel=1e-9, abs=1e-12)
-        assert cones.triangular
-        assert not np.any(np.tril(cones.values[:, 1:], -1))
-    assert np.all(seen == 1)

@@ -34,11 +34,6 @@ def chi_between(dimension: int, low: float, high: float) -> float:
     return 0.5 * float(law.sf(low) - law.sf(high))
 
 
-@given(coordinates)
-def test_the_normal_density_is_scipys(s):
-    assert normal_density(np.array(s)).item() == pytest.approx(norm.pdf(s), rel=1e-12, abs=1e-300)
-
-
 @given(dimensions, coordinates, coordinates)
 def test_the_chi_law_is_scipys_in_both_tails(dimension, one, other):
     low, high = sorted([one, other])

@@ -156,14 +156,6 @@ def test_about_its_apex_a_cone_has_one_nappe(away, slenderness, rng):
     assert without.item() == pytest.approx(1.0 - expected, abs=NEAR_APEX)
 
 
-@pytest.mark.parametrize("half_angle", [0.1, 0.7, 1.5])
-def test_a_cone_about_the_mean_holds_its_solid_angle(half_angle):
-    cone = Cone(np.zeros((1, 3)), np.array([[0.6, 0.0, 0.8]]), half_angle)
-    found = node_quantiles(event((cone,)), np.zeros((1, 3)), np.eye(3)[None])
-    share = 0.5 * (1.0 - np.cos(half_angle))
-    assert probability(found).item() == pytest.approx(share, abs=QUADRATURE)
-
-
 @given(st.floats(0.01, 0.5), st.floats(1.0, SLENDER), generators)
 @few
 def test_between_two_limits(spread, slenderness, rng):

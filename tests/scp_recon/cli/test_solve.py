@@ -1,6 +1,5 @@
 """The command line: what it shows, what it leaves on disk, and how it ends."""
 
-import json
 import os
 import subprocess
 import sys
@@ -10,13 +9,13 @@ from typing import Any
 
 import pytest
 
-from scp_recon.cli.commands import planning, verify
+from scp_recon.cli.commands import planning
 from scp_recon.planning import planner, stages
 from scp_recon.results.read import read_solution
 from scp_recon.scp.algorithms import SCvx
 from scp_recon.scp.loop import Record, State
 from tests.scenarios import COARSE
-from tests.scp_recon.support import CommandLine, run_solve
+from tests.scp_recon.support import run_solve
 
 PROJECT = Path(__file__).parents[3]
 
@@ -101,15 +100,6 @@ def test_it_goes_on_from_a_solution_that_is_known_by_its_content(default_run, tm
     assert (solution.scenario, solution.init) == (first.scenario, str(renamed))
 
 
-def test_a_users_own_files_in_the_folder_are_left_alone(tmp_path):
-    mine = [tmp_path / ".probe", tmp_path / ".solution.json", tmp_path / "notes.txt"]
-    for file in mine:
-        file.write_text("mine", "utf-8")
-    assert run_solve(tmp_path, "--problem", "P3", "--set", COARSE).exit_code == 0
-    assert [file.read_text("utf-8") for file in mine] == ["mine"] * 3
-    assert len(list(tmp_path.iterdir())) == 4
-
-
 def test_infeasible_ends_with_three_and_names_what_is_violated(tmp_path):
     run = run_solve(tmp_path, "--set", "burns.dv_max_m_s=0.02", "--set", COARSE)
     assert (run.exit_code, run.errors) == (3, "")
@@ -181,19 +171,3 @@ def test_ctrl_c_between_the_steps_keeps_what_was_done(module, name, left, tmp_pa
         return
     solution = read_solution(tmp_path)
     assert (solution.status, solution.verification) == (left, None)
-
-
-def run_verify(capsys, path: Path) -> CommandLine:
-    capsys.readouterr()
-    code = verify.main([str(path)])
-    return CommandLine(code, *capsys.readouterr(), path)
-
-
-def test_verify_finds_a_falsified_solution_out(default_run, tmp_path, capsys):
-    data = json.loads((default_run.folder / "solution.json").read_text("utf-8"))
-    data["burns"][2]["dv_m_s"][0] += 1e-3
-    (tmp_path / "solution.json").write_text(json.dumps(data), "utf-8")
-    run = run_verify(capsys, tmp_path)
-    assert run.exit_code == 4
-    assert "not verified" in run.output
-    assert "terminal_position_error_m" in run.output

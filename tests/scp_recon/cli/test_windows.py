@@ -43,15 +43,6 @@ def test_the_table_holds_the_windows_from_before_the_epoch_on(tmp_path, mission,
             assert float(row[f"burn_{i}_earliest_s"]) < float(row[f"burn_{i}_latest_s"])
 
 
-def test_a_chart_is_the_same_every_time(tmp_path):
-    pytest.importorskip("matplotlib", reason="needs the extra [report]")
-    paths = [tmp_path / name for name in ("a.png", "b.png")]
-    for path in paths:
-        assert run("recon_b", "--span-days", "0.5", "--chart", str(path)) == 0
-        assert path.stat().st_size > 5000
-    assert paths[0].read_bytes() == paths[1].read_bytes()
-
-
 def test_a_site_without_windows_says_so(tmp_path, capsys):
     pytest.importorskip("matplotlib", reason="needs the extra [report]")
     dark, always = tmp_path / "dark.toml", tmp_path / "always.toml"

@@ -5,7 +5,7 @@ from datetime import timedelta
 
 import numpy as np
 import pytest
-from hypothesis import assume, example, given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from formulations.arrays import Array
@@ -13,9 +13,7 @@ from scp_recon.bodies.catalogue import DAY_S
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.survey import survey
-from scp_recon.mission.windows import SCAN_STEP_S, Lighting, all_windows, scan_step_s, whole_windows
-from scp_recon.physics.frames import Rotation
-from scp_recon.physics.geometry import Site
+from scp_recon.mission.windows import SCAN_STEP_S, all_windows, scan_step_s, whole_windows
 from scp_recon.physics.two_body import two_body
 from scp_recon.scenario.load import load_scenario
 from tests.scp_recon.mission.test_schedule import independent_incidence
@@ -70,46 +68,6 @@ def test_the_ends_of_the_span_cut_windows():
     assert len(whole_windows(found, (0.0, 20_000.0))) == len(found) - 2 == 1
     assert all_windows(lambda t: np.ones_like(t), (0.0, 1.0), 20.0) == [(0.0, 1.0)]
     assert all_windows(lambda t: -np.ones_like(t), (0.0, 1.0), 20.0) == []
-
-
-@given(
-    period_h=st.floats(0.2, 60.0),
-    meridian=st.floats(0.0, 6.2),
-    limit=st.floats(5.0, 85.0),
-    hours=st.tuples(st.floats(6.5, 11.5), st.floats(12.5, 17.5)),
-    retrograde=st.booleans(),
-)
-def test_at_the_equator_with_the_sun_above_it_incidence_is_the_hour_angle(
-    period_h, meridian, limit, hours, retrograde
-):
-    rate = 2.0 * np.pi / (3600.0 * period_h) * (-1.0 if retrograde else 1.0)
-    rotation = Rotation(0.0, np.pi / 2.0, meridian, rate, 0.0)
-    site = Site(np.array([1.0, 0.0, 0.0]), np.array([1.0, 0.0, 0.0]))
-    # With this pole the prime meridian is at right ascension 90 deg + W.
-    to_sun = np.array([0.0, 1.0, 0.0])
-    lighting = Lighting(site, rotation, lambda t: np.broadcast_to(to_sun, (*np.shape(t), 3)))
-    observation = load_scenario().observation.model_copy(
-        update={
-            "incidence_max_deg": limit,
-            "local_solar_time_min_h": hours[0],
-            "local_solar_time_max_h": hours[1],
-        }
-    )
-    period = 3600.0 * period_h
-    span = 0.0, 3.2 * period
-    slack = lighting.slack(observation)
-    # The hour angle is W: within the limit about noon, and between the hours.
-    low = max(-limit, 15.0 * (hours[0] - 12.0))
-    high = min(limit, 15.0 * (hours[1] - 12.0))
-    expected = []
-    for turn in range(-5, 6):
-        edges = sorted((2.0 * np.pi * turn + np.deg2rad(a) - meridian) / rate for a in (low, high))
-        if edges[0] > span[0] and edges[1] < span[1]:
-            expected.append(tuple(edges))
-    expected.sort()
-    assume(all(min(abs(e - s) for e in w for s in span) > 1e-3 for w in expected))
-    found = whole_windows(all_windows(slack, span, scan_step_s(rate, span)), span)
-    np.testing.assert_allclose(found, expected, atol=1e-4)
 
 
 def test_a_body_that_turns_too_often_to_be_searched_is_refused():

@@ -190,19 +190,6 @@ def test_flights_count_what_corrected_burns_break(solution):
     assert quantile.low < np.quantile(total, 0.99) < quantile.high
 
 
-def test_a_measurement_of_nothing_corrects_nothing(solution):
-    """An estimate that never leaves zero leaves the burns as they are."""
-    case = case_of(3600.0, solution)
-    blind = tuple(
-        replace(one, measurement_covariance=1e24 * one.measurement_covariance)
-        for one in case.policy
-    )
-    flown = case._replace(policy=blind).fly(case.mission.times_s[-1:])
-    off = flown.commanded_m_s - case.burns_m_s
-    np.testing.assert_allclose(off, 0.0, atol=1e-9)
-    assert off.any()
-
-
 @pytest.fixture(scope="module")
 def corrected(solution) -> Solution:
     """A plan's file with gains."""

@@ -120,12 +120,6 @@ def test_an_expression_of_the_same_forces_gives_the_same_flow(entries, mission, 
     assert other.propagate(starts, 3) == pytest.approx(flow.propagate(starts, 3), rel=1e-12)
 
 
-@given(state=states())
-def test_propagation_and_differentiation_see_the_same_flow(state, forces, arc):
-    end = differentiate(state[None], np.array([arc]), forces, 3).state[0]
-    np.testing.assert_allclose(propagate(state, arc, forces, 3), end, rtol=1e-13, atol=1e-14)
-
-
 @given(state=states(), seed=st.integers(0, 2**32 - 1))
 def test_a_small_move_needs_no_new_derivatives(state, forces, arc, seed):
     deviation = 1e-8 * np.random.default_rng(seed).standard_normal((1, 6))

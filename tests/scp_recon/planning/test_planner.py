@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from formulations.linearisation.linearisation import Linearisation
-from formulations.problem.facets import choose_facets
 from formulations.problem.flyby import FlybyProblem, Iterate
 from formulations.program.subproblem import Subproblem
 from formulations.registry import make_subproblem
@@ -88,19 +87,6 @@ def test_a_warm_start_meets_the_cold_one_wherever_it_begins(mission, default_pla
     assert total_dv(mission, found) == pytest.approx(
         total_dv(mission, default_plan.stages[0]), rel=1e-5
     )
-
-
-def test_facets_are_those_of_the_p3_solution_and_all_hold(mission, default_plan):
-    """Those left out of the program too."""
-    p3, p2 = default_plan.stages
-    start, end = p3.result.lin, p2.result.lin
-    facets = choose_facets(mission.problem, mission.polytopes, start.iterate.mean, start.factor)
-    assert p3.facets is None
-    np.testing.assert_array_equal(p2.facets.normal, facets.normal)
-    np.testing.assert_array_equal(p2.facets.offset, facets.offset)
-    assert facets.margin(end.iterate.mean, end.factor).min() >= -SCvx.feasible
-    margin = facets.margin(start.iterate.mean, start.factor)
-    assert not (margin < mission.clearances[0]).all()
 
 
 def test_a_facet_round_is_kept_only_while_it_is_cheaper(mission, default_plan):

@@ -8,8 +8,6 @@ from pathlib import Path
 from typing import Any, get_args, get_origin
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from pydantic import BaseModel, ValidationError
 
 from scp_recon.errors import InputError
@@ -162,27 +160,6 @@ def test_an_override_changes_one_entry(override, path, value, scenario):
 def test_epoch_may_be_a_toml_date_or_a_string(scenario):
     for text in ("2020-01-21T20:33:17.184", '"2020-01-21T20:33:17.184"'):
         assert load_scenario(None, [f"epoch.tdb={text}"]) == scenario
-
-
-@given(
-    p=st.floats(0.5, 1.0 - 1e-9, exclude_min=True),
-    dv=st.floats(1e-6, 1e6),
-    times=st.lists(st.floats(1.0, 1e6), min_size=1, max_size=10, unique=True).map(sorted),
-    ball=st.sampled_from(["paper", "tangent"]) | st.integers(4, 512),
-    window=st.none() | st.tuples(st.floats(0.0, 1e5), st.floats(0.0, 1e5)),
-)
-def test_json_round_trip(p, dv, times, ball, window):
-    overrides = [
-        f"risk.p_chance={p!r}",
-        f"burns.dv_max_m_s={dv!r}",
-        f"burns.times_s={[0.0, *times]}",
-        f"polytopes.ball={ball}",
-        *([] if window is None else [f"observation.window_s={list(window)}"]),
-    ]
-    scenario = load_scenario(None, overrides)
-    assert Scenario.model_validate_json(scenario.model_dump_json()) == scenario
-    text = json.dumps(scenario.model_dump(mode="json"))
-    assert validate_scenario(json.loads(text)) == scenario
 
 
 BAD_VALUES = [

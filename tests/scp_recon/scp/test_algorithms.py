@@ -22,7 +22,7 @@ from scp_recon.scp.algorithms import ALGORITHMS, PTR, SCvx, SCvxStar
 from scp_recon.scp.loop import Algorithm, Record, Result, State, Timing, Trial, run
 from scp_recon.scp.status import Status
 from tests.scenarios import COARSE
-from tests.scp_recon.support import burns_of, fly, mission_of
+from tests.scp_recon.support import mission_of
 
 OTHERS = ["ptr", "scvx-star"]
 
@@ -244,13 +244,6 @@ def test_the_dearest_plan_is_told_by_the_limits_of_the_merit(dv_max, verdict):
 @pytest.fixture(scope="module")
 def optimum(default_plan) -> Linearisation:
     return default_plan.final.result.lin
-
-
-def test_rollout_is_the_flight_with_the_burns(mission, optimum):
-    burns = optimum.iterate.burns * [[1.3], [0.5], [-1.0], [2.0]]
-    rolled = mission.dynamics.rollout(mission.problem.initial_state, burns) * mission.units.state
-    flown = fly(mission, burns_of(mission, burns), mission.times_s)
-    np.testing.assert_allclose(rolled[:, :3], flown[:, :3], rtol=0.0, atol=5e-3)
 
 
 @pytest.mark.parametrize("size", [1e-4, 1e-2, 0.1])

@@ -8,7 +8,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from experiments.model_fidelity.models import Plates
 from scp_recon.errors import InputError
 from scp_recon.mission.schedule import Mode
 from scp_recon.physics import geometry
@@ -36,20 +35,6 @@ def test_the_packaged_vehicle_is_the_papers(vehicle):
     assert len(vehicle.micro_thrusters.directions) == 8
     assert (vehicle.loads.warm_up_w, vehicle.loads.observation_w) == (115.0, 90.0)
     assert np.linalg.eigvalsh(vehicle.inertia).min() > 0.0
-
-
-def test_the_plates_are_closed_but_for_what_shades_itself(vehicle):
-    """As much area looks along an axis as against it, where neither stage hides the other."""
-    plates = Plates.of(vehicle)
-    areas = plates.areas_m2[:, None] * np.maximum(
-        0.0, plates.normals @ np.vstack([np.eye(3), -np.eye(3)]).T
-    )
-    front, left, top, back, right, bottom = areas.sum(axis=0)
-    assert front == pytest.approx(back)
-    assert left == pytest.approx(right)
-    assert top == pytest.approx(bottom)
-    # The wings with both stages and no shading: 0.3 x 0.3 + 0.3 x 0.12 + 2 x 0.3 x 1.2 m.
-    assert back == pytest.approx(0.846)
 
 
 def test_micro_thrusters_make_every_torque_without_a_force(vehicle):
