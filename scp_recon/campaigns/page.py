@@ -106,7 +106,7 @@ def render(results: CampaignResults, made: datetime) -> str:
     done = len(results.table)
     return render_offline(
         "campaign.html",
-        "campaign.js",
+        ("campaign.js",),
         charts,
         "scp_recon.campaigns",
         title=f"{results.campaign.do}, {results.base.name}: {', '.join(names) or 'one case'}",

@@ -71,8 +71,9 @@ class Flown:
         return len(self.executed_m_s)
 
 
-def fly(subject: Subject, samples: int = SAMPLES) -> Flown:
-    """Fly a plan at its nodes' times and at even ones in the window."""
+def fly(subject: Subject, samples: int | None = None) -> Flown:
+    """Fly a plan at its nodes' times and at even ones in the window, as often as the verification."""
+    samples = samples or SAMPLES
     mission, burns = subject.mission, subject.solution.burns_m_s
     policy = subject.solution.corrections
     first, last = subject.window_s
@@ -332,8 +333,10 @@ class Shown:
     ground: GroundTrack
 
     @classmethod
-    def of(cls, subject: Subject, shape: Shape, camera: Camera) -> Shown:
+    def of(
+        cls, subject: Subject, shape: Shape, camera: Camera, samples: int | None = None
+    ) -> Shown:
         """Fly a plan and work out what it shows."""
-        flown, ground = fly(subject), ground_track(subject, shape, camera)
+        flown, ground = fly(subject, samples), ground_track(subject, shape, camera)
         found, budget = achieved(subject, flown), budget_of(subject, flown)
         return cls(subject, shape, camera, flown, found, budget, ground)

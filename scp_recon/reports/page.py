@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import re
 import shlex
+from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
-from typing import Any
+from functools import cache
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -16,10 +18,14 @@ from scp_recon.planning.plan import NOT_CHECKED
 from scp_recon.reports.flights import SO_FAR, Shown
 from scp_recon.reports.marks import BODY, Trace, script
 from scp_recon.reports.subject import Subject
+from scp_recon.results.solution import Solution
 from scp_recon.results.table import Table
 from scp_recon.scenario.time_scales import instant, iso_utc, shown_utc
 from scp_recon.scp.status import Status
 from scp_recon.verification.remedies import what_next
+
+if TYPE_CHECKING:
+    from jinja2 import Environment
 
 OWN = "scp_recon.reports"
 SHOWN = 12
@@ -189,32 +195,39 @@ def render(page: Page) -> str:
     """One HTML file that needs nothing else."""
     subjects = [plan.subject for plan in page.plans]
     first = subjects[0]
-    data = {
-        "scene": page.scene,
-        "charts": page.charts,
-        "cursors": CURSORS,
-        "epoch_utc": iso_utc(instant(first.solution.scenario.epoch.tdb))[:23] + "Z",
-        "file": f"{first.solution.scenario.name}-{first.solution.plan_hash[:SHOWN]}",
-    }
     return render_offline(
         "page.html",
-        "report.js",
-        data,
+        ("report.js",),
+        script_data(page.scene, page.charts, first.solution),
         page=page,
+        charts=page.charts,
         first=page.plans[0],
         names=[subject.name for subject in subjects],
         verdicts=map(verdict_of, page.plans),
         title=", ".join(dict.fromkeys(s.solution.scenario.name for s in subjects)),
         identity=identity(page),
         notes=NOTES,
-        groups=_groups(page),
+        groups=groups_of(page.scene),
     )
 
 
-def _groups(page: Page) -> list[tuple[str, bool, str]]:
+def script_data(
+    scene: dict[str, Any], charts: Sequence[dict[str, Any]], first: Solution
+) -> dict[str, Any]:
+    """What `report.js` draws; `first` is the first plan."""
+    return {
+        "scene": scene,
+        "charts": charts,
+        "cursors": CURSORS,
+        "epoch_utc": iso_utc(instant(first.scenario.epoch.tdb))[:23] + "Z",
+        "file": f"{first.scenario.name}-{first.plan_hash[:SHOWN]}",
+    }
+
+
+def groups_of(scene: dict[str, Any]) -> list[tuple[str, bool, str]]:
     """Groups of traces that the view shows and hides: name, whether shown at first, colour."""
     found: dict[str, tuple[bool, str]] = {}
-    for trace in page.scene["traces"]:
+    for trace in scene["traces"]:
         shown = trace.get("visible", True) is not False
         colour = next((c for c in _colours(trace) if c), BODY)
         found.setdefault(trace["meta"]["group"], (shown, colour))
@@ -231,33 +244,44 @@ def made_by(made: datetime) -> str:
 
 
 def render_offline(
-    template: str, javascript: str, data: Any, package: str = OWN, **shown: Any
+    template: str, javascript: Sequence[str], data: Any, package: str = OWN, **shown: Any
 ) -> str:
     """A template's HTML with all that it needs; its charts are begun once it can be read.
 
-    Template and script are files in the package's `page_files`; the style and `scripts.html` are the
-    report's. The script is given `data`, the template what is `shown`.
+    Template and scripts are files in the package's `page_files`; the style and `scripts.html` are the
+    report's. The scripts are given `data`, the template what is `shown`.
     """
-    from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
-
-    loader = ChoiceLoader([PackageLoader(name, "page_files") for name in (package, OWN)])
-    pages = Environment(
-        loader=loader,
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
+    pages = _pages(package)
 
     def text(name: str) -> str:
-        return loader.get_source(pages, name)[0]
+        assert pages.loader is not None
+        return pages.loader.get_source(pages, name)[0]
 
     return pages.get_template(template).render(
         **shown,
         css=text("report.css"),
-        js=text(javascript),
+        js="\n".join(map(text, javascript)),
         plotly=plotly_script(),
         data=script(data),
+    )
+
+
+def render_part(template: str, **shown: Any) -> str:
+    """The HTML of a part of the report's page."""
+    return _pages(OWN).get_template(template).render(**shown)
+
+
+@cache
+def _pages(package: str) -> Environment:
+    """Templates of a package and of the report."""
+    from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
+
+    return Environment(
+        loader=ChoiceLoader([PackageLoader(name, "page_files") for name in (package, OWN)]),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
     )
 
 

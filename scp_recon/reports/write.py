@@ -84,7 +84,7 @@ def page_of(subjects: Sequence[Subject], camera: Camera, made: datetime) -> Page
         tables=tuple(tuple(tables_of(plan.subject, plan.budget)) for plan in plans),
         comparison=comparison if len(subjects) > 1 else None,
         scene=scene(plans, shape),
-        charts=tuple(_charts(plans)),
+        charts=tuple(all_charts(plans)),
         made=made,
     )
 
@@ -100,7 +100,7 @@ def charts_of(given: Sequence[Solution | Path]) -> dict[str, Figure]:
 
     subjects = subjects_of(given)
     shape = shape_of(subjects[0].solution.scenario)
-    drawn = _charts([Shown.of(subject, shape, Camera()) for subject in subjects])
+    drawn = all_charts([Shown.of(subject, shape, Camera()) for subject in subjects])
     return {
         one["key"]: Figure(one["data"], one["layout"] | {"title": {"text": one["title"]}})
         for one in drawn
@@ -131,7 +131,7 @@ def tables_of(subject: Subject, budget: Budget) -> list[Table]:
     return [each for each in found if each.rows]
 
 
-def _charts(plans: Sequence[Shown]) -> Iterator[dict[str, Any]]:
+def all_charts(plans: Sequence[Shown]) -> Iterator[dict[str, Any]]:
     """In the order of the page."""
     subjects = [plan.subject for plan in plans]
     observes = any(len(plan.flown.window) for plan in plans)  # none does after the window

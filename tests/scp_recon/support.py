@@ -5,7 +5,6 @@ import copy
 import io
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -46,9 +45,8 @@ def mission_of(*overrides: str) -> Mission:
 
 def fly_few(patch) -> None:
     """Have verifications and reports fly few: where what is tested depends not on their number."""
-    for module in (probabilities, reintegration):
+    for module in (probabilities, reintegration, flights):
         patch.setattr(module, "SAMPLES", 500)
-    patch.setattr(flights, "fly", partial(flights.fly, samples=500))
 
 
 def flight_beyond(mission: Mission) -> Iterate:

@@ -1,8 +1,8 @@
 "use strict";
 /* Draws the charts of the page and moves the 3-D view in time; everything drawn comes from Plotly. */
 window.report = (() => {
-  const data = JSON.parse(document.getElementById("report-data").textContent);
-  const motion = data.scene.motion;
+  let data = JSON.parse(document.getElementById("report-data").textContent);
+  let motion = data.scene.motion;
   const scene = document.getElementById("flight");
   const slider = document.getElementById("time");
   const root = document.documentElement;
@@ -16,7 +16,7 @@ window.report = (() => {
     modeBarButtons: buttons[name] || buttons.chart,
     toImageButtonOptions: { filename: `${data.file}-${name}`, scale: 2 },
   });
-  const [start, end] = motion.ends_s;
+  let [start, end] = motion.ends_s;
   const { t_s: ticks, window_s: observed } = motion.plans[0];
   let time = Math.max((observed[0] + observed[1]) / 2, ticks[0]);
   let playing = false, printing = false;
@@ -88,7 +88,8 @@ window.report = (() => {
 
   // ---- the view -----------------------------------------------------------------------------
 
-  const bases = data.scene.traces.map(({ x, y, z }) => [x, y, z]);
+  const basesOf = (traces) => traces.map(({ x, y, z }) => [x, y, z]);
+  let bases = basesOf(data.scene.traces);
 
   function turned([x, y, z], m, shift = [0, 0, 0]) {
     return m.map((row, i) => x.map((_, k) => row[0] * x[k] + row[1] * y[k] + row[2] * z[k] + shift[i]));
@@ -196,6 +197,7 @@ window.report = (() => {
     side: { eye: { x: 0.05, y: -1.8, z: 0.05 }, up: { x: 0, y: 0, z: 1 } },
   };
   const camera = () => scene._fullLayout.scene._scene.getCamera();
+  const kept = (layout) => ({ ...layout, scene: { ...layout.scene, camera: camera() } });
   const look = (eye, up, center) => Plotly.relayout(scene, { "scene.camera": { eye, up, center } }).then(later);
   const middle = { x: 0, y: 0, z: 0 };
 
@@ -224,16 +226,17 @@ window.report = (() => {
 
   const charts = [...document.querySelectorAll("[data-chart]")];
   const ready = new Set();
+  const chartOf = (div) => data.charts[Number(div.dataset.chart)];
 
   async function draw(div) {
     if (ready.has(div)) return;
     ready.add(div);
-    const { key, data: traces, layout } = data.charts[Number(div.dataset.chart)];
+    const { key, data: traces, layout } = chartOf(div);
     await Plotly.newPlot(div, traces, themed(layout), config(key));
   }
 
   function now(div) {
-    const { key, layout, data: traces } = data.charts[Number(div.dataset.chart)];
+    const { key, layout, data: traces } = chartOf(div);
     if (data.cursors.includes(key)) {
       const line = { type: "line", xref: "x", yref: "paper", x0: time, x1: time, y0: 0, y1: 1, line: { color: colours(isDark()).ink, width: 1 } };
       Plotly.relayout(div, { shapes: [...layout.shapes, line] });
@@ -246,6 +249,25 @@ window.report = (() => {
     }
   }
 
+  /* Other plans of the same body, drawn in place of these; time, camera and what is shown stay. */
+  async function replace(given) {
+    const hidden = new Set([...document.querySelectorAll("[data-group]:not(:checked)")].map((box) => box.dataset.group));
+    data = given;
+    motion = data.scene.motion;
+    [start, end] = motion.ends_s;
+    bases = basesOf(data.scene.traces);
+    data.scene.traces.forEach((trace) => { trace.visible = !hidden.has(trace.meta.group); });
+    time = Math.min(Math.max(time, start), end);
+    [slider.min, slider.max, slider.value] = [start, end, time].map(String);
+    readout();
+    await Plotly.react(scene, drawn(), themed(kept(data.scene.layout)), config("view"));
+    for (const div of ready) {
+      const { key, data: traces, layout } = chartOf(div);
+      await Plotly.react(div, traces, themed(layout), config(key));
+    }
+    later();
+  }
+
   /* What may wait until nothing moves: the time in the charts; later the picture that is printed. */
   let waiting = 0, picturing = 0;
   function later() {
@@ -256,8 +278,7 @@ window.report = (() => {
   }
 
   async function picture() {
-    const layout = { ...data.scene.layout, scene: { ...data.scene.layout.scene, camera: camera() } };
-    const figure = { data: scene.data, layout: themed(layout, false) };
+    const figure = { data: scene.data, layout: themed(kept(data.scene.layout), false) };
     const still = document.getElementById("still");
     still.src = await Plotly.toImage(figure, { format: "png", width: 1000, height: 660 });
     still.dataset.time = String(time);
@@ -266,9 +287,9 @@ window.report = (() => {
   // ---- theme and print ----------------------------------------------------------------------
 
   function restyled() {
-    Plotly.relayout(scene, themed({ ...data.scene.layout, scene: { ...data.scene.layout.scene, camera: camera() } }));
+    Plotly.relayout(scene, themed(kept(data.scene.layout)));
     ready.forEach((div) => {
-      Plotly.relayout(div, themed(data.charts[Number(div.dataset.chart)].layout));
+      Plotly.relayout(div, themed(chartOf(div).layout));
       now(div);
     });
   }
@@ -286,13 +307,13 @@ window.report = (() => {
     const still = document.getElementById("still");
     const view = scene._fullLayout && scene._fullLayout.scene._scene;
     if (view && !still.getAttribute("src")) still.src = view.toImage("png");
-    ready.forEach((div) => Plotly.relayout(div, { ...themed(data.charts[Number(div.dataset.chart)].layout), width: 690 }));
+    ready.forEach((div) => Plotly.relayout(div, { ...themed(chartOf(div).layout), width: 690 }));
     document.querySelectorAll("details").forEach((each) => { each.open = true; });
   }
   window.addEventListener("beforeprint", toPrint);
   window.addEventListener("afterprint", () => {
     printing = false;
-    ready.forEach((div) => Plotly.relayout(div, { ...themed(data.charts[Number(div.dataset.chart)].layout), width: null, autosize: true }));
+    ready.forEach((div) => Plotly.relayout(div, { ...themed(chartOf(div).layout), width: null, autosize: true }));
   });
 
   // ---- controls -----------------------------------------------------------------------------
@@ -387,5 +408,5 @@ window.report = (() => {
   const rest = first.then(() => charts.reduce(
     (before, div) => before.then(() => new Promise((done) => idle(() => done(draw(div))))), Promise.resolve(),
   )).then(() => { performance.mark("all-drawn"); later(); });
-  return { first, rest, show, toPrint, craftAt, camera, time: () => time };
+  return { first, rest, show, replace, toPrint, craftAt, camera, time: () => time };
 })();

@@ -9,7 +9,7 @@ import pytest
 
 import scp_recon as sr
 from scp_recon.reports.corrections import ELLIPSE, Spreads, correction_charts
-from scp_recon.reports.flights import Shown, fly
+from scp_recon.reports.flights import Shown
 from scp_recon.reports.ground import Camera
 from scp_recon.reports.subject import Subject
 from scp_recon.reports.surfaces import shape_of
@@ -25,7 +25,7 @@ def subject() -> Subject:
 @pytest.fixture(scope="module")
 def shown(subject) -> Shown:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("scp_recon.reports.flights.fly", lambda one: fly(one, samples=200))
+        patch.setattr("scp_recon.reports.flights.SAMPLES", 200)
         return Shown.of(subject, shape_of(subject.solution.scenario), Camera())
 
 
