@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from scp_recon.api.campaigns import campaign, read_campaign
     from scp_recon.api.designing import design
     from scp_recon.api.drafts import new
+    from scp_recon.api.exploring import explore
     from scp_recon.api.files import charts, compare, export, load, report, save, verify
     from scp_recon.api.flights import fly, simulate
     from scp_recon.api.inputs import scenarios
@@ -57,6 +58,7 @@ __all__ = [
     "charts",
     "compare",
     "design",
+    "explore",
     "export",
     "fly",
     "load",
@@ -76,6 +78,7 @@ _ELSEWHERE = {
     "InputError": "errors",
     "campaign": "api.campaigns",
     "design": "api.designing",
+    "explore": "api.exploring",
     "fly": "api.flights",
     "load_scenario": "scenario.load",
     "new": "api.drafts",

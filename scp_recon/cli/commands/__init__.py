@@ -111,6 +111,13 @@ report = Command(
         },
     },
 )
+explore = Command(
+    "explore",
+    "scenarios",
+    "api.exploring.explore",
+    "Serve a page of sliders, on this machine alone. The plan and its 3-D view follow probability, "
+    "errors, limits, burn times and navigation. Ctrl-C ends it.",
+)
 export = Command(
     "export",
     "plans",
@@ -145,6 +152,7 @@ COMMANDS = {
         campaign,
         compare,
         report,
+        explore,
         export,
         new,
         windows,

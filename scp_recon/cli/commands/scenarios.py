@@ -1,4 +1,4 @@
-"""The commands about scenarios: draft one, which are packaged, when one is lit, the format of files."""
+"""The commands about scenarios: draft or explore one, packaged ones, when one is lit, their format."""
 
 from __future__ import annotations
 
@@ -33,6 +33,20 @@ from scp_recon.scenario.json_schema import schema_text
 from scp_recon.scenario.load import naming_files
 from scp_recon.scenario.schema import Scenario
 from scp_recon.scp.status import Status
+
+
+def explore(options: argparse.Namespace, console: Console) -> Answer:
+    """Serve the page until Ctrl-C."""
+    from scp_recon.api import exploring  # what plans and draws, of this command alone
+
+    exploring.explore(
+        options.scenario,
+        port=options.port,
+        no_browser=options.no_browser,
+        overrides=options.overrides,
+        progress=lambda address: show_line(console, f"{address} (Ctrl-C ends it)"),
+    )
+    return Answer(0, {})
 
 
 def new(options: argparse.Namespace, console: Console) -> Answer:

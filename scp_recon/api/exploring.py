@@ -1,0 +1,377 @@
+"""Serve a page on this machine with sliders for a scenario, whose plan and 3-D view follow."""
+
+from __future__ import annotations
+
+import json
+import webbrowser
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from http import HTTPStatus
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from threading import Lock
+from typing import Any
+
+from pydantic import ValidationError
+
+from scp_recon.api import files
+from scp_recon.api.inputs import scenario_of
+from scp_recon.api.planning import plan
+from scp_recon.errors import InputError, number_between, one_of, option, shortened, whole_number
+from scp_recon.mission.mission import Mission
+from scp_recon.reports import explorer as page
+from scp_recon.reports.flights import Shown
+from scp_recon.reports.write import check_extra
+from scp_recon.results.solution import Solution, make_solution
+from scp_recon.scenario.dependencies import found, layer_of
+from scp_recon.scenario.load import naming_files, scenario_text
+from scp_recon.scenario.schema import Scenario
+from scp_recon.scp.status import Status
+
+ADDRESS = "127.0.0.1"
+"""The page is served to this machine alone."""
+BYTES_MAX, SECONDS_MAX = 20_000, 30.0
+"""Of a request, and until all of it has come."""
+BURN, POLICY = "burns.times_s", "policy.kind"
+MEASURED = {
+    "navigation.sigma_position_m": ("position, 1 sigma (m)", 10.0),
+    "navigation.sigma_velocity_m_s": ("velocity, 1 sigma (m/s)", 0.0005),
+}
+"""With what feedback is tried of a scenario that measures nothing: as in docs/feedback.md."""
+Values = Mapping[str, Any]
+"""By the sliders' keys, of those that are not as in the scenario."""
+
+
+@dataclass(frozen=True)
+class Slider:
+    """An entry of a scenario that the page changes.
+
+    Attributes:
+        group: under which heading it stands.
+        key: its entry; of a burn's time with its place behind it.
+        label: with the unit.
+        value: in the scenario.
+        low: least value.
+        high: largest.
+        log: whether the slider is logarithmic.
+        power: of an entry of many numbers, which are multiplied by the value to it; 0 of a single one.
+    """
+
+    group: str
+    key: str
+    label: str
+    value: float
+    low: float
+    high: float
+    log: bool = False
+    power: int = 0
+
+
+SHARES = (
+    ("uncertainty.execution_error", "execution error, share of a burn"),
+    ("uncertainty.initial_sigma_fraction", "initial state, share of each component"),
+)
+MULTIPLIED = (
+    ("Errors", "uncertainty.gates", "execution errors", 1),
+    ("Errors", "uncertainty.initial_sigma_position_m", "initial position's sigmas", 1),
+    ("Errors", "uncertainty.initial_sigma_velocity_m_s", "initial velocity's sigmas", 1),
+    ("Errors", "uncertainty.initial_covariance", "initial sigmas", 2),
+    ("Navigation", "navigation.covariance", "measured sigmas", 2),
+)
+"""Group, entry of many numbers, what they are, and to which power the value multiplies them."""
+LIMITS = tuple(
+    (f"observation.{key}_{end}_{unit}", f"{key.replace('_', ' ')}, {words} ({unit})")
+    for key, unit in (("site_distance", "m"), ("emission", "deg"), ("phase", "deg"))
+    for end, words in (("min", "at least"), ("max", "at most"))
+)
+
+
+def sliders_of(scenario: Scenario) -> list[Slider]:
+    """The sliders for a scenario: those whose entries it has, group by group."""
+    tables = scenario.model_dump(mode="json", exclude_none=True)
+    p, lead = scenario.risk.p_chance, scenario.navigation.lead_s
+    rows = [Slider("Risk", "risk.p_chance", "required probability", p, min(p, 0.51), max(p, 0.999))]
+    for key, label in SHARES:
+        if (value := found(tables, key)) is not None:
+            rows.append(Slider("Errors", key, label, value, 0.0, max(0.2, value)))
+    multiplied = [
+        Slider(group, key, f"{what}, times the scenario's", 1.0, 0.1, 10.0, log=True, power=power)
+        for group, key, what, power in MULTIPLIED
+        if found(tables, key) is not None
+    ]
+    rows += [slider for slider in multiplied if slider.group == "Errors"]
+    for key, label in LIMITS:
+        if (value := found(tables, key)) is not None:
+            ends = (min(value, 1.0), max(value, 89.0)) if "deg" in key else (value / 5, 3 * value)
+            rows.append(Slider("Limits", key, label, value, *ends))
+    times = scenario.burns.times_s
+    for k in range(max(1, scenario.burns_flown), len(times) - 1):
+        ends = times[k - 1], times[k + 1]
+        rows.append(Slider("Burn times", f"{BURN}.{k}", f"burn {k + 1} (s)", times[k], *ends))
+    label = "cut-off before a burn (s)"
+    rows.append(Slider("Navigation", "navigation.lead_s", label, lead, 0.0, max(14_400.0, lead)))
+    if scenario.navigation.covariance is None:
+        for key, (label, usual) in MEASURED.items():
+            value = found(tables, key) or usual
+            ends = value / 100, 100 * value
+            rows.append(Slider("Navigation", key, label, value, *ends, log=True))
+    return rows + [slider for slider in multiplied if slider.group == "Navigation"]
+
+
+def changed(scenario: Scenario, sliders: Sequence[Slider], values: object) -> Scenario:
+    """The scenario with the values of sliders, and of `policy.kind`.
+
+    Raises:
+        InputError: if there is no such slider, a value is beyond its ends, or the scenario refuses it.
+    """
+    if not isinstance(values, Mapping):
+        raise InputError("values", shortened(values), "must be values by entry")
+    by_key = {slider.key: slider for slider in sliders}
+    tables = scenario.model_dump(mode="json", exclude_none=True)
+    changes: dict[str, Any] = {}
+    times = list(scenario.burns.times_s)
+    given = dict(values)
+    if POLICY in given:
+        changes[POLICY] = one_of(POLICY, given.pop(POLICY), ("open", "feedback"))
+        if changes[POLICY] == "feedback" and not scenario.navigation.measures:
+            given = {key: usual for key, (_, usual) in MEASURED.items()} | given
+    for key, value in given.items():
+        slider = by_key[one_of("values", key, by_key)]
+        number = number_between(key, value, slider.low, slider.high)
+        entry, _, place = key.rpartition(".")
+        if entry == BURN:
+            times[int(place)] = number
+            changes[BURN] = times
+        elif slider.power:
+            changes[key] = _scaled(found(tables, key), number**slider.power)
+        else:
+            changes[key] = number
+    return scenario.changed(layer_of(changes.items())) if changes else scenario
+
+
+def _scaled(value: Any, factor: float) -> Any:
+    """All numbers of nested tables and lists times a factor."""
+    if isinstance(value, Mapping):
+        return {key: _scaled(each, factor) for key, each in value.items()}
+    if isinstance(value, list):
+        return [_scaled(each, factor) for each in value]
+    return value * factor
+
+
+@dataclass(frozen=True, eq=False)
+class _Planned:
+    """A plan for some values of the sliders, as it is shown."""
+
+    values: Values
+    mission: Mission
+    solution: Solution
+    shown: Shown
+
+
+@dataclass(eq=False)
+class Explorer:
+    """Answers the page's questions about a scenario; the last plan is kept.
+
+    Attributes:
+        scenario: as it was given.
+        sliders: of the page.
+        kept: the last plan.
+    """
+
+    scenario: Scenario
+    sliders: list[Slider] = field(init=False)
+    kept: _Planned | None = None
+    _planning: Lock = field(default_factory=Lock)
+
+    def __post_init__(self) -> None:
+        self.sliders = sliders_of(self.scenario)
+
+    def planned(self, values: Values) -> _Planned:
+        """The plan for these values: what `plan` makes of that scenario, certified by no flights.
+
+        Raises:
+            InputError: if there is none for them.
+        """
+        with self._planning:
+            if self.kept is not None and self.kept.values == values:
+                return self.kept
+            scenario = changed(self.scenario, self.sliders, values)
+            exact = scenario.risk.allocation == "exact"
+            try:
+                made = plan(scenario, certify=False if exact else None)
+                solution = make_solution(made)
+            except ValidationError:  # as in `cli.commands.planning`: numbers that are not finite
+                raise InputError("scenario", "dynamics that are not finite", "must be") from None
+            self.kept = _Planned(values, made.mission, solution, page.shown_of(solution))
+            return self.kept
+
+    def answer(self, values: Values) -> dict[str, Any]:
+        """The plan for these values, not verified yet, and all that is drawn of it.
+
+        Raises:
+            InputError: if there is none for them.
+        """
+        planned = self.planned(values)
+        solution, mission = planned.solution, planned.mission
+        drawn = page.drawn(planned.shown)
+        converged = Status.named(solution.status) is Status.CONVERGED
+        iterations = ", ".join(f"{stage.name} {stage.iterations}" for stage in solution.stages)
+        legal = mission.schedule.firing_intervals_s[-len(mission.scenario.burn_times_s) :]
+        first = 1 + mission.scenario.burns_flown
+        return {
+            "values": planned.values,
+            "verdict": page.verdict(planned.shown, solution),
+            "cost": f"{solution.total_dv_m_s:.6f} m/s{'' if converged else f', {solution.status}'}",
+            "converged": converged,
+            "effort": f"iterations: {iterations}; planned in {solution.timing_s.total:.2f} s",
+            "plan_hash": solution.plan_hash,
+            "legal": {
+                f"{BURN}.{number - 1}": f"legal, the others kept: {low:.0f} to {high:.0f} s"
+                for number, (low, high) in enumerate(legal, start=first)
+            },
+            "drawn": drawn,
+            "toml": scenario_text(mission.scenario),
+        }
+
+    def verdict(self, values: Values) -> dict[str, Any]:
+        """The verdict on the plan for these values, by the flights of the verification.
+
+        Raises:
+            InputError: if there is none for them.
+        """
+        planned = self.planned(values)
+        solution = files.verified(planned.mission, planned.solution)
+        return {"values": values, "verdict": page.verdict(planned.shown, solution)}
+
+    def html(self) -> str:
+        """The page with the plan of the scenario as it was given."""
+        return page.render(self.planned({}).shown, self.sliders, self.answer({}))
+
+
+class Server(ThreadingHTTPServer):
+    """Serves one page to this machine; requests that a browser has opened and not sent hold up none."""
+
+    daemon_threads = True
+
+    def __init__(self, explorer: Explorer, port: int) -> None:
+        self.explorer = explorer
+        self.questions = {"/plan": explorer.answer, "/verdict": explorer.verdict}
+        super().__init__((ADDRESS, port), _Handler)
+
+    @property
+    def hosts(self) -> list[str]:
+        """Names of this server: a page of any other, whatever its name resolves to, is a stranger."""
+        return [f"{name}:{self.server_port}" for name in (ADDRESS, "localhost")]
+
+
+class _Handler(BaseHTTPRequestHandler):
+    """One request."""
+
+    server: Server
+    timeout = SECONDS_MAX
+
+    def do_GET(self) -> None:
+        """The page."""
+        if self._is_ours({"/"}):
+            html = self.server.explorer.html()
+            self._send(HTTPStatus.OK, html.encode(), "text/html; charset=utf-8")
+
+    def do_POST(self) -> None:
+        """A plan or a verdict, in JSON; where there is none for the values, the reason."""
+        if not self._is_ours(self.server.questions):
+            return
+        length = self.headers.get("Content-Length", "")
+        if not length.isdecimal() or int(length) > BYTES_MAX:
+            self._refuse(HTTPStatus.BAD_REQUEST, f"at most {BYTES_MAX} bytes, and their number")
+        elif self.headers.get_content_type() != "application/json":
+            self._refuse(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, "must be application/json")
+        else:
+            self._answer(self.rfile.read(int(length)))
+
+    def _answer(self, body: bytes) -> None:
+        try:
+            values = json.loads(body)
+        except (ValueError, RecursionError):
+            self._refuse(HTTPStatus.BAD_REQUEST, "must be JSON")
+            return
+        try:
+            answer = self.server.questions[self.path](values)
+        except InputError as error:
+            answer = {"refused": str(error)}
+        self._send(HTTPStatus.OK, json.dumps(answer, allow_nan=False).encode(), "application/json")
+
+    def _is_ours(self, paths: Sequence[str] | set[str] | Mapping[str, object]) -> bool:
+        """Whether this page asks for what there is; whoever else does is told no."""
+        origin, host = self.headers.get("Origin"), self.headers.get("Host")
+        if host not in self.server.hosts or origin not in (None, f"http://{host}"):
+            self._refuse(HTTPStatus.FORBIDDEN, "only this page may ask")
+        elif self.path not in paths:
+            known = self.path in ("/", *self.server.questions)
+            status = HTTPStatus.METHOD_NOT_ALLOWED if known else HTTPStatus.NOT_FOUND
+            self._refuse(status, f"must be {' or '.join(paths)}")
+        else:
+            return True
+        return False
+
+    def _refuse(self, status: HTTPStatus, reason: str) -> None:
+        self._send(status, f"{status.phrase}: {reason}\n".encode(), "text/plain; charset=utf-8")
+
+    def _send(self, status: HTTPStatus, body: bytes, kind: str) -> None:
+        with suppress(ConnectionError):  # who asked is gone
+            self.send_response(status)
+            self.send_header("Content-Type", kind)
+            self.send_header("Content-Length", str(len(body)))
+            self.send_header("Cache-Control", "no-store")
+            self.send_header("X-Content-Type-Options", "nosniff")
+            self.end_headers()
+            self.wfile.write(body)
+
+    def log_message(self, *_: object) -> None:
+        """Say nothing: the library is silent."""
+
+
+def explore(
+    scenario: Scenario | str | Path,
+    *,
+    port: int = 0,
+    no_browser: bool = False,
+    overrides: Sequence[str] = (),
+    progress: Callable[[str], None] = lambda _: None,
+) -> None:
+    """Serve a page with sliders for a scenario until Ctrl-C; its plan and 3-D view follow them.
+
+    Examples:
+        >>> import scp_recon as sr
+        >>> sr.explore("recon_b", port=80_000)
+        Traceback (most recent call last):
+        scp_recon.errors.InputError: port: got 80000; must be a whole number from 0 to 65535
+
+    Args:
+        scenario: a file, complete or with base = another, or a packaged one's name.
+        port: of 127.0.0.1, where this machine alone finds it; 0 for any free one.
+        no_browser: open no browser.
+        overrides: `section.entry=value` each, as of `load_scenario`.
+        progress: told where the page is.
+
+    Raises:
+        InputError: if the scenario cannot be planned, the extra [report] is missing, or the port is not
+            free.
+    """
+    port = whole_number(option("port"), port, 0, 65_535)
+    check_extra()
+    with naming_files(scenario, overrides):
+        explorer = Explorer(scenario_of(scenario, overrides))
+    try:
+        server = Server(explorer, port)
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise InputError(option("port"), f"{port} ({reason})", "must be free; 0 for any") from None
+    with server, suppress(KeyboardInterrupt):
+        with naming_files(scenario, overrides):
+            explorer.planned({})
+        address = f"http://{server.hosts[0]}/"
+        progress(address)
+        if not no_browser:
+            webbrowser.open(address)
+        server.serve_forever()
