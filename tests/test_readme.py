@@ -201,9 +201,7 @@ QUICK = {
     "--set navigation.sigma_position_m=10 --set navigation.sigma_velocity_m_s=0.0005": PLAIN,
     MEASURED: PLAIN,
     f"{EXACT} --objective probability --dv-budget 0.115": Quick(
-        "--certify no",
-        nightly=True,
-        less=(("scp_recon.api.planning.Search", lambda s: partial(s, close=1.0)),),
+        "--certify no", less=(("scp_recon.api.planning.Search", lambda s: partial(s, close=1.0)),)
     ),
     f"{RUN} explore recon_b": Quick("--no-browser", needs="plotly", less=NOT_SERVING),
     # where it may go

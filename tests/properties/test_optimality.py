@@ -270,7 +270,7 @@ def merit_of(
     return subproblem.merit(lin, charge)
 
 
-@pytest.mark.parametrize("algorithm", usually(["scvx-star", "ptr", "scvx"], 2))
+@pytest.mark.parametrize("algorithm", usually(["scvx-star", "ptr", "scvx"], 1))
 @expensive
 @given(scenarios())
 def test_accepted_steps_never_raise_the_merit(algorithm, overrides):

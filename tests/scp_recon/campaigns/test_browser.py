@@ -7,7 +7,7 @@ import pytest
 
 from scp_recon.campaigns.outcome import read_campaign
 from scp_recon.campaigns.page import write_pictures
-from tests.helpers import usually
+from tests.helpers import nightly
 from tests.scp_recon.browser import WINDOW, chromium, needed
 from tests.scp_recon.campaigns.shown import ERRORS, PLACES, campaign_of
 
@@ -22,7 +22,8 @@ def browser() -> Iterator[Any]:
         yield opened
 
 
-@pytest.mark.parametrize(("tables", "charts"), usually([(PLACES, 2), (ERRORS, 2)], 1))
+@nightly
+@pytest.mark.parametrize(("tables", "charts"), [(PLACES, 2), (ERRORS, 2)])
 def test_it_draws_opens_cases_and_asks_the_network_for_nothing(browser, tmp_path, tables, charts):
     campaign_of(tables, tmp_path)
     file = write_pictures(read_campaign(tmp_path))[0]

@@ -88,7 +88,7 @@ def test_from_every_leg_what_is_left_is_planned_and_verified(flown, at_s, left, 
     assert (found.missed is None) == (left > 1)
 
 
-@pytest.mark.parametrize("seed", [0, 2])
+@pytest.mark.parametrize("seed", usually([0, 2], 1))
 def test_before_the_window_a_flight_is_met_or_cannot_be_helped(flown, seed):
     """No burn is left before the window; what is infeasible says so at once, and by how much."""
     plan = again(flown, 8_000.0, drawn(flown, 8_000.0, seed))

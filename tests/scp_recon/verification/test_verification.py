@@ -116,7 +116,7 @@ FALSIFIED: dict[str, Change] = {
 
 
 @pytest.mark.usefixtures("few_flights")
-@pytest.mark.parametrize("name", usually([*FALSIFIED], 4))
+@pytest.mark.parametrize("name", usually([*FALSIFIED], 2))
 def test_a_falsified_solution_is_found_out(mission, solution, name):
     checked = verify(mission, changed(solution, FALSIFIED[name]))
     assert not checked.ok
@@ -222,7 +222,7 @@ def infeasible() -> tuple[Mission, Solution]:
 
 
 @pytest.mark.parametrize("figure", ["max", "total"])
-@pytest.mark.parametrize("factor", [0.0, 0.5, 1.0 - 1e-6, 1.0 + 1e-6, 2.0, 1e6])
+@pytest.mark.parametrize("factor", [0.0, 1.0 - 1e-6, 1.0 + 1e-6, 1e6])
 def test_a_violation_that_does_not_add_up_is_named(infeasible, figure, factor):
     """Of the whole but for rounding, or of one constraint by more than that."""
     case, found = infeasible
@@ -284,7 +284,7 @@ def test_a_window_edge_is_held_against_the_tolerance_of_reading(mission, solutio
             ("observation.phase_max_deg=60", "phase_max"),
             ("battery.observation_cone_deg=85", "battery_observation"),
         ],
-        4,
+        2,
     ),
 )
 def test_each_constraint_that_the_plan_breaks_is_named(solution, override, named):
