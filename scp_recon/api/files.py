@@ -38,6 +38,7 @@ AnyPlan = Plan | Solution | str | Path
 SPACECRAFT_MIN = -99_999
 """NAIF's numbers of spacecraft are below zero; their axes have a thousand times that, and SPICE counts
 to 2^31."""
+SPACECRAFT = -999
 FIELD_MAX_DEG, PIXELS_MAX = 170.0, 1_000_000
 CAMPAIGN = "campaign.json"
 
@@ -209,8 +210,9 @@ def report(
 def charts(*plans: AnyPlan) -> dict[str, Figure]:
     """Draw the charts of `report`, for a notebook: Plotly's figures by name.
 
-    With feedback these are, besides others, "knowledge" and dispersion over time, "ellipses" before
-    and after each correction, and the distribution of the "commanded" delta-v.
+    "flight" is the view in 3-D as it stands amid the observation window. With feedback there are
+    "knowledge" and dispersion over time, "ellipses" before and after each correction, and the
+    distribution of the "commanded" delta-v.
 
     Args:
         plans: one to six, of one body; what lies beside a plan's file is shown with it.
@@ -221,7 +223,7 @@ def charts(*plans: AnyPlan) -> dict[str, Figure]:
     from scp_recon.reports import write
 
     _require_some(plans)
-    return write.charts_of(_shown(plans))
+    return write.charts_of([solution_of(p) if isinstance(p, Plan) else p for p in _shown(plans)])
 
 
 def _shown(plans: tuple[AnyPlan, ...]) -> list[Solution | Path]:
@@ -266,7 +268,7 @@ def export(
     format: str,  # noqa: A002 -- as the command line and every other tool has it
     out: str | Path = "export",
     *,
-    spacecraft: int = -999,
+    spacecraft: int = SPACECRAFT,
     vehicle: str | Path | None = None,
 ) -> Exported:
     """Write a plan for other tools: its burns are flown again, densely enough for their interpolation.
@@ -292,13 +294,17 @@ def export(
     one_of(option("format"), format, FORMATS)
     spacecraft = whole_number(option("spacecraft"), spacecraft, SPACECRAFT_MIN, -1)
     require(format)
-    mission, solution = open_plan(plan)
     craft = load_vehicle(None if vehicle is None else path_of(option("vehicle"), vehicle))
-    path = fly_path(mission, solution)
-    ids = Ids(spacecraft, mission.scenario.body.naif_id or UNNAMED_BODY_ID)
-    found, place = Export(solution, mission, path, ids), path_of(option("out"), out)
+    found, place = export_of(plan, spacecraft), path_of(option("out"), out)
     check_writable(place, f"{stem(found)}.{format}", option("out"))
     try:
         return Exported(write_export(found, format, place, craft), found)
     except OSError as error:
         raise unwritable(place, option("out"), error) from None
+
+
+def export_of(plan: AnyPlan, spacecraft: int = SPACECRAFT) -> Export:
+    """A plan with its burns flown again, as other tools take it."""
+    mission, solution = open_plan(plan)
+    ids = Ids(spacecraft, mission.scenario.body.naif_id or UNNAMED_BODY_ID)
+    return Export(solution, mission, fly_path(mission, solution), ids)

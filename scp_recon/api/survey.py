@@ -62,7 +62,7 @@ def windows(
     with naming_files(scenario):
         found = survey(given, (first, first + span_days * DAY_S))
     if csv is not None:
-        _write_result(Path(csv), option("csv"), survey_csv(given, found))
+        _write_result(Path(csv), option("csv"), survey_table(found).csv())
     if chart is not None:
         path = Path(chart)
         _write_result(path, option("chart"), draw_windows(given, found, path.suffix))
@@ -82,12 +82,12 @@ def tdb(scenario: Scenario, time_s: float) -> str:
     return date.replace(microsecond=0).isoformat()
 
 
-def survey_csv(scenario: Scenario, survey: Survey) -> str:
+def survey_table(survey: Survey) -> Table:
     """One row for each window; times in s past the scenario's epoch, and edges as TDB dates too.
 
     An interval that is empty has its first above its second.
     """
-    burns = range(1, len(scenario.burns.times_s) + 1)
+    burns = range(1, len(survey.scenario.burns.times_s) + 1)
     names = (
         *("opens_tdb", "closes_tdb", "opens_s", "closes_s", "least_incidence_deg"),
         *("local_solar_time_opens_h", "local_solar_time_closes_h"),
@@ -95,7 +95,7 @@ def survey_csv(scenario: Scenario, survey: Survey) -> str:
     )
     rows = (
         [
-            *(tdb(scenario, edge) for edge in w.edges_s),
+            *(tdb(survey.scenario, edge) for edge in w.edges_s),
             *w.edges_s,
             float(np.rad2deg(w.least_incidence_rad)),
             *w.local_solar_time_h,
@@ -103,4 +103,4 @@ def survey_csv(scenario: Scenario, survey: Survey) -> str:
         ]
         for w in survey.windows
     )
-    return Table.of("Windows", names, rows).csv()
+    return Table.of("Windows", names, rows)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import minimize_scalar
 
+from scp_recon.display import Tabulated
 from scp_recon.errors import InputError
 from scp_recon.mission.legal_burns import Interval, burns_before, legal_burns, legal_shifts
 from scp_recon.mission.scene import Scene
@@ -46,14 +47,16 @@ class LitWindow:
 
 
 @dataclass(frozen=True)
-class Survey:
+class Survey(Tabulated):
     """Windows in a span, in seconds past the scenario's epoch, by two-body motion.
 
     Attributes:
+        scenario: whose windows they are.
         lighting: of the site.
         span_s: first and last time searched.
     """
 
+    scenario: Scenario
     lighting: Lighting
     span_s: Window
     windows: tuple[LitWindow, ...]
@@ -102,7 +105,7 @@ def survey(scenario: Scenario, span_s: Window) -> Survey:
         )
         for edges in whole_windows(found, span_s)
     ]
-    return Survey(lighting, span_s, tuple(windows), found == [span_s], before)
+    return Survey(scenario, lighting, span_s, tuple(windows), found == [span_s], before)
 
 
 def _to_sun(scenario: Scenario, span_s: Window) -> OfTime:

@@ -11,6 +11,7 @@ from pydantic import Field, model_validator
 from scipy.special import chdtri
 
 from formulations.arrays import Array
+from scp_recon.display import Displayed
 from scp_recon.files import write_atomically
 from scp_recon.mission.scene import TruthModel
 from scp_recon.monte_carlo.estimates import CONFIDENCE, Estimate, Tally, proportion
@@ -214,7 +215,7 @@ class Strata(Section):
     flights: Count
 
 
-class Summary(File):
+class Summary(Displayed, File):
     """Results of many flights; `plan_hash` is that of the plan flown, null in older files.
 
     Attributes:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from html import escape
 from typing import Annotated, Any, ClassVar, Literal, Protocol, TypeVar
 
 import numpy as np
@@ -24,6 +23,7 @@ from formulations.risk.strata import Counted
 from formulations.rows.cones import FINAL_POSITION, FINAL_VELOCITY, Margins
 from formulations.rows.corrected_burns import BATTERY, SIZE
 from formulations.rows.uniform import DeterministicRows
+from scp_recon.display import Displayed
 from scp_recon.errors import Named
 from scp_recon.mission.grid import Units
 from scp_recon.mission.mission import Mission
@@ -223,7 +223,7 @@ class Parent:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Plan:
+class Plan(Displayed):
     """The stages of planning a mission; `final` holds the answer.
 
     A plan is data: it pickles and copies, its arrays are read-only, and it equals another one of the
@@ -377,10 +377,6 @@ class Plan:
         """One line; only a `Solution` knows whether it is verified."""
         name, dv = self.mission.scenario.name, self.total_dv_m_s
         return f"<Plan {name}: {self.status.value.name}, {NOT_CHECKED}, {dv:.6f} m/s>"
-
-    def _repr_html_(self) -> str:
-        """The plan as HTML, for a notebook."""
-        return f"<pre>{escape(str(self))}</pre>"
 
     @property
     def _identity(self) -> tuple[object, ...]:

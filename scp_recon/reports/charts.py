@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from formulations.arrays import Array
+from scp_recon.monte_carlo.summary import Summary
 from scp_recon.reports.flights import SO_FAR, History, Shown
 from scp_recon.reports.ground import degrees_of, terminator
 from scp_recon.reports.marks import (
@@ -27,6 +28,7 @@ from scp_recon.reports.marks import (
     significant,
 )
 from scp_recon.reports.subject import Subject
+from scp_recon.reports.tables import called
 from scp_recon.simulation.guidance import CONTROL_PERIOD_S
 from scp_recon.simulation.record import Record
 
@@ -268,6 +270,34 @@ def budget_chart(plans: Sequence[Shown]) -> dict[str, Any]:
             }
         )
     return panels.chart("budget", "Delta-v of every burn")
+
+
+def held_chart(flights: Summary) -> dict[str, Any]:
+    """Share of flights that keep each limit of the observation for so long, or longer."""
+    x_title = "time in the observation window for which limits hold (s)"
+    panels = Panels(["share of the flights that hold at least so long (%)"], x_title, 300)
+    for number, (name, held) in enumerate(flights.held_s.items()):
+        longer = 100.0 * np.cumsum(held.histogram.count[::-1])[::-1] / flights.samples
+        times, share = np.append(0.0, held.histogram.start), np.append(100.0, longer)
+        said = f"{called(name)}: {100.0 * held.throughout.estimate.value:.1f} % throughout"
+        panels.curve(times, share, said, number, line={"shape": "vh"})
+    return panels.chart("held", f"Time observed, of {flights.samples} flights")
+
+
+def lowest_chart(flights: Summary) -> dict[str, Any]:
+    """Lowest probability of each joint constraint with its interval."""
+    panels = Panels(["lowest probability (1)"], "", 300)
+    panels.layout |= {"hovermode": "closest", "showlegend": False}
+    found = {called(name): one.estimate for name, one in flights.probability.items()}
+    if flights.whole_flight is not None:
+        found["whole flights"] = flights.whole_flight.estimate
+    values = np.array(list(found.values()))
+    trace = points([*found], significant(values[:, 0]), "flights", size=11, color=PLANS[0])
+    whiskers = {"array": significant(values[:, 2] - values[:, 0])}
+    whiskers |= {"arrayminus": significant(values[:, 0] - values[:, 1])}
+    panels.data.append(trace | {"error_y": {"type": "data", "symmetric": False, **whiskers}})
+    title = f"Lowest probabilities, of {flights.samples} flights, with 95 % intervals"
+    return panels.chart("probability", title)
 
 
 def convergence_chart(subjects: Sequence[Subject]) -> dict[str, Any]:

@@ -31,6 +31,7 @@ from scp_recon.reports.marks import (
     SUN,
     VIEW,
     Trace,
+    chart,
     compact,
     lines,
     mesh,
@@ -126,6 +127,35 @@ def scene(plans: Sequence[Shown], shape: Shape) -> dict[str, Any]:
             "plans": [_moving(frame, one) for one in plans],
         },
     }
+
+
+def picture(plans: Sequence[Shown], shape: Shape) -> dict[str, Any]:
+    """The view as it stands amid the first plan's window, as a chart: nothing moves it."""
+    shown, mission = scene(plans, shape), plans[0].subject.mission
+    frame, at_s = frame_of(plans), float(np.mean(mission.schedule.window_s))
+    body = frame.to_j2000.T @ mission.rotation.body_to_j2000(at_s)
+    sun = frame.seen(mission.sun_direction(at_s)) @ body
+    traces: list[Trace] = []
+    for trace in shown["traces"]:
+        about = trace["meta"]
+        if trace.get("visible") is False or about.get("moves") in ("view", "cloud"):
+            continue
+        xyz = np.array([trace[axis] for axis in "xyz"], dtype=float)
+        if about.get("moves") == "body":
+            xyz = body @ xyz
+        elif about.get("moves") == "craft":
+            xyz = frame.seen(plans[about["plan"]].subject.positions(np.array([at_s]))).T
+        placed = trace | dict(zip("xyz", compact(xyz, 1), strict=True))
+        if "lit" in about:
+            placed["intensity"] = compact(shape.normals @ sun, 3)
+        # A path is named by its plan where there are several, all else by what it is, once.
+        several = len(plans) > 1 and about["group"] == "planned path"
+        name = trace["name"] if several else about["group"]
+        first = all(name != other["legendgroup"] for other in traces)
+        traces.append(placed | {"name": name, "legendgroup": name, "showlegend": first})
+    legend = {"orientation": "h", "yanchor": "top", "y": 0.0}
+    layout = shown["layout"] | {"height": 640, "showlegend": True, "legend": legend}
+    return chart("flight", "The flight, as it stands amid the observation window", traces, layout)
 
 
 def _rotation(frame: Frame, mission: Mission) -> dict[str, Any]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -23,7 +23,7 @@ from scp_recon.reports.flights import (
 )
 from scp_recon.reports.ground import Camera
 from scp_recon.reports.page import Page, render
-from scp_recon.reports.scene import scene
+from scp_recon.reports.scene import picture, scene
 from scp_recon.reports.subject import Subject, subjects_of
 from scp_recon.reports.surfaces import shape_of
 from scp_recon.results.comparison import compare
@@ -35,6 +35,8 @@ if TYPE_CHECKING:
 
 FILE_NAME, UNVERIFIED_NAME = "report.html", "report_unverified.html"
 """Beside a plan, and beside one that a verified one keeps from its place."""
+TITLE_PX = 52
+"""Above a chart that stands alone, for its title."""
 
 
 def check_extra() -> None:
@@ -90,21 +92,32 @@ def page_of(subjects: Sequence[Subject], camera: Camera, made: datetime) -> Page
 
 
 def charts_of(given: Sequence[Solution | Path]) -> dict[str, Figure]:
-    """The page's charts but the view in 3-D, by their keys, as figures of Plotly.
+    """The page's view in 3-D as a picture, and its charts, by their keys, as figures of Plotly.
 
     Raises:
         InputError: as `write_report`.
     """
     check_extra()
-    from plotly.graph_objects import Figure
-
     subjects = subjects_of(given)
     shape = shape_of(subjects[0].solution.scenario)
-    drawn = all_charts([Shown.of(subject, shape, Camera()) for subject in subjects])
-    return {
-        one["key"]: Figure(one["data"], one["layout"] | {"title": {"text": one["title"]}})
-        for one in drawn
-    }
+    plans = [Shown.of(subject, shape, Camera()) for subject in subjects]
+    return figures_of((picture(plans, shape), *all_charts(plans)))
+
+
+def figures_of(drawn: Iterable[dict[str, Any]]) -> dict[str, Figure]:
+    """Charts by their keys as figures of Plotly, which is there; their titles stand above them."""
+    from plotly.graph_objects import Figure
+
+    found = {}
+    for one in drawn:
+        layout, margin = one["layout"], one["layout"]["margin"]
+        title = {"text": one["title"], "x": 0.01, "yref": "container", "y": 1.0, "yanchor": "top"}
+        found[one["key"]] = Figure(one["data"], layout).update_layout(
+            title=title | {"pad": {"t": 12}},
+            height=layout["height"] + TITLE_PX,
+            margin=margin | {"t": margin["t"] + TITLE_PX},
+        )
+    return found
 
 
 def tables_of(subject: Subject, budget: Budget) -> list[Table]:

@@ -9,6 +9,7 @@ from itertools import zip_longest
 import numpy as np
 
 from formulations.arrays import Array
+from scp_recon.display import Displayed
 from scp_recon.errors import unknown_name
 from scp_recon.physics.flow import interpolate
 from scp_recon.planning.plan import NOT_CHECKED
@@ -22,16 +23,18 @@ DIFFERS = "differs from the first in"
 
 
 @dataclass(frozen=True, repr=False)
-class Comparison:
+class Comparison(Displayed):
     """Figures of plans: rows of a name, its unit and every plan's figure, None where it has none.
 
     Attributes:
         names: of the plans.
         rows: of figures, in the order of the table.
+        plans: that are compared.
     """
 
     names: tuple[str, ...]
     rows: tuple[tuple[str, str, tuple[float | str | None, ...]], ...]
+    plans: tuple[Solution, ...]
 
     def __getitem__(self, name: str) -> tuple[float | str | None, ...]:
         """Every plan's figure of that name.
@@ -93,7 +96,7 @@ def compare(names: Sequence[str], solutions: Sequence[Solution]) -> Comparison:
     rows += [(f"P({n})", "", tuple(c.get(n) for c in chances)) for n in events]
     apart = tuple(largest_distance_m(solutions[0], other) for other in solutions)
     rows.append(("farthest from the first", "m", apart))
-    return Comparison(tuple(names), tuple(rows))
+    return Comparison(tuple(names), tuple(rows), tuple(solutions))
 
 
 def _differences(first: Scenario, other: Scenario) -> str | None:

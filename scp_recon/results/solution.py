@@ -16,6 +16,7 @@ from scipy.special import ndtr, ndtri
 from formulations.arrays import Array
 from formulations.program.subproblem import MeritFunction
 from formulations.rows.uniform import DeterministicRows
+from scp_recon.display import Displayed
 from scp_recon.errors import InputError
 from scp_recon.files import write_atomically
 from scp_recon.mission.grid import Units
@@ -60,7 +61,7 @@ NOT_OPTIMISED = "none"
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
-class Solution(Facts):
+class Solution(Displayed, Facts):
     """A stored plan: its facts, and figures as properties computed from them on access.
 
     `carried` holds the figures that the file had; it is no part of the plan.

@@ -268,6 +268,47 @@ def test_flights_are_counted_with_intervals(default_plan):
     assert any(f"P(emission) {value:.4f}, {low:.4f}" in line for line in lines)
 
 
+@pytest.mark.usefixtures("few_flights")
+def test_results_are_frames_of_pandas(default_plan, solution, monkeypatch):
+    """With the very figures, by names with units."""
+    pytest.importorskip("pandas")
+    for plan in (default_plan, solution):
+        np.testing.assert_array_equal(plan.to_frame()[["x_m_s", "y_m_s", "z_m_s"]], plan.burns_m_s)
+        assert [*plan.to_frame("constraints")["constraint"]] == [*default_plan.worst_margins]
+    path = default_plan.to_frame("path")
+    last = path.loc[path["t_s"] == default_plan.times_s[-1], ["x_m", "y_m", "z_m"]]
+    np.testing.assert_allclose(last.iloc[0], default_plan.states[-1, :3], atol=0.1)
+    flown = sr.fly(default_plan, samples=20)
+    found = flown.to_frame().set_index("constraint").loc["emission"]
+    assert found["probability"] == flown.probability["emission"].value
+    assert found["held_mean_s"] == flown.held_s["emission"].mean.value
+    table = sr.compare(solution, solution)
+    assert [*table.to_frame()["total delta-v (m/s)"]] == [*table["total delta-v"]]
+    survey = sr.windows("recon_b", span_days=0.2)
+    assert [*survey.to_frame()["opens_s"]] == [window.edges_s[0] for window in survey.windows]
+    with pytest.raises(InputError, match=r"^table: got 'path'; must be one of figures"):
+        flown.to_frame("path")
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(InputError, match=r"scp_recon\[notebooks\]"):
+        flown.to_frame()
+
+
+def test_flights_are_drawn(default_plan):
+    flown = sr.fly(default_plan, samples=200)
+    held, lowest = flown.plot(), flown.plot("probability")
+    with pytest.raises(InputError, match=r"^chart: got 'budget'; must be one of held, probability"):
+        flown.plot("budget")
+    for curve, found in zip(held.data, flown.held_s.values(), strict=True):
+        assert curve.y[0] == 100.0
+        assert (np.diff(curve.y) <= 0.0).all()
+        assert curve.y[-1] == pytest.approx(100.0 * found.throughout.value)
+    (marks,) = lowest.data
+    values = [one.value for one in flown.probability.values()]
+    assert [*marks.y] == [*values, flown.whole_flight.value]
+    low = np.array(marks.y) - marks.error_y.arrayminus
+    np.testing.assert_allclose(low[:-1], [one.low for one in flown.probability.values()], atol=1e-5)
+
+
 def test_completion_offers_the_front_door_and_modules():
     offered = dir(sr)
     assert set(sr.__all__) <= set(offered)

@@ -84,6 +84,7 @@ FLOORS = (
     "scp_recon.scp",  # of any flow: below the physics of one
     "scp_recon.errors",
     "scp_recon.files",
+    "scp_recon.display",
     "scp_recon.jobs",
     "scp_recon.bodies",
     "scp_recon.scenario",

@@ -8,9 +8,12 @@ import numpy as np
 import pytest
 
 import scp_recon as sr
+from scp_recon.physics import geometry
+from scp_recon.physics.frames import unit
 from scp_recon.reports.corrections import ELLIPSE, Spreads, correction_charts
 from scp_recon.reports.flights import Shown
 from scp_recon.reports.ground import Camera
+from scp_recon.reports.scene import picture
 from scp_recon.reports.subject import Subject
 from scp_recon.reports.surfaces import shape_of
 from scp_recon.reports.write import page_of
@@ -82,10 +85,31 @@ def test_python_has_the_charts_of_the_page(shown, subject, monkeypatch):
     monkeypatch.setattr(Shown, "of", lambda *_: shown)
     drawn = sr.charts(subject.solution)
     on_page = page_of([subject], Camera(), datetime.now(UTC)).charts
-    assert [*drawn] == [chart["key"] for chart in on_page]
+    assert [*drawn] == ["flight", *(chart["key"] for chart in on_page)]
     assert {"knowledge", "ellipses", "commanded"} < drawn.keys()
+    both = sr.compare(subject.solution, subject.solution)
+    assert len(both.plot("budget").data) == 2
     for chart in on_page:
         assert len(drawn[chart["key"]].data) == len(chart["data"])
+
+
+def test_the_picture_has_site_and_spacecraft_as_they_are_amid_the_window(shown, subject):
+    traces = picture([shown], shown.shape)["data"]
+    site, craft = (
+        np.array([trace[axis][0] for axis in "xyz"])
+        for group in ("site", "spacecraft")
+        for trace in traces
+        if trace["name"] == group
+    )
+    mission, times = subject.mission, np.array([np.mean(subject.mission.schedule.window_s)])
+    track = geometry.track(mission.site, mission.rotation, times)
+    distance = geometry.distance(subject.positions(times), track)
+    # The mark is a little above ground.
+    assert np.linalg.norm(craft - site) == pytest.approx(distance[0], abs=2.0)
+    body, rays = traces[:2]
+    brightest = np.transpose([body[axis] for axis in "xyz"])[np.argmax(body["intensity"])]
+    sunwards = unit(np.array([rays[axis][0] for axis in "xyz"]))
+    assert unit(brightest) @ sunwards > np.cos(0.2)
 
 
 def test_a_plan_without_corrections_has_none_of_these(solution, shown):
