@@ -10,7 +10,7 @@ export PYTHONDONTWRITEBYTECODE :=
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet install --constraint constraints.txt
 
 .PHONY: help solve test fast extras nightly coverage mutation lint format types check release reference bench gallery \
-	evidence figures site clean
+	evidence figures notebooks site clean
 help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "%-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
@@ -77,7 +77,13 @@ gallery: $(VENV)/.extras  ## draw docs/gallery: passes over packaged bodies, des
 	$(BIN)/python -m scp_recon montecarlo runs/$$body --truth $${name##*:} && \
 	$(BIN)/python -m paper_figs flyby --runs runs/$$body --out docs/gallery/$$body.png || exit 1; done
 
-site: $(VENV)/.docs  ## build the pages as a site in runs/site; any warning or broken link fails
+notebooks: $(VENV)/.notebooks  ## run the notebooks, and keep each as a page in runs/notebooks
+	for name in $(basename $(notdir $(wildcard examples/notebooks/*.py))); do \
+	$(BIN)/jupytext --quiet --to ipynb --output - examples/notebooks/$$name.py | PLOTLY_RENDERER=notebook \
+	$(BIN)/jupyter-nbconvert --log-level ERROR --stdin --execute --to html --output-dir runs/notebooks --output $$name \
+	|| exit 1; done
+
+site: $(VENV)/.docs  ## build the pages as a site in runs/site, notebooks as they ran last; any warning or broken link fails
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet
 
 clean:  ## remove the environment and what it produced
@@ -107,6 +113,10 @@ $(VENV)/.evidence: $(VENV)/.venv pyproject.toml constraints.txt
 
 $(VENV)/.docs: $(VENV)/.venv pyproject.toml constraints.txt
 	$(PIP) --editable '.[docs]'
+	@touch $@
+
+$(VENV)/.notebooks: $(VENV)/.venv pyproject.toml constraints.txt
+	$(PIP) --editable '.[notebooks]'
 	@touch $@
 
 $(VENV)/.dev: $(VENV)/.venv pyproject.toml constraints.txt

@@ -30,14 +30,22 @@ def on_files(files: Files, config: Any) -> Files:
     for page in list(files.documentation_pages()):
         for link in _LINK.findall(page.content_string):
             path = posixpath.normpath(posixpath.join(posixpath.dirname(page.src_uri), link))
-            if path.startswith("../") and (target := docs / path).is_file():
-                name = f"source/{path.removeprefix('../')}"
+            if path.startswith("../") and (docs / path).is_file():
+                name, shown = _shown(docs.parent, path.removeprefix("../"))
                 if name not in files.src_uris:
-                    files.append(File.generated(config, name, content=target.read_bytes()))
+                    files.append(File.generated(config, name, content=shown.read_bytes()))
     return files
 
 
-def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
+def _shown(top: Path, name: str) -> tuple[str, Path]:
+    """Name in the site, and file, of a file outside `docs`: a notebook as it ran, if it did."""
+    ran = Path("runs/notebooks", Path(name).name).with_suffix(".html")
+    if Path(name).parent.name == "notebooks" and (top / ran).is_file():
+        return f"notebooks/{ran.name}", top / ran
+    return f"source/{name}", top / name
+
+
+def on_page_markdown(markdown: str, page: Any, config: Any, **_: Any) -> str:
     """A page with its links to files outside `docs` led to their copies in the site."""
     here = posixpath.dirname(page.file.src_uri)
 
@@ -45,7 +53,8 @@ def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
         path = posixpath.normpath(posixpath.join(here, match[0]))
         if not path.startswith("../"):
             return match[0]
-        inside = _PAGES.get(name := path.removeprefix("../"), f"source/{name}")
+        name = path.removeprefix("../")
+        inside = _PAGES.get(name) or _shown(Path(config.docs_dir).parent, name)[0]
         return posixpath.relpath(inside, here or ".")
 
     return _LINK.sub(led, markdown)

@@ -20,7 +20,8 @@ class Tabulated:
 
     def _repr_html_(self) -> str:
         """Its text as HTML, for a notebook."""
-        return f"<pre>{escape(str(self))}</pre>"
+        # Some notebooks write other text than code in letters of all widths.
+        return f'<pre style="font-family: monospace">{escape(str(self))}</pre>'
 
     def to_frame(self, table: str | None = None) -> pandas.DataFrame:
         """Tabulate it; needs pandas, of the extra [notebooks].

@@ -495,6 +495,9 @@ def test_targets_that_are_shown_exist_and_do_what_is_said():
         assert f"python -m {words}" in recipes[target]
 
 
+WITHOUT_COMMAND = ("crosscheck", "docs", "notebooks", "peers", "test", "dev")
+
+
 def test_one_target_installs_every_extra_that_a_command_may_need():
     """All but those of who works on this repository."""
     project = tomllib.loads((PROJECT / "pyproject.toml").read_text("utf-8"))["project"]
@@ -502,7 +505,7 @@ def test_one_target_installs_every_extra_that_a_command_may_need():
     (everything,) = extras["all"]
     listed = re.findall(r"\w+", everything)
     assert listed[0] == project["name"]
-    assert {*listed[1:]} == extras.keys() - {"all", "crosscheck", "docs", "peers", "test", "dev"}
+    assert {*listed[1:]} == extras.keys() - {"all", *WITHOUT_COMMAND}
     makefile = (PROJECT / "Makefile").read_text("utf-8")
     assert re.search(r"^extras: \$\(VENV\)/\.extras ", makefile, re.MULTILINE)
     assert re.search(r"/\.extras: .*\n\t\$\(PIP\) --editable '\.\[all\]'", makefile)

@@ -38,7 +38,6 @@ AnyPlan = Plan | Solution | str | Path
 SPACECRAFT_MIN = -99_999
 """NAIF's numbers of spacecraft are below zero; their axes have a thousand times that, and SPICE counts
 to 2^31."""
-SPACECRAFT = -999
 FIELD_MAX_DEG, PIXELS_MAX = 170.0, 1_000_000
 CAMPAIGN = "campaign.json"
 
@@ -268,7 +267,7 @@ def export(
     format: str,  # noqa: A002 -- as the command line and every other tool has it
     out: str | Path = "export",
     *,
-    spacecraft: int = SPACECRAFT,
+    spacecraft: int = -999,
     vehicle: str | Path | None = None,
 ) -> Exported:
     """Write a plan for other tools: its burns are flown again, densely enough for their interpolation.
@@ -303,7 +302,7 @@ def export(
         raise unwritable(place, option("out"), error) from None
 
 
-def export_of(plan: AnyPlan, spacecraft: int = SPACECRAFT) -> Export:
+def export_of(plan: AnyPlan, spacecraft: int = -999) -> Export:
     """A plan with its burns flown again, as other tools take it."""
     mission, solution = open_plan(plan)
     ids = Ids(spacecraft, mission.scenario.body.naif_id or UNNAMED_BODY_ID)

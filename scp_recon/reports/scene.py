@@ -154,7 +154,15 @@ def picture(plans: Sequence[Shown], shape: Shape) -> dict[str, Any]:
         first = all(name != other["legendgroup"] for other in traces)
         traces.append(placed | {"name": name, "legendgroup": name, "showlegend": first})
     legend = {"orientation": "h", "yanchor": "top", "y": 0.0}
-    layout = shown["layout"] | {"height": 640, "showlegend": True, "legend": legend}
+    view = shown["layout"]["scene"]
+    eye = {axis: 1.1 * at for axis, at in view["camera"]["eye"].items()}  # all of it, at any width
+    placed_view = view | {"camera": view["camera"] | {"eye": eye}}
+    layout = shown["layout"] | {
+        "height": 640,
+        "scene": placed_view,
+        "showlegend": True,
+        "legend": legend,
+    }
     return chart("flight", "The flight, as it stands amid the observation window", traces, layout)
 
 

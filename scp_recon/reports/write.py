@@ -35,8 +35,8 @@ if TYPE_CHECKING:
 
 FILE_NAME, UNVERIFIED_NAME = "report.html", "report_unverified.html"
 """Beside a plan, and beside one that a verified one keeps from its place."""
-TITLE_PX = 52
-"""Above a chart that stands alone, for its title."""
+TITLE_PX, LINE_PX, WIDTH_PX = 34, 29, 800
+"""Above a chart that stands alone, for its title; of a further line of its legend, and across it."""
 
 
 def check_extra() -> None:
@@ -111,11 +111,14 @@ def figures_of(drawn: Iterable[dict[str, Any]]) -> dict[str, Figure]:
     found = {}
     for one in drawn:
         layout, margin = one["layout"], one["layout"]["margin"]
+        named = [trace["name"] for trace in one["data"] if trace.get("showlegend", True)]
+        lines = sum(45 + 7 * len(name) for name in named) // WIDTH_PX
+        room = TITLE_PX + LINE_PX * lines
         title = {"text": one["title"], "x": 0.01, "yref": "container", "y": 1.0, "yanchor": "top"}
         found[one["key"]] = Figure(one["data"], layout).update_layout(
             title=title | {"pad": {"t": 12}},
-            height=layout["height"] + TITLE_PX,
-            margin=margin | {"t": margin["t"] + TITLE_PX},
+            height=layout["height"] + room,
+            margin=margin | {"t": margin["t"] + room},
         )
     return found
 

@@ -90,7 +90,7 @@ def test_a_plan_speaks_si(default_plan, solution):
 def test_what_comes_back_tells_its_verdict(default_plan, solution, verification):
     """What a plan is made of too, which is thousands of numbers."""
     assert all(name in str(default_plan) for name in default_plan.worst_margins)
-    assert default_plan._repr_html_().startswith("<pre>")
+    assert default_plan._repr_html_().startswith("<pre style")
     failed = replace(verification, ok=False, failed=["status"])
     assert str(verification).splitlines()[0] == "verified"
     for verdict, found in {"verified": verification, "not verified: status": failed}.items():
