@@ -1,7 +1,8 @@
 """Everything that README and documents show can be run: every command line and every snippet.
 
 A command is run as it is shown, or where it takes long with less work, as `QUICK` says; one that has no
-entry there fails. What sets up, times, or takes hours stands in `APART`.
+entry there fails. What sets up, times, or takes hours stands in `APART`. It is read against the command
+line's help, as is what prose says of a command and what `make` runs.
 """
 
 import ast
@@ -46,7 +47,11 @@ PAGES = [
 
 
 INLINE = re.compile(r"`((?:\S*python -m|make) [^`]+)`")
-COMMAND = re.compile(r"^(?:\S*python -m|make) ")
+COMMAND = re.compile(r"^(?:\S*python -m|make|scp-recon) ")
+MENTIONED = re.compile(r"`(scp-recon|pytest) ([^`]+)`")
+RECIPE = re.compile(
+    r"\$\(BIN\)/(python -m (?!pytest|scp_recon.reference).+?)(?= && | \|\| |$)", re.MULTILINE
+)
 
 
 def read(page: Path) -> str:
@@ -81,8 +86,18 @@ def shown() -> dict[str, str]:
         for words in (shlex.split(line, comments=True) for line in lines):
             if words[0].endswith("python"):
                 words[0] = "python"
+            elif words[0] == "scp-recon":
+                words[:1] = ["python", "-m", "scp_recon"]
             found.setdefault(shlex.join(words), page.name)
     return found
+
+
+def mentioned() -> list[str]:
+    """Command lines in prose without an interpreter, and those of the Makefile."""
+    pages = (*PAGES, PROJECT / "CHANGELOG.md", *(PROJECT / "docs").glob("reference/*.md"))
+    said = {found for page in pages for found in MENTIONED.findall(read(page))}
+    lines = [f"python -m {name.replace('-', '_')} {rest}" for name, rest in sorted(said)]
+    return lines + RECIPE.findall((PROJECT / "Makefile").read_text("utf-8"))
 
 
 SHOWN = shown()
@@ -460,11 +475,11 @@ def test_no_entry_is_left_of_a_line_that_is_shown_no_more():
     assert {*QUICK, *APART} - SHOWN.keys() == set()
 
 
-def test_modules_options_and_files_that_are_shown_exist(capsys, monkeypatch):
+def test_modules_options_and_files_that_are_shown_exist(capsys, monkeypatch, pytestconfig):
     """Also of what is run with other ones, or not at all."""
     monkeypatch.setenv("COLUMNS", "200")
     helps: dict[tuple[str, ...], str] = {}
-    for line in MODULES:
+    for line in (*MODULES, *mentioned()):
         module, *arguments = shlex.split(line)[2:]
         for name in (word for word in arguments if word.startswith("examples/")):
             tables = tomllib.loads((PROJECT / name).read_text("utf-8"))
@@ -476,11 +491,15 @@ def test_modules_options_and_files_that_are_shown_exist(capsys, monkeypatch):
             extras = tomllib.loads((PROJECT / "pyproject.toml").read_text("utf-8"))["project"]
             assert set(re.findall(r"\[(\w+)\]", line)) <= set(extras["optional-dependencies"])
             continue
+        options = [word.partition("=")[0] for word in arguments if word.startswith("--")]
+        if module == "pytest":
+            assert all(pytestconfig.getoption(option) is not None for option in options)
+            continue
         of = arguments[:1] if module in ("scp_recon", "experiments") else []
         if (key := (module, *of)) not in helps and of != ["NAME"]:
             assert call([*key, "--help"]) == 0
             helps[key] = capsys.readouterr().out
-        for option in (word.partition("=")[0] for word in arguments if word.startswith("--")):
+        for option in options:
             assert re.search(rf"{option}\b", helps[key]), f"{key} has no option {option}"
 
 
@@ -522,6 +541,8 @@ def snippets_of(page: Path) -> dict[str, list[str]]:
                 if reader(block):
                     found[language].append(block)
                 break
+        else:
+            assert not re.search(r"^import |\bsr\.", block, re.MULTILINE), f"no Python: {block}"
     return found
 
 
