@@ -6,6 +6,7 @@ own.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -25,7 +26,7 @@ OLD = "old_"
 
 @contextmanager
 def run_folder(out: Path | None, name: str) -> Iterator[Path]:
-    """Yield the folder of a run, locked against other runs; a new one that stays empty is removed.
+    """Yield the folder of a run, locked against other runs; new folders that stay empty are removed.
 
     Args:
         out: as the user gave it.
@@ -47,8 +48,8 @@ def run_folder(out: Path | None, name: str) -> Iterator[Path]:
             yield folder
     finally:
         if out is None:
-            with suppress(OSError):  # it is not empty
-                folder.rmdir()
+            with suppress(OSError):  # it is not empty, or those above it are not
+                os.removedirs(folder)
 
 
 def point_latest(out: Path | None, folder: Path, status: int) -> None:

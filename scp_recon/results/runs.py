@@ -30,11 +30,10 @@ def new_run(name: str, root: Path = RUNS) -> Path:
     stamp = datetime.now(UTC).strftime("%Y%m%dT%H%M%SZ")
     home = root / _folder_name(name)
     try:
-        home.mkdir(parents=True, exist_ok=True)
         for number in count(1):
             folder = home / (stamp if number == 1 else f"{stamp}-{number}")
             try:
-                folder.mkdir()
+                folder.mkdir(parents=True)
             except FileExistsError:
                 continue
             break

@@ -74,6 +74,10 @@ report none -> none
 campaign none --out out -> none
 schema words.csv/schema.json -> words.csv
 design recon_b --out '' -> --out: got ''; must be a folder
+design recon_b -> boundary.home: got nothing; must be a home orbit
+explore none.toml -> none.toml: got no such file
+explore nightingale -> boundary.home: got a home orbit that is flown, or has free phases
+explore recon_b --port 80000 -> --port: got 80000; must be a whole number from 0 to 65535
 windows -> SCENARIO: got nothing; must be given
 windows nothing.toml -> nothing.toml
 windows recon_b --span-days -> --span-days: got nothing; must have a value
@@ -148,17 +152,13 @@ def folder(solution, verification, tmp_path_factory) -> Path:
     return folder
 
 
-def files_in(folder: Path) -> set[Path]:
-    return {path for path in folder.rglob("*") if path.is_file()}
-
-
 @pytest.mark.parametrize(
     "line",
     [*REFUSED.strip().splitlines(), *(f"{name} --no-such-option -> got" for name in COMMANDS)],
 )
 def test_bad_input_is_one_message_and_one_document(line, folder, monkeypatch, capsys):
     monkeypatch.chdir(folder)
-    before = files_in(folder)
+    before = set(folder.rglob("*"))
     words, _, said = line.partition(" -> ")
     for short, long in SHORT.items():
         words = words.replace(short, long)
@@ -172,5 +172,5 @@ def test_bad_input_is_one_message_and_one_document(line, folder, monkeypatch, ca
         assert error["message"].endswith(
             f"{error['entry']}: got {error['given']}; {error['allowed']}"
         )
-    assert files_in(folder) == before
+    assert set(folder.rglob("*")) == before
     reliability.count(reliability.BAD_INPUTS)
