@@ -18,6 +18,9 @@ from scipy.linalg import solve_triangular
 
 from formulations.arrays import Array
 
+LEARNT = 1e-3
+"""Least correlation with the state that tells anything: it takes a millionth off a variance."""
+
 
 @dataclass(frozen=True, eq=False)
 class Innovation:
@@ -27,11 +30,16 @@ class Innovation:
         rows: Xi, shape (6, c).
         root: W, lower triangular, shape (6, 6).
         gain: E Xi' before the update, which is the Kalman gain times W, shape (6, 6).
+        axes: directions of xi that tell of the state, orthonormal, shape (6, r); in the others is next
+            to nothing but the measurement's error.
+        correlation: with the state along each of them, shape (r,).
     """
 
     rows: Array
     root: Array
     gain: Array
+    axes: Array
+    correlation: Array
 
     @classmethod
     def of(cls, error: Array, measurement: Array, columns: slice) -> Innovation:
@@ -40,7 +48,16 @@ class Innovation:
         measured[:, columns] += measurement
         root = np.asarray(np.linalg.cholesky(measured @ measured.T))
         rows = np.asarray(solve_triangular(root, measured, lower=True))
-        return cls(rows, root, error @ rows.T)
+        axes, correlation, _ = np.linalg.svd(
+            solve_triangular(root, error, lower=True), full_matrices=False
+        )
+        told = int((correlation >= LEARNT).sum())
+        return cls(rows, root, error @ rows.T, axes[:, :told], correlation[:told])
+
+    def by_estimate(self, change: Array) -> Array:
+        """Xi along its telling axes, (6, q), from the change G xi of the estimate that it makes."""
+        along = self.axes.T @ solve_triangular(self.root, change, lower=True)
+        return np.asarray(self.axes @ (along / self.correlation[:, None] ** 2))
 
     def updated(self, error: Array) -> Array:
         """An estimate's error (., c), here or anywhere along the flow, after the update."""

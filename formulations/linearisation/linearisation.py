@@ -94,6 +94,24 @@ class Linearisation:
         return Linearisation(replace(self.problem, feedback=feedback), plain, self.arcs)
 
     @property
+    def telling(self) -> Linearisation:
+        """The same without gains on what tells nothing: rounding, which no estimate resolves."""
+        lin, feedback = self, self.problem.feedback
+        if feedback is None or not self.iterate.gains.any():
+            return self
+        # What a cut-off tells depends on earlier gains: they are executed with errors.
+        for j in range(len(feedback.burns)):
+            axes = lin.spread.innovations[j].axes
+            if axes.shape[1] == len(axes):
+                continue
+            gains = lin.iterate.gains.copy()
+            for later in range(j, len(feedback.burns)):
+                own = feedback.of_burn(gains, later)[:, 6 * j : 6 * j + 6]
+                own[:] = own @ axes @ axes.T
+            lin = Linearisation(self.problem, replace(self.iterate, gains=gains), self.arcs)
+        return lin
+
+    @property
     def controls(self) -> Array:
         """Burns and gains in one vector: see `FlybyProblem.controls`."""
         return self.problem.controls(self.iterate.burns, self.iterate.gains)

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from formulations.arrays import Array
 from scp_recon.errors import InputError
 from scp_recon.mission.scene import Scene, execution_errors
 from scp_recon.mission.schedule import SAME_S
@@ -15,6 +16,9 @@ from scp_recon.scenario.schema import Scenario
 USELESS = 1e3
 """Errors of a measurement over what a flight strays at most, from which on nothing is corrected: a
 measurement takes a millionth off a variance, and what that saves is less than plans are accurate to."""
+
+RATIO = 3e6
+"""Of a measurement's errors along turned axes: with more, variances are lost in rounding."""
 
 
 def felt_cut_offs_s(scene: Scene, window_s: tuple[float, float]) -> dict[int, float]:
@@ -59,8 +63,17 @@ def cut_offs_s(scenario: Scenario) -> dict[int, float]:
 def in_vain(scene: Scene) -> float:
     """Measurements' errors over what a flight strays until the last cut-off, where least.
 
-    On straight lines, from the initial errors and those of the largest burns before; infinite where
-    there are none.
+    Infinite where it does not stray.
+    """
+    (measured,) = scene.measurement_factors(scene.initial_state[None])
+    known = float(np.linalg.norm(np.linalg.solve(measured, np.diag(_strays(scene))), 2))
+    return 1.0 / known if known > 0.0 else np.inf
+
+
+def _strays(scene: Scene) -> Array:
+    """The most that a flight strays until the last cut-off, m and m/s, shape (6,).
+
+    On straight lines, from the initial errors and those of the largest burns before.
     """
     scenario = scene.scenario
     first, last = scenario.start_s, max(cut_offs_s(scenario).values())
@@ -70,10 +83,35 @@ def in_vain(scene: Scene) -> float:
     sigma = np.linalg.norm(scene.initial_factor(scene.initial_state), axis=1)
     speed = np.hypot(np.linalg.norm(sigma[3:]), np.sqrt(burns) * of_burn)
     position = np.hypot(np.linalg.norm(sigma[:3]), speed * (last - first))
-    strays = np.repeat([position, speed], 3)
-    (measured,) = scene.measurement_factors(scene.initial_state[None])
-    known = float(np.linalg.norm(np.linalg.solve(measured, np.diag(strays)), 2))
-    return 1.0 / known if known > 0.0 else np.inf
+    return np.repeat([position, speed], 3)
+
+
+def resolved(scene: Scene, factors: Array) -> Array:
+    """Factors N of measurements, m and m/s, shape (k, 6, 6), whose errors in turned axes are bounded.
+
+    By `USELESS` times what a flight strays: turned to J2000, variances of useful axes would be lost in
+    the rounding of those of useless ones.
+
+    Raises:
+        InputError: if even so they are lost.
+    """
+    if scene.scenario.navigation.frame != "rtn" or not cut_offs_s(scene.scenario):
+        return factors
+    most, strays = USELESS * _strays(scene), in_vain(scene) < USELESS
+    if strays and np.any(np.linalg.norm(factors, axis=2) > most):
+        # With what a measurement tells that errs by the bound: (N N')^-1 + diag(most)^-2.
+        one = np.broadcast_to(np.eye(6), factors.shape)
+        both = np.concatenate([one, np.linalg.solve(factors, np.diag(most))], axis=1)
+        factors = np.diag(most) @ np.linalg.inv(np.linalg.qr(both).R)
+    unit = factors / np.linalg.norm(factors, axis=2, keepdims=True)
+    ratio = 1.0 / float(np.linalg.svd(unit)[1].min())
+    if ratio > RATIO:
+        raise InputError(
+            "navigation.covariance",
+            f"errors in a ratio of {ratio:.1g} along the axes of rtn",
+            f"must be in a ratio of at most {RATIO:g}, or in the frame j2000",
+        )
+    return factors
 
 
 def _correctable(scenario: Scenario) -> dict[int, float]:

@@ -23,7 +23,12 @@ from scp_recon.bodies.surface import Mesh
 from scp_recon.errors import InputError
 from scp_recon.mission.checks.checks import check_plausible, check_scene, check_state, check_window
 from scp_recon.mission.constraints import Limit, observation_limits, state_constraints
-from scp_recon.mission.feedback import check_feedback, felt_cut_offs_s, require_open_loop
+from scp_recon.mission.feedback import (
+    check_feedback,
+    felt_cut_offs_s,
+    require_open_loop,
+    resolved,
+)
 from scp_recon.mission.grid import RK4_STEP_MAX_S, Units, make_grid
 from scp_recon.mission.scene import (
     Scene,
@@ -298,7 +303,8 @@ class Mission:
 
         All nondimensional. The means turn a covariance in the frame "rtn", and count for no other.
         """
-        return self.scene.measurement_factors(mean * self.units.state) / self.units.state[:, None]
+        found = self.scene.measurement_factors(mean * self.units.state)
+        return resolved(self.scene, found) / self.units.state[:, None]
 
     @cached_property
     def _transfer(self) -> Array:

@@ -273,6 +273,7 @@ class StageRunner:
         observe = self.observe or (lambda *_: None)
         start = start.known(rows.problem.feedback)
         stage = self.solver.solve(name, rows, start, self.task.dynamics, observe)
+        stage = replace(stage, result=replace(stage.result, lin=stage.result.lin.telling))
         if judges is not None:
             stage = replace(stage, merit=MeritFunction(self.task.problem, judges))
         self.stages.append(stage)

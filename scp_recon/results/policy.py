@@ -21,9 +21,6 @@ from formulations.arrays import Array
 from formulations.linearisation.linearisation import Linearisation
 from scp_recon.mission.mission import Mission
 
-LEARNT = 1e-10
-"""Share of an estimate's largest change below which nothing is learnt in a direction."""
-
 
 @dataclass(frozen=True, eq=False)
 class CutOff:
@@ -83,7 +80,7 @@ def policy_of(mission: Mission, lin: Linearisation) -> Policy:
     for j, burn in enumerate(feedback.burns.tolist()):
         stop = 6 * j + 6
         one, change = spread.innovations[j], estimates[j] - _predicted(lin, estimates, corrections)
-        innovations[6 * j : stop] = np.linalg.pinv(one.gain, LEARNT) @ change
+        innovations[6 * j : stop] = one.by_estimate(change)
         corrections.append(problem.gains_of(lin.iterate, j) @ innovations[:stop])
         gains = corrections[j][:, :stop]
         error = one.updated(spread.stm[nodes[j]] @ spread.errors[j])

@@ -130,6 +130,24 @@ def test_a_correction_knows_only_what_was_measured_by_its_cut_off(case):
         np.testing.assert_allclose(silent.factor[..., mine], plain.factor[..., own])
 
 
+@given(corrected_flybys(), st.lists(st.floats(-3.0, 12.0), min_size=6, max_size=6))
+def test_gains_act_on_what_estimates_resolve_whatever_measurements_err_by(case, exponents):
+    """In any ratio: commands follow from estimates, and what is left out tells next to nothing."""
+    flyby, rng = case
+    feedback = flyby.problem.feedback
+    errors = 10.0 ** np.array(exponents)[:, None] * feedback.measurement
+    problem = replace(flyby.problem, feedback=replace(feedback, measurement=errors))
+    lin = linearised(replace(flyby, problem=problem), some_controls(flyby, rng)).telling
+    for j, one in enumerate(lin.spread.innovations):
+        last = problem.gains_of(lin.iterate, j)[:, -6:]
+        estimated = last @ one.by_estimate(one.gain)
+        np.testing.assert_allclose(estimated, last, atol=1e-9 * np.abs(last).max())
+        error = lin.spread.stm[feedback.cut_offs[j]] @ lin.spread.errors[j]
+        told = one.axes @ one.axes.T
+        silent = np.linalg.solve(one.root, error) - told @ np.linalg.solve(one.root, error)
+        assert np.linalg.norm(silent, 2) <= 1e-3
+
+
 @given(corrected_flybys())
 def test_the_adjoint_gives_the_condensed_maps_derivative(case):
     flyby, rng = case

@@ -146,6 +146,29 @@ def test_a_covariance_in_rtn_turns_with_the_path():
     assert not np.allclose(found[0], found[1])
 
 
+def test_useless_axes_of_rtn_leave_the_others_resolved():
+    """Of 1 m and 1e6 m doubles in J2000 keep little of the first; 1 mm is refused."""
+    given = in_frame("rtn").scenario
+    path, sigma = initial_guess.ballistic(in_frame("rtn")).mean, [1.0, 1e6, 10.0, 1e3, 5e-4, 1e-4]
+    mission = Mission.from_scenario(
+        given.replace({"navigation.covariance": np.diag(np.square(sigma)).tolist()})
+    )
+    nodes = mission.problem.feedback.cut_offs
+    factors = mission.units.state[:, None] * mission.measurement(path[nodes])
+    for covariance, state in zip(factors @ factors.swapaxes(1, 2), path[nodes], strict=True):
+        radial, normal = unit(state[:3]), unit(np.cross(state[:3], state[3:]))
+        axes = np.array([radial, np.cross(normal, radial), normal])
+        for part in (slice(0, 3), slice(3, 6)):
+            own = np.array(sigma[part])
+            found = np.sqrt(np.diag(axes @ covariance[part, part] @ axes.T))
+            kept = own < own.max()
+            np.testing.assert_allclose(found[kept], own[kept], rtol=1e-4)
+            assert 1e3 * own[kept].max() < found[~kept][0] < own.max()
+    finer = np.diag(np.square([1e-3, *sigma[1:]])).tolist()
+    with pytest.raises(InputError, match=r"navigation.covariance: .* in a ratio of"):
+        _ = Mission.from_scenario(given.replace({"navigation.covariance": finer})).feedback
+
+
 def test_before_there_is_a_plan_rtn_is_that_of_a_transfer():
     """Lambert's arc is near the two-impulse flight, which is solved with the planner's forces."""
     mission = in_frame("rtn")

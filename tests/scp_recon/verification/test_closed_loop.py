@@ -113,7 +113,7 @@ def with_gains(*overrides: str) -> Solution:
     mission = mission_of(*MEASURED, *overrides)
     guess = initial_guess.from_burns(mission, BURNS_M_S)
     at = Iterate(guess.burns, guess.mean, some_gains(mission))
-    lin = mission.dynamics.linearise(mission.problem, at)
+    lin = mission.dynamics.linearise(mission.problem, at).telling
     merit = MeritFunction(mission.problem, DeterministicRows(mission.problem))
     result = Result(Status.MAX_ITERATIONS, lin, (), Timing())
     stage = Stage("P3", result, merit, None, SCvx().feasible)
@@ -137,15 +137,17 @@ def gates(magnitude: float, bias: float) -> str:
         [
             (("navigation.lead_s=0",), [2, 3]),
             (("navigation.lead_s=3600", LAST_TOO), [2, 3, 4]),
+            (("navigation.lead_s=3600", "navigation.sigma_velocity_m_s=1e4"), [2, 3]),
+            (("navigation.lead_s=3600", "navigation.sigma_position_m=1e9", LAST_TOO), [2, 3, 4]),
             # The state is measured twice before burn 2 is done, which no estimate may know of.
             (("navigation.lead_s=20000", LAST_TOO), [3, 4]),
             (("navigation.lead_s=3600", gates(0.03, 0.0)), [2, 3]),
             (("navigation.lead_s=3600", gates(0.01, 0.0)), [2, 3]),
             (("navigation.lead_s=3600", gates(0.03, 0.02)), [2, 3]),
         ],
-        4,
+        6,
     ),
-    ids=usually(["none", "hour", "long", "along", "across", "bias"], 4),
+    ids=usually(["none", "hour", "positions", "velocities", "long", "along", "across", "bias"], 6),
 )
 def test_the_closed_loop_is_that_of_the_corrections_alone(overrides, burns):
     given = with_gains(*overrides)
