@@ -179,6 +179,7 @@ def test_sources_are_of_a_module_and_what_it_imports_alone(monkeypatch):
 
     monkeypatch.setattr(Path, "read_bytes", noted)
     sources.cache_clear()
+    module._read.cache_clear()
     first = sources("scp_recon.physics.forces")
     assert {"forces.py"} <= read
     assert not read & {"store.py", "planner.py"}
