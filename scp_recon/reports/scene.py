@@ -1,8 +1,8 @@
 """The 3-D view: Plotly's traces, and what the page needs to move them in time.
 
 Axes: Sun-North at the first plan's epoch, inertial, m. A trace's `meta.moves` says in what its
-coordinates are given: `body` turns with the body, `site` travels with the site, `craft`, `view` and
-`cloud` are made anew at each time; without it they stay.
+coordinates are given: `body` turns with the body, `site` travels with the site, `companion` with the
+second body, `craft`, `view` and `cloud` are made anew at each time; without it they stay.
 """
 
 from __future__ import annotations
@@ -123,6 +123,7 @@ def scene(plans: Sequence[Shown], shape: Shape) -> dict[str, Any]:
             "site_normal": compact(mission.site.normal_body, 9),
             "sun": [compact(frame.seen(mission.sun_direction(t)), 8) for t in ends],
             "ends_s": ends,
+            "companion": companion_of(frame, plans[0].subject),
             "normals": compact(shape.normals, 3),
             "plans": [_moving(frame, one) for one in plans],
         },
@@ -182,6 +183,14 @@ def _rotation(frame: Frame, mission: Mission) -> dict[str, Any]:
         "rate": rotation.rate,
         "acceleration": rotation.acceleration,
     }
+
+
+def companion_of(frame: Frame, subject: Subject) -> dict[str, Any] | None:
+    """Where the second body is at even times of the flight, if there is one."""
+    other, times = subject.mission.scene.companion, subject.fine_s
+    if other is None:
+        return None
+    return {"t_s": compact(times, 3), "position": compact(frame.seen(other.position(times)).T, 1)}
 
 
 def _moving(frame: Frame, one: Shown) -> dict[str, Any]:
@@ -252,12 +261,9 @@ def keep_sets(frame: Frame, subject: Subject) -> list[Trace]:
         moved(mesh(phase, f"{lit}, in the window", f"{lit} cone", KEEP_OUT, 0.22), "site"),
         _burn_cones(frame, subject),
     ]
-    if (other := mission.scene.companion) is not None:
-        middle = other.position(float(np.mean(mission.schedule.window_s)))
-        ball = sphere(companion_distance_m(scenario))
-        ball = Solid(ball.vertices_m + frame.seen(middle), ball.facets)
-        name = "keep out: companion, amid the window"
-        traces.append(mesh(ball, name, name, KEEP_OUT, 0.16))
+    if mission.scene.companion is not None:
+        name, ball = "keep out: companion", sphere(companion_distance_m(scenario))
+        traces.append(moved(mesh(ball, name, name, KEEP_OUT, 0.16), "companion"))
     if "phase_max" in limits:
         name, most = "keep in: phase at most", about_the_sun(limits["phase_max"])
         traces.append(moved(mesh(most, name, name, KEEP_IN, 0.22), "site"))

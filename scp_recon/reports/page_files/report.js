@@ -80,11 +80,12 @@ window.report = (() => {
 
   const mix = (a, b, share) => (a === null || b === null ? null : a + share * (b - a));
 
-  function craftAt(plan, t) {
-    const { t_s, position } = motion.plans[plan];
+  function along({ t_s, position }, t) {
     const [k, share] = between(t_s, t);
     return position.map((x) => mix(x[k], x[k + 1], share));
   }
+
+  const craftAt = (plan, t) => along(motion.plans[plan], t);
 
   // ---- the view -----------------------------------------------------------------------------
 
@@ -130,8 +131,8 @@ window.report = (() => {
       const sun = product(transposed(m), sunAt(t));
       return { xyz, intensity: motion.normals.map((n) => n[0] * sun[0] + n[1] * sun[1] + n[2] * sun[2]) };
     }
-    if (moves === "site") {
-      const shift = product(m, motion.site);
+    if (moves === "site" || moves === "companion") {
+      const shift = moves === "site" ? product(m, motion.site) : along(motion.companion, t);
       return { xyz: bases[index].map((values, i) => values.map((x) => x + shift[i])) };
     }
     if (moves === "craft") return { xyz: craftAt(plan, t).map((x) => [x]) };

@@ -1,5 +1,7 @@
 """Geometry of the report: against closed forms, SPICE's habits, and the verification."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -7,13 +9,16 @@ from hypothesis import strategies as st
 
 from formulations.arrays import Array
 from scp_recon.bodies.surface import Mesh
+from scp_recon.mission.constraints import companion_distance_m
 from scp_recon.physics.frames import unit
 from scp_recon.reports.charts import BINS, thinned
 from scp_recon.reports.flights import SO_FAR, Flown, achieved, budget_of, fly
 from scp_recon.reports.ground import Camera, degrees_of, first_hit, ground_track, terminator
+from scp_recon.reports.scene import Frame, companion_of, keep_sets
 from scp_recon.reports.subject import Subject
 from scp_recon.reports.surfaces import FACETS_MAX, RING, _of_mesh, ellipsoid, shape_of, shell, tube
 from tests.helpers import generators, random_unit
+from tests.scp_recon.support import COMPANION, mission_of
 
 
 @pytest.fixture(scope="module")
@@ -55,6 +60,20 @@ def test_the_field_of_view_is_about_the_site_at_the_camera_s_angle_on_the_ground
     longitude, latitude = degrees_of(in_the_body(subject, track.times_s))
     np.testing.assert_allclose(track.longitude_deg, longitude)
     np.testing.assert_allclose(track.latitude_deg, latitude)
+
+
+def test_the_ball_about_a_companion_moves_with_it(solution):
+    mission = mission_of().changed({"body.companion": COMPANION})
+    subject = Subject("two bodies", replace(solution, scenario=mission.scenario))
+    frame = Frame(np.eye(3), np.zeros(3), np.zeros(3), 1.0)
+    (ball,) = (t for t in keep_sets(frame, subject) if t["meta"].get("moves") == "companion")
+    sizes = np.linalg.norm([ball[axis] for axis in "xyz"], axis=0)
+    np.testing.assert_allclose(sizes, companion_distance_m(mission.scenario), atol=0.1)
+    path = companion_of(frame, subject)
+    times = np.linspace(*subject.nodes_s[[0, -1]], 1000)
+    drawn = [np.interp(times, path["t_s"], x) for x in path["position"]]
+    expected = mission.scene.companion.position(times).T
+    assert np.linalg.norm(drawn - expected, axis=0).max() < 1.0
 
 
 def in_the_body(subject: Subject, times_s: Array) -> Array:
