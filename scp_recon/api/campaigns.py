@@ -72,8 +72,18 @@ def campaign(
             the extra [cluster].
         yes: more than 100,000 cases are what is meant.
 
+    Returns:
+        The table of all cases, and figures by name.
+
     Raises:
         InputError: naming the entry, what was given and what is allowed.
+
+    Examples:
+        >>> import scp_recon as sr
+        >>> axis = {"entry": "risk.p_chance", "values": [0.7, 0.8]}
+        >>> table, _ = sr.campaign({"campaign": {}, "axis": [axis]}, "runs/study")
+        >>> table["total_dv_m_s"].round(3).tolist()
+        [0.14, 0.155]
     """
     from scp_recon.campaigns import outcome, page
 
@@ -95,8 +105,18 @@ def read_campaign(folder: str | Path) -> pandas.DataFrame:
     Args:
         folder: that `campaign` was given as `out`.
 
+    Returns:
+        A row a case; units are in the columns' names.
+
     Raises:
         InputError: if it holds no campaign, or the extra is missing.
+
+    Examples:
+        >>> import scp_recon as sr
+        >>> axis = {"entry": "risk.p_chance", "values": [0.7, 0.8]}
+        >>> _ = sr.campaign({"campaign": {}, "axis": [axis]}, "runs/study")
+        >>> sr.read_campaign("runs/study")["status"].tolist()
+        ['converged', 'converged']
     """
     return read_results(path_of("folder", folder))
 

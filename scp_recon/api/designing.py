@@ -72,6 +72,12 @@ def design(
 
     Raises:
         InputError: naming the argument, what was given and what is allowed.
+
+    Examples:
+        >>> import scp_recon as sr
+        >>> found = sr.design("nightingale")
+        >>> print(f"{found.plan.total_dv_m_s:.3f} m/s")
+        0.018 m/s
     """
     given = scenario_of(scenario, overrides)
     options = design_options(given, certify=certify)

@@ -224,12 +224,6 @@ def new(
 
     With a trajectory of another tool the start that it gives is written beside it, NAME_start.csv.
 
-    Examples:
-        >>> import scp_recon as sr
-        >>> drafted = sr.new("mission", "Bennu", (20.0, 150.0), "2020-01-21T20:33:17")
-        >>> drafted.is_verified, [file.name for file in drafted.files]
-        (True, ['mission.toml'])
-
     Args:
         name: of the scenario, written to NAME.toml.
         body: Bennu or Eros; or another, with `gm`, `radius`, `period`, `pole` and `orbit`, which
@@ -254,9 +248,18 @@ def new(
         end: last burn, with a trajectory only, UTC, e.g. 2020-01-21T20:32:08.
         progress: told of each draft that was planned, in a line.
 
+    Returns:
+        The scenario, its plan with the verification, and the files.
+
     Raises:
         InputError: naming the argument, what was given and what is allowed; if a file is there already
             or cannot be written, or nothing can be drafted.
+
+    Examples:
+        >>> import scp_recon as sr
+        >>> drafted = sr.new("mission", "Bennu", (20.0, 150.0), "2020-01-21T20:33:17")
+        >>> drafted.is_verified, [file.name for file in drafted.files]
+        (True, ['mission.toml'])
     """
     options = NewOptions(
         name=str(path_of(option("name"), name)).removesuffix(".toml"),

@@ -341,12 +341,6 @@ def explore(
 ) -> None:
     """Serve a page with sliders for a scenario until Ctrl-C; its plan and 3-D view follow them.
 
-    Examples:
-        >>> import scp_recon as sr
-        >>> sr.explore("recon_b", port=80_000)
-        Traceback (most recent call last):
-        scp_recon.errors.InputError: port: got 80000; must be a whole number from 0 to 65535
-
     Args:
         scenario: a file, complete or with base = another, or a packaged one's name.
         port: of 127.0.0.1, where this machine alone finds it; 0 for any free one.
@@ -357,6 +351,12 @@ def explore(
     Raises:
         InputError: if the scenario cannot be planned, the extra [report] is missing, or the port is not
             free.
+
+    Examples:
+        >>> import scp_recon as sr
+        >>> sr.explore("recon_b", port=80_000)
+        Traceback (most recent call last):
+        scp_recon.errors.InputError: port: got 80000; must be a whole number from 0 to 65535
     """
     port = whole_number(option("port"), port, 0, 65_535)
     check_extra()

@@ -77,17 +77,20 @@ def solution_of(given: AnyPlan) -> Solution:
 def load(plan: AnyPlan) -> Solution:
     """Read the solution in a file or a folder.
 
+    Args:
+        plan: the file or folder; a solution is itself, and a plan is verified to become one.
+
+    Returns:
+        The solution. That of a file has the verification that the file has.
+
+    Raises:
+        InputError: if it is none of these, or cannot be read.
+
     Examples:
         >>> import scp_recon as sr
         >>> folder = sr.save(sr.plan(problem="P3"), "runs/mine").parent
         >>> sr.load(folder).problem
         'P3'
-
-    Args:
-        plan: the file or folder; a solution is itself, and a plan is verified to become one.
-
-    Raises:
-        InputError: if it is none of these, or cannot be read.
     """
     if isinstance(plan, Plan):
         return verified(plan.mission, make_solution(plan))
@@ -107,13 +110,19 @@ def verified(mission: Mission, solution: Solution) -> Solution:
 def verify(plan: AnyPlan) -> Verification:
     """Verify a plan without the solver: `ok`, and what `failed`.
 
+    Args:
+        plan: to verify; a solution, or its file.
+
+    Returns:
+        The verification: `ok`, what `failed`, and every figure that was checked, in SI.
+
+    Raises:
+        InputError: if it is no plan and no file of one.
+
     Examples:
         >>> import scp_recon as sr
         >>> sr.verify(sr.plan())
         <Verification: verified>
-
-    Raises:
-        InputError: if it is no plan and no file of one.
     """
     return reintegration.verify(*open_plan(plan))
 
@@ -124,13 +133,20 @@ def save(plan: AnyPlan, folder: str | Path) -> Path:
     A plan that is not verified goes beside a verified one that is there, as `solution_unverified.json`;
     what was made of another plan is set aside (`old_montecarlo.json`).
 
+    Args:
+        plan: to write; a solution, or its file.
+        folder: for the file; it is made.
+
+    Returns:
+        The file that was written.
+
+    Raises:
+        InputError: if it is no plan and no file of one, or the folder cannot be written.
+
     Examples:
         >>> import scp_recon as sr
         >>> sr.save(sr.plan(), "runs/mine").name
         'solution.json'
-
-    Raises:
-        InputError: if it is no plan and no file of one, or the folder cannot be written.
     """
     given = plan if isinstance(plan, Plan) else load(plan)
     path = path_of("folder", folder)
@@ -144,14 +160,20 @@ def save(plan: AnyPlan, folder: str | Path) -> Path:
 def compare(*plans: AnyPlan) -> comparison.Comparison:
     """Compare plans, solutions or their files; the paths are held against the first one's.
 
+    Args:
+        plans: to compare; a solution, or its file.
+
+    Returns:
+        A row a figure, its unit and every plan's value, by name in brackets.
+
+    Raises:
+        InputError: if there is none, or one is no plan and no file of a solution.
+
     Examples:
         >>> import scp_recon as sr
         >>> table = sr.compare(sr.plan(), sr.plan(problem="P3"))
         >>> print(*(f"{dv:.3f} m/s" for dv in table["total delta-v"]))
         0.140 m/s 0.108 m/s
-
-    Raises:
-        InputError: if there is none, or one is no plan and no file of a solution.
     """
     _require_some(plans)
     names = [
@@ -178,9 +200,17 @@ def report(
         field_deg: full angle of the camera's field of view (default: DARE's, 21).
         pixels: across the field of view (default: DARE's, 5120).
 
+    Returns:
+        The file that was written.
+
     Raises:
         InputError: if one is no plan and no file of a solution, the extra [report] is missing, or the
             file cannot be written.
+
+    Examples:
+        >>> import scp_recon as sr
+        >>> sr.report(sr.plan(), out="runs/mine.html").name
+        'mine.html'
     """
     from scp_recon.reports import write
     from scp_recon.reports.ground import Camera
@@ -216,8 +246,16 @@ def charts(*plans: AnyPlan) -> dict[str, Figure]:
     Args:
         plans: one to six, of one body; what lies beside a plan's file is shown with it.
 
+    Returns:
+        Figures of Plotly by name, with units on their axes.
+
     Raises:
         InputError: if one is no plan and no file of a solution, or the extra [report] is missing.
+
+    Examples:
+        >>> import scp_recon as sr
+        >>> sorted(sr.charts(sr.plan()))[:3]
+        ['budget', 'convergence', 'flight']
     """
     from scp_recon.reports import write
 
@@ -272,12 +310,6 @@ def export(
 ) -> Exported:
     """Write a plan for other tools: its burns are flown again, densely enough for their interpolation.
 
-    Examples:
-        >>> import scp_recon as sr
-        >>> files, _ = sr.export(sr.plan(), "csv", "runs/mine/export")
-        >>> [file.suffix for file in files]
-        ['.csv']
-
     Args:
         plan: to write.
         format: "oem" (CCSDS, with an OPM of the burns), "spk" or "ck" (SPICE kernels of the path, or of
@@ -287,8 +319,17 @@ def export(
             line.
         vehicle: a TOML file, for "ck" (default: the packaged DARE).
 
+    Returns:
+        The files that were written, and what they say of themselves.
+
     Raises:
         InputError: naming the argument, what was given and what is allowed.
+
+    Examples:
+        >>> import scp_recon as sr
+        >>> files, _ = sr.export(sr.plan(), "csv", "runs/mine/export")
+        >>> [file.suffix for file in files]
+        ['.csv']
     """
     one_of(option("format"), format, FORMATS)
     spacecraft = whole_number(option("spacecraft"), spacecraft, SPACECRAFT_MIN, -1)

@@ -112,12 +112,6 @@ def fly(
 ) -> Summary:
     """Fly a plan many times with errors.
 
-    Examples:
-        >>> import scp_recon as sr
-        >>> emission = sr.fly(sr.plan(), samples=1000).probability["emission"]
-        >>> print(f"{emission.value:.3f}, 95 % interval {emission.low:.3f} to {emission.high:.3f}")
-        0.982, 95 % interval 0.972 to 0.989
-
     Args:
         plan: to fly; a solution, or its file.
         samples: flights, at most with `until`.
@@ -136,8 +130,18 @@ def fly(
         scheduler: in their place the Dask cluster of this scheduler, e.g. tcp://127.0.0.1:8786; needs
             the extra [cluster].
 
+    Returns:
+        Probabilities with 95 % intervals, times for which limits hold in s, distances in m, delta-v in
+        m/s.
+
     Raises:
         InputError: naming the argument, what was given and what is allowed.
+
+    Examples:
+        >>> import scp_recon as sr
+        >>> emission = sr.fly(sr.plan(), samples=1000).probability["emission"]
+        >>> print(f"{emission.value:.3f}, 95 % interval {emission.low:.3f} to {emission.high:.3f}")
+        0.982, 95 % interval 0.972 to 0.989
     """
     how = FlyOptions(samples, until, truth, errors, seed, workers, scheduler, policy)
     return flown_summary(open_plan(plan), how)
@@ -308,6 +312,12 @@ def simulate(
 
     Raises:
         InputError: naming the argument, what was given and what is allowed.
+
+    Examples:
+        >>> import scp_recon as sr
+        >>> flown = sr.simulate(sr.plan(), seed=1).summary
+        >>> flown.least_charge > flown.floor_charge
+        True
     """
     with needing("simulate", "sim", "Basilisk"):
         from scp_recon.simulation.basilisk import simulation

@@ -33,6 +33,9 @@ def scenario_of(given: Scenario | str | Path, overrides: Sequence[str] = ()) -> 
 def scenarios() -> dict[str, Scenario]:
     """The packaged scenarios by name, each ready to be planned or changed.
 
+    Returns:
+        The scenarios by name.
+
     Examples:
         >>> import scp_recon as sr
         >>> sr.scenarios()["recon_b"]

@@ -213,12 +213,6 @@ def plan(
 ) -> Plan:
     """Plan a flyby.
 
-    Examples:
-        >>> import scp_recon as sr
-        >>> found = sr.plan(sr.load_scenario("recon_b").replace({"risk.p_chance": 0.8}))
-        >>> print(found.status.value.name, f"{found.total_dv_m_s:.3f} m/s")
-        converged 0.155 m/s
-
     Args:
         scenario: a file, complete or with base = another, or a packaged one's name: kingfisher,
             nightingale, osprey, recon_b or sandpiper (default: that of `init`, else recon_b).
@@ -245,8 +239,18 @@ def plan(
         workers: processes for the starts; the plan does not depend on their number (default: 1).
         overrides: `section.entry=value` each, as of `load_scenario`.
 
+    Returns:
+        The plan, not verified yet: `status` says whether it converged, `total_dv_m_s` what it costs.
+        Burns (m, 3), states (n, 6) and covariances (n, 6, 6) are in J2000, m and m/s.
+
     Raises:
         InputError: naming the entry, what was given and what is allowed.
+
+    Examples:
+        >>> import scp_recon as sr
+        >>> found = sr.plan(sr.load_scenario("recon_b").replace({"risk.p_chance": 0.8}))
+        >>> print(found.status.value.name, f"{found.total_dv_m_s:.3f} m/s")
+        converged 0.155 m/s
     """
     options = PlanOptions(
         problem=problem,

@@ -47,13 +47,6 @@ def replan(
     nearly as they can: `verify` says how much is missed. Beyond three sigma of the final dispersion
     that the flown plan predicts, the status is lost.
 
-    Examples:
-        >>> import scp_recon as sr
-        >>> flown = sr.plan()
-        >>> left = sr.replan(flown, flown.times_s[80], flown.states[80])
-        >>> print(f"{len(left.burns_m_s)} burns, {left.total_dv_m_s:.3f} m/s")
-        2 burns, 0.062 m/s
-
     Args:
         plan: that is flown; nodes and spread of a solution, or its file, are held against its burns.
         at_s: time of the state past the plan's epoch, s.
@@ -72,6 +65,13 @@ def replan(
 
     Raises:
         InputError: naming the argument, what was given and what is allowed.
+
+    Examples:
+        >>> import scp_recon as sr
+        >>> flown = sr.plan()
+        >>> left = sr.replan(flown, flown.times_s[80], flown.states[80])
+        >>> print(f"{len(left.burns_m_s)} burns, {left.total_dv_m_s:.3f} m/s")
+        2 burns, 0.062 m/s
     """
     check_overrides(overrides)
     flown = FlownPlan.of(plan)

@@ -31,11 +31,6 @@ def windows(
 ) -> Survey:
     """All lighting windows of a span, with where burns may be about each.
 
-    Examples:
-        >>> import scp_recon as sr
-        >>> len(sr.windows("recon_b", span_days=1.0).windows)
-        5
-
     Args:
         scenario: a file, or a packaged one's name, such as recon_b.
         begin: where the span begins, TDB, e.g. 2020-01-21T20:33:17 (default: the scenario's epoch).
@@ -43,8 +38,16 @@ def windows(
         csv: file to which they are written as a table.
         chart: file to which they are drawn, .png, .pdf or .svg; needs the extra [report].
 
+    Returns:
+        The windows, in s past the scenario's epoch, with legal burn times about each.
+
     Raises:
         InputError: naming the argument, what was given and what is allowed.
+
+    Examples:
+        >>> import scp_recon as sr
+        >>> len(sr.windows("recon_b", span_days=1.0).windows)
+        5
     """
     number_between(option("span_days"), span_days, 0.01, DAYS_MAX)
     given = scenario_of(scenario)

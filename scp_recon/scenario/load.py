@@ -36,17 +36,20 @@ BASES_MAX = 8
 def load_scenario(path: Path | str | None = None, overrides: Sequence[str] = ()) -> Scenario:
     """Read a scenario and apply `section.entry=value` overrides.
 
-    Examples:
-        >>> import scp_recon as sr
-        >>> sr.load_scenario("recon_b").replace({"risk.p_chance": 0.8}).risk.p_chance
-        0.8
-
     Args:
         path: a file, or the name of a packaged scenario; `recon_b` if not given.
         overrides: each with its value in TOML.
 
+    Returns:
+        The scenario, checked; `replace` changes entries.
+
     Raises:
         InputError: naming the entry, what was given and what is allowed.
+
+    Examples:
+        >>> import scp_recon as sr
+        >>> sr.load_scenario("recon_b").replace({"risk.p_chance": 0.8}).risk.p_chance
+        0.8
     """
     if path is not None and not isinstance(path, str | Path):
         raise InputError(

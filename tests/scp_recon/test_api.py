@@ -8,7 +8,7 @@ import runpy
 import sys
 from collections.abc import Callable
 from dataclasses import replace
-from inspect import ismodule
+from inspect import getdoc, isfunction, ismodule, signature
 from operator import attrgetter
 from pathlib import Path
 from typing import Any
@@ -19,6 +19,7 @@ import pytest
 import scp_recon as sr
 from scp_recon.api import files, flights, planning
 from scp_recon.api.options import PlanOptions
+from scp_recon.display import Displayed
 from scp_recon.errors import InputError
 from scp_recon.planning.plan import Certificate, Parent, Plan, as_interrupted
 from scp_recon.results.read import read_solution
@@ -29,7 +30,8 @@ door: Any = sr
 campaign: Any = sr.campaign  # imported here, before a test puts anything in its modules' place
 
 PROJECT = Path(__file__).parents[2]
-NEED_EXTRAS = {"read_campaign", "campaign", "charts", "report", "simulate", "design"}
+BY_NIGHT = {"read_campaign", "campaign", "charts", "report", "simulate", "design"}
+"""Their examples take seconds, and extras."""
 
 
 @nightly
@@ -65,13 +67,33 @@ def test_a_problem_by_hand_costs_what_its_page_says(name, cost, capsys):
 
 
 @pytest.mark.usefixtures("few_flights")
-@pytest.mark.parametrize("name", sorted({*sr.__all__} - NEED_EXTRAS))
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=nightly if name in BY_NIGHT else ()) for name in sr.__all__]
+)
 def test_docstrings_run(name, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     part = sys.modules[getattr(sr, name).__module__]
     (found,) = doctest.DocTestFinder(recurse=False).find(getattr(sr, name), name, part)
     assert found.examples
     assert doctest.DocTestRunner().run(found).failed == 0
+
+
+@pytest.mark.parametrize(
+    "function",
+    [*filter(isfunction, map(door.__getattr__, sr.__all__)), Displayed.plot, Displayed.to_frame],
+)
+def test_help_tells_every_parameter_what_comes_back_and_what_is_raised(function):
+    """In this order, as SciPy's does, and examples last."""
+    said = getdoc(function) or ""
+    sections = re.findall(r"^(Args|Returns|Raises|Examples):$", said, re.MULTILINE)
+    order = ["Args", "Returns", "Raises", "Examples"]
+    assert sections == [name for name in order if name in sections]
+    arguments = said.partition("\nArgs:\n")[2].partition("\n\n")[0]
+    told = re.findall(r"^    (\w+): ", arguments, re.MULTILINE)
+    hints = signature(function)
+    assert told == [name for name in hints.parameters if name != "self"]
+    assert ("Returns" in sections) == (hints.return_annotation != "None")
+    assert function is sr.scenarios or "Raises" in sections
 
 
 def test_a_plan_speaks_si(default_plan, solution):
