@@ -30,7 +30,6 @@ COUNTS: Counter[str] = Counter()
 
 
 def count(what: str) -> None:
-    """One more of something."""
     COUNTS[what] += 1
 
 

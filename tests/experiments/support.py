@@ -43,7 +43,6 @@ def simulated(solution: Solution, _: Vehicle, job: tuple[str, int]) -> Record:
 
 
 def flown(error_sources: str, seed: int, state: ArrayLike, off_rad: float = 0.0) -> Record:
-    """A row of a simulated flight."""
     ends = dict(zip(STATE, np.asarray(state).tolist(), strict=True))
     return {"error_sources": error_sources, "seed": seed, **ends, "attitude_error_rad": off_rad}
 

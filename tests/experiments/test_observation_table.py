@@ -30,7 +30,6 @@ from .support import QUICK, SAMPLES, table_of, write_kernel
 
 
 def study(*words: str) -> int:
-    """The command."""
     return main(["observation_table", *words])
 
 

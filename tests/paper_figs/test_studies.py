@@ -168,7 +168,6 @@ def write_evidence(source: Source, folder: Path) -> None:
 
 @pytest.fixture(scope="module")
 def studies(tmp_path_factory) -> Path:
-    """Folders of all studies."""
     out = tmp_path_factory.mktemp("studies")
     experiments_main(
         ["battery_cones", "--samples", "2000", "--out", str(out / battery_cones.SOURCE.folder)]

@@ -33,7 +33,6 @@ def corrected_flybys(draw: st.DrawFn) -> tuple[Flyby, np.random.Generator]:
 
 
 def linearised(flyby: Flyby, controls: Array) -> Linearisation:
-    """About burns and gains, flown."""
     problem = flyby.problem
     mean = flyby.waves.rollout(problem, controls[problem.burn_controls]).mean
     iterate = Iterate(controls[problem.burn_controls], mean, controls[problem.gain_controls])

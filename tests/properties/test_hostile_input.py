@@ -174,7 +174,6 @@ def read_or_refuse(read: Callable[[], object]) -> None:
 
 @contextlib.contextmanager
 def file_with(content: bytes | str, name: str = "solution.json") -> Iterator[Path]:
-    """A file alone in a folder."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder).resolve() / name
         path.write_bytes(content.encode() if isinstance(content, str) else content)
@@ -329,7 +328,6 @@ def test_a_scenario_at_the_ends_of_its_ranges_is_solved_or_refused(override):
 
 @pytest.fixture(scope="module")
 def solved(tmp_path_factory) -> Path:
-    """A small solution."""
     folder = tmp_path_factory.mktemp("solved")
     mission = Mission.from_scenario(load_scenario(None, ["grid.step_max_s=3000.0"]))
     found = planner.plan(mission, initial_guess.cold(mission))

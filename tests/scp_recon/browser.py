@@ -21,7 +21,6 @@ needed = pytest.mark.skipif(CHROMIUM is None, reason="Chromium is not installed"
 
 @contextmanager
 def chromium() -> Iterator[Any]:
-    """Playwright's browser."""
     with playwright_api.sync_playwright() as driver:
         opened = driver.chromium.launch(executable_path=CHROMIUM, args=list(SOFTWARE))
         yield opened

@@ -125,7 +125,6 @@ class CommandLine:
 
 
 def status_of(main: Callable[[Sequence[str]], int], *arguments: str) -> int:
-    """How a command ends."""
     try:
         return main(arguments)
     except SystemExit as end:  # argparse ends this way

@@ -18,7 +18,6 @@ from tests.scp_recon.support import mission_of
 
 
 def study(*words: str) -> int:
-    """The command."""
     return main(["flown_plan", *words])
 
 
@@ -37,7 +36,6 @@ def mission() -> Mission:
 
 @pytest.fixture(scope="module")
 def flown(mission, tmp_path_factory) -> tuple[Solution, Path]:
-    """The folder after one flight."""
     solution, out = short_plan(mission), tmp_path_factory.mktemp("flown")
     solution.write(out)
     assert study(str(out), "--out", str(out), "--seeds", "1") == 0

@@ -36,7 +36,6 @@ from tests.scp_recon.support import mission_of
 
 
 def study(*words: str) -> int:
-    """The command."""
     return main(["uncertainty_sources", *words])
 
 

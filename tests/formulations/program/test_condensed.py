@@ -29,7 +29,6 @@ MANY = 64
 def make(
     lin: Linearisation, rows: Rows, penalty: Penalty = "exact", solver: str = "CLARABEL"
 ) -> CondensedSubproblem:
-    """A subproblem at an iterate."""
     subproblem = CondensedSubproblem(lin.problem, rows, penalty, solver, condense)
     subproblem.update(lin)
     return subproblem

@@ -213,7 +213,6 @@ def backwards(lin: Linearisation, rows: Rows, prices: Array) -> Array:
 
 
 def with_gains(rng: np.random.Generator, lin: Linearisation) -> Linearisation:
-    """Some corrections of an iterate."""
     gains = 0.1 * rng.normal(size=len(lin.problem.gain_controls))
     return replace(lin, iterate=replace(lin.iterate, gains=gains))
 

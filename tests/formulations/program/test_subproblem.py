@@ -213,8 +213,6 @@ def promised(case: Case, subproblem: Subproblem) -> float:
 
 
 class Scripted:
-    """A conic solver with one answer."""
-
     def __init__(self, answer: Answer | str) -> None:
         self._answer = answer
 

@@ -295,11 +295,3 @@ def test_what_pulls_is_the_derivative_of_the_root_at_its_price(rng, first, certa
 
     slope = (priced(h) - priced(-h)) / (2.0 * h)
     assert np.sum(own[-1] * move) == pytest.approx(slope, rel=1e-6, abs=1e-8)
-
-
-def test_without_a_limit_nothing_is_added():
-    lin = flown_spread(np.random.default_rng(0), None, None)
-    before = Pulled(np.zeros((9, 3)), np.zeros((9, 3, 2)))
-    rows = FinalSpread(lin.problem, 3)
-    assert rows.pulled(before, lin, np.zeros(3)) is before
-    assert (rows.margins(lin), rows.cones(lin, condense(lin))) == ({}, [])

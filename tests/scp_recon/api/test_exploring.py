@@ -40,7 +40,6 @@ OTHER_ERRORS = {
 def ask(
     server: Server, method: str, path: str, body: str | None = None, **headers: str
 ) -> tuple[int, str]:
-    """Status and text of an answer."""
     connection = HTTPConnection("127.0.0.1", server.server_port, timeout=60)
     try:
         connection.request(method, path, body, {k.replace("_", "-"): v for k, v in headers.items()})

@@ -326,8 +326,3 @@ def test_a_look_passes_with_the_successes_that_are_aimed_at_and_no_fewer(require
     needed = successes_needed(required, n)
     assert certifies(needed, n, required)
     assert not certifies(needed - 1, n, required)
-
-
-def test_no_look_has_the_seed_of_a_round():
-    rounds = {FIRST_SEED + number for number in range(100)}
-    assert rounds.isdisjoint(look_seed(number) for number in range(1, LOOKS_MAX + 1))

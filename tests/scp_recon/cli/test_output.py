@@ -18,7 +18,6 @@ NEW = ("--body", "Bennu", "--site", "20,150", "--epoch", "2020-01-21T20:33:17")
 
 @pytest.fixture(scope="module")
 def folder(default_run, tmp_path_factory) -> Path:
-    """Of a plan."""
     folder = tmp_path_factory.mktemp("output")
     read_solution(default_run.folder).write(folder)
     return folder
@@ -44,7 +43,6 @@ def words_of(command: str, folder: Path, out: Path) -> list[str]:
 
 
 def a_study(folder: Path) -> str:
-    """Of one plan."""
     path = folder / "study.toml"
     path.write_text('[[axis]]\nentry = "risk.p_chance"\nvalues = [0.6]\n', "utf-8")
     return str(path)

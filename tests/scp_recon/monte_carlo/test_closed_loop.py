@@ -192,7 +192,6 @@ def test_flights_count_what_corrected_burns_break(solution):
 
 @pytest.fixture(scope="module")
 def corrected(solution) -> Solution:
-    """A plan's file with gains."""
     case = case_of(3600.0, solution)
     merit = MeritFunction(case.lin.problem, DeterministicRows(case.lin.problem))
     stage = Stage("P2", Result(Status.CONVERGED, case.lin, (), Timing()), merit, None, 1e-6)

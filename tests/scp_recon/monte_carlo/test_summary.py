@@ -44,7 +44,6 @@ def summary(flown, solution) -> Summary:
 
 @pytest.fixture(scope="module")
 def data(summary, tmp_path_factory) -> Data:
-    """What is in the file."""
     path = summary.write(tmp_path_factory.mktemp("written"))
     parsed: Data = json.loads(path.read_text("utf-8"))
     return parsed

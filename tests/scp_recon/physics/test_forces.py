@@ -151,12 +151,6 @@ def evaluate(field: HarmonicField, position: np.ndarray) -> np.ndarray:
     return np.array(field.acceleration(*np.asarray(position)[:, None]))[:, 0]
 
 
-def test_degree_zero_is_a_point_mass():
-    position = np.array([300.0, -500.0, 700.0])
-    expected = -GM * position / np.linalg.norm(position) ** 3
-    assert evaluate(HarmonicField.bennu(GM, 0), position) == pytest.approx(expected, rel=1e-14)
-
-
 @given(directions, st.floats(350.0, 2000.0))
 def test_zonal_degree_two_is_the_planners_j2(direction, radius):
     field = HarmonicField.bennu(GM, 2)

@@ -43,7 +43,6 @@ def verified(solution) -> Solution:
 
 @pytest.fixture(scope="module")
 def data(verified, tmp_path_factory) -> Data:
-    """What is in the file."""
     path = verified.write(tmp_path_factory.mktemp("written"))
     parsed: Data = json.loads(path.read_text("utf-8"))
     return parsed

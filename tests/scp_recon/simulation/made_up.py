@@ -46,5 +46,4 @@ def entries(**changes: Any) -> dict[str, Any]:
 
 
 def summary(**changes: Any) -> FlightSummary:
-    """The same as its type."""
     return FlightSummary.model_validate(entries(**changes), strict=False)

@@ -47,19 +47,6 @@ def test_a_point_mass_arc_is_the_planners_to_a_millimetre(mission, vehicle, solu
     assert np.linalg.norm(error[3:]) < 1e-7
 
 
-def test_an_oblate_field_turning_with_the_body_is_the_planners_j2(mission, vehicle, solution):
-    body = mission.scenario.body
-    c, s = np.zeros((3, 3)), np.zeros((3, 3))
-    c[0, 0], c[2, 0] = 1.0, -body.j2
-    field = HarmonicField(body.gm_m3_s2, body.reference_radius_m, c, s)
-    forces = replace(mission.forces, srp=np.zeros(3))
-    state = np.array(solution.nodes.state[0])
-    error = flown(mission, vehicle, state, field) - planned(forces, state)
-    point_mass = planned(replace(forces, j2_strength=0.0), state) - planned(forces, state)
-    assert np.linalg.norm(point_mass[:3]) > 2.0
-    assert np.linalg.norm(error[:3]) < 1e-3
-
-
 def test_the_whole_field_turns_as_the_bodys_rotation_says(mission, vehicle, solution):
     """Basilisk's acceleration against ours, after half a turn of the asteroid."""
     field = HarmonicField.bennu(mission.scenario.body.gm_m3_s2, 8)

@@ -124,7 +124,6 @@ def test_a_falsified_solution_is_found_out(mission, solution, name):
 
 
 def told(data: dict[str, Any], name: str) -> dict[str, Any]:
-    """What is said of a constraint."""
     found: dict[str, Any] = next(c for c in data["constraints"] if c["name"] == name)
     return found
 
