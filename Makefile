@@ -63,7 +63,7 @@ release: check  ## everything that a release has to pass: no figure of a page is
 	$(BIN)/python -m experiments evidence --check
 
 drawings: $(VENV)/.test  ## make the pictures of the pages that no study feeds
-	for name in frames planner polytopes lifting; do \
+	for name in frames planner modes polytopes lifting directions closed_loop; do \
 	$(BIN)/python -m paper_figs $$name --out docs/$$name.png || exit 1; done
 
 figures: $(VENV)/.test  ## make all figures, the studies that are missing first, and that of docs/validation/paper.md

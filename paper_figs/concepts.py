@@ -1,4 +1,4 @@
-"""Draw what the pages explain: the planner's steps, facets of a shell, and the lifted covariance.
+"""Draw what the pages explain: the planner's steps, modes, facets, lifting, exact risk, feedback.
 
 Nothing is computed from a plan; the drawings need no input.
 """
@@ -9,9 +9,13 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Ellipse, FancyBboxPatch, Polygon, Rectangle
+from scipy.stats import chi
 
 from formulations.arrays import Array
-from paper_figs.drawing import BURN, page
+from paper_figs.drawing import BURN, legend, page
+from scp_recon.mission.mission import Mission
+from scp_recon.mission.schedule import Mode
+from scp_recon.scenario.load import load_scenario
 
 EDGE, FILL, DARK = "0.25", "0.94", "0.8"
 SMALL = 7.5
@@ -72,7 +76,7 @@ def planner() -> Figure:
         axes.text(0.55, 0.98, "an iteration of either stage", size=SMALL, color="0.35", va="bottom")
         for stage in (2, 4):
             axes.plot([stage * step] * 2, [2.2 - tall / 2, 0.95], color="0.55", lw=1.0, ls="--")
-        _curve(axes, (4 * step - 0.2, 2.62), (3 * step, 2.62), "again, if asked for")
+        _curve(axes, (4 * step - 0.2, 2.62), (3 * step, 2.62), "again, on request")
         _curve(axes, (6 * step, 2.62), (4 * step + 0.2, 2.62), "exact risk: until certified")
         axes.set(xlim=(-0.75, 9.75), ylim=(-0.85, 3.3), aspect="equal")
         axes.set_axis_off()
@@ -250,3 +254,150 @@ def _factor(axes: Axes) -> None:
         axes.text(0.5 * (left - 0.55), height, words, ha="center", va="top", size=size)
     axes.set(xlim=(-0.1, left - 0.45), ylim=(-1.45, 1.75), aspect="equal")
     axes.set_axis_off()
+
+
+# --- attitude modes -------------------------------------------------------------------------------
+
+RULES = {
+    "slew": ("0.55", "attitude_s"),
+    "heating": ("C1", "heating_s"),
+    "recharge": ("C2", "recharge_s"),
+}
+"""Colour of what a mode begins with, and the rule that says how long it takes."""
+IN_MODE = {
+    Mode.DELTA_V: ("slew", "heating"),
+    Mode.OBSERVATION: ("slew",),
+    Mode.SUN_POINTING: ("slew", "recharge"),
+}
+
+
+def modes() -> Figure:
+    """The attitude modes of the default flight, what each begins with, and where burns may be."""
+    mission = Mission.from_scenario(load_scenario())
+    schedule, scenario = mission.schedule, mission.scenario
+    rows = list(IN_MODE)
+    with page(2.6) as figure:
+        axes = figure.subplots()
+        for leg in schedule.legs:
+            row, begin = rows.index(leg.mode) + 1, leg.start_s
+            axes.barh(row, leg.end_s - begin, 0.6, begin, fc="C0", alpha=0.25, lw=0)
+            for name in IN_MODE[leg.mode]:
+                colour, rule = RULES[name]
+                length = getattr(scenario.schedule, rule)
+                axes.barh(row, length, 0.6, begin, fc=colour, lw=0)
+                begin += length
+        for time, (early, late) in zip(
+            scenario.burns.times_s, schedule.firing_intervals_s, strict=True
+        ):
+            late = min(late, scenario.duration_s + 600.0)
+            axes.plot([early, late], [0.0, 0.0], color=BURN, lw=5.0, alpha=0.35)
+            axes.plot(time, 0.0, "v", color=BURN, ms=7)
+        axes.axvspan(*schedule.window_s, fc="gold", alpha=0.3, lw=0)
+        for name, (colour, _) in RULES.items():
+            axes.barh(0, 0, fc=colour, label=name)
+        axes.barh(0, 0, fc="C0", alpha=0.25, label="rest of the mode")
+        axes.barh(0, 0, fc="gold", alpha=0.3, label="window")
+        axes.plot([], [], "v", color=BURN, label="burn, and its legal times")
+        axes.set_yticks(range(len(rows) + 1), ["burns", *rows])
+        axes.invert_yaxis()
+        axes.set(xlabel="time past the epoch (s)", xlim=(-600.0, scenario.duration_s + 600.0))
+        legend(figure, 3)
+    return figure
+
+
+# --- exact risk -----------------------------------------------------------------------------------
+
+INNER, OUTER = 0.6, 1.0
+"""Radii of the shell in which the spacecraft has to be."""
+SPREAD = np.array([[0.2, 0.05], [0.05, 0.3]])
+"""A factor of the covariance."""
+
+
+def directions() -> Figure:
+    """Lines through the mean, the parts of them that keep the limits, and one line's probability."""
+    mean, lines, shown = np.array([0.78, 0.12]), 8, 1
+    s = np.linspace(-3.5, 3.5, 1401)
+    density = 0.5 * chi.pdf(abs(s), len(mean))
+    with page(3.2, 8.4) as figure:
+        left, right = figure.subplots(1, 2, width_ratios=(1.0, 1.15))
+        for radius, shade in ((OUTER, FILL), (INNER, "w")):
+            left.add_patch(Circle((0, 0), radius, fc=shade, ec="k", lw=1.3))
+        angles = np.linspace(0.0, 2.0 * np.pi, 97)
+        circle = SPREAD @ np.stack([np.cos(angles), np.sin(angles)])
+        for sigmas in (1.0, 2.0):
+            left.plot(*(mean[:, None] + sigmas * circle), color="0.45", lw=0.9, ls="--")
+        for k, angle in enumerate(np.pi * (np.arange(lines) + 0.5) / lines):
+            path = mean + s[:, None] * (SPREAD @ [np.cos(angle), np.sin(angle)])
+            radius = np.linalg.norm(path, axis=1)
+            kept = (radius >= INNER) & (radius <= OUTER)
+            wide = 2.6 if k == shown else 1.0
+            left.plot(*path.T, color=BURN, lw=0.5 * wide)
+            left.plot(*np.where(kept[:, None], path, np.nan).T, color="C2", lw=wide)
+            if k == shown:
+                left.text(*path[-1], "this line", size=SMALL, ha="center", va="bottom")
+                right.fill_between(s, density, where=kept, fc="C2", alpha=0.6, lw=0)
+                right.fill_between(s, density, where=~kept, fc=BURN, alpha=0.3, lw=0)
+        left.plot(*mean, "ko", ms=4)
+        left.text(0.0, 0.0, "keep out", ha="center", va="center", size=SMALL)
+        left.text(-0.8, 0.0, "keep in", ha="center", va="center", size=SMALL, rotation=90)
+        left.set(xlim=(-1.05, 1.6), ylim=(-1.05, 1.3), aspect="equal")
+        left.set_title("lines through the mean; green: all limits hold")
+        left.set_axis_off()
+        right.plot(s, density, "k-", lw=1.2)
+        right.set(xlabel="distance from the mean (sigma)", ylabel="density (1/sigma)")
+        right.set(xlim=(-3.5, 3.5), ylim=(0.0, 0.35))
+        right.set_title("this line's probability: the green area")
+    return figure
+
+
+# --- feedback -------------------------------------------------------------------------------------
+
+
+def closed_loop() -> Figure:
+    """Dispersion and knowledge along one axis: measured at a cut-off, corrected at a burn."""
+    cut_off, burn, end = 0.4, 0.55, 1.0
+    times = np.linspace(0.0, end, 501)
+    start, error = np.diag([0.02, 0.35]) ** 2, np.diag([0.03, 0.08]) ** 2
+    open_loop = np.array([_coasted(start, t) for t in times])
+    before = _coasted(start, cut_off)
+    gain = before @ np.linalg.inv(before + error)
+    # The correction turns the estimated state towards the plan's position at the end.
+    turn = np.array([[1.0, 0.0], [-1.0 / (end - burn), 0.0]])
+    estimated = turn @ _coasted(gain @ before, burn - cut_off) @ turn.T
+    left = before - gain @ before
+    corrected = _coasted(left, burn - cut_off) + estimated
+    knowledge, closed = open_loop.copy(), open_loop.copy()
+    for k, t in enumerate(times):
+        if t >= cut_off:
+            knowledge[k] = _coasted(left, t - cut_off)
+        if t >= burn:
+            closed[k] = _coasted(corrected, t - burn)
+    with page(2.6) as figure:
+        axes = figure.subplots()
+        for covariance, colour, dashes, name in (
+            (open_loop, "0.45", "--", "dispersion, open loop"),
+            (closed, BURN, "-", "dispersion, with feedback"),
+            (knowledge, "C0", ":", "error of the estimate"),
+        ):
+            sigma = np.sqrt(covariance[:, 0, 0])
+            axes.plot(times, sigma, color=colour, ls=dashes, lw=1.8, label=name)
+        top = float(np.sqrt(open_loop[-1, 0, 0]))
+        for time, words in (
+            (0.0, "burn 1"),
+            (cut_off, "cut-off:\nmeasured"),
+            (burn, "burn 2:\ncorrected"),
+        ):
+            axes.axvline(time, color="0.75", lw=0.9)
+            axes.text(time + 0.01, top, words, size=SMALL, va="top")
+        axes.annotate("", (burn, 0.6 * top), (cut_off, 0.6 * top), arrowprops={"arrowstyle": "<->"})
+        axes.text(0.5 * (cut_off + burn), 0.62 * top, "lead", size=SMALL, ha="center")
+        axes.set(xlabel="time", ylabel="position, 1 sigma", xticks=[], yticks=[], xlim=(-0.02, end))
+        axes.set_ylim(bottom=0.0)
+        legend(figure, 3)
+    return figure
+
+
+def _coasted(covariance: Array, time: float) -> Array:
+    """A covariance of position and velocity along one axis, after a coast."""
+    flow = np.array([[1.0, time], [0.0, 1.0]])
+    return flow @ covariance @ flow.T

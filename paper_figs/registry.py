@@ -118,9 +118,17 @@ STUDIES: dict[str, Item] = {
 ALONE = {
     "flyby": Item(flyby.draw, read=flyby.read, dpi=140),
     "frames": _without_input(frames.draw),
-    "planner": _without_input(concepts.planner),
-    "polytopes": _without_input(concepts.polytopes),
-    "lifting": _without_input(concepts.lifting),
+    **{
+        one.__name__: _without_input(one)
+        for one in (
+            concepts.planner,
+            concepts.modes,
+            concepts.polytopes,
+            concepts.lifting,
+            concepts.directions,
+            concepts.closed_loop,
+        )
+    },
     "solver_comparison": Item(
         solver_comparison.draw, source=solver_comparison.SOURCE, read=solver_comparison.SOURCE.rows
     ),

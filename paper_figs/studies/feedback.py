@@ -56,7 +56,7 @@ def draw(tables: list[list[Row]]) -> Figure:
             panels[name].set_xlabel("required probability of whole flights (-)")
         costs = [float(row["dv99_m_s"]) for row in rows if row["kind"] != OPEN and row["dv99_m_s"]]
         shown = 1e3 * min(costs) - ROOM_MM_S, 1e3 * max(costs) + ROOM_MM_S
-        panels["dv"].set(ylabel="99 % of the delta-v (mm/s)", ylim=shown)
+        panels["dv"].set(ylabel="99 % quantile of delta-v (mm/s)", ylim=shown)
         panels["end"].set_ylabel("final dispersion (m)")
         panels["errors"].set(xlabel="error of the measured position (m)", ylabel="delta-v (mm/s)")
         legend(figure, 3)

@@ -44,7 +44,7 @@ def draw(rows: list[Row]) -> Figure:
             axes.set_xticks(range(0, 361, 90))
             axes.set_yticks(range(-90, 91, 30))
         panels[0].set_ylabel("latitude (deg)")
-        figure.colorbar(points, ax=panels, label="99 % of the delta-v (m/s)", pad=0.01)
+        figure.colorbar(points, ax=panels, label="99 % quantile of delta-v (m/s)", pad=0.01)
         legend(figure, 3)
     return figure
 

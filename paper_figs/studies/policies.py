@@ -21,7 +21,7 @@ MARKS = {
 }
 FIGURES = {
     "whole_flight": (100.0, "whole flights that hold (%)"),
-    "dv99_m_s": (1e3, "99 % of the delta-v (mm/s)"),
+    "dv99_m_s": (1e3, "delta-v, 99 % (mm/s)"),
     "final_sigma_m": (1.0, "final dispersion (m)"),
 }
 """Factor and name of each column."""

@@ -108,7 +108,10 @@ def draw_scenarios(rows: Sequence[Row]) -> Figure:
         row for row in rows if row["group"] == "scenarios" and row["algorithm"] != "unguarded"
     ]
     methods = list(dict.fromkeys(row["method"] for row in chosen))
-    panels = (("p_chance", 0.7, "p_chance"), ("beta", 0.08, "execution error, 1 sigma"))
+    panels = (
+        ("p_chance", 0.7, "required probability (-)"),
+        ("beta", 0.08, "execution error, 1 sigma (-)"),
+    )
     with page(3.4) as figure:
         both = figure.subplots(1, 2, sharey=True)
         for axes, (name, default, label) in zip(both, panels, strict=True):

@@ -1,6 +1,7 @@
 """Every figure of the paper is drawn once, in silence, and written; and what they say is true."""
 
 import json
+import re
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -214,6 +215,15 @@ def test_figures_that_are_named_go_to_a_folder_or_a_single_one_to_a_file(
     assert len(list((tmp_path / "folder.png").iterdir())) == len(PICTURES)
     assert main(["observation_table", "--runs", str(folder), "--out", str(tmp_path / "x.md")]) == 0
     assert (tmp_path / "x.md").is_file()
+
+
+def test_one_target_draws_the_concepts_of_the_pages():
+    root = Path(__file__).parents[2]
+    made = re.search(r"^drawings:.*\n\tfor name in (.*);", (root / "Makefile").read_text(), re.M)
+    assert made is not None
+    for name in made[1].split():
+        assert EVERYTHING[name].make(EVERYTHING[name].read(root)).axes
+        assert any(f"({name}.png)" in page.read_text() for page in (root / "docs").glob("*.md"))
 
 
 @pytest.mark.parametrize("name", ["file", "picture.xyz", "file/x.png"])
