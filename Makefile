@@ -80,8 +80,8 @@ gallery: $(VENV)/.extras  ## draw docs/gallery: passes over packaged bodies, des
 notebooks: $(VENV)/.notebooks  ## run the notebooks, and keep each as a page in runs/notebooks
 	for name in $(basename $(notdir $(wildcard examples/notebooks/*.py))); do \
 	$(BIN)/jupytext --quiet --to ipynb --output - examples/notebooks/$$name.py | PLOTLY_RENDERER=notebook \
-	$(BIN)/jupyter-nbconvert --log-level ERROR --stdin --execute --to html --output-dir runs/notebooks --output $$name \
-	|| exit 1; done
+	$(BIN)/jupyter-nbconvert --log-level ERROR --KernelManager.transport=ipc --stdin --execute --to html \
+	--output-dir runs/notebooks --output $$name || exit 1; done
 
 site: $(VENV)/.docs  ## build the pages as a site in runs/site, notebooks as they ran last; any warning or broken link fails
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet

@@ -105,17 +105,18 @@ def charts_of(given: Sequence[Solution | Path]) -> dict[str, Figure]:
 
 
 def figures_of(drawn: Iterable[dict[str, Any]]) -> dict[str, Figure]:
-    """Charts by their keys as figures of Plotly, which is there; their titles stand above them."""
+    """Charts by their keys as figures of Plotly, with their titles; nothing follows a page's time."""
     from plotly.graph_objects import Figure
 
     found = {}
     for one in drawn:
         layout, margin = one["layout"], one["layout"]["margin"]
-        named = [trace["name"] for trace in one["data"] if trace.get("showlegend", True)]
+        data = [trace for trace in one["data"] if "now" not in trace.get("meta", {})]
+        named = [trace["name"] for trace in data if trace.get("showlegend", True)]
         lines = sum(45 + 7 * len(name) for name in named) // WIDTH_PX
         room = TITLE_PX + LINE_PX * lines
         title = {"text": one["title"], "x": 0.01, "yref": "container", "y": 1.0, "yanchor": "top"}
-        found[one["key"]] = Figure(one["data"], layout).update_layout(
+        found[one["key"]] = Figure(data, layout).update_layout(
             title=title | {"pad": {"t": 12}},
             height=layout["height"] + room,
             margin=margin | {"t": margin["t"] + room},
