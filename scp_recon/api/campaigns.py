@@ -66,11 +66,11 @@ def campaign(
     Args:
         study: a file, or its tables, with files relative to the current folder.
         out: folder for the results.
-        workers: processes for the cases; 0 runs them in this one, where none can be ended that takes
-            too long or too much memory (default: 1).
-        scheduler: in their place the Dask cluster of this scheduler, e.g. tcp://127.0.0.1:8786; needs
+        workers: processes for the cases; 0 runs them in this one, without limits of time and memory
+            (default: 1).
+        scheduler: run on the Dask cluster of this scheduler instead, e.g. tcp://127.0.0.1:8786; needs
             the extra [cluster].
-        yes: more than 100,000 cases are what is meant.
+        yes: allow more than 100,000 cases.
 
     Returns:
         The table of all cases, and figures by name.

@@ -63,8 +63,8 @@ def design(
 
     Args:
         scenario: a file with boundary.home, or a packaged one's name.
-        certify: with risk.allocation = exact, fly plans to aim, until flights that no aim has used
-            reach what was required (default: yes).
+        certify: with risk.allocation = exact, raise the target probability until fresh flights reach
+            the required one (default: yes).
         overrides: `section.entry=value` each, as of `load_scenario`.
 
     Returns:

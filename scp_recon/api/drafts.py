@@ -226,13 +226,13 @@ def new(
 
     Args:
         name: of the scenario, written to NAME.toml.
-        body: Bennu or Eros; or another, with `gm`, `radius`, `period`, `pole` and `orbit`, which
-            `from_spice` has and packaged bodies must not be given.
+        body: a packaged one's name; or another, with `gm`, `radius`, `period`, `pole` and `orbit`.
+            A packaged body excludes these, and `from_spice` has them.
         site: planetocentric latitude and east longitude, deg; as --site=-20,30 on the command line.
         epoch: earliest time of the first burn, TDB, e.g. 2020-01-21T20:33:17; with `from_csv` that of
             t_s = 0; left out with `from_spice` and `from_oem`.
         gm: of the body, m^3/s^2.
-        radius: of the sphere that stands for it, m.
+        radius: of the body as a sphere, m.
         period: sidereal spin period, h, right-handed about the pole.
         pole: right ascension and declination of the spin pole, deg, J2000.
         orbit: the body from the Sun at `epoch`, with `from_oem` at the first state taken, km and km/s,

@@ -343,7 +343,7 @@ def explore(
 
     Args:
         scenario: a file, complete or with base = another, or a packaged one's name.
-        port: of 127.0.0.1, where this machine alone finds it; 0 for any free one.
+        port: of 127.0.0.1, which only this machine reaches; 0 for any free one.
         no_browser: open no browser.
         overrides: `section.entry=value` each, as of `load_scenario`.
         progress: told where the page is.

@@ -158,7 +158,7 @@ def save(plan: AnyPlan, folder: str | Path) -> Path:
 
 
 def compare(*plans: AnyPlan) -> comparison.Comparison:
-    """Compare plans, solutions or their files; the paths are held against the first one's.
+    """Compare plans, solutions or their files; paths are compared with the first one's.
 
     Args:
         plans: to compare; a solution, or its file.
@@ -189,13 +189,13 @@ def report(
     field_deg: float | None = None,
     pixels: int | None = None,
 ) -> Path:
-    """Write the page that shows plans, laid over each other; it needs nothing else to be looked at.
+    """Write a page that overlays plans; it works offline.
 
     The folder of a campaign, finished or not, gets its own page, `campaign.html`, and pictures.
 
     Args:
-        plans: one to six, of one body; what lies beside a plan's file is shown with it. Or the folder
-            of a campaign.
+        plans: one to six, of one body, with the flights and simulations beside their files. Or the
+            folder of a campaign.
         out: the file to write, for plans.
         field_deg: full angle of the camera's field of view (default: DARE's, 21).
         pixels: across the field of view (default: DARE's, 5120).

@@ -117,17 +117,17 @@ def fly(
         samples: flights, at most with `until`.
         seed: of all draws.
         until: stop when every joint probability's interval is this narrow, e.g. 0.005; where 10,000
-            flights leave one wider, these probabilities are of further flights, few of many draws.
-        truth: gravity as the "planner" has it, or turning with the body all "harmonics", of
-            body.gravity_file or degree 8 of a packaged field, or a homogeneous "polyhedron", of
-            body.solid_file or the ellipsoid body.radii_m.
+            flights leave one wider, stratified flights refine it.
+        truth: gravity of the "planner"; or, turning with the body, all "harmonics" of body.gravity_file
+            or degree 8 of a packaged field, or a homogeneous "polyhedron", of body.solid_file or the
+            ellipsoid body.radii_m.
         errors: of the burns: "componentwise", or "gates", by magnitude and pointing (default: the
             scenario's).
         policy: what burns are commanded: "open", those planned; "replan", planned again before each
             from what is estimated; "feedback", corrected by the plan's gains (default: feedback of a
             plan with gains, else open).
         workers: processes; the result does not depend on their number (default: 1).
-        scheduler: in their place the Dask cluster of this scheduler, e.g. tcp://127.0.0.1:8786; needs
+        scheduler: run on the Dask cluster of this scheduler instead, e.g. tcp://127.0.0.1:8786; needs
             the extra [cluster].
 
     Returns:

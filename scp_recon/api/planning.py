@@ -225,22 +225,22 @@ def plan(
         algorithm: with scp scvx, ptr or scvx-star (default: scvx).
         solver: with scp a conic solver that CVXPY finds: CLARABEL and SCS; ECOS and QOCO with the extra
             [compare] (default: CLARABEL).
-        facet_rounds: choose the facets again at the solution and solve again, up to so many times; what
-            is infeasible is tried again in any case.
-        certify: with risk.allocation = exact, fly plans to aim, until flights that no aim has used
-            reach what was required (default: yes).
+        facet_rounds: choose the facets again at the solution and solve again, up to this many times; an
+            infeasible case is tried again in any case.
+        certify: with risk.allocation = exact, raise the target probability until fresh flights reach
+            the required one (default: yes).
         objective: the least "delta-v"; or with risk.allocation = exact the largest "probability",
             whatever risk.p_chance says.
-        dv_budget_m_s: with `objective` probability, most delta-v that the plan may cost, as policy.cost
-            counts it, m/s (default: any).
-        starts: plan from `init` and from so many random flights less one, list the distinct local
-            optima and keep the best (default: 1).
+        dv_budget_m_s: with `objective` probability, largest delta-v of the plan, as policy.cost counts
+            it, m/s (default: no limit).
+        starts: plan from `init`, and from random flights for the other starts; list the distinct
+            local optima and keep the best (default: 1).
         seed: of the random flights (default: 0).
         workers: processes for the starts; the plan does not depend on their number (default: 1).
         overrides: `section.entry=value` each, as of `load_scenario`.
 
     Returns:
-        The plan, not verified yet: `status` says whether it converged, `total_dv_m_s` what it costs.
+        The plan, not verified yet: `status` says whether it converged, `total_dv_m_s` is its delta-v.
         Burns (m, 3), states (n, 6) and covariances (n, 6, 6) are in J2000, m and m/s.
 
     Raises:

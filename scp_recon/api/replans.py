@@ -40,15 +40,15 @@ def replan(
     overrides: Sequence[str] = (),
     certify: bool | None = None,
 ) -> Plan:
-    """Plan what is left of a flight from a state in it.
+    """Plan the rest of a flight from a state in it.
 
-    Burns at or before that time are flown. The next one keeps the scenario's lead time; what
-    is left of the observation window counts. With fewer than two burns left the final state is met as
-    nearly as they can: `verify` says how much is missed. Beyond three sigma of the final dispersion
+    Burns at or before that time are flown. The next one keeps the scenario's lead time; the
+    rest of the observation window counts. With fewer than two burns left the final state is met as
+    nearly as possible: `verify` gives the miss. Beyond three sigma of the final dispersion
     that the flown plan predicts, the status is lost.
 
     Args:
-        plan: that is flown; nodes and spread of a solution, or its file, are held against its burns.
+        plan: the plan in flight; nodes and covariances of a solution are compared with its burns.
         at_s: time of the state past the plan's epoch, s.
         state: after the burns flown, m and m/s, body-centred, shape (6,).
         covariance: of it, m and m/s, shape (6, 6); the scenario's initial one if not given.
@@ -56,12 +56,12 @@ def replan(
         covariance_frame: axes of the covariance, these or "rtn" of the state (default: those of
             `frame`).
         measured_burns: burns flown as telemetry saw them, by their number in the flight from 1, m/s.
-        overrides: `section.entry=value` each, as of `load_scenario`, for what is left.
-        certify: with risk.allocation = exact, fly plans to aim, until flights that no aim has used
-            reach what was required (default: yes).
+        overrides: `section.entry=value` each, as of `load_scenario`, for the rest of the flight.
+        certify: with risk.allocation = exact, raise the target probability until fresh flights reach
+            the required one (default: yes).
 
     Returns:
-        A plan of the burns that are left, whose `parent` names the one that is flown.
+        A plan of the remaining burns, whose `parent` names the plan in flight.
 
     Raises:
         InputError: naming the argument, what was given and what is allowed.

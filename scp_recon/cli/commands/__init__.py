@@ -56,10 +56,10 @@ replan = Command(
     "replan",
     "replanning",
     "api.replans.replan",
-    "Plan what is left of a flight.",
+    "Plan the rest of a flight.",
     {
         "overrides": {
-            "help": "override one entry of the scenario for what is left, e.g. "
+            "help": "override one entry of the scenario for the rest, e.g. "
             "navigation.lead_s=900; may be repeated"
         },
         "out": _out("solution.json"),
@@ -89,7 +89,7 @@ compare = Command(
     "compare",
     "plans",
     "api.files.compare",
-    "Compare plans side by side; paths are held against the first one's.",
+    "Compare plans side by side; paths are compared with the first one's.",
 )
 report = Command(
     "report",
@@ -97,10 +97,10 @@ report = Command(
     "api.files.report",
     "Show plans, or a campaign, on one page. It is an HTML file that works without a network: the "
     "verdict, a 3-D view in time, histories with their bands, probabilities, ground track, delta-v, "
-    "margins, convergence. Flights and simulations that lie beside a plan are shown with it.",
+    "margins, convergence. It includes flights and simulations beside a plan.",
     {
         "plans": {
-            "help": "folder with a solution.json, or a file; several are laid over each other; or the "
+            "help": "folder with a solution.json, or a file; several are overlaid; or the "
             "folder of a campaign, finished or not, which gets its page and pictures"
         },
         "out": {
