@@ -38,8 +38,15 @@ def root(square: ca.MX) -> ca.MX:
     return ca.sqrt(square + GUARD)
 
 
-class Spread(Protocol):
-    """A form of the covariance at a node."""
+class Deviations(Protocol):
+    """What is known of the covariance at a node."""
+
+    def deviation(self, normal: Array, entries: ca.MX) -> ca.MX:
+        """Standard deviations of the position along the rows of `normal` (m, 3), shape (m,)."""
+
+
+class Spread(Deviations, Protocol):
+    """A form of the covariance at a node, from arc to arc."""
 
     def size(self, burns: int) -> int:
         """Number of entries at a node, that many burns at or before it."""
@@ -52,9 +59,6 @@ class Spread(Protocol):
 
     def pack(self, factor: Array, burns: int) -> Array:
         """Entries from a factor (6, c) whose columns of later burns are zero."""
-
-    def deviation(self, normal: Array, entries: ca.MX) -> ca.MX:
-        """Standard deviations of the position along the rows of `normal` (m, 3), shape (m,)."""
 
 
 class Covariance:
@@ -151,6 +155,14 @@ class Factor:
         return root(self._unit**2 * ca.sum2((ca.DM(normal) @ position) ** 2))
 
 
+class Position:
+    """The position's covariance, its nine entries."""
+
+    def deviation(self, normal: Array, entries: ca.MX) -> ca.MX:
+        """Root of a'Sigma a."""
+        return root(ca.sum2((ca.DM(normal) @ ca.reshape(entries, 3, 3)) * ca.DM(normal)))
+
+
 def initial_deviation(problem: FlybyProblem) -> float:
     """Largest standard deviation before the first burn: the natural unit of a factor's entries.
 
@@ -181,13 +193,12 @@ def own_columns(errors: ExecutionErrors, burn: ca.MX) -> ca.MX:
     return _componentwise(errors).fraction * ca.diag(burn)
 
 
-def correction_columns(errors: ExecutionErrors, gains: ca.MX) -> ca.MX:
-    """Columns of a correction by gains (3, n): see `ExecutionErrors.correction_columns`."""
+def correction_covariance(errors: ExecutionErrors, gains: ca.MX) -> ca.MX:
+    """Covariance of a correction's errors by gains (3, n): see `ExecutionErrors.correction_columns`."""
     if isinstance(errors, GatesErrors):
-        across = errors.pointing_proportional * root(ca.sumsqr(gains)) * ca.MX(np.eye(3))
-        own = ca.horzcat(across, errors.along_more * gains)
-        return own[:, : errors.of_correction(gains.shape[1])]
-    return _componentwise(errors).fraction * ca.diag(root(ca.sum2(gains**2)))
+        across = errors.pointing_proportional**2 * ca.sumsqr(gains) * ca.MX(np.eye(3))
+        return across + errors.along_more**2 * gains @ gains.T
+    return ca.diag(_componentwise(errors).fraction ** 2 * ca.sum2(gains**2))
 
 
 def own_covariance(errors: ExecutionErrors, burn: ca.MX) -> ca.MX:

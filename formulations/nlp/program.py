@@ -16,7 +16,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from formulations.arrays import Array
-from formulations.nlp.covariance import Spread, root
+from formulations.nlp.covariance import Deviations, root
 from formulations.problem.facets import Facets
 from formulations.problem.flyby import FlybyProblem, Iterate, StateConstraint
 from formulations.problem.regions import Ball, Cone
@@ -236,7 +236,7 @@ def final_state_block(problem: FlybyProblem, mean: ca.MX) -> NlpRows:
 def state_blocks(
     problem: FlybyProblem,
     facets: Facets | None,
-    spread: Spread | None,
+    spread: Deviations | None,
     node: Sequence[ca.MX],
     *,
     printed: bool,
@@ -271,7 +271,7 @@ def _facet_blocks(
             yield NlpRows(constraint.name, margin[rows.tolist()])
 
 
-def _deviations(spread: Spread, facets: Facets, node: Sequence[ca.MX]) -> ca.MX:
+def _deviations(spread: Deviations, facets: Facets, node: Sequence[ca.MX]) -> ca.MX:
     """Standard deviation along every facet's normal, (m,)."""
     parts, order = [], []
     for k in np.unique(facets.node):

@@ -19,7 +19,7 @@ import scipy.sparse as sp
 
 from formulations.arrays import Array, Indices
 from formulations.nlp import closed_loop
-from formulations.nlp.covariance import Factor, Spread
+from formulations.nlp.covariance import Position, Spread, root
 from formulations.nlp.program import (
     Arcs,
     Mapped,
@@ -33,6 +33,7 @@ from formulations.nlp.program import (
 )
 from formulations.problem.facets import Facets
 from formulations.problem.flyby import FlybyProblem
+from formulations.rows.cones import PARTS
 
 ArcStyle = Literal["called", "mapped", "differentiated"]
 
@@ -252,8 +253,8 @@ def _pack(problem: FlybyProblem, spread: Spread | None, layout: _Layout, start: 
 class SingleShooting:
     """A transcription; see `program.Transcription`. It starts from the guess's burns and gains alone.
 
-    Arcs carry the mean and the STM from the last burn, from which `closed_loop` makes the factor. Burns
-    that are held are no unknowns: their sizes have no derivative.
+    Arcs carry the mean and the STM from the last burn, from which `closed_loop` makes covariances.
+    Burns that are held are no unknowns: their sizes have no derivative.
     """
 
     def __call__(
@@ -262,7 +263,8 @@ class SingleShooting:
         """Write the program down."""
         del elastic  # every row is a signed distance in any case
         looked_at = [] if facets is None else np.unique(facets.node).tolist()
-        last = max(looked_at, default=-1)
+        limited = [] if facets is None else _final_limits(problem)
+        last = problem.n_nodes - 1 if limited else max(looked_at, default=-1)
         free = np.setdiff1d(
             np.arange(problem.controls_before[-1]), problem.controls_of(problem.held)
         )
@@ -278,15 +280,21 @@ class SingleShooting:
         gains = closed_loop.gains_of(problem, all_gains)
         node, stm = _roll_out(problem, arcs, last, burns)
         mean = ca.horzcat(*node)
-        factor = closed_loop.factors(problem, burns, gains, stm, last)
+        starts = closed_loop.covariances(problem, burns, gains, stm, last)
         for k in looked_at:
-            node[k] = ca.vertcat(node[k], ca.vec(_factor_at(problem, factor, stm, k)))
-        spread = Factor(problem) if looked_at else None
+            there = _covariance_at(problem, starts, stm, k)[:3, :3]
+            node[k] = ca.vertcat(node[k], ca.vec(there))
+        spread = Position() if looked_at else None
+        final = [
+            NlpRows(name, limit - root(ca.trace(starts[-1][part, part])))
+            for name, part, limit in limited
+        ]
         policy = closed_loop.policy(problem, burns, gains, first)
         blocks = (
             final_state_block(problem, mean),
             *burn_blocks(replace(problem, held=()), burns, printed=False),
             *state_blocks(problem, facets, spread, node, printed=False),
+            *final,
             *policy.blocks,
         )
         return Program(
@@ -325,12 +333,20 @@ def _roll_out(
     return mean, stm
 
 
-def _factor_at(problem: FlybyProblem, factor: list[ca.MX], stm: list[ca.MX], node: int) -> ca.MX:
-    """Factor (6, c) at a node, after a burn there, from those at the legs' starts."""
+def _final_limits(problem: FlybyProblem) -> list[tuple[str, slice, float]]:
+    """Limits on the final covariance: name, components and limit of each."""
+    parts = zip(PARTS, problem.final_spread, strict=True)
+    return [(*part, limit) for part, limit in parts if limit is not None]
+
+
+def _covariance_at(
+    problem: FlybyProblem, starts: list[ca.MX], stm: list[ca.MX], node: int
+) -> ca.MX:
+    """Covariance (6, 6) at a node, after a burn there, from those at the legs' starts."""
     leg = int(np.searchsorted(problem.leg_starts, node))
     if problem.leg_starts[leg] == node:
-        return factor[leg]
-    return stm[node] @ factor[leg - 1]
+        return starts[leg]
+    return stm[node] @ starts[leg - 1] @ stm[node].T
 
 
 def _fly(arcs: Arcs, y: ca.MX, first: int, end: int) -> ca.MX:

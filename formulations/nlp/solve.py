@@ -31,19 +31,24 @@ class Settings:
 
     An inexact Hessian is a limited-memory BFGS approximation. With CasADi's wheels there is also the
     linear solver "spral", which needs the environment variables OMP_CANCELLATION=TRUE and
-    OMP_PROC_BIND=TRUE.
+    OMP_PROC_BIND=TRUE. With `near` the barrier begins that small, and as near to the bounds: a start
+    that is nearly a plan is then not left.
     """
 
     hessian: Literal["exact", "limited-memory"] = "exact"
     linear_solver: str = "mumps"
     barrier: Literal["monotone", "adaptive"] = "monotone"
     max_iterations: int = 1000
+    near: float | None = None
 
     plugin: ClassVar[str] = "ipopt"
 
     def options(self) -> dict[str, Any]:
         """The options in CasADi's form; IPOPT prints nothing."""
-        return {
+        close = {f"ipopt.{name}": self.near for name in PUSHES} | {
+            "ipopt.bound_mult_init_method": "mu-based"
+        }
+        return ({} if self.near is None else close) | {
             "ipopt.hessian_approximation": self.hessian,
             "ipopt.linear_solver": self.linear_solver,
             "ipopt.mu_strategy": self.barrier,
@@ -85,8 +90,10 @@ class FilterSqp:
 
 
 CONSTRAINT_TOLERANCE = 1e-7
+PUSHES = ("mu_init", "bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac")
 
 EXACT = Settings(barrier="adaptive")
+CLOSED_LOOP = Settings(near=1e-3)
 QUASI_NEWTON = Settings(barrier="adaptive", hessian="limited-memory")
 
 
@@ -94,8 +101,8 @@ QUASI_NEWTON = Settings(barrier="adaptive", hessian="limited-memory")
 class Variant:
     """A transcription and IPOPT's settings for it.
 
-    P2 with corrected burns is by single shooting, with exact Hessians, whatever the variant:
-    quasi-Newton ones had not arrived after a thousand iterations.
+    P2 with corrected burns or a limited final covariance is by single shooting, with exact Hessians,
+    whatever the variant: quasi-Newton ones had not arrived after a thousand iterations.
 
     Attributes:
         transcription: writes the program.
@@ -114,8 +121,9 @@ class Variant:
         self, problem: FlybyProblem, facets: Facets | None
     ) -> tuple[Transcription, Settings | FilterSqp]:
         """Transcription and settings for P3, which has no facets, or P2."""
-        if problem.feedback is not None:
-            return SingleShooting(), EXACT
+        limited = facets is not None and problem.final_spread != (None, None)
+        if problem.feedback is not None or limited:
+            return SingleShooting(), CLOSED_LOOP
         uncertain = facets is not None and len(facets.node) > 0
         return self.transcription, self.p2 if uncertain else self.p3
 

@@ -52,6 +52,9 @@ UPRIGHT = 0.5
 NEGLIGIBLE = 1e-11
 """Value, relative to the saddle point's, below which the integrand is negligible: the contour ends."""
 
+NONE = -700.0
+"""Logarithm of a probability that counts as none."""
+
 NEWTON, CLOSE = 40, 1e-2
 """Most steps to a saddle point, and the relative change that is near enough: any point does."""
 
@@ -118,11 +121,7 @@ def below(matrix: Array, mean: Array, level: Array, covariance: Array, rule: Rul
     """
     form = _form(matrix, mean, level, covariance)
     side = np.where(form.value + form.eigenvalue.sum(axis=1) < 0.0, 1.0, -1.0)
-    t0 = _saddle_point(form, side)
-    _, second, third = form.slopes(t0)
-    skewness = (third - 2.0 / t0**3) / (3.0 * (second + 1.0 / t0**2) ** 1.5)
-    lean = np.copysign(np.clip(np.abs(skewness), LEAN_MIN, LEAN_MAX), third)
-    t, weight = _contour(form, t0, lean, rule)
+    t, weight = _descent(form, side, rule)
     x = 1.0 - 2.0 * t[:, :, None] * form.eigenvalue[:, None]
     f = _ended(weight * np.exp(_exponent(form, t, x)) / np.sqrt(x).prod(axis=2))
     p = _tilted_gradient(form, t, x)
@@ -174,6 +173,34 @@ def below_beyond(matrix: Array, mean: Array, axis: Array, covariance: Array) -> 
     return Below(inside, 1.0 - inside, -by_mean, -0.5 * by_covariance)
 
 
+class Contour(NamedTuple):
+    """Where and how to integrate exp(log G - peak), for others that evaluate it.
+
+    Attributes:
+        t: points of the upper half, shape (n, points); those beyond its end are the first.
+        weight: dt/t / pi, zero beyond the end and where the probability is none, shape (n, points).
+        peak: log G at the first point, where it is real, no less than `NONE`, shape (n,).
+    """
+
+    t: ComplexArray
+    weight: ComplexArray
+    peak: Array
+
+
+def contour(
+    matrix: Array, mean: Array, level: Array, covariance: Array, side: float, rule: Rule
+) -> Contour:
+    """The contour on which the imaginary parts' sum is P(x'Mx > l), or -P(x'Mx < l) for side -1."""
+    form = _form(matrix, mean, level, covariance)
+    t, weight = _descent(form, np.full(len(mean), side), rule)
+    x = 1.0 - 2.0 * t[:, :, None] * form.eigenvalue[:, None]
+    log = _exponent(form, t, x) - 0.5 * np.log(x).sum(axis=2)
+    peak = np.maximum(log[:, 0].real, NONE)
+    seen = (peak > NONE)[:, None]
+    kept = seen & (_ended(weight * np.exp(np.where(seen, log - peak[:, None], 0.0))) != 0.0)
+    return Contour(np.where(kept, t, t[:, :1]), np.where(kept, weight, 0.0), peak)
+
+
 def _form(matrix: Array, mean: Array, level: Array, covariance: Array) -> _Form:
     root = np.asarray(np.linalg.cholesky(covariance), dtype=float)
     eigenvalue, turn = np.linalg.eigh(root.swapaxes(1, 2) @ matrix @ root)
@@ -203,6 +230,15 @@ def _saddle_point(form: _Form, side: Array) -> Array:
         if np.all(np.abs(size - before) < CLOSE * size):
             break
     return side * size
+
+
+def _descent(form: _Form, side: Array, rule: Rule) -> tuple[ComplexArray, ComplexArray]:
+    """The contour through the saddle point on a side of zero, bent as the integrand descends."""
+    t0 = _saddle_point(form, side)
+    _, second, third = form.slopes(t0)
+    skewness = (third - 2.0 / t0**3) / (3.0 * (second + 1.0 / t0**2) ** 1.5)
+    lean = np.copysign(np.clip(np.abs(skewness), LEAN_MIN, LEAN_MAX), third)
+    return _contour(form, t0, lean, rule)
 
 
 def _contour(form: _Form, t0: Array, lean: Array, rule: Rule) -> tuple[ComplexArray, ComplexArray]:

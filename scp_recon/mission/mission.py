@@ -418,15 +418,7 @@ class Mission:
         Raises:
             InputError: if there is either.
         """
-        self.require_free_end(needs)
         require_open_loop(self.scenario, needs)
-
-    def require_free_end(self, needs: str) -> None:
-        """Refuse limits on the final covariance, which go with `needs` alone.
-
-        Raises:
-            InputError: if there is one.
-        """
         for name in ("final_sigma_position_m", "final_sigma_velocity_m_s"):
             if (limit := getattr(self.scenario.boundary, name)) is not None:
                 raise InputError(f"boundary.{name}", f"{limit:g}", f"goes with {needs}")

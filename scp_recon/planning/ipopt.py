@@ -87,7 +87,6 @@ def plan(
     Returns:
         A plan of `NlpStage`s, whose linearisations are those of the dynamics at IPOPT's iterates.
     """
-    mission.require_free_end(f"{option('method', 'scp')} only")
     if variant == "printed":
         other = f"{option('method', 'scp')}, or with {option('formulation', 'tuned')} or shooting"
         mission.require_plain(other)
