@@ -38,15 +38,8 @@ def root(square: ca.MX) -> ca.MX:
     return ca.sqrt(square + GUARD)
 
 
-class Deviations(Protocol):
-    """What is known of the covariance at a node."""
-
-    def deviation(self, normal: Array, entries: ca.MX) -> ca.MX:
-        """Standard deviations of the position along the rows of `normal` (m, 3), shape (m,)."""
-
-
-class Spread(Deviations, Protocol):
-    """A form of the covariance at a node, from arc to arc."""
+class Spread(Protocol):
+    """A form of the covariance at a node."""
 
     def size(self, burns: int) -> int:
         """Number of entries at a node, that many burns at or before it."""
@@ -59,6 +52,9 @@ class Spread(Deviations, Protocol):
 
     def pack(self, factor: Array, burns: int) -> Array:
         """Entries from a factor (6, c) whose columns of later burns are zero."""
+
+    def deviation(self, normal: Array, entries: ca.MX) -> ca.MX:
+        """Standard deviations of the position along the rows of `normal` (m, 3), shape (m,)."""
 
 
 class Covariance:
@@ -153,14 +149,6 @@ class Factor:
         """Standard deviation ||S'a||, convex in the entries."""
         position = ca.reshape(entries, 6, entries.numel() // 6)[:3, :]
         return root(self._unit**2 * ca.sum2((ca.DM(normal) @ position) ** 2))
-
-
-class Position:
-    """The position's covariance, its nine entries."""
-
-    def deviation(self, normal: Array, entries: ca.MX) -> ca.MX:
-        """Root of a'Sigma a."""
-        return root(ca.sum2((ca.DM(normal) @ ca.reshape(entries, 3, 3)) * ca.DM(normal)))
 
 
 def initial_deviation(problem: FlybyProblem) -> float:

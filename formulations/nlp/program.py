@@ -16,7 +16,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from formulations.arrays import Array
-from formulations.nlp.covariance import Deviations, root
+from formulations.nlp.covariance import Spread, root
 from formulations.problem.facets import Facets
 from formulations.problem.flyby import FlybyProblem, Iterate, StateConstraint
 from formulations.problem.regions import Ball, Cone
@@ -236,20 +236,20 @@ def final_state_block(problem: FlybyProblem, mean: ca.MX) -> NlpRows:
 def state_blocks(
     problem: FlybyProblem,
     facets: Facets | None,
-    spread: Deviations | None,
-    node: Sequence[ca.MX],
+    mean: ca.MX,
+    deviation: ca.MX | None,
     *,
     printed: bool,
 ) -> Iterator[NlpRows]:
-    """State constraints on y = (mean, entries of the spread) of every node: P3's without facets.
+    """State constraints on the means (6, n_nodes), P3's without facets.
 
-    P3, and P2 without a facet, have no spread. `printed` writes P3's cones by ratios.
+    P3, and P2 without a facet, have no standard deviations along the facets' normals, shape (m,).
+    `printed` writes P3's cones by ratios.
     """
-    mean = ca.horzcat(*(y[:3] for y in node))
     if facets is None:
-        yield from _set_blocks(problem, mean, printed)
-    elif spread is not None:
-        yield from _facet_blocks(problem, facets, mean, _deviations(spread, facets, node))
+        yield from _set_blocks(problem, mean[:3, :], printed)
+    elif deviation is not None:
+        yield from _facet_blocks(problem, facets, mean[:3, :], deviation)
 
 
 def _set_blocks(problem: FlybyProblem, position: ca.MX, printed: bool) -> Iterator[NlpRows]:
@@ -271,7 +271,7 @@ def _facet_blocks(
             yield NlpRows(constraint.name, margin[rows.tolist()])
 
 
-def _deviations(spread: Deviations, facets: Facets, node: Sequence[ca.MX]) -> ca.MX:
+def deviations(spread: Spread, facets: Facets, node: Sequence[ca.MX]) -> ca.MX:
     """Standard deviation along every facet's normal, (m,)."""
     parts, order = [], []
     for k in np.unique(facets.node):

@@ -19,7 +19,7 @@ import scipy.sparse as sp
 
 from formulations.arrays import Array, Indices
 from formulations.nlp import closed_loop
-from formulations.nlp.covariance import Position, Spread, root
+from formulations.nlp.covariance import GUARD, Spread, root
 from formulations.nlp.program import (
     Arcs,
     Mapped,
@@ -27,6 +27,7 @@ from formulations.nlp.program import (
     Program,
     Start,
     burn_blocks,
+    deviations,
     final_state_block,
     norms,
     state_blocks,
@@ -74,12 +75,15 @@ class MultipleShooting:
             own = _differentiated(layout, groups, x, ends)
         else:
             smooth += ends
+        deviation = None
+        if spread is not None and facets is not None:
+            deviation = deviations(spread, facets, node)
         printed = self.printed and not elastic
         blocks = (
             NlpRows("arcs", smooth, weight=0.0, equality=True),
             final_state_block(problem, mean),
             *burn_blocks(problem, burns, printed=printed),
-            *state_blocks(problem, facets, spread, node, printed=printed),
+            *state_blocks(problem, facets, mean, deviation, printed=printed),
         )
         point = _pack(problem, spread, layout, start)
         return Program(x, point, burns, mean, ca.sum2(norms(burns)), blocks, own)
@@ -262,9 +266,9 @@ class SingleShooting:
     ) -> Program:
         """Write the program down."""
         del elastic  # every row is a signed distance in any case
-        looked_at = [] if facets is None else np.unique(facets.node).tolist()
         limited = [] if facets is None else _final_limits(problem)
-        last = problem.n_nodes - 1 if limited else max(looked_at, default=-1)
+        looked_at = -1 if facets is None else int(facets.node.max(initial=-1))
+        last = problem.n_nodes - 1 if limited else looked_at
         free = np.setdiff1d(
             np.arange(problem.controls_before[-1]), problem.controls_of(problem.held)
         )
@@ -281,10 +285,9 @@ class SingleShooting:
         node, stm = _roll_out(problem, arcs, last, burns)
         mean = ca.horzcat(*node)
         starts = closed_loop.covariances(problem, burns, gains, stm, last)
-        for k in looked_at:
-            there = _covariance_at(problem, starts, stm, k)[:3, :3]
-            node[k] = ca.vertcat(node[k], ca.vec(there))
-        spread = Position() if looked_at else None
+        deviation = None
+        if facets is not None and looked_at >= 0:
+            deviation = _deviations(problem, facets, starts, stm)
         final = [
             NlpRows(name, limit - root(ca.trace(starts[-1][part, part])))
             for name, part, limit in limited
@@ -293,7 +296,7 @@ class SingleShooting:
         blocks = (
             final_state_block(problem, mean),
             *burn_blocks(replace(problem, held=()), burns, printed=False),
-            *state_blocks(problem, facets, spread, node, printed=False),
+            *state_blocks(problem, facets, mean, deviation, printed=False),
             *final,
             *policy.blocks,
         )
@@ -339,14 +342,20 @@ def _final_limits(problem: FlybyProblem) -> list[tuple[str, slice, float]]:
     return [(*part, limit) for part, limit in parts if limit is not None]
 
 
-def _covariance_at(
-    problem: FlybyProblem, starts: list[ca.MX], stm: list[ca.MX], node: int
+def _deviations(
+    problem: FlybyProblem, facets: Facets, starts: list[ca.MX], stm: list[ca.MX]
 ) -> ca.MX:
-    """Covariance (6, 6) at a node, after a burn there, from those at the legs' starts."""
-    leg = int(np.searchsorted(problem.leg_starts, node))
-    if problem.leg_starts[leg] == node:
-        return starts[leg]
-    return stm[node] @ starts[leg - 1] @ stm[node].T
+    """Standard deviations along the facets' normals, (m,), from the covariances at the legs' starts."""
+    leg = np.searchsorted(problem.leg_starts, facets.node)
+    begun = problem.leg_starts[leg] == facets.node
+    flown = [ca.MX(np.eye(6)) if new else stm[k] for k, new in zip(facets.node, begun, strict=True)]
+    covariances = [starts[i] for i in (leg - ~begun).tolist()]
+    a, there, before = ca.SX.sym("a", 3), ca.SX.sym("stm", 3, 6), ca.SX.sym("covariance", 6, 6)
+    pulled = there.T @ a
+    size = ca.sqrt(pulled.T @ before @ pulled + GUARD)
+    each = ca.Function("deviation", [a, there, before], [size]).map(len(leg))
+    given = ca.horzcat(*(one[:3, :] for one in flown)), ca.horzcat(*covariances)
+    return each(ca.DM(facets.normal.T), *given).T
 
 
 def _fly(arcs: Arcs, y: ca.MX, first: int, end: int) -> ca.MX:

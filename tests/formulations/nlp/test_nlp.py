@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import signal
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import Any
+from typing import Any, get_args
 
 import casadi as ca
 import numpy as np
 import pytest
+from hypothesis import assume, example, given, reject, settings
+from hypothesis import strategies as st
 
+from experiments.solvers.compare_solvers.cases import drawn
 from formulations.arrays import Array
 from formulations.linearisation.linearisation import Linearisation
 from formulations.nlp import solve
@@ -20,6 +24,7 @@ from formulations.nlp.covariance import Covariance, Factor, Spread, initial_devi
 from formulations.nlp.program import Arcs, Program, Start, Transcription, assemble
 from formulations.nlp.shooting import MultipleShooting, SingleShooting
 from formulations.nlp.solve import (
+    CLOSED_LOOP,
     EXACT,
     QUASI_NEWTON,
     VARIANTS,
@@ -29,6 +34,7 @@ from formulations.nlp.solve import (
     solve_nlp,
 )
 from formulations.problem.facets import Facets
+from formulations.problem.feedback import Cost
 from formulations.problem.flyby import FlybyProblem, Iterate
 from formulations.problem.regions import Ball, Cone
 from formulations.program.subproblem import DYNAMICS_WEIGHT
@@ -42,7 +48,7 @@ from scp_recon.results.solution import make_solution
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scp.status import Status
 from scp_recon.verification.reintegration import verify
-from tests.helpers import nightly, usually
+from tests.helpers import nightly, share_of_examples, usually
 from tests.scenarios import COARSE
 
 
@@ -356,8 +362,47 @@ NAVIGATED = (
 )
 
 
+def navigated(seed: int) -> tuple[str, ...]:
+    """A random scenario with uniform risk, navigation and feedback, on few nodes."""
+    changes, rng = drawn(seed)[1], np.random.default_rng([seed, 30])
+    changes |= {
+        "risk.allocation": "uniform",
+        "risk.scope": "node",
+        "policy.kind": "feedback",
+        "policy.cost": str(rng.choice(get_args(Cost))),
+        "navigation.lead_s": float(rng.choice([0.0, 3600.0, 7200.0])),
+        "navigation.sigma_position_m": round(10.0 ** rng.uniform(0.0, 1.7), 2),
+        "navigation.sigma_velocity_m_s": round(10.0 ** rng.uniform(-4.3, -2.7), 6),
+        "grid.step_max_s": 2000.0,
+    }
+    if rng.random() < 0.5:  # burns after the window are then corrected too
+        changes["boundary.final_sigma_position_m"] = float(rng.choice([120.0, 1000.0]))
+        if rng.random() < 0.5:
+            changes["burns.times_s"] = [0.0, 8000.0, 21000.0, 28000.0, 34842.0]
+    return tuple(f"{key}={json.dumps(value)}" for key, value in changes.items())
+
+
+@given(st.integers(0, 999))
+@example(0)
+@settings(max_examples=share_of_examples(25, usual=1))
+def test_from_a_plan_with_corrected_burns_ipopt_finds_no_better_one(seed):
+    """Another algorithm, derivatives and a Kalman filter of its own: the same optimum."""
+    try:
+        case = Case.of(*navigated(seed))
+    except InputError:
+        reject()
+    stage, lin = case.p2, case.p2.result.lin
+    assume(stage.result.status is Status.CONVERGED)
+    start = case.start(stage)
+    result = solve_nlp(lin.problem, case.arcs, case.facets, start, VARIANTS["tuned"])
+    assert result.outcome is NlpOutcome.SOLVED
+    theirs = case.mission.dynamics.linearise(lin.problem, result.iterate)
+    assert stage.merit.worst_violation(theirs) < 1e-6
+    assert theirs.cost.value == pytest.approx(lin.cost.value, rel=1e-5)
+
+
 @nightly
-def test_ipopt_and_scp_find_the_same_plan_with_corrected_burns():
+def test_from_p3_ipopt_plans_corrected_burns_that_are_verified():
     case = Case.of(COARSE, *NAVIGATED)
     result = ipopt.plan(case.mission, initial_guess.cold(case.mission))
     assert result.final.result.status is Status.CONVERGED
@@ -370,7 +415,7 @@ def test_ipopt_and_scp_find_the_same_plan_with_corrected_burns():
 
 def test_where_no_gains_are_given_ipopt_begins_with_some(monkeypatch):
     """At zero the cost has a kink. Two iterations, on few nodes."""
-    monkeypatch.setattr(solve, "EXACT", replace(EXACT, max_iterations=2))
+    monkeypatch.setattr(solve, "CLOSED_LOOP", replace(CLOSED_LOOP, max_iterations=2))
     few = "grid.step_max_s=3000", "burns.times_s=[0.0,8000.0,34842.0]"
     mission = Mission.from_scenario(load_scenario(None, (*NAVIGATED, *few)))
     arc, arcs = initial_guess.ballistic(mission), ipopt.casadi_arcs(mission.flow)
