@@ -168,14 +168,16 @@ def _charged(problem: FlybyProblem, burns: T, gains: Sequence[T]) -> list[tuple[
     """Vectors whose sizes are unknowns, with their prices, those of corrected burns last; none held."""
     feedback, free = problem.feedback, np.setdiff1d(np.arange(problem.n_burns), problem.held)
     assert feedback is not None
-    alone, laws = np.setdiff1d(free, feedback.burns), zip(feedback.burns, gains, strict=True)
-    laws = [(burns[:, int(burn)], ca.vec(own)) for burn, own in laws if burn in free]
-    nominal = feedback.cost == "nominal"
-    return [
-        *((1.0, burns[:, burn]) for burn in alone.tolist()),
-        *((1.0, v) for v, _ in laws if nominal),
-        *((SMALLEST, own) if nominal else (LEAST, ca.vertcat(v, own)) for v, own in laws),
+    alone, nominal = np.setdiff1d(free, feedback.burns), feedback.cost == "nominal"
+    charged = [(1.0, burns[:, burn]) for burn in alone.tolist()]
+    laws = [
+        (burns[:, int(burn)], ca.vec(own))
+        for burn, own in zip(feedback.burns, gains, strict=True)
+        if burn in free
     ]
+    if nominal:
+        return charged + [(1.0, v) for v, _ in laws] + [(SMALLEST, own) for _, own in laws]
+    return charged + [(LEAST, ca.vertcat(v, own)) for v, own in laws]
 
 
 def _first_sizes(problem: FlybyProblem, burns: Array, gains: Array) -> Array:

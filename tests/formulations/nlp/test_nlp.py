@@ -13,7 +13,7 @@ from typing import Any, get_args
 import casadi as ca
 import numpy as np
 import pytest
-from hypothesis import assume, example, given, reject, settings
+from hypothesis import assume, given, reject, settings
 from hypothesis import strategies as st
 
 from experiments.solvers.compare_solvers.cases import drawn
@@ -373,17 +373,16 @@ def navigated(seed: int) -> tuple[str, ...]:
         "navigation.lead_s": float(rng.choice([0.0, 3600.0, 7200.0])),
         "navigation.sigma_position_m": round(10.0 ** rng.uniform(0.0, 1.7), 2),
         "navigation.sigma_velocity_m_s": round(10.0 ** rng.uniform(-4.3, -2.7), 6),
-        "grid.step_max_s": 2000.0,
+        "grid.step_max_s": 1000.0,
     }
     if rng.random() < 0.5:  # burns after the window are then corrected too
         changes["boundary.final_sigma_position_m"] = float(rng.choice([120.0, 1000.0]))
         if rng.random() < 0.5:
-            changes["burns.times_s"] = [0.0, 8000.0, 21000.0, 28000.0, 34842.0]
+            changes["burns.times_s"] = [0.0, 8000.0, 24000.0, 32000.0, 40000.0]
     return tuple(f"{key}={json.dumps(value)}" for key, value in changes.items())
 
 
 @given(st.integers(0, 999))
-@example(0)
 @settings(max_examples=share_of_examples(25, usual=1))
 def test_from_a_plan_with_corrected_burns_ipopt_finds_no_better_one(seed):
     """Another algorithm, derivatives and a Kalman filter of its own: the same optimum."""
