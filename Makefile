@@ -79,7 +79,7 @@ gallery: $(VENV)/.extras  ## draw docs/gallery: passes over packaged bodies, des
 
 notebooks: $(VENV)/.notebooks  ## run the notebooks, and keep each as a page in runs/notebooks
 	for name in $(basename $(notdir $(wildcard examples/notebooks/*.py))); do \
-	$(BIN)/jupytext --quiet --to ipynb --output - examples/notebooks/$$name.py | PLOTLY_RENDERER=notebook \
+	$(BIN)/jupytext --quiet --to ipynb --output - examples/notebooks/$$name.py | OMP_NUM_THREADS=1 PLOTLY_RENDERER=notebook \
 	$(BIN)/jupyter-nbconvert --log-level ERROR --KernelManager.transport=ipc --stdin --execute --to html \
 	--output-dir runs/notebooks --output $$name || exit 1; done
 
