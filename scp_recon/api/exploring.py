@@ -220,12 +220,10 @@ class Explorer:
         legal = mission.schedule.firing_intervals_s[-len(mission.scenario.burn_times_s) :]
         first = 1 + mission.scenario.burns_flown
         return {
-            "values": planned.values,
             "verdict": page.verdict(planned.shown, solution),
             "cost": f"{solution.total_dv_m_s:.6f} m/s{'' if converged else f', {solution.status}'}",
             "converged": converged,
             "effort": f"iterations: {iterations}; planned in {solution.timing_s.total:.2f} s",
-            "plan_hash": solution.plan_hash,
             "legal": {
                 f"{BURN}.{number - 1}": f"legal, the others kept: {low:.0f} to {high:.0f} s"
                 for number, (low, high) in enumerate(legal, start=first)
@@ -242,7 +240,7 @@ class Explorer:
         """
         planned = self.planned(values)
         solution = files.verified(planned.mission, planned.solution)
-        return {"values": values, "verdict": page.verdict(planned.shown, solution)}
+        return {"verdict": page.verdict(planned.shown, solution)}
 
     def html(self) -> str:
         """The page with the plan of the scenario as it was given."""

@@ -84,6 +84,7 @@ window.explorer = (() => {
 
   /* The plan of the last values that were chosen: those between, while it was busy, are passed over. */
   async function plan() {
+    await report.first;
     while (form.checkValidity() && asks() !== shown) {
       const [body, begun] = [asks(), performance.now()];
       const got = await ask("/plan", body);

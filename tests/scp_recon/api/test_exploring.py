@@ -63,7 +63,7 @@ def test_its_plan_is_that_of_the_scenario_that_it_writes(server, tmp_path):
     scenario = load_scenario(tmp_path / "mine.toml")
     assert (scenario.risk.p_chance, scenario.burns.times_s[1]) == (0.8, 7000.0)
     alone = make_solution(plan(scenario))
-    assert found["plan_hash"] == alone.plan_hash
+    assert found["drawn"]["file"] == f"{scenario.name}-{alone.plan_hash[:12]}"
     assert found["cost"] == f"{alone.total_dv_m_s:.6f} m/s"
     assert found["legal"]["burns.times_s.2"].startswith("legal, the others kept: 23137 to ")
     assert "not checked" in found["verdict"]

@@ -6,6 +6,8 @@ from pathlib import Path
 
 from tests.scp_recon.browser import chromium, needed
 
+PATIENCE_MS = 120_000
+
 pytestmark = needed
 
 MOVE = """([key, value]) => {
@@ -21,6 +23,7 @@ def test_the_plan_follows_the_sliders_and_none_is_shown_as_that_of_others(server
     said: list[str] = []
     with chromium() as browser:
         page = browser.new_context(viewport={"width": 500, "height": 400}).new_page()
+        page.set_default_timeout(PATIENCE_MS)
         page.on("pageerror", lambda error: said.append(str(error)))
         page.on("console", lambda m: said.append(m.text) if m.type == "error" else None)
         page.goto(f"http://{server.hosts[0]}/", wait_until="commit")
