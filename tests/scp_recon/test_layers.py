@@ -326,8 +326,6 @@ try:
     solve.main(["--help"])
 except SystemExit:
     check("--help", {("numpy", "scipy", "pydantic", "rich", *TO_PLAN)})
-from scp_recon.verification import probabilities, reintegration
-probabilities.SAMPLES = reintegration.SAMPLES = 200
 for command, heavy in ((verify, {("jinja2", *TO_PLAN)}), (report, {TO_PLAN})):
     assert command.main([{{folder!r}}, "--quiet"]) == 0
     check(command.name, heavy)

@@ -22,7 +22,7 @@ from scp_recon.scp.algorithms import ALGORITHMS
 from scp_recon.scp.loop import Record
 from scp_recon.scp.status import Status
 from tests import reference, reliability
-from tests.helpers import nightly
+from tests.helpers import nightly, usually
 from tests.scp_recon.support import burns_of, flight_beyond, fly, integrate, mission_of
 
 SHORT = ("t", "x", "y", "z", "vx", "vy", "vz")
@@ -216,7 +216,7 @@ LOST = (0, 8)
 
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
 def test_random_guesses_end_at_the_better_optimum_at_the_first_try(algorithm, mission):
-    for seed in LOST:
+    for seed in usually(LOST, 1):
         found = plan(mission, initial_guess.random(mission, seed), algorithm=algorithm)
         assert [stage.name for stage in found.stages] == ["P3.open", "P3", "P2"]
         assert found.status is Status.CONVERGED
