@@ -48,7 +48,7 @@ flights.plot()
 
 # %% [markdown]
 # Without feedback the burns are fixed before departure. At 0.95 that costs little more; at 0.99
-# it costs an eighth more ([feedback](../../docs/feedback.md)).
+# it costs an eighth more (docs/feedback.md).
 
 # %%
 open_loop = sr.plan(fixed)

@@ -150,6 +150,11 @@ def test_folders_import_downwards_only():
     assert upwards == {}
 
 
+def test_results_alone_find_by_its_name_what_draws_them_above():
+    named = {p for p in modules("scp_recon") if 'import_module("' in p.read_text("utf-8")}
+    assert {module_name(path) for path in named} == {"scp_recon.display"}
+
+
 def test_of_the_api_one_module_alone_plans():
     """Every other way to a plan goes through it, so that all of them decide alike."""
     api = {path.stem: imports(path) for path in modules("scp_recon/api")}
