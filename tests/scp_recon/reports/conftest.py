@@ -13,6 +13,7 @@ from scp_recon.reports.page import Page
 from scp_recon.reports.subject import Subject, subjects_of
 from scp_recon.reports.write import page_of, write_report
 from scp_recon.results.solution import Solution
+from tests.scp_recon.support import fly_few
 
 MADE = datetime(2026, 1, 2, 3, 4, 5, tzinfo=UTC)
 
@@ -40,9 +41,14 @@ def subject(plan_folder) -> Subject:
 
 @pytest.fixture(scope="session")
 def page(subject) -> Page:
-    return page_of([subject], Camera(), MADE)
+    """Of few flights, as the file is: what is tested depends not on their number."""
+    with pytest.MonkeyPatch.context() as patch:
+        fly_few(patch)
+        return page_of([subject], Camera(), MADE)
 
 
 @pytest.fixture(scope="session")
 def html_file(plan_folder) -> Path:
-    return write_report([plan_folder], plan_folder / "report.html", now=lambda: MADE)
+    with pytest.MonkeyPatch.context() as patch:
+        fly_few(patch)
+        return write_report([plan_folder], plan_folder / "report.html", now=lambda: MADE)
