@@ -46,7 +46,7 @@ COARSE, FINE = 1e-3, 1e-5
 COARSE_WITH_GAINS, FINE_WITH_GAINS = 1e-2, 1e-4
 """Relative reduction of the merit at which their stages stop; sampling errs by more. Gains are many,
 and the merit is flat in them. Few directions, aimed at flights without gains, tell little of flights
-with them: with 1e-3 that stage took up to 30 iterations in their kinks, and the next one as long."""
+with them: with 1e-3 that stage took up to 38 iterations in their kinks."""
 
 WEIGHT = 100.0
 """First penalty weight beside such a limit. Its multiplier may exceed the usual ten; and at a thousand,
