@@ -250,9 +250,11 @@ PAGES = {
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Write every page into the folder that is named."""
-    (folder,) = sys.argv[1:] if arguments is None else arguments
+    parser = argparse.ArgumentParser("python -m scp_recon.reference", description=main.__doc__)
+    parser.add_argument("folder", type=Path, help="such as docs/reference")
+    folder = parser.parse_args(arguments).folder
     for name, page in PAGES.items():
-        write_atomically(Path(folder) / f"{name}.md", page())
+        write_atomically(folder / f"{name}.md", page())
     return 0
 
 
