@@ -93,7 +93,7 @@ CONSTRAINT_TOLERANCE = 1e-7
 PUSHES = ("mu_init", "bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac")
 
 EXACT = Settings(barrier="adaptive")
-CLOSED_LOOP = Settings(near=1e-3)
+CLOSED_LOOP = Settings(near=1e-3, max_iterations=150)
 QUASI_NEWTON = Settings(barrier="adaptive", hessian="limited-memory")
 
 
