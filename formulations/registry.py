@@ -20,7 +20,7 @@ def make_subproblem(
     solver: str = "CLARABEL",
     penalty: Penalty = "exact",
 ) -> Subproblem:
-    """A subproblem of one of `FORMULATIONS`, for one of `formulations.program.solvers.installed()`.
+    """Make a subproblem of one of `FORMULATIONS`, for a solver of `program.solvers.installed()`.
 
     The rows are the state constraints, of P3 or P2; the penalty is for violations and steps. CVXPY
     takes a second to import, so it is imported here.

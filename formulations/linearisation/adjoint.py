@@ -1,7 +1,7 @@
 """The derivative of one function of means and factors by all controls: `condense`, transposed.
 
-Where one row depends on many nodes, going back through the legs once costs less than carrying the
-derivative by every control forward.
+For a row that depends on many nodes, one pass backwards through the legs costs less than carrying
+the derivatives by all controls forwards.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Fly a grid of arcs with impulsive burns at some nodes: rollout, derivatives, exact steps."""
+"""Fly a grid of arcs with impulsive burns: rollout, derivatives, and steps with closed defects."""
 
 from __future__ import annotations
 
@@ -47,15 +47,17 @@ class Dynamics:
     ) -> Linearisation:
         """Make a step of the linear model dynamically exact.
 
-        Multiple-shooting Newton from the node means that the model at `lin` predicts: every
-        iteration closes the defects of all arcs at once, and corrects the burns, as far as
-        `_may_change` lets it, by the least change that keeps the final state at the model's. Without
-        it the final state's curvature, weighed by the penalty, rejects good steps (the Maratos effect;
-        Nocedal & Wright, Numerical Optimization, section 15.5). Where Newton's method does not
-        converge the burns, shape (m, 3), are rolled out as they are. Gains do not move the mean.
+        Newton's method of multiple shooting starts from the node means that the model at `lin`
+        predicts. Every iteration closes the defects of all arcs at once. It also corrects the
+        burns, as far as `_may_change` allows, by the least change that keeps the final state where
+        the model predicts it. Without this correction, the curvature of the final state, weighed by
+        the penalty, rejects good steps (the Maratos effect; Nocedal & Wright, Numerical
+        Optimization, section 15.5). If Newton's method does not converge, the burns, shape (m, 3),
+        are rolled out unchanged. Gains do not move the mean.
 
-        `misses` where the model means even its smallest miss, as by an augmented Lagrangian: to
-        correct it would move burns that the model left out, whose sizes have a kink there.
+        Set `misses` if the model intends even its smallest miss, as with an augmented Lagrangian. A
+        correction of that miss would move burns that the model left at zero, where their sizes have
+        a kink.
         """
         problem = lin.problem
         free = _may_change(problem, burns)

@@ -1,14 +1,15 @@
 """The covariance factor along a flight and its derivatives, open loop or with corrected burns.
 
-Columns are the sources of errors: the initial state, each burn's execution, each measurement. With
-corrections K = U Xi of what measurements tell (`innovations`),
+Each column belongs to one source of error: the initial state, the execution of a burn, or a
+measurement. A correction is U Xi, with the innovations Xi of the measurements (`innovations`):
 
     S <- S + B U Xi + B C(dv) + B D(U)    at a corrected burn,
     E <- E + B C(dv) + B D(U),
 
-S the deviation's factor and E that of the estimate's error; C are the columns of the planned burn's
-errors, D those of the correction's. For given STMs S is affine in burns and gains but for D and for
-what burns do to Xi, both of second order in the execution errors.
+S is the factor of the deviation, and E that of the estimate's error. C are the error columns of the
+planned burn, D those of the correction. For given STMs, S is affine in burns and gains, except
+through D and through the effect of the burns on Xi. Both are of second order in the execution
+errors.
 """
 
 from __future__ import annotations
@@ -43,9 +44,9 @@ class Spread:
 
 
 def factor_of(covariance: Array) -> Array:
-    """S with S S' a covariance, which may be singular, by the eigenvalues of the correlations.
+    """Factor S of a covariance S S', which may be singular, by the eigenvalues of the correlations.
 
-    Negative ones, from rounding, are zero.
+    Negative eigenvalues come from rounding and count as zero.
     """
     sigma = np.sqrt(np.diag(covariance))
     known = np.where(sigma > 0.0, sigma, 1.0)
@@ -132,7 +133,7 @@ def measured_in(problem: FlybyProblem, leg: int) -> Iterator[int]:
 
 
 def corrected(problem: FlybyProblem, burn: int) -> int | None:
-    """Number of a burn among the corrected ones; None if it is not."""
+    """Number of a burn among the corrected ones; None if it is not corrected."""
     if problem.feedback is None or burn not in problem.feedback.burns:
         return None
     return int(np.searchsorted(problem.feedback.burns, burn))
@@ -194,7 +195,7 @@ class FactorSensitivity:
         return derivative
 
     def kicks(self) -> Array:
-        """The derivative of what each burn adds to the factor at its node, shape (m, 6, c, q)."""
+        """Derivative of each burn's additions to the factor at its node, shape (m, 6, c, q)."""
         problem, d_rows = self._problem, np.zeros((0, *self._shape[1:]))
         if problem.feedback is not None:
             _, d_rows = self._starts(problem.n_nodes)

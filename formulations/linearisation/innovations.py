@@ -1,12 +1,13 @@
 """Innovations of measurements, by a Kalman filter along a plan, as rows of a covariance factor.
 
-Let E be the factor of the estimate's error and N that of the measurement's, in columns of its own. With
-Y = E + N and the triangular root W of Y Y',
+E is the factor of the estimate's error. N is the factor of the measurement's error, in columns of
+its own. With Y = E + N and the triangular root W of Y Y',
 
     Xi = W^-1 Y,    Xi Xi' = I,    E <- E - (E Xi')Xi.
 
-Xi w are the six independent standard normal numbers that the measurement adds to what is known; the
-second equation is the Kalman update. It multiplies from the right, and so commutes with the flow.
+The innovation Xi w has six independent standard normal numbers: the new knowledge from the
+measurement. The last equation is the Kalman update. It multiplies from the right, so it commutes
+with the flow.
 """
 
 from __future__ import annotations
@@ -30,8 +31,8 @@ class Innovation:
         rows: Xi, shape (6, c).
         root: W, lower triangular, shape (6, 6).
         gain: E Xi' before the update, which is the Kalman gain times W, shape (6, 6).
-        axes: directions of xi that tell of the state, orthonormal, shape (6, r); in the others is next
-            to nothing but the measurement's error.
+        axes: orthonormal directions of xi that carry information on the state, shape (6, r). The
+            other directions hold almost only the measurement's error.
         correlation: with the state along each of them, shape (r,).
     """
 
@@ -43,7 +44,7 @@ class Innovation:
 
     @classmethod
     def of(cls, error: Array, measurement: Array, columns: slice) -> Innovation:
-        """That of a measurement with factor N (6, 6) in its columns, the estimate's error E (6, c)."""
+        """Innovation of a measurement with factor N (6, 6), given the estimate's factor E (6, c)."""
         measured = error.copy()
         measured[:, columns] += measurement
         root = np.asarray(np.linalg.cholesky(measured @ measured.T))

@@ -1,21 +1,22 @@
-"""Covariance lifting, its full linearisation, and mean and factor as affine functions of the burns.
+"""Linearise mean and covariance factor about an iterate, as affine functions of the burns.
 
-The factor S with Sigma = S S' obeys
+Covariance lifting replaces the covariance Sigma by a factor S with Sigma = S S', which obeys
 
     S_{k+1} = [A_k S_k, B C(dv_i)],   S_0 = [Sigma_0^{1/2}, B C(dv_0)]
 
-with the columns C of the burns' errors (`execution_errors`). Where these are proportional to the burn,
-for given STMs the factor is affine in the burns, so that a facet's standard deviation ||S'a|| is
-convex and nothing is relaxed. The STMs depend on the mean; the product rule
+with the columns C of the burns' errors (`execution_errors`). If the errors are proportional to the
+burn, then for given STMs the factor is affine in the burns. The standard deviation ||S'a|| of a
+facet is therefore convex, and nothing is relaxed. The STMs depend on the mean. The product rule
 
     dS_{k+1} = A_k dS_k + (T_k . dmu_k) S_k
 
 with the second-order tensor T_k of the arc keeps that dependence.
 
-Condensation eliminates mean and factor, in full or frozen. The frozen forms exist to be compared:
+Condensation eliminates mean and factor, with the full or with a frozen linearisation. The frozen
+forms serve for comparison:
 
-- **frozen STM**: the factor depends on the burns, but the STMs not on the mean. Sequential convex
-  programming with it stops at points that do not solve P2.
+- **frozen STM**: the factor depends on the burns, but the STMs do not depend on the mean.
+  Sequential convex programming then stops at points that do not solve P2.
 - **frozen covariance**: the covariance is the previous iterate's, not a variable. The program then does
   not see that smaller or other burns shrink the spread.
 """
@@ -44,7 +45,7 @@ Found = TypeVar("Found")
 
 
 class Seen(WeakKeyDictionary["Linearisation", Found], Generic[Found]):
-    """What was found at iterates that are still in use; a copy in another process begins empty."""
+    """Results at iterates that are still in use; a copy in another process begins empty."""
 
     def __reduce__(self) -> tuple[Any, ...]:
         return Seen, ()
@@ -87,7 +88,7 @@ class Linearisation:
         return self.problem.defects(self.iterate, self.arcs.state)
 
     def known(self, feedback: Feedback | None) -> Linearisation:
-        """The same with what corrected burns know; without corrections where that is another."""
+        """The linearisation for the problem with this feedback; without gains if it is another."""
         if self.problem.feedback is feedback:
             return self
         plain = Iterate(self.iterate.burns, self.iterate.mean)
@@ -95,7 +96,7 @@ class Linearisation:
 
     @property
     def telling(self) -> Linearisation:
-        """The same without gains on what tells nothing: rounding, which no estimate resolves."""
+        """The linearisation without gains on axes that carry no information, only rounding."""
         lin, feedback = self, self.problem.feedback
         if feedback is None or not self.iterate.gains.any():
             return self
@@ -123,7 +124,7 @@ class Linearisation:
 
     @cached_property
     def bends(self) -> tuple[Bend, Bend]:
-        """How what is minimised curves, where corrections cost."""
+        """Curvature of the minimised cost, if corrections cost anything."""
         return bends(self.problem, self.iterate)
 
     @cached_property
@@ -133,7 +134,7 @@ class Linearisation:
 
     @cached_property
     def spread(self) -> Spread:
-        """Covariance factor, and what measurements tell."""
+        """Covariance factor, and the innovations of the measurements."""
         return propagate_factor(
             self.problem, self.affine_map_from_last_burn[:, :6, :6], self.iterate
         )

@@ -1,7 +1,7 @@
-"""Corrected burns over CasADi's symbols: the covariance along the legs, the cost, limits on the burns.
+"""Write corrected burns over CasADi's symbols: covariance along the legs, cost, limits on the burns.
 
-What `linearisation.factor`, `problem.cost` and `rows.corrected_burns` say is written once more, for
-CasADi to differentiate; `shooting.SingleShooting` puts it together.
+The equations are those of `linearisation.factor`, `problem.cost` and `rows.corrected_burns`, in a
+form that CasADi differentiates. `shooting.SingleShooting` assembles the program.
 """
 
 from __future__ import annotations
@@ -100,14 +100,14 @@ def _whitening(covariance: ca.MX) -> ca.MX:
 
 
 class Policy(NamedTuple):
-    """What the burns and gains of a program are worth.
+    """Cost and limits of the burns and gains of a program.
 
     Attributes:
         cost: what is minimised, as `problem.cost` counts it.
         blocks: limits on corrected burns, and what defines the further unknowns.
         unknowns: further ones, all positive.
         start: their initial values.
-        kept: what evaluates the limits.
+        kept: objects that evaluate the limits; they must outlive the program.
     """
 
     cost: ca.MX
@@ -127,12 +127,13 @@ FINE = 1e-4
 def policy(
     problem: FlybyProblem, burns: ca.MX, gains: Sequence[ca.MX], first: tuple[Array, Array]
 ) -> Policy:
-    """Of burns (3, m) and each corrected burn's gains, and where these start, as arrays.
+    """Cost and limits for burns (3, m) and each corrected burn's gains, with their start as arrays.
 
-    Where a burn and its gains vanish the cost has a kink, which Newton's method hardly comes to. So
-    the size of both is an unknown t with t - v'v / t >= 0, a second-order cone, and so is the standard
-    deviation of what all burns command. The quantile's distance from the mean, in these, is another,
-    with an equation.
+    The cost has a kink where a burn and its gains vanish, and Newton's method converges badly
+    there. The joint size of both is therefore an unknown t with t - v'v / t >= 0, a second-order
+    cone. The standard deviation of the total commanded delta-v is an unknown of the same kind. The
+    distance of the quantile from the mean, in these standard deviations, is a further unknown with
+    an equation.
     """
     feedback = problem.feedback
     if feedback is None:
@@ -212,7 +213,7 @@ def _commanded(
 def _limits(
     problem: FlybyProblem, burns: ca.MX, gains: Sequence[ca.MX], free: list[int]
 ) -> tuple[list[NlpRows], tuple[ca.Callback, ...]]:
-    """Limits of the corrected burns that are not held, and what they keep.
+    """Limits of the corrected burns that are not held, and the objects that evaluate them.
 
     Rows are 1 - P(broken) / (1 - p): of the margins' sign, and without their kink where gains vanish.
     """
@@ -247,7 +248,7 @@ be zero. There the cost has a kink."""
 
 
 def first_gains(problem: FlybyProblem, gains: Array) -> Array:
-    """Gains to start from: those of an iterate, unless they are zero."""
+    """Initial gains: those of an iterate, unless they are zero."""
     feedback = problem.feedback
     if feedback is None or gains.any():
         return gains

@@ -3,10 +3,10 @@
     Sigma_{k+1} = A_k Sigma_k A_k' + B C(dv_i) C(dv_i)' B'
     S_{k+1} = [A_k S_k, B C(dv_i)]
 
-with the columns C of a burn's errors (`execution_errors`, here over CasADi's symbols). Every form is a
-vector of entries per node, after the burn where one falls on it; columns that burns share are kept as
-columns in every form. An arc carries the entries; a burn appends zeros if the form grows, and adds its
-`kick`.
+with the columns C of a burn's errors (`execution_errors`, here over CasADi's symbols). Every form
+has a vector of entries at each node, after the burn if one falls on the node. Every form keeps the
+columns that all burns share as columns. An arc carries the entries. A burn appends zeros if the
+form grows, and adds its `kick`.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class Spread(Protocol):
     """A form of the covariance at a node."""
 
     def size(self, burns: int) -> int:
-        """Number of entries at a node, that many burns at or before it."""
+        """Number of entries at a node with that many burns at or before it."""
 
     def carry(self, stm: ca.SX, entries: ca.SX) -> ca.SX:
         """Entries at the end of an arc with that STM (6, 6)."""
@@ -154,7 +154,7 @@ class Factor:
 def initial_deviation(problem: FlybyProblem) -> float:
     """Largest standard deviation before the first burn: the natural unit of a factor's entries.
 
-    If the initial state is certain, that after the largest burn.
+    If the initial state is certain, the deviation after the largest burn counts.
     """
     deviation = float(np.linalg.norm(problem.initial_factor, 2))
     if deviation > CERTAIN:

@@ -1,8 +1,8 @@
-"""Probabilities of breaking limits over CasADi's symbols: the integrals of `risk.quadratic_forms`.
+"""Compute probabilities of breaking limits over CasADi's symbols, as `risk.quadratic_forms` does.
 
-NumPy lays the contours anew at each point. The integral does not depend on them (Cauchy's theorem), so
-that CasADi's derivatives of the integrand along held contours are those of the probability, the second
-ones too.
+NumPy chooses new contours at each point. The integral does not depend on the contour (Cauchy's
+theorem). The first and second derivatives of the probability are therefore CasADi's derivatives of
+the integrand along fixed contours.
 """
 
 from __future__ import annotations
@@ -36,9 +36,9 @@ class Limits(NamedTuple):
 
 
 def broken(limits: Limits, mean: ca.MX, covariance: ca.MX) -> tuple[ca.MX, ca.Callback]:
-    """Probabilities that limits are broken, shape (1, n), and what evaluates them.
+    """Probabilities that limits are broken, shape (1, n), and the object that evaluates them.
 
-    The latter has to live as long as they do.
+    The object must live as long as the probabilities are in use.
 
     Args:
         limits: n of them.

@@ -27,7 +27,8 @@ from formulations.program.subproblem import DYNAMICS_WEIGHT
 class Arcs:
     """CasADi flow map F(x, h) -> x_next of states (6,), which takes SX symbols, and each arc's h.
 
-    These are rows of an array (n, k): the duration first, then what forces that depend on time need.
+    The h are rows of an array (n, k): the duration, then the numbers that time-dependent forces
+    need.
     """
 
     flow: ca.Function
@@ -83,12 +84,12 @@ class Program:
         start: initial values, shape (n,).
         burns: shape (3, m).
         mean: node means after the burns, shape (6, n_nodes).
-        cost: total delta-v, or what stands for it beside corrections.
+        cost: total delta-v, or the cost of the policy with corrections.
         blocks: the constraints.
         mapped: addition to the values of the leading blocks.
         gains: of corrected burns, as `Iterate` has them.
         bounded: number of the last unknowns that are not negative.
-        kept: what must live as long as the program.
+        kept: objects that must live as long as the program.
     """
 
     unknowns: ca.MX

@@ -1,9 +1,9 @@
 """Transcribe P3 and P2 into nonlinear programs by multiple or single shooting.
 
-In multiple shooting the unknowns are the burns and then, node by node, y_k = (mean, entries of the
-spread), after the burn where one falls on the node. An arc maps the leading part of y_k that its end
-still needs to the leading part of y_{k+1}, to which a burn adds its own. In single shooting the burns
-alone are unknowns, and the y_k are rolled out from them.
+In multiple shooting the unknowns are the burns and, node by node, y_k = (mean, entries of the
+spread), after the burn if one falls on the node. An arc maps the leading part of y_k that its end
+still needs to the leading part of y_{k+1}. A burn adds its own entries there. In single shooting
+only the burns are unknowns, and the y_k are rolled out from the burns.
 """
 
 from __future__ import annotations

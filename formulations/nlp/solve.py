@@ -1,6 +1,6 @@
 """Solve P3 and P2 as nonlinear programs by IPOPT: the reference for sequential convex programming.
 
-Uno, which CasADi's wheels hold too, is a second one of another kind: a filter SQP method.
+Uno, a filter SQP method that CasADi's wheels also contain, is a second solver of another kind.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ from formulations.problem.flyby import FlybyProblem, Iterate
 class Settings:
     """IPOPT's options that differ from its defaults.
 
-    An inexact Hessian is a limited-memory BFGS approximation. With CasADi's wheels there is also the
-    linear solver "spral", which needs the environment variables OMP_CANCELLATION=TRUE and
-    OMP_PROC_BIND=TRUE. With `near` the barrier begins that small, and as near to the bounds: a start
-    that is nearly a plan is then not left.
+    An inexact Hessian is a limited-memory BFGS approximation. With CasADi's wheels there is also
+    the linear solver "spral", which needs the environment variables OMP_CANCELLATION=TRUE and
+    OMP_PROC_BIND=TRUE. With `near` the barrier begins at that value, and the start is kept as near
+    to the bounds, so that IPOPT does not leave a start that is nearly a plan.
     """
 
     hessian: Literal["exact", "limited-memory"] = "exact"
@@ -101,8 +101,8 @@ QUASI_NEWTON = Settings(barrier="adaptive", hessian="limited-memory")
 class Variant:
     """A transcription and IPOPT's settings for it.
 
-    P2 with corrected burns or a limited final covariance is by single shooting, with exact Hessians,
-    whatever the variant: quasi-Newton ones had not arrived after a thousand iterations.
+    P2 with corrected burns or a limited final covariance always uses single shooting and exact
+    Hessians: quasi-Newton Hessians had not converged after a thousand iterations.
 
     Attributes:
         transcription: writes the program.
@@ -265,7 +265,7 @@ def solve_nlp(
 
 
 def _outcome(status: str, *, interrupted: bool) -> NlpOutcome:
-    """The meaning of IPOPT's status; Ctrl-C ends as an exception in it, as others may."""
+    """Outcome by IPOPT's status; IPOPT reports Ctrl-C, like any exception, by one status."""
     if status == "NonIpopt_Exception_Thrown" and interrupted:
         return NlpOutcome.INTERRUPTED
     return OUTCOMES.get(status, NlpOutcome.FAILED)

@@ -1,22 +1,22 @@
 """Cost of a plan: the sum of the burns' sizes; with corrected burns its mean or its 99 % quantile.
 
 The law of the commanded sizes, sum_i |v_i + U_i xi|, depends on burns v and gains U alone. Mean and
-quantile are taken over fixed quasi-random draws of xi, and are smooth functions of both. A burn has
-about the size
+quantile are taken over fixed quasi-random draws of xi. They are smooth functions of burns and
+gains. A burn has about the size
 
     ||(v, U)|| + s'xi,    s = U'v / ||(v, U)||,
 
-whose first term bounds the mean from above (Jensen's inequality), and the 99 % quantile is about
-sum_i ||(v_i, U_i)|| + 2.326 ||sum_i s_i||. The slope of the quantile is that of a mean over draws near
-it, in which xi is larger than in all. The convex program has
+whose first term bounds the mean from above (Jensen's inequality). The 99 % quantile is about sum_i
+||(v_i, U_i)|| + 2.326 ||sum_i s_i||. The slope of the quantile equals the slope of a mean over the
+draws near the quantile, whose xi are larger than average. The convex program has
 
     sum_i ||(v_i, U_i) R_i||,    R_i R_i' = sum_n w_n (1, xi_n)(1, xi_n)',
 
-with the draws' weights w in that slope, or all alike for the mean. Where burn and gains vanish, no
-step costs less than this to first order (Jensen's inequality again). Beside it stand
-2.326 ||sum_i s_i||, with s_i linearised, for its kink where corrections along burns cancel, and the
-quantile's curvature that both lack (`bends`). All is tilted so that at the iterate value
-and gradient are those over the draws.
+where the weights w of the draws are those in that slope, or equal for the mean. Where burn and
+gains vanish, no step costs less than this to first order (Jensen's inequality again). `bends` adds
+two terms: 2.326 ||sum_i s_i|| with linearised s_i, for its kink where corrections along burns
+cancel, and the curvature of the quantile that the other terms lack. A linear term makes value and
+gradient at the iterate equal to those over the draws.
 """
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ class Valued(NamedTuple):
 
 
 class Bend(NamedTuple):
-    """A part of how a cost curves about an iterate z: ||(R (z' - z) + r, c)||, which goes on straight.
+    """Curved part of a cost about an iterate z: ||(R (z' - z) + r, c)||, straight far away.
 
     Attributes:
         root: R, shape (., controls).
@@ -157,8 +157,8 @@ def _places(known: int) -> Indices:
 def roots_of(problem: FlybyProblem, iterate: Iterate) -> list[Array]:
     """R of each corrected burn j, shape (6 j + 7, 6 j + 7); none where corrections cost nothing.
 
-    Where nothing is corrected yet the quantile has no slope. There R is that of the mean, but for burns
-    that have vanished, whose sizes' quantile is that of a norm of normal numbers.
+    Where nothing is corrected yet, the quantile has no slope, and R is that of the mean. For a burn
+    that has vanished, R is that of the quantile of a norm of normal numbers.
     """
     feedback = problem.feedback
     if feedback is None or feedback.cost == "nominal":
@@ -173,10 +173,10 @@ def roots_of(problem: FlybyProblem, iterate: Iterate) -> list[Array]:
 
 
 def bends(problem: FlybyProblem, iterate: Iterate) -> tuple[Bend, Bend]:
-    """What curves the 99 % quantile beside `formula`: 2.326 ||sum s_i||, and what that lacks.
+    """Curved parts of the 99 % quantile beside `formula`: 2.326 ||sum s_i||, and the rest.
 
-    The first has a kink where corrections along burns cancel, and where nothing is corrected yet. Its c
-    stands for what spreads sizes otherwise. The second is curvature over the draws.
+    The first part has a kink where corrections along burns cancel, and where nothing is corrected
+    yet. Its c covers all other spread of the sizes. The second part is curvature over the draws.
     """
     feedback = problem.feedback
     assert feedback is not None

@@ -1,7 +1,8 @@
 """Execution errors: columns C(v) with C C' the covariance that a burn v adds to the velocity.
 
-A model has `shared` columns, of errors drawn once for all burns, and then `own` ones, of errors drawn
-for each burn. Shared columns fill the same columns of the covariance factor at every burn.
+A model has `shared` columns for errors that are drawn once for all burns, then `own` columns for
+errors that are drawn for each burn. Shared columns fill the same columns of the covariance factor
+at every burn.
 """
 
 from __future__ import annotations
@@ -61,8 +62,9 @@ class ExecutionErrors(ABC):
     def correction_columns(self, gains: Array) -> tuple[Array, Array]:
         """Columns (3, k) of a correction by gains U (3, n), and their derivatives (3, k, 3, n).
 
-        They match the second moment that the proportional errors of a random velocity U xi have, which
-        is uncorrelated with the planned burn's: a product of normals, and not normal.
+        They match the second moment of the proportional errors of a random velocity U xi. These
+        errors are products of normal numbers, hence not normal, and uncorrelated with the errors of
+        the planned burn.
         """
 
     def execute(self, burns: Array, draws: Array) -> Array:
@@ -79,7 +81,7 @@ class ExecutionErrors(ABC):
         return burns + errors
 
     def draws_of_burn(self, draws: Array, burn: int) -> Array:
-        """Those of some draws (n, shared + m own) that one burn feels, shape (n, shared + own)."""
+        """Draws that act on one burn, shape (n, shared + own), out of all (n, shared + m own)."""
         first = self.shared + burn * self.own
         return np.hstack([draws[:, : self.shared], draws[:, first : first + self.own]])
 

@@ -5,10 +5,10 @@
 
     flow = ExpressionFlow(acceleration, times)
 
-CasADi differentiates the expression. The classical Runge-Kutta scheme and its exact derivatives are
-evaluated here, over all arcs at once: the expression's operations run as NumPy's over all columns,
-which CasADi's virtual machine takes one by one (six times as long for 150 arcs of the restricted
-three-body problem).
+CasADi differentiates the expression. This module evaluates the classical Runge-Kutta scheme and its
+exact derivatives over all arcs at once. NumPy runs each operation of the expression over all
+columns. CasADi's virtual machine would take the columns one by one (six times as long for 150 arcs
+of the restricted three-body problem).
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ class Columns:
     """A CasADi function of scalars, evaluated over columns of numbers.
 
     Raises:
-        ValueError: if it has an operation that NumPy has not.
+        ValueError: if it has an operation that NumPy lacks.
     """
 
     def __init__(self, function: Any) -> None:

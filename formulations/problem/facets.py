@@ -133,7 +133,7 @@ def _constraint_facets(
 def inner_facets(region: Region, polytopes: Polytopes, point: Array) -> list[Halfspaces]:
     """Facets of a polytope inside the region, a vertex or an edge of it turned towards `point`.
 
-    With a facet turned that way instead, the polytope is thinnest just where the spacecraft flies.
+    If a facet faced `point` instead, the polytope would be thinnest where the spacecraft flies.
     """
     if isinstance(region, Ellipsoid):
         return [region.back(a) for a in inner_facets(region.ball, polytopes, region.seen(point))]

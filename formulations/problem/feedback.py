@@ -1,12 +1,14 @@
-"""The policy of corrected burns: measurements before each burn, and the gains that act on them.
+"""Describe the policy of corrected burns: measurements before each burn, and gains on them.
 
-At the cut-off before a corrected burn the state is measured, with errors independent from cut-off to
-cut-off. A linear Kalman filter along the plan turns the measurement into an innovation xi ~ N(0, I_6),
-independent of all earlier ones. The burn is its nominal value and gains times what is known by then,
+At the cut-off before a corrected burn the state is measured, with errors independent from cut-off
+to cut-off. A linear Kalman filter along the plan turns the measurement into an innovation xi ~ N(0,
+I_6), independent of all earlier ones. The commanded burn is its nominal value plus gains times all
+innovations until then,
 
     dv_i + U_i0 xi_0 + ... + U_ij xi_j,    j the cut-off of burn i,
 
-so that gains are velocities, as burns are, and a gain's sum of squares is its correction's variance.
+Gains are velocities, as burns are. The sum of squares of a burn's gains is the variance of its
+correction.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
-"""The motion between burns, as the problem needs it: end states of arcs and their derivatives.
+"""Interface of the motion between burns: end states of arcs and their derivatives.
 
-Whatever moves a spacecraft, forces that depend on velocity and on time included, is a `Flow`: the
-asteroid's in closed form (`scp_recon.physics.flow`), others from an expression.
+A `Flow` may have any forces, also ones that depend on velocity and time. The flow about an asteroid
+has derivatives in closed form (`scp_recon.physics.flow`). Others are made from an expression
+(`expression_flow`).
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The flyby problem as data: its arcs, burns and legs, its limits, and the iterates that fly it."""
+"""The flyby problem as data: arcs, burns, legs and limits; and iterates of burns and means."""
 
 from __future__ import annotations
 
@@ -136,14 +136,15 @@ class FlybyProblem:
         sun: unit vectors to the Sun at each burn, shape (m, 3).
         dv_cone: half-angle of the double cone about the Sun line that burns must avoid; 0 for none.
         constraints: on the position.
-        miss_weight: price of each component of the final state's miss, where the burns are too few to
-            meet it; without it the final state is a condition.
+        miss_weight: price of each component of the final state's miss, for too few burns to meet
+            the final state; None makes the final state a condition.
         final_spread: limits on the root of the summed variances of the position and of the velocity
             after the last burn, None where there is none.
         held: burns that keep the value that they have in an iterate.
         raised: burns of at least `dv_min`, as they are in an iterate.
         dv_min: smallest size of a burn that is raised.
-        feedback: what corrected burns know; None where all burns are fixed before departure.
+        feedback: measurements and gains of the corrected burns; None if all burns are fixed before
+            departure.
     """
 
     n_nodes: int
@@ -310,7 +311,7 @@ class FlybyProblem:
 
 
 def factor_columns_used(problem: FlybyProblem, nodes: Indices) -> int:
-    """Factor columns that can be non-zero in the position at any of the ascending `nodes`.
+    """Number of first factor columns that can affect the position at the ascending `nodes`.
 
     A burn's error shifts positions only after its node, so later burns' own columns stay zero.
     """

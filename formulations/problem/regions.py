@@ -314,7 +314,7 @@ class Ellipsoid:
         return np.asarray((point - _for_each(self.center, point)) @ self.matrix.T)
 
     def back(self, planes: Halfspaces) -> Halfspaces:
-        """Half-spaces in those coordinates as ones of positions."""
+        """Half-spaces of positions, from half-spaces in those coordinates."""
         normal = planes.normal @ self.matrix
         return Halfspaces(normal, planes.offset + np.einsum("ni,ni->n", normal, self.center))
 
@@ -344,9 +344,9 @@ class Ellipsoid:
 
 @dataclass(frozen=True)
 class Polytope:
-    """Points with a'y <= b for all m faces, to be kept out of: unit normals (m, 3), offsets (m,).
+    """Keep-out set of points with a'y <= b for all m faces: unit normals (m, 3), offsets (m,).
 
-    The same at all nodes. A polytope to be kept in is so many half-spaces.
+    The polytope is the same at all nodes. A keep-in polytope is given as half-spaces instead.
 
     Attributes:
         normal: a.
@@ -372,7 +372,7 @@ class Polytope:
         return self
 
     def supporting(self, point: Array) -> Halfspaces:
-        """The half-space of the face that each of the points (n, 3) is deepest below, or off most."""
+        """For each point (n, 3), the half-space of the face with the least signed distance."""
         nearest = np.argmin(self.offset - point @ self.normal.T, axis=-1)
         return Halfspaces(self.normal[nearest], self.offset[nearest])
 
@@ -394,7 +394,7 @@ class Polytope:
 
     @property
     def second_order_cone(self) -> SecondOrderCone:
-        """None: it is as many cones as it has faces.
+        """Refuse: a keep-in polytope is as many cones as it has faces.
 
         Raises:
             ValueError: always.
