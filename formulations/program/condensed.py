@@ -1,10 +1,10 @@
-"""Condensed subproblem: mean and factor are eliminated; burns and buffers are the only variables.
+"""Solve the condensed subproblem, whose only variables are burns and buffers.
 
 The rows are second-order cones in the burns (`Rows.cones`), in a fixed number of **slots** for each
-size of cone. An empty slot holds 1 >= 0, so that neither sparsity nor compiled program changes while
-rows come and go; when slots run out their number doubles. Rows far from binding are left out. The
-answer is checked against all rows, and the program solved again with those it violates, until none is:
-the answer is that of the whole program.
+size of cone. An empty slot holds 1 >= 0, so the sparsity and the compiled program stay the same
+when rows are added or removed. If slots run out, their number doubles. Rows far from binding are
+left out. The answer is checked against all rows. The program is solved again with the violated rows
+until no row is violated. The answer then solves the whole program.
 """
 
 from __future__ import annotations

@@ -56,12 +56,12 @@ class ConvexSubproblem(Subproblem):
     def solve(self, radius: float, charge: float | PenaltyParameters) -> Step:
         """See `Subproblem.solve`.
 
-        Planes keep burns out of the battery's cones, one for each nappe. A small burn's present
-        direction says little about its next one. It is therefore solved without planes first; that
-        answer gives a direction, and a bound on the merit for any direction. If it lies in a cone, the
-        program is solved with planes towards it and with planes towards the present direction, which
-        is no worse than no step, and the better answer counts. From a guess there is no step to
-        compare with, and the former counts.
+        Planes keep burns out of the battery's cones, one for each nappe. The present direction of a
+        small burn says little about its next direction. The program is therefore solved without
+        planes first. The answer gives a direction, and a bound on the merit for any direction. If
+        the answer lies in a cone, the program is solved with planes towards the answer and with
+        planes towards the present direction, and the better answer counts. The second one is no
+        worse than no step. From a guess there is no step to compare with, and the first one counts.
         """
         charge = charge if isinstance(charge, PenaltyParameters) else PenaltyParameters(charge)
         burns = self._at.iterate.burns
@@ -89,8 +89,8 @@ class ConvexSubproblem(Subproblem):
     def burn_planes(self, burns: Array) -> Array:
         """Normals of the planes that keep burns out of the battery's cones, shape (2, m, 3).
 
-        As ||across|| >= e'dv for any unit vector e across the Sun line, a plane's violation is never
-        less than its cone's; at these burns they are equal.
+        For any unit vector e across the Sun line, ||across|| >= e'dv. The violation of a plane is
+        therefore never less than that of its cone. At these burns the two are equal.
         """
         if not self.problem.dv_cone:
             return np.zeros((2, *burns.shape))

@@ -1,19 +1,18 @@
-"""Lifted: mean, covariance factor and virtual control as explicit variables, sparse.
+"""Solve the lifted subproblem: mean, covariance factor and virtual control are sparse variables.
 
     mu_{k+1} = mu^_{k+1} + A_k (mu_k - mu^_k) + d_k + B (dv_i - dv^_i)
     S_{k+1}  = [A_k S_k + (T_k . (mu_k - mu^_k)) S^_k, B (C^_i + C'^_i . (dv_i - dv^_i))]
 
-with hats for the iterate, d for its defects and C for the columns of a burn's errors. Corrections add
-B (U Xi) and their own errors' columns, linearised; what controls do to the innovations Xi is eliminated
-as in the condensed form. Nodes are those
-that a constraint or a burn touches; the arcs between are composed, which is exact to the order of the
-linearisation and keeps the program a tenth of its size. The dynamics are one product of a block-sparse
-parameter with all states stacked (every mean, then every factor, row-major), so that the sparsity is
-constant.
+with hats for the iterate, d for its defects and C for the columns of a burn's errors. Corrections
+add B (U Xi) and the columns of their own errors, linearised. The effect of controls on the
+innovations Xi is eliminated as in the condensed form. The program has only nodes with a constraint
+or a burn. Arcs between them are composed, which is exact to the order of the linearisation and
+makes the program ten times smaller. The dynamics are one product of a block-sparse parameter with
+all states stacked (every mean, then every factor, row-major), so that the sparsity is constant.
 
-The virtual control is the miss of the final state. Any burns have a trajectory, so that this is all
-the linearised dynamics can miss; on other arcs it would promise to move the path at the price of a
-miss, which no flight keeps.
+The virtual control is the miss of the final state. Any burns have a trajectory, so the linearised
+dynamics can miss only the final state. Virtual control on other arcs would let the model move the
+path at the price of a gap, which no flight can have.
 """
 
 from __future__ import annotations
@@ -168,7 +167,7 @@ class LiftedDynamics:
         return rows, np.concatenate([mean_entry.ravel(), own.ravel(), from_mean.ravel()])
 
     def _kicks(self, lin: Linearisation) -> tuple[sp.csr_array, Array]:
-        """What controls add to means and factors at burns, (states, nz), and closing the defects.
+        """Derivatives by controls of means and factors at burns, (states, nz), and their defects.
 
         Of the means B dv; of the factors B C'^_i . dv, and what `factor_kicks` says of corrections.
         """

@@ -10,12 +10,12 @@
           y_0 + v_row >= ||(y_1, ...)||                  state constraints, P3's or P2's
           v >= 0
 
-with the burns z, and s the sum of squares that a penalty may charge: a cone, because with a quadratic
-objective the solvers do not reach their tolerances. The cone of an augmented Lagrangian holds the root
-of its weight, and its curvature is 1: a weight outside would multiply the solver's tolerance. Each
-formulation writes the miss and the rows y as functions of the burns: see `condensed` and `lifted`.
-Everything that changes between iterations is a parameter or one of `Numbers`, so that the program is
-compiled once.
+with the burns z, and the sum of squares s that a penalty may charge. It is written as a cone,
+because the solvers do not reach their tolerances with a quadratic objective. The cone of an
+augmented Lagrangian contains the root of its weight, and its curvature is 1: a weight outside the
+cone would multiply the solver's tolerance. Each formulation writes the miss and the rows y as
+functions of the burns: see `condensed` and `lifted`. Everything that changes between iterations is
+a parameter or one of `Numbers`, so the program is compiled once.
 """
 
 from __future__ import annotations
@@ -46,8 +46,9 @@ MARK = 2.0**40
 class Numbers:
     """Numbers of a program that change between iterations, other than CVXPY's parameters.
 
-    They are marked constants, found again in the compiled form: 150,000 of them take 0.5 s of a core,
-    as many parameters of CVXPY 14 s. Each has to stand alone in its entry of A or b, not in a sum.
+    Each number is a marked constant, which is located in the compiled form. 150,000 of them take
+    0.5 s of a core; as many parameters of CVXPY take 14 s. Each number must stand alone in its
+    entry of A or b, not in a sum.
 
     Attributes:
         slices: of all numbers, those of each array by its name.
@@ -174,7 +175,7 @@ def write_cost(
 
 
 def cost_values(lin: Linearisation) -> tuple[Values, float]:
-    """The parameters of the cost at an iterate, and what its tilt leaves out of the objective."""
+    """Parameters of the cost at an iterate, and the constant that the objective leaves out."""
     problem, iterate, feedback = lin.problem, lin.iterate, lin.problem.feedback
     if feedback is None or feedback.cost == "nominal":
         return {}, 0.0

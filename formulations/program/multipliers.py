@@ -8,9 +8,10 @@ adjoint of the dynamics reads
     psi_k = A_k' psi_{k+1} + sum_ij T_k[i, j, :] (Psi_{k+1} S_k')[i, j] + dL/dmu_k at the node itself,
     Psi_k = A_k' Psi_{k+1} + dL/dS_k at the node itself.
 
-Corrected burns feel the errors E of estimates too, whose adjoint Omega obeys what Psi does and adds to
-psi in the same way; corrections pull at it through the innovations of `linearisation.innovations`.
-A burn dv added at node k changes the least cost by ||dv|| - p_k'dv + o(||dv||) with the primer
+Corrected burns also depend on the errors E of estimates. Their adjoint Omega obeys the same
+equation as Psi and adds to psi in the same way. Corrections act on it through the innovations of
+`linearisation.innovations`. A burn dv added at node k changes the least cost by ||dv|| - p_k'dv +
+o(||dv||) with the primer
 
     p_k = -B'psi_k - sum over the columns that all burns share of C'B'(Psi_k + Omega_k).
 
@@ -77,10 +78,10 @@ def slope_left(problem: FlybyProblem, rows: Rows, lin: Linearisation, prices: Ar
 
 
 def _free(problem: FlybyProblem, lin: Linearisation) -> Booleans:
-    """Controls along which the cost has a derivative that vanishes at an optimum, shape (controls,).
+    """Mask of controls by which the cost has a derivative, zero at an optimum, shape (controls,).
 
-    A burn's limits have a kink where it vanishes, and so has the cost; that of its gains has one where
-    burn and gains vanish together or, where corrections cost nothing, the gains alone.
+    Cost and limits have a kink where a burn vanishes. The cost of its gains has a kink where burn
+    and gains vanish together, or, if corrections cost nothing, where the gains vanish.
     """
     at, feedback = lin.problem, problem.feedback
     free = np.zeros(len(lin.controls), dtype=np.bool_)

@@ -1,4 +1,4 @@
-"""Conic solvers: built once per program, and updated in place with new numbers where possible."""
+"""Solve cone programs; a solver is built once per program and takes new numbers in place."""
 
 from __future__ import annotations
 
@@ -186,12 +186,12 @@ def installed() -> tuple[str, ...]:
 class FallbackSolver:
     """A conic solver with fallbacks: rebuild it, then try the others whose numbers can be updated.
 
-    A solver keeps the equilibration of the numbers it was built with. If it fails with new ones, it is
-    built again. A solver is foreign code: any exception counts as a failure, and so do numbers that
-    are not finite and an "accurate" answer that its multipliers do not prove optimal. After a failure
-    of all solvers the algorithm shrinks the trust region. A solver that is not in `SOLVERS` has no
-    fallbacks: it is there for comparison. `settings` are by CVXPY's name of a solver, besides its
-    tolerances.
+    A solver keeps the equilibration of the numbers that it was built with. If it fails with new
+    numbers, it is built again. A solver is foreign code, so three things count as a failure: any
+    exception, numbers that are not finite, and an "accurate" answer whose multipliers do not prove
+    it optimal. After a failure of all solvers the algorithm shrinks the trust region. A solver that
+    is not in `SOLVERS` has no fallbacks: it is there for comparison. `settings` are by CVXPY's name
+    of a solver, besides its tolerances.
 
     Raises:
         ModuleNotFoundError: if the solver is not installed.
@@ -208,7 +208,7 @@ class FallbackSolver:
         return SOLVERS[name](settings) if name in SOLVERS else ByCvxpy(name, settings)
 
     def forget(self) -> None:
-        """Build it anew, for a program of another sparsity."""
+        """Build the solver again at the next call, for a program with another sparsity."""
         self._kept = self._built(self._name)
 
     def solve(self, program: ConeProgram) -> Answer:

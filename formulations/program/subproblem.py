@@ -2,15 +2,16 @@
 
     min  cost + w (sum of buffers + ||virtual control||_1)
 
-or with another charge for violations and steps. Violations v >= 0 are the buffers in the order of
-`MeritFunction.violations`, the miss m of the final state is signed, the step s is that of the burns:
+or with another charge for violations and steps. The violations v >= 0 are the buffers in the order
+of `MeritFunction.violations`, the miss m of the final state is signed, the step s is that of the
+burns:
 
     exact      w (10 ||m||_1 + sum v)
     proximal   w (10 ||m||_1 + sum v) + p/2 ||s||^2
     augmented  l'(m, v) + w/2 ||(m, v)||^2.
 
-The merit of an iterate is its cost plus its charges, by the nonlinear dynamics, never by the model. The
-program is written in `model`; the formulations in `condensed` and `lifted`.
+The merit of an iterate is its cost plus its charges. It always uses the nonlinear dynamics, never
+the model. The program is written in `model`; the formulations in `condensed` and `lifted`.
 """
 
 from __future__ import annotations

@@ -1,16 +1,16 @@
-"""Directions of the lines that probabilities are taken over: even ones, and ones where flights fail.
+"""Choose the directions of lines for probabilities: evenly, or half of them where flights fail.
 
-Few of many even directions meet what a likely flight breaks, and where the first broken limit changes
-on one of these, the estimate has a kink. Half of the directions can therefore be aimed: drawn from the
-angular central Gaussian law of a matrix A, the law of A^(1/2) z / |A^(1/2) z| with z standard normal,
-whose density over the even one is
+Only few of many even directions meet the limits that flights are likely to break. The estimate has
+a kink where the first broken limit changes on one of these lines. Half of the directions can
+therefore be drawn from the angular central Gaussian law of a matrix A: the law of A^(1/2) z /
+|A^(1/2) z| with z standard normal. Its density relative to the even law is
 
     |A|^(-1/2) (u'A^-1 u)^(-d/2)
 
 (D. E. Tyler, "Statistical analysis for the angular central Gaussian distribution on the sphere",
-Biometrika 74 (1987) 579, whose fixed point fits A to directions). All are weighed by the mixture's
-density (E. Veach and L. Guibas, "Optimally combining sampling techniques", SIGGRAPH 1995): no weight is
-above two, and the estimate has no bias.
+Biometrika 74 (1987) 579, whose fixed point fits A to directions). All directions are weighted by
+the density of the mixture (E. Veach and L. Guibas, "Optimally combining sampling techniques",
+SIGGRAPH 1995). No weight exceeds two, and the estimate has no bias.
 """
 
 from __future__ import annotations

@@ -1,9 +1,10 @@
-"""Probability along lines: the segments on which a line keeps all limits, and their probability.
+"""Find the segments of lines on which all limits hold, and the probability of each segment.
 
-All randomness of a position is one standard normal vector. On a line through its space a position is
-affine in the coordinate s along it, r = m + s v, and every convex region contains an interval of the
-line. All limits hold on an intersection of intervals less a union of intervals, with ends in closed
-form. Its mean over lines is the probability, and the motion of the ends gives the gradient:
+A position depends on one standard normal vector. On a line through the space of that vector, the
+position is affine in the coordinate s along the line, r = m + s v. Every convex region then
+contains an interval of the line. All limits hold on an intersection of intervals less a union of
+intervals, whose ends have closed forms. The mean over lines of its probability is the probability
+that all limits hold. The motion of the ends gives the gradient:
 
     P = E[sum F(end) - F(start)],    dP = E[sum f(end) d end - f(start) d start],
     n'(dm + s dv) + n'v ds = 0  with n normal to the limit that is met there.
@@ -46,7 +47,7 @@ class TwoSidedChiLaw:
 
     @property
     def farthest(self) -> float:
-        """Distance beyond which the law has nothing: 1e-18."""
+        """Distance beyond which the law has a probability of 1e-18."""
         return float(np.sqrt(2.0 * gammainccinv(0.5 * self.dimension, 1e-18)))
 
     def density(self, s: Array) -> Array:

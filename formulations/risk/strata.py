@@ -1,15 +1,17 @@
-"""Probability that flights fail, from few of many draws: exact limits, and the fewest flights.
+"""Estimate the probability that flights fail, with exact limits, by flying few of many draws.
 
-The law says of every draw of the errors whether a flight fails, and by what margin. Draws fall into
-six strata by that margin, and of each stratum's draws a share is flown, chosen at random. Flights that
-end unlike the law's verdict correct it (double sampling; Horvitz and Thompson, JASA 47 (1952) 663):
+The normal law predicts for every draw of the errors whether the flight fails, and by what margin.
+Draws fall into six strata by this margin. A random share of each stratum is flown. Flights that end
+unlike the law's verdict correct the estimate (double sampling; Horvitz and Thompson, JASA 47 (1952)
+663):
 
     P(fail) = P(law fails) + sum_h +-P(stratum h, flown, unlike) / share_h,   minus where the law fails.
 
-The number of draws is itself drawn, from a Poisson law. So all counts are independent Poisson ones, and
-every limit here is exact, however wrong the law is. Let X be the draws that fail by the law and are not
-flown otherwise, N the expected number of draws, d_h the flights unlike the law, and r what these add to
-X / N in the mean, each a_h (1 / share_h, or 1 - 1 / share_h where the law fails). Then
+The number of draws follows a Poisson law. All counts are therefore independent Poisson numbers, and
+every limit here is exact, however wrong the normal law is. X is the number of draws that fail by
+the law and whose flights do not contradict it. N is the expected number of draws, and d_h the
+number of flights unlike the law in stratum h. Each such flight adds a_h to X: 1 / share_h, or 1 - 1
+/ share_h where the law fails. Their mean addition to X / N is r. Then
 
     e(r) = exp(lean N r) prod_h (1 - lean a_h)^d_h
 
@@ -17,7 +19,8 @@ has the mean 1, for any `lean` fixed beforehand that leaves every factor positiv
 is a p-value (Ignatiadis, Wang and Ramdas, Biometrika 111 (2024) 417). The limit is the largest P(fail)
 at which that exceeds the tail's probability.
 
-Where no flight is unlike, n flights of what surely holds leave about ln(1 / tail) / n open.
+If no flight is unlike the law, n flights of the stratum that surely holds leave a probability of
+about ln(1 / tail) / n undecided.
 """
 
 from __future__ import annotations
@@ -154,7 +157,7 @@ def strata_of(margin: Array, near: float) -> Indices:
 
 
 def _worth(share: Array) -> Array:
-    """What a draw that is flown and unlike the law adds to failures, shape (..., 6)."""
+    """Addition to the failures of a flown draw that is unlike the law, shape (..., 6)."""
     return np.where(FAILS, 1.0, 0.0) + np.where(FAILS, -1.0, 1.0) / share
 
 
@@ -259,13 +262,13 @@ def allocate(
         plain: flights that it is to save.
         width: distances of the limits of most and of least failures.
         tail: probability with which either may be missed.
-        mirrored: whether the law's verdict may have no part in which draws are flown, so that strata
-            of one margin have one share.
+        mirrored: whether the choice of flown draws must not depend on the law's verdict, so that
+            strata of one margin have one share.
         draw: time of a draw by the law over that of a flight.
         times: draws per plain flight that are tried.
 
     Returns:
-        It; None where so many plain flights are cheaper.
+        The allocation; None if that many plain flights are cheaper.
     """
     q = max(survey.failed, 1.0 / plain)
     draws, near = (part.ravel() for part in np.meshgrid(np.array(times) * plain, NEAR))
@@ -276,7 +279,7 @@ def allocate(
     most_lean = np.sqrt(-2.0 * np.log(tail) / (draws * q))
 
     def leans(share: Array) -> Array:
-        """As large as one flight of what is sure allows, or as normal sampling errors ask for."""
+        """Leans limited by one flight of the sure strata, or by normal sampling errors."""
         return np.minimum(LEAN * share, most_lean)
 
     def widths(fails: Array, holds: Array) -> tuple[Array, Array]:

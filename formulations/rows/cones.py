@@ -68,7 +68,7 @@ class StateCones(NamedTuple):
     and the burn components z' that curvature needs, if any.
 
     Attributes:
-        rows: which of the buffers each has, shape (n,).
+        rows: index of each cone's buffer, shape (n,).
         places: of each entry the component of y, among all n d, the node k, the state's component i and
             the column j, 0 of the mean and 1 onwards of the factor; shape (4, e), the same at every
             iterate.
@@ -171,7 +171,7 @@ class Rows(Protocol):
         """The rows, convexified at an iterate, for mean and factor at `nodes` affine in the burns."""
 
     def state_cones(self, lin: Linearisation) -> list[StateCones]:
-        """What `cones` says, before mean and factor are eliminated."""
+        """The rows of `cones` before mean and factor are eliminated."""
 
     def pulled(self, lin: Linearisation, prices: Array) -> Pulled:
         """Derivative of the rows' violations, weighed by prices (rows,), in the order of `cones`."""
@@ -180,7 +180,7 @@ class Rows(Protocol):
 def controls_felt(problem: FlybyProblem, nodes: Indices) -> Indices:
     """Number of controls on which positions at some nodes depend: those of earlier burns.
 
-    At least the first burn's, so that every cone has some.
+    The first burn always counts, so that every cone depends on some controls.
     """
     return problem.controls_before[np.maximum(np.searchsorted(problem.burn_nodes, nodes), 1)]
 

@@ -1,13 +1,14 @@
-"""Limits that corrected burns keep with a probability each, and all rows after a problem's others.
+"""Rows of P2 for the limits on corrected burns, each kept with a probability.
 
-A corrected burn commands v + U xi. With the probability p of `Feedback` it is no larger than `dv_max`,
-and with p it is outside the battery's double cone. Margins are quantiles, in units of speed,
+A corrected burn commands v + U xi. It must be no larger than `dv_max` with the probability p of
+`Feedback`. It must be outside the battery's double cone with the same probability. Margins are
+quantiles in units of speed,
 
     dv_max - r,  P(|v + U xi| <= r) = p,      t,  P(inside(v + U xi) > -t) = 1 - p,
 
-the signed distance to the cone being that of `regions` and the two nappes added up. They equal the
-distances to the limits where there is no correction, and are tame where probabilities are not: the
-quantile of a ball scales with v and U.
+where inside is the signed distance of `regions`, and the probabilities of the two nappes are added.
+Without a correction the margins equal the distances to the limits. They are smoother than
+probabilities: the quantile of a ball scales with v and U.
 """
 
 from __future__ import annotations
@@ -142,7 +143,7 @@ def certain_part(gains: Array) -> Array:
 
 
 def _within_size(velocity: Array, factor: Array, x: Array) -> Level:
-    """Of sizes up to -x: the ball is held and velocity and factor are scaled to it."""
+    """Level of sizes up to -x: the ball is fixed, and velocity and factor are scaled to it."""
     n, scale = len(velocity), SCALE / -x
     ball = Event("", np.arange(n), (Ball(np.zeros((n, 3)), SCALE),), ())
     v, s = scale[:, None] * velocity, scale[:, None, None] * factor
@@ -154,7 +155,7 @@ def _within_size(velocity: Array, factor: Array, x: Array) -> Level:
 
 
 def _off_cone(sun: Array, half_angle: float) -> LevelAt:
-    """Of velocities farther than x from both nappes: they are held, and velocities moved to them."""
+    """Level of velocities farther than x from both nappes, by moving the velocities."""
     axes, n = np.concatenate([sun, -sun]), len(sun)
     nappes = Event("", np.arange(2 * n), (), (Cone(np.zeros((2 * n, 3)), axes, half_angle),))
 
@@ -180,9 +181,9 @@ def _off_cone(sun: Array, half_angle: float) -> LevelAt:
 def _margins(
     level: LevelAt, certain: Array, velocity: Array, factor: Array, feedback: Feedback
 ) -> Quantiles:
-    """The x that are kept with the probability, and derivatives: Newton's method, bracketed.
+    """The x that are kept with the required probability, and derivatives, by Newton's method.
 
-    It begins a little below the margins of the nominal burns, `certain`.
+    The method is bracketed, and begins a little below the margins of the nominal burns, `certain`.
     """
     q, spread = float(ndtri(feedback.probability)), np.linalg.norm(factor, axis=(1, 2))
     reach = np.linalg.norm(velocity, axis=1) + (abs(q) + BEYOND) * spread

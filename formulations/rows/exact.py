@@ -1,4 +1,4 @@
-"""Rows of P2 with exact risk: by the probability of the sets, at each node.
+"""Rows of P2 with exact risk: one row for each joint constraint at each node.
 
 On the normal quantile scale, g = Phi^-1(P), a chance constraint reads g >= Phi^-1(p), and its margin
 g - Phi^-1(p) counts standard deviations. Each row has value, gradient and curvature of g at the

@@ -1,8 +1,8 @@
-"""The row of P2 with exact risk of the whole flight: all limits hold at all nodes, with gradient.
+"""The row of P2 with exact risk of the whole flight: all limits hold at all nodes.
 
-All positions of a flight are linear in few numbers: the state after the first burn and the velocities
-after the others. The law of a flight is therefore taken over these, however many sources of errors
-there are: fewer dimensions need fewer directions.
+All positions of a flight are linear in few numbers: the state after the first burn and the
+velocities after the others. The law of a flight is therefore expressed in these numbers, however
+many sources of errors there are. Fewer dimensions need fewer directions.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ class FlightValue:
 
 
 class Coordinates:
-    """The numbers that a flight's positions up to a node are linear in, and their law's root.
+    """Numbers in which a flight's positions up to a node are linear, and the root of their law.
 
     Y are the rows of the covariance factor that belong to them, W the triangular root of Y Y'. With
     R = W^-1 Y a factor S is (S R') R, so that S R' has its covariance in fewer columns.
@@ -174,7 +174,7 @@ class FlightRows(ExactRows):
         self._look(sphere_directions(lines, self._coordinates.count))
 
     def _look(self, directions: Directions) -> None:
-        """Take probabilities over some directions from now on."""
+        """Use these directions for probabilities from now on."""
         few = Directions(*(part[:: max(1, self._lines // CURVATURE_LINES)] for part in directions))
         self.probability = FlightProbability(self.events, directions)
         self._rough = FlightProbability(self.events, few)
@@ -182,7 +182,7 @@ class FlightRows(ExactRows):
         self._bent: tuple[Array, Array, Array] | None = None
 
     def aim(self, lin: Linearisation) -> None:
-        """Take probabilities over directions of which half are where an iterate's flights fail."""
+        """Use directions of which half are drawn where an iterate's flights fail."""
         self._coordinates.settle(lin.factor)
         mean, factor = lin.iterate.mean[:, :3], self._coordinates.reduced(lin.factor)
 
@@ -240,7 +240,7 @@ class FlightRows(ExactRows):
     def _hessian(self, lin: Linearisation, g: FlightValue, slope: Array) -> Array:
         """d2g/dz2 by all controls: by differences along some directions, else by `bent_by_gains`.
 
-        The differences are kept until the controls have moved so far that they tell something else.
+        The differences are kept until the controls have moved too far for them to be valid.
         """
         z, own = lin.controls, self._bent_by_gains(lin, g)
         free = _keeping_final_state(lin)
@@ -268,12 +268,12 @@ class FlightRows(ExactRows):
     def _differences(
         self, lin: Linearisation, met: Limits, step: float, free: Array, known: Array
     ) -> tuple[Array, Array]:
-        """Directions V, orthonormal, and what a Hessian that is known lacks of T V, (controls, .) each.
+        """Orthonormal directions V, and T V less the known Hessian's part of it, (controls, .) each.
 
-        T V by differences of slopes from few directions of flights, over steps long enough to average
-        out the kinks where a flight's first broken limit changes. The directions are those of the
-        burns, and of the gains those in which what is known lacks most: the slope's, and as Lanczos
-        goes on. All keep the final state.
+        T V by differences of slopes from few directions of flights, over steps long enough to
+        average out the kinks where a flight's first broken limit changes. The directions are those
+        of the burns and, for the gains, the ones in which the known Hessian errs most: the slope's
+        direction, and then those of Lanczos' method. All keep the final state.
         """
         nodes = np.union1d(met.nodes, self._coordinates.nodes)
         s, burns = condense(lin, nodes), self.problem.burn_controls.ravel()

@@ -1,10 +1,10 @@
-"""Probability that a whole flight keeps all limits on the position, with its gradient.
+"""Estimate the probability that a whole flight keeps all limits on the position, with its gradient.
 
-All randomness of a flight is one standard normal vector w, one component per column of the covariance
-factor. The position at every node is mu_k + S_k w. On a line through the mean, w = s u with u on the
-unit sphere, every region at every node contains an interval of s. The directions u are fixed,
-quasi-random points of the sphere, so that the probability is a smooth function of means and factors:
-see `risk.lines`.
+A flight depends on one standard normal vector w with a component per column of the covariance
+factor. The position at every node is mu_k + S_k w. On a line through the mean, w = s u with u on
+the unit sphere, every region at every node contains an interval of s. The directions u are fixed,
+quasi-random points of the sphere, so that the probability is a smooth function of means and
+factors: see `risk.lines`.
 """
 
 from __future__ import annotations
@@ -121,8 +121,8 @@ class FlightProbability:
     Attributes:
         events: on positions.
         directions: of the lines, in d dimensions.
-        reach: standard deviations within which limits are evaluated: one farther off than 6 is broken
-            by fewer than 1e-9 of flights.
+        reach: standard deviations within which limits are evaluated. A limit farther off than 6 is
+            broken by fewer than 1e-9 of flights.
     """
 
     events: tuple[Event, ...]
@@ -191,8 +191,8 @@ class FlightProbability:
     def _kept(self, at: Array, spread: Array, limits: Limits) -> Segments:
         """Segments of the lines on which all limits hold, whose ends are rows of the limits.
 
-        Of keep-outs only chords are computed that a line may meet before it leaves the keep-ins, or
-        before the law ends: one in a hundred or fewer.
+        Chords of keep-outs are computed only if a line may meet them before it leaves the keep-ins,
+        or before the law ends: one chord in a hundred or fewer.
 
         Args:
             at: mean positions of b flights at the rows of the limits, shape (b, r, 3).

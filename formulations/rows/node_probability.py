@@ -1,10 +1,10 @@
-"""Probability at each node that a joint constraint holds, with its gradient in mean and covariance.
+"""Compute at each node the probability that a joint constraint holds, with its gradient.
 
-Balls, ellipsoids and cones are quadratic forms of the position, whose probability is one integral
-along a contour: see `risk.quadratic_forms`. The limits of an event are nested: no position breaks two
-of them, and the probabilities of breaking each add up. On the normal quantile scale, g = Phi^-1(P), a
-half-space gives the mean's distance in standard deviations, so that g is nearly affine in mean and
-deviation.
+Balls, ellipsoids and cones are quadratic forms of the position. Their probability is one integral
+along a contour: see `risk.quadratic_forms`. The limits of an event are nested. No position breaks
+two of them, so the probabilities of breaking each add up. On the normal quantile scale, g =
+Phi^-1(P), a half-space gives the mean's distance in standard deviations. There g is nearly affine
+in mean and deviation. Gradients are by mean and covariance.
 """
 
 from __future__ import annotations
@@ -60,7 +60,8 @@ class Event:
     def check_nested(self) -> None:
         """Check that there is at most one keep-in and one keep-out, the latter within the former.
 
-        Half-spaces to be kept in may be many: their chances of being left add up to a bound (Boole).
+        There may be many keep-in half-spaces: the probabilities of leaving each add up to a bound
+        (Boole).
 
         Raises:
             ValueError: if the limits are not nested so.
@@ -166,7 +167,7 @@ def node_quantiles(event: Event, position: Array, factor: Array) -> Quantiles:
 def _missed(
     event: Event, position: Array, covariance: Array, values: Array
 ) -> tuple[Indices, Below]:
-    """Nodes at which the event is neither sure nor impossible, and its probability of failing there.
+    """Nodes where the event is neither sure nor impossible, and the probability that it fails there.
 
     A position beyond a region's facet is outside the region; the converse holds nearly only where the
     mean is outside.

@@ -1,4 +1,4 @@
-"""Rows of P3 by the regions themselves, and of P2 with uniformly split risk by facets."""
+"""Rows of P3, made of the regions themselves, and of P2 with evenly split risk, made of facets."""
 
 from __future__ import annotations
 
@@ -34,8 +34,8 @@ from formulations.rows.corrected_burns import FurtherRows
 class DeterministicRows:
     """Deterministic constraints: keep-in sets as cones, keep-out sets by their supporting plane.
 
-    The plane that touches the region nearest to the iterate is its linearisation and an inner
-    approximation of the complement at once.
+    The plane touches the region at its point nearest to the iterate. It linearises the region and
+    is also an inner approximation of the complement.
     """
 
     with_factor = condensed = False
