@@ -1,5 +1,6 @@
-"""One function for each verb of scripts and commands, in SI; `import scp_recon as sr` has them by name.
+"""Offer one function for each verb of scripts and commands, in SI (`import scp_recon as sr`).
 
-Each verb's options are checked once, here. Paths may be strings. A plan may be its solution, or its
-file or folder. Nothing is imported here, so that a command imports only what it does.
+The options of each verb are checked once, here. Paths may be strings. A plan may be given as its
+solution, its file or its folder. This package imports nothing, so that a command imports only the
+modules that it needs.
 """

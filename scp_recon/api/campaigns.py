@@ -1,4 +1,4 @@
-"""Run campaigns: do with each case of a study what the study says."""
+"""Run campaigns: plan, design, certify, fly or simulate each case of a study."""
 
 from __future__ import annotations
 
@@ -138,7 +138,7 @@ def run_campaign(
         workers: processes, one by default; 0 for this one.
         scheduler: address of a Dask cluster's, in their place.
         observe: called after each row.
-        say: called with what is worth a line.
+        say: called with each line worth showing.
 
     Returns:
         The file `results.parquet`.
@@ -159,7 +159,7 @@ def work_of(study: Study) -> StudyWork:
     """Make the work of a study's cases.
 
     Raises:
-        InputError: if the extra is missing that it needs.
+        InputError: if an extra is missing that the work needs.
     """
     if study.campaign.do == "simulate":
         imported("campaign.do", "sim", "Basilisk")
@@ -181,7 +181,7 @@ class StudyWork:
         """Plan and verify a case, and fly or simulate it if the campaign says so.
 
         Raises:
-            InputError: if the case is no mission.
+            InputError: if no mission can be made of the case.
             KeyboardInterrupt: if the plan was interrupted.
         """
         do, scenario = self.campaign.do, changed(self.base, case.changes, self.folder)
@@ -216,7 +216,7 @@ class StudyWork:
 
 
 def planned(scenario: Scenario, *, certify: bool) -> Plan:
-    """A scenario's plan from a straight line, certified on request only."""
+    """Plan a scenario from a straight line; certify on request only."""
     mission = Mission.from_scenario(scenario)
     exact = scenario.risk.allocation == "exact"
     options = PlanOptions(certify=certify if exact else None)
@@ -224,9 +224,9 @@ def planned(scenario: Scenario, *, certify: bool) -> Plan:
 
 
 def designed(scenario: Scenario) -> tuple[Plan | None, dict[str, Any]]:
-    """The plan of the cheapest pass from the home orbit, with what is known of the pass.
+    """Plan the cheapest pass from the home orbit; return the plan and columns on the pass.
 
-    Where no pass has a plan, there is what stopped the one that came furthest.
+    If no pass has a plan, the columns say what stopped the pass that came furthest.
     """
     exact = scenario.risk.allocation == "exact"
     found = design(scenario, certify=False if exact else None)

@@ -28,8 +28,8 @@ def draw_windows(scenario: Scenario, survey: Survey, ending: str) -> bytes:
     """A picture of the first windows: incidence over time, and a row of legal burn times for each.
 
     Args:
-        scenario: whose windows they are.
-        survey: what was found.
+        scenario: of the windows.
+        survey: the windows found.
         ending: of the file, which is the format.
 
     Raises:
@@ -121,12 +121,12 @@ COLOURS_NAMED = 6
 
 
 def draw_design(tried: Sequence[Trial], found: PassResult, dv_m_s: float) -> bytes:
-    """PNG: plans without uncertainty as squares, those with it as dots, what was found as a star.
+    """Draw a PNG of a design: squares are plans without uncertainty, dots with it, a star the result.
 
     Args:
         tried: all plans.
         found: the cheapest pass.
-        dv_m_s: what it costs as it was planned in the end, with its facets chosen again.
+        dv_m_s: its delta-v in the final plan, with the facets chosen again.
     """
     figure = sheet(5.6)
     axes = figure.subplots()
@@ -162,7 +162,7 @@ def draw_design(tried: Sequence[Trial], found: PassResult, dv_m_s: float) -> byt
 
 
 def draw_primer(primer: PrimerHistory, burns_s: list[float]) -> bytes:
-    """PNG: size and allowed part over time, legal times shaded, the burns that are there as lines.
+    """Draw a PNG of a primer's size and allowed part over time, with legal times and present burns.
 
     Args:
         primer: of a solution.

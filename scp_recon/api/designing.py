@@ -25,14 +25,15 @@ INIT = "design"
 
 @dataclass(frozen=True, eq=False)
 class Design:
-    """A pass that was looked for.
+    """Result of a design.
 
     Attributes:
-        trials: every plan that was made on the way.
-        best: the cheapest pass; where none has a plan, the one that came furthest.
-        scenario: the given one with the pass's epoch, phases and times; None where none has a plan.
-        plan: of that scenario; None before it is made.
-        start: a plan that it goes on from; None where it begins at the burns of the best pass.
+        trials: every plan that the design made.
+        best: the cheapest pass; if no pass has a plan, the one that came furthest.
+        scenario: the given scenario with the pass's epoch, phases and times; None if no pass has a
+            plan.
+        plan: the plan of that scenario; None before it is made.
+        start: a plan to start from; None if planning starts from the burns of the best pass.
     """
 
     trials: tuple[Trial, ...]
@@ -43,7 +44,7 @@ class Design:
 
     @property
     def message(self) -> str:
-        """The pass found; or the best one without a plan, and the limit that it violates most."""
+        """The pass found; without a plan the best pass and the limit that it violates most."""
         if self.scenario is None:
             return explain_failure(self.best, len(self.trials))
         return f"a pass for {self.best.dv_m_s:.6f} m/s, in {len(self.trials)} plans"
@@ -68,7 +69,8 @@ def design(
         overrides: `section.entry=value` each, as of `load_scenario`.
 
     Returns:
-        The design; its `plan` is None where no pass has one, and its `message` says what stopped it.
+        The design. If no pass has a plan, its `plan` is None, and its `message` names the limit
+            that the best pass violates most.
 
     Raises:
         InputError: naming the argument, what was given and what is allowed.
@@ -103,11 +105,11 @@ def design_options(scenario: Scenario, *, certify: bool | None) -> PlanOptions:
 
 
 def find_pass(scenario: Scenario, observe: Callable[[Trial], None] = lambda _: None) -> Design:
-    """Look for the cheapest pass.
+    """Find the cheapest pass.
 
     Args:
         scenario: with a home orbit.
-        observe: called with every plan on the way.
+        observe: called with every plan that the design makes.
 
     Raises:
         InputError: see `passes.setting.spaces_of`.
@@ -127,7 +129,7 @@ def plan_pass(
         found: the design.
         mission: of its scenario.
         options: see `design_options`.
-        observe: is told how it goes on.
+        observe: called with the progress of planning.
     """
     start = found.start or from_burns(mission, found.best.burns_m_s, INIT)
     return plan_mission(mission, start, options, observe, init=INIT)

@@ -1,4 +1,4 @@
-"""Draft, plan and write a first scenario for a site and a body, or about another tool's trajectory."""
+"""Draft, plan and write a first scenario for a site and a body, or for another tool's trajectory."""
 
 from __future__ import annotations
 
@@ -57,10 +57,10 @@ HEAD_COLUMNS = 98
 
 @dataclass(frozen=True)
 class NewOptions:
-    """The arguments of `new`, checked; dates in TDB.
+    """The checked arguments of `new`; dates in TDB.
 
     Raises:
-        InputError: if one is out of its range, one is missing, or one goes not with another.
+        InputError: if an argument is out of range, missing, or in conflict with another.
     """
 
     name: str
@@ -127,10 +127,10 @@ class NewOptions:
         return Path(f"{self.name}.toml")
 
     def draft_at(self, epoch: datetime) -> Draft:
-        """The draft before anything is designed, of a packaged body or of one by numbers.
+        """The draft before the flyby is designed, for a packaged body or one given by numbers.
 
         Raises:
-            InputError: if the body is packaged and has numbers too, or is not and lacks some.
+            InputError: if numbers are given for a packaged body, or are missing for another body.
         """
         numbers: dict[str, Any] = {name: getattr(self, name) for name in OF_A_BODY}
         site = self.site[0], self.site[1]
@@ -164,12 +164,12 @@ class NewOptions:
 
 @dataclass(frozen=True, eq=False)
 class NewScenario:
-    """A scenario that was drafted, and what planning it came to.
+    """A drafted scenario and its plan.
 
     Attributes:
         mission: of the scenario.
-        solution: what planning it came to.
-        verification: of that.
+        solution: the result of planning it.
+        verification: of the solution.
     """
 
     draft: Draft
@@ -182,7 +182,7 @@ class NewScenario:
 
     @property
     def scenario(self) -> Scenario:
-        """As the file has it."""
+        """The scenario as in the file."""
         return self.mission.scenario
 
     @property
@@ -192,7 +192,7 @@ class NewScenario:
 
     @property
     def verdict(self) -> str:
-        """In a line."""
+        """The verdict on the plan in one line."""
         verdict = "verified" if self.verification.ok else "not verified"
         return f"{self.solution.status}, {verdict}, {self.solution.total_dv_m_s:.4f} m/s"
 
@@ -222,7 +222,8 @@ def new(
 ) -> NewScenario:
     """Draft a scenario for a site and a body, plan it, and write it to NAME.toml.
 
-    With a trajectory of another tool the start that it gives is written beside it, NAME_start.csv.
+    With a trajectory of another tool, the initial guess from it is written to NAME_start.csv as
+    well.
 
     Args:
         name: of the scenario, written to NAME.toml.
@@ -321,7 +322,7 @@ def _file(name: str, given: str | Path | None) -> Path | None:
 
 
 def _planned(draft: Draft, mission: Mission, guess: Iterate, init: str = "cold") -> NewScenario:
-    """The draft with its plan, on the grid that planning may have refined."""
+    """Plan a draft; return both, on the grid that planning may have refined."""
     plan = plan_mission(mission, guess, PlanOptions(), init=init)
     step = plan.mission.scenario.grid.step_max_s
     if step != mission.scenario.grid.step_max_s:
@@ -337,7 +338,7 @@ def _planned(draft: Draft, mission: Mission, guess: Iterate, init: str = "cold")
 
 
 def _from_track(options: NewOptions, source: str, path: Path, start: Path) -> NewScenario:
-    """A scenario about a trajectory, planned from it, and the start beside it."""
+    """Draft and plan a scenario from a trajectory; write the start beside the scenario."""
     flown, track = _track_draft(options, source)
     mission = Mission.from_scenario(drafted(flown))
     doubts = (*track.doubts, *step_doubts(track), *pull_doubts(mission, track))

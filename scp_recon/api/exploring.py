@@ -1,4 +1,4 @@
-"""Serve a page on this machine with sliders for a scenario, whose plan and 3-D view follow."""
+"""Serve a page on this machine with sliders that change a scenario, its plan and the 3-D view."""
 
 from __future__ import annotations
 
@@ -48,14 +48,15 @@ class Slider:
     """An entry of a scenario that the page changes.
 
     Attributes:
-        group: under which heading it stands.
-        key: its entry; of a burn's time with its place behind it.
+        group: heading above the slider.
+        key: dotted entry; for a burn's time followed by the burn's index.
         label: with the unit.
         value: in the scenario.
         low: least value.
         high: largest.
         log: whether the slider is logarithmic.
-        power: of an entry of many numbers, which are multiplied by the value to it; 0 of a single one.
+        power: exponent for an entry of many numbers: they are multiplied by value**power; 0 for a
+            single number.
     """
 
     group: str
@@ -88,7 +89,7 @@ LIMITS = tuple(
 
 
 def sliders_of(scenario: Scenario) -> list[Slider]:
-    """The sliders for a scenario: those whose entries it has, group by group."""
+    """The sliders whose entries a scenario has, group by group."""
     tables = scenario.model_dump(mode="json", exclude_none=True)
     p, lead = scenario.risk.p_chance, scenario.navigation.lead_s
     rows = [Slider("Risk", "risk.p_chance", "required probability", p, min(p, 0.51), max(p, 0.999))]
@@ -123,7 +124,8 @@ def changed(scenario: Scenario, sliders: Sequence[Slider], values: object) -> Sc
     """The scenario with the values of sliders, and of `policy.kind`.
 
     Raises:
-        InputError: if there is no such slider, a value is beyond its ends, or the scenario refuses it.
+        InputError: if a slider is unknown, a value is outside its ends, or the scenario is not
+            valid.
     """
     if not isinstance(values, Mapping):
         raise InputError("values", shortened(values), "must be values by entry")
@@ -188,7 +190,7 @@ class Explorer:
         self.sliders = sliders_of(self.scenario)
 
     def planned(self, values: Values) -> _Planned:
-        """The plan for these values: what `plan` makes of that scenario, certified by no flights.
+        """The plan for these values, made as by `plan` but not certified by flights.
 
         Raises:
             InputError: if there is none for them.
@@ -248,7 +250,7 @@ class Explorer:
 
 
 class Server(ThreadingHTTPServer):
-    """Serves one page to this machine; requests that a browser has opened and not sent hold up none."""
+    """Serves one page to this machine; idle connections of a browser do not block others."""
 
     daemon_threads = True
 
@@ -259,7 +261,7 @@ class Server(ThreadingHTTPServer):
 
     @property
     def hosts(self) -> list[str]:
-        """Names of this server: a page of any other, whatever its name resolves to, is a stranger."""
+        """Accepted names of this server; requests for any other name are refused."""
         return [f"{name}:{self.server_port}" for name in (ADDRESS, "localhost")]
 
 
@@ -276,7 +278,7 @@ class _Handler(BaseHTTPRequestHandler):
             self._send(HTTPStatus.OK, html.encode(), "text/html; charset=utf-8")
 
     def do_POST(self) -> None:
-        """A plan or a verdict, in JSON; where there is none for the values, the reason."""
+        """A plan or a verdict in JSON; if the values have no plan, the reason."""
         if not self._is_ours(self.server.questions):
             return
         length = self.headers.get("Content-Length", "")
@@ -300,7 +302,7 @@ class _Handler(BaseHTTPRequestHandler):
         self._send(HTTPStatus.OK, json.dumps(answer, allow_nan=False).encode(), "application/json")
 
     def _is_ours(self, paths: Sequence[str] | set[str] | Mapping[str, object]) -> bool:
-        """Whether this page asks for what there is; whoever else does is told no."""
+        """Whether the request comes from this page for a known path; others are refused."""
         origin, host = self.headers.get("Origin"), self.headers.get("Host")
         if host not in self.server.hosts or origin not in (None, f"http://{host}"):
             self._refuse(HTTPStatus.FORBIDDEN, "only this page may ask")
@@ -344,7 +346,7 @@ def explore(
         port: of 127.0.0.1, which only this machine reaches; 0 for any free one.
         no_browser: open no browser.
         overrides: `section.entry=value` each, as of `load_scenario`.
-        progress: told where the page is.
+        progress: called with the address of the page.
 
     Raises:
         InputError: if the scenario cannot be planned, the extra [report] is missing, or the port is not

@@ -43,7 +43,7 @@ CAMPAIGN = "campaign.json"
 
 
 class Opened(NamedTuple):
-    """A plan whatever it was given as.
+    """A plan that was given as a plan, a solution, a file or a folder.
 
     Attributes:
         mission: of its scenario.
@@ -66,7 +66,7 @@ def open_plan(given: AnyPlan) -> Opened:
 
 
 def solution_of(given: AnyPlan) -> Solution:
-    """A plan as its file has it, without a verification that it did not have.
+    """The solution of a plan; a plan that was not verified stays so.
 
     Raises:
         InputError: if it is no plan and no file of one.
@@ -78,13 +78,13 @@ def load(plan: AnyPlan) -> Solution:
     """Read the solution in a file or a folder.
 
     Args:
-        plan: the file or folder; a solution is itself, and a plan is verified to become one.
+        plan: the file or folder; a solution is returned as it is, a plan is verified first.
 
     Returns:
-        The solution. That of a file has the verification that the file has.
+        The solution. The solution of a file has the file's verification.
 
     Raises:
-        InputError: if it is none of these, or cannot be read.
+        InputError: if `plan` is none of these, or cannot be read.
 
     Examples:
         >>> import scp_recon as sr
@@ -130,8 +130,8 @@ def verify(plan: AnyPlan) -> Verification:
 def save(plan: AnyPlan, folder: str | Path) -> Path:
     """Verify a plan and write its `solution.json` into a folder, whole or not at all.
 
-    A plan that is not verified goes beside a verified one that is there, as `solution_unverified.json`;
-    what was made of another plan is set aside (`old_montecarlo.json`).
+    A plan that is not verified does not overwrite a verified one: it is written beside it as
+    `solution_unverified.json`. Results of another plan are renamed (`old_montecarlo.json`).
 
     Args:
         plan: to write; a solution, or its file.
@@ -164,7 +164,8 @@ def compare(*plans: AnyPlan) -> comparison.Comparison:
         plans: to compare; a solution, or its file.
 
     Returns:
-        A row a figure, its unit and every plan's value, by name in brackets.
+        A table with a row for each figure: its unit and the value of every plan. A figure is found
+            by its name in brackets.
 
     Raises:
         InputError: if there is none, or one is no plan and no file of a solution.
@@ -239,7 +240,7 @@ def report(
 def charts(*plans: AnyPlan) -> dict[str, Figure]:
     """Draw the charts of `report`, for a notebook: Plotly's figures by name.
 
-    "flight" is the view in 3-D as it stands amid the observation window. With feedback there are
+    "flight" is the 3-D view at the middle of the observation window. With feedback there are also
     "knowledge" and dispersion over time, "ellipses" before and after each correction, and the
     distribution of the "commanded" delta-v.
 
@@ -268,7 +269,7 @@ def _shown(plans: tuple[AnyPlan, ...]) -> list[Solution | Path]:
 
 
 def is_campaign(plans: tuple[AnyPlan, ...]) -> bool:
-    """Whether what is to be shown is the folder of a campaign."""
+    """Whether the argument is the folder of a campaign."""
     return (
         len(plans) == 1
         and isinstance(plans[0], str | Path)
@@ -288,8 +289,8 @@ class Exported(NamedTuple):
     """The files of an export.
 
     Attributes:
-        files: that were written.
-        export: what they say of themselves: verdict, frame, path, burns.
+        files: paths of the files.
+        export: verdict, frame, path and burns, as in the files' headings.
     """
 
     files: list[Path]
@@ -308,7 +309,7 @@ def export(
     spacecraft: int = -999,
     vehicle: str | Path | None = None,
 ) -> Exported:
-    """Write a plan for other tools: its burns are flown again, densely enough for their interpolation.
+    """Write a plan for other tools, sampled densely enough for their interpolation.
 
     Args:
         plan: to write.
@@ -320,7 +321,7 @@ def export(
         vehicle: a TOML file, for "ck" (default: the packaged DARE).
 
     Returns:
-        The files that were written, and what they say of themselves.
+        The files that were written, and the content of their headings.
 
     Raises:
         InputError: naming the argument, what was given and what is allowed.
@@ -344,7 +345,7 @@ def export(
 
 
 def export_of(plan: AnyPlan, spacecraft: int = -999) -> Export:
-    """A plan with its burns flown again, as other tools take it."""
+    """Fly a plan's burns again, sampled for other tools."""
     mission, solution = open_plan(plan)
     ids = Ids(spacecraft, mission.scenario.body.naif_id or UNNAMED_BODY_ID)
     return Export(solution, mission, fly_path(mission, solution), ids)

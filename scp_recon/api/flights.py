@@ -1,4 +1,4 @@
-"""Flights of a plan: many with errors, to a number or a tolerance, and one of the whole spacecraft."""
+"""Fly a plan many times with errors, to a number or a tolerance, or once with the spacecraft."""
 
 from __future__ import annotations
 
@@ -46,12 +46,12 @@ from scp_recon.simulation.vehicle import load_vehicle
 
 @dataclass(frozen=True)
 class FlyOptions:
-    """The options of `fly`, checked.
+    """The checked options of `fly`.
 
     Attributes: those that `fly` describes.
 
     Raises:
-        InputError: if one is out of its range, or goes not with another.
+        InputError: if an option is out of range, or in conflict with another.
     """
 
     samples: int = 10_000
@@ -85,12 +85,12 @@ class FlyOptions:
 
 @dataclass(frozen=True)
 class Watcher:
-    """Is told how flights go on, and may stop them.
+    """Observes the flights, and may stop them.
 
     Attributes:
-        progress: told how many are flown.
-        stop: asked whether to stop.
-        say: told what is worth a line.
+        progress: called with the number of flights so far.
+        stop: returns whether to stop.
+        say: called with each line worth showing.
     """
 
     progress: Callable[[int], None] | None = None
@@ -158,9 +158,9 @@ class Flown:
     """Flights of a plan in a folder.
 
     Attributes:
-        flights: that were counted.
-        path: of the summary, or of the flights that are kept where they were stopped.
-        summary: of all of them; None where they were stopped.
+        flights: number that was counted.
+        path: file of the summary; for stopped flights the file that keeps them.
+        summary: summary of all flights; None if they were stopped.
     """
 
     flights: FlightTally
@@ -169,7 +169,7 @@ class Flown:
 
 
 def fly_into(folder: Path, plan: Opened, options: FlyOptions, watcher: Watcher) -> Flown:
-    """Fly a plan, and write the summary into its folder; what was stopped there is continued.
+    """Fly a plan, and write the summary into its folder; stopped flights there are continued.
 
     Raises:
         InputError: if the folder cannot be written, or holds another plan.
@@ -204,10 +204,10 @@ def _config(plan: Opened, options: FlyOptions) -> FlightConfig:
 
 
 def _policy(plan: Opened, kind: PolicyKind | None) -> AnyPolicy:
-    """What commands the burns of a plan.
+    """Find the policy that commands the burns of a plan.
 
     Raises:
-        InputError: if the plan cannot be flown so.
+        InputError: if the plan cannot be flown by that policy.
     """
     solution = plan.solution
     if kind == "open":
@@ -248,15 +248,15 @@ def _fly(
 
 
 def required_probability(solution: Solution) -> float | None:
-    """Probability required of each joint constraint at every time; none without uncertainty."""
+    """Required probability of each joint constraint at every time; None without uncertainty."""
     return solution.scenario.risk.p_chance if solution.problem == "P2" else None
 
 
 def shortfalls(summary: Summary, solution: Solution) -> list[str]:
     """List requirements that the flights do not meet, as value and required value; empty if none.
 
-    Estimates are compared with the required probability, as in the verification; whole flights only
-    where the probability is required of them.
+    Estimates are compared with the required probability, as in the verification. Whole flights are
+    compared only if the scope is the whole flight.
     """
     converged = Status.CONVERGED.value.name
     found = []
@@ -282,7 +282,7 @@ def shortfalls(summary: Summary, solution: Solution) -> list[str]:
 
 
 def _judged(found: Interval, solution: Solution) -> float:
-    """The estimate; for an exact plan, which spends all its risk, the upper end of its interval."""
+    """The estimate; for an exact plan, which spends all its risk, the interval's upper end."""
     exact = solution.scenario.risk.allocation == "exact"
     return found.estimate.high if exact else found.estimate.value
 
@@ -305,7 +305,7 @@ def simulate(
         policy: what burns are commanded, as of `fly`; from the simulated state at each cut-off, with
             errors of its measurement.
         vehicle: a TOML file (default: the packaged DARE).
-        progress: told the time of the flight, s.
+        progress: called with the time of the flight, s.
 
     Returns:
         The record of the flight; its `summary` has the figures.

@@ -1,8 +1,9 @@
-"""Diagnose an infeasible plan: what binds, and which probability would be feasible instead.
+"""Diagnose an infeasible plan: find the limits that bind, and a probability that is feasible.
 
-What binds is found by freeing one thing at a time: the size of the burns, their directions, the final
-state, the limits. The largest probability is that of exact risk, which leaves out nothing that another
-split of risk allows. Every trial is a local search: what has no plan here may have one elsewhere.
+Binding limits are found by relaxing one kind at a time: the size of the burns, their directions,
+the final state, the state limits. The largest probability is that of exact risk, which allows every
+plan that another split of the risk allows. Every trial is a local search. A trial without a plan
+therefore does not prove that no plan exists.
 """
 
 from __future__ import annotations
@@ -66,13 +67,15 @@ class Diagnosis:
 
     Attributes:
         without_uncertainty: how P3 ended, at best.
-        binds: limits of which relaxing any one suffices; empty, if none does.
-        violated: constraints that the least violation violates.
-        burn_m_s: largest burn of a plan whose burns may have any size, where that suffices.
-        exact: exact risk's plan for the probability that was asked, if there is one.
-        largest: the plan of the largest probability that was found, which is its `target`, if any.
-        verified: exact risk's plan that ends verified, if any: of the probability that was asked, or of
-            the largest, rounded down. It is certified only if flights refute it otherwise.
+        binds: limits of which relaxing any one suffices; empty if no single one suffices.
+        violated: constraints that the point of least violation violates.
+        burn_m_s: largest burn of a plan without a limit on the burns' size, if relaxing that limit
+            suffices.
+        exact: the plan with exact risk for the required probability, if there is one.
+        largest: the plan with the largest probability found, which is its `target`; None if there
+            is none.
+        verified: a verified plan with exact risk, if any: for the required probability, or for the
+            largest, rounded down. It is certified only if flights refute the uncertified plan.
     """
 
     without_uncertainty: Status
@@ -85,11 +88,11 @@ class Diagnosis:
 
 
 def diagnose(failed: Plan, start: Iterate | None = None) -> Diagnosis:
-    """Find what makes a plan infeasible, and what would be feasible instead.
+    """Find the limits that make a plan infeasible, and a plan that is feasible.
 
     Args:
         failed: an infeasible plan.
-        start: where the plan that is proposed begins; at P3's solution without it.
+        start: initial guess of the proposed plan; None for the solution of P3.
     """
     p3 = _without_uncertainty(failed)
     status, iterate = p3.status, p3.final.result.lin.iterate
@@ -124,7 +127,7 @@ def diagnose(failed: Plan, start: Iterate | None = None) -> Diagnosis:
 
 
 def exact_plan(mission: Mission, start: Iterate, target: float) -> Plan:
-    """Exact risk's plan, from one start only; its mission asks for what it aims at."""
+    """Plan with exact risk, from one start only; the mission requires the target probability."""
     changes = {"risk.allocation": "exact", "risk.p_chance": target}
     exact = Mission.from_scenario(mission.scenario.replace(changes))
     return _planned(exact, start, "P2", once=True)
@@ -134,8 +137,8 @@ def largest_feasible(low: Plan, most: float) -> Plan:
     """The plan of the largest probability that is found.
 
     Args:
-        low: a plan of exact risk, for what it aims at.
-        most: probability beyond which there is no need to look, or no plan.
+        low: a plan with exact risk for its target probability.
+        most: probability above which no plan is sought.
     """
 
     def attempt(best: Plan, target: float) -> Plan:
@@ -145,7 +148,7 @@ def largest_feasible(low: Plan, most: float) -> Plan:
 
 
 def _without_uncertainty(failed: Plan) -> Plan:
-    """P3's plan: of those on the way to the infeasible plan one that has converged, or a new one."""
+    """The plan of P3: a converged one among the stages of the infeasible plan, or a new one."""
     own = [s for s in failed.stages if s.problem == "P3" and not s.name.endswith(FIRST_STAGE)]
     if not own:
         return _planned(failed.mission, failed.final.result.lin.iterate, "P3")
@@ -157,7 +160,7 @@ def _without_uncertainty(failed: Plan) -> Plan:
 
 
 def _freed(failed: Plan, name: str) -> Plan | None:
-    """The plan where one thing gives way, if there is one."""
+    """The plan with one kind of limit relaxed, if there is one."""
     mission = replace(failed.mission)
     # No scenario asks for such a problem: it takes the place of the one that this copy would cache.
     vars(mission)["problem"] = FREED[name](failed.mission.problem)
@@ -167,7 +170,7 @@ def _freed(failed: Plan, name: str) -> Plan | None:
 
 
 def _verified(largest: Plan, asked: float, failed: Plan, start: Iterate) -> Plan | None:
-    """Exact risk's plan as the command makes it, if flights do not refute it; else a certified one."""
+    """The plan with exact risk as the command makes it; a certified one if flights refute it."""
     assert largest.target is not None
     names = failed.provenance if failed.provenance.method == "scp" else largest.provenance
     most = min(asked, largest.target)
@@ -191,17 +194,17 @@ def _verified(largest: Plan, asked: float, failed: Plan, start: Iterate) -> Plan
 def _planned(
     mission: Mission, start: Iterate, problem: Literal["P3", "P2"], **known: Unpack[Known]
 ) -> Plan:
-    """A plan that no flights certify."""
+    """Plan without certification by flights."""
     exact = problem == "P2" and mission.scenario.risk.allocation == "exact"
     options = PlanOptions(problem, certify=False if exact else None)
     return _uninterrupted(plan_mission(mission, start, options, **known))
 
 
 def _uninterrupted(plan: Plan) -> Plan:
-    """A plan that was not interrupted.
+    """Return the plan unless it was interrupted.
 
     Raises:
-        KeyboardInterrupt: if it was.
+        KeyboardInterrupt: if it was interrupted.
     """
     if plan.status is Status.INTERRUPTED:
         raise KeyboardInterrupt
@@ -213,7 +216,7 @@ def _has_converged(plan: Plan) -> bool:
 
 
 def _violated(plan: Plan) -> tuple[str, ...]:
-    """Names of the constraints that the least violation violates."""
+    """Names of the constraints that the point of least violation violates."""
     merit, tolerance = plan.final.merit, plan.final.tolerance
     violations = merit.violations(plan.final.result.lin)
     return tuple(

@@ -13,14 +13,14 @@ from scp_recon.scenario.time_scales import tdb_of_utc
 
 
 def scenario_of(given: Scenario | str | Path, overrides: Sequence[str] = ()) -> Scenario:
-    """The scenario given as itself, by name, or by its file.
+    """Read a scenario that is given as itself, by name, or by its file.
 
     Args:
-        given: any of these.
+        given: the scenario, its name, or its file.
         overrides: `section.entry=value` each.
 
     Raises:
-        InputError: if it is none of these, or cannot be read.
+        InputError: if `given` is none of these, or cannot be read.
     """
     check_overrides(overrides)
     if isinstance(given, Scenario):

@@ -1,7 +1,7 @@
-"""Write a plan into a run's folder, whose files all belong to one plan, without losing another.
+"""Write a plan into the folder of a run, so that all files there belong to one plan.
 
-A verified plan is overwritten only by a verified one. Another is written beside it, under a name of its
-own.
+A verified plan is overwritten only by a verified one. A plan that is not verified is written beside
+it, under a name of its own.
 """
 
 from __future__ import annotations
@@ -99,7 +99,7 @@ def check_holds(folder: Path, solution: Solution, entry: str) -> None:
     """Refuse to write results of a plan beside another plan.
 
     Args:
-        folder: where it would go.
+        folder: folder for the results.
         solution: the plan.
         entry: what to name in a message.
 

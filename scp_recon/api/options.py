@@ -34,12 +34,12 @@ _OF_STARTS = ("seed", "workers")
 
 @dataclass(frozen=True)
 class PlanOptions:
-    """The options of planning; None means the default.
+    """The checked options of planning; None means the default.
 
     Attributes: those that `api.planning.plan` describes.
 
     Raises:
-        InputError: if one is out of its range, or goes not with another.
+        InputError: if an option is out of range, or in conflict with another.
     """
 
     problem: Literal["P3", "P2"] = "P2"
@@ -86,7 +86,7 @@ class PlanOptions:
         """Formulation, algorithm and solver of sequential convex programming.
 
         Raises:
-            InputError: if one is not known.
+            InputError: if a name is unknown.
         """
         names = (self.formulation, self.algorithm, self.solver)
         usual = (FORMULATION, ALGORITHM, SOLVER)

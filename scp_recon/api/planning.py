@@ -1,4 +1,4 @@
-"""Plan by the method, the number of starts and the certification that options say; the only place."""
+"""Plan a mission by its options: method, number of starts, certification, objective."""
 
 from __future__ import annotations
 
@@ -34,14 +34,14 @@ from scp_recon.verification.refinement import refined
 
 
 class PlanObserver(Protocol):
-    """Is told how planning goes on."""
+    """Observes planning."""
 
     def __call__(self, stage: str, record: Record, /) -> None:
-        """An iteration of a stage is done."""
+        """Called after an iteration of a stage."""
 
     @property
     def flights(self) -> Watch:
-        """Is told how the flights that certify a plan go on."""
+        """Observer of the flights that certify a plan."""
 
 
 class Known(TypedDict, total=False):
@@ -62,18 +62,20 @@ def plan_mission(
     init: str = "given",
     **known: Unpack[Known],
 ) -> Plan:
-    """Plan a mission from a start: every plan of commands, scripts, campaigns and studies.
+    """Plan a mission from a start; commands, scripts, campaigns and studies all call this function.
 
-    Where its steps are too long for right covariances it is planned again on a finer grid
-    (`_on_right_grid`), before any flight certifies it.
+    If integration steps are too long for accurate covariances, the mission is planned again on a
+    finer grid (`_on_right_grid`) before flights certify the plan.
 
     Args:
         mission: to plan.
-        start: where planning begins; from a plan one plan goes on, others begin at its burns.
-        options: how.
-        observe: is told how it goes on.
-        init: what the start is called in the solution file.
-        **known: what is known of the plan before it is made, for sequential convex programming.
+        start: initial guess or plan; a single start continues from a plan, several starts begin at
+            its burns.
+        options: of planning.
+        observe: called with the progress of planning.
+        init: name of the start in the solution file.
+        **known: arguments of `planner.plan` that are known beforehand, for sequential convex
+            programming.
 
     Raises:
         InputError: if an option does not go with the scenario, or the delta-v budget has no plan.
@@ -98,9 +100,10 @@ def plan_mission(
 def _on_right_grid(
     make_plan: Callable[..., Plan], mission: Mission, start: Iterate | Plan, **how: Any
 ) -> Plan:
-    """Make a plan, and where its steps were too long make it again with shorter ones, from its burns.
+    """Make a plan; if its integration steps are too long, make it again with shorter ones.
 
-    Its mission then has that grid, and a warning that says so. A plan with gains goes on with them.
+    The second plan starts from the burns of the first, and from its gains if it has any. Its
+    mission has the finer grid, and a warning about it.
     """
     found = make_plan(mission, start, **how)
     finer = refined(found)
@@ -131,7 +134,7 @@ class _ByScp:
         )
 
     def aiming(self, init: str) -> AimedPlanning:
-        """Plans that aim at a probability, as rounds of flights and searches ask for them."""
+        """Make a function that plans for a target probability, for rounds and searches."""
         make_plan = self.make_plan
         return lambda mission, start, target: make_plan(
             mission, start, target=target, init=init, observe=self.observe
@@ -162,10 +165,10 @@ class _ByScp:
         return replace(certified, starts=best.starts)
 
     def largest(self, mission: Mission, start: Iterate, init: str) -> Plan:
-        """The plan of the largest probability within the budget.
+        """Find the plan with the largest probability within the budget.
 
         Raises:
-            InputError: if the budget has no plan for the least that is looked for.
+            InputError: if the budget allows no plan even for the least probability.
         """
         given = self.options.dv_budget_m_s
         budget = float("inf") if given is None else given
@@ -185,7 +188,7 @@ class _ByScp:
         return best
 
     def _show_start(self, number: int, found: Plan) -> None:
-        """The last iteration of each stage, as those of one start are shown one by one."""
+        """Show the last iteration of each stage."""
         if self.observe is None:
             return
         for stage in found.stages:
@@ -276,10 +279,10 @@ def inputs(
     init: Plan | Solution | str | Path | Array,
     overrides: Sequence[str] = (),
 ) -> tuple[Mission, Iterate]:
-    """The mission and the start of planning that `plan` is asked for: see there.
+    """Make the mission and the start from arguments of `plan`.
 
     Raises:
-        InputError: if there is none of them, or a file cannot be used.
+        InputError: if an argument is not valid, or a file cannot be used.
     """
     if isinstance(init, str | Path) and init not in ("cold", "warm") and is_solution(Path(init)):
         init = read_solution(Path(init))
@@ -302,7 +305,7 @@ def _called(init: Plan | Solution | str | Path | Array) -> str:
 
 
 def _start(mission: Mission, init: Plan | Solution | str | Path | Array) -> Iterate:
-    """The initial guess by a name, a plan, a file or a table of states.
+    """Make the initial guess from a name, a plan, a file or a table of states.
 
     Args:
         mission: gives the grid and the boundary.

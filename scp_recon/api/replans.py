@@ -1,4 +1,4 @@
-"""Plan the rest of a flight from a state in it, near the plan that is flown."""
+"""Plan the rest of a flight from a delivered state, near the plan in flight."""
 
 from __future__ import annotations
 
@@ -94,21 +94,23 @@ def plan_left(
     certify: bool | None = None,
     observe: PlanObserver | None = None,
 ) -> Plan:
-    """Plan what is left of a mission, near the plan that is flown and as that was made.
+    """Plan the rest of a mission near the plan in flight, by the method of that plan.
 
-    With two burns left, or one, the final state leaves no choice of burns. What is infeasible is that
-    wherever planning begins and whichever facets stand for the limits: it ends at once. A method that
-    cannot plan what is left, be it of exact risk or of a miss, gives way to the default. A plan that
-    misses the final state by more than `FlownPlan.is_lost` allows ends with the status lost.
+    With one or two burns left, the final state determines the burns. An infeasible case is then
+    infeasible from every start and with all facets, so planning ends at once. A method that cannot
+    plan the rest, with exact risk or with a miss of the final state, is replaced by the default. A
+    plan that misses the final state by more than `FlownPlan.is_lost` allows ends with the status
+    lost.
 
     Args:
-        flown: that plan.
+        flown: the plan in flight.
         mission: from `mission_left`.
         certify: as of `PlanOptions`.
-        observe: is told how it goes on.
+        observe: called with the progress of planning.
 
     Raises:
-        InputError: if there are other burns left than the plan has, or flights cannot certify it.
+        InputError: if the number of burns left differs from the plan's, or flights cannot certify a
+            plan.
     """
     options = left_options(flown, mission, certify=certify)
     settled = len(mission.scenario.burn_times_s) <= BURNS_TO_MEET
@@ -134,7 +136,7 @@ def plan_left(
 
 
 def left_options(flown: FlownPlan, mission: Mission, *, certify: bool | None) -> PlanOptions:
-    """How what is left is planned: as the plan that is flown, as far as that can be done.
+    """Options for the rest of the flight: those of the plan in flight, as far as they apply.
 
     Raises:
         InputError: if flights cannot certify it.

@@ -1,4 +1,4 @@
-"""Charts and tables of results, for their methods `plot` and `to_frame` (`scp_recon.display`)."""
+"""Draw and tabulate results for their methods `plot` and `to_frame` (`scp_recon.display`)."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def _rows(result: Tabulated, table: str) -> Any:
 
 
 def _flown(flights: Summary) -> list[dict[str, Any]]:
-    """Of each joint constraint its lowest probability, and the time for which it holds."""
+    """Rows of flights: each joint constraint's lowest probability, and how long it holds."""
     rows = []
     for name, lowest in flights.probability.items():
         row = {"constraint": name, "probability": lowest.value, "low": lowest.low}

@@ -29,7 +29,7 @@ def windows(
     csv: str | Path | None = None,
     chart: str | Path | None = None,
 ) -> Survey:
-    """All lighting windows of a span, with where burns may be about each.
+    """Find all lighting windows of a span, with legal burn times about each.
 
     Args:
         scenario: a file, or a packaged one's name, such as recon_b.
@@ -88,7 +88,7 @@ def tdb(scenario: Scenario, time_s: float) -> str:
 def survey_table(survey: Survey) -> Table:
     """One row for each window; times in s past the scenario's epoch, and edges as TDB dates too.
 
-    An interval that is empty has its first above its second.
+    An empty interval has its first number above its second.
     """
     burns = range(1, len(survey.scenario.burns.times_s) + 1)
     names = (
