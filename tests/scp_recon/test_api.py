@@ -48,7 +48,7 @@ def test_the_example_runs(capsys):
     ("name", "cost"),
     usually(
         [
-            ("hill_rendezvous", "cost 0.43 m/s"),
+            ("hill_rendezvous", "cost 0.44 m/s"),
             ("halo_transfer", "cost 0.1945583"),
             ("nrho_keeping", "cost 0.36 m/s"),
         ],
