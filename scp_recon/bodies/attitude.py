@@ -1,4 +1,4 @@
-"""Attitudes of a body that tumbles: a table in time, read from a file, and what is between its rows."""
+"""Read the attitudes of a tumbling body from a table in time, and interpolate between its rows."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ BYTES_MAX = 2_000_000
 
 @dataclass(frozen=True, eq=False)
 class AttitudeTable:
-    """Attitudes between which the body turns with a continuous acceleration: SciPy's `RotationSpline`.
+    """A table of attitudes; SciPy's `RotationSpline` interpolates with continuous acceleration.
 
     Attributes:
         tdb_s: times, TDB past J2000, ascending, shape (n,).
@@ -69,10 +69,10 @@ class AttitudeTable:
 
 
 def read_attitude(path: Path) -> AttitudeTable:
-    """Read a table of attitudes: a CSV with the header tdb_s,qw,qx,qy,qz; lines with # are comments.
+    """Read attitudes from a CSV with the header tdb_s,qw,qx,qy,qz; lines with # are comments.
 
     Raises:
-        InputError: if it cannot be read, or is no such table.
+        InputError: if the file cannot be read, or is not such a table.
     """
     text = read_text(path, ENTRY, "table of attitudes", BYTES_MAX)
     lines = [line.strip() for line in text.splitlines()]

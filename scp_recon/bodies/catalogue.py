@@ -1,4 +1,4 @@
-"""The packaged bodies: their data, and their heliocentric states by mean elements.
+"""Look up packaged bodies: their data, and their heliocentric states by mean elements.
 
 Every number's source stands in `data/bodies/NAME.toml`.
 """
@@ -41,8 +41,8 @@ class PackagedBody:
             heliocentric; shape (n, 7).
         span: first and last day of the elements, TDB days past J2000.
         years: first and last year of that.
-        other_meridian: W0, W1, W2 of a second source, where that differs by degrees.
-        assumed: of entries that no measurement gives, dotted from `[body]` on, what is assumed.
+        other_meridian: W0, W1, W2 of a second source, if the two sources differ by degrees.
+        assumed: assumptions by entry, dotted from `[body]` on, for entries without a measurement.
     """
 
     entries: dict[str, Any]

@@ -18,7 +18,7 @@ Row = tuple[int, int, float, float]
 
 @dataclass(frozen=True)
 class GravityTable:
-    """A field as its file has it.
+    """A gravity field as read from its file.
 
     Attributes:
         gm_m3_s2, radius_m: None where the file lacks them, as NEAR's tables do.

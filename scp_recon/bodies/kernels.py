@@ -23,7 +23,7 @@ CENTURY_DAYS = 36_525.0
 
 @dataclass(frozen=True)
 class PckRotation:
-    """A PCK's rotation, and radii if it has them.
+    """Rotation of a body from a PCK, with radii if the PCK has them.
 
     Attributes:
         pole_ra_deg, pole_dec_deg: at the epoch, J2000.
@@ -40,7 +40,7 @@ class PckRotation:
 def read_pck(path: Path, naif_id: int, days: float) -> PckRotation:
     """Rotation of a body at an epoch in TDB days past J2000.
 
-    The pole is fixed at the epoch's: poles in asteroids' kernels have no rates.
+    The pole is constant, as at the epoch: poles in asteroids' kernels have no rates.
 
     Raises:
         InputError: if spiceypy is missing, the file is no kernel, or it lacks the body.
@@ -92,10 +92,11 @@ def read_heliocentric(
 
 
 def read_dsk(path: Path, naif_id: int | None = None) -> tuple[Array, Indices]:
-    """Vertices in m and triangles (indices from 0) of a DSK of one segment, of type 2.
+    """Read vertices in m and triangles (indices from 0) from a DSK with one segment of type 2.
 
     Raises:
-        InputError: if spiceypy is missing, or the file is not such a kernel, or of another body.
+        InputError: if spiceypy is missing, the file is not such a kernel, or it belongs to another
+            body.
     """
     entry = "body.shape_file"
     with _kernels(entry, []) as spice:

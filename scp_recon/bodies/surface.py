@@ -1,6 +1,7 @@
-"""A body's surface, ellipsoid or mesh: position and normal in a direction, volume and inertia.
+"""Find position and normal on a body's surface, an ellipsoid or a mesh; its volume and inertia.
 
-Body-fixed, m. Latitudes are planetocentric: of the position vector, not of the normal.
+Vectors are body-fixed, in m. Latitudes are planetocentric: those of the position vector, not of the
+normal.
 """
 
 from __future__ import annotations
@@ -71,7 +72,8 @@ class Mesh:
     Attributes:
         vertices_m: shape (n, 3).
         facets: indices of their corners, all turning the same way, shape (m, 3).
-        normal_radius_m: normals are averaged over facets with centres this near; 0: one facet's own.
+        normal_radius_m: normals are averaged over facets whose centres are this near; 0 for the
+            normal of one facet.
     """
 
     vertices_m: Array

@@ -1,1 +1,1 @@
-"""Campaigns: the cases of a study, run here, on processes or on a cluster, with one row each."""
+"""Run the cases of a study, in processes or on a cluster, and keep one row for each case."""

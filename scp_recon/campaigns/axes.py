@@ -106,7 +106,7 @@ class Grid(Axis):
     grid: Span
 
     def count(self, _base: Scenario, /) -> int:
-        """As said."""
+        """Count the rows: `count` of the table."""
         return self.grid.count
 
     def rows(self, _base: Scenario, _seed: tuple[int, ...], /) -> list[Changes]:
@@ -156,7 +156,7 @@ class Law(Section):
 
 
 class Draws(Axis):
-    """Random rows, all entries independent; a larger count keeps the first rows."""
+    """Random rows with independent entries; a larger count keeps the first rows."""
 
     draws: Annotated[tuple[Law, ...], Field(min_length=1)]
     number: Annotated[Count, Field(alias="count")]
@@ -168,7 +168,7 @@ class Draws(Axis):
         return self
 
     def count(self, _base: Scenario, /) -> int:
-        """As said."""
+        """Count the rows: `count` of the table."""
         return self.number
 
     def rows(self, _base: Scenario, seed: tuple[int, ...], /) -> list[Changes]:
@@ -218,8 +218,8 @@ class WindowSearch(Section):
 class Windows(Axis):
     """Epochs with which the base's burns are legal about the lighting windows of its site.
 
-    Each window that the span does not cut, and between the same burns as the base's own, gives one:
-    the middle of the legal epochs, to the second.
+    A window gives one epoch: the middle of its legal epochs, to the second. The span must contain
+    the whole window, and the window must fall between the same burns as in the base.
     """
 
     windows: WindowSearch
@@ -270,13 +270,13 @@ class Spread(Section):
 class ShapeSites(Axis):
     """Sites spread evenly over the base's shape file, or its ellipsoid.
 
-    The first sites are spread evenly too, so that a campaign that was stopped has a coarser map.
+    The first sites are spread evenly too, so a stopped campaign still has a coarser map.
     """
 
     spread: Spread
 
     def count(self, _base: Scenario, /) -> int:
-        """As said."""
+        """Count the rows: `count` of the table."""
         return self.spread.count
 
     def rows(self, base: Scenario, _seed: tuple[int, ...], /) -> list[Changes]:

@@ -1,4 +1,4 @@
-"""The cases of a study: the product of its axes, and the scenario of each."""
+"""Make the cases of a study, the product of its axes, and the scenario of each case."""
 
 from __future__ import annotations
 

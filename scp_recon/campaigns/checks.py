@@ -1,6 +1,6 @@
-"""Refuse a study that cannot be done, or has ineffective entries, before any work and in one message.
+"""Refuse a study with errors or ineffective entries, before any work and in one message.
 
-An *ineffective* axis or entry changes nothing. Nobody means that, so it is an error too.
+An *ineffective* axis or entry changes no result. It is an error, because no user intends it.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ FLOWN = FLY, "simulate"
 
 
 def check_do(do: str, base: Scenario) -> None:
-    """Refuse a base with which the study's `do` cannot be done.
+    """Refuse a base scenario that does not suit the study's `do`.
 
     Raises:
         InputError: naming the entry of the base, what was given and what is required.
@@ -83,15 +83,16 @@ def check_axes(
     *,
     replanned: bool = False,
 ) -> None:
-    """Refuse entries on two axes and invalid values, in up to `CHECKED` rows of each axis.
+    """Refuse entries on two axes and invalid values, in up to `CHECKED` the axes' rows.
 
     Args:
         base: scenario that the axes change.
         folder: folder of relative file names.
         axes: rows of each axis.
-        random: whether each axis is drawn: its invalid rows are refused cases, unless all are.
+        random: whether each axis is random; invalid rows of a random axis become refused cases,
+            unless all rows are invalid.
         ineffective: further errors for the same message.
-        replanned: whether plans are made again in flight, which needs a measurement.
+        replanned: whether burns are planned again in flight, which needs a measurement.
 
     Raises:
         InputError: one message with all errors.
@@ -134,7 +135,7 @@ def _twice(axes: Sequence[list[Changes]]) -> Iterator[InputError]:
 def _refusal_of(
     base: Scenario, folder: Path, replanned: bool, changes: Changes
 ) -> InputError | None:
-    """The error with which changes are no valid scenario, or no policy's; None if they are valid."""
+    """The error that changes cause in a scenario, or in its policy; None if they are valid."""
     try:
         scenario = changed(base, changes, folder)
         check_feedback(scenario)
@@ -165,7 +166,7 @@ def ineffective(
     axes: Sequence[list[Changes]],
     windows: Sequence[bool],
 ) -> Iterator[InputError]:
-    """Find entries and axes of a study that have no effect, or another than they seem to.
+    """Find entries and axes of a study without effect, or with a misleading one.
 
     `given` is the table `[campaign]` as written; `windows` says which axes are of lighting windows.
     """
@@ -207,7 +208,7 @@ def unused(
 def unfelt(
     base: Scenario, given: Mapping[str, Any], axes: Sequence[list[Changes]]
 ) -> Iterator[InputError]:
-    """Find axes of what only feedback feels, or plans made again, where no case has either."""
+    """Find axes that act only on feedback or replanning, in a study without either."""
     rows = [row for rows in axes for row in rows]
     kinds = {base.policy.kind, *(row.get("policy.kind") for row in rows)}
     tables = [row["policy"] for row in rows if isinstance(row.get("policy"), Mapping)]
@@ -249,7 +250,7 @@ def doubled(axes: Sequence[list[Changes]]) -> Iterator[InputError]:
 
 
 def elsewhere(windowed: int, axes: Sequence[list[Changes]]) -> Iterator[InputError]:
-    """Find an axis of sites beside one of lighting windows, which are of the base's site."""
+    """Find an axis of sites beside an axis of lighting windows, which belong to the base's site."""
     for number, rows in enumerate(axes, start=1):
         for entry in leaves(rows[0]):
             if overlap(entry, "site") and entry != NAME:

@@ -1,4 +1,4 @@
-"""Results of a campaign as shown to the user: rows, how each ended, axes, and remarks."""
+"""Read and sum up the results of a campaign: rows, outcomes, axes and remarks."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ LONGEST = 160
 
 @dataclass(frozen=True)
 class CampaignResults:
-    """Results of a campaign, finished or not: one row per case that has ended, of `cases` in all.
+    """Results of a campaign, finished or not: one row for each ended case, out of `cases`.
 
     `base` is the scenario of all cases, before the axes change its `entries`.
     """
@@ -112,7 +112,7 @@ class CampaignResults:
 
     @cached_property
     def free(self) -> tuple[str, ...]:
-        """Entries in which cases differ; of entries that change together the first."""
+        """Entries in which cases differ; only the first of entries that change together."""
         found: list[str] = []
         for entry in self.entries:
             if entry == NAME or self.table[entry].nunique() < 2:
@@ -129,7 +129,7 @@ class CampaignResults:
 
     @cached_property
     def by_site(self) -> CampaignResults:
-        """One case per site: the cheapest feasible one, or else the first that came furthest."""
+        """One case per site: the cheapest feasible case, else the first of those that came furthest."""
         ranks = [ENDS.index(end) for end in self.ends]
         costs = self.table[COST].where([end == FEASIBLE for end in self.ends])
         rows = self.table.assign(rank=ranks, cost=costs).sort_values(["rank", "cost", "case"])
@@ -144,7 +144,7 @@ class CampaignResults:
         return bool(self.varies) and len(self.free) > AXES_DRAWN
 
     def scatters(self, entry: str) -> bool:
-        """Whether other entries vary irregularly along this one, as where several are drawn."""
+        """Whether other entries vary irregularly along this one, as with several random entries."""
         along = self.table.sort_values(entry)
         return any(
             not (along[other].is_monotonic_increasing or along[other].is_monotonic_decreasing)
@@ -195,7 +195,7 @@ def read_campaign(folder: Path) -> CampaignResults:
 def axes_of(results: CampaignResults) -> tuple[str, str | None, str | None]:
     """Entries along curves, by curve and by panel, in order of their numbers of values.
 
-    Along curves it is one with numbers, or the epoch.
+    The entry along curves has numbers, or is the epoch.
     """
     counts = {entry: results.table[entry].nunique() for entry in results.free}
     first = max(results.varies, key=lambda entry: counts[entry])

@@ -1,7 +1,7 @@
 """Write a campaign's page, campaign.html, which works without a network, and its pictures as PNG.
 
-The page has a map or curves, and a table from which each case opens. An unfinished campaign is shown as
-far as it came.
+The page has a map or curves, and a table in which each case opens. An unfinished campaign is shown
+with the cases that have ended.
 """
 
 from __future__ import annotations
@@ -163,7 +163,7 @@ def _plain(value: Any) -> Any:
 
 
 def charts_of(results: CampaignResults) -> list[dict[str, Any]]:
-    """A chart of sites and the shape, or one of each measure along the axes."""
+    """Charts of the sites and of the shape, or of each measure along the axes."""
     if results.is_map:
         return [map_chart(results.by_site), shape_chart(results.by_site)]
     return [curve_chart(results, *measure) for measure in MEASURES] if results.varies else []

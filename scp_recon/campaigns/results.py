@@ -1,4 +1,4 @@
-"""Keep a campaign's rows as cases end, and write `results.parquet` when all have ended.
+"""Keep a row for each case that ends, and write `results.parquet` when all have ended.
 
 Until then the rows are in `rows.jsonl`, a store of `jobs`, whose first line has the table's columns.
 """
@@ -96,7 +96,7 @@ def open_rows(folder: Path, identity: str, columns: Mapping[str, type]) -> Store
 
 
 def write_results(folder: Path, rows: Store) -> Path:
-    """Write `results.parquet`, and delete the rows that it was made of.
+    """Write `results.parquet`, and delete the store of its rows.
 
     Raises:
         InputError: if the folder cannot be written.

@@ -1,4 +1,4 @@
-"""Run the cases of a study that have no row yet, anywhere, and keep every row as its case ends."""
+"""Run the cases of a study that have no row yet, and keep every row when its case ends."""
 
 from __future__ import annotations
 

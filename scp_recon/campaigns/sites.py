@@ -96,12 +96,12 @@ def quartered(corners: Array) -> Array:
 
 
 def noons_of(scenario: Scenario) -> Callable[[float], float]:
-    """Make a function from east longitude, deg, to the first local solar noon, s past the epoch.
+    """Make a function from east longitude, deg, to the first local noon, s past the epoch.
 
     Newton's method on the Sun's body-fixed longitude.
 
     Raises:
-        InputError: of a body that tumbles, which has no days.
+        InputError: if the body tumbles: it has no solar days.
     """
     if scenario.body.attitude is not None:
         raise InputError("body.attitude", "a body that tumbles", "has no noons to begin a map at")

@@ -161,7 +161,7 @@ def study_of(given: str | Path | Mapping[str, Any], *, yes: bool = False) -> Stu
 
 
 def _overridden(base: Scenario, overrides: Changes, axes: list[Axis], folder: Path) -> Scenario:
-    """The base with overrides; where these lack an entry that an axis has, with its first row."""
+    """The base with overrides; entries that only an axis gives come from its first row."""
     try:
         return changed(base, overrides, folder)
     except InputError as error:
@@ -215,7 +215,7 @@ def _digests(study: Study) -> Iterator[tuple[str, str]]:
 
 
 def files_in(table: Any) -> Iterator[Any]:
-    """Values of the entries that name files, however deep."""
+    """Values of all entries that name files, nested ones included."""
     for key, value in table.items() if isinstance(table, dict) else ():
         if key.endswith(("_file", "_files")):
             yield from value if isinstance(value, list) else [value]

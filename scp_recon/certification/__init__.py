@@ -1,1 +1,1 @@
-"""Certify plans: the probability that they promise is reached by nonlinear flights."""
+"""Certify plans: nonlinear flights must reach the required probability."""

@@ -1,19 +1,19 @@
-"""Aim until fresh flights should reach the required probability, and let them judge.
+"""Certify a plan: raise the target probability until independent flights reach the required one.
 
-A plan keeps its constraints with the probability that it aims at, under the normal law that linear
-dynamics propagate. What nonlinear flights reach differs a little, and an estimate's lower limit lies
-below it. So the plan aims above what is required.
+A plan keeps its constraints with the target probability, under the normal law of the linearised
+dynamics. Nonlinear flights reach a slightly different probability, and the lower limit of an
+estimate lies below it. The target must therefore exceed the required probability.
 
-Rounds of flights find out by how much. On the normal quantile scale flights reach less than was aimed
-at by nearly the same, whatever the aim: the flow's curvature, and what happens between nodes, take it.
-Each round's flights measure that loss with the error of their sampling; the mean over rounds is surer
-than the last one's. Where flights touch a limit between nodes, nodes are added there. Rounds end at a
-plan that fresh flights should pass 95 times in 100, and that is no dearer than sampling explains.
+Rounds of flights measure the difference. The curvature of the flow, and violations between nodes,
+cause a loss. On the normal quantile scale the loss hardly depends on the target. Each round
+measures the loss with its sampling error. The mean over rounds is more accurate than the last
+round. If flights violate a limit between nodes, nodes are added there. Rounds end with a plan that
+independent flights should pass 95 times in 100, and whose surplus is within sampling error.
 
-What judges is a look: flights with seeds of their own, which no round has used. A plan that passes is
-certified, whichever it is; none is chosen among several that pass. After a look that fails its flights
-are learnt from as a round's, and one more plan has one more look, the last. So a plan that reaches just
-what is required is certified at most 2.5 times in 100: see `estimates.LOOK_CONFIDENCE`.
+A *look* judges the plan: flights with seeds that no round has used. A plan that passes is
+certified; there is no choice among several passing plans. After a failed look, its flights count as
+a round's. One more plan then has one more look, the last. A plan that reaches exactly the required
+probability is therefore certified at most 2.5 times in 100: see `estimates.LOOK_CONFIDENCE`.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ def certify(
 ) -> Plan:
     """Certify a plan of a mission whose allocation is exact: see `certified`.
 
-    Plans after the first go on from the last one, on the grid that it was made on.
+    Later plans start from the last one, on the same grid.
     """
 
     def anew(last: Plan | None, touched_s: Array, aim: float) -> Plan:
@@ -77,14 +77,15 @@ def certify(
 
 
 def certified(asked: float, make_plan: Planning[Aimed], fly: Fly[Aimed]) -> Aimed:
-    """Plan so that flights of which planning knows nothing reach the required probability.
+    """Plan so that independent flights reach the required probability.
 
     Ctrl-C ends with the best plan so far, marked as interrupted.
 
     Returns:
-        The plan that passed a look, with its certificate; where none did the one that came nearest,
-            whose certificate says so. Where an aim is infeasible, and no plan made until then passes,
-            or where the first comes to no verdict, that aim's plan, without a certificate.
+        The plan that passed a look, with its certificate. If none passed, the plan that came
+            nearest, whose certificate says so. If a target is infeasible and no earlier plan
+            passes, or the first plan ends without a verdict, the plan for that target, without a
+            certificate.
     """
     work = _Certification(asked, make_plan, fly)
     try:
@@ -127,11 +128,11 @@ class _Certification(Generic[Aimed]):
 
     @property
     def nearest(self) -> Aimed | None:
-        """Of the plans that were looked at the one with the largest limit; only the last may pass."""
+        """The plan with the largest lower limit among those with a look; only the last may pass."""
         return max(self.looked, key=_low, default=None)
 
     def _next(self) -> Aimed:
-        """A plan at the aim."""
+        """The plan for the present target."""
         plan = self.make_plan(self.made, self.touched_s, self.aiming.next())
         if plan.status is Status.INTERRUPTED and self.made is not None:
             raise KeyboardInterrupt
@@ -140,7 +141,7 @@ class _Certification(Generic[Aimed]):
         return plan
 
     def _aims_well(self, plan: Aimed) -> bool:
-        """Fly a round, learn from it, and tell whether the plan is the one to look at."""
+        """Fly a round and learn from it; whether the plan is ready for a look."""
         kept, touched_s = fly_round(plan, self.fly, self.samples, len(self.flown) + 1)
         self.flown.append((plan, kept.reached))
         self.aiming.worth = kept.samples / self.samples
@@ -159,7 +160,7 @@ class _Certification(Generic[Aimed]):
         return False
 
     def _learn(self, plan: Aimed, kept: Kept, touched_s: Array) -> bool:
-        """Take in what flights reached; whether the nodes are close enough."""
+        """Learn the loss from flights; whether the nodes are close enough."""
         close = kept.are_close(self.asked)
         if close:
             self.aiming.learn(_law(plan), kept.throughout, kept.samples)
@@ -169,7 +170,7 @@ class _Certification(Generic[Aimed]):
         return close
 
     def _without(self, plan: Aimed) -> Aimed:
-        """What there is where an aim has no plan: the round that reached most is looked at."""
+        """The result if a target has no plan: the plan of the best round has a look."""
         if self.flown and not self.looked:
             best, _ = max(self.flown, key=lambda flown: flown[1])
             if self._passes(best):
@@ -185,7 +186,7 @@ def _low(plan: AimedPlan) -> float:
 
 
 def _law(plan: AimedPlan) -> float:
-    """The plan's probability by the normal law, as a quantile: nothing may bind by far."""
+    """The quantile of the plan's probability by the normal law; it may exceed the target."""
     assert plan.target is not None
     return float(ndtri(plan.target)) + max(slack(plan), 0.0)
 
@@ -213,11 +214,12 @@ LEAST, MOST = 0.501, 1.0 - 1e-9
 
 @dataclass
 class Aiming:
-    """The aim of plans that a look should pass, by what flights have reached until now.
+    """The target of plans that a look should pass, from the flights so far.
 
-    In flights drawn from binomial laws for 0.7 to 0.999, with losses of -1 to 3 standard errors of a
-    round, 95 of 100 plans pass their first look, and 1 to 3 of 1,000 neither, after 2 rounds in the
-    mean. They reach 3.4 of these standard errors more than is required, and 4.6 or more in 5 of 100.
+    In flights drawn from binomial laws for 0.7 to 0.999, with losses of -1 to 3 standard errors of
+    a round, 95 of 100 plans pass their first look, and 1 to 3 of 1,000 neither, after 2 rounds in
+    the mean. On average they reach 3.4 of these standard errors more than required, and in 5 of 100
+    cases 4.6 or more.
 
     Losses are those measured on the present nodes, in standard deviations, with the flights of each.
     A round's flights in strata are `worth` times as many plain ones, and so are a look's.
@@ -236,7 +238,7 @@ class Aiming:
 
     @property
     def loss(self) -> float:
-        """Mean of the losses; none is expected before any flight."""
+        """Mean of the losses; zero before any flight."""
         if not self.losses:
             return 0.0
         values, flights = np.array(self.losses).T
@@ -244,19 +246,19 @@ class Aiming:
 
     @property
     def error(self) -> float:
-        """Standard error of what is reached by the mean loss; before any flight that of a round."""
+        """Standard error of the mean loss's prediction; before any flight that of a round."""
         return self._error(sum(flights for _, flights in self.losses) or self.samples)
 
     def learn(self, law: float, kept: float, samples: int) -> None:
-        """Take in how many flights kept what was planned to be kept with a quantile of the law."""
+        """Learn the loss from flights of a plan with a quantile of the normal law."""
         half = 0.5 / samples
         reached = ndtri(np.clip(kept / samples, half, 1.0 - half))
         self.losses.append((law - float(reached), samples))
 
     def begin_again(self, law: float, at_nodes: float, samples: int) -> None:
-        """Forget the flights on other nodes, but for what the last lost at its nodes.
+        """Forget the flights on other nodes, except the last round's loss at its nodes.
 
-        What they lost between them the nodes that are added give back.
+        The added nodes recover the loss between nodes.
         """
         self.losses = []
         self.learn(law, at_nodes, samples)
@@ -267,9 +269,9 @@ class Aiming:
         return float(np.clip(ndtr(ndtri(above) + self.loss), LEAST, MOST))
 
     def is_settled(self, law: float, *, binds: bool) -> bool:
-        """Whether a look should pass a plan with a quantile of the law, at no surplus but of sampling.
+        """Whether a look should pass a plan, and its surplus is within sampling error.
 
-        Where its constraints do not bind a lower aim would save nothing.
+        If its constraints do not bind, a lower target would save no delta-v.
         """
         most, least = (float(ndtr(q - self.loss)) for q in (law, ndtri(self.next())))
         sure = most - self.needed >= SURE_ENOUGH * self._deviation
@@ -277,7 +279,7 @@ class Aiming:
 
     @property
     def _deviation(self) -> float:
-        """Standard error of a look about what is expected of it."""
+        """Standard error of a look about its expectation."""
         return float(np.hypot(self._error(self.worth * self.fresh), self.error))
 
     def _error(self, flights: float) -> float:

@@ -1,7 +1,7 @@
-"""Flights of a plan under certification: rounds, by which it aims, and looks, which judge it.
+"""Fly a plan under certification: rounds, which adjust the target, and looks, which judge the plan.
 
-A look's flights have seeds that no round uses, so that what they reach is no reason why the plan is the
-one that they judge.
+The flights of a look have seeds that no round uses. Their results had no influence on the plan that
+they judge.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ LOST_BETWEEN = 0.05
 
 
 class Watch(Protocol):
-    """Is told how certifying goes on."""
+    """Observes certification."""
 
     def __call__(
         self,
@@ -60,17 +60,17 @@ class Watch(Protocol):
         reached: Estimate | None = None,
         /,
     ) -> None:
-        """Of the flights of a step, such as "round 2" or "look 1", so many are flown.
+        """Report the number of flights flown in a step, such as "round 2" or "look 1".
 
-        Once all are, it is told what they reached.
+        After the last flight the probability reached is reported too.
         """
         ...
 
 
 class Kept(NamedTuple):
-    """Flights of some that keep what the scope asks for: at the nodes, and at all times.
+    """Counts of flights that keep the limits of the scope: at the nodes, and at all times.
 
-    Of flights in strata they are as many plain flights as have the same standard error.
+    Flights in strata count as the number of plain flights with the same standard error.
     """
 
     at_nodes: float
@@ -80,11 +80,11 @@ class Kept(NamedTuple):
 
     @property
     def reached(self) -> float:
-        """Share of the flights that keep it at all times."""
+        """Share of the flights that keep the limits at all times."""
         return self.throughout / self.samples
 
     def are_close(self, asked: float) -> bool:
-        """Whether flights lose so little between nodes that none are missing."""
+        """Whether flights lose so little between nodes that no node is missing."""
         return self.at_nodes - self.throughout <= LOST_BETWEEN * (1.0 - asked) * self.samples
 
 
@@ -97,9 +97,9 @@ def kept_of(mission: Mission, flown: KeptFlights) -> Kept:
 
 
 class Step(NamedTuple):
-    """Flights of a round or a look: its name, their number and seed, and how sure they are to be.
+    """A round or a look: its name, and the number, seed and accuracy of its flights.
 
-    `width` is that of the interval of flights in strata over that of plain ones.
+    `width` is the width of the interval with flights in strata, relative to plain flights.
     """
 
     name: str
@@ -114,7 +114,7 @@ Fly = Callable[[Aimed, Step], tuple[Kept, Array]]
 
 
 def fly_round(plan: Aimed, fly: Fly[Aimed], samples: int, number: int) -> tuple[Kept, Array]:
-    """Fly a plan to learn what it reaches."""
+    """Fly a round to estimate the probability that a plan reaches."""
     seed = FIRST_SEED + number - 1
     return fly(plan, Step(f"round {number}", samples, seed, ROUND_WIDTH, CONFIDENCE))
 
@@ -122,7 +122,7 @@ def fly_round(plan: Aimed, fly: Fly[Aimed], samples: int, number: int) -> tuple[
 def look_at(
     plan: Aimed, fly: Fly[Aimed], samples: int, number: int, rounds: int
 ) -> tuple[Aimed, Kept, Array]:
-    """Judge a plan by flights of which nothing is known, after so many rounds.
+    """Judge a plan by independent flights, after a number of rounds.
 
     Returns:
         The plan with its certificate; and as `Fly`.
@@ -160,7 +160,7 @@ def reached_of(kept: Kept, confidence: float) -> Estimate:
 
 
 def with_nodes_at(mission: Mission, times_s: Array) -> Mission:
-    """The mission with a node in each arc in which flights touch a limit, where most of them do."""
+    """The mission with a new node in each arc with violations, where most flights violate a limit."""
     arcs = np.searchsorted(mission.times_s, times_s)
     new = {float(round(float(np.median(times_s[arcs == arc])))) for arc in np.unique(arcs)}
     nodes = sorted({*mission.scenario.grid.nodes_s} | (new - set(mission.times_s.tolist())))
@@ -193,7 +193,7 @@ def _fly(plan: Plan, step: Step, told: Callable[[int, int], None] | None) -> tup
 def _fly_strata(
     plan: Plan, samples: int, seed: int, width: float, seen: Callable[[int, int], None] | None
 ) -> tuple[Kept, Array] | None:
-    """Fly in strata of the law's margin; None where so many plain flights are quicker."""
+    """Fly in strata of the law's margin; None if as many plain flights are quicker."""
     law = Law.of(plan.final.result.lin, plan.mission.units.length_m)
     flights = WholeFlights(plan.mission, plan.burns_m_s, _policy(plan))
     known = survey(law, flights, seed)
@@ -207,7 +207,7 @@ def _fly_strata(
 def _fly_in_time(
     plan: Plan, samples: int, seed: int, width: float, seen: Callable[[int, int], None] | None
 ) -> tuple[Kept, Array] | None:
-    """The same where each limit counts at each second by itself."""
+    """Fly in strata for limits that count at each second separately."""
     mission = plan.mission
     laws = Law.of_events(plan.final.result.lin, mission.units.length_m)
     if not laws:  # no limit is within reach
@@ -223,13 +223,13 @@ def _fly_in_time(
 
 
 def _widths(known: Survey, samples: int, width: float) -> tuple[float, float]:
-    """Distances of the limits of so many plain flights from their estimate, times `width`."""
+    """Distances of the interval's ends from the estimate for plain flights, times `width`."""
     reached = look_interval(round((1.0 - known.failed) * samples), samples)
     return width * (reached.value - reached.low), width * (reached.high - reached.value)
 
 
 def _kept(throughout: Counted, at_nodes: Counted) -> Kept:
-    """What flights in strata keep, as plain flights of the same standard error."""
+    """Counts of flights in strata, as plain flights with the same standard error."""
     worth, reached = throughout.equivalent, 1.0 - throughout.failed
     return Kept(max(1.0 - at_nodes.failed, reached) * worth, reached * worth, worth, throughout)
 

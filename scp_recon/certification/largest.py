@@ -1,8 +1,8 @@
-"""The largest probability that a plan can have, at all or for a delta-v budget.
+"""Find the largest probability for which a plan exists, with or without a delta-v budget.
 
-Delta-v grows with the probability asked, so that bisection on the normal quantile scale finds the last
-one that has a plan. Each try begins at the best one so far, its burns and gains, and at the first start
-where that settles nothing.
+Delta-v grows with the required probability. Bisection on the normal quantile scale therefore finds
+the largest probability with a plan. Each trial starts from the burns and gains of the best plan so
+far, and from the first start if that gives no verdict.
 """
 
 from __future__ import annotations
@@ -36,33 +36,33 @@ ANSWERS = (Status.CONVERGED, Status.INFEASIBLE, Status.INTERRUPTED)
 
 
 def rounded_down(probability: float) -> float:
-    """To what is promised."""
+    """Round a probability down to the digits that are promised."""
     return math.floor(probability * 10**DIGITS) / 10**DIGITS
 
 
 @dataclass(frozen=True)
 class Search:
-    """How the largest probability within a budget is looked for, to so many standard deviations."""
+    """Search for the largest probability within a budget, to a number of standard deviations."""
 
     make_plan: AimedPlanning
     budget_m_s: float = float("inf")
     close: float = CLOSE
 
     def run(self, mission: Mission, start: Iterate | Plan) -> Plan:
-        """The plan of the largest probability by the normal law; the mission's allocation is exact.
+        """Find the largest probability by the normal law; the mission's allocation is exact.
 
         Ctrl-C ends with the best so far, marked as interrupted.
 
         Returns:
-            A plan whose `target` is that probability; the try for `LEAST` where none is kept. Where
-                the try above it came to no verdict it has a warning that says so.
+            A plan whose `target` is that probability; the trial for `LEAST` if no trial succeeds.
+                The plan has a warning if the next larger trial ended without a verdict.
         """
         best = self._planned(mission, start, LEAST)
         if not self.keeps(best):
             return best
 
         def attempt(best: Plan, target: float) -> Plan:
-            """From the first start too, where the best burns lead to no verdict."""
+            """Plan from the best burns, and from the first start if they give no verdict."""
             at = best.mission
             found = self._planned(at, going_on(at, best), target)
             if found.status not in ANSWERS:
@@ -76,7 +76,7 @@ class Search:
         return with_warning(best, above)
 
     def _planned(self, mission: Mission, start: Iterate | Plan, target: float) -> Plan:
-        """A plan for a probability. Its mission asks for it: so do the limits on corrected burns."""
+        """Plan for a probability, also required of the limits on corrected burns."""
         return self.make_plan(mission.changed({"risk.p_chance": target}), start, target)
 
     def keeps(self, plan: Plan) -> bool:
@@ -93,12 +93,12 @@ def largest_kept(
 ) -> tuple[Plan, Plan | None]:
     """Bisect for the largest probability that has a plan, on the normal quantile scale.
 
-    Between that of the best plan, which is kept, and `most`, at which nothing is planned, to `close`
-    standard deviations. Each attempt begins from the best plan so far.
+    The search lies between the probability of the best plan and `most`, which is not planned, and
+    ends within `close` standard deviations. Each trial starts from the best plan so far.
 
     Returns:
-        The best plan, marked as interrupted if Ctrl-C came; and the trial of the least probability
-            that was not kept, if there was one.
+        The best plan, marked as interrupted after Ctrl-C; and the failed trial of the least
+            probability, if any trial failed.
     """
     assert best.target is not None
     low, high, above = float(ndtri(best.target)), float(ndtri(most)), None
@@ -118,7 +118,7 @@ def largest_kept(
 
 
 def with_warning(best: Plan, undecided: Plan) -> Plan:
-    """The plan with a word on the probability next to it, for which planning came to no verdict."""
+    """The plan with a warning about the next probability, for which planning gave no verdict."""
     word = ScenarioWarning.of(
         "risk.p_chance",
         f"no verdict for {undecided.target:.5g}: {undecided.status.value.name}",
@@ -136,15 +136,16 @@ def largest_promise(
     certified: bool,
     watch: Watch | None = None,
 ) -> Plan:
-    """The plan of the largest probability; its scenario asks what it reaches, rounded down.
+    """The plan of the largest probability; its scenario requires that probability, rounded down.
 
-    Without flights what it aims at is promised. If certified, rounds of flights find out where they
-    touch a limit between nodes; nodes are added there and it is looked for again. Then the lower limit
-    of one look is promised, whose flights no round has used. The mission's allocation is exact.
+    Without flights the plan promises its target. With certification, rounds of flights find
+    violations between nodes, nodes are added there, and the search is repeated. The plan then
+    promises the lower limit of one look, whose flights no round has used. The mission's allocation
+    is exact.
 
     Returns:
-        That plan; the try for `LEAST` where no plan is kept. Ctrl-C ends with the last one that was
-            found, marked as interrupted.
+        That plan; the trial for `LEAST` if no trial succeeds. Ctrl-C ends with the last plan found,
+            marked as interrupted.
     """
     found: Plan | None = None
     for number in range(1, ROUNDS_MAX + 1):
@@ -174,7 +175,7 @@ def largest_promise(
 
 
 def _promised(found: Plan, rounds: int, watch: Watch | None) -> Plan:
-    """The plan of a scenario that asks what a look at it reaches at least."""
+    """The plan with a scenario that requires the lower limit of a look."""
     assert found.target is not None
     try:
         judged, _, _ = look_at(
@@ -189,5 +190,5 @@ def _promised(found: Plan, rounds: int, watch: Watch | None) -> Plan:
 
 
 def promising(plan: Plan, probability: float) -> Plan:
-    """The plan of a scenario that asks so much."""
+    """The plan with a scenario that requires a probability."""
     return replace(plan, mission=plan.mission.changed({"risk.p_chance": rounded_down(probability)}))
