@@ -1,1 +1,1 @@
-"""Shared by the commands: how they end, their options, verdicts, and what is kept of a run."""
+"""Parse the commands, run them, and show their results and exit statuses."""

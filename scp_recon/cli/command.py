@@ -1,18 +1,20 @@
-"""A command, and what every one does with trouble: one message on standard error, and an exit status.
+"""Run a command: parse its options, end with an exit status, and report errors in one message.
 
-A command imports for about a second before its work begins. What is run as a program starts with
+A command needs about a second for imports before its work begins. A module that is run as a program
+therefore starts with
 
     if __name__ == "__main__":
         exit_on_sigint()
 
-above the other imports, so that Ctrl-C ends it in one line from there on; this module is light.
+above the other imports, so that Ctrl-C ends it at any time with one line. This module imports
+little.
 
-With --json one document goes to standard output, and all that people read to standard error:
+With --json one document goes to standard output, and all text for people to standard error:
 
     {"schema": "scp_recon.command/1", "command": ..., "status": ..., ...}
 
-`status` is the exit status. After bad input there is `error` with `entry`, `given` and `allowed`, and
-with `file` where a scenario's file holds the entry.
+`status` is the exit status. Bad input adds `error` with `entry`, `given` and `allowed`, and with
+`file` if a scenario's file holds the entry.
 """
 
 from __future__ import annotations
@@ -78,8 +80,9 @@ class Command:
         name: of the command.
         module: of `cli.commands`, whose function of that name does it with the options and a console;
             imported when the options are read.
-        function: of which it has the options, such as `api.planning.plan`; None where it has none.
-        description: of --help; its first sentence stands in the list of commands.
+        function: the function whose options it has, such as `api.planning.plan`; None if it has no
+            options of a function.
+        description: text for --help; its first sentence is shown in the list of commands.
         own: see `options.add_options`.
     """
 
@@ -113,10 +116,11 @@ class Command:
 
 
 def parse(p: argparse.ArgumentParser, arguments: Sequence[str] | None) -> argparse.Namespace:
-    """Read a command line, which may ask for --json and --quiet; `run_command` takes what comes of it.
+    """Read a command line with --json and --quiet; pass the result to `run_command`.
 
     Raises:
-        SystemExit: 0 after --help, 2 after what cannot be understood; with --json in the document too.
+        SystemExit: 0 after --help, 2 after a bad command line, which --json reports in its
+            document.
     """
     add_output_options(p)
     words = sys.argv[1:] if arguments is None else arguments
@@ -136,7 +140,7 @@ def parse(p: argparse.ArgumentParser, arguments: Sequence[str] | None) -> argpar
 
 
 def _in_our_words(message: str, words: Sequence[str], known: Sequence[str]) -> str:
-    """What argparse says, by option, what was found and what was expected, as all other messages do.
+    """Rewrite argparse's message as option, value found and value expected, like all other messages.
 
     A misspelt option gets the nearest of those that are known.
     """
@@ -184,7 +188,7 @@ def flags_of(p: argparse.ArgumentParser) -> dict[str, str]:
 
 
 def exit_on_sigint() -> None:
-    """End the process on Ctrl-C at once, unless it is ignored; until `run_command` sees to it."""
+    """End the process at once on Ctrl-C, unless it is ignored, until `run_command` handles it."""
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, _end)
 
@@ -197,11 +201,11 @@ def _end(*_: object) -> None:
 def run_command(
     action: Callable[[Console], int | Answer], options: argparse.Namespace | None = None
 ) -> int:
-    """Do a command's work, and end with its exit status or with that of what went wrong.
+    """Run a command's work; return its exit status, or that of its error.
 
     Args:
-        action: prints to the console that it is given, and returns an exit status or an answer.
-        options: of `parse`; without them there is no --json and no --quiet.
+        action: function that prints to a console, and returns an exit status or an answer.
+        options: result of `parse`; None for a command without --json and --quiet.
     """
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, TextIOWrapper):  # what it cannot encode must not end the command
@@ -247,7 +251,7 @@ def run_command(
 
 
 def make_console(*, stderr: bool = False, quiet: bool = False) -> Console:
-    """As wide as the terminal, or where there is none as the widest table."""
+    """Make a console as wide as the terminal, or without one as the widest table."""
     from rich.console import Console  # which takes longer to import than all the rest here
 
     wide = (
@@ -257,7 +261,7 @@ def make_console(*, stderr: bool = False, quiet: bool = False) -> Console:
 
 
 def progress_console(console: Console) -> Console:
-    """For bars that grow: standard error, and nothing where the command is to be quiet."""
+    """Make a console for progress bars on standard error; it shows nothing with --quiet."""
     return make_console(stderr=True, quiet=console.quiet)
 
 
@@ -284,20 +288,20 @@ def _finite(value: Any) -> Any:
 
 
 def show_written(console: Console, path: Path) -> None:
-    """Where a result is."""
+    """Show the path of a result."""
     show_line(console, f"written: {path}")
 
 
 def show_line(console: Console, text: str, style: str | None = None) -> None:
-    """One line, however long and whatever names are in it."""
+    """Show one line without wrapping and without markup."""
     console.print(printable(text), style=style, markup=False, highlight=False, soft_wrap=True)
 
 
 @contextmanager
 def asked_to_stop() -> Iterator[Callable[[], bool]]:
-    """A function that says whether Ctrl-C has come; a second one stops at once.
+    """Yield a function that tells whether Ctrl-C was pressed; a second Ctrl-C stops at once.
 
-    Where Ctrl-C is ignored, or another thread is at work, nobody asks.
+    The function is always false if Ctrl-C is ignored, or outside the main thread.
     """
     before = signal.getsignal(signal.SIGINT)
     main = threading.current_thread() is threading.main_thread()

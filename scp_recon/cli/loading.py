@@ -1,8 +1,8 @@
-"""How a command's process loads libraries: without what it seldom uses, and with one thread for NumPy.
+"""Make a command's process start quickly: defer rarely used modules, and give NumPy one thread.
 
-NumPy, SciPy and CVXPY import modules that take a third of a second, and that no command needs. NumPy's
-threads wait for each other by counting: a certified plan took 7.5 s of the processor with two of them,
-and 3.8 s with one.
+NumPy, SciPy and CVXPY import modules that take a third of a second and that no command needs.
+NumPy's threads wait for each other in busy loops: a certified plan took 7.5 s of the processor with
+two threads, and 3.8 s with one.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ THREADS = "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"
 
 
 class _Later(ModuleType):
-    """Stands for a module until something of it is used; the module itself then takes its place."""
+    """Placeholder for a module, which is imported when an attribute is first used."""
 
     def __getattr__(self, name: str) -> Any:
         if name.startswith("__"):  # who looks at all modules uses none
@@ -46,9 +46,9 @@ class _Later(ModuleType):
 
 
 def load_lightly() -> None:
-    """Let modules wait that are not imported yet: for a command, whose process is its own.
+    """Defer modules that are not imported yet; only for a command, which has its own process.
 
-    Who says how many threads there are to be, by OMP_NUM_THREADS or NumPy's own variables, has them.
+    A number of threads given by OMP_NUM_THREADS or NumPy's own variables is kept.
     """
     if "numpy" not in sys.modules and "OMP_NUM_THREADS" not in os.environ:
         for name in THREADS:

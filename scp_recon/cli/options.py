@@ -1,6 +1,6 @@
-"""Options of commands, read from the functions of `api`: what these say of a parameter is its help.
+"""Make the options of commands from the functions of `api`; docstrings of parameters become help.
 
-Texts become numbers where they are some; what a number may be, `api` says.
+Types of options convert texts to numbers; `api` checks their ranges.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ WHOLE = re.compile(r"[+-]?[0-9]{1,20}")
 
 
 def whole(text: str) -> int | str:
-    """A type of option: a whole number, 1e4 too; what is none goes on and is refused later."""
+    """A type of option: a whole number, also 1e4; other texts pass, and `api` refuses them."""
     if WHOLE.fullmatch(text):
         return int(text)
     try:
@@ -30,7 +30,7 @@ def whole(text: str) -> int | str:
 
 
 def number(text: str) -> float | str:
-    """A type of option: a number; a text that is none goes on, to be refused with its bounds."""
+    """A type of option: a number; other texts pass, and `api` refuses them with its bounds."""
     try:
         return float(text)
     except ValueError:
@@ -38,7 +38,7 @@ def number(text: str) -> float | str:
 
 
 def numbers(text: str) -> tuple[float, ...] | str:
-    """A type of option: numbers with commas or spaces; a text that is none goes on, to be refused."""
+    """A type of option: numbers with commas or spaces; other texts pass, and `api` refuses them."""
     found = tuple(number(word) for word in text.replace(",", " ").split())
     floats = tuple(x for x in found if isinstance(x, float))
     return floats if floats == found else text
@@ -59,7 +59,7 @@ def int_between(low: int, high: int, words: str = "") -> Callable[[str], int]:
 
 
 def named_folder(text: str) -> Path:
-    """A type of option: a folder, which has a name."""
+    """A type of option: a folder with a name that is not empty."""
     if not text:
         raise argparse.ArgumentTypeError("got ''; must be a folder")
     return Path(text)
@@ -170,15 +170,15 @@ ARGUMENT = re.compile(r"^ {4}(\w+): (.*(?:\n {8}.*)*)", re.MULTILINE)
 
 @dataclass(frozen=True)
 class Parameter:
-    """Of a function.
+    """A parameter of a function.
 
     Attributes:
         name: of it.
-        annotation: its type, as the source has it.
+        annotation: its type, as in the source.
         default: its value if it is not given.
-        required: whether there is none.
-        first: whether it comes first, so that it needs no flag.
-        said: of it in the function's docstring.
+        required: whether it has no default.
+        first: whether it is the first one, which needs no flag.
+        said: its description in the function's docstring.
     """
 
     name: str
@@ -190,9 +190,9 @@ class Parameter:
 
 
 def parameters(function: str) -> list[Parameter]:
-    """Of a function, which is read and not imported: with all that it needs that takes a second.
+    """Parameters of a function, read from the source: importing it would take a second.
 
-    But for `progress`, which a command shows in its own way.
+    `progress` is left out: a command shows progress in its own way.
 
     Args:
         function: module and name, such as `api.planning.plan`.
@@ -230,7 +230,8 @@ def add_options(
     Args:
         p: the command's parser.
         function: see `parameters`; None for a command that only has its own options.
-        own: rows of the command that the function has otherwise, or lacks; by the parameters' names.
+        own: rows of the command that differ from the function's, or that the function lacks, by
+            name.
     """
     rows = {one.name: _row(one) for one in (parameters(function) if function else [])}
     for name, row in own.items():
@@ -274,9 +275,9 @@ LISTS = {"--state": 6, "--measured-burn": 3, "--orbit": 6, "--site": 2, "--pole"
 
 
 def joined(arguments: Sequence[str]) -> list[str]:
-    """Arguments in which each list of numbers is one: a leading minus makes no option of it.
+    """Join each list of numbers into one argument, so that a leading minus makes no option.
 
-    A list takes numbers alone, and no more than it is to have: what follows is of another argument.
+    A list takes only numbers, and at most its own count; the rest belongs to other arguments.
     """
     found: list[str] = []
     for argument in arguments:

@@ -1,4 +1,4 @@
-"""A plan on the terminal: the case, iterations as they come, burns, and its verification."""
+"""Show a plan on the terminal: case, iterations, burns and verification."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ def show_mission(console: Console, mission: Mission) -> None:
 
 
 def as_given(scene: Scene) -> str:
-    """Of a body that is not packaged what no check tells from another body's, or another date's."""
+    """Entries of a body that is not packaged and that no check can test, in words."""
     body, spin = scene.scenario.body, scene.rotation
     axis = spin.pole * np.sign(spin.rate)
     tilt = np.rad2deg(angle(axis, orbit_of_body(scene).normal))
@@ -107,7 +107,7 @@ def as_given(scene: Scene) -> str:
 
 
 def place_of(mission: Mission, time_s: float, state: Array) -> str:
-    """Of a boundary state what can be known in any axes: wrong ones show here, and nowhere else."""
+    """A boundary state in words that reveal wrong axes, which no check can detect."""
     position, velocity = state[:3], state[3:]
     distance, speed = np.linalg.norm(position), np.linalg.norm(velocity)
     off_sun = np.rad2deg(angle(position, mission.sun_direction(time_s)))
@@ -158,7 +158,7 @@ def show_solution(console: Console, solution: Solution) -> None:
 
 
 def _show_policy(console: Console, solution: Solution) -> None:
-    """Corrected burns, what is known at their cut-offs, and what they cost."""
+    """Show corrected burns, the knowledge at their cut-offs, and their cost."""
     if solution.by_policy is not None:
         show_line(console, solution.by_policy)
     corrections, policy = corrections_table(solution), solution.policy
@@ -201,7 +201,7 @@ def show_verification(
     verification: Verification,
     warnings: Iterable[ScenarioWarning] = (),
 ) -> None:
-    """Re-integration, mean margins, joint probabilities, warnings, the verdict, and what next."""
+    """Show re-integration, mean margins, joint probabilities, warnings, verdict and remedies."""
     v = verification
     console.print()
     console.print(terminal(reintegration_table(mission, v)))
@@ -226,10 +226,10 @@ class Progress:
     """The planner's observer: a table that grows by a row per iteration, and lines of flights above it.
 
     Attributes:
-        mission: that is planned.
-        live: where it is shown.
+        mission: the mission to plan.
+        live: display of the table.
         table: of the iterations.
-        steps: lines by the round or look whose flights they tell of.
+        steps: lines on flights, by the round or look.
     """
 
     mission: Mission
@@ -251,7 +251,7 @@ class Progress:
     def flights(
         self, step: str, plan: Plan, samples: int, flown: int = 0, reached: Estimate | None = None
     ) -> None:
-        """So many flights of a round or a look are flown, or all of them."""
+        """Show how many flights of a round or a look are flown, or their result."""
         said = (
             f"{flown} flown"
             if reached is None
@@ -272,7 +272,7 @@ class Progress:
 
 @contextmanager
 def live_progress(console: Console, mission: Mission) -> Iterator[Progress]:
-    """Show what planning is at, until it ends."""
+    """Show the progress of planning until it ends."""
     # Redrawn on every row and never from a thread, so that a captured log holds the table once.
     with Live(console=console, auto_refresh=False) as live:
         yield Progress(mission, live, Table.of("Iterations", ITERATION_COLUMNS, ()))
@@ -289,7 +289,7 @@ IN_FILE = {"nodes", "facets", "iterations", "scenario", "timing_s", "units"}
 
 
 def plan_document(solution: Solution, files: Iterable[Path] = ()) -> dict[str, Any]:
-    """A plan without its grid: verdict, burns, margins, risk, verification, warnings; and its files."""
+    """Document of a plan without its grid: verdict, burns, margins, risk, verification, files."""
     return {
         "scenario": solution.scenario.name,
         "frame": FRAME,

@@ -1,4 +1,4 @@
-"""The terminal's renderer: tables without lines, warnings and verdicts."""
+"""Render tables, warnings and verdicts for the terminal."""
 
 from __future__ import annotations
 
@@ -40,8 +40,8 @@ def show_warnings(console: Console, warnings: Iterable[ScenarioWarning], of: str
 
     Args:
         console: to print to.
-        warnings: of one plan, or of its file and what its mission says today.
-        of: whose they are, where there are several plans.
+        warnings: warnings of one plan, or of its file and of its mission.
+        of: name of the plan, if there are several.
     """
     head = f"warning of {of}" if of else "warning"
     for warning in dict.fromkeys(warnings):
@@ -51,12 +51,13 @@ def show_warnings(console: Console, warnings: Iterable[ScenarioWarning], of: str
 
 
 def show_verdict(console: Console, word: str, failed: Sequence[str]) -> None:
-    """The last word.
+    """Show the verdict.
 
     Args:
         console: to print to.
-        word: of what is well, such as "verified".
-        failed: names of what is not, or sentences that say what was required; if empty all is well.
+        word: the good verdict, such as "verified".
+        failed: names of failed checks, or sentences with the required values; empty for a good
+            verdict.
     """
     if failed:
         text = Text(f"not {word}", style="bold red") + Text(

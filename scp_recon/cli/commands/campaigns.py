@@ -1,4 +1,4 @@
-"""The command that runs many cases: `campaign`, and what a campaign comes to."""
+"""The command `campaign`: run many cases, and show the results."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def campaign(options: argparse.Namespace, console: Console) -> Answer:
 
 
 def summary_of(results: CampaignResults) -> dict[str, Any]:
-    """What the terminal says of a campaign, for `--json`."""
+    """The terminal's summary of a campaign as a document for `--json`."""
     return {
         "feasible": results.feasible,
         "ends": results.counts(),
@@ -57,7 +57,7 @@ def summary_of(results: CampaignResults) -> dict[str, Any]:
 
 
 def show_campaign(results: CampaignResults, written: Sequence[Path], console: Console) -> None:
-    """Tell of a campaign, and which files show it."""
+    """Show the summary of a campaign, and its files."""
     for line in (results.verdict, *remarks(results)):
         show_line(console, line)
     for path in written:
@@ -66,9 +66,9 @@ def show_campaign(results: CampaignResults, written: Sequence[Path], console: Co
 
 @contextmanager
 def _continuing(console: Console) -> Iterator[None]:
-    """Take a termination as Ctrl-C, and say after either how the campaign goes on.
+    """Treat a termination signal as Ctrl-C, and say after either how to continue the campaign.
 
-    Another thread than the main one cannot be told of a termination.
+    Only the main thread receives the signal.
     """
 
     def stop(*_: object) -> None:
@@ -91,7 +91,7 @@ def _continuing(console: Console) -> Iterator[None]:
 def _progress(
     console: Console,
 ) -> Iterator[tuple[Callable[[int, int, Mapping[str, Any] | None], None], Callable[[str], None]]]:
-    """A bar with rate, time left and how cases end; and what says a line above it."""
+    """Yield a bar with rate, time left and outcomes, and a function that shows a line above it."""
     errors = progress_console(console)
     columns = (
         *("cases", BarColumn(), MofNCompleteColumn()),

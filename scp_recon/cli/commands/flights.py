@@ -98,7 +98,7 @@ def montecarlo(options: argparse.Namespace, console: Console) -> Answer:
 
 
 def _too_wide(width: float, until: float | None) -> list[str]:
-    """A message if flights ended before the widest interval was as narrow as required."""
+    """A message if the flights ended with an interval wider than required."""
     if until is None or width <= until:
         return []
     return [
@@ -143,12 +143,12 @@ def simulate(options: argparse.Namespace, console: Console) -> Answer:
 
 
 def show_summary(console: Console, summary: Summary, asked: float | None = None) -> None:
-    """The figures that matter, with their intervals.
+    """Show the main figures of many flights, with their intervals.
 
     Args:
         console: to print to.
         summary: what to show.
-        asked: probability of every joint constraint, if one was.
+        asked: required probability of every joint constraint; None without one.
     """
     first, last = summary.window_s or (0.0, 0.0)
     window = f"window {last - first:.1f} s" if summary.window_s else "the window is over"

@@ -1,4 +1,4 @@
-"""The command `design`: a whole pass from a home orbit, with a table and pictures of its trials."""
+"""The command `design`: find a whole pass from a home orbit; write a table and pictures of trials."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def _keep(folder: Path, name: str, content: str | bytes) -> None:
 
 
 def _keep_map(folder: Path, found: Design, console: Console, dv_m_s: float) -> None:
-    """The map of the design with what its plan costs, if there is matplotlib."""
+    """Write the map of the design with the delta-v of its plan, if matplotlib is installed."""
     if not any(one.result.converged for one in found.trials):
         return
     if not _can_draw():
@@ -93,7 +93,7 @@ def _keep_map(folder: Path, found: Design, console: Console, dv_m_s: float) -> N
 
 
 def _keep_primer(folder: Path, console: Console) -> None:
-    """What the plan's primer says, and its picture if there is matplotlib."""
+    """Show the result of the plan's primer, and draw it if matplotlib is installed."""
     if not (folder / FILE_NAME).exists():
         return
     solution = read_solution(folder)
@@ -114,7 +114,7 @@ def _can_draw() -> bool:
 
 @contextmanager
 def _progress(console: Console) -> Iterator[Callable[[Trial], None]]:
-    """Count plans as they are made, and leave a line with the best of each step; yields what counts."""
+    """Yield a function that counts plans; the best plan of each step gets a line."""
     counts: dict[str, int] = {}
     least: dict[str, Trial] = {}
 
@@ -148,7 +148,7 @@ def _progress(console: Console) -> Iterator[Callable[[Trial], None]]:
 
 
 def _as_csv(tried: Sequence[Trial]) -> str:
-    """A row for each plan; times past the scenario's epoch, no delta-v where there is no plan."""
+    """CSV with a row for each plan: times past the scenario's epoch; no delta-v without convergence."""
     rows = (
         [
             one.step,
@@ -165,7 +165,7 @@ def _as_csv(tried: Sequence[Trial]) -> str:
 
 
 def primer_says(primer: PrimerHistory | None) -> str:
-    """What a plan's primer tells of one more burn, in a line."""
+    """Whether one more burn would help, by a plan's primer, in one line."""
     if primer is None:
         return "no primer: it takes a plan whose errors shrink with the burns"
     legal = np.flatnonzero(primer.legal)

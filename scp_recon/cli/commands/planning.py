@@ -1,4 +1,4 @@
-"""The command `solve`; how commands show and write a plan, and what would do where it is infeasible."""
+"""The command `solve`: plan, verify, show and write; for an infeasible plan show feasible options."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def solve(options: argparse.Namespace, console: Console) -> Answer:
 
 
 def _scenario(options: argparse.Namespace) -> str | Path | None:
-    """The scenario, which stands behind its flag or without it."""
+    """The scenario, given with its flag or as the first argument."""
     if options.file is not None and options.scenario is not None:
         allowed = f"must be given once, with {option('scenario')} or without"
         raise InputError("SCENARIO", f"{options.file} and {options.scenario}", allowed)
@@ -71,10 +71,10 @@ def _scenario(options: argparse.Namespace) -> str | Path | None:
 
 
 def plan_options(options: argparse.Namespace) -> PlanOptions:
-    """How a command is to plan.
+    """Options of planning from a command line.
 
     Raises:
-        InputError: if an option is out of its range, or goes not with another.
+        InputError: if an option is out of range, or in conflict with another.
     """
     return PlanOptions(
         **{field.name: getattr(options, field.name) for field in fields(PlanOptions)}
@@ -82,14 +82,14 @@ def plan_options(options: argparse.Namespace) -> PlanOptions:
 
 
 def _show_largest(budget_m_s: float | None, plan: Plan, console: Console) -> None:
-    """The largest probability beside what it was allowed to cost."""
+    """Show the largest probability, with its delta-v and the budget."""
     most = "any delta-v" if budget_m_s is None else f"at most {budget_m_s:g} m/s"
     found = f"{plan.mission.scenario.risk.p_chance:.5g}, for {plan.cost_m_s:.6f} m/s"
     show_line(console, f"largest probability found for {most}: {found}")
 
 
 def _report(folder: Path, console: Console) -> None:
-    """Of the plan that was just written, be it the verified one or the one beside it."""
+    """Write the report of the plan that was just written."""
     from scp_recon.reports import write
 
     aside = folder / UNVERIFIED
@@ -114,10 +114,10 @@ def plan_into(
     Args:
         folder: for the files.
         mission: to plan.
-        make_plan: does it.
+        make_plan: function that plans.
         console: where to show it.
-        start: where the plan begins, if it is known; and so one that is proposed instead.
-        instead: options that the command needs besides to plan what is proposed.
+        start: initial guess of the plan and of a proposed feasible plan, if known.
+        instead: further options of the command for the proposed plan.
 
     Returns:
         The exit status of the plan, and its document.
@@ -171,19 +171,19 @@ SEVERAL = "; relaxing any one of them suffices"
 def advice_on(
     failed: Plan, start: Iterate | None = None, more: Sequence[str] = ()
 ) -> tuple[str, ...]:
-    """What binds, and the options of a plan that is feasible, in lines.
+    """Lines on the limits that bind, and on options for a feasible plan.
 
     Args:
         failed: the infeasible plan.
         start: where it began.
-        more: options that undo what the command's own ones say against exact risk.
+        more: options that undo those of the command that exclude exact risk.
     """
     found = diagnose(failed, start)
     return what_binds(found), *what_would_do(found, failed, more)
 
 
 def undoing(options: argparse.Namespace) -> list[str]:
-    """Options after those of a command that make it one for exact risk and a probability."""
+    """Options that, added to those of a command, allow exact risk and a given probability."""
     undone = []
     kept = ("method", ("scp",)), ("formulation", FULL), ("facet-rounds", (0,))
     for name, those in kept:
@@ -197,7 +197,7 @@ def undoing(options: argparse.Namespace) -> list[str]:
 
 
 def what_binds(found: Diagnosis) -> str:
-    """In one line."""
+    """One line on the limits of which relaxing any one suffices, and on violated constraints."""
     names = ", ".join(found.violated) or "none"
     if not found.binds:
         alone = (
@@ -213,7 +213,7 @@ def what_binds(found: Diagnosis) -> str:
 
 
 def what_would_do(found: Diagnosis, failed: Plan, more: Sequence[str]) -> list[str]:
-    """Of exact risk: whether it solves what was asked, what it can at most, and the options for it."""
+    """Lines on exact risk: a plan as required, the largest feasible probability, and options."""
     without = found.without_uncertainty
     if without is Status.INFEASIBLE or failed.final.problem == "P3":
         word = "no lower probability helps" if without is Status.INFEASIBLE else "not asked for"

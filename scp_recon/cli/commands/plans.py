@@ -1,4 +1,4 @@
-"""The commands about plans that there are: `verify`, `compare`, `report` and `export`."""
+"""The commands about existing plans: `verify`, `compare`, `report` and `export`."""
 
 from __future__ import annotations
 
@@ -103,7 +103,7 @@ def comparison_document(found: Comparison) -> dict[str, Any]:
 
 
 def export_document(found: Export, files: Iterable[Path]) -> dict[str, Any]:
-    """What was exported: the path that was flown again, its burns with their dates, and the files."""
+    """Document of an export: the path, the burns with their dates, and the files."""
     return {
         "verdict": found.verdict,
         "files": [str(file) for file in files],

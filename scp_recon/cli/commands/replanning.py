@@ -1,4 +1,4 @@
-"""The command `replan`: what is left of a flight, from a state, a covariance and burns as delivered."""
+"""The command `replan`: plan the rest of a flight from a delivered state, covariance and burns."""
 
 from __future__ import annotations
 
@@ -49,14 +49,14 @@ def replan(options: argparse.Namespace, console: Console) -> Answer:
 
 
 def delivery_from(options: argparse.Namespace, epoch: datetime) -> Delivery:
-    """What the options say.
+    """Make a delivery from the options.
 
     Args:
         options: parsed.
         epoch: of the plan that is flown, TDB.
 
     Raises:
-        InputError: if a number, a date or a file is none.
+        InputError: if a number, a date or a file is not valid.
     """
     covariance = None
     if options.covariance is not None:
@@ -135,7 +135,7 @@ def _burn(text: str) -> tuple[int, Array]:
 
 
 def _rows(path: Path, entry: str) -> list[list[float]]:
-    """Numbers of a file, line by line; what stands behind a # is passed over."""
+    """Numbers of a file, line by line; text after a # is ignored."""
     text = read_text(path, f"{entry} {path}", "file of numbers", BYTES_MAX)
     lines = [line.partition("#")[0] for line in text.splitlines()]
     try:

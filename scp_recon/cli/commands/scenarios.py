@@ -1,4 +1,4 @@
-"""The commands about scenarios: draft or explore one, packaged ones, when one is lit, their format."""
+"""The commands about scenarios: `new`, `explore`, `windows`, `scenarios` and `schema`."""
 
 from __future__ import annotations
 
@@ -123,7 +123,7 @@ def schema(options: argparse.Namespace, console: Console) -> Answer:
 
 
 def survey_document(scenario: Scenario, survey: Survey) -> dict[str, Any]:
-    """Windows in s past the epoch, with when each burn may be; an end that is open is null."""
+    """Document of windows in s past the epoch, with legal times of each burn; an open end is null."""
     return {
         "scenario": scenario.name,
         "epoch_tdb": scenario.epoch.tdb.isoformat(),
@@ -143,7 +143,7 @@ def survey_document(scenario: Scenario, survey: Survey) -> dict[str, Any]:
 
 
 def show_survey(console: Console, scenario: Scenario, survey: Survey) -> None:
-    """The windows of a span, and where burns may be about them."""
+    """Show the windows of a span, and the legal burn times about them."""
     limits, (first, last) = scenario.observation, survey.span_s
     console.print(
         Text(scenario.name, style="bold")
