@@ -1,7 +1,7 @@
-"""Results show themselves: in a notebook as text, as charts by Plotly, as frames by pandas.
+"""Give results their displays: text in a notebook, charts by Plotly, frames by pandas.
 
-Whoever draws needs all of a plan and stands far above its results. Its name is here and nowhere else:
-it is imported when a result is asked to show itself.
+The modules that draw are on a much higher floor than the results. Only their names are here: they
+are imported when a result is displayed.
 """
 
 from __future__ import annotations

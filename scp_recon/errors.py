@@ -1,4 +1,4 @@
-"""Errors of what the user gave, and the checks that raise them."""
+"""Report errors of the user's input, and check numbers, names, paths and extras."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ Value = TypeVar("Value")
 
 
 def option(name: str, value: object = None) -> str:
-    """An option in a message: each caller is told it as it knows it.
+    """Name an option in a message, in Python's form or in that of the command line.
 
     Args:
-        name: of the parameter in Python, such as `facet_rounds`; --facet-rounds to who uses the command
-            line, whose parser knows.
-        value: that is spoken of, if any: `method='scp'`, or --method scp.
+        name: of the parameter in Python, such as `facet_rounds`; shown as --facet-rounds on the
+            command line.
+        value: value to show, if any: `method='scp'`, or --method scp.
     """
     return f"\0{name}\0" if value is None else f"\0{name}={value!r}\0"
 
@@ -41,9 +41,9 @@ class InputError(ValueError):
 
     Args:
         entry: dotted path of the entry, or the file or `option`.
-        given: what was found there.
-        allowed: what would have been accepted.
-        file: of a scenario, that holds the entry; empty of what stands in none.
+        given: the value found.
+        allowed: the values allowed.
+        file: the scenario file that holds the entry; empty if no file does.
     """
 
     def __init__(self, entry: str, given: str, allowed: str, file: str = "") -> None:
@@ -55,11 +55,11 @@ class InputError(ValueError):
         super().__init__(f"{where}{self.entry}: got {self.given}; {self.allowed}")
 
     def __reduce__(self) -> tuple[type[InputError], tuple[str, str, str, str]]:
-        """Pickle it by its parts, so that it comes back whole from another process."""
+        """Pickle the error by its parts, so that it survives the way from another process."""
         return type(self), self._said
 
     def in_files(self, file_of: Callable[[str], str]) -> InputError:
-        """The same with the file that holds each entry that it names; empty where none does."""
+        """The error with the file of each entry that it names; empty if no file holds the entry."""
         entry, given, allowed, _ = self._said
         file = file_of(entry)
 
@@ -70,7 +70,7 @@ class InputError(ValueError):
         return InputError(entry, given, ENTRY.sub(named, allowed), file)
 
     def for_command(self, flags: Mapping[str, str]) -> InputError:
-        """The same with options as a command line has them.
+        """The error with options in the form of the command line.
 
         Args:
             flags: by the parameters' names, such as --facet-rounds.
@@ -102,10 +102,10 @@ def printable(text: str) -> str:
 
 
 def one_of(entry: str, given: object, known: Collection[str]) -> str:
-    """A name that is known.
+    """Check that a name is known, and return it.
 
     Raises:
-        InputError: if it is not.
+        InputError: if the name is unknown.
     """
     if not isinstance(given, str) or given not in known:
         raise InputError(entry, shortened(given), f"must be one of {', '.join(known)}")
@@ -113,7 +113,7 @@ def one_of(entry: str, given: object, known: Collection[str]) -> str:
 
 
 class Named(dict[str, Value]):
-    """Results by name; asked for one that it has not, it names the nearest and all that there are."""
+    """Results by name; the error for an unknown name lists the nearest name and all names."""
 
     def __missing__(self, name: object) -> NoReturn:
         """Refuse it.
@@ -133,7 +133,7 @@ def unknown_name(name: object, known: Iterable[str]) -> str:
 
 
 def path_of(entry: str, given: object) -> Path:
-    """A path, or a text that names one.
+    """Convert a path or a text to a path.
 
     Raises:
         InputError: if it is neither.
@@ -148,10 +148,10 @@ EXACT = 2.0**53
 
 
 def whole_number(entry: str, given: object, low: int, high: int) -> int:
-    """A whole number within bounds, 1e4 too.
+    """Check a whole number within bounds, also given as 1e4, and return it.
 
     Raises:
-        InputError: if it is none, or beyond them.
+        InputError: if it is not a number, or out of bounds.
     """
     if isinstance(given, float):
         whole = int(given) if abs(given) < EXACT and given.is_integer() else None
@@ -174,12 +174,12 @@ def make_whole(options: object, name: str, low: int, high: int) -> None:
 
 @contextmanager
 def needing(entry: str, extra: str, *packages: str) -> Iterator[None]:
-    """Around imports that need an extra.
+    """Context for imports that need an extra.
 
     Args:
         entry: what a message names.
         extra: its name.
-        packages: those that may be missing; any, if none are given.
+        packages: packages that may be missing; empty for any package.
 
     Raises:
         InputError: if one is not installed.
@@ -214,10 +214,10 @@ def shortened(given: object) -> str:
 
 
 def number_between(entry: str, given: object, low: float, high: float) -> float:
-    """A number within bounds.
+    """Check a number within bounds, and return it.
 
     Raises:
-        InputError: if it is none, or beyond them.
+        InputError: if it is not a number, or out of bounds.
     """
     if isinstance(given, int | float) and not isinstance(given, bool) and low <= given <= high:
         return float(given)
@@ -225,7 +225,7 @@ def number_between(entry: str, given: object, low: float, high: float) -> float:
 
 
 def version_of(package: str) -> str:
-    """Version of an installed package; unknown where it only lies on the path."""
+    """Version of an installed package; "unknown" if it is only on the path."""
     from importlib.metadata import PackageNotFoundError, version
 
     try:

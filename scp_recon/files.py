@@ -1,4 +1,4 @@
-"""Read a text file or say why not; write whole or not at all; keep a folder for one run at a time."""
+"""Read text files, write files atomically, and lock folders for one run at a time."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ BYTES_MAX = 100_000_000
 
 
 def read_text(path: Path, entry: str, kind: str, bytes_max: int = BYTES_MAX) -> str:
-    """UTF-8 text of a file, with or without the mark that some editors begin it with.
+    """Read the UTF-8 text of a file, with or without a byte-order mark.
 
     Args:
         path: of the file.
         entry: what to name in a message.
         kind: what the file must be.
-        bytes_max: size from which on it cannot be one.
+        bytes_max: largest size allowed.
 
     Raises:
         InputError: if it cannot be read, is too large, or is no UTF-8 text.
@@ -48,10 +48,10 @@ def read_text(path: Path, entry: str, kind: str, bytes_max: int = BYTES_MAX) -> 
 
 
 def check_writable(folder: Path, name: str, entry: str) -> None:
-    """Make a folder, and find out before the work that a file of that name can be written there.
+    """Make a folder, and check before the work that a file of that name can be written there.
 
     Raises:
-        InputError: if not.
+        InputError: if the file cannot be written.
     """
     file = folder / name
     try:
@@ -71,7 +71,7 @@ def unwritable(folder: Path, entry: str, error: OSError) -> InputError:
 
 
 def write_atomically(path: Path, content: str | bytes) -> Path:
-    """Write beside the target and rename, so that a reader sees the old file or the new one."""
+    """Write a temporary file and rename it, so that a reader sees the old file or the new one."""
     beside = path.with_name(f".{path.name}.{uuid4().hex}")
     try:
         with beside.open("xb") as file:
@@ -92,7 +92,7 @@ def only_run_in(folder: Path, entry: str, name: str = LOCK) -> Iterator[None]:
     Args:
         folder: to keep.
         entry: what to name in a message.
-        name: of the lock's file, where not the whole folder is meant.
+        name: of the lock file, if the lock is not for the whole folder.
 
     Raises:
         InputError: if another process is at work in it.

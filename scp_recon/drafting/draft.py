@@ -1,4 +1,4 @@
-"""Draft scenarios from a body and a site: flybys, longest window first, and their files."""
+"""Draft scenarios for a body and a site: flybys, longest window first, and their files."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ class Draft:
         name: of the scenario.
         body: its name.
         incidence_max_deg: limit of the observation.
-        design: of the flyby; None before it is made.
+        design: design of the flyby; None before it is made.
     """
 
     name: str
@@ -233,10 +233,10 @@ def drafts(first: Draft) -> Iterator[Draft]:
 
 
 def under_limits(draft: Draft, span: Window) -> Iterator[tuple[Draft, list[Window]]]:
-    """A draft under limits on the local solar time, widest first, with the site's windows under each.
+    """The draft with limits on the local solar time, widest first, and the site's windows for each.
 
-    The limit on the incidence is raised if the site hardly ever keeps it. The widest limits are about
-    noon, the others about the site's best hour.
+    The limit on the incidence is raised if the site hardly ever keeps it. The widest limits are
+    centred on noon, the others on the site's best hour.
 
     Raises:
         InputError: if the site is dark.

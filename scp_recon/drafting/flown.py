@@ -1,4 +1,4 @@
-"""Draft a scenario about an existing trajectory: its window, its ends as boundary, legal burns."""
+"""Draft a scenario from an existing trajectory: window, boundary states, legal burns."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ def flown_draft(first: Draft, known: Tables, track: Track) -> Draft:
 
 
 def _legal_times(scenario: Scenario, window: Window) -> tuple[float, ...] | None:
-    """Times as late as legal before the window, as early after it, with margin; None if none are."""
+    """Latest legal times before the window and earliest after it, with margin; or None."""
     duration, rules = scenario.duration_s, scenario.schedule
     intervals = legal_burns(window, duration, BEFORE, AFTER, rules)
     if any(early > late for early, late in intervals[1:]):
@@ -121,7 +121,8 @@ def _burns(track: Track, times: Sequence[float]) -> list[Entry]:
 def start_table(track: Track) -> Array:
     """The trajectory as a table that a plan starts from: t, x, y, z, vx, vy, vz, SI, shape (n, 7).
 
-    At its ends the planner has states of its own: of two at one time only the inner one is kept.
+    The planner has its own states at the ends: of two states at one end, only the inner one is
+    kept.
     """
     inner = (track.times_s > 0.0) & (track.times_s < track.duration_s)
     first = int(np.flatnonzero(track.times_s == 0.0)[-1])
@@ -131,7 +132,7 @@ def start_table(track: Track) -> Array:
 
 
 def start_csv(track: Track, columns: Sequence[str]) -> str:
-    """The same as a file that `--init` takes, with these column names."""
+    """The trajectory as a CSV file for `--init`."""
     lines = [",".join(columns), *(",".join(map(repr, row)) for row in start_table(track).tolist())]
     about = f"# {track.source}; J2000, body-centred; t_s = 0 is {track.epoch.isoformat()} TDB"
     return "\n".join([about, *lines]) + "\n"

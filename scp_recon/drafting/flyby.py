@@ -1,9 +1,9 @@
 """Design a flyby from the terminator orbit past the site and back: its boundary states.
 
-A pass is an arc of two-body motion through a point above the site at the window's middle. Lambert arcs
-join it to circular orbits in the terminator plane. Of the passes and places on the orbit that keep the
-limits in the window, the cheapest is taken. The planner starts from it, and adds uncertainty, J2 and
-sunlight.
+A pass is an arc of two-body motion through a point above the site at the window's middle. Lambert
+arcs join the pass to circular orbits in the terminator plane. The search takes the cheapest pass
+and places on the orbit that keep the limits in the window. The planner starts from this flyby, and
+adds uncertainty, J2 and sunlight.
 """
 
 from __future__ import annotations
@@ -130,7 +130,7 @@ def _flown(starts: Array, from_s: float, times_s: Array, gm: float, core: float)
 
 
 def _margins(scene: Scene, times_s: Array, positions: Array) -> Array:
-    """Least share of the way from a limit to the middle of its range in the window, shape (n,)."""
+    """Least margin in the window, as a share of half of a limit's range, shape (n,)."""
     scenario, o = scene.scenario, scene.scenario.observation
     track = geometry.track(scene.site, scene.rotation, times_s)
     distance = geometry.distance(positions, track)
