@@ -1,1 +1,1 @@
-"""Problems by hand: impulsive transfers of any flow, planned and flown as missions are."""
+"""Plan and fly impulsive transfers of any flow, stated by arrays instead of a scenario."""

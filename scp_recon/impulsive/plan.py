@@ -1,4 +1,4 @@
-"""A problem's plan in the user's units, and flights of it with errors."""
+"""Hold a problem's plan in the user's units, and fly it with errors."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ QUANTILE = 0.99
 
 @dataclass(frozen=True, eq=False)
 class Flights:
-    """What flights with errors come to, in the problem's units.
+    """Results of flights with errors, in the problem's units.
 
     Attributes:
         samples: their number.
@@ -47,16 +47,16 @@ class Flights:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ImpulsivePlan:
-    """Burns and states that solve a problem by hand, or where its search ended.
+    """Burns and states that solve an `ImpulsiveProblem`, or the last ones of its search.
 
     Attributes:
-        dynamics: that is flown, nondimensional.
+        dynamics: flow with burns, nondimensional.
         unit: of the state's components, shape (6,).
         final: the stage that holds the answer, nondimensional.
         stages: all stages.
-        timing: seconds by what they were spent on.
-        target: probability that exact risk aimed at.
-        certificate: what fresh flights reached, where they were looked at.
+        timing: seconds by part of the work.
+        target: target probability of exact risk.
+        certificate: probability that independent flights reached; None without certification.
     """
 
     dynamics: Dynamics
@@ -74,17 +74,17 @@ class ImpulsivePlan:
 
     @property
     def ok(self) -> bool:
-        """Whether it is a plan."""
+        """Whether the last stage converged."""
         return self.status is Status.CONVERGED
 
     @property
     def iterations(self) -> int:
-        """Of all stages."""
+        """Number of iterations of all stages."""
         return sum(len(stage.result.records) for stage in self.stages)
 
     @property
     def cost(self) -> float:
-        """What was minimised: the burns' sizes, or what feedback counts, in units of speed."""
+        """Minimised cost in units of speed: the burns' sizes, or feedback's mean or quantile."""
         return self.final.result.lin.cost.value * float(self.unit[3])
 
     @cached_property

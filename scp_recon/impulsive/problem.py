@@ -3,8 +3,9 @@
     problem = ImpulsiveProblem(flow, burn_nodes, start, goal, dv_max=0.2)
     plan = problem.solve()
 
-Without errors the burns alone are planned (P3). With errors of the initial state or of burns every
-region is kept with a probability (P2), by the stages that plan missions. All is scaled here.
+Without errors only the burns are planned (P3). With errors of the initial state or of burns, every
+region is kept with a probability (P2). The stages are those of missions. This module scales the
+user's units.
 """
 
 from __future__ import annotations
@@ -66,7 +67,7 @@ class Risk(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Keep:
-    """A region that the position stays in, or out of, at some nodes.
+    """A region in or out of which the position stays at some nodes.
 
     Centres, apices, axes, normals and offsets are those of all nodes, or one for each.
 
@@ -111,16 +112,17 @@ class ImpulsiveProblem:
         initial_covariance: of the initial state, shape (6, 6); none by default.
         errors: of executing burns; none by default.
         regions: to be kept in or out of.
-        probability: with which each region is kept at each node, or all of them by whole flights.
+        probability: required probability that each region is kept at each node, or that whole
+            flights keep all regions.
         scope: "node" or "flight", whose risk is spent exactly; "uniform", at each node, evenly split
             over facets.
         final_sigma: limits on the root of the summed variances of position and of velocity at the end.
-        feedback: corrected burns, what they know, and what is minimised; none by default.
+        feedback: corrected burns, their measurements, and the cost to minimise; none by default.
         units: of length and of time within; by default the larger distance of the boundary positions
             from the origin, and the time in which `dv_max` goes so far.
 
     Raises:
-        InputError: if something does not fit together.
+        InputError: if entries contradict each other.
     """
 
     flow: Flow
@@ -138,7 +140,7 @@ class ImpulsiveProblem:
     units: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
-        """Refuse what does not fit together."""
+        """Refuse entries that contradict each other."""
         one_of("scope", self.scope, ("uniform", "node", "flight"))
         n, nodes = self.flow.arcs, np.asarray(self.burn_nodes)
         if nodes.ndim != 1 or not len(nodes) or nodes.dtype.kind != "i" or nodes[-1] != n:
@@ -213,7 +215,7 @@ class ImpulsiveProblem:
 
     @property
     def is_deterministic(self) -> bool:
-        """Whether nothing errs."""
+        """Whether there are no errors."""
         return self.initial_covariance is None and self.errors is None
 
     @property
@@ -225,12 +227,12 @@ class ImpulsiveProblem:
 
     @property
     def clearances(self) -> tuple[float, float]:
-        """Infinite: no facet stays out of a program."""
+        """Infinite, so that every facet is in the program."""
         return np.inf, np.inf
 
     @cached_property
     def polytopes(self) -> Polytopes:
-        """Of 24 facets about balls, of 8 about cones."""
+        """Polytopes with 24 facets about balls, and 8 about cones."""
         return Polytopes(ball(FACETS), CONE_FACETS)
 
     def require_plain(self, needs: str) -> None:
@@ -301,7 +303,7 @@ class ImpulsiveProblem:
     def guess(
         self, states: npt.ArrayLike | None = None, burns: npt.ArrayLike | None = None
     ) -> Iterate:
-        """A start from states (n + 1, 6), which may jump at nodes; by default the straight line.
+        """Make a guess from states (n + 1, 6), which may jump at nodes; by default the straight line.
 
         Burns have shape (m, 3), by default none.
         """
@@ -326,7 +328,7 @@ class ImpulsiveProblem:
         target: float | None = None,
         observe: Observer | None = None,
     ) -> ImpulsivePlan:
-        """Plan from a guess: see `guess`. Exact risk aims at the target, by default `probability`.
+        """Plan from a guess (see `guess`). `target` is for exact risk, by default `probability`.
 
         Raises:
             InputError: if guess or names do not fit, or the flow's derivatives are not its map's.
@@ -355,9 +357,10 @@ class ImpulsiveProblem:
         algorithm: str = ALGORITHM,
         solver: str = SOLVER,
     ) -> ImpulsivePlan:
-        """Plan so that flights of which planning knows nothing reach the probability: see `solve`.
+        """Plan so that independent flights reach the required probability; arguments as of `solve`.
 
-        Rounds of flights find what to aim at, and fresh ones judge, as `scp_recon.certification` does.
+        Rounds of flights adjust the target, and independent flights judge, as in
+        `scp_recon.certification`.
 
         Returns:
             As `scp_recon.certification.certify.certified`.
@@ -376,7 +379,7 @@ class ImpulsiveProblem:
         return certified(self.probability, anew, self._fly)
 
     def _fly(self, plan: ImpulsivePlan, step: Step) -> tuple[Kept, Array]:
-        """Flights that keep what has to hold: all regions, or each at its worst node."""
+        """Counts of flights that keep all regions, or each region at its worst node."""
         flights = plan.fly(step.samples, step.seed)
         found = [flights.whole] if self.scope == "flight" else flights.kept.values()
         kept = round(step.samples * min(estimate.value for estimate in found))
@@ -384,7 +387,7 @@ class ImpulsiveProblem:
 
 
 def scaled(name: str, region: Region, nodes: Indices, length: float) -> Region:
-    """A region of the user's as one per node, in units of a length.
+    """A user's region as one region per node, in units of a length.
 
     Raises:
         InputError: if it is empty, or its arrays have other shapes.

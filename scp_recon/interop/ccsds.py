@@ -1,7 +1,7 @@
 """Write CCSDS 502.0-B-2 messages in key-value notation: OEM (path, covariances) and OPM (burns).
 
-An OEM has a segment for each coast, so that no interpolation crosses a burn; segments meet at the
-burn's epoch. The OPM beside it holds the burns as manoeuvres, which an OEM cannot. Units are the
+An OEM has a segment for each coast, so that no interpolation crosses a burn. Segments meet at the
+burn's epoch. An OEM cannot hold burns, so an OPM holds them as manoeuvres. Units are the
 standard's: km, km/s, kg, s.
 """
 
@@ -35,7 +35,7 @@ def oem_text(export: Export) -> str:
 
 
 def opm_text(export: Export) -> str:
-    """The state before the first burn, its orbit and covariance, spacecraft, every burn but of zero."""
+    """Text of an OPM: state before the first burn, orbit, covariance, spacecraft, burns."""
     craft, before = export.mission.scenario.spacecraft, export.path.coasts[0]
     epoch = iso_tdb(export.instant(0.0))
     lines = [
@@ -71,7 +71,7 @@ def opm_text(export: Export) -> str:
 
 
 def _keplerian(state: Array, gm: float) -> list[str]:
-    """The osculating orbit and GM, from which a reader learns GM; none of a parabola or a fall."""
+    """Lines of the osculating orbit and GM; no lines for a parabola or a radial fall."""
     orbit = Orbit.of(state[:3], state[3:], gm)
     if np.isinf(orbit.axis) or not orbit.normal.any():
         return []

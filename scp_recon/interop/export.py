@@ -1,4 +1,4 @@
-"""A plan to be exported, and the heading of every file: scenario, verdict, frame, units, time."""
+"""Prepare a plan for export, with the heading of every file: scenario, verdict, frame, units, time."""
 
 from __future__ import annotations
 
@@ -38,9 +38,9 @@ class Export:
     """A plan to be exported: its solution and the path that its burns lead along.
 
     Attributes:
-        solution: as its file has it.
+        solution: the plan's solution.
         mission: of its scenario.
-        path: that its burns fly.
+        path: flown with its burns.
         ids: of spacecraft and body.
     """
 
@@ -107,7 +107,7 @@ def heading(export: Export) -> list[str]:
 
 
 def _policy_lines(solution: Solution) -> list[str]:
-    """What feedback adds to the burns, which alone are in the files, and to the covariances."""
+    """Lines on corrections: the files have burns without them, and covariances with them."""
     if solution.policy is None:
         return []
     return [

@@ -1,8 +1,8 @@
 """Write a plan's export in any format: tables, CCSDS messages or SPICE kernels.
 
-A table, CSV or Parquet, has one row per state with its covariance, in SI, J2000, body-centred; at a
-burn's time there are two: the last of one coast and the first of the next. `--init` and `scp-recon new
---from-csv` take the CSV.
+A table, CSV or Parquet, has one row per state with its covariance, in SI, J2000, body-centred. A
+burn's time has two rows: the last of one coast and the first of the next. `--init` and `scp-recon
+new --from-csv` take the CSV.
 """
 
 from __future__ import annotations

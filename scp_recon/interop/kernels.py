@@ -1,12 +1,12 @@
 """Write SPICE kernels of a plan: SPK of path and body, CK of the attitude, and text kernels.
 
-SPK type 13, cubic Hermite, has one segment per coast: at a burn's epoch SPICE returns the state after
-it. CK type 3 has one segment per mode: within a mode SPICE turns evenly between attitudes; the slew
-between modes, which the controller chooses, is left out. A mode begins a microsecond early, so that its
-first instant belongs to it. Needs the extra [spice].
+SPK type 13, cubic Hermite, has one segment per coast: at a burn's epoch SPICE returns the state
+after it. CK type 3 has one segment per mode. Within a mode SPICE turns evenly between attitudes.
+The slew between modes is left out, because the controller chooses it. A mode begins a microsecond
+early, so that its first instant belongs to it. Needs the extra [spice].
 
-Loading the meta-kernel (NAME.tm) alone gives SPICE the plan's bodies, times and frames. The body's
-rotation, size and orbit are those that the planner used. A mission's own kernels may be better: load
+The meta-kernel (NAME.tm) alone gives SPICE the plan's bodies, times and frames. The body's
+rotation, size and orbit are those of the planner. If a mission has better kernels of its own, load
 them after the plan's.
 """
 

@@ -4,9 +4,9 @@ Velocity jumps at a burn, so the path is a sequence of coasts: one before the fi
 burn to the next, one after the last. Neighbouring coasts share a time and a position. The first and the
 last coast, ten minutes each, are not planned; they give the states on both sides of the outer burns.
 
-The flight is the verification's: the planner's acceleration by DOP853 at a relative tolerance of 1e-12,
-the STM by its variational equations. Straight lines between sampled states are within a centimetre of
-it; cubics are closer by orders of magnitude.
+The integration is that of the verification: the planner's acceleration by DOP853 at a relative
+tolerance of 1e-12, and the STM by its variational equations. Straight lines between sampled states
+are within a centimetre of the flight. Cubics are closer by orders of magnitude.
 """
 
 from __future__ import annotations
@@ -109,7 +109,7 @@ def fly_path(mission: Mission, solution: Solution) -> FlownPath:
 
 
 def _carried(spread: Spread, flown: OdeSolution, begin: float, end: float) -> Spread:
-    """The spread at the end of a coast, with the measurements on the way, those at its end included."""
+    """Carry the spread to the end of a coast, with all measurements up to and at its end."""
     stm, cut_offs = np.eye(6), [one.cut_off_s for one in spread.policy]
     for time in [*(cut_off for cut_off in cut_offs if begin < cut_off < end), end]:
         there = flown(time)[6:].reshape(6, 6)

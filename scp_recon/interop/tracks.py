@@ -1,7 +1,7 @@
 """Read trajectories and bodies from SPICE kernels, CCSDS OEMs and tables.
 
 States must be in J2000 axes about the requested body: another frame or centre is refused. Other
-oddities of a trajectory become warnings, which stay with the plan.
+doubts about a trajectory become warnings, which are kept with the plan.
 """
 
 from __future__ import annotations
@@ -76,8 +76,8 @@ def spice_body(
 ) -> tuple[int, float, Tables]:
     """Number, reference radius in m, and the tables `[body]` and `[sun]` of a body, from kernels.
 
-    GM is taken from a packaged body of that name if the kernels lack it, and J2, which no kernel has,
-    always; without such a body J2 is zero.
+    If the kernels lack GM, it is that of the packaged body of that name. No kernel has J2, so J2 is
+    always that of the packaged body, or zero without one.
 
     Raises:
         InputError: if the kernels cannot be read or lack rotation, GM, size or heliocentric state.
@@ -129,8 +129,8 @@ def spice_body(
 def oem_track(path: Path, body: str) -> Track:
     """Read all segments of an OEM, in order; there are two states at a burn.
 
-    Spaces, case and signs of the centre's name do not count. States about the barycentre of a body's
-    system are taken for ones about the body, and the track doubts it.
+    Spaces, case and signs of the centre's name do not count. States about the barycentre of a
+    body's system count as states about the body, with a warning.
 
     Raises:
         InputError: if the extra [oem] is missing, or the file is no OEM, of another frame, centre or
@@ -280,7 +280,7 @@ def _one_of(entry: str, key: str, given: str, known: Sequence[str], hint: str = 
 
 
 def pull_doubts(mission: Mission, track: Track) -> Iterator[ScenarioWarning]:
-    """Warn of a trajectory whose acceleration is not the body's: of another body, or in rotating axes.
+    """Warn of a trajectory with another acceleration: about another body, or in rotating axes.
 
     States are propagated to later ones by the planner's forces; half of them must arrive with about the
     trajectory's change of velocity. Fixed but wrong axes cannot be detected.

@@ -1,4 +1,4 @@
-"""Run work in many pieces, in processes or on a cluster, and keep what is finished.
+"""Run many jobs, in processes or on a cluster, and keep the results of finished ones.
 
 A *job* is a key and its inputs; the *work* is a function of the inputs that pickles: one of a module, a
 `partial` of one, or an instance of a dataclass. What it returns depends on the inputs alone.
@@ -12,7 +12,8 @@ A *job* is a key and its inputs; the *work* is a function of the inputs that pic
         run(work, jobs, store, Processes(2, Limits(seconds=600.0)))   # those that have no row yet
         rows = [store[job.key] for job in jobs]
 
-Executors are called with the work and the jobs and yield a `Done` for each as it ends: `here` (this
-process), `Processes` (local ones with limits of time and memory), `Cluster` (Dask). `in_order` yields
-them in the jobs' order without a store. A job that raises, hangs or dies is a `Done` with a `Failure`.
+An executor is called with the work and the jobs, and yields a `Done` for each job as it ends:
+`here` (this process), `Processes` (local processes with limits of time and memory), `Cluster`
+(Dask). `in_order` yields results in the order of the jobs without a store. A job that raises, hangs
+or dies is a `Done` with a `Failure`.
 """

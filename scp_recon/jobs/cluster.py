@@ -1,4 +1,4 @@
-"""Run jobs on a Dask cluster, each in a process of its own beside the worker: same limits, same bits.
+"""Run jobs on a Dask cluster, each in a process of its own, with the limits of local processes.
 
 The scheduler may be restarted and workers may die: unfinished jobs are sent again, and a result that
 comes twice counts once.

@@ -1,8 +1,8 @@
-"""Divide work of some tenths of a second among this machine's cores, by copies of this process.
+"""Divide short work among this machine's cores, by forking this process.
 
-A copy has imported what this process has, and begins at once; those of `processes` take a second. What
-is computed does not depend on the number of cores. Where a process cannot be copied, or other threads
-are at work in it, one core does the work.
+A copy of this process has all its imports and begins at once. Processes of `processes` take a
+second to start. Results do not depend on the number of cores. One core does the work if the process
+cannot be copied, or has other threads.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ def each(
     items: Sequence[Item],
     told: Callable[[int], None] | None = None,
 ) -> list[Result]:
-    """A function's results, in the order of the items; they have to pickle.
+    """A function's results in the order of the items; the results must pickle.
 
-    `told` is called now and then with the number of items that should be done.
+    `told` is called at times with the estimated number of finished items.
     """
     here, count = os.getpid(), _number_of_shares(items)
 
@@ -50,7 +50,7 @@ def each(
 
 
 def in_shares(function: Callable[[Sequence[Item]], Result], items: Sequence[Item]) -> list[Result]:
-    """A function's results of shares of the items, each of every so manieth; the first is done here."""
+    """A function's results for interleaved shares of the items; this process does the first share."""
     count = _number_of_shares(items)
     with ExitStack() as stack:
         others = [
@@ -65,9 +65,9 @@ def _number_of_shares(items: Sequence[Item]) -> int:
 
 @contextmanager
 def beside(work: Callable[[], Result]) -> Iterator[Callable[[], Result]]:
-    """Do work on another core; what it yields waits for the result, which has to pickle.
+    """Do work on another core; yield a function that waits for the result, which must pickle.
 
-    Without another core, or where the copy comes to nothing, the work is done then.
+    Without another core, or if the copy fails, that function does the work.
     """
     child = _copied(work) if cores() > 1 else None
     if child is None:
@@ -102,7 +102,7 @@ def cores() -> int:
 
 
 def _copied(work: Callable[[], object]) -> tuple[int, IO[bytes]] | None:
-    """A copy of this process that does work and writes the result, and the pipe to read it from."""
+    """Fork a copy of this process that does work; return it with the pipe to read its result from."""
     read, write = os.pipe()
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
@@ -124,7 +124,7 @@ def _copied(work: Callable[[], object]) -> tuple[int, IO[bytes]] | None:
 
 
 def _do(work: Callable[[], object], write: int) -> None:
-    """The life of a copy. Ctrl-C is the first process's to handle, which ends this one."""
+    """Main function of a copy; the first process handles Ctrl-C and ends the copy."""
     try:
         signal.signal(signal.SIGINT, signal.SIG_IGN)
         with os.fdopen(write, "wb") as pipe:

@@ -1,8 +1,8 @@
-"""Keep rows of finished work in one file: none is lost or doubled, wherever the work stops.
+"""Keep rows of finished work in one file, so that stopped work continues without loss.
 
-Each row is a line of JSON with its checksum, below a first line that says what all rows depend on. If
-that differs, the file is replaced with the first row. A row is on the disk when `put` returns, except
-for a power cut; a torn last line is cut off and its job done again.
+Each row is a line of JSON with its checksum. The first line holds everything that all rows depend
+on. If it differs, the next row replaces the file. A row is on the disk when `put` returns, except
+after a power cut. An incomplete last line is removed, and its job is done again.
 """
 
 from __future__ import annotations
@@ -300,7 +300,7 @@ def _files(root: Path, name: str) -> list[Path]:
 
 @cache
 def _read(root: Path, path: Path, wings: frozenset[str]) -> tuple[bytes, list[Path]]:
-    """What of a file counts, and files of the modules that it imports and of packages around them."""
+    """The source of a file without prose, and the files of imported modules and their packages."""
     content = path.read_bytes()
     if path.suffix != ".py":
         return content, []
