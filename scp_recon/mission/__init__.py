@@ -1,1 +1,1 @@
-"""A scenario resolved: window, schedule, grid, and the nondimensional problem."""
+"""Resolve a scenario into window, schedule, grid and the nondimensional problem."""

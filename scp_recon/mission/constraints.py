@@ -1,6 +1,6 @@
-"""The observation constraints of the paper, as data: Echigo et al., eqs. (12) to (16).
+"""State the observation constraints of the paper as data: Echigo et al., eqs. (12) to (16).
 
-The planner turns them into regions, the Monte Carlo into margins. Verification states them anew.
+The planner makes regions of them, the Monte Carlo margins. Verification states them independently.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ def companion_distance_m(scenario: Scenario) -> float:
 
 
 def safety_margins(scene: Scene, times_s: Array, position: Array) -> dict[str, Array]:
-    """Margins of what counts throughout the flight, m, of positions (n, ..., 3) at times (n,)."""
+    """Margins of the safety distances, m, for positions (n, ..., 3) at times (n,)."""
     scenario = scene.scenario
     found = {SAFETY: np.linalg.norm(position, axis=-1) - scenario.safety.radius_min_m}
     if scene.companion is not None:

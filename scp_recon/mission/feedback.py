@@ -22,14 +22,14 @@ RATIO = 3e6
 
 
 def felt_cut_offs_s(scene: Scene, window_s: tuple[float, float]) -> dict[int, float]:
-    """`cut_offs_s` of the burns that the window feels, or limits at the end.
+    """`cut_offs_s` of the burns that affect the window, or limits at the end.
 
-    None where `in_vain`.
+    There are none if the measurements are `in_vain`.
 
-    A burn after the window serves only to make up for what an earlier correction spends, by the sum's
-    99 % quantile. That saves one to four per cent, and takes three times as long: a limit at the end,
-    however loose, asks for it. With none before the window's end, all of a whole flight's; in flight
-    none.
+    A correction after the window could only compensate for earlier corrections in the 99 % quantile
+    of the sum. That saves one to four per cent of the cost and takes three times as long, so it is
+    done only with a limit at the end, however loose. If no cut-off is before the window's end, all
+    cut-offs of a whole flight count; in flight none.
     """
     scenario = scene.scenario
     found, boundary = cut_offs_s(scenario), scenario.boundary
@@ -46,10 +46,10 @@ def felt_cut_offs_s(scene: Scene, window_s: tuple[float, float]) -> dict[int, fl
 def cut_offs_s(scenario: Scenario) -> dict[int, float]:
     """Cut-off of each corrected burn, s, by its number from 0 among the burns to be planned.
 
-    Corrected are the burns whose cut-off is at the epoch or later, in flight later than the state
-    delivered, which is what is known until then; but for the first of the whole flight, and for the
-    last where `boundary.final_sigma_velocity_m_s` does not limit what it leaves: nothing else feels its
-    correction. None with the policy "open".
+    A burn is corrected if its cut-off is at the epoch or later, or in flight later than the
+    delivered state, which contains all earlier knowledge. The first burn of the whole flight is
+    never corrected. The last one is corrected only if `boundary.final_sigma_velocity_m_s` limits
+    its result: its correction affects nothing else. There are no cut-offs with the policy "open".
     """
     start, lead = scenario.start_s, scenario.navigation.lead_s
     earliest = start + (-SAME_S if scenario.in_flight is None else SAME_S)
@@ -61,9 +61,9 @@ def cut_offs_s(scenario: Scenario) -> dict[int, float]:
 
 
 def in_vain(scene: Scene) -> float:
-    """Measurements' errors over what a flight strays until the last cut-off, where least.
+    """Least ratio of the measurements' errors to the largest deviation until the last cut-off.
 
-    Infinite where it does not stray.
+    The ratio is infinite for a flight without deviations.
     """
     (measured,) = scene.measurement_factors(scene.initial_state[None])
     known = float(np.linalg.norm(np.linalg.solve(measured, np.diag(_strays(scene))), 2))
@@ -71,7 +71,7 @@ def in_vain(scene: Scene) -> float:
 
 
 def _strays(scene: Scene) -> Array:
-    """The most that a flight strays until the last cut-off, m and m/s, shape (6,).
+    """Largest deviation of a flight until the last cut-off, m and m/s, shape (6,).
 
     On straight lines, from the initial errors and those of the largest burns before.
     """
@@ -89,11 +89,11 @@ def _strays(scene: Scene) -> Array:
 def resolved(scene: Scene, factors: Array) -> Array:
     """Factors N of measurements, m and m/s, shape (k, 6, 6), whose errors in turned axes are bounded.
 
-    By `USELESS` times what a flight strays: turned to J2000, variances of useful axes would be lost in
-    the rounding of those of useless ones.
+    The bound is `USELESS` times the largest deviation of a flight. Without it, rotation to J2000
+    would lose the variances of useful axes in the rounding of useless ones.
 
     Raises:
-        InputError: if even so they are lost.
+        InputError: if they are lost in spite of the bound.
     """
     if scene.scenario.navigation.frame != "rtn" or not cut_offs_s(scene.scenario):
         return factors
@@ -115,7 +115,7 @@ def resolved(scene: Scene, factors: Array) -> Array:
 
 
 def _correctable(scenario: Scenario) -> dict[int, float]:
-    """Times of the burns that a correction may serve, s, by number, whatever the lead."""
+    """Times of the burns that could be corrected with any lead, s, by number."""
     if scenario.policy.kind == "open":
         return {}
     times = dict(enumerate(scenario.burn_times_s))
@@ -127,7 +127,7 @@ def _correctable(scenario: Scenario) -> dict[int, float]:
 
 
 def check_feedback(scenario: Scenario) -> None:
-    """Refuse feedback that measures nothing, or can correct no burn of a whole flight.
+    """Refuse feedback without measurements, or without a burn to correct in a whole flight.
 
     In flight there may be no burn left to correct.
 
@@ -156,7 +156,7 @@ def check_feedback(scenario: Scenario) -> None:
 
 
 def require_measurement(scenario: Scenario, entry: str, policy: str) -> None:
-    """Refuse a policy that needs measurements where nothing is measured.
+    """Refuse a policy that needs measurements if the scenario has none.
 
     Raises:
         InputError: naming the entry, or option, that chose the policy.
@@ -171,7 +171,7 @@ def require_measurement(scenario: Scenario, entry: str, policy: str) -> None:
 
 
 def require_open_loop(scenario: Scenario, needs: str) -> None:
-    """Refuse feedback where gains do not go.
+    """Refuse feedback for a purpose that does not support gains.
 
     Raises:
         InputError: if the policy is feedback.
@@ -183,7 +183,7 @@ def require_open_loop(scenario: Scenario, needs: str) -> None:
 def uncorrected_burns(scene: Scene) -> Iterator[ScenarioWarning]:
     """Warn of burns that feedback would correct if their cut-off did not precede departure.
 
-    In flight there are none: what precedes the state that was delivered is known.
+    In flight there are none: the delivered state contains all earlier knowledge.
     """
     scenario = scene.scenario
     if scenario.in_flight is not None:
@@ -200,7 +200,7 @@ def uncorrected_burns(scene: Scene) -> Iterator[ScenarioWarning]:
 
 
 def useless_measurement(scene: Scene) -> Iterator[ScenarioWarning]:
-    """Warn of measurements that tell nothing, so that no burn is corrected."""
+    """Warn of measurements so inaccurate that no burn is corrected."""
     if not cut_offs_s(scene.scenario):
         return
     errors = in_vain(scene)

@@ -1,4 +1,4 @@
-"""Burn times that the attitude schedule allows about a window (Echigo et al., section V.A)."""
+"""Find the burn times that the attitude schedule allows about a window (Echigo et al., section V.A)."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""Resolve a scenario into what the planner works with: window, schedule, grid and problem.
+"""Resolve a scenario into the planner's input: window, schedule, grid and problem.
 
-The border of `formulations`: SI and J2000 on this side, nondimensional on the other.
+This module is the border of `formulations`: SI and J2000 here, nondimensional there.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ class Mission:
         scenario: that was resolved.
         rotation: of the body.
         site: on it, body-fixed.
-        schedule: window, attitude modes, and where burns may be.
+        schedule: window, attitude modes, and legal burn times.
         units: of the nondimensional problem.
     """
 
@@ -100,7 +100,7 @@ class Mission:
 
     @classmethod
     def from_scenario(cls, scenario: Scenario, known: Mission | None = None) -> Mission:
-        """Resolve a scenario; window and warnings are those of `known` if only `in_flight` differs.
+        """Resolve a scenario; `known` gives window and warnings if only `in_flight` differs.
 
         Raises:
             InputError: if there is no window, a firing time breaks a rule of the schedule, or
@@ -146,7 +146,7 @@ class Mission:
         )
 
     def changed(self, entries: Mapping[str, object], *words: ScenarioWarning) -> Mission:
-        """The mission with other values of some entries; warnings stay, and further words come.
+        """The mission with other values of some entries; its warnings stay, with further ones.
 
         Raises:
             InputError: as `from_scenario`.
@@ -190,11 +190,11 @@ class Mission:
 
     @cached_property
     def forces(self) -> ForceModel:
-        """Forces with which it is planned, SI, J2000."""
+        """Forces of the planner, SI, J2000."""
         return self._forces(planned_field(self.scenario))
 
     def true_forces(self, truth: TruthModel) -> ForceModel:
-        """Forces with which flights are flown: those of the plan, or with another gravity.
+        """Forces of flights: the planner's, or with another gravity.
 
         Raises:
             InputError: if the body has no field, or its shape is not known.
@@ -210,7 +210,7 @@ class Mission:
         return replace(self._forces(None), gm=0.0, j2_strength=0.0, field=turning)
 
     def true_gravity(self, truth: TruthModel) -> str:
-        """The gravity with which flights are flown, in words."""
+        """The gravity of flights, in words."""
         if truth == "planner":
             return self.planned_gravity
         if truth == "harmonics":
@@ -228,7 +228,7 @@ class Mission:
 
     @property
     def planned_gravity(self) -> str:
-        """The gravity with which it is planned, in words."""
+        """The gravity of the planner, in words."""
         body = self.scenario.body
         own = "point mass and J2"
         if body.planned_degree is not None:
@@ -237,7 +237,7 @@ class Mission:
         return self._in_full(own)
 
     def _in_full(self, own: str) -> str:
-        """Words of the body's own gravity, with how it moves and what pulls beside it."""
+        """Words on the body's own gravity, its rotation and its companion."""
         body = self.scenario.body
         if body.attitude is not None:
             own += " that tumble with the body"
@@ -285,7 +285,7 @@ class Mission:
 
     @cached_property
     def feedback(self) -> Feedback | None:
-        """What corrected burns know, nondimensional; None where there are none."""
+        """Measurements of the corrected burns, nondimensional; None if no burn is corrected."""
         cut_offs = felt_cut_offs_s(self.scene, self.schedule.window_s)
         if not cut_offs:
             return None
@@ -301,17 +301,18 @@ class Mission:
     def measurement(self, mean: Array) -> Array:
         """Factors N of the covariances N N' of states measured at means (k, 6); shape (k, 6, 6).
 
-        All nondimensional. The means turn a covariance in the frame "rtn", and count for no other.
+        Everything is nondimensional. The means matter only for a covariance in the frame "rtn".
         """
         found = self.scene.measurement_factors(mean * self.units.state)
         return resolved(self.scene, found) / self.units.state[:, None]
 
     @cached_property
     def _transfer(self) -> Array:
-        """States (n, 6) near which a plan goes before there is one, nondimensional.
+        """Nondimensional states (n, 6) that approximate a plan before there is one.
 
-        The flight from the initial position with the velocity of Lambert's arc of less than half a
-        revolution to the final one; with its own velocity where there is no such arc.
+        They follow a flight from the initial position, with the velocity of Lambert's arc of less
+        than half a revolution to the final position. Without such an arc the initial velocity is
+        used.
         """
         state, time = self.initial_state.copy(), float(self.times_s[-1] - self.times_s[0])
         arc = lambert(state[:3], self.final_state[:3], time, self.scenario.body.gm_m3_s2)

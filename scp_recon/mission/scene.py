@@ -38,7 +38,7 @@ class Scene:
     """Geometry of a scenario that does not depend on its window; time zero is the epoch.
 
     Attributes:
-        scenario: that it is of.
+        scenario: with the data.
         rotation: of the body.
         site: on it, body-fixed.
     """
@@ -155,7 +155,7 @@ class Scene:
     ) -> Array:
         """Rotate a factor from the axes of a frame at the epoch to J2000.
 
-        A sigma as large as the state itself is refused: a slip of units, most likely.
+        A sigma as large as the state itself is refused: most likely its units are wrong.
         """
         sigma, sizes = np.linalg.norm(root, axis=1), self.sizes(state)
         for entry, unit_name, given, (most, what) in zip(
@@ -299,7 +299,7 @@ PLANNED = "body.planned_degree"
 
 
 def is_planned_as_solid(body: Body) -> bool:
-    """Whether harmonics that are planned with are those of the homogeneous solid: no field is known."""
+    """Whether the planner's harmonics are those of the homogeneous solid, for lack of a field."""
     known = body.gravity is not None or packaged_body(body.name) is packaged_body(FIELD_BODY)
     return not known and (body.solid is not None or body.radii_m is not None)
 

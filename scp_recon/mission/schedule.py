@@ -168,7 +168,7 @@ final state as its limits let it, whatever that costs, as the program weighs a m
 
 
 def check_in_flight(scenario: Scenario) -> None:
-    """Refuse a state that leaves nothing to plan, or no time for it.
+    """Refuse a state in flight after which no burn, or no time, is left to plan.
 
     Raises:
         InputError: if no burn is left, the next one is nearer than the lead time, or the
@@ -205,7 +205,7 @@ def check_in_flight(scenario: Scenario) -> None:
 
 
 def what_is_left(schedule: Schedule, scenario: Scenario) -> Schedule:
-    """The schedule from the state in flight on; the window is kept whole."""
+    """The schedule after the state in flight; the window is kept whole."""
     if scenario.in_flight is None:
         return schedule
     at, flown = scenario.start_s, scenario.burns_flown

@@ -51,7 +51,7 @@ class Survey(Tabulated):
     """Windows in a span, in seconds past the scenario's epoch, by two-body motion.
 
     Attributes:
-        scenario: whose windows they are.
+        scenario: the scenario searched.
         lighting: of the site.
         span_s: first and last time searched.
     """

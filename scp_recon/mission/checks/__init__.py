@@ -1,1 +1,1 @@
-"""Checks of a mission: units, axes, and entries that contradict each other."""
+"""Check a mission's units, axes, and entries that contradict each other."""

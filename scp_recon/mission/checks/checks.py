@@ -5,12 +5,12 @@ a small body can have, such as kilometres in place of metres, are refused before
 values become warnings, which stand in `solution.json` and above every verdict and change no exit
 status. A quantity held to an interval is a row of `intervals`; every other check is a function.
 
-Nothing here can check a probability; the axes of the boundary states, unless wrong ones lead into the
-shadow (`solve` shows distance, latitude, climb, plane, and angle off the Sun); the prime meridian,
-pole, spin or Sun of a body that is not packaged (`solve` says what is taken as given: way of turning,
-distance and season of the Sun); UTC taken for TDB, unless `epoch.utc` stands beside it (every table of
-burns has both scales); or a small body wholly in kilometres. Name a complete file as `base`, and
-nothing of another date or body is taken over.
+These checks cannot detect: a wrong probability; wrong axes of the boundary states, unless they lead
+into the shadow (`solve` shows distance, latitude, climb, plane, and angle off the Sun); a wrong
+prime meridian, pole, spin or Sun of a body that is not packaged (`solve` shows the given sense of
+rotation, distance and season of the Sun); UTC in place of TDB, unless `epoch.utc` is given too
+(every table of burns has both scales); or a small body wholly in kilometres. If `base` names a
+complete file, no entry of another date or body is inherited.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ def check_scene(scene: Scene) -> tuple[ScenarioWarning, ...]:
 
 
 def check_state(scene: Scene) -> tuple[ScenarioWarning, ...]:
-    """Run every check of `STATE_CHECKS` on the state where planning begins, and what is left."""
+    """Run every check of `STATE_CHECKS` on the state where planning begins, and on the burns left."""
     return tuple(found for check in STATE_CHECKS for found in check(scene))
 
 

@@ -1,4 +1,4 @@
-"""A quantity of a scenario and the intervals outside which it is refused or warned of."""
+"""Check a quantity of a scenario against the intervals that refuse it or warn of it."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ INF = math.inf
 
 @dataclass(frozen=True)
 class Interval:
-    """A quantity of a scenario, and the intervals outside which it is refused or warned of."""
+    """A quantity of a scenario, and the intervals that refuse it or warn of it."""
 
     entries: str
     """Dotted paths, separated by spaces; each has the quantity."""

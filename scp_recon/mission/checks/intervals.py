@@ -1,7 +1,7 @@
-"""Checks of one quantity against intervals, as rows of data.
+"""List the quantities that are checked against intervals, as rows of data.
 
-Outside the wider interval a row refuses the value, as of kilometres in place of metres; outside the
-narrower one it warns. docs/reference/warnings.md shows these rows.
+A row refuses a value outside its wider interval, such as kilometres in place of metres. It warns of
+a value outside its narrower interval. docs/reference/warnings.md shows these rows.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ def _mean_m(radii_m: Sequence[float]) -> float:
 
 
 def _mean_radius_m(scene: Scene, _: str = "") -> float | None:
-    """Of the ellipsoid of a body that is not packaged."""
+    """Mean radius of the ellipsoid of a body that is not packaged, m."""
     body = scene.scenario.body
     if body.radii_m is None or packaged_body(body.name) is not None:
         return None
@@ -154,7 +154,7 @@ def _risk_of_flights(scene: Scene, _: str) -> float | None:
 
 
 def _sigma(scene: Scene, entry: str, part: int) -> float | None:
-    """The largest 1-sigma error, m or m/s, where planning begins or measured, if this entry says it."""
+    """The largest 1-sigma error that an entry gives, of the initial or the measured state, m or m/s."""
     if entry.startswith("navigation."):
         measured = value_at(scene, entry)
         matrix = np.ndim(measured) == 2
@@ -178,7 +178,7 @@ def _entries(table: str, model: type[Section], ending: str) -> str:
 
 
 def _kepler(scene: Scene, _: str) -> float | None:
-    """Of a companion, n^2 a^3 over the sum of both GM: Kepler's third law."""
+    """A companion's n^2 a^3 over the sum of both GM, 1 by Kepler's third law."""
     other = scene.companion
     if other is None:
         return None
@@ -187,7 +187,7 @@ def _kepler(scene: Scene, _: str) -> float | None:
 
 
 def _clear_m(scene: Scene, _: str) -> float | None:
-    """How far apart two balls that hold body and companion are where the companion is nearest."""
+    """Least distance between two balls that contain body and companion, m."""
     other, body = scene.scenario.body.companion, scene.scenario.body
     if other is None:
         return None

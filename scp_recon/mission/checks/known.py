@@ -1,7 +1,8 @@
-"""Checks of body, Sun and site against the packaged catalogue, and of entries that are stale.
+"""Check body, Sun and site against the packaged catalogue, and find stale entries.
 
-A stale entry follows from others that were changed, and still has the value of a packaged scenario or
-base. Entries are compared by value, whether inherited, copied by hand, or left alone by an override.
+A stale entry follows from others that were changed, but still has the value of a packaged scenario
+or base. Entries are compared by value, whether they were inherited, copied by hand, or kept by an
+override.
 """
 
 from __future__ import annotations
@@ -72,8 +73,8 @@ def named_site(scene: Scene) -> Iterator[ScenarioWarning]:
 def known_body(scene: Scene) -> Iterator[ScenarioWarning]:
     """Warn of a packaged body's name with another body's figures.
 
-    Compared are GM (to 5 %), J2, radius and radii (20 %), spin (1 %), pole and prime meridian (2 deg).
-    A prime meridian on which two sources differ by more than 2 deg, as of Eros, is warned of as well.
+    Compared are GM (to 5 %), J2, radius and radii (20 %), spin (1 %), pole and prime meridian (2
+    deg). It also warns if two sources differ by more than 2 deg on the prime meridian, as for Eros.
     """
     body = scene.scenario.body
     packaged = packaged_body(body.name)
@@ -105,7 +106,7 @@ def known_body(scene: Scene) -> Iterator[ScenarioWarning]:
 
 
 def assumed(scene: Scene) -> Iterator[ScenarioWarning]:
-    """Warn of what is assumed of a packaged body, where no measurement is known."""
+    """Warn of a packaged body's entries that are assumed without a measurement."""
     body = scene.scenario.body
     packaged = packaged_body(body.name)
     if packaged is None:
