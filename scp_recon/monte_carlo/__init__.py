@@ -1,1 +1,1 @@
-"""Monte Carlo flights with errors: sampled, tallied and summarised."""
+"""Fly a plan many times with errors, and summarise the flights."""

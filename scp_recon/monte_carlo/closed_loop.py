@@ -1,4 +1,4 @@
-"""Correct the burns of flights as they are flown: measure, estimate, and command what a policy says."""
+"""Correct the burns of flights under way: measure, estimate, and command by a policy's gains."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ MEASURED = 6
 
 
 def due(policy: Sequence[CutOff], after_s: float, until_s: float) -> Iterator[float]:
-    """The cut-offs of a policy later than a time, and not later than another."""
+    """The cut-offs of a policy after one time and up to another."""
     for one in policy:
         if after_s < one.cut_off_s <= until_s:
             yield one.cut_off_s
@@ -34,7 +34,7 @@ class ClosedLoop:
         draws: standard normal numbers of the measurements, shape (flights, 6 k).
 
     Attributes:
-        failed: nothing that can fail.
+        failed: empty: corrections cannot fail.
     """
 
     failed: Sequence[Booleans] = ()
@@ -45,7 +45,7 @@ class ClosedLoop:
         self._estimates: list[Array] = []  # after each cut-off so far, shape (6, flights)
 
     def measure(self, state: Array) -> None:
-        """Take in the measurement at the next cut-off, of true states (6, flights) before a burn."""
+        """Update the estimates at the next cut-off from true states (6, flights) before a burn."""
         j = len(self._estimates)
         one = self._policy[j]
         noise = np.linalg.cholesky(one.measurement_covariance) @ self._draws[:, j].T

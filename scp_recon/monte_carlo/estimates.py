@@ -1,4 +1,4 @@
-"""Estimates with confidence intervals, from tallies of bounded size, and the flights they need."""
+"""Estimate probabilities, means and quantiles with intervals, and the number of flights needed."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def binomial_quantile(level: float, samples: int, probability: float) -> int:
 
 
 def of_strata(counted: Counted, confidence: float) -> Estimate:
-    """Probability that flights in strata keep what is asked, with its exact interval."""
+    """Probability that flights in strata keep the limits, with its exact interval."""
     least, most = counted.limits(0.5 * (1.0 - confidence))
     return Estimate(1.0 - counted.failed, 1.0 - most, 1.0 - least)
 
@@ -170,12 +170,12 @@ def look_flights(required: float) -> int:
 
 
 def look_seed(number: int) -> int:
-    """Seed of the flights of a look, counted from one; no round has it."""
+    """Seed of the flights of a look, counted from one; no round uses it."""
     return FIRST_LOOK_SEED + number - 1
 
 
 def look_interval(successes: int, samples: int) -> Estimate:
-    """Probability with the interval whose lower end judges a plan."""
+    """Probability with its interval; the lower end judges a plan."""
     return proportion(successes, samples, LOOK_CONFIDENCE)
 
 

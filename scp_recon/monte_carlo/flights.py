@@ -78,11 +78,11 @@ class FlightConfig:
 
     @property
     def policy_kind(self) -> PolicyKind:
-        """Its policy in a word."""
+        """Name of the policy."""
         return policy_kind(self.policy)
 
     def __post_init__(self) -> None:
-        """Refuse inputs with which flights would fail, and another body's gravity."""
+        """Refuse inputs that make flights impossible, and another body's gravity."""
         object.__setattr__(self, "seed", whole_number("seed", self.seed, 0, SEED_MAX))
         one_of("truth", self.truth, get_args(TruthModel))
         if self.errors is not None:

@@ -1,8 +1,8 @@
-"""Fly few of many draws of the errors: those whose verdict the normal law leaves open, and some others.
+"""Fly few of many draws of the errors: mainly those whose outcome the normal law leaves uncertain.
 
-The law takes a flight's positions at the nodes as mean + factor w, for the numbers w that the flight
-draws. From these it says for every draw, a hundred times as fast as the flight is flown, by what margin
-the nearest limit is kept. `risk.strata` has the statistics.
+The law approximates a flight's positions at the nodes by mean + factor w, with the random numbers w
+of the flight. It gives every draw's margin to the nearest limit, a hundred times as fast as a
+flight. `risk.strata` has the statistics.
 """
 
 from __future__ import annotations
@@ -192,7 +192,7 @@ class StratifiedFlights:
 
 
 def survey(law: Law, flights: Flights, seed: int) -> Survey:
-    """Learn from a few draws how sure the law's verdicts are."""
+    """Learn from a few draws how reliable the law's verdicts are."""
     draws = survey_draws(law, seed)
     margin = law.margin(draws)
     nearest = np.argsort(np.abs(margin), kind="stable")[:SURVEY_FLIGHTS]
@@ -217,9 +217,9 @@ def fly_strata(
     seed: int,
     progress: Callable[[int, int], None] | None = None,
 ) -> StratifiedFlights:
-    """Draw, sort by the law, and fly of each stratum what is allotted.
+    """Draw, sort draws by the law, and fly the allotted share of each stratum.
 
-    `progress` is called with the number of all, and that flown so far, now and then.
+    `progress` is called at times with the total number and the number flown so far.
     """
     share = np.array(allocation.share)
 
@@ -260,7 +260,7 @@ def survey_draws(law: Law, seed: int) -> Array:
 
 
 def blocks_of(allocation: Allocation, seed: int, first: int = 0) -> list[tuple[int, int]]:
-    """Blocks from the first on, and their draws, as many as a Poisson law says."""
+    """Blocks from the first one, with their draws; the total number follows a Poisson law."""
     number = int(np.random.default_rng([seed, first, NUMBER]).poisson(allocation.draws))
     begun = range(0, number, BLOCK)
     return [(first + k, min(BLOCK, number - draws)) for k, draws in enumerate(begun)]

@@ -1,11 +1,12 @@
-"""Fly few of many draws where each limit counts at each second by itself.
+"""Fly few of many draws to estimate each joint constraint at each second separately.
 
-A joint constraint at a second is an event; all events are estimated from the same flights. The law
-says whether a draw keeps a constraint at the nodes, and, by linear interpolation of the margin, between
-them. Draws are sorted by how near they come to a limit where it is broken about as often as anywhere,
-whatever the verdicts. So strata of one margin have one share, and an event's counts are those of
-`risk.strata` with its own verdicts. Its limits are exact. Where the largest of all events' limits is
-below what may fail, so is that of the event that fails most often, whichever it is.
+A joint constraint at a second is an event. All events are estimated from the same flights. The law
+predicts whether a draw keeps a constraint at the nodes and, by linear interpolation of the margin,
+between them. Draws are sorted by their distance to a limit at the nodes where the limit is broken
+most often, whatever the verdict. Strata of one margin therefore have one share, and the counts of
+an event are those of `risk.strata` with its own verdicts. The limits of each event are exact. If
+the largest upper limit of all events is below the allowed risk, so is the risk of the event that
+fails most often, whichever event that is.
 """
 
 from __future__ import annotations
@@ -113,7 +114,7 @@ class LawInTime:
 def survey_in_time(
     laws: Mapping[str, Law], nodes_s: Array, flights: Flights, seed: int
 ) -> tuple[LawInTime, Survey]:
-    """Learn from a few draws where limits contend, and how sure the law is there at worst."""
+    """Learn from a few draws which nodes may be the worst, and the law's least reliability there."""
     draws = survey_draws(next(iter(laws.values())), seed)
     margins = {name: law.margins(draws) for name, law in laws.items()}
     failed = {name: np.mean(margin < 0.0, axis=1) for name, margin in margins.items()}
@@ -158,11 +159,11 @@ def _strata(fails: Booleans | bool, level: Indices) -> Indices:
 
 @dataclass(frozen=True)
 class FlightsInTime:
-    """What came of flights in strata, where each limit counts at each second.
+    """Result of flights in strata, if each limit counts at each second.
 
     Attributes:
         throughout: of the event that may fail most often.
-        at_nodes: of that at a node.
+        at_nodes: of the event at a node that may fail most often.
         touched_s: as `KeptFlights.touched_s`.
     """
 
@@ -180,7 +181,7 @@ def fly_in_time(
     tail: float,
     progress: Callable[[int, int], None] | None = None,
 ) -> FlightsInTime:
-    """Draw, sort, and fly of each stratum what is allotted.
+    """Draw, sort draws, and fly the allotted share of each stratum.
 
     Args:
         law: of the draws.
@@ -212,13 +213,13 @@ class Events:
 
     @classmethod
     def all_of(cls, counts: Mapping[str, CountsInTime], allocation: Allocation) -> Events:
-        """Of some constraints together."""
+        """The events of several constraints together."""
         parts = zip(*(count.by_stratum() for count in counts.values()), strict=True)
         times_s = np.concatenate([count.times_s for count in counts.values()])
         return cls(allocation, times_s, *(np.concatenate(part) for part in parts))
 
     def at(self, those: Booleans) -> Events:
-        """Some of them."""
+        """Some of the events."""
         counts = (part[those] for part in (self.drawn, self.flown, self.unlike))
         return Events(self.allocation, self.times_s[those], *counts)
 
@@ -228,7 +229,7 @@ class Events:
         return failed_at(self.allocation, self.drawn, self.unlike)
 
     def worst(self, tail: float) -> tuple[float, Counted]:
-        """The event that may fail most often: its time, s, and what was counted of it."""
+        """The event that may fail most often: its time, s, and its counts."""
         event = int(np.argmax(most_at(self.allocation, self.drawn, self.unlike, tail)))
         own = (tuple(part[event].tolist()) for part in (self.drawn, self.flown, self.unlike))
         return float(self.times_s[event]), Counted(self.allocation, *own)
@@ -236,7 +237,7 @@ class Events:
 
 @dataclass(frozen=True)
 class DrawsInTime:
-    """Draws, flies and counts: the work of any process. For its attributes see `fly_in_time`."""
+    """Work of a process: draw, fly and count. For its attributes see `fly_in_time`."""
 
     law: LawInTime
     flights: Flights
@@ -249,7 +250,7 @@ class DrawsInTime:
         blocks: Sequence[tuple[int, int]],
         progress: Callable[[int, int], None] | None = None,
     ) -> dict[str, CountsInTime]:
-        """Of blocks, each with its number of draws, what flights of each constraint do."""
+        """Count the flights of each constraint in blocks, each with its number of draws."""
         law = self.law
         spans = {name: law.nodes_s[own.span] for name, own in law.laws.items()}
         counts = {
@@ -284,7 +285,7 @@ NEVER = np.zeros(1)
 
 @dataclass(frozen=True, eq=False)
 class CountsInTime:
-    """Counts of a joint constraint at its times: changes in time of those that the law fails.
+    """Counts of a joint constraint at its times, stored as changes in time.
 
     Attributes:
         nodes_s: times of the nodes of its law's span, shape (nodes,).
@@ -308,7 +309,7 @@ class CountsInTime:
         return cls(nodes_s, times_s, *(np.zeros(shape, dtype=np.int64) for shape in shapes))
 
     def __add__(self, other: CountsInTime) -> CountsInTime:
-        """Those of more draws."""
+        """Add the counts of more draws."""
         names = ("total", "failing", "unlike")
         parts = (getattr(self, name) + getattr(other, name) for name in names)
         return CountsInTime(self.nodes_s, self.times_s, *parts)

@@ -1,7 +1,8 @@
-"""Narrow the intervals of flights' probabilities to a width, by few of many draws.
+"""Narrow the intervals of joint probabilities to a width, by flying few of many draws.
 
-Flights tell much besides probabilities, for which some thousands do. A narrow interval takes far more:
-so these are drawn in strata of the law's margin, each joint constraint at each look an event by itself.
+Some thousands of plain flights suffice for all other statistics. A narrow interval of a probability
+needs far more flights. Further flights are therefore drawn in strata of the law's margin. Each
+joint constraint at each look is an event of its own.
 """
 
 from __future__ import annotations
@@ -49,7 +50,8 @@ class Narrowed:
     Attributes:
         draws: in all.
         flights: of them.
-        worst: of each joint constraint the time at which it may be least likely, s, and its counts.
+        worst: for each joint constraint, the time at which it may be least likely, s, and the
+            counts there.
     """
 
     draws: int
@@ -147,7 +149,7 @@ def narrow(
     executor: Executor,
     stop: Callable[[], bool] = lambda: False,
 ) -> Narrowed | None:
-    """Draw and fly until every joint constraint's interval is so narrow.
+    """Draw and fly until every joint constraint's interval has a given width.
 
     Args:
         flights: fly draws.
@@ -156,11 +158,11 @@ def narrow(
         until: width.
         most: flights.
         executor: runs the jobs; the result does not depend on it.
-        stop: asked after each job whether to stop.
+        stop: returns whether to stop; called after each job.
 
     Returns:
-        The probabilities, maybe wider where that would take more flights; None if plain flights are
-            cheaper, or it was stopped.
+        The probabilities, with wider intervals if `most` flights do not suffice; None if plain
+            flights are cheaper, or after a stop.
     """
     mission = flights.mission
     laws = Law.of_events(flights.linearised, mission.units.length_m, {ALL: SCIENCE})

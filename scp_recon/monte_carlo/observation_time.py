@@ -1,4 +1,4 @@
-"""Margins of the observation constraints in flights, and the time for which each holds."""
+"""Compute the margins of the observation constraints in flights, and the time each one holds."""
 
 from __future__ import annotations
 

@@ -1,10 +1,10 @@
-"""Plan again before each burn of flights under way, from what is estimated then: the policy "replan".
+"""Fly the policy "replan": plan again before each burn, from the state estimated then.
 
-At a cut-off the state is measured. A Kalman filter with the covariances of the planned flight estimates
-the state, and what is left of the flight is planned again from there by the program of this cut-off,
-compiled once, near the plan from the planned state. A flight whose replan does not converge flies the
-burns that it planned last. Between cut-offs estimates follow the planner's dynamics and the commanded
-burns.
+At a cut-off the state is measured. A Kalman filter with the covariances of the planned flight
+estimates it. The rest of the flight is planned again from the estimate, near the plan from the
+planned state. Each cut-off has one program, compiled once. If a replan does not converge, the
+flight keeps its last burns. Between cut-offs estimates follow the planner's dynamics and the
+commanded burns.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class Replan(CutOff):
     """Planning again before one burn.
 
     Attributes:
-        mission: what is left from the planned state on, known as the estimate is.
+        mission: the rest of the flight from the planned state, with the estimate's covariance.
         burns_m_s: planned for it, shape (m, 3).
     """
 
@@ -122,7 +122,7 @@ class ReplanLoop:
         self.failed: list[Booleans] = []
 
     def measure(self, state: Array) -> None:
-        """Take in the measurement at the next cut-off, of true states (6, flights), and plan again."""
+        """Update the estimates at the next cut-off from true states (6, flights), and plan again."""
         j = len(self.failed)
         one = self._policy[j]
         self._carry(one.cut_off_s)
@@ -135,13 +135,13 @@ class ReplanLoop:
         self._burns[kept, one.burn :] = found[kept]
 
     def correction(self, burn: int) -> Array | None:
-        """What is commanded besides the planned burn, shape (flights, 3); None before any replan."""
+        """Commanded less planned burn, shape (flights, 3); None before any replan."""
         if not self.failed or burn < self._policy[0].burn:
             return None
         return np.asarray(self._burns[:, burn] - self._planned[burn])
 
     def _carry(self, until_s: float) -> None:
-        """Take the estimates along, through the commanded burns."""
+        """Propagate the estimates through the commanded burns."""
         firing = self._mission.scenario.burn_times_s
         for burn, time in enumerate((*firing, np.inf)):
             if time < self._now:

@@ -172,7 +172,7 @@ def fly_draws(
 
 
 def policy_kind(policy: AnyPolicy) -> PolicyKind:
-    """A policy in a word."""
+    """Name of a policy."""
     if not policy:
         return "open"
     return "replan" if isinstance(policy[0], Replan) else "feedback"
@@ -181,7 +181,7 @@ def policy_kind(policy: AnyPolicy) -> PolicyKind:
 def start_loop(
     mission: Mission, burns_m_s: Array, policy: AnyPolicy, draws: Array
 ) -> ClosedLoop | ReplanLoop:
-    """What commands the burns, from the measurements' draws."""
+    """Make the loop that commands the burns, from the draws of the measurements."""
     again = tuple(one for one in policy if isinstance(one, Replan))
     if again:
         return ReplanLoop(mission, burns_m_s, again, draws)
@@ -189,7 +189,7 @@ def start_loop(
 
 
 def corrections_of(policy: AnyPolicy) -> Policy:
-    """What a policy corrects by gains."""
+    """The burns that a policy corrects by gains."""
     return tuple(one for one in policy if isinstance(one, Correction))
 
 

@@ -1,4 +1,4 @@
-"""Summarise many flights, as `montecarlo.json` holds them, and compare them with the plan. SI."""
+"""Summarise many flights for `montecarlo.json`, and compare them with the plan, in SI."""
 
 from __future__ import annotations
 
@@ -140,7 +140,7 @@ class Normality(Section):
 
     Attributes:
         samples: values that were tested.
-        p_value: of the test; small where they are hardly normal.
+        p_value: of the test; small if the values are hardly normal.
         levels: of the quantiles.
         quantiles: of the standardised component.
     """
@@ -234,7 +234,7 @@ class Summary(Displayed, File):
         entry_s: when flights first hold all at once, past the epoch.
         exit_s: when they last do.
         probability: of each joint constraint, and of `all` at once, where it is lowest.
-        strata: flights that say so, if they are others.
+        strata: further flights behind the probabilities, if any.
         whole_flight: probability that a flight keeps every limit throughout.
         closest_m: least distance from the body's centre.
         executed_dv_m_s: sum of the executed burns' sizes.
@@ -461,10 +461,10 @@ def _terminal(flown: FlightTally, solution: Solution) -> Terminal:
 
 
 def _size(covariance: Array, samples: int) -> Interval:
-    """Root of a sampled covariance's trace.
+    """Root of a sampled covariance's trace, with its interval.
 
-    A trace is distributed as about chi-squared over its degrees of freedom, of which Welch and
-    Satterthwaite say how many it has.
+    The trace is approximately chi-squared over its degrees of freedom, whose number is that of
+    Welch and Satterthwaite.
     """
     trace = float(np.trace(covariance))
     if trace <= 0.0:

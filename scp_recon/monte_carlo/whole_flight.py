@@ -1,8 +1,8 @@
 """Count flights that keep all limits on the position, at the nodes and between them.
 
-Observation limits count in the window, the safety distances everywhere. Flights are sampled at times
-here called looks, and every second between two looks if a margin may dip below zero there: second
-differences bound how far it dips below the line between the looks.
+Observation limits count in the window, safety distances throughout the flight. Flights are sampled
+at times called looks. Between two looks they are sampled every second if a margin may fall below
+zero there. Second differences bound how far a margin falls below the line between the looks.
 """
 
 from __future__ import annotations
@@ -45,9 +45,10 @@ class KeptFlights:
         throughout: least number at any second, of each joint constraint.
         whole_at_nodes: flights that keep everything at all nodes.
         whole: flights that keep everything at all times.
-        touched_s: times between nodes at which more is lost than at nodes. With the scope `flight`:
-            when flights that keep all limits at nodes break one. With `node`: seconds at which a
-            constraint is less likely than any is at a node, by more than half of the largest fall.
+        touched_s: times between nodes with more violations than at nodes. With the scope `flight`:
+            times at which flights that keep all limits at nodes break one. With `node`: seconds at
+            which a constraint is less likely than every constraint at a node, by more than half of
+            the largest fall.
     """
 
     samples: int
@@ -112,7 +113,7 @@ def _every(at_looks: Counts, between: Counts) -> Counts:
 
 
 def less_likely(times: Array, fall: Array) -> Array:
-    """Times at which the fall below the worst node exceeds half of the largest fall."""
+    """Times at which the probability falls below the worst node by half of the largest fall or more."""
     return times[fall > max(0.0, FALL * fall.max())]
 
 
@@ -125,7 +126,7 @@ class LookedAt:
         between: the same of seconds between looks, shape (n - 1, PARTS - 1).
         kept_at_nodes: flights that keep everything at all nodes, shape (flights,).
         kept: flights that keep everything at all times, shape (flights,).
-        touched_s: times at which flights break a limit that keep all of them at nodes.
+        touched_s: times at which flights that keep all limits at nodes break one.
     """
 
     at_looks: dict[str, Counts]
@@ -164,14 +165,14 @@ def _margin(mission: Mission, times: Array, position: Array, name: str) -> Array
 
 @dataclass(frozen=True)
 class Course:
-    """How flights keep one joint constraint in time: at looks, and between those where that is unclear.
+    """Whether flights keep one joint constraint at looks, and between looks if that is uncertain.
 
     Attributes:
         name: of the constraint.
         looks: times at which it counts, s, shape (n,).
-        holds: whether a flight keeps it there, shape (n, flights).
-        arc: number of the look before each time between that is unclear, shape (m,).
-        flight: that flies there, shape (m,).
+        holds: whether a flight keeps the constraint at each look, shape (n, flights).
+        arc: number of the look before each uncertain interval, shape (m,).
+        flight: flight of each uncertain interval, shape (m,).
         between: whether it keeps the constraint at the seconds between, shape (m, PARTS - 1).
     """
 
@@ -256,7 +257,7 @@ def may_dip(times: Array, margin: Array) -> Array:
 
 
 def _follow(mission: Mission, name: str, arcs: _Arcs, margin: Array) -> Course:
-    """Follow flights with such margins at the looks to the second where that may matter."""
+    """Follow flights by the second between looks whose margins leave a violation possible."""
     times = arcs.times
     low, high = np.minimum(margin[1:], margin[:-1]), np.maximum(margin[1:], margin[:-1])
     near = may_dip(times, margin)

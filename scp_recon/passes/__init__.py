@@ -1,1 +1,1 @@
-"""Design whole passes from a home orbit: phases, epochs and burn times, in a loop around plans."""
+"""Design whole passes from a home orbit: choose phases, epochs and burn times for the least delta-v."""

@@ -1,4 +1,4 @@
-"""Descend to the cheapest pass near a given one: SLSQP over phases and times, in rounds.
+"""Find the cheapest pass near a given one, by rounds of SLSQP over phases and times.
 
 The cost of a pass is the delta-v of its plan. `Near` plans with the grid, the facets and the compiled
 program of the round's start, and starts from the last plan, so that the cost is smooth in phases and
@@ -237,7 +237,7 @@ def _round(space: Space, near: Near, observe: Observe, precision: float) -> tupl
 
 
 def explain_failure(result: PassResult, plans: int) -> str:
-    """Explain a design without a pass: its best pass and the limit which that violates most."""
+    """Explain a design without a plan: its best pass, and the limit that this pass violates most."""
     stage, mission = result.stage, result.mission
     worst, most = "the final state", 0.0
     for name, margins in stage.margins.items():

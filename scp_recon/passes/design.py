@@ -1,8 +1,8 @@
-"""Design a pass: a map over both phases, descents from its valleys, and the best one refined.
+"""Design a pass: map both phases, descend from the map's minima, and refine the best pass.
 
-Refining also changes the number of burns. Where errors shrink with the burns, the primer shows where
-another burn helps, and a useless burn vanishes. Errors that do not shrink leave no such derivative:
-then one more burn between any two, and one less, are tried.
+Refining also changes the number of burns. If errors shrink with the burns, the primer shows where
+another burn helps, and a useless burn vanishes. If errors do not shrink, there is no such
+derivative. The design then tries one more burn between any two, and one burn less.
 """
 
 from __future__ import annotations
@@ -102,7 +102,7 @@ Best = tuple[Around, PassResult]
 class Designer:
     """Designs a pass for a scenario with a home orbit; keeps every plan and reports it to `observe`.
 
-    `corrected` is the plan with gains of the pass that was found, with feedback.
+    `corrected` is the found pass's plan with gains, for a scenario with feedback.
     """
 
     scenario: Scenario
@@ -112,7 +112,7 @@ class Designer:
 
     @property
     def effort(self) -> Effort:
-        """Of the last descents before those of exact risk."""
+        """Settings of the last descents before those with exact risk."""
         return FIRST if self.scenario.risk.allocation == "exact" else LAST
 
     def run(self) -> tuple[Space, PassResult]:
@@ -148,8 +148,8 @@ class Designer:
     def _with_corrections(self, around: list[Around]) -> tuple[Space, PassResult]:
         """The first pass that has a plan with gains, of those that are cheapest without uncertainty.
 
-        What errors and limits cost without corrections says little of passes with them. Windows with
-        more burns before them come first: these correct what the earlier ones missed.
+        The cost of errors and limits without corrections says little about passes with corrections.
+        Windows with more burns before them come first, because later burns correct earlier errors.
         """
         tries: list[Best] = []
         for where in sorted(around, key=lambda one: -one.space.before(one.times_s)):
@@ -192,7 +192,7 @@ class Designer:
         return where, self._descent(where, "exact", best.at, best, EXACT)
 
     def _map_and_descend(self, first: Around) -> Best:
-        """Map one window and descend from its valleys: the best pass, or that of least violation."""
+        """Map one window and descend from its minima: the best pass, or the one of least violation."""
         mapped = scan(first.space, first.times_s, self._seen("map", first))
         tries = [
             self._descent(first, "descent", one.at, one, FIRST)

@@ -1,4 +1,4 @@
-"""The home orbit as states by phase: a circle, a revolution under forces, or one of an ephemeris.
+"""Give the home orbit's state by phase: a circle, a revolution under forces, or an ephemeris.
 
 An ephemeris is a table of states, a CCSDS OEM or SPICE kernels.
 """
@@ -65,7 +65,7 @@ def flown_ring(home: HomeOrbit, forces: ForceModel, axes: Array) -> Ring:
     rotate from boundary.frame to J2000.
 
     Raises:
-        InputError: if it does not come round within three of the circle's revolutions.
+        InputError: if the orbit does not close within three periods of the circle.
     """
     start = home_ring(home, forces.gm, axes)(0.0)
     first, second, sense = directions(home, axes)
@@ -95,7 +95,7 @@ def flown_ring(home: HomeOrbit, forces: ForceModel, axes: Array) -> Ring:
 def ring_of(
     track: Callable[[Array], Array], times_s: Array, first: Array, second: Array, sense: float
 ) -> Ring | None:
-    """The first revolution of a track, if it goes round in one sense.
+    """The first revolution of a track, if the track keeps one sense of rotation.
 
     Args:
         track: states (6, n) at times (n,), or (6,) at one time.

@@ -129,7 +129,8 @@ def _times_to_correct(
 ) -> tuple[float, ...] | None:
     """Legal times with as many burns before the window as fit, evenly spaced from the first departure.
 
-    Each learns what the ones before it missed. After the window there are as many as the scenario has.
+    Each burn corrects the errors of those before it. After the window there are as many as in the
+    scenario.
     """
     times, rules = np.array(scenario.burns.times_s), scenario.schedule
     after = max(int(np.sum(times > WINDOW_AT * times[-1])), 1)

@@ -1,4 +1,4 @@
-"""The design space: two phases on the ring and the times of all burns, within their spans.
+"""Define the design space: two phases on the ring and the times of all burns, within their spans.
 
 The schedule's rules are linear inequalities on the times (`timing_rules`).
 """

@@ -1,1 +1,1 @@
-"""Forces, frames, geometry and the flow of states and their derivatives."""
+"""Compute forces, frames, geometry, and the flow of states with its derivatives."""

@@ -1,4 +1,4 @@
-"""A second body on a Kepler orbit about the first."""
+"""Locate a second body on its Kepler orbit about the first."""
 
 from __future__ import annotations
 

@@ -1,8 +1,9 @@
 """Forces on the spacecraft: point mass, J2, harmonics, a companion, and cannonball radiation pressure.
 
 The acceleration is written once, over plain arithmetic, so that NumPy arrays (real or complex) and
-CasADi symbols pass through it alike. Its first and second derivatives are in closed form. Where there
-are harmonics or a companion, functions take where these are, as `ForceModel.moment` gives it.
+CasADi symbols pass through it alike. Its first and second derivatives are in closed form. With
+harmonics or a companion, functions also take their orientation and position, from
+`ForceModel.moment`.
 """
 
 from __future__ import annotations

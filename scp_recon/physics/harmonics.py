@@ -1,4 +1,4 @@
-"""Gravity that turns with its body: spherical harmonics, with the derivatives of their pull."""
+"""Gravity of spherical harmonics that turn with the body, with derivatives of the acceleration."""
 
 from __future__ import annotations
 

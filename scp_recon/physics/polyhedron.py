@@ -1,4 +1,4 @@
-"""Pull of a homogeneous polyhedron, in closed form, everywhere outside it.
+"""Gravity of a homogeneous polyhedron in closed form, everywhere outside it.
 
 Werner & Scheeres 1997, Celest. Mech. Dyn. Astron. 65, 313. Body-fixed, in any consistent units.
 """
@@ -19,7 +19,7 @@ TERMS_AT_ONCE = 10_000
 
 
 class _Sums(NamedTuple):
-    """What the pull is summed of, for n edges and m facets.
+    """Terms of the sums for the acceleration, for n edges and m facets.
 
     Attributes:
         ends, lengths: corners of edges, (n, 2), and their lengths, (n,).

@@ -1,4 +1,4 @@
-"""Two-body motion: osculating orbits, a body's about the Sun, Lambert's arc between positions."""
+"""Solve two-body motion: osculating orbits, heliocentric motion, Lambert's arc between positions."""
 
 from __future__ import annotations
 
