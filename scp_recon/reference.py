@@ -1,7 +1,7 @@
 """Write the reference pages from the code: `python -m scp_recon.reference docs/reference`.
 
-Commands come from their parsers, entries and keys from the types that validate them with the
-descriptions that stand beside them, warnings from the rows and functions that raise them.
+Commands come from their parsers. Entries and keys come from the types that validate them, with the
+descriptions beside their fields. Warnings come from the rows and functions that raise them.
 """
 
 from __future__ import annotations

@@ -1,1 +1,1 @@
-"""Plan a mission: initial guesses, stages, SCP, IPOPT, several starts."""
+"""Plan a mission: make initial guesses, and run stages by SCP or IPOPT from one or several starts."""

@@ -77,8 +77,8 @@ def ballistic(mission: Mission, entry: str = "init") -> Iterate:
 def circular(mission: Mission, way: float) -> Iterate:
     """A steady turn from the initial to the final position, burns nearly zero.
 
-    Unlike a straight line it never comes nearer to the body than its ends. `way` is 1 for the shorter
-    way round the body, -1 for the longer.
+    Unlike a straight line the path never comes nearer to the body than its ends. `way` is 1 for the
+    shorter way round the body, -1 for the longer.
     """
     ends = mission.initial_state, mission.final_state
     position = _circular_positions(mission, ends, way, _fraction(mission)).T
@@ -139,7 +139,7 @@ def _two_impulses(mission: Mission, way: float) -> Iterate | None:
 
 
 def random(mission: Mission, seed: int) -> Iterate:
-    """A random path: the straight line bent by three random sines, and random burns.
+    """A random guess: the straight line bent by three random sines, and random burns.
 
     Amplitudes of 600 m, 300 m and 200 m and burns of 5 cm/s in every component, 1 sigma: the path may
     lead through the body, and its velocities are those of the bent line.
@@ -183,7 +183,7 @@ def from_burns(mission: Mission, burns_m_s: Array, entry: str = "init") -> Itera
 
 
 def going_on(mission: Mission, last: Plan) -> Iterate | Plan:
-    """Where planning goes on from a plan: at the plan, if SCP gave it gains, else at its burns."""
+    """The guess from a plan: the plan itself if SCP gave it gains, else its burns."""
     corrected = last.provenance.method == "scp" and last.final.result.lin.iterate.gains.any()
     return last if corrected else from_burns(mission, last.burns_m_s)
 

@@ -79,10 +79,9 @@ def plan(
 ) -> Plan:
     """Solve P3 from the guess, choose the facets at its solution, and solve P2 from there.
 
-    What does not converge begins again elsewhere, as in `Planner.plan`. The variant is a key of
-    `formulations.nlp.solve.VARIANTS`. With `elastic` violations are weighed as the sequential convex
-    programs do, instead of forbidden. The observer is called with each line of IPOPT's log once a run
-    is over.
+    A stage that does not converge is tried from other starts, as in `Planner.plan`. The variant is
+    a key of `formulations.nlp.solve.VARIANTS`. With `elastic`, violations are penalised as in SCP
+    instead of forbidden. The observer is called with each line of IPOPT's log once a run is over.
 
     Returns:
         A plan of `NlpStage`s, whose linearisations are those of the dynamics at IPOPT's iterates.
@@ -99,9 +98,9 @@ def plan(
 
 @dataclass(frozen=True)
 class IpoptStages:
-    """One stage by IPOPT, its arcs over CasADi symbols: what the planner does by SCP.
+    """Solves a stage by IPOPT, with arcs over CasADi symbols, in place of SCP.
 
-    With `elastic` violations are weighed instead of forbidden.
+    With `elastic`, violations are penalised instead of forbidden.
     """
 
     mission: Mission
@@ -116,7 +115,7 @@ class IpoptStages:
 
     @property
     def first_stage_rows(self) -> None:
-        """None: its programs have all constraints from the first."""
+        """None: IPOPT's programs have all constraints from the start."""
 
     def p2_rows(self, facets: Facets, lin: Linearisation) -> ChanceRows:
         """P2's constraints on given facets, screened as the planner screens them."""
@@ -129,7 +128,7 @@ class IpoptStages:
 
     @property
     def leading_rows(self) -> None:
-        """None: it has no gains."""
+        """None: IPOPT plans no gains with exact risk."""
 
     def solve(
         self, name: str, rows: Rows, start: Linearisation, dynamics: Dynamics, observe: Observer

@@ -1,4 +1,4 @@
-"""Run the stages of a mission: from other starts, without burns too small to execute, to a plan."""
+"""Run the stages of a mission to a plan, from other starts if needed, without too small burns."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ TINY = 1e-300
 
 @dataclass
 class MissionRunner(StageRunner):
-    """Stages of a mission and the plan that they make."""
+    """Runs the stages of a mission and makes the plan."""
 
     task: Mission
 
@@ -68,9 +68,10 @@ class MissionRunner(StageRunner):
         return replace(from_burns(mission, last.burns_m_s), gains=gains)
 
     def go_on(self, last: Plan) -> Stage | None:
-        """Solve P2 with exact risk from a plan, without the stages that lead to one.
+        """Solve P2 with exact risk from a plan, without the preliminary stages.
 
-        Where the last stage alone does not converge from a plan with gains, all that have gains follow.
+        If the last stage alone does not converge from a plan with gains, all stages with gains are
+        run.
 
         Returns:
             The stage; None if it did not converge, or if risk is not exact.
@@ -88,10 +89,10 @@ class MissionRunner(StageRunner):
     def executable(self, stage: Stage) -> Stage:
         """The stage solved again without burns too small to execute, or with some of them raised.
 
-        Burns between zero and `burns.dv_min_m_s` are held at zero while the others are planned again.
-        No choice can cost less than the stage itself. Where that one costs more, each burn in turn, the
-        largest first, is kept at that size or above, if that is better; where that leads to no plan,
-        all are. Where nothing is a plan they stay, with a warning.
+        Burns between zero and `burns.dv_min_m_s` are held at zero while the others are planned
+        again. No choice can cost less than the stage itself. If holding costs more, each burn in
+        turn, the largest first, is kept at that size or above, if this is better. If that gives no
+        plan, all such burns are. If no choice gives a plan, the burns stay, with a warning.
         """
         self.task = _without_words_on_burns(self.task)
         while stage.result.status is Status.CONVERGED:
@@ -129,7 +130,7 @@ class MissionRunner(StageRunner):
 
     @staticmethod
     def _left_open(stage: Stage) -> float:
-        """Relative difference of merits that a stage leaves open: with gains what its rows resolve."""
+        """Relative accuracy of a stage's merit: with gains the resolution of its rows."""
         rows = stage.merit.rows
         return RESOLVED if rows.problem.feedback is None else max(RESOLVED, rows.resolution)
 
@@ -160,7 +161,7 @@ class MissionRunner(StageRunner):
         return self.solve(name, rows, start)
 
     def _warn_of(self, small: Booleans, sizes: Array) -> None:
-        """Say which burns are smaller than the smallest that is executed, and stay."""
+        """Warn of the burns that stay smaller than the smallest executable burn."""
         mission = self.task
         first, speed = 1 + mission.scenario.burns_flown, mission.units.speed_m_s
         said = (f"burn {first + i} of {speed * sizes[i]:.1e} m/s" for i in np.flatnonzero(small))
@@ -187,6 +188,6 @@ def _interrupted(stages: list[Stage]) -> Stage:
 
 
 def _clearly_better(one: Stage, other: Stage, left_open: float = RESOLVED) -> bool:
-    """Whether a run ranks above another by more than stages leave open."""
+    """Whether a run ranks above another by more than the accuracy of stages."""
     rank, merit = standing(one)
     return (rank, merit * (1.0 + left_open)) > standing(other)

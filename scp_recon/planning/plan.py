@@ -1,7 +1,7 @@
 """A plan as data: its stages, how it was made, and its figures in SI.
 
-A stage is one run of the SCP or of IPOPT. The records of a plan's making (certificate, starts, the plan
-before it) are stored in the solution file as they are here.
+A stage is one run of the SCP or of IPOPT. The records of planning (certificate, starts, parent
+plan) have the same form in the solution file.
 """
 
 from __future__ import annotations
@@ -55,9 +55,9 @@ class Stage:
             P3 from a guess that is no flight, "P2.node" and "P2.coarse" to a P2 of whole flights;
             "P2.led" leads to gains, and "P2.held" holds burns that would be too small to execute.
         result: how it ended and where.
-        merit: what it minimised; it knows the constraints' margins.
-        facets: of P2 with polytopes, else None.
-        tolerance: violation that counted as none.
+        merit: its merit function, which also gives the margins of constraints.
+        facets: of P2 with polytopes; None otherwise.
+        tolerance: largest violation that counts as none.
     """
 
     name: str
@@ -106,8 +106,8 @@ class Stage:
 class Provenance:
     """Method, start and solver of a plan, in the words of the solution file.
 
-    By IPOPT `formulation` is the variant of the nonlinear program. `init` is where it began: "cold",
-    "warm", a file. The method is "none" where nothing was optimised.
+    With IPOPT, `formulation` is the variant of the nonlinear program. `init` names the initial
+    guess: "cold", "warm", or a file. The method is "none" if burns were only evaluated.
 
     Attributes:
         formulation: of the convex program, or variant of the nonlinear one.
@@ -226,20 +226,20 @@ class Parent:
 class Plan(Displayed):
     """The stages of planning a mission; `final` holds the answer.
 
-    A plan is data: it pickles and copies, its arrays are read-only, and it equals another one of the
-    same scenario, provenance, certificate and parent that went through the same stages to the same
-    flight, to the last bit. Timings do not count. A solver that was kept from an earlier plan may
-    differ in the last digits from a new one, and so may their plans.
+    A plan is data: it pickles and copies, and its arrays are read-only. Two plans are equal if
+    scenario, provenance, certificate, parent, stages and flight are equal to the last bit. Timings
+    do not count. The plans of a new solver and of one kept from an earlier plan may differ in the
+    last digits.
 
     Attributes:
         mission: that was planned.
         provenance: method, start and solver.
-        stages: all runs, the last one as often as not the final.
+        stages: all runs; the final one need not be the last.
         final: the run that holds the answer.
         timing: of all stages, s.
         total_s: of planning, s.
         target: probability that the rows of an exact plan are held to; None of others.
-        certificate: what flights of an exact plan reached; None where none stand behind it.
+        certificate: probability that flights of an exact plan reached; None without such flights.
         starts: local optima, where there were several starts.
         parent: the plan before, of one made in flight.
     """

@@ -174,9 +174,9 @@ class ScpStages:
     def exact_rows(self) -> Sequence[tuple[str, Rows]]:
         """See `RowsSolver`. A plan of whole flights begins at one of nodes, then with few directions.
 
-        Flights are never likelier than their nodes, so that where the nodes are infeasible so are they.
-        A plan with corrected burns begins at one without.
-        Made once: drawing the directions takes time.
+        A whole flight never has a larger probability than its nodes. It is therefore infeasible if
+        the nodes are. A plan with corrected burns starts from a plan without. The rows are made
+        once, because drawing the directions takes time.
         """
         if self.formulation not in FULL:
             needs = f"goes with the formulations {' and '.join(FULL)}, not with {self.formulation}"
@@ -204,7 +204,8 @@ class ScpStages:
     def leading_rows(self) -> NodeRows | None:
         """See `RowsSolver`: of nodes, for whole flights.
 
-        Their probability is smooth, where that of flights in few directions would end in its kinks.
+        The probability at nodes is smooth. The probability of flights in few directions has kinks,
+        where the search would stop.
         """
         if self.task.problem.feedback is None or self.task.risk.scope == "node":
             return None

@@ -1,9 +1,10 @@
 """Primer history of a plan: whether one more burn would help, at first order and locally.
 
-A small burn added at time t in direction u changes the least total delta-v by (1 - p(t)'u) times its
-size (`formulations.program.multipliers`). Directions count if the battery allows them, times if the
-schedule's rules hold with all other burns kept. Where p'u is nowhere above one, no small burn added to
-the plan makes it cheaper; the primer says nothing on large burns, or on other times of present burns.
+A small burn added at time t in direction u changes the least total delta-v by (1 - p(t)'u) times
+its size (`formulations.program.multipliers`). Directions count if the battery allows them, times if
+the schedule's rules hold with all other burns kept. If p'u is nowhere above one, no small
+additional burn makes the plan cheaper. The primer says nothing about large burns, or about other
+times of present burns.
 """
 
 from __future__ import annotations
@@ -66,8 +67,8 @@ def primer_history(mission: Mission, stage: Stage) -> PrimerHistory | None:
     """The history at the end of a stage.
 
     Returns:
-        None where it has not converged, where burns have errors that do not shrink with them, so that
-        no small burn is like none, and of flights under way.
+        None if the stage has not converged, if execution errors do not shrink with the burns (a
+            small burn is then not like no burn), and for flights under way.
     """
     lin, merit = stage.result.lin, stage.merit
     if (

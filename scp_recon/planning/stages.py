@@ -1,10 +1,11 @@
 """Run the stages of any task by any method: P3, P2, and both again from other starts.
 
-A keep-out set is linearised by the plane that touches it nearest to the iterate, so that an iterate
-stays on its side. The path of a guess that is no flight says nothing about sides. P3 then begins with a
-first stage without the keep-out sets of a part of the flight, whose answer hardly depends on the guess,
-and continues with all of them, on the side nearest to that answer. Without them an answer costs at most
-what any plan with them does, so that if it keeps them there is nothing better near it.
+A keep-out set is linearised by the plane that touches it nearest to the iterate, so an iterate
+stays on its side of the set. If a guess does not obey the dynamics, its path says nothing about the
+right side. P3 then begins with a first stage without the keep-out sets that apply to a part of the
+flight. The answer of the first stage hardly depends on the guess. P3 continues with all sets, on
+the side nearest to that answer. The first stage costs at most as much as any plan with all sets. If
+its answer keeps all sets, no nearby plan is better.
 """
 
 from __future__ import annotations
@@ -55,7 +56,7 @@ Observer = Callable[[str, Record], None]
 
 
 class Spent(Protocol):
-    """How a task's risk is spent: `scp_recon.scenario.schema.Risk`."""
+    """Required probability, and the way to spend the risk: see `scp_recon.scenario.schema.Risk`."""
 
     @property
     def p_chance(self) -> float:
@@ -63,15 +64,15 @@ class Spent(Protocol):
 
     @property
     def allocation(self) -> Literal["uniform", "exact"]:
-        """By facets, or by the probabilities of the sets themselves."""
+        """"uniform" over facets, or "exact" by the probabilities of the sets."""
 
     @property
     def scope(self) -> Literal["node", "flight"]:
-        """What has to hold with it."""
+        """What must hold with that probability: each node, or the whole flight."""
 
 
 class Task(Protocol):
-    """What is planned: a mission, or a problem by hand."""
+    """The task to plan: a mission, or an `ImpulsiveProblem`."""
 
     @property
     def problem(self) -> FlybyProblem:
@@ -102,7 +103,7 @@ class Task(Protocol):
 
 
 class RowsSolver(Protocol):
-    """Solves P3 or P2 on one set of rows: the only difference between SCP's and IPOPT's plans."""
+    """Solves P3 or P2 for one set of rows; SCP and IPOPT differ only in this class."""
 
     @property
     def p3_rows(self) -> DeterministicRows:
@@ -124,7 +125,7 @@ class RowsSolver(Protocol):
 
     @property
     def leading_rows(self) -> Rows | None:
-        """Rows that lead to gains where a plan without has none; None if the others do."""
+        """Rows of a preliminary stage with gains, if there is no plan without gains; else None."""
 
     def solve(
         self, name: str, rows: Rows, start: Linearisation, dynamics: Dynamics, observe: Observer
@@ -176,10 +177,10 @@ class StageRunner:
         return max(finals, key=standing)
 
     def choose_again(self, stage: Stage) -> Stage:
-        """The best of P2 with facets chosen where the last try ended, until one converges.
+        """Solve P2 again with facets chosen at the last end, until one converges; return the best.
 
-        That some facets leave nothing feasible says little about others; a few choices settle it. A
-        try that ends without a verdict does not count.
+        Infeasibility with one choice of facets says little about other choices, so a few are tried.
+        A try that ends without a verdict does not count.
         """
         name, tries = stage.name.partition(".")[0], [stage]
         while tries[-1].result.status is Status.INFEASIBLE and len(tries) <= self.choices:
@@ -223,8 +224,9 @@ class StageRunner:
     def solve_exact(self, name: str, lin: Linearisation) -> Stage:
         """Solve P2 with the true probabilities, after quicker stages as long as they converge.
 
-        What has no plan open loop may have one with corrections. Where rows lead to them, the last
-        stage follows, however that one ends. A start with gains keeps them: it needs no stage without.
+        A case without an open-loop plan may have a plan with corrections. If there are rows of a
+        preliminary stage with gains, the last stage follows however that stage ends. A start with
+        gains keeps them, and needs no stage without gains.
         """
         feedback, leading = self.task.problem.feedback, None
         corrected = lin.iterate.gains.any()
@@ -286,8 +288,8 @@ class StageRunner:
 def contradicts_itself(lin: Linearisation) -> bool:
     """Whether a guess has burns, but its path has larger velocity defects than these.
 
-    A coarse trajectory of another tool does not contradict itself, nor does a path without burns, such
-    as the paper's straight line.
+    Two kinds of guesses do not contradict themselves: a coarse trajectory of another tool, and a
+    path without burns, such as the paper's straight line.
     """
     kicks = float(np.linalg.norm(lin.defects[:-1, 3:], axis=1).sum())
     return NO_BURN < lin.iterate.total_dv < kicks

@@ -1,4 +1,4 @@
-"""Plan from several starts, flights on random sides; list their local optima, keep the best plan."""
+"""Plan from several starts, the guess and random flights; list local optima, keep the best plan."""
 
 from __future__ import annotations
 
@@ -101,8 +101,8 @@ def random_flight(mission: Mission, seed: int, number: int) -> Iterate:
 def local_optima(plans: list[Plan]) -> tuple[Optimum, ...]:
     """Local optima of several starts' plans, each once: P3's first, the cheapest first.
 
-    These are ends that converged, or are stationary at the least violation: all of P3 that a start
-    passed, and the final one of P2, whose facets depend on P3's end.
+    A local optimum is an end that converged, or is stationary at the least violation. Every P3 of a
+    start counts. Of P2 only the final one counts, because its facets depend on the end of P3.
     """
     groups: list[tuple[Stage, list[int]]] = []
     for number, plan in enumerate(plans):

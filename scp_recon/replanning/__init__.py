@@ -1,1 +1,1 @@
-"""Replanning a flight that is under way: what was delivered, what is left, and the plan of it."""
+"""Replan a flight under way: check the delivered state, and set up the rest of the flight."""

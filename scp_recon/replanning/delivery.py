@@ -1,4 +1,4 @@
-"""A state that orbit determination delivers in flight, and checks that it is of the plan flown."""
+"""Read a state that orbit determination delivers in flight, and check it against the plan flown."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def numbers(entry: str, given: npt.ArrayLike, shape: tuple[int, ...]) -> Array:
     """An array of finite numbers.
 
     Raises:
-        InputError: if it is none, or of another shape.
+        InputError: if it is not numeric, not finite, or of another shape.
     """
     try:
         array = np.asarray(given, dtype=float)
@@ -66,7 +66,7 @@ class Delivery:
 
     Attributes:
         at_s: time past the plan's epoch, s; burns at or before it are flown.
-        state: after them, m and m/s, body-centred, shape (6,).
+        state: state after these burns, m and m/s, body-centred, shape (6,).
         frame: axes of state and measured burns, at the epoch.
         covariance: m and m/s, shape (6, 6); the scenario's initial one if there is none.
         covariance_frame: its axes.
@@ -92,7 +92,7 @@ class Delivery:
         covariance_frame: str | None = None,
         measured: Mapping[int, npt.ArrayLike] | None = None,
     ) -> Delivery:
-        """From what a user gives, every entry checked by itself; see the attributes.
+        """Make a delivery from a user's values, each of them checked; see the attributes.
 
         Raises:
             InputError: naming the entry, what was given and what is allowed.
@@ -165,7 +165,7 @@ class Delivery:
     def strange_state(
         self, state: Array, factor: Array, predicted: Prediction, units: Array
     ) -> Iterator[ScenarioWarning]:
-        """Hold the state against what the plan that is flown predicts for the same time.
+        """Compare the state with the prediction of the plan in flight for the same time.
 
         The state (6,), m and m/s, and the factor (6, 6) of its covariance are in J2000; units (6,) are
         those of length and speed.

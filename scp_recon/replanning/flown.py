@@ -1,4 +1,4 @@
-"""The plan that is flown, from memory or from its file, and the state that it predicts for a time."""
+"""Read the plan in flight, from memory or its file, and predict its state at a time."""
 
 from __future__ import annotations
 
@@ -69,18 +69,18 @@ class Prediction:
 
 @dataclass(frozen=True, eq=False)
 class FlownPlan:
-    """A plan that is flown.
+    """The plan in flight.
 
     Attributes:
-        name: what the new plan's file calls it.
+        name: its name in the file of the new plan.
         mission: its.
-        lin: linearised there, with the gains of its corrected burns.
-        problem: with uncertainty, or without it.
-        method: how it was made, as far as that can be done again.
+        lin: its linearisation, with the gains of its corrected burns.
+        problem: "P2", with uncertainty, or "P3", without it.
+        method: the method that made it, as far as it is available.
         status: how it ended.
         plan_hash: see `Solution.plan_hash`.
-        failed: what is not right by its file, or in it.
-        warnings: that go with it.
+        failed: failed checks, and contradictions in its file.
+        warnings: of the plan.
     """
 
     name: str
@@ -95,14 +95,14 @@ class FlownPlan:
 
     @classmethod
     def of(cls, given: Plan | Solution | str | Path, name: str | None = None) -> FlownPlan:
-        """From a plan; or from a solution, or its file or folder.
+        """Make it from a plan, a solution, or the solution's file or folder.
 
-        What a new plan builds on, nodes and spread, is held against scenario and burns of a solution;
-        what else its file says of its verification is believed. By the name the new plan's file calls
-        it, if not by its path.
+        A new plan builds on nodes and spread, so both are checked against the scenario and the
+        burns of a solution. The rest of the file's verification is trusted. The new plan's file
+        refers to this plan by `name`, else by its path.
 
         Raises:
-            InputError: if it is none of these, or cannot be used.
+            InputError: if `given` is none of these, or cannot be used.
         """
         if isinstance(given, Plan):
             return cls._of_plan(given, name or "a plan")
@@ -176,7 +176,7 @@ class FlownPlan:
 
     @cached_property
     def kicks(self) -> Array:
-        """What each burn adds to the factor of the velocity, corrections included, shape (m, 3, c)."""
+        """Columns of each burn in the factor of the velocity, corrections included, shape (m, 3, c)."""
         nodes, first = self.lin.problem.burn_nodes, self.lin.problem.initial_factor
         before = np.zeros_like(self.lin.factor[nodes])
         before[:, :, : first.shape[1]] = first
@@ -238,7 +238,7 @@ class FlownPlan:
         return bool(np.any(np.linalg.norm(miss.reshape(2, 3), axis=1) > allowed))
 
     def strange(self) -> Iterator[ScenarioWarning]:
-        """What a new plan has to say of it."""
+        """Warnings about this plan for a new plan."""
         converged = Status.CONVERGED.value.name
         if self.failed:
             yield ScenarioWarning.of(
@@ -253,7 +253,7 @@ class FlownPlan:
 
 
 def _method(made: Provenance | Solution) -> ScpMethod:
-    """As it was made, or the default: of what SCP did not make, and for a solver that is not here.
+    """The plan's own method; the default if SCP did not make it, or its solver is not installed.
 
     Raises:
         InputError: if a formulation or an algorithm is not known.
@@ -284,9 +284,10 @@ def _contradictions(solution: Solution, lin: Linearisation, units: Units) -> Ite
 def predict(flown: FlownPlan, at_s: float, measured: Mapping[int, Array]) -> Prediction:
     """The state that a plan predicts for a time, after a burn there, with linear spread.
 
-    It starts at the plan's last node before that time or before the first measured burn, and flies from
-    there. A measured burn adds no error, and what it tells of errors that all burns share is not used:
-    the others err as before. Measured burns are by their number in the flight from 1, m/s, shape (3,).
+    The flight starts at the plan's last node before that time and before the first measured burn. A
+    measured burn adds no error. Its information on errors that all burns share is not used, so the
+    other burns keep their errors. Measured burns are by their number in the flight from 1, m/s,
+    shape (3,).
     """
     scenario, forces, times = flown.mission.scenario, flown.mission.forces, flown.times_s
     first = scenario.burns_flown + 1

@@ -1,9 +1,9 @@
-"""The rest of a flight that is under way: a mission of its own, from the state that was delivered.
+"""Set up the rest of a flight under way as a mission of its own, from the delivered state.
 
-Its scenario is that of the plan that is flown with a table `in_flight`, so that whatever plans,
-verifies or flies a mission serves it as well. Planning begins at the path that was planned, and goes
-the whole way from there, P3 first. Facets chosen on that path cost 15 % more delta-v from 3000 s on: it
-was planned for a spread that a newly determined state does not have.
+Its scenario is that of the plan in flight with a table `in_flight`. All functions that plan, verify
+or fly a mission therefore serve it as well. Planning begins at the planned path and runs all
+stages, P3 first. Facets chosen on the planned path would cost 15 % more delta-v from 3000 s on,
+because that path was planned for a larger spread than that of a newly determined state.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ KEPT = ("epoch", "in_flight")
 
 
 def mission_left(flown: FlownPlan, delivery: Delivery, overrides: Sequence[str] = ()) -> Mission:
-    """The rest of a mission, with the warnings of the flight so far.
+    """Make the rest of a mission, with the warnings of the flight so far.
 
     Overrides are `section.entry=value` each, of what is left.
 
@@ -114,10 +114,10 @@ def _delivered(entry: str) -> str | None:
 
 
 def path_planned(flown: FlownPlan, mission: Mission) -> Iterate:
-    """The path that was planned, at the nodes of what is left.
+    """The planned path at the nodes of the rest of the flight.
 
     Raises:
-        InputError: if there are other burns left than the plan has.
+        InputError: if the number of burns left differs from the plan's.
     """
     ahead = [t > mission.scenario.start_s for t in flown.mission.scenario.burn_times_s]
     burns = flown.burns_m_s[ahead]
