@@ -1,1 +1,1 @@
-"""The report: one HTML file that shows plans, whole, without a network."""
+"""Write the report: one HTML file that shows plans and works without a network."""

@@ -1,4 +1,4 @@
-"""The report's charts but the 3-D view: each of some plans, as Plotly's figure."""
+"""Draw the charts of the report, except the 3-D view, as Plotly's figures."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ def history_chart(
 
 
 def probability_chart(plans: Sequence[Shown]) -> dict[str, Any]:
-    """Of every joint constraint, and of all of them so far, with 95 % intervals."""
+    """Probability of every joint constraint, and of all so far, over time with 95 % intervals."""
     panels = Panels(["probability (1)"], panel_px=300)
     alone, lowest = len(plans) == 1, 1.0
     for number, plan in enumerate(plans):

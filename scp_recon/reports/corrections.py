@@ -1,4 +1,4 @@
-"""Charts of what corrections do: spread with and without them, what is known of it, and delta-v."""
+"""Draw the effect of corrections: spread with and without them, knowledge, and delta-v."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class Spreads:
 
 
 def correction_charts(plans: Sequence[Shown]) -> Iterator[dict[str, Any]]:
-    """Of the plans with corrections; none where no plan has any."""
+    """Charts of the plans with corrections; none if no plan has any."""
     plans = [plan for plan in plans if _is_corrected(plan.subject)]
     if plans:
         spreads = [Spreads.of(plan.subject) for plan in plans]

@@ -1,4 +1,4 @@
-"""Draw a plan for the page with sliders: the report's view and some of its charts, of few flights."""
+"""Draw a plan for the page with sliders: the 3-D view and some charts, with few flights."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ CHARTS = ("observation", "probability", "timeline", "budget")
 
 
 def shown_of(solution: Solution) -> Shown:
-    """Fly a plan, and work out what the page shows of it."""
+    """Fly a plan, and compute the content of the page."""
     scenario = solution.scenario
     subject = Subject(scenario.name, solution)
     return Shown.of(subject, shape_of(scenario), Camera(), SAMPLES)
 
 
 def drawn(shown: Shown) -> dict[str, Any]:
-    """What the report's script draws of a plan."""
+    """Data of a plan for the report's script."""
     charts = [chart for chart in all_charts([shown]) if chart["key"] in CHARTS]
     return page.script_data(scene([shown], shown.shape), charts, shown.subject.solution)
 
@@ -41,12 +41,12 @@ def verdict(shown: Shown, solution: Solution) -> str:
 
 
 def render(shown: Shown, sliders: Sequence[Any], answer: dict[str, Any]) -> str:
-    """The page.
+    """Write the page.
 
     Args:
-        shown: the plan that it shows first.
+        shown: the plan shown first.
         sliders: of `api.exploring`.
-        answer: on that plan; its `drawn` is what is drawn.
+        answer: the answer for that plan; `drawn` has the data to draw.
     """
     data = answer["drawn"]
     by_group: dict[str, list[Any]] = {}

@@ -1,4 +1,4 @@
-"""Sampled flights of a plan, and what they show: histories with bands, probabilities, delta-v."""
+"""Sample flights of a plan, and derive histories with bands, probabilities and delta-v."""
 
 from __future__ import annotations
 
@@ -44,11 +44,11 @@ MEASURES: dict[Measure, tuple[str, float, float]] = {
 
 @dataclass(frozen=True, eq=False)
 class Flown:
-    """Flights with the planner's dynamics: the very draws of the verification.
+    """Flights with the planner's dynamics and the same draws as the verification.
 
     Attributes:
         times_s: nodes, and even times in the window, shape (n,).
-        window: which of them are in what is left of the window, shape (w,).
+        window: indices of those in the rest of the window, shape (w,).
         positions: J2000, m, shape (n, flights, 3).
         executed_m_s: sizes of the burns as executed, shape (flights, m).
         commanded_m_s: sums of their sizes as commanded, shape (flights,).
@@ -99,7 +99,7 @@ class History:
         times_s: shape (n,).
         planned: of the mean, shape (n,).
         bands: of the sampled flights, by sigmas: low and high, shape (n,) each; none if it is certain.
-        limits: that it has to keep, by name.
+        limits: limits on the quantity, by name.
     """
 
     title: str
@@ -263,9 +263,9 @@ class Budget:
         first: number of the first burn, more than 1 in flight.
         planned_m_s: shape (m,).
         mean_m_s: of the executions, shape (m,).
-        high_m_s: what `SHARE` of the executions of each burn stay below, shape (m,).
+        high_m_s: quantile `SHARE` of the executions of each burn, shape (m,).
         total_mean_m_s: of a flight's total.
-        total_high_m_s: what the totals of `SHARE` of the flights stay below.
+        total_high_m_s: quantile `SHARE` of the flights' totals.
         interval_m_s: 95 % confidence interval of that.
     """
 
@@ -322,7 +322,7 @@ def budget_table(budget: Budget, corrected: bool = False) -> Table:
 
 @dataclass(frozen=True, eq=False)
 class Shown:
-    """A plan with all that is shown of it."""
+    """A plan with the content of its page."""
 
     subject: Subject
     shape: Shape
@@ -336,7 +336,7 @@ class Shown:
     def of(
         cls, subject: Subject, shape: Shape, camera: Camera, samples: int | None = None
     ) -> Shown:
-        """Fly a plan and work out what it shows."""
+        """Fly a plan and compute the content of its page."""
         flown, ground = fly(subject, samples), ground_track(subject, shape, camera)
         found, budget = achieved(subject, flown), budget_of(subject, flown)
         return cls(subject, shape, camera, flown, found, budget, ground)

@@ -1,7 +1,8 @@
-"""Plotly's marks, as every page draws with them: colours, numbers, panels, curves, maps, surfaces.
+"""Make Plotly's marks for all pages: colours, numbers, panels, curves, maps, surfaces.
 
-Colours are those of Okabe and Ito 2008, told apart with any colour vision, on light and on dark ground.
-Figures are plain dictionaries, as Plotly's script takes them, with as many digits as are seen.
+Colours are those of Okabe and Ito 2008, which readers with any colour vision can distinguish, on
+light and on dark ground. Figures are plain dictionaries, as Plotly's script takes them, with as
+many digits as are seen.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The page: verdicts, charts and tables as one HTML file that needs no network."""
+"""Render verdicts, charts and tables as one HTML file that needs no network."""
 
 from __future__ import annotations
 
@@ -150,7 +150,7 @@ def _remarks(subject: Subject, status: Status) -> tuple[str, ...]:
 
 
 def _surplus(subject: Subject) -> list[str]:
-    """What to do about flights that surely reach more than required, as of a uniform split."""
+    """Advice for a plan whose flights surely exceed the required probability."""
     solution = subject.solution
     checked, risk = solution.verification, solution.scenario.risk
     if checked is None or not checked.ok or solution.problem == "P3" or risk.allocation == "exact":
@@ -192,7 +192,7 @@ def identity(page: Page) -> str:
 
 
 def render(page: Page) -> str:
-    """One HTML file that needs nothing else."""
+    """Render a page as one HTML file that needs no other file."""
     subjects = [plan.subject for plan in page.plans]
     first = subjects[0]
     return render_offline(
@@ -288,8 +288,8 @@ def _pages(package: str) -> Environment:
 def plotly_script() -> str:
     """Plotly's script without the loader about it.
 
-    The loader is handed all of the script as one function, which a browser therefore reads twice:
-    first to find its end, then to run it.
+    The loader takes the whole script as one function. A browser would parse that function twice:
+    once to find its end, once to run it.
     """
     from plotly.offline import get_plotlyjs
 

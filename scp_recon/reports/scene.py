@@ -1,4 +1,4 @@
-"""The 3-D view: Plotly's traces, and what the page needs to move them in time.
+"""Draw the 3-D view: Plotly's traces, and the data that moves them in time.
 
 Axes: Sun-North at the first plan's epoch, inertial, m. A trace's `meta.moves` says in what its
 coordinates are given: `body` turns with the body, `site` travels with the site, `companion` with the
@@ -54,7 +54,7 @@ X_NAME, Z_NAME = "X, to the Sun (m)", "Z, north (m)"
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """From J2000 to the axes of the view, and the box that it shows.
+    """Rotation from J2000 to the axes of the view, and the box shown.
 
     Attributes:
         to_j2000: shape (3, 3).
@@ -76,7 +76,7 @@ class Frame:
 def frame_of(plans: Sequence[Shown]) -> Frame:
     """Of the first plan, with room for the mean paths of all, burns, and the safety radius.
 
-    The box ends at whole metres, as it is written: what stands on its edge is in it.
+    The box ends at whole metres, as in the file, so that points on its edge are inside.
     """
     mission = plans[0].subject.mission
     axes = sun_north_to_j2000(mission.sun_direction(0.0), mission.rotation.pole)
@@ -131,7 +131,7 @@ def scene(plans: Sequence[Shown], shape: Shape) -> dict[str, Any]:
 
 
 def picture(plans: Sequence[Shown], shape: Shape) -> dict[str, Any]:
-    """The view as it stands amid the first plan's window, as a chart: nothing moves it."""
+    """The view at the middle of the first plan's window, as a chart without motion."""
     shown, mission = scene(plans, shape), plans[0].subject.mission
     frame, at_s = frame_of(plans), float(np.mean(mission.schedule.window_s))
     body = frame.to_j2000.T @ mission.rotation.body_to_j2000(at_s)

@@ -1,4 +1,4 @@
-"""The subject of a report: plans, and the flights of each that lie beside it."""
+"""Read the plans of a report, with the flights and the simulation beside each file."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ PARTS_PER_ARC = 3
 class Subject:
     """A plan with the flights and the simulation of this very plan, if they lie beside it.
 
-    Files beside it that are of another plan are `passed_over`: their names, and why. `path` is where
-    the plan was read, if from a file.
+    `passed_over` names the files beside it that belong to another plan, with the reason. `path` is
+    the plan's file, if any.
     """
 
     name: str
@@ -113,7 +113,7 @@ def _begins(subject: Subject) -> str:
 
 
 def _distinct(names: list[str]) -> list[str]:
-    """The same name twice gets numbers."""
+    """Number the names that occur more than once."""
     return [
         f"{name} ({names[: i + 1].count(name)})" if names.count(name) > 1 else name
         for i, name in enumerate(names)

@@ -1,4 +1,4 @@
-"""Surfaces that pages draw: the body, tubes about paths, cones, shells and spheres.
+"""Make the surfaces of the 3-D view: the body, tubes about paths, cones, shells and spheres.
 
 The body is its shape file, or its ellipsoid, or a sphere through the site.
 """
@@ -62,7 +62,7 @@ def _sheet(rows: int, columns: int) -> Indices:
 
 
 def tube(path: Array, covariance: Array, sigmas: float) -> Solid:
-    """Around a path, the ellipses of the position's covariance across it.
+    """A tube about a path, made of the ellipses of the position's covariance across it.
 
     Args:
         path: m, shape (n, 3), of points apart from each other.
@@ -135,8 +135,8 @@ class Shape(Solid):
     """A body's surface, body-fixed, its facets turning outward.
 
     Attributes:
-        description: what it is of.
-        radius: how far it is from the centre along unit directions, m, (..., 3) to (...); of a mesh
+        description: source of the surface.
+        radius: distance from the centre along unit directions, m, (..., 3) to (...); for a mesh
             averaged between the nearest vertices of the file.
     """
 

@@ -1,7 +1,7 @@
-"""The tables of a plan: burns, margins, verification, iterations, flights, simulation.
+"""Build the tables of a plan: burns, margins, verification, iterations, flights, simulation.
 
-Each is built here once; the terminal shows it, the report has it on its page, and its values are those
-of the files to the last digit.
+Each table is built here once, for the terminal and for the report. Its values are those of the
+files to the last digit.
 """
 
 from __future__ import annotations
@@ -121,12 +121,12 @@ def _components(burn: Burn) -> Sequence[object]:
 
 
 def or_none(fired: object, *figures: float) -> Sequence[object]:
-    """A burn's figures as they are, or as those of no burn."""
+    """Cells of a burn; dashes for a burn that is not executed."""
     return figures if fired else len(figures) * [NO_BURN]
 
 
 def constraints_table(solution: Solution) -> Table:
-    """Worst margins at the nodes; and what is violated without having one, as the final state is."""
+    """Worst margins at the nodes, and violations without a margin, such as that of the final state."""
     by, violated = Column("violated by"), solution.violation.by_constraint
     amounts = {name: by.cell(amount.max, "bad") for name, amount in violated.items()}
     worst = "worst chance margin" if solution.problem == "P2" else "worst margin"
@@ -347,7 +347,7 @@ def simulated_burns_table(summary: FlightSummary) -> Table:
 
 
 def legs_table(summary: FlightSummary) -> Table:
-    """Attitude modes as they were flown, and what is wrong with any."""
+    """Attitude modes as flown, with their failed requirements."""
     rows = []
     for leg in summary.legs:
         faults = ("" if leg.ok else " too short") + (

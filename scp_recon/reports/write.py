@@ -40,7 +40,7 @@ TITLE_PX, LINE_PX, WIDTH_PX = 34, 29, 800
 
 
 def check_extra() -> None:
-    """Find out before the work whether the report can be made.
+    """Check before the work that the report can be made.
 
     Raises:
         InputError: if not.
@@ -77,7 +77,7 @@ def write_report(
 
 
 def page_of(subjects: Sequence[Subject], camera: Camera, made: datetime) -> Page:
-    """All that the page shows."""
+    """Compute the content of the page."""
     shape = shape_of(subjects[0].solution.scenario)
     plans = [Shown.of(subject, shape, camera) for subject in subjects]
     comparison = compare([s.name for s in subjects], [s.solution for s in subjects]).table
