@@ -1,1 +1,1 @@
-"""Stored plans: facts, figures, files, tables, comparison and folders of runs."""
+"""Store, read, compare and tabulate plans, and manage the folders of runs."""

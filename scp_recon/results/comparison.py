@@ -1,4 +1,4 @@
-"""Compare plans: burns, delta-v, margins, probabilities, and the distance between their paths."""
+"""Compare plans by burns, delta-v, margins, probabilities, and the distance between paths."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class Comparison(Displayed):
 
     @property
     def table(self) -> Table:
-        """Rows with their units in brackets; figures of six digits, those that are rounding as zero."""
+        """Rows with their units in brackets; figures have six digits, rounding counts as zero."""
         rows = (
             [f"{name} ({unit})" if unit else name, *map(_cell, row)]
             for name, unit, row in self.rows
@@ -141,7 +141,7 @@ def _cell(figure: float | str | None) -> Cell | str | None:
 
 
 def largest_distance_m(one: Solution, other: Solution) -> float | None:
-    """Largest distance of two mean paths at the nodes of either, while both last, m; None if never.
+    """Largest distance of two mean paths at their nodes, m; None if they share no time.
 
     Paths are compared in J2000 at the same time past the epoch; between nodes they are cubics.
     """

@@ -1,4 +1,4 @@
-"""The policy of a plan with feedback as its file stores it: corrected burns, and what they cost."""
+"""Store the policy of a plan with feedback: corrected burns, and the delta-v they command."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ class StoredPolicy:
     dv99_m_s: Annotated[float, Field(ge=0)]
 
     def __str__(self) -> str:
-        """What it commands, in a line."""
+        """Its commanded delta-v in one line."""
         mean, most = f"mean {self.mean_m_s:.6f} m/s", f"99 % {self.dv99_m_s:.6f} m/s"
         return f"commanded delta-v, by the normal law: {mean}, {most}"
 

@@ -1,8 +1,9 @@
-"""The facts of a plan as its file stores them; SI, J2000, body-centred.
+"""Define the facts of a plan that its file stores; SI, J2000, body-centred.
 
-Margins, violation and totals are no facts: `figures` computes them from these. `docs/solution_file.md`
-describes every key. Planning's records (certificate, starts, the plan before, the primer) are stored as
-its data classes. A field whose name is not the file's key has the key as its alias.
+Margins, violation and totals are not facts: `figures` computes them from the facts.
+`docs/solution_file.md` describes every key. Records of planning (certificate, starts, parent,
+primer) are stored in the form of their data classes. A field whose name differs from the file's key
+has the key as its alias.
 """
 
 from __future__ import annotations

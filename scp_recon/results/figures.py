@@ -1,8 +1,8 @@
 """Compute a plan's figures from its facts: total delta-v, margins by constraint, violation.
 
-Distances and quantiles come from the regions' centres, radii, apices, axes and angles, in SI, and share
-no code with the planner's rows. A file carries the figures for its readers; `disagreements` names those
-that do not follow from its facts.
+Distances and quantiles come from the regions' centres, radii, apices, axes and angles, in SI. They
+share no code with the planner's rows. A file carries the figures for its readers. `disagreements`
+names figures that do not follow from the file's facts.
 """
 
 from __future__ import annotations
@@ -284,7 +284,7 @@ def _amounts(
 ) -> dict[str, tuple[Unit, Array]]:
     """Signed violations by constraint, negative where there is slack, and of the final state.
 
-    Defects between nodes count to the final state.
+    Defects between nodes count as a miss of the final state.
     """
     states, units = np.array(facts.nodes.state), mission.units
     with np.errstate(all="ignore"):
@@ -345,10 +345,10 @@ def is_strange(mission: Mission, policy: StoredPolicy | None) -> bool:
 
 
 def disagreements(mission: Mission, facts: Facts, carried: Figures) -> list[str]:
-    """Names of what a file carries that does not follow from its facts, but for rounding.
+    """Names of a file's figures that do not follow from its facts, within rounding.
 
-    The status is that of a stage, unless the plan was interrupted, and what has converged violates
-    nothing. The risk that was required is the scenario's.
+    The status must be that of a stage, unless the plan was interrupted. A converged plan must
+    violate nothing. The required risk must be the scenario's.
     """
     rows, found = rows_of(mission, facts), []
     stages = {stage.status for stage in facts.stages}
@@ -379,7 +379,7 @@ def disagreements(mission: Mission, facts: Facts, carried: Figures) -> list[str]
 
 
 def is_converged(facts: Facts) -> bool:
-    """Whether a plan is said to have converged."""
+    """Whether a plan's status is converged."""
     return facts.status == Status.CONVERGED.value.name
 
 

@@ -1,6 +1,6 @@
-"""Make picture files with Matplotlib: formats, metadata, legends; needs the extra [report].
+"""Write pictures with Matplotlib: formats, metadata, legends; needs the extra [report].
 
-The charts of commands and campaigns and the figures of `paper_figs` are drawn with it.
+The charts of commands and campaigns and the figures of `paper_figs` use this module.
 """
 
 from __future__ import annotations

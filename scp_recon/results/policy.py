@@ -1,13 +1,15 @@
-"""The policy that a plan with feedback flies: gains of its corrected burns on estimated states, in SI.
+"""Convert the policy of a plan with feedback to gains on estimated states, in SI, and back.
 
-At a cut-off the state is measured, y. A Kalman filter along the plan corrects what it predicts,
+At a cut-off the state is measured, with the result y. A Kalman filter along the plan updates its
+prediction,
 
     x <- x + K (y - x),    K = P R^-1,
 
-with R the covariance of the measurement's error and P that of the estimate's after the update; x is the
-estimated deviation from the plan. Until the next cut-off it is carried along by the plan's
-state-transition matrices, and each commanded correction is added to its velocity. The corrected burn is
-the planned one and gains times the estimates of its own cut-off and of all earlier ones.
+where R is the covariance of the measurement's error, P that of the estimate's error after the
+update, and x the estimated deviation from the plan. Until the next cut-off the plan's
+state-transition matrices propagate x, and each commanded correction is added to its velocity. The
+corrected burn is the planned burn plus gains times the estimates of its own cut-off and of all
+earlier ones.
 """
 
 from __future__ import annotations
@@ -24,7 +26,7 @@ from scp_recon.mission.mission import Mission
 
 @dataclass(frozen=True, eq=False)
 class CutOff:
-    """What is known before one burn; J2000, m and m/s.
+    """Knowledge before one burn; J2000, m and m/s.
 
     Attributes:
         burn: number of the burn, from 0, among those that are planned.
@@ -98,7 +100,7 @@ def policy_of(mission: Mission, lin: Linearisation) -> Policy:
 
 
 def with_policy(mission: Mission, lin: Linearisation, policy: Policy) -> Linearisation:
-    """The same burns with the gains of a policy of all corrected burns: `policy_of` turned round."""
+    """The same burns with the gains of a policy of all corrected burns: the inverse of `policy_of`."""
     problem, feedback = lin.problem, lin.problem.feedback
     if feedback is None or not policy:
         return lin
@@ -125,8 +127,8 @@ def _predicted(
 ) -> Array:
     """The estimate just before the next cut-off, shape (6, q), nondimensional.
 
-    By what estimates (6, q) depend on, and corrections (3, q), as many as there were; of the estimates
-    only those at earlier cut-offs count.
+    Estimates (6, q) and corrections (3, q) so far are given as derivatives by q variables. Only
+    estimates at earlier cut-offs count.
     """
     problem, feedback, j = lin.problem, lin.problem.feedback, len(corrections)
     assert feedback is not None

@@ -1,7 +1,8 @@
-"""Read the project's JSON files strictly, by their schema, and the solution file among them.
+"""Read the project's JSON files strictly by their schema, above all the solution file.
 
-A solution's times, nodes and units are held to its scenario, and the figures that its file carries, its
-status and the risk required to its facts. An edited file is read as not verified.
+A solution's times, nodes and units are checked against its scenario. The figures that its file
+carries, its status and its required risk are checked against its facts. An edited file is read as
+not verified.
 """
 
 from __future__ import annotations
@@ -102,9 +103,9 @@ def _validated(kind: TypeAdapter[Any], data: Any, named: str) -> Any:
 def read_solution(path: Path) -> Solution:
     """Read a solution file, or the one in a folder; `runs/latest` is that of the last finished run.
 
-    A file whose scenario, burns or corrections were changed after it was written, or whose figures do
-    not follow from its facts, is read as not verified, with a warning: its margins and its verification
-    are of another plan.
+    A file is read as not verified, with a warning, if its scenario, burns or corrections were
+    changed after it was written, or if its figures do not follow from its facts. Its margins and
+    its verification then belong to another plan.
 
     Raises:
         InputError: if the file is missing, damaged, of another version, or its parts contradict
@@ -172,9 +173,9 @@ def parse_solution(data: Any, named: str) -> Solution:
 def _as_today(data: dict[str, Any]) -> dict[str, Any]:
     """The content of an older file under today's keys and units.
 
-    `/1` called a worst margin `worst_margin_m_or_rad`. It and `/2` gave an exact plan's miss of the
-    final state in sigmas that were units of length. In all a plan was chosen by the flights that
-    certified it, with a 95 % interval.
+    `/1` called a worst margin `worst_margin_m_or_rad`. `/1` and `/2` gave an exact plan's miss of
+    the final state in sigmas that were units of length. In all older files the flights that
+    certified a plan had also chosen it, with a 95 % interval.
     """
     data = json.loads(json.dumps(data))
     constraints = data.get("constraints")

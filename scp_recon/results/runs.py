@@ -1,4 +1,4 @@
-"""Folders of runs, for results without a folder of their own, and the pointer to the latest one.
+"""Make folders for runs without a folder given by the user, and point to the latest one.
 
 `runs/NAME/UTC` holds one run. `runs/latest` points to the last finished one: a symbolic link, or if the
 system has none a text file with the folder's path from `runs`.

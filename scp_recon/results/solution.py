@@ -1,4 +1,4 @@
-"""A stored plan: its facts, figures computed from them, and the text of its file."""
+"""Hold a stored plan: its facts, the figures computed from them, and the text of its file."""
 
 from __future__ import annotations
 
@@ -124,7 +124,7 @@ class Solution(Displayed, Facts):
 
     @property
     def by_policy(self) -> str | None:
-        """What gains of the plan that is flown alone would command for the next burn, in words."""
+        """The next burn by the gains of the plan in flight alone, in words."""
         if self.parent is None or self.parent.commanded_m_s is None:
             return None
         burn, alone = self.burns[0], np.array(self.parent.commanded_m_s)
@@ -232,7 +232,7 @@ def require_whole_flight(scenario: Scenario, entry: str) -> None:
 
 
 def make_solution(plan: Plan) -> Solution:
-    """Collect a plan's facts, in SI, not yet verified."""
+    """Make a solution, not yet verified, from a plan's facts in SI."""
     mission, outcome = plan.mission, plan.final.result.status.value
     policy = stored_policy(plan)
     solution = Solution(

@@ -1,1 +1,1 @@
-"""The scenario file: its schema, reading, inheritance and error messages."""
+"""Read scenario files: schema, inheritance, computed entries and error messages."""

@@ -1,8 +1,8 @@
-"""The graph of dependencies among a scenario's entries, and inheritance by it.
+"""Inherit a base scenario's entries by the graph of dependencies among entries.
 
-Where a file or an override changes an entry, it does not inherit the base's other ways of saying the
-same, nor entries that followed from it: the Sun of another epoch, the normal of another site, another
-body's spin. Messages do not list as missing what can still be computed.
+A file or an override that changes an entry does not inherit the base's alternative forms of that
+entry, nor entries that followed from the old value: the Sun of another epoch, the normal of another
+site, another body's spin. Messages do not list an entry as missing if it can still be computed.
 """
 
 from __future__ import annotations
@@ -173,14 +173,15 @@ OLDER_LEAD, OLDER_LEAD_S = "decision_lead_s", 1800.0
 
 
 def older_lead(stored: Mapping[str, Any]) -> Any:
-    """The lead of a stored scenario from before there was `[navigation]`; None of a later one."""
+    """The lead of a stored scenario that is older than `[navigation]`; None for a later one."""
     return None if "navigation" in stored else found(stored, f"schedule.{OLDER_LEAD}")
 
 
 def with_todays_lead(stored: Mapping[str, Any]) -> Tables:
-    """A stored scenario with its lead where it is today.
+    """A stored scenario with its lead moved to today's entry.
 
-    The default of then gives way to today's where only later decisions depend on it: in a whole flight.
+    In a whole flight only later decisions depend on the lead, so today's default replaces the old
+    default.
     """
     tables, lead = dict(stored), older_lead(stored)
     if lead is not None:

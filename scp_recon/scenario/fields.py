@@ -1,4 +1,4 @@
-"""Kinds of entries of a scenario (bounded numbers, directions, names), and a warning about one."""
+"""Define the kinds of entries (bounded numbers, directions, names), and warnings about entries."""
 
 from __future__ import annotations
 

@@ -65,12 +65,12 @@ def load_scenario(path: Path | str | None = None, overrides: Sequence[str] = ())
 
 @contextmanager
 def naming_files(scenario: object, overrides: Sequence[str] = ()) -> Iterator[None]:
-    """Around what may find fault with a scenario: the message names the file that holds the entry.
+    """Context in which errors and warnings of a scenario name the file that holds the entry.
 
-    What overrides give, and what packaged scenarios hold, stands in none.
+    Entries of overrides and of packaged scenarios get no file.
 
     Args:
-        scenario: its file; of anything else there is nothing to name.
+        scenario: its file; other forms of a scenario have no file to name.
         overrides: that were applied to it.
     """
     try:
@@ -129,8 +129,8 @@ def validate_scenario(data: Mapping[str, Any], overrides: Sequence[str] = ()) ->
 def override(scenario: Scenario, overrides: Sequence[str]) -> Scenario:
     """A scenario with other values and everything computed from them.
 
-    An override is `section.entry=value`, the value in TOML. Entries that do not depend on it are kept,
-    not computed again: the files that they came from may be gone.
+    An override is `section.entry=value`, the value in TOML. Entries that do not depend on the
+    override are kept and not computed again, because their files may no longer exist.
 
     Raises:
         InputError: naming the entry, what was given and what is allowed.

@@ -1,4 +1,4 @@
-"""Turn Pydantic's errors into messages of ours: entry, value found, value expected."""
+"""Convert Pydantic's errors to one message: entry, value found, value expected."""
 
 from __future__ import annotations
 

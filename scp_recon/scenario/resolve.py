@@ -1,7 +1,8 @@
 """Compute the numbers that planning needs from those the user gave.
 
-Rotation, gravity, Sun and site are each a subject. What is given as well as it can be computed is
-checked against it. A subject that lacks something is left as it is: the schema tells what is missing.
+Rotation, gravity, Sun and site are each a subject. A given value that can also be computed is
+checked against the computed one. A subject with missing entries is left unchanged, and the schema
+reports them.
 """
 
 from __future__ import annotations
@@ -54,12 +55,12 @@ FILES = (
 def resolve(data: Mapping[str, Any], changes: Mapping[str, Any] | None = None) -> Tables:
     """Nested tables, their base merged in, with everything computed that can be.
 
-    With `changes` all else has been resolved before: only subjects that the changes touch are computed
-    again, so that the files of the others need not exist any more.
+    With `changes` everything else is already resolved. Only subjects that the changes affect are
+    computed again, so the files of the other subjects need not exist any more.
 
     Raises:
-        InputError: if a file cannot be used, an epoch is outside what is known, or what is given
-            contradicts what is computed.
+        InputError: if a file cannot be used, an epoch is outside the known span, or a given value
+            contradicts the computed one.
     """
     tables: Tables = {k: dict(v) if isinstance(v, Mapping) else v for k, v in data.items()}
     wanted = set(SUBJECTS) if changes is None else _touched(changes)
@@ -150,7 +151,8 @@ def resolve_epoch(tables: Tables) -> None:
     """Enter TDB in the place of UTC.
 
     Raises:
-        InputError: if both are given, and not alike, as of a date in UTC that was taken for TDB.
+        InputError: if both are given and differ, for example by a date in UTC that was taken for
+            TDB.
     """
     epoch = tables.get("epoch")
     if not isinstance(epoch, dict) or epoch.get("utc") is None:

@@ -1,4 +1,4 @@
-"""The schema of a scenario: its tables, frozen, with units in the keys, and validated together."""
+"""Define the schema of a scenario: frozen tables with units in the keys, validated together."""
 
 from __future__ import annotations
 
@@ -210,7 +210,7 @@ class Scenario(Section):
 
     @model_serializer(mode="wrap")
     def _what_is_given(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Leave out tables that say nothing, so that older scenarios are written as before."""
+        """Leave out empty tables, so that older scenarios are written as before."""
         said = handler(self)
         for table in (Navigation(), Policy()):
             name = type(table).__name__.casefold()
