@@ -1,1 +1,1 @@
-"""Sequential convex programming: the loop, its globalisations, and how it ends."""
+"""Run sequential convex programming: the loop, its algorithms, and their statuses."""

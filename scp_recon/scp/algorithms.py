@@ -38,7 +38,7 @@ class ExactPenalty:
         weight_limit: largest weight, for cases whose cost does not prove that nothing is feasible.
         stationary: largest predicted reduction, against the merit and a unit radius, to stop at.
         feasible: largest violation that counts as none: 1e-6 of the unit of length is a millimetre.
-        max_iterations: limit.
+        max_iterations: largest number of iterations.
     """
 
     initial_radius: float = 3.0
@@ -86,9 +86,9 @@ class ExactPenalty:
     def _worth(self, charge: PenaltyParameters, record: Record) -> float:
         """Largest reduction of the merit within a unit radius at which an iterate counts as stationary.
 
-        At the heaviest weight the question is whether violations can be removed at all. The answer is
-        no where the model promises to take less than `LITTLE` off their cost. The last digits of the
-        least violation do not matter, and first-order steps would find them slowly.
+        At the largest weight the question is whether violations can be removed at all. The answer
+        is no if the model predicts a reduction of their cost by less than `LITTLE`. The last digits
+        of the least violation do not matter, and first-order steps would find them slowly.
         """
         negligible = self._negligible(record)
         if charge.weight < self.weight_max or record.violated <= self.feasible:
@@ -119,10 +119,11 @@ class ExactPenalty:
     def _settled(
         self, state: State, new: State, trial: Trial, record: Record, *, stationary: bool
     ) -> State:
-        """The next state, stationary as well where two steps in turn promised nothing worth a step.
+        """The next state; also stationary after two successive steps without a worthwhile reduction.
 
-        Refused, and kept at a shorter step: the derivatives are right, and curvature eats what longer
-        steps promise. What it leaves is less than was promised then.
+        The steps were refused, and a shorter step kept its prediction. The derivatives are then
+        right, and curvature cancels the predicted reduction of longer steps. The remaining
+        reduction is less than that predicted.
         """
         worthless = trial.predicted <= self._negligible(record)
         kept = trial.actual > self.SHRINK * trial.predicted

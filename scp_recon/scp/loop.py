@@ -1,9 +1,9 @@
-"""Sequential convex programming: `run` iterates, `trial_step` linearises, solves and flies one step.
+"""Run sequential convex programming: `run` iterates, `trial_step` linearises, solves and flies a step.
 
-Each iterate is flown: a subproblem's answer is made to obey the nonlinear dynamics, so that only the
-final state can have a defect. The initial guess may have defects everywhere and is no iterate to return
-to, so the step from it is always accepted. The algorithm decides on every other trial step: see
-`algorithms`.
+Each iterate is flown: the answer of a subproblem is corrected to obey the nonlinear dynamics, so
+only the final state can have a defect. The initial guess may have defects everywhere. It is no
+iterate to return to, so the first step is always accepted. The algorithm decides on every other
+trial step: see `algorithms`.
 """
 
 from __future__ import annotations
@@ -97,9 +97,11 @@ class State:
         radius: of the trust region.
         charge: weights and multipliers.
         failures: consecutive failures of the conic solver.
-        stationary: whether no step promises a reduction that is worth one.
-        worthless: whether the last step was refused, and its predicted reduction not worth a step.
-        unsure: whether the last answer, for which the solver does not vouch, promised nothing either.
+        stationary: whether no step predicts a worthwhile reduction.
+        worthless: whether the last step was refused with a predicted reduction too small for a
+            step.
+        unsure: whether the last answer was inaccurate by the solver and predicted no reduction
+            either.
         change: SCvx*'s bound on the merit's change at which the multipliers are next updated.
         violated: largest violation at the last update of the multipliers.
     """

@@ -1,4 +1,4 @@
-"""The status of a plan: every way in which planning can end, with its message and remedy."""
+"""List the statuses of a plan: every way in which planning can end, with message and remedy."""
 
 from __future__ import annotations
 

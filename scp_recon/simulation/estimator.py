@@ -1,4 +1,4 @@
-"""Attitude estimation: a multiplicative extended Kalman filter on gyro, star tracker and Sun sensors.
+"""Estimate the attitude by a multiplicative Kalman filter on gyro, star tracker and Sun sensors.
 
 Basilisk's filters estimate the Sun's direction alone, or predict with the wheels' torques and miss
 slews on thrusters; here the gyro propagates the attitude from sample to sample.

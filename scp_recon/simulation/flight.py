@@ -1,4 +1,4 @@
-"""A simulated flight, and measures of how it kept its plan: pointing, position and energy."""
+"""Hold a simulated flight, and measure its errors against the plan: pointing, position, energy."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Guidance: attitude commands from the nominal trajectory, the site and the Sun.
+"""Command attitudes from the nominal trajectory, the site and the Sun.
 
 In delta-V mode the thruster's force points along the burn, in observation mode the camera at the site,
 both rolled for the largest power. In sun-pointing mode, and where a burn is zero, the panels face the
@@ -47,7 +47,7 @@ class Firing:
 
 @dataclass(frozen=True)
 class FlightPlan:
-    """Commands, fixed before departure or as they stand at a time in flight.
+    """Commands of a flight, before departure or at a time in flight.
 
     Attitude modes are those of the schedule, but the attitude of a burn is kept to its end. The nominal
     path is the planned mean's positions, m, J2000.

@@ -1,4 +1,4 @@
-"""Power of the solar panels, and the attitude of largest power about a pointing axis.
+"""Compute the power of the solar panels, and the attitude of largest power about an axis.
 
 The power of panels with normals n_i and peak powers p_i under a Sun in the direction s is
 sum_i p_i max(0, n_i . s) = max over subsets S of (sum_S p_i n_i) . s: the support function of a

@@ -1,4 +1,4 @@
-"""The file of a simulated flight: arrays every few seconds, a summary, and unmet requirements.
+"""Write and read the file of a simulated flight: arrays, a summary, and unmet requirements.
 
 The summary is SI, with angles in degrees. `docs/simulation_file.md` describes both.
 """
@@ -66,15 +66,16 @@ Of = Callable[[Flight, Solution], npt.NDArray[Any]]
 class ModeOutcome(Section):
     """A mode as commanded and as flown, against the least length that the schedule's rules require.
 
-    A mode is `ok` if it was long enough, to a control period. `settled_s` is the time from its start
-    after which the attitude error stays below `STEADY_RAD` to its end, in delta-V mode to the burn;
-    null if never. `settled_in_time` means as early as the rules assume.
+    A mode is `ok` if it was long enough, to a control period. `settled_s` is the time from the
+    mode's start after which the attitude error stays below `STEADY_RAD` until its end, in delta-V
+    mode until the burn; null if it never does. `settled_in_time` means as early as the rules
+    assume.
 
     Attributes:
         mode: its name.
         start_s: when it was commanded, past the epoch.
         duration_s: how long it was flown.
-        required_s: how long the rules want it at least.
+        required_s: least duration by the rules.
         ok: whether it was long enough.
         settled_s: when its attitude was steady, past its start.
         settled_in_time: whether that is as early as the rules assume.
@@ -95,7 +96,7 @@ class FlownBurn(Section):
     Attributes:
         t_s: time past the epoch.
         duration_s: of the thrust.
-        planned_m_s: velocity that it was to add, as it was commanded.
+        planned_m_s: commanded velocity.
         executed_m_s: velocity that it added.
         pointing_deg: angle between the planned burn and the thrust, at the instant before it starts.
         executed_pointing_deg: angle between the planned and the executed one.
@@ -188,7 +189,7 @@ class FlightSummary(File):
         least_charge: of any battery, 0 to 1.
         floor_charge: below which none may fall.
         energy_wh: totals.
-        ledger_error: what is left of the energy balance, over the energy generated.
+        ledger_error: error of the energy balance, over the energy generated.
         dumps: how often momentum was dumped.
         terminal_miss: of the final state.
         within_3_sigma: share of the nodes whose position is within three sigma of the planned spread.

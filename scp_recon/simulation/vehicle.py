@@ -1,4 +1,4 @@
-"""The vehicle that is simulated: validated data with units in the key names."""
+"""Read the simulated vehicle: validated data with units in the key names."""
 
 from __future__ import annotations
 

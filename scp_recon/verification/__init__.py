@@ -1,1 +1,1 @@
-"""Independent checks of a solution, without the solver."""
+"""Verify a solution independently, without the solver."""

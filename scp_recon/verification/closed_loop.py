@@ -1,16 +1,17 @@
 """Compute covariances of flights and of their estimates; shares no code with the planner.
 
-Of a flight that is d off its plan let x be the estimate, by a Kalman filter along the plan, and
-e = d - x its error. The covariance of e, x, a bias that burns share, and the estimates at all cut-offs
-so far is one matrix, which linear maps take along:
+Let d be a flight's deviation from its plan, x the estimate of d by a Kalman filter along the plan,
+and e = d - x the error of the estimate. One matrix holds the covariance of e, x, a bias that all
+burns share, and the estimates at all cut-offs so far. Linear maps propagate it:
 
     between events    e <- Phi e,               x <- Phi x
     measurement       e <- e - K (e + n),       x <- x + K (e + n),    K = P (P + R)^-1
     burn              e <- e + B (errors),      x <- x + B c
 
-with P the covariance of e, R that of the measurement's error n, and c the gains times the estimates.
+where P is the covariance of e, R that of the measurement's error n, and c the gains times the
+estimates.
 
-Without corrections x is zero, and e the deviation.
+Without corrections x is zero, and e is the deviation.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ class Known:
 
 @dataclass(frozen=True)
 class Spread:
-    """The joint covariance of a flight, and what its cut-offs told; SI, J2000.
+    """The joint covariance of a flight, and the knowledge at its cut-offs; SI, J2000.
 
     Attributes:
         mission: that is flown.
@@ -138,7 +139,7 @@ class Spread:
 
 
 def _error_of_correction(gates: Gates | None, fraction: float, command: Array) -> Array:
-    """Covariance that executing corrections adds, from theirs (3, 3), with the planner's bound.
+    """Covariance of the errors in executing corrections of covariance (3, 3), with the planner's bound.
 
     By Gates p_p^2 tr(C) I + (s_p^2 + b^2 - p_p^2) C, the second term only where it adds.
     """

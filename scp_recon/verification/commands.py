@@ -1,4 +1,4 @@
-"""Draw the commands of corrected burns: the probability of each limit on them, and their cost.
+"""Check the commands of corrected burns by draws: the probability of each limit, and the cost.
 
 The corrections are jointly normal, with the covariance that the verification's own recursion gives.
 """
@@ -57,13 +57,13 @@ def burn_limits(mission: Mission, solution: Solution, burns: Array) -> Iterator[
 
 
 def is_kept(limit: BurnLimit, required: float) -> bool:
-    """Whether a limit is kept as often as required, as far as points can tell."""
+    """Whether a limit is kept with the required probability, within the accuracy of the draws."""
     p = limit.probability
     return p + FEW + ERRORS * np.sqrt(p * (1.0 - p) / POINTS) >= required
 
 
 def wrong_costs(solution: Solution, covariance: Array, burns: Array) -> Iterator[str]:
-    """Figures of a file's policy that are not those of its corrections, by name."""
+    """Names of figures in a file's policy that do not follow from its corrections."""
     stored = solution.policy
     assert stored is not None
     sigmas = np.sqrt(np.diag(covariance).reshape(-1, 3).sum(axis=1))

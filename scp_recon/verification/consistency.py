@@ -1,10 +1,11 @@
 """Check by independent means that a solution's statements follow from its own facts.
 
-Facets are held to the regions' centres, radii, apices, axes and angles; the risk of an exact plan, at
-each node, to the original limits at points of the node's normal law. Neither shares code with the
-planner's rows. The probability of a whole flight, and what a certificate says was reached, are held
-against the flights of the Monte Carlo: see `probabilities`. What is not checked is that a polytope's
-facets together lie within a keep-in region; the Monte Carlo estimate stands behind that.
+Facets are checked against the regions' centres, radii, apices, axes and angles. The risk of an
+exact plan at each node is checked by the original limits at points of the node's normal law.
+Neither check shares code with the planner's rows. The probability of a whole flight, and the
+probability in a certificate, are checked by the flights of the Monte Carlo: see `probabilities`.
+There is no check that all facets of a polytope together lie within a keep-in region; only the Monte
+Carlo estimate covers that.
 """
 
 from __future__ import annotations
@@ -59,7 +60,7 @@ FEW = 3.0 / POINTS
 def inconsistencies(mission: Mission, solution: Solution) -> list[str]:
     """Parts of a solution that contradict its scenario or each other, by name.
 
-    The figures that its file carried are among them. What has converged violates nothing.
+    They include the figures that its file carried, and violations of a converged plan.
     """
     found = strange_times(mission, [b.t_s for b in solution.burns], solution.nodes.t_s)
     if "nodes.t_s" in found:  # nothing else can be told without them
@@ -82,7 +83,7 @@ def inconsistencies(mission: Mission, solution: Solution) -> list[str]:
 
 
 def _is_policy(mission: Mission, solution: Solution) -> bool:
-    """Whether a plan corrects the burns that its scenario does, by measurements as good as there."""
+    """Whether a plan corrects the same burns as its scenario, with the scenario's measurements."""
     feedback = mission.feedback
     if solution.policy is None:
         return feedback is None or solution.problem == "P3" or not is_converged(solution)
@@ -96,7 +97,7 @@ def _is_policy(mission: Mission, solution: Solution) -> bool:
 
 
 def _are_sound(mission: Mission, facets: FacetTable | None) -> bool:
-    """Whether the facets leave no more risk than was asked, and keep-out planes touch no region."""
+    """Whether the facets leave no more than the allowed risk, and keep-out planes cut no region."""
     if facets is None:
         return False
     normal, offset = np.array(facets.normal).reshape(-1, 3), np.array(facets.offset_m)
@@ -178,10 +179,11 @@ def node_probabilities(mission: Mission, solution: Solution) -> dict[str, tuple[
 
 
 def _is_promise(risk: Risk) -> bool:
-    """Whether what is promised is aimed at, or certified by flights that may do so.
+    """Whether the promised probability is the target, or is certified by valid flights.
 
-    A plan without a certificate aims at what was asked, or higher. A certified one aims at whatever its
-    flights needed: less than was asked where they reach more than the law says.
+    The target of a plan without a certificate must be at least the required probability. The target
+    of a certified plan is free: it is less than required if flights reach more than the law
+    predicts.
     """
     if risk.certificate is None:
         return risk.target >= risk.required - SAME_PROBABILITY
@@ -189,9 +191,10 @@ def _is_promise(risk: Risk) -> bool:
 
 
 def _is_sound(reached: Certificate, required: float) -> bool:
-    """Whether a certificate is of enough flights that may judge, and its interval is theirs.
+    """Whether a certificate has enough valid flights, and their interval.
 
-    In older files those of a round may, with the interval of all estimates: see `Certificate.looks`.
+    In older files the flights of a round are valid too, with the interval of other estimates: see
+    `Certificate.looks`.
     """
     older = reached.looks == 0
     confidence, needed = (CONFIDENCE, flights_needed) if older else (LOOK_CONFIDENCE, look_flights)

@@ -1,4 +1,4 @@
-"""Nonlinear flights of a solution: probabilities of the joint constraints, and final sigmas."""
+"""Fly a solution's nonlinear dynamics: probabilities of joint constraints, and final sigmas."""
 
 from __future__ import annotations
 
@@ -45,10 +45,10 @@ LAW = 0.02
 def shortfalls(
     mission: Mission, solution: Solution, probabilities: list[JointProbability]
 ) -> list[str]:
-    """Probabilities less than asked, and a promise that they contradict.
+    """Names of probabilities below the required one, and of a promise that flights contradict.
 
-    An exact plan spends what was asked and no more, so that flights refute it only where their upper
-    limit is less. What stands behind it is its certificate, if it has one.
+    An exact plan spends all its allowed risk, so flights refute it only if their upper limit is
+    below the required probability. Its evidence is its certificate, if it has one.
     """
     required, risk = mission.scenario.risk, solution.risk
     if risk is None:
@@ -70,7 +70,7 @@ def shortfalls(
 
 
 def _bears_out(required: float, risk: Risk, probabilities: list[JointProbability]) -> bool:
-    """Whether new flights reach what the certificate's flights are said to have reached."""
+    """Whether new flights agree with the probability in the certificate."""
     certificate = risk.certificate
     assert certificate is not None
     named = [p for p in probabilities if p.name == FLIGHT] or probabilities
@@ -87,7 +87,7 @@ def joint_probabilities(
 ) -> list[JointProbability]:
     """Estimate joint probabilities by Monte Carlo, in the window at nodes and between, safety at nodes.
 
-    And of whole flights, where they are what was asked.
+    With the scope "flight", estimate the probability of whole flights too.
     """
     window = mission.times_s[mission.window_nodes]
     step = np.diff(window)[:, None] / SAMPLED_PARTS_PER_ARC
@@ -123,8 +123,8 @@ def held(
 def holds(margin: Array, unit: str) -> Booleans:
     """Mask of the flights that keep a constraint, from margins (times, flights).
 
-    Where they spread by less than a binding mean may dip between nodes they are judged as the mean is:
-    without uncertainty every flight is the mean.
+    If flights spread by less than the tolerance of the mean between nodes, they are judged like the
+    mean: without uncertainty every flight is the mean.
     """
     limit = MARGIN_LIMIT[unit]
     allowed = np.where(margin.std(axis=1) < -limit, limit, 0.0)

@@ -1,8 +1,8 @@
 """Estimate the planner's integration error, and the grid that is fine enough where it is too large.
 
-The planner takes steps of a fixed length, by default 232 s at most. They are short enough about Bennu;
-where a flight turns faster they are not, and the covariances that it carries differ from those that the
-verification integrates.
+The planner takes steps of a fixed length, by default 232 s at most. Such steps are short enough
+about Bennu. If a flight turns faster, they are too long, and the planner's covariances differ from
+those of the verification.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ def finer_step_s(mission: Mission, excess: float) -> float:
     """Longest spacing of nodes at which integration errs by half of what is allowed, s.
 
     Args:
-        mission: as it is.
+        mission: on its present grid.
         excess: its error over the one allowed.
     """
     longest = float(np.diff(mission.times_s).max()) / mission.arc_substeps
@@ -53,10 +53,10 @@ def finer_step_s(mission: Mission, excess: float) -> float:
 
 
 def refined(plan: Plan) -> Mission | None:
-    """The mission of a plan on a grid on which covariances are right, with a warning that says so.
+    """The mission of a plan on a grid fine enough for its covariances, with a warning about it.
 
-    None where they are right as it is, where the plan has not converged, and where that would take more
-    nodes than a plan may have.
+    None if the present grid is fine enough, if the plan has not converged, or if the finer grid
+    would have too many nodes.
     """
     mission, limit = plan.mission, reintegration.COVARIANCE_LIMIT
     if plan.status is not Status.CONVERGED:

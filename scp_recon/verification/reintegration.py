@@ -1,11 +1,12 @@
-"""Verification that shares no code path with the solver.
+"""Verify a solution without any code of the solver.
 
-The plan's burns are flown with an adaptive eighth-order integrator at tight tolerance, the STM by
-the variational equations with a complex-step gravity gradient; every original constraint (not its
-polytope) is evaluated between the nodes too, and every joint probability is estimated by Monte
-Carlo of the nonlinear dynamics. The samples fly with the planner's fixed-step integrator for speed;
-some of them are flown again with the adaptive one. Common ground is what defines the problem: the
-acceleration, the body's rotation, its companion's orbit, the Sun's direction and the boundary states.
+An adaptive eighth-order integrator with a tight tolerance flies the plan's burns. The STM comes
+from the variational equations with a complex-step gravity gradient. Every original constraint (not
+its polytope) is evaluated at and between the nodes. Every joint probability is estimated by Monte
+Carlo of the nonlinear dynamics. For speed the samples fly with the planner's fixed-step integrator;
+some of them are flown again with the adaptive one. Only the definition of the problem is shared
+with the planner: the acceleration, the body's rotation, its companion's orbit, the Sun's direction
+and the boundary states.
 """
 
 from __future__ import annotations
@@ -133,7 +134,8 @@ def verify(mission: Mission, solution: Solution) -> Verification:
 def limits_of(mission: Mission) -> dict[str, float]:
     """Limits of a verification, by the figures' names, in their units.
 
-    The miss of a final state that too few burns are left to meet is said and not judged: infinity.
+    If too few burns are left to meet the final state, its miss is reported but not judged:
+    infinity.
     """
     missed, gates = not mission.must_meet, mission.scenario.uncertainty.gates
     biased = mission.feedback is not None and gates is not None and gates.magnitude_bias > 0.0
@@ -162,7 +164,8 @@ def final_miss(mission: Mission, miss: Array) -> FinalMiss:
 class _Flown:
     """A re-integrated flight, after the burns: times (n,), states (n, 6), covariances (n, 6, 6).
 
-    Of the deviation from the plan, and of what is known; and the spread at the end.
+    Covariances are those of the deviation from the plan and of the estimate's error; last the
+    spread at the end.
     """
 
     times: Array
@@ -175,9 +178,9 @@ class _Flown:
 def _fly(
     mission: Mission, burns: Array, times: Array, initial: Array, policy: Policy = ()
 ) -> _Flown:
-    """Burn to burn and cut-off to cut-off, so that the integrator never steps over a jump.
+    """Fly from burn to burn and cut-off to cut-off, so that the integrator never steps over a jump.
 
-    From a state before the burns.
+    The flight starts from a state before the burns.
     """
     firing = mission.scenario.burn_times_s
     stops = sorted({mission.scenario.start_s, *firing, *(one.cut_off_s for one in policy)})
@@ -210,7 +213,7 @@ def _fly(
 def integrated(mission: Mission, state: Array, span: tuple[float, float], **looks: Any) -> Any:
     """SciPy's answer for the state and the flattened STM, shape (42,), from one time to another.
 
-    `looks` says where it is looked at, as `solve_ivp` takes it.
+    `looks` are the output times, as in `solve_ivp`.
     """
     return solve_ivp(
         lambda t, y: variational_rate(y, mission.forces, mission.forces.moment(t)),

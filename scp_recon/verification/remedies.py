@@ -1,4 +1,4 @@
-"""Remedies for failed checks: one table for the terminal, reports and drafts."""
+"""Give a remedy for each failed check, from one table for terminal, reports and drafts."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ REMEDIES = {
 
 
 def what_next(mission: Mission, solution: Solution, verification: Verification) -> tuple[str, ...]:
-    """Lines that say what to do about what failed: names, and one remedy for all of them.
+    """Lines with the names of failed checks and a remedy for them.
 
     Args:
         mission: of the solution.

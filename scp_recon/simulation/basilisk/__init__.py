@@ -1,1 +1,1 @@
-"""The spacecraft as Basilisk's modules; needs the extra [sim]."""
+"""Build the spacecraft from Basilisk's modules, and simulate it; needs the extra [sim]."""

@@ -1,4 +1,4 @@
-"""Flight software: attitude control, choice of actuators, momentum dumping and burns.
+"""Build the flight software: attitude control, choice of actuators, momentum dumping and burns.
 
 Basilisk's algorithms do the control: MRP steering with a rate limit, a rate servo, wheel and thruster
 allocation, a Schmitt trigger, momentum dumping. `Navigator` feeds them; `Allocator` and `Firer` join

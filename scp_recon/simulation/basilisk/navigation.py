@@ -1,4 +1,4 @@
-"""Star tracker, gyro and Sun sensors, and the flight software that estimates the attitude from them."""
+"""Build star tracker, gyro and Sun sensors, and the software that estimates the attitude from them."""
 
 from __future__ import annotations
 
