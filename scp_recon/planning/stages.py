@@ -64,7 +64,7 @@ class Spent(Protocol):
 
     @property
     def allocation(self) -> Literal["uniform", "exact"]:
-        """"uniform" over facets, or "exact" by the probabilities of the sets."""
+        """Split of the risk: "uniform" over facets, or "exact" by the probabilities of the sets."""
 
     @property
     def scope(self) -> Literal["node", "flight"]:
