@@ -1,1 +1,1 @@
-"""Studies that compare: each module runs by itself and writes tables to a folder."""
+"""Run the studies: each module runs by itself and writes tables to a folder."""

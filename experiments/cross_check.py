@@ -1,10 +1,10 @@
 """Fly the default plan with other tools' forces and integrators; needs the extra [crosscheck].
 
-Orekit reads the exported OPM and OEM with its own parsers, and flies the OPM's state and burns with its
-own forces, numbers and axes those of the scenario; brahe flies the same with its own. Each flight is
-held against the planner's equations by SciPy's DOP853. A row a tool and a set of forces has the largest
-distance at the grid's nodes. Two rows have forces that the planner leaves out: sunlight from a Sun that
-moves, and the Sun's tide.
+Orekit reads the exported OPM and OEM with its own parsers. It flies the OPM's state and burns with
+its own forces, and with the numbers and axes of the scenario. brahe flies the same with its own
+forces. Each flight is compared with the planner's equations, integrated by SciPy's DOP853. A row
+for each tool and set of forces has the largest distance at the grid's nodes. Two rows have forces
+that the planner leaves out: sunlight from a moving Sun, and the Sun's tide.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ LEFT_OUT = {
 
 
 class Coast(NamedTuple):
-    """A flight without burns: its state after one, m and m/s, and times at which it is looked at."""
+    """A flight without burns: its state after a burn, m and m/s, and output times."""
 
     state: Array
     times_s: Array
@@ -362,7 +362,7 @@ def _gfc(field: HarmonicField) -> Iterator[str]:
 
 
 def compare(solution: Solution) -> list[Record]:
-    """A row a tool and a set of forces, and one for the OEM that Orekit read."""
+    """Rows for each tool and set of forces, and one for the OEM that Orekit read."""
     mission = Mission.from_scenario(solution.scenario)
     with TemporaryDirectory() as name:
         folder = Path(name)

@@ -1,9 +1,9 @@
-"""Files of evidence: the tables of a study, how they were made, and whether they are up to date.
+"""Write and check files of evidence: a study's tables, their origin, and whether they are current.
 
 `docs/evidence/NAME.json` has tables of rows, and beside them the command, the commit, the versions,
 the machine, the date, the wall time, and the hash of what the rows depend on: the scenarios, the
-study, and all modules that it imports below `scp_recon.api`. Evidence is out of date where the
-hash, the versions or the command are no longer the same.
+study, and all modules that it imports below `scp_recon.api`. Evidence is out of date if the hash,
+the versions or the command have changed.
 """
 
 from __future__ import annotations
@@ -135,14 +135,14 @@ class Evidence:
     """A file of evidence.
 
     Attributes:
-        command: that made it, after `python -m`.
-        commit: of the sources; with a plus where some were changed since.
+        command: the command that made it, after `python -m`.
+        commit: commit of the sources; with a plus if some had changes.
         date: on which it was made (UTC).
         machine: processor and number of cores.
         versions: of packages.
         sources: hash of what the rows depend on, or `UNKNOWN`.
         seconds: wall time of the study.
-        resumed: whether it took up finished work, of which the seconds tell nothing.
+        resumed: whether it continued finished work, whose time the seconds leave out.
         tables: rows of each table by its name.
     """
 
@@ -210,13 +210,13 @@ def path_of(name: str) -> Path:
 
 
 def source_of(command: str, module: str) -> Source:
-    """What makes the evidence by a command; of a command that makes none its module."""
+    """The source of the evidence that a command makes; for another command its module."""
     found = (source for source in SOURCES.values() if source.command == command)
     return next(found, Source(command, (module,)))
 
 
 def out_of_date(names: Sequence[str] | None = None) -> dict[str, str]:
-    """Names of evidence, by default of all, that is missing or out of date, and why."""
+    """Names of evidence that is missing or out of date, with the reason; by default of all evidence."""
     found = {}
     for name in SOURCES if names is None else names:
         try:

@@ -1,11 +1,12 @@
 """Measure delta-v against the required probability.
 
-The default scenario is planned for probabilities from 0.55 to 0.999, with the paper's bookkeeping
-(uniform risk on its polytopes, and on tangent spheres with 12-facet cones), with exact risk per node
-and for whole flights, and certified by flights. Every plan is flown 10,000 times. OUT/frontier.csv has
-a row for each: its cost, the probability reached, the expected observation time, the processor time of
-all rounds, and the extra delta-v and time of certifying. OUT/frontier.md has the tables; `python -m
-paper_figs frontier` draws them. After Ctrl-C the study continues with the missing rows.
+The default scenario is planned for probabilities from 0.55 to 0.999: with the paper's risk split
+(uniform risk on its polytopes, and on tangent spheres with 12-facet cones), with exact risk per
+node and for whole flights, and certified by flights. Every plan is flown 10,000 times.
+OUT/frontier.csv has a row for each: its cost, the probability reached, the expected observation
+time, the processor time of all rounds, and the extra delta-v and time of certifying.
+OUT/frontier.md has the tables; `python -m paper_figs frontier` draws them. After Ctrl-C the study
+continues with the missing rows.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """Run a study: options, finished work, progress, tables, claims and the report.
 
-A study is a module with a `STUDY`, which `python -m experiments NAME` runs. Its `run` gets a `Session`
-and returns `Findings`: tables that go to OUT as CSV, the parts of a report in Markdown, and claims: a
-row each of claim, threshold, measured, and whether it holds. All tables of at most `ROWS_MAX` rows go
-into a file of evidence as well.
+A study is a module with a `STUDY`, which `python -m experiments NAME` runs. Its `run` gets a
+`Session` and returns `Findings`: tables, which go to OUT as CSV, parts of a report in Markdown, and
+claims. A claim is a row of claim, threshold, measured value, and whether it holds. All tables of at
+most `ROWS_MAX` rows go into a file of evidence as well.
 """
 
 from __future__ import annotations
@@ -307,7 +307,7 @@ def view(
 
 
 def _without_output(words: Sequence[str]) -> Iterator[str]:
-    """Arguments but for where the results go."""
+    """Arguments without the option for the output folder."""
     left = iter(words)
     for word in left:
         if word == "--out":

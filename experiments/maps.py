@@ -1,15 +1,16 @@
-"""Run five campaigns of `examples/studies`, and sum up what a designer reads from them.
+"""Run five campaigns of `examples/studies`, and summarise them for a designer.
 
-Each is run into OUT/NAME, where an earlier run's cases count. OUT/campaigns.csv has a row for each
-campaign, the other files one for each latitude, error or size: how many cases have a verified plan,
-what these cost, their lowest probability, and why the others have none. It needs the extras
-[campaign] and [report]; the map takes most of an hour.
+Each campaign runs into OUT/NAME, and keeps the cases of an earlier run. OUT/campaigns.csv has a row
+for each campaign, the other files one for each latitude, error or size: the number of cases with a
+verified plan, their cost and lowest probability, and why the others have no plan. It needs the
+extras [campaign] and [report]; the map takes most of an hour.
 
-With `--sample` a seeded sample of the map's sites is planned instead, for 0.90 of whole flights with
-exact risk: OUT/sample.csv has a row for each site, OUT/sample_latitudes.csv one for each latitude. The
-cheapest passes without uncertainty, at most `PASSES`, are planned open loop, and where that holds none
-with feedback, each once, by the normal law; flights say what the first plan keeps, and certify nothing.
-After Ctrl-C it continues with the missing sites.
+With `--sample` a seeded sample of the map's sites is planned instead, for 0.90 of whole flights
+with exact risk: OUT/sample.csv has a row for each site, OUT/sample_latitudes.csv one for each
+latitude. The cheapest passes without uncertainty, at most `PASSES`, are planned open loop. If none
+has a plan, they are planned with feedback. Each is planned once, by the normal law. Flights measure
+the probability of the first plan, and certify nothing. After Ctrl-C it continues with the missing
+sites.
 """
 
 from __future__ import annotations

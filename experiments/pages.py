@@ -1,4 +1,4 @@
-"""Pages whose figures are rendered from evidence.
+"""Render the figures of pages from evidence.
 
 A mark in a page is a comment with a template, what the template gives, and an end:
 
@@ -18,8 +18,8 @@ fields are mere columns are repeated for each row:
     ...
     <!--/-->
 
-Formats are Python's, after a factor if there is one, as in `{share:*100 .1f}`. Texts stand as they
-are, and what is missing is left empty.
+Formats are Python's, after a factor if there is one, as in `{share:*100 .1f}`. Texts are not
+changed, and missing values are left empty.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ def render(text: str) -> str:
     """A page's text with every mark filled anew.
 
     Raises:
-        InputError: if a mark names what no evidence has.
+        InputError: if a mark names evidence, a row or a column that does not exist.
     """
     return MARK.sub(lambda mark: f"<!--={mark[1]}-->{_filled(mark[1])}<!--/-->", text)
 
@@ -66,7 +66,7 @@ def behind() -> dict[Path, str]:
     """Pages of which a figure is not the evidence's: their text as it should be.
 
     Raises:
-        InputError: if a mark names what no evidence has.
+        InputError: if a mark names evidence, a row or a column that does not exist.
     """
     _tables.cache_clear()
     texts = {page: page.read_text("utf-8") for page in PAGES}

@@ -2,7 +2,7 @@
 
 Each case is the default scenario with some changes, planned from a cold start, verified and flown
 10,000 times; with `--designs` a pass from a home orbit, designed and planned. OUT/plans.csv or
-designs.csv has a row for each: its end, its cost, what flights reach, the processor time. Commands
+designs.csv has a row for each case: status, cost, probability by flights, processor time. Commands
 whose output a page shows are run as programs as well. After Ctrl-C the study continues with the
 missing rows.
 """
@@ -113,7 +113,7 @@ def measure_design(name: str) -> Record:
 
 
 def record(found: Plan, processor_s: float) -> Record:
-    """A plan's figures, and what verification and flights find."""
+    """A row of a plan: its figures, and the results of verification and flights."""
     p3, p2 = (
         sum(len(s.result.records) for s in found.stages if s.problem == problem)
         for problem in ("P3", "P2")
@@ -145,7 +145,7 @@ def record(found: Plan, processor_s: float) -> Record:
 
 
 def _looked(certificate: Certificate | None) -> Record:
-    """What a look drew, flew and certified."""
+    """Columns on a look: draws, flights and certified probability."""
     if certificate is None:
         return {}
     return {

@@ -1,8 +1,8 @@
 """Renew evidence that is out of date, and the figures of the pages: `python -m experiments evidence`.
 
-Every study whose evidence is out of date runs in turn, the shortest first, into runs/evidence/NAME;
-how long all of them took the last time is said before. Whatever stops it, the same command goes on:
-a study that has ended is up to date, and one that has not takes up its finished work.
+Every study with evidence out of date runs in turn, the shortest first, into runs/evidence/NAME. The
+command first shows how long all of them took the last time. After a stop the same command
+continues: finished studies are up to date, and an unfinished study keeps its finished work.
 """
 
 from __future__ import annotations

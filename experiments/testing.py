@@ -1,8 +1,8 @@
-"""Measure what the tests reach: `python -m experiments testing WHAT`, in the project's folder.
+"""Measure the tests: `python -m experiments testing WHAT`, in the project's folder.
 
-*reliability* runs the property tests with 500 examples and five seeds, and counts what they tried;
-*coverage* counts the lines and branches that all tests reach; *mutation* makes ten small changes in
-each module of `formulations`, drawn with a fixed seed, and counts those that a test finds out.
+*reliability* runs the property tests with 500 examples and five seeds, and counts their examples.
+*coverage* counts the lines and branches that all tests reach. *mutation* makes ten small changes in
+each module of `formulations`, drawn with a fixed seed, and counts those that a test detects.
 OUT/WHAT.csv has the counts. A run that was stopped continues with the first seed or module that is
 missing.
 """
@@ -105,7 +105,7 @@ def mutation(session: Session) -> list[Record]:
 
 
 def tried(module: str, mutants: Sequence[str]) -> Record:
-    """What the tests say of some mutants of a module."""
+    """Outcomes of the tests for some mutants of a module."""
     before = _results()
     if any(before[mutant] == NOT_TRIED for mutant in mutants):
         _mutmut("run", "--max-children", "2", *mutants)

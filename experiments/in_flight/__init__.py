@@ -1,1 +1,1 @@
-"""Studies of what a flight learns: gains, planning again, sites out of reach without."""
+"""Studies of feedback in flight: gains, replanning, and sites that need feedback."""

@@ -1,12 +1,13 @@
-"""Measure what feedback is worth: over the probability, the measurement's error, and to the end.
+"""Measure the value of feedback over the probability and the measurement's error.
 
-The default scenario is planned for whole flights with exact risk and certified by flights: open loop,
-with feedback, and with feedback and a limit on the final dispersion. Beside them stands the best scaled
-targeting gain: the burns of an open-loop plan, and at the corrected burn a share of the gain that would
-bring the flight back to its planned position at some time. Share, time and the plan's probability are
-searched, and flights of the same closed loop certify it. OUT/feedback.csv has a row for each, flown
-40,000 times; OUT/feedback_errors.csv has plans that are not certified, over the measurement's error.
-`python -m paper_figs feedback` draws them. After Ctrl-C the study continues with the missing rows.
+The default scenario is planned for whole flights with exact risk and certified by flights: open
+loop, with feedback, and with feedback and a limit on the final dispersion. They are compared with
+the best scaled targeting gain: the burns of an open-loop plan, and at the corrected burn a share of
+the gain that would return the flight to its planned position at some time. The study searches
+share, time and the plan's probability. Flights of the same closed loop certify the result.
+OUT/feedback.csv has a row for each, flown 40,000 times; OUT/feedback_errors.csv has plans that are
+not certified, over the measurement's error. `python -m paper_figs feedback` draws them. After
+Ctrl-C the study continues with the missing rows.
 """
 
 from __future__ import annotations
@@ -117,7 +118,7 @@ def measure(flights: int, case: Case) -> Record:
 
 
 def row(case: Case, found: Plan, flights: int, processor_s: float) -> Record:
-    """A plan's costs, of which those by flights have intervals, and what its flights keep."""
+    """A row of a plan: costs, with intervals if measured by flights, and probabilities."""
     flown = fly_plan(found, flights, SEED)
     costs = record(case.kind, case.asked, found, flown, processor_s)
     if not np.isfinite(costs["total_dv_m_s"]):
@@ -167,7 +168,7 @@ STRIDE = 8
 
 
 def by_targeting(mission: Mission) -> tuple[Plan, dict[str, float]]:
-    """The cheapest scaled targeting gain, certified as plans are, and what was found of it."""
+    """The cheapest scaled targeting gain, certified like a plan, and the results of its search."""
     search = Search()
     found = certify(mission, initial_guess.cold(mission), search)
     gain = next((gain for final, gain in search.made if final is found.final), NO_GAIN)
@@ -176,7 +177,7 @@ def by_targeting(mission: Mission) -> tuple[Plan, dict[str, float]]:
 
 @dataclass
 class Search:
-    """Makes plans with the cheapest scaled targeting gain that is as likely as asked by the law."""
+    """Makes plans with the cheapest scaled targeting gain for a probability by the normal law."""
 
     made: list[tuple[Stage, Gain]] = field(default_factory=list)
 
@@ -211,7 +212,7 @@ class Search:
 
 
 def cheapest(mission: Mission, planned: Plan, target: float) -> Gain:
-    """The cheapest gain on an open-loop plan's burns that keeps whole flights as likely as asked."""
+    """The cheapest gain on an open-loop plan's burns with the required probability of whole flights."""
     problem = mission.problem
     assert problem.feedback is not None
     burn, size = int(problem.feedback.burns[0]), problem.feedback.size
@@ -255,7 +256,7 @@ def targeted(lin: Linearisation, end: int) -> Callable[[float], Linearisation]:
 
 
 def scaled(at: Callable[[float], Linearisation], rows: FlightRows) -> Gain:
-    """The least share with which whole flights are as likely as the row asks."""
+    """The least share with which whole flights have the probability that the row requires."""
 
     def surplus(share: float) -> float:
         return rows.at(at(share)).value - rows.required
@@ -304,7 +305,7 @@ def beside(rows: Sequence[Record]) -> list[Record]:
 
 
 def claims(rows: Sequence[Record], errors: Sequence[Record]) -> list[Claim]:
-    """What has to come out; a figure that is missing is a claim that does not hold."""
+    """The claims of the study; a claim with a missing figure does not hold."""
     made = list[Claim]()
 
     def claim(words: str, measured: float, least: str, limit: float) -> None:

@@ -1,12 +1,13 @@
-"""Measure how likely sites out of reach open loop are seen with feedback, and at what price.
+"""Measure the probability and the delta-v of sites that only feedback makes feasible.
 
 Kingfisher and Osprey are designed as packaged, measured without a lead to 10 m and 0.5 mm/s, and
-certified at 0.90 of whole flights, into OUT/SITE; a design that `scp-recon design` left there counts.
-That pass, its phases and times, is kept, and its probability raised: planned for more than any flights
-can certify, it ends as near as `ITERATIONS` come. From there burns and gains are planned again for
-every navigation and lead, in `ROUNDS` that look where flights fail now. Fresh flights judge the last
-plan, as they do in certifying, and others its delta-v. OUT/sites.csv has a row for each, OUT/passes.csv
-one for each design. After Ctrl-C the study continues with the missing rows.
+certified at 0.90 of whole flights, into OUT/SITE; a design that `scp-recon design` left there
+counts. The phases and times of that pass are kept, and its probability is raised: the target is
+more than any flights can certify, and planning stops after `ITERATIONS`. From there burns and gains
+are planned again for every navigation and lead, in `ROUNDS` with directions where flights then
+fail. Independent flights judge the last plan, as in certification, and other flights its delta-v.
+OUT/sites.csv has a row for each, OUT/passes.csv one for each design. After Ctrl-C the study
+continues with the missing rows.
 """
 
 from __future__ import annotations
@@ -56,7 +57,7 @@ FLIGHTS = 10_000
 
 
 class Measured(NamedTuple):
-    """A site, and what is known before its burns."""
+    """A site, and the navigation before its burns."""
 
     site: str
     position_m: float
@@ -78,7 +79,7 @@ CASES = [Measured(site, *nav, lead) for lead in LEADS_H for nav in NAVIGATION fo
 
 
 def raised(out: Path, site: str) -> Record:
-    """The pass of a site, and burns and gains, nondimensional, where raising its probability ends."""
+    """The pass of a site with raised probability: burns and gains, nondimensional."""
     begin, folder, case = process_time(), out / site, Measured(site, *NAVIGATION[0], 0.0)
     if not (folder / FILE_NAME).is_file():
         found = design(load_scenario(site).replace(case.changes(ASKED)))
@@ -101,7 +102,7 @@ def raised(out: Path, site: str) -> Record:
 
 
 def measure(out: Path, ends: Mapping[str, Record], case: Measured) -> Record:
-    """The likeliest plan that was found of a pass, judged by flights: a row."""
+    """A row of the most probable plan found for a pass, judged by flights."""
     begin, known, end = process_time(), FlownPlan.of(out / case.site), ends[case.site]
     mission = Mission.from_scenario(known.mission.scenario.replace(case.changes()))
     feedback = mission.problem.feedback
@@ -142,7 +143,7 @@ def measure(out: Path, ends: Mapping[str, Record], case: Measured) -> Record:
 
 
 def last_gains(gains: Array, left: int) -> Array:
-    """Gains of the last corrected burns, so many, without those on what was known before the first."""
+    """Gains of the last corrected burns, without gains on knowledge before the first of them."""
     parts, first = list[Array](), 0
     while first < len(gains):
         last = first + 18 * (len(parts) + 1)

@@ -1,4 +1,4 @@
-"""Models of each effect, from the crudest to the truth, and flights with them."""
+"""Define models of each effect, from the crudest to the truth, and fly with them."""
 
 from __future__ import annotations
 

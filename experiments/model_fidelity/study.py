@@ -1,4 +1,4 @@
-"""Find how good a model the planner needs.
+"""Find the crudest model of each effect that is accurate enough for the planner.
 
 The truth is a flight under the degree-8 field, light pressure on the vehicle's plates in their
 commanded attitude, and finite burns. Each effect is replaced by its cruder models in turn; the crudest

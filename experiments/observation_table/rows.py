@@ -1,4 +1,4 @@
-"""Rows of the observation-time table: the design of the burns, and the paper's printed figures.
+"""Define the rows of the observation-time table: how to design the burns, and the printed figures.
 
 The real flight's states come from the user's SPK; impulses fitted to them make a row, and a start.
 Variants change one reading or choice of the default plan, and stand beside the table.

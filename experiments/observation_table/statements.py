@@ -1,7 +1,7 @@
 """Test the paper's statements about P2 and about its plan's flights on the rows of the table.
 
-A statement says where the paper makes it, and is tested by a criterion of ours. It holds, or the
-opposite does; or it cannot be decided, and then it says why.
+A statement names its place in the paper, and has a criterion of ours. It holds, or the opposite
+holds, or it cannot be decided for a given reason.
 """
 
 from __future__ import annotations
@@ -38,10 +38,10 @@ class Statement(NamedTuple):
 
     Attributes:
         said: the place in the paper, a colon, and the statement in our words.
-        criterion: what we call the same.
-        measured: what we find.
+        criterion: our criterion for agreement.
+        measured: our result.
         same: whether the criterion is met; None if that cannot be decided.
-        why: why the outcome is what it is, where that needs words.
+        why: explanation of the outcome, if it needs one.
     """
 
     said: str
@@ -112,7 +112,7 @@ def statements_table(found: Sequence[Statement]) -> Table:
 
 
 def _readings(rows: ByKey) -> Iterator[Statement]:
-    """What the paper leaves open of its parameters."""
+    """Statements on parameters that the paper leaves open."""
     if literal := rows.get("p2_j2000"):
         p3 = rows.get("p3_j2000", {})
         also = f"; P3 {p3['total_dv_m_s']:.4f} m/s, mean {p3['mean_s']:.0f} s" if p3 else ""
@@ -262,7 +262,7 @@ def _path(rows: ByKey) -> Iterator[Statement]:
 
 
 def _flights(rows: ByKey) -> Iterator[Statement]:
-    """The plan's flights: what figures 12, 13b and 16 are said to show."""
+    """Statements on the plan's flights, which the paper makes on figures 12, 13b and 16."""
     plan = rows.get("scp_cold")
     if not plan:
         return

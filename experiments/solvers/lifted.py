@@ -43,7 +43,7 @@ CASES: dict[str, tuple[dict[str, Any], float]] = {
 
 @contextmanager
 def noted() -> Iterator[list[ConeProgram]]:
-    """The cone programs that Clarabel gets meanwhile."""
+    """Record the cone programs that Clarabel gets within the context."""
     programs: list[ConeProgram] = []
 
     class Noting(solvers.Clarabel):

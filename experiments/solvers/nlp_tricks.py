@@ -1,4 +1,4 @@
-"""Measure what each trick gains the nonlinear program.
+"""Measure how much each trick speeds up the nonlinear program.
 
 P2 of the default scenario is solved from SCP's P3 solution, with the facets chosen there: first with
 the tricks that lead from the program as the paper prints it to the tuned one, each added to those

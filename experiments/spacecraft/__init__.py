@@ -1,1 +1,1 @@
-"""Studies that fly plans by the spacecraft."""
+"""Studies that fly plans with the simulated spacecraft."""

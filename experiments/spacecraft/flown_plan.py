@@ -1,9 +1,9 @@
 """Check whether the spacecraft can fly a plan.
 
-The plan is simulated with every source of error, once for each seed. Charge, modes, pointing and the
-flown path against the planned covariance go to OUT/flown_plan.csv, a row for each seed, and .md;
-the flights themselves to OUT/seed_N/simulation.npz. Existing flights of the same plan and vehicle are
-kept.
+The plan is simulated with every source of error, once for each seed. OUT/flown_plan.csv, with a row
+for each seed, and .md have charge, modes, pointing and the flown path against the planned
+covariance; the flights themselves to OUT/seed_N/simulation.npz. Existing flights of the same plan
+and vehicle are kept.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The methods, scenarios and starts of the comparison, and the cells that combine them."""
+"""Define methods, scenarios and starts of the comparison, and the cells that combine them."""
 
 from __future__ import annotations
 

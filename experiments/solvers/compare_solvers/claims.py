@@ -1,4 +1,4 @@
-"""Claims of the comparison, tested on its rows."""
+"""Test the claims of the comparison on its rows."""
 
 from __future__ import annotations
 

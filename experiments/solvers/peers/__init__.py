@@ -1,1 +1,1 @@
-"""The planner beside other tools, on problems that they can state."""
+"""Compare the planner with other tools on problems that they can state."""

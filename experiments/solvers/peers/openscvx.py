@@ -1,15 +1,15 @@
-"""Pose transfers by impulses in OpenSCvx (0.5.2), as its users would: the halo transfer, and P3.
+"""Pose impulsive transfers in OpenSCvx (0.5.2) as its users would: the halo transfer, and P3.
 
-Dynamics are symbolic, impulses its impulsive controls, the times of the nodes states that are held.
-It cannot express the following, or not as the planner does:
+The dynamics are symbolic, the burns are OpenSCvx's impulsive controls, and the times of the nodes
+are fixed states. It cannot express the following, or not as the planner does:
 
 - Chance constraints. A covariance state would need its 36 differential equations with second
   derivatives written by hand, so only P3 is compared.
 - The size of an impulse: its derivative at the nodes without a burn, where the impulse is zero, is not
   a number. A second control bounds it from above, in the cost and in the battery's cone.
-- Of P3 the straight line as a guess: it leads through the body's centre, where the adaptive integration
-  gives no number. Both sides start from the ballistic arc. The Sun's motion of 0.02 deg in the window
-  is left out, and both phase limits are one.
+- The straight line as a guess for P3: it leads through the body's centre, where the adaptive
+  integration fails. Both sides start from the ballistic arc. The Sun's motion of 0.02 deg in the
+  window is left out, and both phase limits are one.
 """
 
 from __future__ import annotations

@@ -7,8 +7,9 @@ optimum; the others adaptively with that tolerance. Burns are then flown by anot
 halo transfer DOP853 to 1e-13; of P3 the planner's own dynamics on its grid, judged by its merit).
 
 From the guess of scocp's test, both orbits blended, and from 20 others: states bent by three random
-sines of a tenth of the units in every component. A tool has solved the transfer if it says so, its
-burns miss the final state by no more than 1e-5, and none is cheaper by more than 1e-4.
+sines of a tenth of the units in every component. A tool has solved the transfer if it reports
+convergence, its burns miss the final state by at most 1e-5, and no tool is cheaper by more than
+1e-4.
 
 Seconds are of the processor, libraries imported. Set-up is building and compiling what serves every
 guess; scocp has none, and the planner's, of a few hundredths of a second, is part of each solve.
@@ -71,7 +72,7 @@ HALO, P3 = "halo transfer", "P3"
 
 
 class Found(NamedTuple):
-    """Of a tool: whether it says that it converged or another status, burns, iterations, seconds."""
+    """Result of a tool: convergence or another status, burns, iterations, seconds."""
 
     status: str
     burns: Array

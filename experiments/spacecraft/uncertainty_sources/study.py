@@ -1,10 +1,10 @@
-"""Measure what each source of uncertainty does to the flight.
+"""Measure the dispersion that each source of uncertainty causes.
 
-Every source of the vehicle's errors alone and all together. Those that act on the path directly are
-flown in the planner's dynamics, many times; those that act by way of the attitude, and all of them, in
-the simulation of the whole spacecraft (extra [sim]), a few times each. How far flights end from the
-one without errors goes to OUT/uncertainty_sources.csv and .md, and their quantiles to
-uncertainty_quantiles.csv. Simulated flights are taken up again.
+Each source of the vehicle's errors is flown alone, and all together. Sources that act on the path
+directly are flown many times in the planner's dynamics. Sources that act through the attitude, and
+all sources together, are flown a few times each in the simulation of the whole spacecraft (extra
+[sim]). How far flights end from the one without errors goes to OUT/uncertainty_sources.csv and .md,
+and their quantiles to uncertainty_quantiles.csv. Simulated flights are taken up again.
 """
 
 from __future__ import annotations

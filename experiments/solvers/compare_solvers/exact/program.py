@@ -1,12 +1,12 @@
-"""Exact P2 as a nonlinear program in the burns alone: single shooting, exact first derivatives.
+"""Write exact P2 as a nonlinear program in the burns only: single shooting, exact first derivatives.
 
     min sum |v_i|   over the burns v
     s.t. the final state is met, the burns keep their limits, Phi^-1(P(v)) >= Phi^-1(p)
 
-Everything is evaluated at the nonlinear flight of the burns, nothing at a model. A node's P is that of
-`ray_quantiles`; a whole flight's is the planner's own estimate, from as many directions, but in all
-columns of the factor. Vanishing burns make a kink in the cost, which is rounded off as
-sqrt(|v|^2 + r^2) - r.
+Everything is evaluated at the nonlinear flight of the burns. The P of a node is that of
+`ray_quantiles`. The P of a whole flight is the planner's own estimate, from the same number of
+directions, but in all columns of the factor. Vanishing burns make a kink in the cost, which is
+smoothed to sqrt(|v|^2 + r^2) - r.
 """
 
 from __future__ import annotations
