@@ -1,8 +1,8 @@
 """Time everything in one run on one machine: `python -m benchmarks`.
 
-Every method runs in a process of its own, all in turn and several times, so that other work on the
-machine affects all alike. The smallest figures count. After Ctrl-C the run continues with what is
-missing. `make bench` sets up the environment.
+Every method runs in a process of its own. All methods run in turn several times, so that other work
+on the machine affects all of them alike. The smallest figures count. After Ctrl-C the run continues
+with the missing methods. `make bench` sets up the environment.
 """
 
 from __future__ import annotations

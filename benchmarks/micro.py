@@ -1,4 +1,4 @@
-"""The parts of an iteration by pytest-benchmark: `python -m pytest benchmarks/micro.py`."""
+"""Time the parts of an iteration by pytest-benchmark: `python -m pytest benchmarks/micro.py`."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Time the commands that users wait for: `python -m benchmarks.waits`.
 
-Each runs in a process of its own, all in turn and several times. The processor's seconds hardly depend
-on other work on the machine, so that the least of them count.
+Each command runs in a process of its own, all in turn several times. The processor's seconds hardly
+depend on other work on the machine, so the smallest count.
 """
 
 from __future__ import annotations

@@ -1,1 +1,1 @@
-"""Figures and tables from the results of `experiments`; each module is one."""
+"""Draw figures and tables from the results of `experiments`; each module makes one."""

@@ -1,4 +1,4 @@
-"""Draw what the pages explain: the planner's steps, modes, facets, lifting, exact risk, feedback.
+"""Draw the pages' concepts: the planner's steps, modes, facets, lifting, exact risk, feedback.
 
 Nothing is computed from a plan; the drawings need no input.
 """

@@ -1,4 +1,4 @@
-"""Style, bands and legends of all figures, and how to save them."""
+"""Set the style of all figures, draw bands and legends, and save figures."""
 
 from __future__ import annotations
 

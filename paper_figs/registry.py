@@ -1,4 +1,4 @@
-"""Registry of all figures and tables: how to read their input, and how to draw them."""
+"""Register all figures and tables: how to read their input, and how to draw them."""
 
 from __future__ import annotations
 

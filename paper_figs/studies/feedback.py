@@ -1,4 +1,4 @@
-"""Draw what feedback is worth over the probability and over the measurement's error."""
+"""Draw the value of feedback over the probability and over the measurement's error."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Draw which sampled sites of the map have a plan, open loop and with feedback, and what it costs."""
+"""Draw the sampled sites that have a plan, open loop or with feedback, and its delta-v."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Measured durations against those of the schedule."""
+"""Draw measured durations against those of the schedule's rules."""
 
 from __future__ import annotations
 
