@@ -1,8 +1,8 @@
-"""Run jobs on processes of this machine: one that hangs, eats memory or dies harms no other.
+"""Run jobs in processes of this machine, with limits; a failed process harms no other job.
 
-The parent writes pickles to a child's standard input and reads them from its standard output: first the
-work, then job by job. The kernel ends a child that takes too long, whatever it is stuck in: the default
-action of SIGALRM and SIGPROF needs no Python. A child ends itself when its parent is gone.
+The parent writes pickles to a child's standard input and reads them from its standard output: first
+the work, then job by job. The operating system ends a child that takes too long, even if Python is
+blocked, by the default action of SIGALRM and SIGPROF. A child ends itself when its parent is gone.
 """
 
 from __future__ import annotations
@@ -58,11 +58,18 @@ ONE_THREAD = dict.fromkeys(
 
 @dataclass(frozen=True)
 class Limits:
-    """Limits of a job: wall and processor time, s, and megabytes beyond the process's own memory."""
+    """Limits of a job.
+
+    Attributes:
+        seconds, cpu_s: wall and processor time.
+        memory_mb: megabytes beyond the process's own memory.
+        apart: run each job in a copy of a process that has run none, and has only imported the work.
+    """
 
     seconds: float = inf
     cpu_s: float = inf
     memory_mb: int | None = None
+    apart: bool = False
 
 
 class StoppedError(Exception):
@@ -269,12 +276,33 @@ def serve() -> None:
                 job = read_message(source)
             except EOFError:
                 return
+            if limits.apart and _left_to_a_copy():
+                continue
             for timer, limit_s in kept:
                 signal.setitimer(timer, limit_s)
             done = attempt(work, job)
             for timer, _ in kept:
                 signal.setitimer(timer, 0.0)
             write_message(answers, _portable(done))
+            if limits.apart:
+                os._exit(0)
+
+
+def _left_to_a_copy() -> bool:
+    """Copy this process: False in the copy, True once that has ended well. Dies as the copy does."""
+    here = os.getpid()
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", category=DeprecationWarning)  # of the thread that watches
+        copy = os.fork()
+    if copy == 0:
+        threading.Thread(target=_end_with, args=(here,), daemon=True).start()
+        return False
+    status = os.waitstatus_to_exitcode(os.waitpid(copy, 0)[1])
+    if status < 0:
+        os.kill(here, -status)
+    elif status:
+        os._exit(status)
+    return True
 
 
 def _portable(done: Done) -> Done:

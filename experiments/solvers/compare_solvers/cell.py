@@ -43,6 +43,10 @@ from scp_recon.scp.algorithms import SCvx
 from scp_recon.scp.loop import Record, State, Timing, record_of, trial_step
 from scp_recon.scp.status import Status
 
+for form in ("condensed", "lifted"):
+    # With CVXPY, which the copy of this process that solves a cell need not import again.
+    importlib.import_module(f"formulations.program.{form}")
+
 FAILED = "failed"
 """Status of a cell that was ended or failed."""
 
@@ -188,10 +192,7 @@ def judged(
 
 def _needs(method: Method) -> tuple[str, ...]:
     """Modules that a method imports late; they are imported before its time is taken."""
-    if method.solver in NLP_SOLVERS:
-        return ("scp_recon.planning.ipopt",)
-    form = "lifted" if method.formulation.startswith("lifted") else "condensed"
-    return (f"formulations.program.{form}", method.solver.lower())
+    return ("scp_recon.planning.ipopt" if method.solver in NLP_SOLVERS else method.solver.lower(),)
 
 
 def _whole(mission: Mission, cell: Cell) -> tuple[Plan, float]:

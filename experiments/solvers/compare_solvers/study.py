@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from argparse import Namespace
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
 from dataclasses import asdict, replace
 from functools import cache, partial
 from importlib.metadata import version as release_of
@@ -33,7 +33,7 @@ from experiments.solvers.compare_solvers.cell import (
 from experiments.solvers.compare_solvers.claims import claims
 from experiments.solvers.compare_solvers.tables import csv_of, report, shown
 from scp_recon.errors import InputError
-from scp_recon.jobs.job import TIMED_OUT, Done, Job
+from scp_recon.jobs.job import TIMED_OUT, Done, Job, in_order
 from scp_recon.jobs.processes import Limits, Processes
 from scp_recon.jobs.store import Store, sources
 
@@ -62,36 +62,44 @@ def version() -> str:
 def run_cells(
     cells: Sequence[Cell], store: Store, *, flights: int, limit_s: float, solve: Solve = solve_cell
 ) -> Iterator[Row]:
-    """Rows of the cells, from the store if it has them, else solved and stored; two at a time.
+    """Rows of the cells, repeats last: from the store if it has them, else solved and stored.
 
-    Each cell is solved in a process of its own within `limit_s` seconds of processor time, the Monte
-    Carlo estimate of `flights` flights included. A failure before the limit is tried again; what
-    reaches the limit at first does so in its repeats, which take its row.
+    Two cells are solved at a time, each in a process of its own within `limit_s` seconds of processor
+    time, the Monte Carlo estimate of `flights` flights included. A failure before the limit is tried
+    again; what reaches the limit at first does so in its repeats, which take its row.
     """
-    limits = Limits(seconds=ASLEEP * limit_s, cpu_s=limit_s)
+    limits = Limits(seconds=ASLEEP * limit_s, cpu_s=limit_s, apart=True)
     late: dict[str, Row] = {}
 
-    def row_of(cell: Cell) -> Row:
-        key = f"{cell.key}|{limit_s:g} s"
+    def kept(cell: Cell) -> Row | None:
+        """Its row in the store, or that of a first run that reached the limit."""
+        key = key_of(cell, limit_s)
         row = row_from(store[key]) if key in store else None
         if row is None or (row.status == FAILED and not row.cpu_s >= limit_s):
             row = late.get(replace(cell, repeat=0).key)
-        if row is None:
-            (done,) = Processes(1, limits)(partial(solve, flights=flights), [Job(key, cell)])
-            row = replace(_row_of(done, cell, limit_s), limit_s=limit_s, version=version())
-        if row.status == FAILED and row.cpu_s >= limit_s:
-            late.setdefault(cell.key, row)
-        return replace(row, key=cell.key)
+        return row
 
-    with ThreadPoolExecutor(CORES) as pool:
-        try:
-            for cell, row in zip(cells, pool.map(row_of, cells), strict=True):
-                key = f"{cell.key}|{limit_s:g} s"
+    for again in (False, True):
+        some = [cell for cell in cells if bool(cell.repeat) == again]
+        jobs = [Job(key_of(cell, limit_s), cell) for cell in some if kept(cell) is None]
+        solved = in_order(Processes(CORES, limits), partial(solve, flights=flights), jobs)
+        with closing(solved):
+            for cell in some:
+                row = kept(cell)
+                if row is None:
+                    row = _row_of(next(solved), cell, limit_s)
+                    row = replace(row, limit_s=limit_s, version=version())
+                if row.status == FAILED and row.cpu_s >= limit_s:
+                    late.setdefault(cell.key, row)
+                row, key = replace(row, key=cell.key), key_of(cell, limit_s)
                 if key not in store or row_from(store[key]).status == FAILED:
                     store.put(key, asdict(row))
                 yield row
-        finally:
-            pool.shutdown(cancel_futures=True)
+
+
+def key_of(cell: Cell, limit_s: float) -> str:
+    """The key of its row in a store."""
+    return f"{cell.key}|{limit_s:g} s"
 
 
 def _row_of(done: Done, cell: Cell, limit_s: float) -> Row:

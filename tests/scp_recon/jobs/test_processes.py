@@ -5,6 +5,7 @@ import signal
 import time
 from collections.abc import Generator, Iterable, Iterator
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -14,7 +15,7 @@ from scp_recon.jobs.job import Done, Job, Work, attempt, here, in_order
 from scp_recon.jobs.processes import Limits, Processes
 from scp_recon.jobs.store import Store, run
 from tests.scp_recon.jobs.support import LIMITS, computed, run_all, some_jobs
-from tests.scp_recon.jobs.works import ENDS, Naughty, OddError, Quick
+from tests.scp_recon.jobs.works import ENDS, Naughty, OddError, Quick, jobs_before
 
 
 def backwards(work: Work, jobs: Iterable[Job]) -> Generator[Done, None, None]:
@@ -35,9 +36,11 @@ def test_results_come_in_the_order_of_the_jobs(executor):
     assert [done.result() for done in found] == [Quick()(number) for number in range(20)]
 
 
-def test_jobs_that_misbehave_are_rows_and_the_others_are_as_ever(tmp_path):
+@pytest.mark.parametrize("apart", [False, True])
+def test_jobs_that_misbehave_are_rows_and_the_others_are_as_ever(apart, tmp_path):
     jobs, ways = some_jobs(18), dict(zip(range(1, 17, 2), ENDS, strict=True))
-    found = run_all(Naughty(ways=tuple(ways.items())), jobs, tmp_path / "a", Processes(2, LIMITS))
+    executor = Processes(2, replace(LIMITS, apart=apart))
+    found = run_all(Naughty(ways=tuple(ways.items())), jobs, tmp_path / "a", executor)
     assert {n: found[n]["status"] for n in ways} == {n: ENDS[way] for n, way in ways.items()}
     assert {way: found[n]["tries"] for n, way in ways.items()} == dict.fromkeys(ENDS, 1) | {
         "die": 3,
@@ -75,6 +78,12 @@ def test_a_result_raises_what_the_work_raised(executor, tmp_path):
         pytest.raises(ZeroDivisionError, match="in\nthe job"),
     ):
         run(work, some_jobs(2), store, executor)
+
+
+@pytest.mark.parametrize(("apart", "before"), [(False, [0, 1, 2]), (True, [0, 0, 0])])
+def test_a_job_apart_runs_where_no_other_has_run(apart, before):
+    executor = Processes(1, replace(LIMITS, apart=apart))
+    assert [done.result() for done in executor(jobs_before, some_jobs(3))] == before
 
 
 def test_what_does_not_pickle_is_a_message():
