@@ -212,7 +212,7 @@ def start_of(mission: Mission, cell: Cell) -> Iterate:
     return initial_guess.ballistic(mission) if cell.start == "warm" else initial_guess.cold(mission)
 
 
-def full_design(guesses: int = 50) -> tuple[Cell, ...]:
+def full_design(guesses: int = 20) -> tuple[Cell, ...]:
     """All cells: every method in the default scenario from the straight line, a few elsewhere."""
     default: dict[str, tuple[str, ...]] = {"recon_b": ()}
     by_clarabel = [method for method in SCP_METHODS if method.solver == "CLARABEL"]
