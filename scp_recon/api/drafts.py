@@ -381,7 +381,7 @@ def _track_draft(options: NewOptions, source: str) -> tuple[Draft, Track]:
 
 def _outcome(found: NewScenario, options: str = "") -> list[str]:
     """Lines on the outcome of planning, for the head of the file."""
-    lines = [f"python -m scp_recon.solve --scenario FILE{options} ended so: {found.verdict}."]
+    lines = [f"python -m scp_recon.solve --scenario FILE{options} gave: {found.verdict}."]
     if found.is_verified:
         return lines
     for line in what_next(found.mission, found.solution, found.verification):

@@ -131,7 +131,7 @@ class Session:
                         option("scheduler"),
                         f"{address}, where none answers ({said[:120]})",
                         "must be the address of a Dask scheduler, e.g. tcp://127.0.0.1:8786; "
-                        "every row until now is kept, and the same command goes on",
+                        "all rows so far are kept; run the same command to continue",
                     ) from None
         if first:
             self._cluster.say(f"dashboard: {self.client.dashboard_link}")

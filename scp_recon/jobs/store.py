@@ -135,7 +135,7 @@ class Store:
             self._append(key, _line(key, values))
         except OSError as error:
             found = unwritable(self.path.parent, self._entry, error)
-            allowed = f"{found.allowed}; every row until then is kept, and the same command goes on"
+            allowed = f"{found.allowed}; all rows so far are kept; run the same command to continue"
             raise InputError(found.entry, found.given, allowed) from None
 
     def _append(self, key: Key, line: bytes) -> None:

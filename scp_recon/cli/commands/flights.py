@@ -82,7 +82,9 @@ def montecarlo(options: argparse.Namespace, console: Console) -> Answer:
     summary, document = flown.summary, {"files": [str(flown.path)]}
     if summary is None:
         count = flown.flights.samples
-        show_line(console, f"interrupted: {count} flights are kept, and the same command goes on")
+        show_line(
+            console, f"interrupted: {count} flights are kept; run the same command to continue"
+        )
         show_written(console, flown.path)
         return Answer(Status.INTERRUPTED.value.exit_code, {"samples": count, **document})
     show_summary(console, summary, required_probability(plan.solution))

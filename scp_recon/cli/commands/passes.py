@@ -167,17 +167,17 @@ def _as_csv(tried: Sequence[Trial]) -> str:
 def primer_says(primer: PrimerHistory | None) -> str:
     """Whether one more burn would help, by a plan's primer, in one line."""
     if primer is None:
-        return "no primer: it takes a plan whose errors shrink with the burns"
+        return "no primer: it needs a plan whose errors shrink with the burns"
     legal = np.flatnonzero(primer.legal)
     if len(legal) == 0:
-        return "primer: no time is legal for another burn with these kept: it tells nothing of one"
+        return "primer: no time is legal for another burn with the present ones kept"
     if primer.residual > RESIDUAL:
         left = (
             f"multipliers leave a residual of {primer.residual:.2g}, at most {RESIDUAL:g} expected"
         )
-        return f"primer: its {left}: it tells nothing of another burn"
+        return f"primer: its {left}: no conclusion about another burn"
     best = legal[np.argmax(np.array(primer.allowed)[legal])]
     most, when = primer.allowed[best], f"at {primer.t_s[best]:.0f} s"
     if most <= 1.0 + WORTH:
-        return f"primer at most {most:.3f} at legal times ({when}): no small burn more helps"
-    return f"primer up to {most:.3f} at legal times: a burn more {when} would help"
+        return f"primer at most {most:.3f} at legal times ({when}): no additional small burn helps"
+    return f"primer up to {most:.3f} at legal times: an additional burn {when} would help"

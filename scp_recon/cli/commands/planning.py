@@ -151,7 +151,7 @@ def plan_into(
     path, more = write_plan(checked, folder)
     plan_view.show_verification(console, mission, solution, verification, mission.warnings)
     for old in [*aside, *more]:
-        show_line(console, f"set aside, as it is of another plan: {old}")
+        show_line(console, f"set aside because it belongs to another plan: {old}")
     if path.name == UNVERIFIED:
         show_line(console, f"kept, as it is verified: {folder / FILE_NAME}")
     show_written(console, path)
@@ -166,6 +166,10 @@ def plan_into(
 
 
 SEVERAL = "; relaxing any one of them suffices"
+NO_SINGLE = (
+    "relaxing one of these alone does not suffice: the burns' size, the burns' directions, "
+    "the final state, the limits"
+)
 
 
 def advice_on(
@@ -200,10 +204,7 @@ def what_binds(found: Diagnosis) -> str:
     """One line on the limits of which relaxing any one suffices, and on violated constraints."""
     names = ", ".join(found.violated) or "none"
     if not found.binds:
-        alone = (
-            "of the size and the directions of the burns, the final state and the limits none alone"
-        )
-        return f"what binds: {alone}; violated: {names}"
+        return f"what binds: {NO_SINGLE}; violated: {names}"
     words = [
         f"{name} (up to {found.burn_m_s:.4f} m/s would do)" if name == SIZE else name
         for name in found.binds
@@ -241,7 +242,7 @@ def what_would_do(found: Diagnosis, failed: Plan, more: Sequence[str]) -> list[s
         f"for {largest.cost_m_s:.4f} m/s"
     )
     if found.verified is None:
-        return [*lines, "of exact risk no plan was found that ends verified"]
+        return [*lines, "no plan with exact risk was found that passes verification"]
     asked = found.verified.mission.scenario.risk.p_chance
     certify = "no" if found.verified.certificate is None else "yes"
     options = [*more, "--set 'risk.allocation=\"exact\"'", f"--set risk.p_chance={asked}"]

@@ -83,10 +83,10 @@ def test_a_design_that_finds_nothing_tells_limit_and_departure(tmp_path, capsys,
 @pytest.mark.parametrize(
     ("allowed", "legal", "residual", "says"),
     [
-        (0.9, True, 1e-4, "no small burn more helps"),
-        (1.2, True, 1e-4, "a burn more at 60 s would help"),
+        (0.9, True, 1e-4, "no additional small burn helps"),
+        (1.2, True, 1e-4, "an additional burn at 60 s would help"),
         (1.2, False, 1e-4, "no time is legal"),
-        (0.9, True, 0.75, "a residual of 0.75, at most 0.1 expected: it tells nothing"),
+        (0.9, True, 0.75, "a residual of 0.75, at most 0.1 expected: no conclusion"),
     ],
 )
 def test_the_primer_tells_of_another_burn_what_its_multipliers_bear_out(

@@ -120,7 +120,7 @@ def test_a_disk_that_is_full_ends_with_one_message_and_is_continued(tmp_path):
     jobs, unlimited = some_jobs(50), resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (2_000, unlimited[1]))
     try:
-        with pytest.raises(InputError, match=r"file too large.*same command goes on"):
+        with pytest.raises(InputError, match=r"file too large.*run the same command to continue"):
             run_all(Quick(), jobs, tmp_path / "a")
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, unlimited)
