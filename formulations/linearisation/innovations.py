@@ -20,7 +20,7 @@ from scipy.linalg import solve_triangular
 from formulations.arrays import Array
 
 LEARNT = 1e-3
-"""Least correlation with the state that tells anything: it takes a millionth off a variance."""
+"""Least useful correlation with the state: it reduces a variance by a millionth."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -121,7 +121,7 @@ LEAST = 1e-6
 """Price of an unknown size that costs nothing else, so that it is the size."""
 
 FINE = 1e-4
-"""Over the size t of a burn and its gains: what each draw's size is rounded by where it vanishes."""
+"""Rounding of each draw's size where it vanishes, over the size t of a burn and its gains."""
 
 
 def policy(
@@ -243,8 +243,8 @@ CERTAIN = 1e-6
 """Standard deviation over the largest burn, added to each component of corrections: they may vanish."""
 
 SMALL = 1e-2
-"""Over the largest burn: gains on the velocity just measured from which planning starts where all would
-be zero. There the cost has a kink."""
+"""Initial gains on the velocity just measured, over the largest burn, if all gains would be zero.
+The cost has a kink at zero."""
 
 
 def first_gains(problem: FlybyProblem, gains: Array) -> Array:

@@ -41,7 +41,7 @@ SMALLEST = 1e-4
 """Price of gains where corrections cost nothing: among gains of equal worth the smallest are chosen."""
 
 DRAWS = 8192
-"""Draws of xi over which sizes are looked at, a power of two."""
+"""Number of draws of xi for the law of the sizes, a power of two."""
 
 SMOOTH = 0.5
 """Width of the kernel that smooths their distribution, over its standard deviation."""
@@ -57,7 +57,7 @@ NOTHING = 1e-12
 """Share of a draw in the kernel that counts as none."""
 
 VANISHED = 1e-7
-"""Over the largest burn: a corrected burn is none up to which its components and gains are rounding."""
+"""Size over the largest burn up to which the components and gains of a corrected burn count as zero."""
 
 TINY = 1e-300
 """Stands for zero in a quotient."""

@@ -17,7 +17,7 @@ import numpy as np
 from formulations.arrays import Array
 
 VANISHED = 1e-3
-"""Of the larger fixed error: a burn below it counts as not executed."""
+"""Share of the larger fixed error: a smaller burn counts as not executed."""
 
 TINY = 1e-300
 """Stands for zero in a quotient."""

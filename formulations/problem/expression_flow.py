@@ -28,7 +28,7 @@ Acceleration = Callable[[Any, Any, Any, Any], Any]
 """Three components, of position (3,), velocity (3,), time and parameters (q,), CasADi's symbols."""
 
 WEIGHTS = (1.0, 2.0, 2.0, 1.0)
-"""Of the stages in a step, in sixths; and the shares of it that lead to each stage from the last."""
+"""Weights of the stages in a step, in sixths; and the shares of a step from each stage to the next."""
 SHARES = (0.0, 0.5, 0.5, 1.0)
 
 NUMPY: dict[str, Callable[..., Any]] = {

@@ -33,17 +33,18 @@ from scipy.special import gammainc, gammaincc, gammaln, xlogy
 from formulations.arrays import Array, Indices
 
 EDGES = np.array([-1.0, -0.3, 0.0, 0.3, 1.0])
-"""Of the strata, in margins beyond which a verdict is sure."""
+"""Edges of the strata, as multiples of the margin beyond which a verdict is sure."""
 FAILS = np.repeat([True, False], 3)
 """Whether the law fails in each stratum; the first and the last are sure."""
 COUNT = len(FAILS)
 
 LEAN = 0.9
-"""Lean over the share flown of what surely holds. One flight of those that fails after all then costs
-2.3 of the 4.4 that none costs; with 0.99 it would cost 4.6."""
+"""Lean over the share flown of the stratum that surely holds. One flight of this stratum that fails
+after all then raises the cost of 4.4 without such a flight by 2.3; with 0.99 it would raise it by
+4.6."""
 
 BISECTIONS, HALVINGS = 60, 14
-"""Of a mean, to the last bit; of the logarithm of a share, to a thousandth."""
+"""Steps that find a mean to the last bit, and the logarithm of a share to a thousandth."""
 
 Shares = tuple[float, float, float, float, float, float]
 Counts = tuple[int, int, int, int, int, int]
@@ -233,7 +234,7 @@ class Survey:
 
 
 DRAW = 0.02
-"""Time of a draw by the law over that of a flight which is followed to the second."""
+"""Time of a draw by the law over that of a flight followed to the second."""
 
 TIMES = (3.0, 4.0, 6.0, 8.0, 12.0, 16.0)
 """Draws per plain flight that are tried."""

@@ -35,7 +35,7 @@ CERTAIN, LEAN = 1e-9, 1e-6
 least share in the correction's, so that corrections along a line have one."""
 
 SCALE = 1e6
-"""Of velocities in `node_quantiles`, whose own addition then does not count."""
+"""Scale of velocities in `node_quantiles`, so large that the variance added there does not matter."""
 
 BEYOND = 4.0
 """Deviations beyond the quantile within which a margin is looked for."""
@@ -44,7 +44,7 @@ STEPS, CLOSE = 60, 1e-6
 """Most steps of Newton's method to a margin, and what is near enough, in standard deviations."""
 
 ROUNDING = 1e-15
-"""Of a margin, over the largest velocities: steps below it lead nowhere."""
+"""Rounding of a margin, over the largest velocities: smaller steps have no effect."""
 
 
 class Level(NamedTuple):

@@ -35,7 +35,7 @@ CURVATURE_LINES = 1024
 """Directions that a flight's curvature is estimated from."""
 
 ENDS_MIN = 1e-9
-"""Density of the flights that a limit ends at an iterate, from which on it takes part in curvature."""
+"""Least share of flights that a limit ends, in density, for the limit to count in curvature."""
 
 APART = 0.05
 """Change of a flight's g over which slopes are compared, in standard deviations."""
@@ -44,15 +44,15 @@ LANCZOS = 4
 """Directions of the gains in which slopes are compared."""
 
 REMEMBERED = 3
-"""Iterates whose probability is remembered: a stage ends and the next begins where one was."""
+"""Number of iterates whose probability is remembered: a stage begins at the end of the one before."""
 
 CERTAIN = 1e-9
 """Standard deviation that is added to each coordinate, so that certain ones have a direction."""
 
 DIRECTED = 1e-2
-"""The same over a coordinate's own, where burns are corrected: a burn that has vanished with its gains
-adds nothing to a velocity, and the direction of next to nothing turns with every step, the lines of
-flights with it."""
+"""The same relative to a coordinate's own deviation, with corrected burns. A burn that has vanished
+with its gains adds nothing to a velocity. The direction of such a coordinate would turn with every
+step, and with it the lines of flights."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -35,7 +35,7 @@ GRAZING = 1e-6
 
 
 ROWS, LINES = 16, 1024
-"""Of a block of chords, whose arrays stay in the processor's cache."""
+"""Size of a block of chords, whose arrays fit into the processor's cache."""
 
 ROUNDING = 1e-9
 """Distance from a plane at which a line may be on either side of it, in units of length."""

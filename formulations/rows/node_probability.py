@@ -32,8 +32,8 @@ APEX = 6.0
 """Deviations along its axis from a cone's apex beyond which its other nappe holds nothing: < 1e-9."""
 
 SPREAD_MIN = 1e-6
-"""Standard deviation, in units of length, that is added in each direction: a millimetre at most, what
-counts as no violation. Without it a flight that cannot err would have no gradient."""
+"""Standard deviation, in units of length, that is added in each direction: at most a millimetre,
+which counts as no violation. Without it a flight without errors would have no gradient."""
 
 
 ROUNDING = 1e-14
