@@ -41,7 +41,7 @@ from scp_recon.verification.reintegration import verify
 from scp_recon.verification.remedies import what_next
 
 NUMBERS = {"gm": (1e-6, 1e20), "radius": (1.0, 1e7), "period": (0.1, 1000.0)}
-"""Bounds of what a body needs which is not packaged, in m^3/s^2, m and h."""
+"""Bounds of the numbers of a body that is not packaged, in m^3/s^2, m and h."""
 LISTS = {"site": 2, "pole": 2, "orbit": 6}
 OF_A_BODY = ("gm", "radius", "period", "pole", "orbit")
 SOURCES = ("from_spice", "from_oem", "from_csv")
@@ -50,7 +50,7 @@ NEEDS = {"from_spice": ("spacecraft", "begin", "end"), "from_csv": ("epoch",)}
 GOES_WITH = {"spacecraft": SOURCES[:1], "begin": SOURCES, "end": SOURCES} | dict.fromkeys(
     OF_A_BODY, (None, *SOURCES[1:])
 )
-"""With which trajectory, or none, an option goes; the kernels have the body."""
+"""Trajectories, or none, with which an option may be given; kernels contain the body."""
 HEAD_COLUMNS = 98
 """Of the head of a scenario's file."""
 
@@ -173,7 +173,7 @@ class NewScenario:
     """
 
     draft: Draft
-    """What its file is written from."""
+    """Data of the scenario's file."""
     mission: Mission
     solution: Solution
     verification: Verification

@@ -32,15 +32,15 @@ from scp_recon.scp.status import Status
 ADDRESS = "127.0.0.1"
 """The page is served to this machine alone."""
 BYTES_MAX, SECONDS_MAX = 20_000, 30.0
-"""Of a request, and until all of it has come."""
+"""Largest size of a request, and longest time to receive it."""
 BURN, POLICY = "burns.times_s", "policy.kind"
 MEASURED = {
     "navigation.sigma_position_m": ("position, 1 sigma (m)", 10.0),
     "navigation.sigma_velocity_m_s": ("velocity, 1 sigma (m/s)", 0.0005),
 }
-"""With what feedback is tried of a scenario that measures nothing: as in docs/feedback.md."""
+"""Measurement for feedback in a scenario without one: as in docs/feedback.md."""
 Values = Mapping[str, Any]
-"""By the sliders' keys, of those that are not as in the scenario."""
+"""Values of changed sliders, by their keys."""
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,7 @@ MULTIPLIED = (
     ("Errors", "uncertainty.initial_covariance", "initial sigmas", 2),
     ("Navigation", "navigation.covariance", "measured sigmas", 2),
 )
-"""Group, entry of many numbers, what they are, and to which power the value multiplies them."""
+"""Group, entry of many numbers, its meaning, and the power of the value that multiplies the numbers."""
 LIMITS = tuple(
     (f"observation.{key}_{end}_{unit}", f"{key.replace('_', ' ')}, {words} ({unit})")
     for key, unit in (("site_distance", "m"), ("emission", "deg"), ("phase", "deg"))

@@ -29,22 +29,22 @@ from scp_recon.scp.status import Status
 from scp_recon.verification.reintegration import verify
 
 LEAST = 0.501
-"""Least probability that is looked at: a scenario asks for more than one half."""
+"""Least probability of the search: a scenario requires more than one half."""
 
 CLOSE = 0.02
 """Standard deviations between the largest probability with a plan and the next without: a hint."""
 
 TRIES = ((False, 0.0), (True, 0.0), (True, 0.1), (True, 0.25))
-"""Whether flights certify what is proposed, and standard deviations by which it is less than could be.
-Where flights refute a plan they refute one for less as well, if it aims no higher. Certified ones do.
-"""
+"""Whether flights certify the proposed plan, and standard deviations by which its probability is
+below the largest. If flights refute a plan, they also refute a plan for less with no higher target.
+A certified plan has a higher target."""
 
 FREE = 100.0
-"""How many times as large burns may be where their size is free."""
+"""Factor on the largest burn if the size of burns is relaxed."""
 
 FREE_CONE, FREE_MISS = 1e-6, 1e-3
-"""Half-angle, rad, of the cones that burns keep out of where their directions are free, and price of a
-miss where the final state is."""
+"""Half-angle, rad, of the cones that burns avoid if their directions are relaxed, and price of a
+miss if the final state is relaxed."""
 
 SIZE, DIRECTIONS = "the size of the burns", "the directions of the burns"
 FINAL_STATE, LIMITS = "the final state", "the limits"
@@ -58,7 +58,7 @@ FREED: dict[str, Callable[[FlybyProblem], FlybyProblem]] = {
     LIMITS: lambda problem: replace(problem, constraints=()),
     FINAL_SPREAD: lambda problem: replace(problem, final_spread=(None, None)),
 }
-"""The problem without one thing."""
+"""Functions that relax one kind of limit of a problem, by name."""
 
 
 @dataclass(frozen=True)

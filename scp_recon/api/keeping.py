@@ -19,9 +19,9 @@ from scp_recon.results.solution import FILE_NAME, Solution
 from scp_recon.scp.status import Status
 
 UNVERIFIED = "solution_unverified.json"
-"""Where a plan goes that is not verified, where a verified one is already."""
+"""Name of the file of a plan that is not verified, beside a verified one."""
 OLD = "old_"
-"""Before the name of a result of a plan that was there before."""
+"""Prefix of results of an earlier plan in the folder."""
 
 
 @contextmanager

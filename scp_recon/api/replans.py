@@ -24,8 +24,8 @@ from scp_recon.results.solution import Solution
 from scp_recon.scp.status import Status
 
 P3_RESOLUTION = 1e-3
-"""Relative reduction of the merit at which P3 stops in flight where P2 follows: its end only places the
-facets. Newton's steps make of it some 1e-6 of what they begin with, and an iteration less."""
+"""Relative reduction of the merit at which P3 stops in flight if P2 follows: the end of P3 only
+places the facets. Newton's steps then still converge to about 1e-6, with one iteration less."""
 
 
 def replan(

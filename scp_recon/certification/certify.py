@@ -198,15 +198,15 @@ def slack(plan: AimedPlan) -> float:
 
 
 SURE = float(ndtri(0.95))
-"""Standard deviations by which a plan is to exceed what a look needs, by what rounds have measured: 95
-of 100 pass. The deviation is that of the look and of the measurement together."""
+"""Standard deviations by which a plan should exceed the requirement of a look, by the rounds'
+measurements: 95 of 100 plans pass. The deviation combines that of the look and that of the
+measurement."""
 
 SURE_ENOUGH = float(ndtri(0.85))
-"""The same of a plan that no further round is to make surer."""
+"""The same for a plan that needs no further round."""
 
 EXCESS = 1.0
-"""Standard errors of what rounds have measured, up to which sampling explains that a plan reaches more
-than it has to."""
+"""Standard errors of the rounds' measurement up to which a plan's surplus is within sampling error."""
 
 LEAST, MOST = 0.501, 1.0 - 1e-9
 """Aims: the constraint is convex above one half."""

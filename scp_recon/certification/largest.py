@@ -25,11 +25,11 @@ from scp_recon.scenario.fields import ScenarioWarning
 from scp_recon.scp.status import Status
 
 LEAST, MOST = 0.55, 1.0 - FAILURES / FLIGHTS_MAX
-"""Probabilities between which it is looked for: no flights can certify a larger one."""
+"""Ends of the search for the largest probability: flights cannot certify a larger one."""
 CLOSE = 0.01
 """Standard deviations between the last probability with a plan and the first without."""
 DIGITS = 4
-"""Of a probability that is promised."""
+"""Digits of a promised probability."""
 
 ANSWERS = (Status.CONVERGED, Status.INFEASIBLE, Status.INTERRUPTED)
 """Outcomes after which a try is not repeated from another start."""

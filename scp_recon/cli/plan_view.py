@@ -285,7 +285,7 @@ def live_progress(console: Console, mission: Mission) -> Iterator[Progress]:
 
 FRAME = "J2000, body-centred"
 IN_FILE = {"nodes", "facets", "iterations", "scenario", "timing_s", "units"}
-"""Of a solution: what whoever wants it reads in its file."""
+"""Parts of a solution that are only in its file, not in the command's document."""
 
 
 def plan_document(solution: Solution, files: Iterable[Path] = ()) -> dict[str, Any]:

@@ -29,14 +29,14 @@ from scp_recon.planning.primer import PrimerHistory, primer_history
 from scp_recon.scenario.schema import Scenario
 
 STARTS_MAX = 4
-"""Valleys of the map from which descents begin."""
+"""Number of the map's minima from which descents begin."""
 Effort = tuple[int, float, float]
 """Rounds of a descent at most, and the relative gains worth another one, and another step."""
 FIRST: Effort = (2, 1e-2, 1e-3)
 LAST: Effort = (ROUNDS_MAX, WORTH, 0.1 * WORTH)
 EXACT: Effort = (3, 1e-3, 0.1 * WORTH)
-"""Of descents to compare, of the last ones, and under exact risk, where plans take five times as long:
-there what stands for it is compared only."""
+"""Effort of descents for comparison, of the last descents, and of descents with exact risk, where
+plans take five times as long."""
 SURROGATE = {
     "risk": {"allocation": "uniform", "scope": "node"},
     "polytopes": {"ball": "tangent", "cone": 12},
@@ -44,7 +44,7 @@ SURROGATE = {
 """Risk planned with in place of exact risk until the last descent: quicker, and near it."""
 
 CORRECTED_MAX = 3
-"""Passes that are planned with gains, at most, until one has a plan."""
+"""Largest number of passes planned with gains until one has a plan."""
 
 PLACES_MAX = 3
 """Peaks of the primer at which another burn is tried."""

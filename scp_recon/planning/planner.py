@@ -49,17 +49,18 @@ and the merit is flat in them. Few directions, aimed at flights without gains, t
 with them: with 1e-3 that stage took up to 38 iterations in their kinks."""
 
 WEIGHT = 100.0
-"""First penalty weight beside such a limit. Its multiplier may exceed the usual ten; and at a thousand,
-which comes next, what the probability of whole flights cannot resolve would hide what there is to gain.
-"""
+"""First penalty weight with such a limit. Its multiplier may exceed the usual weight of ten. At the
+next weight of a thousand, the resolution of the probability of whole flights would hide the
+possible reductions of cost."""
 
 
 ITERATIONS_WITH_GAINS = 100
 """Limit of a stage's iterations where burns are corrected: twice the usual one."""
 
 LED_ITERATIONS, LED_RISK = 30, 0.3
-"""Of the stage of nodes that leads to gains where nothing is feasible without: iterations at most, and
-its nodes' risk over that of whole flights. Flights fail more often than any of their nodes."""
+"""The preliminary stage with gains, if no plan without gains is feasible: its largest number of
+iterations, and its nodes' risk over that of whole flights. Flights fail more often than any of
+their nodes."""
 
 
 def plan(

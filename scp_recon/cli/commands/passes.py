@@ -36,7 +36,7 @@ TABLE, MAP, SCENARIO, PRIMER = "design.csv", "design.png", "scenario.toml", "pri
 COSTS = {"nominal": "", "expected": ", mean with corrections", "dv99": ", 99 % with corrections"}
 """What the delta-v of a pass with corrected burns is, by what is minimised."""
 RESIDUAL = 0.1
-"""Of a plan, above which its multipliers are not an optimum's: a primer errs by as much."""
+"""Largest residual of an optimum's multipliers: a primer errs by its residual."""
 COLUMNS = (
     "step",
     "window",
