@@ -16,12 +16,12 @@ from scp_recon.errors import InputError, option
 CONFIDENCE = 0.95
 
 FLIGHTS_MIN, FAILURES, FLIGHTS_MAX = 10_000, 300, 1_000_000
-"""Of a round at least so many flights, and so many that 300 may break what is allowed to break; and at
-most."""
+"""Least number of flights of a round; number of allowed failures in a round, 300; largest number of
+flights."""
 
 FIRST_SEED, FIRST_LOOK_SEED = 1_000, 2_000
-"""Of the flights of the first round, by which plans aim, and of the first look, which judges one. Each
-has the next; no other draws of this library begin at either."""
+"""Seeds of the flights of the first round and of the first look. Later rounds and looks have the
+next seeds. No other draws of this library begin at these seeds."""
 
 LOOKS_MAX = 2
 """Looks, the last of which certifies a plan or none."""
@@ -31,8 +31,8 @@ LOOK_CONFIDENCE = 0.975
 required passes one look at most 1.25 times in 100, and one of two at most 2.5 times."""
 
 LOOK_SIZE = 2
-"""Times the flights of a round that a look has. What a plan pays for is above all the error of the
-look: plans reach 3.4 standard errors of a round more than is required, and 4.4 where a look has as many
+"""Flights of a look over those of a round. The surplus of a plan comes mainly from the error of the
+look: plans reach 3.4 standard errors of a round more than required, and 4.4 if a look has as many
 flights as a round."""
 
 

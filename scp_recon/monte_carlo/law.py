@@ -30,7 +30,8 @@ FAR = 1e6
 """Margin where no limit is within reach, m."""
 
 SURVEY_DRAWS, SURVEY_FLIGHTS = 10_000, 200
-"""By which draws are allocated, and those of them that are flown: the nearest to a limit."""
+"""Draws of a survey, which allocates the others, and the number of them flown: the nearest to a
+limit."""
 
 BEYOND = 1.5
 """Times the largest difference of margins in a survey from which on a verdict is sure. Of 10,000

@@ -20,7 +20,7 @@ from scp_recon.results.policy import with_policy
 ELLIPSE = 2.0
 """Sigmas of the ellipses that are drawn."""
 POINTS, BINS = 97, 60
-"""Of an ellipse, and of a histogram."""
+"""Points of an ellipse, and bins of a histogram."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -28,9 +28,9 @@ from scp_recon.verification.probabilities import SAMPLES, SEED, held
 
 LOOKS_IN_WINDOW = 121
 SHARE = 0.99
-"""Of the flights, whose delta-v stays below what a budget names."""
+"""Share of the flights whose delta-v stays below a budget."""
 SO_FAR = "all of them, from the start so far"
-"""Share of the flights that have broken nothing yet."""
+"""Name of the share of flights that have broken no limit so far."""
 SIGMAS = {1: (15.8655, 84.1345), 2: (2.2750, 97.7250), 3: (0.1350, 99.8650)}
 """Percentiles between which a normal variable is within so many sigma of its mean."""
 DEGREES = float(np.rad2deg(1.0))

@@ -32,16 +32,16 @@ from scp_recon.scp.status import Status
 Kind = Literal["keep_in", "keep_out", "burn", "joint", "covariance"]
 FINAL_STATE = "final_state"
 TIME_ERROR_S = 1e-3
-"""Far above how the edges of a window differ from one machine to another."""
+"""Tolerance of times, far above the differences of a window's edges between machines."""
 TOLERANCE, FLIGHT_TOLERANCE, STAGE_TOLERANCE = 1e-6, 1e-5, 1e-3
-"""Violation that counted as none where a file does not say it: the second of whole flights, the third
-where an exact plan ended in a stage that was to lead to it."""
+"""Violation that counts as none if a file does not state it: in general, for whole flights, and for
+an exact plan that ended in a preliminary stage."""
 BARELY = 1.01
 """Times the tolerance that still counts as none: a margin is computed again from rounded numbers."""
 MARGIN_ERROR: dict[Unit, float] = {"m": 1e-3, "m/s": 1e-8, "sigma": 1e-9}
-"""Of a carried margin: the variance along a facet is a difference of large numbers."""
+"""Error of a carried margin: the variance along a facet is a difference of large numbers."""
 SAME_PROBABILITY, ROUNDING = 1e-9, 1e-9
-"""Between a probability and its quantile; and of sums, relative."""
+"""Tolerance between a probability and its quantile; relative rounding of sums."""
 
 
 @dataclass(frozen=True)

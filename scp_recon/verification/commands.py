@@ -18,14 +18,14 @@ from scp_recon.results.solution import Solution
 from scp_recon.verification.consistency import ERRORS, FEW, POINTS, SEED
 
 NO_BURN_M_S = 1e-6
-"""A burn of next to nothing needs no attitude."""
+"""Size below which a burn needs no attitude."""
 SIGMA_ERROR = 1e-5
-"""Relative, of a correction's standard deviation."""
+"""Relative tolerance of a correction's standard deviation."""
 MEAN_ERROR, DV99_ERROR = 0.02, 0.1
 """Standard deviations of the total delta-v by which its mean and quantile over other draws may differ:
 twice to three times what was measured, with a bias that burns share and without."""
 SAME_M_S = 1e-8
-"""Of velocities that a file states."""
+"""Tolerance of velocities in a file."""
 
 
 def commanded(solution: Solution, covariance: Array) -> Array:

@@ -47,12 +47,13 @@ from scp_recon.results.solution import Solution
 
 FACET_ERROR = 1e-9
 MEASUREMENT_ERROR = 1e-6
-"""Of a covariance, relative in scaled units."""
+"""Relative tolerance of a covariance in scaled units."""
 POINTS, SEED = 2**15, 7
-"""Of a scrambled Sobol net. On plans per node for 0.70, 0.90 and 0.99 it errs by 4e-4 at most, where as
-many draws have a standard error of up to 2.5e-3; the planner's quadrature is good to 1e-6."""
+"""Size and seed of a scrambled Sobol net. On plans per node for 0.70, 0.90 and 0.99 its error is at
+most 4e-4. The same number of draws has a standard error of up to 2.5e-3. The planner's quadrature
+is accurate to 1e-6."""
 ERRORS = 2.0
-"""Standard errors of as many draws that it may err by; 0.9 was measured."""
+"""Tolerance in standard errors of as many draws; 0.9 was measured."""
 FEW = 3.0 / POINTS
 """In the tails, where a point counts for more than what it stands for."""
 

@@ -22,24 +22,25 @@ SAMPLES, SEED = 10_000, 0
 SAMPLED_PARTS_PER_ARC = 4
 
 MARGIN_LIMIT = {"m": -0.5, "rad": -1e-3, "m/s": -1e-6}
-"""Between nodes a constraint that binds at them may dip below by this much."""
+"""Amount by which a constraint that binds at nodes may be violated between them."""
 
 LAW_ERROR, LAW_LOSS = 0.1, 0.5
-"""Standard deviations between what the normal law says of a whole flight and the interval of nonlinear
-flights. 0.054 was measured at most, on the default scenario for 0.70 to 0.999. Where flights certify a
-plan its aim makes up for the difference, which may then be as large as the second."""
+"""Largest difference in standard deviations between the normal law's probability of a whole flight
+and the interval of nonlinear flights. At most 0.054 was measured, on the default scenario for 0.70
+to 0.999. The target of a certified plan compensates the difference, so the second limit holds for
+it."""
 
 ERRORS = 5.0
-"""Standard errors between what two samples of flights reach."""
+"""Largest difference between the probabilities of two samples of flights, in standard errors."""
 
 BETWEEN = 0.05
 """Share of 1 - p that a certificate's flights may lose between the times that are looked at here."""
 
 BLOCKS = 5
-"""Of a thousand flights."""
+"""Number of blocks of a thousand flights."""
 
 LAW = 0.02
-"""Of a sigma, by which nonlinear flights may differ from it."""
+"""Share of a sigma by which nonlinear flights may differ from it."""
 
 
 def shortfalls(

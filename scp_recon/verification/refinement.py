@@ -22,9 +22,9 @@ from scp_recon.scp.status import Status
 from scp_recon.verification import reintegration
 
 ORDER = 4
-"""Of the Runge-Kutta steps: half of them err by a sixteenth."""
+"""Order of the Runge-Kutta scheme: steps of half the length err by a sixteenth."""
 AIM = 0.5
-"""Of a limit, at which a finer grid aims."""
+"""Share of a limit that a finer grid should reach."""
 
 
 def covariance_error(plan: Plan) -> float:

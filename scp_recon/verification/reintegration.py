@@ -54,11 +54,11 @@ FLIGHTS_CHECKED = 3
 MARGIN_STEP_S = 10.0
 POSITION_LIMIT_M, VELOCITY_LIMIT_M_S, DEFECT_LIMIT_M = 1.0, 1e-4, 1e-2
 COVARIANCE_LIMIT, BIASED_LIMIT = 1e-6, 1e-4
-"""The second where corrected burns share a bias. It is not estimated, so that innovations depend on
-each other; the plan's errors of executing corrections neglect that. 3e-6 was measured.
-"""
+"""Limits of covariance errors; the second for corrected burns that share a bias. The bias is not
+estimated, so innovations depend on each other. The plan neglects that in the errors of executing
+corrections. 3e-6 was measured."""
 SAMPLE_LIMIT = 1e-6
-"""Of the initial radius, where that is more than a centimetre: 1 sigma is of the order of 1e-2."""
+"""Share of the initial radius, if that is more than a centimetre: 1 sigma is of the order of 1e-2."""
 FIGURES = {
     "terminal_position_error_m": ("final position", "m"),
     "terminal_velocity_error_m_s": ("final velocity", "m/s"),
@@ -71,7 +71,7 @@ FIGURES = {
 SMALLEST = 1e-30
 """Scaled covariance that counts as none."""
 DIVERGED = 1e100
-"""Stands for what is not finite: the file knows no infinity, and no limit allows it."""
+"""Replaces figures that are not finite: the file has no infinity, and no limit allows this number."""
 
 
 def verify(mission: Mission, solution: Solution) -> Verification:

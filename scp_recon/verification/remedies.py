@@ -13,9 +13,10 @@ from scp_recon.verification.refinement import finer_step_s
 from scp_recon.verification.reintegration import limits_of
 
 SHOWN_S = 1.0
-"""From a node beyond which something is between nodes."""
+"""Distance from a node, s, beyond which a time counts as between nodes."""
 INTEGRATION = 1e4
-"""Times its limit that an error of integration is not: ten times finer steps would not mend it."""
+"""Factor on a limit beyond which an error is not one of integration: ten times finer steps would
+not reduce it enough."""
 STATUS, GRID, BETWEEN, BURNS, SHORT = "status", "grid", "between nodes", "burns", "short"
 CERTIFICATE, SPREAD, COMMANDS = "certificate", "spread", "commands"
 CONTRADICTION = "contradiction"

@@ -29,10 +29,11 @@ from scp_recon.simulation.estimator import cross_matrix
 from scp_recon.simulation.vehicle import Vehicle
 
 STEP_S = 0.1
-"""Of the Runge-Kutta integration: the shortest pulse of a micro-thruster."""
+"""Step of the Runge-Kutta integration: the shortest pulse of a micro-thruster."""
 
 SURROUNDINGS_S = 10.0
-"""How often the asteroid's attitude is renewed; Basilisk extrapolates it to 8e-6 rad in between."""
+"""Interval, s, at which the asteroid's attitude is renewed; Basilisk extrapolates it to 8e-6 rad in
+between."""
 
 BASILISK_PRESSURE = 1368.0 / SPEED_OF_LIGHT_M_S
 """Pressure of sunlight at 1 au that facetSRPDynamicEffector has built in, N/m^2."""
