@@ -132,14 +132,15 @@ class Certificate:
         samples: flights of the look that judged the plan.
         seed: of their errors, which planning has not seen.
         reached: probability that they reach at every second.
-        low: lower end of its exact interval; the plan is certified where this is what was required.
+        low: lower end of its exact interval; the plan is certified if this is at least the required
+            one.
         high: upper end of it.
         at_nodes: the same of the nodes alone.
         rounds: plans flown to aim, before any look.
         looks: looks until this one, each at another plan; 0 of an older file, whose plan was chosen by
             the flights that judged it.
         confidence: of the interval, both ends together.
-        strata: what was drawn and flown in strata of the law's margin; None of plain flights.
+        strata: draws and flights in strata of the law's margin; None for plain flights.
     """
 
     samples: Annotated[int, Field(ge=1)]
@@ -154,11 +155,11 @@ class Certificate:
     strata: Counted | None = None
 
     def certifies(self, required: float) -> bool:
-        """Whether it certifies a required probability."""
+        """Whether the certificate proves a required probability."""
         return self.low >= required
 
     def __str__(self) -> str:
-        """In words."""
+        """The certificate in words."""
         step = f"look {self.looks}" if self.looks else f"round {self.rounds}"
         interval = f"{100 * self.confidence:g} % interval {self.low:.4f} to {self.high:.4f}"
         of = f" out of {sum(self.strata.drawn)} draws" if self.strata else ""
@@ -389,7 +390,7 @@ class Plan(Displayed):
 
 
 class AimedPlan(Protocol):
-    """A plan that may aim at a probability: of a mission, or of a problem by hand; a data class."""
+    """Protocol of a plan that may have a target probability: of a mission or an `ImpulsiveProblem`."""
 
     __dataclass_fields__: ClassVar[dict[str, Any]]
 
@@ -407,7 +408,7 @@ class AimedPlan(Protocol):
 
     @property
     def certificate(self) -> Certificate | None:
-        """What flights reached."""
+        """Probability that flights reached."""
 
 
 Aimed = TypeVar("Aimed", bound=AimedPlan)

@@ -135,7 +135,7 @@ class StageSummary:
 
     @property
     def meaning(self) -> str:
-        """What the name says beyond the problem; empty of plain P3 and P2."""
+        """Meaning of the name's ending; empty for plain P3 and P2."""
         again, _, rest = self.name[2:].partition(".")
         facets = f"facets chosen for the {rest}. time" if rest.isdecimal() else ""
         said = STAGES.get(again), STAGES.get(rest), facets
@@ -289,7 +289,7 @@ class BurnLimit:
     probability: Probability
 
     def __str__(self) -> str:
-        """As checks name it."""
+        """Its name in checks."""
         return f"P({self.name} of burn {self.burn})"
 
 
