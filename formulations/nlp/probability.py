@@ -61,7 +61,7 @@ def broken(limits: Limits, mean: ca.MX, covariance: ca.MX) -> tuple[ca.MX, ca.Ca
 
 @cache
 def _form() -> ca.Function:
-    """Of mean, covariance L L' and (M, l): L'ML, lower triangle, L'Md, and d'Md - l."""
+    """Function from mean, covariance L L' and (M, l) to L'ML, lower triangle, L'Md, and d'Md - l."""
     mean, covariance, given = ca.SX.sym("d", 3), ca.SX.sym("C", 9), ca.SX.sym("given", 10)
     root, matrix = ca.chol(ca.reshape(covariance, 3, 3)).T, ca.reshape(given[:9], 3, 3)
     bent, pull = root.T @ matrix @ root, matrix @ mean
@@ -120,11 +120,11 @@ class _Complex:
         return self * _Complex(other.re / size, -other.im / size)
 
     def times(self, number: ca.SX | float) -> _Complex:
-        """By a real number."""
+        """Product with a real number."""
         return _Complex(number * self.re, number * self.im)
 
     def plus(self, number: float) -> _Complex:
-        """And a real number."""
+        """Sum with a real number."""
         return _Complex(self.re + number, self.im)
 
     def log(self) -> _Complex:

@@ -90,7 +90,7 @@ class Bend(NamedTuple):
 
     @property
     def at(self) -> Valued:
-        """At the iterate."""
+        """Value at the iterate."""
         size = float(np.hypot(np.linalg.norm(self.start), self.over))
         return Valued(size, self.start @ self.root / max(size, TINY))
 
@@ -257,7 +257,7 @@ class _Sizes:
     @classmethod
     @lru_cache(maxsize=2)
     def of(cls, problem: FlybyProblem, iterate: Iterate) -> Self:
-        """Those of an iterate: value and curvature are asked of the same one."""
+        """Sizes of an iterate, cached: value and curvature need the same ones."""
         return cls(problem, iterate)
 
     @cached_property

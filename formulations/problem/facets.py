@@ -185,7 +185,7 @@ def _pyramid(
 
 
 def _most_probable(candidates: list[Halfspaces], point: Array, factor: Array) -> Halfspaces:
-    """At each node the half-space with the largest probability: argmax (b - a'mu) / ||S'a||."""
+    """Choose at each node the half-space with the largest probability: argmax (b - a'mu) / ||S'a||."""
     normal = np.stack([plane.normal for plane in candidates])  # (m, n, 3)
     offset = np.stack([plane.offset for plane in candidates])
     slack = offset - np.einsum("mni,ni->mn", normal, point)

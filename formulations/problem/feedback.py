@@ -27,7 +27,7 @@ Cost = Literal["nominal", "expected", "dv99"]
 
 @dataclass(frozen=True, eq=False)
 class Feedback:
-    """Corrected burns of a problem with k of them, and what they know.
+    """The k corrected burns of a problem, with their measurements, cost and probability.
 
     Examples:
         >>> burns, cut_offs = np.array([1, 2]), np.array([5, 9])

@@ -101,10 +101,11 @@ class ScaledDerivatives:
 def check_flow(flow: Flow, unit: Array, state: Array) -> None:
     """Check a flow's shapes, and its derivatives by central differences of its own map.
 
-    Looked at about starts (n, 6) of its arcs, nondimensional by the units of a state's components.
+    The checks use starts (n, 6) of the arcs, nondimensional by the units of a state's components.
 
     Raises:
-        ValueError: with what was found and what was expected.
+        ValueError: if a shape or a derivative is wrong; the message has the value found and the one
+            expected.
     """
     n = flow.arcs
     own = flow.differentiate(state * unit)

@@ -67,7 +67,7 @@ class Iterate:
 
     @property
     def total_dv(self) -> float:
-        """Sum of the burns' sizes: the cost."""
+        """Sum of the burns' sizes."""
         return float(np.linalg.norm(self.burns, axis=1).sum())
 
 

@@ -367,7 +367,7 @@ class Polytope:
         return [Halfspaces(a[None], b[None]) for a, b in zip(self.normal, self.offset, strict=True)]
 
     def at(self, which: Indices) -> Polytope:
-        """The same of some nodes."""
+        """The polytope at some nodes, the same as at all."""
         del which
         return self
 

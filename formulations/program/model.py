@@ -121,7 +121,7 @@ class Shape(NamedTuple):
 
     @classmethod
     def of(cls, problem: FlybyProblem, *, floor: bool) -> Self:
-        """That of a problem."""
+        """The controls of a problem."""
         feedback = problem.feedback
         if feedback is None:
             return cls(problem.n_burns, floor=floor)

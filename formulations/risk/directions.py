@@ -52,7 +52,7 @@ def sphere_directions(count: int, dimension: int) -> Directions:
 def aimed_directions(
     count: int, dimension: int, failing: Callable[[Directions], Array]
 ) -> Directions:
-    """As many directions, half of them where flights fail.
+    """Directions of which half are drawn where flights fail.
 
     Args:
         count: a power of two.

@@ -209,7 +209,7 @@ def least_failures(
 
 
 def _density(shape: Array, at: Array) -> Array:
-    """Of the gamma law with unit scale."""
+    """Density of the gamma law with unit scale."""
     return np.asarray(np.exp(xlogy(shape - 1.0, at) - at - gammaln(shape)))
 
 
@@ -259,7 +259,7 @@ def allocate(
     """The cheapest allocation whose limits are as near to the estimate as expected.
 
     Args:
-        survey: what is known.
+        survey: statistics known before the allocation.
         plain: flights that it is to save.
         width: distances of the limits of most and of least failures.
         tail: probability with which either may be missed.
@@ -284,7 +284,7 @@ def allocate(
         return np.minimum(LEAN * share, most_lean)
 
     def widths(fails: Array, holds: Array) -> tuple[Array, Array]:
-        """Distances of both limits with such shares flown of what is sure."""
+        """Distances of both limits from the estimate, by the shares flown of the sure strata."""
         share = np.column_stack([fails, unsure, holds])
         unlike = draws[:, None] * survey.share * share * survey.unlike
         failing = draws * survey.share[FAILS].sum() - unlike[:, FAILS].sum(axis=1)

@@ -216,7 +216,7 @@ class FurtherRows:
         self.count = self._final.count + self._burns.count
 
     def margins(self, lin: Linearisation) -> dict[str, Margins]:
-        """Of both."""
+        """Margins of both kinds of rows."""
         return self._final.margins(lin) | self._burns.margins(lin)
 
     def cones(self, lin: Linearisation, s: Sensitivity) -> list[Cones]:
@@ -224,7 +224,7 @@ class FurtherRows:
         return self._final.cones(lin, s) + self._burns.cones(lin)
 
     def state_cones(self, lin: Linearisation) -> list[StateCones]:
-        """Of both; those of burns have no entry of a state."""
+        """Cones of both kinds of rows; those of burns have no entry of a state."""
         none = np.zeros((4, 0), dtype=np.intp), np.zeros(0)
         return self._final.state_cones() + [
             StateCones(one.rows, *none, one.values, one.constants) for one in self._burns.cones(lin)

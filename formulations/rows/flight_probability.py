@@ -48,7 +48,7 @@ class Limit(NamedTuple):
     nodes: Indices
 
     def at(self, which: Indices) -> Limit:
-        """The same at some of its nodes."""
+        """The limit at some of its nodes."""
         return Limit(self.region.at(which), self.nodes[which])
 
 

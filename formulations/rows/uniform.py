@@ -70,7 +70,7 @@ class DeterministicRows:
         return [_joined(cones) for cones in blocks.values() if cones]
 
     def state_cones(self, lin: Linearisation) -> list[StateCones]:
-        """As `cones`, a block for each constraint."""
+        """One block of cones for each constraint, as in `cones`."""
         blocks, first = [], 0
         for c in self.problem.constraints:
             matrix, origin, offset = _map_of(c, lin)
