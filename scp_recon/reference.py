@@ -124,7 +124,7 @@ def solution_page() -> str:
 
 
 def _fields(kind: Any) -> list[str]:
-    """Descriptions of a type's fields in their order, under whatever name the file has them.
+    """Descriptions of a type's fields in order, by their keys in the file.
 
     Raises:
         KeyError: if one has none.
@@ -141,7 +141,7 @@ def _fields(kind: Any) -> list[str]:
 
 
 def warnings_page() -> str:
-    """Every check that refuses or warns about what a scenario says."""
+    """Every check that refuses a scenario or warns about it."""
     rows = (_row(row) for row in (*PLANNER_INTERVALS, *INTERVALS, *STATE_INTERVALS))
     every = (*checks.CHECKS, *checks.STATE_CHECKS)
     functions = [check for check in every if inspect.isfunction(check)]

@@ -92,7 +92,7 @@ class NewOptions:
         self._check_source()
 
     def _check_source(self) -> None:
-        """One trajectory at most, with what it needs."""
+        """Refuse more than one trajectory, and missing or superfluous arguments for it."""
         given = [name for name in SOURCES if getattr(self, name) is not None]
         flags = ", ".join(map(option, given))
         if len(given) > 1:
@@ -247,7 +247,7 @@ def new(
             it needs; the rest as with `from_oem`.
         begin: first burn, with a trajectory only, UTC, e.g. 2020-01-21T20:32:08.
         end: last burn, with a trajectory only, UTC, e.g. 2020-01-21T20:32:08.
-        progress: told of each draft that was planned, in a line.
+        progress: called with a line on each planned draft.
 
     Returns:
         The scenario, its plan with the verification, and the files.

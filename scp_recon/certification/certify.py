@@ -99,7 +99,7 @@ def certified(asked: float, make_plan: Planning[Aimed], fly: Fly[Aimed]) -> Aime
 
 @dataclass
 class _Certification(Generic[Aimed]):
-    """State of one certification: the last plan, where to add nodes, the plans flown and looked at."""
+    """State of one certification: last plan, times of new nodes, plans of rounds and looks."""
 
     asked: float
     make_plan: Planning[Aimed]
@@ -192,7 +192,7 @@ def _law(plan: AimedPlan) -> float:
 
 
 def slack(plan: AimedPlan) -> float:
-    """By how many standard deviations the normal law's probabilities exceed the aim."""
+    """Excess of the normal law's probabilities over the target, in standard deviations."""
     of = plan.final
     return min(float(m.margin.min()) for name, m in of.margins.items() if of.unit(name) == "sigma")
 

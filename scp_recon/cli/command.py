@@ -93,7 +93,7 @@ class Command:
     own: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
     def parser(self) -> argparse.ArgumentParser:
-        """Of its options."""
+        """Parser of its options."""
         import argparse
 
         from scp_recon.cli.options import add_options

@@ -434,7 +434,7 @@ class Mission:
 
     @cached_property
     def dynamics(self) -> Dynamics:
-        """The same with the burns."""
+        """Nondimensional flow map of the grid with the burns."""
         return Dynamics(self.flow, self.burn_nodes)
 
     @property

@@ -41,7 +41,7 @@ class Lighting:
         return geometry.incidence(track, self.to_sun(time_s))
 
     def local_solar_time(self, time_s: Array) -> Array:
-        """At the site, in h; a rotation has 24."""
+        """Local solar time at the site, h; a rotation has 24 h."""
         return geometry.local_solar_time(self.site, self.rotation, self.to_sun(time_s), time_s)
 
     def slack(self, limits: Observation) -> OfTime:

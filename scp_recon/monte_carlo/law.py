@@ -47,7 +47,8 @@ class Law:
 
     Attributes:
         mean: positions, shape (n, 3).
-        factor: of their covariance by what a flight draws, shape (n, 3, sources).
+        factor: of their covariance, a column for each number that a flight draws, shape (n, 3,
+            sources).
         limits: that flights may break.
         length_m: of the unit of length.
     """
@@ -111,15 +112,15 @@ class Law:
         return np.broadcast_to(self._least(self._moved(draws)), len(draws))
 
     def margin_at(self, positions: Array) -> Array:
-        """The same of positions at the nodes, m, shape (n, flights, 3)."""
+        """Distance to the nearest limit, m, for positions at the nodes, m, shape (n, flights, 3)."""
         return self._least(lambda nodes: positions[nodes] / self.length_m)
 
     def margins(self, draws: Array) -> Array:
-        """The same at each node of the span, m, shape (nodes, m), and at most `FAR`."""
+        """Distance to the nearest limit at each node of the span, m, (nodes, m), at most `FAR`."""
         return self._at_nodes(self._moved(draws), len(draws))
 
     def margins_at(self, positions: Array) -> Array:
-        """The same of positions at all nodes, m, shape (n, flights, 3)."""
+        """As `margins`, for positions at all nodes, m, shape (n, flights, 3)."""
         return self._at_nodes(lambda nodes: positions[nodes] / self.length_m, positions.shape[1])
 
     def _moved(self, draws: Array) -> Callable[[Indices], Array]:
@@ -152,7 +153,7 @@ class Law:
 
 
 def _drawn(lin: Linearisation) -> Array:
-    """The factor's columns of what flights draw, in their order, shape (n_nodes, 6, sources)."""
+    """Columns of the factor for the flights' random numbers, in order, shape (n_nodes, 6, sources)."""
     problem, factor = lin.problem, lin.factor
     if problem.feedback is None:
         return factor

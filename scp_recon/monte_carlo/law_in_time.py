@@ -52,7 +52,7 @@ class Kept(Protocol):
 
     @property
     def name(self) -> str:
-        """Of the constraint."""
+        """Name of the constraint."""
         ...
 
     @property

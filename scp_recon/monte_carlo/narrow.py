@@ -79,7 +79,7 @@ class KeptAtLooks:
 
     @property
     def kept(self) -> Booleans:
-        """At all of them, shape (flights,)."""
+        """Whether flights keep the constraint at all looks, shape (flights,)."""
         return np.asarray(self.holds.all(axis=0))
 
     def fails(self, flights: Indices) -> Booleans:
@@ -197,7 +197,7 @@ def narrow(
 
 
 def _allocation(known: Survey, until: float) -> Allocation | None:
-    """Of draws whose intervals should be so narrow."""
+    """Allocation of draws for intervals of the required width."""
     q = known.failed
     plain = int(4.0 * float(ndtri(TAIL)) ** 2 * max(q * (1.0 - q), until / 4.0) / until**2) + 1
     reached = proportion(round((1.0 - q) * plain), plain)

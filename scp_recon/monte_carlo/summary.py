@@ -51,7 +51,7 @@ class Interval(Section):
 
     @property
     def estimate(self) -> Estimate:
-        """The same with infinite ends, and NaN for no value."""
+        """The interval as an estimate with infinite ends, and NaN for no value."""
         return Estimate(
             np.nan if self.value is None else self.value,
             -np.inf if self.low is None else self.low,

@@ -84,7 +84,7 @@ class ForceModel:
 
     @cached_property
     def of_companion(self) -> ForceModel:
-        """The companion's pull on what is at a position from its centre."""
+        """The companion's acceleration at a position relative to its centre."""
         assert self.companion is not None
         return ForceModel(self.companion.gm, 0.0, self.pole, np.zeros(3))
 

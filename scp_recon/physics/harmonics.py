@@ -108,7 +108,7 @@ class HarmonicField:
         return -float(self.c[2, 0]) if len(self.c) > 2 else 0.0
 
     def up_to(self, degree: int) -> HarmonicField:
-        """The field without what is above a degree."""
+        """The field up to a degree."""
         kept = slice(degree + 1), slice(degree + 1)
         return replace(self, c=self.c[kept], s=self.s[kept])
 

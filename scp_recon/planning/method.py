@@ -29,7 +29,8 @@ def scp_method(
 ) -> ScpMethod:
     """Check the names; a solver's may be in lower case.
 
-    A solver must be one that CVXPY finds. Asking CVXPY imports all solvers; Clarabel is not asked for.
+    A solver must be one that CVXPY finds. That check imports all solvers, so it is left out for
+    Clarabel.
 
     Raises:
         InputError: if a name is unknown.

@@ -52,7 +52,7 @@ def numbers(entry: str, given: npt.ArrayLike, shape: tuple[int, ...]) -> Array:
 
 
 def _time(entry: str, given: object) -> float:
-    """A finite time, whatever type of number it is."""
+    """Check that a time is a finite number of any type."""
     if isinstance(given, Real) and not isinstance(given, bool):
         with suppress(OverflowError):
             if np.isfinite(time := float(given)):

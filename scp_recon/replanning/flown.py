@@ -51,7 +51,7 @@ class Prediction:
         return self.factor @ self.factor.T
 
     def carried(self, duration_s: float, forces: ForceModel, start_s: float) -> Prediction:
-        """After a coast that starts at a time."""
+        """The prediction after a coast that starts at a time."""
         state, factor = self.state, self.factor
         steps = int(np.ceil(duration_s / RK4_STEP_MAX_S))
         for k in range(steps):
@@ -61,7 +61,7 @@ class Prediction:
         return Prediction(state, factor)
 
     def burnt(self, burn: Array, kick: Array) -> Prediction:
-        """After a burn in m/s, shape (3,), that adds `kick` (3, c) to the factor."""
+        """The prediction after a burn in m/s, shape (3,), that adds `kick` (3, c) to the factor."""
         factor = self.factor.copy()
         factor[3:] += kick
         return Prediction(self.state + np.r_[np.zeros(3), burn], factor)
@@ -217,7 +217,7 @@ class FlownPlan:
         return self.burns_m_s[burn] if self.policy else None
 
     def _carried(self, factors: Array, at_s: float) -> Prediction:
-        """Its path at a time, after a burn there, and factors of its nodes carried there."""
+        """The plan's path at a time, after a burn there, and the factors of its nodes carried there."""
         node = int(np.searchsorted(self.times_s, at_s, side="right")) - 1
         last = Prediction(self.states[node], factors[node])
         since = float(self.times_s[node])

@@ -31,7 +31,7 @@ KEPT = ("epoch", "in_flight")
 def mission_left(flown: FlownPlan, delivery: Delivery, overrides: Sequence[str] = ()) -> Mission:
     """Make the rest of a mission, with the warnings of the flight so far.
 
-    Overrides are `section.entry=value` each, of what is left.
+    Each override is `section.entry=value`, for the rest of the flight.
 
     Raises:
         InputError: naming the entry, what was given and what is allowed.

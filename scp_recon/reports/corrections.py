@@ -39,7 +39,7 @@ class Spreads:
 
     @classmethod
     def of(cls, subject: Subject) -> Spreads:
-        """Those of a plan's file."""
+        """Covariances from a plan's file."""
         mission, solution = subject.mission, subject.solution
         units, problem = mission.units, mission.problem
         path = nondimensional(mission, solution.burns_m_s, np.array(solution.nodes.state))
@@ -99,7 +99,7 @@ def knowledge_chart(plans: Sequence[Shown], spreads: Sequence[Spreads]) -> dict[
 def ellipses_chart(plans: Sequence[Shown], spreads: Sequence[Spreads]) -> dict[str, Any]:
     """Ellipses of the position that each correction is for, before it and after it.
 
-    In the middle of what is left of the window after the burn, or at the end.
+    They are at the middle of the rest of the window after the burn, or at its end.
     """
     drawn = []
     for plan, spread in zip(plans, spreads, strict=True):
@@ -125,7 +125,7 @@ def ellipses_chart(plans: Sequence[Shown], spreads: Sequence[Spreads]) -> dict[s
 
 
 def _node_served(subject: Subject, burn: int) -> int:
-    """Node of the middle of what is left of the window after a burn; the last one after it."""
+    """Node at the middle of the rest of the window after a burn; the last node after the window."""
     first, last = subject.window_s
     time = subject.solution.burns[burn].t_s
     if time >= last:

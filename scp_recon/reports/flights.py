@@ -239,7 +239,7 @@ class Achieved:
 
 
 def achieved(subject: Subject, flown: Flown) -> list[Achieved]:
-    """Of every joint constraint at each time, and of all of them from the start so far."""
+    """Probabilities of every joint constraint at each time, and of all constraints so far."""
     kept = held(subject.mission, flown.times_s, flown.positions, flown.window)
     still = np.ones((len(flown.times_s), flown.samples), dtype=bool)
     for times, those in kept.values():
@@ -279,7 +279,7 @@ class Budget:
 
 
 def budget_of(subject: Subject, flown: Flown) -> Budget:
-    """Of a plan; the interval is that of an order statistic, free of any distribution."""
+    """Budget of a plan; the interval is that of an order statistic, for any distribution."""
     executed = flown.executed_m_s
     totals = np.sort(executed.sum(axis=1))
     ranks = [binomial_quantile(level, len(totals), SHARE) for level in (0.025, 0.975)]

@@ -31,7 +31,7 @@ class Camera:
     pixels: int = 5120
 
     def __str__(self) -> str:
-        """In words."""
+        """The camera in words."""
         return f"camera of {self.field_deg:g} deg and {self.pixels} pixels across"
 
 
@@ -43,7 +43,7 @@ class GroundTrack:
         times_s: shape (n,).
         longitude_deg: east, -180 to 180, of the point below the spacecraft, shape (n,).
         latitude_deg: planetocentric, shape (n,).
-        looks_s: times in what is left of the window, shape (w,).
+        looks_s: times in the rest of the window, shape (w,).
         outlines_m: edge of the field of view on the ground, NaN where a ray misses the body, shape
             (w, rays, 3).
     """
@@ -56,7 +56,7 @@ class GroundTrack:
 
 
 def ground_track(subject: Subject, shape: Shape, camera: Camera) -> GroundTrack:
-    """Of the planned mean, with the camera at the site throughout what is left of the window."""
+    """Ground track of the planned mean; the camera points to the site in the rest of the window."""
     mission, times = subject.mission, subject.fine_s
     looks, below = subject.looks_s(LOOKS), degrees_of(_fixed(subject, times))
     if not len(looks):
@@ -92,8 +92,9 @@ def around(axis: Array, angle: float) -> Array:
 def first_hit(start: Array, ray: Array, shape: Shape) -> Array:
     """First points at which rays meet the surface; NaN where none does.
 
-    The surface is taken for one that every direction from the centre meets once: looked for in even
-    steps through the sphere around it, and halved. Rays are unit vectors (..., 3) that start outside.
+    Every direction from the centre is assumed to meet the surface once. The search takes even steps
+    through the sphere around the surface, and then halves them. Rays are unit vectors (..., 3) that
+    start outside.
     """
     size = 1.001 * shape.size_m
     middle = -np.sum(start * ray, axis=-1)

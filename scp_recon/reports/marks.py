@@ -239,7 +239,7 @@ def mesh(solid: Solid, name: str, group: str, colour: str, opacity: float) -> Tr
 
 
 def moved(trace: Trace, moves: str, **more: Any) -> Trace:
-    """A trace with what the page's script has to know to move it."""
+    """A trace with the data by which the page's script moves it."""
     trace["meta"] |= {"moves": moves, **more}
     return trace
 

@@ -214,7 +214,7 @@ def render(page: Page) -> str:
 def script_data(
     scene: dict[str, Any], charts: Sequence[dict[str, Any]], first: Solution
 ) -> dict[str, Any]:
-    """What `report.js` draws; `first` is the first plan."""
+    """Data that `report.js` draws; `first` is the first plan."""
     return {
         "scene": scene,
         "charts": charts,

@@ -74,7 +74,7 @@ class Frame:
 
 
 def frame_of(plans: Sequence[Shown]) -> Frame:
-    """Of the first plan, with room for the mean paths of all, burns, and the safety radius.
+    """Frame of the first plan, with room for the mean paths of all, burns, and the safety radius.
 
     The box ends at whole metres, as in the file, so that points on its edge are inside.
     """
@@ -336,7 +336,7 @@ def _tubes(frame: Frame, subject: Subject, number: int) -> list[Trace]:
 
 
 def _burns(frame: Frame, subject: Subject) -> list[Trace]:
-    """An arrow from where each is, as long as it is large."""
+    """Arrows of the burns, proportional to their sizes."""
     starts, ends = arrows_of(frame, subject)
     gaps, name = np.full_like(starts, np.nan), f"{subject.name}: burns"
     shafts = np.stack([starts, ends, gaps], axis=1).reshape(-1, 3)

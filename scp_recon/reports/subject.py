@@ -62,12 +62,12 @@ class Subject:
 
     @property
     def window_s(self) -> tuple[float, float]:
-        """The rest of the observation window from the plan's start; nothing left: its end first."""
+        """Rest of the observation window after the plan's start; empty (end first) once it is over."""
         over = float(self.nodes_s[0]), self.mission.schedule.window_s[1]
         return self.mission.observed_s or over
 
     def looks_s(self, count: int) -> Array:
-        """Even times in what is left of the window, shape (count,); none if nothing is."""
+        """Even times in the rest of the window, shape (count,); empty after the window."""
         return np.linspace(*self.window_s, count if self.mission.observed_s else 0)
 
     def positions(self, times_s: Array) -> Array:

@@ -107,7 +107,7 @@ def revolved(profile: Array, axis: Array, apex: Array) -> Solid:
 
 
 def sphere(radius: float) -> Solid:
-    """About the origin, m."""
+    """A sphere about the origin, m."""
     angle = np.linspace(0.0, np.pi, TURNS // 2 + 1)
     profile = radius * np.column_stack([np.cos(angle), np.sin(angle)])
     return revolved(profile, np.array([0.0, 0.0, 1.0]), np.zeros(3))
@@ -179,7 +179,7 @@ def shape_of(scenario: Scenario) -> Shape:
 
 
 def ellipsoid(radii_m: Array, description: str) -> Shape:
-    """By semi-axes along x, y and z, m."""
+    """An ellipsoid by its semi-axes along x, y and z, m."""
     longitude = np.arange(ACROSS) * 2.0 * np.pi / ACROSS
     latitude = (np.arange(1, DOWN) / DOWN - 0.5) * np.pi
     ring = np.stack([np.cos(longitude), np.sin(longitude)], axis=1)

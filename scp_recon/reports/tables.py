@@ -71,7 +71,7 @@ def burns_table(solution: Solution) -> Table:
 
 
 def corrections_table(solution: Solution) -> Table:
-    """Corrected burns and what is known at their cut-offs; no rows where burns are fixed."""
+    """Corrected burns and knowledge at their cut-offs; no rows if burns are fixed."""
     corrections = solution.policy.corrections if solution.policy is not None else []
     nominal = [solution.burns_m_s[one.burn] for one in solution.corrections]
     return Table.of(

@@ -149,7 +149,7 @@ def tables_of(subject: Subject, budget: Budget) -> list[Table]:
 
 
 def all_charts(plans: Sequence[Shown]) -> Iterator[dict[str, Any]]:
-    """In the order of the page."""
+    """All charts of the page, in order."""
     subjects = [plan.subject for plan in plans]
     observes = any(len(plan.flown.window) for plan in plans)  # none does after the window
     if observes:

@@ -1,4 +1,4 @@
-"""The tables `[body]`, `[sun]` and `[site]`: asteroid, rotation, gravity, Sun, and what is observed."""
+"""Define the tables `[body]`, `[sun]` and `[site]`: asteroid, rotation, gravity, Sun, site."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The tables `[boundary]` and `[design]`: where a flight begins and ends, and what a design chooses."""
+"""Define the tables `[boundary]` and `[design]`: ends of a flight, and free quantities of a design."""
 
 from __future__ import annotations
 

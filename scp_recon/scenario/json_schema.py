@@ -1,7 +1,7 @@
-"""The JSON schema of scenario files, with which editors complete and check them.
+"""Write the JSON schema of scenario files, with which editors complete and check them.
 
-An entry's description is the docstring below its field. Descriptions are read here, not when the
-classes are made, which would take longer than making them.
+An entry's description is the docstring below its field. Descriptions are read here and not at
+import, because reading them takes longer than making the classes.
 """
 
 from __future__ import annotations

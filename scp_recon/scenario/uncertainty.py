@@ -1,4 +1,4 @@
-"""The tables `[uncertainty]`, `[navigation]`, `[policy]` and `[in_flight]`.
+"""Define the tables `[uncertainty]`, `[navigation]`, `[policy]` and `[in_flight]`.
 
 They say how well states and burns are known, and how burns are corrected in flight.
 """
@@ -74,7 +74,7 @@ def _covariance(rows: tuple[tuple[float, ...], ...]) -> Any:
 
 
 def _of_a_measurement(rows: tuple[tuple[float, ...], ...]) -> Any:
-    """Validate a covariance whose inverse weighs what is measured."""
+    """Validate a measurement's covariance, whose inverse is a weight."""
     matrix = np.array(rows)
     sigma = np.sqrt(np.diag(matrix))
     if not sigma.all() or _least_eigenvalue(matrix / np.outer(sigma, sigma)) < LEAST_EIGENVALUE:

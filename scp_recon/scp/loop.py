@@ -156,7 +156,7 @@ class Result:
         status: how it ended.
         lin: the last iterate, with its dynamics linearised about it; nondimensional.
         records: one for each iteration.
-        timing: seconds by what they were spent on.
+        timing: seconds by part of the work.
     """
 
     status: Status

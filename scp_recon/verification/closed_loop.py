@@ -65,13 +65,13 @@ class Spread:
 
     @property
     def covariance(self) -> Array:
-        """Of the deviation from the plan, shape (6, 6)."""
+        """Covariance of the deviation from the plan, shape (6, 6)."""
         both = self.joint[ERROR] + self.joint[ESTIMATE]
         return np.asarray(both[:, ERROR] + both[:, ESTIMATE])
 
     @property
     def knowledge(self) -> Array:
-        """Of the estimate's error, shape (6, 6)."""
+        """Covariance of the estimate's error, shape (6, 6)."""
         return self.joint[ERROR, ERROR]
 
     @property
@@ -83,13 +83,13 @@ class Spread:
         return gains @ self.joint @ gains.T
 
     def carried(self, stm: Array) -> Spread:
-        """Over an arc with an STM (6, 6)."""
+        """The spread after an arc with an STM (6, 6)."""
         carry = np.eye(len(self.joint))
         carry[ERROR, ERROR] = carry[ESTIMATE, ESTIMATE] = stm
         return replace(self, joint=carry @ self.joint @ carry.T)
 
     def measured(self, time_s: float) -> Spread:
-        """After the measurement at a time, if there is one."""
+        """The spread after the measurement at a time, if there is one."""
         spread = self
         for correction in self.policy[len(self.known) :]:
             if correction.cut_off_s == time_s:
@@ -108,7 +108,7 @@ class Spread:
         return replace(self, joint=joint, known=(*self.known, Known(before, joint[ERROR, ERROR])))
 
     def after_burn(self, burn: Array, number: int) -> Spread:
-        """After a burn, m/s, shape (3,), its number from 0, with its correction if it has one.
+        """The spread after a burn, m/s, shape (3,), by its number from 0, with its correction if any.
 
         The errors of executing a correction have its second moment, and depend on nothing else.
         """

@@ -41,7 +41,7 @@ def covariance_error(plan: Plan) -> float:
 
 
 def finer_step_s(mission: Mission, excess: float) -> float:
-    """Longest spacing of nodes at which integration errs by half of what is allowed, s.
+    """Longest spacing of nodes with half of the allowed integration error, s.
 
     Args:
         mission: on its present grid.

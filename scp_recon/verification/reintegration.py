@@ -266,7 +266,7 @@ def _covariance_error(mission: Mission, stored: Array, flown: Array) -> float:
 
 
 def _knowledge_error(mission: Mission, solution: Solution, flown: _Flown, nodes: Indices) -> float:
-    """The same of what is known at nodes, and at cut-offs before and after the measurement."""
+    """Largest error of estimates' covariances at nodes, and at cut-offs before and after measuring."""
     stored = solution.policy
     assert stored is not None
     if solution.nodes.knowledge is None or len(flown.end.known) != len(stored.corrections):

@@ -144,7 +144,7 @@ def sensor_sigmas(errors: Errors, sources: Collection[Source]) -> SensorSigmas:
 
 
 class Commander:
-    """Burns of one flight by a policy, from what is measured at its cut-offs; J2000, m and m/s.
+    """Commands the burns of one flight by a policy, from its measurements; J2000, m and m/s.
 
     Args:
         mission: that is flown.
