@@ -112,7 +112,7 @@ def _draw_path(axes: Axes, mission: Mission, solution: Solution) -> None:
 
 
 def _draw_companion(axes: Axes, mission: Mission) -> None:
-    """The companion's way during the flight, and what is kept clear of it amid the window."""
+    """Draw the companion's path, and the keep-out ball about it at the middle of the window."""
     companion = mission.scene.companion
     if companion is None:
         return

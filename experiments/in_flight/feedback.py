@@ -288,7 +288,7 @@ def over_errors(scope: str, asked: float, scale: float | None) -> Case:
 
 
 def beside(rows: Sequence[Record]) -> list[Record]:
-    """Rows with what they cost more than feedback, and how many times the open loop ends wider."""
+    """Rows with their extra cost over feedback, and the open loop's final dispersion over theirs."""
     found = {(one["kind"], one["asked"]): one for one in rows}
 
     def figure(kind: str, p: float, name: str) -> float:

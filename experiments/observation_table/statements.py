@@ -284,7 +284,7 @@ def _flights(rows: ByKey) -> Iterator[Statement]:
 
 
 def _of_reference(rows: ByKey) -> Iterator[Statement]:
-    """The same pattern in the flights of what stands for OSIRIS-REx."""
+    """Statements on the same pattern in the flights of the row that represents OSIRIS-REx."""
     if reference := _reference(rows):
         yield from _pattern(reference, _stands_for(reference), "the paper says it of its plan")
 

@@ -47,7 +47,7 @@ def noted() -> Iterator[list[ConeProgram]]:
     programs: list[ConeProgram] = []
 
     class Noting(solvers.Clarabel):
-        """Clarabel, which notes what it is asked."""
+        """Clarabel with a record of its programs."""
 
         def solve(self, program: ConeProgram) -> solvers.Answer:
             programs.append(program)

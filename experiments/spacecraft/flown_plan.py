@@ -277,7 +277,7 @@ def sample_distances(
 
 
 def run(session: Session) -> Findings:
-    """Fly the plan once for each seed, and sample what it would do without a spacecraft."""
+    """Fly the plan once for each seed, and sample its dispersion without a spacecraft."""
     options, out = session.options, session.out
     solution, vehicle = plan_or_default(options.solution), load_vehicle(options.vehicle)
     store = session.store("flown_plan.jsonl", inputs=inputs_digest(solution, vehicle))
