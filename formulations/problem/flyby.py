@@ -164,6 +164,12 @@ class FlybyProblem:
     dv_min: float = 0.0
     feedback: Feedback | None = None
 
+    def __post_init__(self) -> None:
+        """Refuse an error that all burns share where several are corrected: no filter estimates it."""
+        several = self.feedback is not None and len(self.feedback.burns) > 1
+        if several and self.execution_errors.shared:
+            raise ValueError("with several corrected burns no error may be common to all burns")
+
     @cached_property
     def open_loop(self) -> FlybyProblem:
         """The same problem with all burns fixed before departure."""

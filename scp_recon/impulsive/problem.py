@@ -193,6 +193,9 @@ class ImpulsiveProblem:
         if np.any(cut_offs > nodes[burns]):
             found = f"cut-offs {list(feedback.cut_offs)}"
             raise InputError("feedback.cut_offs", found, "must not be after their burns' nodes")
+        if k > 1 and isinstance(self.errors, GatesErrors) and self.errors.shared:
+            found = f"magnitude_bias {self.errors.magnitude_bias} with {k} corrected burns"
+            raise InputError("errors", found, "must be 0: no filter estimates what burns share")
 
     @property
     def _named(self) -> Iterator[tuple[str, Keep]]:

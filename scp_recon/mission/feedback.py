@@ -30,17 +30,34 @@ def felt_cut_offs_s(scene: Scene, window_s: tuple[float, float]) -> dict[int, fl
     of the sum. That saves one to four per cent of the cost and takes three times as long, so it is
     done only with a limit at the end, however loose. If no cut-off is before the window's end, all
     cut-offs of a whole flight count; in flight none.
+
+    Raises:
+        InputError: if several burns are corrected and all burns share an error.
     """
     scenario = scene.scenario
     found, boundary = cut_offs_s(scenario), scenario.boundary
     if found and in_vain(scene) >= USELESS:
         return {}
     limits = boundary.final_sigma_position_m, boundary.final_sigma_velocity_m_s
-    if limits != (None, None):
-        return found
-    times = scenario.burn_times_s
-    felt = {burn: at for burn, at in found.items() if times[burn] < window_s[1]}
-    return felt if felt or scenario.in_flight is not None else found
+    if limits == (None, None):
+        times = scenario.burn_times_s
+        felt = {burn: at for burn, at in found.items() if times[burn] < window_s[1]}
+        found = felt if felt or scenario.in_flight is not None else found
+    _check_bias(scenario, list(found))
+    return found
+
+
+def _check_bias(scenario: Scenario, corrected: list[int]) -> None:
+    """Refuse an error that all burns share where several are corrected: no filter estimates it."""
+    gates = scenario.uncertainty.gates
+    if gates is not None and gates.magnitude_bias > 0.0 and len(corrected) > 1:
+        burns = ", ".join(str(burn + 1) for burn in corrected)
+        raise InputError(
+            "uncertainty.gates.magnitude_bias",
+            f"{gates.magnitude_bias:g} with corrected burns {burns}",
+            "must be 0 where several burns are corrected, whose filter does not estimate it: add it to "
+            "magnitude_proportional",
+        )
 
 
 def cut_offs_s(scenario: Scenario) -> dict[int, float]:

@@ -23,7 +23,7 @@ SIGMA_ERROR = 1e-5
 """Relative tolerance of a correction's standard deviation."""
 MEAN_ERROR, DV99_ERROR = 0.02, 0.1
 """Standard deviations of the total delta-v by which its mean and quantile over other draws may differ:
-twice to three times what was measured, with a bias that burns share and without."""
+twice to three times what was measured."""
 SAME_M_S = 1e-8
 """Tolerance of velocities in a file."""
 

@@ -53,10 +53,7 @@ from scp_recon.verification.probabilities import (
 FLIGHTS_CHECKED = 3
 MARGIN_STEP_S = 10.0
 POSITION_LIMIT_M, VELOCITY_LIMIT_M_S, DEFECT_LIMIT_M = 1.0, 1e-4, 1e-2
-COVARIANCE_LIMIT, BIASED_LIMIT = 1e-6, 1e-4
-"""Limits of covariance errors; the second for corrected burns that share a bias. The bias is not
-estimated, so innovations depend on each other. The plan neglects that in the errors of executing
-corrections. 3e-6 was measured."""
+COVARIANCE_LIMIT = 1e-6
 SAMPLE_LIMIT = 1e-6
 """Share of the initial radius, if that is more than a centimetre: 1 sigma is of the order of 1e-2."""
 FIGURES = {
@@ -137,16 +134,14 @@ def limits_of(mission: Mission) -> dict[str, float]:
     If too few burns are left to meet the final state, its miss is reported but not judged:
     infinity.
     """
-    missed, gates = not mission.must_meet, mission.scenario.uncertainty.gates
-    biased = mission.feedback is not None and gates is not None and gates.magnitude_bias > 0.0
-    covariance = BIASED_LIMIT if biased else COVARIANCE_LIMIT
+    missed = not mission.must_meet
     return {
         "terminal_position_error_m": np.inf if missed else POSITION_LIMIT_M,
         "terminal_velocity_error_m_s": np.inf if missed else VELOCITY_LIMIT_M_S,
         "max_defect": DEFECT_LIMIT_M,
         "sample_error_m": max(DEFECT_LIMIT_M, SAMPLE_LIMIT * mission.units.length_m),
-        "covariance_error": covariance,
-        "knowledge_error": covariance,
+        "covariance_error": COVARIANCE_LIMIT,
+        "knowledge_error": COVARIANCE_LIMIT,
     }
 
 

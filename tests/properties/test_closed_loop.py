@@ -24,6 +24,8 @@ from formulations.rows.uniform import ChanceRows
 from tests.formulations.program.support import every_row
 from tests.helpers import Flyby, Waves, constrain, generators, random_flyby, share_of_examples
 
+GATES = GatesErrors(0.004, 0.02, 0.003, 0.03)
+
 
 @st.composite
 def corrected_flybys(draw: st.DrawFn) -> tuple[Flyby, np.random.Generator]:
@@ -31,6 +33,8 @@ def corrected_flybys(draw: st.DrawFn) -> tuple[Flyby, np.random.Generator]:
     coast, burns, free = draw(st.integers(0, 2)), draw(st.integers(2, 4)), draw(st.integers(1, 4))
     rng = draw(generators)
     flyby = random_flyby(rng, nodes=coast + burns + free, burns=burns, coast=coast)
+    if draw(st.booleans()):
+        flyby = replace(flyby, problem=replace(flyby.problem, execution_errors=GATES))
     return flyby.corrected(rng), rng
 
 
@@ -96,8 +100,11 @@ def test_flights_of_linear_arcs_with_a_kalman_filter_of_their_own_have_the_facto
             if i in feedback.burns:
                 j = int(np.searchsorted(feedback.burns, i))
                 gains = problem.gains_of(lin.iterate, j)
-                spread = np.sqrt(np.diag(gains @ gains.T))
-                added[:, problem.columns_of_correction(j)[0]] = errors.fraction * np.diag(spread)  # type: ignore[attr-defined]
+                if errors is GATES:
+                    own, _ = errors.correction_columns(gains)
+                else:
+                    own = errors.fraction * np.diag(np.sqrt(np.diag(gains @ gains.T)))
+                added[:, problem.columns_of_correction(j)[0]] = own
                 command = gains @ np.vstack(numbers[: j + 1])
                 state[3:] += command
                 estimate[3:] += command
@@ -162,7 +169,7 @@ def test_the_adjoint_gives_the_condensed_maps_derivative(case):
     np.testing.assert_allclose(found, expected, rtol=1e-7, atol=1e-8 * np.abs(expected).max())
 
 
-MODELS = [ComponentwiseErrors(0.05), GatesErrors(0.004, 0.02, 0.003, 0.03, 0.04)]
+MODELS = [ComponentwiseErrors(0.05), GATES, replace(GATES, magnitude_bias=0.04)]
 
 
 def casadi_arcs(waves: Waves) -> Arcs:
@@ -180,8 +187,9 @@ def casadi_arcs(waves: Waves) -> Arcs:
 @settings(max_examples=share_of_examples(30, usual=1))
 def test_rows_cost_and_gradient_are_those_of_the_convex_side(price, rng, errors):
     """Whatever the burns and gains: the two are one problem. Gradients are CasADi's own."""
-    coast = int(rng.integers(0, 2))
-    flyby = constrain(rng, random_flyby(rng, nodes=7, burns=3, coast=coast)).corrected(rng, price)
+    coast, burns = int(rng.integers(0, 2)), 2 if errors.shared else 3
+    flyby = random_flyby(rng, nodes=7, burns=burns, coast=coast)
+    flyby = constrain(rng, flyby).corrected(rng, price)
     problem = replace(flyby.problem, execution_errors=errors)
     burns = flyby.burns + 0.1 * rng.normal(size=flyby.burns.shape)
     mean = flyby.waves.rollout(problem, burns).mean

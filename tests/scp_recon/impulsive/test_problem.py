@@ -227,6 +227,13 @@ FACES = np.vstack([np.eye(3), -np.eye(3)])
         ),
         ({"feedback": sr.Feedback([1], [8], np.eye(6)[None], "dv95", 0.9)}, "feedback.cost"),
         ({"feedback": sr.Feedback([1], [8], np.eye(6)[None], "dv99", 9)}, "feedback.probability"),
+        (
+            {
+                "feedback": sr.Feedback([1, 2], [3, 8], np.array([np.eye(6)] * 2), "dv99", 0.9),
+                "errors": sr.GatesErrors(0.0, 0.01, 0.0, 0.01, 0.02),
+            },
+            "errors: .*magnitude_bias 0.02 with 2 corrected burns",
+        ),
         ({"final_sigma": (5.0, None)}, "final_sigma: .*goes with errors"),
         ({"final_sigma": (-5.0, None)}, "final_sigma: .*positive"),
         ({"regions": [sr.Ball(*BALL)]}, "regions: .*list of Keep"),

@@ -17,6 +17,10 @@ SIGMAS = "navigation.sigma_position_m=10", "navigation.sigma_velocity_m_s=5e-4"
 FEEDBACK = (*SIGMAS, "policy.kind=feedback")
 LAST = "boundary.final_sigma_velocity_m_s=0.01"
 END = "boundary.final_sigma_position_m=400"
+BIASED = (
+    "uncertainty.gates={magnitude_fixed_m_s=1e-4, magnitude_proportional=0.03, "
+    "pointing_fixed_m_s=1e-4, pointing_proportional_rad=0.02, magnitude_bias=0.02}"
+)
 VARIANCES = [100.0, 400.0, 900.0, 1e-6, 4e-6, 9e-6]
 
 
@@ -183,6 +187,7 @@ def test_before_there_is_a_plan_rtn_is_that_of_a_transfer():
     ("overrides", "entry", "words"),
     [
         (("policy.kind=feedback",), "policy.kind", "sigma_position_m with sigma_velocity_m_s"),
+        ((*FEEDBACK, END, BIASED), "uncertainty.gates.magnitude_bias", "add it to magnitude_prop"),
         ((*FEEDBACK, "navigation.lead_s=25001"), "navigation.lead_s", "most 25000 s, for burn 3"),
         ((*FEEDBACK, LAST, "navigation.lead_s=40000"), "navigation.lead_s", "34842 s, for burn 4"),
     ],

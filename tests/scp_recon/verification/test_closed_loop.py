@@ -143,7 +143,7 @@ def gates(magnitude: float, bias: float) -> str:
             (("navigation.lead_s=20000", LAST_TOO), [3, 4]),
             (("navigation.lead_s=3600", gates(0.03, 0.0)), [2, 3]),
             (("navigation.lead_s=3600", gates(0.01, 0.0)), [2, 3]),
-            (("navigation.lead_s=3600", gates(0.03, 0.02)), [2, 3]),
+            (("navigation.lead_s=20000", gates(0.03, 0.08)), [3]),
         ],
         6,
     ),
