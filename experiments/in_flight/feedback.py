@@ -6,7 +6,8 @@ the best scaled targeting gain: the burns of an open-loop plan, and at the corre
 the gain that would return the flight to its planned position at some time. The study searches
 share, time and the plan's probability. Flights of the same closed loop certify the result.
 OUT/feedback.csv has a row for each, flown 40,000 times; OUT/feedback_errors.csv has plans that are
-not certified, over the measurement's error. `python -m paper_figs feedback` draws them. After
+not certified, over the measurement's error, each from its neighbour's. `python -m paper_figs
+feedback` draws both. OUT/feedback_programs.csv has sizes of programs and times of plans. After
 Ctrl-C the study continues with the missing rows.
 """
 
@@ -26,6 +27,7 @@ from scipy.special import ndtr, ndtri
 from experiments.frontier import SEED, record
 from experiments.harness import Claim, Findings, Record, Session, Study, fly_plan, option, records
 from experiments.plans import FLIGHT
+from experiments.solvers.lifted import noted
 from formulations.linearisation.linearisation import Linearisation
 from formulations.problem.flyby import Iterate
 from formulations.program.subproblem import MeritFunction
@@ -38,7 +40,8 @@ from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.summary import MOST
 from scp_recon.planning import initial_guess
 from scp_recon.planning.plan import Plan, Stage
-from scp_recon.planning.planner import FINE_WITH_GAINS, LINES
+from scp_recon.planning.planner import FINE_WITH_GAINS, LINES, Planner
+from scp_recon.planning.stages import RESOLUTION
 from scp_recon.results.policy import transition
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scp.status import Status
@@ -58,11 +61,22 @@ TARGETED, TARGETED_LATE = "targeting gain", "targeting gain, lead 1 h"
 ENDING = "feedback, limited at the end"
 AGAINST = {TARGETED: CORRECTED, TARGETED_LATE: LATE}
 """Each gain to beat, and the plan that has to."""
-TARGETING = ((TARGETED, 0.99), (TARGETED, 0.997), (TARGETED, 0.999), (TARGETED_LATE, 0.99))
+TARGETING = tuple((kind, p) for kind in (TARGETED, TARGETED_LATE) for p in (0.99, 0.997, 0.999))
 LESS, FURTHER = 3.0, (1.03, 1.1, 1.2)
 """Times that the final dispersion is to be smaller than open loop, and how far limits that are tried
 lie below that: the planner's local optima differ from one to the next."""
 LIMIT = "boundary.final_sigma_position_m"
+PROGRAMS = (
+    *((risk, p) for risk in ("uniform", "node") for p in (0.7, 0.9, 0.99)),
+    *(("flight", p) for p in (0.7, 0.9, 0.99, 0.997, 0.999)),
+)
+"""Risk and probability of plans with feedback that are timed."""
+TIMES = 2
+TIMES_AT_MOST = (
+    ("nodes and facets", ("uniform", "node"), 10.0),
+    ("whole flights", ("flight",), 20.0),
+)
+"""Seconds of a plan over those of the default one."""
 AT_MOST_M_S = {0.99: 0.116, 0.997: 0.119, 0.999: 0.1205}
 """What plans without a lead are to cost."""
 
@@ -279,12 +293,58 @@ def limited(rows: Sequence[Record]) -> list[Case]:
     ]
 
 
-def over_errors(scope: str, asked: float, scale: float | None) -> Case:
-    """A plan that is not certified, by a measurement of so many times the error."""
-    of = {"risk.scope": scope}
-    if scale is None:
-        return Case(OPEN, asked, of, certified=False)
-    return Case(CORRECTED, asked, of | measured(scale), certified=False)
+def over_errors(flights: int, at: tuple[str, float, Sequence[float | None]]) -> Record:
+    """Rows of plans that are not certified, by better and better measurements.
+
+    Each begins at the plan before it, the first at the straight line.
+    """
+    scope, asked, scales = at
+    rows, last = list[Record](), None
+    for scale in scales:
+        kind = OPEN if scale is None else CORRECTED
+        changes = FLIGHT | {"risk.scope": scope, "risk.p_chance": asked}
+        changes |= {} if scale is None else measured(scale)
+        mission = Mission.from_scenario(load_scenario().replace(changes))
+        begin = process_time()
+        found = Planner(mission).plan(last or initial_guess.cold(mission))
+        one = row(Case(kind, asked), found, flights, process_time() - begin)
+        rows.append({"scope": scope, "scale": scale} | one)
+        if found.status is Status.CONVERGED:
+            last = found
+    return {"rows": rows}
+
+
+def timed(case: tuple[str, float]) -> Record:
+    """Size of the largest cone program of a plan, and the processor's seconds of a later plan.
+
+    The plan is made cold, without certification, in turn with the default one, which is open loop
+    with uniform risk. The fastest of each counts, but for the first one in the process.
+    """
+    risk, p = case
+    exact = {"risk.allocation": "exact", "risk.scope": risk}
+    own = measured() | {"risk.p_chance": p} | ({} if risk == "uniform" else exact)
+    seconds = dict[str, list[float]](default=[], own=[])
+    with noted() as programs:
+        for _ in range(1 + TIMES):
+            for name, changes in (("default", {}), ("own", own)):
+                mission = Mission.from_scenario(load_scenario().replace(changes))
+                programs.clear()
+                begin = process_time()
+                found = Planner(mission, p3_resolution=RESOLUTION).plan(initial_guess.cold(mission))
+                seconds[name].append(process_time() - begin)
+    largest = max((program.matrix for program in programs), key=lambda matrix: matrix.nnz)
+    fastest = {name: min(each[1:]) for name, each in seconds.items()}
+    return {
+        "risk": risk,
+        "asked": p,
+        "status": found.status.value.name,
+        "gains": len(found.final.result.lin.iterate.gains),
+        "variables": largest.shape[1],
+        "rows": largest.shape[0],
+        "nonzeros": largest.nnz,
+        "processor_s": fastest["own"],
+        "times_default": fastest["own"] / fastest["default"],
+    }
 
 
 def beside(rows: Sequence[Record]) -> list[Record]:
@@ -304,7 +364,9 @@ def beside(rows: Sequence[Record]) -> list[Record]:
     ]
 
 
-def claims(rows: Sequence[Record], errors: Sequence[Record]) -> list[Claim]:
+def claims(
+    rows: Sequence[Record], errors: Sequence[Record], programs: Sequence[Record] = ()
+) -> list[Claim]:
     """The claims of the study; a claim with a missing figure does not hold."""
     made = list[Claim]()
 
@@ -330,6 +392,12 @@ def claims(rows: Sequence[Record], errors: Sequence[Record]) -> list[Claim]:
         claim(f"{at} a useless measurement changes the cost by, relative", useless, "at most", 1e-6)
         worse = max(after / before - 1.0 for before, after in pairwise(costs))
         claim(f"{at} a better one costs more by, relative", worse, "at most", 1e-4)
+    for words, risks, most in TIMES_AT_MOST:
+        times = [one["times_default"] for one in programs if one["risk"] in risks]
+        if times:
+            claim(
+                f"{words}: a plan takes longer than the default, times", max(times), "at most", most
+            )
     return made
 
 
@@ -347,15 +415,18 @@ def run(session: Session) -> Findings:
     cases += [Case(kind, p) for kind, p in TARGETING]
     rows = rows_of("plans", QUICK if quick else cases)
     rows += rows_of("limits at the end", [] if quick else limited(rows))
-    measurements = [(*at, scale) for at in ERRORS_AT for scale in ERRORS[: 2 if quick else None]]
-    found = rows_of("errors", [over_errors(*at) for at in measurements])
-    errors = [
-        {"scope": scope, "scale": scale} | one
-        for (scope, _, scale), one in zip(measurements, found, strict=True)
-    ]
+    jobs = [Job(f"errors {at}", (*at, ERRORS[: 2 if quick else None])) for at in ERRORS_AT]
+    chains = session.rows("errors", partial(over_errors, flights), jobs, store)
+    errors = [one for chain in chains for one in chain["rows"]]
+    jobs = [Job(f"program {case}", case) for case in PROGRAMS[: 1 if quick else None]]
+    programs = session.rows("programs", timed, jobs, store)
     rows = beside(rows)
-    files = {"feedback.csv": records(rows), "feedback_errors.csv": records(errors)}
-    return Findings([], files, claims(rows, errors))
+    files = {
+        "feedback.csv": records(rows),
+        "feedback_errors.csv": records(errors),
+        "feedback_programs.csv": records(programs),
+    }
+    return Findings([], files, claims(rows, errors, programs))
 
 
 def _line(row: Record) -> str:
