@@ -57,7 +57,7 @@ def check_writable(folder: Path, name: str, entry: str) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
         if file.is_dir():
-            raise InputError(entry, str(file), "must be a file, or nothing yet, and is a folder")
+            raise InputError(entry, str(file), "must not be a folder")
         with TemporaryFile(dir=folder):
             pass
     except OSError as error:

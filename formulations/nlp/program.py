@@ -286,7 +286,7 @@ def _inside(constraint: StateConstraint, position: ca.MX, printed: bool) -> ca.M
     region = constraint.region
     if isinstance(region, Ball):
         return region.radius - norms(position - region.center.T)
-    assert isinstance(region, Cone), "of other regions there is no program"
+    assert isinstance(region, Cone), "IPOPT's programs know balls and cones only"
     return _inside_cone(position - region.apex.T, region.axis, region.half_angle, printed)
 
 

@@ -108,7 +108,7 @@ class Counted:
         """Check that each count is one of those before."""
         counts = np.array([self.drawn, self.flown, self.unlike])
         if np.any(np.diff(counts, axis=0) > 0) or np.any(counts < 0) or not sum(self.drawn):
-            raise ValueError("of the draws some are flown, and of these some unlike")
+            raise ValueError("flown must not exceed drawn, and unlike must not exceed flown")
 
     @property
     def failed(self) -> float:

@@ -122,7 +122,7 @@ def with_warning(best: Plan, undecided: Plan) -> Plan:
     word = ScenarioWarning.of(
         "risk.p_chance",
         f"no verdict for {undecided.target:.5g}: {undecided.status.value.name}",
-        f"{best.target:.5g} is the largest that a plan was found for; a larger one may have one too",
+        f"{best.target:.5g} is the largest probability with a plan so far; larger ones may be feasible",
     )
     warnings = (*best.mission.warnings, word)
     return replace(best, mission=replace(best.mission, warnings=warnings))

@@ -189,6 +189,6 @@ def _check(path: FlownPath, solution: Solution) -> None:
     if not off <= DEFECT_LIMIT_M:
         raise InputError(
             "solution",
-            f"nodes up to {off:.3g} m from where its burns lead",
-            f"must be within {DEFECT_LIMIT_M:g} m, as those of a plan that is flown are",
+            f"nodes up to {off:.3g} m off the path that its burns give",
+            f"must be within {DEFECT_LIMIT_M:g} m of it",
         )

@@ -205,8 +205,8 @@ def _centre_doubts(entry: str, about: Mapping[str, str], body: str) -> Iterator[
         yield ScenarioWarning.of(
             "trajectory",
             f"about {about['CENTER_NAME']}",
-            f"taken as about the centre of {body}: they are apart by what the system's other bodies "
-            "make of it",
+            f"taken as about the centre of {body}, from which other bodies of the system move the "
+            "barycentre",
         )
 
 
@@ -297,8 +297,8 @@ def pull_doubts(mission: Mission, track: Track) -> Iterator[ScenarioWarning]:
     if not share <= PULL_OFF_MAX:
         yield ScenarioWarning.of(
             "trajectory",
-            f"{track.source}, whose velocity changes by {100.0 * share:.3g} % of itself otherwise than "
-            f"{mission.scenario.body.name} and sunlight would change it",
+            f"{track.source}, whose change of velocity differs by {100.0 * share:.3g} % from that by "
+            f"{mission.scenario.body.name} and sunlight",
             f"expected below {100.0 * PULL_OFF_MAX:g} %: body, inertial axes, m and s?",
         )
 

@@ -228,6 +228,6 @@ def useless_measurement(scene: Scene) -> Iterator[ScenarioWarning]:
             compared = "of flights that stray by nothing"
         yield ScenarioWarning.of(
             "navigation.sigma_position_m" if named else "navigation.covariance",
-            f"measurements {compared}, so that they tell nothing and no burn is corrected",
+            f"measurements {compared}, so that they are useless and no burn is corrected",
             f"expected errors of less than {USELESS:,.0f} times that",
         )

@@ -196,6 +196,6 @@ class Delivery:
                 "state",
                 f"{np.linalg.norm(apart[:3]):.4g} m and {np.linalg.norm(apart[3:]):.3g} m/s from what "
                 f"the plan predicts at {self.at_s:g} s",
-                f"expected at most {np.sqrt(chdtri(6, UNLIKELY)):.1f} sigma, and it is "
-                f"{np.sqrt(distance2):.1f}: check units, frame and the burns flown",
+                f"{np.sqrt(distance2):.1f} sigma, expected at most {np.sqrt(chdtri(6, UNLIKELY)):.1f}: "
+                "check units, frame and the burns flown",
             )

@@ -168,7 +168,7 @@ def shape_of(scenario: Scenario) -> Shape:
         try:
             mesh = read_shape(Path(body.shape_file), body.shape_unit)
         except InputError:
-            missing = " (its shape file is not to be read here)"
+            missing = " (its shape file cannot be read here)"
         else:
             return _of_mesh(mesh)
     if body.radii_m is not None:

@@ -73,6 +73,8 @@ def burns_table(solution: Solution) -> Table:
 def corrections_table(solution: Solution) -> Table:
     """Corrected burns and knowledge at their cut-offs; no rows if burns are fixed."""
     corrections = solution.policy.corrections if solution.policy is not None else []
+    flown = solution.scenario.burns_flown
+    fixed = {*range(flown + 1, flown + 1 + len(solution.burns))} - {c.burn for c in corrections}
     nominal = [solution.burns_m_s[one.burn] for one in solution.corrections]
     return Table.of(
         "Corrected burns",
@@ -100,7 +102,8 @@ def corrections_table(solution: Solution) -> Table:
         ),
         key="corrections",
         note="Known before and after the measurement at the cut-off: roots of the summed variances of "
-        "the estimate's errors.",
+        "the estimate's errors."
+        + (f" Not corrected: burns {', '.join(map(str, sorted(fixed)))}." if fixed else ""),
     )
 
 

@@ -130,9 +130,10 @@ class Solution(Displayed, Facts):
         burn, alone = self.burns[0], np.array(self.parent.commanded_m_s)
         apart = float(np.linalg.norm(np.array(burn.dv_m_s) - alone))
         return (
-            f"by the policy of {self.parent.name} alone burn {1 + self.scenario.burns_flown} at "
-            f"{burn.t_s:g} s were {' '.join(f'{part:+.6f}' for part in alone)}, "
-            f"{np.linalg.norm(alone):.6f} m/s; it is {apart:.6f} m/s from there"
+            f"the policy of {self.parent.name} alone would command burn "
+            f"{1 + self.scenario.burns_flown} at {burn.t_s:g} s as "
+            f"{' '.join(f'{part:+.6f}' for part in alone)}, "
+            f"{np.linalg.norm(alone):.6f} m/s; this plan differs by {apart:.6f} m/s"
         )
 
     @property

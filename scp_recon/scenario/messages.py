@@ -101,9 +101,17 @@ def _describe(problem: dict[str, Any], schema: type[BaseModel]) -> tuple[str, st
     if kind == "missing":  # of a list of fixed length
         location = location[:-1]
     entry = ".".join(map(str, location)) or "scenario"
-    given = "these values" if isinstance(problem["input"], dict) else shortened(problem["input"])
+    given = _given(problem["input"])
     message = _rule(problem, location, schema)
     return entry, given, message if "must" in message else f"must be {message}"
+
+
+def _given(value: object) -> str:
+    """What was given in words; the entries of a table, if they fit into a line."""
+    if not isinstance(value, dict):
+        return shortened(value)
+    words = ", ".join(f"{key} = {shortened(one)}" for key, one in value.items() if one is not None)
+    return words if 0 < len(words) <= LINE else "these values"
 
 
 def _location(problem: dict[str, Any]) -> list[str | int]:
@@ -118,6 +126,8 @@ def _follows_from_another(problem: dict[str, Any], problems: list[dict[str, Any]
     )
 
 
+LINE = 100
+"""Longest list of given entries in a message."""
 WORDS = {
     "string_type": "text",
     "string_too_short": "text that is not empty",

@@ -144,9 +144,7 @@ class OneWay(Section):
                 raise ValueError(f"must give the {what} in one way, {either}; not {found}")
             missing = [key for way in given for key in way if getattr(self, key) is None]
             if missing:
-                raise ValueError(
-                    f"must have {', '.join(missing)} beside what it gives of the {what}"
-                )
+                raise ValueError(f"must have {', '.join(missing)} too, for the {what}")
         return self
 
     @model_serializer(mode="wrap")

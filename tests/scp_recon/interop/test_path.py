@@ -86,7 +86,7 @@ def test_nodes_that_are_not_where_the_burns_lead_are_refused(mission, solution):
     states = [list(state) for state in solution.nodes.state]
     states[40][1] += 0.02
     nodes = replace(solution.nodes, state=states)
-    with pytest.raises(InputError, match="where its burns lead"):
+    with pytest.raises(InputError, match="off the path that its burns give"):
         fly_path(mission, replace(solution, nodes=nodes))
 
 

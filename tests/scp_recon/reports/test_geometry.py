@@ -154,7 +154,7 @@ def test_a_shape_file_is_drawn_and_a_missing_one_is_told(solution, tmp_path):
     scenario = solution.scenario.model_copy(update={"body": body})
     assert shape_of(scenario).description == "shape file of 8 facets"
     file.unlink()
-    assert "not to be read here" in shape_of(scenario).description
+    assert "cannot be read here" in shape_of(scenario).description
     bare = body.model_copy(update={"shape_file": None, "radii_m": None})
     assert "through the site" in shape_of(scenario.model_copy(update={"body": bare})).description
 
