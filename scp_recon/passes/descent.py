@@ -1,7 +1,7 @@
 """Find the cheapest pass near a given one, by rounds of SLSQP over phases and times.
 
 The cost of a pass is the delta-v of its plan. `Near` plans with the grid, the facets and the compiled
-program of the round's start, and starts from the last plan, so that the cost is smooth in phases and
+program of the round's start, and starts from the nearest plan, so that the cost is smooth in phases and
 times. `Near.slope` gives its derivative from the multipliers of the plan's constraints.
 """
 
@@ -194,17 +194,20 @@ def _round(space: Space, near: Near, observe: Observe, precision: float) -> tupl
     matrix, least = space.rules(space.before(near.first.at.times_s))
     before = near.first
     unit, scale = before.mission.units.speed_m_s, before.dv_m_s
-    best = last = before
+    best = before
     planned: dict[bytes, PassResult] = {}
+    converged = [(start[free], before)]
 
     def plan(y: Array) -> PassResult:
-        nonlocal best, last
+        nonlocal best
         if y.tobytes() not in planned:
             x = start.copy()
             x[free] = y
-            planned[y.tobytes()] = result = near.plan(x, last.stage.result.lin)
+            _, nearest = min(converged, key=lambda one: float(np.linalg.norm(one[0] - y)))
+            planned[y.tobytes()] = result = near.plan(x, nearest.stage.result.lin)
             observe(result)
-            last = result if result.converged else last
+            if result.converged:
+                converged.append((y.copy(), result))
             best = min(best, result, key=lambda one: one.dv_m_s)
         return planned[y.tobytes()]
 

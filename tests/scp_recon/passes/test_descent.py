@@ -61,6 +61,23 @@ def test_a_descent_is_never_worse_and_its_pass_can_be_planned_as_it_is(space, ne
     assert again.total_dv_m_s == pytest.approx(best.dv_m_s, rel=2e-3)
 
 
+def test_each_plan_of_a_round_begins_at_the_nearest_one_before(space, near, monkeypatch):
+    """From a plan far away, which the first step reaches, those near by may be out of reach."""
+    made, plan = [], Near.plan
+
+    def noted(self, x, start=None):
+        made.append((x, start, plan(self, x, start)))
+        return made[-1][2]
+
+    monkeypatch.setattr(Near, "plan", noted)
+    descend(space, near.first.at, near.first.burns_m_s, lambda _: None, rounds_max=1)
+    assert len(made) > 5
+    for k, (x, start, _) in enumerate(made[1:-1], start=1):
+        before = [one for one in made[:k] if one[2].converged]
+        nearest = min(before, key=lambda one: np.linalg.norm(one[0] - x))
+        assert start is nearest[2].stage.result.lin
+
+
 def test_times_that_are_all_given_leave_no_rules_to_keep(near):
     space = spaces_of(home_scenario(design={"burn_times": "given"}))[0][0]
     at = Pass(near.first.at.phases, space.mission.scenario.burns.times_s)
