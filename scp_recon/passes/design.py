@@ -142,7 +142,7 @@ class Designer:
         best = self._descent(where, "refinement", best.at, best, self.effort)
         where, best = self._vary_burns(where, best)
         if exact:
-            where, best = self._descend_exact(where, best)
+            where, best = self._without_vanished(*self._descend_exact(where, best))
         return where.space, best
 
     def _with_corrections(self, around: list[Around]) -> tuple[Space, PassResult]:
@@ -214,11 +214,7 @@ class Designer:
         if self.scenario.design is not None and self.scenario.design.burn_times == "given":
             return where, best
         for _ in range(BURNS_MAX):
-            fewer = vanished(where.space, best)
-            if fewer is not None:
-                there, result = self._descend_candidate("fewer", where, fewer, best.dv_m_s)
-                if result.dv_m_s <= (1.0 + self.effort[1]) * best.dv_m_s:
-                    where, best = there, result
+            where, best = self._without_vanished(where, best)
             tries = [
                 self._descend_candidate("number", where, other, best.dv_m_s)
                 for other in other_counts(where.space, best)
@@ -227,6 +223,16 @@ class Designer:
             if result.dv_m_s > (1.0 - self.effort[1]) * best.dv_m_s:
                 break
             where, best = there, result
+        return where, best
+
+    def _without_vanished(self, where: Around, best: PassResult) -> Best:
+        """The pass without its vanished burns, unless it costs more or their times are given."""
+        design, fewer = self.scenario.design, vanished(where.space, best)
+        if fewer is None or (design is not None and design.burn_times == "given"):
+            return where, best
+        there, result = self._descend_candidate("fewer", where, fewer, best.dv_m_s)
+        if result.dv_m_s <= (1.0 + self.effort[1]) * best.dv_m_s:
+            return there, result
         return where, best
 
     def _descend_candidate(

@@ -215,3 +215,33 @@ def test_a_burn_more_counts_only_where_it_is_cheaper(monkeypatch, cost, burns):
     assert found.dv_m_s == min(cost, 1.0)
     assert space.n_burns == len(found.at.times_s) == burns
     assert any(len(one.result.at.times_s) == 5 for one in designer.trials)
+
+
+@pytest.mark.parametrize(("cost", "burns"), [(2.0, 4), (1.0, 3)])
+def test_a_burn_that_vanishes_with_exact_risk_is_left_out_where_that_costs_nothing(
+    monkeypatch, cost, burns
+):
+    last: list[Pass] = []
+
+    def fewer(space: Any, found: Made) -> Candidate | None:
+        if found.at not in last:
+            return None
+        spans = (*space.time_spans[:1], *space.time_spans[2:])
+        at = Pass(found.at.phases, (*found.at.times_s[:1], *found.at.times_s[2:]))
+        return Candidate(replace(space, time_spans=spans), at, found.burns_m_s[1:])
+
+    def exact(_: Designer, where: Any, best: Made) -> Any:
+        last.append(best.at)
+        return where, best
+
+    def descend(_: Any, at: Pass, _burns: Any, seen: Any, *_more: Any, **_others: Any) -> Made:
+        seen(made := Made(at, True, cost if len(at.times_s) == 3 else 1.0))
+        return made
+
+    scenario = home_scenario(design=SPANS).replace({"risk.allocation": "exact"})
+    World({0}, {0}).install(monkeypatch, [space.window_s for space, _ in spaces_of(scenario)])
+    monkeypatch.setattr(design, "vanished", fewer)
+    monkeypatch.setattr(design, "descend", descend)
+    monkeypatch.setattr(Designer, "_descend_exact", exact)
+    space, found = Designer(scenario, lambda _: None).run()
+    assert space.n_burns == len(found.at.times_s) == burns
