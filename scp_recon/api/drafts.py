@@ -41,7 +41,8 @@ from scp_recon.verification.reintegration import verify
 from scp_recon.verification.remedies import what_next
 
 NUMBERS = {"gm": (1e-6, 1e20), "radius": (1.0, 1e7), "period": (0.1, 1000.0)}
-"""Bounds of the numbers of a body that is not packaged, in m^3/s^2, m and h."""
+UNITS = {"gm": "m^3/s^2", "radius": "m", "period": "h"}
+"""Bounds and units of the numbers of a body that is not packaged."""
 LISTS = {"site": 2, "pole": 2, "orbit": 6}
 OF_A_BODY = ("gm", "radius", "period", "pole", "orbit")
 SOURCES = ("from_spice", "from_oem", "from_csv")
@@ -82,7 +83,11 @@ class NewOptions:
     def __post_init__(self) -> None:
         for name, (low, high) in NUMBERS.items():
             if (given := getattr(self, name)) is not None:
-                number_between(option(name), given, low, high)
+                try:
+                    number_between(option(name), given, low, high)
+                except InputError as error:
+                    allowed = f"{error.allowed} {UNITS[name]}"
+                    raise InputError(option(name), error.given, allowed) from None
         latitude, longitude = self.site
         if not -90.0 <= latitude <= 90.0 or not -360.0 <= longitude <= 360.0:
             allowed = "must be within 90 deg of latitude and 360 of longitude"

@@ -31,7 +31,7 @@ def scenario_of(given: Scenario | str | Path, overrides: Sequence[str] = ()) -> 
 
 
 def scenarios() -> dict[str, Scenario]:
-    """The packaged scenarios by name, each ready to be planned or changed.
+    """The packaged scenarios by name: `plan` takes recon_b, `design` the others.
 
     Returns:
         The scenarios by name.

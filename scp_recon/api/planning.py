@@ -217,8 +217,8 @@ def plan(
     """Plan a flyby.
 
     Args:
-        scenario: a file, complete or with base = another, or a packaged one's name: kingfisher,
-            nightingale, osprey, recon_b or sandpiper (default: that of `init`, else recon_b).
+        scenario: a file, complete or with base = another, or the packaged recon_b; other packaged ones
+            go with `design` (default: that of `init`, else recon_b).
         init: "cold", a straight line; "warm", a ballistic arc; a plan, a solution or its folder; a CSV
             of states, or such a table as an array (n, 7): t, x, y, z, vx, vy, vz, J2000, SI.
         problem: "P2", with uncertainty, or "P3", without it.

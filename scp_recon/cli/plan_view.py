@@ -131,6 +131,7 @@ def show_solution(console: Console, solution: Solution) -> None:
     status = Status.named(solution.status)
     colour = "green" if status is Status.CONVERGED else "red"
     iterations = ", ".join(f"{s.name} {s.iterations}" for s in solution.stages)
+    of = " of the last round" if _rounds(solution.risk) > 1 else ""
     console.print(
         Text(f"\n{solution.problem}: ", style=f"bold {colour}")
         + Text(solution.message, style="not bold")
@@ -141,7 +142,7 @@ def show_solution(console: Console, solution: Solution) -> None:
         Text.assemble(
             "total delta-v ",
             (f"{solution.total_dv_m_s:.6f} m/s", "bold"),
-            f"; iterations: {iterations}; {solution.timing_s.total:.2f} s, of which "
+            f"; iterations{of}: {iterations}; {solution.timing_s.total:.2f} s, of which "
             f"{solution.timing_s.conic_solver:.2f} s in the conic solver",
         )
     )
@@ -155,6 +156,12 @@ def show_solution(console: Console, solution: Solution) -> None:
     if solution.starts is not None:
         console.print()
         console.print(terminal(starts_table(solution.starts)))
+
+
+def _rounds(risk: Risk | None) -> int:
+    """Number of plans that a certificate took; 0 without one."""
+    reached = None if risk is None else risk.certificate
+    return 0 if reached is None else reached.rounds + max(reached.looks, 1) - 1
 
 
 def _show_policy(console: Console, solution: Solution) -> None:
@@ -230,12 +237,14 @@ class Progress:
         live: display of the table.
         table: of the iterations.
         steps: lines on flights, by the round or look.
+        plain: flights of a round or look if none were left out.
     """
 
     mission: Mission
     live: Live
     table: Table
     steps: dict[str, Text] = field(default_factory=dict)
+    plain: dict[str, int] = field(default_factory=dict)
 
     def __call__(self, stage: str, record: Record) -> None:
         """An iteration is done."""
@@ -257,9 +266,10 @@ class Progress:
             if reached is None
             else f"{reached.value:.4f}, at least {reached.low:.4f}"
         )
+        how = "" if samples == self.plain.setdefault(step, samples) else " in strata"
         self.steps[step] = Text(
             f"{step}: target {plan.target:.5g}, {plan.total_dv_m_s:.6f} m/s, "
-            f"{len(plan.times_s)} nodes; {samples} flights: {said}"
+            f"{len(plan.times_s)} nodes; {samples} flights{how}: {said}"
         )
         self._refresh()
 

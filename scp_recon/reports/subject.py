@@ -103,7 +103,7 @@ def subjects_of(given: Sequence[Solution | Path]) -> list[Subject]:
                 f"plan {subject.name}",
                 f"a body that is turned otherwise, t = 0 at {_begins(subject)}",
                 f"must be as the first, t = 0 at {_begins(found[0])}: one view shows one body "
-                "(scp_recon.cli.commands.compare has the figures of any)",
+                "(`scp-recon compare` shows the figures of any)",
             )
     return found
 
