@@ -88,7 +88,8 @@ def _within(ends: Ends, unit: str) -> str:
         words = f"at least {low:.4g}"
     elif low == -INF:
         words = f"at most {high:.4g}"
-    return f"{words} {unit}".rstrip()
+    words = f"{words} {unit}".rstrip()
+    return words.replace(" 1 times ", " ") if words.startswith("at ") else words
 
 
 def value_at(scene: Scene, entry: str) -> Any:

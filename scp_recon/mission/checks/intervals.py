@@ -362,7 +362,7 @@ INTERVALS = (
     Interval(
         "observation.site_distance_min_m", "the largest distance over it",
         lambda s, entry: s.scenario.observation.site_distance_max_m / float(value_at(s, entry)),
-        warn=(-INF, 100.0), hint="; metres both?",
+        warn=(-INF, 10.0), hint="; metres both?",
     ),
     Interval(
         "boundary.initial_position_m boundary.final_position_m", "from the centre", unit="m",
