@@ -49,6 +49,11 @@ class Estimate(NamedTuple):
     low: float
     high: float
 
+    @property
+    def width(self) -> float:
+        """Width of the interval."""
+        return self.high - self.low
+
 
 def proportion(successes: int, samples: int, confidence: float = CONFIDENCE) -> Estimate:
     """Probability with its Clopper-Pearson interval."""

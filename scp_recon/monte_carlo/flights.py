@@ -22,7 +22,7 @@ from scp_recon.mission.mission import Mission
 from scp_recon.mission.scene import TruthModel, errors_of_kind
 from scp_recon.monte_carlo.estimates import Estimate, Tally, proportion
 from scp_recon.monte_carlo.narrow import FlightsAtLooks, Narrowed, narrow
-from scp_recon.monte_carlo.observation_time import ALL, SCIENCE, joint_holds, time_held
+from scp_recon.monte_carlo.observation_time import ALL, SCIENCE, limits_hold, time_held
 from scp_recon.monte_carlo.sampling import (
     BLOCK,
     AnyPolicy,
@@ -32,6 +32,7 @@ from scp_recon.monte_carlo.sampling import (
     fly_block,
     policy_kind,
 )
+from scp_recon.monte_carlo.whole_flight import EVERYWHERE
 from scp_recon.results.solution import Solution
 
 SAMPLES_MIN, SAMPLES_MAX, SEED_MAX, WORKERS_MAX = 20, 10**9, 2**63 - 1, 256
@@ -99,6 +100,10 @@ class FlightConfig:
         even = np.linspace(first, last, int(np.ceil((last - first) / LOOK_STEP_S)) + 1)
         return np.union1d(even, self.mission.times_s[self.mission.window_nodes])
 
+    def counted_s(self, name: str) -> Array:
+        """Times at which a joint constraint is counted, s: for safety distances all nodes."""
+        return self.mission.times_s if name in EVERYWHERE else self.looks_s
+
 
 @dataclass(frozen=True, eq=False)
 class FlightBlock:
@@ -121,7 +126,7 @@ def run_block(config: FlightConfig, block: tuple[int, int]) -> FlightBlock:
     """Fly a block, given as (its number, its number of flights)."""
     number, flights = block
     mission, looks = config.mission, config.looks_s
-    times = np.append(looks, mission.times_s[-1])
+    times = np.union1d(looks, mission.times_s)
     flown = fly_block(
         mission,
         config.burns_m_s,
@@ -137,9 +142,9 @@ def run_block(config: FlightConfig, block: tuple[int, int]) -> FlightBlock:
     margins = mission.problem.burn_margins(
         flown.commanded_m_s.swapaxes(0, 1) / mission.units.speed_m_s
     )
-    seen, nothing = flown.states[:-1], np.zeros(0)
+    seen, nothing = flown.states[np.searchsorted(times, looks)], np.zeros(0)
     held = time_held(mission, looks, seen) if len(looks) else {}
-    holds = joint_holds(mission, looks, seen[..., :3]) if len(looks) else {}
+    holds = limits_hold(mission, looks, times, flown.states[..., :3])
     scenario = mission.scenario
     whole = flown.closest_m >= scenario.safety.radius_min_m
     whole &= flown.apart_m >= companion_distance_m(scenario)
@@ -168,13 +173,13 @@ class FlightTally:
         held: seconds in which each observation constraint holds, and all at once.
         full: flights in which each holds throughout the window.
         entry, exit: first and last time at which all hold, of the flights in which they ever do.
-        node_counts: flights in which each joint constraint holds, by time.
+        node_counts: flights in which each joint constraint holds, at the times of `counted_s`.
         whole: flights that keep every limit on the position at every sampled time.
         closest, executed_dv, commanded_dv: smallest distance from the body's centre, total delta-v.
         limits: flights in which each corrected burn keeps each limit on burns, shape (k,).
         failed: flights in which planning each burn again failed, shape (k,); empty without.
         terminal: final states of the first flights.
-        narrowed: the joint constraints' probabilities, of flights in strata; None if of these flights.
+        narrowed: the joint constraints' probabilities, of flights in strata; None without such flights.
     """
 
     config: FlightConfig
@@ -240,21 +245,27 @@ class FlightTally:
         self.samples += len(block.terminal)
 
     def worst_probability(self, name: str) -> tuple[float, Estimate]:
-        """Time (s) at which a joint constraint holds in the fewest flights, and its probability."""
-        if self.narrowed is not None:
-            return self.narrowed.probability(name)
+        """Time (s) at which a joint constraint holds in the fewest flights, and its probability.
+
+        Of these flights, or of those in strata: of which the interval is narrower.
+        """
         counts = self.node_counts[name]
         at = int(np.argmin(counts))
-        return float(self.config.looks_s[at]), proportion(int(counts[at]), self.samples)
+        plain = proportion(int(counts[at]), self.samples)
+        if self.narrowed is not None:
+            narrowed = self.narrowed.probability(name)
+            if narrowed[1].width < plain.width:
+                return narrowed
+        return float(self.config.counted_s(name)[at]), plain
+
+    def is_narrowed(self, name: str) -> bool:
+        """Whether a joint constraint's probability is that of flights in strata."""
+        narrowed = self.narrowed
+        return narrowed is not None and self.worst_probability(name) == narrowed.probability(name)
 
     def widest_interval(self) -> float:
-        """Width of the widest confidence interval among the joint probabilities.
-
-        After the observation window it is that of the probability to stay clear of the body.
-        """
-        estimates = [self.worst_probability(name)[1] for name in self.node_counts]
-        estimates += [] if estimates else [proportion(self.whole, self.samples)]
-        return max(e.high - e.low for e in estimates)
+        """Width of the widest confidence interval among the joint probabilities."""
+        return max(self.worst_probability(name)[1].width for name in self.node_counts)
 
     def terminal_covariance(self) -> Array:
         """Sample covariance of the final state, shape (6, 6)."""
@@ -276,8 +287,8 @@ def fly_many(
 ) -> FlightTally:
     """Fly `samples` flights, or fewer if every probability's interval is `until` wide before.
 
-    Where `PLAIN` flights leave one wider, the joint constraints' probabilities are those of further
-    flights in strata, at most as many as are left, if that is quicker: see `narrow`.
+    Where `PLAIN` flights leave one wider, further flights in strata narrow the joint constraints'
+    probabilities, at most as many as are left, if that is quicker: see `narrow`.
     The result does not depend on where blocks are flown, nor on interruptions. One worker is this
     process; an executor replaces the workers. After each block `progress` is called with the number
     flown so far, and a true `stop()` ends the flights. `begun` is a tally of whole blocks of the same
@@ -336,7 +347,7 @@ def _narrowed(
     None where burns are planned again, for which there is no law, and after the window.
     """
     config, before = flown.config, flown.samples
-    if config.policy_kind == "replan" or not flown.node_counts:
+    if config.policy_kind == "replan" or config.mission.observed_s is None:
         return None
     how = config.looks_s, config.truth, config.errors, corrections_of(config.policy)
     flights = FlightsAtLooks(config.mission, config.burns_m_s, *how)

@@ -24,12 +24,13 @@ from scp_recon.monte_carlo.closed_loop import MEASURED
 from scp_recon.monte_carlo.estimates import CONFIDENCE, Estimate, of_strata, proportion
 from scp_recon.monte_carlo.law import Law, blocks_of
 from scp_recon.monte_carlo.law_in_time import CountsInTime, DrawsInTime, Events, survey_in_time
-from scp_recon.monte_carlo.observation_time import ALL, SCIENCE, joint_holds
+from scp_recon.monte_carlo.observation_time import ALL, SCIENCE, limits_hold
 from scp_recon.monte_carlo.sampling import (
     ErrorModel,
     fly_draws,
     number_of_sources,
 )
+from scp_recon.monte_carlo.whole_flight import EVERYWHERE
 from scp_recon.planning.initial_guess import from_burns
 from scp_recon.results.policy import Policy, with_policy
 
@@ -67,7 +68,7 @@ class Narrowed:
     def widest(self) -> float:
         """Width of the widest interval."""
         found = [self.probability(name)[1] for name in self.worst]
-        return max(one.high - one.low for one in found)
+        return max(one.width for one in found)
 
 
 @dataclass(frozen=True)
@@ -107,7 +108,8 @@ class FlightsAtLooks:
 
     def courses(self, draws: Array) -> Iterator[KeptAtLooks]:
         """How they keep each joint constraint, and those of the observation together."""
-        holds = joint_holds(self.mission, self.looks_s, self._at(self.looks_s, draws))
+        times = np.union1d(self.looks_s, self.mission.times_s)
+        holds = limits_hold(self.mission, self.looks_s, times, self._at(times, draws))
         return (KeptAtLooks(name, kept) for name, kept in holds.items())
 
     @property
@@ -173,13 +175,14 @@ def narrow(
     expected = 0.0 if allocation is None else float(np.dot(allocation.share, known.share))
     if allocation is None or expected * allocation.draws > most:
         return None
-    names = [*dict.fromkeys(limit.joint for limit in mission.limits), ALL]
+    names = [*dict.fromkeys(constraint.event for constraint in mission.problem.constraints), ALL]
+    times = {n: mission.times_s if n in EVERYWHERE else flights.looks_s for n in names}
     counts: dict[str, CountsInTime] = {}
     found, drawn = None, allocation
     while found is None or (
         found.widest > until and found.flights + expected * drawn.draws <= most
     ):
-        work = DrawsInTime(law, flights, dict.fromkeys(names, flights.looks_s), drawn, seed)
+        work = DrawsInTime(law, flights, times, drawn, seed)
         blocks = blocks_of(drawn, seed, first)
         first += len(blocks)
         jobs = (Job(k, blocks[k : k + BLOCKS]) for k in range(0, len(blocks), BLOCKS))
@@ -201,7 +204,7 @@ def _allocation(known: Survey, until: float) -> Allocation | None:
     q = known.failed
     plain = int(4.0 * float(ndtri(TAIL)) ** 2 * max(q * (1.0 - q), until / 4.0) / until**2) + 1
     reached = proportion(round((1.0 - q) * plain), plain)
-    scale = until / (reached.high - reached.low)
+    scale = until / reached.width
     widths = scale * (reached.value - reached.low), scale * (reached.high - reached.value)
     return allocate(known, plain, widths, TAIL, mirrored=True, draw=DRAW, times=TIMES)
 

@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 
 from formulations.arrays import Array, Booleans, Indices
-from scp_recon.mission.constraints import Measure
+from scp_recon.mission.constraints import Measure, safety_margins
 from scp_recon.mission.mission import Mission
 from scp_recon.physics import geometry
 from scp_recon.physics.flow import interpolate
@@ -58,6 +58,19 @@ def joint_holds(mission: Mission, times_s: Array, position: Array) -> dict[str, 
     """Whether each joint constraint holds, and those of the observation together."""
     holds = {name: m >= 0.0 for name, m in joint_margins(mission, times_s, position).items()}
     return holds | {ALL: np.logical_and.reduce([holds[name] for name in SCIENCE])}
+
+
+def limits_hold(
+    mission: Mission, looks_s: Array, times_s: Array, position: Array
+) -> dict[str, Booleans]:
+    """Whether safety distances hold at the nodes, and joint constraints of the observation at looks.
+
+    Positions are J2000, m, shape (n, ..., 3), at ascending times (n,) that have nodes and looks.
+    """
+    nodes, seen = (position[np.searchsorted(times_s, at)] for at in (mission.times_s, looks_s))
+    margins = safety_margins(mission.scene, mission.times_s, nodes)
+    holds = {name: margin >= 0.0 for name, margin in margins.items()}
+    return holds | joint_holds(mission, looks_s, seen) if len(looks_s) else holds
 
 
 @dataclass(frozen=True)

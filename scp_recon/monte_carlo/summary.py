@@ -204,15 +204,17 @@ class Commanded(Section):
 
 
 class Strata(Section):
-    """Further flights, of which the lowest probabilities are: few of many draws.
+    """Further flights, of which some lowest probabilities are: few of many draws.
 
     Attributes:
         draws: in all.
         flights: of them.
+        names: of the probabilities that are theirs; null in older files, where all are.
     """
 
     draws: Count
     flights: Count
+    names: list[Line] | None = None
 
 
 class Summary(Displayed, File):
@@ -233,8 +235,9 @@ class Summary(Displayed, File):
         held_s: time in the window for which each constraint holds, and `all` at once.
         entry_s: when flights first hold all at once, past the epoch.
         exit_s: when they last do.
-        probability: of each joint constraint, and of `all` at once, where it is lowest.
-        strata: further flights behind the probabilities, if any.
+        probability: of each joint constraint where it is lowest, safety distances in the whole flight
+            and others in the window; and of `all` observation constraints at once.
+        strata: further flights behind some of the probabilities, if any.
         whole_flight: probability that a flight keeps every limit throughout.
         closest_m: least distance from the body's centre.
         executed_dv_m_s: sum of the executed burns' sizes.
@@ -290,6 +293,11 @@ class Summary(Displayed, File):
         """One line."""
         return f"<Summary: {str(self).partition(chr(10))[0]}>"
 
+    def is_narrowed(self, name: str) -> bool:
+        """Whether a probability is that of the further flights."""
+        own = self.strata
+        return own is not None and (own.names is None or name in own.names)
+
     def is_of(self, solution: Solution) -> bool:
         """Whether the solution's plan was flown."""
         return self.plan_hash == solution.plan_hash
@@ -338,7 +346,8 @@ def summarise(flown: FlightTally, solution: Solution) -> Summary:
         raise ValueError("the flights are of another plan than the solution's")
     further: dict[str, Any] = {"commanded": _commanded(flown)} if config.policy else {}
     if (those := flown.narrowed) is not None:
-        further["strata"] = Strata(draws=those.draws, flights=those.flights)
+        names = [name for name in flown.node_counts if flown.is_narrowed(name)]
+        further["strata"] = Strata(draws=those.draws, flights=those.flights, names=names)
     return Summary(
         plan_hash=solution.plan_hash,
         samples=flown.samples,

@@ -271,17 +271,28 @@ def flown_probabilities_table(summary: Summary, required: float | None) -> Table
             interval_cell(lowest, 4),
             lowest.worst_t_s,
             None if name == ALL else required,
+            _counted(summary, narrowed=summary.is_narrowed(name)),
         ]
         for name, lowest in summary.probability.items()
     ]
     if summary.whole_flight is not None:
-        rows.append(
-            ["all limits, whole flight", interval_cell(summary.whole_flight, 4), None, None]
-        )
-    columns = ("joint constraint", "lowest probability", AT, Column("required", form="g"))
+        whole = interval_cell(summary.whole_flight, 4)
+        counted = _counted(summary, narrowed=False)
+        rows.append(["all limits, whole flight", whole, None, None, counted])
+    columns = ("joint constraint", "lowest probability", AT, Column("required", form="g"), "of")
+    note = (
+        "Rows of draws are of further flights, mostly of draws near a limit; within the intervals they "
+        "differ from rows of flights."
+    )
+    return Table.of("Lowest probabilities", columns, rows, note=note if summary.strata else "")
+
+
+def _counted(summary: Summary, *, narrowed: bool) -> str:
+    """The flights that a probability is of."""
     own = summary.strata
-    note = f"Of {own.flights} further flights out of {own.draws} draws." if own else ""
-    return Table.of("Lowest probabilities", columns, rows, note=note)
+    if own is None or not narrowed:
+        return f"{summary.samples} flights"
+    return f"{own.draws} draws, {own.flights} flown"
 
 
 def corrected_burns_table(commanded: Commanded, required: float | None) -> Table:

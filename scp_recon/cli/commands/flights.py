@@ -163,7 +163,10 @@ def show_summary(console: Console, summary: Summary, asked: float | None = None)
     )
     if summary.held_s:
         console.print(terminal(observation_times_table(summary)))
-    console.print(terminal(flown_probabilities_table(summary, asked)))
+    lowest = flown_probabilities_table(summary, asked)
+    console.print(terminal(lowest))
+    if lowest.note:
+        console.print(lowest.note, highlight=False)
     if summary.commanded is not None:
         console.print(terminal(corrected_burns_table(summary.commanded, asked)))
     for label, spread, digits in (

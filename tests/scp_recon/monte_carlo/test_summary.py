@@ -12,8 +12,11 @@ import pytest
 from scp_recon.api.flights import required_probability, shortfalls
 from scp_recon.cli.commands import montecarlo
 from scp_recon.errors import InputError
+from scp_recon.jobs.job import here
 from scp_recon.mission.mission import Mission
+from scp_recon.monte_carlo.estimates import Estimate
 from scp_recon.monte_carlo.flights import FlightConfig, FlightTally, fly_many
+from scp_recon.monte_carlo.narrow import FlightsAtLooks, narrow
 from scp_recon.monte_carlo.observation_time import ALL, SCIENCE
 from scp_recon.monte_carlo.summary import (
     COMPONENTS,
@@ -23,7 +26,9 @@ from scp_recon.monte_carlo.summary import (
     read_summary,
     summarise,
 )
+from scp_recon.monte_carlo.whole_flight import kept_flights
 from scp_recon.results.solution import Solution
+from scp_recon.verification.probabilities import joint_probabilities
 from tests import reliability
 from tests.helpers import usually
 from tests.scp_recon.support import file_of, mission_of, numbers, with_value
@@ -134,6 +139,30 @@ def test_parts_that_do_not_fit_together_are_refused(tmp_path, data, path, value)
 @pytest.fixture(scope="module")
 def many(mission, solution) -> Summary:
     return summarise(fly_many(FlightConfig(mission, solution.burns_m_s), samples=1000), solution)
+
+
+def test_flights_tell_what_the_verification_tells(mission, solution, many):
+    """The safety distance too, which counts in the whole flight: here nearest after the window."""
+    names = [one.name for one in joint_probabilities(mission, solution.burns_m_s)]
+    assert [*many.probability] == [*names, ALL]
+    nearer = mission.changed({"safety.radius_min_m": 750.0})
+    config = FlightConfig(nearer, solution.burns_m_s)
+    flown = fly_many(config, samples=1000)
+    at, lowest = flown.worst_probability("safety_radius")
+    assert at > nearer.observed_s[1]
+    kept = kept_flights(nearer, solution.burns_m_s, 1000, 0).at_nodes["safety_radius"]
+    assert lowest.value == pytest.approx(kept.min() / 1000, abs=2e-3)
+    assert flown.whole <= kept.min()
+    found = {name: lowest.value for name, (_, lowest) in narrowed_of(config).items()}
+    assert found["safety_radius"] == pytest.approx(lowest.value, abs=0.05)
+
+
+def narrowed_of(config: FlightConfig) -> dict[str, tuple[float, Estimate]]:
+    """Probabilities of flights in strata."""
+    how = config.looks_s, config.truth, config.errors, config.policy
+    flights = FlightsAtLooks(config.mission, config.burns_m_s, *how)
+    found = narrow(flights, 0, 1, 0.03, 10_000, here)
+    return {name: found.probability(name) for name in found.worst}
 
 
 def requiring(solution: Solution, p: float) -> Solution:

@@ -91,6 +91,7 @@ def test_flights_through_the_ball_are_counted_as_lost(default_plan):
         counts.append((flown.whole, kept_flights(mission, default_plan.burns_m_s, 200, 0).whole))
     assert min(counts[0]) > 150
     assert max(counts[1]) < 10
+    assert flown.node_counts[NAME].min() < 10
 
 
 def test_the_distance_to_keep_is_the_companions_radius_if_none_is_given():
