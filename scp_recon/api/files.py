@@ -131,7 +131,8 @@ def save(plan: AnyPlan, folder: str | Path) -> Path:
     """Verify a plan and write its `solution.json` into a folder, whole or not at all.
 
     A plan that is not verified does not overwrite a verified one: it is written beside it as
-    `solution_unverified.json`. Results of another plan are renamed (`old_montecarlo.json`).
+    `solution_unverified.json`. Results of another plan are renamed (`old_montecarlo.json`), and
+    its exports moved (`old_export`).
 
     Args:
         plan: to write; a solution, or its file.

@@ -22,6 +22,8 @@ UNVERIFIED = "solution_unverified.json"
 """Name of the file of a plan that is not verified, beside a verified one."""
 OLD = "old_"
 """Prefix of results of an earlier plan in the folder."""
+EXPORTS = "export"
+"""Folder of the plan's exports there."""
 
 
 @contextmanager
@@ -123,13 +125,33 @@ def _holds_verified(folder: Path) -> bool:
 
 
 def _set_aside(solution: Solution, folder: Path) -> list[Path]:
-    """Rename results of other or unknown plans."""
+    """Rename results of other or unknown plans, and move exports of other plans."""
     results = (*folder.glob("montecarlo*.json"), folder / "simulation.npz")
-    return [
+    aside = [
         path.replace(folder / f"{OLD}{path.name}")
         for path in results
         if path.is_file() and _plan_hash(path) != solution.plan_hash
     ]
+    return aside + _set_exports_aside(solution, folder)
+
+
+def _set_exports_aside(solution: Solution, folder: Path) -> list[Path]:
+    """Move exports of other plans, so that no pattern of names finds two plans; other files stay."""
+    exports, old = folder / EXPORTS, folder / f"{OLD}{EXPORTS}"
+    if not exports.is_dir():
+        return []
+    from scp_recon.interop.files import plan_in
+
+    found = {path: plan_in(path.name) for path in exports.iterdir()}
+    others = [path for path, plan in found.items() if plan and solution.plan_hash[:8] != plan]
+    if not others:
+        return []
+    old.mkdir(exist_ok=True)
+    for path in others:
+        path.replace(old / path.name)
+    with suppress(OSError):  # other files are there
+        exports.rmdir()
+    return [old]
 
 
 def _plan_hash(path: Path) -> str | None:

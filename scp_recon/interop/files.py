@@ -45,6 +45,12 @@ def stem(export: Export) -> str:
     return f"{name}_{export.solution.plan_hash[:8]}_{abs(export.ids.spacecraft)}"
 
 
+def plan_in(name: str) -> str | None:
+    """First digits of a plan's hash in the name of an exported file; None for other files."""
+    found = re.search(r"_([0-9a-f]{8})_\d+(_body)?\.[a-z]+$", name)
+    return found[1] if found else None
+
+
 def require(form: str) -> None:
     """Check before the work that a format's extra is installed.
 

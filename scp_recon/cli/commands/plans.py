@@ -10,6 +10,7 @@ from typing import Any
 from rich.console import Console
 
 from scp_recon.api import files
+from scp_recon.api.keeping import EXPORTS
 from scp_recon.cli import plan_view
 from scp_recon.cli.command import (
     NOT_VERIFIED,
@@ -27,9 +28,6 @@ from scp_recon.results.comparison import Comparison
 from scp_recon.results.runs import folder_of, resolve_run
 from scp_recon.scenario.time_scales import iso_tdb, iso_utc
 from scp_recon.verification.reintegration import verify as verified
-
-EXPORTS = "export"
-"""Folder of a plan's."""
 
 
 def verify(options: argparse.Namespace, console: Console) -> Answer:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+import scp_recon as sr
 from scp_recon.api.infeasibility import Diagnosis
 from scp_recon.api.keeping import UNVERIFIED, check_holds, keep_plan, run_folder
 from scp_recon.cli.commands import compare, montecarlo, planning, solve, verify
@@ -69,6 +70,26 @@ def test_results_of_another_plan_are_set_aside(verified, tmp_path, capsys):
     assert read_summary(tmp_path / f"old_{FILE_NAME}").is_of(verified)
     assert not (tmp_path / FILE_NAME).exists()
     assert capsys.readouterr().err.count("error") == 0
+
+
+def test_exports_of_another_plan_are_set_aside(verified, tmp_path):
+    """A pattern of their names then finds one plan; those of the same plan, and other files, stay."""
+    scenarios = [verified.scenario.replace({"name": name}) for name in ("first", "next", "last")]
+    plans = [replace(verified, scenario=scenario) for scenario in scenarios]
+    mine, old = tmp_path / "export", tmp_path / "old_export"
+    exported: list[str] = []
+    for number, plan in enumerate(plans):
+        _, aside = keep_plan(plan, tmp_path)
+        assert aside == [old] * bool(number)
+        assert not mine.exists()
+        (file,) = sr.export(tmp_path, "csv", mine).files
+        assert keep_plan(plan, tmp_path)[1] == []
+        assert [*mine.iterdir()] == [file]
+        assert sorted(path.name for path in old.glob("*")) == sorted(exported)
+        exported.append(file.name)
+    (mine / "notes.txt").write_text("of the user's own")
+    keep_plan(verified, tmp_path)
+    assert [path.name for path in mine.iterdir()] == ["notes.txt"]
 
 
 def test_a_result_does_not_go_beside_another_plan(verified, tmp_path):
