@@ -87,11 +87,13 @@ def history_chart(
 
 
 def probability_chart(plans: Sequence[Shown]) -> dict[str, Any]:
-    """Probability of every joint constraint, and of all so far, over time with 95 % intervals."""
+    """Probability of every joint constraint, and of all so far, over time with 95 % intervals.
+
+    Of several plans only the latter is shown, to which a probability required at nodes does not apply.
+    """
     panels = Panels(["probability (1)"], panel_px=300)
     alone, lowest = len(plans) == 1, 1.0
     for number, plan in enumerate(plans):
-        required = plan.subject.solution.scenario.risk.p_chance
         # Several plans are told apart by colour: of each no more than what all of it comes to.
         shown = [one for one in plan.achieved if alone or one.name == SO_FAR]
         for i, one in enumerate(shown):
@@ -100,8 +102,11 @@ def probability_chart(plans: Sequence[Shown]) -> dict[str, Any]:
             panels.band(one.times_s, (one.low, one.high), name, colour, 0, 0.2, legend=False)
             panels.curve(one.times_s, one.value, name, colour)
             lowest = min(lowest, float(one.low.min()))
-        lowest = min(lowest, required)
-        panels.limit("required: at least", required, 0)
+        risk, whole = plan.subject.solution.scenario.risk, "of whole flights"
+        said = whole if risk.scope == "flight" else "of each at every node"
+        if plan.subject.solution.problem == "P2" and (alone or said == whole):
+            lowest = min(lowest, risk.p_chance)
+            panels.limit(f"required {said}: at least", risk.p_chance, 0)
     panels.window(plans[0].subject.mission.schedule.window_s)
     panels.y_axis(0, range=[max(0.0, lowest - 0.06), 1.02])
     return panels.chart("probability", "Probability achieved over time")

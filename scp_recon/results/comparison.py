@@ -76,6 +76,7 @@ def compare(names: Sequence[str], solutions: Sequence[Solution]) -> Comparison:
         ("status", "", tuple(s.status for s in solutions)),
         ("verified", "", tuple(_verdict(s.verification) for s in solutions)),
         ("p_chance asked", "", tuple(s.scenario.risk.p_chance for s in solutions)),
+        ("p_chance asked of", "", tuple(map(_scope, solutions))),
         ("total delta-v", "m/s", tuple(s.total_dv_m_s for s in solutions)),
     ]
     if any(s.policy for s in solutions):
@@ -105,6 +106,13 @@ def _differences(first: Scenario, other: Scenario) -> str | None:
         n for n in Scenario.model_fields if n != "name" and getattr(first, n) != getattr(other, n)
     ]
     return ", ".join(names) or None
+
+
+def _scope(solution: Solution) -> str | None:
+    """What a probability is required of; None without uncertainty."""
+    if solution.problem == "P3":
+        return None
+    return "whole flights" if solution.scenario.risk.scope == "flight" else "every node"
 
 
 def _verdict(verification: Verification | None) -> str:

@@ -348,6 +348,7 @@ def test_plans_stand_side_by_side(default_plan):
     distance = np.linalg.norm(default_plan.states[:, :3] - p3.states[:, :3], axis=1).max()
     assert apart == pytest.approx(distance)
     assert table["verified"] == ("yes", "yes")
+    assert table["p_chance asked of"] == ("every node", None)
     assert "total delta-v" in table._repr_html_()
     assert repr(table) == str(table)
     with pytest.raises(KeyError, match=r"'delta-v'; .*there are scenario, .*total delta-v"):
@@ -371,6 +372,9 @@ def test_a_comparison_says_what_was_verified_and_of_which_scenario(solution, ver
     assert table["scenario"] == ("recon_b", "recon_b", "recon_b", "later")
     assert table["differs from the first in"] == (None, None, "safety, risk", "safety, battery")
     assert set(table["total delta-v"]) == {solution.total_dv_m_s}
+    whole = solution.scenario.replace({"risk.scope": "flight", "risk.allocation": "exact"})
+    table = sr.compare(solution, replace(solution, scenario=whole))
+    assert table["p_chance asked of"] == ("every node", "whole flights")
 
 
 @nightly

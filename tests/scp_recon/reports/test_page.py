@@ -20,6 +20,7 @@ from scp_recon.errors import InputError
 from scp_recon.replanning.delivery import Delivery
 from scp_recon.replanning.flown import FlownPlan, predict
 from scp_recon.replanning.remainder import mission_left
+from scp_recon.reports.charts import probability_chart
 from scp_recon.reports.flights import fly
 from scp_recon.reports.ground import Camera
 from scp_recon.reports.page import Page, _surplus, render, verdict_of
@@ -110,6 +111,35 @@ def test_every_figure_is_one_of_plotlys(page):
         go.Figure({"data": figure["data"], "layout": figure["layout"]})
     keys = [chart["key"] for chart in page.charts]
     assert len(set(keys)) == len(keys) == 9  # without a simulation
+
+
+def test_a_required_probability_is_drawn_only_for_what_it_is_required_of(page):
+    """That of nodes not across the share of whole flights, which is all that several plans show."""
+    (shown,) = page.plans
+    flight = {"risk.p_chance": 0.8, "risk.scope": "flight", "risk.allocation": "exact"}
+    solution = shown.subject.solution
+    changed = {
+        "node": solution,
+        "flight": replace(solution, scenario=solution.scenario.replace(flight)),
+        "P3": replace(solution, problem="P3"),
+    }
+    of = {
+        name: replace(shown, subject=replace(shown.subject, solution=one))
+        for name, one in changed.items()
+    }
+    node = ["required of each at every node: at least 0.7"]
+    whole = ["required of whole flights: at least 0.8"]
+    for names, expected in (
+        (["node"], node),
+        (["flight"], whole),
+        (["P3"], []),
+        (["node", "flight"], whole),
+        (["node", "P3"], []),
+    ):
+        layout = probability_chart([of[name] for name in names])["layout"]
+        said = [a["text"] for a in layout["annotations"] if "at least" in a["text"]]
+        assert said == expected
+        assert sum(s["type"] == "line" for s in layout["shapes"]) == len(expected)
 
 
 def test_a_uniform_plan_that_reaches_more_is_told_of_exact_risk(verified):
