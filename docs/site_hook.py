@@ -30,7 +30,8 @@ def on_files(files: Files, config: Any) -> Files:
     for page in list(files.documentation_pages()):
         for link in _LINK.findall(page.content_string):
             path = posixpath.normpath(posixpath.join(posixpath.dirname(page.src_uri), link))
-            if path.startswith("../") and (docs / path).is_file():
+            outside = path.startswith("../") and path.removeprefix("../") not in _PAGES
+            if outside and (docs / path).is_file():
                 name, shown = _shown(docs.parent, path.removeprefix("../"))
                 if name not in files.src_uris:
                     files.append(File.generated(config, name, content=shown.read_bytes()))

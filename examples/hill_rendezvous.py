@@ -1,9 +1,10 @@
-"""Rendezvous in Hill's equations: out of a ball, then within an approach cone, by 99 % of flights.
+"""Rendezvous in Hill's equations: out of a ball, then within an approach cone, by 0.99 of flights.
 
 In one revolution the chaser comes from 1 km behind, below and aside to 200 m ahead of the target, by
 seven burns with proportional errors of magnitude and pointing. Before the third and the fifth the state
-is measured, and they correct what is found. The risk is that of whole flights, spent where it costs
-least; the delta-v is the mean of flights. Flights of the plan check both.
+is measured, and they correct what is found. The risk is that of whole flights by the normal law, spent
+where it costs least; the delta-v is the mean of flights. Nonlinear flights of the plan check both:
+0.988 of them keep the limits, at least 0.986.
 """
 
 from __future__ import annotations

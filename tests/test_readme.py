@@ -228,9 +228,6 @@ QUICK = {
     f"{SOLVE} --scenario flown.toml --init flown_start.csv": FROM_TABLE,
     EV5: PLAIN,
     OWN: Quick(after=(EV5,)),
-    f"{RUN} verify runs/ev5": Quick(after=(OWN,)),
-    f"{RUN} report runs/ev5": Quick(after=(OWN,), needs="plotly"),
-    f"{RUN} export runs/ev5 --format oem": Quick(after=(OWN,)),
     f"{RUN} windows recon_b": PLAIN,
     f"{RUN} windows recon_b --from 2020-02-01 --span-days 3 --csv windows.csv "
     "--chart windows.png": Quick(needs="matplotlib"),
@@ -249,8 +246,9 @@ QUICK = {
     f"{SOLVE} --init runs/mine/export/FILE.csv": FROM_TABLE,
     f"{RUN} schema docs/scenario.schema.json": PLAIN,
     # in flight
-    f"{RUN} replan runs/latest --at 17000 --state {STATE} --out runs/again": PLAIN,
-    f"{RUN} replan runs/mine --at 17000 --state state.txt": PLAIN,
+    f"{SOLVE} --out runs/default": Quick(IN_P3),
+    f"{RUN} replan runs/default --at 17000 --state {STATE} --out runs/again": PLAIN,
+    f"{RUN} replan runs/mine --at 17000 --state -150 470 -560 0.005 0.079 0.069": PLAIN,
     # many of them
     CAMPAIGN: Quick("--workers 0"),
     f"{CAMPAIGN} --workers 2": Quick("--workers 1 --out runs/in_a_process", nightly=True),
@@ -412,13 +410,13 @@ def workspace(tmp_path_factory) -> Iterator[Workspace]:
     (folder / "mine.toml").write_text(snippets_of(PROJECT / "README.md")["toml"][0], "utf-8")
     for name in ("STUDY.toml", "study.toml"):
         (folder / name).write_text(NEVER_LIT, "utf-8")
-    (folder / "state.txt").write_text(STATE, "utf-8")
     (folder / "docs").mkdir()
     runs = folder / "runs"
     with pytest.MonkeyPatch.context() as patch:
         fly_few(patch)
         assert solve.main(["--init", "cold", "--out", str(runs / "latest")]) == 0
-        shutil.copytree(runs / "latest", runs / "mine")
+        for name in ("mine", "default"):
+            shutil.copytree(runs / "latest", runs / name)
         (runs / "short").mkdir()
         short_plan(mission_of(*SHORT)).write(runs / "short")
         shutil.copytree(runs / "short", folder / "SOLUTION")
@@ -430,6 +428,7 @@ def workspace(tmp_path_factory) -> Iterator[Workspace]:
             write_kernel(folder / "flight.bsp", mission, np.array(plan.nodes.state))
         for form in forms:
             assert export.main([str(runs / "mine"), "--format", form]) == 0
+        shutil.copytree(runs / "mine", folder / "exported")
         names = {".csv": "start.csv", ".tm": "all.tm"}
         for path in (runs / "mine" / "export").iterdir():
             shutil.copy(path, folder / names.get(path.suffix, path.name))
@@ -562,6 +561,8 @@ SHOWING_PYTHON = {page.name: found for page in PAGES if (found := snippets_of(pa
 def test_python_that_is_shown_runs(page, workspace, monkeypatch):
     """One snippet of a page after the other, as in one session, with fewer flights."""
     monkeypatch.chdir(workspace.folder)
+    shutil.rmtree("runs/mine")  # commands and other pages may have written another plan there
+    shutil.copytree("exported", "runs/mine")
     names: dict[str, object] = {}
     for block in SHOWING_PYTHON[page]:
         few = re.sub(r"samples=[\d_]+", "samples=500", block)
