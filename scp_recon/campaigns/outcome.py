@@ -17,6 +17,7 @@ from scp_recon.campaigns.run import FILE_NAME, SCHEMA
 from scp_recon.campaigns.study import Campaign
 from scp_recon.errors import InputError
 from scp_recon.jobs.job import REFUSED
+from scp_recon.mission.constraints import required_in_words
 from scp_recon.reports.marks import PLANS
 from scp_recon.scenario.dependencies import with_todays_lead
 from scp_recon.scenario.schema import Scenario
@@ -226,9 +227,11 @@ def label(entry: str) -> str:
 
 
 def remarks(results: CampaignResults) -> list[str]:
-    """Remarks on how the cases ended, the cost of the feasible ones, and reasons of the others."""
+    """Remarks on what is required, how cases ended, what feasible ones cost, and why others failed."""
     counts = ", ".join(f"{count:,} {end}" for end, count in results.counts().items())
     found = [f"Ends: {counts}."]
+    if not {"risk.p_chance", "risk.scope"} & {*results.entries}:
+        found.append(f"Required: {required_in_words(results.base)}.")
     table, good = results.table, results.ending(FEASIBLE)
     if len(good):
         low, middle, high = np.percentile(good[COST], (0, 50, 100))

@@ -63,7 +63,9 @@ LIFTED = 1.012
 """Of sites off the surface, so that it does not hide them."""
 POINTS_PX, HEIGHT_PX, VIEW_PX = 11, 430, 560
 ABOVE = {"orientation": "h", "x": 0, "y": 1.0, "yanchor": "bottom"}
-"""Where the legend is."""
+"""Where the legend of sites is."""
+BAR_PX, LINE_PX = 38, 30
+"""Of Plotly's buttons at the top, which nothing may be below, and of a line of the legend."""
 
 
 def has_extras() -> bool:
@@ -182,7 +184,7 @@ def map_chart(results: CampaignResults) -> dict[str, Any]:
     ]
     axes = map_axes((0, 360), margin_deg=2)
     axes["yaxis"]["title"] = {"text": "latitude (deg)"}
-    margin = {"l": 55, "r": 10, "t": 36, "b": 50}
+    margin = {"l": 55, "r": 10, "t": BAR_PX + LINE_PX, "b": 50}
     layout = {"height": HEIGHT_PX, "margin": margin, **axes, "legend": ABOVE}
     return chart("map", "Sites by latitude and longitude", data, layout)
 
@@ -205,7 +207,7 @@ def shape_chart(results: CampaignResults) -> dict[str, Any]:
     camera = {"eye": {"x": 1.1, "y": 0.6, "z": 0.6}}
     layout = {
         "height": VIEW_PX,
-        "margin": {"l": 0, "r": 0, "t": 30, "b": 0},
+        "margin": {"l": 0, "r": 0, "t": BAR_PX + LINE_PX, "b": 0},
         "legend": ABOVE,
         "scene": {"aspectmode": "data", **hidden, "camera": camera},
     }
@@ -242,7 +244,7 @@ def curve_chart(results: CampaignResults, column: str, name: str) -> dict[str, A
         )
     layout = {
         "height": HEIGHT_PX,
-        "margin": {"l": 65, "r": 10, "t": 20, "b": 50},
+        "margin": {"l": 65, "r": 10, "t": BAR_PX, "b": 50},
         "xaxis": {"title": {"text": label(along)}},
         "yaxis": {"title": {"text": name}},
     }

@@ -117,6 +117,14 @@ def limits_in_words(scenario: Scenario, limits: Sequence[Limit]) -> dict[str, st
     return found
 
 
+def required_in_words(scenario: Scenario) -> str:
+    """Required probability, and of what."""
+    risk = scenario.risk
+    if risk.scope == "flight":
+        return f"at least {risk.p_chance:g} of whole flights keep every limit"
+    return f"every limit at every node with at least {risk.p_chance:g}"
+
+
 def state_constraints(
     scenario: Scenario,
     limits: Sequence[Limit],

@@ -14,6 +14,7 @@ import numpy as np
 
 from formulations.rows.exact_flight import FLIGHT
 from scp_recon.errors import version_of
+from scp_recon.mission.constraints import required_in_words
 from scp_recon.planning.plan import NOT_CHECKED
 from scp_recon.reports.flights import SO_FAR, Shown
 from scp_recon.reports.marks import BODY, Trace, script
@@ -100,12 +101,9 @@ def verdict_of(plan: Shown) -> Verdict:
 
 
 def _required(subject: Subject) -> str:
-    risk = subject.solution.scenario.risk
     if subject.solution.problem == "P3":
         return "no probability (P3: the problem without uncertainty)"
-    if risk.scope == "flight":
-        return f"at least {risk.p_chance:g} of whole flights keep every limit"
-    return f"every limit at every node with at least {risk.p_chance:g}"
+    return required_in_words(subject.solution.scenario)
 
 
 def _achieved(plan: Shown) -> str:

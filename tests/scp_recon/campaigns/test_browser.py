@@ -13,6 +13,14 @@ from tests.scp_recon.campaigns.shown import ERRORS, PLACES, campaign_of
 
 PATIENCE_MS = 200_000
 
+COVERED = """[...document.querySelectorAll('[data-chart]')].filter(chart => {
+  const [bar, ...legends] = ['.modebar', '.legend'].flatMap(
+    name => [...chart.querySelectorAll(name)].slice(0, 1)).map(x => x.getBoundingClientRect());
+  return legends.some(x => x.left < bar.right && bar.left < x.right && x.top < bar.bottom
+    && bar.top < x.bottom);
+}).map(chart => chart.ariaLabel)"""
+"""Charts whose legend lies below Plotly's buttons."""
+
 pytestmark = needed
 
 
@@ -41,6 +49,7 @@ def test_it_draws_opens_cases_and_asks_the_network_for_nothing(browser, tmp_path
         "[...document.querySelectorAll('[data-chart]')].filter(d => d.querySelector('.main-svg'))"
     )
     assert page.evaluate(f"{drawn}.length") == charts
+    assert page.evaluate(COVERED) == []
     assert page.evaluate("document.getElementById('detail-3').hidden")
     page.evaluate(
         "document.querySelector('[data-chart]').emit('plotly_click', {points: [{customdata: 3}]})"

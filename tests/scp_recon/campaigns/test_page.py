@@ -81,6 +81,7 @@ def test_cases_that_share_a_place_are_told_and_the_cheapest_is_drawn(tmp_path):
     drawn = pictures["map"].axes[0].collections[0]
     assert drawn.get_offsets().shape == (3, 2)
     assert any("cheapest" in line for line in remarks(results))
+    assert not any(line.startswith("Required") for line in remarks(results)), "it is an axis"
     grids = [
         {"entry": entry, "values": values}
         for entry, values in (
@@ -106,6 +107,7 @@ def test_the_page_says_it_all_and_escapes(mapped):
     (kept / "solution.json").write_text("{}")
     page = render(results, MADE)
     assert results.verdict in page
+    assert "<p>Required: at least 0.7 of whole flights keep every limit.</p>" in page
     assert page.count('class="detail"') == 24
     assert "&lt;at all&gt; &amp; none" in page
     assert "Broken most: emission_max" in page
