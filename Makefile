@@ -84,7 +84,7 @@ notebooks: $(VENV)/.notebooks  ## run the notebooks, and keep each as a page in 
 	--output-dir runs/notebooks --output $$name || exit 1; done
 
 site: $(VENV)/.docs  ## build the pages as a site in runs/site, notebooks as they ran last; any warning or broken link fails
-	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
 clean:  ## remove the environment and what it produced
 	rm -rf $(VENV) runs mutants .coverage .mypy_cache .ruff_cache .pytest_cache .hypothesis *.egg-info

@@ -1,6 +1,9 @@
 """The site's pages: what `make site` does not see by itself."""
 
 import re
+import shutil
+import subprocess
+import sys
 import urllib.error
 import urllib.request
 from pathlib import Path
@@ -38,3 +41,54 @@ def test_external_links_answer(link):
     except OSError as error:
         pytest.skip(f"no network: {error}")
     assert status in {200, 403, 429}  # the last two: there, but not for programs
+
+
+BROKEN = {
+    "link": ("[a](nowhere.md)", "nowhere.md"),
+    "anchor": ("[a](frames.md#nowhere)", "frames.md#nowhere"),
+    "picture": ("![a](nowhere.png)", "nowhere.png"),
+    "tag": ('<a href="no_page.html">a</a>', "no_page.html"),
+    "anchor of a tag": ('<a href="frames.html#no_heading">a</a>', "frames.html#no_heading"),
+    "picture of a tag": ('<p><img src="no_picture.png" alt="a"></p>', "no_picture.png"),
+}
+
+
+@pytest.fixture
+def copied(tmp_path) -> Path:
+    """The project with docs of its own."""
+    for path in PROJECT.iterdir():
+        if path.name not in {"docs", "runs"}:
+            (tmp_path / path.name).symlink_to(path)
+    shutil.copytree(PROJECT / "docs", tmp_path / "docs")
+    return tmp_path
+
+
+def make_site(folder: Path) -> subprocess.CompletedProcess[str]:
+    """By the recipe of the Makefile, with this environment, which is not renewed."""
+    environment = Path(sys.prefix)
+    if not (environment / "bin" / "mkdocs").is_file():
+        pytest.skip("the extra [docs] is not installed")
+    words = ("make", "site", f"VENV={environment}", "-o", f"{environment}/.docs")
+    return subprocess.run(words, cwd=folder, capture_output=True, text=True, check=False)
+
+
+@nightly
+def test_the_site_is_built_of_the_pages_alone(copied):
+    compiled = copied / "docs" / "__pycache__" / "site_hook.cpython-311.pyc"
+    compiled.parent.mkdir(exist_ok=True)
+    compiled.write_bytes(b"")
+    made = make_site(copied)
+    assert (made.returncode, "WARNING" in made.stderr) == (0, False), made.stderr
+    assert (copied / "runs" / "site" / "index.html").is_file()
+    assert not list((copied / "runs" / "site").rglob("*.pyc"))
+
+
+@nightly
+def test_what_leads_nowhere_makes_the_site_fail(copied):
+    page = copied / "docs" / "verdict.md"
+    lines = (line for line, _ in BROKEN.values())
+    page.write_text("\n\n".join([page.read_text("utf-8"), *lines]), "utf-8")
+    made = make_site(copied)
+    assert made.returncode != 0
+    warned = [line for line in made.stderr.splitlines() if "WARNING" in line]
+    assert all(any(where in line for line in warned) for _, where in BROKEN.values()), warned
