@@ -177,7 +177,7 @@ def test_an_allocation_that_gives_no_limits_is_refused(changes):
     ],
 )
 def test_counts_that_do_not_fit_are_refused(counts):
-    with pytest.raises(ValueError, match="some are flown"):
+    with pytest.raises(ValueError, match="must not exceed"):
         Counted(FAIR, *counts)
 
 

@@ -271,7 +271,7 @@ def test_what_bends_otherwise_than_the_body_pulls_is_told(export, track):
         replace(track, states=turned.reshape(-1, 6)),
     ):
         (doubt,) = pull_doubts(export.mission, wrong)
-        assert "otherwise than Bennu and sunlight" in str(doubt)
+        assert "from that by Bennu and sunlight" in str(doubt)
 
 
 def test_an_epoch_in_utc_for_a_table_in_tdb_is_refused(export):
