@@ -30,10 +30,10 @@ from scp_recon.jobs.job import Job
 
 ROUNDS, REPEATS = 3, 3
 SLOW = ("ipopt printed", "scp lifted")
+"""Methods that are timed twice a round at most."""
 SAME_ARITHMETIC = {"OPENBLAS_CORETYPE": "Haswell"}
 """OpenBLAS's kernels, which every x86 processor since 2013 has. How long IPOPT takes for the program as
 printed depends on rounding: with a newer processor's kernels it had no plan after seven minutes."""
-"""Methods that are timed twice a round at most."""
 
 
 def measure(session: Session) -> Findings:
