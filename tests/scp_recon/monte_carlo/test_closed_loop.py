@@ -61,13 +61,14 @@ def case_of(
     size: float = 0.03,
     kind: str = "feedback",
     measured: Sequence[str] = SIGMAS,
+    errors: str = "uncertainty.execution_error=3e-4",
 ) -> Case:
     """With random gains, whose corrections have `size` of the errors' usual effect.
 
     The lead of 17,500 s has a cut-off before an earlier burn, that of 8000 s one at departure.
     """
     mission = mission_of(
-        *("uncertainty.initial_sigma_fraction=1e-4", "uncertainty.execution_error=3e-4"),
+        *("uncertainty.initial_sigma_fraction=1e-4", errors),
         *measured,
         *(f"policy.kind={kind}", f"navigation.lead_s={lead_s}"),
         *("boundary.final_sigma_velocity_m_s=1", "risk.allocation=exact", *words),
@@ -93,7 +94,19 @@ def whitened(sampled: Array, factor: Array) -> Array:
     usually([*(("feedback", t) for t in (3600.0, 8000.0, 17_500.0, 0.0)), ("open", 0.0)], 3),
 )
 def test_flights_of_small_errors_have_the_closed_loops_covariance(kind, lead_s, solution):
-    case = case_of(lead_s, solution, kind=kind)
+    flights_have_the_covariance_of(case_of(lead_s, solution, kind=kind))
+
+
+def test_so_have_flights_with_gates_errors(solution):
+    """Those along a correction are the larger ones, so that no bound stands in for their law."""
+    gates = (
+        "uncertainty.gates={magnitude_fixed_m_s=0, magnitude_proportional=4e-4, "
+        "pointing_fixed_m_s=0, pointing_proportional_rad=2e-4}"
+    )
+    flights_have_the_covariance_of(case_of(3600.0, solution, errors=gates))
+
+
+def flights_have_the_covariance_of(case: Case) -> None:
     mission, lin = case.mission, case.lin
     nodes = [*mission.window_nodes[[0, -1]], mission.burn_nodes[2], len(mission.times_s) - 1]
     times = mission.times_s[nodes]
