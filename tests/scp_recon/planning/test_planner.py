@@ -164,9 +164,16 @@ def test_lifted_and_condensed_agree_at_convergence(coarse_plan, at_nodes, kind):
 
 
 @nightly
-@pytest.mark.parametrize("risk", [[], ["risk.allocation=exact", "risk.p_chance=0.9"]])
-def test_lifted_and_condensed_agree_with_corrected_burns(risk):
-    """On few nodes, with exact risk of nodes and with facets."""
+@pytest.mark.parametrize(
+    ("risk", "off"),
+    [
+        ([], 5e-6),
+        (["risk.allocation=exact", "risk.p_chance=0.9"], 5e-6),
+        (["risk.allocation=exact", "risk.scope=flight", "risk.p_chance=0.95"], 2e-5),
+    ],
+)
+def test_lifted_and_condensed_agree_with_corrected_burns(risk, off):
+    """On few nodes, with facets and exact risk; that of whole flights, by directions, has kinks."""
     navigation = ("sigma_position_m=10", "sigma_velocity_m_s=0.0005", "lead_s=0")
     mission = mission_of(
         "grid.step_max_s=2000.0",
@@ -179,7 +186,7 @@ def test_lifted_and_condensed_agree_with_corrected_burns(risk):
     assert [one.status for one in found] == 2 * [Status.CONVERGED]
     ours, theirs = (one.final.result.lin for one in found)
     assert ours.iterate.gains.any()
-    assert ours.cost.value == pytest.approx(theirs.cost.value, rel=5e-6)
+    assert ours.cost.value == pytest.approx(theirs.cost.value, rel=off)
 
 
 def test_planning_again_is_the_same_silent_and_observed(mission, default_plan, capfd):
