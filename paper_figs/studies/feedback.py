@@ -21,7 +21,7 @@ MARKS = {
     "feedback": ("o-", "tab:blue"),
     "feedback, lead 1 h": ("o:", "tab:cyan"),
     "targeting gain": ("^--", "tab:orange"),
-    "targeting gain, lead 1 h": ("v", "tab:brown"),
+    "targeting gain, lead 1 h": ("v:", "tab:brown"),
     "feedback, limited at the end": ("D-", "tab:green"),
 }
 LOOKS = ("o-", "o--")
