@@ -77,7 +77,7 @@ class _Read(HTMLParser):
         self.ids = {""}
         self.feed(file.read_text("utf-8"))
 
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:  # noqa: ARG002
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:  # noqa: ARG002 -- of HTMLParser
         named = {name: value for name, value in attrs if value}
         self.links += [named[name] for name in ("href", "src") if name in named]
         self.ids |= {named[name] for name in ("id", "name") if name in named}
