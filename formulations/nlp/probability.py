@@ -167,6 +167,7 @@ class _Contours(ca.Callback):
         """It is known."""
         return True
 
+    # Of the protocol of CasADi's callbacks, unused arguments included.
     def get_jac_sparsity(self, oind: int, iind: int, symmetric: bool) -> ca.Sparsity:  # noqa: ARG002
         """None."""
         return ca.Sparsity(self.sparsity_out(0).numel(), self.sparsity_in(iind).numel())
