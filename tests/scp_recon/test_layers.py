@@ -335,7 +335,8 @@ for command, heavy in ((verify, {("jinja2", *TO_PLAN)}), (report, {TO_PLAN})):
     assert command.main([{{folder!r}}, "--quiet"]) == 0
     check(command.name, heavy)
 import cvxpy
-check("cvxpy", {LATER})
+check("cvxpy", {(*LATER, "jax", "osqp", "highspy")})
+assert "OSQP" in cvxpy.installed_solvers()
 from cvxpy.atoms.quantum_rel_entr import entropy
 assert entropy([0.5, 0.5], base=2) == 1.0
 check("numpy", ("numpy.f2py.crackfortran", "numpy.testing.overrides"))
