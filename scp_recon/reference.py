@@ -108,10 +108,12 @@ def solution_page() -> str:
         schema["properties"].pop("scenario", None)
         for path, entries in _tables(schema, schema["$defs"]):
             kind = kinds[entries["title"]] if path else root
-            told = _fields(kind)
+            descriptions = _fields(kind)
             found = [
                 (f"`{key}`", _kind(entry), text)
-                for (key, entry), text in zip(entries["properties"].items(), told, strict=False)
+                for (key, entry), text in zip(
+                    entries["properties"].items(), descriptions, strict=False
+                )
             ]
             if path:
                 parts += [f"## `{path}`", _summary(kind)]
@@ -130,14 +132,14 @@ def _fields(kind: Any) -> list[str]:
         KeyError: if one has none.
     """
     if issubclass(kind, BaseModel):
-        told = field_descriptions(kind)
-        return [told[name] for name in kind.model_fields]
-    told = {}
+        descriptions = field_descriptions(kind)
+        return [descriptions[name] for name in kind.model_fields]
+    descriptions = {}
     for each in reversed(kind.__mro__[:-1]):
         _, _, block = (inspect.getdoc(each) or "").partition("Attributes:\n")
-        told |= re.findall(r"^    (\w+): (.*(?:\n {8}.*)*)", block, re.MULTILINE)
-        told |= field_descriptions(each)
-    return [told[field.name] for field in fields(kind)]
+        descriptions |= re.findall(r"^    (\w+): (.*(?:\n {8}.*)*)", block, re.MULTILINE)
+        descriptions |= field_descriptions(each)
+    return [descriptions[field.name] for field in fields(kind)]
 
 
 def warnings_page() -> str:

@@ -101,16 +101,16 @@ def diagnose(failed: Plan, start: Iterate | None = None) -> Diagnosis:
         freed = {name: plan for name in some if (plan := _freed(p3, name))}
         return Diagnosis(status, tuple(freed), _violated(p3), _largest_burn(freed))
     risk = failed.mission.scenario.risk
-    wanted, asked = failed.target or risk.p_chance, min(risk.p_chance, failed.target or 1.0)
+    wanted, required = failed.target or risk.p_chance, min(risk.p_chance, failed.target or 1.0)
     uniform = risk.allocation == "uniform"
-    tried = None
-    if uniform or wanted > asked:
-        tried = exact_plan(failed.mission, iterate, asked)
-    exact = tried if tried and _has_converged(tried) else None
+    trial = None
+    if uniform or wanted > required:
+        trial = exact_plan(failed.mission, iterate, required)
+    exact = trial if trial and _has_converged(trial) else None
     violated, freed = _violated(failed), {}
     binds: tuple[str, ...] = (SPLIT,)
     if not (uniform and exact):
-        last = tried if uniform and tried else failed
+        last = trial if uniform and trial else failed
         violated = _violated(last)
         # Whole flights take ten times as long where the final state is free.
         some = (SIZE, FINAL_STATE) if risk.scope == "node" else (SIZE,)
@@ -119,11 +119,11 @@ def diagnose(failed: Plan, start: Iterate | None = None) -> Diagnosis:
         freed = {name: plan for name in some if (plan := _freed(last, name))}
         # What is left, where the final covariance alone is not too large.
         binds = tuple(freed) if FINAL_SPREAD in freed else (*freed, LIMITS)
-    most = asked if exact is None else max(wanted, MOST) if uniform else wanted
+    most = required if exact is None else max(wanted, MOST) if uniform else wanted
     low = exact or exact_plan(failed.mission, iterate, LEAST)
     largest = largest_feasible(low, most) if _has_converged(low) else None
-    found = largest and _verified(largest, asked, failed, start or iterate)
-    return Diagnosis(status, binds, violated, _largest_burn(freed), exact, largest, found)
+    verified = largest and _verified(largest, required, failed, start or iterate)
+    return Diagnosis(status, binds, violated, _largest_burn(freed), exact, largest, verified)
 
 
 def exact_plan(mission: Mission, start: Iterate, target: float) -> Plan:
@@ -165,17 +165,17 @@ def _freed(failed: Plan, name: str) -> Plan | None:
     # No scenario asks for such a problem: it takes the place of the one that this copy would cache.
     vars(mission)["problem"] = FREED[name](failed.mission.problem)
     start, problem = failed.final.result.lin.iterate, failed.final.problem
-    found = _planned(mission, start, problem, target=failed.target, once=True)
-    return found if _has_converged(found) else None
+    plan = _planned(mission, start, problem, target=failed.target, once=True)
+    return plan if _has_converged(plan) else None
 
 
-def _verified(largest: Plan, asked: float, failed: Plan, start: Iterate) -> Plan | None:
+def _verified(largest: Plan, required: float, failed: Plan, start: Iterate) -> Plan | None:
     """The plan with exact risk as the command makes it; a certified one if flights refute it."""
     assert largest.target is not None
     names = failed.provenance if failed.provenance.method == "scp" else largest.provenance
-    most = min(asked, largest.target)
+    most = min(required, largest.target)
     for certified, less in TRIES:
-        p = most if most == asked and less == 0.0 else rounded_down(ndtr(ndtri(most) - less))
+        p = most if most == required and less == 0.0 else rounded_down(ndtr(ndtri(most) - less))
         if p <= 0.5:
             return None
         mission = Mission.from_scenario(largest.mission.scenario.replace({"risk.p_chance": p}))
@@ -183,11 +183,11 @@ def _verified(largest: Plan, asked: float, failed: Plan, start: Iterate) -> Plan
             start = from_burns(mission, start.burns * mission.units.speed_m_s)
         options = PlanOptions(algorithm=names.algorithm, solver=names.solver, certify=certified)
         try:
-            found = _uninterrupted(plan_mission(mission, start, options))
+            plan = _uninterrupted(plan_mission(mission, start, options))
         except InputError:  # no flights certify so much
             continue
-        if _has_converged(found) and verify(found.mission, make_solution(found)).ok:
-            return found
+        if _has_converged(plan) and verify(plan.mission, make_solution(plan)).ok:
+            return plan
     return None
 
 

@@ -127,8 +127,8 @@ def plan_left(
     warnings = tuple(dict.fromkeys((*plan.mission.warnings, *mission.warnings)))
     at_s = mission.scenario.start_s
     commanded = flown.commanded(mission.initial_state, at_s)
-    told = None if commanded is None else tuple(commanded.tolist())
-    parent = Parent(flown.name, flown.plan_hash, at_s, told)
+    commanded_m_s = None if commanded is None else tuple(commanded.tolist())
+    parent = Parent(flown.name, flown.plan_hash, at_s, commanded_m_s)
     plan = replace(plan, mission=replace(plan.mission, warnings=warnings), parent=parent)
     if plan.status is Status.CONVERGED and flown.is_lost(plan.states[-1] - mission.final_state):
         return ended(plan, Status.LOST)

@@ -29,11 +29,11 @@ Result = TypeVar("Result")
 def each(
     function: Callable[[Item], Result],
     items: Sequence[Item],
-    told: Callable[[int], None] | None = None,
+    report: Callable[[int], None] | None = None,
 ) -> list[Result]:
     """A function's results in the order of the items; the results must pickle.
 
-    `told` is called at times with the estimated number of finished items.
+    `report` is called at times with the estimated number of finished items.
     """
     here, count = os.getpid(), _number_of_shares(items)
 
@@ -41,8 +41,8 @@ def each(
         found = []
         for item in share:
             found.append(function(item))
-            if told and os.getpid() == here:
-                told(min(len(items), len(found) * count))
+            if report and os.getpid() == here:
+                report(min(len(items), len(found) * count))
         return found
 
     parts = in_shares(done, items)
@@ -97,8 +97,8 @@ def cores() -> int:
     alone = threading.active_count() == 1 and threading.current_thread() is threading.main_thread()
     if not alone or os.getpid() != FIRST or not hasattr(os, "sched_getaffinity"):
         return 1
-    here, told = len(os.sched_getaffinity(0)), os.environ.get(CORES, "")
-    return min(here, int(told)) if told.isdigit() and told.strip("0") else here
+    here, limit = len(os.sched_getaffinity(0)), os.environ.get(CORES, "")
+    return min(here, int(limit)) if limit.isdigit() and limit.strip("0") else here
 
 
 def _copied(work: Callable[[], object]) -> tuple[int, IO[bytes]] | None:

@@ -33,11 +33,11 @@ def json_schema() -> dict[str, Any]:
     definitions = _as_draft_7(schema.pop("$defs"))
     for name, table in [("Scenario", schema), *definitions.items()]:
         table.pop("required", None)
-        told = field_descriptions(models[name])
+        descriptions = field_descriptions(models[name])
         for key, entry in table["properties"].items():
             entry.pop("title", None)
-            if "description" not in entry and key in told:
-                entry["description"] = told[key]
+            if "description" not in entry and key in descriptions:
+                entry["description"] = descriptions[key]
     base = {
         "description": "What this file changes: a packaged scenario "
         f"({', '.join(base_names())}), or a scenario file relative to this one.",
@@ -88,7 +88,7 @@ def field_descriptions(kind: type) -> dict[str, str]:
         if isinstance(node, ast.ClassDef) and node.name == kind.__name__
     )
     models = kind.model_fields if issubclass(kind, BaseModel) else {}
-    told = {
+    descriptions = {
         name: field.annotation.__doc__ or ""
         for name, field in models.items()
         if inspect.isclass(field.annotation) and issubclass(field.annotation, BaseModel)
@@ -100,8 +100,10 @@ def field_descriptions(kind: type) -> dict[str, str]:
             and isinstance(below, ast.Expr)
             and isinstance(below.value, ast.Constant)
         ):
-            told[field.target.id] = inspect.cleandoc(str(below.value.value)).replace("\n", " ")
-    return told
+            descriptions[field.target.id] = inspect.cleandoc(str(below.value.value)).replace(
+                "\n", " "
+            )
+    return descriptions
 
 
 def schema_text() -> str:

@@ -74,8 +74,8 @@ def _continuing(console: Console) -> Iterator[None]:
     def stop(*_: object) -> None:
         raise KeyboardInterrupt
 
-    asked = threading.current_thread() is threading.main_thread()
-    before = signal.signal(signal.SIGTERM, stop) if asked else None
+    in_main_thread = threading.current_thread() is threading.main_thread()
+    before = signal.signal(signal.SIGTERM, stop) if in_main_thread else None
     try:
         yield
     except KeyboardInterrupt:
@@ -83,7 +83,7 @@ def _continuing(console: Console) -> Iterator[None]:
         show_line(progress_console(console), kept)
         raise
     finally:
-        if asked:
+        if in_main_thread:
             signal.signal(signal.SIGTERM, before)
 
 

@@ -144,13 +144,13 @@ def simulate(options: argparse.Namespace, console: Console) -> Answer:
     return Answer(NOT_VERIFIED if failed else 0, document)
 
 
-def show_summary(console: Console, summary: Summary, asked: float | None = None) -> None:
+def show_summary(console: Console, summary: Summary, required: float | None = None) -> None:
     """Show the main figures of many flights, with their intervals.
 
     Args:
         console: to print to.
         summary: what to show.
-        asked: required probability of every joint constraint; None without one.
+        required: required probability of every joint constraint; None without one.
     """
     first, last = summary.window_s or (0.0, 0.0)
     window = f"window {last - first:.1f} s" if summary.window_s else "the window is over"
@@ -163,12 +163,12 @@ def show_summary(console: Console, summary: Summary, asked: float | None = None)
     )
     if summary.held_s:
         console.print(terminal(observation_times_table(summary)))
-    lowest = flown_probabilities_table(summary, asked)
+    lowest = flown_probabilities_table(summary, required)
     console.print(terminal(lowest))
     if lowest.note:
         console.print(lowest.note, highlight=False)
     if summary.commanded is not None:
-        console.print(terminal(corrected_burns_table(summary.commanded, asked)))
+        console.print(terminal(corrected_burns_table(summary.commanded, required)))
     for label, spread, digits in (
         ("all hold from", summary.entry_s, 0),
         ("all hold until", summary.exit_s, 0),

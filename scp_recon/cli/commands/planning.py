@@ -66,8 +66,8 @@ def _scenario(options: argparse.Namespace) -> str | Path | None:
     if options.file is not None and options.scenario is not None:
         allowed = f"must be given once, with {option('scenario')} or without"
         raise InputError("SCENARIO", f"{options.file} and {options.scenario}", allowed)
-    found: str | Path | None = options.scenario if options.file is None else options.file
-    return found
+    scenario: str | Path | None = options.scenario if options.file is None else options.file
+    return scenario
 
 
 def plan_options(options: argparse.Namespace) -> PlanOptions:
@@ -84,8 +84,8 @@ def plan_options(options: argparse.Namespace) -> PlanOptions:
 def _show_largest(budget_m_s: float | None, plan: Plan, console: Console) -> None:
     """Show the largest probability, with its delta-v and the budget."""
     most = "any delta-v" if budget_m_s is None else f"at most {budget_m_s:g} m/s"
-    found = f"{plan.mission.scenario.risk.p_chance:.5g}, for {plan.cost_m_s:.6f} m/s"
-    show_line(console, f"largest probability found for {most}: {found}")
+    result = f"{plan.mission.scenario.risk.p_chance:.5g}, for {plan.cost_m_s:.6f} m/s"
+    show_line(console, f"largest probability found for {most}: {result}")
 
 
 def _report(folder: Path, console: Console) -> None:
@@ -182,8 +182,8 @@ def advice_on(
         start: where it began.
         more: options that undo those of the command that exclude exact risk.
     """
-    found = diagnose(failed, start)
-    return what_binds(found), *what_would_do(found, failed, more)
+    diagnosis = diagnose(failed, start)
+    return what_binds(diagnosis), *what_would_do(diagnosis, failed, more)
 
 
 def undoing(options: argparse.Namespace) -> list[str]:
@@ -200,34 +200,34 @@ def undoing(options: argparse.Namespace) -> list[str]:
     return undone
 
 
-def what_binds(found: Diagnosis) -> str:
+def what_binds(diagnosis: Diagnosis) -> str:
     """One line on the limits of which relaxing any one suffices, and on violated constraints."""
-    names = ", ".join(found.violated) or "none"
-    if not found.binds:
+    names = ", ".join(diagnosis.violated) or "none"
+    if not diagnosis.binds:
         return f"what binds: {NO_SINGLE}; violated: {names}"
     words = [
-        f"{name} (up to {found.burn_m_s:.4f} m/s would do)" if name == SIZE else name
-        for name in found.binds
+        f"{name} (up to {diagnosis.burn_m_s:.4f} m/s would do)" if name == SIZE else name
+        for name in diagnosis.binds
     ]
     line = f"what binds: {', '.join(words)}"
     return f"{line}{SEVERAL if len(words) > 1 else ''}; violated: {names}"
 
 
-def what_would_do(found: Diagnosis, failed: Plan, more: Sequence[str]) -> list[str]:
+def what_would_do(diagnosis: Diagnosis, failed: Plan, more: Sequence[str]) -> list[str]:
     """Lines on exact risk: a plan as required, the largest feasible probability, and options."""
-    without = found.without_uncertainty
+    without = diagnosis.without_uncertainty
     if without is Status.INFEASIBLE or failed.final.problem == "P3":
         word = "no lower probability helps" if without is Status.INFEASIBLE else "not asked for"
         return [f"without uncertainty it is infeasible too: {word}"]
     lines = []
-    risk, largest = failed.mission.scenario.risk, found.largest
+    risk, largest = failed.mission.scenario.risk, diagnosis.largest
     what = "whole flights" if risk.scope == "flight" else "each constraint at each node"
-    if found.exact is not None:
-        cost = f"{found.exact.cost_m_s:.4f} m/s"
+    if diagnosis.exact is not None:
+        cost = f"{diagnosis.exact.cost_m_s:.4f} m/s"
         if risk.allocation == "uniform":
             word = f"exact risk solves what the uniform split cannot: {risk.p_chance} for {cost}"
         else:
-            p = f"{found.exact.target}"
+            p = f"{diagnosis.exact.target}"
             word = f"{p} has a plan under the normal law, for {cost}, but none that flights certify"
         lines.append(word)
     if largest is None or largest.target is None:
@@ -241,11 +241,11 @@ def what_would_do(found: Diagnosis, failed: Plan, more: Sequence[str]) -> list[s
         f"the largest probability found feasible, of {what}: {rounded_down(largest.target):g} "
         f"for {largest.cost_m_s:.4f} m/s"
     )
-    if found.verified is None:
+    if diagnosis.verified is None:
         return [*lines, "no plan with exact risk was found that passes verification"]
-    asked = found.verified.mission.scenario.risk.p_chance
-    certify = "no" if found.verified.certificate is None else "yes"
-    options = [*more, "--set 'risk.allocation=\"exact\"'", f"--set risk.p_chance={asked}"]
-    cost = f"{found.verified.cost_m_s:.4f} m/s"
+    required = diagnosis.verified.mission.scenario.risk.p_chance
+    certify = "no" if diagnosis.verified.certificate is None else "yes"
+    options = [*more, "--set 'risk.allocation=\"exact\"'", f"--set risk.p_chance={required}"]
+    cost = f"{diagnosis.verified.cost_m_s:.4f} m/s"
     lines.append(f"feasible, for {cost}, with: {' '.join([*options, f'--certify {certify}'])}")
     return lines
