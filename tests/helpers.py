@@ -49,6 +49,14 @@ generators = st.integers(0, 2**32 - 1).map(np.random.default_rng)
 """Random generators for what is built rather than drawn."""
 
 
+@st.composite
+def unit_vectors(draw: st.DrawFn) -> Array:
+    """Directions, by height and azimuth."""
+    z, azimuth = draw(st.floats(-1.0, 1.0)), draw(st.floats(-np.pi, np.pi))
+    across = np.sqrt(1.0 - z * z)
+    return np.array([across * np.cos(azimuth), across * np.sin(azimuth), z])
+
+
 def random_unit(rng: np.random.Generator, *shape: int) -> Array:
     vector = rng.normal(size=(*shape, 3))
     return vector / np.linalg.norm(vector, axis=-1, keepdims=True)
@@ -122,6 +130,17 @@ class Flyby:
             probability=0.8,
         )
         return replace(self, problem=replace(self.problem, feedback=feedback))
+
+    def flown(self, burns: Array, gains: Array | None = None) -> Linearisation:
+        """Linearised about burns and gains, and where they lead."""
+        iterate = self.waves.rollout(self.problem, burns)
+        iterate = iterate if gains is None else replace(iterate, gains=gains)
+        return self.waves.linearise(self.problem, iterate)
+
+    def at(self, controls: Array) -> Linearisation:
+        """The same, of both in one vector."""
+        problem = self.problem
+        return self.flown(controls[problem.burn_controls], controls[problem.gain_controls])
 
     def perturbed(self, rng: np.random.Generator, size: float, defect: float) -> Linearisation:
         """Linearised at burns and defects that are random, of about the given sizes."""

@@ -104,18 +104,9 @@ axis = [
 """,
 }
 FORGOTTEN = {
-    *(
-        "timing_s",
-        "solver_s",
-        "seconds",
-        "cpu_s",
-        "tries",
-        "versions",
-        "plan_hash",
-        "hash",
-        "files",
-    ),
-    *("inputs_sha256", "predicted", "actual", "max_defect", "folder", "file", "init", "parent"),
+    *("timing_s", "solver_s", "seconds", "cpu_s", "tries", "versions", "plan_hash", "hash"),
+    *("files", "inputs_sha256", "predicted", "actual", "max_defect"),
+    *("folder", "file", "init", "parent"),
 }
 """Seconds, paths, hashes, and what is rounding alone."""
 TODAY = re.compile(r"\d{8}T\d{6}Z|20(2[5-9]|[3-9]\d)-\d\d-\d\d[T ][\d:.]+|[0-9a-f]{64}")

@@ -3,6 +3,7 @@
 They are numbers, and of long tables a dozen rows. Nothing of the project computes them.
 """
 
+from collections.abc import Sequence
 from pathlib import Path
 
 Numbers = tuple[float, ...]
@@ -27,18 +28,19 @@ PRIME_MERIDIAN = (140.68835, 2011.145755336826, 1.815e-6)
 """W in deg and its polynomial in TDB days past J2000."""
 
 
-def write_bennu_kernel(folder: Path) -> Path:
-    """A text kernel of Bennu's orientation, for SPICE."""
+def write_bennu_kernel(folder: Path, body: int = BENNU, more: Sequence[str] = ()) -> Path:
+    """A text kernel of Bennu's orientation, for SPICE; or of another body that turns as it does."""
     meridian = " ".join(repr(number) for number in PRIME_MERIDIAN)
     lines = (
         "KPL/PCK",
         "\\begindata",
-        f"BODY{BENNU}_POLE_RA = ( {POLE_RA_DEG!r} 0. 0. )",
-        f"BODY{BENNU}_POLE_DEC = ( {POLE_DEC_DEG!r} 0. 0. )",
-        f"BODY{BENNU}_PM = ( {meridian} )",
+        f"BODY{body}_POLE_RA = ( {POLE_RA_DEG!r} 0. 0. )",
+        f"BODY{body}_POLE_DEC = ( {POLE_DEC_DEG!r} 0. 0. )",
+        f"BODY{body}_PM = ( {meridian} )",
+        *more,
         "\\begintext",
     )
-    path = folder / "bennu.tpc"
+    path = folder / f"{body}.tpc"
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
     return path
 

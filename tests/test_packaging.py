@@ -20,18 +20,9 @@ PYPROJECT = tomllib.loads((PROJECT / "pyproject.toml").read_text("utf-8"))
 CITED = {"cff-version", "message", "title", "authors"}
 """Keys that the Citation File Format 1.2.0 requires; next those that it knows besides."""
 KNOWN = CITED | {
-    *(
-        "abstract",
-        "commit",
-        "contact",
-        "date-released",
-        "doi",
-        "identifiers",
-        "keywords",
-        "license",
-    ),
-    *("license-url", "preferred-citation", "references", "repository", "repository-artifact"),
-    *("repository-code", "type", "url", "version"),
+    *("abstract", "commit", "contact", "date-released", "doi", "identifiers", "keywords"),
+    *("license", "license-url", "preferred-citation", "references", "repository"),
+    *("repository-artifact", "repository-code", "type", "url", "version"),
 }
 
 

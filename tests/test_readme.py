@@ -16,7 +16,7 @@ import textwrap
 import tomllib
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, partial
 from itertools import groupby
 from pathlib import Path
@@ -40,12 +40,13 @@ from tests.scp_recon.simulation.short_plan import SHORT, short_plan
 from tests.scp_recon.support import fly_few, mission_of
 
 PROJECT = Path(__file__).parents[1]
+MAKEFILE = (PROJECT / "Makefile").read_text("utf-8")
+PYPROJECT = tomllib.loads((PROJECT / "pyproject.toml").read_text("utf-8"))["project"]
+EXTRAS = PYPROJECT["optional-dependencies"]
 PAGES = [
     *(PROJECT / name for name in ("README.md", "CONTRIBUTING.md")),
     *sorted(p for p in (PROJECT / "docs").rglob("*.md") if p.parent.name != "reference"),
 ]
-
-
 INLINE = re.compile(r"`((?:\S*python -m|make) [^`]+)`")
 COMMAND = re.compile(r"^(?:\S*python -m|make|scp-recon) ")
 MENTIONED = re.compile(r"`(scp-recon|pytest) ([^`]+)`")
@@ -97,7 +98,7 @@ def mentioned() -> list[str]:
     pages = (*PAGES, PROJECT / "CHANGELOG.md", *(PROJECT / "docs").glob("reference/*.md"))
     said = {found for page in pages for found in MENTIONED.findall(read(page))}
     lines = [f"python -m {name.replace('-', '_')} {rest}" for name, rest in sorted(said)]
-    return lines + RECIPE.findall((PROJECT / "Makefile").read_text("utf-8"))
+    return lines + RECIPE.findall(MAKEFILE)
 
 
 SHOWN = shown()
@@ -150,14 +151,27 @@ TWO_KINDS = (
     ("experiments.frontier.FLIGHTS", lambda _: 100),
 )
 NOT_SERVING = (("scp_recon.api.exploring.Server.serve_forever", lambda _: lambda *_: None),)
-ONE_FORM = (("experiments.solvers.lifted.FORMS", lambda forms: forms[:1]),)
+DESIGNS = "experiments.solvers.compare_solvers.study"
 ONE_CELL = (
-    ("experiments.solvers.compare_solvers.study.full_design", lambda cells: lambda: cells()[:1]),
-    (
-        "experiments.solvers.compare_solvers.study.exact_design",
-        lambda cells: lambda: cells(range(1))[:1],
-    ),
+    (f"{DESIGNS}.full_design", lambda cells: lambda: cells()[:1]),
+    (f"{DESIGNS}.exact_design", lambda cells: lambda: cells(range(1))[:1]),
 )
+LAST_TRICK = (
+    ("experiments.solvers.nlp_tricks.tricks", lambda it: lambda: dict([*it().items()][-1:])),
+)
+SHORT_TIMES = tuple(
+    (f"experiments.spacecraft.timing_rules.{name}", lambda _: 100.0)
+    for name in ("SLEW_S", "RECHARGE_S")
+)
+NO_FIRST_FLIGHT = (
+    ("experiments.model_fidelity.study.flights", lambda fly: lambda *a: fly(*a)[1:]),
+)
+
+
+def first_of(module: str, *names: str) -> tuple[tuple[str, Callable[[Any], Any]], ...]:
+    """The first alone of all cases in lists of a module of the studies."""
+    return tuple((f"experiments.{module}.{name}", lambda cases: cases[:1]) for name in names)
+
 
 TABLE = "python -m experiments observation_table"
 COMPARISON = "python -m experiments compare_solvers --full"
@@ -194,6 +208,7 @@ NARROW = " ".join(
         "polytopes.cone=12",
     )
 )
+SIMULATED = Quick(needs="Basilisk", less=ONE_FLIGHT, nightly=True)
 PLAIN, P3, IN_P3 = Quick(), Quick("--problem P3"), "--out runs/dir --problem P3"
 LATER = Quick("--problem P3", nightly=True)
 FROM_TABLE = Quick(line=f"{SOLVE} --scenario mine.toml --init start.csv --problem P3")
@@ -256,72 +271,41 @@ QUICK = {
         line=f"{RUN} report DIR", after=(CAMPAIGN,), needs="plotly"
     ),
     # the spacecraft
-    f"{RUN} simulate runs/mine": Quick(
-        line=f"{RUN} simulate runs/short", needs="Basilisk", less=ONE_FLIGHT, nightly=True
-    ),
-    f"{RUN} simulate SOLUTION": Quick("--seed 1", needs="Basilisk", less=ONE_FLIGHT, nightly=True),
-    f"{RUN} simulate SOLUTION --out DIR": Quick(
-        "--out runs/flight", needs="Basilisk", less=ONE_FLIGHT, nightly=True
-    ),
+    f"{RUN} simulate runs/mine": replace(SIMULATED, line=f"{RUN} simulate runs/short"),
+    f"{RUN} simulate SOLUTION": replace(SIMULATED, more="--seed 1"),
+    f"{RUN} simulate SOLUTION --out DIR": replace(SIMULATED, more="--out runs/flight"),
     # the studies
     TABLE: Quick(FEW),
     f"{TABLE} --as-flown FILE": Quick(f"--as-flown flight.bsp {FEW}", needs="spiceypy"),
     COMPARISON: Quick(less=ONE_CELL, nightly=True),
     "python -m experiments compare_solvers --exact": Quick(less=ONE_CELL, nightly=True),
-    "python -m experiments nlp_tricks": Quick(
-        nightly=True,
-        less=(
-            (
-                "experiments.solvers.nlp_tricks.tricks",
-                lambda it: lambda: dict([*it().items()][-1:]),
-            ),
-        ),
-    ),
+    "python -m experiments nlp_tricks": Quick(nightly=True, less=LAST_TRICK),
     "python -m experiments frontier": Quick(less=TWO_KINDS),
     "python -m experiments feedback": Quick(
         "--quick",
         less=(
-            ("experiments.in_flight.feedback.QUICK", lambda cases: cases[:1]),
+            *first_of("in_flight.feedback", "QUICK"),
             ("experiments.in_flight.feedback.ERRORS_AT", lambda at: at[-1:]),
         ),
     ),
     "python -m experiments policies": Quick(
-        "--flights 20",
-        nightly=True,
-        less=(("experiments.in_flight.policies.CASES", lambda cases: cases[:1]),),
+        "--flights 20", nightly=True, less=first_of("in_flight.policies", "CASES")
     ),
-    "python -m experiments lifted": Quick(less=ONE_FORM),
+    "python -m experiments lifted": Quick(less=first_of("solvers.lifted", "FORMS")),
     "python -m experiments peers": Quick(
         needs="scocp",
         nightly=True,
-        less=tuple(
-            (f"experiments.solvers.peers.study.{name}", lambda cases: cases[:1])
-            for name in ("OURS", "WEIGHTS", "P3_CASES", "GUESSED")
-        ),
+        less=first_of("solvers.peers.study", "OURS", "WEIGHTS", "P3_CASES", "GUESSED"),
     ),
     "python -m experiments cross_check": Quick(needs="orekit_jpype"),
-    "python -m experiments flown_plan": Quick(
-        nightly=True,
+    "python -m experiments flown_plan": replace(
+        SIMULATED,
         line="python -m experiments flown_plan runs/short --seeds 1 --out runs/flown_plan",
-        needs="Basilisk",
-        less=ONE_FLIGHT,
     ),
-    "python -m experiments flown_policies default": Quick(
-        "--seeds 1", nightly=True, needs="Basilisk", less=ONE_FLIGHT
-    ),
-    "python -m experiments timing_rules": Quick(
-        "--slews 3",
-        needs="Basilisk",
-        nightly=True,
-        less=tuple(
-            (f"experiments.spacecraft.timing_rules.{name}", lambda _: 100.0)
-            for name in ("SLEW_S", "RECHARGE_S")
-        ),
-    ),
+    "python -m experiments flown_policies default": replace(SIMULATED, more="--seeds 1"),
+    "python -m experiments timing_rules": replace(SIMULATED, more="--slews 3", less=SHORT_TIMES),
     "python -m experiments model_fidelity": Quick(
-        "--solution runs/short",
-        nightly=True,
-        less=(("experiments.model_fidelity.study.flights", lambda fly: lambda *a: fly(*a)[1:]),),
+        "--solution runs/short", nightly=True, less=NO_FIRST_FLIGHT
     ),
     CONES: Quick("--samples 500"),
     "python -m experiments uncertainty_sources --flights 4": Quick(
@@ -487,8 +471,7 @@ def test_modules_options_and_files_that_are_shown_exist(capsys, monkeypatch, pyt
             assert len(Study.validated(tables).cases) > 1
         if module == "pip":
             assert (PROJECT / arguments[arguments.index("--constraint") + 1]).exists()
-            extras = tomllib.loads((PROJECT / "pyproject.toml").read_text("utf-8"))["project"]
-            assert set(re.findall(r"\[(\w+)\]", line)) <= set(extras["optional-dependencies"])
+            assert {*re.findall(r"\[(\w+)\]", line)} <= EXTRAS.keys()
             continue
         options = [word.partition("=")[0] for word in arguments if word.startswith("--")]
         if module == "pytest":
@@ -503,8 +486,7 @@ def test_modules_options_and_files_that_are_shown_exist(capsys, monkeypatch, pyt
 
 
 def test_targets_that_are_shown_exist_and_do_what_is_said():
-    makefile = (PROJECT / "Makefile").read_text("utf-8")
-    recipes = dict(re.findall(r"^(\w+):.*\n((?:\t.*\n)*)", makefile, re.MULTILINE))
+    recipes = dict(re.findall(r"^(\w+):.*\n((?:\t.*\n)*)", MAKEFILE, re.MULTILINE))
     for line in (line for line in SHOWN if line.startswith("make ")):
         for target in line.split()[1:]:
             assert target in recipes, f"{SHOWN[line]} shows {line}"
@@ -518,15 +500,12 @@ WITHOUT_COMMAND = ("crosscheck", "docs", "notebooks", "peers", "test", "dev")
 
 def test_one_target_installs_every_extra_that_a_command_may_need():
     """All but those of who works on this repository."""
-    project = tomllib.loads((PROJECT / "pyproject.toml").read_text("utf-8"))["project"]
-    extras = project["optional-dependencies"]
-    (everything,) = extras["all"]
+    (everything,) = EXTRAS["all"]
     listed = re.findall(r"\w+", everything)
-    assert listed[0] == project["name"]
-    assert {*listed[1:]} == extras.keys() - {"all", *WITHOUT_COMMAND}
-    makefile = (PROJECT / "Makefile").read_text("utf-8")
-    assert re.search(r"^extras: \$\(VENV\)/\.extras ", makefile, re.MULTILINE)
-    assert re.search(r"/\.extras: .*\n\t\$\(PIP\) --editable '\.\[all\]'", makefile)
+    assert listed[0] == PYPROJECT["name"]
+    assert {*listed[1:]} == EXTRAS.keys() - {"all", *WITHOUT_COMMAND}
+    assert re.search(r"^extras: \$\(VENV\)/\.extras ", MAKEFILE, re.MULTILINE)
+    assert re.search(r"/\.extras: .*\n\t\$\(PIP\) --editable '\.\[all\]'", MAKEFILE)
 
 
 def snippets_of(page: Path) -> dict[str, list[str]]:

@@ -2,7 +2,6 @@
 
 import json
 import re
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -103,17 +102,11 @@ def test_the_hash_counts_scenarios_and_what_is_below_api(changed, counts, monkey
 def test_what_has_changed_is_told(changes, why):
     assert out_of_date() == {"cones": "never measured"}
     path_of("cones").parent.mkdir()
-    found = begun()
-    found = replace(found, **{**changes, **_versions(found, changes)})
+    found = replace(begun(), **changes)
     assert Evidence.read(found.write(path_of("cones"))) == found
     said = out_of_date()
     assert (why is None) == (said == {})
     assert why is None or why in said["cones"]
-
-
-def _versions(found: Evidence, changes: Mapping[str, object]) -> dict[str, object]:
-    given = changes.get("versions")
-    return {"versions": {**found.versions, **given}} if isinstance(given, dict) else {}
 
 
 def test_every_command_exists_and_every_file_has_its_command():
@@ -122,9 +115,8 @@ def test_every_command_exists_and_every_file_has_its_command():
         if first == "experiments":
             assert words[0] in STUDIES
         for module in (*([] if first == "experiments" else [first]), *source.modules):
-            assert evidence.ROOT.joinpath(*module.split(".")).with_suffix(".py").exists() or (
-                evidence.ROOT.joinpath(*module.split(".")).is_dir()
-            )
+            place = evidence.ROOT.joinpath(*module.split("."))
+            assert place.with_suffix(".py").exists() or place.is_dir()
     assert {path.stem for path in evidence.FOLDER.glob("*.json")} == set(SOURCES)
 
 

@@ -16,6 +16,7 @@ from experiments.model_fidelity.models import (
     relapses,
 )
 from experiments.model_fidelity.study import Compared, compare
+from formulations.arrays import Array
 from scp_recon.physics.flow import propagate
 from scp_recon.results.solution import ballistic_arc
 from scp_recon.simulation.vehicle import load_vehicle
@@ -37,15 +38,9 @@ def compared(flight, tmp_path_factory) -> list[Compared]:
         return compare(flight, session, session.store())
 
 
-def no_light(_: float) -> np.ndarray:
-    return np.zeros(3)
-
-
 class Nothing:
-    def acceleration(
-        self, x: np.ndarray, y: np.ndarray, z: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        return 0.0 * x, 0.0 * y, 0.0 * z
+    def acceleration(self, *position: Array) -> tuple[Array, ...]:
+        return tuple(0.0 * x for x in position)
 
 
 def test_the_planners_model_is_flown_to_a_millimetre(mission, flight):
@@ -53,9 +48,7 @@ def test_the_planners_model_is_flown_to_a_millimetre(mission, flight):
     choices = Choices.of(flight)
     model = choices.model({SRP: "cannonball", GRAVITY: "J2", BURNS: "impulsive"})
     end = mission.times_s[-1:]
-    found = fly(
-        mission, flight.burns_m_s, model, end, thrust_acceleration_m_s2=THRUST_M_S2
-    )  # fmt: skip
+    found = fly(mission, flight.burns_m_s, model, end, thrust_acceleration_m_s2=THRUST_M_S2)
     state = mission.initial_state + np.r_[np.zeros(3), flight.burns_m_s[0]]
     expected = propagate(state, float(end[0]), mission.forces, 1742)
     np.testing.assert_allclose(found[0, :3], expected[:3], atol=1e-3)
@@ -69,13 +62,8 @@ def test_in_empty_space_a_burn_acts_from_its_middle(mission, firing, lead_s):
     """An impulse at the start is ahead of a finite burn by half of its length times the velocity."""
     times = np.array([0.0, 3000.0, 20_000.0])
     burns = np.array([[0.1, 0.0, 0.0], [0.0, 0.05, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
-    found = fly(
-        mission,
-        burns,
-        Model(Nothing(), no_light, firing),
-        times,
-        thrust_acceleration_m_s2=THRUST_M_S2,
-    )
+    model = Model(Nothing(), lambda _: np.zeros(3), firing)
+    found = fly(mission, burns, model, times, thrust_acceleration_m_s2=THRUST_M_S2)
     lengths = np.array([0.1, 0.05]) / THRUST_M_S2
     start = mission.initial_state
     np.testing.assert_allclose(found[0], start)

@@ -87,9 +87,7 @@ def write_uncertainty(folder: Path) -> None:
     entries = []
     for error_sources in SOURCES:
         on_path = error_sources in (*TRANSLATION, BOTH)
-        scale = (
-            200.0 if on_path or error_sources == "all" else 0.0 if error_sources == "none" else 1.0
-        )
+        scale = 200.0 if on_path else {"none": 0.0, "all": 200.0}.get(error_sources, 1.0)
         deviation = scale * rng.standard_normal((500 if on_path else 8, 6)) / np.sqrt(3.0)
         by = BY_PATH if on_path else BY_SPACECRAFT
         entries.append(Measured(error_sources, by, deviation, 2.0, np.nan if on_path else 1e-3))
@@ -141,29 +139,16 @@ def write_flown(folder: Path) -> None:
         write_flight(folder / f"seed_{seed}", seed)
 
 
-def write_frontier(folder: Path) -> None:
-    """Made-up costs in the study's own columns, one without a plan."""
-    folder.mkdir()
-    rows = [
-        {
-            "kind": kind,
-            "asked": p,
-            "total_dv_m_s": 0.1 + 0.01 * i + 0.02 * p if i or p < 0.9 else "nan",
-            "certifying_dv_m_s": 0.002 * p if kind.startswith("certified") else "nan",
-            "observed_mean_s": 3000.0 + 300.0 * p,
-        }
-        for i, kind in enumerate(frontier.MARKS)
-        for p in (0.7, 0.9, 0.99)
-    ]
-    (folder / "frontier.csv").write_text(to_csv(rows), encoding="utf-8")
-
-
 def write_evidence(source: Source, folder: Path) -> None:
-    """The study's tables as they were measured."""
+    """The study's tables as they were measured, some of them with rows without a plan."""
     folder.mkdir()
     tables = Evidence.read(path_of(source.folder)).tables
     for name in source.tables:
-        (folder / name).write_text(to_csv(tables[Path(name).stem]), encoding="utf-8")
+        rows = [
+            {key: "nan" if value is None else value for key, value in row.items()}
+            for row in tables[Path(name).stem]
+        ]
+        (folder / name).write_text(to_csv(rows), encoding="utf-8")
 
 
 @pytest.fixture(scope="module")
@@ -176,8 +161,7 @@ def studies(tmp_path_factory) -> Path:
     write_uncertainty(out / uncertainty_sources.SOURCE.folder)
     write_flight(out / flight_record.SOURCE.folder)
     write_flown(out / flown_plan.SOURCE.folder)
-    write_frontier(out / frontier.SOURCE.folder)
-    for study in (timing_rules, feedback, policies, map_sample):
+    for study in (frontier, timing_rules, feedback, policies, map_sample):
         write_evidence(study.SOURCE, out / study.SOURCE.folder)
     return out
 
@@ -283,22 +267,10 @@ def test_what_is_missing_is_run_once_and_what_is_there_is_left_alone(tmp_path):
 
 
 def row(group: str, method: str, dv: float, status: str = "converged", **other: str) -> Row:
-    formulation, algorithm, solver = method.split("/")
-    return {
-        "group": group,
-        "scenario": "recon_b",
-        "start": "cold",
-        "method": method,
-        "formulation": formulation,
-        "algorithm": algorithm,
-        "solver": solver,
-        "status": status,
-        "problem": "P2",
-        "total_dv_m_s": str(dv),
-        "cpu_s": "0.5",
-        "first_status": "",
-        **other,
-    }
+    parts = dict(zip(("formulation", "algorithm", "solver"), method.split("/"), strict=True))
+    about = {"group": group, "scenario": "recon_b", "start": "cold", "problem": "P2"}
+    found = {"status": status, "total_dv_m_s": str(dv), "cpu_s": "0.5", "first_status": ""}
+    return {**about, "method": method, **parts, **found, **other}
 
 
 OURS, THEIRS = "condensed/scvx/CLARABEL", "tuned/hard/IPOPT"

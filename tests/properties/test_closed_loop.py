@@ -12,16 +12,15 @@ from scipy.optimize import brentq
 
 from formulations.arrays import Array
 from formulations.linearisation.adjoint import gradient
-from formulations.linearisation.linearisation import Linearisation, condense
+from formulations.linearisation.linearisation import condense
 from formulations.nlp.closed_loop import LEAST
 from formulations.nlp.program import Arcs, Start
 from formulations.nlp.shooting import SingleShooting
 from formulations.problem.execution_errors import ComponentwiseErrors, GatesErrors
 from formulations.problem.feedback import Cost
-from formulations.problem.flyby import Iterate
 from formulations.rows.corrected_burns import BATTERY, SIZE, margins_of
 from formulations.rows.uniform import ChanceRows
-from tests.formulations.program.support import every_row
+from tests.formulations.program.support import every_row, slope_of
 from tests.helpers import Flyby, Waves, constrain, generators, random_flyby, share_of_examples
 
 GATES = GatesErrors(0.004, 0.02, 0.003, 0.03)
@@ -38,13 +37,6 @@ def corrected_flybys(draw: st.DrawFn) -> tuple[Flyby, np.random.Generator]:
     return flyby.corrected(rng), rng
 
 
-def linearised(flyby: Flyby, controls: Array) -> Linearisation:
-    problem = flyby.problem
-    mean = flyby.waves.rollout(problem, controls[problem.burn_controls]).mean
-    iterate = Iterate(controls[problem.burn_controls], mean, controls[problem.gain_controls])
-    return flyby.waves.linearise(problem, iterate)
-
-
 def some_controls(flyby: Flyby, rng: np.random.Generator) -> Array:
     problem = flyby.problem
     controls = 0.02 * rng.normal(size=problem.controls_before[-1])
@@ -57,8 +49,8 @@ def test_condense_is_the_derivative_by_burns_and_gains(case):
     flyby, rng = case
     controls, h = some_controls(flyby, rng), 1e-6
     direction = rng.normal(size=controls.shape)
-    s = condense(linearised(flyby, controls))
-    ahead, behind = (linearised(flyby, controls + t * direction) for t in (h, -h))
+    s = condense(flyby.at(controls))
+    ahead, behind = (flyby.at(controls + t * direction) for t in (h, -h))
     mean = (ahead.iterate.mean - behind.iterate.mean) / (2.0 * h)
     factor = (ahead.factor - behind.factor) / (2.0 * h)
     np.testing.assert_allclose(s.mean_jacobian @ direction, mean, rtol=1e-6, atol=1e-7)
@@ -75,7 +67,7 @@ def test_flights_of_linear_arcs_with_a_kalman_filter_of_their_own_have_the_facto
     flyby, rng = case
     problem = flyby.problem
     feedback = problem.feedback
-    lin = linearised(flyby, some_controls(flyby, rng))
+    lin = flyby.at(some_controls(flyby, rng))
     found = np.zeros_like(lin.factor)
     sources, errors = problem.factor_columns, problem.execution_errors
     state = np.pad(problem.initial_factor, ((0, 0), (0, sources - problem.initial_factor.shape[1])))
@@ -121,7 +113,7 @@ def test_a_correction_knows_only_what_was_measured_by_its_cut_off(case):
     problem = flyby.problem
     feedback = problem.feedback
     controls = some_controls(flyby, rng)
-    lin = linearised(flyby, controls)
+    lin = flyby.at(controls)
     for j in range(len(feedback.burns)):
         known = np.vstack([one.rows for one in lin.spread.innovations[: j + 1]])
         np.testing.assert_allclose(known @ known.T, np.eye(len(known)), atol=1e-9)
@@ -145,7 +137,7 @@ def test_gains_act_on_what_estimates_resolve_whatever_measurements_err_by(case, 
     feedback = flyby.problem.feedback
     errors = 10.0 ** np.array(exponents)[:, None] * feedback.measurement
     problem = replace(flyby.problem, feedback=replace(feedback, measurement=errors))
-    lin = linearised(replace(flyby, problem=problem), some_controls(flyby, rng)).telling
+    lin = replace(flyby, problem=problem).at(some_controls(flyby, rng)).telling
     for j, one in enumerate(lin.spread.innovations):
         last = problem.gains_of(lin.iterate, j)[:, -6:]
         estimated = last @ one.by_estimate(one.gain)
@@ -159,7 +151,7 @@ def test_gains_act_on_what_estimates_resolve_whatever_measurements_err_by(case, 
 @given(corrected_flybys())
 def test_the_adjoint_gives_the_condensed_maps_derivative(case):
     flyby, rng = case
-    lin = linearised(flyby, some_controls(flyby, rng))
+    lin = flyby.at(some_controls(flyby, rng))
     by_mean = rng.normal(size=lin.iterate.mean.shape)
     by_factor = rng.normal(size=lin.factor.shape)
     s = condense(lin)
@@ -192,9 +184,8 @@ def test_rows_cost_and_gradient_are_those_of_the_convex_side(price, rng, errors)
     flyby = constrain(rng, flyby).corrected(rng, price)
     problem = replace(flyby.problem, execution_errors=errors)
     burns = flyby.burns + 0.1 * rng.normal(size=flyby.burns.shape)
-    mean = flyby.waves.rollout(problem, burns).mean
     gains = 0.1 * rng.normal(size=len(problem.gain_controls))
-    lin = flyby.waves.linearise(problem, Iterate(burns, mean, gains))
+    lin = replace(flyby, problem=problem).flown(burns, gains)
     rows = every_row(lin, "P2", 4)
     assert isinstance(rows, ChanceRows)
     start = Start(lin.iterate, lin.factor)
@@ -240,7 +231,8 @@ def test_rows_cost_and_gradient_are_those_of_the_convex_side(price, rng, errors)
     )
     of_cost, of_rows, of_defined = (np.array(slope) for slope in slopes(point))
     moved = -np.linalg.solve(of_defined[:, own:], of_defined[:, :own])
-    for slope, expected in ((of_cost, lin.cost.gradient), (of_rows, slope_of(rows, lin, prices))):
+    by_rows = slope_of(lin, rows, np.concatenate([*prices.values()]))
+    for slope, expected in ((of_cost, lin.cost.gradient), (of_rows, by_rows)):
         total = slope[0, :own] + slope[0, own:] @ moved
         np.testing.assert_allclose(total, expected, atol=5e-6 * np.abs(expected).max())
     for name in (SIZE, BATTERY):
@@ -264,14 +256,3 @@ def check_limits(problem, iterate, name, said, slope):
         np.testing.assert_allclose(
             mine / np.linalg.norm(mine), along / np.linalg.norm(along), atol=1e-4
         )
-
-
-def slope_of(rows: ChanceRows, lin: Linearisation, prices: dict[str, Array]) -> Array:
-    """Gradient by all controls of the weighed margins, by the convex program's cones."""
-    weights, slope = np.concatenate([*prices.values()]), np.zeros(len(lin.controls))
-    for cones in rows.cones(lin, condense(lin, rows.nodes)):
-        p, y = cones.values.shape[2], cones.at(lin.controls)
-        size = np.maximum(np.linalg.norm(y[:, 1:], axis=1), 1e-300)
-        bent = np.einsum("nd,ndp->np", y[:, 1:] / size[:, None], cones.values[:, 1:])
-        slope[:p] += weights[cones.rows] @ (cones.values[:, 0] - bent)
-    return slope

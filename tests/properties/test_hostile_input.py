@@ -208,10 +208,10 @@ bytes_of_files = st.one_of(
     ),
     st.integers(0, 2000).map(lambda n: document(RECON_B).encode()[:n]),
     st.sampled_from([b"", b"\n" * 1000, b"[" * 5000, b"a=" + b"[" * 5000, b"\x00", b'base = "']),
+    st.sampled_from([b"x = " + b"1" * 5000, b'"' + b"k" * 10**5 + b'" = 1', b"[a]\n[a]\n"]),
     st.sampled_from(
         [b"base='recon_b'\nx=" + b"[" * 400 + b"]" * 400, b"a" + b".a" * 10**5 + b"=1"]
     ),
-    st.sampled_from([b"x = " + b"1" * 5000, b'"' + b"k" * 10**5 + b'" = 1', b"[a]\n[a]\n"]),
 )
 
 

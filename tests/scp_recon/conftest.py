@@ -1,6 +1,7 @@
 """The default mission, planned and verified once for all tests of this wing."""
 
 from collections.abc import Iterator
+from types import ModuleType
 
 import pytest
 
@@ -45,6 +46,12 @@ def verification(mission, solution) -> Verification:
 def default_run(tmp_path_factory) -> CommandLine:
     """`python -m scp_recon.solve --init cold`, once."""
     return run_solve(tmp_path_factory.mktemp("default"), "--init", "cold")
+
+
+@pytest.fixture(scope="session")
+def spice() -> ModuleType:
+    """SPICE, with no kernel loaded; what needs it is skipped without it."""
+    return pytest.importorskip("spiceypy")
 
 
 @pytest.fixture

@@ -58,6 +58,15 @@ def flight_beyond(mission: Mission) -> Iterate:
     return initial_guess.from_burns(mission, np.array(burns) * mission.units.speed_m_s)
 
 
+def raising(error: BaseException) -> Callable[..., Any]:
+    """Stands for a function, and raises whatever it is given."""
+
+    def raises(*_: object, **__: object) -> None:
+        raise error
+
+    return raises
+
+
 def file_of(scenario: Scenario, changes: Mapping[str, Any], name: str | None = None) -> Scenario:
     """A scenario written out in full, with entries changed by hand.
 

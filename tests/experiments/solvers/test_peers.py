@@ -23,19 +23,20 @@ def halo() -> study.Halo:
     return study.Halo()
 
 
-@pytest.mark.parametrize("algorithm", ["scvx", "ptr", "scvx-star"])
-def test_every_algorithm_solves_the_transfer(halo, algorithm):
-    """PTR too, whose longer steps promise what curvature takes back."""
-    row = halo.row(("condensed", algorithm))
+@pytest.mark.parametrize(
+    ("algorithm", "guess", "within"),
+    [("scvx", (), 3e-7), ("ptr", (), 3e-7), ("scvx-star", (), 3e-7), ("scvx-star", (2,), 1e-6)],
+)
+def test_every_algorithm_solves_the_transfer(halo, algorithm, guess, within):
+    """PTR too, whose longer steps promise what curvature takes back.
+
+    SCvx* keeps a small miss from a bent guess: to correct it moves burns that have vanished, which
+    costs more.
+    """
+    row = halo.row(("condensed", algorithm), *guess)
     assert row["status"] == "converged"
-    assert row["cost"] == pytest.approx(0.1945583, abs=3e-7)
-
-
-def test_scvx_star_ends_within_its_limit_from_a_bent_guess(halo):
-    """It keeps a small miss: to correct it moves burns that have vanished, which costs more."""
-    row = halo.row(("condensed", "scvx-star"), 2)
-    assert (row["status"], row["missed"] < study.MISSED) == ("converged", True)
-    assert row["cost"] == pytest.approx(0.1945583, abs=1e-6)
+    assert row["missed"] < study.MISSED
+    assert row["cost"] == pytest.approx(0.1945583, abs=within)
 
 
 def test_burns_of_the_transfer_are_flown_by_another_integrator(halo):

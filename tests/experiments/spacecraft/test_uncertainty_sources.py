@@ -131,10 +131,9 @@ def test_samples_spread_as_paths_with_the_same_errors_do():
     solution = short_plan(mission)
     fraction = solution.scenario.uncertainty.initial_sigma_fraction
     errors = vehicle.errors.model_copy(update={"initial_state": fraction})
-    ends = fly_paths(solution, vehicle.model_copy(update={"errors": errors}), TRANSLATION, 3000, 7)[
-        :, :3
-    ]
-    expected = np.linalg.norm(ends - np.array(solution.nodes.state[-1])[:3], axis=1) / SPREAD_M
+    erring = vehicle.model_copy(update={"errors": errors})
+    ends = fly_paths(solution, erring, TRANSLATION, 3000, 7) - solution.nodes.state[-1]
+    expected = np.linalg.norm(ends[:, :3], axis=1) / SPREAD_M
     found = sample_distances(solution, vehicle, 3000)
     assert found.shape == (3000, len(solution.nodes.t_s))
     assert np.std(found[:, -1]) == pytest.approx(np.std(expected), rel=0.1)

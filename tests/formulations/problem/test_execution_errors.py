@@ -9,7 +9,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from formulations.arrays import Array
-from formulations.linearisation.linearisation import condense
 from formulations.nlp.covariance import own_columns, own_covariance, shared_columns
 from formulations.problem.execution_errors import (
     VANISHED,
@@ -18,7 +17,7 @@ from formulations.problem.execution_errors import (
     GatesErrors,
     skew,
 )
-from tests.helpers import Flyby, generators, random_flyby, random_unit, share_of_examples
+from tests.helpers import generators, random_unit, share_of_examples
 
 few = settings(max_examples=share_of_examples(3))
 
@@ -134,32 +133,6 @@ def test_the_nonlinear_program_has_the_same_covariance(errors, rng):
         np.testing.assert_allclose(own @ own.T, expected, atol=1e-7 * scale)
         assert own.shape[1] == errors.own
         np.testing.assert_allclose(common, ours[:, :shared], atol=1e-15)
-
-
-def with_gates(rng: np.random.Generator) -> Flyby:
-    """A flyby whose burns are large against their fixed errors, and share a bias."""
-    flyby = random_flyby(rng)
-    errors = GatesErrors(0.03, 0.05, 0.01, 0.04, 0.06)
-    return replace(flyby, problem=replace(flyby.problem, execution_errors=errors))
-
-
-@few
-@given(generators)
-def test_condense_is_the_derivative_of_the_factor(rng):
-    flyby = with_gates(rng)
-    lin = flyby.perturbed(rng, 0.1, 0.0)
-    s, way, h = condense(lin), rng.normal(size=lin.iterate.burns.shape), 1e-5
-    found = np.einsum("nicz,z->nic", s.factor_jacobian, way.ravel())
-    ends = [
-        flyby.waves.linearise(
-            flyby.problem, flyby.waves.rollout(flyby.problem, lin.iterate.burns + t * way)
-        ).factor
-        for t in (h, -h)
-    ]
-    slope = (ends[0] - ends[1]) / (2 * h)
-    np.testing.assert_allclose(found, slope, atol=1e-4 * (1.0 + np.abs(slope).max()))
-    here = s.factor_constant + s.factor_jacobian @ lin.iterate.burns.ravel()
-    np.testing.assert_allclose(here, lin.factor, atol=1e-9 * (1.0 + np.abs(lin.factor).max()))
 
 
 @pytest.mark.parametrize(

@@ -16,7 +16,7 @@ from formulations.problem.regions import Ball
 from formulations.program import solvers
 from formulations.program.certificate import ConeProgram
 from formulations.program.subproblem import Penalty, PenaltyParameters, Step
-from formulations.rows.cones import Rows
+from formulations.rows.cones import Cones, Rows
 from formulations.rows.exact import NodeRows
 from formulations.rows.exact_flight import FlightRows
 from formulations.rows.uniform import ChanceRows, DeterministicRows
@@ -53,6 +53,23 @@ def every_row(lin: Linearisation, name: str, facets: int = 8) -> Rows:
     polytopes = Polytopes(ball(facets), max(3, facets // 2))
     chosen = choose_facets(lin.problem, polytopes, lin.iterate.mean, lin.factor)
     return ChanceRows(lin.problem, chosen, np.ones(len(chosen.node), dtype=np.bool_))
+
+
+def slack(cones: Cones, z: Array) -> Array:
+    """What rows leave at some controls, y_0 - ||y_1..||."""
+    y = cones.at(z)
+    return np.asarray(y[:, 0] - np.linalg.norm(y[:, 1:], axis=1))
+
+
+def slope_of(lin: Linearisation, rows: Rows, prices: Array) -> Array:
+    """Gradient by all controls of the priced slacks of rows, of the affine model."""
+    slope = np.zeros(len(lin.controls))
+    for cones in rows.cones(lin, condense(lin, rows.nodes, factor=rows.with_factor)):
+        p, y = cones.values.shape[2], cones.at(lin.controls)
+        size = np.maximum(np.linalg.norm(y[:, 1:], axis=1), 1e-300)
+        bent = np.einsum("nd,ndp->np", y[:, 1:] / size[:, None], cones.values[:, 1:])
+        slope[:p] += prices[cones.rows] @ (cones.values[:, 0] - bent)
+    return slope
 
 
 def charge_for(
@@ -98,10 +115,13 @@ def tent(price: float = 1.0, size: float = 1.0) -> tuple[ConeProgram, Array, Arr
 
 
 def disk(rng: np.random.Generator, equations: int) -> ConeProgram:
-    """The lowest point of a disk within a box, on a plane if there is an equation."""
+    """The lowest point of a disk within a box, on a plane if there is an equation; no number stays."""
     plane = rng.uniform(0.5, 1.0, (equations, 3))
-    matrix = np.vstack([plane, np.eye(3), -np.eye(3), np.zeros((1, 3)), -np.eye(3)])
-    bound = np.concatenate([plane @ rng.uniform(-0.2, 0.2, 3), np.ones(6), [1.1], np.zeros(3)])
+    sides, radius = rng.uniform(0.8, 1.2, (2, 3)), rng.uniform(1.1, 1.2, 1)
+    both = np.diag(sides[0]), -np.diag(sides[0])
+    matrix = np.vstack([plane, *both, np.zeros((1, 3)), -np.eye(3)])
+    known = plane @ rng.uniform(-0.2, 0.2, 3), sides[1], sides[1]
+    bound = np.concatenate([*known, radius, np.zeros(3)])
     return ConeProgram(rng.normal(size=3), sp.csc_array(matrix), bound, equations, 6, (4,))
 
 

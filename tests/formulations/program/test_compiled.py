@@ -25,15 +25,7 @@ SIZES = (
     ConeSize(4, 6, triangular=False, slots=2),
     ConeSize(8, 6, triangular=True, slots=3),
 )
-
-
-def condensed_model(penalty: Penalty, _: str = "") -> Model:
-    return write_model(Shape(4), penalty, partial(write_states, SIZES))
-
-
-def corrected_model(penalty: Penalty, _: str = "") -> Model:
-    shape = Shape(3, (1, 2), "dv99")
-    return write_model(shape, penalty, partial(write_states, (ConeSize(3, 24, True, 2),)))
+CORRECTED = Shape(3, (1, 2), "dv99"), ConeSize(3, 24, triangular=True, slots=2)
 
 
 def lifted_model(penalty: Penalty, name: str) -> Model:
@@ -42,9 +34,13 @@ def lifted_model(penalty: Penalty, name: str) -> Model:
     return write_model(Shape(lin.problem.n_burns), penalty, partial(subproblem._states, lin))
 
 
+def condensed_model(penalty: Penalty, shape: Shape, *sizes: ConeSize) -> Model:
+    return write_model(shape, penalty, partial(write_states, sizes))
+
+
 MODELS: dict[str, Callable[[Penalty], Model]] = {
-    "condensed": condensed_model,
-    "with corrected burns": corrected_model,
+    "condensed": lambda penalty: condensed_model(penalty, Shape(4), *SIZES),
+    "with corrected burns": lambda penalty: condensed_model(penalty, *CORRECTED),
     "lifted P3": lambda penalty: lifted_model(penalty, "P3"),
     "lifted P2": lambda penalty: lifted_model(penalty, "P2"),
 }

@@ -10,16 +10,25 @@ from hypothesis import given, settings
 from formulations.arrays import Array
 from formulations.linearisation.linearisation import CONDENSATIONS, Linearisation, condense
 from formulations.program import condensed
-from formulations.program.condensed import CondensedSubproblem, ConeSize, compile_condensed
+from formulations.program.condensed import CondensedSubproblem, compile_condensed
 from formulations.program.subproblem import Penalty, Step
 from formulations.rows.cones import NEAR_LENGTH, Rows
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
 from scp_recon.planning.planner import plan
 from scp_recon.scenario.load import load_scenario
-from tests.helpers import constrain, generators, near_from, random_flyby, share_of_examples, usually
+from tests.helpers import generators, near_from, share_of_examples, usually
 
-from .support import PENALTIES, charge_for, every_row, linearised, minimum, solve_plainly, tighten
+from .support import (
+    PENALTIES,
+    charge_for,
+    every_row,
+    linearised,
+    minimum,
+    small,
+    solve_plainly,
+    tighten,
+)
 
 FAR, WITHIN, MISSED = 1.0, 0.5 * NEAR_LENGTH, -10.0 * condensed.MISSED
 MANY = 64
@@ -61,15 +70,10 @@ class Told(CondensedSubproblem):
             room[which] = {"within": WITHIN, "missed": MISSED}[name]
         return room
 
-    def block_of(self, row: int) -> int:
-        """The block of cones that a row is in."""
-        return next(k for k, cones in enumerate(self._cones) if row in cones.rows)
-
 
 @pytest.fixture
 def lin() -> Linearisation:
-    rng = np.random.default_rng(3)
-    return constrain(rng, random_flyby(rng, nodes=8, burns=4)).perturbed(rng, 0.1, 0.05)
+    return small(nodes=8, burns=4)
 
 
 def test_rows_near_binding_are_taken_at_every_iterate_anew(lin):
@@ -113,19 +117,6 @@ def test_a_row_is_missed_by_more_than_the_solvers_tolerance(lin, share, again):
     subproblem.update(lin)
     subproblem.solve(0.5, 10.0)
     assert subproblem.attempts == ([[], [3]] if again else [[]])
-
-
-def test_the_room_of_a_row_is_its_cones(lin):
-    """Of each row, wherever it stands among the cones, at any burns."""
-    subproblem = Told(lin)
-    subproblem.update(lin)
-    burns = lin.iterate.burns + 0.1
-    expected = np.empty(subproblem.rows.count)
-    for cones in subproblem._cones:
-        for row, values, constants in zip(cones.rows, cones.values, cones.constants, strict=True):
-            y = values @ burns.reshape(-1)[: values.shape[1]] + constants
-            expected[row] = y[0] - np.sqrt((y[1:] ** 2).sum())
-    assert subproblem._slack(burns.ravel()) == pytest.approx(expected, rel=1e-9, abs=1e-12)
 
 
 def test_half_of_the_slots_go_to_the_rows_with_the_least_room(lin, monkeypatch):
@@ -202,18 +193,6 @@ def test_few_slots_and_no_row_at_first_end_where_everything_taken_does(name, pen
     assert found[0].burns == pytest.approx(found[1].burns, abs=1e-3)
     plain = solve_plainly(lin, rows, 0.5, penalty, charge)
     assert every == pytest.approx(plain.value, rel=rel)
-
-
-def test_the_entries_of_a_cone_are_its_rows_or_a_triangle_below_its_first():
-    rows, columns = ConeSize(3, 2, triangular=False, slots=5).entries
-    assert list(zip(rows, columns, strict=True)) == [(0, 0), (0, 1), (1, 0), (1, 1), (2, 0), (2, 1)]
-    rows, columns = ConeSize(4, 3, triangular=True, slots=5).entries
-    assert list(zip(rows, columns, strict=True)) == [
-        *((0, 0), (0, 1), (0, 2)),
-        *((1, 0), (1, 1), (1, 2)),
-        *((2, 1), (2, 2)),
-        (3, 2),
-    ]
 
 
 def test_the_default_plan_needs_three_programs_at_the_most(monkeypatch):

@@ -13,9 +13,9 @@ from formulations.problem.polytopes import ball
 from formulations.problem.regions import Ball
 from formulations.program import solvers
 from formulations.program.solvers import SOLVERS
-from formulations.program.subproblem import PenaltyParameters
+from formulations.program.subproblem import PenaltyParameters, Step
 from formulations.registry import FORMULATIONS, make_subproblem
-from formulations.rows.cones import PARTS
+from formulations.rows.cones import PARTS, Rows
 from formulations.rows.uniform import ChanceRows, DeterministicRows
 from tests.helpers import constrain, random_flyby, usually
 
@@ -32,6 +32,16 @@ def limited(lin: Linearisation, parts: Limits) -> Limits:
     return position, velocity
 
 
+def steps_of_both(lin: Linearisation, rows: Rows, weight: float, *radii: float) -> list[list[Step]]:
+    """Of the condensed form and of the lifted one, by radius."""
+    found = []
+    for formulation in ("condensed", "lifted"):
+        subproblem = make_subproblem(lin.problem, rows, formulation)
+        subproblem.update(lin)
+        found.append([subproblem.solve(radius, weight) for radius in radii])
+    return found
+
+
 @every_limit
 @pytest.mark.parametrize("seed", usually(range(6), 3))
 def test_lifted_rows_may_start_and_end_at_any_node(seed, limits):
@@ -46,12 +56,8 @@ def test_lifted_rows_may_start_and_end_at_any_node(seed, limits):
     problem = replace(flyby.problem, constraints=constraints, final_spread=spread)
     lin = Linearisation(problem, flyby.iterate, flyby.arcs)
     for name in ("P3", "P2") if limits[0] is None else ("P2",):
-        merits = []
-        for formulation in ("condensed", "lifted"):
-            subproblem = make_subproblem(problem, every_row(lin, name, 4), formulation)
-            subproblem.update(lin)
-            merits.append(subproblem.solve(0.5, 10.0).merit)
-        assert merits[1] == pytest.approx(merits[0], rel=1e-6)
+        ((ours,), (theirs,)) = steps_of_both(lin, every_row(lin, name, 4), 10.0, 0.5)
+        assert theirs.merit == pytest.approx(ours.merit, rel=1e-6)
 
 
 @every_limit
@@ -61,13 +67,10 @@ def test_the_gradient_of_exact_risk_acts_on_the_factor_as_it_does_on_the_burns(s
     """The same program, at a flight that obeys the dynamics, within 1e-6 with tightened loops."""
     flyby = small(seed, defect=0.0)
     problem = replace(flyby.problem, final_spread=limited(flyby, limits))
-    lin, rows = replace(flyby, problem=problem), every_row(replace(flyby, problem=problem), scope)
-    steps = []
-    for formulation in ("condensed", "lifted"):
-        subproblem = make_subproblem(problem, rows, formulation)
-        subproblem.update(lin)
-        steps.append([subproblem.solve(radius, 1.0) for radius in (0.02, 0.2)])
-    for ours, theirs in zip(*steps, strict=True):
+    lin = replace(flyby, problem=problem)
+    for ours, theirs in zip(
+        *steps_of_both(lin, every_row(lin, scope), 1.0, 0.02, 0.2), strict=True
+    ):
         assert theirs.merit == pytest.approx(ours.merit, rel=1e-6)
         assert theirs.burns == pytest.approx(ours.burns, abs=1e-4)
 
@@ -86,12 +89,7 @@ def corrected(seed: int, cost: Cost) -> Linearisation:
 )
 def test_corrections_are_linearised_as_in_the_condensed_form(seed, name, cost):
     lin = corrected(seed, cost)
-    rows, steps = every_row(lin, name, 4), []
-    for formulation in ("condensed", "lifted"):
-        subproblem = make_subproblem(lin.problem, rows, formulation)
-        subproblem.update(lin)
-        steps.append(subproblem.solve(0.2, 10.0))
-    ours, theirs = steps
+    ((ours,), (theirs,)) = steps_of_both(lin, every_row(lin, name, 4), 10.0, 0.2)
     assert theirs.merit == pytest.approx(ours.merit, rel=1e-6)
     assert theirs.burns == pytest.approx(ours.burns, abs=1e-4)
     if cost != "nominal":  # which hardly tells one gain from another

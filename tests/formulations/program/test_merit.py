@@ -9,7 +9,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from formulations.arrays import Array
-from formulations.linearisation.linearisation import Linearisation, condense, final_state_map
+from formulations.linearisation.linearisation import Linearisation, final_state_map
 from formulations.problem.feedback import Cost
 from formulations.problem.flyby import FlybyProblem
 from formulations.program.multipliers import adjoint, multipliers, slope_left
@@ -17,12 +17,10 @@ from formulations.program.subproblem import MeritFunction, PenaltyParameters
 from formulations.registry import make_subproblem
 from formulations.rows.cones import Rows
 from formulations.rows.corrected_burns import CorrectedBurns
-from formulations.rows.exact import NodeRows
-from formulations.rows.exact_flight import FlightRows
 from formulations.rows.uniform import DeterministicRows
 from tests.helpers import constrain, generators, random_flyby, share_of_examples
 
-from .support import every_row
+from .support import every_row, slope_of
 
 some = settings(max_examples=10)
 
@@ -64,33 +62,25 @@ def signed(lin: Linearisation) -> dict[str, Array]:
 
 @some
 @given(generators)
-def test_violations_are_positive_parts_and_excess_has_their_signs(rng):
+def test_violations_are_positive_parts_of_margins_and_excess_has_their_signs(rng):
     lin = mixed(rng)
-    evaluation, amounts = MeritFunction(lin.problem, DeterministicRows(lin.problem)), signed(lin)
-    violations = evaluation.violations(lin)
+    problem, amounts = lin.problem, signed(lin)
+    evaluation = MeritFunction(problem, DeterministicRows(problem))
+    violations, margins = evaluation.violations(lin), evaluation.margins(lin)
     assert list(violations) == ["dynamics", *amounts]
     assert violations["dynamics"] == pytest.approx(np.abs(lin.defects).ravel())
     for name, amount in amounts.items():
         assert violations[name] == pytest.approx(np.maximum(amount, 0.0), abs=1e-12)
     expected = np.concatenate([lin.defects[-1], *amounts.values()])
     assert evaluation.excess(lin) == pytest.approx(expected, abs=1e-12)
-    assume(np.any(expected[6:] < 0.0) and np.any(expected[6:] > 0.0))
-
-
-@some
-@given(generators)
-def test_margins_of_burns_belong_to_their_nodes(rng):
-    lin = mixed(rng)
-    problem, amounts = lin.problem, signed(lin)
-    margins = MeritFunction(problem, DeterministicRows(problem)).margins(lin)
     assert list(margins) == list(amounts)
-    toward, away = np.split(amounts["dv_battery"], 2)
-    amounts["dv_battery"] = np.maximum(toward, away)
+    amounts["dv_battery"] = np.maximum(*np.split(amounts["dv_battery"], 2))
     nodes = dict.fromkeys(("dv_max", "dv_battery"), problem.burn_nodes)
     nodes |= {c.name: c.nodes for c in problem.constraints}
     for name, found in margins.items():
         assert found.margin == pytest.approx(-amounts[name], abs=1e-12)
         assert np.array_equal(found.nodes, nodes[name])
+    assume(np.any(expected[6:] < 0.0) and np.any(expected[6:] > 0.0))
 
 
 @some
@@ -132,7 +122,7 @@ def strange_flight(rng: np.random.Generator) -> tuple[FlybyProblem, Linearisatio
         constraints=(),
     )
     burns = flyby.burns + 0.1 * rng.normal(size=flyby.burns.shape)
-    return problem, flyby.waves.linearise(strange, flyby.waves.rollout(strange, burns))
+    return problem, replace(flyby, problem=strange).flown(burns)
 
 
 @some
@@ -164,8 +154,7 @@ def test_a_flight_from_elsewhere_is_judged_by_its_own_ends_and_the_merits_limits
 def test_a_miss_that_need_not_be_met_is_a_cost_and_no_violation(rng, coast):
     flyby = random_flyby(rng, coast=coast)
     problem = replace(flyby.problem, miss_weight=7.0)
-    burns = flyby.burns + 0.1 * rng.normal(size=flyby.burns.shape)
-    lin = flyby.waves.linearise(problem, flyby.waves.rollout(problem, burns))
+    lin = replace(flyby, problem=problem).perturbed(rng, 0.1, 0.0)
     merit = MeritFunction(problem, DeterministicRows(problem))
     miss = np.abs(lin.iterate.mean[-1] - problem.final_state).sum()
     violations = merit.violations(lin)
@@ -184,17 +173,9 @@ def prices_of(rng: np.random.Generator, rows: Rows, burns: int) -> Array:
 
 def by_burns(lin: Linearisation, rows: Rows, prices: Array) -> Array:
     """Derivative of the priced miss and rows by all burns: of the affine model, forwards."""
-    z, burns = lin.controls, lin.problem.burn_controls.ravel()
-    slope = np.zeros(len(z))
+    burns, slope = lin.problem.burn_controls.ravel(), np.zeros(len(lin.controls))
     slope[burns] = final_state_map(lin)[1].T @ prices[:6]
-    of_rows = prices[6 + len(burns) :]
-    for cones in rows.cones(lin, condense(lin, rows.nodes, factor=rows.with_factor)):
-        p = cones.values.shape[2]
-        y = cones.values @ z[:p] + cones.constants
-        size = np.maximum(np.linalg.norm(y[:, 1:], axis=1), 1e-300)
-        bent = np.einsum("nd,ndp->np", y[:, 1:] / size[:, None], cones.values[:, 1:])
-        slope[:p] += of_rows[cones.rows] @ (bent - cones.values[:, 0])
-    return slope[burns]
+    return (slope - slope_of(lin, rows, prices[6 + len(burns) :]))[burns]
 
 
 def backwards(lin: Linearisation, rows: Rows, prices: Array) -> Array:
@@ -229,13 +210,7 @@ def test_the_adjoint_is_the_affine_model_read_backwards(rng, name, corrected):
     flyby = flyby.corrected(rng) if corrected else flyby
     lin = flyby.perturbed(rng, 0.02 if exact else 0.1, 0.0)
     lin = with_gains(rng, lin) if corrected else lin
-    rows: Rows
-    if name == "node":
-        rows = NodeRows(lin.problem, 0.7)
-    elif name == "flight":
-        rows = FlightRows(lin.problem, 0.7, lines=64, resolution=0.0)
-    else:
-        rows = every_row(lin, name[:2])
+    rows = every_row(lin, name.removesuffix(" and spread"))
     prices = prices_of(rng, rows, lin.problem.n_burns)
     if rows.with_factor:
         prices[len(prices) - CorrectedBurns(lin.problem, 0).count :] = 0.0
@@ -252,15 +227,14 @@ def test_multipliers_are_the_best_signed_ones_of_what_binds(rng, vanishing, corr
     flyby = flyby.corrected(rng, corrected) if corrected else flyby
     burns = flyby.burns + 0.1 * rng.normal(size=flyby.burns.shape)
     problem = replace(flyby.problem, dv_max=float(np.median(np.linalg.norm(burns, axis=1))))
+    flyby = replace(flyby, problem=problem)
     burns[1] *= not vanishing
-    lin = with_gains(rng, flyby.waves.linearise(problem, flyby.waves.rollout(problem, burns)))
+    lin = with_gains(rng, flyby.flown(burns))
     rows = every_row(lin, "P2")
     merit, step = MeritFunction(problem, rows), 1e-6
 
     def cost_and_excess(z: Array) -> Array:
-        moved = flyby.waves.rollout(problem, z[problem.burn_controls])
-        moved = replace(moved, gains=z[problem.gain_controls])
-        flown = flyby.waves.linearise(problem, moved)
+        flown = flyby.at(z)
         return np.r_[merit.cost(flown), merit.excess(flown)]
 
     z, found = lin.controls, multipliers(problem, rows, lin)
@@ -288,10 +262,7 @@ def test_where_steps_end_that_lower_the_merit_the_slope_left_certifies_burns_and
     problem = flyby.problem
     quieter = replace(problem.feedback, measurement=0.3 * problem.feedback.measurement)
     problem = replace(problem, feedback=quieter)
-
-    def flown(burns: Array, gains: Array) -> Linearisation:
-        iterate = replace(flyby.waves.rollout(problem, burns), gains=gains)
-        return flyby.waves.linearise(problem, iterate)
+    flown = replace(flyby, problem=problem).flown
 
     def left(lin: Linearisation) -> float:
         return slope_left(problem, rows, lin, multipliers(problem, rows, lin))

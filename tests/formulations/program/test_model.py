@@ -12,8 +12,7 @@ from hypothesis import strategies as st
 from formulations.arrays import Array
 from formulations.linearisation.linearisation import CONDENSATIONS, Linearisation
 from formulations.program.certificate import GAP, ConeProgram, is_optimal, outside
-from formulations.program.model import penalty_values
-from formulations.program.subproblem import DYNAMICS_WEIGHT, PenaltyParameters, SubproblemError
+from formulations.program.subproblem import SubproblemError
 from formulations.registry import FORMULATIONS, make_subproblem
 from tests.helpers import generators, share_of_examples, usually
 
@@ -96,24 +95,6 @@ def test_dynamics_without_finite_derivatives_are_refused(formulation, solver):
         pytest.raises(SubproblemError, match="no finite derivatives at the iterate"),
     ):
         subproblem.update(broken)
-
-
-def test_prices_are_those_of_the_charge_each_at_its_place():
-    """Misses first, then limits of the burns, then the buffers of the rows that have one."""
-    m, rows = 2, np.array([3, 0, -1, 2])
-    limits = 6 + 3 * m
-    exact = penalty_values("exact", PenaltyParameters(5.0), m, rows)
-    assert list(exact) == ["prices"]
-    assert exact["prices"].tolist() == [DYNAMICS_WEIGHT * 5.0] * 6 + [5.0] * (3 * m + 4)
-    proximal = penalty_values("proximal", PenaltyParameters(5.0, prox=3.0), m, rows)
-    assert np.array_equal(proximal["prices"], exact["prices"])
-    assert proximal["curvature"] == 1.5
-    multipliers = np.arange(1.0, limits + 5.0)
-    charge = PenaltyParameters(5.0, multipliers=multipliers)
-    augmented = penalty_values("augmented", charge, m, rows)
-    assert augmented["root"] ** 2 == pytest.approx(2.5)
-    own = [multipliers[limits + 3], multipliers[limits], 0.0, multipliers[limits + 2]]
-    assert augmented["prices"].tolist() == [*multipliers[:limits], *own]
 
 
 @given(generators, st.integers(0, 3), st.integers(0, 4), st.lists(st.integers(2, 5), max_size=3))

@@ -1,6 +1,5 @@
 """Subproblems: exact at their iterate, wrong by the square of the step, planes at small burns."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,10 +17,10 @@ from formulations.program.condensed import CondensedSubproblem
 from formulations.program.convex_subproblem import SMALL_BURN
 from formulations.program.model import CompiledProgram, Model
 from formulations.program.solvers import SOLVERS, Answer, FallbackSolver
-from formulations.program.subproblem import PenaltyParameters, Step, Subproblem, SubproblemError
+from formulations.program.subproblem import PenaltyParameters, Step, SubproblemError
 from formulations.registry import FORMULATIONS, make_subproblem
 from formulations.rows.cones import Rows
-from formulations.rows.uniform import ChanceRows, DeterministicRows
+from formulations.rows.uniform import DeterministicRows
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
 from scp_recon.planning.planner import Plan, plan
@@ -47,28 +46,17 @@ class Case:
     def problem(self) -> FlybyProblem:
         return self.mission.problem
 
-    @property
-    def p2_rows(self) -> ChanceRows:
-        rows = self.plan.final.merit.rows
-        assert isinstance(rows, ChanceRows)
-        return rows
-
     def rows(self, name: str) -> Rows:
-        if name == "P3":
-            return DeterministicRows(self.problem)
-        return ChanceRows(self.problem, self.p2_rows.facets, self.p2_rows.included)
+        return next(stage.merit.rows for stage in self.plan.stages if stage.name == name)
 
     def at(self, name: str) -> Linearisation:
         """Linearised at the ballistic guess, or at the solution of that name."""
-        if name in ("P3", "P2"):
-            return self.solved(name)
-        iterate = getattr(initial_guess, name)(self.mission)
+        if name != "ballistic":
+            return next(stage.result.lin for stage in self.plan.stages if stage.name == name)
+        iterate = initial_guess.ballistic(self.mission)
         start = self.problem.initial_state + np.r_[0.0, 0.0, 0.0, iterate.burns[0]]
         iterate = Iterate(iterate.burns, np.vstack([start, iterate.mean[1:]]))
         return self.mission.dynamics.linearise(self.problem, iterate)
-
-    def solved(self, name: str) -> Linearisation:
-        return next(stage.result.lin for stage in self.plan.stages if stage.name == name)
 
 
 @pytest.fixture(scope="module")
@@ -77,23 +65,6 @@ def case() -> Case:
     found = plan(mission, initial_guess.cold(mission))
     assert [stage.result.status for stage in found.stages] == [Status.CONVERGED] * 2
     return Case(mission, found)
-
-
-Build = Callable[[str, str], Subproblem]
-
-
-@pytest.fixture(scope="module")
-def build(case) -> Build:
-    """Subproblems by formulation and name, each compiled once."""
-    built: dict[tuple[str, str], Subproblem] = {}
-
-    def get(formulation: str, name: str) -> Subproblem:
-        key = formulation, name
-        if key not in built:
-            built[key] = make_subproblem(case.problem, case.rows(name), formulation)
-        return built[key]
-
-    return get
 
 
 def compiling(monkeypatch) -> list[Model]:
@@ -186,30 +157,23 @@ def test_the_predicted_merit_errs_quadratically_in_the_step(name, rng, facets):
     errors = []
     for radius in (1e-2, 1e-4):
         step = subproblem.solve(radius, WEIGHT)
-        flown = flyby.waves.linearise(wide, flyby.waves.rollout(wide, step.burns))
-        errors.append(abs(subproblem.merit(flown, WEIGHT) - step.merit))
+        errors.append(abs(subproblem.merit(flyby.flown(step.burns), WEIGHT) - step.merit))
     # A ten-thousandth, but that the step may turn, and for the solver's tolerance; a model that
     # leaves out a derivative errs by a hundredth.
     assert errors[1] < 2e-3 * errors[0] + 1e-7 * subproblem.merit(lin, WEIGHT)
 
 
 @pytest.mark.parametrize("formulation", FORMULATIONS)
-def test_only_frozen_models_promise_what_is_not_to_be_had_at_the_solution_of_p2(
-    case, build, formulation
-):
-    promise = promised(case, build(formulation, "P2"))
+def test_only_frozen_models_promise_what_is_not_to_be_had_at_the_solution_of_p2(case, formulation):
+    """A reduction of the merit, relative, within a unit radius."""
+    lin, subproblem = case.at("P2"), make_subproblem(case.problem, case.rows("P2"), formulation)
+    subproblem.update(lin)
+    merit = subproblem.merit(lin, WEIGHT)
+    promise = (merit - subproblem.solve(1.0, WEIGHT).merit) / merit
     if formulation in FROZEN:
         assert promise >= 10.0 * SCvx.stationary
     else:
         assert promise <= SCvx.stationary
-
-
-def promised(case: Case, subproblem: Subproblem) -> float:
-    """Reduction of the merit, relative, that the model predicts within a unit radius."""
-    lin = case.at("P2")
-    subproblem.update(lin)
-    merit = subproblem.merit(lin, WEIGHT)
-    return (merit - subproblem.solve(1.0, WEIGHT).merit) / merit
 
 
 class Scripted:
@@ -316,38 +280,31 @@ def test_a_plane_touches_its_cone_nearest_to_the_burn():
             )
 
 
-@pytest.mark.parametrize("radius", [1.0, 0.5 * SMALL_BURN])
-def test_a_small_burn_that_may_turn_is_first_kept_out_of_no_cone(radius):
-    """Small is a hundredth of the largest burn, or no more than the trust region lets it turn."""
-    limit = min(radius, LIMIT)
-    burns = along([0.0, 0.999 * limit, 1.001 * limit, 50.0 * limit])
+@pytest.mark.parametrize(
+    ("sizes", "radius", "small"),
+    [
+        ([0.0, 0.999 * LIMIT, 1.001 * LIMIT, 50.0 * LIMIT], 1.0, 2),
+        ([0.0, 0.499 * SMALL_BURN, 0.501 * SMALL_BURN, 1.0], 0.5 * SMALL_BURN, 2),
+        ([LIMIT] * 4, 1.0, 4),
+        ([LIMIT] * 4, 0.9 * LIMIT, 0),
+        ([0.5, 1.0, 1.5, 2.0], 0.5, 0),
+    ],
+)
+def test_a_small_burn_that_may_turn_is_first_kept_out_of_no_cone(sizes, radius, small):
+    """Small is a hundredth of the largest burn, or no more than the trust region lets it turn.
+
+    Of the others no second answer is asked, whatever cone they are in.
+    """
+    burns = np.outer(sizes, [1.0, 0.0, 0.0])  # of these sizes to the last digit
     subproblem = Attempted(burns, [])
-    answer = step(across(subproblem, 0.1), 1.0)
+    there = across(subproblem, 0.1)
+    there[small:] = 5.0 * subproblem.problem.sun[small:]
+    answer = step(there, 1.0)
     subproblem.steps = [answer]
     assert subproblem.solve(radius, 10.0) is answer
     (planes,) = subproblem.planes
-    assert not planes[:, :2].any()
-    assert np.array_equal(planes[:, 2:], subproblem.burn_planes(burns)[:, 2:])
-
-
-def test_a_burn_of_the_limit_itself_counts_as_small():
-    burns = np.zeros((4, 3))
-    burns[:, 0] = LIMIT
-    for radius, small in ((1.0, True), (0.9 * LIMIT, False)):
-        subproblem = Attempted(burns, [])
-        subproblem.steps = [step(across(subproblem, 0.1), 1.0)]
-        subproblem.solve(radius, 10.0)
-        (planes,) = subproblem.planes
-        assert planes.any() is np.bool_(not small)
-
-
-def test_where_no_burn_is_small_one_answer_is_enough():
-    burns = along([0.5, 1.0, 1.5, 2.0])
-    subproblem = Attempted(burns, [])
-    answer = step(5.0 * subproblem.problem.sun, 1.0)  # whatever cone it is in
-    subproblem.steps = [answer]
-    assert subproblem.solve(0.5, 10.0) is answer
-    assert np.array_equal(subproblem.planes[0], subproblem.burn_planes(burns))
+    assert not planes[:, :small].any()
+    assert np.array_equal(planes[:, small:], subproblem.burn_planes(burns)[:, small:])
 
 
 def test_from_a_guess_the_first_answer_is_taken_wherever_it_points():

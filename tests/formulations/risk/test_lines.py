@@ -103,7 +103,7 @@ def kept_of(segments: Segments, lines: int) -> Array:
 
 
 @given(generators, st.integers(0, 3), st.integers(0, 5))
-def test_segments_are_where_all_limits_hold(rng, inner, outer):
+def test_segments_are_where_all_limits_hold_and_name_those_that_end_them(rng, inner, outer):
     lines = 6
     keep_in, keep_out = some_intervals(rng, lines, inner), some_intervals(rng, lines, outer)
 
@@ -114,12 +114,6 @@ def test_segments_are_where_all_limits_hold(rng, inner, outer):
     expected = within(keep_in).all(axis=0) & ~within(keep_out).any(axis=0)
     found = kept_segments(keep_in, chords(keep_out, inner))
     np.testing.assert_array_equal(kept_of(found, lines), expected.astype(float))
-
-
-@given(generators, st.integers(0, 3), st.integers(0, 5))
-def test_the_ends_of_a_segment_are_those_of_the_limits_named(rng, inner, outer):
-    keep_in, keep_out = some_intervals(rng, 6, inner), some_intervals(rng, 6, outer)
-    found = kept_segments(keep_in, chords(keep_out, inner))
     assert np.all(found.low < found.high)
     starts = np.vstack([keep_in[0], keep_out[1]])
     ends = np.vstack([keep_in[1], keep_out[0]])

@@ -9,13 +9,14 @@ from hypothesis import strategies as st
 from scipy.special import ndtr
 
 from formulations.arrays import Array
-from formulations.linearisation.linearisation import Linearisation, condense
-from formulations.problem.flyby import FlybyProblem, Iterate
+from formulations.linearisation.linearisation import condense
+from formulations.rows.cones import Cones
 from formulations.rows.corrected_burns import BATTERY, SIZE, CorrectedBurns, FurtherRows
 from formulations.rows.uniform import DeterministicRows
+from tests.formulations.program.support import slack
 from tests.helpers import Flyby, generators, random_flyby, share_of_examples
 
-Case = tuple[FlybyProblem, Flyby, np.random.Generator]
+Case = tuple[Flyby, np.random.Generator]
 
 
 @st.composite
@@ -25,34 +26,33 @@ def cases(draw: st.DrawFn) -> Case:
     flyby = random_flyby(rng, burns=draw(st.integers(2, 4))).corrected(rng)
     feedback = flyby.problem.feedback
     assert feedback is not None
-    problem = replace(
-        flyby.problem,
-        feedback=replace(feedback, probability=draw(st.floats(0.6, 0.995))),
-        dv_max=float(rng.uniform(0.3, 3.0)),
-    )
-    return problem, flyby, rng
-
-
-def at(case: Case, controls: Array) -> Linearisation:
-    """About burns and gains; where they lead to does not matter to the rows."""
-    problem, flyby, _ = case
-    burns, gains = controls[problem.burn_controls], controls[problem.gain_controls]
-    mean = flyby.waves.rollout(problem, flyby.burns).mean
-    return flyby.waves.linearise(problem, Iterate(burns, mean, gains))
+    feedback = replace(feedback, probability=draw(st.floats(0.6, 0.995)))
+    limit = float(rng.uniform(0.3, 3.0))
+    return replace(flyby, problem=replace(flyby.problem, feedback=feedback, dv_max=limit)), rng
 
 
 def some_controls(case: Case, spread: float) -> Array:
-    problem, flyby, rng = case
-    controls = spread * rng.normal(size=problem.controls_before[-1])
-    controls[problem.burn_controls] = flyby.burns
+    flyby, rng = case
+    controls = spread * rng.normal(size=flyby.problem.controls_before[-1])
+    controls[flyby.problem.burn_controls] = flyby.burns
     return controls
+
+
+def margins(flyby: Flyby, controls: Array) -> Array:
+    found = CorrectedBurns(flyby.problem, 0).margins(flyby.at(controls)).values()
+    return np.concatenate([one.margin for one in found])
+
+
+def modelled(blocks: list[Cones], controls: Array) -> Array:
+    return np.concatenate([slack(block, controls) for block in blocks])
 
 
 @given(cases(), st.floats(0.01, 0.3))
 def test_margins_are_quantiles_of_the_distance_to_the_limits(case, spread):
     """Of drawn commands the required share keeps the limit when it is moved by the margin."""
-    problem, _, rng = case
-    feedback, lin = problem.feedback, at(case, some_controls(case, spread))
+    flyby, rng = case
+    lin, problem = flyby.at(some_controls(case, spread)), flyby.problem
+    feedback = problem.feedback
     p, draws = feedback.probability, 10_000
     found = CorrectedBurns(problem, 0).margins(lin)
     xi = rng.normal(size=(draws, 6 * len(feedback.burns)))
@@ -73,38 +73,32 @@ def test_margins_are_quantiles_of_the_distance_to_the_limits(case, spread):
 @settings(max_examples=share_of_examples(3))
 @given(cases(), st.floats(0.01, 0.3))
 def test_rows_have_the_margins_value_and_derivative(case, spread):
-    problem, _, rng = case
-    controls, h = some_controls(case, spread), 1e-5
-    direction, rows = rng.normal(size=controls.shape), CorrectedBurns(problem, 0)
-
-    def margins(step: float) -> Array:
-        found = rows.margins(at(case, controls + step * direction)).values()
-        return np.concatenate([one.margin for one in found])
-
-    def model(step: float) -> Array:
-        y = [block.at(controls + step * direction)[0] for block in blocks]
-        return np.array([one[0] - np.linalg.norm(one[1:]) for one in y])
-
-    blocks = rows.cones(at(case, controls))
+    flyby, rng = case
+    controls, rows = some_controls(case, spread), CorrectedBurns(flyby.problem, 0)
+    step = 1e-5 * rng.normal(size=controls.shape)
+    blocks = rows.cones(flyby.at(controls))
     assert [block.rows.item() for block in blocks] == list(range(rows.count))
-    np.testing.assert_allclose(model(0.0), margins(0.0), atol=1e-8)
-    slope, expected = ((f(h) - f(-h)) / (2.0 * h) for f in (model, margins))
+    np.testing.assert_allclose(modelled(blocks, controls), margins(flyby, controls), atol=1e-8)
+    slope, expected = (
+        (function(about, controls + step) - function(about, controls - step)) / 2e-5
+        for function, about in ((modelled, blocks), (margins, flyby))
+    )
     np.testing.assert_allclose(slope, expected, rtol=1e-3, atol=2e-3)
 
 
 @given(cases(), st.floats(0.01, 3.0))
 def test_corrections_may_be_along_a_line(case, spread):
     """That of the burn itself, whose law has one dimension and a singular covariance."""
-    problem, _, rng = case
-    feedback, controls = problem.feedback, some_controls(case, 0.0)
-    problem = replace(problem, dv_cone=0.0)
+    flyby, rng = case
+    problem, controls = replace(flyby.problem, dv_cone=0.0), some_controls(case, 0.0)
+    feedback = problem.feedback
     burns, gains = controls[problem.burn_controls[feedback.burns]], []
     sizes = np.linalg.norm(burns, axis=1)
     for j, direction in enumerate(burns / sizes[:, None]):
         row = rng.normal(size=6 * (j + 1))
         gains.append(np.outer(direction, spread * row / np.linalg.norm(row)).ravel())
     controls[problem.gain_controls] = np.concatenate(gains)
-    found = CorrectedBurns(problem, 0).margins(at((problem, *case[1:]), controls))
+    found = CorrectedBurns(problem, 0).margins(replace(flyby, problem=problem).at(controls))
     assert found.keys() == {SIZE}
     limit = problem.dv_max - found[SIZE].margin
     kept = ndtr((limit - sizes) / spread) - ndtr((-limit - sizes) / spread)
@@ -114,18 +108,17 @@ def test_corrections_may_be_along_a_line(case, spread):
 @given(cases())
 def test_without_corrections_margins_are_those_of_the_burns(case):
     """And the rows know what the first gains will cost: they have a kink there."""
-    problem, _, rng = case
-    feedback, controls = problem.feedback, some_controls(case, 0.0)
-    lin, rows = at(case, controls), CorrectedBurns(problem, 0)
+    flyby, rng = case
+    problem, controls = flyby.problem, some_controls(case, 0.0)
+    feedback = problem.feedback
+    lin, rows = flyby.at(controls), CorrectedBurns(problem, 0)
     of_burns = problem.burn_margins(lin.iterate.burns)
     found = rows.margins(lin)
     for name, plain in ((SIZE, "dv_max"), (BATTERY, "dv_battery")):
         np.testing.assert_allclose(found[name].margin, of_burns[plain][feedback.burns], atol=1e-8)
     moved = controls.copy()
     moved[problem.gain_controls] = 1e-4 * rng.normal(size=feedback.size)
-    after = np.concatenate([one.margin for one in rows.margins(at(case, moved)).values()])
-    y = [block.at(moved)[0] for block in rows.cones(lin)]
-    model = np.array([one[0] - np.linalg.norm(one[1:]) for one in y])
+    after, model = margins(flyby, moved), modelled(rows.cones(lin), moved)
     # Midway between the nappes either may be the nearer one.
     along = np.einsum("ni,ni->n", lin.iterate.burns, problem.sun)[feedback.burns]
     clear = np.concatenate([np.full(len(along), True), np.abs(along) > 0.01])
@@ -135,9 +128,8 @@ def test_without_corrections_margins_are_those_of_the_burns(case):
 @settings(max_examples=share_of_examples(10))
 @given(cases())
 def test_they_follow_the_final_spread_and_need_no_states(case):
-    problem = replace(case[0], final_spread=(0.1, None))
-    case = problem, *case[1:]
-    lin = at(case, some_controls(case, 0.1))
+    problem = replace(case[0].problem, final_spread=(0.1, None))
+    lin = replace(case[0], problem=problem).at(some_controls(case, 0.1))
     rows, own = FurtherRows(problem, 3), CorrectedBurns(problem, 4)
     assert list(rows.margins(lin))[1:] == list(own.margins(lin))
     assert rows.count == 1 + own.count
@@ -152,8 +144,7 @@ def test_they_follow_the_final_spread_and_need_no_states(case):
 def test_a_zero_burn_without_corrections_is_at_the_apex_and_open_loops_have_no_rows():
     rng = np.random.default_rng(1)
     flyby = random_flyby(rng).corrected(rng)
-    case = flyby.problem, flyby, rng
-    lin = at(case, np.zeros(flyby.problem.controls_before[-1]))
+    lin = flyby.at(np.zeros(flyby.problem.controls_before[-1]))
     found = CorrectedBurns(flyby.problem, 0).margins(lin)
     np.testing.assert_allclose(found[SIZE].margin, flyby.problem.dv_max, atol=1e-8)
     np.testing.assert_allclose(found[BATTERY].margin, 0.0, atol=1e-7)

@@ -10,51 +10,43 @@ from hypothesis import strategies as st
 
 from formulations.arrays import Array
 from formulations.linearisation.linearisation import Linearisation, condense, final_state_map
-from formulations.rows.cones import FINAL_POSITION, FINAL_VELOCITY, Cones, FinalSpread, Pulled, Rows
+from formulations.rows.cones import FINAL_POSITION, FINAL_VELOCITY, FinalSpread, Pulled, Rows
 from formulations.rows.exact import BEND, NodeRows, curved_cones
 from formulations.rows.exact_flight import FLIGHT, Coordinates, FlightRows
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
 from scp_recon.planning.planner import plan
 from scp_recon.scenario.load import load_scenario
+from tests.formulations.program.support import slack
 from tests.helpers import generators, random_flyby
 from tests.scenarios import COARSE
 
 SCOPES = ("node", "flight")
 
 
-def slack(cones: Cones, z: Array) -> Array:
-    """What rows leave at some burns, y_0 - ||y_1..||."""
-    y = cones.values @ z[: cones.values.shape[2]] + cones.constants
-    return np.asarray(y[:, 0] - np.linalg.norm(y[:, 1:], axis=1))
-
-
 @given(generators, st.integers(1, 6))
 def test_a_curved_cone_has_value_slope_and_concave_curvature(rng, p):
-    """By differences of y_0 - ||y_1..|| about where it is made."""
+    """By differences of y_0 - ||y_1..|| about where it is made; and it is triangular."""
     r, h = 3, 1e-4
     margin, slope, z = rng.normal(size=r), rng.normal(size=(r, p)), rng.normal(size=p)
     hessian = rng.normal(size=(r, p, p))
     hessian = hessian + hessian.swapaxes(1, 2)
     cones = curved_cones(np.arange(r), margin, slope, hessian, z)
+    both = np.concatenate([cones.values, cones.constants[..., None]], axis=2)
+    assert cones.triangular
+    np.testing.assert_array_equal(both[:, 1:], np.triu(both[:, 1:]))
     assert slack(cones, z) == pytest.approx(margin, abs=1e-12)
     eye = h * np.eye(p)
     first = np.array([(slack(cones, z + e) - slack(cones, z - e)) / (2.0 * h) for e in eye]).T
     np.testing.assert_allclose(first, slope, atol=1e-6)
     values, axes = np.linalg.eigh(hessian)
     concave = np.einsum("rij,rj,rkj->rik", axes, np.minimum(values, 0.0), axes)
-    second = np.array(
-        [
-            [
-                slack(cones, z + e + f)
-                - slack(cones, z + e - f)
-                - slack(cones, z - e + f)
-                + slack(cones, z - e - f)
-                for f in eye
-            ]
-            for e in eye
-        ]
-    )
+
+    def bent(e: Array, f: Array) -> Array:
+        ahead = slack(cones, z + e + f) - slack(cones, z + e - f)
+        return ahead - slack(cones, z - e + f) + slack(cones, z - e - f)
+
+    second = np.array([[bent(e, f) for f in eye] for e in eye])
     np.testing.assert_allclose(second.transpose(2, 0, 1) / (4.0 * h * h), concave, atol=1e-4)
 
 
@@ -90,17 +82,6 @@ def test_a_curved_cone_is_never_below_its_parabola_and_never_above_its_tangent(r
     assert slack(cones, z + size * d) == pytest.approx(expected, rel=1e-6, abs=1e-6)
 
 
-def test_rows_are_triangular():
-    rng = np.random.default_rng(0)
-    hessian = -np.eye(5) + np.zeros((2, 5, 5))
-    cones = curved_cones(
-        np.arange(2), rng.normal(size=2), rng.normal(size=(2, 5)), hessian, rng.normal(size=5)
-    )
-    both = np.concatenate([cones.values, cones.constants[..., None]], axis=2)
-    assert cones.triangular
-    np.testing.assert_array_equal(both[:, 1:], np.triu(both[:, 1:]))
-
-
 @cache
 def flown(scope: str, p: float = 0.9) -> tuple[Mission, Linearisation]:
     """The coarse default mission, at a plan for a probability."""
@@ -130,9 +111,8 @@ def modelled(rows: Rows, lin: Linearisation, z: Array) -> Array:
 def test_at_the_iterate_rows_have_the_margins_themselves(scope):
     mission, lin = flown(scope)
     rows = rows_of(scope, mission)
-    np.testing.assert_allclose(
-        modelled(rows, lin, lin.iterate.burns.ravel()), margins(rows, lin), atol=1e-9
-    )
+    found = modelled(rows, lin, lin.iterate.burns.ravel())
+    np.testing.assert_allclose(found, margins(rows, lin), atol=1e-9)
 
 
 @pytest.mark.parametrize(("scope", "accuracy"), [("node", 1e-3), ("flight", 3e-2)])
@@ -239,11 +219,8 @@ def test_each_limit_is_one_row_after_the_others_with_the_root_of_the_summed_vari
 ):
     lin = flown_spread(rng, position, velocity)
     rows, last = FinalSpread(lin.problem, first), lin.problem.n_nodes - 1
-    wanted = {
-        name: limit
-        for name, limit in zip(PARTS, (position, velocity), strict=True)
-        if limit is not None
-    }
+    both = dict(zip(PARTS, (position, velocity), strict=True))
+    wanted = {name: limit for name, limit in both.items() if limit is not None}
     assert rows.count == len(wanted)
     assert rows.nodes.tolist() == ([last] if wanted else [])
     margins, variances = rows.margins(lin), np.diag(lin.factor[-1] @ lin.factor[-1].T)
@@ -288,10 +265,7 @@ def test_what_pulls_is_the_derivative_of_the_root_at_its_price(rng, first, certa
     def priced(step: float) -> float:
         other = Linearisation(lin.problem, lin.iterate, lin.arcs)
         other.__dict__["factor"] = lin.factor + step * move
-        return -sum(
-            price * part.margin.item()
-            for price, part in zip(prices[first:], rows.margins(other).values(), strict=True)
-        )
+        return -float(prices[first:] @ margins(rows, other))
 
     slope = (priced(h) - priced(-h)) / (2.0 * h)
     assert np.sum(own[-1] * move) == pytest.approx(slope, rel=1e-6, abs=1e-8)

@@ -44,17 +44,12 @@ def probability(found: Quantiles) -> Array:
     return np.asarray(ndtr(found.value))
 
 
-def root(
-    rng: np.random.Generator, spread: float, slenderness: float = 2.0, count: int = 1
-) -> Array:
-    """Factors (count, 3, 5) of laws whose total spread is given, one axis up to so much longer."""
-    parts = []
-    for _ in range(count):
-        sigma = np.exp(rng.uniform(0.0, np.log(slenderness), 3))
-        square = random_rotation(rng) @ np.diag(spread * sigma / np.linalg.norm(sigma))
-        mixed, _ = np.linalg.qr(rng.normal(size=(5, 3)))
-        parts.append(square @ mixed.T)
-    return np.array(parts)
+def root(rng: np.random.Generator, spread: float, slenderness: float = 2.0) -> Array:
+    """A factor (1, 3, 5) of a law whose total spread is given, one axis up to so much longer."""
+    sigma = np.exp(rng.uniform(0.0, np.log(slenderness), 3))
+    square = random_rotation(rng) @ np.diag(spread * sigma / np.linalg.norm(sigma))
+    mixed, _ = np.linalg.qr(rng.normal(size=(5, 3)))
+    return np.asarray(square @ mixed.T)[None]
 
 
 def covariance(factor: Array) -> Array:
@@ -85,6 +80,13 @@ def some_region(rng: np.random.Generator) -> Region:
     return Cone(rng.normal(size=(1, 3)), random_unit(rng, 1), float(rng.uniform(0.2, 0.9)))
 
 
+def both_sides(region: Region, mean: Array, factor: Array) -> tuple[Array, Array]:
+    """Probabilities to be in a region, and to be out of it."""
+    inside, outside = event((region,)), event((), (region,))
+    within, without = (node_quantiles(side, mean, factor) for side in (inside, outside))
+    return probability(within), probability(without)
+
+
 def oracle(region: Region, mean: Array, factor: Array) -> float:
     if isinstance(region, Ball):
         return ball_probability(region, mean[0], covariance(factor)[0])
@@ -107,8 +109,7 @@ def test_balls_follow_the_noncentral_chi_square_law(sigma, rng):
     mean, ball = distance[:, None] * normal, many(Ball(np.zeros((1, 3)), 1.0), n)
     factor = np.broadcast_to(sigma * np.eye(3), (n, 3, 3))
     expected = round_ball_probability(1.0, np.abs(distance), np.hypot(sigma, SPREAD_MIN))
-    within = probability(node_quantiles(event((ball,)), mean, factor))
-    without = probability(node_quantiles(event((), (ball,)), mean, factor))
+    within, without = both_sides(ball, mean, factor)
     np.testing.assert_allclose(within, expected, rtol=0.0, atol=1e-8)
     np.testing.assert_allclose(without, 1.0 - expected, rtol=0.0, atol=1e-8)
 
@@ -121,8 +122,7 @@ def test_balls_and_cones_agree_with_nested_quadrature(spread, slenderness, devia
     factor = root(rng, spread, slenderness)
     mean = away(rng, region, factor, deviations)
     expected = oracle(region, mean, factor)
-    within = probability(node_quantiles(event((region,)), mean, factor))
-    without = probability(node_quantiles(event((), (region,)), mean, factor))
+    within, without = both_sides(region, mean, factor)
     accuracy = NEAR_APEX if isinstance(region, Cone) else QUADRATURE
     assert within.item() == pytest.approx(expected, abs=accuracy)
     assert without.item() == pytest.approx(1.0 - expected, abs=accuracy)
@@ -133,9 +133,8 @@ def test_balls_and_cones_agree_with_nested_quadrature(spread, slenderness, devia
 def test_a_long_law_deep_inside_a_ball_reaches_out_of_it(spread, distance, rng):
     """Lying across the way to the nearest point of the limit, which it is far from."""
     normal, side, other = random_rotation(rng)
-    factor = np.stack([spread / SLENDER * normal, spread * side, spread / 10.0 * other], axis=1)[
-        None
-    ]
+    axes = [normal / SLENDER, side, other / 10.0]
+    factor = spread * np.stack(axes, axis=1)[None]
     mean, ball = distance * normal[None], Ball(np.zeros((1, 3)), 1.0)
     expected = ball_probability(ball, mean[0], covariance(factor)[0])
     found = probability(node_quantiles(event((ball,)), mean, factor))
@@ -150,8 +149,7 @@ def test_about_its_apex_a_cone_has_one_nappe(away, slenderness, rng):
     factor = root(rng, 1.0, slenderness)
     mean = cone.apex + away * (factor[0] @ rng.normal(size=5))
     expected = oracle(cone, mean, factor)
-    within = probability(node_quantiles(event((cone,)), mean, factor))
-    without = probability(node_quantiles(event((), (cone,)), mean, factor))
+    within, without = both_sides(cone, mean, factor)
     assert within.item() == pytest.approx(expected, abs=NEAR_APEX)
     assert without.item() == pytest.approx(1.0 - expected, abs=NEAR_APEX)
 

@@ -1,10 +1,13 @@
-"""Campaigns whose rows are made by hand, to be shown."""
+"""Campaigns whose rows are made by hand, to be shown; what tests compare of a table."""
 
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import pyarrow.parquet
+
 from scp_recon.campaigns.cases import Case
+from scp_recon.campaigns.results import MEASURED, RESULTS
 from scp_recon.campaigns.run import run_study
 from scp_recon.campaigns.study import Study
 from scp_recon.jobs.job import here
@@ -53,3 +56,8 @@ def campaign_of(tables: Mapping[str, Any], folder: Path, stop_after: int | None 
     except KeyboardInterrupt:
         assert stop_after is not None
     return study
+
+
+def table_of(folder: Path) -> pyarrow.Table:
+    """The table without what was measured."""
+    return pyarrow.parquet.read_table(folder / RESULTS).drop_columns(list(MEASURED))

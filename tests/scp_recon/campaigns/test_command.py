@@ -3,7 +3,6 @@
 import json
 import signal
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -16,7 +15,7 @@ from scp_recon.jobs.job import here
 from scp_recon.jobs.processes import Processes
 from scp_recon.jobs.store import Store
 from scp_recon.results.read import read_solution
-from tests.scp_recon.campaigns.support import table_of
+from tests.scp_recon.campaigns.shown import table_of
 
 STUDY = """
 [campaign]
@@ -91,9 +90,7 @@ def test_an_interrupted_campaign_keeps_what_is_done_and_goes_on(tmp_path, monkey
 
     for rows, number in ((3, signal.SIGINT), (5, signal.SIGTERM)):
 
-        def stopped(
-            store: Store, *row: Any, rows: int = rows, number: signal.Signals = number
-        ) -> None:
+        def stopped(store, *row, rows=rows, number=number):
             put(store, *row)
             if len(store) == rows:
                 signal.raise_signal(number)

@@ -25,7 +25,8 @@ from scp_recon.jobs.store import Row
 from scp_recon.planning.plan import Plan
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scenario.schema import Scenario
-from tests.scp_recon.campaigns.support import table_of
+from tests.scp_recon.campaigns.shown import table_of
+from tests.scp_recon.support import raising
 
 STUDY = Study(
     Campaign(), load_scenario(), ([{"risk.p_chance": 0.1 * i} for i in range(9)],), Path(), {}
@@ -109,12 +110,9 @@ def test_a_folder_that_is_no_campaigns_is_refused_as_such(tmp_path):
 
 
 def test_a_finished_campaign_is_not_run_again_and_says_so(tmp_path):
-    def never(*_: object) -> Any:
-        raise AssertionError
-
     seen: list[tuple[Any, ...]] = []
     first = run(tmp_path)
-    assert run(tmp_path, never, lambda *told: seen.append(told)).equals(first)
+    assert run(tmp_path, raising(AssertionError()), lambda *told: seen.append(told)).equals(first)
     assert seen == [(9, 9, None)]
 
 

@@ -14,7 +14,12 @@ from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.scenario.load import load_scenario
 
-P_CHANCE = {"entry": "risk.p_chance", "values": [0.7, 0.8]}
+
+def axis(entry: str, *values: Any) -> dict[str, Any]:
+    return {"entry": entry, "values": [*values]}
+
+
+P_CHANCE = axis("risk.p_chance", 0.7, 0.8)
 
 
 def study(*axes: dict[str, Any], **campaign: Any) -> Study:
@@ -49,9 +54,8 @@ def test_every_kind_of_axis_gives_its_rows():
         },
     )
     assert len(found.cases) == 2 * 5 * 12 * 6
-    assert [row["uncertainty.execution_error"] for row in found.axes[1]] == pytest.approx(
-        [0.01, 0.02, 0.04, 0.08, 0.16]
-    )
+    errors = [row["uncertainty.execution_error"] for row in found.axes[1]]
+    assert errors == pytest.approx([0.01, 0.02, 0.04, 0.08, 0.16])
     assert found.axes[2][5] == {"site.latitude_deg": 0.0, "site.longitude_deg": 90.0}
     masses = [row["spacecraft.mass_kg"] for row in found.axes[3]]
     assert len(set(masses)) == 6
@@ -118,23 +122,36 @@ BAD_AXES: list[tuple[dict[str, Any], str, str]] = [
 ]
 
 
-def test_a_bad_axis_is_refused():
-    for axis, entry, words in BAD_AXES:
-        with pytest.raises(InputError) as caught:
-            study(axis)
-        assert caught.value.entry == entry
-        assert words in str(caught.value)
-    with pytest.raises(InputError) as caught:  # and everything that is wrong is told
-        study({"entry": P, "values": [2, 3]}, {"entry": "burns.dv_max", "values": [1]})
+BAD_CAMPAIGNS: list[tuple[dict[str, Any], str, str]] = [
+    ({"do": "fyl"}, "campaign.do", "plan"),
+    ({"do": "design"}, "campaign.do", "home orbit"),
+    ({"do": "certify"}, "campaign.do", "exact"),
+    ({"base": "nowhere"}, "scenario nowhere", "must be a readable"),
+    ({"overrides": {P: 2}}, P, "must be"),
+    ({"limit_s": 0}, "campaign.limit_s", "at least 0.1"),
+    ({"baze": "x"}, "campaign.baze", "must be one of"),
+]
+
+
+@pytest.mark.parametrize(
+    ("axes", "campaign", "entry", "words"),
+    [
+        *(([axis], {}, *said) for axis, *said in BAD_AXES),
+        *(([], campaign, *said) for campaign, *said in BAD_CAMPAIGNS),
+    ],
+)
+def test_a_bad_axis_or_campaign_is_refused(axes, campaign, entry, words):
+    with pytest.raises(InputError) as caught:
+        study(*axes, **campaign)
+    assert caught.value.entry == entry
+    assert words in str(caught.value)
+
+
+def test_everything_that_is_wrong_is_told():
+    with pytest.raises(InputError) as caught:
+        study(axis(P, 2, 3), axis("burns.dv_max", 1))
     assert str(caught.value).count("got ") == 3
     assert "axis 2, row 1: burns.dv_max" in str(caught.value)
-
-
-def test_an_entry_is_on_one_axis():
-    with pytest.raises(InputError, match="must be on one axis"):
-        study(P_CHANCE, P_CHANCE)
-    with pytest.raises(InputError, match=r"risk.p_chance: got on axis 1 and axis 2"):
-        study(P_CHANCE, {"entry": "risk", "values": [{"p_chance": 0.9}]})
 
 
 def test_axes_that_contradict_each_other_in_every_case_are_refused():
@@ -146,38 +163,23 @@ def test_axes_that_contradict_each_other_in_every_case_are_refused():
     }
     study(absolute)
     with pytest.raises(InputError, match="all axes together"):
-        study({"entry": "uncertainty.initial_sigma_fraction", "values": [0.01, 0.02]}, absolute)
-
-
-@pytest.mark.parametrize(
-    ("campaign", "entry", "words"),
-    [
-        ({"do": "fyl"}, "campaign.do", "plan"),
-        ({"do": "design"}, "campaign.do", "home orbit"),
-        ({"do": "certify"}, "campaign.do", "exact"),
-        ({"base": "nowhere"}, "scenario nowhere", "must be a readable"),
-        ({"overrides": {"risk.p_chance": 2}}, P, "must be"),
-        ({"limit_s": 0}, "campaign.limit_s", "at least 0.1"),
-        ({"baze": "x"}, "campaign.baze", "must be one of"),
-    ],
-)
-def test_a_bad_campaign_is_refused(campaign, entry, words):
-    with pytest.raises(InputError) as caught:
-        study(**campaign)
-    assert caught.value.entry == entry
-    assert words in str(caught.value)
+        study(axis("uncertainty.initial_sigma_fraction", 0.01, 0.02), absolute)
 
 
 MEAN_P = {"overrides": {"risk": {"p_chance": 0.9}}}
 MEASURED = {"navigation": {"sigma_position_m": 10.0, "sigma_velocity_m_s": 5e-4}}
 FEEDBACK = {"policy.kind": "feedback", "navigation.sigma_velocity_m_s": 5e-4}
-KIND = {"entry": "policy.kind", "values": ["open", "feedback"]}
-COST = {"entry": "policy.cost", "values": ["nominal", "dv99"]}
-LEAD = {"entry": "navigation.lead_s", "values": [0.0, 60.0]}
+KIND = axis("policy.kind", "open", "feedback")
+COST = axis("policy.cost", "nominal", "dv99")
+LEAD_S = "navigation.lead_s"
+LEAD = axis(LEAD_S, 0.0, 60.0)
 SITES = {
     "latitude_deg": {"from": 90, "to": -30, "count": 5},
     "longitude_deg": {"from": 0, "to": 360, "count": 5},
 }
+ONE_LATITUDE = {"sites": SITES | {"latitude_deg": {"from": 30, "to": 30, "count": 1}}}
+PLACE = {"entries": ["site.latitude_deg", "site.longitude_deg"], "values": [[10.0, 20.0]]}
+REPLANNED = {"do": "fly", "policy": "replan"}
 
 
 @pytest.mark.parametrize(
@@ -185,50 +187,45 @@ SITES = {
     [
         ([], {"samples": 1_000_000}, r"campaign.samples: got 1000000 with do = 'plan'; needs"),
         (
-            [{"entry": "design.departure_s", "values": [[0.0, 0.0]]}],
+            [axis("design.departure_s", [0.0, 0.0])],
             {},
             r"axis 1: design.departure_s: got with do = 'plan'; needs do = 'design'",
         ),
         ([], {"overrides": {"design.burn_times": "given"}}, r"overrides: design.burn_times: got"),
+        ([P_CHANCE, P_CHANCE], {}, "must be on one axis"),
+        ([P_CHANCE, axis("risk", {"p_chance": 0.9})], {}, f"{P}: got on axis 1 and axis 2"),
         ([P_CHANCE], MEAN_P, r"overrides: risk.p_chance: got also on axis 1, which replaces it"),
         (
-            [{"entry": "risk", "values": [{"p_chance": 0.8}]}],
-            {"overrides": {"risk.p_chance": 0.9}},
+            [axis("risk", {"p_chance": 0.8})],
+            {"overrides": {P: 0.9}},
             r"overrides: risk.p_chance: got also on axis 1",
         ),
-        ([{"entry": "risk.p_chance", "values": [0.7, 0.8, 0.7]}], {}, r"row 3: .* row 1 again"),
+        ([axis(P, 0.7, 0.8, 0.7)], {}, r"row 3: .* row 1 again"),
         (
-            [{"entry": "boundary.final_position_m", "values": [[1, 2, 3], [1.0, 2.0, 3.0]]}],
+            [axis("boundary.final_position_m", [1, 2, 3], [1.0, 2.0, 3.0])],
             {},
             r"row 2: .* row 1 again",
         ),
         ([{"sites": SITES}], {}, r"row 2: .* the site of row 1 again.* a pole is one site"),
+        ([ONE_LATITUDE], {}, r"row 5: .* 0 and 360 deg are one meridian"),
         (
-            [{"sites": SITES | {"latitude_deg": {"from": 30, "to": 30, "count": 1}}}],
-            {},
-            r"row 5: .* 0 and 360 deg are one meridian",
-        ),
-        (
-            [
-                {"windows": {"span_days": 0.5}},
-                {"entries": ["site.latitude_deg", "site.longitude_deg"], "values": [[10.0, 20.0]]},
-            ],
+            [{"windows": {"span_days": 0.5}}, PLACE],
             {},
             r"axis 1.windows: got beside site.latitude_deg on axis 2; are windows of the base's",
         ),
         ([COST], {"overrides": MEASURED}, r"axis 1: policy.cost: got with policy.kind = 'open'"),
         ([LEAD], {}, r"axis 1: navigation.lead_s: got with policy.kind = 'open'; needs"),
         ([], {"policy": "replan"}, r"campaign.policy: got 'replan' with do = 'plan'; needs"),
-        ([LEAD], {"do": "fly", "policy": "replan"}, r"'replan' without a measurement"),
+        ([LEAD], REPLANNED, r"'replan' without a measurement"),
         (
-            [LEAD | {"values": [0.0, 10000.0]}],
-            {"do": "fly", "policy": "replan", "overrides": MEASURED},
+            [axis(LEAD_S, 0.0, 10000.0)],
+            REPLANNED | {"overrides": MEASURED},
             r"axis 1, row 2: navigation.lead_s: .* the cut-off of burn 4 precedes the one before",
         ),
         ([KIND], {}, r"axis 1, row 2: policy.kind: got 'feedback' without a measurement"),
         ([LEAD], {"overrides": FEEDBACK}, r"navigation: .* must have sigma_position_m"),
         (
-            [LEAD | {"values": [0.0, 30000.0]}],
+            [axis(LEAD_S, 0.0, 30000.0)],
             {"overrides": {"policy.kind": "feedback"} | MEASURED},
             r"axis 1, row 2: navigation.lead_s: .* every cut-off precedes departure",
         ),
@@ -243,13 +240,10 @@ def test_what_no_case_would_do_is_refused(axes, campaign, words):
 def test_policies_and_navigation_are_axes():
     """One figure of a measurement may be swept where the other one is the same in all cases."""
     assert len(study(KIND, COST, LEAD, overrides=MEASURED).cases) == 8
-    swept = study(
-        {"entry": "navigation.sigma_position_m", "values": [1.0, 50.0]}, overrides=FEEDBACK
-    )
+    swept = study(axis("navigation.sigma_position_m", 1.0, 50.0), overrides=FEEDBACK)
     found = [changed(swept.base, case.changes, swept.folder).navigation for case in swept.cases]
-    assert [(one.sigma_position_m, one.sigma_velocity_m_s) for one in found] == [
-        *((1.0, 5e-4), (50.0, 5e-4))
-    ]
+    sigmas = [(one.sigma_position_m, one.sigma_velocity_m_s) for one in found]
+    assert sigmas == [(1.0, 5e-4), (50.0, 5e-4)]
     assert study(LEAD, do="fly", policy="replan", overrides=MEASURED).campaign.policy == "replan"
 
 
@@ -266,14 +260,11 @@ def test_a_billion_cases_are_counted_not_made_and_have_to_be_meant():
     assert time.process_time() - begun < 1.0
 
 
-def test_the_hash_is_of_the_ephemeris_too(tmp_path):
-    """Which an entry two levels deep names."""
-    file = tmp_path / "ring.csv"
-    table = {"boundary": {"home": {"ephemeris_file": str(file)}}, "name": "x"}
-    assert list(files_in(table)) == [str(file)]
-
-
 def test_the_hash_is_of_what_decides_the_rows(tmp_path):
+    """Of an ephemeris too, which an entry two levels deep names."""
+    table = {"boundary": {"home": {"ephemeris_file": "ring.csv"}}, "name": "x"}
+    assert list(files_in(table)) == ["ring.csv"]
+
     def hashed(text: str) -> str:
         path = tmp_path / "study.toml"
         path.write_text(text)

@@ -5,7 +5,6 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from formulations.arrays import Array
 from formulations.problem.flyby import Iterate
 from scp_recon.certification import certify as certification
 from scp_recon.certification import flights
@@ -14,7 +13,6 @@ from scp_recon.monte_carlo.whole_flight import KeptFlights
 from scp_recon.planning import initial_guess
 from scp_recon.planning.plan import Plan
 from scp_recon.planning.planner import plan
-from scp_recon.results.policy import Policy
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scp.status import Status
 
@@ -24,9 +22,8 @@ Reached = tuple[float, float]
 
 def mission_of(scope: str, asked: float = 0.9, sampling: str = "plain") -> Mission:
     """The default scenario with exact risk."""
-    changes = {"risk.p_chance": asked, "risk.allocation": "exact", "risk.scope": scope}
-    changes["risk.sampling"] = sampling
-    return Mission.from_scenario(load_scenario().replace(changes))
+    risk = {"p_chance": asked, "allocation": "exact", "scope": scope, "sampling": sampling}
+    return Mission.from_scenario(load_scenario().replace({"risk": risk}))
 
 
 def a_plan(asked: float = 0.9) -> Plan:
@@ -72,29 +69,15 @@ class World:
         final = replace(self.real.final, result=ended)
         return replace(self.real, mission=mission, final=final, target=target, certificate=None)
 
-    def fly(
-        self,
-        _mission: Mission,
-        burns_m_s: Array,
-        samples: int,
-        seed: int,
-        progress: Callable[[int], None] | None = None,
-        _policy: Policy = (),
-    ) -> KeptFlights:
+    def fly(self, _mission, burns_m_s, samples, seed, progress=None, _policy=()) -> KeptFlights:
         """Flights of the plan with such burns."""
         aim = np.linalg.norm(burns_m_s) / np.linalg.norm(self.real.burns_m_s)
         self.seeds.append(seed)
-        at_nodes, whole = self.reach(min(self.aims, key=lambda made: abs(made - aim)), seed)
+        shares = self.reach(min(self.aims, key=lambda made: abs(made - aim)), seed)
         if progress:
             progress(samples)
-        return KeptFlights(
-            samples,
-            {},
-            {},
-            round(at_nodes * samples),
-            round(whole * samples),
-            np.array(self.touched_s),
-        )
+        counts = [round(share * samples) for share in shares]
+        return KeptFlights(samples, {}, {}, *counts, np.array(self.touched_s))
 
     def last_burns(self, mission: Mission, *_: object) -> Iterate:
         """A start on the mission's grid, whatever its states."""

@@ -43,11 +43,9 @@ def test_what_is_written_solves(options, capsys):
     assert run("mine", *options, "--json") == 0
     shown = capsys.readouterr()
     assert json.loads(shown.out)["plan"]["verification"]["ok"] is True
-    said = shown.err
-    assert "verified" in said
-    assert "total delta-v" in said
+    assert "verified" in shown.err
     # What was planned is what the file holds, to the last digit.
-    (line,) = [line for line in said.splitlines() if line.startswith("total delta-v")]
+    (line,) = [line for line in shown.err.splitlines() if line.startswith("total delta-v")]
     total = plan(load_scenario("mine.toml")).total_dv_m_s
     assert line.startswith(f"total delta-v {total:.6f} m/s")
 
@@ -76,6 +74,7 @@ def test_what_cannot_be_flown_is_written_with_what_to_change(monkeypatch, capsys
 
 
 OTHER_WAY = {"body.pole_ra_deg": 265.46097, "body.pole_dec_deg": 60.3586}
+FAR_SUN = {"sun.body_position_km": [302183638.0, 0.0, 0.0]}
 OTHER_SPIN = {"body.prime_meridian_rate_deg_day": -2011.145755336826}
 
 
@@ -85,10 +84,7 @@ OTHER_SPIN = {"body.prime_meridian_rate_deg_day": -2011.145755336826}
         ({}, "turns in 4.296 h, backwards (its axis 178 deg off"),
         (OTHER_WAY | OTHER_SPIN, "turns in 4.296 h, backwards (its axis 178 deg off"),
         (OTHER_SPIN, "turns in 4.296 h, forwards (its axis 2 deg off"),
-        (
-            {"sun.body_position_km": [302183638.0, 0.0, 0.0]},
-            "the Sun is 2.020 au away, 2 deg south",
-        ),
+        (FAR_SUN, "the Sun is 2.020 au away, 2 deg south"),
     ],
 )
 def test_what_is_taken_as_given_of_a_body_is_said(changes, said, scenario):

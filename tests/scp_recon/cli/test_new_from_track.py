@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from scp_recon.bodies.catalogue import J2000_TDB
 from scp_recon.cli.commands import new
 from scp_recon.drafting.flown import Track
 from scp_recon.errors import InputError
@@ -29,11 +30,6 @@ SUN_STATE = np.array([1.5e8, -5e6, -3.4e6, -4.3, 26.8, 15.2])
 """Of Stone about the Sun at --from, km and km/s."""
 
 
-def about_bennu(meta: Path) -> tuple[str, ...]:
-    """Options for what the kernels' craft flew about Bennu."""
-    return ("--from-spice", str(meta), f"--spacecraft={CRAFT}", "--body", "Bennu", *SITE)
-
-
 @pytest.fixture(autouse=True)
 def _elsewhere(monkeypatch, tmp_path) -> None:
     monkeypatch.chdir(tmp_path)
@@ -49,19 +45,16 @@ def meta(export, tmp_path_factory) -> Path:
     """A meta-kernel of Bennu and of Stone, with the plan as what CRAFT flew about both."""
     spice = pytest.importorskip("spiceypy")
     folder = tmp_path_factory.mktemp("kernels")
-    pck = reference.write_bennu_kernel(folder)
-    meridian = " ".join(map(repr, reference.PRIME_MERIDIAN))
-    (folder / "stone.tpc").write_text(
-        "KPL/PCK\n\\begindata\n"
-        f"BODY{STONE}_POLE_RA = ( {reference.POLE_RA_DEG!r} 0. 0. )\n"
-        f"BODY{STONE}_POLE_DEC = ( {reference.POLE_DEC_DEG!r} 0. 0. )\n"
-        f"BODY{STONE}_PM = ( {meridian} )\n"
-        f"BODY{STONE}_RADII = ( 0.29 0.27 0.25 )\n"
-        f"BODY{STONE}_GM = {reference.GM_M3_S2 * 1e-9!r}\n"
-        f"NAIF_BODY_NAME += 'STONE'\nNAIF_BODY_CODE += {STONE}\n\\begintext\n"
+    stone = (
+        f"BODY{STONE}_RADII = ( 0.29 0.27 0.25 )",
+        f"BODY{STONE}_GM = {reference.GM_M3_S2 * 1e-9!r}",
+        f"NAIF_BODY_NAME += 'STONE'\nNAIF_BODY_CODE += {STONE}",
     )
-    et = [export.et(coast.times_s) for coast in export.path.coasts]
-    begin = (tdb_of_utc(datetime.fromisoformat(FROM)) - datetime(2000, 1, 1, 12)).total_seconds()
+    texts = (
+        reference.write_bennu_kernel(folder),
+        reference.write_bennu_kernel(folder, STONE, stone),
+    )
+    et, begin = [export.et(coast.times_s) for coast in export.path.coasts], et_of(FROM)
     handle = spice.spkopn(str(folder / "all.bsp"), "test", 0)
     for body in (reference.BENNU, STONE):
         for times, coast in zip(et, export.path.coasts, strict=True):
@@ -75,14 +68,10 @@ def meta(export, tmp_path_factory) -> Path:
         about = np.hstack([line, np.tile(SUN_STATE[3:], (2, 1))])
         spice.spkw13(handle, body, SUN, "J2000", *span, "way", 3, 2, about, span)
     spice.spkcls(handle)
-    listed = folder / "all.tm"
-    files = ", ".join(f"'{p}'" for p in (pck.name, "stone.tpc", "all.bsp"))
+    listed, files = folder / "all.tm", [*(path.name for path in texts), "all.bsp"]
     listed.write_text(
         f"KPL/MK\n\\begindata\nPATH_VALUES = ( '{folder}' )\nPATH_SYMBOLS = ( 'K' )\n"
-        f"KERNELS_TO_LOAD = ( {files.replace(chr(39), chr(39) + '$K/', 1)} )\n".replace(
-            ", '", ", '$K/"
-        )
-        + "\\begintext\n"
+        "KERNELS_TO_LOAD = ( " + ", ".join(f"'$K/{name}'" for name in files) + " )\n"
     )
     return listed
 
@@ -90,18 +79,21 @@ def meta(export, tmp_path_factory) -> Path:
 run = partial(status_of, new.main)
 
 
+def et_of(utc: str) -> float:
+    return (tdb_of_utc(datetime.fromisoformat(utc)) - J2000_TDB).total_seconds()
+
+
 def state_of(meta: Path, body: int, utc: str) -> np.ndarray:
     import spiceypy
 
-    et = (tdb_of_utc(datetime.fromisoformat(utc)) - datetime(2000, 1, 1, 12)).total_seconds()
     with spiceypy.KernelPool(str(meta)):
-        return np.array(spiceypy.spkgeo(CRAFT, et, "J2000", body)[0]) * 1e3
+        return np.array(spiceypy.spkgeo(CRAFT, et_of(utc), "J2000", body)[0]) * 1e3
 
 
 @pytest.mark.parametrize(("name", "number"), [("Bennu", reference.BENNU), ("Stone", STONE)])
 def test_body_sun_boundary_and_start_are_the_kernels(meta, name, number, capsys):
-    words = ("--from-spice", str(meta), f"--spacecraft={CRAFT}", "--body", name, *SITE, *SPAN)
-    assert run("mine", *words) == 0
+    words = ("--from-spice", str(meta), f"--spacecraft={CRAFT}", "--body", name)
+    assert run("mine", *words, *SITE, *SPAN) == 0
     assert "\nverified" in capsys.readouterr().out
     scenario = load_scenario("mine.toml")
     body, boundary = scenario.body, scenario.boundary
@@ -114,11 +106,8 @@ def test_body_sun_boundary_and_start_are_the_kernels(meta, name, number, capsys)
     assert boundary.frame == "j2000"
     for which, utc in (("initial", FROM), ("final", TO)):
         expected = state_of(meta, number, utc)
-        given = (
-            *getattr(boundary, f"{which}_position_m"),
-            *getattr(boundary, f"{which}_velocity_m_s"),
-        )
-        np.testing.assert_allclose(given, expected, rtol=1e-9)
+        given = [getattr(boundary, f"{which}_{name}") for name in ("position_m", "velocity_m_s")]
+        np.testing.assert_allclose(np.ravel(given), expected, rtol=1e-9)
     sun = (*scenario.sun.body_position_km, *scenario.sun.body_velocity_km_s)
     np.testing.assert_allclose(sun, SUN_STATE, rtol=1e-9)
     duration = datetime.fromisoformat(TO) - datetime.fromisoformat(FROM)
@@ -126,20 +115,6 @@ def test_body_sun_boundary_and_start_are_the_kernels(meta, name, number, capsys)
     start = csv_track(Path("mine_start.csv"), scenario.epoch.tdb)
     assert start.duration_s == pytest.approx(scenario.duration_s)
     np.testing.assert_allclose(start.states[0], state_of(meta, number, FROM), rtol=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("span", "said"),
-    [
-        # Of a packaged body the kernel has to have the same Sun within 0.1 deg: here a week off.
-        (("2020-01-29T20:32:08", "2020-01-30T06:12:49"), "--from-spice"),
-        ((FROM, "2020-01-22T02:00:00"), "begin earlier or end later"),
-    ],
-)
-def test_a_span_that_cannot_be_is_refused(meta, span, said, capsys):
-    assert run("mine", *about_bennu(meta), "--from", span[0], "--to", span[1]) == 2
-    assert said in capsys.readouterr().err
-    assert not Path("mine.toml").exists()
 
 
 @pytest.mark.parametrize("form", ["oem", "csv"])
@@ -164,11 +139,7 @@ def test_a_message_or_a_table_is_a_start(export, form, capsys):
     ("key", "given", "message"),
     [
         ("REF_FRAME", "TEME", "EME2000.*; turn the states"),
-        (
-            "REF_FRAME",
-            "EME2000\nREF_FRAME_EPOCH = 2020-01-01T12:00:00",
-            "EPOCH: got 2020.*left out",
-        ),
+        ("REF_FRAME", "EME2000\nREF_FRAME_EPOCH = 2020-01-01T12:00:00", "EPOCH: got 2020.*left"),
         ("REF_FRAME", "ICRF\nREF_FRAME_EPOCH = 2000-01-01", "REF_FRAME_EPOCH: got time data"),
         ("CCSDS_OEM_VERS", "1.0\nREF_FRAME_EPOCH = 2000-01-01", "no OEM.*CCSDS_OEM_VERS"),
         ("CENTER_NAME", "EARTH", "BENNU"),
@@ -225,19 +196,25 @@ def test_an_oem_about_a_systems_barycentre_is_read_with_a_doubt(body, doubted):
     assert ["about DidymosBarycenter" in str(doubt) for doubt in track.doubts] == [True] * doubted
 
 
+SPICE = ("--from-spice", "META", "--spacecraft=-64")
+
+
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
-        (("--from-spice", "META"), "--spacecraft"),
-        (("--from-spice", "META", "--spacecraft=-64", "--from", FROM), "--to"),
-        (("--from-spice", "META", "--spacecraft=-64", "--from", TO, "--to", FROM), "--to"),
-        (("--from-spice", "META", "--spacecraft=-65", *SPAN), "-65"),
+        (SPICE[:2], "--spacecraft"),
+        ((*SPICE, "--from", FROM), "--to"),
+        ((*SPICE, "--from", TO, "--to", FROM), "--to"),
+        ((*SPICE, "--from", FROM, "--to", "2020-01-22T02:00:00"), "begin earlier or end later"),
+        # Of a packaged body the kernel has to have the same Sun within 0.1 deg: here a week off.
+        ((*SPICE, "--from", "2020-01-29T20:32:08", "--to", "2020-01-30T06:12:49"), "--from-spice"),
+        ((*SPICE[:2], "--spacecraft=-65", *SPAN), "-65"),
         (("--from-spice", "nothing.tm", "--spacecraft=-64", *SPAN), "--from-spice"),
-        (("--from-spice", "META", "--spacecraft=-64", *SPAN, "--epoch", FROM), "--epoch"),
-        (("--from-spice", "META", "--from-csv", "x.csv", "--epoch", FROM), "more than one"),
-        (("--from-spice", "META", "--spacecraft=-64", *SPAN, "--body", "Pebble"), "--body"),
-        (("--from-spice", "META", "--spacecraft=x"), "--spacecraft"),
-        (("--from-spice", "META", "--spacecraft=-64", *SPAN, "--gm", "3"), "--gm: got 3.0"),
+        ((*SPICE, *SPAN, "--epoch", FROM), "--epoch"),
+        ((*SPICE[:2], "--from-csv", "x.csv", "--epoch", FROM), "more than one"),
+        ((*SPICE, *SPAN, "--body", "Pebble"), "--body"),
+        ((*SPICE[:2], "--spacecraft=x"), "--spacecraft"),
+        ((*SPICE, *SPAN, "--gm", "3"), "--gm: got 3.0"),
     ],
 )
 def test_bad_input_ends_in_one_message(meta, words, expected, capsys):

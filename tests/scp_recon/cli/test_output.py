@@ -25,7 +25,8 @@ def folder(default_run, tmp_path_factory) -> Path:
 
 def words_of(command: str, folder: Path, out: Path) -> list[str]:
     """Arguments with which a command ends well, and soon."""
-    plan = str(folder)
+    plan, study = str(folder), out / "study.toml"
+    study.write_text('[[axis]]\nentry = "risk.p_chance"\nvalues = [0.6]\n', "utf-8")
     return {
         "solve": ["--problem", "P3", "--out", str(out / "p3")],
         "verify": [plan],
@@ -38,14 +39,8 @@ def words_of(command: str, folder: Path, out: Path) -> list[str]:
         "windows": ["recon_b", "--csv", str(out / "windows.csv")],
         "scenarios": [],
         "schema": [str(out / "schema.json")],
-        "campaign": [a_study(out), "--workers", "0", "--out", str(out / "campaign")],
+        "campaign": [str(study), "--workers", "0", "--out", str(out / "campaign")],
     }[command]
-
-
-def a_study(folder: Path) -> str:
-    path = folder / "study.toml"
-    path.write_text('[[axis]]\nentry = "risk.p_chance"\nvalues = [0.6]\n', "utf-8")
-    return str(path)
 
 
 RUN = sorted(every.COMMANDS.keys() - {"simulate", "design", "explore"})

@@ -25,6 +25,7 @@ solve --set risk.p_chance -> --set: got
 solve --scenario none.toml -> none.toml: got no such file
 solve --scenario words.toml -> TOML
 solve --scenario . -> got a folder
+solve nightingale -> boundary.home: got
 solve / -> scenario /: got a folder; must be a scenario file in TOML; solve plans
 solve a --scenario b -> SCENARIO: got a and b; must be given once
 solve a b -> got b; there is no such option or argument

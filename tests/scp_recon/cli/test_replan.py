@@ -15,11 +15,6 @@ from scp_recon.results.read import read_solution
 OFF = np.array([40.0, -40.0, 20.0, 2e-3, 2e-3, -1e-3])
 
 
-@pytest.fixture(autouse=True)
-def wide(monkeypatch) -> None:
-    monkeypatch.setenv("COLUMNS", "200")
-
-
 @pytest.fixture
 def plan_folder(solution, verification, tmp_path) -> Path:
     folder = tmp_path / "plan"

@@ -1,9 +1,7 @@
 """The command line: what it shows, what it leaves on disk, and how it ends."""
 
-import os
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -15,26 +13,9 @@ from scp_recon.results.read import read_solution
 from scp_recon.scp.algorithms import SCvx
 from scp_recon.scp.loop import Record, State
 from tests.scenarios import COARSE
-from tests.scp_recon.support import run_solve
+from tests.scp_recon.support import raising, run_solve
 
 PROJECT = Path(__file__).parents[3]
-
-
-def run_module(*arguments: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", *arguments],
-        cwd=PROJECT,
-        env={**os.environ, "COLUMNS": "200"},
-        capture_output=True,
-        text=True,
-        timeout=120,
-        check=False,
-    )
-
-
-def flat(text: str) -> str:
-    """Without the line breaks of a narrow terminal."""
-    return " ".join(text.split())
 
 
 def test_default_ends_with_zero_and_a_verified_solution_alone(default_run):
@@ -49,7 +30,7 @@ def test_default_ends_with_zero_and_a_verified_solution_alone(default_run):
 
 
 def test_it_shows_case_verdict_burns_and_every_constraint(default_run):
-    shown, solution = flat(default_run.output), read_solution(default_run.folder)
+    shown, solution = " ".join(default_run.output.split()), read_solution(default_run.folder)
     for piece in ("recon_b", "Nightingale", "13140.2 to 16537.5 s", "154 nodes", "Converged"):
         assert piece in shown
     assert f"{solution.total_dv_m_s:.6f} m/s" in shown
@@ -63,28 +44,23 @@ def test_it_shows_case_verdict_burns_and_every_constraint(default_run):
 
 
 def test_it_runs_as_a_module(tmp_path):
-    run = run_module(
-        "scp_recon.solve",
-        "--init",
-        "cold",
-        "--problem",
-        "P3",
-        "--set",
-        COARSE,
-        "--out",
-        str(tmp_path),
+    words = ("--init", "cold", "--problem", "P3", "--set", COARSE, "--out", str(tmp_path))
+    run = subprocess.run(
+        [sys.executable, "-m", "scp_recon.solve", *words],
+        cwd=PROJECT,
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
     )
     assert (run.returncode, run.stderr) == (0, "")
     assert read_solution(tmp_path).problem == "P3"
 
 
 def test_a_solution_brings_its_scenario_which_may_be_overridden(tmp_path):
-    first = run_solve(tmp_path / "a", "--problem", "P3", "--set", "name=mine", "--set", COARSE)
-    assert first.exit_code == 0
-    again = run_solve(
-        tmp_path / "b",
-        *("--problem", "P3", "--init", str(tmp_path / "a"), "--set", "risk.p_chance=0.9"),
-    )
+    words = ("--problem", "P3", "--set")
+    assert run_solve(tmp_path / "a", *words, "name=mine", "--set", COARSE).exit_code == 0
+    again = run_solve(tmp_path / "b", *words, "risk.p_chance=0.9", "--init", str(tmp_path / "a"))
     assert again.exit_code == 0
     scenario = read_solution(tmp_path / "b").scenario
     assert (scenario.name, scenario.risk.p_chance) == ("mine", 0.9)
@@ -115,10 +91,8 @@ def test_infeasible_ends_with_three_and_names_what_is_violated(tmp_path):
         )
 
 
-@pytest.fixture
-def ctrl_c_in_the_fourth_iteration(monkeypatch) -> None:
-    calls: Iterator[int] = iter(range(1, 1000))
-    original: Callable[..., tuple[State, Record]] = SCvx.step
+def test_ctrl_c_leaves_the_best_iterate_marked_as_such_which_goes_on(tmp_path, monkeypatch):
+    calls, original = iter(range(1, 1000)), SCvx.step
 
     def step(self: SCvx, *arguments: Any) -> tuple[State, Record]:
         if next(calls) == 4:
@@ -126,12 +100,6 @@ def ctrl_c_in_the_fourth_iteration(monkeypatch) -> None:
         return original(self, *arguments)
 
     monkeypatch.setattr(SCvx, "step", step)
-
-
-def test_ctrl_c_leaves_the_best_iterate_marked_as_such_which_goes_on(
-    tmp_path, request, monkeypatch
-):
-    request.getfixturevalue("ctrl_c_in_the_fourth_iteration")
     run = run_solve(tmp_path, "--init", "cold", "--set", COARSE)
     assert run.exit_code == 130
     assert "Traceback" not in run.errors
@@ -159,10 +127,7 @@ def test_ctrl_c_leaves_the_best_iterate_marked_as_such_which_goes_on(
 def test_ctrl_c_between_the_steps_keeps_what_was_done(module, name, left, tmp_path, monkeypatch):
     """Between P3 and P2, in the verification, and before anything."""
 
-    def ctrl_c(*_: object, **__: object) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(module, name, ctrl_c)
+    monkeypatch.setattr(module, name, raising(KeyboardInterrupt()))
     run = run_solve(tmp_path, "--set", COARSE)
     assert run.exit_code == 130
     assert "Traceback" not in run.errors

@@ -11,11 +11,6 @@ from tests.scp_recon.support import status_of
 run = partial(status_of, windows.main)
 
 
-@pytest.fixture(autouse=True)
-def _wide(monkeypatch) -> None:
-    monkeypatch.setenv("COLUMNS", "200")
-
-
 def test_what_is_hardly_meant_is_warned_about_and_what_cannot_be_is_refused(tmp_path, capsys):
     path = tmp_path / "mine.toml"
     path.write_text('base = "recon_b"\n[body]\npole_dec_deg = 60.3586\n', "utf-8")

@@ -13,9 +13,12 @@ from formulations.problem.flow import ArcDerivatives
 from scp_recon.errors import InputError
 from scp_recon.impulsive.plan import ImpulsivePlan
 from scp_recon.planning.method import ALGORITHMS, FORMULATIONS
+from tests.helpers import Arcs
 
 RATE, NODES = 2.0 * np.pi / 5556.0, 25
 BURNS = [0, 8, 16, 24]
+FACES = np.vstack([np.eye(3), -np.eye(3)])
+COVARIANCE = np.diag([2.0, 2.0, 2.0, 0.001, 0.001, 0.001]) ** 2
 
 
 def hill(r: Any, v: Any, t: Any, p: Any) -> list[Any]:
@@ -38,11 +41,10 @@ def problem(flow) -> sr.ImpulsiveProblem:
 @pytest.fixture(scope="module")
 def erring(problem) -> sr.ImpulsiveProblem:
     """Out of a ball to the end of its third leg."""
-    covariance = np.diag([2.0, 2.0, 2.0, 0.001, 0.001, 0.001]) ** 2
     ball = sr.Keep("out", sr.Ball(np.zeros(3), 250.0), range(1, 17), "ball")
     return replace(
         problem,
-        initial_covariance=covariance,
+        initial_covariance=COVARIANCE,
         errors=sr.GatesErrors(0.0005, 0.005, 0.0005, 0.005),
         regions=[ball],
         probability=0.95,
@@ -110,10 +112,9 @@ def test_a_certified_plan_costs_more_and_fresh_flights_reach_the_probability(err
 
 def around(sizes: Array) -> list[sr.Keep]:
     """One region of each kind to be kept in or out of, none of which forbids the way."""
-    normal = np.vstack([np.eye(3), -np.eye(3)])
     return [
-        sr.Keep("in", sr.Polytope(normal, [1500.0, 1500.0, 300.0, 1500.0, 1500.0, 300.0])),
-        sr.Keep("out", sr.Polytope(normal, np.tile(sizes, 2)), range(1, 17), "box"),
+        sr.Keep("in", sr.Polytope(FACES, [1500.0, 1500.0, 300.0, 1500.0, 1500.0, 300.0])),
+        sr.Keep("out", sr.Polytope(FACES, np.tile(sizes, 2)), range(1, 17), "box"),
         sr.Keep("in", sr.Ellipsoid([0.0, -300.0, 0.0], np.diag([1 / 900, 1 / 1200, 1 / 400]))),
         sr.Keep("out", sr.Ellipsoid([0.0, 0.0, 0.0], np.diag(0.9 / sizes)), range(1, 17), "egg"),
         sr.Keep("in", sr.Halfspaces([0.0, 1.0, 0.0], 1000.0)),
@@ -167,15 +168,14 @@ class Off:
         return self.change(self.flow.differentiate(state))
 
 
-@dataclass(frozen=True, eq=False)
-class Changed:
-    state: Array
-    stm: Array
-    tensor: Array
-
-
 BALL = np.zeros(3), 100.0
-FACES = np.vstack([np.eye(3), -np.eye(3)])
+I6, FLAT = np.eye(6)[None], np.diag([1, 1, 0])
+
+
+def corrected(burns: Any, cut_offs: Any, measurement: Any = I6, **more: Any) -> dict[str, Any]:
+    """Changes to burns that are corrected."""
+    given = {"cost": "dv99", "probability": 0.9} | more
+    return {"feedback": sr.Feedback(burns, cut_offs, measurement, **given)}
 
 
 @pytest.mark.parametrize(
@@ -195,43 +195,23 @@ FACES = np.vstack([np.eye(3), -np.eye(3)])
         ({"initial_covariance": np.eye(3)}, r"initial_covariance: got shape \(3, 3\)"),
         ({"initial_covariance": -np.eye(6)}, "initial_covariance: got a matrix that is no"),
         ({"regions": [sr.Keep("at", sr.Ball(*BALL))]}, "ball 1: side: got 'at'"),
-        (
-            {"regions": [sr.Keep("in", sr.Ball(np.zeros(3), 0.0))]},
-            "ball 1: got radius 0.0; must have",
-        ),
+        ({"regions": [sr.Keep("in", sr.Ball(BALL[0], 0.0))]}, "ball 1: got radius 0.0; must have"),
         ({"regions": [sr.Keep("in", sr.Ball(np.zeros(2), 1.0))]}, "center of shape"),
         ({"regions": [sr.Keep("in", sr.Ball(*BALL), [30])]}, "ball 1: nodes: .*within 0 and 24"),
         ({"regions": [sr.Keep("in", sr.Ball(*BALL), name="a")] * 2}, "regions: .*must differ"),
         ({"regions": [sr.Keep("in", sr.Cone(BALL[0], FACES[0], 2.0))]}, "half-angle 2.0"),
         ({"regions": [sr.Keep("in", sr.Halfspaces(BALL[0], 2.0))]}, "a normal other than zero"),
-        (
-            {"regions": [sr.Keep("in", sr.Ellipsoid(BALL[0], np.diag([1, 1, 0])))]},
-            "must have points",
-        ),
+        ({"regions": [sr.Keep("in", sr.Ellipsoid(BALL[0], FLAT))]}, "must have points"),
         ({"regions": [sr.Keep("out", sr.Polytope(FACES, -np.ones(6)))]}, "half-spaces that meet"),
+        (corrected([1], [9]), "feedback.cut_offs: .*not be after"),
+        (corrected([1], [8], np.eye(3)), "feedback.measurement: got shape"),
+        (corrected([4], [8]), "feedback.burns: .*from 0 to 3"),
+        (corrected([1, 2], [8, 3], np.tile(I6, (2, 1, 1))), "feedback.cut_offs: .*must ascend"),
+        (corrected([1], [8], cost="dv95"), "feedback.cost"),
+        (corrected([1], [8], probability=9), "feedback.probability"),
         (
-            {"feedback": sr.Feedback([1], [9], np.eye(6)[None], "dv99", 0.9)},
-            "feedback.cut_offs: .*not be after",
-        ),
-        (
-            {"feedback": sr.Feedback([1], [8], np.eye(3), "dv99", 0.9)},
-            "feedback.measurement: got shape",
-        ),
-        (
-            {"feedback": sr.Feedback([4], [8], np.eye(6)[None], "dv99", 0.9)},
-            "feedback.burns: .*from 0 to 3",
-        ),
-        (
-            {"feedback": sr.Feedback([1, 2], [8, 3], np.array([np.eye(6)] * 2), "dv99", 0.9)},
-            "feedback.cut_offs: .*must ascend",
-        ),
-        ({"feedback": sr.Feedback([1], [8], np.eye(6)[None], "dv95", 0.9)}, "feedback.cost"),
-        ({"feedback": sr.Feedback([1], [8], np.eye(6)[None], "dv99", 9)}, "feedback.probability"),
-        (
-            {
-                "feedback": sr.Feedback([1, 2], [3, 8], np.array([np.eye(6)] * 2), "dv99", 0.9),
-                "errors": sr.GatesErrors(0.0, 0.01, 0.0, 0.01, 0.02),
-            },
+            corrected([1, 2], [3, 8], np.tile(I6, (2, 1, 1)))
+            | {"errors": sr.GatesErrors(0.0, 0.01, 0.0, 0.01, 0.02)},
             "errors: .*magnitude_bias 0.02 with 2 corrected burns",
         ),
         ({"final_sigma": (5.0, None)}, "final_sigma: .*goes with errors"),
@@ -239,11 +219,11 @@ FACES = np.vstack([np.eye(3), -np.eye(3)])
         ({"regions": [sr.Ball(*BALL)]}, "regions: .*list of Keep"),
         ({"errors": 0.01}, "errors: .*GatesErrors"),
         ({"units": (1.0, 1.0, 1.0)}, "units: "),
-        (lambda a: Changed(a.state[:, :3], a.stm, a.tensor), "flow: got state of shape"),
-        (lambda a: Changed(a.state, a.stm[1:], a.tensor), "flow: got stm of shape"),
-        (lambda a: Changed(a.state + 1.0, a.stm, a.tensor), "where `propagate` ends"),
-        (lambda a: Changed(a.state, 1.1 * a.stm, a.tensor), "an STM that is not its map's"),
-        (lambda a: Changed(a.state, a.stm, a.tensor + 1.0), "a tensor that is not its STM's"),
+        (lambda a: Arcs(a.state[:, :3], a.stm, a.tensor), "flow: got state of shape"),
+        (lambda a: Arcs(a.state, a.stm[1:], a.tensor), "flow: got stm of shape"),
+        (lambda a: Arcs(a.state + 1.0, a.stm, a.tensor), "where `propagate` ends"),
+        (lambda a: Arcs(a.state, 1.1 * a.stm, a.tensor), "an STM that is not its map's"),
+        (lambda a: Arcs(a.state, a.stm, a.tensor + 1.0), "a tensor that is not its STM's"),
     ],
 )
 def test_bad_input_has_one_message_each(problem, flow, change, says):
@@ -260,11 +240,6 @@ def test_a_plan_tells_what_it_is(problem):
     assert str(plan).count("node") == len(BURNS)
     with pytest.raises(InputError, match=r"guess: got shape \(3, 6\)"):
         problem.solve(np.zeros((3, 6)))
-    covariance = np.diag([2.0, 2.0, 2.0, 0.001, 0.001, 0.001]) ** 2
-    closed = replace(
-        problem,
-        initial_covariance=covariance,
-        feedback=sr.Feedback([1], [8], np.eye(6)[None], "dv99", 0.9),
-    )
+    closed = replace(problem, initial_covariance=COVARIANCE, **corrected([1], [8]))
     with pytest.raises(InputError, match="feedback: got corrected burns; goes with the formul"):
         closed.solve(formulation="frozen-stm")

@@ -10,6 +10,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 
+from formulations.arrays import Array
 from scp_recon.bodies.catalogue import packaged_body
 from scp_recon.interop import kernels
 from scp_recon.interop.export import UNNAMED_BODY_ID, Export, Ids
@@ -18,7 +19,7 @@ from scp_recon.interop.kernels import command_times, commanded
 from scp_recon.scenario.time_scales import iso_utc
 from scp_recon.simulation.guidance import FlightPlan
 from scp_recon.simulation.vehicle import Vehicle, load_vehicle
-from tests.scp_recon.support import integrate
+from tests.scp_recon.support import integrate, raising
 
 BENNU = 2101955
 SPACECRAFT, BODY, AXES = "-999", "BENNU", "SC999_AXES"
@@ -52,20 +53,21 @@ def spice(folder) -> Iterator[ModuleType]:
     spiceypy.kclear()
 
 
+def state_at(spice: ModuleType, et: float) -> Array:
+    """Of the spacecraft about the body, J2000, SI."""
+    return spice.spkezr(SPACECRAFT, et, "J2000", "NONE", BODY)[0] * 1e3
+
+
 def test_positions_are_within_a_millimetre_at_the_states_and_between_them(spice, export):
     for coast in export.path.coasts:
-        read = np.array(
-            [spice.spkezr(SPACECRAFT, t, "J2000", "NONE", BODY)[0] * 1e3
-             for t in export.et(coast.times_s[:-1])]
-        )  # fmt: skip
+        read = np.array([state_at(spice, et) for et in export.et(coast.times_s[:-1])])
         assert np.abs(read[:, :3] - coast.states[:-1, :3]).max() < 1e-3
         np.testing.assert_allclose(read, coast.states[:-1], rtol=1e-10)
         for k in range(0, len(coast.times_s) - 1, 20):
             middle = coast.times_s[k : k + 2].mean()
             exact = integrate(export.mission.forces, coast.states[k], [coast.times_s[k], middle])
-            et = export.et(np.array([middle]))[0]
-            between = spice.spkpos(SPACECRAFT, et, "J2000", "NONE", BODY)[0] * 1e3
-            assert np.linalg.norm(between - exact[-1, :3]) < 1e-6
+            between = state_at(spice, export.et(np.array([middle]))[0])
+            assert np.linalg.norm((between - exact[-1])[:3]) < 1e-6
 
 
 def test_a_burn_has_its_state_before_and_after(spice, export):
@@ -73,10 +75,9 @@ def test_a_burn_has_its_state_before_and_after(spice, export):
         export.solution.burns, itertools.pairwise(export.path.coasts), strict=True
     ):
         et = export.et(np.array([burn.t_s]))[0]
-        early = spice.spkezr(SPACECRAFT, et - 1e-4, "J2000", "NONE", BODY)[0] * 1e3
-        late = spice.spkezr(SPACECRAFT, et, "J2000", "NONE", BODY)[0] * 1e3
-        np.testing.assert_allclose(early[3:], before.states[-1, 3:], atol=1e-8)
-        np.testing.assert_allclose(late[3:], after.states[0, 3:], atol=1e-12)
+        early, late = state_at(spice, et - 1e-4)[3:], state_at(spice, et)[3:]
+        np.testing.assert_allclose(early, before.states[-1, 3:], atol=1e-8)
+        np.testing.assert_allclose(late, after.states[0, 3:], atol=1e-12)
 
 
 def test_attitudes_and_rates_are_those_commanded(spice, export, vehicle):
@@ -124,10 +125,7 @@ def test_a_kernel_that_cannot_be_filled_leaves_nothing_behind(
 ):
     pytest.importorskip("spiceypy")
 
-    def fails(*_: object) -> None:
-        raise MemoryError
-
-    monkeypatch.setattr(kernels, "_rates", fails)
+    monkeypatch.setattr(kernels, "_rates", raising(MemoryError()))
     with pytest.raises(MemoryError):
         write_export(export, "ck", tmp_path, vehicle)
     assert list(tmp_path.iterdir()) == []

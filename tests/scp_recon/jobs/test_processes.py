@@ -22,18 +22,14 @@ def backwards(work: Work, jobs: Iterable[Job]) -> Generator[Done, None, None]:
     yield from (attempt(work, job) for job in reversed(list(jobs)))
 
 
-@pytest.mark.parametrize("executor", [Processes(1, LIMITS), Processes(3, LIMITS), backwards])
-def test_rows_are_the_same_for_any_split(executor, tmp_path):
+@pytest.mark.parametrize("executor", [here, Processes(1, LIMITS), Processes(3), backwards])
+def test_rows_and_results_in_their_order_are_the_same_for_any_split(executor, tmp_path):
     jobs = some_jobs(40)
     rows = run_all(Quick(), jobs, tmp_path / "a", executor)
     assert computed(rows) == computed(run_all(Quick(), jobs, tmp_path / "b"))
-
-
-@pytest.mark.parametrize("executor", [here, Processes(3), backwards])
-def test_results_come_in_the_order_of_the_jobs(executor):
-    found = list(in_order(executor, Quick(), iter(some_jobs(20))))
-    assert [done.key for done in found] == list(range(20))
-    assert [done.result() for done in found] == [Quick()(number) for number in range(20)]
+    found = list(in_order(executor, Quick(), iter(jobs)))
+    assert [done.key for done in found] == list(range(40))
+    assert [done.result() for done in found] == [Quick()(number) for number in range(40)]
 
 
 @pytest.mark.parametrize("apart", [False, True])

@@ -18,6 +18,7 @@ from scp_recon.jobs.store import Store, read_head, read_rows, sources
 from tests import reliability
 from tests.scp_recon.jobs.support import DEPENDS_ON, computed, run_all, some_jobs
 from tests.scp_recon.jobs.works import Quick
+from tests.scp_recon.support import raising
 
 
 def row_of(key: Key) -> dict[str, Any]:
@@ -138,9 +139,7 @@ def test_a_row_has_its_files_before_it(tmp_path, monkeypatch):
     run_all(Quick(), some_jobs(1), tmp_path)
     assert (tmp_path / "files" / "0.txt").read_bytes() == b"a file"
 
-    def full(*_: object) -> Path:
-        raise OSError(errno.ENOSPC, "No space left on device")
-
+    full = raising(OSError(errno.ENOSPC, "No space left on device"))
     monkeypatch.setattr(module, "write_atomically", full)
     with pytest.raises(InputError, match="no space left on device"):
         run_all(Quick(), some_jobs(2), tmp_path)

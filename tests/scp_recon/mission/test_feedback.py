@@ -1,15 +1,16 @@
 """Burns that feedback corrects, their cut-offs among the nodes, and what is measured there."""
 
 import re
+from collections.abc import Iterator
 
 import numpy as np
 import pytest
 
+from formulations.arrays import Array
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.physics.frames import unit
 from scp_recon.planning import initial_guess
-from scp_recon.planning.planner import plan
 from scp_recon.scenario.schema import Scenario
 from tests.scp_recon.support import mission_of
 
@@ -81,11 +82,6 @@ def test_cut_offs_are_nodes_a_lead_before_the_burns_between(overrides, burns, cu
     assert found.times_s[feedback.cut_offs].tolist() == cut_offs
 
 
-def test_cost_and_probability_are_the_scenarios():
-    feedback = mission_of(*FEEDBACK, "policy.cost=expected", "risk.p_chance=0.9").problem.feedback
-    assert (feedback.cost, feedback.probability) == ("expected", 0.9)
-
-
 def in_flight(scenario: Scenario, at_s: float, *, flown: int) -> Mission:
     flight = {
         "at_s": at_s,
@@ -116,38 +112,49 @@ def test_in_flight_there_may_be_nothing_left_to_correct(corrected):
     assert feedback.burns.tolist() == [0]
 
 
-def covariances(mission: Mission) -> np.ndarray:
+def covariances(mission: Mission, measurement: Array | None = None) -> Array:
     """Of what is measured at each cut-off, SI."""
-    feedback = mission.problem.feedback
-    factors = mission.units.state[:, None] * feedback.measurement
+    if measurement is None:
+        measurement = mission.problem.feedback.measurement
+    factors = mission.units.state[:, None] * measurement
     return factors @ np.swapaxes(factors, 1, 2)
 
 
-def test_measurements_are_the_scenarios_in_units(corrected):
+def measured_on(mission: Mission, path: Array) -> Iterator[tuple[Array, Array]]:
+    """Covariances in J2000 at cut-offs, and by the directions themselves the axes of RTN there.
+
+    Along the position, across in the plane, and normal to it.
+    """
+    states = path[mission.problem.feedback.cut_offs]
+    for covariance, state in zip(
+        covariances(mission, mission.measurement(states)), states, strict=True
+    ):
+        radial, normal = unit(state[:3]), unit(np.cross(state[:3], state[3:]))
+        axes = np.array([radial, np.cross(normal, radial), normal])
+        assert axes[1] @ state[3:] > 0.0
+        yield covariance, axes
+
+
+def test_measurements_cost_and_probability_are_the_scenarios(corrected):
     expected = np.diag([100.0] * 3 + [2.5e-7] * 3)
     np.testing.assert_allclose(covariances(corrected), [expected] * 2, rtol=1e-12)
+    feedback = mission_of(*FEEDBACK, "policy.cost=expected", "risk.p_chance=0.9").problem.feedback
+    assert (feedback.cost, feedback.probability) == ("expected", 0.9)
     fixed = in_frame("j2000")
     given = np.array(fixed.scenario.navigation.covariance)
     np.testing.assert_allclose(covariances(fixed), [given] * 2, rtol=1e-9, atol=1e-12)
 
 
 def test_a_covariance_in_rtn_turns_with_the_path():
-    """By the directions themselves: along the position, across in the plane, and normal to it."""
     mission = in_frame("rtn")
-    path = initial_guess.ballistic(mission).mean
-    feedback = mission.problem.feedback
-    factors = mission.units.state[:, None] * mission.measurement(path[feedback.cut_offs])
-    found = factors @ np.swapaxes(factors, 1, 2)
     given = np.array(mission.scenario.navigation.covariance)
-    for covariance, state in zip(found, path[feedback.cut_offs], strict=True):
-        radial, normal = unit(state[:3]), unit(np.cross(state[:3], state[3:]))
-        axes = np.array([radial, np.cross(normal, radial), normal])
-        assert axes[1] @ state[3:] > 0.0
+    found = list(measured_on(mission, initial_guess.ballistic(mission).mean))
+    for covariance, axes in found:
         for part in (slice(0, 3), slice(3, 6)):
             turned = axes @ covariance[part, part] @ axes.T
             np.testing.assert_allclose(turned, given[part, part], rtol=1e-9, atol=1e-12)
         assert axes[0] @ covariance[:3, 3:] @ axes[1] == pytest.approx(given[0, 4])
-    assert not np.allclose(found[0], found[1])
+    assert not np.allclose(found[0][0], found[1][0])
 
 
 def test_useless_axes_of_rtn_leave_the_others_resolved():
@@ -157,11 +164,7 @@ def test_useless_axes_of_rtn_leave_the_others_resolved():
     mission = Mission.from_scenario(
         given.replace({"navigation.covariance": np.diag(np.square(sigma)).tolist()})
     )
-    nodes = mission.problem.feedback.cut_offs
-    factors = mission.units.state[:, None] * mission.measurement(path[nodes])
-    for covariance, state in zip(factors @ factors.swapaxes(1, 2), path[nodes], strict=True):
-        radial, normal = unit(state[:3]), unit(np.cross(state[:3], state[3:]))
-        axes = np.array([radial, np.cross(normal, radial), normal])
+    for covariance, axes in measured_on(mission, path):
         for part in (slice(0, 3), slice(3, 6)):
             own = np.array(sigma[part])
             found = np.sqrt(np.diag(axes @ covariance[part, part] @ axes.T))
@@ -208,20 +211,7 @@ def test_a_burn_whose_cut_off_precedes_departure_is_named(corrected):
     )
 
 
-@pytest.mark.parametrize(
-    ("override", "entry"),
-    [
-        ("navigation.sigma_position_m=0.01", "navigation.sigma_position_m"),
-        ("navigation.sigma_velocity_m_s=0.5", "navigation.sigma_velocity_m_s"),
-    ],
-)
-def test_errors_in_other_units_are_warned_about(override, entry):
-    (warning,) = mission_of(*SIGMAS, override).warnings
-    assert warning.entry == entry
-
-
-def test_a_method_without_gains_refuses_feedback():
-    corrected = mission_of(*FEEDBACK)
-    guess = initial_guess.cold(corrected)
-    with pytest.raises(InputError, match=r"^policy\.kind: .*condensed and lifted"):
-        plan(corrected, guess, formulation="frozen-stm")
+@pytest.mark.parametrize("entry", ["sigma_position_m=0.01", "sigma_velocity_m_s=0.5"])
+def test_errors_in_other_units_are_warned_about(entry):
+    (warning,) = mission_of(*SIGMAS, f"navigation.{entry}").warnings
+    assert warning.entry == f"navigation.{entry}".partition("=")[0]

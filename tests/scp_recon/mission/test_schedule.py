@@ -26,12 +26,6 @@ FIRING = (0.0, 8000.0, 25_000.0, 34_842.0)
 RULE = "sun-pointing leg lasts at least one slew and one recharge"
 
 
-def test_window_is_the_papers(mission):
-    first, last = mission.schedule.window_s
-    assert first == pytest.approx(13_140.0, abs=1.0)
-    assert last - first == pytest.approx(3397.3, abs=0.5)
-
-
 def independent_incidence(scenario: Scenario, times: Array) -> Array:
     """Degrees between the site's normal and the Sun, from the scenario's numbers alone."""
     body, sun = scenario.body, scenario.sun
@@ -49,8 +43,10 @@ def independent_incidence(scenario: Scenario, times: Array) -> Array:
     return np.rad2deg(np.arccos(cosine))
 
 
-def test_incidence_is_at_its_limit_at_the_edges_and_below_between(mission):
+def test_the_window_is_the_papers_with_incidence_at_its_limit_at_the_edges(mission):
     first, last = mission.schedule.window_s
+    assert first == pytest.approx(13_140.0, abs=1.0)
+    assert last - first == pytest.approx(3397.3, abs=0.5)
     times = np.linspace(first, last, 400)
     incidence = independent_incidence(mission.scenario, times)
     np.testing.assert_allclose(incidence[[0, -1]], 60.0, rtol=0.0, atol=1e-5)
@@ -181,20 +177,13 @@ def test_what_the_message_offers_is_allowed():
     with pytest.raises(InputError, match=r"from 34900 s on"):
         make_schedule(moved(2, 28_300.0), WINDOW, RULES)
     make_schedule((0.0, 8000.0, 28_300.0, 34_900.0), WINDOW, RULES)
-
-
-def test_a_window_too_early_for_any_burn_is_blamed_on_the_window():
     # The first burn is at zero in every scenario: it cannot be what the user has to change.
-    with pytest.raises(InputError) as caught:
-        mission_of("observation.window_s=[1000.0, 2000.0]")
-    assert caught.value.entry == "observation.window_s"
+    assert message("observation.window_s=[1000.0, 2000.0]").startswith("observation.window_s: ")
 
 
-durations = st.floats(0.0, 3000.0)
-rule_sets = st.builds(
-    ScheduleRules, attitude_s=durations, heating_s=durations, recharge_s=durations
+rules_of = st.builds(
+    ScheduleRules, **dict.fromkeys(("attitude_s", "heating_s", "recharge_s"), st.floats(0, 3000))
 )
-counts = st.integers(0, 3), st.integers(1, 3)
 
 
 def by_linear_program(
@@ -223,9 +212,9 @@ def by_linear_program(
 @given(
     window=st.tuples(st.floats(0.0, 4e4), st.floats(10.0, 2e4)),
     duration=st.floats(1e3, 1e5),
-    before=counts[0],
-    after=counts[1],
-    rules=rule_sets,
+    before=st.integers(0, 3),
+    after=st.integers(1, 3),
+    rules=rules_of,
 )
 def test_intervals_are_those_of_a_linear_program(window, duration, before, after, rules):
     edges = window[0], window[0] + window[1]

@@ -89,24 +89,25 @@ def whitened(sampled: Array, factor: Array) -> Array:
     return values**2 / len(sampled)
 
 
+GATES = {
+    "errors": "uncertainty.gates={magnitude_fixed_m_s=0, magnitude_proportional=4e-4, "
+    "pointing_fixed_m_s=0, pointing_proportional_rad=2e-4}"
+}
+"""Those along a correction are the larger ones, so that no bound stands in for their law."""
+
+
 @pytest.mark.parametrize(
-    ("kind", "lead_s"),
-    usually([*(("feedback", t) for t in (3600.0, 8000.0, 17_500.0, 0.0)), ("open", 0.0)], 3),
+    ("lead_s", "how"),
+    usually(
+        [
+            *((3600.0, {}), (8000.0, {}), (17_500.0, {}), (3600.0, GATES)),
+            *((0.0, {"kind": "open"}), (0.0, {})),
+        ],
+        5,
+    ),
 )
-def test_flights_of_small_errors_have_the_closed_loops_covariance(kind, lead_s, solution):
-    flights_have_the_covariance_of(case_of(lead_s, solution, kind=kind))
-
-
-def test_so_have_flights_with_gates_errors(solution):
-    """Those along a correction are the larger ones, so that no bound stands in for their law."""
-    gates = (
-        "uncertainty.gates={magnitude_fixed_m_s=0, magnitude_proportional=4e-4, "
-        "pointing_fixed_m_s=0, pointing_proportional_rad=2e-4}"
-    )
-    flights_have_the_covariance_of(case_of(3600.0, solution, errors=gates))
-
-
-def flights_have_the_covariance_of(case: Case) -> None:
+def test_flights_of_small_errors_have_the_closed_loops_mean_and_covariance(lead_s, how, solution):
+    case = case_of(lead_s, solution, **how)
     mission, lin = case.mission, case.lin
     nodes = [*mission.window_nodes[[0, -1]], mission.burn_nodes[2], len(mission.times_s) - 1]
     times = mission.times_s[nodes]
@@ -114,8 +115,10 @@ def flights_have_the_covariance_of(case: Case) -> None:
     states = np.concatenate([one.states for one in flown], axis=1) / mission.units.state
     commanded = np.concatenate([one.commanded_m_s for one in flown]) - case.burns_m_s
     for row, node in enumerate(nodes):
-        found = whitened(states[row] - lin.iterate.mean[node], lin.factor[node])
-        np.testing.assert_allclose(found, 1.0, atol=SPREAD)
+        off, factor = states[row] - lin.iterate.mean[node], lin.factor[node]
+        np.testing.assert_allclose(whitened(off, factor), 1.0, atol=SPREAD)
+        mean = np.linalg.solve(np.linalg.cholesky(factor @ factor.T), off.mean(axis=0))
+        assert np.abs(mean).max() < 5.0 / np.sqrt(len(off))
     for j, one in enumerate(case.policy):
         gains = lin.problem.gains_of(lin.iterate, j) * mission.units.speed_m_s
         found = whitened(commanded[:, one.burn], gains)
@@ -141,18 +144,14 @@ def test_the_law_has_the_numbers_that_corrected_flights_draw(solution, frame):
 
 
 def test_without_gains_flights_are_those_of_open_loop_to_the_last_bit(solution):
+    """Measurements draw from a stream of their own."""
     case = case_of(3600.0, solution, size=0.0)
     assert len(case.policy) == 3
-    times = case.mission.times_s
+    mission, burns, times = case.mission, case.burns_m_s, case.mission.times_s
     corrected = case.fly(times)
-    alone = fly_block(case.mission, case.burns_m_s, times, 0)
+    alone = fly_block(mission, burns, times, 0)
     np.testing.assert_array_equal(corrected.states, alone.states)
     np.testing.assert_array_equal(corrected.burns_m_s, alone.burns_m_s)
-
-
-def test_measurements_draw_from_a_stream_of_their_own(solution):
-    case = case_of(3600.0, solution)
-    mission, burns = case.mission, case.burns_m_s
     sources = number_of_sources(mission, burns)
     draws = draw_flights(mission, burns, 5, 2, policy=case.policy)
     assert draws.shape == (BLOCK, sources + 18)
@@ -220,19 +219,12 @@ def test_the_command_flies_what_the_file_stores(corrected, tmp_path, capsys):
     assert "commanded delta-v m/s" in shown
     commanded = read_summary(tmp_path).commanded
     assert [burn.burn for burn in commanded.burns] == [2, 3, 4]
-    flown = [
-        np.linalg.norm(
-            fly_block(
-                corrected.mission,
-                corrected.burns_m_s,
-                corrected.mission.times_s[-1:],
-                block,
-                policy=corrected.corrections,
-            ).commanded_m_s,
-            axis=2,
-        ).sum(axis=1)
+    mission, burns = corrected.mission, corrected.burns_m_s
+    blocks = [
+        fly_block(mission, burns, mission.times_s[-1:], block, policy=corrected.corrections)
         for block in range(2)
     ]
+    flown = [np.linalg.norm(one.commanded_m_s, axis=2).sum(axis=1) for one in blocks]
     assert commanded.mean_dv_m_s.value == pytest.approx(np.mean(flown), rel=1e-9)
     assert commanded.dv99_m_s.value == pytest.approx(np.quantile(flown, 0.99), abs=2e-5)
     assert commanded.dv99_m_s.low < np.quantile(flown, 0.99) < commanded.dv99_m_s.high

@@ -6,7 +6,6 @@ import signal
 import threading
 from collections.abc import Generator, Iterable, Iterator
 from dataclasses import fields, replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -33,14 +32,12 @@ from scp_recon.planning import initial_guess
 from scp_recon.planning.planner import plan
 from scp_recon.reports.tables import flown_probabilities_table
 from scp_recon.results.solution import Solution, make_solution
-from scp_recon.scenario.uncertainty import Uncertainty
 from tests import reliability
 from tests.helpers import usually
 from tests.scp_recon.monte_carlo.test_closed_loop import case_of
 from tests.scp_recon.simulation.short_plan import SHORT, short_plan
 from tests.scp_recon.support import mission_of
 
-PROJECT = Path(__file__).parents[3]
 SAMPLES = 3_400
 
 
@@ -53,22 +50,19 @@ def test_until_stops_at_the_width_asked(mission, solution):
     assert earlier.widest_interval() > 0.03
 
 
-def test_a_plan_holds_all_constraints_when_nothing_errs(mission, solution):
-    certain = mission.scenario.uncertainty.model_copy(
-        update={"initial_sigma_fraction": 0.0, "execution_error": 0.0}
-    )
-    sure = Mission.from_scenario(mission.scenario.model_copy(update={"uncertainty": certain}))
-    flown = fly_many(FlightConfig(sure, solution.burns_m_s), samples=20)
-    first, last = sure.schedule.window_s
+@pytest.fixture(scope="module")
+def certain() -> Mission:
+    return mission_of("uncertainty.initial_sigma_fraction=0", "uncertainty.execution_error=0")
+
+
+def test_a_plan_holds_all_constraints_when_nothing_errs(certain, solution):
+    flown = fly_many(FlightConfig(certain, solution.burns_m_s), samples=20)
+    first, last = certain.schedule.window_s
     assert flown.held[ALL].mean().value == pytest.approx(last - first, abs=1e-6)
     assert flown.executed_dv.mean().value == pytest.approx(solution.total_dv_m_s, abs=1e-12)
 
 
-def test_without_uncertainty_nothing_spreads_and_the_report_is_json(mission, tmp_path, capsys):
-    known = {"initial_sigma_fraction": 0.0, "execution_error": 0.0}
-    certain = Mission.from_scenario(
-        mission.scenario.model_copy(update={"uncertainty": Uncertainty(**known)})
-    )
+def test_without_uncertainty_nothing_spreads_and_the_report_is_json(certain, tmp_path, capsys):
     make_solution(plan(certain, initial_guess.cold(certain))).write(tmp_path)
     assert montecarlo.main([str(tmp_path), "--samples", "50"]) == 0
 
@@ -220,21 +214,19 @@ def test_a_block_that_cannot_be_flown_is_told(config):
 
 
 @pytest.fixture(scope="module")
-def short() -> Mission:
-    return mission_of(*SHORT)
+def tame() -> Solution:
+    return short_plan(mission_of(*SHORT))
 
 
 @pytest.fixture(scope="module")
-def tame(short) -> Solution:
-    return short_plan(short)
+def short_config(tame) -> FlightConfig:
+    return FlightConfig(tame.mission, tame.burns_m_s, seed=3)
 
 
-@pytest.fixture(scope="module")
-def short_config(short, tame) -> FlightConfig:
-    return FlightConfig(short, tame.burns_m_s, seed=3)
-
-
-def test_stopped_and_continued_is_as_flown_at_once(short_config, tame, tmp_path):
+def test_stopped_and_continued_is_as_flown_at_once_where_nothing_is_changed(
+    short_config, tame, tmp_path
+):
+    """Flights of another plan or configuration, and damaged files, count as none."""
     whole = fly_many(short_config, samples=2500)
     stopped = fly_many(short_config, samples=2500, stop=lambda: True)
     assert stopped.samples == 1000
@@ -242,34 +234,26 @@ def test_stopped_and_continued_is_as_flown_at_once(short_config, tame, tmp_path)
     begun = flights_so_far(short_config, tame, tmp_path)
     assert begun is not None
     again = fly_many(short_config, samples=2500, begun=begun)
-    assert again.samples == 2500
     # every figure, to the last bit
-    assert summarise(again, tame) == summarise(whole, tame)
-    np.testing.assert_array_equal(again.terminal, whole.terminal)
-
-
-@pytest.mark.parametrize("change", ["seed", "truth", "plan", "damage", "cut", "none"])
-def test_other_flights_and_damaged_files_count_as_none(short, short_config, tame, tmp_path, change):
-    keep_flights(fly_many(short_config, samples=1000), tame, tmp_path)
+    assert same(again, whole)
+    renamed = replace(tame, scenario=tame.scenario.replace({"name": "other"}))
     file = tmp_path / PARTIAL
-    if change == "seed":
-        short_config = FlightConfig(short, tame.burns_m_s, seed=4)
-    elif change == "truth":
-        short_config = FlightConfig(short, tame.burns_m_s, seed=3, truth="harmonics")
-    elif change == "plan":
-        name = tame.scenario.model_copy(update={"name": "other"})
-        tame = replace(tame, scenario=name)
-    elif change == "damage":
-        file.write_bytes(file.read_bytes().replace(b"1000", b"2000"))
-    elif change == "cut":
-        file.write_bytes(file.read_bytes()[:-500])
-    else:
-        file.unlink()
+    kept = file.read_bytes()
+    for config, of, content in (
+        (replace(short_config, seed=4), tame, kept),
+        (replace(short_config, truth="harmonics"), tame, kept),
+        (short_config, renamed, kept),
+        (short_config, tame, kept.replace(b"1000", b"2000")),
+        (short_config, tame, kept[:-500]),
+    ):
+        file.write_bytes(content)
+        assert flights_so_far(config, of, tmp_path) is None
+        reliability.count(reliability.FAULTS)
+    file.unlink()
     assert flights_so_far(short_config, tame, tmp_path) is None
-    reliability.count(reliability.FAULTS)
 
 
-def test_ctrl_c_is_heard_once_and_then_at_once():
+def test_ctrl_c_is_heard_once_and_then_at_once_and_in_another_thread_not():
     with asked_to_stop() as stop:
         assert not stop()
         signal.raise_signal(signal.SIGINT)
@@ -277,9 +261,6 @@ def test_ctrl_c_is_heard_once_and_then_at_once():
         with pytest.raises(KeyboardInterrupt):
             signal.raise_signal(signal.SIGINT)
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
-
-
-def test_in_another_thread_nobody_asks():
     heard: list[bool] = []
 
     def work() -> None:

@@ -76,20 +76,24 @@ class World:
         patch.setattr(design, "other_counts", lambda *_: [])
 
 
-def run(world: World, patch) -> tuple[Any, int, list[Trial]]:
-    """What is found, in which window, and all that was tried."""
-    scenario = home_scenario(design=SPANS)
+def run(
+    world: World, patch, changes: dict[str, Any] | None = None, **others: Any
+) -> tuple[Any, Any, int, list[Trial]]:
+    """What is found, in which space and window, and all that was tried; with other stand-ins."""
+    scenario = home_scenario(changes, SPANS)
     edges = [space.window_s for space, _ in spaces_of(scenario)]
     assert len(edges) >= 3
     world.install(patch, edges)
+    for name, function in others.items():
+        patch.setattr(design, name, function)
     designer = Designer(scenario, lambda _: None)
     space, found = designer.run()
-    return found, edges.index(space.window_s), designer.trials
+    return found, space, edges.index(space.window_s), designer.trials
 
 
 def test_the_next_window_is_mapped_where_the_first_has_no_pass(monkeypatch):
     costs = tuple(float(10 - k) for k in range(12))
-    found, window, tried = run(World({1, 2}, {2}, costs=costs), monkeypatch)
+    found, _, window, tried = run(World({1, 2}, {2}, costs=costs), monkeypatch)
     assert found.converged
     assert window == 2
     assert [one.window for one in tried if one.step == "map"] == [0, 1, 2]
@@ -98,14 +102,14 @@ def test_the_next_window_is_mapped_where_the_first_has_no_pass(monkeypatch):
 def test_later_windows_are_tried_and_the_cheapest_counts(monkeypatch):
     costs = (3.0, 1.0, *([5.0] * 10))
     everywhere = set(range(12))
-    found, window, tried = run(World(everywhere, everywhere, costs=costs), monkeypatch)
+    found, _, window, tried = run(World(everywhere, everywhere, costs=costs), monkeypatch)
     assert (found.cost, window) == (1.0, 1)
     assert [one.window for one in tried if one.step == "map"] == [0]
 
 
 def test_a_valley_without_a_plan_is_left_by_way_of_one_without_uncertainty(monkeypatch):
     world = World({0}, {0}, only_after_certain=True, costs=tuple(float(k) for k in range(12)))
-    found, window, tried = run(world, monkeypatch)
+    found, _, window, tried = run(world, monkeypatch)
     assert found.converged
     assert not found.certain
     assert window == 0
@@ -184,7 +188,7 @@ def test_passes_over_packaged_bodies_keep_their_limits_about_the_solid(body):
 @pytest.mark.parametrize(("mapped", "furthest"), [(set(), 0), ({1}, 1)])
 def test_where_none_has_a_plan_the_one_that_came_furthest_is_told(monkeypatch, mapped, furthest):
     """Where the second is mapped it is short by 0.2, and the first one's map by 1."""
-    found, window, _ = run(World(mapped, set(), costs=(1.0,) * 12), monkeypatch)
+    found, _, window, _ = run(World(mapped, set(), costs=(1.0,) * 12), monkeypatch)
     assert (found.converged, window) == (False, furthest)
 
 
@@ -205,16 +209,10 @@ def test_a_burn_more_counts_only_where_it_is_cheaper(monkeypatch, cost, burns):
         seen(made)
         return made
 
-    spaces = spaces_of(home_scenario(design=SPANS))
-    World({0}, {0}).install(monkeypatch, [space.window_s for space, _ in spaces])
-    monkeypatch.setattr(design, "other_counts", more)
-    monkeypatch.setattr(design, "descend", descend)
-    designer = Designer(home_scenario(design=SPANS), lambda _: None)
-    space, found = designer.run()
-    assert isinstance(found, Made)
+    found, space, _, tried = run(World({0}, {0}), monkeypatch, other_counts=more, descend=descend)
     assert found.dv_m_s == min(cost, 1.0)
     assert space.n_burns == len(found.at.times_s) == burns
-    assert any(len(one.result.at.times_s) == 5 for one in designer.trials)
+    assert any(len(one.result.at.times_s) == 5 for one in tried)
 
 
 @pytest.mark.parametrize(("cost", "burns"), [(2.0, 4), (1.0, 3)])
@@ -238,10 +236,7 @@ def test_a_burn_that_vanishes_with_exact_risk_is_left_out_where_that_costs_nothi
         seen(made := Made(at, True, cost if len(at.times_s) == 3 else 1.0))
         return made
 
-    scenario = home_scenario(design=SPANS).replace({"risk.allocation": "exact"})
-    World({0}, {0}).install(monkeypatch, [space.window_s for space, _ in spaces_of(scenario)])
-    monkeypatch.setattr(design, "vanished", fewer)
-    monkeypatch.setattr(design, "descend", descend)
     monkeypatch.setattr(Designer, "_descend_exact", exact)
-    space, found = Designer(scenario, lambda _: None).run()
+    only = {"risk.allocation": "exact"}
+    found, space, _, _ = run(World({0}, {0}), monkeypatch, only, vanished=fewer, descend=descend)
     assert space.n_burns == len(found.at.times_s) == burns

@@ -133,18 +133,15 @@ def test_a_file_that_is_no_home_orbit_is_refused(track, home, told, tmp_path):
         spaces_of(from_file(path, **home))
 
 
-def test_a_burn_on_the_way_round_is_told(tmp_path):
-    times, states = revolution()
-    times, states = np.insert(times, 100, times[100]), np.insert(states, 100, states[100], axis=0)
-    with pytest.raises(InputError, match=f"{FILE}.*without a burn"):
-        spaces_of(from_file(write_csv(tmp_path / "home.csv", times, states)))
-
-
 def test_bad_files_are_told_by_the_entry(tmp_path):
+    times, states = revolution()
+    burn = np.insert(times, 100, times[100]), np.insert(states, 100, states[100], axis=0)
+    with pytest.raises(InputError, match=f"{FILE}.*without a burn"):
+        spaces_of(from_file(write_csv(tmp_path / "home.csv", *burn)))
     with pytest.raises(InputError, match=f"^{FILE}"):
         spaces_of(from_file(tmp_path / "none.csv"))
     pytest.importorskip("oem")
-    other = write_oem(tmp_path / "home.oem", *revolution(), center="RYUGU")
+    other = write_oem(tmp_path / "home.oem", times, states, center="RYUGU")
     with pytest.raises(InputError, match=f"^{FILE}.*RYUGU"):
         spaces_of(from_file(other))
     with pytest.raises(InputError, match=r"boundary\.home\.spacecraft_id: got nothing"):

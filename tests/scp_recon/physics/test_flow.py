@@ -14,6 +14,7 @@ from formulations.problem.expression_flow import ExpressionFlow
 from scp_recon.mission.grid import RK4_STEP_MAX_S
 from scp_recon.physics.flow import differentiate, interpolate, propagate
 from scp_recon.physics.forces import ForceModel, acceleration
+from tests.helpers import unit_vectors
 from tests.scp_recon.support import COMPANION, burns_of, fly, integrate
 
 ARC_S = 232.0
@@ -35,15 +36,7 @@ def arc(mission) -> float:
 def states(draw: st.DrawFn) -> Array:
     """Bound and unbound states between half and twice the orbit's radius, nondimensional."""
     radius, speed = draw(st.floats(0.5, 2.0)), draw(st.floats(0.2, 1.8))
-    angles = st.floats(-np.pi, np.pi)
-    heights = st.floats(-1.0, 1.0)
-
-    def direction() -> Array:
-        z, azimuth = draw(heights), draw(angles)
-        across = np.sqrt(1.0 - z * z)
-        return np.array([across * np.cos(azimuth), across * np.sin(azimuth), z])
-
-    return np.concatenate([radius * direction(), speed * direction()])
+    return np.concatenate([radius * draw(unit_vectors()), speed * draw(unit_vectors())])
 
 
 @pytest.fixture(scope="module")

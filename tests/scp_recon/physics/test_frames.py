@@ -11,7 +11,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation as SciPyRotation
 
-from formulations.arrays import Array
 from scp_recon.errors import InputError
 from scp_recon.physics.frames import Rotation, sun_north_to_j2000
 from scp_recon.scenario.time_scales import (
@@ -23,6 +22,7 @@ from scp_recon.scenario.time_scales import (
     tdb_of_utc,
 )
 from tests import reference
+from tests.helpers import unit_vectors
 from tests.reference import BENNU, EPOCH_ET
 from tests.scp_recon.support import mission_of
 
@@ -38,13 +38,6 @@ rotations = st.builds(
     acceleration=st.floats(-1e-12, 1e-12),
 )
 times = st.floats(-1e5, 1e5)
-
-
-@st.composite
-def directions(draw: st.DrawFn) -> Array:
-    z, azimuth = draw(st.floats(-1.0, 1.0)), draw(angles)
-    across = np.sqrt(1.0 - z * z)
-    return np.array([across * np.cos(azimuth), across * np.sin(azimuth), z])
 
 
 @pytest.fixture(scope="module")
@@ -82,7 +75,7 @@ def test_body_orientation_is_the_iau_sequence_of_rotations(rotation, t):
     np.testing.assert_allclose(rotation.body_to_j2000(t), expected, rtol=0.0, atol=1e-12)
 
 
-@given(directions(), directions())
+@given(unit_vectors(), unit_vectors())
 def test_sun_north_frame_has_x_to_the_sun_and_z_towards_the_pole(sun, pole):
     if np.linalg.norm(np.cross(sun, pole)) < 1e-3:
         return  # the frame is not defined where the Sun stands over the pole
@@ -138,9 +131,6 @@ def test_utc_is_astropys(date):
         assert abs((found - expected).sec) < MODEL_S
 
 
-# Two weeks after UTC begins, so that what is earlier has a UTC too.
-
-
 def test_a_leap_second_has_a_name_of_its_own():
     before = tdb_of_utc(datetime(2016, 12, 31, 23, 59, 59))
     after = tdb_of_utc(datetime(2017, 1, 1))
@@ -149,13 +139,9 @@ def test_a_leap_second_has_a_name_of_its_own():
     assert names == ["2016-12-31T23:59:59.0", "2016-12-31T23:59:60.0", "2017-01-01T00:00:00.0"]
 
 
-def test_a_zone_is_brought_to_utc():
-    zone = timezone(timedelta(hours=2))
-    given = datetime(2020, 1, 1, 2, tzinfo=zone)
+def test_a_zone_is_brought_to_utc_which_has_no_whole_seconds_before_1972():
+    given = datetime(2020, 1, 1, 2, tzinfo=timezone(timedelta(hours=2)))
     assert tdb_of_utc(given) == tdb_of_utc(datetime(2020, 1, 1, tzinfo=UTC))
-
-
-def test_before_1972_there_is_no_utc_of_whole_seconds():
     with pytest.raises(InputError, match="1972"):
         iso_utc(instant(datetime(1971, 12, 31)))
     with pytest.raises(InputError, match="1972"):

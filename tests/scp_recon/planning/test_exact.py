@@ -220,48 +220,45 @@ def never(*_: object) -> None:
     raise AssertionError("what is refused is refused before any work")
 
 
-@pytest.mark.parametrize("formulation", ["frozen-stm", "frozen-covariance", "ipopt"])
-def test_other_formulations_have_no_exact_rows(formulation):
-    mission = mission_of(*exact("node", 0.9, COARSE))
-    cold = initial_guess.cold(mission)
-    needed = "scp" if formulation == "ipopt" else "condensed and lifted"
-    planned = ipopt.plan if formulation == "ipopt" else partial(plan, formulation=formulation)
-    with pytest.raises(InputError, match=rf"risk\.allocation.*{needed}"):
-        planned(mission, cold, observe=never)
+EXACT = exact("node", 0.9)
+SPREAD = ("boundary.final_sigma_velocity_m_s=0.01",)
+SIGMAS = "navigation.sigma_position_m=10", "navigation.sigma_velocity_m_s=5e-4"
+FROZEN = partial(plan, formulation="frozen-stm")
 
 
 @pytest.mark.parametrize(
-    ("ends", "names"),
+    ("overrides", "planned", "words"),
     [
-        ("ccc", [".node", ".coarse", ""]),
-        ("icc", [".node", ".led", ""]),
-        ("iic", [".node", ".led", ""]),
-        ("ci", [".node", ".coarse"]),
+        (EXACT, FROZEN, r"risk\.allocation: .*condensed and lifted"),
+        (EXACT, partial(plan, formulation="frozen-covariance"), r"risk\.allocation: .*lifted"),
+        (EXACT, ipopt.plan, r"risk\.allocation: .*scp"),
+        (SPREAD, FROZEN, r"boundary\.final_sigma_velocity_m_s: .*condensed and lifted"),
+        (SPREAD, partial(ipopt.plan, variant="printed"), r"boundary\.final_sigma_vel.*: .*scp"),
+        (("policy.kind=feedback", *SIGMAS), FROZEN, r"policy\.kind: .*condensed and lifted"),
     ],
 )
-def test_gains_are_led_to_where_there_is_no_plan_without(ends, names):
-    """However the leading stage ends."""
-    runner, start, seen = runner_that_ends(ends, gains=0.0)
-    runner.solve_exact("", start)
-    assert seen == names
+def test_what_a_method_has_no_rows_for_it_refuses(overrides, planned, words):
+    mission = mission_of(COARSE, *overrides)
+    with pytest.raises(InputError, match=f"^{words}"):
+        planned(mission, initial_guess.cold(mission), observe=never)
 
 
 @pytest.mark.parametrize(
-    ("ends", "names"),
-    [("c", ["P2"]), ("icc", ["P2", "P2.coarse", "P2"]), ("ii", ["P2", "P2.coarse"])],
+    ("gains", "ends", "names"),
+    [
+        # led to where there is no plan without, however the leading stage ends
+        (0.0, "ccc", [".node", ".coarse", ""]),
+        (0.0, "icc", [".node", ".led", ""]),
+        (0.0, "iic", [".node", ".led", ""]),
+        (0.0, "ci", [".node", ".coarse"]),
+        # a plan with them that does not go on at once goes on with them
+        (1.0, "c", ["P2"]),
+        (1.0, "icc", ["P2", "P2.coarse", "P2"]),
+        (1.0, "ii", ["P2", "P2.coarse"]),
+    ],
 )
-def test_a_plan_with_gains_that_does_not_go_on_at_once_goes_on_with_them(ends, names):
-    runner, start, seen = runner_that_ends(ends, gains=1.0)
-    last: Any = None
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(MissionRunner, "flown", lambda *_: start.iterate)
-        stage = runner.go_on(last)
-    assert seen == names
-    assert (stage is None) == (ends[-1] == "i")
-
-
-def runner_that_ends(ends: str, gains: float) -> tuple[MissionRunner, Any, list[str]]:
-    """A runner whose stages end converged or infeasible, its start, and the names of its stages."""
+def test_gains_are_led_to_or_gone_on_with(gains, ends, names, monkeypatch):
+    """Stages that end converged or infeasible."""
     ended, seen = iter(ends), []
     start: Any = SimpleNamespace(iterate=SimpleNamespace(gains=np.array([gains])))
 
@@ -280,4 +277,8 @@ def runner_that_ends(ends: str, gains: float) -> tuple[MissionRunner, Any, list[
         scenario=SimpleNamespace(risk=SimpleNamespace(allocation="exact")),
         dynamics=SimpleNamespace(linearise=lambda *_: start),
     )
-    return Runner(task, solver), start, seen
+    monkeypatch.setattr(MissionRunner, "flown", lambda *_: start.iterate)
+    runner = Runner(task, solver)
+    stage = runner.go_on(start) if gains else runner.solve_exact("", start)
+    assert seen == names
+    assert (stage is None) == (gains > 0.0 and ends[-1] == "i")

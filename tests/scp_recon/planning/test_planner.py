@@ -8,10 +8,8 @@ import numpy as np
 import pytest
 
 from formulations.linearisation.linearisation import Linearisation
-from formulations.problem.flyby import FlybyProblem, Iterate
-from formulations.program.subproblem import Subproblem
+from formulations.problem.flyby import Iterate
 from formulations.registry import make_subproblem
-from formulations.rows.cones import Rows
 from formulations.rows.exact import NodeRows
 from formulations.rows.exact_flight import FlightRows
 from formulations.rows.uniform import ChanceRows
@@ -20,7 +18,7 @@ from scp_recon.planning import initial_guess
 from scp_recon.planning.planner import Plan, Planner, Stage, plan, screened
 from scp_recon.results.solution import make_solution
 from scp_recon.scp.algorithms import SCvx
-from scp_recon.scp.loop import Record, Result, run
+from scp_recon.scp.loop import Record, run
 from scp_recon.scp.status import Status
 from scp_recon.verification.reintegration import verify
 from tests.helpers import near_from, nightly, usually
@@ -115,17 +113,6 @@ def test_facets_wrongly_left_out_are_restored(mission, default_plan, monkeypatch
     )
 
 
-def solve_p2(of: Plan, formulation: str) -> tuple[Result, Subproblem]:
-    mission, start, facets = of.mission, of.stages[0].result.lin, of.final.facets
-    assert facets is not None
-    included = screened(facets, start, mission.clearances[0])
-    subproblem = make_subproblem(
-        mission.problem, ChanceRows(mission.problem, facets, included), formulation
-    )
-    result = run(subproblem, mission.dynamics, start, SCvx(), lambda _: None)
-    return result, subproblem
-
-
 def ignore(*_: object) -> None:
     pass
 
@@ -140,17 +127,19 @@ def at_nodes() -> tuple[Mission, Linearisation]:
     return mission, planner.solve("", rows, start, mission.dynamics, ignore).result.lin
 
 
-def exact_rows(scope: str, problem: FlybyProblem) -> Rows:
-    return NodeRows(problem, 0.9) if scope == "node" else FlightRows(problem, 0.9, 512, 1e-5)
-
-
 @pytest.mark.parametrize("kind", usually(["facets", "flight", "node"], 1))
 def test_lifted_and_condensed_agree_at_convergence(coarse_plan, at_nodes, kind):
     if kind == "facets":
-        found = [solve_p2(coarse_plan, "lifted")[0], coarse_plan.final.result]
+        mission, start = coarse_plan.mission, coarse_plan.stages[0].result.lin
+        problem, facets = mission.problem, coarse_plan.final.facets
+        rows = ChanceRows(problem, facets, screened(facets, start, mission.clearances[0]))
+        subproblem = make_subproblem(problem, rows, "lifted")
+        lifted = run(subproblem, mission.dynamics, start, SCvx(), ignore)
+        found = [lifted, coarse_plan.final.result]
     else:
         mission, start = at_nodes
-        rows = exact_rows(kind, mission.problem)
+        node, flight = NodeRows(mission.problem, 0.9), FlightRows(mission.problem, 0.9, 512, 1e-5)
+        rows = node if kind == "node" else flight
         found = [
             Planner(mission, formulation=name)
             .solve("", rows, start, mission.dynamics, ignore)
@@ -277,21 +266,19 @@ def test_a_planner_keeps_its_programs(mission, default_plan):
         )
 
 
-def test_only_p2_of_the_same_mission_can_be_planned_again(mission, default_plan):
+def test_only_p2_of_the_same_mission_can_be_planned_again_from_a_state_outside_the_body(
+    mission, default_plan
+):
     p3 = replace(default_plan, final=default_plan.stages[0])
     with pytest.raises(ValueError, match="only a plan of P2"):
         Planner(mission).replan(p3, mission.initial_state)
     for override in ("risk.p_chance=0.9", "grid.step_max_s=400", "burns.dv_max_m_s=0.1"):
         with pytest.raises(ValueError, match="another mission"):
             Planner(mission_of(override)).replan(default_plan, mission.initial_state)
-
-
-@pytest.mark.parametrize(
-    "state", [np.zeros(6), np.full(6, np.nan), np.ones(3), np.r_[100.0, 0.0, 0.0, 1.0, 1.0, 1.0]]
-)
-def test_no_plan_starts_from_what_is_no_state_outside_the_body(mission, default_plan, state):
-    with pytest.raises(ValueError, match="an initial state"):
-        Planner(mission).replan(default_plan, state)
+    inside = np.r_[100.0, 0.0, 0.0, 1.0, 1.0, 1.0]
+    for state in (np.zeros(6), np.full(6, np.nan), np.ones(3), inside):
+        with pytest.raises(ValueError, match="an initial state"):
+            Planner(mission).replan(default_plan, state)
 
 
 def test_rows_left_out_of_its_programs_do_not_change_a_stage(mission, default_plan, monkeypatch):

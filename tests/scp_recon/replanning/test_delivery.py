@@ -28,11 +28,6 @@ def state(default_plan) -> Array:
     return predict(FlownPlan.of(default_plan), AT, {}).state
 
 
-@pytest.fixture(scope="module")
-def p3_plan(mission) -> Plan:
-    return Planner(mission).plan(initial_guess.cold(mission), problem="P3")
-
-
 MIXED = 10.0 * np.outer(METRES, METRES)
 NONE_OF_THESE: dict[str, list[tuple[str, Any]]] = {
     "at_s": [
@@ -124,13 +119,9 @@ def test_a_covariance_has_axes_of_its_own(default_plan, state):
         sr.replan(plan, 16_000.0, state)
 
 
-def test_what_is_left_may_be_asked_otherwise(default_plan, state):
-    plan = sr.replan(default_plan, AT, state, overrides=["risk.p_chance=0.6"])
-    assert plan.mission.scenario.risk.p_chance == 0.6
-
-
-def test_only_exact_risk_with_uncertainty_is_certified(default_plan, p3_plan, state):
+def test_only_exact_risk_with_uncertainty_is_certified(default_plan, mission, state):
     exact = ["risk.allocation=exact"]
+    p3_plan = Planner(mission).plan(initial_guess.cold(mission), problem="P3")
     with pytest.raises(InputError, match=r"^certify: got False; goes with problem='P2'"):
         sr.replan(p3_plan, AT, state, overrides=exact, certify=False)
     plan = sr.replan(default_plan, AT, state, overrides=exact, certify=False)

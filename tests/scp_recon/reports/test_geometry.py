@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from formulations.arrays import Array
-from scp_recon.bodies.surface import Mesh
+from scp_recon.bodies.surface import Ellipsoid, Mesh, direction_of
 from scp_recon.mission.constraints import companion_distance_m
 from scp_recon.physics.frames import unit
 from scp_recon.reports.charts import BINS, thinned
@@ -18,6 +18,7 @@ from scp_recon.reports.scene import Frame, companion_of, keep_sets
 from scp_recon.reports.subject import Subject
 from scp_recon.reports.surfaces import FACETS_MAX, RING, _of_mesh, ellipsoid, shape_of, shell, tube
 from tests.helpers import generators, random_unit
+from tests.scp_recon.bodies.test_surface import write_obj
 from tests.scp_recon.support import COMPANION, mission_of
 
 
@@ -85,11 +86,8 @@ def in_the_body(subject: Subject, times_s: Array) -> Array:
 def test_the_sun_stands_on_the_horizon_at_the_terminator(subject):
     mission = subject.mission
     for time in (0.0, 15_000.0):
-        longitude, latitude = np.deg2rad(terminator(subject, time))
-        across = np.cos(latitude)
-        normal = np.column_stack(
-            [across * np.cos(longitude), across * np.sin(longitude), np.sin(latitude)]
-        )
+        longitude, latitude = terminator(subject, time)
+        normal = np.array([direction_of(*place) for place in zip(latitude, longitude, strict=True)])
         sun = mission.rotation.body_to_j2000(time).T @ mission.sun_direction(time)
         np.testing.assert_allclose(normal @ sun, 0.0, atol=1e-12)
 
@@ -145,10 +143,8 @@ def test_a_large_mesh_is_drawn_with_fewer_facets_that_close_around_the_centre():
 
 
 def test_a_shape_file_is_drawn_and_a_missing_one_is_told(solution, tmp_path):
-    lines = ["v 100 0 0", "v -100 0 0", "v 0 100 0", "v 0 -100 0", "v 0 0 90", "v 0 0 -90"]
-    corners = ("1 3 5", "3 2 5", "2 4 5", "4 1 5", "3 1 6", "2 3 6", "4 2 6", "1 4 6")
-    file = tmp_path / "rock.obj"
-    file.write_text("\n".join([*lines, *(f"f {c}" for c in corners)]), "utf-8")
+    rock = Ellipsoid(np.array([100.0, 100.0, 90.0])).tessellated(0)
+    file = write_obj(tmp_path / "rock.obj", rock)
     given = {"shape_file": str(file), "shape_unit": "m"}
     body = solution.scenario.body.model_copy(update=given)
     scenario = solution.scenario.model_copy(update={"body": body})

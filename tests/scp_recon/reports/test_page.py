@@ -89,10 +89,16 @@ def test_tables_equal_the_solution_file(page, verified, html):
     assert required["site_distance_max"] == "at most 740 m"
     assert all(required.values())
     assert numbers(tables["stages"]) == [[s.iterations, s.total_dv_m_s] for s in verified.stages]
-    keys = (
-        *("k", "merit", "predicted", "actual"),
-        *("trust_radius", "max_violation", "max_defect", "solver_s"),
-    )
+    keys = [
+        "k",
+        "merit",
+        "predicted",
+        "actual",
+        "trust_radius",
+        "max_violation",
+        "max_defect",
+        "solver_s",
+    ]
     assert numbers(tables["iterations"]) == [
         [getattr(r, key) for key in keys] for r in verified.iterations
     ]
@@ -150,10 +156,9 @@ def test_a_uniform_plan_that_reaches_more_is_told_of_exact_risk(verified):
     options = solve.parser().parse_args(words[1:])
     assert (words[0], options.init) == ("solve", "my runs/one")
     assert load_scenario(None, options.overrides).risk.allocation == "exact"
-    exact = verified.scenario.replace({"risk.allocation": "exact"})
-    sure = verified.scenario.replace({"risk.p_chance": 0.999})
-    for other in (exact, sure):
-        assert _surplus(Subject("plan", replace(verified, scenario=other))) == []
+    for change in ({"risk.allocation": "exact"}, {"risk.p_chance": 0.999}):
+        other = replace(verified, scenario=verified.scenario.replace(change))
+        assert _surplus(Subject("plan", other)) == []
 
 
 @pytest.mark.usefixtures("few_flights")
@@ -205,22 +210,18 @@ def test_the_command_writes_where_it_is_told_or_says_why_not(
     assert "camera of 10 deg and 512 pixels across" in page
 
 
-def elsewhere(solution: Solution, **sections: dict[str, Any]) -> Solution:
-    """The same burns in a scenario with other entries in some of its sections."""
-    sections = {
-        name: getattr(solution.scenario, name).model_copy(update=entries)
-        for name, entries in sections.items()
-    }
-    scenario = solution.scenario.model_copy(update=sections)
-    return replace(solution, scenario=scenario)
+def elsewhere(solution: Solution, table: str, **entries: Any) -> Solution:
+    """The same burns in a scenario with other entries in a table."""
+    section = getattr(solution.scenario, table).model_copy(update=entries)
+    return replace(solution, scenario=solution.scenario.model_copy(update={table: section}))
 
 
 def test_too_many_plans_and_those_of_several_bodies_or_epochs_are_refused(verified):
     later = verified.scenario.epoch.tdb + timedelta(seconds=10)
     number = f"must be 1 to {PLANS_MAX} plans"
     for plans, said in (
-        ([verified, elsewhere(verified, epoch={"tdb": later})], r"t = 0 at .*T20:33:27.184\d* TDB"),
-        ([verified, elsewhere(verified, body={"name": "Eros"})], "must be of Bennu"),
+        ([verified, elsewhere(verified, "epoch", tdb=later)], r"t = 0 at .*T20:33:27.184\d* TDB"),
+        ([verified, elsewhere(verified, "body", name="Eros")], "must be of Bennu"),
         ([verified] * (PLANS_MAX + 1), number),
         ([], number),
     ):

@@ -1,4 +1,7 @@
-"""The table `[uncertainty]`: each thing said in one way, and one message where it is not."""
+"""The tables `[uncertainty]`, `[navigation]` and `[policy]`.
+
+Each thing is said in one way, and there is one message where it is not.
+"""
 
 import json
 from typing import Any
@@ -11,7 +14,13 @@ from hypothesis import strategies as st
 from formulations.arrays import Array
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
-from scp_recon.scenario.load import base_names, load_scenario, validate_scenario
+from scp_recon.scenario.dependencies import with_todays_lead
+from scp_recon.scenario.load import (
+    base_names,
+    load_scenario,
+    scenario_text,
+    validate_scenario,
+)
 from scp_recon.scenario.uncertainty import MATRIX_TOLERANCE
 from tests.helpers import generators
 
@@ -37,11 +46,18 @@ def covariance(matrix: Array) -> tuple[str, str]:
     return f"uncertainty.initial_covariance={np.asarray(matrix).tolist()}", RTN
 
 
+def measured(matrix: Array) -> tuple[str, str]:
+    return f"navigation.covariance={np.asarray(matrix).tolist()}", "navigation.frame=rtn"
+
+
 def changed(entries: dict[tuple[int, int], float]) -> Array:
     matrix = DIAGONAL.copy()
     for place, value in entries.items():
         matrix[place] = value
     return matrix
+
+
+MEASURED = measured(DIAGONAL)
 
 
 @pytest.mark.parametrize("overrides", [(*ABSOLUTE, gates()), (*covariance(DIAGONAL), gates())])
@@ -55,10 +71,33 @@ def test_another_way_replaces_the_bases_and_back(overrides):
     assert mine.replace(back) == base
 
 
-def test_what_is_not_given_is_not_written():
+def test_what_is_not_given_or_says_nothing_is_not_written():
     """So that files, and hashes of plans, from before there was a choice stay what they were."""
-    expected = {"initial_sigma_fraction": 0.01, "execution_error": 0.08}
-    assert load_scenario().model_dump(mode="json")["uncertainty"] == expected
+    scenario = load_scenario()
+    tables = scenario.model_dump(mode="json")
+    assert tables["uncertainty"] == {"initial_sigma_fraction": 0.01, "execution_error": 0.08}
+    assert not {"navigation", "policy"} & tables.keys()
+    same = load_scenario(None, ["navigation.lead_s=3600", "policy.kind=open", "policy.cost=dv99"])
+    assert scenario_text(same) == scenario_text(scenario)
+
+
+def test_what_is_said_of_navigation_is_written_and_read_again(tmp_path):
+    told = load_scenario(None, [*MEASURED, "navigation.lead_s=14400", "policy.kind=feedback"])
+    file = tmp_path / "mine.toml"
+    file.write_text(scenario_text(told), "utf-8")
+    assert load_scenario(file) == validate_scenario(json.loads(told.model_dump_json())) == told
+    assert told.navigation.measures
+    assert not load_scenario(None, ["navigation.lead_s=0"]).navigation.measures
+
+
+def test_one_way_to_say_the_errors_of_navigation_replaces_the_other():
+    first = load_scenario(None, MEASURED)
+    sigmas = {"navigation.sigma_position_m": 1.0, "navigation.sigma_velocity_m_s": 1e-4}
+    second = first.replace(sigmas)
+    assert second.navigation.covariance is second.navigation.frame is None
+    third = second.replace({"navigation.sigma_position_m": 2.0})
+    assert third.navigation.sigma_velocity_m_s == 1e-4
+    assert first.replace({"navigation.lead_s": 0.0}).navigation.covariance is not None
 
 
 def test_a_file_with_a_base_may_change_one_number_of_the_same_way(tmp_path):
@@ -79,6 +118,25 @@ def sigma(entry: str, values: str) -> str:
     return f"uncertainty.initial_sigma_{entry}={values}"
 
 
+ALIKE = {(0, 1): 900.0, (1, 0): 900.0, (1, 1): 900.0}
+"""Errors along two axes that are one and the same."""
+SIGMAS = "sigma_position_m=10", "sigma_velocity_m_s=5e-4"
+NAVIGATION = [
+    # entries of the table, the one that is named, words of the message
+    (["lead_s=-1"], "lead_s", "at least 0"),
+    (["sigma_position_m=-10", SIGMAS[1]], "sigma_position_m", "least 1e-12"),
+    (["sigma_position_m=0", SIGMAS[1]], "sigma_position_m", "least 1e-12"),
+    (measured(changed({(0, 0): 0.0})), "covariance", "positive definite"),
+    (measured(changed(ALIKE)), "covariance", "positive definite"),
+    (SIGMAS[:1], "", "must have sigma_velocity_m_s"),
+    (SIGMAS[1:], "", "must have sigma_position_m"),
+    ([*SIGMAS, *MEASURED], "", "in one way"),
+    (MEASURED[:1], "", "must have frame"),
+    (MEASURED[1:], "", "must have covariance"),
+    ([MEASURED[0], "frame=body_fixed"], "frame", "'j2000' or 'rtn'"),
+    (["covariance=[[1.0]]", "frame=rtn"], "covariance", "6 rows of 6"),
+    (measured(changed({(0, 0): -100.0})), "covariance", "entry 1,1 is -100"),
+]
 MATRIX = "initial_covariance"
 REFUSED = [
     # overrides, entry of the table, words of the message
@@ -108,11 +166,31 @@ REFUSED = [
 ]
 
 
-@pytest.mark.parametrize(("overrides", "entry", "words"), REFUSED)
+POLICY = [
+    (["policy.kind=closed"], "policy.kind", "'open' or 'feedback'"),
+    (["policy.cost=mean"], "policy.cost", "'nominal', 'expected' or 'dv99'"),
+    (["schedule.decision_lead_s=900"], "schedule.decision_lead_s", "navigation.lead_s"),
+]
+
+
+@pytest.mark.parametrize(
+    ("overrides", "entry", "words"),
+    [
+        *((given, f"uncertainty.{entry}".rstrip("."), words) for given, entry, words in REFUSED),
+        *(
+            (
+                [f"navigation.{one.removeprefix('navigation.')}" for one in given],
+                *(f"navigation.{entry}".rstrip("."), words),
+            )
+            for given, entry, words in NAVIGATION
+        ),
+        *POLICY,
+    ],
+)
 def test_what_does_not_go_is_refused_in_one_message(overrides, entry, words):
     with pytest.raises(InputError) as caught:
         Mission.from_scenario(load_scenario(None, overrides))
-    assert caught.value.entry == f"uncertainty.{entry}".rstrip(".")
+    assert (caught.value.entry, "\n" in caught.value.allowed) == (entry, False)
     assert words in str(caught.value)
 
 
@@ -163,3 +241,12 @@ def test_a_matrix_as_printed_is_taken_within_its_tolerance(rng, share):
         load_scenario(None, [*covariance(rounded)[:1], "uncertainty.initial_frame=j2000"])
     ).initial_factor
     assert (np.abs(factor @ factor.T - matrix) <= 2.0 * MATRIX_TOLERANCE * scale).all()
+
+
+def test_a_stored_flight_under_way_keeps_the_lead_that_it_was_planned_with():
+    """Of a whole flight, on which only later decisions bear, today's default counts."""
+    stored = {"schedule": {"attitude_s": 1800.0, "decision_lead_s": 1800.0}, "in_flight": None}
+    assert with_todays_lead(stored) == {"schedule": {"attitude_s": 1800.0}, "in_flight": None}
+    flying = stored | {"in_flight": {"at_s": 17_000.0}}
+    assert with_todays_lead(flying)["navigation"] == {"lead_s": 1800.0}
+    assert stored["schedule"] == {"attitude_s": 1800.0, "decision_lead_s": 1800.0}

@@ -1,6 +1,7 @@
 """The SCP loop: it never gets worse, it ends as it says, and it survives its solver."""
 
 import itertools
+from collections.abc import Collection
 
 import numpy as np
 import pytest
@@ -45,16 +46,10 @@ def infeasible() -> Plan:
     return plan(mission, initial_guess.cold(mission), problem="P3")
 
 
-@pytest.fixture(scope="module", params=["default", "infeasible"])
-def some_plan(request) -> Plan:
-    name = "default_plan" if request.param == "default" else "infeasible"
-    found: Plan = request.getfixturevalue(name)
-    return found
-
-
-def test_every_run_goes_by_its_rules(some_plan):
+@pytest.mark.parametrize("name", ["default_plan", "infeasible"])
+def test_every_run_goes_by_its_rules(name, request):
     """Merit, trust region, last record; all but the guess is flown."""
-    for stage in some_plan.stages:
+    for stage in request.getfixturevalue(name).stages:
         records, lin = stage.result.records, stage.result.lin
         assert [record.k for record in records] == list(range(1, len(records) + 1))
         assert any(record.accepted for record in records)
@@ -108,17 +103,21 @@ def test_infeasible_is_told_with_the_least_violation(infeasible):
     assert np.abs(result.lin.defects).max() < 1e-6
 
 
-@pytest.mark.parametrize("failing", [{1}, {2, 3, 4}])
-def test_a_solver_that_fails_now_and_then_is_survived(p3, cold, mission, monkeypatch, failing):
-    calls = itertools.count(1)
-    original = CondensedSubproblem.solve
+def raising(monkeypatch, error: BaseException, at: Collection[int]) -> None:
+    """Have some of the solver's calls, by number, end so."""
+    original, calls = CondensedSubproblem.solve, itertools.count(1)
 
     def solve(self: CondensedSubproblem, radius: float, weight: float) -> Step:
-        if next(calls) in failing:
-            raise SubproblemError("just this once")
+        if next(calls) in at:
+            raise error
         return original(self, radius, weight)
 
     monkeypatch.setattr(CondensedSubproblem, "solve", solve)
+
+
+@pytest.mark.parametrize("failing", [{1}, {2, 3, 4}])
+def test_a_solver_that_fails_now_and_then_is_survived(p3, cold, mission, monkeypatch, failing):
+    raising(monkeypatch, SubproblemError("just this once"), failing)
     result = run(p3, mission.dynamics, cold, SCvx(), ignore)
     assert result.status is Status.CONVERGED
     assert {record.k for record in result.records if record.failure} == failing
@@ -127,13 +126,17 @@ def test_a_solver_that_fails_now_and_then_is_survived(p3, cold, mission, monkeyp
     assert max(last.max_violation, last.max_defect) <= SCvx.feasible
 
 
-def test_a_promise_never_kept_stalls(p3, mission, optimum, monkeypatch):
-    merit = p3.merit(optimum.lin, SCvx.weight)
+def answering(monkeypatch, step: float, merit: float) -> None:
+    """Have the solver answer with a share of the radius as step, and with one merit."""
 
-    def solve(self: CondensedSubproblem, radius: float, weight: float) -> Step:  # noqa: ARG001
-        return Step(self._at.iterate.burns + radius, merit - 1.0, 0.0, 0.0)
+    def solve(self: CondensedSubproblem, radius: float, *_: float) -> Step:
+        return Step(self._at.iterate.burns + step * radius, merit, 0.0, 0.0)
 
     monkeypatch.setattr(CondensedSubproblem, "solve", solve)
+
+
+def test_a_promise_never_kept_stalls(p3, mission, optimum, monkeypatch):
+    answering(monkeypatch, 1.0, p3.merit(optimum.lin, SCvx.weight) - 1.0)
     result = run(p3, mission.dynamics, optimum.lin, SCvx(), ignore)
     assert result.status is Status.STALLED
     assert result.lin is optimum.lin
@@ -145,18 +148,12 @@ def test_a_limit_or_an_interrupt_keeps_the_last_whole_iteration(
     p3, cold, mission, monkeypatch, within
 ):
     limited = run(p3, mission.dynamics, cold, SCvx(max_iterations=3), ignore)
-    original, calls = CondensedSubproblem.solve, itertools.count(1)
-
-    def solve(self: CondensedSubproblem, radius: float, weight: float) -> Step:
-        if next(calls) == 4 and within:
-            raise KeyboardInterrupt
-        return original(self, radius, weight)
 
     def ctrl_c(record: Record) -> None:
         if record.k == 3 and not within:
             raise KeyboardInterrupt
 
-    monkeypatch.setattr(CondensedSubproblem, "solve", solve)
+    raising(monkeypatch, KeyboardInterrupt(), {4} if within else ())
     result = run(p3, mission.dynamics, cold, SCvx(), ctrl_c)
     assert (limited.status, result.status) == (Status.MAX_ITERATIONS, Status.INTERRUPTED)
     for found in (limited, result):
@@ -176,12 +173,7 @@ def test_an_inaccurate_answer_proves_no_stationarity(
     """
     start = default_plan.final.result.lin
     assert start.iterate.total_dv > 1.2 * optimum.lin.iterate.total_dv
-    merit = p3.merit(start, SCvx.weight)
-
-    def solve(self: CondensedSubproblem, radius: float, weight: float) -> Step:  # noqa: ARG001
-        return Step(self._at.iterate.burns + 0.0, merit + 0.1, 0.0, 0.0)
-
-    monkeypatch.setattr(CondensedSubproblem, "solve", solve)
+    answering(monkeypatch, 0.0, p3.merit(start, SCvx.weight) + 0.1)
     result = run(p3, mission.dynamics, start, SCvx(), ignore)
     assert result.status is not Status.CONVERGED
 

@@ -12,11 +12,9 @@ from hypothesis import strategies as st
 
 from formulations.arrays import Array
 from scp_recon.cli.commands import simulate as command
-from scp_recon.mission.mission import Mission
 from scp_recon.mission.schedule import Mode
 from scp_recon.physics.frames import unit
 from scp_recon.results.policy import Correction
-from scp_recon.results.solution import Solution
 from scp_recon.simulation.basilisk import simulation
 from scp_recon.simulation.basilisk.power import distribute
 from scp_recon.simulation.basilisk.simulation import (
@@ -58,16 +56,15 @@ def starved(short_solution, vehicle) -> Flight:
     return simulate(short_solution, weak(vehicle), 3, sources=PATH)
 
 
-def test_a_flight_without_errors_stays_with_the_plan(perfect, short_solution):
+def test_a_flight_without_errors_stays_with_the_plan_and_gains_what_its_burns_are_said_to_be(
+    perfect, short_solution
+):
+    """Gravity's share over the few seconds of a burn is taken from the coast before."""
     error = node_states(perfect, short_solution) - np.array(short_solution.nodes.state)
     assert np.linalg.norm(error[:, :3], axis=1).max() < 3.0
     burns = perfect.burns_m_s - short_solution.burns_m_s
     assert (np.linalg.norm(burns, axis=1) < 0.01 * 0.045).all()
     assert (sigma_distance(perfect, short_solution) < 0.3).all()
-
-
-def test_the_velocity_gained_is_what_the_burns_are_said_to_be(perfect):
-    """Gravity's share over the few seconds is taken from the coast before."""
     k = round(perfect.plan.firings[1].start_s)
     seconds = round(perfect.plan.firings[1].duration_s)
     coast = perfect.states[k, 3:] - perfect.states[k - seconds, 3:]
@@ -219,24 +216,34 @@ def test_leaving_a_source_out_leaves_the_draws_of_the_others(
 
 
 def short_run(
-    solution: Solution, mission: Mission, vehicle: Vehicle, periods: int, speeds: list[float]
+    whole: FlightPlan,
+    seconds: int,
+    sources: frozenset[Source],
+    *,
+    seed: int = 1,
+    burns: int = 1,
+    turning: bool = False,
+    begin: int = 0,
+    speeds: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0),
 ) -> Simulator:
-    """The first minutes, with errors and spinning wheels."""
-    plan = FlightPlan.of(solution, mission, vehicle)
-    times = np.arange(float(periods))
-    draws = Draws.of(plan, mission.initial_factor, periods, 1, frozenset(Source))
-    commands = plan.attitudes(times)
-    start = Start(mission.initial_state, commands[100], np.zeros(3), np.array(speeds))
-    sim = Simulator(
-        plan, commands, start, draws, sensor_sigmas(vehicle.errors, frozenset(Source)), times
-    )
+    """The first minutes, with the attitude of a second, turning or not, and wheels that spin."""
+    mission, plan = whole.mission, replace(whole, firings=whole.firings[:burns])
+    times = np.arange(float(seconds))
+    commands = whole.attitudes(times)
+    rate = (commands[0].inv() * commands[1]).as_rotvec() * turning
+    start = Start(mission.initial_state, commands[begin], rate, np.array(speeds))
+    draws = Draws.of(plan, np.zeros((6, 6)), seconds, seed, sources)
+    sigmas = sensor_sigmas(whole.vehicle.errors, sources)
+    sim = Simulator(plan, commands, start, draws, sigmas, times)
     sim.run()
     return sim
 
 
 def test_momentum_is_dumped_and_the_attitude_kept(short_solution, short_mission, vehicle):
     """Wheels near their largest speed, with a net momentum, when sun-pointing begins."""
-    sim = short_run(short_solution, short_mission, vehicle, 500, [205.0, -57.0, -157.0, 105.0])
+    plan = FlightPlan.of(short_solution, short_mission, vehicle)
+    spinning = (205.0, -57.0, -157.0, 105.0)
+    sim = short_run(plan, 500, frozenset(Source), burns=2, begin=100, speeds=spinning)
     speeds = sim.plant.wheels.rwSpeedOutMsg.read().wheelSpeeds[:4]
     axes = np.array(vehicle.wheels.axes) / np.sqrt(2.0)
     limit = vehicle.wheels.dump_end * vehicle.wheels.speed_max_rad_s
@@ -252,16 +259,7 @@ def test_momentum_is_dumped_and_the_attitude_kept(short_solution, short_mission,
 def test_a_burn_of_zero_is_no_burn(short_solution, short_mission, vehicle):
     nothing = replace(short_solution.burns[0], dv_m_s=(0.0, 0.0, 0.0))
     solution = replace(short_solution, burns=[nothing, short_solution.burns[1]])
-    plan = FlightPlan.of(solution, short_mission, vehicle)
-    times = np.arange(30.0)
-    commands = plan.attitudes(times)
-    draws = Draws.of(plan, short_mission.initial_factor, len(times), 1, ())
-    start = Start(short_mission.initial_state, commands[0], np.zeros(3), np.zeros(4))
-    sigmas = sensor_sigmas(vehicle.errors, ())
-    only = replace(plan, firings=plan.firings[:1])
-    sim = Simulator(only, commands, start, draws, sigmas, times)
-    sim.run()
-    flight = sim.flight()
+    flight = short_run(FlightPlan.of(solution, short_mission, vehicle), 30, frozenset()).flight()
     assert not flight.burns_m_s.any()
     drift = flight.states[-1, :3] - short_mission.initial_state[:3]
     expected = 29.0 * short_mission.initial_state[3:]
@@ -286,18 +284,12 @@ def test_what_moves_the_path_is_what_was_drawn(perfect, starved, short_mission):
 
 def test_pulses_that_err_move_the_end(perfect, short_solution, short_mission, vehicle):
     """The first slew, with a tenth of the thrust as error; without it nothing changes at all."""
-    times, ends = np.arange(400.0), []
+    ends = []
     for sigma in (0.0, 0.1 * vehicle.micro_thrusters.thrust_n):
         errors = vehicle.errors.model_copy(update={"micro_thruster_n": sigma})
         other = vehicle.model_copy(update={"errors": errors})
         whole = FlightPlan.of(short_solution, short_mission, other)
-        plan = replace(whole, firings=whole.firings[:1])
-        commands = whole.attitudes(times)
-        rate = (commands[0].inv() * commands[1]).as_rotvec()
-        start = Start(short_mission.initial_state, commands[0], rate, np.zeros(4))
-        draws = Draws.of(plan, np.zeros((6, 6)), len(times), 0, {Source.MICRO_THRUSTER})
-        sim = Simulator(plan, commands, start, draws, sensor_sigmas(errors, ()), times)
-        sim.run()
+        sim = short_run(whole, 400, frozenset({Source.MICRO_THRUSTER}), seed=0, turning=True)
         state = sim.plant.hub.scStateOutMsg.read()
         ends.append(np.array([*state.r_CN_N, *state.v_CN_N]))
     np.testing.assert_allclose(ends[0], perfect.states[399], rtol=0.0, atol=1e-9)

@@ -3,9 +3,8 @@
 import io
 import json
 import re
-from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
+from functools import partial
 
 import numpy as np
 import pytest
@@ -30,7 +29,7 @@ from scp_recon.planning.plan import Plan, Provenance, Stage
 from scp_recon.planning.planner import plan
 from scp_recon.results.comparison import compare
 from scp_recon.results.facts import Verification
-from scp_recon.results.read import parse_solution, read_solution
+from scp_recon.results.read import read_solution
 from scp_recon.results.solution import FILE_NAME, HASH, Solution, make_solution
 from scp_recon.scp.algorithms import SCvx
 from scp_recon.scp.loop import Result, Timing
@@ -41,6 +40,7 @@ from scp_recon.verification.remedies import COMMANDS, kind_of
 from tests.helpers import usually
 from tests.scenarios import COARSE
 from tests.scp_recon.support import fly_few, mission_of
+from tests.scp_recon.verification.test_verification import changed, moved
 
 MEASURED = (
     COARSE,
@@ -228,28 +228,8 @@ def test_a_limit_that_corrections_break_is_named(crossed):
 
 # --- a policy that was changed ------------------------------------------------------------------
 
-Change = Callable[[dict[str, Any]], None]
-
-
-def scaled(*path: str | int, by: float = 1.01) -> Change:
-    """One number of the policy, or of the nodes, multiplied."""
-
-    def change(data: dict[str, Any]) -> None:
-        for key in path[:-1]:
-            data = data[key]  # type: ignore[index]
-        data[path[-1]] *= by  # type: ignore[index]
-
-    return change
-
-
 FIRST, SECOND = ("policy", "corrections", 0), ("policy", "corrections", 1)
-
-
-def changed(solution: Solution, *changes: Change) -> Solution:
-    data = json.loads(solution.text())
-    for change in changes:
-        change(data)
-    return parse_solution(data, "a solution")
+scaled = partial(moved, times=1.01)
 
 
 @pytest.mark.parametrize(
@@ -260,8 +240,7 @@ def changed(solution: Solution, *changes: Change) -> Solution:
             ([scaled(*FIRST, "estimate_covariance", 2, 2)], ["knowledge_error"]),
             (
                 [
-                    scaled("policy", "mean_m_s"),
-                    scaled("policy", "dv99_m_s"),
+                    *(scaled("policy", figure) for figure in ("mean_m_s", "dv99_m_s")),
                     scaled(*FIRST, "sigma_m_s"),
                 ],
                 ["policy.corrections", "policy.mean_m_s", "policy.dv99_m_s"],
@@ -324,10 +303,8 @@ def test_it_is_read_back_and_a_changed_gain_is_another_plan(solution, verificati
     ],
 )
 def test_a_policy_of_another_shape_is_refused(solution, change, told):
-    data = json.loads(solution.text())
-    change(data["policy"])
     with pytest.raises(InputError, match=told):
-        parse_solution(data, "a solution")
+        changed(solution, lambda data: change(data["policy"]))
 
 
 def test_the_terminal_tells_the_policy(solution, verification):

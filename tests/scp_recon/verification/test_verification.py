@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.sampling import sample_positions
+from scp_recon.physics import geometry
 from scp_recon.planning import initial_guess
 from scp_recon.planning.planner import plan
 from scp_recon.results.read import parse_solution
@@ -69,8 +70,7 @@ def test_probability_is_that_of_counting(mission, solution, verification):
 
 
 @pytest.mark.usefixtures("few_flights")
-def test_p3_is_confirmed_without_asking_for_probabilities_but_not_as_p2(mission):
-    p3 = make_solution(plan(mission, initial_guess.cold(mission), problem="P3"))
+def test_p3_is_confirmed_without_asking_for_probabilities_but_not_as_p2(mission, p3):
     checked = verify(mission, p3)
     assert checked.ok
     # What P2 is for; an independent prototype's lowest joint probability per node is one half.
@@ -80,9 +80,11 @@ def test_p3_is_confirmed_without_asking_for_probabilities_but_not_as_p2(mission)
     assert all(name.startswith("P(") or name == "facets" for name in as_p2.failed)
 
 
-def changed(solution: Solution, change: Change) -> Solution:
+def changed(solution: Solution, *changes: Change) -> Solution:
+    """As its file says after changes by hand."""
     data = json.loads(solution.text())
-    change(data)
+    for change in changes:
+        change(data)
     return parse_solution(data, "changed")
 
 
@@ -206,11 +208,9 @@ def test_flights_are_judged_as_the_mean_is_only_where_they_hardly_spread(unit, d
     assert holds(apart, unit).tolist() == (apart >= 0.0).tolist()
 
 
-def test_the_constraints_of_p3_and_of_infeasible_cases_are_worked_out_again():
-    for overrides, problem in (([], "P3"), (["burns.dv_max_m_s=0.03"], "P2")):
-        case = mission_of(*overrides)
-        found = plan(case, initial_guess.cold(case), problem=problem)
-        assert inconsistencies(case, make_solution(found)) == []
+@pytest.fixture(scope="module")
+def p3(mission) -> Solution:
+    return make_solution(plan(mission, initial_guess.cold(mission), problem="P3"))
 
 
 @pytest.fixture(scope="module")
@@ -220,49 +220,42 @@ def infeasible() -> tuple[Mission, Solution]:
     return case, make_solution(plan(case, initial_guess.cold(case)))
 
 
-@pytest.mark.parametrize("figure", ["max", "total"])
-@pytest.mark.parametrize("factor", [0.0, 1.0 - 1e-6, 1.0 + 1e-6, 1e6])
-def test_a_violation_that_does_not_add_up_is_named(infeasible, figure, factor):
-    """Of the whole but for rounding, or of one constraint by more than that."""
-    case, found = infeasible
-    parts = found.violation.by_constraint
-    assert {part.unit for part in parts.values()} == {"m", "m/s"}
-    places: list[list[str]] = [["violation"]]
-    places += [["violation", "by_constraint", name] for name in parts if abs(factor - 1.0) > 0.1]
-    for place in places:
-        wrong = changed(found, moved(*place, figure, times=factor))
-        assert inconsistencies(case, wrong) == ["violation"]
+def test_the_constraints_of_p3_and_of_infeasible_cases_are_worked_out_again(
+    mission, p3, infeasible
+):
+    for case, found in ((mission, p3), infeasible):
+        assert inconsistencies(case, found) == []
 
 
 OTHER_UNIT = {"m": "m/s", "m/s": "m"}
 
 
-@pytest.mark.parametrize(
-    "change",
-    [
-        # Tenfold, in the whole too, so that the sums agree, but not the margins.
-        lambda s: [
-            moved("total", times=10.0)(part)
-            for part in (s["violation"], *s["violation"]["by_constraint"].values())
-        ],
-        lambda s: [
-            part.update(unit=OTHER_UNIT[part["unit"]])
-            for part in s["violation"]["by_constraint"].values()
-        ],
-    ],
-    ids=["beyond the margins", "in the wrong unit"],
-)
-def test_a_violation_that_margins_contradict_is_named(infeasible, change):
+def test_a_violation_that_does_not_add_up_or_that_margins_contradict_is_named(infeasible):
+    """Of the whole but for rounding, or of one constraint by more than that."""
     case, found = infeasible
-    assert inconsistencies(case, changed(found, change)) == ["violation"]
+    parts = [("violation", "by_constraint", name) for name in found.violation.by_constraint]
+    assert {part.unit for part in found.violation.by_constraint.values()} == {"m", "m/s"}
+    changes = [
+        moved(*place, figure, times=factor)
+        for figure in ("max", "total")
+        for factor in (0.0, 1.0 - 1e-6, 1.0 + 1e-6, 1e6)
+        for place in [("violation",), *(parts if abs(factor - 1.0) > 0.1 else [])]
+    ]
+    # Tenfold, in the whole too, so that the sums agree, but not the margins; in the wrong unit.
+    tenfold = [moved(*place, "total", times=10.0) for place in [("violation",), *parts]]
+    for each in (*([change] for change in changes), tenfold, [in_other_units]):
+        assert inconsistencies(case, changed(found, *each)) == ["violation"]
+
+
+def in_other_units(data: dict[str, Any]) -> None:
+    for part in data["violation"]["by_constraint"].values():
+        part["unit"] = OTHER_UNIT[part["unit"]]
 
 
 @pytest.mark.parametrize(("error_s", "found"), [(1e-9, []), (-9e-4, []), (1.0, ["nodes.t_s"])])
 def test_a_window_edge_is_held_against_the_tolerance_of_reading(mission, solution, error_s, found):
-    def move(data: dict[str, Any]) -> None:
-        data["nodes"]["t_s"][int(mission.window_nodes[0])] += error_s
-
-    assert inconsistencies(mission, changed(solution, move)) == found
+    late = moved("nodes", "t_s", int(mission.window_nodes[0]), by=error_s)
+    assert inconsistencies(mission, changed(solution, late)) == found
 
 
 @pytest.mark.usefixtures("few_flights")
@@ -308,12 +301,10 @@ def test_constraints_are_checked_between_the_nodes(mission, solution):
 
     thinned = changed(solution, thin)
     assert len(thinned.nodes.t_s) == 6
-    for k in coarse.window_nodes:
-        time, position = thinned.nodes.t_s[k], np.array(thinned.nodes.state[k][:3])
-        to_j2000 = mission.rotation.body_to_j2000(time)
-        offset = position - to_j2000 @ mission.site.position_body
-        cosine = offset @ to_j2000 @ mission.site.normal_body / np.linalg.norm(offset)
-        assert np.rad2deg(np.arccos(cosine)) < 37.9
+    at = coarse.window_nodes
+    site = geometry.track(mission.site, mission.rotation, np.array(thinned.nodes.t_s)[at])
+    emission = geometry.emission(np.array(thinned.nodes.state)[at, :3], site)
+    assert np.rad2deg(emission).max() < 37.9
     checked = verify(coarse, thinned)
     # The facets of the nodes that are gone are nobody's any more.
     assert checked.failed == ["facets", "emission_max", "P(emission)"]
