@@ -54,6 +54,8 @@ def test_a_design_ends_with_a_verified_plan_its_scenario_a_table_and_a_map(tmp_p
     assert read_solution(again).total_dv_m_s == pytest.approx(solution.total_dv_m_s, rel=2e-3)
     with (out / "design.csv").open() as file:
         rows = list(csv.DictReader(file))
+    for row in rows:
+        assert np.diff(list(map(float, row["times_s"].split()))).min() > 0.0
     steps = {row["step"] for row in rows}
     assert steps == {"map", "descent", "refinement", "fewer", "number"}
     sizes = np.linalg.norm([burn.dv_m_s for burn in solution.burns], axis=1)

@@ -73,6 +73,8 @@ def test_body_orientation_is_the_iau_sequence_of_rotations(rotation, t):
     sequence = [np.pi / 2 + rotation.pole_ra, np.pi / 2 - rotation.pole_dec, w]
     expected = SciPyRotation.from_euler("ZXZ", sequence).as_matrix()
     np.testing.assert_allclose(rotation.body_to_j2000(t), expected, rtol=0.0, atol=1e-12)
+    scaled = rotation.in_units(3600.0).body_to_j2000(t / 3600.0)
+    np.testing.assert_allclose(scaled, expected, rtol=0.0, atol=1e-12)
 
 
 @given(unit_vectors(), unit_vectors())
