@@ -51,7 +51,10 @@ class _Later(ModuleType):
 
 
 class _Unasked(MetaPathFinder):
-    """Finder that hides some solvers from CVXPY while it lists the installed ones."""
+    """Finder that hides some solvers from CVXPY while it lists the installed ones.
+
+    Placeholders as above would not do: SciPy imports JAX where it stands among the modules.
+    """
 
     def find_spec(self, name: str, *_: object) -> ModuleSpec | None:
         listing = sys.modules.get("cvxpy.reductions.solvers.defines")
