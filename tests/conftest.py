@@ -111,7 +111,7 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
         reliability.write(path, TOTALS)
         terminalreporter.write_line(f"written: {path}")
     if PROFILE != "mutation" and not terminalreporter.config.getoption("fast"):
-        from experiments import evidence  # which mutmut's copy of the tests lacks
+        from experiments import evidence  # which workers need not import
 
         if stale := ", ".join(evidence.out_of_date()):
             line = f"evidence out of date: {stale} (`python -m experiments evidence --check`)"
