@@ -14,9 +14,12 @@ import platform
 import re
 import subprocess
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from functools import cache
+from importlib.metadata import PackageNotFoundError
+from importlib.metadata import version as version_of
 from pathlib import Path
 from typing import Any, NamedTuple, Self
 
@@ -39,6 +42,8 @@ ABOVE = (
     "experiments.evidence",
 )
 """Modules that a study's figures do not depend on: the shell around it."""
+AROUND = ("experiments.harness", "experiments.evidence")
+"""Those of a study that quotes or times whole commands."""
 
 Records = Sequence[Mapping[str, Any]]
 
@@ -52,19 +57,23 @@ class Source(NamedTuple):
         without: modules and packages of them that the rows do not depend on.
         figures: commands after `python -m` that then draw pictures of the pages; `{out}` is the
             study's folder.
+        tools: distributions that the rows depend on too, beside those of every plan; where one is
+            not installed its version is not compared.
     """
 
     command: str
     modules: tuple[str, ...]
     without: tuple[str, ...] = ABOVE
     figures: tuple[str, ...] = ()
+    tools: tuple[str, ...] = ()
 
 
 _SOLVERS = "experiments.solvers.compare_solvers.cell"
 _ALL = ("tests", "formulations", "scp_recon")
+_NLP, _SPACECRAFT = ("casadi",), ("bsk",)
 
 SOURCES: Mapping[str, Source] = {
-    "plans": Source("experiments plans", ("experiments.plans",)),
+    "plans": Source("experiments plans", ("experiments.plans", "scp_recon.cli"), AROUND),
     "designs": Source("experiments plans --designs", ("experiments.plans",)),
     "frontier": Source(
         "experiments frontier",
@@ -86,33 +95,60 @@ SOURCES: Mapping[str, Source] = {
         "experiments compare_solvers --full",
         (_SOLVERS,),
         figures=("paper_figs solver_comparison --runs {out} --out docs",),
+        tools=(*_NLP, "ecos", "qoco", "scs"),
     ),
-    "nlp_tricks": Source("experiments nlp_tricks", ("experiments.solvers.nlp_tricks",)),
+    "nlp_tricks": Source("experiments nlp_tricks", ("experiments.solvers.nlp_tricks",), tools=_NLP),
     "peers": Source(
-        "experiments peers", ("experiments.solvers.peers.study", "examples.halo_transfer")
+        "experiments peers",
+        ("experiments.solvers.peers.study", "examples.halo_transfer"),
+        tools=("openscvx", "scocp"),
     ),
-    "cross_check": Source("experiments cross_check", ("experiments.cross_check",)),
+    "cross_check": Source(
+        "experiments cross_check",
+        ("experiments.cross_check",),
+        tools=("brahe", "orekit-jpype", "polyhedral-gravity"),
+    ),
+    "accuracy": Source(
+        "experiments accuracy",
+        ("experiments.solvers.accuracy",),
+        figures=("paper_figs accuracy --runs {out} --out docs/comparison_accuracy.png",),
+        tools=_NLP,
+    ),
     "lifted": Source("experiments lifted", ("experiments.solvers.lifted",)),
+    "sensitivity": Source("experiments sensitivity", ("experiments.solvers.sensitivity",)),
     "observation_table": Source(
         "experiments observation_table",
         ("experiments.observation_table.study",),
         figures=("paper_figs flyby --runs {out}/scp_cold --out docs/flyby.png",),
+        tools=_NLP,
     ),
     "model_fidelity": Source("experiments model_fidelity", ("experiments.model_fidelity.study",)),
     "battery_cones": Source("experiments battery_cones", ("experiments.spacecraft.battery_cones",)),
     "uncertainty_sources": Source(
         "experiments uncertainty_sources --flights 4",
         ("experiments.spacecraft.uncertainty_sources.study",),
+        tools=_SPACECRAFT,
     ),
-    "timing_rules": Source("experiments timing_rules", ("experiments.spacecraft.timing_rules",)),
-    "flown_plan": Source("experiments flown_plan", ("experiments.spacecraft.flown_plan",)),
+    "timing_rules": Source(
+        "experiments timing_rules", ("experiments.spacecraft.timing_rules",), tools=_SPACECRAFT
+    ),
+    "flown_plan": Source(
+        "experiments flown_plan", ("experiments.spacecraft.flown_plan",), tools=_SPACECRAFT
+    ),
     **{
         f"flown_{name}": Source(
-            f"experiments flown_policies {name}", ("experiments.in_flight.flown_policies",)
+            f"experiments flown_policies {name}",
+            ("experiments.in_flight.flown_policies",),
+            tools=_SPACECRAFT,
         )
         for name in ("default", "kingfisher")
     },
-    "benchmarks": Source("benchmarks", ("benchmarks.methods", "benchmarks.growth")),
+    "benchmarks": Source(
+        "benchmarks",
+        ("benchmarks.methods", "benchmarks.growth", "scp_recon.cli"),
+        AROUND,
+        tools=_NLP,
+    ),
     "waits": Source(
         "benchmarks.waits", ("benchmarks.waits", "formulations", "scp_recon"), without=()
     ),
@@ -239,6 +275,9 @@ def machine() -> str:
 def _code(source: Source) -> tuple[dict[str, str], str]:
     """Versions, but not this package's own, and hash of the sources."""
     found = {name: version for name, version in versions().items() if name != "scp_recon"}
+    for name in source.tools:
+        with suppress(PackageNotFoundError):
+            found[name] = version_of(name)
     return found, sources(*source.modules, *DATA, without=source.without)
 
 

@@ -23,6 +23,7 @@ from paper_figs.paper import (
     trajectories,
 )
 from paper_figs.studies import (
+    accuracy,
     attitude_and_actuators,
     battery_cones,
     feedback,
@@ -103,6 +104,7 @@ STUDIES: dict[str, Item] = {
         feedback,
         policies,
         map_sample,
+        accuracy,
         battery_cones,
         model_fidelity,
         uncertainty_sources,

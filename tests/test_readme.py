@@ -292,6 +292,21 @@ QUICK = {
         "--flights 20", nightly=True, less=first_of("in_flight.policies", "CASES")
     ),
     "python -m experiments lifted": Quick(less=first_of("solvers.lifted", "FORMS")),
+    "python -m experiments accuracy": Quick(
+        less=(
+            *first_of("solvers.accuracy", "METHODS"),
+            (
+                "experiments.solvers.accuracy.PROBLEMS",
+                lambda problems: {"replan": problems["replan"]},
+            ),
+        )
+    ),
+    "python -m experiments sensitivity": Quick(
+        less=(
+            *first_of("solvers.sensitivity", "VARIED"),
+            ("experiments.solvers.sensitivity.MULTIPLES", lambda multiples: multiples[3:4]),
+        )
+    ),
     "python -m experiments peers": Quick(
         needs="scocp",
         nightly=True,

@@ -9,6 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
+from formulations.arrays import Array
 from paper_figs.drawing import LEGEND_PT, legend, page
 from paper_figs.inputs import Row, Source
 from scp_recon.monte_carlo.estimates import proportion
@@ -17,6 +18,9 @@ COLOURS = {"scvx": "C0", "ptr": "C1", "scvx-star": "C2", "hard": "C3", "elastic"
 MARKERS = {"CLARABEL": "o", "ECOS": "s", "QOCO": "^", "SCS": "D", "IPOPT": "*", "UNO": "P"}
 OTHER = "X"
 SOURCE = Source("comparison", "python -m experiments compare_solvers", {"comparison.csv": "group"})
+PROFILED = {"scenarios": "P2 from one P3 solution", "random": "random scenarios, cold"}
+"""Groups of problems with performance profiles, and their titles."""
+COLOURS_MAX = 10
 SAME = 1e-4
 """Relative difference of total delta-v within which two ends are the same optimum."""
 
@@ -134,31 +138,43 @@ def draw_scenarios(rows: Sequence[Row]) -> Figure:
 
 
 def draw_profiles(rows: Sequence[Row]) -> Figure:
-    """Share of the scenarios that a method solves within a multiple of the least processor time."""
-    chosen = [row for row in rows if row["group"] == "scenarios"]
-    best = _least(filter(solved, chosen), "total_dv_m_s")
+    """Share of the problems that a method solves within a multiple of the least processor time."""
+    groups = [group for group in PROFILED if any(row["group"] == group for row in rows)]
+    methods = list(dict.fromkeys(row["method"] for row in rows if row["group"] in groups))
+    with page(3.4) as figure:
+        panels = figure.subplots(1, len(groups), sharey=True, squeeze=False)[0]
+        for axes, group in zip(panels, groups, strict=True):
+            of_group = [row for row in rows if row["group"] == group]
+            for method, (ratios, share) in profiles(of_group).items():
+                number = methods.index(method)
+                look = "--" if number >= COLOURS_MAX else "-"
+                axes.step(ratios, share, look, where="post", color=f"C{number}", label=method)
+            axes.set(xscale="log", ylim=(0.0, 1.02), title=PROFILED[group])
+            axes.xaxis.set_major_formatter("{x:g}")
+        panels[0].set_ylabel("share solved")
+        figure.supxlabel("processor time over the least of all methods", fontsize="medium")
+        legend(figure, 3)
+    return figure
+
+
+def profiles(rows: Sequence[Row]) -> dict[str, tuple[Array, Array]]:
+    """Ratios to the least time, and shares solved within them, of methods that got every problem."""
+    best = _least(filter(solved, rows), "total_dv_m_s")
     ended = [
         row
-        for row in filter(solved, chosen)
+        for row in filter(solved, rows)
         if float(row["total_dv_m_s"]) <= (1 + SAME) * best[row["scenario"]]
     ]
     least = _least(ended, "cpu_s")
-    with page(3.0) as figure:
-        axes = figure.subplots()
-        for number, method in enumerate(dict.fromkeys(row["method"] for row in chosen)):
-            own = [row for row in chosen if row["method"] == method]
-            if {row["scenario"] for row in own} >= least.keys():
-                ratios = sorted(
-                    float(row["cpu_s"]) / least[row["scenario"]] for row in own if row in ended
-                )
-                share = np.arange(1, len(ratios) + 1) / len(least)
-                axes.step(ratios, share, where="post", color=f"C{number}", label=method)
-        axes.set_xscale("log")
-        axes.set_ylim(0.0, 1.02)
-        axes.set_xlabel("processor time over the least of all methods")
-        axes.set_ylabel("share of scenarios solved")
-        legend(figure, 3)
-    return figure
+    found = {}
+    for method in dict.fromkeys(row["method"] for row in rows):
+        own = [row for row in rows if row["method"] == method]
+        if {row["scenario"] for row in own} >= least.keys():
+            ratios = sorted(
+                float(row["cpu_s"]) / least[row["scenario"]] for row in own if row in ended
+            )
+            found[method] = np.array(ratios), np.arange(1, len(ratios) + 1) / len(least)
+    return found
 
 
 def _least(rows: Iterable[Row], column: str) -> dict[str, float]:

@@ -25,6 +25,7 @@ from paper_figs.__main__ import PICTURES, main, make_all
 from paper_figs.inputs import PLAN, Row, Source, run_missing
 from paper_figs.registry import EVERYTHING, STUDIES, Item
 from paper_figs.studies import (
+    accuracy,
     attitude_and_actuators,
     battery_cones,
     feedback,
@@ -161,7 +162,7 @@ def studies(tmp_path_factory) -> Path:
     write_uncertainty(out / uncertainty_sources.SOURCE.folder)
     write_flight(out / flight_record.SOURCE.folder)
     write_flown(out / flown_plan.SOURCE.folder)
-    for study in (frontier, timing_rules, feedback, policies, map_sample):
+    for study in (frontier, timing_rules, feedback, policies, map_sample, accuracy):
         write_evidence(study.SOURCE, out / study.SOURCE.folder)
     return out
 

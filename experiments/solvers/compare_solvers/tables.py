@@ -44,6 +44,8 @@ PROFILED = {
     "guesses": "P3 and P2 from random guesses",
 }
 """Groups of problems that many methods solve."""
+EXCESSES = (AGREE, 0.01, 0.1)
+"""Relative differences of total delta-v from the least."""
 FACTORS = (1, 2, 5, 10, 20, 50, 100)
 """Of the least processor time, in a profile."""
 
@@ -68,6 +70,7 @@ def report(rows: Sequence[Row]) -> list[str | Table]:
         _matrix("Every method", of_group(rows, "matrix"), "methods"),
         _scenarios(of_group(rows, "scenarios")),
         *(profiles(of_group(rows, group)) for group in PROFILED),
+        _random(of_group(rows, "random")),
         _guesses(of_group(rows, "guesses")),
         _optima(of_group(rows, "guesses")),
         _exact(rows),
@@ -149,7 +152,7 @@ def _guesses(rows: Sequence[Row]) -> Table:
         "median processor s", "90th percentile", "best delta-v m/s",
     )  # fmt: skip
     best, lines = best_of(rows), list[tuple[Value, ...]]()
-    for method, tries in _by_method(rows).items():
+    for method, tries in _by(rows, "method").items():
         solved = [row for row in tries if row.solved]
         at_once = [row for row in solved if row.solved_at_once]
         at_best = [row for row in solved if row.total_dv_m_s <= best * (1.0 + AGREE)]
@@ -172,6 +175,25 @@ def _guesses(rows: Sequence[Row]) -> Table:
     return Table.of("Random guesses", columns, lines, key="guesses", note=GUESSES_NOTE)
 
 
+def _random(rows: Sequence[Row]) -> Table:
+    """How often each method solves a random scenario, and how near the least of all methods."""
+    cases = _by(rows, "scenario")
+    best = {name: least for name, own in cases.items() if np.isfinite(least := best_of(own))}
+    lines = list[tuple[Value, ...]]()
+    for method, tries in _by(rows, "method").items():
+        solved = [row for row in tries if row.solved]
+        above = [row.total_dv_m_s / best[row.scenario] - 1.0 for row in solved]
+        near = (sum(excess <= most for excess in above) for most in EXCESSES)
+        seconds = float(np.median([row.cpu_s for row in solved])) if solved else np.nan
+        lines.append((method, len(tries), len(best), len(solved), *near, _figure(seconds, ".2f")))
+    columns = (
+        "method", "scenarios", "solved by any", "solved",
+        *(f"within {most:g} of the least" for most in EXCESSES),
+        "median processor s of the solved",
+    )  # fmt: skip
+    return Table.of("Random scenarios", columns, lines, key="random")
+
+
 def profiles(rows: Sequence[Row]) -> Table:
     """Performance profiles of the processor time, of the methods that were given every problem."""
     problems = {(row.scenario, row.seed) for row in rows if row.solved}
@@ -181,7 +203,7 @@ def profiles(rows: Sequence[Row]) -> Table:
     ]
     least = {p: min(r.cpu_s for r in ended if (r.scenario, r.seed) == p) for p in problems}
     lines = list[tuple[Value, ...]]()
-    for method, own in _by_method(rows).items():
+    for method, own in _by(rows, "method").items():
         ratios = [r.cpu_s / least[r.scenario, r.seed] for r in own if r in ended]
         if problems and {(row.scenario, row.seed) for row in own} >= problems:
             within = [sum(ratio <= factor for ratio in ratios) for factor in (*FACTORS, np.inf)]
@@ -194,10 +216,10 @@ def profiles(rows: Sequence[Row]) -> Table:
     return Table.of(title, columns, lines, f"profiles_{group}", PROFILE_NOTE)
 
 
-def _by_method(rows: Iterable[Row]) -> dict[str, list[Row]]:
+def _by(rows: Iterable[Row], what: str) -> dict[str, list[Row]]:
     found: dict[str, list[Row]] = {}
     for row in rows:
-        found.setdefault(row.method, []).append(row)
+        found.setdefault(getattr(row, what), []).append(row)
     return found
 
 
@@ -207,7 +229,7 @@ def _optima(rows: Sequence[Row]) -> Table:
         method: [
             f"{row.status.replace('_', ' ')} {_figure(row.total_dv_m_s, '.4f')}" for row in tries
         ]
-        for method, tries in _by_method(rows).items()
+        for method, tries in _by(rows, "method").items()
     }
     every = sorted({end for found in ends.values() for end in found})
     lines = [(end, *(found.count(end) or None for found in ends.values())) for end in every]

@@ -12,6 +12,7 @@ import pytest
 from scipy.special import ndtr
 
 from experiments.__main__ import main
+from experiments.harness import Findings, tables_of
 from experiments.solvers.compare_solvers import study as compare_solvers
 from experiments.solvers.compare_solvers.cases import (
     ELASTIC,
@@ -48,6 +49,7 @@ from experiments.solvers.compare_solvers.exact.program import (
 )
 from experiments.solvers.compare_solvers.exact.search import search
 from experiments.solvers.compare_solvers.study import ROWS_FILE, Solve, run_cells
+from experiments.solvers.compare_solvers.tables import report
 from formulations.arrays import Array
 from formulations.linearisation.linearisation import Linearisation
 from formulations.rows.node_probability import joint_events, node_quantiles
@@ -184,6 +186,18 @@ AGREEING = [
 
 def test_claims_hold_where_the_rows_say_so():
     assert [claim.holds for claim in claims(AGREEING)] == 5 * [True] + 4 * [None]
+
+
+def test_random_scenarios_are_counted_by_how_near_the_least_a_method_ends():
+    rows = [
+        *(row_of("a", REFERENCE, 0.1), row_of("a", TUNED, 0.1005)),
+        *(row_of("b", REFERENCE, 0.2), row_of("b", TUNED, 0.1)),
+        *(row_of("c", REFERENCE, 0.3, "infeasible"), row_of("c", TUNED, 0.3, FAILED)),
+    ]
+    tables = tables_of(Findings(report([replace(row, group="random") for row in rows]), {}), "")
+    ours, theirs = ([*row.values()][:-1] for row in tables["random"])
+    assert ours == [REFERENCE.name, 3, 2, 2, 1, 1, 1]
+    assert theirs == [TUNED.name, 3, 2, 2, 1, 2, 2]
 
 
 def test_the_command_leaves_its_tables_and_takes_up_its_rows(tmp_path, monkeypatch, capsys):
