@@ -1,8 +1,9 @@
 """Time everything in one run on one machine: `python -m benchmarks`.
 
-Every method runs in a process of its own. All methods run in turn several times, so that other work
-on the machine affects all of them alike. The smallest figures count. After Ctrl-C the run continues
-with the missing methods. `make bench` sets up the environment.
+Every method runs in a process of its own, with one thread. All methods run in turn several times, so
+that other work on the machine affects all of them alike. The smallest figures count. Growth is in
+seconds of the processor. After Ctrl-C the run continues with what is missing. `make bench` sets up
+the environment.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Sequence
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -31,23 +32,25 @@ from scp_recon.jobs.job import Job
 ROUNDS, REPEATS = 3, 3
 SLOW = ("ipopt printed", "scp lifted")
 """Methods that are timed twice a round at most."""
-SAME_ARITHMETIC = {"OPENBLAS_CORETYPE": "Haswell"}
-"""OpenBLAS's kernels, which every x86 processor since 2013 has. How long IPOPT takes for the program as
-printed depends on rounding: with a newer processor's kernels it had no plan after seven minutes."""
+SAME_ARITHMETIC = {"OPENBLAS_CORETYPE": "Haswell", "OPENBLAS_NUM_THREADS": "1"}
+"""OpenBLAS's kernels, which every x86 processor since 2013 has, on one thread, as commands have it. How
+long IPOPT takes for the program as printed depends on rounding: with a newer processor's kernels it had
+no plan after seven minutes."""
 
 
 def measure(session: Session) -> Findings:
     """Time every method, the command line, and how plans grow."""
     rounds = 1 if session.options.quick else ROUNDS
-    store = session.store(work="benchmarks.methods")
+    store = session.store(work="benchmarks.growth")  # which imports the methods
     jobs = [Job(f"{round_} {name}", name) for round_ in range(rounds) for name in METHODS]
-    rows = session.rows("methods", in_a_process, jobs, store)
+    rows = session.rows("methods", figures_of, jobs, store)
     figures = best_of([job.inputs for job in jobs], [Timed(**row) for row in rows])
     repeats = [Job(f"command {number}", session.out) for number in range(2 * rounds)]
     times = session.rows("commands", command_times, repeats, store)
     commands = {name: min(row[name] for row in times) for name in times[0]}
-    studies = [] if session.options.quick else [Job(s.name, s) for s in growth.STUDIES]
-    fits = session.rows("growth", lambda study: asdict(growth.fit(study)), studies, store)
+    pairs = [(study.name, method) for study in growth.STUDIES for method in growth.METHODS]
+    studies = [] if session.options.quick else [Job(", ".join(pair), pair) for pair in pairs]
+    fits = session.rows("growth", grown, studies, store)
     tables = {
         "methods": method_rows(figures),
         "ratios": ratio_rows(figures, commands),
@@ -67,15 +70,19 @@ def best_of(names: Sequence[str], timed: Sequence[Timed]) -> dict[str, Timed]:
     return found
 
 
-def in_a_process(name: str) -> dict[str, Any]:
-    """One method's figures from a process of its own, whose errors go to the terminal."""
-    command = [
-        sys.executable,
-        "-m",
-        "benchmarks.methods",
-        name,
-        str(1 if name in SLOW else REPEATS),
-    ]
+def figures_of(name: str) -> dict[str, Any]:
+    """One method's figures."""
+    return in_a_process("benchmarks.methods", name, str(1 if name in SLOW else REPEATS))
+
+
+def grown(study: tuple[str, str]) -> dict[str, Any]:
+    """How the plans of a method grow with a quantity."""
+    return in_a_process("benchmarks.growth", *study)
+
+
+def in_a_process(module: str, *words: str) -> dict[str, Any]:
+    """What a module prints as JSON in a process of its own, whose errors go to the terminal."""
+    command = [sys.executable, "-m", module, *words]
     setting = {**os.environ, **SAME_ARITHMETIC}
     output = subprocess.run(
         command, check=True, stdout=subprocess.PIPE, text=True, env=setting

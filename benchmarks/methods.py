@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 import resource
 import statistics
@@ -23,6 +24,11 @@ from scp_recon.scenario.load import load_scenario
 from scp_recon.verification.reintegration import verify
 
 REPLANS = 100
+LATE = {
+    "scp": ("formulations.program.condensed", "formulations.program.lifted"),
+    "ipopt": ("scp_recon.planning.ipopt",),
+}
+"""Modules that the methods import late, with CVXPY or CasADi."""
 
 
 @dataclass(frozen=True)
@@ -30,7 +36,8 @@ class Timed:
     """One method's figures; seconds.
 
     Attributes:
-        first: of the first run in the process, programs built and solvers set up in it.
+        first: of the first run in the process, programs compiled and solvers set up in it, without
+            imports.
         best: of the fastest of the later runs; of replans the median.
         cpu: processor time of the fastest run.
         split: its seconds by part.
@@ -38,7 +45,8 @@ class Timed:
         total_dv_m_s: of the plan.
         status: of the plan.
         verified: whether an independent integration and Monte Carlo confirm it.
-        details: further figures of the method.
+        details: further figures of the method; "import" are the seconds that importing `LATE`
+            modules took before, beyond what every method imports.
     """
 
     first: float
@@ -64,7 +72,15 @@ def timed(run: Callable[[], object], repeats: int) -> Timed:
     return Timed(walls[0], walls[best], cpus[best])
 
 
-def _described(figures: Timed, mission: Mission, plans: list[Plan]) -> Timed:
+def imported(*names: str) -> float:
+    """Import modules; returns the seconds that it took."""
+    begin = perf_counter()
+    for name in names:
+        importlib.import_module(name)
+    return perf_counter() - begin
+
+
+def _described(figures: Timed, mission: Mission, plans: list[Plan], import_s: float) -> Timed:
     found = min(plans[1:] or plans, key=lambda plan: plan.total_s)
     solution = make_solution(found)
     parts = asdict(found.timing) | {"other": found.total_s - sum(vars(found.timing).values())}
@@ -78,22 +94,28 @@ def _described(figures: Timed, mission: Mission, plans: list[Plan]) -> Timed:
         total_dv_m_s=found.final.result.lin.iterate.total_dv * mission.units.speed_m_s,
         status=found.final.result.status.value.name,
         verified=verify(mission, solution).ok,
-        details=solves | {"iterations": float(sum(len(s.result.records) for s in found.stages))},
+        details=solves
+        | {
+            "iterations": float(sum(len(s.result.records) for s in found.stages)),
+            "import": import_s,
+        },
     )
 
 
 def scp(mission: Mission, formulation: str, repeats: int) -> Timed:
     """P3, facets and P2 from a cold start, each time by a new planner."""
+    import_s = imported(*LATE["scp"])
     start, plans = initial_guess.cold(mission), list[Plan]()
 
     def run() -> None:
         plans.append(Planner(mission, formulation=formulation).plan(start))
 
-    return _described(timed(run, repeats), mission, plans)
+    return _described(timed(run, repeats), mission, plans, import_s)
 
 
 def ipopt(mission: Mission, variant: str, repeats: int) -> Timed:
     """The same stages by IPOPT."""
+    import_s = imported(*LATE["ipopt"])
     from scp_recon.planning import ipopt as reference
 
     start, plans = initial_guess.cold(mission), list[Plan]()
@@ -101,7 +123,7 @@ def ipopt(mission: Mission, variant: str, repeats: int) -> Timed:
     def run() -> None:
         plans.append(reference.plan(mission, start, variant=variant))
 
-    return _described(timed(run, repeats), mission, plans)
+    return _described(timed(run, repeats), mission, plans, import_s)
 
 
 def replan(mission: Mission, repeats: int) -> Timed:

@@ -1,4 +1,7 @@
-"""Make rows of the benchmarks' figures; all times are of the wall clock unless they say otherwise."""
+"""Make rows of the benchmarks' figures.
+
+Times are of the wall clock, unless they say otherwise; those of growth are of the processor.
+"""
 
 from __future__ import annotations
 
@@ -20,6 +23,7 @@ def method_rows(figures: Mapping[str, Timed]) -> Rows:
             "total_dv_m_s": f.total_dv_m_s,
             "off": abs(f.total_dv_m_s / reference - 1.0),
             "status": f.status + (", verified" if f.verified else ", not verified"),
+            "import_s": f.details["import"],
             "first_s": f.first,
             "later_s": f.best,
             "processor_s": f.cpu,
@@ -66,15 +70,24 @@ def without_setup(figures: Timed) -> float:
 
 
 def growth_rows(fits: Sequence[Fit]) -> Rows:
-    """Growth: a row a study."""
+    """Growth: a row for each quantity and method."""
     rows = []
     for fit in fits:
         points = zip(fit.seconds, fit.iterations, fit.statuses, strict=True)
         seconds = ", ".join(
-            f"{s:.3f} ({n}{'' if status == 'converged' else ', ' + status})"
+            f"{s:.2f} ({n}{'' if status == 'converged' else ', ' + status.replace('_', ' ')})"
             for s, n, status in points
         )
-        sizes = ", ".join(map(str, fit.sizes))
-        figures = {"sizes": sizes, "seconds": seconds, "exponent": fit.exponent, "last": fit.last}
-        rows.append({"growth with": fit.name} | figures)
+        rows.append(
+            {
+                "growth with": fit.name,
+                "method": fit.method,
+                "sizes": ", ".join(map(str, fit.sizes)),
+                "seconds": seconds,
+                "total_dv_m_s": ", ".join(f"{dv:.6f}" for dv in fit.total_dv_m_s),
+                "exponent": fit.exponent,
+                "last": fit.last,
+                "an_iteration": fit.an_iteration,
+            }
+        )
     return rows

@@ -1,22 +1,27 @@
 """Tables and ratios of the benchmarks from made-up times; no time is tested."""
 
 import itertools
+import subprocess
+import sys
 from dataclasses import asdict, replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 import benchmarks.__main__ as command
-from benchmarks import waits
-from benchmarks.growth import STUDIES
+from benchmarks import growth, waits
+from benchmarks.growth import STUDIES, Study
 from benchmarks.methods import METHODS, Timed
-from benchmarks.tables import method_rows, ratio_rows
-from experiments.evidence import FILE, Evidence
+from benchmarks.tables import growth_rows, method_rows, ratio_rows
+from experiments.evidence import FILE, ROOT, Evidence
 from scp_recon.mission.mission import Mission
 from scp_recon.scenario.load import load_scenario
+from scp_recon.scp.status import Status
 
 SPLIT = {"setup": 0.0, "linearise": 0.02, "canonicalise": 0.01, "conic_solver": 0.05, "other": 0.02}
-PLANNED = Timed(0.2, 0.1, 0.1, SPLIT, 100.0, 0.14, "converged", True, {"p2_subproblem": 0.008})
+DETAILS = {"p2_subproblem": 0.008, "import": 0.4}
+PLANNED = Timed(0.2, 0.1, 0.1, SPLIT, 100.0, 0.14, "converged", True, DETAILS)
 
 
 def figures() -> dict[str, Timed]:
@@ -37,7 +42,8 @@ def test_a_run_leaves_the_figures_as_evidence(tmp_path, monkeypatch):
     """Of what ran before a stop it keeps the rows."""
     ran: list[str] = []
 
-    def in_a_process(name: str) -> dict[str, object]:
+    def in_a_process(module: str, name: str, _: str) -> dict[str, object]:
+        assert module == "benchmarks.methods"
         if len(ran) == 3:
             ran.append("")
             raise KeyboardInterrupt
@@ -84,6 +90,7 @@ def test_a_row_says_what_is_not_verified_and_how_far_it_is_off():
     assert rows["scp lifted"]["status"] == "converged, not verified"
     assert rows["scp lifted"]["off"] == pytest.approx(1e-3)
     assert rows["scp lifted"]["setup_s"] == 0.0
+    assert rows["scp lifted"]["import_s"] == 0.4
 
 
 @pytest.mark.parametrize("study", STUDIES, ids=lambda study: study.name)
@@ -92,6 +99,47 @@ def test_every_size_is_a_mission(study):
         mission = Mission.from_scenario(load_scenario(None, study.overrides(size)))
         if study.name == "burns":
             assert len(mission.burn_nodes) == size
+
+
+def planned_in(overrides: list[str], _: object) -> tuple[object, float]:
+    """A plan of n iterations in n^2 seconds, but for two nodes none in a hundred."""
+    n = int(overrides[0])
+    status = Status.MAX_ITERATIONS if n == 2 else Status.CONVERGED
+    stage = SimpleNamespace(result=SimpleNamespace(records=[None] * n))
+    plan = SimpleNamespace(status=status, stages=[stage], total_dv_m_s=0.14)
+    return plan, 100.0 if n == 2 else n**2.0
+
+
+def test_only_sizes_that_converged_give_an_exponent(monkeypatch):
+    monkeypatch.setattr(growth, "_fastest", planned_in)
+    monkeypatch.setattr(growth, "LEFT_OUT", {("nodes", "scp lifted"): (8, 16)})
+    study = Study("nodes", (2, 4, 8, 16), lambda n: [str(n)])
+    whole, short = growth_rows(growth.fit(study, f"scp {form}") for form in ("condensed", "lifted"))
+    assert whole["seconds"] == "100.00 (2, max iterations), 16.00 (4), 64.00 (8), 256.00 (16)"
+    assert whole["exponent"] == pytest.approx(2.0)
+    assert whole["last"] == pytest.approx(2.0)
+    assert whole["an_iteration"] == pytest.approx(1.0)
+    assert (short["method"], short["sizes"]) == ("scp lifted", "2, 4")
+    assert short["exponent"] is short["last"] is short["an_iteration"] is None
+
+
+IMPORTED = """
+import sys
+from benchmarks import methods
+
+def timed(run, _):
+    before = set(sys.modules)
+    run()
+    sys.exit(set(sys.modules) != before)
+
+methods.timed = timed
+methods.main()
+"""
+
+
+@pytest.mark.parametrize("name", ["scp condensed", "ipopt tuned"])
+def test_no_time_of_a_method_has_an_import_in_it(name):
+    subprocess.run([sys.executable, "-c", IMPORTED, name, "0"], check=True, cwd=ROOT)
 
 
 def test_of_each_command_the_run_of_least_processor_time_counts(tmp_path, monkeypatch):
