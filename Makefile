@@ -10,7 +10,7 @@ export PYTHONDONTWRITEBYTECODE :=
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet install --constraint constraints.txt
 
 .PHONY: help solve test fast extras nightly coverage mutation lint format types check release reference bench gallery \
-	evidence figures notebooks site clean
+	evidence drawings figures notebooks site clean
 help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "%-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
@@ -36,7 +36,7 @@ format: $(VENV)/.dev  ## format, and fix what can be fixed
 types: $(VENV)/.dev  ## check the types
 	$(BIN)/mypy
 
-nightly: $(VENV)/.test  ## look harder: 500 examples a property, and counts of what they tried
+nightly: $(VENV)/.test $(VENV)/.docs  ## look harder: 500 examples a property, and counts of what they tried
 	HYPOTHESIS_PROFILE=nightly $(BIN)/python -m pytest $(BY_FILE) --timeout 3600 \
 	--reliability=runs/reliability.json
 

@@ -14,7 +14,7 @@ import scp_recon
 from tests.helpers import nightly
 
 PROJECT = Path(__file__).parents[1]
-PAGES = [PROJECT / "README.md", *sorted((PROJECT / "docs").rglob("*.md"))]
+PAGES = [*sorted(PROJECT.glob("*.md")), *sorted((PROJECT / "docs").rglob("*.md"))]
 EXTERNAL = sorted(
     {
         link
