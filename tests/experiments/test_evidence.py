@@ -341,6 +341,7 @@ def test_counts_of_all_seeds_are_added_and_a_stopped_run_goes_on(tmp_path, monke
         reliability.write(path, reliability.Counter({reliability.SOLVED: 10 * seed}))
         return ""
 
+    monkeypatch.setattr(testing, "SEEDS", (1, 2))
     monkeypatch.setattr(testing, "_pytest", pytest_run)
     with pytest.raises(AssertionError):
         evidence_of("reliability", tmp_path)
