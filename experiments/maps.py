@@ -15,7 +15,6 @@ sites.
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
@@ -23,6 +22,7 @@ from time import process_time
 from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from experiments.evidence import ROOT
 from experiments.harness import Findings, Record, Session, fly_plan, number, option, records
@@ -33,6 +33,7 @@ from scp_recon.campaigns.cases import changed
 from scp_recon.campaigns.results import VERIFIED
 from scp_recon.campaigns.study import Study, read_study
 from scp_recon.errors import InputError
+from scp_recon.files import write_atomically
 from scp_recon.jobs.job import Job
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.summary import MOST
@@ -42,6 +43,7 @@ from scp_recon.passes.setting import settled
 from scp_recon.planning.initial_guess import from_burns
 from scp_recon.planning.plan import Plan
 from scp_recon.planning.planner import Planner
+from scp_recon.results.pictures import picture
 from scp_recon.scenario.schema import Scenario
 from scp_recon.scp.status import Status
 
@@ -185,12 +187,13 @@ def run(session: Session) -> Findings:
     """Run every campaign, and sum it up; or plan the sample."""
     if session.options.sample:
         return run_sample(session)
-    files, totals = dict[str, list[Record]](), []
+    files, totals, drawn = dict[str, list[Record]](), [], dict[str, Figure]()
     for name, (key, by) in SUMMED.items():
         session.say(f"{name}:")
         path = STUDIES / f"{name}.toml"
-        table = campaign(path, session.out / name, workers=session.options.workers).table
-        cases: list[Record] = table.to_dict("records")
+        found = campaign(path, session.out / name, workers=session.options.workers)
+        drawn |= {f"{name}/{figure}": one for figure, one in found.figures.items()}
+        cases: list[Record] = found.table.to_dict("records")
         groups: dict[str, list[Record]] = {}
         for case in cases:
             groups.setdefault(by(case), []).append(case)
@@ -203,7 +206,7 @@ def run(session: Session) -> Findings:
         totals.append({"campaign": name} | summary(cases) | seconds | total)
     if session.options.pictures:
         for source, target in PICTURES.items():
-            shutil.copy(session.out / f"{source}.png", session.options.pictures / f"{target}.png")
+            write_atomically(session.options.pictures / f"{target}.png", picture(drawn[source]))
     files = {"campaigns": totals} | files
     return Findings([], {f"{name}.csv": records(rows) for name, rows in files.items()})
 
@@ -215,6 +218,6 @@ STUDY = Harnessed(
     [
         number("--workers", 1, 0, 256, "processes"),
         option("--sample", action="store_true", help="a sample of the map's sites, with feedback"),
-        option("--pictures", type=Path, metavar="DIR", help="copy maps and curves to this folder"),
+        option("--pictures", type=Path, metavar="DIR", help="draw maps and curves in this folder"),
     ],
 )
