@@ -21,6 +21,7 @@ SOURCE = Source("comparison", "python -m experiments compare_solvers", {"compari
 PROFILED = {"scenarios": "P2 from one P3 solution", "random": "random scenarios, cold"}
 """Groups of problems with performance profiles, and their titles."""
 COLOURS_MAX = 10
+"""Number of colours; methods beyond it have them again, dashed."""
 SAME = 1e-4
 """Relative difference of total delta-v within which two ends are the same optimum."""
 
