@@ -97,6 +97,11 @@ SOURCES: Mapping[str, Source] = {
         figures=("paper_figs solver_comparison --runs {out} --out docs",),
         tools=(*_NLP, "ecos", "qoco", "scs"),
     ),
+    "exact_methods": Source(
+        "experiments exact_methods",
+        ("experiments.solvers.exact_methods",),
+        tools=("ecos", "qoco"),
+    ),
     "nlp_tricks": Source("experiments nlp_tricks", ("experiments.solvers.nlp_tricks",), tools=_NLP),
     "peers": Source(
         "experiments peers",

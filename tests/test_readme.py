@@ -292,6 +292,13 @@ QUICK = {
         "--flights 20", nightly=True, less=first_of("in_flight.policies", "CASES")
     ),
     "python -m experiments lifted": Quick(less=first_of("solvers.lifted", "FORMS")),
+    "python -m experiments exact_methods": Quick(
+        less=(
+            *first_of("solvers.exact_methods", "METHODS"),
+            ("experiments.solvers.exact_methods.SCENARIOS", lambda seeds: seeds[2:3]),
+        ),
+        nightly=True,
+    ),
     "python -m experiments accuracy": Quick(
         less=(
             *first_of("solvers.accuracy", "METHODS"),

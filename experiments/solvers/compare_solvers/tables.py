@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import asdict
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import asdict, replace
 
 import numpy as np
 
@@ -70,7 +70,7 @@ def report(rows: Sequence[Row]) -> list[str | Table]:
         _matrix("Every method", of_group(rows, "matrix"), "methods"),
         _scenarios(of_group(rows, "scenarios")),
         *(profiles(of_group(rows, group)) for group in PROFILED),
-        _random(of_group(rows, "random")),
+        shares(of_group(rows, "random"), "Random scenarios", "random", lambda row: row.solved),
         _guesses(of_group(rows, "guesses")),
         _optima(of_group(rows, "guesses")),
         _exact(rows),
@@ -175,23 +175,25 @@ def _guesses(rows: Sequence[Row]) -> Table:
     return Table.of("Random guesses", columns, lines, key="guesses", note=GUESSES_NOTE)
 
 
-def _random(rows: Sequence[Row]) -> Table:
-    """How often each method solves a random scenario, and how near the least of all methods."""
+def shares(rows: Sequence[Row], title: str, key: str, solves: Callable[[Row], bool]) -> Table:
+    """How often each method solves a scenario, and how near the least of all methods."""
+    rows = [row if solves(row) else replace(row, total_dv_m_s=np.inf) for row in rows]
     cases = _by(rows, "scenario")
-    best = {name: least for name, own in cases.items() if np.isfinite(least := best_of(own))}
+    least = {name: min(row.total_dv_m_s for row in own) for name, own in cases.items()}
     lines = list[tuple[Value, ...]]()
     for method, tries in _by(rows, "method").items():
-        solved = [row for row in tries if row.solved]
-        above = [row.total_dv_m_s / best[row.scenario] - 1.0 for row in solved]
+        solved = [row for row in tries if row.total_dv_m_s < np.inf]
+        above = [row.total_dv_m_s / least[row.scenario] - 1.0 for row in solved]
         near = (sum(excess <= most for excess in above) for most in EXCESSES)
         seconds = float(np.median([row.cpu_s for row in solved])) if solved else np.nan
-        lines.append((method, len(tries), len(best), len(solved), *near, _figure(seconds, ".2f")))
+        any_solves = sum(least[row.scenario] < np.inf for row in tries)
+        lines.append((method, len(tries), any_solves, len(solved), *near, _figure(seconds, ".2f")))
     columns = (
         "method", "scenarios", "solved by any", "solved",
         *(f"within {most:g} of the least" for most in EXCESSES),
         "median processor s of the solved",
     )  # fmt: skip
-    return Table.of("Random scenarios", columns, lines, key="random")
+    return Table.of(title, columns, lines, key=key)
 
 
 def profiles(rows: Sequence[Row]) -> Table:
