@@ -2,7 +2,8 @@
 
 Without names everything of the paper goes to a folder: figures as PNG and PDF, tables as Markdown and
 CSV, and `captions.md`, with the figures of every study whose folder is found. They are made from the
-results of `python -m experiments observation_table`. A single one may be a file of any format.
+results of `python -m experiments observation_table`. Named figures are PNG, and a single one may be a
+file of any format.
 """
 
 from __future__ import annotations
@@ -81,7 +82,7 @@ def _read_studies(folder: Path | None) -> Iterator[tuple[str, Item, Any]]:
             yield name, item, item.read(place)
 
 
-def _write(item: Item, name: str, found: Any, out: Path) -> Iterator[Path]:
+def _write(item: Item, name: str, found: Any, out: Path, *, png: bool = False) -> Iterator[Path]:
     """Write an item into a folder, or to `out` if that is a file's name."""
     made, alone = item.make(found), out.suffix != "" and not out.is_dir()
     plan = plan_hash_of(found)
@@ -90,7 +91,11 @@ def _write(item: Item, name: str, found: Any, out: Path) -> Iterator[Path]:
         return
     figures: Mapping[str, Figure] = {name: made} if isinstance(made, Figure) else made
     for own, figure in figures.items():
-        for path in [out] if alone else [out / f"{own}{ending}" for ending in PICTURES]:
+        for path in (
+            [out]
+            if alone
+            else [out / f"{own}{ending}" for ending in PICTURES[: 1 if png else None]]
+        ):
             yield save(figure, path, item.dpi, plan)
 
 
@@ -176,7 +181,7 @@ def _make_named(items: Mapping[str, Item], options: argparse.Namespace) -> Itera
         of_paper = item.source is PAPER
         home = Path("runs") / PAPER.folder if of_paper else options.studies / item.source.folder
         place = options.runs if options.runs and (single or of_paper) else home
-        yield from _write(item, name, item.read(place), out)
+        yield from _write(item, name, item.read(place), out, png=True)
 
 
 if __name__ == "__main__":
