@@ -32,7 +32,7 @@ class Tabulated:
                 (default: the first).
 
         Returns:
-            A row for each burn, constraint, window or plan; names of columns end with the unit.
+            A row for each burn, constraint, window or plan made; names of columns end with the unit.
 
         Raises:
             InputError: naming the tables that there are, or the missing extra.

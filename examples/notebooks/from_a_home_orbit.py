@@ -6,9 +6,6 @@
 # given, and phases are sought in 30 degrees each.
 
 # %%
-import numpy as np
-import pandas as pd
-
 import scp_recon as sr
 
 scenario = sr.load_scenario("nightingale").replace(
@@ -28,19 +25,8 @@ design
 # probability.
 
 # %%
-tried = pd.DataFrame(
-    [
-        {
-            "step": one.step,
-            "departure (deg)": np.rad2deg(one.result.at.phases[0]),
-            "arrival (deg)": np.rad2deg(one.result.at.phases[1]),
-            "delta-v (mm/s)": 1000.0 * one.result.dv_m_s,
-        }
-        for one in design.trials
-        if one.result.converged
-    ]
-)
-tried.groupby("step", sort=False)["delta-v (mm/s)"].describe()[["count", "min", "max"]].round(2)
+tried = design.to_frame()
+tried.groupby("step", sort=False)["dv_m_s"].describe()[["count", "min", "max"]].round(5)
 
 # %% [markdown]
 # The best pass as a scenario of its own, planned and certified by flights. It needs less than a

@@ -6,15 +6,19 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
+
 from scp_recon.api.inputs import scenario_of
 from scp_recon.api.options import PlanOptions
 from scp_recon.api.planning import PlanObserver, plan_mission
+from scp_recon.display import Tabulated
 from scp_recon.mission.mission import Mission
 from scp_recon.passes.descent import PassResult, explain_failure
 from scp_recon.passes.design import Designer, Trial
 from scp_recon.passes.setting import settled
 from scp_recon.planning.initial_guess import from_burns
 from scp_recon.planning.plan import Plan
+from scp_recon.results.table import Table
 from scp_recon.scenario.load import naming_files
 from scp_recon.scenario.schema import Scenario
 
@@ -24,8 +28,8 @@ INIT = "design"
 
 
 @dataclass(frozen=True, eq=False)
-class Design:
-    """Result of a design.
+class Design(Tabulated):
+    """Result of a design; its table has a row for each plan that it made.
 
     Attributes:
         trials: every plan that the design made.
@@ -52,6 +56,39 @@ class Design:
     def __repr__(self) -> str:
         """One line."""
         return f"<Design: {self.message}>"
+
+    def __str__(self) -> str:
+        """What was found."""
+        return self.message
+
+
+COLUMNS = (
+    "step",
+    "window",
+    "problem",
+    "departure_deg",
+    "arrival_deg",
+    "times_s",
+    "status",
+    "dv_m_s",
+)
+
+
+def trials_table(found: Design) -> Table:
+    """A row for each plan: times past the scenario's epoch; no delta-v without convergence."""
+    rows = (
+        [
+            one.step,
+            one.window,
+            one.result.stage.problem,
+            *map(float, np.rad2deg(one.result.at.phases) % 360.0),
+            " ".join(f"{one.begin_s + time:.1f}" for time in one.result.at.times_s),
+            one.result.stage.result.status.value.name,
+            one.result.dv_m_s if one.result.converged else None,
+        ]
+        for one in found.trials
+    )
+    return Table.of("Plans of a design", COLUMNS, rows)
 
 
 def design(

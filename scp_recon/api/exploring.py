@@ -81,10 +81,14 @@ MULTIPLIED = (
     ("Navigation", "navigation.covariance", "measured sigmas", 2),
 )
 """Group, entry of many numbers, its meaning, and the power of the value that multiplies the numbers."""
-LIMITS = tuple(
-    (f"observation.{key}_{end}_{unit}", f"{key.replace('_', ' ')}, {words} ({unit})")
-    for key, unit in (("site_distance", "m"), ("emission", "deg"), ("phase", "deg"))
-    for end, words in (("min", "at least"), ("max", "at most"))
+LIMITS = (
+    *(
+        (f"observation.{key}_{end}_{unit}", f"{key.replace('_', ' ')}, {words} ({unit})")
+        for key, unit in (("site_distance", "m"), ("emission", "deg"), ("phase", "deg"))
+        for end, words in (("min", "at least"), ("max", "at most"))
+    ),
+    ("safety.radius_min_m", "distance from the centre, at least (m)"),
+    ("burns.dv_max_m_s", "a burn, at most (m/s)"),
 )
 
 

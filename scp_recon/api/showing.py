@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from scp_recon.api.designing import Design, trials_table
 from scp_recon.api.files import charts, export_of, solution_of
 from scp_recon.api.survey import survey_table
 from scp_recon.display import Displayed, Tabulated
@@ -65,6 +66,8 @@ def _rows(result: Tabulated, table: str) -> Any:
         return _flown(result)
     if isinstance(result, Survey):
         return survey_table(result).records()
+    if isinstance(result, Design):
+        return trials_table(result).records()
     if isinstance(result, Comparison):
         named = {f"{name} ({unit})" if unit else name: row for name, unit, row in result.rows}
         return {"plan": result.names, **named}

@@ -4,14 +4,20 @@ from __future__ import annotations
 
 import argparse
 import importlib.util
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 from rich.console import Console
 
-from scp_recon.api.designing import Design, design_options, find_pass, plan_pass
+from scp_recon.api.designing import (
+    Design,
+    design_options,
+    find_pass,
+    plan_pass,
+    trials_table,
+)
 from scp_recon.api.inputs import scenario_of
 from scp_recon.api.keeping import point_latest, run_folder
 from scp_recon.cli.command import (
@@ -27,7 +33,6 @@ from scp_recon.passes.design import Trial
 from scp_recon.planning.primer import WORTH, PrimerHistory
 from scp_recon.results.read import read_solution
 from scp_recon.results.solution import FILE_NAME
-from scp_recon.results.table import Table
 from scp_recon.scenario.load import naming_files, scenario_text
 from scp_recon.scp.status import Status
 
@@ -37,16 +42,6 @@ COSTS = {"nominal": "", "expected": ", mean with corrections", "dv99": ", 99 % w
 """What the delta-v of a pass with corrected burns is, by what is minimised."""
 RESIDUAL = 0.1
 """Largest residual of an optimum's multipliers: a primer errs by its residual."""
-COLUMNS = (
-    "step",
-    "window",
-    "problem",
-    "departure_deg",
-    "arrival_deg",
-    "times_s",
-    "status",
-    "dv_m_s",
-)
 
 
 def design(options: argparse.Namespace, console: Console) -> Answer:
@@ -56,7 +51,7 @@ def design(options: argparse.Namespace, console: Console) -> Answer:
     with run_folder(options.out, scenario.name) as folder:
         with _progress(console) as observe, naming_files(options.scenario, options.overrides):
             found = find_pass(scenario, observe)
-        _keep(folder, TABLE, _as_csv(found.trials))
+        _keep(folder, TABLE, trials_table(found).csv())
         if found.scenario is None:
             _keep_map(folder, found, console, found.best.dv_m_s)
             show_line(console, found.message)
@@ -145,23 +140,6 @@ def _progress(console: Console) -> Iterator[Callable[[Trial], None]]:
         yield count
     if counts:
         console.print(line(next(reversed(counts))), highlight=False)
-
-
-def _as_csv(tried: Sequence[Trial]) -> str:
-    """CSV with a row for each plan: times past the scenario's epoch; no delta-v without convergence."""
-    rows = (
-        [
-            one.step,
-            one.window,
-            one.result.stage.problem,
-            *map(float, np.rad2deg(one.result.at.phases) % 360.0),
-            " ".join(f"{one.begin_s + time:.1f}" for time in one.result.at.times_s),
-            one.result.stage.result.status.value.name,
-            one.result.dv_m_s if one.result.converged else None,
-        ]
-        for one in tried
-    )
-    return Table.of("Plans of a design", COLUMNS, rows).csv()
 
 
 def primer_says(primer: PrimerHistory | None) -> str:
