@@ -9,7 +9,7 @@ BY_FILE := -n 2 --dist loadfile
 export PYTHONDONTWRITEBYTECODE :=
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet install --constraint constraints.txt
 
-.PHONY: help solve test fast extras nightly coverage mutation lint format types check release reference bench gallery \
+.PHONY: help solve test fast extras nightly coverage mutation lint format types check release reference bench \
 	evidence drawings figures notebooks site clean
 help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "%-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -70,13 +70,6 @@ figures: $(VENV)/.test  ## make all figures, the studies that are missing first,
 	$(BIN)/python -m paper_figs --all
 	$(BIN)/python -m paper_figs flyby --runs runs/paper/scp_cold --out docs/flyby.png
 
-gallery: $(VENV)/.extras  ## draw docs/gallery: passes over packaged bodies, designed, and flown in their full field
-	for name in ryugu:polyhedron itokawa:polyhedron didymos:planner apophis:planner; do \
-	body=$${name%%:*}; \
-	$(BIN)/python -m scp_recon design $$body --out runs/$$body && \
-	$(BIN)/python -m scp_recon montecarlo runs/$$body --truth $${name##*:} && \
-	$(BIN)/python -m paper_figs flyby --runs runs/$$body --out docs/gallery/$$body.png || exit 1; done
-
 notebooks: $(VENV)/.notebooks  ## run the notebooks, and keep each as a page in runs/notebooks
 	for name in $(basename $(notdir $(wildcard examples/notebooks/*.py))); do \
 	$(BIN)/jupytext --quiet --to ipynb --output - examples/notebooks/$$name.py | OMP_NUM_THREADS=1 PLOTLY_RENDERER=notebook \
@@ -108,7 +101,7 @@ $(VENV)/.test: $(VENV)/.venv pyproject.toml constraints.txt
 	@touch $@
 
 $(VENV)/.evidence: $(VENV)/.venv pyproject.toml constraints.txt
-	$(PIP) --editable '.[all,peers,test,dev]'
+	$(PIP) --editable '.[all,crosscheck,peers,test,dev]'
 	@touch $@
 
 $(VENV)/.docs: $(VENV)/.venv pyproject.toml constraints.txt

@@ -1,9 +1,9 @@
-"""Time everything in one run on one machine: `python -m benchmarks`.
+"""Time every method in one run on one machine: `python -m benchmarks`.
 
 Every method runs in a process of its own, with one thread. All methods run in turn several times, so
-that other work on the machine affects all of them alike. The smallest figures count. Growth is in
-seconds of the processor. After Ctrl-C the run continues with what is missing. `make bench` sets up
-the environment.
+that other work on the machine affects all of them alike. The smallest figures count. With `--growth`
+the run measures instead how plans grow with nodes, facets and burns, in seconds of the processor.
+After Ctrl-C it continues with what is missing. `make bench` sets up the environment.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
@@ -26,7 +26,7 @@ from typing import Any
 from benchmarks import growth
 from benchmarks.methods import METHODS, Timed
 from benchmarks.tables import growth_rows, method_rows, ratio_rows
-from experiments.harness import Findings, Session, Study, option, records, run
+from experiments.harness import Findings, Record, Session, Study, option, records, run
 from scp_recon.jobs.job import Job
 
 ROUNDS, REPEATS = 3, 3
@@ -39,24 +39,25 @@ no plan after seven minutes."""
 
 
 def measure(session: Session) -> Findings:
-    """Time every method, the command line, and how plans grow."""
-    rounds = 1 if session.options.quick else ROUNDS
+    """Time every method and the command line; or measure how plans grow."""
     store = session.store(work="benchmarks.growth")  # which imports the methods
+    if session.options.growth:
+        pairs = [(study.name, method) for study in growth.STUDIES for method in growth.METHODS]
+        jobs = [Job(", ".join(pair), pair) for pair in pairs]
+        fits = session.rows("growth", grown, jobs, store)
+        return _found({"growth": growth_rows([growth.Fit(**fit) for fit in fits])})
+    rounds = 1 if session.options.quick else ROUNDS
     jobs = [Job(f"{round_} {name}", name) for round_ in range(rounds) for name in METHODS]
     rows = session.rows("methods", figures_of, jobs, store)
     figures = best_of([job.inputs for job in jobs], [Timed(**row) for row in rows])
     repeats = [Job(f"command {number}", session.out) for number in range(2 * rounds)]
     times = session.rows("commands", command_times, repeats, store)
     commands = {name: min(row[name] for row in times) for name in times[0]}
-    pairs = [(study.name, method) for study in growth.STUDIES for method in growth.METHODS]
-    studies = [] if session.options.quick else [Job(", ".join(pair), pair) for pair in pairs]
-    fits = session.rows("growth", grown, studies, store)
-    tables = {
-        "methods": method_rows(figures),
-        "ratios": ratio_rows(figures, commands),
-        "growth": growth_rows([growth.Fit(**fit) for fit in fits]),
-    }
-    found = {f"{name}.csv": records(rows) for name, rows in tables.items() if rows}
+    return _found({"methods": method_rows(figures), "ratios": ratio_rows(figures, commands)})
+
+
+def _found(tables: Mapping[str, Sequence[Record]]) -> Findings:
+    found = {f"{name}.csv": records(rows) for name, rows in tables.items()}
     return Findings([replace(table, title=name) for name, table in found.items()], found)
 
 
@@ -109,7 +110,10 @@ STUDY = Study(
     "Performance",
     __doc__,
     measure,
-    [option("--quick", action="store_true", help="one round, and no growth")],
+    [
+        option("--quick", action="store_true", help="one round"),
+        option("--growth", action="store_true", help="how plans grow, instead"),
+    ],
 )
 
 

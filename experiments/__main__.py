@@ -22,6 +22,7 @@ from scp_recon.errors import one_of
 STUDIES = {
     "observation_table": "the paper's table of observation times",
     "plans": "the plans, and with --designs the passes, that the pages quote",
+    "gallery": "passes over packaged bodies, designed, certified and flown",
     "frontier": "delta-v against the required probability, and the cost of certifying",
     "feedback": "what feedback is worth, beside open loop and targeting gains",
     "policies": "burns as planned, corrected by gains, and planned again before each",

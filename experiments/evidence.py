@@ -68,13 +68,21 @@ class Source(NamedTuple):
     tools: tuple[str, ...] = ()
 
 
-_SOLVERS = "experiments.solvers.compare_solvers.cell"
+_SOLVERS = "experiments.solvers.compare_solvers.study"
 _ALL = ("tests", "formulations", "scp_recon")
 _NLP, _SPACECRAFT = ("casadi",), ("bsk",)
 
 SOURCES: Mapping[str, Source] = {
     "plans": Source("experiments plans", ("experiments.plans", "scp_recon.cli"), AROUND),
     "designs": Source("experiments plans --designs", ("experiments.plans",)),
+    "gallery": Source(
+        "experiments gallery",
+        ("experiments.gallery",),
+        figures=tuple(
+            f"paper_figs flyby --runs {{out}}/{body} --out docs/gallery/{body}.png"
+            for body in ("ryugu", "itokawa", "didymos", "apophis")
+        ),
+    ),
     "frontier": Source(
         "experiments frontier",
         ("experiments.frontier",),
@@ -148,12 +156,8 @@ SOURCES: Mapping[str, Source] = {
         )
         for name in ("default", "kingfisher")
     },
-    "benchmarks": Source(
-        "benchmarks",
-        ("benchmarks.methods", "benchmarks.growth", "scp_recon.cli"),
-        AROUND,
-        tools=_NLP,
-    ),
+    "benchmarks": Source("benchmarks", ("benchmarks.methods", "scp_recon.cli"), AROUND, tools=_NLP),
+    "growth": Source("benchmarks --growth", ("benchmarks.growth",), tools=_NLP),
     "waits": Source(
         "benchmarks.waits", ("benchmarks.waits", "formulations", "scp_recon"), without=()
     ),

@@ -158,6 +158,8 @@ class Session:
 
     def __enter__(self) -> Self:
         """The session itself; its stores are closed at the end."""
+        # Campaigns take up their own work.
+        self._resumed = any(self.out.glob("*/campaign.json"))
         return self
 
     def __exit__(self, *error: object) -> None:

@@ -31,7 +31,7 @@ from pathlib import Path
 from string import Formatter
 from typing import Any
 
-from experiments.evidence import ROOT, Evidence, Records, path_of
+from experiments.evidence import ROOT, SOURCES, Evidence, Records, path_of
 from scp_recon.errors import InputError
 
 PAGES = (
@@ -53,8 +53,13 @@ def render(text: str) -> str:
 
 
 def used(text: str) -> list[str]:
-    """Names of the evidence from which a page's figures come, in their order."""
-    names = []
+    """Names of the evidence from which a page's figures and pictures come, in their order."""
+    drawn = {Path(target).name for target in re.findall(r"!\[[^\]]*\]\(([^)]+)\)", text)}
+    names = [
+        name
+        for name, source in SOURCES.items()
+        if any(Path(figure.split()[-1]).name in drawn for figure in source.figures)
+    ]
     for template in (mark[1] for mark in MARK.finditer(text)):
         head, _, body = template.partition("\n")
         names += re.findall(r"\{(\w+)(?:\.\w+)?\[", template)

@@ -18,7 +18,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache, partial
-from itertools import groupby
+from itertools import groupby, pairwise
 from pathlib import Path
 from typing import Any
 
@@ -33,7 +33,7 @@ from scp_recon.campaigns.study import Study
 from scp_recon.cli.commands import export, solve
 from scp_recon.mission.mission import Mission
 from scp_recon.results.read import read_solution
-from scp_recon.scenario.load import load_scenario
+from scp_recon.scenario.load import base_names, load_scenario
 from tests.experiments.support import write_kernel
 from tests.helpers import MANY
 from tests.scp_recon.simulation.short_plan import SHORT, short_plan
@@ -210,23 +210,19 @@ NARROW = " ".join(
 )
 SIMULATED = Quick(needs="Basilisk", less=ONE_FLIGHT, nightly=True)
 PLAIN, P3, IN_P3 = Quick(), Quick("--problem P3"), "--out runs/dir --problem P3"
-LATER = Quick("--problem P3", nightly=True)
+LATER = Quick(nightly=True)
 FROM_TABLE = Quick(line=f"{SOLVE} --scenario mine.toml --init start.csv --problem P3")
 
 QUICK = {
     # planning
     f"{SOLVE} --init warm --facet-rounds 1": PLAIN,
     f"{SOLVE} --scenario mine.toml --set risk.p_chance=0.8 --out runs/mine": PLAIN,
-    f"{SOLVE} --starts 8 --seed 0 --workers 2": Quick(
-        "--starts 2 --problem P3 --workers 1", nightly=True
-    ),
+    f"{SOLVE} --starts 8 --seed 0 --workers 2": LATER,
     f"{SOLVE} --method ipopt": LATER,
     f"{SOLVE} --formulation lifted": LATER,
     f"{SOLVE} --set 'boundary.frame=\"j2000\"'": P3,
     f"{SOLVE} --out DIR": Quick(IN_P3),
-    f"{EXACT} --set 'risk.scope=\"flight\"' --set risk.p_chance=0.9": Quick(
-        "--certify no", nightly=True
-    ),
+    f"{EXACT} --set 'risk.scope=\"flight\"' --set risk.p_chance=0.9": LATER,
     f"{SOLVE} --set 'policy.kind=\"feedback\"' --set navigation.lead_s=0 "
     "--set navigation.sigma_position_m=10 --set navigation.sigma_velocity_m_s=0.0005": PLAIN,
     MEASURED: PLAIN,
@@ -281,6 +277,10 @@ QUICK = {
     "python -m experiments compare_solvers --exact": Quick(less=ONE_CELL, nightly=True),
     "python -m experiments nlp_tricks": Quick(nightly=True, less=LAST_TRICK),
     "python -m experiments frontier": Quick(less=TWO_KINDS),
+    "python -m experiments gallery": Quick(
+        less=(("experiments.gallery.BODIES", lambda bodies: {"apophis": bodies["apophis"]}),),
+        nightly=True,
+    ),
     "python -m experiments feedback": Quick(
         "--quick",
         less=(
@@ -505,6 +505,10 @@ def test_modules_options_and_files_that_are_shown_exist(capsys, monkeypatch, pyt
             helps[key] = capsys.readouterr().out
         for option in options:
             assert re.search(rf"{option}\b", helps[key]), f"{key} has no option {option}"
+        overrides = [value for word, value in pairwise(arguments) if word == "--set"]
+        if overrides:
+            base = next((word for word in arguments if word in base_names()), "recon_b")
+            load_scenario(base, overrides)
 
 
 def test_targets_that_are_shown_exist_and_do_what_is_said():

@@ -62,8 +62,23 @@ def test_a_run_leaves_the_figures_as_evidence(tmp_path, monkeypatch):
     rows = {row["method"]: row for row in found.tables["methods"]}
     assert rows["ipopt printed"]["later_s"] == 16.0
     assert {"replan", "montecarlo"}.isdisjoint(rows)
+    assert "growth" not in found.tables
     ratios = {row["figure"]: row["value"] for row in found.tables["ratios"]}
     assert ratios["command line, s"] == 1.5
+
+
+def test_growth_is_measured_alone(tmp_path, monkeypatch):
+    def in_a_process(module: str, name: str, method: str) -> dict[str, object]:
+        assert module == "benchmarks.growth"
+        converged = ("converged",) * 2
+        fit = growth.Fit(name, method, (1, 2), (0.1, 0.4), (5, 5), converged, (0.14,) * 2, 2, 2, 2)
+        return asdict(fit)
+
+    monkeypatch.setattr(command, "in_a_process", in_a_process)
+    assert command.main(["--growth", "--out", str(tmp_path), "--quiet"]) == 0
+    found = Evidence.read(tmp_path / FILE)
+    assert found.command == "benchmarks --growth"
+    assert len(found.tables["growth"]) == len(STUDIES) * len(growth.METHODS)
 
 
 def test_ratios_are_of_the_methods_they_name():

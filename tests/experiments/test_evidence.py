@@ -135,6 +135,12 @@ def test_a_study_leaves_its_tables_with_their_origin(tmp_path):
         found.append(Evidence.read(tmp_path / evidence.FILE))
     assert found[0].tables == {"rows": [{"x": 1.5}]}
     assert [one.resumed for one in found] == [False, True]
+    (tmp_path / "map").mkdir()
+    (tmp_path / "map" / "campaign.json").write_text("{}")
+    words = ["--out", str(tmp_path), "--quiet"]
+    none = Study("", "", lambda _: Findings([], {}))
+    assert run("python -m experiments some", none, __name__, words) == 0
+    assert Evidence.read(tmp_path / evidence.FILE).resumed
     assert found[0].command == "experiments some"
     assert found[0].sources == found[1].sources != UNKNOWN
 
@@ -294,6 +300,7 @@ def test_a_template_is_filled(template, filled):
     assert once == f"before <!--={head}-->{filled}<!--/--> after"
     assert pages.render(once) == once
     assert pages.used(text) == ["plans"]
+    assert pages.used(f"![Cost](docs/frontier.png) {text}") == ["frontier", "plans"]
 
 
 @pytest.mark.parametrize(
