@@ -90,12 +90,9 @@ def _write(item: Item, name: str, found: Any, out: Path, *, png: bool = False) -
         yield write(out if alone else out / f"{name}.md", made)
         return
     figures: Mapping[str, Figure] = {name: made} if isinstance(made, Figure) else made
+    endings = PICTURES[:1] if png else PICTURES
     for own, figure in figures.items():
-        for path in (
-            [out]
-            if alone
-            else [out / f"{own}{ending}" for ending in PICTURES[: 1 if png else None]]
-        ):
+        for path in [out] if alone else [out / f"{own}{ending}" for ending in endings]:
             yield save(figure, path, item.dpi, plan)
 
 
