@@ -40,6 +40,7 @@ STUDIES = {
     "timing_rules": "the schedule's durations, measured on the spacecraft",
     "maps": "the campaigns of examples/studies, summed up",
     "testing": "reliability, coverage and mutation: what the tests reach",
+    "spice": "the default plan's geometry by SPICE from its kernels",
     "cross_check": "the default plan flown by Orekit and brahe",
     "flown_plan": "whether the spacecraft can fly a plan",
     "flown_policies": "policies flown by the spacecraft: as planned, by gains, planned again",

@@ -116,6 +116,7 @@ SOURCES: Mapping[str, Source] = {
         ("experiments.solvers.peers.study", "examples.halo_transfer"),
         tools=("openscvx", "scocp"),
     ),
+    "spice": Source("experiments spice", ("experiments.spice",), tools=("spiceypy",)),
     "cross_check": Source(
         "experiments cross_check",
         ("experiments.cross_check",),

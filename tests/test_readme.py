@@ -319,6 +319,7 @@ QUICK = {
         nightly=True,
         less=first_of("solvers.peers.study", "OURS", "WEIGHTS", "P3_CASES", "GUESSED"),
     ),
+    "python -m experiments spice": Quick(needs="spiceypy"),
     "python -m experiments cross_check": Quick(needs="orekit_jpype"),
     "python -m experiments flown_plan": replace(
         SIMULATED,
