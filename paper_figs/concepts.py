@@ -29,7 +29,7 @@ STEPS = (
     ("P3", "no uncertainty,\nfrom the guess"),
     ("facets", "chosen at P3;\nor exact risk"),
     ("P2", "mean and factor of\nthe covariance"),
-    ("plan", "status, margins,\noptimality proof"),
+    ("certification", "of exact risk: rounds\naim, two looks judge"),
     ("verification", "another integrator,\n10,000 flights"),
 )
 LOOP = (
@@ -77,7 +77,7 @@ def planner() -> Figure:
         for stage in (2, 4):
             axes.plot([stage * step] * 2, [2.2 - tall / 2, 0.95], color="0.55", lw=1.0, ls="--")
         _curve(axes, (4 * step - 0.2, 2.62), (3 * step, 2.62), "again, on request")
-        _curve(axes, (6 * step, 2.62), (4 * step + 0.2, 2.62), "exact risk: until certified")
+        _curve(axes, (5 * step, 2.62), (4 * step + 0.2, 2.62), "another aim")
         axes.set(xlim=(-0.75, 9.75), ylim=(-0.85, 3.3), aspect="equal")
         axes.set_axis_off()
     return figure

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
@@ -108,11 +109,12 @@ def draw_guesses(rows: Sequence[Row]) -> Figure:
 
 
 def draw_scenarios(rows: Sequence[Row]) -> Figure:
-    """Delta-v against the required probability and against the execution error, frozen forms beside."""
+    """Delta-v against probability and execution error, of methods with several scenarios."""
     chosen = [
         row for row in rows if row["group"] == "scenarios" and row["algorithm"] != "unguarded"
     ]
-    methods = list(dict.fromkeys(row["method"] for row in chosen))
+    counts = Counter(row["method"] for row in chosen)
+    methods = [method for method, count in counts.items() if count > 1]
     panels = (
         ("p_chance", 0.7, "required probability (-)"),
         ("beta", 0.08, "execution error, 1 sigma (-)"),
