@@ -133,7 +133,10 @@ SOURCES: Mapping[str, Source] = {
     "observation_table": Source(
         "experiments observation_table",
         ("experiments.observation_table.study",),
-        figures=("paper_figs flyby --runs {out}/scp_cold --out docs/flyby.png",),
+        figures=(
+            "paper_figs flyby --runs {out}/scp_cold --out docs/flyby.png",
+            "paper_figs ball_polytopes --runs {out} --out docs/ball_polytopes.png",
+        ),
         tools=_NLP,
     ),
     "model_fidelity": Source("experiments model_fidelity", ("experiments.model_fidelity.study",)),

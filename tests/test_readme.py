@@ -210,7 +210,7 @@ NARROW = " ".join(
 )
 SIMULATED = Quick(needs="Basilisk", less=ONE_FLIGHT, nightly=True)
 PLAIN, P3, IN_P3 = Quick(), Quick("--problem P3"), "--out runs/dir --problem P3"
-LATER = Quick(nightly=True)
+LATER = Quick(nightly=True)  # just as it is shown
 FROM_TABLE = Quick(line=f"{SOLVE} --scenario mine.toml --init start.csv --problem P3")
 
 QUICK = {
@@ -306,13 +306,15 @@ QUICK = {
                 "experiments.solvers.accuracy.PROBLEMS",
                 lambda problems: {"replan": problems["replan"]},
             ),
-        )
+        ),
+        nightly=True,
     ),
     "python -m experiments sensitivity": Quick(
         less=(
             *first_of("solvers.sensitivity", "VARIED"),
             ("experiments.solvers.sensitivity.MULTIPLES", lambda multiples: multiples[3:4]),
-        )
+        ),
+        nightly=True,
     ),
     "python -m experiments peers": Quick(
         needs="scocp",

@@ -225,7 +225,7 @@ def _status(solution: Solution) -> str:
     if solution.algorithm == NOT_OPTIMISED:
         return "given, not optimised"
     v = solution.verification
-    words = "" if v is None else ", verified" if v.ok else f", not verified: {v.failed}"
+    words = "" if v is None else ", verified" if v.ok else f", not verified: {', '.join(v.failed)}"
     return f"{solution.problem} {solution.status}{words}"
 
 

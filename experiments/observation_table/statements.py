@@ -324,7 +324,7 @@ def _at_sigma(row: Record, name: str, tail: float, sigmas: str, *, broken: bool)
         f"least probability at a time {'below' if broken else 'at least'} {kept:.4f}",
         shown(row, column, 4),
         bool((low >= kept) != broken) if decided else None,
-        "" if decided else "the interval contains the limit",
+        "" if decided else "undecided: the interval contains the limit",
     )
 
 

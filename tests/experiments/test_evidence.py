@@ -253,6 +253,29 @@ def test_every_evidence_is_shown():
     assert shown == set(SOURCES)
 
 
+def test_the_page_on_the_paper_counts_its_outcomes():
+    page = (ROOT / "docs" / "validation" / "paper.md").read_text("utf-8")
+    text = pages.MARK.sub(lambda mark: mark[2], page)
+    outcomes, reproduced = list[str](), list[str]()
+    for table in re.findall(r"(?:^\|.*\n)+", text, re.MULTILINE):
+        head, _, *rows = (
+            [cell.strip(" |") for cell in line.split(" | ")] for line in table.splitlines()
+        )
+        for column, found in (("outcome", outcomes), ("reproduced", reproduced)):
+            found += [row[head.index(column)] for row in rows] if column in head else []
+    both = sum("same" in one and "opposite" in one for one in outcomes)
+    of = (sum(word in one for one in outcomes) for word in ("same", "opposite", "not comparable"))
+    same, opposite, other = of
+    counts = (len(outcomes), same - both, opposite - both, other, both)
+    said = re.search(r"In short: of the .*?\*mixed\*", text, re.DOTALL)
+    assert said
+    assert tuple(map(int, re.findall(r"\d+", said[0]))) == counts
+    assert (
+        f"Of the {len(reproduced)}\nprinted numbers of Section VII {reproduced.count('yes')}"
+        in text
+    )
+
+
 def test_pages_that_speak_of_speed_say_the_same():
     said = [mark for page in pages.PAGES for mark in SPEED.findall(page.read_text("utf-8"))]
     assert len(said) >= 2
