@@ -13,6 +13,7 @@ import os
 import platform
 import re
 import subprocess
+import tomllib
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass
@@ -70,6 +71,12 @@ class Source(NamedTuple):
 
 _SOLVERS = "experiments.solvers.compare_solvers.study"
 _ALL = ("tests", "formulations", "scp_recon")
+_MUTMUT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["tool"]["mutmut"]
+_OF_MUTANTS = tuple(
+    path.removesuffix(".py").replace("/", ".")
+    for path in _MUTMUT["pytest_add_cli_args_test_selection"]
+)
+"""Modules of the tests that mutants face."""
 _NLP, _SPACECRAFT = ("casadi",), ("bsk",)
 
 SOURCES: Mapping[str, Source] = {
@@ -174,7 +181,7 @@ SOURCES: Mapping[str, Source] = {
     ),
     "reliability": Source("experiments testing reliability", _ALL, without=()),
     "coverage": Source("experiments testing coverage", _ALL, without=()),
-    "mutation": Source("experiments testing mutation", ("tests", "formulations"), without=()),
+    "mutation": Source("experiments testing mutation", ("formulations", *_OF_MUTANTS), without=()),
 }
 """By name of the evidence."""
 
