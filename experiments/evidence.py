@@ -69,7 +69,7 @@ class Source(NamedTuple):
     tools: tuple[str, ...] = ()
 
 
-_SOLVERS = "experiments.solvers.compare_solvers.study"
+_SOLVERS = "experiments.solvers.compare_solvers.cell"
 _ALL = ("tests", "formulations", "scp_recon")
 _MUTMUT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["tool"]["mutmut"]
 _OF_MUTANTS = tuple(
