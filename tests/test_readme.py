@@ -287,6 +287,7 @@ QUICK = {
             *first_of("in_flight.feedback", "QUICK"),
             ("experiments.in_flight.feedback.ERRORS_AT", lambda at: at[-1:]),
         ),
+        nightly=True,
     ),
     "python -m experiments policies": Quick(
         "--flights 20", nightly=True, less=first_of("in_flight.policies", "CASES")

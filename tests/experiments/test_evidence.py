@@ -77,15 +77,14 @@ def test_the_hash_counts_scenarios_and_what_is_below_api(changed, counts, monkey
         names = (*SOURCES["frontier"].modules, *evidence.DATA)
         return store.sources.__wrapped__(*names, without=evidence.ABOVE)
 
-    before, read = digest(), Path.read_bytes
-    store._read.cache_clear()
+    before, read = digest(), store._read
 
-    def edited(path: Path) -> bytes:
-        return read(path) + b"\nx = 1" * (path == evidence.ROOT / changed)
+    def edited(root: Path, path: Path, wings: frozenset[str]) -> tuple[bytes, list[Path]]:
+        content, imported = read(root, path, wings)
+        return content + b"\nx = 1" * (path == root / changed), imported
 
-    monkeypatch.setattr(Path, "read_bytes", edited)
+    monkeypatch.setattr(store, "_read", edited)
     assert (digest() != before) == counts
-    store._read.cache_clear()
 
 
 @pytest.mark.parametrize(
