@@ -3,8 +3,8 @@ PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11 python; do \
 	$$p -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && echo $$p && break; done)
 VENV := .venv
 BIN := $(VENV)/bin
-# On two processes, and by file: what the tests of a file share is made once.
-BY_FILE := -n 2 --dist loadfile
+# On two processes of one thread each, and by file: what the tests of a file share is made once.
+PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadfile
 # Empty is unset: the tests start a hundred processes, and what one has compiled the next need not.
 export PYTHONDONTWRITEBYTECODE :=
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet install --constraint constraints.txt
@@ -18,10 +18,10 @@ solve: $(VENV)/.solve  ## set up and plan Reconnaissance B from a cold start
 	$(BIN)/python -m scp_recon.solve --init cold
 
 test: $(VENV)/.test  ## set up and run the tests on two processes
-	$(BIN)/python -m pytest $(BY_FILE)
+	$(PYTEST)
 
 fast: $(VENV)/.test  ## run, in a minute, the tests that an edit most likely breaks
-	$(BIN)/python -m pytest $(BY_FILE) --fast
+	$(PYTEST) --fast
 
 extras: $(VENV)/.extras  ## set up all that the commands can need: reports, campaigns, kernels, the spacecraft
 
@@ -37,11 +37,11 @@ types: $(VENV)/.dev  ## check the types
 	$(BIN)/mypy
 
 nightly: $(VENV)/.test $(VENV)/.docs  ## look harder: 500 examples a property, and counts of what they tried
-	HYPOTHESIS_PROFILE=nightly $(BIN)/python -m pytest $(BY_FILE) --timeout 3600 \
+	HYPOTHESIS_PROFILE=nightly $(PYTEST) --timeout 3600 \
 	--reliability=runs/reliability.json
 
 coverage: $(VENV)/.dev  ## lines and branches that the tests reach
-	$(BIN)/python -m pytest $(BY_FILE) --cov --cov-report term --cov-report json:runs/coverage.json
+	$(PYTEST) --cov --cov-report term --cov-report json:runs/coverage.json
 
 mutation: $(VENV)/.dev  ## change formulations in every small way, and see which changes no test notices
 	HYPOTHESIS_PROFILE=mutation OMP_NUM_THREADS=1 $(BIN)/mutmut run --max-children 2

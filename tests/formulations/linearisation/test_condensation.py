@@ -1,11 +1,15 @@
-"""Every way to eliminate mean and factor has the same shapes and the same mean."""
+"""Every way to eliminate mean and factor has the same shapes and the same mean; defects are closed."""
+
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 
+from formulations.arrays import Array
+from formulations.linearisation.dynamics import Dynamics
 from formulations.linearisation.linearisation import CONDENSATIONS, condense
-from tests.helpers import generators, random_flyby
+from tests.helpers import Arcs, Waves, generators, random_flyby
 
 
 @pytest.mark.parametrize("name", CONDENSATIONS)
@@ -48,3 +52,43 @@ def test_frozen_forms_are_those_without_curvature_and_without_a_derivative(rng):
     assert not np.allclose(stm.factor_jacobian, condense(lin).factor_jacobian)
     assert np.array_equal(still.factor_constant, lin.factor)
     assert not still.factor_jacobian.any()
+
+
+@given(generators)
+def test_defects_are_what_is_left_of_arcs_and_burns_wherever_these_are(rng):
+    flyby = random_flyby(rng)
+    burn_nodes = np.sort(rng.choice(flyby.problem.n_nodes, flyby.problem.n_burns, replace=False))
+    flyby = replace(flyby, problem=replace(flyby.problem, burn_nodes=burn_nodes))
+    left = rng.normal(size=(flyby.problem.n_nodes - 1, 6))
+    iterate = flyby.waves.rollout(flyby.problem, flyby.burns, left)
+    defects = flyby.waves.linearise(flyby.problem, iterate).defects
+    np.testing.assert_allclose(defects[:-1], left, atol=1e-12)
+    np.testing.assert_array_equal(defects[-1], iterate.mean[-1] - flyby.problem.final_state)
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Waves as a flow."""
+
+    waves: Waves
+
+    @property
+    def arcs(self) -> int:
+        return len(self.waves.linear)
+
+    def propagate(self, state: Array, arc: int) -> Array:
+        return self.waves.propagate(arc, state)
+
+    def differentiate(self, state: Array) -> Arcs:
+        return self.waves.derivatives(state)
+
+
+def test_burns_whose_defects_newton_does_not_close_are_flown_as_they_are():
+    """Where a step meets another branch of strongly curved arcs."""
+    rng = np.random.default_rng(0)
+    flyby = random_flyby(rng, curvature=5.0)
+    burns = flyby.burns + rng.normal(size=flyby.burns.shape)
+    dynamics = Dynamics(Motion(flyby.waves), flyby.problem.burn_nodes)
+    found = dynamics.close_defects(flyby.flown(flyby.burns), burns)
+    np.testing.assert_array_equal(found.iterate.burns, burns)
+    np.testing.assert_allclose(found.defects[:-1], 0.0, atol=1e-12)

@@ -5,6 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.optimize import minimize_scalar
+from scipy.special import gammainc, gammaincc
 from scipy.stats import poisson
 
 from formulations.arrays import Array
@@ -119,6 +123,23 @@ def test_no_limit_is_missed_more_often_than_it_says(required, mirrored, law):
     assert missed(a, share, unlike, most=False) <= TAIL
     if law == "blind in four flights":  # the worst: little is given away
         assert too_sure > 0.55 * TAIL
+
+
+@given(st.integers(1, 500), st.floats(0.02, 0.5))
+def test_the_laws_part_of_a_limit_is_the_worst_of_all(failing, lean):
+    """Of means of the failures, told by SciPy's search: a limit has to hold for each of them."""
+    none, one, ends = np.zeros(COUNT), np.ones(COUNT), (0.0, failing + 50.0 * np.sqrt(failing))
+    of = np.array(float(failing)), none, one, np.array(lean), np.array(1.0), TAIL
+
+    def above(mean: float) -> float:
+        return -(mean + (np.log(gammaincc(failing + 1.0, mean)) - np.log(TAIL)) / lean)
+
+    def below(mean: float) -> float:
+        return mean - (np.log(gammainc(failing, mean)) - np.log(TAIL)) / lean
+
+    for limit, side, sign in ((most_failures, above, -1.0), (least_failures, below, 1.0)):
+        worst = minimize_scalar(side, bounds=ends, method="bounded", options={"xatol": 1e-8})
+        assert limit(*of) == pytest.approx(sign * worst.fun, rel=1e-9, abs=1e-9)
 
 
 @pytest.mark.parametrize("required", REQUIRED)

@@ -87,6 +87,15 @@ def test_plain_monte_carlo_agrees(seed, outside):
     assert found == pytest.approx(share, abs=4.0 * deviation + 1e-3)
 
 
+@given(seeds)
+@settings(max_examples=share_of_examples(6))
+def test_flights_that_fail_on_the_lines_are_all_that_fail(seed):
+    mean, factor, _ = flight = some_flight(seed, 0.0)
+    found = of_flight(flight, 512)
+    weight = found.directions.weight / 512
+    assert weight @ found.failing(mean, factor) == pytest.approx(ndtr(-found(mean, factor).value))
+
+
 @pytest.mark.parametrize("deviations", [3.1, 3.7, float(ndtri(PROBABILITY_MAX))])
 @pytest.mark.parametrize("dimension", [9, 15])
 def test_up_to_what_may_be_asked_the_rest_is_told_to_a_half(deviations, dimension):
