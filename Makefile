@@ -4,7 +4,8 @@ PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11 python; do \
 VENV := .venv
 BIN := $(VENV)/bin
 # On two processes of one thread each, and by file: what the tests of a file share is made once.
-PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadfile
+BY_FILE := -n 2 --dist loadfile
+test fast nightly coverage: export OMP_NUM_THREADS := 1
 # Empty is unset: the tests start a hundred processes, and what one has compiled the next need not.
 export PYTHONDONTWRITEBYTECODE :=
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet install --constraint constraints.txt
@@ -18,10 +19,10 @@ solve: $(VENV)/.solve  ## set up and plan Reconnaissance B from a cold start
 	$(BIN)/python -m scp_recon.solve --init cold
 
 test: $(VENV)/.test  ## set up and run the tests on two processes
-	$(PYTEST)
+	$(BIN)/python -m pytest $(BY_FILE)
 
 fast: $(VENV)/.test  ## run, in a minute, the tests that an edit most likely breaks
-	$(PYTEST) --fast
+	$(BIN)/python -m pytest $(BY_FILE) --fast
 
 extras: $(VENV)/.extras  ## set up all that the commands can need: reports, campaigns, kernels, the spacecraft
 
@@ -37,11 +38,11 @@ types: $(VENV)/.dev  ## check the types
 	$(BIN)/mypy
 
 nightly: $(VENV)/.test $(VENV)/.docs  ## look harder: 500 examples a property, and counts of what they tried
-	HYPOTHESIS_PROFILE=nightly $(PYTEST) --timeout 3600 \
+	HYPOTHESIS_PROFILE=nightly $(BIN)/python -m pytest $(BY_FILE) --timeout 3600 \
 	--reliability=runs/reliability.json
 
 coverage: $(VENV)/.dev  ## lines and branches that the tests reach
-	$(PYTEST) --cov --cov-report term --cov-report json:runs/coverage.json
+	$(BIN)/python -m pytest $(BY_FILE) --cov --cov-report term --cov-report json:runs/coverage.json
 
 mutation: $(VENV)/.dev  ## change formulations in every small way, and see which changes no test notices
 	HYPOTHESIS_PROFILE=mutation OMP_NUM_THREADS=1 $(BIN)/mutmut run --max-children 2

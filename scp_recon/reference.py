@@ -20,7 +20,8 @@ from pydantic import BaseModel
 from formulations.risk import strata
 from scp_recon.cli.command import EXIT_STATUSES, SCRIPT, add_output_options
 from scp_recon.cli.commands import COMMANDS
-from scp_recon.files import write_atomically
+from scp_recon.errors import InputError
+from scp_recon.files import check_writable, write_atomically
 from scp_recon.mission import grid
 from scp_recon.mission.checks import checks
 from scp_recon.mission.checks.interval import Interval
@@ -52,7 +53,8 @@ def commands_page() -> str:
     for name, command in COMMANDS.items():
         parser = command.parser()
         parts += [f"## {name}", str(parser.description)]
-        parts.append(table(("argument or option", "means"), _options(parser)))
+        rows = list(_options(parser))
+        parts += [table(("argument or option", "means"), rows)] if rows else []
     return _page(parts)
 
 
@@ -62,6 +64,7 @@ def _options(parser: argparse.ArgumentParser) -> Iterator[tuple[str, str]]:
     for action in parser._actions:
         if action.dest != "help":
             metavar = action.metavar if isinstance(action.metavar, str) else ""
+            metavar += " ..." if action.nargs == "+" else ""
             words = f"{action.option_strings[-1]} {metavar}" if action.option_strings else metavar
             required = "; required" if action.option_strings and action.required else ""
             yield f"`{words.strip()}`", formatter._expand_help(action) + required
@@ -255,8 +258,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser("python -m scp_recon.reference", description=main.__doc__)
     parser.add_argument("folder", type=Path, help="such as docs/reference")
     folder = parser.parse_args(arguments).folder
-    for name, page in PAGES.items():
-        write_atomically(folder / f"{name}.md", page())
+    try:
+        for name, page in PAGES.items():
+            check_writable(folder, f"{name}.md", "folder")
+            write_atomically(folder / f"{name}.md", page())
+    except InputError as error:
+        parser.error(str(error))
     return 0
 
 

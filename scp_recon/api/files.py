@@ -220,6 +220,7 @@ def report(
     write.check_extra()
     _require_some(plans)
     if is_campaign(plans):
+        check_of_plans(field_deg=field_deg, pixels=pixels)
         from scp_recon.campaigns.outcome import read_campaign
         from scp_recon.campaigns.page import write_pictures
 
@@ -276,6 +277,13 @@ def is_campaign(plans: tuple[AnyPlan, ...]) -> bool:
         and isinstance(plans[0], str | Path)
         and (Path(plans[0]) / CAMPAIGN).is_file()
     )
+
+
+def check_of_plans(**given: object) -> None:
+    """Refuse what says how to write the page of plans where it is the page of a campaign."""
+    for name, value in given.items():
+        if value is not None:
+            raise InputError(option(name), str(value), "goes with plans, not with a campaign")
 
 
 def _require_some(plans: tuple[object, ...]) -> None:
@@ -336,6 +344,8 @@ def export(
     one_of(option("format"), format, FORMATS)
     spacecraft = whole_number(option("spacecraft"), spacecraft, SPACECRAFT_MIN, -1)
     require(format)
+    if vehicle is not None and format != "ck":
+        raise InputError(option("vehicle"), str(vehicle), f"goes with {option('format')} ck")
     craft = load_vehicle(None if vehicle is None else path_of(option("vehicle"), vehicle))
     found, place = export_of(plan, spacecraft), path_of(option("out"), out)
     check_writable(place, f"{stem(found)}.{format}", option("out"))

@@ -302,8 +302,8 @@ def simulate(
     Args:
         plan: to fly; a solution, or its file.
         seed: of all errors.
-        policy: what burns are commanded, as of `fly`; from the simulated state at each cut-off, with
-            errors of its measurement.
+        policy: what burns are commanded, "open", "replan" or "feedback"; from the simulated state at
+            each cut-off, with errors of its measurement.
         vehicle: a TOML file (default: the packaged DARE).
         progress: called with the time of the flight, s.
 

@@ -35,7 +35,7 @@ def windows(
         scenario: a file, or a packaged one's name, such as recon_b.
         begin: where the span begins, TDB, e.g. 2020-01-21T20:33:17 (default: the scenario's epoch).
         span_days: how long it is, up to 100 days.
-        csv: file to which they are written as a table.
+        csv: file to which they are written as a table, .csv.
         chart: file to which they are drawn, .png, .pdf or .svg; needs the extra [report].
 
     Returns:
@@ -59,6 +59,8 @@ def windows(
             "is two-body motion from there"
         )
         raise InputError(option("begin"), str(begin), allowed)
+    if csv is not None and Path(csv).suffix.lower() != ".csv":
+        raise InputError(option("csv"), str(csv), "must be a file that ends in .csv")
     if chart is not None:
         with needing(option("chart"), "report"):
             from scp_recon.api.charts import draw_windows

@@ -115,6 +115,7 @@ ROWS: dict[str, dict[str, Any]] = {
     "init": {"type": start, "metavar": "cold|warm|FILE"},
     "measured_burns": {
         "flag": "--measured-burn",
+        "type": str,
         "action": "append",
         "default": [],
         "metavar": "N=X,Y,Z",
@@ -135,6 +136,7 @@ ROWS: dict[str, dict[str, Any]] = {
         "metavar": "PLAN",
         "help": "folder with a solution.json, or the file",
     },
+    "policy": {"metavar": "open|replan|feedback"},
     "pole": {"type": numbers, "metavar": "RA,DEC"},
     "scheduler": {"metavar": "ADDRESS"},
     "scenario": {"type": Path, "metavar": "SCENARIO"},

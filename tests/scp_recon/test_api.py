@@ -61,7 +61,7 @@ def test_a_problem_by_hand_costs_what_its_page_says(name, cost, capsys):
     assert "Converged" in printed
     assert printed.splitlines()[-1] == cost
     page = (PROJECT / "docs" / "impulsive.md").read_text("utf-8")
-    assert f" {float(cost.split()[1]):.3g}" in page
+    assert cost.split()[1] in page
 
 
 @pytest.mark.usefixtures("few_flights")

@@ -27,3 +27,10 @@ def test_a_page_is_current_and_describes_everything(name, written):
 
 def test_no_other_page_stands_there():
     assert {path.stem for path in PUBLISHED.iterdir()} == {*PAGES}
+
+
+def test_where_no_folder_can_be_made_is_one_message(tmp_path, capsys):
+    (tmp_path / "a.md").write_text("")
+    with pytest.raises(SystemExit, match="2"):
+        main([str(tmp_path / "a.md")])
+    assert "must be a folder to write to" in capsys.readouterr().err

@@ -56,6 +56,7 @@ def compare(options: argparse.Namespace, console: Console) -> Answer:
 def report(options: argparse.Namespace, console: Console) -> Answer:
     """Write the page."""
     if files.is_campaign(tuple(options.plans)):
+        files.check_of_plans(out=options.out, field_deg=options.field_deg, pixels=options.pixels)
         return _report_campaign(options.plans[0], console)
     from scp_recon.reports.write import FILE_NAME  # charts and ground tracks, of this command alone
 

@@ -12,18 +12,16 @@ from rich.console import Console
 
 from formulations.arrays import Array
 from scp_recon.api.keeping import point_latest, run_folder
-from scp_recon.api.replans import left_options, plan_left
-from scp_recon.cli.command import (
-    Answer,
-)
+from scp_recon.api.replans import delivered, left_options, plan_left
+from scp_recon.cli.command import Answer
 from scp_recon.cli.commands.planning import plan_into
-from scp_recon.errors import InputError
+from scp_recon.errors import InputError, option
 from scp_recon.files import read_text
 from scp_recon.replanning.delivery import Delivery
 from scp_recon.replanning.flown import FlownPlan
 from scp_recon.replanning.remainder import mission_left
 from scp_recon.results.read import read_solution
-from scp_recon.results.runs import resolve_run
+from scp_recon.results.runs import folder_of, resolve_run
 
 BYTES_MAX = 100_000
 """Of a file of 36 numbers with whatever is said of them."""
@@ -32,6 +30,9 @@ BYTES_MAX = 100_000
 def replan(options: argparse.Namespace, console: Console) -> Answer:
     """Plan, show and write."""
     home = resolve_run(options.plan)
+    if options.out is not None and options.out.resolve() == folder_of(home).resolve():
+        given = f"{options.out}, which holds the plan in flight"
+        raise InputError(option("out"), given, "must be a folder of its own")
     solution = read_solution(home)
     delivery = delivery_from(options, solution.scenario.epoch.tdb)
     flown = FlownPlan.of(solution, name=str(home))
@@ -69,7 +70,7 @@ def delivery_from(options: argparse.Namespace, epoch: datetime) -> Delivery:
                 "must be six rows of six numbers, m and m/s",
             )
         covariance = np.array(rows)
-    return Delivery.of(
+    return delivered(
         at_s=_time(options.at_s, epoch),
         state=_state(options.state),
         frame=options.frame,

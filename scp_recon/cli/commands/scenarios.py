@@ -22,7 +22,7 @@ from scp_recon.cli import plan_view
 from scp_recon.cli.command import NOT_VERIFIED, Answer, show_line, show_written
 from scp_recon.cli.plan_view import plan_document
 from scp_recon.cli.rendering import show_warnings, terminal
-from scp_recon.errors import option
+from scp_recon.errors import InputError, option
 from scp_recon.files import check_writable, unwritable, write_atomically
 from scp_recon.mission.checks.checks import check_scene
 from scp_recon.mission.legal_burns import Interval
@@ -113,6 +113,8 @@ def _scenarios_table(found: Mapping[str, Scenario]) -> Table:
 def schema(options: argparse.Namespace, console: Console) -> Answer:
     """Write the schema."""
     file, entry = options.file, option("file")
+    if file.suffix != ".json":  # which no scenario has
+        raise InputError(entry, str(file), "must be a file that ends in .json")
     check_writable(file.parent, file.name, entry)
     try:
         path = write_atomically(file, schema_text())

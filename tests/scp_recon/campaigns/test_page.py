@@ -9,6 +9,7 @@ from html import unescape
 
 import pytest
 
+import scp_recon as sr
 from scp_recon.campaigns.figures import figures
 from scp_recon.campaigns.outcome import CampaignResults, read_campaign, remarks
 from scp_recon.campaigns.page import charts_of, render
@@ -132,6 +133,10 @@ def test_what_was_stopped_is_shown_as_far_as_it_came(tmp_path, capsys):
     said = capsys.readouterr().out
     assert "5 feasible of 5 cases run so far, of 8 in the study" in said
     assert {path.name for path in tmp_path.iterdir()} >= {"campaign.html", "curves.png"}
+    assert report.main([str(tmp_path), "--out", "r.html"]) == 2
+    assert "--out: got r.html; goes with plans" in capsys.readouterr().err
+    with pytest.raises(InputError, match="pixels: got 3; goes with plans"):
+        sr.report(tmp_path, pixels=3)
 
 
 def test_a_folder_without_a_campaign_is_one_message(tmp_path):

@@ -42,6 +42,7 @@ solve --init '' -> --init: got ''; must be cold, warm or a file
 solve --out words.csv -> --out
 solve --out words.csv/below -> --out
 solve --out '' -> --out: got ''; must be a folder
+solve --out runs/latest -> --out: got runs/latest, which points to
 solve --certify perhaps -> --certify: got 'perhaps'; must be yes or no
 solve --certify yes -> --certify: got yes; goes with risk.allocation = exact only
 solve --certify yes --problem P3 --set EXACT -> --certify: got yes; goes with --problem P2
@@ -74,6 +75,7 @@ compare none -> none
 report none -> none
 campaign none --out out -> none
 schema words.csv/schema.json -> words.csv
+schema words.toml -> FILE: got words.toml; must be a file that ends in .json
 design recon_b --out '' -> --out: got ''; must be a folder
 design recon_b -> boundary.home: got nothing; must be a home orbit
 explore none.toml -> none.toml: got no such file
@@ -89,6 +91,7 @@ windows recon_b --from yesterday -> must be a date
 windows recon_b --from 2020-01-21T20:33:17Z -> without a zone
 windows recon_b --from 2029-01-01 -> within 100 days
 windows recon_b --csv no/such/folder/w.csv -> --csv
+windows recon_b --csv words.toml -> --csv: got words.toml; must be a file that ends in .csv
 windows recon_b --span-days 0.1 --chart w.doc -> --chart
 new mine --body Bennu EPOCH -> --site
 new mine --body Bennu --site 95,0 EPOCH -> within 90 deg
@@ -112,10 +115,11 @@ export plan --format xls -> --format: got 'xls'; must be one of oem
 export plan --format csv --spacecraft=64 -> must be a whole number from -99999 to -1
 export plan --format csv --spacecraft=-0 -> whole number
 export plan --format csv --spacecraft=-123456789 -> whole number
-export plan --format csv --vehicle nothing.toml -> vehicle
+export plan --format csv --vehicle dare.toml -> --vehicle: got dare.toml; goes with --format ck
 export plan --format csv --out words.csv -> --out
 replan none --at 17000 STATE -> none
 replan plan --at 17000 STATE --out '' -> --out: got ''; must be a folder
+replan plan --at 17000 STATE --out plan -> --out: got plan, which holds the plan in flight
 replan plan --at noon STATE -> --at: got 'noon'; must be seconds
 replan plan --at 2020-01-22T03:46:37Z STATE -> --at: got '2020-01-22T03:46:37Z'
 replan plan --at 2019-01-22T03:46:37 STATE -> --at: got -3.1
@@ -123,6 +127,8 @@ replan plan --at 17000 --state 1 2 3 4 5 -> --state: got 5 numbers; must be six
 replan plan --at 17000 --state nowhere.txt -> --state nowhere.txt: got no such file
 replan plan --at 17000 STATE --measured-burn 2=0,0,0.1 --measured-burn=2=0,0,0.2 -> got burn 2 twice
 replan plan --at 17000 STATE --measured-burn 0.1,0.2,0.3 -> --measured-burn: got '0.1,0.2,0.3'
+replan plan --at 17000 STATE --measured-burn 1 -> --measured-burn: got '1'; must read N=X,Y,Z
+replan plan --at 17000 STATE --covariance-frame rtn -> --covariance-frame: got rtn; goes with
 replan plan --at 17000 STATE --covariance small.txt -> --covariance small.txt: got 2 rows of 2 numbers
 replan plan --at 17000 STATE --covariance bad.txt -> --covariance: got
 replan plan --at 17000 STATE --set in_flight.at_s=9000.0 -> --set: got another in_flight
