@@ -7,6 +7,7 @@ import pytest
 pytest.importorskip("Basilisk", reason="needs the extra [sim]")
 
 from experiments.__main__ import main
+from experiments.in_flight import flown_policies
 from experiments.spacecraft import flown_plan
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
@@ -70,16 +71,15 @@ def test_flights_by_policy_are_judged_and_summed_up(flown, mission, monkeypatch)
             raise InputError("vehicle", "a burn", "must end before the mode does")
         return record
 
-    monkeypatch.setattr(flown_plan, "simulate", simulate)
-    rows = [
-        flown_plan.fly_policy({"short": solution}, None, ("short", "open", seed)) for seed in (0, 1)
-    ]
+    monkeypatch.setattr(flown_policies, "simulate", simulate)
+    plans = {"short": solution}
+    rows = [flown_policies.fly_policy(plans, None, ("short", "open", seed)) for seed in (0, 1)]
     first, last = mission.schedule.window_s
     assert rows[0]["window_s"] == last - first
     assert 0.0 <= rows[0]["observed_s"] <= last - first + 1e-6
     assert rows[0]["whole"] <= (rows[0]["observed_s"] > last - first - 1e-3)
     assert rows[0]["commanded_m_s"] == pytest.approx(solution.total_dv_m_s)
     assert "must end before" in rows[1]["shortfalls"]
-    (summed,) = flown_plan.by_policy(rows)
+    (summed,) = flown_policies.by_policy(rows)
     assert (summed["flights"], summed["observed_mean_s"]) == (2, rows[0]["observed_s"])
     assert summed["as_required"] == (not rows[0]["shortfalls"])

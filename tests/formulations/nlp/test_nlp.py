@@ -388,7 +388,8 @@ def test_from_a_plan_with_corrected_burns_ipopt_finds_no_better_one(seed):
 
 @nightly
 def test_from_p3_ipopt_plans_corrected_burns_that_are_verified():
-    case = Case.of(COARSE, *NAVIGATED)
+    """After measurements of 30 m: with 10 m the rounding of OpenBLAS decides whether it arrives."""
+    case = Case.of(COARSE, *NAVIGATED, "navigation.sigma_position_m=30")
     result = ipopt.plan(case.mission, initial_guess.cold(case.mission))
     assert result.final.result.status is Status.CONVERGED
     ours, theirs = (one.final.result.lin for one in (case.plan, result))
