@@ -54,9 +54,10 @@ def draw(tables: list[list[Row]]) -> Figure:
         for name, ticks in (("dv", TICKS), ("end", FEW_TICKS)):
             panels[name].set_xticks(ndtri(ticks), [f"{p:g}" for p in ticks])
             panels[name].set_xlabel("required probability of whole flights (-)")
+        panels["dv"].set_ylabel("99 % quantile of delta-v (mm/s)")
         costs = [float(row["dv99_m_s"]) for row in rows if row["kind"] != OPEN and row["dv99_m_s"]]
-        shown = 1e3 * min(costs) - ROOM_MM_S, 1e3 * max(costs) + ROOM_MM_S
-        panels["dv"].set(ylabel="99 % quantile of delta-v (mm/s)", ylim=shown)
+        if costs:  # which a run that was stopped need not have
+            panels["dv"].set_ylim(1e3 * min(costs) - ROOM_MM_S, 1e3 * max(costs) + ROOM_MM_S)
         panels["end"].set_ylabel("final dispersion (m)")
         panels["errors"].set(xlabel="error of the measured position (m)", ylabel="delta-v (mm/s)")
         legend(figure, 3)
