@@ -10,10 +10,11 @@ test fast nightly coverage: export OMP_NUM_THREADS := 1
 export PYTHONDONTWRITEBYTECODE :=
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet install --constraint constraints.txt
 
-.PHONY: help solve test fast extras nightly coverage mutation lint format types check release reference bench \
+.PHONY: help solve test fast extras nightly coverage mutation lint format types check release golden golden-renew \
+	reference bench \
 	evidence drawings figures notebooks site clean
 help:  ## list the targets
-	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "%-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "%-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
 solve: $(VENV)/.solve  ## set up and plan Reconnaissance B from a cold start
 	$(BIN)/python -m scp_recon.solve --init cold
@@ -47,6 +48,12 @@ coverage: $(VENV)/.dev  ## lines and branches that the tests reach
 mutation: $(VENV)/.dev  ## change formulations in every small way, and see which changes no test notices
 	HYPOTHESIS_PROFILE=mutation OMP_NUM_THREADS=1 $(BIN)/mutmut run --max-children 2
 	$(BIN)/mutmut results
+
+golden: $(VENV)/.test  ## run fifty commands, and compare what they answer with tests/golden.json
+	$(BIN)/python -m tests.golden
+
+golden-renew: $(VENV)/.test  ## write tests/golden.json anew, and show what moved by how much
+	$(BIN)/python -m tests.golden --renew
 
 reference: $(VENV)/.solve  ## write docs/reference and the JSON schema of scenarios from the code
 	$(BIN)/python -m scp_recon.reference docs/reference

@@ -1,0 +1,61 @@
+"""The golden record: a tenth of it every day, all of it nightly."""
+
+from datetime import date
+
+import pytest
+
+from tests.golden import LONG, RUNS, differences, flat, key_of, moved, same, spread, tenth
+from tests.helpers import nightly
+
+KEPT = {
+    "figures": {"status": "converged", "burns.0.dv_m_s": [0.1, 0.2]},
+    "within": {"dv_m_s": 3e-6},
+}
+
+
+def test_a_tenth_of_the_record_holds_today():
+    assert differences(tenth(date.today())) == []
+
+
+@nightly
+@pytest.mark.timeout(1800)
+def test_the_whole_record_holds():
+    assert differences(RUNS) == []
+
+
+def test_two_days_compare_different_runs():
+    first, second = tenth(date(2026, 1, 1)), tenth(date(2026, 1, 2))
+    assert first != second
+    assert len(first) == len(set(first)) == 5
+    assert set(LONG) < set(RUNS)
+    assert not set(first) & set(LONG)
+
+
+@pytest.mark.parametrize(
+    ("fresh", "count"),
+    [
+        ({"status": "converged", "burns.0.dv_m_s": [0.1, 0.200002], "new": 1}, 0),
+        ({"status": "converged", "burns.0.dv_m_s": [0.1, 0.20001]}, 1),
+        ({"status": "infeasible", "burns.0.dv_m_s": [0.1]}, 2),
+        ({}, 2),
+    ],
+)
+def test_figures_beyond_their_tolerance_have_moved(fresh, count):
+    assert len(list(moved(KEPT, fresh, "run"))) == count
+
+
+def test_truths_and_texts_agree_exactly_only():
+    assert not same(True, 1, 1.0)
+    assert same("a", "a", 0.0)
+    assert not same(None, 0.0, 1.0)
+    assert spread([1.0, [2.0]], [1.5, [1.0]]) == 1.0
+    assert key_of("plan.burns.0.dv_m_s.1") == "dv_m_s"
+
+
+def test_sentences_and_seconds_are_not_kept():
+    answer = {"message": "it has ended", "timing_s": 3.0, "status": "converged", "t": [*range(25)]}
+    assert flat(answer, "said") == {
+        "said.status": "converged",
+        "said.t": [0.0, 3.0, 6.0, 9.0, 12.0, 15.0, 18.0, 21.0, 24.0],
+        "said.t.number": 25,
+    }
