@@ -12,7 +12,6 @@ from formulations.registry import FULL
 from scp_recon.api.inputs import check_overrides
 from scp_recon.api.options import PlanOptions
 from scp_recon.api.planning import PlanObserver, plan_mission
-from scp_recon.errors import InputError, option
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.schedule import BURNS_TO_MEET
 from scp_recon.planning.method import ALGORITHM, FORMULATION
@@ -76,7 +75,7 @@ def replan(
     """
     check_overrides(overrides)
     flown = FlownPlan.of(plan)
-    delivery = delivered(
+    delivery = Delivery.of(
         at_s,
         state,
         frame=frame,
@@ -86,28 +85,6 @@ def replan(
     )
     mission = mission_left(flown, delivery, overrides)
     return plan_left(flown, mission, certify=certify)
-
-
-def delivered(
-    at_s: float,
-    state: npt.ArrayLike,
-    *,
-    frame: str,
-    covariance: npt.ArrayLike | None,
-    covariance_frame: str | None,
-    measured: Mapping[int, npt.ArrayLike] | None,
-) -> Delivery:
-    """What was delivered, by `Delivery.of`; axes without a covariance are refused."""
-    if covariance_frame is not None and covariance is None:
-        raise InputError(option("covariance_frame"), covariance_frame, "goes with a covariance")
-    return Delivery.of(
-        at_s,
-        state,
-        frame=frame,
-        covariance=covariance,
-        covariance_frame=covariance_frame,
-        measured=measured,
-    )
 
 
 def plan_left(

@@ -100,6 +100,8 @@ class Delivery:
         burns = {} if measured is None else measured
         if not isinstance(burns, Mapping):
             raise InputError(MEASURED, shortened(burns), "must be a table of burns by number")
+        if covariance_frame is not None and covariance is None:
+            raise InputError(option("covariance_frame"), covariance_frame, "goes with a covariance")
         axes = frame if covariance_frame is None else covariance_frame
         matrix = None if covariance is None else numbers(option("covariance"), covariance, (6, 6))
         return cls(

@@ -12,7 +12,7 @@ from rich.console import Console
 
 from formulations.arrays import Array
 from scp_recon.api.keeping import point_latest, run_folder
-from scp_recon.api.replans import delivered, left_options, plan_left
+from scp_recon.api.replans import left_options, plan_left
 from scp_recon.cli.command import Answer
 from scp_recon.cli.commands.planning import plan_into
 from scp_recon.errors import InputError, option
@@ -70,7 +70,7 @@ def delivery_from(options: argparse.Namespace, epoch: datetime) -> Delivery:
                 "must be six rows of six numbers, m and m/s",
             )
         covariance = np.array(rows)
-    return delivered(
+    return Delivery.of(
         at_s=_time(options.at_s, epoch),
         state=_state(options.state),
         frame=options.frame,
