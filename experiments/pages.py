@@ -1,130 +1,191 @@
-"""Render the figures of pages from evidence.
+"""Render the tables of README and docs from evidence, and compare the figures in the text with it.
 
-A mark in a page is a comment with a template, what the template gives, and an end:
+A table of a page stands between two comments, each on a line of its own:
 
-    <!--= {plans[default].total_dv_m_s:.4f} m/s -->0.1401 m/s<!--/-->
+    <!-- table frontier.costs -->
 
-A field is EVIDENCE[KEY].COLUMN or EVIDENCE.TABLE[KEY].COLUMN; the table is by default that of the
-evidence's name. The key is the start of the row, the texts of its first cells with spaces between,
-or conditions on columns, `kind=exact; asked=0.9` (`line^=P2` is one on how a text begins). A
-template of several lines begins with a table and conditions, or with nothing; its lines whose
-fields are mere columns are repeated for each row:
-
-    <!--= frontier kind=exact|certified
-    | asked | delta-v m/s |
-    |---|---|
-    | {asked} | {total_dv_m_s:.5f} |
-    -->
+    | delta-v (m/s) for | 0.55 |
     ...
-    <!--/-->
 
-Formats are Python's, after a factor if there is one, as in `{share:*100 .1f}`. Texts are not
-changed, and missing values are left empty.
+    <!-- end -->
+
+`experiments/tables.toml` says which rows of the evidence and which columns it has. Figures in the
+text are typed; `docs/claims.toml` names the rows that they come from. Both files say how.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+import tomllib
+from collections.abc import Iterator, Mapping, Sequence
+from decimal import Decimal
 from functools import cache
 from pathlib import Path
-from string import Formatter
 from typing import Any
 
 from experiments.evidence import ROOT, SOURCES, Evidence, Records, path_of
 from scp_recon.errors import InputError
+from scp_recon.results.table import Column, Table, Value
 
 PAGES = (
     ROOT / "README.md",
     *sorted(p for p in (ROOT / "docs").rglob("*.md") if p.parent.name != "reference"),
 )
-MARK = re.compile(r"<!--=(.*?)-->(.*?)<!--/-->", re.DOTALL)
+TABLES = ROOT / "experiments" / "tables.toml"
+CLAIMS = ROOT / "docs" / "claims.toml"
+BLOCK = re.compile(r"^<!-- table (\S+) -->\n(.*?)^<!-- end -->$", re.DOTALL | re.MULTILINE)
+COLUMN = re.compile(r"(?:(.+) = )?([^*:]+)(?:\*([^:]+))?(?::(.+))?")
+VALUE = re.compile(
+    r"(.+?\]\.[^]/*]+?)(?: / (.+?\]\.[^]/*]+?))?"
+    r"(?: \* ([\d.]+(?:e-?\d+)?))?(?: \+- ([\d.]+(?:e-?\d+)?))?"
+)
 FIELD = re.compile(r"(\w+)(?:\.(\w+))?\[([^\]]*)\]\.(.+)")
-FORM = re.compile(r"(?:\*(\S+) )?(.*)")
+NUMBER = re.compile(r"(?<![\w.])[-+]?\d+(?:,\d{3})*(?:\.\d+)?(?:e[-+]?\d+)?")
 
 
 def render(text: str) -> str:
-    """A page's text with every mark filled anew.
+    """A page's text with every table rendered anew.
 
     Raises:
-        InputError: if a mark names evidence, a row or a column that does not exist.
+        InputError: if a table, or evidence, a row or a column of it does not exist.
     """
-    return MARK.sub(lambda mark: f"<!--={mark[1]}-->{_filled(mark[1])}<!--/-->", text)
-
-
-def used(text: str) -> list[str]:
-    """Names of the evidence from which a page's figures and pictures come, in their order."""
-    drawn = {Path(target).name for target in re.findall(r"!\[[^\]]*\]\(([^)]+)\)", text)}
-    names = [
-        name
-        for name, source in SOURCES.items()
-        if any(Path(figure.split()[-1]).name in drawn for figure in source.figures)
-    ]
-    for template in (mark[1] for mark in MARK.finditer(text)):
-        head, _, body = template.partition("\n")
-        names += re.findall(r"\{(\w+)(?:\.\w+)?\[", template)
-        names += re.findall(r"\w+", head)[:1] if body else []
-    return list(dict.fromkeys(names))
+    return BLOCK.sub(
+        lambda block: f"<!-- table {block[1]} -->\n\n{table(block[1]).markdown()}\n\n<!-- end -->",
+        text,
+    )
 
 
 def behind() -> dict[Path, str]:
-    """Pages of which a figure is not the evidence's: their text as it should be.
+    """Pages of which a table is not the evidence's: their text as it should be.
 
     Raises:
-        InputError: if a mark names evidence, a row or a column that does not exist.
+        InputError: if a table, or evidence, a row or a column of it does not exist.
     """
     _tables.cache_clear()
     texts = {page: page.read_text("utf-8") for page in PAGES}
     return {page: new for page, text in texts.items() if (new := render(text)) != text}
 
 
-def _filled(template: str) -> str:
-    head, several, body = template.partition("\n")
-    if not several:
-        return _Filler({}).format(template.strip())
-    name, _, conditions = head.strip().partition(" ")
-    lines = list[str]()
-    for line in body.strip("\n").split("\n"):
-        if any("[" not in field for field in _fields(line)):
-            rows = _matching(_table(*name.split(".")), conditions)
-            if not rows:
-                raise InputError(head.strip(), "no row", "must be a table and conditions on it")
-            lines += [_Filler(row).format(line) for row in rows]
-        else:
-            lines.append(_Filler({}).format(line))
-    return "\n" + "\n".join(lines) + "\n"
+def used(text: str) -> list[str]:
+    """Names of the evidence behind a page's pictures, tables and claims, in this order."""
+    drawn = {Path(target).name for target in re.findall(r"!\[[^\]]*\]\(([^)]+)\)", text)}
+    names = [
+        name
+        for name, source in SOURCES.items()
+        if any(Path(figure.split()[-1]).name in drawn for figure in source.figures)
+    ]
+    names += [block[1].partition(".")[0] for block in BLOCK.finditer(text)]
+    plain = " ".join(text.split())
+    for claims in _read(CLAIMS).values():
+        of = [values for phrase, values in claims.items() if phrase in plain]
+        names += re.findall(r"(\w+)(?:\.\w+)?\[", str(of))
+    return list(dict.fromkeys(names))
 
 
-def _fields(line: str) -> Iterator[str]:
-    return (field for _, field, _, _ in Formatter().parse(line) if field is not None)
+def table(name: str) -> Table:
+    """The table EVIDENCE.NAME of `experiments/tables.toml`.
+
+    Raises:
+        InputError: if there is none, or no row or column of it.
+    """
+    evidence, _, key = name.partition(".")
+    spec = _read(TABLES).get(evidence, {}).get(key)
+    if spec is None:
+        raise InputError(name, "no such table", f"must be one of {TABLES.relative_to(ROOT)}")
+    rows = _matching(_table(evidence, spec.get("of", key)), spec.get("where", ""), name)
+    if not rows:
+        raise InputError(name, "no row", f"{spec['where']} must be met by a row")
+    columns, cells = list[Column](), list[list[Value]]()
+    for part in " ".join(spec["columns"].split()).split(" | "):
+        heading, column, factor, form = COLUMN.fullmatch(part).groups()  # type: ignore[union-attr]  # matches all
+        columns.append(Column(heading or column, form=form or ".6g"))
+        scale = float(factor or 1.0) if factor or form else None
+        cells.append([_scaled(_value(row, column, name), scale) for row in rows])
+    return Table.of("", columns, zip(*cells, strict=True))
 
 
-class _Filler(Formatter):
-    """Fills fields from a row and from all evidence."""
+def wrong_claims() -> Iterator[str]:
+    """Compare the figures in the text with the evidence; a line for each phrase that is wrong.
 
-    def __init__(self, row: Mapping[str, Any]) -> None:
-        self._row = row
-
-    def get_field(self, field_name: str, args: Any, kwargs: Any) -> tuple[Any, str]:  # noqa: ARG002  Formatter's
-        whole = FIELD.fullmatch(field_name)
-        if whole is None:
-            return _value(self._row, field_name), ""
-        name, table, key, column = whole.groups()
-        return _value(_row(_table(name, table), key, field_name), column), ""
-
-    def format_field(self, value: Any, format_spec: str) -> str:
-        factor, form = FORM.fullmatch(format_spec).groups()  # type: ignore[union-attr]  # matches all
-        if value is None or isinstance(value, str):
-            return value or ""
-        if isinstance(value, bool):
-            return "yes" if value else "no"
-        return format(value * float(factor) if factor else value, form)
+    Raises:
+        InputError: if `docs/claims.toml` is no TOML, has a phrase twice, or names no page.
+    """
+    _tables.cache_clear()
+    for page, claims in _read(CLAIMS).items():
+        if ROOT / page not in PAGES:
+            raise InputError(page, "no such page", "must be README.md or one of docs", CLAIMS.name)
+        text = " ".join((ROOT / page).read_text("utf-8").split())
+        for phrase, values in claims.items():
+            try:
+                wrong = _wrong(phrase, values if isinstance(values, list) else [values], text)
+            except InputError as error:
+                wrong = str(error)
+            if wrong:
+                yield f"{CLAIMS.name}: {page}: {phrase!r}: {wrong}"
 
 
-def _value(row: Mapping[str, Any], column: str) -> Any:
+def _wrong(phrase: str, values: Sequence[str], page: str) -> str:
+    """What is wrong with a phrase of a page; empty if its figures are the evidence's."""
+    if (times := page.count(phrase)) != 1:
+        return f"stands {times} times in the page, must stand there once"
+    typed = NUMBER.findall(phrase)
+    measured = [number for value in values for number in _measured(value, phrase)]
+    if len(typed) != len(measured):
+        return f"has {len(typed)} figures, the evidence {len(measured)}"
+    for text, (number, tolerance) in zip(typed, measured, strict=True):
+        decimal = Decimal(text.replace(",", ""))
+        half = 0.5 * 10.0 ** int(decimal.as_tuple().exponent)
+        if abs(float(decimal) - number) > (tolerance or half) * (1.0 + 1e-9):
+            return f"{text} is {number:.6g} in the evidence"
+    return ""
+
+
+def _measured(value: str, phrase: str) -> list[tuple[float, float | None]]:
+    """Figures of a value of a claim, each with the tolerance if one is given."""
+    parts = VALUE.fullmatch(str(value))
+    if parts is None:
+        raise InputError(str(value), "no value", "must be EVIDENCE[ROW].COLUMN")
+    one, other, factor, tolerance = parts.groups()
+    figures, divisor = _figures(one), _figures(other) if other else [1.0]
+    if not figures and str(_cell(one)) not in phrase:
+        raise InputError(value, repr(_cell(one)), "must stand in the phrase")
+    if len(divisor) != 1 or not divisor[0]:
+        raise InputError(other, f"{divisor}", "must be a figure to divide by")
+    scale = float(factor or 1.0) / divisor[0]
+    return [(figure * scale, float(tolerance) if tolerance else None) for figure in figures]
+
+
+def _figures(field: str) -> list[float]:
+    """The figures of a cell: a number itself, or those of a text."""
+    return [float(number.replace(",", "")) for number in NUMBER.findall(str(_cell(field)))]
+
+
+def _cell(field: str) -> Any:
+    whole = FIELD.fullmatch(field)
+    if whole is None:
+        raise InputError(field, "no cell", "must be EVIDENCE[ROW].COLUMN")
+    name, of, key, column = whole.groups()
+    return _value(_row(_table(name, of or name), key, field), column, field)
+
+
+def _scaled(value: Any, scale: float | None) -> Value:
+    """A cell of a table; figures are multiplied if the column has a factor or a format."""
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return value * scale if scale and isinstance(value, int | float) else value
+
+
+def _value(row: Mapping[str, Any], column: str, where: str) -> Any:
     if column not in row:
-        raise InputError(column, "no such column", f"must be one of {', '.join(row)}")
+        raise InputError(where, f"no column {column}", f"must be one of {', '.join(row)}")
     return row[column]
+
+
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        return tomllib.loads(path.read_text("utf-8"))
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(path.name, str(error), "must be TOML, with each key once") from None
 
 
 @cache
@@ -135,16 +196,16 @@ def _tables(name: str) -> Mapping[str, Records]:
         raise InputError(name, "no such evidence", "must be a file of docs/evidence") from None
 
 
-def _table(name: str, table: str | None = None) -> Records:
+def _table(name: str, of: str) -> Records:
     tables = _tables(name)
-    if (table or name) not in tables:
-        raise InputError(f"{name}.{table}", "no such table", f"must be one of {', '.join(tables)}")
-    return tables[table or name]
+    if of not in tables:
+        raise InputError(f"{name}.{of}", "no such table", f"must be one of {', '.join(tables)}")
+    return tables[of]
 
 
 def _row(rows: Records, key: str, field: str) -> Mapping[str, Any]:
     """The one row of a key."""
-    found: Records = _matching(rows, key) if "=" in key else []
+    found: Records = _matching(rows, key, field) if "=" in key else []
     for cells in () if "=" in key else (1, 2, 3):
         found = found or [r for r in rows if " ".join(map(_shown, [*r.values()][:cells])) == key]
     if len(found) != 1:
@@ -152,14 +213,14 @@ def _row(rows: Records, key: str, field: str) -> Mapping[str, Any]:
     return found[0]
 
 
-def _matching(rows: Records, conditions: str) -> Records:
+def _matching(rows: Records, conditions: str, where: str) -> Records:
     for condition in filter(None, (part.strip() for part in conditions.split(";"))):
         column, _, words = condition.partition("=")
         values = tuple(words.split("|"))
         if column.endswith("^"):
-            rows = [row for row in rows if str(_value(row, column[:-1])).startswith(values)]
+            rows = [r for r in rows if str(_value(r, column[:-1], where)).startswith(values)]
         else:
-            rows = [row for row in rows if _shown(_value(row, column)) in values]
+            rows = [r for r in rows if _shown(_value(r, column, where)) in values]
     return rows
 
 

@@ -1,7 +1,6 @@
 """The shell of the studies and what they leave: evidence, the pages that show it, tests counted."""
 
 import json
-import re
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -13,7 +12,6 @@ from experiments import evidence, frontier, harness, pages, renewal, testing
 from experiments.__main__ import STUDIES, main, module_of
 from experiments.evidence import (
     FILE,
-    ROOT,
     SOURCES,
     UNKNOWN,
     Evidence,
@@ -39,9 +37,11 @@ QUICK = Source("experiments battery_cones --samples 100", (battery_cones.__name_
 def folder(tmp_path, monkeypatch) -> Path:
     """Where evidence goes, of one quick study, and one page."""
     page = tmp_path / "page.md"
-    page.write_text(
-        "<!--= {cones.battery_cones[observation 90 False].load_w:.0f} -->1<!--/--> W\n", "utf-8"
+    page.write_text("<!-- table cones.battery_cones -->\n<!-- end -->\n", "utf-8")
+    (tmp_path / "tables.toml").write_text(
+        '[cones.battery_cones]\ncolumns = "load_w:.0f"\n', "utf-8"
     )
+    monkeypatch.setattr(pages, "TABLES", tmp_path / "tables.toml")
     monkeypatch.setattr(evidence, "FOLDER", tmp_path / "evidence")
     monkeypatch.setattr(evidence, "SOURCES", {"cones": QUICK})
     monkeypatch.setattr(pages, "PAGES", (page,))
@@ -159,7 +159,7 @@ def test_what_is_out_of_date_is_renewed_and_only_that(folder, capsys, monkeypatc
     found = Evidence.read(path_of("cones"))
     assert found.seconds < 90.0
     assert found.tables["battery_cones"][0]["mode"] == "delta-V, warm-up"
-    assert "-->90<!--" in (folder / "page.md").read_text("utf-8")
+    assert "| 90 |" in (folder / "page.md").read_text("utf-8")
     assert main(["evidence", "--check"]) == 0
     assert main(["evidence"]) == 0
     assert "up to date" in capsys.readouterr().out
@@ -232,114 +232,6 @@ def test_what_was_kept_goes_once_the_tables_have_it(tmp_path):
         session.end(Study("", "", lambda _: Findings([], {})), Findings([], {}))
     kept = [path.name for path in tmp_path.iterdir() if not path.name.startswith(".")]
     assert sorted(kept) == ["evidence.json", "stays.jsonl"]
-
-
-FIGURE = re.compile(r"\b\d{1,2}\.\d{4,}\b")
-"""More digits than anybody chooses."""
-SPEED = re.compile(r"<!--= (On one machine, .*?) -->", re.DOTALL)
-
-
-@pytest.mark.parametrize("page", pages.PAGES, ids=lambda page: page.name)
-def test_a_page_is_current_and_no_result_is_typed(page):
-    text = page.read_text("utf-8")
-    assert pages.render(text) == text, "run `python -m experiments evidence --render`"
-    typed = re.sub(r"```.*?```|^ {4}.*?$|`[^`]*`", "", pages.MARK.sub("", text), flags=re.S | re.M)
-    assert FIGURE.findall(typed) == [], "a result has to come from the evidence"
-
-
-def test_every_evidence_is_shown():
-    shown = {name for page in pages.PAGES for name in pages.used(page.read_text("utf-8"))}
-    assert shown == set(SOURCES)
-
-
-def test_the_page_on_the_paper_counts_its_outcomes():
-    page = (ROOT / "docs" / "validation" / "paper.md").read_text("utf-8")
-    text = pages.MARK.sub(lambda mark: mark[2], page)
-    outcomes, reproduced = list[str](), list[str]()
-    for table in re.findall(r"(?:^\|.*\n)+", text, re.MULTILINE):
-        head, _, *rows = (
-            [cell.strip(" |") for cell in line.split(" | ")] for line in table.splitlines()
-        )
-        for column, found in (("outcome", outcomes), ("reproduced", reproduced)):
-            found += [row[head.index(column)] for row in rows] if column in head else []
-    both = sum("same" in one and "opposite" in one for one in outcomes)
-    of = (sum(word in one for one in outcomes) for word in ("same", "opposite", "not comparable"))
-    same, opposite, other = of
-    counts = (len(outcomes), same - both, opposite - both, other, both)
-    said = re.search(r"In short: of the .*?\*mixed\*", text, re.DOTALL)
-    assert said
-    assert tuple(map(int, re.findall(r"\d+", said[0]))) == counts
-    assert (
-        f"Of the {len(reproduced)}\nprinted numbers of Section VII {reproduced.count('yes')}"
-        in text
-    )
-
-
-def test_pages_that_speak_of_speed_say_the_same():
-    said = [mark for page in pages.PAGES for mark in SPEED.findall(page.read_text("utf-8"))]
-    assert len(said) >= 2
-    assert len(set(said)) == 1
-    assert SPEED.search((ROOT / "README.md").read_text("utf-8"))
-
-
-ROWS = [
-    {"kind": "exact", "asked": 0.9, "dv": 0.11019, "ok": True, "note": None},
-    {"kind": "exact", "asked": 0.99, "dv": 0.13016, "ok": False, "note": "late"},
-    {"kind": "even", "asked": 0.9, "dv": "infeasible", "ok": None, "note": ""},
-]
-
-
-@pytest.fixture
-def rows(tmp_path, monkeypatch) -> None:
-    monkeypatch.setattr(evidence, "FOLDER", tmp_path)
-    monkeypatch.setattr(pages, "_tables", pages._tables.__wrapped__)
-    tables = {"plans": ROWS, "more": ROWS[:1]}
-    Evidence("", "", "", "", {}, "", 1.0, resumed=False, tables=tables).write(path_of("plans"))
-
-
-@pytest.mark.parametrize(
-    ("template", "filled"),
-    [
-        ("{plans[exact 0.9].dv:.4f} m/s", "0.1102 m/s"),
-        ("{plans[kind=exact; asked=0.99].dv:*1e3 .2f} mm/s", "130.16 mm/s"),
-        ("{plans.more[exact].dv:.2f}", "0.11"),
-        ("{plans[even].dv:.4f}", "infeasible"),
-        ("{plans[exact 0.99].note}, {plans[exact 0.9].note}", "late, "),
-        ("{plans[exact 0.9].ok} {plans[exact 0.99].ok}", "yes no"),
-        ("{plans[kind^=ev].dv}", "infeasible"),
-        (
-            "plans kind=exact\n| p |\n| {asked:g} of {plans[even].asked:g} |\n",
-            "\n| p |\n| 0.9 of 0.9 |\n| 0.99 of 0.9 |\n",
-        ),
-        ("\nall {plans[even].kind}\n", "\nall even\n"),
-    ],
-)
-@pytest.mark.usefixtures("rows")
-def test_a_template_is_filled(template, filled):
-    head = template if "\n" in template else f" {template} "
-    text = f"before <!--={head}-->old<!--/--> after"
-    once = pages.render(text)
-    assert once == f"before <!--={head}-->{filled}<!--/--> after"
-    assert pages.render(once) == once
-    assert pages.used(text) == ["plans"]
-    assert pages.used(f"![Cost](docs/frontier.png) {text}") == ["frontier", "plans"]
-
-
-@pytest.mark.parametrize(
-    ("template", "said"),
-    [
-        (" {plans[exact].dv} ", "2 rows"),
-        (" {plans[none].dv} ", "0 rows"),
-        (" {plans[even].cost} ", "must be one of kind, asked"),
-        (" {plans.less[even].dv} ", "must be one of plans, more"),
-        (" {others[even].dv} ", "no such evidence"),
-        ("plans kind=none\n{asked}\n", "no row"),
-    ],
-)
-@pytest.mark.usefixtures("rows")
-def test_what_no_evidence_has_is_told(template, said):
-    with pytest.raises(InputError, match=re.escape(said)):
-        pages.render(f"<!--={template}--><!--/-->")
 
 
 def evidence_of(what: str, out: Path) -> dict[str, dict[str, object]]:

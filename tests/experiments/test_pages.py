@@ -1,0 +1,186 @@
+"""README and docs: their tables are the evidence's, and so are the figures in their text."""
+
+import re
+from dataclasses import replace
+
+import pytest
+from markdown_it import MarkdownIt
+
+from experiments import evidence, pages
+from experiments.evidence import ROOT, SOURCES, Evidence, path_of
+from scp_recon.errors import InputError
+
+PAGES = {page.relative_to(ROOT).as_posix(): page.read_text("utf-8") for page in pages.PAGES}
+
+
+def test_figures_in_the_text_agree_with_evidence():
+    assert list(pages.wrong_claims()) == []
+
+
+def test_tables_of_the_pages_agree_with_evidence():
+    assert [*pages.behind()] == [], "run `python -m experiments evidence --render`"
+
+
+def test_every_evidence_is_shown():
+    assert {name for text in PAGES.values() for name in pages.used(text)} == set(SOURCES)
+
+
+def test_every_table_is_shown_on_a_page():
+    shown = {block[1] for text in PAGES.values() for block in pages.BLOCK.finditer(text)}
+    of = pages._read(pages.TABLES)
+    assert shown == {f"{name}.{table}" for name, tables in of.items() for table in tables}
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_pages_render_as_plain_markdown(page):
+    """A comment stands on lines of its own, and no line of text is taken for HTML."""
+    tokens = MarkdownIt("commonmark").enable("table").parse(PAGES[page])
+    for token in tokens:
+        if token.type == "html_block":
+            assert re.fullmatch(r"<!--[^>]*-->\n?", token.content), token.content
+        for child in token.children or ():
+            assert "](" not in child.content or child.type == "code_inline", token.content
+            assert child.type != "html_inline" or "<!--" not in child.content, token.content
+
+
+def test_the_readme_has_no_comment():
+    assert "<!--" not in PAGES["README.md"]
+
+
+def test_the_page_on_the_paper_counts_its_outcomes():
+    text = PAGES["docs/validation/paper.md"]
+    outcomes, reproduced = list[str](), list[str]()
+    for table in re.findall(r"(?:^\|.*\n)+", text, re.MULTILINE):
+        head, _, *rows = (
+            [cell.strip(" |") for cell in line.split(" | ")] for line in table.splitlines()
+        )
+        for column, found in (("outcome", outcomes), ("reproduced", reproduced)):
+            found += [row[head.index(column)] for row in rows] if column in head else []
+    both = sum("same" in one and "opposite" in one for one in outcomes)
+    of = (sum(word in one for one in outcomes) for word in ("same", "opposite", "not comparable"))
+    same, opposite, other = of
+    counts = (len(outcomes), same - both, opposite - both, other, both)
+    said = re.search(r"In short: of the .*?\*mixed\*", text, re.DOTALL)
+    assert said
+    assert tuple(map(int, re.findall(r"\d+", said[0]))) == counts
+    assert (
+        f"Of the {len(reproduced)}\nprinted numbers of Section VII {reproduced.count('yes')}"
+        in text
+    )
+
+
+ROWS = [
+    {"kind": "exact", "asked": 0.9, "dv": 0.11019, "ok": True, "note": None},
+    {"kind": "exact", "asked": 0.99, "dv": 0.13016, "ok": False, "note": "1 of 20 late"},
+    {"kind": "even", "asked": 0.9, "dv": "infeasible", "ok": None, "note": ""},
+]
+
+
+@pytest.fixture
+def rows(tmp_path, monkeypatch) -> None:
+    """Evidence, and a page of a phrase a line, in the folder of this test."""
+    other = Evidence.read(path_of("plans"))
+    monkeypatch.setattr(evidence, "FOLDER", tmp_path)
+    monkeypatch.setattr(pages, "ROOT", tmp_path)
+    monkeypatch.setattr(pages, "PAGES", (tmp_path / "page.md",))
+    for name in ("CLAIMS", "TABLES"):
+        monkeypatch.setattr(pages, name, tmp_path / f"{name.lower()}.toml")
+    replace(other, tables={"plans": ROWS, "more": ROWS[:1]}).write(path_of("plans"))
+    pages._tables.cache_clear()
+    yield
+    pages._tables.cache_clear()
+
+
+@pytest.mark.parametrize(
+    ("table", "shown"),
+    [
+        (
+            'where = "kind=exact"\ncolumns = "p = asked:g | dv mm/s = dv*1e3:.2f | ok"',
+            "| p | dv mm/s | ok |\n| ---: | ---: | --- |\n"
+            "| 0.9 | 110.19 | yes |\n| 0.99 | 130.16 | no |",
+        ),
+        ('of = "more"\ncolumns = "kind | note"', "| kind | note |\n| --- | ---: |\n| exact |  |"),
+        ('where = "kind^=ev"\ncolumns = "dv:.2f"', "| dv |\n| --- |\n| infeasible |"),
+    ],
+)
+@pytest.mark.usefixtures("rows")
+def test_a_table_block_is_filled_once(table, shown):
+    pages.TABLES.write_text(f"[plans.plans]\n{table}\n", "utf-8")
+    text = "before\n\n<!-- table plans.plans -->\n<!-- end -->\n\nafter"
+    once = pages.render(text)
+    assert once == text.replace(" -->\n<", f" -->\n\n{shown}\n\n<")
+    assert pages.render(once) == once
+
+
+@pytest.mark.parametrize(
+    ("table", "said"),
+    [
+        ('where = "kind=none"\ncolumns = "dv"', "plans.plans: got no row"),
+        ('columns = "cost"', "plans.plans: got no column cost; must be one of kind, asked"),
+        (
+            'of = "less"\ncolumns = "dv"',
+            "plans.less: got no such table; must be one of plans, more",
+        ),
+    ],
+)
+@pytest.mark.usefixtures("rows")
+def test_a_table_of_no_row_is_refused(table, said):
+    pages.TABLES.write_text(f"[plans.plans]\n{table}\n", "utf-8")
+    with pytest.raises(InputError, match=re.escape(said)):
+        pages.table("plans.plans")
+    with pytest.raises(InputError, match=r"plans\.other"):
+        pages.table("plans.other")
+
+
+@pytest.mark.parametrize(
+    ("phrase", "values", "wrong"),
+    [
+        ("costs 0.110 m/s", "plans[exact 0.9].dv", ""),
+        ("costs 110.2 mm/s, P2", "plans[kind=exact; asked=0.9].dv * 1e3", ""),
+        ("costs 0.12 m/s", "plans.more[exact].dv +- 0.01", ""),
+        ("1.18 times", "plans[exact 0.99].dv / plans[exact 0.9].dv", ""),
+        ("1 of 20", "plans[exact 0.99].note", ""),
+        ("infeasible by even split", "plans[kind^=ev].dv", ""),
+        ("costs 0.111 m/s", "plans[exact 0.9].dv", "0.111 is 0.11019"),
+        ("feasible", "plans[even].dv", "must stand in the phrase"),
+        ("1 and 2", "plans[exact 0.9].dv", "has 2 figures, the evidence 1"),
+        ("0.9", "plans[exact].dv", "plans[exact].dv: got 2 rows"),
+        ("0.9", "plans[none].dv", "plans[none].dv: got 0 rows"),
+        ("0.9", "plans[even].cost", "got no column cost"),
+        ("0.9", "plans.less[even].dv", "must be one of plans, more"),
+        ("0.9", "others[even].dv", "others: got no such evidence"),
+        ("0.9", "plans", "must be EVIDENCE[ROW].COLUMN"),
+        ("0.9", "plans[exact 0.9].dv +- much", "must be"),
+    ],
+)
+@pytest.mark.usefixtures("rows")
+def test_a_claim_agrees_or_says_why(phrase, values, wrong):
+    pages.PAGES[0].write_text("\n".join(["before", *phrase.split(), "after"]), "utf-8")
+    pages.CLAIMS.write_text(f"['page.md']\n'{phrase}' = '{values}'\n", "utf-8")
+    said = list(pages.wrong_claims())
+    assert bool(said) == bool(wrong)
+    assert all(f"claims.toml: page.md: {phrase!r}: " in line for line in said)
+    assert all(wrong in line and "\n" not in line for line in said)
+    assert pages.used(f"text {phrase} text") == re.findall(r"^(\w+)\b.*\[", values)
+
+
+@pytest.mark.parametrize(
+    ("claims", "said"),
+    [
+        ("['page.md']\n'gone 0.11' = 'plans[exact 0.9].dv'", "stands 0 times"),
+        ("['page.md']\n'0.11' = 'plans[exact 0.9].dv'", "stands 2 times"),
+        ("['page.md']\n'one' = 3", "3: got no value"),
+        ("['page.md']\n'one' = 'a'\n'one' = 'b'", "claims.toml: got "),
+        ("['pages.md']\n'one' = 'a'", "claims.toml: pages.md: got no such page"),
+    ],
+)
+@pytest.mark.usefixtures("rows")
+def test_bad_entries_of_claims_are_named(claims, said):
+    pages.PAGES[0].write_text("one 0.11 and 0.11", "utf-8")
+    pages.CLAIMS.write_text(claims, "utf-8")
+    try:
+        (line,) = pages.wrong_claims()
+    except InputError as error:
+        line = str(error)
+    assert said in line
+    assert "\n" not in line
