@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import Any
 
 from experiments.evidence import ROOT, SOURCES, Evidence, Records, path_of
-from scp_recon.errors import InputError
+from scp_recon.errors import InputError, one_of
 from scp_recon.results.table import Column, Table, Value
 
 PAGES = (
@@ -89,18 +89,18 @@ def table(name: str) -> Table:
         InputError: if there is none, or no row or column of it.
     """
     evidence, _, key = name.partition(".")
-    spec = _read(TABLES).get(evidence, {}).get(key)
-    if spec is None:
-        raise InputError(name, "no such table", f"must be one of {TABLES.relative_to(ROOT)}")
+    known = _read(TABLES).get(evidence, {})
+    spec = known[one_of(f"{TABLES.name}: {evidence}", key, known)]
     rows = _matching(_table(evidence, spec.get("of", key)), spec.get("where", ""), name)
     if not rows:
-        raise InputError(name, "no row", f"{spec['where']} must be met by a row")
+        raise InputError(f"{TABLES.name}: {name}", "no row", f"{spec['where']} must be met by one")
     columns, cells = list[Column](), list[list[Value]]()
     for part in " ".join(spec["columns"].split()).split(" | "):
         heading, column, factor, form = COLUMN.fullmatch(part).groups()  # type: ignore[union-attr]  # matches all
         columns.append(Column(heading or column, form=form or ".6g"))
         scale = float(factor or 1.0) if factor or form else None
-        cells.append([_scaled(_value(row, column, name), scale) for row in rows])
+        values = (row[one_of(f"{TABLES.name}: {name}", column, row)] for row in rows)
+        cells.append([_scaled(value, scale) for value in values])
     return Table.of("", columns, zip(*cells, strict=True))
 
 
@@ -112,8 +112,7 @@ def wrong_claims() -> Iterator[str]:
     """
     _tables.cache_clear()
     for page, claims in _read(CLAIMS).items():
-        if ROOT / page not in PAGES:
-            raise InputError(page, "no such page", "must be README.md or one of docs", CLAIMS.name)
+        one_of(CLAIMS.name, page, [path.relative_to(ROOT).as_posix() for path in PAGES])
         text = " ".join((ROOT / page).read_text("utf-8").split())
         for phrase, values in claims.items():
             try:
@@ -165,7 +164,8 @@ def _cell(field: str) -> Any:
     if whole is None:
         raise InputError(field, "no cell", "must be EVIDENCE[ROW].COLUMN")
     name, of, key, column = whole.groups()
-    return _value(_row(_table(name, of or name), key, field), column, field)
+    row = _row(_table(name, of or name), key, field)
+    return row[one_of(field, column, row)]
 
 
 def _scaled(value: Any, scale: float | None) -> Value:
@@ -173,12 +173,6 @@ def _scaled(value: Any, scale: float | None) -> Value:
     if isinstance(value, bool):
         return "yes" if value else "no"
     return value * scale if scale and isinstance(value, int | float) else value
-
-
-def _value(row: Mapping[str, Any], column: str, where: str) -> Any:
-    if column not in row:
-        raise InputError(where, f"no column {column}", f"must be one of {', '.join(row)}")
-    return row[column]
 
 
 def _read(path: Path) -> dict[str, Any]:
@@ -198,9 +192,7 @@ def _tables(name: str) -> Mapping[str, Records]:
 
 def _table(name: str, of: str) -> Records:
     tables = _tables(name)
-    if of not in tables:
-        raise InputError(f"{name}.{of}", "no such table", f"must be one of {', '.join(tables)}")
-    return tables[of]
+    return tables[one_of(f"{name}.{of}", of, tables)]
 
 
 def _row(rows: Records, key: str, field: str) -> Mapping[str, Any]:
@@ -216,11 +208,10 @@ def _row(rows: Records, key: str, field: str) -> Mapping[str, Any]:
 def _matching(rows: Records, conditions: str, where: str) -> Records:
     for condition in filter(None, (part.strip() for part in conditions.split(";"))):
         column, _, words = condition.partition("=")
-        values = tuple(words.split("|"))
-        if column.endswith("^"):
-            rows = [r for r in rows if str(_value(r, column[:-1], where)).startswith(values)]
-        else:
-            rows = [r for r in rows if _shown(_value(r, column, where)) in values]
+        begins, values = column.endswith("^"), tuple(words.split("|"))
+        texts = [_shown(r[one_of(where, column.rstrip("^"), r)]) for r in rows]
+        kept = [text.startswith(values) if begins else text in values for text in texts]
+        rows = [row for row, keep in zip(rows, kept, strict=True) if keep]
     return rows
 
 

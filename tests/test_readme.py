@@ -55,16 +55,11 @@ RECIPE = re.compile(
 )
 
 
-def read(page: Path) -> str:
-    """A page's text without comments."""
-    return re.sub(r"<!--.*?-->", "", page.read_text("utf-8"), flags=re.DOTALL)
-
-
 @cache
 def blocks(page: Path) -> tuple[str, ...]:
     """The code blocks of a page, fenced or indented by four spaces."""
     fenced = re.compile(r"^```.*?\n(.*?)^```", re.DOTALL | re.MULTILINE)
-    text, before = read(page), ""
+    text, before = page.read_text("utf-8"), ""
     found = fenced.findall(text)
     for indented, lines in groupby(
         fenced.sub("", text).splitlines(), lambda line: line.startswith("    ") or not line.strip()
@@ -83,7 +78,7 @@ def shown() -> dict[str, str]:
     for page in PAGES:
         lines = [line for block in blocks(page) for line in block.splitlines()]
         lines = [part for line in lines for part in line.split(" && ") if COMMAND.match(part)]
-        lines += [" ".join(line.split()) for line in INLINE.findall(read(page))]
+        lines += [" ".join(line.split()) for line in INLINE.findall(page.read_text("utf-8"))]
         for words in (shlex.split(line, comments=True) for line in lines):
             if words[0].endswith("python"):
                 words[0] = "python"
@@ -96,7 +91,7 @@ def shown() -> dict[str, str]:
 def mentioned() -> list[str]:
     """Command lines in prose without an interpreter, and those of the Makefile."""
     pages = (*PAGES, PROJECT / "CHANGELOG.md", *(PROJECT / "docs").glob("reference/*.md"))
-    said = {found for page in pages for found in MENTIONED.findall(read(page))}
+    said = {found for page in pages for found in MENTIONED.findall(page.read_text("utf-8"))}
     lines = [f"python -m {name.replace('-', '_')} {rest}" for name, rest in sorted(said)]
     return lines + RECIPE.findall(MAKEFILE)
 
@@ -577,6 +572,13 @@ def test_python_that_is_shown_runs(page, workspace, monkeypatch):
     for block in SHOWING_PYTHON[page]:
         few = re.sub(r"samples=[\d_]+", "samples=500", block)
         exec(compile(few, page, "exec"), names)
+
+
+def test_the_readme_shows_the_plan_of_its_command(workspace):
+    shown = re.search(r"total delta-v (\S+) m/s", (PROJECT / "README.md").read_text("utf-8"))
+    assert shown
+    plan = read_solution(workspace.folder / "runs" / "latest")
+    assert plan.total_dv_m_s == pytest.approx(float(shown[1]), abs=5e-6)
 
 
 def test_the_readme_shows_python_and_every_link_leads_somewhere():

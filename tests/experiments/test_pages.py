@@ -115,11 +115,11 @@ def test_a_table_block_is_filled_once(table, shown):
 @pytest.mark.parametrize(
     ("table", "said"),
     [
-        ('where = "kind=none"\ncolumns = "dv"', "plans.plans: got no row"),
-        ('columns = "cost"', "plans.plans: got no column cost; must be one of kind, asked"),
+        ('where = "kind=none"\ncolumns = "dv"', "tables.toml: plans.plans: got no row"),
+        ('columns = "cost"', "plans.plans: got 'cost'; must be one of kind, asked"),
         (
             'of = "less"\ncolumns = "dv"',
-            "plans.less: got no such table; must be one of plans, more",
+            "plans.less: got 'less'; must be one of plans, more",
         ),
     ],
 )
@@ -128,7 +128,7 @@ def test_a_table_of_no_row_is_refused(table, said):
     pages.TABLES.write_text(f"[plans.plans]\n{table}\n", "utf-8")
     with pytest.raises(InputError, match=re.escape(said)):
         pages.table("plans.plans")
-    with pytest.raises(InputError, match=r"plans\.other"):
+    with pytest.raises(InputError, match="other"):
         pages.table("plans.other")
 
 
@@ -146,7 +146,7 @@ def test_a_table_of_no_row_is_refused(table, said):
         ("1 and 2", "plans[exact 0.9].dv", "has 2 figures, the evidence 1"),
         ("0.9", "plans[exact].dv", "plans[exact].dv: got 2 rows"),
         ("0.9", "plans[none].dv", "plans[none].dv: got 0 rows"),
-        ("0.9", "plans[even].cost", "got no column cost"),
+        ("0.9", "plans[even].cost", "must be one of kind, asked"),
         ("0.9", "plans.less[even].dv", "must be one of plans, more"),
         ("0.9", "others[even].dv", "others: got no such evidence"),
         ("0.9", "plans", "must be EVIDENCE[ROW].COLUMN"),
@@ -171,7 +171,7 @@ def test_a_claim_agrees_or_says_why(phrase, values, wrong):
         ("['page.md']\n'0.11' = 'plans[exact 0.9].dv'", "stands 2 times"),
         ("['page.md']\n'one' = 3", "3: got no value"),
         ("['page.md']\n'one' = 'a'\n'one' = 'b'", "claims.toml: got "),
-        ("['pages.md']\n'one' = 'a'", "claims.toml: pages.md: got no such page"),
+        ("['pages.md']\n'one' = 'a'", "claims.toml: got 'pages.md'"),
     ],
 )
 @pytest.mark.usefixtures("rows")
