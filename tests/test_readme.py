@@ -577,7 +577,7 @@ def test_python_that_is_shown_runs(page, workspace, monkeypatch):
 def test_the_readme_shows_the_plan_of_its_command(workspace):
     shown = re.search(r"total delta-v (\S+) m/s", (PROJECT / "README.md").read_text("utf-8"))
     assert shown
-    plan = read_solution(workspace.folder / "runs" / "latest")
+    plan = read_solution(workspace.folder / "runs" / "default")
     assert plan.total_dv_m_s == pytest.approx(float(shown[1]), abs=5e-6)
 
 
