@@ -17,6 +17,20 @@ def test_figures_in_the_text_agree_with_evidence():
     assert list(pages.wrong_claims()) == []
 
 
+FIGURE = re.compile(r"\b\d{1,2}\.\d{4,}\b")
+"""More digits than anybody chooses."""
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_results_in_the_text_have_a_claim(page):
+    text = pages.BLOCK.sub("", PAGES[page])
+    text = re.sub(r"```.*?```|^ {4}.*?$|`[^`]*`", "", text, flags=re.DOTALL | re.MULTILINE)
+    text = " ".join(text.split())
+    for phrase in pages._read(pages.CLAIMS).get(page, ()):
+        text = text.replace(phrase, "")
+    assert FIGURE.findall(text) == []
+
+
 def test_tables_of_the_pages_agree_with_evidence():
     assert [*pages.behind()] == [], "run `python -m experiments evidence --render`"
 
