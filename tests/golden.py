@@ -223,12 +223,12 @@ Figures = dict[str, Any]
 """A run's figures by their places."""
 
 
-def main() -> int:
+def main(arguments: Sequence[str] | None = None) -> int:
     """Compare runs with the record, or renew it; 1 where a figure has moved."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("names", nargs="*", metavar="NAME", help="of a run (default: all)")
     parser.add_argument("--renew", action="store_true", help="measure, write and show what moved")
-    given = parser.parse_args()
+    given = parser.parse_args(arguments)
     if unknown := set(given.names) - set(RUNS):
         parser.error(f"{', '.join(sorted(unknown))}: must be of {', '.join(RUNS)}")
     names = given.names or list(RUNS)

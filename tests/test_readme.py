@@ -512,7 +512,7 @@ def test_modules_options_and_files_that_are_shown_exist(capsys, monkeypatch, pyt
 
 
 def test_targets_that_are_shown_exist_and_do_what_is_said():
-    recipes = dict(re.findall(r"^(\w+):.*\n((?:\t.*\n)*)", MAKEFILE, re.MULTILINE))
+    recipes = dict(re.findall(r"^([\w-]+):.*\n((?:\t.*\n)*)", MAKEFILE, re.MULTILINE))
     for line in (line for line in SHOWN if line.startswith("make ")):
         for target in line.split()[1:]:
             assert target in recipes, f"{SHOWN[line]} shows {line}"
