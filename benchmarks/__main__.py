@@ -27,6 +27,7 @@ from benchmarks import growth
 from benchmarks.methods import METHODS, Timed
 from benchmarks.tables import growth_rows, method_rows, ratio_rows
 from experiments.harness import Findings, Record, Session, Study, option, records, run
+from scp_recon.errors import InputError
 from scp_recon.jobs.job import Job
 
 ROUNDS, REPEATS = 3, 3
@@ -40,8 +41,10 @@ no plan after seven minutes."""
 
 def measure(session: Session) -> Findings:
     """Time every method and the command line; or measure how plans grow."""
-    store = session.store(work="benchmarks.growth")  # which imports the methods
+    store = session.store()
     if session.options.growth:
+        if session.options.quick:
+            raise InputError("--growth", "--quick beside it", "goes alone")
         pairs = [(study.name, method) for study in growth.STUDIES for method in growth.METHODS]
         jobs = [Job(", ".join(pair), pair) for pair in pairs]
         fits = session.rows("growth", grown, jobs, store)
@@ -120,7 +123,7 @@ STUDY = Study(
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit status."""
     words = sys.argv[1:] if arguments is None else arguments
-    return run("python -m benchmarks", STUDY, "benchmarks.methods", words)
+    return run("python -m benchmarks", STUDY, words)
 
 
 if __name__ == "__main__":

@@ -200,7 +200,7 @@ STUDY = Study(
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit status."""
     words = sys.argv[1:] if arguments is None else arguments
-    return run_command("python -m benchmarks.campaign_scale", STUDY, __name__, words)
+    return run_command("python -m benchmarks.campaign_scale", STUDY, words)
 
 
 if __name__ == "__main__":

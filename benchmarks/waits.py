@@ -66,7 +66,7 @@ WRITING = ("solve", "design")
 def measure(session: Session) -> Findings:
     """Time every command."""
     rounds = 1 if session.options.quick else ROUNDS
-    store = session.store(work="benchmarks.waits")
+    store = session.store()
     repeats = [Job(f"{round_} {name}", name) for round_ in range(rounds) for name in WAITS]
     rows = session.rows("waits", lambda name: waited(name, session.out), repeats, store)
     table = records(shortest(rows))
@@ -105,7 +105,7 @@ STUDY = Study(
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit status."""
     words = sys.argv[1:] if arguments is None else arguments
-    return run("python -m benchmarks.waits", STUDY, __name__, words)
+    return run("python -m benchmarks.waits", STUDY, words)
 
 
 if __name__ == "__main__":

@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
+import os
+
 from scp_recon.cli.command import exit_on_sigint
 
 if __name__ == "__main__":
     exit_on_sigint()
+    # NumPy's threads wait for each other in busy loops, which a study would count.
+    os.environ |= {"OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
 
 import importlib
 import sys
 from collections.abc import Sequence
-from pathlib import Path
 
 from rich.console import Console
 
-from experiments.harness import Study, run
-from experiments.renewal import main as renew
+from experiments.harness import Study, module_of, run
 from scp_recon.cli.command import run_command, show_line
 from scp_recon.errors import one_of
 
@@ -56,19 +58,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if name in ("-h", "--help"):
         return run_command(_list_them)
     if name == RENEW:
-        return renew(words[1:])
+        from experiments import renewal  # which imports all studies
+
+        return renewal.main(words[1:])
     if name not in STUDIES:
         return run_command(lambda _: int(one_of("NAME", name, STUDIES)))
     module = importlib.import_module(module_of(name))
     study: Study = module.STUDY
-    return run(f"python -m experiments {name}", study, module.__name__, words[1:])
-
-
-def module_of(name: str) -> str:
-    """Name of a study's module, in whichever folder: the study's own, or `study` in its folder."""
-    root = Path(__file__).parent
-    (found,) = [*root.rglob(f"{name}.py"), *root.rglob(f"{name}/study.py")]
-    return ".".join(("experiments", *found.relative_to(root).with_suffix("").parts))
+    return run(f"python -m experiments {name}", study, words[1:])
 
 
 def _list_them(console: Console) -> int:

@@ -9,11 +9,14 @@ most `ROWS_MAX` rows go into a file of evidence as well.
 from __future__ import annotations
 
 import argparse
+import hashlib
+import json
 import re
 import shlex
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from functools import cache
 from pathlib import Path
 from time import perf_counter
 from typing import Any, NamedTuple, Self
@@ -21,7 +24,7 @@ from typing import Any, NamedTuple, Self
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from experiments.evidence import FILE, Evidence, source_of
+from experiments.evidence import FILE, Evidence
 from scp_recon.api.options import PlanOptions
 from scp_recon.api.planning import plan_mission
 from scp_recon.cli.command import (
@@ -37,7 +40,7 @@ from scp_recon.cli.rendering import terminal
 from scp_recon.errors import InputError
 from scp_recon.files import write_atomically
 from scp_recon.jobs.job import Executor, Job, Key, Work
-from scp_recon.jobs.store import Store, code
+from scp_recon.jobs.store import Store
 from scp_recon.jobs.store import run as run_jobs
 from scp_recon.mission.feedback import require_open_loop
 from scp_recon.mission.mission import Mission
@@ -48,7 +51,7 @@ from scp_recon.results.policy import policy_of
 from scp_recon.results.read import read_solution
 from scp_recon.results.solution import Solution, make_solution
 from scp_recon.results.table import Cell, Column, Table
-from scp_recon.scenario.load import load_scenario
+from scp_recon.scenario.load import base_names, load_scenario, packaged
 
 Record = dict[str, Any]
 """A row of a CSV file by column."""
@@ -132,6 +135,7 @@ class Study:
 
     `options` come besides --out, --json and --quiet. `folder` of `runs` and `stem` of the report are
     the study's name by default.
+    Raise `version` when results change where no sentinel (`experiments.sentinels`) feels it.
     """
 
     heading: str
@@ -140,6 +144,7 @@ class Study:
     options: Sequence[Option] = ()
     folder: str = ""
     stem: str = ""
+    version: int = 1
 
 
 @dataclass
@@ -147,11 +152,10 @@ class Session:
     """One run of a study, which writes into the folder `out`."""
 
     name: str
-    module: str
     options: argparse.Namespace
     out: Path
     console: Console
-    evidence: Evidence | None = None
+    evidence: Evidence
     _stores: list[tuple[Store, bool]] = field(default_factory=list)
     _began: float = field(default_factory=perf_counter)
     _resumed: bool = False
@@ -178,13 +182,17 @@ class Session:
             task = bar.add_task("", total=total)
             yield lambda: bar.advance(task)
 
-    def store(self, file: str = "", work: str = "", **setting: Any) -> Store:
-        """Open the rows of finished work in OUT; rows of other sources or settings are ignored.
+    def store(self, file: str = "", **setting: Any) -> Store:
+        """Open the rows of finished work in OUT.
 
-        The rows are kept in `file`; without one they are deleted when the study has ended, because its
-        tables have them. The sources are those of the module `work`, by default the study's own.
+        Rows of another version of the study, other scenarios or settings are ignored. The rows are kept
+        in `file`; without one they are deleted when the study has ended, because its tables have them.
         """
-        depends_on = {**code(work or self.module, "scp_recon.data"), **setting}
+        depends_on = {
+            "version": self.evidence.version,
+            "scenarios": packaged_entries(),
+            **setting,
+        }
         store = Store(self.out / (file or f"{self.name}_partial.jsonl"), depends_on)
         self._stores.append((store, bool(file)))
         self._resumed = self._resumed or len(store) > 0
@@ -219,9 +227,8 @@ class Session:
 
     def _evidence(self, found: Findings) -> Evidence:
         tables, seconds = tables_of(found, self.name), perf_counter() - self._began
-        begun = self.evidence or Evidence.begun(source_of(self.name, self.module))
         took = round(seconds, 1)
-        return replace(begun, seconds=took, resumed=self._resumed, tables=tables)
+        return replace(self.evidence, seconds=took, resumed=self._resumed, tables=tables)
 
     def end(self, study: Study, found: Findings) -> Answer:
         """Write the findings, and show the claims."""
@@ -244,6 +251,13 @@ class Session:
             "claims": claims_table(found.claims).records(),
         }
         return Answer(found.status, document)
+
+
+@cache
+def packaged_entries() -> str:
+    """SHA-256 of the entries of all packaged scenarios."""
+    entries = {name: packaged(name) for name in base_names()}
+    return hashlib.sha256(json.dumps(entries, sort_keys=True, default=str).encode()).hexdigest()
 
 
 def tables_of(found: Findings, name: str) -> dict[str, list[Record]]:
@@ -291,6 +305,13 @@ def fly_plan(plan: Plan, samples: int, seed: int) -> FlightTally:
     return fly_many(config, samples=samples)
 
 
+def module_of(name: str) -> str:
+    """Name of a study's module, in whichever folder: the study's own, or `study` in its folder."""
+    root = Path(__file__).parent
+    (found,) = [*root.rglob(f"{name}.py"), *root.rglob(f"{name}/study.py")]
+    return ".".join(("experiments", *found.relative_to(root).with_suffix("").parts))
+
+
 def records(rows: Sequence[Record]) -> Table:
     """Rows of a CSV file with a column for each key of any of them."""
     return Table.of_records("", rows)
@@ -318,7 +339,7 @@ def _without_output(words: Sequence[str]) -> Iterator[str]:
             yield word
 
 
-def run(prog: str, study: Study, module: str, arguments: Sequence[str]) -> int:
+def run(prog: str, study: Study, arguments: Sequence[str]) -> int:
     """Run a study's command line, `prog` and arguments, to its exit status."""
     default = Path("runs") / (study.folder or prog.split()[-1])
     p = argparse.ArgumentParser(prog=prog, description=study.about)
@@ -335,8 +356,8 @@ def run(prog: str, study: Study, module: str, arguments: Sequence[str]) -> int:
     command = shlex.join([*prog.split()[2:], *_without_output(arguments)])
 
     def action(console: Console) -> Answer:
-        begun = Evidence.begun(source_of(command, module))
-        session = Session(prog.split()[-1], module, options, options.out, console, begun)
+        begun = Evidence.begun(command, study.version)
+        session = Session(prog.split()[-1], options, options.out, console, begun)
         try:
             with session:
                 return session.end(study, study.run(session))

@@ -151,12 +151,17 @@ def planned(scenario: Scenario, where: Around, one: PassResult, policy: str) -> 
 def run_sample(session: Session) -> Findings:
     """Plan the sampled sites."""
     sites = read_study(STUDIES / "reconnaissance_map.toml")
-    numbers = np.random.default_rng(SEED).choice(len(sites.cases), SAMPLE, replace=False)
-    jobs = [Job(f"site {number}", number) for number in sorted(numbers.tolist())]
+    jobs = [Job(f"site {number}", number) for number in drawn_numbers(sites)]
     rows = session.rows("sites", partial(sampled, sites), jobs, session.store(), line=_line)
     bands = {band: [one for one in rows if latitude(one) == band] for band in BANDS} | {"all": rows}
     sums = [{"of": band, **counted(own)} for band, own in bands.items() if own]
     return Findings([], {"sample.csv": records(rows), "sample_latitudes.csv": records(sums)})
+
+
+def drawn_numbers(sites: Study) -> list[int]:
+    """Numbers of the sample's cases."""
+    drawn = np.random.default_rng(SEED).choice(len(sites.cases), SAMPLE, replace=False)
+    return sorted(int(number) for number in drawn)
 
 
 def counted(rows: list[Record]) -> Record:

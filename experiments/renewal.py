@@ -1,45 +1,60 @@
-"""Renew evidence that is out of date, and the figures of the pages: `python -m experiments evidence`.
+"""Check and renew evidence, and render the pages: `python -m experiments evidence`.
 
-Every study with evidence out of date runs in turn, the shortest first, into runs/evidence/NAME. The
-command first shows how long all of them took the last time. After a stop the same command
-continues: finished studies are up to date, and an unfinished study keeps its finished work.
+The check measures the sentinels of all studies on two processes, and says of each file of evidence
+whether it is current, or what has moved. Without `--check` every study with evidence out of date then
+runs in turn, the shortest first, into runs/evidence/NAME; `--dated` renews timings and counts. After
+a stop the same command continues: finished studies are current, and an unfinished one keeps its work.
 """
 
 from __future__ import annotations
 
 import argparse
+import importlib
+import random
 import shlex
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 
-from experiments import evidence, pages
-from experiments.evidence import FILE, ROOT, Evidence, out_of_date, path_of
+from experiments import pages
+from experiments.evidence import FILE, ROOT, SOURCES, Evidence, path_of
+from experiments.harness import Study, module_of
+from experiments.sentinels import Sentinel, sentinels_of
 from scp_recon.cli.command import parse, run_command, show_line, show_written
 from scp_recon.cli.rendering import terminal
 from scp_recon.errors import InputError
 from scp_recon.files import write_atomically
+from scp_recon.jobs.job import Job
+from scp_recon.jobs.processes import Processes
 from scp_recon.results.table import Column, Table
 
 RUNS = Path("runs") / "evidence"
 OUT_OF_DATE = 1
 """Exit status of --check where anything is."""
+PROCESSES = 2
+AT_LEAST = 1e-4
+"""Tolerance of a row that is drawn: of any kind and method."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit status."""
     p = argparse.ArgumentParser(prog="python -m experiments evidence", description=__doc__)
     p.add_argument("--page", metavar="PAGE", help="only what a page shows, such as README.md")
+    p.add_argument("--random", action="store_true", help="check a random row of each study as well")
     does = p.add_mutually_exclusive_group()
     does.add_argument(
-        "--check", action="store_true", help="measure nothing; status 1 if any is out of date"
+        "--check", action="store_true", help="renew nothing; status 1 if any is out of date"
     )
     does.add_argument(
-        "--render", action="store_true", help="measure nothing; fill the pages' marks"
+        "--dated", action="store_true", help="renew timings and counts, and only these"
+    )
+    does.add_argument(
+        "--render", action="store_true", help="measure nothing; fill the pages' tables"
     )
     options = parse(p, arguments)
 
@@ -48,13 +63,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if options.render:
             _write_pages(console)
             return 0
-        stale = out_of_date(names)
-        console.print(terminal(plan_of(stale)) if stale else "all evidence is up to date")
+        if options.dated:
+            stale = {name: ["dated"] for name in names if SOURCES[name].dated}
+        else:
+            stale = check(names, console, drawn=options.random)
         if options.check:
-            for page in pages.behind():
-                stale[page.name] = "its figures are not the evidence's"
-                show_line(console, f"{page.name}: {stale[page.name]}")
-            return OUT_OF_DATE if stale else 0
+            behind = pages.behind()
+            for page in behind:
+                show_line(console, f"{page.name}: its tables are not the evidence's")
+            return OUT_OF_DATE if stale or behind else 0
+        if stale:
+            console.print(terminal(plan_of(list(stale))))
         failed = []
         for name in sorted(stale, key=seconds_of):
             try:
@@ -73,11 +92,72 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _names(page: str | None) -> list[str]:
     """Evidence of a page, or all."""
     if page is None:
-        return list(evidence.SOURCES)
+        return list(SOURCES)
     found = [path for path in pages.PAGES if path.is_relative_to(ROOT / page)]
     if not found:
         raise InputError("--page", page, "must be README.md or a page of docs, from the project on")
     return pages.used(found[0].read_text("utf-8"))
+
+
+def study_of(name: str) -> Study:
+    """The study that makes some evidence."""
+    study: Study = importlib.import_module(module_of(SOURCES[name].command.split()[1])).STUDY
+    return study
+
+
+def check(names: Sequence[str], console: Console, *, drawn: bool = False) -> dict[str, list[str]]:
+    """What has moved by name of the evidence that is out of date; each is told as a line.
+
+    With `drawn` a row is measured too that is drawn from all rows of the study that stand alone.
+
+    Raises:
+        InputError: if a file of evidence is none.
+    """
+    found: dict[str, list[str]] = {}
+    jobs: dict[str, Job] = {}
+    uses: dict[str, list[tuple[str, Sentinel, float]]] = {}
+    for name in sorted(names, key=seconds_of, reverse=True):  # the slowest sentinels first
+        found[name] = changes(name)
+        if SOURCES[name].dated or found[name]:
+            continue
+        for one in sentinels_of(name):
+            cases = [(case, 0.0) for case in one.cases]
+            if drawn and one.others:
+                cases.append((random.choice(one.others), AT_LEAST))
+            for case, at_least in cases:
+                key = f"{one.of}, {one.work}, {case}"  # those of several studies are measured once
+                jobs.setdefault(key, Job(key, (one.work, case)))
+                uses.setdefault(key, []).append((name, one, at_least))
+    for done in Processes(PROCESSES)(measured, jobs.values()):
+        for name, one, at_least in uses[str(done.key)]:
+            try:
+                found[name] += one.moved(done.result(), at_least)
+            except InputError as error:  # an extra that is missing, or a row that is not there
+                found[name].append(str(error))
+    for name in names:
+        said = "dated" if SOURCES[name].dated else "current"
+        for line in found[name] or [f"{said} ({Evidence.read(path_of(name)).date})"]:
+            show_line(console, f"{name}: {line}")
+    return {name: lines for name, lines in found.items() if lines}
+
+
+def changes(name: str) -> list[str]:
+    """Why evidence is out of date before anything is measured."""
+    try:
+        kept = Evidence.read(path_of(name))
+    except FileNotFoundError:
+        return ["never measured"]
+    if SOURCES[name].dated:
+        return []
+    version, command = study_of(name).version, SOURCES[name].command
+    found = [f"version {kept.version}, now {version}"] if kept.version < version else []
+    return found + ([f"made by {kept.command}"] if kept.command != command else [])
+
+
+def measured(inputs: tuple[Callable[[Any], Any], Any]) -> Any:
+    """Measure a case of a sentinel: the work of a process."""
+    work, case = inputs
+    return work(case)
 
 
 def seconds_of(name: str) -> float:
@@ -88,13 +168,11 @@ def seconds_of(name: str) -> float:
         return float("inf")
 
 
-def plan_of(stale: dict[str, str]) -> Table:
-    """The studies to run, why, and how long they took."""
+def plan_of(stale: Sequence[str]) -> Table:
+    """The studies to run, and how long they took."""
     times = {name: seconds_of(name) / 60.0 for name in sorted(stale, key=seconds_of)}
-    rows = [(name, stale[name], minutes) for name, minutes in times.items()]
-    total = ("together", "", sum(times.values()))
-    columns = ("evidence", "out of date by", Column("the last time", "min", ".1f"))
-    return Table.of("", columns, [*rows, total])
+    columns = ("evidence", Column("the last time", "min", ".1f"))
+    return Table.of("", columns, [*times.items(), ("together", sum(times.values()))])
 
 
 def renew(name: str, console: Console) -> None:
@@ -103,7 +181,7 @@ def renew(name: str, console: Console) -> None:
     Raises:
         InputError: if a command fails.
     """
-    source, out = evidence.SOURCES[name], RUNS / name
+    source, out = SOURCES[name], RUNS / name
     _run(f"{source.command} --out {out}", console)
     found = Evidence.read(out / FILE)
     if found.resumed and path_of(name).exists():

@@ -9,6 +9,7 @@ Needs the extra [spice].
 from __future__ import annotations
 
 from contextlib import chdir
+from pathlib import Path
 from types import ModuleType
 
 import numpy as np
@@ -23,17 +24,21 @@ from scp_recon.physics import geometry
 
 
 def run(session: Session) -> Findings:
-    """Export, load and compare."""
+    """Compare, with kernels in OUT."""
+    return Findings([], {"spice.csv": records(measure(session.out / "kernels"))})
+
+
+def measure(folder: Path) -> list[Record]:
+    """Export to a folder, load and compare: rows."""
     spice = imported("spice", "spice", "spiceypy")
-    files, found = export(plan_or_default(None), "spk", session.out / "kernels")
+    files, found = export(plan_or_default(None), "spk", folder)
     (listed,) = (path for path in files if path.suffix == ".tm")
     with chdir(listed.parent):  # from which it names the others
         spice.furnsh(listed.name)
     try:
-        rows = compared(spice, found)
+        return compared(spice, found)
     finally:
         spice.kclear()
-    return Findings([], {"spice.csv": records(rows)})
 
 
 def compared(spice: ModuleType, found: Export) -> list[Record]:

@@ -45,9 +45,7 @@ def properties(out: Path, seed: int) -> Record:
 def reliability(session: Session) -> list[Record]:
     """A row a figure, with a column for each seed and their sum."""
     jobs = [Job(seed, seed) for seed in SEEDS]
-    found = session.rows(
-        "seeds", lambda seed: properties(session.out, seed), jobs, session.store(work="tests")
-    )
+    found = session.rows("seeds", lambda seed: properties(session.out, seed), jobs, session.store())
     return [
         {"figure": name}
         | {f"seed_{seed}": row[name] for seed, row in zip(SEEDS, found, strict=True)}
@@ -94,7 +92,7 @@ def mutation(session: Session) -> list[Record]:
     def work(module: str) -> Record:
         return tried(module, drawn[module])
 
-    jobs, store = [Job(module, module) for module in drawn], session.store(work="tests")
+    jobs, store = [Job(module, module) for module in drawn], session.store()
     rows = session.rows("modules", work, jobs, store)
     total = {
         key: sum(row[key] for row in rows) for key in rows[0] if key not in ("of", "survivors")

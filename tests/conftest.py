@@ -1,5 +1,4 @@
-"""Hypothesis profiles, chosen by `HYPOTHESIS_PROFILE`; the tests of `make fast`; the counts of
-reliability; what evidence is out of date.
+"""Hypothesis profiles, chosen by `HYPOTHESIS_PROFILE`; the tests of `make fast`; counts of reliability.
 
 `default` draws other examples in every run, `nightly` more of them; `ci` draws the same ones every
 time, so that a change is judged by what it changes.
@@ -110,9 +109,3 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
     if path:
         reliability.write(path, TOTALS)
         terminalreporter.write_line(f"written: {path}")
-    if PROFILE != "mutation" and not terminalreporter.config.getoption("fast"):
-        from experiments import evidence  # which workers need not import
-
-        if stale := ", ".join(evidence.out_of_date()):
-            line = f"evidence out of date: {stale} (`python -m experiments evidence --check`)"
-            terminalreporter.write_line(line)

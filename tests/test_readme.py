@@ -271,6 +271,7 @@ QUICK = {
     COMPARISON: Quick(less=ONE_CELL, nightly=True),
     "python -m experiments compare_solvers --exact": Quick(less=ONE_CELL, nightly=True),
     "python -m experiments nlp_tricks": Quick(nightly=True, less=LAST_TRICK),
+    "python -m experiments evidence --check": LATER,
     "python -m experiments frontier": Quick(less=TWO_KINDS),
     "python -m experiments gallery": Quick(
         less=(("experiments.gallery.BODIES", lambda bodies: {"apophis": bodies["apophis"]}),),

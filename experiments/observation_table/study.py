@@ -2,7 +2,7 @@
 
 Every row's burns are designed and flown many times; solution.json and montecarlo.json are written to
 OUT/<row>/, the table to OUT/observation_table.csv and .md, and the paper's statements about P2 and its
-plan, each tested, to OUT/statements.csv. A second run of the same sources keeps existing results. With
+plan, each tested, to OUT/statements.csv. A second run of the same version keeps existing results. With
 --as-flown FILE there is a row for the real flight, and the warm rows start from it, as the paper's do;
 without it they start from the ballistic arc.
 """
@@ -15,9 +15,7 @@ from time import perf_counter
 
 import numpy as np
 
-from experiments.evidence import ABOVE, DATA
 from experiments.harness import FRESH, Findings, Record, Session, Study, option, records
-from experiments.observation_table import runs
 from experiments.observation_table.rows import (
     COLD,
     FRAME_CAVEAT,
@@ -49,14 +47,13 @@ from experiments.observation_table.statements import (
 )
 from scp_recon.cli.options import int_between
 from scp_recon.files import write_atomically
-from scp_recon.jobs.store import sources
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.estimates import CONFIDENCE
 from scp_recon.results.table import Column, Table, Value
 from scp_recon.scenario.load import load_scenario
 
-STAMP = "sources.sha256"
-"""Beside the rows: hash of what designed and flew them, without which they are not taken up."""
+STAMP = "version.txt"
+"""Beside the rows: version of the study that made them; those of another one are not taken up."""
 SAMPLES, QUICK_SAMPLES = 10_000, 3_000
 ROW_FAILED = 4
 
@@ -342,7 +339,7 @@ def run(session: Session) -> Findings:
     out.mkdir(parents=True, exist_ok=True)
     flown = (kernel, out / "as_flown" / "states.csv") if kernel else None
     others = () if options.quick else variants(mission.scenario)
-    made_by, stamp = sources(runs.__name__, *DATA, without=ABOVE), out / STAMP
+    made_by, stamp = str(session.evidence.version), out / STAMP
     same = stamp.exists() and stamp.read_text("utf-8") == made_by
     write_atomically(stamp, made_by)
     entries = measure(

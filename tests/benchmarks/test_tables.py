@@ -78,6 +78,7 @@ def test_growth_is_measured_alone(tmp_path, monkeypatch):
     assert command.main(["--growth", "--out", str(tmp_path), "--quiet"]) == 0
     found = Evidence.read(tmp_path / FILE)
     assert found.command == "benchmarks --growth"
+    assert command.main(["--growth", "--quick", "--out", str(tmp_path), "--quiet"]) == 2
     assert len(found.tables["growth"]) == len(STUDIES) * len(growth.METHODS)
 
 

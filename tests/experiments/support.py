@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from rich.console import Console
 
+from experiments.evidence import Evidence
 from experiments.harness import Record, Session
 from experiments.observation_table.rows import BENNU_ID, OSIRIS_REX_ID
 from experiments.spacecraft.uncertainty_sources.flights import SETS, STATE, TRANSLATION
@@ -20,9 +21,9 @@ from scp_recon.simulation.vehicle import Vehicle
 SAMPLES = 1500
 
 
-def session_in(out: Path, name: str = "study", module: str = "experiments.harness") -> Session:
+def session_in(out: Path, name: str = "study", version: int = 1) -> Session:
     """A session of a study that writes into a folder, in silence."""
-    return Session(name, module, Namespace(), out, Console(quiet=True))
+    return Session(name, Namespace(), out, Console(quiet=True), Evidence(name, version))
 
 
 QUICK = ("--quick", "--skip-ipopt", "--samples", str(SAMPLES))

@@ -1,53 +1,49 @@
-"""The shell of the studies and what they leave: evidence, the pages that show it, tests counted."""
+"""Evidence: when it is out of date, what a sentinel feels, and renewal."""
 
 import json
-from dataclasses import replace
+import shutil
+import subprocess
+import sys
+from dataclasses import asdict, replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from scipy.special import ndtri
 
-from experiments import evidence, frontier, harness, pages, renewal, testing
-from experiments.__main__ import STUDIES, main, module_of
-from experiments.evidence import (
-    FILE,
-    SOURCES,
-    UNKNOWN,
-    Evidence,
-    Source,
-    out_of_date,
-    path_of,
-)
-from experiments.harness import Findings, Record, Session, Study, plan_or_default, run
-from experiments.spacecraft import battery_cones
+from experiments import evidence, pages, renewal
+from experiments.__main__ import main
+from experiments.evidence import FOLDER, ROOT, SCHEMA, SOURCES, Evidence, Source, path_of
+from experiments.sentinels import cones_rows, near, sentinels_of
 from scp_recon.errors import InputError
-from scp_recon.jobs import store
-from scp_recon.jobs.job import Job
-from scp_recon.results.table import Table
-from scp_recon.scenario.load import load_scenario
-from tests import reliability
+from scp_recon.mission.mission import Mission
+from scp_recon.physics import forces
+from scp_recon.simulation import panels
+from tests.helpers import nightly
 
-from .support import session_in
-
-QUICK = Source("experiments battery_cones --samples 100", (battery_cones.__name__,))
+CONES = "battery_cones"
+TABLE = cones_rows(None)
+WINGS = ("experiments", "formulations", "scp_recon")
 
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch) -> Path:
     """Where evidence goes, of one quick study, and one page."""
     page = tmp_path / "page.md"
-    page.write_text("<!-- table cones.battery_cones -->\n<!-- end -->\n", "utf-8")
+    page.write_text("<!-- table battery_cones.battery_cones -->\n<!-- end -->\n", "utf-8")
     (tmp_path / "tables.toml").write_text(
-        '[cones.battery_cones]\ncolumns = "load_w:.0f"\n', "utf-8"
+        '[battery_cones.battery_cones]\ncolumns = "load_w:.0f"\n', "utf-8"
     )
     monkeypatch.setattr(pages, "TABLES", tmp_path / "tables.toml")
     monkeypatch.setattr(evidence, "FOLDER", tmp_path / "evidence")
-    monkeypatch.setattr(evidence, "SOURCES", {"cones": QUICK})
+    for module in (renewal, pages):
+        monkeypatch.setattr(module, "SOURCES", {CONES: SOURCES[CONES]})
     monkeypatch.setattr(pages, "PAGES", (page,))
     monkeypatch.setattr(renewal, "RUNS", tmp_path / "runs")
+    monkeypatch.setattr(renewal, "ROOT", tmp_path)
     monkeypatch.setattr(renewal, "_run", in_this_process)
     pages._tables.cache_clear()
+    (tmp_path / "evidence").mkdir()
     return tmp_path
 
 
@@ -56,238 +52,204 @@ def in_this_process(command: str, _: object) -> None:
         raise InputError(f"python -m {command}", "exit status 2", "must end with 0")
 
 
-def begun(**changes: Any) -> Evidence:
-    return replace(Evidence.begun(QUICK), tables={"cones": [{"mode": "a"}]}, **changes)
+def kept(**changes: Any) -> Evidence:
+    """Evidence of the quick study as it is today, but for some changes."""
+    found = Evidence(SOURCES[CONES].command, 1, {CONES: TABLE}, seconds=90.0)
+    return replace(found, **changes)
+
+
+def moved() -> list[str]:
+    (sentinel,) = sentinels_of(CONES)
+    return sentinel.moved(TABLE)
+
+
+def test_every_evidence_has_a_command_and_sentinels():
+    assert {path.stem for path in FOLDER.glob("*.json")} == set(SOURCES)
+    for name, source in SOURCES.items():
+        assert Evidence.read(path_of(name)).command == source.command
+        if not source.dated:
+            assert sum(len(one.cases) for one in sentinels_of(name)) in range(1, 6)
+            for one in sentinels_of(name):
+                row = Evidence.read(path_of(one.of)).tables[one.rows.rpartition(".")[2]][0]
+                assert {*one.key.split(", "), *one.within} <= set(row)
 
 
 @pytest.mark.parametrize(
-    ("changed", "counts"),
+    ("old", "new", "within", "same"),
     [
-        ("scp_recon/scp/loop.py", True),  # which it imports by way of `api`
-        ("scp_recon/data/recon_b.toml", True),
-        ("experiments/frontier.py", True),
-        ("scp_recon/api/planning.py", False),
-        ("scp_recon/cli/options.py", False),
-        ("scp_recon/jobs/store.py", False),
-        ("experiments/harness.py", False),
+        (1.0, 1.00009, 1e-4, True),
+        (1.0, 1.0002, 1e-4, False),
+        ("0.140135", 0.1401352, 1e-5, True),
+        (None, float("nan"), 0.0, True),
+        (None, 1.0, 1e-4, False),
+        (1, 2, 0.0, False),
+        ("converged", "stalled", 0.0, False),
     ],
 )
-def test_the_hash_counts_scenarios_and_what_is_below_api(changed, counts, monkeypatch):
-    def digest() -> str:
-        names = (*SOURCES["frontier"].modules, *evidence.DATA)
-        return store.sources.__wrapped__(*names, without=evidence.ABOVE)
-
-    before, read = digest(), store._read
-
-    def edited(root: Path, path: Path, wings: frozenset[str]) -> tuple[bytes, list[Path]]:
-        content, imported = read(root, path, wings)
-        return content + b"\nx = 1" * (path == root / changed), imported
-
-    monkeypatch.setattr(store, "_read", edited)
-    assert (digest() != before) == counts
+def test_a_figure_within_its_tolerance_has_not_moved(old, new, within, same):
+    assert near(old, new, within) == same
 
 
 @pytest.mark.parametrize(
-    ("changes", "why"),
+    ("changes", "said"),
     [
-        ({}, None),
-        ({"sources": UNKNOWN}, "measured before sources were hashed"),
-        ({"sources": "0" * 64}, "sources"),
-        ({"versions": {"clarabel": "0.1"}}, "clarabel 0.1, now "),
-        ({"command": "experiments battery_cones"}, "by experiments battery_cones"),
+        ({"version": 0}, "version 0, now 1"),
+        ({"command": "experiments other"}, "made by experiments other"),
+        ({"versions": {"clarabel": "0.1"}, "commit": "old", "machine": "other"}, None),
+        (
+            {"tables": {CONES: [TABLE[0] | {"half_angle_deg": 22.0}, *TABLE[1:]]}},
+            "was 22.0, is 22.5",
+        ),
     ],
 )
 @pytest.mark.usefixtures("folder")
-def test_what_has_changed_is_told(changes, why):
-    assert out_of_date() == {"cones": "never measured"}
-    path_of("cones").parent.mkdir()
-    found = replace(begun(), **changes)
-    assert Evidence.read(found.write(path_of("cones"))) == found
-    said = out_of_date()
-    assert (why is None) == (said == {})
-    assert why is None or why in said["cones"]
+def test_evidence_is_out_of_date_by_results_alone(changes, said):
+    kept(**changes).write(path_of(CONES))
+    lines = renewal.changes(CONES) or moved()
+    assert (lines == []) == (said is None)
+    assert said is None or said in lines[0]
 
 
-def test_every_command_exists_and_every_file_has_its_command():
-    for source in SOURCES.values():
-        first, *words = source.command.split()
-        if first == "experiments":
-            assert words[0] in STUDIES
-        for module in (*([] if first == "experiments" else [first]), *source.modules):
-            place = evidence.ROOT.joinpath(*module.split("."))
-            assert place.with_suffix(".py").exists() or place.is_dir()
-    assert {path.stem for path in evidence.FOLDER.glob("*.json")} == set(SOURCES)
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("{", r"battery_cones\.json: got no JSON"),
+        ('{"schema": "scp_recon.evidence/1"}', r"battery_cones\.json: schema: "),
+        ('{"schema": "scp_recon.evidence/2"}', r"battery_cones\.json: command: got nothing"),
+        ({"version": "x"}, r"battery_cones\.json: version: got 'x'"),
+        ({"tables": []}, r"battery_cones\.json: tables: "),
+        ({"tables": {"cones": 1}}, r"battery_cones\.json: tables\.cones: got 1"),
+        ({"tables": {"cones": []}}, r"battery_cones\.json: tables: got cones; must have battery"),
+        ({"tables": {CONES: TABLE[1:]}}, r"json: battery_cones\[delta-V, warm-up, False\]: got 0"),
+        ({"tables": {CONES: TABLE * 2}}, r"json: battery_cones\[delta-V, warm-up, False\]: got 2"),
+    ],
+)
+@pytest.mark.usefixtures("folder")
+def test_bad_evidence_names_file_and_entry(text, said):
+    if isinstance(text, dict):
+        text = json.dumps({"schema": SCHEMA, **asdict(kept(**text))})
+    path_of(CONES).write_text(text, "utf-8")
+    with pytest.raises(InputError, match=said) as error:
+        moved()
+    assert "\n" not in str(error.value)
 
 
-def test_a_study_leaves_its_tables_with_their_origin(tmp_path):
-    def study(session: Session) -> Findings:
-        rows: list[Record] = session.rows(
-            "rows", lambda x: {"x": x}, [Job(1, 1.5)], session.store("kept.jsonl")
-        )
-        long = Table.of("long", ("i",), [(i,) for i in range(1000)])
-        return Findings([long], {"rows.csv": Table.of_records("", rows)})
-
-    found = []
-    for _ in range(2):
-        words = ["--out", str(tmp_path), "--quiet"]
-        assert run("python -m experiments some", Study("", "", study), __name__, words) == 0
-        found.append(Evidence.read(tmp_path / evidence.FILE))
-    assert found[0].tables == {"rows": [{"x": 1.5}]}
-    assert [one.resumed for one in found] == [False, True]
-    (tmp_path / "map").mkdir()
-    (tmp_path / "map" / "campaign.json").write_text("{}")
-    words = ["--out", str(tmp_path), "--quiet"]
-    none = Study("", "", lambda _: Findings([], {}))
-    assert run("python -m experiments some", none, __name__, words) == 0
-    assert Evidence.read(tmp_path / evidence.FILE).resumed
-    assert found[0].command == "experiments some"
-    assert found[0].sources == found[1].sources != UNKNOWN
-
-
-def test_what_is_out_of_date_is_renewed_and_only_that(folder, capsys, monkeypatch):
-    monkeypatch.setattr(renewal, "ROOT", folder)
-    path_of("cones").parent.mkdir()
-    old = {"battery_cones": [{"mode": "observation", "load_w": 90, "calibrated": False}]}
-    replace(begun(seconds=90.0, sources="0" * 64), tables=old).write(path_of("cones"))
+def test_only_evidence_out_of_date_is_renewed(folder, capsys):
+    old = {CONES: [row | {"half_angle_deg": 1.0} for row in TABLE]}
+    kept(tables=old).write(path_of(CONES))
     assert main(["evidence", "--check"]) == renewal.OUT_OF_DATE
-    said = capsys.readouterr().out
-    assert "cones     sources" in said
-    assert "page.md: its figures are not the evidence's" in said
+    said = capsys.readouterr().out.replace("\n", " ")
+    assert "battery_cones.json: battery_cones[observation, False].half_angle_deg: was 1.0" in said
+    assert "page.md: its tables are not the evidence's" in said
     assert main(["evidence", "--page", "page.md"]) == 0
     said = capsys.readouterr().out
     assert "1.5" in said.split("python -m ")[0], "it says beforehand how many minutes it will take"
-    found = Evidence.read(path_of("cones"))
-    assert found.seconds < 90.0
-    assert found.tables["battery_cones"][0]["mode"] == "delta-V, warm-up"
+    assert Evidence.read(path_of(CONES)).seconds < 90.0
     assert "| 90 |" in (folder / "page.md").read_text("utf-8")
-    assert main(["evidence", "--check"]) == 0
-    assert main(["evidence"]) == 0
-    assert "up to date" in capsys.readouterr().out
+    assert main(["evidence", "--check", "--random"]) == 0
+    assert "battery_cones: current" in capsys.readouterr().out
 
 
 @pytest.mark.usefixtures("folder")
-def test_a_study_that_fails_is_named_and_does_not_stop_the_others(capsys, monkeypatch):
-    failing = {"none": QUICK._replace(command="experiments none")}
-    monkeypatch.setattr(evidence, "SOURCES", failing | {"cones": QUICK})
+def test_a_failed_study_does_not_stop_the_others(capsys, monkeypatch):
+    sources = {"waits": Source("experiments none", dated=True), CONES: SOURCES[CONES]}
+    monkeypatch.setattr(renewal, "SOURCES", sources)
     assert main(["evidence"]) == 2
-    assert "none: python -m experiments none --out" in capsys.readouterr().out
-    assert out_of_date() == {"none": "never measured"}
+    assert "waits: python -m experiments none --out" in capsys.readouterr().out
+    assert Evidence.read(path_of(CONES)).tables[CONES]
+    assert renewal.changes("waits") == ["never measured"]
 
 
-PACKAGE = Path(frontier.__file__).parent
+EDITED = """
+from experiments.renewal import changes, study_of
+from experiments.sentinels import sentinels_of
+
+(one,) = sentinels_of("battery_cones")
+moved = one.moved(one.work(None))
+print(study_of("battery_cones").heading, changes("battery_cones") + moved)
+"""
 
 
-def test_every_study_is_listed(capsys):
-    having = {path for path in PACKAGE.rglob("*.py") if "\nSTUDY = " in path.read_text("utf-8")}
-    places = {PACKAGE.parent.joinpath(*module_of(name).split(".")) for name in STUDIES}
-    assert {place.with_suffix(".py") for place in places} == having
-    assert main([]) == 0
-    said = capsys.readouterr().out
-    assert all(f"  {name} " in said for name in STUDIES)
-    assert main(["no_such_study"]) == 2
-    assert "battery_cones" in capsys.readouterr().err
+def test_an_edited_message_leaves_evidence_current(tmp_path):
+    for wing in WINGS:
+        shutil.copytree(ROOT / wing, tmp_path / wing)
+    shutil.copytree(FOLDER, tmp_path / "docs" / "evidence")
+    path = tmp_path / "experiments" / "spacecraft" / "battery_cones.py"
+    path.write_text(path.read_text("utf-8").replace('"Battery cones"', '"Edited"'), "utf-8")
+    command = [sys.executable, "-c", EDITED]
+    done = subprocess.run(command, check=True, capture_output=True, text=True, cwd=tmp_path)
+    assert done.stdout == "Edited []\n"
+
+
+MORE = 1.001
+
+
+def plant(what: str, patch: pytest.MonkeyPatch) -> None:
+    """Change the normal quantile, GM or sunlight by 0.1 % in all modules that are loaded."""
+
+    def everywhere(name: str, usual: object, other: object) -> None:
+        for module in list(sys.modules.values()):
+            if module.__name__.startswith(WINGS) and vars(module).get(name) is usual:
+                patch.setattr(module, name, other)
+
+    real_forces, light_m_s, irradiance = (
+        Mission._forces,
+        forces.SPEED_OF_LIGHT_M_S,
+        panels.irradiance,
+    )
+
+    def heavier(mission: Mission, field: Any) -> forces.ForceModel:
+        found = real_forces(mission, field)
+        return replace(found, gm=MORE * found.gm, j2_strength=MORE * found.j2_strength)
+
+    if what == "quantile":
+        everywhere("ndtri", ndtri, lambda p: MORE * ndtri(p))
+    elif what == "GM":
+        patch.setattr(Mission, "_forces", heavier)
+    else:
+        everywhere("SPEED_OF_LIGHT_M_S", light_m_s, light_m_s / MORE)
+        everywhere("irradiance", irradiance, lambda scenario: MORE * irradiance(scenario))
+
+
+MOST = "plans designs sites policies frontier lifted sensitivity accuracy cross_check observation_table"
+FELT = {
+    "quantile": f"{MOST} compare_solvers nlp_tricks uncertainty_sources spice maps",
+    "GM": f"{MOST} compare_solvers nlp_tricks exact_methods peers model_fidelity feedback map_sample",
+    "sunlight": f"{MOST} exact_methods model_fidelity feedback map_sample battery_cones",
+}
+"""Evidence that each planted change makes out of date."""
+
+
+def felt(what: str, names: list[str], monkeypatch: pytest.MonkeyPatch) -> set[str]:
+    """Names of evidence that a planted change makes out of date."""
+    studies = {name: sentinels_of(name) for name in names}
+    plant(what, monkeypatch)
+    rows: dict[str, Any] = {}
+    found = set[str]()
+    for name, sentinels in studies.items():
+        for one in sentinels:
+            for case in one.cases if name not in found else ():
+                if (key := f"{one.work}{case}") not in rows:
+                    rows[key] = one.work(case)
+                found |= {name} if one.moved(rows[key]) else set()
+    return found
 
 
 @pytest.mark.parametrize(
-    "words",
+    ("what", "names"),
     [
-        "battery_cones --samples 1",
-        "observation_table --samples 1",
-        "observation_table --samples x",
-        "timing_rules --slews 2",
-        "uncertainty_sources --paths 19",
+        ("quantile", ["sensitivity", "peers"]),
+        ("GM", ["sensitivity", "battery_cones"]),
+        ("sunlight", ["battery_cones", "lifted"]),
     ],
 )
-def test_a_number_out_of_its_range_exits_with_two(words):
-    with pytest.raises(SystemExit) as stop:
-        main(words.split())
-    assert stop.value.code == 2
+def test_planted_changes_move_quick_studies(what, names, monkeypatch):
+    assert felt(what, names, monkeypatch) == set(names) & set(FELT[what].split())
 
 
-def test_a_study_refuses_a_plan_that_it_would_fly_open_loop(monkeypatch):
-    measured = {"navigation.sigma_position_m": 10.0, "navigation.sigma_velocity_m_s": 5e-4}
-    scenario = load_scenario().replace({"policy.kind": "feedback", **measured})
-    monkeypatch.setattr(harness, "read_solution", lambda _: SimpleNamespace(scenario=scenario))
-    with pytest.raises(InputError, match=r"policy.kind: got 'feedback'; goes with"):
-        plan_or_default(Path("of_one_s_own"))
-
-
-def test_a_study_is_one_document_or_silent(tmp_path, capsys):
-    words = ["battery_cones", "--samples", "100", "--out", str(tmp_path)]
-    assert main([*words, "--json"]) == 0
-    said = capsys.readouterr()
-    document = json.loads(said.out)
-    assert document["folder"] == str(tmp_path)
-    assert [claim["holds"] for claim in document["claims"]] == [False, True, True]
-    assert "written: " in said.err
-    assert main([*words, "--quiet"]) == 0
-    assert capsys.readouterr() == ("", "")
-    assert {str(path) for path in tmp_path.iterdir()} == set(document["files"])
-
-
-def test_what_was_kept_goes_once_the_tables_have_it(tmp_path):
-    with session_in(tmp_path) as session:
-        for file in ("", "stays.jsonl"):
-            session.store(file).put(0, {})
-        session.end(Study("", "", lambda _: Findings([], {})), Findings([], {}))
-    kept = [path.name for path in tmp_path.iterdir() if not path.name.startswith(".")]
-    assert sorted(kept) == ["evidence.json", "stays.jsonl"]
-
-
-def evidence_of(what: str, out: Path) -> dict[str, dict[str, object]]:
-    words = [what, "--out", str(out), "--quiet"]
-    assert run("python -m experiments testing", testing.STUDY, testing.__name__, words) == 0
-    rows = Evidence.read(out / FILE).tables[what]
-    return {str(next(iter(row.values()))): dict(row) for row in rows}
-
-
-@pytest.fixture
-def hashed(monkeypatch) -> None:
-    """The sources of these tests, which take long to read."""
-    for module in (store, evidence):
-        monkeypatch.setattr(module, "sources", lambda *_, **__: "0" * 64)
-
-
-@pytest.mark.usefixtures("hashed")
-def test_counts_of_all_seeds_are_added_and_a_stopped_run_goes_on(tmp_path, monkeypatch):
-    ran: list[int] = []
-
-    def pytest_run(*words: str, profile: str) -> str:
-        assert profile == "nightly"
-        seed = next(int(w.rpartition("=")[2]) for w in words if "seed=" in w)
-        ran.append(seed)
-        if ran == [1, 2]:
-            raise KeyboardInterrupt
-        path = next(Path(w.rpartition("=")[2]) for w in words if "--reliability=" in w)
-        reliability.write(path, reliability.Counter({reliability.SOLVED: 10 * seed}))
-        return ""
-
-    monkeypatch.setattr(testing, "SEEDS", (1, 2))
-    monkeypatch.setattr(testing, "_pytest", pytest_run)
-    with pytest.raises(AssertionError):
-        evidence_of("reliability", tmp_path)
-    row = evidence_of("reliability", tmp_path)[reliability.SOLVED]
-    assert row["seed_2"] == 20
-    assert row["all"] == 30
-    assert ran == [1, 2, 2]
-
-
-@pytest.mark.usefixtures("hashed")
-def test_mutants_are_drawn_tried_and_counted(tmp_path, monkeypatch):
-    ends = {f"formulations.{m}.x__mutmut_{k}": "not checked" for m in "ab" for k in range(30)}
-
-    def mutmut(*words: str) -> str:
-        for name in words[3:] if words[0] == "run" else ():
-            if name in ends:
-                ends[name] = {"0": "survived", "1": "no tests"}.get(name[-1], "killed")
-        return "\n".join(f"    {name}: {end}" for name, end in ends.items())
-
-    monkeypatch.setattr(testing, "_mutmut", mutmut)
-    found = evidence_of("mutation", tmp_path)
-    tried = {end: sum(e == end for e in ends.values()) for end in set(ends.values())}
-    assert found["all"]["mutants"] == 60
-    assert found["all"]["tried"] == 2 * testing.DRAWN == 60 - tried["not checked"]
-    assert found["all"]["found_out"] == tried["killed"]
-    assert found["all"]["share_low"] < found["all"]["share"] < found["all"]["share_high"]  # type: ignore[operator]
-    named = [name for row in found.values() for name in str(row["survivors"] or "").split("; ")]
-    assert sorted(filter(None, named)) == sorted(n for n, e in ends.items() if e == "survived")
+@nightly
+@pytest.mark.parametrize("what", FELT)
+def test_planted_changes_move_half_of_all_studies(what, monkeypatch):
+    studies, names = [of for of in SOURCES.values() if not of.dated], FELT[what].split()
+    assert len(names) >= len(studies) / 2
+    assert felt(what, names, monkeypatch) == set(names)

@@ -82,7 +82,7 @@ class Row:
         reached: probability by the check, at the worst node or of whole flights.
         reached_error: its standard error.
         limit_s: limit of processor time.
-        version: hash of the sources that solved it.
+        version: release of the package that solved it.
     """
 
     key: str

@@ -9,7 +9,7 @@ from argparse import Namespace
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import asdict, replace
-from functools import cache, partial
+from functools import partial
 from importlib.metadata import version as release_of
 from itertools import chain
 from pathlib import Path
@@ -35,12 +35,10 @@ from experiments.solvers.compare_solvers.tables import csv_of, report, shown
 from scp_recon.errors import InputError
 from scp_recon.jobs.job import TIMED_OUT, Done, Job, in_order
 from scp_recon.jobs.processes import Limits, Processes
-from scp_recon.jobs.store import Store, sources
+from scp_recon.jobs.store import Store
 
 DEFAULT_OUT, QUICK_OUT = Path("runs") / "comparison", Path("runs") / "comparison_quick"
 ROWS_FILE = "rows.jsonl"
-WORK = "experiments.solvers.compare_solvers.cell"
-"""The module whose sources rows depend on."""
 FLIGHTS, LIMIT_S, QUICK_LIMIT_S, EXACT_LIMIT_S = 2_000, 30.0, 20.0, 150.0
 CORES = 2
 ASLEEP = 20.0
@@ -51,12 +49,6 @@ Solve = Callable[..., Row]
 
 
 # --- rows -----------------------------------------------------------------------------------------
-
-
-@cache
-def version() -> str:
-    """Version of the package, and hash of the sources that rows depend on."""
-    return f"{release_of('scp_recon')}+{sources(WORK, 'scp_recon.data')[:12]}"
 
 
 def run_cells(
@@ -88,7 +80,7 @@ def run_cells(
                 row = kept(cell)
                 if row is None:
                     row = _row_of(next(solved), cell, limit_s)
-                    row = replace(row, limit_s=limit_s, version=version())
+                    row = replace(row, limit_s=limit_s, version=release_of("scp_recon"))
                 if row.status == FAILED and row.cpu_s >= limit_s:
                     late.setdefault(cell.key, row)
                 row, key = replace(row, key=cell.key), key_of(cell, limit_s)
@@ -136,7 +128,7 @@ def run(session: Session) -> Findings:
         raise InputError(f"--{sizes[0]}", f"--{sizes[1]} beside it", "goes alone")
     if options.quick and options.out == DEFAULT_OUT:
         session.out = QUICK_OUT
-    store = session.store(ROWS_FILE, WORK)
+    store = session.store(ROWS_FILE)
     if options.fresh:
         store.forget()
     cells, rows = design(options), []

@@ -43,7 +43,6 @@ from scp_recon.api.planning import plan_mission
 from scp_recon.errors import InputError
 from scp_recon.impulsive.problem import ImpulsiveProblem
 from scp_recon.jobs.job import Job
-from scp_recon.jobs.store import sources
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.estimates import proportion
 from scp_recon.planning import initial_guess
@@ -258,7 +257,7 @@ def run(session: Session) -> Findings:
         "solves",
         lambda key: solves[key](),
         jobs,
-        session.store(example=sources("examples.halo_transfer")),
+        session.store(),
         line=_line,
     )
     once = [row for row in rows if row.get("seed") is None]

@@ -1,0 +1,350 @@
+"""Sentinels: rows of the studies that are measured again to see whether results have moved.
+
+Each takes some seconds. Tolerances are relative. They are well above what differs between OpenBLAS's
+kernels: 3e-6 of the delta-v of a plan with uniform risk on the paper's polytopes, whose facets follow
+from where P3 stopped, 1e-7 of other plans, 1e-4 of where a simulated spacecraft ends.
+"""
+
+from __future__ import annotations
+
+import math
+from argparse import Namespace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict
+from functools import partial
+from itertools import product
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, NamedTuple
+
+from rich.console import Console
+
+from experiments import cross_check, frontier, gallery, maps, plans, spice
+from experiments.evidence import Evidence, Records, path_of
+from experiments.harness import Record, Session, plan_or_default
+from experiments.in_flight import feedback, policies, sites
+from experiments.model_fidelity import study as model_fidelity
+from experiments.observation_table.rows import rows as observation_rows
+from experiments.observation_table.runs import run_row
+from experiments.observation_table.study import SAMPLES
+from experiments.solvers import accuracy, exact_methods, lifted, nlp_tricks, sensitivity
+from experiments.solvers.compare_solvers.cases import (
+    PROBLEMS,
+    REFERENCE,
+    SHOOTING,
+    TUNED,
+    Cell,
+    Method,
+    exact_design,
+)
+from experiments.solvers.compare_solvers.cell import solve_cell, solve_exact
+from experiments.solvers.peers import study as peers
+from experiments.spacecraft import battery_cones, flown_plan, timing_rules
+from experiments.spacecraft.uncertainty_sources import study as uncertainty_sources
+from scp_recon.api.campaigns import work_of
+from scp_recon.api.flights import simulate
+from scp_recon.campaigns.study import read_study
+from scp_recon.errors import InputError
+from scp_recon.mission.mission import Mission
+from scp_recon.planning import initial_guess
+from scp_recon.scenario.load import load_scenario
+from scp_recon.simulation.panels import SolarArray, irradiance
+from scp_recon.simulation.vehicle import load_vehicle
+
+
+class Sentinel(NamedTuple):
+    """Rows of a study that are measured again to see whether its results have moved.
+
+    Attributes:
+        rows: the table in which they stand, "evidence" or "evidence.table".
+        key: columns whose cells find a row there, with commas between.
+        within: tolerances of the columns that are compared, relative; 0 for equal cells.
+        work: measures a case: a row or several; a function of a module.
+        cases: those that are measured in each check.
+        others: those of which one is drawn where a random row is asked for.
+    """
+
+    rows: str
+    key: str
+    within: Mapping[str, float]
+    work: Callable[[Any], Mapping[str, Any] | Records]
+    cases: Sequence[Any]
+    others: Sequence[Any] = ()
+
+    @property
+    def of(self) -> str:
+        """Name of the evidence."""
+        return self.rows.partition(".")[0]
+
+    def moved(self, measured: Mapping[str, Any] | Records, at_least: float = 0.0) -> list[str]:
+        """A line for each figure of a measured case that has moved.
+
+        `at_least` is a tolerance of the columns that need not be equal.
+
+        Raises:
+            InputError: if the evidence lacks the table, or has not one row of a key.
+            FileNotFoundError: if there is no evidence.
+        """
+        table = self.rows.rpartition(".")[2]
+        name, tables, found = f"{self.of}.json", Evidence.read(path_of(self.of)).tables, []
+        if table not in tables:
+            raise InputError(f"{name}: tables", ", ".join(tables), f"must have {table}")
+        for new in [measured] if isinstance(measured, Mapping) else measured:
+            cells = {column: new[column] for column in self.key.split(", ")}
+            said = f"{name}: {table}[{', '.join(map(str, cells.values()))}]"
+            rows = [row for row in tables[table] if cells.items() <= row.items()]
+            if len(rows) != 1:
+                raise InputError(said, f"{len(rows)} rows", "must be one row")
+            for column, tolerance in self.within.items():
+                within, was = max(tolerance, at_least) if tolerance else 0.0, rows[0].get(column)
+                if not near(was, new[column], within):
+                    allowed = f"within {within:g}" if within else "equal"
+                    found.append(f"{said}.{column}: was {was}, is {new[column]}, not {allowed}")
+        return found
+
+
+def near(old: Any, new: Any, within: float) -> bool:
+    """Whether a cell differs from the old one by at most so much, relative; texts may be numbers."""
+    if new is None or new != new:  # a number that is none is stored as null
+        return old is None
+    if old == new:
+        return True
+    try:
+        return within > 0.0 and math.isclose(float(old), float(new), rel_tol=within)
+    except (TypeError, ValueError):
+        return False
+
+
+# --- rows by themselves -------------------------------------------------------------------------
+
+
+def in_folder(work: Callable[[Path, Any], Any], case: Any) -> Any:
+    """The row of a work that needs a folder, which is not kept."""
+    with TemporaryDirectory() as folder:
+        return work(Path(folder), case)
+
+
+def error_rows(at: tuple[str, float, Sequence[float | None]]) -> list[Record]:
+    """Rows over the measurement's error."""
+    rows: list[Record] = feedback.over_errors(feedback.FLIGHTS, at)["rows"]
+    return rows
+
+
+def sampled_site(place: int) -> Record:
+    """A site of the sample by its place."""
+    study = read_study(maps.STUDIES / "reconnaissance_map.toml")
+    return maps.sampled(study, maps.drawn_numbers(study)[place])
+
+
+def sizes_row(of: str) -> Record:
+    """The summary of the cases of some sizes."""
+    study = read_study(maps.STUDIES / "sizes.toml")
+    cases = [case for case in study.cases if maps.size(dict(case.changes)) == of]
+    rows = [{**case.changes, **work_of(study)(case).values} for case in cases]
+    return {"of": of} | maps.summary(rows)
+
+
+def accuracy_row(case: tuple[str, Method, int]) -> Record:
+    """A run of a method up to an iteration."""
+    return accuracy.run_to({case[0]: accuracy.begin(case[0])}, case)
+
+
+def exact_cell(seed: int) -> Cell:
+    """The planner's cell of a scenario of exact risk."""
+    return next(cell for cell in exact_design(range(seed, seed + 1)) if cell.method == REFERENCE)
+
+
+def exact_methods_row(seed: int) -> Record:
+    """The planner's row of a scenario."""
+    return asdict(exact_methods.solve(exact_cell(seed), 0))
+
+
+def method_row(method: Method) -> Record:
+    """A row of the table of methods."""
+    row = solve_cell(Cell("matrix", "recon_b", (), method, "cold"), flights=0)
+    names = {"problem": row.scenario, "start": row.start, "method": row.method}
+    return names | {"status": row.status, "delta_v_m_s": row.total_dv_m_s}
+
+
+def exact_row(seed: int) -> Record:
+    """The planner's cells of a row of the table of exact risk."""
+    row = solve_exact(exact_cell(seed), flights=0)
+    return {"scenario": row.scenario, "planner_m_s": row.total_dv_m_s}
+
+
+def trick_row(name: str) -> Record:
+    """A variant of the nonlinear program."""
+    return nlp_tricks.measuring(default_mission(), nlp_tricks.tricks())(name)
+
+
+def peers_row(problem: str) -> Record:
+    """The planner's row of a problem."""
+    if problem == peers.HALO:
+        return peers.Halo().row(peers.OURS[0])
+    mission = default_mission()
+    return peers.p3_row(mission, initial_guess.ballistic(mission), "scvx", "CLARABEL")
+
+
+def spice_rows(folder: Path, _: None) -> list[Record]:
+    """Differences of position and velocity; the others are rounding."""
+    return spice.measure(folder)[:2]
+
+
+def left_out_rows(_: None) -> list[Record]:
+    """The forces that the planner leaves out; the other differences are rounding."""
+    return [row for row in cross_check.compare(plan_or_default(None)) if row["why"]]
+
+
+def observation_row(folder: Path, key: str) -> Record:
+    """A row of the table of observation times."""
+    (row,) = (one for one in observation_rows(ipopt=False) if one.key == key)
+    return run_row(row, default_mission(), folder, samples=SAMPLES, check=True)[0]
+
+
+def fidelity_rows(folder: Path, _: None) -> list[Record]:
+    """The ballistic arc by models that matter."""
+    case = model_fidelity.flights(default_mission(), load_vehicle(), None)[0]
+    console, begun = Console(quiet=True), Evidence("", 0)
+    with Session("", Namespace(), folder, console, begun) as session:
+        rows = model_fidelity.table(model_fidelity.compare(case, session, session.store()))
+    return [row for row in rows if row["terminal_m"] > 0.1]
+
+
+def cones_rows(_: None) -> list[Record]:
+    """The cones of the packaged vehicle."""
+    scenario, vehicle = load_scenario(), load_vehicle()
+    panels, shadow_m = (
+        SolarArray.of(vehicle, irradiance(scenario)),
+        scenario.body.reference_radius_m,
+    )
+    samples = battery_cones.sample(panels, battery_cones.SAMPLES, 0, shadow_m)
+    loads = battery_cones.mode_loads(vehicle, scenario)
+    return battery_cones.find_cones(panels, samples, loads, vehicle.loads.housekeeping_w)
+
+
+def slew_row(index: int) -> Record:
+    """A half turn of the packaged vehicle."""
+    return timing_rules.measure_slew(default_mission(), load_vehicle(), 0, index)
+
+
+def recharge_row(_: None) -> Record:
+    """The recharge of the packaged vehicle beside its rule."""
+    mission, vehicle = default_mission(), load_vehicle()
+    recharge_s = timing_rules.measure_recharge(mission, vehicle, 0)
+    no_slew = dict.fromkeys(timing_rules.SETTLED.values(), 0.0)
+    return timing_rules.rules(mission, vehicle, [no_slew], (recharge_s, recharge_s))[2]
+
+
+def flight_row(seed: int) -> Record:
+    """A flight of the default plan by the whole spacecraft."""
+    return flown_plan.row(simulate(plan_or_default(None), seed=seed))
+
+
+def path_rows(_: None) -> list[Record]:
+    """Sources of uncertainty that act on the path of the default plan."""
+    vehicle, own = load_vehicle(), uncertainty_sources
+    found = own.measure_paths(plan_or_default(None), vehicle, own.PATHS, 0)
+    return [own.row(entry, vehicle.errors) for entry in found.values()]
+
+
+def default_mission() -> Mission:
+    """The default scenario's."""
+    return Mission.from_scenario(load_scenario())
+
+
+# --- the table ----------------------------------------------------------------------------------
+
+EQUAL, FLOWN = 0.0, 1e-3
+"""Tolerances of statuses and sizes; and of shares of flights, a few of ten thousand."""
+FACETS, OTHER = {"status": EQUAL, "total_dv_m_s": 1e-4}, {"status": EQUAL, "total_dv_m_s": 1e-6}
+"""Of plans on the paper's polytopes, and of others."""
+SIZES = {"variables": EQUAL, "rows": EQUAL, "nonzeros": EQUAL}
+DEFAULT = "penalty weight", 1.0
+FEEDBACK = product((feedback.OPEN, feedback.CORRECTED, feedback.LATE), feedback.PROBABILITIES)
+
+OWN = (
+    Sentinel("plans", "plan", FACETS | {"whole_flight": FLOWN, "observed_mean_s": 1e-4},
+        plans.measure, ["default"], list(plans.PLANS)),
+    Sentinel("plans", "plan", OTHER, plans.measure, ["certified 0.9"]),
+    Sentinel("designs", "design", {"status": EQUAL, "total_dv_m_s": 5e-6},
+        plans.measure_design, ["whole flights 0.9"], list(plans.DESIGNS)),
+    Sentinel("gallery", "body", {"total_dv_m_s": 1e-4, "flown": FLOWN, "window_s": 1e-6},
+        partial(in_folder, gallery.measure), ["didymos"], list(gallery.BODIES)),
+    Sentinel("frontier", "kind, asked", OTHER | {"whole_flight": FLOWN},
+        partial(frontier.measure, frontier.FLIGHTS),
+        [("exact, whole flights", 0.7), ("uniform, tangent spheres", 0.9)],
+        list(product(frontier.KINDS, frontier.PROBABILITIES))),
+    Sentinel("feedback.feedback_errors", "scope, scale, asked",
+        OTHER | {"dv99_m_s": 1e-6, "whole_flight": FLOWN},
+        error_rows, [("flight", 0.9, feedback.ERRORS[:3])]),
+    Sentinel("feedback", "kind, asked", FACETS | {"dv99_m_s": 1e-4},
+        partial(feedback.measure, feedback.FLIGHTS), [], [feedback.Case(*of) for of in FEEDBACK]),
+    Sentinel("policies", "policy, asked, scale",
+        {"status": EQUAL, "mean_dv_m_s": 1e-6, "dv99_m_s": 1e-6, "whole_flight": FLOWN},
+        partial(policies.measure, max(policies.FLIGHTS.values())),
+        [policies.Case("open", 0.7), policies.Case("feedback", 0.7)], policies.CASES),
+    Sentinel("sites.passes", "site", {"total_dv_m_s": 1e-6},
+        partial(in_folder, sites.raised), [], sites.SITES),  # each takes four minutes
+    Sentinel("compare_solvers.methods", "problem, start, method",
+        {"status": EQUAL, "delta_v_m_s": 2e-5}, method_row, [REFERENCE, TUNED, SHOOTING]),
+    Sentinel("compare_solvers.exact", "scenario", {"planner_m_s": 2e-5}, exact_row, [0, 3]),
+    Sentinel("exact_methods", "key", OTHER | {"reached": FLOWN},
+        exact_methods_row, [0, 3], exact_methods.SCENARIOS),
+    Sentinel("nlp_tricks", "trick",
+        {"status": EQUAL, "delta-v m/s": 2e-5, "unknowns": EQUAL, "rows": EQUAL},
+        trick_row, ["+ derivatives arc by arc = tuned", "single shooting, exact Hessians"]),
+    Sentinel("peers.methods", "problem, method", {"status": EQUAL, "cost": 1e-5},
+        peers_row, [peers.HALO, peers.P3]),
+    Sentinel("spice", "what", {"off": 1e-4}, partial(in_folder, spice_rows), [None]),
+    Sentinel("cross_check", "tool, forces", {"position_m": 1e-4}, left_out_rows, [None]),
+    Sentinel("accuracy", "problem, method, iterations", {"ended": EQUAL, "merit_m_s": 1e-4},
+        accuracy_row, [("recon_b", REFERENCE, 2)]),
+    Sentinel("accuracy", "problem, method, iterations", {"ended": EQUAL, "merit_m_s": 1e-6},
+        accuracy_row, [("nightingale", REFERENCE, 7)],
+        list(product(PROBLEMS, accuracy.METHODS, [1, 2]))),
+    Sentinel("lifted", "risk, form", SIZES | {"total_dv_m_s": 1e-6},
+        lifted.measure, [("exact, nodes", "condensed"), ("exact, flight", "condensed")],
+        list(product(lifted.CASES, lifted.FORMS))),
+    Sentinel("lifted", "risk, form", SIZES | {"total_dv_m_s": 1e-4},
+        lifted.measure, [("uniform", "condensed")]),
+    Sentinel("sensitivity", "problem, algorithm, factor, multiple", FACETS,
+        sensitivity.measure, [("recon_b", "scvx", *DEFAULT)]),
+    Sentinel("sensitivity", "problem, algorithm, factor, multiple", OTHER,
+        sensitivity.measure, [("nightingale", "scvx", *DEFAULT), ("replan", "scvx", *DEFAULT)],
+        list(product(PROBLEMS, sensitivity.VARIED, sensitivity.FACTORS, sensitivity.MULTIPLES))),
+    Sentinel("observation_table", "row", FACETS | {"mean_s": 1e-4, "closest_0_3_percent_m": 1e-3},
+        partial(in_folder, observation_row), ["scp_cold"],
+        [row.key for row in observation_rows(ipopt=False)]),
+    Sentinel("observation_table", "row", OTHER, partial(in_folder, observation_row), ["p3"]),
+    Sentinel("model_fidelity", "flight, effect, model", {"passes": EQUAL, "terminal_m": 1e-4},
+        partial(in_folder, fidelity_rows), [None]),
+    Sentinel("battery_cones", "mode, calibrated",
+        {"half_angle_deg": 1e-6, "sampled_fraction": 1e-9}, cones_rows, [None]),
+    Sentinel("timing_rules.timing_rules_slews", "axis_x, axis_y, axis_z",
+        {"settled_0.25_deg_s": EQUAL, "steady_rms_deg": 1e-4},
+        slew_row, [1], range(timing_rules.SLEWS)),
+    Sentinel("timing_rules", "name, how", {"measured_s": 1e-4}, recharge_row, [None]),
+    Sentinel("uncertainty_sources", "source",
+        {"flights": EQUAL, "rms_m": 1e-5, "mean_off_plan_m": 1e-3}, path_rows, [None]),
+    Sentinel("flown_plan", "seed",
+        {"settled_in_time": EQUAL, "camera_max_deg": 1e-3, "terminal_miss_m": 1e-3},
+        flight_row, [0], range(flown_plan.SEEDS)),
+    Sentinel("maps.sizes", "of",
+        {"cases": EQUAL, "feasible": EQUAL, "dv_m_s_min": 1e-6, "probability_min": FLOWN},
+        sizes_row, ["0.05 500"]),
+    Sentinel("map_sample.sample", "site.name",
+        {"open": EQUAL, "total_dv_m_s": 1e-6, "whole_flight": 2 * FLOWN},
+        sampled_site, [9, 10], range(maps.SAMPLE)),
+)  # fmt: skip
+ALSO = {
+    "sites": ("designs", "policies"),
+    "uncertainty_sources": ("flown_plan",),
+    "flown_default": ("flown_plan", "policies"),
+    "flown_kingfisher": ("flown_plan", "policies"),
+}
+"""Studies whose rows take minutes, and those whose sentinels feel the same."""
+
+
+def sentinels_of(name: str) -> list[Sentinel]:
+    """The sentinels of some evidence."""
+    return [one for one in OWN if one.of in (name, *ALSO.get(name, ()))]

@@ -1,0 +1,189 @@
+"""The shell of the studies: options, finished work, what is written; tests counted."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from experiments import frontier, harness, testing
+from experiments.__main__ import STUDIES, main
+from experiments.evidence import FILE, Evidence
+from experiments.harness import Findings, Record, Session, Study, module_of, plan_or_default, run
+from scp_recon.errors import InputError
+from scp_recon.jobs.job import Job
+from scp_recon.results.table import Table
+from scp_recon.scenario.load import load_scenario
+from tests import reliability
+
+from .support import session_in
+
+
+def test_a_study_leaves_tables_and_origin(tmp_path):
+    def study(session: Session) -> Findings:
+        rows: list[Record] = session.rows(
+            "rows", lambda x: {"x": x}, [Job(1, 1.5)], session.store("kept.jsonl")
+        )
+        long = Table.of("long", ("i",), [(i,) for i in range(1000)])
+        return Findings([long], {"rows.csv": Table.of_records("", rows)})
+
+    found = []
+    for _ in range(2):
+        words = ["--out", str(tmp_path), "--quiet"]
+        assert run("python -m experiments some", Study("", "", study), words) == 0
+        found.append(Evidence.read(tmp_path / FILE))
+    assert found[0].tables == {"rows": [{"x": 1.5}]}
+    assert [one.resumed for one in found] == [False, True]
+    (tmp_path / "map").mkdir()
+    (tmp_path / "map" / "campaign.json").write_text("{}")
+    words = ["--out", str(tmp_path), "--quiet"]
+    none = Study("", "", lambda _: Findings([], {}))
+    assert run("python -m experiments some", none, words) == 0
+    assert Evidence.read(tmp_path / FILE).resumed
+    assert found[0].command == "experiments some"
+
+
+def test_finished_rows_depend_on_version_and_settings(tmp_path):
+    def count(version: int, flights: int) -> int:
+        with session_in(tmp_path, version=version) as session:
+            store = session.store("kept.jsonl", flights=flights)
+            return len(store) or store.put(0, {}) or 0
+
+    assert [count(1, 10), count(1, 10), count(2, 10), count(2, 20)] == [0, 1, 0, 0]
+
+
+PACKAGE = Path(frontier.__file__).parent
+
+
+def test_every_study_is_listed(capsys):
+    having = {path for path in PACKAGE.rglob("*.py") if "\nSTUDY = " in path.read_text("utf-8")}
+    places = {PACKAGE.parent.joinpath(*module_of(name).split(".")) for name in STUDIES}
+    assert {place.with_suffix(".py") for place in places} == having
+    assert main([]) == 0
+    said = capsys.readouterr().out
+    assert all(f"  {name} " in said for name in STUDIES)
+    assert main(["no_such_study"]) == 2
+    assert "battery_cones" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "battery_cones --samples 1",
+        "observation_table --samples 1",
+        "observation_table --samples x",
+        "timing_rules --slews 2",
+        "uncertainty_sources --paths 19",
+    ],
+)
+def test_a_number_out_of_its_range_exits_with_two(words):
+    with pytest.raises(SystemExit) as stop:
+        main(words.split())
+    assert stop.value.code == 2
+
+
+def test_a_study_refuses_a_plan_that_it_would_fly_open_loop(monkeypatch):
+    measured = {"navigation.sigma_position_m": 10.0, "navigation.sigma_velocity_m_s": 5e-4}
+    scenario = load_scenario().replace({"policy.kind": "feedback", **measured})
+    monkeypatch.setattr(harness, "read_solution", lambda _: SimpleNamespace(scenario=scenario))
+    with pytest.raises(InputError, match=r"policy.kind: got 'feedback'; goes with"):
+        plan_or_default(Path("of_one_s_own"))
+
+
+def test_a_study_is_one_document_or_silent(tmp_path, capsys):
+    words = ["battery_cones", "--samples", "100", "--out", str(tmp_path)]
+    assert main([*words, "--json"]) == 0
+    said = capsys.readouterr()
+    document = json.loads(said.out)
+    assert document["folder"] == str(tmp_path)
+    assert [claim["holds"] for claim in document["claims"]] == [False, True, True]
+    assert "written: " in said.err
+    assert main([*words, "--quiet"]) == 0
+    assert capsys.readouterr() == ("", "")
+    assert {str(path) for path in tmp_path.iterdir()} == set(document["files"])
+
+
+def test_rows_go_once_the_tables_have_it(tmp_path):
+    with session_in(tmp_path) as session:
+        for file in ("", "stays.jsonl"):
+            session.store(file).put(0, {})
+        session.end(Study("", "", lambda _: Findings([], {})), Findings([], {}))
+    kept = [path.name for path in tmp_path.iterdir() if not path.name.startswith(".")]
+    assert sorted(kept) == ["evidence.json", "stays.jsonl"]
+
+
+def test_what_was_kept_goes_once_the_tables_have_it(tmp_path):
+    with session_in(tmp_path) as session:
+        for file in ("", "stays.jsonl"):
+            session.store(file).put(0, {})
+        session.end(Study("", "", lambda _: Findings([], {})), Findings([], {}))
+    kept = [path.name for path in tmp_path.iterdir() if not path.name.startswith(".")]
+    assert sorted(kept) == ["evidence.json", "stays.jsonl"]
+
+
+def evidence_of(what: str, out: Path) -> dict[str, dict[str, object]]:
+    words = [what, "--out", str(out), "--quiet"]
+    assert run("python -m experiments testing", testing.STUDY, words) == 0
+    rows = Evidence.read(out / FILE).tables[what]
+    return {str(next(iter(row.values()))): dict(row) for row in rows}
+
+
+def test_counts_of_all_seeds_are_added_and_a_stopped_run_goes_on(tmp_path, monkeypatch):
+    ran: list[int] = []
+
+    def pytest_run(*words: str, profile: str) -> str:
+        assert profile == "nightly"
+        seed = next(int(w.rpartition("=")[2]) for w in words if "seed=" in w)
+        ran.append(seed)
+        if ran == [1, 2]:
+            raise KeyboardInterrupt
+        path = next(Path(w.rpartition("=")[2]) for w in words if "--reliability=" in w)
+        reliability.write(path, reliability.Counter({reliability.SOLVED: 10 * seed}))
+        return ""
+
+    monkeypatch.setattr(testing, "SEEDS", (1, 2))
+    monkeypatch.setattr(testing, "_pytest", pytest_run)
+    with pytest.raises(AssertionError):
+        evidence_of("reliability", tmp_path)
+    row = evidence_of("reliability", tmp_path)[reliability.SOLVED]
+    assert row["seed_2"] == 20
+    assert row["all"] == 30
+    assert ran == [1, 2, 2]
+
+
+def test_mutants_are_drawn_tried_and_counted(tmp_path, monkeypatch):
+    ends = {f"formulations.{m}.x__mutmut_{k}": "not checked" for m in "ab" for k in range(30)}
+
+    def mutmut(*words: str) -> str:
+        for name in words[3:] if words[0] == "run" else ():
+            if name in ends:
+                ends[name] = {"0": "survived", "1": "no tests"}.get(name[-1], "killed")
+        return "\n".join(f"    {name}: {end}" for name, end in ends.items())
+
+    monkeypatch.setattr(testing, "_mutmut", mutmut)
+    found = evidence_of("mutation", tmp_path)
+    tried = {end: sum(e == end for e in ends.values()) for end in set(ends.values())}
+    assert found["all"]["mutants"] == 60
+    assert found["all"]["tried"] == 2 * testing.DRAWN == 60 - tried["not checked"]
+    assert found["all"]["found_out"] == tried["killed"]
+    assert found["all"]["share_low"] < found["all"]["share"] < found["all"]["share_high"]  # type: ignore[operator]
+    named = [name for row in found.values() for name in str(row["survivors"] or "").split("; ")]
+    assert sorted(filter(None, named)) == sorted(n for n, e in ends.items() if e == "survived")
+
+
+THREADS = """
+import os, runpy, sys
+try:
+    runpy.run_module("experiments", run_name="__main__")
+except SystemExit:
+    print(os.environ["OPENBLAS_NUM_THREADS"])
+"""
+
+
+def test_a_study_runs_numpy_on_one_thread():
+    done = subprocess.run(
+        [sys.executable, "-c", THREADS], check=True, capture_output=True, text=True
+    )
+    assert done.stdout.endswith("\n1\n")
