@@ -20,12 +20,12 @@ from scp_recon.campaigns.results import (
     open_rows,
     write_results,
 )
-from scp_recon.campaigns.study import WORK, Study
+from scp_recon.campaigns.study import VERSION, Study
 from scp_recon.errors import InputError, option
 from scp_recon.files import check_writable, only_run_in, unwritable, write_atomically
 from scp_recon.jobs.job import Done, Executor, Job, Key, here
 from scp_recon.jobs.processes import Limits, Processes
-from scp_recon.jobs.store import Row, code, run
+from scp_recon.jobs.store import Row, run, versions
 
 SCHEMA, FILE_NAME = "scp_recon.campaign/1", "campaign.json"
 EARLIER = "rows"
@@ -117,7 +117,8 @@ def _take(folder: Path, study: Study) -> None:
         "hash": study.hash,
         "cases": len(study.cases),
         "entries": list(study.entries),
-        **code(WORK, "scp_recon.data"),
+        "version": VERSION,
+        "versions": versions(),
         "study": study.tables,
         "base": study.base.model_dump(mode="json", exclude_none=True),
     }
@@ -145,17 +146,7 @@ def _take(folder: Path, study: Study) -> None:
     if (folder / EARLIER).exists():
         raise refused(f"with {EARLIER}/, which an earlier version began and did not finish")
     if found.get("hash") != identity["hash"]:
-        same = f", or of the same study{_differing(found, identity)}"
+        same = ", or of the same study and files that it names"
+        if found.get("version") != VERSION:
+            same += f", and version {VERSION} of the work, not {found.get('version')}"
         raise refused("which holds another campaign", same)
-
-
-def _differing(found: Mapping[str, Any], identity: Mapping[str, Any]) -> str:
-    """Describe how the code differs from the one that made the rows."""
-    old, new = found.get("versions", {}), identity.get("versions", {})
-    names = [
-        f"{name} ({old.get(name)}, now {new[name]})" for name in new if old.get(name) != new[name]
-    ]
-    if found.get("sources") != identity["sources"]:
-        names.append("source files of this program")
-    listed = f", and code: {', '.join(names)}" if names else ""
-    return f" and files that it names{listed}"

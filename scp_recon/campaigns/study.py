@@ -20,15 +20,14 @@ from scp_recon.campaigns.checks import check_axes, check_count, check_do, ineffe
 from scp_recon.campaigns.results import kind_of
 from scp_recon.errors import InputError, shortened
 from scp_recon.files import read_text
-from scp_recon.jobs.store import code
 from scp_recon.scenario.fields import Section
 from scp_recon.scenario.load import base_names, load_scenario
 from scp_recon.scenario.messages import input_error
 from scp_recon.scenario.schema import Scenario
 
 BYTES_MAX = 50_000_000
-WORK = "scp_recon.api.campaigns"
-"""Module that does the cases: rows depend on it, and on all that it imports."""
+VERSION = 1
+"""Version of what is done with a case: raise it when results of the same study change."""
 ASK_FROM = 100_000
 """Number of cases above which a caller has to pass `yes`."""
 
@@ -119,13 +118,13 @@ class Study:
 
     @cached_property
     def hash(self) -> str:
-        """SHA-256 of everything that the rows depend on: base, axes, limits, named files, code."""
+        """SHA-256 of everything that the rows depend on: base, axes, limits, named files, `VERSION`."""
         parts = {
             "campaign": self.campaign.model_dump(mode="json", exclude={"base", "overrides"}),
             "base": self.base.model_dump(mode="json"),
             "axes": self.axes,
             "files": dict(_digests(self)),
-            **code(WORK, "scp_recon.data"),
+            "version": VERSION,
         }
         text = json.dumps(parts, sort_keys=True, default=str)
         return hashlib.sha256(text.encode()).hexdigest()

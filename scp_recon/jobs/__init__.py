@@ -5,10 +5,10 @@ A *job* is a key and its inputs; the *work* is a function of the inputs that pic
 
     from scp_recon.jobs.job import Job, here, in_order
     from scp_recon.jobs.processes import Limits, Processes
-    from scp_recon.jobs.store import Store, code, run
+    from scp_recon.jobs.store import Store, run
 
     jobs = [Job("cold", 0.9), Job("warm", 0.8)]
-    with Store(out / "study.jsonl", {**code(__name__), "seed": 1}) as store:
+    with Store(out / "study.jsonl", {"version": 1, "seed": 1}) as store:
         run(work, jobs, store, Processes(2, Limits(seconds=600.0)))   # those that have no row yet
         rows = [store[job.key] for job in jobs]
 

@@ -7,14 +7,11 @@ after a power cut. An incomplete last line is removed, and its job is done again
 
 from __future__ import annotations
 
-import ast
-import hashlib
 import json
 import os
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, closing, suppress
-from functools import cache
 from pathlib import Path
 from time import monotonic
 from types import TracebackType
@@ -29,7 +26,6 @@ SYNC_S = 1.0
 """Seconds of work that a power cut may cost; what the process alone loses is nothing."""
 PACKAGES = ("scp_recon", "numpy", "scipy", "cvxpy", "clarabel")
 """Packages on whose versions the last bits of a result depend."""
-WINGS = frozenset({"formulations", "scp_recon"})
 
 Values = Mapping[str, Any]
 
@@ -47,9 +43,9 @@ class Row(NamedTuple):
 class Store:
     """Rows by key in a file, which one process at a time may open; its folder is created.
 
-    `depends_on`, as JSON, is all that the rows depend on besides their jobs: scenario, options,
-    `code(...)`. Rows of a file that depends on anything else are ignored. Messages call the folder
-    `entry`.
+    `depends_on`, as JSON, is all that the rows depend on besides their jobs: entries of scenarios,
+    options, and a version of the work, which is raised by hand when results change. Rows of a file
+    that depends on anything else are ignored. Messages call the folder `entry`.
 
     Raises:
         InputError: if another process has it open, or the folder cannot be written.
@@ -257,85 +253,3 @@ def _line(key: Key, values: Values) -> bytes:
 def versions() -> dict[str, str]:
     """Versions by name of the packages on which the last bits of a result depend."""
     return {name: version_of(name) for name in PACKAGES}
-
-
-def code(*names: str) -> dict[str, Any]:
-    """Versions of packages and hash of modules' sources (see `sources`), for `Store.depends_on`."""
-    return {"versions": versions(), "sources": sources(*names)}
-
-
-@cache
-def sources(*names: str, without: tuple[str, ...] = ()) -> str:
-    """Hash the source of modules and of all that they import of this project; hexadecimal.
-
-    Lines of comments and docstrings do not count: other words change no result.
-
-    Args:
-        names: of modules (`__name__`), of packages for all their files, or of folders with data
-            (`scp_recon.data`).
-        without: modules and packages whose own source does not count; what they import does.
-    """
-    root, digest = Path(__file__).parents[2], hashlib.sha256()
-    wings = WINGS | {name.partition(".")[0] for name in names}
-    known: dict[Path, bytes] = {}
-    left = [path for name in names for path in _files(root, name)]
-    while left:
-        path = left.pop()
-        if path not in known:
-            known[path], imported = _read(root, path, wings)
-            left += imported
-    left_out = {path for name in without for path in _files(root, name)}
-    for path in sorted(known.keys() - left_out):
-        digest.update(path.relative_to(root).as_posix().encode() + known[path])
-    return digest.hexdigest()
-
-
-def _files(root: Path, name: str) -> list[Path]:
-    """The file of a module, or the files of a folder."""
-    path = root.joinpath(*name.split("."))
-    if path.is_dir():
-        return [file for file in path.rglob("*") if file.is_file() and file.suffix != ".pyc"]
-    return [path.with_suffix(".py")]
-
-
-@cache
-def _read(root: Path, path: Path, wings: frozenset[str]) -> tuple[bytes, list[Path]]:
-    """The source of a file without prose, and the files of imported modules and their packages."""
-    content = path.read_bytes()
-    if path.suffix != ".py":
-        return content, []
-    nodes = list(ast.walk(ast.parse(content)))
-    return _without_prose(content, nodes), _imported(root, nodes, wings)
-
-
-def _without_prose(content: bytes, nodes: Iterable[ast.AST]) -> bytes:
-    """A module's lines except blank ones and those of comments and of strings that are statements."""
-    strings = {n for n in nodes if isinstance(n, ast.Constant) and isinstance(n.value, str)}
-    prose = strings & {node.value for node in nodes if isinstance(node, ast.Expr)}
-    left_out, quoted = (
-        {line for n in found for line in range(n.lineno, (n.end_lineno or n.lineno) + 1)}
-        for found in (prose, strings - prose)
-    )
-    return b"\n".join(
-        line
-        for number, line in enumerate(content.splitlines(), 1)
-        if number in quoted
-        or (number not in left_out and line.strip() and not line.lstrip().startswith(b"#"))
-    )
-
-
-def _imported(root: Path, nodes: Iterable[ast.AST], wings: frozenset[str]) -> list[Path]:
-    found = []
-    for node in nodes:
-        if isinstance(node, ast.Import):
-            names = [alias.name for alias in node.names]
-        elif isinstance(node, ast.ImportFrom) and node.module:
-            names = [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]
-        else:
-            continue
-        for name in names:
-            parts = name.split(".")
-            if parts[0] in wings:
-                module = root.joinpath(*parts).with_suffix(".py")
-                found += [module, root.joinpath(*parts, "__init__.py")]
-    return [file for file in found if file.is_file()]

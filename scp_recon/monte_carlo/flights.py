@@ -16,7 +16,7 @@ from formulations.arrays import Array
 from scp_recon.errors import InputError, one_of, whole_number
 from scp_recon.jobs.job import Executor, Job, here, in_order
 from scp_recon.jobs.processes import Limits, Processes
-from scp_recon.jobs.store import Store, code
+from scp_recon.jobs.store import Store
 from scp_recon.mission.constraints import companion_distance_m
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.scene import TruthModel, errors_of_kind
@@ -52,6 +52,8 @@ TERMINAL_KEPT = 5000
 """Final states kept for the normality test, whose distribution is tabulated up to this number."""
 
 PARTIAL, FLOWN = "montecarlo_partial.jsonl", "flights"
+VERSION = 1
+"""Version of the flights: raise it when results of the same configuration change."""
 COUNTS = ("samples", "whole", "full")
 SUMS = ("terminal", "terminal_sum", "terminal_outer", "failed")
 BY_NAME = ("node_counts", "limits")
@@ -388,7 +390,7 @@ def forget_flights(folder: Path) -> None:
 
 
 def _kept(config: FlightConfig, solution: Solution, folder: Path) -> Store:
-    """Open the store of kept flights: only equal configurations and code are counted together."""
+    """Open the store of kept flights: only equal configurations and versions are counted together."""
     depends_on = {
         "plan": solution.plan_hash,
         "seed": config.seed,
@@ -396,7 +398,7 @@ def _kept(config: FlightConfig, solution: Solution, folder: Path) -> Store:
         "errors": config.errors,
         "policy": config.policy_kind,
         "block": BLOCK,
-        **code(__name__, "scp_recon.data"),
+        "version": VERSION,
     }
     return Store(folder / PARTIAL, depends_on, "folder")
 

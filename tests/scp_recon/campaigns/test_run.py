@@ -1,7 +1,9 @@
 """A campaign's folder: whose it is, a table that is whole or not there; studies that are shown."""
 
 import functools
-import json
+import shutil
+import subprocess
+import sys
 import tomllib
 from collections.abc import Generator, Iterable
 from dataclasses import replace
@@ -14,11 +16,14 @@ import pytest
 
 from scp_recon.api import campaigns
 from scp_recon.api.campaigns import work_of
+from scp_recon.campaigns import run as run_module
+from scp_recon.campaigns import study as study_module
 from scp_recon.campaigns.cases import Case
 from scp_recon.campaigns.results import RESULTS, ROWS, cell, kind_of, read_results
 from scp_recon.campaigns.run import FILE_NAME, Observer, run_study
 from scp_recon.campaigns.study import Campaign, Do, Study
 from scp_recon.errors import InputError
+from scp_recon.jobs import store
 from scp_recon.jobs.job import Done, Executor, Job, Work, here
 from scp_recon.jobs.processes import Limits, Processes
 from scp_recon.jobs.store import Row
@@ -28,6 +33,7 @@ from scp_recon.scenario.schema import Scenario
 from tests.scp_recon.campaigns.shown import table_of
 from tests.scp_recon.support import raising
 
+ROOT = Path(__file__).parents[3]
 STUDY = Study(
     Campaign(), load_scenario(), ([{"risk.p_chance": 0.1 * i} for i in range(9)],), Path(), {}
 )
@@ -78,13 +84,39 @@ def test_two_campaigns_in_one_folder_are_refused(tmp_path):
         run_study(replace(STUDY, campaign=Campaign(seed=1)), tmp_path, work, here)
 
 
-def test_rows_of_other_code_are_refused_and_what_differs_is_told(tmp_path):
+def test_rows_of_another_version_are_refused(tmp_path, monkeypatch):
     run(tmp_path)
-    found = json.loads((tmp_path / FILE_NAME).read_text("utf-8"))
-    earlier = found | {"hash": "0", "sources": "0", "versions": found["versions"] | {"numpy": "1"}}
-    (tmp_path / FILE_NAME).write_text(json.dumps(earlier), "utf-8")
-    with pytest.raises(InputError, match=r"numpy \(1, now .*\), source files of this program"):
-        run(tmp_path)
+    for module in (study_module, run_module):
+        monkeypatch.setattr(module, "VERSION", 2)
+    with pytest.raises(InputError, match="version 2 of the work, not 1"):
+        run_study(replace(STUDY), tmp_path, work, here)
+
+
+IDENTITY = """
+from scp_recon.campaigns.study import Study
+from scp_recon.scp.status import Status
+
+print(Status.CONVERGED.value.message, Study.validated({"campaign": {"seed": 3}}).hash)
+"""
+
+
+def test_an_edited_message_keeps_the_rows(tmp_path):
+    for wing in ("scp_recon", "formulations"):
+        shutil.copytree(ROOT / wing, tmp_path / wing)
+    path = tmp_path / "scp_recon" / "scp" / "status.py"
+    path.write_text(path.read_text("utf-8").replace('"Converged: stat', '"Edited: stat'), "utf-8")
+    command = [sys.executable, "-c", IDENTITY]
+    edited = subprocess.run(
+        command, check=True, capture_output=True, text=True, cwd=tmp_path
+    ).stdout
+    assert edited.startswith("Edited: ")
+    assert edited.split()[-1] == Study.validated({"campaign": {"seed": 3}}).hash
+
+
+def test_other_packages_keep_the_rows(tmp_path, monkeypatch):
+    first = run(tmp_path)
+    monkeypatch.setattr(store, "version_of", lambda _: "99.0")
+    assert run(tmp_path, raising(AssertionError())).equals(first)
 
 
 def test_a_folder_that_is_no_campaigns_is_refused_as_such(tmp_path):

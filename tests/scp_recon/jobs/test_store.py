@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from scp_recon.errors import InputError
 from scp_recon.jobs import store as module
 from scp_recon.jobs.job import Key
-from scp_recon.jobs.store import Store, read_head, read_rows, sources
+from scp_recon.jobs.store import Store, read_head, read_rows
 from tests import reliability
 from tests.scp_recon.jobs.support import DEPENDS_ON, computed, run_all, some_jobs
 from tests.scp_recon.jobs.works import Quick
@@ -166,48 +166,3 @@ def test_rows_are_json_whose_numbers_come_back_to_the_last_bit(tmp_path):
         {"schema", "depends_on"},
         {"key", "crc", "row"},
     ]
-
-
-def test_sources_are_of_a_module_and_what_it_imports_alone(monkeypatch):
-    read: set[str] = set()
-    real = Path.read_bytes
-
-    def noted(path: Path) -> bytes:
-        read.add(path.name)
-        return real(path)
-
-    monkeypatch.setattr(Path, "read_bytes", noted)
-    sources.cache_clear()
-    module._read.cache_clear()
-    first = sources("scp_recon.physics.forces")
-    assert {"forces.py"} <= read
-    assert not read & {"store.py", "planner.py"}
-    assert sources("scp_recon.physics.forces", "scp_recon.data") != first
-    assert {"recon_b.toml"} <= read
-    assert sources("scp_recon.physics.forces") == first
-    with pytest.raises(FileNotFoundError):
-        sources("scp_recon.no_such_module")
-
-
-def test_sources_do_not_change_with_their_words(tmp_path, monkeypatch):
-    monkeypatch.setattr(module, "__file__", str(tmp_path / "scp_recon" / "jobs" / "store.py"))
-    path = tmp_path / "formulations" / "path.py"
-    path.parent.mkdir()
-
-    def hashed(text: str) -> str:
-        path.write_text(text, encoding="utf-8")
-        sources.cache_clear()
-        module._read.cache_clear()
-        return sources("formulations.path")
-
-    code = (
-        '"""Says."""\n\n# Why.\nX = """\n# kept"""\n\n\ndef f():\n    """Does."""\n    return 1\n'
-    )
-    first = hashed(code)
-    assert (
-        hashed(code.replace("Says", "Tells").replace("Why", "How").replace("Does.", "A\n\n    b"))
-        == first
-    )
-    assert hashed(code.replace("# kept", "# lost")) != first
-    assert hashed(code.replace("return 1", "return 2")) != first
-    assert hashed(code.replace("def f", "# Now.\ndef f")) == first
