@@ -38,9 +38,10 @@ format: $(VENV)/.dev  ## format, and fix what can be fixed
 types: $(VENV)/.dev  ## check the types
 	$(BIN)/mypy
 
-nightly: $(VENV)/.test $(VENV)/.docs  ## look harder: 500 examples a property, and counts of what they tried
+nightly: $(VENV)/.test $(VENV)/.docs $(VENV)/.evidence  ## look harder: 500 examples a property, and counts of what they tried
 	HYPOTHESIS_PROFILE=nightly $(BIN)/python -m pytest $(BY_FILE) --timeout 3600 \
 	--reliability=runs/reliability.json
+	$(BIN)/python -m experiments evidence --check --random
 
 coverage: $(VENV)/.dev  ## lines and branches that the tests reach
 	$(BIN)/python -m pytest $(BY_FILE) --cov --cov-report term --cov-report json:runs/coverage.json
@@ -62,13 +63,14 @@ reference: $(VENV)/.solve  ## write docs/reference and the JSON schema of scenar
 bench: $(VENV)/.dev  ## time everything
 	$(BIN)/python -m benchmarks
 
-evidence: $(VENV)/.evidence  ## renew figures of the pages that are out of date; PAGE=README.md for one page
+evidence: $(VENV)/.evidence  ## renew evidence whose results have moved; PAGE=README.md for one page
 	$(BIN)/python -m experiments evidence $(if $(PAGE),--page $(PAGE))
 
 check: lint types test  ## everything that a change has to pass
 
-release: check  ## everything that a release has to pass: no figure of a page is out of date either
+release: check golden $(VENV)/.evidence  ## all that a release has to pass, then new timings and counts
 	$(BIN)/python -m experiments evidence --check
+	$(BIN)/python -m experiments evidence --dated
 
 drawings: $(VENV)/.test  ## make the pictures of the pages that no study feeds
 	for name in frames planner modes polytopes lifting directions closed_loop; do \
