@@ -25,9 +25,9 @@ from experiments.evidence import Evidence, Records, path_of
 from experiments.harness import Record, Session, plan_or_default
 from experiments.in_flight import feedback, policies, sites
 from experiments.model_fidelity import study as model_fidelity
-from experiments.observation_table.rows import rows as observation_rows
-from experiments.observation_table.runs import run_row
-from experiments.observation_table.study import SAMPLES
+from experiments.observation_rows import rows as observation_rows
+from experiments.observation_rows import run_row
+from experiments.observation_table import SAMPLES
 from experiments.solvers import accuracy, exact_methods, lifted, nlp_tricks, sensitivity
 from experiments.solvers.compare_solvers.cases import (
     PROBLEMS,

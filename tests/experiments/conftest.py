@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from experiments.__main__ import main
-from experiments.observation_table.rows import rows
+from experiments.observation_rows import rows
 from scp_recon.mission.mission import Mission
 from scp_recon.results.solution import Solution
 from scp_recon.scenario.load import load_scenario

@@ -10,7 +10,7 @@ from rich.console import Console
 
 from experiments.evidence import Evidence
 from experiments.harness import Record, Session
-from experiments.observation_table.rows import BENNU_ID, OSIRIS_REX_ID
+from experiments.observation_rows import BENNU_ID, OSIRIS_REX_ID
 from experiments.spacecraft.uncertainty_sources.flights import SETS, STATE, TRANSLATION
 from formulations.arrays import Array
 from scp_recon.bodies.catalogue import J2000_TDB

@@ -106,7 +106,6 @@ FLOORS = (
     "scp_recon",  # the lazy names, and the ways in
     "experiments.evidence",
     "experiments.harness",
-    "experiments.observation_table",
     "experiments.solvers.compare_solvers",
     "experiments",
     "paper_figs.inputs",

@@ -1,1 +1,0 @@
-"""Compute the paper's table of observation times: `python -m experiments observation_table`."""
