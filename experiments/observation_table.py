@@ -123,8 +123,10 @@ def observation_times(entries: Rows) -> Table:
         Column("paper: worst 1 sigma", "s", ".0f"),
         Column("status"),
     )
-    names = ("label", "window_s", "without_uncertainty_s", "mean_s", "worst_1_sigma_s")
-    names += ("paper_mean_s", "paper_worst_1_sigma_s", "status")
+    names = (
+        *("label", "window_s", "without_uncertainty_s", "mean_s", "worst_1_sigma_s"),
+        *("paper_mean_s", "paper_worst_1_sigma_s", "status"),
+    )
     lines = [[row.get(name) for name in names] for row in entries if row["role"] != "variant"]
     return Table.of("", columns, lines)
 
@@ -155,9 +157,9 @@ def run(session: Session) -> Findings:
     samples = options.samples or (QUICK_SAMPLES if options.quick else SAMPLES)
     others = () if options.quick else variants(mission.scenario)
     found = (*rows(ipopt=not options.skip_ipopt, as_flown=options.as_flown), *others)
-    setting = {"samples": samples, "check": not options.quick, "kernel": str(options.as_flown)}
     work = partial(measure, out, samples, not options.quick)
-    jobs, store = [Job(row.key, row) for row in found], session.store(**setting)
+    store = session.store(samples=samples, check=not options.quick, kernel=str(options.as_flown))
+    jobs = [Job(row.key, row) for row in found]
     entries = session.rows("rows", work, jobs, store, line=line)
     tested, ours = statements(entries), numbers(entries)
     outcomes = {words: same for same, words in OUTCOMES.items()}

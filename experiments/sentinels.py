@@ -199,7 +199,7 @@ def left_out_rows(_: None) -> list[Record]:
 def observation_row(folder: Path, key: str) -> Record:
     """A row of the table of observation times."""
     (row,) = (one for one in observation_rows(ipopt=False) if one.key == key)
-    return run_row(row, default_mission(), folder, samples=SAMPLES, check=True)[0]
+    return run_row(row, default_mission(), folder, samples=SAMPLES, check=True)
 
 
 def fidelity_rows(folder: Path, _: None) -> list[Record]:

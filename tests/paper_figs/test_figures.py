@@ -33,7 +33,6 @@ from scp_recon.planning import initial_guess
 from scp_recon.planning.planner import plan
 from scp_recon.results.policy import Policy
 from scp_recon.results.solution import Solution, make_solution
-from scp_recon.scenario.load import load_scenario
 from tests.scp_recon.support import mission_of
 
 SAMPLES = 400
@@ -48,7 +47,6 @@ def folder(tmp_path_factory) -> Path:
     """What experiments write, for the two rows that figures are drawn from."""
     out = tmp_path_factory.mktemp("runs")
     needed = [row for row in rows(ipopt=False) if row.key in (PLAN, SURROGATE)]
-    mission = Mission.from_scenario(load_scenario())
     table = records([measure(out, SAMPLES, False, row) for row in needed])
     (out / TABLE).write_text(table.csv(), encoding="utf-8")
     return out
