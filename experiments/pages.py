@@ -1,4 +1,4 @@
-"""Render the tables of README and docs from evidence, and compare the figures in the text with it.
+"""Render the tables of pages from evidence, and compare the figures in their text with it.
 
 A table of a page stands between two comments, each on a line of its own:
 
@@ -29,6 +29,7 @@ from scp_recon.results.table import Column, Table, Value
 
 PAGES = (
     ROOT / "README.md",
+    ROOT / "CONTRIBUTING.md",
     *sorted(p for p in (ROOT / "docs").rglob("*.md") if p.parent.name != "reference"),
 )
 TABLES = ROOT / "experiments" / "tables.toml"

@@ -71,7 +71,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
             behind = pages.behind()
             for page in behind:
                 show_line(console, f"{page.name}: its tables are not the evidence's")
-            return OUT_OF_DATE if stale or behind else 0
+            for claim in (wrong := [*pages.wrong_claims()]):
+                show_line(console, claim)
+            return OUT_OF_DATE if stale or behind or wrong else 0
         if stale:
             console.print(terminal(plan_of(list(stale))))
         failed = []
