@@ -12,7 +12,7 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet install --constr
 
 .PHONY: help solve test fast extras nightly coverage mutation lint format types check release golden golden-renew \
 	reference bench \
-	evidence drawings figures notebooks site clean
+	evidence figures notebooks site clean
 help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "%-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
@@ -72,12 +72,9 @@ release: check golden $(VENV)/.evidence  ## all that a release has to pass, then
 	$(BIN)/python -m experiments evidence --check
 	$(BIN)/python -m experiments evidence --dated
 
-drawings: $(VENV)/.test  ## make the pictures of the pages that no study feeds
-	for name in frames planner modes polytopes lifting directions closed_loop; do \
-	$(BIN)/python -m paper_figs $$name --out docs/$$name.png || exit 1; done
-
-figures: $(VENV)/.test  ## make all figures, the studies that are missing first, and that of docs/validation/paper.md
+figures: $(VENV)/.test  ## make all figures, the studies that are missing first, and those of docs that no study feeds
 	$(BIN)/python -m paper_figs --all
+	$(BIN)/python -m paper_figs modes --out docs/modes.png
 	$(BIN)/python -m paper_figs flyby --runs runs/paper/scp_cold --out docs/flyby.png
 
 notebooks: $(VENV)/.notebooks  ## run the notebooks, and keep each as a page in runs/notebooks

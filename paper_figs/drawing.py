@@ -1,8 +1,8 @@
-"""Set the style of all figures, draw bands and legends, and save figures."""
+"""Set the style of all figures; draw bands, burns, axes and labels; save figures."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -11,19 +11,24 @@ import numpy as np
 from matplotlib import style
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patheffects import withStroke
+from matplotlib.text import Annotation, Text
+from matplotlib.transforms import Bbox
+from scipy.special import ndtri
 
 from formulations.arrays import Array
 from scp_recon.files import unwritable, write_atomically
 from scp_recon.results import pictures
 from scp_recon.results.pictures import WIDTH_IN
 
+Look = dict[str, Any]
+"""Keywords of a style."""
+
 STYLE = Path(__file__).with_name("style.mplstyle")
 
 LEGEND_PT = 8.0
 """Size of the words in legends."""
 
-ABOVE: dict[str, Any] = {
+ABOVE: Look = {
     "loc": "lower left",
     "bbox_to_anchor": (0.0, 1.0),
     "borderaxespad": 0.1,
@@ -36,8 +41,14 @@ BANDS = ((2.28, 97.72, "0.85", "2 sigma"), (15.87, 84.13, "0.65", "1 sigma"))
 
 BURN = "C3"
 
-HALO = [withStroke(linewidth=2.5, foreground="w")]
-"""Around text that lies over lines."""
+AWAY_PT = (9.0, 16.0, 26.0, 38.0, 52.0, 70.0)
+"""Distances from a point at which words are tried, the nearest first."""
+WAYS = 16
+"""Directions at each distance."""
+ON_WORDS, OFF_PAGE, ON_POINT = 1000.0, 300.0, 8.0
+"""Costs of overlapping other words, of leaving the axes and of covering a point; a distance costs its
+length."""
+ROOM_PX = 2.0
 
 
 @contextmanager
@@ -52,11 +63,28 @@ def legend(figure: Figure, ncols: int, where: str = "outside upper center") -> N
     pictures.legend(figure, ncols, where, fontsize=LEGEND_PT)
 
 
-def shade_bands(axes: Axes, times: Array, sampled: Array, prefix: str = "") -> None:
-    """Fill between percentiles of samples, shape (times, samples), at each time."""
+def history(
+    axes: Axes, times: Array, sampled: Array, plan: Array, limits: Sequence[float], when: Any
+) -> None:
+    """Draw a quantity over time: 1 and 2 sigma of samples, the plan, limits.
+
+    Args:
+        axes: where.
+        times: s, shape (n,).
+        sampled: samples, shape (n, samples).
+        plan: without errors, shape (n,).
+        limits: of the quantity.
+        when: first and last time at which the limits hold.
+    """
     for low, high, shade, name in BANDS:
         edges = np.percentile(sampled, (low, high), axis=1)
-        axes.fill_between(times, *edges, color=shade, lw=0, label=f"{prefix}{name}")
+        axes.fill_between(times, *edges, color=shade, lw=0, label=name)
+    axes.plot(times, plan, color="k", lw=1.3, label="plan")
+    for bound in limits:
+        axes.hlines(bound, *when, color=BURN, ls="--", lw=1.1, label="limit")
+    axes.set(xlim=(times[0], times[-1]))
+    axes.margins(y=0.12)
+    axes.set_axisbelow(True)
 
 
 def draw_burns(axes: Axes, starts: Array, arrows: Array, shortest: float) -> None:
@@ -67,12 +95,81 @@ def draw_burns(axes: Axes, starts: Array, arrows: Array, shortest: float) -> Non
             axes.annotate("", start + arrow, start, zorder=7, arrowprops=look)
 
 
+def probability_axis(axes: Axes, ticks: Sequence[float], label: str, **look: Any) -> None:
+    """Label an axis of normal quantiles by their probabilities."""
+    axes.set_xticks(ndtri(ticks), [f"{p:g}" for p in ticks], **look)
+    axes.set_xlabel(label)
+
+
 def label_outer(panels: Any, across: str, up: str) -> None:
     """Label a grid of panels that share their axes: below the last row and left of the first column."""
     for axes in panels[-1]:
         axes.set_xlabel(across)
     for axes in panels[:, 0]:
         axes.set_ylabel(up)
+
+
+def place_labels(
+    axes: Axes, points: Array, words: Sequence[str], avoid: Array, **look: Any
+) -> None:
+    """Write words beside points so that they overlap neither each other nor the drawing.
+
+    Each is placed in turn where it costs least, and gets a line to its point where that is far. The
+    layout must be final except for small changes.
+
+    Args:
+        axes: axes with everything else drawn.
+        points: in data coordinates, shape (n, 2).
+        words: one for each point.
+        avoid: points that should stay visible, in data coordinates, shape (m, 2).
+        look: style of the words.
+    """
+    figure = axes.get_figure(root=True)
+    assert figure is not None
+    figure.draw_without_rendering()
+    taken = [text.get_window_extent() for text in axes.texts if text.get_text()]
+    keep, scale = axes.transData.transform(avoid), figure.dpi / 72.0
+    line = {"arrowstyle": "-", "color": look.get("color", "k"), "lw": 0.6, "shrinkB": 3}
+    for point, text in zip(points, words, strict=True):
+        at = tuple(point)
+        note = axes.annotate(text, at, (0, 0), textcoords="offset points", arrowprops=line, **look)
+        size = Text.get_window_extent(note)  # without the line
+        best, least = size, np.inf
+        for offset, across, up in _places():
+            corner = axes.transData.transform(at) + scale * offset
+            left = {"left": 0.0, "center": 0.5, "right": 1.0}[across] * size.width
+            low = {"bottom": 0.0, "center": 0.5, "top": 1.0}[up] * size.height
+            box = Bbox.from_bounds(corner[0] - left, corner[1] - low, size.width, size.height)
+            box = box.padded(ROOM_PX)
+            cost = _cost(box, axes.bbox, taken, keep) + float(np.hypot(*offset))
+            if cost < least:
+                best, least = box, cost
+                _put(note, offset, across, up)
+        taken.append(best)
+
+
+def _put(note: Annotation, offset: Array, across: str, up: str) -> None:
+    note.set(ha=across, va=up)
+    note.xyann = tuple(offset)
+    if note.arrow_patch is not None:
+        note.arrow_patch.set_visible(bool(np.hypot(*offset) > AWAY_PT[1]))
+
+
+def _places() -> Iterator[tuple[Array, str, str]]:
+    """Offsets from the point in points, and the words' alignment there."""
+    for away in AWAY_PT:
+        for way in np.arange(WAYS) * 2.0 * np.pi / WAYS:
+            x, y = np.cos(way), np.sin(way)
+            across = "left" if x > 0.3 else "right" if x < -0.3 else "center"
+            up = "bottom" if y > 0.3 else "top" if y < -0.3 else "center"
+            yield away * np.array([x, y]), across, up
+
+
+def _cost(box: Bbox, within: Bbox, taken: Sequence[Bbox], keep: Array) -> float:
+    inside = (keep > box.min).all(axis=1) & (keep < box.max).all(axis=1)
+    off = not all(within.contains(*corner) for corner in (box.min, box.max))
+    on_words = sum(bool(box.overlaps(other)) for other in taken)
+    return ON_WORDS * on_words + OFF_PAGE * off + ON_POINT * int(inside.sum())
 
 
 def save(

@@ -343,7 +343,6 @@ QUICK = {
         needs="matplotlib",
     ),
     "python -m paper_figs flyby --runs runs/mine --out flyby.svg": Quick(needs="matplotlib"),
-    "python -m paper_figs frames --out docs/frames.png": Quick(needs="matplotlib"),
     "python -m paper_figs solver_comparison --out runs/comparison": Quick(
         "--runs runs/comparison", after=(COMPARISON,), needs="matplotlib", nightly=True
     ),

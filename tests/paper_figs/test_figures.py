@@ -1,13 +1,14 @@
-"""Every figure of the paper is drawn once, in silence, and written; and what they say is true."""
+"""Every figure is drawn once and in silence; missing, damaged and foreign input is refused."""
 
 import json
-import re
 import shutil
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 from matplotlib.figure import Figure
 
@@ -15,17 +16,11 @@ from experiments.harness import records
 from experiments.observation_rows import rows
 from experiments.observation_table import measure
 from paper_figs import __main__ as command_line
-from paper_figs import flyby, inputs
-from paper_figs.__main__ import PICTURES, main, make_all, plan_hash_of
+from paper_figs import flight, inputs, observation, plans
+from paper_figs.__main__ import EVERYTHING, FIGURES, STUDIES, TABLES, Item, main, make_all
 from paper_figs.drawing import save
-from paper_figs.inputs import COMMAND, PLAN, SURROGATE, TABLE, Runs, read_runs
-from paper_figs.paper import (
-    cone_polytopes,
-    observation_geometry,
-    observation_histories,
-    trajectories,
-)
-from paper_figs.registry import EVERYTHING, FIGURES, TABLES, Item
+from paper_figs.inputs import PAPER, PLAN, SURROGATE, TABLE, Runs, read_runs, run_missing
+from paper_figs.spacecraft import SHOWN
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo import sampling
@@ -33,13 +28,17 @@ from scp_recon.planning import initial_guess
 from scp_recon.planning.planner import plan
 from scp_recon.results.policy import Policy
 from scp_recon.results.solution import Solution, make_solution
+from scp_recon.simulation.record import Record, write_record
+from tests.scp_recon.simulation import made_up
 from tests.scp_recon.support import mission_of
 
-SAMPLES = 400
-DPI = 40.0
-"""Of pictures that nobody looks at."""
+SAMPLES, DPI = 400, 40.0
+NO_PLAN = "1f" * 32
+"""Hash of no plan."""
+FLIGHTS = ("attitude_and_actuators", "power_history", "flown_plan")
 QUICK = Item(lambda _: Figure(), read=lambda _: None)
 """In the place of a figure where only the command line matters."""
+EVIDENCE = Path(__file__).parents[2] / "docs" / "evidence"
 
 
 @pytest.fixture(scope="module")
@@ -62,191 +61,247 @@ def copy(folder, tmp_path) -> Path:
     return Path(shutil.copytree(folder, tmp_path / "copy"))
 
 
-def light(names: Any = FIGURES) -> dict[str, Item]:
-    return {name: replace(FIGURES[name], dpi=DPI) for name in names}
+def write_flight(folder: Path, seed: int = 4, plan_hash: str | None = NO_PLAN) -> None:
+    """A made-up flight of two hours."""
+    t = np.arange(0.0, 7200.0, 10.0)
+    arrays = made_up.arrays(samples=len(t), seconds=7200, nodes=50) | {
+        "t_s": t,
+        "attitude": np.tile([1.0, 0.0, 0.0, 0.0], (len(t), 1)),
+        "mode": (t // 1800 % 3).astype(np.int8),
+        "actuators": (1 + t // 1800 % 3).astype(np.int8),
+        "panel_peak_w": np.array([11.4, 27.0, 27.0, 143.8, 143.8]),
+        "node_sigma_distance": np.linspace(0.0, seed, 50),
+        "pointing_error_rad": np.full(7200, 1e-3),
+    }
+    (burn,) = made_up.entries()["burns"]
+    burns = [burn, burn | {"t_s": 3600.0}]
+    summary = made_up.summary(seed=seed, plan_hash=plan_hash, burns=burns)
+    folder.mkdir(parents=True)
+    write_record(Record(arrays, summary), folder)
 
 
-def test_everything_is_drawn_and_written_into_one_folder(folder, runs, tmp_path, monkeypatch):
-    monkeypatch.setattr(command_line, "FIGURES", light())
-    monkeypatch.setattr(command_line, "PICTURES", PICTURES[:1])
-    written = list(make_all(runs, folder, tmp_path / "figures"))
-    expected = {f"{name}{PICTURES[0]}" for name in FIGURES}
-    expected |= {f"{name}.md" for name in TABLES} | {TABLE, "captions.md"}
+MADE_UP = {
+    "battery_cones_samples": pd.DataFrame(
+        np.random.default_rng(0).uniform(-0.5, 0.5, (50, 4)), columns=["x", "y", "z", "power_w"]
+    ).abs(),
+    "model_fidelity_history": pd.DataFrame(
+        {"flight": "plan", "model": "J2", "t_s": [0.0, 9e3], "distance_m": [0.1, 1.0]}
+    ),
+    "uncertainty_quantiles": pd.DataFrame(
+        [(source, axis, x, 1.1 * x) for source in SHOWN for axis in "xyz" for x in (-2.0, 2.0)],
+        columns=["source", "axis", "expected", "observed"],
+    ),
+}
+"""Tables that are too long for evidence."""
+
+
+@pytest.fixture(scope="module")
+def studies(tmp_path_factory) -> Path:
+    """The studies' tables as they were measured, and made-up flights."""
+    out = tmp_path_factory.mktemp("studies")
+    for source in {item.source.folder: item.source for item in STUDIES.values()}.values():
+        if source.folder in ("simulation", "flown_plan"):
+            continue
+        place = out / source.folder
+        place.mkdir()
+        tables = json.loads((EVIDENCE / f"{source.folder}.json").read_text("utf-8"))["tables"]
+        for name in (*source.tables, "uncertainty_quantiles.csv"):
+            stem = Path(name).stem
+            if stem in MADE_UP:
+                MADE_UP[stem].to_csv(place / name)
+            else:
+                text = records(tables[stem]).csv()
+                (place / name).write_text(text, encoding="utf-8")
+    write_flight(out / "simulation")
+    for seed in (1, 2):
+        write_flight(out / "flown_plan" / f"seed_{seed}", seed)
+    (out / "flown_plan" / "flown_plan.csv").write_text("seed\n1\n2\n", encoding="utf-8")
+    return out
+
+
+def test_everything_is_written_into_one_folder(folder, runs, studies, tmp_path, monkeypatch):
+    light = {name: replace(item, dpi=DPI) for name, item in FIGURES.items()}
+    monkeypatch.setattr(command_line, "FIGURES", light)
+    monkeypatch.setattr(command_line, "PICTURES", (".png",))
+    shutil.copytree(studies / "frontier", tmp_path / "frontier")
+    written = list(make_all(runs, folder, tmp_path / "figures", tmp_path))
+    expected = {f"{name}.png" for name in (*FIGURES, "frontier")}
+    expected |= {f"{name}.md" for name in TABLES} | {TABLE}
     assert {path.name for path in written} == expected
     assert {path.name for path in (tmp_path / "figures").iterdir()} == expected
-    plan = runs.plan.solution.plan_hash.encode()
-    assert all(plan in path.read_bytes() for path in written if path.suffix in PICTURES)
-    captions = (tmp_path / "figures" / "captions.md").read_text("utf-8")
-    assert all(f"## {name}\n" in captions for name in FIGURES)
-    for words in ("68.3 %", "95.4 %", "23.3 deg", f"{SAMPLES} flights"):
-        assert words in captions
+    of_plan = [path for path in written if path.stem in FIGURES]
+    assert all(runs.plan.solution.plan_hash.encode() in path.read_bytes() for path in of_plan)
 
 
-def test_a_plan_of_one_s_own_is_drawn_without_the_paper_s_table(tmp_path, monkeypatch):
+def test_own_plan_is_drawn_without_the_table(tmp_path, monkeypatch):
     """Of five burns, two of them close to each other, without flights beside it."""
     own = mission_of("burns.times_s=[0.0, 8000.0, 23200.0, 29800.0, 36400.0]")
     make_solution(plan(own, initial_guess.cold(own), problem="P3")).write(tmp_path)
     monkeypatch.setattr(inputs, "FLIGHTS", SAMPLES)
     own_runs = read_runs(tmp_path)
-    monkeypatch.setattr(command_line, "FIGURES", light(["trajectories"]))
-    monkeypatch.setattr(command_line, "PICTURES", PICTURES[:1])
+    monkeypatch.setattr(
+        command_line, "FIGURES", {"trajectories": replace(FIGURES["trajectories"], dpi=DPI)}
+    )
     written = {path.name for path in make_all(own_runs, tmp_path, tmp_path / "out")}
-    assert written == {"parameters.md", "captions.md", f"trajectories{PICTURES[0]}"}
-    assert "ballistic arc" in (tmp_path / "out" / "captions.md").read_text("utf-8")
+    assert written == {"parameters.md", "trajectories.png", "trajectories.pdf"}
     assert own_runs.plan.summary.is_of(own_runs.plan.solution)
 
 
-class Told(tuple[Any, ...]):
+class Marked(tuple[Any, ...]):
     """A policy without corrections that is known again."""
 
 
-def test_whatever_flies_a_plan_corrects_its_burns(runs, monkeypatch):
-    monkeypatch.setattr(Solution, "corrections", Told())
-    fly, told = sampling.fly_draws, list[bool]()
+def test_every_flight_of_a_plan_is_corrected(runs, monkeypatch):
+    monkeypatch.setattr(Solution, "corrections", Marked())
+    fly, corrected = sampling.fly_draws, list[bool]()
 
     def seen(mission: Mission, *args: Any, policy: Policy = (), **how: Any) -> Any:
         if mission.initial_factor.any():  # else nothing errs
-            told.append(isinstance(policy, Told))
+            corrected.append(isinstance(policy, Marked))
         return fly(mission, *args, policy=policy, **how)
 
     monkeypatch.setattr(sampling, "fly_draws", seen)
     monkeypatch.setattr(inputs, "FLIGHTS", SAMPLES)
-    for draw in (trajectories.paths, observation_histories.draw):
+    for draw in (flight.trajectories, observation.observation_histories):
         draw(runs)
-    flyby.draw(runs.plan.solution)
-    inputs._fly(runs.plan.mission, runs.plan.solution)
-    assert len(told) > 3
-    assert all(told)
-
-
-def test_drawn_pyramids_enclose_the_cone_or_are_enclosed(runs):
-    cut = cone_polytopes.section(runs.plan)
-    angle_deg = 45.0
-    radius = cut.height_m * np.tan(np.deg2rad(angle_deg))
-    for facets in (4, 12):
-        inside, outside = (
-            cone_polytopes.polygon(cone_polytopes.pyramid(cut, angle_deg, facets, keep), cut)
-            for keep in ("in", "out")
-        )
-        np.testing.assert_allclose(np.linalg.norm(inside, axis=1), radius)
-        middles = 0.5 * (outside + np.roll(outside, 1, axis=0))
-        np.testing.assert_allclose(np.linalg.norm(middles, axis=1), radius)
-        # An edge of the inner one and a facet of the outer one face the spacecraft.
-        assert np.abs(inside - [radius, 0.0]).max(axis=1).min() < 1e-6 * radius
-        assert np.abs(middles - [radius, 0.0]).max(axis=1).min() < 1e-6 * radius
-
-
-def test_sight_at_mid_window_keeps_the_angles(runs):
-    seen = observation_geometry.sight(runs.plan.mission, runs.plan.solution.burns_m_s, 14_838.8)
-    assert 90.0 - seen.craft_at == pytest.approx(seen.emission)
-    # Spherical law of cosines between the projected Sun and the exact angles.
-    elevation = np.deg2rad(seen.sun_off_plane)
-    for azimuth, exact in ((90.0, seen.incidence), (seen.craft_at, seen.phase)):
-        drawn_angle = np.deg2rad(seen.sun_at - azimuth)
-        cosine = np.cos(elevation) * np.cos(drawn_angle)
-        assert np.rad2deg(np.arccos(cosine)) == pytest.approx(exact)
+    flight.flyby(runs.plan.solution)
+    inputs._fly(runs.plan.solution)
+    assert len(corrected) > 3
+    assert all(corrected)
 
 
 @pytest.mark.parametrize(
-    "missing",
-    [
-        TABLE,
-        *(f"{row}/{name}.json" for row in (PLAN, SURROGATE) for name in ("solution", "montecarlo")),
-    ],
+    "missing", [TABLE, f"{PLAN}/solution.json", f"{SURROGATE}/montecarlo.json"]
 )
-def test_missing_input_exits_with_two_and_names_the_command(copy, tmp_path, missing, capsys):
+def test_missing_input_exits_two_and_names_command(copy, tmp_path, missing, capsys):
     (copy / missing).unlink()
     for names in ([], ["control_history"]):
         assert main([*names, "--runs", str(copy), "--out", str(tmp_path / "figures")]) == 2
         errors = capsys.readouterr().err
         assert errors.count("\n") == 1
         assert missing in errors
-        assert f"{COMMAND} --out {copy}" in errors
+        assert f"{PAPER.command} --out {copy}" in errors
     assert not list((tmp_path / "figures").glob("*"))
 
 
-@pytest.mark.parametrize("damaged", [TABLE, "scp_cold/montecarlo.json"])
-def test_damaged_input_says_how_to_write_it_anew(copy, damaged):
+@pytest.mark.parametrize("damaged", [TABLE, f"{PLAN}/montecarlo.json"])
+def test_damaged_input_names_the_fresh_command(copy, damaged):
     (copy / damaged).write_text("{", encoding="utf-8")
-    with pytest.raises(InputError, match=f"{COMMAND} --fresh"):
+    with pytest.raises(InputError, match=f"{PAPER.command} --fresh"):
         read_runs(copy)
 
 
-@pytest.mark.parametrize("age", ["of another plan", "older"])
-def test_flights_of_another_plan_are_refused(copy, age):
+@pytest.mark.parametrize("of", ["another", "none"])
+def test_flights_of_another_plan_are_refused(copy, of):
     file = copy / PLAN / "montecarlo.json"
-    if age == "older":
-        data = json.loads(file.read_text("utf-8"))
-        del data["plan_hash"]
-        file.write_text(json.dumps(data), "utf-8")
-    else:
-        shutil.copy(copy / SURROGATE / "montecarlo.json", file)
-    with pytest.raises(InputError) as caught:
-        read_runs(copy)
-    for words in (str(file), str(file.with_name("solution.json")), f"{COMMAND} --out {copy}`"):
-        assert words in str(caught.value)
-    assert ("an unknown plan" in str(caught.value)) == (age == "older")
+    data = json.loads((copy / SURROGATE / "montecarlo.json").read_text("utf-8"))
+    file.write_text(json.dumps({**data, "plan_hash": None} if of == "none" else data), "utf-8")
+    simulated, many = copy / "simulation", copy / "flown_plan"
+    write_flight(simulated, plan_hash=None if of == "none" else NO_PLAN)
+    write_flight(many / "seed_4", plan_hash=None if of == "none" else NO_PLAN)
+    (many / "flown_plan.csv").write_text("seed\n4\n", encoding="utf-8")
+    for place in (simulated, many):
+        shutil.copy(copy / PLAN / "solution.json", place)
+    for read, place in (
+        (read_runs, copy),
+        (inputs.read_flight, simulated),
+        (inputs.read_flights, many),
+    ):
+        with pytest.raises(InputError, match=f"solution.json.*--out {place}"):
+            read(place)
 
 
-def test_the_flyby_is_drawn_and_names_its_plan(folder, tmp_path, capsys):
+def test_flights_of_different_plans_are_refused(tmp_path):
+    (tmp_path / "flown_plan.csv").write_text("seed\n1\n2\n", encoding="utf-8")
+    write_flight(tmp_path / "seed_1", 1)
+    write_flight(tmp_path / "seed_2", 2, "2e" * 32)
+    with pytest.raises(InputError, match="different plans"):
+        inputs.read_flights(tmp_path)
+
+
+@pytest.mark.parametrize("name", STUDIES)
+def test_study_is_drawn_or_names_its_command(studies, tmp_path, name, capsys, monkeypatch):
+    study, file = STUDIES[name], tmp_path / "figure.png"
+    monkeypatch.setitem(EVERYTHING, name, replace(study, dpi=DPI))
+    assert main([name, "--studies", str(studies), "--out", str(file)]) == 0
+    assert (NO_PLAN.encode() in file.read_bytes()) == (name in FLIGHTS)
+    assert main([name, "--runs", str(tmp_path), "--out", str(file)]) == 2
+    assert f"{study.source.command} --out {tmp_path}" in capsys.readouterr().err
+    damaged = Path(shutil.copytree(studies / study.source.folder, tmp_path / "copy"))
+    for path in filter(Path.is_file, damaged.rglob("*")):
+        path.write_text("x\n1\n", encoding="utf-8")
+    with pytest.raises(InputError, match="unusable"):
+        study.found(damaged)
+
+
+def test_flyby_is_drawn_and_names_its_plan(folder, tmp_path):
     """Of a site whose name would be a formula, and a wrong one."""
     text = (folder / PLAN / "solution.json").read_text("utf-8")
     (tmp_path / "solution.json").write_text(text.replace("Nightingale", r"$\\frac{$"), "utf-8")
     picture = tmp_path / "flyby.png"
-    assert main(["flyby", "--runs", str(tmp_path), "--out", str(picture)]) == 0
-    assert capsys.readouterr().out == f"written: {picture}\n"
-    assert EVERYTHING["flyby"].read(tmp_path).plan_hash.encode() in picture.read_bytes()
+    assert main(["flyby", "--runs", str(tmp_path), "--out", str(picture), "--quiet"]) == 0
+    assert EVERYTHING["flyby"].found(tmp_path).plan_hash.encode() in picture.read_bytes()
 
 
-def test_figures_that_are_named_go_to_a_folder_or_a_single_one_to_a_file(
-    folder, tmp_path, monkeypatch, capsys
-):
-    (tmp_path / "folder.png").mkdir()
-    names = ["frames", "control_history"]
-    for name in names:
-        monkeypatch.setitem(EVERYTHING, name, QUICK)
-    assert main([*names, "--out", str(tmp_path / "some"), "--quiet"]) == 0
-    assert capsys.readouterr() == ("", "")
-    expected = {f"{name}.png" for name in names}
-    assert {path.name for path in (tmp_path / "some").iterdir()} == expected
-    assert main(["frames", "--out", str(tmp_path / "folder.png")]) == 0
-    assert [path.name for path in (tmp_path / "folder.png").iterdir()] == ["frames.png"]
+def test_named_figures_go_to_folder_or_file(folder, tmp_path, monkeypatch):
+    monkeypatch.setitem(EVERYTHING, "control_history", QUICK)
+    assert main(["modes", "control_history", "--out", str(tmp_path / "some")]) == 0
+    names = {path.name for path in (tmp_path / "some").iterdir()}
+    assert names == {"modes.png", "control_history.png"}
     assert main(["observation_table", "--runs", str(folder), "--out", str(tmp_path / "x.md")]) == 0
     assert (tmp_path / "x.md").is_file()
 
 
-def test_one_target_draws_the_concepts_of_the_pages():
-    root = Path(__file__).parents[2]
-    made = re.search(r"^drawings:.*\n\tfor name in (.*);", (root / "Makefile").read_text(), re.M)
-    assert made is not None
-    for name in made[1].split():
-        assert EVERYTHING[name].make(EVERYTHING[name].read(root)).axes
-        assert any(f"({name}.png)" in page.read_text() for page in (root / "docs").glob("*.md"))
-
-
 @pytest.mark.parametrize("name", ["file", "picture.xyz", "file/x.png"])
-def test_what_is_no_pictures_name_is_refused_and_nothing_is_written(
-    tmp_path, name, monkeypatch, capsys
-):
-    monkeypatch.setitem(EVERYTHING, "frames", QUICK)
+def test_unusable_picture_name_is_refused(tmp_path, name, monkeypatch, capsys):
+    monkeypatch.setitem(EVERYTHING, "modes", QUICK)
     (tmp_path / "file").touch()
-    before = sorted(tmp_path.rglob("*"))
-    assert main(["frames", "--out", str(tmp_path / name)]) == 2
+    assert main(["modes", "--out", str(tmp_path / name)]) == 2
     assert capsys.readouterr().err.count("error: ") == 1
-    assert sorted(tmp_path.rglob("*")) == before
+    assert [path.name for path in tmp_path.rglob("*")] == ["file"]
 
 
-@pytest.mark.parametrize("ending", [".PDF", ".eps"])
-def test_a_figure_is_the_same_file_every_time_and_names_its_plan_where_it_can(
-    runs, tmp_path, ending
-):
-    def saved(name: str, plan: str | None) -> bytes:
-        figure = Figure((1.0, 1.0))  # a figure that is drawn once more need not be the same
+def test_missing_studies_run_once(tmp_path):
+    (tmp_path / "frontier").mkdir()
+    ran, said = list[list[str]](), list[str]()
+
+    def run(words: list[str]) -> int:
+        ran.append(words)
+        return 2 if "simulate" in words else 0
+
+    paper, wanted = tmp_path / "paper", [item.source for item in STUDIES.values()]
+    run_missing(paper, tmp_path, wanted, said.append, run)
+    assert ran[0] == [sys.executable, *PAPER.command.split()[1:], "--out", str(paper)]
+    folders = {source.folder for source in wanted} - {"frontier"}
+    assert sorted(words[-1] for words in ran[1:]) == sorted(str(tmp_path / f) for f in folders)
+    assert all("SOLUTION" not in words for words in ran)
+    assert next(words for words in ran if "simulate" in words)[4] == str(paper / PLAN)
+    assert said.count("exit status 2: left out") == 1
+
+
+def test_figure_is_the_same_file_every_time(tmp_path):
+    def saved(name: str, plan_hash: str | None) -> bytes:
+        figure = Figure((1.0, 1.0))
         figure.subplots().plot([0.0, 1.0])
-        return save(figure, tmp_path / f"{name}{ending}", DPI, plan).read_bytes()
+        return save(figure, tmp_path / f"{name}.PDF", DPI, plan_hash).read_bytes()
 
-    plan = plan_hash_of(runs)
-    one, other = saved("1", plan), saved("2", plan)
-    assert (plan.encode() in one) == (ending.lower() in (".pdf", ".png", ".svg"))
-    assert one == other or ending == ".eps"
-    assert plan.encode() not in saved("3", None)
+    one, other = saved("1", NO_PLAN), saved("2", NO_PLAN)
+    assert one == other
+    assert NO_PLAN.encode() in one
+    assert NO_PLAN.encode() not in saved("3", None)
+
+
+def test_profiles_rise_to_the_share_solved():
+    table = pd.DataFrame(
+        {
+            "scenario": ["a", "a", "b", "b"],
+            "method": ["ours", "theirs"] * 2,
+            "problem": "P2",
+            "status": "converged",
+            "total_dv_m_s": [0.14, 0.14, 0.2, 0.3],
+            "cpu_s": [0.1, 1.0, 0.5, 0.5],
+        }
+    )
+    found = plans.profiles(table)
+    assert [list(values) for values in found["ours"]] == [[1.0, 1.0], [0.5, 1.0]]
+    assert [list(values) for values in found["theirs"]] == [pytest.approx([10.0]), [0.5]]

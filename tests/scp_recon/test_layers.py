@@ -109,10 +109,8 @@ FLOORS = (
     "experiments.solvers.compare_solvers",
     "experiments",
     "paper_figs.inputs",
-    "paper_figs.labels",
     "paper_figs.drawing",
-    "paper_figs.paper",
-    "paper_figs.studies",
+    "paper_figs.observation",
     "paper_figs",
     "benchmarks",
 )
