@@ -1,4 +1,4 @@
-"""Time the planner and fit its growth, run by hand: `python -m benchmarks`."""
+"""Time the planner, its commands and its campaigns, run by hand: `python -m benchmarks`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,8 @@
-"""Time one method in a process of its own: `python -m benchmarks.methods NAME REPEATS`."""
+"""Time a method in this process, and print JSON: `python -m benchmarks.methods WHAT WORD ...`.
+
+WHAT is `planned` (by a method, repeats), `replanned`, `flown` (repeats) or `growth` (with a quantity,
+by a method).
+"""
 
 from __future__ import annotations
 
@@ -8,11 +12,14 @@ import resource
 import statistics
 import sys
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict
 from time import perf_counter, process_time
+from typing import Any
 
 import numpy as np
 
+from formulations.arrays import Array
+from formulations.problem.flyby import Iterate
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.flights import FlightConfig, run_block
 from scp_recon.monte_carlo.sampling import BLOCK
@@ -21,7 +28,11 @@ from scp_recon.planning.plan import Plan
 from scp_recon.planning.planner import Planner
 from scp_recon.results.solution import make_solution
 from scp_recon.scenario.load import load_scenario
+from scp_recon.scp.status import Status
 from scp_recon.verification.reintegration import verify
+
+Row = dict[str, Any]
+Method = Callable[[Mission, Iterate], Plan]
 
 REPLANS = 100
 LATE = {
@@ -29,113 +40,70 @@ LATE = {
     "ipopt": ("scp_recon.planning.ipopt",),
 }
 """Modules that the methods import late, with CVXPY or CasADi."""
+REPEATS, AGAIN_S = 5, 5.0
+"""Plans of a size at most, and the seconds after which no further one is made."""
+LEFT_OUT = {("nodes", "scp lifted"): (2400,), ("burns", "scp lifted"): (12,)}
+"""Sizes of which a plan takes minutes: 134 s with 2400 nodes; with 12 burns none after nine minutes."""
 
 
-@dataclass(frozen=True)
-class Timed:
-    """One method's figures; seconds.
-
-    Attributes:
-        first: of the first run in the process, programs compiled and solvers set up in it, without
-            imports.
-        best: of the fastest of the later runs; of replans the median.
-        cpu: processor time of the fastest run.
-        split: its seconds by part.
-        peak_mib: resident memory at the end, imports included.
-        total_dv_m_s: of the plan.
-        status: of the plan.
-        verified: whether an independent integration and Monte Carlo confirm it.
-        details: further figures of the method; "import" are the seconds that importing `LATE`
-            modules took before, beyond what every method imports.
-    """
-
-    first: float
-    best: float
-    cpu: float
-    split: dict[str, float] = field(default_factory=dict)
-    peak_mib: float = 0.0
-    total_dv_m_s: float = float("nan")
-    status: str = ""
-    verified: bool = False
-    details: dict[str, float] = field(default_factory=dict)
-
-
-def timed(run: Callable[[], object], repeats: int) -> Timed:
-    """Time the first run and the fastest of `repeats` later ones."""
-    walls, cpus = [], []
+def timed(run: Callable[[], object], repeats: int) -> Row:
+    """Seconds of the first run, and of the fastest of `repeats` later ones with its processor time."""
+    runs = []
     for _ in range(repeats + 1):
-        wall, cpu = perf_counter(), process_time()
+        wall, processor = perf_counter(), process_time()
         run()
-        walls.append(perf_counter() - wall)
-        cpus.append(process_time() - cpu)
-    best = 1 + int(np.argmin(walls[1:])) if repeats else 0
-    return Timed(walls[0], walls[best], cpus[best])
+        runs.append((perf_counter() - wall, process_time() - processor))
+    later_s, processor_s = min(runs[1:] or runs)
+    return {"first_s": runs[0][0], "later_s": later_s, "processor_s": processor_s}
 
 
-def imported(*names: str) -> float:
-    """Import modules; returns the seconds that it took."""
+def way(method: str) -> tuple[Method, float]:
+    """How a method plans, by a new planner each time, and the seconds that its late imports took."""
+    kind, form = method.split(maxsplit=1)
     begin = perf_counter()
-    for name in names:
+    for name in LATE[kind]:
         importlib.import_module(name)
-    return perf_counter() - begin
+    import_s = perf_counter() - begin
+    if kind == "scp":
+        return lambda mission, start: Planner(mission, formulation=form).plan(start), import_s
+    from scp_recon.planning import ipopt
+
+    return lambda mission, start: ipopt.plan(mission, start, variant=form), import_s
 
 
-def _described(figures: Timed, mission: Mission, plans: list[Plan], import_s: float) -> Timed:
+def planned(method: str, repeats: int) -> Row:
+    """P3, facets and P2 from a cold start; the parts are those of the fastest plan.
+
+    The first plan compiles and sets up; imports are over before it.
+    """
+    mission, plans = Mission.from_scenario(load_scenario()), list[Plan]()
+    plan, import_s = way(method)
+    start = initial_guess.cold(mission)
+    seconds = timed(lambda: plans.append(plan(mission, start)), repeats)
     found = min(plans[1:] or plans, key=lambda plan: plan.total_s)
-    solution = make_solution(found)
     parts = asdict(found.timing) | {"other": found.total_s - sum(vars(found.timing).values())}
-    p2 = [
-        r.solver_s for stage in found.stages if stage.problem == "P2" for r in stage.result.records
-    ]
-    solves = {"p2_subproblem": statistics.median(p2)} if p2 else {}
-    return replace(
-        figures,
-        split=parts,
-        total_dv_m_s=found.final.result.lin.iterate.total_dv * mission.units.speed_m_s,
-        status=found.final.result.status.value.name,
-        verified=verify(mission, solution).ok,
-        details=solves
-        | {
-            "iterations": float(sum(len(s.result.records) for s in found.stages)),
-            "import": import_s,
-        },
-    )
+    records = [r for stage in found.stages if stage.problem == "P2" for r in stage.result.records]
+    verified = verify(mission, make_solution(found)).ok
+    peak_kib = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return {
+        "method": method,
+        "total_dv_m_s": found.total_dv_m_s,
+        "status": f"{found.status.value.name}, {'' if verified else 'not '}verified",
+        "import_s": import_s,
+        **seconds,
+        **{f"{part}_s": max(taken, 0.0) for part, taken in parts.items()},
+        "peak_mib": peak_kib / 1024.0,
+        "subproblem_s": statistics.median(r.solver_s for r in records) if records else np.nan,
+    }
 
 
-def scp(mission: Mission, formulation: str, repeats: int) -> Timed:
-    """P3, facets and P2 from a cold start, each time by a new planner."""
-    import_s = imported(*LATE["scp"])
-    start, plans = initial_guess.cold(mission), list[Plan]()
-
-    def run() -> None:
-        plans.append(Planner(mission, formulation=formulation).plan(start))
-
-    return _described(timed(run, repeats), mission, plans, import_s)
-
-
-def ipopt(mission: Mission, variant: str, repeats: int) -> Timed:
-    """The same stages by IPOPT."""
-    import_s = imported(*LATE["ipopt"])
-    from scp_recon.planning import ipopt as reference
-
-    start, plans = initial_guess.cold(mission), list[Plan]()
-
-    def run() -> None:
-        plans.append(reference.plan(mission, start, variant=variant))
-
-    return _described(timed(run, repeats), mission, plans, import_s)
-
-
-def replan(mission: Mission, repeats: int) -> Timed:
+def replanned() -> Row:
     """P2 again from initial states drawn from their covariance, against planning them cold."""
-    del repeats
-    planner = Planner(mission)
-    last, start = planner.plan(initial_guess.cold(mission)), initial_guess.cold(mission)
-    rng, again, cold = np.random.default_rng(0), [], []
-    converged = 0
-    first = perf_counter()
+    mission = Mission.from_scenario(load_scenario())
+    planner, start = Planner(mission), initial_guess.cold(mission)
+    last = planner.plan(start)
     planner.replan(last, mission.initial_state)
-    first = perf_counter() - first
+    rng, again, cold, converged = np.random.default_rng(0), [], [], 0
     for _ in range(REPLANS):
         state = mission.initial_state + mission.initial_factor @ rng.standard_normal(6)
         begin = perf_counter()
@@ -145,37 +113,99 @@ def replan(mission: Mission, repeats: int) -> Timed:
         begin = perf_counter()
         Planner(mission.with_initial_state(state)).plan(start)
         cold.append(perf_counter() - begin)
-    details = {"cold": statistics.median(cold), "converged": float(converged)}
-    return Timed(first, statistics.median(again), float("nan"), details=details)
+    medians = {"later_s": statistics.median(again), "cold_s": statistics.median(cold)}
+    return {"replans": REPLANS, "converged": converged, **medians}
 
 
-def montecarlo(mission: Mission, repeats: int) -> Timed:
+def flown(repeats: int) -> Row:
     """A block of flights with crossing times."""
-    found = Planner(mission).plan(initial_guess.cold(mission)).final.result.lin.iterate.burns
-    config = FlightConfig(mission, found * mission.units.speed_m_s)
-    figures = timed(lambda: run_block(config, (0, BLOCK)), 4 * repeats)
-    return replace(figures, details={"flights_per_s": BLOCK / figures.best})
+    mission = Mission.from_scenario(load_scenario())
+    config = FlightConfig(mission, Planner(mission).plan(initial_guess.cold(mission)).burns_m_s)
+    return {"flights": BLOCK, **timed(lambda: run_block(config, (0, BLOCK)), 4 * repeats)}
 
 
-METHODS: dict[str, Callable[[Mission, int], Timed]] = {
-    "scp condensed": lambda mission, n: scp(mission, "condensed", n),
-    "scp frozen-stm": lambda mission, n: scp(mission, "frozen-stm", n),
-    "scp frozen-covariance": lambda mission, n: scp(mission, "frozen-covariance", n),
-    "scp lifted": lambda mission, n: scp(mission, "lifted", n),
-    "ipopt tuned": lambda mission, n: ipopt(mission, "tuned", n),
-    "ipopt shooting": lambda mission, n: ipopt(mission, "shooting", n),
-    "ipopt printed": lambda mission, n: ipopt(mission, "printed", n),
-    "replan": replan,
-    "montecarlo": montecarlo,
+def burn_times(count: int) -> list[str]:
+    """Times of a number of burns, none near the observation window, without attitude modes between."""
+    early = np.linspace(0.0, 11_000.0, -(-count // 2))
+    late = np.linspace(19_000.0, 34_842.0, count // 2) if count > 2 else [34_842.0]
+    times = [round(float(time), 1) for time in (*early, *late)]
+    modes = [f"schedule.{name}_s=1.0" for name in ("attitude", "heating", "recharge")]
+    return [f"burns.times_s={times}", *modes]
+
+
+QUANTITIES: dict[str, tuple[tuple[int, ...], Callable[[int], list[str]]]] = {
+    "nodes": ((75, 150, 300, 600, 1200, 2400), lambda n: [f"grid.step_max_s={34_842 / n}"]),
+    "facets of each polytope": (
+        (4, 8, 16, 32, 64, 128),
+        lambda n: [f"polytopes.ball={n}", f"polytopes.cone={n}"],
+    ),
+    "burns": ((2, 4, 6, 8, 12), burn_times),
 }
+"""Sizes of each quantity, and the changes to a scenario that give them."""
+
+
+def growth(quantity: str, method: str) -> Row:
+    """Processor seconds of a method's plans by size, the fastest of a few.
+
+    Exponents are of power laws through the sizes that converged (others took as long as there were
+    starts and facets left to try): of seconds, of the last two, of seconds over iterations; None for
+    fewer than two. Where delta-v differs, methods did not find the same plan.
+    """
+    plan, _ = way(method)
+    all_sizes, overrides = QUANTITIES[quantity]
+    sizes = [size for size in all_sizes if size not in LEFT_OUT.get((quantity, method), ())]
+    found = [fastest(overrides(size), plan) for size in sizes]
+    ends = [
+        (seconds, sum(len(s.result.records) for s in p.stages), p.status) for p, seconds in found
+    ]
+    words = (
+        f"{s:.2f} ({n}{'' if end is Status.CONVERGED else f', {_words(end)}'})"
+        for s, n, end in ends
+    )
+    converged = [k for k, (*_, end) in enumerate(ends) if end is Status.CONVERGED]
+    x, y = np.array(sizes, float)[converged], np.array([s for s, *_ in ends])[converged]
+    iterations = np.array([n for _, n, _ in ends])[converged]
+    return {
+        "growth with": quantity,
+        "method": method,
+        "sizes": ", ".join(map(str, sizes)),
+        "seconds": ", ".join(words),
+        "total_dv_m_s": ", ".join(f"{p.total_dv_m_s:.6f}" for p, _ in found),
+        "exponent": exponent(x, y),
+        "last": exponent(x[-2:], y[-2:]),
+        "an_iteration": exponent(x, y / iterations),
+    }
+
+
+def _words(status: Status) -> str:
+    return status.value.name.replace("_", " ")
+
+
+def exponent(sizes: Array, values: Array) -> float | None:
+    """Exponent of the power law through values by size, each of shape (n,); None for fewer than two."""
+    if len(sizes) < 2:
+        return None
+    return float(np.polyfit(np.log(sizes), np.log(values), 1)[0])
+
+
+def fastest(overrides: list[str], plan: Method) -> tuple[Plan, float]:
+    """The plan of a changed default scenario, and the least processor seconds of a few plans."""
+    mission = Mission.from_scenario(load_scenario(None, overrides))
+    start, seconds = initial_guess.cold(mission), list[float]()
+    while len(seconds) < REPEATS and sum(seconds) < AGAIN_S:
+        begin = process_time()
+        found = plan(mission, start)
+        seconds.append(process_time() - begin)
+    return found, min(seconds)
 
 
 def main() -> None:
-    """Print a method's figures as JSON."""
-    name, repeats = sys.argv[1:]
-    figures = METHODS[name](Mission.from_scenario(load_scenario()), int(repeats))
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
-    print(json.dumps(asdict(replace(figures, peak_mib=peak))))
+    """Print a row as JSON."""
+    what, *words = sys.argv[1:]
+    work: dict[str, Callable[..., Row]] = {
+        f.__name__: f for f in (planned, replanned, flown, growth)
+    }
+    print(json.dumps(work[what](*(int(word) if word.isdigit() else word for word in words))))
 
 
 if __name__ == "__main__":

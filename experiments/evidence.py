@@ -109,9 +109,9 @@ SOURCES: Mapping[str, Source] = {
         figures=_drawn("map_sample --runs {out} --out docs/map_sample.png"),
     ),
     "benchmarks": Source("benchmarks", dated=True),
-    "growth": Source("benchmarks --growth", dated=True),
-    "waits": Source("benchmarks.waits", dated=True),
-    "campaign_scale": Source("benchmarks.campaign_scale", dated=True),
+    "growth": Source("benchmarks growth", dated=True),
+    "waits": Source("benchmarks waits", dated=True),
+    "campaign_scale": Source("benchmarks campaign_scale", dated=True),
     **{
         name: Source(f"experiments testing {name}", dated=True)
         for name in ("reliability", "coverage", "mutation")

@@ -353,9 +353,9 @@ APART = {
     "python -m pip install --constraint constraints.txt --editable '.[compare]'",
     "python -m pip install --constraint constraints.txt --editable '.[crosscheck]'",
     "python -m benchmarks",  # takes minutes
-    "python -m benchmarks --growth",
-    "python -m benchmarks.campaign_scale",
-    "python -m benchmarks.waits",
+    "python -m benchmarks growth",
+    "python -m benchmarks campaign_scale",
+    "python -m benchmarks waits",
     "python -m experiments maps",  # runs campaigns
     "python -m experiments maps --sample",
     f"{RUN} design ryugu",

@@ -1,0 +1,134 @@
+"""Tables and ratios of the benchmarks from made-up times; no time is tested."""
+
+import itertools
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+import benchmarks.__main__ as command
+from benchmarks import methods
+from experiments.evidence import FILE, ROOT, Evidence
+from scp_recon.mission.mission import Mission
+from scp_recon.scenario.load import load_scenario
+from scp_recon.scp.status import Status
+
+PLANNED = {"total_dv_m_s": 0.14, "status": "converged, verified", "import_s": 0.4, "first_s": 0.2}
+PLANNED |= {"later_s": 0.1, "processor_s": 0.1, "setup_s": 0.0, "canonicalise_s": 0.01}
+PLANNED |= {"conic_solver_s": 0.05, "subproblem_s": 0.008}
+SLOW = {
+    "ipopt printed": {"first_s": 20.0, "later_s": 16.0, "setup_s": 1.0, "total_dv_m_s": 0.14014},
+    "ipopt tuned": {"first_s": 2.0, "later_s": 1.5, "setup_s": 0.3},
+    "ipopt shooting": {"first_s": 2.4, "later_s": 1.3, "setup_s": 0.2},
+}
+OTHERS = {
+    "replanned": {"replans": 100, "converged": 99, "later_s": 0.02, "cold_s": 0.1},
+    "flown": {"flights": 1000, "first_s": 0.1, "later_s": 0.05},
+}
+
+
+def made_up(words: Sequence[str]) -> dict[str, Any]:
+    what, *rest = words
+    return OTHERS.get(what) or {"method": rest[0], **PLANNED, **SLOW.get(rest[0], {})}
+
+
+def test_stopped_run_continues_and_leaves_evidence(tmp_path, monkeypatch):
+    ran: list[Sequence[str]] = []
+
+    def in_a_process(words: Sequence[str]) -> dict[str, Any]:
+        ran.append(words)
+        if len(ran) == 4:
+            raise KeyboardInterrupt
+        return made_up(words)
+
+    monkeypatch.setattr(command, "in_a_process", in_a_process)
+    monkeypatch.setattr(command, "command_times", lambda _: {"solve": 1.5, "import cvxpy": 0.75})
+    words = ["--quick", "--out", str(tmp_path), "--quiet"]
+    assert command.main(words) == 130
+    assert command.main(words) == 0
+    assert len(ran) == len(command.METHODS) + len(OTHERS) + 1
+    found = Evidence.read(tmp_path / FILE)
+    assert (found.command, found.resumed) == ("benchmarks --quick", True)
+    rows = {row["method"]: row for row in found.tables["methods"]}
+    assert list(rows) == list(command.METHODS)
+    assert rows["ipopt printed"]["off"] == pytest.approx(1e-3)
+    ratios = {row["figure"]: row["value"] for row in found.tables["ratios"]}
+    assert ratios["IPOPT as printed over SCP, first plan of a process"] == pytest.approx(100)
+    assert ratios["IPOPT as printed over SCP"] == pytest.approx(150)
+    # The quickest to the first answer is not the quickest without set-up.
+    assert ratios["best tuned NLP over SCP, first plan of a process"] == pytest.approx(10)
+    assert ratios["best tuned NLP over SCP"] == pytest.approx(11)
+    assert ratios["all else over the conic solver"] == pytest.approx(1.0)
+    assert ratios["replan over cold plan"] == pytest.approx(0.2)
+    assert ratios["flights a second"] == 20_000
+    assert ratios["command line over importing CVXPY"] == pytest.approx(2.0)
+
+
+@pytest.mark.parametrize("name", methods.QUANTITIES)
+def test_every_size_is_a_mission(name):
+    sizes, overrides = methods.QUANTITIES[name]
+    for size in (sizes[0], sizes[-1]):
+        mission = Mission.from_scenario(load_scenario(None, overrides(size)))
+        assert name != "burns" or len(mission.burn_nodes) == size
+    assert list(methods.QUANTITIES) == list(command.QUANTITIES)
+
+
+def planned_in(overrides: list[str], _: object) -> tuple[object, float]:
+    """A plan of n iterations in n^2 seconds, but for two nodes none in a hundred."""
+    n = int(overrides[0])
+    status = Status.MAX_ITERATIONS if n == 2 else Status.CONVERGED
+    stage = SimpleNamespace(result=SimpleNamespace(records=[None] * n))
+    plan = SimpleNamespace(status=status, stages=[stage], total_dv_m_s=0.14)
+    return plan, 100.0 if n == 2 else n**2.0
+
+
+def test_only_converged_sizes_give_an_exponent(monkeypatch):
+    monkeypatch.setattr(methods, "fastest", planned_in)
+    monkeypatch.setattr(methods, "LEFT_OUT", {("nodes", "scp lifted"): (8, 16)})
+    monkeypatch.setitem(methods.QUANTITIES, "nodes", ((2, 4, 8, 16), lambda n: [str(n)]))
+    whole, short = (methods.growth("nodes", f"scp {form}") for form in ("condensed", "lifted"))
+    assert whole["seconds"] == "100.00 (2, max iterations), 16.00 (4), 64.00 (8), 256.00 (16)"
+    exponents = [whole[name] for name in ("exponent", "last", "an_iteration")]
+    assert exponents == pytest.approx([2.0, 2.0, 1.0])
+    assert (short["method"], short["sizes"]) == ("scp lifted", "2, 4")
+    assert short["exponent"] is short["last"] is short["an_iteration"] is None
+
+
+IMPORTED = """
+import sys
+from benchmarks import methods
+
+def timed(run, _):
+    before = set(sys.modules)
+    run()
+    sys.exit(set(sys.modules) != before)
+
+methods.timed = timed
+methods.main()
+"""
+
+
+@pytest.mark.parametrize("name", ["scp condensed", "ipopt tuned"])
+def test_timed_run_imports_nothing(name):
+    subprocess.run([sys.executable, "-c", IMPORTED, "planned", name, "0"], check=True, cwd=ROOT)
+
+
+def test_least_processor_time_of_a_command_counts(tmp_path, monkeypatch):
+    took = itertools.count(1)
+
+    def waited(name: str, _: Path) -> dict[str, Any]:
+        number = next(took)
+        return {"command": name, "wall_s": 100.0 - number, "processor_s": float(number)}
+
+    monkeypatch.setattr(command, "waited", waited)
+    assert command.main(["waits", "--out", str(tmp_path), "--quiet"]) == 0
+    found = Evidence.read(tmp_path / FILE)
+    assert found.command == "benchmarks waits"
+    rows = found.tables["waits"]
+    assert [row["command"] for row in rows] == list(command.WAITS)
+    assert [row["processor_s"] for row in rows] == list(range(1, len(command.WAITS) + 1))
+    assert next(took) == 2 * len(command.WAITS) + 1
