@@ -9,7 +9,6 @@ where a simulated spacecraft ends.
 from __future__ import annotations
 
 import math
-from argparse import Namespace
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from functools import partial
@@ -18,13 +17,10 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
-from rich.console import Console
-
-from experiments import cross_check, frontier, gallery, maps, plans, spice
+from experiments import cross_check, frontier, gallery, maps, model_fidelity, plans, spice
 from experiments.evidence import Evidence, Records, path_of
-from experiments.harness import Record, Session, plan_or_default
+from experiments.harness import Record, plan_or_default
 from experiments.in_flight import feedback, policies, sites
-from experiments.model_fidelity import study as model_fidelity
 from experiments.observation_rows import rows as observation_rows
 from experiments.observation_rows import run_row
 from experiments.observation_table import SAMPLES
@@ -48,6 +44,7 @@ from scp_recon.campaigns.study import read_study
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
+from scp_recon.results.solution import ballistic_arc
 from scp_recon.scenario.load import load_scenario
 from scp_recon.simulation.panels import SolarArray, irradiance
 from scp_recon.simulation.vehicle import load_vehicle
@@ -202,12 +199,11 @@ def observation_row(folder: Path, key: str) -> Record:
     return run_row(row, default_mission(), folder, samples=SAMPLES, check=True)
 
 
-def fidelity_rows(folder: Path, _: None) -> list[Record]:
+def fidelity_rows(_: None) -> list[Record]:
     """The ballistic arc by models that matter."""
-    case = model_fidelity.flights(default_mission(), load_vehicle(), None)[0]
-    console, begun = Console(quiet=True), Evidence("", 0)
-    with Session("", Namespace(), folder, console, begun) as session:
-        rows = model_fidelity.table(model_fidelity.compare(case, session, session.store()))
+    mission = default_mission()
+    arc = model_fidelity.flight_plan(ballistic_arc(mission), mission, load_vehicle())
+    rows, *_others = model_fidelity.compare("ballistic arc", arc)
     return [row for row in rows if row["terminal_m"] > 0.1]
 
 
@@ -319,7 +315,7 @@ OWN = (
         [row.key for row in observation_rows(ipopt=False)]),
     Sentinel("observation_table", "row", OTHER, partial(in_folder, observation_row), ["p3"]),
     Sentinel("model_fidelity", "flight, effect, model", {"passes": EQUAL, "terminal_m": 1e-4},
-        partial(in_folder, fidelity_rows), [None]),
+        fidelity_rows, [None]),
     Sentinel("battery_cones", "mode, calibrated",
         {"half_angle_deg": 1e-6, "sampled_fraction": 1e-9}, cones_rows, [None]),
     Sentinel("timing_rules.timing_rules_slews", "axis_x, axis_y, axis_z",

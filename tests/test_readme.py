@@ -159,7 +159,7 @@ SHORT_TIMES = tuple(
     for name in ("SLEW_S", "RECHARGE_S")
 )
 NO_FIRST_FLIGHT = (
-    ("experiments.model_fidelity.study.flights", lambda fly: lambda *a: fly(*a)[1:]),
+    ("experiments.model_fidelity.flights", lambda fly: lambda *a: {"plan": fly(*a)["plan"]}),
 )
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from experiments.harness import Record
-from experiments.model_fidelity.models import Plates
+from experiments.model_fidelity import Plates
 from experiments.spacecraft.battery_cones import (
     SAMPLES,
     TOLERANCE_DEG,

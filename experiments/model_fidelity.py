@@ -1,0 +1,322 @@
+"""Find the crudest model of each effect that is accurate enough for the planner.
+
+The truth is a flight under the degree-8 field, light pressure on the vehicle's plates in their
+commanded attitude, and finite burns. Each effect is replaced by its cruder models in turn; the crudest
+model whose flight ends within 10 m of the truth is named. Writes OUT/model_fidelity.csv, .md and, with
+the distances over time, model_fidelity_history.csv.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.integrate import solve_ivp
+
+from experiments.harness import (
+    PLAN,
+    VEHICLE,
+    Claim,
+    Findings,
+    Record,
+    Session,
+    Study,
+    plan_or_default,
+    records,
+    view,
+)
+from formulations.arrays import Array
+from scp_recon.mission.mission import Mission
+from scp_recon.mission.scene import HARMONICS_DEGREE
+from scp_recon.mission.schedule import Mode
+from scp_recon.physics.forces import SPEED_OF_LIGHT_M_S
+from scp_recon.physics.frames import unit
+from scp_recon.physics.harmonics import HarmonicField
+from scp_recon.results.solution import Solution, ballistic_arc
+from scp_recon.results.table import Column
+from scp_recon.scenario.load import load_scenario
+from scp_recon.simulation.guidance import FlightPlan
+from scp_recon.simulation.panels import irradiance
+from scp_recon.simulation.vehicle import Vehicle, load_vehicle
+
+SRP, GRAVITY, BURNS = "solar radiation pressure", "gravity", "burns"
+PLANNER = {SRP: "cannonball", GRAVITY: "J2", BURNS: "impulsive"}
+"""The planner's own models."""
+TRUTH, TOGETHER = "the truth", "together"
+"""In claims, and the effect of rows in which all effects are modelled at once."""
+LIMIT_M = 10.0
+"""At the end of the flight: Echigo et al., section IV.B."""
+ATTITUDE_STEP_S = 60.0
+"""Spacing at which the commanded attitude is turned into a force, linear in between."""
+RELATIVE_TOLERANCE, ABSOLUTE_TOLERANCE = 1e-11, 1e-9
+"""Of the integrator; together they are worth less than 0.1 mm at the end of the flight."""
+
+Acceleration = Callable[[float], Array]
+"""By sunlight, J2000, m/s^2, at a time in s."""
+Models = Mapping[str, Mapping[str, Any]]
+"""Of each effect by name, in ascending fidelity, the last the truth: an `Acceleration`, a field of
+gravity; when a burn acts as an impulse, over the firing's length, or None where thrust lasts."""
+
+
+def flight_plan(solution: Solution, mission: Mission, vehicle: Vehicle) -> FlightPlan:
+    """The flight of a solution; with a burn of zero the panels stay on the Sun."""
+    plan = FlightPlan.of(solution, mission, vehicle)
+    idle = {firing.end_s for firing in plan.firings if not firing.dv_m_s.any()}
+    legs = (replace(leg, mode=Mode.SUN_POINTING) if leg.end_s in idle else leg for leg in plan.legs)
+    return replace(plan, legs=tuple(legs))
+
+
+def models_of(plan: FlightPlan) -> Models:
+    """The models of each effect on a flight."""
+    forces, gm = plan.mission.forces, plan.mission.scenario.body.gm_m3_s2
+    fields = [HarmonicField.bennu(gm, n) for n in range(HARMONICS_DEGREE + 1)]
+    named = {f"degree {n}": field for n, field in enumerate(fields)}
+    crude = {"degree 0": fields[0], "degree 1": fields[1], "J2": _zonal(fields[2])}
+    return {
+        SRP: {
+            "none": lambda _: np.zeros(3),
+            "cannonball": lambda _: forces.srp,
+            "N-plate": _plate_srp(plan),
+        },
+        GRAVITY: crude | named,
+        BURNS: {"impulsive": 0.0, "impulsive, mid-firing": 0.5, "finite": None},
+    }
+
+
+def _zonal(field: HarmonicField) -> HarmonicField:
+    """The planner's gravity: the field's oblateness alone."""
+    c = np.zeros_like(field.c)
+    c[0, 0], c[2, 0] = field.c[0, 0], field.c[2, 0]
+    return HarmonicField(field.gm, field.radius, c, np.zeros_like(field.s))
+
+
+def _plate_srp(plan: FlightPlan) -> Acceleration:
+    """Acceleration of the vehicle's plates in its commanded attitude."""
+    plates, vehicle, mission = Plates.of(plan.vehicle), plan.vehicle, plan.mission
+    scale = irradiance(mission.scenario) / SPEED_OF_LIGHT_M_S / vehicle.mass.mass_kg
+    times, values = [], []
+    for leg in plan.legs:
+        count = max(2, int(np.ceil((leg.end_s - leg.start_s) / ATTITUDE_STEP_S)) + 1)
+        inside = np.linspace(leg.start_s, np.nextafter(leg.end_s, leg.start_s), count)
+        to_j2000 = plan.attitudes(inside).as_matrix()
+        sun_body = np.einsum("nji,nj->ni", to_j2000, mission.sun_direction(inside))
+        force = plates.force_per_pressure(sun_body)
+        times.append(inside)
+        values.append(scale * np.einsum("nij,nj->ni", to_j2000, force))
+    starts = np.array([leg.start_s for leg in plan.legs])
+
+    def acceleration(time: float) -> Array:
+        leg = max(0, int(np.searchsorted(starts, time, side="right")) - 1)
+        return np.array([np.interp(time, times[leg], values[leg][:, i]) for i in range(3)])
+
+    return acceleration
+
+
+@dataclass(frozen=True)
+class Plates:
+    """The N-plate model of a rigid body; plates do not shade each other.
+
+    Attributes:
+        normals: outward unit vectors, body frame, shape (n, 3).
+        areas_m2: shape (n,).
+        specular, diffuse: fractions of the light that are reflected like that, shape (n,).
+    """
+
+    normals: Array
+    areas_m2: Array
+    specular: Array
+    diffuse: Array
+
+    @classmethod
+    def of(cls, vehicle: Vehicle) -> Plates:
+        """A vehicle's faces and the cells of its panels."""
+        sizes = [(plate.area_m2, plate.specular, plate.diffuse) for plate in vehicle.plates]
+        return cls(unit([plate.normal for plate in vehicle.plates]), *np.array(sizes).T)
+
+    def force_per_pressure(self, sun_body: Array) -> Array:
+        """Force over the pressure of sunlight, body frame, m^2.
+
+        -sum_i A_i cos_i ((1 - rho_s) s + 2 (rho_s cos_i + rho_d / 3) n_i) over the plates with
+        cos_i = n_i . s > 0: Montenbruck & Gill, Satellite Orbits, eq. 3.73, with Lambert's law.
+
+        Args:
+            sun_body: unit vectors to the Sun, body frame, shape (..., 3).
+
+        Returns:
+            Shape (..., 3).
+        """
+        cosine = np.maximum(0.0, sun_body @ self.normals.T)
+        lit = self.areas_m2 * cosine
+        along_sun = (lit * (1.0 - self.specular)).sum(axis=-1, keepdims=True) * sun_body
+        reflected = 2.0 * lit * (self.specular * cosine + self.diffuse / 3.0)
+        return -along_sun - reflected @ self.normals
+
+
+def fly(
+    mission: Mission,
+    burns_m_s: Array,
+    model: Mapping[str, Any],
+    times_s: Array,
+    *,
+    thrust_acceleration_m_s2: float,
+    breaks_s: Sequence[float] = (),
+) -> Array:
+    """States before any burn at the same time, J2000, m and m/s, shape (n, 6).
+
+    Args:
+        mission: initial state, rotation and firing times.
+        burns_m_s: planned burns, shape (m, 3); they may be zero.
+        model: of each effect; see `Models`.
+        times_s: ascending times of the states, from 0 on.
+        thrust_acceleration_m_s2: while firing; it is constant, the propellant being a ten-thousandth.
+        breaks_s: times at which sunlight's acceleration may jump.
+    """
+    lengths = np.linalg.norm(burns_m_s, axis=1) / thrust_acceleration_m_s2
+    impulses, thrusts = dict[float, Array](), list[tuple[float, float, Array]]()
+    for start, length, burn in zip(mission.scenario.burns.times_s, lengths, burns_m_s, strict=True):
+        if model[BURNS] is None:
+            thrusts.append((start, start + length, burn / length if length else burn))
+        else:
+            impulses[start + model[BURNS] * length] = burn
+    end = float(times_s[-1])
+    edges = {0.0, end, *impulses, *breaks_s, *(edge for *ends, _ in thrusts for edge in ends)}
+    state = mission.initial_state.copy()
+    found = [state[None].copy()] if times_s[0] == 0.0 else []
+    for before, after in itertools.pairwise(sorted(edge for edge in edges if edge <= end)):
+        state[3:] += impulses.get(before, np.zeros(3))
+        middle = 0.5 * (before + after)
+        thrust = sum((a for start, stop, a in thrusts if start < middle < stop), np.zeros(3))
+        # An arc belongs to what holds before its end.
+        rate = _rate(mission, model, thrust, float(np.nextafter(after, before)))
+        shown = times_s[(times_s > before) & (times_s <= after)]
+        how: dict[str, Any] = {
+            "rtol": RELATIVE_TOLERANCE,
+            "atol": ABSOLUTE_TOLERANCE,
+            "method": "DOP853",
+        }
+        states = solve_ivp(rate, (before, after), state, t_eval=np.union1d(shown, after), **how).y.T
+        found.append(states[: len(shown)])
+        state = states[-1].copy()
+    return np.concatenate(found)
+
+
+def _rate(
+    mission: Mission, model: Mapping[str, Any], thrust: Array, before: float
+) -> Callable[[float, Array], Array]:
+    """Rate of the state on an arc without jumps of forces, which ends after `before`."""
+
+    def rate(time: float, y: Array) -> Array:
+        turn = mission.rotation.body_to_j2000(time)
+        pull = turn @ np.array(model[GRAVITY].acceleration(*(turn.T @ y[:3])))
+        return np.r_[y[3:], pull + model[SRP](min(time, before)) + thrust]
+
+    return rate
+
+
+def passing(terminal_m: Mapping[str, float]) -> str:
+    """Lowest fidelity within the limit, of distances in ascending fidelity; else the truth."""
+    return next((name for name, distance in terminal_m.items() if distance < LIMIT_M), TRUTH)
+
+
+def relapses(terminal_m: Mapping[str, float]) -> list[str]:
+    """Models of higher fidelity than the one that passes, but beyond the limit."""
+    above = itertools.dropwhile(passing(terminal_m).__ne__, terminal_m)
+    return [name for name in above if terminal_m[name] >= LIMIT_M]
+
+
+def compare(
+    name: str, plan: FlightPlan, done: Callable[[], None] = lambda: None
+) -> tuple[list[Record], list[Record], list[Claim]]:
+    """Fly every model of every effect, then the lowest that pass and the planner's together.
+
+    Returns the rows of the table, of the distances over time, and the claims; calls `done` after each
+    flight.
+    """
+    mission, models = plan.mission, models_of(plan)
+    burns, times = np.array([firing.dv_m_s for firing in plan.firings]), mission.times_s
+    first, last = mission.schedule.window_s
+    thrust = plan.vehicle.chemical_thruster.thrust_n / plan.vehicle.mass.mass_kg
+    truth = {effect: list(names)[-1] for effect, names in models.items()}
+    legs = [leg.start_s for leg in plan.legs]
+
+    def path(names: Mapping[str, str]) -> Array:
+        model = {effect: models[effect][name] for effect, name in names.items()}
+        how: dict[str, Any] = {"thrust_acceleration_m_s2": thrust, "breaks_s": legs}
+        states = fly(mission, burns, model, times, **how)
+        done()
+        return states[:, :3]
+
+    rows, history, true = list[Record](), list[Record](), path(truth)
+
+    def add(effect: str, model: str, names: Mapping[str, str]) -> float:
+        away = np.linalg.norm(path(names) - true, axis=1)
+        of = {"flight": name, "effect": effect, "model": model}
+        history.extend(
+            of | {"t_s": time, "distance_m": distance}
+            for time, distance in zip(times.tolist(), away.tolist(), strict=True)
+        )
+        most = float(away[(times >= first) & (times <= last)].max())
+        row = of | {"terminal_m": float(away[-1]), "window_max_m": most, "limit_m": LIMIT_M}
+        rows.append(row | {"passes": bool(away[-1] < LIMIT_M), "lowest_that_passes": False})
+        return float(away[-1])
+
+    claims, lowest, threshold = list[Claim](), dict(truth), f"within {LIMIT_M:g} m"
+    for effect, names in models.items():
+        terminal = {model: add(effect, model, truth | {effect: model}) for model in [*names][:-1]}
+        best, again = passing(terminal), relapses(terminal)
+        words = f"{name}, {effect}: lowest fidelity is {best}"
+        words += f", but not {', '.join(again)}" if again else ""
+        measured = f"{terminal[best]:.2f} m" if best in terminal else "no model"
+        claims.append(Claim(words, threshold, measured, best != TRUTH))
+        lowest[effect] = best if best in terminal else truth[effect]
+        for row in rows:
+            row["lowest_that_passes"] |= (row["effect"], row["model"]) == (effect, best)
+    for names in (lowest, PLANNER):
+        words = ", ".join(names.values())
+        away = add(TOGETHER, words, names)
+        claim = f"{name}, together: {words}"
+        claims.append(Claim(claim, threshold, f"{away:.2f} m", away < LIMIT_M))
+    return rows, history, claims
+
+
+COLUMNS: dict[str, Column | str] = {
+    "effect": "effect",
+    "model": "model",
+    "terminal_m": Column("at the end", "m", ".3g"),
+    "window_max_m": Column("most in the window", "m", ".3g"),
+    "passes": "within the limit",
+}
+NOTE = (
+    "Distances from the truth: degree-8 field turning with the body, light on the vehicle's plates "
+    "in the commanded attitude (slews take no time), thrust from the firing time on. J2 is the "
+    "oblateness alone, degree 2 has the equator's ellipticity too. The paper's arc has one burn, "
+    "at departure; so has the ballistic arc, which stands for it."
+)
+
+
+def flights(vehicle: Vehicle, solution: Path | None) -> dict[str, FlightPlan]:
+    """The departure burn alone, as the paper flies it, and a plan."""
+    plan, mission = plan_or_default(solution), Mission.from_scenario(load_scenario())
+    return {
+        "ballistic arc": flight_plan(ballistic_arc(mission), mission, vehicle),
+        "plan": flight_plan(plan, plan.mission, vehicle),
+    }
+
+
+def run(session: Session) -> Findings:
+    """Fly every model of every effect on both flights."""
+    cases = flights(load_vehicle(session.options.vehicle), session.options.solution)
+    total = sum(3 + sum(len(names) - 1 for names in models_of(p).values()) for p in cases.values())
+    with session.steps("flights", total) as done:
+        found = {name: compare(name, plan, done) for name, plan in cases.items()}
+    rows, history, claims = (list(itertools.chain(*of)) for of in zip(*found.values(), strict=True))
+    tables = [view(name.capitalize(), own, COLUMNS) for name, (own, *_) in found.items()]
+    files = {"model_fidelity.csv": records(rows), "model_fidelity_history.csv": records(history)}
+    return Findings([*tables, NOTE], files, claims)
+
+
+STUDY = Study("Model fidelity", __doc__, run, (PLAN, VEHICLE))

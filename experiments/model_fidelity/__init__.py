@@ -1,1 +1,0 @@
-"""Measure the effects that the planner's model leaves out: `python -m experiments model_fidelity`."""
