@@ -38,6 +38,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks import empty
+from benchmarks.methods import QUANTITIES
 from experiments.harness import Findings, Record, Session, Study, number, option, records, run
 from formulations.arrays import Array
 from scp_recon.api.campaigns import work_of
@@ -65,7 +66,6 @@ SAME_ARITHMETIC = {"OPENBLAS_CORETYPE": "Haswell", "OPENBLAS_NUM_THREADS": "1"}
 long IPOPT takes for the program as printed depends on rounding: with a newer processor's kernels it had
 no plan after seven minutes."""
 GROWING = ("scp condensed", "scp lifted", "ipopt tuned")
-QUANTITIES = ("nodes", "facets of each polytope", "burns")
 
 CERTIFIED = (
     "solve --init cold --set risk.allocation=exact --set risk.p_chance={p} --set risk.scope={of}"

@@ -74,7 +74,6 @@ def test_every_size_is_a_mission(name):
     for size in (sizes[0], sizes[-1]):
         mission = Mission.from_scenario(load_scenario(None, overrides(size)))
         assert name != "burns" or len(mission.burn_nodes) == size
-    assert list(methods.QUANTITIES) == list(command.QUANTITIES)
 
 
 def planned_in(overrides: list[str], _: object) -> tuple[object, float]:
