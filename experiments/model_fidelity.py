@@ -47,19 +47,20 @@ SRP, GRAVITY, BURNS = "solar radiation pressure", "gravity", "burns"
 PLANNER = {SRP: "cannonball", GRAVITY: "J2", BURNS: "impulsive"}
 """The planner's own models."""
 TRUTH, TOGETHER = "the truth", "together"
-"""In claims, and the effect of rows in which all effects are modelled at once."""
+"""Name of the truth in claims; effect of rows in which all effects are modelled at once."""
 LIMIT_M = 10.0
 """At the end of the flight: Echigo et al., section IV.B."""
 ATTITUDE_STEP_S = 60.0
 """Spacing at which the commanded attitude is turned into a force, linear in between."""
 RELATIVE_TOLERANCE, ABSOLUTE_TOLERANCE = 1e-11, 1e-9
-"""Of the integrator; together they are worth less than 0.1 mm at the end of the flight."""
+"""Tolerances of the integrator; together they cost less than 0.1 mm at the end of the flight."""
 
 Acceleration = Callable[[float], Array]
-"""By sunlight, J2000, m/s^2, at a time in s."""
+"""Acceleration by sunlight, J2000, m/s^2, at a time in s."""
 Models = Mapping[str, Mapping[str, Any]]
-"""Of each effect by name, in ascending fidelity, the last the truth: an `Acceleration`, a field of
-gravity; when a burn acts as an impulse, over the firing's length, or None where thrust lasts."""
+"""The models of each effect by name, in ascending fidelity; the last is the truth. A model is an
+`Acceleration`; a field of gravity; the delay of a burn's impulse over the firing's length, or None for
+a thrust that lasts."""
 
 
 def flight_plan(solution: Solution, mission: Mission, vehicle: Vehicle) -> FlightPlan:

@@ -1,1 +1,1 @@
-"""Draw figures and tables from the results of `experiments`; each module makes one."""
+"""Draw figures and tables from the results of `experiments`."""

@@ -99,7 +99,7 @@ FIGURES = {
         observation.terminal_normality,
     )
 }
-"""Of the paper, in its order."""
+"""The paper's figures, in the paper's order."""
 
 TABLES = {
     make.__name__: Item(make, read=read_runs)
@@ -141,7 +141,7 @@ STUDIES = {
         ),
     )
 }
-"""Drawn with the paper's where their folders are found."""
+"""Figures of studies, drawn with the paper's if the study's folder exists."""
 
 
 def _default_mission(_: Path) -> Mission:
@@ -155,7 +155,7 @@ ALONE = {
         plans.solver_comparison, "comparison", "compare_solvers", comparison="group"
     ),
 }
-"""Drawn only where they are named."""
+"""Figures that are drawn only if they are named."""
 
 EVERYTHING: dict[str, Item] = FIGURES | TABLES | STUDIES | ALONE
 

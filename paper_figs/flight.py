@@ -25,7 +25,7 @@ from paper_figs.drawing import (
     page,
     place_labels,
 )
-from paper_figs.inputs import Flown, Runs
+from paper_figs.inputs import FlownPlan, Runs
 from paper_figs.observation import SEED, observed, planned_positions
 from scp_recon.mission.constraints import companion_distance_m
 from scp_recon.mission.mission import Mission
@@ -196,7 +196,7 @@ def trajectories(runs: Runs) -> Figure:
     return figure
 
 
-def _reach(flown: Flown, drawn: Array) -> tuple[Array, Array]:
+def _reach(flown: FlownPlan, drawn: Array) -> tuple[Array, Array]:
     """Least and greatest coordinates of paths, the widest band and the keep-out sphere, with room."""
     safe, nodes = flown.mission.scenario.safety.radius_min_m / 1000.0, flown.solution.nodes
     variance = np.diagonal(np.array(nodes.covariance), axis1=1, axis2=2)[:, :3]
@@ -208,7 +208,7 @@ def _reach(flown: Flown, drawn: Array) -> tuple[Array, Array]:
     return low - room, high + room
 
 
-def _dispersions(axes: Axes, flown: Flown, times: Array, path: Array, pair: list[int]) -> None:
+def _dispersions(axes: Axes, flown: FlownPlan, times: Array, path: Array, pair: list[int]) -> None:
     """Draw ellipses of the planned covariance along the path, dense enough for a band."""
     nodes, stored = flown.mission.times_s, np.array(flown.solution.nodes.covariance)
     covariance = np.empty((len(times), 2, 2))
@@ -236,12 +236,12 @@ def _spheres(axes: Axes, mission: Mission) -> None:
     axes.add_patch(Circle((0.0, 0.0), safe, label=f"closest allowed, {safe:g} km", **ring))
 
 
-def _numbers(flown: Flown) -> list[str]:
-    """Of the burns that are not zero."""
+def _numbers(flown: FlownPlan) -> list[str]:
+    """Numbers of the burns that are not zero."""
     return [str(number) for number, _ in flown.solution.executed]
 
 
-def _burns_in_plane(flown: Flown, pair: list[int], arrow_km: float) -> tuple[Array, Array]:
+def _burns_in_plane(flown: FlownPlan, pair: list[int], arrow_km: float) -> tuple[Array, Array]:
     """Positions of the burns that are not zero and their arrows, km, shape (m, 2) each."""
     burns = flown.solution.burns_m_s
     fired = burns.any(axis=1)

@@ -28,11 +28,11 @@ from scp_recon.simulation.record import Record, read_record
 PLAN, SURROGATE, AS_FLOWN = "scp_cold", "ballistic", "as_flown"
 TABLE = "observation_table.csv"
 FLIGHTS = 10_000
-"""Of a plan that was not flown before."""
+"""Flights of a plan that has no flights beside it."""
 SHOWN = 16
 """Digits of a plan's hash in messages."""
 SOLUTION = "SOLUTION"
-"""In a study's command, what stands for the plan."""
+"""Placeholder of the plan in a study's command."""
 EMPTY_HANDED = 2
 """Exit status of a command that could not begin."""
 
@@ -114,7 +114,7 @@ FLOWN_PLAN = Source(
 
 
 @dataclass(frozen=True)
-class Flown:
+class FlownPlan:
     """A plan with its name for legends, its mission, and the summary of its flights."""
 
     label: str
@@ -133,8 +133,8 @@ class Runs:
         table: the observation-time table; None for the user's own plan.
     """
 
-    plan: Flown
-    reference: Flown
+    plan: FlownPlan
+    reference: FlownPlan
     table: pd.DataFrame | None
 
 
@@ -167,8 +167,8 @@ def own_plan(home: Path) -> Runs:
     if summary is None or not summary.is_of(solution):
         summary = _fly(solution)
     arc = ballistic_arc(solution.mission)
-    plan = Flown("plan", solution, solution.mission, summary)
-    return Runs(plan, Flown("ballistic arc", arc, solution.mission, _fly(arc)), None)
+    plan = FlownPlan("plan", solution, solution.mission, summary)
+    return Runs(plan, FlownPlan("ballistic arc", arc, solution.mission, _fly(arc)), None)
 
 
 def _fly(solution: Solution) -> Summary:
@@ -176,7 +176,7 @@ def _fly(solution: Solution) -> Summary:
     return summarise(fly_many(config, samples=FLIGHTS), solution)
 
 
-def _flown(folder: Path, key: str, label: str) -> Flown:
+def _flown(folder: Path, key: str, label: str) -> FlownPlan:
     plan_file = PAPER.require(folder / key / SOLUTION_FILE, folder)
     file = PAPER.require(folder / key / SUMMARY_FILE, folder)
     solution = read_solution(plan_file)
@@ -185,7 +185,7 @@ def _flown(folder: Path, key: str, label: str) -> Flown:
     except InputError:
         raise PAPER.unusable(file, folder) from None
     PAPER.check_plan(summary.plan_hash, file, plan_file, folder)
-    return Flown(label, solution, solution.mission, summary)
+    return FlownPlan(label, solution, solution.mission, summary)
 
 
 def read_whole_flight(folder: Path) -> Solution:

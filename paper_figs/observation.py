@@ -12,7 +12,7 @@ from scipy.stats import norm
 
 from formulations.arrays import Array
 from paper_figs.drawing import Look, history, label_outer, legend, page
-from paper_figs.inputs import Flown, Runs
+from paper_figs.inputs import FlownPlan, Runs
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.observation_time import measured
 from scp_recon.monte_carlo.sampling import sample_positions
@@ -25,13 +25,13 @@ from scp_recon.scenario.uncertainty import Uncertainty
 SAMPLES, SEED = 2000, 1
 DEGREES = float(np.rad2deg(1.0))
 BEFORE_AND_AFTER_S = 1500.0
-"""Shown on either side of the window."""
+"""Time shown before the window and after it, s."""
 ARROW_M = 800.0
-"""Of the directions, which have no length of their own."""
+"""Length of the arrows that show directions, m."""
 INCIDENCE_LABEL_M = (-480.0, 50.0)
-"""Outside the narrow angle that it names, with a line to it."""
+"""Place of the incidence's label; a line leads to the narrow angle."""
 BINS = 34
-"""Of the window's length: a hundred seconds each."""
+"""Bins across the window, of about a hundred seconds each."""
 REACH = 4.0
 """Standard deviations shown; the outermost of the quantiles lies at 2.3 of a normal variable's."""
 
@@ -102,7 +102,7 @@ def observation_histories(runs: Runs) -> Figure:
 
 
 def observation_times(runs: Runs) -> Figure:
-    """Times for which limits are kept: the plan's flights filled, the reference's in outline."""
+    """Times for which flights keep limits: the plan's filled, the reference's in outline."""
     first, last = runs.plan.mission.schedule.window_s
     edges = np.linspace(0.0, last - first, BINS + 1)
     with page(4.6) as figure:
@@ -123,7 +123,7 @@ def _times(axes: Axes, runs: Runs, name: str, edges: Array) -> None:
     least, words = 50.0 / max(runs.plan.summary.samples, runs.reference.summary.samples), []
     plan: Look = {"fill": True, "facecolor": "0.75", "edgecolor": "k", "lw": 0.6}
     reference: Look = {"fill": False, "edgecolor": "k", "ls": "--", "lw": 1.2}
-    flights: tuple[tuple[Flown, Look], ...] = ((runs.plan, plan), (runs.reference, reference))
+    flights: tuple[tuple[FlownPlan, Look], ...] = ((runs.plan, plan), (runs.reference, reference))
     for flown, look in flights:
         held = flown.summary.held_s[name]
         middles = np.array(held.histogram.start) + 0.5 * held.histogram.bin

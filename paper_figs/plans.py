@@ -33,7 +33,7 @@ FEEDBACK = {
     "feedback, limited at the end": ("D-", "tab:green"),
 }
 ROOM_MM_S = 1.0
-"""Below and above all but the open loop, beside whose cost the others' differences would vanish."""
+"""Margin about all costs but the open loop's, beside which the others would look the same."""
 POLICIES = {
     "open": ("s-", "tab:red", "as planned"),
     "feedback": ("o-", "tab:blue", "corrected by gains"),
@@ -46,9 +46,9 @@ QUANTITIES = {
 }
 """Factor and name of each column of the policies."""
 POSITION_M = 10.0
-"""Error of the measurement that others are multiples of."""
+"""Error of the usual measurement, of which `scale` gives multiples, m."""
 LEAST = 1e-9
-"""Smallest error that is shown, below what two solvers agree on."""
+"""Smallest error shown, less than the difference between two solvers."""
 COLOURS = {"scvx": "C0", "ptr": "C1", "scvx-star": "C2", "hard": "C3", "elastic": "C4"}
 MARKERS = {"CLARABEL": "o", "ECOS": "s", "QOCO": "^", "SCS": "D", "IPOPT": "*", "UNO": "P"}
 OTHER = "X"

@@ -16,7 +16,7 @@ from formulations.problem.facets import Polytopes, inner_facets, outer_facets
 from formulations.problem.polytopes import paper_ball
 from formulations.problem.regions import Ball, Cone, Halfspaces
 from paper_figs.drawing import Look, legend, page
-from paper_figs.inputs import Flown, Runs
+from paper_figs.inputs import FlownPlan, Runs
 from scp_recon.physics import geometry
 
 MANY = 12
@@ -56,7 +56,7 @@ class Section:
         return int(np.argmax(beyond / np.sqrt(spread)))
 
 
-def _at(flown: Flown, name: str) -> tuple[Array, Array, Array, Array]:
+def _at(flown: FlownPlan, name: str) -> tuple[Array, Array, Array, Array]:
     """Site, its normal, line of sight and covariance where a constraint is closest to binding.
 
     With exact risk it is the joint constraint's node.

@@ -23,7 +23,7 @@ DASHES = ("-", "-", "-", "-", "--")
 """The last two panels are equal: the one is seen through the other."""
 TORQUES = {"thruster": ("micro-thrusters", "tab:red"), "wheel": ("wheels", "k")}
 LEAST_MN_M = 1e-3
-"""Of torques, which are pulses: below it the axis ends."""
+"""Smallest torque shown, mN m; torques are pulses."""
 RADIUS_SIGMA = 3.0
 TOGETHER = "together"
 MODELS = (
