@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from scipy.integrate import solve_ivp
@@ -50,15 +50,8 @@ LEFT_OUT = {
 """Forces that only Orekit flies, and why they differ from the plan's."""
 
 
-class Coast(NamedTuple):
-    """A flight without burns: its state after a burn, m and m/s, and output times."""
-
-    state: Array
-    times_s: Array
-
-
-Coaster = Callable[[Coast, str], Array]
-"""States (n, 6) at a coast's times under forces by their name."""
+Coaster = Callable[[Array, Array, str], Array]
+"""From a state, times (n,) from that of the state on and the name of forces: states (n, 6), SI."""
 
 
 @dataclass(frozen=True)
@@ -78,7 +71,7 @@ class Flight:
             state[3:] += burn
             times = nodes[(nodes >= begin - ROUNDED_S) & (nodes <= end + ROUNDED_S)]
             if len(times) > 1:
-                states = coast(Coast(state, times), forces)
+                states = coast(state, times, forces)
                 found.append(states[1:])
                 state = states[-1].copy()
         return np.concatenate(found)
@@ -87,23 +80,15 @@ class Flight:
 def planners(mission: Mission) -> Coaster:
     """The planner's equations of motion by DOP853."""
 
-    def fly(coast: Coast, name: str) -> Array:
+    def fly(state: Array, times_s: Array, name: str) -> Array:
         forces = forces_of(mission, name)
 
         def rate(t: float, y: Array) -> Array:
             return np.r_[y[3:], acceleration(y[0], y[1], y[2], forces, forces.moment(t))]
 
-        atol = TOLERANCE * np.repeat([1e3, 1.0], 3)
-        flown = solve_ivp(
-            rate,
-            (coast.times_s[0], coast.times_s[-1]),
-            coast.state,
-            method="DOP853",
-            rtol=TOLERANCE,
-            atol=atol,
-            t_eval=coast.times_s,
-        )
-        return np.asarray(flown.y.T)
+        ends = times_s[0], times_s[-1]
+        how: dict[str, Any] = {"rtol": TOLERANCE, "atol": TOLERANCE * np.repeat([1e3, 1.0], 3)}
+        return np.asarray(solve_ivp(rate, ends, state, "DOP853", times_s, **how).y.T)
 
     return fly
 
@@ -182,12 +167,10 @@ class Orekit:
         """Seconds of TDB, which are those of files: in ten hours 11 microseconds less."""
         return float(date.offsetFrom(self._epoch, self._tdb))
 
-    def fly(self, coast: Coast, name: str) -> Array:
+    def fly(self, state: Array, times_s: Array, name: str) -> Array:
         """See `Coaster`."""
-        coordinates = self._own("utils.PVCoordinates")
-        begin = self._epoch.shiftedBy(float(coast.times_s[0]))
-        gm = self._mission.forces.gm
-        place = coordinates(self._vector(coast.state[:3]), self._vector(coast.state[3:]))
+        begin, gm = self._epoch.shiftedBy(float(times_s[0])), self._mission.forces.gm
+        place = self._own("utils.PVCoordinates")(*map(self._vector, (state[:3], state[3:])))
         orbit = self._own("orbits.CartesianOrbit")(place, self._frame, begin, gm)
         scheme = self._class("org.hipparchus.ode.nonstiff.DormandPrince853Integrator")
         propagator = self._own("propagation.numerical.NumericalPropagator")(
@@ -197,9 +180,9 @@ class Orekit:
         for force in self._forces(name):
             propagator.addForceModel(force)
         propagator.setInitialState(self._own("propagation.SpacecraftState")(orbit))
-        dates = (self._epoch.shiftedBy(float(time)) for time in coast.times_s[1:])
-        states = [propagator.propagate(date).getPVCoordinates(self._frame) for date in dates]
-        return np.vstack([coast.state, *map(_numbers, states)])
+        dates = (self._epoch.shiftedBy(float(time)) for time in times_s[1:])
+        states = (propagator.propagate(date).getPVCoordinates(self._frame) for date in dates)
+        return np.vstack([state, *map(_numbers, states)])
 
     def _forces(self, name: str) -> Iterator[Any]:
         mission, gravity = self._mission, "forces.gravity."
@@ -325,9 +308,9 @@ def brahes(mission: Mission, folder: Path) -> Coaster:
     how = brahe.NumericalPropagationConfig.default().with_method(brahe.IntegrationMethod.RKF78)
     how = how.with_abs_tol(1e-10).with_rel_tol(TOLERANCE)
 
-    def fly(coast: Coast, name: str) -> Array:
+    def fly(state: Array, times_s: Array, name: str) -> Array:
         def rate(t: float, y: Array, _: Any = None) -> Array:
-            axes = rotation.body_to_j2000(coast.times_s[0] + t).T
+            axes = rotation.body_to_j2000(times_s[0] + t).T
             if name == PLAIN[0]:
                 pull = brahe.accel_point_mass_gravity(y[:3], np.zeros(3), mission.forces.gm)
             else:
@@ -339,10 +322,9 @@ def brahes(mission: Mission, folder: Path) -> Coaster:
                 pull = pull + brahe.accel_solar_radiation_pressure(y[:3], sun, *plate, pressure)
             return np.r_[y[3:], pull]
 
-        flight = brahe.NumericalPropagator(start, coast.state, rate, how)
-        states = [coast.state]
-        for time in coast.times_s[1:]:
-            flight.propagate_to(start + float(time - coast.times_s[0]))
+        flight, states = brahe.NumericalPropagator(start, state, rate, how), [state]
+        for time in times_s[1:]:
+            flight.propagate_to(start + float(time - times_s[0]))
             states.append(np.array(flight.current_state()))
         return np.array(states)
 
