@@ -34,7 +34,9 @@ def folder(tmp_path, monkeypatch) -> Path:
     (tmp_path / "tables.toml").write_text(
         '[battery_cones.battery_cones]\ncolumns = "load_w:.0f"\n', "utf-8"
     )
+    (tmp_path / "claims.toml").touch()
     monkeypatch.setattr(pages, "TABLES", tmp_path / "tables.toml")
+    monkeypatch.setattr(pages, "CLAIMS", tmp_path / "claims.toml")
     monkeypatch.setattr(evidence, "FOLDER", tmp_path / "evidence")
     for module in (renewal, pages):
         monkeypatch.setattr(module, "SOURCES", {CONES: SOURCES[CONES]})
