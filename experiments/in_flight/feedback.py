@@ -220,7 +220,8 @@ class Search:
         if gain.lin is not None:
             result = replace(planned.final.result, lin=gain.lin)
             merit = MeritFunction(mission.problem, rows_at(gain.lin, target))
-        stage = replace(planned.final, name="P2", result=result, merit=merit)
+        spec = replace(planned.final.spec, role="final")
+        stage = replace(planned.final, spec=spec, result=result, merit=merit)
         self.made.append((stage, gain))
         return replace(planned, mission=mission, final=stage, target=target)
 

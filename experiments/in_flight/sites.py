@@ -35,9 +35,10 @@ from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.estimates import look_flights
 from scp_recon.planning.initial_guess import from_burns
 from scp_recon.planning.method import ALGORITHM, FORMULATION, SOLVER
-from scp_recon.planning.mission_stages import MissionRunner
+from scp_recon.planning.missions import make_plan
 from scp_recon.planning.plan import Provenance, Stage
 from scp_recon.planning.planner import Planner
+from scp_recon.planning.stages import Pipeline
 from scp_recon.replanning.flown import FlownPlan
 from scp_recon.results.solution import FILE_NAME
 from scp_recon.scenario.load import load_scenario
@@ -125,17 +126,18 @@ def measure(out: Path, ends: Mapping[str, Record], case: Measured) -> Record:
     planner.algorithm = ALGORITHMS[ALGORITHM](
         max_iterations=ITERATIONS_AGAIN, initial_radius=RADIUS
     )
-    runner, (*_, (_, rows)) = MissionRunner(mission, planner), planner.exact_rows()
+    pipeline, (*_, spec) = Pipeline(mission, planner), planner.exact_stages()
 
     def likelier() -> Stage:
         at = iterate
         for _ in range(ROUNDS):
-            stage = runner.solve("P2", rows, mission.dynamics.linearise(rows.problem, at))
+            stage = pipeline.solve(spec, mission.dynamics.linearise(spec.rows.problem, at))
             at = stage.result.lin.iterate
         # That it keeps less than it was planned for is no fault of it.
         return replace(stage, result=replace(stage.result, status=Status.CONVERGED))
 
-    found = runner.run(likelier, Provenance(FORMULATION, ALGORITHM, SOLVER, "design"))
+    provenance = Provenance(FORMULATION, ALGORITHM, SOLVER, "design")
+    found = make_plan(mission, pipeline, likelier, provenance)
     margins = found.final.margins.items()
     least = min(float(one.margin.min()) for name, one in margins if name != WHOLE)
     law = law_of(MOST, found.final)

@@ -36,8 +36,9 @@ from scp_recon.jobs.job import Job
 from scp_recon.jobs.processes import Limits, Processes
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
+from scp_recon.planning.plan import StageSpec
 from scp_recon.planning.planner import Planner
-from scp_recon.planning.stages import HELD_STAGE, RowsSolver
+from scp_recon.planning.stages import StageSolver
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scp.algorithms import ALGORITHMS, SCvx
 from scp_recon.scp.status import Status
@@ -76,7 +77,7 @@ def begin(name: str) -> Begun:
     base, overrides = PROBLEMS[name]
     mission = Mission.from_scenario(load_scenario(base, overrides))
     plan = plan_mission(mission, initial_guess.cold(mission), PlanOptions())
-    free = [stage for stage in plan.stages if not stage.name.endswith(HELD_STAGE)]
+    free = [stage for stage in plan.stages if stage.spec.role != "held"]
     p3 = [stage for stage in free if stage.name.startswith("P3")][-1]
     rows = free[-1].merit.rows
     assert isinstance(rows, ChanceRows)
@@ -92,7 +93,7 @@ def run_to(begun: Mapping[str, Begun], case: tuple[str, Method, int]) -> Record:
     start = mission.dynamics.linearise(mission.problem, begun[name].start)
     since = process_time()
     stage = _solver(mission, method, most).solve(
-        "P2", rows, start, mission.dynamics, lambda *_: None
+        StageSpec("P2", rows), start, mission.dynamics, lambda *_: None
     )
     seconds = process_time() - since
     burns = stage.result.lin.iterate.burns
@@ -108,7 +109,7 @@ def run_to(begun: Mapping[str, Begun], case: tuple[str, Method, int]) -> Record:
     }
 
 
-def _solver(mission: Mission, method: Method, most: int) -> RowsSolver:
+def _solver(mission: Mission, method: Method, most: int) -> StageSolver:
     """The solver of rows by a method that stops after some iterations."""
     if method.solver in NLP_SOLVERS:
         from formulations.nlp.solve import VARIANTS

@@ -25,9 +25,9 @@ from formulations.rows.uniform import ChanceRows
 from scp_recon.jobs.job import Job
 from scp_recon.mission.mission import CLEARANCE_M, Mission
 from scp_recon.planning import initial_guess
-from scp_recon.planning.mission_stages import MissionRunner
-from scp_recon.planning.plan import Stage
+from scp_recon.planning.plan import Stage, StageSpec
 from scp_recon.planning.planner import Planner, screened
+from scp_recon.planning.stages import Pipeline
 from scp_recon.scenario.load import load_scenario
 
 FORMS = ("condensed", "lifted")
@@ -67,14 +67,13 @@ def measure(case: tuple[str, str]) -> Record:
     changes, clearance_m = CASES[name]
     mission = Mission.from_scenario(load_scenario().replace(changes))
     planner = Planner(mission, formulation=form)
-    runner = MissionRunner(mission, planner)
-    lin = (
-        MissionRunner(mission, Planner(mission)).plan(initial_guess.cold(mission), "P3").result.lin
-    )
+    run = Pipeline(mission, planner)
+    p3 = Pipeline(mission, Planner(mission)).plan(initial_guess.cold(mission), "P3")
+    lin = p3.result.lin
     if name == "exact, flight":  # which begins at the plan of nodes
-        way, rows = Planner(mission).exact_rows()[0]
-        lin = MissionRunner(mission, Planner(mission)).solve(f"P2{way}", rows, lin).result.lin
-    solve = solving(mission, planner, runner, lin, clearance_m)
+        first = Planner(mission).exact_stages()[0]
+        lin = Pipeline(mission, Planner(mission)).solve(first, lin).result.lin
+    solve = solving(mission, planner, run, lin, clearance_m)
     with noted() as programs:
         times = []
         for _ in range(2):
@@ -97,19 +96,18 @@ def measure(case: tuple[str, str]) -> Record:
 
 def solving(
     mission: Mission,
-    planner: Planner,
-    runner: MissionRunner,
+    planner: Planner[Mission],
+    run: Pipeline,
     lin: Linearisation,
     clearance_m: float,
 ) -> Callable[[], Stage]:
     """P2 from a start, with the facets there or exact risk."""
     if mission.scenario.risk.allocation == "exact":
-        _, rows = planner.exact_rows()[-1]
-        return lambda: runner.solve("P2", rows, lin)
+        return lambda: run.solve(planner.exact_stages()[-1], lin)
     facets = choose_facets(mission.problem, mission.polytopes, lin.iterate.mean, lin.factor)
     clearance = clearance_m / mission.units.length_m
     chosen = ChanceRows(mission.problem, facets, screened(facets, lin, clearance))
-    return lambda: runner.restore("P2", chosen, lin)
+    return lambda: run.solve(StageSpec("P2", chosen), lin)
 
 
 def run(session: Session) -> Findings:

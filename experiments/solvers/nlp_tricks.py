@@ -20,7 +20,6 @@ from scp_recon.api.planning import plan_mission
 from scp_recon.jobs.job import Job
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
-from scp_recon.planning.stages import HELD_STAGE
 from scp_recon.scenario.load import load_scenario
 
 if TYPE_CHECKING:
@@ -87,7 +86,7 @@ def measuring(mission: Mission, chosen: Mapping[str, Variant]) -> Callable[[str]
     from scp_recon.planning.ipopt import IpoptStages, casadi_arcs
 
     found = plan_mission(mission, initial_guess.cold(mission), PlanOptions(problem="P3"))
-    free = [stage for stage in found.stages if not stage.name.endswith(HELD_STAGE)]
+    free = [stage for stage in found.stages if stage.spec.role != "held"]
     start = free[-1].result.lin  # where no burn is held at zero
     facets = choose_facets(mission.problem, mission.polytopes, start.iterate.mean, start.factor)
     arcs = casadi_arcs(mission.flow)
@@ -95,8 +94,8 @@ def measuring(mission: Mission, chosen: Mapping[str, Variant]) -> Callable[[str]
     def measure(name: str) -> Record:
         solver = IpoptStages(mission, arcs, chosen[name])
         begin = process_time()
-        rows = solver.p2_rows(facets, start)
-        stage = solver.solve("P2", rows, start, mission.dynamics, lambda *_: None)
+        spec = solver.p2_stage(facets, start)
+        stage = solver.solve(spec, start, mission.dynamics, lambda *_: None)
         run = stage.runs[-1]
         return {
             "trick": name,

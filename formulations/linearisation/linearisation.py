@@ -95,7 +95,7 @@ class Linearisation:
         return Linearisation(replace(self.problem, feedback=feedback), plain, self.arcs)
 
     @property
-    def telling(self) -> Linearisation:
+    def informed(self) -> Linearisation:
         """The linearisation without gains on axes that carry no information, only rounding."""
         lin, feedback = self, self.problem.feedback
         if feedback is None or not self.iterate.gains.any():

@@ -89,7 +89,7 @@ class ExecutionErrors(ABC):
         """Number of standard normal draws for a number of burns."""
         return self.shared + burns * self.own
 
-    def otherwise(self, burns: Array) -> Iterator[ExecutionErrors]:
+    def alternatives(self, burns: Array) -> Iterator[ExecutionErrors]:
         """Models to linearise besides this one at these burns; see `GatesErrors`."""
         del burns
         yield from ()
@@ -166,11 +166,11 @@ class GatesErrors(ExecutionErrors):
     Both transitions have two continuous derivatives, so that the merit is smooth in a burn that does
     not vanish. At a vanished burn the root would have a kink; the columns (m e / |v|) [[v]x, v] have
     the same product and are smooth. Their linearisation is exact as long as the burn stays vanished,
-    but keeps it from growing. `otherwise` therefore gives, for each vanished burn, the model in which
-    it is executed whatever its size. Both models bound the errors from above; an algorithm takes the
-    better answer and judges it by the merit, of the errors themselves, so that a burn may come or go
-    but not alternate. An executed burn vanishes only if its size goes to zero: no derivative shows
-    that leaving it out might save its fixed error.
+    but keeps it from growing. `alternatives` therefore gives, for each vanished burn, the model in
+    which it is executed whatever its size. Both models bound the errors from above; an algorithm
+    takes the better answer and judges it by the merit, of the errors themselves, so that a burn may
+    come or go but not alternate. An executed burn vanishes only if its size goes to zero: no
+    derivative shows that leaving it out might save its fixed error.
 
     Attributes:
         magnitude_fixed: s_f, in the units of the burns.
@@ -266,8 +266,8 @@ class GatesErrors(ExecutionErrors):
             jacobian[axis, 3 + np.arange(n), axis, np.arange(n)] = more
         return np.hstack([columns, more * gains]), jacobian
 
-    def otherwise(self, burns: Array) -> Iterator[ExecutionErrors]:
-        """See `ExecutionErrors.otherwise`: each vanished burn executed."""
+    def alternatives(self, burns: Array) -> Iterator[ExecutionErrors]:
+        """See `ExecutionErrors.alternatives`: each vanished burn executed."""
         for burn in np.flatnonzero(self._vanished(burns)).tolist():
             yield replace(self, executed=frozenset({burn}))
 

@@ -23,7 +23,6 @@ from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.planning.initial_guess import from_burns
 from scp_recon.planning.plan import Plan
-from scp_recon.planning.stages import FIRST_STAGE
 from scp_recon.results.solution import make_solution
 from scp_recon.scp.status import Status
 from scp_recon.verification.reintegration import verify
@@ -149,7 +148,7 @@ def largest_feasible(low: Plan, most: float) -> Plan:
 
 def _without_uncertainty(failed: Plan) -> Plan:
     """The plan of P3: a converged one among the stages of the infeasible plan, or a new one."""
-    own = [s for s in failed.stages if s.problem == "P3" and not s.name.endswith(FIRST_STAGE)]
+    own = [s for s in failed.stages if s.problem == "P3" and s.spec.role != "open"]
     if not own:
         return _planned(failed.mission, failed.final.result.lin.iterate, "P3")
     order = (Status.CONVERGED, Status.MAX_ITERATIONS, Status.STALLED, Status.SOLVER_FAILED)

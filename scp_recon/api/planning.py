@@ -20,7 +20,7 @@ from scp_recon.certification.largest import LEAST, Search, largest_promise
 from scp_recon.errors import InputError, option, shortened
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess, planner
-from scp_recon.planning.initial_guess import from_burns, going_on
+from scp_recon.planning.initial_guess import from_burns, start_from
 from scp_recon.planning.plan import Plan
 from scp_recon.planning.starts import plan_from_several
 from scp_recon.results.read import read_solution
@@ -109,7 +109,7 @@ def _on_right_grid(
     finer = refined(found)
     if finer is None:
         return found
-    return make_plan(finer, going_on(finer, found), **how)
+    return make_plan(finer, start_from(finer, found), **how)
 
 
 @dataclass(frozen=True)

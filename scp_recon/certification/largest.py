@@ -19,7 +19,7 @@ from scp_recon.certification.certify import ROUNDS_MAX, AimedPlanning
 from scp_recon.certification.flights import Watch, fly_plan, fly_round, look_at, with_nodes_at
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.estimates import FAILURES, FLIGHTS_MAX, flights_needed, look_flights
-from scp_recon.planning.initial_guess import going_on
+from scp_recon.planning.initial_guess import start_from
 from scp_recon.planning.plan import Plan, as_interrupted
 from scp_recon.scenario.fields import ScenarioWarning
 from scp_recon.scp.status import Status
@@ -64,7 +64,7 @@ class Search:
         def attempt(best: Plan, target: float) -> Plan:
             """Plan from the best burns, and from the first start if they give no verdict."""
             at = best.mission
-            found = self._planned(at, going_on(at, best), target)
+            found = self._planned(at, start_from(at, best), target)
             if found.status not in ANSWERS:
                 again = self._planned(mission, start, target)
                 found = again if again.status in ANSWERS else found
@@ -169,7 +169,7 @@ def largest_promise(
         if kept.are_close(kept.reached):
             break
         mission = with_nodes_at(best.mission, touched_s)
-        start = going_on(mission, best)
+        start = start_from(mission, best)
     assert found is not None
     return _promised(found, number, watch)
 

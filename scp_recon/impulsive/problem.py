@@ -34,8 +34,8 @@ from scp_recon.certification.flights import Kept, Step
 from scp_recon.errors import InputError, one_of
 from scp_recon.impulsive.plan import ImpulsivePlan
 from scp_recon.planning.method import ALGORITHM, FORMULATION, SOLVER, scp_method
-from scp_recon.planning.planner import ScpStages
-from scp_recon.planning.stages import Observer, StageRunner
+from scp_recon.planning.planner import Planner
+from scp_recon.planning.stages import Observer, Pipeline, unobserved
 
 __all__ = [
     "Ball",
@@ -58,7 +58,7 @@ NO_ERRORS = ComponentwiseErrors(0.0)
 
 
 class Risk(NamedTuple):
-    """See `scp_recon.planning.stages.Spent`."""
+    """See `scp_recon.planning.stages.RiskSpec`."""
 
     p_chance: float
     allocation: Literal["uniform", "exact"]
@@ -223,7 +223,7 @@ class ImpulsiveProblem:
 
     @property
     def risk(self) -> Risk:
-        """How risk is spent: see `scp_recon.planning.stages.Task`."""
+        """How risk is spent: see `scp_recon.planning.stages.PlanningProblem`."""
         if self.scope == "uniform" or not self.regions:
             return Risk(self.probability, "uniform", "node")
         return Risk(self.probability, "exact", self.scope)
@@ -239,7 +239,7 @@ class ImpulsiveProblem:
         return Polytopes(ball(FACETS), CONE_FACETS)
 
     def require_plain(self, needs: str) -> None:
-        """See `scp_recon.planning.stages.Task`."""
+        """See `scp_recon.planning.stages.PlanningProblem`."""
         if self.feedback is not None:
             raise InputError("feedback", "corrected burns", f"goes with {needs}")
         if self.final_sigma != (None, None):
@@ -344,12 +344,11 @@ class ImpulsiveProblem:
                 "must be those of one map; or the guess leads where it is not smooth: give states"
             )
             raise InputError("flow", str(error), needs) from None
-        stages = ScpStages(self, **method._asdict(), target=target)
-        runner = StageRunner(self, stages, observe)
-        final = runner.plan(start, "P3" if self.is_deterministic else "P2", once=True)
-        return ImpulsivePlan(
-            self.dynamics, self.unit, final, tuple(runner.stages), runner.timing, stages.target
-        )
+        planner = Planner(self, **method._asdict(), target=target)
+        run = Pipeline(self, planner, observe or unobserved)
+        final = run.plan(start, "P3" if self.is_deterministic else "P2")
+        stages = tuple(run.stages)
+        return ImpulsivePlan(self.dynamics, self.unit, final, stages, run.timing, planner.target)
 
     def certify(
         self,

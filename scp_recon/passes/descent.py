@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 from scipy.optimize import Bounds, LinearConstraint, minimize
@@ -19,14 +18,12 @@ from formulations.linearisation.linearisation import Linearisation, step_mean
 from formulations.problem.facets import choose_facets
 from formulations.problem.flyby import Iterate
 from formulations.program.multipliers import multipliers
-from formulations.rows.cones import Rows
-from formulations.rows.uniform import ChanceRows
 from scp_recon.mission.mission import Mission
 from scp_recon.passes.space import Pass, Space
 from scp_recon.planning.initial_guess import from_burns
-from scp_recon.planning.mission_stages import MissionRunner
-from scp_recon.planning.plan import Stage, scales
+from scp_recon.planning.plan import Stage, StageSpec, scales
 from scp_recon.planning.planner import Planner
+from scp_recon.planning.stages import Pipeline
 from scp_recon.scp.status import Status
 
 REACH = 0.3
@@ -84,23 +81,20 @@ class Near:
         self.space, self._mission = space, space.mission_of(at)
         self._planner = planner = Planner(self._mission)
         self._exact = self._mission.scenario.risk.allocation == "exact"
-        runner = MissionRunner(self._mission, planner)
-        start = runner.start(from_burns(self._mission, burns_m_s))
+        pipeline = Pipeline(self._mission, planner)
+        start = pipeline.start(from_burns(self._mission, burns_m_s))
         if not (self._exact or certain):
-            start = runner.solve("P3", planner.p3_rows, start).result.lin
-        self._rows: Rows = planner.p3_rows if certain else self._rows_at(start)
-        self._name: Literal["P3", "P2"] = "P3" if certain else "P2"
+            start = pipeline.solve(planner.p3, start).result.lin
+        self._spec = planner.p3 if certain else self._spec_at(start)
         self.first = self.plan(space.vector(at), start)
 
     def plan(self, x: Array, start: Linearisation | None = None) -> PassResult:
         """Plan P2 at x, started from the burns of another iterate, or from the first plan."""
         at = self.space.at(x)
         mission = self.space.moved(self._mission, at)
-        runner, begun = MissionRunner(mission, self._planner), start or self.first.stage.result.lin
-        lin = runner.start(begun.iterate)
-        if isinstance(self._rows, ChanceRows):
-            return PassResult(at, mission, runner.restore("P2", self._rows, lin))
-        return PassResult(at, mission, runner.solve(self._name, self._rows, lin))
+        pipeline, begun = Pipeline(mission, self._planner), start or self.first.stage.result.lin
+        stage = pipeline.solve(self._spec, pipeline.start(begun.iterate))
+        return PassResult(at, mission, stage)
 
     def slope(self, result: PassResult, free: Booleans) -> Array:
         """Derivative of the least delta-v by x, nondimensional, shape (2 + m,); zero where not free.
@@ -119,13 +113,14 @@ class Near:
             by_x[j] = (float(prices @ merit.excess(flown)) - base) / DIFFERENCE
         return by_x
 
-    def _rows_at(self, lin: Linearisation) -> Rows:
+    def _spec_at(self, lin: Linearisation) -> StageSpec:
         if self._exact:
-            ways = self._planner.exact_rows()
-            return ways[min(1, len(ways) - 1)][1]  # of whole flights those of few directions
+            *_, final = stages = self._planner.exact_stages()
+            coarse = [stage for stage in stages if stage.role == "coarse"]
+            return replace((*coarse, final)[0], role="final")
         problem, polytopes = self._mission.problem, self._mission.polytopes
         facets = choose_facets(problem, polytopes, lin.iterate.mean, lin.factor)
-        return self._planner.p2_rows(facets, lin, again=True)
+        return self._planner.p2_stage(facets, lin, again=True)
 
 
 def reflown(mission: Mission, lin: Linearisation) -> Linearisation:

@@ -16,8 +16,8 @@ from scp_recon.passes.descent import PassResult
 from scp_recon.passes.ring import TURN
 from scp_recon.passes.space import Pass, Space
 from scp_recon.planning.initial_guess import circular, from_burns
-from scp_recon.planning.mission_stages import MissionRunner
 from scp_recon.planning.planner import Planner
+from scp_recon.planning.stages import Pipeline
 
 STEP = float(np.deg2rad(40.0))
 """Largest step between phases, rad."""
@@ -41,7 +41,7 @@ def scan(
 ) -> list[PassResult]:
     """Plan P3 at every pair of phases for one set of times, row by row of departure, to and fro."""
     space = space.on_grid(COARSER * space.mission.scenario.grid.step_max_s)
-    planner: Planner | None = None
+    planner: Planner[Mission] | None = None
     cells: list[PassResult] = []
     last: PassResult | None = None
     for departure, arrival in _to_and_fro(*map(phases, space.phase_spans)):
@@ -55,11 +55,13 @@ def scan(
     return cells
 
 
-def _cheapest(planner: Planner, at: Pass, mission: Mission, last: PassResult | None) -> PassResult:
+def _cheapest(
+    planner: Planner[Mission], at: Pass, mission: Mission, last: PassResult | None
+) -> PassResult:
     """Plan P3 from the neighbour's burns, and if that does not converge from turns about the body."""
-    runner = MissionRunner(mission, planner)
+    pipeline = Pipeline(mission, planner)
     for guess in _guesses(mission, last):
-        stage = runner.solve("P3", planner.p3_rows, runner.start(guess))
+        stage = pipeline.solve(planner.p3, pipeline.start(guess))
         result = PassResult(at, mission, stage)
         if result.converged:
             break

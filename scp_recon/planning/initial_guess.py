@@ -182,7 +182,7 @@ def from_burns(mission: Mission, burns_m_s: Array, entry: str = "init") -> Itera
     return Iterate(burns, mission.dynamics.rollout(mission.problem.initial_state, burns))
 
 
-def going_on(mission: Mission, last: Plan) -> Iterate | Plan:
+def start_from(mission: Mission, last: Plan) -> Iterate | Plan:
     """The guess from a plan: the plan itself if SCP gave it gains, else its burns."""
     corrected = last.provenance.method == "scp" and last.final.result.lin.iterate.gains.any()
     return last if corrected else from_burns(mission, last.burns_m_s)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from time import perf_counter
-from typing import Literal
 
 import casadi as ca
 import numpy as np
@@ -23,10 +22,10 @@ from scp_recon.errors import InputError, option
 from scp_recon.mission.mission import Mission
 from scp_recon.physics.flow import GridFlow
 from scp_recon.physics.forces import acceleration
-from scp_recon.planning.mission_stages import MissionRunner
-from scp_recon.planning.plan import Plan, Provenance, Stage
+from scp_recon.planning.missions import make_plan, other_starts
+from scp_recon.planning.plan import Plan, Problem, Provenance, Stage, StageSpec
 from scp_recon.planning.planner import screened
-from scp_recon.planning.stages import Observer
+from scp_recon.planning.stages import Observer, Pipeline, unobserved
 from scp_recon.scp.algorithms import SCvx
 from scp_recon.scp.loop import Record, Result, Timing
 from scp_recon.scp.status import Status
@@ -71,7 +70,7 @@ def plan(
     mission: Mission,
     guess: Iterate,
     *,
-    problem: Literal["P3", "P2"] = "P2",
+    problem: Problem = "P2",
     variant: str = "tuned",
     elastic: bool = False,
     init: str = "given",
@@ -89,11 +88,15 @@ def plan(
     if variant == "printed":
         other = f"{option('method', 'scp')}, or with {option('formulation', 'tuned')} or shooting"
         mission.require_plain(other)
-    arcs = casadi_arcs(mission.flow)
-    runner = MissionRunner(mission, IpoptStages(mission, arcs, VARIANTS[variant], elastic), observe)
+    solver = IpoptStages(mission, casadi_arcs(mission.flow), VARIANTS[variant], elastic)
+    pipeline = Pipeline(mission, solver, observe or unobserved)
     algorithm = "interior point, elastic" if elastic else "interior point"
     provenance = Provenance(variant, algorithm, "IPOPT", init, "ipopt")
-    return runner.run(lambda: runner.executable(runner.plan(guess, problem)), provenance)
+
+    def work() -> Stage:
+        return pipeline.plan(guess, problem, other_starts(mission))
+
+    return make_plan(mission, pipeline, work, provenance)
 
 
 @dataclass(frozen=True)
@@ -108,36 +111,28 @@ class IpoptStages:
     variant: Variant
     elastic: bool = False
 
-    @property
-    def p3_rows(self) -> DeterministicRows:
-        """See `RowsSolver`."""
-        return DeterministicRows(self.mission.problem.open_loop)
+    def p3_stages(self, _: Linearisation) -> Sequence[StageSpec]:
+        """P3 alone: IPOPT's programs have all constraints from the start."""
+        return [StageSpec("P3", DeterministicRows(self.mission.problem.open_loop))]
 
-    @property
-    def first_stage_rows(self) -> None:
-        """None: IPOPT's programs have all constraints from the start."""
-
-    def p2_rows(self, facets: Facets, lin: Linearisation) -> ChanceRows:
-        """P2's constraints on given facets, screened as the planner screens them."""
+    def p2_stage(self, facets: Facets, lin: Linearisation) -> StageSpec:
+        """P2 with given facets, screened as the planner screens them."""
         clearance = self.mission.clearances[0] if self.variant.screened else np.inf
-        return ChanceRows(self.mission.problem, facets, screened(facets, lin, clearance))
+        included = screened(facets, lin, clearance)
+        return StageSpec("P2", ChanceRows(self.mission.problem, facets, included))
 
-    def exact_rows(self) -> Sequence[tuple[str, Rows]]:
+    def exact_stages(self) -> Sequence[StageSpec]:
         """Refuse: IPOPT has no rows of exact risk."""
         raise InputError("risk.allocation", "'exact'", f"goes with {option('method', 'scp')} only")
 
-    @property
-    def leading_rows(self) -> None:
-        """None: IPOPT plans no gains with exact risk."""
-
     def solve(
-        self, name: str, rows: Rows, start: Linearisation, dynamics: Dynamics, observe: Observer
+        self, spec: StageSpec, start: Linearisation, dynamics: Dynamics, observe: Observer
     ) -> NlpStage:
         """Solve P3 or, on the included facets of its rows, P2.
 
         An elastic problem that stays violated is solved again with SCP's second weight.
         """
-        begin = perf_counter()
+        begin, rows = perf_counter(), spec.rows
         algorithm = SCvx()
         merit = MeritFunction(rows.problem, rows)
         setup = perf_counter() - begin
@@ -153,9 +148,8 @@ class IpoptStages:
                 break
         result = Result(status, lin, _records(runs), _timing(runs, setup))
         for record in result.records:
-            observe(name, record)
-        facets = rows.facets if isinstance(rows, ChanceRows) else None
-        return NlpStage(name, result, merit, facets, algorithm.feasible, tuple(runs))
+            observe(spec.name, record)
+        return NlpStage(spec, result, merit, algorithm.feasible, tuple(runs))
 
     def _run(
         self, rows: Rows, lin: Linearisation, dynamics: Dynamics, penalty: float | None
@@ -165,7 +159,7 @@ class IpoptStages:
         run = solve_nlp(problem, self.arcs, facets, start, self.variant, penalty)
         if not (np.isfinite(run.iterate.burns).all() and np.isfinite(run.iterate.mean).all()):
             return lin, replace(run, outcome=NlpOutcome.FAILED)
-        # What is held IPOPT's tolerances leave nearly so.
+        # IPOPT's tolerances leave held burns at nearly zero.
         run.iterate.burns[list(problem.held)] = 0.0
         still = np.array(problem.held, dtype=np.intp)
         iterate = replace(run.iterate, gains=problem.without_corrections(run.iterate.gains, still))

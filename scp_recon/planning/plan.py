@@ -20,9 +20,9 @@ from formulations.problem.facets import Facets
 from formulations.problem.flyby import Iterate
 from formulations.program.subproblem import MeritFunction
 from formulations.risk.strata import Counted
-from formulations.rows.cones import FINAL_POSITION, FINAL_VELOCITY, Margins
+from formulations.rows.cones import FINAL_POSITION, FINAL_VELOCITY, Margins, Rows
 from formulations.rows.corrected_burns import BATTERY, SIZE
-from formulations.rows.uniform import DeterministicRows
+from formulations.rows.uniform import ChanceRows
 from scp_recon.display import Displayed
 from scp_recon.errors import Named
 from scp_recon.mission.grid import Units
@@ -45,25 +45,70 @@ def scales(units: Units) -> dict[Unit, float]:
     return {"m": units.length_m, "m/s": units.speed_m_s, "sigma": 1.0}
 
 
+Problem = Literal["P3", "P2"]
+"""P3 is without uncertainty, P2 with it."""
+
+Role = Literal["final", "open", "node", "coarse", "led", "held"]
+"""Purpose of a stage: the "final" one of its problem, or one that
+
+- "open": leads to P3 from a guess that is no flight, or to P2 with gains from a plan without;
+- "node", "coarse": leads to P2 of whole flights, by the risk at nodes, then by few directions;
+- "led": leads to gains where there is no plan without gains;
+- "held": plans again with burns held that would be too small to execute.
+"""
+
+
+@dataclass(frozen=True, eq=False)
+class StageSpec:
+    """A stage to run.
+
+    Attributes:
+        problem: to solve.
+        rows: its constraints.
+        role: purpose of the stage.
+        start: letter of the start: "" for the guess, "b" the ballistic arc, "c" and "d" a turn about
+            the body either way.
+        choice: number of the choice of facets, from 1.
+        judges: rows by which the stage is judged, if not its own.
+        max_iterations: limit of its iterations; None for the algorithm's.
+        is_required: whether later stages are in vain if it does not converge.
+        fallback: stage that replaces the later ones but the last if it does not converge.
+        title: name in place of the composed one.
+    """
+
+    problem: Problem
+    rows: Rows
+    role: Role = "final"
+    start: str = ""
+    choice: int = 1
+    judges: Rows | None = None
+    max_iterations: int | None = None
+    is_required: bool = False
+    fallback: StageSpec | None = None
+    title: str = ""
+
+    @property
+    def name(self) -> str:
+        """Name in the solution file, e.g. "P3", "P2b", "P2.2" with the second choice, "P3.open"."""
+        choice = f".{self.choice}" if self.choice > 1 else ""
+        role = "" if self.role == "final" else f".{self.role}"
+        return self.title or f"{self.problem}{self.start}{choice}{role}"
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Stage:
     """A run of the SCP, or of IPOPT, on one problem.
 
     Attributes:
-        name: "P3", "P2", "P2.2" with the facets chosen a second time, ...; "P3b", "P2b", ... of those
-            that began again at the ballistic arc, c and d at a turn about the body; "P3.open" leads to
-            P3 from a guess that is no flight, "P2.node" and "P2.coarse" to a P2 of whole flights;
-            "P2.led" leads to gains, and "P2.held" holds burns that would be too small to execute.
+        spec: what was run.
         result: how it ended and where.
         merit: its merit function, which also gives the margins of constraints.
-        facets: of P2 with polytopes; None otherwise.
         tolerance: largest violation that counts as none.
     """
 
-    name: str
+    spec: StageSpec
     result: Result
     merit: MeritFunction
-    facets: Facets | None
     tolerance: float
 
     def __repr__(self) -> str:
@@ -72,9 +117,20 @@ class Stage:
         return f"<Stage {self.name}: {result.status.value.name}, {len(result.records)} iterations>"
 
     @property
-    def problem(self) -> Literal["P3", "P2"]:
-        """Problem solved: P3, without uncertainty, or P2."""
-        return "P3" if isinstance(self.merit.rows, DeterministicRows) else "P2"
+    def name(self) -> str:
+        """Name in the solution file: see `StageSpec`."""
+        return self.spec.name
+
+    @property
+    def problem(self) -> Problem:
+        """Problem solved."""
+        return self.spec.problem
+
+    @property
+    def facets(self) -> Facets | None:
+        """Facets of P2 with polytopes; None otherwise."""
+        rows = self.merit.rows
+        return rows.facets if isinstance(rows, ChanceRows) else None
 
     def unit(self, constraint: str) -> Unit:
         """Unit of a constraint's margins in SI."""
@@ -95,11 +151,6 @@ class Stage:
                 rows = self.facets.constraint == index
                 margins[constraint.name] = Margins(self.facets.node[rows], margin[rows])
         return margins
-
-    @property
-    def begun_again(self) -> bool:
-        """Whether the stage began elsewhere because the guess did not lead to a plan."""
-        return self.name[2:3] in ("b", "c", "d")
 
 
 @dataclass(frozen=True)
@@ -178,7 +229,7 @@ class Optimum:
         starts: numbers of those that ended there, 0 the initial guess.
     """
 
-    problem: Literal["P3", "P2"]
+    problem: Problem
     status: Line
     total_dv_m_s: Number
     burns_m_s: tuple[tuple[Number, Number, Number], ...]

@@ -1,16 +1,20 @@
-"""Run the stages of any task by any method: P3, P2, and both again from other starts.
+"""Run the stages of a plan by any method: P3, P2, and both again from other starts.
+
+A stage is data (`plan.StageSpec`): a problem's rows, and what follows if it does not converge. A
+`StageSolver` lists the stages of P3 and P2 and solves one; `Pipeline.run` is the loop over a list.
 
 A keep-out set is linearised by the plane that touches it nearest to the iterate, so an iterate
 stays on its side of the set. If a guess does not obey the dynamics, its path says nothing about the
-right side. P3 then begins with a first stage without the keep-out sets that apply to a part of the
-flight. The answer of the first stage hardly depends on the guess. P3 continues with all sets, on
-the side nearest to that answer. The first stage costs at most as much as any plan with all sets. If
-its answer keeps all sets, no nearby plan is better.
+right side. P3 then begins with an open stage, without the keep-out sets of a part of the flight. The
+answer of the open stage hardly depends on the guess. P3 continues with all sets, on the side nearest
+to that answer. The open stage costs at most as much as any plan with all sets. If its answer keeps
+all sets, no nearby plan is better.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+import itertools
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal, Protocol
 
@@ -21,9 +25,8 @@ from formulations.linearisation.linearisation import Linearisation
 from formulations.problem.facets import Facets, Polytopes, choose_facets
 from formulations.problem.flyby import FlybyProblem, Iterate
 from formulations.program.subproblem import MeritFunction
-from formulations.rows.cones import Rows
-from formulations.rows.uniform import ChanceRows, DeterministicRows
-from scp_recon.planning.plan import Stage
+from formulations.rows.uniform import ChanceRows
+from scp_recon.planning.plan import Problem, Stage, StageSpec
 from scp_recon.scp.algorithms import SCvx
 from scp_recon.scp.loop import Record, Timing
 from scp_recon.scp.status import Status
@@ -32,19 +35,10 @@ OTHER_OPTIMUM = 0.999
 """Ratio of two merits below which the runs ended at different optima."""
 
 OTHER_BURNS = 1e-2
-"""Difference of a burn component, nondimensional, above which they did so too."""
-
-FIRST_STAGE = ".open"
-"""Suffix of the stage that leads to a P3 whose guess is no flight."""
-
-LED_STAGE = ".led"
-"""Suffix of the stage that leads to gains where there is no plan without."""
-
-HELD_STAGE = ".held"
-"""Suffix of a stage in which burns are held that would be too small to execute."""
+"""Burns whose components differ by more, nondimensional, are different optima."""
 
 RESOLUTION = 1e-3
-"""Relative reduction of the merit at which the first stage stops: P3 goes on from there."""
+"""Relative reduction of the merit at which the open stage stops: P3 continues from there."""
 
 NO_BURN = 1e-6
 """Total delta-v, nondimensional, below which a guess has no burns that could be wrong."""
@@ -52,11 +46,20 @@ NO_BURN = 1e-6
 CHOICES_MAX = 4
 """Further choices of facets before P2 is called infeasible, where there is another choice."""
 
-Observer = Callable[[str, Record], None]
+
+class Observer(Protocol):
+    """Observes planning."""
+
+    def __call__(self, stage: str, record: Record, /) -> None:
+        """Called after each iteration with the name of the stage and the record."""
 
 
-class Spent(Protocol):
-    """Required probability, and the way to spend the risk: see `scp_recon.scenario.schema.Risk`."""
+def unobserved(stage: str, record: Record, /) -> None:
+    """Ignore an iteration."""
+
+
+class RiskSpec(Protocol):
+    """Required probability, and how the risk is allocated: see `scp_recon.scenario.schema.Risk`."""
 
     @property
     def p_chance(self) -> float:
@@ -71,8 +74,8 @@ class Spent(Protocol):
         """What must hold with that probability: each node, or the whole flight."""
 
 
-class Task(Protocol):
-    """The task to plan: a mission, or an `ImpulsiveProblem`."""
+class PlanningProblem(Protocol):
+    """A problem to plan: a mission, or an `ImpulsiveProblem`."""
 
     @property
     def problem(self) -> FlybyProblem:
@@ -87,8 +90,8 @@ class Task(Protocol):
         """Polytopes that approximate regions where risk is split evenly."""
 
     @property
-    def risk(self) -> Spent:
-        """How risk is spent."""
+    def risk(self) -> RiskSpec:
+        """Required probability and allocation of the risk."""
 
     @property
     def clearances(self) -> tuple[float, float]:
@@ -102,96 +105,82 @@ class Task(Protocol):
         """
 
 
-class RowsSolver(Protocol):
-    """Solves P3 or P2 for one set of rows; SCP and IPOPT differ only in this class."""
+class StageSolver(Protocol):
+    """A method, SCP or IPOPT: the stages that it needs, and how it solves one."""
 
-    @property
-    def p3_rows(self) -> DeterministicRows:
-        """P3's constraints."""
+    def p3_stages(self, start: Linearisation) -> Sequence[StageSpec]:
+        """Stages of P3 from a start."""
 
-    @property
-    def first_stage_rows(self) -> DeterministicRows | None:
-        """Rows that P3 begins with where its guess is no flight; None if it begins with all."""
+    def p2_stage(self, facets: Facets, lin: Linearisation) -> StageSpec:
+        """P2 with given facets; its program includes those near an iterate."""
 
-    def p2_rows(self, facets: Facets, lin: Linearisation) -> ChanceRows:
-        """P2's constraints on given facets; the program includes those near an iterate."""
-
-    def exact_rows(self) -> Sequence[tuple[str, Rows]]:
-        """P2's constraints with the true probabilities, one stage leading to the next, by name.
+    def exact_stages(self) -> Sequence[StageSpec]:
+        """Stages of P2 with exact risk, each started from the end of the one before.
 
         Raises:
-            InputError: if the method has no such rows.
+            InputError: if the method cannot plan exact risk.
         """
 
-    @property
-    def leading_rows(self) -> Rows | None:
-        """Rows of a preliminary stage with gains, if there is no plan without gains; else None."""
-
     def solve(
-        self, name: str, rows: Rows, start: Linearisation, dynamics: Dynamics, observe: Observer
+        self, spec: StageSpec, start: Linearisation, dynamics: Dynamics, observe: Observer
     ) -> Stage:
         """Solve a stage from a start; its status says if it was interrupted."""
 
 
 @dataclass
-class StageRunner:
-    """State of one planning run: stages and timings so far. For `facet_rounds` see `Planner.plan`."""
+class Pipeline:
+    """One planning run, with the stages and timings so far.
 
-    task: Task
-    solver: RowsSolver
-    observe: Observer | None = None
+    Attributes:
+        task: the problem to plan.
+        solver: the method.
+        observe: called after each iteration.
+        facet_rounds: times that facets may be chosen again at a solution of P2, to improve it.
+        choices: times that facets may be chosen again where P2 is infeasible.
+        stages: all stages that were run.
+        timing: of all stages, s.
+    """
+
+    task: PlanningProblem
+    solver: StageSolver
+    observe: Observer = unobserved
     facet_rounds: int = 0
     choices: int = CHOICES_MAX
     stages: list[Stage] = field(default_factory=list)
     timing: Timing = field(default_factory=Timing)
-    _chosen: dict[str, int] = field(default_factory=dict)
 
-    def plan(self, guess: Iterate, problem: Literal["P3", "P2"], *, once: bool = False) -> Stage:
-        """Solve P3 from a guess, after a first stage if it is no flight, and P2 from there.
+    def plan(
+        self, guess: Iterate, problem: Problem, others: Iterable[tuple[str, Iterate]] = ()
+    ) -> Stage:
+        """Solve P3 from a guess, and P2 from there; return the best stage.
 
-        If P3 does not converge from the guess, it is tried from other starts, and also if P2 does not:
-        P3 may have stopped at a bad local optimum. If none converges, the facets are chosen again. The
-        best of all tries counts. With `once` there is no other start.
+        If either does not converge from the guess, both are tried from the `others`, each with the
+        letter of its stages: P3 may have stopped at a bad local optimum. If none converges, the facets
+        are chosen again.
         """
         if problem == "P2" and self.task.risk.allocation == "exact":
-            self.solver.exact_rows()  # a method that has none says so before any work
+            self.solver.exact_stages()  # a method that has none says so before any work
         firsts: list[Stage] = []
         finals: list[Stage] = []
-        for letter, start in [("", guess)] if once else self.starts(guess):
-            p3 = self._solve_p3(f"P3{letter}", self.start(start))
+        for letter, start in itertools.chain([("", guess)], others):
+            lin = self.start(start)
+            p3 = self.run(self.solver.p3_stages(lin), lin, letter)
             known = any(same_optimum(p3, other) for other in firsts)
             firsts.append(p3)
             if p3.result.status is not Status.CONVERGED or known:
                 continue
-            finals.append(p3 if problem == "P3" else self._solve_p2(f"P2{letter}", p3))
+            finals.append(p3 if problem == "P3" else self.p2(p3.result.lin, letter))
             if finals[-1].result.status is Status.CONVERGED:
                 return finals[-1]
         if not finals:
-            p3 = max(firsts, key=standing)
+            p3 = max(firsts, key=rank)
             lost = problem == "P3" or p3.result.status is Status.SOLVER_FAILED
-            finals.append(p3 if lost else self._solve_p2(p3.name.replace("P3", "P2"), p3))
-        for final in [final for final in finals if final.facets]:
+            finals.append(p3 if lost else self.p2(p3.result.lin, p3.spec.start))
+        for final in [final for final in finals if final.facets is not None]:
             finals.append(self.choose_again(final))
             if finals[-1].result.status is Status.CONVERGED:
                 break
-        return max(finals, key=standing)
-
-    def choose_again(self, stage: Stage) -> Stage:
-        """Solve P2 again with facets chosen at the last end, until one converges; return the best.
-
-        Infeasibility with one choice of facets says little about other choices, so a few are tried.
-        A try that ends without a verdict does not count.
-        """
-        name, tries = stage.name.partition(".")[0], [stage]
-        while tries[-1].result.status is Status.INFEASIBLE and len(tries) <= self.choices:
-            last = [s for s in self.stages if s.name.partition(".")[0] == name][-1]
-            tries.append(self._with_facets(name, last.result.lin))
-        verdicts = (Status.CONVERGED, stage.result.status)
-        return max((one for one in tries if one.result.status in verdicts), key=standing)
-
-    def starts(self, guess: Iterate) -> Iterator[tuple[str, Iterate]]:
-        """The guess and other starts, each with the letter of its stages."""
-        yield "", guess
+        return max(finals, key=rank)
 
     def start(self, guess: Iterate) -> Linearisation:
         """Linearise at a guess, moved to the problem's initial state."""
@@ -201,83 +190,84 @@ class StageRunner:
             mean[0, 3:] += guess.burns[0]
         return self.task.dynamics.linearise(problem, Iterate(guess.burns, mean))
 
-    def _solve_p3(self, name: str, start: Linearisation) -> Stage:
-        """Solve P3, after a first stage if the start is no flight; all rows judge both."""
-        rows, first = self.solver.p3_rows, self.solver.first_stage_rows
-        if first is not None and contradicts_itself(start):
-            stage = self.solve(f"{name}{FIRST_STAGE}", first, start, rows)
-            start = stage.result.lin
-        return self.solve(name, rows, start)
-
-    def _solve_p2(self, name: str, start: Stage) -> Stage:
-        """Solve P2 from the end of a stage, and again with new facets as long as that helps."""
+    def p2(self, lin: Linearisation, letter: str = "") -> Stage:
+        """Solve P2 from a start, and again with new facets as long as that improves it."""
         if self.task.risk.allocation == "exact":
-            return self.solve_exact(name, start.result.lin)
-        final = self._with_facets(name, start.result.lin)
+            return self.exact(lin, letter)
+        final = self._with_facets(lin, letter)
         for _ in range(self.facet_rounds):
-            again = self._with_facets(name, final.result.lin)
-            if not standing(again) > standing(final):
+            again = self._with_facets(final.result.lin, letter)
+            if not rank(again) > rank(final):
                 break
             final = again
         return final
 
-    def solve_exact(self, name: str, lin: Linearisation) -> Stage:
-        """Solve P2 with the true probabilities, after quicker stages as long as they converge.
+    def exact(self, lin: Linearisation, letter: str = "") -> Stage:
+        """Solve P2 with exact risk; a start with gains keeps them and skips stages without gains."""
+        stages, feedback = self.solver.exact_stages(), self.task.problem.feedback
+        if lin.iterate.gains.any():
+            stages = [one for one in stages if one.rows.problem.feedback is feedback]
+        return self.run(stages, lin, letter)
 
-        A case without an open-loop plan may have a plan with corrections. If there are rows of a
-        preliminary stage with gains, the last stage follows however that stage ends. A start with
-        gains keeps them, and needs no stage without gains.
+    def choose_again(self, stage: Stage) -> Stage:
+        """Solve P2 again with facets chosen at the last end, until one converges; return the best.
+
+        Infeasibility with one choice of facets says little about other choices, so a few are tried.
+        A try that ends without a verdict does not count.
         """
-        feedback, leading = self.task.problem.feedback, None
-        corrected = lin.iterate.gains.any()
-        for way, rows in self.solver.exact_rows():
-            if (leading is not None and way) or (
-                corrected and rows.problem.feedback is not feedback
-            ):
-                continue
-            stage = self.solve(name + way, rows, lin)
+        letter, tries = stage.spec.start, [stage]
+        while tries[-1].result.status is Status.INFEASIBLE and len(tries) <= self.choices:
+            same = [s for s in self.stages if s.problem == stage.problem and s.spec.start == letter]
+            tries.append(self._with_facets(same[-1].result.lin, letter))
+        verdicts = (Status.CONVERGED, stage.result.status)
+        return max((one for one in tries if one.result.status in verdicts), key=rank)
+
+    def _with_facets(self, lin: Linearisation, letter: str) -> Stage:
+        """Solve P2 with facets chosen at a start."""
+        facets = choose_facets(self.task.problem, self.task.polytopes, lin.iterate.mean, lin.factor)
+        chosen = [one.spec for one in self.stages if one.facets is not None]
+        last = max((spec.choice for spec in chosen if spec.start == letter), default=0)
+        spec = replace(self.solver.p2_stage(facets, lin), choice=last + 1)
+        return self.run([spec], lin, letter)
+
+    def run(self, specs: Iterable[StageSpec], start: Linearisation, letter: str = "") -> Stage:
+        """Run stages in order, each from the end of the one before; return the last that was run."""
+        waiting, lin = list(specs), start
+        while waiting:
+            spec = waiting.pop(0)
+            stage = self.solve(replace(spec, start=letter or spec.start), lin)
             lin = stage.result.lin
             if stage.result.status is Status.CONVERGED:
                 continue
-            if rows.problem.feedback is feedback:
+            if spec.is_required:
                 break
-            leading = self.solver.leading_rows
-            if leading is not None:
-                lin = self.solve(f"{name}{LED_STAGE}", leading, lin).result.lin
+            if spec.fallback is not None:
+                waiting = [spec.fallback, waiting[-1]]
         return stage
 
-    def _with_facets(self, name: str, lin: Linearisation) -> Stage:
-        """Solve P2 with facets chosen at the start; the name gets the number of the choice."""
-        task, chosen = self.task, self._chosen
-        chosen[name] = chosen.get(name, 0) + 1
-        name = name if chosen[name] == 1 else f"{name}.{chosen[name]}"
-        facets = choose_facets(task.problem, task.polytopes, lin.iterate.mean, lin.factor)
-        return self.restore(name, self.solver.p2_rows(facets, lin), lin)
-
-    def restore(self, name: str, rows: ChanceRows, lin: Linearisation) -> Stage:
-        """Solve P2, and again with facets that were left out of the program and are violated."""
-        while True:
-            stage = self.solve(name, rows, lin)
-            lin = stage.result.lin
-            missed = rows.missed(lin, stage.tolerance)
-            if not missed.any():
-                return stage
-            rows = ChanceRows(self.task.problem, rows.facets, rows.included | missed)
-
-    def solve(
-        self, name: str, rows: Rows, start: Linearisation, judges: Rows | None = None
-    ) -> Stage:
-        """Solve one stage, judged by `judges`, by default its own rows.
+    def solve(self, spec: StageSpec, start: Linearisation) -> Stage:
+        """Solve one stage, and again with facets that were left out of its program and are violated.
 
         Raises:
             KeyboardInterrupt: if it was interrupted.
         """
-        observe = self.observe or (lambda *_: None)
-        start = start.known(rows.problem.feedback)
-        stage = self.solver.solve(name, rows, start, self.task.dynamics, observe)
-        stage = replace(stage, result=replace(stage.result, lin=stage.result.lin.telling))
-        if judges is not None:
-            stage = replace(stage, merit=MeritFunction(self.task.problem, judges))
+        while True:
+            stage = self._solve_once(spec, start)
+            rows, start = spec.rows, stage.result.lin
+            if not isinstance(rows, ChanceRows):
+                return stage
+            missed = rows.missed(start, stage.tolerance)
+            if not missed.any():
+                return stage
+            every = ChanceRows(self.task.problem, rows.facets, rows.included | missed)
+            spec = replace(spec, rows=every)
+
+    def _solve_once(self, spec: StageSpec, start: Linearisation) -> Stage:
+        start = start.known(spec.rows.problem.feedback)
+        stage = self.solver.solve(spec, start, self.task.dynamics, self.observe)
+        stage = replace(stage, result=replace(stage.result, lin=stage.result.lin.informed))
+        if spec.judges is not None:
+            stage = replace(stage, merit=MeritFunction(self.task.problem, spec.judges))
         self.stages.append(stage)
         self.timing.add(stage.result.timing)
         if stage.result.status is Status.INTERRUPTED:
@@ -285,17 +275,17 @@ class StageRunner:
         return stage
 
 
-def contradicts_itself(lin: Linearisation) -> bool:
+def path_ignores_burns(lin: Linearisation) -> bool:
     """Whether a guess has burns, but its path has larger velocity defects than these.
 
-    Two kinds of guesses do not contradict themselves: a coarse trajectory of another tool, and a
-    path without burns, such as the paper's straight line.
+    Two kinds of guesses are no such path: a coarse trajectory of another tool, and a path without
+    burns, such as the paper's straight line.
     """
     kicks = float(np.linalg.norm(lin.defects[:-1, 3:], axis=1).sum())
     return NO_BURN < lin.iterate.total_dv < kicks
 
 
-def without_parting_sets(problem: FlybyProblem) -> FlybyProblem:
+def without_partial_keep_out(problem: FlybyProblem) -> FlybyProblem:
     """The problem without the keep-out sets of a part of the flight.
 
     Sets of the whole flight stay: they keep the path away from the dynamics' singularity.
@@ -312,18 +302,18 @@ def same_optimum(one: Stage, other: Stage) -> bool:
     return one.result.status is other.result.status and alike
 
 
-def standing(stage: Stage) -> tuple[int, float]:
+def rank(stage: Stage) -> tuple[int, float]:
     """Rank of a run, the better the greater: by how it ended, then by cost.
 
     It ended solved (3), at a point that violates nothing (2), otherwise (1), or without an answer of
     the solver (0).
     """
-    rank = 0 if stage.result.status is Status.SOLVER_FAILED else 1
+    ended = 0 if stage.result.status is Status.SOLVER_FAILED else 1
     if stage.result.status is Status.CONVERGED:
-        rank = 3
+        ended = 3
     elif stage.merit.worst_violation(stage.result.lin) <= stage.tolerance:
-        rank = 2
-    return rank, -_merit(stage)
+        ended = 2
+    return ended, -_merit(stage)
 
 
 def _merit(stage: Stage) -> float:

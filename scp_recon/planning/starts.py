@@ -16,7 +16,7 @@ from scp_recon.jobs.processes import Processes
 from scp_recon.mission.mission import Mission
 from scp_recon.planning.initial_guess import bent
 from scp_recon.planning.plan import Optimum, Plan, Stage, Starts, as_interrupted
-from scp_recon.planning.stages import FIRST_STAGE, same_optimum, standing
+from scp_recon.planning.stages import rank, same_optimum
 from scp_recon.scp.status import Status
 
 BEND, BURN = 0.5, 0.75
@@ -60,7 +60,7 @@ def plan_from_several(
             raise
         interrupted = True
     whole = [plan for plan in found if plan.status is not Status.INTERRUPTED]
-    best = max(whole or found, key=lambda plan: standing(plan.final))
+    best = max(whole or found, key=lambda plan: rank(plan.final))
     listed = Starts(starts, seed, local_optima(found))
     return replace(as_interrupted(best) if interrupted else best, starts=listed)
 
@@ -132,7 +132,7 @@ def local_optima(plans: list[Plan]) -> tuple[Optimum, ...]:
 
 
 def _ends(plan: Plan) -> list[Stage]:
-    ends = [s for s in plan.stages if s.problem == "P3" and not s.name.endswith(FIRST_STAGE)]
+    ends = [s for s in plan.stages if s.problem == "P3" and s.spec.role != "open"]
     if plan.final.problem == "P2":
         ends.append(plan.final)
     return [s for s in ends if s.result.status in (Status.CONVERGED, Status.INFEASIBLE)]

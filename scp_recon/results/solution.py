@@ -21,7 +21,7 @@ from scp_recon.errors import InputError
 from scp_recon.files import write_atomically
 from scp_recon.mission.grid import Units
 from scp_recon.mission.mission import Mission
-from scp_recon.planning.plan import NOT_CHECKED, Plan, Provenance, Stage
+from scp_recon.planning.plan import NOT_CHECKED, Plan, Provenance, Stage, StageSpec
 from scp_recon.planning.primer import primer_of
 from scp_recon.results.corrections import StoredPolicy, policy_in, stored_policy
 from scp_recon.results.facts import (
@@ -357,10 +357,11 @@ def evaluated(mission: Mission, burns_m_s: Array, init: str, message: str) -> So
     )
 
     lin = mission.dynamics.linearise(mission.problem, from_burns(mission, burns_m_s))
-    merit = MeritFunction(mission.problem, DeterministicRows(mission.problem))
+    spec = StageSpec("P3", DeterministicRows(mission.problem), title=init)
+    merit = MeritFunction(mission.problem, spec.rows)
     # No iteration was allowed, which is what the status says of a plan that is none.
     result = Result(Status.MAX_ITERATIONS, lin, (), Timing())
-    stage = Stage(init, result, merit, None, SCvx().feasible)
+    stage = Stage(spec, result, merit, SCvx().feasible)
     provenance = Provenance(NOT_OPTIMISED, NOT_OPTIMISED, NOT_OPTIMISED, init, "none")
     solution = make_solution(Plan(mission, provenance, (stage,), stage, Timing(), 0.0))
     return _resolved(replace(solution, message=message), mission)

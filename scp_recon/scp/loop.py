@@ -227,13 +227,13 @@ def trial_step(
 
     A zero step is always feasible, so an answer worse by its own model, by more than `slack` of the
     merit, is refused. Where a burn has vanished whose errors begin with a jump, the program is also
-    solved with that burn executed (`ExecutionErrors.otherwise`), and the best answer counts.
+    solved with that burn executed (`ExecutionErrors.alternatives`), and the best answer counts.
 
     Raises:
         SubproblemError: if there is no answer.
     """
     answer = _answer(subproblem, state.lin, radius, state.charge, timing)
-    for lin in _otherwise(subproblem, state.lin):
+    for lin in _with_other_errors(subproblem, state.lin):
         with suppress(SubproblemError):
             other = _answer(subproblem, lin, radius, state.charge, timing)
             answer = min(answer, other, key=lambda step: step.merit)
@@ -270,10 +270,10 @@ def _answer(
     return answer
 
 
-def _otherwise(subproblem: Subproblem, lin: Linearisation) -> Iterator[Linearisation]:
+def _with_other_errors(subproblem: Subproblem, lin: Linearisation) -> Iterator[Linearisation]:
     """The iterate under other models of its burns' errors, if the rows depend on them."""
     if subproblem.merit.rows.with_factor:
-        for errors in lin.problem.execution_errors.otherwise(lin.iterate.burns):
+        for errors in lin.problem.execution_errors.alternatives(lin.iterate.burns):
             yield Linearisation(
                 replace(lin.problem, execution_errors=errors), lin.iterate, lin.arcs
             )

@@ -137,7 +137,7 @@ def test_gains_act_on_what_estimates_resolve_whatever_measurements_err_by(case, 
     feedback = flyby.problem.feedback
     errors = 10.0 ** np.array(exponents)[:, None] * feedback.measurement
     problem = replace(flyby.problem, feedback=replace(feedback, measurement=errors))
-    lin = replace(flyby, problem=problem).at(some_controls(flyby, rng)).telling
+    lin = replace(flyby, problem=problem).at(some_controls(flyby, rng)).informed
     for j, one in enumerate(lin.spread.innovations):
         last = problem.gains_of(lin.iterate, j)[:, -6:]
         estimated = last @ one.by_estimate(one.gain)

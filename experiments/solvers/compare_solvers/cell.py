@@ -34,10 +34,10 @@ from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.flights import FlightConfig, fly_many
 from scp_recon.monte_carlo.observation_time import ALL
 from scp_recon.planning import initial_guess
-from scp_recon.planning.mission_stages import MissionRunner
-from scp_recon.planning.plan import Plan, Provenance
+from scp_recon.planning.missions import make_plan, other_starts
+from scp_recon.planning.plan import Plan, Provenance, StageSpec
 from scp_recon.planning.planner import Planner, screened
-from scp_recon.planning.stages import HELD_STAGE, RowsSolver
+from scp_recon.planning.stages import Pipeline, StageSolver
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scp.algorithms import SCvx
 from scp_recon.scp.loop import Record, State, Timing, record_of, trial_step
@@ -200,9 +200,10 @@ def _whole(mission: Mission, cell: Cell) -> tuple[Plan, float]:
     start, method = start_of(mission, cell), cell.method
     begin = process_time()
     if method.solver in NLP_SOLVERS:
-        runner = MissionRunner(mission, _solver_of_rows(mission, method))
+        run = Pipeline(mission, _solver_of_rows(mission, method))
         provenance = Provenance(method.formulation, method.algorithm, method.solver, cell.start)
-        done = runner.run(lambda: runner.executable(runner.plan(start, "P2")), provenance)
+        others = other_starts(mission)
+        done = make_plan(mission, run, lambda: run.plan(start, "P2", others), provenance)
     else:
         names = (method.formulation, method.algorithm, method.solver)
         done = plan_mission(mission, start, PlanOptions("P2", "scp", *names))
@@ -212,14 +213,14 @@ def _whole(mission: Mission, cell: Cell) -> tuple[Plan, float]:
 def _of_plan(cell: Cell, done: Plan, cpu_s: float) -> Row:
     """The row of a plan with effort and status; its burns are judged later."""
     names = [stage.name for stage in done.stages for _ in stage.result.records]
-    tries = ((a.result.status.value.name, b.begun_again) for a, b in pairwise(done.stages))
+    tries = ((a.result.status.value.name, bool(b.spec.start)) for a, b in pairwise(done.stages))
     return replace(
         empty_row(cell),
         status=done.status.value.name,
         iterations_p3=sum(name.startswith("P3") for name in names),
         iterations_p2=sum(name.startswith("P2") for name in names),
         first_status=next((first for first, again in tries if again), ""),
-        from_arc=done.final.begun_again,
+        from_arc=bool(done.final.spec.start),
         total_s=done.total_s,
         cpu_s=cpu_s,
         setup_s=done.timing.setup,
@@ -231,21 +232,21 @@ def _from_p3(mission: Mission, cell: Cell) -> tuple[Plan, float]:
     """Solve P2 from SCP's P3 solution with its facets, restoring facets found violated."""
     start = start_of(mission, cell)
     stages = plan_mission(mission, start, PlanOptions(problem="P3")).stages
-    p3 = [one for one in stages if not one.name.endswith(HELD_STAGE)][-1].result.lin
+    p3 = [one for one in stages if one.spec.role != "held"][-1].result.lin
     problem = mission.problem
     facets = choose_facets(problem, mission.polytopes, p3.iterate.mean, p3.factor)
     clearance = np.inf if cell.method == EVERY_NODE else mission.clearances[0]
     included = screened(facets, p3, clearance)
-    runner = MissionRunner(mission, _solver_of_rows(mission, cell.method))
+    run = Pipeline(mission, _solver_of_rows(mission, cell.method))
     provenance = Provenance(
         cell.method.formulation, cell.method.algorithm, cell.method.solver, "p3"
     )
     rows, cpu_begin = ChanceRows(problem, facets, included), process_time()
-    done = runner.run(lambda: runner.restore("P2", rows, p3), provenance)
+    done = make_plan(mission, run, lambda: run.solve(StageSpec("P2", rows), p3), provenance)
     return done, process_time() - cpu_begin
 
 
-def _solver_of_rows(mission: Mission, method: Method) -> RowsSolver:
+def _solver_of_rows(mission: Mission, method: Method) -> StageSolver:
     """The solver of P2 by a method."""
     if method.solver in NLP_SOLVERS:
         from formulations.nlp.solve import BY_UNO, VARIANTS

@@ -435,8 +435,8 @@ def test_infeasible_is_never_called_solved(infeasible):
     hard = solve_nlp(infeasible.problem, infeasible.arcs, infeasible.facets, start, variant)
     assert hard.outcome in (NlpOutcome.INFEASIBLE, NlpOutcome.LIMIT), hard.status
     stages = ipopt.IpoptStages(mission, infeasible.arcs, VARIANTS["shooting"], elastic=True)
-    rows, start_lin = infeasible.p2.merit.rows, infeasible.p3.result.lin
-    elastic = stages.solve("P2", rows, start_lin, mission.dynamics, lambda *_: None)
+    start_lin = infeasible.p3.result.lin
+    elastic = stages.solve(infeasible.p2.spec, start_lin, mission.dynamics, lambda *_: None)
     assert elastic.result.status is Status.INFEASIBLE
     violations = elastic.merit.violations(elastic.result.lin)
     assert max(violations["site_distance_max"]) > elastic.tolerance

@@ -107,15 +107,15 @@ def test_the_spread_does_not_jump_anywhere(errors, rng):
 @given(gates, generators)
 def test_otherwise_are_the_vanished_burns_each_executed(errors, rng):
     burns = burns_about(rng, errors)
-    others = list(errors.otherwise(burns))
+    others = list(errors.alternatives(burns))
     assert len(others) == (0 if errors.affine else 2)
     for i, other in enumerate(others):
         columns = other.columns(burns)
         assert np.array_equal(np.delete(columns, i, 0), np.delete(errors.columns(burns), i, 0))
         excess = product(columns)[i] - product(errors.columns(burns))[i]
         assert np.linalg.eigvalsh(excess)[0] >= -1e-12
-        assert not list(other.otherwise(np.delete(burns, 1 - i, 0))) or i == 1
-    assert not list(ComponentwiseErrors(0.1).otherwise(burns))
+        assert not list(other.alternatives(np.delete(burns, 1 - i, 0))) or i == 1
+    assert not list(ComponentwiseErrors(0.1).alternatives(burns))
 
 
 @few

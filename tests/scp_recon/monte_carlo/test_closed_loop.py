@@ -26,7 +26,7 @@ from scp_recon.monte_carlo.sampling import (
 )
 from scp_recon.monte_carlo.summary import read_summary, summarise
 from scp_recon.monte_carlo.whole_flight import WholeFlights
-from scp_recon.planning.plan import Plan, Provenance, Stage
+from scp_recon.planning.plan import Plan, Provenance, Stage, StageSpec
 from scp_recon.results.policy import Policy, policy_of
 from scp_recon.results.solution import Solution, make_solution
 from scp_recon.scp.loop import Result, Timing
@@ -206,7 +206,8 @@ def test_flights_count_what_corrected_burns_break(solution):
 def corrected(solution) -> Solution:
     case = case_of(3600.0, solution)
     merit = MeritFunction(case.lin.problem, DeterministicRows(case.lin.problem))
-    stage = Stage("P2", Result(Status.CONVERGED, case.lin, (), Timing()), merit, None, 1e-6)
+    result = Result(Status.CONVERGED, case.lin, (), Timing())
+    stage = Stage(StageSpec("P2", merit.rows), result, merit, 1e-6)
     provenance = Provenance("condensed", "scvx", "clarabel", "given")
     return make_solution(Plan(case.mission, provenance, (stage,), stage, Timing(), 0.0))
 

@@ -1,6 +1,7 @@
 """Plans that spend the risk that was asked for: what they cost and reach, and what they refuse."""
 
 import os
+from dataclasses import replace
 from functools import cache, partial
 from itertools import pairwise
 from types import SimpleNamespace
@@ -12,14 +13,16 @@ from hypothesis import HealthCheck, Phase, assume, given, settings
 from scipy.special import ndtr
 
 from formulations.arrays import Array
+from formulations.linearisation.linearisation import Linearisation
 from formulations.rows.exact import NodeRows
 from formulations.rows.exact_flight import FLIGHT, FlightRows
 from formulations.rows.node_probability import SPREAD_MIN
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
-from scp_recon.planning import initial_guess, ipopt
-from scp_recon.planning.mission_stages import MissionRunner
+from scp_recon.planning import initial_guess, ipopt, missions
+from scp_recon.planning.plan import StageSpec
 from scp_recon.planning.planner import Plan, Planner, plan
+from scp_recon.planning.stages import Pipeline
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scp.algorithms import ALGORITHMS
 from scp_recon.scp.status import Status
@@ -63,7 +66,7 @@ def test_the_default_scenario_from_a_cold_start(scope, p, goal):
     assert min(sigmas) < 1e-5
 
 
-def test_more_probability_costs_more_and_whole_flights_more_than_nodes():
+def test_cost_grows_with_probability_and_scope():
     for scope, row in GOALS.items():
         costs = [found(scope, p).total_dv_m_s for p in row]
         assert all(less < more for less, more in pairwise(costs))
@@ -72,7 +75,7 @@ def test_more_probability_costs_more_and_whole_flights_more_than_nodes():
 
 
 @pytest.mark.parametrize("scope", ["node", "flight"])
-def test_a_plan_goes_on_from_another_with_its_last_stage_alone(scope):
+def test_a_plan_continues_with_its_last_stage(scope):
     near, end = found(scope, 0.9), found(scope, 0.99)
     on = plan(end.mission, near)
     assert {stage.name for stage in on.stages} <= {"P2", "P2.held"}
@@ -98,7 +101,7 @@ def test_all_algorithms_find_the_same(algorithm):
     suppress_health_check=[HealthCheck.too_slow, HealthCheck.filter_too_much],
 )
 @given(scenarios())
-def test_started_at_a_plan_with_inner_polytopes_exact_never_costs_more(overrides):
+def test_exact_risk_never_costs_more_than_polytopes(overrides):
     try:
         mission, uniform = planned(overrides)
     except InputError:
@@ -106,8 +109,7 @@ def test_started_at_a_plan_with_inner_polytopes_exact_never_costs_more(overrides
     assume(uniform.status is Status.CONVERGED)
     p = mission.scenario.risk.p_chance
     of = Mission.from_scenario(load_scenario(None, (*overrides, *exact("node", p))))
-    runner = MissionRunner(of, Planner(of))
-    stage = runner.solve_exact("P2", uniform.final.result.lin)
+    stage = Pipeline(of, Planner(of)).exact(uniform.final.result.lin)
     assert stage.result.status is Status.CONVERGED
     # Where nothing is uncertain it keeps off the limits by its least spread, which polytopes have not.
     off = 10.0 * SPREAD_MIN
@@ -118,7 +120,7 @@ def test_started_at_a_plan_with_inner_polytopes_exact_never_costs_more(overrides
 
 
 @nightly
-def test_with_better_measurements_no_plan_costs_more_than_its_neighbour():
+def test_better_measurements_never_cost_more():
     """Each begins at the plan before it, the first at the plan without corrections."""
     last = found("flight", 0.9)
     for metres in (10.0, 3.0, 1.0):
@@ -156,7 +158,7 @@ def test_fresh_flights_hold_as_often_as_asked(p, optimism):
     assert share == pytest.approx(p, abs=4.0 * np.sqrt(p * (1.0 - p) / count) + optimism)
 
 
-def test_a_plan_of_whole_flights_holds_at_every_node_too():
+def test_whole_flight_plans_hold_at_every_node():
     of = found("flight", 0.9)
     lin = of.final.result.lin
     nodes = NodeRows(of.mission.problem, 0.9).margins(lin)
@@ -237,7 +239,7 @@ FROZEN = partial(plan, formulation="frozen-stm")
         (("policy.kind=feedback", *SIGMAS), FROZEN, r"policy\.kind: .*condensed and lifted"),
     ],
 )
-def test_what_a_method_has_no_rows_for_it_refuses(overrides, planned, words):
+def test_methods_refuse_rows_they_lack(overrides, planned, words):
     mission = mission_of(COARSE, *overrides)
     with pytest.raises(InputError, match=f"^{words}"):
         planned(mission, initial_guess.cold(mission), observe=never)
@@ -247,38 +249,36 @@ def test_what_a_method_has_no_rows_for_it_refuses(overrides, planned, words):
     ("gains", "ends", "names"),
     [
         # led to where there is no plan without, however the leading stage ends
-        (0.0, "ccc", [".node", ".coarse", ""]),
-        (0.0, "icc", [".node", ".led", ""]),
-        (0.0, "iic", [".node", ".led", ""]),
-        (0.0, "ci", [".node", ".coarse"]),
+        (0.0, "ccc", ["P2.node", "P2.coarse", "P2"]),
+        (0.0, "icc", ["P2.node", "P2.led", "P2"]),
+        (0.0, "iic", ["P2.node", "P2.led", "P2"]),
+        (0.0, "ci", ["P2.node", "P2.coarse"]),
         # a plan with them that does not go on at once goes on with them
         (1.0, "c", ["P2"]),
         (1.0, "icc", ["P2", "P2.coarse", "P2"]),
         (1.0, "ii", ["P2", "P2.coarse"]),
     ],
 )
-def test_gains_are_led_to_or_gone_on_with(gains, ends, names, monkeypatch):
-    """Stages that end converged or infeasible."""
-    ended, seen = iter(ends), []
-    start: Any = SimpleNamespace(iterate=SimpleNamespace(gains=np.array([gains])))
-
-    class Runner(MissionRunner):
-        def solve(self, name: str, *_: Any) -> Any:
-            seen.append(name)
-            status = Status.CONVERGED if next(ended) == "c" else Status.INFEASIBLE
-            return SimpleNamespace(result=SimpleNamespace(status=status, lin=start))
-
-    none, closed = (SimpleNamespace(problem=SimpleNamespace(feedback=f)) for f in (None, "gains"))
-    solver: Any = SimpleNamespace(
-        exact_rows=lambda: [(".node", none), (".coarse", closed), ("", closed)], leading_rows=closed
+def test_gains_are_led_to_or_kept(gains, ends, names, monkeypatch):
+    """Stages that end converged or infeasible, of the product's list of stages."""
+    ended, seen = iter(ends), list[str]()
+    mission = mission_of(
+        COARSE, "policy.kind=feedback", *SIGMAS, "navigation.lead_s=0", *exact("flight", 0.9)
     )
-    task: Any = SimpleNamespace(
-        problem=closed.problem,
-        scenario=SimpleNamespace(risk=SimpleNamespace(allocation="exact")),
-        dynamics=SimpleNamespace(linearise=lambda *_: start),
-    )
-    monkeypatch.setattr(MissionRunner, "flown", lambda *_: start.iterate)
-    runner = Runner(task, solver)
-    stage = runner.go_on(start) if gains else runner.solve_exact("", start)
+    planner, pipeline = Planner(mission), Pipeline(mission, Planner(mission))
+    lin = pipeline.start(initial_guess.cold(mission))
+    given = np.full(mission.problem.feedback.size, gains)
+    start = mission.dynamics.linearise(mission.problem, replace(lin.iterate, gains=given))
+
+    def solve(spec: StageSpec, at: Linearisation) -> Any:
+        seen.append(spec.name)
+        status = Status.CONVERGED if next(ended) == "c" else Status.INFEASIBLE
+        return SimpleNamespace(result=SimpleNamespace(status=status, lin=at))
+
+    monkeypatch.setattr(pipeline, "solve", solve)
+    monkeypatch.setattr(missions, "flown", lambda *_: start.iterate)
+    last: Any = None
+    stage = missions.continued(mission, pipeline, last) if gains else pipeline.exact(start)
     assert seen == names
     assert (stage is None) == (gains > 0.0 and ends[-1] == "i")
+    assert [one.name for one in planner.exact_stages()] == ["P2.node", "P2.coarse", "P2"]

@@ -123,7 +123,7 @@ def planned_by(*overrides: str, formulation: str = "condensed") -> Plan:
 
 
 @pytest.mark.parametrize("formulation", usually(["tuned", "shooting", "lifted"], 1))
-def test_every_method_finds_the_same_plan_under_gates_errors(formulation):
+def test_methods_agree_under_gates_errors(formulation):
     ours = planned_by(UNLIKE)
     if formulation == "lifted":
         other = planned_by(UNLIKE, formulation=formulation)
@@ -145,7 +145,7 @@ def test_a_plan_under_gates_errors_is_verified(errors):
     assert checked.covariance_error < 1e-6
 
 
-def test_a_vanished_burn_comes_back_or_stays_and_the_iteration_ends():
+def test_a_vanished_burn_returns_only_if_needed():
     """P3 leaves out the third burn: one set of errors calls for it, the other does not."""
     for errors, needed in ((UNLIKE, True), (ALIKE, False)):
         found = planned_by(errors)
@@ -162,7 +162,7 @@ def test_a_vanished_burn_comes_back_or_stays_and_the_iteration_ends():
         assert (last[2] < VANISHED * model.fixed_bound) != needed
 
 
-def test_a_vanished_burn_may_be_executed_where_that_promises_more(monkeypatch):
+def test_executing_a_vanished_burn_may_predict_more(monkeypatch):
     """Before the window, where its errors count: its own model forbids it to leave zero far."""
     found, radius = planned_by(UNLIKE), 0.3
     problem, dynamics = found.mission.problem, found.mission.dynamics
@@ -177,7 +177,7 @@ def test_a_vanished_burn_may_be_executed_where_that_promises_more(monkeypatch):
         return trial_step(subproblem, dynamics, state, radius, Timing(), 1e-6).predicted
 
     both = promise()
-    monkeypatch.setattr(GatesErrors, "otherwise", lambda *_: iter(()))
+    monkeypatch.setattr(GatesErrors, "alternatives", lambda *_: iter(()))
     assert both > 1.05 * promise() > 0.0
 
 
@@ -188,7 +188,7 @@ def drawn(*overrides: str, errors: str | None = None) -> Array:
     return flights.burns_m_s - burns
 
 
-def test_flights_have_the_errors_that_the_planner_counts_on():
+def test_flown_errors_match_the_planners():
     errors, found = drawn(UNLIKE), planned_by(UNLIKE)
     speed, model = found.mission.units.speed_m_s, found.mission.problem.execution_errors
     for i, burn in enumerate(speed * model.columns(found.burns_m_s / speed)):
@@ -208,7 +208,7 @@ def test_flights_take_no_errors_by_component_for_gates():
 
 
 @nightly
-def test_a_correction_after_the_window_makes_up_for_what_one_before_it_spends():
+def test_a_later_correction_compensates_an_earlier_one():
     """A limit too loose to bind has that burn corrected too, to nothing where the other is large."""
     navigated = (
         "risk.p_chance=0.9",

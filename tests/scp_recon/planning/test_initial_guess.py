@@ -16,7 +16,7 @@ from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
 from scp_recon.planning.plan import Plan
 from scp_recon.planning.planner import plan
-from scp_recon.planning.stages import contradicts_itself
+from scp_recon.planning.stages import path_ignores_burns
 from scp_recon.planning.starts import local_optima, plan_from_several, random_flight
 from scp_recon.results.solution import make_solution
 from scp_recon.scp.algorithms import ALGORITHMS
@@ -44,7 +44,7 @@ def ballistic(mission) -> Iterate:
     return initial_guess.ballistic(mission)
 
 
-def test_cold_is_the_straight_line_with_next_to_no_burns(mission):
+def test_the_cold_start_is_a_straight_line(mission):
     cold = initial_guess.cold(mission)
     states, fraction = states_of(mission, cold), mission.times_s / mission.times_s[-1]
     expected = np.outer(1.0 - fraction, mission.initial_state)
@@ -54,7 +54,7 @@ def test_cold_is_the_straight_line_with_next_to_no_burns(mission):
     np.testing.assert_allclose(burns_of(mission, cold.burns), np.full((4, 3), 1e-10), rtol=1e-12)
 
 
-def test_ballistic_arc_flies_between_the_boundary_states_with_two_impulses(mission, ballistic):
+def test_the_ballistic_arc_connects_the_boundary_states(mission, ballistic):
     states, burns = states_of(mission, ballistic), burns_of(mission, ballistic.burns)
     defects = np.abs(defects_of(mission, ballistic))
     assert defects[:, :3].max() < 1e-3
@@ -82,7 +82,7 @@ def test_ballistic_arc_is_the_cheaper_way_round(mission, ballistic):
 @pytest.mark.parametrize(
     "final", ["[-70.2, 1096.3, -406.4]", "[70.2, -1096.3, 406.4]"], ids=["opposite", "the same"]
 )
-def test_ballistic_arc_exists_where_the_plane_is_not_given(final):
+def test_a_ballistic_arc_exists_without_a_plane(final):
     mission = mission_of(f"boundary.final_position_m={final}")
     iterate = initial_guess.ballistic(mission)
     assert np.abs(defects_of(mission, iterate)[:, :3]).max() < 1e-2
@@ -132,7 +132,7 @@ def test_a_table_gives_the_trajectory_back(tmp_path, mission, ballistic, rows, h
         assert np.abs(apart[[0, -1]]).max() < burn_m_s
 
 
-def test_burns_of_a_table_are_what_the_arcs_miss(tmp_path, mission, default_plan):
+def test_burns_of_a_table_close_its_arcs(tmp_path, mission, default_plan):
     # Between two rows on either side of a burn the table's velocity turns within a second.
     planned = default_plan.final.result.lin.iterate
     states, burns = states_of(mission, planned), burns_of(mission, planned.burns)
@@ -192,7 +192,7 @@ def test_a_bad_table_is_refused(mission, tmp_path, content, named):
     assert named in str(refused(mission, file))
 
 
-def test_a_table_in_other_units_or_axes_is_refused(mission, ballistic, tmp_path):
+def test_tables_in_other_units_are_refused(mission, ballistic, tmp_path):
     states = states_of(mission, ballistic)
     turning = np.array([mission.rotation.body_to_j2000(t).T for t in mission.times_s])
     body_fixed = np.einsum("nij,nkj->nki", turning, states.reshape(-1, 2, 3)).reshape(-1, 6)
@@ -216,7 +216,7 @@ LOST = (0, 8)
 
 
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
-def test_random_guesses_end_at_the_better_optimum_at_the_first_try(algorithm, mission):
+def test_random_guesses_end_at_the_better_optimum(algorithm, mission):
     for seed in usually(LOST, 1):
         found = plan(mission, initial_guess.random(mission, seed), algorithm=algorithm)
         assert [stage.name for stage in found.stages] == ["P3.open", "P3", "P2"]
@@ -224,7 +224,7 @@ def test_random_guesses_end_at_the_better_optimum_at_the_first_try(algorithm, mi
         assert found.total_dv_m_s == pytest.approx(0.140135, rel=1e-4)
 
 
-def test_guesses_that_fly_or_claim_no_burns_begin_with_all_rows(mission, default_plan):
+def test_only_random_guesses_ignore_their_burns(mission, default_plan):
     table = np.column_stack([default_plan.times_s, default_plan.states])
     coarse = np.vstack([table[::10], table[-1:]]) if (len(table) - 1) % 10 else table[::10]
     for guess in (
@@ -234,10 +234,10 @@ def test_guesses_that_fly_or_claim_no_burns_begin_with_all_rows(mission, default
         initial_guess.from_states(mission, coarse),
         flight_beyond(mission),
     ):
-        assert not contradicts_itself(mission.dynamics.linearise(mission.problem, guess))
+        assert not path_ignores_burns(mission.dynamics.linearise(mission.problem, guess))
     for seed in range(10):
         guess = initial_guess.random(mission, seed)
-        assert contradicts_itself(mission.dynamics.linearise(mission.problem, guess))
+        assert path_ignores_burns(mission.dynamics.linearise(mission.problem, guess))
 
 
 def test_a_flight_stays_on_its_side(mission):
@@ -270,7 +270,7 @@ def found(mission) -> Plan:
     return THREE(mission, initial_guess.cold(mission))
 
 
-def test_both_optima_of_p3_are_found_and_the_better_one_is_kept(mission, found):
+def test_several_starts_find_both_optima_of_p3(mission, found):
     near, far = found.starts.optima
     assert near.total_dv_m_s == pytest.approx(0.107723, rel=1e-4)
     assert far.total_dv_m_s == pytest.approx(0.159273, rel=1e-4)
@@ -290,13 +290,13 @@ def test_neither_plan_nor_optima_depend_on_the_processes(mission, found):
     assert split.starts == found.starts
 
 
-def test_a_random_flight_obeys_the_dynamics_ends_where_it_should_and_is_its_seeds(mission):
+def test_random_flights_obey_dynamics_and_follow_their_seed(mission):
     places = ((3, 1), (3, 2), (3, 3), (4, 1))
     flights = [random_flight(mission, *place) for place in places]
     for place, flight in zip(places, flights, strict=True):
         lin = mission.dynamics.linearise(mission.problem, flight)
         assert lin.is_dynamically_feasible
-        assert not contradicts_itself(lin)
+        assert not path_ignores_burns(lin)
         flown = initial_guess.from_burns(mission, flight.burns * mission.units.speed_m_s)
         np.testing.assert_allclose(flown.mean, flight.mean, atol=1e-8)
         np.testing.assert_array_equal(random_flight(mission, *place).mean, flight.mean)
@@ -304,7 +304,7 @@ def test_a_random_flight_obeys_the_dynamics_ends_where_it_should_and_is_its_seed
         assert np.abs(one.mean - other.mean).max() > 0.01
 
 
-def test_what_p2_finds_infeasible_is_listed_and_not_kept(mission, default_plan):
+def test_infeasible_optima_are_listed(mission, default_plan):
     """From the far optimum there is no way; with `once` it begins nowhere else."""
     far = plan(mission, flight_beyond(mission), once=True)
     assert {stage.name.partition(".")[0] for stage in far.stages} == {"P3", "P2"}
@@ -337,7 +337,7 @@ def test_an_interrupt_before_any_start_is_no_plan(mission):
         plan_from_several(mission, initial_guess.cold(mission), stop, starts=2)
 
 
-def test_the_front_door_and_the_file_list_the_optima():
+def test_the_solution_lists_the_optima():
     found = sr.plan(problem="P3", starts=3, seed=0)
     assert "local optima of 3 starts, seed 0" in str(found)
     listed = make_solution(found).starts

@@ -105,9 +105,7 @@ def coarse() -> Mission:
 
 
 @pytest.mark.parametrize("formulation", ["condensed", "lifted"])
-def test_every_iteration_is_solved_with_the_numbers_of_cvxpys_compiled_form(
-    coarse, formulation, monkeypatch
-):
+def test_every_iteration_solves_cvxpys_compiled_form(coarse, formulation, monkeypatch):
     seen, iterations = watch(monkeypatch), list[Record]()
 
     def observe(_: str, record: Record) -> None:

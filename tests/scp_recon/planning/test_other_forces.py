@@ -32,7 +32,7 @@ from tests.scp_recon.bodies.test_kernels import GFC
 from tests.scp_recon.support import COMPANION, integrate, mission_of
 
 
-def test_a_companion_moves_and_pulls_as_three_bodies_do():
+def test_the_companion_obeys_three_body_motion():
     """Newton's law for three bodies in an inertial frame, with none of the library's arithmetic."""
     mission = mission_of().changed({"body.companion": COMPANION})
     forces = replace(mission.forces, j2_strength=0.0, srp=np.zeros(3))
@@ -104,7 +104,7 @@ def test_flights_through_the_ball_are_counted_as_lost(default_plan):
     assert flown.node_counts[NAME].min() < 10
 
 
-def test_the_distance_to_keep_is_the_companions_radius_if_none_is_given():
+def test_the_default_distance_is_the_companions_radius():
     mission = mission_of().changed({"body.companion": COMPANION})
     (found,) = (c for c in mission.problem.constraints if c.name == NAME)
     assert isinstance(found.region, Ball)
@@ -136,7 +136,7 @@ def test_a_plan_with_harmonics_is_verified():
     assert "flown with harmonics to degree 3" in probabilities_table(mission, checked).note
 
 
-def test_all_of_the_field_is_flown_as_the_truth_is(default_plan):
+def test_the_whole_field_equals_the_true_field(default_plan):
     j2, turning = default_plan.mission, mission_of(f"{DEGREE}=8")
     planner, truth, before = (
         fly_block(each, default_plan.burns_m_s, each.times_s, 0, flights=3, truth=field).states[-1]
@@ -164,7 +164,7 @@ def test_arcs_over_symbols_are_the_planners(entries):
         ((f"{DEGREE}=4", 'body.gravity_file="{field}"'), "4"),
     ],
 )
-def test_a_degree_that_the_field_does_not_have_is_refused(overrides, given, tmp_path):
+def test_missing_degrees_of_the_field_are_refused(overrides, given, tmp_path):
     field = tmp_path / "field.gfc"
     field.write_text(GFC, "utf-8")
     with pytest.raises(InputError) as refused:

@@ -15,6 +15,7 @@ from formulations.rows.exact_flight import FlightRows
 from formulations.rows.uniform import ChanceRows
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
+from scp_recon.planning.plan import StageSpec
 from scp_recon.planning.planner import Plan, Planner, Stage, plan, screened
 from scp_recon.results.solution import make_solution
 from scp_recon.scp.algorithms import SCvx
@@ -73,7 +74,7 @@ def test_every_stage_converges_and_costs_what_it_should(mission, default_plan, t
 
 
 @pytest.mark.parametrize("aside_m", [0.0, 20.0])
-def test_a_warm_start_meets_the_cold_one_wherever_it_begins(mission, default_plan, aside_m):
+def test_warm_and_cold_starts_agree(mission, default_plan, aside_m):
     """A table of states need not begin where the flight does; the plan must."""
     arc = initial_guess.ballistic(mission)
     aside = arc.mean.copy()
@@ -87,7 +88,7 @@ def test_a_warm_start_meets_the_cold_one_wherever_it_begins(mission, default_pla
     )
 
 
-def test_a_facet_round_is_kept_only_while_it_is_cheaper(mission, default_plan):
+def test_facet_rounds_end_when_not_cheaper(mission, default_plan):
     many = plan(mission, initial_guess.cold(mission), facet_rounds=3)
     kept = [stage for stage in many.stages if stage.facets is not None]
     costs = [total_dv(mission, stage) for stage in kept]
@@ -124,7 +125,8 @@ def at_nodes() -> tuple[Mission, Linearisation]:
     planner, cold = Planner(mission), initial_guess.cold(mission)
     start = planner.plan(cold, problem="P3").final.result.lin
     rows = NodeRows(mission.problem, 0.88)
-    return mission, planner.solve("", rows, start, mission.dynamics, ignore).result.lin
+    spec = StageSpec("P2", rows)
+    return mission, planner.solve(spec, start, mission.dynamics, ignore).result.lin
 
 
 @pytest.mark.parametrize("kind", usually(["facets", "flight", "node"], 1))
@@ -142,7 +144,7 @@ def test_lifted_and_condensed_agree_at_convergence(coarse_plan, at_nodes, kind):
         rows = node if kind == "node" else flight
         found = [
             Planner(mission, formulation=name)
-            .solve("", rows, start, mission.dynamics, ignore)
+            .solve(StageSpec("P2", rows), start, mission.dynamics, ignore)
             .result
             for name in ("lifted", "condensed")
         ]
@@ -193,7 +195,7 @@ def test_planning_again_is_the_same_silent_and_observed(mission, default_plan, c
 
 
 @pytest.mark.parametrize("when", ["P3", "P2"])
-def test_an_interrupt_ends_with_the_best_stage_marked_as_interrupted(mission, default_plan, when):
+def test_an_interrupt_returns_the_best_stage(mission, default_plan, when):
     def ctrl_c(stage: str, record: Record) -> None:
         if stage == when and record.k == 2:
             raise KeyboardInterrupt
@@ -206,7 +208,7 @@ def test_an_interrupt_ends_with_the_best_stage_marked_as_interrupted(mission, de
     assert found.final.result.lin.iterate.total_dv == pytest.approx(expected.total_dv, rel=1e-9)
 
 
-def test_an_optimum_of_p3_from_which_p2_is_infeasible_is_left(mission):
+def test_infeasible_p2_is_tried_from_another_start(mission):
     """This flight leads P3 to its second optimum, half as dear again."""
     found = plan(mission, flight_beyond(mission))
     assert [stage.name for stage in found.stages] == ["P3", "P2", "P3b", "P2b"]
@@ -230,7 +232,7 @@ def test_facets_that_leave_nothing_feasible_are_chosen_again():
 
 
 @pytest.mark.parametrize("formulation", ["condensed", "lifted"])
-def test_planning_again_finds_what_p2_with_these_facets_finds_from_afar(coarse_plan, formulation):
+def test_replan_finds_the_optimum_for_its_facets(coarse_plan, formulation):
     """Also in CVXPY, whose kept program must not remember the old initial state."""
     mission, last = coarse_plan.mission, coarse_plan
     again = Planner(mission, formulation=formulation)
@@ -266,9 +268,7 @@ def test_a_planner_keeps_its_programs(mission, default_plan):
         )
 
 
-def test_only_p2_of_the_same_mission_can_be_planned_again_from_a_state_outside_the_body(
-    mission, default_plan
-):
+def test_replan_refuses_p3_other_missions_and_bad_states(mission, default_plan):
     p3 = replace(default_plan, final=default_plan.stages[0])
     with pytest.raises(ValueError, match="only a plan of P2"):
         Planner(mission).replan(p3, mission.initial_state)
@@ -281,7 +281,7 @@ def test_only_p2_of_the_same_mission_can_be_planned_again_from_a_state_outside_t
             Planner(mission).replan(default_plan, state)
 
 
-def test_rows_left_out_of_its_programs_do_not_change_a_stage(mission, default_plan, monkeypatch):
+def test_screened_rows_do_not_change_a_stage(mission, default_plan, monkeypatch):
     """Neither those far from binding at the start nor those that the condensed program leaves out."""
     facets, start = default_plan.final.facets, default_plan.stages[0].result.lin
     found = []
@@ -291,7 +291,7 @@ def test_rows_left_out_of_its_programs_do_not_change_a_stage(mission, default_pl
         if again is None:
             rows = ChanceRows(mission.problem, facets, np.full(len(facets.node), fill_value=True))
         else:
-            rows = planner.p2_rows(facets, start, again=again)
+            rows = planner.p2_stage(facets, start, again=again).rows
         subproblem = planner.subproblem(rows)
         result = run(subproblem, mission.dynamics, start, SCvx(), lambda _: None)
         assert result.status is Status.CONVERGED

@@ -11,9 +11,10 @@ from scipy.integrate import solve_bvp
 from formulations.arrays import Array
 from formulations.linearisation.dynamics import Dynamics
 from formulations.rows.uniform import DeterministicRows
+from scp_recon.mission.mission import Mission
 from scp_recon.physics.flow import FlowDerivatives, GridFlow
 from scp_recon.planning import initial_guess
-from scp_recon.planning.plan import Plan
+from scp_recon.planning.plan import Plan, StageSpec
 from scp_recon.planning.planner import Planner
 from scp_recon.planning.primer import allowed_part, primer_history, primer_of
 from scp_recon.results.solution import make_solution
@@ -25,13 +26,13 @@ from tests.scp_recon.support import mission_of
 
 
 @pytest.fixture(scope="module")
-def planner() -> Planner:
+def planner() -> Planner[Mission]:
     return Planner(mission_of(COARSE, "polytopes.ball='tangent'", "polytopes.cone=12"))
 
 
 @pytest.fixture(scope="module")
 def plan(planner) -> Plan:
-    return planner.plan(initial_guess.cold(planner.mission))
+    return planner.plan(initial_guess.cold(planner.task))
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,9 +48,9 @@ class Kicked(GridFlow):
         return found
 
 
-def least_dv(planner: Planner, plan: Plan, node: int, kick: Array) -> float:
+def least_dv(planner: Planner[Mission], plan: Plan, node: int, kick: Array) -> float:
     """Least delta-v of the burns with the plan's own constraints, where a kick is given away."""
-    mission = planner.mission
+    mission = planner.task
     kicked = Dynamics(Kicked(**vars(mission.flow), arc=node - 1, kick=kick), mission.burn_nodes)
     lin = plan.final.result.lin
     start = kicked.close_defects(kicked.linearise(lin.problem, lin.iterate), lin.iterate.burns)
@@ -60,7 +61,7 @@ def least_dv(planner: Planner, plan: Plan, node: int, kick: Array) -> float:
 
 
 @pytest.mark.parametrize("time_s", [5000.0, 14_900.0, 27_000.0])
-def test_a_small_burn_more_saves_what_the_primer_says(planner, plan, time_s):
+def test_an_added_burn_saves_the_primers_amount(planner, plan, time_s):
     history = primer_of(plan)
     assert history.residual < 1e-3
     node = int(np.argmin(np.abs(np.array(history.t_s) - time_s)))
@@ -80,7 +81,7 @@ def test_without_uncertainty_and_constraints_it_is_lawden_s():
     planner = Planner(mission)
     rows = DeterministicRows(problem)
     start = mission.dynamics.linearise(problem, initial_guess.cold(mission))
-    stage = planner.solve("P3", rows, start, mission.dynamics, lambda *_: None)
+    stage = planner.solve(StageSpec("P3", rows), start, mission.dynamics, lambda *_: None)
     history = primer_history(mission, stage)
     burns = stage.result.lin.iterate.burns
     first, last = burns / np.linalg.norm(burns, axis=1)[:, None]
@@ -104,7 +105,7 @@ def test_without_uncertainty_and_constraints_it_is_lawden_s():
 
 
 @given(st.integers(0, 2**32 - 1), st.floats(0.0, 1.2))
-def test_the_allowed_part_is_the_largest_over_directions_off_the_cones(seed, half_angle):
+def test_allowed_part_is_largest_off_the_cones(seed, half_angle):
     rng = np.random.default_rng(seed)
     p, sun = rng.normal(size=(5, 3)), random_unit(rng, 5)
     found = allowed_part(p, sun, half_angle)

@@ -42,7 +42,7 @@ def without_uncertainty(least: float, **options: str) -> Plan:
     return sr.plan(problem="P3", overrides=[f"burns.dv_min_m_s={least}"], **options)  # type: ignore[arg-type]
 
 
-def test_a_burn_below_the_smallest_is_none_and_costs_nothing():
+def test_a_burn_below_the_smallest_is_left_out():
     any_size, least = without_uncertainty(0.0), without_uncertainty(1e-4)
     assert 0.0 < sizes_of(any_size)[2] < 1e-7
     assert sizes_of(least)[2] == 0.0
@@ -73,14 +73,14 @@ def test_ipopt_decides_as_scp_does():
     assert found.final.result.lin.is_dynamically_feasible
 
 
-def test_each_small_burn_has_a_choice_of_its_own():
+def test_each_small_burn_is_chosen_separately():
     """Of three the last is needed; with all three raised the plan would cost 0.16 m/s at least."""
     plan = without_uncertainty(0.04)
     assert plan.status is Status.CONVERGED
     assert sizes_of(plan) == pytest.approx([0.070969, 0.0, 0.0, 0.044315], abs=2e-6)
 
 
-def test_no_correction_of_a_flight_makes_a_raised_burn_smaller():
+def test_a_raised_burn_stays_at_its_floor():
     """The floor is hard: an iterate below it would leave the next program without a worse answer."""
     plan = sr.plan(overrides=["burns.dv_min_m_s=0.027"])
     assert plan.status is Status.CONVERGED
@@ -88,7 +88,7 @@ def test_no_correction_of_a_flight_makes_a_raised_burn_smaller():
     assert plan.mission.warnings == ()
 
 
-def test_where_neither_is_a_plan_it_stays_with_a_warning(default_plan):
+def test_unavoidable_small_burns_stay_with_a_warning(default_plan):
     """Two burns leave no choice: the final state says what they are."""
     at, state = default_plan.times_s[80], default_plan.states[80]
     left = sr.replan(default_plan, at, state, overrides=["burns.dv_min_m_s=0.025"])
@@ -98,7 +98,7 @@ def test_where_neither_is_a_plan_it_stays_with_a_warning(default_plan):
     assert warning.given == "burn 3 of 2.4e-02 m/s"
 
 
-def test_a_plan_of_whole_flights_has_none_of_next_to_nothing(exact):
+def test_whole_flight_plan_has_an_exactly_zero_burn(exact):
     assert exact.status is Status.CONVERGED
     assert exact.burns_m_s[2].tolist() == [0.0, 0.0, 0.0]
     assert exact.total_dv_m_s == pytest.approx(0.109080, abs=1e-6)
@@ -107,7 +107,7 @@ def test_a_plan_of_whole_flights_has_none_of_next_to_nothing(exact):
 
 
 @pytest.mark.usefixtures("few_flights")
-def test_a_file_with_a_burn_of_zero_is_verified_and_held(stored, tmp_path):
+def test_a_file_with_a_zero_burn_is_verified(stored, tmp_path):
     checked = stored.with_verification(verify(stored.mission, stored))
     assert checked.verification.ok
     checked.write(tmp_path)
@@ -127,7 +127,7 @@ def test_no_limit_judges_it(exact, stored):
     assert exact.worst_margins["dv_battery"][0] == pytest.approx(battery.worst_margin, abs=1e-6)
 
 
-def test_it_is_no_manoeuvre_and_the_others_keep_their_numbers(stored):
+def test_a_zero_burn_is_no_manoeuvre(stored):
     path = fly_path(stored.mission, stored)
     text = opm_text(Export(stored, stored.mission, path, Ids(SPACECRAFT_ID, 2101955)))
     numbers = [line for line in text.splitlines() if line.startswith("COMMENT burn ")]
@@ -137,7 +137,7 @@ def test_it_is_no_manoeuvre_and_the_others_keep_their_numbers(stored):
     assert "COMMENT 3 burns, impulses; " in text
 
 
-def test_it_is_shown_as_zero_and_never_as_minus_zero(stored):
+def test_a_zero_burn_is_shown_without_sign(stored):
     first = replace(stored.burns[0], dv_m_s=(-1e-9, 0.02, 1e-9))
     table = burns_table(replace(stored, burns=[first, *stored.burns[1:]]))
     shown = [[cell.text for cell in row] for row in table.rows]

@@ -62,7 +62,7 @@ def test_every_algorithm_reaches_the_optimum_of_scvx(name, mission, default_plan
 
 
 @pytest.mark.parametrize("name", usually(OTHERS, 1))
-def test_what_cannot_be_reached_is_infeasible_with_the_least_violation(name):
+def test_unreachable_states_are_infeasible_with_least_violation(name):
     """Burns of at most 2 cm/s; what is violated is the burns' size, not the final state."""
     mission = mission_of("burns.dv_max_m_s=0.02", COARSE)
     done = plan(mission, initial_guess.cold(mission), problem="P3", algorithm=name)
@@ -72,9 +72,7 @@ def test_what_cannot_be_reached_is_infeasible_with_the_least_violation(name):
 
 
 @pytest.mark.parametrize("name", ALGORITHMS)
-def test_an_answer_that_the_solver_does_not_vouch_for_ends_in_no_verdict(
-    name, mission, cold, monkeypatch
-):
+def test_inaccurate_answers_end_without_a_verdict(name, mission, cold, monkeypatch):
     original = CondensedSubproblem.solve
 
     def solve(self: CondensedSubproblem, *arguments: float) -> Step:
@@ -85,9 +83,7 @@ def test_an_answer_that_the_solver_does_not_vouch_for_ends_in_no_verdict(
     assert result.status not in (Status.CONVERGED, Status.INFEASIBLE)
 
 
-def test_where_the_solver_vouches_for_small_steps_alone_it_is_asked_twice(
-    mission, prox_run, monkeypatch
-):
+def test_an_inaccurate_large_step_is_not_final(mission, prox_run, monkeypatch):
     """From the optimum: a small step gains nothing, and neither would an unsure larger one."""
     original = CondensedSubproblem.solve
 
@@ -115,7 +111,7 @@ def test_a_solver_that_always_fails_ends_the_run(name, mission, cold, monkeypatc
     assert len(radii) >= 2
 
 
-def test_a_step_is_taken_for_a_tenth_of_its_promise_and_moves_the_soft_radius(prox_run):
+def test_a_tenth_of_predicted_reduction_accepts_a_step(prox_run):
     records = prox_run.records
     assert not all(record.accepted for record in records)
     for record, after in itertools.pairwise(records[1:]):
@@ -135,16 +131,14 @@ def test_a_step_is_taken_for_a_tenth_of_its_promise_and_moves_the_soft_radius(pr
     ],
     ids=lambda algorithm: type(algorithm).__name__,
 )
-def test_the_first_radius_and_weight_are_no_matter_of_life_and_death(
-    algorithm, mission, cold, prox_run
-):
+def test_the_optimum_is_independent_of_radius_and_weight(algorithm, mission, cold, prox_run):
     result = p3_by(algorithm, mission, cold)
     assert result.status is Status.CONVERGED
     expected = prox_run.lin.iterate.total_dv
     assert result.lin.iterate.total_dv == pytest.approx(expected, rel=1e-4)
 
 
-def test_multipliers_end_at_the_price_of_the_final_state(mission, cold, prox_run):
+def test_multipliers_price_the_final_state(mission, cold, prox_run):
     """Moving the final state by d changes the least delta-v by -l'd, to first order."""
     algorithm = SCvxStar()
     rows = DeterministicRows(mission.problem)
@@ -201,9 +195,7 @@ STUB = SimpleNamespace(merit=Merit())
 @pytest.mark.parametrize("flown", [True, False])
 @pytest.mark.parametrize("actual", [-1e3, -1e-12, 0.0, 0.2, 3.0])
 @pytest.mark.parametrize("name", ALGORITHMS)
-def test_a_step_is_taken_if_it_keeps_a_share_of_its_promise_or_leaves_a_guess(
-    monkeypatch, name, actual, flown
-):
+def test_enough_reduction_or_a_guess_accepts_a_step(monkeypatch, name, actual, flown):
     """Of the promise, a reduction by one; from a guess whatever it leads to."""
     answer = Step(np.full((2, 3), STEP), 0.0, 0.0, 0.0)
     trial = Trial(answer, at(STEP), 1.0 - actual, 1.0, actual, STEP)
@@ -217,7 +209,7 @@ def test_a_step_is_taken_if_it_keeps_a_share_of_its_promise_or_leaves_a_guess(
 
 
 @pytest.mark.parametrize(("dv_max", "verdict"), [(0.1, Status.INFEASIBLE), (10.0, None)])
-def test_the_dearest_plan_is_told_by_the_limits_of_the_merit(dv_max, verdict):
+def test_infeasibility_is_judged_by_the_merits_limits(dv_max, verdict):
     """Above two burns of that size no plan can be; the iterate's own problem has other limits."""
     algorithm = algorithms.SCvx()
     subproblem: Any = SimpleNamespace(
@@ -236,7 +228,7 @@ def optimum(default_plan) -> Linearisation:
 
 
 @pytest.mark.parametrize("size", [1e-4, 1e-2, 0.1])
-def test_a_flown_step_obeys_the_dynamics_and_ends_where_the_model_promised(mission, optimum, size):
+def test_a_flown_step_reaches_the_linear_final_state(mission, optimum, size):
     change = np.random.default_rng(5).normal(scale=size, size=optimum.iterate.burns.shape)
     # Only steps that keep the final state of the linear model are proposed near a solution.
     jacobian = final_state_map(optimum)[1]
@@ -251,7 +243,7 @@ def test_a_flown_step_obeys_the_dynamics_and_ends_where_the_model_promised(missi
 
 
 @pytest.mark.parametrize("size", [0.3, 3.0, 30.0, None])
-def test_no_step_is_too_large_to_end_dynamically_exact(mission, optimum, size):
+def test_large_steps_end_dynamically_exact(mission, optimum, size):
     """From a flight, or from the straight line to the final state."""
     start, problem = optimum, mission.problem
     if size is None:
@@ -264,9 +256,7 @@ def test_no_step_is_too_large_to_end_dynamically_exact(mission, optimum, size):
     assert np.abs(flown.defects[:-1]).max() < 1e-9
 
 
-def test_where_newton_s_method_does_not_converge_the_burns_are_rolled_out_as_they_are(
-    mission, optimum, monkeypatch
-):
+def test_without_newton_convergence_burns_are_rolled_out(mission, optimum, monkeypatch):
     monkeypatch.setattr(dynamics, "NEWTON_MAX", 1)
     burns = optimum.iterate.burns + 0.1
     flown = mission.dynamics.close_defects(optimum, burns)

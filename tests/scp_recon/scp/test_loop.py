@@ -116,7 +116,7 @@ def raising(monkeypatch, error: BaseException, at: Collection[int]) -> None:
 
 
 @pytest.mark.parametrize("failing", [{1}, {2, 3, 4}])
-def test_a_solver_that_fails_now_and_then_is_survived(p3, cold, mission, monkeypatch, failing):
+def test_occasional_solver_failures_are_survived(p3, cold, mission, monkeypatch, failing):
     raising(monkeypatch, SubproblemError("just this once"), failing)
     result = run(p3, mission.dynamics, cold, SCvx(), ignore)
     assert result.status is Status.CONVERGED
@@ -144,9 +144,7 @@ def test_a_promise_never_kept_stalls(p3, mission, optimum, monkeypatch):
 
 
 @pytest.mark.parametrize("within", [False, True])
-def test_a_limit_or_an_interrupt_keeps_the_last_whole_iteration(
-    p3, cold, mission, monkeypatch, within
-):
+def test_limit_and_interrupt_keep_the_last_iteration(p3, cold, mission, monkeypatch, within):
     limited = run(p3, mission.dynamics, cold, SCvx(max_iterations=3), ignore)
 
     def ctrl_c(record: Record) -> None:

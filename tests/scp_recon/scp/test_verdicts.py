@@ -63,7 +63,7 @@ def between_phases(departure_deg: int, arrival_deg: int, sense: int) -> list[str
     ]
 
 
-def test_a_burn_that_vanishes_beside_the_batterys_cone_does_not_cycle():
+def test_a_vanishing_burn_at_the_cone_converges():
     """Burn 3 is zero at the solution: where it points is the program's to find, not the iterate's."""
     found = planned(["risk.p_chance=0.8", 'polytopes.ball="tangent"'])
     final = found.final.result
@@ -96,7 +96,7 @@ BETWEEN_PHASES = (
         *((between_phases, given, VERDICTS) for given in usually(BETWEEN_PHASES, 1)),
     ],
 )
-def test_what_once_had_none_or_a_wrong_one_ends_with_a_verdict(scenario, given, verdicts):
+def test_once_undecided_cases_end_with_a_verdict(scenario, given, verdicts):
     assert planned(scenario(*given)).final.result.status in verdicts
 
 

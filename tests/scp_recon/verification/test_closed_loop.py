@@ -25,7 +25,7 @@ from scp_recon.interop.path import fly_path
 from scp_recon.mission.mission import Mission
 from scp_recon.physics.geometry import angle
 from scp_recon.planning import initial_guess
-from scp_recon.planning.plan import Plan, Provenance, Stage
+from scp_recon.planning.plan import Plan, Provenance, Stage, StageSpec
 from scp_recon.planning.planner import plan
 from scp_recon.results.comparison import compare
 from scp_recon.results.facts import Verification
@@ -113,10 +113,10 @@ def with_gains(*overrides: str) -> Solution:
     mission = mission_of(*MEASURED, *overrides)
     guess = initial_guess.from_burns(mission, BURNS_M_S)
     at = Iterate(guess.burns, guess.mean, some_gains(mission))
-    lin = mission.dynamics.linearise(mission.problem, at).telling
+    lin = mission.dynamics.linearise(mission.problem, at).informed
     merit = MeritFunction(mission.problem, DeterministicRows(mission.problem))
     result = Result(Status.MAX_ITERATIONS, lin, (), Timing())
-    stage = Stage("P3", result, merit, None, SCvx().feasible)
+    stage = Stage(StageSpec("P3", merit.rows), result, merit, SCvx().feasible)
     made = Provenance("none", "none", "none", "given", "none")
     return make_solution(Plan(mission, made, (stage,), stage, Timing(), 0.0))
 
