@@ -12,8 +12,9 @@ import numpy as np
 from scp_recon.api.designing import design
 from scp_recon.api.files import Opened
 from scp_recon.api.flights import FlyOptions, flown_summary, shortfalls, simulate
+from scp_recon.api.inputs import PlanRequest
 from scp_recon.api.options import PlanOptions
-from scp_recon.api.planning import plan_mission
+from scp_recon.api.planning import PlanOutcome, carry_out, checked
 from scp_recon.campaigns.cases import Case, changed, solution_name
 from scp_recon.campaigns.checks import check_do
 from scp_recon.campaigns.results import read_results
@@ -21,18 +22,15 @@ from scp_recon.campaigns.run import WORKERS_MAX, Observer, executor_of, run_stud
 from scp_recon.campaigns.study import Campaign, Study, study_of
 from scp_recon.errors import InputError, imported, option, path_of, whole_number
 from scp_recon.jobs.store import Row
-from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.observation_time import ALL
 from scp_recon.monte_carlo.sampling import PolicyKind
-from scp_recon.planning.initial_guess import cold
 from scp_recon.planning.plan import Plan, Stage
 from scp_recon.results.corrections import sigmas
 from scp_recon.results.facts import Verification
 from scp_recon.results.figures import FINAL_STATE
-from scp_recon.results.solution import Solution, make_solution
+from scp_recon.results.solution import Solution
 from scp_recon.scenario.schema import Scenario
 from scp_recon.scp.status import Status
-from scp_recon.verification.reintegration import verify
 
 if TYPE_CHECKING:
     import pandas
@@ -188,18 +186,16 @@ class StudyWork:
         row: dict[str, Any] = {"asked": scenario.risk.p_chance}
         check_do(do, scenario)
         if do == "design":
-            found, own = designed(scenario)
+            outcome, own = designed(scenario)
             row |= own
-            if found is None:
+            if outcome is None:
                 return Row(row)
         else:
-            found = planned(scenario, certify=do == "certify")
-        if found.status is Status.INTERRUPTED:
+            outcome = planned(scenario, certify=do == "certify")
+        found, solution = outcome.plan, outcome.solution
+        if outcome.verification is None:
             raise KeyboardInterrupt
-        solution = make_solution(found)
-        verification = verify(found.mission, solution)
-        solution = solution.with_verification(verification)
-        row |= planned_row(solution, verification)
+        row |= planned_row(solution, outcome.verification)
         if found.status is not Status.CONVERGED:
             row["binds"] = binding(found.final)
         if do == "certify":
@@ -215,16 +211,15 @@ class StudyWork:
         return Row(row, files)
 
 
-def planned(scenario: Scenario, *, certify: bool) -> Plan:
-    """Plan a scenario from a straight line; certify on request only."""
-    mission = Mission.from_scenario(scenario)
+def planned(scenario: Scenario, *, certify: bool) -> PlanOutcome:
+    """Plan and verify a scenario from a straight line; certify on request only."""
     exact = scenario.risk.allocation == "exact"
     options = PlanOptions(certify=certify if exact else None)
-    return plan_mission(mission, cold(mission), options, init="cold")
+    return carry_out(PlanRequest(scenario, options=options))
 
 
-def designed(scenario: Scenario) -> tuple[Plan | None, dict[str, Any]]:
-    """Plan the cheapest pass from the home orbit; return the plan and columns on the pass.
+def designed(scenario: Scenario) -> tuple[PlanOutcome | None, dict[str, Any]]:
+    """Plan and verify the cheapest pass from the home orbit; return the plan and columns on the pass.
 
     If no pass has a plan, the columns say what stopped the pass that came furthest.
     """
@@ -236,7 +231,7 @@ def designed(scenario: Scenario) -> tuple[Plan | None, dict[str, Any]]:
             "binds": binding(found.best.stage),
             "message": found.message,
         }
-    return found.plan, {
+    return checked(found.plan), {
         "departure_tdb": found.scenario.epoch.tdb.isoformat(),
         "duration_s": found.scenario.duration_s,
         "burns": len(found.scenario.burns.times_s),

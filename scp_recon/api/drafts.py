@@ -11,10 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from formulations.problem.flyby import Iterate
-from scp_recon.api.inputs import date_in_tdb
-from scp_recon.api.options import PlanOptions
-from scp_recon.api.planning import plan_mission
+from scp_recon.api.inputs import PlanRequest, date_in_tdb
+from scp_recon.api.planning import carry_out
 from scp_recon.bodies.catalogue import DAY_S, J2000_TDB, body_names, packaged_body
 from scp_recon.drafting.draft import Draft, GivenBody, Tables, draft_text, drafts
 from scp_recon.drafting.draft import scenario_of as drafted
@@ -34,10 +32,9 @@ from scp_recon.mission.checks.intervals import DENSITIES, density
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
 from scp_recon.results.facts import Verification
-from scp_recon.results.solution import Solution, make_solution
+from scp_recon.results.solution import Solution
 from scp_recon.scenario.schema import Scenario
 from scp_recon.scp.status import Status
-from scp_recon.verification.reintegration import verify
 from scp_recon.verification.remedies import what_next
 
 NUMBERS = {"gm": (1e-6, 1e20), "radius": (1.0, 1e7), "period": (0.1, 1000.0)}
@@ -297,8 +294,7 @@ def new(
     check_writable(path.parent, path.name, option("name"))
     tried: list[NewScenario] = []
     for draft in drafts(first):
-        mission = Mission.from_scenario(drafted(draft))
-        tried.append(found := _planned(draft, mission, initial_guess.cold(mission)))
+        tried.append(found := _planned(draft, PlanRequest(drafted(draft))))
         first_s, last_s = found.mission.schedule.window_s
         hours = f"local solar time {draft.hours[0]:g} to {draft.hours[1]:g} h"
         progress(f"{hours}, window of {last_s - first_s:.0f} s: {found.verdict}")
@@ -326,20 +322,25 @@ def _file(name: str, given: str | Path | None) -> Path | None:
     return None if given is None else path_of(option(name), given)
 
 
-def _planned(draft: Draft, mission: Mission, guess: Iterate, init: str = "cold") -> NewScenario:
-    """Plan a draft; return both, on the grid that planning may have refined."""
-    plan = plan_mission(mission, guess, PlanOptions(), init=init)
-    step = plan.mission.scenario.grid.step_max_s
-    if step != mission.scenario.grid.step_max_s:
+def _planned(draft: Draft, request: PlanRequest) -> NewScenario:
+    """Plan and verify a draft; return both, on the grid that planning may have refined.
+
+    Raises:
+        KeyboardInterrupt: if planning was interrupted.
+    """
+    outcome, given = carry_out(request), drafted(draft)
+    if outcome.verification is None:
+        raise KeyboardInterrupt
+    mission = outcome.plan.mission
+    step = mission.scenario.grid.step_max_s
+    if step != given.grid.step_max_s:
         finer = (
             "step_max_s",
             step,
             "s between nodes at most; finer than recon_b's, for covariances",
         )
         draft = replace(draft, instead={**draft.instead, "grid": [finer]})
-    solution = make_solution(plan)
-    verification = verify(plan.mission, solution)
-    return NewScenario(draft, plan.mission, solution.with_verification(verification), verification)
+    return NewScenario(draft, mission, outcome.solution, outcome.verification)
 
 
 def _from_track(options: NewOptions, source: str, path: Path, start: Path) -> NewScenario:
@@ -350,7 +351,7 @@ def _from_track(options: NewOptions, source: str, path: Path, start: Path) -> Ne
     mission = replace(mission, warnings=(*mission.warnings, *doubts))
     check_writable(path.parent, path.name, option("name"))
     guess = initial_guess.from_states(mission, start_table(track), track.source)
-    found = _planned(flown, mission, guess, start.name)
+    found = _planned(flown, PlanRequest(mission, guess, called=start.name))
     outcome = [
         *_outcome(found, f" --init {start.name}"),
         *(f"warning: {doubt}" for doubt in doubts),

@@ -13,17 +13,16 @@ from pathlib import Path
 from threading import Lock
 from typing import Any
 
-from pydantic import ValidationError
-
 from scp_recon.api import files
-from scp_recon.api.inputs import scenario_of
-from scp_recon.api.planning import plan
+from scp_recon.api.inputs import PlanRequest, scenario_of
+from scp_recon.api.options import PlanOptions
+from scp_recon.api.planning import carry_out
 from scp_recon.errors import InputError, number_between, one_of, option, shortened, whole_number
 from scp_recon.mission.mission import Mission
 from scp_recon.reports import explorer as page
 from scp_recon.reports.flights import Shown
 from scp_recon.reports.write import check_extra
-from scp_recon.results.solution import Solution, make_solution
+from scp_recon.results.solution import Solution
 from scp_recon.scenario.dependencies import found, layer_of
 from scp_recon.scenario.load import naming_files, scenario_text
 from scp_recon.scenario.schema import Scenario
@@ -193,7 +192,7 @@ class Explorer:
     def __post_init__(self) -> None:
         self.sliders = sliders_of(self.scenario)
 
-    def planned(self, values: Values) -> _Planned:
+    def plan(self, values: Values) -> _Planned:
         """The plan for these values, made as by `plan` but not certified by flights.
 
         Raises:
@@ -204,12 +203,10 @@ class Explorer:
                 return self.kept
             scenario = changed(self.scenario, self.sliders, values)
             exact = scenario.risk.allocation == "exact"
-            try:
-                made = plan(scenario, certify=False if exact else None)
-                solution = make_solution(made)
-            except ValidationError:  # as in `cli.commands.planning`: numbers that are not finite
-                raise InputError("scenario", "dynamics that are not finite", "must be") from None
-            self.kept = _Planned(values, made.mission, solution, page.shown_of(solution))
+            options = PlanOptions(certify=False if exact else None)
+            outcome = carry_out(PlanRequest(scenario, options=options), verifies=False)
+            mission, solution = outcome.plan.mission, outcome.solution
+            self.kept = _Planned(values, mission, solution, page.shown_of(solution))
             return self.kept
 
     def answer(self, values: Values) -> dict[str, Any]:
@@ -218,7 +215,7 @@ class Explorer:
         Raises:
             InputError: if there is none for them.
         """
-        planned = self.planned(values)
+        planned = self.plan(values)
         solution, mission = planned.solution, planned.mission
         drawn = page.drawn(planned.shown)
         converged = Status.named(solution.status) is Status.CONVERGED
@@ -244,13 +241,13 @@ class Explorer:
         Raises:
             InputError: if there is none for them.
         """
-        planned = self.planned(values)
+        planned = self.plan(values)
         solution = files.verified(planned.mission, planned.solution)
         return {"verdict": page.verdict(planned.shown, solution)}
 
     def html(self) -> str:
         """The page with the plan of the scenario as it was given."""
-        return page.render(self.planned({}).shown, self.sliders, self.answer({}))
+        return page.render(self.plan({}).shown, self.sliders, self.answer({}))
 
 
 class Server(ThreadingHTTPServer):
@@ -373,7 +370,7 @@ def explore(
         raise InputError(option("port"), f"{port} ({reason})", "must be free; 0 for any") from None
     with server, suppress(KeyboardInterrupt):
         with naming_files(scenario, overrides):
-            explorer.planned({})
+            explorer.plan({})
         address = f"http://{server.hosts[0]}/"
         progress(address)
         if not no_browser:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from scp_recon.api.keeping import keep_plan
+from scp_recon.api.keeping import keep
 from scp_recon.errors import (
     InputError,
     number_between,
@@ -152,10 +152,9 @@ def save(plan: AnyPlan, folder: str | Path) -> Path:
     given = plan if isinstance(plan, Plan) else load(plan)
     path = path_of("folder", folder)
     check_writable(path, FILE_NAME, "folder")
-    try:
-        return keep_plan(load(given), path)[0]
-    except OSError as error:
-        raise unwritable(path, "folder", error) from None
+    written = keep(load(given), path, "folder").path
+    assert written is not None
+    return written
 
 
 def compare(*plans: AnyPlan) -> comparison.Comparison:

@@ -1,15 +1,154 @@
-"""Read the inputs that functions share: scenarios, overrides and dates."""
+"""Read what a plan is made from: a request, its scenario and start; overrides and dates."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
+from typing import NamedTuple
 
+import numpy as np
+
+from formulations.arrays import Array
+from formulations.problem.flyby import Iterate
+from scp_recon.api.options import PlanOptions
 from scp_recon.errors import InputError, Named, option, shortened
-from scp_recon.scenario.load import base_names, load_scenario, override, packaged_scenario
+from scp_recon.mission.mission import Mission
+from scp_recon.planning import initial_guess
+from scp_recon.planning.plan import Plan
+from scp_recon.results.read import read_solution
+from scp_recon.results.runs import resolve_run
+from scp_recon.results.solution import Solution
+from scp_recon.scenario.load import (
+    base_names,
+    load_scenario,
+    naming_files,
+    override,
+    packaged_scenario,
+)
 from scp_recon.scenario.schema import Scenario
 from scp_recon.scenario.time_scales import tdb_of_utc
+
+Init = Iterate | Plan | Solution | str | Path | Array
+"""A start: "cold", "warm", a guess, a plan or a solution, its file, or a table of states."""
+
+
+@dataclass(frozen=True, eq=False)
+class PlanRequest:
+    """What to plan, and how.
+
+    Attributes:
+        scenario: itself, its mission, its file or a packaged name; None for that of `init`, or recon_b.
+        init: see `api.planning.plan`; or a guess.
+        options: of planning.
+        overrides: `section.entry=value` each.
+        called: name of the start in the solution file; None for the name that `init` has.
+    """
+
+    scenario: Mission | Scenario | str | Path | None = None
+    init: Init = "cold"
+    options: PlanOptions = field(default_factory=PlanOptions)
+    overrides: Sequence[str] = ()
+    called: str | None = None
+
+
+class Loaded(NamedTuple):
+    """What a request names, read from its files."""
+
+    scenario: Mission | Scenario
+    init: Init
+    called: str
+
+
+class Resolved(NamedTuple):
+    """A mission, the start of its plan, and the name of the start in the solution file."""
+
+    mission: Mission
+    start: Iterate
+    called: str
+
+
+def load(request: PlanRequest) -> Loaded:
+    """Read the scenario of a request, and its start if that is a solution file.
+
+    Raises:
+        InputError: if an argument is not valid, or a file cannot be used.
+    """
+    init, scenario = request.init, request.scenario
+    called = request.called or _called(init)
+    if isinstance(init, str | Path) and init not in ("cold", "warm") and is_solution(Path(init)):
+        init = read_solution(Path(init))
+    if scenario is None:
+        scenario = "recon_b"
+        if isinstance(init, Plan):
+            scenario = init.mission.scenario
+        elif isinstance(init, Solution):
+            scenario = init.scenario
+    if not isinstance(scenario, Mission):
+        with naming_files(scenario, request.overrides):
+            scenario = scenario_of(scenario, request.overrides)
+    return Loaded(scenario, init, called)
+
+
+def resolve(loaded: Loaded, request: PlanRequest) -> Resolved:
+    """Make the mission of a scenario, and the initial guess on its grid.
+
+    Raises:
+        InputError: if the scenario has no mission, the start is unusable, or an option does not suit
+            the scenario.
+    """
+    mission = loaded.scenario
+    if not isinstance(mission, Mission):
+        with naming_files(request.scenario, request.overrides):
+            mission = Mission.from_scenario(mission)
+    start = _start(mission, loaded.init)
+    request.options.check(mission.scenario)
+    return Resolved(mission, start, loaded.called)
+
+
+def _called(init: Init) -> str:
+    """Name of a start in the solution file."""
+    if isinstance(init, np.ndarray):
+        return "a table"
+    return {Plan: "a plan", Solution: "a solution", Iterate: "given"}.get(type(init), str(init))
+
+
+def _start(mission: Mission, init: Init) -> Iterate:
+    """Make the initial guess of a mission.
+
+    Raises:
+        InputError: if it is no start, or the file or the table is unusable.
+    """
+    entry = option("init")
+    if isinstance(init, Iterate):
+        return init
+    if isinstance(init, np.ndarray):
+        return initial_guess.from_states(mission, init, entry)
+    if isinstance(init, Plan | Solution):
+        return initial_guess.from_burns(mission, init.burns_m_s, entry)
+    if not isinstance(init, str | Path):
+        allowed = "must be cold, warm, a file, a plan or an array of shape (n, 7)"
+        raise InputError(entry, shortened(init), allowed)
+    if init == "cold":
+        return initial_guess.cold(mission)
+    if init == "warm":
+        return initial_guess.ballistic(mission, entry)
+    return initial_guess.from_table(mission, Path(init), entry)
+
+
+def is_solution(path: Path) -> bool:
+    """Whether a path is a folder, or a file of JSON by its first brace; tables have none."""
+    path = resolve_run(path)
+    try:
+        if path.is_dir() or path.suffix == ".json":
+            return True
+        if not path.is_file():  # a pipe can be read only once
+            return False
+        with path.open("rb") as file:
+            return file.read(100).lstrip().startswith(b"{")
+    except (OSError, ValueError):  # which the reader explains
+        return False
 
 
 def scenario_of(given: Scenario | str | Path, overrides: Sequence[str] = ()) -> Scenario:

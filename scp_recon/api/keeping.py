@@ -10,6 +10,7 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import NamedTuple
 
 from scp_recon.errors import InputError, option
 from scp_recon.files import check_writable, only_run_in, unwritable
@@ -70,32 +71,43 @@ def point_latest(out: Path | None, folder: Path, status: int) -> None:
         point_to(folder)
 
 
-def keep_plan(solution: Solution, folder: Path) -> tuple[Path, list[Path]]:
+class Kept(NamedTuple):
+    """Files of a plan.
+
+    Attributes:
+        path: of the plan; None if it is not kept.
+        aside: results of other plans, under the names that they have now.
+    """
+
+    path: Path | None = None
+    aside: tuple[Path, ...] = ()
+
+    def then(self, later: Kept) -> Kept:
+        """What is kept after a plan was written again."""
+        return Kept(later.path, self.aside + later.aside)
+
+
+def keep(solution: Solution, folder: Path | None, entry: str | None = None) -> Kept:
     """Write a plan into a folder, and set aside results of other plans there.
 
-    Returns:
-        The file, and results of other plans under the names that they have now.
-
-    Raises:
-        OSError: if the folder cannot be written.
-    """
-    if not _is_verified(solution) and _holds_verified(folder):
-        return solution.write(folder, UNVERIFIED), []
-    path = solution.write(folder)
-    (folder / UNVERIFIED).unlink(missing_ok=True)
-    return path, _set_aside(solution, folder)
-
-
-def write_plan(solution: Solution, folder: Path) -> tuple[Path, list[Path]]:
-    """Write a plan by `keep_plan` into a command's --out.
+    Args:
+        solution: the plan.
+        folder: for its file; None to write none.
+        entry: what to name in a message; the option of the folder by default.
 
     Raises:
         InputError: if the folder cannot be written.
     """
+    if folder is None:
+        return Kept()
     try:
-        return keep_plan(solution, folder)
+        if not _is_verified(solution) and _holds_verified(folder):
+            return Kept(solution.write(folder, UNVERIFIED))
+        path = solution.write(folder)
+        (folder / UNVERIFIED).unlink(missing_ok=True)
+        return Kept(path, tuple(_set_aside(solution, folder)))
     except OSError as error:
-        raise unwritable(folder, option("out"), error) from None
+        raise unwritable(folder, entry or option("out"), error) from None
 
 
 def check_holds(folder: Path, solution: Solution, entry: str) -> None:

@@ -1,47 +1,162 @@
-"""Plan a mission by its options: method, number of starts, certification, objective."""
+"""Plan a flyby: load, resolve, plan, certify, verify, keep.
+
+`carry_out` is the way of every plan from its scenario: of `plan`, the command `solve`, a campaign's
+case, drafts and the page with sliders. Designs and replans make their mission and start themselves and
+call `plan_mission` and `checked`.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from functools import partial
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, Literal, Protocol, TypedDict, Unpack
 
-import numpy as np
+from pydantic import ValidationError
 
 from formulations.arrays import Array
 from formulations.problem.flyby import Iterate
-from scp_recon.api.inputs import scenario_of
+from scp_recon.api.inputs import PlanRequest, load, resolve
+from scp_recon.api.keeping import Kept, keep
 from scp_recon.api.options import PlanOptions
-from scp_recon.certification.certify import AimedPlanning, certify
-from scp_recon.certification.flights import Watch
+from scp_recon.certification.certify import certify
+from scp_recon.certification.flights import Watch as FlightWatch
 from scp_recon.certification.largest import LEAST, Search, largest_promise
-from scp_recon.errors import InputError, option, shortened
+from scp_recon.errors import InputError, option
 from scp_recon.mission.mission import Mission
-from scp_recon.planning import initial_guess, planner
+from scp_recon.planning import planner
 from scp_recon.planning.initial_guess import from_burns, start_from
 from scp_recon.planning.plan import Plan
+from scp_recon.planning.stages import Observer
 from scp_recon.planning.starts import plan_from_several
-from scp_recon.results.read import read_solution
-from scp_recon.results.runs import resolve_run
-from scp_recon.results.solution import Solution
-from scp_recon.scenario.load import naming_files
+from scp_recon.results.facts import Verification
+from scp_recon.results.solution import Solution, make_solution
 from scp_recon.scenario.schema import Scenario
-from scp_recon.scp.loop import Record
 from scp_recon.scp.status import Status
 from scp_recon.verification.refinement import refined
+from scp_recon.verification.reintegration import verify
 
 
-class PlanObserver(Protocol):
-    """Observes planning."""
+@dataclass(frozen=True, eq=False)
+class PlanOutcome:
+    """A plan, and what was made of it.
 
-    def __call__(self, stage: str, record: Record, /) -> None:
-        """Called after an iteration of a stage."""
+    Attributes:
+        plan: the plan, on the grid to which planning may have refined its mission.
+        checked: the plan as in its file, with its verification and advice; None before that.
+        verification: None if the plan was not verified, or planning was interrupted.
+        kept: files that were written.
+    """
+
+    plan: Plan
+    checked: Solution | None = None
+    verification: Verification | None = None
+    kept: Kept = field(default_factory=Kept)
+
+    @cached_property
+    def solution(self) -> Solution:
+        """The plan as in its file.
+
+        Raises:
+            InputError: if its figures are not finite.
+        """
+        if self.checked is not None:
+            return self.checked
+        with finite_figures():
+            return make_solution(self.plan)
+
+
+class PlanObserver(Observer, Protocol):
+    """Observes planning, and the flights that certify a plan."""
 
     @property
-    def flights(self) -> Watch:
-        """Observer of the flights that certify a plan."""
+    def flights(self) -> FlightWatch:
+        """Observer of the flights."""
+
+
+class Watch:
+    """Follows a plan on its way. This one shows and keeps nothing."""
+
+    def folder(self, scenario: Scenario) -> AbstractContextManager[Path | None]:
+        """Open the folder where the plan is kept; None if it is not kept."""
+        del scenario
+        return nullcontext()
+
+    def planning(self, mission: Mission) -> AbstractContextManager[PlanObserver | None]:
+        """Begin to observe planning."""
+        del mission
+        return nullcontext()
+
+    def planned(self, outcome: PlanOutcome) -> None:
+        """The plan is made, and kept without verification."""
+
+    def verified(self, outcome: PlanOutcome) -> None:
+        """The plan is verified, and kept."""
+
+    def advice(self, failed: Plan, start: Iterate | None) -> tuple[str, ...]:
+        """Lines of advice on an infeasible plan and its initial guess, which are kept with it."""
+        del failed, start
+        return ()
+
+
+def carry_out(
+    request: PlanRequest, watch: Watch | None = None, *, verifies: bool = True
+) -> PlanOutcome:
+    """Load, resolve, plan, certify, verify and keep: the way of every plan from its scenario.
+
+    Args:
+        request: what to plan, and how.
+        watch: shows and keeps the plan; None for neither.
+        verifies: whether the plan is verified and kept; else it is only made.
+
+    Raises:
+        InputError: naming the entry, what was given and what is allowed.
+    """
+    watch = watch or Watch()
+    loaded = load(request)
+    mission, start, called = resolve(loaded, request)
+    with watch.folder(mission.scenario) as folder:
+        with watch.planning(mission) as observe, finite_figures():
+            made = plan_mission(mission, start, request.options, observe, init=called)
+        return checked(made, folder, watch, start) if verifies else PlanOutcome(made)
+
+
+def checked(
+    made: Plan,
+    folder: Path | None = None,
+    watch: Watch | None = None,
+    start: Iterate | None = None,
+) -> PlanOutcome:
+    """Verify and keep a plan.
+
+    Args:
+        made: the plan; if it was interrupted, it is kept without verification.
+        folder: for its file; None to keep none.
+        watch: shows the plan.
+        start: its initial guess, from which advice on an infeasible plan may begin.
+
+    Raises:
+        InputError: if its figures are not finite, or the folder cannot be written.
+    """
+    watch = watch or Watch()
+    solution = PlanOutcome(made).solution
+    # Kept before it is verified, so that an interrupt from here on loses nothing.
+    outcome = PlanOutcome(made, solution, kept=keep(solution, folder))
+    watch.planned(outcome)
+    if made.status is Status.INTERRUPTED:
+        return outcome
+    verification = verify(made.mission, solution)
+    solution = solution.with_verification(verification)
+    kept = outcome.kept.then(keep(solution, folder))
+    outcome = PlanOutcome(made, solution, verification, kept)
+    watch.verified(outcome)
+    if made.status is not Status.INFEASIBLE:
+        return outcome
+    solution = replace(solution, advice=watch.advice(made, start))
+    keep(solution, folder)
+    return replace(outcome, checked=solution)
 
 
 class Known(TypedDict, total=False):
@@ -62,10 +177,10 @@ def plan_mission(
     init: str = "given",
     **known: Unpack[Known],
 ) -> Plan:
-    """Plan a mission from a start; commands, scripts, campaigns and studies all call this function.
+    """Plan a mission from a start, and certify the plan by flights if the options require it.
 
-    If integration steps are too long for accurate covariances, the mission is planned again on a
-    finer grid (`_on_right_grid`) before flights certify the plan.
+    If integration steps are too long for accurate covariances, the mission is planned again on a finer
+    grid before flights certify the plan.
 
     Args:
         mission: to plan.
@@ -81,20 +196,45 @@ def plan_mission(
         InputError: if an option does not go with the scenario, or the delta-v budget has no plan.
     """
     options.check(mission.scenario)
-    work = _ByScp(options, observe, known)
-    alone = options.objective != "probability" and (options.starts or 1) == 1
-    if options.method == "scp" and alone:
-        return work.from_one(mission, start, init)
-    if isinstance(start, Plan):
+    make = partial(_on_right_grid, _method(options, known))
+    probable, several = options.objective == "probability", (options.starts or 1) > 1
+    if isinstance(start, Plan) and (probable or options.method == "ipopt"):
         start = from_burns(mission, start.burns_m_s)
+
+    def aimed(mission: Mission, start: Iterate | Plan, target: float) -> Plan:
+        return make(mission, start, target=target, init=init, observe=observe)
+
+    certifies, watch = options.is_certified(mission.scenario), observe.flights if observe else None
+    if probable:
+        given = options.dv_budget_m_s
+        search = Search(aimed, float("inf") if given is None else given)
+        found = largest_promise(mission, start, search, certified=certifies, watch=watch)
+        return _within_budget(found, search.budget_m_s)
+    best = None
+    if several:
+        seen = partial(_show_start, observe) if observe else None
+        seed, workers, number = options.seed or 0, options.workers or 1, options.starts or 1
+        guess = from_burns(mission, start.burns_m_s) if isinstance(start, Plan) else start
+        best = plan_from_several(
+            mission, guess, make, starts=number, seed=seed, workers=workers, init=init, seen=seen
+        )
+        if best.status is not Status.CONVERGED or not certifies:
+            return best
+        mission, start, init = best.mission, best, best.provenance.init
+    if not certifies:
+        return make(mission, start, init=init, observe=observe)
+    found = certify(mission, start, aimed, watch)
+    return replace(found, starts=best.starts) if best else found
+
+
+def _method(options: PlanOptions, known: Known) -> Callable[..., Plan]:
+    """The function that makes one plan from one start, on the mission's grid."""
     if options.method == "ipopt":
         from scp_recon.planning import ipopt  # CasADi takes a second to import
 
-        make = partial(ipopt.plan, problem=options.problem, variant=options.variant)
-        return _on_right_grid(make, mission, start, init=init, observe=observe)
-    if options.objective == "probability":
-        return work.largest(mission, start, init)
-    return work.from_several(mission, start, init)
+        return partial(ipopt.plan, problem=options.problem, variant=options.variant)
+    names, rounds = options.scp._asdict(), options.facet_rounds
+    return partial(planner.plan, problem=options.problem, facet_rounds=rounds, **names, **known)
 
 
 def _on_right_grid(
@@ -112,88 +252,32 @@ def _on_right_grid(
     return make_plan(finer, start_from(finer, found), **how)
 
 
-@dataclass(frozen=True)
-class _ByScp:
-    """Plans by sequential convex programming, as options say."""
+def _within_budget(best: Plan, budget: float) -> Plan:
+    """Refuse a budget that allows no plan even for the least probability."""
+    if best.status is Status.CONVERGED and best.cost_m_s > budget:
+        allowed = f"must be at least {best.cost_m_s:.6f} m/s, which {LEAST} costs"
+        raise InputError(option("dv_budget_m_s"), f"{budget:g} m/s", allowed)
+    return best
 
-    options: PlanOptions
-    observe: PlanObserver | None
-    known: Known
 
-    @property
-    def make_plan(self) -> Callable[..., Plan]:
-        """Make one plan from one start."""
-        method = self.options.scp
-        return partial(
-            _on_right_grid,
-            planner.plan,
-            problem=self.options.problem,
-            **method._asdict(),
-            facet_rounds=self.options.facet_rounds,
-            **self.known,
-        )
+def _show_start(observe: PlanObserver, number: int, found: Plan) -> None:
+    """Show the last iteration of each stage."""
+    for stage in found.stages:
+        for record in stage.result.records[-1:]:
+            observe(f"{number} {stage.name}", record)
 
-    def aiming(self, init: str) -> AimedPlanning:
-        """Make a function that plans for a target probability, for rounds and searches."""
-        make_plan = self.make_plan
-        return lambda mission, start, target: make_plan(
-            mission, start, target=target, init=init, observe=self.observe
-        )
 
-    def from_one(self, mission: Mission, start: Iterate | Plan, init: str) -> Plan:
-        """Plan from one start, and certify if required."""
-        if not self.options.is_certified(mission.scenario):
-            return self.make_plan(mission, start, init=init, observe=self.observe)
-        watch = self.observe.flights if self.observe else None
-        return certify(mission, start, self.aiming(init), watch)
-
-    def from_several(self, mission: Mission, start: Iterate, init: str) -> Plan:
-        """Keep the best plan of several starts, and certify from there if required."""
-        best = plan_from_several(
-            mission,
-            start,
-            self.make_plan,
-            starts=self.options.starts or 1,
-            seed=self.options.seed or 0,
-            workers=self.options.workers or 1,
-            init=init,
-            seen=self._show_start,
-        )
-        if not self.options.is_certified(mission.scenario) or best.status is not Status.CONVERGED:
-            return best
-        certified = self.from_one(best.mission, best, best.provenance.init)
-        return replace(certified, starts=best.starts)
-
-    def largest(self, mission: Mission, start: Iterate, init: str) -> Plan:
-        """Find the plan with the largest probability within the budget.
-
-        Raises:
-            InputError: if the budget allows no plan even for the least probability.
-        """
-        given = self.options.dv_budget_m_s
-        budget = float("inf") if given is None else given
-        best = largest_promise(
-            mission,
-            start,
-            Search(self.aiming(init), budget),
-            certified=self.options.is_certified(mission.scenario),
-            watch=self.observe.flights if self.observe else None,
-        )
-        if best.status is Status.CONVERGED and best.cost_m_s > budget:
-            raise InputError(
-                option("dv_budget_m_s"),
-                f"{budget:g} m/s",
-                f"must be at least {best.cost_m_s:.6f} m/s, which {LEAST} costs",
-            )
-        return best
-
-    def _show_start(self, number: int, found: Plan) -> None:
-        """Show the last iteration of each stage."""
-        if self.observe is None:
-            return
-        for stage in found.stages:
-            for record in stage.result.records[-1:]:
-                self.observe(f"{number} {stage.name}", record)
+@contextmanager
+def finite_figures() -> Iterator[None]:
+    """Context in which a record that numbers which are not finite do not fit names the scenario."""
+    try:
+        yield
+    except ValidationError:  # which only numbers that are not finite can cause
+        raise InputError(
+            "scenario",
+            "magnitudes for which the dynamics are not finite along the guess",
+            "the units of body, boundary and burns must fit together",
+        ) from None
 
 
 def plan(
@@ -269,77 +353,5 @@ def plan(
         seed=seed,
         workers=workers,
     )
-    mission, start = inputs(scenario, init, overrides)
-    options.check(mission.scenario)
-    return plan_mission(mission, start, options, init=_called(init))
-
-
-def inputs(
-    scenario: Scenario | str | Path | None,
-    init: Plan | Solution | str | Path | Array,
-    overrides: Sequence[str] = (),
-) -> tuple[Mission, Iterate]:
-    """Make the mission and the start from arguments of `plan`.
-
-    Raises:
-        InputError: if an argument is not valid, or a file cannot be used.
-    """
-    if isinstance(init, str | Path) and init not in ("cold", "warm") and is_solution(Path(init)):
-        init = read_solution(Path(init))
-    if scenario is None:
-        scenario = "recon_b"
-        if isinstance(init, Plan):
-            scenario = init.mission.scenario
-        elif isinstance(init, Solution):
-            scenario = init.scenario
-    with naming_files(scenario, overrides):
-        mission = Mission.from_scenario(scenario_of(scenario, overrides))
-    return mission, _start(mission, init)
-
-
-def _called(init: Plan | Solution | str | Path | Array) -> str:
-    """Name of a start in the solution file."""
-    if isinstance(init, np.ndarray):
-        return "a table"
-    return {Plan: "a plan", Solution: "a solution"}.get(type(init), str(init))
-
-
-def _start(mission: Mission, init: Plan | Solution | str | Path | Array) -> Iterate:
-    """Make the initial guess from a name, a plan, a file or a table of states.
-
-    Args:
-        mission: gives the grid and the boundary.
-        init: "cold", a straight line; "warm", a ballistic arc; a plan or a solution, whose burns
-            are flown; a CSV of states, or these as an array t, x, y, z, vx, vy, vz,
-            J2000, SI, shape (n, 7).
-
-    Raises:
-        InputError: if it is none of these, or the file or the table is unusable.
-    """
-    entry = option("init")
-    if isinstance(init, np.ndarray):
-        return initial_guess.from_states(mission, init, entry)
-    if isinstance(init, Plan | Solution):
-        return initial_guess.from_burns(mission, init.burns_m_s, entry)
-    if not isinstance(init, str | Path):
-        allowed = "must be cold, warm, a file, a plan or an array of shape (n, 7)"
-        raise InputError(entry, shortened(init), allowed)
-    if init == "cold":
-        return initial_guess.cold(mission)
-    if init == "warm":
-        return initial_guess.ballistic(mission, entry)
-    return initial_guess.from_table(mission, Path(init), entry)
-
-
-def is_solution(path: Path) -> bool:
-    """Whether a path is a folder, or a file of JSON by its first brace; tables have none."""
-    path = resolve_run(path)
-    try:
-        if path.is_dir() or path.suffix == ".json":
-            return True
-        if not path.is_file():  # a pipe can be read only once
-            return False
-        with path.open("rb") as file:
-            return file.read(100).lstrip().startswith(b"{")
-    except (OSError, ValueError):  # which the reader explains
-        return False
+    request = PlanRequest(scenario, init, options, overrides)
+    return carry_out(request, verifies=False).plan

@@ -20,12 +20,13 @@ from scp_recon.api.designing import (
 )
 from scp_recon.api.inputs import scenario_of
 from scp_recon.api.keeping import point_latest, run_folder
+from scp_recon.api.planning import checked, finite_figures
 from scp_recon.cli.command import (
     Answer,
     show_line,
     show_written,
 )
-from scp_recon.cli.commands.planning import plan_into
+from scp_recon.cli.commands.planning import Shown
 from scp_recon.errors import option
 from scp_recon.files import unwritable, write_atomically
 from scp_recon.mission.mission import Mission
@@ -59,9 +60,10 @@ def design(options: argparse.Namespace, console: Console) -> Answer:
             return Answer(Status.INFEASIBLE.value.exit_code, {"files": [str(folder / TABLE)]})
         _keep(folder, SCENARIO, scenario_text(found.scenario))
         mission = Mission.from_scenario(found.scenario)
-        answer = plan_into(
-            folder, mission, lambda seen: plan_pass(found, mission, how, seen), console
-        )
+        shown = Shown(console, folder)
+        with shown.planning(mission) as observe, finite_figures():
+            plan = plan_pass(found, mission, how, observe)
+        answer = shown.answer(checked(plan, folder, shown))
         _keep_map(folder, found, console, answer.document["plan"]["total_dv_m_s"])
         _keep_primer(folder, console)
     point_latest(options.out, folder, answer.status)

@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Sequence
-from dataclasses import fields, replace
+from collections.abc import Iterator, Sequence
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
+from dataclasses import fields
 from pathlib import Path
+from typing import Self
 
-from pydantic import ValidationError
 from rich.console import Console
 
 from formulations.problem.flyby import Iterate
 from formulations.registry import FULL
 from scp_recon.api.infeasibility import SIZE, Diagnosis, diagnose
-from scp_recon.api.keeping import UNVERIFIED, point_latest, run_folder, write_plan
+from scp_recon.api.inputs import PlanRequest
+from scp_recon.api.keeping import UNVERIFIED, point_latest, run_folder
 from scp_recon.api.options import PlanOptions
-from scp_recon.api.planning import inputs, plan_mission
+from scp_recon.api.planning import PlanOutcome, Watch, carry_out
 from scp_recon.certification.largest import rounded_down
 from scp_recon.cli import plan_view
 from scp_recon.cli.command import (
@@ -29,9 +31,9 @@ from scp_recon.cli.rendering import show_warnings
 from scp_recon.errors import InputError, option
 from scp_recon.mission.mission import Mission
 from scp_recon.planning.plan import Plan
-from scp_recon.results.solution import FILE_NAME, make_solution
+from scp_recon.results.solution import FILE_NAME
+from scp_recon.scenario.schema import Scenario
 from scp_recon.scp.status import Status
-from scp_recon.verification.reintegration import verify
 
 
 def solve(options: argparse.Namespace, console: Console) -> Answer:
@@ -41,23 +43,15 @@ def solve(options: argparse.Namespace, console: Console) -> Answer:
         from scp_recon.reports.write import check_extra
 
         check_extra()
-    mission, start = inputs(_scenario(options), options.init, options.overrides)
-    how.check(mission.scenario)
-    with run_folder(options.out, mission.scenario.name) as folder:
-        made: list[Plan] = []
-
-        def make_plan(seen: Progress) -> Plan:
-            made.append(plan_mission(mission, start, how, seen, init=options.init))
-            return made[-1]
-
-        answer = plan_into(
-            folder, mission, make_plan, console, start=start, instead=undoing(options)
-        )
+    request = PlanRequest(_scenario(options), options.init, how, options.overrides)
+    with Shown(console, options.out, undoing(options)) as shown:
+        outcome = carry_out(request, shown)
+        answer = shown.answer(outcome)
         if how.objective == "probability" and answer.status == 0:
-            _show_largest(how.dv_budget_m_s, made[-1], console)
+            _show_largest(how.dv_budget_m_s, outcome.plan, console)
         if options.report and answer.status != Status.INTERRUPTED.value.exit_code:
-            _report(folder, console)
-    point_latest(options.out, folder, answer.status)
+            _report(shown.place, console)
+    point_latest(options.out, shown.place, answer.status)
     return answer
 
 
@@ -100,69 +94,77 @@ def _report(folder: Path, console: Console) -> None:
     show_written(console, path)
 
 
-def plan_into(
-    folder: Path,
-    mission: Mission,
-    make_plan: Callable[[Progress], Plan],
-    console: Console,
-    *,
-    start: Iterate | None = None,
-    instead: Sequence[str] = (),
-) -> Answer:
-    """Plan, verify, show and write.
+class Shown(Watch):
+    """Shows a plan on its way, and keeps it in the folder of a run, which is locked until the end.
 
     Args:
-        folder: for the files.
-        mission: to plan.
-        make_plan: function that plans.
         console: where to show it.
-        start: initial guess of the plan and of a proposed feasible plan, if known.
-        instead: further options of the command for the proposed plan.
-
-    Returns:
-        The exit status of the plan, and its document.
-
-    Raises:
-        InputError: if its figures are not finite, or the folder cannot be written.
+        out: the folder as the user gave it; None for a new one.
+        instead: further options of the command for a proposed feasible plan.
     """
-    plan_view.show_mission(console, mission)
-    console.print()
-    try:
-        with live_progress(console, mission) as observe:
-            result = make_plan(observe)
-        solution = make_solution(result)
-    except ValidationError:  # which only numbers that are not finite can cause
-        raise InputError(
-            "scenario",
-            "magnitudes for which the dynamics are not finite along the guess",
-            "the units of body, boundary and burns must fit together",
-        ) from None
-    # Written before it is verified, so that an interrupt from here on loses nothing.
-    path, aside = write_plan(solution, folder)
-    plan_view.show_solution(console, solution)
-    status = Status.named(solution.status)
-    if status is Status.INTERRUPTED:
-        show_warnings(console, solution.warnings)
+
+    def __init__(self, console: Console, out: Path | None, instead: Sequence[str] = ()) -> None:
+        self._console, self._out, self._instead = console, out, instead
+        self._open = ExitStack()
+        self.place = Path()
+
+    def __enter__(self) -> Self:
+        """Begin."""
+        return self
+
+    def __exit__(self, *raised: object) -> None:
+        """Free the folder."""
+        self._open.close()
+
+    def folder(self, scenario: Scenario) -> AbstractContextManager[Path]:
+        """See `Watch`."""
+        self.place = self._open.enter_context(run_folder(self._out, scenario.name))
+        return nullcontext(self.place)
+
+    @contextmanager
+    def planning(self, mission: Mission) -> Iterator[Progress]:
+        """Show the mission, and the progress of planning."""
+        plan_view.show_mission(self._console, mission)
+        self._console.print()
+        with live_progress(self._console, mission) as observe:
+            yield observe
+
+    def planned(self, outcome: PlanOutcome) -> None:
+        """Show the plan; if it was interrupted, its file too."""
+        plan_view.show_solution(self._console, outcome.solution)
+        if outcome.plan.status is Status.INTERRUPTED and outcome.kept.path:
+            show_warnings(self._console, outcome.solution.warnings)
+            show_written(self._console, outcome.kept.path)
+
+    def verified(self, outcome: PlanOutcome) -> None:
+        """Show the verification and the files."""
+        console, mission, path = self._console, outcome.plan.mission, outcome.kept.path
+        assert outcome.verification is not None
+        assert path is not None
+        plan_view.show_verification(
+            console, mission, outcome.solution, outcome.verification, mission.warnings
+        )
+        for old in outcome.kept.aside:
+            show_line(console, f"set aside because it belongs to another plan: {old}")
+        if path.name == UNVERIFIED:
+            show_line(console, f"kept, as it is verified: {self.place / FILE_NAME}")
         show_written(console, path)
-        return Answer(status.value.exit_code, plan_document(solution, [path]))
-    mission = result.mission  # certifying may have added nodes
-    verification = verify(mission, solution)
-    checked = solution.with_verification(verification)
-    path, more = write_plan(checked, folder)
-    plan_view.show_verification(console, mission, solution, verification, mission.warnings)
-    for old in [*aside, *more]:
-        show_line(console, f"set aside because it belongs to another plan: {old}")
-    if path.name == UNVERIFIED:
-        show_line(console, f"kept, as it is verified: {folder / FILE_NAME}")
-    show_written(console, path)
-    if status is Status.INFEASIBLE:
-        advice = advice_on(result, start, instead)
-        for line in advice:
-            show_line(console, line)
-        checked = replace(checked, advice=advice)
-        write_plan(checked, folder)
-    code = status.value.exit_code or (0 if verification.ok else NOT_VERIFIED)
-    return Answer(code, plan_document(checked, [path]))
+
+    def advice(self, failed: Plan, start: Iterate | None) -> tuple[str, ...]:
+        """Find advice, and show it."""
+        lines = advice_on(failed, start, self._instead)
+        for line in lines:
+            show_line(self._console, line)
+        return lines
+
+    def answer(self, outcome: PlanOutcome) -> Answer:
+        """The exit status and the document of a plan."""
+        status, verification = outcome.plan.status, outcome.verification
+        code = status.value.exit_code
+        if not code and verification is not None and not verification.ok:
+            code = NOT_VERIFIED
+        assert outcome.kept.path is not None
+        return Answer(code, plan_document(outcome.solution, [outcome.kept.path]))
 
 
 SEVERAL = "; relaxing any one of them suffices"

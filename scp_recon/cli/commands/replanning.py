@@ -12,9 +12,10 @@ from rich.console import Console
 
 from formulations.arrays import Array
 from scp_recon.api.keeping import point_latest, run_folder
+from scp_recon.api.planning import checked, finite_figures
 from scp_recon.api.replans import left_options, plan_left
 from scp_recon.cli.command import Answer
-from scp_recon.cli.commands.planning import plan_into
+from scp_recon.cli.commands.planning import Shown
 from scp_recon.errors import InputError, option
 from scp_recon.files import read_text
 from scp_recon.replanning.delivery import Delivery
@@ -39,12 +40,10 @@ def replan(options: argparse.Namespace, console: Console) -> Answer:
     mission = mission_left(flown, delivery, options.overrides)
     left_options(flown, mission, certify=options.certify)  # refuses what cannot be, at once
     with run_folder(options.out, mission.scenario.name) as folder:
-        answer = plan_into(
-            folder,
-            mission,
-            lambda seen: plan_left(flown, mission, certify=options.certify, observe=seen),
-            console,
-        )
+        shown = Shown(console, folder)
+        with shown.planning(mission) as observe, finite_figures():
+            plan = plan_left(flown, mission, certify=options.certify, observe=observe)
+        answer = shown.answer(checked(plan, folder, shown))
     point_latest(options.out, folder, answer.status)
     return answer
 

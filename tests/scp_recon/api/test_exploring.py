@@ -56,7 +56,7 @@ def answered(server: Server, path: str, values: object) -> dict[str, Any]:
     return found
 
 
-def test_its_plan_is_that_of_the_scenario_that_it_writes(server, tmp_path):
+def test_the_written_scenario_gives_the_shown_plan(server, tmp_path):
     values = {"risk.p_chance": 0.8, "burns.times_s.1": 7000.0}
     found = answered(server, "/plan", values)
     (tmp_path / "mine.toml").write_text(found["toml"], "utf-8")
@@ -73,7 +73,7 @@ def test_its_plan_is_that_of_the_scenario_that_it_writes(server, tmp_path):
 
 
 def test_a_plan_that_is_infeasible_says_so(server):
-    made = server.explorer.planned({})
+    made = server.explorer.plan({})
     infeasible = replace(made.solution, status="infeasible", message="Infeasible: so it is.")
     shown = replace(made.shown, subject=replace(made.shown.subject, solution=infeasible))
     kept = replace(made, solution=infeasible, shown=shown)
@@ -96,9 +96,7 @@ def test_a_plan_that_is_infeasible_says_so(server):
         ([0.8], "must be values by entry"),
     ],
 )
-def test_values_beyond_the_sliders_and_the_scenario_get_a_reason_and_no_plan(
-    server, values, reason
-):
+def test_invalid_slider_values_get_a_reason(server, values, reason):
     for path in ("/plan", "/verdict"):
         found = answered(server, path, values)
         assert [*found] == ["refused"]
@@ -151,7 +149,7 @@ def test_entries_of_many_numbers_are_multiplied_as_sigmas(scenario):
     assert np.allclose(np.diag(found.navigation.covariance)[:3], 4.0, rtol=1e-12)
 
 
-def test_feedback_of_a_scenario_that_measures_nothing_takes_the_sliders_sigmas(scenario):
+def test_feedback_without_measurements_takes_the_sliders_sigmas(scenario):
     sliders = sliders_of(scenario)
     found = changed(scenario, sliders, FEEDBACK | {"navigation.sigma_position_m": 5.0})
     assert found.policy.kind == "feedback"

@@ -19,7 +19,7 @@ MOVE = """([key, value]) => {
 NOT_OF_THE_SLIDERS = ["planning", "pending stale", True]
 
 
-def test_the_plan_follows_the_sliders_and_none_is_shown_as_that_of_others(server, tmp_path):
+def test_the_page_shows_the_plan_of_its_sliders(server, tmp_path):
     said: list[str] = []
     with chromium() as browser:
         page = browser.new_context(viewport={"width": 500, "height": 400}).new_page()

@@ -16,6 +16,7 @@ import pytest
 
 from scp_recon.api import campaigns
 from scp_recon.api.campaigns import work_of
+from scp_recon.api.planning import PlanOutcome
 from scp_recon.campaigns import run as run_module
 from scp_recon.campaigns import study as study_module
 from scp_recon.campaigns.cases import Case
@@ -27,7 +28,7 @@ from scp_recon.jobs import store
 from scp_recon.jobs.job import Done, Executor, Job, Work, here
 from scp_recon.jobs.processes import Limits, Processes
 from scp_recon.jobs.store import Row
-from scp_recon.planning.plan import Plan
+from scp_recon.results.solution import make_solution
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scenario.schema import Scenario
 from tests.scp_recon.campaigns.shown import table_of
@@ -176,16 +177,17 @@ def test_a_case_has_done_to_it_what_its_campaign_says(do, default_plan, verifica
     """With its own seed; only what is to be certified is planned so."""
     certified: list[bool] = []
 
-    def planned(_: Scenario, *, certify: bool) -> Plan:
+    outcome = PlanOutcome(default_plan, make_solution(default_plan), verification)
+
+    def planned(_: Scenario, *, certify: bool) -> PlanOutcome:
         certified.append(certify)
-        return default_plan
+        return outcome
 
     ways = {"certify": "certified_row", "fly": "flown_row", "simulate": "simulated_row"}
     for name in ways.values():
         monkeypatch.setattr(campaigns, name, lambda *given, name=name: {"done": (name, given)})
     monkeypatch.setattr(campaigns, "planned", planned)
-    monkeypatch.setattr(campaigns, "designed", lambda _: (default_plan, {}))
-    monkeypatch.setattr(campaigns, "verify", lambda *_: verification)
+    monkeypatch.setattr(campaigns, "designed", lambda _: (outcome, {}))
     monkeypatch.setattr(campaigns, "check_do", lambda *_: None)
     row = campaigns.StudyWork(load_scenario(), Path(), Campaign(do=do))(Case(0, 7, {})).values
     assert certified == ([] if do == "design" else [do == "certify"])

@@ -23,8 +23,8 @@ from formulations.program import solvers
 from formulations.program.certificate import ConeProgram
 from formulations.program.solvers import SOLVERS, Answer, Clarabel
 from scp_recon import files
-from scp_recon.api import flights
-from scp_recon.cli.commands import montecarlo, planning, plans, simulate, solve, verify
+from scp_recon.api import flights, planning
+from scp_recon.cli.commands import montecarlo, plans, simulate, solve, verify
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess, planner
 from scp_recon.planning.planner import Plan, plan

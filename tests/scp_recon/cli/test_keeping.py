@@ -8,7 +8,7 @@ import pytest
 
 import scp_recon as sr
 from scp_recon.api.infeasibility import Diagnosis
-from scp_recon.api.keeping import UNVERIFIED, check_holds, keep_plan, run_folder
+from scp_recon.api.keeping import UNVERIFIED, check_holds, keep, run_folder
 from scp_recon.cli.commands import compare, montecarlo, planning, solve, verify
 from scp_recon.errors import InputError
 from scp_recon.files import only_run_in
@@ -48,13 +48,13 @@ def test_an_infeasible_run_leaves_a_verified_plan_alone(verified, tmp_path):
     assert f"written: {tmp_path / UNVERIFIED}" in run.output
     assert f"kept, as it is verified: {tmp_path / 'solution.json'}" in run.output
     # The next verified plan takes the place of both.
-    keep_plan(another(verified), tmp_path)
+    keep(another(verified), tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == ["solution.json"]
 
 
 def test_a_plan_that_is_not_verified_gives_way_to_any(solution, tmp_path):
     solution.write(tmp_path)
-    path, _ = keep_plan(another(solution), tmp_path)
+    path, _ = keep(another(solution), tmp_path)
     assert path.name == "solution.json"
     assert read_solution(tmp_path).plan_hash == another(solution).plan_hash
 
@@ -62,10 +62,10 @@ def test_a_plan_that_is_not_verified_gives_way_to_any(solution, tmp_path):
 def test_results_of_another_plan_are_set_aside(verified, tmp_path, capsys):
     verified.write(tmp_path)
     assert montecarlo.main([str(tmp_path), "--samples", "40"]) in (0, 4)
-    keep_plan(verified, tmp_path)
+    keep(verified, tmp_path)
     assert read_summary(tmp_path).is_of(verified)
     (tmp_path / "simulation.npz").write_bytes(b"of nobody knows which")
-    _, aside = keep_plan(another(verified), tmp_path)
+    _, aside = keep(another(verified), tmp_path)
     assert {path.name for path in aside} == {f"old_{FILE_NAME}", "old_simulation.npz"}
     assert read_summary(tmp_path / f"old_{FILE_NAME}").is_of(verified)
     assert not (tmp_path / FILE_NAME).exists()
@@ -79,16 +79,16 @@ def test_exports_of_another_plan_are_set_aside(verified, tmp_path):
     mine, old = tmp_path / "export", tmp_path / "old_export"
     exported: list[str] = []
     for number, plan in enumerate(plans):
-        _, aside = keep_plan(plan, tmp_path)
-        assert aside == [old] * bool(number)
+        _, aside = keep(plan, tmp_path)
+        assert list(aside) == [old] * bool(number)
         assert not mine.exists()
         (file,) = sr.export(tmp_path, "csv", mine).files
-        assert keep_plan(plan, tmp_path)[1] == []
+        assert keep(plan, tmp_path).aside == ()
         assert [*mine.iterdir()] == [file]
         assert sorted(path.name for path in old.glob("*")) == sorted(exported)
         exported.append(file.name)
     (mine / "notes.txt").write_text("of the user's own")
-    keep_plan(verified, tmp_path)
+    keep(verified, tmp_path)
     assert [path.name for path in mine.iterdir()] == ["notes.txt"]
 
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from scp_recon.cli.commands import planning
+from scp_recon.api import planning
 from scp_recon.planning import planner, stages
 from scp_recon.results.read import read_solution
 from scp_recon.scp.algorithms import SCvx

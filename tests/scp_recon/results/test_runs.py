@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from scp_recon.api.planning import is_solution
+from scp_recon.api.inputs import is_solution
 from scp_recon.errors import InputError
 from scp_recon.files import LOCK, only_run_in
 from scp_recon.results.read import read_solution
