@@ -11,8 +11,11 @@ The names below are imported when they are first used, so that the commands star
 
 from __future__ import annotations
 
+from importlib import import_module
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
+
+from scp_recon.display import shown_by as _shown_by
 
 if TYPE_CHECKING:
     from scp_recon.api.campaigns import campaign, read_campaign
@@ -92,6 +95,9 @@ _ELSEWHERE = {
 """Modules of what `api.files` does not have; classes are of `impulsive.problem` if not of these."""
 
 
+_shown_by(lambda: import_module("scp_recon.api.showing"))
+
+
 def __getattr__(name: str) -> Any:
     """A public name, which is imported when it is first asked for."""
     if name == "__version__":
@@ -100,8 +106,6 @@ def __getattr__(name: str) -> Any:
         return version_of(__name__)
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    from importlib import import_module
-
     usual = "impulsive.problem" if name[0].isupper() else "api.files"
     module = import_module(f"{__name__}.{_ELSEWHERE.get(name, usual)}")
     return getattr(module, name)

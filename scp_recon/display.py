@@ -1,18 +1,36 @@
 """Give results their displays: text in a notebook, charts by Plotly, frames by pandas.
 
-The modules that draw are on a much higher floor than the results. Only their names are here: they
-are imported when a result is displayed.
+The modules that draw are on a much higher floor than the results. The package's face, which alone
+knows both, says where they are (`shown_by`); they are imported when a result is displayed.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from html import escape
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Protocol
 
 if TYPE_CHECKING:
     import pandas
     from plotly.graph_objects import Figure
+
+
+class Displays(Protocol):
+    """Functions that draw and tabulate results."""
+
+    def plot(self, result: Displayed, chart: str | None, /) -> Figure:
+        """Draw a chart of a result: see `Displayed.plot`."""
+
+    def to_frame(self, result: Tabulated, table: str | None, /) -> pandas.DataFrame:
+        """Tabulate a result: see `Tabulated.to_frame`."""
+
+
+_import: list[Callable[[], Displays]] = []
+
+
+def shown_by(displays: Callable[[], Displays]) -> None:
+    """Let the results be displayed by a module that a function imports; called once, by the package."""
+    _import[:] = [displays]
 
 
 class Tabulated:
@@ -37,7 +55,7 @@ class Tabulated:
         Raises:
             InputError: naming the tables that there are, or the missing extra.
         """
-        return _showing().to_frame(self, table)
+        return _import[0]().to_frame(self, table)
 
 
 class Displayed(Tabulated):
@@ -58,8 +76,4 @@ class Displayed(Tabulated):
         Raises:
             InputError: naming the charts that there are, or the missing extra.
         """
-        return _showing().plot(self, chart)
-
-
-def _showing() -> Any:
-    return import_module("scp_recon.api.showing")
+        return _import[0]().plot(self, chart)
