@@ -92,12 +92,12 @@ class Watch:
     def planned(self, outcome: PlanOutcome) -> None:
         """The plan is made, and kept without verification."""
 
-    def verified(self, outcome: PlanOutcome) -> None:
-        """The plan is verified, and kept."""
+    def verified(self, outcome: PlanOutcome, start: Iterate | None) -> tuple[str, ...]:
+        """The plan is verified, and kept; return lines of advice that are kept with it.
 
-    def advice(self, failed: Plan, start: Iterate | None) -> tuple[str, ...]:
-        """Lines of advice on an infeasible plan and its initial guess, which are kept with it."""
-        del failed, start
+        `start` is the initial guess, from which a proposed plan may begin.
+        """
+        del outcome, start
         return ()
 
 
@@ -135,7 +135,7 @@ def checked(
         made: the plan; if it was interrupted, it is kept without verification.
         folder: for its file; None to keep none.
         watch: shows the plan.
-        start: its initial guess, from which advice on an infeasible plan may begin.
+        start: its initial guess, if known.
 
     Raises:
         InputError: if its figures are not finite, or the folder cannot be written.
@@ -151,10 +151,9 @@ def checked(
     solution = solution.with_verification(verification)
     kept = outcome.kept.then(keep(solution, folder))
     outcome = PlanOutcome(made, solution, verification, kept)
-    watch.verified(outcome)
-    if made.status is not Status.INFEASIBLE:
+    if not (advice := watch.verified(outcome, start)):
         return outcome
-    solution = replace(solution, advice=watch.advice(made, start))
+    solution = replace(solution, advice=advice)
     keep(solution, folder)
     return replace(outcome, checked=solution)
 

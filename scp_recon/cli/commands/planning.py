@@ -136,8 +136,8 @@ class Shown(Watch):
             show_warnings(self._console, outcome.solution.warnings)
             show_written(self._console, outcome.kept.path)
 
-    def verified(self, outcome: PlanOutcome) -> None:
-        """Show the verification and the files."""
+    def verified(self, outcome: PlanOutcome, start: Iterate | None) -> tuple[str, ...]:
+        """Show the verification and the files, and find and show advice on an infeasible plan."""
         console, mission, path = self._console, outcome.plan.mission, outcome.kept.path
         assert outcome.verification is not None
         assert path is not None
@@ -147,14 +147,13 @@ class Shown(Watch):
         for old in outcome.kept.aside:
             show_line(console, f"set aside because it belongs to another plan: {old}")
         if path.name == UNVERIFIED:
-            show_line(console, f"kept, as it is verified: {self.place / FILE_NAME}")
+            show_line(console, f"kept, as it is verified: {path.with_name(FILE_NAME)}")
         show_written(console, path)
-
-    def advice(self, failed: Plan, start: Iterate | None) -> tuple[str, ...]:
-        """Find advice, and show it."""
-        lines = advice_on(failed, start, self._instead)
+        if outcome.plan.status is not Status.INFEASIBLE:
+            return ()
+        lines = advice_on(outcome.plan, start, self._instead)
         for line in lines:
-            show_line(self._console, line)
+            show_line(console, line)
         return lines
 
     def answer(self, outcome: PlanOutcome) -> Answer:
