@@ -45,13 +45,13 @@ class PlanOutcome:
 
     Attributes:
         plan: the plan, on the grid to which planning may have refined its mission.
-        checked: the plan as in its file, with its verification and advice; None before that.
+        stored: the plan as in its file, with its verification and advice; None before that.
         verification: None if the plan was not verified, or planning was interrupted.
         kept: files that were written.
     """
 
     plan: Plan
-    checked: Solution | None = None
+    stored: Solution | None = None
     verification: Verification | None = None
     kept: Kept = field(default_factory=Kept)
 
@@ -62,8 +62,8 @@ class PlanOutcome:
         Raises:
             InputError: if its figures are not finite.
         """
-        if self.checked is not None:
-            return self.checked
+        if self.stored is not None:
+            return self.stored
         with finite_figures():
             return make_solution(self.plan)
 
@@ -155,7 +155,7 @@ def checked(
         return outcome
     solution = replace(solution, advice=advice)
     keep(solution, folder)
-    return replace(outcome, checked=solution)
+    return replace(outcome, stored=solution)
 
 
 class Known(TypedDict, total=False):
