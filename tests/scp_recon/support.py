@@ -18,6 +18,7 @@ from scp_recon.cli.commands import solve
 from scp_recon.mission.mission import Mission
 from scp_recon.physics.forces import ForceModel, acceleration
 from scp_recon.planning import initial_guess
+from scp_recon.planning.planner import Plan, plan
 from scp_recon.reports import flights
 from scp_recon.scenario.load import load_scenario, validate_scenario
 from scp_recon.scenario.schema import Scenario
@@ -41,6 +42,11 @@ COMPANION: dict[str, object] = {
 
 def mission_of(*overrides: str) -> Mission:
     return Mission.from_scenario(load_scenario(None, overrides))
+
+
+def from_cold(mission: Mission, **options: Any) -> Plan:
+    """The plan of a mission from a cold start; options are those of `planner.plan`."""
+    return plan(mission, initial_guess.cold(mission), **options)
 
 
 def fly_few(patch) -> None:

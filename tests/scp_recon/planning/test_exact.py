@@ -29,7 +29,7 @@ from scp_recon.scp.status import Status
 from tests.helpers import nightly, share_of_examples, usually
 from tests.properties.test_optimality import Values, conditions_of
 from tests.scenarios import COARSE, planned, scenarios
-from tests.scp_recon.support import mission_of
+from tests.scp_recon.support import from_cold, mission_of
 
 GOALS = {
     "node": {0.70: 0.1087, 0.90: 0.1101, 0.95: 0.1109, 0.99: 0.1166, 0.997: 0.1320},
@@ -46,8 +46,7 @@ def exact(scope: str, p: float, *others: str) -> tuple[str, ...]:
 
 @cache
 def found(scope: str, p: float, algorithm: str = "scvx") -> Plan:
-    mission = mission_of(*exact(scope, p))
-    return plan(mission, initial_guess.cold(mission), algorithm=algorithm)
+    return from_cold(mission_of(*exact(scope, p)), algorithm=algorithm)
 
 
 @pytest.mark.parametrize(
@@ -214,7 +213,7 @@ def test_an_exact_plan_can_be_planned_again(scope):
     assert moved.final.name in ("P2", "P2.held")
     assert moved.final.merit.worst_violation(moved.final.result.lin) <= moved.final.tolerance
     if scope == "node":
-        anew = Planner(moved.mission).plan(initial_guess.cold(moved.mission))
+        anew = from_cold(moved.mission)
         assert moved.total_dv_m_s == pytest.approx(anew.total_dv_m_s, rel=1e-3)
 
 

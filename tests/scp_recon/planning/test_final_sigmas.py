@@ -17,7 +17,6 @@ from scp_recon.monte_carlo.flights import FlightConfig
 from scp_recon.monte_carlo.sampling import BLOCK, fly_block
 from scp_recon.planning import initial_guess, ipopt
 from scp_recon.planning.plan import Plan
-from scp_recon.planning.planner import Planner, plan
 from scp_recon.results.solution import Solution, make_solution
 from scp_recon.scp.algorithms import SCvx
 from scp_recon.scp.loop import Timing, trial_step
@@ -27,7 +26,7 @@ from scp_recon.verification.probabilities import exceeded, flown_sigmas
 from scp_recon.verification.reintegration import verify
 from tests.helpers import nightly, usually
 from tests.scenarios import COARSE
-from tests.scp_recon.support import mission_of
+from tests.scp_recon.support import from_cold, mission_of
 
 TANGENT = COARSE, "polytopes.ball='tangent'", "polytopes.cone=12"
 LIMITS = {
@@ -37,8 +36,7 @@ LIMITS = {
 
 
 def planned(*overrides: str) -> Plan:
-    mission = mission_of(*TANGENT, *overrides)
-    return Planner(mission).plan(initial_guess.cold(mission))
+    return from_cold(mission_of(*TANGENT, *overrides))
 
 
 def final_sigmas(plan: Plan) -> tuple[float, float]:
@@ -118,8 +116,7 @@ ALIKE = gates((1e-3, 1e-3), (0.01, np.deg2rad(0.5)))
 
 @cache
 def planned_by(*overrides: str, formulation: str = "condensed") -> Plan:
-    mission = mission_of(COARSE, *overrides)
-    return plan(mission, initial_guess.cold(mission), formulation=formulation)
+    return from_cold(mission_of(COARSE, *overrides), formulation=formulation)
 
 
 @pytest.mark.parametrize("formulation", usually(["tuned", "shooting", "lifted"], 1))
@@ -219,8 +216,7 @@ def test_a_later_correction_compensates_an_earlier_one():
     )
     costs = []
     for limit in ((), (f"{LIMITS['position']}=1000",)):
-        mission = mission_of(*navigated, *limit)
-        found = Planner(mission).plan(initial_guess.cold(mission))
+        found = from_cold(mission_of(*navigated, *limit))
         assert found.status is Status.CONVERGED
         costs.append(found.final.result.lin.cost.value)
     assert final_sigmas(found)[0] < 900.0

@@ -15,12 +15,10 @@ from formulations.program.certificate import ConeProgram
 from formulations.program.model import CompiledProgram
 from formulations.program.solvers import Answer, Clarabel, Qoco
 from scp_recon.mission.mission import Mission
-from scp_recon.planning import initial_guess
-from scp_recon.planning.planner import plan
 from scp_recon.scp.loop import Record
 from scp_recon.scp.status import Status
 from tests.scenarios import COARSE
-from tests.scp_recon.support import mission_of
+from tests.scp_recon.support import from_cold, mission_of
 
 
 @dataclass
@@ -112,7 +110,7 @@ def test_every_iteration_solves_cvxpys_compiled_form(coarse, formulation, monkey
         iterations.append(record)
         seen.after.append(len(seen.asked))
 
-    found = plan(coarse, initial_guess.cold(coarse), formulation=formulation, observe=observe)
+    found = from_cold(coarse, formulation=formulation, observe=observe)
     assert found.final.result.status is Status.CONVERGED
     assert len(iterations) == sum(len(stage.result.records) for stage in found.stages)
     assert_cvxpys_own(seen)

@@ -24,7 +24,7 @@ from scp_recon.scp.status import Status
 from scp_recon.verification.reintegration import verify
 from tests.helpers import near_from, nightly, usually
 from tests.scenarios import COARSE
-from tests.scp_recon.support import flight_beyond, mission_of
+from tests.scp_recon.support import flight_beyond, from_cold, mission_of
 
 
 def total_dv(mission: Mission, stage: Stage) -> float:
@@ -38,19 +38,18 @@ def assert_no_buffer_is_used(of: Plan) -> None:
 
 @pytest.fixture(scope="module")
 def coarse_plan() -> Plan:
-    mission = mission_of(COARSE)
-    return plan(mission, initial_guess.cold(mission))
+    return from_cold(mission_of(COARSE))
 
 
 @pytest.fixture(scope="module")
 def two_rounds(mission) -> Plan:
-    return plan(mission, initial_guess.cold(mission), facet_rounds=1)
+    return from_cold(mission, facet_rounds=1)
 
 
 def test_every_stage_converges_and_costs_what_it_should(mission, default_plan, two_rounds):
     """The first three figures are those of an independent prototype: IPOPT on the same grid."""
     tight_mission = mission_of("polytopes.ball=tangent", "polytopes.cone=12")
-    tight = plan(tight_mission, initial_guess.cold(tight_mission))
+    tight = from_cold(tight_mission)
     p3, p2 = default_plan.stages
     assert (p3.name, p2.name, len(two_rounds.stages)) == ("P3", "P2", 3)
     assert default_plan.final is p2
@@ -89,7 +88,7 @@ def test_warm_and_cold_starts_agree(mission, default_plan, aside_m):
 
 
 def test_facet_rounds_end_when_not_cheaper(mission, default_plan):
-    many = plan(mission, initial_guess.cold(mission), facet_rounds=3)
+    many = from_cold(mission, facet_rounds=3)
     kept = [stage for stage in many.stages if stage.facets is not None]
     costs = [total_dv(mission, stage) for stage in kept]
     at = kept.index(many.final)
@@ -102,7 +101,7 @@ def test_facet_rounds_end_when_not_cheaper(mission, default_plan):
 def test_facets_wrongly_left_out_are_restored(mission, default_plan, monkeypatch):
     """Without any clearance only what P3 violates is known at first."""
     monkeypatch.setattr(Mission, "clearances", (0.0, 0.0))
-    screened = plan(mission, initial_guess.cold(mission))
+    screened = from_cold(mission)
     assert len(screened.stages) > 2  # something had to be restored
     assert screened.final.result.status is Status.CONVERGED
     assert_no_buffer_is_used(screened)
@@ -183,7 +182,7 @@ def test_lifted_and_condensed_agree_with_corrected_burns(risk, off):
 def test_planning_again_is_the_same_silent_and_observed(mission, default_plan, capfd):
     rng, errors, filters = np.random.get_state(), np.geterr(), list(warnings.filters)  # noqa: NPY002
     seen: list[tuple[str, Record]] = []
-    found = plan(mission, initial_guess.cold(mission), observe=lambda *of: seen.append(of))
+    found = from_cold(mission, observe=lambda *of: seen.append(of))
     after = np.random.get_state()  # noqa: NPY002
     np.testing.assert_array_equal(rng[1], after[1])
     assert (np.geterr(), warnings.filters, capfd.readouterr()) == (errors, filters, ("", ""))
@@ -200,7 +199,7 @@ def test_an_interrupt_returns_the_best_stage(mission, default_plan, when):
         if stage == when and record.k == 2:
             raise KeyboardInterrupt
 
-    found = plan(mission, initial_guess.cold(mission), observe=ctrl_c)
+    found = from_cold(mission, observe=ctrl_c)
     assert found.final.result.status is Status.INTERRUPTED
     assert found.final.name == when
     assert len(found.final.result.records) == 2
@@ -222,7 +221,7 @@ def test_infeasible_p2_is_tried_from_another_start(mission):
 def test_facets_that_leave_nothing_feasible_are_chosen_again():
     """Where the first choice ended; every stage has a name of its own."""
     mission = mission_of("risk.p_chance=0.9", COARSE)
-    found = plan(mission, initial_guess.cold(mission))
+    found = from_cold(mission)
     names = [stage.name for stage in found.stages]
     assert names == ["P3", "P2", "P3b", "P3c", "P3d", "P2.2"]
     assert found.stages[1].result.status is Status.INFEASIBLE

@@ -22,7 +22,7 @@ from scp_recon.scp.loop import run
 from scp_recon.scp.status import Status
 from tests.helpers import random_unit
 from tests.scenarios import COARSE
-from tests.scp_recon.support import mission_of
+from tests.scp_recon.support import from_cold, mission_of
 
 
 @pytest.fixture(scope="module")
@@ -127,7 +127,7 @@ def test_errors_that_do_not_shrink_have_no_primer():
         "uncertainty.gates.magnitude_proportional=0.01",
         "uncertainty.gates.pointing_proportional_rad=0.01",
     )
-    found = Planner(mission).plan(initial_guess.cold(mission))
+    found = from_cold(mission)
     assert found.status is Status.CONVERGED
     assert primer_of(found) is None
     assert make_solution(found).primer is None

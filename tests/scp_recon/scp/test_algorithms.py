@@ -16,14 +16,13 @@ from formulations.registry import make_subproblem
 from formulations.rows.uniform import DeterministicRows
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
-from scp_recon.planning.planner import plan
 from scp_recon.scp import algorithms
 from scp_recon.scp.algorithms import ALGORITHMS, PTR, SCvx, SCvxStar
 from scp_recon.scp.loop import Algorithm, Record, Result, State, Timing, Trial, run
 from scp_recon.scp.status import Status
 from tests.helpers import usually
 from tests.scenarios import COARSE
-from tests.scp_recon.support import mission_of
+from tests.scp_recon.support import from_cold, mission_of
 
 OTHERS = ["ptr", "scvx-star"]
 
@@ -50,7 +49,7 @@ def p3_by(algorithm: Algorithm, mission: Mission, start: Linearisation) -> Resul
 
 @pytest.mark.parametrize("name", OTHERS)
 def test_every_algorithm_reaches_the_optimum_of_scvx(name, mission, default_plan):
-    found = plan(mission, initial_guess.cold(mission), algorithm=name)
+    found = from_cold(mission, algorithm=name)
     for ours, theirs in zip(found.stages, default_plan.stages, strict=True):
         assert ours.result.status is Status.CONVERGED
         expected = theirs.result.lin.iterate.total_dv
@@ -64,8 +63,7 @@ def test_every_algorithm_reaches_the_optimum_of_scvx(name, mission, default_plan
 @pytest.mark.parametrize("name", usually(OTHERS, 1))
 def test_unreachable_states_are_infeasible_with_least_violation(name):
     """Burns of at most 2 cm/s; what is violated is the burns' size, not the final state."""
-    mission = mission_of("burns.dv_max_m_s=0.02", COARSE)
-    done = plan(mission, initial_guess.cold(mission), problem="P3", algorithm=name)
+    done = from_cold(mission_of("burns.dv_max_m_s=0.02", COARSE), problem="P3", algorithm=name)
     assert done.final.result.status is Status.INFEASIBLE
     violations = done.final.merit.violations(done.final.result.lin)
     assert violations["dv_max"].max() > 0.1

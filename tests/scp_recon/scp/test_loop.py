@@ -12,11 +12,11 @@ from formulations.program.subproblem import Step, Subproblem, SubproblemError
 from formulations.registry import make_subproblem
 from formulations.rows.uniform import DeterministicRows
 from scp_recon.planning import initial_guess
-from scp_recon.planning.planner import Plan, plan
+from scp_recon.planning.planner import Plan
 from scp_recon.scp.algorithms import SCvx
 from scp_recon.scp.loop import Record, Result, run
 from scp_recon.scp.status import Status
-from tests.scp_recon.support import mission_of
+from tests.scp_recon.support import from_cold, mission_of
 
 
 def ignore(_: Record) -> None:
@@ -42,8 +42,7 @@ def optimum(default_plan) -> Result:
 @pytest.fixture(scope="module")
 def infeasible() -> Plan:
     """Burns of at most 2 cm/s cannot reach the final state."""
-    mission = mission_of("burns.dv_max_m_s=0.02")
-    return plan(mission, initial_guess.cold(mission), problem="P3")
+    return from_cold(mission_of("burns.dv_max_m_s=0.02"), problem="P3")
 
 
 @pytest.mark.parametrize("name", ["default_plan", "infeasible"])
