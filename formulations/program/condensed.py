@@ -17,7 +17,6 @@ from typing import NamedTuple
 
 import cvxpy as cp
 import numpy as np
-import scipy.sparse as sp
 
 from formulations.arrays import Array, Booleans, Indices
 from formulations.linearisation.linearisation import (
@@ -30,6 +29,7 @@ from formulations.problem.flyby import FlybyProblem
 from formulations.program.convex_subproblem import ConvexSubproblem
 from formulations.program.model import (
     CompiledProgram,
+    Numbers,
     Shape,
     StateModel,
     write_model,
@@ -77,25 +77,23 @@ def compile_condensed(
     return CompiledProgram(write_model(shape, penalty, partial(write_states, sizes)))
 
 
-def write_states(sizes: Sequence[ConeSize], controls: cp.Variable) -> StateModel:
-    """Write final state and rows as affine functions of the controls, with coefficients as parameters.
-
-    The coefficients of a block's cones are one vector of the entries that can be non-zero.
-    """
-    own = {"miss_jacobian": cp.Parameter((6, controls.size)), "miss": cp.Parameter(6)}
-    rows, miss = [], own["miss_jacobian"] @ controls + own["miss"]
+def write_states(sizes: Sequence[ConeSize], controls: cp.Variable, numbers: Numbers) -> StateModel:
+    """Write final state and rows as affine functions of the controls; coefficients are numbers."""
+    rows = []
+    miss = numbers.array("miss_jacobian", 6, controls.size) @ controls + numbers.array("miss", 6)
     for block, size in enumerate(sizes):
         row, column = size.entries
-        values = own[f"values_{block}"] = cp.Parameter(size.slots * len(row))
-        constants = own[f"constants_{block}"] = cp.Parameter((size.slots, size.dimension))
-        shape = size.slots * size.dimension, size.controls
-        place = (np.arange(size.slots)[:, None] * size.dimension + row + shape[0] * column).ravel()
-        placed = np.ones(len(place)), (place, np.arange(len(place)))
-        spread = sp.csc_array(placed, shape=(shape[0] * shape[1], len(place)))
-        matrix = cp.reshape(spread @ values, shape, order="F")
-        y = cp.reshape(matrix @ controls[: size.controls], constants.shape, order="C") + constants
+        cone = np.arange(size.slots)[:, None]
+        values = numbers.matrix(
+            f"values_{block}",
+            (size.slots * size.dimension, size.controls),
+            (cone * size.dimension + row).ravel(),
+            np.tile(column, size.slots),
+        )
+        constants = numbers.array(f"constants_{block}", size.slots, size.dimension)
+        y = cp.reshape(values @ controls[: size.controls], constants.shape, order="C") + constants
         rows.append(y)
-    return StateModel(miss, rows, parameters=own)
+    return StateModel(miss, rows, [])
 
 
 class CondensedSubproblem(ConvexSubproblem):

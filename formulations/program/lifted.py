@@ -38,6 +38,7 @@ from formulations.program.convex_subproblem import ConvexSubproblem
 from formulations.program.model import (
     CompiledProgram,
     Model,
+    Numbers,
     Shape,
     StateModel,
     write_model,
@@ -53,7 +54,7 @@ SETTINGS = {"CLARABEL": {"static_regularization_constant": 1e-7}}
 class LiftedSubproblem(ConvexSubproblem):
     """The textbook form of P3 or P2 around an iterate.
 
-    The numbers of an iterate stand in the program as constants, and it is compiled for each iterate:
+    The numbers of an iterate stand in the program as they are, and it is compiled for each iterate:
     CVXPY's memory for parameters grows with their number times that of the variables.
     """
 
@@ -75,7 +76,7 @@ class LiftedSubproblem(ConvexSubproblem):
             self._solver = FallbackSolver(self._name, SETTINGS)
         self._at, self._model, self._compiled = lin, model, None
 
-    def _states(self, lin: Linearisation, controls: cp.Variable) -> StateModel:
+    def _states(self, lin: Linearisation, controls: cp.Variable, _: Numbers) -> StateModel:
         """Final state, rows and equations of the dynamics, in the states and the controls."""
         states, miss = cp.Variable(self._dynamics.size), cp.Variable(6)
         equations = self._dynamics.equations(lin, controls, states, miss)

@@ -15,8 +15,7 @@ because the solvers do not reach their tolerances with a quadratic objective. Th
 augmented Lagrangian contains the root of its weight, and its curvature is 1: a weight outside the
 cone would multiply the solver's tolerance. Each formulation writes the miss and the rows y as
 functions of the burns: see `condensed` and `lifted`. Everything that changes between iterations is
-a parameter, so the program is compiled once: in about 15 ms for a stage of the default plan, and in
-2 s where five of seven burns are corrected, with 137,000 parameters.
+a parameter or one of `Numbers`, so the program is compiled once.
 """
 
 from __future__ import annotations
@@ -38,10 +37,48 @@ from formulations.program.certificate import ConeProgram
 from formulations.program.subproblem import DYNAMICS_WEIGHT, Penalty, PenaltyParameters
 
 Values = dict[str, Array]
-"""Values of parameters by their name."""
+"""Numbers by their name."""
 
-Parameters = dict[str, cp.Parameter]
-"""Parameters of CVXPY by their name."""
+MARK = 2.0**40
+"""Number n of `Numbers` is written as the constant MARK + n, far from any other."""
+
+
+class Numbers:
+    """Numbers of a program that change between iterations, other than CVXPY's parameters.
+
+    Each number is a marked constant, which is located in the compiled form. Each must stand alone in
+    its entry of A or b, not in a sum.
+
+    Parameters of CVXPY in the place of these numbers were tried. The default plan compiles and
+    evaluates in 5 to 20 ms more, but CVXPY's time grows with the entries that a parameter reaches: a
+    program with gains for three corrected burns (46,000 entries) compiles in 0.4 to 1.3 s instead of
+    0.05 s, one with five (137,000) in 1.7 to 2.9 s instead of 0.1 s, and a plan compiles several.
+
+    Attributes:
+        slices: of all numbers, those of each array by its name.
+        size: their number.
+    """
+
+    def __init__(self) -> None:
+        self.slices: dict[str, slice] = {}
+        self.size = 0
+
+    def array(self, name: str, *shape: int) -> cp.Constant:
+        """A vector or matrix, its numbers in column-major order as a parameter's are."""
+        return cp.Constant(np.reshape(self._marks(name, int(np.prod(shape))), shape, order="F"))
+
+    def matrix(
+        self, name: str, shape: tuple[int, int], rows: Indices, columns: Indices
+    ) -> cp.Constant:
+        """A sparse matrix with numbers at some places."""
+        return cp.Constant(
+            sp.csr_array((self._marks(name, len(rows)), (rows, columns)), shape=shape)
+        )
+
+    def _marks(self, name: str, count: int) -> Array:
+        first, self.size = self.size, self.size + count
+        self.slices[name] = slice(first, self.size)
+        return MARK + np.arange(first, self.size, dtype=np.float64)
 
 
 @dataclass(frozen=True)
@@ -54,21 +91,21 @@ class StateModel:
 
     miss: cp.Expression
     rows: list[cp.Expression]
-    constraints: list[cp.Constraint] = field(default_factory=list)
-    parameters: Parameters = field(default_factory=dict)
+    constraints: list[cp.Constraint]
 
 
-StateModelWriter = Callable[[cp.Variable], StateModel]
-"""Writes the states as functions of all controls."""
+StateModelWriter = Callable[[cp.Variable, Numbers], StateModel]
+"""From all controls; what changes between iterations is among the numbers."""
 
 
 @dataclass(frozen=True)
 class Model:
-    """The program with its controls, and its parameters by name."""
+    """The program with its controls, its parameters by name, and its other numbers."""
 
     program: cp.Problem
     controls: cp.Variable
-    parameters: Parameters
+    parameters: Mapping[str, cp.Parameter]
+    numbers: Numbers = field(default_factory=Numbers)
 
 
 class Shape(NamedTuple):
@@ -111,8 +148,8 @@ class Shape(NamedTuple):
 
 
 def write_cost(
-    shape: Shape, controls: cp.Variable, size: cp.Variable
-) -> tuple[cp.Expression, Parameters]:
+    shape: Shape, controls: cp.Variable, size: cp.Variable, numbers: Numbers
+) -> tuple[cp.Expression, dict[str, cp.Parameter]]:
     """The objective: the sum of the burns' sizes, or with corrections its mean or its 99 % quantile.
 
     See `formulations.problem.cost`.
@@ -123,24 +160,22 @@ def write_cost(
     if shape.cost == "nominal":
         return cp.sum(size) + SMALLEST * sum(cp.norm(one) for one in gains), {}
     fixed = [i for i in range(shape.burns) if i not in shape.corrected]
-    own = {"tilt": cp.Parameter(controls.size)}
-    total = cp.sum(size[fixed]) + own["tilt"] @ controls
+    tilt = cp.Parameter(controls.size)
+    total = cp.sum(size[fixed]) + tilt @ controls
     for j, (i, one) in enumerate(zip(shape.corrected, gains, strict=True)):
         if shape.cost == "expected":
             total += cp.norm(cp.hstack([burns[i], one]))
             continue
         known = one.size // 3
         both = cp.hstack([burns[[i]].T, cp.reshape(one, (3, known), order="C")])
-        root = own[f"root_{j}"] = cp.Parameter((1 + known, 1 + known))
-        total += cp.norm(both @ root, "fro")
+        total += cp.norm(both @ numbers.array(f"root_{j}", 1 + known, 1 + known), "fro")
     if shape.cost == "expected":
-        return total, own
+        return total, {"tilt": tilt}
     for part, n in enumerate((gains[-1].size // 3, sum(3 + one.size for one in gains))):
-        bend = own[f"bend_{part}"] = cp.Parameter((n, controls.size))
-        constant = own[f"bend_constant_{part}"] = cp.Parameter(n)
-        over = own[f"bend_over_{part}"] = cp.Parameter(1)
-        total += cp.norm(cp.hstack([bend @ controls + constant, over]))
-    return total, own
+        bent = numbers.array(f"bend_{part}", n, controls.size) @ controls
+        bent += numbers.array(f"bend_constant_{part}", n)
+        total += cp.norm(cp.hstack([bent, numbers.array(f"bend_over_{part}", 1)]))
+    return total, {"tilt": tilt}
 
 
 def cost_values(lin: Linearisation) -> tuple[Values, float]:
@@ -167,14 +202,12 @@ def write_model(shape: Shape, penalty: Penalty, write_states: StateModelWriter) 
     """Write the program with one formulation's states and one penalty."""
     m = shape.burns
     z = cp.Variable(3 * m + int(shape.gains.sum()))
-    size, squares, states = cp.Variable(m), cp.Variable(), write_states(z)
+    size, squares, numbers = cp.Variable(m), cp.Variable(), Numbers()
+    states = write_states(z, numbers)
     n_rows = sum(rows.shape[0] for rows in states.rows)
     excess, violation = cp.Variable(6), cp.Variable(3 * m + n_rows)
     charged = cp.hstack([excess, violation])
-    total, of_cost = write_cost(shape, z, size)
     own = {
-        **states.parameters,
-        **of_cost,
         "centre": cp.Parameter(z.size),
         "radius": cp.Parameter(z.size),
         "dv_max": cp.Parameter(),
@@ -182,6 +215,8 @@ def write_model(shape: Shape, penalty: Penalty, write_states: StateModelWriter) 
         "prices": cp.Parameter(6 + 3 * m + n_rows),
     }
     step, (burns, _) = z - own["centre"], shape.split(z)
+    total, of_cost = write_cost(shape, z, size, numbers)
+    own |= of_cost
     constraints = [
         *states.constraints,
         cp.SOC(size, burns, axis=1),
@@ -217,7 +252,7 @@ def write_model(shape: Shape, penalty: Penalty, write_states: StateModelWriter) 
         own["root"] = cp.Parameter()
         objective += squares
         constraints.append(cp.sum_squares(own["root"] * charged) <= squares)
-    return Model(cp.Problem(cp.Minimize(objective), constraints), z, own)
+    return Model(cp.Problem(cp.Minimize(objective), constraints), z, own, numbers)
 
 
 def penalty_values(
@@ -245,7 +280,7 @@ def penalty_values(
 
 
 class CompiledProgram:
-    """A model reduced to cones: values of parameters in, a `ConeProgram` out.
+    """A model reduced to cones: values of parameters and numbers in, a `ConeProgram` out.
 
     CVXPY reduces the parametrised program to cones once (DPP). An iteration then only evaluates that
     form, a linear map from the values to q, A and b with fixed sparsity, so that a solver can be
@@ -267,16 +302,19 @@ class CompiledProgram:
             cp.CLARABEL, canon_backend="COO", solver_opts=options
         )
         self._form: Any = data[cp.settings.PARAM_PROB]
-        column, self._size = self._form.param_id_to_col, self._form.total_param_size + 1
+        column, constants = self._form.param_id_to_col, self._form.total_param_size + 1
         self._first = {name: column[one.id] for name, one in model.parameters.items()}
+        self._first |= {name: constants + s.start for name, s in model.numbers.slices.items()}
+        self._size = constants + model.numbers.size
         first = self._form.var_id_to_col[model.controls.id]
         self._controls = slice(first, first + model.controls.size)
-        # Maps of all parameters and 1 to the cost, and to [A b] column by column.
+        # Maps of all parameters, 1 and the numbers to the cost, and to [A b] column by column.
         rows, columns = self._form.constr_size, self._form.x.size
         both, cost = sp.coo_array(self._form.A), sp.csr_array(self._form.q)
         # Only entries that can be other than zero are indexed: a large program has few of all.
         filled, place = np.unique(both.row, return_inverse=True)
-        maps = sp.csr_array((both.data, (place, both.col)), shape=(len(filled), self._size))
+        share, number = found(both, model.numbers)
+        maps = sp.csr_array((share, (place, number)), shape=(len(filled), self._size))
         split = int(np.searchsorted(filled, rows * columns))
         entries, self._entries = filled[:split], maps[:split]
         own = filled[split:] - rows * columns, np.arange(len(filled) - split)
@@ -287,7 +325,7 @@ class CompiledProgram:
         self._row, self._starts = (entries % rows).astype(np.int32), starts.astype(np.int32)
 
     def evaluate(self, values: Mapping[str, Array]) -> ConeProgram:
-        """The program for the values of every parameter, by name.
+        """The program for the values of every parameter and number, by name.
 
         As `ParamConeProg.apply_parameters`, without computing the sparsity again.
         """
@@ -300,7 +338,7 @@ class CompiledProgram:
         matrix = sp.csc_array((-(self._entries @ given), self._row, self._starts), shape=shape)
         dims = form.cone_dims
         return ConeProgram(
-            self._cost @ given,
+            self._cost @ given[: self._cost.shape[1]],
             matrix,
             self._bound @ given,
             dims.zero,
@@ -312,3 +350,21 @@ class CompiledProgram:
     def controls(self, x: Array) -> Array:
         """The controls in an answer."""
         return x[self._controls].copy()
+
+
+def found(maps: sp.coo_array, numbers: Numbers) -> tuple[Array, Indices]:
+    """Shares and columns of a tensor's entries, of numbers sign and column behind the others.
+
+    Raises:
+        ValueError: if a number does not stand alone in its entries.
+    """
+    share, column = maps.data.copy(), maps.col.astype(np.intp)
+    if not numbers.size:
+        return share, column
+    marked = np.abs(share) >= MARK
+    number = (np.abs(share[marked]) - MARK).astype(np.intp)
+    known = number[number < numbers.size]
+    if len(known) < len(number) or not np.bincount(known, minlength=numbers.size).all():
+        raise ValueError("a number of the program does not stand alone in its entries")
+    share[marked], column[marked] = np.sign(share[marked]), maps.shape[1] + number
+    return share, column

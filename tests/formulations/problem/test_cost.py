@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from unittest.mock import Mock
 
 import cvxpy as cp
 import numpy as np
@@ -48,9 +49,9 @@ def model_of(problem: FlybyProblem, at: Array) -> Callable[[Array], float]:
     arcs = Arcs(*np.zeros((3, 0)))  # of which cost knows nothing
     values, left = cost_values(Linearisation(problem, iterate_of(problem, at), arcs))
     controls, sizes = cp.Variable(len(at)), cp.Parameter(problem.n_burns)
-    total, parameters = write_cost(Shape.of(problem, floor=False), controls, sizes)
-    for name, parameter in parameters.items():
-        parameter.value = np.reshape(values[name], parameter.shape)
+    numbers = Mock(array=lambda name, *shape: np.reshape(values[name], shape))
+    total, parameters = write_cost(Shape.of(problem, floor=False), controls, sizes, numbers)
+    parameters["tilt"].value = values["tilt"]
 
     def model(there: Array) -> float:
         controls.value = there

@@ -7,12 +7,14 @@ from typing import Any
 import cvxpy as cp
 import numpy as np
 import pytest
+import scipy.sparse as sp
 from hypothesis import given, settings
 
-from formulations.arrays import Array
+from formulations.arrays import Array, Indices
+from formulations.program import model as written
 from formulations.program.condensed import ConeSize, write_states
 from formulations.program.lifted import LiftedSubproblem
-from formulations.program.model import CompiledProgram, Model, Shape, write_model
+from formulations.program.model import CompiledProgram, Model, Numbers, Shape, write_model
 from formulations.program.subproblem import Penalty
 from tests.helpers import generators, share_of_examples
 
@@ -44,13 +46,40 @@ MODELS: dict[str, Callable[[Penalty], Model]] = {
 }
 
 
-def cvxpys_own(model: Model) -> Any:
-    """CVXPY's own form of a model."""
-    for parameter in model.parameters.values():
+class Parameters(Numbers):
+    """Numbers as parameters of CVXPY, whose own form is then the whole program's."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.own: dict[str, cp.Parameter] = {}
+
+    def array(self, name: str, *shape: int) -> cp.Parameter:
+        super().array(name, *shape)
+        self.own[name] = cp.Parameter(shape)
+        return self.own[name]
+
+    def matrix(
+        self, name: str, shape: tuple[int, int], rows: Indices, columns: Indices
+    ) -> cp.Expression:
+        super().matrix(name, shape, rows, columns)
+        self.own[name], n = cp.Parameter(len(rows)), len(rows)
+        places = rows + shape[0] * columns, np.arange(n)
+        spread = sp.csr_array((np.ones(n), places), shape=(shape[0] * shape[1], n))
+        return cp.reshape(spread @ self.own[name], shape, order="F")
+
+
+def parametric(kind: str, penalty: Penalty, monkeypatch) -> tuple[Any, dict[str, cp.Parameter]]:
+    """CVXPY's own form of a model, and its parameters by name."""
+    monkeypatch.setattr(written, "Numbers", Parameters)
+    model = MODELS[kind](penalty)
+    monkeypatch.undo()
+    assert isinstance(model.numbers, Parameters)
+    parameters = {**model.parameters, **model.numbers.own}
+    for parameter in parameters.values():
         parameter.value = np.zeros(parameter.shape)
     options = {"use_quad_obj": False}
     data, _, _ = model.program.get_problem_data(cp.CLARABEL, solver_opts=options)
-    return data[cp.settings.PARAM_PROB]
+    return data[cp.settings.PARAM_PROB], parameters
 
 
 def random_values(
@@ -65,9 +94,10 @@ def random_values(
 
 @pytest.mark.parametrize("penalty", PENALTIES)
 @pytest.mark.parametrize("kind", MODELS)
-def test_its_numbers_are_what_cvxpys_own_form_gives(kind, penalty):
-    model = MODELS[kind](penalty)
-    form, parameters, compiled = cvxpys_own(model), model.parameters, CompiledProgram(model)
+def test_its_numbers_are_what_cvxpys_own_form_gives(kind, penalty, monkeypatch):
+    model, (form, parameters) = MODELS[kind](penalty), parametric(kind, penalty, monkeypatch)
+    compiled = CompiledProgram(model)
+    assert bool(model.numbers.size) == ("lifted" not in kind)
     sparsity: list[tuple[Array, Array]] = []
 
     @settings(max_examples=share_of_examples(50, usual=2))
@@ -102,6 +132,14 @@ def test_its_numbers_are_what_cvxpys_own_form_gives(kind, penalty):
 
     check()
     assert len(sparsity) >= 2
+
+
+def test_a_number_in_a_sum_is_refused():
+    z, numbers = cp.Variable(2), Numbers()
+    sums = numbers.array("one", 2) + numbers.array("other", 2)
+    program = cp.Problem(cp.Minimize(cp.sum(z)), [z >= sums])
+    with pytest.raises(ValueError, match="does not stand alone"):
+        CompiledProgram(Model(program, z, {}, numbers))
 
 
 def test_a_program_that_is_not_disciplined_is_refused():
