@@ -30,7 +30,6 @@ STUDIES = {
     "policies": "burns as planned, corrected by gains, and planned again before each",
     "sites": "how likely sites out of reach are seen with feedback, by navigation and lead",
     "compare_solvers": "forms, algorithms and conic solvers against IPOPT",
-    "exact_methods": "exact risk by other forms, algorithms and conic solvers",
     "accuracy": "how near the optimum each method is after how many seconds",
     "lifted": "sizes and times of P2 in its lifted and its condensed form",
     "sensitivity": "penalty weight, first radius and dynamics weight, varied one at a time",

@@ -63,7 +63,7 @@ SOURCES: Mapping[str, Source] = {
     **{
         name: Source(f"experiments {name}")
         for name in (
-            "plans", "sites", "exact_methods", "nlp_tricks", "peers", "spice", "cross_check",
+            "plans", "sites", "nlp_tricks", "peers", "spice", "cross_check",
             "lifted", "sensitivity", "model_fidelity", "battery_cones", "timing_rules", "flown_plan",
         )
     },

@@ -39,8 +39,8 @@ from scp_recon.cli.options import int_between
 from scp_recon.cli.rendering import terminal
 from scp_recon.errors import InputError
 from scp_recon.files import write_atomically
-from scp_recon.jobs.job import Executor, Job, Key, Work
-from scp_recon.jobs.store import Store
+from scp_recon.jobs.job import Done, Executor, Failure, Job, Key, Work
+from scp_recon.jobs.store import Row, Store
 from scp_recon.jobs.store import run as run_jobs
 from scp_recon.mission.feedback import require_open_loop
 from scp_recon.mission.mission import Mission
@@ -207,10 +207,12 @@ class Session:
         *,
         executor: Executor | None = None,
         line: Callable[[Record], str] | None = None,
+        failed: Callable[[Key, Failure], Record] | None = None,
     ) -> list[Record]:
         """Run the jobs whose rows a store lacks, under a bar, and return the rows of all in order.
 
-        `line` gives the line to show for each new row, if any.
+        `line` gives the line to show for each new row, and `failed` the row of a job that failed, whose
+        failure is raised without it.
         """
         with self.steps(label, len(jobs)) as done:
 
@@ -222,7 +224,13 @@ class Session:
             for job in jobs:
                 if job.key in store:
                     tell(job.key, store[job.key])
-            run_jobs(work, jobs, store, executor, on_done=tell)
+
+            def row_of(one: Done) -> Row:
+                if one.failure is not None and failed is not None:
+                    return Row(failed(one.key, one.failure))
+                return Row(one.result())
+
+            run_jobs(work, jobs, store, executor, row_of=row_of, on_done=tell)
         return [store[job.key] for job in jobs]
 
     def _evidence(self, found: Findings) -> Evidence:

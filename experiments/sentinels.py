@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict
 from functools import partial
 from itertools import product
 from pathlib import Path
@@ -24,8 +23,9 @@ from experiments.in_flight import feedback, policies, sites
 from experiments.observation_rows import rows as observation_rows
 from experiments.observation_rows import run_row
 from experiments.observation_table import SAMPLES
-from experiments.solvers import accuracy, exact_methods, lifted, nlp_tricks, sensitivity
-from experiments.solvers.compare_solvers.cases import (
+from experiments.solvers import accuracy, lifted, nlp_tricks, sensitivity
+from experiments.solvers.cases import (
+    NUMBER,
     PROBLEMS,
     REFERENCE,
     SHOOTING,
@@ -34,7 +34,7 @@ from experiments.solvers.compare_solvers.cases import (
     Method,
     exact_design,
 )
-from experiments.solvers.compare_solvers.cell import solve_cell, solve_exact
+from experiments.solvers.cells import solve
 from experiments.solvers.peers import study as peers
 from experiments.spacecraft import battery_cones, flown_plan, timing_rules
 from experiments.spacecraft.uncertainty_sources import study as uncertainty_sources
@@ -147,27 +147,17 @@ def accuracy_row(case: tuple[str, Method, int]) -> Record:
     return accuracy.run_to({case[0]: accuracy.begin(case[0])}, case)
 
 
-def exact_cell(seed: int) -> Cell:
-    """The planner's cell of a scenario of exact risk."""
-    return next(cell for cell in exact_design(range(seed, seed + 1)) if cell.method == REFERENCE)
-
-
-def exact_methods_row(seed: int) -> Record:
-    """The planner's row of a scenario."""
-    return asdict(exact_methods.solve(exact_cell(seed), 0))
-
-
 def method_row(method: Method) -> Record:
     """A row of the table of methods."""
-    row = solve_cell(Cell("matrix", "recon_b", (), method, "cold"), flights=0)
-    names = {"problem": row.scenario, "start": row.start, "method": row.method}
-    return names | {"status": row.status, "delta_v_m_s": row.total_dv_m_s}
+    row = solve(Cell("matrix", "recon_b", (), method, "cold"), flights=0)
+    names = {"problem": row["scenario"], "start": row["start"], "method": row["method"]}
+    return names | {"status": row["status"], "delta_v_m_s": row["total_dv_m_s"]}
 
 
 def exact_row(seed: int) -> Record:
-    """The planner's cells of a row of the table of exact risk."""
-    row = solve_exact(exact_cell(seed), flights=0)
-    return {"scenario": row.scenario, "planner_m_s": row.total_dv_m_s}
+    """The default's row of a scenario of exact risk."""
+    (cell,) = (each for each in exact_design(range(seed, seed + 1)) if each.method == REFERENCE)
+    return solve(cell, flights=0)
 
 
 def trick_row(name: str) -> Record:
@@ -285,9 +275,8 @@ OWN = (
         partial(in_folder, sites.raised), [], sites.SITES),  # each takes four minutes
     Sentinel("compare_solvers.methods", "problem, start, method",
         {"status": EQUAL, "delta_v_m_s": 2e-5}, method_row, [REFERENCE, TUNED, SHOOTING]),
-    Sentinel("compare_solvers.exact", "scenario", {"planner_m_s": 2e-5}, exact_row, [0, 3]),
-    Sentinel("exact_methods", "key", OTHER | {"reached": FLOWN},
-        exact_methods_row, [0, 3], exact_methods.SCENARIOS),
+    Sentinel("compare_solvers.exact", "scenario, method", OTHER | {"reached": FLOWN},
+        exact_row, [0, 3], range(NUMBER)),
     Sentinel("nlp_tricks", "trick",
         {"status": EQUAL, "delta-v m/s": 2e-5, "unknowns": EQUAL, "rows": EQUAL},
         trick_row, ["+ derivatives arc by arc = tuned", "single shooting, exact Hessians"]),

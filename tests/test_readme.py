@@ -146,7 +146,7 @@ TWO_KINDS = (
     ("experiments.frontier.FLIGHTS", lambda _: 100),
 )
 NOT_SERVING = (("scp_recon.api.exploring.Server.serve_forever", lambda _: lambda *_: None),)
-DESIGNS = "experiments.solvers.compare_solvers.study"
+DESIGNS = "experiments.solvers.compare_solvers"
 ONE_CELL = (
     (f"{DESIGNS}.full_design", lambda cells: lambda: cells()[:1]),
     (f"{DESIGNS}.exact_design", lambda cells: lambda: cells(range(1))[:1]),
@@ -289,13 +289,6 @@ QUICK = {
         "--flights 20", nightly=True, less=first_of("in_flight.policies", "CASES")
     ),
     "python -m experiments lifted": Quick(less=first_of("solvers.lifted", "FORMS")),
-    "python -m experiments exact_methods": Quick(
-        less=(
-            *first_of("solvers.exact_methods", "METHODS"),
-            ("experiments.solvers.exact_methods.SCENARIOS", lambda seeds: seeds[2:3]),
-        ),
-        nightly=True,
-    ),
     "python -m experiments accuracy": Quick(
         less=(
             *first_of("solvers.accuracy", "METHODS"),

@@ -11,14 +11,14 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from time import process_time
 
 import numpy as np
 
 from experiments.harness import Findings, Record, Session, Study, records
-from experiments.solvers.compare_solvers.cases import (
+from experiments.solvers.cases import (
     NLP_SOLVERS,
     PROBLEMS,
     REFERENCE,
@@ -26,9 +26,8 @@ from experiments.solvers.compare_solvers.cases import (
     TUNED,
     Method,
 )
-from experiments.solvers.compare_solvers.exact.check import rolled_out
+from experiments.solvers.cells import merit_of, stage_solver
 from formulations.problem.flyby import Iterate
-from formulations.program.subproblem import MeritFunction
 from formulations.rows.uniform import ChanceRows
 from scp_recon.api.options import PlanOptions
 from scp_recon.api.planning import plan_mission
@@ -37,10 +36,7 @@ from scp_recon.jobs.processes import Limits, Processes
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
 from scp_recon.planning.plan import StageSpec
-from scp_recon.planning.planner import Planner
-from scp_recon.planning.stages import StageSolver
 from scp_recon.scenario.load import load_scenario
-from scp_recon.scp.algorithms import ALGORITHMS, SCvx
 from scp_recon.scp.status import Status
 
 for form in ("condensed", "lifted"):
@@ -92,35 +88,18 @@ def run_to(begun: Mapping[str, Begun], case: tuple[str, Method, int]) -> Record:
         importlib.import_module("scp_recon.planning.ipopt")
     start = mission.dynamics.linearise(mission.problem, begun[name].start)
     since = process_time()
-    stage = _solver(mission, method, most).solve(
+    stage = stage_solver(mission, method, most).solve(
         StageSpec("P2", rows), start, mission.dynamics, lambda *_: None
     )
     seconds = process_time() - since
-    burns = stage.result.lin.iterate.burns
-    every = ChanceRows(mission.problem, rows.facets, np.ones_like(rows.included))
-    merit = MeritFunction(mission.problem, every)(rolled_out(mission, burns), SCvx().weight)
     return {
         "problem": name,
         "method": method.name,
         "iterations": len(stage.result.records),
         "ended": stage.result.status is not Status.MAX_ITERATIONS,
         "processor_s": seconds,
-        "merit_m_s": merit * mission.units.speed_m_s,
+        "merit_m_s": merit_of(mission, stage.result.lin.iterate.burns, rows),
     }
-
-
-def _solver(mission: Mission, method: Method, most: int) -> StageSolver:
-    """The solver of rows by a method that stops after some iterations."""
-    if method.solver in NLP_SOLVERS:
-        from formulations.nlp.solve import VARIANTS
-        from scp_recon.planning.ipopt import IpoptStages, casadi_arcs
-
-        variant = VARIANTS[method.formulation]
-        stopping = replace(variant, p2=replace(variant.p2, max_iterations=most))
-        return IpoptStages(mission, casadi_arcs(mission.flow), stopping)
-    planner = Planner(mission, formulation=method.formulation, solver=method.solver)
-    planner.algorithm = ALGORITHMS[method.algorithm](max_iterations=most)
-    return planner
 
 
 def judged(rows: Sequence[Record]) -> list[Record]:

@@ -14,9 +14,8 @@ from time import process_time
 from typing import TYPE_CHECKING
 
 from experiments.harness import Findings, Record, Session, Study, records
+from experiments.solvers.cells import p3_solution
 from formulations.problem.facets import choose_facets
-from scp_recon.api.options import PlanOptions
-from scp_recon.api.planning import plan_mission
 from scp_recon.jobs.job import Job
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
@@ -85,9 +84,7 @@ def measuring(mission: Mission, chosen: Mapping[str, Variant]) -> Callable[[str]
     """Make the function that solves P2 with a trick from the same P3 solution, and returns a row."""
     from scp_recon.planning.ipopt import IpoptStages, casadi_arcs
 
-    found = plan_mission(mission, initial_guess.cold(mission), PlanOptions(problem="P3"))
-    free = [stage for stage in found.stages if stage.spec.role != "held"]
-    start = free[-1].result.lin  # where no burn is held at zero
+    start = p3_solution(mission, initial_guess.cold(mission))
     facets = choose_facets(mission.problem, mission.polytopes, start.iterate.mean, start.factor)
     arcs = casadi_arcs(mission.flow)
 

@@ -18,7 +18,7 @@ from time import process_time
 from typing import NamedTuple
 
 from experiments.harness import Findings, Record, Session, Study, records
-from experiments.solvers.compare_solvers.cases import PROBLEMS
+from experiments.solvers.cases import PROBLEMS
 from formulations.program import model, subproblem
 from scp_recon.jobs.job import Job
 from scp_recon.mission.grid import Units

@@ -106,7 +106,8 @@ FLOORS = (
     "scp_recon",  # the lazy names, and the ways in
     "experiments.evidence",
     "experiments.harness",
-    "experiments.solvers.compare_solvers",
+    "experiments.solvers.cases",
+    "experiments.solvers.cells",
     "experiments",
     "paper_figs.inputs",
     "paper_figs.drawing",

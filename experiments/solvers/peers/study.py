@@ -31,7 +31,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from experiments.harness import Findings, Record, Session, Study
-from experiments.solvers.compare_solvers.exact.check import rolled_out
+from experiments.solvers.cells import rolled_out
 from experiments.solvers.peers.openscvx import Answer, Settings, Solver, Transfer, solve_p3
 from formulations.arrays import Array
 from formulations.problem.flyby import Iterate

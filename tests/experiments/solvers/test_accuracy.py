@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from experiments.solvers.accuracy import ENOUGH, Begun, begin, judged, reached, run_to
-from experiments.solvers.compare_solvers.cases import REFERENCE, SHOOTING, Method
+from experiments.solvers.cases import REFERENCE, SHOOTING, Method
 
 
 @pytest.fixture(scope="module")

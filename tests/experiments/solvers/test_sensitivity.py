@@ -2,7 +2,7 @@
 
 import pytest
 
-from experiments.solvers.compare_solvers.cases import PROBLEMS
+from experiments.solvers.cases import PROBLEMS
 from experiments.solvers.sensitivity import (
     FACTORS,
     VARIED,

@@ -16,7 +16,7 @@ import pytest
 from hypothesis import assume, given, reject, settings
 from hypothesis import strategies as st
 
-from experiments.solvers.compare_solvers.cases import drawn
+from experiments.solvers.cases import drawn
 from formulations.arrays import Array
 from formulations.linearisation.linearisation import Linearisation
 from formulations.nlp import solve

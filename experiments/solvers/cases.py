@@ -1,4 +1,4 @@
-"""Define methods, scenarios and starts of the comparison, and the cells that combine them."""
+"""Methods, scenarios and starts of the comparison of solvers, and the cells that combine them."""
 
 from __future__ import annotations
 
@@ -12,15 +12,13 @@ import numpy as np
 
 from formulations.problem.flyby import Iterate
 from formulations.program.solvers import installed
-from formulations.registry import FORMULATIONS
+from formulations.registry import FORMULATIONS, FULL
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
 from scp_recon.scp.algorithms import ALGORITHMS
 
 IPOPT, UNO = "IPOPT", "UNO"
 NLP_SOLVERS = (IPOPT, UNO)
-NLP_VARIANTS = ("printed", "tuned", "shooting")
-"""Keys of `formulations.nlp.solve.VARIANTS`, not imported here: CasADi takes a second."""
 
 
 @dataclass(frozen=True)
@@ -85,14 +83,14 @@ REFERENCE = Method("condensed", "scvx", "CLARABEL")
 TUNED, ELASTIC = Method("tuned", "hard", IPOPT), Method("tuned", "elastic", IPOPT)
 
 UNGUARDED = "unguarded"
-"""`Unguarded` in `compare_solvers.cell`, for P2 from a P3 solution only."""
+"""`Unguarded` in `cells`, for P2 from a P3 solution only."""
 
 EVERY_NODE = Method("lifted-every-node", "scvx", "CLARABEL")
 """Lifted with all facets from the first, for P2 from a P3 solution only: every node has its factor."""
 
 SCP_METHODS = tuple(Method(*key) for key in product(FORMULATIONS, ALGORITHMS, installed()))
 SHOOTING, SHOOTING_UNO = (Method("shooting", "hard", solver) for solver in NLP_SOLVERS)
-NLP_METHODS = (*(Method(v, "hard", IPOPT) for v in NLP_VARIANTS), SHOOTING_UNO, ELASTIC)
+NLP_METHODS = (Method("printed", "hard", IPOPT), TUNED, SHOOTING, SHOOTING_UNO, ELASTIC)
 FEW = (
     REFERENCE,
     Method("condensed", "ptr", "CLARABEL"),
@@ -144,9 +142,6 @@ NUMBER = 50
 
 QUICK = range(2)
 """Seeds of a quick run: one scenario of each kind."""
-
-SLSQP, SHOOTING_IPOPT = Method("burns", "exact", "SLSQP"), Method("burns", "exact", "IPOPT")
-"""Nonlinear programming in the burns: see `exact.search`."""
 
 OFF_M, OFF_M_S = 20.0, 1e-3
 """1 sigma by which each component of a boundary state is off the printed one."""
@@ -352,11 +347,10 @@ def _random(methods: Iterable[Method], seeds: range) -> list[Cell]:
     ]
 
 
-def exact_design(scenarios: range = range(NUMBER)) -> tuple[Cell, ...]:
-    """The planner from the straight line, and both references."""
-    return tuple(cell for seed in scenarios for cell in _exact_cells(*drawn(seed)))
-
-
-def _exact_cells(name: str, changes: Changes) -> list[Cell]:
-    methods = (REFERENCE, SLSQP, SHOOTING_IPOPT)
-    return [Cell(EXACT, name, _overrides(changes), method, "cold") for method in methods]
+def exact_design(seeds: range = range(NUMBER)) -> list[Cell]:
+    """Random scenarios of exact risk from the straight line, by every form that takes it."""
+    methods = [method for method in ONE_FACTOR if method.formulation in FULL]
+    found = ((drawn(seed), method) for seed, method in product(seeds, methods))
+    return [
+        Cell(EXACT, name, _overrides(changes), method, "cold") for (name, changes), method in found
+    ]

@@ -11,17 +11,17 @@ import casadi as ca
 import numpy as np
 from scipy.optimize import minimize
 
-from experiments.solvers.compare_solvers.exact.program import (
+from formulations.arrays import Array
+from formulations.linearisation.linearisation import Linearisation, LinearisationError
+from formulations.nlp.solve import QUASI_NEWTON
+from scp_recon.mission.mission import Mission
+from tests.oracles.burns_program import (
     GAIN,
     BurnsProgram,
     Point,
     Stop,
     rows_of,
 )
-from formulations.arrays import Array
-from formulations.linearisation.linearisation import Linearisation, LinearisationError
-from formulations.nlp.solve import QUASI_NEWTON
-from scp_recon.mission.mission import Mission
 
 ROUNDING = (1e-3, 3e-5)
 """Rounding of the cost's kinks, in units of speed, first and in the end."""
