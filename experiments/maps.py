@@ -22,7 +22,6 @@ from time import process_time
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from experiments.evidence import ROOT
 from experiments.harness import Findings, Record, Session, fly_plan, number, option, records
@@ -43,7 +42,6 @@ from scp_recon.passes.setting import settled
 from scp_recon.planning.initial_guess import from_burns
 from scp_recon.planning.plan import Plan
 from scp_recon.planning.planner import Planner
-from scp_recon.results.pictures import picture
 from scp_recon.scenario.schema import Scenario
 from scp_recon.scp.status import Status
 
@@ -74,13 +72,14 @@ SUMMED: Mapping[str, tuple[str, Callable[[Record], str]]] = {
 }
 """Of each campaign the name of its summary, and what it is summed up by."""
 PICTURES = {
-    "reconnaissance_map/map": "studies_map",
-    "reconnaissance_map/globe": "studies_globe",
-    "ryugu_map/map": "gallery/ryugu_map",
-    "errors/curves": "studies_errors",
-    "asteroid_year/curves": "studies_year",
-    "sizes/curves": "studies_sizes",
+    "reconnaissance_map/map_dv99_m_s": "studies_map",
+    "reconnaissance_map/shape": "studies_globe",
+    "ryugu_map/map_dv99_m_s": "gallery/ryugu_map",
+    "errors/dv99_m_s": "studies_errors",
+    "asteroid_year/dv99_m_s": "studies_year",
+    "sizes/dv99_m_s": "studies_sizes",
 }
+"""Charts of the campaigns that the pages show, by their pictures' names; written with kaleido."""
 
 
 def feasible(case: Record) -> bool:
@@ -192,7 +191,7 @@ def run(session: Session) -> Findings:
     """Run every campaign, and sum it up; or plan the sample."""
     if session.options.sample:
         return run_sample(session)
-    files, totals, drawn = dict[str, list[Record]](), [], dict[str, Figure]()
+    files, totals, drawn = dict[str, list[Record]](), [], dict[str, Any]()
     for name, (key, by) in SUMMED.items():
         session.say(f"{name}:")
         path = STUDIES / f"{name}.toml"
@@ -211,7 +210,9 @@ def run(session: Session) -> Findings:
         totals.append({"campaign": name} | summary(cases) | seconds | total)
     if session.options.pictures:
         for source, target in PICTURES.items():
-            write_atomically(session.options.pictures / f"{target}.png", picture(drawn[source]))
+            write_atomically(
+                session.options.pictures / f"{target}.png", drawn[source].to_image("png")
+            )
     files = {"campaigns": totals} | files
     return Findings([], {f"{name}.csv": records(rows) for name, rows in files.items()})
 

@@ -34,7 +34,7 @@ from scp_recon.scp.status import Status
 
 if TYPE_CHECKING:
     import pandas
-    from matplotlib.figure import Figure
+    from plotly.graph_objects import Figure
 
 
 class CampaignOutput(NamedTuple):
@@ -42,7 +42,7 @@ class CampaignOutput(NamedTuple):
 
     Attributes:
         table: a row a case, as in results.parquet.
-        figures: by name; a map and the shape of sites, else curves.
+        figures: the page's charts by name, of Plotly: maps and the shape of sites, else curves.
     """
 
     table: pandas.DataFrame
@@ -90,9 +90,7 @@ def campaign(
     given = study_of(study, yes=yes)
     run_campaign(given, folder, workers=workers, scheduler=scheduler)
     results = outcome.read_campaign(folder)
-    from scp_recon.campaigns.figures import figures
-
-    return CampaignOutput(results.table, figures(results))
+    return CampaignOutput(results.table, page.figures(results))
 
 
 def read_campaign(folder: str | Path) -> pandas.DataFrame:

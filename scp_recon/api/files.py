@@ -221,10 +221,10 @@ def report(
     if is_campaign(plans):
         check_of_plans(field_deg=field_deg, pixels=pixels)
         from scp_recon.campaigns.outcome import read_campaign
-        from scp_recon.campaigns.page import write_pictures
+        from scp_recon.campaigns.page import write_page
 
         (folder,) = plans
-        return write_pictures(read_campaign(Path(str(folder))))[0]
+        return write_page(read_campaign(Path(str(folder))))
     usual = Camera()
     camera = Camera(
         number_between(

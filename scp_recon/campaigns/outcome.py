@@ -42,8 +42,8 @@ MEASURES = ((COST, DELTA_V), (CHANCE, PROBABILITY))
 """Columns that are drawn, and what they are called. The delta-v is 99 % of what is commanded, in
 older campaigns the total. The probability is the lowest of the joint
 constraints over the nodes, of 10,000 flights of the nonlinear dynamics."""
-COLOURS = "viridis"
-"""Colormap, here and in Plotly, that is told apart with any colour vision and holds no grey."""
+COLOURS = "Viridis"
+"""Plotly's colour scale: readable with any colour vision, and without grey."""
 UNITS = {
     "deg": "deg",
     "m": "m",
@@ -56,10 +56,8 @@ UNITS = {
     "w_m2": "W/m^2",
 }
 NAMED = {"tdb": "epoch (TDB)", "name": "site"}
-MARKS = {INFEASIBLE: "x", NO_MISSION: ".", NOT_VERIFIED: "+", NO_ANSWER: "*"}
-"""Of cases without a verified plan, in Matplotlib."""
 GREYS = {INFEASIBLE: "#8b9098", NO_MISSION: "#bcc1c8", NOT_VERIFIED: PLANS[1], NO_ANSWER: PLANS[3]}
-"""Their colours, of sites and of the surface about them."""
+"""Colours of sites without a verified plan."""
 COMMONEST = 3
 """Reasons shown for cases without a plan."""
 LONGEST = 160
@@ -250,9 +248,7 @@ def remarks(results: CampaignResults) -> list[str]:
         found += _reasons(end.capitalize(), results.ending(end).get("message"))
     found += _reasons("Warned", table.get("warnings"))
     if results.overlaid:
-        found.append(
-            "Pictures show the cheapest of the cases that share a place; the table has all."
-        )
+        found.append("Charts show the cheapest of the cases that share a place; the table has all.")
     return found
 
 

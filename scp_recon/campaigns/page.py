@@ -1,7 +1,7 @@
-"""Write a campaign's page, campaign.html, which works without a network, and its pictures as PNG.
+"""Write a campaign's page, campaign.html, which works without a network, and give its charts.
 
-The page has a map or curves, and a table in which each case opens. An unfinished campaign is shown
-with the cases that have ended.
+The page has maps or curves, and a table in which each case opens. An unfinished campaign is shown
+with the cases that have ended. A button above each chart saves it as a PNG file.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 from datetime import UTC, datetime
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from scp_recon.bodies.surface import direction_of
 from scp_recon.campaigns.axes import EPOCH, LATITUDE, LONGITUDE
 from scp_recon.campaigns.cases import solution_name
 from scp_recon.campaigns.outcome import (
+    CHANCE,
     COLOURS,
     COST,
     DELTA_V,
@@ -48,10 +49,14 @@ from scp_recon.reports.marks import (
 )
 from scp_recon.reports.page import made_by, render_offline
 from scp_recon.reports.surfaces import shape_of
+from scp_recon.reports.write import figures_of
 from scp_recon.results.table import Column
 
+if TYPE_CHECKING:
+    from plotly.graph_objects import Figure
+
 PAGE = "campaign.html"
-EXTRA = ("jinja2", "matplotlib", "pandas", "plotly")
+EXTRA = ("jinja2", "pandas", "plotly")
 ROWS_MAX = 5_000
 """Cases in the page's table."""
 SYMBOLS = {FEASIBLE: "circle"} | dict(
@@ -69,36 +74,35 @@ BAR_PX, LINE_PX = 38, 30
 
 
 def has_extras() -> bool:
-    """Whether the extra for page and pictures is installed."""
+    """Whether the extra for the page is installed."""
     return all(find_spec(name) is not None for name in EXTRA)
 
 
 def check_extras() -> None:
-    """Check before the work that page and pictures can be made.
+    """Check before the work that the page can be made.
 
     Raises:
         InputError: if the extra [report] is missing.
     """
-    imported("report", "report", "plotly", "jinja2", "matplotlib")
+    imported("report", "report", "plotly", "jinja2")
 
 
-def write_pictures(results: CampaignResults) -> list[Path]:
-    """Write the page and the pictures of a campaign into its folder, which it returns.
+def write_page(results: CampaignResults) -> Path:
+    """Write the page of a campaign into the campaign's folder, and return the file.
 
     Raises:
         InputError: if the extra [report] is missing, or the folder cannot be written.
     """
     check_extras()
-    from scp_recon.campaigns.figures import figures
-    from scp_recon.results.pictures import picture
-
     try:
-        written = [write_atomically(results.folder / PAGE, render(results, datetime.now(UTC)))]
-        for name, figure in figures(results).items():
-            written.append(write_atomically(results.folder / f"{name}.png", picture(figure)))
+        return write_atomically(results.folder / PAGE, render(results, datetime.now(UTC)))
     except OSError as error:
         raise unwritable(results.folder, "DIR", error) from None
-    return written
+
+
+def figures(results: CampaignResults) -> dict[str, Figure]:
+    """The page's charts by name, as figures of Plotly; none if no axis has numbers."""
+    return figures_of(charts_of(results))
 
 
 def render(results: CampaignResults, made: datetime) -> str:
@@ -165,14 +169,15 @@ def _plain(value: Any) -> Any:
 
 
 def charts_of(results: CampaignResults) -> list[dict[str, Any]]:
-    """Charts of the sites and of the shape, or of each measure along the axes."""
+    """Maps of each measure and the sites on the shape, or each measure along the axes."""
     if results.is_map:
-        return [map_chart(results.by_site), shape_chart(results.by_site)]
+        sites = results.by_site
+        return [*(map_chart(sites, *measure) for measure in MEASURES), shape_chart(sites)]
     return [curve_chart(results, *measure) for measure in MEASURES] if results.varies else []
 
 
-def map_chart(results: CampaignResults) -> dict[str, Any]:
-    """Sites by longitude and latitude, in the colour of their delta-v."""
+def map_chart(results: CampaignResults, column: str, name: str) -> dict[str, Any]:
+    """Sites by longitude and latitude, in the colour of a measure."""
     data = [
         trace
         | {
@@ -180,13 +185,13 @@ def map_chart(results: CampaignResults) -> dict[str, Any]:
             "x": significant(rows[LONGITUDE].to_numpy(dtype=float) % 360.0),
             "y": significant(rows[LATITUDE]),
         }
-        for trace, rows in _by_end(results, POINTS_PX)
+        for trace, rows in _by_end(results, POINTS_PX, column, name)
     ]
     axes = map_axes((0, 360), margin_deg=2)
     axes["yaxis"]["title"] = {"text": "latitude (deg)"}
     margin = {"l": 55, "r": 10, "t": BAR_PX + LINE_PX, "b": 50}
     layout = {"height": HEIGHT_PX, "margin": margin, **axes, "legend": ABOVE}
-    return chart("map", "Sites by latitude and longitude", data, layout)
+    return chart(f"map_{column}", f"{name.capitalize()} by latitude and longitude", data, layout)
 
 
 def shape_chart(results: CampaignResults) -> dict[str, Any]:
@@ -197,7 +202,7 @@ def shape_chart(results: CampaignResults) -> dict[str, Any]:
         "lighting": {"ambient": 0.75, "diffuse": 0.4, "specular": 0.0, "fresnel": 0.0},
     }
     data: list[Trace] = [body]
-    for trace, rows in _by_end(results, 6):
+    for trace, rows in _by_end(results, 6, COST, DELTA_V):
         at = np.array([direction_of(*s) for s in zip(rows[LATITUDE], rows[LONGITUDE], strict=True)])
         places = (LIFTED * shape.radius(at)[:, None] * at).reshape(-1, 3)
         data.append(
@@ -251,16 +256,18 @@ def curve_chart(results: CampaignResults, column: str, name: str) -> dict[str, A
     return chart(column, f"{name} of the feasible cases{shown}", data, layout)
 
 
-def _by_end(results: CampaignResults, size: int) -> list[tuple[Trace, Any]]:
-    """Markers, not yet placed, of the cases with the same end, and their rows."""
+def _by_end(results: CampaignResults, size: int, column: str, name: str) -> list[tuple[Trace, Any]]:
+    """Markers without places and rows of the cases of each end; feasible ones coloured by a column."""
     found = []
     for end in results.counts():
         rows = results.ending(end)
         marker: dict[str, Any] = {"symbol": SYMBOLS[end], "size": size}
         if end == FEASIBLE:
-            bar = {"title": {"text": DELTA_V, "side": "right"}}
+            bar = {"title": {"text": name, "side": "right"}}
             line = {"color": "#333333", "width": 0.5}
-            marker |= {"color": significant(rows[COST]), "colorscale": COLOURS.capitalize()}
+            marker |= {"color": significant(rows[column]), "colorscale": COLOURS}
+            if column == CHANCE:  # Plotly would take 0.4 to 1.4 where all are 0.9
+                marker |= {"cmin": float(rows[column].min()), "cmax": 1.0}
             marker |= {"showscale": True, "colorbar": bar, "line": line}
         else:
             marker |= {"color": GREYS[end], "size": size * 0.7}

@@ -1,6 +1,6 @@
 """Write pictures with Matplotlib: formats, metadata, legends; needs the extra [report].
 
-The charts of commands and campaigns and the figures of `paper_figs` use this module.
+The charts of commands and the figures of `paper_figs` use this module.
 """
 
 from __future__ import annotations

@@ -33,7 +33,8 @@ window.campaign = (() => {
   function draw() {
     return Promise.all([...document.querySelectorAll("[data-chart]")].map((place) => {
       const { data, layout } = charts[Number(place.dataset.chart)];
-      const config = { displaylogo: false, responsive: true, scrollZoom: false };
+      const config = { displaylogo: false, responsive: true, scrollZoom: false,
+        toImageButtonOptions: { format: "png", scale: 2, filename: place.parentElement.id } };
       return Plotly.react(place, data, themed(layout), config).then(() => {
         place.removeAllListeners("plotly_click");
         place.on("plotly_click", (event) => show(event.points[0].customdata));

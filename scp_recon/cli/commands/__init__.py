@@ -101,7 +101,7 @@ report = Command(
     {
         "plans": {
             "help": "folder with a solution.json, or a file; several are overlaid; or the "
-            "folder of a campaign, finished or not, which gets its page and pictures"
+            "folder of a campaign, finished or not, which gets a page"
         },
         "out": {
             "type": Path,

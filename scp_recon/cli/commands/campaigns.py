@@ -16,7 +16,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from scp_recon.api.campaigns import run_campaign
 from scp_recon.campaigns.outcome import CampaignResults, read_campaign, remarks
-from scp_recon.campaigns.page import PAGE, has_extras, write_pictures
+from scp_recon.campaigns.page import PAGE, has_extras, write_page
 from scp_recon.campaigns.study import read_study
 from scp_recon.cli.command import Answer, progress_console, show_line, show_written
 
@@ -33,16 +33,16 @@ def campaign(options: argparse.Namespace, console: Console) -> Answer:
     for status, count in counts.items():
         show_line(console, f"{count:10,}  {status}")
     show_written(console, path)
-    pictures = write_pictures(results) if has_extras() else []
-    show_campaign(results, pictures, console)
-    if not pictures:
-        show_line(console, f"no {PAGE}: pip install 'scp_recon[report]' for the page and pictures")
+    pages = [write_page(results)] if has_extras() else []
+    show_campaign(results, pages, console)
+    if not pages:
+        show_line(console, f"no {PAGE}: pip install 'scp_recon[report]' for the page")
     document = {
         "cases": len(study.cases),
         "hash": study.hash,
         "statuses": counts,
         **summary_of(results),
-        "files": [str(file) for file in (path, *pictures)],
+        "files": [str(file) for file in (path, *pages)],
     }
     return Answer(0, document)
 

@@ -70,11 +70,11 @@ def report(options: argparse.Namespace, console: Console) -> Answer:
 
 def _report_campaign(folder: Path, console: Console) -> Answer:
     from scp_recon.campaigns.outcome import read_campaign
-    from scp_recon.campaigns.page import write_pictures
+    from scp_recon.campaigns.page import write_page
     from scp_recon.cli.commands.campaigns import show_campaign, summary_of
 
     results = read_campaign(folder)
-    written = write_pictures(results)
+    written = [write_page(results)]
     show_campaign(results, written, console)
     return Answer(0, summary_of(results) | {"files": [str(path) for path in written]})
 

@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from scp_recon.campaigns.outcome import read_campaign
-from scp_recon.campaigns.page import write_pictures
+from scp_recon.campaigns.page import write_page
 from tests.helpers import nightly
 from tests.scp_recon.browser import WINDOW, chromium, needed
 from tests.scp_recon.campaigns.shown import ERRORS, PLACES, campaign_of
@@ -31,10 +31,10 @@ def browser() -> Iterator[Any]:
 
 
 @nightly
-@pytest.mark.parametrize(("tables", "charts"), [(PLACES, 2), (ERRORS, 2)])
-def test_it_draws_opens_cases_and_asks_the_network_for_nothing(browser, tmp_path, tables, charts):
+@pytest.mark.parametrize(("tables", "charts"), [(PLACES, 3), (ERRORS, 2)])
+def test_page_draws_and_opens_cases_without_network(browser, tmp_path, tables, charts):
     campaign_of(tables, tmp_path)
-    file = write_pictures(read_campaign(tmp_path))[0]
+    file = write_page(read_campaign(tmp_path))
     page = browser.new_context(viewport=WINDOW).new_page()
     page.set_default_timeout(PATIENCE_MS)
     said: list[str] = []
