@@ -74,7 +74,7 @@ class Done(NamedTuple):
 Work = Callable[[Any], Any]
 """Makes a job's result from its inputs; must pickle."""
 Executor = Callable[[Work, Iterable[Job]], Generator[Done, None, None]]
-"""Runs jobs, taken one by one, and yields them as they end; closed early, it ends its processes."""
+"""Runs jobs, taken one by one, and yields them as they end. Closing the generator kills its workers."""
 
 
 def in_order(executor: Executor, work: Work, jobs: Iterable[Job]) -> Generator[Done, None, None]:

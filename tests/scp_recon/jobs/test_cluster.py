@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import logging
 import os
 import pickle
@@ -10,8 +9,7 @@ import signal
 import socket
 import subprocess
 import sys
-import threading
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -22,8 +20,8 @@ import pytest
 
 from scp_recon.cli.commands import montecarlo
 from scp_recon.errors import InputError
-from scp_recon.jobs.cluster import Cluster, Session, run_in_child
-from scp_recon.jobs.job import Done, Key, attempt
+from scp_recon.jobs.cluster import Cluster, run_in_child
+from scp_recon.jobs.job import Key
 from scp_recon.jobs.processes import UnfitError
 from scp_recon.monte_carlo.summary import FILE_NAME
 from tests.helpers import nightly
@@ -113,116 +111,19 @@ class After:
             self.action()
 
 
-def test_a_scheduler_without_workers_is_told_once_until_one_joins(monkeypatch):
-    workers: list[dict[str, int]] = [{}, {}, {"a": 2}, {}]
+def test_missing_workers_are_reported_once():
+    workers = [{}, {}, {"a": 2}, {}]
     said: list[str] = []
-    session = Session(Cluster("tcp://127.0.0.1:1", LIMITS, said.append), b"")
-    session.client = SimpleNamespace(nthreads=lambda: workers.pop(0))
-    monkeypatch.setattr("scp_recon.jobs.cluster.LOOK_S", -1.0)
-    counts = []
+    cluster = Cluster("tcp://127.0.0.1:1", LIMITS, said.append)
+    client, threads, counts = SimpleNamespace(nthreads=lambda: workers.pop(0)), 1, []
     while workers:
-        session.room()
+        threads = cluster._threads(client, threads)
         counts.append(len(said))
     assert counts == [1, 1, 1, 2]
-    assert "no workers" in said[0]
-
-
-class Held(distributed.utils_comm.TaskRef):  # type: ignore[misc,name-defined]  # Dask's are not typed
-    """A job's future: finished, until its result is found to be lost."""
-
-    def __init__(self, client: LosingClient, key: str) -> None:
-        super().__init__(key)
-        self.client, self.status = client, "finished"
-
-    async def wait(self) -> None:
-        """It has ended."""
-
-    def reset(self) -> None:
-        self.status = "cancelled"
-
-    def add_done_callback(self, call: Callable[[Held], None]) -> None:
-        call(self)
-
-
-class LosingClient:
-    """Dask's own `gather`, of results of which the scheduler has lost some; may close itself."""
-
-    gather, _gather = distributed.Client.gather, distributed.Client._gather
-    direct_to_workers, dashboard_link = False, ""
-
-    def __init__(self, *, lost: Collection[int] = (), takes: int = 99) -> None:
-        self.lost, self.takes = lost, takes
-        self.sent: list[int] = []
-        self.results: dict[str, Done] = {}
-        self.futures: dict[str, Held] = {}
-        self.status = "running"
-        self._gather_keys: Any = None
-        self._gather_future: Any = None
-
-    def submit(self, function: Any, *inputs: Any, **_: bool) -> Held | None:
-        if function is not run_in_child:
-            return None  # the work
-        if len(self.sent) == self.takes:
-            self.status = "closed"
-            raise distributed.client.ClosedClientError
-        job = pickle.loads(inputs[1])
-        self.sent.append(job.key)
-        key = f"run-{len(self.sent)}"
-        self.futures[key] = Held(self, key)
-        self.results[key] = attempt(Quick(), job)
-        return self.futures[key]
-
-    def sync(self, call: Any, *args: Any, asynchronous: bool = False, **options: Any) -> Any:
-        options.pop("callback_timeout", None)
-        coming = call(*args, **options)
-        return coming if asynchronous else asyncio.run(coming)
-
-    async def _gather_remote(self, *_: object) -> dict[str, Any]:
-        """The scheduler's answer, as `Scheduler.gather` gives it."""
-        keys, self._gather_keys, self._gather_future = self._gather_keys, None, None
-        if lost := [key for key in keys if self.results[key].key in self.lost]:
-            return {"status": "error", "keys": lost}
-        return {"status": "OK", "data": {key: self.results[key] for key in keys}}
-
-    def _send_to_scheduler(self, message: dict[str, str]) -> None:
-        assert message["op"] == "report-key"  # which a scheduler that is gone cannot
-
-    def nthreads(self) -> dict[str, int]:
-        return {"a worker": 1}
-
-    def close(self, **_: float) -> None:
-        self.status = "closed"
-
-
-@pytest.mark.parametrize(
-    ("first", "sent"),
-    [
-        ({"lost": {1}}, [[0, 1, 2], [1]]),
-        ({"lost": {0, 2}}, [[0, 1, 2], [0, 2]]),
-        ({"takes": 1}, [[0], [1, 2]]),
-    ],
-)
-def test_what_is_lost_or_refused_is_sent_again_and_nothing_else(monkeypatch, first, sent):
-    """Dask's client closes itself once its scheduler has been away for its timeout."""
-    clients = [LosingClient(**first), LosingClient()]
-    found, said = ran_with(clients, monkeypatch)
-    assert [client.sent for client in clients] == sent
-    assert {done.key: done.value for done in found} == {n: Quick()(n) for n in range(3)}
-    assert len(found) == 3
-    assert sum("sent again" in line for line in said) == 1
-
-
-def ran_with(clients: list[LosingClient], monkeypatch) -> tuple[list[Done], list[str]]:
-    """Three jobs over one client after the other, and what was said."""
-    coming, said = iter(clients), list[str]()
-    monkeypatch.setattr(distributed, "Client", lambda *_, **__: next(coming))
-    monkeypatch.setattr("scp_recon.jobs.cluster.LOOK_S", 0.01)
-    executor = Cluster("tcp://127.0.0.1:1", LIMITS, said.append, ahead=3)
-    return list(executor(Quick(), some_jobs(3))), said
 
 
 @nightly
-def test_a_worker_is_killed_in_mid_run(cluster, tmp_path):
+def test_killed_worker_loses_no_row(cluster, tmp_path):
     jobs = some_jobs(60)
     victim = cluster.pids()[0]
     killed = After(8, lambda: os.kill(victim, signal.SIGKILL))
@@ -234,7 +135,7 @@ def test_a_worker_is_killed_in_mid_run(cluster, tmp_path):
 
 
 @nightly
-def test_jobs_that_misbehave_are_rows(cluster, tmp_path):
+def test_misbehaving_jobs_have_rows(cluster, tmp_path):
     jobs, ways = some_jobs(20), dict(zip((2, 5, 7, 8, 11, 13, 15, 17), ENDS, strict=True))
     before = cluster.pids()
     work = Naughty(ways=tuple(ways.items()))
@@ -247,25 +148,23 @@ def test_jobs_that_misbehave_are_rows(cluster, tmp_path):
 
 
 @nightly
-def test_the_scheduler_is_restarted_in_mid_run(cluster, tmp_path):
-    jobs, said = some_jobs(60), list[str]()
+def test_lost_scheduler_stops_and_the_next_run_continues(cluster, tmp_path):
+    jobs = some_jobs(60)
     cluster.pids()
-    restarting = threading.Thread(target=cluster.begin_again)
-
-    def kill() -> None:  # here, so that it is gone before any other job can be sent
-        cluster.kill_scheduler()
-        restarting.start()
-
-    seen = After(8, kill)
-    executor = Cluster(cluster.address, LIMITS, said.append)
-    rows = run_all(Quick(0.05), jobs, tmp_path / "a", executor, seen)
-    restarting.join()
-    assert any("sent again" in line for line in said)
-    assert sorted(seen.keys, key=int) == list(range(60))
+    seen = After(8, cluster.kill_scheduler)
+    executor = Cluster(cluster.address, LIMITS)
+    with pytest.raises(InputError, match="which was lost"):
+        run_all(Quick(0.05), jobs, tmp_path / "a", executor, seen)
+    cluster.begin_again()
+    cluster.pids()
+    again = After(99, lambda: None)
+    rows = run_all(Quick(0.05), jobs, tmp_path / "a", executor, again)
+    assert not set(seen.keys) & set(again.keys)
+    assert sorted([*seen.keys, *again.keys], key=int) == list(range(60))
     assert computed(rows) == computed(run_all(Quick(), jobs, tmp_path / "b"))
 
 
-def test_a_lost_scheduler_is_told_in_one_line_not_in_a_traceback(monkeypatch):
+def test_absent_scheduler_is_an_input_error_without_traceback(monkeypatch):
     """Dask's client would log one; other programs' logs are theirs again afterwards."""
     log, heard = logging.getLogger("distributed.client"), list[bool]()
 
@@ -279,18 +178,18 @@ def test_a_lost_scheduler_is_told_in_one_line_not_in_a_traceback(monkeypatch):
     assert (heard, log.isEnabledFor(logging.CRITICAL)) == ([False], True)
 
 
-def test_a_worker_of_other_versions_is_unfit():
+def test_worker_of_other_versions_is_unfit():
     with pytest.raises(UnfitError, match="instead of"):
         run_in_child(pickle.dumps(({"scp_recon": "0"}, b"")), b"", LIMITS)
 
 
 @pytest.mark.parametrize("address", ["foo", "", "tcp://127.0.0.1:x"])
-def test_what_is_no_address_is_told_at_once(tmp_path, address):
+def test_bad_address_is_refused(tmp_path, address):
     with pytest.raises(InputError, match="must be the address of a Dask scheduler"):
         run_all(Quick(), some_jobs(2), tmp_path / "a", Cluster(address, LIMITS))
 
 
-def test_flights_are_the_same_on_a_cluster(cluster, solution, verification, tmp_path):
+def test_flights_on_a_cluster_are_the_same(cluster, solution, verification, tmp_path):
     replace(solution, verification=verification).write(tmp_path)
     words = [str(tmp_path), "--samples", "2500", "--seed", "4"]
     assert montecarlo.main(words) == 0
