@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import os
 import pickle
-import queue
 import resource
 import select
 import signal
@@ -19,8 +18,10 @@ import threading
 import time
 import warnings
 from collections.abc import Generator, Iterable
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextlib import suppress
 from dataclasses import dataclass
+from itertools import islice
 from math import inf, isfinite
 from pathlib import Path
 from signal import SIGALRM, SIGKILL, SIGPROF
@@ -93,56 +94,29 @@ class Processes:
         Raises:
             InputError: if the processes cannot load the work.
         """
-        pickled = pickle.dumps(work)
-        children = [Child(pickled, self.limits) for _ in range(self.workers)]
-        # A few ahead of who takes them: memory stays bounded.
-        ended: queue.Queue[Done | BaseException | None] = queue.Queue(4 * self.workers)
-        left, taking, stopped = iter(jobs), threading.Lock(), threading.Event()
+        children = [Child(pickle.dumps(work), self.limits) for _ in range(self.workers)]
+        left, running = iter(jobs), dict[Future[Done], Child]()
+        pool = ThreadPoolExecutor(self.workers)
 
-        def put(item: Done | BaseException | None) -> None:
-            while not stopped.is_set():
-                try:
-                    return ended.put(item, timeout=0.5)
-                except queue.Full:
-                    continue
-            return None
+        def begin(child: Child) -> None:
+            for job in islice(left, 1):
+                running[pool.submit(child.run, job)] = child
 
-        def look_after(child: Child) -> None:
-            try:
-                while not stopped.is_set():
-                    with taking:
-                        job = next(left, None)
-                    if job is None:
-                        break
-                    put(child.run(job))
-            except StoppedError:
-                return
-            except UnfitError as error:
-                put(InputError(option("workers"), str(error), "must be able to run the work"))
-            except BaseException as error:  # of the jobs' source, or of this machine
-                put(error)
-            put(None)
-
-        threads = [threading.Thread(target=look_after, args=(c,), daemon=True) for c in children]
         try:
-            for thread in threads:
-                thread.start()
-            working = len(threads)
-            while working:
-                item = ended.get()
-                if isinstance(item, BaseException):
-                    raise item
-                if item is None:
-                    working -= 1
-                else:
-                    yield item
+            for child in children:
+                begin(child)
+            while running:
+                for ended in wait(running, return_when=FIRST_COMPLETED).done:
+                    done = ended.result()
+                    begin(running.pop(ended))
+                    yield done
+        except UnfitError as error:
+            allowed = "must be able to run the work"
+            raise InputError(option("workers"), str(error), allowed) from None
         finally:
-            stopped.set()
             for child in children:
                 child.stop()
-            for thread in threads:
-                if thread.is_alive():
-                    thread.join()
+            pool.shutdown()
             for child in children:
                 child.end()
 
