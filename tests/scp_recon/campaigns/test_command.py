@@ -37,7 +37,7 @@ def written(path: Path, text: str) -> str:
     return str(path)
 
 
-def test_without_the_extra_for_pages_the_rest_is_there(tmp_path, monkeypatch, capsys):
+def test_campaign_runs_without_the_report_extra(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(campaigns, "has_extras", lambda: False)
     text = REFUSED.replace("count = 40", "count = 2")
     study, out = written(tmp_path / "study.toml", text), tmp_path / "out"
@@ -47,7 +47,7 @@ def test_without_the_extra_for_pages_the_rest_is_there(tmp_path, monkeypatch, ca
     assert "no campaign.html" in said
 
 
-def test_a_study_ends_with_its_table_and_its_solutions(tmp_path, capsys):
+def test_study_writes_table_and_solutions(tmp_path, capsys):
     study, out = written(tmp_path / "study.toml", STUDY), tmp_path / "out"
     assert command.main([study, "--out", str(out), "--workers", "0", "--json"]) == 0
     said = capsys.readouterr()
@@ -75,7 +75,7 @@ def test_a_study_ends_with_its_table_and_its_solutions(tmp_path, capsys):
         ({"limit_s": 5.0}, ["limit_s: not kept with --workers 0, where no case can be ended"]),
     ],
 )
-def test_limits_that_are_asked_for_and_not_kept_are_told(limits, said):
+def test_limits_without_processes_are_reported(limits, said):
     study, heard = Study.validated({"campaign": limits}), list[str]()
     assert executor_of(study, 0, None, heard.append) is here
     assert heard == said
@@ -83,7 +83,7 @@ def test_limits_that_are_asked_for_and_not_kept_are_told(limits, said):
     assert heard == said
 
 
-def test_an_interrupted_campaign_keeps_what_is_done_and_goes_on(tmp_path, monkeypatch, capsys):
+def test_interrupted_campaign_keeps_rows_and_continues(tmp_path, monkeypatch, capsys):
     """Ctrl-C with the third row, and a termination with the fifth, of a real process."""
     text = REFUSED.replace("count = 40", "count = 7")
     study, out, put = written(tmp_path / "study.toml", text), tmp_path / "out", Store.put

@@ -34,7 +34,7 @@ def errors(tmp_path_factory) -> CampaignResults:
     return read_campaign(folder)
 
 
-def test_campaign_without_navigation_in_schedule_is_read(mapped, tmp_path):
+def test_campaign_of_the_former_lead_is_read(mapped, tmp_path):
     _, results = mapped
     folder = shutil.copytree(results.folder, tmp_path / "older")
     data = json.loads((folder / FILE_NAME).read_text("utf-8"))

@@ -58,7 +58,7 @@ def stopped(work: Work, jobs: Iterable[Job]) -> Generator[Done, None, None]:
     raise KeyboardInterrupt
 
 
-def test_a_table_is_the_same_stopped_and_continued_elsewhere(tmp_path):
+def test_table_is_the_same_when_continued_elsewhere(tmp_path):
     with pytest.raises(KeyboardInterrupt):
         run(tmp_path / "a", stopped)
     kept = read_results(tmp_path / "a")
@@ -120,7 +120,7 @@ def test_other_packages_keep_the_rows(tmp_path, monkeypatch):
     assert run(tmp_path, raising(AssertionError())).equals(first)
 
 
-def test_a_folder_that_is_no_campaigns_is_refused_as_such(tmp_path):
+def test_folder_of_something_else_is_refused(tmp_path):
     """A table that was copied there would pass for this study's."""
     for left in (RESULTS, ROWS, "rows"):
         (tmp_path / left).write_bytes(b"")
@@ -142,14 +142,14 @@ def test_a_folder_that_is_no_campaigns_is_refused_as_such(tmp_path):
         run(tmp_path)
 
 
-def test_a_finished_campaign_is_not_run_again_and_says_so(tmp_path):
+def test_finished_campaign_is_not_run_again(tmp_path):
     seen: list[tuple[Any, ...]] = []
     first = run(tmp_path)
     assert run(tmp_path, raising(AssertionError()), lambda *told: seen.append(told)).equals(first)
     assert seen == [(9, 9, None)]
 
 
-def test_a_table_has_all_rows_or_is_not_written(tmp_path):
+def test_table_is_written_whole_or_not_at_all(tmp_path):
     """Whatever an executor leaves out."""
     with pytest.raises(RuntimeError, match="2 rows of 9 cases"):
         run(tmp_path, lambda work, jobs: here(work, list(jobs)[:2]))
@@ -173,7 +173,7 @@ def test_a_column_holds_all_values_of_an_entry(values, cells):
 
 
 @pytest.mark.parametrize("do", get_args(Do))
-def test_a_case_has_done_to_it_what_its_campaign_says(do, default_plan, verification, monkeypatch):
+def test_case_follows_the_do_of_its_study(do, default_plan, verification, monkeypatch):
     """With its own seed; only what is to be certified is planned so."""
     certified: list[bool] = []
 
@@ -221,7 +221,7 @@ def test_the_year_takes_a_window_of_so_many():
     assert len(cases) == round(10.0 * 24.0 / 4.2957 / 20.0)
 
 
-def test_a_site_in_the_dark_is_refused_with_its_reason():
+def test_dark_site_is_refused_with_its_reason():
     study = study_of("reconnaissance_map")
     dark = next(case for case in study.cases if case.changes["site.latitude_deg"] < -70.0)
     with pytest.raises(ValueError, match="lighting window"):

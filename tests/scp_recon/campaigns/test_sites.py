@@ -48,7 +48,7 @@ def test_each_site_has_its_share_of_the_area(surface):
 
 
 @pytest.mark.parametrize("surface", [BENNU, LONG])
-def test_a_mesh_has_the_sites_of_the_surface_it_is_of(surface):
+def test_mesh_of_an_ellipsoid_has_its_sites(surface):
     found = shares(surface, even_sites(meshed(surface), 60)).std()
     assert found == pytest.approx(shares(surface, even_sites(surface, 60)).std(), abs=0.1)
 
@@ -62,7 +62,7 @@ def test_the_parts_make_up_the_surface(surface):
 
 
 @pytest.mark.parametrize("longitude", [0.0, 41.8, -120.0, 179.9])
-def test_it_is_noon_when_it_is_said_to_be(longitude):
+def test_sun_is_at_noon_at_each_site(longitude):
     scenario = load_scenario("recon_b")
     moment = noons_of(scenario)(longitude)
     rotation = Scene.of(scenario).rotation
@@ -84,7 +84,7 @@ def test_a_study_spreads_sites_and_moves_their_epochs():
         assert noon_s == pytest.approx(14_838, abs=2)
 
 
-def test_a_body_without_a_shape_has_no_sites_to_spread():
+def test_sites_without_shape_or_radii_are_refused():
     base = load_scenario("recon_b")
     body = base.body.model_copy(update={"radii_m": None})
     with pytest.raises(InputError, match=r"body\.radii_m"):

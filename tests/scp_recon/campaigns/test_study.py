@@ -73,7 +73,7 @@ def test_every_kind_of_axis_gives_its_rows():
         ({"law": "loguniform", "low": 100.0, "high": 200.0}, 144.27, 28.69),
     ],
 )
-def test_draws_follow_their_law_and_more_of_them_keep_the_first(law, mean, spread):
+def test_more_draws_keep_the_first_ones(law, mean, spread):
     def drawn(count: int) -> list[float]:
         axis = {"draws": [{"entry": "spacecraft.mass_kg", **law}], "count": count}
         return [row["spacecraft.mass_kg"] for row in study(axis).axes[0]]
@@ -154,7 +154,7 @@ def test_everything_that_is_wrong_is_told():
     assert "axis 2, row 1: burns.dv_max" in str(caught.value)
 
 
-def test_axes_that_contradict_each_other_in_every_case_are_refused():
+def test_axes_invalid_in_every_combination_are_refused():
     """Each is a scenario alone."""
     sigmas = ("initial_sigma_position_m", "initial_sigma_velocity_m_s", "initial_frame")
     absolute = {
@@ -247,7 +247,7 @@ def test_policies_and_navigation_are_axes():
     assert study(LEAD, do="fly", policy="replan", overrides=MEASURED).campaign.policy == "replan"
 
 
-def test_a_billion_cases_are_counted_not_made_and_have_to_be_meant():
+def test_billion_cases_are_counted_and_need_consent():
     grids = [
         {"entry": entry, "grid": {"from": 0.1, "to": 0.2, "count": 1000}}
         for entry in ("burns.dv_max_m_s", "uncertainty.execution_error", "risk.p_chance")

@@ -20,7 +20,7 @@ def number(request, monkeypatch):
 
 
 @pytest.mark.parametrize("count", [0, 1, 2, 7])
-def test_results_come_in_the_order_of_the_items_from_several_processes(number, count):
+def test_results_keep_the_order_of_items(number, count):
     told = []
     found = cores.each(lambda item: (item**2, os.getpid()), range(count), told.append)
     assert [square for square, _ in found] == [item**2 for item in range(count)]
@@ -30,7 +30,7 @@ def test_results_come_in_the_order_of_the_items_from_several_processes(number, c
 
 
 @pytest.mark.usefixtures("number")
-def test_an_exception_is_that_of_the_work_and_ends_the_others():
+def test_exception_of_the_work_ends_other_processes():
     def work(item):
         if item:
             raise ZeroDivisionError(item)
@@ -45,7 +45,7 @@ def test_an_exception_is_that_of_the_work_and_ends_the_others():
 
 
 @pytest.mark.usefixtures("number")
-def test_work_is_done_here_where_its_process_dies_or_cannot_be_started(monkeypatch):
+def test_work_of_a_dead_copy_is_done_here(monkeypatch):
     here = os.getpid()
 
     def work():
@@ -60,7 +60,7 @@ def test_work_is_done_here_where_its_process_dies_or_cannot_be_started(monkeypat
         assert result() == "done"
 
 
-def test_no_more_cores_are_used_than_the_process_is_told(monkeypatch):
+def test_cores_are_limited_by_the_environment(monkeypatch):
     monkeypatch.setenv(cores.CORES, "1")
     assert cores.cores() == 1
     for said in ("", "0", "many"):

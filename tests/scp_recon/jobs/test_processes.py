@@ -24,7 +24,7 @@ def backwards(work: Work, jobs: Iterable[Job]) -> Generator[Done, None, None]:
 
 
 @pytest.mark.parametrize("executor", [here, Processes(1, LIMITS), Processes(3), backwards])
-def test_rows_and_results_in_their_order_are_the_same_for_any_split(executor, tmp_path):
+def test_rows_are_the_same_for_any_split(executor, tmp_path):
     jobs = some_jobs(40)
     rows = run_all(Quick(), jobs, tmp_path / "a", executor)
     assert computed(rows) == computed(run_all(Quick(), jobs, tmp_path / "b"))
@@ -34,7 +34,7 @@ def test_rows_and_results_in_their_order_are_the_same_for_any_split(executor, tm
 
 
 @pytest.mark.parametrize("apart", usually([False, True], 1))
-def test_jobs_that_misbehave_are_rows_and_the_others_are_as_ever(apart, tmp_path):
+def test_misbehaving_jobs_do_not_change_other_rows(apart, tmp_path):
     jobs, ways = some_jobs(18), dict(zip(range(1, 17, 2), ENDS, strict=True))
     executor = Processes(2, replace(LIMITS, apart=apart))
     found = run_all(Naughty(ways=tuple(ways.items())), jobs, tmp_path / "a", executor)
@@ -78,7 +78,7 @@ def test_a_result_raises_what_the_work_raised(executor, tmp_path):
 
 
 @pytest.mark.parametrize(("apart", "before"), [(False, [0, 1, 2]), (True, [0, 0, 0])])
-def test_a_job_apart_runs_where_no_other_has_run(apart, before):
+def test_job_apart_runs_in_a_fresh_process(apart, before):
     executor = Processes(1, replace(LIMITS, apart=apart))
     assert [done.result() for done in executor(jobs_before, some_jobs(3))] == before
 
@@ -106,7 +106,7 @@ def unpicklable(_: int) -> object:
     return lambda: None
 
 
-def test_jobs_are_taken_as_they_are_needed_and_an_early_end_leaves_no_process():
+def test_early_close_leaves_no_process():
     """Who stops early, as flights do whose interval is narrow, has not had a million jobs made."""
     taken, before = [], set(children())
 

@@ -59,7 +59,7 @@ def test_no_row_is_lost_or_doubled(steps):
 
 
 @pytest.mark.parametrize("place", [5, -5])
-def test_a_damaged_row_is_none_and_the_others_stay(tmp_path, place):
+def test_damaged_row_is_dropped_alone(tmp_path, place):
     path = tmp_path / "rows.jsonl"
     with Store(path, DEPENDS_ON) as store:
         for key in range(3):
@@ -76,7 +76,7 @@ def test_a_damaged_row_is_none_and_the_others_stay(tmp_path, place):
     reliability.count(reliability.FAULTS)
 
 
-def test_a_later_row_of_a_key_counts_and_a_row_is_made_once(tmp_path):
+def test_later_row_of_a_key_counts(tmp_path):
     with Store(tmp_path / "rows.jsonl", DEPENDS_ON) as store:
         store.put("a", {"x": 1})
         store.put("a", {"x": 2})
@@ -89,7 +89,7 @@ def test_a_later_row_of_a_key_counts_and_a_row_is_made_once(tmp_path):
 
 
 @pytest.mark.parametrize("text", ["", "{", '{"schema": "another", "depends_on": {}}\n{"key": 1}\n'])
-def test_rows_of_anything_else_do_not_count_and_are_there_until_the_first_row(tmp_path, text):
+def test_foreign_rows_stay_until_the_first_put(tmp_path, text):
     path = tmp_path / "rows.jsonl"
     path.write_text(text, encoding="utf-8")
     with Store(path, DEPENDS_ON) as store:
@@ -116,7 +116,7 @@ def test_one_writer_at_a_time(tmp_path):
     Store(tmp_path / "rows.jsonl", DEPENDS_ON).close()
 
 
-def test_a_disk_that_is_full_ends_with_one_message_and_is_continued(tmp_path):
+def test_full_disk_stops_and_the_run_continues(tmp_path):
     """The system itself refuses to make a file longer, in the middle of a line."""
     jobs, unlimited = some_jobs(50), resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (2_000, unlimited[1]))
@@ -146,7 +146,7 @@ def test_a_row_has_its_files_before_it(tmp_path, monkeypatch):
     assert [key for key, _ in read_rows(tmp_path / "rows.jsonl")] == [0]
 
 
-def test_what_is_no_file_is_one_message_and_leaves_no_lock(tmp_path):
+def test_unusable_path_is_refused_and_leaves_no_lock(tmp_path):
     (tmp_path / "rows.jsonl").mkdir()
     with pytest.raises(InputError, match=r"is a directory.* must be a folder to write to"):
         Store(tmp_path / "rows.jsonl", DEPENDS_ON)
@@ -156,7 +156,7 @@ def test_what_is_no_file_is_one_message_and_leaves_no_lock(tmp_path):
         Store(tmp_path / "file" / "rows.jsonl", DEPENDS_ON)
 
 
-def test_rows_are_json_whose_numbers_come_back_to_the_last_bit(tmp_path):
+def test_numbers_of_rows_are_read_back_exactly(tmp_path):
     values = {"tiny": 5e-324, "third": 1.0 / 3.0, "big": 2**62, "list": [True, None, "x"]}
     with Store(tmp_path / "rows.jsonl", {"a": 1}) as store:
         store.put("key", values)

@@ -45,13 +45,13 @@ def seen(browser, html_file) -> Seen:
     return found
 
 
-def test_it_says_no_error_and_asks_the_network_for_nothing(seen, html_file):
+def test_page_loads_without_errors_or_network(seen, html_file):
     assert seen.said == []
     outside = [url for url in seen.asked_for if not url.startswith(("data:", "blob:"))]
     assert outside == [html_file.as_uri()]
 
 
-def test_the_verdict_is_there_before_every_chart_is_drawn(seen):
+def test_verdict_is_readable_before_charts_are_drawn(seen):
     painted, view = seen.page.evaluate(
         "[performance.getEntriesByName('first-contentful-paint')[0].startTime,"
         " performance.getEntriesByName('first-view')[0].startTime]"
@@ -66,9 +66,7 @@ def test_the_verdict_is_there_before_every_chart_is_drawn(seen):
     assert seen.page.locator("#flight canvas").count() >= 1
 
 
-def test_the_slider_moves_the_spacecraft_to_the_nodes_as_far_from_the_site_as_is_said(
-    seen, subject
-):
+def test_slider_moves_the_spacecraft_to_each_node(seen, subject):
     states = np.array(subject.solution.nodes.state)
     for node in (0, 40, len(states) - 1):
         time = subject.nodes_s[node]
@@ -121,7 +119,7 @@ def test_tables_are_read_without_scripts(browser, html_file, subject):
 
 
 @nightly
-def test_it_prints_at_once_with_every_chart_and_the_view(browser, html_file):
+def test_printed_page_has_every_chart(browser, html_file):
     """As a browser without a window does, which waits for no frame."""
     page = browser.new_context(viewport=WINDOW).new_page()
     page.add_init_script(

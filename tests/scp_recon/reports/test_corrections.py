@@ -94,7 +94,7 @@ def test_python_has_the_charts_of_the_page(shown, subject, monkeypatch):
         assert len(drawn[chart["key"]].data) == len(chart["data"]) - following
 
 
-def test_the_picture_has_site_and_spacecraft_as_they_are_amid_the_window(shown, subject):
+def test_picture_is_of_the_middle_of_the_window(shown, subject):
     traces = picture([shown], shown.shape)["data"]
     site, craft = (
         np.array([trace[axis][0] for axis in "xyz"])

@@ -45,7 +45,7 @@ def test_rays_hit_an_ellipsoid_where_the_quadratic_says(rng):
     np.testing.assert_allclose(found[both], expected[both], atol=1e-3)
 
 
-def test_the_field_of_view_is_about_the_site_at_the_camera_s_angle_on_the_ground(subject):
+def test_footprint_subtends_the_camera_angle(subject):
     scenario, mission = subject.solution.scenario, subject.mission
     track = ground_track(subject, shape_of(scenario), Camera())
     site = mission.site.position_body
@@ -83,7 +83,7 @@ def in_the_body(subject: Subject, times_s: Array) -> Array:
     return np.einsum("nji,nj->ni", at, subject.positions(times_s))
 
 
-def test_the_sun_stands_on_the_horizon_at_the_terminator(subject):
+def test_sun_is_on_the_horizon_at_the_terminator(subject):
     mission = subject.mission
     for time in (0.0, 15_000.0):
         longitude, latitude = terminator(subject, time)
@@ -120,7 +120,7 @@ def test_a_shell_keeps_to_its_distances_and_angles(rng):
     assert ((angle > 0.3 - 1e-6) & (angle < 0.8 + 1e-6)).all()
 
 
-def test_a_large_mesh_is_drawn_with_fewer_facets_that_close_around_the_centre():
+def test_large_mesh_is_simplified_and_stays_closed():
     fine = ellipsoid(np.array([280.0, 270.0, 250.0]), "")
     vertices, facets = fine.vertices_m, fine.facets
     for _ in range(2):  # every facet in three, about its middle
@@ -142,7 +142,7 @@ def test_a_large_mesh_is_drawn_with_fewer_facets_that_close_around_the_centre():
     np.testing.assert_allclose(shape.radius(ray), fine.radius(ray), rtol=0.01)
 
 
-def test_a_shape_file_is_drawn_and_a_missing_one_is_told(solution, tmp_path):
+def test_missing_shape_file_is_named(solution, tmp_path):
     rock = Ellipsoid(np.array([100.0, 100.0, 90.0])).tessellated(0)
     file = write_obj(tmp_path / "rock.obj", rock)
     given = {"shape_file": str(file), "shape_unit": "m"}

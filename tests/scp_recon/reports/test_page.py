@@ -53,7 +53,7 @@ def numbers(table: Table) -> list[list[float]]:
     return [[cell.value for cell in row if cell.is_number] for row in table.rows]  # type: ignore[misc]
 
 
-def test_one_file_refers_to_nothing_else_and_says_first_its_verdict(html_file, html, verified):
+def test_page_is_self_contained_and_begins_with_verdict(html_file, html, verified):
     assert html_file.stat().st_size < BYTES_MAX
     shown = html[: html.index('id="report-data"')]
     referred = re.findall(r'\b(?:src|href|action)="([^"]*)"', shown)
@@ -119,7 +119,7 @@ def test_every_figure_is_one_of_plotlys(page):
     assert len(set(keys)) == len(keys) == 9  # without a simulation
 
 
-def test_a_required_probability_is_drawn_only_for_what_it_is_required_of(page):
+def test_required_probability_is_drawn_where_it_applies(page):
     """That of nodes not across the share of whole flights, which is all that several plans show."""
     (shown,) = page.plans
     flight = {"risk.p_chance": 0.8, "risk.scope": "flight", "risk.allocation": "exact"}
@@ -148,7 +148,7 @@ def test_a_required_probability_is_drawn_only_for_what_it_is_required_of(page):
         assert sum(s["type"] == "line" for s in layout["shapes"]) == len(expected)
 
 
-def test_a_uniform_plan_that_reaches_more_is_told_of_exact_risk(verified):
+def test_surplus_of_a_uniform_plan_suggests_exact_risk(verified):
     (line,) = _surplus(Subject("plan", verified, path=Path("my runs/one")))
     assert re.match(r"flights reach at least 0\.\d{4} where 0\.7 is required", line)
     program, *words = shlex.split(line.rpartition("with: ")[2])
@@ -162,7 +162,7 @@ def test_a_uniform_plan_that_reaches_more_is_told_of_exact_risk(verified):
 
 
 @pytest.mark.usefixtures("few_flights")
-def test_names_are_shown_as_they_are_and_end_no_script(verified):
+def test_names_are_escaped(verified):
     hostile = "</script><b onload=alert(1)>&\"'"
     scenario = verified.scenario.model_copy(update={"name": hostile})
     solution = replace(verified, scenario=scenario)
@@ -190,9 +190,7 @@ def test_several_plans_are_laid_over_each_other(page, verified, plan_folder):
 
 
 @pytest.mark.usefixtures("few_flights")
-def test_the_command_writes_where_it_is_told_or_says_why_not(
-    plan_folder, tmp_path, monkeypatch, capsys
-):
+def test_command_writes_out_or_refuses(plan_folder, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "folder.html").mkdir()
     for arguments, said in (
@@ -216,7 +214,7 @@ def elsewhere(solution: Solution, table: str, **entries: Any) -> Solution:
     return replace(solution, scenario=solution.scenario.model_copy(update={table: section}))
 
 
-def test_too_many_plans_and_those_of_several_bodies_or_epochs_are_refused(verified):
+def test_plans_that_do_not_fit_are_refused(verified):
     later = verified.scenario.epoch.tdb + timedelta(seconds=10)
     number = f"must be 1 to {PLANS_MAX} plans"
     for plans, said in (
@@ -229,7 +227,7 @@ def test_too_many_plans_and_those_of_several_bodies_or_epochs_are_refused(verifi
             subjects_of(plans)
 
 
-def test_flights_of_another_plan_are_passed_over_and_named(plan_folder, subject, tmp_path):
+def test_flights_of_another_plan_are_skipped(plan_folder, subject, tmp_path):
     assert subject.summary is not None
     other = replace(subject.solution, burns=subject.solution.burns[::1])
     other.write(tmp_path)
@@ -243,9 +241,7 @@ def test_flights_of_another_plan_are_passed_over_and_named(plan_folder, subject,
 
 
 @pytest.mark.usefixtures("few_flights")
-def test_solve_writes_it_beside_the_plan_and_one_of_a_failed_plan_beside_that(
-    tmp_path, monkeypatch
-):
+def test_solve_writes_the_report_beside_the_plan(tmp_path, monkeypatch):
     unknown = Diagnosis(Status.MAX_ITERATIONS, (), ())  # which takes long to find out
     monkeypatch.setattr(planning, "diagnose", lambda *_: unknown)
     run = run_solve(tmp_path, "--report")
@@ -285,7 +281,7 @@ def earliest(page: Page, keys: set[str]) -> float:
 
 @pytest.mark.usefixtures("few_flights")
 @pytest.mark.parametrize("at_s", [IN_THE_WINDOW, AFTER_IT])
-def test_nothing_is_shown_of_a_time_before_the_plan(left, at_s):
+def test_report_begins_at_the_start_of_plan(left, at_s):
     (subject,) = subjects_of([left[at_s]])
     assert fly(subject, samples=10).times_s[0] == at_s
     page = page_of([subject], Camera(), MADE)
@@ -299,7 +295,7 @@ def test_nothing_is_shown_of_a_time_before_the_plan(left, at_s):
 
 
 @pytest.mark.usefixtures("few_flights")
-def test_burns_have_the_numbers_that_they_have_in_the_flight(left):
+def test_burns_keep_their_numbers_of_the_flight(left):
     page = page_of(subjects_of([left[AFTER_IT]]), Camera(), MADE)
     charts = {chart["key"]: chart["data"] for chart in page.charts}
     assert charts["budget"][0]["x"] == ["burn 3", "burn 4"]
