@@ -181,14 +181,6 @@ def own_columns(errors: ExecutionErrors, burn: ca.MX) -> ca.MX:
     return _componentwise(errors).fraction * ca.diag(burn)
 
 
-def correction_covariance(errors: ExecutionErrors, gains: ca.MX) -> ca.MX:
-    """Covariance of a correction's errors by gains (3, n): see `ExecutionErrors.correction_columns`."""
-    if isinstance(errors, GatesErrors):
-        across = errors.pointing_proportional**2 * ca.sumsqr(gains) * ca.MX(np.eye(3))
-        return across + errors.along_more**2 * gains @ gains.T
-    return ca.diag(_componentwise(errors).fraction ** 2 * ca.sum2(gains**2))
-
-
 def own_covariance(errors: ExecutionErrors, burn: ca.MX) -> ca.MX:
     """Covariance C C' of a burn's own columns, shape (3, 3), smooth where the burn (3,) vanishes."""
     if isinstance(errors, GatesErrors):

@@ -8,8 +8,7 @@ penalty serves both methods.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
-from functools import partial
+from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
@@ -84,12 +83,9 @@ class Program:
         start: initial values, shape (n,).
         burns: shape (3, m).
         mean: node means after the burns, shape (6, n_nodes).
-        cost: total delta-v, or the cost of the policy with corrections.
+        cost: total delta-v.
         blocks: the constraints.
         mapped: addition to the values of the leading blocks.
-        gains: of corrected burns, as `Iterate` has them.
-        bounded: number of the last unknowns that are not negative.
-        kept: objects that must live as long as the program.
     """
 
     unknowns: ca.MX
@@ -99,9 +95,6 @@ class Program:
     cost: ca.MX
     blocks: tuple[NlpRows, ...]
     mapped: Mapped | None = None
-    gains: ca.MX = field(default_factory=partial(ca.MX, 0, 1))
-    bounded: int = 0
-    kept: tuple[ca.Callback, ...] = ()
 
     @property
     def smooth(self) -> ca.MX:
@@ -115,10 +108,9 @@ class Program:
         return smooth if self.mapped is None else smooth + _padded(self.mapped.value, smooth)
 
     def iterate(self, point: Array) -> Iterate:
-        """Burns, means and gains at values of the unknowns."""
-        parts = [self.burns, self.mean, self.gains]
-        burns, mean, gains = ca.Function("iterate", [self.unknowns], parts)(point)
-        return Iterate(np.array(burns).T, np.array(mean).T, np.array(gains).ravel())
+        """Burns and means at values of the unknowns."""
+        burns, mean = ca.Function("iterate", [self.unknowns], [self.burns, self.mean])(point)
+        return Iterate(np.array(burns).T, np.array(mean).T)
 
     def residuals(self, point: Array) -> dict[str, Array]:
         """Rows by constraint name at values of the unknowns."""
@@ -194,10 +186,7 @@ def assemble(program: Program, penalty: float | None) -> Assembled:
         objective=objective,
         rows=rows,
         rows_upper=np.where(equality, 0.0, np.inf),
-        lower=np.r_[
-            np.full(len(program.start) - program.bounded, -np.inf),
-            np.zeros(program.bounded + len(row)),
-        ],
+        lower=np.r_[np.full(len(program.start), -np.inf), np.zeros(len(row))],
         start=np.r_[program.start, np.maximum(-sign * residual[row], 0.0)],
         jacobian=jacobian,
         hessian=hessian,

@@ -15,11 +15,9 @@ from typing import Literal
 
 import casadi as ca
 import numpy as np
-import scipy.sparse as sp
 
 from formulations.arrays import Array, Indices
-from formulations.nlp import closed_loop
-from formulations.nlp.covariance import GUARD, Spread, root
+from formulations.nlp.covariance import GUARD, Spread, own_covariance, root, shared_columns
 from formulations.nlp.program import (
     Arcs,
     Mapped,
@@ -255,10 +253,10 @@ def _pack(problem: FlybyProblem, spread: Spread | None, layout: _Layout, start: 
 
 @dataclass(frozen=True)
 class SingleShooting:
-    """A transcription; see `program.Transcription`. It starts from the guess's burns and gains alone.
+    """A transcription; see `program.Transcription`. It starts from the guess's burns alone.
 
-    Arcs carry the mean and the STM from the last burn, from which `closed_loop` makes covariances.
-    Burns that are held are no unknowns: their sizes have no derivative.
+    Arcs carry the mean and the STM from the last burn, from which covariances follow. Burns that are
+    held are no unknowns: their sizes have no derivative.
     """
 
     def __call__(
@@ -266,54 +264,75 @@ class SingleShooting:
     ) -> Program:
         """Write the program down."""
         del elastic  # every row is a signed distance in any case
-        limited = [] if facets is None else _final_limits(problem)
-        looked_at = -1 if facets is None else int(facets.node.max(initial=-1))
-        last = problem.n_nodes - 1 if limited else looked_at
-        free = np.setdiff1d(
-            np.arange(problem.controls_before[-1]), problem.controls_of(problem.held)
-        )
-        first = start.iterate.burns, closed_loop.first_gains(problem, start.iterate.gains)
-        own = ca.MX.sym("x", len(free))
-        place = sp.csc_matrix(
-            (np.ones(len(free)), (free, np.arange(len(free)))),
-            shape=(problem.controls_before[-1], len(free)),
-        )
-        controls = ca.DM(place) @ own
-        burns = ca.reshape(controls[problem.burn_controls.ravel().tolist()], 3, problem.n_burns)
-        all_gains = controls[problem.gain_controls.tolist()]
-        gains = closed_loop.gains_of(problem, all_gains)
-        node, stm = _roll_out(problem, arcs, last, burns)
+        free = np.setdiff1d(np.arange(problem.n_burns), problem.held)
+        own = ca.MX.sym("x", 3 * len(free))
+        burns = ca.MX(3, problem.n_burns)
+        burns[:, free.tolist()] = ca.reshape(own, 3, len(free))
+        last = last_spread_node(problem, facets)
+        node, stm = roll_out(problem, arcs, last, burns)
         mean = ca.horzcat(*node)
-        starts = closed_loop.covariances(problem, burns, gains, stm, last)
-        deviation = None
-        if facets is not None and looked_at >= 0:
-            deviation = _deviations(problem, facets, starts, stm)
-        final = [
-            NlpRows(name, limit - root(ca.trace(starts[-1][part, part])))
-            for name, part, limit in limited
-        ]
-        policy = closed_loop.policy(problem, burns, gains, first)
+        covariances = _covariances(problem, burns, stm, last)
         blocks = (
             final_state_block(problem, mean),
             *burn_blocks(replace(problem, held=()), burns, printed=False),
-            *state_blocks(problem, facets, mean, deviation, printed=False),
-            *final,
-            *policy.blocks,
+            *spread_blocks(problem, facets, mean, covariances, stm),
         )
-        return Program(
-            unknowns=ca.vertcat(own, policy.unknowns),
-            start=np.r_[problem.controls(*first)[free], policy.start],
-            burns=burns,
-            mean=mean,
-            cost=policy.cost,
-            blocks=blocks,
-            gains=all_gains,
-            bounded=len(policy.start),
-            kept=policy.kept,
-        )
+        point = start.iterate.burns[free].ravel()
+        return Program(own, point, burns, mean, ca.sum2(norms(burns)), blocks)
 
 
-def _roll_out(
+def last_spread_node(problem: FlybyProblem, facets: Facets | None) -> int:
+    """Last node whose covariance the rows of a program need; -1 if none."""
+    if facets is None:
+        return -1
+    limited = problem.final_spread != (None, None)
+    return problem.n_nodes - 1 if limited else int(facets.node.max(initial=-1))
+
+
+def spread_blocks(
+    problem: FlybyProblem,
+    facets: Facets | None,
+    mean: ca.MX,
+    covariances: list[ca.MX],
+    stm: list[ca.MX],
+) -> Iterator[NlpRows]:
+    """State constraints on the means (6, n_nodes), and limits on the final covariance.
+
+    The covariances (6, 6) are those at the starts of the legs, and the STMs lead from there.
+    """
+    deviation = None
+    if facets is not None and len(facets.node):
+        deviation = _deviations(problem, facets, covariances, stm)
+    yield from state_blocks(problem, facets, mean, deviation, printed=False)
+    if facets is not None:
+        for (name, part), limit in zip(PARTS, problem.final_spread, strict=True):
+            if limit is not None:
+                yield NlpRows(name, limit - root(ca.trace(covariances[-1][part, part])))
+
+
+def _covariances(problem: FlybyProblem, burns: ca.MX, stm: list[ca.MX], last: int) -> list[ca.MX]:
+    """Covariances (6, 6) of the deviation at the start of each leg that begins at a node up to `last`.
+
+    States have six components and the errors that all burns share; see `roll_out` for the STMs.
+    """
+    errors, starts = problem.execution_errors, problem.leg_starts
+    first = np.eye(6 + errors.shared)
+    first[:6, :6] = problem.initial_factor @ problem.initial_factor.T
+    covariance, found = ca.MX(ca.DM(first)), []
+    for leg, node in enumerate(starts[starts <= last].tolist()):
+        if leg > 0:
+            flown = ca.diagcat(stm[node], ca.MX(np.eye(errors.shared)))
+            covariance = flown @ covariance @ flown.T
+        if (burn := leg - problem.coasts) >= 0:
+            kick = ca.MX(np.eye(6 + errors.shared))
+            kick[3:6, 6:] = shared_columns(errors, burns[:, burn])
+            covariance = kick @ covariance @ kick.T
+            covariance[3:6, 3:6] += own_covariance(errors, burns[:, burn])
+        found.append(covariance[:6, :6])
+    return found
+
+
+def roll_out(
     problem: FlybyProblem, arcs: Arcs, last: int, burns: ca.MX
 ) -> tuple[list[ca.MX], list[ca.MX]]:
     """Means (6,) of every node after its burn, and STMs (6, 6) to nodes up to `last`.
@@ -334,12 +353,6 @@ def _roll_out(
         if end in burn_at:
             mean[-1] += kicks[:, burn_at[end]]
     return mean, stm
-
-
-def _final_limits(problem: FlybyProblem) -> list[tuple[str, slice, float]]:
-    """Limits on the final covariance: name, components and limit of each."""
-    parts = zip(PARTS, problem.final_spread, strict=True)
-    return [(*part, limit) for part, limit in parts if limit is not None]
 
 
 def _deviations(

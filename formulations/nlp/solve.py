@@ -1,7 +1,4 @@
-"""Solve P3 and P2 as nonlinear programs by IPOPT: the reference for sequential convex programming.
-
-Uno, a filter SQP method that CasADi's wheels also contain, is a second solver of another kind.
-"""
+"""Solve P3 and P2 as nonlinear programs by IPOPT: the reference for sequential convex programming."""
 
 from __future__ import annotations
 
@@ -13,7 +10,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from enum import Enum
 from time import perf_counter
-from typing import Any, ClassVar, Literal
+from typing import Any, Literal
 
 import casadi as ca
 import numpy as np
@@ -33,18 +30,23 @@ class Settings:
     the linear solver "spral", which needs the environment variables OMP_CANCELLATION=TRUE and
     OMP_PROC_BIND=TRUE. With `near` the barrier begins at that value, and the start is kept as near
     to the bounds, so that IPOPT does not leave a start that is nearly a plan.
+
+    `solver` names CasADi's plugin. Uno, a filter SQP method with dense quadratic programs and
+    CasADi's derivatives, serves studies of programs of few unknowns; of these options it takes the
+    number of iterations alone.
     """
 
+    solver: Literal["ipopt", "uno"] = "ipopt"
     hessian: Literal["exact", "limited-memory"] = "exact"
     linear_solver: str = "mumps"
     barrier: Literal["monotone", "adaptive"] = "monotone"
     max_iterations: int = 1000
     near: float | None = None
 
-    plugin: ClassVar[str] = "ipopt"
-
     def options(self) -> dict[str, Any]:
-        """The options in CasADi's form; IPOPT prints nothing."""
+        """The options in CasADi's form; the solver prints nothing."""
+        if self.solver == "uno":
+            return UNO | {"uno.max_iterations": self.max_iterations}
         close = {f"ipopt.{name}": self.near for name in PUSHES} | {
             "ipopt.bound_mult_init_method": "mu-based"
         }
@@ -60,40 +62,22 @@ class Settings:
             "ipopt.max_wall_time": 600.0,
             "ipopt.print_level": 0,
             "ipopt.sb": "yes",
-            "print_time": False,
-            "show_eval_warnings": False,
-        }
-
-
-@dataclass(frozen=True)
-class FilterSqp:
-    """Uno's options: its default, a trust region with Fletcher's filter and dense quadratic programs.
-
-    It takes no derivatives but CasADi's own, and serves programs of few unknowns.
-    """
-
-    hessian: Literal["exact"] = "exact"
-    max_iterations: int = 1000
-
-    plugin: ClassVar[str] = "uno"
-
-    def options(self) -> dict[str, Any]:
-        """The options in CasADi's form; Uno prints nothing."""
-        return {
-            "uno.logger": "SILENT",
-            "uno.primal_tolerance": CONSTRAINT_TOLERANCE,
-            "uno.max_iterations": self.max_iterations,
-            "uno.time_limit": 600.0,
-            "print_time": False,
-            "show_eval_warnings": False,
+            **QUIET,
         }
 
 
 CONSTRAINT_TOLERANCE = 1e-7
+QUIET = {"print_time": False, "show_eval_warnings": False}
+UNO = {
+    "uno.logger": "SILENT",
+    "uno.primal_tolerance": CONSTRAINT_TOLERANCE,
+    "uno.time_limit": 600.0,
+    **QUIET,
+}
 PUSHES = ("mu_init", "bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac")
 
 EXACT = Settings(barrier="adaptive")
-CLOSED_LOOP = Settings(near=1e-3, max_iterations=150)
+FROM_NEAR = Settings(near=1e-3, max_iterations=150)
 QUASI_NEWTON = Settings(barrier="adaptive", hessian="limited-memory")
 
 
@@ -101,8 +85,8 @@ QUASI_NEWTON = Settings(barrier="adaptive", hessian="limited-memory")
 class Variant:
     """A transcription and IPOPT's settings for it.
 
-    P2 with corrected burns or a limited final covariance always uses single shooting and exact
-    Hessians: quasi-Newton Hessians had not converged after a thousand iterations.
+    P2 with a limited final covariance always uses single shooting and exact Hessians: quasi-Newton
+    Hessians had not converged after a thousand iterations.
 
     Attributes:
         transcription: writes the program.
@@ -113,17 +97,20 @@ class Variant:
     """
 
     transcription: Transcription
-    p3: Settings | FilterSqp
-    p2: Settings | FilterSqp
+    p3: Settings
+    p2: Settings
     screened: bool = True
 
-    def of(
-        self, problem: FlybyProblem, facets: Facets | None
-    ) -> tuple[Transcription, Settings | FilterSqp]:
-        """Transcription and settings for P3, which has no facets, or P2."""
-        limited = facets is not None and problem.final_spread != (None, None)
-        if problem.feedback is not None or limited:
-            return SingleShooting(), CLOSED_LOOP
+    def of(self, problem: FlybyProblem, facets: Facets | None) -> tuple[Transcription, Settings]:
+        """Transcription and settings for P3, which has no facets, or P2.
+
+        Raises:
+            ValueError: if burns of P2 are corrected.
+        """
+        if facets is not None and problem.feedback is not None:
+            raise ValueError("IPOPT's programs have no gains")
+        if facets is not None and problem.final_spread != (None, None):
+            return SingleShooting(), FROM_NEAR
         uncertain = facets is not None and len(facets.node) > 0
         return self.transcription, self.p2 if uncertain else self.p3
 
@@ -150,9 +137,9 @@ VARIANTS: dict[str, Variant] = {
     ),
     "shooting": Variant(SingleShooting(), p3=EXACT, p2=QUASI_NEWTON),
 }
-BY_UNO = Variant(SingleShooting(), p3=FilterSqp(), p2=FilterSqp())
-"""Single shooting by Uno, to be compared; the commands know IPOPT alone."""
 """Variants: the problems as the paper prints them, as an expert would pose them, with few unknowns."""
+BY_UNO = Variant(SingleShooting(), p3=Settings(solver="uno"), p2=Settings(solver="uno"))
+"""Single shooting by Uno, for comparison; the commands know IPOPT alone."""
 
 
 class NlpOutcome(Enum):
@@ -168,7 +155,7 @@ class NlpOutcome(Enum):
 
 OUTCOMES = {
     "Solve_Succeeded": NlpOutcome.SOLVED,
-    "Converged with feasible KKT point": NlpOutcome.SOLVED,
+    "Converged with feasible KKT point": NlpOutcome.SOLVED,  # Uno's words
     "Converged with infeasible stationary point": NlpOutcome.INFEASIBLE,
     "Solved_To_Acceptable_Level": NlpOutcome.ACCEPTABLE,
     "Infeasible_Problem_Detected": NlpOutcome.INFEASIBLE,
@@ -181,10 +168,7 @@ OUTCOMES = {
 
 @dataclass(frozen=True)
 class NlpIteration:
-    """One line of IPOPT's log: objective, largest scaled violation, largest step of an unknown.
-
-    Uno keeps no log: its lines are NaN.
-    """
+    """One line of IPOPT's log: objective, largest scaled violation, largest step of an unknown."""
 
     objective: float
     violation: float
@@ -231,14 +215,14 @@ def solve_nlp(
     stay hard. Without it all constraints are hard.
 
     Raises:
-        ValueError: if P2 has no factor to start from.
+        ValueError: if P2 has no factor to start from, or corrected burns.
     """
     begin = perf_counter()
     elastic = penalty is not None
     transcription, settings = variant.of(problem, facets)
     program = transcription(problem, arcs, facets, start, elastic)
     nlp = assemble(program, penalty)
-    solver = _solver(nlp, settings)
+    solver = ipopt_solver(nlp, settings)
     build_s = perf_counter() - begin
     begin = perf_counter()
     with noticing_interrupts() as interrupted:
@@ -249,7 +233,7 @@ def solve_nlp(
     point = np.array(answer["x"]).ravel()[: program.unknowns.numel()]
     log = stats.get("iterations", {})
     lines = [*zip(*(log.get(key, ()) for key in ("obj", "inf_pr", "d_norm")), strict=True)]
-    lines = lines or (stats.get("iter_count", 0) + 1) * [3 * (np.nan,)]
+    lines = lines or (stats.get("iter_count", 0) + 1) * [3 * (np.nan,)]  # Uno keeps no log
     return NlpResult(
         iterate=program.iterate(point),
         outcome=_outcome(stats["return_status"], interrupted=seen),
@@ -271,13 +255,13 @@ def _outcome(status: str, *, interrupted: bool) -> NlpOutcome:
     return OUTCOMES.get(status, NlpOutcome.FAILED)
 
 
-def _solver(nlp: Assembled, settings: Settings | FilterSqp) -> ca.Function:
-    """IPOPT with the program's own derivatives, or Uno with CasADi's."""
+def ipopt_solver(nlp: Assembled, settings: Settings) -> ca.Function:
+    """IPOPT with the program's own derivatives where it has them, else CasADi's."""
     options = settings.options()
     x, nothing = nlp.unknowns, ca.MX.sym("parameters", 0, 1)
     program = {"x": x, "p": nothing, "f": nlp.objective, "g": nlp.rows}
-    if isinstance(settings, FilterSqp):
-        return ca.nlpsol("nlp", settings.plugin, program, options)
+    if settings.solver == "uno":
+        return ca.nlpsol("nlp", "uno", program, options)
     if np.isfinite(nlp.lower).any():
         # IPOPT relaxes bounds by 1e-8. A slack below zero is paid for, and there are hundreds.
         options["ipopt.bound_relax_factor"] = 0.0
@@ -288,7 +272,7 @@ def _solver(nlp: Assembled, settings: Settings | FilterSqp) -> ca.Function:
         factor, factors = ca.MX.sym("factor"), ca.MX.sym("factors", nlp.rows.numel())
         hessian = nlp.hessian(factor, factors)
         options["hess_lag"] = ca.Function("nlp_hess_l", [x, nothing, factor, factors], [hessian])
-    return ca.nlpsol("nlp", settings.plugin, program, options)
+    return ca.nlpsol("nlp", "ipopt", program, options)
 
 
 @contextmanager

@@ -19,6 +19,7 @@ from formulations.program.subproblem import MeritFunction
 from formulations.rows.cones import Rows
 from formulations.rows.uniform import ChanceRows, DeterministicRows
 from scp_recon.errors import InputError, option
+from scp_recon.mission.feedback import require_open_loop
 from scp_recon.mission.mission import Mission
 from scp_recon.physics.flow import GridFlow
 from scp_recon.physics.forces import acceleration
@@ -84,7 +85,13 @@ def plan(
 
     Returns:
         A plan of `NlpStage`s, whose linearisations are those of the dynamics at IPOPT's iterates.
+
+    Raises:
+        InputError: if burns are corrected by feedback, which IPOPT does not plan; or if the variant
+            as printed is asked for limits that the paper does not have.
     """
+    if problem == "P2":
+        require_open_loop(mission.scenario, option("method", "scp"))
     if variant == "printed":
         other = f"{option('method', 'scp')}, or with {option('formulation', 'tuned')} or shooting"
         mission.require_plain(other)
@@ -159,11 +166,7 @@ class IpoptStages:
         run = solve_nlp(problem, self.arcs, facets, start, self.variant, penalty)
         if not (np.isfinite(run.iterate.burns).all() and np.isfinite(run.iterate.mean).all()):
             return lin, replace(run, outcome=NlpOutcome.FAILED)
-        # IPOPT's tolerances leave held burns at nearly zero.
-        run.iterate.burns[list(problem.held)] = 0.0
-        still = np.array(problem.held, dtype=np.intp)
-        iterate = replace(run.iterate, gains=problem.without_corrections(run.iterate.gains, still))
-        run = replace(run, iterate=iterate)
+        run.iterate.burns[list(problem.held)] = 0.0  # IPOPT keeps them zero within its tolerances
         return dynamics.linearise(problem, run.iterate), run
 
 

@@ -1,0 +1,1 @@
+"""Independent solutions of the same problems, that tests compare with the planner's."""

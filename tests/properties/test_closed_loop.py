@@ -13,15 +13,14 @@ from scipy.optimize import brentq
 from formulations.arrays import Array
 from formulations.linearisation.adjoint import gradient
 from formulations.linearisation.linearisation import condense
-from formulations.nlp.closed_loop import LEAST
 from formulations.nlp.program import Arcs, Start
-from formulations.nlp.shooting import SingleShooting
 from formulations.problem.execution_errors import ComponentwiseErrors, GatesErrors
 from formulations.problem.feedback import Cost
 from formulations.rows.corrected_burns import BATTERY, SIZE, margins_of
 from formulations.rows.uniform import ChanceRows
 from tests.formulations.program.support import every_row, slope_of
 from tests.helpers import Flyby, Waves, constrain, generators, random_flyby, share_of_examples
+from tests.oracles.closed_loop import LEAST, corrected_shooting
 
 GATES = GatesErrors(0.004, 0.02, 0.003, 0.03)
 
@@ -189,7 +188,7 @@ def test_rows_cost_and_gradient_are_those_of_the_convex_side(price, rng, errors)
     rows = every_row(lin, "P2", 4)
     assert isinstance(rows, ChanceRows)
     start = Start(lin.iterate, lin.factor)
-    program = SingleShooting()(problem, casadi_arcs(flyby.waves), rows.facets, start, False)
+    program = corrected_shooting(problem, casadi_arcs(flyby.waves), rows.facets, start)
     own, x, point = len(lin.controls), program.unknowns, program.start.copy()
     blocks = {block.name: block.value for block in program.blocks}
 

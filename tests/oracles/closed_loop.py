@@ -1,30 +1,130 @@
-"""Write corrected burns over CasADi's symbols: covariance along the legs, cost, limits on the burns.
+"""Plan corrected burns by IPOPT, written independently of the convex side, as an oracle for it.
 
 The equations are those of `linearisation.factor`, `problem.cost` and `rows.corrected_burns`, in a
-form that CasADi differentiates. `shooting.SingleShooting` assembles the program.
+form that CasADi differentiates.
 """
 
 from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import NamedTuple, TypeVar
 
 import casadi as ca
 import numpy as np
+import scipy.sparse as sp
 
 from formulations.arrays import Array
 from formulations.linearisation.factor import corrected, measured_in
-from formulations.nlp.covariance import correction_covariance, own_covariance, shared_columns
-from formulations.nlp.probability import Limits, broken
-from formulations.nlp.program import NlpRows, norms
+from formulations.nlp.covariance import own_covariance, shared_columns
+from formulations.nlp.program import (
+    Arcs,
+    NlpRows,
+    Program,
+    Start,
+    assemble,
+    burn_blocks,
+    final_state_block,
+    norms,
+)
+from formulations.nlp.shooting import last_spread_node, roll_out, spread_blocks
+from formulations.nlp.solve import FROM_NEAR, OUTCOMES, NlpOutcome, Settings, ipopt_solver
 from formulations.problem.cost import DRAWS, PROBABILITY, QUANTILE, SMALLEST, SMOOTH, total_sizes
+from formulations.problem.execution_errors import ComponentwiseErrors, ExecutionErrors, GatesErrors
+from formulations.problem.facets import Facets
 from formulations.problem.flyby import FlybyProblem, Iterate
 from formulations.risk.directions import normal_points
 from formulations.risk.quadratic_forms import NAPPE, WHOLE
 from formulations.rows.corrected_burns import BATTERY, SIZE
+from tests.oracles.probability import Limits, broken
 
 T = TypeVar("T", ca.MX, ca.DM)
+
+
+@dataclass(frozen=True)
+class CorrectedProgram(Program):
+    """A program whose burns are corrected.
+
+    Attributes:
+        gains: of corrected burns, as `Iterate` has them.
+        bounded: number of the last unknowns that are not negative.
+        kept: objects that must live as long as the program.
+    """
+
+    gains: ca.MX = field(default_factory=partial(ca.MX, 0, 1))
+    bounded: int = 0
+    kept: tuple[ca.Callback, ...] = ()
+
+    def iterate(self, point: Array) -> Iterate:
+        """Burns, means and gains at values of the unknowns."""
+        found = super().iterate(point)
+        gains = ca.Function("gains", [self.unknowns], [self.gains])(point)
+        return Iterate(found.burns, found.mean, np.array(gains).ravel())
+
+
+def corrected_shooting(
+    problem: FlybyProblem, arcs: Arcs, facets: Facets | None, start: Start
+) -> CorrectedProgram:
+    """Single shooting in the burns and gains; it starts from those of the guess."""
+    last, every = last_spread_node(problem, facets), problem.controls_before[-1]
+    free = np.setdiff1d(np.arange(every), problem.controls_of(problem.held))
+    first = start.iterate.burns, first_gains(problem, start.iterate.gains)
+    own = ca.MX.sym("x", len(free))
+    place = sp.csc_matrix(
+        (np.ones(len(free)), (free, np.arange(len(free)))), shape=(every, len(free))
+    )
+    controls = ca.DM(place) @ own
+    burns = ca.reshape(controls[problem.burn_controls.ravel().tolist()], 3, problem.n_burns)
+    all_gains = controls[problem.gain_controls.tolist()]
+    gains = gains_of(problem, all_gains)
+    node, stm = roll_out(problem, arcs, last, burns)
+    mean = ca.horzcat(*node)
+    law = policy(problem, burns, gains, first)
+    blocks = (
+        final_state_block(problem, mean),
+        *burn_blocks(replace(problem, held=()), burns, printed=False),
+        *spread_blocks(problem, facets, mean, covariances(problem, burns, gains, stm, last), stm),
+        *law.blocks,
+    )
+    return CorrectedProgram(
+        unknowns=ca.vertcat(own, law.unknowns),
+        start=np.r_[problem.controls(*first)[free], law.start],
+        burns=burns,
+        mean=mean,
+        cost=law.cost,
+        blocks=blocks,
+        gains=all_gains,
+        bounded=len(law.start),
+        kept=law.kept,
+    )
+
+
+def solve_corrected(
+    problem: FlybyProblem,
+    arcs: Arcs,
+    facets: Facets | None,
+    start: Start,
+    settings: Settings = FROM_NEAR,
+) -> tuple[Iterate, NlpOutcome]:
+    """Solve P2 on fixed facets with corrected burns, or P3 without facets, by IPOPT."""
+    program = corrected_shooting(problem, arcs, facets, start)
+    nlp = assemble(program, None)
+    nlp.lower[len(nlp.lower) - program.bounded :] = 0.0
+    solver = ipopt_solver(nlp, settings)
+    answer = solver(x0=nlp.start, lbx=nlp.lower, lbg=0.0, ubg=nlp.rows_upper)
+    outcome = OUTCOMES.get(solver.stats()["return_status"], NlpOutcome.FAILED)
+    return program.iterate(np.array(answer["x"]).ravel()), outcome
+
+
+def correction_covariance(errors: ExecutionErrors, gains: ca.MX) -> ca.MX:
+    """Covariance of a correction's errors by gains (3, n): see `ExecutionErrors.correction_columns`."""
+    if isinstance(errors, GatesErrors):
+        across = errors.pointing_proportional**2 * ca.sumsqr(gains) * ca.MX(np.eye(3))
+        return across + errors.along_more**2 * gains @ gains.T
+    assert isinstance(errors, ComponentwiseErrors)
+    return ca.diag(errors.fraction**2 * ca.sum2(gains**2))
 
 
 def gains_of(problem: FlybyProblem, unknowns: T) -> list[T]:
