@@ -28,11 +28,11 @@ from formulations.arrays import Array
 from formulations.rows.exact_flight import FLIGHT as WHOLE
 from scp_recon.api.designing import design
 from scp_recon.api.files import save
-from scp_recon.certification.flights import fly_plan, look_at
+from scp_recon.certification.flights import fly_plan, run_test
 from scp_recon.certification.largest import MOST
 from scp_recon.jobs.job import Job
 from scp_recon.mission.mission import Mission
-from scp_recon.monte_carlo.estimates import look_flights
+from scp_recon.monte_carlo.estimates import flights_of_test
 from scp_recon.planning.initial_guess import from_burns
 from scp_recon.planning.method import ALGORITHM, FORMULATION, SOLVER
 from scp_recon.planning.missions import make_plan
@@ -141,8 +141,8 @@ def measure(out: Path, ends: Mapping[str, Record], case: Measured) -> Record:
     margins = found.final.margins.items()
     least = min(float(one.margin.min()) for name, one in margins if name != WHOLE)
     law = law_of(MOST, found.final)
-    judged, _, _ = look_at(
-        replace(found, target=law), partial(fly_plan, None), look_flights(law), 1, 1
+    judged, _, _ = run_test(
+        replace(found, target=law), partial(fly_plan, None), flights_of_test(law), 1, 1
     )
     assert judged.certificate is not None
     low, high = judged.certificate.low, judged.certificate.high

@@ -38,7 +38,7 @@ def root(square: ca.MX) -> ca.MX:
     return ca.sqrt(square + GUARD)
 
 
-class Spread(Protocol):
+class CovarianceForm(Protocol):
     """A form of the covariance at a node."""
 
     def size(self, burns: int) -> int:

@@ -17,7 +17,7 @@ import casadi as ca
 import numpy as np
 
 from formulations.arrays import Array, Indices
-from formulations.nlp.covariance import GUARD, Spread, own_covariance, root, shared_columns
+from formulations.nlp.covariance import GUARD, CovarianceForm, own_covariance, root, shared_columns
 from formulations.nlp.program import (
     Arcs,
     Mapped,
@@ -49,7 +49,7 @@ class MultipleShooting:
         whole: carry the spread to the last node, not only to the last node with a facet.
     """
 
-    spread: Callable[[FlybyProblem], Spread]
+    spread: Callable[[FlybyProblem], CovarianceForm]
     arcs: ArcStyle
     printed: bool = False
     whole: bool = False
@@ -119,7 +119,9 @@ class _Layout:
             yield arcs[0], arcs[-1] + 1
 
 
-def _layout(problem: FlybyProblem, spread: Spread | None, looked_at: Indices | None) -> _Layout:
+def _layout(
+    problem: FlybyProblem, spread: CovarianceForm | None, looked_at: Indices | None
+) -> _Layout:
     last = problem.n_nodes - 1 if looked_at is None else int(looked_at.max(initial=0))
     burns = np.searchsorted(problem.burn_nodes, np.arange(problem.n_nodes), side="right")
     entries = np.array([spread.size(int(b)) if spread else 0 for b in burns])
@@ -136,7 +138,7 @@ class _Group:
     """Consecutive arcs of one size, as one SX function of y (s,) and h, and its derivatives."""
 
     def __init__(
-        self, layout: _Layout, arcs: Arcs, spread: Spread | None, first: int, last: int
+        self, layout: _Layout, arcs: Arcs, spread: CovarianceForm | None, first: int, last: int
     ) -> None:
         self.count = last - first
         self.size = int(layout.carried[first])
@@ -187,7 +189,7 @@ class _Group:
         return ca.MX(sparsity, blocks.nz[:])
 
 
-def step(arcs: Arcs, spread: Spread | None, y: ca.SX, duration: ca.SX) -> ca.SX:
+def step(arcs: Arcs, spread: CovarianceForm | None, y: ca.SX, duration: ca.SX) -> ca.SX:
     """End of an arc: flow map of the mean and the carried spread of y = (mean, entries)."""
     mean, entries = y[:6], y[6:]
     end = arcs.flow(mean, duration)
@@ -217,7 +219,7 @@ def _differentiated(layout: _Layout, groups: list[_Group], x: ca.MX, ends: ca.MX
 
 
 def _burn_part(
-    problem: FlybyProblem, spread: Spread | None, layout: _Layout, burns: ca.MX
+    problem: FlybyProblem, spread: CovarianceForm | None, layout: _Layout, burns: ca.MX
 ) -> ca.MX:
     """Initial data and additions of the burns, in the rows of their nodes."""
     parts = [ca.MX(int(size), 1) for size in layout.size]
@@ -232,13 +234,15 @@ def _burn_part(
     return ca.vertcat(*parts)
 
 
-def kick(spread: Spread | None, burn: ca.MX, burns: int) -> ca.MX:
+def kick(spread: CovarianceForm | None, burn: ca.MX, burns: int) -> ca.MX:
     """Addition of a burn (3,) with that many before it to y = (mean, entries)."""
     state = ca.vertcat(ca.MX(3, 1), burn)
     return state if spread is None else ca.vertcat(state, spread.kick(burn, burns))
 
 
-def _pack(problem: FlybyProblem, spread: Spread | None, layout: _Layout, start: Start) -> Array:
+def _pack(
+    problem: FlybyProblem, spread: CovarianceForm | None, layout: _Layout, start: Start
+) -> Array:
     """Values of the unknowns at an iterate and its factor."""
     parts = [start.iterate.burns.ravel()]
     burns = np.searchsorted(problem.burn_nodes, np.arange(problem.n_nodes), side="right")

@@ -29,10 +29,7 @@ from scp_recon.monte_carlo.flights import (
     WORKERS_MAX,
     FlightConfig,
     FlightTally,
-    flights_so_far,
     fly_many,
-    forget_flights,
-    keep_flights,
 )
 from scp_recon.monte_carlo.observation_time import ALL
 from scp_recon.monte_carlo.replans import replans
@@ -149,27 +146,29 @@ def fly(
 
 def flown_summary(plan: Opened, options: FlyOptions) -> Summary:
     """Fly a plan and summarise its flights."""
-    flown = _fly(_config(plan, options), options, Watcher(), None)
+    flown = _fly(_config(plan, options), options, Watcher())
     return summarise(flown, plan.solution)
 
 
 @dataclass(frozen=True)
-class Flown:
-    """Flights of a plan in a folder.
+class SavedFlights:
+    """Flights of a plan, summarised in a file.
 
     Attributes:
-        flights: number that was counted.
-        path: file of the summary; for stopped flights the file that keeps them.
-        summary: summary of all flights; None if they were stopped.
+        flights: what was counted.
+        path: file of the summary.
+        summary: of the flights.
+        interrupted: whether the flights were stopped before all were flown.
     """
 
     flights: FlightTally
     path: Path
-    summary: Summary | None
+    summary: Summary
+    interrupted: bool
 
 
-def fly_into(folder: Path, plan: Opened, options: FlyOptions, watcher: Watcher) -> Flown:
-    """Fly a plan, and write the summary into its folder; stopped flights there are continued.
+def fly_into(folder: Path, plan: Opened, options: FlyOptions, watcher: Watcher) -> SavedFlights:
+    """Fly a plan, and write the summary into its folder, also of fewer flights after an interrupt.
 
     Raises:
         InputError: if the folder cannot be written, or holds another plan.
@@ -179,23 +178,17 @@ def fly_into(folder: Path, plan: Opened, options: FlyOptions, watcher: Watcher) 
     check_writable(folder, FILE_NAME, "folder")
     check_holds(folder, solution, "folder")
     with only_run_in(folder, "folder"):
-        begun = flights_so_far(config, solution, folder)
-        if begun is not None and begun.samples > options.samples:
-            begun = None
-        if begun is not None:
-            watcher.say(f"continued after {begun.samples} flights that were stopped")
-        flown = _fly(config, options, watcher, begun)
+        flown = _fly(config, options, watcher)
+        interrupted = watcher.stop() and flown.samples < options.samples
+        summary = summarise(flown, solution)
+        own = "feedback" if solution.corrections else "open"
+        kind = config.policy_kind
+        name = FILE_NAME if kind == own else f"montecarlo_{kind}.json"
         try:
-            if watcher.stop() and flown.samples < options.samples:
-                return Flown(flown, keep_flights(flown, solution, folder), None)
-            summary = summarise(flown, solution)
-            own = "feedback" if solution.corrections else "open"
-            kind = config.policy_kind
-            path = summary.write(folder, FILE_NAME if kind == own else f"montecarlo_{kind}.json")
-            forget_flights(folder)
+            path = summary.write(folder, name)
         except OSError as error:
             raise unwritable(folder, "folder", error) from None
-    return Flown(flown, path, summary)
+    return SavedFlights(flown, path, summary, interrupted)
 
 
 def _config(plan: Opened, options: FlyOptions) -> FlightConfig:
@@ -227,9 +220,7 @@ def _policy(plan: Opened, kind: PolicyKind | None) -> AnyPolicy:
     return solution.corrections
 
 
-def _fly(
-    config: FlightConfig, options: FlyOptions, watcher: Watcher, begun: FlightTally | None
-) -> FlightTally:
+def _fly(config: FlightConfig, options: FlyOptions, watcher: Watcher) -> FlightTally:
     executor = None
     if options.scheduler is not None:
         from scp_recon.jobs.cluster import Cluster
@@ -243,7 +234,6 @@ def _fly(
         executor=executor,
         progress=watcher.progress,
         stop=watcher.stop,
-        begun=begun,
     )
 
 

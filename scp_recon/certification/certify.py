@@ -10,10 +10,10 @@ measures the loss with its sampling error. The mean over rounds is more accurate
 round. If flights violate a limit between nodes, nodes are added there. Rounds end with a plan that
 independent flights should pass 95 times in 100, and whose surplus is within sampling error.
 
-A *look* judges the plan: flights with seeds that no round has used. A plan that passes is
-certified; there is no choice among several passing plans. After a failed look, its flights count as
-a round's. One more plan then has one more look, the last. A plan that reaches exactly the required
-probability is therefore certified at most 2.5 times in 100: see `estimates.LOOK_CONFIDENCE`.
+A *test* judges the plan: flights with seeds that no round has used. A plan that passes is
+certified; there is no choice among several passing plans. After a failed test, its flights count as
+a round's. One more plan then has one more test, the last. A plan that reaches exactly the required
+probability is therefore certified at most 2.5 times in 100: see `estimates.TEST_CONFIDENCE`.
 """
 
 from __future__ import annotations
@@ -30,18 +30,18 @@ from formulations.arrays import Array
 from formulations.problem.flyby import Iterate
 from scp_recon.certification.flights import (
     Fly,
-    Kept,
+    KeptCounts,
     Watch,
     fly_plan,
     fly_round,
-    look_at,
+    run_test,
     with_nodes_at,
 )
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.estimates import (
-    LOOKS_MAX,
+    TESTS_MAX,
     flights_needed,
-    look_flights,
+    flights_of_test,
     successes_needed,
 )
 from scp_recon.planning.plan import Aimed, AimedPlan, Plan, as_interrupted
@@ -82,7 +82,7 @@ def certified(asked: float, make_plan: Planning[Aimed], fly: Fly[Aimed]) -> Aime
     Ctrl-C ends with the best plan so far, marked as interrupted.
 
     Returns:
-        The plan that passed a look, with its certificate. If none passed, the plan that came
+        The plan that passed a test, with its certificate. If none passed, the plan that came
             nearest, whose certificate says so. If a target is infeasible and no earlier plan
             passes, or the first plan ends without a verdict, the plan for that target, without a
             certificate.
@@ -99,7 +99,7 @@ def certified(asked: float, make_plan: Planning[Aimed], fly: Fly[Aimed]) -> Aime
 
 @dataclass
 class _Certification(Generic[Aimed]):
-    """State of one certification: last plan, times of new nodes, plans of rounds and looks."""
+    """State of one certification: last plan, times of new nodes, plans of rounds and tests."""
 
     asked: float
     make_plan: Planning[Aimed]
@@ -107,18 +107,18 @@ class _Certification(Generic[Aimed]):
     made: Aimed | None = None
     touched_s: Array = field(default_factory=lambda: np.zeros(0))
     flown: list[tuple[Aimed, float]] = field(default_factory=list)
-    looked: list[Aimed] = field(default_factory=list)
+    tested: list[Aimed] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        self.samples, self.fresh = flights_needed(self.asked), look_flights(self.asked)
+        self.samples, self.fresh = flights_needed(self.asked), flights_of_test(self.asked)
         self.aiming = Aiming(self.asked, self.samples, self.fresh)
 
     def run(self) -> Aimed:
-        while len(self.looked) < LOOKS_MAX:
+        while len(self.tested) < TESTS_MAX:
             plan = self._next()
             if plan.status is not Status.CONVERGED:
                 return self._without(plan)
-            aimed = not self.looked and len(self.flown) < ROUNDS_MAX
+            aimed = not self.tested and len(self.flown) < ROUNDS_MAX
             if aimed and not self._aims_well(plan):
                 continue
             if self._passes(plan):
@@ -128,8 +128,8 @@ class _Certification(Generic[Aimed]):
 
     @property
     def nearest(self) -> Aimed | None:
-        """The plan with the largest lower limit among those with a look; only the last may pass."""
-        return max(self.looked, key=_low, default=None)
+        """The plan with the largest lower limit among those with a test; only the last may pass."""
+        return max(self.tested, key=_low, default=None)
 
     def _next(self) -> Aimed:
         """The plan for the present target."""
@@ -141,7 +141,7 @@ class _Certification(Generic[Aimed]):
         return plan
 
     def _aims_well(self, plan: Aimed) -> bool:
-        """Fly a round and learn from it; whether the plan is ready for a look."""
+        """Fly a round and learn from it; whether the plan is ready for a test."""
         kept, touched_s = fly_round(plan, self.fly, self.samples, len(self.flown) + 1)
         self.flown.append((plan, kept.reached))
         self.aiming.worth = kept.samples / self.samples
@@ -150,16 +150,16 @@ class _Certification(Generic[Aimed]):
 
     def _passes(self, plan: Aimed) -> bool:
         """Look at a plan; if it fails, learn from it."""
-        number, rounds = len(self.looked) + 1, len(self.flown)
-        plan, kept, touched_s = look_at(plan, self.fly, self.fresh, number, rounds)
-        self.looked.append(plan)
+        number, rounds = len(self.tested) + 1, len(self.flown)
+        plan, kept, touched_s = run_test(plan, self.fly, self.fresh, number, rounds)
+        self.tested.append(plan)
         assert plan.certificate is not None
         if plan.certificate.certifies(self.asked):
             return True
         self._learn(plan, kept, touched_s)
         return False
 
-    def _learn(self, plan: Aimed, kept: Kept, touched_s: Array) -> bool:
+    def _learn(self, plan: Aimed, kept: KeptCounts, touched_s: Array) -> bool:
         """Learn the loss from flights; whether the nodes are close enough."""
         close = kept.are_close(self.asked)
         if close:
@@ -170,11 +170,11 @@ class _Certification(Generic[Aimed]):
         return close
 
     def _without(self, plan: Aimed) -> Aimed:
-        """The result if a target has no plan: the plan of the best round has a look."""
-        if self.flown and not self.looked:
+        """The result if a target has no plan: the plan of the best round has a test."""
+        if self.flown and not self.tested:
             best, _ = max(self.flown, key=lambda flown: flown[1])
             if self._passes(best):
-                return self.looked[-1]
+                return self.tested[-1]
         if self.nearest is None or plan.status is Status.INFEASIBLE:
             return plan
         return self.nearest
@@ -198,8 +198,8 @@ def slack(plan: AimedPlan) -> float:
 
 
 SURE = float(ndtri(0.95))
-"""Standard deviations by which a plan should exceed the requirement of a look, by the rounds'
-measurements: 95 of 100 plans pass. The deviation combines that of the look and that of the
+"""Standard deviations by which a plan should exceed the requirement of a test, by the rounds'
+measurements: 95 of 100 plans pass. The deviation combines that of the test and that of the
 measurement."""
 
 SURE_ENOUGH = float(ndtri(0.85))
@@ -214,15 +214,15 @@ LEAST, MOST = 0.501, 1.0 - 1e-9
 
 @dataclass
 class Aiming:
-    """The target of plans that a look should pass, from the flights so far.
+    """The target of plans that a test should pass, from the flights so far.
 
     In flights drawn from binomial laws for 0.7 to 0.999, with losses of -1 to 3 standard errors of
-    a round, 95 of 100 plans pass their first look, and 1 to 3 of 1,000 neither, after 2 rounds in
+    a round, 95 of 100 plans pass their first test, and 1 to 3 of 1,000 neither, after 2 rounds in
     the mean. On average they reach 3.4 of these standard errors more than required, and in 5 of 100
     cases 4.6 or more.
 
     Losses are those measured on the present nodes, in standard deviations, with the flights of each.
-    A round's flights in strata are `worth` times as many plain ones, and so are a look's.
+    A round's flights in strata are `worth` times as many plain ones, and so are a test's.
     """
 
     asked: float
@@ -233,7 +233,7 @@ class Aiming:
 
     @cached_property
     def needed(self) -> float:
-        """Share of the fresh flights with which a look passes."""
+        """Share of the fresh flights with which a test passes."""
         return successes_needed(self.asked, self.fresh) / self.fresh
 
     @property
@@ -264,12 +264,12 @@ class Aiming:
         self.learn(law, at_nodes, samples)
 
     def next(self) -> float:
-        """The target at which a look passes with the probability of `SURE`."""
+        """The target at which a test passes with the probability of `SURE`."""
         above = min(self.needed + SURE * self._deviation, 1.0 - 0.5 / self.fresh)
         return float(np.clip(ndtr(ndtri(above) + self.loss), LEAST, MOST))
 
     def is_settled(self, law: float, *, binds: bool) -> bool:
-        """Whether a look should pass a plan, and its surplus is within sampling error.
+        """Whether a test should pass a plan, and its surplus is within sampling error.
 
         If its constraints do not bind, a lower target would save no delta-v.
         """
@@ -279,7 +279,7 @@ class Aiming:
 
     @property
     def _deviation(self) -> float:
-        """Standard error of a look about its expectation."""
+        """Standard error of a test about its expectation."""
         return float(np.hypot(self._error(self.worth * self.fresh), self.error))
 
     def _error(self, flights: float) -> float:

@@ -1,6 +1,6 @@
-"""Fly a plan under certification: rounds, which adjust the target, and looks, which judge the plan.
+"""Fly a plan under certification: rounds, which adjust the target, and tests, which judge the plan.
 
-The flights of a look have seeds that no round uses. Their results had no influence on the plan that
+The flights of a test have seeds that no round uses. Their results had no influence on the plan that
 they judge.
 """
 
@@ -19,12 +19,12 @@ from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.estimates import (
     CONFIDENCE,
     FIRST_SEED,
-    LOOK_CONFIDENCE,
+    TEST_CONFIDENCE,
     Estimate,
-    look_interval,
-    look_seed,
+    interval_of_test,
     of_strata,
     proportion,
+    seed_of_test,
 )
 from scp_recon.monte_carlo.law import Law, fly_strata, survey
 from scp_recon.monte_carlo.law_in_time import fly_in_time, survey_in_time
@@ -37,12 +37,12 @@ from scp_recon.monte_carlo.whole_flight import (
 from scp_recon.planning.plan import Aimed, Certificate, Plan
 from scp_recon.results.policy import Policy, policy_of
 
-LOOK_WIDTH, ROUND_WIDTH = 0.97, 1.5
-"""Widths of intervals of flights in strata over those of plain flights: a look's is no wider. A round's
+TEST_WIDTH, ROUND_WIDTH = 0.97, 1.5
+"""Widths of intervals of flights in strata over those of plain flights: a test's is no wider. A round's
 does not judge, and its standard error is the smaller one all the same."""
 
-TAIL = 0.5 * (1.0 - LOOK_CONFIDENCE)
-"""Probability with which either limit of a look may be missed."""
+TAIL = 0.5 * (1.0 - TEST_CONFIDENCE)
+"""Probability with which either limit of a test may be missed."""
 
 LOST_BETWEEN = 0.05
 """Share of 1 - p that flights may lose between nodes."""
@@ -67,7 +67,7 @@ class Watch(Protocol):
         ...
 
 
-class Kept(NamedTuple):
+class KeptCounts(NamedTuple):
     """Counts of flights that keep the limits of the scope: at the nodes, and at all times.
 
     Flights in strata count as the number of plain flights with the same standard error.
@@ -88,16 +88,16 @@ class Kept(NamedTuple):
         return self.at_nodes - self.throughout <= LOST_BETWEEN * (1.0 - asked) * self.samples
 
 
-def kept_of(mission: Mission, flown: KeptFlights) -> Kept:
+def kept_of(mission: Mission, flown: KeptFlights) -> KeptCounts:
     """Counts of flights that keep the limits of the required scope."""
     if mission.scenario.risk.scope == "flight":
-        return Kept(flown.whole_at_nodes, flown.whole, flown.samples)
+        return KeptCounts(flown.whole_at_nodes, flown.whole, flown.samples)
     at_nodes = min(int(counts.min()) for counts in flown.at_nodes.values())
-    return Kept(at_nodes, min(flown.throughout.values()), flown.samples)
+    return KeptCounts(at_nodes, min(flown.throughout.values()), flown.samples)
 
 
 class Step(NamedTuple):
-    """A round or a look: its name, and the number, seed and accuracy of its flights.
+    """A round or a test: its name, and the number, seed and accuracy of its flights.
 
     `width` is the width of the interval with flights in strata, relative to plain flights.
     """
@@ -109,50 +109,50 @@ class Step(NamedTuple):
     confidence: float
 
 
-Fly = Callable[[Aimed, Step], tuple[Kept, Array]]
+Fly = Callable[[Aimed, Step], tuple[KeptCounts, Array]]
 """Flies a plan: what flights keep, and the times between nodes at which they touch a limit, s."""
 
 
-def fly_round(plan: Aimed, fly: Fly[Aimed], samples: int, number: int) -> tuple[Kept, Array]:
+def fly_round(plan: Aimed, fly: Fly[Aimed], samples: int, number: int) -> tuple[KeptCounts, Array]:
     """Fly a round to estimate the probability that a plan reaches."""
     seed = FIRST_SEED + number - 1
     return fly(plan, Step(f"round {number}", samples, seed, ROUND_WIDTH, CONFIDENCE))
 
 
-def look_at(
+def run_test(
     plan: Aimed, fly: Fly[Aimed], samples: int, number: int, rounds: int
-) -> tuple[Aimed, Kept, Array]:
+) -> tuple[Aimed, KeptCounts, Array]:
     """Judge a plan by independent flights, after a number of rounds.
 
     Returns:
         The plan with its certificate; and as `Fly`.
     """
-    step = Step(f"look {number}", samples, look_seed(number), LOOK_WIDTH, LOOK_CONFIDENCE)
+    step = Step(f"look {number}", samples, seed_of_test(number), TEST_WIDTH, TEST_CONFIDENCE)
     kept, touched_s = fly(plan, step)
     return replace(plan, certificate=certificate_of(kept, number, rounds)), kept, touched_s
 
 
-def certificate_of(kept: Kept, look: int, rounds: int) -> Certificate:
-    """Result of the flights of a look."""
-    reached = reached_of(kept, LOOK_CONFIDENCE)
+def certificate_of(kept: KeptCounts, test: int, rounds: int) -> Certificate:
+    """Result of the flights of a test."""
+    reached = reached_of(kept, TEST_CONFIDENCE)
     return Certificate(
         flown_of(kept),
-        look_seed(look),
+        seed_of_test(test),
         *reached,
         at_nodes=max(reached.value, kept.at_nodes / kept.samples),  # but for rounding it is
         rounds=rounds,
-        looks=look,
-        confidence=LOOK_CONFIDENCE,
+        looks=test,
+        confidence=TEST_CONFIDENCE,
         strata=kept.strata,
     )
 
 
-def flown_of(kept: Kept) -> int:
+def flown_of(kept: KeptCounts) -> int:
     """Number of flights that were flown."""
     return kept.samples if kept.strata is None else sum(kept.strata.flown)
 
 
-def reached_of(kept: Kept, confidence: float) -> Estimate:
+def reached_of(kept: KeptCounts, confidence: float) -> Estimate:
     """Probability that flights reach, with its exact interval."""
     if kept.strata is None:
         return proportion(int(kept.throughout), kept.samples, confidence)
@@ -167,7 +167,7 @@ def with_nodes_at(mission: Mission, times_s: Array) -> Mission:
     return mission.changed({"grid.nodes_s": nodes})
 
 
-def fly_plan(watch: Watch | None, plan: Plan, step: Step) -> tuple[Kept, Array]:
+def fly_plan(watch: Watch | None, plan: Plan, step: Step) -> tuple[KeptCounts, Array]:
     """Fly a mission's plan: see `Fly`."""
     if watch is None:
         return _fly(plan, step, None)
@@ -178,7 +178,9 @@ def fly_plan(watch: Watch | None, plan: Plan, step: Step) -> tuple[Kept, Array]:
     return kept, touched_s
 
 
-def _fly(plan: Plan, step: Step, told: Callable[[int, int], None] | None) -> tuple[Kept, Array]:
+def _fly(
+    plan: Plan, step: Step, told: Callable[[int, int], None] | None
+) -> tuple[KeptCounts, Array]:
     risk, samples, seed = plan.mission.scenario.risk, step.samples, step.seed
     if risk.sampling == "strata":
         by_strata = _fly_strata if risk.scope == "flight" else _fly_in_time
@@ -192,7 +194,7 @@ def _fly(plan: Plan, step: Step, told: Callable[[int, int], None] | None) -> tup
 
 def _fly_strata(
     plan: Plan, samples: int, seed: int, width: float, seen: Callable[[int, int], None] | None
-) -> tuple[Kept, Array] | None:
+) -> tuple[KeptCounts, Array] | None:
     """Fly in strata of the law's margin; None if as many plain flights are quicker."""
     law = Law.of(plan.final.result.lin, plan.mission.units.length_m)
     flights = WholeFlights(plan.mission, plan.burns_m_s, _policy(plan))
@@ -206,7 +208,7 @@ def _fly_strata(
 
 def _fly_in_time(
     plan: Plan, samples: int, seed: int, width: float, seen: Callable[[int, int], None] | None
-) -> tuple[Kept, Array] | None:
+) -> tuple[KeptCounts, Array] | None:
     """Fly in strata for limits that count at each second separately."""
     mission = plan.mission
     laws = Law.of_events(plan.final.result.lin, mission.units.length_m)
@@ -224,14 +226,16 @@ def _fly_in_time(
 
 def _widths(known: Survey, samples: int, width: float) -> tuple[float, float]:
     """Distances of the interval's ends from the estimate for plain flights, times `width`."""
-    reached = look_interval(round((1.0 - known.failed) * samples), samples)
+    reached = interval_of_test(round((1.0 - known.failed) * samples), samples)
     return width * (reached.value - reached.low), width * (reached.high - reached.value)
 
 
-def _kept(throughout: Counted, at_nodes: Counted) -> Kept:
+def _kept(throughout: Counted, at_nodes: Counted) -> KeptCounts:
     """Counts of flights in strata, as plain flights with the same standard error."""
     worth, reached = throughout.equivalent, 1.0 - throughout.failed
-    return Kept(max(1.0 - at_nodes.failed, reached) * worth, reached * worth, worth, throughout)
+    return KeptCounts(
+        max(1.0 - at_nodes.failed, reached) * worth, reached * worth, worth, throughout
+    )
 
 
 def _policy(plan: Plan) -> Policy:

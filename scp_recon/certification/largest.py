@@ -16,9 +16,9 @@ from scipy.special import ndtr, ndtri
 
 from formulations.problem.flyby import Iterate
 from scp_recon.certification.certify import ROUNDS_MAX, AimedPlanning
-from scp_recon.certification.flights import Watch, fly_plan, fly_round, look_at, with_nodes_at
+from scp_recon.certification.flights import Watch, fly_plan, fly_round, run_test, with_nodes_at
 from scp_recon.mission.mission import Mission
-from scp_recon.monte_carlo.estimates import FAILURES, FLIGHTS_MAX, flights_needed, look_flights
+from scp_recon.monte_carlo.estimates import FAILURES, FLIGHTS_MAX, flights_needed, flights_of_test
 from scp_recon.planning.initial_guess import start_from
 from scp_recon.planning.plan import Plan, as_interrupted
 from scp_recon.scenario.fields import ScenarioWarning
@@ -140,7 +140,7 @@ def largest_promise(
 
     Without flights the plan promises its target. With certification, rounds of flights find
     violations between nodes, nodes are added there, and the search is repeated. The plan then
-    promises the lower limit of one look, whose flights no round has used. The mission's allocation
+    promises the lower limit of one test, whose flights no round has used. The mission's allocation
     is exact.
 
     Returns:
@@ -175,11 +175,11 @@ def largest_promise(
 
 
 def _promised(found: Plan, rounds: int, watch: Watch | None) -> Plan:
-    """The plan with a scenario that requires the lower limit of a look."""
+    """The plan with a scenario that requires the lower limit of a test."""
     assert found.target is not None
     try:
-        judged, _, _ = look_at(
-            found, partial(fly_plan, watch), look_flights(found.target), 1, rounds
+        judged, _, _ = run_test(
+            found, partial(fly_plan, watch), flights_of_test(found.target), 1, rounds
         )
     except KeyboardInterrupt:
         return as_interrupted(found)

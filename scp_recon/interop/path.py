@@ -21,7 +21,7 @@ from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.physics.flow import interpolate
 from scp_recon.results.solution import Solution
-from scp_recon.verification.closed_loop import Spread
+from scp_recon.verification.closed_loop import JointCovariance
 from scp_recon.verification.reintegration import DEFECT_LIMIT_M, integrated
 
 WITHIN_M = 0.01
@@ -85,7 +85,7 @@ def fly_path(mission: Mission, solution: Solution) -> FlownPath:
     """
     nodes, firing = np.array(solution.nodes.t_s), [burn.t_s for burn in solution.burns]
     begin, state = float(nodes[0]), mission.initial_state.copy()
-    spread = Spread.before_burns(mission, solution.corrections).measured(begin)
+    spread = JointCovariance.before_burns(mission, solution.corrections).measured(begin)
     back = _flight(mission, state, begin, begin - MARGIN_S)
     coasts = [_sampled(back, np.array([begin - MARGIN_S, begin]), spread.covariance)]
     # Each time at which a coast ends, and the burn there; the first may begin with one.
@@ -108,7 +108,9 @@ def fly_path(mission: Mission, solution: Solution) -> FlownPath:
     return path
 
 
-def _carried(spread: Spread, flown: OdeSolution, begin: float, end: float) -> Spread:
+def _carried(
+    spread: JointCovariance, flown: OdeSolution, begin: float, end: float
+) -> JointCovariance:
     """Carry the spread to the end of a coast, with all measurements up to and at its end."""
     stm, cut_offs = np.eye(6), [one.cut_off_s for one in spread.policy]
     for time in [*(cut_off for cut_off in cut_offs if begin < cut_off < end), end]:

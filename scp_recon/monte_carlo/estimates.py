@@ -19,20 +19,20 @@ FLIGHTS_MIN, FAILURES, FLIGHTS_MAX = 10_000, 300, 1_000_000
 """Least number of flights of a round; number of allowed failures in a round, 300; largest number of
 flights."""
 
-FIRST_SEED, FIRST_LOOK_SEED = 1_000, 2_000
-"""Seeds of the flights of the first round and of the first look. Later rounds and looks have the
+FIRST_SEED, FIRST_TEST_SEED = 1_000, 2_000
+"""Seeds of the flights of the first round and of the first test. Later rounds and tests have the
 next seeds. No other draws of this library begin at these seeds."""
 
-LOOKS_MAX = 2
-"""Looks, the last of which certifies a plan or none."""
+TESTS_MAX = 2
+"""Tests, the last of which certifies a plan or none."""
 
-LOOK_CONFIDENCE = 0.975
-"""Of a look's interval. Each of its ends alone has 98.75 %: a plan whose probability is just what was
-required passes one look at most 1.25 times in 100, and one of two at most 2.5 times."""
+TEST_CONFIDENCE = 0.975
+"""Of a test's interval. Each of its ends alone has 98.75 %: a plan whose probability is just what was
+required passes one test at most 1.25 times in 100, and one of two at most 2.5 times."""
 
-LOOK_SIZE = 2
-"""Flights of a look over those of a round. The surplus of a plan comes mainly from the error of the
-look: plans reach 3.4 standard errors of a round more than required, and 4.4 if a look has as many
+TEST_SIZE = 2
+"""Flights of a test over those of a round. The surplus of a plan comes mainly from the error of the
+test: plans reach 3.4 standard errors of a round more than required, and 4.4 if a test has as many
 flights as a round."""
 
 
@@ -165,31 +165,33 @@ def flights_needed(required: float) -> int:
     return flights
 
 
-def look_flights(required: float) -> int:
-    """Flights of a look that judges whether a probability is reached.
+def flights_of_test(required: float) -> int:
+    """Flights of a test that judges whether a probability is reached.
 
     Raises:
         InputError: if they are too many.
     """
-    return LOOK_SIZE * flights_needed(required)
+    return TEST_SIZE * flights_needed(required)
 
 
-def look_seed(number: int) -> int:
-    """Seed of the flights of a look, counted from one; no round uses it."""
-    return FIRST_LOOK_SEED + number - 1
+def seed_of_test(number: int) -> int:
+    """Seed of the flights of a test, counted from one; no round uses it."""
+    return FIRST_TEST_SEED + number - 1
 
 
-def look_interval(successes: int, samples: int) -> Estimate:
+def interval_of_test(successes: int, samples: int) -> Estimate:
     """Probability with its interval; the lower end judges a plan."""
-    return proportion(successes, samples, LOOK_CONFIDENCE)
+    return proportion(successes, samples, TEST_CONFIDENCE)
 
 
 def successes_needed(required: float, samples: int) -> int:
-    """Least number of successes with which a look passes: its lower limit is at least `required`."""
+    """Least number of successes with which a test passes: its lower limit is at least `required`."""
     low, high = int(required * samples), samples
     while low < high:
         middle = (low + high) // 2
         low, high = (
-            (low, middle) if look_interval(middle, samples).low >= required else (middle + 1, high)
+            (low, middle)
+            if interval_of_test(middle, samples).low >= required
+            else (middle + 1, high)
         )
     return low

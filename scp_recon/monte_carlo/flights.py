@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import closing
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import partial
-from pathlib import Path
-from typing import Any, get_args
+from typing import get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -16,13 +15,13 @@ from formulations.arrays import Array
 from scp_recon.errors import InputError, one_of, whole_number
 from scp_recon.jobs.job import Executor, Job, here, in_order
 from scp_recon.jobs.processes import Limits, Processes
-from scp_recon.jobs.store import Store
 from scp_recon.mission.constraints import companion_distance_m
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.scene import TruthModel, errors_of_kind
 from scp_recon.monte_carlo.estimates import Estimate, Tally, proportion
-from scp_recon.monte_carlo.narrow import FlightsAtLooks, Narrowed, narrow
-from scp_recon.monte_carlo.observation_time import ALL, SCIENCE, limits_hold, time_held
+from scp_recon.monte_carlo.limits import EVERYWHERE, limit_margins, limits_kept
+from scp_recon.monte_carlo.narrow import Narrowed, SampledFlights, narrow
+from scp_recon.monte_carlo.observation_time import ALL, SCIENCE, time_held
 from scp_recon.monte_carlo.sampling import (
     BLOCK,
     AnyPolicy,
@@ -32,8 +31,6 @@ from scp_recon.monte_carlo.sampling import (
     fly_block,
     policy_kind,
 )
-from scp_recon.monte_carlo.whole_flight import EVERYWHERE
-from scp_recon.results.solution import Solution
 
 SAMPLES_MIN, SAMPLES_MAX, SEED_MAX, WORKERS_MAX = 20, 10**9, 2**63 - 1, 256
 """Least number of flights: the normality test needs as many."""
@@ -50,15 +47,6 @@ LIMITS = Limits(seconds=3600.0)
 """Limits of a block, which takes a second or less: one that takes longer hangs."""
 TERMINAL_KEPT = 5000
 """Final states kept for the normality test, whose distribution is tabulated up to this number."""
-
-PARTIAL, FLOWN = "montecarlo_partial.jsonl", "flights"
-VERSION = 1
-"""Version of the flights: raise it when results of the same configuration change."""
-COUNTS = ("samples", "whole", "full")
-SUMS = ("terminal", "terminal_sum", "terminal_outer", "failed")
-BY_NAME = ("node_counts", "limits")
-TALLIES = ("entry", "exit", "closest", "executed_dv", "commanded_dv")
-"""Fields of a `FlightTally` kept as numbers, as lists, as lists by name, and by their own fields."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,12 +129,13 @@ def run_block(config: FlightConfig, block: tuple[int, int]) -> FlightBlock:
         policy=config.policy,
     )
     corrected = [one.burn for one in config.policy]
-    margins = mission.problem.burn_margins(
+    of_burns = mission.problem.burn_margins(
         flown.commanded_m_s.swapaxes(0, 1) / mission.units.speed_m_s
     )
-    seen, nothing = flown.states[np.searchsorted(times, looks)], np.zeros(0)
-    held = time_held(mission, looks, seen) if len(looks) else {}
-    holds = limits_hold(mission, looks, times, flown.states[..., :3])
+    observed, nodes = (np.searchsorted(times, at) for at in (looks, mission.times_s))
+    held = time_held(mission, looks, flown.states[observed]) if len(looks) else {}
+    holds = limits_kept(limit_margins(mission, times, flown.states[..., :3], observed, nodes))
+    nothing = np.zeros(0)
     scenario = mission.scenario
     whole = flown.closest_m >= scenario.safety.radius_min_m
     whole &= flown.apart_m >= companion_distance_m(scenario)
@@ -161,7 +150,7 @@ def run_block(config: FlightConfig, block: tuple[int, int]) -> FlightBlock:
         closest_m=flown.closest_m,
         executed_dv_m_s=np.linalg.norm(flown.burns_m_s, axis=2).sum(axis=1),
         commanded_dv_m_s=np.linalg.norm(flown.commanded_m_s, axis=2).sum(axis=1),
-        limits={name: (margin[corrected] >= 0.0).sum(axis=1) for name, margin in margins.items()},
+        limits={name: (margin[corrected] >= 0.0).sum(axis=1) for name, margin in of_burns.items()},
         terminal=flown.states[-1],
         failed=flown.failed.sum(axis=1),
     )
@@ -285,16 +274,14 @@ def fly_many(
     executor: Executor | None = None,
     progress: Callable[[int], None] | None = None,
     stop: Callable[[], bool] | None = None,
-    begun: FlightTally | None = None,
 ) -> FlightTally:
     """Fly `samples` flights, or fewer if every probability's interval is `until` wide before.
 
     Where `PLAIN` flights leave one wider, further flights in strata narrow the joint constraints'
     probabilities, at most as many as are left, if that is quicker: see `narrow`.
-    The result does not depend on where blocks are flown, nor on interruptions. One worker is this
-    process; an executor replaces the workers. After each block `progress` is called with the number
-    flown so far, and a true `stop()` ends the flights. `begun` is a tally of whole blocks of the same
-    configuration to continue.
+    The result does not depend on where blocks are flown. One worker is this process; an executor
+    replaces the workers. After each block `progress` is called with the number flown so far, and a
+    true `stop()` ends the flights.
 
     Raises:
         InputError: if samples, until or workers are out of bounds, before any flight; or if a block
@@ -304,8 +291,7 @@ def fly_many(
     workers = whole_number("workers", workers, 1, WORKERS_MAX)
     if until is not None and not 0.0 < until < 1.0:
         raise InputError("until", repr(until), "must be a width between 0 and 1")
-    flown = FlightTally(config) if begun is None else begun
-    whole_number("begun", flown.samples, 0, samples)
+    flown = FlightTally(config)
     executor = executor or (here if workers == 1 else Processes(workers, LIMITS))
 
     def has_ended() -> bool:
@@ -323,13 +309,10 @@ def fly_many(
                 if has_ended():
                     break
 
-    if until is not None and flown.samples and flown.widest_interval() <= until:
-        return flown
-    if until is not None and flown.samples < PLAIN < samples:
+    if until is not None and samples > PLAIN:
         fly_to(PLAIN)
         if has_ended():
             return flown
-    if until is not None and PLAIN <= flown.samples < samples:
         flown.narrowed = _narrowed(flown, until, samples, executor, stop)
         if flown.narrowed is not None or (stop and stop()):
             return flown
@@ -352,7 +335,7 @@ def _narrowed(
     if config.policy_kind == "replan" or config.mission.observed_s is None:
         return None
     how = config.looks_s, config.truth, config.errors, corrections_of(config.policy)
-    flights = FlightsAtLooks(config.mission, config.burns_m_s, *how)
+    flights = SampledFlights(config.mission, config.burns_m_s, *how)
     return narrow(
         flights,
         config.seed,
@@ -362,89 +345,3 @@ def _narrowed(
         executor,
         stop or (lambda: False),
     )
-
-
-def keep_flights(flown: FlightTally, solution: Solution, folder: Path) -> Path:
-    """Write the flights so far to a file, to the last bit, so that they are not flown again.
-
-    Raises:
-        InputError: if the folder cannot be written.
-    """
-    with _kept(flown.config, solution, folder) as store:
-        store.put(FLOWN, _taken_apart(flown))
-        return store.path
-
-
-def flights_so_far(config: FlightConfig, solution: Solution, folder: Path) -> FlightTally | None:
-    """Read the kept flights of this configuration and code, whole blocks only; None if there are none.
-
-    A file that is damaged or of other flights is ignored.
-    """
-    with _kept(config, solution, folder) as store:
-        return _put_together(store[FLOWN], config) if FLOWN in store else None
-
-
-def forget_flights(folder: Path) -> None:
-    """Delete the kept flights, once they are in a summary."""
-    (folder / PARTIAL).unlink(missing_ok=True)
-
-
-def _kept(config: FlightConfig, solution: Solution, folder: Path) -> Store:
-    """Open the store of kept flights: only equal configurations and versions are counted together."""
-    depends_on = {
-        "plan": solution.plan_hash,
-        "seed": config.seed,
-        "truth": config.truth,
-        "errors": config.errors,
-        "policy": config.policy_kind,
-        "block": BLOCK,
-        "version": VERSION,
-    }
-    return Store(folder / PARTIAL, depends_on, "folder")
-
-
-def _taken_apart(flown: FlightTally) -> dict[str, Any]:
-    """A tally as JSON, whose numbers are read back bit by bit."""
-    return {
-        **{name: getattr(flown, name) for name in COUNTS},
-        **{name: getattr(flown, name).tolist() for name in SUMS},
-        **{name: _tally(getattr(flown, name)) for name in TALLIES},
-        "held": {name: _tally(tally) for name, tally in flown.held.items()},
-        **{name: _lists(getattr(flown, name)) for name in BY_NAME},
-    }
-
-
-def _lists(counts: Mapping[str, npt.NDArray[np.int64]]) -> dict[str, list[int]]:
-    return {name: each.tolist() for name, each in counts.items()}
-
-
-def _tally(tally: Tally) -> dict[str, Any]:
-    used = np.flatnonzero(tally.counts)
-    counts = tally.counts[used].tolist()
-    return {
-        "bins": used.tolist(),
-        "counts": counts,
-        "batch_means": tally.batch_means,
-        "batch_sizes": tally.batch_sizes,
-    }
-
-
-def _put_together(row: Mapping[str, Any], config: FlightConfig) -> FlightTally:
-    flown = FlightTally(config)
-
-    def tally(empty: Tally, parts: Mapping[str, Any]) -> Tally:
-        counts = np.zeros_like(empty.counts)
-        counts[parts["bins"]] = parts["counts"]
-        means, sizes = tuple(parts["batch_means"]), tuple(parts["batch_sizes"])
-        return replace(empty, counts=counts, batch_means=means, batch_sizes=sizes)
-
-    for name in COUNTS:
-        setattr(flown, name, row[name])
-    for name in SUMS:
-        setattr(flown, name, np.array(row[name]))
-    for name in TALLIES:
-        setattr(flown, name, tally(getattr(flown, name), row[name]))
-    flown.held = {name: tally(empty, row["held"][name]) for name, empty in flown.held.items()}
-    for name in BY_NAME:
-        setattr(flown, name, {key: np.array(counts) for key, counts in row[name].items()})
-    return flown

@@ -21,7 +21,7 @@ from formulations.rows.flight_probability import Limits, limits_within
 from formulations.rows.node_probability import joint_events
 from scp_recon.jobs.cores import each
 from scp_recon.monte_carlo.sampling import BLOCK, draw
-from scp_recon.monte_carlo.whole_flight import LookedAt
+from scp_recon.monte_carlo.whole_flight import BlockLimits
 
 REACH = 5.0
 """Standard deviations from a limit beyond which the law leaves it out: a draw in three million."""
@@ -166,14 +166,14 @@ def _drawn(lin: Linearisation) -> Array:
     return np.concatenate(drawn, axis=2)
 
 
-class Flights(Protocol):
+class FlightSimulator(Protocol):
     """Flies draws of the errors, shape (flights, sources)."""
 
     def positions(self, draws: Array, /) -> Array:
         """Positions at the nodes, m, shape (n, flights, 3)."""
         ...
 
-    def looked_at(self, draws: Array, /) -> LookedAt:
+    def count(self, draws: Array, /) -> BlockLimits:
         """Limits that the flights keep, at the nodes and between them."""
         ...
 
@@ -185,7 +185,7 @@ class StratifiedFlights:
     Attributes:
         whole: of verdicts at all times.
         at_nodes: of verdicts at the nodes alone.
-        touched_s: as `LookedAt.touched_s`.
+        touched_s: as `BlockLimits.touched_s`.
     """
 
     whole: Counted
@@ -193,7 +193,7 @@ class StratifiedFlights:
     touched_s: Array
 
 
-def survey(law: Law, flights: Flights, seed: int) -> Survey:
+def survey(law: Law, flights: FlightSimulator, seed: int) -> Survey:
     """Learn from a few draws how reliable the law's verdicts are."""
     draws = survey_draws(law, seed)
     margin = law.margin(draws)
@@ -214,7 +214,7 @@ def survey(law: Law, flights: Flights, seed: int) -> Survey:
 
 def fly_strata(
     law: Law,
-    flights: Flights,
+    flights: FlightSimulator,
     allocation: Allocation,
     seed: int,
     progress: Callable[[int, int], None] | None = None,
@@ -237,11 +237,11 @@ def fly_strata(
 
     blocks = [chosen[first : first + BLOCK] for first in range(0, len(chosen), BLOCK)]
 
-    def told(done: int) -> None:
+    def report(done: int) -> None:
         if progress:
             progress(len(chosen), min(done * BLOCK, len(chosen)))
 
-    seen = each(flights.looked_at, blocks, told)
+    seen = each(flights.count, blocks, report)
 
     def counted(kept: list[Booleans]) -> Counted:
         unlike = np.concatenate([np.zeros(0, dtype=bool), *kept]) == FAILS[stratum]

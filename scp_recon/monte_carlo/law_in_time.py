@@ -37,8 +37,9 @@ from scp_recon.monte_carlo.law import (
     survey_draws,
     tossed,
 )
+from scp_recon.monte_carlo.limits import Counts, LimitHistory
 from scp_recon.monte_carlo.sampling import BLOCK
-from scp_recon.monte_carlo.whole_flight import Counts, less_likely
+from scp_recon.monte_carlo.whole_flight import less_likely
 
 CONTENDS = 0.3
 """Share of the largest probability of failing, from which on a node has a part in sorting."""
@@ -47,32 +48,14 @@ LEVELS = COUNT // 2
 """Of how near a draw comes: next to a limit, near, and surely not."""
 
 
-class Kept(Protocol):
-    """How flights keep one constraint at its times."""
-
-    @property
-    def name(self) -> str:
-        """Name of the constraint."""
-        ...
-
-    @property
-    def kept(self) -> Booleans:
-        """Flights that keep it at all times, shape (flights,)."""
-        ...
-
-    def fails(self, flights: Indices, /) -> Booleans:
-        """Whether some flights break it, shape (n_times, some)."""
-        ...
-
-
-class Flights(Protocol):
+class HistorySimulator(Protocol):
     """Flies draws of the errors, shape (flights, sources)."""
 
     def positions(self, draws: Array, /) -> Array:
         """Positions at the nodes, m, shape (n, flights, 3)."""
         ...
 
-    def courses(self, draws: Array, /) -> Iterable[Kept]:
+    def histories(self, draws: Array, /) -> Iterable[LimitHistory]:
         """How they keep each joint constraint."""
         ...
 
@@ -112,7 +95,7 @@ class LawInTime:
 
 
 def survey_in_time(
-    laws: Mapping[str, Law], nodes_s: Array, flights: Flights, seed: int
+    laws: Mapping[str, Law], nodes_s: Array, flights: HistorySimulator, seed: int
 ) -> tuple[LawInTime, Survey]:
     """Learn from a few draws which nodes may be the worst, and the law's least reliability there."""
     draws = survey_draws(next(iter(laws.values())), seed)
@@ -174,7 +157,7 @@ class FlightsInTime:
 
 def fly_in_time(
     law: LawInTime,
-    flights: Flights,
+    flights: HistorySimulator,
     times_s: Mapping[str, Array],
     allocation: Allocation,
     seed: int,
@@ -240,7 +223,7 @@ class DrawsInTime:
     """Work of a process: draw, fly and count. For its attributes see `fly_in_time`."""
 
     law: LawInTime
-    flights: Flights
+    flights: HistorySimulator
     times_s: Mapping[str, Array]
     allocation: Allocation
     seed: int
@@ -272,7 +255,7 @@ class DrawsInTime:
         for first in range(0, len(draws), BLOCK):
             now = slice(first, first + BLOCK)
             margins = law.margins(draws[now])
-            for seen in self.flights.courses(draws[now]):
+            for seen in self.flights.histories(draws[now]):
                 counts[seen.name].take_flights(seen, margins.get(seen.name), level[now])
             if progress:
                 progress(len(draws), min(first + BLOCK, len(draws)))
@@ -323,7 +306,7 @@ class CountsInTime:
                 at, draw, sign = self._changes(margin[:, those])
                 np.add.at(self.failing[row], (at, own[draw]), sign)
 
-    def take_flights(self, seen: Kept, margin: Array | None, level: Indices) -> None:
+    def take_flights(self, seen: LimitHistory, margin: Array | None, level: Indices) -> None:
         """Count flights that end unlike the law."""
         if margin is None:
             margin = np.full((1, len(level)), FAR)

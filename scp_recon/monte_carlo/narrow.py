@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import ndtri
 
-from formulations.arrays import Array, Booleans, Indices
+from formulations.arrays import Array
 from formulations.linearisation.linearisation import Linearisation
 from formulations.risk.strata import Allocation, Counted, Survey, allocate
 from scp_recon.jobs.job import Executor, Job, in_order
@@ -24,13 +24,13 @@ from scp_recon.monte_carlo.closed_loop import MEASURED
 from scp_recon.monte_carlo.estimates import CONFIDENCE, Estimate, of_strata, proportion
 from scp_recon.monte_carlo.law import Law, blocks_of
 from scp_recon.monte_carlo.law_in_time import CountsInTime, DrawsInTime, Events, survey_in_time
-from scp_recon.monte_carlo.observation_time import ALL, SCIENCE, limits_hold
+from scp_recon.monte_carlo.limits import EVERYWHERE, LimitHistory, limit_margins, limits_kept
+from scp_recon.monte_carlo.observation_time import ALL, SCIENCE
 from scp_recon.monte_carlo.sampling import (
     ErrorModel,
     fly_draws,
     number_of_sources,
 )
-from scp_recon.monte_carlo.whole_flight import EVERYWHERE
 from scp_recon.planning.initial_guess import from_burns
 from scp_recon.results.policy import Policy, with_policy
 
@@ -72,24 +72,7 @@ class Narrowed:
 
 
 @dataclass(frozen=True)
-class KeptAtLooks:
-    """Whether flights keep a joint constraint at the looks, shape (n, flights)."""
-
-    name: str
-    holds: Booleans
-
-    @property
-    def kept(self) -> Booleans:
-        """Whether flights keep the constraint at all looks, shape (flights,)."""
-        return np.asarray(self.holds.all(axis=0))
-
-    def fails(self, flights: Indices) -> Booleans:
-        """Whether some flights break it, shape (n, some)."""
-        return np.asarray(~self.holds[:, flights])
-
-
-@dataclass(frozen=True)
-class FlightsAtLooks:
+class SampledFlights:
     """Flies draws of the errors with planned burns, J2000, m/s, shape (m, 3), and looks at times.
 
     A policy corrects the burns.
@@ -106,11 +89,14 @@ class FlightsAtLooks:
         """Positions at the nodes, J2000, m, shape (n, flights, 3)."""
         return self._at(self.mission.times_s, draws)
 
-    def courses(self, draws: Array) -> Iterator[KeptAtLooks]:
+    def histories(self, draws: Array) -> Iterator[LimitHistory]:
         """How they keep each joint constraint, and those of the observation together."""
-        times = np.union1d(self.looks_s, self.mission.times_s)
-        holds = limits_hold(self.mission, self.looks_s, times, self._at(times, draws))
-        return (KeptAtLooks(name, kept) for name, kept in holds.items())
+        nodes = self.mission.times_s
+        times = np.union1d(self.looks_s, nodes)
+        counted = [np.searchsorted(times, at) for at in (self.looks_s, nodes)]
+        margins = limit_margins(self.mission, times, self._at(times, draws), *counted)
+        for name, kept in limits_kept(margins).items():
+            yield LimitHistory(name, nodes if name in EVERYWHERE else self.looks_s, kept)
 
     @property
     def linearised(self) -> Linearisation:
@@ -143,7 +129,7 @@ class FlightsAtLooks:
 
 
 def narrow(
-    flights: FlightsAtLooks,
+    flights: SampledFlights,
     seed: int,
     first: int,
     until: float,

@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 
 from formulations.arrays import Array, Booleans, Indices
-from scp_recon.mission.constraints import Measure, safety_margins
+from scp_recon.mission.constraints import Measure
 from scp_recon.mission.mission import Mission
 from scp_recon.physics import geometry
 from scp_recon.physics.flow import interpolate
@@ -54,27 +54,8 @@ def joint_margins(mission: Mission, times_s: Array, position: Array) -> dict[str
     return {joint: np.minimum.reduce(parts) for joint, parts in joints.items()}
 
 
-def joint_holds(mission: Mission, times_s: Array, position: Array) -> dict[str, Booleans]:
-    """Whether each joint constraint holds, and those of the observation together."""
-    holds = {name: m >= 0.0 for name, m in joint_margins(mission, times_s, position).items()}
-    return holds | {ALL: np.logical_and.reduce([holds[name] for name in SCIENCE])}
-
-
-def limits_hold(
-    mission: Mission, looks_s: Array, times_s: Array, position: Array
-) -> dict[str, Booleans]:
-    """Whether safety distances hold at the nodes, and joint constraints of the observation at looks.
-
-    Positions are J2000, m, shape (n, ..., 3), at ascending times (n,) that have nodes and looks.
-    """
-    nodes, seen = (position[np.searchsorted(times_s, at)] for at in (mission.times_s, looks_s))
-    margins = safety_margins(mission.scene, mission.times_s, nodes)
-    holds = {name: margin >= 0.0 for name, margin in margins.items()}
-    return holds | joint_holds(mission, looks_s, seen) if len(looks_s) else holds
-
-
 @dataclass(frozen=True)
-class Held:
+class HoldingTime:
     """Time for which a constraint holds in the window, by flight; all of shape (flights,), s.
 
     `entry` and `exit` are the first and the last time at which it holds, NaN where it never does.
@@ -85,7 +66,7 @@ class Held:
     exit: Array
 
 
-def time_held(mission: Mission, times_s: Array, states: Array) -> dict[str, Held]:
+def time_held(mission: Mission, times_s: Array, states: Array) -> dict[str, HoldingTime]:
     """Time for which each observation constraint holds, and all of them at once.
 
     States are J2000, m and m/s, shape (n, flights, 6), at ascending times that span the window, shape
@@ -110,8 +91,8 @@ def _counted(joint: dict[str, Array]) -> dict[str, Array]:
     return science | {ALL: np.minimum.reduce(signs)}
 
 
-def _held(times: Array, margin: Array, k: Indices, flight: Indices, crossing: Array) -> Held:
-    """`Held` of one constraint's margins (n, flights) and its crossings in the arcs after times k."""
+def _held(times: Array, margin: Array, k: Indices, flight: Indices, crossing: Array) -> HoldingTime:
+    """Holding time by margins (n, flights) of one constraint and its crossings in the arcs after k."""
     holds = margin >= 0.0
     steps = np.diff(times)
     duration = (steps[:, None] * (holds[1:] & holds[:-1])).sum(axis=0)
@@ -128,7 +109,7 @@ def _held(times: Array, margin: Array, k: Indices, flight: Indices, crossing: Ar
     closes = ~rises & (k == last[flight])
     entry[flight[opens]] = crossing[opens]
     exit_[flight[closes]] = crossing[closes]
-    return Held(duration, entry, exit_)
+    return HoldingTime(duration, entry, exit_)
 
 
 def _bisect(

@@ -32,7 +32,7 @@ NAVIGATION = 4
 
 
 @dataclass(frozen=True, eq=False)
-class Flights:
+class FlightLog:
     """Sampled flights.
 
     Attributes:
@@ -66,7 +66,7 @@ def fly_block(
     truth: TruthModel = "planner",
     errors: ErrorModel | None = None,
     policy: AnyPolicy = (),
-) -> Flights:
+) -> FlightLog:
     """Fly the first `flights` of a block of draws, at most `BLOCK`: see `fly_draws`."""
     draws = draw_flights(mission, burns_m_s, seed, block, errors, policy)[:flights]
     return fly_draws(mission, burns_m_s, times_s, draws, truth=truth, errors=errors, policy=policy)
@@ -106,7 +106,7 @@ def fly_draws(
     truth: TruthModel = "planner",
     errors: ErrorModel | None = None,
     policy: AnyPolicy = (),
-) -> Flights:
+) -> FlightLog:
     """Fly draws of the errors, shape (flights, sources), with planned burns, shape (m, 3).
 
     The draws are those of the initial state, of the burns' execution, and of the measurements.
@@ -168,7 +168,9 @@ def fly_draws(
             r, v = end
     failed = np.array(loop.failed, dtype=np.bool_).reshape(-1, flights)
     states = np.moveaxis(states, 1, 2)
-    return Flights(times_s, states, executed, commanded, np.sqrt(closest2), np.sqrt(apart2), failed)
+    return FlightLog(
+        times_s, states, executed, commanded, np.sqrt(closest2), np.sqrt(apart2), failed
+    )
 
 
 def policy_kind(policy: AnyPolicy) -> PolicyKind:

@@ -89,7 +89,7 @@ class Histogram(Section):
         return self
 
 
-class Held(Section):
+class HoldingTime(Section):
     """Seconds for which a constraint holds, and the probability that it holds throughout.
 
     Attributes:
@@ -107,7 +107,7 @@ class Held(Section):
     histogram: Histogram
 
 
-class Spread(Section):
+class Statistics(Section):
     """Mean and 5 % and 95 % quantiles over the flights that have a quantity; none if no flight has.
 
     Attributes:
@@ -129,7 +129,7 @@ class Spread(Section):
         return self
 
 
-class ClosestApproach(Spread):
+class ClosestApproach(Statistics):
     """Distance from the body's centre, m; `worst` is its 0.3 % quantile."""
 
     worst: Interval
@@ -256,14 +256,14 @@ class Summary(Displayed, File):
     confidence: float
     planned_dv_m_s: float
     window_s: tuple[float, float] | None
-    held_s: ByName[Held]
-    entry_s: Spread
-    exit_s: Spread
+    held_s: ByName[HoldingTime]
+    entry_s: Statistics
+    exit_s: Statistics
     probability: ByName[LowestProbability]
     strata: Strata | None = None
     whole_flight: Interval | None = None
     closest_m: ClosestApproach
-    executed_dv_m_s: Spread
+    executed_dv_m_s: Statistics
     commanded: Commanded | None = None
     terminal: Terminal
 
@@ -361,14 +361,14 @@ def summarise(flown: FlightTally, solution: Solution) -> Summary:
         planned_dv_m_s=solution.total_dv_m_s,
         window_s=config.mission.observed_s,
         held_s={name: _held(flown, name) for name in flown.held},
-        entry_s=Spread(**_spread(flown.entry)),
-        exit_s=Spread(**_spread(flown.exit)),
+        entry_s=Statistics(**_spread(flown.entry)),
+        exit_s=Statistics(**_spread(flown.exit)),
         probability={name: _lowest(flown, name) for name in flown.node_counts},
         whole_flight=_interval(proportion(flown.whole, flown.samples)),
         closest_m=ClosestApproach(
             **_spread(flown.closest), worst=_interval(flown.closest.quantile(CLOSEST))
         ),
-        executed_dv_m_s=Spread(**_spread(flown.executed_dv)),
+        executed_dv_m_s=Statistics(**_spread(flown.executed_dv)),
         terminal=_terminal(flown, solution),
         **further,
     )
@@ -387,10 +387,10 @@ def _lowest(flown: FlightTally, name: str) -> LowestProbability:
     return LowestProbability(**_finite(estimate), worst_t_s=at)
 
 
-def _held(flown: FlightTally, name: str) -> Held:
+def _held(flown: FlightTally, name: str) -> HoldingTime:
     tally = flown.held[name]
     used = np.flatnonzero(tally.counts)
-    return Held(
+    return HoldingTime(
         mean=_interval(tally.mean()),
         worst_1_sigma=_interval(tally.quantile(ONE_SIGMA)),
         worst_2_sigma=_interval(tally.quantile(TWO_SIGMA)),

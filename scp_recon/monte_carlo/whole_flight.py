@@ -11,23 +11,23 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from formulations.arrays import Array, Booleans, Indices
-from scp_recon.mission.constraints import COMPANION, SAFETY, safety_margins
 from scp_recon.mission.mission import Mission
-from scp_recon.monte_carlo.observation_time import joint_margins
-from scp_recon.monte_carlo.sampling import BLOCK, Flights, draw_flights, fly_draws
+from scp_recon.monte_carlo.limits import (
+    EVERYWHERE,
+    PARTS,
+    Counts,
+    LimitHistory,
+    limit_margins,
+)
+from scp_recon.monte_carlo.sampling import BLOCK, FlightLog, draw_flights, fly_draws
 from scp_recon.physics.flow import interpolate
 from scp_recon.results.policy import Policy
 
-Counts = npt.NDArray[np.int64]
 State = tuple[Array, Array]
 
-EVERYWHERE = SAFETY, COMPANION
 LOOK_S = 30.0
-PARTS = 30
-"""Of the time between looks: a second each."""
 BENDS = 4.0
 """Times the dip h^2 |m''| / 8 of a parabola that a margin may dip between two looks h apart. With two,
 a margin that falls and rises at one speed would be missed where it turns between them."""
@@ -76,7 +76,7 @@ def kept_flights(
     for begun in range(0, samples, BLOCK):
         flights = min(BLOCK, samples - begun)
         draws = draw_flights(mission, burns_m_s, seed, begun // BLOCK, policy=policy)[:flights]
-        blocks.append(fly.looked_at(draws))
+        blocks.append(fly.count(draws))
         if progress:
             progress(begun + flights)
     names = blocks[0].at_looks
@@ -118,7 +118,7 @@ def less_likely(times: Array, fall: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class LookedAt:
+class BlockLimits:
     """Limits that some flights keep: counts at looks and between, and flights that keep everything.
 
     Attributes:
@@ -158,70 +158,8 @@ def _times(mission: Mission, looks: Array, name: str) -> Array:
 
 def _margin(mission: Mission, times: Array, position: Array, name: str) -> Array:
     """Margin of a joint constraint for positions (n, ..., 3) at times (n,)."""
-    if name in EVERYWHERE:
-        return safety_margins(mission.scene, times, position)[name]
-    return joint_margins(mission, times, position)[name]
-
-
-@dataclass(frozen=True)
-class Course:
-    """Whether flights keep one joint constraint at looks, and between looks if that is uncertain.
-
-    Attributes:
-        name: of the constraint.
-        looks: times at which it counts, s, shape (n,).
-        holds: whether a flight keeps the constraint at each look, shape (n, flights).
-        arc: number of the look before each uncertain interval, shape (m,).
-        flight: flight of each uncertain interval, shape (m,).
-        between: whether it keeps the constraint at the seconds between, shape (m, PARTS - 1).
-    """
-
-    name: str
-    looks: Array
-    holds: Booleans
-    arc: Indices
-    flight: Indices
-    between: Booleans
-
-    @property
-    def counts_between(self) -> Counts:
-        """Flights that keep it at each second between looks, shape (n - 1, PARTS - 1)."""
-        throughout = self._throughout
-        counts = throughout.sum(axis=1) - np.bincount(
-            self.arc[throughout[self.arc, self.flight]], minlength=len(throughout)
-        )
-        counts = np.repeat(counts[:, None], PARTS - 1, axis=1)
-        np.add.at(counts, self.arc, self.between)
-        return counts
-
-    @property
-    def kept(self) -> Booleans:
-        """Flights that keep it at all times, shape (flights,)."""
-        kept = np.asarray(self.holds.all(axis=0))
-        kept[self.flight[~self.between.all(axis=1)]] = False
-        return kept
-
-    @property
-    def broken(self) -> tuple[Array, Indices]:
-        """Times at which flights break it, s, and these flights, in pairs."""
-        (look, who), (row, part) = np.nonzero(~self.holds), np.nonzero(~self.between)
-        step = np.diff(self.looks)[self.arc[row]]
-        time = self.looks[self.arc[row]] + (part + 1) / PARTS * step
-        return np.concatenate([self.looks[look], time]), np.concatenate([who, self.flight[row]])
-
-    def fails(self, flights: Indices) -> Booleans:
-        """Whether some flights break it at the times of `seconds_of`, shape (n_times, some)."""
-        holds, column = self.holds[:, flights], np.full(self.holds.shape[1], -1)
-        column[flights] = np.arange(len(flights))
-        fails = np.repeat(~self._throughout[:, None, flights], PARTS, axis=1)
-        fails[:, 0] = ~holds[:-1]
-        mine = column[self.flight] >= 0
-        fails[self.arc[mine], 1:, column[self.flight[mine]]] = ~self.between[mine]
-        return np.concatenate([fails.reshape(len(fails) * PARTS, -1), ~holds[-1:]])
-
-    @property
-    def _throughout(self) -> Booleans:
-        return self.holds[1:] & self.holds[:-1]
+    observed = slice(0) if name in EVERYWHERE else slice(None)
+    return limit_margins(mission, times, position, observed)[name][1]
 
 
 @dataclass(frozen=True)
@@ -256,7 +194,7 @@ def may_dip(times: Array, margin: Array) -> Array:
     return np.asarray(BENDS * step**2 / 8.0 * np.maximum(padded[1:], padded[:-1]))
 
 
-def _follow(mission: Mission, name: str, arcs: _Arcs, margin: Array) -> Course:
+def _follow(mission: Mission, name: str, arcs: _Arcs, margin: Array) -> LimitHistory:
     """Follow flights by the second between looks whose margins leave a violation possible."""
     times = arcs.times
     low, high = np.minimum(margin[1:], margin[:-1]), np.maximum(margin[1:], margin[:-1])
@@ -265,12 +203,12 @@ def _follow(mission: Mission, name: str, arcs: _Arcs, margin: Array) -> Course:
     step = (times[k + 1] - times[k])[:, None]
     ends = arcs.ends(mission, k, flight)
     between = np.empty((len(k), PARTS - 1), dtype=bool)
-    for part in range(1, PARTS):
+    for part in range(1, PARTS) if len(k) else ():
         share = part / PARTS
         position, _ = interpolate(ends[0], ends[1], step, share)
         time = times[k] + share * step[:, 0]
         between[:, part - 1] = _margin(mission, time, position, name) >= 0.0
-    return Course(name, times, margin >= 0.0, k, flight, between)
+    return LimitHistory(name, times, margin >= 0.0, k, flight, between)
 
 
 @dataclass(frozen=True)
@@ -285,36 +223,34 @@ class WholeFlights:
         """Positions at the nodes, J2000, m, shape (n, flights, 3)."""
         return self._fly(self.mission.times_s, draws).states[..., :3]
 
-    def looked_at(self, draws: Array) -> LookedAt:
+    def count(self, draws: Array) -> BlockLimits:
         """Limits that the flights keep, at the nodes and between them."""
-        courses = list(self.courses(draws))
+        histories = list(self.histories(draws))
         kept_at_nodes, kept = np.ones((2, len(draws)), dtype=bool)
-        for course in courses:
-            kept_at_nodes &= course.holds[np.isin(course.looks, self.mission.times_s)].all(axis=0)
-            kept &= course.kept
+        for history in histories:
+            kept_at_nodes &= history.holds[np.isin(history.times_s, self.mission.times_s)].all(
+                axis=0
+            )
+            kept &= history.kept
         lost = kept_at_nodes & ~kept
-        broken = [course.broken for course in courses] if lost.any() else []
-        return LookedAt(
-            {course.name: course.holds.sum(axis=1) for course in courses},
-            {course.name: course.counts_between for course in courses},
+        broken = [history.broken for history in histories] if lost.any() else []
+        return BlockLimits(
+            {history.name: history.holds.sum(axis=1) for history in histories},
+            {history.name: history.counts_between for history in histories},
             kept_at_nodes,
             kept,
             np.concatenate([np.zeros(0), *(time[lost[flight]] for time, flight in broken)]),
         )
 
-    def courses(self, draws: Array) -> Iterator[Course]:
+    def histories(self, draws: Array) -> Iterator[LimitHistory]:
         """How they keep each joint constraint."""
         mission, looks = self.mission, looks_of(self.mission)
         flown = self._fly(looks, draws)
-        states = flown.states
-        window = np.isin(looks, _times(mission, looks, ""))
-        margins = safety_margins(mission.scene, looks, states[..., :3])
-        if window.any():
-            margins |= joint_margins(mission, looks[window], states[window, :, :3])
+        states, window = flown.states, np.isin(looks, _times(mission, looks, ""))
         everywhere = _Arcs(looks, states, flown.burns_m_s)
         observing = _Arcs(looks[window], states[window], flown.burns_m_s)
-        for name, margin in margins.items():
+        for name, (_, margin) in limit_margins(mission, looks, states[..., :3], window).items():
             yield _follow(mission, name, everywhere if name in EVERYWHERE else observing, margin)
 
-    def _fly(self, times_s: Array, draws: Array) -> Flights:
+    def _fly(self, times_s: Array, draws: Array) -> FlightLog:
         return fly_draws(self.mission, self.burns_m_s, times_s, draws, policy=self.policy)

@@ -24,7 +24,7 @@ from scp_recon.reports.subject import Subject
 from scp_recon.reports.surfaces import Shape
 from scp_recon.reports.tables import or_none
 from scp_recon.results.table import Column, Table
-from scp_recon.verification.probabilities import SAMPLES, SEED, held
+from scp_recon.verification.probabilities import SAMPLES, SEED, kept_limits
 
 LOOKS_IN_WINDOW = 121
 SHARE = 0.99
@@ -240,7 +240,7 @@ class Achieved:
 
 def achieved(subject: Subject, flown: Flown) -> list[Achieved]:
     """Probabilities of every joint constraint at each time, and of all constraints so far."""
-    kept = held(subject.mission, flown.times_s, flown.positions, flown.window)
+    kept = kept_limits(subject.mission, flown.times_s, flown.positions, flown.window)
     still = np.ones((len(flown.times_s), flown.samples), dtype=bool)
     for times, those in kept.values():
         still[np.isin(flown.times_s, times)] &= those

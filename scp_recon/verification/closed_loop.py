@@ -32,7 +32,7 @@ ERROR, ESTIMATE, BIAS, MEMORY = slice(0, 6), slice(6, 12), 12, 13
 
 
 @dataclass(frozen=True)
-class Known:
+class ErrorCovariances:
     """Covariances of the estimate's error before and after a cut-off, shape (6, 6)."""
 
     before: Array
@@ -40,7 +40,7 @@ class Known:
 
 
 @dataclass(frozen=True)
-class Spread:
+class JointCovariance:
     """The joint covariance of a flight, and the knowledge at its cut-offs; SI, J2000.
 
     Attributes:
@@ -53,10 +53,10 @@ class Spread:
     mission: Mission
     policy: Policy
     joint: Array
-    known: tuple[Known, ...] = ()
+    known: tuple[ErrorCovariances, ...] = ()
 
     @classmethod
-    def before_burns(cls, mission: Mission, policy: Policy = ()) -> Spread:
+    def before_burns(cls, mission: Mission, policy: Policy = ()) -> JointCovariance:
         """Spread of the initial state, with nothing learnt."""
         joint = np.zeros((MEMORY, MEMORY))
         joint[ERROR, ERROR] = mission.initial_factor @ mission.initial_factor.T
@@ -82,13 +82,13 @@ class Spread:
             gains[3 * j : 3 * j + 3] = self._by_memory(correction)
         return gains @ self.joint @ gains.T
 
-    def carried(self, stm: Array) -> Spread:
+    def carried(self, stm: Array) -> JointCovariance:
         """The spread after an arc with an STM (6, 6)."""
         carry = np.eye(len(self.joint))
         carry[ERROR, ERROR] = carry[ESTIMATE, ESTIMATE] = stm
         return replace(self, joint=carry @ self.joint @ carry.T)
 
-    def measured(self, time_s: float) -> Spread:
+    def measured(self, time_s: float) -> JointCovariance:
         """The spread after the measurement at a time, if there is one."""
         spread = self
         for correction in self.policy[len(self.known) :]:
@@ -96,7 +96,7 @@ class Spread:
                 spread = spread._measured(correction.measurement_covariance)
         return spread
 
-    def _measured(self, errors: Array) -> Spread:
+    def _measured(self, errors: Array) -> JointCovariance:
         size, before = len(self.joint), self.knowledge
         gain = cho_solve(cho_factor(before + errors), before).T
         update, noise = np.eye(size + 6, size), np.zeros((size + 6, 6))
@@ -105,9 +105,11 @@ class Spread:
         noise[ERROR], noise[ESTIMATE] = -gain, gain
         update[size:], noise[size:] = update[ESTIMATE], noise[ESTIMATE]
         joint = update @ self.joint @ update.T + noise @ errors @ noise.T
-        return replace(self, joint=joint, known=(*self.known, Known(before, joint[ERROR, ERROR])))
+        return replace(
+            self, joint=joint, known=(*self.known, ErrorCovariances(before, joint[ERROR, ERROR]))
+        )
 
-    def after_burn(self, burn: Array, number: int) -> Spread:
+    def after_burn(self, burn: Array, number: int) -> JointCovariance:
         """The spread after a burn, m/s, shape (3,), by its number from 0, with its correction if any.
 
         The errors of executing a correction have its second moment, and depend on nothing else.

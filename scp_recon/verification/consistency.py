@@ -13,26 +13,25 @@ from __future__ import annotations
 import numpy as np
 from scipy.special import ndtr, ndtri
 
-from formulations.arrays import Array, Booleans, Indices
+from formulations.arrays import Array, Indices
 from formulations.problem.flyby import StateConstraint
 from formulations.problem.regions import Ball, Cone
 from formulations.rows.exact_flight import FLIGHT
 from scp_recon.errors import InputError
-from scp_recon.mission.constraints import safety_margins
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.estimates import (
     CONFIDENCE,
-    FIRST_LOOK_SEED,
     FIRST_SEED,
-    LOOK_CONFIDENCE,
-    LOOKS_MAX,
+    FIRST_TEST_SEED,
+    TEST_CONFIDENCE,
+    TESTS_MAX,
     flights_needed,
-    look_flights,
-    look_seed,
+    flights_of_test,
     of_strata,
     proportion,
+    seed_of_test,
 )
-from scp_recon.monte_carlo.observation_time import joint_margins
+from scp_recon.monte_carlo.limits import limit_margins
 from scp_recon.planning.plan import Certificate
 from scp_recon.results.facts import EventProbability, FacetTable, Risk
 from scp_recon.results.figures import (
@@ -164,19 +163,9 @@ def node_probabilities(mission: Mission, solution: Solution) -> dict[str, tuple[
     draws = ndtri(qmc.Sobol(3, scramble=True, rng=SEED).random(POINTS))
     first, last = mission.observed_s or (np.inf, np.inf)
     window = (times >= first) & (times <= last)
-
-    def positions(nodes: Booleans) -> Array:
-        return np.asarray(mean[nodes, None] + draws @ root[nodes].swapaxes(1, 2))
-
-    everywhere = np.ones(len(times), dtype=bool)
-    clear = safety_margins(mission.scene, times, positions(everywhere))
-    seen = joint_margins(mission, times[window], positions(window)) if window.any() else {}
-    margins = [(times, clear), (times[window], seen)]
-    return {
-        name: (at, (margin >= 0.0).mean(axis=1))
-        for at, found in margins
-        for name, margin in found.items()
-    }
+    positions = mean[:, None] + draws @ root.swapaxes(1, 2)
+    margins = limit_margins(mission, times, positions, window)
+    return {name: (at, (margin >= 0.0).mean(axis=1)) for name, (at, margin) in margins.items()}
 
 
 def _is_promise(risk: Risk) -> bool:
@@ -198,7 +187,9 @@ def _is_sound(reached: Certificate, required: float) -> bool:
     `Certificate.looks`.
     """
     older = reached.looks == 0
-    confidence, needed = (CONFIDENCE, flights_needed) if older else (LOOK_CONFIDENCE, look_flights)
+    confidence, needed = (
+        (CONFIDENCE, flights_needed) if older else (TEST_CONFIDENCE, flights_of_test)
+    )
     flights: float = reached.samples
     if reached.strata is None:
         expected = proportion(round(reached.reached * flights), reached.samples, confidence)
@@ -206,9 +197,9 @@ def _is_sound(reached: Certificate, required: float) -> bool:
         expected, flights = of_strata(reached.strata, confidence), reached.strata.allocation.draws
     reported = (reached.reached, reached.low, reached.high)
     if older:
-        unseen = FIRST_SEED <= reached.seed < FIRST_LOOK_SEED
+        unseen = FIRST_SEED <= reached.seed < FIRST_TEST_SEED
     else:
-        unseen = reached.looks <= LOOKS_MAX and reached.seed == look_seed(reached.looks)
+        unseen = reached.looks <= TESTS_MAX and reached.seed == seed_of_test(reached.looks)
     try:
         enough = flights >= needed(required)
     except InputError:  # no flights certify so much

@@ -7,10 +7,9 @@ from scipy.special import ndtri
 
 from formulations.arrays import Array, Booleans, Indices
 from formulations.rows.exact_flight import FLIGHT
-from scp_recon.mission.constraints import safety_margins
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.estimates import proportion
-from scp_recon.monte_carlo.observation_time import joint_margins
+from scp_recon.monte_carlo.limits import EVERYWHERE, limit_margins
 from scp_recon.monte_carlo.sampling import fly_block, sample_positions
 from scp_recon.results.facts import FinalSigma, JointProbability, Risk
 from scp_recon.results.figures import FINAL_SIGMAS, final_sigma_limits
@@ -97,7 +96,7 @@ def joint_probabilities(
     times = np.union1d(observed, mission.times_s)
     positions = sample_positions(mission, burns, times, SAMPLES, SEED, policy)
     seen = np.searchsorted(times, observed)
-    kept = held(mission, times, positions, seen)
+    kept = kept_limits(mission, times, positions, seen)
     found = [_worst(name, at, those) for name, (at, those) in kept.items()]
     if mission.scenario.risk.scope == "flight":
         every = np.logical_and.reduce([those.all(axis=0) for _, those in kept.values()])
@@ -106,19 +105,17 @@ def joint_probabilities(
     return found
 
 
-def held(
+def kept_limits(
     mission: Mission, times: Array, positions: Array, seen: Indices
 ) -> dict[str, tuple[Array, Booleans]]:
     """Flights that keep the safety distances at all times, and each joint constraint at times `seen`.
 
     By name: times, s, shape (n,), and flights, shape (n, flights); of positions (times, flights, 3).
     """
-    joint = joint_margins(mission, times[seen], positions[seen]) if len(seen) else {}
-    clear = safety_margins(mission.scene, times, positions)
-    kept = {name: (times, holds(margin, "m")) for name, margin in clear.items()}
-    for name, margin in joint.items():
-        kept[name] = times[seen], holds(margin, "m" if name == "site_distance" else "rad")
-    return kept
+    return {
+        name: (at, holds(margin, "m" if name in (*EVERYWHERE, "site_distance") else "rad"))
+        for name, (at, margin) in limit_margins(mission, times, positions, seen).items()
+    }
 
 
 def holds(margin: Array, unit: str) -> Booleans:

@@ -31,7 +31,7 @@ from scp_recon.results.facts import BurnLimit, FinalMiss, FinalSigma, MeanMargin
 from scp_recon.results.figures import is_converged, is_strange
 from scp_recon.results.policy import Policy
 from scp_recon.results.solution import Solution
-from scp_recon.verification.closed_loop import Spread
+from scp_recon.verification.closed_loop import JointCovariance
 from scp_recon.verification.commands import (
     NO_BURN_M_S,
     burn_limits,
@@ -167,7 +167,7 @@ class _Flown:
     states: Array
     covariances: Array
     knowledge: Array
-    end: Spread
+    end: JointCovariance
 
 
 def _fly(
@@ -183,7 +183,7 @@ def _fly(
     times = np.union1d(times, stops)
     states = np.full((len(times), 6), DIVERGED)  # for what the integrator does not reach
     covariances, knowledge = (np.full((len(times), 6, 6), DIVERGED) for _ in range(2))
-    state, spread = initial.copy(), Spread.before_burns(mission, policy)
+    state, spread = initial.copy(), JointCovariance.before_burns(mission, policy)
     for i, begin in enumerate(stops):
         spread = spread.measured(begin)
         if begin in numbers:

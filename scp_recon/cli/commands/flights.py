@@ -36,7 +36,7 @@ from scp_recon.errors import imported, option, whole_number
 from scp_recon.files import check_writable, only_run_in, unwritable
 from scp_recon.monte_carlo.flights import SEED_MAX
 from scp_recon.monte_carlo.summary import (
-    Spread,
+    Statistics,
     Summary,
     Terminal,
 )
@@ -80,11 +80,9 @@ def montecarlo(options: argparse.Namespace, console: Console) -> Answer:
         )
         flown = fly_into(folder, plan, how, watcher)
     summary, document = flown.summary, {"files": [str(flown.path)]}
-    if summary is None:
-        count = flown.flights.samples
-        show_line(
-            console, f"interrupted: {count} flights are kept; run the same command to continue"
-        )
+    if flown.interrupted:
+        count = summary.samples
+        show_line(console, f"interrupted: {count} of {options.samples} flights are summarised")
         show_written(console, flown.path)
         return Answer(Status.INTERRUPTED.value.exit_code, {"samples": count, **document})
     show_summary(console, summary, required_probability(plan.solution))
@@ -188,7 +186,7 @@ def show_summary(console: Console, summary: Summary, required: float | None = No
     _show_terminal(console, summary.terminal)
 
 
-def _show_spread(console: Console, label: str, spread: Spread, digits: int) -> None:
+def _show_spread(console: Console, label: str, spread: Statistics, digits: int) -> None:
     """One line, and none without flights."""
     if spread.mean is None or spread.q05 is None or spread.q95 is None:
         return

@@ -24,11 +24,11 @@ from formulations.risk.strata import (
     most_at,
     most_failures,
 )
-from scp_recon.certification.flights import LOOK_WIDTH
-from scp_recon.monte_carlo.estimates import LOOK_CONFIDENCE, look_flights, look_interval
+from scp_recon.certification.flights import TEST_WIDTH
+from scp_recon.monte_carlo.estimates import TEST_CONFIDENCE, flights_of_test, interval_of_test
 from tests.helpers import usually
 
-TAIL = 0.5 * (1.0 - LOOK_CONFIDENCE)
+TAIL = 0.5 * (1.0 - TEST_CONFIDENCE)
 REQUIRED = [0.7, 0.9, 0.99, 0.999]
 NEAR = {0.7: 0.12, 0.9: 0.059, 0.99: 0.0186, 0.999: 0.005}
 """Draws whose verdict is not sure, about as many as surveys of the default scenario found."""
@@ -47,15 +47,15 @@ def survey_of(required: float) -> Survey:
 
 def plain_widths(required: float) -> tuple[float, float]:
     """Distances of the limits of as many plain flights as a look has."""
-    n = look_flights(required)
-    reached = look_interval(round(n * (1.0 - survey_of(required).failed)), n)
+    n = flights_of_test(required)
+    reached = interval_of_test(round(n * (1.0 - survey_of(required).failed)), n)
     return reached.value - reached.low, reached.high - reached.value
 
 
 def allocation_of(required: float, *, mirrored: bool = False) -> Allocation:
     below, above = plain_widths(required)
-    widths = LOOK_WIDTH * below, LOOK_WIDTH * above
-    known, n = survey_of(required), look_flights(required)
+    widths = TEST_WIDTH * below, TEST_WIDTH * above
+    known, n = survey_of(required), flights_of_test(required)
     found = allocate(known, n, widths, TAIL, mirrored=mirrored)
     assert found is not None
     return found
@@ -145,7 +145,7 @@ def test_the_laws_part_of_a_limit_is_the_worst_of_all(failing, lean):
 @pytest.mark.parametrize("required", REQUIRED)
 def test_a_look_takes_a_tenth_of_the_flights_for_no_wider_an_interval(required):
     """With flights as a survey expects them."""
-    a, known, n = allocation_of(required), survey_of(required), look_flights(required)
+    a, known, n = allocation_of(required), survey_of(required), flights_of_test(required)
     drawn = a.draws * known.share
     flown = drawn * np.array(a.share)
     assert flown.sum() <= 0.1 * n

@@ -13,17 +13,17 @@ from formulations.risk.strata import Allocation, Counted
 from formulations.rows.exact_flight import FLIGHT
 from scp_recon.certification import flights
 from scp_recon.certification.certify import ROUNDS_MAX, certify
-from scp_recon.certification.flights import LOOK_WIDTH, Step, certificate_of, kept_of, with_nodes_at
+from scp_recon.certification.flights import TEST_WIDTH, Step, certificate_of, kept_of, with_nodes_at
 from scp_recon.errors import InputError
 from scp_recon.monte_carlo.estimates import (
     CONFIDENCE,
-    FIRST_LOOK_SEED,
     FIRST_SEED,
-    LOOK_CONFIDENCE,
-    LOOKS_MAX,
-    look_flights,
-    look_seed,
+    FIRST_TEST_SEED,
+    TEST_CONFIDENCE,
+    TESTS_MAX,
+    flights_of_test,
     proportion,
+    seed_of_test,
 )
 from scp_recon.monte_carlo.whole_flight import kept_flights
 from scp_recon.planning import initial_guess
@@ -86,16 +86,16 @@ def test_the_lower_limit_is_what_was_asked(certified):
     assert reached.low >= ASKED
     assert certified.target > ASKED
     if reached.strata is None:
-        assert reached.samples == look_flights(ASKED)
+        assert reached.samples == flights_of_test(ASKED)
     else:
-        step = Step("", look_flights(ASKED), reached.seed, LOOK_WIDTH, LOOK_CONFIDENCE)
+        step = Step("", flights_of_test(ASKED), reached.seed, TEST_WIDTH, TEST_CONFIDENCE)
         kept, _ = flights.fly_plan(None, certified, step)
         assert certificate_of(kept, reached.looks, reached.rounds) == reached
-        assert reached.samples == sum(reached.strata.flown) < look_flights(ASKED)
+        assert reached.samples == sum(reached.strata.flown) < flights_of_test(ASKED)
         assert "draws of look" in str(reached)
 
 
-def test_rounding_leaves_no_flight_that_keeps_all_but_not_the_nodes():
+def test_rounding_keeps_nodes_at_least_as_likely():
     """In strata flights are as many plain ones as they are worth: a share of them is a quotient."""
     allocation = Allocation(1e4, 5.0, (0.1, 0.5, 0.6, 0.6, 0.5, 0.1), (0.09, 0.1))
     for failing in range(60):
@@ -110,10 +110,10 @@ def test_what_judges_no_round_has_flown(run):
     reached = run.plan.certificate
     rounds, looks = run.seeds[: reached.rounds], run.seeds[reached.rounds :]
     assert rounds == list(range(FIRST_SEED, FIRST_SEED + reached.rounds))
-    assert looks == [look_seed(number + 1) for number in range(reached.looks)]
+    assert looks == [seed_of_test(number + 1) for number in range(reached.looks)]
     assert looks[-1] == reached.seed
     assert len(rounds) <= ROUNDS_MAX
-    assert len(looks) <= LOOKS_MAX
+    assert len(looks) <= TESTS_MAX
     assert set(rounds).isdisjoint(looks)
 
 
@@ -156,7 +156,7 @@ def claiming(solution: Solution, **changes: Any) -> Solution:
     return telling(solution, certificate=told)
 
 
-def test_the_solution_says_so_is_verified_and_found_sound(certified, solution, checked):
+def test_certified_solution_is_verified(certified, solution, checked):
     assert (solution.risk.required, solution.risk.target) == (ASKED, certified.target)
     assert checked.ok, checked.failed
     names = {p.name for p in checked.probabilities}
@@ -169,7 +169,7 @@ OLDER: dict[str, Any] = {"looks": 0, "confidence": CONFIDENCE, "seed": FIRST_SEE
 
 
 @pytest.mark.parametrize("run", ["flight"], indirect=True)
-def test_a_certificate_of_an_older_file_is_read_and_sound(certified, solution, checked, tmp_path):
+def test_certificate_of_older_file_is_sound(certified, solution, checked, tmp_path):
     """The file of a number before has neither of the keys that tell it apart, and today's has to."""
     older = claiming(solution, **OLDER, samples=1_000)
     data = json.loads(older.write(tmp_path).read_text("utf-8"))
@@ -191,25 +191,23 @@ def test_a_certificate_of_an_older_file_is_read_and_sound(certified, solution, c
         ({"samples": 1_000}, "risk"),
         (OLDER | {"samples": 500}, "risk"),
         ({"seed": FIRST_SEED}, "risk"),
-        ({"seed": FIRST_LOOK_SEED + LOOKS_MAX}, "risk"),
-        ({"looks": LOOKS_MAX + 1, "seed": look_seed(LOOKS_MAX + 1)}, "risk"),
+        ({"seed": FIRST_TEST_SEED + TESTS_MAX}, "risk"),
+        ({"looks": TESTS_MAX + 1, "seed": seed_of_test(TESTS_MAX + 1)}, "risk"),
         ({"confidence": CONFIDENCE}, "risk"),
         (OLDER | {"confidence": 0.975}, "risk"),
-        (OLDER | {"seed": FIRST_LOOK_SEED}, "risk"),
+        (OLDER | {"seed": FIRST_TEST_SEED}, "risk"),
         (OLDER | {"seed": FIRST_SEED - 1}, "risk"),
         ({"reached": 0.98}, "certificate"),
         ({"reached": 0.85}, "certificate"),
     ],
     ids=lambda value: str(value),
 )
-def test_a_certificate_that_claims_what_is_not_so_is_named(
-    certified, solution, checked, changes, name
-):
+def test_false_certificate_is_named(certified, solution, checked, changes, name):
     assert name in failures(certified, claiming(solution, **changes), checked)
 
 
 @pytest.mark.parametrize("run", ["strata"], indirect=True)
-def test_strata_that_claim_what_is_not_so_are_named(certified, solution, checked, tmp_path):
+def test_false_strata_are_named(certified, solution, checked, tmp_path):
     """Fewer flights unlike the law would have reached more, and fewer draws are not enough."""
     strata = certified.certificate.strata
     fewer = replace(strata.allocation, draws=0.01 * strata.allocation.draws)
@@ -225,7 +223,7 @@ def test_strata_that_claim_what_is_not_so_are_named(certified, solution, checked
     assert read.risk == solution.risk
 
 
-def test_what_nothing_certifies_has_to_aim_at_what_was_asked(certified, solution, checked):
+def test_uncertified_plan_must_target_the_requirement(certified, solution, checked):
     """The plan of a lower probability does not pass for one of a higher, nor has it converged."""
     told = telling(solution, certificate=None)
     assert failures(certified, told, checked) == []
@@ -238,7 +236,7 @@ def test_what_nothing_certifies_has_to_aim_at_what_was_asked(certified, solution
 
 
 @pytest.mark.parametrize("off", [0.006, -0.006])
-def test_a_probability_that_the_nodes_do_not_have_is_named(certified, solution, checked, off):
+def test_wrong_node_probability_is_named(certified, solution, checked, off):
     """By no more than 0.006 of about 0.91: of a flight it is its flights that have to tell."""
     law = solution.risk.normal_law
     least = min(law, key=lambda event: min(event.probability))

@@ -16,7 +16,12 @@ from scp_recon.certification.largest import (
     rounded_down,
 )
 from scp_recon.mission.mission import Mission
-from scp_recon.monte_carlo.estimates import FIRST_SEED, look_flights, look_interval, look_seed
+from scp_recon.monte_carlo.estimates import (
+    FIRST_SEED,
+    flights_of_test,
+    interval_of_test,
+    seed_of_test,
+)
 from scp_recon.planning import initial_guess
 from scp_recon.planning.plan import Plan
 from scp_recon.planning.planner import plan
@@ -81,7 +86,7 @@ def test_the_last_one_with_a_plan_is_found(real, monkeypatch, status, share):
     assert found.mission.warnings == real.mission.warnings
 
 
-def test_where_all_have_one_it_is_the_largest_that_flights_can_certify(real, monkeypatch):
+def test_always_feasible_search_ends_at_certifiable_limit(real, monkeypatch):
     found = looked_for(World(real, honest), monkeypatch)
     assert ndtri(MOST) - ndtri(found.target) <= CLOSE
 
@@ -95,7 +100,7 @@ def test_no_verdict_is_told_from_infeasible(real, monkeypatch):
     assert "larger ones may be feasible" in told.expected
 
 
-def test_ctrl_c_ends_the_search_with_the_best_so_far(real, monkeypatch):
+def test_ctrl_c_ends_search_with_best_plan(real, monkeypatch):
     def status(target: float, _: str) -> Status:
         return Status.CONVERGED if target < 0.97 else Status.INTERRUPTED
 
@@ -122,18 +127,18 @@ def test_what_a_look_reaches_at_least_is_asked(real, monkeypatch):
     """Of flights that no round has used, whatever those reached."""
 
     def reach(target: float, seed: int) -> Reached:
-        return (share := target - 0.01 * (seed == look_seed(1))), share
+        return (share := target - 0.01 * (seed == seed_of_test(1))), share
 
     found = promised(world := World(real, reach), monkeypatch, certified=True)
     reached = found.certificate
-    assert world.seeds == [FIRST_SEED, look_seed(1)]
-    assert (reached.samples, reached.seed) == (look_flights(found.target), look_seed(1))
+    assert world.seeds == [FIRST_SEED, seed_of_test(1)]
+    assert (reached.samples, reached.seed) == (flights_of_test(found.target), seed_of_test(1))
     kept = round((found.target - 0.01) * reached.samples)
-    assert reached.low == look_interval(kept, reached.samples).low
+    assert reached.low == interval_of_test(kept, reached.samples).low
     assert found.mission.scenario.risk.p_chance == rounded_down(reached.low) < found.target
 
 
-def test_nodes_are_added_and_it_is_looked_for_again(real, monkeypatch):
+def test_search_repeats_on_added_nodes(real, monkeypatch):
     between = float(real.times_s[70]) + 20.0
 
     def reach(target: float, seed: int) -> Reached:
@@ -142,13 +147,13 @@ def test_nodes_are_added_and_it_is_looked_for_again(real, monkeypatch):
     world = World(real, reach, touched_s=(between,))
     found = promised(world, monkeypatch, certified=True)
     assert (found.certificate.rounds, found.certificate.looks) == (2, 1)
-    assert world.seeds == [FIRST_SEED, FIRST_SEED + 1, look_seed(1)]
+    assert world.seeds == [FIRST_SEED, FIRST_SEED + 1, seed_of_test(1)]
     assert found.certificate.at_nodes == found.certificate.reached
     assert round(between) in found.times_s
     assert world.aims.count(LEAST) == 2
 
 
-@pytest.mark.parametrize("stop", [FIRST_SEED, look_seed(1)])
+@pytest.mark.parametrize("stop", [FIRST_SEED, seed_of_test(1)])
 def test_ctrl_c_among_its_flights_keeps_the_plan(real, monkeypatch, stop):
     def reach(target: float, seed: int) -> Reached:
         if seed == stop:

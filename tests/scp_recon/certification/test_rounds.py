@@ -11,16 +11,16 @@ from scipy.stats import binom
 
 from scp_recon.certification import flights
 from scp_recon.certification.certify import ROUNDS_MAX, Aiming, certify
-from scp_recon.certification.flights import Kept, certificate_of
+from scp_recon.certification.flights import KeptCounts, certificate_of
 from scp_recon.errors import InputError
 from scp_recon.monte_carlo import estimates
 from scp_recon.monte_carlo.estimates import (
     FIRST_SEED,
-    LOOKS_MAX,
+    TESTS_MAX,
     Estimate,
     flights_needed,
-    look_flights,
-    look_seed,
+    flights_of_test,
+    seed_of_test,
     successes_needed,
 )
 from scp_recon.planning.plan import Plan
@@ -28,12 +28,12 @@ from scp_recon.scp.status import Status
 from tests.scp_recon.certification.support import Reached, World, a_plan
 
 ASKED = 0.9
-ROUND, LOOK = flights_needed(ASKED), look_flights(ASKED)
+ROUND, LOOK = flights_needed(ASKED), flights_of_test(ASKED)
 AIMING = Aiming(ASKED, ROUND, LOOK)
 NEEDED, ERROR = AIMING.needed, AIMING.error
 AIMED = AIMING.next()
 """What the first plan aims at."""
-LOOKS = [look_seed(number + 1) for number in range(LOOKS_MAX)]
+LOOKS = [seed_of_test(number + 1) for number in range(TESTS_MAX)]
 
 
 @pytest.fixture(scope="module")
@@ -80,9 +80,7 @@ GAIN = float(ndtri(AIMED + 3.0 * ERROR) - ndtri(AIMED))
 
 
 @pytest.mark.parametrize("lost", [-GAIN, 0.1])
-def test_what_reaches_more_or_less_than_sampling_explains_aims_lower_or_higher(
-    real, monkeypatch, lost
-):
+def test_target_moves_against_the_measured_loss(real, monkeypatch, lost):
     """Flights that reach more than the law says, or less, always."""
     found = certified(world := World(real, losing(lost)), monkeypatch)
     assert found.target == world.aims[-1]
@@ -96,7 +94,7 @@ def test_what_reaches_more_or_less_than_sampling_explains_aims_lower_or_higher(
     ("reach", "slack"),
     [(losing(0.0), 0.0), (looking(1.0), 0.0), (losing(-99.0), 2.0), (losing(-99.0), 40.0)],
 )
-def test_what_is_settled_is_looked_at_as_it_is(real, monkeypatch, reach, slack):
+def test_settled_target_is_tested_unchanged(real, monkeypatch, reach, slack):
     """Whatever the look reaches: who picks the cheapest of several that pass picks the luckiest.
 
     Where nothing binds a lower aim would save nothing, however sure the law is.
@@ -108,7 +106,7 @@ def test_what_is_settled_is_looked_at_as_it_is(real, monkeypatch, reach, slack):
     assert low(found) >= ASKED
 
 
-def test_rounds_that_never_settle_end_in_a_look(real, monkeypatch):
+def test_unsettled_rounds_end_in_a_test(real, monkeypatch):
     """Flights reach the same whatever is aimed at."""
     found = certified(world := World(real, lambda *_: (0.95, 0.95)), monkeypatch)
     assert len(world.aims) == ROUNDS_MAX + 1
@@ -117,7 +115,7 @@ def test_rounds_that_never_settle_end_in_a_look(real, monkeypatch):
     assert low(found) >= ASKED
 
 
-def test_what_is_lost_between_nodes_counts_once(real, monkeypatch):
+def test_loss_between_nodes_counts_once(real, monkeypatch):
     """Nodes give it back, so that the aim need not make up for it too."""
     between = real.times_s[70] + 20.0
 
@@ -134,14 +132,14 @@ def test_what_is_lost_between_nodes_counts_once(real, monkeypatch):
 
 
 @pytest.mark.parametrize("share", [0.0, 1.0])
-def test_flights_that_all_fail_or_all_hold_leave_an_aim(real, monkeypatch, share):
+def test_extreme_flights_leave_a_valid_target(real, monkeypatch, share):
     world = World(real, lambda *_: (share, share))
     certified(world, monkeypatch)
     assert len(world.aims) > 1
     assert all(0.5 < target < 1.0 for target in world.aims)
 
 
-def test_a_look_that_fails_leads_to_a_higher_aim_and_the_last_look(real, monkeypatch):
+def test_failed_test_raises_target_for_the_last(real, monkeypatch):
     world = World(real, looking(NEEDED - ERROR, NEEDED + ERROR))
     found = certified(world, monkeypatch)
     assert world.seeds == [FIRST_SEED, *LOOKS]
@@ -151,7 +149,7 @@ def test_a_look_that_fails_leads_to_a_higher_aim_and_the_last_look(real, monkeyp
 
 
 @pytest.mark.parametrize("looks", [(0.89, 0.88), (0.88, 0.89)])
-def test_two_looks_that_fail_leave_the_nearest_and_no_third(real, monkeypatch, looks):
+def test_two_failed_tests_leave_the_nearest_plan(real, monkeypatch, looks):
     """Whose certificate says that it certifies nothing, though rounds had reached enough."""
     found = certified(world := World(real, looking(*looks)), monkeypatch)
     assert world.seeds == [FIRST_SEED, *LOOKS]
@@ -211,7 +209,7 @@ def stopped_at(seed: int) -> Callable[[float, int], Reached]:
         (looking(0.89), Status.INTERRUPTED, True),
     ],
 )
-def test_ctrl_c_keeps_the_plan_before_and_the_look_at_it(real, monkeypatch, reach, ending, looked):
+def test_ctrl_c_keeps_earlier_plan_and_its_test(real, monkeypatch, reach, ending, looked):
     """Among the flights of a round or of the first look no look stands behind it."""
     found = certified(world := World(real, reach, later(ending)), monkeypatch)
     assert (found.status, found.target) == (Status.INTERRUPTED, world.aims[0])
@@ -268,7 +266,7 @@ def test_flights_are_enough_for_a_few_hundred_failures(asked):
     assert flights_needed(asked) >= max(10_000, 300 / (1.0 - asked)) - 1e-6
 
 
-def test_a_probability_that_takes_too_many_flights_is_refused():
+def test_too_many_flights_are_refused():
     with pytest.raises(InputError) as error:
         flights_needed(1.0 - 1e-7)
     assert error.value.entry == "risk.p_chance"
@@ -285,12 +283,12 @@ TAIL = 8.0
 
 def certifies(kept: int, samples: int, required: float) -> bool:
     """Whether a look with so many successes certifies a plan, as the code decides it."""
-    return certificate_of(Kept(kept, kept, samples), 1, 1).certifies(required)
+    return certificate_of(KeptCounts(kept, kept, samples), 1, 1).certifies(required)
 
 
 def passing(required: float, truth: float) -> float:
     """Probability that a look passes a plan, over every number of successes that may come."""
-    n = look_flights(required)
+    n = flights_of_test(required)
     middle, width = n * truth, TAIL * np.sqrt(n * truth * (1.0 - truth))
     counts = range(int(middle - width), min(int(middle + width), n) + 1)
     verdicts = np.array([certifies(k, n, required) for k in counts])
@@ -301,19 +299,19 @@ def passing(required: float, truth: float) -> float:
 
 def wrongly_certified(required: float) -> float:
     """Probability that one of all looks passes, each at a plan that reaches just what is required."""
-    return 1.0 - (1.0 - passing(required, required)) ** LOOKS_MAX
+    return 1.0 - (1.0 - passing(required, required)) ** TESTS_MAX
 
 
 @pytest.mark.parametrize("required", [0.7, 0.9, 0.99, 0.999])
-def test_a_plan_that_reaches_just_what_is_required_is_hardly_ever_certified(required, monkeypatch):
+def test_plan_at_the_requirement_is_rarely_certified(required, monkeypatch):
     """At most 2.5 times in 100, both looks together; with 97.5 % each, as of a single look, more."""
     assert 0.8 * WRONGLY < wrongly_certified(required) <= WRONGLY
-    monkeypatch.setattr(flights, "LOOK_CONFIDENCE", estimates.CONFIDENCE)
+    monkeypatch.setattr(flights, "TEST_CONFIDENCE", estimates.CONFIDENCE)
     assert wrongly_certified(required) > 1.5 * WRONGLY
 
 
 @given(required=st.floats(0.5, 0.999), samples=st.integers(1000, 100_000))
-def test_a_look_passes_with_so_many_successes_and_no_fewer(required, samples):
+def test_needed_successes_are_the_fewest_that_pass(required, samples):
     needed = successes_needed(required, samples)
     assert needed == samples or certifies(needed, samples, required)
     assert not certifies(needed - 1, samples, required)

@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
+from scp_recon.mission.constraints import SAFETY
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.observation_time import joint_margins
 from scp_recon.monte_carlo.sampling import fly_block
-from scp_recon.monte_carlo.whole_flight import LOOK_S, SAFETY, KeptFlights, kept_flights
+from scp_recon.monte_carlo.whole_flight import LOOK_S, KeptFlights, kept_flights
 from scp_recon.planning import initial_guess
 from scp_recon.planning.plan import Plan
 from scp_recon.planning.planner import plan
@@ -38,7 +39,7 @@ def kept(sparse) -> KeptFlights:
     return found
 
 
-def test_flights_that_break_a_limit_between_nodes_are_found(sparse, kept):
+def test_violations_between_nodes_are_found(sparse, kept):
     """Against the same flights looked at every second of the window."""
     mission = sparse.mission
     assert mission.observed_s is not None

@@ -18,7 +18,7 @@ from scp_recon.monte_carlo.flights import FlightConfig, fly_many
 from scp_recon.monte_carlo.law import Law
 from scp_recon.monte_carlo.sampling import (
     BLOCK,
-    Flights,
+    FlightLog,
     draw,
     draw_flights,
     fly_block,
@@ -49,7 +49,7 @@ class Case(NamedTuple):
     burns_m_s: Array
     policy: Policy
 
-    def fly(self, times_s: Array, block: int = 0) -> Flights:
+    def fly(self, times_s: Array, block: int = 0) -> FlightLog:
         mission, burns = self.mission, self.burns_m_s
         return fly_block(mission, burns, times_s, block, policy=self.policy)
 
@@ -106,7 +106,7 @@ GATES = {
         5,
     ),
 )
-def test_flights_of_small_errors_have_the_closed_loops_mean_and_covariance(lead_s, how, solution):
+def test_small_errors_have_closed_loop_mean_and_covariance(lead_s, how, solution):
     case = case_of(lead_s, solution, **how)
     mission, lin = case.mission, case.lin
     nodes = [*mission.window_nodes[[0, -1]], mission.burn_nodes[2], len(mission.times_s) - 1]
@@ -126,7 +126,7 @@ def test_flights_of_small_errors_have_the_closed_loops_mean_and_covariance(lead_
 
 
 @pytest.mark.parametrize("frame", ["", "rtn"])
-def test_the_law_has_the_numbers_that_corrected_flights_draw(solution, frame):
+def test_law_has_the_draws_of_corrected_flights(solution, frame):
     """Positions by its columns are those flown, but for what executing corrections adds."""
     along = np.diag([0.5, 0.2, 1.0, 3e-5, 1e-5, 6e-5]) ** 2
     along[0, 4] = along[4, 0] = -0.9 * np.sqrt(along[0, 0] * along[4, 4])
@@ -143,7 +143,7 @@ def test_the_law_has_the_numbers_that_corrected_flights_draw(solution, frame):
     np.testing.assert_allclose(flown, linear, atol=0.03 * np.abs(linear).max())
 
 
-def test_without_gains_flights_are_those_of_open_loop_to_the_last_bit(solution):
+def test_zero_gains_fly_bit_identical_to_open_loop(solution):
     """Measurements draw from a stream of their own."""
     case = case_of(3600.0, solution, size=0.0)
     assert len(case.policy) == 3
@@ -159,7 +159,7 @@ def test_without_gains_flights_are_those_of_open_loop_to_the_last_bit(solution):
     assert len(np.unique(draws)) == draws.size
 
 
-def test_errors_of_execution_are_those_of_the_commanded_burn(solution):
+def test_execution_errors_follow_the_commanded_burn(solution):
     case = case_of(3600.0, solution, size=300.0)
     mission, burns = case.mission, case.burns_m_s
     flown = case.fly(mission.times_s[-1:])

@@ -19,12 +19,9 @@ from scp_recon.jobs.processes import Processes
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo import flights, narrow
 from scp_recon.monte_carlo.flights import (
-    PARTIAL,
     FlightConfig,
     FlightTally,
-    flights_so_far,
     fly_many,
-    keep_flights,
 )
 from scp_recon.monte_carlo.observation_time import ALL
 from scp_recon.monte_carlo.summary import FILE_NAME, read_summary, summarise
@@ -32,7 +29,6 @@ from scp_recon.planning import initial_guess
 from scp_recon.planning.planner import plan
 from scp_recon.reports.tables import flown_probabilities_table
 from scp_recon.results.solution import Solution, make_solution
-from tests import reliability
 from tests.helpers import usually
 from tests.scp_recon.monte_carlo.test_closed_loop import case_of
 from tests.scp_recon.simulation.short_plan import SHORT, short_plan
@@ -62,7 +58,7 @@ def test_a_plan_holds_all_constraints_when_nothing_errs(certain, solution):
     assert flown.executed_dv.mean().value == pytest.approx(solution.total_dv_m_s, abs=1e-12)
 
 
-def test_without_uncertainty_nothing_spreads_and_the_report_is_json(certain, tmp_path, capsys):
+def test_certain_flights_have_no_spread(certain, tmp_path, capsys):
     make_solution(plan(certain, initial_guess.cold(certain))).write(tmp_path)
     assert montecarlo.main([str(tmp_path), "--samples", "50"]) == 0
 
@@ -197,7 +193,7 @@ def test_a_summary_tells_the_flights_that_narrowed_it(solution, narrowed, tmp_pa
     assert read.probability["emission"].estimate == narrowed.worst_probability("emission")[1]
 
 
-def test_nothing_is_narrowed_where_flights_are_stopped_or_too_few(config, monkeypatch):
+def test_stopped_or_few_flights_are_not_narrowed(config, monkeypatch):
     monkeypatch.setattr(flights, "PLAIN", 1_000)
     few = fly_many(config, samples=1_500, until=0.008)
     assert (few.samples, few.narrowed) == (1_500, None)
@@ -208,7 +204,7 @@ def test_nothing_is_narrowed_where_flights_are_stopped_or_too_few(config, monkey
     assert (stopped.samples, stopped.narrowed) == (1_000, None)
 
 
-def test_a_block_that_cannot_be_flown_is_told(config):
+def test_failed_block_is_named(config):
     with pytest.raises(InputError, match="block 2, died: of hunger"):
         fly_many(config, samples=SAMPLES, executor=failing)
 
@@ -223,37 +219,7 @@ def short_config(tame) -> FlightConfig:
     return FlightConfig(tame.mission, tame.burns_m_s, seed=3)
 
 
-def test_stopped_and_continued_is_as_flown_at_once_where_nothing_is_changed(
-    short_config, tame, tmp_path
-):
-    """Flights of another plan or configuration, and damaged files, count as none."""
-    whole = fly_many(short_config, samples=2500)
-    stopped = fly_many(short_config, samples=2500, stop=lambda: True)
-    assert stopped.samples == 1000
-    keep_flights(stopped, tame, tmp_path)
-    begun = flights_so_far(short_config, tame, tmp_path)
-    assert begun is not None
-    again = fly_many(short_config, samples=2500, begun=begun)
-    # every figure, to the last bit
-    assert same(again, whole)
-    renamed = replace(tame, scenario=tame.scenario.replace({"name": "other"}))
-    file = tmp_path / PARTIAL
-    kept = file.read_bytes()
-    for config, of, content in (
-        (replace(short_config, seed=4), tame, kept),
-        (replace(short_config, truth="harmonics"), tame, kept),
-        (short_config, renamed, kept),
-        (short_config, tame, kept.replace(b"1000", b"2000")),
-        (short_config, tame, kept[:-500]),
-    ):
-        file.write_bytes(content)
-        assert flights_so_far(config, of, tmp_path) is None
-        reliability.count(reliability.FAULTS)
-    file.unlink()
-    assert flights_so_far(short_config, tame, tmp_path) is None
-
-
-def test_ctrl_c_is_heard_once_and_then_at_once_and_in_another_thread_not():
+def test_second_ctrl_c_ends_at_once():
     with asked_to_stop() as stop:
         assert not stop()
         signal.raise_signal(signal.SIGINT)
@@ -273,29 +239,18 @@ def test_ctrl_c_is_heard_once_and_then_at_once_and_in_another_thread_not():
     assert heard == [False]
 
 
-def test_the_command_keeps_and_continues(tame, tmp_path, monkeypatch, capsys):
-    folders = tmp_path / "a", tmp_path / "b"
-    for folder in folders:
-        folder.mkdir()
-        tame.write(folder)
-    words = ("--samples", "2000", "--json")
+def test_interrupted_flights_are_summarised(tame, tmp_path, monkeypatch, capsys):
+    tame.write(tmp_path)
     fly = api.fly_many
 
     def pressed(*given: object, **options: object) -> object:
         signal.raise_signal(signal.SIGINT)
         return fly(*given, **options)
 
-    with monkeypatch.context() as patch:
-        patch.setattr(api, "fly_many", pressed)
-        assert montecarlo.main([str(folders[0]), *words]) == 130
+    monkeypatch.setattr(api, "fly_many", pressed)
+    assert montecarlo.main([str(tmp_path), "--samples", "2000", "--json"]) == 130
     said = capsys.readouterr()
     assert json.loads(said.out)["samples"] == 1000
-    assert "1000 flights are kept" in said.err
-    assert not (folders[0] / "montecarlo.json").exists()
-    first = montecarlo.main([str(folders[0]), *words])
-    assert "continued after 1000 flights" in capsys.readouterr().err
-    second = montecarlo.main([str(folders[1]), *words])
-    assert first == second in (0, 4)
-    results = [(folder / "montecarlo.json").read_bytes() for folder in folders]
-    assert results[0] == results[1]
-    assert not (folders[0] / PARTIAL).exists()
+    assert "1000 of 2000 flights" in said.err
+    whole = fly(FlightConfig(tame.mission, tame.burns_m_s), samples=1000)
+    assert read_summary(tmp_path) == summarise(whole, tame)

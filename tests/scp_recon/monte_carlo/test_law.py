@@ -20,8 +20,8 @@ from scp_recon.monte_carlo.law_in_time import FlightsInTime, LawInTime, fly_in_t
 from scp_recon.monte_carlo.sampling import draw, fly_draws, number_of_sources
 from scp_recon.monte_carlo.whole_flight import (
     PARTS,
-    Course,
-    LookedAt,
+    BlockLimits,
+    LimitHistory,
     WholeFlights,
     kept_flights,
     looks_of,
@@ -49,15 +49,15 @@ class Toy:
         moved[..., 0] += self.bend_m / LAW.length_m * draws[:, 0] ** 2
         return moved * LAW.length_m
 
-    def looked_at(self, draws: Array) -> LookedAt:
+    def count(self, draws: Array) -> BlockLimits:
         off = self.positions(draws) / LAW.length_m - MEAN[:, None]
         kept = np.all(np.linalg.norm(off, axis=2) <= 1.6, axis=0)
-        return LookedAt({}, {}, kept, kept, np.zeros(0))
+        return BlockLimits({}, {}, kept, kept, np.zeros(0))
 
 
 def plain(toy: Toy, blocks: int) -> float:
     """Share that keeps the limits of a thousand flights a block."""
-    return float(np.mean([toy.looked_at(draw(7, block, SOURCES)).kept for block in range(blocks)]))
+    return float(np.mean([toy.count(draw(7, block, SOURCES)).kept for block in range(blocks)]))
 
 
 def allocated(toy: Toy, flights: int = 20_000) -> Allocation:
@@ -80,7 +80,7 @@ def test_few_flights_reach_what_all_reach(bend_m):
     assert reached.high - reached.low < 1.03 * (as_plain.high - as_plain.low)
 
 
-def test_a_law_that_is_wrong_where_it_was_sure_widens_the_interval():
+def test_law_wrong_where_sure_widens_the_interval():
     """Allocated for flights that follow the law, which others do not."""
     toy = Toy(-4.0)
     found = fly_strata(LAW, toy, allocated(Toy(0.1)), SEED).whole
@@ -111,7 +111,7 @@ def law(solution) -> tuple[Mission, Law]:
     return mission, Law.of(lin, mission.units.length_m)
 
 
-def test_the_law_has_the_numbers_that_a_flight_draws_in_their_order(solution, law):
+def test_law_has_the_draws_of_flights_in_order(solution, law):
     mission, its = law
     assert its.sources == number_of_sources(mission, solution.burns_m_s)
     draws = 0.01 * draw(3, 0, its.sources)[:50]
@@ -124,7 +124,7 @@ def test_the_law_has_the_numbers_that_a_flight_draws_in_their_order(solution, la
     assert its.margin(draws) == pytest.approx(its.margin_at(flown), abs=0.02)
 
 
-def test_a_mission_s_flights_in_strata_reach_what_plain_ones_reach(solution, law):
+def test_mission_strata_agree_with_plain_flights(solution, law):
     mission, its = law
     flights = WholeFlights(mission, solution.burns_m_s)
     known = survey(its, flights, SEED)
@@ -166,12 +166,12 @@ class ToyInTime:
         lines = [np.interp(TIMES_S, NODES_S, margin) for margin in at_nodes.T]
         return np.column_stack(lines)
 
-    def courses(self, draws: Array) -> Iterator[Course]:
+    def histories(self, draws: Array) -> Iterator[LimitHistory]:
         margins = self.margins(draws)
         arc, flight = (index.ravel() for index in np.indices((len(LOOKS_S) - 1, len(draws))))
         seconds = PARTS * arc[:, None] + np.arange(1, PARTS)
         between = margins[seconds, flight[:, None]] >= 0.0
-        yield Course("ball", LOOKS_S, margins[::PARTS] >= 0.0, arc, flight, between)
+        yield LimitHistory("ball", LOOKS_S, margins[::PARTS] >= 0.0, arc, flight, between)
 
 
 def flown(toy: ToyInTime, draws: float, share: float | None) -> FlightsInTime:
@@ -189,7 +189,7 @@ def flown(toy: ToyInTime, draws: float, share: float | None) -> FlightsInTime:
 
 
 @pytest.mark.parametrize("less_m", [0.0, 1.0, -3.0])
-def test_all_draws_flown_are_plain_flights_whatever_the_law_says(less_m):
+def test_flying_all_draws_equals_plain_flights(less_m):
     toy = ToyInTime(less_m)
     found = flown(toy, 3_000.0, 1.0)
     number = sum(found.throughout.drawn)
@@ -202,7 +202,7 @@ def test_all_draws_flown_are_plain_flights_whatever_the_law_says(less_m):
 
 
 @pytest.mark.parametrize("less_m", [0.3, -1.0])
-def test_few_flights_reach_at_each_second_what_all_reach(less_m):
+def test_few_strata_flights_agree_with_all(less_m):
     toy, n = ToyInTime(less_m), 20_000
     found = flown(toy, n, None).throughout
     draws = np.concatenate([draw(7, block, SOURCES) for block in range(20)])
@@ -214,17 +214,17 @@ def test_few_flights_reach_at_each_second_what_all_reach(less_m):
     assert reached.high - reached.low < 1.03 * (plain.high - plain.low)
 
 
-def test_draws_that_cross_a_limit_between_nodes_are_next_to_it():
+def test_draws_crossing_between_nodes_are_nearest():
     law = LawInTime({"ball": LAW}, NODES_S, {"ball": np.array([False, True, False, False])})
     margins = np.array([[5.0, 5.0, 5.0], [3.0, 3.0, -4.0], [-1.0, 1.0, -1.0], [-9.0, -9.0, 9.0]])
     assert law.nearest({"ball": margins}).tolist() == [0.0, 3.0, 0.0]
 
 
-def test_a_course_counts_what_flights_do_at_each_second(mission, default_plan):
+def test_history_counts_flights_at_each_second(mission, default_plan):
     burns = 0.9 * default_plan.burns_m_s
     draws = draw(3, 0, number_of_sources(mission, burns))[:40]
-    courses = WholeFlights(mission, burns).courses(draws)
-    its = next(course for course in courses if course.name == "emission")
+    histories = WholeFlights(mission, burns).histories(draws)
+    its = next(one for one in histories if one.name == "emission")
     some = np.arange(40)[::3]
     fails = its.fails(some)
     every = its.fails(np.arange(40))
@@ -238,12 +238,10 @@ def test_a_course_counts_what_flights_do_at_each_second(mission, default_plan):
     assert len(when) == len(who) <= every.sum()
     assert set(who) == set(np.flatnonzero(~its.kept))
     assert len(seconds_of(mission)["emission"]) == len(every)
-    assert set(its.looks) <= set(looks_of(mission))
+    assert set(its.times_s) <= set(looks_of(mission))
 
 
-def test_a_mission_s_flights_in_strata_reach_at_each_second_what_plain_ones_reach(
-    mission, default_plan
-):
+def test_mission_strata_agree_with_plain_flights_in_time(mission, default_plan):
     burns = default_plan.burns_m_s
     laws = Law.of_events(default_plan.final.result.lin, mission.units.length_m)
     flights = WholeFlights(mission, burns)

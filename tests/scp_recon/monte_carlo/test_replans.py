@@ -11,7 +11,7 @@ from scp_recon.cli.commands import montecarlo
 from scp_recon.errors import InputError
 from scp_recon.monte_carlo import replans as module
 from scp_recon.monte_carlo.replans import Replan, replans
-from scp_recon.monte_carlo.sampling import Flights, fly_block
+from scp_recon.monte_carlo.sampling import FlightLog, fly_block
 from scp_recon.monte_carlo.summary import read_summary
 from scp_recon.results.solution import Solution
 from tests.scp_recon.monte_carlo.test_closed_loop import case_of
@@ -29,7 +29,7 @@ VALUES = 0.25
 """Of sampled over true variances of so many flights, in whichever direction."""
 
 
-def flown(solution: Solution, flights: int, *words: str) -> tuple[Flights, tuple[Replan, ...]]:
+def flown(solution: Solution, flights: int, *words: str) -> tuple[FlightLog, tuple[Replan, ...]]:
     mission, burns = mission_of(*MEASURED, *words), solution.burns_m_s
     again = replans(mission, burns)
     times = np.array([*(one.cut_off_s for one in again), mission.times_s[-1]])
@@ -37,7 +37,7 @@ def flown(solution: Solution, flights: int, *words: str) -> tuple[Flights, tuple
 
 
 @pytest.mark.parametrize("lead_s", [3600.0, 7000.0])
-def test_what_is_known_at_cut_offs_is_what_the_planners_filter_knows(solution, lead_s):
+def test_knowledge_at_cut_offs_matches_planners_filter(solution, lead_s):
     """By rows of innovations, without corrections."""
     case = case_of(lead_s, solution, size=0.0)
     found = replans(case.mission, case.burns_m_s)
@@ -71,7 +71,7 @@ def test_estimates_are_as_good_as_the_filter_says(solution, monkeypatch):
         np.testing.assert_allclose(values, 1.0, atol=VALUES)
 
 
-def test_a_flight_that_cannot_be_planned_again_flies_its_last_plan(solution, monkeypatch):
+def test_failed_replan_flies_the_last_plan(solution, monkeypatch):
     """Where the first replan finds burns for half of the flights, and the others none."""
     found: list[Array] = []
 

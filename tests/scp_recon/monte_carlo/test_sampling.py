@@ -10,6 +10,7 @@ from scipy.stats import beta, binom, kstest
 
 from formulations.arrays import Array
 from scp_recon.certification.flights import with_nodes_at
+from scp_recon.mission.constraints import SAFETY
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.estimates import CONFIDENCE, binomial_quantile, proportion
 from scp_recon.monte_carlo.flights import FlightConfig
@@ -24,7 +25,6 @@ from scp_recon.monte_carlo.sampling import (
 from scp_recon.monte_carlo.whole_flight import (
     LOOK_S,
     PARTS,
-    SAFETY,
     WholeFlights,
     kept_flights,
     may_dip,
@@ -41,7 +41,7 @@ def burns(solution) -> Array:
     return solution.burns_m_s
 
 
-def test_flights_do_not_depend_on_how_many_are_flown_and_no_two_are_the_same(mission, burns):
+def test_flights_are_distinct_and_independent_of_their_number(mission, burns):
     before = np.random.get_state()[1].copy()  # noqa: NPY002
     few = sample_positions(mission, burns, LOOK, 500, 0)
     many = sample_positions(mission, burns, LOOK, 1500, 0)
@@ -89,7 +89,7 @@ def test_initial_states_and_burns_err_as_specified(mission, burns):
     share=st.floats(0.0, 1.0),
     radius=st.floats(0.0, 1e4),
 )
-def test_a_flight_past_a_ball_is_seen_at_any_speed(speed, closest, share, radius):
+def test_dip_past_ball_is_found_at_any_speed(speed, closest, share, radius):
     """Straight past a centre: where a limit is broken between two looks, the dip allows for it.
 
     Two looks tell nothing of what is between them.
@@ -110,7 +110,7 @@ def test_a_flight_past_a_ball_is_seen_at_any_speed(speed, closest, share, radius
 FLIGHTS, SEED = 1000, 5
 
 
-def test_until_a_burn_the_path_goes_on_as_it_did(solution):
+def test_path_before_a_burn_is_unchanged(solution):
     """Between the last look and a burn at the next one: with the velocity before it, not after it."""
     burn_s = solution.scenario.burns.times_s[1]
     burns = solution.burns_m_s.copy()
@@ -124,11 +124,11 @@ def test_until_a_burn_the_path_goes_on_as_it_did(solution):
     at_limit = solution.scenario.replace({"safety.radius_min_m": limit})
     tight = dataclasses.replace(mission, scenario=at_limit)  # a limit in the flight's own way
     draws = draw(SEED, 0, number_of_sources(tight, burns))
-    found = WholeFlights(tight, burns).looked_at(draws).between[SAFETY][arc]
+    found = WholeFlights(tight, burns).count(draws).between[SAFETY][arc]
     np.testing.assert_allclose(found, np.sum(distance >= limit, axis=1), atol=1)
 
 
-def test_nodes_where_a_limit_is_broken_between_the_windows_edges_close_the_gap(burns):
+def test_nodes_added_at_violations_close_the_gap(burns):
     mission = mission_of("observation.emission_max_deg=36", "grid.step_max_s=3500")
     kept = kept_flights(mission, burns, FLIGHTS, SEED)
     finer = with_nodes_at(mission, kept.touched_s)
@@ -145,7 +145,7 @@ def test_nodes_where_a_limit_is_broken_between_the_windows_edges_close_the_gap(b
 SCANNED = 60
 
 
-def test_time_held_matches_a_scan_at_half_a_second(mission, burns):
+def test_holding_time_matches_a_fine_scan(mission, burns):
     """With burns that make many flights cross limits."""
     bold_burns = burns * np.array([1.03, 0.97, 1.0, 1.0])[:, None]
     looks = FlightConfig(mission, bold_burns).looks_s

@@ -15,7 +15,7 @@ from scp_recon.errors import InputError
 from scp_recon.jobs.job import here
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.flights import FlightConfig, FlightTally, fly_many
-from scp_recon.monte_carlo.narrow import FlightsAtLooks, narrow
+from scp_recon.monte_carlo.narrow import SampledFlights, narrow
 from scp_recon.monte_carlo.observation_time import ALL, SCIENCE
 from scp_recon.monte_carlo.summary import (
     COMPONENTS,
@@ -62,7 +62,7 @@ def refused(path: Path, content: str) -> InputError:
     return caught.value
 
 
-def test_the_file_has_the_keys_it_always_had_and_the_plans_hash(data, solution):
+def test_file_has_known_keys_and_plan_hash(data, solution):
     assert list(data) == [
         *("schema", "plan_hash", "samples", "seed", "truth", "planned_gravity", "flown_gravity"),
         *("errors", "policy", "confidence"),
@@ -94,7 +94,7 @@ def test_round_trip_through_file_and_folder(summary, tmp_path):
     assert read_summary(tmp_path).write(tmp_path).read_bytes() == before
 
 
-def test_a_summary_knows_its_plan_unless_its_file_is_older(summary, data, solution, tmp_path):
+def test_summary_knows_its_plan_by_hash(summary, data, solution, tmp_path):
     assert summary.is_of(solution)
     first, *others = solution.burns
     moved = replace(first, dv_m_s=(math.nextafter(first.dv_m_s[0], 1.0), 0.0, 0.0))
@@ -153,7 +153,7 @@ def test_flights_tell_what_the_verification_tells(mission, solution, many):
     assert lowest.value == pytest.approx(kept.min() / 1000, abs=2e-3)
     assert flown.whole <= kept.min()
     how = config.looks_s, config.truth, config.errors, config.policy
-    flights = FlightsAtLooks(config.mission, config.burns_m_s, *how)
+    flights = SampledFlights(config.mission, config.burns_m_s, *how)
     _, in_strata = narrow(flights, 0, 1, 0.03, 10_000, here).probability("safety_radius")
     assert in_strata.value == pytest.approx(lowest.value, abs=0.05)
 
@@ -171,7 +171,7 @@ def test_an_interval_that_stays_too_wide_is_told(until, status, solution, tmp_pa
     assert ("%, required 5 %: needs more --samples" in said) == bool(status)
 
 
-def test_what_is_not_met_stands_beside_what_is_required(many, solution):
+def test_shortfalls_name_value_and_requirement(many, solution):
     assert shortfalls(many, solution) == []
     found = shortfalls(many, requiring(solution, 0.99))
     short = {n for n, p in many.probability.items() if p.estimate.value < 0.99} - {ALL}
@@ -186,7 +186,7 @@ def test_what_is_not_met_stands_beside_what_is_required(many, solution):
 
 
 @pytest.mark.parametrize("entry", ["gm_m3_s2=4", "reference_radius_m=280", "j2=0.01", "name"])
-def test_the_packaged_field_is_flown_about_its_own_body_only(entry, mission, solution):
+def test_packaged_field_refuses_another_body(entry, mission, solution):
     """Even where all the figures of another body are Bennu's."""
     if entry == "name":
         other, words = (

@@ -86,7 +86,7 @@ def checked(solution: Solution, mission: Mission | None = None) -> Verification:
         return verify(mission or solution.mission, solution)
 
 
-def test_what_is_told_of_a_plan_tells_of_its_corrections(crossed):
+def test_description_of_plan_names_its_corrections(crossed):
     """In the heading of every file for other tools, and beside other plans."""
     policy, ids = crossed.policy, Ids(-999, 2101955)
     assert policy is not None
@@ -149,7 +149,7 @@ def gates(magnitude: float, bias: float) -> str:
     ),
     ids=usually(["none", "hour", "positions", "velocities", "long", "along", "across", "bias"], 6),
 )
-def test_the_closed_loop_is_that_of_the_corrections_alone(overrides, burns):
+def test_closed_loop_depends_on_corrections_alone(overrides, burns):
     given = with_gains(*overrides)
     v = checked(given)
     limits = limits_of(given.mission)
@@ -194,7 +194,7 @@ def test_an_exported_path_spreads_as_the_nodes_do():
 # --- limits on corrected burns ------------------------------------------------------------------
 
 
-def test_limits_on_corrected_burns_are_those_of_normal_commands(crossed):
+def test_limits_on_corrected_burns_match_normal_commands(crossed):
     """Against the integrals along contours that the planner has for balls and cones."""
     speed, burn = crossed.units.speed_m_s, crossed.burns_m_s[1:2]
     factor = some_gains(crossed.mission)[:18].reshape(1, 3, 6)
@@ -274,7 +274,7 @@ def test_a_plan_that_lost_its_policy_is_named(solution):
     assert {"policy.corrections", "covariance_error"} <= set(failed)
 
 
-def test_it_is_read_back_and_a_changed_gain_is_another_plan(solution, verification, tmp_path):
+def test_policy_round_trips_and_gains_change_the_hash(solution, verification, tmp_path):
     written = solution.with_verification(verification)
     written.write(tmp_path)
     read = read_solution(tmp_path)

@@ -34,9 +34,7 @@ def test_the_estimate_is_what_the_verification_finds(default_plan, verification)
 
 
 @pytest.mark.usefixtures("_tight", "few_flights")
-def test_a_plan_whose_covariances_alone_are_wrong_is_made_again_on_a_finer_grid(
-    default_plan, mission
-):
+def test_wrong_covariances_are_planned_on_a_finer_grid(default_plan, mission):
     assert verify(mission, make_solution(default_plan)).failed == ["covariance_error"]
     plan = sr.plan()
     step = plan.mission.scenario.grid.step_max_s
@@ -52,7 +50,7 @@ def test_a_plan_whose_covariances_alone_are_wrong_is_made_again_on_a_finer_grid(
 
 
 @pytest.mark.usefixtures("_tight", "fewer")
-def test_no_flights_certify_a_plan_whose_covariances_are_wrong(monkeypatch):
+def test_wrong_covariances_are_not_certified(monkeypatch):
     flown: list[tuple[int, float]] = []
 
     def fly(mission: Mission, burns: Array, samples: int, seed: int, *_: object) -> KeptFlights:

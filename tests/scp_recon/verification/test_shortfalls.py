@@ -65,14 +65,14 @@ ENOUGH = successes_needed(ASKED, SAMPLES)
         (None, 0.99, 9_100, ["risk"]),
     ],
 )
-def test_what_flights_refute_and_no_certificate_promises_is_named(
+def test_refuted_uncertified_probability_is_named(
     exact, solution, certified, by_law, successes, named
 ):
     told = promising(solution, certified=certified, by_law=by_law)
     assert shortfalls(exact, told, [flown(successes)]) == named
 
 
-def test_an_estimate_below_what_was_asked_fails_a_plan_of_uniform_risk(solution):
+def test_low_estimate_fails_plan_of_uniform_risk(solution):
     mission = mission_of(f"risk.p_chance={ASKED}")
     assert shortfalls(mission, solution, [flown(8_999)]) == [f"P({FLIGHT})"]
     assert shortfalls(mission, solution, [flown(9_000)]) == []
@@ -116,9 +116,7 @@ def test_it_says_how_fine_a_grid_is_enough(mission, solution, verification):
     assert line == f"covariance_error: {REMEDIES['contradiction']}"
 
 
-def test_a_plan_that_has_not_converged_has_the_remedy_of_its_status(
-    mission, solution, verification
-):
+def test_unconverged_plan_has_remedy_of_its_status(mission, solution, verification):
     stalled = replace(solution, status=Status.STALLED.value.name)
     failed = failing(verification, "status", "P(emission)", "emission_max")
     (line,) = what_next(mission, stalled, failed)

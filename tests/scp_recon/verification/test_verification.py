@@ -48,7 +48,7 @@ def test_default_solution_is_confirmed(mission, solution, verification):
     assert verify(mission, solution) == v
 
 
-def test_limits_grow_with_a_body_so_large_that_the_integrators_differ():
+def test_integration_limits_grow_with_a_large_body():
     mission = mission_of()
     limits = limits_of(mission)
     assert limits["sample_error_m"] == 0.01
@@ -70,7 +70,7 @@ def test_probability_is_that_of_counting(mission, solution, verification):
 
 
 @pytest.mark.usefixtures("few_flights")
-def test_p3_is_confirmed_without_asking_for_probabilities_but_not_as_p2(mission, p3):
+def test_p3_is_verified_without_probabilities_but_not_p2(mission, p3):
     checked = verify(mission, p3)
     assert checked.ok
     # What P2 is for; an independent prototype's lowest joint probability per node is one half.
@@ -191,14 +191,14 @@ CONTRADICTING: dict[str, list[Change]] = {
 
 
 @pytest.mark.parametrize("named", CONTRADICTING)
-def test_what_is_said_of_the_constraints_is_worked_out_again(mission, solution, named):
+def test_stated_constraints_are_recomputed(mission, solution, named):
     assert inconsistencies(mission, solution) == []
     for number, change in enumerate(CONTRADICTING[named]):
         assert inconsistencies(mission, changed(solution, change)) == [named], number
 
 
 @given(st.sampled_from(["m", "rad"]), st.floats(0.0, 0.9), st.floats(2.0, 100.0))
-def test_flights_are_judged_as_the_mean_is_only_where_they_hardly_spread(unit, dip, spread):
+def test_tolerance_of_mean_holds_for_flights_without_spread(unit, dip, spread):
     """Without uncertainty every flight is the mean, whose constraints bind to the last digit."""
     limit = -MARGIN_LIMIT[unit]
     together = np.full((1, 100), -dip * limit)
@@ -220,9 +220,7 @@ def infeasible() -> tuple[Mission, Solution]:
     return case, make_solution(plan(case, initial_guess.cold(case)))
 
 
-def test_the_constraints_of_p3_and_of_infeasible_cases_are_worked_out_again(
-    mission, p3, infeasible
-):
+def test_constraints_of_p3_and_infeasible_plans_are_recomputed(mission, p3, infeasible):
     for case, found in ((mission, p3), infeasible):
         assert inconsistencies(case, found) == []
 
@@ -230,7 +228,7 @@ def test_the_constraints_of_p3_and_of_infeasible_cases_are_worked_out_again(
 OTHER_UNIT = {"m": "m/s", "m/s": "m"}
 
 
-def test_a_violation_that_does_not_add_up_or_that_margins_contradict_is_named(infeasible):
+def test_inconsistent_violation_is_named(infeasible):
     """Of the whole but for rounding, or of one constraint by more than that."""
     case, found = infeasible
     parts = [("violation", "by_constraint", name) for name in found.violation.by_constraint]
@@ -253,7 +251,7 @@ def in_other_units(data: dict[str, Any]) -> None:
 
 
 @pytest.mark.parametrize(("error_s", "found"), [(1e-9, []), (-9e-4, []), (1.0, ["nodes.t_s"])])
-def test_a_window_edge_is_held_against_the_tolerance_of_reading(mission, solution, error_s, found):
+def test_window_edge_has_the_tolerance_of_reading(mission, solution, error_s, found):
     late = moved("nodes", "t_s", int(mission.window_nodes[0]), by=error_s)
     assert inconsistencies(mission, changed(solution, late)) == found
 

@@ -1,0 +1,120 @@
+"""Decide whether flights keep the limits on their position, at given times and between them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import partial
+
+import numpy as np
+import numpy.typing as npt
+
+from formulations.arrays import Array, Booleans, Indices
+from scp_recon.mission.constraints import COMPANION, SAFETY, safety_margins
+from scp_recon.mission.mission import Mission
+from scp_recon.monte_carlo.observation_time import ALL, SCIENCE, joint_margins
+
+Counts = npt.NDArray[np.int64]
+
+EVERYWHERE = SAFETY, COMPANION
+"""Joint constraints that count throughout the flight; all others count in the window."""
+PARTS = 30
+"""Of the time between two samples of a history: a second each."""
+
+
+def limit_margins(
+    mission: Mission,
+    times_s: Array,
+    position: Array,
+    observed: Indices | Booleans | slice,
+    everywhere: Indices | slice = slice(None),
+) -> dict[str, tuple[Array, Array]]:
+    """Times at which each joint constraint counts, s, shape (k,), and its margins, shape (k, flights).
+
+    Args:
+        mission: that is flown.
+        times_s: ascending, shape (n,).
+        position: J2000, m, shape (n, flights, 3).
+        observed: which times count for the limits of the observation.
+        everywhere: which times count for safety distances.
+    """
+    clear = safety_margins(mission.scene, times_s[everywhere], position[everywhere])
+    found = {name: (times_s[everywhere], margin) for name, margin in clear.items()}
+    if len(window := times_s[observed]):
+        seen = joint_margins(mission, window, position[observed])
+        found |= {name: (window, margin) for name, margin in seen.items()}
+    return found
+
+
+def limits_kept(margins: dict[str, tuple[Array, Array]]) -> dict[str, Booleans]:
+    """Whether flights keep each joint constraint of `limit_margins`, and the observation's together."""
+    kept = {name: np.asarray(margin >= 0.0) for name, (_, margin) in margins.items()}
+    if kept.keys() >= set(SCIENCE):
+        kept[ALL] = np.logical_and.reduce([kept[name] for name in SCIENCE])
+    return kept
+
+
+@dataclass(frozen=True)
+class LimitHistory:
+    """Whether flights keep one joint constraint at some times, and every second between if uncertain.
+
+    Attributes:
+        name: of the constraint.
+        times_s: at which it is sampled, s, shape (n,).
+        holds: whether a flight keeps it at each time, shape (n, flights).
+        arc: number of the time before each uncertain interval, shape (m,); none by default.
+        flight: flight of each uncertain interval, shape (m,).
+        between: whether the flight keeps the constraint at the seconds between, shape (m, PARTS - 1);
+            None if the constraint counts at `times_s` alone.
+    """
+
+    name: str
+    times_s: Array
+    holds: Booleans
+    arc: Indices = field(default_factory=partial(np.zeros, 0, np.intp))
+    flight: Indices = field(default_factory=partial(np.zeros, 0, np.intp))
+    between: Booleans | None = None
+
+    @property
+    def counts_between(self) -> Counts:
+        """Flights that keep it at each second between the times, shape (n - 1, PARTS - 1)."""
+        assert self.between is not None
+        throughout = self._throughout
+        counts = throughout.sum(axis=1) - np.bincount(
+            self.arc[throughout[self.arc, self.flight]], minlength=len(throughout)
+        )
+        counts = np.repeat(counts[:, None], PARTS - 1, axis=1)
+        np.add.at(counts, self.arc, self.between)
+        return counts
+
+    @property
+    def kept(self) -> Booleans:
+        """Flights that keep it whenever it counts, shape (flights,)."""
+        kept = np.asarray(self.holds.all(axis=0))
+        if self.between is not None:
+            kept[self.flight[~self.between.all(axis=1)]] = False
+        return kept
+
+    @property
+    def broken(self) -> tuple[Array, Indices]:
+        """Times at which flights break it, s, and these flights, in pairs."""
+        assert self.between is not None
+        (look, who), (row, part) = np.nonzero(~self.holds), np.nonzero(~self.between)
+        step = np.diff(self.times_s)[self.arc[row]]
+        time = self.times_s[self.arc[row]] + (part + 1) / PARTS * step
+        return np.concatenate([self.times_s[look], time]), np.concatenate([who, self.flight[row]])
+
+    def fails(self, flights: Indices) -> Booleans:
+        """Whether some flights break it at each time or, with `between`, each second: (times, some)."""
+        if self.between is None:
+            return np.asarray(~self.holds[:, flights])
+        holds, column = self.holds[:, flights], np.full(self.holds.shape[1], -1)
+        column[flights] = np.arange(len(flights))
+        fails = np.repeat(~self._throughout[:, None, flights], PARTS, axis=1)
+        fails[:, 0] = ~holds[:-1]
+        mine = column[self.flight] >= 0
+        fails[self.arc[mine], 1:, column[self.flight[mine]]] = ~self.between[mine]
+        return np.concatenate([fails.reshape(len(fails) * PARTS, -1), ~holds[-1:]])
+
+    @property
+    def _throughout(self) -> Booleans:
+        return self.holds[1:] & self.holds[:-1]
