@@ -30,7 +30,7 @@ from formulations.problem.flyby import FlybyProblem, Iterate, StateConstraint
 from formulations.problem.polytopes import ball
 from formulations.problem.regions import Ball, Cone, Ellipsoid, Halfspaces, Polytope, Region
 from scp_recon.certification.certify import certified
-from scp_recon.certification.flights import Kept, Step
+from scp_recon.certification.flights import KeptCounts, Step
 from scp_recon.errors import InputError, one_of
 from scp_recon.impulsive.plan import ImpulsivePlan
 from scp_recon.planning.method import ALGORITHM, FORMULATION, SOLVER, scp_method
@@ -380,12 +380,12 @@ class ImpulsiveProblem:
 
         return certified(self.probability, anew, self._fly)
 
-    def _fly(self, plan: ImpulsivePlan, step: Step) -> tuple[Kept, Array]:
+    def _fly(self, plan: ImpulsivePlan, step: Step) -> tuple[KeptCounts, Array]:
         """Counts of flights that keep all regions, or each region at its worst node."""
         flights = plan.fly(step.samples, step.seed)
         found = [flights.whole] if self.scope == "flight" else flights.kept.values()
         kept = round(step.samples * min(estimate.value for estimate in found))
-        return Kept(kept, kept, step.samples), np.zeros(0)
+        return KeptCounts(kept, kept, step.samples), np.zeros(0)
 
 
 def scaled(name: str, region: Region, nodes: Indices, length: float) -> Region:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from functools import partial
 
 import numpy as np
 import numpy.typing as npt
@@ -70,8 +69,8 @@ class LimitHistory:
     name: str
     times_s: Array
     holds: Booleans
-    arc: Indices = field(default_factory=partial(np.zeros, 0, np.intp))
-    flight: Indices = field(default_factory=partial(np.zeros, 0, np.intp))
+    arc: Indices = field(default_factory=lambda: np.zeros(0, np.intp))
+    flight: Indices = field(default_factory=lambda: np.zeros(0, np.intp))
     between: Booleans | None = None
 
     @property

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from formulations.rows.exact_flight import FLIGHT
-from scp_recon.certification.flights import Kept, certificate_of
+from scp_recon.certification.flights import KeptCounts, certificate_of
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.estimates import proportion, successes_needed
 from scp_recon.results.facts import (
@@ -42,7 +42,7 @@ def promising(
     """A plan whose certificate has so many successes, or none; told by the law as asked."""
     reached = None
     if certified is not None:
-        reached = certificate_of(Kept(certified, certified, SAMPLES), 1, 1)
+        reached = certificate_of(KeptCounts(certified, certified, SAMPLES), 1, 1)
     law = EventProbability(name=FLIGHT, t_s=[0.0], probability=[by_law or ASKED])
     risk = Risk(scope="flight", required=ASKED, target=ASKED, certificate=reached, normal_law=[law])
     return replace(solution, risk=risk)
