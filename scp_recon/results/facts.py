@@ -13,11 +13,8 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Annotated, Any, ClassVar, Literal
 
-import numpy as np
 from pydantic import ConfigDict, Field, TypeAdapter
-from scipy.special import ndtri
 
-from formulations.arrays import Array
 from scp_recon.planning.plan import Certificate, Parent, Starts
 from scp_recon.planning.primer import PrimerHistory
 from scp_recon.results.corrections import StoredPolicy
@@ -27,8 +24,6 @@ from scp_recon.scp.loop import Timing
 
 Direction = Annotated[tuple[Number, Number, Number], Field(strict=False)]
 """A list is accepted too; its entries still have to be numbers."""
-SURE = 1e-16
-"""Least probability, and most less one, whose quantile is finite."""
 
 
 @dataclass(frozen=True)
@@ -194,27 +189,19 @@ class EventProbability:
         name: of the constraint, or `whole_flight`.
         t_s: times of its nodes.
         probability: that the constraint holds there.
-        sigma: normal quantiles of the probabilities, which differ even where these round to one;
-            absent from older files.
+        sigma: normal quantiles of the probabilities, which differ even where these round to one.
     """
 
     name: Line
     t_s: list[float]
     probability: list[Probability]
-    sigma: list[Number] | None = None
+    sigma: list[Number]
 
     def __post_init__(self) -> None:
         """Refuse columns that do not fit together."""
-        lengths = {len(self.t_s), len(self.probability), len(self.sigma or self.probability)}
+        lengths = {len(self.t_s), len(self.probability), len(self.sigma)}
         if len(lengths) != 1 or not self.t_s:
             raise ValueError("there must be as many probabilities as times, and at least one")
-
-    @property
-    def quantiles(self) -> Array:
-        """Normal quantiles, finite ones."""
-        if self.sigma is not None:
-            return np.array(self.sigma)
-        return np.asarray(ndtri(np.clip(self.probability, SURE, 1.0 - SURE)))
 
 
 @dataclass(frozen=True)
@@ -362,7 +349,7 @@ class Verification:
         probabilities: each joint constraint where it is smallest.
         failed: names of failed checks, among them a status other than converged.
         missed: miss of the final state where too few burns are left to meet it; reported, no check.
-        final_sigmas: limits on the covariance after the last burn; absent from older files.
+        final_sigmas: limits on the covariance after the last burn.
         burn_limits: limits on corrected burns, with feedback.
         ok: whether no check failed.
     """
@@ -414,12 +401,12 @@ class Facts:
         message: the status in words, and what to try next.
         problem: `P2`, or `P3` where planning ended before P2.
         init: initial guess: `cold`, `warm`, a file.
-        method: `none` where nothing was optimised; absent from older files.
+        method: `none` where nothing was optimised.
         formulation: of the convex program, or variant of the nonlinear one.
         algorithm: of sequential convex programming.
         solver: conic solver.
         tolerance: violation in units of the nondimensional problem that counts as none: 1e-6, of whole
-            flights 1e-5, in a stage that leads to them 1e-3; absent from older files.
+            flights 1e-5, in a stage that leads to them 1e-3.
         burns: burns planned; earlier ones stand in `scenario.in_flight.flown_m_s`.
         nodes: mean and covariance of the flight.
         stages: one for each run of the SCP.
@@ -428,7 +415,7 @@ class Facts:
         policy: of a plan with feedback; absent from others.
         starts: of a plan that is the best of several starts.
         parent: of a plan made in flight.
-        primer: of a converged plan whose errors shrink with the burns; absent from older files.
+        primer: of a converged plan whose errors shrink with the burns.
         iterations: one for each iteration of each stage.
         timing_s: time it took.
         verification: absent if the run was interrupted.
@@ -447,11 +434,11 @@ class Facts:
     message: Line
     problem: Literal["P3", "P2"]
     init: str
-    method: Literal["scp", "ipopt", "none"] | None = None
+    method: Literal["scp", "ipopt", "none"]
     formulation: Line
     algorithm: Line
     solver: Line
-    tolerance: Annotated[float, Field(ge=0, le=1)] | None = None
+    tolerance: Annotated[float, Field(ge=0, le=1)]
     burns: list[Burn]
     nodes: Nodes
     stages: list[StageSummary]

@@ -1,8 +1,8 @@
 """Compute a plan's figures from its facts: total delta-v, margins by constraint, violation.
 
 Distances and quantiles come from the regions' centres, radii, apices, axes and angles, in SI. They
-share no code with the planner's rows. A file carries the figures for its readers. `disagreements`
-names figures that do not follow from the file's facts.
+share no code with the planner's rows. A file carries the figures for its readers; `verify` compares
+them with the computed ones.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
 from pydantic import ConfigDict, Field
-from scipy.special import ndtr, ndtri
+from scipy.special import ndtri
 
 from formulations.arrays import Array, Booleans, Indices
 from formulations.problem.flyby import Iterate, StateConstraint
@@ -25,7 +25,7 @@ from scp_recon.mission.mission import Mission
 from scp_recon.physics.flow import propagate
 from scp_recon.planning.plan import Unit, scales
 from scp_recon.results.corrections import StoredPolicy
-from scp_recon.results.facts import FacetTable, Facts, Risk
+from scp_recon.results.facts import FacetTable, Facts
 from scp_recon.scenario.fields import Line, Number
 from scp_recon.scp.status import Status
 
@@ -33,15 +33,8 @@ Kind = Literal["keep_in", "keep_out", "burn", "joint", "covariance"]
 FINAL_STATE = "final_state"
 TIME_ERROR_S = 1e-3
 """Tolerance of times, far above the differences of a window's edges between machines."""
-TOLERANCE, FLIGHT_TOLERANCE, STAGE_TOLERANCE = 1e-6, 1e-5, 1e-3
-"""Violation that counts as none if a file does not state it: in general, for whole flights, and for
-an exact plan that ended in a preliminary stage."""
 BARELY = 1.01
 """Times the tolerance that still counts as none: a margin is computed again from rounded numbers."""
-MARGIN_ERROR: dict[Unit, float] = {"m": 1e-3, "m/s": 1e-8, "sigma": 1e-9}
-"""Error of a carried margin: the variance along a facet is a difference of large numbers."""
-SAME_PROBABILITY, ROUNDING = 1e-9, 1e-9
-"""Tolerance between a probability and its quantile; relative rounding of sums."""
 
 
 @dataclass(frozen=True)
@@ -154,7 +147,7 @@ def rows_of(mission: Mission, facts: Facts) -> dict[str, Rows]:
     if p2 and facts.risk is not None:
         target = float(ndtri(facts.risk.target))
         rows |= {
-            law.name: Rows("joint", "sigma", np.array(law.t_s), law.quantiles - target)
+            law.name: Rows("joint", "sigma", np.array(law.t_s), np.array(law.sigma) - target)
             for law in facts.risk.normal_law
         }
     else:
@@ -251,35 +244,28 @@ def _result(name: str, rows: Rows, facts: Facts) -> ConstraintResult:
         worst_margin=finite(rows.margin[worst]),
         unit=rows.unit,
         worst_t_s=float(rows.times[worst]),
-        facets=_facets_at(rows, rows.times == rows.times[worst], facts),
+        facets=facets_at(rows, rows.times == rows.times[worst], facts),
     )
 
 
-def _facets_at(rows: Rows, there: Booleans, facts: Facts) -> int:
+def facets_at(rows: Rows, there: Booleans, facts: Facts) -> int:
+    """Number of facets at the nodes of a constraint that are selected; 0 where it has none."""
     of_facets = facts.facets is not None and facts.problem == "P2" and rows.kind != "burn"
     return int(there.sum()) if of_facets and rows.kind != "covariance" else 0
 
 
-def tolerance_of(facts: Facts) -> float:
-    """Violation that counts as none, in units of the nondimensional problem."""
-    if facts.tolerance is not None:
-        return facts.tolerance
-    flights = facts.risk is not None and facts.risk.scope == "flight"
-    return FLIGHT_TOLERANCE if flights else TOLERANCE
-
-
 def _violation(mission: Mission, facts: Facts, rows: dict[str, Rows]) -> Violation:
     """Amounts above the tolerance at which a constraint counts as satisfied."""
-    scale, least = scales(mission.units), BARELY * tolerance_of(facts)
+    scale, least = scales(mission.units), BARELY * facts.tolerance
     parts = {}
-    for name, (unit, amount) in _amounts(mission, facts, rows).items():
+    for name, (unit, amount) in amounts_of(mission, facts, rows).items():
         used = amount[amount > least * scale[unit]]
         if len(used):
             parts[name] = ViolationAmount(finite(used.max()), finite(used.sum()), unit)
-    return _summed(parts, mission.units)
+    return summed(parts, mission.units)
 
 
-def _amounts(
+def amounts_of(
     mission: Mission, facts: Facts, rows: dict[str, Rows]
 ) -> dict[str, tuple[Unit, Array]]:
     """Signed violations by constraint, negative where there is slack, and of the final state.
@@ -298,7 +284,7 @@ def _amounts(
     return amounts | {name: (one.unit, -one.margin) for name, one in rows.items()}
 
 
-def _summed(parts: dict[str, ViolationAmount], units: Units) -> Violation:
+def summed(parts: dict[str, ViolationAmount], units: Units) -> Violation:
     """The sum in metres: velocities over a unit of time, sigmas as units of length."""
     scale = scales(units)
     metres = {name: units.length_m / scale[part.unit] for name, part in parts.items()}
@@ -344,87 +330,6 @@ def is_strange(mission: Mission, policy: StoredPolicy | None) -> bool:
     )
 
 
-def disagreements(mission: Mission, facts: Facts, carried: Figures) -> list[str]:
-    """Names of a file's figures that do not follow from its facts, within rounding.
-
-    The status must be that of a stage, unless the plan was interrupted. A converged plan must
-    violate nothing. The required risk must be the scenario's.
-    """
-    rows, found = rows_of(mission, facts), []
-    stages = {stage.status for stage in facts.stages}
-    if stages and facts.status not in stages | {Status.INTERRUPTED.value.name}:
-        found.append("status")
-    if not np.isclose(total_dv(facts), carried.total_dv_m_s, rtol=ROUNDING, atol=1e-12):
-        found.append("total_dv_m_s")
-    if facts.risk is not None and not _is_of_scenario(facts.risk, mission):
-        found.append("risk")
-    stored = {c.name: c for c in carried.constraints}
-    if (
-        len(stored) != len(carried.constraints)
-        or stored.keys() != rows.keys()
-        or not all(_is_result(stored[name], one, facts) for name, one in rows.items())
-    ):
-        found.append("constraints")
-    amounts, error = _amounts(mission, facts, rows), _amount_errors(mission.units, facts)
-    if not (
-        _adds_up(carried.violation, mission.units)
-        and carried.violation.by_constraint.keys() <= amounts.keys()
-        and all(
-            _is_amount(carried.violation.by_constraint.get(name), unit, amount, error[unit])
-            for name, (unit, amount) in amounts.items()
-        )
-    ) or (is_converged(facts) and carried.violation.by_constraint):
-        found.append("violation")
-    return found
-
-
 def is_converged(facts: Facts) -> bool:
     """Whether a plan's status is converged."""
     return facts.status == Status.CONVERGED.value.name
-
-
-def _is_of_scenario(risk: Risk, mission: Mission) -> bool:
-    """Whether scope and probability are those required, and the quantiles those of the law."""
-    required, laws = mission.scenario.risk, risk.normal_law
-    return (risk.scope, risk.required) == (required.scope, required.p_chance) and all(
-        np.abs(ndtr(law.quantiles) - law.probability).max() <= SAME_PROBABILITY for law in laws
-    )
-
-
-def _is_result(reported: ConstraintResult, rows: Rows, facts: Facts) -> bool:
-    """Whether kind, unit and facets agree, and the margin is the smallest, at its time."""
-    there = np.abs(rows.times - reported.worst_t_s) <= TIME_ERROR_S
-    least = np.array([rows.margin.min(), rows.margin[there].min(initial=np.inf)])
-    if (reported.kind, reported.unit) != (rows.kind, rows.unit):
-        return False
-    if reported.facets != _facets_at(rows, there, facts):
-        return False
-    return bool(np.abs(reported.worst_margin - least).max() <= MARGIN_ERROR[reported.unit])
-
-
-def _amount_errors(units: Units, facts: Facts) -> dict[Unit, float]:
-    """Allowed errors of an amount by unit: the tolerance, and the rounding of margins."""
-    stage = facts.tolerance is None and facts.risk is not None
-    none = max(TOLERANCE, STAGE_TOLERANCE if stage else tolerance_of(facts))
-    return {
-        unit: BARELY * none * scale + MARGIN_ERROR[unit] for unit, scale in scales(units).items()
-    }
-
-
-def _is_amount(reported: ViolationAmount | None, unit: Unit, amount: Array, error: float) -> bool:
-    """Whether a carried amount agrees with the rows within an error."""
-    used = np.maximum(amount, 0.0)
-    if reported is None:
-        return bool(used.max(initial=0.0) <= error)
-    close = reported.unit == unit and abs(used.max() - reported.max) <= error
-    return bool(close and reported.total <= used.sum() + amount.size * error)
-
-
-def _adds_up(violation: Violation, units: Units) -> bool:
-    """Whether the maximum and the sum are those of the constraints, and zero if there are none."""
-    parts = violation.by_constraint
-    if not all(part.total >= part.max * (1.0 - ROUNDING) > 0.0 for part in parts.values()):
-        return False
-    summed = _summed(parts, units)
-    carried = [violation.max, violation.total]
-    return np.allclose(carried, [summed.max, summed.total], rtol=ROUNDING, atol=0.0)

@@ -1,8 +1,7 @@
 """Read the project's JSON files strictly by their schema, above all the solution file.
 
-A solution's times, nodes and units are checked against its scenario. The figures that its file
-carries, its status and its required risk are checked against its facts. An edited file is read as
-not verified.
+A solution's times, nodes and units are checked against its scenario. An edited file is read as not
+verified. Files of older schemas are refused.
 """
 
 from __future__ import annotations
@@ -15,31 +14,15 @@ from typing import Any, TypeVar
 
 import numpy as np
 from pydantic import ConfigDict, TypeAdapter, ValidationError
-from scipy.special import ndtr, ndtri
 
 from scp_recon.errors import InputError
 from scp_recon.files import read_text
-from scp_recon.results.facts import EventProbability, Facts, adapter
-from scp_recon.results.figures import (
-    SAME_PROBABILITY,
-    ConstraintResult,
-    Figures,
-    disagreements,
-    is_strange,
-    strange_times,
-)
+from scp_recon.results.facts import Facts, adapter
+from scp_recon.results.figures import Figures, is_strange, strange_times
 from scp_recon.results.runs import resolve_run
-from scp_recon.results.solution import FILE_NAME, HASH, SCHEMA, Solution, hash_of
-from scp_recon.scenario.dependencies import (
-    OLDER_LEAD,
-    OLDER_LEAD_S,
-    older_lead,
-    with_todays_lead,
-)
+from scp_recon.results.solution import FILE_NAME, HASH, SCHEMA, Solution
 from scp_recon.scenario.fields import ScenarioWarning, Section
 from scp_recon.scp.status import Status
-
-READABLE = ("scp_recon.solution/1", "scp_recon.solution/2", "scp_recon.solution/3", SCHEMA)
 
 
 class File(Section):
@@ -104,8 +87,8 @@ def read_solution(path: Path) -> Solution:
     """Read a solution file, or the one in a folder; `runs/latest` is that of the last finished run.
 
     A file is read as not verified, with a warning, if its scenario, burns or corrections were
-    changed after it was written, or if its figures do not follow from its facts. Its margins and
-    its verification then belong to another plan.
+    changed after it was written: its verification then belongs to another plan. Its figures are
+    computed from its facts; `verify` compares those that the file carries.
 
     Raises:
         InputError: if the file is missing, damaged, of another version, or its parts contradict
@@ -130,104 +113,38 @@ def read_solution(path: Path) -> Solution:
         raise InputError(
             f"solution {file}: {strange[0]}", "what contradicts its scenario", "must be of one plan"
         )
-    written = _hash_as_written(data, solution)
-    if data.get(HASH, written) != written:  # older files have none
-        return _doubted(
-            solution,
-            file,
-            [HASH],
-            "a scenario, burns or corrections that were changed after it was written",
-            "expected those it was planned with: its margins are of another plan",
-        )
-    assert solution.carried is not None
-    if wrong := disagreements(solution.mission, solution, solution.carried):
-        given = f"{', '.join(wrong)} that do not follow from its scenario, stages, burns and nodes"
-        return _doubted(solution, file, wrong, given, "expected the figures of this plan")
+    if data.get(HASH) != solution.plan_hash:
+        return _edited(solution, file)
     return solution
 
 
 def parse_solution(data: Any, named: str) -> Solution:
-    """Parse the content of a file of this schema or an older one, without checks against its scenario.
+    """Parse the content of a file of this schema, without checks against its scenario.
 
     Keys that a later version added are ignored.
 
     Raises:
         InputError: if it is of another version or damaged.
     """
-    _check_schema(data, READABLE, named)
-    data = _as_today(data) if data["schema"] != SCHEMA else dict(data)
-    if isinstance(data.get("scenario"), dict):
-        data["scenario"] = with_todays_lead(data["scenario"])
+    _check_schema(data, [SCHEMA], named)
+    data = dict(data)
     carried = {each.name: data.pop(each.name) for each in fields(Figures) if each.name in data}
     known = {each.name: data[each.name] for each in fields(Facts) if each.name in data}
     figures = _validated(adapter(Figures), carried, named)
     facts = _validated(adapter(Facts), known, named)
-    if facts.risk is not None:
-        reported = {c.name: c for c in figures.constraints}
-        target = float(ndtri(facts.risk.target))
-        laws = [_with_quantiles(e, target, reported.get(e.name)) for e in facts.risk.normal_law]
-        facts = replace(facts, risk=replace(facts.risk, normal_law=laws))
     return Solution(**vars(facts), carried=figures)
 
 
-def _as_today(data: dict[str, Any]) -> dict[str, Any]:
-    """The content of an older file under today's keys and units.
-
-    `/1` called a worst margin `worst_margin_m_or_rad`. `/1` and `/2` gave an exact plan's miss of
-    the final state in sigmas that were units of length. In all older files the flights that
-    certified a plan had also chosen it, with a 95 % interval.
-    """
-    data = json.loads(json.dumps(data))
-    constraints = data.get("constraints")
-    for one in constraints if isinstance(constraints, list) else []:
-        if isinstance(one, dict) and "worst_margin_m_or_rad" in one:
-            one["worst_margin"] = one.pop("worst_margin_m_or_rad")
-    match data:
-        case {
-            "violation": {"by_constraint": {"final_state": {"unit": "sigma"} as miss}},
-            "units": {"length_m": float(length)},
-        }:
-            miss |= {"unit": "m"}
-            miss |= {key: miss[key] * length for key in ("max", "total") if key in miss}
-    match data:
-        case {"risk": {"certificate": dict(certificate)}}:
-            certificate |= {"looks": 0, "confidence": 0.95}
-    return data
-
-
-def _hash_as_written(data: dict[str, Any], solution: Solution) -> str:
-    """Hash of the solution that a file has, by the keys that it has."""
-    lead = older_lead(data["scenario"])
-    if lead is None:
-        return solution.plan_hash
-    tables = solution.scenario.model_dump(mode="json", exclude_defaults=True)
-    tables.pop("navigation", None)
-    if lead != OLDER_LEAD_S:
-        tables["schedule"][OLDER_LEAD] = lead
-    return hash_of(tables, solution.burns, solution.policy)
-
-
-def _with_quantiles(
-    event: EventProbability, target: float, reported: ConstraintResult | None
-) -> EventProbability:
-    """An older file's event with quantiles; where probabilities round to one, from its margin."""
-    if event.sigma is not None:
-        return event
-    sigma, least = event.quantiles, min(event.probability)
-    if reported is not None and reported.worst_t_s in event.t_s:
-        worst, at = reported.worst_margin + target, event.t_s.index(reported.worst_t_s)
-        if abs(ndtr(worst) - np.array([least, event.probability[at]])).max() <= SAME_PROBABILITY:
-            sigma = np.maximum(sigma, np.nextafter(worst, np.inf))
-            sigma[at] = worst
-    return replace(event, sigma=sigma.tolist())
-
-
-def _doubted(solution: Solution, file: Path, failed: list[str], given: str, why: str) -> Solution:
+def _edited(solution: Solution, file: Path) -> Solution:
     """The solution of a file that was edited: not verified, and with a warning."""
-    word = ScenarioWarning.of(f"solution {file}", given, why)
+    word = ScenarioWarning.of(
+        f"solution {file}",
+        "a scenario, burns or corrections that were changed after it was written",
+        "expected those it was planned with: its margins are of another plan",
+    )
     checked = solution.verification
     if checked is not None:
-        checked = replace(checked, ok=False, failed=list(dict.fromkeys([*failed, *checked.failed])))
+        checked = replace(checked, ok=False, failed=list(dict.fromkeys([HASH, *checked.failed])))
     return replace(solution.with_verification(checked), warnings=(*solution.warnings, word))
 
 

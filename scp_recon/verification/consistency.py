@@ -20,29 +20,34 @@ from formulations.rows.exact_flight import FLIGHT
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.estimates import (
-    CONFIDENCE,
-    FIRST_SEED,
-    FIRST_TEST_SEED,
     TEST_CONFIDENCE,
     TESTS_MAX,
-    flights_needed,
     flights_of_test,
     of_strata,
     proportion,
     seed_of_test,
 )
 from scp_recon.monte_carlo.limits import limit_margins
-from scp_recon.planning.plan import Certificate
+from scp_recon.planning.plan import Certificate, Unit, scales
 from scp_recon.results.facts import EventProbability, FacetTable, Risk
 from scp_recon.results.figures import (
-    SAME_PROBABILITY,
-    disagreements,
+    BARELY,
+    FINAL_STATE,
+    TIME_ERROR_S,
+    ConstraintResult,
+    Rows,
+    Violation,
+    ViolationAmount,
+    facets_at,
     figures_of,
     is_converged,
     is_strange,
+    rows_of,
     strange_times,
+    summed,
 )
 from scp_recon.results.solution import Solution
+from scp_recon.scp.status import Status
 
 FACET_ERROR = 1e-9
 MEASUREMENT_ERROR = 1e-6
@@ -51,6 +56,10 @@ POINTS, SEED = 2**15, 7
 """Size and seed of a scrambled Sobol net. On plans per node for 0.70, 0.90 and 0.99 its error is at
 most 4e-4. The same number of draws has a standard error of up to 2.5e-3. The planner's quadrature
 is accurate to 1e-6."""
+MARGIN_ERROR: dict[Unit, float] = {"m": 1e-3, "m/s": 1e-8, "sigma": 1e-9}
+"""Error of a carried margin: the variance along a facet is a difference of large numbers."""
+SAME_PROBABILITY, ROUNDING = 1e-9, 1e-9
+"""Tolerance between a probability and its quantile; relative rounding of sums."""
 ERRORS = 2.0
 """Tolerance in standard errors of as many draws; 0.9 was measured."""
 FEW = 3.0 / POINTS
@@ -75,11 +84,67 @@ def inconsistencies(mission: Mission, solution: Solution) -> list[str]:
         return [*found, "facets"]
     if not _is_policy(mission, solution):
         found.append("policy.corrections")
-    if solution.carried is not None:
-        found += disagreements(mission, solution, solution.carried)
-    if is_converged(solution) and figures_of(mission, solution).violation.by_constraint:
+    return [*found, *_wrong_figures(mission, solution)]
+
+
+def _wrong_figures(mission: Mission, solution: Solution) -> list[str]:
+    """Names of a file's status and figures that do not follow from its facts, within rounding.
+
+    The status must be that of a stage, unless the plan was interrupted. A converged plan must
+    violate nothing.
+    """
+    found, own, carried = [], figures_of(mission, solution), solution.carried
+    stages = {stage.status for stage in solution.stages}
+    if stages and solution.status not in stages | {Status.INTERRUPTED.value.name}:
+        found.append("status")
+    if carried is not None:
+        if not np.isclose(carried.total_dv_m_s, own.total_dv_m_s, rtol=ROUNDING, atol=1e-12):
+            found.append("total_dv_m_s")
+        rows, results = rows_of(mission, solution), {c.name: c for c in carried.constraints}
+        if [c.name for c in carried.constraints] != [*rows] or not all(
+            _is_result(results[name], one, solution) for name, one in rows.items()
+        ):
+            found.append("constraints")
+    violated = [own.violation] if carried is None else [own.violation, carried.violation]
+    wrong = is_converged(solution) and any(one.by_constraint for one in violated)
+    if wrong or (carried is not None and not _is_violation(mission, solution, *violated)):
         found.append("violation")
-    return list(dict.fromkeys(found))
+    return found
+
+
+def _is_result(reported: ConstraintResult, rows: Rows, solution: Solution) -> bool:
+    """Whether kind, unit and facets agree, and the margin is the smallest, at its time."""
+    there = np.abs(rows.times - reported.worst_t_s) <= TIME_ERROR_S
+    least = np.array([rows.margin.min(), rows.margin[there].min(initial=np.inf)])
+    return bool(
+        (reported.kind, reported.unit) == (rows.kind, rows.unit)
+        and reported.facets == facets_at(rows, there, solution)
+        and np.abs(reported.worst_margin - least).max() <= MARGIN_ERROR[rows.unit]
+    )
+
+
+def _is_violation(
+    mission: Mission, solution: Solution, own: Violation, reported: Violation
+) -> bool:
+    """Whether carried amounts are the computed ones within the tolerance, and their sum is theirs."""
+    parts, computed = reported.by_constraint, own.by_constraint
+    scale, none = scales(mission.units), ViolationAmount(0.0, 0.0, "m")
+    rows = len(solution.nodes.t_s) * 6 + len(solution.facets.node if solution.facets else [])
+    if not parts.keys() <= {FINAL_STATE, *rows_of(mission, solution)}:
+        return False
+    if not all(part.total >= part.max * (1.0 - ROUNDING) > 0.0 for part in parts.values()):
+        return False
+    for name in parts.keys() | computed.keys():
+        one, other = parts.get(name, none), computed.get(name, none)
+        unit = other.unit if name in computed else one.unit
+        error = BARELY * solution.tolerance * scale[unit] + MARGIN_ERROR[unit]
+        if name in parts and one.unit != unit:
+            return False
+        if abs(one.max - other.max) > error or abs(one.total - other.total) > rows * error:
+            return False
+    sums = summed(parts, mission.units)
+    given, expected = (reported.max, reported.total), (sums.max, sums.total)
+    return np.allclose(given, expected, rtol=ROUNDING, atol=0.0)
 
 
 def _is_policy(mission: Mission, solution: Solution) -> bool:
@@ -138,7 +203,9 @@ def _is_law(mission: Mission, solution: Solution, risk: Risk) -> bool:
     if len(reported) != len(risk.normal_law):
         return False
     if risk.scope == "flight" and reported.keys() == {FLIGHT}:
-        return len(reported[FLIGHT].probability) == 1
+        whole = reported[FLIGHT]
+        same = np.abs(ndtr(whole.sigma) - whole.probability).max() <= SAME_PROBABILITY
+        return bool(same and len(whole.probability) == 1)
     expected = node_probabilities(mission, solution)
     return reported.keys() == expected.keys() and all(
         np.array_equal(reported[name].t_s, times) and _agree(reported[name], probability)
@@ -148,6 +215,8 @@ def _is_law(mission: Mission, solution: Solution, risk: Risk) -> bool:
 
 def _agree(reported: EventProbability, expected: Array) -> bool:
     p = np.array(reported.probability)
+    if np.abs(ndtr(reported.sigma) - p).max() > SAME_PROBABILITY:
+        return False
     return bool(np.all(np.abs(p - expected) <= FEW + ERRORS * np.sqrt(p * (1.0 - p) / POINTS)))
 
 
@@ -181,27 +250,17 @@ def _is_promise(risk: Risk) -> bool:
 
 
 def _is_sound(reached: Certificate, required: float) -> bool:
-    """Whether a certificate has enough valid flights, and their interval.
-
-    In older files the flights of a round are valid too, with the interval of other estimates: see
-    `Certificate.looks`.
-    """
-    older = reached.looks == 0
-    confidence, needed = (
-        (CONFIDENCE, flights_needed) if older else (TEST_CONFIDENCE, flights_of_test)
-    )
+    """Whether a certificate has enough valid flights, and their interval."""
     flights: float = reached.samples
     if reached.strata is None:
-        expected = proportion(round(reached.reached * flights), reached.samples, confidence)
+        expected = proportion(round(reached.reached * flights), reached.samples, TEST_CONFIDENCE)
     else:
-        expected, flights = of_strata(reached.strata, confidence), reached.strata.allocation.draws
+        expected = of_strata(reached.strata, TEST_CONFIDENCE)
+        flights = reached.strata.allocation.draws
     reported = (reached.reached, reached.low, reached.high)
-    if older:
-        unseen = FIRST_SEED <= reached.seed < FIRST_TEST_SEED
-    else:
-        unseen = reached.looks <= TESTS_MAX and reached.seed == seed_of_test(reached.looks)
+    unseen = 1 <= reached.looks <= TESTS_MAX and reached.seed == seed_of_test(reached.looks)
     try:
-        enough = flights >= needed(required)
+        enough = flights >= flights_of_test(required)
     except InputError:  # no flights certify so much
         return False
     same = np.allclose(reported, expected, rtol=0.0, atol=1e-9)
@@ -209,7 +268,7 @@ def _is_sound(reached: Certificate, required: float) -> bool:
         same
         and enough
         and unseen
-        and reached.confidence == confidence
+        and reached.confidence == TEST_CONFIDENCE
         and reached.reached <= reached.at_nodes
         and (reached.strata is None or reached.samples == sum(reached.strata.flown))
     )

@@ -1,6 +1,5 @@
 """The solution file: complete, read back as written, whole or not at all."""
 
-import hashlib
 import json
 import math
 from dataclasses import replace
@@ -56,55 +55,21 @@ def test_round_trip_through_file_and_folder(solution, verified, tmp_path):
         assert read_solution(tmp_path) == version
 
 
-def test_what_older_files_lack_is_none_and_what_later_ones_add_is_passed_over(data, tmp_path):
-    """A file from before it held its hash is believed."""
-    lacking = ("method", "primer", "plan_hash")
-    assert all(data[key] for key in lacking)
-    older = {key: value for key, value in data.items() if key not in lacking}
-    (tmp_path / "solution.json").write_text(json.dumps(older | {"note": "added later"}), "utf-8")
+def test_unknown_keys_of_later_versions_are_ignored(data, tmp_path):
+    (tmp_path / "solution.json").write_text(json.dumps(data | {"note": "added later"}), "utf-8")
     read = read_solution(tmp_path)
-    assert (read.method, read.primer) == (None, None)
-    assert read.total_dv_m_s == data["total_dv_m_s"]
     assert read.verification.ok
     assert not read.warnings
 
 
 @pytest.mark.parametrize("path", ["burns.0.dv_m_s.0", "scenario.risk.p_chance"])
-def test_a_file_that_was_edited_by_hand_is_not_verified_and_says_why(data, tmp_path, path):
+def test_an_edited_plan_is_read_as_not_verified(data, tmp_path, path):
     assert data["verification"]["ok"]
     (tmp_path / "solution.json").write_text(edited(data, path, 0.6), "utf-8")
     read = read_solution(tmp_path)
     assert not read.verification.ok
     assert read.verification.failed == ["plan_hash"]
     assert "changed after it was written" in str(read.warnings[-1])
-
-
-OLDER = Path(__file__).parent / "older" / "exact.json"
-
-
-@pytest.mark.parametrize(
-    ("lead_s", "today_s"), [(1800.0, 3600.0), (3600.0, 3600.0), (900.0, 900.0)]
-)
-def test_an_older_lead_is_that_of_navigation_and_the_files_hash_its_own(lead_s, today_s, tmp_path):
-    """The default of then gives way to today's, and an edited lead is another plan's."""
-    data = json.loads(OLDER.read_text("utf-8"))
-    tables = read_solution(OLDER).scenario.model_dump(mode="json", exclude_defaults=True)
-    assert not {"navigation", "decision_lead_s"} & {*tables, *tables["schedule"]}
-    if lead_s != 1800.0:
-        tables["schedule"]["decision_lead_s"] = lead_s
-    plan = {"scenario": tables, "burns": data["burns"]}
-    written = hashlib.sha256(json.dumps(plan, sort_keys=True).encode()).hexdigest()
-    assert (written == data["plan_hash"]) == (lead_s == 1800.0)
-    data["plan_hash"], data["scenario"]["schedule"]["decision_lead_s"] = written, lead_s
-    file = tmp_path / "solution.json"
-    file.write_text(json.dumps(data), "utf-8")
-    read = read_solution(file)
-    assert not read.warnings
-    assert read.scenario.navigation.lead_s == today_s
-    assert read_solution(read.write(tmp_path)).plan_hash == read.plan_hash
-    data["scenario"]["schedule"]["decision_lead_s"] = 901.0
-    file.write_text(json.dumps(data), "utf-8")
-    assert "changed after it was written" in str(read_solution(file).warnings[-1])
 
 
 def other(value: object) -> object:
@@ -129,9 +94,7 @@ def other(value: object) -> object:
     raise TypeError(value)
 
 
-def test_the_plans_hash_knows_every_entry_of_the_scenario_and_the_last_bit_of_every_burn(
-    solution, verified
-):
+def test_plan_hash_covers_every_entry_and_bit(solution, verified):
     """And nothing besides them."""
     others = {"message": "", "iterations": [], "stages": [], "init": "x"}
     timing = replace(solution.timing_s, total=1.0)
@@ -192,7 +155,7 @@ OTHER = [b"[]", b"5", b"null", b'"text"', b"{}", b'{"schema": 1}']
     ],
     ids=lambda given: str(given[:35]),
 )
-def test_what_is_no_json_or_of_another_schema_is_refused(tmp_path, content, words):
+def test_other_json_or_schema_is_refused(tmp_path, content, words):
     assert words in str(refused(tmp_path / "s.json", content))
 
 
@@ -285,7 +248,7 @@ def with_time(data: Data, part: str, at: int, error_s: float) -> str:
 
 @pytest.mark.usefixtures("few_flights")
 @pytest.mark.parametrize("error_s", [1e-9, -1e-9, 0.9e-3])
-def test_a_window_edge_of_another_machine_reads_and_is_verified(tmp_path, data, error_s):
+def test_another_machines_window_edge_is_verified(tmp_path, data, error_s):
     file = tmp_path / "s.json"
     file.write_text(with_time(data, "nodes", window_edge(data), error_s), "utf-8")
     read = read_solution(file)
@@ -293,7 +256,7 @@ def test_a_window_edge_of_another_machine_reads_and_is_verified(tmp_path, data, 
     assert verify(Mission.from_scenario(read.scenario), read).failed == []
 
 
-def test_burns_and_nodes_are_at_the_scenarios_own_times_and_an_edge_near_its_window(tmp_path, data):
+def test_times_off_the_scenarios_grid_are_refused(tmp_path, data):
     last, edge = len(data["nodes"]["t_s"]) - 1, window_edge(data)
     for part, at, error_s in (
         *(("nodes", edge, error_s) for error_s in (1.0, -1.0, 1.1e-3)),
