@@ -23,7 +23,7 @@ from scp_recon.reports import explorer as page
 from scp_recon.reports.flights import Shown
 from scp_recon.reports.write import check_extra
 from scp_recon.results.solution import Solution
-from scp_recon.scenario.dependencies import found, layer_of
+from scp_recon.scenario.given import tables_of, value_of
 from scp_recon.scenario.load import naming_files, scenario_text
 from scp_recon.scenario.schema import Scenario
 from scp_recon.scp.status import Status
@@ -97,16 +97,16 @@ def sliders_of(scenario: Scenario) -> list[Slider]:
     p, lead = scenario.risk.p_chance, scenario.navigation.lead_s
     rows = [Slider("Risk", "risk.p_chance", "required probability", p, min(p, 0.51), max(p, 0.999))]
     for key, label in SHARES:
-        if (value := found(tables, key)) is not None:
+        if (value := value_of(tables, key)) is not None:
             rows.append(Slider("Errors", key, label, value, 0.0, max(0.2, value)))
     multiplied = [
         Slider(group, key, f"{what}, times the scenario's", 1.0, 0.1, 10.0, log=True, power=power)
         for group, key, what, power in MULTIPLIED
-        if found(tables, key) is not None
+        if value_of(tables, key) is not None
     ]
     rows += [slider for slider in multiplied if slider.group == "Errors"]
     for key, label in LIMITS:
-        if (value := found(tables, key)) is not None:
+        if (value := value_of(tables, key)) is not None:
             ends = (min(value, 1.0), max(value, 89.0)) if "deg" in key else (value / 5, 3 * value)
             rows.append(Slider("Limits", key, label, value, *ends))
     times = scenario.burns.times_s
@@ -117,7 +117,7 @@ def sliders_of(scenario: Scenario) -> list[Slider]:
     rows.append(Slider("Navigation", "navigation.lead_s", label, lead, 0.0, max(14_400.0, lead)))
     if scenario.navigation.covariance is None:
         for key, (label, usual) in MEASURED.items():
-            value = found(tables, key) or usual
+            value = value_of(tables, key) or usual
             ends = value / 100, 100 * value
             rows.append(Slider("Navigation", key, label, value, *ends, log=True))
     return rows + [slider for slider in multiplied if slider.group == "Navigation"]
@@ -149,10 +149,10 @@ def changed(scenario: Scenario, sliders: Sequence[Slider], values: object) -> Sc
             times[int(place)] = number
             changes[BURN] = times
         elif slider.power:
-            changes[key] = _scaled(found(tables, key), number**slider.power)
+            changes[key] = _scaled(value_of(tables, key), number**slider.power)
         else:
             changes[key] = number
-    return scenario.changed(layer_of(changes.items())) if changes else scenario
+    return scenario.changed(tables_of(changes.items())) if changes else scenario
 
 
 def _scaled(value: Any, factor: float) -> Any:

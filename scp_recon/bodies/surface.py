@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+import numpy.typing as npt
 
 from formulations.arrays import Array, Indices
 
@@ -18,6 +19,12 @@ def direction_of(latitude_deg: float, longitude_deg: float) -> Array:
     latitude, longitude = np.deg2rad([latitude_deg, longitude_deg])
     across = np.cos(latitude)
     return np.array([across * np.cos(longitude), across * np.sin(longitude), np.sin(latitude)])
+
+
+def angle_deg(a: npt.ArrayLike, b: npt.ArrayLike) -> float:
+    """Angle between two vectors, deg."""
+    a, b = np.asarray(a, dtype=float), np.asarray(b, dtype=float)
+    return float(np.rad2deg(np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b)))
 
 
 def coordinates_of(position: Array) -> tuple[float, float]:

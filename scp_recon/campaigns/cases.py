@@ -10,8 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from scp_recon.scenario.dependencies import layer_of as tables_of
-from scp_recon.scenario.resolve import anchored
+from scp_recon.scenario.given import anchored, tables_of
 from scp_recon.scenario.schema import Scenario
 
 Changes = dict[str, Any]

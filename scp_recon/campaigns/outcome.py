@@ -19,7 +19,6 @@ from scp_recon.errors import InputError
 from scp_recon.jobs.job import REFUSED
 from scp_recon.mission.constraints import required_in_words
 from scp_recon.reports.marks import PLANS
-from scp_recon.scenario.dependencies import with_todays_lead
 from scp_recon.scenario.schema import Scenario
 from scp_recon.scp.status import Status
 
@@ -180,7 +179,7 @@ def read_campaign(folder: Path) -> CampaignResults:
         found = json.loads(path.read_text("utf-8"))
         if not isinstance(found, dict) or found.get("schema") != SCHEMA:
             raise ValueError(f"schema {found.get('schema')!r}" if isinstance(found, dict) else "")
-        base = Scenario.validated(with_todays_lead(found["base"]))
+        base = Scenario.validated(found["base"])
         campaign = Campaign.model_validate(found["study"].get("campaign", {}))
         entries, cases = tuple(found["entries"]), int(found["cases"])
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:

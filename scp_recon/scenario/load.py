@@ -16,8 +16,8 @@ from typing import Any
 
 from scp_recon.errors import InputError, option, shortened
 from scp_recon.files import read_text
-from scp_recon.scenario.dependencies import inherit, layer_of
-from scp_recon.scenario.resolve import anchored, resolve
+from scp_recon.scenario.derive import derive
+from scp_recon.scenario.given import anchored, inherit, tables_of
 from scp_recon.scenario.schema import Scenario
 
 BYTES_MAX = 1_000_000
@@ -139,12 +139,12 @@ def override(scenario: Scenario, overrides: Sequence[str]) -> Scenario:
 
 
 def _validated(data: Mapping[str, Any], overrides: Sequence[str]) -> Scenario:
-    return Scenario.validated(resolve(inherit(data, _layer(overrides))))
+    return Scenario.validated(derive(inherit(data, _layer(overrides))))
 
 
 def _layer(overrides: Sequence[str]) -> dict[str, Any]:
     """Nested tables of all overrides."""
-    return anchored(layer_of(map(_parse_override, overrides)), Path())
+    return anchored(tables_of(map(_parse_override, overrides)), Path())
 
 
 def base_names() -> list[str]:

@@ -10,7 +10,7 @@ from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 
 from scp_recon.errors import InputError, shortened
-from scp_recon.scenario.dependencies import OLDER_LEAD, computed_from
+from scp_recon.scenario.given import derivable
 
 MAX_PROBLEMS_SHOWN = 5
 INTEGER_BRANCHES = ("int", "constrained-int")
@@ -31,7 +31,7 @@ def input_error(error: ValidationError, schema: type[BaseModel]) -> InputError:
         return InputError(missing[0], "nothing", _all_of(missing[1:], "required, as are", missing))
     entries = {tuple(_location(problem)) for problem in problems}
     # What may follow as soon as that is mended is not called missing before.
-    computed = computed_from({str(location[0]) for location in entries if location})
+    computed = derivable({str(location[0]) for location in entries if location})
     missing = [entry for entry in missing if entry not in computed]
     for problem in problems:
         entry, given, rule = _describe(problem, schema)
@@ -213,16 +213,10 @@ def _fixed_length(location: list[str | int], schema: type[BaseModel]) -> int | N
     return None
 
 
-REPLACED = {f"schedule.{OLDER_LEAD}": "navigation.lead_s"}
-"""Entries that there were once, and what says the same today."""
-
-
 def _suggestion(location: list[str | int], schema: type[BaseModel]) -> str:
     """Suggest the entry meant by an unknown one, else list the entries of its table."""
     paths = list(_entries(schema))
     written = ".".join(str(part) for part in location)
-    if written in REPLACED:
-        return f"must be given as {REPLACED[written]}, which has replaced it"
     by_key = {path.rsplit(".", 1)[1]: path for path in paths}
     near = difflib.get_close_matches(written, paths, n=1, cutoff=0.7)
     near = near or difflib.get_close_matches(str(location[-1]), by_key, n=1, cutoff=0.6)

@@ -20,7 +20,7 @@ from pydantic import (
 from scp_recon.errors import InputError, shortened
 from scp_recon.scenario.body import Body, SiteSection, Sun
 from scp_recon.scenario.boundary import Boundary, Design
-from scp_recon.scenario.dependencies import inherit, layer_of
+from scp_recon.scenario.derive import derive
 from scp_recon.scenario.fields import (
     ConeAngle,
     FlightTime,
@@ -30,8 +30,8 @@ from scp_recon.scenario.fields import (
     Section,
     Tdb,
 )
+from scp_recon.scenario.given import inherit, tables_of
 from scp_recon.scenario.messages import input_error
-from scp_recon.scenario.resolve import resolve
 from scp_recon.scenario.uncertainty import InFlight, Navigation, Policy, Uncertainty
 
 
@@ -273,7 +273,7 @@ class Scenario(Section):
         """
         if not isinstance(changes, Mapping):
             raise InputError("changes", shortened(changes), 'must be as {"risk.p_chance": 0.8}')
-        return self.changed(layer_of(changes.items()))
+        return self.changed(tables_of(changes.items()))
 
     def changed(self, layer: Mapping[str, Any]) -> Self:
         """The same scenario with the values of nested tables, and everything computed from them.
@@ -282,4 +282,4 @@ class Scenario(Section):
             InputError: naming the entry, what was given and what is allowed.
         """
         data = inherit(self.model_dump(mode="json", exclude_none=True), layer)
-        return self.validated(resolve(data, layer))
+        return self.validated(derive(data, layer))

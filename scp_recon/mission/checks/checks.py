@@ -31,7 +31,6 @@ Check = Callable[[Scene], Iterator[ScenarioWarning]]
 
 
 CHECKS: tuple[Check, ...] = (
-    known.stale_entries,
     *(row.check for row in INTERVALS),
     known.known_body,
     known.assumed,

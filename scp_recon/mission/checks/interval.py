@@ -10,7 +10,7 @@ from typing import Any
 from scp_recon.errors import InputError
 from scp_recon.mission.scene import Scene
 from scp_recon.scenario.fields import ScenarioWarning
-from scp_recon.scenario.resolution.agreement import shown
+from scp_recon.scenario.given import shown
 
 Ends = tuple[float, float]
 """Ends of an interval; an infinite one bounds nothing."""

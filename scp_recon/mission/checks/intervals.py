@@ -21,12 +21,12 @@ from scp_recon.bodies.catalogue import (
     J2000_TDB,
     packaged_body,
 )
+from scp_recon.bodies.surface import angle_deg
 from scp_recon.mission.checks.interval import INF, Interval, size, value_at
 from scp_recon.mission.checks.known import J2_ENDS, orbit_of_body
 from scp_recon.mission.grid import NODES_MAX, RK4_STEP_MAX_S
 from scp_recon.mission.scene import Scene
 from scp_recon.scenario.fields import Section
-from scp_recon.scenario.resolution.agreement import angle_deg
 from scp_recon.scenario.schema import Battery, Observation, ScheduleRules
 
 

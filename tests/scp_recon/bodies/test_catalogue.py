@@ -15,13 +15,13 @@ from scp_recon.bodies.catalogue import (
     kepler,
     packaged_body,
 )
+from scp_recon.bodies.surface import angle_deg
 from scp_recon.errors import InputError
 from scp_recon.mission.checks.known import assumed
 from scp_recon.mission.scene import Scene
 from scp_recon.scenario.body import Body
-from scp_recon.scenario.dependencies import MERIDIAN, POLE, keys
+from scp_recon.scenario.given import MERIDIAN, POLE, keys
 from scp_recon.scenario.load import packaged_scenario
-from scp_recon.scenario.resolution.agreement import angle_deg
 
 GOOD_TO_DEG = 0.01
 BODIES = ("Apophis", "Bennu", "Didymos", "Eros", "Itokawa", "Ryugu")

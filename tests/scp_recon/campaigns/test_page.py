@@ -1,8 +1,6 @@
 """Ends, pictures and page of a campaign."""
 
-import json
 import re
-import shutil
 from dataclasses import replace
 from datetime import UTC, datetime
 from html import unescape
@@ -32,15 +30,6 @@ def errors(tmp_path_factory) -> CampaignResults:
     folder = tmp_path_factory.mktemp("errors")
     campaign_of(ERRORS, folder)
     return read_campaign(folder)
-
-
-def test_campaign_of_the_former_lead_is_read(mapped, tmp_path):
-    _, results = mapped
-    folder = shutil.copytree(results.folder, tmp_path / "older")
-    data = json.loads((folder / FILE_NAME).read_text("utf-8"))
-    data["base"]["schedule"]["decision_lead_s"] = 1800.0
-    (folder / FILE_NAME).write_text(json.dumps(data), "utf-8")
-    assert read_campaign(folder).base == results.base
 
 
 @pytest.mark.parametrize("column", ["flown_shortfalls", "simulated_shortfalls"])

@@ -9,6 +9,7 @@ import pytest
 
 from formulations.rows.flight_probability import PROBABILITY_MAX
 from scp_recon.bodies.catalogue import J2000_TDB, packaged_body
+from scp_recon.bodies.surface import angle_deg
 from scp_recon.errors import InputError
 from scp_recon.mission.checks import known
 from scp_recon.mission.checks.checks import check_plausible, check_scene
@@ -17,7 +18,6 @@ from scp_recon.mission.mission import Mission
 from scp_recon.mission.scene import Scene
 from scp_recon.physics.two_body import two_body
 from scp_recon.scenario.load import validate_scenario
-from scp_recon.scenario.resolution.agreement import angle_deg
 from scp_recon.scenario.schema import Scenario
 from tests import reliability
 from tests.scp_recon.support import file_of, mission_of
@@ -41,10 +41,7 @@ IN_THE_DARK = {
 FAR_ENOUGH = "observation.site_distance_max_m"
 REFUSED = [
     # changes of a file copied for a body of which nothing is computed
-    ({SITE: ELSEWHERE}, NORMAL, "49.4 deg away"),
     ({SITE: ELSEWHERE, NORMAL: INWARD}, NORMAL, "must point outward"),
-    ({"epoch.tdb": LATER}, PLACE, "must be given for the new epoch"),
-    ({"epoch.tdb": LATER, PLACE: [1e8, 1e8, 0.0]}, SPEED, "new epoch"),
     ({PLACE: SUN_M}, PLACE, "0.1 to 50 au"),
     ({SPEED: SUN_M_S}, SPEED, "km/s"),
     ({"safety.radius_min_m": 0.5}, "safety.radius_min_m", "at least 290 m"),
@@ -87,8 +84,6 @@ BEGIN, END = "boundary.initial_position_m", "boundary.final_position_m"
 SHADOW = "off the axis of the body's shadow: "
 WARNED = [
     ({NORMAL: [0.1, 0.8, 0.3]}, NORMAL, "off the direction from the centre: "),
-    ({}, "body.gm_m3_s2", "that of Bennu"),
-    ({}, PLACE, "that of Bennu"),
     *(
         ({entry: value}, entry, words)
         for entry, value, words in (
@@ -279,7 +274,7 @@ def test_changes_of_ones_own_scenario_inherit_what_holds_only(scenario):
         own.replace({"epoch.tdb": LATER})
 
 
-def test_small_moves_keep_sun_and_normal_that_are_given(scenario):
+def test_small_moves_keep_the_given_sun_and_normal(scenario):
     """A metre and forty seconds, in a copied file."""
     moved = [x + 1.0 for x in scenario.site.position_body_m]
     near = {"site.position_body_m": moved, "epoch.tdb": "2020-01-21T20:34:00"}

@@ -12,12 +12,11 @@ from hypothesis import strategies as st
 from scipy.spatial import ConvexHull
 
 from scp_recon.bodies.catalogue import J2000_TDB
-from scp_recon.bodies.surface import Ellipsoid, Mesh, direction_of
+from scp_recon.bodies.surface import Ellipsoid, Mesh, angle_deg, direction_of
 from scp_recon.errors import InputError
 from scp_recon.mission.scene import Scene, planned_field, solid_of, truth_field
 from scp_recon.physics.forces import accelerations
 from scp_recon.scenario.load import load_scenario, override, validate_scenario
-from scp_recon.scenario.resolution.agreement import angle_deg
 from scp_recon.scenario.schema import Scenario
 from tests.scp_recon.bodies.test_kernels import BARE, GFC
 from tests.scp_recon.bodies.test_surface import box, write_obj

@@ -14,7 +14,6 @@ from hypothesis import strategies as st
 from formulations.arrays import Array
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
-from scp_recon.scenario.dependencies import with_todays_lead
 from scp_recon.scenario.load import (
     base_names,
     load_scenario,
@@ -169,7 +168,6 @@ REFUSED = [
 POLICY = [
     (["policy.kind=closed"], "policy.kind", "'open' or 'feedback'"),
     (["policy.cost=mean"], "policy.cost", "'nominal', 'expected' or 'dv99'"),
-    (["schedule.decision_lead_s=900"], "schedule.decision_lead_s", "navigation.lead_s"),
 ]
 
 
@@ -241,12 +239,3 @@ def test_a_matrix_as_printed_is_taken_within_its_tolerance(rng, share):
         load_scenario(None, [*covariance(rounded)[:1], "uncertainty.initial_frame=j2000"])
     ).initial_factor
     assert (np.abs(factor @ factor.T - matrix) <= 2.0 * MATRIX_TOLERANCE * scale).all()
-
-
-def test_a_stored_flight_under_way_keeps_the_lead_that_it_was_planned_with():
-    """Of a whole flight, on which only later decisions bear, today's default counts."""
-    stored = {"schedule": {"attitude_s": 1800.0, "decision_lead_s": 1800.0}, "in_flight": None}
-    assert with_todays_lead(stored) == {"schedule": {"attitude_s": 1800.0}, "in_flight": None}
-    flying = stored | {"in_flight": {"at_s": 17_000.0}}
-    assert with_todays_lead(flying)["navigation"] == {"lead_s": 1800.0}
-    assert stored["schedule"] == {"attitude_s": 1800.0, "decision_lead_s": 1800.0}

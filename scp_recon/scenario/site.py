@@ -15,11 +15,12 @@ from scp_recon.bodies.surface import (
     OpenShapeError,
     Solid,
     Surface,
+    angle_deg,
     coordinates_of,
     direction_of,
 )
 from scp_recon.errors import InputError
-from scp_recon.scenario.resolution.agreement import angle_deg, check, has, shown
+from scp_recon.scenario.given import check, has, shown
 
 DIRECTION_TOLERANCE_DEG, NORMAL_TOLERANCE_DEG = 0.1, 30.0
 """Tolerances of a position beside its coordinates, and of a normal beside the rough surface's."""
@@ -32,7 +33,7 @@ OFF_CENTRE, OFF_INERTIA = 0.1, 0.97
 z over the largest, which is 1 of Bennu's and 0.88 with its axes y and z swapped."""
 
 
-def resolve_site(site: dict[str, Any], body: dict[str, Any]) -> None:
+def derive_site(site: dict[str, Any], body: dict[str, Any]) -> None:
     """Enter position and normal, by the radii or the shape of the body.
 
     Raises:

@@ -1,10 +1,17 @@
-"""Compute rotation, gravity and Sun of a body from kernels and files, the catalogue, or a period."""
+"""Derive a complete scenario's entries from the given ones: one way, in the order of `derive`.
+
+Epoch, rotation, gravity, Sun, site and boundary are each a subject. A given value that can also be
+computed is checked against the computed one. A subject with missing entries is left unchanged, and
+the schema reports them. A new derived entry is entered by the function of its subject; if it belongs
+to the value of another entry, `given.inherit` says so in one line.
+"""
 
 from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -12,28 +19,146 @@ import numpy as np
 from pydantic import ValidationError
 
 from scp_recon.bodies.attitude import AttitudeTable, read_attitude
-from scp_recon.bodies.catalogue import DAY_S, PackagedBody
+from scp_recon.bodies.catalogue import DAY_S, J2000_TDB, PackagedBody, packaged_body
 from scp_recon.bodies.gravity_file import GravityTable, read_gravity
 from scp_recon.bodies.kernels import read_heliocentric, read_pck
 from scp_recon.bodies.shape_file import read_shape
-from scp_recon.bodies.surface import direction_of
+from scp_recon.bodies.surface import angle_deg, direction_of
 from scp_recon.errors import InputError
-from scp_recon.scenario import dependencies
-from scp_recon.scenario.body import DEGREE_MAX, FACETS_MAX, Attitude
-from scp_recon.scenario.dependencies import keys
-from scp_recon.scenario.resolution.agreement import angle_deg, check, check_share, fill, has, lacks
-from scp_recon.scenario.resolution.site import check_solid
-
-POLE, MERIDIAN, STATE = (
-    keys(dependencies.POLE),
-    keys(dependencies.MERIDIAN),
-    keys(dependencies.STATE),
+from scp_recon.scenario import given as entries_of
+from scp_recon.scenario.body import DEGREE_MAX, FACETS_MAX, Attitude, Body, SiteSection, Sun
+from scp_recon.scenario.boundary import Boundary, HomeOrbit
+from scp_recon.scenario.fields import Section
+from scp_recon.scenario.given import (
+    Given,
+    check,
+    check_share,
+    copied,
+    entries,
+    fill,
+    has,
+    keys,
+    lacks,
+    value_of,
 )
+from scp_recon.scenario.site import check_solid, derive_site
+from scp_recon.scenario.time_scales import tdb_of_utc
+
+POLE, MERIDIAN, STATE, ENDS = map(
+    keys, (entries_of.POLE, entries_of.MERIDIAN, entries_of.STATE, entries_of.ENDS)
+)
+
+
+def derive(given: Mapping[str, Any], changes: Mapping[str, Any] | None = None) -> Given:
+    """Given entries with everything computed that can be.
+
+    With `changes`, which are part of `given`, everything else is already complete. Only subjects
+    that the changes affect are computed again, so the files of the other subjects need not exist any
+    more.
+
+    Raises:
+        InputError: if a file cannot be used, an epoch is outside the known span, or a given value
+            contradicts the computed one.
+    """
+    tables = copied(given)
+    changed = None if changes is None else list(entries(changes))
+
+    def is_new(*beginnings: str) -> bool:
+        """Whether an entry that begins like this is new."""
+        return changed is None or any(entry.startswith(beginnings) for entry in changed)
+
+    _epoch(tables)
+    body, days = tables.get("body"), _days(tables)
+    if not isinstance(body, dict) or not _well_formed(body, Body):
+        return tables
+    known = packaged_body(body.get("name"))
+    if known is not None:
+        body.setdefault("naif_id", known.entries["naif_id"])
+    turning = ("pole_", "prime_", "rotation_", "pck_", "naif_", "attitude", "name")
+    if is_new(*(f"body.{key}" for key in turning)) or body.get("attitude") is not None:
+        _rotation(body, known, days)
+    if known is not None:  # where no kernel has told them
+        fill(body, {k: v for k, v in known.entries.items() if k in ("radii_m", "companion")})
+    pulling = ("gm_", "j2", "reference_", "gravity", "name", "solid", "shape_unit")
+    if is_new(*(f"body.{key}" for key in pulling)):
+        _gravity(body, known)
+    if is_new("sun.", "epoch.", "body.name", "body.naif_"):
+        _table(tables, "sun", Sun, lambda sun: _sun(sun, body, known, days))
+    if is_new("site.", "body.name", "body.radii_", "body.shape_", "body.pck_"):
+        _table(tables, "site", SiteSection, lambda site: derive_site(site, body))
+    if is_new("boundary.", "body.gm_", "body.gravity_", "body.name"):
+        gm = body.get("gm_m3_s2")
+        _table(tables, "boundary", Boundary, lambda boundary: _boundary(boundary, gm))
+    return tables
+
+
+def _table(
+    tables: Given, name: str, schema: type[Section], step: Callable[[dict[str, Any]], None]
+) -> None:
+    """Derive the entries of a table, which may be missing if all of it can be computed."""
+    table = tables.get(name, {})
+    if isinstance(table, dict) and _well_formed(table, schema):
+        step(table)
+        if table:
+            tables[name] = table
+
+
+def _well_formed(table: Mapping[str, Any], schema: type[Section]) -> bool:
+    """Whether a table's only faults are missing entries."""
+    try:
+        schema.model_validate_json(json.dumps(table, default=str))
+    except ValidationError as error:
+        # An item that a list lacks is missing too, but deeper.
+        problems = error.errors(include_url=False)
+        return all(item["type"] == "missing" and len(item["loc"]) == 1 for item in problems)
+    except (ValueError, RecursionError):
+        return False
+    return True
+
+
+UTC_TOLERANCE_S = 0.001
+"""Within which a given TDB is that of a given UTC: a file's milliseconds."""
+
+
+def _epoch(tables: Given) -> None:
+    """Enter TDB in the place of UTC.
+
+    Raises:
+        InputError: if both are given and differ, for example by a date in UTC that was taken for
+            TDB.
+    """
+    epoch = tables.get("epoch")
+    if not isinstance(epoch, dict) or epoch.get("utc") is None:
+        return
+    try:
+        utc = datetime.fromisoformat(str(epoch["utc"]))
+        given = datetime.fromisoformat(str(epoch["tdb"])) if "tdb" in epoch else None
+    except ValueError:  # the schema tells
+        return
+    computed = tdb_of_utc(utc)
+    if given is None:
+        epoch["tdb"] = computed.isoformat()
+    elif given.tzinfo is None:
+        off = abs((given - computed).total_seconds())
+        why = f"which is epoch.utc in TDB; they are {off:.3f} s apart"
+        check("epoch.tdb", given.isoformat(), off <= UTC_TOLERANCE_S, computed.isoformat(), why)
+    del epoch["utc"]
+
+
+def _days(tables: Mapping[str, Any]) -> float | None:
+    """TDB days past J2000 of the epoch; None if it is missing or no date."""
+    try:
+        tdb = datetime.fromisoformat(str(value_of(tables, "epoch.tdb")))
+        return (tdb - J2000_TDB).total_seconds() / DAY_S
+    except (ValueError, TypeError):
+        return None
+
+
 POLE_TOLERANCE_DEG, MERIDIAN_TOLERANCE_DEG, RATE_TOLERANCE = 0.1, 0.1, 1e-4
 """Tolerances within which given values agree with computed ones: angles; rate, relative."""
 
 
-def resolve_rotation(body: dict[str, Any], known: PackagedBody | None, days: float | None) -> None:
+def _rotation(body: dict[str, Any], known: PackagedBody | None, days: float | None) -> None:
     """Enter pole and W0, W1, W2 in the table `[body]`.
 
     A period of P hours is W1 = 360 * 24 / P and W2 = 0; an angle W at the epoch, d TDB days past J2000,
@@ -126,11 +251,11 @@ def _check_meridian(at_epoch: float, body: dict[str, Any], days: float, source: 
     )
 
 
-TOLERANCE = 0.01
+GRAVITY_TOLERANCE = 0.01
 """Relative tolerance within which a given GM or J2 agrees with the file's."""
 
 
-def resolve_gravity(body: dict[str, Any], known: PackagedBody | None) -> None:
+def _gravity(body: dict[str, Any], known: PackagedBody | None) -> None:
     """Enter GM, J2, its radius, and the field if there is a file.
 
     Raises:
@@ -141,7 +266,9 @@ def resolve_gravity(body: dict[str, Any], known: PackagedBody | None) -> None:
         if table.gm_m3_s2 is not None:
             fill(body, {"gm_m3_s2": table.gm_m3_s2})
             source = "gravity_file"
-            check_share("body.gm_m3_s2", body["gm_m3_s2"], table.gm_m3_s2, TOLERANCE, source)
+            check_share(
+                "body.gm_m3_s2", body["gm_m3_s2"], table.gm_m3_s2, GRAVITY_TOLERANCE, source
+            )
         _enter_field(body, table, known)
     elif has(body, "gravity", "j2", "reference_radius_m"):
         field = body["gravity"]
@@ -203,14 +330,14 @@ def _j2(rows: Iterable[Sequence[float]]) -> float:
 def _check_j2(body: dict[str, Any], j2: float, radius: float, source: str) -> None:
     """Refuse a J2 that does not agree with the field's."""
     there = j2 * (radius / body["reference_radius_m"]) ** 2
-    check_share("body.j2", body["j2"], there, TOLERANCE, source)
+    check_share("body.j2", body["j2"], there, GRAVITY_TOLERANCE, source)
 
 
-DIRECTION_TOLERANCE_DEG, DISTANCE_TOLERANCE, VELOCITY_TOLERANCE_KM_S = 0.1, 0.01, 0.5
+SUN_DIRECTION_DEG, SUN_DISTANCE, SUN_VELOCITY_KM_S = 0.1, 0.01, 0.5
 """Tolerances within which a given Sun agrees with the computed one."""
 
 
-def resolve_sun(
+def _sun(
     sun: dict[str, Any], body: dict[str, Any], known: PackagedBody | None, days: float | None
 ) -> None:
     """Enter the body's heliocentric position and velocity at the epoch, in TDB days past J2000.
@@ -235,19 +362,47 @@ def resolve_sun(
     else:
         return
     fill(sun, dict(zip(STATE, state, strict=True)))
-    _check(sun, np.array(state[0]), np.array(state[1]), source)
+    _check_sun(sun, np.array(state[0]), np.array(state[1]), source)
 
 
-def _check(sun: dict[str, Any], position: Any, velocity: Any, source: str) -> None:
+def _check_sun(sun: dict[str, Any], position: Any, velocity: Any, source: str) -> None:
     given = np.array(sun[STATE[0]], dtype=float)
     distance = float(np.linalg.norm(position))
     near = bool(
-        angle_deg(given, position) <= DIRECTION_TOLERANCE_DEG
-        and abs(np.linalg.norm(given) - distance) <= DISTANCE_TOLERANCE * distance
+        angle_deg(given, position) <= SUN_DIRECTION_DEG
+        and abs(np.linalg.norm(given) - distance) <= SUN_DISTANCE * distance
     )
-    within = f"to {DIRECTION_TOLERANCE_DEG:g} deg and {DISTANCE_TOLERANCE:g} of the distance"
+    within = f"to {SUN_DIRECTION_DEG:g} deg and {SUN_DISTANCE:g} of the distance"
     check(f"sun.{STATE[0]}", given, near, position, f"by {source}, {within} (or be left out)")
     moving = np.array(sun[STATE[1]], dtype=float)
-    slow = float(np.linalg.norm(moving - velocity)) <= VELOCITY_TOLERANCE_KM_S
-    within = f"to {VELOCITY_TOLERANCE_KM_S:g} km/s"
+    slow = float(np.linalg.norm(moving - velocity)) <= SUN_VELOCITY_KM_S
+    within = f"to {SUN_VELOCITY_KM_S:g} km/s"
     check(f"sun.{STATE[1]}", moving, slow, velocity, f"by {source}, {within} (or be left out)")
+
+
+HOME_TOLERANCE = 1e-6
+"""Relative tolerance of radius and speed within which given states are those of the home orbit."""
+
+
+def _boundary(boundary: dict[str, Any], gm: object) -> None:
+    """Enter the states, if there is a home orbit and GM, m^3/s^2, is known.
+
+    Raises:
+        InputError: if given states are not those of the home orbit.
+    """
+    if boundary.get("home") is None or not isinstance(gm, int | float):
+        return
+    home = HomeOrbit.model_validate_json(json.dumps(boundary["home"]))
+    states = [
+        home.state(float(np.deg2rad(span[0])), float(gm))
+        for span in (home.departure_deg, home.arrival_deg)
+    ]
+    computed = [part for state in states for part in (state[:3], state[3:])]
+    for key, value in zip(ENDS, computed, strict=True):
+        given = boundary.setdefault(key, value.tolist())
+        if not np.allclose(given, value, rtol=0.0, atol=HOME_TOLERANCE * np.linalg.norm(value)):
+            raise InputError(
+                f"boundary.{key}",
+                str(given)[:80],
+                "must be left out beside boundary.home, from which it follows",
+            )

@@ -1,1 +1,0 @@
-"""Compute entries of a scenario from others, subject by subject."""
