@@ -28,7 +28,7 @@ from scp_recon.interop.tracks import (
     spice_track,
     step_doubts,
 )
-from scp_recon.mission.checks.intervals import DENSITIES, density
+from scp_recon.mission.intervals import DENSITIES, density
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
 from scp_recon.results.facts import Verification

@@ -19,9 +19,8 @@ from scp_recon.bodies.catalogue import AU_KM, packaged_body
 from scp_recon.cli.command import show_line
 from scp_recon.cli.rendering import show_verdict, show_warnings, terminal
 from scp_recon.errors import InputError
-from scp_recon.mission.checks.known import orbit_of_body
 from scp_recon.mission.mission import Mission
-from scp_recon.mission.scene import Scene
+from scp_recon.mission.scene import Scene, orbit_of_body
 from scp_recon.monte_carlo.estimates import Estimate
 from scp_recon.physics.geometry import angle
 from scp_recon.planning.plan import Plan

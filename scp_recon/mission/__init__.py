@@ -1,1 +1,5 @@
-"""Resolve a scenario into window, schedule, grid and the nondimensional problem."""
+"""Resolve a scenario into the planner's input: window, schedule, grid, problem; check its entries.
+
+The border of SI: `mission.Mission` makes quantities nondimensional for `formulations`.
+Planning and everything above it may import this folder; it imports `physics` and `scenario`.
+"""

@@ -21,7 +21,7 @@ from formulations.problem.polytopes import ball, paper_ball
 from scp_recon.bodies.catalogue import AU_KM
 from scp_recon.bodies.surface import Mesh
 from scp_recon.errors import InputError
-from scp_recon.mission.checks.checks import check_plausible, check_scene, check_state, check_window
+from scp_recon.mission.checks import check_plausible, check_scene, check_state, check_window
 from scp_recon.mission.constraints import Limit, observation_limits, state_constraints
 from scp_recon.mission.feedback import (
     check_feedback,

@@ -16,7 +16,7 @@ from formulations.arrays import Array
 from formulations.linearisation.factor import factor_of
 from formulations.problem.execution_errors import ComponentwiseErrors, ExecutionErrors, GatesErrors
 from scp_recon.bodies.attitude import AttitudeTable
-from scp_recon.bodies.catalogue import packaged_body
+from scp_recon.bodies.catalogue import GM_SUN_KM3_S2, packaged_body
 from scp_recon.bodies.surface import Ellipsoid, Mesh
 from scp_recon.errors import InputError, option
 from scp_recon.mission.windows import Lighting
@@ -24,6 +24,7 @@ from scp_recon.physics.companion import Companion
 from scp_recon.physics.frames import Rotation, TabulatedRotation, sun_north_to_j2000, unit
 from scp_recon.physics.geometry import Site
 from scp_recon.physics.harmonics import HarmonicField
+from scp_recon.physics.two_body import Orbit
 from scp_recon.scenario.body import Body
 from scp_recon.scenario.schema import Scenario
 
@@ -194,6 +195,12 @@ class Scene:
         circular = float(np.sqrt(self.scenario.body.gm_m3_s2 / distance))
         speed = max(float(np.linalg.norm(state[3:])), circular)
         return (distance, "distance from the centre"), (speed, "speed, or that of a circular orbit")
+
+
+def orbit_of_body(scene: Scene) -> Orbit:
+    """The body's osculating orbit about the Sun at the epoch; km."""
+    sun = scene.scenario.sun
+    return Orbit.of(sun.body_position_km, sun.body_velocity_km_s, GM_SUN_KM3_S2)
 
 
 def rotation_of(scenario: Scenario) -> Rotation:

@@ -17,8 +17,8 @@ from scipy.spatial.transform import Rotation
 
 from scp_recon.bodies.catalogue import GM_SUN_KM3_S2, OBLIQUITY
 from scp_recon.errors import InputError
-from scp_recon.mission.checks.checks import check_scene, check_state
-from scp_recon.mission.checks.intervals import INTERVALS
+from scp_recon.mission.checks import check_scene, check_state
+from scp_recon.mission.intervals import INTERVALS
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.scene import Scene
 from scp_recon.physics.frames import unit

@@ -24,7 +24,7 @@ from scp_recon.cli.plan_view import plan_document
 from scp_recon.cli.rendering import show_warnings, terminal
 from scp_recon.errors import InputError, option
 from scp_recon.files import check_writable, unwritable, write_atomically
-from scp_recon.mission.checks.checks import check_scene
+from scp_recon.mission.checks import check_scene
 from scp_recon.mission.legal_burns import Interval
 from scp_recon.mission.scene import Scene
 from scp_recon.mission.survey import Survey

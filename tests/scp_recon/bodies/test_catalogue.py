@@ -17,7 +17,7 @@ from scp_recon.bodies.catalogue import (
 )
 from scp_recon.bodies.surface import angle_deg
 from scp_recon.errors import InputError
-from scp_recon.mission.checks.known import assumed
+from scp_recon.mission.checks import assumed
 from scp_recon.mission.scene import Scene
 from scp_recon.scenario.body import Body
 from scp_recon.scenario.given import MERIDIAN, POLE, keys

@@ -11,9 +11,9 @@ from formulations.rows.flight_probability import PROBABILITY_MAX
 from scp_recon.bodies.catalogue import J2000_TDB, packaged_body
 from scp_recon.bodies.surface import angle_deg
 from scp_recon.errors import InputError
-from scp_recon.mission.checks import known
-from scp_recon.mission.checks.checks import check_plausible, check_scene
-from scp_recon.mission.checks.intervals import INTERVALS, PLANNER_INTERVALS, STATE_INTERVALS
+from scp_recon.mission import checks as known
+from scp_recon.mission.checks import check_plausible, check_scene
+from scp_recon.mission.intervals import INTERVALS, PLANNER_INTERVALS, STATE_INTERVALS
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.scene import Scene
 from scp_recon.physics.two_body import two_body

@@ -1,1 +1,0 @@
-"""Check a mission's units, axes, and entries that contradict each other."""
