@@ -7,8 +7,8 @@ status. A quantity held to an interval is a row of `intervals`; every other chec
 
 These checks cannot detect: a wrong probability; wrong axes of the boundary states, unless they lead
 into the shadow (`solve` shows distance, latitude, climb, plane, and angle off the Sun); a wrong
-prime meridian, pole, spin, Sun or normal of a body that is not packaged (`solve` shows the given sense of
-rotation, distance and season of the Sun); UTC in place of TDB, unless `epoch.utc` is given too
+prime meridian, pole, spin, Sun or normal of a body that is not packaged (`solve` shows the given
+sense of rotation, distance and season of the Sun); UTC in place of TDB, unless `epoch.utc` is given too
 (every table of burns has both scales); or a small body wholly in kilometres. If `base` names a
 complete file, no entry of another date or body is inherited.
 """
