@@ -69,9 +69,7 @@ CONTRADICTING = [
         ),
     ],
 )
-def test_what_physics_or_what_is_computed_rules_out_is_refused(
-    name, changes, entry, words, scenario
-):
+def test_impossible_or_contradicting_entries_are_refused(name, changes, entry, words, scenario):
     with pytest.raises(InputError) as caught:
         Mission.from_scenario(file_of(scenario, changes, name))
     assert caught.value.entry == entry
@@ -139,7 +137,7 @@ def eros(scenario: Scenario, latitude: float = 10.0, year: int | None = None, **
     return Scene.of(validate_scenario(tables))
 
 
-def test_figures_of_a_packaged_body_that_are_not_its_own_are_warned_about(scenario):
+def test_wrong_figures_of_a_packaged_body_are_warned(scenario):
     (warning,) = mission_of("body.gm_m3_s2=4.0").warnings
     assert str(warning) == "body.gm_m3_s2: got 4; Bennu has 4.89045"
     # C20 as fields have it, normalised; the right J2 at another radius; axes in another order.
@@ -177,9 +175,7 @@ WINDOW, HOUR = "observation.window_s", "observation.local_solar_time_max_h"
         ([f"{WINDOW}=[13200, 16500]", f"{HOUR}=11"], WINDOW, "local solar time.* 8 and 11 h"),
     ],
 )
-def test_of_the_packaged_scenario_what_is_changed_is_all_that_is_warned_about(
-    overrides, entry, words, scenario
-):
+def test_only_the_changed_entry_is_warned_about(overrides, entry, words, scenario):
     right = scenario.body.prime_meridian_deg
     changes = [one.format(back=right - 10.0, round=right + 361.0) for one in overrides]
     warnings = mission_of(*changes).warnings
@@ -200,7 +196,7 @@ POLE_AT = "body.pole_dec_deg", "body.pole_ra_deg"
         (POLE_AT, -1.0535, 85.46, 0),
     ],
 )
-def test_angles_that_are_likely_in_radians_are_warned_about(entries, north, east, told, scenario):
+def test_angles_in_radians_are_warned_about(entries, north, east, told, scenario):
     scene = Scene.of(scenario.replace(dict(zip(entries, (north, east), strict=True))))
     warnings = [w for w in check_scene(scene) if w.entry == entries[0]]
     assert len(warnings) == told
@@ -216,7 +212,7 @@ def test_angles_that_are_likely_in_radians_are_warned_about(entries, north, east
         (2026, [300.0, 1639.389232, 0.0], "20.4 deg off"),
     ],
 )
-def test_how_well_the_phase_of_eros_is_known_goes_with_the_verdict(year, meridian, told, scenario):
+def test_eros_meridian_uncertainty_is_warned_about(year, meridian, told, scenario):
     """NEAR's rate and the IAU's part after 2001; either may be given."""
     keys = [f"prime_meridian_{key}" for key in ("deg", "rate_deg_day", "acceleration_deg_day2")]
     scene = eros(scenario, year=year, **dict(zip(keys, meridian or [], strict=False)))
@@ -225,7 +221,7 @@ def test_how_well_the_phase_of_eros_is_known_goes_with_the_verdict(year, meridia
     assert all(told in w.given for w in warnings)
 
 
-def test_the_slopes_of_a_long_body_are_no_question(scenario):
+def test_slopes_of_a_long_body_raise_no_warning(scenario):
     """On Eros' ellipsoid at 30 deg north the normal is 46 deg off the direction from the centre."""
     scene = eros(scenario, latitude=30.0)
     assert angle_deg(scene.site.position_body, scene.site.normal_body) > 45.0
@@ -235,7 +231,7 @@ def test_the_slopes_of_a_long_body_are_no_question(scenario):
 
 
 @pytest.mark.parametrize(("carried_days", "told"), [(0.0, True), (730.5, False), (700.0, True)])
-def test_a_packaged_body_is_about_where_it_would_be_outside_its_span(carried_days, told, scenario):
+def test_sun_outside_the_elements_span_is_checked(carried_days, told, scenario):
     """Two years past its elements, with the Sun of their last day, or carried on as far as that."""
     bennu = packaged_body("Bennu")
     last = bennu.span[1] - 1.0
@@ -258,14 +254,14 @@ def test_a_packaged_body_is_about_where_it_would_be_outside_its_span(carried_day
 
 
 @pytest.mark.parametrize(("fraction", "told"), [(0.0, 0), (0.001, 0), (0.09, 0), (0.3, 2)])
-def test_a_state_that_is_known_raises_no_question_and_a_guess_does(fraction, told, mission):
+def test_only_a_large_initial_sigma_is_warned_about(fraction, told, mission):
     """Nor does anything of the packaged scenario."""
     warnings = mission_of(f"uncertainty.initial_sigma_fraction={fraction}").warnings
     assert [w.entry for w in warnings] == told * ["uncertainty.initial_sigma_fraction"]
     assert mission.warnings == ()
 
 
-def test_changes_of_ones_own_scenario_inherit_what_holds_only(scenario):
+def test_own_changes_inherit_only_valid_entries(scenario):
     """Of a body of which nothing is computed, what followed from the change has to be given."""
     own = file_of(scenario, {"site.normal_body": [0.4, 0.5, 0.7]}, name="Other")
     with pytest.raises(InputError, match=r"site\.normal_body: got nothing"):
@@ -312,14 +308,14 @@ def test_it_is_refused_by_name(overrides, entry, words):
     reliability.count(reliability.BAD_INPUTS)
 
 
-def test_a_body_that_could_reach_the_sun_is_refused(scenario):
+def test_a_body_that_may_reach_sun_is_refused(scenario):
     sun = scenario.sun.model_copy(update={"body_position_km": (1.0, 0.0, 0.0)})
     with pytest.raises(InputError, match=r"0\.5 times the way to the Sun") as caught:
         Mission.from_scenario(scenario.model_copy(update={"sun": sun}))
     assert caught.value.entry == "sun.body_velocity_km_s"
 
 
-def test_a_state_in_flight_is_not_blamed_on_the_gravity(scenario):
+def test_a_low_state_in_flight_is_named(scenario):
     """About a body whose boundary states are far enough out; outside it all the same."""
     flight = {
         "at_s": 17_000.0,
@@ -334,7 +330,7 @@ def test_a_state_in_flight_is_not_blamed_on_the_gravity(scenario):
     check_plausible(Scene.of(heavy.replace({"in_flight.position_m": [800.0, 0.0, 0.0]})))
 
 
-def test_as_much_may_be_asked_of_whole_flights_as_the_estimates_tell():
+def test_largest_probability_of_whole_flights_is_accepted():
     assert mission_of(*WHOLE, f"risk.p_chance={PROBABILITY_MAX}").scenario.risk.scope == "flight"
     mission_of("risk.allocation=exact", "risk.p_chance=0.999999999")
 

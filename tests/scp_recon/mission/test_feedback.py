@@ -44,9 +44,7 @@ def test_without_feedback_nothing_changes(mission):
 
 
 @pytest.mark.parametrize("lead_s", [0.0, 3600.0])
-def test_a_measurement_that_tells_nothing_is_reported_and_leaves_the_plan_open_loop(
-    mission, lead_s
-):
+def test_a_useless_measurement_is_reported(mission, lead_s):
     """Errors a million times the dispersion: the mission is the one without feedback."""
     errors = "navigation.sigma_position_m=5e7", "navigation.sigma_velocity_m_s=5e4"
     found = mission_of("policy.kind=feedback", *errors, f"navigation.lead_s={lead_s:g}")
@@ -75,7 +73,7 @@ def test_a_measurement_that_tells_nothing_is_reported_and_leaves_the_plan_open_l
         ((END,), [1, 2], [4400.0, 21_400.0]),
     ],
 )
-def test_cut_offs_are_nodes_a_lead_before_the_burns_between(overrides, burns, cut_offs):
+def test_cut_offs_are_nodes_before_inner_burns(overrides, burns, cut_offs):
     found = mission_of(*FEEDBACK, *overrides)
     feedback = found.problem.feedback
     assert feedback.burns.tolist() == burns
@@ -92,7 +90,7 @@ def in_flight(scenario: Scenario, at_s: float, *, flown: int) -> Mission:
     return Mission.from_scenario(scenario.replace({"in_flight": flight}))
 
 
-def test_in_flight_the_next_burn_is_corrected_where_its_cut_off_is_to_come(corrected):
+def test_in_flight_only_future_cut_offs_correct_burns(corrected):
     """A state delivered at its cut-off, to the last bit of a difference of times, is what is known."""
     left = in_flight(corrected.scenario, 17_000.0, flown=2)
     feedback = left.problem.feedback
@@ -105,7 +103,7 @@ def test_in_flight_the_next_burn_is_corrected_where_its_cut_off_is_to_come(corre
         assert not left.warnings
 
 
-def test_in_flight_there_may_be_nothing_left_to_correct(corrected):
+def test_in_flight_no_correction_may_remain(corrected):
     assert in_flight(corrected.scenario, 26_000.0, flown=3).problem.feedback is None
     last = corrected.scenario.replace({"boundary.final_sigma_velocity_m_s": 0.01})
     feedback = in_flight(last, 26_000.0, flown=3).problem.feedback
@@ -176,7 +174,7 @@ def test_useless_axes_of_rtn_leave_the_others_resolved():
         _ = Mission.from_scenario(given.replace({"navigation.covariance": finer})).feedback
 
 
-def test_before_there_is_a_plan_rtn_is_that_of_a_transfer():
+def test_rtn_before_a_plan_follows_a_transfer():
     """Lambert's arc is near the two-impulse flight, which is solved with the planner's forces."""
     mission = in_frame("rtn")
     path = initial_guess.ballistic(mission).mean
@@ -202,7 +200,7 @@ def test_feedback_that_can_correct_nothing_is_refused(overrides, entry, words):
     assert words in caught.value.allowed
 
 
-def test_a_burn_whose_cut_off_precedes_departure_is_named(corrected):
+def test_a_cut_off_before_departure_is_named(corrected):
     assert not corrected.warnings
     (warning,) = mission_of(*FEEDBACK, "navigation.lead_s=9000").warnings
     assert str(warning) == (

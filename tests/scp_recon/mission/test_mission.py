@@ -17,9 +17,7 @@ from tests.scp_recon.support import mission_of
     fixed=st.lists(st.floats(0.0, 1e5), min_size=2, max_size=8, unique=True),
     step=st.floats(1.0, 5e4),
 )
-def test_grid_is_ascending_fine_enough_and_holds_the_fixed_times_with_no_more_than_it_needs(
-    fixed, step
-):
+def test_grid_holds_fixed_times_within_the_step(fixed, step):
     assume(np.diff(np.sort(fixed)).min() > 1e-3)
     assume(np.ptp(fixed) / step < 1e4)
     grid = make_grid(tuple(fixed), step)
@@ -46,7 +44,7 @@ def test_burns_and_window_are_nodes_of_any_grid(mission):
         np.testing.assert_array_equal(window, times[(times >= first) & (times <= last)])
 
 
-def test_problem_is_the_scenario_in_units_of_gm_and_the_initial_radius(mission):
+def test_problem_is_the_nondimensional_scenario(mission):
     problem, units, scenario = mission.problem, mission.units, mission.scenario
     assert mission.forces.in_units(units.length_m, units.time_s).gm == pytest.approx(1.0)
     assert np.linalg.norm(problem.initial_state[:3]) == pytest.approx(1.0)
@@ -87,9 +85,7 @@ def fully_limited() -> Mission:
 
 
 @given(direction=unit_vectors(), away_m=st.floats(300.0, 1000.0), index=st.integers(0, 15))
-def test_constraints_of_the_problem_are_the_limits_on_the_geometry(
-    direction, away_m, index, fully_limited
-):
+def test_problem_constraints_are_the_geometric_limits(direction, away_m, index, fully_limited):
     """The regions' signed distances have the signs of the angles' and the range's margins."""
     m, offset = fully_limited, away_m * direction
     node = m.window_nodes[index]
@@ -136,7 +132,7 @@ def test_polytopes_are_those_chosen():
 
 
 @pytest.mark.parametrize("frame", ["sun_north", "j2000"])
-def test_a_mission_from_another_initial_state_is_that_of_its_scenario(frame):
+def test_another_initial_state_is_in_the_scenario(frame):
     mission = mission_of(f'boundary.frame="{frame}"')
     state = mission.initial_state * np.array([1.01, 0.99, 1.02, 0.95, 1.1, 0.9])
     moved = mission.with_initial_state(state)

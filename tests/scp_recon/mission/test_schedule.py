@@ -43,7 +43,7 @@ def independent_incidence(scenario: Scenario, times: Array) -> Array:
     return np.rad2deg(np.arccos(cosine))
 
 
-def test_the_window_is_the_papers_with_incidence_at_its_limit_at_the_edges(mission):
+def test_window_edges_are_at_the_incidence_limit(mission):
     first, last = mission.schedule.window_s
     assert first == pytest.approx(13_140.0, abs=1.0)
     assert last - first == pytest.approx(3397.3, abs=0.5)
@@ -105,7 +105,7 @@ def test_the_first_whole_window_is_taken():
         window_of([begun_before, outlasting], 10_000.0)
 
 
-def test_timeline_is_that_of_the_rules_worked_out_by_hand(mission):
+def test_timeline_follows_the_rules(mission):
     # Echigo et al., section V.A: half an hour each for slews and heating, before burns and window.
     expected = [
         (Mode.SUN_POINTING, 0, 4400),
@@ -138,7 +138,7 @@ ascending = st.lists(st.floats(1.0, 60_000.0), min_size=1, max_size=5, unique=Tr
 @example(times=list(FIRING[1:]), window=(WINDOW[0] / FIRING[-1], WINDOW[1] / FIRING[-1]))
 @example(times=[30_000.0], window=(0.3, 0.4))
 @example(times=[8000.0, 30_000.0], window=(0.5, 0.6))
-def test_firing_times_are_accepted_exactly_when_the_rules_hold(times, window):
+def test_firing_times_are_accepted_iff_legal(times, window):
     firing = (0.0, *times)
     first, last = sorted(edge * firing[-1] for edge in window)
     assume(first < last)
@@ -233,7 +233,7 @@ def test_intervals_are_those_of_a_linear_program(window, duration, before, after
     window=st.tuples(st.floats(-1e5, 1e5), st.floats(100.0, 8000.0)),
     share=st.floats(0.001, 0.999),
 )
-def test_a_shift_within_its_interval_is_legal_and_one_beyond_is_not(gaps, window, share):
+def test_shifts_are_legal_within_their_interval_only(gaps, window, share):
     times = (0.0, *np.cumsum(gaps).tolist())
     edges = window[0], window[0] + window[1]
     shifts = legal_shifts(edges, times, RULES)
@@ -252,7 +252,7 @@ def test_a_shift_within_its_interval_is_legal_and_one_beyond_is_not(gaps, window
     share=st.floats(0.0, 1.0),
     added=st.floats(0.0, 1.0),
 )
-def test_another_burn_is_legal_in_its_spans_and_nowhere_else(gaps, length, share, added):
+def test_additional_burns_are_legal_in_their_spans(gaps, length, share, added):
     """The oracle is the schedule itself, with the burn in it."""
     gaps[0] += length + 11_400.0 - 6600.0
     times = (0.0, *np.cumsum(gaps).tolist())
@@ -315,7 +315,7 @@ ALWAYS = (
         (["observation.incidence_max_deg=10"], ["10 deg", "34842", "least incidence is 48.9 deg"]),
     ],
 )
-def test_a_flight_without_a_whole_window_is_told_what_there_is(overrides, told):
+def test_windows_near_a_windowless_flight_are_listed(overrides, told):
     said = message(*overrides)
     assert said.startswith("observation: got incidence at most")
     assert all(words in said for words in told)

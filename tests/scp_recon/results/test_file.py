@@ -136,7 +136,7 @@ def refused(file: Path, content: str | bytes) -> InputError:
     return caught.value
 
 
-def test_a_missing_file_or_an_empty_folder_is_refused(tmp_path):
+def test_a_missing_file_is_refused(tmp_path):
     for path in (tmp_path / "none.json", tmp_path):
         with pytest.raises(InputError) as caught:
             read_solution(path)

@@ -17,7 +17,7 @@ NAMES = ["recon_b", "", "latest", ".", "..", "../../etc", "/", "a b\\c", "é" * 
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_every_run_has_a_folder_of_its_own_below_the_root(tmp_path, name):
+def test_every_run_has_its_own_folder(tmp_path, name):
     root = tmp_path / "runs"
     made = {new_run(name, root) for _ in range(3)}
     assert len(made) == 3
@@ -49,7 +49,7 @@ def test_latest_points_to_the_last_run(tmp_path, solution, links, monkeypatch):
     assert sorted(path.name for path in root.iterdir()) == ["latest", "mine"]
 
 
-def test_a_folder_of_that_name_is_kept_under_another(tmp_path, solution):
+def test_a_folder_named_latest_is_renamed(tmp_path, solution):
     latest = tmp_path / "latest"
     latest.mkdir()
     solution.write(latest)
@@ -61,7 +61,7 @@ def test_a_folder_of_that_name_is_kept_under_another(tmp_path, solution):
     assert read_solution(kept) == solution
 
 
-def test_a_second_run_is_refused_by_name_and_a_later_one_is_not(tmp_path):
+def test_a_second_run_at_once_is_refused(tmp_path):
     with only_run_in(tmp_path, "--out"):
         with pytest.raises(InputError, match=r"in which process \d+ is at work"):
             other_process(tmp_path)
@@ -86,7 +86,7 @@ def other_process(folder: Path, after: str = "") -> None:
 
 
 @pytest.mark.skipif(not hasattr(__import__("signal"), "SIGKILL"), reason="there is no SIGKILL here")
-def test_the_lock_of_a_process_that_was_killed_is_taken_over(tmp_path):
+def test_a_dead_process_lock_is_taken_over(tmp_path):
     other_process(tmp_path, "os.kill(os.getpid(), signal.SIGKILL)")
     assert (tmp_path / LOCK).exists()
     with only_run_in(tmp_path, "--out"):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 
-def test_nodes_are_after_the_burns_at_their_firing_times(mission, solution):
+def test_stored_nodes_are_after_the_burns(mission, solution):
     assert tuple(burn.t_s for burn in solution.burns) == solution.scenario.burns.times_s
     sizes = np.linalg.norm(solution.burns_m_s, axis=1)
     assert solution.total_dv_m_s == pytest.approx(sizes.sum(), rel=1e-12)
@@ -19,7 +19,7 @@ def test_nodes_are_after_the_burns_at_their_firing_times(mission, solution):
     np.testing.assert_allclose(last[3:], mission.final_state[3:], rtol=0.0, atol=1e-6)
 
 
-def test_covariances_are_covariances_and_begin_with_the_first_burns_error(mission, solution):
+def test_covariances_are_valid_from_the_first_burn(mission, solution):
     covariance = np.array(solution.nodes.covariance)
     assert covariance.shape == (len(mission.times_s), 6, 6)
     np.testing.assert_allclose(covariance, covariance.transpose(0, 2, 1), rtol=1e-12)

@@ -56,7 +56,7 @@ def test_bases_come_to_an_end(tmp_path):
 
 
 @given(latitude=st.floats(-80.0, 80.0), other=st.floats(-80.0, 80.0))
-def test_a_base_is_taken_over_as_far_as_it_still_holds(latitude, other):
+def test_inherited_site_follows_its_coordinates(latitude, other):
     assume(abs(latitude - other) > 1e-3)
     first = rock(site=PLACE | {"latitude_deg": latitude})
     second = first.replace({"site.latitude_deg": other})
@@ -89,7 +89,7 @@ def test_all_missing_entries_are_told_at_once():
     "wrong",
     ["epoch.tdb=2021-03-14T06:00:00Z", "body.pole_dec_deg=100.0", "site.latitude_deg=95.0"],
 )
-def test_what_follows_from_an_entry_that_is_wrong_is_not_called_missing(wrong):
+def test_derivable_entries_are_not_called_missing(wrong):
     """It is computed once that is right."""
     with pytest.raises(InputError) as caught:
         load_scenario(None, [wrong, "site.longitude_deg=10.0"])
@@ -97,7 +97,7 @@ def test_what_follows_from_an_entry_that_is_wrong_is_not_called_missing(wrong):
     assert "missing" not in str(caught.value)
 
 
-def test_what_follows_from_nothing_is_told_beside_an_entry_that_is_wrong():
+def test_missing_entries_are_listed_beside_a_wrong_one():
     tables = load_scenario().model_dump(mode="json", exclude_none=True)
     tables["epoch"]["tdb"] = "tomorrow"
     del tables["sun"], tables["risk"]["p_chance"]

@@ -65,7 +65,7 @@ def w_deg(scenario: Scenario) -> float:
     meridian=st.floats(-360.0, 360.0),
     epoch=st.datetimes(datetime(1990, 1, 1), datetime(2060, 1, 1)),
 )
-def test_a_period_is_a_rate_and_the_meridian_is_met_at_the_epoch(period, meridian, epoch):
+def test_period_and_meridian_at_epoch_give_the_rotation(period, meridian, epoch):
     body = ROCK | {"rotation_period_h": period, "prime_meridian_at_epoch_deg": meridian}
     found = rock(body=body, epoch={"tdb": epoch.isoformat()})
     assert found.body.prime_meridian_rate_deg_day * period / 24.0 == pytest.approx(360.0)
@@ -86,7 +86,7 @@ def test_a_packaged_body_needs_only_its_name(scenario):
     assert angle_deg(found.sun.body_position_km, scenario.sun.body_position_km) < 0.01
 
 
-def test_what_is_given_beside_the_name_wins_group_by_group():
+def test_given_entries_win_over_packaged_ones():
     heavier = load_scenario(None, ["body.gm_m3_s2=6.0"])
     assert (heavier.body.gm_m3_s2, heavier.body.pole_ra_deg) == (6.0, 85.46097)
     bare = {"base": "recon_b", "body": {"name": "Eros", "j2": 0.1}, "site": PLACE}
@@ -99,7 +99,7 @@ def test_what_is_given_beside_the_name_wins_group_by_group():
 
 
 @given(latitude=st.floats(-90.0, 90.0), longitude=st.floats(-180.0, 180.0))
-def test_a_site_by_coordinates_is_the_one_by_its_position(latitude, longitude):
+def test_site_by_coordinates_equals_site_by_position(latitude, longitude):
     place = {"name": "Place", "latitude_deg": latitude, "longitude_deg": longitude}
     site = rock(site=place).site
     assert angle_deg(site.position_body_m, direction_of(latitude, longitude)) < 1e-9
@@ -108,7 +108,7 @@ def test_a_site_by_coordinates_is_the_one_by_its_position(latitude, longitude):
     np.testing.assert_allclose(again.normal_body, site.normal_body, atol=1e-9)
 
 
-def test_a_site_on_a_shape_file_beside_the_scenario(tmp_path):
+def test_a_site_on_a_shape_file(tmp_path):
     write_obj(tmp_path / "box.obj", box(np.array([0.28, 0.27, 0.25])))
     text = (
         'base = "recon_b"\n[body]\nname = "Bennu"\nshape_file = "box.obj"\nshape_unit = "km"\n'
@@ -128,7 +128,7 @@ def test_a_site_on_a_shape_file_beside_the_scenario(tmp_path):
     assert "shape" in caught.value.entry
 
 
-def test_a_solid_is_read_once_and_gives_the_planner_j2(tmp_path):
+def test_a_solid_gives_j2_and_is_stored(tmp_path):
     mesh = Ellipsoid(np.array([300.0, 200.0, 150.0])).tessellated(2)
     file = write_obj(tmp_path / "solid.obj", mesh)
     bare = {key: ROCK[key] for key in ROCK if key not in ("j2", "reference_radius_m")}
@@ -142,7 +142,7 @@ def test_a_solid_is_read_once_and_gives_the_planner_j2(tmp_path):
     assert 300.0 < again.body.reference_radius_m < 330.0  # of the same volume, so a little longer
 
 
-def test_a_solid_is_flown_where_it_is_asked_for(tmp_path):
+def test_polyhedron_truth_flies_the_solid(tmp_path):
     """A ball's pull is that of a point, but for its facets; the verdict says what was flown."""
     mesh = Ellipsoid(np.full(3, 290.0)).tessellated(3)
     file = write_obj(tmp_path / "ball.obj", mesh)
@@ -181,7 +181,7 @@ NEARLY_ROUND, LONG = (283.0, 271.0, 250.0), (400.0, 280.0, 150.0)
         (NEARLY_ROUND, (1, 2, 0), "90 deg off z"),
     ],
 )
-def test_swapped_axes_other_units_and_origins_of_a_shape_are_refused(half, order, words, tmp_path):
+def test_shapes_with_wrong_axes_or_units_are_refused(half, order, words, tmp_path):
     mesh = box(np.array(half))
     body = ROCK | {"radii_m": list(half), "shape_unit": "m"}
     straight = {"shape_file": str(write_obj(tmp_path / "straight.obj", mesh))}
@@ -197,7 +197,7 @@ def test_swapped_axes_other_units_and_origins_of_a_shape_are_refused(half, order
 
 
 @pytest.mark.parametrize("radius_m", [0.03, 30_000.0])
-def test_a_radius_of_normals_in_another_unit_is_refused(radius_m, tmp_path):
+def test_a_normal_radius_in_another_unit_is_refused(radius_m, tmp_path):
     """Thirty metres in kilometres, and in millimetres; of a closed surface the sum of all is noise."""
     points = np.array([direction_of(x, y) for x in range(-80, 90, 20) for y in range(0, 360, 20)])
     points *= NEARLY_ROUND
@@ -227,7 +227,7 @@ def test_a_site_that_contradicts_itself_is_refused(site, entry):
     assert refused(site={"name": "Place"} | site).entry.startswith(entry)
 
 
-def test_a_vector_of_two_is_told_and_nothing_is_computed_from_it_and_coordinates_need_a_shape():
+def test_short_vectors_and_coordinates_without_shape_are_refused():
     for entry in ("sun.body_position_km", "site.position_body_m", "body.radii_m"):
         assert refused(f"{entry}=[1.0, 2.0]").entry == entry
     body = {key: value for key, value in ROCK.items() if key != "radii_m"}
@@ -254,7 +254,7 @@ def test_another_epoch_has_its_own_sun(epoch):
     off=st.floats(0.2, 179.0),
     turn=st.floats(0.0, 6.3),
 )
-def test_a_sun_that_contradicts_the_packaged_one_is_refused(factor, off, turn):
+def test_a_sun_contradicting_the_elements_is_refused(factor, off, turn):
     """In another direction, or at another distance: another unit."""
     sun = np.array(STATE["body_position_km"])
     along = sun / np.linalg.norm(sun)
@@ -267,7 +267,7 @@ def test_a_sun_that_contradicts_the_packaged_one_is_refused(factor, off, turn):
     assert caught.value.entry == "sun.body_position_km"
 
 
-def test_an_epoch_in_utc_is_one_in_tdb_and_takes_its_place():
+def test_epoch_utc_replaces_tdb():
     found = load_scenario(None, ["epoch.utc=2021-06-01T05:58:50.815Z"])
     assert abs((found.epoch.tdb - datetime(2021, 6, 1, 6)).total_seconds()) < 2e-3
     there = load_scenario(None, ["epoch.tdb=2021-06-01T06:00:00"]).sun.body_position_km
@@ -286,7 +286,7 @@ def test_an_epoch_in_utc_is_one_in_tdb_and_takes_its_place():
         (["tdb=2050-01-01T00:00:00"], "2012 to 2035"),
     ],
 )
-def test_utc_taken_for_tdb_and_an_epoch_without_utc_or_sun_is_refused(epoch, words):
+def test_wrong_or_unknown_epochs_are_refused(epoch, words):
     with pytest.raises(InputError, match=words):
         load_scenario(None, [f"epoch.{one}" for one in epoch])
 
@@ -300,7 +300,7 @@ def test_another_epoch_inherits_no_sun():
 # --- gravity ------------------------------------------------------------------------------------
 
 
-def test_a_gravity_file_gives_j2_to_the_planner_and_the_field_to_the_truth(tmp_path):
+def test_gravity_file_gives_planner_j2_and_truth_field(tmp_path):
     (tmp_path / "field.gfc").write_text(GFC, "utf-8")
     light = {k: v for k, v in ROCK.items() if k not in ("gm_m3_s2", "j2", "reference_radius_m")}
     found = rock(body=light | {"gravity_file": str(tmp_path / "field.gfc")})
@@ -316,7 +316,7 @@ def test_a_gravity_file_gives_j2_to_the_planner_and_the_field_to_the_truth(tmp_p
     np.testing.assert_array_equal(truth_field(again.replace({"risk.p_chance": 0.8})).c, field.c)
 
 
-def test_j2_of_a_gravity_file_agrees_with_what_is_given_at_its_radius(tmp_path):
+def test_given_j2_must_agree_with_the_gravity_file(tmp_path):
     """A table without a radius takes the body's."""
     (tmp_path / "field.gfc").write_text(GFC, "utf-8")
     j2 = math.sqrt(5.0) * 0.0192
@@ -332,7 +332,7 @@ def test_j2_of_a_gravity_file_agrees_with_what_is_given_at_its_radius(tmp_path):
     assert bare.gravity.reference_radius_m == ROCK["reference_radius_m"]
 
 
-def test_a_field_in_the_scenario_itself_agrees_with_the_planners_j2():
+def test_stored_field_must_agree_with_j2():
     """As a solution file has it, whose gravity file is gone."""
     rows = [[2, 0, -0.0192, 0.0], [2, 2, 0.003, 0.001]]
     body = ROCK | {"gravity": {"reference_radius_m": 145.0, "coefficients": rows}}

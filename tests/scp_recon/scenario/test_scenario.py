@@ -124,7 +124,7 @@ def test_a_complete_file_needs_no_base(tmp_path, scenario):
     assert load_scenario(file) == scenario
 
 
-def test_a_later_override_wins_over_an_earlier_one_and_the_file():
+def test_the_later_override_wins():
     given = {"base": "recon_b", "risk": {"p_chance": 0.8}}
     for overrides in (["risk.p_chance=0.9"], ["risk.p_chance=0.95", "risk.p_chance=0.9"]):
         assert validate_scenario(given, overrides).risk.p_chance == 0.9
@@ -154,7 +154,7 @@ def test_an_override_changes_one_entry(override, path, value, scenario):
         before, after = before[key], after[key]
 
 
-def test_epoch_may_be_a_toml_date_or_a_string(scenario):
+def test_epoch_is_a_date_or_a_string(scenario):
     for text in ("2020-01-21T20:33:17.184", '"2020-01-21T20:33:17.184"'):
         assert load_scenario(None, [f"epoch.tdb={text}"]) == scenario
 
@@ -245,7 +245,7 @@ def test_an_unknown_key_gets_the_nearest_known_one(override, entry, given, hint)
     assert hint in error.allowed
 
 
-def test_every_problem_is_told_at_once_up_to_a_handful():
+def test_problems_are_listed_together_up_to_five():
     error = refused("risk.p_chance=2", "grid.step_max_s=0", "schedule.attitude_s=-1")
     for entry in ("risk.p_chance", "grid.step_max_s", "schedule.attitude_s"):
         assert entry in str(error)
@@ -262,7 +262,7 @@ def test_every_problem_is_told_at_once_up_to_a_handful():
         "risk.p_chance=0.8\nburns.dv_max_m_s=0.1",
     ],
 )
-def test_an_override_that_is_not_one_entry_on_one_line_is_refused(override):
+def test_a_malformed_override_is_refused(override):
     error = refused(override)
     assert error.entry == "overrides"
     assert repr(override) in error.given
@@ -318,7 +318,7 @@ def test_it_is_up_to_date():
     )
 
 
-def test_every_entry_is_described_and_none_unknown_is_let_in():
+def test_schema_describes_every_entry_and_no_other():
     published = json.loads(PUBLISHED.read_text("utf-8"))
     for name, table in {"the file": published, **published["definitions"]}.items():
         assert table["additionalProperties"] is False

@@ -70,7 +70,7 @@ def test_another_way_replaces_the_bases_and_back(overrides):
     assert mine.replace(back) == base
 
 
-def test_what_is_not_given_or_says_nothing_is_not_written():
+def test_absent_ways_and_empty_tables_are_not_written():
     """So that files, and hashes of plans, from before there was a choice stay what they were."""
     scenario = load_scenario()
     tables = scenario.model_dump(mode="json")
@@ -80,7 +80,7 @@ def test_what_is_not_given_or_says_nothing_is_not_written():
     assert scenario_text(same) == scenario_text(scenario)
 
 
-def test_what_is_said_of_navigation_is_written_and_read_again(tmp_path):
+def test_navigation_is_written_and_read_again(tmp_path):
     told = load_scenario(None, [*MEASURED, "navigation.lead_s=14400", "policy.kind=feedback"])
     file = tmp_path / "mine.toml"
     file.write_text(scenario_text(told), "utf-8")
@@ -89,7 +89,7 @@ def test_what_is_said_of_navigation_is_written_and_read_again(tmp_path):
     assert not load_scenario(None, ["navigation.lead_s=0"]).navigation.measures
 
 
-def test_one_way_to_say_the_errors_of_navigation_replaces_the_other():
+def test_another_way_replaces_the_navigation_errors():
     first = load_scenario(None, MEASURED)
     sigmas = {"navigation.sigma_position_m": 1.0, "navigation.sigma_velocity_m_s": 1e-4}
     second = first.replace(sigmas)
@@ -99,7 +99,7 @@ def test_one_way_to_say_the_errors_of_navigation_replaces_the_other():
     assert first.replace({"navigation.lead_s": 0.0}).navigation.covariance is not None
 
 
-def test_a_file_with_a_base_may_change_one_number_of_the_same_way(tmp_path):
+def test_one_number_of_the_same_way_may_change(tmp_path):
     first = load_scenario(None, [gates()])
     assert first.replace({"uncertainty.gates.magnitude_bias": 0.02}).uncertainty.gates is not None
     file = tmp_path / "mine.toml"
@@ -185,7 +185,7 @@ POLICY = [
         *POLICY,
     ],
 )
-def test_what_does_not_go_is_refused_in_one_message(overrides, entry, words):
+def test_invalid_uncertainty_is_refused_in_one_message(overrides, entry, words):
     with pytest.raises(InputError) as caught:
         Mission.from_scenario(load_scenario(None, overrides))
     assert (caught.value.entry, "\n" in caught.value.allowed) == (entry, False)
@@ -207,7 +207,7 @@ def random_covariance(rng: np.random.Generator, rank: int) -> Array:
 
 
 @given(generators, st.integers(1, 6), st.sampled_from(["j2000", "sun_north", "body_fixed", "rtn"]))
-def test_the_factor_is_a_root_of_the_covariance_in_its_frame(rng, rank, frame):
+def test_factor_is_a_root_of_the_covariance(rng, rank, frame):
     matrix = random_covariance(rng, rank)
     scenario = load_scenario(None, [covariance(matrix)[0], f"uncertainty.initial_frame={frame}"])
     mission = Mission.from_scenario(scenario)
@@ -230,7 +230,7 @@ def test_the_factor_is_a_root_of_the_covariance_in_its_frame(rng, rank, frame):
 
 
 @given(generators, st.floats(0.1, 0.9))
-def test_a_matrix_as_printed_is_taken_within_its_tolerance(rng, share):
+def test_a_rounded_covariance_is_accepted(rng, share):
     """Rounding makes a singular covariance a little indefinite and a little asymmetric."""
     matrix = random_covariance(rng, 2)
     scale = np.sqrt(np.outer(np.diag(matrix), np.diag(matrix)))
