@@ -8,11 +8,11 @@ import pytest
 import scp_recon as sr
 from formulations.arrays import Array
 from scp_recon.api import drafts
+from scp_recon.api.inputs import PlanRequest
 from scp_recon.certification import flights
 from scp_recon.drafting import draft as drafting
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.whole_flight import KeptFlights, kept_flights
-from scp_recon.planning import initial_guess
 from scp_recon.results.solution import make_solution
 from scp_recon.scp.status import Status
 from scp_recon.verification import refinement, reintegration
@@ -86,7 +86,7 @@ def test_a_draft_has_the_grid_on_which_it_was_planned():
     first = drafting.Draft("m", "Bennu", None, (55.9, 41.8), datetime(2020, 1, 21), 290.0)
     draft = next(drafting.drafts(first))
     mission = Mission.from_scenario(drafting.scenario_of(draft))
-    found = drafts._planned(draft, mission, initial_guess.cold(mission))
+    found = drafts._planned(draft, PlanRequest(drafting.scenario_of(draft)))
     assert found.verification.ok
     assert found.mission.scenario.grid.step_max_s < mission.scenario.grid.step_max_s
     assert drafting.scenario_of(found.draft) == found.mission.scenario

@@ -43,7 +43,7 @@ def promising(
     reached = None
     if certified is not None:
         reached = certificate_of(KeptCounts(certified, certified, SAMPLES), 1, 1)
-    law = EventProbability(name=FLIGHT, t_s=[0.0], probability=[by_law or ASKED])
+    law = EventProbability(name=FLIGHT, t_s=[0.0], probability=[by_law or ASKED], sigma=[0.0])
     risk = Risk(scope="flight", required=ASKED, target=ASKED, certificate=reached, normal_law=[law])
     return replace(solution, risk=risk)
 
