@@ -18,7 +18,7 @@ HELP = "\n".join(
         "usage: scp-recon COMMAND ...    (scp-recon COMMAND --help says more; --version)",
         "",
         *(
-            f"  {name:11} {command.description.partition('.')[0]}"
+            f"  {name:11} {(command.function.__doc__ or '').partition('.')[0]}"
             for name, command in COMMANDS.items()
         ),
     ]

@@ -33,8 +33,7 @@ def read_text(path: Path, entry: str, kind: str, bytes_max: int = BYTES_MAX) -> 
         with path.open("rb") as file:
             data = file.read(bytes_max + 1)
     except OSError as error:
-        reason = (error.strerror or "unreadable").lower()
-        raise InputError(entry, reason, f"must be a readable {kind}") from None
+        raise InputError(entry, reason_of(error), f"must be a readable {kind}") from None
     except ValueError as error:  # of a path that no file can have
         raise InputError(entry, str(error), f"must be a readable {kind}") from None
     if len(data) > bytes_max:
@@ -45,6 +44,29 @@ def read_text(path: Path, entry: str, kind: str, bytes_max: int = BYTES_MAX) -> 
         return data.removeprefix(codecs.BOM_UTF8).decode("utf-8")
     except UnicodeDecodeError as error:
         raise InputError(entry, f"no UTF-8 text ({error.reason})", f"must be a {kind}") from None
+
+
+def reason_of(error: OSError) -> str:
+    """The reason why a file could not be read or written, in words that follow "got"."""
+    if isinstance(error, IsADirectoryError):
+        return "a folder"
+    return (error.strerror or "unusable").lower()
+
+
+def check_ending(file: Path, entry: str, *endings: str) -> None:
+    """Refuse the name of a file to write without one of some endings, in either case of letters.
+
+    Args:
+        file: to write.
+        entry: what to name in a message.
+        endings: such as .html.
+
+    Raises:
+        InputError: if it has none of them.
+    """
+    if file.is_dir() or file.suffix.lower() not in endings:
+        allowed = f"must be a file that ends in {' or '.join(endings)}"
+        raise InputError(entry, str(file), allowed)
 
 
 def check_writable(folder: Path, name: str, entry: str) -> None:
@@ -66,7 +88,8 @@ def check_writable(folder: Path, name: str, entry: str) -> None:
 
 def unwritable(folder: Path, entry: str, error: OSError) -> InputError:
     """Error for a folder that cannot be written."""
-    reason = (error.strerror or "unwritable").lower()
+    same = isinstance(error, IsADirectoryError)
+    reason = "a folder has the name of the file" if same else reason_of(error)
     return InputError(entry, f"{folder} ({reason})", "must be a folder to write to")
 
 

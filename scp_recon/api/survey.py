@@ -10,7 +10,7 @@ import numpy as np
 from scp_recon.api.inputs import date_in_tdb, scenario_of
 from scp_recon.bodies.catalogue import DAY_S
 from scp_recon.errors import InputError, needing, number_between, option
-from scp_recon.files import unwritable, write_atomically
+from scp_recon.files import check_ending, unwritable, write_atomically
 from scp_recon.mission.survey import Survey, survey
 from scp_recon.results.table import Table
 from scp_recon.scenario.load import naming_files
@@ -59,8 +59,8 @@ def windows(
             "is two-body motion from there"
         )
         raise InputError(option("begin"), str(begin), allowed)
-    if csv is not None and Path(csv).suffix.lower() != ".csv":
-        raise InputError(option("csv"), str(csv), "must be a file that ends in .csv")
+    if csv is not None:
+        check_ending(Path(csv), option("csv"), ".csv")
     if chart is not None:
         with needing(option("chart"), "report"):
             from scp_recon.api.charts import draw_windows

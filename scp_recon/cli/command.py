@@ -28,8 +28,7 @@ import threading
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
-from importlib import import_module
+from dataclasses import dataclass
 from io import TextIOWrapper
 from math import isfinite
 from pathlib import Path
@@ -74,45 +73,45 @@ class Answer(NamedTuple):
 
 @dataclass(frozen=True)
 class Command:
-    """A command, `scp-recon NAME`.
+    """A command, `scp-recon NAME`, made from a function of that name by decorating it.
 
     Attributes:
-        name: of the command.
-        module: of `cli.commands`, whose function of that name does it with the options and a console;
-            imported when the options are read.
-        function: the function whose options it has, such as `api.planning.plan`; None if it has no
-            options of a function.
-        description: text for --help; its first sentence is shown in the list of commands.
-        own: see `options.add_options`.
+        function: does the work with a console and its options, as `cli.options` reads them from its
+            signature and docstring. Its module is light; it imports what it needs when it is called.
     """
 
-    name: str
-    module: str
-    function: str | None
-    description: str
-    own: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    function: Callable[..., Answer]
+
+    @property
+    def name(self) -> str:
+        """Name of the command."""
+        return self.function.__name__
 
     def parser(self) -> argparse.ArgumentParser:
         """Parser of its options."""
-        import argparse
+        from scp_recon.cli.options import parser_of
 
-        from scp_recon.cli.options import add_options
-
-        p = argparse.ArgumentParser(prog=f"{SCRIPT} {self.name}", description=self.description)
-        add_options(p, self.function, self.own)
-        return p
+        return parser_of(self.function, f"{SCRIPT} {self.name}")
 
     def main(self, arguments: Sequence[str] | None = None) -> int:
         """Run the command line; returns the exit status."""
-        p = self.parser()
-        from scp_recon.cli.options import joined
+        from scp_recon.cli.options import joined, parameters
 
-        options = parse(p, joined(sys.argv[1:] if arguments is None else arguments))
-        from scp_recon.cli.loading import load_lightly
+        options = parse(self.parser(), joined(sys.argv[1:] if arguments is None else arguments))
+        use_one_thread()
+        given = {one.name: getattr(options, one.name) for one in parameters(self.function)}
+        return run_command(lambda console: self.function(console, **given), options)
 
-        load_lightly()
-        run = getattr(import_module(f"scp_recon.cli.commands.{self.module}"), self.name)
-        return run_command(lambda console: run(options, console), options)
+
+def use_one_thread() -> None:
+    """Give NumPy's linear algebra one thread, before NumPy is imported; only for a whole process.
+
+    Several threads wait for each other in busy loops: a certified plan took 7.5 s of the processor
+    with two, and 3.8 s with one. A number that the user gave to the libraries is kept.
+    """
+    if "numpy" not in sys.modules and "OMP_NUM_THREADS" not in os.environ:
+        for name in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+            os.environ.setdefault(name, "1")
 
 
 def parse(p: argparse.ArgumentParser, arguments: Sequence[str] | None) -> argparse.Namespace:

@@ -1,17 +1,19 @@
-"""Make the options of commands from the functions of `api`; docstrings of parameters become help.
+"""Make a command's parser from its function: signature and docstring become options and help.
 
-Types of options convert texts to numbers; `api` checks their ranges.
+Types of options convert texts to numbers; `api` checks their ranges. Whatever several commands
+share stands here once, as types of parameters.
 """
 
 from __future__ import annotations
 
 import argparse
-import ast
+import inspect
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from types import NoneType
+from typing import Annotated, Any, Literal, get_args, get_origin
 
 from scp_recon.errors import EXACT, InputError, whole_number
 
@@ -90,186 +92,132 @@ def start(text: str) -> str:
     return text
 
 
-ROWS: dict[str, dict[str, Any]] = {
-    "at_s": {
-        "flag": "--at",
-        "type": str,
-        "metavar": "T",
-        "help": "time of the state: s past the plan's epoch, or a date in TDB; burns until then are "
-        "flown",
-    },
-    "begin": {"flag": "--from", "metavar": "TIME"},
-    "covariance": {
-        "type": Path,
-        "metavar": "FILE",
-        "help": "six rows of six numbers, m and m/s (default: the scenario's initial covariance)",
-    },
-    "dv_budget_m_s": {
-        "flag": "--dv-budget",
-        "type": lambda text: None if text == "any" else number(text),
-        "metavar": "M_S",
-    },
-    "end": {"flag": "--to", "metavar": "TIME"},
-    "epoch": {"metavar": "TDB"},
-    "field_deg": {"metavar": "DEG"},
-    "init": {"type": start, "metavar": "cold|warm|FILE"},
-    "measured_burns": {
-        "flag": "--measured-burn",
-        "type": str,
-        "action": "append",
-        "default": [],
-        "metavar": "N=X,Y,Z",
-        "help": "a flown burn as telemetry saw it, m/s, by its number in the flight; may be repeated",
-    },
-    "orbit": {"type": numbers, "metavar": "X,Y,Z,VX,VY,VZ"},
-    "overrides": {
-        "flag": "--set",
-        "action": "append",
-        "default": [],
-        "metavar": "PATH=VALUE",
-        "help": "override one entry of the scenario, e.g. risk.p_chance=0.8; may be repeated",
-    },
-    "plan": {"type": Path, "metavar": "PLAN", "help": "folder with a solution.json, or the file"},
-    "plans": {
-        "nargs": "+",
-        "type": Path,
-        "metavar": "PLAN",
-        "help": "folder with a solution.json, or the file",
-    },
-    "policy": {"metavar": "open|replan|feedback"},
-    "pole": {"type": numbers, "metavar": "RA,DEC"},
-    "scheduler": {"metavar": "ADDRESS"},
-    "scenario": {"type": Path, "metavar": "SCENARIO"},
-    "site": {"type": numbers, "metavar": "LAT,LON"},
-    "state": {
-        "metavar": "STATE",
-        "help": "x y z in m and vx vy vz in m/s at that time, after burns flown, or a file of these "
-        "six",
-    },
-    "study": {"type": Path, "metavar": "STUDY", "help": "TOML file; see docs/campaigns.md"},
-    "truth": {"metavar": "planner|harmonics|polyhedron"},
-    "errors": {"metavar": "componentwise|gates"},
-    "format": {"metavar": "oem|spk|ck|csv|parquet"},
-    "until": {
-        "type": width,
-        "metavar": "P%",
-        "help": "stop when every joint probability's interval is this narrow, e.g. 0.5%%",
-    },
-}
-"""What an option has that does not follow from the parameter of its name."""
-BY_TYPE: tuple[tuple[str, dict[str, Any]], ...] = (
-    ("bool | None", {"type": yes_or_no, "metavar": "yes|no"}),
-    ("bool", {"action": "store_true"}),
-    ("int", {"type": whole, "metavar": "N"}),
-    ("float", {"type": number, "metavar": "X"}),
-    ("Path", {"type": Path, "metavar": "FILE"}),
-    ("str", {"metavar": "NAME"}),
-)
-"""What follows from a parameter's type."""
-PACKAGE = Path(__file__).parents[1]
-ARGUMENT = re.compile(r"^ {4}(\w+): (.*(?:\n {8}.*)*)", re.MULTILINE)
+def budget(text: str) -> float | str | None:
+    """A type of option: a number, or any."""
+    return None if text == "any" else number(text)
 
 
 @dataclass(frozen=True)
-class Parameter:
-    """A parameter of a function.
+class Option:
+    """The metadata of a parameter's `Annotated` type, for an option that its type does not describe.
 
     Attributes:
-        name: of it.
-        annotation: its type, as in the source.
-        default: its value if it is not given.
-        required: whether it has no default.
-        first: whether it is the first one, which needs no flag.
-        said: its description in the function's docstring.
+        metavar: placeholder of the value in the help; empty for the usual one of the type.
+        flag: such as --set; empty for the parameter's name.
+        read: converts the text of the value; None for the conversion of the type.
+        help: description; empty if the function's docstring has one.
     """
 
-    name: str
-    annotation: str
-    default: Any
-    required: bool
-    first: bool
-    said: str
+    metavar: str = ""
+    flag: str = ""
+    read: Callable[[str], Any] | None = None
+    help: str = ""
 
 
-def parameters(function: str) -> list[Parameter]:
-    """Parameters of a function, read from the source: importing it would take a second.
+PlanFile = Annotated[Path, Option("PLAN", help="folder with a solution.json, or the file")]
+Overrides = Annotated[
+    list[str],
+    Option(
+        "PATH=VALUE",
+        "--set",
+        help="override one entry of the scenario, e.g. risk.p_chance=0.8; may be repeated",
+    ),
+]
+Certify = Annotated[
+    bool | None,
+    Option(
+        help="with risk.allocation = exact, raise the target probability until fresh flights reach the "
+        "required one (default: yes)"
+    ),
+]
+RUN = (
+    "(default: runs/NAME/UTC with the scenario's name, to which runs/latest then points); a verified "
+    "plan there is overwritten only by a verified one"
+)
+RunFolder = Annotated[
+    Path | None, Option("DIR", read=named_folder, help=f"folder for solution.json {RUN}")
+]
+Folder = Annotated[Path, Option("DIR")]
+Scheduler = Annotated[
+    str | None,
+    Option(
+        "ADDRESS",
+        help="run on the Dask cluster of this scheduler instead, e.g. tcp://127.0.0.1:8786; needs the "
+        "extra [cluster]",
+    ),
+]
+Vehicle = Annotated[Path | None, Option(help="a TOML file (default: the packaged DARE)")]
+USUAL: dict[Any, dict[str, Any]] = {
+    bool: {"type": yes_or_no, "metavar": "yes|no"},
+    int: {"type": whole, "metavar": "N"},
+    float: {"type": number, "metavar": "X"},
+    Path: {"type": Path, "metavar": "FILE"},
+    str: {"metavar": "NAME"},
+}
+"""Arguments of `add_argument` by the type of a parameter."""
+DESCRIBED = re.compile(r"^ {4}(\w+): (.*(?:\n {8}.*)*)", re.MULTILINE)
+"""A parameter in the `Args:` of a docstring, and its description."""
 
-    `progress` is left out: a command shows progress in its own way.
+
+def parameters(function: Callable[..., Any]) -> list[inspect.Parameter]:
+    """Parameters of a command's function that are options: all but the first, the console."""
+    return list(inspect.signature(function).parameters.values())[1:]
+
+
+def parser_of(function: Callable[..., Any], prog: str) -> argparse.ArgumentParser:
+    """Make the parser of a command.
 
     Args:
-        function: module and name, such as `api.planning.plan`.
+        function: of the command. Parameters by keyword alone are options, the others arguments; a
+            parameter without a default is required.
+        prog: name of the command for its help.
     """
-    module, _, name = function.rpartition(".")
-    path = PACKAGE.joinpath(*module.split(".")).with_suffix(".py")
-    tree = ast.parse(path.read_text("utf-8"))
-    (node,) = (n for n in tree.body if isinstance(n, ast.FunctionDef) and n.name == name)
-    section = (ast.get_docstring(node) or "").partition("\nArgs:\n")[2].partition("\n\n")[0]
-    said = {name: " ".join(text.split()) for name, text in ARGUMENT.findall(section)}
-    given = node.args
-    arguments = [*([given.vararg] if given.vararg else []), *given.args, *given.kwonlyargs]
-    missing = [None] * (len(given.args) + bool(given.vararg) - len(given.defaults))
-    return [
-        Parameter(
-            argument.arg,
-            ast.unparse(argument.annotation) if argument.annotation else "str",
-            None if default is None else ast.literal_eval(default),
-            default is None,
-            number == 0,
-            said.get(argument.arg, ""),
-        )
-        for number, (argument, default) in enumerate(
-            zip(arguments, [*missing, *given.defaults, *given.kw_defaults], strict=True)
-        )
-        if argument.arg != "progress"
-    ]
-
-
-def add_options(
-    p: argparse.ArgumentParser, function: str | None, own: Mapping[str, Mapping[str, Any]]
-) -> None:
-    """Give a command the options of a function.
-
-    Args:
-        p: the command's parser.
-        function: see `parameters`; None for a command that only has its own options.
-        own: rows of the command that differ from the function's, or that the function lacks, by
-            name.
-    """
-    rows = {one.name: _row(one) for one in (parameters(function) if function else [])}
-    for name, row in own.items():
-        rows[name] = {**rows.get(name, {}), **row}
-    flags = {
-        name: str(row.get("flag", f"--{name.replace('_', '-')}")) for name, row in rows.items()
-    }
-
-    def flag(match: re.Match[str]) -> str:
-        return flags.get(match[1], match[1])
-
-    for name, row in rows.items():
-        keywords = {key: value for key, value in row.items() if key not in ("flag", "first")}
-        keywords["help"] = re.sub("`(.+?)`", flag, row["help"])
-        if row.get("first"):
-            p.add_argument(name, **keywords)
+    said, _, section = inspect.getdoc(function).partition("\n\nArgs:\n")  # type: ignore[union-attr]
+    described = {name: " ".join(text.split()) for name, text in DESCRIBED.findall(section)}
+    p = argparse.ArgumentParser(prog=prog, description=" ".join(said.split()))
+    rows = [(one, *_kind_and_option(one.annotation)) for one in parameters(function)]
+    flags = {one.name: o.flag or f"--{one.name.replace('_', '-')}" for one, _, o in rows}
+    for one, kind, option in rows:
+        row = _row(one, kind, option)
+        said = (described.get(one.name) or option.help).removesuffix(".").replace("%", "%%")
+        if type(one.default) in (str, int, float):
+            said += f" (default: {one.default:{'g' if type(one.default) is float else ''}})"
+        row["help"] = re.sub("`(.+?)`", lambda match: flags.get(match[1], match[1]), said)
+        if one.kind is inspect.Parameter.KEYWORD_ONLY:
+            p.add_argument(flags[one.name], dest=one.name, **row)
         else:
-            p.add_argument(flags[name], dest=name, **keywords)
+            p.add_argument(one.name, **row)
+    return p
 
 
-def _row(one: Parameter) -> dict[str, Any]:
-    """Arguments of `add_argument`; and the `flag`, or `first` where it stands without one."""
-    row: dict[str, Any] = {"help": one.said.removesuffix(".").replace('"', "").replace("%", "%%")}
-    row |= next((found for word, found in BY_TYPE if word in one.annotation), {})
-    if one.annotation.startswith("Literal["):
-        row["metavar"] = "|".join(re.findall("'(.+?)'", one.annotation))
-    if one.first and one.required:
-        row["first"] = True
-    elif one.required:
-        row["required"] = True
-    else:
-        row["default"] = one.default
-        if isinstance(one.default, str | float) or type(one.default) is int:
-            shown = f"{one.default:g}" if isinstance(one.default, float) else one.default
-            row["help"] += f" (default: {shown})"
-    return row | ROWS.get(one.name, {})
+def _kind_and_option(annotation: Any) -> tuple[Any, Option]:
+    """Type of a parameter without its `| None`, and its metadata."""
+    found = Option()
+    if get_origin(annotation) is Annotated:
+        annotation, found = get_args(annotation)
+    if NoneType in get_args(annotation):
+        (annotation,) = (kind for kind in get_args(annotation) if kind is not NoneType)
+    return annotation, found
+
+
+def _row(one: inspect.Parameter, kind: Any, option: Option) -> dict[str, Any]:
+    """Arguments of `add_argument` for a parameter, without its help."""
+    by_keyword, required = one.kind is one.KEYWORD_ONLY, one.default is one.empty
+    if kind is bool and one.default is False:
+        return {"action": "store_true"}
+    row: dict[str, Any] = {} if required else {"default": one.default}
+    if get_origin(kind) is list:
+        (kind,) = get_args(kind)
+        row |= {"action": "append"} if by_keyword else {"nargs": "+"}
+    elif by_keyword:
+        row["required"] = required
+    elif not required:
+        row["nargs"] = "?"
+    if get_origin(kind) is Literal:
+        row["metavar"] = "|".join(get_args(kind))
+    row |= USUAL.get(kind, {})
+    row |= {"type": option.read} if option.read else {}
+    return row | ({"metavar": option.metavar} if option.metavar else {})
 
 
 LISTS = {"--state": 6, "--measured-burn": 3, "--orbit": 6, "--site": 2, "--pole": 2}

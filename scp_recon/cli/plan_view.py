@@ -19,6 +19,8 @@ from scp_recon.bodies.catalogue import AU_KM, packaged_body
 from scp_recon.cli.command import show_line
 from scp_recon.cli.rendering import show_verdict, show_warnings, terminal
 from scp_recon.errors import InputError
+from scp_recon.interop.export import Export
+from scp_recon.interop.path import WITHIN_M
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.scene import Scene, orbit_of_body
 from scp_recon.monte_carlo.estimates import Estimate
@@ -41,7 +43,7 @@ from scp_recon.results.solution import Solution, iteration_record
 from scp_recon.results.table import Cell, Table
 from scp_recon.scenario.fields import ScenarioWarning
 from scp_recon.scenario.schema import Scenario
-from scp_recon.scenario.time_scales import instant, iso_utc
+from scp_recon.scenario.time_scales import instant, iso_tdb, iso_utc
 from scp_recon.scp.loop import Record
 from scp_recon.scp.status import Status
 from scp_recon.verification.remedies import what_next
@@ -305,4 +307,27 @@ def plan_document(solution: Solution, files: Iterable[Path] = ()) -> dict[str, A
         "plan_hash": solution.plan_hash,
         "plan": {key: value for key, value in solution.document().items() if key not in IN_FILE},
         "files": [str(file) for file in files],
+    }
+
+
+def export_document(found: Export, files: Iterable[Path]) -> dict[str, Any]:
+    """Document of an export: the path, the burns with their dates, and the files."""
+    return {
+        "verdict": found.verdict,
+        "files": [str(file) for file in files],
+        "frame": FRAME,
+        "states": found.path.size,
+        "linear_error_m": found.path.linear_error_m,
+        "cubic_error_m": found.path.cubic_error_m,
+        "asked_error_m": WITHIN_M,
+        "burns": [
+            {
+                "t_s": burn.t_s,
+                "tdb": iso_tdb(found.instant(burn.t_s)),
+                "utc": iso_utc(found.instant(burn.t_s)),
+                "dv_m_s": burn.dv_m_s,
+            }
+            for burn in found.solution.burns
+        ],
+        "plan_hash": found.solution.plan_hash,
     }

@@ -245,7 +245,7 @@ def explain_failure(result: PassResult, plans: int) -> str:
             most, unit = amount, stage.unit(name)
             short = f"{amount * scales(mission.units)[unit]:.3g} {unit}"
             at = mission.times_s[margins.nodes[least]]
-            worst = f"{name}, short by {short} {at:.0f} s after the begin"
+            worst = f"{name}, short by {short} {at:.0f} s into the pass"
     departure, arrival = np.rad2deg(result.at.phases) % 360.0
     return (
         f"no pass found in {plans} plans; the one that came furthest, of {stage.problem} from "

@@ -7,8 +7,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from scp_recon.errors import InputError, imported, option
-from scp_recon.files import unwritable, write_atomically
+from scp_recon.errors import imported, option
+from scp_recon.files import check_ending, unwritable, write_atomically
 from scp_recon.reports import charts, tables
 from scp_recon.reports.charts import history_chart
 from scp_recon.reports.corrections import correction_charts
@@ -66,8 +66,7 @@ def write_report(
         InputError: if an extra is missing, a plan cannot be read, or the file cannot be written.
     """
     check_extra()
-    if file.is_dir() or file.suffix.lower() not in (".html", ".htm"):
-        raise InputError(option("out"), str(file), "must be a file that ends in .html")
+    check_ending(file, option("out"), ".html", ".htm")
     page = page_of(subjects_of(given), camera or Camera(), now())
     try:
         file.parent.mkdir(parents=True, exist_ok=True)

@@ -132,7 +132,7 @@ class StageSummary:
     def meaning(self) -> str:
         """Meaning of the name's ending; empty for plain P3 and P2."""
         again, _, rest = self.name[2:].partition(".")
-        facets = f"facets chosen for the {rest}. time" if rest.isdecimal() else ""
+        facets = f"choice {rest} of the facets" if rest.isdecimal() else ""
         said = STAGES.get(again), STAGES.get(rest), facets
         return "; ".join(words for words in said if words)
 

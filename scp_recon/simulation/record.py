@@ -22,7 +22,7 @@ from scipy.spatial.transform import Rotation
 
 from formulations.arrays import Array
 from scp_recon.errors import InputError
-from scp_recon.files import write_atomically
+from scp_recon.files import reason_of, write_atomically
 from scp_recon.mission.schedule import Mode
 from scp_recon.monte_carlo.sampling import PolicyKind
 from scp_recon.results.read import File, parse_file
@@ -414,8 +414,9 @@ def read_record(path: Path) -> Record:
             arrays = {name: data[name] for name in data.files if name != "summary"}
             summary = json.loads(str(data["summary"]))
     except OSError as error:
-        reason = (error.strerror or "unreadable").lower()
-        raise InputError(f"simulation {file}", reason, "must be a readable file") from None
+        raise InputError(
+            f"simulation {file}", reason_of(error), "must be a readable file"
+        ) from None
     except (ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error) as error:
         raise InputError(
             f"simulation {file}", str(error)[:80], "must be a simulation file"

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import pytest
 
+from scp_recon.campaigns import page
 from scp_recon.campaigns.results import read_results
 from scp_recon.campaigns.run import executor_of
 from scp_recon.campaigns.study import Study
 from scp_recon.cli.commands import campaign as command
-from scp_recon.cli.commands import campaigns
 from scp_recon.jobs.job import here
 from scp_recon.jobs.processes import Processes
 from scp_recon.jobs.store import Store
@@ -37,8 +37,8 @@ def written(path: Path, text: str) -> str:
     return str(path)
 
 
-def test_campaign_runs_without_the_report_extra(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(campaigns, "has_extras", lambda: False)
+def test_without_the_extra_for_pages_the_rest_is_there(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(page, "has_extras", lambda: False)
     text = REFUSED.replace("count = 40", "count = 2")
     study, out = written(tmp_path / "study.toml", text), tmp_path / "out"
     assert command.main([study, "--out", str(out), "--workers", "0"]) == 0

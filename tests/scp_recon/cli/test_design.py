@@ -9,7 +9,7 @@ import pytest
 
 from scp_recon.api import charts
 from scp_recon.cli.commands import design, solve
-from scp_recon.cli.commands.passes import primer_says
+from scp_recon.cli.design_view import primer_says
 from scp_recon.mission.mission import Mission
 from scp_recon.passes.descent import PassResult
 from scp_recon.passes.design import Trial

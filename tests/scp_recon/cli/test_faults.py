@@ -24,13 +24,14 @@ from formulations.program.certificate import ConeProgram
 from formulations.program.solvers import SOLVERS, Answer, Clarabel
 from scp_recon import files
 from scp_recon.api import flights, planning
-from scp_recon.cli.commands import montecarlo, plans, simulate, solve, verify
+from scp_recon.cli.commands import montecarlo, simulate, solve, verify
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess, planner
 from scp_recon.planning.planner import Plan, plan
 from scp_recon.results.read import read_solution
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scp.status import Status
+from scp_recon.verification import reintegration
 from tests import reliability
 from tests.helpers import usually
 from tests.scenarios import COARSE
@@ -260,7 +261,7 @@ def test_a_full_device_behind_the_terminal_ends_with_a_message(
     command, tmp_path, solution, monkeypatch, verification, capsys
 ):
     solution.write(tmp_path)
-    monkeypatch.setattr(plans, "verified", lambda *_: verification)
+    monkeypatch.setattr(reintegration, "verify", lambda *_: verification)
     run = {
         "solve": lambda: solve.main(["--out", str(tmp_path)]),
         "verify": lambda: verify.main([str(tmp_path)]),

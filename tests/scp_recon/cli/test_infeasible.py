@@ -11,9 +11,10 @@ from formulations.problem.flyby import Iterate
 from scp_recon.api import infeasibility as module
 from scp_recon.api import planning
 from scp_recon.api.infeasibility import LIMITS, SIZE, SPLIT, Diagnosis, diagnose, exact_plan
+from scp_recon.api.options import PlanOptions
 from scp_recon.certification.certify import AimedPlanning
 from scp_recon.cli.commands import solve
-from scp_recon.cli.commands.planning import plan_options, undoing, what_binds, what_would_do
+from scp_recon.cli.plan_run import undoing, what_binds, what_would_do
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
@@ -71,6 +72,11 @@ def test_the_report_says_the_same(refused):
     assert [f"next: {line}" for line in solution.advice] == list(remarks[-len(solution.advice) :])
 
 
+def plan_options(parsed):
+    names = [one.name for one in dataclasses.fields(PlanOptions)]
+    return PlanOptions(**{name: getattr(parsed, name) for name in names})
+
+
 @pytest.mark.parametrize(
     "own",
     [
@@ -87,13 +93,13 @@ def test_the_line_goes_with_every_method(own):
     scenario = load_scenario(None, before.overrides)
     with pytest.raises(InputError):
         plan_options(before).check(scenario)
-    after = solve.parser().parse_args([*words, *undoing(before), *line])
+    after = solve.parser().parse_args([*words, *undoing(plan_options(before)), *line])
     plan_options(after).check(scenario)
 
 
 def test_the_line_is_taken_after_a_budget():
     words = ["--objective", "probability", "--dv-budget", "0.2"]
-    undone = undoing(solve.parser().parse_args(words))
+    undone = undoing(plan_options(solve.parser().parse_args(words)))
     options = solve.parser().parse_args([*words, *undone])
     plan_options(options).check(mission_of(*EXACT).scenario)
     assert (options.objective, options.dv_budget_m_s) == ("delta-v", None)

@@ -9,7 +9,8 @@ import pytest
 import scp_recon as sr
 from scp_recon.api.infeasibility import Diagnosis
 from scp_recon.api.keeping import UNVERIFIED, check_holds, keep, run_folder
-from scp_recon.cli.commands import compare, montecarlo, planning, solve, verify
+from scp_recon.cli import plan_run
+from scp_recon.cli.commands import compare, montecarlo, solve, verify
 from scp_recon.errors import InputError
 from scp_recon.files import only_run_in
 from scp_recon.monte_carlo.summary import FILE_NAME, read_summary
@@ -30,7 +31,7 @@ def verified(solution, verification) -> Solution:
 @pytest.fixture
 def undiagnosed(monkeypatch) -> None:
     """Why there is no plan is told elsewhere, and takes long to find."""
-    monkeypatch.setattr(planning, "diagnose", lambda *_: Diagnosis(Status.MAX_ITERATIONS, (), ()))
+    monkeypatch.setattr(plan_run, "diagnose", lambda *_: Diagnosis(Status.MAX_ITERATIONS, (), ()))
 
 
 def another(solution: Solution) -> Solution:

@@ -148,7 +148,7 @@ def test_a_row_has_its_files_before_it(tmp_path, monkeypatch):
 
 def test_unusable_path_is_refused_and_leaves_no_lock(tmp_path):
     (tmp_path / "rows.jsonl").mkdir()
-    with pytest.raises(InputError, match=r"is a directory.* must be a folder to write to"):
+    with pytest.raises(InputError, match=r"rows.jsonl.* must be a folder to write to"):
         Store(tmp_path / "rows.jsonl", DEPENDS_ON)
     assert [path.name for path in tmp_path.iterdir()] == ["rows.jsonl"]
     (tmp_path / "file").touch()

@@ -15,7 +15,8 @@ import pytest
 
 from scp_recon.api.infeasibility import Diagnosis
 from scp_recon.api.replans import plan_left
-from scp_recon.cli.commands import planning, report, solve
+from scp_recon.cli import plan_run
+from scp_recon.cli.commands import report, solve
 from scp_recon.errors import InputError
 from scp_recon.replanning.delivery import Delivery
 from scp_recon.replanning.flown import FlownPlan, predict
@@ -243,7 +244,7 @@ def test_flights_of_another_plan_are_skipped(plan_folder, subject, tmp_path):
 @pytest.mark.usefixtures("few_flights")
 def test_solve_writes_the_report_beside_the_plan(tmp_path, monkeypatch):
     unknown = Diagnosis(Status.MAX_ITERATIONS, (), ())  # which takes long to find out
-    monkeypatch.setattr(planning, "diagnose", lambda *_: unknown)
+    monkeypatch.setattr(plan_run, "diagnose", lambda *_: unknown)
     run = run_solve(tmp_path, "--report")
     assert run.exit_code == 0
     page = (tmp_path / "report.html").read_text("utf-8")

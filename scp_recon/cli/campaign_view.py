@@ -1,8 +1,7 @@
-"""The command `campaign`: run many cases, and show the results."""
+"""Show the progress of a campaign, its summary and its files."""
 
 from __future__ import annotations
 
-import argparse
 import signal
 import threading
 from collections import Counter
@@ -14,37 +13,8 @@ from typing import Any
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from scp_recon.api.campaigns import run_campaign
-from scp_recon.campaigns.outcome import CampaignResults, read_campaign, remarks
-from scp_recon.campaigns.page import PAGE, has_extras, write_page
-from scp_recon.campaigns.study import read_study
-from scp_recon.cli.command import Answer, progress_console, show_line, show_written
-
-
-def campaign(options: argparse.Namespace, console: Console) -> Answer:
-    """Run the cases, show and write."""
-    study = read_study(options.study, yes=options.yes)
-    where = {"workers": options.workers, "scheduler": options.scheduler}
-    with _continuing(console), _progress(console) as (observe, say):
-        path = run_campaign(study, options.out, **where, observe=observe, say=say)
-    results = read_campaign(options.out)
-    statuses = Counter(results.table["status"]).items()
-    counts = dict(sorted(statuses, key=lambda item: (-item[1], item[0])))
-    for status, count in counts.items():
-        show_line(console, f"{count:10,}  {status}")
-    show_written(console, path)
-    pages = [write_page(results)] if has_extras() else []
-    show_campaign(results, pages, console)
-    if not pages:
-        show_line(console, f"no {PAGE}: pip install 'scp_recon[report]' for the page")
-    document = {
-        "cases": len(study.cases),
-        "hash": study.hash,
-        "statuses": counts,
-        **summary_of(results),
-        "files": [str(file) for file in (path, *pages)],
-    }
-    return Answer(0, document)
+from scp_recon.campaigns.outcome import CampaignResults, remarks
+from scp_recon.cli.command import progress_console, show_line, show_written
 
 
 def summary_of(results: CampaignResults) -> dict[str, Any]:
@@ -65,7 +35,7 @@ def show_campaign(results: CampaignResults, written: Sequence[Path], console: Co
 
 
 @contextmanager
-def _continuing(console: Console) -> Iterator[None]:
+def continuing(console: Console) -> Iterator[None]:
     """Treat a termination signal as Ctrl-C, and say after either how to continue the campaign.
 
     Only the main thread receives the signal.
@@ -88,7 +58,7 @@ def _continuing(console: Console) -> Iterator[None]:
 
 
 @contextmanager
-def _progress(
+def progress(
     console: Console,
 ) -> Iterator[tuple[Callable[[int, int, Mapping[str, Any] | None], None], Callable[[str], None]]]:
     """Yield a bar with rate, time left and outcomes, and a function that shows a line above it."""

@@ -1,83 +1,21 @@
-"""The commands about scenarios: `new`, `explore`, `windows`, `scenarios` and `schema`."""
+"""Show lighting windows with legal burn times, and the table of packaged scenarios."""
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Mapping
-from dataclasses import fields
 from typing import Any
 
 import numpy as np
 from rich.console import Console
 from rich.text import Text
 
-from scp_recon.api.drafts import NewOptions
-from scp_recon.api.drafts import new as draft_scenario
-from scp_recon.api.inputs import scenario_of
-from scp_recon.api.inputs import scenarios as packaged_scenarios
 from scp_recon.api.survey import tdb
-from scp_recon.api.survey import windows as survey_windows
 from scp_recon.bodies.catalogue import DAY_S
-from scp_recon.cli import plan_view
-from scp_recon.cli.command import NOT_VERIFIED, Answer, show_line, show_written
-from scp_recon.cli.plan_view import plan_document
-from scp_recon.cli.rendering import show_warnings, terminal
-from scp_recon.errors import InputError, option
-from scp_recon.files import check_writable, unwritable, write_atomically
-from scp_recon.mission.checks import check_scene
+from scp_recon.cli.rendering import terminal
 from scp_recon.mission.legal_burns import Interval
-from scp_recon.mission.scene import Scene
 from scp_recon.mission.survey import Survey
 from scp_recon.results.table import Column, Table
-from scp_recon.scenario.json_schema import schema_text
-from scp_recon.scenario.load import naming_files
 from scp_recon.scenario.schema import Scenario
-from scp_recon.scp.status import Status
-
-
-def explore(options: argparse.Namespace, console: Console) -> Answer:
-    """Serve the page until Ctrl-C."""
-    from scp_recon.api import exploring  # what plans and draws, of this command alone
-
-    exploring.explore(
-        options.scenario,
-        port=options.port,
-        no_browser=options.no_browser,
-        overrides=options.overrides,
-        progress=lambda address: show_line(console, f"{address} (Ctrl-C ends it)"),
-    )
-    return Answer(0, {})
-
-
-def new(options: argparse.Namespace, console: Console) -> Answer:
-    """Draft, plan, show and write."""
-    given = {field.name: getattr(options, field.name) for field in fields(NewOptions)}
-    found = draft_scenario(**given, progress=lambda line: show_line(console, line))
-    plan_view.show_mission(console, found.mission)
-    plan_view.show_solution(console, found.solution)
-    plan_view.show_verification(
-        console, found.mission, found.solution, found.verification, found.mission.warnings
-    )
-    for file in found.files:
-        show_written(console, file)
-    code = Status.named(found.solution.status).value.exit_code
-    status = code or (0 if found.is_verified else NOT_VERIFIED)
-    return Answer(status, plan_document(found.solution, found.files))
-
-
-def windows(options: argparse.Namespace, console: Console) -> Answer:
-    """Show the windows, and write them."""
-    scenario = scenario_of(options.scenario)
-    files = {"csv": options.csv, "chart": options.chart}
-    with naming_files(options.scenario):
-        found = survey_windows(scenario, options.begin, options.span_days, **files)
-    show_survey(console, scenario, found)
-    show_warnings(console, check_scene(Scene.of(scenario)))
-    written = [path for path in files.values() if path]
-    for path in written:
-        show_written(console, path)
-    return Answer(0, {**survey_document(scenario, found), "files": [str(p) for p in written]})
-
 
 HINT = (
     "design takes those from a home orbit, solve the others, windows all of them; so does base in a "
@@ -85,15 +23,8 @@ HINT = (
 )
 
 
-def scenarios(options: argparse.Namespace, console: Console) -> Answer:  # noqa: ARG001 -- has none
-    """Show the packaged scenarios."""
-    found = packaged_scenarios()
-    console.print(terminal(_scenarios_table(found)))
-    console.print(HINT, style="dim")
-    return Answer(0, {"scenarios": list(found)})
-
-
-def _scenarios_table(found: Mapping[str, Scenario]) -> Table:
+def scenarios_table(found: Mapping[str, Scenario]) -> Table:
+    """Packaged scenarios by name, one row each."""
     rows = [
         [
             name,
@@ -108,20 +39,6 @@ def _scenarios_table(found: Mapping[str, Scenario]) -> Table:
     ]
     names = ("scenario", "body", "site", "epoch, TDB", "burns", Column("lasts", "s", ".0f"))
     return Table.of("Packaged scenarios", (*names, "from a home orbit"), rows)
-
-
-def schema(options: argparse.Namespace, console: Console) -> Answer:
-    """Write the schema."""
-    file, entry = options.file, option("file")
-    if file.suffix != ".json":  # which no scenario has
-        raise InputError(entry, str(file), "must be a file that ends in .json")
-    check_writable(file.parent, file.name, entry)
-    try:
-        path = write_atomically(file, schema_text())
-    except OSError as error:
-        raise unwritable(file.parent, entry, error) from None
-    show_written(console, path)
-    return Answer(0, {"files": [str(path)]})
 
 
 def survey_document(scenario: Scenario, survey: Survey) -> dict[str, Any]:

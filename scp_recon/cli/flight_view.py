@@ -1,40 +1,10 @@
-"""The commands that fly a plan: `montecarlo` many times with errors, `simulate` the spacecraft once."""
+"""Show the figures of many flights, and of one simulated flight."""
 
 from __future__ import annotations
 
-import argparse
-
 from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    TaskProgressColumn,
-    TimeRemainingColumn,
-)
 
-from scp_recon.api.files import open_plan
-from scp_recon.api.flights import (
-    FlyOptions,
-    Watcher,
-    fly_into,
-    required_probability,
-    shortfalls,
-)
-from scp_recon.api.flights import simulate as fly_spacecraft
-from scp_recon.api.keeping import check_holds
-from scp_recon.cli.command import (
-    NOT_VERIFIED,
-    Answer,
-    asked_to_stop,
-    progress_console,
-    show_line,
-    show_written,
-)
-from scp_recon.cli.rendering import show_verdict, show_warnings, terminal
-from scp_recon.errors import imported, option, whole_number
-from scp_recon.files import check_writable, only_run_in, unwritable
-from scp_recon.monte_carlo.flights import SEED_MAX
+from scp_recon.cli.rendering import terminal
 from scp_recon.monte_carlo.summary import (
     Statistics,
     Summary,
@@ -48,98 +18,7 @@ from scp_recon.reports.tables import (
     observation_times_table,
     simulated_burns_table,
 )
-from scp_recon.results.runs import folder_of, resolve_run
-from scp_recon.results.solution import require_whole_flight
-from scp_recon.scp.status import Status
-from scp_recon.simulation import record as records
 from scp_recon.simulation.record import Angles, FlightSummary
-from scp_recon.simulation.vehicle import check_vehicle, load_vehicle
-
-
-def montecarlo(options: argparse.Namespace, console: Console) -> Answer:
-    """Fly many times, show and write."""
-    how = FlyOptions(
-        options.samples,
-        options.until,
-        options.truth,
-        options.errors,
-        options.seed,
-        options.workers,
-        options.scheduler,
-        options.policy,
-    )
-    home = resolve_run(options.plan)
-    plan, folder = open_plan(home), folder_of(home)
-    columns = ("flights", BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with asked_to_stop() as stop, Progress(*columns, console=progress_console(console)) as bar:
-        task = bar.add_task("flights", total=options.samples)
-        watcher = Watcher(
-            lambda done: bar.update(task, completed=done),
-            stop,
-            lambda line: show_line(console, line),
-        )
-        flown = fly_into(folder, plan, how, watcher)
-    summary, document = flown.summary, {"files": [str(flown.path)]}
-    if flown.interrupted:
-        count = summary.samples
-        show_line(console, f"interrupted: {count} of {options.samples} flights are summarised")
-        show_written(console, flown.path)
-        return Answer(Status.INTERRUPTED.value.exit_code, {"samples": count, **document})
-    show_summary(console, summary, required_probability(plan.solution))
-    show_warnings(console, [*plan.solution.warnings, *plan.mission.warnings])
-    failed = [
-        *shortfalls(summary, plan.solution),
-        *_too_wide(flown.flights.widest_interval(), how.until),
-    ]
-    show_verdict(console, "as required", failed)
-    show_written(console, flown.path)
-    found = {"failed": failed, **document, **summary.model_dump(mode="json")}
-    return Answer(NOT_VERIFIED if failed else 0, found)
-
-
-def _too_wide(width: float, until: float | None) -> list[str]:
-    """A message if the flights ended with an interval wider than required."""
-    if until is None or width <= until:
-        return []
-    return [
-        f"widest interval {100.0 * width:.3g} %, required {100.0 * until:g} %: needs more --samples"
-    ]
-
-
-def simulate(options: argparse.Namespace, console: Console) -> Answer:
-    """Fly once, show and write."""
-    imported("scp-recon simulate", "sim", "Basilisk")
-    home = resolve_run(options.plan)
-    whole_number(option("seed"), options.seed, 0, SEED_MAX)  # before a bar is shown
-    mission, solution = open_plan(home)
-    vehicle = load_vehicle(options.vehicle)
-    require_whole_flight(solution.scenario, option("plan"))
-    folder = options.out or folder_of(home)
-    check_writable(folder, records.FILE_NAME, option("out"))
-    check_holds(folder, solution, option("out"))
-    columns = ("flight", BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
-    with only_run_in(folder, option("out")):
-        with Progress(*columns, console=progress_console(console)) as bar:
-            task = bar.add_task("flight", total=solution.scenario.duration_s)
-            record = fly_spacecraft(
-                solution,
-                seed=options.seed,
-                policy=options.policy,
-                vehicle=options.vehicle,
-                progress=lambda time: bar.update(task, completed=time),
-            )
-        try:
-            path = records.write_record(record, folder)
-        except OSError as error:
-            raise unwritable(folder, option("out"), error) from None
-    show_flight(console, record.summary)
-    other = check_vehicle(vehicle, solution.scenario)
-    show_warnings(console, [*solution.warnings, *mission.warnings, *other])
-    failed = records.shortfalls(record.summary, solution)
-    show_verdict(console, "as required", failed)
-    show_written(console, path)
-    document = {"failed": failed, "files": [str(path)], "summary": record.summary.entries()}
-    return Answer(NOT_VERIFIED if failed else 0, document)
 
 
 def show_summary(console: Console, summary: Summary, required: float | None = None) -> None:

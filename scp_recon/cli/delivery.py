@@ -1,81 +1,63 @@
-"""The command `replan`: plan the rest of a flight from a delivered state, covariance and burns."""
+"""Read the delivery of `replan`: state, covariance and measured burns, as numbers or files."""
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
 
 import numpy as np
-from rich.console import Console
 
 from formulations.arrays import Array
-from scp_recon.api.keeping import point_latest, run_folder
-from scp_recon.api.planning import checked, finite_figures
-from scp_recon.api.replans import left_options, plan_left
-from scp_recon.cli.command import Answer
-from scp_recon.cli.commands.planning import Shown
-from scp_recon.errors import InputError, option
+from scp_recon.errors import InputError
 from scp_recon.files import read_text
 from scp_recon.replanning.delivery import Delivery
-from scp_recon.replanning.flown import FlownPlan
-from scp_recon.replanning.remainder import mission_left
-from scp_recon.results.read import read_solution
-from scp_recon.results.runs import folder_of, resolve_run
 
 BYTES_MAX = 100_000
 """Of a file of 36 numbers with whatever is said of them."""
 
 
-def replan(options: argparse.Namespace, console: Console) -> Answer:
-    """Plan, show and write."""
-    home = resolve_run(options.plan)
-    if options.out is not None and options.out.resolve() == folder_of(home).resolve():
-        given = f"{options.out}, which holds the plan in flight"
-        raise InputError(option("out"), given, "must be a folder of its own")
-    solution = read_solution(home)
-    delivery = delivery_from(options, solution.scenario.epoch.tdb)
-    flown = FlownPlan.of(solution, name=str(home))
-    mission = mission_left(flown, delivery, options.overrides)
-    left_options(flown, mission, certify=options.certify)  # refuses what cannot be, at once
-    with run_folder(options.out, mission.scenario.name) as folder:
-        shown = Shown(console, folder)
-        with shown.planning(mission) as observe, finite_figures():
-            plan = plan_left(flown, mission, certify=options.certify, observe=observe)
-        answer = shown.answer(checked(plan, folder, shown))
-    point_latest(options.out, folder, answer.status)
-    return answer
-
-
-def delivery_from(options: argparse.Namespace, epoch: datetime) -> Delivery:
-    """Make a delivery from the options.
+def read_delivery(
+    at_s: str,
+    state: str,
+    epoch: datetime,
+    *,
+    frame: str,
+    covariance: Path | None,
+    covariance_frame: str | None,
+    measured_burns: Sequence[str],
+) -> Delivery:
+    """Make a delivery from options of the command line.
 
     Args:
-        options: parsed.
+        at_s: time of the state, s past the epoch or a date in TDB.
+        state: six numbers, m and m/s, or their file.
         epoch: of the plan that is flown, TDB.
+        frame: axes of state and burns.
+        covariance: file of six rows of six numbers, m and m/s, if any.
+        covariance_frame: axes of the covariance.
+        measured_burns: N=X,Y,Z each, m/s.
 
     Raises:
         InputError: if a number, a date or a file is not valid.
     """
-    covariance = None
-    if options.covariance is not None:
-        rows = _rows(options.covariance, "--covariance")
+    rows = None
+    if covariance is not None:
+        rows = _rows(covariance, "--covariance")
         if [len(row) for row in rows] != 6 * [6]:
             sizes = " and ".join(sorted({str(len(row)) for row in rows})) or "no"
             raise InputError(
-                f"--covariance {options.covariance}",
+                f"--covariance {covariance}",
                 f"{len(rows)} rows of {sizes} numbers",
                 "must be six rows of six numbers, m and m/s",
             )
-        covariance = np.array(rows)
     return Delivery.of(
-        at_s=_time(options.at_s, epoch),
-        state=_state(options.state),
-        frame=options.frame,
-        covariance=covariance,
-        covariance_frame=options.covariance_frame,
-        measured=_burns(options.measured_burns),
+        at_s=_time(at_s, epoch),
+        state=_state(state),
+        frame=frame,
+        covariance=None if rows is None else np.array(rows),
+        covariance_frame=covariance_frame,
+        measured=_burns(measured_burns),
     )
 
 

@@ -1,8 +1,7 @@
-"""The command `design`: find a whole pass from a home orbit; write a table and pictures of trials."""
+"""Show the progress of `design`; write its map of trials and its primer."""
 
 from __future__ import annotations
 
-import argparse
 import importlib.util
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -13,29 +12,16 @@ from rich.console import Console
 
 from scp_recon.api.designing import (
     Design,
-    design_options,
-    find_pass,
-    plan_pass,
-    trials_table,
 )
-from scp_recon.api.inputs import scenario_of
-from scp_recon.api.keeping import point_latest, run_folder
-from scp_recon.api.planning import checked, finite_figures
 from scp_recon.cli.command import (
-    Answer,
     show_line,
-    show_written,
 )
-from scp_recon.cli.commands.planning import Shown
 from scp_recon.errors import option
 from scp_recon.files import unwritable, write_atomically
-from scp_recon.mission.mission import Mission
 from scp_recon.passes.design import Trial
 from scp_recon.planning.primer import WORTH, PrimerHistory
 from scp_recon.results.read import read_solution
 from scp_recon.results.solution import FILE_NAME
-from scp_recon.scenario.load import naming_files, scenario_text
-from scp_recon.scp.status import Status
 
 TABLE, MAP, SCENARIO, PRIMER = "design.csv", "design.png", "scenario.toml", "primer.png"
 """What a design writes besides its plan."""
@@ -45,39 +31,19 @@ RESIDUAL = 0.1
 """Largest residual of an optimum's multipliers: a primer errs by its residual."""
 
 
-def design(options: argparse.Namespace, console: Console) -> Answer:
-    """Design, show and write."""
-    scenario = scenario_of(options.scenario, options.overrides)
-    how = design_options(scenario, certify=options.certify)
-    with run_folder(options.out, scenario.name) as folder:
-        with _progress(console) as observe, naming_files(options.scenario, options.overrides):
-            found = find_pass(scenario, observe)
-        _keep(folder, TABLE, trials_table(found).csv())
-        if found.scenario is None:
-            _keep_map(folder, found, console, found.best.dv_m_s)
-            show_line(console, found.message)
-            show_written(console, folder / TABLE)
-            return Answer(Status.INFEASIBLE.value.exit_code, {"files": [str(folder / TABLE)]})
-        _keep(folder, SCENARIO, scenario_text(found.scenario))
-        mission = Mission.from_scenario(found.scenario)
-        shown = Shown(console, folder)
-        with shown.planning(mission) as observe, finite_figures():
-            plan = plan_pass(found, mission, how, observe)
-        answer = shown.answer(checked(plan, folder, shown))
-        _keep_map(folder, found, console, answer.document["plan"]["total_dv_m_s"])
-        _keep_primer(folder, console)
-    point_latest(options.out, folder, answer.status)
-    return answer
+def keep(folder: Path, name: str, content: str | bytes) -> None:
+    """Write a file into the folder of a run.
 
-
-def _keep(folder: Path, name: str, content: str | bytes) -> None:
+    Raises:
+        InputError: if it cannot be written.
+    """
     try:
         write_atomically(folder / name, content)
     except OSError as error:
         raise unwritable(folder, option("out"), error) from None
 
 
-def _keep_map(folder: Path, found: Design, console: Console, dv_m_s: float) -> None:
+def keep_map(folder: Path, found: Design, console: Console, dv_m_s: float) -> None:
     """Write the map of the design with the delta-v of its plan, if matplotlib is installed."""
     if not any(one.result.converged for one in found.trials):
         return
@@ -86,10 +52,10 @@ def _keep_map(folder: Path, found: Design, console: Console, dv_m_s: float) -> N
         return
     from scp_recon.api.charts import draw_design
 
-    _keep(folder, MAP, draw_design(found.trials, found.best, dv_m_s))
+    keep(folder, MAP, draw_design(found.trials, found.best, dv_m_s))
 
 
-def _keep_primer(folder: Path, console: Console) -> None:
+def keep_primer(folder: Path, console: Console) -> None:
     """Show the result of the plan's primer, and draw it if matplotlib is installed."""
     if not (folder / FILE_NAME).exists():
         return
@@ -98,7 +64,7 @@ def _keep_primer(folder: Path, console: Console) -> None:
     if solution.primer is not None and _can_draw():
         from scp_recon.api.charts import draw_primer
 
-        _keep(
+        keep(
             folder,
             PRIMER,
             draw_primer(solution.primer, [burn.t_s for _, burn in solution.executed]),
@@ -110,7 +76,7 @@ def _can_draw() -> bool:
 
 
 @contextmanager
-def _progress(console: Console) -> Iterator[Callable[[Trial], None]]:
+def progress(console: Console) -> Iterator[Callable[[Trial], None]]:
     """Yield a function that counts plans; the best plan of each step gets a line."""
     counts: dict[str, int] = {}
     least: dict[str, Trial] = {}
