@@ -32,7 +32,7 @@ NARROW = {
 }
 
 
-def test_a_design_ends_with_a_verified_plan_its_scenario_a_table_and_a_map(tmp_path, monkeypatch):
+def test_design_writes_verified_plan_scenario_table_and_map(tmp_path, monkeypatch):
     out, drawn, draw = tmp_path / "out", [], charts.draw_design
 
     def seen(tried: Sequence[Trial], found: PassResult, dv_m_s: float) -> bytes:
@@ -68,7 +68,7 @@ def test_a_design_ends_with_a_verified_plan_its_scenario_a_table_and_a_map(tmp_p
     assert solution.primer.residual < 1e-3
 
 
-def test_a_design_that_finds_nothing_tells_limit_and_departure(tmp_path, capsys, monkeypatch):
+def test_design_without_pass_names_limit_and_departure(tmp_path, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "300")
     changes = NARROW | {"burns.dv_max_m_s": 0.001, "boundary.home.arrival_deg": [0.0, 0.0]}
     out = tmp_path / "out"
@@ -90,9 +90,7 @@ def test_a_design_that_finds_nothing_tells_limit_and_departure(tmp_path, capsys,
         (0.9, True, 0.75, "a residual of 0.75, at most 0.1 expected: no conclusion"),
     ],
 )
-def test_the_primer_tells_of_another_burn_what_its_multipliers_bear_out(
-    allowed, legal, residual, says
-):
+def test_primer_concludes_only_from_small_residuals(allowed, legal, residual, says):
     """Those of plans with gains may be far from an optimum's."""
     ends = [(0.0, 0.0, 0.0)] * 3
     history = PrimerHistory(

@@ -37,7 +37,7 @@ def test_every_format_is_written_beside_the_plan(plan, form, capsys):
     assert read_solution(plan).plan_hash[:8] in names
 
 
-def test_two_plans_and_two_spacecraft_never_share_a_name(plan, tmp_path, capsys):
+def test_plans_and_spacecraft_never_share_a_name(plan, tmp_path, capsys):
     """And one that is not verified says so in its file."""
     solution = read_solution(plan)
     first, *others = solution.burns

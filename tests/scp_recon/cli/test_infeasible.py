@@ -105,12 +105,12 @@ def test_the_line_is_taken_after_a_budget():
     assert (options.objective, options.dv_budget_m_s) == ("delta-v", None)
 
 
-def test_a_final_covariance_that_no_plan_keeps_is_what_binds():
+def test_unreachable_final_covariance_is_named_as_binding():
     found = failed(*EXACT, "boundary.final_sigma_position_m=0.05")
     assert module._freed(found, module.FINAL_SPREAD) is not None
 
 
-def test_exact_risk_solves_what_the_split_cannot_and_says_at_what_price(refused):
+def test_exact_risk_is_proposed_with_its_price(refused):
     words = said(refused)
     assert words.startswith(f"what binds: {SPLIT}; violated: ")
     (cost,) = (line.split()[-2] for line in words.splitlines() if "exact risk solves" in line)
@@ -133,7 +133,7 @@ def small_burns() -> tuple[Plan, Diagnosis]:
         return found, diagnose(found)
 
 
-def test_what_suffices_alone_is_named_with_its_size(small_burns):
+def test_sufficient_relaxation_is_named_with_its_size(small_burns):
     """And exact risk, which has failed, is not praised."""
     found, out = small_burns
     assert out.exact is None
@@ -149,7 +149,7 @@ def test_what_suffices_alone_is_named_with_its_size(small_burns):
     assert plan(larger, start, once=True).status is Status.CONVERGED
 
 
-def test_the_largest_probability_is_the_last_that_has_a_plan(small_burns):
+def test_largest_probability_is_last_with_a_plan(small_burns):
     found, out = small_burns
     assert 0.5 < out.largest.target < 0.9
     beyond = float(ndtr(ndtri(out.largest.target) + 0.3))
@@ -164,7 +164,7 @@ def test_the_largest_probability_is_the_last_that_has_a_plan(small_burns):
     assert f"with: {line} " in words
 
 
-def test_what_the_normal_law_allows_and_flights_do_not_certify_is_told_apart(monkeypatch):
+def test_normal_law_and_flights_are_told_apart(monkeypatch):
     """A plan that aims above what was asked may be the only one that is missing."""
     monkeypatch.setattr(module, "CLOSE", 1.0)
     monkeypatch.setattr(module, "_verified", lambda largest, *_: largest)
@@ -178,7 +178,7 @@ def test_what_the_normal_law_allows_and_flights_do_not_certify_is_told_apart(mon
     assert "risk.p_chance=0.7 --certify no" in words
 
 
-def test_what_flights_refute_is_proposed_with_flights_that_certify_it(small_burns, monkeypatch):
+def test_certified_proposal_promises_less(small_burns, monkeypatch):
     """A certified plan aims higher; where that takes more than there is, less is promised.
 
     The start is on another grid, as where the plans that were tried had to be made on finer ones.
@@ -204,7 +204,7 @@ def test_what_flights_refute_is_proposed_with_flights_that_certify_it(small_burn
     assert f"--set risk.p_chance={made[-1]:g} --certify yes" in words
 
 
-def test_burns_that_are_too_small_are_what_binds_unless_it_has_not_ended():
+def test_too_small_burns_bind_without_uncertainty_too():
     found = failed("burns.dv_max_m_s=0.02", COARSE)
     out = diagnose(found)
     assert out.without_uncertainty is Status.INFEASIBLE

@@ -40,7 +40,7 @@ def another(solution: Solution) -> Solution:
 
 
 @pytest.mark.usefixtures("undiagnosed")
-def test_an_infeasible_run_leaves_a_verified_plan_alone(verified, tmp_path):
+def test_infeasible_run_leaves_verified_plan_alone(verified, tmp_path):
     before = verified.write(tmp_path).read_bytes()
     run = run_solve(tmp_path, *HOPELESS)
     assert run.exit_code == 3
@@ -53,7 +53,7 @@ def test_an_infeasible_run_leaves_a_verified_plan_alone(verified, tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["solution.json"]
 
 
-def test_a_plan_that_is_not_verified_gives_way_to_any(solution, tmp_path):
+def test_unverified_plan_gives_way_to_any(solution, tmp_path):
     solution.write(tmp_path)
     path, _ = keep(another(solution), tmp_path)
     assert path.name == "solution.json"
@@ -93,13 +93,13 @@ def test_exports_of_another_plan_are_set_aside(verified, tmp_path):
     assert [path.name for path in mine.iterdir()] == ["notes.txt"]
 
 
-def test_a_result_does_not_go_beside_another_plan(verified, tmp_path):
+def test_results_beside_another_plan_are_refused(verified, tmp_path):
     another(verified).write(tmp_path)
     with pytest.raises(InputError, match="holds another plan"):
         check_holds(tmp_path, verified, "--out")
 
 
-def test_two_runs_into_one_folder_are_refused_before_the_work(tmp_path):
+def test_second_run_into_a_folder_is_refused(tmp_path):
     with only_run_in(tmp_path, "--out"):
         run = run_solve(tmp_path, "--problem", "P3")
     assert run.exit_code == 2
@@ -108,7 +108,7 @@ def test_two_runs_into_one_folder_are_refused_before_the_work(tmp_path):
 
 
 @pytest.mark.usefixtures("undiagnosed")
-def test_without_a_folder_a_run_has_one_of_its_own(tmp_path, monkeypatch, capsys):
+def test_run_without_out_makes_its_own_folder(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert solve.main(["--problem", "P3", "--set", "name=my plan", "--set", COARSE]) == 0
     (mine,) = (tmp_path / "runs" / "my_plan").iterdir()
@@ -123,7 +123,7 @@ def test_without_a_folder_a_run_has_one_of_its_own(tmp_path, monkeypatch, capsys
     assert "points to the last finished run" in capsys.readouterr().err
 
 
-def test_a_folder_of_the_user_is_not_removed(tmp_path):
+def test_folder_of_the_user_is_kept(tmp_path):
     with run_folder(tmp_path / "mine", "name"):
         pass
     assert (tmp_path / "mine").is_dir()
@@ -132,7 +132,7 @@ def test_a_folder_of_the_user_is_not_removed(tmp_path):
 STRANGE = "observation.emission_min_deg=0.349"
 
 
-def test_warnings_go_with_the_plan_to_every_verdict(tmp_path, capsys):
+def test_warnings_go_with_plan_to_every_verdict(tmp_path, capsys):
     run = run_solve(tmp_path, "--set", STRANGE, "--set", "grid.step_max_s=600.0")
     assert run.exit_code == 0  # a warning is no failure
     said = "observation.emission_min_deg: got 0.349 deg"

@@ -8,7 +8,6 @@ import pytest
 import scp_recon as sr
 from scp_recon.__main__ import main
 from scp_recon.errors import InputError
-from scp_recon.interop.tracks import oem_track
 from scp_recon.scenario.load import base_names
 
 CHAIN = {
@@ -37,7 +36,7 @@ def chain(tmp_path, monkeypatch) -> Path:
 
 
 @pytest.mark.parametrize("name", BROKEN)
-def test_an_error_of_a_scenario_names_the_file_that_holds_it(name, chain, capsys):
+def test_scenario_error_names_file_of_the_entry(name, chain, capsys):
     file, text, said = BROKEN[name]
     with (chain / file).open("a", encoding="utf-8") as opened:
         opened.write(text)
@@ -50,7 +49,7 @@ def test_an_error_of_a_scenario_names_the_file_that_holds_it(name, chain, capsys
     assert caught.value.file == file
 
 
-def test_what_stands_in_no_file_names_none(chain):
+def test_entry_of_no_file_names_none(chain):
     for given in ("recon_b", "c.toml"):
         with pytest.raises(InputError, match=r"^risk\.p_chance: got 1\.7"):
             sr.load_scenario(given, ["risk.p_chance=1.7"])
@@ -68,16 +67,6 @@ def test_an_unknown_scenario_lists_the_packaged_ones(capsys):
     shown = capsys.readouterr().out
     assert all(name in shown for name in base_names())
     assert {*sr.scenarios()} == {*base_names()}
-
-
-def test_a_number_that_is_none_in_an_oem_is_named_by_its_line(tmp_path):
-    pytest.importorskip("oem")
-    file = tmp_path / "flight.oem"
-    file.write_text(
-        "CCSDS_OEM_VERS = 2.0\nCOMMENT nan is allowed here\nX = inf\n1 2 NaN 3\n", "utf-8"
-    )
-    with pytest.raises(InputError, match=r"flight\.oem, line 4: got 1 2 NaN 3; must be finite"):
-        oem_track(file, "BENNU")
 
 
 def test_it_says_its_version(capsys):

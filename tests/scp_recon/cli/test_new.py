@@ -50,7 +50,7 @@ def test_what_is_written_solves(options, capsys):
     assert line.startswith(f"total delta-v {total:.6f} m/s")
 
 
-def test_what_cannot_be_flown_is_written_with_what_to_change(monkeypatch, capsys):
+def test_infeasible_draft_is_written_with_its_remedies(monkeypatch, capsys):
     """As if the planner had found nothing: what is infeasible takes it long to tell."""
     planned = drafts._planned
 
@@ -87,12 +87,12 @@ OTHER_SPIN = {"body.prime_meridian_rate_deg_day": -2011.145755336826}
         (FAR_SUN, "the Sun is 2.020 au away, 2 deg south"),
     ],
 )
-def test_what_is_taken_as_given_of_a_body_is_said(changes, said, scenario):
+def test_body_taken_as_given_is_described(changes, said, scenario):
     """No check tells its way of turning, its pole or its Sun from others."""
     assert said in as_given(Scene.of(file_of(scenario, changes, name="Other")))
 
 
-def test_where_nothing_can_be_written_nothing_is_planned(capsys, monkeypatch):
+def test_draft_is_not_planned_where_unwritable(capsys, monkeypatch):
     Path("mine.toml").write_text("mine", "utf-8")
     monkeypatch.setattr(drafts, "_planned", lambda _: pytest.fail("planned"))
     assert run("mine.toml/below", *BENNU) == 2

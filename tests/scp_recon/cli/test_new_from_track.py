@@ -1,7 +1,6 @@
 """`python -m scp_recon new --from-spice`, `--from-oem`, `--from-csv`: kernels that the tests write."""
 
-from dataclasses import replace
-from datetime import datetime, timedelta
+from datetime import datetime
 from functools import partial
 from pathlib import Path
 
@@ -10,13 +9,11 @@ import pytest
 
 from scp_recon.bodies.catalogue import J2000_TDB
 from scp_recon.cli.commands import new
-from scp_recon.drafting.flown import Track
-from scp_recon.errors import InputError
 from scp_recon.interop.ccsds import oem_text
 from scp_recon.interop.export import Export, Ids
 from scp_recon.interop.files import csv_text
 from scp_recon.interop.path import fly_path
-from scp_recon.interop.tracks import csv_track, cut, oem_track, pull_doubts, step_doubts
+from scp_recon.interop.tracks import csv_track
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scenario.time_scales import tdb_of_utc
 from tests import reference
@@ -135,67 +132,6 @@ def test_a_message_or_a_table_is_a_start(export, form, capsys):
     assert scenario.duration_s == pytest.approx(export.mission.scenario.duration_s, abs=1e-5)
 
 
-@pytest.mark.parametrize(
-    ("key", "given", "message"),
-    [
-        ("REF_FRAME", "TEME", "EME2000.*; turn the states"),
-        ("REF_FRAME", "EME2000\nREF_FRAME_EPOCH = 2020-01-01T12:00:00", "EPOCH: got 2020.*left"),
-        ("REF_FRAME", "ICRF\nREF_FRAME_EPOCH = 2000-01-01", "REF_FRAME_EPOCH: got time data"),
-        ("CCSDS_OEM_VERS", "1.0\nREF_FRAME_EPOCH = 2000-01-01", "no OEM.*CCSDS_OEM_VERS"),
-        ("CENTER_NAME", "EARTH", "BENNU"),
-        ("TIME_SYSTEM", "MRT", "TIME_SYSTEM"),
-        ("TIME_SYSTEM", "UT1", "UTC or TDB"),
-    ],
-)
-def test_another_frame_centre_or_scale_is_refused(export, key, given, message):
-    pytest.importorskip("oem")
-    lines = oem_text(export).splitlines()
-    text = "\n".join(f"{key} = {given}" if line.startswith(f"{key} =") else line for line in lines)
-    Path("plan.oem").write_text(text, encoding="ascii")
-    with pytest.raises(InputError, match=message):
-        oem_track(Path("plan.oem"), "Bennu")
-
-
-HERA = """CCSDS_OEM_VERS = 2.0
-CREATION_DATE  = 2023-08-23T00:00:00
-ORIGINATOR     = ESA/ESOC OPS-GFA
-
-META_START
-OBJECT_NAME    = Hera
-OBJECT_ID      = -91
-CENTER_NAME    = DidymosBarycenter
-REF_FRAME      = EME2000
-REF_FRAME_EPOCH = 2000-01-01T12:00:00.000
-TIME_SYSTEM    = TDB
-START_TIME     = 2027-02-01T00:00:00.000000
-STOP_TIME      = 2027-02-01T02:00:00.000000
-META_STOP
-
-2027-02-01T00:00:00.000000  10.0  -2.0  1.5 -1.0e-4  2.0e-5  0.0
-2027-02-01T01:00:00.000000  9.64  -1.928  1.5 -1.0e-4  2.0e-5  0.0
-2027-02-01T02:00:00.000000  9.28  -1.856  1.5 -1.0e-4  2.0e-5  0.0
-"""
-"""A file of our own with originator and names as in ESA's example trajectories of Hera, by the release
-notes in ANCDR/HERA/man/CReMA_2_0/Hera_2024_ECP_and_PDP_trajectory.zip."""
-
-
-@pytest.mark.parametrize(
-    ("body", "doubted"), [("Didymos", True), ("Didymos Barycenter", False), ("65803", None)]
-)
-def test_an_oem_about_a_systems_barycentre_is_read_with_a_doubt(body, doubted):
-    pytest.importorskip("oem")
-    Path("hera.oem").write_text(HERA, encoding="ascii")
-    if doubted is None:
-        with pytest.raises(InputError, match="CENTER_NAME: got DidymosBarycenter; must be 65803"):
-            oem_track(Path("hera.oem"), body)
-        return
-    track = oem_track(Path("hera.oem"), body)
-    assert track.epoch == datetime(2027, 2, 1)
-    np.testing.assert_array_equal(track.times_s, [0.0, 3600.0, 7200.0])
-    np.testing.assert_allclose(track.states[1], [9640.0, -1928.0, 1500.0, -0.1, 0.02, 0.0])
-    assert ["about DidymosBarycenter" in str(doubt) for doubt in track.doubts] == [True] * doubted
-
-
 SPICE = ("--from-spice", "META", "--spacecraft=-64")
 
 
@@ -224,52 +160,3 @@ def test_bad_input_ends_in_one_message(meta, words, expected, capsys):
     assert expected in said.err
     assert "Traceback" not in said.err
     assert not list(Path().glob("mine*"))
-
-
-@pytest.fixture(scope="module")
-def track(export, tmp_path_factory) -> Track:
-    path = tmp_path_factory.mktemp("track") / "plan.csv"
-    path.write_text(csv_text(export), encoding="utf-8")
-    return csv_track(path, export.mission.scenario.epoch.tdb)
-
-
-def test_what_bends_otherwise_than_the_body_pulls_is_told(export, track):
-    """Another body's; metres that are kilometres; axes that turn, with their own velocities."""
-    assert not list(step_doubts(track))
-    assert not list(pull_doubts(export.mission, track))
-    rotation = export.mission.rotation
-    to_body = np.array([rotation.body_to_j2000(time).T for time in track.times_s])
-    turned = np.einsum("nij,nkj->nki", to_body, track.states.reshape(-1, 2, 3))
-    turned[:, 1] -= np.cross([0.0, 0.0, rotation.rate], turned[:, 0])
-    slower = track.states * ([1.0] * 3 + [0.5] * 3)
-    for wrong in (
-        replace(track, times_s=2.0 * track.times_s, states=slower),
-        replace(track, states=1e3 * track.states),
-        replace(track, states=turned.reshape(-1, 6)),
-    ):
-        (doubt,) = pull_doubts(export.mission, wrong)
-        assert "from that by Bennu and sunlight" in str(doubt)
-
-
-def test_an_epoch_in_utc_for_a_table_in_tdb_is_refused(export):
-    Path("plan.csv").write_text(csv_text(export), encoding="utf-8")
-    epoch = export.mission.scenario.epoch.tdb
-    with pytest.raises(InputError, match=r"epoch: .*69\.184 s later.*column tdb"):
-        csv_track(Path("plan.csv"), epoch - timedelta(seconds=69.184))
-
-
-def test_gaps_and_states_that_are_elsewhere_are_told(track):
-    kept = (track.times_s < 12_000.0) | (track.times_s > 14_000.0)
-    gap = replace(track, times_s=track.times_s[kept], states=track.states[kept])
-    assert "without a state from" in str(next(step_doubts(gap)))
-    states = track.states.copy()
-    states[0, 0] += 100.0
-    assert "positions jump" in str(next(step_doubts(replace(track, states=states))))
-
-
-def test_ends_that_are_not_those_asked_for_are_told(track):
-    begin = track.epoch + timedelta(seconds=float(track.times_s[3]) - 30.0)
-    told = cut(track, begin, track.epoch + timedelta(seconds=1e6)).doubts
-    assert [doubt.entry for doubt in told] == ["--from", "--to"]
-    assert "a time 30.000 s before" in told[0].given
-    assert not cut(track, track.epoch, None).doubts

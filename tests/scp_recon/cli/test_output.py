@@ -48,7 +48,7 @@ RUN = sorted(every.COMMANDS.keys() - {"simulate", "design", "explore"})
 
 
 @pytest.mark.parametrize("command", RUN)
-def test_json_is_one_document_and_quiet_is_silent(command, folder, tmp_path, capsys):
+def test_json_is_one_document_and_quiet_silent(command, folder, tmp_path, capsys):
     words = words_of(command, folder, tmp_path)
     status = every.main([command, *words, "--json", "--quiet"])
     said = capsys.readouterr()
@@ -73,7 +73,7 @@ def test_json_is_one_document_and_quiet_is_silent(command, folder, tmp_path, cap
         ("jinja2", "solve --report", "report"),
     ],
 )
-def test_an_extra_that_is_missing_is_named_before_any_work(
+def test_missing_extra_is_named_before_any_work(
     module, words, extra, folder, tmp_path, monkeypatch, capsys
 ):
     monkeypatch.chdir(tmp_path)
@@ -89,7 +89,7 @@ def test_an_extra_that_is_missing_is_named_before_any_work(
     assert [path.name for path in tmp_path.iterdir()] == ["plan.oem"]
 
 
-def test_json_has_the_plans_figures_to_the_last_digit_and_the_text_its_frame(folder, capsys):
+def test_json_has_exact_figures_and_text_the_frame(folder, capsys):
     assert every.main(["verify", str(folder), "--json"]) == 0
     said = capsys.readouterr()
     document, solution = json.loads(said.out), read_solution(folder)
@@ -102,7 +102,7 @@ def test_json_has_the_plans_figures_to_the_last_digit_and_the_text_its_frame(fol
     assert f"x, y, z along J2000; {epoch}" in said.err
 
 
-def test_help_names_every_command_and_so_does_what_is_none(capsys):
+def test_help_and_unknown_commands_list_all_commands(capsys):
     for words in ([], ["fly"], ["--verse"]):
         assert every.main(words) == 2
         assert "solve" in capsys.readouterr().err

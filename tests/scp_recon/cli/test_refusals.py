@@ -163,7 +163,7 @@ def folder(solution, verification, tmp_path_factory) -> Path:
     "line",
     [*REFUSED.strip().splitlines(), *(f"{name} --no-such-option -> got" for name in COMMANDS)],
 )
-def test_bad_input_is_one_message_and_one_document(line, folder, monkeypatch, capsys):
+def test_bad_input_is_one_message_and_document(line, folder, monkeypatch, capsys):
     monkeypatch.chdir(folder)
     before = set(folder.rglob("*"))
     words, _, said = line.partition(" -> ")

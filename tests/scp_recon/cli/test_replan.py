@@ -33,7 +33,7 @@ def state_at(default_plan) -> Callable[[float], list[str]]:
     return words
 
 
-def test_a_replan_is_kept_verified_flown_and_compared(plan_folder, state_at, tmp_path, capsys):
+def test_replan_is_kept_verified_flown_and_compared(plan_folder, state_at, tmp_path, capsys):
     out = tmp_path / "again"
     burn = "--measured-burn=2=-0.0066,0.0266,-0.0074"
     words = [str(plan_folder), "--at", "17000", "--state", *state_at(17_000.0), burn]
@@ -58,7 +58,7 @@ def test_a_replan_is_kept_verified_flown_and_compared(plan_folder, state_at, tmp
     assert "must be the plan of a whole flight" in capsys.readouterr().err
 
 
-def test_the_verdict_says_what_one_burn_misses(plan_folder, state_at, tmp_path, capsys):
+def test_verdict_has_the_miss_of_one_burn(plan_folder, state_at, tmp_path, capsys):
     out = tmp_path / "again"
     (tmp_path / "state.txt").write_text("# x y z vx vy vz\n" + "\n".join(state_at(26_000.0)))
     words = [str(plan_folder), "--at", "2020-01-22T03:46:37.184", "--out", str(out)]
@@ -77,7 +77,7 @@ def test_the_verdict_says_what_one_burn_misses(plan_folder, state_at, tmp_path, 
     assert rows["nodes"][-2:] == ["1.0e-02", "m"]
 
 
-def test_a_covariance_comes_from_a_file_in_axes_of_its_own(plan_folder, state_at, tmp_path, capsys):
+def test_covariance_file_has_axes_of_its_own(plan_folder, state_at, tmp_path, capsys):
     rows = np.diag([100.0, 400.0, 25.0, 1e-8, 1e-8, 1e-8])
     path, out = tmp_path / "covariance.csv", tmp_path / "again"
     path.write_text("\n".join(",".join(map(repr, row)) for row in rows.tolist()))
@@ -106,5 +106,5 @@ STATE = ["--state", "1", "-2", "3", "-4e-1", "5", "-6"]
         (["--measured-burn", "2=1,2,3", "plan"], ["--measured-burn=2=1,2,3", "plan"]),
     ],
 )
-def test_a_list_takes_its_numbers_and_nothing_else(words, expected):
+def test_list_option_takes_only_its_numbers(words, expected):
     assert joined(words) == expected

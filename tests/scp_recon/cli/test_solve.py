@@ -18,7 +18,7 @@ from tests.scp_recon.support import raising, run_solve
 PROJECT = Path(__file__).parents[3]
 
 
-def test_default_ends_with_zero_and_a_verified_solution_alone(default_run):
+def test_default_plan_is_verified_and_kept_alone(default_run):
     assert (default_run.exit_code, default_run.errors) == (0, "")
     assert [path.name for path in default_run.folder.iterdir()] == ["solution.json"]
     solution = read_solution(default_run.folder)
@@ -29,7 +29,7 @@ def test_default_ends_with_zero_and_a_verified_solution_alone(default_run):
     assert min(p.estimate for p in solution.verification.probabilities) >= 0.70
 
 
-def test_it_shows_case_verdict_burns_and_every_constraint(default_run):
+def test_case_verdict_burns_and_constraints_are_shown(default_run):
     shown, solution = " ".join(default_run.output.split()), read_solution(default_run.folder)
     for piece in ("recon_b", "Nightingale", "13140.2 to 16537.5 s", "154 nodes", "Converged"):
         assert piece in shown
@@ -57,7 +57,7 @@ def test_it_runs_as_a_module(tmp_path):
     assert read_solution(tmp_path).problem == "P3"
 
 
-def test_a_solution_brings_its_scenario_which_may_be_overridden(tmp_path):
+def test_scenario_of_a_start_may_be_overridden(tmp_path):
     words = ("--problem", "P3", "--set")
     assert run_solve(tmp_path / "a", *words, "name=mine", "--set", COARSE).exit_code == 0
     again = run_solve(tmp_path / "b", *words, "risk.p_chance=0.9", "--init", str(tmp_path / "a"))
@@ -67,7 +67,7 @@ def test_a_solution_brings_its_scenario_which_may_be_overridden(tmp_path):
     assert "mine" in again.output
 
 
-def test_it_goes_on_from_a_solution_that_is_known_by_its_content(default_run, tmp_path):
+def test_solution_file_of_any_name_is_a_start(default_run, tmp_path):
     first, renamed = read_solution(default_run.folder), tmp_path / "best.txt"
     renamed.write_bytes((default_run.folder / "solution.json").read_bytes())
     assert run_solve(tmp_path / "out", "--init", str(renamed)).exit_code == 0
@@ -76,7 +76,7 @@ def test_it_goes_on_from_a_solution_that_is_known_by_its_content(default_run, tm
     assert (solution.scenario, solution.init) == (first.scenario, str(renamed))
 
 
-def test_infeasible_ends_with_three_and_names_what_is_violated(tmp_path):
+def test_infeasible_plan_names_violated_constraints(tmp_path):
     run = run_solve(tmp_path, "--set", "burns.dv_max_m_s=0.02", "--set", COARSE)
     assert (run.exit_code, run.errors) == (3, "")
     solution = read_solution(tmp_path)
@@ -91,7 +91,7 @@ def test_infeasible_ends_with_three_and_names_what_is_violated(tmp_path):
         )
 
 
-def test_ctrl_c_leaves_the_best_iterate_marked_as_such_which_goes_on(tmp_path, monkeypatch):
+def test_ctrl_c_keeps_best_iterate_as_a_start(tmp_path, monkeypatch):
     calls, original = iter(range(1, 1000)), SCvx.step
 
     def step(self: SCvx, *arguments: Any) -> tuple[State, Record]:
@@ -124,7 +124,7 @@ def test_ctrl_c_leaves_the_best_iterate_marked_as_such_which_goes_on(tmp_path, m
         (planner, "plan", None),
     ],
 )
-def test_ctrl_c_between_the_steps_keeps_what_was_done(module, name, left, tmp_path, monkeypatch):
+def test_ctrl_c_between_steps_keeps_finished_ones(module, name, left, tmp_path, monkeypatch):
     """Between P3 and P2, in the verification, and before anything."""
 
     monkeypatch.setattr(module, name, raising(KeyboardInterrupt()))

@@ -32,7 +32,7 @@ AS_CTRL_C = """
 
 
 @pytest.mark.parametrize(("late", "command"), usually(CASES, 3))
-def test_ctrl_c_during_an_import_ends_in_one_line(late, command):
+def test_ctrl_c_during_import_ends_in_one_line(late, command):
     done = subprocess.run(
         [sys.executable, "-c", textwrap.dedent(AS_CTRL_C), late, *command.split()],
         cwd=PROJECT,

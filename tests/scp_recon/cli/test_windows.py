@@ -11,7 +11,7 @@ from tests.scp_recon.support import status_of
 run = partial(status_of, windows.main)
 
 
-def test_what_is_hardly_meant_is_warned_about_and_what_cannot_be_is_refused(tmp_path, capsys):
+def test_wrong_pole_is_warned_about_small_radius_refused(tmp_path, capsys):
     path = tmp_path / "mine.toml"
     path.write_text('base = "recon_b"\n[body]\npole_dec_deg = 60.3586\n', "utf-8")
     assert run(str(path), "--span-days", "0.2") == 0
@@ -22,7 +22,7 @@ def test_what_is_hardly_meant_is_warned_about_and_what_cannot_be_is_refused(tmp_
     assert "safety.radius_min_m: got 0.5 m" in capsys.readouterr().err
 
 
-def test_the_table_holds_the_windows_from_before_the_epoch_on(tmp_path, mission, capsys):
+def test_windows_before_and_after_epoch_are_tabulated(tmp_path, mission, capsys):
     """Of a scenario whose own burns are illegal, too."""
     scenario, path = tmp_path / "mine.toml", tmp_path / "w.csv"
     scenario.write_text('base = "recon_b"\nburns.times_s = [0.0, 13500.0, 20000.0, 40000.0]\n')
