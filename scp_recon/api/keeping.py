@@ -15,7 +15,7 @@ from typing import NamedTuple
 from scp_recon.errors import InputError, option
 from scp_recon.files import check_writable, only_run_in, unwritable
 from scp_recon.results.read import read_solution
-from scp_recon.results.runs import LATEST, RUNS, is_pointer, new_run, point_to
+from scp_recon.results.runs import is_pointer, new_run, point_to
 from scp_recon.results.solution import FILE_NAME, Solution
 from scp_recon.scp.status import Status
 
@@ -38,8 +38,7 @@ def run_folder(out: Path | None, name: str) -> Iterator[Path]:
     Raises:
         InputError: if it cannot be written, another run is at work in it, or it is `runs/latest`.
     """
-    latest = (RUNS / LATEST).absolute()
-    if out is not None and (is_pointer(out) or out.absolute() == latest):
+    if out is not None and is_pointer(out):
         raise InputError(
             option("out"),
             f"{out}, which points to the last finished run",

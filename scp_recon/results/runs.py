@@ -92,5 +92,6 @@ def folder_of(path: Path) -> Path:
 
 
 def is_pointer(path: Path) -> bool:
-    """Whether a path is the pointer `latest`, which is no folder to write to."""
-    return path.name == LATEST and resolve_run(path) != path
+    """Whether a path is the pointer `latest`, or where it will be: neither is a folder to write to."""
+    here = path.absolute() == (RUNS / LATEST).absolute()
+    return here or (path.name == LATEST and resolve_run(path) != path)
