@@ -37,7 +37,7 @@ def written(path: Path, text: str) -> str:
     return str(path)
 
 
-def test_without_the_extra_for_pages_the_rest_is_there(tmp_path, monkeypatch, capsys):
+def test_campaign_runs_without_the_report_extra(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(page, "has_extras", lambda: False)
     text = REFUSED.replace("count = 40", "count = 2")
     study, out = written(tmp_path / "study.toml", text), tmp_path / "out"
