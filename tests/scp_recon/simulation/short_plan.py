@@ -25,6 +25,8 @@ def short_plan(mission: Mission) -> Solution:
         message="",
         problem="P2",
         init="cold",
+        method="scp",
+        tolerance=1e-6,
         formulation="condensed",
         algorithm="scvx",
         solver="CLARABEL",
