@@ -297,17 +297,15 @@ def _tasks(dask_scheduler: Any) -> int:
 
 
 def _found(tables: Mapping[str, Sequence[Record]]) -> Findings:
-    found = {name: replace(records(rows), title=name) for name, rows in tables.items()}
-    return Findings([*found.values()], {f"{name}.csv": table for name, table in found.items()})
+    return Findings({f"{name}.csv": records(rows) for name, rows in tables.items()})
 
 
 QUICK = option("--quick", action="store_true", help="one round")
 STUDIES = {
-    "methods": Study("Performance", __doc__, methods, [QUICK]),
-    "growth": Study("Growth of plans", __doc__, growth),
-    "waits": Study("Commands that users wait for", __doc__, waits, [QUICK]),
+    "methods": Study(__doc__, methods, [QUICK]),
+    "growth": Study(__doc__, growth),
+    "waits": Study(__doc__, waits, [QUICK]),
     "campaign_scale": Study(
-        "Scale of campaigns",
         __doc__,
         campaign_scale,
         [

@@ -390,7 +390,7 @@ def run(session: Session) -> Findings:
         f"largest {worst:.1e} m",
         worst <= SAME_M,
     )
-    return Findings([], {"cross_check.csv": records(rows)}, [claim])
+    return Findings({"cross_check.csv": records(rows)}, [claim])
 
 
-STUDY = Study("Other tools", __doc__, run)
+STUDY = Study(__doc__, run)

@@ -5,7 +5,7 @@ The default scenario is planned for probabilities from 0.55 to 0.999: with the p
 node and for whole flights, and certified by flights. Every plan is flown 10,000 times.
 OUT/frontier.csv has a row for each: its cost, the probability reached, the expected observation
 time, the processor time of all rounds, and the extra delta-v and time of certifying.
-OUT/frontier.md has the tables; `python -m paper_figs frontier` draws them. After Ctrl-C the study
+`python -m paper_figs frontier` draws them. After Ctrl-C the study
 continues with the missing rows.
 """
 
@@ -16,7 +16,7 @@ from functools import partial
 from time import process_time
 from typing import Any
 
-from experiments.harness import Findings, Record, Session, Study, fly_plan, option, records, view
+from experiments.harness import Findings, Record, Session, Study, fly_plan, option, records
 from scp_recon.api.planning import plan
 from scp_recon.jobs.job import Job
 from scp_recon.monte_carlo.flights import FlightTally
@@ -95,40 +95,31 @@ def record(kind: str, p: float, found: Plan, flown: FlightTally, processor_s: fl
     }
 
 
-def report(rows: Sequence[Record], flights: int) -> list[Table]:
-    """Tables of delta-v and probability reached, by kind and probability, and of certifying's cost."""
-    asked = list(dict.fromkeys(row["asked"] for row in rows))
+def costs(rows: Sequence[Record]) -> Table:
+    """Delta-v by kind and probability."""
+    required = list(dict.fromkeys(row["asked"] for row in rows))
     cells = {(row["kind"], row["asked"]): row for row in rows}
     by_kind = [
-        (kind, *(_dv(cells[kind, p]) for p in asked if (kind, p) in cells))
+        (kind, *(_dv(cells[kind, p]) for p in required if (kind, p) in cells))
         for kind in dict.fromkeys(str(row["kind"]) for row in rows)
     ]
-    headings = [Column(f"{p:g}", form=".5f") for p in asked]
-    reached: dict[str, Column | str] = {
+    return Table.of("", ("delta-v (m/s) for", *(f"{p:g}" for p in required)), by_kind)
+
+
+def certifying(rows: Sequence[Record]) -> Table:
+    """What certifying costs beside a plan for the probability itself."""
+    columns: dict[str, Column | str] = {
         "kind": "plan",
-        "asked": Column("required", form="g"),
-        "node": Column("lowest node", form=".4f"),
-        "whole_flight": Column("whole flights", form=".4f"),
-        "observed_mean_s": Column("mean time observed", "s", ".0f"),
-    }
-    costs: dict[str, Column | str] = {
-        "kind": "plan",
-        "asked": Column("required", form="g"),
+        "asked": "required",
         "rounds": "rounds",
-        "certifying_dv_m_s": Column("delta-v", "m/s", "+.5f"),
-        "percent": Column("of it", "%", "+.2f"),
-        "processor_s": Column("processor", "s", ".1f"),
-        "alone_s": Column("by itself", "s", ".1f"),
+        "certifying_dv_m_s": Column("delta-v", "m/s", name="delta_v_m_s"),
+        "percent": Column("of it", "%", name="of_it"),
+        "processor_s": Column("processor", "s", name="processor_s"),
+        "alone_s": Column("by itself", "s", name="by_itself_s"),
     }
-    flown = [row for row in rows if row["status"] == Status.CONVERGED.value.name]
     certified = [row | _alone(row) for row in rows if row["kind"] in AIMED]
-    note = f"{flights} flights each, looked at every minute and at the nodes."
-    title = "Extra cost of certifying"
-    return [
-        Table.of("", ("delta-v (m/s) for", *headings), by_kind, key="costs"),
-        view("What flights reach", flown, reached, note),
-        *([view(title, certified, costs)] if certified else []),
-    ]
+    lines = [[row[key] for key in columns] for row in certified]
+    return Table.of("", [*columns.values()], lines)
 
 
 def _alone(row: Record) -> Record:
@@ -153,7 +144,13 @@ def run(session: Session) -> Findings:
     jobs = [Job(f"{kind} {p:g}", (kind, p)) for kind in KINDS for p in probabilities]
     store = session.store(flights=flights)
     rows = with_costs(session.rows("plans", partial(measure, flights), jobs, store, line=_line))
-    return Findings(report(rows, flights), {"frontier.csv": records(rows)})
+    return Findings(
+        {
+            "frontier.csv": records(rows),
+            "costs.csv": costs(rows),
+            "extra_cost_of_certifying.csv": certifying(rows),
+        }
+    )
 
 
 def _line(row: Record) -> str:
@@ -161,7 +158,6 @@ def _line(row: Record) -> str:
 
 
 STUDY = Study(
-    "What probability costs",
     __doc__,
     run,
     [

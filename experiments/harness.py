@@ -1,9 +1,9 @@
-"""Run a study: options, finished work, progress, tables, claims and the report.
+"""Run a study: options, finished work, progress, tables and claims.
 
 A study is a module with a `STUDY`, which `python -m experiments NAME` runs. Its `run` gets a
-`Session` and returns `Findings`: tables, which go to OUT as CSV, parts of a report in Markdown, and
-claims. A claim is a row of claim, threshold, measured value, and whether it holds. All tables of at
-most `ROWS_MAX` rows go into a file of evidence as well.
+`Session` and returns `Findings`: tables, which go to OUT as CSV, and claims. A claim is a row of claim,
+threshold, measured value, and whether it holds. All tables of at most `ROWS_MAX` rows go into a file of
+evidence as well, from which the pages' tables are rendered.
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ from __future__ import annotations
 import argparse
 import hashlib
 import json
-import re
 import shlex
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -50,7 +49,7 @@ from scp_recon.planning.plan import Plan
 from scp_recon.results.policy import policy_of
 from scp_recon.results.read import read_solution
 from scp_recon.results.solution import Solution, make_solution
-from scp_recon.results.table import Cell, Column, Table
+from scp_recon.results.table import Cell, Table
 from scp_recon.scenario.load import base_names, load_scenario, packaged
 
 Record = dict[str, Any]
@@ -119,31 +118,26 @@ STYLES = {True: "", False: "bad", None: "doubtful"}
 class Findings:
     """Results of a study.
 
-    The report consists of paragraphs, and tables with their titles as headings. `files` are written
-    as well, by name, tables as CSV; `status` is the command's exit status.
+    `files` are tables by the name of their CSV file; `status` is the command's exit status.
     """
 
-    report: Sequence[str | Table]
-    files: Mapping[str, Table | str]
+    files: Mapping[str, Table]
     claims: Sequence[Claim] = ()
     status: int = 0
 
 
 @dataclass(frozen=True)
 class Study:
-    """A study: the report's heading, the text of --help, and the function that does the work.
+    """A study: the text of --help, and the function that does the work.
 
-    `options` come besides --out, --json and --quiet. `folder` of `runs` and `stem` of the report are
-    the study's name by default.
+    `options` come besides --out, --json and --quiet. `folder` of `runs` is the study's name by default.
     Raise `version` when results change where no sentinel (`experiments.sentinels`) feels it.
     """
 
-    heading: str
     about: str | None
     run: Callable[[Session], Findings]
     options: Sequence[Option] = ()
     folder: str = ""
-    stem: str = ""
     version: int = 1
 
 
@@ -234,17 +228,15 @@ class Session:
         return [store[job.key] for job in jobs]
 
     def _evidence(self, found: Findings) -> Evidence:
-        tables, seconds = tables_of(found, self.name), perf_counter() - self._began
+        tables, seconds = tables_of(found), perf_counter() - self._began
         took = round(seconds, 1)
         return replace(self.evidence, seconds=took, resumed=self._resumed, tables=tables)
 
-    def end(self, study: Study, found: Findings) -> Answer:
+    def end(self, found: Findings) -> Answer:
         """Write the findings, and show the claims."""
-        files = {n: f.csv() if isinstance(f, Table) else f for n, f in found.files.items()}
-        if found.report:
-            files[f"{study.stem or self.name}.md"] = report(study.heading, found)
         self.out.mkdir(parents=True, exist_ok=True)
-        written = [write_atomically(self.out / name, text) for name, text in files.items()]
+        tables = found.files.items()
+        written = [write_atomically(self.out / name, table.csv()) for name, table in tables]
         written.append(self._evidence(found).write(self.out / FILE))
         for store, stays in self._stores:
             if not stays:
@@ -268,27 +260,11 @@ def packaged_entries() -> str:
     return hashlib.sha256(json.dumps(entries, sort_keys=True, default=str).encode()).hexdigest()
 
 
-def tables_of(found: Findings, name: str) -> dict[str, list[Record]]:
-    """Rows of every table by its name: of a file its stem, else its key or title."""
-    tables = {file.partition(".")[0]: t for file, t in found.files.items() if isinstance(t, Table)}
-    for part in found.report:
-        if isinstance(part, Table):
-            slug = re.sub(r"\W+", "_", part.title.lower()).strip("_")
-            tables.setdefault(part.key or slug or name, part)
+def tables_of(found: Findings) -> dict[str, list[Record]]:
+    """Rows of every table by the stem of its file, and the claims."""
+    tables = {file.partition(".")[0]: table for file, table in found.files.items()}
     tables |= {"claims": claims_table(found.claims)} if found.claims else {}
     return {key: table.records() for key, table in tables.items() if len(table.rows) <= ROWS_MAX}
-
-
-def report(heading: str, found: Findings) -> str:
-    """The report in Markdown: findings, then claims."""
-    parts = [f"# {heading}"]
-    for part in (*found.report, *([claims_table(found.claims)] if found.claims else [])):
-        if isinstance(part, Table):
-            title = [f"## {part.title}"] if part.title else []
-            parts += [*title, part.markdown(), *([part.note] if part.note else [])]
-        else:
-            parts.append(part)
-    return "\n\n".join(parts) + "\n"
 
 
 def plan_or_default(solution: Path | None) -> Solution:
@@ -325,18 +301,6 @@ def records(rows: Sequence[Record]) -> Table:
     return Table.of_records("", rows)
 
 
-def view(
-    title: str, rows: Sequence[Record], columns: Mapping[str, Column | str], note: str = ""
-) -> Table:
-    """A table for the report: some columns of a CSV file's rows, under other headings."""
-    words = {True: "yes", False: "no"}
-    lines = [
-        [words[row[key]] if isinstance(row[key], bool) else row[key] for key in columns]
-        for row in rows
-    ]
-    return Table.of(title, columns.values(), lines, note=note)
-
-
 def _without_output(words: Sequence[str]) -> Iterator[str]:
     """Arguments without the option for the output folder."""
     left = iter(words)
@@ -368,7 +332,7 @@ def run(prog: str, study: Study, arguments: Sequence[str]) -> int:
         session = Session(prog.split()[-1], options, options.out, console, begun)
         try:
             with session:
-                return session.end(study, study.run(session))
+                return session.end(study.run(session))
         except OSError as error:
             if error.filename is None:  # the terminal, or a pipe
                 raise

@@ -154,7 +154,7 @@ def run_sample(session: Session) -> Findings:
     rows = session.rows("sites", partial(sampled, sites), jobs, session.store(), line=_line)
     bands = {band: [one for one in rows if latitude(one) == band] for band in BANDS} | {"all": rows}
     sums = [{"of": band, **counted(own)} for band, own in bands.items() if own]
-    return Findings([], {"sample.csv": records(rows), "sample_latitudes.csv": records(sums)})
+    return Findings({"sample.csv": records(rows), "sample_latitudes.csv": records(sums)})
 
 
 def drawn_numbers(sites: Study) -> list[int]:
@@ -214,11 +214,10 @@ def run(session: Session) -> Findings:
                 session.options.pictures / f"{target}.png", drawn[source].to_image("png")
             )
     files = {"campaigns": totals} | files
-    return Findings([], {f"{name}.csv": records(rows) for name, rows in files.items()})
+    return Findings({f"{name}.csv": records(rows) for name, rows in files.items()})
 
 
 STUDY = Harnessed(
-    "Campaigns summed up",
     __doc__,
     run,
     [

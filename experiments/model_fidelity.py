@@ -27,7 +27,6 @@ from experiments.harness import (
     Study,
     plan_or_default,
     records,
-    view,
 )
 from formulations.arrays import Array
 from scp_recon.mission.mission import Mission
@@ -37,7 +36,6 @@ from scp_recon.physics.forces import SPEED_OF_LIGHT_M_S
 from scp_recon.physics.frames import unit
 from scp_recon.physics.harmonics import HarmonicField
 from scp_recon.results.solution import Solution, ballistic_arc
-from scp_recon.results.table import Column
 from scp_recon.scenario.load import load_scenario
 from scp_recon.simulation.guidance import FlightPlan
 from scp_recon.simulation.panels import irradiance
@@ -284,21 +282,6 @@ def compare(
     return rows, history, claims
 
 
-COLUMNS: dict[str, Column | str] = {
-    "effect": "effect",
-    "model": "model",
-    "terminal_m": Column("at the end", "m", ".3g"),
-    "window_max_m": Column("most in the window", "m", ".3g"),
-    "passes": "within the limit",
-}
-NOTE = (
-    "Distances from the truth: degree-8 field turning with the body, light on the vehicle's plates "
-    "in the commanded attitude (slews take no time), thrust from the firing time on. J2 is the "
-    "oblateness alone, degree 2 has the equator's ellipticity too. The paper's arc has one burn, "
-    "at departure; so has the ballistic arc, which stands for it."
-)
-
-
 def flights(vehicle: Vehicle, solution: Path | None) -> dict[str, FlightPlan]:
     """The departure burn alone, as the paper flies it, and a plan."""
     plan, mission = plan_or_default(solution), Mission.from_scenario(load_scenario())
@@ -315,9 +298,8 @@ def run(session: Session) -> Findings:
     with session.steps("flights", total) as done:
         found = {name: compare(name, plan, done) for name, plan in cases.items()}
     rows, history, claims = (list(itertools.chain(*of)) for of in zip(*found.values(), strict=True))
-    tables = [view(name.capitalize(), own, COLUMNS) for name, (own, *_) in found.items()]
     files = {"model_fidelity.csv": records(rows), "model_fidelity_history.csv": records(history)}
-    return Findings([*tables, NOTE], files, claims)
+    return Findings(files, claims)
 
 
-STUDY = Study("Model fidelity", __doc__, run, (PLAN, VEHICLE))
+STUDY = Study(__doc__, run, (PLAN, VEHICLE))

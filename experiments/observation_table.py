@@ -23,8 +23,6 @@ from experiments.observation_rows import Row, about, flown_states, rows, run_row
 from scp_recon.cli.options import int_between
 from scp_recon.jobs.job import Job
 from scp_recon.mission.mission import Mission
-from scp_recon.monte_carlo.estimates import CONFIDENCE
-from scp_recon.results.table import Column, Table
 from scp_recon.scenario.load import load_scenario
 
 STATEMENTS = ROOT / "docs" / "validation" / "statements.toml"
@@ -111,26 +109,6 @@ def agrees(row: Record, column: str, printed: float) -> bool:
     return bool(off < 0.5 or (end != "" and off <= TWO_RUNS * abs(end - row[column])))
 
 
-def observation_times(entries: Rows) -> Table:
-    """The table in the paper's layout."""
-    columns = (
-        Column("row"),
-        Column("window", "s", ".0f"),
-        Column("without uncertainty", "s", ".0f"),
-        Column("mean", "s", ".0f"),
-        Column("worst 1 sigma", "s", ".0f"),
-        Column("paper: mean", "s", ".0f"),
-        Column("paper: worst 1 sigma", "s", ".0f"),
-        Column("status"),
-    )
-    names = (
-        *("label", "window_s", "without_uncertainty_s", "mean_s", "worst_1_sigma_s"),
-        *("paper_mean_s", "paper_worst_1_sigma_s", "status"),
-    )
-    lines = [[row.get(name) for name in names] for row in entries if row["role"] != "variant"]
-    return Table.of("", columns, lines)
-
-
 def measure(out: Path, samples: int, check: bool, row: Row) -> Record:
     """A row of the table; a failure in one does not stop the others."""
     mission = Mission.from_scenario(load_scenario())
@@ -169,24 +147,16 @@ def run(session: Session) -> Findings:
         )
         for s in tested
     ]
-    note = (
-        f"{samples} flights a row with errors of the burns by component and the planner's dynamics. "
-        "Observation time is the time in the window during which site distance, emission and phase "
-        "are all within their limits, crossings bisected to 0.02 s. "
-        '"Worst 1 sigma" is reached by all but 15.9 % of the flights. '
-        f"Intervals in the CSV are of {100 * CONFIDENCE:.0f} %."
-    )
     files = {
         "observation_table.csv": records(entries),
         "statements.csv": records(tested),
         "numbers.csv": records(ours),
     }
     status = 0 if all("mean_s" in row for row in entries) else ROW_FAILED
-    return Findings([note, observation_times(entries)], files, claims, status)
+    return Findings(files, claims, status)
 
 
 STUDY = Study(
-    "Observation times",
     __doc__,
     run,
     (

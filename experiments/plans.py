@@ -181,7 +181,7 @@ def run(session: Session) -> Findings:
     if designs:
         jobs = [Job(name, name) for name in DESIGNS]
         rows = session.rows("designs", measure_design, jobs, store)
-        return Findings([], {"designs.csv": records(rows)})
+        return Findings({"designs.csv": records(rows)})
     rows = session.rows("plans", measure, [Job(name, name) for name in PLANS], store)
     jobs = [Job(f"printed {name}", name) for name in PRINTED]
     said = session.rows("commands", lambda name: printed(session.out, name), jobs, store)
@@ -192,11 +192,10 @@ def run(session: Session) -> Findings:
         if line.strip() and not ITERATION.match(line)
     ]
     files = {"plans.csv": rows, "commands.csv": said, "printed.csv": lines}
-    return Findings([], {name: records(found) for name, found in files.items()})
+    return Findings({name: records(found) for name, found in files.items()})
 
 
 STUDY = Study(
-    "Plans that the pages quote",
     __doc__,
     run,
     [option("--designs", action="store_true", help="passes from a home orbit instead")],

@@ -25,7 +25,7 @@ from scp_recon.physics import geometry
 
 def run(session: Session) -> Findings:
     """Compare, with kernels in OUT."""
-    return Findings([], {"spice.csv": records(measure(session.out / "kernels"))})
+    return Findings({"spice.csv": records(measure(session.out / "kernels"))})
 
 
 def measure(folder: Path) -> list[Record]:
@@ -81,4 +81,4 @@ def compared(spice: ModuleType, found: Export) -> list[Record]:
     ]
 
 
-STUDY = Study("Geometry by SPICE", __doc__, run)
+STUDY = Study(__doc__, run)

@@ -155,11 +155,10 @@ KINDS: Mapping[str, Callable[[Session], list[Record]]] = {
 def run(session: Session) -> Findings:
     """Measure one of them."""
     what = session.options.what
-    return Findings([], {f"{what}.csv": records(KINDS[what](session))})
+    return Findings({f"{what}.csv": records(KINDS[what](session))})
 
 
 STUDY = Study(
-    "What the tests reach",
     __doc__,
     run,
     [option("what", choices=tuple(KINDS), metavar="WHAT", help=f"one of {', '.join(KINDS)}")],

@@ -427,7 +427,7 @@ def run(session: Session) -> Findings:
         "feedback_errors.csv": records(errors),
         "feedback_programs.csv": records(programs),
     }
-    return Findings([], files, claims(rows, errors, programs))
+    return Findings(files, claims(rows, errors, programs))
 
 
 def _line(row: Record) -> str:
@@ -436,7 +436,6 @@ def _line(row: Record) -> str:
 
 
 STUDY = Study(
-    "What feedback is worth",
     __doc__,
     run,
     [option("--quick", action="store_true", help="few plans and flights, to see that it runs")],

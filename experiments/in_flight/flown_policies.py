@@ -169,11 +169,10 @@ def run(session: Session) -> Findings:
     ]
     rows = session.rows("flights", partial(fly_policy, plans, vehicle), jobs, store)
     files = {"flown_policies": by_policy(rows), "flown_policies_flights": rows}
-    return Findings([], {f"{name}.csv": records(found) for name, found in files.items()})
+    return Findings({f"{name}.csv": records(found) for name, found in files.items()})
 
 
 STUDY = Study(
-    "Policies as they are flown",
     __doc__,
     run,
     (

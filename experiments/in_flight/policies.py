@@ -81,7 +81,7 @@ def run(session: Session) -> Findings:
     jobs = [Job(repr(case), case) for case in CASES]
     store = session.store(flights=flights)
     rows = session.rows("cases", partial(measure, flights), jobs, store, line=_line)
-    return Findings([], {"policies.csv": records(rows)})
+    return Findings({"policies.csv": records(rows)})
 
 
 def _line(row: Record) -> str:
@@ -90,7 +90,6 @@ def _line(row: Record) -> str:
 
 
 STUDY = Study(
-    "Three policies",
     __doc__,
     run,
     [number("--flights", max(FLIGHTS.values()), 20, 10**6, "flights of a plan at most")],

@@ -177,7 +177,7 @@ def run(session: Session) -> Findings:
     rows = session.rows("navigation", work, jobs, store, line=_line)
     rows.sort(key=lambda one: (one["site"], one["position_m"], one["lead_h"]))
     short = [{name: one[name] for name in one if name not in ("burns", "gains")} for one in passes]
-    return Findings([], {"sites.csv": records(rows), "passes.csv": records(short)})
+    return Findings({"sites.csv": records(rows), "passes.csv": records(short)})
 
 
 def _line(row: Record) -> str:
@@ -185,4 +185,4 @@ def _line(row: Record) -> str:
     return f"{said}, at least {row['certified_low']:.4f} for {row['dv99_m_s']:.4f} m/s"
 
 
-STUDY = Study("Sites out of reach open loop", __doc__, run)
+STUDY = Study(__doc__, run)

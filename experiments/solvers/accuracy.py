@@ -154,7 +154,7 @@ def run(session: Session) -> Findings:
     order = [(name, method.name) for name, method in pairs]
     by_length = sorted([*before, *ends], key=lambda row: row["iterations"])
     found = judged(sorted(by_length, key=lambda row: order.index((row["problem"], row["method"]))))
-    return Findings([], {"accuracy.csv": records(found), "reached.csv": records(reached(found))})
+    return Findings({"accuracy.csv": records(found), "reached.csv": records(reached(found))})
 
 
-STUDY = Study("Accuracy over time", __doc__, run)
+STUDY = Study(__doc__, run)

@@ -420,11 +420,10 @@ def run(session: Session) -> Findings:
     tables = {name: Table.of_records("", own) for name, own in tables_of(rows).items()}
     files = {f"{name}.csv": table for name, table in tables.items()}
     every = Table.of_records("", rows.to_dict("records"))
-    return Findings([], {**files, "comparison.csv": every}, claims(rows))
+    return Findings({**files, "comparison.csv": every}, claims(rows))
 
 
 STUDY = Study(
-    "Comparison of solvers",
     __doc__,
     run,
     (
@@ -434,5 +433,4 @@ STUDY = Study(
         FRESH,
     ),
     folder="comparison",
-    stem="comparison",
 )

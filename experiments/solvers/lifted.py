@@ -115,7 +115,7 @@ def run(session: Session) -> Findings:
     cases = [(name, form) for name in CASES for form in FORMS]
     jobs = [Job(", ".join(case), case) for case in cases]
     rows = session.rows("cases", measure, jobs, session.store())
-    return Findings([], {"lifted.csv": records(rows)})
+    return Findings({"lifted.csv": records(rows)})
 
 
-STUDY = Study("Lifted and condensed", __doc__, run)
+STUDY = Study(__doc__, run)

@@ -2,7 +2,7 @@
 
 P2 of the default scenario is solved from SCP's P3 solution, with the facets chosen there: first with
 the tricks that lead from the program as the paper prints it to the tuned one, each added to those
-before; then with alternatives to one of them. The table goes to OUT/nlp_tricks.csv and .md.
+before; then with alternatives to one of them. The table goes to OUT/nlp_tricks.csv.
 """
 
 from __future__ import annotations
@@ -117,11 +117,11 @@ def run(session: Session) -> Findings:
     work = measuring(Mission.from_scenario(load_scenario()), chosen)
     jobs = [Job(name, name) for name in chosen]
     found = records(session.rows("tricks", work, jobs, session.store(), line=_line))
-    return Findings([found], {"nlp_tricks.csv": found})
+    return Findings({"nlp_tricks.csv": found})
 
 
 def _line(row: Record) -> str:
     return ", ".join(f"{column} {value}" for column, value in row.items())
 
 
-STUDY = Study("What each trick gains", __doc__, run)
+STUDY = Study(__doc__, run)

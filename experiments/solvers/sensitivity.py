@@ -125,7 +125,7 @@ def run(session: Session) -> Findings:
     cases = [(problem, *rest) for *rest, problem in product(VARIED, FACTORS, MULTIPLES, PROBLEMS)]
     jobs = [Job(", ".join(map(str, case)), case) for case in cases]
     rows = compared(session.rows("plans", measure, jobs, session.store()))
-    return Findings([], {"sensitivity.csv": records(rows), "by_value.csv": records(by_value(rows))})
+    return Findings({"sensitivity.csv": records(rows), "by_value.csv": records(by_value(rows))})
 
 
-STUDY = Study("Sensitivity to the loop's parameters", __doc__, run)
+STUDY = Study(__doc__, run)

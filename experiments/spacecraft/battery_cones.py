@@ -2,7 +2,7 @@
 
 Random positions on a sphere about the asteroid, the bottom face to nadir, the best rotation about it.
 Generation falls below a mode's load in two opposite cones about the Sun line; their half-angles, with
-and without calibration, go to OUT/battery_cones.csv and .md, the samples to battery_cones_samples.csv.
+and without calibration, go to OUT/battery_cones.csv, the samples to battery_cones_samples.csv.
 """
 
 from __future__ import annotations
@@ -23,11 +23,10 @@ from experiments.harness import (
     Study,
     number,
     records,
-    view,
 )
 from formulations.arrays import Array
 from scp_recon.monte_carlo.estimates import proportion
-from scp_recon.results.table import Column, Table
+from scp_recon.results.table import Table
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scenario.schema import Scenario
 from scp_recon.simulation.panels import SolarArray, irradiance
@@ -132,31 +131,6 @@ def mode_loads(vehicle: Vehicle, scenario: Scenario) -> tuple[Load, Load]:
     )
 
 
-def table(cones: Sequence[Record], samples: Samples, extra_w: float) -> Table:
-    """The table of cones for the report."""
-    columns: dict[str, Column | str] = {
-        "mode": "mode",
-        "load_w": Column("load", "W", ".0f"),
-        "housekeeping": "housekeeping taken off",
-        "half_angle_deg": Column("half-angle", "deg", ".2f"),
-        "between": Column("between the samples at", "deg"),
-        "paper_deg": Column("paper", "deg", ".1f"),
-        "difference_deg": Column("difference", "deg", "+.2f"),
-        "share": Column("share of positions below", "%"),
-    }
-    rows = []
-    for cone in cones:
-        ends = (cone[f"sampled_{end}_deg"] for end in ("below_up_to", "met_from"))
-        value, low, high = (100.0 * cone[f"sampled_fraction{end}"] for end in ("", "_low", "_high"))
-        words = {
-            "housekeeping": f"{extra_w:g} W" if cone["calibrated"] else "none",
-            "between": ", ".join(f"{end:.2f}" for end in ends),
-            "share": f"{value:.2f} ({low:.2f} to {high:.2f})",
-        }
-        rows.append(cone | words)
-    return view("", rows, columns, f"{len(samples.power_w)} positions, 95 % intervals.")
-
-
 def claims(cones: Sequence[Record], extra_w: float) -> list[Claim]:
     """Claims that half-angles agree with the paper's, and that the planner's are wide enough."""
     found = []
@@ -183,22 +157,14 @@ def run(session: Session) -> Findings:
     extra_w = vehicle.loads.housekeeping_w
     cones = find_cones(panels, samples, mode_loads(vehicle, scenario), extra_w)
     points = np.column_stack([samples.direction, samples.power_w]).tolist()
-    return Findings(
-        [
-            table(cones, samples, extra_w),
-            "The housekeeping is one number chosen to meet the paper's two; only the uncalibrated "
-            "angles are a prediction.",
-        ],
-        {
-            "battery_cones.csv": records(cones),
-            "battery_cones_samples.csv": Table.of("", ("x", "y", "z", "power_w"), points),
-        },
-        claims(cones, extra_w),
-    )
+    files = {
+        "battery_cones.csv": records(cones),
+        "battery_cones_samples.csv": Table.of("", ("x", "y", "z", "power_w"), points),
+    }
+    return Findings(files, claims(cones, extra_w))
 
 
 STUDY = Study(
-    "Battery cones",
     __doc__,
     run,
     (number("--samples", SAMPLES, 100, 10_000_000, "positions"), SEED, VEHICLE),

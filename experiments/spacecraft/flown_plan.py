@@ -1,8 +1,8 @@
 """Check whether the spacecraft can fly a plan.
 
-The plan is simulated with every source of error, once for each seed. OUT/flown_plan.csv, with a row
-for each seed, and .md have charge, modes, pointing and the flown path against the planned
-covariance; the flights themselves to OUT/seed_N/simulation.npz. Existing flights of the same plan
+The plan is simulated with every source of error, once for each seed. OUT/flown_plan.csv has a row
+for each seed, the other tables charge, pointing and the flown path against the planned covariance;
+the flights themselves go to OUT/seed_N/simulation.npz. Existing flights of the same plan
 and vehicle are kept.
 """
 
@@ -35,7 +35,7 @@ from scp_recon.mission.mission import Mission
 from scp_recon.mission.scene import execution_errors
 from scp_recon.monte_carlo.estimates import proportion
 from scp_recon.results.solution import Solution
-from scp_recon.results.table import Column, Table, Value
+from scp_recon.results.table import Table, Value
 from scp_recon.simulation.flight import Actuators, distance_in_sigmas
 from scp_recon.simulation.record import (
     FlightSummary,
@@ -95,10 +95,10 @@ def row(record: Record) -> Row:
     }
 
 
-def report(
+def summed_up(
     flights: Sequence[Record], mission: Mission, sampled: Sequence[Array]
-) -> list[str | Table]:
-    """Tables of all flights together.
+) -> dict[str, Table]:
+    """Tables of all flights together by the names of their files.
 
     `sampled` has distances in sigmas without a spacecraft, with the vehicle's and with the planner's
     error of the burns, shape (samples, nodes) each.
@@ -128,46 +128,15 @@ def report(
         "most, m": max(misses),
         "largest distance, sigma": float(distances.max()),
     }
-    return [
-        Table.of("Figures", ("figure", "value"), list(figures.items())),
-        Table.of(
-            "Modes",
-            (
-                "mode",
-                Column("shortest", "s", ".0f"),
-                Column("at least", "s", ".0f"),
-                "holds",
-                Column("steady after, worst", "s", ".0f"),
-                "in time",
-            ),
-            _mode_lines(summaries),
+    angles = ("mean", "95 %", "99.7 %", "largest")
+    within = ("within 3 sigma", "share", "95 % interval", "error of thrust", "planner's error")
+    return {
+        "figures.csv": Table.of("", ("figure", "value"), list(figures.items())),
+        "pointing.csv": Table.of("", ("angle, deg", *angles), _angle_lines(summaries)),
+        "position_against_the_planned_covariance.csv": Table.of(
+            "", within, _within_lines([distances, *sampled], mission)
         ),
-        Table.of(
-            "Pointing",
-            (
-                "angle, deg",
-                *(Column(heading, form=".3f") for heading in ("mean", "95 %", "99.7 %", "largest")),
-            ),
-            _angle_lines(summaries),
-            note="Burns of all flights together; of the camera, the mean and the quantiles of the "
-            "worst flight.",
-        ),
-        Table.of(
-            "Position against the planned covariance",
-            (
-                "within 3 sigma",
-                "share",
-                "95 % interval",
-                Column("error of thrust", form=".3f"),
-                Column("planner's error", form=".3f"),
-            ),
-            _within_lines([distances, *sampled], mission),
-            note=f"A normal position lies within {RADIUS_SIGMA:g} sigma with probability "
-            f"{EXPECTED:.3f}. The largest distance is {distances.max():.2f} sigma. The last two "
-            f"columns are {len(sampled[0])} samples of the planner's dynamics: with the vehicle's "
-            "error of thrust and with the planner's own error of each component.",
-        ),
-    ]
+    }
 
 
 def claims(summaries: Sequence[FlightSummary]) -> list[Claim]:
@@ -205,24 +174,6 @@ def _within_lines(distances: Sequence[Array], mission: Mission) -> list[tuple[Va
 
 def _mean(inside: Booleans) -> float:
     return float(np.mean(inside))
-
-
-def _mode_lines(summaries: Sequence[FlightSummary]) -> list[tuple[Value, ...]]:
-    lines: list[tuple[Value, ...]] = []
-    for legs in zip(*(summary.legs for summary in summaries), strict=True):
-        shortest = min(leg.duration_s for leg in legs)
-        holds = "yes" if all(leg.ok for leg in legs) else "no"
-        settled = [np.inf if leg.settled_s is None else leg.settled_s for leg in legs]
-        in_time = sum(leg.settled_in_time for leg in legs)
-        row = (
-            shortest,
-            legs[0].required_s,
-            holds,
-            max(settled),
-            f"{in_time} of {len(legs)}",
-        )
-        lines.append((f"{legs[0].mode}, from {legs[0].start_s:.0f} s", *row))
-    return lines
 
 
 def _angle_lines(summaries: Sequence[FlightSummary]) -> list[tuple[Value, ...]]:
@@ -288,15 +239,13 @@ def run(session: Session) -> Findings:
     rows = session.rows("flights", work, jobs, store)
     flights = [read_record(folder_of(out, seed)) for seed in range(options.seeds)]
     sampled = [sample_distances(solution, errs, SAMPLES) for errs in (vehicle, None)]
+    tables = summed_up(flights, solution.mission, sampled)
     return Findings(
-        report(flights, solution.mission, sampled),
-        {"flown_plan.csv": records(rows)},
-        claims([flight.summary for flight in flights]),
+        {"flown_plan.csv": records(rows), **tables}, claims([flight.summary for flight in flights])
     )
 
 
 STUDY = Study(
-    "A plan as it is flown",
     __doc__,
     run,
     (

@@ -2,7 +2,7 @@
 
 The rules are for a slew to steady state, for heating the thruster and for a recharge from empty. Half
 turns about many axes with noisy sensors and actuators and spinning wheels, and a recharge in
-sun-pointing mode, are simulated; the durations go to OUT/timing_rules.csv and .md, the slews to
+sun-pointing mode, are simulated; the durations go to OUT/timing_rules.csv, the slews to
 timing_rules_slews.csv.
 """
 
@@ -32,7 +32,7 @@ from scp_recon.mission.mission import Mission
 from scp_recon.mission.schedule import Leg, Mode
 from scp_recon.physics import geometry
 from scp_recon.physics.frames import unit
-from scp_recon.results.table import Column, Table
+from scp_recon.results.table import Table
 from scp_recon.scenario.load import load_scenario
 from scp_recon.simulation.flight import Flight, attitude_error, settling_time, state_of_charge
 from scp_recon.simulation.guidance import FlightPlan, sun_pointing
@@ -163,29 +163,15 @@ def dark_charge(vehicle: Vehicle) -> float:
     return 1.0 - drawn / battery.efficiency / (battery.count * battery.capacity_wh)
 
 
-def report(slews: Sequence[Record], vehicle: Vehicle) -> list[str | Table]:
-    """The report: settling of the half turns, and the charge after a warm-up in the dark."""
-    times = {limit: [slew[column] for slew in slews] for limit, column in SETTLED.items()}
-    settling = [
-        (f"{limit:g} deg", float(np.median(own)) / 60.0, max(own) / 60.0)
-        for limit, own in times.items()
-    ]
-    columns = (
-        "error stays below",
-        Column("median", "min", ".1f"),
-        Column("worst", "min", ".1f"),
-    )
+def figures(slews: Sequence[Record], vehicle: Vehicle) -> Table:
+    """The steady error of the half turns, and the charge after a warm-up in the dark."""
     steady = max(slew["steady_rms_deg"] for slew in slews)
-    figures = {
+    found = {
         "error in steady state, largest root mean square, deg": steady,
         "charge after a warm-up that no panel helps": dark_charge(vehicle),
         "floor of the charge": vehicle.battery.floor_charge,
     }
-    return [
-        f"Of {vehicle.name}.",
-        Table.of("Half turns", columns, settling),
-        Table.of("Figures", ("figure", "value"), list(figures.items())),
-    ]
+    return Table.of("", ("figure", "value"), list(found.items()))
 
 
 def claim(rule: Record) -> Claim:
@@ -206,18 +192,15 @@ def run(session: Session) -> Findings:
         measure_recharge(mission, vehicle, options.seed, vehicle.loads.attitude_control_w),
     )
     found = rules(mission, vehicle, slews, recharges)
-    return Findings(
-        report(slews, vehicle),
-        {
-            "timing_rules.csv": records(found),
-            "timing_rules_slews.csv": records(slews),
-        },
-        [claim(rule) for rule in found],
-    )
+    files = {
+        "timing_rules.csv": records(found),
+        "timing_rules_slews.csv": records(slews),
+        "figures.csv": figures(slews, vehicle),
+    }
+    return Findings(files, [claim(rule) for rule in found])
 
 
 STUDY = Study(
-    "The schedule's durations",
     __doc__,
     run,
     (number("--slews", SLEWS, 3, 10_000, "half turns"), SEED, VEHICLE),

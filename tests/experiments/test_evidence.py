@@ -168,7 +168,7 @@ from experiments.sentinels import sentinels_of
 
 (one,) = sentinels_of("battery_cones")
 moved = one.moved(one.work(None))
-print(study_of("battery_cones").heading, changes("battery_cones") + moved)
+print(study_of("battery_cones").about[:6], changes("battery_cones") + moved)
 """
 
 
@@ -177,7 +177,7 @@ def test_an_edited_message_leaves_evidence_current(tmp_path):
         shutil.copytree(ROOT / wing, tmp_path / wing)
     shutil.copytree(FOLDER, tmp_path / "docs" / "evidence")
     path = tmp_path / "experiments" / "spacecraft" / "battery_cones.py"
-    path.write_text(path.read_text("utf-8").replace('"Battery cones"', '"Edited"'), "utf-8")
+    path.write_text(path.read_text("utf-8").replace('"""Find the', '"""Edited'), "utf-8")
     command = [sys.executable, "-c", EDITED]
     done = subprocess.run(command, check=True, capture_output=True, text=True, cwd=tmp_path)
     assert done.stdout == "Edited []\n"

@@ -27,19 +27,19 @@ def test_a_study_leaves_tables_and_origin(tmp_path):
             "rows", lambda x: {"x": x}, [Job(1, 1.5)], session.store("kept.jsonl")
         )
         long = Table.of("long", ("i",), [(i,) for i in range(1000)])
-        return Findings([long], {"rows.csv": Table.of_records("", rows)})
+        return Findings({"rows.csv": Table.of_records("", rows), "long.csv": long})
 
     found = []
     for _ in range(2):
         words = ["--out", str(tmp_path), "--quiet"]
-        assert run("python -m experiments some", Study("", "", study), words) == 0
+        assert run("python -m experiments some", Study("", study), words) == 0
         found.append(Evidence.read(tmp_path / FILE))
     assert found[0].tables == {"rows": [{"x": 1.5}]}
     assert [one.resumed for one in found] == [False, True]
     (tmp_path / "map").mkdir()
     (tmp_path / "map" / "campaign.json").write_text("{}")
     words = ["--out", str(tmp_path), "--quiet"]
-    none = Study("", "", lambda _: Findings([], {}))
+    none = Study("", lambda _: Findings({}))
     assert run("python -m experiments some", none, words) == 0
     assert Evidence.read(tmp_path / FILE).resumed
     assert found[0].command == "experiments some"
@@ -109,7 +109,7 @@ def test_rows_go_once_the_tables_have_it(tmp_path):
     with session_in(tmp_path) as session:
         for file in ("", "stays.jsonl"):
             session.store(file).put(0, {})
-        session.end(Study("", "", lambda _: Findings([], {})), Findings([], {}))
+        session.end(Findings({}))
     kept = [path.name for path in tmp_path.iterdir() if not path.name.startswith(".")]
     assert sorted(kept) == ["evidence.json", "stays.jsonl"]
 
@@ -118,7 +118,7 @@ def test_what_was_kept_goes_once_the_tables_have_it(tmp_path):
     with session_in(tmp_path) as session:
         for file in ("", "stays.jsonl"):
             session.store(file).put(0, {})
-        session.end(Study("", "", lambda _: Findings([], {})), Findings([], {}))
+        session.end(Findings({}))
     kept = [path.name for path in tmp_path.iterdir() if not path.name.startswith(".")]
     assert sorted(kept) == ["evidence.json", "stays.jsonl"]
 

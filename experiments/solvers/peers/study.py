@@ -263,7 +263,7 @@ def run(session: Session) -> Findings:
     once = [row for row in rows if row.get("seed") is None]
     bent = [row for row in rows if row.get("seed") is not None]
     tables = methods(once), guesses(bent)
-    return Findings(tables, {f"{table.key}.csv": table for table in tables})
+    return Findings({f"{table.key}.csv": table for table in tables})
 
 
 def methods(rows: Sequence[Record]) -> Table:
@@ -306,4 +306,4 @@ def _line(row: Record) -> str:
     return f"{row['problem']}, {row['method']}{at}: {row['status']} at {row['cost']:.7f}"
 
 
-STUDY = Study("Peers", __doc__, run)
+STUDY = Study(__doc__, run)

@@ -3,8 +3,8 @@
 Each source of the vehicle's errors is flown alone, and all together. Sources that act on the path
 directly are flown many times in the planner's dynamics. Sources that act through the attitude, and
 all sources together, are flown a few times each in the simulation of the whole spacecraft (extra
-[sim]). How far flights end from the one without errors goes to OUT/uncertainty_sources.csv and .md,
-and their quantiles to uncertainty_quantiles.csv. Simulated flights are taken up again.
+[sim]). How far flights end from the one without errors goes to OUT/uncertainty_sources.csv, and
+their quantiles to uncertainty_quantiles.csv. Simulated flights are taken up again.
 """
 
 from __future__ import annotations
@@ -28,11 +28,9 @@ from experiments.harness import (
     number,
     plan_or_default,
     records,
-    view,
 )
 from experiments.spacecraft.uncertainty_sources import flights
 from experiments.spacecraft.uncertainty_sources.flights import (
-    ATTITUDE,
     CHEMICAL,
     INITIAL,
     NO_ERRORS,
@@ -49,7 +47,7 @@ from scp_recon.jobs.job import Job, here
 from scp_recon.jobs.processes import Processes
 from scp_recon.monte_carlo.estimates import Estimate
 from scp_recon.results.solution import Solution
-from scp_recon.results.table import Column, Table
+from scp_recon.results.table import Table
 from scp_recon.simulation.record import inputs_digest
 from scp_recon.simulation.vehicle import Errors, Vehicle, load_vehicle
 
@@ -185,58 +183,6 @@ def quantiles(entries: Sequence[Measured]) -> list[Record]:
     ]
 
 
-def report(entries: Sequence[Measured], errors: Errors, solution: Solution) -> list[str | Table]:
-    """Dispersion by each set of sources, its normality, and the sources from the largest on."""
-    found = {entry.error_sources: entry for entry in entries}
-    columns: dict[str, Column | str] = {
-        "label": "source",
-        "sigma": "1 sigma",
-        "flown_by": "flown by",
-        "flights": "flights",
-        "rms": Column("rms distance at the end", "m"),
-        "mean_off_plan_m": Column("mean off the plan", "m", ".2f"),
-        "attitude_error_deg": Column("attitude error at the end", "deg", ".4f"),
-    }
-    normal = [
-        (
-            NAMES[e.error_sources],
-            *(f"{n.p_value:.2g}, {n.correlation:.4f}" for n in e.normality.values()),
-        )
-        for e in entries
-        if e.normality
-    ]
-    alone = {e: found[e].rms.value for e in (*ATTITUDE, *TRANSLATION) if e in found}
-    ranked = [(NAMES[name], alone[name]) for name in sorted(alone, key=lambda e: -alone[e])]
-    u, model = solution.scenario.uncertainty, "its scenario's uncertainty"
-    if u.initial_sigma_fraction is not None and u.execution_error is not None:
-        initial, burns = 100 * u.initial_sigma_fraction, 100 * u.execution_error
-        model = f"{initial:g} % and {burns:g} % of each component"
-    planned = np.sqrt(np.trace(np.array(solution.nodes.covariance[-1])[:3, :3]))
-    return [
-        view(
-            "",
-            [row(entry, errors) | {"rms": _shown(entry.rms)} for entry in entries],
-            columns,
-            "Root mean square distance of the final positions from that of the flight without "
-            "errors, with 95 % intervals. Errors of the path are flown in the planner's dynamics; "
-            "what acts by way of the attitude needs the whole spacecraft, of which there are few "
-            "flights, hence the wide intervals. The attitude error is the largest when the last burn "
-            "begins.",
-        ),
-        Table.of(
-            "Normality of the final position",
-            ("source", *(Column(f"{axis}: p-value, correlation") for axis in AXES)),
-            normal,
-            note="Shapiro and Wilk's test (of at most 5000 flights; so many reject small departures "
-            "too) and the correlation of the quantiles with a normal variable's, 1 on a straight "
-            "line; J2000.",
-        ),
-        Table.of("Alone, from the largest", ("source", Column("rms distance", "m", ".3g")), ranked),
-        f"The plan's covariance, with {model}, gives {planned:.0f} m; the vehicle's "
-        f"errors give {found[BOTH].rms.value:.0f} m.",
-    ]
-
-
 def _shown(e: Estimate) -> str:
     return f"{e.value:.3g} ({e.low:.3g} to {e.high:.3g})"
 
@@ -301,17 +247,16 @@ def run(session: Session) -> Findings:
     found = measure_flights(flown, solution)
     found |= measure_paths(solution, vehicle, options.paths, options.seed)
     entries = [found[error_sources] for error_sources in SOURCES if error_sources in found]
-    files: dict[str, Table | str] = {
+    files: dict[str, Table] = {
         "uncertainty_sources.csv": records([row(e, vehicle.errors) for e in entries]),
         "uncertainty_quantiles.csv": records(quantiles(entries)),
     }
     if flown:
         files["uncertainty_flights.csv"] = records(flown)
-    return Findings(report(entries, vehicle.errors, solution), files, claims(entries))
+    return Findings(files, claims(entries))
 
 
 STUDY = Study(
-    "Sources of uncertainty",
     __doc__,
     run,
     (

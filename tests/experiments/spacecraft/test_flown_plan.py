@@ -57,7 +57,9 @@ def test_the_table_is_what_the_flight_says(flown):
     assert float(row["least_charge"]) == record.summary.least_charge > 0.3
     assert float(row["camera_max_deg"]) == record.summary.window_pointing_deg.camera.q100
     assert float(row["terminal_sigma"]) == record.arrays["node_sigma_distance"][-1]
-    assert "| positions at all nodes |" in (out / "flown_plan.md").read_text("utf-8")
+    assert "positions at all nodes" in (
+        out / "position_against_the_planned_covariance.csv"
+    ).read_text("utf-8")
 
 
 @nightly

@@ -74,7 +74,6 @@ def test_the_command_measures_every_set(solution, tmp_path, monkeypatch):
         written = list(csv.DictReader(file))
     assert len(written) == 61
     assert set(STATE) <= set(written[0])
-    assert "## Alone, from the largest" in (out / "uncertainty_sources.md").read_text("utf-8")
 
 
 def test_paths_spread_as_the_linearised_flight_does(solution, vehicle):
