@@ -88,8 +88,9 @@ def check_writable(folder: Path, name: str, entry: str) -> None:
 
 def unwritable(folder: Path, entry: str, error: OSError) -> InputError:
     """Error for a folder that cannot be written."""
-    same = isinstance(error, IsADirectoryError)
-    reason = "a folder has the name of the file" if same else reason_of(error)
+    reason = reason_of(error)
+    if isinstance(error, IsADirectoryError) and error.filename:
+        reason = f"{Path(error.filename).name} is a folder"
     return InputError(entry, f"{folder} ({reason})", "must be a folder to write to")
 
 

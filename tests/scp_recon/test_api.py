@@ -401,7 +401,7 @@ def test_a_campaign_gives_a_table_and_figures(tmp_path):
     assert list(table["verdict"]) == ["verified"] * 2
     assert table["total_dv_m_s"][0] == pytest.approx(0.140135, abs=1e-6)
     assert table["total_dv_m_s"][1] > table["total_dv_m_s"][0]
-    assert list(figures) == ["curves"]
+    assert list(figures) == ["dv99_m_s", "probability"]
     again, _ = sr.campaign(study, tmp_path, workers=0)
     assert again.equals(table)
     assert sr.read_campaign(str(tmp_path)).equals(table)
