@@ -166,7 +166,9 @@ class Evidence:
         name = path.name
         try:
             values = json.loads(path.read_text("utf-8"))
-        except ValueError as error:
+        except FileNotFoundError:
+            raise
+        except (OSError, ValueError, RecursionError) as error:
             raise InputError(name, f"no JSON ({error})", "must be a file of evidence") from None
         if not isinstance(values, dict) or values.pop("schema", None) != SCHEMA:
             raise InputError(f"{name}: schema", "another", f"must be {SCHEMA}")
@@ -175,8 +177,15 @@ class Evidence:
             if entry not in kinds or entry not in values:
                 given = "an unknown entry" if entry in values else "nothing"
                 raise InputError(f"{name}: {entry}", given, f"must have {', '.join(kinds)}")
-        if not isinstance(values["version"], int):
-            raise InputError(f"{name}: version", shortened(values["version"]), "must be a number")
+        texts = ("command", "commit", "date", "machine")
+        of_kind = {
+            **{entry: isinstance(values[entry], str) for entry in texts},
+            "version": type(values["version"]) is int,
+            "seconds": type(values["seconds"]) in (int, float),
+            "resumed": isinstance(values["resumed"], bool),
+        }
+        for entry in (entry for entry, right in of_kind.items() if not right):
+            raise InputError(f"{name}: {entry}", shortened(values[entry]), "must be of its kind")
         tables = values["tables"]
         if not isinstance(tables, dict):
             raise InputError(f"{name}: tables", shortened(tables), "must be tables by name")

@@ -38,7 +38,7 @@ BLOCK = re.compile(r"^<!-- table (\S+) -->\n(.*?)^<!-- end -->$", re.DOTALL | re
 COLUMN = re.compile(r"(?:(.+) = )?([^*:]+)(?:\*([^:]+))?(?::(.+))?")
 VALUE = re.compile(
     r"(.+?\]\.[^]/*]+?)(?: / (.+?\]\.[^]/*]+?))?"
-    r"(?: \* ([\d.]+(?:e-?\d+)?))?(?: \+- ([\d.]+(?:e-?\d+)?))?"
+    r"(?: \* (\d+(?:\.\d+)?(?:e-?\d+)?))?(?: \+- (\d+(?:\.\d+)?(?:e-?\d+)?))?"
 )
 FIELD = re.compile(r"(\w+)(?:\.(\w+))?\[([^\]]*)\]\.(.+)")
 NUMBER = re.compile(r"(?<![\w.])[-+]?\d+(?:,\d{3})*(?:\.\d+)?(?:e[-+]?\d+)?")
@@ -94,12 +94,18 @@ def table(name: str) -> Table:
     spec = known[one_of(f"{TABLES.name}: {evidence}", key, known)]
     rows = _matching(_table(evidence, spec.get("of", key)), spec.get("where", ""), name)
     if not rows:
-        raise InputError(f"{TABLES.name}: {name}", "no row", f"{spec['where']} must be met by one")
+        allowed = f"must be met by one: {spec.get('where', '')}"
+        raise InputError(f"{TABLES.name}: {name}", "no row", allowed)
     columns, cells = list[Column](), list[list[Value]]()
-    for part in " ".join(spec["columns"].split()).split(" | "):
+    for part in " ".join(str(spec.get("columns", "")).split()).split(" | "):
         heading, column, factor, form = COLUMN.fullmatch(part).groups()  # type: ignore[union-attr]  # matches all
         columns.append(Column(heading or column, form=form or ".6g"))
-        scale = float(factor or 1.0) if factor or form else None
+        try:
+            scale = float(factor) if factor else None
+            format(1.0, form or ".6g")
+        except ValueError:
+            allowed = "must be COLUMN, COLUMN*FACTOR or COLUMN:FORMAT"
+            raise InputError(f"{TABLES.name}: {name}", part, allowed) from None
         values = (row[one_of(f"{TABLES.name}: {name}", column, row)] for row in rows)
         cells.append([_scaled(value, scale) for value in values])
     return Table.of("", columns, zip(*cells, strict=True))
@@ -170,17 +176,22 @@ def _cell(field: str) -> Any:
 
 
 def _scaled(value: Any, scale: float | None) -> Value:
-    """A cell of a table; figures are multiplied if the column has a factor or a format."""
+    """A cell of a table; figures are multiplied if the column has a factor."""
     if isinstance(value, bool):
         return "yes" if value else "no"
     return value * scale if scale and isinstance(value, int | float) else value
 
 
-def _read(path: Path) -> dict[str, Any]:
+def _read(path: Path) -> dict[str, dict[str, Any]]:
+    """The tables of a file of TOML."""
     try:
-        return tomllib.loads(path.read_text("utf-8"))
-    except tomllib.TOMLDecodeError as error:
+        found = tomllib.loads(path.read_text("utf-8"))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise InputError(path.name, str(error), "must be TOML, with each key once") from None
+    for key, value in found.items():
+        if not isinstance(value, dict):
+            raise InputError(f"{path.name}: {key}", repr(value), "must be a table")
+    return found
 
 
 @cache

@@ -71,9 +71,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             behind = pages.behind()
             for page in behind:
                 show_line(console, f"{page.name}: its tables are not the evidence's")
-            for claim in (wrong := [*pages.wrong_claims()]):
-                show_line(console, claim)
-            return OUT_OF_DATE if stale or behind or wrong else 0
+            return OUT_OF_DATE if _show_wrong_claims(console) or stale or behind else 0
         if stale:
             console.print(terminal(plan_of(list(stale))))
         failed = []
@@ -86,7 +84,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 show_line(console, f"{name}: {error}", "red")
         if failed:
             raise InputError(", ".join(failed), "not renewed", "must be, as said above")
-        return 0
+        return OUT_OF_DATE if _show_wrong_claims(console) else 0
 
     return run_command(action, options)
 
@@ -95,7 +93,7 @@ def _names(page: str | None) -> list[str]:
     """Evidence of a page, or all."""
     if page is None:
         return list(SOURCES)
-    found = [path for path in pages.PAGES if path.is_relative_to(ROOT / page)]
+    found = [path for path in pages.PAGES if path == ROOT / page]
     if not found:
         raise InputError("--page", page, "must be README.md or a page of docs, from the project on")
     return pages.used(found[0].read_text("utf-8"))
@@ -152,7 +150,7 @@ def changes(name: str) -> list[str]:
     if SOURCES[name].dated:
         return []
     version, command = study_of(name).version, SOURCES[name].command
-    found = [f"version {kept.version}, now {version}"] if kept.version < version else []
+    found = [f"version {kept.version}, now {version}"] if kept.version != version else []
     return found + ([f"made by {kept.command}"] if kept.command != command else [])
 
 
@@ -204,3 +202,11 @@ def _run(command: str, console: Console) -> None:
 def _write_pages(console: Console) -> None:
     for page, text in pages.behind().items():
         show_written(console, write_atomically(page, text))
+
+
+def _show_wrong_claims(console: Console) -> bool:
+    """Show figures in the text that are not the evidence's; whether there are any."""
+    wrong = [*pages.wrong_claims()]
+    for line in wrong:
+        show_line(console, line)
+    return bool(wrong)

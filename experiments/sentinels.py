@@ -95,7 +95,9 @@ class Sentinel(NamedTuple):
                 raise InputError(said, f"{len(rows)} rows", "must be one row")
             for column, tolerance in self.within.items():
                 within, was = max(tolerance, at_least) if tolerance else 0.0, rows[0].get(column)
-                if not near(was, new[column], within):
+                if column not in new:
+                    found.append(f"{said}.{column}: no such column any more")
+                elif not near(was, new[column], within):
                     allowed = f"within {within:g}" if within else "equal"
                     found.append(f"{said}.{column}: was {was}, is {new[column]}, not {allowed}")
         return found
@@ -279,7 +281,8 @@ OWN = (
         exact_row, [0, 3], range(NUMBER)),
     Sentinel("nlp_tricks", "trick",
         {"status": EQUAL, "delta-v m/s": 2e-5, "unknowns": EQUAL, "rows": EQUAL},
-        trick_row, ["+ derivatives arc by arc = tuned", "single shooting, exact Hessians"]),
+        trick_row, ["+ derivatives arc by arc = tuned", "single shooting, exact Hessians"],
+        [*nlp_tricks.tricks()]),
     Sentinel("peers.methods", "problem, method", {"status": EQUAL, "cost": 1e-5},
         peers_row, [peers.HALO, peers.P3]),
     Sentinel("spice", "what", {"off": 1e-4}, partial(in_folder, spice_rows), [None]),

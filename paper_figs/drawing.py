@@ -16,7 +16,7 @@ from matplotlib.transforms import Bbox
 from scipy.special import ndtri
 
 from formulations.arrays import Array
-from scp_recon.files import unwritable, write_atomically
+from scp_recon.files import check_ending, unwritable, write_atomically
 from scp_recon.results import pictures
 from scp_recon.results.pictures import WIDTH_IN
 
@@ -182,7 +182,7 @@ def save(
     Raises:
         InputError: if the ending is no picture format, or the file cannot be written.
     """
-    pictures.check_ending("" if path.is_dir() else path.suffix, f"file {path}", "no picture's name")
+    check_ending(path, "file", *pictures.endings())
     with style.context(STYLE):
         return write(path, pictures.picture(figure, path.suffix, plan_hash=plan_hash, dpi=dpi))
 

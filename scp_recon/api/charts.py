@@ -10,12 +10,11 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from scp_recon.errors import option
 from scp_recon.mission.survey import LitWindow, Survey
 from scp_recon.passes.descent import PassResult
 from scp_recon.passes.design import Trial
 from scp_recon.planning.primer import PrimerHistory
-from scp_recon.results.pictures import HOUR_S, check_ending, picture, plain, sheet
+from scp_recon.results.pictures import HOUR_S, picture, plain, sheet
 from scp_recon.scenario.schema import Scenario
 
 ROWS_MAX = 12
@@ -30,13 +29,9 @@ def draw_windows(scenario: Scenario, survey: Survey, ending: str) -> bytes:
     Args:
         scenario: of the windows.
         survey: the windows found.
-        ending: of the file, which is the format.
-
-    Raises:
-        InputError: if the ending is no picture's.
+        ending: of the file, which is the format, one of `pictures.endings`.
     """
     shown = survey.windows[:ROWS_MAX]
-    check_ending(ending, option("chart"), repr(ending))
     figure = sheet(4.2 + 0.34 * len(shown), 9.0)
     heights = [2.4, 0.8 + 0.34 * max(1, len(shown))]
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=heights)

@@ -64,6 +64,8 @@ def windows(
     if chart is not None:
         with needing(option("chart"), "report"):
             from scp_recon.api.charts import draw_windows
+            from scp_recon.results.pictures import endings
+        check_ending(Path(chart), option("chart"), *endings())
     with naming_files(scenario):
         found = survey(given, (first, first + span_days * DAY_S))
     if csv is not None:

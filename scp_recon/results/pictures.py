@@ -10,8 +10,6 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
-from scp_recon.errors import InputError
-
 WIDTH_IN = 7.0
 """Of a figure across the page."""
 
@@ -38,16 +36,9 @@ def legend(figure: Figure, ncols: int, loc: str = "outside upper center", **look
     figure.legend(list(named.values()), list(named), loc=loc, ncols=ncols, **look)
 
 
-def check_ending(ending: str, entry: str, given: str) -> None:
-    """Refuse a file ending, with its dot, of no picture format; messages name the entry.
-
-    Raises:
-        InputError: naming the endings allowed.
-    """
-    known = Figure().canvas.get_supported_filetypes()
-    if ending.lower().removeprefix(".") not in known:
-        allowed = ", ".join(f".{name}" for name in known)
-        raise InputError(entry, given, f"the file's name must end in one of {allowed}")
+def endings() -> list[str]:
+    """The file endings of picture formats, with their dots."""
+    return [f".{name}" for name in Figure().canvas.get_supported_filetypes()]
 
 
 def picture(
