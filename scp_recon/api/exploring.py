@@ -19,9 +19,14 @@ from scp_recon.api.options import PlanOptions
 from scp_recon.api.planning import carry_out
 from scp_recon.errors import InputError, number_between, one_of, option, shortened, whole_number
 from scp_recon.mission.mission import Mission
-from scp_recon.reports import explorer as page
 from scp_recon.reports.flights import Shown
-from scp_recon.reports.write import check_extra
+from scp_recon.reports.write import (
+    check_extra,
+    slider_data,
+    slider_page,
+    slider_plan,
+    slider_verdict,
+)
 from scp_recon.results.solution import Solution
 from scp_recon.scenario.given import tables_of, value_of
 from scp_recon.scenario.load import naming_files, scenario_text
@@ -206,7 +211,7 @@ class Explorer:
             options = PlanOptions(certify=False if exact else None)
             outcome = carry_out(PlanRequest(scenario, options=options), verifies=False)
             mission, solution = outcome.plan.mission, outcome.solution
-            self.kept = _Planned(values, mission, solution, page.shown_of(solution))
+            self.kept = _Planned(values, mission, solution, slider_plan(solution))
             return self.kept
 
     def answer(self, values: Values) -> dict[str, Any]:
@@ -217,13 +222,13 @@ class Explorer:
         """
         planned = self.plan(values)
         solution, mission = planned.solution, planned.mission
-        drawn = page.drawn(planned.shown)
+        drawn = slider_data(planned.shown)
         converged = Status.named(solution.status) is Status.CONVERGED
         iterations = ", ".join(f"{stage.name} {stage.iterations}" for stage in solution.stages)
         legal = mission.schedule.firing_intervals_s[-len(mission.scenario.burn_times_s) :]
         first = 1 + mission.scenario.burns_flown
         return {
-            "verdict": page.verdict(planned.shown, solution),
+            "verdict": slider_verdict(planned.shown, solution),
             "cost": f"{solution.total_dv_m_s:.6f} m/s{'' if converged else f', {solution.status}'}",
             "converged": converged,
             "effort": f"iterations: {iterations}; planned in {solution.timing_s.total:.2f} s",
@@ -243,11 +248,11 @@ class Explorer:
         """
         planned = self.plan(values)
         solution = files.verified(planned.mission, planned.solution)
-        return {"verdict": page.verdict(planned.shown, solution)}
+        return {"verdict": slider_verdict(planned.shown, solution)}
 
     def html(self) -> str:
         """The page with the plan of the scenario as it was given."""
-        return page.render(self.plan({}).shown, self.sliders, self.answer({}))
+        return slider_page(self.plan({}).shown, self.sliders, self.answer({}))
 
 
 class Server(ThreadingHTTPServer):

@@ -23,9 +23,11 @@ from scp_recon.reports.marks import (
     SITE,
     VIEW,
     Panels,
+    labelled,
     map_axes,
     points,
     significant,
+    whiskers,
 )
 from scp_recon.reports.subject import Subject
 from scp_recon.reports.tables import called
@@ -76,7 +78,7 @@ def history_chart(
             times, first = history.times_s, panel == 0
             for sigmas in sorted(history.bands, reverse=True):
                 if alone or sigmas == max(history.bands):
-                    said = WORDS[sigmas] if alone else f"{name}: {WORDS[sigmas]}"
+                    said = labelled(name, WORDS[sigmas], alone)
                     edges, shade = history.bands[sigmas], SHADES[sigmas]
                     panels.band(times, edges, said, number, panel, shade, legend=first)
             shown = "plan" if alone else name
@@ -98,7 +100,7 @@ def probability_chart(plans: Sequence[Shown]) -> dict[str, Any]:
         shown = [one for one in plan.achieved if alone or one.name == SO_FAR]
         for i, one in enumerate(shown):
             colour = (i if alone else number) % len(PLANS)
-            name = one.name if alone else f"{plan.subject.name}: {one.name}"
+            name = labelled(plan.subject.name, one.name, alone)
             panels.band(one.times_s, (one.low, one.high), name, colour, 0, 0.2, legend=False)
             panels.curve(one.times_s, one.value, name, colour)
             lowest = min(lowest, float(one.low.min()))
@@ -126,7 +128,7 @@ def ground_chart(shown: Sequence[Shown]) -> dict[str, Any]:
         if seen.any():
             within = longitude[seen], track.latitude_deg[seen], f"{name}, window"
             panels.curve(*within, number, line={"dash": "solid", "width": 6})
-            named = "field of view" if alone else f"{one.subject.name}: field of view"
+            named = labelled(one.subject.name, "field of view", alone)
             panels.curve(*_outlines(one), named, number, line={"color": VIEW, "width": 1.5})
     star = {"symbol": "star", "size": 14, "color": SITE, "line": {"width": 1}}
     missions = [one.subject.mission for one in shown]
@@ -257,13 +259,7 @@ def budget_chart(plans: Sequence[Shown]) -> dict[str, Any]:
     for number, plan in enumerate(plans):
         budget, count = plan.budget, len(plan.budget.planned_m_s)
         name = "planned; whisker: 99 % of the flights" if len(plans) == 1 else plan.subject.name
-        whisker = {
-            "type": "data",
-            "array": significant(1000.0 * (budget.high_m_s - budget.planned_m_s)),
-            "arrayminus": [0.0] * count,
-            "symmetric": False,
-            "color": GREY,
-        }
+        above = 1000.0 * (budget.high_m_s - budget.planned_m_s)
         panels.data.append(
             {
                 "type": "bar",
@@ -271,7 +267,7 @@ def budget_chart(plans: Sequence[Shown]) -> dict[str, Any]:
                 "x": [f"burn {budget.first + i}" for i in range(count)],
                 "y": significant(1000.0 * budget.planned_m_s),
                 "marker": {"color": PLANS[number]},
-                "error_y": whisker,
+                "error_y": whiskers(above, np.zeros(count), color=GREY),
             }
         )
     return panels.chart("budget", "Delta-v of every burn")
@@ -298,9 +294,8 @@ def lowest_chart(flights: Summary) -> dict[str, Any]:
         found["whole flights"] = flights.whole_flight.estimate
     values = np.array(list(found.values()))
     trace = points([*found], significant(values[:, 0]), "flights", size=11, color=PLANS[0])
-    whiskers = {"array": significant(values[:, 2] - values[:, 0])}
-    whiskers |= {"arrayminus": significant(values[:, 0] - values[:, 1])}
-    panels.data.append(trace | {"error_y": {"type": "data", "symmetric": False, **whiskers}})
+    value, low, high = values.T
+    panels.data.append(trace | {"error_y": whiskers(high - value, value - low)})
     title = f"Lowest probabilities, of {flights.samples} flights, with 95 % intervals"
     return panels.chart("probability", title)
 
@@ -320,7 +315,7 @@ def convergence_chart(subjects: Sequence[Subject]) -> dict[str, Any]:
                 panels.curve(
                     x,
                     np.where(values > LEAST, values, np.nan),
-                    said if alone else f"{subject.name}: {said}",
+                    labelled(subject.name, said, alone),
                     panel if alone else number,
                     panel,
                     line={"dash": "dot" if other else "solid"},

@@ -12,7 +12,7 @@ from formulations.arrays import Array
 from formulations.linearisation.linearisation import Linearisation
 from scp_recon.planning.initial_guess import nondimensional
 from scp_recon.reports.flights import SHARE, Shown
-from scp_recon.reports.marks import DASHES, LOGARITHMIC, PLANS, Panels, faint
+from scp_recon.reports.marks import DASHES, LOGARITHMIC, PLANS, Panels, faint, labelled
 from scp_recon.reports.subject import Subject
 from scp_recon.results.figures import is_strange
 from scp_recon.results.policy import with_policy
@@ -82,7 +82,7 @@ def knowledge_chart(plans: Sequence[Shown], spreads: Sequence[Spreads]) -> dict[
             "knowledge: error of the estimate": spread.known,
         }
         for i, (name, covariance) in enumerate(curves.items()):
-            said = name if len(plans) == 1 else f"{plan.subject.name}: {name}"
+            said = labelled(plan.subject.name, name, len(plans) == 1)
             colour = i if len(plans) == 1 else number
             variance = np.diagonal(covariance, axis1=1, axis2=2)
             for panel, (part, scale) in enumerate(((slice(3), 1.0), (slice(3, 6), 1000.0))):
@@ -152,8 +152,7 @@ def commanded_chart(plans: Sequence[Shown]) -> dict[str, Any]:
             f"{100.0 * SHARE:g} %": float(np.quantile(totals, SHARE)),
         }
         for i, (what, value) in enumerate(figures.items(), start=1):
-            said = f"{what} {value:.2f} mm/s"
-            said = said if len(plans) == 1 else f"{plan.subject.name}: {said}"
+            said = labelled(plan.subject.name, f"{what} {value:.2f} mm/s", len(plans) == 1)
             style = {"dash": DASHES[i]}
             panels.curve([value, value], [0.0, float(share.max())], said, number, line=style)
     return panels.chart("commanded", "Delta-v with corrections")

@@ -7,17 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from formulations.arrays import Array
-from formulations.problem.regions import perpendicular
 from scp_recon.physics.frames import unit
 from scp_recon.reports.subject import Subject
-from scp_recon.reports.surfaces import Shape
+from scp_recon.reports.surfaces import TURNS, Shape, rim
 
-RAYS = 36
-"""Around the edge of the field of view."""
 LOOKS = 41
-"""Times in the window at which its outline is laid on the ground."""
+"""Times in the window at which the outline of the field of view is drawn on the ground."""
 STEPS, HALVINGS = 48, 30
-"""Of the search along a ray: looks until it is below the surface, and halvings from there."""
+"""Of the search along a ray: even steps until the ray is below the surface, and bisections after."""
 
 
 @dataclass(frozen=True)
@@ -60,10 +57,11 @@ def ground_track(subject: Subject, shape: Shape, camera: Camera) -> GroundTrack:
     mission, times = subject.mission, subject.fine_s
     looks, below = subject.looks_s(LOOKS), degrees_of(_fixed(subject, times))
     if not len(looks):
-        return GroundTrack(times, below[0], below[1], looks, np.empty((0, RAYS, 3)))
+        return GroundTrack(times, below[0], below[1], looks, np.empty((0, TURNS, 3)))
     here = _fixed(subject, looks)
     boresight = unit(mission.site.position_body - here)
-    rays = around(boresight, float(np.deg2rad(0.5 * camera.field_deg)))
+    half = float(np.deg2rad(0.5 * camera.field_deg))
+    rays = np.cos(half) * boresight[:, None] + np.sin(half) * rim(boresight)
     outlines = first_hit(np.broadcast_to(here[:, None], rays.shape), rays, shape)
     return GroundTrack(times, below[0], below[1], looks, outlines)
 
@@ -78,15 +76,6 @@ def degrees_of(position: Array) -> tuple[Array, Array]:
     """East longitude and planetocentric latitude of positions (..., 3), deg."""
     x, y, z = np.moveaxis(position, -1, 0)
     return np.rad2deg(np.arctan2(y, x)), np.rad2deg(np.arctan2(z, np.hypot(x, y)))
-
-
-def around(axis: Array, angle: float) -> Array:
-    """Unit vectors at an angle from unit axes (n, 3), evenly around: shape (n, rays, 3)."""
-    side = perpendicular(axis)
-    other = np.cross(axis, side)
-    turn = np.arange(RAYS) * 2.0 * np.pi / RAYS
-    rim = np.cos(turn)[:, None] * side[:, None] + np.sin(turn)[:, None] * other[:, None]
-    return np.cos(angle) * axis[:, None] + np.sin(angle) * rim
 
 
 def first_hit(start: Array, ray: Array, shape: Shape) -> Array:

@@ -21,28 +21,35 @@ from scp_recon.reports.surfaces import Solid
 Trace = dict[str, Any]
 
 PLANS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
-"""Of plans laid over each other; of curves in one chart, too."""
+"""Colours of overlaid plans, and of the curves in one chart."""
 DASHES = ("solid", "dash", "dot", "dashdot", "longdash", "longdashdot")
-"""Beside the colours, for print without colour."""
+"""Line styles that tell curves apart in print without colour."""
 FLIGHTS = ("#8fa9bb", "#c9a791", "#8cb8a9", "#bfa9b6", "#c2b28d", "#9db9c6")
-"""Of the sampled flights of each plan: its colour, greyed."""
+"""Colours of the sampled flights of each plan: the greyed colour of the plan."""
 GREY = "#888888"
-"""Of limits and whiskers: seen on light and on dark ground, and no plan's."""
+"""Colour of limits and whiskers, visible on light and on dark ground; no plan has this colour."""
 BURN, SITE, SUN, VIEW, KEEP_IN, KEEP_OUT = (
     *("#CC79A7", "#E69F00", "#F0E442", "#56B4E9"),
     *("#009E73", "#D55E00"),
 )
 BODY = "#b9b09e"
 NIGHT_TO_DAY = [[0.0, "#23262e"], [0.499, "#3b3f4a"], [0.501, "#7c7466"], [1.0, "#f2e8d5"]]
-"""Of the body's surface by the cosine of the incidence, -1 to 1: the terminator is a step."""
+"""Colours of the body by the cosine of the incidence, -1 to 1; the step is the terminator."""
 MODES = {"delta-V": "#CC79A7", "sun-pointing": "#E69F00", "observation": "#0072B2"}
 
 PLACES = ((1.0, "right"), (0.0, "left"), (0.5, "center"))
-"""Across a panel, of the names of its limits."""
+"""Positions across a panel (0 left, 1 right) for the names of limits, with text alignment."""
 TIME = "time since the first burn (s)"
 PANEL_PX, FOOT_PX, HEAD_PX, GAP_PX = 160, 56, 58, 42
-"""Of panels, of what is below and above all of them, and between them; words stand there."""
+"""Heights of a panel, of the margins below and above all panels, and of the gap between two."""
+LEGEND = {"orientation": "h", "x": 0, "xanchor": "left", "yanchor": "bottom"}
+"""Entries in a row, above the uppermost panel."""
 LOGARITHMIC = {"type": "log", "exponentformat": "power", "nticks": 5}
+
+
+def labelled(plan: str, curve: str, alone: bool) -> str:
+    """Name of a curve in the legend: after the plan's name, where several plans are overlaid."""
+    return curve if alone else f"{plan}: {curve}"
 
 
 def faint(colour: str, share: float) -> str:
@@ -108,13 +115,7 @@ class Panels:
             "height": inner + FOOT_PX + HEAD_PX,
             "margin": {"l": 55, "r": 16, "t": HEAD_PX, "b": FOOT_PX},
             "hovermode": "x",
-            "legend": {
-                "orientation": "h",
-                "x": 0,
-                "xanchor": "left",
-                "y": top,
-                "yanchor": "bottom",
-            },
+            "legend": LEGEND | {"y": top},
             "xaxis": {"title": {"text": x_title}, "anchor": _axis(n - 1)},
             "shapes": [],
             "annotations": [],
@@ -204,6 +205,12 @@ def _axis(panel: int, letter: str = "y") -> str:
 def points(x: Any, y: Any, name: str, **marker: Any) -> Trace:
     """Markers on a chart."""
     return {"type": "scatter", "mode": "markers", "name": name, "x": x, "y": y, "marker": marker}
+
+
+def whiskers(up: npt.ArrayLike, down: npt.ArrayLike, **style: Any) -> dict[str, Any]:
+    """Error bars of different lengths above and below, shape (n,) each."""
+    lengths = {"array": significant(up), "arrayminus": significant(down)}
+    return {"type": "data", "symmetric": False, **lengths, **style}
 
 
 def lines(points_m: Array, name: str, group: str, colour: str, **line: Any) -> Trace:

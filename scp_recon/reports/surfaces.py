@@ -21,7 +21,7 @@ from scp_recon.physics.frames import unit
 from scp_recon.scenario.schema import Scenario
 
 TURNS = 36
-"""Parts of a full turn."""
+"""Directions about an axis: of a surface of revolution, and of the edge of a field of view."""
 RING = 14
 """Points of a tube's cross section."""
 FACETS_MAX = 12_000
@@ -84,7 +84,7 @@ def tube(path: Array, covariance: Array, sigmas: float) -> Solid:
 def planes_along(path: Array) -> Array:
     """Two unit vectors across a path (n, 3), carried along it without a turn: shape (n, 2, 3).
 
-    Each pair is the one before, less what of it lies along the path there.
+    Each pair is the previous pair, projected normal to the path.
     """
     along = unit(np.gradient(path, axis=0))
     planes = []
@@ -96,13 +96,18 @@ def planes_along(path: Array) -> Array:
     return np.array(planes)
 
 
+def rim(axes: Array) -> Array:
+    """Unit vectors normal to unit axes (n, 3), evenly around them: shape (n, TURNS, 3)."""
+    side = perpendicular(axes)
+    turn = np.arange(TURNS) * 2.0 * np.pi / TURNS
+    other = np.cross(axes, side)
+    return np.cos(turn)[:, None] * side[:, None] + np.sin(turn)[:, None] * other[:, None]
+
+
 def revolved(profile: Array, axis: Array, apex: Array) -> Solid:
     """A profile of points (along, across) turned about an axis through an apex, m, shape (k, 2)."""
     axis = unit(axis)
-    side = perpendicular(axis[None])[0]
-    turn = np.arange(TURNS) * 2.0 * np.pi / TURNS
-    rim = np.cos(turn)[:, None] * side + np.sin(turn)[:, None] * np.cross(axis, side)
-    points = profile[:, :1, None] * axis + profile[:, 1:, None] * rim
+    points = profile[:, :1, None] * axis + profile[:, 1:, None] * rim(axis[None])[0]
     return Solid(apex + points.reshape(-1, 3), _sheet(len(profile), TURNS))
 
 

@@ -1,15 +1,16 @@
-"""Write a report of plans: compute its contents and write the page whole or not at all."""
+"""Write the pages of plans: the report, whole or not at all, and the page with sliders."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from scp_recon.errors import imported, option
 from scp_recon.files import check_ending, unwritable, write_atomically
-from scp_recon.reports import charts, tables
+from scp_recon.reports import charts, page, tables
 from scp_recon.reports.charts import history_chart
 from scp_recon.reports.corrections import correction_charts
 from scp_recon.reports.flights import (
@@ -22,7 +23,7 @@ from scp_recon.reports.flights import (
     resolution_histories,
 )
 from scp_recon.reports.ground import Camera
-from scp_recon.reports.page import Page, render
+from scp_recon.reports.page import Page
 from scp_recon.reports.scene import picture, scene
 from scp_recon.reports.subject import Subject, subjects_of
 from scp_recon.reports.surfaces import shape_of
@@ -37,6 +38,10 @@ FILE_NAME, UNVERIFIED_NAME = "report.html", "report_unverified.html"
 """Beside a plan, and beside one that a verified one keeps from its place."""
 TITLE_PX, LINE_PX, WIDTH_PX = 34, 29, 800
 """Above a chart that stands alone, for its title; of a further line of its legend, and across it."""
+SLIDER_FLIGHTS = 500
+"""Flights drawn on the page with sliders, a twentieth of the report's: faster than planning."""
+SLIDER_CHARTS = ("observation", "probability", "timeline", "budget")
+"""Keys of the charts on the page with sliders."""
 
 
 def check_extra() -> None:
@@ -67,10 +72,10 @@ def write_report(
     """
     check_extra()
     check_ending(file, option("out"), ".html", ".htm")
-    page = page_of(subjects_of(given), camera or Camera(), now())
+    html = page.render(page_of(subjects_of(given), camera or Camera(), now()))
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
-        return write_atomically(file, render(page))
+        return write_atomically(file, html)
     except OSError as error:
         raise unwritable(file.parent, option("out"), error) from None
 
@@ -181,3 +186,50 @@ def all_charts(plans: Sequence[Shown]) -> Iterator[dict[str, Any]]:
     if simulated is not None:
         yield simulated
     yield charts.convergence_chart(subjects)
+
+
+def slider_plan(solution: Solution) -> Shown:
+    """Fly a plan, and compute the content of the page with sliders."""
+    scenario = solution.scenario
+    subject = Subject(scenario.name, solution)
+    return Shown.of(subject, shape_of(scenario), Camera(), SLIDER_FLIGHTS)
+
+
+def slider_data(shown: Shown) -> dict[str, Any]:
+    """Data of a plan for the scripts of the page with sliders: the 3-D view and some charts."""
+    chosen = [chart for chart in all_charts([shown]) if chart["key"] in SLIDER_CHARTS]
+    return page.script_data(scene([shown], shown.shape), chosen, shown.subject.solution)
+
+
+def slider_verdict(shown: Shown, solution: Solution) -> str:
+    """HTML of the verdict on a shown plan, whose solution may have been verified since."""
+    subject = replace(shown.subject, solution=solution)
+    verdicts = [page.verdict_of(replace(shown, subject=subject))]
+    return page.render_part("verdicts.html", verdicts=verdicts, names=[subject.name])
+
+
+def slider_page(shown: Shown, sliders: Sequence[Any], answer: dict[str, Any]) -> str:
+    """HTML of the page with sliders.
+
+    Args:
+        shown: the plan shown first.
+        sliders: of `api.exploring`.
+        answer: the answer for that plan; `drawn` has the data to draw.
+    """
+    data = answer["drawn"]
+    by_group: dict[str, list[Any]] = {}
+    for slider in sliders:
+        by_group.setdefault(slider.group, []).append(slider)
+    return page.render_offline(
+        "explore.html",
+        ("report.js", "explore.js"),
+        data | {"answer": answer | {"drawn": None}},
+        title=shown.subject.name,
+        sliders=by_group,
+        feedback=shown.subject.solution.scenario.policy.kind == "feedback",
+        first=shown,
+        charts=data["charts"],
+        groups=page.groups_of(data["scene"]),
+        notes=page.NOTES,
+        identity="",
+    )

@@ -17,7 +17,7 @@ from tests.scp_recon.support import fly_few
 def server() -> Iterator[Server]:
     with pytest.MonkeyPatch.context() as patch:
         fly_few(patch)
-        patch.setattr("scp_recon.reports.explorer.SAMPLES", 50)
+        patch.setattr("scp_recon.reports.write.SLIDER_FLIGHTS", 50)
         with Server(Explorer(load_scenario("recon_b", [COARSE])), 0) as found:
             thread = Thread(target=found.serve_forever, args=(0.01,))
             thread.start()
