@@ -162,7 +162,7 @@ def show_solution(console: Console, solution: Solution) -> None:
 def _rounds(risk: Risk | None) -> int:
     """Number of plans that a certificate took; 0 without one."""
     reached = None if risk is None else risk.certificate
-    return 0 if reached is None else reached.rounds + max(reached.looks, 1) - 1
+    return 0 if reached is None else reached.rounds + reached.looks - 1
 
 
 def _show_policy(console: Console, solution: Solution) -> None:

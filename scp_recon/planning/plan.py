@@ -188,8 +188,7 @@ class Certificate:
         high: upper end of it.
         at_nodes: the same of the nodes alone.
         rounds: plans flown to aim, before any look.
-        looks: looks until this one, each at another plan; 0 of an older file, whose plan was chosen by
-            the flights that judged it.
+        looks: number of the test that judged the plan, from 1; each test flies another plan.
         confidence: of the interval, both ends together.
         strata: draws and flights in strata of the law's margin; None for plain flights.
     """
@@ -201,7 +200,7 @@ class Certificate:
     high: Probability
     at_nodes: Probability
     rounds: Annotated[int, Field(ge=1)]
-    looks: Annotated[int, Field(ge=0)]
+    looks: Annotated[int, Field(ge=1)]
     confidence: Probability
     strata: Counted | None = None
 
@@ -211,10 +210,10 @@ class Certificate:
 
     def __str__(self) -> str:
         """The certificate in words."""
-        step = f"look {self.looks}" if self.looks else f"round {self.rounds}"
         interval = f"{100 * self.confidence:g} % interval {self.low:.4f} to {self.high:.4f}"
         of = f" out of {sum(self.strata.drawn)} draws" if self.strata else ""
-        return f"{self.samples} flights{of} of {step} reached {self.reached:.4f} ({interval})"
+        flights = f"{self.samples} flights{of} of look {self.looks}"
+        return f"{flights} reached {self.reached:.4f} ({interval})"
 
 
 @dataclass(frozen=True)
