@@ -48,9 +48,8 @@ class ClosedLoop:
         """Update the estimates at the next cut-off from true states (6, flights) before a burn."""
         j = len(self._estimates)
         one = self._policy[j]
-        noise = np.linalg.cholesky(one.measurement_covariance) @ self._draws[:, j].T
         predicted = self._predicted(j)
-        innovation = state - self._planned(j)[:, None] + noise - predicted
+        innovation = state - self._planned(j)[:, None] + one.noise(self._draws[:, j]) - predicted
         self._estimates.append(predicted + one.kalman_gain @ innovation)
 
     def correction(self, burn: int) -> Array | None:

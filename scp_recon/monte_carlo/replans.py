@@ -126,8 +126,7 @@ class ReplanLoop:
         j = len(self.failed)
         one = self._policy[j]
         self._carry(one.cut_off_s)
-        noise = np.linalg.cholesky(one.measurement_covariance) @ self._draws[:, j].T
-        innovation = state + noise - self._estimates.T
+        innovation = state + one.noise(self._draws[:, j]) - self._estimates.T
         self._estimates += (one.kalman_gain @ innovation).T
         found = _plan_again(one, self._estimates)
         self.failed.append(np.isnan(found[:, 0, 0]))

@@ -45,6 +45,10 @@ class CutOff:
         """K = P R^-1, shape (6, 6)."""
         return np.asarray(np.linalg.solve(self.measurement_covariance, self.estimate_covariance).T)
 
+    def noise(self, draws: Array) -> Array:
+        """Errors of the measurement, shape (6, flights), from standard normal draws (flights, 6)."""
+        return np.linalg.cholesky(self.measurement_covariance) @ draws.T
+
 
 @dataclass(frozen=True, eq=False)
 class Correction(CutOff):
