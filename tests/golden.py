@@ -9,7 +9,8 @@ Sentences are not kept, so that an edit of a message moves nothing; nor are iter
 decides. Of lists with more than `SAMPLES` entries the number and evenly spaced entries are kept.
 
 A figure may differ by three times what it differs by between OpenBLAS's kernels (`KERNELS`), measured
-by `--renew` for each run and key, and by `ROUNDING` of itself. Texts and truths are exact.
+by `--renew` for each run and kind of place, and by `ROUNDING` of itself; one that may differ by half
+of itself is not kept. Texts and truths are exact.
 """
 
 import argparse
@@ -254,7 +255,7 @@ EMPTY: dict[str, Figures] = {"figures": {"run": "recorded"}, "within": {}}
 def moved(kept: Mapping[str, Figures], fresh: Figures, name: str) -> Iterator[str]:
     """Lines for the kept figures of a run that fresh ones lack, or that differ by too much."""
     for place, was in kept["figures"].items():
-        now, within = fresh.get(place), kept["within"].get(key_of(place), 0.0)
+        now, within = fresh.get(place), kept["within"].get(kind_of(place), 0.0)
         if not same(was, now, within):
             yield f"{name}: {place}: was {was!r}, is {now!r}, within {within:.2g}"
 
@@ -281,9 +282,20 @@ def is_number(value: Any) -> bool:
     return isinstance(value, (int, float)) and not isinstance(value, bool)
 
 
-def key_of(place: str) -> str:
-    """The last name of a place, by which tolerances go: `burns.0.dv_m_s` has `dv_m_s`."""
-    return next(part for part in reversed(place.split(".")) if not part.isdigit())
+def kind_of(place: str) -> str:
+    """A place without the numbers in it, by which tolerances go: `burns.0.dv_m_s` is `burns.dv_m_s`.
+
+    A number at the end is a column's, which may have another unit than its neighbour.
+    """
+    *parts, last = place.split(".")
+    return ".".join([*(part for part in parts if not part.isdigit()), last])
+
+
+def largest(value: Any) -> float:
+    """The largest magnitude of the numbers of a value."""
+    if isinstance(value, list):
+        return max(map(largest, value), default=0.0)
+    return abs(value) if is_number(value) else 0.0
 
 
 def renew(names: Sequence[str]) -> None:
@@ -296,11 +308,15 @@ def renew(names: Sequence[str]) -> None:
         within: dict[str, float] = {}
         for place, value in first[name].items():
             off = max((spread(value, other[name].get(place)) for other in others), default=0.0)
-            key = key_of(place)
-            within[key] = max(within.get(key, 0.0), float(f"{3.0 * off:.2g}"))
+            kind = kind_of(place)
+            within[kind] = max(within.get(kind, 0.0), float(f"{3.0 * off:.2g}"))
         record[name] = {
-            "figures": first[name],
-            "within": {key: value for key, value in within.items() if value > 0.0},
+            "figures": {
+                place: value
+                for place, value in first[name].items()
+                if not 0.0 < 0.5 * largest(value) < within[kind_of(place)]
+            },
+            "within": {kind: value for kind, value in within.items() if value > 0.0},
         }
     FILE.write_text(text_of({name: record[name] for name in RUNS if name in record}), "utf-8")
 

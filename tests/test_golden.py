@@ -4,12 +4,12 @@ from datetime import date
 
 import pytest
 
-from tests.golden import LONG, RUNS, differences, flat, key_of, moved, same, spread, tenth
+from tests.golden import LONG, RUNS, differences, flat, kind_of, moved, same, spread, tenth
 from tests.helpers import nightly
 
 KEPT = {
     "figures": {"status": "converged", "burns.0.dv_m_s": [0.1, 0.2]},
-    "within": {"dv_m_s": 3e-6},
+    "within": {"burns.dv_m_s": 3e-6},
 }
 
 
@@ -49,7 +49,8 @@ def test_truths_and_texts_agree_exactly_only():
     assert same("a", "a", 0.0)
     assert not same(None, 0.0, 1.0)
     assert spread([1.0, [2.0]], [1.5, [1.0]]) == 1.0
-    assert key_of("plan.burns.0.dv_m_s.1") == "dv_m_s"
+    assert kind_of("plan.burns.0.dv_m_s") == "plan.burns.dv_m_s"
+    assert kind_of("windows_csv.3") == "windows_csv.3"
 
 
 def test_sentences_and_seconds_are_not_kept():
