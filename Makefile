@@ -23,7 +23,7 @@ test: $(VENV)/.test  ## set up and run the tests on two processes
 	$(BIN)/python -m pytest $(BY_FILE)
 
 fast: $(VENV)/.test  ## run, in a minute, the tests that an edit most likely breaks
-	$(BIN)/python -m pytest $(BY_FILE) --fast
+	$(BIN)/python -m pytest $(BY_FILE) -m "not slow"
 
 extras: $(VENV)/.extras  ## set up all that the commands can need: reports, campaigns, kernels, the spacecraft
 

@@ -1,4 +1,4 @@
-"""Hypothesis profiles, chosen by `HYPOTHESIS_PROFILE`; the tests of `make fast`; counts of reliability.
+"""Hypothesis profiles, chosen by `HYPOTHESIS_PROFILE`; counts of reliability.
 
 `default` draws other examples in every run, `nightly` more of them; `ci` draws the same ones every
 time, so that a change is judged by what it changes.
@@ -6,14 +6,14 @@ time, so that a change is judged by what it changes.
 
 import os
 import signal
-from collections import Counter, defaultdict
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from hypothesis import Phase, settings
 
-from tests import fast, reliability
+from tests import reliability
 
 # A run in the background has it ignored, and so would have the processes that tests interrupt.
 signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -33,32 +33,15 @@ settings.register_profile(
 )
 settings.load_profile(PROFILE)
 
-COUNT, SHARES = "count", "shares"
+COUNT = "count"
 TOTALS: Counter[str] = Counter()
 PASSED: set[str] = set()
-CALLS: defaultdict[str, float] = defaultdict(float)
-FIXTURES: defaultdict[str, float] = defaultdict(float)
-SHARING: set[str] = set()
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption(
         "--reliability", metavar="FILE", type=Path, help="write the counts of reliability"
     )
-    parser.addoption("--fast", action="store_true", help="leave out what tests/slow.txt names")
-    parser.addoption(
-        "--write-slow", action="store_true", help="write tests/slow.txt by what this run took"
-    )
-
-
-def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Leave out the slow tests of a fast run."""
-    if not config.getoption("fast"):
-        return
-    slow = fast.named_slow()
-    left_out = [item for item in items if fast.function_of(item.nodeid) in slow]
-    items[:] = [item for item in items if fast.function_of(item.nodeid) not in slow]
-    config.hook.pytest_deselected(items=left_out)
 
 
 @pytest.hookimpl(wrapper=True)
@@ -75,23 +58,12 @@ def pytest_runtest_call(item: pytest.Item) -> Iterator[None]:
         raise
     finally:
         item.user_properties += [(COUNT, pair) for pair in reliability.COUNTS.items()]
-        fixtures = item._fixtureinfo.name2fixturedefs.values()  # type: ignore[attr-defined]
-        if any(used[-1].baseid and used[-1].scope != "function" for used in fixtures):
-            item.user_properties += [(SHARES, True)]
 
 
 def pytest_runtest_logreport(report: pytest.TestReport) -> None:
     if report.when == "call":
-        CALLS[fast.function_of(report.nodeid)] += report.duration
-    else:
-        FIXTURES[report.nodeid.partition("::")[0]] += report.duration
-    if report.when == "call":
-        for key, pair in report.user_properties:
-            if key == SHARES:
-                SHARING.add(fast.function_of(report.nodeid))
-            elif key == COUNT:
-                name, times = pair
-                TOTALS[name] += times
+        for _, (name, times) in (pair for pair in report.user_properties if pair[0] == COUNT):
+            TOTALS[name] += times
         if report.passed:
             PASSED.add(report.nodeid)
     # Left there at the very end by Hypothesis's own plugin.
@@ -101,10 +73,6 @@ def pytest_runtest_logreport(report: pytest.TestReport) -> None:
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
-    if terminalreporter.config.getoption("write_slow"):
-        fast.SLOW.write_text(
-            "\n".join(fast.slow_functions(CALLS, FIXTURES, SHARING)) + "\n", encoding="utf-8"
-        )
     path = terminalreporter.config.getoption("reliability")
     if path:
         reliability.write(path, TOTALS)

@@ -39,6 +39,8 @@ from tests.helpers import MANY
 from tests.scp_recon.simulation.short_plan import SHORT, short_plan
 from tests.scp_recon.support import fly_few, mission_of
 
+pytestmark = pytest.mark.slow
+
 PROJECT = Path(__file__).parents[1]
 MAKEFILE = (PROJECT / "Makefile").read_text("utf-8")
 PYPROJECT = tomllib.loads((PROJECT / "pyproject.toml").read_text("utf-8"))["project"]

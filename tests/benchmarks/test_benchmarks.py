@@ -36,6 +36,7 @@ def made_up(words: Sequence[str]) -> dict[str, Any]:
     return OTHERS.get(what) or {"method": rest[0], **PLANNED, **SLOW.get(rest[0], {})}
 
 
+@pytest.mark.slow
 def test_stopped_run_continues_and_leaves_evidence(tmp_path, monkeypatch):
     ran: list[Sequence[str]] = []
 
@@ -116,6 +117,7 @@ def test_timed_run_imports_nothing(name):
     subprocess.run([sys.executable, "-c", IMPORTED, "planned", name, "0"], check=True, cwd=ROOT)
 
 
+@pytest.mark.slow
 def test_least_processor_time_of_a_command_counts(tmp_path, monkeypatch):
     took = itertools.count(1)
 

@@ -37,6 +37,7 @@ def test_fields_and_leap_seconds_are_written_as_their_readers_expect(tmp_path):
     assert lines[-1].startswith(" 2017 JAN  1 =JD 2457754.5  TAI-UTC=  37.0 ")
 
 
+@pytest.mark.slow
 def test_other_tools_fly_the_plan_where_the_planner_does(solution):
     for tool in ("orekit_jpype", "brahe"):
         pytest.importorskip(tool, reason="needs the extra [crosscheck]")

@@ -139,6 +139,7 @@ def test_bad_evidence_names_file_and_entry(text, said):
     assert "\n" not in str(error.value)
 
 
+@pytest.mark.slow
 def test_only_evidence_out_of_date_is_renewed(folder, capsys):
     old = {CONES: [row | {"half_angle_deg": 1.0} for row in TABLE]}
     kept(tables=old).write(path_of(CONES))
@@ -175,6 +176,7 @@ print(study_of("battery_cones").about[:6], changes("battery_cones") + moved)
 """
 
 
+@pytest.mark.slow
 def test_an_edited_message_leaves_evidence_current(tmp_path):
     for wing in WINGS:
         shutil.copytree(ROOT / wing, tmp_path / wing)
@@ -247,6 +249,7 @@ def felt(what: str, names: list[str], monkeypatch: pytest.MonkeyPatch) -> set[st
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("what", "names"),
     [

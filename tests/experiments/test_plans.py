@@ -19,6 +19,8 @@ from scp_recon.scenario.load import load_scenario
 from tests.scenarios import COARSE
 from tests.scp_recon.support import fly_few
 
+pytestmark = pytest.mark.slow
+
 
 def test_a_row_is_the_plan_that_its_case_describes(monkeypatch):
     fly_few(monkeypatch)

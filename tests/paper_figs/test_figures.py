@@ -119,6 +119,7 @@ def studies(tmp_path_factory) -> Path:
     return out
 
 
+@pytest.mark.slow
 def test_everything_is_written_into_one_folder(folder, runs, studies, tmp_path, monkeypatch):
     light = {name: replace(item, dpi=DPI) for name, item in FIGURES.items()}
     monkeypatch.setattr(command_line, "FIGURES", light)
@@ -133,6 +134,7 @@ def test_everything_is_written_into_one_folder(folder, runs, studies, tmp_path, 
     assert all(runs.plan.solution.plan_hash.encode() in path.read_bytes() for path in of_plan)
 
 
+@pytest.mark.slow
 def test_own_plan_is_drawn_without_the_table(tmp_path, monkeypatch):
     """Of five burns, two of them close to each other, without flights beside it."""
     own = mission_of("burns.times_s=[0.0, 8000.0, 23200.0, 29800.0, 36400.0]")
@@ -151,6 +153,7 @@ class Marked(tuple[Any, ...]):
     """A policy without corrections that is known again."""
 
 
+@pytest.mark.slow
 def test_every_flight_of_a_plan_is_corrected(runs, monkeypatch):
     monkeypatch.setattr(Solution, "corrections", Marked())
     fly, corrected = sampling.fly_draws, list[bool]()
@@ -219,6 +222,7 @@ def test_flights_of_different_plans_are_refused(tmp_path):
         inputs.read_flights(tmp_path)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", STUDIES)
 def test_study_is_drawn_or_names_its_command(studies, tmp_path, name, capsys, monkeypatch):
     study, file = STUDIES[name], tmp_path / "figure.png"
@@ -234,6 +238,7 @@ def test_study_is_drawn_or_names_its_command(studies, tmp_path, name, capsys, mo
         study.found(damaged)
 
 
+@pytest.mark.slow
 def test_flyby_is_drawn_and_names_its_plan(folder, tmp_path):
     """Of a site whose name would be a formula, and a wrong one."""
     text = (folder / PLAN / "solution.json").read_text("utf-8")

@@ -172,6 +172,7 @@ def casadi_arcs(waves: Waves) -> Arcs:
     return Arcs(ca.Function("flow", [x, k], [end]), np.arange(len(ends), dtype=float))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("price", get_args(Cost))
 @given(generators, st.sampled_from(MODELS))
 @example(np.random.default_rng(1), MODELS[1])

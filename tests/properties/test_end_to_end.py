@@ -6,6 +6,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
+import pytest
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
@@ -21,6 +22,8 @@ from tests import reliability
 from tests.helpers import share_of_examples
 from tests.scenarios import FINE, generous, scenarios
 from tests.scp_recon.support import CommandLine, run_solve
+
+pytestmark = pytest.mark.slow
 
 NOT_VERIFIED = 4
 OPTIONS = st.tuples(

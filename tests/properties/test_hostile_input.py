@@ -193,6 +193,7 @@ def mission_of(path: Path) -> None:
     assert mission.problem.n_nodes >= 2
 
 
+@pytest.mark.slow
 @patient
 @given(damaged(RECON_B, hostile))
 def test_a_damaged_scenario_is_read_or_refused(data):
@@ -299,6 +300,7 @@ slow = settings(
 )
 
 
+@pytest.mark.slow
 @slow
 @given(st.lists(strained(), min_size=1, max_size=3))
 def test_no_magnitudes_end_in_anything_but_a_plan_or_a_message(overrides):
@@ -321,6 +323,7 @@ AT_THE_ENDS = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("override", usually(AT_THE_ENDS, 3))
 def test_a_scenario_at_the_ends_of_its_ranges_is_solved_or_refused(override):
     solved_or_refused([VERY_COARSE, override])
@@ -335,6 +338,7 @@ def solved(tmp_path_factory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 @patient
 @given(st.data())
 def test_a_damaged_solution_is_read_or_refused(solved, data):
@@ -356,6 +360,7 @@ def with_a_word_as_key(content: dict[str, Any], word: str) -> None:
     content["violation"]["by_constraint"][word] = {"max": 1.0, "total": 1.0, "unit": "m"}
 
 
+@pytest.mark.slow
 @settings(patient, max_examples=share_of_examples(3, usual=5))
 @given(st.data())
 def test_a_damaged_solution_is_verified_or_refused(solved, data):
@@ -397,6 +402,7 @@ EDITS: dict[str, Callable[[dict[str, Any]], object]] = {
 READERS = [verify.main, montecarlo.main, simulate.main]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("edit", EDITS)
 def test_a_solution_whose_parts_do_not_fit_together_is_refused(solved, edit):
     """By each command that reads one; in usual runs by one of them in turn."""
@@ -409,6 +415,7 @@ def test_a_solution_whose_parts_do_not_fit_together_is_refused(solved, edit):
             reliability.count(reliability.BAD_INPUTS)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("word", usually(["[/red]", "\\[", "[bold]", "[/]", "["], 2))
 def test_names_of_a_solution_are_shown_as_they_are(solved, tmp_path, word, monkeypatch):
     """Those of stages; constraints have the names of their scenario, whatever the file carries."""

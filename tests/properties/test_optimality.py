@@ -263,6 +263,7 @@ def merit_of(
     return subproblem.merit(lin, charge)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("algorithm", usually(["scvx-star", "ptr", "scvx"], 1))
 @expensive
 @given(scenarios())

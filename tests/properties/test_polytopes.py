@@ -93,6 +93,7 @@ LARGE = [128, 512]
 """Up to the most that a scenario may ask for."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("facets", LARGE)
 def test_of_many_facets_none_lets_a_point_outside_the_unit_ball_through(facets):
     """Random points are enough: every direction outside, and every one inside, is looked at."""

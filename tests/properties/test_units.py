@@ -124,6 +124,7 @@ wholly_in_km: Factors = dict.fromkeys((*LENGTHS, *SPEEDS), KM) | {"body.gm_m3_s2
 """Gravity and speeds too: a smaller body of the same density, which nobody flies to."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "wrong",
     [
@@ -141,6 +142,7 @@ def test_entries_in_another_unit_are_told(wrong, scenario, data):
     assert is_told(scenario, changes)
 
 
+@pytest.mark.slow
 @given(st.sets(st.sampled_from(BODY_ANGLES), min_size=1))
 def test_pole_and_spin_of_a_known_body_in_radians_or_swapped_are_told(paths):
     assert is_told(RECON_B, {path: np.deg2rad(entry_of(RECON_B, path)) for path in paths})

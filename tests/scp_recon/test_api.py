@@ -32,6 +32,7 @@ BY_NIGHT = {"read_campaign", "campaign", "charts", "report", "simulate", "design
 """Their examples take seconds, and extras."""
 
 
+@pytest.mark.slow
 @nightly
 @pytest.mark.usefixtures("few_flights")
 def test_the_example_runs(capsys):
@@ -42,6 +43,7 @@ def test_the_example_runs(capsys):
     assert "farthest from the first (m)" in printed
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "cost"),
     usually(
@@ -64,6 +66,7 @@ def test_a_problem_by_hand_costs_what_its_page_says(name, cost, capsys):
     assert cost.split()[1] in page
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("few_flights")
 @pytest.mark.parametrize(
     "name", [pytest.param(name, marks=nightly if name in BY_NIGHT else ()) for name in sr.__all__]
@@ -107,6 +110,7 @@ def test_a_plan_speaks_si(default_plan, solution):
     assert plan.worst_margins == stored
 
 
+@pytest.mark.slow
 def test_what_comes_back_tells_its_verdict(default_plan, solution, verification):
     """What a plan is made of too, which is thousands of numbers."""
     assert all(name in str(default_plan) for name in default_plan.worst_margins)
@@ -183,6 +187,7 @@ def test_a_plan_is_data_that_anything_but_its_timing_makes_another(default_plan)
         assert len({one, part}) == 2
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("few_flights")
 def test_planning_starts_from_files_and_tables(default_plan, tmp_path):
     saved = sr.save(default_plan, str(tmp_path / "mine"))
@@ -264,6 +269,7 @@ def test_whole_numbers_may_be_written_as_floats(default_plan):
             sr.fly(default_plan, samples=given)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", BAD_CALLS)
 def test_a_wrong_argument_is_named_before_any_work(name, default_plan, tmp_path, monkeypatch):
     work = raising(AssertionError("work was begun"))
@@ -340,6 +346,7 @@ def test_completion_offers_the_front_door_and_modules():
     assert {name for name in offered if not ismodule(getattr(sr, name))} == set(sr.__all__)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("few_flights")
 def test_plans_stand_side_by_side(default_plan):
     p3 = sr.plan(problem="P3")
@@ -393,6 +400,7 @@ def test_paths_on_different_grids_are_held_against_each_other_at_one_time():
     assert apart < 0.02 + 60_000.0 * difference
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("few_flights")
 def test_a_campaign_gives_a_table_and_figures(tmp_path):
     study = {"axis": [{"entry": "risk.p_chance", "values": [0.7, 0.75]}]}

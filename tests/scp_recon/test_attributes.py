@@ -17,6 +17,8 @@ import scp_recon as sr
 from scp_recon.scenario.fields import Section
 from scp_recon.scenario.schema import Scenario
 
+pytestmark = pytest.mark.slow
+
 pandas = pytest.importorskip("pandas")
 OURS = "scp_recon", "formulations"
 

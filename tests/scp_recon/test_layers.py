@@ -54,6 +54,7 @@ def roots(path: Path) -> set[str]:
     return {name.split(".")[0] for name in imports(path)}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("package", "barred"),
     [
@@ -139,6 +140,7 @@ NEEDED = {name for path in modules("scp_recon/cli/commands") for name in imports
 """What commands import when they are called."""
 
 
+@pytest.mark.slow
 def test_folders_import_downwards_only():
     upwards = {}
     for path in (path for package in WINGS for path in modules(package)):
@@ -211,6 +213,7 @@ def test_there_are_no_circles():
     assert not graph, f"circle among {sorted(graph)}"
 
 
+@pytest.mark.slow
 def test_the_library_neither_prints_nor_asks_nor_sets_anything_global():
     for path in (path for package in LIBRARY for path in modules(package)):
         text, nodes = path.read_text("utf-8"), list(ast.walk(parsed(path)))
@@ -256,6 +259,7 @@ assert before == after, [(a, b) for a, b in zip(before, after) if a != b]
 """
 
 
+@pytest.mark.slow
 def test_importing_the_library_is_silent_and_changes_nothing_global():
     files = {module_name(path): path for package in LIBRARY for path in modules(package)}
     optional = {"casadi", "matplotlib", "spiceypy", "Basilisk"}
@@ -291,6 +295,7 @@ for name in {{commands!r}}:
 """
 
 
+@pytest.mark.slow
 def test_the_main_job_needs_nothing_heavy_at_import():
     """Of no command: what the first imports has no part in what the next is found to."""
     run = run_python(ONE_BY_ONE.format(commands=sorted(COMMANDS | NEEDED)))
@@ -315,6 +320,7 @@ for command, heavy in ((verify, {("jinja2", *TO_PLAN)}), (report, {TO_PLAN})):
 """
 
 
+@pytest.mark.slow
 def test_help_verification_and_a_report_load_nothing_heavy(solution, tmp_path):
     """In this order: what one imports the next may too."""
     solution.write(tmp_path)

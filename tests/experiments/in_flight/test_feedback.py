@@ -80,6 +80,7 @@ def figures(kind: str, p: float, cost: float, sigma: float = 200.0) -> Record:
     return {"kind": kind, "asked": p, "dv99_m_s": cost, "program_m_s": cost, "final_sigma_m": sigma}
 
 
+@pytest.mark.slow
 def test_policies_fly_their_own_plans(monkeypatch):
     """Fixed burns cost what is planned; burns planned again end nearer to where they are to."""
     fly_few(monkeypatch)

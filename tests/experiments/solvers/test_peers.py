@@ -8,6 +8,8 @@ from experiments.__main__ import main
 from experiments.solvers.peers import study
 from scp_recon.planning import initial_guess
 
+pytestmark = pytest.mark.slow
+
 MISSING = importlib.util.find_spec("openscvx") is None or importlib.util.find_spec("scocp") is None
 
 

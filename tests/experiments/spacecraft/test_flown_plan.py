@@ -17,6 +17,8 @@ from tests.helpers import nightly
 from tests.scp_recon.simulation.short_plan import SHORT, short_plan
 from tests.scp_recon.support import mission_of
 
+pytestmark = pytest.mark.slow
+
 
 def study(*words: str) -> int:
     return main(["flown_plan", *words])

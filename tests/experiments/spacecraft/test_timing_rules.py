@@ -15,6 +15,8 @@ from experiments.spacecraft.timing_rules import (
 from scp_recon.simulation.panels import SolarArray, irradiance
 from tests.helpers import nightly
 
+pytestmark = pytest.mark.slow
+
 
 @nightly
 def test_a_half_turn_takes_at_least_the_limited_rate_and_settles(mission, vehicle, monkeypatch):

@@ -34,6 +34,8 @@ from tests.experiments.support import flown, simulated
 from tests.scp_recon.simulation.short_plan import SHORT, short_plan
 from tests.scp_recon.support import mission_of
 
+pytestmark = pytest.mark.slow
+
 
 def study(*words: str) -> int:
     return main(["uncertainty_sources", *words])

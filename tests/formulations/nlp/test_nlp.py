@@ -135,6 +135,7 @@ def within(value: Array) -> Any:
     return pytest.approx(value, rel=0.0, abs=1e-9)
 
 
+@pytest.mark.slow
 def test_casadi_flies_the_planners_arcs(coarse):
     lin, flow = coarse.near(1), coarse.mission.flow
     assert flow.substeps > 1
@@ -243,6 +244,7 @@ def test_p3_as_printed_bounds_the_same_sets(coarse, seed):
         assert distance(cone, burns, -value) == within(cone.inside(burns))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("spread", usually(["21 entries scaled", "factor", "36 entries"], 1))
 def test_derivatives_by_arc_are_those_of_the_whole(coarse, spread):
     lin = coarse.near(5)
@@ -263,6 +265,7 @@ def test_derivatives_by_arc_are_those_of_the_whole(coarse, spread):
         assert float(ca.norm_inf(ca.vec(mine - theirs))) < 1e-11 * scale
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", usually(["tuned", "shooting", "quasi-Newton"], 1))
 def test_ipopt_and_scp_find_the_same_p2(coarse, name):
     variant = VARIANTS.get(name) or replace(VARIANTS["tuned"], p2=QUASI_NEWTON)
@@ -273,6 +276,7 @@ def test_ipopt_and_scp_find_the_same_p2(coarse, name):
     assert result.iterate.total_dv == pytest.approx(expected, rel=1e-4)
 
 
+@pytest.mark.slow
 def test_ipopt_and_scp_agree_on_infeasible_merit(infeasible):
     stage, start, weight = infeasible.p2, infeasible.start(infeasible.p3), 1_000.0
     assert stage.result.status is Status.INFEASIBLE
@@ -297,6 +301,7 @@ def test_the_penalty_weighs_as_the_merit_does(coarse, name):
     assert float(objective) == pytest.approx(merit, rel=1e-7)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("variant", usually(["shooting", "tuned"], 1))
 def test_ipopt_and_scp_find_the_same_plan(coarse, variant, capfd):
     mission = coarse.mission
@@ -356,6 +361,7 @@ def again(case: Case) -> tuple[NlpOutcome, Linearisation]:
     return outcome, case.mission.dynamics.linearise(lin.problem, iterate)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", usually([0, 4, 5, 11], 1))
 def test_ipopt_returns_to_plans_with_corrected_burns(seed):
     """By other derivatives and a filter of its own, for one to three corrected burns."""
@@ -404,6 +410,7 @@ def test_ipopt_refuses_feedback(variant):
         ipopt.plan(mission, initial_guess.cold(mission), variant=variant)
 
 
+@pytest.mark.slow
 def test_failed_stages_restart_from_the_ballistic_arc(coarse, monkeypatch):
     """As the planner has it; here P3 is given too few iterations, so that no try converges."""
     brief = replace(VARIANTS["shooting"], p3=replace(EXACT, max_iterations=3))
@@ -416,6 +423,7 @@ def test_failed_stages_restart_from_the_ballistic_arc(coarse, monkeypatch):
     assert np.abs(first.iterate.burns - again.iterate.burns).max() > 0.0
 
 
+@pytest.mark.slow
 def test_infeasible_is_never_called_solved(infeasible):
     mission, start = infeasible.mission, infeasible.start(infeasible.p3)
     variant = replace(VARIANTS["shooting"], p2=replace(QUASI_NEWTON, max_iterations=60))

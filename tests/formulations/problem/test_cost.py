@@ -61,6 +61,7 @@ def model_of(problem: FlybyProblem, at: Array) -> Callable[[Array], float]:
     return model
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("value", ["cost", "formula"])
 @pytest.mark.parametrize("kind", ["nominal", "expected", "dv99"])
 def test_the_gradient_is_that_of_differences(kind, value):

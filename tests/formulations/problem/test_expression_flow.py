@@ -38,6 +38,7 @@ def libration() -> ExpressionFlow:
     return ExpressionFlow(cr3bp, [0.0, 0.4, 1.0], parameters=[MU], substeps=120)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("arc", [0, 1])
 def test_the_flow_is_what_an_adaptive_integration_gives(libration, arc):
     def rate(t: float, y: Array) -> Array:

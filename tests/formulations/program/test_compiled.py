@@ -92,6 +92,7 @@ def random_values(
     }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("penalty", PENALTIES)
 @pytest.mark.parametrize("kind", MODELS)
 def test_its_numbers_are_what_cvxpys_own_form_gives(kind, penalty, monkeypatch):

@@ -169,6 +169,7 @@ def test_slots_double_for_those_cones_alone_that_run_out_of_them(lin, monkeypatc
     assert subproblem._solver is built
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("slots", usually([2, 1], 1))
 @pytest.mark.parametrize("penalty", PENALTIES)
 @pytest.mark.parametrize("name", ["P3", "P2"])
@@ -195,6 +196,7 @@ def test_few_slots_and_no_row_at_first_end_where_everything_taken_does(name, pen
     assert every == pytest.approx(plain.value, rel=rel)
 
 
+@pytest.mark.slow
 def test_the_default_plan_needs_three_programs_at_the_most(monkeypatch):
     """One a stage, and one more where its slots run out; a second plan needs none."""
     sizes: set[Any] = set()

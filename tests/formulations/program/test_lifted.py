@@ -21,6 +21,8 @@ from tests.helpers import constrain, random_flyby, usually
 
 from .support import PENALTIES, alone, charge_for, every_row, minimum, need, small
 
+pytestmark = pytest.mark.slow
+
 Limits = tuple[float | None, float | None]
 every_limit = pytest.mark.parametrize("limits", [(None, None), (0.9, 0.8)], ids=["", "limited"])
 

@@ -219,6 +219,7 @@ def test_the_adjoint_is_the_affine_model_read_backwards(rng, name, corrected):
     np.testing.assert_allclose(backwards(lin, rows, prices), expected, atol=scale)
 
 
+@pytest.mark.slow
 @given(generators, st.booleans(), st.sampled_from([None, *get_args(Cost)]))
 @settings(max_examples=share_of_examples(2, usual=4))
 def test_multipliers_are_the_best_signed_ones_of_what_binds(rng, vanishing, corrected):
@@ -254,6 +255,7 @@ def test_multipliers_are_the_best_signed_ones_of_what_binds(rng, vanishing, corr
     assert np.all(against[6:][binding[6:]] > -scale)
 
 
+@pytest.mark.slow
 def test_where_steps_end_that_lower_the_merit_the_slope_left_certifies_burns_and_gains():
     """From 0.94 at a start of random gains."""
     rng = np.random.default_rng(11)

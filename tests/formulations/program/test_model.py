@@ -41,6 +41,7 @@ def elsewhere(lin: Linearisation) -> Linearisation:
     return Linearisation(lin.problem, replace(lin.iterate, burns=burns, mean=mean), lin.arcs)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("formulation", "name", "penalty"), CASES)
 @settings(max_examples=share_of_examples(250, usual=1))
 @given(generators)
@@ -63,6 +64,7 @@ def test_the_program_has_the_solution_of_the_one_said_plainly(formulation, name,
     assert step.burns == pytest.approx(plain.burns, abs=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("formulation", "name", "penalty"), CASES)
 def test_an_updated_program_is_a_new_one(formulation, name, penalty):
     """Every parameter is set again: nothing is left of the last iterate, radius and charge."""

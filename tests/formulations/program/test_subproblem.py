@@ -81,6 +81,7 @@ def compiling(monkeypatch) -> list[Model]:
     return compiled
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["P3", "P2"])
 def test_programs_are_compiled_once_and_only_their_numbers_change(case, name, monkeypatch):
     models, applied, programs = compiling(monkeypatch), [], list[ConeProgram]()
@@ -128,6 +129,7 @@ def breaking_every_limit(rng: np.random.Generator) -> Linearisation:
     return replace(flyby, problem=problem).perturbed(rng, 0.003, 0.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["P3", "P2"])
 @pytest.mark.parametrize("formulation", FORMULATIONS)
 @settings(max_examples=share_of_examples(100, usual=1))
@@ -212,6 +214,7 @@ def test_solvers_that_fail_or_give_no_finite_answer_raise_our_own_error(
     assert isinstance(caught.value.__cause__, ValueError)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("formulation", ["condensed", "lifted"])
 def test_a_step_is_as_accurate_as_its_answer(case, formulation, monkeypatch):
     answer = Answer(np.full(1, 0.125), "poor", False, 0.0)

@@ -109,6 +109,7 @@ def flights_like(a: Allocation, law: str, required: float) -> tuple[Array, Array
     return share, unlike
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("law", usually(LAWS, 2))
 @pytest.mark.parametrize(
     ("required", "mirrored"), [*((p, False) for p in REQUIRED), (0.9, True), (0.99, True)]

@@ -16,6 +16,8 @@ from formulations.rows.uniform import DeterministicRows
 from tests.formulations.program.support import slack
 from tests.helpers import Flyby, generators, random_flyby, share_of_examples
 
+pytestmark = pytest.mark.slow
+
 Case = tuple[Flyby, np.random.Generator]
 
 

@@ -107,6 +107,7 @@ def modelled(rows: Rows, lin: Linearisation, z: Array) -> Array:
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scope", SCOPES)
 def test_at_the_iterate_rows_have_the_margins_themselves(scope):
     mission, lin = flown(scope)
@@ -115,6 +116,7 @@ def test_at_the_iterate_rows_have_the_margins_themselves(scope):
     np.testing.assert_allclose(found, margins(rows, lin), atol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("scope", "accuracy"), [("node", 1e-3), ("flight", 3e-2)])
 def test_rows_have_the_slope_of_margins_along_flown_burns(scope, accuracy):
     """Along directions that keep the final state, whose steps are flown by Newton's method."""

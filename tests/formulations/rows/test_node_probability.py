@@ -236,6 +236,7 @@ def test_where_nothing_is_left_to_see_g_stays_beyond_what_is_told(rng):
     assert found.value.item() > 7.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("slenderness", [2.0, SLENDER])
 @pytest.mark.parametrize("spread", [0.02, 0.1, 0.5])
 @pytest.mark.parametrize("kind", ["ball", "cone", "shell", "half-space", "ellipsoid"])

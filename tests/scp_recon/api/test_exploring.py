@@ -56,6 +56,7 @@ def answered(server: Server, path: str, values: object) -> dict[str, Any]:
     return found
 
 
+@pytest.mark.slow
 def test_the_written_scenario_gives_the_shown_plan(server, tmp_path):
     values = {"risk.p_chance": 0.8, "burns.times_s.1": 7000.0}
     found = answered(server, "/plan", values)

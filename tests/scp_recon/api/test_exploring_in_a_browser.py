@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
+
 from tests.scp_recon.browser import chromium, needed
 
 PATIENCE_MS = 120_000
 
-pytestmark = needed
+pytestmark = [needed, pytest.mark.slow]
 
 MOVE = """([key, value]) => {
   const number = document.querySelector(`[data-key="${key}"]`);

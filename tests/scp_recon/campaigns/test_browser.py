@@ -21,7 +21,7 @@ COVERED = """[...document.querySelectorAll('[data-chart]')].filter(chart => {
 }).map(chart => chart.ariaLabel)"""
 """Charts whose legend lies below Plotly's buttons."""
 
-pytestmark = needed
+pytestmark = [needed, pytest.mark.slow]
 
 
 @pytest.fixture(scope="module")

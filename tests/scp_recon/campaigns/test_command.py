@@ -17,6 +17,8 @@ from scp_recon.jobs.store import Store
 from scp_recon.results.read import read_solution
 from tests.scp_recon.campaigns.shown import table_of
 
+pytestmark = pytest.mark.slow
+
 STUDY = """
 [campaign]
 keep_solutions = true

@@ -32,6 +32,7 @@ def errors(tmp_path_factory) -> CampaignResults:
     return read_campaign(folder)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("column", ["flown_shortfalls", "simulated_shortfalls"])
 def test_remarks_say_why_cases_have_no_plan(mapped, errors, column):
     """Nor is feasible what fell short of its limits in its flights, or with the spacecraft."""
@@ -86,6 +87,7 @@ def test_charts_draw_the_cheapest_case_of_a_place(tmp_path):
         assert all(len(trace["x"]) == 3 for trace in charts_of(results)[0]["data"])
 
 
+@pytest.mark.slow
 def test_page_shows_every_case_and_escapes_text(mapped):
     """Each case with what it changes; a plan that was kept is linked."""
     _, results = mapped

@@ -58,6 +58,7 @@ def stopped(work: Work, jobs: Iterable[Job]) -> Generator[Done, None, None]:
     raise KeyboardInterrupt
 
 
+@pytest.mark.slow
 def test_table_is_the_same_when_continued_elsewhere(tmp_path):
     with pytest.raises(KeyboardInterrupt):
         run(tmp_path / "a", stopped)
@@ -101,6 +102,7 @@ print(Status.CONVERGED.value.message, Study.validated({"campaign": {"seed": 3}})
 """
 
 
+@pytest.mark.slow
 def test_an_edited_message_keeps_the_rows(tmp_path):
     for wing in ("scp_recon", "formulations"):
         shutil.copytree(ROOT / wing, tmp_path / wing)
@@ -206,6 +208,7 @@ def study_of(name: str) -> Study:
     return Study.validated(tomllib.loads((STUDIES / f"{name}.toml").read_text("utf-8")))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "cases"), SIZES.items())
 def test_a_study_that_is_shown_can_be_run(name, cases):
     assert len(study_of(name).cases) == cases
@@ -229,6 +232,7 @@ def test_dark_site_is_refused_with_its_reason():
     assert {path.stem for path in STUDIES.glob("*.toml")} == {*SIZES, "asteroid_year", "ryugu_map"}
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("few_flights")
 def test_a_case_is_flown_by_the_campaigns_policy():
     """Planned again, it ends nearer to where it is to than its gains alone bring it, at its cost."""

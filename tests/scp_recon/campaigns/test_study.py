@@ -26,6 +26,7 @@ def study(*axes: dict[str, Any], **campaign: Any) -> Study:
     return Study.validated({"campaign": campaign, "axis": list(axes)})
 
 
+@pytest.mark.slow
 @given(st.lists(st.integers(1, 5), max_size=4), st.integers(0, 2**63 - 1))
 def test_the_cases_are_the_product_of_the_axes(sizes, seed):
     axes = tuple([{f"e{k}": i} for i in range(size)] for k, size in enumerate(sizes))
@@ -64,6 +65,7 @@ def test_every_kind_of_axis_gives_its_rows():
     assert (scenario.site.latitude_deg, scenario.site.longitude_deg) == (0.0, 90.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("law", "mean", "spread"),
     [

@@ -37,7 +37,7 @@ from scp_recon.verification.reintegration import verify
 from tests.helpers import usually
 from tests.scp_recon.certification.support import mission_of
 
-pytestmark = pytest.mark.usefixtures("fewer")
+pytestmark = [pytest.mark.usefixtures("fewer"), pytest.mark.slow]
 
 ASKED = 0.9
 

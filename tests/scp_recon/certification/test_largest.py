@@ -166,6 +166,7 @@ def test_ctrl_c_among_its_flights_keeps_the_plan(real, monkeypatch, stop):
     assert is_at(found, LAST)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("changes", "budget"), [({}, 0.1095), (MEASURED, 0.1125)])
 def test_the_budget_buys_so_much_and_no_more(changes, budget):
     """On the default scenario, roughly; with feedback it is for what is commanded in flight."""

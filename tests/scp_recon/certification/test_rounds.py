@@ -79,6 +79,7 @@ GAIN = float(ndtri(AIMED + 3.0 * ERROR) - ndtri(AIMED))
 """Standard deviations that are three standard errors of a round."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lost", [-GAIN, 0.1])
 def test_target_moves_against_the_measured_loss(real, monkeypatch, lost):
     """Flights that reach more than the law says, or less, always."""
@@ -159,6 +160,7 @@ def test_two_failed_tests_leave_the_nearest_plan(real, monkeypatch, looks):
     assert found.target == world.aims[looks.index(0.89)]
 
 
+@pytest.mark.slow
 def test_chance_neither_wastes_much_nor_breaks_the_promise(real, monkeypatch):
     """Flights drawn from the binomial law, with losses that a plan does not know."""
     rng = np.random.default_rng(5)
@@ -310,6 +312,7 @@ def test_plan_at_the_requirement_is_rarely_certified(required, monkeypatch):
     assert wrongly_certified(required) > 1.5 * WRONGLY
 
 
+@pytest.mark.slow
 @given(required=st.floats(0.5, 0.999), samples=st.integers(1000, 100_000))
 def test_needed_successes_are_the_fewest_that_pass(required, samples):
     needed = successes_needed(required, samples)

@@ -13,6 +13,8 @@ from scp_recon.planning.plan import Plan
 from scp_recon.planning.planner import plan
 from tests.scp_recon.certification.support import mission_of
 
+pytestmark = pytest.mark.slow
+
 FLIGHTS, SEED = 200, 3
 CHANGES = {
     "observation.window_s": [13300.0, 18000.0],

@@ -18,6 +18,8 @@ from scp_recon.results.read import read_solution
 from scp_recon.scenario.load import load_scenario, scenario_text
 from tests.scp_recon.passes.support import home_scenario
 
+pytestmark = pytest.mark.slow
+
 
 def scenario_file(folder: Path, changes: dict[str, object]) -> Path:
     path = folder / "home.toml"

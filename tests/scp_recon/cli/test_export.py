@@ -11,6 +11,8 @@ from scp_recon.cli.commands import export
 from scp_recon.interop.files import FORMATS
 from scp_recon.results.read import read_solution
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def plan(default_run, tmp_path_factory) -> Path:

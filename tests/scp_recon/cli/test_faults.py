@@ -19,6 +19,8 @@ from scp_recon.verification import reintegration
 from tests import reliability
 from tests.scp_recon.support import raising, run_solve
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture
 def instant(monkeypatch, default_plan, verification) -> None:

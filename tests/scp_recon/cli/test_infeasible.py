@@ -28,6 +28,8 @@ from scp_recon.scp.status import Status
 from tests.scenarios import COARSE
 from tests.scp_recon.support import CommandLine, fly_few, mission_of, run_solve
 
+pytestmark = pytest.mark.slow
+
 SPLIT_TOO_DEAR = ("--set", "risk.p_chance=0.98", "--set", COARSE)
 EXACT = ("risk.allocation=exact", COARSE)
 REACHED = Certificate(20_000, 2_000, 0.7, 0.69, 0.71, 0.7, 1, 1, 0.975)

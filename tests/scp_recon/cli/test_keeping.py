@@ -39,6 +39,7 @@ def another(solution: Solution) -> Solution:
     return replace(solution, burns=burns)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("undiagnosed")
 def test_infeasible_run_leaves_verified_plan_alone(verified, tmp_path):
     before = verified.write(tmp_path).read_bytes()
@@ -107,6 +108,7 @@ def test_second_run_into_a_folder_is_refused(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("undiagnosed")
 def test_run_without_out_makes_its_own_folder(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
@@ -132,6 +134,7 @@ def test_folder_of_the_user_is_kept(tmp_path):
 STRANGE = "observation.emission_min_deg=0.349"
 
 
+@pytest.mark.slow
 def test_warnings_go_with_plan_to_every_verdict(tmp_path, capsys):
     run = run_solve(tmp_path, "--set", STRANGE, "--set", "grid.step_max_s=600.0")
     assert run.exit_code == 0  # a warning is no failure

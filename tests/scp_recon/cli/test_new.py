@@ -20,6 +20,8 @@ from scp_recon.scp.status import Status
 from tests.helpers import usually
 from tests.scp_recon.support import file_of, status_of
 
+pytestmark = pytest.mark.slow
+
 BENNU = ("--body", "Bennu", "--site", "55.9,41.8", "--epoch", "2020-01-21T20:33:17")
 STONE = (
     *("--body", "Stone", "--site", "35,0", "--epoch", "2024-05-01", "--gm", "2.36"),

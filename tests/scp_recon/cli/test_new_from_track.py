@@ -19,6 +19,8 @@ from scp_recon.scenario.time_scales import tdb_of_utc
 from tests import reference
 from tests.scp_recon.support import status_of
 
+pytestmark = pytest.mark.slow
+
 CRAFT, STONE, SUN = -64, 20099942, 10
 FROM, TO = "2020-01-21T20:32:08", "2020-01-22T06:12:49"
 SITE = ("--site", "55.9,41.8")

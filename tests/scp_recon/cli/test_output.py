@@ -11,6 +11,8 @@ from scp_recon import __main__ as every
 from scp_recon.cli.command import DOCUMENT
 from scp_recon.results.read import read_solution
 
+pytestmark = pytest.mark.slow
+
 STATE = "-122.618 419.945 -556.206 0.0069457 0.0794873 0.0655264"
 """Near the default plan at 17,000 s, J2000."""
 NEW = ("--body", "Bennu", "--site", "20,150", "--epoch", "2020-01-21T20:33:17")

@@ -11,6 +11,8 @@ from scp_recon.__main__ import COMMANDS, main
 from tests import reliability
 from tests.scp_recon.support import status_of
 
+pytestmark = pytest.mark.slow
+
 SHORT = {
     "EXACT": "risk.allocation=exact",
     "BENNU": "--body Bennu --site 55.9,41.8",

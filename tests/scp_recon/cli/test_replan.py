@@ -12,6 +12,8 @@ from scp_recon.cli.options import joined
 from scp_recon.replanning.flown import FlownPlan, predict
 from scp_recon.results.read import read_solution
 
+pytestmark = pytest.mark.slow
+
 OFF = np.array([40.0, -40.0, 20.0, 2e-3, 2e-3, -1e-3])
 
 

@@ -54,6 +54,7 @@ def test_every_option_has_its_help(name):
     assert all(action.help for action in COMMANDS[name].parser()._actions)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("algorithm", "solver"), [("ptr", "clarabel"), ("scvx-star", "CLARABEL"), ("scvx", "ecos")]
 )

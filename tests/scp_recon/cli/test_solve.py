@@ -15,6 +15,8 @@ from scp_recon.scp.loop import Record, State
 from tests.scenarios import COARSE
 from tests.scp_recon.support import raising, run_solve
 
+pytestmark = pytest.mark.slow
+
 PROJECT = Path(__file__).parents[3]
 
 

@@ -10,6 +10,8 @@ import pytest
 from tests import reliability
 from tests.helpers import usually
 
+pytestmark = pytest.mark.slow
+
 PROJECT = Path(__file__).parents[3]
 COMMANDS = ["scp_recon.solve", "scp_recon verify plan"]
 COMMANDS += ["experiments", "paper_figs", "benchmarks"]

@@ -39,6 +39,7 @@ def assert_on_the_terminator(scenario: Scenario) -> None:
         assert abs(position @ velocity) < 1e-5 * radius * np.linalg.norm(velocity)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("site", "body"), [((55.9, 41.8), None), ((-30.0, 200.0), None), ((20.0, 0.0), FAST)]
 )

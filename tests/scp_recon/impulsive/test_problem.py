@@ -66,6 +66,7 @@ def test_without_regions_the_flight_meets_the_final_state_at_least_cost(problem)
     assert flown == pytest.approx(plan.states[-1], abs=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("formulation", "algorithm"),
     [*((name, "scvx") for name in FORMULATIONS), *(("condensed", name) for name in ALGORITHMS)],
@@ -81,6 +82,7 @@ def test_units_within_change_nothing(problem):
     assert other.cost == pytest.approx(problem.solve().cost, rel=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scope", ["node", "flight", "uniform"])
 def test_flights_keep_a_region_with_the_probability_that_was_planned(erring, scope):
     """Hill's equations are linear: the normal law is exact, but for errors of Gates' products."""
@@ -98,6 +100,7 @@ def test_flights_keep_a_region_with_the_probability_that_was_planned(erring, sco
     )
 
 
+@pytest.mark.slow
 def test_a_certified_plan_costs_more_and_fresh_flights_reach_the_probability(erring):
     own = replace(erring, probability=0.9)
     plan, aimed = own.certify(), own.solve()

@@ -185,6 +185,7 @@ def test_comments_tell_burns_plan_and_verdict_in_lines_as_short_as_the_standard_
         assert "COMMENT NOT VERIFIED: interrupted" in form(replace(export, solution=unchecked))
 
 
+@pytest.mark.slow
 def test_the_opm_has_the_state_before_the_burns_and_every_burn(export, tmp_path):
     io = pytest.importorskip("ccsds_ndm.ndm_io")  # under the GPL: it serves this test alone
     path = tmp_path / "plan.opm"

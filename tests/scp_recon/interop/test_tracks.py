@@ -19,6 +19,7 @@ def _elsewhere(monkeypatch, tmp_path) -> None:
     monkeypatch.chdir(tmp_path)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("key", "given", "message"),
     [

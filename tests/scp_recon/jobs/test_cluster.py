@@ -122,6 +122,7 @@ def test_missing_workers_are_reported_once():
     assert counts == [1, 1, 1, 2]
 
 
+@pytest.mark.slow
 @nightly
 def test_killed_worker_loses_no_row(cluster, tmp_path):
     jobs = some_jobs(60)
@@ -147,6 +148,7 @@ def test_misbehaving_jobs_have_rows(cluster, tmp_path):
     assert cluster.pids() == before, "no worker has died of it"
 
 
+@pytest.mark.slow
 @nightly
 def test_lost_scheduler_stops_and_the_next_run_continues(cluster, tmp_path):
     jobs = some_jobs(60)
@@ -189,6 +191,7 @@ def test_bad_address_is_refused(tmp_path, address):
         run_all(Quick(), some_jobs(2), tmp_path / "a", Cluster(address, LIMITS))
 
 
+@pytest.mark.slow
 def test_flights_on_a_cluster_are_the_same(cluster, solution, verification, tmp_path):
     replace(solution, verification=verification).write(tmp_path)
     words = [str(tmp_path), "--samples", "2500", "--seed", "4"]

@@ -23,6 +23,7 @@ def backwards(work: Work, jobs: Iterable[Job]) -> Generator[Done, None, None]:
     yield from (attempt(work, job) for job in reversed(list(jobs)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("executor", [here, Processes(1, LIMITS), Processes(3), backwards])
 def test_rows_are_the_same_for_any_split(executor, tmp_path):
     jobs = some_jobs(40)
@@ -33,6 +34,7 @@ def test_rows_are_the_same_for_any_split(executor, tmp_path):
     assert [done.result() for done in found] == [Quick()(number) for number in range(40)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("apart", usually([False, True], 1))
 def test_misbehaving_jobs_do_not_change_other_rows(apart, tmp_path):
     jobs, ways = some_jobs(18), dict(zip(range(1, 17, 2), ENDS, strict=True))
@@ -83,6 +85,7 @@ def test_job_apart_runs_in_a_fresh_process(apart, before):
     assert [done.result() for done in executor(jobs_before, some_jobs(3))] == before
 
 
+@pytest.mark.slow
 def test_what_does_not_pickle_is_a_message():
     odd, dead, whole = in_order(
         Processes(1, LIMITS), Naughty(ways=((0, "raise oddly"), (1, "die"))), some_jobs(3)

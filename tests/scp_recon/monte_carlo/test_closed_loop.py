@@ -96,6 +96,7 @@ GATES = {
 """Those along a correction are the larger ones, so that no bound stands in for their law."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("lead_s", "how"),
     usually(
@@ -212,6 +213,7 @@ def corrected(solution) -> Solution:
     return make_solution(Plan(case.mission, provenance, (stage,), stage, Timing(), 0.0))
 
 
+@pytest.mark.slow
 def test_the_command_flies_what_the_file_stores(corrected, tmp_path, capsys):
     corrected.write(tmp_path)
     montecarlo.main([str(tmp_path), "--samples=2000"])

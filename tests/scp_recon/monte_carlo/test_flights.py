@@ -106,6 +106,7 @@ def alone(config) -> FlightTally:
     return fly_many(config, samples=SAMPLES)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("executor", usually([backwards, Processes(2)], 1))
 def test_tallies_are_the_same_for_any_split(executor, config, alone):
     assert same(fly_many(config, samples=SAMPLES, executor=executor), alone)
@@ -119,12 +120,14 @@ def narrowed(config) -> Iterator[FlightTally]:
         yield fly_many(config, samples=10_000, until=0.008)
 
 
+@pytest.mark.slow
 def test_few_flights_narrow_what_takes_many(config, narrowed):
     assert narrowed.samples == 1_000
     assert narrowed.widest_interval() <= 0.008
     assert_narrowed(narrowed, fly_many(config, samples=4_000))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "until"), [("other errors", 0.02), ("corrections", 0.004)])
 def test_few_flights_narrow_what_errors_and_corrections_change(
     kind, until, config, solution, monkeypatch
@@ -149,6 +152,7 @@ def assert_narrowed(narrowed: FlightTally, plain: FlightTally) -> None:
         assert max(one.low, other.low) <= min(one.high, other.high)
 
 
+@pytest.mark.slow
 def test_narrowed_probabilities_are_the_same_for_any_split(config, narrowed, monkeypatch):
     def sent(work: Work, jobs: Iterable[Job]) -> Generator[Done, None, None]:
         """As to another process."""

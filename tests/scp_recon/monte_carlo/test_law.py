@@ -68,6 +68,7 @@ def allocated(toy: Toy, flights: int = 20_000) -> Allocation:
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("bend_m", [0.0, 0.1, -0.2])
 def test_few_flights_reach_what_all_reach(bend_m):
     toy = Toy(bend_m)
@@ -124,6 +125,7 @@ def test_law_has_the_draws_of_flights_in_order(solution, law):
     assert its.margin(draws) == pytest.approx(its.margin_at(flown), abs=0.02)
 
 
+@pytest.mark.slow
 def test_mission_strata_agree_with_plain_flights(solution, law):
     mission, its = law
     flights = WholeFlights(mission, solution.burns_m_s)
@@ -201,6 +203,7 @@ def test_flying_all_draws_equals_plain_flights(less_m):
     assert (sum(found.throughout.unlike) > 0) == (less_m != 0.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("less_m", [0.3, -1.0])
 def test_few_strata_flights_agree_with_all(less_m):
     toy, n = ToyInTime(less_m), 20_000
@@ -241,6 +244,7 @@ def test_history_counts_flights_at_each_second(mission, default_plan):
     assert set(its.times_s) <= set(looks_of(mission))
 
 
+@pytest.mark.slow
 def test_mission_strata_agree_with_plain_flights_in_time(mission, default_plan):
     burns = default_plan.burns_m_s
     laws = Law.of_events(default_plan.final.result.lin, mission.units.length_m)

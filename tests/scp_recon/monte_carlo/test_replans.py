@@ -90,6 +90,7 @@ def test_failed_replan_flies_the_last_plan(solution, monkeypatch):
     np.testing.assert_array_equal(flights.burns_m_s[1::2], alone.burns_m_s[1::2])
 
 
+@pytest.mark.slow
 def test_the_command_flies_a_plan_by_any_policy(solution, tmp_path, capsys):
     """Another policy than the plan's has a file of its own. What is planned again meets the end."""
     replace(solution, scenario=mission_of(*MEASURED).scenario).write(tmp_path)

@@ -110,6 +110,7 @@ def test_dip_past_ball_is_found_at_any_speed(speed, closest, share, radius):
 FLIGHTS, SEED = 1000, 5
 
 
+@pytest.mark.slow
 def test_path_before_a_burn_is_unchanged(solution):
     """Between the last look and a burn at the next one: with the velocity before it, not after it."""
     burn_s = solution.scenario.burns.times_s[1]

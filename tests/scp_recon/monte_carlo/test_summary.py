@@ -162,6 +162,7 @@ def requiring(solution: Solution, p: float) -> Solution:
     return replace(solution, scenario=solution.scenario.replace({"risk.p_chance": p}))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("until", "status"), [("30%", 0), ("5%", 4)])
 def test_an_interval_that_stays_too_wide_is_told(until, status, solution, tmp_path, capsys):
     """Where the flights allowed are too few to narrow it."""

@@ -38,6 +38,7 @@ def near(space) -> Near:
 STEP = 1e-3
 
 
+@pytest.mark.slow
 def test_multipliers_give_the_derivative_by_phases_and_times(space, near):
     first = near.first
     assert first.converged
@@ -50,6 +51,7 @@ def test_multipliers_give_the_derivative_by_phases_and_times(space, near):
         assert slope[j] == pytest.approx((ahead - behind) / (2.0 * STEP), rel=2e-3, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_a_descent_is_never_worse_and_its_pass_can_be_planned_as_it_is(space, near):
     seen: list[PassResult] = []
     best = descend(space, near.first.at, near.first.burns_m_s, seen.append, rounds_max=1)
@@ -61,6 +63,7 @@ def test_a_descent_is_never_worse_and_its_pass_can_be_planned_as_it_is(space, ne
     assert again.total_dv_m_s == pytest.approx(best.dv_m_s, rel=2e-3)
 
 
+@pytest.mark.slow
 def test_each_plan_of_a_round_begins_at_the_nearest_one_before(space, near, monkeypatch):
     """From a plan far away, which the first step reaches, those near by may be out of reach."""
     made, plan = [], Near.plan
@@ -129,6 +132,7 @@ def few() -> tuple[Space, Near]:
     return near_of(home_scenario(COARSE | {"burns.times_s": [0.0, 25_000.0, 34_842.0]}))
 
 
+@pytest.mark.slow
 def test_a_burn_is_tried_where_the_primer_exceeds_one_and_makes_the_pass_cheaper(few):
     space, near = few
     found = near.first

@@ -117,6 +117,7 @@ def test_a_valley_without_a_plan_is_left_by_way_of_one_without_uncertainty(monke
     assert first == ["descent", "certain", "descent"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("planned", "tried"), [({1}, [1]), ({0}, [1, 0]), (set(), [1, 0])])
 def test_with_feedback_a_pass_without_uncertainty_has_to_have_a_plan_with_gains(
     monkeypatch, planned, tried
@@ -185,6 +186,7 @@ def test_passes_over_packaged_bodies_keep_their_limits_about_the_solid(body):
     assert flown.whole_flight.high > 0.7
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("mapped", "furthest"), [(set(), 0), ({1}, 1)])
 def test_where_none_has_a_plan_the_one_that_came_furthest_is_told(monkeypatch, mapped, furthest):
     """Where the second is mapped it is short by 0.2, and the first one's map by 1."""
@@ -192,6 +194,7 @@ def test_where_none_has_a_plan_the_one_that_came_furthest_is_told(monkeypatch, m
     assert (found.converged, window) == (False, furthest)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("cost", "burns"), [(9.0, 4), (0.5, 5)])
 def test_a_burn_more_counts_only_where_it_is_cheaper(monkeypatch, cost, burns):
     """Whatever the descent with one more ends at: with it no pass is dearer than without."""

@@ -18,6 +18,8 @@ from scp_recon.scenario.load import load_scenario, scenario_text
 from scp_recon.scenario.schema import Scenario
 from tests.scp_recon.passes.support import home_scenario
 
+pytestmark = pytest.mark.slow
+
 CRAFT = -64
 
 

@@ -66,6 +66,7 @@ def differentiated(forces) -> Callable[[Array, float], list[Array]]:
     return evaluate
 
 
+@pytest.mark.slow
 @settings(max_examples=30)
 @given(state=states())
 def test_sensitivities_are_the_derivatives_of_the_scheme(state, forces, arc, differentiated):
@@ -93,6 +94,7 @@ def surroundings(forces: ForceModel, t: ca.SX) -> list[list[ca.SX]]:
     return rows
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "entries", [{}, {"body.planned_degree": 4}, {"body.companion": COMPANION}], ids=str
 )

@@ -163,6 +163,7 @@ def test_gradient_is_symmetric_and_trace_free(position, degree):
         assert np.abs(each - each.swapaxes(0, 1)).max() < 1e-12 * size
 
 
+@pytest.mark.slow
 @given(positions(300.0, 1500.0), st.integers(2, 8), st.floats(-1e5, 1e5))
 def test_derivatives_of_a_turning_field_are_those_of_its_acceleration(position, degree, time):
     rotation = Rotation(1.5, -1.05, 0.7, 4.06e-4, 1e-12)

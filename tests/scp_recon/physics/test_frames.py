@@ -123,6 +123,7 @@ def test_leap_seconds_are_those_of_the_iers():
     assert table["tai_utc"][-1] == FIRST_TAI_MINUS_UTC_S + len(LEAPS) - 1
 
 
+@pytest.mark.slow
 @given(date=DATES)
 def test_utc_is_astropys(date):
     time = pytest.importorskip("astropy.time")

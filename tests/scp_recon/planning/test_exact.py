@@ -31,6 +31,8 @@ from tests.properties.test_optimality import Values, conditions_of
 from tests.scenarios import COARSE, planned, scenarios
 from tests.scp_recon.support import from_cold, mission_of
 
+pytestmark = pytest.mark.slow
+
 GOALS = {
     "node": {0.70: 0.1087, 0.90: 0.1101, 0.95: 0.1109, 0.99: 0.1166, 0.997: 0.1320},
     "flight": {0.70: 0.1087, 0.90: 0.1102, 0.95: 0.1114, 0.99: 0.1256},

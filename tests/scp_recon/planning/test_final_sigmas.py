@@ -49,6 +49,7 @@ def free() -> Plan:
     return planned()
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("few_flights")
 @pytest.mark.parametrize("part", ["position", "velocity"])
 def test_a_limit_that_is_less_binds_and_costs(free, part):
@@ -71,6 +72,7 @@ def test_a_limit_that_is_less_binds_and_costs(free, part):
     assert flown.flown == pytest.approx(limit, rel=0.1)
 
 
+@pytest.mark.slow
 def test_a_limit_that_is_more_changes_nothing(free):
     position, velocity = final_sigmas(free)
     loose = planned(
@@ -79,6 +81,7 @@ def test_a_limit_that_is_more_changes_nothing(free):
     np.testing.assert_allclose(loose.burns_m_s, free.burns_m_s, atol=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scope", usually(["node", "flight"], 1))
 def test_it_binds_with_exact_risk_too(scope):
     """Without a limit it is 204.96 m."""
@@ -119,6 +122,7 @@ def planned_by(*overrides: str, formulation: str = "condensed") -> Plan:
     return from_cold(mission_of(COARSE, *overrides), formulation=formulation)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("formulation", usually(["tuned", "shooting", "lifted"], 1))
 def test_methods_agree_under_gates_errors(formulation):
     ours = planned_by(UNLIKE)
@@ -132,6 +136,7 @@ def test_methods_agree_under_gates_errors(formulation):
     assert other.total_dv_m_s == pytest.approx(ours.total_dv_m_s, rel=1e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("few_flights")
 @pytest.mark.parametrize("errors", [UNLIKE, ALIKE], ids=["unlike", "alike"])
 def test_a_plan_under_gates_errors_is_verified(errors):

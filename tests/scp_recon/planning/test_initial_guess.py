@@ -215,6 +215,7 @@ LOST = (0, 8)
 """Random guesses from which P3 with all its rows ends at its second optimum."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
 def test_random_guesses_end_at_the_better_optimum(algorithm, mission):
     for seed in usually(LOST, 1):
@@ -270,6 +271,7 @@ def found(mission) -> Plan:
     return THREE(mission, initial_guess.cold(mission))
 
 
+@pytest.mark.slow
 def test_several_starts_find_both_optima_of_p3(mission, found):
     near, far = found.starts.optima
     assert near.total_dv_m_s == pytest.approx(0.107723, rel=1e-4)
@@ -283,6 +285,7 @@ def test_several_starts_find_both_optima_of_p3(mission, found):
     assert ends == pytest.approx(mission.problem.final_state, abs=1e-6)
 
 
+@pytest.mark.slow
 @nightly
 def test_neither_plan_nor_optima_depend_on_the_processes(mission, found):
     split = THREE(mission, initial_guess.cold(mission), workers=2)
@@ -304,6 +307,7 @@ def test_random_flights_obey_dynamics_and_follow_their_seed(mission):
         assert np.abs(one.mean - other.mean).max() > 0.01
 
 
+@pytest.mark.slow
 def test_infeasible_optima_are_listed(mission, default_plan):
     """From the far optimum there is no way; with `once` it begins nowhere else."""
     far = plan(mission, flight_beyond(mission), once=True)
@@ -318,6 +322,7 @@ def test_infeasible_optima_are_listed(mission, default_plan):
     ]
 
 
+@pytest.mark.slow
 def test_an_interrupt_keeps_the_best_start_so_far(mission):
     def stop(number: int, _: Plan) -> None:
         if number == 1:
@@ -337,6 +342,7 @@ def test_an_interrupt_before_any_start_is_no_plan(mission):
         plan_from_several(mission, initial_guess.cold(mission), stop, starts=2)
 
 
+@pytest.mark.slow
 def test_the_solution_lists_the_optima():
     found = sr.plan(problem="P3", starts=3, seed=0)
     assert "local optima of 3 starts, seed 0" in str(found)

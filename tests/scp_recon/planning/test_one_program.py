@@ -20,6 +20,8 @@ from scp_recon.scp.status import Status
 from tests.scenarios import COARSE
 from tests.scp_recon.support import from_cold, mission_of
 
+pytestmark = pytest.mark.slow
+
 
 @dataclass
 class Watched:

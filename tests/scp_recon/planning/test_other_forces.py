@@ -74,6 +74,7 @@ def in_the_way(*overrides: str) -> Mission:
 EXACT, FLIGHT = "risk.allocation=exact", "risk.scope=flight"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "overrides",
     [(EXACT,), *(pytest.param(rest, marks=nightly) for rest in ((), (EXACT, FLIGHT)))],
@@ -128,6 +129,7 @@ def test_an_orbit_that_cannot_be_is_refused(changes, entry):
 DEGREE = "body.planned_degree"
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("few_flights")
 def test_a_plan_with_harmonics_is_verified():
     mission = mission_of(f"{DEGREE}=3")

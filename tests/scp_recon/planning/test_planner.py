@@ -46,6 +46,7 @@ def two_rounds(mission) -> Plan:
     return from_cold(mission, facet_rounds=1)
 
 
+@pytest.mark.slow
 def test_every_stage_converges_and_costs_what_it_should(mission, default_plan, two_rounds):
     """The first three figures are those of an independent prototype: IPOPT on the same grid."""
     tight_mission = mission_of("polytopes.ball=tangent", "polytopes.cone=12")
@@ -128,6 +129,7 @@ def at_nodes() -> tuple[Mission, Linearisation]:
     return mission, planner.solve(spec, start, mission.dynamics, ignore).result.lin
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", usually(["facets", "flight", "node"], 1))
 def test_lifted_and_condensed_agree_at_convergence(coarse_plan, at_nodes, kind):
     if kind == "facets":
@@ -217,6 +219,7 @@ def test_infeasible_p2_is_tried_from_another_start(mission):
     assert total_dv(mission, found.final) == pytest.approx(0.140135, rel=1e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("few_flights")
 def test_facets_that_leave_nothing_feasible_are_chosen_again():
     """Where the first choice ended; every stage has a name of its own."""
@@ -230,6 +233,7 @@ def test_facets_that_leave_nothing_feasible_are_chosen_again():
     assert verify(mission, make_solution(found)).ok
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("formulation", ["condensed", "lifted"])
 def test_replan_finds_the_optimum_for_its_facets(coarse_plan, formulation):
     """Also in CVXPY, whose kept program must not remember the old initial state."""
@@ -253,6 +257,7 @@ def test_replan_finds_the_optimum_for_its_facets(coarse_plan, formulation):
     assert rows.missed(found.result.lin, 1e-6).sum() == 0
 
 
+@pytest.mark.slow
 def test_a_planner_keeps_its_programs(mission, default_plan):
     planner = Planner(mission)
     first, second = (planner.plan(initial_guess.cold(mission)) for _ in range(2))

@@ -60,6 +60,7 @@ def least_dv(planner: Planner[Mission], plan: Plan, node: int, kick: Array) -> f
     return found.lin.iterate.total_dv
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("time_s", [5000.0, 14_900.0, 27_000.0])
 def test_an_added_burn_saves_the_primers_amount(planner, plan, time_s):
     history = primer_of(plan)

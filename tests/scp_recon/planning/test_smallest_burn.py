@@ -20,6 +20,8 @@ from scp_recon.scp.status import Status
 from scp_recon.verification.reintegration import verify
 from tests.scenarios import COARSE
 
+pytestmark = pytest.mark.slow
+
 EXACT = ('risk.allocation="exact"', 'risk.scope="flight"', "risk.p_chance=0.8")
 
 

@@ -25,6 +25,8 @@ from tests.helpers import usually
 from tests.scenarios import COARSE
 from tests.scp_recon.support import raising
 
+pytestmark = pytest.mark.slow
+
 
 class PanicError(BaseException):
     """As a panic in Rust arrives in Python: no Exception."""

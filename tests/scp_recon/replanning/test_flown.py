@@ -58,6 +58,7 @@ def test_no_measured_burn_makes_a_variance_negative(default_plan):
     check()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("measured", [(), (1,), (2,), (1, 3), (2, 3)])
 def test_the_spread_is_that_of_flights_in_which_measured_burns_do_not_err(default_plan, measured):
     """Small errors, so that flights are linear; the bias is one draw for all burns of a flight."""
@@ -143,6 +144,7 @@ def test_the_policy_alone_acts_on_the_estimate_at_the_cut_off(corrected, at_s):
     assert flown.commanded(planned + OFF, 17_000.0) is None
 
 
+@pytest.mark.slow
 def test_a_plan_with_corrections_is_continued_from_its_cut_off(corrected):
     """The next burn is as it is; later ones are corrected by measurements to come."""
     flown, first = FlownPlan.of(corrected), corrected.corrections[0]

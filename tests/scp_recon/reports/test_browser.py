@@ -13,7 +13,7 @@ from tests.scp_recon.browser import WINDOW, chromium, needed
 
 PATIENCE_MS = 120_000
 
-pytestmark = needed
+pytestmark = [needed, pytest.mark.slow]
 
 
 @dataclass

@@ -155,6 +155,7 @@ def test_missing_shape_file_is_named(solution, tmp_path):
     assert "through the site" in shape_of(scenario.model_copy(update={"body": bare})).description
 
 
+@pytest.mark.slow
 def test_probabilities_are_the_verification_s(subject, flown, verified):
     """The same draws: at the nodes the same numbers."""
     checked = verified.verification
@@ -181,6 +182,7 @@ def test_the_budget_is_that_of_the_executed_burns(subject, flown):
     assert budget.total_high_m_s < budget.high_m_s.sum()
 
 
+@pytest.mark.slow
 def test_the_view_moves_through_the_nodes(page, subject):
     motion = page.scene["motion"]
     plan = motion["plans"][0]

@@ -36,6 +36,8 @@ from tests.scp_recon.support import run_solve
 
 from .conftest import MADE
 
+pytestmark = pytest.mark.slow
+
 BYTES_MAX = 8_000_000
 
 

@@ -164,6 +164,7 @@ def edited(data: Data, path: str, value: object) -> str:
     return json.dumps(with_value(data, tuple(where), value))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "path",
     [
@@ -177,6 +178,7 @@ def test_a_missing_key_is_named(tmp_path, data, path):
     assert error.given == "nothing"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("path", "value"),
     usually(

@@ -299,6 +299,7 @@ BAD_FILES: dict[str, tuple[str | bytes, str, str]] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.timeout(10)
 @pytest.mark.parametrize(("content", "entry", "words"), BAD_FILES.values(), ids=BAD_FILES)
 def test_a_bad_file_is_refused_at_once(tmp_path, content, entry, words):

@@ -206,6 +206,7 @@ def random_covariance(rng: np.random.Generator, rank: int) -> Array:
     return matrix
 
 
+@pytest.mark.slow
 @given(generators, st.integers(1, 6), st.sampled_from(["j2000", "sun_north", "body_fixed", "rtn"]))
 def test_factor_is_a_root_of_the_covariance(rng, rank, frame):
     matrix = random_covariance(rng, rank)
@@ -229,6 +230,7 @@ def test_factor_is_a_root_of_the_covariance(rng, rank, frame):
     np.testing.assert_allclose(mission.initial_sigma, sigma, rtol=1e-12)
 
 
+@pytest.mark.slow
 @given(generators, st.floats(0.1, 0.9))
 def test_a_rounded_covariance_is_accepted(rng, share):
     """Rounding makes a singular covariance a little indefinite and a little asymmetric."""

@@ -47,6 +47,7 @@ def p3_by(algorithm: Algorithm, mission: Mission, start: Linearisation) -> Resul
     return run(subproblem, mission.dynamics, start, algorithm, ignore)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", OTHERS)
 def test_every_algorithm_reaches_the_optimum_of_scvx(name, mission, default_plan):
     found = from_cold(mission, algorithm=name)
@@ -60,6 +61,7 @@ def test_every_algorithm_reaches_the_optimum_of_scvx(name, mission, default_plan
         assert np.abs(last.factor - own.factor).max() < 1e-14
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", usually(OTHERS, 1))
 def test_unreachable_states_are_infeasible_with_least_violation(name):
     """Burns of at most 2 cm/s; what is violated is the burns' size, not the final state."""
@@ -69,6 +71,7 @@ def test_unreachable_states_are_infeasible_with_least_violation(name):
     assert violations["dv_max"].max() > 0.1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ALGORITHMS)
 def test_inaccurate_answers_end_without_a_verdict(name, mission, cold, monkeypatch):
     original = CondensedSubproblem.solve
@@ -120,6 +123,7 @@ def test_a_tenth_of_predicted_reduction_accepts_a_step(prox_run):
         assert after.trust_radius == pytest.approx(expected)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "algorithm",
     [

@@ -88,6 +88,7 @@ BETWEEN_PHASES = (
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("scenario", "given", "verdicts"),
     [

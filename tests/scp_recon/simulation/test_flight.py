@@ -41,6 +41,8 @@ from scp_recon.simulation.vehicle import Vehicle
 from tests.scp_recon.simulation.short_plan import SHORT, short_plan
 from tests.scp_recon.support import mission_of
 
+pytestmark = pytest.mark.slow
+
 PATH = frozenset({Source.INITIAL_STATE, Source.CHEMICAL_THRUSTER})
 
 

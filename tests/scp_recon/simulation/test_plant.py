@@ -28,6 +28,8 @@ from scp_recon.simulation.vehicle import Vehicle
 
 from .support import coast
 
+pytestmark = pytest.mark.slow
+
 DURATION_S = 17_421.0
 
 

@@ -34,6 +34,7 @@ def test_an_older_file_is_of_an_unknown_plan_and_what_a_later_one_adds_is_passed
     assert read_record(tmp_path).summary == summary()
 
 
+@pytest.mark.slow
 def test_numbers_are_neither_true_nor_words_nor_infinite(tmp_path):
     for place in numbers(entries()):
         for strange in (True, "1", [1.0], float("nan"), float("inf")):
@@ -42,6 +43,7 @@ def test_numbers_are_neither_true_nor_words_nor_infinite(tmp_path):
                 read_record(tmp_path)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ARRAYS)
 def test_arrays_are_finite_numbers_that_fit_together(tmp_path, name):
     whole = arrays()

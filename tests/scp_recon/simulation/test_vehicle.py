@@ -172,6 +172,7 @@ def test_quaternions_are_scipys_rotations(rng):
     assert (short.inv() * a).magnitude() < 1e-10
 
 
+@pytest.mark.slow
 @settings(max_examples=6)
 @given(rng=generators, stars=st.booleans())
 def test_errors_are_as_large_as_the_filter_says(rng, stars):

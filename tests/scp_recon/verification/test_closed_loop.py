@@ -42,6 +42,8 @@ from tests.scenarios import COARSE
 from tests.scp_recon.support import fly_few, mission_of
 from tests.scp_recon.verification.test_verification import changed, moved
 
+pytestmark = pytest.mark.slow
+
 MEASURED = (
     COARSE,
     "boundary.final_sigma_position_m=5000",  # which the burn after the window is corrected for

@@ -18,6 +18,8 @@ from scp_recon.scp.status import Status
 from scp_recon.verification import refinement, reintegration
 from scp_recon.verification.reintegration import verify
 
+pytestmark = pytest.mark.slow
+
 TIGHT = 2e-8
 """A limit that the default grid misses: its covariances err by 7e-8."""
 

@@ -23,6 +23,8 @@ from scp_recon.verification.reintegration import FIGURES, limits_of, verify
 from tests.helpers import usually
 from tests.scp_recon.support import mission_of
 
+pytestmark = pytest.mark.slow
+
 Change = Callable[[dict[str, Any]], object]
 
 
