@@ -246,10 +246,11 @@ def run_row(row: Row, default: Mission, folder: Path, *, samples: int, check: bo
     lowest = min(joint, key=lambda name: joint[name].value)
     throughout = held.throughout.estimate
     counted = counted_s(mission, solution, min(samples, COUNTED_MAX))
+    words = status(solution)
     return {
-        **about(row, status(solution)),
-        "ended": status(solution).split(",")[0],
-        "converged": " converged" in status(solution),
+        **about(row, words),
+        "ended": words.split(",")[0],
+        "converged": " converged" in words,
         "samples": summary.samples,
         "window_s": last - first,
         "without_uncertainty_s": nominal_time_s(mission, solution),

@@ -9,7 +9,7 @@ other tables sum them up. A run that was stopped continues with the first missin
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import TypeAlias
@@ -215,7 +215,7 @@ def guesses(rows: Frame) -> list[Record]:
     best = rows.total_dv_m_s[ok].min()
     for method, tries in rows.groupby("method", sort=False):
         solved = ok[tries.index]
-        first = solved & (tries.at_once == True)  # noqa: E712 -- missing where a cell failed
+        first = solved & tries.at_once.eq(True)  # missing where a cell failed
         at_best = solved & (tries.total_dv_m_s <= best * (1.0 + AGREE))
         counts = {
             "solved_at_the_first_try": first,
@@ -376,9 +376,9 @@ def exact_claims(rows: Frame) -> list[Claim]:
     ]
 
 
-def listed(words: object) -> str:
+def listed(words: Iterable[object]) -> str:
     """Words with commas between, or none."""
-    return ", ".join(map(str, words)) or "none"  # type: ignore[call-overload]
+    return ", ".join(map(str, words)) or "none"
 
 
 # --- the study ------------------------------------------------------------------------------------
