@@ -222,19 +222,24 @@ def _agree(reported: EventProbability, expected: Array) -> bool:
 
 def node_probabilities(mission: Mission, solution: Solution) -> dict[str, tuple[Array, Array]]:
     """Times and probabilities of each joint constraint, by points of the nodes' normal laws."""
-    from scipy.stats import qmc  # half a second to import
-
     times = np.array(solution.nodes.t_s)
     mean = np.array(solution.nodes.state)[:, :3]
     covariance = np.array(solution.nodes.covariance)[:, :3, :3]
-    values, axes = np.linalg.eigh(covariance)
-    root = axes * np.sqrt(np.maximum(values, 0.0))[:, None]
-    draws = ndtri(qmc.Sobol(3, scramble=True, rng=SEED).random(POINTS))
     first, last = mission.observed_s or (np.inf, np.inf)
     window = (times >= first) & (times <= last)
-    positions = mean[:, None] + draws @ root.swapaxes(1, 2)
+    positions = mean[:, None] + normal_points(covariance)
     margins = limit_margins(mission, times, positions, window)
     return {name: (at, (margin >= 0.0).mean(axis=1)) for name, (at, margin) in margins.items()}
+
+
+def normal_points(covariance: Array) -> Array:
+    """Sobol points of normal laws about zero, shape (..., POINTS, n), of covariances (..., n, n)."""
+    from scipy.stats import qmc  # half a second to import
+
+    values, axes = np.linalg.eigh(covariance)
+    root = axes * np.sqrt(np.maximum(values, 0.0))[..., None, :]
+    draws = ndtri(qmc.Sobol(covariance.shape[-1], scramble=True, rng=SEED).random(POINTS))
+    return np.asarray(draws @ root.swapaxes(-1, -2))
 
 
 def _is_promise(risk: Risk) -> bool:

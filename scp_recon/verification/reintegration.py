@@ -31,9 +31,9 @@ from scp_recon.results.facts import BurnLimit, FinalMiss, FinalSigma, MeanMargin
 from scp_recon.results.figures import is_converged, is_strange
 from scp_recon.results.policy import Policy
 from scp_recon.results.solution import Solution
-from scp_recon.verification.closed_loop import JointCovariance
-from scp_recon.verification.commands import (
+from scp_recon.verification.closed_loop import (
     NO_BURN_M_S,
+    JointCovariance,
     burn_limits,
     commanded,
     is_kept,
