@@ -21,6 +21,7 @@ from scp_recon.errors import (
 )
 from scp_recon.files import check_writable, only_run_in, unwritable
 from scp_recon.mission.scene import TruthModel
+from scp_recon.monte_carlo.closed_loop import replans
 from scp_recon.monte_carlo.flights import (
     LIMITS,
     SAMPLES_MAX,
@@ -32,7 +33,6 @@ from scp_recon.monte_carlo.flights import (
     fly_many,
 )
 from scp_recon.monte_carlo.observation_time import ALL
-from scp_recon.monte_carlo.replans import replans
 from scp_recon.monte_carlo.sampling import AnyPolicy, ErrorModel, PolicyKind
 from scp_recon.monte_carlo.summary import FILE_NAME, Interval, Summary, summarise
 from scp_recon.results.solution import Solution, require_whole_flight

@@ -18,7 +18,7 @@ from scp_recon.campaigns.axes import LATITUDE, LONGITUDE, NAME
 from scp_recon.campaigns.cases import Changes, changed
 from scp_recon.errors import InputError, shortened
 from scp_recon.mission.feedback import check_feedback
-from scp_recon.monte_carlo.replans import cut_offs_s
+from scp_recon.monte_carlo.closed_loop import cut_offs_s
 from scp_recon.scenario.schema import Scenario
 
 ROWS_MAX = 1_000_000

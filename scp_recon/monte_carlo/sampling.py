@@ -12,8 +12,7 @@ from formulations.arrays import Array, Booleans
 from scp_recon.mission.grid import RK4_STEP_MAX_S, make_grid
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.scene import TruthModel, errors_of_kind
-from scp_recon.monte_carlo.closed_loop import MEASURED, ClosedLoop, due
-from scp_recon.monte_carlo.replans import Replan, ReplanLoop, Replans
+from scp_recon.monte_carlo.closed_loop import MEASURED, ClosedLoop, Replan, ReplanLoop, Replans, due
 from scp_recon.physics.flow import advance, interpolate
 from scp_recon.physics.forces import accelerations
 from scp_recon.results.policy import Correction, Policy

@@ -9,8 +9,8 @@ from formulations.arrays import Array
 from scp_recon.api.flights import fly
 from scp_recon.cli.commands import montecarlo
 from scp_recon.errors import InputError
-from scp_recon.monte_carlo import replans as module
-from scp_recon.monte_carlo.replans import Replan, replans
+from scp_recon.monte_carlo import closed_loop as module
+from scp_recon.monte_carlo.closed_loop import Replan, replans
 from scp_recon.monte_carlo.sampling import FlightLog, fly_block
 from scp_recon.monte_carlo.summary import read_summary
 from scp_recon.results.solution import Solution
