@@ -251,13 +251,7 @@ class Planner(Generic[Task]):
 
         return make_plan(mission, pipeline, work, *self._provenance(init))
 
-    def replan(
-        self: Planner[Mission],
-        last: Plan,
-        initial_state: Array,
-        *,
-        observe: Observer | None = None,
-    ) -> Plan:
+    def replan(self: Planner[Mission], last: Plan, initial_state: Array) -> Plan:
         """Solve P2 again for another initial state, from the last plan and with its facets.
 
         The state is that before the first burn, J2000, SI, shape (6,); its covariance is the mission's
@@ -276,7 +270,7 @@ class Planner(Generic[Task]):
         ):
             raise ValueError("the plan is of another mission")
         mission = self.task.with_initial_state(initial_state)
-        pipeline = Pipeline(mission, self, observe or unobserved)
+        pipeline = Pipeline(mission, self)
 
         def work() -> Stage:
             if facets is None:
