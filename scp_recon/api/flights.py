@@ -20,6 +20,8 @@ from scp_recon.errors import (
     whole_number,
 )
 from scp_recon.files import check_writable, only_run_in, unwritable
+from scp_recon.jobs.job import Executor, here
+from scp_recon.jobs.processes import Processes
 from scp_recon.mission.scene import TruthModel
 from scp_recon.monte_carlo.closed_loop import replans
 from scp_recon.monte_carlo.flights import (
@@ -221,16 +223,17 @@ def _policy(plan: Opened, kind: PolicyKind | None) -> AnyPolicy:
 
 
 def _fly(config: FlightConfig, options: FlyOptions, watcher: Watcher) -> FlightTally:
-    executor = None
+    executor: Executor = here
     if options.scheduler is not None:
         from scp_recon.jobs.cluster import Cluster
 
         executor = Cluster(options.scheduler, LIMITS, watcher.say)
+    elif options.workers is not None and options.workers > 1:
+        executor = Processes(options.workers, LIMITS)
     return fly_many(
         config,
         samples=options.samples,
         until=options.until,
-        workers=options.workers or 1,
         executor=executor,
         progress=watcher.progress,
         stop=watcher.stop,

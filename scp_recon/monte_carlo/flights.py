@@ -14,7 +14,7 @@ import numpy.typing as npt
 from formulations.arrays import Array
 from scp_recon.errors import InputError, one_of, whole_number
 from scp_recon.jobs.job import Executor, Job, here, in_order
-from scp_recon.jobs.processes import Limits, Processes
+from scp_recon.jobs.processes import Limits
 from scp_recon.mission.constraints import companion_distance_m
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.scene import TruthModel, errors_of_kind
@@ -270,33 +270,29 @@ def fly_many(
     *,
     samples: int,
     until: float | None = None,
-    workers: int = 1,
-    executor: Executor | None = None,
+    executor: Executor = here,
     progress: Callable[[int], None] | None = None,
-    stop: Callable[[], bool] | None = None,
+    stop: Callable[[], bool] = lambda: False,
 ) -> FlightTally:
     """Fly `samples` flights, or fewer if every probability's interval is `until` wide before.
 
     Where `PLAIN` flights leave one wider, further flights in strata narrow the joint constraints'
     probabilities, at most as many as are left, if that is quicker: see `narrow`.
-    The result does not depend on where blocks are flown. One worker is this process; an executor
-    replaces the workers. After each block `progress` is called with the number flown so far, and a
-    true `stop()` ends the flights.
+    The result does not depend on where the executor flies blocks, by default in this process. After
+    each block `progress` is called with the number flown so far, and a true `stop()` ends the flights.
 
     Raises:
-        InputError: if samples, until or workers are out of bounds, before any flight; or if a block
+        InputError: if samples or until are out of bounds, before any flight; or if a block
             could not be flown.
     """
     samples = whole_number("samples", samples, SAMPLES_MIN, SAMPLES_MAX)
-    workers = whole_number("workers", workers, 1, WORKERS_MAX)
     if until is not None and not 0.0 < until < 1.0:
         raise InputError("until", repr(until), "must be a width between 0 and 1")
     flown = FlightTally(config)
-    executor = executor or (here if workers == 1 else Processes(workers, LIMITS))
 
     def has_ended() -> bool:
         narrow_enough = until is not None and flown.samples and flown.widest_interval() <= until
-        return bool(narrow_enough or (stop and stop()))
+        return bool(narrow_enough or stop())
 
     def fly_to(count: int) -> None:
         first, last = flown.samples // BLOCK, -(-count // BLOCK)
@@ -314,7 +310,7 @@ def fly_many(
         if has_ended():
             return flown
         flown.narrowed = _narrowed(flown, until, samples, executor, stop)
-        if flown.narrowed is not None or (stop and stop()):
+        if flown.narrowed is not None or stop():
             return flown
     fly_to(samples)
     return flown
@@ -325,7 +321,7 @@ def _narrowed(
     until: float,
     samples: int,
     executor: Executor,
-    stop: Callable[[], bool] | None,
+    stop: Callable[[], bool],
 ) -> Narrowed | None:
     """Probabilities of further flights in strata.
 
@@ -336,12 +332,4 @@ def _narrowed(
         return None
     how = config.looks_s, config.truth, config.errors, corrections_of(config.policy)
     flights = SampledFlights(config.mission, config.burns_m_s, *how)
-    return narrow(
-        flights,
-        config.seed,
-        before // BLOCK,
-        until,
-        samples - before,
-        executor,
-        stop or (lambda: False),
-    )
+    return narrow(flights, config.seed, before // BLOCK, until, samples - before, executor, stop)
