@@ -25,7 +25,7 @@ from scp_recon.drafting.flyby import (
 from scp_recon.errors import InputError, option
 from scp_recon.mission.scene import Scene
 from scp_recon.mission.survey import survey
-from scp_recon.mission.windows import Window, all_windows, scan_step_s, whole_windows
+from scp_recon.mission.windows import Window, each_window, scan_step_s, whole_windows
 from scp_recon.physics.two_body import two_body
 from scp_recon.scenario.load import validate_scenario
 from scp_recon.scenario.schema import Scenario
@@ -286,8 +286,8 @@ def _designed(draft: Draft, opens: float) -> Draft:
     scene = Scene.of(scenario_of(draft))
     scenario, search = scene.scenario, (0.0, opens + WINDOW_MAX_S + DAY_S)
     slack = scene.lighting.slack(scenario.observation)
-    found = all_windows(slack, search, scan_step_s(scene.rotation.rate, search))
+    found = list(each_window(slack, search, scan_step_s(scene.rotation.rate, search)))
     window = min(whole_windows(found, search), key=lambda w: abs(w[0] - opens))
     flight = 0.0, burn_times(window, scenario.schedule)[-1]
-    alone = whole_windows(found, flight)[0] == window
+    alone = next(whole_windows(found, flight)) == window
     return replace(draft, design=design_flyby(scene, window), window_s=None if alone else window)

@@ -20,7 +20,7 @@ from scp_recon.drafting.draft import (
 )
 from scp_recon.drafting.flyby import SLACK_S
 from scp_recon.errors import InputError, option
-from scp_recon.mission.legal_burns import legal_burns
+from scp_recon.mission.schedule import legal_burns
 from scp_recon.mission.windows import Window
 from scp_recon.scenario.fields import ScenarioWarning
 from scp_recon.scenario.schema import Scenario

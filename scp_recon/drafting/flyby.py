@@ -16,7 +16,6 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from formulations.arrays import Array
-from scp_recon.mission.legal_burns import before_burn_s, sun_leg_s
 from scp_recon.mission.scene import Scene
 from scp_recon.mission.windows import Window
 from scp_recon.physics import geometry
@@ -53,15 +52,14 @@ class Design:
 
 def window_opens_s(rules: ScheduleRules) -> float:
     """Earliest opening of a window with one burn before it and some margin, s."""
-    return before_burn_s(rules) + 2.0 * sun_leg_s(rules) + rules.attitude_s + 3.0 * SLACK_S
+    return rules.cycle_s + rules.before_window_s + 3.0 * SLACK_S
 
 
 def burn_times(window_s: Window, rules: ScheduleRules) -> tuple[float, float, float, float]:
     """Times of one burn before the window, as late as legal, and two after it, with some margin, s."""
-    cycle = before_burn_s(rules) + sun_leg_s(rules)
-    second = window_s[0] - rules.attitude_s - sun_leg_s(rules) - SLACK_S
-    third = window_s[1] + cycle + SLACK_S
-    return 0.0, round(second), round(third), round(third + cycle + SLACK_S)
+    second = window_s[0] - rules.before_window_s - SLACK_S
+    third = window_s[1] + rules.cycle_s + SLACK_S
+    return 0.0, round(second), round(third), round(third + rules.cycle_s + SLACK_S)
 
 
 def design_flyby(scene: Scene, window_s: Window) -> Design:

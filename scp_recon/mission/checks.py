@@ -31,9 +31,10 @@ from scp_recon.bodies.catalogue import (
 )
 from scp_recon.bodies.surface import angle_deg, coordinates_of
 from scp_recon.errors import InputError
-from scp_recon.mission.feedback import uncorrected_burns, useless_measurement
+from scp_recon.mission.feedback import check_feedback, uncorrected_burns, useless_measurement
 from scp_recon.mission.intervals import INTERVALS, J2_ENDS, PLANNER_INTERVALS, STATE_INTERVALS
-from scp_recon.mission.scene import Scene, orbit_of_body
+from scp_recon.mission.scene import Scene, orbit_of_body, planned_field
+from scp_recon.mission.schedule import check_in_flight
 from scp_recon.mission.windows import SCAN_STEP_S, Window
 from scp_recon.physics.frames import Rotation, unit
 from scp_recon.physics.two_body import Orbit
@@ -268,14 +269,25 @@ WINDOW_SLACK = 0.05
 """Slack of the lighting limits, deg or h: room for a window given to the nearest second."""
 
 
-def check_plausible(scene: Scene) -> None:
-    """Refuse values with which planning would never end or overflow: `PLANNER_INTERVALS`.
+def check_plannable(scene: Scene) -> None:
+    """Refuse what no plan can be made of, or with which planning would never end or overflow.
 
     Raises:
         InputError: naming the entry, what was given and what is allowed.
     """
+    scenario = scene.scenario
+    if scenario.boundary.home is not None and scenario.boundary.home.is_free:
+        raise InputError(
+            "boundary.home",
+            "a home orbit that is flown, or has free phases",
+            "must be a circle with departure_deg and arrival_deg fixed here; "
+            "python -m scp_recon design finds the rest, and writes a scenario of its own",
+        )
     for row in PLANNER_INTERVALS:
         tuple(row.check(scene))
+    check_in_flight(scenario)
+    check_feedback(scenario)
+    planned_field(scenario)
 
 
 def check_scene(scene: Scene) -> tuple[ScenarioWarning, ...]:

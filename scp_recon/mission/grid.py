@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -46,7 +47,7 @@ NODES_MAX = 3000
 """Beyond them a plan would take minutes and gigabytes."""
 
 
-def make_grid(fixed_s: tuple[float, ...], step_max_s: float) -> Array:
+def make_grid(fixed_s: Sequence[float], step_max_s: float) -> Array:
     """Ascending node times, s: `fixed_s`, and between them even steps of at most `step_max_s`."""
     fixed = np.unique(fixed_s)
     parts = [

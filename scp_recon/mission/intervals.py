@@ -273,6 +273,16 @@ def _sigma(scene: Scene, entry: str, part: int) -> float | None:
     return float(sigma.reshape(2, 3)[part].max())
 
 
+def _distance_m(scene: Scene, _: str) -> float:
+    return float(np.linalg.norm(scene.initial_state[:3]))
+
+
+def _speed_m_s(scene: Scene, entry: str) -> float:
+    """Speed where planning begins, or that of a circular orbit there, whichever is larger."""
+    circular = math.sqrt(scene.scenario.body.gm_m3_s2 / _distance_m(scene, entry))
+    return max(float(np.linalg.norm(scene.initial_state[3:])), circular)
+
+
 def _entries(table: str, model: type[Section], ending: str) -> str:
     return " ".join(f"{table}.{key}" for key in model.model_fields if key.endswith(ending))
 
@@ -302,6 +312,8 @@ SPREADS = "in_flight.covariance uncertainty.initial_sigma_fraction uncertainty.i
 SPREAD = (1e-4, 0.0999)
 """1 sigma over distance or speed: 0.1 m at 1 km is the best that is flown. The ends are less than a
 factor of 1000 apart, so that nothing between them is there in kilometres, or millimetres, too."""
+BELOW = (-INF, math.nextafter(1.0, 0.0))
+"""Refuses what is as large as the scale, or larger."""
 DENSITIES = (3.0, 1e6)
 """Density of any body by a radius within a factor of five of its own, kg/m^3."""
 SPIN, SUN_SPEED = "body.prime_meridian_rate_deg_day", "sun.body_velocity_km_s"
@@ -312,18 +324,15 @@ ESCAPE = _escape_m_s, "times the speed of escape there"
 SIGMAS = (
     Interval(
         f"{SPREADS} uncertainty.initial_sigma_position_m", "1 sigma",
-        lambda s, entry: _sigma(s, entry, 0), "m", warn=SPREAD, hint="; metres and seconds?",
-        or_zero=True,
-        scale=(lambda s, _: s.sizes(s.initial_state)[0][0], "times the distance from the centre"),
+        lambda s, entry: _sigma(s, entry, 0), "m", refuse=BELOW, warn=SPREAD,
+        hint="; metres and seconds?", or_zero=True,
+        scale=(_distance_m, "times the distance from the centre"),
     ),
     Interval(
         f"{SPREADS} uncertainty.initial_sigma_velocity_m_s", "1 sigma",
-        lambda s, entry: _sigma(s, entry, 1), "m/s", warn=SPREAD, hint="; metres and seconds?",
-        or_zero=True,
-        scale=(
-            lambda s, _: s.sizes(s.initial_state)[1][0],
-            "times the speed, or that of a circular orbit",
-        ),
+        lambda s, entry: _sigma(s, entry, 1), "m/s", refuse=BELOW, warn=SPREAD,
+        hint="; metres and seconds?", or_zero=True,
+        scale=(_speed_m_s, "times the speed, or that of a circular orbit"),
     ),
 )  # fmt: skip
 """Rows for the state where planning begins; what is measured of it is never without an error."""
@@ -507,6 +516,10 @@ INTERVALS = (
         f"{_entries('schedule', ScheduleRules, '_s')} navigation.lead_s", unit="s",
         warn=(60.0, INF), hint="; seconds?", or_zero=True,
     ),
+    Interval(
+        "uncertainty.gates.magnitude_fixed_m_s uncertainty.gates.pointing_fixed_m_s", unit="m/s",
+        refuse=BELOW, scale=(lambda s, _: s.scenario.burns.dv_max_m_s, "times burns.dv_max_m_s"),
+    ),
     # Beyond it a per cent was meant, or there is nothing to plan with.
     Interval(
         "uncertainty.execution_error "
@@ -532,7 +545,7 @@ STATE_INTERVALS = (
     ),
     *SIGMAS,
     *(
-        replace(row, entries=f"navigation.covariance {measured}", or_zero=False)
+        replace(row, entries=f"navigation.covariance {measured}", refuse=None, or_zero=False)
         for row, measured in zip(
             SIGMAS, ("navigation.sigma_position_m", "navigation.sigma_velocity_m_s"), strict=True
         )

@@ -21,14 +21,9 @@ from formulations.problem.polytopes import ball, paper_ball
 from scp_recon.bodies.catalogue import AU_KM
 from scp_recon.bodies.surface import Mesh
 from scp_recon.errors import InputError
-from scp_recon.mission.checks import check_plausible, check_scene, check_state, check_window
+from scp_recon.mission.checks import check_plannable, check_scene, check_state, check_window
 from scp_recon.mission.constraints import Limit, observation_limits, state_constraints
-from scp_recon.mission.feedback import (
-    check_feedback,
-    felt_cut_offs_s,
-    require_open_loop,
-    resolved,
-)
+from scp_recon.mission.feedback import felt_cut_offs_s, require_open_loop, resolved
 from scp_recon.mission.grid import RK4_STEP_MAX_S, Units, make_grid
 from scp_recon.mission.scene import (
     Scene,
@@ -43,10 +38,8 @@ from scp_recon.mission.schedule import (
     BURNS_TO_MEET,
     MISS_WEIGHT,
     Schedule,
-    check_in_flight,
     find_window,
     make_schedule,
-    what_is_left,
 )
 from scp_recon.mission.windows import scan_step_s
 from scp_recon.physics import geometry
@@ -104,19 +97,10 @@ class Mission:
 
         Raises:
             InputError: if there is no window, a firing time breaks a rule of the schedule, or
-                entries do not make sense together (`plausibility`, `checks`).
+                entries do not make sense together (`checks`).
         """
-        if scenario.boundary.home is not None and scenario.boundary.home.is_free:
-            raise InputError(
-                "boundary.home",
-                "a home orbit that is flown, or has free phases",
-                "must be a circle with departure_deg and arrival_deg fixed here; "
-                "python -m scp_recon design finds the rest, and writes a scenario of its own",
-            )
         scene = Scene.of(scenario)
-        check_plausible(scene)
-        check_in_flight(scenario)
-        check_feedback(scenario)
+        check_plannable(scene)
         if known is not None and known.scenario.same_but_in_flight(scenario):
             window, warnings = known.schedule.window_s, known.warnings
         else:
@@ -125,24 +109,18 @@ class Mission:
             window = find_window(scenario, scene.lighting, step)
             warnings += check_window(scene, window)
         schedule = make_schedule(scenario.burns.times_s, window, scenario.schedule)
-        execution_errors(scenario)
-        planned_field(scenario)
-        warnings += check_state(scene)
-        initial, start = scene.initial_state, scenario.start_s
-        burns_s = *scenario.burn_times_s, *felt_cut_offs_s(scene, window).values()
-        fixed = start, *burns_s, *window, *scenario.grid.nodes_s
+        start, cut_offs = scenario.start_s, felt_cut_offs_s(scene, window).values()
+        fixed = start, *scenario.burn_times_s, *cut_offs, *window, *scenario.grid.nodes_s
         return cls(
             scenario=scenario,
             rotation=scene.rotation,
             site=scene.site,
-            initial_state=initial,
+            initial_state=scene.initial_state,
             final_state=scene.boundary_state("final"),
-            schedule=what_is_left(schedule, scenario),
-            times_s=make_grid(
-                tuple(time for time in fixed if time >= start), scenario.grid.step_max_s
-            ),
-            units=Units.of_orbit(initial, scenario.body.gm_m3_s2),
-            warnings=warnings,
+            schedule=schedule.after(scenario),
+            times_s=make_grid([time for time in fixed if time >= start], scenario.grid.step_max_s),
+            units=Units.of_orbit(scene.initial_state, scenario.body.gm_m3_s2),
+            warnings=warnings + check_state(scene),
         )
 
     def changed(self, entries: Mapping[str, object], *words: ScenarioWarning) -> Mission:
@@ -210,12 +188,18 @@ class Mission:
         return replace(self._forces(None), gm=0.0, j2_strength=0.0, field=turning)
 
     def true_gravity(self, truth: TruthModel) -> str:
-        """The gravity of flights, in words."""
-        if truth == "planner":
-            return self.planned_gravity
+        """The gravity of the planner, or of flights, with its rotation and the companion, in words."""
+        body, own = self.scenario.body, "point mass and J2"
         if truth == "harmonics":
-            return self._in_full(f"harmonics to degree {len(self.truth_field.c) - 1}")
-        return self._in_full(f"a homogeneous polyhedron of {len(self.solid.facets)} facets")
+            own = f"harmonics to degree {len(self.truth_field.c) - 1}"
+        elif truth == "polyhedron":
+            own = f"a homogeneous polyhedron of {len(self.solid.facets)} facets"
+        elif body.planned_degree is not None:
+            of = " of a homogeneous solid" if is_planned_as_solid(body) else ""
+            own = f"harmonics{of} to degree {body.planned_degree}"
+        if body.attitude is not None:
+            own += " that tumble with the body"
+        return own if body.companion is None else f"{own}, and the pull of {body.companion.name}"
 
     @cached_property
     def solid(self) -> Mesh:
@@ -225,23 +209,6 @@ class Mission:
             InputError: if its shape is not known.
         """
         return solid_of(self.scenario.body)
-
-    @property
-    def planned_gravity(self) -> str:
-        """The gravity of the planner, in words."""
-        body = self.scenario.body
-        own = "point mass and J2"
-        if body.planned_degree is not None:
-            of = " of a homogeneous solid" if is_planned_as_solid(body) else ""
-            own = f"harmonics{of} to degree {body.planned_degree}"
-        return self._in_full(own)
-
-    def _in_full(self, own: str) -> str:
-        """Words on the body's own gravity, its rotation and its companion."""
-        body = self.scenario.body
-        if body.attitude is not None:
-            own += " that tumble with the body"
-        return own if body.companion is None else f"{own}, and the pull of {body.companion.name}"
 
     def _forces(self, field: HarmonicField | None) -> ForceModel:
         body, craft = self.scenario.body, self.scenario.spacecraft

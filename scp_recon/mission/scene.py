@@ -127,48 +127,28 @@ class Scene:
         transverse and normal axes are those of the mean state, shape (6,).
 
         Raises:
-            InputError: if the state has no plane to be normal to, or its sigma is as large as itself.
+            InputError: if the state has no plane to be normal to.
         """
         given, flight = self.scenario.uncertainty, self.scenario.in_flight
+        matrix, frame, entry = given.initial_covariance, given.initial_frame, "uncertainty.initial"
         if flight is not None and flight.covariance is not None:
-            root = factor_of(np.array(flight.covariance))
-            entries = ("in_flight.covariance",) * 2
-            return self._turned(
-                root, state, flight.covariance_frame, entries, "in_flight.covariance_frame"
+            matrix, frame, entry = (
+                flight.covariance,
+                flight.covariance_frame,
+                "in_flight.covariance",
             )
-        if flight is not None and given.initial_frame != "rtn":
+        elif flight is not None and frame != "rtn":
             state = self.boundary_state("initial")
-        if given.initial_sigma_fraction is not None:
+        if entry.startswith("uncertainty") and given.initial_sigma_fraction is not None:
             return np.diag(given.initial_sigma_fraction * np.abs(state))
-        entries = "uncertainty.initial_sigma_position_m", "uncertainty.initial_sigma_velocity_m_s"
-        if given.initial_covariance is None:
+        if matrix is not None:
+            root = factor_of(np.array(matrix))
+        else:
             assert given.initial_sigma_position_m is not None
             assert given.initial_sigma_velocity_m_s is not None
             root = np.diag([*given.initial_sigma_position_m, *given.initial_sigma_velocity_m_s])
-        else:
-            root = factor_of(np.array(given.initial_covariance))
-            entries = ("uncertainty.initial_covariance",) * 2
-        frame = str(given.initial_frame)
-        return self._turned(root, state, frame, entries, "uncertainty.initial_frame")
-
-    def _turned(
-        self, root: Array, state: Array, frame: str, entries: tuple[str, str], frame_entry: str
-    ) -> Array:
-        """Rotate a factor from the axes of a frame at the epoch to J2000.
-
-        A sigma as large as the state itself is refused: most likely its units are wrong.
-        """
-        sigma, sizes = np.linalg.norm(root, axis=1), self.sizes(state)
-        for entry, unit_name, given, (most, what) in zip(
-            entries, ("m", "m/s"), (sigma[:3], sigma[3:]), sizes, strict=True
-        ):
-            if given.max() >= most:
-                raise InputError(
-                    entry,
-                    f"a 1-sigma error of {given.max():g} {unit_name}",
-                    f"must be below the initial {what}, {most:g} {unit_name}",
-                )
-        axes = _rtn_to_j2000(state, frame_entry) if frame == "rtn" else self.axes(frame)
+        rtn = frame == "rtn"
+        axes = _rtn_to_j2000(state, f"{entry}_frame") if rtn else self.axes(str(frame))
         return np.vstack([axes @ root[:3], axes @ root[3:]])
 
     def measurement_factors(self, states: Array) -> Array:
@@ -188,13 +168,6 @@ class Scene:
             return np.tile(root, (len(states), 1, 1))
         axes = [np.kron(np.eye(2), _rtn_to_j2000(x, "navigation.frame")) for x in states]
         return np.array(axes) @ root
-
-    def sizes(self, state: Array) -> tuple[tuple[float, str], tuple[float, str]]:
-        """Scales of a state's position (m) and velocity (m/s) for its sigmas, each with its name."""
-        distance = float(np.linalg.norm(state[:3]))
-        circular = float(np.sqrt(self.scenario.body.gm_m3_s2 / distance))
-        speed = max(float(np.linalg.norm(state[3:])), circular)
-        return (distance, "distance from the centre"), (speed, "speed, or that of a circular orbit")
 
 
 def orbit_of_body(scene: Scene) -> Orbit:
@@ -232,23 +205,11 @@ def _rtn_to_j2000(state: Array, entry: str) -> Array:
 
 
 def execution_errors(scenario: Scenario, speed_m_s: float = 1.0) -> ExecutionErrors:
-    """The model of the burns' errors, for burns in units of a speed.
-
-    Raises:
-        InputError: if a fixed error is as large as the largest burn.
-    """
-    u, most = scenario.uncertainty, scenario.burns.dv_max_m_s
-    if u.gates is None:
-        assert u.execution_error is not None
-        return ComponentwiseErrors(u.execution_error)
-    gates = u.gates
-    for name in ("magnitude_fixed_m_s", "pointing_fixed_m_s"):
-        if getattr(gates, name) >= most:
-            raise InputError(
-                f"uncertainty.gates.{name}",
-                f"{getattr(gates, name):g}",
-                f"must be below burns.dv_max_m_s, {most:g} m/s",
-            )
+    """The model of the burns' errors, for burns in units of a speed."""
+    gates, fraction = scenario.uncertainty.gates, scenario.uncertainty.execution_error
+    if gates is None:
+        assert fraction is not None
+        return ComponentwiseErrors(fraction)
     return GatesErrors(
         magnitude_fixed=gates.magnitude_fixed_m_s,
         magnitude_proportional=gates.magnitude_proportional,

@@ -1,58 +1,32 @@
-"""Find the observation window and lay out the attitude modes, of a whole flight or its rest."""
+"""Find the observation window, lay out the attitude modes, and tell the legal times of burns.
+
+The rules are those of Echigo et al., section V.A: delta-V mode starts one slew and one heating before a
+burn, observation mode one slew before the window, and sun-pointing fills the rest, each time for at
+least one slew and one recharge. `ScheduleRules` has the durations that follow.
+"""
 
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import numpy as np
 
 from scp_recon.errors import InputError
-from scp_recon.mission.legal_burns import (
-    before_burn_s,
-    burns_before,
-    legal_times,
-    other_windows,
-    sun_leg_s,
+from scp_recon.mission.windows import (
+    SCAN_STEP_S,
+    Lighting,
+    OfTime,
+    Window,
+    each_window,
+    whole_windows,
 )
-from scp_recon.mission.windows import SCAN_STEP_S, Lighting, each_window, is_whole
 from scp_recon.scenario.schema import Scenario, ScheduleRules
 
-
-def find_window(
-    scenario: Scenario, lighting: Lighting, step_s: float = SCAN_STEP_S
-) -> tuple[float, float]:
-    """The given window, or the first one wholly in the flight with the lighting required; s.
-
-    Raises:
-        InputError: if the given window is not inside the flight, or there is none; it names the
-            windows near the flight and the epoch shifts that would bring them into it.
-    """
-    limits, end = scenario.observation, scenario.duration_s
-    if limits.window_s is not None:
-        first, last = limits.window_s
-        if not 0.0 < first < last < end:
-            raise InputError(
-                "observation.window_s",
-                f"[{first:g}, {last:g}] s",
-                f"must be ascending and inside the flight, 0 to {end:g} s",
-            )
-        return first, last
-
-    slack = lighting.slack(limits)
-    flight = 0.0, end
-    windows = each_window(slack, flight, step_s)
-    first_whole = next((window for window in windows if is_whole(window, flight)), None)
-    if first_whole is not None:
-        return first_whole
-    raise InputError(
-        "observation",
-        f"incidence at most {limits.incidence_max_deg:g} deg and local solar time "
-        f"{limits.local_solar_time_min_h:g} to {limits.local_solar_time_max_h:g} h",
-        f"the flight of {end:g} s must contain a whole window in which both hold; "
-        + other_windows(scenario, slack, lighting.incidence, step_s),
-    )
+Interval = tuple[float, float]
+"""Earliest and latest time, s; empty where the first is above the second."""
 
 
 class Mode(StrEnum):
@@ -82,59 +56,93 @@ class Leg:
 class Schedule:
     """Attitude modes, and the times to which each burn may move with the others kept."""
 
-    window_s: tuple[float, float]
+    window_s: Window
     """Observation window."""
     legs: tuple[Leg, ...]
     """Contiguous from the epoch, or a state in flight, to the last burn; the attitude of the first
     burn is acquired before."""
-    firing_intervals_s: tuple[tuple[float, float], ...]
+    firing_intervals_s: tuple[Interval, ...]
     """Earliest and latest time of each burn to be planned; both 0 for the flight's first, and the
     last has no latest time (infinity)."""
 
+    def after(self, scenario: Scenario) -> Schedule:
+        """The rest after a scenario's state in flight, if it has one; the window is kept whole."""
+        if scenario.in_flight is None:
+            return self
+        at, flown = scenario.start_s, scenario.burns_flown
+        earliest = at + scenario.navigation.lead_s
+        legs = (replace(leg, start_s=max(leg.start_s, at)) for leg in self.legs if leg.end_s > at)
+        intervals = self.firing_intervals_s[flown:]
+        left = tuple((max(low, earliest), high) for low, high in intervals)
+        return Schedule(self.window_s, tuple(legs), left)
 
-def make_schedule(
-    times_s: tuple[float, ...], window_s: tuple[float, float], rules: ScheduleRules
-) -> Schedule:
-    """Lay out the modes: Echigo et al., section V.A.
 
-    Delta-V mode starts one slew and one heating before a burn; observation mode one slew before the
-    window; sun-pointing fills the rest and lasts at least one slew and one recharge each time.
+def find_window(scenario: Scenario, lighting: Lighting, step_s: float = SCAN_STEP_S) -> Window:
+    """The given window, or the first one wholly in the flight with the lighting required; s.
 
     Raises:
-        InputError: if a firing time breaks one of these rules, naming the rule.
+        InputError: if the given window is not inside the flight, or there is none; it names the
+            windows near the flight and the epoch shifts that would bring them into it.
     """
-    before_burn, sun_leg = before_burn_s(rules), sun_leg_s(rules)
+    limits, end = scenario.observation, scenario.duration_s
+    if limits.window_s is not None:
+        first, last = limits.window_s
+        if not 0.0 < first < last < end:
+            raise InputError(
+                "observation.window_s",
+                f"[{first:g}, {last:g}] s",
+                f"must be ascending and inside the flight, 0 to {end:g} s",
+            )
+        return first, last
+    slack, flight = lighting.slack(limits), (0.0, end)
+    found = next(whole_windows(each_window(slack, flight, step_s), flight), None)
+    if found is not None:
+        return found
+    raise InputError(
+        "observation",
+        f"incidence at most {limits.incidence_max_deg:g} deg and local solar time "
+        f"{limits.local_solar_time_min_h:g} to {limits.local_solar_time_max_h:g} h",
+        f"the flight of {end:g} s must contain a whole window in which both hold; "
+        + _other_windows(scenario, slack, lighting.incidence, step_s),
+    )
+
+
+def make_schedule(times_s: tuple[float, ...], window_s: Window, rules: ScheduleRules) -> Schedule:
+    """Lay out the modes of a whole flight.
+
+    Raises:
+        InputError: if a firing time breaks one of the rules, naming the rule.
+    """
     observation = Leg(Mode.OBSERVATION, window_s[0] - rules.attitude_s, window_s[1])
-    burns = [Leg(Mode.DELTA_V, time - before_burn, time) for time in times_s[1:]]
+    burns = [Leg(Mode.DELTA_V, time - rules.before_burn_s, time) for time in times_s[1:]]
     before = burns_before(times_s, window_s)
     # Everything that is not sun-pointing, in order, with the first burn as an instant at zero.
-    busy = [Leg(Mode.DELTA_V, 0.0, 0.0)]
-    busy += [*burns[:before], observation, *burns[before:]]
-    observation_at = before + 1
-
-    intervals = [(0.0, 0.0)]
-    for index in range(1, len(busy)):
-        if index == observation_at:
-            continue
-        earliest = busy[index - 1].end_s + sun_leg + before_burn
-        latest = busy[index + 1].start_s - sun_leg if index + 1 < len(busy) else np.inf
-        intervals.append((earliest, latest))
-
+    busy = [Leg(Mode.DELTA_V, 0.0, 0.0), *burns[:before], observation, *burns[before:]]
+    following = [*(leg.start_s - rules.sun_leg_s for leg in busy[1:]), np.inf]
+    intervals = [(0.0, 0.0)] + [
+        (previous.end_s + rules.cycle_s, latest)
+        for previous, leg, latest in zip(busy[:-1], busy[1:], following[1:], strict=True)
+        if leg is not observation
+    ]
     legs: list[Leg] = []
     for index, (previous, leg) in enumerate(itertools.pairwise(busy), start=1):
-        if leg.start_s - previous.end_s < sun_leg - 1e-6:
-            # The burn that ends the short leg; before the observation, the one that starts it.
-            burn = index if index < observation_at else index - 1
+        if leg.start_s - previous.end_s < rules.sun_leg_s - 1e-6:
             broken = (
-                f"rule 'a sun-pointing leg lasts at least one slew and one recharge, {sun_leg:g} s' "
-                f"is broken: {previous.mode} mode ends at {previous.end_s:g} s and {leg.mode} mode "
-                f"must start at {leg.start_s:g} s"
+                "rule 'a sun-pointing leg lasts at least one slew and one recharge, "
+                f"{rules.sun_leg_s:g} s' is broken: {previous.mode} mode ends at "
+                f"{previous.end_s:g} s and {leg.mode} mode must start at {leg.start_s:g} s"
             )
-            legal = legal_times(times_s, window_s, rules)
+            legal = _legal_times(times_s, window_s, rules)
+            # The burn that ends the short leg; before the observation, the one that starts it.
+            burn = index - 1 if index > before else index
             if burn == 0:  # which cannot move: the window has to
                 given = f"[{window_s[0]:g}, {window_s[1]:g}] s"
                 raise InputError("observation.window_s", given, f"{broken}; {legal}")
-            moved = _between(*intervals[burn])
+            early, late = intervals[burn]
+            moved = (
+                f"between {early:g} s and {late:g} s" if late < np.inf else f"from {early:g} s on"
+            )
+            moved = "nowhere" if early > late else moved
             raise InputError(
                 f"burns.times_s.{burn}",
                 f"{times_s[burn]:g} s",
@@ -146,14 +154,126 @@ def make_schedule(
     return Schedule(window_s, tuple(legs), tuple(intervals))
 
 
-def _between(early: float, late: float) -> str:
-    if early > late:
-        return "nowhere"
-    return f"between {early:g} s and {late:g} s" if late < np.inf else f"from {early:g} s on"
+def burns_before(times_s: Sequence[float], window_s: Window) -> int:
+    """Number of burns between the first one and a window."""
+    return sum(time <= 0.5 * (window_s[0] + window_s[1]) for time in times_s[1:])
+
+
+def legal_burns(
+    window_s: Window,
+    duration_s: float,
+    before: int,
+    after: int,
+    rules: ScheduleRules,
+    starts_s: Interval | None = None,
+) -> list[Interval]:
+    """Legal times of each burn of a flight that observes in a window, s, the others free to move.
+
+    The flight lasts `duration_s` from first to last burn; `before` burns lie between the first one and
+    the window, and `after`, at least one, behind it. The first interval is that of the first burn:
+    `starts_s`, (0, 0) at the epoch; or if not given all that is legal, in the window's time, which is
+    empty where the flight is too short.
+    """
+    cycle, end = rules.cycle_s, window_s[1]
+    latest = window_s[0] - rules.before_window_s - before * cycle
+    early, late = starts_s or (end + after * cycle - duration_s, latest)
+    before_window = [(early + i * cycle, latest + i * cycle) for i in range(1, before + 1)]
+    after_window = [
+        (end + i * cycle, late + duration_s - (after - i) * cycle) for i in range(1, after)
+    ]
+    return [(early, late), *before_window, *after_window, (early + duration_s, late + duration_s)]
+
+
+def legal_additions(
+    times_s: Sequence[float], window_s: Window, rules: ScheduleRules
+) -> list[Interval]:
+    """Legal times of one more burn among burns that keep the rules and stay; no empty intervals."""
+    gap, found = burns_before(times_s, window_s), []
+    for index, (time, following) in enumerate(itertools.pairwise(times_s)):
+        if index == gap:
+            found.append((time + rules.cycle_s, window_s[0] - rules.before_window_s))
+            time = window_s[1]
+        found.append((time + rules.cycle_s, following - rules.cycle_s))
+    return [(first, last) for first, last in found if first <= last]
+
+
+def legal_shifts(
+    window_s: Window, times_s: Sequence[float], rules: ScheduleRules
+) -> list[tuple[int, Interval]]:
+    """Epoch shifts, least and greatest, s, by which a window falls legally between burns that stay.
+
+    Each interval comes with the index of the burn before its gap; gaps too short are left out.
+    """
+    opens, closes = window_s[0] - rules.before_window_s, window_s[1] + rules.cycle_s
+    found = enumerate((closes - after, opens - time) for time, after in itertools.pairwise(times_s))
+    return [(index, (low, high)) for index, (low, high) in found if low <= high]
+
+
+BEYOND_S, SHOWN = 2 * 86_400.0, 3
+"""How far before and after the flight to look for other windows, and how many to tell."""
+
+
+def _other_windows(scenario: Scenario, slack: OfTime, incidence: OfTime, step_s: float) -> str:
+    """Describe the windows near a flight that contains none, and epoch shifts that would include them.
+
+    `slack` (of the limits on lighting) and `incidence` (rad) are functions of times in s.
+    """
+    span = -BEYOND_S, scenario.duration_s + BEYOND_S
+    windows = list(each_window(slack, span, step_s))
+    if windows == [span]:
+        return "both hold all the time: give observation.window_s"
+    whole = list(whole_windows(windows, span))
+    if not whole:
+        least = float(np.rad2deg(incidence(np.linspace(*span, 2000))).min())
+        return (
+            f"nor is there one within {BEYOND_S / 86_400:g} days of it, in which the least "
+            f"incidence is {least:.1f} deg"
+        )
+    nearest = sorted(whole, key=lambda window: abs(sum(window) - scenario.duration_s))[:SHOWN]
+    times, rules = scenario.burns.times_s, scenario.schedule
+    lines = [f"{_edges(window)}: {_shift(window, times, rules)}" for window in sorted(nearest)]
+    return "\n".join(["windows near it, in seconds past epoch.tdb:", *lines])
+
+
+def _edges(window: Window) -> str:
+    return f"{window[0]:.1f} to {window[1]:.1f} s"
+
+
+def _shift(window: Window, times: Sequence[float], rules: ScheduleRules) -> str:
+    """The epoch shifts nearest to none that bring a window between the burns as they are."""
+    shifts = legal_shifts(window, times, rules)
+    if not shifts:
+        needed = window[1] - window[0] + rules.before_window_s + rules.cycle_s
+        return f"no gap between burns is long enough: expected at least {needed:.0f} s"
+    index, (low, high) = min(shifts, key=lambda found: max(found[1][0], -found[1][1]))
+    return (
+        f"legal between burns.times_s.{index} and {index + 1} with epoch.tdb moved by "
+        f"{low:+.0f} to {high:+.0f} s"
+    )
+
+
+def _legal_times(times_s: Sequence[float], window_s: Window, rules: ScheduleRules) -> str:
+    """Describe a window and the legal times of each burn about it, the others free to move."""
+    before = burns_before(times_s, window_s)
+    after, duration = len(times_s) - 1 - before, times_s[-1]
+    (earliest, latest), *_ = legal_burns(window_s, duration, before, after, rules)
+    text = f"the window is {_edges(window_s)}"
+    if latest < 0.0:
+        opens = (
+            f"with {before} burns before it has to open at {window_s[0] - latest:.1f} s or later"
+        )
+        return f"{text}, and {opens}; {_shift(window_s, times_s, rules)}"
+    last = f"{duration + earliest:.1f} s on"
+    if earliest > 0.0:
+        return f"{text}, and with {after} burns after it the last is legal from {last}"
+    intervals = legal_burns(window_s, duration, before, after, rules, (0.0, 0.0))
+    words = [f"{i} from {a:.1f} to {b:.1f} s" for i, (a, b) in enumerate(intervals[1:-1], start=1)]
+    legal = ", ".join([*words, f"{len(times_s) - 1} from {last}"])
+    return f"{text}, and if the other burns give way, legal are burns.times_s.{legal}"
 
 
 SAME_S = 1e-6
-"""Times that are differences of others are the same within it."""
+"""Tolerance for equal times, s: differences of times agree within it."""
 
 BURNS_TO_MEET = 2
 """Burns that meet a final state: it has six components, and a burn three."""
@@ -179,41 +299,26 @@ def check_in_flight(scenario: Scenario) -> None:
         return
     entry, at, times = "in_flight.at_s", flight.at_s, scenario.burns.times_s
     lead = scenario.navigation.lead_s
-    latest = f"{times[-1] - lead:g} s"
     if not scenario.burn_times_s:
         raise InputError(
             entry,
             f"{at:g} s, at or after the last burn at {times[-1]:g} s",
-            f"must leave a burn to plan: at most {latest}",
+            f"must leave a burn to plan: at most {times[-1] - lead:g} s",
         )
-    following = scenario.burn_times_s[0]
+    following, flown = scenario.burn_times_s[0], scenario.burns_flown
     if following - at < lead - SAME_S:
-        number = scenario.burns_flown + 1
-        later = "" if number == len(times) else f", or {following:g} s and more, once it is flown"
+        later = (
+            "" if flown + 1 == len(times) else f", or {following:g} s and more, once it is flown"
+        )
         raise InputError(
             entry,
-            f"{at:g} s, {following - at:g} s before burn {number} at {following:g} s",
+            f"{at:g} s, {following - at:g} s before burn {flown + 1} at {following:g} s",
             f"must leave the lead time, navigation.lead_s = {lead:g} s, before the next burn: "
             f"at most {following - lead:g} s{later}",
         )
-    if len(flight.flown_m_s) != scenario.burns_flown:
+    if len(flight.flown_m_s) != flown:
         raise InputError(
             "in_flight.flown_m_s",
             f"{len(flight.flown_m_s)} burns",
-            f"must be the {scenario.burns_flown} burns at or before in_flight.at_s, {at:g} s",
+            f"must be the {flown} burns at or before in_flight.at_s, {at:g} s",
         )
-
-
-def what_is_left(schedule: Schedule, scenario: Scenario) -> Schedule:
-    """The schedule after the state in flight; the window is kept whole."""
-    if scenario.in_flight is None:
-        return schedule
-    at, flown = scenario.start_s, scenario.burns_flown
-    earliest = at + scenario.navigation.lead_s
-    return Schedule(
-        schedule.window_s,
-        tuple(
-            replace(leg, start_s=max(leg.start_s, at)) for leg in schedule.legs if leg.end_s > at
-        ),
-        tuple((max(low, earliest), high) for low, high in schedule.firing_intervals_s[flown:]),
-    )

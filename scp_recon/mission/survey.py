@@ -10,13 +10,13 @@ from scipy.optimize import minimize_scalar
 
 from scp_recon.display import Tabulated
 from scp_recon.errors import InputError
-from scp_recon.mission.legal_burns import Interval, burns_before, legal_burns, legal_shifts
 from scp_recon.mission.scene import Scene
+from scp_recon.mission.schedule import Interval, burns_before, legal_burns, legal_shifts
 from scp_recon.mission.windows import (
     Lighting,
     OfTime,
     Window,
-    all_windows,
+    each_window,
     scan_step_s,
     whole_windows,
 )
@@ -89,10 +89,10 @@ def survey(scenario: Scenario, span_s: Window) -> Survey:
     lighting = Lighting(scene.site, scene.rotation, _to_sun(scenario, longest))
     slack = lighting.slack(scenario.observation)
     times, given = scenario.burns.times_s, scenario.observation.window_s
-    own = [given] if given else whole_windows(all_windows(slack, flight, step), flight)
+    own = given or next(whole_windows(each_window(slack, flight, step), flight), None)
     others = len(times) - 2  # between the first burn and the last
-    before = min(burns_before(times, own[0]), others) if own else others // 2
-    found = all_windows(slack, span_s, step)
+    before = min(burns_before(times, own), others) if own else others // 2
+    found = list(each_window(slack, span_s, step))
     windows = [
         LitWindow(
             edges_s=edges,

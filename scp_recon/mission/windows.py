@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from itertools import chain
 
@@ -86,11 +86,6 @@ def scan_step_s(rate_rad_s: float, span_s: Window) -> float:
     return step
 
 
-def all_windows(slack: OfTime, span_s: Window, step_s: float) -> list[Window]:
-    """List the windows of `each_window`."""
-    return list(each_window(slack, span_s, step_s))
-
-
 def each_window(slack: OfTime, span_s: Window, step_s: float) -> Iterator[Window]:
     """Every interval of a span in which a function is not negative, its edges to 1e-6 s.
 
@@ -112,14 +107,9 @@ def each_window(slack: OfTime, span_s: Window, step_s: float) -> Iterator[Window
     return zip(edges, edges, strict=True)
 
 
-def is_whole(window: Window, span_s: Window) -> bool:
-    """Whether a window is not cut by the ends of the span."""
-    return window[0] > span_s[0] and window[1] < span_s[1]
-
-
-def whole_windows(windows: list[Window], span_s: Window) -> list[Window]:
+def whole_windows(windows: Iterable[Window], span_s: Window) -> Iterator[Window]:
     """Select the windows that are not cut by the ends of the span."""
-    return [window for window in windows if is_whole(window, span_s)]
+    return (edges for edges in windows if edges[0] > span_s[0] and edges[1] < span_s[1])
 
 
 def _with_extremes(slack: OfTime, times: Array, values: Array) -> tuple[Array, Array]:

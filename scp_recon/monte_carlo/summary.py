@@ -353,7 +353,7 @@ def summarise(flown: FlightTally, solution: Solution) -> Summary:
         samples=flown.samples,
         seed=config.seed,
         truth=config.truth,
-        planned_gravity=config.mission.planned_gravity,
+        planned_gravity=config.mission.true_gravity("planner"),
         flown_gravity=config.mission.true_gravity(config.truth),
         errors=config.errors or config.mission.scenario.uncertainty.errors,
         policy=config.policy_kind,

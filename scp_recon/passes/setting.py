@@ -8,7 +8,6 @@ import numpy as np
 
 from formulations.arrays import Array
 from scp_recon.errors import InputError
-from scp_recon.mission.legal_burns import before_burn_s, sun_leg_s
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.scene import Scene
 from scp_recon.mission.survey import survey
@@ -134,8 +133,7 @@ def _times_to_correct(
     """
     times, rules = np.array(scenario.burns.times_s), scenario.schedule
     after = max(int(np.sum(times > WINDOW_AT * times[-1])), 1)
-    last = window[0] - rules.attitude_s - sun_leg_s(rules)
-    following = window[1] + sun_leg_s(rules) + before_burn_s(rules)
+    last, following = window[0] - rules.before_window_s, window[1] + rules.cycle_s
     for before in range(BURNS_MAX - 1 - after, -1, -1):
         wanted = [
             *np.linspace(departure[0], last, before + 1).tolist(),

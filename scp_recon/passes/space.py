@@ -14,9 +14,8 @@ from scipy.optimize import linprog
 
 from formulations.arrays import Array
 from scp_recon.mission.grid import make_grid
-from scp_recon.mission.legal_burns import before_burn_s, burns_before, sun_leg_s
 from scp_recon.mission.mission import Mission
-from scp_recon.mission.schedule import Schedule
+from scp_recon.mission.schedule import Schedule, burns_before
 from scp_recon.mission.windows import Window
 from scp_recon.passes.ring import Ring
 from scp_recon.scenario.schema import Scenario, ScheduleRules
@@ -135,14 +134,12 @@ def timing_rules(
     section V.A. The window is in the burns' time; `before` counts burns between the first one and the
     window, at most m - 2.
     """
-    sun_leg = sun_leg_s(rules)
-    cycle = sun_leg + before_burn_s(rules)
     rows = np.eye(n_burns - 1, n_burns, 1) - np.eye(n_burns - 1, n_burns)
-    least = np.full(n_burns - 1, cycle)
+    least = np.full(n_burns - 1, rules.cycle_s)
     rows[before, before] = 0.0  # the window lies between these two
     least[before] += window_s[1]
     rows = np.vstack([rows, -np.eye(n_burns)[before]])
-    return rows, np.r_[least, rules.attitude_s + sun_leg - window_s[0]]
+    return rows, np.r_[least, rules.before_window_s - window_s[0]]
 
 
 def nearest_legal(

@@ -18,8 +18,8 @@ from pydantic import Field
 
 from formulations.arrays import Array, Booleans
 from formulations.program.multipliers import VANISHED, multipliers, primer, slope_left
-from scp_recon.mission.legal_burns import legal_additions
 from scp_recon.mission.mission import Mission
+from scp_recon.mission.schedule import legal_additions
 from scp_recon.planning.plan import Plan, Stage
 from scp_recon.scenario.fields import Number
 from scp_recon.scp.status import Status

@@ -212,7 +212,7 @@ def probabilities_table(mission: Mission, v: Verification) -> Table:
         ([p.name, p.estimate, p.low, p.high, p.worst_t_s, required] for p in v.probabilities),
         key="probabilities",
         note=f"Monte Carlo, {v.samples} flights, {100 * v.confidence:.0f} % intervals. Planned and "
-        f"flown with {mission.planned_gravity}.",
+        f"flown with {mission.true_gravity('planner')}.",
     )
 
 

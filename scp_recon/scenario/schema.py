@@ -138,6 +138,26 @@ class ScheduleRules(Section):
     recharge_s: FlightTime
     """Recharge of the battery from empty in s."""
 
+    @property
+    def sun_leg_s(self) -> float:
+        """Least time in sun-pointing mode: one slew and one recharge."""
+        return self.attitude_s + self.recharge_s
+
+    @property
+    def before_burn_s(self) -> float:
+        """Time in delta-V mode that ends with a burn: one slew and one heating."""
+        return self.attitude_s + self.heating_s
+
+    @property
+    def cycle_s(self) -> float:
+        """Least time from a burn, or the end of the window, to the next burn."""
+        return self.sun_leg_s + self.before_burn_s
+
+    @property
+    def before_window_s(self) -> float:
+        """Least time from a burn to the window: a sun-pointing leg and a slew."""
+        return self.sun_leg_s + self.attitude_s
+
 
 class Risk(Section):
     """Required probability, its scope, and how the risk is spent.

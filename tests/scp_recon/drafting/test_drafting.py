@@ -8,8 +8,8 @@ import pytest
 from scp_recon.drafting.draft import Draft, GivenBody, draft_text, drafts, scenario_of
 from scp_recon.drafting.flyby import HOME_RADII, burn_times
 from scp_recon.errors import InputError
-from scp_recon.mission.legal_burns import legal_burns
 from scp_recon.mission.mission import Mission
+from scp_recon.mission.schedule import legal_burns
 from scp_recon.physics.two_body import two_body
 from scp_recon.scenario.schema import Scenario
 

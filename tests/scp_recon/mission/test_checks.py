@@ -12,7 +12,7 @@ from scp_recon.bodies.catalogue import J2000_TDB, packaged_body
 from scp_recon.bodies.surface import angle_deg
 from scp_recon.errors import InputError
 from scp_recon.mission import checks as known
-from scp_recon.mission.checks import check_plausible, check_scene
+from scp_recon.mission.checks import check_plannable, check_scene
 from scp_recon.mission.intervals import INTERVALS, PLANNER_INTERVALS, STATE_INTERVALS
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.scene import Scene
@@ -326,8 +326,8 @@ def test_a_low_state_in_flight_is_named(scenario):
     heavy = scenario.replace({"body.gm_m3_s2": 600.0, "in_flight": flight})
     expected = r"^in_flight.position_m: got \[295, 0, 0\] \(.*: 295 m\); must be at least 32"
     with pytest.raises(InputError, match=expected):
-        check_plausible(Scene.of(heavy))
-    check_plausible(Scene.of(heavy.replace({"in_flight.position_m": [800.0, 0.0, 0.0]})))
+        check_plannable(Scene.of(heavy))
+    check_plannable(Scene.of(heavy.replace({"in_flight.position_m": [800.0, 0.0, 0.0]})))
 
 
 def test_largest_probability_of_whole_flights_is_accepted():

@@ -12,9 +12,16 @@ from scipy.spatial.transform import Rotation as SciPyRotation
 
 from formulations.arrays import Array
 from scp_recon.errors import InputError
-from scp_recon.mission.legal_burns import legal_additions, legal_burns, legal_shifts, legal_starts
 from scp_recon.mission.scene import Scene
-from scp_recon.mission.schedule import Mode, Schedule, find_window, make_schedule
+from scp_recon.mission.schedule import (
+    Mode,
+    Schedule,
+    find_window,
+    legal_additions,
+    legal_burns,
+    legal_shifts,
+    make_schedule,
+)
 from scp_recon.mission.windows import Lighting
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scenario.schema import Scenario, ScheduleRules
@@ -218,13 +225,13 @@ def by_linear_program(
 )
 def test_intervals_are_those_of_a_linear_program(window, duration, before, after, rules):
     edges = window[0], window[0] + window[1]
-    early, late = legal_starts(edges, duration, before, after, rules)
+    found = legal_burns(edges, duration, before, after, rules)
+    early, late = found[0]
     assume(abs(early - late) > 1e-3)
     expected = by_linear_program(edges, duration, before, rules, before + after + 1)
     if early > late:
         assert expected is None
         return
-    found = legal_burns(edges, duration, before, after, rules)
     np.testing.assert_allclose(found, expected, atol=1e-4)
 
 

@@ -13,7 +13,7 @@ from scp_recon.bodies.catalogue import DAY_S
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.survey import survey
-from scp_recon.mission.windows import SCAN_STEP_S, all_windows, scan_step_s, whole_windows
+from scp_recon.mission.windows import SCAN_STEP_S, each_window, scan_step_s, whole_windows
 from scp_recon.physics.two_body import two_body
 from scp_recon.scenario.load import load_scenario
 from tests.scp_recon.mission.test_schedule import independent_incidence
@@ -38,7 +38,7 @@ def test_windows_are_those_of_dense_sampling(terms):
     slack = waves(*terms)
     dense = np.linspace(*SPAN, 40_001)
     lit = slack(dense) >= 0.0
-    found = all_windows(slack, SPAN, SCAN_STEP_S)
+    found = list(each_window(slack, SPAN, SCAN_STEP_S))
     covered = np.zeros_like(lit)
     for first, last in found:
         covered |= (dense >= first) & (dense <= last)
@@ -56,18 +56,18 @@ def test_a_short_window_between_limits_is_found(at, width):
     def slack(t: Array) -> Array:
         return np.minimum(0.01 * (t - at), 0.03 * (at + width - t))
 
-    (window,) = all_windows(slack, (0.0, 1000.0), SCAN_STEP_S)
+    (window,) = each_window(slack, (0.0, 1000.0), SCAN_STEP_S)
     assert window == pytest.approx((at, at + width), abs=1e-5)
 
 
 def test_the_ends_of_the_span_cut_windows():
     slack = waves((1.0, 10_000.0, 0.0))
-    found = all_windows(slack, (0.0, 20_000.0), SCAN_STEP_S)
+    found = list(each_window(slack, (0.0, 20_000.0), SCAN_STEP_S))
     assert found[0][0] == 0.0
     assert found[-1][1] == 20_000.0
-    assert len(whole_windows(found, (0.0, 20_000.0))) == len(found) - 2 == 1
-    assert all_windows(lambda t: np.ones_like(t), (0.0, 1.0), 20.0) == [(0.0, 1.0)]
-    assert all_windows(lambda t: -np.ones_like(t), (0.0, 1.0), 20.0) == []
+    assert len([*whole_windows(found, (0.0, 20_000.0))]) == len(found) - 2 == 1
+    assert [*each_window(np.ones_like, (0.0, 1.0), 20.0)] == [(0.0, 1.0)]
+    assert [*each_window(lambda t: -np.ones_like(t), (0.0, 1.0), 20.0)] == []
 
 
 def test_a_body_turning_too_often_is_refused():
