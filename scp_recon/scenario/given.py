@@ -48,7 +48,9 @@ ONE_WAY: dict[str, type[OneWay]] = {"uncertainty": Uncertainty, "navigation": Na
 FILES = (
     *("body.shape_file", "body.solid_file"),
     *("body.pck_file", "body.attitude_file", "body.gravity_file"),
+    *("sun.spk_files", "boundary.home.ephemeris_file"),
 )
+"""Entries that name files, or lists of files, relative to the scenario's own."""
 
 
 def inherit(base: Mapping[str, Any], changes: Mapping[str, Any]) -> Given:
@@ -162,22 +164,17 @@ def keys(entries: Sequence[str]) -> tuple[str, ...]:
 
 def anchored(tables: Mapping[str, Any], folder: Path) -> Given:
     """Nested tables whose file names, relative to a folder, are made absolute."""
-    found = copied(tables)
 
-    def anchor(name: Any) -> Any:
-        return str((folder / name).absolute()) if isinstance(name, str) and name else name
+    def anchor(entry: str, value: Any) -> Any:
+        if isinstance(value, Mapping):
+            return {key: anchor(f"{entry}.{key}", inner) for key, inner in value.items()}
+        if entry not in FILES:
+            return value
+        if isinstance(value, list | tuple):
+            return [anchor(entry, name) for name in value]
+        return str((folder / value).absolute()) if isinstance(value, str) and value else value
 
-    for entry in FILES:
-        table, _, key = entry.partition(".")
-        if value_of(found, entry) is not None:
-            found[table][key] = anchor(found[table][key])
-    home = value_of(found, "boundary.home")
-    if isinstance(home, Mapping) and "ephemeris_file" in home:
-        found["boundary"]["home"] = {**home, "ephemeris_file": anchor(home["ephemeris_file"])}
-    kernels = value_of(found, "sun.spk_files")
-    if isinstance(kernels, list | tuple):
-        found["sun"]["spk_files"] = [anchor(name) for name in kernels]
-    return found
+    return {key: anchor(key, value) for key, value in tables.items()}
 
 
 def _differs(base: Mapping[str, Any], changes: Mapping[str, Any], entry: str) -> bool:

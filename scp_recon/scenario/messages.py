@@ -1,17 +1,19 @@
-"""Convert Pydantic's errors to one message: entry, value found, value expected."""
+"""Convert Pydantic's errors to one message: entry, value found, value expected by the JSON schema."""
 
 from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable, Iterator, Sequence
-from typing import Any, get_args
+from functools import cache
+from typing import Any
 
 from pydantic import BaseModel, ValidationError
-from pydantic.fields import FieldInfo
 
 from scp_recon.errors import InputError, shortened
 from scp_recon.scenario.given import derivable
 
+Node = dict[str, Any]
+"""Part of a JSON schema: what is allowed at one place."""
 MAX_PROBLEMS_SHOWN = 5
 INTEGER_BRANCHES = ("int", "constrained-int")
 """Pydantic's names of the whole-number alternative of an entry."""
@@ -66,11 +68,8 @@ def _missing(problems: Iterable[dict[str, Any]], schema: type[BaseModel]) -> lis
     """Every entry that is missing, those of missing tables one by one."""
     entries: list[str] = []
     for location in (problem["loc"] for problem in problems if _is_missing(problem)):
-        field = _field(list(location), schema)
-        model = field.annotation if field else None
-        inside = getattr(model, "model_fields", {})
-        keys = [key for key, item in inside.items() if item.is_required()]
         entry = ".".join(map(str, location))
+        keys = [key for table in _at(location, schema) for key in table.get("required", ())]
         entries += [f"{entry}.{key}" for key in keys] or [entry]
     return entries
 
@@ -89,21 +88,16 @@ def _all_of(listed: Sequence[str], words: str, missing: Sequence[str]) -> str:
 
 def _describe(problem: dict[str, Any], schema: type[BaseModel]) -> tuple[str, str, str]:
     """Entry, what was given and what is allowed, from one of Pydantic's errors."""
-    kind = problem["type"]
+    kind, location = problem["type"], _location(problem)
     if kind == "extra_forbidden":
         location = list(problem["loc"])
-        return (
-            ".".join(map(str, location)) or "scenario",
-            "an unknown entry",
-            _suggestion(location, schema),
-        )
-    location = _location(problem)
+        entry = ".".join(map(str, location)) or "scenario"
+        return entry, "an unknown entry", _suggestion(location, schema)
     if kind == "missing":  # of a list of fixed length
         location = location[:-1]
     entry = ".".join(map(str, location)) or "scenario"
-    given = _given(problem["input"])
-    message = _rule(problem, location, schema)
-    return entry, given, message if "must" in message else f"must be {message}"
+    message = _rule(problem, _at(location, schema))
+    return entry, _given(problem["input"]), message if "must" in message else f"must be {message}"
 
 
 def _given(value: object) -> str:
@@ -115,7 +109,12 @@ def _given(value: object) -> str:
 
 
 def _location(problem: dict[str, Any]) -> list[str | int]:
-    return [part for part in problem["loc"] if not _is_union_branch(part)]
+    """Place of a problem without Pydantic's names of a union's branches, which no user wrote."""
+    return [
+        part
+        for part in problem["loc"]
+        if part not in INTEGER_BRANCHES and not str(part).startswith("literal[")
+    ]
 
 
 def _follows_from_another(problem: dict[str, Any], problems: list[dict[str, Any]]) -> bool:
@@ -128,6 +127,7 @@ def _follows_from_another(problem: dict[str, Any], problems: list[dict[str, Any]
 
 LINE = 100
 """Longest list of given entries in a message."""
+DATE = "a date and time such as 2020-01-21T20:33:17.184"
 WORDS = {
     "string_type": "text",
     "string_too_short": "text that is not empty",
@@ -137,65 +137,38 @@ WORDS = {
     "model_type": "a table",
     "json_invalid": "nested a few levels deep",
     "tuple_type": "a list",
-    "datetime_type": "a date and time such as 2020-01-21T20:33:17.184",
-    "datetime_parsing": "a date and time such as 2020-01-21T20:33:17.184",
-    "datetime_from_date_parsing": "a date and time such as 2020-01-21T20:33:17.184",
+    **dict.fromkeys(("datetime_type", "datetime_parsing", "datetime_from_date_parsing"), DATE),
 }
 """Allowed values, by the type of Pydantic's error."""
+BOUNDS = {
+    "exclusiveMinimum": "greater than",
+    "minimum": "at least",
+    "exclusiveMaximum": "less than",
+    "maximum": "at most",
+}
 
 
-def _rule(problem: dict[str, Any], location: list[str | int], schema: type[BaseModel]) -> str:
-    """Describe the allowed values at a location."""
+def _rule(problem: dict[str, Any], allowed: Sequence[Node]) -> str:
+    """Describe the allowed values at a place: of a range both ends, where one alone was broken."""
     kind, context = problem["type"], problem.get("ctx", {})
+    bounds = " and ".join(
+        f"{words} {_number(node[key])}"
+        for node in allowed
+        for key, words in BOUNDS.items()
+        if key in node
+    )
     if kind == "too_short":
         return f"must have at least {context['min_length']} items"
     if kind in ("too_long", "missing"):
-        length = _fixed_length(location, schema)
-        return f"must have {length or 'at most ' + str(context['max_length'])} items"
+        most = context.get("max_length")
+        lengths = [len(node["prefixItems"]) for node in allowed if "prefixItems" in node]
+        return f"must have {[*lengths, f'at most {most}'][0]} items"
     if set(problem["loc"][-1:]) & set(INTEGER_BRANCHES):
-        return f"a whole number, {_bounds(location, schema)}"
+        return f"a whole number, {bounds}"
     if kind.startswith(("greater_than", "less_than")):
-        return _bounds(location, schema)
+        return bounds
     message: str = problem["msg"].removeprefix("Value error, ").removeprefix("Input should be ")
     return WORDS.get(kind, message)
-
-
-def _is_union_branch(part: str | int) -> bool:
-    """Whether a part of a location is Pydantic's name of a union's branch, which no user wrote."""
-    return isinstance(part, str) and (part.startswith("literal[") or part in INTEGER_BRANCHES)
-
-
-def _field(location: list[str | int], schema: type[BaseModel]) -> FieldInfo | None:
-    """The schema's field at a location, or that of the list which the location is in."""
-    model: Any = schema
-    field = None
-    for part in location:
-        if isinstance(part, str):
-            field = getattr(model, "model_fields", {}).get(part)
-            model = _table(field.annotation) if field else None
-    return field
-
-
-def _declared(annotation: object) -> Iterator[object]:
-    """All annotations of a type, those of its items and alternatives included."""
-    for part in getattr(annotation, "__metadata__", ()):
-        yield from getattr(part, "metadata", ())
-    for inner in get_args(annotation):
-        yield from _declared(inner)
-
-
-def _bounds(location: list[str | int], schema: type[BaseModel]) -> str:
-    """Both ends of an entry's range, where one end alone was broken."""
-    words = {"gt": "greater than", "ge": "at least", "lt": "less than", "le": "at most"}
-    field = _field(location, schema)
-    declared = [*field.metadata, *_declared(field.annotation)] if field else []
-    rules = [
-        f"{words[name]} {_number(getattr(rule, name))}"
-        for rule in declared
-        for name in words
-        if hasattr(rule, name)
-    ]
-    return " and ".join(dict.fromkeys(rules))  # the same for every item of a list
 
 
 def _number(value: float) -> str:
@@ -203,42 +176,57 @@ def _number(value: float) -> str:
     return short if float(short := f"{value:g}") == value else f"{value:.15g}"
 
 
-def _fixed_length(location: list[str | int], schema: type[BaseModel]) -> int | None:
-    """Items of a list whose number is fixed."""
-    field = _field(location, schema)
-    for kind in (field.annotation, *get_args(field.annotation)) if field else ():
-        items = get_args(kind) if getattr(kind, "__origin__", None) is tuple else ()
-        if items and items[-1] is not Ellipsis:
-            return len(items)
-    return None
-
-
 def _suggestion(location: list[str | int], schema: type[BaseModel]) -> str:
     """Suggest the entry meant by an unknown one, else list the entries of its table."""
-    paths = list(_entries(schema))
+    paths = list(_entries(_whole(schema), schema))
     written = ".".join(str(part) for part in location)
     by_key = {path.rsplit(".", 1)[1]: path for path in paths}
     near = difflib.get_close_matches(written, paths, n=1, cutoff=0.7)
     near = near or difflib.get_close_matches(str(location[-1]), by_key, n=1, cutoff=0.6)
     if near:
         return f"did you mean {by_key.get(near[0], near[0])}? (units are part of the key)"
-    field = _field(location[:-1], schema)
-    beside = (_table(field.annotation) if field else None) or schema
-    return f"must be one of {', '.join(beside.model_fields)}"
+    tables = [node for node in _at(location[:-1], schema) if "properties" in node]
+    return f"must be one of {', '.join((tables or [_whole(schema)])[0]['properties'])}"
 
 
-def _entries(schema: type[BaseModel], above: str = "") -> Iterator[str]:
+# --- the JSON schema --------------------------------------------------------------------------------
+
+
+@cache
+def _whole(schema: type[BaseModel]) -> Node:
+    return schema.model_json_schema()
+
+
+def _at(location: Sequence[str | int], schema: type[BaseModel]) -> list[Node]:
+    """Alternatives at a place of the schema; none where there is no such entry."""
+    found = [_whole(schema)]
+    for part in location:
+        inner = []
+        for node in found:
+            if isinstance(part, str):
+                inner.append(node.get("properties", {}).get(part))
+            else:
+                fixed = node.get("prefixItems", [])
+                inner.append(fixed[part] if part < len(fixed) else node.get("items"))
+        found = [one for node in inner if node for one in _alternatives(node, schema)]
+    return found
+
+
+def _alternatives(node: Node, schema: type[BaseModel]) -> Iterator[Node]:
+    """A node, or those it stands for: the table that it names, and the branches of a union."""
+    if "$ref" in node:
+        node = _whole(schema)["$defs"][node["$ref"].rpartition("/")[2]]
+    if "anyOf" not in node:
+        yield node
+    for branch in node.get("anyOf", ()):
+        yield from _alternatives(branch, schema)
+
+
+def _entries(table: Node, schema: type[BaseModel], above: str = "") -> Iterator[str]:
     """Paths of all entries in tables, and in tables of those."""
-    for name, field in schema.model_fields.items():
-        table = _table(field.annotation)
-        if table is not None:
-            yield from _entries(table, f"{above}{name}.")
-        elif above:
-            yield above + name
-
-
-def _table(annotation: object) -> type[BaseModel] | None:
-    """The table among an entry's types, if any."""
-    choices = get_args(annotation) or (annotation,)
-    tables = (one for one in choices if isinstance(one, type) and issubclass(one, BaseModel))
-    return next(tables, None)
+    for key, node in table["properties"].items():
+        inside = [one for one in _alternatives(node, schema) if "properties" in one]
+        for one in inside:
+            yield from _entries(one, schema, f"{above}{key}.")
+        if above and not inside:
+            yield above + key
