@@ -33,34 +33,23 @@ def each(
 ) -> list[Result]:
     """A function's results in the order of the items; the results must pickle.
 
-    `report` is called at times with the estimated number of finished items.
+    Each core has an interleaved share of the items, this process the first. `report` is called at times
+    with the estimated number of finished items.
     """
-    here, count = os.getpid(), _number_of_shares(items)
+    count = max(1, min(cores(), len(items)))
 
-    def done(share: Sequence[Item]) -> list[Result]:
+    def done(first: int) -> list[Result]:
         found = []
-        for item in share:
+        for item in items[first::count]:
             found.append(function(item))
-            if report and os.getpid() == here:
+            if report and first == 0:
                 report(min(len(items), len(found) * count))
         return found
 
-    parts = in_shares(done, items)
-    return [parts[k % len(parts)][k // len(parts)] for k in range(len(items))]
-
-
-def in_shares(function: Callable[[Sequence[Item]], Result], items: Sequence[Item]) -> list[Result]:
-    """A function's results for interleaved shares of the items; this process does the first share."""
-    count = _number_of_shares(items)
     with ExitStack() as stack:
-        others = [
-            stack.enter_context(beside(partial(function, items[k::count]))) for k in range(1, count)
-        ]
-        return [function(items[::count]), *(other() for other in others)]
-
-
-def _number_of_shares(items: Sequence[Item]) -> int:
-    return max(1, min(cores(), len(items)))
+        others = [stack.enter_context(beside(partial(done, k))) for k in range(1, count)]
+        shares = [done(0), *(other() for other in others)]
+    return [shares[k % count][k // count] for k in range(len(items))]
 
 
 @contextmanager

@@ -1,8 +1,8 @@
 """Run jobs in processes of this machine, with limits; a failed process harms no other job.
 
-The parent writes pickles to a child's standard input and reads them from its standard output: first
-the work, then job by job. The operating system ends a child that takes too long, even if Python is
-blocked, by the default action of SIGALRM and SIGPROF. A child ends itself when its parent is gone.
+The parent sends a child the work, then job by job, over a socket. The operating system ends a child
+that takes too long, even if Python is blocked, by the default action of SIGALRM and SIGPROF. A child
+ends itself when its parent is gone.
 """
 
 from __future__ import annotations
@@ -10,7 +10,6 @@ from __future__ import annotations
 import os
 import pickle
 import resource
-import select
 import signal
 import subprocess
 import sys
@@ -23,9 +22,11 @@ from contextlib import suppress
 from dataclasses import dataclass
 from itertools import islice
 from math import inf, isfinite
+from multiprocessing import Pipe
+from multiprocessing.connection import Connection
 from pathlib import Path
 from signal import SIGALRM, SIGKILL, SIGPROF
-from typing import IO, Any
+from typing import Any
 
 from scp_recon.errors import InputError, option
 from scp_recon.jobs.job import (
@@ -41,7 +42,7 @@ from scp_recon.jobs.job import (
     attempt,
 )
 
-SERVE = "from scp_recon.jobs.processes import serve; serve()"
+SERVE = "from scp_recon.jobs.processes import serve; serve({})"
 READY = "ready"
 TRIES = 3
 """Number of tries of a job that kills its process."""
@@ -127,6 +128,7 @@ class Child:
     def __init__(self, pickled_work: bytes, limits: Limits) -> None:
         self.work, self.limits = pickled_work, limits
         self._process: subprocess.Popen[bytes] | None = None
+        self._pipe: Connection
         self._used = False
         self._stopped = threading.Event()
 
@@ -163,15 +165,14 @@ class Child:
 
     def _try(self, job: Job) -> tuple[Done | None, int]:
         """Try a job once: its outcome, or the exit status of a process that died."""
-        process = self._process
         try:
-            if process is None:
-                process = self._begun()
-                if (answer := self._answer(process, START_S)) != READY:
+            if self._process is None:
+                self._begin()
+                if (answer := self._answer(START_S)) != READY:
                     raise UnfitError(answer)
             self._used = True
-            write_message(process.stdin, job)
-            return self._answer(process, self.limits.seconds + GRACE_S), 0
+            self._pipe.send(job)
+            return self._answer(self.limits.seconds + GRACE_S), 0
         except TimeoutError:
             late = -SIGALRM if self._used else -SIGKILL
             self.end()
@@ -179,27 +180,27 @@ class Child:
         except (OSError, EOFError, pickle.UnpicklingError):
             return None, self.end(patience_s=GRACE_S)
 
-    def _answer(self, process: subprocess.Popen[bytes], limit_s: float) -> Any:
-        assert process.stdout is not None
-        timeout = limit_s if isfinite(limit_s) else None
-        if not select.select([process.stdout], [], [], timeout)[0]:
+    def _answer(self, limit_s: float) -> Any:
+        if not self._pipe.poll(limit_s if isfinite(limit_s) else None):
             raise TimeoutError
-        return read_message(process.stdout)
+        return self._pipe.recv()
 
-    def _begun(self) -> subprocess.Popen[bytes]:
+    def _begin(self) -> None:
         """Start a process, which sends READY once it can run jobs."""
         paths = os.pathsep.join(path or str(Path.cwd()) for path in sys.path)
-        self._process = subprocess.Popen(
-            [sys.executable, "-P", "-c", SERVE],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            env={**os.environ, **ONE_THREAD, "PYTHONPATH": paths},
-            start_new_session=True,  # Ctrl-C is the parent's to handle
-        )
+        self._pipe, far = Pipe()
+        with far:
+            self._process = subprocess.Popen(
+                [sys.executable, "-P", "-c", SERVE.format(far.fileno())],
+                stdin=subprocess.DEVNULL,
+                stdout=2,  # what a job prints is no answer
+                pass_fds=[far.fileno()],
+                env={**os.environ, **ONE_THREAD, "PYTHONPATH": paths},
+                start_new_session=True,  # Ctrl-C is the parent's to handle
+            )
         if self._stopped.is_set():  # meanwhile
             self._process.kill()
-        write_message(self._process.stdin, (self.work, self.limits))
-        return self._process
+        self._pipe.send((self.work, self.limits))
 
     def stop(self) -> None:
         """End the process for good, from any thread, and drop the result of its job."""
@@ -213,33 +214,27 @@ class Child:
         process, self._process, self._used = self._process, None, False
         if process is None:
             return 0
-        for pipe in (process.stdin, process.stdout):
-            if pipe is not None:
-                with suppress(OSError):
-                    pipe.close()
+        self._pipe.close()
         with suppress(subprocess.TimeoutExpired):
             return process.wait(patience_s)
         process.kill()
         return process.wait()
 
 
-def serve() -> None:
-    """Run jobs until there are no more: the main function of a child."""
-    source = os.fdopen(os.dup(0), "rb")
-    answers = os.fdopen(os.dup(1), "wb")
-    os.dup2(2, 1)  # what a job prints is no answer
-    os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
+def serve(socket: int) -> None:
+    """Run jobs from a socket until there are no more: the main function of a child."""
+    pipe = Connection(socket)
     signal.signal(SIGALRM, signal.SIG_DFL)
     signal.signal(SIGPROF, signal.SIG_DFL)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with, args=(os.getppid(),), daemon=True).start()
-    pickled, limits = read_message(source)
+    pickled, limits = pipe.recv()
     try:
         work = pickle.loads(pickled)
     except Exception as error:  # a module that is not here, or is another
-        write_message(answers, f"{type(error).__name__}: {error}")
+        pipe.send(f"{type(error).__name__}: {error}")
         sys.exit(1)
-    write_message(answers, READY)
+    pipe.send(READY)
     _limit_memory(limits)
     timers = ((signal.ITIMER_REAL, limits.seconds), (signal.ITIMER_PROF, limits.cpu_s))
     kept = [(timer, limit_s) for timer, limit_s in timers if isfinite(limit_s)]
@@ -247,8 +242,8 @@ def serve() -> None:
         warnings.filterwarnings("ignore", category=RuntimeWarning)  # as `run_command` does
         while True:
             try:
-                job = read_message(source)
-            except EOFError:
+                job = pipe.recv()
+            except (EOFError, OSError):  # the parent is done, or gone
                 return
             if limits.apart and _left_to_a_copy():
                 continue
@@ -257,7 +252,7 @@ def serve() -> None:
             done = attempt(work, job)
             for timer, _ in kept:
                 signal.setitimer(timer, 0.0)
-            write_message(answers, _portable(done))
+            pipe.send(_portable(done))
             if limits.apart:
                 os._exit(0)
 
@@ -306,31 +301,3 @@ def _limit_memory(limits: Limits) -> None:
         hard = resource.getrlimit(resource.RLIMIT_AS)[1]
         if hard == resource.RLIM_INFINITY or most < hard:
             resource.setrlimit(resource.RLIMIT_AS, (most, hard))
-
-
-def write_message(pipe: IO[bytes] | None, content: object) -> None:
-    """Send a pickle.
-
-    Raises:
-        OSError: if the other side is gone.
-    """
-    assert pipe is not None
-    data = pickle.dumps(content, pickle.HIGHEST_PROTOCOL)
-    pipe.write(len(data).to_bytes(8, "little") + data)
-    pipe.flush()
-
-
-def read_message(pipe: IO[bytes]) -> Any:
-    """Receive a pickle.
-
-    Raises:
-        EOFError: if the other side is gone.
-    """
-    return pickle.loads(_exactly(pipe, int.from_bytes(_exactly(pipe, 8), "little")))
-
-
-def _exactly(pipe: IO[bytes], size: int) -> bytes:
-    data = pipe.read(size)
-    if len(data) < size:
-        raise EOFError
-    return data

@@ -111,12 +111,6 @@ class Store:
         """Yield keys and values, in the order in which they were put."""
         return ((key, self[key]) for key in list(self._places))
 
-    def row(self, key: Key, make: Callable[[], Values]) -> dict[str, Any]:
-        """The values of a row; a missing one is made and kept."""
-        if key not in self:
-            self.put(key, make())
-        return self[key]
-
     def put(self, key: Key, values: Values, files: Mapping[str, bytes] | None = None) -> None:
         """Keep a row's files, then the row, in place of an earlier one with its key.
 
