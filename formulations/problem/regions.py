@@ -159,6 +159,11 @@ def _all_along(still: Booleans, low: Array, high: Array) -> Chord:
     return np.where(still, -np.inf, low), np.where(still, np.inf, high)
 
 
+def _require(holds: bool, name: str, given: float, allowed: str) -> None:
+    if not holds:
+        raise ValueError(f"{name}: got {given}; must be {allowed}")
+
+
 @dataclass(frozen=True)
 class Ball:
     """Points within `radius` of `center` (n, 3).
@@ -170,6 +175,10 @@ class Ball:
 
     center: Array
     radius: float
+
+    def __post_init__(self) -> None:
+        """Refuse a radius of no ball."""
+        _require(0.0 <= self.radius < np.inf, "radius", self.radius, "0 or more, and finite")
 
     def at(self, which: Indices) -> Ball:
         """The balls of some nodes."""
@@ -219,6 +228,11 @@ class Cone:
     apex: Array
     axis: Array
     half_angle: float
+
+    def __post_init__(self) -> None:
+        """Refuse an angle of no convex cone."""
+        allowed = "an angle from 0 to less than pi/2"
+        _require(0.0 <= self.half_angle < np.pi / 2.0, "half_angle", self.half_angle, allowed)
 
     @cached_property
     def _side(self) -> Array:
@@ -303,6 +317,10 @@ class Ellipsoid:
     center: Array
     matrix: Array
     radius: float = 1.0
+
+    def __post_init__(self) -> None:
+        """Refuse a radius of no ellipsoid."""
+        _require(0.0 <= self.radius < np.inf, "radius", self.radius, "0 or more, and finite")
 
     @cached_property
     def ball(self) -> Ball:

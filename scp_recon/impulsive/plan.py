@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -13,12 +14,22 @@ from formulations.rows.node_probability import joint_events
 from scp_recon.errors import InputError
 from scp_recon.monte_carlo.estimates import Estimate, proportion
 from scp_recon.monte_carlo.sampling import BLOCK, NAVIGATION, draw
-from scp_recon.planning.plan import Certificate, Stage
+from scp_recon.planning.plan import Certificate, Stage, Unit
 from scp_recon.scp.loop import Timing
 from scp_recon.scp.status import Status
 
 QUANTILE = 0.99
 """Of the flights' commanded delta-v."""
+UNITS: dict[Unit, str] = {"m": "length", "m/s": "speed", "sigma": "sigma"}
+"""Units of margins: of length or speed in the user's flow, or standard deviations."""
+REMEDIES = {
+    Status.INFEASIBLE: "Relax what is violated, lower probability, or give other states as a guess.",
+    Status.MAX_ITERATIONS: "Solve again from the states and burns of this plan.",
+    Status.STALLED: "Give other states as a guess; if it recurs, take a flow with more nodes.",
+    Status.SOLVER_FAILED: "Check magnitudes, dv_max and units, or give other states as a guess.",
+    Status.INTERRUPTED: "Continue from the states and burns of this plan.",
+}
+"""What to do next, in the words of an `ImpulsiveProblem`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,33 +117,70 @@ class ImpulsivePlan:
     @property
     def margins(self) -> dict[str, float]:
         """Least margin by region: a distance, or standard deviations where risk is exact."""
+        return {name: value for name, (value, _) in self._margins().items()}
+
+    def _margins(self) -> dict[str, tuple[float, Unit]]:
         names = {c.name for c in self.final.merit.problem.constraints}
-        found = {}
-        for name, margins in self.final.margins.items():
-            unit = self.final.unit(name)
-            if name in names or name not in ("dv_max", "dv_battery"):
-                scale = {"m": float(self.unit[0]), "m/s": float(self.unit[3]), "sigma": 1.0}[unit]
-                found[name] = float(margins.margin.min()) * scale
-        return found
+        return {
+            name: self._scaled(float(margins.margin.min()), self.final.unit(name))
+            for name, margins in self.final.margins.items()
+            if name in names or name not in ("dv_max", "dv_battery")
+        }
+
+    @property
+    def violations(self) -> dict[str, tuple[float, str]]:
+        """Size and unit of each violation above the tolerance, the largest by constraint.
+
+        "position" and "velocity" are those of states that the flow and the final state do not join.
+        """
+        stage, lin = self.final, self.final.result.lin
+        apart = np.abs(lin.defects).max(axis=0)
+        amounts: dict[str, tuple[float, Unit]] = {
+            "position": (float(apart[:3].max()), "m"),
+            "velocity": (float(apart[3:].max()), "m/s"),
+        }
+        for name, amount in stage.merit.violations(lin).items():
+            if name != "dynamics":
+                amounts[name] = float(amount.max(initial=0.0)), stage.unit(name)
+        found = {n: self._scaled(*one) for n, one in amounts.items() if one[0] > stage.tolerance}
+        return {name: (size, UNITS[unit]) for name, (size, unit) in found.items()}
+
+    def _scaled(self, value: float, unit: Unit) -> tuple[float, Unit]:
+        """A nondimensional value in the user's units."""
+        return value * {"m": float(self.unit[0]), "m/s": float(self.unit[3]), "sigma": 1.0}[
+            unit
+        ], unit
 
     def __str__(self) -> str:
-        """Status with remedy, cost, burns and margins."""
-        outcome = self.status.value
+        """Status with remedy, cost, burns, violations and margins."""
+        remedy = REMEDIES.get(self.status, "")
         lines = [
-            f"{self.final.problem}: {outcome.message} {outcome.remedy}".rstrip(),
+            f"{self.final.problem}: {self.status.value.message} {remedy}".rstrip(),
             f"cost {self.cost:.9g}, {self.iterations} iterations",
         ]
         for node, burn in zip(self.final.merit.problem.burn_nodes, self.burns, strict=True):
             lines.append(f"node {node:4}  " + "  ".join(f"{x:+.6e}" for x in burn))
-        lines += [f"{name}: margin {margin:+.6g}" for name, margin in self.margins.items()]
+        if not self.ok:
+            violated = self.violations.items()
+            lines += [f"{name}: violated by {size:.6g} ({unit})" for name, (size, unit) in violated]
+        margins = self._margins().items()
+        lines += [f"{name}: margin {value:+.6g} ({UNITS[unit]})" for name, (value, unit) in margins]
         return "\n".join(lines)
 
     def __repr__(self) -> str:
         """One line."""
         return f"<ImpulsivePlan: {self.status.value.name}, cost {self.cost:.9g}>"
 
-    def fly(self, samples: int = 10_000, seed: int = 0) -> Flights:
-        """Fly the user's flow with errors drawn, and count the flights that keep the regions."""
+    def fly(
+        self,
+        samples: int = 10_000,
+        seed: int = 0,
+        report: Callable[[int], None] = lambda _: None,
+    ) -> Flights:
+        """Fly the user's flow with errors drawn, and count the flights that keep the regions.
+
+        `report` is called at times with the number of flights flown.
+        """
         if samples < 1:
             raise InputError("samples", f"{samples}", "must be 1 or more")
         events = joint_events(self.final.merit.problem.constraints)
@@ -152,6 +200,7 @@ class ImpulsivePlan:
             whole += int(kept.sum())
             commanded.append(own)
             final.append(last)
+            report(min(first + BLOCK, samples))
         worst = {name: proportion(int(some.min()), samples) for name, some in counts.items()}
         ends = np.concatenate(final) * self.unit
         speed = float(self.unit[3])

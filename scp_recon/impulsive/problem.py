@@ -10,7 +10,7 @@ user's units.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import Literal, NamedTuple
@@ -18,7 +18,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from formulations.arrays import Array, Indices
+from formulations.arrays import Array
 from formulations.linearisation.dynamics import Dynamics
 from formulations.linearisation.factor import factor_of
 from formulations.problem.execution_errors import ComponentwiseErrors, ExecutionErrors, GatesErrors
@@ -81,12 +81,24 @@ class Keep:
         region: of positions, in the problem's units.
         nodes: indices, by default all but the first.
         name: by default the kind of region, and its number.
+
+    Raises:
+        InputError: if the side is another, or the region is empty or of other shapes.
     """
 
     side: Literal["in", "out"]
     region: Region
     nodes: npt.ArrayLike | None = None
     name: str = ""
+
+    def __post_init__(self) -> None:
+        """Refuse what no problem could use."""
+        name = self.name or type(self.region).__name__.lower()
+        one_of(f"{name}: side", self.side, ("in", "out"))
+        if not isinstance(self.region, Region):
+            raise InputError("region", f"{self.region!r}", "must be a Ball, Cone, Halfspaces, ...")
+        count = None if self.nodes is None else np.size(np.asarray(self.nodes))
+        scaled(name, self.region, count, 1.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -286,14 +298,13 @@ class ImpulsiveProblem:
 
     def _constraints(self, name: str, keep: Keep) -> Iterator[StateConstraint]:
         """A region's constraint, or those of the faces of a polytope that is kept in."""
-        one_of(f"{name}: side", keep.side, ("in", "out"))
         n = self.flow.arcs
         nodes = np.arange(1, n + 1) if keep.nodes is None else np.asarray(keep.nodes)
         if nodes.ndim != 1 or nodes.dtype.kind != "i" or not len(nodes):
             raise InputError(f"{name}: nodes", f"{keep.nodes}", "must be some indices of nodes")
         if nodes[0] < 0 or nodes[-1] > n or np.any(np.diff(nodes) <= 0):
             raise InputError(f"{name}: nodes", f"{keep.nodes}", f"must ascend within 0 and {n}")
-        region = scaled(name, keep.region, nodes, self.length)
+        region = scaled(name, keep.region, len(nodes), self.length)
         p = self.probability
         if keep.side == "out" or not isinstance(region, Polytope):
             yield StateConstraint(name, nodes, region, keep.side, p)
@@ -333,6 +344,8 @@ class ImpulsiveProblem:
     ) -> ImpulsivePlan:
         """Plan from a guess (see `guess`). `target` is for exact risk, by default `probability`.
 
+        `observe` is called after each iteration with the name of its stage and its record.
+
         Raises:
             InputError: if guess or names do not fit, or the flow's derivatives are not its map's.
         """
@@ -358,11 +371,14 @@ class ImpulsiveProblem:
         formulation: str = FORMULATION,
         algorithm: str = ALGORITHM,
         solver: str = SOLVER,
+        observe: Observer | None = None,
+        watch: Callable[[str, int, int], None] = lambda *_: None,
     ) -> ImpulsivePlan:
         """Plan so that independent flights reach the required probability; arguments as of `solve`.
 
         Rounds of flights adjust the target, and independent flights judge, as in
-        `scp_recon.certification`.
+        `scp_recon.certification`. `watch` is called with the name of a round or test ("round 1",
+        "look 1"), and the number of its flights so far and in all.
 
         Returns:
             As `scp_recon.certification.certify.certified`.
@@ -372,49 +388,58 @@ class ImpulsiveProblem:
         """
         if self.is_deterministic or self.risk.allocation != "exact":
             raise InputError("scope", self.scope, "must be node or flight, of regions, with errors")
-        solve = partial(self.solve, formulation=formulation, algorithm=algorithm, solver=solver)
+        solve = partial(
+            self.solve,
+            formulation=formulation,
+            algorithm=algorithm,
+            solver=solver,
+            observe=observe,
+        )
 
         def anew(last: ImpulsivePlan | None, _: Array, target: float) -> ImpulsivePlan:
             start = (states, burns) if last is None else (last.states, last.burns)
             return solve(start[0], burns=start[1], target=target)
 
-        return certified(self.probability, anew, self._fly)
+        def fly(plan: ImpulsivePlan, step: Step) -> tuple[KeptCounts, Array]:
+            flights = plan.fly(
+                step.samples, step.seed, lambda flown: watch(step.name, flown, step.samples)
+            )
+            found = [flights.whole] if self.scope == "flight" else flights.kept.values()
+            kept = round(step.samples * min(estimate.value for estimate in found))
+            return KeptCounts(kept, kept, step.samples), np.zeros(0)
 
-    def _fly(self, plan: ImpulsivePlan, step: Step) -> tuple[KeptCounts, Array]:
-        """Counts of flights that keep all regions, or each region at its worst node."""
-        flights = plan.fly(step.samples, step.seed)
-        found = [flights.whole] if self.scope == "flight" else flights.kept.values()
-        kept = round(step.samples * min(estimate.value for estimate in found))
-        return KeptCounts(kept, kept, step.samples), np.zeros(0)
+        return certified(self.probability, anew, fly)
 
 
-def scaled(name: str, region: Region, nodes: Indices, length: float) -> Region:
-    """A user's region as one region per node, in units of a length.
+def scaled(name: str, region: Region, n: int | None, length: float) -> Region:
+    """A user's region as one region for each of n nodes, in units of a length.
+
+    Without n, arrays may be those of any number of nodes.
 
     Raises:
         InputError: if it is empty, or its arrays have other shapes.
     """
-    n = len(nodes)
 
     def each(of: str, value: npt.ArrayLike, width: tuple[int, ...] = (3,)) -> Array:
         array = np.asarray(value, dtype=float)
-        if array.shape not in (width, (n, *width)) or not np.isfinite(array).all():
+        count = len(array) if n is None and array.ndim > len(width) else n or 1
+        if array.shape not in (width, (count, *width)) or not np.isfinite(array).all():
             found = f"{of} of shape {array.shape}" if np.isfinite(array).all() else f"{of} {array}"
-            raise InputError(name, found, f"must be finite, of shape {width} or {(n, *width)}")
-        return np.array(np.broadcast_to(array, (n, *width)))
+            raise InputError(name, found, f"must be finite, of shape {width} or {(count, *width)}")
+        return np.array(np.broadcast_to(array, (count, *width)))
 
     def empty(found: str, needs: str) -> InputError:
         return InputError(name, found, f"must have points: {needs}")
 
     match region:
         case Ball(center, radius):
-            if not 0.0 < radius < np.inf:
+            if not radius > 0.0:
                 raise empty(f"radius {radius}", "a positive radius")
             return Ball(each("center", center) / length, radius / length)
         case Cone(apex, axis, half_angle):
             axes = each("axis", axis)
             size = np.linalg.norm(axes, axis=1, keepdims=True)
-            if not 0.0 < half_angle < np.pi / 2 or not size.all():
+            if not half_angle > 0.0 or not size.all():
                 raise empty(f"half-angle {half_angle}, axis {axis}", "0 to pi/2, about an axis")
             return Cone(each("apex", apex) / length, axes / size, half_angle)
         case Halfspaces(normal, offset):

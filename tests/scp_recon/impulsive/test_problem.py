@@ -13,6 +13,7 @@ from formulations.problem.flow import ArcDerivatives
 from scp_recon.errors import InputError
 from scp_recon.impulsive.plan import ImpulsivePlan
 from scp_recon.planning.method import ALGORITHMS, FORMULATIONS
+from scp_recon.scp.status import Status
 from tests.helpers import Arcs
 
 RATE, NODES = 2.0 * np.pi / 5556.0, 25
@@ -103,7 +104,16 @@ def test_flights_keep_a_region_with_the_probability_that_was_planned(erring, sco
 @pytest.mark.slow
 def test_a_certified_plan_costs_more_and_fresh_flights_reach_the_probability(erring):
     own = replace(erring, probability=0.9)
-    plan, aimed = own.certify(), own.solve()
+    seen: list[tuple[str, int, int]] = []
+    stages = set[str]()
+    plan = own.certify(
+        observe=lambda stage, _: stages.add(stage), watch=lambda *one: seen.append(one)
+    )
+    aimed = own.solve()
+    assert stages == {stage.name for stage in plan.stages}
+    assert seen[0][0] == "round 1"
+    assert seen[-1][0].startswith("look")
+    assert seen[-1][1] == seen[-1][2]
     assert plan.certificate.certifies(0.9)
     assert plan.fly(4000, 7).kept["ball"].high > 0.9
     assert 0.9 < plan.certificate.reached < 0.92  # and no more than sampling explains
@@ -172,7 +182,39 @@ class Off:
 
 
 BALL = np.zeros(3), 100.0
-I6, FLAT = np.eye(6)[None], np.diag([1, 1, 0])
+BAD_REGIONS: list[tuple[Callable[[], Any], str]] = [
+    (lambda: sr.Ball(BALL[0], -1), "radius: got -1; must be 0 or more"),
+    (lambda: sr.Ball(BALL[0], np.inf), "radius: got inf"),
+    (lambda: sr.Ellipsoid(BALL[0], np.eye(3), -1.0), "radius: got -1.0"),
+    (lambda: sr.Cone(BALL[0], FACES[0], 2.0), "half_angle: got 2.0"),
+    (lambda: sr.Cone(BALL[0], FACES[0], -0.1), "half_angle: got -0.1"),
+    (lambda: sr.Keep("outside", sr.Ball(*BALL)), "ball: side: got 'outside'; must be one of in"),
+    (lambda: sr.Keep("in", BALL), "region: got .*must be a Ball"),
+    (lambda: sr.Keep("in", sr.Ball(BALL[0], 0.0)), "ball: got radius 0.0; must have points"),
+    (lambda: sr.Keep("in", sr.Ball(np.zeros(2), 1.0), name="a"), "a: got center of shape"),
+    (lambda: sr.Keep("in", sr.Ball(np.zeros((3, 3)), 1.0), [1, 2]), r"or \(2, 3\)"),
+    (lambda: sr.Keep("in", sr.Halfspaces(BALL[0], 2.0)), "a normal other than zero"),
+    (lambda: sr.Keep("in", sr.Ellipsoid(BALL[0], np.diag([1, 1, 0]))), "must have points"),
+    (lambda: sr.Keep("out", sr.Polytope(FACES, -np.ones(6))), "half-spaces that meet"),
+]
+
+
+@pytest.mark.parametrize(("make", "says"), BAD_REGIONS)
+def test_bad_region_is_refused_where_it_is_made(make, says):
+    with pytest.raises(ValueError, match=says) as caught:
+        make()
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("nodes", [None, range(1, 4)])
+def test_region_may_differ_from_node_to_node(nodes):
+    centres, axes = np.arange(9.0).reshape(3, 3), np.tile([0.0, 0.0, 2.0], (3, 1))
+    kept = [sr.Ball(centres, 1.0), sr.Cone(BALL[0], axes, 0.3), sr.Ellipsoid(centres, np.eye(3))]
+    for region in (*kept, sr.Halfspaces(axes[0], np.arange(3.0))):
+        assert sr.Keep("in", region, nodes).region is region
+
+
+I6 = np.eye(6)[None]
 
 
 def corrected(burns: Any, cut_offs: Any, measurement: Any = I6, **more: Any) -> dict[str, Any]:
@@ -197,15 +239,8 @@ def corrected(burns: Any, cut_offs: Any, measurement: Any = I6, **more: Any) -> 
         ({"units": (0.0, 1.0)}, "units: "),
         ({"initial_covariance": np.eye(3)}, r"initial_covariance: got shape \(3, 3\)"),
         ({"initial_covariance": -np.eye(6)}, "initial_covariance: got a matrix that is no"),
-        ({"regions": [sr.Keep("at", sr.Ball(*BALL))]}, "ball 1: side: got 'at'"),
-        ({"regions": [sr.Keep("in", sr.Ball(BALL[0], 0.0))]}, "ball 1: got radius 0.0; must have"),
-        ({"regions": [sr.Keep("in", sr.Ball(np.zeros(2), 1.0))]}, "center of shape"),
         ({"regions": [sr.Keep("in", sr.Ball(*BALL), [30])]}, "ball 1: nodes: .*within 0 and 24"),
         ({"regions": [sr.Keep("in", sr.Ball(*BALL), name="a")] * 2}, "regions: .*must differ"),
-        ({"regions": [sr.Keep("in", sr.Cone(BALL[0], FACES[0], 2.0))]}, "half-angle 2.0"),
-        ({"regions": [sr.Keep("in", sr.Halfspaces(BALL[0], 2.0))]}, "a normal other than zero"),
-        ({"regions": [sr.Keep("in", sr.Ellipsoid(BALL[0], FLAT))]}, "must have points"),
-        ({"regions": [sr.Keep("out", sr.Polytope(FACES, -np.ones(6)))]}, "half-spaces that meet"),
         (corrected([1], [9]), "feedback.cut_offs: .*not be after"),
         (corrected([1], [8], np.eye(3)), "feedback.measurement: got shape"),
         (corrected([4], [8]), "feedback.burns: .*from 0 to 3"),
@@ -241,8 +276,28 @@ def test_a_plan_tells_what_it_is(problem):
     assert isinstance(plan, ImpulsivePlan)
     assert repr(plan).startswith("<ImpulsivePlan: converged, cost ")
     assert str(plan).count("node") == len(BURNS)
+    assert plan.violations == {}
     with pytest.raises(InputError, match=r"guess: got shape \(3, 6\)"):
         problem.solve(np.zeros((3, 6)))
     closed = replace(problem, initial_covariance=COVARIANCE, **corrected([1], [8]))
     with pytest.raises(InputError, match="feedback: got corrected burns; goes with the formul"):
         closed.solve(formulation="frozen-stm")
+
+
+def test_infeasible_plan_names_what_is_violated(problem):
+    """A burn too small for the transfer, and a region that the way has to cross, each with its unit."""
+    far = sr.Keep("out", sr.Ball([2000.0, 2000.0, 0.0], 10.0), name="debris")
+    weak = replace(problem, dv_max=1e-2, units=(900.0, 900.0), regions=[far]).solve()
+    assert weak.status is Status.INFEASIBLE
+    assert set(weak.violations) <= {"position", "velocity", "dv_max"}
+    name, (size, unit) = max(weak.violations.items(), key=lambda item: item[1][0])
+    assert f"{name}: violated by {size:.6g} ({unit})" in str(weak)
+    assert f"debris: margin {weak.margins['debris']:+.6g} (length)" in str(weak)
+    assert "p_chance" not in str(weak)
+    wall = sr.Keep("in", sr.Halfspaces([0.0, -1.0, 0.0], -600.0), [24], "wall")
+    barred = replace(problem, regions=[wall]).solve()
+    assert barred.status is Status.INFEASIBLE
+    size, unit = barred.violations["wall"]
+    assert (size, unit) == (pytest.approx(-barred.margins["wall"], rel=1e-6), "length")
+    off = abs(barred.states[-1, 1] - 600.0)
+    assert size == pytest.approx(off, rel=1e-6)
