@@ -84,8 +84,9 @@ def campaign(
         [0.14, 0.155]
     """
     from scp_recon.campaigns import outcome, page
+    from scp_recon.reports.write import check_extra
 
-    page.check_extras()
+    check_extra()
     folder = path_of(option("out"), out)
     given = study_of(study, yes=yes)
     run_campaign(given, folder, workers=workers, scheduler=scheduler)

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import Field, NaiveDatetime, PrivateAttr, model_validator
+from pydantic import Field, NaiveDatetime, model_validator
 from scipy.spatial import KDTree
 
 from formulations.arrays import Array
@@ -25,7 +25,9 @@ from scp_recon.scenario.fields import Section
 from scp_recon.scenario.schema import Scenario
 
 Entry = Annotated[str, Field(min_length=1, max_length=200)]
-Count = Annotated[int, Field(ge=1, le=1_000_000_000)]
+ROWS_MAX = 1_000_000
+"""Most rows of one axis."""
+Count = Annotated[int, Field(ge=1, le=ROWS_MAX)]
 Real = Annotated[float, Field(ge=-1e15, le=1e15)]
 LATITUDE, LONGITUDE = "site.latitude_deg", "site.longitude_deg"
 NAME, EPOCH = "site.name", "epoch.tdb"
@@ -44,10 +46,6 @@ GOLDEN = (np.sqrt(5.0) - 1.0) / 2.0
 
 class Axis(Section):
     """A table `[[axis]]`."""
-
-    @abstractmethod
-    def count(self, base: Scenario, /) -> int:
-        """Count the rows without making them: there may be a billion."""
 
     @abstractmethod
     def rows(self, base: Scenario, seed: tuple[int, ...], /) -> list[Changes]:
@@ -75,10 +73,6 @@ class Values(Axis):
             if not isinstance(row, list | tuple) or len(row) != len(self.entries or ()):
                 raise ValueError(f"each row of values must have {len(self.entries or ())} items")
         return self
-
-    def count(self, _base: Scenario, /) -> int:
-        """One row a value."""
-        return len(self.values)
 
     def rows(self, _base: Scenario, _seed: tuple[int, ...], /) -> list[Changes]:
         """Rows in the order of the file."""
@@ -115,10 +109,6 @@ class Grid(Axis):
 
     entry: Entry
     grid: Span
-
-    def count(self, _base: Scenario, /) -> int:
-        """Count the rows: `count` of the table."""
-        return self.grid.count
 
     def rows(self, _base: Scenario, _seed: tuple[int, ...], /) -> list[Changes]:
         """One row a number, in the order of the span."""
@@ -170,7 +160,7 @@ class Draws(Axis):
     """Random rows with independent entries; a larger count keeps the first rows."""
 
     draws: Annotated[tuple[Law, ...], Field(min_length=1)]
-    number: Annotated[Count, Field(alias="count")]
+    count: Count
 
     @model_validator(mode="after")
     def _once(self) -> Self:
@@ -178,14 +168,10 @@ class Draws(Axis):
             raise ValueError("must have each entry once")
         return self
 
-    def count(self, _base: Scenario, /) -> int:
-        """Count the rows: `count` of the table."""
-        return self.number
-
     def rows(self, _base: Scenario, seed: tuple[int, ...], /) -> list[Changes]:
         """Random rows; each entry has a stream of its own."""
         columns = [
-            law.drawn(np.random.default_rng((*seed, place)), self.number).tolist()
+            law.drawn(np.random.default_rng((*seed, place)), self.count).tolist()
             for place, law in enumerate(self.draws)
         ]
         names = [law.entry for law in self.draws]
@@ -204,9 +190,11 @@ class Sites(Axis):
 
     sites: LatLonGrid
 
-    def count(self, _base: Scenario, /) -> int:
-        """Latitudes times longitudes."""
-        return self.sites.latitude_deg.count * self.sites.longitude_deg.count
+    @model_validator(mode="after")
+    def _not_too_many(self) -> Self:
+        if self.sites.latitude_deg.count * self.sites.longitude_deg.count > ROWS_MAX:
+            raise ValueError(f"must have at most {ROWS_MAX:,} sites")
+        return self
 
     def rows(self, _base: Scenario, _seed: tuple[int, ...], /) -> list[Changes]:
         """Sites of the first latitude, then of the next."""
@@ -234,19 +222,9 @@ class Windows(Axis):
     """
 
     windows: WindowSearch
-    _found: dict[Scenario, list[Changes]] = PrivateAttr(default_factory=dict)
-
-    def count(self, base: Scenario, /) -> int:
-        """Search for the windows and count them."""
-        return len(self.rows(base, ()))
 
     def rows(self, base: Scenario, _seed: tuple[int, ...], /) -> list[Changes]:
-        """Epochs in order of time; searched once."""
-        if base not in self._found:
-            self._found[base] = self._epochs(base)
-        return self._found[base]
-
-    def _epochs(self, base: Scenario) -> list[Changes]:
+        """Epochs in order of time."""
         epoch, search = base.epoch.tdb, self.windows
         first = ((search.start or epoch) - epoch).total_seconds()
         if abs(first) > DAYS_MAX * DAY_S:
@@ -386,10 +364,6 @@ class ShapeSites(Axis):
     """
 
     spread: Spread
-
-    def count(self, _base: Scenario, /) -> int:
-        """Count the rows: `count` of the table."""
-        return self.spread.count
 
     def rows(self, base: Scenario, _seed: tuple[int, ...], /) -> list[Changes]:
         """Latitude, longitude, name and, if it moves, the epoch of each."""

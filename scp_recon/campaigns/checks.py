@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
-from math import prod
+from itertools import combinations, product
 from numbers import Real
 from pathlib import Path
 from typing import Any, NoReturn
@@ -21,8 +21,6 @@ from scp_recon.mission.feedback import check_feedback
 from scp_recon.monte_carlo.closed_loop import cut_offs_s
 from scp_recon.scenario.schema import Scenario
 
-ROWS_MAX = 1_000_000
-"""Most rows of one axis."""
 CHECKED = 100
 """Rows of an axis whose scenarios are made before the work, spread evenly from first to last."""
 SHOWN = 5
@@ -55,25 +53,6 @@ def check_do(do: str, base: Scenario) -> None:
         )
 
 
-def check_count(counts: list[int], ask_from: int, *, yes: bool) -> None:
-    """Refuse too many cases, which are counted without being made.
-
-    Raises:
-        InputError: if there are more than `ROWS_MAX`, or more than `ask_from` without `yes`.
-    """
-    cases = prod(counts)
-    product = " x ".join(f"{count:,}" for count in counts)
-    if cases > ask_from and not yes:
-        raise InputError(
-            "axis",
-            f"{cases:,} cases ({product})",
-            f"more than {ask_from:,} need --yes",
-        )
-    for number, count in enumerate(counts, start=1):
-        if count > ROWS_MAX:
-            raise InputError(f"axis {number}", f"{count:,} rows", f"must have at most {ROWS_MAX:,}")
-
-
 def check_axes(
     base: Scenario,
     folder: Path,
@@ -83,7 +62,7 @@ def check_axes(
     *,
     replanned: bool = False,
 ) -> None:
-    """Refuse entries on two axes and invalid values, in up to `CHECKED` the axes' rows.
+    """Refuse ineffective entries, and invalid values in up to `CHECKED` of each axis's rows.
 
     Args:
         base: scenario that the axes change.
@@ -98,7 +77,7 @@ def check_axes(
         InputError: one message with all errors.
     """
     _refusal = partial(_refusal_of, base, folder, replanned)
-    wrong = [*ineffective, *_twice(axes)]
+    wrong = list(ineffective)
     first = {entry: value for rows in axes for entry, value in rows[0].items()}
     for number, rows in enumerate(axes, start=1):
         looked = sorted({round(place) for place in np.linspace(0, len(rows) - 1, CHECKED)})
@@ -118,18 +97,6 @@ def check_axes(
             raise InputError(together, error.given, error.allowed)
     if wrong:
         refuse(wrong)
-
-
-def _twice(axes: Sequence[list[Changes]]) -> Iterator[InputError]:
-    """Errors of entries on two axes, alone or as part of a table."""
-    seen: list[tuple[str, int]] = []
-    for number, rows in enumerate(axes, start=1):
-        for entry in rows[0]:
-            for other, owner in seen:
-                if owner != number and overlap(entry, other):
-                    given = f"on axis {owner} and axis {number}"
-                    yield InputError(max(other, entry, key=len), given, "must be on one axis")
-            seen.append((entry, number))
 
 
 def _refusal_of(
@@ -172,7 +139,7 @@ def ineffective(
     """
     yield from unused(do, given, axes)
     yield from unfelt(base, given, axes)
-    yield from replaced(given.get("overrides", {}), axes)
+    yield from twice(given.get("overrides", {}), axes)
     yield from doubled(axes)
     if True in windows:
         yield from elsewhere(windows.index(True), axes)
@@ -194,15 +161,10 @@ def unused(
         )
     if do == DESIGN:
         return
-    entries = [("campaign.overrides", entry) for entry in leaves(given.get("overrides", {}))]
-    entries += [
-        (f"axis {number}", entry)
-        for number, rows in enumerate(axes, start=1)
-        for entry in leaves(rows[0])
-    ]
-    for where, entry in entries:
-        if overlap(entry, DESIGN):
-            yield InputError(f"{where}: {entry}", f"with do = '{do}'", "needs do = 'design'")
+    for where, entries in _places(given.get("overrides", {}), axes):
+        for entry in entries:
+            if overlap(entry, DESIGN):
+                yield InputError(f"{where}: {entry}", f"with do = '{do}'", "needs do = 'design'")
 
 
 def unfelt(
@@ -215,21 +177,28 @@ def unfelt(
     if "feedback" in kinds | {table.get("kind") for table in tables}:
         return
     replanned = given.get("policy") == "replan"
-    for number, some in enumerate(axes, start=1):
-        for entry in leaves(some[0]):
+    for where, entries in _places({}, axes):
+        for entry in entries:
             if entry == "policy.cost" or (not replanned and overlap(entry, "navigation")):
                 needed = "needs policy.kind = 'feedback'"
-                yield InputError(f"axis {number}: {entry}", "with policy.kind = 'open'", needed)
+                yield InputError(f"{where}: {entry}", "with policy.kind = 'open'", needed)
 
 
-def replaced(overrides: Mapping[str, Any], axes: Sequence[list[Changes]]) -> Iterator[InputError]:
-    """Find overrides of entries that an axis sets in every case."""
-    for number, rows in enumerate(axes, start=1):
-        for entry in leaves(rows[0]):
-            for other in leaves(overrides):
-                if overlap(entry, other):
-                    given = f"also on axis {number}, which replaces it in every case"
-                    yield InputError(f"campaign.overrides: {other}", given, "must be in one place")
+def twice(overrides: Mapping[str, Any], axes: Sequence[list[Changes]]) -> Iterator[InputError]:
+    """Find entries that are set in two places, among overrides and axes, alone or in a table."""
+    for (one, entries), (other, others) in combinations(_places(overrides, axes), 2):
+        for entry, second in product(entries, others):
+            if overlap(entry, second):
+                longer = max(entry, second, key=len)
+                yield InputError(longer, f"{one} and {other}", "must be in one place")
+
+
+def _places(
+    overrides: Mapping[str, Any], axes: Sequence[list[Changes]]
+) -> list[tuple[str, list[str]]]:
+    """Entries by the place that sets them."""
+    named = [(f"axis {number}", rows[0]) for number, rows in enumerate(axes, start=1)]
+    return [(name, list(leaves(row))) for name, row in [("campaign.overrides", overrides), *named]]
 
 
 def doubled(axes: Sequence[list[Changes]]) -> Iterator[InputError]:
@@ -251,12 +220,12 @@ def doubled(axes: Sequence[list[Changes]]) -> Iterator[InputError]:
 
 def elsewhere(windowed: int, axes: Sequence[list[Changes]]) -> Iterator[InputError]:
     """Find an axis of sites beside an axis of lighting windows, which belong to the base's site."""
-    for number, rows in enumerate(axes, start=1):
-        for entry in leaves(rows[0]):
+    for where, entries in _places({}, axes):
+        for entry in entries:
             if overlap(entry, "site") and entry != NAME:
                 yield InputError(
                     f"axis {windowed + 1}.windows",
-                    f"beside {entry} on axis {number}",
+                    f"beside {entry} on {where}",
                     "are windows of the base's site: needs a study for each site",
                 )
                 return

@@ -35,12 +35,9 @@ SHORTFALLS = ("flown_shortfalls", "simulated_shortfalls")
 """Columns of requirements that a plan's own flights or its simulation did not meet."""
 AXES_DRAWN = 3
 """Number of entries that curves can show: along the curve, by curve, and by panel."""
-DELTA_V, PROBABILITY = "delta-v (m/s)", "lowest probability (-)"
 COST, CHANCE = "dv99_m_s", "probability"
-MEASURES = ((COST, DELTA_V), (CHANCE, PROBABILITY))
-"""Columns that are drawn, and what they are called. The delta-v is 99 % of what is commanded, in
-older campaigns the total. The probability is the lowest of the joint
-constraints over the nodes, of 10,000 flights of the nonlinear dynamics."""
+"""Columns that are drawn. The probability is the lowest of the joint constraints over the nodes, of
+10,000 flights of the nonlinear dynamics."""
 COLOURS = "Viridis"
 """Plotly's colour scale: readable with any colour vision, and without grey."""
 UNITS = {
@@ -107,6 +104,14 @@ class CampaignResults:
     def is_map(self) -> bool:
         """Whether the axes are sites by latitude and longitude."""
         return LATITUDE in self.entries and LONGITUDE in self.entries
+
+    @cached_property
+    def measures(self) -> tuple[tuple[str, str], tuple[str, str]]:
+        """Columns that are drawn, and their names: feedback's cost is what 99 % of flights command."""
+        plans = self.table.dropna(subset=[COST])
+        corrected = (plans[COST] != plans["total_dv_m_s"]).any()
+        cost = "99 % of commanded delta-v (m/s)" if corrected else "delta-v (m/s)"
+        return (COST, cost), (CHANCE, "lowest probability (-)")
 
     @cached_property
     def free(self) -> tuple[str, ...]:
@@ -184,10 +189,7 @@ def read_campaign(folder: Path) -> CampaignResults:
         entries, cases = tuple(found["entries"]), int(found["cases"])
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise InputError("folder", f"{folder} ({error})"[:200], "must hold a campaign") from None
-    table = read_results(folder)
-    total = table["total_dv_m_s"]
-    table = table.assign(**{COST: table[COST].fillna(total) if COST in table else total})
-    return CampaignResults(folder, table, base, campaign, entries, cases)
+    return CampaignResults(folder, read_results(folder), base, campaign, entries, cases)
 
 
 def axes_of(results: CampaignResults) -> tuple[str, str | None, str | None]:
@@ -209,7 +211,7 @@ def cheapest(rows: Any, along: str) -> Any:
 
 def in_words(value: Any) -> str:
     """A value of an entry as a legend shows it; an epoch to the minute."""
-    return value[:16] if isinstance(value, str) else f"{value:.3g}"
+    return value[:16] if isinstance(value, str) else f"{value:.6g}"
 
 
 def label(entry: str) -> str:
@@ -232,10 +234,10 @@ def remarks(results: CampaignResults) -> list[str]:
     table, good = results.table, results.ending(FEASIBLE)
     if len(good):
         low, middle, high = np.percentile(good[COST], (0, 50, 100))
+        cost = results.measures[0][1].capitalize()
         found.append(
-            f"{DELTA_V.capitalize()}: least {low:.4f}, median {middle:.4f}, most {high:.4f}. "
-            f"Lowest probability of a joint constraint: {good[CHANCE].min():.3f} to "
-            f"{good[CHANCE].max():.3f}."
+            f"{cost}: least {low:.4f}, median {middle:.4f}, most {high:.4f}. Lowest probability of a "
+            f"joint constraint: {good[CHANCE].min():.3f} to {good[CHANCE].max():.3f}."
         )
     doubted = results.ending(NOT_VERIFIED)
     found += _reasons("Broken most", table.get("binds"))

@@ -20,11 +20,9 @@ from scp_recon.campaigns.outcome import (
     CHANCE,
     COLOURS,
     COST,
-    DELTA_V,
     ENDS,
     FEASIBLE,
     GREYS,
-    MEASURES,
     SHORTFALLS,
     CampaignResults,
     axes_of,
@@ -34,7 +32,6 @@ from scp_recon.campaigns.outcome import (
     remarks,
 )
 from scp_recon.campaigns.results import OWN
-from scp_recon.errors import imported
 from scp_recon.files import unwritable, write_atomically
 from scp_recon.reports.marks import (
     BODY,
@@ -49,7 +46,7 @@ from scp_recon.reports.marks import (
 )
 from scp_recon.reports.page import made_by, render_offline
 from scp_recon.reports.surfaces import shape_of
-from scp_recon.reports.write import figures_of
+from scp_recon.reports.write import check_extra, figures_of
 from scp_recon.results.table import Column
 
 if TYPE_CHECKING:
@@ -78,22 +75,13 @@ def has_extras() -> bool:
     return all(find_spec(name) is not None for name in EXTRA)
 
 
-def check_extras() -> None:
-    """Check before the work that the page can be made.
-
-    Raises:
-        InputError: if the extra [report] is missing.
-    """
-    imported("report", "report", "plotly", "jinja2")
-
-
 def write_page(results: CampaignResults) -> Path:
     """Write the page of a campaign into the campaign's folder, and return the file.
 
     Raises:
         InputError: if the extra [report] is missing, or the folder cannot be written.
     """
-    check_extras()
+    check_extra()
     try:
         return write_atomically(results.folder / PAGE, render(results, datetime.now(UTC)))
     except OSError as error:
@@ -121,7 +109,7 @@ def render(results: CampaignResults, made: datetime) -> str:
         lines=remarks(results),
         identity=made_by(made),
         charts=charts,
-        heading=["end", *names, *(name for _, name in MEASURES), "limit broken most"],
+        heading=["end", *names, *(name for _, name in results.measures), "limit broken most"],
         left_out=f"The first {ROWS_MAX:,} of {done:,}; results.parquet has all."
         * (done > ROWS_MAX),
         rows=[line_of(results, place) for place in order(results)[:ROWS_MAX]],
@@ -145,7 +133,7 @@ def line_of(results: CampaignResults, place: int) -> dict[str, Any]:
     """A row as the page holds it: cells, and the details shown when it is opened."""
     row = {key: _plain(value) for key, value in results.table.iloc[place].to_dict().items()}
     number = int(row["case"])
-    columns = [*shown(results), *(column for column, _ in MEASURES), "binds"]
+    columns = [*shown(results), *(column for column, _ in results.measures), "binds"]
     solution = Path(solution_name(number))
     report = solution.with_name("report.html")
     said = (row.get(column) for column in ("message", *SHORTFALLS, "warnings"))
@@ -172,8 +160,10 @@ def charts_of(results: CampaignResults) -> list[dict[str, Any]]:
     """Maps of each measure and the sites on the shape, or each measure along the axes."""
     if results.is_map:
         sites = results.by_site
-        return [*(map_chart(sites, *measure) for measure in MEASURES), shape_chart(sites)]
-    return [curve_chart(results, *measure) for measure in MEASURES] if results.varies else []
+        return [*(map_chart(sites, *measure) for measure in sites.measures), shape_chart(sites)]
+    return (
+        [curve_chart(results, *measure) for measure in results.measures] if results.varies else []
+    )
 
 
 def map_chart(results: CampaignResults, column: str, name: str) -> dict[str, Any]:
@@ -202,7 +192,7 @@ def shape_chart(results: CampaignResults) -> dict[str, Any]:
         "lighting": {"ambient": 0.75, "diffuse": 0.4, "specular": 0.0, "fresnel": 0.0},
     }
     data: list[Trace] = [body]
-    for trace, rows in _by_end(results, 6, COST, DELTA_V):
+    for trace, rows in _by_end(results, 6, *results.measures[0]):
         at = np.array([direction_of(*s) for s in zip(rows[LATITUDE], rows[LONGITUDE], strict=True)])
         places = (LIFTED * shape.radius(at)[:, None] * at).reshape(-1, 3)
         data.append(

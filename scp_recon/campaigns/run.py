@@ -28,8 +28,6 @@ from scp_recon.jobs.processes import Limits, Processes
 from scp_recon.jobs.store import Row, run, versions
 
 SCHEMA, FILE_NAME = "scp_recon.campaign/1", "campaign.json"
-EARLIER = "rows"
-"""Folder in which earlier versions kept the rows of an unfinished campaign."""
 WORKERS_MAX = 256
 
 Observer = Callable[[int, int, Mapping[str, Any] | None], None]
@@ -128,7 +126,7 @@ def _take(folder: Path, study: Study) -> None:
         allowed = f"must be a folder of its own{allowed}"
         return InputError(option("out"), f"{folder}, {given}", allowed)
 
-    for name in (RESULTS, ROWS, EARLIER):
+    for name in (RESULTS, ROWS):
         if (folder / name).exists() and not path.is_file():
             raise refused(f"with {name} but no {FILE_NAME}")
     try:
@@ -143,8 +141,6 @@ def _take(folder: Path, study: Study) -> None:
         found = None
     if not isinstance(found, dict) or found.get("schema") != SCHEMA:
         raise refused(f"whose {FILE_NAME} is damaged or of another version")
-    if (folder / EARLIER).exists():
-        raise refused(f"with {EARLIER}/, which an earlier version began and did not finish")
     if found.get("hash") != identity["hash"]:
         same = ", or of the same study and files that it names"
         if found.get("version") != VERSION:

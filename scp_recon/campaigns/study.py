@@ -16,7 +16,7 @@ from pydantic import Field, ValidationError
 
 from scp_recon.campaigns.axes import Axis, Draws, Grid, Values, Windows, axis_of
 from scp_recon.campaigns.cases import Cases, Changes, changed, layer_of
-from scp_recon.campaigns.checks import check_axes, check_count, check_do, ineffective, refuse
+from scp_recon.campaigns.checks import check_axes, check_do, ineffective, refuse
 from scp_recon.campaigns.results import kind_of
 from scp_recon.errors import InputError, shortened
 from scp_recon.files import read_text
@@ -90,12 +90,15 @@ class Study:
         base = load_scenario(name if name in base_names() else folder / name)
         base = _overridden(base, campaign.overrides, kinds, folder)
         check_do(campaign.do, base)
-        check_count([axis.count(base) for axis in kinds], ASK_FROM, yes=yes)
         rows = tuple(axis.rows(base, (campaign.seed, place)) for place, axis in enumerate(kinds))
         study = cls(campaign, base, rows, folder, tables)
+        if len(study.cases) > ASK_FROM and not yes:
+            product = " x ".join(f"{len(each):,}" for each in rows)
+            given = f"{len(study.cases):,} cases ({product})"
+            raise InputError("axis", given, f"more than {ASK_FROM:,} need --yes")
         random, windows = ([isinstance(axis, kind) for axis in kinds] for kind in (Draws, Windows))
-        given = campaign.model_dump(exclude_unset=True)
-        unfelt = ineffective(base, campaign.do, given, rows, windows)
+        own = campaign.model_dump(exclude_unset=True)
+        unfelt = ineffective(base, campaign.do, own, rows, windows)
         check_axes(base, folder, rows, random, unfelt, replanned=campaign.policy == "replan")
         return study
 

@@ -49,7 +49,7 @@ def show_summary(console: Console, summary: Summary, required: float | None = No
     for label, spread, digits in (
         ("all hold from", summary.entry_s, 0),
         ("all hold until", summary.exit_s, 0),
-        ("closest approach m", summary.closest_m, 1),
+        ("nearest the centre m", summary.closest_m, 1),
         ("executed delta-v m/s", summary.executed_dv_m_s, 5),
     ):
         _show_spread(console, label, spread, digits)
@@ -61,7 +61,7 @@ def show_summary(console: Console, summary: Summary, required: float | None = No
             highlight=False,
         )
     worst = interval_cell(summary.closest_m.worst, 1).text
-    console.print(f"closest approach, 0.3 % quantile: {worst} m", highlight=False)
+    console.print(f"closest approach to the centre, 0.3 % quantile: {worst} m", highlight=False)
     _show_terminal(console, summary.terminal)
 
 

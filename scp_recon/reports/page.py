@@ -68,7 +68,7 @@ NOTES = {
 
 @dataclass(frozen=True)
 class Verdict:
-    """The head of the page, in words: probability required and achieved, delta-v."""
+    """The head of the page, in words: probability required and achieved, delta-v; what to do next."""
 
     good: bool
     word: str
@@ -76,6 +76,7 @@ class Verdict:
     achieved: str
     cost: str
     remarks: tuple[str, ...]
+    advice: tuple[str, ...]
 
 
 def verdict_of(plan: Shown) -> Verdict:
@@ -97,6 +98,7 @@ def verdict_of(plan: Shown) -> Verdict:
         f"{solution.total_dv_m_s:.6f} m/s in {len(solution.executed)} burns; 99 % of the flights stay "
         f"below {plan.budget.total_high_m_s:.6f} m/s",
         _remarks(subject, status),
+        _advice(subject),
     )
 
 
@@ -133,9 +135,6 @@ def _remarks(subject: Subject, status: Status) -> tuple[str, ...]:
         f"{name}: violated by up to {amount.max:.4g} {amount.unit}"
         for name, amount in solution.violation.by_constraint.items()
     ]
-    if solution.verification is not None:
-        lines = what_next(subject.mission, solution, solution.verification)
-        said += [f"next: {line}" for line in (*lines, *solution.advice, *_surplus(subject))]
     said += [] if solution.by_policy is None else [solution.by_policy]
     risk = solution.risk
     if risk is not None and risk.certificate is None:
@@ -145,6 +144,14 @@ def _remarks(subject: Subject, status: Status) -> tuple[str, ...]:
     warned = dict.fromkeys([*solution.warnings, *subject.mission.warnings])
     said += [f"warning: {w.entry}: {w.given}; {w.expected}" for w in warned]
     return (*said, *subject.passed_over)
+
+
+def _advice(subject: Subject) -> tuple[str, ...]:
+    solution = subject.solution
+    if solution.verification is None:
+        return ()
+    lines = what_next(subject.mission, solution, solution.verification)
+    return (*lines, *solution.advice, *_surplus(subject))
 
 
 def _surplus(subject: Subject) -> list[str]:

@@ -33,7 +33,7 @@ class Subject:
     """A plan with the flights and the simulation of this very plan, if they lie beside it.
 
     `passed_over` names the files beside it that belong to another plan, with the reason. `path` is
-    the plan's file, if any.
+    the plan's file or folder, if any, never `runs/latest`, which moves.
     """
 
     name: str
@@ -135,4 +135,4 @@ def _read(path: Path, name: str) -> Subject:
         if record.plan_hash != solution.plan_hash:
             passed_over.append(f"{folder / record_file.FILE_NAME}: a simulation of another plan")
             record = None
-    return Subject(name, solution, summary, record, tuple(passed_over), path)
+    return Subject(name, solution, summary, record, tuple(passed_over), home)

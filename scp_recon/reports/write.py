@@ -202,10 +202,13 @@ def slider_data(shown: Shown) -> dict[str, Any]:
 
 
 def slider_verdict(shown: Shown, solution: Solution) -> str:
-    """HTML of the verdict on a shown plan, whose solution may have been verified since."""
+    """HTML of the verdict on a shown plan, whose solution may have been verified since.
+
+    It has no advice, which is for commands: the page has controls of its own.
+    """
     subject = replace(shown.subject, solution=solution)
-    verdicts = [page.verdict_of(replace(shown, subject=subject))]
-    return page.render_part("verdicts.html", verdicts=verdicts, names=[subject.name])
+    verdict = replace(page.verdict_of(replace(shown, subject=subject)), advice=())
+    return page.render_part("verdicts.html", verdicts=[verdict], names=[subject.name])
 
 
 def slider_page(shown: Shown, sliders: Sequence[Any], answer: dict[str, Any]) -> str:

@@ -20,6 +20,8 @@ from scp_recon.scenario.schema import Scenario
 
 DIFFERS = "differs from the first in"
 """Row of the sections in which a scenario differs from the first plan's: it limits comparison."""
+MARGIN, MARGIN_ROUNDING = "margin ", 1e-6
+"""Names of margins begin so; below this size, in m, sigma or m/s, one is the rounding of a solver."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -51,7 +53,7 @@ class Comparison(Displayed):
     def table(self) -> Table:
         """Rows with their units in brackets; figures have six digits, rounding counts as zero."""
         rows = (
-            [f"{name} ({unit})" if unit else name, *map(_cell, row)]
+            [f"{name} ({unit})" if unit else name, *(_cell(name, figure) for figure in row)]
             for name, unit, row in self.rows
         )
         columns = (Column("", name="figure"), *map(Column, self.names))
@@ -90,7 +92,7 @@ def compare(names: Sequence[str], solutions: Sequence[Solution]) -> Comparison:
     rows += [(f"burn {number}", "m/s", sizes) for number, sizes in burns]
     margins = [{c.name: c.worst_margin for c in s.constraints} for s in solutions]
     units = {c.name: c.unit for s in solutions for c in s.constraints}
-    rows += [(f"margin {n}", unit, tuple(m.get(n) for m in margins)) for n, unit in units.items()]
+    rows += [(f"{MARGIN}{n}", unit, tuple(m.get(n) for m in margins)) for n, unit in units.items()]
     checked = [s.verification.probabilities if s.verification else [] for s in solutions]
     chances = [{p.name: p.estimate for p in each} for each in checked]
     events = dict.fromkeys(name for each in chances for name in each)
@@ -141,11 +143,12 @@ def _history(
     ]
 
 
-def _cell(figure: float | str | None) -> Cell | str | None:
-    """A figure to six digits; a margin that is only rounding is zero."""
-    if isinstance(figure, float):
-        return Cell(f"{round(figure, 9) + 0.0:.6g}", figure)
-    return figure
+def _cell(name: str, figure: float | str | None) -> Cell | str | None:
+    """A figure to six digits; a margin within a solver's tolerance of its limit is zero."""
+    if not isinstance(figure, float):
+        return figure
+    rounding = MARGIN_ROUNDING if name.startswith(MARGIN) else 1e-9
+    return Cell(f"{figure:.6g}" if abs(figure) >= rounding else "0", figure)
 
 
 def largest_distance_m(one: Solution, other: Solution) -> float | None:

@@ -194,13 +194,17 @@ REPLANNED = {"do": "fly", "policy": "replan"}
             r"axis 1: design.departure_s: got with do = 'plan'; needs do = 'design'",
         ),
         ([], {"overrides": {"design.burn_times": "given"}}, r"overrides: design.burn_times: got"),
-        ([P_CHANCE, P_CHANCE], {}, "must be on one axis"),
-        ([P_CHANCE, axis("risk", {"p_chance": 0.9})], {}, f"{P}: got on axis 1 and axis 2"),
-        ([P_CHANCE], MEAN_P, r"overrides: risk.p_chance: got also on axis 1, which replaces it"),
+        ([P_CHANCE, P_CHANCE], {}, "must be in one place"),
+        ([P_CHANCE, axis("risk", {"p_chance": 0.9})], {}, f"{P}: got axis 1 and axis 2"),
+        (
+            [P_CHANCE],
+            MEAN_P,
+            r"risk.p_chance: got campaign.overrides and axis 1; must be in one place",
+        ),
         (
             [axis("risk", {"p_chance": 0.8})],
             {"overrides": {P: 0.9}},
-            r"overrides: risk.p_chance: got also on axis 1",
+            r"risk.p_chance: got campaign.overrides and axis 1",
         ),
         ([axis(P, 0.7, 0.8, 0.7)], {}, r"row 3: .* row 1 again"),
         (
@@ -257,8 +261,10 @@ def test_billion_cases_are_counted_and_need_consent():
     begun = time.process_time()
     with pytest.raises(InputError, match=r"1,000,000,000 cases \(1,000 x 1,000 x 1,000\).*--yes"):
         study(*grids)
-    with pytest.raises(InputError, match="1,000,000,000 cases"):
+    with pytest.raises(InputError, match=r"axis 1.grid.count: got 1000000000; .* 1e\+06"):
         study({"entry": "risk.p_chance", "grid": {"from": 0.1, "to": 0.2, "count": 10**9}})
+    with pytest.raises(InputError, match=r"axis 1: .* at most 1,000,000 sites"):
+        study({"sites": {key: GRID | {"count": 2000} for key in SITES}})
     assert time.process_time() - begun < 1.0
 
 
