@@ -1,6 +1,7 @@
 """What is installed, built and cited: the wheel, the source distribution, CITATION.cff."""
 
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -25,6 +26,8 @@ KNOWN = CITED | {
     *("repository-artifact", "repository-code", "type", "url", "version"),
 }
 
+FOR_DEVELOPERS = ("crosscheck", "docs", "notebooks", "peers", "test", "dev")
+
 
 def files_of(package: str) -> set[str]:
     """Modules and data of a package, from the project's folder."""
@@ -32,7 +35,7 @@ def files_of(package: str) -> set[str]:
     return {str(path.relative_to(PROJECT)) for path in found if path.suffix != ".pyc"}
 
 
-def test_the_citation_has_the_keys_of_its_format_and_says_what_the_project_says():
+def test_citation_agrees_with_project():
     yaml = pytest.importorskip("yaml")
     cited = yaml.safe_load((PROJECT / "CITATION.cff").read_text("utf-8"))
     assert CITED <= cited.keys() <= KNOWN
@@ -47,7 +50,15 @@ def test_the_citation_has_the_keys_of_its_format_and_says_what_the_project_says(
         assert all("family-names" in author for author in work["authors"])
 
 
-def test_every_file_beside_the_modules_is_package_data():
+def test_one_extra_has_all_that_commands_need():
+    extras = PYPROJECT["project"]["optional-dependencies"]
+    (everything,) = extras["all"]
+    name, *listed = re.findall(r"\w+", everything)
+    assert name == PYPROJECT["project"]["name"]
+    assert {*listed} == extras.keys() - {"all", *FOR_DEVELOPERS}
+
+
+def test_data_files_are_packaged():
     packaging = PYPROJECT["tool"]["setuptools"]
     assert packaging["packages"]["find"]["include"] == [f"{name}*" for name in PACKAGES]
     globs = [
@@ -63,7 +74,7 @@ def test_every_file_beside_the_modules_is_package_data():
 
 @nightly
 @pytest.mark.timeout(1800)
-def test_the_wheel_of_the_source_distribution_plans_in_an_environment_of_its_own(tmp_path):
+def test_built_wheel_plans_in_clean_environment(tmp_path):
     """Outside the checkout, with nothing but what the wheel asks for; it installs two packages only."""
     source, dist, work = (tmp_path / name for name in ("source", "dist", "work"))
     work.mkdir()

@@ -26,7 +26,7 @@ EXTERNAL = sorted(
 )
 
 
-def test_every_public_name_is_on_the_page_of_python():
+def test_api_page_has_every_public_name():
     page = (PROJECT / "docs" / "api.md").read_text("utf-8")
     assert sorted(re.findall(r"^::: scp_recon\.(\w+)$", page, re.MULTILINE)) == scp_recon.__all__
 
@@ -87,7 +87,7 @@ def make_site(folder: Path) -> subprocess.CompletedProcess[str]:
 
 
 @nightly
-def test_the_site_is_built_of_the_pages_alone(copied):
+def test_site_has_the_pages_alone(copied):
     compiled = copied / "docs" / "__pycache__" / "site_hook.cpython-311.pyc"
     compiled.parent.mkdir(exist_ok=True)
     compiled.write_bytes(b"")
@@ -98,7 +98,7 @@ def test_the_site_is_built_of_the_pages_alone(copied):
 
 
 @nightly
-def test_what_leads_nowhere_makes_the_site_fail(copied):
+def test_broken_links_fail_the_site(copied):
     page = copied / "docs" / "verdict.md"
     lines = (line for line, _ in BROKEN.values())
     page.write_text("\n\n".join([page.read_text("utf-8"), *lines]), "utf-8")
