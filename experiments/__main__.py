@@ -11,13 +11,12 @@ if __name__ == "__main__":
     # NumPy's threads wait for each other in busy loops, which a study would count.
     os.environ |= {"OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
 
-import importlib
 import sys
 from collections.abc import Sequence
 
 from rich.console import Console
 
-from experiments.harness import Study, module_of, run
+from experiments.harness import run, study_of
 from scp_recon.cli.command import run_command, show_line
 from scp_recon.errors import one_of
 
@@ -62,9 +61,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return renewal.main(words[1:])
     if name not in STUDIES:
         return run_command(lambda _: int(one_of("NAME", name, STUDIES)))
-    module = importlib.import_module(module_of(name))
-    study: Study = module.STUDY
-    return run(f"python -m experiments {name}", study, words[1:])
+    return run(f"python -m experiments {name}", study_of(name), words[1:])
 
 
 def _list_them(console: Console) -> int:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import hashlib
+import importlib
 import json
 import shlex
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -111,6 +112,8 @@ def claims_table(claims: Sequence[Claim]) -> Table:
     return Table.of("Claims", ("claim", "threshold", "measured", "holds"), rows)
 
 
+VARIATIONS = ("accuracy", "lifted", "nlp_tricks", "sensitivity")
+"""Studies of one module."""
 STYLES = {True: "", False: "bad", None: "doubtful"}
 
 
@@ -282,6 +285,19 @@ def plan_or_default(solution: Path | None) -> Solution:
     return make_solution(plan)
 
 
+def plan_figures(plan: Plan) -> Record:
+    """Columns on a plan: status, total delta-v, and iterations of P3 and P2."""
+    count = dict.fromkeys(("P3", "P2"), 0)
+    for stage in plan.stages:
+        count[stage.problem] += len(stage.result.records)
+    return {
+        "status": plan.status.value.name,
+        "total_dv_m_s": plan.total_dv_m_s,
+        "iterations_p3": count["P3"],
+        "iterations_p2": count["P2"],
+    }
+
+
 def fly_plan(plan: Plan, samples: int, seed: int) -> FlightTally:
     """Fly a plan with errors, its burns corrected as it says."""
     policy = policy_of(plan.mission, plan.final.result.lin)
@@ -294,6 +310,13 @@ def module_of(name: str) -> str:
     root = Path(__file__).parent
     (found,) = [*root.rglob(f"{name}.py"), *root.rglob(f"{name}/study.py")]
     return ".".join(("experiments", *found.relative_to(root).with_suffix("").parts))
+
+
+def study_of(name: str) -> Study:
+    """The study of a name; a module of several has a dictionary of them."""
+    found = importlib.import_module(module_of("variations" if name in VARIATIONS else name)).STUDY
+    study: Study = found[name] if isinstance(found, dict) else found
+    return study
 
 
 def records(rows: Sequence[Record]) -> Table:

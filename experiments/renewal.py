@@ -9,7 +9,6 @@ a stop the same command continues: finished studies are current, and an unfinish
 from __future__ import annotations
 
 import argparse
-import importlib
 import random
 import shlex
 import subprocess
@@ -23,7 +22,7 @@ from rich.console import Console
 
 from experiments import pages
 from experiments.evidence import FILE, ROOT, SOURCES, Evidence, path_of
-from experiments.harness import Study, module_of
+from experiments.harness import study_of
 from experiments.sentinels import Sentinel, sentinels_of
 from scp_recon.cli.command import parse, run_command, show_line, show_written
 from scp_recon.cli.rendering import terminal
@@ -99,12 +98,6 @@ def _names(page: str | None) -> list[str]:
     return pages.used(found[0].read_text("utf-8"))
 
 
-def study_of(name: str) -> Study:
-    """The study that makes some evidence."""
-    study: Study = importlib.import_module(module_of(SOURCES[name].command.split()[1])).STUDY
-    return study
-
-
 def check(names: Sequence[str], console: Console, *, drawn: bool = False) -> dict[str, list[str]]:
     """What has moved by name of the evidence that is out of date; each is told as a line.
 
@@ -149,7 +142,8 @@ def changes(name: str) -> list[str]:
         return ["never measured"]
     if SOURCES[name].dated:
         return []
-    version, command = study_of(name).version, SOURCES[name].command
+    command = SOURCES[name].command
+    version = study_of(command.split()[1]).version
     found = [f"version {kept.version}, now {version}"] if kept.version != version else []
     return found + ([f"made by {kept.command}"] if kept.command != command else [])
 

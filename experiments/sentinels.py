@@ -23,7 +23,7 @@ from experiments.in_flight import feedback, policies, sites
 from experiments.observation_rows import rows as observation_rows
 from experiments.observation_rows import run_row
 from experiments.observation_table import SAMPLES
-from experiments.solvers import accuracy, lifted, nlp_tricks, sensitivity
+from experiments.solvers import variations
 from experiments.solvers.cases import (
     NUMBER,
     PROBLEMS,
@@ -146,7 +146,7 @@ def sizes_row(of: str) -> Record:
 
 def accuracy_row(case: tuple[str, Method, int]) -> Record:
     """A run of a method up to an iteration."""
-    return accuracy.run_to({case[0]: accuracy.begin(case[0])}, case)
+    return variations.stopped_row({case[0]: variations.begin_p2(case[0])}, case)
 
 
 def method_row(method: Method) -> Record:
@@ -160,11 +160,6 @@ def exact_row(seed: int) -> Record:
     """The default's row of a scenario of exact risk."""
     (cell,) = (each for each in exact_design(range(seed, seed + 1)) if each.method == REFERENCE)
     return solve(cell, flights=0)
-
-
-def trick_row(name: str) -> Record:
-    """A variant of the nonlinear program."""
-    return nlp_tricks.measuring(default_mission(), nlp_tricks.tricks())(name)
 
 
 def peers_row(problem: str) -> Record:
@@ -281,8 +276,8 @@ OWN = (
         exact_row, [0, 3], range(NUMBER)),
     Sentinel("nlp_tricks", "trick",
         {"status": EQUAL, "delta-v m/s": 2e-5, "unknowns": EQUAL, "rows": EQUAL},
-        trick_row, ["+ derivatives arc by arc = tuned", "single shooting, exact Hessians"],
-        [*nlp_tricks.tricks()]),
+        variations.trick_row, ["+ derivatives arc by arc = tuned", "single shooting, exact Hessians"],
+        [*variations.tricks()]),
     Sentinel("peers.methods", "problem, method", {"status": EQUAL, "cost": 1e-5},
         peers_row, [peers.HALO, peers.P3]),
     Sentinel("spice", "what", {"off": 1e-4}, partial(in_folder, spice_rows), [None]),
@@ -291,17 +286,17 @@ OWN = (
         accuracy_row, [("recon_b", REFERENCE, 2)]),
     Sentinel("accuracy", "problem, method, iterations", {"ended": EQUAL, "merit_m_s": 1e-6},
         accuracy_row, [("nightingale", REFERENCE, 7)],
-        list(product(PROBLEMS, accuracy.METHODS, [1, 2]))),
+        list(product(PROBLEMS, variations.METHODS, [1, 2]))),
     Sentinel("lifted", "risk, form", SIZES | {"total_dv_m_s": 1e-6},
-        lifted.measure, [("exact, nodes", "condensed"), ("exact, flight", "condensed")],
-        list(product(lifted.CASES, lifted.FORMS))),
+        variations.form_row, [("exact, nodes", "condensed"), ("exact, flight", "condensed")],
+        list(product(variations.CASES, variations.FORMS))),
     Sentinel("lifted", "risk, form", SIZES | {"total_dv_m_s": 1e-4},
-        lifted.measure, [("uniform", "condensed")]),
+        variations.form_row, [("uniform", "condensed")]),
     Sentinel("sensitivity", "problem, algorithm, factor, multiple", FACETS,
-        sensitivity.measure, [("recon_b", "scvx", *DEFAULT)]),
+        variations.parameter_row, [("recon_b", "scvx", *DEFAULT)]),
     Sentinel("sensitivity", "problem, algorithm, factor, multiple", OTHER,
-        sensitivity.measure, [("nightingale", "scvx", *DEFAULT), ("replan", "scvx", *DEFAULT)],
-        list(product(PROBLEMS, sensitivity.VARIED, sensitivity.FACTORS, sensitivity.MULTIPLES))),
+        variations.parameter_row, [("nightingale", "scvx", *DEFAULT), ("replan", "scvx", *DEFAULT)],
+        list(product(PROBLEMS, variations.VARIED, variations.FACTORS, variations.MULTIPLES))),
     Sentinel("observation_table", "row", FACETS | {"mean_s": 1e-4, "closest_0_3_percent_m": 1e-3},
         partial(in_folder, observation_row), ["scp_cold"],
         [row.key for row in observation_rows(ipopt=False)]),

@@ -27,7 +27,7 @@ from scipy.special import ndtr, ndtri
 from experiments.frontier import SEED, record
 from experiments.harness import Claim, Findings, Record, Session, Study, fly_plan, option, records
 from experiments.plans import FLIGHT
-from experiments.solvers.lifted import noted
+from experiments.solvers.variations import noted
 from formulations.linearisation.linearisation import Linearisation
 from formulations.problem.flyby import Iterate
 from formulations.program.subproblem import MeritFunction

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import product
 from typing import Any, Literal
@@ -23,15 +23,15 @@ NLP_SOLVERS = (IPOPT, UNO)
 
 @dataclass(frozen=True)
 class Method:
-    """A method: keys of `FORMULATIONS` and `ALGORITHMS`, and a conic solver.
+    """A method: keys of `FORMULATIONS` and `ALGORITHMS`, and a conic solver; by default the commands'.
 
     For `NLP_SOLVERS` the keys are the nonlinear program's variant, and "hard", or "elastic" with SCP's
     penalty.
     """
 
-    formulation: str
-    algorithm: str
-    solver: str
+    formulation: str = "condensed"
+    algorithm: str = "scvx"
+    solver: str = "CLARABEL"
 
     @property
     def name(self) -> str:
@@ -77,56 +77,35 @@ class Cell:
         return f"{self.group}|{self.scenario}|{start}|{self.method.name}{again}"
 
 
-REFERENCE = Method("condensed", "scvx", "CLARABEL")
-"""The method of `python -m scp_recon.solve` without options."""
-
+REFERENCE, PTR, SCVX_STAR = Method(), Method(algorithm="ptr"), Method(algorithm="scvx-star")
+LIFTED, FROZEN_STM = Method("lifted"), Method("frozen-stm")
+FROZEN_COVARIANCE = Method("frozen-covariance")
 TUNED, ELASTIC = Method("tuned", "hard", IPOPT), Method("tuned", "elastic", IPOPT)
+SHOOTING, SHOOTING_UNO = (Method("shooting", "hard", solver) for solver in NLP_SOLVERS)
 
 UNGUARDED = "unguarded"
 """`Unguarded` in `cells`, for P2 from a P3 solution only."""
 
-EVERY_NODE = Method("lifted-every-node", "scvx", "CLARABEL")
+EVERY_NODE = Method("lifted-every-node")
 """Lifted with all facets from the first, for P2 from a P3 solution only: every node has its factor."""
 
 SCP_METHODS = tuple(Method(*key) for key in product(FORMULATIONS, ALGORITHMS, installed()))
-SHOOTING, SHOOTING_UNO = (Method("shooting", "hard", solver) for solver in NLP_SOLVERS)
 NLP_METHODS = (Method("printed", "hard", IPOPT), TUNED, SHOOTING, SHOOTING_UNO, ELASTIC)
 FEW = (
-    REFERENCE,
-    Method("condensed", "ptr", "CLARABEL"),
-    Method("condensed", "scvx-star", "CLARABEL"),
-    Method("frozen-stm", "scvx", "CLARABEL"),
-    Method("frozen-covariance", "scvx", "CLARABEL"),
-    Method("condensed", UNGUARDED, "CLARABEL"),
-    Method("frozen-covariance", UNGUARDED, "CLARABEL"),
-    TUNED,
-    SHOOTING,
-    SHOOTING_UNO,
-    ELASTIC,
+    *(REFERENCE, PTR, SCVX_STAR, FROZEN_STM, FROZEN_COVARIANCE),
+    *(Method(form, UNGUARDED) for form in ("condensed", "frozen-covariance")),
+    *(TUNED, SHOOTING, SHOOTING_UNO, ELASTIC),
 )
 """Methods run in every scenario."""
 
 ONE_FACTOR = (
-    REFERENCE,
-    Method("condensed", "ptr", "CLARABEL"),
-    Method("condensed", "scvx-star", "CLARABEL"),
-    Method("lifted", "scvx", "CLARABEL"),
-    Method("frozen-stm", "scvx", "CLARABEL"),
-    Method("condensed", "scvx", "QOCO"),
-    Method("condensed", "scvx", "ECOS"),
-    TUNED,
-    SHOOTING,
-    SHOOTING_UNO,
+    *(REFERENCE, PTR, SCVX_STAR, LIFTED, FROZEN_STM),
+    *(Method(solver=solver) for solver in ("QOCO", "ECOS")),
+    *(TUNED, SHOOTING, SHOOTING_UNO),
 )
 """Methods that differ from the reference in one thing, and nonlinear programs."""
 
-GUESSED = (
-    *FEW[:4],
-    Method("lifted", "scvx", "ECOS"),
-    TUNED,
-    SHOOTING,
-    SHOOTING_UNO,
-)
+GUESSED = (*FEW[:4], Method("lifted", solver="ECOS"), TUNED, SHOOTING, SHOOTING_UNO)
 """Methods started from random guesses; lifted by ECOS, its fastest solver except SCS."""
 
 
@@ -137,17 +116,13 @@ PRINTED = {
     "final_velocity_m_s": (0.0003, 0.0496, -0.0457),
 }
 
-NUMBER = 50
-"""Scenarios, every other one for whole flights."""
-
-QUICK = range(2)
-"""Seeds of a quick run: one scenario of each kind."""
+NUMBER, GUESSES = 50, 20
+"""Random scenarios, every other one for whole flights, and random guesses."""
 
 OFF_M, OFF_M_S = 20.0, 1e-3
 """1 sigma by which each component of a boundary state is off the printed one."""
 
 Changes = dict[str, Any]
-
 
 REPEATS = 5
 PROBLEMS: dict[str, tuple[str, tuple[str, ...]]] = {
@@ -207,17 +182,20 @@ def start_of(mission: Mission, cell: Cell) -> Iterate:
     return initial_guess.ballistic(mission) if cell.start == "warm" else initial_guess.cold(mission)
 
 
-def full_design(guesses: int = 20) -> tuple[Cell, ...]:
+def full_design() -> tuple[Cell, ...]:
     """All cells: every method in the default scenario from the straight line, a few elsewhere."""
     default: dict[str, tuple[str, ...]] = {"recon_b": ()}
     by_clarabel = [method for method in SCP_METHODS if method.solver == "CLARABEL"]
     return (
         *crossing(),
-        *_cells("matrix", default, (*by_clarabel, *NLP_METHODS), ("warm",)),
-        *_cells("scenarios", scenarios(), FEW, ("p3",)),
-        *_cells("scenarios", default, (Method("lifted", "scvx", "CLARABEL"), EVERY_NODE), ("p3",)),
-        *_guesses(GUESSED, guesses),
-        *_random(ONE_FACTOR, range(NUMBER)),
+        *_cells("matrix", default, (*by_clarabel, *NLP_METHODS), "warm"),
+        *_cells("scenarios", scenarios(), FEW, "p3"),
+        *_cells("scenarios", default, (LIFTED, EVERY_NODE), "p3"),
+        *(
+            Cell("guesses", "recon_b", (), method, "random", seed)
+            for seed, method in product(range(GUESSES), GUESSED)
+        ),
+        *_cells("random", uniform_scenarios(), ONE_FACTOR, "cold"),
     )
 
 
@@ -231,42 +209,13 @@ def crossing() -> list[Cell]:
     ]
 
 
-def quick_design() -> tuple[Cell, ...]:
-    """A cell of every kind: two minutes on one core, too few for conclusions."""
-    matrix = (
-        *(Method("condensed", a, "CLARABEL") for a in ALGORITHMS),
-        *(Method("condensed", "scvx", s) for s in installed()[1:]),
-        *(Method(f, "scvx", "CLARABEL") for f in FORMULATIONS if f != "condensed"),
-        TUNED,
-    )
-    feasible, infeasible = ({name: scenarios()[name]} for name in ("recon_b", "beta=0.16"))
-    of_feasible = [method for method in FEW if method != ELASTIC]
-    return (
-        *_cells("matrix", {"recon_b": ()}, matrix, ("cold",)),
-        *_cells("matrix", {"recon_b": ()}, (SHOOTING, SHOOTING_UNO), ("warm",)),
-        *_cells("scenarios", feasible, of_feasible, ("p3",)),
-        *_cells("scenarios", infeasible, (REFERENCE, ELASTIC), ("p3",)),
-        *_guesses((REFERENCE, TUNED), 3),
-        *_random((REFERENCE, TUNED), QUICK),
-    )
-
-
 def _cells(
-    group: Literal["matrix", "scenarios"],
-    found: dict[str, tuple[str, ...]],
-    methods: Iterable[Method],
-    starts: Sequence[Start],
+    group: Group, found: dict[str, tuple[str, ...]], methods: Iterable[Method], start: Start
 ) -> list[Cell]:
+    """Every method in every scenario."""
     return [
         Cell(group, name, overrides, method, start)
-        for (name, overrides), method, start in product(found.items(), methods, starts)
-    ]
-
-
-def _guesses(methods: Iterable[Method], number: int) -> list[Cell]:
-    return [
-        Cell("guesses", "recon_b", (), method, "random", seed)
-        for seed, method in product(range(number), methods)
+        for (name, overrides), method in product(found.items(), methods)
     ]
 
 
@@ -338,19 +287,14 @@ def _limits(rng: np.random.Generator) -> Changes:
     }
 
 
-def _random(methods: Iterable[Method], seeds: range) -> list[Cell]:
-    """Random scenarios with uniform risk at nodes, from the straight line."""
+def uniform_scenarios() -> dict[str, tuple[str, ...]]:
+    """Overrides of the random scenarios with uniform risk at nodes, by name."""
     uniform = {"risk.allocation": "uniform", "risk.scope": "node"}
-    return [
-        Cell("random", f"uniform {seed:02d}", _overrides(drawn(seed)[1] | uniform), method, "cold")
-        for seed, method in product(seeds, methods)
-    ]
+    return {f"uniform {k:02d}": _overrides(drawn(k)[1] | uniform) for k in range(NUMBER)}
 
 
 def exact_design(seeds: range = range(NUMBER)) -> list[Cell]:
     """Random scenarios of exact risk from the straight line, by every form that takes it."""
     methods = [method for method in ONE_FACTOR if method.formulation in FULL]
-    found = ((drawn(seed), method) for seed, method in product(seeds, methods))
-    return [
-        Cell(EXACT, name, _overrides(changes), method, "cold") for (name, changes), method in found
-    ]
+    found = {name: _overrides(changes) for name, changes in map(drawn, seeds)}
+    return _cells(EXACT, found, methods, "cold")

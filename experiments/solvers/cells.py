@@ -4,20 +4,23 @@ from __future__ import annotations
 
 import importlib
 import resource
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from itertools import pairwise
 from time import process_time
-from typing import ClassVar, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
+import pandas as pd
 from scipy.special import ndtr, ndtri
 from scipy.stats import qmc
 
-from experiments.harness import Record
+from experiments.harness import Record, plan_figures
 from experiments.solvers.cases import (
     EVERY_NODE,
     EXACT,
     NLP_SOLVERS,
+    PROBLEMS,
     UNGUARDED,
     UNO,
     Cell,
@@ -39,8 +42,9 @@ from scp_recon.api.planning import plan_mission
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.flights import FlightConfig, fly_many
 from scp_recon.monte_carlo.observation_time import ALL, joint_margins
+from scp_recon.planning import initial_guess
 from scp_recon.planning.missions import make_plan, other_starts
-from scp_recon.planning.plan import Plan, Provenance, StageSpec
+from scp_recon.planning.plan import Plan, Provenance, Stage, StageSpec
 from scp_recon.planning.planner import Planner, screened
 from scp_recon.planning.stages import Pipeline, StageSolver
 from scp_recon.scenario.load import load_scenario
@@ -60,16 +64,13 @@ FAILED = "failed"
 
 def named(cell: Cell) -> Record:
     """Columns of a row that say which cell it is."""
-    return {
-        "key": cell.key,
-        "group": cell.group,
-        "scenario": cell.scenario,
-        "start": cell.start,
-        "seed": cell.seed,
-        "method": cell.method.name,
-        **asdict(cell.method),
-        "repeat": cell.repeat,
-    }
+    about = {key: value for key, value in vars(cell).items() if key not in ("overrides", "base")}
+    return {"key": cell.key, **about, "method": cell.method.name, **asdict(cell.method)}
+
+
+def posed(problem: str) -> Mission:
+    """One of the problems that every method solves."""
+    return Mission.from_scenario(load_scenario(*PROBLEMS[problem]))
 
 
 def solve(cell: Cell, flights: int) -> Record:
@@ -84,97 +85,72 @@ def solve(cell: Cell, flights: int) -> Record:
     exact risk asked, reached and reached_error, required and checked probability.
     """
     mission = Mission.from_scenario(load_scenario(cell.base, cell.overrides))
-    for name in _needs(cell.method):
-        importlib.import_module(name)
+    import_late(cell.method)
     begin = process_time()
-    done = from_p3(mission, cell) if cell.start == "p3" else whole(mission, cell)
-    effort = {"cpu_s": process_time() - begin, **effort_of(done)}
-    peak_kib = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss  # on Linux, so far
+    done = planned(mission, cell)
+    effort = {
+        "cpu_s": process_time() - begin,
+        "total_s": done.total_s,
+        "setup_s": done.timing.setup,
+        "solver_s": done.timing.conic_solver,
+        "peak_mib": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0,  # so far, on Linux
+        "at_once": not any(stage.spec.start for _, stage in pairwise(done.stages)),
+        "detail": "",
+    }
     own = by_check(mission, done) if cell.group == EXACT else by_merit(mission, done, flights)
-    return {**named(cell), **effort, "peak_mib": peak_kib / 1024.0, **own}
+    return {**named(cell), **plan_figures(done), **effort, **own}
 
 
-def _needs(method: Method) -> tuple[str, ...]:
-    """Modules that a method imports late; they are imported before its time is taken."""
-    return ("scp_recon.planning.ipopt" if method.solver in NLP_SOLVERS else method.solver.lower(),)
+def import_late(method: Method) -> None:
+    """Import what a method imports late, before its time is taken."""
+    late = method.solver.lower()
+    importlib.import_module("scp_recon.planning.ipopt" if method.solver in NLP_SOLVERS else late)
 
 
-def whole(mission: Mission, cell: Cell) -> Plan:
-    """Plan P3, facets and P2 by one method."""
-    start, method = start_of(mission, cell), cell.method
-    if method.solver in NLP_SOLVERS:
-        run, others = Pipeline(mission, stage_solver(mission, method)), other_starts(mission)
-        return make_plan(mission, run, lambda: run.plan(start, "P2", others), provenance(cell))
-    names = (method.formulation, method.algorithm, method.solver)
-    return plan_mission(mission, start, PlanOptions("P2", "scp", *names, certify=_certify(cell)))
+def planned(mission: Mission, cell: Cell) -> Plan:
+    """Plan P3, facets and P2 by a cell's method, or P2 from SCP's solution of P3 and its facets."""
+    of, start, from_p3 = cell.method, start_of(mission, cell), cell.start == "p3"
+    if of.solver not in NLP_SOLVERS and not from_p3:
+        certify = False if cell.group == EXACT else None
+        options = PlanOptions("P2", "scp", of.formulation, of.algorithm, of.solver, certify=certify)
+        return plan_mission(mission, start, options)
+    run = Pipeline(mission, stage_solver(mission, of))
+
+    def work() -> Stage:
+        if not from_p3:
+            return run.plan(start, "P2", other_starts(mission))
+        p3 = p3_solution(mission)
+        facets = choose_facets(mission.problem, mission.polytopes, p3.iterate.mean, p3.factor)
+        clearance = np.inf if of == EVERY_NODE else mission.clearances[0]
+        rows = ChanceRows(mission.problem, facets, screened(facets, p3, clearance))
+        return run.solve(StageSpec("P2", rows), p3)
+
+    provenance = Provenance(of.formulation, of.algorithm, of.solver, cell.start)
+    return make_plan(mission, run, work, provenance)
 
 
-def _certify(cell: Cell) -> bool | None:
-    return False if cell.group == EXACT else None
-
-
-def provenance(cell: Cell) -> Provenance:
-    """By what a plan is made."""
-    return Provenance(
-        cell.method.formulation, cell.method.algorithm, cell.method.solver, cell.start
-    )
-
-
-def from_p3(mission: Mission, cell: Cell) -> Plan:
-    """Solve P2 from SCP's P3 solution with its facets, restoring facets found violated."""
-    p3 = p3_solution(mission, start_of(mission, cell))
-    problem = mission.problem
-    facets = choose_facets(problem, mission.polytopes, p3.iterate.mean, p3.factor)
-    clearance = np.inf if cell.method == EVERY_NODE else mission.clearances[0]
-    rows = ChanceRows(problem, facets, screened(facets, p3, clearance))
-    run = Pipeline(mission, stage_solver(mission, cell.method))
-    return make_plan(mission, run, lambda: run.solve(StageSpec("P2", rows), p3), provenance(cell))
-
-
-def p3_solution(mission: Mission, start: Iterate) -> Linearisation:
-    """SCP's solution of P3 where no burn is held at zero."""
-    stages = plan_mission(mission, start, PlanOptions(problem="P3")).stages
+def p3_solution(mission: Mission) -> Linearisation:
+    """SCP's solution of P3 from the straight line, where no burn is held at zero."""
+    stages = plan_mission(mission, initial_guess.cold(mission), PlanOptions(problem="P3")).stages
     return [one for one in stages if one.spec.role != "held"][-1].result.lin
 
 
-def stage_solver(mission: Mission, method: Method, most: int | None = None) -> StageSolver:
-    """The solver of stages by a method, which stops after `most` iterations of P2 if given."""
+def stage_solver(mission: Mission, method: Method, **parameters: Any) -> StageSolver:
+    """The solver of stages by a method, with parameters of SCP's algorithm or of IPOPT for P2."""
     if method.solver in NLP_SOLVERS:
         from formulations.nlp.solve import BY_UNO, VARIANTS
         from scp_recon.planning.ipopt import IpoptStages, casadi_arcs
 
         variant = BY_UNO if method.solver == UNO else VARIANTS[method.formulation]
-        if most is not None:
-            variant = replace(variant, p2=replace(variant.p2, max_iterations=most))
-        return IpoptStages(
-            mission, casadi_arcs(mission.flow), variant, method.algorithm == "elastic"
-        )
+        variant = replace(variant, p2=replace(variant.p2, **parameters))
+        elastic = method.algorithm == "elastic"
+        return IpoptStages(mission, casadi_arcs(mission.flow), variant, elastic)
     unguarded = Unguarded(mission.problem) if method.algorithm == UNGUARDED else None
     name = "scvx" if unguarded else method.algorithm  # of the same penalty
     form = "lifted" if method == EVERY_NODE else method.formulation
     planner = Planner(mission, formulation=form, algorithm=name, solver=method.solver)
-    planner.algorithm = unguarded or planner.algorithm
-    if most is not None:
-        planner.algorithm = ALGORITHMS[name](max_iterations=most)
+    planner.algorithm = unguarded or ALGORITHMS[name](**parameters)
     return planner
-
-
-# --- rows -----------------------------------------------------------------------------------------
-
-
-def effort_of(done: Plan) -> Record:
-    """Status, iterations and times of a plan."""
-    names = [stage.name[:2] for stage in done.stages for _ in stage.result.records]
-    return {
-        "status": done.status.value.name,
-        "detail": "",
-        "at_once": not any(stage.spec.start for _, stage in pairwise(done.stages)),
-        "iterations_p3": names.count("P3"),
-        "iterations_p2": names.count("P2"),
-        "total_s": done.total_s,
-        "setup_s": done.timing.setup,
-        "solver_s": done.timing.conic_solver,
-    }
 
 
 def by_merit(mission: Mission, done: Plan, flights: int) -> Record:
@@ -203,7 +179,6 @@ def by_check(mission: Mission, done: Plan) -> Record:
     reached, error = checked_probability(mission, done.burns_m_s)
     return {
         "problem": "P2",
-        "total_dv_m_s": done.total_dv_m_s,
         "violation_m": burns_violation_m(mission, done.burns_m_s),
         "asked": mission.scenario.risk.p_chance,
         "reached": reached,
@@ -224,6 +199,13 @@ def rolled_out(mission: Mission, burns: Array) -> Linearisation:
     problem = mission.problem
     mean = mission.dynamics.rollout(problem.initial_state, burns)
     return mission.dynamics.linearise(problem, Iterate(burns, mean))
+
+
+def wide(frame: pd.DataFrame, index: Sequence[str], columns: str, values: str) -> list[Record]:
+    """A row for each combination of `index`, with a column for each value of `columns`."""
+    found = frame.pivot_table(values, [*index], columns, aggfunc="first", sort=False)
+    rows: list[Record] = found.reset_index().to_dict("records")
+    return rows
 
 
 # --- the check of exact risk ----------------------------------------------------------------------
@@ -262,11 +244,12 @@ def checked_probability(mission: Mission, burns_m_s: Array) -> tuple[float, floa
     """
     lin = rolled_out(mission, burns_m_s / mission.units.speed_m_s)
     of = worst_node if mission.scenario.risk.scope == "node" else whole_flight
-    return of(mission, lin)
+    found = of(mission, lin)
+    return float(found.mean()), float(found.std(ddof=1) / np.sqrt(len(found)))
 
 
-def whole_flight(mission: Mission, lin: Linearisation) -> tuple[float, float]:
-    """Probability by directions of other seeds than the planner's, and its standard error."""
+def whole_flight(mission: Mission, lin: Linearisation) -> Array:
+    """Probability by sets of directions of other seeds than the planner's."""
     events = joint_events(mission.problem.constraints)
     nodes = np.unique(np.concatenate([event.nodes for event in events]))
     dimension = factor_columns_used(mission.problem, nodes)
@@ -278,54 +261,39 @@ def whole_flight(mission: Mission, lin: Linearisation) -> tuple[float, float]:
             lin.iterate.mean[:, :3], lin.factor[:, :3]
         )
         found.append(float(ndtr(g.value)))
-    return _mean(np.array(found))
+    return np.array(found)
 
 
-def worst_node(mission: Mission, lin: Linearisation) -> tuple[float, float]:
-    """Least probability of any joint constraint at any node, by draws, and its standard error."""
-    first = _kept(mission, lin, np.arange(mission.problem.n_nodes), _normal(3, FIRST_DRAWS, SETS))
-    worst = min(p.min() for _, p in first.values())
-    most = worst + UNLIKE * np.sqrt(max(worst * (1.0 - worst), 1.0 / FIRST_DRAWS) / FIRST_DRAWS)
-    sets = [_normal(3, DRAWS, seed) for seed in range(SETS)]
-    candidates = {name: nodes[p <= most] for name, (nodes, p) in first.items()}
-    nodes = np.unique(np.concatenate(list(candidates.values())))
-    again = [_kept(mission, lin, nodes, draws) for draws in sets]
-    found = [
-        np.stack([one[name][1][np.isin(one[name][0], wanted)] for one in again])
-        for name, wanted in candidates.items()
-        if len(wanted)
-    ]
-    every = np.concatenate(found, axis=1)
-    return _mean(every[:, np.argmin(every.mean(axis=0))])
+def worst_node(mission: Mission, lin: Linearisation) -> Array:
+    """Least probability of any joint constraint at any node, by sets of draws."""
+    every = np.arange(mission.problem.n_nodes)
+    first = _shares(mission, lin, every, _normal(3, FIRST_DRAWS, SETS)).min(axis=0)
+    variance = max(first.min() * (1.0 - first.min()), 1.0 / FIRST_DRAWS) / FIRST_DRAWS
+    nodes = every[first <= first.min() + UNLIKE * np.sqrt(variance)]
+    sets = (_normal(3, DRAWS, seed) for seed in range(SETS))
+    found = np.array([_shares(mission, lin, nodes, draws).ravel() for draws in sets])
+    return found[:, found.mean(axis=0).argmin()]
 
 
-def _kept(
-    mission: Mission, lin: Linearisation, nodes: Indices, draws: Array
-) -> dict[str, tuple[Indices, Array]]:
-    """For each joint constraint its nodes among the given ones, and its probability there."""
-    length, times = mission.units.length_m, mission.times_s[nodes]
-    factor = lin.factor[nodes, :3]
+def _shares(mission: Mission, lin: Linearisation, nodes: Indices, draws: Array) -> Array:
+    """Share of draws that keeps each joint constraint at each node, shape (constraints, nodes)."""
+    factor, seen = lin.factor[nodes, :3], np.isin(nodes, mission.window_nodes)
     values, axes = np.linalg.eigh(factor @ factor.swapaxes(1, 2))
     root = axes * np.sqrt(np.maximum(values, 0.0))[:, None]
-    at = length * (lin.iterate.mean[nodes, None, :3] + draws @ root.swapaxes(1, 2))
+    at = lin.iterate.mean[nodes, None, :3] + draws @ root.swapaxes(1, 2)
+    at *= mission.units.length_m
     safe = np.linalg.norm(at, axis=2) >= mission.scenario.safety.radius_min_m
-    found = {"safety_radius": (nodes, safe.mean(axis=1))}
-    seen = np.isin(nodes, mission.window_nodes)
-    if seen.any():
-        for name, margin in joint_margins(mission, times[seen], at[seen]).items():
-            found[name] = nodes[seen], (margin >= 0.0).mean(axis=1)
-    return found
+    found = [safe.mean(axis=1)]
+    for margin in joint_margins(mission, mission.times_s[nodes[seen]], at[seen]).values():
+        found.append(np.ones(len(nodes)))
+        found[-1][seen] = (margin >= 0.0).mean(axis=1)
+    return np.array(found)
 
 
 def _normal(dimension: int, count: int, seed: int) -> Array:
     """Quasi-random standard normal vectors, shape (count, dimension)."""
     points = qmc.Sobol(dimension, scramble=True, rng=np.random.default_rng([SEED, seed]))
     return np.asarray(ndtri(points.random(count)))
-
-
-def _mean(found: Array) -> tuple[float, float]:
-    """Mean and its standard error."""
-    return float(found.mean()), float(found.std(ddof=1) / np.sqrt(len(found)))
 
 
 # --- without a safeguard --------------------------------------------------------------------------

@@ -167,7 +167,8 @@ def test_a_failed_study_does_not_stop_the_others(capsys, monkeypatch):
 
 
 EDITED = """
-from experiments.renewal import changes, study_of
+from experiments.harness import study_of
+from experiments.renewal import changes
 from experiments.sentinels import sentinels_of
 
 (one,) = sentinels_of("battery_cones")

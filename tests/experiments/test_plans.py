@@ -8,7 +8,6 @@ import pytest
 from experiments import frontier, maps, plans
 from experiments.frontier import NOT_CERTIFIED, measure, record, with_costs
 from experiments.harness import Record, fly_plan
-from experiments.solvers.nlp_tricks import measuring, tricks
 from formulations.problem.flyby import Iterate
 from scp_recon.api import planning
 from scp_recon.api.planning import plan
@@ -96,13 +95,3 @@ def test_a_plan_whose_flights_fall_short_is_no_certified_one():
     kept, missed = (record("certified, each node", p, found, flown, 1.0) for p in (0.69, 0.7))
     assert kept["total_dv_m_s"] == plain.total_dv_m_s
     assert (missed["status"], math.isnan(float(missed["total_dv_m_s"]))) == (NOT_CERTIFIED, True)
-
-
-def test_a_row_holds_what_ipopt_did(mission):
-    chosen = {k: v for k, v in tricks().items() if k.endswith(("= tuned", "= shooting"))}
-    tuned, shooting = map(measuring(mission, chosen), chosen)
-    assert shooting["status"] == "converged (Solve_Succeeded)"
-    assert shooting["unknowns"] == "12"
-    # Two transcriptions of one problem.
-    assert shooting["delta-v m/s"] == tuned["delta-v m/s"]
-    assert float(shooting["processor s"]) > 0.0
