@@ -13,13 +13,13 @@ import hashlib
 import importlib
 import json
 import shlex
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 from time import perf_counter
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
@@ -29,6 +29,7 @@ from scp_recon.api.options import PlanOptions
 from scp_recon.api.planning import plan_mission
 from scp_recon.cli.command import (
     Answer,
+    add_output_options,
     parse,
     progress_console,
     run_command,
@@ -58,7 +59,12 @@ Record = dict[str, Any]
 
 ROWS_MAX = 400
 """Rows of a table up to which it is kept as evidence; longer ones are for figures."""
-VERDICTS = {True: "yes", False: "NO", None: "not tested"}
+VERDICTS = {
+    True: ("yes", True, ""),
+    False: ("NO", False, "bad"),
+    None: ("not tested", None, "doubtful"),
+}
+"""Text, value and style of a claim's last cell."""
 
 
 Option = tuple[str, Mapping[str, Any]]
@@ -72,26 +78,19 @@ def option(flag: str, **settings: Any) -> Option:
 
 def number(flag: str, default: int, least: int, most: int, what: str, words: str = "") -> Option:
     """An option for a whole number within bounds."""
-    return option(
-        flag,
-        type=int_between(least, most, words),
-        default=default,
-        metavar="N",
-        help=f"{what} (default: {default})",
-    )
+    kind, said = int_between(least, most, words), f"{what} (default: {default})"
+    return flag, {"type": kind, "default": default, "metavar": "N", "help": said}
+
+
+def path(flag: str, metavar: str, what: str) -> Option:
+    """An option for a file or a folder."""
+    return flag, {"type": Path, "metavar": metavar, "help": what}
 
 
 SEED = number("--seed", 0, 0, 2**32 - 1, "of all random numbers")
 FRESH = option("--fresh", action="store_true", help="do finished work again")
-VEHICLE = option(
-    "--vehicle", type=Path, metavar="FILE", help="vehicle file (default: the packaged DARE)"
-)
-PLAN = option(
-    "--solution",
-    type=Path,
-    metavar="DIR",
-    help="plan to fly (default: the default scenario's from a cold start)",
-)
+VEHICLE = path("--vehicle", "FILE", "vehicle file (default: the packaged DARE)")
+PLAN = path("--solution", "DIR", "plan to fly (default: the default scenario's from a cold start)")
 
 
 class Claim(NamedTuple):
@@ -105,16 +104,12 @@ class Claim(NamedTuple):
 
 def claims_table(claims: Sequence[Claim]) -> Table:
     """The table of claims; those that do not hold are marked."""
-    rows = [
-        (c.claim, c.threshold, c.measured, Cell(VERDICTS[c.holds], c.holds, STYLES[c.holds]))
-        for c in claims
-    ]
-    return Table.of("Claims", ("claim", "threshold", "measured", "holds"), rows)
+    rows = [(*each[:3], Cell(*VERDICTS[each.holds])) for each in claims]
+    return Table.of("Claims", Claim._fields, rows)
 
 
 VARIATIONS = ("accuracy", "lifted", "nlp_tricks", "sensitivity")
 """Studies of one module."""
-STYLES = {True: "", False: "bad", None: "doubtful"}
 
 
 @dataclass(frozen=True)
@@ -153,31 +148,14 @@ class Session:
     out: Path
     console: Console
     evidence: Evidence
-    _stores: list[tuple[Store, bool]] = field(default_factory=list)
+    resumed: bool = False
+    stores: ExitStack = field(default_factory=ExitStack)
+    _partial: list[Store] = field(default_factory=list)
     _began: float = field(default_factory=perf_counter)
-    _resumed: bool = False
-
-    def __enter__(self) -> Self:
-        """The session itself; its stores are closed at the end."""
-        # Campaigns take up their own work.
-        self._resumed = any(self.out.glob("*/campaign.json"))
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        for one, _ in self._stores:
-            one.close()
 
     def say(self, line: str) -> None:
         """Show a line of progress."""
         show_line(self.console, line)
-
-    @contextmanager
-    def steps(self, label: str, total: int) -> Iterator[Callable[[], None]]:
-        """Show a bar on standard error; call the function that it yields after each step."""
-        columns = (TextColumn(label), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-        with Progress(*columns, console=progress_console(self.console), transient=True) as bar:
-            task = bar.add_task("", total=total)
-            yield lambda: bar.advance(task)
 
     def store(self, file: str = "", **setting: Any) -> Store:
         """Open the rows of finished work in OUT.
@@ -185,38 +163,39 @@ class Session:
         Rows of another version of the study, other scenarios or settings are ignored. The rows are kept
         in `file`; without one they are deleted when the study has ended, because its tables have them.
         """
-        depends_on = {
-            "version": self.evidence.version,
-            "scenarios": packaged_entries(),
-            **setting,
-        }
-        store = Store(self.out / (file or f"{self.name}_partial.jsonl"), depends_on)
-        self._stores.append((store, bool(file)))
-        self._resumed = self._resumed or len(store) > 0
+        depends_on = {"version": self.evidence.version, "scenarios": packaged_entries(), **setting}
+        place = self.out / (file or f"{self.name}_partial.jsonl")
+        store = self.stores.enter_context(Store(place, depends_on))
+        self._partial += [] if file else [store]
+        self.resumed = self.resumed or len(store) > 0
         return store
 
     def rows(
         self,
         label: str,
         work: Work,
-        jobs: Sequence[Job],
+        cases: Iterable[Any],
         store: Store,
         *,
         executor: Executor | None = None,
         line: Callable[[Record], str] | None = None,
         failed: Callable[[Key, Failure], Record] | None = None,
     ) -> list[Record]:
-        """Run the jobs whose rows a store lacks, under a bar, and return the rows of all in order.
+        """Measure the cases whose rows a store lacks, under a bar; return the rows of all in order.
 
-        `line` gives the line to show for each new row, and `failed` the row of a job that failed, whose
-        failure is raised without it.
+        `work` makes the row of a case, which may be a `Job` with a key of its own. `line` gives the
+        line to show for each row, by default the status, and `failed` the row of a job that failed,
+        whose failure is raised without it.
         """
-        with self.steps(label, len(jobs)) as done:
+        jobs = [case if isinstance(case, Job) else Job(repr(case), case) for case in cases]
+        columns = (TextColumn(label), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+        with Progress(*columns, console=progress_console(self.console), transient=True) as bar:
+            task = bar.add_task("", total=len(jobs))
 
-            def tell(_: Key, row: Mapping[str, Any]) -> None:
-                if line:
-                    self.say(line(dict(row)))
-                done()
+            def tell(key: Key, row: Mapping[str, Any]) -> None:
+                if line or "status" in row:
+                    self.say(line(dict(row)) if line else f"{key}: {row['status']}")
+                bar.advance(task)
 
             for job in jobs:
                 if job.key in store:
@@ -230,20 +209,16 @@ class Session:
             run_jobs(work, jobs, store, executor, row_of=row_of, on_done=tell)
         return [store[job.key] for job in jobs]
 
-    def _evidence(self, found: Findings) -> Evidence:
-        tables, seconds = tables_of(found), perf_counter() - self._began
-        took = round(seconds, 1)
-        return replace(self.evidence, seconds=took, resumed=self._resumed, tables=tables)
-
     def end(self, found: Findings) -> Answer:
         """Write the findings, and show the claims."""
         self.out.mkdir(parents=True, exist_ok=True)
         tables = found.files.items()
         written = [write_atomically(self.out / name, table.csv()) for name, table in tables]
-        written.append(self._evidence(found).write(self.out / FILE))
-        for store, stays in self._stores:
-            if not stays:
-                store.forget()
+        took = round(perf_counter() - self._began, 1)
+        ended = {"seconds": took, "resumed": self.resumed, "tables": tables_of(found)}
+        written.append(self.evidence.model_copy(update=ended).write(self.out / FILE))
+        for store in self._partial:
+            store.forget()
         if found.claims:
             self.console.print(terminal(claims_table(found.claims)))
         for path in written:
@@ -324,37 +299,28 @@ def records(rows: Sequence[Record]) -> Table:
     return Table.of_records("", rows)
 
 
-def _without_output(words: Sequence[str]) -> Iterator[str]:
-    """Arguments without the option for the output folder."""
-    left = iter(words)
-    for word in left:
-        if word == "--out":
-            next(left, None)
-        elif word not in ("--json", "--quiet") and not word.startswith("--out="):
-            yield word
-
-
 def run(prog: str, study: Study, arguments: Sequence[str]) -> int:
     """Run a study's command line, `prog` and arguments, to its exit status."""
-    default = Path("runs") / (study.folder or prog.split()[-1])
+    name = prog.split()[-1]
+    default = Path("runs") / (study.folder or name)
     p = argparse.ArgumentParser(prog=prog, description=study.about)
-    p.add_argument(
-        "--out",
-        type=Path,
-        default=default,
-        metavar="DIR",
-        help=f"folder for what is written (default: {default})",
-    )
+    said = f"folder for what is written (default: {default})"
+    p.add_argument("--out", type=Path, default=default, metavar="DIR", help=said)
     for flag, settings in study.options:
         p.add_argument(flag, **settings)
     options = parse(p, arguments)
-    command = shlex.join([*prog.split()[2:], *_without_output(arguments)])
+    output = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
+    output.add_argument("--out")
+    add_output_options(output)
+    command = shlex.join([*prog.split()[2:], *output.parse_known_args(arguments)[1]])
 
     def action(console: Console) -> Answer:
         begun = Evidence.begun(command, study.version)
-        session = Session(prog.split()[-1], options, options.out, console, begun)
+        # Campaigns take up their own work.
+        resumed = any(options.out.glob("*/campaign.json"))
+        session = Session(name, options, options.out, console, begun, resumed)
         try:
-            with session:
+            with session.stores:
                 return session.end(study.run(session))
         except OSError as error:
             if error.filename is None:  # the terminal, or a pipe

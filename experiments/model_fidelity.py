@@ -44,14 +44,14 @@ from scp_recon.simulation.vehicle import Vehicle, load_vehicle
 SRP, GRAVITY, BURNS = "solar radiation pressure", "gravity", "burns"
 PLANNER = {SRP: "cannonball", GRAVITY: "J2", BURNS: "impulsive"}
 """The planner's own models."""
-TRUTH, TOGETHER = "the truth", "together"
-"""Name of the truth in claims; effect of rows in which all effects are modelled at once."""
+TOGETHER = "together"
+"""Effect of rows in which all effects are modelled at once."""
 LIMIT_M = 10.0
 """At the end of the flight: Echigo et al., section IV.B."""
 ATTITUDE_STEP_S = 60.0
 """Spacing at which the commanded attitude is turned into a force, linear in between."""
-RELATIVE_TOLERANCE, ABSOLUTE_TOLERANCE = 1e-11, 1e-9
-"""Tolerances of the integrator; together they cost less than 0.1 mm at the end of the flight."""
+INTEGRATOR: Mapping[str, Any] = {"rtol": 1e-11, "atol": 1e-9, "method": "DOP853"}
+"""The tolerances together cost less than 0.1 mm at the end of the flight."""
 
 Acceleration = Callable[[float], Array]
 """Acceleration by sunlight, J2000, m/s^2, at a time in s."""
@@ -192,12 +192,8 @@ def fly(
         # An arc belongs to what holds before its end.
         rate = _rate(mission, model, thrust, float(np.nextafter(after, before)))
         shown = times_s[(times_s > before) & (times_s <= after)]
-        how: dict[str, Any] = {
-            "rtol": RELATIVE_TOLERANCE,
-            "atol": ABSOLUTE_TOLERANCE,
-            "method": "DOP853",
-        }
-        states = solve_ivp(rate, (before, after), state, t_eval=np.union1d(shown, after), **how).y.T
+        ends, looks = (before, after), np.union1d(shown, after)
+        states = solve_ivp(rate, ends, state, t_eval=looks, **INTEGRATOR).y.T
         found.append(states[: len(shown)])
         state = states[-1].copy()
     return np.concatenate(found)
@@ -216,24 +212,10 @@ def _rate(
     return rate
 
 
-def passing(terminal_m: Mapping[str, float]) -> str:
-    """Lowest fidelity within the limit, of distances in ascending fidelity; else the truth."""
-    return next((name for name, distance in terminal_m.items() if distance < LIMIT_M), TRUTH)
-
-
-def relapses(terminal_m: Mapping[str, float]) -> list[str]:
-    """Models of higher fidelity than the one that passes, but beyond the limit."""
-    above = itertools.dropwhile(passing(terminal_m).__ne__, terminal_m)
-    return [name for name in above if terminal_m[name] >= LIMIT_M]
-
-
-def compare(
-    name: str, plan: FlightPlan, done: Callable[[], None] = lambda: None
-) -> tuple[list[Record], list[Record], list[Claim]]:
+def compare(name: str, plan: FlightPlan) -> tuple[list[Record], list[Record]]:
     """Fly every model of every effect, then the lowest that pass and the planner's together.
 
-    Returns the rows of the table, of the distances over time, and the claims; calls `done` after each
-    flight.
+    Returns the rows of the table and of the distances over time.
     """
     mission, models = plan.mission, models_of(plan)
     burns, times = np.array([firing.dv_m_s for firing in plan.firings]), mission.times_s
@@ -245,41 +227,51 @@ def compare(
     def path(names: Mapping[str, str]) -> Array:
         model = {effect: models[effect][name] for effect, name in names.items()}
         how: dict[str, Any] = {"thrust_acceleration_m_s2": thrust, "breaks_s": legs}
-        states = fly(mission, burns, model, times, **how)
-        done()
-        return states[:, :3]
+        return fly(mission, burns, model, times, **how)[:, :3]
 
     rows, history, true = list[Record](), list[Record](), path(truth)
 
-    def add(effect: str, model: str, names: Mapping[str, str]) -> float:
+    def add(effect: str, model: str, names: Mapping[str, str]) -> None:
         away = np.linalg.norm(path(names) - true, axis=1)
         of = {"flight": name, "effect": effect, "model": model}
-        history.extend(
-            of | {"t_s": time, "distance_m": distance}
-            for time, distance in zip(times.tolist(), away.tolist(), strict=True)
-        )
+        both = zip(times.tolist(), away.tolist(), strict=True)
+        history.extend(of | {"t_s": time, "distance_m": distance} for time, distance in both)
         most = float(away[(times >= first) & (times <= last)].max())
         row = of | {"terminal_m": float(away[-1]), "window_max_m": most, "limit_m": LIMIT_M}
         rows.append(row | {"passes": bool(away[-1] < LIMIT_M), "lowest_that_passes": False})
-        return float(away[-1])
 
-    claims, lowest, threshold = list[Claim](), dict(truth), f"within {LIMIT_M:g} m"
+    lowest = dict(truth)
     for effect, names in models.items():
-        terminal = {model: add(effect, model, truth | {effect: model}) for model in [*names][:-1]}
-        best, again = passing(terminal), relapses(terminal)
-        words = f"{name}, {effect}: lowest fidelity is {best}"
-        words += f", but not {', '.join(again)}" if again else ""
-        measured = f"{terminal[best]:.2f} m" if best in terminal else "no model"
-        claims.append(Claim(words, threshold, measured, best != TRUTH))
-        lowest[effect] = best if best in terminal else truth[effect]
-        for row in rows:
-            row["lowest_that_passes"] |= (row["effect"], row["model"]) == (effect, best)
-    for names in (lowest, PLANNER):
-        words = ", ".join(names.values())
-        away = add(TOGETHER, words, names)
-        claim = f"{name}, together: {words}"
-        claims.append(Claim(claim, threshold, f"{away:.2f} m", away < LIMIT_M))
-    return rows, history, claims
+        for model in [*names][:-1]:
+            add(effect, model, truth | {effect: model})
+        if best := next((r for r in rows if r["effect"] == effect and r["passes"]), None):
+            best["lowest_that_passes"], lowest[effect] = True, best["model"]
+    for each in (lowest, PLANNER):
+        add(TOGETHER, ", ".join(each.values()), each)
+    return rows, history
+
+
+def claims(rows: Sequence[Record]) -> list[Claim]:
+    """The lowest fidelity of each effect that passes, and whether models together do."""
+    found, threshold = list[Claim](), f"within {LIMIT_M:g} m"
+    for flight, effect in dict.fromkeys((row["flight"], row["effect"]) for row in rows):
+        own = [row for row in rows if (row["flight"], row["effect"]) == (flight, effect)]
+        said = f"{flight}, {effect}: "
+        if effect == TOGETHER:
+            found += [
+                Claim(said + r["model"], threshold, f"{r['terminal_m']:.2f} m", r["passes"])
+                for r in own
+            ]
+            continue
+        passing = [*itertools.dropwhile(lambda row: not row["passes"], own)]
+        best = passing[0]["model"] if passing else "the truth"
+        again = [row["model"] for row in passing if not row["passes"]]
+        words = f"{said}lowest fidelity is {best}" + (
+            f", but not {', '.join(again)}" if again else ""
+        )
+        measured = f"{passing[0]['terminal_m']:.2f} m" if passing else "no model"
+        found.append(Claim(words, threshold, measured, bool(passing)))
+    return found
 
 
 def flights(vehicle: Vehicle, solution: Path | None) -> dict[str, FlightPlan]:
@@ -293,13 +285,14 @@ def flights(vehicle: Vehicle, solution: Path | None) -> dict[str, FlightPlan]:
 
 def run(session: Session) -> Findings:
     """Fly every model of every effect on both flights."""
+    rows, history = list[Record](), list[Record]()
     cases = flights(load_vehicle(session.options.vehicle), session.options.solution)
-    total = sum(3 + sum(len(names) - 1 for names in models_of(p).values()) for p in cases.values())
-    with session.steps("flights", total) as done:
-        found = {name: compare(name, plan, done) for name, plan in cases.items()}
-    rows, history, claims = (list(itertools.chain(*of)) for of in zip(*found.values(), strict=True))
+    for name, plan in cases.items():
+        session.say(name)
+        found, over_time = compare(name, plan)
+        rows, history = rows + found, history + over_time
     files = {"model_fidelity.csv": records(rows), "model_fidelity_history.csv": records(history)}
-    return Findings(files, claims)
+    return Findings(files, claims(rows))
 
 
 STUDY = Study(__doc__, run, (PLAN, VEHICLE))

@@ -18,7 +18,7 @@ from types import SimpleNamespace
 from typing import Any
 
 from experiments.evidence import ROOT
-from experiments.harness import Claim, Findings, Record, Session, Study, option, records
+from experiments.harness import Claim, Findings, Record, Session, Study, option, path, records
 from experiments.observation_rows import Row, about, flown_states, rows, run_row, variants
 from scp_recon.cli.options import int_between
 from scp_recon.jobs.job import Job
@@ -128,56 +128,43 @@ def line(row: Record) -> str:
 
 def run(session: Session) -> Findings:
     """Design and fly every row."""
-    options, out = session.options, session.out
+    options, quick = session.options, session.options.quick
     mission = Mission.from_scenario(load_scenario())
     if options.as_flown:
         flown_states(options.as_flown, mission)  # before the work, not after it
-    samples = options.samples or (QUICK_SAMPLES if options.quick else SAMPLES)
-    others = () if options.quick else variants(mission.scenario)
-    found = (*rows(ipopt=not options.skip_ipopt, as_flown=options.as_flown), *others)
-    work = partial(measure, out, samples, not options.quick)
-    store = session.store(samples=samples, check=not options.quick, kernel=str(options.as_flown))
-    jobs = [Job(row.key, row) for row in found]
+    samples = options.samples or (QUICK_SAMPLES if quick else SAMPLES)
+    cases = rows(ipopt=not options.skip_ipopt, as_flown=options.as_flown)
+    cases += [] if quick else variants(mission.scenario)
+    work = partial(measure, session.out, samples, not quick)
+    store = session.store(samples=samples, check=not quick, kernel=str(options.as_flown))
+    jobs = [Job(row.key, row) for row in cases]
     entries = session.rows("rows", work, jobs, store, line=line)
-    tested, ours = statements(entries), numbers(entries)
-    outcomes = {words: same for same, words in OUTCOMES.items()}
+    tested, decided = statements(entries), {words: same for same, words in OUTCOMES.items()}
     claims = [
         Claim(
-            f"{s['paper']}: {s['statement']}", s["criterion"], s["measured"], outcomes[s["outcome"]]
+            f"{s['paper']}: {s['statement']}", s["criterion"], s["measured"], decided[s["outcome"]]
         )
         for s in tested
     ]
-    files = {
-        "observation_table.csv": records(entries),
-        "statements.csv": records(tested),
-        "numbers.csv": records(ours),
-    }
+    files = {"observation_table": entries, "statements": tested, "numbers": numbers(entries)}
     status = 0 if all("mean_s" in row for row in entries) else ROW_FAILED
-    return Findings(files, claims, status)
+    tables = {f"{name}.csv": records(found) for name, found in files.items()}
+    return Findings(tables, claims, status)
 
 
+FEW = "fewer flights, plans are not verified again, no other readings and choices"
+KERNEL = (
+    "SPK of the flight, for a row of its own and as the warm rows' start; needs the extra [spice]"
+)
+OF_SAMPLES = f"flights a row (default: {SAMPLES}, with --quick {QUICK_SAMPLES})"
+AT_LEAST = int_between(20, 10**9, "20 to 1e9")
 STUDY = Study(
     __doc__,
     run,
     (
-        option(
-            "--samples",
-            type=int_between(20, 10**9, "20 to 1e9"),
-            metavar="N",
-            help=f"flights a row (default: {SAMPLES}, with --quick {QUICK_SAMPLES})",
-        ),
-        option(
-            "--quick",
-            action="store_true",
-            help="fewer flights, plans are not verified again, no other readings and choices",
-        ),
-        option(
-            "--as-flown",
-            type=Path,
-            metavar="FILE",
-            help="SPK of the flight, for a row of its own and as the warm rows' start; needs the "
-            "extra [spice]",
-        ),
+        option("--samples", type=AT_LEAST, metavar="N", help=OF_SAMPLES),
+        option("--quick", action="store_true", help=FEW),
+        path("--as-flown", "FILE", KERNEL),
         option("--skip-ipopt", action="store_true", help="no rows planned by IPOPT"),
     ),
     folder="paper",

@@ -73,7 +73,7 @@ def used(text: str) -> list[str]:
     names = [
         name
         for name, source in SOURCES.items()
-        if any(Path(figure.split()[-1]).name in drawn for figure in source.figures)
+        if drawn & {Path(figure.split()[-1]).name for figure in source.figures}
     ]
     names += [block[1].partition(".")[0] for block in BLOCK.finditer(text)]
     plain = " ".join(text.split())
@@ -171,8 +171,13 @@ def _cell(field: str) -> Any:
     if whole is None:
         raise InputError(field, "no cell", "must be EVIDENCE[ROW].COLUMN")
     name, of, key, column = whole.groups()
-    row = _row(_table(name, of or name), key, field)
-    return row[one_of(field, column, row)]
+    rows = _table(name, of or name)
+    found: Records = _matching(rows, key, field) if "=" in key else []
+    for cells in () if "=" in key else (1, 2, 3):
+        found = found or [r for r in rows if " ".join(map(_shown, [*r.values()][:cells])) == key]
+    if len(found) != 1:
+        raise InputError(field, f"{len(found)} rows", "must be of exactly one row")
+    return found[0][one_of(field, column, found[0])]
 
 
 def _scaled(value: Any, scale: float | None) -> Value:
@@ -185,36 +190,19 @@ def _scaled(value: Any, scale: float | None) -> Value:
 def _read(path: Path) -> dict[str, dict[str, Any]]:
     """The tables of a file of TOML."""
     try:
-        found = tomllib.loads(path.read_text("utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        return tomllib.loads(path.read_text("utf-8"))
+    except (OSError, ValueError) as error:
         raise InputError(path.name, str(error), "must be TOML, with each key once") from None
-    for key, value in found.items():
-        if not isinstance(value, dict):
-            raise InputError(f"{path.name}: {key}", repr(value), "must be a table")
-    return found
 
 
 @cache
 def _tables(name: str) -> Mapping[str, Records]:
-    try:
-        return Evidence.read(path_of(name)).tables
-    except FileNotFoundError:
-        raise InputError(name, "no such evidence", "must be a file of docs/evidence") from None
+    return Evidence.read(path_of(name)).tables
 
 
 def _table(name: str, of: str) -> Records:
     tables = _tables(name)
     return tables[one_of(f"{name}.{of}", of, tables)]
-
-
-def _row(rows: Records, key: str, field: str) -> Mapping[str, Any]:
-    """The one row of a key."""
-    found: Records = _matching(rows, key, field) if "=" in key else []
-    for cells in () if "=" in key else (1, 2, 3):
-        found = found or [r for r in rows if " ".join(map(_shown, [*r.values()][:cells])) == key]
-    if len(found) != 1:
-        raise InputError(field, f"{len(found)} rows", "must be of exactly one row")
-    return found[0]
 
 
 def _matching(rows: Records, conditions: str, where: str) -> Records:

@@ -14,7 +14,6 @@ import shlex
 import subprocess
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -46,15 +45,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     p.add_argument("--page", metavar="PAGE", help="only what a page shows, such as README.md")
     p.add_argument("--random", action="store_true", help="check a random row of each study as well")
     does = p.add_mutually_exclusive_group()
-    does.add_argument(
-        "--check", action="store_true", help="renew nothing; status 1 if any is out of date"
-    )
-    does.add_argument(
-        "--dated", action="store_true", help="renew timings and counts, and only these"
-    )
-    does.add_argument(
-        "--render", action="store_true", help="measure nothing; fill the pages' tables"
-    )
+    for flag, said in (
+        ("--check", "renew nothing; status 1 if any is out of date"),
+        ("--dated", "renew timings and counts, and only these"),
+        ("--render", "measure nothing; fill the pages' tables"),
+    ):
+        does.add_argument(flag, action="store_true", help=said)
     options = parse(p, arguments)
 
     def action(console: Console) -> int:
@@ -63,7 +59,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             _write_pages(console)
             return 0
         if options.dated:
-            stale = {name: ["dated"] for name in names if SOURCES[name].dated}
+            stale = [name for name in names if SOURCES[name].dated]
         else:
             stale = check(names, console, drawn=options.random)
         if options.check:
@@ -71,10 +67,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
             for page in behind:
                 show_line(console, f"{page.name}: its tables are not the evidence's")
             return OUT_OF_DATE if _show_wrong_claims(console) or stale or behind else 0
+        stale.sort(key=seconds_of)
         if stale:
-            console.print(terminal(plan_of(list(stale))))
+            minutes = [seconds_of(name) / 60.0 for name in stale]
+            rows = [*zip(stale, minutes, strict=True), ("together", sum(minutes))]
+            columns = ("evidence", Column("the last time", "min", ".1f"))
+            console.print(terminal(Table.of("", columns, rows)))
         failed = []
-        for name in sorted(stale, key=seconds_of):
+        for name in stale:
             try:
                 renew(name, console)
                 _write_pages(console)
@@ -92,60 +92,54 @@ def _names(page: str | None) -> list[str]:
     """Evidence of a page, or all."""
     if page is None:
         return list(SOURCES)
-    found = [path for path in pages.PAGES if path == ROOT / page]
-    if not found:
+    if ROOT / page not in pages.PAGES:
         raise InputError("--page", page, "must be README.md or a page of docs, from the project on")
-    return pages.used(found[0].read_text("utf-8"))
+    return pages.used((ROOT / page).read_text("utf-8"))
 
 
-def check(names: Sequence[str], console: Console, *, drawn: bool = False) -> dict[str, list[str]]:
-    """What has moved by name of the evidence that is out of date; each is told as a line.
+def check(names: Sequence[str], console: Console, *, drawn: bool = False) -> list[str]:
+    """Names of the evidence that is out of date; a line says why of each, or that it is current.
 
     With `drawn` a row is measured too that is drawn from all rows of the study that stand alone.
 
     Raises:
         InputError: if a file of evidence is none.
     """
-    found: dict[str, list[str]] = {}
-    jobs: dict[str, Job] = {}
+    names = sorted(names, key=seconds_of, reverse=True)  # the slowest sentinels first
+    found = {name: changes(name) for name in names}
+    cases: dict[str, Job] = {}
     uses: dict[str, list[tuple[str, Sentinel, float]]] = {}
-    for name in sorted(names, key=seconds_of, reverse=True):  # the slowest sentinels first
-        found[name] = changes(name)
-        if SOURCES[name].dated or found[name]:
-            continue
+    for name in (name for name in names if not (SOURCES[name].dated or found[name])):
         for one in sentinels_of(name):
-            cases = [(case, 0.0) for case in one.cases]
-            if drawn and one.others:
-                cases.append((random.choice(one.others), AT_LEAST))
-            for case, at_least in cases:
+            others = [random.choice(one.others)] if drawn and one.others else []
+            for case in (*one.cases, *others):
                 key = f"{one.of}, {one.work}, {case}"  # those of several studies are measured once
-                jobs.setdefault(key, Job(key, (one.work, case)))
+                cases[key] = Job(key, (one.work, case))
+                at_least = AT_LEAST if case in others else 0.0
                 uses.setdefault(key, []).append((name, one, at_least))
-    for done in Processes(PROCESSES)(measured, jobs.values()):
+    for done in Processes(PROCESSES)(measured, cases.values()):
         for name, one, at_least in uses[str(done.key)]:
             try:
                 found[name] += one.moved(done.result(), at_least)
             except InputError as error:  # an extra that is missing, or a row that is not there
                 found[name].append(str(error))
-    for name in names:
+    for name, lines in found.items():
         said = "dated" if SOURCES[name].dated else "current"
-        for line in found[name] or [f"{said} ({Evidence.read(path_of(name)).date})"]:
+        for line in lines or [f"{said} ({Evidence.read(path_of(name)).date})"]:
             show_line(console, f"{name}: {line}")
-    return {name: lines for name, lines in found.items() if lines}
+    return [name for name, lines in found.items() if lines]
 
 
 def changes(name: str) -> list[str]:
     """Why evidence is out of date before anything is measured."""
-    try:
-        kept = Evidence.read(path_of(name))
-    except FileNotFoundError:
+    if not path_of(name).exists():
         return ["never measured"]
-    if SOURCES[name].dated:
+    kept, source = Evidence.read(path_of(name)), SOURCES[name]
+    if source.dated:
         return []
-    command = SOURCES[name].command
-    version = study_of(command.split()[1]).version
+    version = study_of(source.command.split()[1]).version
     found = [f"version {kept.version}, now {version}"] if kept.version != version else []
-    return found + ([f"made by {kept.command}"] if kept.command != command else [])
+    return found + ([f"made by {kept.command}"] if kept.command != source.command else [])
 
 
 def measured(inputs: tuple[Callable[[Any], Any], Any]) -> Any:
@@ -156,17 +150,7 @@ def measured(inputs: tuple[Callable[[Any], Any], Any]) -> Any:
 
 def seconds_of(name: str) -> float:
     """Seconds of wall time that a study took the last time; infinite if it never ran."""
-    try:
-        return Evidence.read(path_of(name)).seconds
-    except FileNotFoundError:
-        return float("inf")
-
-
-def plan_of(stale: Sequence[str]) -> Table:
-    """The studies to run, and how long they took."""
-    times = {name: seconds_of(name) / 60.0 for name in sorted(stale, key=seconds_of)}
-    columns = ("evidence", Column("the last time", "min", ".1f"))
-    return Table.of("", columns, [*times.items(), ("together", sum(times.values()))])
+    return Evidence.read(path_of(name)).seconds if path_of(name).exists() else float("inf")
 
 
 def renew(name: str, console: Console) -> None:
@@ -179,11 +163,11 @@ def renew(name: str, console: Console) -> None:
     _run(f"{source.command} --out {out}", console)
     found = Evidence.read(out / FILE)
     if found.resumed and path_of(name).exists():
-        found = replace(found, seconds=max(found.seconds, seconds_of(name)))
+        found = found.model_copy(update={"seconds": max(found.seconds, seconds_of(name))})
     path_of(name).parent.mkdir(exist_ok=True)
     found.write(path_of(name))
     for figure in source.figures:
-        _run(figure.format(out=out), console)
+        _run(f"paper_figs {figure.format(out=out)}", console)
 
 
 def _run(command: str, console: Console) -> None:

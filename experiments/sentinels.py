@@ -36,8 +36,7 @@ from experiments.solvers.cases import (
 )
 from experiments.solvers.cells import solve
 from experiments.solvers.peers import study as peers
-from experiments.spacecraft import battery_cones, flown_plan, timing_rules
-from experiments.spacecraft.uncertainty_sources import study as uncertainty_sources
+from experiments.spacecraft import battery_cones, flown_plan, timing_rules, uncertainty_sources
 from scp_recon.api.campaigns import work_of
 from scp_recon.api.flights import simulate
 from scp_recon.campaigns.study import read_study
@@ -46,7 +45,6 @@ from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
 from scp_recon.results.solution import ballistic_arc
 from scp_recon.scenario.load import load_scenario
-from scp_recon.simulation.panels import SolarArray, irradiance
 from scp_recon.simulation.vehicle import load_vehicle
 
 
@@ -80,11 +78,10 @@ class Sentinel(NamedTuple):
         `at_least` is a tolerance of the columns that need not be equal.
 
         Raises:
-            InputError: if the evidence lacks the table, or has not one row of a key.
-            FileNotFoundError: if there is no evidence.
+            InputError: if there is no evidence, or it lacks the table or has not one row of a key.
         """
-        table = self.rows.rpartition(".")[2]
-        name, tables, found = f"{self.of}.json", Evidence.read(path_of(self.of)).tables, []
+        table, found = self.rows.rpartition(".")[2], list[str]()
+        name, tables = f"{self.of}.json", Evidence.read(path_of(self.of)).tables
         if table not in tables:
             raise InputError(f"{name}: tables", ", ".join(tables), f"must have {table}")
         for new in [measured] if isinstance(measured, Mapping) else measured:
@@ -190,20 +187,14 @@ def fidelity_rows(_: None) -> list[Record]:
     """The ballistic arc by models that matter."""
     mission = default_mission()
     arc = model_fidelity.flight_plan(ballistic_arc(mission), mission, load_vehicle())
-    rows, *_others = model_fidelity.compare("ballistic arc", arc)
+    rows, _history = model_fidelity.compare("ballistic arc", arc)
     return [row for row in rows if row["terminal_m"] > 0.1]
 
 
-def cones_rows(_: None) -> list[Record]:
+def cones_rows(seed: int) -> list[Record]:
     """The cones of the packaged vehicle."""
-    scenario, vehicle = load_scenario(), load_vehicle()
-    panels, shadow_m = (
-        SolarArray.of(vehicle, irradiance(scenario)),
-        scenario.body.reference_radius_m,
-    )
-    samples = battery_cones.sample(panels, battery_cones.SAMPLES, 0, shadow_m)
-    loads = battery_cones.mode_loads(vehicle, scenario)
-    return battery_cones.find_cones(panels, samples, loads, vehicle.loads.housekeeping_w)
+    count = battery_cones.SAMPLES
+    return battery_cones.find_cones(load_vehicle(), load_scenario(), count, seed)[0]
 
 
 def slew_row(index: int) -> Record:
@@ -224,11 +215,10 @@ def flight_row(seed: int) -> Record:
     return flown_plan.row(simulate(plan_or_default(None), seed=seed))
 
 
-def path_rows(_: None) -> list[Record]:
+def path_rows(seed: int) -> list[Record]:
     """Sources of uncertainty that act on the path of the default plan."""
-    vehicle, own = load_vehicle(), uncertainty_sources
-    found = own.measure_paths(plan_or_default(None), vehicle, own.PATHS, 0)
-    return [own.row(entry, vehicle.errors) for entry in found.values()]
+    plan, samples = plan_or_default(None), uncertainty_sources.PATHS
+    return uncertainty_sources.measure_paths(plan, load_vehicle(), samples, seed)[0]
 
 
 def default_mission() -> Mission:
@@ -304,13 +294,13 @@ OWN = (
     Sentinel("model_fidelity", "flight, effect, model", {"passes": EQUAL, "terminal_m": 1e-4},
         fidelity_rows, [None]),
     Sentinel("battery_cones", "mode, calibrated",
-        {"half_angle_deg": 1e-6, "sampled_fraction": 1e-9}, cones_rows, [None]),
+        {"half_angle_deg": 1e-6, "sampled_fraction": 1e-9}, cones_rows, [0]),
     Sentinel("timing_rules.timing_rules_slews", "axis_x, axis_y, axis_z",
         {"settled_0.25_deg_s": EQUAL, "steady_rms_deg": 1e-4},
         slew_row, [1], range(timing_rules.SLEWS)),
     Sentinel("timing_rules", "name, how", {"measured_s": 1e-4}, recharge_row, [None]),
     Sentinel("uncertainty_sources", "source",
-        {"flights": EQUAL, "rms_m": 1e-5, "mean_off_plan_m": 1e-3}, path_rows, [None]),
+        {"flights": EQUAL, "rms_m": 1e-5, "mean_off_plan_m": 1e-3}, path_rows, [0]),
     Sentinel("flown_plan", "seed",
         {"settled_in_time": EQUAL, "camera_max_deg": 1e-3, "terminal_miss_m": 1e-3},
         flight_row, [0], range(flown_plan.SEEDS)),

@@ -14,7 +14,7 @@ Ctrl-C the study continues with the missing rows.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from functools import partial
 from itertools import pairwise
 from time import process_time
@@ -35,7 +35,6 @@ from formulations.rows.exact_flight import FlightRows
 from scp_recon.api.options import PlanOptions
 from scp_recon.api.planning import plan, plan_mission
 from scp_recon.certification.certify import certify
-from scp_recon.jobs.job import Job
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.summary import MOST
 from scp_recon.planning import initial_guess
@@ -172,9 +171,8 @@ class Gain(NamedTuple):
 
 NO_GAIN = Gain(1e3)
 """Stands for none that reaches the probability."""
-
-PLANNED = tuple(ndtri((0.85, 0.985)))
-"""Quantiles between which the open-loop plan's probability is searched."""
+PLANNED = (0.85, 0.985)
+"""Probabilities between which the open-loop plan's is searched."""
 CLOSE, AGAIN = 0.01, 0.05
 """To which difference of quantiles, and how far about the last one for another aim."""
 STRIDE = 8
@@ -182,23 +180,16 @@ STRIDE = 8
 
 
 def by_targeting(mission: Mission) -> tuple[Plan, dict[str, float]]:
-    """The cheapest scaled targeting gain, certified like a plan, and the results of its search."""
-    search = Search()
-    found = certify(mission, initial_guess.cold(mission), search)
-    gain = next((gain for final, gain in search.made if final is found.final), NO_GAIN)
-    return found, {name: getattr(gain, name) for name in TARGET}
+    """The cheapest scaled targeting gain, certified like a plan, and the results of its search.
 
+    For each aim of the certification it searches the probability of the open-loop plan, and for each
+    the time and the share of the gain that reach the aim by the normal law.
+    """
+    open_loop = mission.changed({"policy.kind": "open"})
+    options, start = PlanOptions(certify=False), initial_guess.cold(open_loop)
+    made = list[tuple[Stage, Gain]]()
 
-@dataclass
-class Search:
-    """Makes plans with the cheapest scaled targeting gain for a probability by the normal law."""
-
-    made: list[tuple[Stage, Gain]] = field(default_factory=list)
-
-    def __call__(self, mission: Mission, _: Iterate | Plan, target: float) -> Plan:
-        """Search the probability of the open-loop plan, and for each time and share."""
-        open_loop = mission.changed({"policy.kind": "open"})
-        options, start = PlanOptions(certify=False), initial_guess.cold(open_loop)
+    def search(mission: Mission, _: Iterate | Plan, target: float) -> Plan:
         tried = dict[float, tuple[Gain, Plan]]()
 
         def cost(quantile: float) -> float:
@@ -209,21 +200,25 @@ class Search:
             tried[gain.cost] = gain._replace(planned_for=p), planned
             return gain.cost
 
-        bounds = PLANNED
-        if self.made:
-            last = float(ndtri(self.made[-1][1].planned_for))
-            bounds = last - AGAIN, last + AGAIN
+        last = float(ndtri(made[-1][1].planned_for)) if made else 0.0
+        bounds = (last - AGAIN, last + AGAIN) if made else tuple(ndtri(PLANNED))
         minimize_scalar(cost, bounds=bounds, method="bounded", options={"xatol": CLOSE})
         gain, planned = tried[min(tried)]
-        result = replace(planned.final.result, status=Status.INFEASIBLE)
-        merit = planned.final.merit
+        result, merit = (
+            replace(planned.final.result, status=Status.INFEASIBLE),
+            planned.final.merit,
+        )
         if gain.lin is not None:
             result = replace(planned.final.result, lin=gain.lin)
             merit = MeritFunction(mission.problem, rows_at(gain.lin, target))
         spec = replace(planned.final.spec, role="final")
         stage = replace(planned.final, spec=spec, result=result, merit=merit)
-        self.made.append((stage, gain))
+        made.append((stage, gain))
         return replace(planned, mission=mission, final=stage, target=target)
+
+    found = certify(mission, initial_guess.cold(mission), search)
+    gain = next((gain for final, gain in made if final is found.final), NO_GAIN)
+    return found, {name: getattr(gain, name) for name in TARGET}
 
 
 def cheapest(mission: Mission, planned: Plan, target: float) -> Gain:
@@ -371,34 +366,33 @@ def claims(
     """The claims of the study; a claim with a missing figure does not hold."""
     made = list[Claim]()
 
-    def claim(words: str, measured: float, least: str, limit: float) -> None:
-        holds = measured <= limit if least == "at most" else measured >= limit
-        made.append(Claim(words, f"{least} {limit:g}", f"{measured:.6g}", bool(holds)))
+    def claim(words: str, measured: float, limit: float, *, least: bool = False) -> None:
+        holds = measured >= limit if least else measured <= limit
+        threshold = f"at {'least' if least else 'most'} {limit:g}"
+        made.append(Claim(words, threshold, f"{measured:.6g}", bool(holds)))
 
     for one in rows:
         kind, p = one["kind"], one["asked"]
         if kind == CORRECTED and p in AT_MOST_M_S:
             cost = one.get("dv99_m_s", np.nan)
-            claim(f"99 % of the delta-v for {p:g}, m/s", cost, "at most", AT_MOST_M_S[p])
+            claim(f"99 % of the delta-v for {p:g}, m/s", cost, AT_MOST_M_S[p])
         if kind in AGAINST:
             more = one.get("more_m_s", np.nan)
-            claim(f"{kind} for {p:g} costs more than feedback, m/s", more, "at least", 0.0)
+            claim(f"{kind} for {p:g} costs more than feedback, m/s", more, 0.0, least=True)
         if kind == ENDING:
             wider = one.get("open_over_own", np.nan)
-            claim(f"for {p:g} the open loop ends wider, times", wider, "at least", LESS)
+            claim(f"for {p:g} the open loop ends wider, times", wider, LESS, least=True)
     for scope, p in dict.fromkeys((one["scope"], one["asked"]) for one in errors):
         own = [one for one in errors if (one["scope"], one["asked"]) == (scope, p)]
         costs, at = [one.get("program_m_s", np.nan) for one in own], f"scope {scope}, {p:g}:"
         useless = abs(costs[1] / costs[0] - 1.0)
-        claim(f"{at} a useless measurement changes the cost by, relative", useless, "at most", 1e-6)
+        claim(f"{at} a useless measurement changes the cost by, relative", useless, 1e-6)
         worse = max(after / before - 1.0 for before, after in pairwise(costs))
-        claim(f"{at} a better one costs more by, relative", worse, "at most", 1e-4)
-    for words, risks, most in TIMES_AT_MOST:
+        claim(f"{at} a better one costs more by, relative", worse, 1e-4)
+    for words, risks, limit in TIMES_AT_MOST:
         times = [one["times_default"] for one in programs if one["risk"] in risks]
         if times:
-            claim(
-                f"{words}: a plan takes longer than the default, times", max(times), "at most", most
-            )
+            claim(f"{words}: a plan takes longer than the default, times", max(times), limit)
     return made
 
 
@@ -407,32 +401,18 @@ def run(session: Session) -> Findings:
     quick = session.options.quick
     flights = QUICK_FLIGHTS if quick else FLIGHTS
     store, work = session.store(flights=flights), partial(measure, flights)
-
-    def rows_of(label: str, cases: Sequence[Case]) -> list[Record]:
-        jobs = [Job(repr(case), case) for case in cases]
-        return session.rows(label, work, jobs, store, line=_line)
-
     cases = [Case(kind, p) for kind in (OPEN, CORRECTED, LATE) for p in PROBABILITIES]
     cases += [Case(kind, p) for kind, p in TARGETING]
-    rows = rows_of("plans", QUICK if quick else cases)
-    rows += rows_of("limits at the end", [] if quick else limited(rows))
-    jobs = [Job(f"errors {at}", (*at, ERRORS[: 2 if quick else None])) for at in ERRORS_AT]
-    chains = session.rows("errors", partial(over_errors, flights), jobs, store)
-    errors = [one for chain in chains for one in chain["rows"]]
-    jobs = [Job(f"program {case}", case) for case in PROGRAMS[: 1 if quick else None]]
-    programs = session.rows("programs", timed, jobs, store)
+    rows = session.rows("plans", work, QUICK if quick else cases, store)
+    rows += session.rows("limits at the end", work, [] if quick else limited(rows), store)
+    chains = [(*at, ERRORS[: 2 if quick else None]) for at in ERRORS_AT]
+    errors = session.rows("errors", partial(over_errors, flights), chains, store)
+    errors = [one for chain in errors for one in chain["rows"]]
+    programs = session.rows("programs", timed, PROGRAMS[: 1 if quick else None], store)
     rows = beside(rows)
-    files = {
-        "feedback.csv": records(rows),
-        "feedback_errors.csv": records(errors),
-        "feedback_programs.csv": records(programs),
-    }
-    return Findings(files, claims(rows, errors, programs))
-
-
-def _line(row: Record) -> str:
-    cost = row.get("dv99_m_s", np.nan)
-    return f"{row['kind']}, {row['asked']:g}: {row['status']}, {cost:.5f} m/s"
+    files = {"feedback": rows, "feedback_errors": errors, "feedback_programs": programs}
+    tables = {f"{name}.csv": records(found) for name, found in files.items()}
+    return Findings(tables, claims(rows, errors, programs))
 
 
 STUDY = Study(

@@ -8,10 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from scipy.interpolate import CubicHermiteSpline
 
 from experiments.harness import (
@@ -31,7 +33,6 @@ from scp_recon.api.flights import simulate
 from scp_recon.api.options import PlanOptions
 from scp_recon.api.planning import plan, plan_mission
 from scp_recon.errors import InputError
-from scp_recon.jobs.job import Job
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.estimates import proportion
 from scp_recon.monte_carlo.observation_time import ALL, joint_margins, time_held
@@ -55,6 +56,8 @@ PLANS: Mapping[str, tuple[str, dict[str, Any], tuple[PolicyKind, ...]]] = {
     "kingfisher": ("kingfisher", measured(lead_s=LEAD_S), ("open", "feedback", "replan")),
 }
 """Base, changes and policies of each plan that is flown by policies."""
+FLOWN = ("whole", "window_s", "observed_s", "commanded_m_s", "terminal_miss_m")
+"""Columns that a flight lacks which could not be flown."""
 SUBJECTS = ("default", "kingfisher")
 """How the names of plans begin that are flown together."""
 
@@ -127,28 +130,25 @@ def observed(record: Record, mission: Mission) -> Row:
 def by_policy(rows: Sequence[Row]) -> list[Row]:
     """A row for each plan and policy."""
     found = []
-    for name, policy in dict.fromkeys((one["plan"], one["policy"]) for one in rows):
-        own = [one for one in rows if (one["plan"], one["policy"]) == (name, policy)]
-        names = ("observed_s", "window_s", "commanded_m_s", "terminal_miss_m", "whole")
-        observed_s, window_s, commanded, missed, whole = (
-            np.array([float(row.get(name, np.nan)) for row in own]) for name in names
-        )
-        share = proportion(int(np.nansum(whole)), len(own))
+    table = pd.DataFrame(rows, columns=[*dict.fromkeys((*chain(*rows), *FLOWN))])
+    for (name, policy), own in table.groupby(["plan", "policy"], sort=False):
+        whole = int(own.whole.eq(True).sum())
+        share = proportion(whole, len(own))
         found.append(
             {
                 "plan": name,
                 "policy": policy,
                 "flights": len(own),
-                "whole": int(np.nansum(whole)),
+                "whole": whole,
                 "whole_low": share.low,
                 "whole_high": share.high,
-                "window_s": float(np.nanmax(window_s)),
-                "observed_mean_s": float(np.nanmean(observed_s)),
-                "observed_least_s": float(np.nanmin(observed_s)),
-                "commanded_mean_m_s": float(np.nanmean(commanded)),
-                "commanded_most_m_s": float(np.nanmax(commanded)),
-                "miss_m": float(np.sqrt(np.nanmean(missed**2))),
-                "as_required": sum(not row["shortfalls"] for row in own),
+                "window_s": own.window_s.max(),
+                "observed_mean_s": own.observed_s.mean(),
+                "observed_least_s": own.observed_s.min(),
+                "commanded_mean_m_s": own.commanded_m_s.mean(),
+                "commanded_most_m_s": own.commanded_m_s.max(),
+                "miss_m": np.sqrt((own.terminal_miss_m.astype(float) ** 2).mean()),
+                "as_required": int(own.shortfalls.eq("").sum()),
             }
         )
     return found
@@ -161,13 +161,13 @@ def run(session: Session) -> Findings:
     plans = {name: plan_of(out, name) for name in names}
     digests = [inputs_digest(one, load_vehicle(vehicle)) for one in plans.values()]
     store = session.store("flown_policies.jsonl", inputs=digests)
-    jobs = [
-        Job(f"{name}: {policy}, seed {seed}", (name, policy, seed))
+    cases = [
+        (name, policy, seed)
         for seed in range(session.options.seeds)
         for name in names
         for policy in PLANS[name][2]
     ]
-    rows = session.rows("flights", partial(fly_policy, plans, vehicle), jobs, store)
+    rows = session.rows("flights", partial(fly_policy, plans, vehicle), cases, store)
     files = {"flown_policies": by_policy(rows), "flown_policies_flights": rows}
     return Findings({f"{name}.csv": records(found) for name, found in files.items()})
 

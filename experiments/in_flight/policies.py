@@ -22,7 +22,6 @@ from experiments.in_flight.feedback import measured
 from experiments.plans import FLIGHT
 from scp_recon.api.flights import fly
 from scp_recon.api.planning import plan
-from scp_recon.jobs.job import Job
 from scp_recon.monte_carlo.sampling import PolicyKind
 from scp_recon.monte_carlo.summary import Interval
 from scp_recon.scenario.load import load_scenario
@@ -58,35 +57,29 @@ def measure(most: int, case: Case) -> Record:
         return row
     flights, begin = min(most, FLIGHTS[case.policy]), process_time()
     flown = fly(found, flights, SEED, policy=case.policy)
-    seconds, dispersion = process_time() - begin, flown.terminal.sigma_position_m
+    seconds = process_time() - begin
     fixed = Interval(value=found.total_dv_m_s, low=found.total_dv_m_s, high=found.total_dv_m_s)
     dv = flown.commanded
-    failed = [one.failed for one in dv.burns if one.failed is not None] if dv else []
     figures = {
         "whole_flight": flown.whole_flight,
         "mean_dv_m_s": dv.mean_dv_m_s if dv else fixed,
         "dv99_m_s": dv.dv99_m_s if dv else fixed,
-        "final_sigma_m": dispersion,
+        "final_sigma_m": flown.terminal.sigma_position_m,
     }
     for name, figure in figures.items():
         assert figure is not None
         ends = {"": figure.value, "_low": figure.low, "_high": figure.high}
         row |= {name + end: np.nan if value is None else value for end, value in ends.items()}
-    return row | {"flights": flights, "failed_replans": sum(failed), "flying_s": seconds}
+    failed = sum(burn.failed or 0 for burn in dv.burns) if dv else 0
+    return row | {"flights": flights, "failed_replans": failed, "flying_s": seconds}
 
 
 def run(session: Session) -> Findings:
     """Measure every case."""
     flights = session.options.flights
-    jobs = [Job(repr(case), case) for case in CASES]
     store = session.store(flights=flights)
-    rows = session.rows("cases", partial(measure, flights), jobs, store, line=_line)
+    rows = session.rows("cases", partial(measure, flights), CASES, store)
     return Findings({"policies.csv": records(rows)})
-
-
-def _line(row: Record) -> str:
-    said = f"{row['policy']}, {row['asked']:g}, error x {row['scale']:g}: {row['status']}"
-    return f"{said}, {row.get('dv99_m_s', np.nan):.5f} m/s"
 
 
 STUDY = Study(

@@ -30,7 +30,6 @@ from scp_recon.api.designing import design
 from scp_recon.api.files import save
 from scp_recon.certification.flights import fly_plan, run_test
 from scp_recon.certification.largest import MOST
-from scp_recon.jobs.job import Job
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.estimates import flights_of_test
 from scp_recon.planning.initial_guess import from_burns
@@ -169,20 +168,13 @@ def last_gains(gains: Array, left: int) -> Array:
 
 def run(session: Session) -> Findings:
     """Design both passes, and plan them again for everything that may be known in flight."""
-    store, sites = session.store(), [Job(f"raised {site}", site) for site in SITES]
-    passes = session.rows("passes", partial(raised, session.out), sites, store)
+    store = session.store()
+    passes = session.rows("passes", partial(raised, session.out), SITES, store)
     ends = {one["site"]: one for one in passes}
-    work = partial(measure, session.out, ends)
-    jobs = [Job(repr(case), case) for case in CASES]
-    rows = session.rows("navigation", work, jobs, store, line=_line)
+    rows = session.rows("navigation", partial(measure, session.out, ends), CASES, store)
     rows.sort(key=lambda one: (one["site"], one["position_m"], one["lead_h"]))
     short = [{name: one[name] for name in one if name not in ("burns", "gains")} for one in passes]
     return Findings({"sites.csv": records(rows), "passes.csv": records(short)})
-
-
-def _line(row: Record) -> str:
-    said = f"{row['site']}, {row['position_m']:g} m, lead {row['lead_h']:g} h: law {row['law']:.4f}"
-    return f"{said}, at least {row['certified_low']:.4f} for {row['dv99_m_s']:.4f} m/s"
 
 
 STUDY = Study(__doc__, run)

@@ -8,7 +8,6 @@ and without calibration, go to OUT/battery_cones.csv, the samples to battery_con
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import brentq
@@ -38,97 +37,71 @@ BOTTOM = np.array([0.0, 0.0, -1.0])
 """Body axis that points to nadir: the camera's, and along it the thruster pushes."""
 
 
-@dataclass(frozen=True)
-class Load:
-    """Power drawn by a mode, and the paper's half-angle for it."""
+def sample(panels: SolarArray, count: int, seed: int, shadow_radius_m: float) -> Array:
+    """Uniform directions from the body, Sun-North frame, and the power there, W, shape (count, 4).
 
-    mode: str
-    power_w: float
-    paper_deg: float
-
-
-@dataclass(frozen=True)
-class Samples:
-    """Positions and the panels' power there.
-
-    Attributes:
-        direction: unit vectors from the body's centre, Sun-North frame, shape (n, 3).
-        power_w: most that any rotation about nadir gives, 0 in the asteroid's shadow, shape (n,).
+    The power is the most that any rotation about nadir gives, none in the shadow, a cylinder.
     """
-
-    direction: Array
-    power_w: Array
-
-    @property
-    def off_sun_line(self) -> Array:
-        """Angle between the position and the nearer end of the Sun line, rad."""
-        across = np.linalg.norm(self.direction[:, 1:], axis=1)
-        return np.arctan2(across, np.abs(self.direction[:, 0]))
-
-
-def sample(panels: SolarArray, count: int, seed: int, shadow_radius_m: float) -> Samples:
-    """Uniform positions on the sphere; the shadow is a cylinder."""
     drawn = np.random.default_rng(seed).standard_normal((count, 3))
     direction = drawn / np.linalg.norm(drawn, axis=1, keepdims=True)
     to_sun = direction[:, 0]
-    power = panels.best_about(BOTTOM, np.arccos(-to_sun))
     off_axis_m = RADIUS_M * np.linalg.norm(direction[:, 1:], axis=1)
     dark = (to_sun < 0.0) & (off_axis_m < shadow_radius_m)
-    return Samples(direction, np.where(dark, 0.0, power))
-
-
-def find_cone(panels: SolarArray, samples: Samples, load: Load, housekeeping_w: float) -> Record:
-    """Find the double cone in which generation less housekeeping is below a load, as a row.
-
-    The half-angle is the wider cone's by the panels' closed form. It lies between the angles of the
-    farthest sample below the load and of the nearest one above it.
-    """
-    needed = load.power_w + housekeeping_w
-
-    def surplus(angle: float) -> float:
-        ends = panels.best_about(BOTTOM, np.array([angle, np.pi - angle]))
-        return float(ends.min()) - needed
-
-    if surplus(0.0) >= 0.0:
-        half_angle = 0.0
-    elif surplus(np.pi / 2) < 0.0:
-        half_angle = np.pi / 2
-    else:
-        half_angle = float(brentq(surplus, 0.0, np.pi / 2, xtol=1e-12))
-    short = samples.power_w < needed
-    off = np.rad2deg(samples.off_sun_line)
-    fraction = proportion(int(short.sum()), len(short))
-    error_deg = float(np.rad2deg(half_angle)) - load.paper_deg
-    return {
-        "mode": load.mode,
-        "load_w": load.power_w,
-        "calibrated": housekeeping_w > 0.0,
-        "half_angle_deg": float(np.rad2deg(half_angle)),
-        "sampled_below_up_to_deg": float(off[short].max(initial=0.0)),
-        "sampled_met_from_deg": float(off[~short].min(initial=90.0)),
-        "paper_deg": load.paper_deg,
-        "difference_deg": error_deg,
-        "within_tolerance": abs(error_deg) <= TOLERANCE_DEG,
-        "fraction_of_sphere": 1.0 - float(np.cos(half_angle)),
-        "sampled_fraction": fraction.value,
-        "sampled_fraction_low": fraction.low,
-        "sampled_fraction_high": fraction.high,
-    }
+    power_w = panels.best_about(BOTTOM, np.arccos(-to_sun))
+    return np.column_stack([direction, np.where(dark, 0.0, power_w)])
 
 
 def find_cones(
-    panels: SolarArray, samples: Samples, loads: Sequence[Load], extra_w: float
-) -> list[Record]:
-    """Every mode's cone, uncalibrated and calibrated by `extra_w`."""
-    return [find_cone(panels, samples, load, w) for w in (0.0, extra_w) for load in loads]
+    vehicle: Vehicle, scenario: Scenario, samples: int, seed: int
+) -> tuple[list[Record], Array]:
+    """Every mode's double cone of too little power, uncalibrated and calibrated: rows; the samples.
 
+    Generation less housekeeping is below the load there. The half-angle is the wider cone's by the
+    panels' closed form. It lies between the angles of the farthest sample below the load and of the
+    nearest one above it.
+    """
+    panels, battery = SolarArray.of(vehicle, irradiance(scenario)), scenario.battery
+    points = sample(panels, samples, seed, scenario.body.reference_radius_m)
+    across = np.linalg.norm(points[:, 1:3], axis=1)
+    off_deg = np.rad2deg(np.arctan2(across, np.abs(points[:, 0])))
 
-def mode_loads(vehicle: Vehicle, scenario: Scenario) -> tuple[Load, Load]:
-    """Loads of the vehicle's modes, beside the half-angles that the planner uses."""
-    return (
-        Load("delta-V, warm-up", vehicle.loads.warm_up_w, scenario.battery.delta_v_cone_deg),
-        Load("observation", vehicle.loads.observation_w, scenario.battery.observation_cone_deg),
-    )
+    def surplus(angle: float, needed_w: float) -> float:
+        ends = panels.best_about(BOTTOM, np.array([angle, np.pi - angle]))
+        return float(ends.min()) - needed_w
+
+    found = list[Record]()
+    for housekeeping_w in (0.0, vehicle.loads.housekeeping_w):
+        for mode, load_w, paper_deg in (
+            ("delta-V, warm-up", vehicle.loads.warm_up_w, battery.delta_v_cone_deg),
+            ("observation", vehicle.loads.observation_w, battery.observation_cone_deg),
+        ):
+            needed_w = load_w + housekeeping_w
+            if surplus(0.0, needed_w) >= 0.0:
+                half_angle = 0.0
+            elif surplus(np.pi / 2, needed_w) < 0.0:
+                half_angle = np.pi / 2
+            else:
+                half_angle = brentq(surplus, 0.0, np.pi / 2, (needed_w,), xtol=1e-12)
+            half_angle_deg, short = float(np.rad2deg(half_angle)), points[:, 3] < needed_w
+            share = proportion(int(short.sum()), samples)
+            found.append(
+                {
+                    "mode": mode,
+                    "load_w": load_w,
+                    "calibrated": housekeeping_w > 0.0,
+                    "half_angle_deg": half_angle_deg,
+                    "sampled_below_up_to_deg": float(off_deg[short].max(initial=0.0)),
+                    "sampled_met_from_deg": float(off_deg[~short].min(initial=90.0)),
+                    "paper_deg": paper_deg,
+                    "difference_deg": half_angle_deg - paper_deg,
+                    "within_tolerance": abs(half_angle_deg - paper_deg) <= TOLERANCE_DEG,
+                    "fraction_of_sphere": 1.0 - float(np.cos(half_angle)),
+                    "sampled_fraction": share.value,
+                    "sampled_fraction_low": share.low,
+                    "sampled_fraction_high": share.high,
+                }
+            )
+    return found, points
 
 
 def claims(cones: Sequence[Record], extra_w: float) -> list[Claim]:
@@ -150,18 +123,13 @@ def claims(cones: Sequence[Record], extra_w: float) -> list[Claim]:
 
 def run(session: Session) -> Findings:
     """Sample positions, and find every mode's cone."""
-    options, scenario = session.options, load_scenario()
-    vehicle = load_vehicle(options.vehicle)
-    panels = SolarArray.of(vehicle, irradiance(scenario))
-    samples = sample(panels, options.samples, options.seed, scenario.body.reference_radius_m)
-    extra_w = vehicle.loads.housekeeping_w
-    cones = find_cones(panels, samples, mode_loads(vehicle, scenario), extra_w)
-    points = np.column_stack([samples.direction, samples.power_w]).tolist()
+    options, vehicle = session.options, load_vehicle(session.options.vehicle)
+    cones, points = find_cones(vehicle, load_scenario(), options.samples, options.seed)
     files = {
         "battery_cones.csv": records(cones),
-        "battery_cones_samples.csv": Table.of("", ("x", "y", "z", "power_w"), points),
+        "battery_cones_samples.csv": Table.of("", ("x", "y", "z", "power_w"), points.tolist()),
     }
-    return Findings(files, claims(cones, extra_w))
+    return Findings(files, claims(cones, vehicle.loads.housekeeping_w))
 
 
 STUDY = Study(

@@ -13,7 +13,6 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from scipy.stats import chi2
 
 from experiments.harness import (
     FRESH,
@@ -28,14 +27,14 @@ from experiments.harness import (
     records,
 )
 from experiments.harness import Record as Row
-from formulations.arrays import Array, Booleans
+from formulations.arrays import Array, Indices
 from scp_recon.api.flights import simulate
 from scp_recon.jobs.job import Job
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.scene import execution_errors
 from scp_recon.monte_carlo.estimates import proportion
+from scp_recon.monte_carlo.sampling import BLOCK
 from scp_recon.results.solution import Solution
-from scp_recon.results.table import Table, Value
 from scp_recon.simulation.flight import Actuators, distance_in_sigmas
 from scp_recon.simulation.record import (
     FlightSummary,
@@ -46,10 +45,8 @@ from scp_recon.simulation.record import (
 )
 from scp_recon.simulation.vehicle import Vehicle, load_vehicle
 
-SEEDS, SAMPLES, BLOCK = 20, 10_000, 1000
+SEEDS, SAMPLES = 20, 10_000
 RADIUS_SIGMA = 3.0
-EXPECTED = float(chi2.cdf(RADIUS_SIGMA**2, 3))
-"""Share of a normal position that lies within three sigma."""
 
 
 def fly(solution: Solution, vehicle: Path | None, out: Path, seed: int) -> Row:
@@ -60,15 +57,10 @@ def fly(solution: Solution, vehicle: Path | None, out: Path, seed: int) -> Row:
         OSError: if the folder cannot be written.
     """
     record = simulate(solution, seed=seed, vehicle=vehicle)
-    folder = folder_of(out, seed)
+    folder = out / f"seed_{seed}"
     folder.mkdir(parents=True, exist_ok=True)
     write_record(record, folder)
     return row(record)
-
-
-def folder_of(out: Path, seed: int) -> Path:
-    """Folder of a flight."""
-    return out / f"seed_{seed}"
 
 
 def row(record: Record) -> Row:
@@ -95,110 +87,139 @@ def row(record: Record) -> Row:
     }
 
 
-def summed_up(
-    flights: Sequence[Record], mission: Mission, sampled: Sequence[Array]
-) -> dict[str, Table]:
-    """Tables of all flights together by the names of their files.
+def figures(rows: Sequence[Row], flights: Sequence[Record]) -> list[Row]:
+    """Power, charge, wheels and misses of all flights together."""
 
-    `sampled` has distances in sigmas without a spacecraft, with the vehicle's and with the planner's
-    error of the burns, shape (samples, nodes) each.
-    """
-    summaries = [record.summary for record in flights]
-    distances = np.array([record.arrays["node_sigma_distance"] for record in flights])
-    generated = np.concatenate([r.arrays["panel_w"][1:].sum(axis=1) for r in flights])
-    drawn = np.concatenate([r.arrays["consumed_w"][1:] for r in flights])
+    def joined(name: str) -> Array:
+        return np.concatenate([one.arrays[name][1:] for one in flights])
+
+    def column(name: str) -> Array:
+        return np.array([one[name] for one in rows])
+
+    generated, drawn, missed = (
+        joined("panel_w").sum(axis=1),
+        joined("consumed_w"),
+        column("terminal_miss_m"),
+    )
     ratio = generated / drawn
-    wheels = max(float(np.abs(r.arrays["wheel_speed_rad_s"]).max()) for r in flights)
     thrusters = np.mean([np.mean(r.arrays["actuators"] == Actuators.THRUSTERS) for r in flights])
-    misses = [summary.terminal_miss.position_m for summary in summaries]
-    figures: dict[str, float] = {
+    found = {
         "flights": len(flights),
-        "least generation, W": float(generated.min()),
-        "most generation, W": float(generated.max()),
-        "least load, W": float(drawn.min()),
-        "most load, W": float(drawn.max()),
-        "least generation over load": float(ratio.min()),
-        "mean of it": float(ratio.mean()),
-        "most of it": float(ratio.max()),
-        "fastest wheel, rad/s": wheels,
-        "share of time on micro-thrusters": float(thrusters),
-        "least state of charge": min(s.least_charge for s in summaries),
-        "momentum dumps a flight": float(np.mean([s.dumps for s in summaries])),
-        "least miss of the final position, m": min(misses),
-        "most, m": max(misses),
-        "largest distance, sigma": float(distances.max()),
+        "least generation, W": generated.min(),
+        "most generation, W": generated.max(),
+        "least load, W": drawn.min(),
+        "most load, W": drawn.max(),
+        "least generation over load": ratio.min(),
+        "mean of it": ratio.mean(),
+        "most of it": ratio.max(),
+        "fastest wheel, rad/s": max(np.abs(r.arrays["wheel_speed_rad_s"]).max() for r in flights),
+        "share of time on micro-thrusters": thrusters,
+        "least state of charge": column("least_charge").min(),
+        "momentum dumps a flight": column("dumps").mean(),
+        "least miss of the final position, m": missed.min(),
+        "most, m": missed.max(),
+        "largest distance, sigma": column("largest_sigma").max(),
     }
-    angles = ("mean", "95 %", "99.7 %", "largest")
-    within = ("within 3 sigma", "share", "95 % interval", "error of thrust", "planner's error")
-    return {
-        "figures.csv": Table.of("", ("figure", "value"), list(figures.items())),
-        "pointing.csv": Table.of("", ("angle, deg", *angles), _angle_lines(summaries)),
-        "position_against_the_planned_covariance.csv": Table.of(
-            "", within, _within_lines([distances, *sampled], mission)
-        ),
-    }
+    return [{"figure": name, "value": value} for name, value in found.items()]
 
 
-def claims(summaries: Sequence[FlightSummary]) -> list[Claim]:
-    """Claims that charge and modes hold in every flight."""
-    least, floor = min(s.least_charge for s in summaries), summaries[0].floor_charge
-    found = [
-        Claim("least state of charge", f"at least {floor:.2f}", f"{least:.3f}", least >= floor)
-    ]
-    for words, name in (
-        ("every mode lasts long enough", "ok"),
-        ("the attitude is steady in time", "settled_in_time"),
-    ):
-        good = sum(all(getattr(leg, name) for leg in s.legs) for s in summaries)
-        measured = f"{good} of {len(summaries)} flights"
-        found.append(Claim(words, "every flight", measured, good == len(summaries)))
-    return found
-
-
-def _within_lines(distances: Sequence[Array], mission: Mission) -> list[tuple[Value, ...]]:
-    """Shares within 3 sigma of flights, with intervals, and of samples; distances (flights, nodes)."""
-    flown, *sampled = [distance <= RADIUS_SIGMA for distance in distances]
-    window = mission.window_nodes
-    kinds: dict[str, Callable[[Booleans], Booleans]] = {
-        "flights, at the final node": lambda inside: inside[:, -1],
-        "flights, at every node of the window": lambda inside: inside[:, window].min(axis=1),
-        "flights, at every node": lambda inside: inside.min(axis=1),
-    }
-    lines: list[tuple[Value, ...]] = [
-        ("positions at all nodes", f"{flown.mean():.3f}", None, *map(_mean, sampled))
-    ]
-    for name, kind in kinds.items():
-        lines.append((name, *_share(kind(flown)), *(_mean(kind(x)) for x in sampled)))
-    return lines
-
-
-def _mean(inside: Booleans) -> float:
-    return float(np.mean(inside))
-
-
-def _angle_lines(summaries: Sequence[FlightSummary]) -> list[tuple[Value, ...]]:
+def pointing(summaries: Sequence[FlightSummary]) -> list[Row]:
+    """Mean and quantiles of angles: of all burns together, and of the worst flight's window."""
     burns = [burn for summary in summaries for burn in summary.burns]
     # At time zero the attitude is what it should be, by construction.
-    starts = np.array([burn.pointing_deg for burn in burns if burn.t_s > 0.0])
-    executed = np.array([burn.executed_pointing_deg for burn in burns])
-    lines: list[tuple[Value, ...]] = [
-        (name, float(angles.mean()), *np.quantile(angles, (0.95, 0.997, 1.0)).tolist())
-        for name, angles in (
-            ("thrust against burn, as it starts, but for the first", starts),
-            ("velocity gained against burn", executed),
-        )
-    ]
+    starts = [burn.pointing_deg for burn in burns if burn.t_s > 0.0]
+    executed, found = [burn.executed_pointing_deg for burn in burns], list[Row]()
+
+    def add(name: str, mean: float, quantiles: Array) -> None:
+        angles = zip(("95", "99_7", "largest"), quantiles.tolist(), strict=True)
+        found.append({"angle_deg": name, "mean": mean, **dict(angles)})
+
+    for name, angles in (
+        ("thrust against burn, as it starts, but for the first", starts),
+        ("velocity gained against burn", executed),
+    ):
+        add(name, float(np.mean(angles)), np.quantile(angles, (0.95, 0.997, 1.0)))
     for name, target in (("camera", "command"), ("site", "the site")):
         spreads = [getattr(summary.window_pointing_deg, name) for summary in summaries]
         worst = np.array([(s.q95, s.q997, s.q100) for s in spreads]).max(axis=0)
         mean = float(np.mean([spread.mean for spread in spreads]))
-        lines.append((f"camera against {target}, in the window", mean, *worst.tolist()))
-    return lines
+        add(f"camera against {target}, in the window", mean, worst)
+    return found
 
 
-def _share(inside: Booleans) -> tuple[str, str]:
-    share = proportion(int(inside.sum()), len(inside))
-    return f"{share.value:.2f}", f"{share.low:.2f} to {share.high:.2f}"
+def within(flown: Array, sampled: Sequence[Array], window: Indices) -> list[Row]:
+    """Shares within 3 sigma of flights, with intervals, and of samples.
+
+    All are distances in planned sigmas, shape (flights, nodes); `sampled` are those without a
+    spacecraft, with the vehicle's and with the planner's error of the burns.
+    """
+    everything = slice(None)
+    found = list[Row]()
+    for name, nodes in (
+        ("positions at all nodes", everything),
+        ("flights, at the final node", [-1]),
+        ("flights, at every node of the window", window),
+        ("flights, at every node", everything),
+    ):
+        inside = [distance[:, nodes] <= RADIUS_SIGMA for distance in (flown, *sampled)]
+        if name.startswith("flights"):
+            inside = [np.asarray(one.all(axis=1)) for one in inside]
+        own = proportion(int(inside[0].sum()), inside[0].size)
+        alone = inside[0].ndim > 1  # nodes of a flight are not independent
+        found.append(
+            {
+                "within_3_sigma": name,
+                "share": f"{own.value:.{3 if alone else 2}f}",
+                "95_interval": None if alone else f"{own.low:.2f} to {own.high:.2f}",
+                "error_of_thrust": float(inside[1].mean()),
+                "planner_s_error": float(inside[2].mean()),
+            }
+        )
+    return found
+
+
+def claims(rows: Sequence[Row], floor: float) -> list[Claim]:
+    """Claims that charge and modes hold in every flight."""
+    least, found = min(one["least_charge"] for one in rows), list[Claim]()
+    found.append(
+        Claim("least state of charge", f"at least {floor:.2f}", f"{least:.3f}", least >= floor)
+    )
+    for words, name in (
+        ("every mode lasts long enough", "modes_hold"),
+        ("the attitude is steady in time", "settled_in_time"),
+    ):
+        good = sum(one[name] for one in rows)
+        measured = f"{good} of {len(rows)} flights"
+        found.append(Claim(words, "every flight", measured, good == len(rows)))
+    return found
+
+
+def sampled_states(
+    mission: Mission,
+    factor: Array,
+    executed: Callable[[Array], Array],
+    numbers: int,
+    samples: int,
+    seed: int,
+) -> Array:
+    """States of flights without a spacecraft, J2000, m and m/s, shape (nodes, samples, 6).
+
+    Args:
+        mission: of the flights.
+        factor: of the initial state's covariance, m and m/s, shape (6, 6).
+        executed: function from standard normal numbers, shape (n, numbers), to burns, m/s, (n, m, 3).
+        numbers: drawn for the burns of a flight.
+        samples: number of flights.
+        seed: of their errors.
+    """
+    units, found = mission.units, []
+    for block, first in enumerate(range(0, samples, BLOCK)):
+        rng = np.random.default_rng([seed, block])
+        draws = rng.standard_normal((min(BLOCK, samples - first), 6 + numbers))
+        initial = mission.initial_state + draws[:, :6] @ factor.T
+        burns = executed(draws[:, 6:]) / units.speed_m_s
+        found.append(mission.dynamics.rollout(initial / units.state, burns) * units.state)
+    return np.concatenate(found, axis=1)
 
 
 def sample_distances(
@@ -210,21 +231,18 @@ def sample_distances(
     without a vehicle burns err as the planner expects.
     """
     mission, planned = solution.mission, solution.burns_m_s
-    units, model, found = mission.units, execution_errors(mission.scenario), []
-    for block, first in enumerate(range(0, samples, BLOCK)):
-        rng = np.random.default_rng([seed, block])
-        numbers = planned.size if vehicle else model.draws(len(planned))
-        draws = rng.standard_normal((min(BLOCK, samples - first), 6 + numbers))
+    model = execution_errors(mission.scenario)
+
+    def executed(draws: Array) -> Array:
         if vehicle is None:
-            executed = model.execute(planned, draws[:, 6:])
-        else:
-            sizes = draws[:, 6:].reshape(-1, *planned.shape)[..., :1]
-            executed = planned * (1.0 + vehicle.errors.chemical_thruster * sizes)
-        initial = mission.initial_state + draws[:, :6] @ mission.initial_factor.T
-        states = mission.dynamics.rollout(initial / units.state, executed / units.speed_m_s)
-        positions = np.moveaxis(states, 0, 1)[..., :3] * units.length_m
-        found.append(distance_in_sigmas(positions, solution))
-    return np.concatenate(found)
+            return model.execute(planned, draws)
+        sizes = draws.reshape(-1, *planned.shape)[..., :1]
+        return planned * (1.0 + vehicle.errors.chemical_thruster * sizes)
+
+    numbers = planned.size if vehicle else model.draws(len(planned))
+    factor = mission.initial_factor
+    states = sampled_states(mission, factor, executed, numbers, samples, seed)
+    return distance_in_sigmas(np.moveaxis(states, 0, 1)[..., :3], solution)
 
 
 def run(session: Session) -> Findings:
@@ -235,14 +253,20 @@ def run(session: Session) -> Findings:
     if options.fresh:
         store.forget()
     work = partial(fly, solution, options.vehicle, out)
-    jobs = [Job(seed, seed) for seed in range(options.seeds)]
-    rows = session.rows("flights", work, jobs, store)
-    flights = [read_record(folder_of(out, seed)) for seed in range(options.seeds)]
+    rows = session.rows("flights", work, [Job(seed, seed) for seed in range(options.seeds)], store)
+    flights = [read_record(out / f"seed_{seed}") for seed in range(options.seeds)]
+    distances = np.array([flight.arrays["node_sigma_distance"] for flight in flights])
     sampled = [sample_distances(solution, errs, SAMPLES) for errs in (vehicle, None)]
-    tables = summed_up(flights, solution.mission, sampled)
-    return Findings(
-        {"flown_plan.csv": records(rows), **tables}, claims([flight.summary for flight in flights])
-    )
+    files = {
+        "flown_plan.csv": rows,
+        "figures.csv": figures(rows, flights),
+        "pointing.csv": pointing([flight.summary for flight in flights]),
+        "position_against_the_planned_covariance.csv": within(
+            distances, sampled, solution.mission.window_nodes
+        ),
+    }
+    made = claims(rows, vehicle.battery.floor_charge)
+    return Findings({name: records(found) for name, found in files.items()}, made)
 
 
 STUDY = Study(

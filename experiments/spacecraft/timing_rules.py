@@ -32,7 +32,6 @@ from scp_recon.mission.mission import Mission
 from scp_recon.mission.schedule import Leg, Mode
 from scp_recon.physics import geometry
 from scp_recon.physics.frames import unit
-from scp_recon.results.table import Table
 from scp_recon.scenario.load import load_scenario
 from scp_recon.simulation.flight import Flight, attitude_error, settling_time, state_of_charge
 from scp_recon.simulation.guidance import FlightPlan, sun_pointing
@@ -88,8 +87,7 @@ def measure_slew(mission: Mission, vehicle: Vehicle, seed: int, index: int) -> R
     five minutes.
     """
     rng = np.random.default_rng([seed, index])
-    axis = np.eye(3)[index] if index < 3 else rng.normal(size=3)
-    axis = unit(axis)
+    axis = unit(np.eye(3)[index] if index < 3 else rng.normal(size=3))
     end, sun = Rotation.random(rng=rng), mission.sun_direction(0.0)
     exclusion = np.deg2rad(vehicle.sensors.star_tracker_sun_exclusion_deg)
     while geometry.angle(end.apply(unit(vehicle.sensors.star_tracker)), sun) <= exclusion:
@@ -135,7 +133,7 @@ def measure_recharge(mission: Mission, vehicle: Vehicle, seed: int, extra_w: flo
 
 
 def rules(
-    mission: Mission, vehicle: Vehicle, slews: Sequence[Record], recharges_s: tuple[float, float]
+    mission: Mission, vehicle: Vehicle, slews: Sequence[Record], recharges_s: Sequence[float]
 ) -> list[Record]:
     """Rows of the schedule's durations beside the measured ones.
 
@@ -144,40 +142,32 @@ def rules(
     allowed, loads = mission.scenario.schedule, vehicle.loads
     worst = max(slew[SETTLED[STEADY_DEG[-1]]] for slew in slews)
     heating = vehicle.chemical_thruster.heating_s
-    quiet_w, busy_w = loads.quiescent_w, loads.quiescent_w + loads.attitude_control_w
-    recharge, (quiet_s, busy_s) = "recharge from empty", recharges_s
-    found = (
+    found = [
         ("slew to steady state", worst, allowed.attitude_s, f"worst of {len(slews)} half turns"),
         ("thruster heating", heating, allowed.heating_s, "the thruster's data"),
-        (recharge, quiet_s, allowed.recharge_s, f"{quiet_w:g} W drawn"),
-        (recharge, busy_s, allowed.recharge_s, f"{busy_w:g} W drawn"),
-    )
+    ]
+    for extra_w, time_s in zip((0.0, loads.attitude_control_w), recharges_s, strict=True):
+        drawn = f"{loads.quiescent_w + extra_w:g} W drawn"
+        found.append(("recharge from empty", time_s, allowed.recharge_s, drawn))
     names = ("name", "measured_s", "allowed_s", "how", "holds")
     return [dict(zip(names, (*rule, rule[1] <= rule[2]), strict=True)) for rule in found]
 
 
-def dark_charge(vehicle: Vehicle) -> float:
-    """Charge left when full batteries alone carry a warm-up; below zero if they cannot."""
+def figures(slews: Sequence[Record], vehicle: Vehicle) -> list[Record]:
+    """The steady error of the half turns, and the charge that a warm-up in the dark leaves.
+
+    Full batteries alone carry the warm-up; a charge below zero says that they cannot.
+    """
     battery = vehicle.battery
-    drawn = vehicle.loads.warm_up_w * vehicle.chemical_thruster.heating_s / 3600.0
-    return 1.0 - drawn / battery.efficiency / (battery.count * battery.capacity_wh)
-
-
-def figures(slews: Sequence[Record], vehicle: Vehicle) -> Table:
-    """The steady error of the half turns, and the charge after a warm-up in the dark."""
+    drawn_wh = vehicle.loads.warm_up_w * vehicle.chemical_thruster.heating_s / 3600.0
+    left = 1.0 - drawn_wh / battery.efficiency / (battery.count * battery.capacity_wh)
     steady = max(slew["steady_rms_deg"] for slew in slews)
     found = {
         "error in steady state, largest root mean square, deg": steady,
-        "charge after a warm-up that no panel helps": dark_charge(vehicle),
-        "floor of the charge": vehicle.battery.floor_charge,
+        "charge after a warm-up that no panel helps": left,
+        "floor of the charge": battery.floor_charge,
     }
-    return Table.of("", ("figure", "value"), list(found.items()))
-
-
-def claim(rule: Record) -> Claim:
-    """A rule as a claim."""
-    threshold, measured = f"{rule['allowed_s'] / 60:.0f} min", f"{rule['measured_s'] / 60:.1f} min"
-    return Claim(f"{rule['name']}, {rule['how']}", threshold, measured, rule["holds"])
+    return [{"figure": figure, "value": value} for figure, value in found.items()]
 
 
 def run(session: Session) -> Findings:
@@ -187,17 +177,26 @@ def run(session: Session) -> Findings:
     store = session.store(seed=options.seed, vehicle=repr(vehicle))
     work = partial(measure_slew, mission, vehicle, options.seed)
     slews = session.rows("slews", work, [Job(k, k) for k in range(options.slews)], store)
-    recharges = (
-        measure_recharge(mission, vehicle, options.seed),
-        measure_recharge(mission, vehicle, options.seed, vehicle.loads.attitude_control_w),
-    )
+    recharges = [
+        measure_recharge(mission, vehicle, options.seed, extra_w)
+        for extra_w in (0.0, vehicle.loads.attitude_control_w)
+    ]
     found = rules(mission, vehicle, slews, recharges)
     files = {
-        "timing_rules.csv": records(found),
-        "timing_rules_slews.csv": records(slews),
+        "timing_rules.csv": found,
+        "timing_rules_slews.csv": slews,
         "figures.csv": figures(slews, vehicle),
     }
-    return Findings(files, [claim(rule) for rule in found])
+    claims = [
+        Claim(
+            f"{rule['name']}, {rule['how']}",
+            f"{rule['allowed_s'] / 60:.0f} min",
+            f"{rule['measured_s'] / 60:.1f} min",
+            rule["holds"],
+        )
+        for rule in found
+    ]
+    return Findings({name: records(table) for name, table in files.items()}, claims)
 
 
 STUDY = Study(

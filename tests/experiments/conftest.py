@@ -1,4 +1,4 @@
-"""The table made once, by the command, with few flights; a plan, and what flies it."""
+"""The table made once, by the command, with few flights."""
 
 import contextlib
 import io
@@ -8,11 +8,9 @@ from pathlib import Path
 import pytest
 
 from experiments.__main__ import main
-from experiments.observation_rows import rows
 from scp_recon.mission.mission import Mission
-from scp_recon.results.solution import Solution
+from scp_recon.results.solution import Solution, ballistic_arc
 from scp_recon.scenario.load import load_scenario
-from scp_recon.simulation.vehicle import Vehicle, load_vehicle
 
 from .support import QUICK
 
@@ -38,12 +36,6 @@ def copy(finished, tmp_path) -> Path:
 
 
 @pytest.fixture(scope="session")
-def solution() -> Solution:
-    """Burns that are given, not planned: the study does not mind."""
-    design = next(row.design for row in rows(ipopt=False) if row.key == "ballistic")
-    return design(Mission.from_scenario(load_scenario()))
-
-
-@pytest.fixture(scope="session")
-def vehicle() -> Vehicle:
-    return load_vehicle()
+def solution(mission) -> Solution:
+    """Burns that are given, not planned: the studies do not mind."""
+    return ballistic_arc(mission)

@@ -1,10 +1,8 @@
 """Evidence: when it is out of date, what a sentinel feels, and renewal."""
 
 import json
-import shutil
-import subprocess
 import sys
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +11,7 @@ from scipy.special import ndtri
 
 from experiments import evidence, pages, renewal
 from experiments.__main__ import main
-from experiments.evidence import FOLDER, ROOT, SCHEMA, SOURCES, Evidence, Source, path_of
+from experiments.evidence import FOLDER, SCHEMA, SOURCES, Evidence, Source, path_of
 from experiments.sentinels import cones_rows, near, sentinels_of
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
@@ -22,8 +20,7 @@ from scp_recon.simulation import panels
 from tests.helpers import nightly
 
 CONES = "battery_cones"
-TABLE = cones_rows(None)
-WINGS = ("experiments", "formulations", "scp_recon")
+TABLE = cones_rows(0)
 
 
 @pytest.fixture
@@ -37,10 +34,10 @@ def folder(tmp_path, monkeypatch) -> Path:
     (tmp_path / "claims.toml").touch()
     monkeypatch.setattr(pages, "TABLES", tmp_path / "tables.toml")
     monkeypatch.setattr(pages, "CLAIMS", tmp_path / "claims.toml")
+    monkeypatch.setattr(pages, "PAGES", (page,))
     monkeypatch.setattr(evidence, "FOLDER", tmp_path / "evidence")
     for module in (renewal, pages):
         monkeypatch.setattr(module, "SOURCES", {CONES: SOURCES[CONES]})
-    monkeypatch.setattr(pages, "PAGES", (page,))
     monkeypatch.setattr(renewal, "RUNS", tmp_path / "runs")
     monkeypatch.setattr(renewal, "ROOT", tmp_path)
     monkeypatch.setattr(renewal, "_run", in_this_process)
@@ -54,10 +51,11 @@ def in_this_process(command: str, _: object) -> None:
         raise InputError(f"python -m {command}", "exit status 2", "must end with 0")
 
 
-def kept(**changes: Any) -> Evidence:
+def keep(**changes: Any) -> None:
     """Evidence of the quick study as it is today, but for some changes."""
-    found = Evidence(SOURCES[CONES].command, 1, {CONES: TABLE}, seconds=90.0)
-    return replace(found, **changes)
+    found = Evidence.begun(SOURCES[CONES].command, 1)
+    tables: Any = {CONES: TABLE}
+    found.model_copy(update={"tables": tables, "seconds": 90.0, **changes}).write(path_of(CONES))
 
 
 def moved() -> list[str]:
@@ -65,7 +63,7 @@ def moved() -> list[str]:
     return sentinel.moved(TABLE)
 
 
-def test_every_evidence_has_a_command_and_sentinels():
+def test_every_evidence_has_command_and_sentinels():
     assert {path.stem for path in FOLDER.glob("*.json")} == set(SOURCES)
     for name, source in SOURCES.items():
         assert Evidence.read(path_of(name)).command == source.command
@@ -88,7 +86,7 @@ def test_every_evidence_has_a_command_and_sentinels():
         ("converged", "stalled", 0.0, False),
     ],
 )
-def test_a_figure_within_its_tolerance_has_not_moved(old, new, within, same):
+def test_figures_move_beyond_their_tolerance(old, new, within, same):
     assert near(old, new, within) == same
 
 
@@ -96,17 +94,14 @@ def test_a_figure_within_its_tolerance_has_not_moved(old, new, within, same):
     ("changes", "said"),
     [
         ({"version": 0}, "version 0, now 1"),
-        ({"command": "experiments other"}, "made by experiments other"),
+        ({"command": "experiments other"}, "experiments other"),
         ({"versions": {"clarabel": "0.1"}, "commit": "old", "machine": "other"}, None),
-        (
-            {"tables": {CONES: [TABLE[0] | {"half_angle_deg": 22.0}, *TABLE[1:]]}},
-            "was 22.0, is 22.5",
-        ),
+        ({"tables": {CONES: [TABLE[0] | {"half_angle_deg": 22.0}, *TABLE[1:]]}}, "22.0"),
     ],
 )
 @pytest.mark.usefixtures("folder")
-def test_evidence_is_out_of_date_by_results_alone(changes, said):
-    kept(**changes).write(path_of(CONES))
+def test_evidence_is_outdated_by_results_alone(changes, said):
+    keep(**changes)
     lines = renewal.changes(CONES) or moved()
     assert (lines == []) == (said is None)
     assert said is None or said in lines[0]
@@ -115,24 +110,23 @@ def test_evidence_is_out_of_date_by_results_alone(changes, said):
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("{", r"battery_cones\.json: got no JSON"),
-        ('{"schema": "scp_recon.evidence/1"}', r"battery_cones\.json: schema: "),
-        ('{"schema": "scp_recon.evidence/2"}', r"battery_cones\.json: command: got nothing"),
+        ("{", r"battery_cones\.json"),
+        ('{"schema": "scp_recon.evidence/1"}', r"battery_cones\.json: .*evidence/1"),
+        (json.dumps({"schema": SCHEMA}), r"battery_cones\.json: command: got nothing"),
         ({"version": "x"}, r"battery_cones\.json: version: got 'x'"),
         ({"version": True}, r"battery_cones\.json: version: got True"),
         ({"seconds": None}, r"battery_cones\.json: seconds: got None"),
-        ("[" * 100_000, r"battery_cones\.json: got no JSON"),
-        ({"tables": []}, r"battery_cones\.json: tables: "),
         ({"tables": {"cones": 1}}, r"battery_cones\.json: tables\.cones: got 1"),
-        ({"tables": {"cones": []}}, r"battery_cones\.json: tables: got cones; must have battery"),
-        ({"tables": {CONES: TABLE[1:]}}, r"json: battery_cones\[delta-V, warm-up, False\]: got 0"),
-        ({"tables": {CONES: TABLE * 2}}, r"json: battery_cones\[delta-V, warm-up, False\]: got 2"),
+        ({"tables": {"cones": []}}, r"battery_cones\.json: tables: got cones"),
+        ({"tables": {CONES: TABLE[1:]}}, r"battery_cones\[delta-V, warm-up, False\]: got 0"),
+        ({"tables": {CONES: TABLE * 2}}, r"battery_cones\[delta-V, warm-up, False\]: got 2"),
     ],
 )
 @pytest.mark.usefixtures("folder")
 def test_bad_evidence_names_file_and_entry(text, said):
+    keep()
     if isinstance(text, dict):
-        text = json.dumps({"schema": SCHEMA, **asdict(kept(**text))})
+        text = json.dumps(json.loads(path_of(CONES).read_text("utf-8")) | text)
     path_of(CONES).write_text(text, "utf-8")
     with pytest.raises(InputError, match=said) as error:
         moved()
@@ -140,13 +134,12 @@ def test_bad_evidence_names_file_and_entry(text, said):
 
 
 @pytest.mark.slow
-def test_only_evidence_out_of_date_is_renewed(folder, capsys):
-    old = {CONES: [row | {"half_angle_deg": 1.0} for row in TABLE]}
-    kept(tables=old).write(path_of(CONES))
+def test_only_outdated_evidence_is_renewed(folder, capsys):
+    keep(tables={CONES: [row | {"half_angle_deg": 1.0} for row in TABLE]})
     assert main(["evidence", "--check"]) == renewal.OUT_OF_DATE
     said = capsys.readouterr().out.replace("\n", " ")
     assert "battery_cones.json: battery_cones[observation, False].half_angle_deg: was 1.0" in said
-    assert "page.md: its tables are not the evidence's" in said
+    assert "page.md: " in said
     assert main(["evidence", "--page", "page.md"]) == 0
     said = capsys.readouterr().out
     assert "1.5" in said.split("python -m ")[0], "it says beforehand how many minutes it will take"
@@ -157,7 +150,7 @@ def test_only_evidence_out_of_date_is_renewed(folder, capsys):
 
 
 @pytest.mark.usefixtures("folder")
-def test_a_failed_study_does_not_stop_the_others(capsys, monkeypatch):
+def test_a_failed_study_stops_no_other(capsys, monkeypatch):
     sources = {"waits": Source("experiments none", dated=True), CONES: SOURCES[CONES]}
     monkeypatch.setattr(renewal, "SOURCES", sources)
     assert main(["evidence"]) == 2
@@ -166,30 +159,14 @@ def test_a_failed_study_does_not_stop_the_others(capsys, monkeypatch):
     assert renewal.changes("waits") == ["never measured"]
 
 
-EDITED = """
-from experiments.harness import study_of
-from experiments.renewal import changes
-from experiments.sentinels import sentinels_of
-
-(one,) = sentinels_of("battery_cones")
-moved = one.moved(one.work(None))
-print(study_of("battery_cones").about[:6], changes("battery_cones") + moved)
-"""
-
-
-@pytest.mark.slow
-def test_an_edited_message_leaves_evidence_current(tmp_path):
-    for wing in WINGS:
-        shutil.copytree(ROOT / wing, tmp_path / wing)
-    shutil.copytree(FOLDER, tmp_path / "docs" / "evidence")
-    path = tmp_path / "experiments" / "spacecraft" / "battery_cones.py"
-    path.write_text(path.read_text("utf-8").replace('"""Find the', '"""Edited'), "utf-8")
-    command = [sys.executable, "-c", EDITED]
-    done = subprocess.run(command, check=True, capture_output=True, text=True, cwd=tmp_path)
-    assert done.stdout == "Edited []\n"
-
-
 MORE = 1.001
+MOST = "plans designs sites policies frontier lifted sensitivity accuracy cross_check observation_table"
+FELT = {
+    "quantile": f"{MOST} compare_solvers nlp_tricks uncertainty_sources spice maps",
+    "GM": f"{MOST} compare_solvers nlp_tricks peers model_fidelity feedback map_sample",
+    "sunlight": f"{MOST} model_fidelity feedback map_sample battery_cones",
+}
+"""Evidence that each planted change makes out of date."""
 
 
 def plant(what: str, patch: pytest.MonkeyPatch) -> None:
@@ -197,17 +174,14 @@ def plant(what: str, patch: pytest.MonkeyPatch) -> None:
 
     def everywhere(name: str, usual: object, other: object) -> None:
         for module in list(sys.modules.values()):
-            if module.__name__.startswith(WINGS) and vars(module).get(name) is usual:
+            ours = module.__name__.startswith(("experiments", "formulations", "scp_recon"))
+            if ours and vars(module).get(name) is usual:
                 patch.setattr(module, name, other)
 
-    real_forces, light_m_s, irradiance = (
-        Mission._forces,
-        forces.SPEED_OF_LIGHT_M_S,
-        panels.irradiance,
-    )
+    real, light_m_s, irradiance = Mission._forces, forces.SPEED_OF_LIGHT_M_S, panels.irradiance
 
     def heavier(mission: Mission, field: Any) -> forces.ForceModel:
-        found = real_forces(mission, field)
+        found = real(mission, field)
         return replace(found, gm=MORE * found.gm, j2_strength=MORE * found.j2_strength)
 
     if what == "quantile":
@@ -219,53 +193,21 @@ def plant(what: str, patch: pytest.MonkeyPatch) -> None:
         everywhere("irradiance", irradiance, lambda scenario: MORE * irradiance(scenario))
 
 
-MOST = "plans designs sites policies frontier lifted sensitivity accuracy cross_check observation_table"
-FELT = {
-    "quantile": f"{MOST} compare_solvers nlp_tricks uncertainty_sources spice maps",
-    "GM": f"{MOST} compare_solvers nlp_tricks peers model_fidelity feedback map_sample",
-    "sunlight": f"{MOST} model_fidelity feedback map_sample battery_cones",
-}
-"""Evidence that each planted change makes out of date."""
-
-
+@pytest.mark.slow
 @pytest.mark.parametrize("what", FELT)
-def test_half_of_all_studies_are_named(what):
-    names, studies = {*FELT[what].split()}, [n for n, s in SOURCES.items() if not s.dated]
-    assert names <= {*studies}
-    assert 2 * len(names) >= len(studies)
-
-
-def felt(what: str, names: list[str], monkeypatch: pytest.MonkeyPatch) -> set[str]:
-    """Names of evidence that a planted change makes out of date."""
-    studies = {name: sentinels_of(name) for name in names}
+@pytest.mark.parametrize("names", ["battery_cones sensitivity", pytest.param("", marks=nightly)])
+def test_planted_changes_move_half_of_studies(what, names, monkeypatch):
+    every = [name for name, source in SOURCES.items() if not source.dated]
+    expected = set(FELT[what].split())
+    assert expected <= set(every)
+    assert 2 * len(expected) >= len(every)
     plant(what, monkeypatch)
     rows: dict[str, Any] = {}
-    found = set[str]()
-    for name, sentinels in studies.items():
-        for one in sentinels:
-            for case in one.cases if name not in found else ():
+    for name in names.split() or sorted(expected):
+        found = list[str]()
+        for one in sentinels_of(name):
+            for case in () if found else one.cases:
                 if (key := f"{one.work}{case}") not in rows:
                     rows[key] = one.work(case)
-                found |= {name} if one.moved(rows[key]) else set()
-    return found
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("what", "names"),
-    [
-        ("quantile", ["sensitivity", "peers"]),
-        ("GM", ["sensitivity", "battery_cones"]),
-        ("sunlight", ["battery_cones", "lifted"]),
-    ],
-)
-def test_planted_changes_move_quick_studies(what, names, monkeypatch):
-    assert felt(what, names, monkeypatch) == set(names) & set(FELT[what].split())
-
-
-@nightly
-@pytest.mark.parametrize("what", FELT)
-def test_planted_changes_move_half_of_all_studies(what, monkeypatch):
-    studies, names = [of for of in SOURCES.values() if not of.dated], FELT[what].split()
-    assert len(names) >= len(studies) / 2
-    assert felt(what, names, monkeypatch) == set(names)
+                found += one.moved(rows[key])
+        assert bool(found) == (name in expected), name

@@ -48,7 +48,8 @@ def test_a_study_leaves_tables_and_origin(tmp_path):
 
 def test_finished_rows_depend_on_version_and_settings(tmp_path):
     def count(version: int, flights: int) -> int:
-        with session_in(tmp_path, version=version) as session:
+        session = session_in(tmp_path, version=version)
+        with session.stores:
             store = session.store("kept.jsonl", flights=flights)
             return len(store) or store.put(0, {}) or 0
 
@@ -108,7 +109,8 @@ def test_a_study_is_one_document_or_silent(tmp_path, capsys):
 
 
 def test_rows_go_once_the_tables_have_it(tmp_path):
-    with session_in(tmp_path) as session:
+    session = session_in(tmp_path)
+    with session.stores:
         for file in ("", "stays.jsonl"):
             session.store(file).put(0, {})
         session.end(Findings({}))

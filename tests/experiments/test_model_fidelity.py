@@ -1,5 +1,6 @@
 """The fidelity study: its flights against independent ones, its rule, and its distances."""
 
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -10,15 +11,12 @@ from experiments.model_fidelity import (
     GRAVITY,
     PLANNER,
     SRP,
-    TRUTH,
+    claims,
     compare,
     flight_plan,
     fly,
     models_of,
-    passing,
-    relapses,
 )
-from formulations.arrays import Array
 from scp_recon.physics.flow import propagate
 from scp_recon.results.solution import ballistic_arc
 from scp_recon.simulation.guidance import FlightPlan
@@ -31,11 +29,6 @@ THRUST_M_S2 = 1.0 / 178.0
 @pytest.fixture(scope="module")
 def arc(mission) -> FlightPlan:
     return flight_plan(ballistic_arc(mission), mission, load_vehicle())
-
-
-class Nothing:
-    def acceleration(self, *position: Array) -> tuple[Array, ...]:
-        return tuple(0.0 * x for x in position)
 
 
 def test_planners_model_is_flown_to_a_millimetre(mission, arc):
@@ -55,7 +48,8 @@ def test_burn_acts_from_its_middle(mission, late, lead_s):
     """In empty space an impulse leads a finite burn by half of its length times the velocity."""
     times = np.array([0.0, 3000.0, 20_000.0])
     burns = np.array([[0.1, 0.0, 0.0], [0.0, 0.05, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
-    model: dict[str, Any] = {GRAVITY: Nothing(), SRP: lambda _: np.zeros(3), BURNS: late}
+    nothing = SimpleNamespace(acceleration=lambda *_: np.zeros(3))
+    model: dict[str, Any] = {GRAVITY: nothing, SRP: lambda _: np.zeros(3), BURNS: late}
     found = fly(mission, burns, model, times, thrust_acceleration_m_s2=THRUST_M_S2)
     lengths = np.array([0.1, 0.05]) / THRUST_M_S2
     start = mission.initial_state
@@ -67,17 +61,22 @@ def test_burn_acts_from_its_middle(mission, late, lead_s):
 
 
 def test_lowest_fidelity_within_the_limit_passes():
-    distance = {"crude": 30.0, "better": 9.9, "good": 12.0}
-    assert passing(distance) == "better"
-    assert relapses(distance) == ["good"]
-    assert passing(dict.fromkeys(distance, 10.0)) == TRUTH
-    assert relapses(dict.fromkeys(distance, 10.0)) == []
+    def row(model: str, distance_m: float, effect: str = "gravity") -> dict[str, Any]:
+        of = {"flight": "plan", "effect": effect, "model": model}
+        return of | {"terminal_m": distance_m, "passes": distance_m < 10.0}
+
+    rows = [row("crude", 30.0), row("better", 9.9), row("good", 12.0), row("none", 10.0, "burns")]
+    gravity, burns = claims(rows)
+    assert "better" in gravity.claim
+    assert "not good" in gravity.claim
+    assert (gravity.measured, gravity.holds) == ("9.90 m", True)
+    assert not burns.holds
 
 
 @nightly
 def test_distances_on_the_arc(arc):
     """Orders of magnitude that follow from the forces alone; no light pressure shifts by 10 m."""
-    rows, history, _ = compare("ballistic arc", arc)
+    rows, history = compare("ballistic arc", arc)
     end = {row["model"]: row["terminal_m"] for row in rows}
     assert len(history) == len(rows) * len(arc.mission.times_s)
     assert end["none"] == pytest.approx(10.0, abs=1.0)

@@ -35,10 +35,6 @@ from scp_recon.scenario.schema import Epoch
 from .support import QUICK, SAMPLES, table_of, write_kernel
 
 
-def study(*words: str) -> int:
-    return main(["observation_table", *words])
-
-
 @pytest.fixture(scope="module")
 def measured(finished) -> list[Record]:
     return [measure(finished[0], SAMPLES, False, row) for row in rows(ipopt=False)]
@@ -66,7 +62,7 @@ def test_statements_have_their_outcomes(measured):
     assert reproduced["warm start, mean, s"] == "no"
 
 
-def test_intervals_that_contain_the_threshold_decide_nothing():
+def test_intervals_over_the_threshold_decide_nothing():
     row = {"plan": type("Row", (), {"p": 0.9, "p_low": 0.85, "p_high": 0.95, "n": 2})}
     assert outcome({"quantity": "plan.p", "at_least": 0.8}, row) is True
     assert outcome({"quantity": "plan.p", "below": 0.8}, row) is False
@@ -107,22 +103,21 @@ def test_middle_of_two_facet_points_lies_beyond(finished):
     assert middle_beyond_facet_m(read_solution(finished[0] / "p3")) == ""
 
 
-def test_variants_are_planned_in_their_own_mission(mission, tmp_path):
+def test_variants_have_their_own_mission(mission, tmp_path):
     row = next(row for row in variants(mission.scenario) if row.key == "p3_j2000")
     found = run_row(row, mission, tmp_path, samples=100, check=False)
     assert read_solution(tmp_path).scenario.boundary.frame == "j2000"
     assert found["mean_s"] < 2000.0
 
 
-def failing(_: Mission) -> Solution:
-    raise RuntimeError("the solver\nlost its way")
-
-
 def test_failed_rows_leave_the_others(tmp_path, monkeypatch, capsys):
+    def failing(_: Mission) -> Solution:
+        raise RuntimeError("the solver\nlost its way")
+
     first, second, *_ = rows(ipopt=False)
-    broken = (replace(first, key="broken", design=failing), second)
+    broken = [first._replace(key="broken", design=failing), second]
     monkeypatch.setattr(observation_table, "rows", lambda **_: broken)
-    assert study(*QUICK, "--out", str(tmp_path)) == 4
+    assert main(["observation_table", *QUICK, "--out", str(tmp_path)]) == 4
     assert "failed: RuntimeError: the solver lost its way" in capsys.readouterr().out
     table = table_of(tmp_path)
     assert table["broken"]["mean_s"] == ""
@@ -153,7 +148,7 @@ def test_states_come_back_from_the_kernel(mission, kernel, flight):
     assert spiceypy.ktotal("ALL") == 0  # and the kernel is put back
 
 
-def test_fitted_impulses_follow_burns_between_firing_times(mission, kernel, flight):
+def test_fitted_impulses_follow_other_burns(mission, kernel, flight):
     burns, distance_m = as_flown_burns(kernel, mission)
     flown = initial_guess.from_burns(mission, burns).mean * mission.units.state
     window = mission.window_nodes
@@ -167,7 +162,7 @@ def test_fitted_impulses_follow_burns_between_firing_times(mission, kernel, flig
     assert np.linalg.norm(lost[window, :3] - flown[window, :3] / mission.units.length_m) > 0.1
 
 
-def test_kernels_that_do_not_cover_are_refused(mission, kernel, tmp_path, capsys):
+def test_kernels_must_cover_the_flight(mission, kernel, tmp_path, capsys):
     later = mission.scenario.model_copy(
         update={"epoch": Epoch(tdb=mission.scenario.epoch.tdb + timedelta(days=1))}
     )
@@ -176,7 +171,8 @@ def test_kernels_that_do_not_cover_are_refused(mission, kernel, tmp_path, capsys
     for name in ("missing.bsp", "text.bsp"):
         (tmp_path / "text.bsp").write_text("no kernel", encoding="utf-8")
         out = tmp_path / "out"
-        assert study(*QUICK, "--out", str(out), "--as-flown", str(tmp_path / name)) == 2
+        words = ["observation_table", *QUICK, "--out", str(out)]
+        assert main([*words, "--as-flown", str(tmp_path / name)]) == 2
         errors = capsys.readouterr().err
         assert errors.startswith(f"error: --as-flown: got {tmp_path / name}")
         assert errors.count("\n") == 1

@@ -1,4 +1,4 @@
-"""The study of feedback: scaled targeting gains do what they say, and claims judge what is there."""
+"""Studies of feedback: targeting gains do what they say, and claims judge what is there."""
 
 from dataclasses import replace
 from typing import Any
@@ -9,7 +9,10 @@ import pytest
 from experiments.harness import Record
 from experiments.in_flight import feedback, policies
 from experiments.in_flight.feedback import CORRECTED, ENDING, ERRORS, OPEN, TARGETED, Case
+from experiments.in_flight.sites import last_gains
+from experiments.maps import counted
 from experiments.plans import FLIGHT
+from formulations.problem.feedback import Feedback
 from scp_recon.api.planning import plan
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
@@ -19,14 +22,10 @@ from scp_recon.scenario.load import load_scenario
 from tests.scp_recon.support import fly_few
 
 
-@pytest.fixture(scope="module")
-def mission() -> Mission:
-    changes = FLIGHT | feedback.measured(lead_s=feedback.LEAD_S) | {"risk.p_chance": 0.9}
-    return Mission.from_scenario(load_scenario().replace(changes))
-
-
-def test_the_whole_gain_targets_the_planned_position_from_the_estimate(mission):
+def test_whole_gain_targets_the_planned_position():
     """Carried to the burn, corrected, and carried on, what is estimated leaves no deviation there."""
+    changes = FLIGHT | feedback.measured(lead_s=feedback.LEAD_S) | {"risk.p_chance": 0.9}
+    mission = Mission.from_scenario(load_scenario().replace(changes))
     burns = [[-0.01, 0.045, 0.02], [-0.007, 0.026, -0.007], [0.0] * 3, [-0.009, 0.035, 0.014]]
     iterate, problem = initial_guess.from_burns(mission, np.array(burns)), mission.problem
     lin = mission.dynamics.linearise(
@@ -44,7 +43,7 @@ def test_the_whole_gain_targets_the_planned_position_from_the_estimate(mission):
     np.testing.assert_allclose(left[:3] / size, 0.0, atol=1e-7)
 
 
-def test_the_least_share_reaches_what_is_asked_and_no_less_does():
+def test_least_share_reaches_the_required_probability():
     """Of a made-up surplus that rises and falls again."""
 
     class Rows:
@@ -66,18 +65,14 @@ def test_the_least_share_reaches_what_is_asked_and_no_less_does():
     assert feedback.scaled(At, Rows()) is feedback.NO_GAIN  # type: ignore[arg-type]
 
 
-def test_a_case_that_fails_is_a_row_that_says_so(monkeypatch):
+def test_a_failed_case_is_a_row(monkeypatch):
     def fail(*_: object, **__: object) -> None:
         raise InputError("policy.kind", "'feedback'", "goes with nothing")
 
     monkeypatch.setattr(feedback, "plan", fail)
     found = feedback.measure(100, Case(CORRECTED, 0.9))
-    assert found["status"] == "failed: policy.kind: got 'feedback'; goes with nothing"
+    assert found["status"].startswith("failed: policy.kind: got 'feedback'")
     assert not any(one.holds for one in feedback.claims([found | {"asked": 0.99}], []))
-
-
-def figures(kind: str, p: float, cost: float, sigma: float = 200.0) -> Record:
-    return {"kind": kind, "asked": p, "dv99_m_s": cost, "program_m_s": cost, "final_sigma_m": sigma}
 
 
 @pytest.mark.slow
@@ -86,7 +81,7 @@ def test_policies_fly_their_own_plans(monkeypatch):
     fly_few(monkeypatch)
     monkeypatch.setattr(policies, "plan", lambda scenario, **_: plan(scenario))
     monkeypatch.setattr(policies, "FLIGHT", {"grid.step_max_s": 450.0, "policy.cost": "nominal"})
-    found = [policies.measure(20, policies.Case(kind, 0.7)) for kind in policies.FLIGHTS]  # type: ignore[arg-type]
+    found = [policies.measure(20, policies.Case(kind, 0.7)) for kind in policies.FLIGHTS]
     fixed, corrected, replanned = found
     assert {row["status"] for row in found} == {"converged"}
     assert fixed["mean_dv_m_s"] == fixed["dv99_m_s"] == fixed["dv99_m_s_high"]
@@ -98,6 +93,10 @@ def test_policies_fly_their_own_plans(monkeypatch):
 
 
 def test_claims_tell_what_falls_short():
+    def figures(kind: str, p: float, cost: float, sigma: float = 200.0) -> Record:
+        dv = {"dv99_m_s": cost, "program_m_s": cost}
+        return {"kind": kind, "asked": p, "final_sigma_m": sigma, **dv}
+
     rows = [
         figures(OPEN, 0.99, 0.13),
         figures(CORRECTED, 0.99, 0.1155),
@@ -114,3 +113,28 @@ def test_claims_tell_what_falls_short():
     assert [case.changes for case in feedback.limited(rows[:1])] == [
         {feedback.LIMIT: 200.0 / (3.0 * more)} for more in feedback.FURTHER
     ]
+
+
+@pytest.mark.parametrize("left", [3, 2, 1])
+def test_last_burns_keep_gains_on_later_knowledge(left):
+    def of(burns: int) -> Feedback:
+        numbers = np.arange(burns)
+        return Feedback(1 + numbers, numbers, np.array([np.eye(6)] * burns), "dv99", 0.9)
+
+    gains = np.random.default_rng(left).normal(size=of(3).size)
+    kept, gone = last_gains(gains, left), 3 - left
+    assert kept.shape == (of(left).size,)
+    for j in range(left):
+        whole = of(3).of_burn(gains, j + gone)
+        assert np.array_equal(of(left).of_burn(kept, j), whole[:, 6 * gone :])
+
+
+def test_sites_are_counted_by_how_reached():
+    alone = {"open": True, "corrected": True, "dv99_m_s": 0.1, "whole_flight": 0.91}
+    more = {"open": False, "corrected": True, "dv99_m_s": 0.3, "whole_flight": 0.88}
+    row = counted([alone, more, {"open": False, "corrected": False}])
+    assert (row["sites"], row["open"], row["more"]) == (3, 1, 1)
+    assert row["open_dv99_m_s_max"] == 0.1
+    assert row["more_dv99_m_s_min"] == 0.3
+    assert row["more_whole_flight_min"] == 0.88
+    assert counted([])["open_dv99_m_s_min"] is None

@@ -1,0 +1,283 @@
+"""Studies of the spacecraft: cones of too little power, uncertainty, flights by policy, durations."""
+
+import csv
+from importlib.util import find_spec
+
+import numpy as np
+import pytest
+from scipy.stats import multivariate_normal
+
+from experiments.__main__ import main
+from experiments.harness import Record as Row
+from experiments.in_flight import flown_policies
+from experiments.model_fidelity import Plates
+from experiments.spacecraft import flown_plan, timing_rules, uncertainty_sources
+from experiments.spacecraft.battery_cones import SAMPLES, TOLERANCE_DEG, find_cones
+from experiments.spacecraft.uncertainty_sources import (
+    ATTITUDE,
+    BOTH,
+    CHEMICAL,
+    INITIAL,
+    NO_ERRORS,
+    PATH_SETS,
+    SPACECRAFT_SETS,
+    STATE,
+    dispersion,
+    fly_paths,
+    measure_flights,
+    measure_paths,
+    normality,
+)
+from scp_recon.errors import InputError
+from scp_recon.mission.mission import Mission
+from scp_recon.physics.forces import SPEED_OF_LIGHT_M_S
+from scp_recon.results.solution import Solution
+from scp_recon.simulation.panels import SolarArray, irradiance
+from scp_recon.simulation.record import Record, read_record
+from scp_recon.simulation.vehicle import Vehicle, load_vehicle
+from tests.helpers import nightly
+from tests.scp_recon.simulation.short_plan import SHORT, short_plan
+from tests.scp_recon.support import mission_of
+
+needs_basilisk = pytest.mark.skipif(not find_spec("Basilisk"), reason="needs the extra [sim]")
+
+
+@pytest.fixture(scope="module")
+def vehicle() -> Vehicle:
+    return load_vehicle()
+
+
+@pytest.fixture(scope="module")
+def panels(mission, vehicle) -> SolarArray:
+    return SolarArray.of(vehicle, irradiance(mission.scenario))
+
+
+# --- battery cones --------------------------------------------------------------------------------
+
+
+def test_panels_have_their_peak_powers(panels):
+    """Peaks of SP1 to SP5 by areas of 0.0286, 0.0676 and 0.36 m^2, 30 % cells and 1332 W/m^2."""
+    assert panels.peak_w == pytest.approx([11.4, 27.0, 27.0, 143.9, 143.9], abs=0.05)
+    sun = -np.eye(3)[0]
+    assert panels.generation(sun).sum() == pytest.approx(299.2, abs=0.2)
+    assert np.linalg.norm(panels.best_direction()) == pytest.approx(300.4, abs=0.2)
+
+
+def test_light_pushes_the_vehicle_by_its_areas(mission, vehicle):
+    plates = Plates.of(vehicle)
+    pressure = irradiance(mission.scenario) / SPEED_OF_LIGHT_M_S
+    cells, structure = 0.7486, 0.0614 + 0.036
+    to_panels = plates.force_per_pressure(-np.eye(3)[0])
+    np.testing.assert_allclose(to_panels, [1.01 * cells + 1.6 * structure, 0.0, 0.0], atol=1e-12)
+    assert pressure * to_panels[0] == pytest.approx(4.05e-6, rel=2e-3)
+
+
+def test_cones_are_the_papers_and_hold_their_samples(mission, vehicle, panels):
+    cones, _ = find_cones(vehicle, mission.scenario, SAMPLES, 0)
+    found = {cone["mode"]: cone["half_angle_deg"] for cone in cones if cone["calibrated"]}
+    assert found["delta-V, warm-up"] == pytest.approx(23.3, abs=TOLERANCE_DEG)
+    assert found["observation"] == pytest.approx(18.2, abs=TOLERANCE_DEG)
+    most = np.linalg.norm(panels.best_direction())
+    plain = [cone for cone in cones if not cone["calibrated"]]
+    assert [cone["load_w"] for cone in plain] == [115.0, 90.0]
+    for cone in plain:
+        assert np.sin(np.deg2rad(cone["half_angle_deg"])) * most == pytest.approx(cone["load_w"])
+    for cone in cones:
+        inside, outside = (cone[f"sampled_{end}_deg"] for end in ("below_up_to", "met_from"))
+        assert inside <= cone["half_angle_deg"] <= outside < inside + 0.2
+        solid_angle = 1.0 - np.cos(np.deg2rad(cone["half_angle_deg"]))
+        # Five standard deviations, as a wrong share would miss by more.
+        spread = np.sqrt(solid_angle * (1.0 - solid_angle) / SAMPLES)
+        assert cone["fraction_of_sphere"] == pytest.approx(solid_angle)
+        value, low, high = (cone[f"sampled_fraction{end}"] for end in ("", "_low", "_high"))
+        assert value == pytest.approx(solid_angle, abs=5.0 * spread)
+        assert low < value < high
+
+
+# --- sources of uncertainty -----------------------------------------------------------------------
+
+
+def flown(name: str, seed: int, state: object) -> Row:
+    ends = dict(zip(STATE, np.asarray(state).tolist(), strict=True))
+    return {"error_sources": name, "seed": seed, **ends, "attitude_error_rad": 1e-4}
+
+
+@pytest.mark.parametrize(("attitude_m", "holds"), [(0.5, True), (100.0, False)])
+def test_only_small_attitude_errors_are_negligible(solution, vehicle, attitude_m, holds):
+    rows, _ = measure_paths(solution, vehicle, 300, 0)
+    flights = [flown(NO_ERRORS, 0, (0.0,) * 6)]
+    flights += [
+        flown("attitude", seed, attitude_m * np.random.default_rng(seed).normal(size=6))
+        for seed in range(20)
+    ]
+    rows += measure_flights(flights, solution, vehicle)
+    (claim,) = (c for c in uncertainty_sources.claims(rows) if "attitude" in c.claim)
+    assert claim.holds is holds
+
+
+@pytest.mark.slow
+def test_the_command_measures_every_set(solution, tmp_path, monkeypatch):
+    """Of flights that end 0.1 m off for each source that errs, 100 m for those of the path."""
+
+    def simulated(solution: Solution, _: Vehicle, case: tuple[str, int]) -> Row:
+        name, seed = case
+        errs = SPACECRAFT_SETS[name]
+        scale = sum(0.1 if source in ATTITUDE else 100.0 for source in errs)
+        off = scale * np.random.default_rng([seed, len(errs)]).standard_normal(6)
+        return flown(name, seed, solution.nodes.state[-1] + off * np.repeat([1.0, 1e-4], 3))
+
+    monkeypatch.setattr(uncertainty_sources, "fly_spacecraft", simulated)
+    solution.write(tmp_path)
+    out = tmp_path / "out"
+    words = ["--solution", str(tmp_path), "--out", str(out), "--paths", "500", "--flights", "10"]
+    assert main(["uncertainty_sources", *words]) == 0
+    with (out / "uncertainty_sources.csv").open(encoding="utf-8") as file:
+        table = {row["source"]: row for row in csv.DictReader(file)}
+    assert set(table) == {*SPACECRAFT_SETS, *PATH_SETS}
+    for name, row in table.items():
+        assert float(row["rms_m_low"]) <= float(row["rms_m"])
+        few = 1 if name == NO_ERRORS else 10
+        assert int(row["flights"]) == (500 if name in PATH_SETS else few)
+    assert float(table["imu"]["attitude_error_deg"]) == pytest.approx(np.rad2deg(1e-4))
+
+
+@pytest.mark.slow
+def test_paths_spread_as_the_linearised_flight(solution, vehicle):
+    """Finite differences of the end by each error, times the errors' sigmas."""
+    mission = Mission.from_scenario(solution.scenario)
+    units, step = mission.units, 1e-4
+    sigma = vehicle.errors.initial_state * np.abs(mission.initial_state)
+    # The draws come in the order: initial state, then a factor for each burn.
+    starts = np.vstack([np.diag(step * sigma), np.zeros((5, 6))]) + mission.initial_state
+    factors = np.vstack([np.zeros((6, 4)), step * np.eye(4), np.zeros((1, 4))])
+    burns = solution.burns_m_s * (1.0 + vehicle.errors.chemical_thruster * factors[:, :, None])
+    ends = mission.dynamics.rollout(starts / units.state, burns / units.speed_m_s)[-1] * units.state
+    sensitivity = (ends[:-1] - ends[-1]) / step
+    expected = {INITIAL: sensitivity[:6], CHEMICAL: sensitivity[6:], BOTH: sensitivity}
+    for name, factor in expected.items():
+        found = fly_paths(solution, vehicle, PATH_SETS[name], 4000, 1)
+        rms = np.sqrt(np.sum(factor[:, :3] ** 2))
+        # Curvature and 4000 flights leave some per cent.
+        assert dispersion(found[:, :3] - ends[-1, :3]).value == pytest.approx(rms, rel=0.08)
+
+
+@pytest.mark.parametrize("flights", [3, 8])
+@pytest.mark.parametrize("sigmas", [(1.0, 1.0, 1.0), (5.0, 1.0, 0.2)])
+def test_intervals_of_dispersion_cover_the_truth(sigmas, flights):
+    rng = np.random.default_rng(5)
+    covariance = np.diag(np.square(sigmas))
+    true = np.sqrt(np.trace(covariance))
+    draws = multivariate_normal(cov=covariance).rvs((600, flights), random_state=rng)
+    found = [dispersion(sample) for sample in draws]
+    covered = np.mean([e.low <= true <= e.high for e in found])
+    # Never too narrow, and somewhat too wide in three axes.
+    assert 0.92 < covered < 0.999
+    assert np.mean([e.value**2 for e in found]) == pytest.approx(true**2, rel=0.1)
+
+
+def test_normal_samples_are_told_from_others():
+    rng = np.random.default_rng(1)
+    p_value, straight, expected, observed = normality(rng.standard_normal(3000))
+    skew_p_value, bent, *_ = normality(rng.exponential(size=3000))
+    assert p_value > 0.01
+    assert skew_p_value < 1e-20
+    assert straight > 0.999 > bent
+    assert len(expected) == len(observed) <= 199
+    assert np.all(np.diff(expected) > 0.0)
+
+
+SPREAD_M = 10.0
+"""Of every position in the short plan's covariance."""
+
+
+@pytest.mark.slow
+def test_samples_spread_as_paths_do():
+    mission, vehicle = mission_of(*SHORT), load_vehicle()
+    solution = short_plan(mission)
+    fraction = solution.scenario.uncertainty.initial_sigma_fraction
+    errors = vehicle.errors.model_copy(update={"initial_state": fraction})
+    erring = vehicle.model_copy(update={"errors": errors})
+    ends = fly_paths(solution, erring, PATH_SETS[BOTH], 3000, 7) - solution.nodes.state[-1]
+    expected = np.linalg.norm(ends[:, :3], axis=1) / SPREAD_M
+    found = flown_plan.sample_distances(solution, vehicle, 3000)
+    assert found.shape == (3000, len(solution.nodes.t_s))
+    assert np.std(found[:, -1]) == pytest.approx(np.std(expected), rel=0.1)
+    assert np.mean(found[:, -1]) == pytest.approx(np.mean(expected), rel=0.05)
+    first = np.sqrt(np.mean(found[:, 0] ** 2))
+    assert first == pytest.approx(np.linalg.norm(mission.initial_sigma[:3]) / SPREAD_M, rel=0.05)
+
+
+# --- flights by the simulation --------------------------------------------------------------------
+
+
+@needs_basilisk
+@nightly
+def test_a_short_flight_is_tabulated_and_judged(tmp_path, monkeypatch):
+    """By the study of plans, and by policies beside one whose commands the thruster cannot give."""
+    mission = mission_of(*SHORT)
+    solution = short_plan(mission)
+    solution.write(tmp_path)
+    monkeypatch.setattr(flown_plan, "SAMPLES", 500)
+    assert main(["flown_plan", str(tmp_path), "--out", str(tmp_path), "--seeds", "1"]) == 0
+    with (tmp_path / "flown_plan.csv").open(encoding="utf-8", newline="") as file:
+        (row,) = csv.DictReader(file)
+    record = read_record(tmp_path / "seed_0")
+    assert row["modes_hold"] == row["settled_in_time"] == "true"
+    executed = [burn.executed_pointing_deg for burn in record.summary.burns]
+    assert float(row["burn_executed_max_deg"]) == max(executed) < 0.5
+    assert float(row["least_charge"]) == record.summary.least_charge > 0.3
+    assert float(row["terminal_sigma"]) == record.arrays["node_sigma_distance"][-1]
+
+    def simulate(_: object, *, seed: int, **__: object) -> Record:
+        if seed:
+            raise InputError("vehicle", "a burn", "must end before the mode does")
+        return record
+
+    monkeypatch.setattr(flown_policies, "simulate", simulate)
+    plans, (first, last) = {"short": solution}, mission.schedule.window_s
+    rows = [flown_policies.fly_policy(plans, None, ("short", "open", seed)) for seed in (0, 1)]
+    assert rows[0]["window_s"] == last - first
+    assert 0.0 <= rows[0]["observed_s"] <= last - first + 1e-6
+    assert rows[0]["whole"] <= (rows[0]["observed_s"] > last - first - 1e-3)
+    assert rows[0]["commanded_m_s"] == pytest.approx(solution.total_dv_m_s)
+    assert "must end before" in rows[1]["shortfalls"]
+    (summed,) = flown_policies.by_policy(rows)
+    assert (summed["flights"], summed["observed_mean_s"]) == (2, rows[0]["observed_s"])
+    assert summed["as_required"] == (not rows[0]["shortfalls"])
+
+
+@needs_basilisk
+@nightly
+def test_a_half_turn_settles_after_the_limited_rate(mission, vehicle, monkeypatch):
+    monkeypatch.setattr(timing_rules, "SLEW_S", 1500.0)
+    slew = timing_rules.measure_slew(mission, vehicle, 0, 2)
+    settling_s = [slew[column] for column in timing_rules.SETTLED.values()]
+    assert settling_s == sorted(settling_s)
+    assert settling_s[0] > 180.0 / 0.4
+    assert settling_s[-1] < 1200.0
+    assert slew["steady_rms_deg"] < 0.2
+
+
+@needs_basilisk
+@pytest.mark.slow
+def test_a_recharge_takes_the_power_left_over(mission, vehicle, panels, monkeypatch):
+    """Batteries an eighth as large, so that the flight is short."""
+    monkeypatch.setattr(timing_rules, "RECHARGE_S", 300.0)
+    battery = vehicle.battery.model_copy(update={"capacity_wh": 5.0})
+    small = vehicle.model_copy(update={"battery": battery})
+    net = np.linalg.norm(panels.best_direction()) - vehicle.loads.quiescent_w
+    expected = 3600.0 * 10.0 / battery.efficiency / net
+    found = timing_rules.measure_recharge(mission, small, 0)
+    assert found == pytest.approx(expected, abs=3.0)
+    monkeypatch.setattr(timing_rules, "RECHARGE_S", 100.0)
+    assert timing_rules.measure_recharge(mission, small, 0) == np.inf
+
+
+def test_a_rule_holds_within_its_duration(mission, vehicle):
+    columns = timing_rules.SETTLED.values()
+    slews = [dict(zip(columns, (t - 20.0, t - 10.0, t), strict=True)) for t in (900, 1801)]
+    found = timing_rules.rules(mission, vehicle, slews, (1200.0, 1201.0))
+    assert [rule["holds"] for rule in found] == [False, True, True, False]
+    # 115 W for half an hour out of 80 Wh at 0.96.
+    figures = timing_rules.figures([{"steady_rms_deg": 0.1}], vehicle)
+    assert figures[1]["value"] == pytest.approx(1.0 - 57.5 / 0.96 / 80.0)
