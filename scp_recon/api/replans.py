@@ -56,7 +56,8 @@ def replan(
         covariance_frame: axes of the covariance, these or "rtn" of the state (default: those of
             `frame`).
         measured_burns: burns flown as telemetry saw them, by their number in the flight from 1, m/s.
-        overrides: `section.entry=value` each, as of `load_scenario`, for the rest of the flight.
+        overrides: `section.entry=value` each, as of `load_scenario`, for the rest of the flight; burns
+            may be added in `burns.times_s`.
         certify: with risk.allocation = exact, raise the target probability until fresh flights reach
             the required one (default: yes).
 
@@ -109,8 +110,7 @@ def plan_left(
         observe: called with the progress of planning.
 
     Raises:
-        InputError: if the number of burns left differs from the plan's, or flights cannot certify a
-            plan.
+        InputError: if flights cannot certify a plan.
     """
     options = left_options(flown, mission, certify=certify)
     settled = len(mission.scenario.burn_times_s) <= BURNS_TO_MEET

@@ -8,13 +8,15 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from time import monotonic
 from typing import Any
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from scp_recon.campaigns.outcome import CampaignResults, remarks
 from scp_recon.cli.command import progress_console, show_line, show_written
+from scp_recon.cli.rendering import time_left
 
 
 def summary_of(results: CampaignResults) -> dict[str, Any]:
@@ -61,30 +63,34 @@ def continuing(console: Console) -> Iterator[None]:
 def progress(
     console: Console,
 ) -> Iterator[tuple[Callable[[int, int, Mapping[str, Any] | None], None], Callable[[str], None]]]:
-    """Yield a bar with rate, time left and outcomes, and a function that shows a line above it."""
+    """Yield a bar with time taken and left and outcomes, and a function that shows a line above it.
+
+    The time left is known once the first case has ended, however long cases take.
+    """
     errors = progress_console(console)
     columns = (
-        *("cases", BarColumn(), MofNCompleteColumn()),
-        TextColumn("{task.fields[rate]}"),
-        TimeRemainingColumn(),
+        *("cases", BarColumn(), MofNCompleteColumn(), TimeElapsedColumn()),
+        TextColumn("{task.fields[left]}"),
         TextColumn("{task.fields[ends]}"),
     )
     ends: Counter[str] = Counter()
-    with Progress(*columns, console=errors, speed_estimate_period=300.0) as bar:
-        task = bar.add_task("cases", total=None, rate="", ends="")
+    begun, before = monotonic(), 0
+    with Progress(*columns, console=errors) as bar:
+        task = bar.add_task("cases", total=None, left="", ends="")
 
         def observe(done: int, total: int, row: Mapping[str, Any] | None) -> None:
+            nonlocal before
             if row is None:
+                before = done
                 if done:
                     show_line(errors, f"continued: {done} of {total} cases have their rows")
                 bar.reset(task, total=total, completed=done)
                 return
             ends[str(row.get("status"))] += 1
-            speed = bar.tasks[0].speed
             bar.update(
                 task,
                 completed=done,
-                rate=f"{speed:.3g} a second" if speed else "",
+                left=time_left(done - before, total - before, monotonic() - begun),
                 ends=", ".join(f"{count} {name}" for name, count in ends.most_common(4)),
             )
 

@@ -6,6 +6,7 @@ import importlib.util
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from time import monotonic
 
 import numpy as np
 from rich.console import Console
@@ -16,6 +17,7 @@ from scp_recon.api.designing import (
 from scp_recon.cli.command import (
     show_line,
 )
+from scp_recon.cli.rendering import time_left
 from scp_recon.errors import option
 from scp_recon.files import unwritable, write_atomically
 from scp_recon.passes.design import Trial
@@ -93,6 +95,17 @@ def progress(console: Console) -> Iterator[Callable[[Trial], None]]:
             + (COSTS[best.result.mission.scenario.policy.cost] if step == "corrected" else "")
         )
 
+    begun, mapped = monotonic(), set[int]()
+
+    def left(tried: Trial) -> str:
+        """What is left of a map, and what follows it."""
+        if tried.expected is None:
+            return ""
+        mapped.add(tried.window)
+        total, done = tried.expected * len(mapped), counts[tried.step]
+        time = time_left(done, total, monotonic() - begun)
+        return f"; of {total}, {time}, then descents from the map's minima" if time else ""
+
     with console.status("designing") as status:
 
         def count(tried: Trial) -> None:
@@ -103,7 +116,7 @@ def progress(console: Console) -> Iterator[Callable[[Trial], None]]:
             best = least.setdefault(step, tried)
             if tried.result.dv_m_s < best.result.dv_m_s:
                 least[step] = tried
-            status.update(line(step))
+            status.update(line(step) + left(tried))
 
         yield count
     if counts:

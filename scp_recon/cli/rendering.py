@@ -66,3 +66,14 @@ def show_verdict(console: Console, word: str, failed: Sequence[str]) -> None:
     else:
         text = Text(word, style="bold green")
     console.print(text, soft_wrap=True)
+
+
+def time_left(done: int, total: int, took_s: float) -> str:
+    """Time that is left in words, where each piece of work takes as long as those done on average."""
+    if not 0 < done < total:
+        return ""
+    left = (total - done) * took_s / done
+    for unit, size in (("h", 3600.0), ("min", 60.0)):
+        if left >= 1.5 * size:
+            return f"about {left / size:.2g} {unit} left"
+    return f"about {max(left, 1.0):.0f} s left"

@@ -8,6 +8,7 @@ derivative. The design then tries one more burn between any two, and one burn le
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from typing import Literal
@@ -18,7 +19,7 @@ from formulations.arrays import Array, Booleans
 from scp_recon.mission.mission import Mission
 from scp_recon.passes.descent import ROUNDS_MAX, WORTH, PassResult, descend
 from scp_recon.passes.ring import TURN
-from scp_recon.passes.scan import scan, starts
+from scp_recon.passes.scan import phases, scan, starts
 from scp_recon.passes.setting import BURNS_MAX, settled, spaces_of
 from scp_recon.passes.space import Pass, Space, nearest_legal
 from scp_recon.planning.initial_guess import from_burns
@@ -67,12 +68,14 @@ class Trial:
         window: number of the lighting window, from 0.
         begin_s: where the pass's times begin.
         result: the pass and its plan.
+        expected: number of plans of the step, of which only a map's is known beforehand.
     """
 
     step: Step
     window: int
     begin_s: float
     result: PassResult
+    expected: int | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,9 +164,13 @@ class Designer:
         where, best = min(tries, key=lambda one: violation(one[1]))
         return where.space, best
 
+    def _map(self, where: Around) -> list[PassResult]:
+        cells = math.prod(len(phases(span)) for span in where.space.phase_spans)
+        return scan(where.space, where.times_s, self._seen("map", where, cells))
+
     def certain(self, where: Around) -> list[PassResult]:
         """Passes about a window without uncertainty, the cheapest first."""
-        mapped = scan(where.space, where.times_s, self._seen("map", where))
+        mapped = self._map(where)
         seen = self._seen("certain", where)
         found = [
             descend(
@@ -193,7 +200,7 @@ class Designer:
 
     def _map_and_descend(self, first: Around) -> Best:
         """Map one window and descend from its minima: the best pass, or the one of least violation."""
-        mapped = scan(first.space, first.times_s, self._seen("map", first))
+        mapped = self._map(first)
         tries = [
             self._descent(first, "descent", one.at, one, FIRST)
             for one in starts(mapped, STARTS_MAX)
@@ -263,9 +270,11 @@ class Designer:
             return result
         return descend(space, sure.at, sure.burns_m_s, seen, *effort)
 
-    def _seen(self, step: Step, where: Around) -> Callable[[PassResult], None]:
+    def _seen(
+        self, step: Step, where: Around, expected: int | None = None
+    ) -> Callable[[PassResult], None]:
         def seen(result: PassResult) -> None:
-            self.trials.append(Trial(step, where.number, where.begin_s, result))
+            self.trials.append(Trial(step, where.number, where.begin_s, result, expected))
             self.observe(self.trials[-1])
 
         return seen

@@ -116,17 +116,15 @@ def _delivered(entry: str) -> str | None:
 def path_planned(flown: FlownPlan, mission: Mission) -> Iterate:
     """The planned path at the nodes of the rest of the flight.
 
-    Raises:
-        InputError: if the number of burns left differs from the plan's.
+    As many burns as are left in the plan are those of the plan, in order. Where burns were added or
+    left out, each is the plan's of the same time, or begins as zero.
     """
-    ahead = [t > mission.scenario.start_s for t in flown.mission.scenario.burn_times_s]
-    burns = flown.burns_m_s[ahead]
-    if len(burns) != len(mission.burn_nodes):
-        raise InputError(
-            "burns.times_s",
-            f"{len(mission.burn_nodes)} burns left",
-            f"must leave the {len(burns)} of the plan that is flown",
-        )
+    scenario = flown.mission.scenario
+    left = zip(scenario.burn_times_s, flown.burns_m_s, strict=True)
+    ahead = {time: burn for time, burn in left if time > mission.scenario.start_s}
+    wanted = mission.scenario.burn_times_s
+    times = [*ahead] if len(ahead) == len(wanted) else wanted
+    burns = np.array([ahead.get(time, np.zeros(3)) for time in times])
     last = np.searchsorted(flown.times_s, mission.times_s, side="right") - 1
     begin = flown.times_s[last]
     since, steps = mission.times_s - begin, mission.arc_substeps

@@ -70,6 +70,7 @@ def test_the_written_scenario_gives_the_shown_plan(server, tmp_path):
     assert "not checked" in found["verdict"]
     assert "not checked" not in (judged := answered(server, "/verdict", values)["verdict"])
     assert "<strong>verified</strong>" in judged
+    assert "next:" not in judged  # it is for commands; the page has controls
     assert {chart["key"] for chart in found["drawn"]["charts"]} >= {"observation", "timeline"}
 
 

@@ -11,6 +11,7 @@ from scp_recon.campaigns.results import read_results
 from scp_recon.campaigns.run import executor_of
 from scp_recon.campaigns.study import Study
 from scp_recon.cli.commands import campaign as command
+from scp_recon.cli.rendering import time_left
 from scp_recon.jobs.job import here
 from scp_recon.jobs.processes import Processes
 from scp_recon.jobs.store import Store
@@ -37,6 +38,21 @@ grid = { from = 0.01, to = 0.02, count = 40 }
 def written(path: Path, text: str) -> str:
     path.write_text(text, encoding="utf-8")
     return str(path)
+
+
+@pytest.mark.parametrize(
+    ("done", "total", "took_s", "said"),
+    [
+        (0, 6, 9.0, ""),
+        (6, 6, 9.0, ""),
+        (1, 6, 27.0, "about 2.2 min left"),
+        (1, 3, 30.0, "about 60 s left"),
+        (2, 1002, 20.0, "about 2.8 h left"),
+        (99, 100, 1.0, "about 1 s left"),
+    ],
+)
+def test_time_left_is_said_after_the_first_case(done, total, took_s, said):
+    assert time_left(done, total, took_s) == said
 
 
 def test_campaign_runs_without_the_report_extra(tmp_path, monkeypatch, capsys):

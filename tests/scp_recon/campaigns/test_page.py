@@ -8,7 +8,7 @@ from html import unescape
 import pytest
 
 import scp_recon as sr
-from scp_recon.campaigns.outcome import CampaignResults, read_campaign, remarks
+from scp_recon.campaigns.outcome import CampaignResults, in_words, read_campaign, remarks
 from scp_recon.campaigns.page import charts_of, figures, render
 from scp_recon.campaigns.run import FILE_NAME
 from scp_recon.campaigns.study import Study
@@ -85,6 +85,19 @@ def test_charts_draw_the_cheapest_case_of_a_place(tmp_path):
         results = read_campaign(tmp_path / str(count))
         assert results.overlaid == (count == 4)
         assert all(len(trace["x"]) == 3 for trace in charts_of(results)[0]["data"])
+
+
+@pytest.mark.parametrize(
+    ("factor", "name"), [(1.0, "delta-v (m/s)"), (1.2, "99 % of commanded delta-v (m/s)")]
+)
+def test_delta_v_says_what_it_is_of(errors, factor, name):
+    """With feedback of what 99 % of flights command; entries keep their digits."""
+    table = errors.table.assign(dv99_m_s=factor * errors.table["total_dv_m_s"])
+    changed = replace(errors, table=table)
+    assert charts_of(changed)[0]["layout"]["yaxis"]["title"]["text"] == name
+    assert f'<th scope="col">{name}</th>' in render(changed, MADE)
+    assert any(line.startswith(name.capitalize()) for line in remarks(changed))
+    assert [in_words(value) for value in (1800.0, 36_000, 0.04)] == ["1800", "36000", "0.04"]
 
 
 @pytest.mark.slow

@@ -54,7 +54,7 @@ NONE_OF_THESE: dict[str, list[tuple[str, Any]]] = {
         ),
         ("symmetric", np.diag(SIGMA**2) + MIXED * np.eye(6, k=1)),
         ("six rows of six", np.eye(5)),
-        ("must be below the initial distance", 1e6 * np.diag(SIGMA**2)),
+        ("at most 755 m", 1e6 * np.diag(SIGMA**2)),
         ("six rows of six", "none"),
     ],
     "covariance_frame": [("must be one of", "body")],

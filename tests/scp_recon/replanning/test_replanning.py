@@ -182,6 +182,25 @@ def test_a_flight_is_lost_beyond_three_sigma_of_the_final_dispersion(flown, defa
     assert "status" in verify(plan.mission, make_solution(plan)).failed
 
 
+@pytest.mark.parametrize(
+    ("at_s", "off", "times"),
+    [
+        (26_000.0, 20.0, "0, 8000, 25000, 31700, 38300, 45000"),
+        (4_000.0, 0.0, "0, 8000, 25000, 34842, 42000"),
+        (4_000.0, 0.0, "0, 8000, 34842"),
+    ],
+)
+def test_burns_may_be_added_or_left_out(flown, at_s, off, times):
+    """Also where the flight is lost without; the same as the scenario in flight has by itself."""
+    plan = again(flown, at_s, off * OFF, f"burns.times_s=[{times}]")
+    assert plan.status is Status.CONVERGED
+    assert verify(plan.mission, make_solution(plan)).ok
+    anew = sr.plan(plan.mission.scenario)
+    assert plan.total_dv_m_s == pytest.approx(anew.total_dv_m_s, rel=1e-5)
+    with pytest.raises(InputError, match=r"^burns.times_s: .*must keep"):
+        again(flown, 26_000.0, OFF, "burns.times_s=[0, 8100, 25000, 34842]")
+
+
 def test_the_covariance_is_the_initial_one_unless_given(flown, default_plan):
     factor = default_plan.mission.initial_factor
     initial = factor @ factor.T

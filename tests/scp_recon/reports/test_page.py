@@ -151,13 +151,18 @@ def test_required_probability_is_drawn_where_it_applies(page):
         assert sum(s["type"] == "line" for s in layout["shapes"]) == len(expected)
 
 
-def test_surplus_of_a_uniform_plan_suggests_exact_risk(verified):
-    (line,) = _surplus(Subject("plan", verified, path=Path("my runs/one")))
+def test_surplus_of_a_uniform_plan_suggests_exact_risk(verified, tmp_path):
+    """By a command that names the run's own folder, not the pointer to the latest."""
+    real, moving = tmp_path / "my run", tmp_path / "latest"
+    real.mkdir()
+    verified.write(real)
+    moving.symlink_to(real.name)
+    (line,) = _surplus(subjects_of([moving])[0])
     assert re.match(r"flights reach at least 0\.\d{4} where 0\.7 is required", line)
     program, *words = shlex.split(line.rpartition("with: ")[2])
     assert program == "scp-recon"
     options = solve.parser().parse_args(words[1:])
-    assert (words[0], options.init) == ("solve", "my runs/one")
+    assert (words[0], options.init) == ("solve", str(real))
     assert load_scenario(None, options.overrides).risk.allocation == "exact"
     for change in ({"risk.allocation": "exact"}, {"risk.p_chance": 0.999}):
         other = replace(verified, scenario=verified.scenario.replace(change))
