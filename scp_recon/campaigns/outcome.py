@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -40,17 +41,9 @@ COST, CHANCE = "dv99_m_s", "probability"
 10,000 flights of the nonlinear dynamics."""
 COLOURS = "Viridis"
 """Plotly's colour scale: readable with any colour vision, and without grey."""
-UNITS = {
-    "deg": "deg",
-    "m": "m",
-    "km": "km",
-    "s": "s",
-    "m_s": "m/s",
-    "h": "h",
-    "kg": "kg",
-    "m2": "m^2",
-    "w_m2": "W/m^2",
-}
+UNIT = re.compile(r"(.+?)_(w_m2|m_s|deg|km|kg|m2|m|s|h)")
+WRITTEN = {"w_m2": "W/m^2", "m_s": "m/s", "m2": "m^2"}
+"""An entry's key with its unit, and the units that are written otherwise than in keys."""
 NAMED = {"tdb": "epoch (TDB)", "name": "site"}
 GREYS = {INFEASIBLE: "#8b9098", NO_MISSION: "#bcc1c8", NOT_VERIFIED: PLANS[1], NO_ANSWER: PLANS[3]}
 """Colours of sites without a verified plan."""
@@ -192,21 +185,14 @@ def read_campaign(folder: Path) -> CampaignResults:
     return CampaignResults(folder, read_results(folder), base, campaign, entries, cases)
 
 
-def axes_of(results: CampaignResults) -> tuple[str, str | None, str | None]:
-    """Entries along curves, by curve and by panel, in order of their numbers of values.
+def axes_of(results: CampaignResults) -> list[str]:
+    """Entries along curves, by curve and by panel, those with more values first.
 
     The entry along curves has numbers, or is the epoch.
     """
-    counts = {entry: results.table[entry].nunique() for entry in results.free}
-    first = max(results.varies, key=lambda entry: counts[entry])
-    others = sorted((e for e in counts if e != first), key=lambda entry: -counts[entry])
-    second, third, *_ = *others, None, None
-    return first, second, third
-
-
-def cheapest(rows: Any, along: str) -> Any:
-    """The cheapest row at each value of an entry, in its order."""
-    return rows.sort_values(COST).drop_duplicates(along).sort_values(along)
+    entries = sorted(results.free, key=lambda entry: -results.table[entry].nunique())
+    first = next(entry for entry in entries if entry in results.varies)
+    return [first, *(entry for entry in entries if entry != first)][:AXES_DRAWN]
 
 
 def in_words(value: Any) -> str:
@@ -217,12 +203,9 @@ def in_words(value: Any) -> str:
 def label(entry: str) -> str:
     """An entry with its unit in brackets, without its section: `radius min (m)`."""
     key = entry.rpartition(".")[2]
-    for ending in sorted(UNITS, key=len, reverse=True):
-        if key.endswith(f"_{ending}"):
-            return f"{key.removesuffix(f'_{ending}').replace('_', ' ')} ({UNITS[ending]})"
-    if key in NAMED:
-        return NAMED[key]
-    return f"{key.replace('_', ' ')} (-)"
+    if found := UNIT.fullmatch(key):
+        return f"{found[1].replace('_', ' ')} ({WRITTEN.get(found[2], found[2])})"
+    return NAMED.get(key, f"{key.replace('_', ' ')} (-)")
 
 
 def remarks(results: CampaignResults) -> list[str]:

@@ -26,7 +26,6 @@ from scp_recon.campaigns.outcome import (
     SHORTFALLS,
     CampaignResults,
     axes_of,
-    cheapest,
     in_words,
     label,
     remarks,
@@ -211,8 +210,7 @@ def shape_chart(results: CampaignResults) -> dict[str, Any]:
 
 def curve_chart(results: CampaignResults, column: str, name: str) -> dict[str, Any]:
     """Curves of a measure of the feasible cases along an axis, one for each value of the others."""
-    along, *others = axes_of(results)
-    by = [entry for entry in others if entry is not None]
+    along, *by = axes_of(results)
     table = results.ending(FEASIBLE)
     groups = [((), table)] if not by else list(table.groupby(by))
     shown = f", {CURVES_MAX} of {len(groups)} curves" if len(groups) > CURVES_MAX else ""
@@ -220,7 +218,7 @@ def curve_chart(results: CampaignResults, column: str, name: str) -> dict[str, A
     data: list[Trace] = []
     for number, (values, rows) in enumerate(groups[:CURVES_MAX]):
         called = ", ".join(f"{label(e)} {in_words(v)}" for e, v in zip(by, values, strict=True))
-        rows = cheapest(rows, along)
+        rows = rows.sort_values(COST).drop_duplicates(along).sort_values(along)
         x = rows[along]
         data.append(
             {

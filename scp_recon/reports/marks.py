@@ -63,15 +63,9 @@ def compact(values: npt.ArrayLike, digits: int) -> Any:
     rounded = np.round(np.asarray(values, dtype=float), digits) + 0.0
     if digits <= 0:
         rounded = np.trunc(rounded)
-    return _plain(rounded)
-
-
-def _plain(values: Array) -> Any:
-    if np.isfinite(values).all():
-        return values.tolist()
-    if values.ndim == 0:
-        return None
-    return [_plain(np.asarray(part)) for part in values]
+    found, known = rounded.astype(object), np.isfinite(rounded)
+    found[~known] = None
+    return found.tolist()
 
 
 def significant(values: npt.ArrayLike, digits: int = 6) -> list[float | None]:

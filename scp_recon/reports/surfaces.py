@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 from formulations.arrays import Array, Indices
 from formulations.problem.regions import perpendicular
 from scp_recon.bodies.shape_file import read_shape
-from scp_recon.bodies.surface import Mesh
+from scp_recon.bodies.surface import Ellipsoid, Mesh
 from scp_recon.errors import InputError
 from scp_recon.physics.frames import unit
 from scp_recon.scenario.schema import Scenario
@@ -26,8 +26,8 @@ RING = 14
 """Points of a tube's cross section."""
 FACETS_MAX = 12_000
 """Of a mesh as it is drawn: more would make the file heavy and the view slow."""
-ACROSS, DOWN = 72, 36
-"""Parts of an ellipsoid in longitude and latitude."""
+HALVINGS = 4
+"""Halvings of an octahedron's sides to draw an ellipsoid: 2,048 facets."""
 NEIGHBOURS = 3
 """Vertices between which the radius along a direction is averaged."""
 
@@ -185,24 +185,12 @@ def shape_of(scenario: Scenario) -> Shape:
 
 def ellipsoid(radii_m: Array, description: str) -> Shape:
     """An ellipsoid by its semi-axes along x, y and z, m."""
-    longitude = np.arange(ACROSS) * 2.0 * np.pi / ACROSS
-    latitude = (np.arange(1, DOWN) / DOWN - 0.5) * np.pi
-    ring = np.stack([np.cos(longitude), np.sin(longitude)], axis=1)
-    belts = [np.column_stack([np.cos(b) * ring, np.full(ACROSS, np.sin(b))]) for b in latitude]
-    directions = np.vstack([*belts, [[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]]])
-    here, there = np.arange(ACROSS), (np.arange(ACROSS) + 1) % ACROSS
-    south, north = np.full((2, ACROSS), [[len(directions) - 2], [len(directions) - 1]])
-    top = (DOWN - 2) * ACROSS
-    caps = [
-        np.column_stack([south, there, here]),
-        np.column_stack([north, top + here, top + there]),
-    ]
-    facets = np.vstack([caps[0], _sheet(DOWN - 1, ACROSS), caps[1]])
+    mesh = Ellipsoid(radii_m).tessellated(HALVINGS)
 
     def radius(directions: Array) -> Array:
         return 1.0 / np.linalg.norm(directions / radii_m, axis=-1)
 
-    return Shape(directions * radii_m, facets, description, radius)
+    return Shape(mesh.vertices_m, mesh.facets, description, radius)
 
 
 def _of_mesh(mesh: Mesh) -> Shape:

@@ -1,9 +1,6 @@
 """A campaign's folder: whose it is, a table that is whole or not there; studies that are shown."""
 
 import functools
-import shutil
-import subprocess
-import sys
 import tomllib
 from collections.abc import Generator, Iterable
 from dataclasses import replace
@@ -34,7 +31,6 @@ from scp_recon.scenario.schema import Scenario
 from tests.scp_recon.campaigns.shown import table_of
 from tests.scp_recon.support import raising
 
-ROOT = Path(__file__).parents[3]
 STUDY = Study(
     Campaign(), load_scenario(), ([{"risk.p_chance": 0.1 * i} for i in range(9)],), Path(), {}
 )
@@ -92,28 +88,6 @@ def test_rows_of_another_version_are_refused(tmp_path, monkeypatch):
         monkeypatch.setattr(module, "VERSION", 2)
     with pytest.raises(InputError, match="version 2 of the work, not 1"):
         run_study(replace(STUDY), tmp_path, work, here)
-
-
-IDENTITY = """
-from scp_recon.campaigns.study import Study
-from scp_recon.scp.status import Status
-
-print(Status.CONVERGED.value.message, Study.validated({"campaign": {"seed": 3}}).hash)
-"""
-
-
-@pytest.mark.slow
-def test_an_edited_message_keeps_the_rows(tmp_path):
-    for wing in ("scp_recon", "formulations"):
-        shutil.copytree(ROOT / wing, tmp_path / wing)
-    path = tmp_path / "scp_recon" / "scp" / "status.py"
-    path.write_text(path.read_text("utf-8").replace('"Converged: stat', '"Edited: stat'), "utf-8")
-    command = [sys.executable, "-c", IDENTITY]
-    edited = subprocess.run(
-        command, check=True, capture_output=True, text=True, cwd=tmp_path
-    ).stdout
-    assert edited.startswith("Edited: ")
-    assert edited.split()[-1] == Study.validated({"campaign": {"seed": 3}}).hash
 
 
 def test_other_packages_keep_the_rows(tmp_path, monkeypatch):

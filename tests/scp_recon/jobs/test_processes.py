@@ -49,18 +49,11 @@ def test_misbehaving_jobs_do_not_change_other_rows(apart, tmp_path):
     assert found[3]["message"] == "took longer than 0.5 s of the processor"
     assert found[11]["message"] == "ZeroDivisionError: in\nthe job"
     assert found[13]["message"] == "OddError: 1 and 2"
+    raising = {n: way for n, way in ways.items() if way.startswith(("raise", "refuse", "end"))}
+    own = run_all(Naughty(ways=tuple(raising.items())), jobs, tmp_path / "here")
+    assert computed({n: own[n] for n in raising}) == computed({n: found[n] for n in raising})
     serial = run_all(Quick(), jobs, tmp_path / "b")
     assert all(found[n]["value"] == serial[n]["value"] for n in range(18) if n not in ways)
-
-
-def test_what_raises_is_the_same_row_here(tmp_path):
-    raising = [way for way in ENDS if way in ("end", "raise", "refuse", "raise oddly")]
-    work = Naughty(ways=tuple(enumerate(raising)))
-    rows = [
-        computed(run_all(work, some_jobs(6), tmp_path / name, executor))
-        for name, executor in (("a", Processes(1, LIMITS)), ("b", here))
-    ]
-    assert rows[0] == rows[1]
 
 
 @pytest.mark.parametrize("executor", [here, Processes(1, LIMITS)])

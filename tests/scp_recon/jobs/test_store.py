@@ -87,10 +87,14 @@ def test_later_row_of_a_key_counts(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == []
 
 
-@pytest.mark.parametrize("text", ["", "{", '{"schema": "another", "depends_on": {}}\n{"key": 1}\n'])
+@pytest.mark.parametrize(
+    "text", ["", "{", "[]\n", '{"schema": "another", "depends_on": {}}\n{"key": 1}\n']
+)
 def test_foreign_rows_stay_until_the_first_put(tmp_path, text):
     path = tmp_path / "rows.jsonl"
     path.write_text(text, encoding="utf-8")
+    with pytest.raises(ValueError, match=r"no store|Expecting"):
+        read_head(path)
     with Store(path, DEPENDS_ON) as store:
         assert len(store) == 0
         assert path.read_text("utf-8") == text
@@ -100,13 +104,6 @@ def test_foreign_rows_stay_until_the_first_put(tmp_path, text):
         assert len(store) == 0
     with Store(path, DEPENDS_ON) as store:
         assert len(store) == 1
-
-
-@pytest.mark.parametrize("text", ["[]\n", "{}\n", "{"])
-def test_what_is_no_store_has_no_head(tmp_path, text):
-    (tmp_path / "rows.jsonl").write_text(text, encoding="utf-8")
-    with pytest.raises(ValueError, match=r"no store|Expecting"):
-        read_head(tmp_path / "rows.jsonl")
 
 
 def test_one_writer_at_a_time(tmp_path):
