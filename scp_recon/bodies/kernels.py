@@ -1,20 +1,25 @@
 """Read SPICE kernels: rotation (PCK), heliocentric state (SPK), shape (DSK), spacecraft states.
 
-Needs the extra [spice]. Kernels that the user has loaded are loaded again after each reading.
+Needs the extra [spice]. SPICE has one state in a process and no thread may share it: whatever uses
+SPICE does so in `spice_alone`. Kernels that the user has loaded are loaded again after each reading.
 """
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator, Sequence
 from contextlib import chdir, contextmanager
 from dataclasses import dataclass
+from datetime import timedelta
 from pathlib import Path
+from threading import RLock
 from typing import Any
 
 import numpy as np
 
 from formulations.arrays import Array, Indices
-from scp_recon.errors import InputError, needing
+from scp_recon.bodies.catalogue import J2000_TDB
+from scp_recon.errors import InputError, imported
 
 SUN = 10
 """NAIF's number."""
@@ -102,7 +107,8 @@ def read_dsk(path: Path, naif_id: int | None = None) -> tuple[Array, Indices]:
     with _kernels(entry, []) as spice:
         handle = None
         try:
-            handle = spice.dasopr(str(path))
+            with reachable(path) as name:
+                handle = spice.dasopr(name)
             segment = spice.dlabfs(handle)
             described = spice.dskgd(handle, segment)
             if described.dtype != 2:
@@ -125,15 +131,30 @@ def read_dsk(path: Path, naif_id: int | None = None) -> tuple[Array, Indices]:
     return np.array(vertices) * 1e3, np.array(plates, dtype=np.intp) - 1
 
 
+_ALONE = RLock()
+NAME_MAX = 255
+"""Characters of a file's name that SPICE reads."""
+
+
+@contextmanager
+def spice_alone(entry: str) -> Iterator[Any]:
+    """SPICE for one thread at a time; others wait.
+
+    Raises:
+        InputError: naming the entry, if spiceypy is missing.
+    """
+    spiceypy = imported(entry, "spice", "spiceypy")
+    with _ALONE:
+        yield spiceypy
+
+
 @contextmanager
 def _kernels(entry: str, paths: Sequence[Path]) -> Iterator[Any]:
     """SPICE with these kernels loaded and no others."""
-    with needing(entry, "spice", "spiceypy"):
-        import spiceypy
     for path in paths:
         if not path.is_file():
             raise InputError(entry, str(path), "must be a readable kernel")
-    with spiceypy.KernelPool([]):
+    with spice_alone(entry) as spiceypy, spiceypy.KernelPool([]):
         try:
             for path in paths:
                 _load(spiceypy, path)
@@ -142,10 +163,21 @@ def _kernels(entry: str, paths: Sequence[Path]) -> Iterator[Any]:
         yield spiceypy
 
 
+@contextmanager
+def reachable(path: Path) -> Iterator[str]:
+    """Name by which SPICE finds a file: from its own folder, if the whole path is too long."""
+    if len(os.fsencode(path)) <= NAME_MAX:
+        yield str(path)
+    else:
+        with chdir(path.parent):
+            yield path.name
+
+
 def _load(spiceypy: Any, path: Path) -> None:
     """Load a kernel; a list of kernels also from its own folder, as an exported one names them."""
     try:
-        spiceypy.furnsh(str(path))
+        with reachable(path) as name:
+            spiceypy.furnsh(name)
     except spiceypy.SpiceyError:
         if path.suffix.lower() != ".tm":
             raise
@@ -200,4 +232,22 @@ def _geometric(
             return np.array([spice.spkgeo(target, t, "J2000", center)[0] for t in seconds])
         except spice.SpiceyError as error:
             given = ", ".join(map(str, paths))
-            raise InputError(entry, given, f"must give {what}: {error.short}") from None
+            if spans := [span for one in pair for span in _spans(spice, one)]:
+                given += f" ({'; '.join(spans)})"
+            ends = " to ".join(map(_tdb, dict.fromkeys((seconds[0], seconds[-1]))))
+            allowed = f"must give {what}, {ends} TDB: {error.short}"
+            raise InputError(entry, given, allowed) from None
+
+
+def _spans(spice: Any, body: int) -> Iterator[str]:
+    """Times in TDB for which each loaded file has a body."""
+    for number in range(spice.ktotal("SPK")):
+        file = spice.kdata(number, "SPK")[0]
+        times = spice.spkcov(file, body)
+        for begin, end in (spice.wnfetd(times, k) for k in range(spice.wncard(times))):
+            yield f"{Path(file).name} has {body} from {_tdb(begin)} to {_tdb(end)} TDB"
+
+
+def _tdb(seconds: float) -> str:
+    """Calendar date to the second of TDB seconds past J2000."""
+    return (J2000_TDB + timedelta(seconds=round(seconds))).isoformat()

@@ -58,7 +58,7 @@ def require(form: str) -> None:
         InputError: if it is not.
     """
     if form in ("spk", "ck"):
-        kernels.needing_spice()
+        imported(option("format"), "spice", "spiceypy")
     elif form == "parquet":
         needing_pyarrow()
 

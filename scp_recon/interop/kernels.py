@@ -23,7 +23,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from formulations.arrays import Array
-from scp_recon.errors import imported, option
+from scp_recon.bodies.kernels import reachable, spice_alone
+from scp_recon.errors import option
 from scp_recon.interop.export import Export, heading, maker
 from scp_recon.interop.path import MARGIN_S
 from scp_recon.mission.schedule import Leg
@@ -143,32 +144,24 @@ def _rates(flight: FlightPlan, leg: Leg, times: Array) -> Array:
 @contextmanager
 def _written(path: Path, export: Export, kind: Literal["spk", "ck"]) -> Iterator[tuple[Any, int]]:
     """SPICE and the handle of a new kernel, which replaces the target once it is complete."""
-    spice, beside = needing_spice(), path.with_name(f".{uuid4().hex}")
-    lines = heading(export)
-    try:
-        room = sum(len(line) + 1 for line in lines)
-        handle = getattr(spice, f"{kind}opn")(str(beside), maker(), room)
+    beside, lines = path.with_name(f".{uuid4().hex}"), heading(export)
+    with spice_alone(option("format")) as spice:
         try:
-            spice.dafac(handle, lines)
-            yield spice, handle
-        except BaseException:
-            spice.dafcls(handle)
-            raise
-        getattr(spice, f"{kind}cls")(handle)
-        beside.replace(path)
-    except spice.SpiceyError as error:
-        raise OSError(f"{path}: {error.short}") from None
-    finally:
-        beside.unlink(missing_ok=True)
-
-
-def needing_spice() -> Any:
-    """Import spiceypy.
-
-    Raises:
-        InputError: if it is missing.
-    """
-    return imported(option("format"), "spice", "spiceypy")
+            room = sum(len(line) + 1 for line in lines)
+            with reachable(beside) as name:
+                handle = getattr(spice, f"{kind}opn")(name, maker(), room)
+            try:
+                spice.dafac(handle, lines)
+                yield spice, handle
+            except BaseException:
+                spice.dafcls(handle)
+                raise
+            getattr(spice, f"{kind}cls")(handle)
+            beside.replace(path)
+        except spice.SpiceyError as error:
+            raise OSError(f"{path}: {error.short}") from None
+        finally:
+            beside.unlink(missing_ok=True)
 
 
 def frame_names(export: Export) -> tuple[str, str]:

@@ -1,7 +1,9 @@
 """Kernels and gravity files: what they say, and what is refused."""
 
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from datetime import timedelta
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -140,6 +142,42 @@ def test_a_scenario_by_kernels_needs_them_once(tmp_path, spice):
     assert found.replace({"risk.p_chance": 0.8}).sun == found.sun
 
 
+def test_threads_read_kernels_as_one_does(tmp_path, spice):
+    """SPICE has one state for all threads of a process, which die or get another's kernels."""
+    file, states = write_spk(tmp_path / "rock.bsp", spice)
+    folders = [tmp_path / str(number) for number in range(6)]
+    for number, folder in enumerate(folders):
+        folder.mkdir()
+        write_pck(folder / "rock.tpc", PCK.replace("2011.1", f"{number}.5"))
+
+    def read(number: int) -> tuple[float, list[float]]:
+        pck = read_pck(folders[number % 6] / "rock.tpc", ROCK_ID, DAYS)
+        return pck.prime_meridian[1], read_heliocentric([file], ROCK_ID, DAYS * DAY_S)[0]
+
+    with ThreadPoolExecutor(6) as threads:
+        found = list(threads.map(read, range(300)))
+    assert [rate for rate, _ in found] == [number % 6 + 0.5 for number in range(300)]
+    np.testing.assert_allclose([place for _, place in found], [states[12, :3]] * 300, rtol=1e-12)
+    assert spice.ktotal("all") == 0
+
+
+def test_kernels_at_long_paths_are_read(tmp_path, spice):
+    folder = tmp_path / ("a deep folder " * 9).strip() / ("another " * 20).strip()
+    folder.mkdir(parents=True)
+    assert len(str(folder)) > 300
+    pck = write_pck(folder / "rock.tpc")
+    found = read_pck(pck, ROCK_ID, DAYS).prime_meridian
+    assert found == pytest.approx((140.7, 2011.1, 1.8e-6))
+    for name in ("rock.bsp", "rock.bds"):
+        write = write_spk if name == "rock.bsp" else partial(write_dsk, mesh=ROCK)
+        write(tmp_path / name, spice=spice)
+        (tmp_path / name).rename(folder / name)
+    assert len(read_dsk(folder / "rock.bds", ROCK_ID)[1]) == len(ROCK.facets)
+    here = Path.cwd()
+    assert read_heliocentric([folder / "rock.bsp"], ROCK_ID, DAYS * DAY_S)[0]
+    assert Path.cwd() == here
+
+
 def test_the_users_own_kernels_stay(tmp_path, spice):
     mine = write_pck(tmp_path / "mine.tpc", PCK.replace("2011.1", "100.0"))
     with spice.KernelPool(str(mine)):
@@ -172,9 +210,16 @@ def test_what_is_no_kernel_is_refused(text, tmp_path, spice):
 
 
 def test_an_epoch_that_kernels_do_not_cover_is_refused(tmp_path, spice):
+    """The file and its span are told, where it ends five minutes early, too."""
     file, _ = write_spk(tmp_path / "rock.bsp", spice)
-    with pytest.raises(InputError, match="at the epoch"):
-        read_heliocentric([file], ROCK_ID, (DAYS + 50.0) * DAY_S)
+    last = J2000_TDB + timedelta(days=DAYS + 3.0)
+    for late_s in (300.0, 50.0 * DAY_S):
+        with pytest.raises(InputError, match="at the epoch") as caught:
+            read_heliocentric([file], ROCK_ID, (DAYS + 3.0) * DAY_S + late_s)
+        assert f"rock.bsp has {ROCK_ID} from " in caught.value.given
+        assert f"to {last.isoformat()[:19]} TDB" in caught.value.given
+        asked = last + timedelta(seconds=late_s)
+        assert asked.isoformat()[:19] in caught.value.allowed
 
 
 def test_without_spiceypy_the_extra_is_named(tmp_path, monkeypatch):

@@ -1,6 +1,7 @@
 """Surfaces: latitude and longitude to position and normal, and back."""
 
 import itertools
+import re
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +21,7 @@ from scp_recon.bodies.surface import (
     direction_of,
 )
 from scp_recon.errors import InputError
+from tests.helpers import generators
 
 latitudes, longitudes = st.floats(-90.0, 90.0), st.floats(-180.0, 180.0)
 radii = st.tuples(*[st.floats(10.0, 1e5)] * 3).map(np.array)
@@ -111,12 +113,59 @@ def test_an_obj_is_read_in_its_unit_with_polygons_and_relative_indices(tmp_path)
     np.testing.assert_array_equal(read_shape(file, "km").vertices_m, 1000.0 * cube.vertices_m)
     np.testing.assert_array_equal(read_shape(file, "m").facets, cube.facets)
     vertices = "".join("v {} {} {}\n".format(*v) for v in cube.vertices_m)
-    quads = "f -8 -7 -5 -6\nf 5 7 8 6\nf 1 5 6 2\nf 3 4 8 7\nf 1 3 7 5\nf 2 6 8 4\n"
+    quads = "f -8 -7 -5 -6  # a side \nf 5 7 8 6\nf 1 5 6 2\nf 3 4 8 7\nf 1 3 7 5\nf 2 6 8 4\n"
     (tmp_path / "quads.obj").write_text(vertices + quads, "utf-8")
     quadrangles = read_shape(tmp_path / "quads.obj", "m")
     assert len(quadrangles.facets) == 12
     direction = direction_of(20.0, 200.0)
     np.testing.assert_allclose(quadrangles.at(direction)[0], cube.at(direction)[0])
+
+
+BALL = Ellipsoid(np.array([300.0, 200.0, 150.0])).tessellated(2)
+
+
+@given(share=st.floats(0.0, 0.45), rng=generators, inward=st.booleans(), seam=st.booleans())
+def test_flipped_facets_are_turned_as_most_are(share, rng, inward, seam, tmp_path_factory):
+    """Also where vertices stand twice, and where a second surface is inside."""
+    facets = BALL.facets[:, ::-1] if inward else BALL.facets
+    both = np.concatenate([facets, facets + len(BALL.vertices_m)])
+    vertices = np.concatenate([BALL.vertices_m, 0.5 * BALL.vertices_m])
+    if seam:
+        vertices, both = vertices[both].reshape(-1, 3), np.arange(both.size).reshape(-1, 3)
+    flipped = rng.permutation(len(both)) < share * len(both)
+    flipped[: len(facets)] &= rng.random(len(facets)) < 0.9
+    mixed = np.where(flipped[:, None], both[:, ::-1], both)
+    assume(all(2 * np.sum(part) < len(part) for part in np.split(flipped, 2)))
+    file = write_obj(tmp_path_factory.getbasetemp() / "mixed.obj", Mesh(vertices, mixed))
+    np.testing.assert_array_equal(read_shape(file, "m").facets, both)
+
+
+def test_a_flipped_facet_moves_no_normal(tmp_path):
+    cube = box(np.full(3, 10.0))
+    for facet in range(12):
+        facets = cube.facets.copy()
+        facets[facet] = facets[facet, ::-1]
+        mesh = read_shape(write_obj(tmp_path / "box.obj", Mesh(cube.vertices_m, facets)), "m", 16.0)
+        expected = Mesh(cube.vertices_m, cube.facets, 16.0)
+        for direction in (direction_of(5.0, 3.0), direction_of(44.0, 100.0)):
+            np.testing.assert_allclose(mesh.at(direction), expected.at(direction), atol=1e-12)
+
+
+@pytest.mark.parametrize("facet", [0, 17, 127])
+@pytest.mark.parametrize("twice", [False, True])
+def test_an_open_shape_is_refused_with_the_facets_line(facet, twice, tmp_path):
+    """A facet is missing, or there twice."""
+    without = np.delete(BALL.facets, facet, axis=0)
+    facets = np.concatenate([BALL.facets, BALL.facets[[facet]]]) if twice else without
+    file = write_obj(tmp_path / "open.obj", Mesh(BALL.vertices_m, facets))
+    with pytest.raises(InputError, match="must be closed") as caught:
+        read_shape(file, "m")
+    line = int(re.search(r"line (\d+): an edge", caught.value.given)[1])
+    corners = {
+        int(word.split("/")[0]) - 1
+        for word in file.read_text("utf-8").split("\n")[line - 1].split()[1:]
+    }
+    assert len(corners & {*BALL.facets[facet].tolist()}) >= 2
 
 
 @pytest.mark.parametrize(
