@@ -75,13 +75,21 @@ def read_attitude(path: Path) -> AttitudeTable:
         InputError: if the file cannot be read, or is not such a table.
     """
     text = read_text(path, ENTRY, "table of attitudes", BYTES_MAX)
-    lines = [line.strip() for line in text.splitlines()]
-    header, *rows = [line for line in lines if line and not line.startswith("#")] or [""]
+    lines = [(number, line.strip()) for number, line in enumerate(text.splitlines(), start=1)]
+    header, *rows = [one for one in lines if one[1] and one[1][0] != "#"] or [(1, "")]
+    number, line = header
+    wanted, values = f"must be {','.join(COLUMNS)}, the header of a table", list[list[float]]()
     try:
-        if tuple(name.strip() for name in header.split(",")) != COLUMNS:
-            raise ValueError(header)
-        table = np.array([[float(x) for x in row.split(",")] for row in rows]).reshape(-1, 5)
-    except ValueError as error:
-        wanted = f"must be a table of numbers with the header {','.join(COLUMNS)}"
-        raise InputError(ENTRY, f"{path} ({str(error)[:80]})", wanted) from None
+        if tuple(name.strip() for name in line.split(",")) != COLUMNS:
+            raise ValueError(line)
+        wanted = f"must be {len(COLUMNS)} numbers"
+        while len(values) < len(rows):
+            number, line = rows[len(values)]
+            row = [float(word) for word in line.split(",")]
+            if len(row) != len(COLUMNS):
+                raise ValueError(line)
+            values.append(row)
+    except ValueError:
+        raise InputError(ENTRY, f"{path}, line {number}: {line[:60]!r}", wanted) from None
+    table = np.array(values).reshape(-1, len(COLUMNS))
     return AttitudeTable(table[:, 0], table[:, 1:])

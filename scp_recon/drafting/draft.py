@@ -99,6 +99,8 @@ class Draft:
 
 
 TEMPLATES = files("scp_recon") / "data" / "drafts"
+SIGMA_SHARE = 0.01
+"""Assumed 1 sigma of the initial state, all three axes together, over distance and speed."""
 DISTANCES, SAFETY = (1.7, 2.6), 1.5
 """In reference radii, about what Reconnaissance B keeps: to the site, and from the centre."""
 
@@ -137,7 +139,15 @@ def _values(draft: Draft) -> dict[str, object]:
     design, radius = draft.design, draft.radius_m
     home = np.array([HOME_RADII * radius, 0.0, 0.0, 0.0, 0.0, 0.0])
     states = (home, home) if design is None else (design.initial_state, design.final_state)
-    values: dict[str, object] = {}
+    begin = states[0]
+    if "boundary" in draft.instead:  # by a trajectory
+        given = {key: value for key, value, _ in draft.instead["boundary"]}
+        begin = np.concatenate([given["initial_position_m"], given["initial_velocity_m_s"]])
+    assumed = SIGMA_SHARE / np.sqrt(3.0) * np.linalg.norm(begin.reshape(2, 3), axis=1)
+    values: dict[str, object] = {
+        "sigma_position": 3 * [float(f"{assumed[0]:.1g}")],
+        "sigma_velocity": 3 * [float(f"{assumed[1]:.1g}")],
+    }
     for which, state in zip(("initial", "final"), states, strict=True):
         values[f"{which}_position"] = _rounded(state[:3], 3)
         values[f"{which}_velocity"] = _rounded(state[3:], 7)

@@ -8,11 +8,10 @@ from __future__ import annotations
 
 import csv
 import re
-import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from datetime import datetime, timedelta
 from pathlib import Path
-from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 
@@ -20,13 +19,14 @@ from scp_recon.bodies.catalogue import DAY_S, J2000_TDB, PackagedBody
 from scp_recon.bodies.kernels import number_of, read_gm, read_heliocentric, read_pck, read_states
 from scp_recon.drafting.draft import Entry, Tables
 from scp_recon.drafting.flown import Track
-from scp_recon.errors import InputError, needing, option
+from scp_recon.errors import InputError, option
 from scp_recon.files import read_text
 from scp_recon.interop.ccsds import plain_name
 from scp_recon.mission.mission import Mission
 from scp_recon.physics.flow import propagate
 from scp_recon.planning.initial_guess import read_table
 from scp_recon.scenario.fields import ScenarioWarning
+from scp_recon.scenario.time_scales import tdb_instant
 
 SPICE, OEM, CSV = (option(f"from_{form}") for form in ("spice", "oem", "csv"))
 STEP_S, STATES_MAX = 30.0, 100_000
@@ -133,96 +133,187 @@ def oem_track(path: Path, body: str) -> Track:
     body's system count as states about the body, with a warning.
 
     Raises:
-        InputError: if the extra [oem] is missing, or the file is no OEM, of another frame, centre or
-            time scale, or its segments are not in order.
+        InputError: if the file is no OEM, of another frame, centre or time scale, or its states or
+            segments are not in order; names the key and the line.
     """
     entry = f"{OEM} {path}"
-    with needing(OEM, "oem"):
-        from astropy.time import Time
-        from oem import OrbitEphemerisMessage
-    if not path.is_file():
-        raise InputError(entry, "no such file", "must be a readable OEM")
-    _check_finite(path, entry)
-    rows, doubts = [], dict[str, ScenarioWarning]()
-    j2000 = Time(J2000_TDB, scale="tdb")
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore")  # of leap seconds that nobody knows yet
-        warnings.filterwarnings("error", message="Unsupported TIME_SYSTEM")
-        try:
-            segments = list(OrbitEphemerisMessage.open(str(path)))
-        except Exception as error:  # of whatever kind: the library has none of its own
-            raise InputError(
-                entry,
-                f"no OEM ({str(error)[:120]})",
-                "must be a CCSDS OEM as its CCSDS_OEM_VERS has it",
-            ) from None
-        for segment in segments:
-            about = segment.metadata
-            turn = "; turn the states to one of them"
-            _one_of(entry, "REF_FRAME", about["REF_FRAME"], FRAMES, turn)
-            _one_of(entry, "TIME_SYSTEM", about["TIME_SYSTEM"], SCALES)
-            if "REF_FRAME_EPOCH" in about:
-                _check_frame_epoch(entry, about, j2000)
-            doubts |= {str(doubt): doubt for doubt in _centre_doubts(entry, about, body)}
-            rows += [(s.epoch.tdb, 1e3 * s.position, 1e3 * s.velocity) for s in segment.states]
-    first = rows[0][0]
-    since = (first - j2000).sec
-    epoch = J2000_TDB + timedelta(microseconds=round(since * 1e6))  # as fine as a scenario's
-    times = np.round([(row[0] - first).sec for row in rows], 9)
-    states = np.array([np.concatenate(row[1:]) for row in rows])
-    return Track(epoch, times, states, f"from {path.name}", tuple(doubts.values()))
+    text = read_text(path, entry, "OEM")
+    lines = _of_xml(text, entry) if text.lstrip().startswith("<") else _of_kvn(text)
+    instants, states, doubts = list[int](), list[list[float]](), dict[str, ScenarioWarning]()
+    for about, rows in _segments(entry, lines):
+        turn = "; turn the states to one of them"
+        _one_of(entry, "REF_FRAME", about, FRAMES, turn)
+        _one_of(entry, "TIME_SYSTEM", about, SCALES)
+        _check_frame_epoch(entry, about)
+        doubts |= {str(doubt): doubt for doubt in _centre_doubts(entry, about, body)}
+        scale, previous = about["TIME_SYSTEM"][1].upper(), ""
+        for where, line, epoch, numbers in rows:
+            try:
+                when = tdb_instant(epoch, scale)
+            except ValueError as error:
+                raise InputError(
+                    f"{entry}, {where}", line, f"must have an epoch: {error}"
+                ) from None
+            if instants and (when < instants[-1] or (previous and when == instants[-1])):
+                allowed = "must be later than the state before"
+                raise InputError(f"{entry}, {where}", line, f"{allowed}, at {previous or 'a burn'}")
+            instants.append(when)
+            states.append(numbers)
+            previous = epoch
+    if not instants:
+        raise InputError(entry, "no states", "must be a CCSDS OEM with states")
+    first = instants[0]
+    epoch_tdb = J2000_TDB + timedelta(microseconds=round(first / 1e3))  # as fine as a scenario's
+    times = np.array([(when - first) / 1e9 for when in instants])
+    source = f"from {path.name}"
+    return Track(epoch_tdb, times, 1e3 * np.array(states), source, tuple(doubts.values()))
 
 
-def _check_frame_epoch(entry: str, about: Mapping[str, Any], j2000: Any) -> None:
+Line = tuple[str, str]
+"""Where a line of an OEM stands, in words, and the line."""
+About = dict[str, Line]
+"""A segment's metadata by key: where each stands, and its value."""
+Row = tuple[str, str, str, list[float]]
+"""Where a state stands, its line, its epoch on the calendar, and six numbers in km and km/s."""
+VERSIONS = ("1.0", "2.0", "3.0")
+EPOCH = re.compile(r"(\d{4})-(?:(\d\d-\d\d)|(\d{3}))T(\d\d:\d\d:\d\d(?:\.\d*)?)Z?")
+"""A calendar date or day of the year; a Z ends it in any scale: CCSDS 502.0-B-3, 7.5.10."""
+
+
+def _of_kvn(text: str) -> Iterator[Line]:
+    """Lines of an OEM in key-value notation that are neither blank nor comments."""
+    for number, line in enumerate(text.splitlines(), start=1):
+        if (kept := line.strip()) and not kept.startswith("COMMENT"):
+            yield f"line {number}", kept
+
+
+def _of_xml(text: str, entry: str) -> Iterator[Line]:
+    """The lines that an OEM in XML would have in key-value notation; covariances are left out."""
+    try:
+        root = ElementTree.fromstring(text)
+    except ElementTree.ParseError as error:
+        raise InputError(entry, f"no OEM ({error})", "must be a CCSDS OEM") from None
+    yield "version", f"CCSDS_OEM_VERS = {root.get('version')}"
+    count = 0
+    for part in root.iter():
+        inside = {item.tag.rpartition("}")[2]: (item.text or "").strip() for item in part}
+        if part.tag.endswith("metadata"):
+            yield "metadata", "META_START"
+            yield from ((key, f"{key} = {value}") for key, value in inside.items())
+            yield "metadata", "META_STOP"
+        elif part.tag.endswith("stateVector"):
+            count += 1
+            keys = ("EPOCH", "X", "Y", "Z", "X_DOT", "Y_DOT", "Z_DOT")
+            yield f"stateVector {count}", " ".join(inside.get(key, "nothing") for key in keys)
+
+
+def _segments(entry: str, lines: Iterable[Line]) -> Iterator[tuple[About, list[Row]]]:
+    """Metadata and states of each segment.
+
+    Raises:
+        InputError: naming the line, if it is none of an OEM.
+    """
+    about, rows, inside, triangle = About(), list[Row](), "", -1
+    for number, (where, line) in enumerate(lines):
+        key, equals, value = (part.strip() for part in line.partition("="))
+
+        def fail(allowed: str, where: str = where, line: str = line) -> InputError:
+            return InputError(f"{entry}, {where}", line[:120], allowed)
+
+        if number == 0:
+            if key != "CCSDS_OEM_VERS" or value not in VERSIONS:
+                raise fail(f"must be CCSDS_OEM_VERS = {' or '.join(VERSIONS)}, as an OEM begins")
+        elif not equals and re.fullmatch("(META|COVARIANCE)_(START|STOP)", line):
+            if line == "META_START" and rows:
+                yield about, rows
+            if line == "META_START":
+                about, rows = {}, []
+            inside = line if line.endswith("START") else "states"
+            triangle = -1
+        elif inside in ("", "META_START"):
+            if not equals:
+                raise fail("must read KEY = value")
+            if inside:
+                about[key] = (where, value)
+        elif inside == "COVARIANCE_START" and equals:
+            triangle = 0 if key == "EPOCH" else triangle
+        elif inside == "COVARIANCE_START":
+            if triangle < 0:
+                raise fail("must come after its EPOCH")
+            triangle += 1
+            if triangle > 6 or len(line.split()) != triangle:
+                raise fail(f"must have {triangle} numbers, the row's of a lower triangle of 6 rows")
+            _finite(line.split(), fail)
+        else:
+            epoch, *numbers = line.split()
+            if len(numbers) not in (6, 9):
+                raise fail("must be an epoch and six numbers")
+            rows.append((where, line, _calendar(epoch, fail), _finite(numbers, fail)[:6]))
+    if rows:
+        yield about, rows
+
+
+def _calendar(epoch: str, fail: Callable[[str], InputError]) -> str:
+    """An epoch as a calendar date without a Z."""
+    found = EPOCH.fullmatch(epoch)
+    if found is None:
+        raise fail("must have an epoch such as 2020-01-21T20:33:17.184, or 2020-021T20:33:17.184")
+    year, date, day, time = found.groups()
+    if day is not None:
+        turned = datetime(int(year), 1, 1) + timedelta(days=int(day) - 1)
+        date = f"{turned:%m-%d}" if turned.year == int(year) else "00-00"
+    return f"{year}-{date}T{time}"
+
+
+def _finite(words: Sequence[str], fail: Callable[[str], InputError]) -> list[float]:
+    try:
+        found = [float(word) for word in words]
+    except ValueError:
+        raise fail("must be numbers") from None
+    if not np.isfinite(found).all():
+        raise fail("must be finite numbers")
+    return found
+
+
+def _check_frame_epoch(entry: str, about: About) -> None:
     """Refuse axes of another date than J2000, which none of `FRAMES` has.
 
     Raises:
         InputError: if REF_FRAME_EPOCH is another date, or none.
     """
+    if "REF_FRAME_EPOCH" not in about:
+        return
+    where, given = about["REF_FRAME_EPOCH"]
+    allowed = (
+        f"must be 2000-01-01T12:00:00, or left out, as {about['REF_FRAME'][1]} has no other; turn "
+        "the states to it if their axes are of that date"
+    )
+    refusal = InputError(f"{entry}: REF_FRAME_EPOCH, {where}", given, allowed)
     try:
-        off, given = (about["REF_FRAME_EPOCH"] - j2000).sec, about["REF_FRAME_EPOCH"].isot
-    except ValueError as error:
-        off, given = np.inf, str(error)
+        off = tdb_instant(_calendar(given, lambda _: refusal), "TDB") / 1e9
+    except ValueError:
+        raise refusal from None
     if abs(off) > EPOCH_SLACK_S:
-        raise InputError(
-            f"{entry}: REF_FRAME_EPOCH",
-            given,
-            f"must be 2000-01-01T12:00:00, or left out, as {about['REF_FRAME']} has no other; turn the "
-            "states to it if their axes are of that date",
-        )
+        raise refusal
 
 
-def _centre_doubts(entry: str, about: Mapping[str, str], body: str) -> Iterator[ScenarioWarning]:
+def _centre_doubts(entry: str, about: About, body: str) -> Iterator[ScenarioWarning]:
     """Warn of a system's barycentre in the place of a body's own centre.
 
     Raises:
         InputError: if the states are about something else.
     """
-    given, own = (plain_name(name).replace("_", "") for name in (about["CENTER_NAME"], body))
+    named = about.get("CENTER_NAME", ("", ""))[1]
+    given, own = (plain_name(name).replace("_", "") for name in (named, body))
     if given not in (own, own + BARYCENTER):
-        _one_of(entry, "CENTER_NAME", about["CENTER_NAME"], (body.upper(), plain_name(body)))
+        _one_of(entry, "CENTER_NAME", about, (body.upper(), plain_name(body)))
     if given != own:
         yield ScenarioWarning.of(
             "trajectory",
-            f"about {about['CENTER_NAME']}",
+            f"about {named}",
             f"taken as about the centre of {body}, from which other bodies of the system move the "
             "barycentre",
         )
-
-
-NOT_FINITE = re.compile(r"(?:^|[\s>])[+-]?(?:nan|inf|infinity)(?=[\s<]|$)", re.IGNORECASE)
-
-
-def _check_finite(path: Path, entry: str) -> None:
-    """Refuse an OEM with a number that is none, by its line; key = value lines and comments are text.
-
-    Raises:
-        InputError: if there is one.
-    """
-    for number, line in enumerate(read_text(path, entry, "OEM").splitlines(), start=1):
-        if "=" not in line and "COMMENT" not in line and NOT_FINITE.search(line):
-            allowed = "must be finite numbers"
-            raise InputError(f"{entry}, line {number}", line.strip()[:120], allowed)
 
 
 def csv_track(path: Path, epoch: datetime) -> Track:
@@ -273,10 +364,12 @@ def _et(when: datetime) -> float:
     return (when - J2000_TDB).total_seconds()
 
 
-def _one_of(entry: str, key: str, given: str, known: Sequence[str], hint: str = "") -> None:
-    if given.strip().upper() not in known:
+def _one_of(entry: str, key: str, about: About, known: Sequence[str], hint: str = "") -> None:
+    """Refuse a segment whose value of a key is missing, or none of the known ones."""
+    where, given = about.get(key, ("metadata", "nothing"))
+    if given.upper() not in known:
         allowed = f"must be {' or '.join(dict.fromkeys(known))}{hint}"
-        raise InputError(f"{entry}: {key}", given, allowed)
+        raise InputError(f"{entry}: {key}, {where}", given, allowed)
 
 
 def pull_doubts(mission: Mission, track: Track) -> Iterator[ScenarioWarning]:

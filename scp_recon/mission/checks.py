@@ -16,6 +16,7 @@ complete file, no entry of another date or body is inherited.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import reduce
 from operator import attrgetter, getitem
 
@@ -201,6 +202,22 @@ def angles_in_radians(scene: Scene) -> Iterator[ScenarioWarning]:
                 f"{north:g} deg, and {other.partition('.')[2]} {east:g} deg",
                 f"expected more than {0.5 * np.pi:.2f} or {2.0 * np.pi:.2f} deg; degrees?",
             )
+
+
+@contextmanager
+def hinting(scene: Scene) -> Iterator[None]:
+    """Context in which a refusal that angles in radians may have led to begins with these.
+
+    Raises:
+        InputError: that of the context, behind the angles' entry and what is expected of it.
+    """
+    try:
+        yield
+    except InputError as error:
+        hint = next(angles_in_radians(scene), None)
+        if hint is None or not error.entry.startswith(("site.", "body.", "observation", "burns.")):
+            raise
+        raise InputError(hint.entry, hint.given, f"{hint.expected}\n{error}") from None
 
 
 SAME_AXIS, SAME_PLANE_DEG, SAME_ECCENTRICITY = 0.01, 0.2, 0.02

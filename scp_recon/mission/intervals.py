@@ -192,14 +192,15 @@ def _solar_escape_km_s(scene: Scene, _: str) -> float:
     return math.sqrt(2.0 * GM_SUN_KM3_S2 / math.hypot(*scene.scenario.sun.body_position_km))
 
 
-def _off_the_equator_deg(scene: Scene, _: str) -> float:
-    """Angle of the orbit's plane off Earth's equator less its angle off the ecliptic.
+def _off_the_equator(scene: Scene, _: str) -> float:
+    """Angle of the orbit's plane off Earth's equator over its angle off the ecliptic.
 
     Components along the axes of the ecliptic, which many tables have, make the inclination the angle
-    off the equator. Below 11.7 deg, half the obliquity, this warns, and never of a correct orbit.
+    off the equator. Below 0.4 they explain the numbers clearly better: that is so of any inclination up
+    to 6.7 deg with wrong axes, and of none below 16.7 deg with the right ones.
     """
     normal = orbit_of_body(scene).normal
-    return angle_deg(normal, [0.0, 0.0, 1.0]) - angle_deg(normal, ECLIPTIC_NORTH)
+    return angle_deg(normal, [0.0, 0.0, 1.0]) / max(angle_deg(normal, ECLIPTIC_NORTH), 1e-9)
 
 
 def _off_shadow_m(scene: Scene, entry: str) -> float | None:
@@ -236,11 +237,15 @@ def _outside_m(scene: Scene, entry: str) -> float | None:
     return None if of_home and entry != HOME else size(value_at(scene, entry))
 
 
-def _followed_m3_s2(scene: Scene, _: str) -> float:
-    """GM at which a flight turns by a radian per step at its boundary."""
+def _nearer_end_m(scene: Scene, _: str) -> float:
+    """Distance of the nearer end of the flight from the centre."""
     boundary = scene.scenario.boundary
-    ends = boundary.initial_position_m, boundary.final_position_m
-    return float(min(math.hypot(*end) for end in ends) ** 3 / RK4_STEP_MAX_S**2)
+    return min(math.hypot(*boundary.initial_position_m), math.hypot(*boundary.final_position_m))
+
+
+def _followed_m3_s2(scene: Scene, entry: str) -> float:
+    """GM at which a flight turns by a radian per step at its boundary."""
+    return _nearer_end_m(scene, entry) ** 3 / RK4_STEP_MAX_S**2
 
 
 def _followed_m(scene: Scene, _: str) -> float:
@@ -318,9 +323,19 @@ DENSITIES = (3.0, 1e6)
 """Density of any body by a radius within a factor of five of its own, kg/m^3."""
 SPIN, SUN_SPEED = "body.prime_meridian_rate_deg_day", "sun.body_velocity_km_s"
 HOME, FLIGHT = "boundary.home.radius_m", "in_flight.position_m"
+ENDS = "boundary.initial_position_m boundary.final_position_m"
 STEPS = f": the planner's steps are {RK4_STEP_MAX_S:g} s"
 RADII = (lambda scene, _: scene.scenario.body.reference_radius_m), "reference radii"
 ESCAPE = _escape_m_s, "times the speed of escape there"
+SPEED = Interval(
+    "boundary.initial_velocity_m_s boundary.final_velocity_m_s", unit="m/s", refuse=(-INF, 10.0),
+    warn=(0.01, 5.0), hint=", in metres per second", or_zero=True, scale=ESCAPE,
+)  # fmt: skip
+TOO_FAR = Interval(
+    ENDS, "from the centre", unit="m", refuse=(-INF, 100.0), hint=", in metres",
+    scale=(_nearer_end_m, "times the nearer end of the flight"),
+)  # fmt: skip
+"""Rows for states in millimetres, which are a thousand times too large."""
 SIGMAS = (
     Interval(
         f"{SPREADS} uncertainty.initial_sigma_position_m", "1 sigma",
@@ -355,7 +370,7 @@ PLANNER_INTERVALS = (
         ),
     ),
     Interval(
-        f"boundary.initial_position_m boundary.final_position_m {HOME} {FLIGHT}",
+        f"{ENDS} {HOME} {FLIGHT}",
         "from the centre", _outside_m, "m", refuse=(math.nextafter(1.0, 2.0), INF),
         hint=", outside the body", scale=RADII,
     ),
@@ -456,8 +471,8 @@ INTERVALS = (
         warn=(-INF, 50.0), hint="; J2000, axes in order?",
     ),
     Interval(
-        SUN_SPEED, "the orbit's plane off Earth's equator, less off the ecliptic",
-        _off_the_equator_deg, "deg", warn=(0.0, INF), hint="; components along the ecliptic's axes?",
+        SUN_SPEED, "the orbit's plane off Earth's equator, over its angle off the ecliptic",
+        _off_the_equator, warn=(0.4, INF), hint="; components along the ecliptic's axes?",
     ),
     Interval(
         "safety.radius_min_m", unit="m", refuse=(1.0, INF), hint=": below it is the inside",
@@ -473,19 +488,14 @@ INTERVALS = (
         lambda s, entry: s.scenario.observation.site_distance_max_m / float(value_at(s, entry)),
         warn=(-INF, 10.0), hint="; metres both?",
     ),
-    Interval(
-        "boundary.initial_position_m boundary.final_position_m", "from the centre", unit="m",
-        warn=(-INF, 100.0), scale=RADII,
-    ),
+    Interval(ENDS, "from the centre", unit="m", warn=(-INF, 100.0), scale=RADII),
+    TOO_FAR,
     # Swapped axes may lead there.
     Interval(
-        "boundary.initial_position_m boundary.final_position_m", "off the axis of the body's shadow",
-        _off_shadow_m, "m", warn=(1.0, INF), hint="; the frame and its axes?", scale=RADII,
+        ENDS, "off the axis of the body's shadow", _off_shadow_m, "m", warn=(1.0, INF),
+        hint="; the frame and its axes?", scale=RADII,
     ),
-    Interval(
-        "boundary.initial_velocity_m_s boundary.final_velocity_m_s", unit="m/s",
-        warn=(0.01, 20.0), or_zero=True, scale=ESCAPE,
-    ),
+    SPEED,
     # A limit on the burns is one only where it can bind: more than that turns any flight here round.
     Interval(
         "burns.dv_max_m_s", unit="m/s", warn=(-INF, 20.0),
@@ -540,9 +550,8 @@ INTERVALS = (
 """Rows for a scenario before its window is known, in the order of checking."""
 STATE_INTERVALS = (
     Interval(FLIGHT, "from the centre", unit="m", warn=(-INF, 100.0), scale=RADII),
-    Interval(
-        "in_flight.velocity_m_s", unit="m/s", warn=(0.01, 20.0), or_zero=True, scale=ESCAPE
-    ),
+    replace(TOO_FAR, entries=FLIGHT),
+    replace(SPEED, entries="in_flight.velocity_m_s"),
     *SIGMAS,
     *(
         replace(row, entries=f"navigation.covariance {measured}", refuse=None, or_zero=False)

@@ -21,7 +21,13 @@ from formulations.problem.polytopes import ball, paper_ball
 from scp_recon.bodies.catalogue import AU_KM
 from scp_recon.bodies.surface import Mesh
 from scp_recon.errors import InputError
-from scp_recon.mission.checks import check_plannable, check_scene, check_state, check_window
+from scp_recon.mission.checks import (
+    check_plannable,
+    check_scene,
+    check_state,
+    check_window,
+    hinting,
+)
 from scp_recon.mission.constraints import Limit, observation_limits, state_constraints
 from scp_recon.mission.feedback import felt_cut_offs_s, require_open_loop, resolved
 from scp_recon.mission.grid import RK4_STEP_MAX_S, Units, make_grid
@@ -101,14 +107,15 @@ class Mission:
         """
         scene = Scene.of(scenario)
         check_plannable(scene)
-        if known is not None and known.scenario.same_but_in_flight(scenario):
-            window, warnings = known.schedule.window_s, known.warnings
-        else:
-            warnings = check_scene(scene)
-            step = scan_step_s(scene.rotation.rate, (0.0, scenario.duration_s))
-            window = find_window(scenario, scene.lighting, step)
-            warnings += check_window(scene, window)
-        schedule = make_schedule(scenario.burns.times_s, window, scenario.schedule)
+        with hinting(scene):
+            if known is not None and known.scenario.same_but_in_flight(scenario):
+                window, warnings = known.schedule.window_s, known.warnings
+            else:
+                warnings = check_scene(scene)
+                step = scan_step_s(scene.rotation.rate, (0.0, scenario.duration_s))
+                window = find_window(scenario, scene.lighting, step)
+                warnings += check_window(scene, window)
+            schedule = make_schedule(scenario.burns.times_s, window, scenario.schedule)
         start, cut_offs = scenario.start_s, felt_cut_offs_s(scene, window).values()
         fixed = start, *scenario.burn_times_s, *cut_offs, *window, *scenario.grid.nodes_s
         return cls(

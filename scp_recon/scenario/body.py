@@ -76,13 +76,19 @@ class Attitude(Section):
     def _is_a_motion(self) -> Self:
         if len(self.tdb_s) != len(self.quaternions):
             raise ValueError("must have as many quaternions as times")
-        if any(b <= a for a, b in pairwise(self.tdb_s)):
-            raise ValueError("must have times in ascending order")
-        if any(abs(math.hypot(*q) - 1.0) > 1e-3 for q in self.quaternions):
-            raise ValueError("must have quaternions of length one, to 0.001")
         least = math.cos(0.5 * math.radians(TURN_MAX_DEG)) * (1.0 - 2e-3)
-        if any(abs(sum(map(mul, a, b))) < least for a, b in pairwise(self.quaternions)):
-            raise ValueError(f"must turn by at most {TURN_MAX_DEG:g} deg from row to row")
+        turns = [abs(sum(map(mul, a, b))) for a, b in pairwise(self.quaternions)]
+        for rule, first, kept in (
+            ("times in ascending order", 2, [a < b for a, b in pairwise(self.tdb_s)]),
+            (
+                "quaternions of length one, to 0.001",
+                1,
+                [abs(math.hypot(*q) - 1.0) <= 1e-3 for q in self.quaternions],
+            ),
+            (f"turns of at most {TURN_MAX_DEG:g} deg", 2, [turn >= least for turn in turns]),
+        ):
+            if not all(kept):
+                raise ValueError(f"must have {rule}, as row {kept.index(False) + first} has not")
         return self
 
 

@@ -30,7 +30,7 @@ class HomeOrbit(Section):
     and the epoch on, instead of the circle. A design alone can tell its states."""
     ephemeris_file: Line | None = None
     """File of one revolution at least that stands in place of the circle, about body.name: a table of
-    states (.csv, as --init takes it), a CCSDS OEM (.oem; extra [oem]), or a SPICE kernel or meta-kernel
+    states (.csv, as --init takes it), a CCSDS OEM (.oem), or a SPICE kernel or meta-kernel
     (extra [spice]; read from the epoch on). The first revolution counts. Its phases count about normal,
     sense has to be its own, and its distances lie within a factor of 2 of radius_m. A design alone can
     tell its states. Relative to this file."""

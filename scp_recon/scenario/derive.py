@@ -135,7 +135,7 @@ def _epoch(tables: Given) -> None:
         given = datetime.fromisoformat(str(epoch["tdb"])) if "tdb" in epoch else None
     except ValueError:  # the schema tells
         return
-    computed = tdb_of_utc(utc)
+    computed = tdb_of_utc(utc, "epoch.utc")
     if given is None:
         epoch["tdb"] = computed.isoformat()
     elif given.tzinfo is None:

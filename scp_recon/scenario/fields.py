@@ -64,6 +64,8 @@ FlightTime = Annotated[float, Field(ge=0, le=1e7)]
 def _no_offset(tdb: datetime) -> datetime:
     if tdb.tzinfo is not None:
         raise ValueError("must have no time zone, it is TDB")
+    if not 1000 <= tdb.year <= 9000:
+        raise ValueError("must be in the years 1000 to 9000")
     return tdb
 
 

@@ -25,7 +25,8 @@ BYTES_MAX = 1_000_000
 SHORT = re.compile(r"[+-]?(?:\d+\.|\.\d+)(?:[eE][+-]?\d+)?")
 """Numbers that begin or end with their point."""
 DOTS_MAX = 200
-"""In a line: a list of 64 firing times has a third, and what has more nests without end."""
+"""Beside those of numbers, in a line: what has more nests without end."""
+NUMBER = re.compile(r"(?<![\w.])[+-]?\d[\d_]*\.\d[\d_]*(?:[eE][+-]?\d+)?(?![\w.])")
 PARTS_MAX = 3
 """Of a dotted entry: section.entry.item."""
 NO_FILE = os.strerror(errno.ENOENT).lower()
@@ -179,7 +180,8 @@ def _read(path: Path) -> dict[str, Any]:
         raise InputError(error.entry, error.given, allowed) from None
     if text.lstrip().startswith("{"):  # TOML never does: likely a solution
         raise InputError(f"scenario {path}", "JSON", again)
-    if any(line.count(".") > DOTS_MAX for line in text.splitlines()):
+    dotted = (line for line in text.splitlines() if line.count(".") > DOTS_MAX)
+    if any(NUMBER.sub("", line).count(".") > DOTS_MAX for line in dotted):
         raise InputError(f"scenario {path}", "a line of many dots", f"must have at most {DOTS_MAX}")
     try:
         return tomllib.loads(text)
@@ -235,18 +237,10 @@ def scenario_text(scenario: Scenario) -> str:
     return "\n".join(_lines("", tables)) + "\n"
 
 
-def _value(value: Any) -> str:
-    """A value in TOML; of a long list each item in a line, as long lines are not read."""
-    text = json.dumps(value)
-    if text.count(".") <= DOTS_MAX:
-        return text
-    return "[\n" + ",\n".join(json.dumps(item) for item in value) + "\n]"
-
-
 def _lines(name: str, table: Mapping[str, Any]) -> Iterator[str]:
     inner = {key: value for key, value in table.items() if isinstance(value, dict)}
     if name:
         yield f"\n[{name}]"
-    yield from (f"{key} = {_value(table[key])}" for key in table if key not in inner)
+    yield from (f"{key} = {json.dumps(table[key])}" for key in table if key not in inner)
     for key, value in inner.items():
         yield from _lines(f"{name}.{key}" if name else key, value)

@@ -21,6 +21,8 @@ K_S, EB, M0, M1 = 1.657e-3, 1.671e-2, 6.239996, 1.99096871e-7
 """In s, 1, rad and rad/s."""
 NS = 1_000_000_000
 """In a second."""
+YEAR_MAX = 9998
+"""Of a date that is converted: the calendar ends a year later."""
 
 FIRST_TAI_MINUS_UTC_S = 10
 LEAPS = (
@@ -82,20 +84,40 @@ def shown_utc(when: int) -> str:
     return iso_utc(when + NS // 2)[:19].replace("T", " ")
 
 
-def tdb_of_utc(utc: datetime) -> datetime:
+def tdb_of_utc(utc: datetime, entry: str = "UTC") -> datetime:
     """TDB, to the microsecond, of a date in UTC; a date with a time zone is converted first.
 
     Raises:
-        InputError: before 1972.
+        InputError: naming the entry, if a date is before 1972 or after 9998.
     """
-    if utc.tzinfo is not None:
+    given = utc.isoformat()
+    if utc.tzinfo is not None and 1 < utc.year < YEAR_MAX + 1:
         utc = utc.astimezone(UTC).replace(tzinfo=None)
-    count = bisect_right([datetime(year, month, 1) for year, month in LEAPS], utc)
-    if not count:
-        raise InputError("UTC", utc.isoformat(), "must be in 1972 or later")
-    tai = utc + timedelta(seconds=FIRST_TAI_MINUS_UTC_S + count - 1)
-    tt = tai + timedelta(seconds=TT_MINUS_TAI_S)
-    return tai + timedelta(microseconds=round(_tdb_minus_tai(_ns(tt)) / 1000))
+    if not LEAPS[0][0] <= utc.year <= YEAR_MAX:
+        raise InputError(entry, given, f"must be in 1972 or later, and at most in {YEAR_MAX}")
+    return J2000_TDB + timedelta(microseconds=round(tdb_instant(utc.isoformat(), "UTC") / 1000))
+
+
+def tdb_instant(date: str, scale: str) -> int:
+    """Nanoseconds of TDB past J2000 of a calendar date in UTC, TAI, TT or TDB, with any digits.
+
+    Raises:
+        ValueError: if there is no such date, or UTC is before 1972.
+    """
+    whole, _, fraction = date.partition(".")
+    leap = whole.endswith(":60")
+    day = datetime.fromisoformat(f"{whole[:-2]}59" if leap else whole)
+    when = _ns(day) + leap * NS + round(float(f"0.{fraction}0") * NS)
+    if scale == "TDB":
+        return when
+    if scale == "UTC":
+        count = bisect_right([datetime(year, month, 1) for year, month in LEAPS], day)
+        if not count:
+            raise ValueError("must be in 1972 or later")
+        when += (FIRST_TAI_MINUS_UTC_S + count - 1) * NS
+    elif scale == "TT":
+        when -= round(TT_MINUS_TAI_S * NS)
+    return when + _tdb_minus_tai(when + round(TT_MINUS_TAI_S * NS))
 
 
 def _tdb_minus_tai(when: int) -> int:

@@ -266,8 +266,7 @@ def new(
         from_spice: a meta-kernel: body, Sun, boundary states and start from it, with `spacecraft`,
             `begin` and `end`; needs the extra [spice].
         spacecraft: NAIF's number in the kernels, as --spacecraft=-64.
-        from_oem: a CCSDS OEM: boundary states and start from it, `begin` and `end` if given; needs the
-            extra [oem].
+        from_oem: a CCSDS OEM: boundary states and start from it, `begin` and `end` if given.
         from_csv: a table of states as solve --init takes it, its t_s past `epoch`, which it needs; the
             rest as with `from_oem`.
         begin: first burn, with a trajectory only, UTC, e.g. 2020-01-21T20:32:08.

@@ -39,6 +39,16 @@ def assert_on_the_terminator(scenario: Scenario) -> None:
         assert abs(position @ velocity) < 1e-5 * radius * np.linalg.norm(velocity)
 
 
+def assert_assumed(mission: Mission) -> None:
+    """Navigation is a sphere of a hundredth of distance and speed, and called an assumption."""
+    factor, state = mission.initial_factor, mission.initial_state
+    for part in (slice(0, 3), slice(3, 6)):
+        covariance = factor[part, part] @ factor[part, part].T
+        sigma = float(np.sqrt(covariance[0, 0]))
+        np.testing.assert_allclose(covariance, sigma**2 * np.eye(3), atol=1e-9 * sigma**2)
+        assert np.sqrt(3.0) * sigma == pytest.approx(0.01 * np.linalg.norm(state[part]), rel=0.35)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("site", "body"), [((55.9, 41.8), None), ((-30.0, 200.0), None), ((20.0, 0.0), FAST)]
@@ -56,6 +66,7 @@ def test_a_draft_is_a_legal_mission(site, body):
     for time, (early, late) in zip(scenario.burns.times_s[1:3], legal[1:3], strict=True):
         assert early + 400.0 <= time <= late - 400.0
     assert_on_the_terminator(scenario)
+    assert_assumed(mission)
     # The body turns fast enough for a window before this one: the file has to name its own.
     assert (scenario.observation.window_s is not None) == (body is FAST)
 

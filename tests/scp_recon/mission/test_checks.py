@@ -44,6 +44,20 @@ REFUSED = [
     ({SITE: ELSEWHERE, NORMAL: INWARD}, NORMAL, "must point outward"),
     ({PLACE: SUN_M}, PLACE, "0.1 to 50 au"),
     ({SPEED: SUN_M_S}, SPEED, "km/s"),
+    # Thousandths in the place of the unit.
+    *(
+        ({entry: value}, entry, words)
+        for entry, value, words in (
+            (
+                "boundary.initial_velocity_m_s",
+                [-4.7, -16.7, 27.8],
+                "m/s (10 times the speed of escape",
+            ),
+            ("boundary.final_velocity_m_s", [0.3, 49.6, -45.7], "in metres per second"),
+            ("boundary.initial_position_m", [7e4, -1.1e6, 4e5], "in metres"),
+            ("boundary.final_position_m", [2e4, 1.1e6, -1.4e5], "times the nearer end"),
+        )
+    ),
     ({"safety.radius_min_m": 0.5}, "safety.radius_min_m", "at least 290 m"),
     ({SITE: SITE_KM}, SITE, "29 to 1450 m"),
     ({"body.reference_radius_m": 0.29}, "body.gm_m3_s2", "kg/m^3"),
@@ -328,6 +342,38 @@ def test_a_low_state_in_flight_is_named(scenario):
     with pytest.raises(InputError, match=expected):
         check_plannable(Scene.of(heavy))
     check_plannable(Scene.of(heavy.replace({"in_flight.position_m": [800.0, 0.0, 0.0]})))
+
+
+@pytest.mark.parametrize(
+    ("key", "value"), [("velocity_m_s", [0.0, 60.0, 0.0]), ("position_m", [0.0, 9e5, 0.0])]
+)
+def test_a_delivered_state_in_thousandths_is_refused(key, value, scenario, mission):
+    """It is checked where all else is known, as of a plan made again."""
+    flight = {
+        "at_s": 17_000.0,
+        "position_m": [-122.6, 419.9, -556.2],
+        "velocity_m_s": [0.007, 0.079, 0.066],
+        "flown_m_s": [[0.0, 0.0, 0.0]] * 2,
+    }
+    Mission.from_scenario(scenario.replace({"in_flight": flight}), known=mission)
+    wrong = scenario.replace({"in_flight": flight | {key: value}})
+    with pytest.raises(InputError) as caught:
+        Mission.from_scenario(wrong, known=mission)
+    assert caught.value.entry == f"in_flight.{key}"
+
+
+@pytest.mark.parametrize("given", [(0.976, 0.73), (-1.2, -3.0), (0.1, 6.2)])
+def test_radians_are_told_before_what_follows_from_them(given):
+    """At such a place the flight may have no window, or none between its burns."""
+    north, east = given
+    with pytest.raises(InputError) as caught:
+        mission_of(f"site.latitude_deg={north}", f"site.longitude_deg={east}")
+    first, *others = str(caught.value).splitlines()
+    assert (caught.value.entry, "degrees?" in first) == ("site.latitude_deg", True)
+    assert others
+    with pytest.raises(InputError) as caught:
+        mission_of(f"site.latitude_deg={north}", f"site.longitude_deg={east}", "risk.p_chance=2")
+    assert caught.value.entry == "risk.p_chance"
 
 
 def test_largest_probability_of_whole_flights_is_accepted():

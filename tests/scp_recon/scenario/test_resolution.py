@@ -267,6 +267,12 @@ def test_a_sun_contradicting_the_elements_is_refused(factor, off, turn):
     assert caught.value.entry == "sun.body_position_km"
 
 
+@pytest.mark.parametrize("year", ["0001", "0999", "9001", "9999"])
+def test_years_beyond_the_calendar_are_refused(year):
+    error = refused(epoch={"tdb": f"{year}-12-31T23:59:59"})
+    assert (error.entry, "1000 to 9000" in error.allowed) == ("epoch.tdb", True)
+
+
 def test_epoch_utc_replaces_tdb():
     found = load_scenario(None, ["epoch.utc=2021-06-01T05:58:50.815Z"])
     assert abs((found.epoch.tdb - datetime(2021, 6, 1, 6)).total_seconds()) < 2e-3
@@ -282,6 +288,9 @@ def test_epoch_utc_replaces_tdb():
     [
         (["utc=2020-01-21T20:33:17", "tdb=2020-01-21T20:33:17"], "69.185 s apart"),
         (["utc=1960-01-01T00:00:00"], "1972 or later"),
+        (["utc=9999-12-31T23:59:59"], "at most in 9998"),
+        (["utc=9999-12-31T23:59:59-10:00"], "at most in 9998"),
+        (["utc=0001-01-01T00:00:00+10:00"], "1972 or later"),
         (["utc=soon"], "must be"),
         (["tdb=2050-01-01T00:00:00"], "2012 to 2035"),
     ],

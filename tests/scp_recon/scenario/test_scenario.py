@@ -12,7 +12,7 @@ from pydantic import BaseModel, ValidationError
 
 from scp_recon.errors import InputError
 from scp_recon.scenario.json_schema import schema_text
-from scp_recon.scenario.load import Scenario, load_scenario, validate_scenario
+from scp_recon.scenario.load import Scenario, load_scenario, scenario_text, validate_scenario
 from tests import reliability
 
 
@@ -278,6 +278,17 @@ def test_monstrous_values_end_in_an_input_error(value):
     assert len(str(refused(f"burns.dv_max_m_s={value}"))) < 400
 
 
+def test_numbers_may_stand_in_one_long_line(tmp_path):
+    times = [0.5 * i for i in range(1000)]
+    text = 'base = "recon_b"\n[grid]\nnodes_s = [{}]\n'
+    for separator in (", ", ",\n", ","):
+        (tmp_path / "mine.toml").write_text(text.format(separator.join(map(repr, times))), "utf-8")
+        assert load_scenario(tmp_path / "mine.toml").grid.nodes_s == tuple(times)
+    file = tmp_path / "written.toml"
+    file.write_text(scenario_text(load_scenario(tmp_path / "mine.toml")), "utf-8")
+    assert load_scenario(file).grid.nodes_s == tuple(times)
+
+
 HEAD = 'base = "recon_b"\n'
 SOLUTION = '{"schema": "scp_recon.solution/2",\n"nodes": [[' + "0.5, " * 300 + "1.0]]}"
 BAD_FILES: dict[str, tuple[str | bytes, str, str]] = {
@@ -295,6 +306,7 @@ BAD_FILES: dict[str, tuple[str | bytes, str, str]] = {
     "a megabyte": (HEAD + "#" * 1_000_000, "scenario {}", "more than 1 megabytes"),
     "many keys": (HEAD + "\n".join(f"k{i} = 1" for i in range(10_000)), "k0", "and 9995 more"),
     "a deep key": (HEAD + "a" + ".a" * 100_000 + " = 1", "scenario {}", "a line of many dots"),
+    "a deep key of numbers": (HEAD + "1" + ".1" * 100_000 + " = 1", "scenario {}", "many dots"),
     "a deep list": (f"{HEAD}x = {400 * '['}{400 * ']'}", "scenario", "nested a few levels deep"),
 }
 
