@@ -65,7 +65,7 @@ def test_arcs_over_symbols_tumble_too(uniform):
     assert ends == pytest.approx(flow.differentiate(starts).state, rel=1e-12, abs=1e-13)
 
 
-def test_the_table_goes_with_the_scenario_and_its_epoch(tabulated):
+def test_attitudes_stay_with_the_scenario_at_another_epoch(tabulated):
     """Pole and meridian are those of the epoch."""
     scenario = tabulated.scenario
     later = scenario.replace({"epoch.tdb": "2020-01-21T20:35:17.184"})
@@ -75,7 +75,7 @@ def test_the_table_goes_with_the_scenario_and_its_epoch(tabulated):
     assert matrices[0] == pytest.approx(matrices[1], abs=1e-9)
 
 
-def test_a_table_is_written_with_its_scenario_and_read(tmp_path):
+def test_attitudes_are_written_with_the_scenario_and_read(tmp_path):
     scenario, file = packaged_scenario("apophis"), tmp_path / "scenario.toml"
     file.write_text(scenario_text(scenario), "utf-8")
     assert load_scenario(file) == scenario
@@ -93,7 +93,7 @@ def test_a_body_that_tumbles_has_no_noons():
         (("epoch.tdb=2020-01-21T21:33:17", "sun={}"), f"{FILE}: .*must span"),
     ],
 )
-def test_a_pole_or_a_flight_that_is_not_the_tables_is_refused(uniform, overrides, words):
+def test_pole_or_flight_off_the_table_is_refused(uniform, overrides, words):
     with pytest.raises(InputError, match=words):
         mission_of(f'{FILE}="{uniform}"', *overrides)
 

@@ -105,7 +105,7 @@ def test_outside_the_span_the_years_are_told(days):
         bennu.heliocentric(days)
 
 
-def test_what_is_assumed_of_a_packaged_body_is_said_unless_it_is_given():
+def test_assumed_entries_of_packaged_bodies_are_warned_about():
     scenario = packaged_scenario("didymos")
     found = {w.entry for w in assumed(Scene.of(scenario))}
     assert found == {"body.prime_meridian_deg", "body.j2", "body.companion.mean_anomaly_deg"}

@@ -68,7 +68,7 @@ def write_dsk(path: Path, mesh: Mesh, spice: Any, segments: int = 1) -> Path:
     return path
 
 
-def test_a_dsk_of_another_body_or_of_several_shapes_is_refused(tmp_path, spice):
+def test_dsk_of_other_body_or_several_shapes_is_refused(tmp_path, spice):
     one = write_dsk(tmp_path / "one.bds", ROCK, spice)
     assert len(read_dsk(one, ROCK_ID)[1]) == len(ROCK.facets)
     with pytest.raises(InputError, match=f"must be of body {ROCK_ID + 1}"):
@@ -78,7 +78,7 @@ def test_a_dsk_of_another_body_or_of_several_shapes_is_refused(tmp_path, spice):
 
 
 @pytest.mark.usefixtures("spice")
-def test_a_list_of_kernels_is_read_from_its_own_folder_too(tmp_path):
+def test_meta_kernel_is_read_from_its_own_folder(tmp_path):
     """As an export writes it, from wherever the program runs."""
     file = write_pck(tmp_path / "rock.tpc")
     words = "PATH_VALUES=('.')\nPATH_SYMBOLS=('HERE')\nKERNELS_TO_LOAD=('$HERE/rock.tpc')\n"
@@ -99,14 +99,14 @@ def test_the_rotation_of_a_pck_is_spices(tmp_path, spice):
             np.testing.assert_allclose(ours.body_to_j2000(seconds), theirs, atol=1e-8)
 
 
-def test_the_state_of_an_spk_is_the_one_written(tmp_path, spice):
+def test_spk_states_are_those_written(tmp_path, spice):
     file, states = write_spk(tmp_path / "rock.bsp", spice)
     position, velocity = read_heliocentric([file], ROCK_ID, DAYS * DAY_S)
     np.testing.assert_allclose([*position, *velocity], states[12], rtol=1e-12)
 
 
 @pytest.mark.parametrize(("latitude", "longitude"), [(10.0, 20.0), (-70.0, 100.0), (40.0, -130.0)])
-def test_a_ray_meets_the_shape_of_a_dsk_where_spice_has_it(latitude, longitude, tmp_path, spice):
+def test_rays_meet_a_dsk_where_spice_says(latitude, longitude, tmp_path, spice):
     file = write_dsk(tmp_path / "rock.bds", ROCK, spice)
     vertices, facets = read_dsk(file)
     direction = direction_of(latitude, longitude)
@@ -209,7 +209,7 @@ def test_what_is_no_kernel_is_refused(text, tmp_path, spice):
     assert entries == ["body.pck_file", "sun.spk_files", "body.shape_file"]
 
 
-def test_an_epoch_that_kernels_do_not_cover_is_refused(tmp_path, spice):
+def test_epoch_that_kernels_do_not_cover_is_refused(tmp_path, spice):
     """The file and its span are told, where it ends five minutes early, too."""
     file, _ = write_spk(tmp_path / "rock.bsp", spice)
     last = J2000_TDB + timedelta(days=DAYS + 3.0)
@@ -267,7 +267,7 @@ def test_both_formats_say_the_same(text, tmp_path):
     assert read_gravity(written(tmp_path, text), 2).rows == ROWS[:2]
 
 
-def test_a_table_without_a_first_record_has_no_gm_and_no_radius(tmp_path):
+def test_bare_table_has_neither_gm_nor_radius(tmp_path):
     table = read_gravity(written(tmp_path, BARE), 20)
     assert (table.gm_m3_s2, table.radius_m, table.rows) == (None, None, ROWS)
 
@@ -282,7 +282,7 @@ def test_a_table_without_a_first_record_has_no_gm_and_no_radius(tmp_path):
         *(SHA.replace("-0.0192", number) for number in ("-19.2", "nan")),
     ],
 )
-def test_what_is_no_normalised_field_is_refused_in_one_message(text, tmp_path):
+def test_unnormalised_fields_are_refused_in_one_message(text, tmp_path):
     with pytest.raises(InputError) as caught:
         read_gravity(written(tmp_path, text), 20)
     assert caught.value.entry.startswith("body.gravity_file")

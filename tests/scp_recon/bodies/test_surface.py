@@ -48,7 +48,7 @@ def write_obj(path: Path, mesh: Mesh) -> Path:
 
 
 @given(radii=radii, latitude=latitudes, longitude=longitudes)
-def test_coordinates_of_a_position_on_the_ellipsoid_are_those_that_were_asked_for(
+def test_ellipsoid_positions_have_the_asked_coordinates(
     radii, latitude, longitude
 ):
     position, normal = Ellipsoid(radii).at(direction_of(latitude, longitude))
@@ -61,7 +61,7 @@ def test_coordinates_of_a_position_on_the_ellipsoid_are_those_that_were_asked_fo
 
 
 @given(radii=radii, latitude=latitudes, longitude=longitudes, turn=st.floats(0.0, 6.3))
-def test_the_ellipsoids_normal_is_at_right_angles_to_its_surface(radii, latitude, longitude, turn):
+def test_ellipsoid_lies_below_its_tangent_plane(radii, latitude, longitude, turn):
     # Every other point of a convex body is below the tangent plane.
     position, normal = Ellipsoid(radii).at(direction_of(latitude, longitude))
     other, _ = Ellipsoid(radii).at(direction_of(np.rad2deg(np.sin(turn)), 50.0 * turn))
@@ -69,7 +69,7 @@ def test_the_ellipsoids_normal_is_at_right_angles_to_its_surface(radii, latitude
 
 
 @given(half=radii, latitude=latitudes, longitude=longitudes)
-def test_a_ray_leaves_a_box_through_the_side_that_it_meets_last(half, latitude, longitude):
+def test_rays_leave_a_box_by_the_last_side(half, latitude, longitude):
     direction = direction_of(latitude, longitude)
     share = np.abs(direction) / half
     assume(np.sort(share)[-1] > 1.001 * np.sort(share)[-2])
@@ -80,7 +80,7 @@ def test_a_ray_leaves_a_box_through_the_side_that_it_meets_last(half, latitude, 
 
 
 @given(latitude=latitudes, longitude=longitudes)
-def test_the_outermost_of_two_shells_is_the_surface_however_facets_turn(latitude, longitude):
+def test_outermost_shell_is_the_surface(latitude, longitude):
     inner, outer = box(np.full(3, 50.0)), box(np.full(3, 80.0))
     facets = np.concatenate([outer.facets + 8, inner.facets])
     both = Mesh(np.concatenate([inner.vertices_m, outer.vertices_m]), facets[:, ::-1])
@@ -100,13 +100,13 @@ def test_normals_are_averaged_by_area_within_the_radius():
     assert np.linalg.norm(averaged) == pytest.approx(1.0)
 
 
-def test_an_open_shape_has_no_site_where_it_is_open():
+def test_open_mesh_has_no_site_in_the_hole():
     cube = box(np.full(3, 10.0))
     with pytest.raises(OpenShapeError):
         Mesh(cube.vertices_m, cube.facets[:-2]).at(np.array([0.0, 0.0, 1.0]))
 
 
-def test_an_obj_is_read_in_its_unit_with_polygons_and_relative_indices(tmp_path):
+def test_obj_units_polygons_and_relative_indices_are_read(tmp_path):
     cube = box(np.full(3, 2.0))
     file = write_obj(tmp_path / "box.obj", cube)
     np.testing.assert_array_equal(read_shape(file, "m").vertices_m, cube.vertices_m)
@@ -153,7 +153,7 @@ def test_a_flipped_facet_moves_no_normal(tmp_path):
 
 @pytest.mark.parametrize("facet", [0, 17, 127])
 @pytest.mark.parametrize("twice", [False, True])
-def test_an_open_shape_is_refused_with_the_facets_line(facet, twice, tmp_path):
+def test_open_shape_is_refused_with_a_facets_line(facet, twice, tmp_path):
     """A facet is missing, or there twice."""
     without = np.delete(BALL.facets, facet, axis=0)
     facets = np.concatenate([BALL.facets, BALL.facets[[facet]]]) if twice else without
@@ -180,7 +180,7 @@ def test_an_open_shape_is_refused_with_the_facets_line(facet, twice, tmp_path):
         "v 1 0 0\nv 0 1 0\nv 0 0 1\nv 0 0 0\nf 1 2 99999999999999999999\nf 1 2 3\nf 1 3 4\nf 2 3 4\n",
     ],
 )
-def test_what_is_no_shape_is_refused_in_one_message(text, tmp_path):
+def test_unreadable_shapes_are_refused_in_one_message(text, tmp_path):
     (tmp_path / "no.obj").write_text(text, "utf-8")
     with pytest.raises(InputError) as caught:
         read_shape(tmp_path / "no.obj", "m")
@@ -197,7 +197,7 @@ anywhere = st.tuples(*[st.floats(-1e3, 1e3)] * 3).map(np.array)
 
 
 @given(half=radii, centre=anywhere, turn=st.integers(0, 1000))
-def test_a_box_has_the_volume_centre_and_inertia_of_a_box(half, centre, turn):
+def test_box_has_known_volume_centre_and_inertia(half, centre, turn):
     """Wherever it is and however it is turned: m (b^2 + c^2) / 3 about an axis through its centre."""
     axes = Rotation.random(random_state=turn).as_matrix()
     mesh = box(half)
@@ -210,7 +210,7 @@ def test_a_box_has_the_volume_centre_and_inertia_of_a_box(half, centre, turn):
     np.testing.assert_allclose(solid.inertia_m2, expected, atol=1e-6 * size**2)
 
 
-def test_facets_that_turn_inward_have_a_negative_volume_and_the_same_centre():
+def test_inward_facets_have_negative_volume_and_same_centre():
     mesh = box(np.array([3.0, 2.0, 1.0]))
     inward = Solid.of(Mesh(mesh.vertices_m + 5.0, mesh.facets[:, ::-1]))
     assert inward.volume_m3 == pytest.approx(-48.0)

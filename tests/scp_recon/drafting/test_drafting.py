@@ -71,7 +71,7 @@ def test_a_draft_is_a_legal_mission(site, body):
     assert (scenario.observation.window_s is not None) == (body is FAST)
 
 
-def test_a_given_body_moves_and_turns_on_with_its_epoch():
+def test_given_body_moves_and_turns_with_the_epoch():
     draft = next(drafts(first((20.0, 0.0), FAST)))
     shift = (draft.epoch - EPOCH).total_seconds()
     assert shift > 0.0

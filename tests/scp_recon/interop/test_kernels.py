@@ -58,7 +58,7 @@ def state_at(spice: ModuleType, et: float) -> Array:
     return spice.spkezr(SPACECRAFT, et, "J2000", "NONE", BODY)[0] * 1e3
 
 
-def test_positions_are_within_a_millimetre_at_the_states_and_between_them(spice, export):
+def test_spk_positions_are_within_a_millimetre(spice, export):
     for coast in export.path.coasts:
         read = np.array([state_at(spice, et) for et in export.et(coast.times_s[:-1])])
         assert np.abs(read[:, :3] - coast.states[:-1, :3]).max() < 1e-3
@@ -97,7 +97,7 @@ def test_attitudes_and_rates_are_those_commanded(spice, export, vehicle):
             np.testing.assert_allclose(found, rate, atol=2e-6)
 
 
-def test_the_body_turns_and_moves_as_the_planner_has_it(spice, export):
+def test_exported_body_turns_and_moves_as_planned(spice, export):
     mission = export.mission
     for time in np.linspace(0.0, mission.scenario.duration_s, 11):
         et = export.et(np.array([time]))[0]
@@ -120,7 +120,7 @@ def test_frame_numbers_are_those_that_are_free(export, body):
     assert 1_400_000 <= int(found[1]) <= 2_000_000
 
 
-def test_a_kernel_that_cannot_be_filled_leaves_nothing_behind(
+def test_failed_kernel_leaves_nothing_behind(
     export, vehicle, tmp_path, monkeypatch
 ):
     pytest.importorskip("spiceypy")

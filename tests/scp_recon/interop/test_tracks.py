@@ -130,14 +130,14 @@ def test_oems_agree_with_another_reader(scale, tmp_path):
         ("META_STOP", "META_STOP\nMETA_START\nMETA_STOP", "REF_FRAME, metadata", "EME2000"),
     ],
 )
-def test_a_fault_of_an_oem_is_named_by_line(old, new, where, allowed):
+def test_faults_of_an_oem_are_named_by_line(old, new, where, allowed):
     with pytest.raises(InputError, match=allowed) as caught:
         oem_track(hera((old, new)), "Didymos")
     assert caught.value.entry.endswith(where)
     assert "\n" not in str(caught.value)
 
 
-def test_segments_meet_at_a_burn_and_are_in_order():
+def test_segments_meet_at_burns_in_order():
     again = HERA.partition("\n\n")[2]
     for old, new in (("T02:", "T03:"), ("T00:", "T02:"), ("T01:00", "T02:30")):
         again = again.replace(old, new)

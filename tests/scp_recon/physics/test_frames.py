@@ -78,7 +78,7 @@ def test_body_orientation_is_the_iau_sequence_of_rotations(rotation, t):
 
 
 @given(unit_vectors(), unit_vectors())
-def test_sun_north_frame_has_x_to_the_sun_and_z_towards_the_pole(sun, pole):
+def test_sun_north_has_x_sunward_and_z_poleward(sun, pole):
     if np.linalg.norm(np.cross(sun, pole)) < 1e-3:
         return  # the frame is not defined where the Sun stands over the pole
     matrix = sun_north_to_j2000(sun, pole)
@@ -90,7 +90,7 @@ def test_sun_north_frame_has_x_to_the_sun_and_z_towards_the_pole(sun, pole):
 
 
 @pytest.mark.parametrize("which", ["initial_state", "final_state"])
-def test_boundary_states_are_converted_from_the_sun_north_frame(mission, which):
+def test_boundary_states_are_converted_from_sun_north(mission, which):
     recorded = reference.STATES_FROM_SUN_NORTH[which]
     state = getattr(mission, which)
     np.testing.assert_allclose(state[:3], recorded[:3], rtol=0.0, atol=0.05)
@@ -99,7 +99,7 @@ def test_boundary_states_are_converted_from_the_sun_north_frame(mission, which):
     np.testing.assert_array_equal(getattr(literal, which), reference.PRINTED_STATES[which])
 
 
-def test_sun_direction_over_the_flight_is_that_of_the_ephemeris(mission):
+def test_sun_direction_is_that_of_the_ephemeris(mission):
     hourly = np.array(reference.SUN_DIRECTIONS)
     times, suns = hourly[:, 0] - EPOCH_ET, hourly[:, 1:]
     # Table of parameters of Echigo et al.
@@ -134,7 +134,7 @@ def test_utc_is_astropys(date):
         assert abs((found - expected).sec) < MODEL_S
 
 
-def test_a_leap_second_has_a_name_of_its_own():
+def test_leap_second_has_its_own_name():
     before = tdb_of_utc(datetime(2016, 12, 31, 23, 59, 59))
     after = tdb_of_utc(datetime(2017, 1, 1))
     assert after - before == timedelta(seconds=2)
@@ -142,7 +142,7 @@ def test_a_leap_second_has_a_name_of_its_own():
     assert names == ["2016-12-31T23:59:59.0", "2016-12-31T23:59:60.0", "2017-01-01T00:00:00.0"]
 
 
-def test_a_zone_is_brought_to_utc_which_has_no_whole_seconds_before_1972():
+def test_zones_become_utc_from_1972_on():
     given = datetime(2020, 1, 1, 2, tzinfo=timezone(timedelta(hours=2)))
     assert tdb_of_utc(given) == tdb_of_utc(datetime(2020, 1, 1, tzinfo=UTC))
     with pytest.raises(InputError, match="1972"):

@@ -22,7 +22,7 @@ components = st.floats(-1e3, 1e3)
 vectors = st.tuples(components, components, components).map(np.array)
 
 
-def test_a_site_is_carried_eastwards_by_the_rotation_and_incidence_counts_from_its_zenith():
+def test_site_turns_east_and_incidence_counts_from_zenith():
     track = geometry.track(EQUATOR, UPRIGHT, np.array([0.0, 100.0, 200.0]))
     expected = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]]
     np.testing.assert_allclose(track.normal, expected, atol=1e-15)
@@ -61,7 +61,7 @@ def test_angle_is_that_of_spice_in_either_order(a, b):
 
 
 @pytest.mark.parametrize("tiny", [1e-3, 1e-6, 1e-9, 1e-12])
-def test_angle_is_accurate_near_zero_and_a_half_turn(tiny):
+def test_angle_is_accurate_near_zero_and_pi(tiny):
     # The arc cosine of the dot product would be wrong by 1e-8 here, and give zero at 1e-9.
     a, b = np.array([1.0, 0.0, 0.0]), np.array([np.cos(tiny), np.sin(tiny), 0.0])
     assert geometry.angle(a, b) == pytest.approx(tiny, rel=1e-9)
@@ -76,7 +76,7 @@ def test_angle_is_accurate_near_zero_and_a_half_turn(tiny):
     time=st.floats(0.0, 4e4),
     meridian=st.floats(-3.0, 3.0),
 )
-def test_local_solar_time_is_noon_when_the_sun_is_over_the_sites_meridian(
+def test_local_solar_noon_has_sun_over_the_meridian(
     longitude, latitude, sun_latitude, hours, time, meridian
 ):
     rotation = Rotation(1.2, -0.8, meridian, 4e-4, 0.0)

@@ -51,7 +51,7 @@ def test_finer_facets_come_to_the_ellipsoids_closed_form(halvings, within):
     assert (off / np.linalg.norm(exact, axis=0)).max() < within
 
 
-def test_the_pull_is_a_gradient_without_sources_outside_and_uniform_inside():
+def test_pull_obeys_poissons_equation():
     """Poisson's equation: the divergence is -4 pi G rho inside, and none outside; nowhere a curl."""
     solid, step = field(TETRAHEDRON), 0.01
     density = GM / Solid.of(TETRAHEDRON).volume_m3
@@ -82,7 +82,7 @@ def _oblateness(mesh: Mesh) -> float:
     return float(z - 0.5 * (x + y))
 
 
-def test_units_turn_nothing_and_only_the_pull_is_known():
+def test_polyhedron_scales_and_refuses_higher_orders():
     solid, positions = field(TETRAHEDRON), around(500.0)
     scaled = solid.in_units(1000.0, 3600.0).derivatives(positions / 1000.0, 0)
     np.testing.assert_allclose(
