@@ -48,9 +48,7 @@ def write_obj(path: Path, mesh: Mesh) -> Path:
 
 
 @given(radii=radii, latitude=latitudes, longitude=longitudes)
-def test_ellipsoid_positions_have_the_asked_coordinates(
-    radii, latitude, longitude
-):
+def test_ellipsoid_positions_have_the_asked_coordinates(radii, latitude, longitude):
     position, normal = Ellipsoid(radii).at(direction_of(latitude, longitude))
     found = coordinates_of(position)
     np.testing.assert_allclose(direction_of(*found), direction_of(latitude, longitude), atol=1e-12)

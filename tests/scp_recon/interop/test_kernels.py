@@ -120,9 +120,7 @@ def test_frame_numbers_are_those_that_are_free(export, body):
     assert 1_400_000 <= int(found[1]) <= 2_000_000
 
 
-def test_failed_kernel_leaves_nothing_behind(
-    export, vehicle, tmp_path, monkeypatch
-):
+def test_failed_kernel_leaves_nothing_behind(export, vehicle, tmp_path, monkeypatch):
     pytest.importorskip("spiceypy")
 
     monkeypatch.setattr(kernels, "_rates", raising(MemoryError()))

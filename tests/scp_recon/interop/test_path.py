@@ -127,9 +127,7 @@ def message(export, tmp_path_factory) -> Any:
     return oem.OrbitEphemerisMessage.open(str(path))
 
 
-def test_another_reader_interpolates_segments_within_a_centimetre(
-    message, export
-):
+def test_another_reader_interpolates_segments_within_a_centimetre(message, export):
     from astropy.time import Time, TimeDelta
 
     epoch, rng = Time(export.mission.scenario.epoch.tdb, scale="tdb"), np.random.default_rng(5)
