@@ -88,8 +88,8 @@ def _against_neighbours(facets: Indices, fail: Callable[[int, str, str], InputEr
     if (sides != 2).any():
         worst = order[first[sides != 2]]
         facet, count = int(owner[worst].min()), int(sides[sides != 2][np.argmin(owner[worst])])
-        other = "no other facet has" if count == 1 else f"{count - 1} other facets have"
-        raise fail(facet, f"an edge that {other}", CLOSED)
+        others = "no other facet has" if count == 1 else f"{count - 1} other facets have"
+        raise fail(facet, f"an edge that {others}", CLOSED)
     one, other = order[first], order[first + 1]
     turned, count = (begin[one] == begin[other]).astype(int), len(facets)
     rows = np.concatenate([owner[one], owner[one] + count])
