@@ -1,9 +1,8 @@
-"""Make the paper's tables and figures, or those named: `python -m paper_figs [NAME ...]`.
+"""Draw the paper's figures, or those named: `python -m paper_figs [NAME ...]`.
 
-Without names everything of the paper goes to a folder: figures as PNG and PDF, tables as Markdown and
-CSV, with the figures of every study whose folder is found. They are made from the results of
-`python -m experiments observation_table`. Named figures are PNG, and a single one may be a file of
-any format.
+Without names all of the paper's go to a folder as PNG and PDF, with the figures of every study whose
+folder is found. They are drawn from the results of `python -m experiments observation_table`. Named
+figures are PNG, and a single one may be a file of any format.
 """
 
 from __future__ import annotations
@@ -30,13 +29,12 @@ from typing import Any
 from matplotlib.figure import Figure
 from rich.console import Console
 
-from paper_figs import flight, observation, plans, polytopes, spacecraft, tables
-from paper_figs.drawing import save, write
+from paper_figs import flight, observation, plans, polytopes, spacecraft
+from paper_figs.drawing import save
 from paper_figs.inputs import (
     FLOWN_PLAN,
     PAPER,
     SIMULATED,
-    TABLE,
     Runs,
     Source,
     read_flight,
@@ -46,7 +44,7 @@ from paper_figs.inputs import (
     run_missing,
 )
 from scp_recon.errors import one_of
-from scp_recon.files import unwritable, write_atomically
+from scp_recon.files import unwritable
 from scp_recon.mission.mission import Mission
 from scp_recon.results.solution import Solution
 from scp_recon.scenario.load import load_scenario
@@ -54,22 +52,19 @@ from scp_recon.simulation.record import Record
 
 PICTURES = (".png", ".pdf")
 
-Made = Figure | str | Mapping[str, Figure]
-"""A figure, a table in Markdown, or several figures by name."""
-
 
 @dataclass(frozen=True)
 class Item:
-    """A figure or a table.
+    """A figure.
 
     Attributes:
-        make: function of the result of `read` to the item; writes nothing.
+        draw: function of the result of `read` to the figure, or to several by name.
         source: the folder of its input, and the command that writes it.
         read: function of that folder to the input; by default the source's tables.
         dpi: resolution of a raster, if not the style's.
     """
 
-    make: Callable[[Any], Made]
+    draw: Callable[[Any], Figure | Mapping[str, Figure]]
     source: Source = PAPER
     read: Callable[[Path], Any] | None = None
     dpi: float | None = None
@@ -79,16 +74,21 @@ class Item:
         return (self.read or self.source.read)(folder)
 
 
-def _study(make: Callable[[Any], Made], folder: str = "", line: str = "", **tables: str) -> Item:
+def _study(
+    draw: Callable[..., Figure | Mapping[str, Figure]],
+    folder: str = "",
+    line: str = "",
+    **tables: str,
+) -> Item:
     """A figure of a study's tables, each with a column that it must have."""
-    name = folder or make.__name__
+    name = folder or draw.__name__
     files = {f"{table}.csv": column for table, column in tables.items()}
-    return Item(make, Source(name, f"python -m experiments {line or name}", files))
+    return Item(draw, Source(name, f"python -m experiments {line or name}", files))
 
 
 FIGURES = {
-    make.__name__: Item(make, read=read_runs)
-    for make in (
+    draw.__name__: Item(draw, read=read_runs)
+    for draw in (
         observation.observation_geometry,
         polytopes.cone_polytopes,
         polytopes.ball_polytopes,
@@ -101,13 +101,8 @@ FIGURES = {
 }
 """The paper's figures, in the paper's order."""
 
-TABLES = {
-    make.__name__: Item(make, read=read_runs)
-    for make in (tables.parameters, tables.observation_table)
-}
-
 STUDIES = {
-    item.make.__name__: item
+    item.draw.__name__: item
     for item in (
         _study(plans.frontier, frontier="total_dv_m_s"),
         _study(plans.feedback, feedback="dv99_m_s", feedback_errors="program_m_s"),
@@ -157,7 +152,7 @@ ALONE = {
 }
 """Figures that are drawn only if they are named."""
 
-EVERYTHING: dict[str, Item] = FIGURES | TABLES | STUDIES | ALONE
+EVERYTHING: dict[str, Item] = FIGURES | STUDIES | ALONE
 
 
 def plan_hash_of(source: object) -> str | None:
@@ -172,38 +167,26 @@ def plan_hash_of(source: object) -> str | None:
     return None
 
 
-def make_all(runs: Runs, source: Path, out: Path, studies: Path | None = None) -> Iterator[Path]:
-    """Write everything of the paper into `out`, yielding each file as it is done.
-
-    The table is copied from the folder `source`; `studies` contains the studies' folders.
+def draw(
+    items: Mapping[str, Item], folders: Mapping[str, Path], out: Path, endings: Sequence[str]
+) -> Iterator[Path]:
+    """Draw figures from their folders into a folder, or one into a file; yields each path.
 
     Raises:
-        InputError: if a study's folder is unusable.
+        InputError: if a folder is unusable, or the name of a file is no picture's.
         OSError: if the folder cannot be written.
     """
-    out.mkdir(parents=True, exist_ok=True)
-    yield from _write(TABLES["parameters"], "parameters", runs, out)
-    if runs.table is not None:
-        yield from _write(TABLES["observation_table"], "observation_table", runs, out)
-        yield write_atomically(out / TABLE, (source / TABLE).read_bytes())
-    for name, item in FIGURES.items():
-        yield from _write(item, name, runs, out)
-    for name, item in STUDIES.items():
-        if studies and (place := studies / item.source.folder).is_dir():
-            yield from _write(item, name, item.found(place), out)
-
-
-def _write(item: Item, name: str, found: Any, out: Path, *, png: bool = False) -> Iterator[Path]:
-    """Write an item into a folder, or to `out` if that is a file's name."""
-    made, alone = item.make(found), out.suffix != "" and not out.is_dir()
-    if isinstance(made, str):
-        yield write(out if alone else out / f"{name}.md", made)
-        return
-    figures: Mapping[str, Figure] = {name: made} if isinstance(made, Figure) else made
-    endings = PICTURES[:1] if png else PICTURES
-    for own, figure in figures.items():
-        for path in [out] if alone else [out / f"{own}{ending}" for ending in endings]:
-            yield save(figure, path, item.dpi, plan_hash_of(found))
+    alone = len(items) == 1 and out.suffix != "" and not out.is_dir()
+    if not alone:
+        out.mkdir(parents=True, exist_ok=True)
+    inputs: dict[tuple[object, Path], Any] = {}  # the paper's figures share theirs
+    for name, item in items.items():
+        key = item.read or name, folders[name]
+        inputs = inputs if key in inputs else {key: item.found(folders[name])}
+        made = item.draw(inputs[key])
+        for own, figure in ({name: made} if isinstance(made, Figure) else made).items():
+            for path in [out] if alone else [out / f"{own}{ending}" for ending in endings]:
+                yield save(figure, path, item.dpi, plan_hash_of(inputs[key]))
 
 
 def parser() -> argparse.ArgumentParser:
@@ -213,9 +196,7 @@ def parser() -> argparse.ArgumentParser:
         description=__doc__,
         epilog=f"Names: {', '.join(EVERYTHING)}.",
     )
-    p.add_argument(
-        "names", nargs="*", metavar="NAME", help="a figure or table (default: the paper's)"
-    )
+    p.add_argument("names", nargs="*", metavar="NAME", help="a figure (default: the paper's)")
     p.add_argument(
         "--runs",
         type=Path,
@@ -248,48 +229,38 @@ def parser() -> argparse.ArgumentParser:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; 0 if everything was written, 2 for missing input."""
     options = parse(parser(), arguments)
-    return run_command(lambda console: _make(options, console), options)
+    return run_command(lambda console: _draw(options, console), options)
 
 
-def _make(options: argparse.Namespace, console: Console) -> Answer:
+def _draw(options: argparse.Namespace, console: Console) -> Answer:
     names = [one_of("NAME", name, EVERYTHING) for name in options.names]
-    items = {name: EVERYTHING[name] for name in names}
-    runs = options.runs or Path("runs") / PAPER.folder
+    items = {name: EVERYTHING[name] for name in names} or FIGURES | STUDIES
+    paper, single = Path("runs") / PAPER.folder, len(names) == 1
     if options.all:
-        sources = [item.source for item in (items or STUDIES).values() if item.source is not PAPER]
+        sources = [item.source for item in items.values() if item.source is not PAPER]
+        runs = options.runs or paper
         run_missing(runs, options.studies, sources, lambda line: show_line(console, line))
+    folders = {}
+    for name, item in items.items():
+        home = paper if item.source is PAPER else options.studies / item.source.folder
+        folders[name] = options.runs if options.runs and (single or home == paper) else home
+    wanting = {
+        name: STUDIES[name].source.command
+        for name in ({} if names else STUDIES)
+        if not folders[name].is_dir()
+    }
     files: list[str] = []
-    written = (
-        _make_named(items, options)
-        if items
-        else make_all(read_runs(runs), runs, options.out, options.studies)
-    )
     try:
-        for path in written:
+        endings = PICTURES[:1] if names else PICTURES
+        chosen = {name: item for name, item in items.items() if name not in wanting}
+        for path in draw(chosen, folders, options.out, endings):
             show_written(console, path)
             files.append(str(path))
     except OSError as error:
         raise unwritable(options.out, "--out", error) from None
-    wanting = {
-        name: item.source.command
-        for name, item in ({} if items else STUDIES).items()
-        if not (options.studies / item.source.folder).is_dir()
-    }
     for name, line in wanting.items():
         show_line(console, f"not drawn: {name}, for want of `{line}`")
     return Answer(0, {"files": files, "not_drawn": wanting})
-
-
-def _make_named(items: Mapping[str, Item], options: argparse.Namespace) -> Iterator[Path]:
-    """Make the named items, each from its own input."""
-    single, out = len(items) == 1, options.out
-    if not (single and out.suffix):
-        out.mkdir(parents=True, exist_ok=True)
-    for name, item in items.items():
-        of_paper = item.source is PAPER
-        home = Path("runs") / PAPER.folder if of_paper else options.studies / item.source.folder
-        place = options.runs if options.runs and (single or of_paper) else home
-        yield from _write(item, name, item.found(place), out, png=True)
 
 
 if __name__ == "__main__":

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -11,8 +11,9 @@ import numpy as np
 from matplotlib import style
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.text import Annotation, Text
+from matplotlib.text import Text
 from matplotlib.transforms import Bbox
+from numpy.typing import ArrayLike
 from scipy.special import ndtri
 
 from formulations.arrays import Array
@@ -101,12 +102,24 @@ def probability_axis(axes: Axes, ticks: Sequence[float], label: str, **look: Any
     axes.set_xlabel(label)
 
 
-def label_outer(panels: Any, across: str, up: str) -> None:
-    """Label a grid of panels that share their axes: below the last row and left of the first column."""
+def quantile_panels(
+    figure: Figure, points: Mapping[str, tuple[ArrayLike, ArrayLike]], reach: float
+) -> None:
+    """Draw sampled quantiles against a normal variable's in two rows of three panels, by title.
+
+    `reach` is the number of standard deviations shown.
+    """
+    panels = figure.subplots(2, 3, sharex=True, sharey=True)
+    for axes, (title, quantiles) in zip(panels.flat, points.items(), strict=True):
+        axes.axline((0.0, 0.0), slope=1.0, color="0.5", lw=1.0, ls="--", label="normal")
+        axes.plot(*quantiles, "o", ms=2.5, color="k", label="sampled flights")
+        axes.set_title(title, loc="left")
+        axes.set(xlim=(-reach, reach), ylim=(-reach, reach), aspect="equal")
     for axes in panels[-1]:
-        axes.set_xlabel(across)
+        axes.set_xlabel("normal quantile (sigma)")
     for axes in panels[:, 0]:
-        axes.set_ylabel(up)
+        axes.set_ylabel("sampled quantile (sigma)")
+    legend(figure, 2)
 
 
 def place_labels(
@@ -134,34 +147,28 @@ def place_labels(
         at = tuple(point)
         note = axes.annotate(text, at, (0, 0), textcoords="offset points", arrowprops=line, **look)
         size = Text.get_window_extent(note)  # without the line
-        best, least = size, np.inf
-        for offset, across, up in _places():
-            corner = axes.transData.transform(at) + scale * offset
-            left = {"left": 0.0, "center": 0.5, "right": 1.0}[across] * size.width
-            low = {"bottom": 0.0, "center": 0.5, "top": 1.0}[up] * size.height
-            box = Bbox.from_bounds(corner[0] - left, corner[1] - low, size.width, size.height)
-            box = box.padded(ROOM_PX)
+        tried = []
+        for offset, (across, left), (up, low) in _places():
+            x, y = axes.transData.transform(at) + scale * offset
+            corner = x - left * size.width, y - low * size.height
+            box = Bbox.from_bounds(*corner, size.width, size.height).padded(ROOM_PX)
             cost = _cost(box, axes.bbox, taken, keep) + float(np.hypot(*offset))
-            if cost < least:
-                best, least = box, cost
-                _put(note, offset, across, up)
-        taken.append(best)
+            tried.append((cost, box, offset, across, up))
+        _, box, offset, across, up = min(tried, key=lambda one: one[0])
+        note.set(ha=across, va=up)
+        note.xyann = tuple(offset)
+        if note.arrow_patch is not None:
+            note.arrow_patch.set_visible(bool(np.hypot(*offset) > AWAY_PT[1]))
+        taken.append(box)
 
 
-def _put(note: Annotation, offset: Array, across: str, up: str) -> None:
-    note.set(ha=across, va=up)
-    note.xyann = tuple(offset)
-    if note.arrow_patch is not None:
-        note.arrow_patch.set_visible(bool(np.hypot(*offset) > AWAY_PT[1]))
-
-
-def _places() -> Iterator[tuple[Array, str, str]]:
-    """Offsets from the point in points, and the words' alignment there."""
+def _places() -> Iterator[tuple[Array, tuple[str, float], tuple[str, float]]]:
+    """Offsets from the point, pt, and the words' alignment there with its share of their size."""
     for away in AWAY_PT:
         for way in np.arange(WAYS) * 2.0 * np.pi / WAYS:
             x, y = np.cos(way), np.sin(way)
-            across = "left" if x > 0.3 else "right" if x < -0.3 else "center"
-            up = "bottom" if y > 0.3 else "top" if y < -0.3 else "center"
+            across = ("left", 0.0) if x > 0.3 else ("right", 1.0) if x < -0.3 else ("center", 0.5)
+            up = ("bottom", 0.0) if y > 0.3 else ("top", 1.0) if y < -0.3 else ("center", 0.5)
             yield away * np.array([x, y]), across, up
 
 
@@ -184,15 +191,7 @@ def save(
     """
     check_ending(path, "file", *pictures.endings())
     with style.context(STYLE):
-        return write(path, pictures.picture(figure, path.suffix, plan_hash=plan_hash, dpi=dpi))
-
-
-def write(path: Path, content: str | bytes) -> Path:
-    """Write a file whole or not at all.
-
-    Raises:
-        InputError: if it cannot be written.
-    """
+        content = pictures.picture(figure, path.suffix, plan_hash=plan_hash, dpi=dpi)
     try:
         return write_atomically(path, content)
     except OSError as error:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 
 import numpy as np
@@ -79,13 +79,18 @@ def seen_from_sun(mission: Mission, vectors: Array) -> Array:
     return (vectors @ to_frame)[..., 1:] / 1000.0
 
 
+def _burns(solution: Solution, project: Callable[[Array], Array]) -> tuple[Array, Array]:
+    """Positions and sizes of the burns that are not zero, projected, shape (m, 2) each."""
+    nodes, fired = solution.mission.burn_nodes, solution.burns_m_s.any(axis=1)
+    places = np.array(solution.nodes.state)[nodes[fired], :3]
+    return project(places), project(solution.burns_m_s[fired])
+
+
 def _burns_from_sun(mission: Mission, solution: Solution) -> tuple[Array, Array]:
     """Positions of the burns that are not zero and their arrows, km, shape (m, 2) each."""
-    states, fired = np.array(solution.nodes.state)[:, :3], solution.burns_m_s.any(axis=1)
-    burns = seen_from_sun(mission, solution.burns_m_s[fired])
-    extent = float(np.ptp(states, axis=0).max()) / 1000.0
-    arrows = ARROW * extent * burns / max(np.linalg.norm(burns, axis=1).max(), 1e-12)
-    return seen_from_sun(mission, states[mission.burn_nodes[fired]]), arrows
+    starts, burns = _burns(solution, partial(seen_from_sun, mission))
+    extent = float(np.ptp(np.array(solution.nodes.state)[:, :3], axis=0).max()) / 1000.0
+    return starts, ARROW * extent * burns / max(np.linalg.norm(burns, axis=1).max(), 1e-12)
 
 
 def _path(axes: Axes, mission: Mission, solution: Solution) -> None:
@@ -155,12 +160,15 @@ def trajectories(runs: Runs) -> Figure:
         )
     )
     low, high = _reach(runs.plan, np.vstack([plan, reference, flights.reshape(-1, 3)]))
-    spans = high - low
+    spans, words = high - low, [str(number) for number, _ in runs.plan.solution.executed]
+    arrow = PLANE_ARROW * float(spans.max())
+    scale = arrow / max(np.linalg.norm(burns, axis=1).max(), 1e-12)
     locator = MaxNLocator(TICKS, steps=[1, 2, 5, 10])
     step = float(np.diff(locator.tick_values(0.0, spans.max()))[0])
     sides: Look = {"width_ratios": spans[[1, 0]], "height_ratios": spans[[2, 0]]}
     with page(5.95) as figure:
         panels = figure.subplots(2, 2, **sides)
+        ends = list[tuple[Array, Array]]()
         shown = [(axes, list(pair)) for axes, pair in zip(panels.flat, PLANES, strict=False)]
         for axes, pair in shown:
             _dispersions(axes, runs.plan, times, plan[:, pair], pair)
@@ -171,9 +179,11 @@ def trajectories(runs: Runs) -> Figure:
             label = runs.reference.label.replace(" (", "\n(")
             axes.plot(*reference[:, pair].T, "k:", lw=1.4, label=label, zorder=4)
             _spheres(axes, mission)
-            starts, arrows = _burns_in_plane(runs.plan, pair, PLANE_ARROW * float(spans.max()))
-            draw_burns(axes, starts, arrows, 0.01 * PLANE_ARROW * float(spans.max()))
-            label = f"burns {', '.join(_numbers(runs.plan))}, arrows to scale"
+            starts, sizes = _burns(runs.plan.solution, lambda vectors: vectors[:, pair])  # noqa: B023
+            starts, arrows = starts / 1000.0, scale * sizes
+            ends.append((starts, starts + arrows))
+            draw_burns(axes, starts, arrows, 0.01 * arrow)
+            label = f"burns {', '.join(words)}, arrows to scale"
             axes.plot(*starts.T, "o", color=BURN, ms=4.5, zorder=7, label=label)
             look = {"mfc": "w", "mec": "k", "ms": 5, "zorder": 6}
             axes.plot(*window[:, pair].T, "s", label="window opens, closes", **look)
@@ -185,10 +195,8 @@ def trajectories(runs: Runs) -> Figure:
             axes.yaxis.set_major_locator(MultipleLocator(step))
         look = {"color": BURN, "fontweight": "bold", "zorder": 7}
         look["path_effects"] = [withStroke(linewidth=2.5, foreground="w")]
-        for axes, pair in shown:
-            starts, arrows = _burns_in_plane(runs.plan, pair, PLANE_ARROW * float(spans.max()))
-            tips = starts + arrows
-            place_labels(axes, tips, _numbers(runs.plan), np.vstack([starts, tips]), **look)
+        for (axes, _), (starts, tips) in zip(shown, ends, strict=True):
+            place_labels(axes, tips, words, np.vstack([starts, tips]), **look)
         corner = panels[1, 1]
         corner.axis("off")
         handles, labels = panels[0, 0].get_legend_handles_labels()
@@ -234,20 +242,6 @@ def _spheres(axes: Axes, mission: Mission) -> None:
     label = f"{mission.scenario.body.name}, sphere through the site"
     axes.add_patch(Circle((0.0, 0.0), radius, label=label, **body))
     axes.add_patch(Circle((0.0, 0.0), safe, label=f"closest allowed, {safe:g} km", **ring))
-
-
-def _numbers(flown: FlownPlan) -> list[str]:
-    """Numbers of the burns that are not zero."""
-    return [str(number) for number, _ in flown.solution.executed]
-
-
-def _burns_in_plane(flown: FlownPlan, pair: list[int], arrow_km: float) -> tuple[Array, Array]:
-    """Positions of the burns that are not zero and their arrows, km, shape (m, 2) each."""
-    burns = flown.solution.burns_m_s
-    fired = burns.any(axis=1)
-    arrows = arrow_km * burns[fired][:, pair] / max(np.linalg.norm(burns, axis=1).max(), 1e-12)
-    nodes = flown.mission.burn_nodes[fired]
-    return np.array(flown.solution.nodes.state)[nodes][:, pair] / 1000.0, arrows
 
 
 def control_history(runs: Runs) -> Figure:

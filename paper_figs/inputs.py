@@ -26,7 +26,6 @@ from scp_recon.simulation.record import FILE_NAME as FLIGHT_FILE
 from scp_recon.simulation.record import Record, read_record
 
 PLAN, SURROGATE, AS_FLOWN = "scp_cold", "ballistic", "as_flown"
-TABLE = "observation_table.csv"
 FLIGHTS = 10_000
 """Flights of a plan that has no flights beside it."""
 SHOWN = 16
@@ -45,13 +44,16 @@ class Source:
         folder: name of its folder among those of the studies.
         command: command that writes it, without its --out.
         tables: its CSV files by name, each with a column that it must have.
-        fresh: whether the command leaves finished work alone unless it has `--fresh`.
     """
 
     folder: str
     command: str
     tables: Mapping[str, str] = field(default_factory=dict)
-    fresh: bool = False
+
+    def refused(self, path: Path, given: str, folder: Path, must: str = "") -> InputError:
+        """Error for a file, with the command that writes it anew."""
+        written = f"{must}written by `{self.command} --out {folder}`"
+        return InputError(str(path), given, written)
 
     def require(self, path: Path, folder: Path) -> Path:
         """Path of an existing file.
@@ -60,15 +62,8 @@ class Source:
             InputError: if it is missing.
         """
         if not path.is_file():
-            written = f"written by `{self.command} --out {folder}`"
-            raise InputError(str(path), "no such file", written)
+            raise self.refused(path, "no such file", folder)
         return path
-
-    def unusable(self, path: Path, folder: Path) -> InputError:
-        """Error for a damaged file."""
-        anew = f"{self.command} --fresh" if self.fresh else self.command
-        written = f"written anew by `{anew} --out {folder}`"
-        return InputError(str(path), "an unusable file", written)
 
     def read(self, folder: Path) -> list[pd.DataFrame]:
         """All tables in a folder.
@@ -82,45 +77,45 @@ class Source:
             try:
                 table = pd.read_csv(path)
             except ValueError:
-                raise self.unusable(path, folder) from None
+                table = pd.DataFrame()
             if column not in table or table.empty:
-                raise self.unusable(path, folder)
+                raise self.refused(path, "an unusable file", folder)
             found.append(table)
         return found
 
     def check_plan(self, plan_hash: str | None, file: Path, plan_file: Path, folder: Path) -> None:
-        """Check that the flights in a file are of the plan in another; older files have no hash.
+        """Check that the flights in a file are of the plan in another.
 
         Raises:
             InputError: if another plan was flown, or an unknown one.
         """
         if plan_hash != (own := read_solution(plan_file).plan_hash):
-            flown = f"plan {plan_hash[:SHOWN]}" if plan_hash else "an unknown plan"
-            must = f"must be of the plan {own[:SHOWN]} of {plan_file}"
-            again = f"run `{self.command} --out {folder}`"
-            raise InputError(str(file), f"flights of {flown}", f"{must}: {again}")
+            flown = f"flights of plan {plan_hash[:SHOWN]}" if plan_hash else "flights of no plan"
+            must = f"must be of the plan {own[:SHOWN]} of {plan_file}: "
+            raise self.refused(file, flown, folder, must)
 
 
-PAPER = Source("paper", "python -m experiments observation_table", {TABLE: "mean_s"}, fresh=True)
+PAPER = Source("paper", "python -m experiments observation_table")
 SIMULATED = Source("simulation", "python -m scp_recon simulate SOLUTION")
-TORQUES = ("thruster_torque_n_m", "wheel_torque_n_m")
-"""Arrays of a simulated flight that older files lack."""
 FLOWN_PLAN = Source(
     "flown_plan",
-    "python -m experiments flown_plan SOLUTION",
+    "python -m experiments flown_plan SOLUTION --fresh",
     {"flown_plan.csv": "seed"},
-    fresh=True,
 )
 
 
 @dataclass(frozen=True)
 class FlownPlan:
-    """A plan with its name for legends, its mission, and the summary of its flights."""
+    """A plan with its name for legends, and the summary of its flights."""
 
     label: str
     solution: Solution
-    mission: Mission
     summary: Summary
+
+    @property
+    def mission(self) -> Mission:
+        """The plan's mission."""
+        return self.solution.mission
 
 
 @dataclass(frozen=True)
@@ -130,12 +125,10 @@ class Runs:
     Attributes:
         plan: P2 by sequential convex programming from the cold start; or the user's own plan.
         reference: the real flight if its kernel was given, else the ballistic arc.
-        table: the observation-time table; None for the user's own plan.
     """
 
     plan: FlownPlan
     reference: FlownPlan
-    table: pd.DataFrame | None
 
 
 def read_runs(folder: Path) -> Runs:
@@ -147,13 +140,11 @@ def read_runs(folder: Path) -> Runs:
     home = resolve_run(folder)
     if home.is_file() or (home / SOLUTION_FILE).exists():
         return own_plan(home)
-    flown = (folder / AS_FLOWN / SOLUTION_FILE).exists()
-    reference = (
-        _flown(folder, AS_FLOWN, "OSIRIS-REx as flown")
-        if flown
-        else _flown(folder, SURROGATE, "OSIRIS-REx surrogate (ballistic arc)")
-    )
-    return Runs(_flown(folder, PLAN, "plan"), reference, *PAPER.read(folder))
+    if (folder / AS_FLOWN / SOLUTION_FILE).exists():
+        reference = _flown(folder, AS_FLOWN, "OSIRIS-REx as flown")
+    else:
+        reference = _flown(folder, SURROGATE, "OSIRIS-REx surrogate (ballistic arc)")
+    return Runs(_flown(folder, PLAN, "plan"), reference)
 
 
 def own_plan(home: Path) -> Runs:
@@ -167,8 +158,7 @@ def own_plan(home: Path) -> Runs:
     if summary is None or not summary.is_of(solution):
         summary = _fly(solution)
     arc = ballistic_arc(solution.mission)
-    plan = FlownPlan("plan", solution, solution.mission, summary)
-    return Runs(plan, FlownPlan("ballistic arc", arc, solution.mission, _fly(arc)), None)
+    return Runs(FlownPlan("plan", solution, summary), FlownPlan("ballistic arc", arc, _fly(arc)))
 
 
 def _fly(solution: Solution) -> Summary:
@@ -183,9 +173,9 @@ def _flown(folder: Path, key: str, label: str) -> FlownPlan:
     try:
         summary = read_summary(file)
     except InputError:
-        raise PAPER.unusable(file, folder) from None
+        raise PAPER.refused(file, "an unusable file", folder) from None
     PAPER.check_plan(summary.plan_hash, file, plan_file, folder)
-    return FlownPlan(label, solution, solution.mission, summary)
+    return FlownPlan(label, solution, summary)
 
 
 def read_whole_flight(folder: Path) -> Solution:
@@ -219,8 +209,7 @@ def read_flights(folder: Path) -> list[Record]:
     files = [folder / f"seed_{seed}" / FLIGHT_FILE for seed in table.seed]
     records = [_read_flight(FLOWN_PLAN, file, folder) for file in files]
     if len({record.plan_hash for record in records}) > 1:
-        written = f"must be of one; written anew by `{FLOWN_PLAN.command} --fresh --out {folder}`"
-        raise InputError(str(folder), "flights of different plans", written)
+        raise FLOWN_PLAN.refused(folder, "flights of different plans", folder, "must be of one: ")
     return records
 
 
@@ -229,9 +218,7 @@ def _read_flight(source: Source, file: Path, folder: Path) -> Record:
     try:
         record = read_record(file)
     except InputError:
-        raise source.unusable(file, folder) from None
-    if not record.arrays.keys() >= {*TORQUES}:
-        raise source.unusable(file, folder)
+        raise source.refused(file, "an unusable file", folder) from None
     plan_file = folder / SOLUTION_FILE
     if plan_file.is_file():
         source.check_plan(record.plan_hash, file, plan_file, folder)
@@ -251,12 +238,10 @@ def run_missing(
     """
     own = runs.is_file() or (runs / SOLUTION_FILE).exists()
     plan = runs if own else runs / PLAN
-    lines = [] if own or (runs / TABLE).exists() else [(PAPER.command, runs)]
-    commands = {source.folder: source.command for source in wanted}
-    lines += [
-        (line, studies / name) for name, line in commands.items() if not (studies / name).is_dir()
-    ]
-    for line, out in lines:
+    lines = {} if own or plan.exists() else {runs: PAPER.command}
+    folders = {studies / source.folder: source.command for source in wanted}
+    lines |= {folder: command for folder, command in folders.items() if not folder.is_dir()}
+    for out, line in lines.items():
         words = [str(plan) if word == SOLUTION else word for word in line.split()]
         tell(" ".join([*words, "--out", str(out)]))
         status = run([sys.executable, *words[1:], "--out", str(out)])

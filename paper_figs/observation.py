@@ -11,7 +11,7 @@ from matplotlib.patches import Arc, Circle, Wedge
 from scipy.stats import norm
 
 from formulations.arrays import Array
-from paper_figs.drawing import Look, history, label_outer, legend, page
+from paper_figs.drawing import Look, history, legend, page, quantile_panels
 from paper_figs.inputs import FlownPlan, Runs
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.observation_time import measured
@@ -141,18 +141,13 @@ def _times(axes: Axes, runs: Runs, name: str, edges: Array) -> None:
 
 def terminal_normality(runs: Runs) -> Figure:
     """A quantile-quantile panel per component of the final state, J2000."""
-    normality = runs.plan.summary.terminal.normality
+    tests = {name: runs.plan.summary.terminal.normality[name] for name in COMPONENTS}
+    points = {
+        f"{name}: p-value {test.p_value:.1g}": (norm.ppf(test.levels), np.array(test.quantiles))
+        for name, test in tests.items()
+    }
     with page(4.8) as figure:
-        panels = figure.subplots(2, 3, sharex=True, sharey=True)
-        for axes, name in zip(panels.flat, COMPONENTS, strict=True):
-            test = normality[name]
-            axes.axline((0.0, 0.0), slope=1.0, color="0.5", lw=1.0, ls="--", label="normal")
-            look: Look = {"ms": 2.5, "color": "k", "label": "sampled flights"}
-            axes.plot(norm.ppf(test.levels), test.quantiles, "o", **look)
-            axes.set_title(f"{name}: p-value {test.p_value:.1g}", loc="left")
-            axes.set(xlim=(-REACH, REACH), ylim=(-REACH, REACH), aspect="equal")
-        label_outer(panels, "normal quantile (sigma)", "sampled quantile (sigma)")
-        legend(figure, 2)
+        quantile_panels(figure, points, REACH)
     return figure
 
 

@@ -13,7 +13,7 @@ from pandas import DataFrame as Table
 from scipy.stats import chi
 
 from formulations.arrays import Array
-from paper_figs.drawing import ABOVE, LEGEND_PT, Look, label_outer, legend, page
+from paper_figs.drawing import ABOVE, LEGEND_PT, Look, legend, page, quantile_panels
 from scp_recon.results.pictures import HOUR_S
 from scp_recon.simulation.flight import Actuators
 from scp_recon.simulation.record import Record
@@ -301,32 +301,15 @@ def uncertainty_sources(tables: list[Table]) -> Figure:
 
 
 def uncertainty_quantiles(tables: list[Table]) -> Figure:
-    """A quantile-quantile panel per source and axis, J2000, with the line through the quartiles."""
+    """A quantile-quantile panel per source and axis, J2000."""
     points, tests = tables
-    ticks, quartiles = np.arange(-4, 5, 2), np.array([-0.6745, 0.6745])
-    with page(4.8) as figure:
-        panels = figure.subplots(2, 3, sharex=True, sharey=True)
-        for axes, (source, axis) in zip(
-            panels.flat, [(source, axis) for source in SHOWN for axis in "xyz"], strict=True
-        ):
+    panels = {}
+    for source in SHOWN:
+        test = tests[tests.source == source].iloc[0]
+        for axis in "xyz":
             own = points[(points.source == source) & (points.axis == axis)]
-            test = tests[tests.source == source].iloc[0]  # the path-only one
-            axes.plot(own.expected, own.observed, "o", ms=2.0, color="k", label="sampled flights")
-            ends = np.interp(quartiles, own.expected, own.observed)
-            slope = float(np.diff(ends)[0] / np.diff(quartiles)[0])
-            look: Look = {
-                "color": "tab:red",
-                "lw": 1.0,
-                "ls": "--",
-                "label": "through the quartiles",
-            }
-            axes.axline((0.0, float(ends.mean())), slope=slope, **look)
-            axes.plot(quartiles, ends, color="tab:blue", lw=2.0, label="between them")
-            axes.set_title(f"{test.label}, {axis}", loc="left")
-            p_value = f"p = {test[f'p_value_{axis}']:.1g}"
-            axes.text(0.96, 0.06, p_value, ha="right", transform=axes.transAxes)
-            axes.set(xticks=ticks, yticks=ticks, aspect="equal")
-            axes.set(xlim=(-REACH, REACH), ylim=(-REACH, REACH))
-        label_outer(panels, "normal quantile (sigma)", "sampled quantile (sigma)")
-        legend(figure, 3)
+            title = f"{test.label}, {axis}\np-value {test[f'p_value_{axis}']:.1g}"
+            panels[title] = own.expected.to_numpy(), own.observed.to_numpy()
+    with page(5.2) as figure:
+        quantile_panels(figure, panels, REACH)
     return figure

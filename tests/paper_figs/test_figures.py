@@ -17,9 +17,9 @@ from experiments.observation_rows import rows
 from experiments.observation_table import measure
 from paper_figs import __main__ as command_line
 from paper_figs import flight, inputs, observation, plans
-from paper_figs.__main__ import EVERYTHING, FIGURES, STUDIES, TABLES, Item, main, make_all
+from paper_figs.__main__ import EVERYTHING, FIGURES, STUDIES, Item, main
 from paper_figs.drawing import save
-from paper_figs.inputs import PAPER, PLAN, SURROGATE, TABLE, Runs, read_runs, run_missing
+from paper_figs.inputs import PAPER, PLAN, SURROGATE, Runs, read_runs, run_missing
 from paper_figs.spacecraft import SHOWN
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
@@ -27,6 +27,7 @@ from scp_recon.monte_carlo import sampling
 from scp_recon.planning import initial_guess
 from scp_recon.planning.planner import plan
 from scp_recon.results.policy import Policy
+from scp_recon.results.read import read_solution
 from scp_recon.results.solution import Solution, make_solution
 from scp_recon.simulation.record import Record, write_record
 from tests.scp_recon.simulation import made_up
@@ -46,8 +47,8 @@ def folder(tmp_path_factory) -> Path:
     """What experiments write, for the two rows that figures are drawn from."""
     out = tmp_path_factory.mktemp("runs")
     needed = [row for row in rows(ipopt=False) if row.key in (PLAN, SURROGATE)]
-    table = records([measure(out, SAMPLES, False, row) for row in needed])
-    (out / TABLE).write_text(table.csv(), encoding="utf-8")
+    for row in needed:
+        measure(out, SAMPLES, False, row)
     return out
 
 
@@ -121,32 +122,27 @@ def studies(tmp_path_factory) -> Path:
 
 @pytest.mark.slow
 def test_everything_is_written_into_one_folder(folder, runs, studies, tmp_path, monkeypatch):
-    light = {name: replace(item, dpi=DPI) for name, item in FIGURES.items()}
-    monkeypatch.setattr(command_line, "FIGURES", light)
+    for name, item in FIGURES.items():
+        monkeypatch.setitem(FIGURES, name, replace(item, dpi=DPI))
     monkeypatch.setattr(command_line, "PICTURES", (".png",))
     shutil.copytree(studies / "frontier", tmp_path / "frontier")
-    written = list(make_all(runs, folder, tmp_path / "figures", tmp_path))
-    expected = {f"{name}.png" for name in (*FIGURES, "frontier")}
-    expected |= {f"{name}.md" for name in TABLES} | {TABLE}
-    assert {path.name for path in written} == expected
-    assert {path.name for path in (tmp_path / "figures").iterdir()} == expected
-    of_plan = [path for path in written if path.stem in FIGURES]
-    assert all(runs.plan.solution.plan_hash.encode() in path.read_bytes() for path in of_plan)
+    out, expected = tmp_path / "figures", {f"{name}.png" for name in (*FIGURES, "frontier")}
+    assert main(["--runs", str(folder), "--studies", str(tmp_path), "--out", str(out)]) == 0
+    assert {path.name for path in out.iterdir()} == expected
+    plan_hash = runs.plan.solution.plan_hash.encode()
+    assert all(plan_hash in (out / f"{name}.png").read_bytes() for name in FIGURES)
 
 
 @pytest.mark.slow
-def test_own_plan_is_drawn_without_the_table(tmp_path, monkeypatch):
+def test_a_plan_of_ones_own_is_drawn(tmp_path, monkeypatch):
     """Of five burns, two of them close to each other, without flights beside it."""
     own = mission_of("burns.times_s=[0.0, 8000.0, 23200.0, 29800.0, 36400.0]")
     make_solution(plan(own, initial_guess.cold(own), problem="P3")).write(tmp_path)
     monkeypatch.setattr(inputs, "FLIGHTS", SAMPLES)
-    own_runs = read_runs(tmp_path)
-    monkeypatch.setattr(
-        command_line, "FIGURES", {"trajectories": replace(FIGURES["trajectories"], dpi=DPI)}
-    )
-    written = {path.name for path in make_all(own_runs, tmp_path, tmp_path / "out")}
-    assert written == {"parameters.md", "trajectories.png", "trajectories.pdf"}
-    assert own_runs.plan.summary.is_of(own_runs.plan.solution)
+    monkeypatch.setitem(EVERYTHING, "trajectories", replace(FIGURES["trajectories"], dpi=DPI))
+    file = tmp_path / "own.svg"
+    assert main(["trajectories", "--runs", str(tmp_path), "--out", str(file)]) == 0
+    assert read_solution(tmp_path).plan_hash in file.read_text("utf-8")
 
 
 class Marked(tuple[Any, ...]):
@@ -173,10 +169,8 @@ def test_every_flight_of_a_plan_is_corrected(runs, monkeypatch):
     assert all(corrected)
 
 
-@pytest.mark.parametrize(
-    "missing", [TABLE, f"{PLAN}/solution.json", f"{SURROGATE}/montecarlo.json"]
-)
-def test_missing_input_exits_two_and_names_command(copy, tmp_path, missing, capsys):
+@pytest.mark.parametrize("missing", [f"{PLAN}/solution.json", f"{SURROGATE}/montecarlo.json"])
+def test_missing_input_names_the_command(copy, tmp_path, missing, capsys):
     (copy / missing).unlink()
     for names in ([], ["control_history"]):
         assert main([*names, "--runs", str(copy), "--out", str(tmp_path / "figures")]) == 2
@@ -187,10 +181,9 @@ def test_missing_input_exits_two_and_names_command(copy, tmp_path, missing, caps
     assert not list((tmp_path / "figures").glob("*"))
 
 
-@pytest.mark.parametrize("damaged", [TABLE, f"{PLAN}/montecarlo.json"])
-def test_damaged_input_names_the_fresh_command(copy, damaged):
-    (copy / damaged).write_text("{", encoding="utf-8")
-    with pytest.raises(InputError, match=f"{PAPER.command} --fresh"):
+def test_damaged_input_names_the_command(copy):
+    (copy / PLAN / "montecarlo.json").write_text("{", encoding="utf-8")
+    with pytest.raises(InputError, match=f"{PAPER.command} --out"):
         read_runs(copy)
 
 
@@ -248,13 +241,11 @@ def test_flyby_is_drawn_and_names_its_plan(folder, tmp_path):
     assert EVERYTHING["flyby"].found(tmp_path).plan_hash.encode() in picture.read_bytes()
 
 
-def test_named_figures_go_to_folder_or_file(folder, tmp_path, monkeypatch):
+def test_named_figures_go_to_one_folder(tmp_path, monkeypatch):
     monkeypatch.setitem(EVERYTHING, "control_history", QUICK)
     assert main(["modes", "control_history", "--out", str(tmp_path / "some")]) == 0
     names = {path.name for path in (tmp_path / "some").iterdir()}
     assert names == {"modes.png", "control_history.png"}
-    assert main(["observation_table", "--runs", str(folder), "--out", str(tmp_path / "x.md")]) == 0
-    assert (tmp_path / "x.md").is_file()
 
 
 @pytest.mark.parametrize("name", ["file", "picture.xyz", "file/x.png"])
