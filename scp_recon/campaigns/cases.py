@@ -18,7 +18,7 @@ Changes = dict[str, Any]
 
 
 class Case(NamedTuple):
-    """A case of a study: its number from 0, its seed, and values by dotted entry of the scenario.
+    """A case of a study: its number from 0, its seed below 2^63, and values by dotted entry.
 
     Seed and values depend on the study and the number alone.
     """
@@ -48,12 +48,8 @@ class Cases(Sequence[Case]):
         for rows in reversed(self.axes):
             rest, place = divmod(rest, len(rows))
             changes = {**rows[place], **changes}
-        return Case(number, case_seed(self.seed, number), changes)
-
-
-def case_seed(seed: int, number: int) -> int:
-    """Seed of a case, from 0 to 2^63 - 1."""
-    return int(np.random.SeedSequence((seed, number)).generate_state(1, np.uint64)[0] >> 1)
+        (state,) = np.random.SeedSequence((self.seed, number)).generate_state(1, np.uint64)
+        return Case(number, int(state >> 1), changes)
 
 
 def solution_name(number: int) -> str:

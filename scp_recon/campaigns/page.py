@@ -130,13 +130,13 @@ def order(results: CampaignResults) -> list[int]:
 
 def line_of(results: CampaignResults, place: int) -> dict[str, Any]:
     """A row as the page holds it: cells, and the details shown when it is opened."""
-    row = {key: _plain(value) for key, value in results.table.iloc[place].to_dict().items()}
+    (row,) = results.table.iloc[[place]].dropna(axis="columns").to_dict("records")
     number = int(row["case"])
     columns = [*shown(results), *(column for column, _ in results.measures), "binds"]
     solution = Path(solution_name(number))
     report = solution.with_name("report.html")
     said = (row.get(column) for column in ("message", *SHORTFALLS, "warnings"))
-    own = [c for c in OWN[results.campaign.do] if c not in SHORTFALLS and row.get(c) is not None]
+    own = [c for c in OWN[results.campaign.do] if c not in SHORTFALLS and c in row]
     return {
         "number": number,
         "end": results.ends[place],
@@ -145,14 +145,8 @@ def line_of(results: CampaignResults, place: int) -> dict[str, Any]:
         "found": "; ".join(f"{name} {Column(name).cell(row[name]).text}" for name in own),
         "report": report.as_posix() if (results.folder / report).is_file() else None,
         "solution": solution.parent.as_posix() if (results.folder / solution).is_file() else None,
-        "changes": "; ".join(f"{entry} = {row[entry]}" for entry in (*results.entries, "seed")),
+        "changes": "; ".join(f"{entry} = {row.get(entry)}" for entry in (*results.entries, "seed")),
     }
-
-
-def _plain(value: Any) -> Any:
-    """Python's own number or text; None for a missing value."""
-    value = value.item() if hasattr(value, "item") else value
-    return None if value is None or value != value else value
 
 
 def charts_of(results: CampaignResults) -> list[dict[str, Any]]:

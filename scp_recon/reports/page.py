@@ -17,7 +17,7 @@ from scp_recon.errors import version_of
 from scp_recon.mission.constraints import required_in_words
 from scp_recon.planning.plan import NOT_CHECKED
 from scp_recon.reports.flights import SO_FAR, Shown
-from scp_recon.reports.marks import BODY, Trace, script
+from scp_recon.reports.marks import BODY, script
 from scp_recon.reports.subject import Subject
 from scp_recon.results.solution import Solution
 from scp_recon.results.table import Table
@@ -90,22 +90,19 @@ def verdict_of(plan: Shown) -> Verdict:
         word = NOT_CHECKED
     elif checked.failed:
         word = f"not verified: {', '.join(checked.failed)}"
+    required = "no probability (P3: the problem without uncertainty)"
+    if solution.problem == "P2":
+        required = required_in_words(solution.scenario)
     return Verdict(
         good,
         word,
-        _required(subject),
+        required,
         _achieved(plan),
         f"{solution.total_dv_m_s:.6f} m/s in {len(solution.executed)} burns; 99 % of the flights stay "
         f"below {plan.budget.total_high_m_s:.6f} m/s",
         _remarks(subject, status),
         _advice(subject),
     )
-
-
-def _required(subject: Subject) -> str:
-    if subject.solution.problem == "P3":
-        return "no probability (P3: the problem without uncertainty)"
-    return required_in_words(subject.solution.scenario)
 
 
 def _achieved(plan: Shown) -> str:
@@ -130,28 +127,29 @@ def _achieved(plan: Shown) -> str:
 
 def _remarks(subject: Subject, status: Status) -> tuple[str, ...]:
     solution = subject.solution
-    said = [] if status is Status.CONVERGED else [solution.message]
+    what = solution.message.removesuffix(status.value.remedy).strip()
+    said = [] if status is Status.CONVERGED else [what]
     said += [
         f"{name}: violated by up to {amount.max:.4g} {amount.unit}"
         for name, amount in solution.violation.by_constraint.items()
     ]
     said += [] if solution.by_policy is None else [solution.by_policy]
     risk = solution.risk
-    if risk is not None and risk.certificate is None:
-        said.append("not certified by flights: the normal law alone promises the probability")
-    elif risk is not None and risk.certificate is not None:
-        said.append(f"certificate: {risk.certificate}")
+    if risk is not None:
+        law = "not certified by flights: the normal law alone promises the probability"
+        said.append(f"certificate: {risk.certificate}" if risk.certificate else law)
     warned = dict.fromkeys([*solution.warnings, *subject.mission.warnings])
     said += [f"warning: {w.entry}: {w.given}; {w.expected}" for w in warned]
     return (*said, *subject.passed_over)
 
 
 def _advice(subject: Subject) -> tuple[str, ...]:
+    """What to do next: what was found to work for this plan, else what helps with its failed checks."""
     solution = subject.solution
     if solution.verification is None:
-        return ()
+        return tuple(filter(None, [Status.named(solution.status).value.remedy]))
     lines = what_next(subject.mission, solution, solution.verification)
-    return (*lines, *solution.advice, *_surplus(subject))
+    return (*(solution.advice or lines), *_surplus(subject))
 
 
 def _surplus(subject: Subject) -> list[str]:
@@ -234,13 +232,10 @@ def groups_of(scene: dict[str, Any]) -> list[tuple[str, bool, str]]:
     found: dict[str, tuple[bool, str]] = {}
     for trace in scene["traces"]:
         shown = trace.get("visible", True) is not False
-        colour = next((c for c in _colours(trace) if c), BODY)
+        parts = trace, trace.get("line", {}), trace.get("marker", {})
+        colour = next(filter(None, (part.get("color") for part in parts)), BODY)
         found.setdefault(trace["meta"]["group"], (shown, colour))
     return [(name, shown, colour) for name, (shown, colour) in found.items()]
-
-
-def _colours(trace: Trace) -> list[str | None]:
-    return [part.get("color") for part in (trace, trace.get("line", {}), trace.get("marker", {}))]
 
 
 def made_by(made: datetime) -> str:

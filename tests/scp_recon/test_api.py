@@ -21,6 +21,7 @@ from scp_recon.api.options import PlanOptions
 from scp_recon.display import Displayed
 from scp_recon.errors import InputError
 from scp_recon.planning.plan import Certificate, Parent, Plan, as_interrupted
+from scp_recon.results.comparison import Comparison
 from scp_recon.results.read import read_solution
 from tests.helpers import nightly, usually
 from tests.scp_recon.support import raising
@@ -322,6 +323,21 @@ def test_results_are_frames_of_pandas(default_plan, solution, monkeypatch):
     monkeypatch.setitem(sys.modules, "pandas", None)
     with pytest.raises(InputError, match=r"scp_recon\[notebooks\]"):
         flown.to_frame()
+
+
+@pytest.mark.parametrize(
+    ("name", "figure", "text"),
+    [
+        ("margin emission_max", -9e-9, "0"),
+        ("margin emission_max", -2e-6, "-2e-06"),
+        ("total delta-v", 2e-7, "2e-07"),
+        ("farthest from the first", 1e-11, "0"),
+    ],
+)
+def test_rounding_counts_as_zero_in_comparisons(name, figure, text):
+    compared = Comparison(("one",), ((name, "m", (figure,)),), ())
+    assert compared.table.rows[0][1].text == text
+    assert compared[name] == (figure,)
 
 
 def test_flights_are_drawn(default_plan):

@@ -17,6 +17,7 @@ from scp_recon.errors import InputError
 from scp_recon.results.solution import make_solution
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scenario.schema import Scenario
+from scp_recon.scp.status import Status
 
 JSON = {"Content-Type": "application/json"}
 FEEDBACK = {"policy.kind": "feedback"}
@@ -76,13 +77,15 @@ def test_the_written_scenario_gives_the_shown_plan(server, tmp_path):
 
 def test_a_plan_that_is_infeasible_says_so(server):
     made = server.explorer.plan({})
-    infeasible = replace(made.solution, status="infeasible", message="Infeasible: so it is.")
+    said = f"Infeasible: so it is. {Status.INFEASIBLE.value.remedy}"
+    infeasible = replace(made.solution, status="infeasible", message=said)
     shown = replace(made.shown, subject=replace(made.shown.subject, solution=infeasible))
     kept = replace(made, solution=infeasible, shown=shown)
     found = Explorer(server.explorer.scenario, kept).answer({})
     assert found["cost"].endswith("m/s, infeasible")
     assert not found["converged"]
     assert "Infeasible: so it is." in found["verdict"]
+    assert "init" not in found["verdict"]  # which is an option of commands
 
 
 @pytest.mark.parametrize(
