@@ -12,8 +12,12 @@ import argparse
 import hashlib
 import importlib
 import json
+import os
+import resource
 import shlex
-from collections.abc import Callable, Iterable, Mapping, Sequence
+import subprocess
+import sys
+from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from functools import cache
@@ -46,6 +50,7 @@ from scp_recon.jobs.store import run as run_jobs
 from scp_recon.mission.feedback import require_open_loop
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.flights import FlightConfig, FlightTally, fly_many
+from scp_recon.monte_carlo.observation_time import ALL
 from scp_recon.planning import initial_guess
 from scp_recon.planning.plan import Plan
 from scp_recon.results.policy import policy_of
@@ -271,6 +276,43 @@ def plan_figures(plan: Plan) -> Record:
         "iterations_p3": count["P3"],
         "iterations_p2": count["P2"],
     }
+
+
+def flight_figures(flown: FlightTally) -> Record:
+    """Columns on flights: probability at the worst node and of whole flights, and time observed."""
+    node = {n: flown.worst_probability(n)[1].value for n in flown.node_counts if n != ALL}
+    lowest = min(node, key=lambda name: node[name])
+    return {
+        "node": node[lowest],
+        "node_of": lowest.replace("_", " "),
+        "whole_flight": flown.whole / flown.samples,
+        "observed_mean_s": flown.held[ALL].mean().value,
+    }
+
+
+def run_python(
+    words: Sequence[str],
+    statuses: Container[int] = (0,),
+    folder: Path | None = None,
+    **setting: str,
+) -> tuple[dict[str, float], str]:
+    """Run Python with some words: seconds of clock and processor, and what it printed.
+
+    Errors go to the terminal. `setting` are variables of the environment.
+
+    Raises:
+        InputError: if it ends with another status than these.
+    """
+    begin, before = perf_counter(), resource.getrusage(resource.RUSAGE_CHILDREN)
+    command, env = [sys.executable, *words], {**os.environ, **setting}
+    done = subprocess.run(
+        command, check=False, cwd=folder, env=env, stdout=subprocess.PIPE, text=True
+    )
+    wall, after = perf_counter() - begin, resource.getrusage(resource.RUSAGE_CHILDREN)
+    if done.returncode not in statuses:
+        raise InputError(" ".join(words), f"exit status {done.returncode}", "must end well")
+    cpu = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    return {"wall_s": wall, "processor_s": cpu}, done.stdout
 
 
 def fly_plan(plan: Plan, samples: int, seed: int) -> FlightTally:

@@ -19,9 +19,10 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 from time import process_time
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
+import pandas as pd
 
 from experiments.evidence import ROOT
 from experiments.harness import Findings, Record, Session, fly_plan, number, option, records
@@ -45,6 +46,7 @@ from scp_recon.planning.planner import Planner
 from scp_recon.scenario.schema import Scenario
 from scp_recon.scp.status import Status
 
+Case: TypeAlias = Mapping[str, Any]
 STUDIES = ROOT / "examples" / "studies"
 LATITUDE = "site.latitude_deg"
 BANDS = {"above 70 N": 70.0, "30 to 70 N": 30.0, "0 to 30 N": 0.0, "0 to 40 S": -40.0}
@@ -53,17 +55,17 @@ BANDS |= {"40 to 70 S": -70.0, "beyond 70 S": -90.0}
 COMMONEST = 3
 
 
-def latitude(case: Record) -> str:
+def latitude(case: Case) -> str:
     """The band of a site."""
     return next(band for band, least in BANDS.items() if case[LATITUDE] >= least)
 
 
-def size(case: Record) -> str:
+def size(case: Case) -> str:
     """Largest burn and least radius."""
     return f"{case['burns.dv_max_m_s']:g} {case['safety.radius_min_m']:g}"
 
 
-SUMMED: Mapping[str, tuple[str, Callable[[Record], str]]] = {
+SUMMED: Mapping[str, tuple[str, Callable[[Case], str]]] = {
     "sizes": ("sizes", size),
     "asteroid_year": ("year", lambda _: "all"),
     "errors": ("errors", lambda case: f"{case['uncertainty.execution_error']:.3g}"),
@@ -82,30 +84,27 @@ PICTURES = {
 """Charts of the campaigns that the pages show, by their pictures' names; written with kaleido."""
 
 
-def feasible(case: Record) -> bool:
-    """Whether it has a verified plan."""
-    return case["status"] == Status.CONVERGED.value.name and case["verdict"] == VERIFIED
+def feasible(cases: pd.DataFrame) -> pd.Series:
+    """Which cases have a verified plan."""
+    return (cases.status == Status.CONVERGED.value.name) & (cases.verdict == VERIFIED)
 
 
-def summary(cases: list[Record]) -> Record:
+def summary(cases: pd.DataFrame) -> Record:
     """Figures of some cases."""
-    solved = [case for case in cases if feasible(case)]
-    why = [reason(case) for case in cases if not feasible(case)]
-    common = sorted(set(why), key=lambda words: (-why.count(words), words))[:COMMONEST]
-    row: Record = {"cases": len(cases), "feasible": len(solved)}
+    solved = feasible(cases)
+    why = cases.status.where(cases.status != Status.INFEASIBLE.value.name, cases.get("binds"))
+    why = why.replace({Status.CONVERGED.value.name: "not verified"}).str.replace("_", " ")
+    common = sorted(why[~solved].value_counts().items(), key=lambda one: (-one[1], one[0]))
+    row: Record = {"cases": len(cases), "feasible": int(solved.sum())}
     for name, column in (("dv_m_s", "total_dv_m_s"), ("probability", "probability")):
-        values = [case[column] for case in solved]
-        row |= {f"{name}_min": min(values, default=None), f"{name}_max": max(values, default=None)}
-    return row | {"why_not": "; ".join(f"{words} ({why.count(words)})" for words in common)}
+        row |= extremes(name, cases[solved], column)
+    return row | {"why_not": "; ".join(f"{words} ({n})" for words, n in common[:COMMONEST])}
 
 
-def reason(case: Record) -> str:
-    """Why a case has no verified plan."""
-    if case["status"] == Status.CONVERGED.value.name:
-        return "not verified"
-    if case["status"] == Status.INFEASIBLE.value.name:
-        return str(case["binds"]).replace("_", " ")
-    return str(case["status"]).replace("_", " ")
+def extremes(name: str, cases: pd.DataFrame, column: str) -> Record:
+    """Least and largest value of a column; NaN without a case."""
+    values = cases.get(column, pd.Series(dtype=float))
+    return {f"{name}_min": values.min(), f"{name}_max": values.max()}
 
 
 SAMPLE, SEED, FLIGHTS = 60, 0, 2_000
@@ -151,9 +150,11 @@ def run_sample(session: Session) -> Findings:
     """Plan the sampled sites."""
     sites = read_study(STUDIES / "reconnaissance_map.toml")
     jobs = [Job(f"site {number}", number) for number in drawn_numbers(sites)]
-    rows = session.rows("sites", partial(sampled, sites), jobs, session.store(), line=_line)
-    bands = {band: [one for one in rows if latitude(one) == band] for band in BANDS} | {"all": rows}
-    sums = [{"of": band, **counted(own)} for band, own in bands.items() if own]
+    rows = session.rows("sites", partial(sampled, sites), jobs, session.store())
+    found = pd.DataFrame(rows)
+    bands = found.apply(latitude, axis=1)
+    own = {band: found[bands == band] for band in BANDS} | {"all": found}
+    sums = [{"of": band, **counted(some)} for band, some in own.items() if len(some)]
     return Findings({"sample.csv": records(rows), "sample_latitudes.csv": records(sums)})
 
 
@@ -163,58 +164,41 @@ def drawn_numbers(sites: Study) -> list[int]:
     return sorted(int(number) for number in drawn)
 
 
-def counted(rows: list[Record]) -> Record:
+def counted(rows: pd.DataFrame) -> Record:
     """How many sites have a plan open loop, how many more with feedback, and what these cost."""
     row: Record = {"sites": len(rows)}
-    alone = [one for one in rows if one["open"]]
-    more = [one for one in rows if one["corrected"] and not one["open"]]
-    for name, own in (("open", alone), ("more", more)):
-        for figure in ("dv99_m_s", "whole_flight"):
-            values = [one[figure] for one in own]
-            row |= {f"{name}_{figure}_min": min(values, default=None)}
-            row |= {f"{name}_{figure}_max": max(values, default=None)}
+    for name, own in (("open", rows[rows.open]), ("more", rows[rows.corrected & ~rows.open])):
+        for column in ("dv99_m_s", "whole_flight"):
+            row |= extremes(f"{name}_{column}", own, column)
         row[name] = len(own)
     return row
-
-
-def _line(row: Record) -> str:
-    found = "open loop" if row["open"] else "with feedback" if row["corrected"] else "no"
-    return f"{row['site.name']}: {found} plan, {row.get('dv99_m_s', np.nan):.4f} m/s"
-
-
-def median(values: list[float]) -> float | None:
-    """The middle one, of an even number the upper; None of none."""
-    return sorted(values)[len(values) // 2] if values else None
 
 
 def run(session: Session) -> Findings:
     """Run every campaign, and sum it up; or plan the sample."""
     if session.options.sample:
         return run_sample(session)
-    files, totals, drawn = dict[str, list[Record]](), [], dict[str, Any]()
+    tables: dict[str, list[Record]] = {"campaigns": []}
+    drawn: dict[str, Any] = {}
     for name, (key, by) in SUMMED.items():
         session.say(f"{name}:")
         path = STUDIES / f"{name}.toml"
         found = campaign(path, session.out / name, workers=session.options.workers)
         drawn |= {f"{name}/{figure}": one for figure, one in found.figures.items()}
-        cases: list[Record] = found.table.to_dict("records")
-        groups: dict[str, list[Record]] = {}
-        for case in cases:
-            groups.setdefault(by(case), []).append(case)
-        files[key] = [{"of": words} | summary(group) for words, group in groups.items()]
-        seconds: dict[str, Any] = {
-            f"processor_s_{words}": median([c["cpu_s"] for c in cases if feasible(c) == end])
+        cases, solved = found.table, feasible(found.table)
+        groups = cases.groupby(cases.apply(by, axis=1), sort=False)
+        tables[key] = [{"of": words} | summary(group) for words, group in groups]
+        total = {
+            f"processor_s_{words}": cases.cpu_s[solved == end].quantile(0.5, "higher")
             for words, end in (("feasible", True), ("other", False))
         }
-        total = {"processor_s": sum(case["cpu_s"] for case in cases)}
-        totals.append({"campaign": name} | summary(cases) | seconds | total)
+        total["processor_s"] = cases.cpu_s.sum()
+        tables["campaigns"].append({"campaign": name, **summary(cases), **total})
     if session.options.pictures:
         for source, target in PICTURES.items():
-            write_atomically(
-                session.options.pictures / f"{target}.png", drawn[source].to_image("png")
-            )
-    files = {"campaigns": totals} | files
-    return Findings({f"{name}.csv": records(rows) for name, rows in files.items()})
+            path = session.options.pictures / f"{target}.png"
+            write_atomically(path, drawn[source].to_image("png"))
+    return Findings({f"{name}.csv": records(rows) for name, rows in tables.items()})
 
 
 STUDY = Harnessed(

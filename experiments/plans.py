@@ -11,25 +11,32 @@ from __future__ import annotations
 
 import json
 import re
-import resource
 import shlex
-import subprocess
-import sys
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
-from time import perf_counter, process_time
+from time import process_time
 from typing import Any
 
 import numpy as np
 
 from experiments.frontier import EXACT, TANGENT
-from experiments.harness import Findings, Record, Session, Study, fly_plan, option, records
+from experiments.harness import (
+    Findings,
+    Record,
+    Session,
+    Study,
+    flight_figures,
+    fly_plan,
+    option,
+    plan_figures,
+    records,
+    run_python,
+)
 from scp_recon.api.designing import design
 from scp_recon.api.planning import plan
-from scp_recon.errors import InputError
 from scp_recon.jobs.job import Job
-from scp_recon.monte_carlo.observation_time import ALL
-from scp_recon.planning.plan import Certificate, Plan
+from scp_recon.planning.plan import Plan
 from scp_recon.results.solution import make_solution
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scp.status import Status
@@ -55,6 +62,7 @@ PRINTED = {
     "infeasible": "scp_recon.solve --set risk.p_chance=0.98",
 }
 """Commands after `python -m`; in braces the folder of an earlier one."""
+ENDS = {status.value.exit_code for status in (Status.CONVERGED, Status.INFEASIBLE)}
 
 HOME = {
     "boundary.home.radius_m": 1000.0,
@@ -99,92 +107,59 @@ def measure_design(name: str) -> Record:
     found = design(load_scenario(base).replace(changes))
     seconds = process_time() - begin
     if found.plan is None:
-        return {"design": name, "status": "none found", "message": found.message} | {
-            "processor_s": seconds
-        }
+        failed = {"status": "none found", "message": found.message, "processor_s": seconds}
+        return {"design": name} | failed
     departure, arrival = (np.rad2deg(found.best.at.phases) % 360.0).tolist()
-    first, *later = found.plan.mission.scenario.burn_times_s
-    return (
-        {"design": name}
-        | record(found.plan, seconds)
-        | {"departure_deg": departure, "arrival_deg": arrival}
-        | {"burns_s": "; ".join(f"{time - first:.0f}" for time in (first, *later))}
-    )
+    times = np.array(found.plan.mission.scenario.burn_times_s)
+    return {
+        "design": name,
+        **record(found.plan, seconds),
+        "departure_deg": departure,
+        "arrival_deg": arrival,
+        "burns_s": "; ".join(f"{time:.0f}" for time in times - times[0]),
+    }
 
 
 def record(found: Plan, processor_s: float) -> Record:
-    """A row of a plan: its figures, and the results of verification and flights."""
-    p3, p2 = (
-        sum(len(s.result.records) for s in found.stages if s.problem == problem)
-        for problem in ("P3", "P2")
-    )
-    row: Record = {
-        "status": found.status.value.name,
-        "total_dv_m_s": found.total_dv_m_s,
-        "iterations_p3": p3,
-        "iterations_p2": p2,
-        "processor_s": processor_s,
-    }
-    solution = make_solution(found)
-    row["violation_m"] = solution.violation.max
+    """A row of a plan: its figures, and the results of verification, flights and certification."""
+    solution, looked = make_solution(found), found.certificate
+    row = plan_figures(found) | {"processor_s": processor_s, "violation_m": solution.violation.max}
     if found.status is not Status.CONVERGED:
         return row
     checked = verify(found.mission, solution)
-    flown = fly_plan(found, FLIGHTS, SEED)
-    node = {n: flown.worst_probability(n)[1].value for n in flown.node_counts if n != ALL}
-    lowest = min(node, key=lambda name: node[name])
-    return row | {
-        "verified": checked.ok,
-        **{figure: getattr(checked, figure) for figure in FIGURES},
-        "whole_flight": flown.whole / flown.samples,
-        "node": node[lowest],
-        "node_of": lowest.replace("_", " "),
-        "observed_mean_s": flown.held[ALL].mean().value,
-        **_looked(found.certificate),
-    }
-
-
-def _looked(certificate: Certificate | None) -> Record:
-    """Columns on a look: draws, flights and certified probability."""
-    if certificate is None:
-        return {}
-    return {
-        "drawn": sum(certificate.strata.drawn) if certificate.strata else certificate.samples,
-        "flown": certificate.samples,
-        "certified_low": certificate.low,
-        "certified_high": certificate.high,
-    }
+    row |= {"verified": checked.ok, **{name: getattr(checked, name) for name in FIGURES}}
+    row |= flight_figures(fly_plan(found, FLIGHTS, SEED))
+    if looked is not None:
+        row |= {
+            "drawn": sum(looked.strata.drawn) if looked.strata else looked.samples,
+            "flown": looked.samples,
+            "certified_low": looked.low,
+            "certified_high": looked.high,
+        }
+    return row
 
 
 def printed(out: Path, name: str) -> Record:
     """Run a command as a program: its times, and what it prints, a line each."""
     command = PRINTED[name].format(**{other: out / other for other in PRINTED})
-    words = [sys.executable, "-m", *shlex.split(command), "--out", str(out / name)]
-    before, begin = resource.getrusage(resource.RUSAGE_CHILDREN), perf_counter()
-    said = subprocess.run(words, check=False, capture_output=True, text=True)
-    wall, after = perf_counter() - begin, resource.getrusage(resource.RUSAGE_CHILDREN)
-    if "\nwritten: " not in said.stdout:
-        raise InputError(f"python -m {command}", said.stderr[-500:], "must write a solution")
+    words = ["-m", *shlex.split(command), "--out", str(out / name)]
+    seconds, said = run_python(words, ENDS)
     solution = json.loads((out / name / "solution.json").read_text("utf-8"))
-    return {
-        "command": name,
-        "wall_s": wall,
-        "processor_s": after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime,
-        "planning_s": solution["timing_s"]["total"],
-        "lines": said.stdout.splitlines(),
-    }
+    planning = {"planning_s": solution["timing_s"]["total"]}
+    return {"command": name, **seconds, **planning, "lines": said.splitlines()}
 
 
 def run(session: Session) -> Findings:
     """Measure every case, and run every command."""
-    designs, store = session.options.designs, session.store()
-    if designs:
+    store = session.store()
+    if session.options.designs:
         jobs = [Job(name, name) for name in DESIGNS]
-        rows = session.rows("designs", measure_design, jobs, store)
-        return Findings({"designs.csv": records(rows)})
+        return Findings(
+            {"designs.csv": records(session.rows("designs", measure_design, jobs, store))}
+        )
     rows = session.rows("plans", measure, [Job(name, name) for name in PLANS], store)
     jobs = [Job(f"printed {name}", name) for name in PRINTED]
-    said = session.rows("commands", lambda name: printed(session.out, name), jobs, store)
+    said = session.rows("commands", partial(printed, session.out), jobs, store)
     lines = [
         {"command": row["command"], "line": line}
         for row in said

@@ -16,6 +16,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
+import pandas as pd
+
 from experiments import cross_check, frontier, gallery, maps, model_fidelity, plans, spice
 from experiments.evidence import Evidence, Records, path_of
 from experiments.harness import Record, plan_or_default
@@ -23,7 +25,7 @@ from experiments.in_flight import feedback, policies, sites
 from experiments.observation_rows import rows as observation_rows
 from experiments.observation_rows import run_row
 from experiments.observation_table import SAMPLES
-from experiments.solvers import variations
+from experiments.solvers import peers, variations
 from experiments.solvers.cases import (
     NUMBER,
     PROBLEMS,
@@ -35,7 +37,6 @@ from experiments.solvers.cases import (
     exact_design,
 )
 from experiments.solvers.cells import solve
-from experiments.solvers.peers import study as peers
 from experiments.spacecraft import battery_cones, flown_plan, timing_rules, uncertainty_sources
 from scp_recon.api.campaigns import work_of
 from scp_recon.api.flights import simulate
@@ -138,7 +139,7 @@ def sizes_row(of: str) -> Record:
     study = read_study(maps.STUDIES / "sizes.toml")
     cases = [case for case in study.cases if maps.size(dict(case.changes)) == of]
     rows = [{**case.changes, **work_of(study)(case).values} for case in cases]
-    return {"of": of} | maps.summary(rows)
+    return {"of": of} | maps.summary(pd.DataFrame(rows))
 
 
 def accuracy_row(case: tuple[str, Method, int]) -> Record:
@@ -245,10 +246,10 @@ OWN = (
     Sentinel("gallery", "body", {"total_dv_m_s": 4e-3, "flown": 5 * FLOWN, "window_s": 1e-6},
         partial(in_folder, gallery.measure), ["didymos"], list(gallery.BODIES)),
     Sentinel("frontier", "kind, asked", OTHER | {"whole_flight": FLOWN},
-        partial(frontier.measure, frontier.FLIGHTS), [("exact, whole flights", 0.7)],
+        frontier.measure, [("exact, whole flights", 0.7)],
         list(product(frontier.KINDS, frontier.PROBABILITIES))),
     Sentinel("frontier", "kind, asked", FACETS | {"whole_flight": FLOWN},
-        partial(frontier.measure, frontier.FLIGHTS), [("uniform, tangent spheres", 0.9)]),
+        frontier.measure, [("uniform, tangent spheres", 0.9)]),
     Sentinel("feedback.feedback_errors", "scope, scale, asked",
         OTHER | {"dv99_m_s": 1e-6, "whole_flight": FLOWN},
         error_rows, [("flight", 0.9, feedback.ERRORS[:3])]),

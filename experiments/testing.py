@@ -1,80 +1,61 @@
-"""Measure the tests: `python -m experiments testing WHAT`, in the project's folder.
+"""Measure the tests: `python -m experiments testing WHAT`.
 
 *reliability* runs the property tests with 500 examples, by a fixed seed, and counts them.
 *coverage* counts the lines and branches that all tests reach. *mutation* makes three small changes in
 each module of `formulations`, drawn with a fixed seed, and counts those that a test detects.
-OUT/WHAT.csv has the counts. A run that was stopped continues with the first seed or module that is
-missing.
+OUT/WHAT.csv has the counts. A run of *mutation* that was stopped continues with the first missing
+module.
 """
 
 from __future__ import annotations
 
 import json
-import os
 import random
-import subprocess
-import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from experiments.evidence import ROOT
-from experiments.harness import Findings, Record, Session, Study, option, records
-from scp_recon.errors import InputError
+from experiments.harness import Findings, Record, Session, Study, option, records, run_python
 from scp_recon.jobs.job import Job
 from scp_recon.monte_carlo.estimates import proportion
 
-SEEDS = (1,)
-"""Of the property tests; each takes half an hour."""
-DRAWN, DRAWN_BY = 3, 0
 BY_FILE = ("-n", "2", "--dist", "loadfile")
 PACKAGES = ("formulations", "scp_recon")
+DRAWN, DRAWN_BY = 3, 0
 FOUND_OUT = frozenset({"killed", "timeout", "segfault", "suspicious"})
 """Ends of mutants that tests do not let pass, in mutmut's words."""
 NO_TESTS, NOT_TRIED = "no tests", "not checked"
 
 
-def properties(out: Path, seed: int) -> Record:
-    """Counts of the property tests by a seed."""
-    counts = out.resolve() / f"counts_{seed}.json"
-    words = ("-m", "hypothesis", f"--hypothesis-seed={seed}", "--timeout", "3600")
-    _pytest(*words, f"--reliability={counts}", profile="nightly")
-    found: Record = json.loads(counts.read_text("utf-8"))
-    return found
-
-
 def reliability(session: Session) -> list[Record]:
-    """A row a figure, with a column for each seed and their sum."""
-    jobs = [Job(seed, seed) for seed in SEEDS]
-    found = session.rows("seeds", lambda seed: properties(session.out, seed), jobs, session.store())
-    return [
-        {"figure": name}
-        | {f"seed_{seed}": row[name] for seed, row in zip(SEEDS, found, strict=True)}
-        | {"all": sum(row[name] for row in found)}
-        for name in found[0]
-    ]
+    """A row a figure of the property tests."""
+    seed = ("-m", "hypothesis", "--hypothesis-seed=1", "--timeout", "3600")
+    counts = _counted(session.out, "nightly", *seed)
+    return [{"figure": name, "all": count} for name, count in counts.items()]
 
 
 def coverage(session: Session) -> list[Record]:
     """A row a package; and the counts of the whole run, with the default examples."""
-    measured, counts = (session.out.resolve() / f"{name}.json" for name in ("coverage", "counts"))
-    report = (f"--cov-report=json:{measured}", f"--reliability={counts}")
-    _pytest(*BY_FILE, "--cov", *report, profile="default")
+    measured, rows = session.out.resolve() / "coverage.json", list[Record]()
+    counts = _counted(session.out, "default", *BY_FILE, "--cov", f"--cov-report=json:{measured}")
     files = json.loads(measured.read_text("utf-8"))["files"]
-    rows = [_covered(name, files) for name in PACKAGES]
-    said: Record = json.loads(counts.read_text("utf-8"))
-    return rows + [{"of": figure, "count": count} for figure, count in said.items()]
+    for package in PACKAGES:
+        row: Record = {"of": package}
+        own = [file["summary"] for path, file in files.items() if path.startswith(f"{package}/")]
+        for what, of in (("lines", "statements"), ("branches", "branches")):
+            reach, most = (sum(f[key] for f in own) for key in (f"covered_{what}", f"num_{of}"))
+            row |= {f"{what}_reached": reach, what: most, f"{what}_share": reach / most}
+        rows.append(row)
+    return rows + [{"of": figure, "count": count} for figure, count in counts.items()]
 
 
-def _covered(package: str, files: Mapping[str, Mapping[str, Mapping[str, int]]]) -> Record:
-    found = [file["summary"] for path, file in files.items() if path.startswith(f"{package}/")]
-    row: Record = {"of": package}
-    for what, reached, among in (
-        ("lines", "covered_lines", "num_statements"),
-        ("branches", "covered_branches", "num_branches"),
-    ):
-        reach, most = (sum(one[key] for one in found) for key in (reached, among))
-        row |= {f"{what}_reached": reach, what: most, f"{what}_share": reach / most}
-    return row
+def _counted(out: Path, profile: str, *words: str) -> dict[str, Any]:
+    """The counts of a run of pytest; tests that fail are counted, and no error."""
+    counts = out.resolve() / "counts.json"
+    _run(profile, "pytest", "-q", *words, f"--reliability={counts}", statuses=(0, 1))
+    found: dict[str, Any] = json.loads(counts.read_text("utf-8"))
+    return found
 
 
 def mutation(session: Session) -> list[Record]:
@@ -89,29 +70,26 @@ def mutation(session: Session) -> list[Record]:
         for module, mutants in sorted(modules.items())
     }
 
-    def work(module: str) -> Record:
-        return tried(module, drawn[module])
+    def tried(module: str) -> Record:
+        """Outcomes of the tests for the drawn mutants of a module."""
+        return {"of": module, **_tried(drawn[module])}
 
     jobs, store = [Job(module, module) for module in drawn], session.store()
-    rows = session.rows("modules", work, jobs, store)
-    total = {
-        key: sum(row[key] for row in rows) for key in rows[0] if key not in ("of", "survivors")
-    }
+    rows = session.rows("modules", tried, jobs, store)
+    total = {key: sum(row[key] for row in rows) for key in ("tried", "found_out", "without_test")}
     share = proportion(total["found_out"], total["tried"])
     ends = {"share": share.value, "share_low": share.low, "share_high": share.high}
-    all_of = {"of": "all", "mutants": sum(map(len, modules.values()))}
-    return [*rows, all_of | total | ends]
+    return [*rows, {"of": "all", "mutants": sum(map(len, modules.values())), **total, **ends}]
 
 
-def tried(module: str, mutants: Sequence[str]) -> Record:
-    """Outcomes of the tests for some mutants of a module."""
+def _tried(mutants: Sequence[str]) -> Record:
+    """Ends of some mutants, counted; those that no run has tried are tried."""
     before = _results()
     if any(before[mutant] == NOT_TRIED for mutant in mutants):
         _mutmut("run", "--max-children", "2", *mutants)
     said = {mutant: end for mutant, end in _results().items() if mutant in mutants}
     ends = list(said.values())
     return {
-        "of": module,
         "tried": len(ends),
         "found_out": sum(end in FOUND_OUT for end in ends),
         "without_test": ends.count(NO_TESTS),
@@ -127,29 +105,16 @@ def _results() -> dict[str, str]:
 
 
 def _mutmut(*words: str) -> str:
-    return _run(str(Path(sys.executable).with_name("mutmut")), *words, profile="mutation")
+    return _run("mutation", "mutmut", *words)
 
 
-def _pytest(*words: str, profile: str) -> str:
-    return _run(sys.executable, "-m", "pytest", "-q", *words, profile=profile, failing=True)
+def _run(profile: str, *words: str, statuses: Sequence[int] = (0,)) -> str:
+    """What a module prints that runs in the project's folder, on one thread."""
+    setting = {"HYPOTHESIS_PROFILE": profile, "OMP_NUM_THREADS": "1"}
+    return run_python(["-m", *words], statuses, ROOT, **setting)[1]
 
 
-def _run(*words: str, profile: str, failing: bool = False) -> str:
-    """Run a program in the project's folder; tests that fail are counted, and no error."""
-    setting = {**os.environ, "HYPOTHESIS_PROFILE": profile, "OMP_NUM_THREADS": "1"}
-    done = subprocess.run(
-        words, check=False, cwd=ROOT, env=setting, stdout=subprocess.PIPE, text=True
-    )
-    if done.returncode not in ((0, 1) if failing else (0,)):
-        raise InputError(words[0], f"exit status {done.returncode}", "must end with its results")
-    return done.stdout
-
-
-KINDS: Mapping[str, Callable[[Session], list[Record]]] = {
-    "reliability": reliability,
-    "coverage": coverage,
-    "mutation": mutation,
-}
+KINDS = {"reliability": reliability, "coverage": coverage, "mutation": mutation}
 
 
 def run(session: Session) -> Findings:

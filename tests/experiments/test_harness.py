@@ -11,8 +11,17 @@ import pytest
 
 from experiments import frontier, harness, testing
 from experiments.__main__ import STUDIES, main
-from experiments.evidence import FILE, Evidence
-from experiments.harness import Findings, Record, Session, Study, plan_or_default, run, study_of
+from experiments.evidence import FILE, ROOT, Evidence
+from experiments.harness import (
+    Findings,
+    Record,
+    Session,
+    Study,
+    plan_or_default,
+    run,
+    run_python,
+    study_of,
+)
 from scp_recon.errors import InputError
 from scp_recon.jobs.job import Job
 from scp_recon.results.table import Table
@@ -125,27 +134,22 @@ def evidence_of(what: str, out: Path) -> dict[str, dict[str, object]]:
     return {str(next(iter(row.values()))): dict(row) for row in rows}
 
 
-def test_counts_of_all_seeds_are_added_and_a_stopped_run_goes_on(tmp_path, monkeypatch):
-    ran: list[int] = []
-
-    def pytest_run(*words: str, profile: str) -> str:
-        assert profile == "nightly"
-        seed = next(int(w.rpartition("=")[2]) for w in words if "seed=" in w)
-        ran.append(seed)
-        if ran == [1, 2]:
-            raise KeyboardInterrupt
+def test_counts_of_property_tests_are_rows(tmp_path, monkeypatch):
+    def pytest_run(words, statuses, folder, **setting):
+        assert (folder, setting["HYPOTHESIS_PROFILE"]) == (ROOT, "nightly")
+        assert 1 in statuses, "failed tests are counted"
         path = next(Path(w.rpartition("=")[2]) for w in words if "--reliability=" in w)
-        reliability.write(path, reliability.Counter({reliability.SOLVED: 10 * seed}))
-        return ""
+        reliability.write(path, reliability.Counter({reliability.SOLVED: 10}))
+        return {}, ""
 
-    monkeypatch.setattr(testing, "SEEDS", (1, 2))
-    monkeypatch.setattr(testing, "_pytest", pytest_run)
-    with pytest.raises(AssertionError):
-        evidence_of("reliability", tmp_path)
-    row = evidence_of("reliability", tmp_path)[reliability.SOLVED]
-    assert row["seed_2"] == 20
-    assert row["all"] == 30
-    assert ran == [1, 2, 2]
+    monkeypatch.setattr(testing, "run_python", pytest_run)
+    assert evidence_of("reliability", tmp_path)[reliability.SOLVED]["all"] == 10
+
+
+def test_failed_program_is_an_error():
+    assert run_python(["-c", "print('out'); exit(3)"], statuses=(3,))[1] == "out\n"
+    with pytest.raises(InputError, match="exit status 3"):
+        run_python(["-c", "exit(3)"])
 
 
 def test_mutants_are_drawn_tried_and_counted(tmp_path, monkeypatch):

@@ -4,6 +4,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from experiments.harness import Record
@@ -132,9 +133,10 @@ def test_last_burns_keep_gains_on_later_knowledge(left):
 def test_sites_are_counted_by_how_reached():
     alone = {"open": True, "corrected": True, "dv99_m_s": 0.1, "whole_flight": 0.91}
     more = {"open": False, "corrected": True, "dv99_m_s": 0.3, "whole_flight": 0.88}
-    row = counted([alone, more, {"open": False, "corrected": False}])
+    rows = pd.DataFrame([alone, more, {"open": False, "corrected": False}])
+    row = counted(rows)
     assert (row["sites"], row["open"], row["more"]) == (3, 1, 1)
     assert row["open_dv99_m_s_max"] == 0.1
     assert row["more_dv99_m_s_min"] == 0.3
     assert row["more_whole_flight_min"] == 0.88
-    assert counted([])["open_dv99_m_s_min"] is None
+    assert np.isnan(counted(rows[2:])["open_dv99_m_s_min"])

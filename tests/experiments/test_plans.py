@@ -3,6 +3,7 @@
 import math
 from dataclasses import replace
 
+import pandas as pd
 import pytest
 
 from experiments import frontier, maps, plans
@@ -21,7 +22,7 @@ from tests.scp_recon.support import fly_few
 pytestmark = pytest.mark.slow
 
 
-def test_a_row_is_the_plan_that_its_case_describes(monkeypatch):
+def test_row_is_the_plan_of_its_case(monkeypatch):
     fly_few(monkeypatch)
     monkeypatch.setattr(plans, "FLIGHTS", 200)
     monkeypatch.setitem(plans.PLANS, "tangent", plans.TANGENT)
@@ -51,11 +52,11 @@ def test_cases_are_summed_up():
         *3 * [case("infeasible", float("nan"))],
         case("refused", float("nan")),
     ]
-    row = maps.summary(cases)
+    row = maps.summary(pd.DataFrame(cases))
     assert (row["cases"], row["feasible"]) == (7, 2)
     assert (row["dv_m_s_min"], row["dv_m_s_max"]) == (0.1, 0.2)
     assert row["why_not"] == "emission max (3); not verified (1); refused (1)"
-    assert maps.summary(cases[3:])["dv_m_s_min"] is None
+    assert math.isnan(maps.summary(pd.DataFrame(cases[3:]))["dv_m_s_min"])
     assert maps.latitude({"site.latitude_deg": -5.0}) == "0 to 40 S"
     assert maps.latitude({"site.latitude_deg": 80.0}) == "above 70 N"
 
@@ -73,10 +74,11 @@ def rows() -> list[Record]:
         patch.setattr(planning, "certify", aiming_higher)
         patch.setattr(frontier, "load_scenario", lambda: load_scenario(None, (COARSE,)))
         kinds = ("exact, each node", "certified, each node")
-        return with_costs([measure(200, (kind, 0.9)) for kind in kinds])
+        patch.setattr(frontier, "FLIGHTS", 200)
+        return with_costs([measure((kind, 0.9)) for kind in kinds])
 
 
-def test_certifying_costs_more_than_aiming_at_the_probability(rows):
+def test_certifying_costs_more(rows):
     aimed, certified = rows
     assert math.isnan(float(aimed["certifying_dv_m_s"]))
     more = float(certified["certifying_dv_m_s"])
@@ -86,7 +88,7 @@ def test_certifying_costs_more_than_aiming_at_the_probability(rows):
     assert certified["certifying_processor_s"] == took
 
 
-def test_a_plan_whose_flights_fall_short_is_no_certified_one():
+def test_flights_that_fall_short_certify_nothing():
     """Its delta-v is not the price of what was asked."""
     short = Certificate(20_000, 2_000, 0.7, 0.69, 0.71, 0.7, 1, 1, 0.975)
     plain = plan(load_scenario(None, (COARSE,)))

@@ -5,7 +5,7 @@ import importlib.util
 import pytest
 
 from experiments.__main__ import main
-from experiments.solvers.peers import study
+from experiments.solvers import peers
 from scp_recon.planning import initial_guess
 
 pytestmark = pytest.mark.slow
@@ -14,15 +14,15 @@ MISSING = importlib.util.find_spec("openscvx") is None or importlib.util.find_sp
 
 
 @pytest.mark.skipif(not MISSING, reason="the peers are installed")
-def test_without_them_the_command_names_the_extra(tmp_path, capsys):
+def test_missing_peers_name_the_extra(tmp_path, capsys):
     assert main(["peers", "--out", str(tmp_path)]) == 2
     assert "scp_recon[peers]" in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
 
 
 @pytest.fixture(scope="module")
-def halo() -> study.Halo:
-    return study.Halo()
+def halo() -> peers.Halo:
+    return peers.Halo()
 
 
 @pytest.mark.parametrize(
@@ -37,22 +37,22 @@ def test_every_algorithm_solves_the_transfer(halo, algorithm, guess, within):
     """
     row = halo.row(("condensed", algorithm), *guess)
     assert row["status"] == "converged"
-    assert row["missed"] < study.MISSED
+    assert row["missed"] < peers.MISSED
     assert row["cost"] == pytest.approx(0.1945583, abs=within)
 
 
-def test_burns_of_the_transfer_are_flown_by_another_integrator(halo):
+def test_another_integrator_flies_the_burns(halo):
     row = halo.row(("condensed", "scvx"), 0)
     assert (row["status"], row["seed"]) == ("converged", 0)
     assert row["cost"] == pytest.approx(0.1945583, abs=2e-7)
-    assert row["missed"] < study.MISSED
+    assert row["missed"] < peers.MISSED
     plan = halo.problem.solve(halo.guess(0))
     assert halo.missed(plan.burns) == pytest.approx(row["missed"])
-    assert halo.missed(plan.burns * 1.01) > study.MISSED
+    assert halo.missed(plan.burns * 1.01) > peers.MISSED
 
 
-def test_what_counts_as_solved():
-    def row(status: str, cost: float, missed: float, method: str = "a") -> study.Record:
+def test_solved_meets_end_and_least_cost():
+    def row(status: str, cost: float, missed: float, method: str = "a") -> peers.Record:
         told = {"status": status, "cost": cost, "missed": missed, "method": method}
         return told | {"iterations": 3, "solve_s": 0.5}
 
@@ -64,19 +64,19 @@ def test_what_counts_as_solved():
         row("max iterations", 1.0, 1e-9),
         row("converged", 2.0, 1e-9, "b"),
     ]
-    lines = [[cell.value for cell in line] for line in study.guesses(rows).rows]
-    assert [line[:4] for line in lines] == [["a", 5, 4, 2], ["b", 1, 1, 0]]
+    a, b = ([*line.values()][:4] for line in peers.guesses(rows))
+    assert (a, b) == (["a", 5, 4, 2], ["b", 1, 1, 0])
 
 
-def test_our_row_of_p3_flies_the_burns_that_it_reports(mission):
-    row = study.p3_row(mission, initial_guess.ballistic(mission), "scvx", "CLARABEL")
+def test_p3_row_flies_its_burns(mission):
+    row = peers.p3_row(mission, initial_guess.ballistic(mission), "scvx", "CLARABEL")
     assert (row["problem"], row["status"]) == ("P3", "converged")
     assert row["cost"] == pytest.approx(0.107723, abs=2e-6)
     assert row["missed"] < 1e-3
 
 
 @pytest.mark.skipif(MISSING, reason="the peers are not installed")
-def test_scocp_finds_the_optimum_of_its_own_test(halo):
+def test_scocp_solves_its_own_case(halo):
     row = halo.row("scocp")
     assert (row["status"], row["iterations"]) == ("converged", 85)
     assert row["cost"] == pytest.approx(0.1945583, abs=2e-7)

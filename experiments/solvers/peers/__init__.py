@@ -1,1 +1,0 @@
-"""Compare the planner with other tools on problems that they can state."""
