@@ -21,16 +21,15 @@ if __name__ == "__main__":
     exit_on_sigint()
 
 import json
-import os
 import pickle
 import resource
-import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -39,7 +38,17 @@ import numpy as np
 
 from benchmarks import empty
 from benchmarks.methods import QUANTITIES
-from experiments.harness import Findings, Record, Session, Study, number, option, records, run
+from experiments.harness import (
+    Findings,
+    Record,
+    Session,
+    Study,
+    number,
+    option,
+    records,
+    run,
+    run_python,
+)
 from formulations.arrays import Array
 from scp_recon.api.campaigns import work_of
 from scp_recon.campaigns.run import CaseWork, run_study
@@ -109,9 +118,8 @@ def methods(session: Session) -> Findings:
     what: dict[str, tuple[str, ...]]
     what = {name: ("planned", name, str(repeats)) for name, repeats in METHODS.items()}
     what |= {REPLANS: ("replanned",), FLIGHTS: ("flown", str(REPEATS))}
-    jobs = [
-        Job(f"{round_} {name}", words) for round_ in range(rounds) for name, words in what.items()
-    ]
+    every = product(range(rounds), what)
+    jobs = [Job(f"{round_} {name}", what[name]) for round_, name in every]
     rows = session.rows("methods", in_a_process, jobs, store)
     found = {name: best([*rows[k :: len(what)]]) for k, name in enumerate(what)}
     repeats = [Job(f"command {number}", session.out) for number in range(2 * rounds)]
@@ -135,11 +143,9 @@ def best(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 
 
 def in_a_process(words: Sequence[str]) -> dict[str, Any]:
-    """The row of `benchmarks.methods` with these words; errors go to the terminal."""
-    command = [sys.executable, "-m", "benchmarks.methods", *words]
-    setting = {**os.environ, **SAME_ARITHMETIC}
-    done = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True, env=setting)
-    found: dict[str, Any] = json.loads(done.stdout)
+    """The row of `benchmarks.methods` with these words."""
+    said = run_python(["-m", "benchmarks.methods", *words], setting=SAME_ARITHMETIC)[1]
+    found: dict[str, Any] = json.loads(said)
     return found
 
 
@@ -147,16 +153,7 @@ def command_times(out: Path) -> dict[str, float]:
     """Process start to end of the command line, and of importing CVXPY, s."""
     solve = ["-m", "scp_recon.solve", "--out", str(out / "solve")]
     commands = {"solve": solve, "import cvxpy": ["-c", "import cvxpy"]}
-    return {name: clocked(words)["wall_s"] for name, words in commands.items()}
-
-
-def clocked(words: Sequence[str]) -> dict[str, float]:
-    """Seconds from the start of a Python process to its end, of the wall clock and of the processor."""
-    begin, before = perf_counter(), resource.getrusage(resource.RUSAGE_CHILDREN)
-    subprocess.run([sys.executable, *words], check=True, stdout=subprocess.DEVNULL)
-    wall_s, used = perf_counter() - begin, resource.getrusage(resource.RUSAGE_CHILDREN)
-    processor_s = used.ru_utime + used.ru_stime - before.ru_utime - before.ru_stime
-    return {"wall_s": wall_s, "processor_s": processor_s}
+    return {name: run_python(words)[0]["wall_s"] for name, words in commands.items()}
 
 
 def ratios(found: Mapping[str, Mapping[str, Any]], commands: Mapping[str, float]) -> list[Record]:
@@ -194,18 +191,15 @@ def _without_setup(row: Mapping[str, Any]) -> float:
 
 def growth(session: Session) -> Findings:
     """Measure how plans grow."""
-    most = 1 if session.options.quick else None
-    pairs = [
-        ("growth", quantity, method) for quantity in QUANTITIES for method in [*GROWING][:most]
-    ]
-    jobs = [Job(", ".join(words), words) for words in pairs]
+    growing = GROWING[:1] if session.options.quick else GROWING
+    jobs = [Job(", ".join(words), words) for words in product(["growth"], QUANTITIES, growing)]
     return _found({"growth": session.rows("growth", in_a_process, jobs, session.store())})
 
 
 def waits(session: Session) -> Findings:
     """Time every command, and keep of each the run of least processor time."""
     rounds = 1 if session.options.quick else ROUNDS - 1
-    jobs = [Job(f"{round_} {name}", name) for round_ in range(rounds) for name in WAITS]
+    jobs = [Job(f"{round_} {name}", name) for round_, name in product(range(rounds), WAITS)]
     rows = session.rows("waits", lambda name: waited(name, session.out), jobs, session.store())
     ends = (rows[k :: len(WAITS)] for k in range(len(WAITS)))
     return _found({"waits": [min(own, key=lambda row: row["processor_s"]) for own in ends]})
@@ -216,7 +210,7 @@ def waited(name: str, out: Path) -> dict[str, Any]:
     words = [word.format(out=out) for word in WAITS[name].split()]
     if words[0] in ("solve", "design") and "--help" not in words:
         words += ["--out", str(out / name)]
-    return {"command": name, **clocked(["-m", "scp_recon", *words])}
+    return {"command": name, **run_python(["-m", "scp_recon", *words])[0]}
 
 
 def campaign_scale(session: Session) -> Findings:

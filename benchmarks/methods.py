@@ -154,31 +154,24 @@ def growth(quantity: str, method: str) -> Row:
     plan, _ = way(method)
     all_sizes, overrides = QUANTITIES[quantity]
     sizes = [size for size in all_sizes if size not in LEFT_OUT.get((quantity, method), ())]
-    found = [fastest(overrides(size), plan) for size in sizes]
-    ends = [
-        (seconds, sum(len(s.result.records) for s in p.stages), p.status) for p, seconds in found
+    found, seconds = zip(*(fastest(overrides(size), plan) for size in sizes), strict=True)
+    counts = [sum(len(stage.result.records) for stage in one.stages) for one in found]
+    converged = np.array([one.status is Status.CONVERGED for one in found])
+    x, y, n = (np.array(column, float)[converged] for column in (sizes, seconds, counts))
+    words = [
+        f"{s:.2f} ({n}{'' if ok else ', ' + one.status.value.name.replace('_', ' ')})"
+        for s, n, ok, one in zip(seconds, counts, converged, found, strict=True)
     ]
-    words = (
-        f"{s:.2f} ({n}{'' if end is Status.CONVERGED else f', {_words(end)}'})"
-        for s, n, end in ends
-    )
-    converged = [k for k, (*_, end) in enumerate(ends) if end is Status.CONVERGED]
-    x, y = np.array(sizes, float)[converged], np.array([s for s, *_ in ends])[converged]
-    iterations = np.array([n for _, n, _ in ends])[converged]
     return {
         "growth with": quantity,
         "method": method,
         "sizes": ", ".join(map(str, sizes)),
         "seconds": ", ".join(words),
-        "total_dv_m_s": ", ".join(f"{p.total_dv_m_s:.6f}" for p, _ in found),
+        "total_dv_m_s": ", ".join(f"{one.total_dv_m_s:.6f}" for one in found),
         "exponent": exponent(x, y),
         "last": exponent(x[-2:], y[-2:]),
-        "an_iteration": exponent(x, y / iterations),
+        "an_iteration": exponent(x, y / n),
     }
-
-
-def _words(status: Status) -> str:
-    return status.value.name.replace("_", " ")
 
 
 def exponent(sizes: Array, values: Array) -> float | None:

@@ -294,7 +294,7 @@ def run_python(
     words: Sequence[str],
     statuses: Container[int] = (0,),
     folder: Path | None = None,
-    **setting: str,
+    setting: Mapping[str, str] | None = None,
 ) -> tuple[dict[str, float], str]:
     """Run Python with some words: seconds of clock and processor, and what it printed.
 
@@ -304,7 +304,7 @@ def run_python(
         InputError: if it ends with another status than these.
     """
     begin, before = perf_counter(), resource.getrusage(resource.RUSAGE_CHILDREN)
-    command, env = [sys.executable, *words], {**os.environ, **setting}
+    command, env = [sys.executable, *words], {**os.environ, **(setting or {})}
     done = subprocess.run(
         command, check=False, cwd=folder, env=env, stdout=subprocess.PIPE, text=True
     )

@@ -111,7 +111,7 @@ def _mutmut(*words: str) -> str:
 def _run(profile: str, *words: str, statuses: Sequence[int] = (0,)) -> str:
     """What a module prints that runs in the project's folder, on one thread."""
     setting = {"HYPOTHESIS_PROFILE": profile, "OMP_NUM_THREADS": "1"}
-    return run_python(["-m", *words], statuses, ROOT, **setting)[1]
+    return run_python(["-m", *words], statuses, ROOT, setting)[1]
 
 
 KINDS = {"reliability": reliability, "coverage": coverage, "mutation": mutation}

@@ -135,7 +135,7 @@ def evidence_of(what: str, out: Path) -> dict[str, dict[str, object]]:
 
 
 def test_counts_of_property_tests_are_rows(tmp_path, monkeypatch):
-    def pytest_run(words, statuses, folder, **setting):
+    def pytest_run(words, statuses, folder, setting):
         assert (folder, setting["HYPOTHESIS_PROFILE"]) == (ROOT, "nightly")
         assert 1 in statuses, "failed tests are counted"
         path = next(Path(w.rpartition("=")[2]) for w in words if "--reliability=" in w)
