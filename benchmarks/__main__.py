@@ -192,15 +192,15 @@ def _without_setup(row: Mapping[str, Any]) -> float:
 def growth(session: Session) -> Findings:
     """Measure how plans grow."""
     growing = GROWING[:1] if session.options.quick else GROWING
-    jobs = [Job(", ".join(words), words) for words in product(["growth"], QUANTITIES, growing)]
-    return _found({"growth": session.rows("growth", in_a_process, jobs, session.store())})
+    cases = product(["growth"], QUANTITIES, growing)
+    return _found({"growth": session.rows("growth", in_a_process, cases, session.store())})
 
 
 def waits(session: Session) -> Findings:
     """Time every command, and keep of each the run of least processor time."""
     rounds = 1 if session.options.quick else ROUNDS - 1
-    jobs = [Job(f"{round_} {name}", name) for round_, name in product(range(rounds), WAITS)]
-    rows = session.rows("waits", lambda name: waited(name, session.out), jobs, session.store())
+    runs = product(range(rounds), WAITS)
+    rows = session.rows("waits", lambda one: waited(one[1], session.out), runs, session.store())
     ends = (rows[k :: len(WAITS)] for k in range(len(WAITS)))
     return _found({"waits": [min(own, key=lambda row: row["processor_s"]) for own in ends]})
 

@@ -25,7 +25,7 @@ from scp_recon.api.files import export
 from scp_recon.bodies.catalogue import AU_KM, GM_SUN_KM3_S2
 from scp_recon.errors import needing
 from scp_recon.mission.mission import Mission
-from scp_recon.physics.forces import SPEED_OF_LIGHT_M_S, ForceModel, acceleration
+from scp_recon.physics.forces import SPEED_OF_LIGHT_M_S, acceleration
 from scp_recon.physics.harmonics import HarmonicField
 from scp_recon.results.solution import Solution
 from scp_recon.scenario.time_scales import FIRST_TAI_MINUS_UTC_S, LEAPS
@@ -35,23 +35,23 @@ ROUNDED_S = 1e-6
 """Off a node that a burn of a file may be."""
 SAME_M = 1e-3
 """Distance up to which flights by the same forces are the same, m."""
-PLAIN = (
-    "point mass",
-    "point mass, J2",
-    "point mass, J2, sunlight",
-    "harmonics to degree 8, sunlight",
-)
-ALL = PLAIN[2]
+FORCES: dict[str, set[str]] = {
+    "point mass": set(),
+    "point mass, J2": {"J2"},
+    "point mass, J2, sunlight": {"J2", "sunlight"},
+    "harmonics to degree 8, sunlight": {"harmonics", "sunlight"},
+}
+"""Forces beside the point mass, by the names of the rows."""
+ALL = "point mass, J2, sunlight"
 """The forces with which the default plan is made."""
 LEFT_OUT = {
-    "the same, the Sun moving": "the planner's sunlight is constant",
-    "the same, with the Sun's tide": "the planner has no third body",
+    "the same, the Sun moving": ({"J2", "moving Sun"}, "the planner's sunlight is constant"),
+    "the same, with the Sun's tide": (FORCES[ALL] | {"tide"}, "the planner has no third body"),
 }
 """Forces that only Orekit flies, and why they differ from the plan's."""
 
-
-Coaster = Callable[[Array, Array, str], Array]
-"""From a state, times (n,) from that of the state on and the name of forces: states (n, 6), SI."""
+Coaster = Callable[[Array, Array, set[str]], Array]
+"""From a state, times (n,) from that of the state on and the forces: states (n, 6), SI."""
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ class Flight:
     burns_s: Array
     burns_m_s: Array
 
-    def by(self, coast: Coaster, forces: str) -> Array:
+    def by(self, coast: Coaster, forces: set[str]) -> Array:
         """States (nodes, 6) with a tool's coasts, before each burn that falls on a node."""
         nodes, state, found = self.mission.times_s, self.state.copy(), [self.state[None]]
         ends = np.r_[self.burns_s[1:], nodes[-1]]
@@ -71,36 +71,31 @@ class Flight:
             state[3:] += burn
             times = nodes[(nodes >= begin - ROUNDED_S) & (nodes <= end + ROUNDED_S)]
             if len(times) > 1:
-                states = coast(state, times, forces)
-                found.append(states[1:])
-                state = states[-1].copy()
+                found.append(coast(state, times, forces)[1:])
+                state = found[-1][-1].copy()
         return np.concatenate(found)
 
 
 def planners(mission: Mission) -> Coaster:
     """The planner's equations of motion by DOP853."""
 
-    def fly(state: Array, times_s: Array, name: str) -> Array:
-        forces = forces_of(mission, name)
+    def fly(state: Array, times_s: Array, forces: set[str]) -> Array:
+        model = mission.forces
+        if "J2" not in forces:
+            model = replace(model, j2_strength=0.0)
+        if "sunlight" not in forces:
+            model = replace(model, srp=np.zeros(3))
+        if "harmonics" in forces:
+            model = mission.true_forces("harmonics")
 
         def rate(t: float, y: Array) -> Array:
-            return np.r_[y[3:], acceleration(y[0], y[1], y[2], forces, forces.moment(t))]
+            return np.r_[y[3:], acceleration(y[0], y[1], y[2], model, model.moment(t))]
 
         ends = times_s[0], times_s[-1]
-        how: dict[str, Any] = {"rtol": TOLERANCE, "atol": TOLERANCE * np.repeat([1e3, 1.0], 3)}
-        return np.asarray(solve_ivp(rate, ends, state, "DOP853", times_s, **how).y.T)
+        within: dict[str, Any] = {"rtol": TOLERANCE, "atol": TOLERANCE * np.repeat([1e3, 1.0], 3)}
+        return np.asarray(solve_ivp(rate, ends, state, "DOP853", times_s, **within).y.T)
 
     return fly
-
-
-def forces_of(mission: Mission, name: str) -> ForceModel:
-    """The planner's forces of a name, SI."""
-    if name == PLAIN[3]:
-        return mission.true_forces("harmonics")
-    kept = mission.forces
-    if "J2" not in name:
-        kept = replace(kept, j2_strength=0.0)
-    return kept if name == ALL else replace(kept, srp=np.zeros(3))
 
 
 class Orekit:
@@ -125,10 +120,11 @@ class Orekit:
         data.addProvider(self._own("data.DirectoryCrawler")(JClass("java.io.File")(str(folder))))
         self._frame = self._own("frames.FramesFactory").getEME2000()
         epoch = mission.scenario.epoch.tdb
-        tdb = self._own("time.TimeScalesFactory").getTDB()
+        self._tdb = self._own("time.TimeScalesFactory").getTDB()
         seconds = epoch.second + 1e-6 * epoch.microsecond
         date = epoch.year, epoch.month, epoch.day, epoch.hour, epoch.minute, seconds
-        self._epoch, self._tdb = self._own("time.AbsoluteDate")(*date, tdb), tdb
+        self._epoch = self._own("time.AbsoluteDate")(*date, self._tdb)
+        self._turning = self._own("frames.Frame")(self._frame, self._turn(), "body-fixed", False)
 
     def _own(self, name: str) -> Any:
         return self._class(f"org.orekit.{name}")
@@ -139,6 +135,11 @@ class Orekit:
 
     def read(self, folder: Path) -> tuple[Flight, Array]:
         """The flight of an exported OPM, and its OEM's times and states, shape (n, 7)."""
+
+        def seconds(date: Any) -> float:
+            """Seconds of TDB, which are those of files: in ten hours 11 microseconds less."""
+            return float(date.offsetFrom(self._epoch, self._tdb))
+
         source = self._own("data.DataSource")
         builder = self._own("files.ccsds.ndm.ParserBuilder")()
         (opm,), (oem,) = (list(folder.glob(f"*.{kind}")) for kind in ("opm", "oem"))
@@ -148,89 +149,82 @@ class Orekit:
         flight = Flight(
             self._mission,
             _numbers(message.getPVCoordinates()),
-            np.array([self._read(burn.getEpochIgnition()) for burn in burns]),
+            np.array([seconds(burn.getEpochIgnition()) for burn in burns]),
             np.array([_components(burn.getDV()) for burn in burns]),
         )
         ephemeris = builder.withMu(gm).buildOemParser().parseMessage(source(str(oem)))
         rows = [
-            np.r_[self._read(state.getDate()), _numbers(state)]
+            np.r_[seconds(state.getDate()), _numbers(state)]
             for segment in ephemeris.getSegments()
             for state in segment.getData().getCoordinates()
         ]
         return flight, np.array(rows)
 
-    def _since(self, date: Any) -> float:
-        """The integration's seconds."""
-        return float(date.durationFrom(self._epoch))
-
-    def _read(self, date: Any) -> float:
-        """Seconds of TDB, which are those of files: in ten hours 11 microseconds less."""
-        return float(date.offsetFrom(self._epoch, self._tdb))
-
-    def fly(self, state: Array, times_s: Array, name: str) -> Array:
+    def fly(self, state: Array, times_s: Array, forces: set[str]) -> Array:
         """See `Coaster`."""
         begin, gm = self._epoch.shiftedBy(float(times_s[0])), self._mission.forces.gm
         place = self._own("utils.PVCoordinates")(*map(self._vector, (state[:3], state[3:])))
         orbit = self._own("orbits.CartesianOrbit")(place, self._frame, begin, gm)
         scheme = self._class("org.hipparchus.ode.nonstiff.DormandPrince853Integrator")
-        propagator = self._own("propagation.numerical.NumericalPropagator")(
-            scheme(1e-3, 600.0, 1e-9, 1e-12)
-        )
+        integrator = scheme(1e-3, 600.0, 1e-9, 1e-12)
+        propagator = self._own("propagation.numerical.NumericalPropagator")(integrator)
         propagator.setOrbitType(self._own("orbits.OrbitType").CARTESIAN)
-        for force in self._forces(name):
+        for force in self._forces(forces):
             propagator.addForceModel(force)
         propagator.setInitialState(self._own("propagation.SpacecraftState")(orbit))
         dates = (self._epoch.shiftedBy(float(time)) for time in times_s[1:])
         states = (propagator.propagate(date).getPVCoordinates(self._frame) for date in dates)
         return np.vstack([state, *map(_numbers, states)])
 
-    def _forces(self, name: str) -> Iterator[Any]:
+    def _forces(self, names: set[str]) -> Iterator[Any]:
         mission, gravity = self._mission, "forces.gravity."
-        gm, field = mission.forces.gm, mission.truth_field
+        gm, body = mission.forces.gm, mission.scenario.body
         yield self._own(gravity + "NewtonianAttraction")(gm)
-        if name == PLAIN[3]:
-            yield self._own(gravity + "HolmesFeatherstoneAttractionModel")(
-                self._turning(), self._provider(field)
+        if "harmonics" in names:
+            field = mission.truth_field
+            unknown = self._own(gravity + "potential.TideSystem").UNKNOWN
+            triangles = (
+                [row[: n + 1].tolist() for n, row in enumerate(c)] for c in field.normalised()
             )
-        elif name != PLAIN[0]:
-            body = mission.scenario.body
+            factory = self._own(gravity + "potential.GravityFieldFactory")
+            terms = factory.getNormalizedProvider(field.radius, field.gm, unknown, *triangles)
+            yield self._own(gravity + "HolmesFeatherstoneAttractionModel")(self._turning, terms)
+        if "J2" in names:
             j2 = gm, body.reference_radius_m, body.j2
-            yield self._own(gravity + "J2OnlyPerturbation")(*j2, self._turning())
-        sun = self._sun()
-        if name == "the same, the Sun moving":
-            yield self._sunlight(sun)
-        elif name not in PLAIN[:2]:
-            yield self._constant(mission.forces.srp)
-        if name == "the same, with the Sun's tide":
-            yield self._own(gravity + "ThirdBodyAttraction")(sun, "Sun", 1e9 * GM_SUN_KM3_S2)
+            yield self._own(gravity + "J2OnlyPerturbation")(*j2, self._turning)
+        if "sunlight" in names:
+            size = float(np.linalg.norm(mission.forces.srp))
+            model = self._own("forces.empirical.PolynomialAccelerationModel")("srp", self._epoch, 0)
+            model.getParametersDrivers().get(0).setValue(size)
+            way = self._vector(mission.forces.srp / size)
+            yield self._own("forces.empirical.ParametricAcceleration")(way, True, model)
+        if "moving Sun" in names:
+            craft, radiation = mission.scenario.spacecraft, "forces.radiation."
+            plate = craft.srp_area_m2, craft.reflectivity_coefficient
+            surface = self._own(radiation + "IsotropicRadiationSingleCoefficient")(*plate)
+            ball = self._own("bodies.OneAxisEllipsoid")(body.reference_radius_m, 0.0, self._turning)
+            # The spacecraft's mass is Orekit's default, 1000 kg: the pressure is scaled to it.
+            pressure = mission.scenario.sun.solar_constant_w_m2 / SPEED_OF_LIGHT_M_S
+            own = 1e3 * AU_KM, pressure * 1000.0 / craft.mass_kg
+            model = self._own(radiation + "SolarRadiationPressure")
+            yield model(*own, self._sun(), ball, surface)
+        if "tide" in names:
+            third = self._own(gravity + "ThirdBodyAttraction")
+            yield third(self._sun(), "Sun", 1e9 * GM_SUN_KM3_S2)
 
-    def _provider(self, field: HarmonicField) -> Any:
-        c, s = field.normalised()
-        unknown = self._own("forces.gravity.potential.TideSystem").UNKNOWN
-        rows = ([list(map(float, row[: n + 1])) for n, row in enumerate(one)] for one in (c, s))
-        factory = self._own("forces.gravity.potential.GravityFieldFactory")
-        return factory.getNormalizedProvider(field.radius, field.gm, unknown, *rows)
-
-    def _constant(self, pull: Array) -> Any:
-        model = self._own("forces.empirical.PolynomialAccelerationModel")("srp", self._epoch, 0)
-        size = float(np.linalg.norm(pull))
-        model.getParametersDrivers().get(0).setValue(size)
-        way = self._vector(pull / size)
-        return self._own("forces.empirical.ParametricAcceleration")(way, True, model)
-
-    def _turning(self) -> Any:
-        """The body-fixed frame."""
+    def _turn(self) -> Any:
+        """The rotation of the body."""
         from jpype import JImplements, JOverride
 
-        rotation, since = self._mission.rotation, self._since
+        rotation, epoch, vector = self._mission.rotation, self._epoch, self._vector
         turned = self._class("org.hipparchus.geometry.euclidean.threed.Rotation")
-        transform, vector = self._own("frames.Transform"), self._vector
+        transform = self._own("frames.Transform")
 
         @JImplements("org.orekit.frames.TransformProvider")
         class Turning:
             @JOverride  # type: ignore[untyped-decorator]  # JPype's
             def getTransform(self, date: Any) -> Any:  # noqa: N802  Orekit's name
-                at = since(date)
+                at = float(date.durationFrom(epoch))
                 matrix = rotation.body_to_j2000(at).T.tolist()
                 rate = rotation.rate + rotation.acceleration * at
                 return transform(date, turned(matrix, 1e-10), vector(np.array([0.0, 0.0, rate])))
@@ -238,34 +232,22 @@ class Orekit:
             # JPype cannot call the interface's own defaults, which would do the same.
             getStaticTransform = getKinematicTransform = JOverride(getTransform)  # noqa: N815  Orekit's names
 
-        return self._own("frames.Frame")(self._frame, Turning(), "body-fixed", False)
+        return Turning()
 
     def _sun(self) -> Any:
         """The Sun on the scenario's straight line."""
         from jpype import JImplements, JOverride
 
-        given, since, vector = self._mission.scenario.sun, self._since, self._vector
+        given, epoch, vector = self._mission.scenario.sun, self._epoch, self._vector
 
         @JImplements("org.orekit.utils.ExtendedPositionProvider")
         class Sun:
             @JOverride  # type: ignore[untyped-decorator]  # JPype's
             def getPosition(self, date: Any, _frame: Any) -> Any:  # noqa: N802  Orekit's name
-                moved = np.multiply(given.body_velocity_km_s, since(date))
+                moved = np.multiply(given.body_velocity_km_s, float(date.durationFrom(epoch)))
                 return vector(-1e3 * (np.array(given.body_position_km) + moved))
 
         return Sun()
-
-    def _sunlight(self, sun: Any) -> Any:
-        scenario = self._mission.scenario
-        craft, pressure = scenario.spacecraft, scenario.sun.solar_constant_w_m2 / SPEED_OF_LIGHT_M_S
-        radiation, radius = "forces.radiation.", scenario.body.reference_radius_m
-        ball = self._own("bodies.OneAxisEllipsoid")(radius, 0.0, self._turning())
-        plate = craft.srp_area_m2, craft.reflectivity_coefficient
-        surface = self._own(radiation + "IsotropicRadiationSingleCoefficient")(*plate)
-        # The spacecraft's mass is Orekit's default, 1000 kg: the pressure is scaled to it.
-        own = pressure * 1000.0 / craft.mass_kg
-        model = self._own(radiation + "SolarRadiationPressure")
-        return model(1e3 * AU_KM, own, sun, ball, surface)
 
 
 def _leap_seconds() -> Iterator[str]:
@@ -295,31 +277,31 @@ def brahes(mission: Mission, folder: Path) -> Coaster:
     with needing("cross_check", "crosscheck"):
         import brahe
     scenario, rotation = mission.scenario, mission.rotation
-    models = {}
     j2 = HarmonicField(mission.forces.gm, scenario.body.reference_radius_m, *np.zeros((2, 3, 3)))
     j2.c[0, 0], j2.c[2, 0] = 1.0, -scenario.body.j2
-    for name, field in (("j2", j2), ("full", mission.truth_field)):
+    models = {}
+    for name, field in (("J2", j2), ("harmonics", mission.truth_field)):
         file = folder / f"{name}.gfc"
         file.write_text("\n".join(_gfc(field)) + "\n", "ascii")
         models[name] = brahe.GravityModel.from_file(str(file))
     craft, sun = scenario.spacecraft, -1e3 * np.array(scenario.sun.body_position_km)
     pressure = scenario.sun.solar_constant_w_m2 / SPEED_OF_LIGHT_M_S
+    plate = craft.mass_kg, craft.reflectivity_coefficient, craft.srp_area_m2, pressure
     start = brahe.Epoch.from_date(2020, 1, 1, brahe.TimeSystem.TAI)
     how = brahe.NumericalPropagationConfig.default().with_method(brahe.IntegrationMethod.RKF78)
     how = how.with_abs_tol(1e-10).with_rel_tol(TOLERANCE)
 
-    def fly(state: Array, times_s: Array, name: str) -> Array:
+    def fly(state: Array, times_s: Array, forces: set[str]) -> Array:
+        model = next((one for name, one in models.items() if name in forces), None)
+
         def rate(t: float, y: Array, _: Any = None) -> Array:
-            axes = rotation.body_to_j2000(times_s[0] + t).T
-            if name == PLAIN[0]:
+            if model is None:
                 pull = brahe.accel_point_mass_gravity(y[:3], np.zeros(3), mission.forces.gm)
             else:
-                model = models["full" if name == PLAIN[3] else "j2"]
-                most = model.n_max
+                axes, most = rotation.body_to_j2000(times_s[0] + t).T, model.n_max
                 pull = brahe.accel_gravity_spherical_harmonics(y[:3], axes, model, most, most)
-            if name in PLAIN[2:]:
-                plate = craft.mass_kg, craft.reflectivity_coefficient, craft.srp_area_m2
-                pull = pull + brahe.accel_solar_radiation_pressure(y[:3], sun, *plate, pressure)
+            if "sunlight" in forces:
+                pull = pull + brahe.accel_solar_radiation_pressure(y[:3], sun, *plate)
             return np.r_[y[3:], pull]
 
         flight, states = brahe.NumericalPropagator(start, state, rate, how), [state]
@@ -351,32 +333,24 @@ def compare(solution: Solution) -> list[Record]:
         export(solution, "oem", folder / "plan")
         orekit = Orekit(mission, folder)
         flight, oem = orekit.read(folder / "plan")
-        tools = {"Orekit": orekit.fly, "brahe": brahes(mission, folder)}
-        own = {name: flight.by(planners(mission), name) for name in PLAIN}
+        own = {name: flight.by(planners(mission), forces) for name, forces in FORCES.items()}
         rows = [
-            row(tool, name, flight.by(coast, name), own[name])
-            for tool, coast in tools.items()
-            for name in PLAIN
+            row(tool, name, flight.by(coast, forces), own[name])
+            for tool, coast in (("Orekit", orekit.fly), ("brahe", brahes(mission, folder)))
+            for name, forces in FORCES.items()
         ]
-        rows += [row("Orekit", name, flight.by(orekit.fly, name), own[ALL]) for name in LEFT_OUT]
+        for name, (forces, why) in LEFT_OUT.items():
+            rows.append(row("Orekit", name, flight.by(orekit.fly, forces), own[ALL], why))
     nodes = np.searchsorted(oem[:, 0], mission.times_s - ROUNDED_S)  # before a burn
-    return [
-        *rows,
-        row("Orekit's parser", "the OEM against its OPM, flown", oem[nodes, 1:], own[ALL]),
-    ]
+    parsed = row("Orekit's parser", "the OEM against its OPM, flown", oem[nodes, 1:], own[ALL])
+    return [*rows, parsed]
 
 
-def row(tool: str, forces: str, states: Array, own: Array) -> Record:
+def row(tool: str, forces: str, states: Array, own: Array, why: str = "") -> Record:
     """Largest distances over the flight, in position and velocity."""
-    off = np.linalg.norm((states - own).reshape(-1, 2, 3), axis=2).max(axis=0)
-    left_out = LEFT_OUT.get(forces, "")
-    return {
-        "tool": tool,
-        "forces": forces,
-        "position_m": float(off[0]),
-        "velocity_m_s": float(off[1]),
-        "why": left_out,
-    }
+    position, velocity = np.linalg.norm((states - own).reshape(-1, 2, 3), axis=2).max(axis=0)
+    off = {"position_m": float(position), "velocity_m_s": float(velocity)}
+    return {"tool": tool, "forces": forces, **off, "why": why}
 
 
 def run(session: Session) -> Findings:

@@ -26,7 +26,6 @@ from experiments.harness import (
     records,
 )
 from scp_recon.api.planning import plan
-from scp_recon.jobs.job import Job
 from scp_recon.monte_carlo.flights import FlightTally
 from scp_recon.planning.plan import Plan
 from scp_recon.scenario.load import load_scenario
@@ -125,8 +124,8 @@ def certifying(rows: Sequence[Record]) -> list[Record]:
 
 def run(session: Session) -> Findings:
     """Plan and fly every kind for every probability."""
-    jobs = [Job(f"{kind} {p:g}", (kind, p)) for kind, p in product(KINDS, PROBABILITIES)]
-    rows = with_costs(session.rows("plans", measure, jobs, session.store()))
+    cases = product(KINDS, PROBABILITIES)
+    rows = with_costs(session.rows("plans", measure, cases, session.store()))
     tables = {
         "frontier": rows,
         "costs": costs(rows),

@@ -18,7 +18,6 @@ from experiments.harness import Findings, Record, Session, Study, records
 from scp_recon.api.designing import design
 from scp_recon.api.files import save
 from scp_recon.api.flights import fly
-from scp_recon.jobs.job import Job
 from scp_recon.mission.scene import TruthModel
 from scp_recon.scenario.load import load_scenario
 
@@ -64,8 +63,7 @@ def measure(out: Path, name: str) -> Record:
 
 def run(session: Session) -> Findings:
     """Measure every body."""
-    jobs = [Job(name, name) for name in BODIES]
-    rows = session.rows("passes", partial(measure, session.out), jobs, session.store())
+    rows = session.rows("passes", partial(measure, session.out), BODIES, session.store())
     return Findings({"gallery.csv": records(rows)})
 
 

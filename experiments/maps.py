@@ -34,7 +34,6 @@ from scp_recon.campaigns.results import VERIFIED
 from scp_recon.campaigns.study import Study, read_study
 from scp_recon.errors import InputError
 from scp_recon.files import write_atomically
-from scp_recon.jobs.job import Job
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.summary import MOST
 from scp_recon.passes.descent import PassResult
@@ -149,8 +148,7 @@ def planned(scenario: Scenario, where: Around, one: PassResult, policy: str) -> 
 def run_sample(session: Session) -> Findings:
     """Plan the sampled sites."""
     sites = read_study(STUDIES / "reconnaissance_map.toml")
-    jobs = [Job(f"site {number}", number) for number in drawn_numbers(sites)]
-    rows = session.rows("sites", partial(sampled, sites), jobs, session.store())
+    rows = session.rows("sites", partial(sampled, sites), drawn_numbers(sites), session.store())
     found = pd.DataFrame(rows)
     bands = found.apply(latitude, axis=1)
     own = {band: found[bands == band] for band in BANDS} | {"all": found}

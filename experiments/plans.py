@@ -35,7 +35,6 @@ from experiments.harness import (
 )
 from scp_recon.api.designing import design
 from scp_recon.api.planning import plan
-from scp_recon.jobs.job import Job
 from scp_recon.planning.plan import Plan
 from scp_recon.results.solution import make_solution
 from scp_recon.scenario.load import load_scenario
@@ -153,13 +152,10 @@ def run(session: Session) -> Findings:
     """Measure every case, and run every command."""
     store = session.store()
     if session.options.designs:
-        jobs = [Job(name, name) for name in DESIGNS]
-        return Findings(
-            {"designs.csv": records(session.rows("designs", measure_design, jobs, store))}
-        )
-    rows = session.rows("plans", measure, [Job(name, name) for name in PLANS], store)
-    jobs = [Job(f"printed {name}", name) for name in PRINTED]
-    said = session.rows("commands", partial(printed, session.out), jobs, store)
+        rows = session.rows("designs", measure_design, DESIGNS, store)
+        return Findings({"designs.csv": records(rows)})
+    rows = session.rows("plans", measure, PLANS, store)
+    said = session.rows("commands", partial(printed, session.out), PRINTED, store)
     lines = [
         {"command": row["command"], "line": line}
         for row in said

@@ -17,7 +17,6 @@ from typing import Any
 
 from experiments.evidence import ROOT
 from experiments.harness import Findings, Record, Session, Study, option, records, run_python
-from scp_recon.jobs.job import Job
 from scp_recon.monte_carlo.estimates import proportion
 
 BY_FILE = ("-n", "2", "--dist", "loadfile")
@@ -74,8 +73,7 @@ def mutation(session: Session) -> list[Record]:
         """Outcomes of the tests for the drawn mutants of a module."""
         return {"of": module, **_tried(drawn[module])}
 
-    jobs, store = [Job(module, module) for module in drawn], session.store()
-    rows = session.rows("modules", tried, jobs, store)
+    rows = session.rows("modules", tried, drawn, session.store())
     total = {key: sum(row[key] for row in rows) for key in ("tried", "found_out", "without_test")}
     share = proportion(total["found_out"], total["tried"])
     ends = {"share": share.value, "share_low": share.low, "share_high": share.high}

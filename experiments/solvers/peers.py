@@ -52,7 +52,6 @@ from scp_recon.api.options import PlanOptions
 from scp_recon.api.planning import plan_mission
 from scp_recon.errors import needing
 from scp_recon.impulsive.problem import ImpulsiveProblem
-from scp_recon.jobs.job import Job
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.estimates import proportion
 from scp_recon.physics import geometry
@@ -422,8 +421,7 @@ def run(session: Session) -> Findings:
     for seed in range(SEEDS):
         for method in GUESSED:
             solves[f"{method}|{seed}"] = partial(halo.row, method, seed)
-    jobs, store = [Job(key, key) for key in solves], session.store()
-    rows = session.rows("solves", lambda key: solves[key](), jobs, store)
+    rows = session.rows("solves", lambda key: solves[key](), solves, session.store())
     once = [
         {name: row[name] for name in row if name != "seed"}
         | {"cost": f"{row['cost']:.{7 if row['problem'] == HALO else 6}f}"}

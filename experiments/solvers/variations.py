@@ -37,7 +37,6 @@ from formulations.program.certificate import ConeProgram
 from formulations.rows.uniform import ChanceRows
 from scp_recon.api.options import PlanOptions
 from scp_recon.api.planning import plan_mission
-from scp_recon.jobs.job import Job
 from scp_recon.jobs.processes import Limits, Processes
 from scp_recon.mission.grid import Units
 from scp_recon.mission.mission import Mission
@@ -53,11 +52,6 @@ if TYPE_CHECKING:
     from formulations.nlp.solve import Variant
 
 T = TypeVar("T")
-
-
-def jobs_of(cases: Iterable[Any]) -> list[Job]:
-    """A job for each case, by its words."""
-    return [Job(str(case), case) for case in cases]
 
 
 def better_of_two(work: Callable[[], T]) -> tuple[T, float]:
@@ -157,7 +151,7 @@ def accuracy(session: Session) -> Findings:
     def solved(label: str, cases: Iterable[tuple[str, Method, int]]) -> list[Record]:
         alone = Processes(1, Limits(apart=True))
         work = partial(stopped_row, begun)
-        return session.rows(label, work, jobs_of(cases), store, executor=alone)
+        return session.rows(label, work, cases, store, executor=alone)
 
     pairs, rows = [*product(PROBLEMS, METHODS)], list[Record]()
     for pair, end in zip(pairs, solved("ends", [(*p, ENOUGH) for p in pairs]), strict=True):
@@ -241,8 +235,7 @@ def lifted(session: Session) -> Findings:
     has a row for each: the largest cone program that Clarabel got, iterations, delta-v, and the
     processor's seconds, the better of two runs.
     """
-    jobs = jobs_of(product(CASES, FORMS))
-    rows = session.rows("cases", form_row, jobs, session.store())
+    rows = session.rows("cases", form_row, product(CASES, FORMS), session.store())
     return Findings({"lifted.csv": records(rows)})
 
 
@@ -340,7 +333,7 @@ def nlp_tricks(session: Session) -> Findings:
     with the tricks that lead from the program as the paper prints it to the tuned one, each added to
     those before; then with alternatives to one of them. The table goes to OUT/nlp_tricks.csv.
     """
-    rows = session.rows("tricks", trick_row, jobs_of(tricks()), session.store())
+    rows = session.rows("tricks", trick_row, tricks(), session.store())
     return Findings({"nlp_tricks.csv": records(rows)})
 
 
@@ -437,7 +430,7 @@ def sensitivity(session: Session) -> Findings:
     or the status without a plan, and P3's and P2's iterations.
     """
     cases = [(problem, *rest) for *rest, problem in product(VARIED, FACTORS, MULTIPLES, PROBLEMS)]
-    found = compared(session.rows("plans", parameter_row, jobs_of(cases), session.store()))
+    found = compared(session.rows("plans", parameter_row, cases, session.store()))
     tables = {"sensitivity": found.to_dict("records"), "by_value": by_value(found)}
     return Findings({f"{name}.csv": records(rows) for name, rows in tables.items()})
 

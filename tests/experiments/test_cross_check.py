@@ -21,7 +21,7 @@ def test_the_planners_flight_meets_every_node(mission, solution):
     """What other tools are held against is the plan."""
     burns, times = solution.burns_m_s, np.array(mission.scenario.burns.times_s)
     flight = cross_check.Flight(mission, mission.initial_state, times, burns)
-    states = flight.by(cross_check.planners(mission), cross_check.ALL)
+    states = flight.by(cross_check.planners(mission), cross_check.FORCES[cross_check.ALL])
     assert np.abs(states - solution.nodes.state)[:-1, :3].max() < 1e-2
 
 
