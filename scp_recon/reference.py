@@ -23,7 +23,8 @@ from scp_recon.cli.commands import COMMANDS
 from scp_recon.errors import InputError
 from scp_recon.files import check_writable, write_atomically
 from scp_recon.mission import checks, grid
-from scp_recon.mission.intervals import INTERVALS, PLANNER_INTERVALS, STATE_INTERVALS, Interval
+from scp_recon.mission.interval import Interval
+from scp_recon.mission.intervals import INTERVALS, PLANNER_INTERVALS, STATE_INTERVALS
 from scp_recon.planning import plan, primer
 from scp_recon.results import corrections, facts, figures
 from scp_recon.results.solution import HASH, SCHEMA

@@ -22,6 +22,7 @@ from operator import attrgetter, getitem
 
 import numpy as np
 
+from formulations.arrays import Array
 from scp_recon.bodies.catalogue import (
     AU_KM,
     DAY_S,
@@ -97,10 +98,8 @@ def known_body(scene: Scene) -> Iterator[ScenarioWarning]:
         ("j2", known["j2"] * (radius / body.reference_radius_m) ** 2, SAME_J2),
         ("prime_meridian_rate_deg_day", known.get("prime_meridian_rate_deg_day"), SAME_RATE),
     ):
-        if right is None:  # of a body that tumbles
-            continue
         value = getattr(body, entry)
-        if abs(value - right) > most * abs(right):
+        if right is not None and abs(value - right) > most * abs(right):  # None where it tumbles
             yield ScenarioWarning.of(
                 f"body.{entry}", f"{value:g}", f"{known['name']} has {right:g}"
             )
@@ -122,11 +121,9 @@ def assumed(scene: Scene) -> Iterator[ScenarioWarning]:
         return
     for entry, text in packaged.assumed.items():
         value = attrgetter(entry)(body)
-        own = reduce(getitem, entry.split("."), packaged.entries)
-        if value == own:
-            given = (
-                f"{value:g}" if isinstance(value, float) else f"that of {packaged.entries['name']}"
-            )
+        if value == reduce(getitem, entry.split("."), packaged.entries):
+            name = packaged.entries["name"]
+            given = f"{value:g}" if isinstance(value, float) else f"that of {name}"
             yield ScenarioWarning.of(f"body.{entry}", f"{given}, which is assumed", text)
 
 
@@ -138,6 +135,10 @@ def _known_attitude(scene: Scene, packaged: PackagedBody) -> Iterator[ScenarioWa
         known[f"prime_meridian_{key}"] for key in ("deg", "rate_deg_day", "acceleration_deg_day2")
     )
     right = Rotation.from_iau(*pole, (w0, w1, w2), tdb)
+
+    def meridian(rotation: Rotation) -> Array:
+        return rotation.body_to_j2000(0.0)[:, 0]
+
     off = angle_deg(scene.rotation.pole, right.pole)
     if off > SAME_ANGLE_DEG:
         yield ScenarioWarning.of(
@@ -146,13 +147,11 @@ def _known_attitude(scene: Scene, packaged: PackagedBody) -> Iterator[ScenarioWa
             f"the pole of {known['name']} is at ({pole[0]:g}, {pole[1]:g}) deg",
         )
         return
-    x = scene.rotation.body_to_j2000(0.0)[:, 0]
-    ahead = angle_deg(x, right.body_to_j2000(0.0)[:, 0])
-    apart = 0.0
+    other = right
     if packaged.other_meridian is not None:
-        other = Rotation.from_iau(*pole, packaged.other_meridian, tdb).body_to_j2000(0.0)[:, 0]
-        apart = angle_deg(other, right.body_to_j2000(0.0)[:, 0])
-        ahead = min(ahead, angle_deg(x, other))
+        other = Rotation.from_iau(*pole, packaged.other_meridian, tdb)
+    apart = angle_deg(meridian(other), meridian(right))
+    ahead = min(angle_deg(meridian(scene.rotation), meridian(one)) for one in (right, other))
     if ahead > SAME_ANGLE_DEG:
         yield ScenarioWarning.of(
             "body.prime_meridian_deg",

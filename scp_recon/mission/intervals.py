@@ -8,9 +8,8 @@ docs/reference/warnings.md shows the rows.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from scipy.constants import G
@@ -20,111 +19,14 @@ from scp_recon.bodies.catalogue import (
     AU_KM,
     ECLIPTIC_NORTH,
     GM_SUN_KM3_S2,
-    J2000_TDB,
     packaged_body,
 )
 from scp_recon.bodies.surface import angle_deg
-from scp_recon.errors import InputError
 from scp_recon.mission.grid import NODES_MAX, RK4_STEP_MAX_S
+from scp_recon.mission.interval import INF, Interval, size, value_at
 from scp_recon.mission.scene import Scene, orbit_of_body
-from scp_recon.scenario.fields import ScenarioWarning, Section
-from scp_recon.scenario.given import shown
+from scp_recon.scenario.fields import Section
 from scp_recon.scenario.schema import Battery, Observation, ScheduleRules
-
-Ends = tuple[float, float]
-"""Ends of an interval; an infinite one bounds nothing."""
-INF = math.inf
-
-
-@dataclass(frozen=True)
-class Interval:
-    """A quantity of a scenario, and the intervals that refuse it or warn of it."""
-
-    entries: str
-    """Dotted paths, separated by spaces; each has the quantity."""
-    quantity: str = ""
-    """Bounded quantity in words; the entry itself, or its length, if empty."""
-    value: Callable[[Scene, str], float | None] = lambda scene, entry: size(value_at(scene, entry))
-    """The quantity of an entry; None where the row does not apply."""
-    unit: str = ""
-    refuse: Ends | None = None
-    warn: Ends | None = None
-    hint: str = ""
-    """The likely slip, or the reason."""
-    or_zero: bool = False
-    """Whether zero is meant, and never in question."""
-    scale: tuple[Callable[[Scene, str], float | None], str] | None = None
-    """Unit of the ends, as a function, and its name; None where the row does not apply."""
-
-    def check(self, scene: Scene) -> Iterator[ScenarioWarning]:
-        """Check a scene against the row; yield its warnings.
-
-        Raises:
-            InputError: naming the entry, what was given and what is allowed.
-        """
-        for entry in self.entries.split():
-            value = self.value(scene, entry)
-            if value is None or (self.or_zero and value == 0.0):
-                continue
-            scale = self.scale[0](scene, entry) if self.scale else 1.0
-            if scale is None:
-                continue
-            if self.refuse and not self.refuse[0] <= value / scale <= self.refuse[1]:
-                allowed = f"must be {self._expected(self.refuse, scale)}"
-                raise InputError(entry, self._shown(value_at(scene, entry), value), allowed)
-            if self.warn and not self.warn[0] <= value / scale <= self.warn[1]:
-                expected = f"expected {self._expected(self.warn, scale)}"
-                given = self._shown(value_at(scene, entry), value)
-                yield ScenarioWarning.of(entry, given, expected)
-
-    def _shown(self, given: Any, value: float) -> str:
-        """The quantity beside the number or vector it is computed from."""
-        if not self.quantity:
-            digits = 12 if isinstance(given, float) else 4
-            return f"{value:.{digits}g} {self.unit}".rstrip()
-        number = f"{self.quantity}: {value:.3g} {self.unit}".rstrip()
-        if isinstance(given, tuple) and (len(given) > 3 or isinstance(given[0], tuple)):
-            return number
-        return f"{f'{given:.12g}' if isinstance(given, float) else shown(given)} ({number})"
-
-    def _expected(self, ends: Ends, scale: float) -> str:
-        if self.scale is None:
-            return f"{self.within(ends)}{self.hint}"
-        absolute = _within((ends[0] * scale, ends[1] * scale), self.unit)
-        relative = _within(ends, self.scale[1]).removeprefix("at least ").removeprefix("at most ")
-        return f"{'0, or ' if self.or_zero else ''}{absolute} ({relative}){self.hint}"
-
-    def within(self, ends: Ends) -> str:
-        """An interval in words: "300 to 8000 kg/m^3", "0, or at least 60 s", "at most 2 radii"."""
-        words = _within(ends, self.scale[1] if self.scale else self.unit)
-        return f"{'0, or ' if self.or_zero else ''}{words}"
-
-
-def _within(ends: Ends, unit: str) -> str:
-    low, high = ends
-    words = f"{low:.4g} to {high:.4g}"
-    if high == INF:
-        words = f"at least {low:.4g}"
-    elif low == -INF:
-        words = f"at most {high:.4g}"
-    words = f"{words} {unit}".rstrip()
-    return words.replace(" 1 times ", " ") if words.startswith("at ") else words
-
-
-def value_at(scene: Scene, entry: str) -> Any:
-    """Value of a scenario at a dotted path; None below a table that it lacks."""
-    found: Any = scene.scenario
-    for key in entry.split("."):
-        found = getattr(found, key, None)
-    return found
-
-
-def size(given: Any) -> float | None:
-    """A number, or the length of a vector."""
-    if given is None:
-        return None
-    return math.hypot(*given) if isinstance(given, tuple) else float(given)
-
 
 J2_ENDS = 0.0, 0.5
 """At the reference radius; Itokawa, twice as long as thick, has half of the latter."""
@@ -156,40 +58,8 @@ def _mean_radius_m(scene: Scene, _: str = "") -> float | None:
     return _mean_m(body.radii_m)
 
 
-def _density_of_radii(scene: Scene, _: str) -> float | None:
-    mean = _mean_radius_m(scene)
-    return None if mean is None else density(scene.scenario.body.gm_m3_s2, mean)
-
-
-def _years(scene: Scene, _: str) -> float:
-    return scene.scenario.epoch.tdb.year - J2000_TDB.year
-
-
-def _period_h(scene: Scene, _: str) -> float:
-    return scene.rotation.period_h
-
-
-def _period_of_rubble_h(scene: Scene, entry: str) -> float | None:
-    large = scene.scenario.body.reference_radius_m > RUBBLE_RADIUS_M
-    return _period_h(scene, entry) if large else None
-
-
-def _polar(scene: Scene, _: str) -> float | None:
-    radii = scene.scenario.body.radii_m
-    return None if radii is None else radii[2] / min(radii[:2])
-
-
 def _slope_deg(scene: Scene, _: str) -> float:
     return angle_deg(scene.site.position_body, scene.site.normal_body)
-
-
-def _slope_without_shape_deg(scene: Scene, entry: str) -> float | None:
-    """Angle between normal and position, deg; None with a shape: `resolve_site` checks that normal."""
-    return _slope_deg(scene, entry) if scene.scenario.body.radii_m is None else None
-
-
-def _solar_escape_km_s(scene: Scene, _: str) -> float:
-    return math.sqrt(2.0 * GM_SUN_KM3_S2 / math.hypot(*scene.scenario.sun.body_position_km))
 
 
 def _off_the_equator(scene: Scene, _: str) -> float:
@@ -243,21 +113,6 @@ def _nearer_end_m(scene: Scene, _: str) -> float:
     return min(math.hypot(*boundary.initial_position_m), math.hypot(*boundary.final_position_m))
 
 
-def _followed_m3_s2(scene: Scene, entry: str) -> float:
-    """GM at which a flight turns by a radian per step at its boundary."""
-    return _nearer_end_m(scene, entry) ** 3 / RK4_STEP_MAX_S**2
-
-
-def _followed_m(scene: Scene, _: str) -> float:
-    """Distance at which a flight turns by a radian per step."""
-    return float((scene.scenario.body.gm_m3_s2 * RK4_STEP_MAX_S**2) ** (1.0 / 3.0))
-
-
-def _risk_of_flights(scene: Scene, _: str) -> float | None:
-    risk = scene.scenario.risk
-    return 1.0 - risk.p_chance if risk.scope == "flight" else None
-
-
 def _sigma(scene: Scene, entry: str, part: int) -> float | None:
     """The largest 1-sigma error that an entry gives, of the initial or the measured state, m or m/s."""
     if entry.startswith("navigation."):
@@ -292,25 +147,6 @@ def _entries(table: str, model: type[Section], ending: str) -> str:
     return " ".join(f"{table}.{key}" for key in model.model_fields if key.endswith(ending))
 
 
-def _kepler(scene: Scene, _: str) -> float | None:
-    """A companion's n^2 a^3 over the sum of both GM, 1 by Kepler's third law."""
-    other = scene.companion
-    if other is None:
-        return None
-    cubed = other.rate**2 * other.semi_major_axis**3
-    return cubed / (scene.scenario.body.gm_m3_s2 + other.gm)
-
-
-def _clear_m(scene: Scene, _: str) -> float | None:
-    """Least distance between two balls that contain body and companion, m."""
-    other, body = scene.scenario.body.companion, scene.scenario.body
-    if other is None:
-        return None
-    return other.semi_major_axis_m * (1.0 - other.eccentricity) - body.reference_radius_m
-
-
-RUBBLE_RADIUS_M = 150.0
-"""Above it a body without strength breaks up where it turns too fast: Pravec & Harris 2000."""
 RADIAN_DEG = 0.5 * math.pi
 """Bound on every angle of a cone in radians; below it degrees were hardly meant."""
 SPREADS = "in_flight.covariance uncertainty.initial_sigma_fraction uncertainty.initial_covariance"
@@ -374,13 +210,20 @@ PLANNER_INTERVALS = (
         "from the centre", _outside_m, "m", refuse=(math.nextafter(1.0, 2.0), INF),
         hint=", outside the body", scale=RADII,
     ),
+    # Where a flight turns by a radian per step.
     Interval(
         "body.gm_m3_s2", unit="m^3/s^2", refuse=(-INF, 1.0), hint=STEPS,
-        scale=(_followed_m3_s2, "times what can be planned about from the boundary"),
+        scale=(
+            lambda s, entry: _nearer_end_m(s, entry) ** 3 / RK4_STEP_MAX_S**2,
+            "times what can be planned about from the boundary",
+        ),
     ),
     Interval(
         FLIGHT, "from the centre", unit="m", refuse=(1.0, INF), hint=STEPS,
-        scale=(_followed_m, "times the least distance that can be planned from"),
+        scale=(
+            lambda s, _: (s.scenario.body.gm_m3_s2 * RK4_STEP_MAX_S**2) ** (1.0 / 3.0),
+            "times the least distance that can be planned from",
+        ),
     ),
 )  # fmt: skip
 """Beyond which a plan would never end, or end in figures that are not finite."""
@@ -397,23 +240,33 @@ INTERVALS = (
     ),
     # From the most porous body that was visited: comet 67P has 530. An eighth is that of diameters.
     Interval(
-        "body.radii_m", "density of a body that is not packaged", _density_of_radii, "kg/m^3",
-        warn=(500.0, 8000.0), hint="; radii, and no diameters?",
+        "body.radii_m", "density of a body that is not packaged",
+        lambda s, _: (mean := _mean_radius_m(s)) and density(s.scenario.body.gm_m3_s2, mean),
+        "kg/m^3", warn=(500.0, 8000.0), hint="; radii, and no diameters?",
     ),
-    Interval("epoch.tdb", "years after 2000", _years, warn=(-INF, 100.0), hint="; is it right?"),
+    Interval(
+        "epoch.tdb", "years after 2000", lambda s, _: s.scenario.epoch.tdb.year - 2000.0,
+        warn=(-INF, 100.0), hint="; is it right?",
+    ),
     # Below any body that has been flown to: Dimorphos has 75 m. In kilometres throughout, GM included,
     # a body is a smaller one of the same density.
     Interval("body.reference_radius_m", unit="m", warn=(50.0, INF), hint="; all of it in metres?"),
+    # Without strength it breaks up: Pravec & Harris 2000.
     Interval(
-        SPIN, "a turn of a body above 150 m", _period_of_rubble_h, "h", warn=(2.0, INF),
-        hint=": it breaks up",
+        SPIN, "a turn of a body above 150 m",
+        lambda s, _: s.rotation.period_h if s.scenario.body.reference_radius_m > 150.0 else None,
+        "h", warn=(2.0, INF), hint=": it breaks up",
     ),
-    Interval(SPIN, "a turn", _period_h, "h", warn=(-INF, 2000.0), hint="; degrees a day?"),
+    Interval(
+        SPIN, "a turn", lambda s, _: s.rotation.period_h, "h", warn=(-INF, 2000.0),
+        hint="; degrees a day?",
+    ),
     # What turns freely ends turning about its shortest axis, which is body-fixed z; 2 % are rounding
     # of nearly round bodies.
     Interval(
-        "body.radii_m", "the last over the shortest", _polar, warn=(-INF, 1.02),
-        hint=", as bodies turn about the shortest; are the axes in order?",
+        "body.radii_m", "the last over the shortest",
+        lambda s, _: (radii := s.scenario.body.radii_m) and radii[2] / min(radii[:2]),
+        warn=(-INF, 1.02), hint=", as bodies turn about the shortest; are the axes in order?",
     ),
     Interval(
         "body.j2", "of a body that is not packaged",
@@ -422,12 +275,18 @@ INTERVALS = (
     ),
     # Oblateness shortens the period by a per cent or two; in km/s or days it is far off.
     Interval(
-        "body.companion.period_h", "n^2 a^3 over the sum of both GM", _kepler,
+        "body.companion.period_h", "n^2 a^3 over the sum of both GM",
+        lambda s, _: None if (other := s.companion) is None else (
+            other.rate**2 * other.semi_major_axis**3 / (s.scenario.body.gm_m3_s2 + other.gm)
+        ),
         refuse=(0.8, 1.25), warn=(0.95, 1.05), hint=", by Kepler's third law",
     ),
     Interval(
-        "body.companion.semi_major_axis_m", "from the surface at the nearest", _clear_m, "m",
-        refuse=(1.0, INF), hint=", outside the body",
+        "body.companion.semi_major_axis_m", "from the surface at the nearest",
+        lambda s, _: None if (other := s.companion) is None else (
+            other.semi_major_axis * (1.0 - other.eccentricity) - s.scenario.body.reference_radius_m
+        ),
+        "m", refuse=(1.0, INF), hint=", outside the body",
         scale=(lambda s, _: value_at(s, "body.companion.radius_m"), "of its radii"),
     ),
     # Of a surface point: an elongated body reaches beyond its mean radius.
@@ -440,10 +299,11 @@ INTERVALS = (
         "site.normal_body", "off the direction from the centre to the site", _slope_deg, "deg",
         refuse=(-INF, 90.0), hint=": it points out of the body",
     ),
-    # An ellipsoid of axes 2 to 1 has up to 37 deg.
+    # An ellipsoid of axes 2 to 1 has up to 37 deg; with a shape its own normal was compared.
     Interval(
         "site.normal_body", "without a shape off the direction from the centre",
-        _slope_without_shape_deg, "deg", warn=(-INF, 30.0),
+        lambda s, entry: None if s.scenario.body.radii_m else _slope_deg(s, entry), "deg",
+        warn=(-INF, 30.0),
     ),
     Interval(
         "sun.body_position_km", "from the Sun", unit="km", refuse=(0.1, 50.0),
@@ -452,7 +312,10 @@ INTERVALS = (
     # Its square is 2: beyond it nothing in the Solar System moves.
     Interval(
         SUN_SPEED, unit="km/s", refuse=(-INF, math.sqrt(2.0)),
-        scale=(_solar_escape_km_s, "times the speed of escape from the Sun"),
+        scale=(
+            lambda s, _: (2.0 * GM_SUN_KM3_S2 / math.hypot(*s.scenario.sun.body_position_km)) ** 0.5,
+            "times the speed of escape from the Sun",
+        ),
     ),
     # The orbits of what is flown to.
     Interval(
@@ -542,7 +405,8 @@ INTERVALS = (
         hint="; divided by a hundred once too often?",
     ),
     Interval(
-        "risk.p_chance", 'the risk left with risk.scope = "flight"', _risk_of_flights,
+        "risk.p_chance", 'the risk left with risk.scope = "flight"',
+        lambda s, _: 1.0 - s.scenario.risk.p_chance if s.scenario.risk.scope == "flight" else None,
         refuse=(1.0 - PROBABILITY_MAX, INF),
         hint=": below it the estimate errs by as much as is left",
     ),

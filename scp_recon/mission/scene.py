@@ -74,19 +74,7 @@ class Scene:
     def companion(self) -> Companion | None:
         """The body's companion, if it has one."""
         given = self.scenario.body.companion
-        if given is None:
-            return None
-        return Companion.from_elements(
-            gm_m3_s2=given.gm_m3_s2,
-            semi_major_axis_m=given.semi_major_axis_m,
-            eccentricity=given.eccentricity,
-            pole_deg=(given.pole_ra_deg, given.pole_dec_deg),
-            periapsis_deg=given.periapsis_deg,
-            mean_anomaly_deg=given.mean_anomaly_deg,
-            period_h=given.period_h,
-            since=given.epoch_tdb,
-            tdb=self.scenario.epoch.tdb,
-        )
+        return None if given is None else Companion.of(given, self.scenario.epoch.tdb)
 
     @property
     def lighting(self) -> Lighting:

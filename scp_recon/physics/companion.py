@@ -11,6 +11,7 @@ import numpy.typing as npt
 from formulations.arrays import Array
 from scp_recon.bodies.catalogue import eccentric_anomaly
 from scp_recon.physics.frames import Rotation
+from scp_recon.scenario import body
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,30 +35,17 @@ class Companion:
     axes: Array
 
     @classmethod
-    def from_elements(
-        cls,
-        gm_m3_s2: float,
-        semi_major_axis_m: float,
-        eccentricity: float,
-        pole_deg: tuple[float, float],
-        periapsis_deg: float,
-        mean_anomaly_deg: float,
-        period_h: float,
-        since: datetime,
-        tdb: datetime,
-    ) -> Companion:
-        """The companion at `tdb` from elements at `since`, SI.
-
-        The periapsis counts from the ascending node on J2000's equator, right-handed about the pole.
-        """
-        rate = 2.0 * np.pi / (3600.0 * period_h)
-        passed = rate * (tdb - since).total_seconds()
-        ra, dec, periapsis, anomaly = np.deg2rad([*pole_deg, periapsis_deg, mean_anomaly_deg])
-        plane = Rotation(ra, dec, periapsis, 0.0, 0.0).body_to_j2000(0.0)
-        anomaly = (anomaly + passed) % (2.0 * np.pi)
-        return cls(
-            gm_m3_s2, semi_major_axis_m, eccentricity, float(anomaly), rate, plane[:, :2].T.copy()
+    def of(cls, given: body.Companion, tdb: datetime) -> Companion:
+        """The companion of a scenario's table at `tdb`, SI."""
+        rate = 2.0 * np.pi / (3600.0 * given.period_h)
+        passed = rate * (tdb - given.epoch_tdb).total_seconds()
+        ra, dec, periapsis, anomaly = np.deg2rad(
+            [given.pole_ra_deg, given.pole_dec_deg, given.periapsis_deg, given.mean_anomaly_deg]
         )
+        plane = Rotation(ra, dec, periapsis, 0.0, 0.0).body_to_j2000(0.0)[:, :2].T.copy()
+        anomaly = float((anomaly + passed) % (2.0 * np.pi))
+        size = given.semi_major_axis_m
+        return cls(given.gm_m3_s2, size, given.eccentricity, anomaly, rate, plane)
 
     def position(self, time: npt.ArrayLike) -> Array:
         """Position of its centre from that of the first body at times, shape (..., 3)."""
