@@ -37,8 +37,8 @@ class ConeProgram:
     form: Any = None
 
 
-def is_optimal(program: ConeProgram, x: Array, z: Array) -> bool:
-    """Whether multipliers z prove x optimal, to the tolerance `GAP`, whatever the solver's status.
+def is_optimal(program: ConeProgram, x: Array, z: Array, gap: float = GAP) -> bool:
+    """Whether multipliers z prove x optimal, to the tolerance `gap`, whatever the solver's status.
 
     Weak duality: with q + A'z = 0 and z in the dual cones no x' with b - A x' in the cones has
     q'x' < -b'z.
@@ -49,11 +49,11 @@ def is_optimal(program: ConeProgram, x: Array, z: Array) -> bool:
     prices = max(1.0, float(np.abs(program.cost).max()), float(np.abs(z).max()))
     sizes = max(1.0, float(np.abs(program.bound).max()), float(np.abs(x).max()))
     return bool(
-        np.abs(gradient).max() <= GAP * prices
-        and np.abs(slack[: program.zero]).max(initial=0.0) <= GAP * sizes
-        and outside(program, slack) <= GAP * sizes
-        and outside(program, z) <= GAP * prices
-        and abs(primal - dual) <= GAP * max(1.0, abs(primal))
+        np.abs(gradient).max() <= gap * prices
+        and np.abs(slack[: program.zero]).max(initial=0.0) <= gap * sizes
+        and outside(program, slack) <= gap * sizes
+        and outside(program, z) <= gap * prices
+        and abs(primal - dual) <= gap * max(1.0, abs(primal))
     )
 
 

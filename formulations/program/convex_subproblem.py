@@ -11,6 +11,7 @@ import numpy as np
 from formulations.arrays import Array, Indices
 from formulations.linearisation.linearisation import Linearisation
 from formulations.problem.flyby import FlybyProblem
+from formulations.program.certificate import GAP
 from formulations.program.model import (
     CompiledProgram,
     Values,
@@ -30,6 +31,9 @@ from formulations.rows.cones import Rows
 
 SMALL_BURN = 1e-2
 """Size of a small burn over `dv_max`; see `ConvexSubproblem.solve`."""
+
+LEAST_GAP = 1e-8
+"""Largest relative error in the proof of a least violation: a hundredth of what counts as none."""
 
 INSIDE = 1e-9
 """Depth in a cone that is ignored: the conic solver's own tolerance."""
@@ -137,12 +141,12 @@ class ConvexSubproblem(Subproblem):
         }
         if self._has_floor:
             own |= self._floor(burns)
-        of_cost, left = cost_values(self._at)
+        of_cost, left = ({}, 0.0) if charge.least else cost_values(self._at)
         weight = self.problem.miss_weight
         prices = penalty_values(self._penalty, charge, len(burns), buffers, weight)
         program = compiled.evaluate(own | of_cost | prices | states)
         try:
-            answer = self._solver.solve(program)
+            answer = self._solver.solve(program, LEAST_GAP if charge.least else GAP)
         except ValueError as error:
             raise SubproblemError(str(error)) from error
         moved, merit = compiled.controls(answer.x), left + float(program.cost @ answer.x)

@@ -215,8 +215,10 @@ def write_model(shape: Shape, penalty: Penalty, write_states: StateModelWriter) 
         "prices": cp.Parameter(6 + 3 * m + n_rows),
     }
     step, (burns, _) = z - own["centre"], shape.split(z)
-    total, of_cost = write_cost(shape, z, size, numbers)
-    own |= of_cost
+    total: cp.Expression | float = 0.0
+    if penalty != "least":
+        total, of_cost = write_cost(shape, z, size, numbers)
+        own |= of_cost
     constraints = [
         *states.constraints,
         cp.SOC(size, burns, axis=1),
@@ -244,7 +246,11 @@ def write_model(shape: Shape, penalty: Penalty, write_states: StateModelWriter) 
     else:
         constraints += [states.miss <= excess, -states.miss <= excess]
     objective = total + own["prices"] @ charged
-    if penalty == "proximal":
+    if penalty == "bounded":
+        own |= {"budget": cp.Parameter(), "miss_price": cp.Parameter(nonneg=True)}
+        objective = total + own["miss_price"] * cp.sum(excess)
+        constraints.append(own["prices"] @ charged <= own["budget"])
+    elif penalty == "proximal":
         own["curvature"] = cp.Parameter()
         objective += own["curvature"] * squares
         constraints.append(cp.sum_squares(step) <= squares)
@@ -273,6 +279,11 @@ def penalty_values(
         prices[:limits] = charge.multipliers[:limits]
         prices[limits:] = np.where(rows < 0, 0.0, charge.multipliers[limits:][rows])
         return {"prices": prices, "root": np.array(np.sqrt(0.5 * charge.weight))}
+    if penalty in ("least", "bounded"):
+        prices[:] = 1.0
+        prices[:6] = DYNAMICS_WEIGHT if miss_weight is None else 0.0
+        budget = {"budget": np.array(charge.budget), "miss_price": np.array(miss_weight or 0.0)}
+        return {"prices": prices} | (budget if penalty == "bounded" else {})
     prices[:6] = charge.weight * DYNAMICS_WEIGHT if miss_weight is None else miss_weight
     if penalty == "proximal":
         return {"prices": prices, "curvature": np.array(0.5 * charge.prox)}

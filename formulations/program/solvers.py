@@ -12,7 +12,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from formulations.arrays import Array
-from formulations.program.certificate import ConeProgram, is_optimal
+from formulations.program.certificate import GAP, ConeProgram, is_optimal
 
 TOLERANCE = 1e-9
 """Tighter than Clarabel's 1e-8, so that late, small predicted reductions still mean something."""
@@ -211,10 +211,13 @@ class FallbackSolver:
         """Build the solver again at the next call, for a program with another sparsity."""
         self._kept = self._built(self._name)
 
-    def solve(self, program: ConeProgram) -> Answer:
-        """See `ConicSolver`. An inaccurate answer counts if no solver has a better one."""
+    def solve(self, program: ConeProgram, gap: float = GAP) -> Answer:
+        """See `ConicSolver`. An inaccurate answer counts if no solver has a better one.
+
+        An accurate answer is proved optimal to the tolerance `gap`.
+        """
         failures: dict[str, str] = {}
-        answer = self._ask(self._name, self._kept, program, failures)
+        answer = self._ask(self._name, self._kept, program, gap, failures)
         solver_s = answer.solver_s if answer else 0.0
         others = [name for name in SOLVERS if name != self._name]
         for name in (self._name, *others) if self._name in SOLVERS else ():
@@ -225,7 +228,7 @@ class FallbackSolver:
             except ModuleNotFoundError:  # the other one, which need not be installed
                 continue
             self._kept = solver if name == self._name else self._kept
-            other = self._ask(name, solver, program, failures)
+            other = self._ask(name, solver, program, gap, failures)
             solver_s += other.solver_s if other else 0.0
             answer = other if answer is None or (other and other.accurate) else answer
         if answer is None:
@@ -233,7 +236,12 @@ class FallbackSolver:
         return answer._replace(solver_s=solver_s)
 
     def _ask(
-        self, name: str, solver: ConicSolver, program: ConeProgram, failures: dict[str, str]
+        self,
+        name: str,
+        solver: ConicSolver,
+        program: ConeProgram,
+        gap: float,
+        failures: dict[str, str],
     ) -> Answer | None:
         try:
             answer = solver.solve(program)
@@ -246,7 +254,7 @@ class FallbackSolver:
             failures[name] = "the conic solver gave no finite burns"
             return None
         z = answer.multipliers
-        if answer.accurate and z is not None and not is_optimal(program, answer.x, z):
+        if answer.accurate and z is not None and not is_optimal(program, answer.x, z, gap):
             failures[name] = (
                 f"{name} ended with status {answer.status}, but does not prove it optimal"
             )

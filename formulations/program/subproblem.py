@@ -8,7 +8,9 @@ burns:
 
     exact      w (10 ||m||_1 + sum v)
     proximal   w (10 ||m||_1 + sum v) + p/2 ||s||^2
-    augmented  l'(m, v) + w/2 ||(m, v)||^2.
+    augmented  l'(m, v) + w/2 ||(m, v)||^2
+    least      10 ||m||_1 + sum v, in place of the cost
+    bounded    nothing, as long as 10 ||m||_1 + sum v is at most a budget.
 
 The merit of an iterate is its cost plus its charges. It always uses the nonlinear dynamics, never
 the model. The program is written in `model`; the formulations in `condensed` and `lifted`.
@@ -27,7 +29,7 @@ from formulations.linearisation.linearisation import Linearisation, Seen
 from formulations.problem.flyby import NO_GAINS, FlybyProblem
 from formulations.rows.cones import Margins, Rows
 
-Penalty = Literal["exact", "proximal", "augmented"]
+Penalty = Literal["exact", "proximal", "augmented", "least", "bounded"]
 
 DYNAMICS_WEIGHT = 10.0
 """Of the dynamics against a constraint, so that infeasible cases violate constraints, not physics."""
@@ -37,12 +39,17 @@ DYNAMICS_WEIGHT = 10.0
 class PenaltyParameters:
     """Charges of an iteration: weight w of violations, and p of the step if proximal.
 
-    If augmented, multipliers of (m, v) have shape (6 + rows,).
+    If augmented, multipliers of (m, v) have shape (6 + rows,). With "least" the weight is one and
+    nothing else is charged. With "bounded" the model's violations sum up to `budget` at most; those of
+    a flown iterate are charged above it, and none may be above `allowed`.
     """
 
     weight: float
     prox: float = 0.0
     multipliers: Array | None = None
+    least: bool = False
+    budget: float | None = None
+    allowed: float = 0.0
 
 
 class MeritFunction:
@@ -68,12 +75,22 @@ class MeritFunction:
             charged = np.r_[excess[:6], np.maximum(excess[6:], 0.0)]
             value = charge.multipliers @ charged + 0.5 * charge.weight * (charged @ charged)
             return self.cost(lin) + float(value)
-        weight = charge.weight if isinstance(charge, PenaltyParameters) else charge
+        charge = charge if isinstance(charge, PenaltyParameters) else PenaltyParameters(charge)
+        if charge.least:
+            return self.violated(lin)
+        cost = self.cost(lin) + self.problem.missed(lin.defects)
+        if charge.budget is not None:
+            over = max(self.violated(lin) - charge.budget, 0.0)
+            allowed = self.worst_violation(lin) <= charge.allowed
+            return cost + charge.weight * over if allowed else np.inf
+        return cost + charge.weight * self.violated(lin)
+
+    def violated(self, lin: Linearisation) -> float:
+        """The sum of all violations, those of the dynamics with their weight."""
         violations = self.violations(lin)
         defects = violations.pop("dynamics")
         rows = np.concatenate(list(violations.values()))
-        cost = self.cost(lin) + self.problem.missed(lin.defects)
-        return cost + weight * float(DYNAMICS_WEIGHT * defects.sum() + rows.sum())
+        return float(DYNAMICS_WEIGHT * defects.sum() + rows.sum())
 
     def cost(self, lin: Linearisation) -> float:
         """The total delta-v, as the problem counts it."""

@@ -41,6 +41,7 @@ from scp_recon.planning.stages import (
 )
 from scp_recon.scp.algorithms import ALGORITHMS
 from scp_recon.scp.loop import Algorithm, run
+from scp_recon.scp.verdict import decide
 
 FEW_LINES, FEW_WITH_GAINS, LINES = 512, 1024, 4096
 """Directions, each taken both ways, by which the probability of whole flights is computed: in the
@@ -213,6 +214,10 @@ class Planner(Generic[Task]):
             algorithm = ALGORITHMS[self._names[1]](**fewer)
         algorithm = algorithm.resolving(rows.resolution)
         result = run(subproblem, dynamics, start, algorithm, partial(observe, spec.name))
+        formulation, _, solver = self._names
+        if formulation in FULL:  # frozen derivatives prove nothing
+            make = partial(make_subproblem, rows.problem, rows, formulation, solver)
+            result = decide(make, dynamics, result, rows.resolution, partial(observe, spec.name))
         result.timing.setup += setup
         return Stage(spec, result, subproblem.merit, algorithm.feasible)
 

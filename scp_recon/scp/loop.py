@@ -33,7 +33,7 @@ class Record:
 
     Attributes:
         k: number, from 1.
-        merit: of the iterate after the iteration.
+        merit: of the iterate after the iteration; see `verdict` for those after a run without one.
         predicted: reduction of the merit by the convex model.
         actual: reduction of the merit by the nonlinear dynamics.
         accepted: whether the step was accepted.
@@ -171,14 +171,20 @@ def run(
     start: Linearisation,
     algorithm: Algorithm,
     observe: Callable[[Record], None],
+    before: Result | None = None,
 ) -> Result:
-    """Iterate until the algorithm stops. Ctrl-C ends with the best iterate so far."""
-    records: list[Record] = []
+    """Iterate until the algorithm stops, `before` being the records and seconds so far.
+
+    Ctrl-C ends with the best iterate so far.
+    """
+    records = list(before.records) if before else []
     timing = Timing()
+    if before:
+        timing.add(before.timing)
     state = algorithm.init(subproblem, start)
     status = Status.MAX_ITERATIONS
     try:
-        for k in range(1, algorithm.max_iterations + 1):
+        for k in range(len(records) + 1, len(records) + algorithm.max_iterations + 1):
             state, record = algorithm.step(subproblem, dynamics, state, k, timing)
             records.append(record)
             observe(record)

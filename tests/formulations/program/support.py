@@ -15,7 +15,7 @@ from formulations.problem.polytopes import ball
 from formulations.problem.regions import Ball
 from formulations.program import solvers
 from formulations.program.certificate import ConeProgram
-from formulations.program.subproblem import Penalty, PenaltyParameters, Step
+from formulations.program.subproblem import MeritFunction, Penalty, PenaltyParameters, Step
 from formulations.rows.cones import Cones, Rows
 from formulations.rows.exact import NodeRows
 from formulations.rows.exact_flight import FlightRows
@@ -78,6 +78,11 @@ def charge_for(
     if penalty == "augmented":
         count = 6 + 3 * lin.problem.n_burns + rows.count
         return PenaltyParameters(2.0 * weight, multipliers=np.linspace(0.0, 2.0, count))
+    if penalty == "least":
+        return PenaltyParameters(1.0, least=True)
+    if penalty == "bounded":
+        violated = MeritFunction(lin.problem, rows).violated(lin)
+        return PenaltyParameters(weight, budget=0.9 * violated, allowed=np.inf)
     return PenaltyParameters(weight, prox=0.7 if penalty == "proximal" else 0.0)
 
 
@@ -167,7 +172,11 @@ def solve_plainly(
         charged = cp.hstack([miss, *v])
         cost += charge.multipliers @ charged + 0.5 * charge.weight * cp.sum_squares(charged)
     else:
-        cost += charge.weight * (10.0 * cp.norm1(miss) + sum(cp.sum(buffer) for buffer in v))
+        violated = 10.0 * cp.norm1(miss) + sum(cp.sum(buffer) for buffer in v)
+        if penalty == "bounded":
+            within.append(violated <= charge.budget)
+        else:
+            cost = charge.weight * violated + (0.0 if penalty == "least" else cost)
         if penalty == "proximal":
             cost += 0.5 * charge.prox * cp.sum_squares(step)
     program = cp.Problem(cp.Minimize(cost), [cp.abs(step) <= radius, *within])

@@ -190,10 +190,11 @@ def test_few_slots_and_no_row_at_first_end_where_everything_taken_does(name, pen
     assert subproblem._active.all()  # nothing but unused slots sets the second apart
     rel = 1e-7 if penalty == "exact" else 1e-6
     few_slots, every = (minimum(step, lin, charge) for step in found)
-    assert few_slots == pytest.approx(every, rel=rel)
-    assert found[0].burns == pytest.approx(found[1].burns, abs=1e-3)
+    assert few_slots == pytest.approx(every, rel=rel, abs=1e-9)
+    if penalty != "least":  # whose optimum is a set
+        assert found[0].burns == pytest.approx(found[1].burns, abs=1e-3)
     plain = solve_plainly(lin, rows, 0.5, penalty, charge)
-    assert every == pytest.approx(plain.value, rel=rel)
+    assert every == pytest.approx(plain.value, rel=rel, abs=1e-9)
 
 
 @pytest.mark.slow

@@ -103,6 +103,13 @@ def test_the_merit_is_delta_v_plus_what_the_penalty_charges(rng):
         augmented = cost + multipliers @ charged + 3.5 * sum(charged**2)
         charge = PenaltyParameters(7.0, multipliers=multipliers)
         assert evaluation(lin, charge) == pytest.approx(augmented)
+        least = PenaltyParameters(1.0, least=True)
+        assert evaluation(lin, least) == pytest.approx((exact - cost) / 7.0)
+        bounded = PenaltyParameters(7.0, budget=0.4, allowed=np.inf)
+        over = max((exact - cost) / 7.0 - 0.4, 0.0)
+        assert evaluation(lin, bounded) == pytest.approx(cost + 7.0 * over)
+        below = replace(bounded, allowed=0.99 * evaluation.worst_violation(lin))
+        assert evaluation(lin, below) == np.inf
         alone = MeritFunction(lin.problem, DeterministicRows(lin.problem))(other, 7.0)
         assert evaluation(other, 7.0) == pytest.approx(alone) != pytest.approx(exact)
 

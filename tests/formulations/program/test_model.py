@@ -60,8 +60,9 @@ def test_the_program_has_the_solution_of_the_one_said_plainly(formulation, name,
     # A minimum is known better than where it is. Where squares are charged the conic solver itself
     # is no better than this.
     rel = 1e-7 if penalty == "exact" else 1e-6
-    assert minimum(step, lin, charge) == pytest.approx(plain.value, rel=rel)
-    assert step.burns == pytest.approx(plain.burns, abs=1e-3)
+    assert minimum(step, lin, charge) == pytest.approx(plain.value, rel=rel, abs=1e-9)
+    if penalty != "least":  # whose optimum is a set
+        assert step.burns == pytest.approx(plain.burns, abs=1e-3)
 
 
 @pytest.mark.slow
@@ -79,8 +80,9 @@ def test_an_updated_program_is_a_new_one(formulation, name, penalty):
     for subproblem in (used, fresh):
         subproblem.update(moved)
     again, new = used.solve(0.5, charge), fresh.solve(0.5, charge)
-    assert again.merit == pytest.approx(new.merit, rel=1e-6)
-    assert again.burns == pytest.approx(new.burns, abs=1e-3)
+    assert again.merit == pytest.approx(new.merit, rel=1e-6, abs=1e-9)
+    if penalty != "least":
+        assert again.burns == pytest.approx(new.burns, abs=1e-3)
     assert np.abs(again.burns - moved.iterate.burns).max() <= 0.5 + 1e-6
 
 

@@ -91,9 +91,9 @@ def test_programs_are_compiled_once_and_only_their_numbers_change(case, name, mo
         applied.append(args)
         return apply(self, *args)
 
-    def watch(self: FallbackSolver, program: ConeProgram) -> Answer:
+    def watch(self: FallbackSolver, program: ConeProgram, gap: float) -> Answer:
         programs.append(program)
-        return solve(self, program)
+        return solve(self, program, gap)
 
     monkeypatch.setattr(SolvingChain, "apply", count)
     monkeypatch.setattr(FallbackSolver, "solve", watch)

@@ -1,0 +1,92 @@
+"""Near the border of feasibility every plan ends converged or infeasible, rightly.
+
+A limit is bisected, and probed within a ten-thousandth of the border. Multipliers grow without bound
+there, and the set of feasible plans shrinks to a point.
+"""
+
+import itertools
+
+import numpy as np
+import pytest
+
+from scp_recon.planning import initial_guess
+from scp_recon.planning.plan import Plan
+from scp_recon.planning.planner import plan
+from scp_recon.results.solution import make_solution
+from scp_recon.scp.status import Status
+from scp_recon.verification.reintegration import verify
+from tests.helpers import nightly
+from tests.scp_recon.support import mission_of
+
+RISKS = {
+    "uniform": (),
+    "node": ('risk.allocation="exact"', 'risk.scope="node"'),
+    "flight": ('risk.allocation="exact"', 'risk.scope="flight"'),
+}
+LIMITS = {
+    "burns.dv_max_m_s": (0.042, 0.036),
+    "risk.p_chance": (0.7, 0.999999),
+    "observation.site_distance_max_m": (740.0, 505.0),
+    "observation.site_distance_min_m": (500.0, 735.0),
+    "observation.emission_max_deg": (45.0, 20.5),
+    "uncertainty.execution_error": (0.1, 0.5),
+}
+"""Values with a plan, and without one."""
+
+WITHIN, APART = 1e-4, 3e-6
+"""Relative distance of probes from the border, and to which it is bisected."""
+
+
+def probe(risk: str, entry: str, value: float) -> Plan:
+    mission = mission_of(*RISKS[risk], f"{entry}={value!r}")
+    return plan(mission, initial_guess.cold(mission))
+
+
+def sweep(risk: str, entry: str, probes: int) -> list[Plan]:
+    """Plans from the feasible end to the infeasible one."""
+    good, bad = LIMITS[entry]
+    found = {}
+    while abs(good - bad) > APART * abs(good):
+        middle = 0.5 * (good + bad)
+        found[middle] = probe(risk, entry, middle)
+        good, bad = (middle, bad) if found[middle].status is Status.CONVERGED else (good, middle)
+    border = 0.5 * (good + bad)
+    for share in np.linspace(-WITHIN, WITHIN, max(2, probes - len(found))):
+        value = float(border * (1.0 + share))
+        found[value] = probe(risk, entry, value)
+    return [found[value] for value in sorted(found, reverse=bool(LIMITS[entry][0] > bad))]
+
+
+def assert_right(one: Plan) -> None:
+    lin = one.final.result.lin
+    if one.status is Status.CONVERGED:
+        assert verify(one.mission, make_solution(one)).failed == []
+    else:
+        assert one.status is Status.INFEASIBLE
+        assert one.final.merit.worst_violation(lin) > one.final.tolerance
+
+
+@nightly
+@pytest.mark.parametrize("entry", LIMITS)
+@pytest.mark.parametrize("risk", RISKS)
+def test_a_limits_border_switches_the_status_once(risk, entry):
+    plans = sweep(risk, entry, probes=40)
+    for one in plans:
+        assert_right(one)
+    assert sum(a.status is not b.status for a, b in itertools.pairwise(plans)) == 1
+
+
+@pytest.mark.parametrize(
+    ("risk", "entry", "value", "status"),
+    [
+        ("uniform", "burns.dv_max_m_s", 0.0409084, Status.INFEASIBLE),
+        ("uniform", "burns.dv_max_m_s", 0.04091012, Status.CONVERGED),
+        ("node", "burns.dv_max_m_s", 0.0370792, Status.INFEASIBLE),
+        ("node", "risk.p_chance", 0.9996328567697995, Status.INFEASIBLE),
+        ("flight", "burns.dv_max_m_s", 0.037169094085693355, Status.INFEASIBLE),
+    ],
+)
+def test_probes_that_once_stalled_have_a_verdict(risk, entry, value, status):
+    one = probe(risk, entry, value)
+    assert one.status is status
+    assert_right(one)
