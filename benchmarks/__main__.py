@@ -43,7 +43,6 @@ from experiments.harness import (
     Record,
     Session,
     Study,
-    number,
     option,
     records,
     run,
@@ -101,7 +100,8 @@ WAITS = {
 }
 """Commands that users wait for; `{out}` has the plan of `solve`."""
 
-FEW, MANY = 200, 2_200
+FEW, MANY, PLANS, QUEUED = 200, 2_200, 48, 100_000
+"""Empty cases, of which the times are compared; plans by each executor; cases of a scheduler."""
 WHERE = {
     "this process": 1,
     "1 process": 1,
@@ -216,8 +216,8 @@ def waited(name: str, out: Path) -> dict[str, Any]:
 def campaign_scale(session: Session) -> Findings:
     """Time empty cases and plans by every executor, and a scheduler's queue."""
     imported("cluster", "cluster", "distributed", "psutil")
-    count, limits, found = session.options.plans, Limits(600.0, memory_mb=4096), list[Record]()
-    axis = {"entry": "risk.p_chance", "grid": {"from": 0.7, "to": 0.8, "count": count}}
+    limits, found = Limits(600.0, memory_mb=4096), list[Record]()
+    axis = {"entry": "risk.p_chance", "grid": {"from": 0.7, "to": 0.8, "count": PLANS}}
     study = Campaign.validated({"axis": [axis]})
     plans, two = work_of(study), replace(study, axes=tuple(rows[:2] for rows in study.axes))
     few, many = (replace(study, axes=([{}] * cases,)) for cases in (FEW, MANY))
@@ -230,12 +230,12 @@ def campaign_scale(session: Session) -> Findings:
                 executor = Processes(cores, limits)
             _, empty_s = (spent(empty, many, executor) - spent(empty, few, executor)) / (MANY - FEW)
             more = spent(plans, study, executor) - spent(plans, two, executor)
-            wall_s, plan_s = more / (count - len(two.cases))
+            wall_s, plan_s = more / (PLANS - len(two.cases))
         row = {"where": where, "empty_s": empty_s, "plan_s": plan_s, "plans_a_second": 1.0 / wall_s}
         alone = found[0]["plans_a_second"] if found else row["plans_a_second"]
         found.append({**row, "efficiency": row["plans_a_second"] / cores / alone})
         session.say(", ".join(f"{key} {value}" for key, value in found[-1].items()))
-    return _found({"campaign_scale": found, "scheduler": [scheduler(session.options.queued)]})
+    return _found({"campaign_scale": found, "scheduler": [scheduler()]})
 
 
 def spent(work: CaseWork, study: Campaign, executor: Executor) -> Array:
@@ -268,7 +268,7 @@ def local_cluster(workers: int) -> Iterator[str]:
         yield cluster.scheduler_address
 
 
-def scheduler(queued: int) -> Record:
+def scheduler() -> Record:
     """Megabytes of a scheduler without and with queued cases, and its processor time for them, s."""
     import distributed
     import psutil
@@ -279,13 +279,13 @@ def scheduler(queued: int) -> Record:
     ):
         (process,) = psutil.Process().children()
         before, cpu = process.memory_info().rss, sum(process.cpu_times()[:2])
-        jobs = [pickle.dumps(Job(case, {})) for case in range(queued)]
+        jobs = [pickle.dumps(Job(case, {})) for case in range(QUEUED)]
         sent = client.map(empty, jobs, pure=False, batch_size=10_000)
         while client.run_on_scheduler(_tasks) < len(sent):
             time.sleep(0.5)
         after, took = process.memory_info().rss, sum(process.cpu_times()[:2]) - cpu
     sizes = {"before_mb": before / 1e6, "after_mb": after / 1e6}
-    return {"queued": queued, **sizes, "scheduler_s": took}
+    return {"queued": QUEUED, **sizes, "scheduler_s": took}
 
 
 def _tasks(dask_scheduler: Any) -> int:
@@ -302,14 +302,7 @@ STUDIES = {
     "methods": Study(__doc__, methods, [QUICK]),
     "growth": Study(__doc__, growth, [QUICK]),
     "waits": Study(__doc__, waits, [QUICK]),
-    "campaign_scale": Study(
-        __doc__,
-        campaign_scale,
-        [
-            number("--plans", 48, 3, 10_000, "plans each way"),
-            number("--queued", 100_000, 100, 10**7, "cases that a scheduler is given"),
-        ],
-    ),
+    "campaign_scale": Study(__doc__, campaign_scale),
 }
 
 

@@ -149,7 +149,7 @@ def accuracy_row(case: tuple[str, Method, int]) -> Record:
 
 def method_row(method: Method) -> Record:
     """A row of the table of methods."""
-    row = solve(Cell("matrix", "recon_b", (), method, "cold"), flights=0)
+    row = solve(Cell("matrix", "recon_b", (), method, "cold"))
     names = {"problem": row["scenario"], "start": row["start"], "method": row["method"]}
     return names | {"status": row["status"], "delta_v_m_s": row["total_dv_m_s"]}
 
@@ -157,7 +157,7 @@ def method_row(method: Method) -> Record:
 def exact_row(seed: int) -> Record:
     """The default's row of a scenario of exact risk."""
     (cell,) = (each for each in exact_design(range(seed, seed + 1)) if each.method == REFERENCE)
-    return solve(cell, flights=0)
+    return solve(cell)
 
 
 def peers_row(problem: str) -> Record:

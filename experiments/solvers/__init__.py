@@ -1,1 +1,5 @@
-"""Studies of forms, algorithms and solvers."""
+"""Studies of forms, algorithms and solvers.
+
+`cases` names methods and scenarios, `cells` solves one; `compare_solvers`, `variations` and `peers`
+are studies. They import the harness; sentinels and the study of feedback import them.
+"""

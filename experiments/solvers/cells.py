@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib
-import resource
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from itertools import pairwise
@@ -40,8 +39,7 @@ from formulations.rows.uniform import ChanceRows
 from scp_recon.api.options import PlanOptions
 from scp_recon.api.planning import plan_mission
 from scp_recon.mission.mission import Mission
-from scp_recon.monte_carlo.flights import FlightConfig, fly_many
-from scp_recon.monte_carlo.observation_time import ALL, joint_margins
+from scp_recon.monte_carlo.observation_time import joint_margins
 from scp_recon.planning import initial_guess
 from scp_recon.planning.missions import make_plan, other_starts
 from scp_recon.planning.plan import Plan, Provenance, Stage, StageSpec
@@ -73,16 +71,15 @@ def posed(problem: str) -> Mission:
     return Mission.from_scenario(load_scenario(*PROBLEMS[problem]))
 
 
-def solve(cell: Cell, flights: int) -> Record:
+def solve(cell: Cell) -> Record:
     """Solve a cell in this process: a row, SI.
 
     Columns besides those of `named`: status, a `Status` by name; problem, "P2" or, if it was not
-    reached, "P3"; at_once, whether the first try solved it; total delta-v and burns; merit_m_s and
-    heavy_merit_m_s, with the exact penalty of SCvx, first and second weight, of the burns as flown;
-    violation_m, the largest, velocities as metres per unit of time; iterations_p3 and iterations_p2;
-    total_s by the clock and cpu_s of the processor, imports apart; setup_s and solver_s of total_s;
-    peak_mib of memory; observed_s, the mean observation time of `flights` flights, if any; and with
-    exact risk asked, reached and reached_error, required and checked probability.
+    reached, "P3"; at_once, whether the first try solved it; total delta-v; heavy_merit_m_s, with
+    SCvx's exact penalty and second weight, of the burns as flown; violation_m, the largest, velocities
+    as metres per unit of time; iterations_p3 and iterations_p2; total_s by the clock and cpu_s of the
+    processor, imports apart; setup_s of total_s; and with exact risk asked, reached and reached_error,
+    required and checked probability.
     """
     mission = Mission.from_scenario(load_scenario(cell.base, cell.overrides))
     import_late(cell.method)
@@ -92,12 +89,10 @@ def solve(cell: Cell, flights: int) -> Record:
         "cpu_s": process_time() - begin,
         "total_s": done.total_s,
         "setup_s": done.timing.setup,
-        "solver_s": done.timing.conic_solver,
-        "peak_mib": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0,  # so far, on Linux
         "at_once": not any(stage.spec.start for _, stage in pairwise(done.stages)),
         "detail": "",
     }
-    own = by_check(mission, done) if cell.group == EXACT else by_merit(mission, done, flights)
+    own = by_check(mission, done) if cell.group == EXACT else by_merit(mission, done)
     return {**named(cell), **plan_figures(done), **effort, **own}
 
 
@@ -153,29 +148,22 @@ def stage_solver(mission: Mission, method: Method, **parameters: Any) -> StageSo
     return planner
 
 
-def by_merit(mission: Mission, done: Plan, flights: int) -> Record:
-    """Cost, violation and, by samples if any, observation time of a plan's flight."""
+def by_merit(mission: Mission, done: Plan) -> Record:
+    """Cost, violation and merit of a plan's flight."""
     lin, merit, speed = done.final.result.lin, done.final.merit, mission.units.speed_m_s
     if not lin.is_dynamically_feasible:
         # A nonlinear program may end with gaps between its arcs, which no flight has.
         lin = rolled_out(mission, lin.iterate.burns)
-    weights, burns = SCvx(), lin.iterate.burns * speed
-    observed = np.nan
-    if flights:
-        observed = fly_many(FlightConfig(mission, burns), samples=flights).held[ALL].mean().value
     return {
-        "problem": "P2" if isinstance(merit.rows, ChanceRows) else "P3",
+        "problem": done.final.problem,
         "total_dv_m_s": lin.iterate.total_dv * speed,
-        "merit_m_s": merit(lin, weights.weight) * speed,
-        "heavy_merit_m_s": merit(lin, weights.weight_max) * speed,
+        "heavy_merit_m_s": merit(lin, SCvx().weight_max) * speed,
         "violation_m": merit.worst_violation(lin) * mission.units.length_m,
-        "observed_s": observed,
-        "burns_m_s": " ".join(f"{x:.9g}" for x in burns.ravel()),
     }
 
 
 def by_check(mission: Mission, done: Plan) -> Record:
-    """Cost, violation and probability of a plan with exact risk, by the independent check."""
+    """Violation and probability of a plan with exact risk, by the independent check."""
     reached, error = checked_probability(mission, done.burns_m_s)
     return {
         "problem": "P2",
@@ -183,7 +171,6 @@ def by_check(mission: Mission, done: Plan) -> Record:
         "asked": mission.scenario.risk.p_chance,
         "reached": reached,
         "reached_error": error,
-        "burns_m_s": " ".join(f"{x:.9g}" for x in done.burns_m_s.ravel()),
     }
 
 

@@ -38,7 +38,6 @@ from formulations.rows.uniform import ChanceRows
 from scp_recon.api.options import PlanOptions
 from scp_recon.api.planning import plan_mission
 from scp_recon.jobs.processes import Limits, Processes
-from scp_recon.mission.grid import Units
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
 from scp_recon.planning.plan import Plan, StageSpec
@@ -319,9 +318,6 @@ def trick_row(name: str) -> Record:
         "unknowns": str(run.unknowns),
         "rows": str(run.rows),
         "iterations": str(max(len(run.iterations) - 1, 0)),
-        "build wall s": f"{run.build_s:.2f}",
-        "IPOPT wall s": f"{run.solve_s:.2f}",
-        "of it evaluating wall s": f"{run.evaluate_s:.2f}",
         "processor s": f"{seconds:.2f}",
     }
 
@@ -339,25 +335,14 @@ def nlp_tricks(session: Session) -> Findings:
 
 # --- sensitivity: parameters of the loop ----------------------------------------------------------
 
-
-class Factor(NamedTuple):
-    """What is varied: an attribute of `ExactPenalty`, its usual value in the planner's units; SI."""
-
-    attribute: str
-    usual: float
-    unit: str
-    scale: Callable[[Units], float]
-
-
 DYNAMICS = "dynamics weight"
 FACTORS = {
-    "penalty weight": Factor("weight", SCvx.weight, "m/s per m", lambda units: 1 / units.time_s),
-    "first radius": Factor(
-        "initial_radius", SCvx.initial_radius, "m/s", lambda units: units.speed_m_s
-    ),
-    DYNAMICS: Factor("", subproblem.DYNAMICS_WEIGHT, "of a constraint", lambda _: 1.0),
+    "penalty weight": ("weight", SCvx.weight),
+    "first radius": ("initial_radius", SCvx.initial_radius),
+    DYNAMICS: ("", subproblem.DYNAMICS_WEIGHT),
 }
-"""By name; SCvx and PTR have the same. The dynamics weight is a constant of the program."""
+"""By name an attribute of `ExactPenalty` and its usual value in the planner's units; SCvx and PTR have
+the same. The dynamics weight is a constant of the program."""
 MULTIPLES = (0.001, 0.01, 0.1, 1.0, 10.0, 100.0, 1000.0)
 VARIED = ("scvx", "ptr")
 
@@ -378,13 +363,13 @@ def dynamics_weight(weight: float) -> Iterator[None]:
 def parameter_row(case: tuple[str, str, str, float]) -> Record:
     """Plan a problem by an algorithm with a factor at a multiple of its usual value."""
     problem, algorithm, name, multiple = case
-    mission, factor = posed(problem), FACTORS[name]
-    start, value = initial_guess.cold(mission), multiple * factor.usual
+    mission, (attribute, usual) = posed(problem), FACTORS[name]
+    start, value = initial_guess.cold(mission), multiple * usual
 
     def plan() -> Plan:
         planner = Planner(mission, algorithm=algorithm)
-        if factor.attribute:
-            planner.algorithm = ALGORITHMS[algorithm](**{factor.attribute: value})
+        if attribute:
+            planner.algorithm = ALGORITHMS[algorithm](**{attribute: value})
         return planner.plan(start)
 
     with dynamics_weight(value if name == DYNAMICS else subproblem.DYNAMICS_WEIGHT):
@@ -395,8 +380,6 @@ def parameter_row(case: tuple[str, str, str, float]) -> Record:
         "factor": name,
         "multiple": multiple,
         "value": value,
-        "value_si": value * factor.scale(mission.units),
-        "unit": factor.unit,
         **plan_figures(found),
         "processor_s": seconds,
     }

@@ -1,5 +1,6 @@
 """The comparison of solvers: rows, tables and claims that follow from them."""
 
+import hashlib
 from dataclasses import replace
 
 import numpy as np
@@ -48,13 +49,12 @@ def test_cells_are_solved_as_the_planner_solves(mission):
     done = plan(mission, initial_guess.cold(mission))
     expected = done.final.result.lin.iterate.total_dv * mission.units.speed_m_s
     for start in ("cold", "p3"):
-        row = solve(replace(CELL, start=start), 0)
+        row = solve(replace(CELL, start=start))
         assert row["status"] == "converged"
         assert row["total_dv_m_s"] == pytest.approx(expected, rel=1e-9)
-        assert row["merit_m_s"] == pytest.approx(expected, rel=1e-6)
+        assert row["heavy_merit_m_s"] == pytest.approx(expected, rel=1e-6)
         assert row["iterations_p2"] == len(done.final.result.records)
-        assert 0.0 < row["solver_s"] < row["total_s"]
-        assert row["peak_mib"] > 10.0
+        assert 0.0 < row["setup_s"] < row["total_s"]
 
 
 @pytest.mark.parametrize("name", PROBLEMS)
@@ -70,7 +70,7 @@ def test_every_method_gets_every_problem(name):
 
 def test_uno_finds_the_optimum_of_scp():
     ours, theirs = (
-        solve(Cell("scenarios", "recon_b", (), method, "p3"), 0)
+        solve(Cell("scenarios", "recon_b", (), method, "p3"))
         for method in (REFERENCE, SHOOTING_UNO)
     )
     assert theirs["status"] == "converged"
@@ -103,7 +103,7 @@ def test_claims_hold_where_rows_say_so():
     assert claims(pd.DataFrame(rows))[0].holds is False
 
 
-def test_random_scenarios_count_distances_from_the_least():
+def test_shares_count_distances_from_the_least():
     rows = [
         *(row_of("a", REFERENCE, 0.1), row_of("a", TUNED, 0.1005)),
         *(row_of("b", REFERENCE, 0.2), row_of("b", TUNED, 0.1)),
@@ -135,16 +135,16 @@ def test_exact_plans_count_only_if_they_hold():
 def test_drawn_scenarios_stay_as_they_are():
     """Later work compares plans of scenarios by their numbers."""
     name, changes = drawn(42)
-    assert name == "node 42"
-    assert changes["risk.p_chance"] == 0.941
+    assert (name, changes["risk.p_chance"]) == ("node 42", 0.941)
     assert changes["boundary.initial_position_m"] == [68.766281, -1070.514, 378.632735]
+    every = hashlib.sha256(repr([drawn(seed) for seed in range(200)]).encode()).hexdigest()
+    assert every.startswith("65ae75d1a36e5b07")
     assert {cell.scenario for cell in exact_design(range(3))} == {"node 00", "flight 01", "node 02"}
 
 
 def test_stopped_command_continues(tmp_path, monkeypatch):
     monkeypatch.setattr(compare_solvers, "full_design", lambda: (CELL,))
     monkeypatch.setattr(compare_solvers, "exact_design", lambda *_: ())
-    monkeypatch.setattr(compare_solvers, "FLIGHTS", 1000)
     written = []
     for _ in range(2):
         assert main(["compare_solvers", "--quiet", "--out", str(tmp_path)]) == 0
