@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -23,43 +23,31 @@ POINTS, BINS = 97, 60
 """Points of an ellipse, and bins of a histogram."""
 
 
-@dataclass(frozen=True, eq=False)
-class Spreads:
-    """Covariances over time of a plan with corrections, J2000, m and m/s, shape (n, 6, 6) each.
+def covariances_of(subject: Subject) -> list[Array]:
+    """Covariances of the deviations at the nodes with the corrections of so many burns, none to all.
 
-    Attributes:
-        times_s: nodes, shape (n,).
-        by_corrections: of the deviations with the corrections of so many burns, none to all.
-        known: of the estimate's error.
+    From a plan's file; J2000, m and m/s, shape (n, 6, 6) each.
     """
-
-    times_s: Array
-    by_corrections: tuple[Array, ...]
-    known: Array
-
-    @classmethod
-    def of(cls, subject: Subject) -> Spreads:
-        """Covariances from a plan's file."""
-        mission, solution = subject.mission, subject.solution
-        units, problem = mission.units, mission.problem
-        path = nondimensional(mission, solution.burns_m_s, np.array(solution.nodes.state))
-        lin = with_policy(mission, mission.dynamics.linearise(problem, path), solution.corrections)
-        corrected = [one.burn for one in solution.corrections]
-        covariances = []
-        for count in range(len(corrected) + 1):
-            later = np.array(corrected[count:], dtype=np.intp)
-            gains = problem.without_corrections(lin.iterate.gains, later)
-            some = Linearisation(problem, replace(lin.iterate, gains=gains), lin.arcs)
-            factor = some.factor * units.state[:, None]
-            covariances.append(factor @ factor.swapaxes(1, 2))
-        return cls(subject.nodes_s, tuple(covariances), np.array(solution.nodes.knowledge))
+    mission, solution = subject.mission, subject.solution
+    path = nondimensional(mission, solution.burns_m_s, np.array(solution.nodes.state))
+    lin = mission.dynamics.linearise(mission.problem, path)
+    lin = with_policy(mission, lin, solution.corrections)
+    corrected = [one.burn for one in solution.corrections]
+    covariances = []
+    for count in range(len(corrected) + 1):
+        later = np.array(corrected[count:], dtype=np.intp)
+        gains = mission.problem.without_corrections(lin.iterate.gains, later)
+        some = Linearisation(mission.problem, replace(lin.iterate, gains=gains), lin.arcs)
+        factor = some.factor * mission.units.state[:, None]
+        covariances.append(factor @ factor.swapaxes(1, 2))
+    return covariances
 
 
 def correction_charts(plans: Sequence[Shown]) -> Iterator[dict[str, Any]]:
     """Charts of the plans with corrections; none if no plan has any."""
     plans = [plan for plan in plans if _is_corrected(plan.subject)]
     if plans:
-        spreads = [Spreads.of(plan.subject) for plan in plans]
+        spreads = [covariances_of(plan.subject) for plan in plans]
         yield knowledge_chart(plans, spreads)
         yield ellipses_chart(plans, spreads)
         yield commanded_chart(plans)
@@ -71,15 +59,15 @@ def _is_corrected(subject: Subject) -> bool:
     return None not in (policy, known) and not is_strange(subject.mission, policy)
 
 
-def knowledge_chart(plans: Sequence[Shown], spreads: Sequence[Spreads]) -> dict[str, Any]:
+def knowledge_chart(plans: Sequence[Shown], spreads: Sequence[list[Array]]) -> dict[str, Any]:
     """Dispersion with and without corrections, and knowledge, over time."""
     panels = Panels(["position, 1 sigma (m)", "velocity, 1 sigma (mm/s)"])
     panels.window(plans[0].subject.mission.schedule.window_s)
     for number, (plan, spread) in enumerate(zip(plans, spreads, strict=True)):
         curves = {
-            "dispersion": spread.by_corrections[-1],
-            "dispersion without corrections": spread.by_corrections[0],
-            "knowledge: error of the estimate": spread.known,
+            "dispersion": spread[-1],
+            "dispersion without corrections": spread[0],
+            "knowledge: error of the estimate": np.array(plan.subject.solution.nodes.knowledge),
         }
         for i, (name, covariance) in enumerate(curves.items()):
             said = labelled(plan.subject.name, name, len(plans) == 1)
@@ -89,14 +77,14 @@ def knowledge_chart(plans: Sequence[Shown], spreads: Sequence[Spreads]) -> dict[
                 sigma = scale * np.sqrt(variance[:, part].sum(axis=1))
                 style = {"dash": DASHES[i]}
                 panels.curve(
-                    spread.times_s, sigma, said, colour, panel, legend=panel == 0, line=style
+                    plan.subject.nodes_s, sigma, said, colour, panel, legend=panel == 0, line=style
                 )
     for panel in range(2):
         panels.y_axis(panel, **LOGARITHMIC)
     return panels.chart("knowledge", "Dispersion and knowledge over time")
 
 
-def ellipses_chart(plans: Sequence[Shown], spreads: Sequence[Spreads]) -> dict[str, Any]:
+def ellipses_chart(plans: Sequence[Shown], spreads: Sequence[list[Array]]) -> dict[str, Any]:
     """Ellipses of the position that each correction is for, before it and after it.
 
     They are at the middle of the rest of the window after the burn, or at its end.
@@ -106,9 +94,11 @@ def ellipses_chart(plans: Sequence[Shown], spreads: Sequence[Spreads]) -> dict[s
         name = "" if len(plans) == 1 else f"{plan.subject.name}, "
         for j, one in enumerate(plan.subject.solution.corrections):
             node = _node_served(plan.subject, one.burn)
-            pair = [covariance[node, :3, :3] for covariance in spread.by_corrections[j : j + 2]]
+            pair = [covariance[node, :3, :3] for covariance in spread[j : j + 2]]
             burn = plan.budget.first + one.burn
-            title = f"{name}burn {burn}, seen at {spread.times_s[node]:.0f} s: second axis (m)"
+            title = (
+                f"{name}burn {burn}, seen at {plan.subject.nodes_s[node]:.0f} s: second axis (m)"
+            )
             drawn.append((title, pair))
     panels = Panels([title for title, _ in drawn], "longest axis before the correction (m)", 240)
     panels.layout["hovermode"] = "closest"

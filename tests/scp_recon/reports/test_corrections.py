@@ -1,5 +1,6 @@
 """What a report draws of corrections: the file's own spread and knowledge, and the flights' delta-v."""
 
+import itertools
 from dataclasses import replace
 from datetime import UTC, datetime
 from typing import Any
@@ -10,7 +11,7 @@ import pytest
 import scp_recon as sr
 from scp_recon.physics import geometry
 from scp_recon.physics.frames import unit
-from scp_recon.reports.corrections import ELLIPSE, Spreads, correction_charts
+from scp_recon.reports.corrections import ELLIPSE, correction_charts, covariances_of
 from scp_recon.reports.flights import Shown
 from scp_recon.reports.ground import Camera
 from scp_recon.reports.scene import picture
@@ -38,12 +39,12 @@ def charts(shown) -> dict[str, dict[str, Any]]:
 
 
 def test_all_corrections_together_are_the_files_covariance(subject):
-    spreads, nodes = Spreads.of(subject), subject.solution.nodes
+    found, nodes = covariances_of(subject), subject.solution.nodes
     size = np.outer(subject.mission.units.state, subject.mission.units.state)
-    assert len(spreads.by_corrections) == 4
-    last = spreads.by_corrections[-1] / size
+    assert len(found) == 4
+    last = found[-1] / size
     np.testing.assert_allclose(last, np.array(nodes.covariance) / size, rtol=1e-6, atol=1e-9)
-    for before, after in zip(spreads.by_corrections, spreads.by_corrections[1:], strict=False):
+    for before, after in itertools.pairwise(found):
         assert np.abs(before / size - after / size).max() > 1e-6
 
 
@@ -63,11 +64,11 @@ def test_knowledge_and_dispersion_are_drawn_at_the_nodes(charts, subject):
 
 def test_each_correction_has_ellipses_before_and_after_it(charts, subject):
     """The longer axis of the first is as long as its covariance says, along the chart."""
-    data, spreads = charts["ellipses"]["data"], Spreads.of(subject)
+    data = charts["ellipses"]["data"]
     assert [trace["name"] for trace in data] == 3 * ["before", "after"]
     titles = [note["text"] for note in charts["ellipses"]["layout"]["annotations"]]
     assert ["burn 2" in titles[0], "burn 3" in titles[1], "burn 4" in titles[2]] == 3 * [True]
-    end = spreads.by_corrections[1][-1, :3, :3]
+    end = covariances_of(subject)[1][-1, :3, :3]
     longest = ELLIPSE * np.sqrt(np.linalg.eigvalsh(end)[-1])
     assert max(data[2]["x"]) == pytest.approx(longest, rel=1e-2)
     assert max(np.hypot(data[2]["x"], data[2]["y"])) == pytest.approx(longest, rel=1e-2)
