@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from formulations.arrays import Array
+from formulations.problem.regions import check_size
 
 VANISHED = 1e-3
 """Share of the larger fixed error: a smaller burn counts as not executed."""
@@ -24,7 +25,13 @@ TINY = 1e-300
 
 
 class ExecutionErrors(ABC):
-    """Model of the burns' errors, in the burns' units."""
+    """Model of the burns' errors, in the burns' units; its sizes are of one sigma."""
+
+    def __post_init__(self) -> None:
+        """Refuse sizes that are negative or not finite."""
+        for name, size in vars(self).items():
+            if name != "executed":  # numbers of burns
+                check_size(name, size)
 
     @property
     @abstractmethod

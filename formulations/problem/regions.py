@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from numbers import Real
 
 import numpy as np
 
@@ -159,9 +160,16 @@ def _all_along(still: Booleans, low: Array, high: Array) -> Chord:
     return np.where(still, -np.inf, low), np.where(still, np.inf, high)
 
 
-def _require(holds: bool, name: str, given: float, allowed: str) -> None:
-    if not holds:
-        raise ValueError(f"{name}: got {given}; must be {allowed}")
+def check_size(
+    name: str, given: object, below: float = np.inf, allowed: str = "0 or more, and finite"
+) -> None:
+    """Refuse what is no number from 0 to less than a bound.
+
+    Raises:
+        ValueError: naming the entry, what was given and what is allowed.
+    """
+    if not (isinstance(given, Real) and 0.0 <= float(given) < below):
+        raise ValueError(f"{name}: got {given!r}; must be {allowed}")
 
 
 @dataclass(frozen=True)
@@ -178,7 +186,7 @@ class Ball:
 
     def __post_init__(self) -> None:
         """Refuse a radius of no ball."""
-        _require(0.0 <= self.radius < np.inf, "radius", self.radius, "0 or more, and finite")
+        check_size("radius", self.radius)
 
     def at(self, which: Indices) -> Ball:
         """The balls of some nodes."""
@@ -231,8 +239,7 @@ class Cone:
 
     def __post_init__(self) -> None:
         """Refuse an angle of no convex cone."""
-        allowed = "an angle from 0 to less than pi/2"
-        _require(0.0 <= self.half_angle < np.pi / 2.0, "half_angle", self.half_angle, allowed)
+        check_size("half_angle", self.half_angle, np.pi / 2.0, "from 0 to less than pi/2, rad")
 
     @cached_property
     def _side(self) -> Array:
@@ -320,7 +327,7 @@ class Ellipsoid:
 
     def __post_init__(self) -> None:
         """Refuse a radius of no ellipsoid."""
-        _require(0.0 <= self.radius < np.inf, "radius", self.radius, "0 or more, and finite")
+        check_size("radius", self.radius)
 
     @cached_property
     def ball(self) -> Ball:

@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
+from numbers import Real
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -31,7 +32,7 @@ from formulations.problem.polytopes import ball
 from formulations.problem.regions import Ball, Cone, Ellipsoid, Halfspaces, Polytope, Region
 from scp_recon.certification.certify import certified
 from scp_recon.certification.flights import KeptCounts, Step
-from scp_recon.errors import InputError, one_of
+from scp_recon.errors import InputError, one_of, shortened
 from scp_recon.impulsive.plan import ImpulsivePlan
 from scp_recon.planning.method import ALGORITHM, FORMULATION, SOLVER, scp_method
 from scp_recon.planning.planner import Planner
@@ -55,6 +56,10 @@ FACETS, CONE_FACETS = 24, 8
 """Of the polytopes about balls and cones where risk is split evenly."""
 
 NO_ERRORS = ComponentwiseErrors(0.0)
+PAIRS = {
+    "units": "a length and a time",
+    "final_sigma": "of position and of velocity, or None",
+}
 
 
 class Risk(NamedTuple):
@@ -97,8 +102,12 @@ class Keep:
         one_of(f"{name}: side", self.side, ("in", "out"))
         if not isinstance(self.region, Region):
             raise InputError("region", f"{self.region!r}", "must be a Ball, Cone, Halfspaces, ...")
-        count = None if self.nodes is None else np.size(np.asarray(self.nodes))
-        scaled(name, self.region, count, 1.0)
+        nodes = None if self.nodes is None else np.asarray(self.nodes)
+        if nodes is not None and (nodes.ndim != 1 or nodes.dtype.kind != "i" or not len(nodes)):
+            raise InputError(f"{name}: nodes", f"{self.nodes}", "must be some indices of nodes")
+        if nodes is not None and (nodes[0] < 0 or np.any(np.diff(nodes) <= 0)):
+            raise InputError(f"{name}: nodes", f"{self.nodes}", "must ascend from 0")
+        scaled(name, self.region, None if nodes is None else len(nodes), 1.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,6 +163,8 @@ class ImpulsiveProblem:
     def __post_init__(self) -> None:
         """Refuse entries that contradict each other."""
         one_of("scope", self.scope, ("uniform", "node", "flight"))
+        if not isinstance(getattr(self.flow, "arcs", None), int):
+            raise InputError("flow", f"{self.flow!r}", "must be a flow, such as ExpressionFlow")
         n, nodes = self.flow.arcs, np.asarray(self.burn_nodes)
         if nodes.ndim != 1 or not len(nodes) or nodes.dtype.kind != "i" or nodes[-1] != n:
             raise InputError("burn_nodes", f"{nodes.tolist()}", f"must be indices, the last {n}")
@@ -161,22 +172,26 @@ class ImpulsiveProblem:
             raise InputError("burn_nodes", f"{nodes.tolist()}", "must ascend from 0")
         for name in ("initial_state", "final_state"):
             _finite(name, getattr(self, name), (6,))
-        if not 0.0 < self.dv_max < np.inf:
-            raise InputError("dv_max", f"{self.dv_max}", "must be positive and finite")
-        if not 0.5 < self.probability <= 1.0 - 1e-9:
+        _positive("dv_max", self.dv_max)
+        if not 0.5 < _positive("probability", self.probability) <= 1.0 - 1e-9:
             raise InputError("probability", f"{self.probability}", "must be in (0.5, 1)")
-        if self.units is not None and (len(self.units) != 2 or not min(self.units) > 0.0):
-            raise InputError("units", f"{self.units}", "must be a positive length and time")
+        for name, pair in (("units", self.units), ("final_sigma", self.final_sigma)):
+            if pair is not None and np.shape(np.array(pair, dtype=object)) != (2,):
+                raise InputError(name, f"{pair}", "must be two: " + PAIRS[name])
+        for size in self.units or ():
+            _positive("units", size)
         if self.initial_covariance is not None:
             _covariance_factor("initial_covariance", self.initial_covariance)
         if not isinstance(self.errors, ExecutionErrors | None):
             raise InputError("errors", f"{self.errors!r}", "must be a model, such as GatesErrors")
-        if any(limit is not None and not limit > 0.0 for limit in self.final_sigma):
-            raise InputError("final_sigma", f"{self.final_sigma}", "must be positive, or None")
-        if isinstance(self.regions, Keep) or not all(isinstance(k, Keep) for k in self.regions):
-            raise InputError(
-                "regions", "what is no Keep", 'must be a list of Keep("in" or "out", ..)'
-            )
+        for limit in self.final_sigma:
+            if limit is not None:
+                _positive("final_sigma", limit)
+        if not (
+            isinstance(self.regions, Sequence) and all(isinstance(k, Keep) for k in self.regions)
+        ):
+            given = f"{self.regions!r}"
+            raise InputError("regions", given, 'must be a list of Keep("in" or "out", ..)')
         names = [name for name, _ in self._named]
         if len(set(names)) < len(names):
             raise InputError("regions", f"the names {', '.join(names)}", "must differ")
@@ -300,10 +315,8 @@ class ImpulsiveProblem:
         """A region's constraint, or those of the faces of a polytope that is kept in."""
         n = self.flow.arcs
         nodes = np.arange(1, n + 1) if keep.nodes is None else np.asarray(keep.nodes)
-        if nodes.ndim != 1 or nodes.dtype.kind != "i" or not len(nodes):
-            raise InputError(f"{name}: nodes", f"{keep.nodes}", "must be some indices of nodes")
-        if nodes[0] < 0 or nodes[-1] > n or np.any(np.diff(nodes) <= 0):
-            raise InputError(f"{name}: nodes", f"{keep.nodes}", f"must ascend within 0 and {n}")
+        if nodes[-1] > n:
+            raise InputError(f"{name}: nodes", f"{keep.nodes}", f"must be at most {n}")
         region = scaled(name, keep.region, len(nodes), self.length)
         p = self.probability
         if keep.side == "out" or not isinstance(region, Polytope):
@@ -421,7 +434,7 @@ def scaled(name: str, region: Region, n: int | None, length: float) -> Region:
     """
 
     def each(of: str, value: npt.ArrayLike, width: tuple[int, ...] = (3,)) -> Array:
-        array = np.asarray(value, dtype=float)
+        array = _numbers(f"{name}: {of}", value)
         count = len(array) if n is None and array.ndim > len(width) else n or 1
         if array.shape not in (width, (count, *width)) or not np.isfinite(array).all():
             found = f"{of} of shape {array.shape}" if np.isfinite(array).all() else f"{of} {array}"
@@ -473,8 +486,22 @@ def _has_points(normal: Array, offset: Array) -> bool:
     return bool(found.status == 0 and float(found.fun or 0.0) < 0.0)
 
 
+def _positive(name: str, given: object) -> float:
+    """A positive, finite number."""
+    if not isinstance(given, Real) or not 0.0 < float(given) < np.inf:
+        raise InputError(name, shortened(given), "must be positive and finite")
+    return float(given)
+
+
+def _numbers(name: str, value: npt.ArrayLike) -> Array:
+    try:
+        return np.asarray(value, dtype=float)
+    except (TypeError, ValueError):
+        raise InputError(name, shortened(value), "must be numbers") from None
+
+
 def _finite(name: str, value: npt.ArrayLike, shape: tuple[int, ...]) -> Array:
-    array = np.asarray(value, dtype=float)
+    array = _numbers(name, value)
     if array.shape != shape or not np.isfinite(array).all():
         found = f"shape {array.shape}" if array.shape != shape else "numbers that are not finite"
         raise InputError(name, found, f"must be finite, of shape {shape}")
