@@ -118,14 +118,6 @@ def measure(out: Path, samples: int, check: bool, row: Row) -> Record:
         return about(row, f"failed: {type(error).__name__}: {' '.join(str(error).split())[:200]}")
 
 
-def line(row: Record) -> str:
-    """A row's line of progress."""
-    if "mean_s" not in row:
-        return f"{row['row']:14} {row['status']}"
-    times = f"observes {row['mean_s']:.0f} s, worst 1 sigma {row['worst_1_sigma_s']:.0f} s"
-    return f"{row['row']:14} {row['total_dv_m_s']:.5f} m/s, {times}; {row['status']}"
-
-
 def run(session: Session) -> Findings:
     """Design and fly every row."""
     options, quick = session.options, session.options.quick
@@ -138,7 +130,7 @@ def run(session: Session) -> Findings:
     work = partial(measure, session.out, samples, not quick)
     store = session.store(samples=samples, check=not quick, kernel=str(options.as_flown))
     jobs = [Job(row.key, row) for row in cases]
-    entries = session.rows("rows", work, jobs, store, line=line)
+    entries = session.rows("rows", work, jobs, store)
     tested, decided = statements(entries), {words: same for same, words in OUTCOMES.items()}
     claims = [
         Claim(

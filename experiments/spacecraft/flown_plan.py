@@ -35,7 +35,7 @@ from scp_recon.mission.scene import execution_errors
 from scp_recon.monte_carlo.estimates import proportion
 from scp_recon.monte_carlo.sampling import BLOCK
 from scp_recon.results.solution import Solution
-from scp_recon.simulation.flight import Actuators, distance_in_sigmas
+from scp_recon.simulation.flight import distance_in_sigmas
 from scp_recon.simulation.record import (
     FlightSummary,
     Record,
@@ -88,7 +88,7 @@ def row(record: Record) -> Row:
 
 
 def figures(rows: Sequence[Row], flights: Sequence[Record]) -> list[Row]:
-    """Power, charge, wheels and misses of all flights together."""
+    """Power, charge and misses of all flights together."""
 
     def joined(name: str) -> Array:
         return np.concatenate([one.arrays[name][1:] for one in flights])
@@ -96,24 +96,12 @@ def figures(rows: Sequence[Row], flights: Sequence[Record]) -> list[Row]:
     def column(name: str) -> Array:
         return np.array([one[name] for one in rows])
 
-    generated, drawn, missed = (
-        joined("panel_w").sum(axis=1),
-        joined("consumed_w"),
-        column("terminal_miss_m"),
-    )
-    ratio = generated / drawn
-    thrusters = np.mean([np.mean(r.arrays["actuators"] == Actuators.THRUSTERS) for r in flights])
+    generated, missed = joined("panel_w").sum(axis=1), column("terminal_miss_m")
     found = {
         "flights": len(flights),
         "least generation, W": generated.min(),
         "most generation, W": generated.max(),
-        "least load, W": drawn.min(),
-        "most load, W": drawn.max(),
-        "least generation over load": ratio.min(),
-        "mean of it": ratio.mean(),
-        "most of it": ratio.max(),
-        "fastest wheel, rad/s": max(np.abs(r.arrays["wheel_speed_rad_s"]).max() for r in flights),
-        "share of time on micro-thrusters": thrusters,
+        "most load, W": joined("consumed_w").max(),
         "least state of charge": column("least_charge").min(),
         "momentum dumps a flight": column("dumps").mean(),
         "least miss of the final position, m": missed.min(),

@@ -186,27 +186,6 @@ def test_normal_samples_are_told_from_others():
     assert np.all(np.diff(expected) > 0.0)
 
 
-SPREAD_M = 10.0
-"""Of every position in the short plan's covariance."""
-
-
-@pytest.mark.slow
-def test_samples_spread_as_paths_do():
-    mission, vehicle = mission_of(*SHORT), load_vehicle()
-    solution = short_plan(mission)
-    fraction = solution.scenario.uncertainty.initial_sigma_fraction
-    errors = vehicle.errors.model_copy(update={"initial_state": fraction})
-    erring = vehicle.model_copy(update={"errors": errors})
-    ends = fly_paths(solution, erring, PATH_SETS[BOTH], 3000, 7) - solution.nodes.state[-1]
-    expected = np.linalg.norm(ends[:, :3], axis=1) / SPREAD_M
-    found = flown_plan.sample_distances(solution, vehicle, 3000)
-    assert found.shape == (3000, len(solution.nodes.t_s))
-    assert np.std(found[:, -1]) == pytest.approx(np.std(expected), rel=0.1)
-    assert np.mean(found[:, -1]) == pytest.approx(np.mean(expected), rel=0.05)
-    first = np.sqrt(np.mean(found[:, 0] ** 2))
-    assert first == pytest.approx(np.linalg.norm(mission.initial_sigma[:3]) / SPREAD_M, rel=0.05)
-
-
 # --- flights by the simulation --------------------------------------------------------------------
 
 
