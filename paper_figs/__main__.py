@@ -35,7 +35,6 @@ from paper_figs.inputs import (
     FLOWN_PLAN,
     PAPER,
     SIMULATED,
-    Runs,
     Source,
     read_flight,
     read_flights,
@@ -46,9 +45,7 @@ from paper_figs.inputs import (
 from scp_recon.errors import one_of
 from scp_recon.files import unwritable
 from scp_recon.mission.mission import Mission
-from scp_recon.results.solution import Solution
 from scp_recon.scenario.load import load_scenario
-from scp_recon.simulation.record import Record
 
 PICTURES = (".png", ".pdf")
 
@@ -155,16 +152,11 @@ ALONE = {
 EVERYTHING: dict[str, Item] = FIGURES | STUDIES | ALONE
 
 
-def plan_hash_of(source: object) -> str | None:
+def plan_hash_of(source: Any) -> str | None:
     """Hash of the plan of which a figure is drawn; None if it is not one known plan."""
-    match source:
-        case Runs(plan=flown):
-            return flown.solution.plan_hash
-        case (Solution() | Record()) as one:
-            return one.plan_hash
-        case [Record() as record, *_]:
-            return record.plan_hash
-    return None
+    one = source[0] if isinstance(source, list) else source
+    found: str | None = getattr(one, "plan_hash", None)
+    return found
 
 
 def draw(

@@ -130,6 +130,11 @@ class Runs:
     plan: FlownPlan
     reference: FlownPlan
 
+    @property
+    def plan_hash(self) -> str:
+        """Hash of the plan."""
+        return self.plan.solution.plan_hash
+
 
 def read_runs(folder: Path) -> Runs:
     """Read results of `experiments observation_table`, or a plan; fly missing flights of a plan.
