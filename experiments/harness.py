@@ -29,8 +29,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from experiments.evidence import FILE, Evidence
-from scp_recon.api.options import PlanOptions
-from scp_recon.api.planning import plan_mission
+from scp_recon.api.planning import plan
 from scp_recon.cli.command import (
     Answer,
     add_output_options,
@@ -48,16 +47,14 @@ from scp_recon.jobs.job import Done, Executor, Failure, Job, Key, Work
 from scp_recon.jobs.store import Row, Store
 from scp_recon.jobs.store import run as run_jobs
 from scp_recon.mission.feedback import require_open_loop
-from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.flights import FlightConfig, FlightTally, fly_many
 from scp_recon.monte_carlo.observation_time import ALL
-from scp_recon.planning import initial_guess
 from scp_recon.planning.plan import Plan
 from scp_recon.results.policy import policy_of
 from scp_recon.results.read import read_solution
 from scp_recon.results.solution import Solution, make_solution
 from scp_recon.results.table import Cell, Table
-from scp_recon.scenario.load import base_names, load_scenario, packaged
+from scp_recon.scenario.load import base_names, packaged
 
 Record = dict[str, Any]
 """A row of a CSV file by column."""
@@ -256,23 +253,21 @@ def plan_or_default(solution: Path | None) -> Solution:
     Raises:
         InputError: if the folder has no plan, or one whose burns are corrected in flight.
     """
-    if solution is not None:
-        found = read_solution(solution)
-        require_open_loop(found.scenario, "solve and montecarlo; not yet with this study")
-        return found
-    mission = Mission.from_scenario(load_scenario())
-    plan = plan_mission(mission, initial_guess.cold(mission), PlanOptions(), init="cold")
-    return make_solution(plan)
+    if solution is None:
+        return make_solution(plan())
+    found = read_solution(solution)
+    require_open_loop(found.scenario, "solve and montecarlo; not yet with this study")
+    return found
 
 
-def plan_figures(plan: Plan) -> Record:
+def plan_figures(found: Plan) -> Record:
     """Columns on a plan: status, total delta-v, and iterations of P3 and P2."""
     count = dict.fromkeys(("P3", "P2"), 0)
-    for stage in plan.stages:
+    for stage in found.stages:
         count[stage.problem] += len(stage.result.records)
     return {
-        "status": plan.status.value.name,
-        "total_dv_m_s": plan.total_dv_m_s,
+        "status": found.status.value.name,
+        "total_dv_m_s": found.total_dv_m_s,
         "iterations_p3": count["P3"],
         "iterations_p2": count["P2"],
     }
@@ -315,10 +310,10 @@ def run_python(
     return {"wall_s": wall, "processor_s": cpu}, done.stdout
 
 
-def fly_plan(plan: Plan, samples: int, seed: int) -> FlightTally:
+def fly_plan(found: Plan, samples: int, seed: int) -> FlightTally:
     """Fly a plan with errors, its burns corrected as it says."""
-    policy = policy_of(plan.mission, plan.final.result.lin)
-    config = FlightConfig(plan.mission, plan.burns_m_s, seed, policy=policy)
+    policy = policy_of(found.mission, found.final.result.lin)
+    config = FlightConfig(found.mission, found.burns_m_s, seed, policy=policy)
     return fly_many(config, samples=samples)
 
 

@@ -82,7 +82,6 @@ def test_every_evidence_has_command_and_sentinels():
         ("0.140135", 0.1401352, 1e-5, True),
         (None, float("nan"), 0.0, True),
         (None, 1.0, 1e-4, False),
-        (1, 2, 0.0, False),
         ("converged", "stalled", 0.0, False),
     ],
 )
@@ -114,9 +113,7 @@ def test_evidence_is_outdated_by_results_alone(changes, said):
         ('{"schema": "scp_recon.evidence/1"}', r"battery_cones\.json: .*evidence/1"),
         (json.dumps({"schema": SCHEMA}), r"battery_cones\.json: command: got nothing"),
         ({"version": "x"}, r"battery_cones\.json: version: got 'x'"),
-        ({"version": True}, r"battery_cones\.json: version: got True"),
         ({"seconds": None}, r"battery_cones\.json: seconds: got None"),
-        ({"tables": {"cones": 1}}, r"battery_cones\.json: tables\.cones: got 1"),
         ({"tables": {"cones": []}}, r"battery_cones\.json: tables: got cones"),
         ({"tables": {CONES: TABLE[1:]}}, r"battery_cones\[delta-V, warm-up, False\]: got 0"),
         ({"tables": {CONES: TABLE * 2}}, r"battery_cones\[delta-V, warm-up, False\]: got 2"),
