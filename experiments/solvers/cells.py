@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from itertools import pairwise
 from time import process_time
 from typing import Any, ClassVar, Self
@@ -44,11 +45,11 @@ from scp_recon.planning import initial_guess
 from scp_recon.planning.missions import make_plan, other_starts
 from scp_recon.planning.plan import Plan, Provenance, Stage, StageSpec
 from scp_recon.planning.planner import Planner, screened
-from scp_recon.planning.stages import Pipeline, StageSolver
+from scp_recon.planning.stages import Observer, Pipeline, StageSolver
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scp.algorithms import ALGORITHMS, SCvx
 from scp_recon.scp.loop import Record as Iteration
-from scp_recon.scp.loop import State, Timing, record_of, trial_step
+from scp_recon.scp.loop import State, Timing, record_of, run, trial_step
 from scp_recon.scp.status import Status
 
 for form in ("condensed", "lifted"):
@@ -109,19 +110,19 @@ def planned(mission: Mission, cell: Cell) -> Plan:
         certify = False if cell.group == EXACT else None
         options = PlanOptions("P2", "scp", of.formulation, of.algorithm, of.solver, certify=certify)
         return plan_mission(mission, start, options)
-    run = Pipeline(mission, stage_solver(mission, of))
+    pipeline = Pipeline(mission, stage_solver(mission, of))
 
     def work() -> Stage:
         if not from_p3:
-            return run.plan(start, "P2", other_starts(mission))
+            return pipeline.plan(start, "P2", other_starts(mission))
         p3 = p3_solution(mission)
         facets = choose_facets(mission.problem, mission.polytopes, p3.iterate.mean, p3.factor)
         clearance = np.inf if of == EVERY_NODE else mission.clearances[0]
         rows = ChanceRows(mission.problem, facets, screened(facets, p3, clearance))
-        return run.solve(StageSpec("P2", rows), p3)
+        return pipeline.solve(StageSpec("P2", rows), p3)
 
     provenance = Provenance(of.formulation, of.algorithm, of.solver, cell.start)
-    return make_plan(mission, run, work, provenance)
+    return make_plan(mission, pipeline, work, provenance)
 
 
 def p3_solution(mission: Mission) -> Linearisation:
@@ -130,8 +131,20 @@ def p3_solution(mission: Mission) -> Linearisation:
     return [one for one in stages if one.spec.role != "held"][-1].result.lin
 
 
+class LoopAlone(Planner[Mission]):
+    """A planner whose stages end where the loop ends, also without a verdict on the case."""
+
+    def solve(
+        self, spec: StageSpec, start: Linearisation, dynamics: Dynamics, observe: Observer
+    ) -> Stage:
+        """See `StageSolver`."""
+        subproblem = self.subproblem(spec.rows)
+        result = run(subproblem, dynamics, start, self.algorithm, partial(observe, spec.name))
+        return Stage(spec, result, subproblem.merit, self.algorithm.feasible)
+
+
 def stage_solver(mission: Mission, method: Method, **parameters: Any) -> StageSolver:
-    """The solver of stages by a method, with parameters of SCP's algorithm or of IPOPT for P2."""
+    """The solver of stages by a method, with parameters of the loop alone, or of IPOPT for P2."""
     if method.solver in NLP_SOLVERS:
         from formulations.nlp.solve import BY_UNO, VARIANTS
         from scp_recon.planning.ipopt import IpoptStages, casadi_arcs
@@ -143,7 +156,8 @@ def stage_solver(mission: Mission, method: Method, **parameters: Any) -> StageSo
     unguarded = Unguarded(mission.problem) if method.algorithm == UNGUARDED else None
     name = "scvx" if unguarded else method.algorithm  # of the same penalty
     form = "lifted" if method == EVERY_NODE else method.formulation
-    planner = Planner(mission, formulation=form, algorithm=name, solver=method.solver)
+    kind = LoopAlone if unguarded or parameters else Planner
+    planner = kind(mission, formulation=form, algorithm=name, solver=method.solver)
     planner.algorithm = unguarded or ALGORITHMS[name](**parameters)
     return planner
 
