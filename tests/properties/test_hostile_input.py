@@ -128,6 +128,8 @@ def hook(event: str, arguments: tuple[Any, ...]) -> None:
 
 
 sys.addaudithook(hook)
+with contextlib.suppress(InputError):  # Pydantic loads its modules of JSON schemas with the first
+    load_scenario(None, ["risk.p_chance=2"])
 
 
 @contextlib.contextmanager

@@ -1,9 +1,7 @@
 """Frames and time scales."""
 
 import warnings
-from collections.abc import Iterator
 from datetime import UTC, datetime, timedelta, timezone
-from types import ModuleType
 
 import numpy as np
 import pytest
@@ -23,7 +21,7 @@ from scp_recon.scenario.time_scales import (
 )
 from tests import reference
 from tests.helpers import unit_vectors
-from tests.reference import BENNU, EPOCH_ET
+from tests.reference import EPOCH_ET
 from tests.scp_recon.support import mission_of
 
 FLIGHT_S = 34_842.0
@@ -38,23 +36,6 @@ rotations = st.builds(
     acceleration=st.floats(-1e-12, 1e-12),
 )
 times = st.floats(-1e5, 1e5)
-
-
-@pytest.fixture(scope="module")
-def spice(tmp_path_factory) -> Iterator[ModuleType]:
-    """SPICE with the figures of NAIF's kernel of Bennu."""
-    spiceypy = pytest.importorskip("spiceypy")
-    spiceypy.kclear()
-    spiceypy.furnsh(str(reference.write_bennu_kernel(tmp_path_factory.mktemp("kernel"))))
-    yield spiceypy
-    spiceypy.kclear()
-
-
-def test_body_orientation_is_that_of_spice(mission, spice):
-    flight = np.linspace(0.0, FLIGHT_S, 200)
-    ours = mission.rotation.body_to_j2000(flight)
-    theirs = [spice.tipbod("J2000", BENNU, EPOCH_ET + t).T for t in flight]
-    np.testing.assert_allclose(ours, theirs, rtol=0.0, atol=1e-9)
 
 
 def test_iau_polynomial_counts_days_from_j2000_noon():
