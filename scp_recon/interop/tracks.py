@@ -151,12 +151,13 @@ def oem_track(path: Path, body: str) -> Track:
             try:
                 when = tdb_instant(epoch, scale)
             except ValueError as error:
-                raise InputError(
-                    f"{entry}, {where}", line, f"must have an epoch: {error}"
-                ) from None
+                allowed = f"must have an epoch in {scale} ({error})"
+                raise InputError(f"{entry}, {where}", line[:120], allowed) from None
             if instants and (when < instants[-1] or (previous and when == instants[-1])):
                 allowed = "must be later than the state before"
-                raise InputError(f"{entry}, {where}", line, f"{allowed}, at {previous or 'a burn'}")
+                raise InputError(
+                    f"{entry}, {where}", line[:120], f"{allowed}, at {previous or 'a burn'}"
+                )
             instants.append(when)
             states.append(numbers)
             previous = epoch
@@ -176,7 +177,7 @@ About = dict[str, Line]
 Row = tuple[str, str, str, list[float]]
 """Where a state stands, its line, its epoch on the calendar, and six numbers in km and km/s."""
 VERSIONS = ("1.0", "2.0", "3.0")
-EPOCH = re.compile(r"(\d{4})-(?:(\d\d-\d\d)|(\d{3}))T(\d\d:\d\d:\d\d(?:\.\d*)?)Z?")
+EPOCH = re.compile(r"([1-8]\d{3})-(?:(\d\d-\d\d)|(\d{3}))T(\d\d:\d\d:\d\d(?:\.\d*)?)Z?")
 """A calendar date or day of the year; a Z ends it in any scale: CCSDS 502.0-B-3, 7.5.10."""
 
 
@@ -193,8 +194,8 @@ def _of_xml(text: str, entry: str) -> Iterator[Line]:
         root = ElementTree.fromstring(text)
     except ElementTree.ParseError as error:
         raise InputError(entry, f"no OEM ({error})", "must be a CCSDS OEM") from None
-    yield "version", f"CCSDS_OEM_VERS = {root.get('version')}"
-    count = 0
+    count, versions = 0, (part.get("version") for part in root.iter() if part.tag.endswith("oem"))
+    yield "version", f"CCSDS_OEM_VERS = {next(versions, 'nothing')}"
     for part in root.iter():
         inside = {item.tag.rpartition("}")[2]: (item.text or "").strip() for item in part}
         if part.tag.endswith("metadata"):

@@ -26,6 +26,7 @@ from hypothesis import strategies as st
 from scp_recon.api import infeasibility
 from scp_recon.cli.commands import montecarlo, simulate, solve, verify
 from scp_recon.errors import InputError
+from scp_recon.interop.tracks import oem_track
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess, planner
 from scp_recon.results.read import read_solution
@@ -222,6 +223,30 @@ cells = st.sampled_from(["0", "1", "nan", "inf", "1e308", "-1e308", "", "x", "40
 tables = st.lists(st.lists(cells, min_size=6, max_size=8).map(",".join), max_size=5).map(
     lambda rows: "\n".join(["t,x,y,z,vx,vy,vz", *rows]).encode()
 )
+oem_lines = st.sampled_from(
+    [
+        *("META_START", "META_STOP", "COVARIANCE_START", "COVARIANCE_STOP", "COMMENT x", "", "="),
+        *("REF_FRAME = EME2000", "TIME_SYSTEM = UTC", "TIME_SYSTEM = TDB", "CENTER_NAME = BENNU"),
+        *(
+            "EPOCH = 2020-01-01T00:00:00",
+            "REF_FRAME_EPOCH = 2000-01-01T12:00:00",
+            "1",
+            "1 2",
+            "x y",
+        ),
+        *(
+            f"{day} 1 2 3 4 5 6"
+            for day in ("2020-01-01T00:00:00", "2020-366T23:59:60.5Z", "0000-001")
+        ),
+        *("1000-01-01T00:00:00 1 2 3 4 5 6", "8999-366T00:00:00Z 1 2 3 4 5 6", "2020-999T0:0:0 1"),
+    ]
+)
+oems = st.tuples(
+    st.sampled_from(
+        ["CCSDS_OEM_VERS = 2.0", "\ufeff\n CCSDS_OEM_VERS = 3.0", "<oem version='2.0'>"]
+    ),
+    st.lists(oem_lines, max_size=12),
+).map(lambda parts: "\n".join([parts[0], "META_START", *parts[1]]).encode())
 MISSION = Mission.from_scenario(load_scenario(None, [COARSE]))
 
 
@@ -231,8 +256,9 @@ MISSION = Mission.from_scenario(load_scenario(None, [COARSE]))
         (mission_of, bytes_of_files),
         (read_solution, bytes_of_files),
         (lambda path: initial_guess.from_table(MISSION, path), bytes_of_files | tables),
+        (lambda path: oem_track(path, "Bennu"), bytes_of_files | oems),
     ],
-    ids=["scenario", "solution", "guess"],
+    ids=["scenario", "solution", "guess", "OEM"],
 )
 @patient
 @given(st.data())
