@@ -73,12 +73,16 @@ class Interval:
             return f"{self.within(ends)}{self.hint}"
         absolute = _within((ends[0] * scale, ends[1] * scale), self.unit)
         relative = _within(ends, self.scale[1]).removeprefix("at least ").removeprefix("at most ")
-        return f"{'0, or ' if self.or_zero else ''}{absolute} ({relative}){self.hint}"
+        return f"{self._zero(ends)}{absolute} ({relative}){self.hint}"
 
     def within(self, ends: Ends) -> str:
         """An interval in words: "300 to 8000 kg/m^3", "0, or at least 60 s", "at most 2 radii"."""
         words = _within(ends, self.scale[1] if self.scale else self.unit)
-        return f"{'0, or ' if self.or_zero else ''}{words}"
+        return f"{self._zero(ends)}{words}"
+
+    def _zero(self, ends: Ends) -> str:
+        """Words on a zero that is meant where the interval does not hold it."""
+        return "0, or " if self.or_zero and ends[0] > 0.0 else ""
 
 
 def _within(ends: Ends, unit: str) -> str:
