@@ -267,7 +267,7 @@ def test_what_is_known_of_a_mission_is_what_would_be_found_again(flown):
     assert left.schedule == anew.schedule
     assert left.warnings == anew.warnings
     assert left.times_s == pytest.approx(anew.times_s, abs=1e-9)
-    far = Delivery(17_000.0, 200.0 * state)
+    far = Delivery(17_000.0, 100.0 * state)
     scenario = left.scenario.replace({"in_flight.position_m": far.state[:3].tolist()})
     known = Mission.from_scenario(scenario, known=flown.mission)
     assert known.warnings == Mission.from_scenario(scenario).warnings
