@@ -226,18 +226,6 @@ def test_a_short_flight_is_tabulated_and_judged(tmp_path, monkeypatch):
 
 
 @needs_basilisk
-@nightly
-def test_a_half_turn_settles_after_the_limited_rate(mission, vehicle, monkeypatch):
-    monkeypatch.setattr(timing_rules, "SLEW_S", 1500.0)
-    slew = timing_rules.measure_slew(mission, vehicle, 0, 2)
-    settling_s = [slew[column] for column in timing_rules.SETTLED.values()]
-    assert settling_s == sorted(settling_s)
-    assert settling_s[0] > 180.0 / 0.4
-    assert settling_s[-1] < 1200.0
-    assert slew["steady_rms_deg"] < 0.2
-
-
-@needs_basilisk
 @pytest.mark.slow
 def test_a_recharge_takes_the_power_left_over(mission, vehicle, panels, monkeypatch):
     """Batteries an eighth as large, so that the flight is short."""
