@@ -21,7 +21,7 @@ from scipy.integrate import solve_ivp
 
 from experiments.harness import Claim, Findings, Record, Session, Study, plan_or_default, records
 from formulations.arrays import Array
-from scp_recon.api.files import export
+from scp_recon.api.plan_verbs import export
 from scp_recon.bodies.catalogue import AU_KM, GM_SUN_KM3_S2
 from scp_recon.errors import needing
 from scp_recon.mission.mission import Mission

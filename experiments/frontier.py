@@ -25,7 +25,7 @@ from experiments.harness import (
     fly_plan,
     records,
 )
-from scp_recon.api.planning import plan
+from scp_recon.api.verbs import plan
 from scp_recon.monte_carlo.flights import FlightTally
 from scp_recon.planning.plan import Plan
 from scp_recon.scenario.load import load_scenario

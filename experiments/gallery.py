@@ -15,9 +15,8 @@ from time import process_time
 import numpy as np
 
 from experiments.harness import Findings, Record, Session, Study, records
-from scp_recon.api.designing import design
-from scp_recon.api.files import save
-from scp_recon.api.flights import fly
+from scp_recon.api.plan_verbs import fly, save
+from scp_recon.api.verbs import design
 from scp_recon.mission.scene import TruthModel
 from scp_recon.scenario.load import load_scenario
 

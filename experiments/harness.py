@@ -29,7 +29,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from experiments.evidence import FILE, Evidence
-from scp_recon.api.planning import plan
+from scp_recon.api.verbs import plan
 from scp_recon.cli.command import (
     Answer,
     add_output_options,

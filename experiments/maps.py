@@ -28,7 +28,7 @@ from experiments.evidence import ROOT
 from experiments.harness import Findings, Record, Session, fly_plan, number, option, records
 from experiments.harness import Study as Harnessed
 from experiments.in_flight.feedback import measured
-from scp_recon.api.campaigns import campaign
+from scp_recon.api.verbs import campaign
 from scp_recon.campaigns.cases import changed
 from scp_recon.campaigns.results import VERIFIED
 from scp_recon.campaigns.study import Study, read_study

@@ -33,8 +33,7 @@ from experiments.harness import (
     records,
     run_python,
 )
-from scp_recon.api.designing import design
-from scp_recon.api.planning import plan
+from scp_recon.api.verbs import design, plan
 from scp_recon.planning.plan import Plan
 from scp_recon.results.solution import make_solution
 from scp_recon.scenario.load import load_scenario

@@ -39,7 +39,7 @@ from experiments.solvers.cases import (
 from experiments.solvers.cells import solve
 from experiments.spacecraft import battery_cones, flown_plan, timing_rules, uncertainty_sources
 from scp_recon.api.campaigns import work_of
-from scp_recon.api.flights import simulate
+from scp_recon.api.plan_verbs import simulate
 from scp_recon.campaigns.study import read_study
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission

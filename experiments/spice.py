@@ -16,7 +16,7 @@ import numpy as np
 
 from experiments.harness import Findings, Record, Session, Study, plan_or_default, records
 from formulations.arrays import Array
-from scp_recon.api.files import export
+from scp_recon.api.plan_verbs import export
 from scp_recon.errors import imported
 from scp_recon.interop.export import Export
 from scp_recon.interop.kernels import frame_names

@@ -6,7 +6,8 @@
     plan = sr.plan(scenario)
     print(plan)
 
-The names below are imported when they are first used, so that the commands start quickly.
+Functions import what they need when they are called, and the classes below are imported when they are
+first used, so that the commands start quickly.
 """
 
 from __future__ import annotations
@@ -15,20 +16,32 @@ from importlib import import_module
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
+from scp_recon.api.plan_verbs import (
+    charts,
+    compare,
+    export,
+    fly,
+    load,
+    report,
+    save,
+    simulate,
+    verify,
+)
+from scp_recon.api.verbs import (
+    campaign,
+    design,
+    explore,
+    new,
+    plan,
+    read_campaign,
+    replan,
+    scenarios,
+    windows,
+)
 from scp_recon.display import shown_by as _shown_by
+from scp_recon.errors import InputError
 
 if TYPE_CHECKING:
-    from scp_recon.api.campaigns import campaign, read_campaign
-    from scp_recon.api.designing import design
-    from scp_recon.api.drafts import new
-    from scp_recon.api.exploring import explore
-    from scp_recon.api.files import charts, compare, export, load, report, save, verify
-    from scp_recon.api.flights import fly, simulate
-    from scp_recon.api.inputs import scenarios
-    from scp_recon.api.planning import plan
-    from scp_recon.api.replans import replan
-    from scp_recon.api.survey import windows
-    from scp_recon.errors import InputError
     from scp_recon.impulsive.problem import (
         Ball,
         ComponentwiseErrors,
@@ -77,23 +90,6 @@ __all__ = [
     "verify",
     "windows",
 ]
-_ELSEWHERE = {
-    "InputError": "errors",
-    "campaign": "api.campaigns",
-    "design": "api.designing",
-    "explore": "api.exploring",
-    "fly": "api.flights",
-    "load_scenario": "scenario.load",
-    "new": "api.drafts",
-    "plan": "api.planning",
-    "read_campaign": "api.campaigns",
-    "replan": "api.replans",
-    "scenarios": "api.inputs",
-    "simulate": "api.flights",
-    "windows": "api.survey",
-}
-"""Modules of what `api.files` does not have; classes are of `impulsive.problem` if not of these."""
-
 
 _shown_by(lambda: import_module("scp_recon.api.showing"))
 
@@ -106,9 +102,8 @@ def __getattr__(name: str) -> Any:
         return version_of(__name__)
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    usual = "impulsive.problem" if name[0].isupper() else "api.files"
-    module = import_module(f"{__name__}.{_ELSEWHERE.get(name, usual)}")
-    return getattr(module, name)
+    home = "scenario.load" if name == "load_scenario" else "impulsive.problem"
+    return getattr(import_module(f"{__name__}.{home}"), name)
 
 
 def __dir__() -> list[str]:

@@ -213,15 +213,16 @@ def shortened(given: object) -> str:
     return text if len(text) <= 80 else f"{text[:77]}..."
 
 
-def number_between(entry: str, given: object, low: float, high: float) -> float:
-    """Check a number within bounds, and return it.
+def number_between(entry: str, given: object, low: float, high: float, unit: str = "") -> float:
+    """Check a number within bounds, and return it; a message names the unit.
 
     Raises:
         InputError: if it is not a number, or out of bounds.
     """
     if isinstance(given, int | float) and not isinstance(given, bool) and low <= given <= high:
         return float(given)
-    raise InputError(entry, shortened(given), f"must be a number from {low:g} to {high:g}")
+    allowed = f"must be a number from {low:g} to {high:g} {unit}".rstrip()
+    raise InputError(entry, shortened(given), allowed)
 
 
 def version_of(package: str) -> str:

@@ -13,6 +13,8 @@ from uuid import uuid4
 from scp_recon.errors import InputError
 
 LOCK = ".lock"
+PICTURE = b"atplotlib"
+"""In pictures of the formats that name the program which wrote them."""
 BYTES_MAX = 100_000_000
 """Thirty times the solution of the largest grid; /dev/zero ends here and not in the memory."""
 
@@ -76,14 +78,12 @@ def check_writable(folder: Path, name: str, entry: str) -> None:
         InputError: if the file cannot be written.
     """
     file = folder / name
-    try:
+    with writing(folder, entry):
         folder.mkdir(parents=True, exist_ok=True)
         if file.is_dir():
             raise InputError(entry, str(file), "must not be a folder")
         with TemporaryFile(dir=folder):
             pass
-    except OSError as error:
-        raise unwritable(folder, entry, error) from None
 
 
 def unwritable(folder: Path, entry: str, error: OSError) -> InputError:
@@ -92,6 +92,41 @@ def unwritable(folder: Path, entry: str, error: OSError) -> InputError:
     if isinstance(error, IsADirectoryError) and error.filename:
         reason = f"{Path(error.filename).name} is a folder"
     return InputError(entry, f"{folder} ({reason})", "must be a folder to write to")
+
+
+@contextmanager
+def writing(folder: Path, entry: str) -> Iterator[None]:
+    """Context that turns a failure to write a file into the error of its folder.
+
+    Raises:
+        InputError: if a file cannot be written.
+    """
+    try:
+        yield
+    except OSError as error:
+        raise unwritable(folder, entry, error) from None
+
+
+def check_own(file: Path, entry: str, mark: bytes) -> None:
+    """Refuse to overwrite a file that this program did not write.
+
+    Args:
+        file: to write.
+        entry: what to name in a message.
+        mark: bytes that every file of this kind written by this program has in its first megabyte.
+
+    Raises:
+        InputError: if there is such a file without the mark.
+    """
+    with writing(file.parent, entry):
+        if not file.exists() or file.is_dir():
+            return  # a folder is refused by `check_writable`
+        if file.is_file():
+            with file.open("rb") as opened:
+                if mark in opened.read(1_000_000):
+                    return
+    given = f"{file}, which holds something else"
+    raise InputError(entry, given, "must be a new file, or one that this command wrote")
 
 
 def write_atomically(path: Path, content: str | bytes) -> Path:

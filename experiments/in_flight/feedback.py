@@ -33,7 +33,8 @@ from formulations.problem.flyby import Iterate
 from formulations.program.subproblem import MeritFunction
 from formulations.rows.exact_flight import FlightRows
 from scp_recon.api.options import PlanOptions
-from scp_recon.api.planning import plan, plan_mission
+from scp_recon.api.planning import plan_mission
+from scp_recon.api.verbs import plan
 from scp_recon.certification.certify import certify
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.summary import MOST

@@ -28,10 +28,10 @@ from experiments.harness import (
 from experiments.harness import Record as Row
 from experiments.in_flight.feedback import LEAD_S, measured
 from experiments.spacecraft.flown_plan import SEEDS, row
-from scp_recon.api.designing import design
-from scp_recon.api.flights import simulate
 from scp_recon.api.options import PlanOptions
-from scp_recon.api.planning import plan, plan_mission
+from scp_recon.api.plan_verbs import simulate
+from scp_recon.api.planning import plan_mission
+from scp_recon.api.verbs import design, plan
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.estimates import proportion

@@ -20,8 +20,8 @@ from experiments.frontier import SEED
 from experiments.harness import Findings, Record, Session, Study, number, records
 from experiments.in_flight.feedback import measured
 from experiments.plans import FLIGHT
-from scp_recon.api.flights import fly
-from scp_recon.api.planning import plan
+from scp_recon.api.plan_verbs import fly
+from scp_recon.api.verbs import plan
 from scp_recon.monte_carlo.sampling import PolicyKind
 from scp_recon.monte_carlo.summary import Interval
 from scp_recon.scenario.load import load_scenario

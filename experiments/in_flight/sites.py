@@ -26,8 +26,8 @@ from experiments.harness import Findings, Record, Session, Study, records
 from experiments.in_flight.feedback import Case, row
 from formulations.arrays import Array
 from formulations.rows.exact_flight import FLIGHT as WHOLE
-from scp_recon.api.designing import design
-from scp_recon.api.files import save
+from scp_recon.api.plan_verbs import save
+from scp_recon.api.verbs import design
 from scp_recon.certification.flights import fly_plan, run_test
 from scp_recon.certification.largest import MOST
 from scp_recon.mission.mission import Mission

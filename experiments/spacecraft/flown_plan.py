@@ -28,7 +28,7 @@ from experiments.harness import (
 )
 from experiments.harness import Record as Row
 from formulations.arrays import Array, Indices
-from scp_recon.api.flights import simulate
+from scp_recon.api.plan_verbs import simulate
 from scp_recon.jobs.job import Job
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.scene import execution_errors

@@ -2,25 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from scp_recon.api.designing import design
+from scp_recon.api.designing import find_pass, options_for, request_of
 from scp_recon.api.files import Opened
-from scp_recon.api.flights import FlyOptions, flown_summary, shortfalls, simulate
+from scp_recon.api.flights import FlyOptions, flown_summary, shortfalls, simulation_of
 from scp_recon.api.inputs import PlanRequest
 from scp_recon.api.options import PlanOptions
-from scp_recon.api.planning import PlanOutcome, carry_out, checked
+from scp_recon.api.planning import PlanOutcome, carry_out
 from scp_recon.campaigns.cases import Case, changed, solution_name
 from scp_recon.campaigns.checks import check_do
-from scp_recon.campaigns.results import read_results
 from scp_recon.campaigns.run import WORKERS_MAX, Observer, executor_of, run_study
-from scp_recon.campaigns.study import Campaign, Study, study_of
-from scp_recon.errors import InputError, imported, option, path_of, whole_number
+from scp_recon.campaigns.study import Campaign, Study
+from scp_recon.errors import InputError, imported, option, whole_number
 from scp_recon.jobs.store import Row
 from scp_recon.monte_carlo.observation_time import ALL
 from scp_recon.monte_carlo.sampling import PolicyKind
@@ -47,75 +46,6 @@ class CampaignOutput(NamedTuple):
 
     table: pandas.DataFrame
     figures: dict[str, Figure]
-
-
-def campaign(
-    study: str | Path | Mapping[str, Any],
-    out: str | Path,
-    *,
-    workers: int | None = None,
-    scheduler: str | None = None,
-    yes: bool = False,
-) -> CampaignOutput:
-    """Run the cases of a study that have no row in a folder yet; see docs/campaigns.md.
-
-    Needs the extras [campaign] and [report], with a scheduler [cluster].
-
-    Args:
-        study: a file, or its tables, with files relative to the current folder.
-        out: folder for the results.
-        workers: processes for the cases; 0 runs them in this one, without limits of time and memory
-            (default: 1).
-        scheduler: run on the Dask cluster of this scheduler instead, e.g. tcp://127.0.0.1:8786; needs
-            the extra [cluster].
-        yes: allow more than 100,000 cases.
-
-    Returns:
-        The table of all cases, and figures by name.
-
-    Raises:
-        InputError: naming the entry, what was given and what is allowed.
-
-    Examples:
-        >>> import scp_recon as sr
-        >>> axis = {"entry": "risk.p_chance", "values": [0.7, 0.8]}
-        >>> table, _ = sr.campaign({"campaign": {}, "axis": [axis]}, "runs/study")
-        >>> table["total_dv_m_s"].round(3).tolist()
-        [0.14, 0.155]
-    """
-    from scp_recon.campaigns import outcome, page
-    from scp_recon.reports.write import check_extra
-
-    check_extra()
-    folder = path_of(option("out"), out)
-    given = study_of(study, yes=yes)
-    run_campaign(given, folder, workers=workers, scheduler=scheduler)
-    results = outcome.read_campaign(folder)
-    return CampaignOutput(results.table, page.figures(results))
-
-
-def read_campaign(folder: str | Path) -> pandas.DataFrame:
-    """Read the rows of a campaign, finished or not, by case; unknown values are missing.
-
-    Needs the extra [campaign].
-
-    Args:
-        folder: that `campaign` was given as `out`.
-
-    Returns:
-        A row a case; units are in the columns' names.
-
-    Raises:
-        InputError: if it holds no campaign, or the extra is missing.
-
-    Examples:
-        >>> import scp_recon as sr
-        >>> axis = {"entry": "risk.p_chance", "values": [0.7, 0.8]}
-        >>> _ = sr.campaign({"campaign": {}, "axis": [axis]}, "runs/study")
-        >>> sr.read_campaign("runs/study")["status"].tolist()
-        ['converged', 'converged']
-    """
-    return read_results(path_of("folder", folder))
 
 
 def run_campaign(
@@ -223,14 +153,15 @@ def designed(scenario: Scenario) -> tuple[PlanOutcome | None, dict[str, Any]]:
     If no pass has a plan, the columns say what stopped the pass that came furthest.
     """
     exact = scenario.risk.allocation == "exact"
-    found = design(scenario, certify=False if exact else None)
-    if found.plan is None or found.scenario is None:
+    options = options_for(scenario, certify=False if exact else None)
+    found = find_pass(scenario)
+    if found.scenario is None:
         return None, {
             "status": Status.INFEASIBLE.value.name,
             "binds": binding(found.best.stage),
             "message": found.message,
         }
-    return checked(found.plan), {
+    return carry_out(request_of(found, options)), {
         "departure_tdb": found.scenario.epoch.tdb.isoformat(),
         "duration_s": found.scenario.duration_s,
         "burns": len(found.scenario.burns.times_s),
@@ -300,7 +231,7 @@ def simulated_row(solution: Solution, seed: int, policy: PolicyKind | None) -> d
     from scp_recon.simulation.record import shortfalls as of_simulation
     from scp_recon.simulation.vehicle import check_vehicle, load_vehicle
 
-    summary = simulate(solution, seed=seed, policy=policy).summary
+    summary = simulation_of(solution, seed, policy, None).fly().summary
     doubts = check_vehicle(load_vehicle(None), solution.scenario)
     strange = "; ".join(map(str, [*solution.warnings, *doubts]))
     return {

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from pathlib import Path
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
-from scp_recon.api.inputs import scenario_of
+from scp_recon.api.inputs import PlanRequest
 from scp_recon.api.options import PlanOptions
-from scp_recon.api.planning import PlanObserver, plan_mission
 from scp_recon.display import Tabulated
 from scp_recon.mission.mission import Mission
 from scp_recon.passes.descent import PassResult, explain_failure
@@ -19,7 +17,6 @@ from scp_recon.passes.setting import settled
 from scp_recon.planning.initial_guess import from_burns
 from scp_recon.planning.plan import Plan
 from scp_recon.results.table import Table
-from scp_recon.scenario.load import naming_files
 from scp_recon.scenario.schema import Scenario
 
 FACET_ROUNDS = 3
@@ -91,45 +88,7 @@ def trials_table(found: Design) -> Table:
     return Table.of("Plans of a design", COLUMNS, rows)
 
 
-def design(
-    scenario: Scenario | str | Path,
-    *,
-    certify: bool | None = None,
-    overrides: Sequence[str] = (),
-) -> Design:
-    """Choose epoch, phases and burn times of a pass from a home orbit, and plan it.
-
-    Args:
-        scenario: a file with boundary.home, or a packaged one's name.
-        certify: with risk.allocation = exact, raise the target probability until fresh flights reach
-            the required one (default: yes).
-        overrides: `section.entry=value` each, as of `load_scenario`.
-
-    Returns:
-        The design. If no pass has a plan, its `plan` is None, and its `message` names the limit
-            that the best pass violates most.
-
-    Raises:
-        InputError: naming the argument, what was given and what is allowed.
-
-    Examples:
-        >>> import scp_recon as sr
-        >>> found = sr.design("nightingale")
-        >>> print(f"{found.plan.total_dv_m_s:.3f} m/s")
-        0.018 m/s
-    """
-    given = scenario_of(scenario, overrides)
-    options = design_options(given, certify=certify)
-    with naming_files(scenario, overrides):
-        found = find_pass(given)
-    if found.scenario is None:
-        return found
-    mission = Mission.from_scenario(found.scenario)
-    plan = plan_pass(found, mission, options)
-    return replace(found, plan=plan)
-
-
-def design_options(scenario: Scenario, *, certify: bool | None) -> PlanOptions:
+def options_for(scenario: Scenario, *, certify: bool | None) -> PlanOptions:
     """Options with which the pass of a design is planned.
 
     Raises:
@@ -157,16 +116,9 @@ def find_pass(scenario: Scenario, observe: Callable[[Trial], None] = lambda _: N
     return Design(tuple(designer.trials), best, fixed, start=designer.corrected)
 
 
-def plan_pass(
-    found: Design, mission: Mission, options: PlanOptions, observe: PlanObserver | None = None
-) -> Plan:
-    """Plan a designed pass, started from its burns.
-
-    Args:
-        found: the design.
-        mission: of its scenario.
-        options: see `design_options`.
-        observe: called with the progress of planning.
-    """
+def request_of(found: Design, options: PlanOptions) -> PlanRequest:
+    """What to plan: the pass of a design, started from its burns."""
+    assert found.scenario is not None
+    mission = Mission.from_scenario(found.scenario)
     start = found.start or from_burns(mission, found.best.burns_m_s, INIT)
-    return plan_mission(mission, start, options, observe, init=INIT)
+    return PlanRequest(mission, start, options, called=INIT)

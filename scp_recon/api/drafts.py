@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
@@ -18,7 +18,7 @@ from scp_recon.drafting.draft import Draft, GivenBody, Tables, draft_text, draft
 from scp_recon.drafting.draft import scenario_of as drafted
 from scp_recon.drafting.flown import Track, flown_draft, start_csv, start_table
 from scp_recon.errors import InputError, make_whole, number_between, option, path_of, shortened
-from scp_recon.files import check_writable, unwritable, write_atomically
+from scp_recon.files import check_writable, write_atomically, writing
 from scp_recon.interop.tracks import (
     csv_track,
     cut,
@@ -37,9 +37,12 @@ from scp_recon.scenario.schema import Scenario
 from scp_recon.scp.status import Status
 from scp_recon.verification.remedies import what_next
 
-NUMBERS = {"gm": (1e-6, 1e20), "radius": (1.0, 1e7), "period": (0.1, 1000.0)}
-UNITS = {"gm": "m^3/s^2", "radius": "m", "period": "h"}
-"""Bounds and units of the numbers of a body that is not packaged."""
+NUMBERS = {
+    "gm": (1e-6, 1e20, "m^3/s^2"),
+    "radius": (1.0, 1e7, "m"),
+    "period": (0.1, 1000.0, "h"),
+}
+"""Bounds and unit of each number of a body that is not packaged."""
 LISTS = {"site": 2, "pole": 2, "orbit": 6}
 OF_A_BODY = ("gm", "radius", "period", "pole", "orbit")
 SOURCES = ("from_spice", "from_oem", "from_csv")
@@ -77,14 +80,25 @@ class NewOptions:
     begin: datetime | None = None
     end: datetime | None = None
 
+    @classmethod
+    def of(cls, **given: Any) -> NewOptions:
+        """Convert and check the arguments of `api.verbs.new`."""
+        read: dict[str, Any] = {"name": str(path_of(option("name"), given["name"]))}
+        read["name"] = read["name"].removesuffix(".toml")
+        for name, count in LISTS.items():
+            if given[name] is not None or name == "site":
+                read[name] = _numbers(name, given[name], count)
+        for name in SOURCES:
+            if given[name] is not None:
+                read[name] = path_of(option(name), given[name])
+        for name, utc in (("epoch", False), ("begin", True), ("end", True)):
+            read[name] = date_in_tdb(option(name), given[name], utc=utc)
+        return cls(**given | read)
+
     def __post_init__(self) -> None:
-        for name, (low, high) in NUMBERS.items():
+        for name, (low, high, unit) in NUMBERS.items():
             if (given := getattr(self, name)) is not None:
-                try:
-                    number_between(option(name), given, low, high)
-                except InputError as error:
-                    allowed = f"{error.allowed} {UNITS[name]}"
-                    raise InputError(option(name), error.given, allowed) from None
+                number_between(option(name), given, low, high, unit)
         latitude, longitude = self.site
         if not -90.0 <= latitude <= 90.0 or not -360.0 <= longitude <= 360.0:
             allowed = "must be within 90 deg of latitude and 360 of longitude"
@@ -124,9 +138,9 @@ class NewOptions:
         return Path(self.name).name
 
     @property
-    def file(self) -> Path:
-        """File of the scenario."""
-        return Path(f"{self.name}.toml")
+    def source(self) -> str | None:
+        """The argument that names a trajectory of another tool, if any does."""
+        return next((name for name in SOURCES if getattr(self, name) is not None), None)
 
     def draft_at(self, epoch: datetime) -> Draft:
         """The draft before the flyby is designed, for a packaged body or one given by numbers.
@@ -203,99 +217,27 @@ class NewScenario:
         return f"<NewScenario {self.draft.name}: {self.verdict}>"
 
 
-def new(
-    name: str,
-    body: str,
-    site: tuple[float, float],
-    epoch: datetime | str | None = None,
-    *,
-    gm: float | None = None,
-    radius: float | None = None,
-    period: float | None = None,
-    pole: tuple[float, float] | None = None,
-    orbit: Sequence[float] | None = None,
-    from_spice: str | Path | None = None,
-    spacecraft: int | None = None,
-    from_oem: str | Path | None = None,
-    from_csv: str | Path | None = None,
-    begin: datetime | str | None = None,
-    end: datetime | str | None = None,
-    progress: Callable[[str], None] = lambda _: None,
-) -> NewScenario:
-    """Draft a scenario for a site and a body, plan it, and write it to NAME.toml.
-
-    With a trajectory of another tool, the initial guess from it is written to NAME_start.csv as
-    well.
-
-    Args:
-        name: of the scenario, written to NAME.toml.
-        body: a packaged one's name; or another, with `gm`, `radius`, `period`, `pole` and `orbit`.
-            A packaged body excludes these, and `from_spice` has them.
-        site: planetocentric latitude and east longitude, deg; as --site=-20,30 on the command line.
-        epoch: earliest time of the first burn, TDB, e.g. 2020-01-21T20:33:17; with `from_csv` that of
-            t_s = 0; left out with `from_spice` and `from_oem`.
-        gm: of the body, m^3/s^2.
-        radius: of the body as a sphere, m.
-        period: sidereal spin period, h, right-handed about the pole.
-        pole: right ascension and declination of the spin pole, deg, J2000.
-        orbit: the body from the Sun at `epoch`, with `from_oem` at the first state taken, km and km/s,
-            J2000.
-        from_spice: a meta-kernel: body, Sun, boundary states and start from it, with `spacecraft`,
-            `begin` and `end`; needs the extra [spice].
-        spacecraft: NAIF's number in the kernels, as --spacecraft=-64 on the command line.
-        from_oem: a CCSDS OEM: boundary states and start from it, `begin` and `end` if given.
-        from_csv: a table of states as solve --init takes it, its t_s past `epoch`, which
-            it needs; the rest as with `from_oem`.
-        begin: first burn, with a trajectory only, UTC, e.g. 2020-01-21T20:32:08.
-        end: last burn, with a trajectory only, UTC, e.g. 2020-01-21T20:32:08.
-        progress: called with a line on each planned draft.
-
-    Returns:
-        The scenario, its plan with the verification, and the files.
+def draft(options: NewOptions, progress: Callable[[str], None]) -> NewScenario:
+    """See `api.verbs.new`.
 
     Raises:
-        InputError: naming the argument, what was given and what is allowed; if a file is there already
-            or cannot be written, or nothing can be drafted.
-
-    Examples:
-        >>> import scp_recon as sr
-        >>> drafted = sr.new("mission", "Bennu", (20.0, 150.0), "2020-01-21T20:33:17")
-        >>> drafted.is_verified, [file.name for file in drafted.files]
-        (True, ['mission.toml'])
+        InputError: if a file is there already or cannot be written, or nothing can be drafted.
     """
-    options = NewOptions(
-        name=str(path_of(option("name"), name)).removesuffix(".toml"),
-        body=body,
-        site=_numbers("site", site) or (),
-        epoch=date_in_tdb(option("epoch"), epoch),
-        gm=gm,
-        radius=radius,
-        period=period,
-        pole=_numbers("pole", pole),
-        orbit=_numbers("orbit", orbit),
-        from_spice=_file("from_spice", from_spice),
-        spacecraft=spacecraft,
-        from_oem=_file("from_oem", from_oem),
-        from_csv=_file("from_csv", from_csv),
-        begin=date_in_tdb(option("begin"), begin, utc=True),
-        end=date_in_tdb(option("end"), end, utc=True),
-    )
-    path = options.file
+    path = Path(f"{options.name}.toml")
     start = path.with_name(f"{path.stem}_start.csv")
-    source = next((name for name in SOURCES if getattr(options, name) is not None), None)
-    for file in (path, start) if source else (path,):
+    for file in (path, start) if options.source else (path,):
         if file.exists():
             raise InputError(option("name"), str(file), "must not exist yet")
-    if source is not None:
-        return _from_track(options, source, path, start)
+    if options.source is not None:
+        return _from_track(options, options.source, path, start)
     assert options.epoch is not None
     first = options.draft_at(options.epoch)
     check_writable(path.parent, path.name, option("name"))
     tried: list[NewScenario] = []
-    for draft in drafts(first):
-        tried.append(found := _planned(draft, PlanRequest(drafted(draft))))
+    for one in drafts(first):
+        tried.append(found := _planned(one, PlanRequest(drafted(one))))
         first_s, last_s = found.mission.schedule.window_s
-        hours = f"local solar time {draft.hours[0]:g} to {draft.hours[1]:g} h"
+        hours = f"local solar time {one.hours[0]:g} to {one.hours[1]:g} h"
         progress(f"{hours}, window of {last_s - first_s:.0f} s: {found.verdict}")
         if found.is_verified:
             break
@@ -304,21 +246,15 @@ def new(
     return replace(best, files=(path,))
 
 
-def _numbers(name: str, given: object) -> tuple[float, ...] | None:
-    """Check a list of finite numbers of the length in `LISTS`; None if it may be left out and is."""
-    if given is None and name in OF_A_BODY:
-        return None
+def _numbers(name: str, given: object, count: int) -> tuple[float, ...]:
+    """Check a list of so many finite numbers."""
     try:
         numbers = np.asarray(given, dtype=float)
     except (TypeError, ValueError):
         numbers = np.full(0, np.nan)
-    if numbers.shape != (LISTS[name],) or not np.isfinite(numbers).all():
-        raise InputError(option(name), shortened(given), f"must be {LISTS[name]} numbers")
+    if numbers.shape != (count,) or not np.isfinite(numbers).all():
+        raise InputError(option(name), shortened(given), f"must be {count} numbers")
     return tuple(numbers.tolist())
-
-
-def _file(name: str, given: str | Path | None) -> Path | None:
-    return None if given is None else path_of(option(name), given)
 
 
 def _planned(draft: Draft, request: PlanRequest) -> NewScenario:
@@ -403,7 +339,5 @@ def _outcome(found: NewScenario, options: str = "") -> list[str]:
 
 
 def _write(path: Path, text: str) -> None:
-    try:
+    with writing(path.parent, option("name")):
         write_atomically(path, text)
-    except OSError as error:
-        raise unwritable(path.parent, option("name"), error) from None

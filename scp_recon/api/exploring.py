@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import webbrowser
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
@@ -288,7 +289,7 @@ class _Handler(BaseHTTPRequestHandler):
         if not self._is_ours(self.server.questions):
             return
         length = self.headers.get("Content-Length", "")
-        if not length.isdecimal() or int(length) > BYTES_MAX:
+        if not re.fullmatch("[0-9]{1,9}", length) or int(length) > BYTES_MAX:
             self._refuse(HTTPStatus.BAD_REQUEST, f"at most {BYTES_MAX} bytes, and their number")
         elif self.headers.get_content_type() != "application/json":
             self._refuse(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, "must be application/json")
@@ -337,33 +338,15 @@ class _Handler(BaseHTTPRequestHandler):
         """Say nothing: the library is silent."""
 
 
-def explore(
+def serve(
     scenario: Scenario | str | Path,
+    port: int,
+    overrides: Sequence[str],
+    progress: Callable[[str], None],
     *,
-    port: int = 0,
-    no_browser: bool = False,
-    overrides: Sequence[str] = (),
-    progress: Callable[[str], None] = lambda _: None,
+    browser: bool,
 ) -> None:
-    """Serve a page with sliders for a scenario until Ctrl-C; its plan and 3-D view follow them.
-
-    Args:
-        scenario: a file, complete or with base = another, or a packaged one's name.
-        port: of 127.0.0.1, which only this machine reaches; 0 for any free one.
-        no_browser: open no browser.
-        overrides: `section.entry=value` each, as of `load_scenario`.
-        progress: called with the address of the page.
-
-    Raises:
-        InputError: if the scenario cannot be planned, the extra [report] is missing, or the port is not
-            free.
-
-    Examples:
-        >>> import scp_recon as sr
-        >>> sr.explore("recon_b", port=80_000)
-        Traceback (most recent call last):
-        scp_recon.errors.InputError: port: got 80000; must be a whole number from 0 to 65535
-    """
+    """Serve the page until Ctrl-C: see `api.verbs.explore`."""
     port = whole_number(option("port"), port, 0, 65_535)
     check_extra()
     with naming_files(scenario, overrides):
@@ -378,6 +361,6 @@ def explore(
             explorer.plan({})
         address = f"http://{server.hosts[0]}/"
         progress(address)
-        if not no_browser:
+        if browser:
             webbrowser.open(address)
         server.serve_forever()

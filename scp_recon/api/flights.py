@@ -8,18 +8,18 @@ from pathlib import Path
 from typing import get_args
 
 from scp_recon.api.files import AnyPlan, Opened, open_plan
-from scp_recon.api.keeping import check_holds
+from scp_recon.api.keeping import results_beside
 from scp_recon.errors import (
     InputError,
+    imported,
     make_whole,
-    needing,
     number_between,
     one_of,
     option,
     path_of,
     whole_number,
 )
-from scp_recon.files import check_writable, only_run_in, unwritable
+from scp_recon.files import writing
 from scp_recon.jobs.job import Executor, here
 from scp_recon.jobs.processes import Processes
 from scp_recon.mission.scene import TruthModel
@@ -40,14 +40,14 @@ from scp_recon.monte_carlo.summary import FILE_NAME, Interval, Summary, summaris
 from scp_recon.results.solution import Solution, require_whole_flight
 from scp_recon.scp.status import Status
 from scp_recon.simulation import record as records
-from scp_recon.simulation.vehicle import load_vehicle
+from scp_recon.simulation.vehicle import Vehicle, load_vehicle
 
 
 @dataclass(frozen=True)
 class FlyOptions:
     """The checked options of `fly`.
 
-    Attributes: those that `fly` describes.
+    Attributes: those that `api.plan_verbs.fly` describes.
 
     Raises:
         InputError: if an option is out of range, or in conflict with another.
@@ -97,55 +97,6 @@ class Watcher:
     say: Callable[[str], None] = lambda _: None
 
 
-def fly(
-    plan: AnyPlan,
-    samples: int = 10_000,
-    seed: int = 0,
-    *,
-    until: float | None = None,
-    truth: TruthModel = "planner",
-    errors: ErrorModel | None = None,
-    policy: PolicyKind | None = None,
-    workers: int | None = None,
-    scheduler: str | None = None,
-) -> Summary:
-    """Fly a plan many times with errors.
-
-    Args:
-        plan: to fly; a solution, or its file.
-        samples: flights, at most with `until`.
-        seed: of all draws.
-        until: stop when every joint probability's interval is this narrow, e.g. 0.005; where 10,000
-            flights leave one wider, stratified flights refine it.
-        truth: gravity of the "planner"; or, turning with the body, all "harmonics" of body.gravity_file
-            or degree 8 of a packaged field, or a homogeneous "polyhedron", of body.solid_file or the
-            ellipsoid body.radii_m.
-        errors: of the burns: "componentwise", or "gates", by magnitude and pointing (default: the
-            scenario's).
-        policy: what burns are commanded: "open", those planned; "replan", planned again before each
-            from what is estimated; "feedback", corrected by the plan's gains (default: feedback of a
-            plan with gains, else open).
-        workers: processes; the result does not depend on their number (default: 1).
-        scheduler: run on the Dask cluster of this scheduler instead, e.g. tcp://127.0.0.1:8786; needs
-            the extra [cluster].
-
-    Returns:
-        Probabilities with 95 % intervals, times for which limits hold in s, distances in m, delta-v in
-        m/s.
-
-    Raises:
-        InputError: naming the argument, what was given and what is allowed.
-
-    Examples:
-        >>> import scp_recon as sr
-        >>> emission = sr.fly(sr.plan(), samples=1000).probability["emission"]
-        >>> print(f"{emission.value:.3f}, 95 % interval {emission.low:.3f} to {emission.high:.3f}")
-        0.982, 95 % interval 0.972 to 0.989
-    """
-    how = FlyOptions(samples, until, truth, errors, seed, workers, scheduler, policy)
-    return flown_summary(open_plan(plan), how)
-
-
 def flown_summary(plan: Opened, options: FlyOptions) -> Summary:
     """Fly a plan and summarise its flights."""
     flown = _fly(_config(plan, options), options, Watcher())
@@ -177,19 +128,14 @@ def fly_into(folder: Path, plan: Opened, options: FlyOptions, watcher: Watcher) 
     """
     solution = plan.solution
     config = _config(plan, options)
-    check_writable(folder, FILE_NAME, "folder")
-    check_holds(folder, solution, "folder")
-    with only_run_in(folder, "folder"):
+    own = "feedback" if solution.corrections else "open"
+    name = FILE_NAME if config.policy_kind == own else f"montecarlo_{config.policy_kind}.json"
+    with results_beside(folder, solution, name, "folder"):
         flown = _fly(config, options, watcher)
         interrupted = watcher.stop() and flown.samples < options.samples
         summary = summarise(flown, solution)
-        own = "feedback" if solution.corrections else "open"
-        kind = config.policy_kind
-        name = FILE_NAME if kind == own else f"montecarlo_{kind}.json"
-        try:
+        with writing(folder, "folder"):
             path = summary.write(folder, name)
-        except OSError as error:
-            raise unwritable(folder, "folder", error) from None
     return SavedFlights(flown, path, summary, interrupted)
 
 
@@ -280,47 +226,46 @@ def _judged(found: Interval, solution: Solution) -> float:
     return found.estimate.high if exact else found.estimate.value
 
 
-def simulate(
-    plan: AnyPlan,
-    *,
-    seed: int = 0,
-    policy: PolicyKind | None = None,
-    vehicle: str | Path | None = None,
-    progress: Callable[[float], None] | None = None,
-) -> records.Record:
-    """Fly a plan once with the spacecraft in the loop: attitude control, finite burns, power.
+@dataclass(frozen=True, eq=False)
+class Simulation:
+    """A simulated flight that is checked and not flown yet.
 
-    Needs the extra [sim].
-
-    Args:
-        plan: to fly; a solution, or its file.
+    Attributes:
+        opened: the plan.
         seed: of all errors.
-        policy: what burns are commanded, "open", "replan" or "feedback"; from the simulated state at
-            each cut-off, with errors of its measurement.
-        vehicle: a TOML file (default: the packaged DARE).
-        progress: called with the time of the flight, s.
+        policy: what commands its burns.
+        craft: the vehicle.
+    """
 
-    Returns:
-        The record of the flight; its `summary` has the figures.
+    opened: Opened
+    seed: int
+    policy: AnyPolicy
+    craft: Vehicle
+
+    def fly(self, progress: Callable[[float], None] | None = None) -> records.Record:
+        """Fly it; `progress` is called with the time of the flight, s."""
+        from scp_recon.simulation.basilisk import simulation
+
+        solution = self.opened.solution
+        flight = simulation.simulate(
+            solution, self.craft, self.seed, progress=progress, policy=self.policy
+        )
+        return records.make_record(flight, solution, self.seed)
+
+
+def simulation_of(
+    plan: AnyPlan, seed: int, policy: PolicyKind | None, vehicle: str | Path | None
+) -> Simulation:
+    """Check the arguments of `plan_verbs.simulate`.
 
     Raises:
         InputError: naming the argument, what was given and what is allowed.
-
-    Examples:
-        >>> import scp_recon as sr
-        >>> flown = sr.simulate(sr.plan(), seed=1).summary
-        >>> flown.least_charge > flown.floor_charge
-        True
     """
-    with needing("simulate", "sim", "Basilisk"):
-        from scp_recon.simulation.basilisk import simulation
+    imported("simulate", "sim", "Basilisk")
     seed = whole_number(option("seed"), seed, 0, SEED_MAX)
     opened = open_plan(plan)
-    solution = opened.solution
     if policy is not None:
         one_of(option("policy"), policy, get_args(PolicyKind))
     craft = load_vehicle(None if vehicle is None else path_of(option("vehicle"), vehicle))
-    require_whole_flight(solution.scenario, "plan")
-    commands = _policy(opened, policy)
-    flight = simulation.simulate(solution, craft, seed, progress=progress, policy=commands)
-    return records.make_record(flight, solution, seed)
+    require_whole_flight(opened.solution.scenario, option("plan"))
+    return Simulation(opened, seed, _policy(opened, policy), craft)

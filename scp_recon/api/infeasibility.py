@@ -16,8 +16,9 @@ import numpy as np
 from scipy.special import ndtr, ndtri
 
 from formulations.problem.flyby import FlybyProblem, Iterate
+from scp_recon.api.inputs import Known
 from scp_recon.api.options import PlanOptions
-from scp_recon.api.planning import Known, plan_mission
+from scp_recon.api.planning import plan_mission
 from scp_recon.certification.largest import MOST, largest_kept, rounded_down
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission

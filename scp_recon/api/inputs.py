@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, TypedDict
 
 import numpy as np
 
 from formulations.arrays import Array
 from formulations.problem.flyby import Iterate
 from scp_recon.api.options import PlanOptions
-from scp_recon.errors import InputError, Named, option, shortened
+from scp_recon.errors import InputError, option, shortened
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
 from scp_recon.planning.plan import Plan
@@ -21,11 +21,9 @@ from scp_recon.results.read import read_solution
 from scp_recon.results.runs import resolve_run
 from scp_recon.results.solution import Solution
 from scp_recon.scenario.load import (
-    base_names,
     load_scenario,
     naming_files,
     override,
-    packaged_scenario,
 )
 from scp_recon.scenario.schema import Scenario
 from scp_recon.scenario.time_scales import tdb_of_utc
@@ -34,16 +32,27 @@ Init = Iterate | Plan | Solution | str | Path | Array
 """A start: "cold", "warm", a guess, a plan or a solution, its file, or a table of states."""
 
 
+class Known(TypedDict, total=False):
+    """Arguments of `planner.plan` that are known before planning."""
+
+    target: float | None
+    p3_resolution: float
+    choices: int
+    once: bool
+
+
 @dataclass(frozen=True, eq=False)
 class PlanRequest:
     """What to plan, and how.
 
     Attributes:
         scenario: itself, its mission, its file or a packaged name; None for that of `init`, or recon_b.
-        init: see `api.planning.plan`; or a guess.
+        init: see `api.verbs.plan`; or a guess; a plan of the same mission is continued.
         options: of planning.
         overrides: `section.entry=value` each.
         called: name of the start in the solution file; None for the name that `init` has.
+        known: arguments of `planner.plan`, for sequential convex programming.
+        finish: what to make of the plan before it is verified.
     """
 
     scenario: Mission | Scenario | str | Path | None = None
@@ -51,6 +60,8 @@ class PlanRequest:
     options: PlanOptions = field(default_factory=PlanOptions)
     overrides: Sequence[str] = ()
     called: str | None = None
+    known: Known = field(default_factory=Known)
+    finish: Callable[[Plan], Plan] = lambda plan: plan
 
 
 class Loaded(NamedTuple):
@@ -65,7 +76,7 @@ class Resolved(NamedTuple):
     """A mission, the start of its plan, and the name of the start in the solution file."""
 
     mission: Mission
-    start: Iterate
+    start: Iterate | Plan
     called: str
 
 
@@ -98,11 +109,13 @@ def resolve(loaded: Loaded, request: PlanRequest) -> Resolved:
         InputError: if the scenario has no mission, the start is unusable, or an option does not suit
             the scenario.
     """
-    mission = loaded.scenario
+    mission, init = loaded.scenario, loaded.init
+    if isinstance(mission, Mission) and isinstance(init, Plan):
+        return Resolved(mission, init, loaded.called)
     if not isinstance(mission, Mission):
         with naming_files(request.scenario, request.overrides):
             mission = Mission.from_scenario(mission)
-    start = _start(mission, loaded.init)
+    start = _start(mission, init)
     request.options.check(mission.scenario)
     return Resolved(mission, start, loaded.called)
 
@@ -167,20 +180,6 @@ def scenario_of(given: Scenario | str | Path, overrides: Sequence[str] = ()) -> 
     if not isinstance(given, str | Path):
         raise InputError("scenario", shortened(given), "must be a scenario, its name, or a file")
     return load_scenario(given, overrides)
-
-
-def scenarios() -> dict[str, Scenario]:
-    """The packaged scenarios by name: `plan` takes recon_b, `design` the others.
-
-    Returns:
-        The scenarios by name.
-
-    Examples:
-        >>> import scp_recon as sr
-        >>> sr.scenarios()["recon_b"]
-        <Scenario recon_b: Bennu, site Nightingale, 4 burns>
-    """
-    return Named({name: packaged_scenario(name) for name in base_names()})
 
 
 def check_overrides(given: object) -> None:

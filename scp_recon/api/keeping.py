@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from scp_recon.errors import InputError, option
-from scp_recon.files import check_writable, only_run_in, unwritable
+from scp_recon.files import check_own, check_writable, only_run_in, writing
 from scp_recon.results.read import read_solution
 from scp_recon.results.runs import is_pointer, new_run, point_to
 from scp_recon.results.solution import FILE_NAME, Solution
@@ -25,6 +25,8 @@ OLD = "old_"
 """Prefix of results of an earlier plan in the folder."""
 EXPORTS = "export"
 """Folder of the plan's exports there."""
+MARK = b'"schema": "scp_recon.solution/'
+"""In every file of a plan."""
 
 
 @contextmanager
@@ -46,13 +48,23 @@ def run_folder(out: Path | None, name: str) -> Iterator[Path]:
         )
     folder = new_run(name) if out is None else out
     try:
-        check_writable(folder, FILE_NAME, option("out"))
+        check_folder(folder, option("out"))
         with only_run_in(folder, option("out")):
             yield folder
     finally:
         if out is None:
             with suppress(OSError):  # it is not empty, or those above it are not
                 os.removedirs(folder)
+
+
+def check_folder(folder: Path, entry: str) -> None:
+    """Make a folder for a plan, and refuse one that cannot be written or has another solution.json.
+
+    Raises:
+        InputError: if a plan cannot be written there.
+    """
+    check_writable(folder, FILE_NAME, entry)
+    check_own(folder / FILE_NAME, entry, MARK)
 
 
 def point_latest(out: Path | None, folder: Path, status: int) -> None:
@@ -99,30 +111,42 @@ def keep(solution: Solution, folder: Path | None, entry: str | None = None) -> K
     """
     if folder is None:
         return Kept()
-    try:
+    with writing(folder, entry or option("out")):
         if not _is_verified(solution) and _holds_verified(folder):
             return Kept(solution.write(folder, UNVERIFIED))
         path = solution.write(folder)
         (folder / UNVERIFIED).unlink(missing_ok=True)
         return Kept(path, tuple(_set_aside(solution, folder)))
-    except OSError as error:
-        raise unwritable(folder, entry or option("out"), error) from None
 
 
 def check_holds(folder: Path, solution: Solution, entry: str) -> None:
     """Refuse to write results of a plan beside another plan.
 
-    Args:
-        folder: folder for the results.
-        solution: the plan.
-        entry: what to name in a message.
-
     Raises:
-        InputError: if the folder holds another plan.
+        InputError: if the folder holds another plan; names the entry.
     """
     if (folder / FILE_NAME).exists() and read_solution(folder).plan_hash != solution.plan_hash:
         given = f"{folder}, which holds another plan"
         raise InputError(entry, given, "must be a folder of its own")
+
+
+@contextmanager
+def results_beside(folder: Path, solution: Solution, name: str, entry: str) -> Iterator[None]:
+    """Context in which results of a plan are made and written into a folder that only this run uses.
+
+    Args:
+        folder: folder for the results.
+        solution: the plan.
+        name: of the file of the results.
+        entry: what to name in a message.
+
+    Raises:
+        InputError: if the folder cannot be written, holds another plan, or is in use.
+    """
+    check_writable(folder, name, entry)
+    check_holds(folder, solution, entry)
+    with only_run_in(folder, entry):
+        yield
 
 
 def _is_verified(solution: Solution) -> bool:

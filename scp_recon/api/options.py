@@ -36,7 +36,7 @@ _OF_STARTS = ("seed", "workers")
 class PlanOptions:
     """The checked options of planning; None means the default.
 
-    Attributes: those that `api.planning.plan` describes.
+    Attributes: those that `api.verbs.plan` describes.
 
     Raises:
         InputError: if an option is out of range, or in conflict with another.

@@ -1,24 +1,22 @@
 """Plan a flyby: load, resolve, plan, certify, verify, keep.
 
-`carry_out` is the way of every plan from its scenario: of `plan`, the command `solve`, a campaign's
-case, drafts and the page with sliders. Designs and replans make their mission and start themselves and
-call `plan_mission` and `checked`.
+`carry_out` is the way of every plan: of `plan` and the command `solve`, of designs and replans, of a
+campaign's case, drafts and the page with sliders.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Any, Literal, Protocol, TypedDict, Unpack
+from typing import Any, Protocol, Unpack
 
 from pydantic import ValidationError
 
-from formulations.arrays import Array
 from formulations.problem.flyby import Iterate
-from scp_recon.api.inputs import PlanRequest, load, resolve
+from scp_recon.api.inputs import Known, PlanRequest, load, resolve
 from scp_recon.api.keeping import Kept, keep
 from scp_recon.api.options import PlanOptions
 from scp_recon.certification.certify import certify
@@ -95,7 +93,7 @@ class Watch:
     def verified(self, outcome: PlanOutcome, start: Iterate | None) -> tuple[str, ...]:
         """The plan is verified, and kept; return lines of advice that are kept with it.
 
-        `start` is the initial guess, from which a proposed plan may begin.
+        `start` is the initial guess, from which a proposed plan may begin too.
         """
         del outcome, start
         return ()
@@ -119,8 +117,12 @@ def carry_out(
     mission, start, called = resolve(loaded, request)
     with watch.folder(mission.scenario) as folder:
         with watch.planning(mission) as observe, finite_figures():
-            made = plan_mission(mission, start, request.options, observe, init=called)
-        return checked(made, folder, watch, start) if verifies else PlanOutcome(made)
+            made = plan_mission(
+                mission, start, request.options, observe, init=called, **request.known
+            )
+            made = request.finish(made)
+        guess = start if isinstance(start, Iterate) else None
+        return checked(made, folder, watch, guess) if verifies else PlanOutcome(made)
 
 
 def checked(
@@ -156,15 +158,6 @@ def checked(
     solution = replace(solution, advice=advice)
     keep(solution, folder)
     return replace(outcome, stored=solution)
-
-
-class Known(TypedDict, total=False):
-    """Arguments of `planner.plan` that are known before planning."""
-
-    target: float | None
-    p3_resolution: float
-    choices: int
-    once: bool
 
 
 def plan_mission(
@@ -277,80 +270,3 @@ def finite_figures() -> Iterator[None]:
             "magnitudes for which the dynamics are not finite along the guess",
             "the units of body, boundary and burns must fit together",
         ) from None
-
-
-def plan(
-    scenario: Scenario | str | Path | None = None,
-    init: Plan | Solution | str | Path | Array = "cold",
-    *,
-    problem: Literal["P3", "P2"] = "P2",
-    method: Literal["scp", "ipopt"] = "scp",
-    formulation: str | None = None,
-    algorithm: str | None = None,
-    solver: str | None = None,
-    facet_rounds: int = 0,
-    certify: bool | None = None,
-    objective: Literal["delta-v", "probability"] = "delta-v",
-    dv_budget_m_s: float | None = None,
-    starts: int | None = None,
-    seed: int | None = None,
-    workers: int | None = None,
-    overrides: Sequence[str] = (),
-) -> Plan:
-    """Plan a flyby.
-
-    Args:
-        scenario: a file, complete or with base = another, or the packaged recon_b; other packaged ones
-            go with `design` (default: that of `init`, else recon_b).
-        init: "cold", a straight line; "warm", a ballistic arc; a plan, a solution or its folder; a CSV
-            of states, or such a table as an array (n, 7): t, x, y, z, vx, vy, vz, J2000, SI.
-        problem: "P2", with uncertainty, or "P3", without it.
-        method: "scp", sequential convex programming, or "ipopt", the nonlinear programs by IPOPT.
-        formulation: with scp condensed, lifted, frozen-stm or frozen-covariance (default: condensed);
-            with ipopt printed, tuned or shooting (default: tuned).
-        algorithm: with scp scvx, ptr or scvx-star (default: scvx).
-        solver: with scp a conic solver that CVXPY finds: CLARABEL and SCS; ECOS and QOCO with the extra
-            [compare] (default: CLARABEL).
-        facet_rounds: choose the facets again at the solution and solve again, up to this many times; an
-            infeasible case is tried again in any case.
-        certify: with risk.allocation = exact, raise the target probability until fresh flights reach
-            the required one (default: yes).
-        objective: the least "delta-v"; or with risk.allocation = exact the largest "probability",
-            whatever risk.p_chance says.
-        dv_budget_m_s: with `objective` probability, largest delta-v of the plan, as policy.cost counts
-            it, m/s (default: no limit).
-        starts: plan from `init`, and from random flights for the other starts; list the distinct
-            local optima and keep the best (default: 1).
-        seed: of the random flights (default: 0).
-        workers: processes for the starts; the plan does not depend on their number (default: 1).
-        overrides: `section.entry=value` each, as of `load_scenario`.
-
-    Returns:
-        The plan, not verified yet: `status` says whether it converged, `total_dv_m_s` is its delta-v.
-        Burns (m, 3), states (n, 6) and covariances (n, 6, 6) are in J2000, m and m/s.
-
-    Raises:
-        InputError: naming the entry, what was given and what is allowed.
-
-    Examples:
-        >>> import scp_recon as sr
-        >>> found = sr.plan(sr.load_scenario("recon_b").replace({"risk.p_chance": 0.8}))
-        >>> print(found.status.value.name, f"{found.total_dv_m_s:.3f} m/s")
-        converged 0.155 m/s
-    """
-    options = PlanOptions(
-        problem=problem,
-        method=method,
-        formulation=formulation,
-        algorithm=algorithm,
-        solver=solver,
-        facet_rounds=facet_rounds,
-        certify=certify,
-        objective=objective,
-        dv_budget_m_s=dv_budget_m_s,
-        starts=starts,
-        seed=seed,
-        workers=workers,
-    )
-    request = PlanRequest(scenario, init, options, overrides)
-    return carry_out(request, verifies=False).plan

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from scp_recon.api.designing import Design, trials_table
-from scp_recon.api.files import charts, export_of, solution_of
+from scp_recon.api.files import charts_of, export_of, solution_of
 from scp_recon.api.survey import survey_table
 from scp_recon.display import Displayed, Tabulated
 from scp_recon.errors import imported, one_of, option
@@ -40,7 +40,8 @@ def plot(result: Displayed, chart: str | None) -> Figure:
 
         drawn = figures_of((held_chart(result), lowest_chart(result)))
     else:
-        drawn = charts(*(result.plans if isinstance(result, Comparison) else (result,)))
+        shown: Any = result.plans if isinstance(result, Comparison) else (result,)
+        drawn = charts_of(shown)
     return drawn[_chosen("chart", chart, [*drawn])]
 
 

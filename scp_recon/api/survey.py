@@ -10,7 +10,7 @@ import numpy as np
 from scp_recon.api.inputs import date_in_tdb, scenario_of
 from scp_recon.bodies.catalogue import DAY_S
 from scp_recon.errors import InputError, needing, number_between, option
-from scp_recon.files import check_ending, unwritable, write_atomically
+from scp_recon.files import PICTURE, check_ending, check_own, write_atomically, writing
 from scp_recon.mission.survey import Survey, survey
 from scp_recon.results.table import Table
 from scp_recon.scenario.load import naming_files
@@ -19,36 +19,18 @@ from scp_recon.scenario.schema import Scenario
 DAYS_MAX = 100.0
 """At most; the span may begin as far from the epoch. The planets, which two-body motion
 leaves out, turn Bennu's direction of the Sun by 0.001 deg in 100 days, and by 0.02 deg in 400."""
+MARK = b"opens_tdb,closes_tdb,"
+"""At the head of every table of windows."""
 
 
-def windows(
+def find_windows(
     scenario: Scenario | str | Path,
     begin: datetime | str | None = None,
     span_days: float = 2.0,
-    *,
     csv: str | Path | None = None,
     chart: str | Path | None = None,
 ) -> Survey:
-    """Find all lighting windows of a span, with legal burn times about each.
-
-    Args:
-        scenario: a file, or a packaged one's name, such as recon_b.
-        begin: where the span begins, TDB, e.g. 2020-01-21T20:33:17 (default: the scenario's epoch).
-        span_days: how long it is, up to 100 days.
-        csv: file to which they are written as a table, .csv.
-        chart: file to which they are drawn, .png, .pdf or .svg; needs the extra [report].
-
-    Returns:
-        The windows, in s past the scenario's epoch, with legal burn times about each.
-
-    Raises:
-        InputError: naming the argument, what was given and what is allowed.
-
-    Examples:
-        >>> import scp_recon as sr
-        >>> len(sr.windows("recon_b", span_days=1.0).windows)
-        5
-    """
+    """See `api.verbs.windows`."""
     number_between(option("span_days"), span_days, 0.01, DAYS_MAX)
     given = scenario_of(scenario)
     epoch = given.epoch.tdb
@@ -61,26 +43,22 @@ def windows(
         raise InputError(option("begin"), str(begin), allowed)
     if csv is not None:
         check_ending(Path(csv), option("csv"), ".csv")
+        check_own(Path(csv), option("csv"), MARK)
     if chart is not None:
         with needing(option("chart"), "report"):
             from scp_recon.api.charts import draw_windows
             from scp_recon.results.pictures import endings
         check_ending(Path(chart), option("chart"), *endings())
+        check_own(Path(chart), option("chart"), PICTURE)
     with naming_files(scenario):
         found = survey(given, (first, first + span_days * DAY_S))
     if csv is not None:
-        _write_result(Path(csv), option("csv"), survey_table(found).csv())
+        with writing(Path(csv).parent, option("csv")):
+            write_atomically(Path(csv), survey_table(found).csv())
     if chart is not None:
-        path = Path(chart)
-        _write_result(path, option("chart"), draw_windows(given, found, path.suffix))
+        with writing(Path(chart).parent, option("chart")):
+            write_atomically(Path(chart), draw_windows(given, found, Path(chart).suffix))
     return found
-
-
-def _write_result(path: Path, entry: str, content: str | bytes) -> None:
-    try:
-        write_atomically(path, content)
-    except OSError as error:
-        raise unwritable(path.parent, entry, error) from None
 
 
 def tdb(scenario: Scenario, time_s: float) -> str:

@@ -28,12 +28,13 @@ import threading
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from io import TextIOWrapper
 from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn
 
+from scp_recon.cli.options import Option, joined, parameters, parser_of
 from scp_recon.errors import InputError, printable
 from scp_recon.scp.status import Status
 
@@ -73,14 +74,18 @@ class Answer(NamedTuple):
 
 @dataclass(frozen=True)
 class Command:
-    """A command, `scp-recon NAME`, made from a function of that name by decorating it.
+    """A command, `scp-recon NAME`, of a function of that name.
 
     Attributes:
-        function: does the work with a console and its options, as `cli.options` reads them from its
-            signature and docstring. Its module is light; it imports what it needs when it is called.
+        function: does the work with a console and its options. Its module is light; it imports what it
+            needs when it is called.
+        owner: function of `api` whose options the command takes; None for a command without.
+        spelt: parameters that this command spells in another way than the others.
     """
 
     function: Callable[..., Answer]
+    owner: Callable[..., Any] | None = None
+    spelt: Mapping[str, Option] = field(default_factory=dict)
 
     @property
     def name(self) -> str:
@@ -89,18 +94,22 @@ class Command:
 
     def parser(self) -> argparse.ArgumentParser:
         """Parser of its options."""
-        from scp_recon.cli.options import parser_of
-
-        return parser_of(self.function, f"{SCRIPT} {self.name}")
+        return parser_of(self.function, self.owner, self.spelt, f"{SCRIPT} {self.name}")
 
     def main(self, arguments: Sequence[str] | None = None) -> int:
         """Run the command line; returns the exit status."""
-        from scp_recon.cli.options import joined, parameters
-
         options = parse(self.parser(), joined(sys.argv[1:] if arguments is None else arguments))
         use_one_thread()
-        given = {one.name: getattr(options, one.name) for one in parameters(self.function)}
+        names = (one.name for one in parameters(self.function, self.owner))
+        given = {name: getattr(options, name) for name in names}
         return run_command(lambda console: self.function(console, **given), options)
+
+
+def command(
+    owner: Callable[..., Any] | None = None, **spelt: Option
+) -> Callable[[Callable[..., Answer]], Command]:
+    """Decorator that makes a command of a function: see `Command`."""
+    return lambda function: Command(function, owner, spelt)
 
 
 def use_one_thread() -> None:

@@ -6,9 +6,6 @@ from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
 
-import numpy as np
-
-from formulations.arrays import Array
 from scp_recon.errors import InputError
 from scp_recon.files import read_text
 from scp_recon.replanning.delivery import Delivery
@@ -18,47 +15,46 @@ BYTES_MAX = 100_000
 
 
 def read_delivery(
-    at_s: str,
-    state: str,
     epoch: datetime,
     *,
-    frame: str,
+    at_s: str,
+    state: str,
     covariance: Path | None,
-    covariance_frame: str | None,
     measured_burns: Sequence[str],
+    **frames: str,
 ) -> Delivery:
     """Make a delivery from options of the command line.
 
     Args:
+        epoch: of the plan that is flown, TDB.
         at_s: time of the state, s past the epoch or a date in TDB.
         state: six numbers, m and m/s, or their file.
-        epoch: of the plan that is flown, TDB.
-        frame: axes of state and burns.
         covariance: file of six rows of six numbers, m and m/s, if any.
-        covariance_frame: axes of the covariance.
         measured_burns: N=X,Y,Z each, m/s.
+        **frames: axes of state and burns, and of the covariance, as of `Delivery.of`.
 
     Raises:
         InputError: if a number, a date or a file is not valid.
     """
-    rows = None
-    if covariance is not None:
-        rows = _rows(covariance, "--covariance")
-        if [len(row) for row in rows] != 6 * [6]:
-            sizes = " and ".join(sorted({str(len(row)) for row in rows})) or "no"
-            raise InputError(
-                f"--covariance {covariance}",
-                f"{len(rows)} rows of {sizes} numbers",
-                "must be six rows of six numbers, m and m/s",
-            )
-    return Delivery.of(
-        at_s=_time(at_s, epoch),
-        state=_state(state),
-        frame=frame,
-        covariance=None if rows is None else np.array(rows),
-        covariance_frame=covariance_frame,
-        measured=_burns(measured_burns),
-    )
+    rows = None if covariance is None else _rows(covariance, "--covariance")
+    if rows is not None and [len(row) for row in rows] != 6 * [6]:
+        sizes = " and ".join(sorted({str(len(row)) for row in rows})) or "no"
+        given, allowed = f"{len(rows)} rows of {sizes} numbers", "must be six rows of six numbers"
+        raise InputError(f"--covariance {covariance}", given, f"{allowed}, m and m/s")
+    try:
+        numbers = _numbers(state)
+    except ValueError:
+        numbers = [number for row in _rows(Path(state), "--state") for number in row]
+    if len(numbers) != 6:
+        allowed = "must be six, m and m/s, or their file"
+        raise InputError("--state", f"{len(numbers)} numbers", allowed)
+    burns: dict[int, list[float]] = {}
+    for text in measured_burns:
+        number, burn = _burn(text)
+        if number in burns:
+            raise InputError("--measured-burn", f"burn {number} twice", "must be given once")
+        burns[number] = burn
+    return Delivery.of(_time(at_s, epoch), numbers, covariance=rows, measured=burns, **frames)
 
 
 def _time(text: str, epoch: datetime) -> float:
@@ -78,42 +74,14 @@ def _time(text: str, epoch: datetime) -> float:
     return (date - epoch).total_seconds()
 
 
-def _state(text: str) -> Array:
-    """Numbers, or a file of them."""
+def _burn(text: str) -> tuple[int, list[float]]:
+    number, _, burn = text.partition("=")
     try:
-        given = _numbers(text)
-    except ValueError:
-        given = [number for row in _rows(Path(text), "--state") for number in row]
-    if len(given) != 6:
-        raise InputError(
-            "--state", f"{len(given)} numbers", "must be six, m and m/s, or their file"
-        )
-    return np.array(given)
-
-
-def _burns(texts: Sequence[str]) -> dict[int, Array]:
-    """Burns by their number, each once."""
-    found: dict[int, Array] = {}
-    for text in texts:
-        number, burn = _burn(text)
-        if number in found:
-            raise InputError("--measured-burn", f"burn {number} twice", "must be given once")
-        found[number] = burn
-    return found
-
-
-def _burn(text: str) -> tuple[int, Array]:
-    number, separator, burn = text.partition("=")
-    try:
-        if not (separator and number.strip().isdecimal()):
-            raise ValueError
-        given = _numbers(burn)
-        if len(given) != 3:
-            raise ValueError
+        (x, y, z), index = _numbers(burn), int(number)
     except ValueError:
         allowed = "must read N=X,Y,Z: the burn's number and three numbers in m/s"
         raise InputError("--measured-burn", repr(text)[:80], allowed) from None
-    return int(number), np.array(given)
+    return index, [x, y, z]
 
 
 def _rows(path: Path, entry: str) -> list[list[float]]:

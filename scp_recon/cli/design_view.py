@@ -19,7 +19,7 @@ from scp_recon.cli.command import (
 )
 from scp_recon.cli.rendering import time_left
 from scp_recon.errors import option
-from scp_recon.files import unwritable, write_atomically
+from scp_recon.files import PICTURE, check_own, write_atomically, writing
 from scp_recon.passes.design import Trial
 from scp_recon.planning.primer import WORTH, PrimerHistory
 from scp_recon.results.read import read_solution
@@ -33,16 +33,28 @@ RESIDUAL = 0.1
 """Largest residual of an optimum's multipliers: a primer errs by its residual."""
 
 
+HEAD = "# Written by `scp-recon design`.\n"
+
+
+def check_files(folder: Path) -> None:
+    """Refuse, before the work, a folder with other files of these names.
+
+    Raises:
+        InputError: if one would be overwritten.
+    """
+    marks = {TABLE: b"step,window,problem,", SCENARIO: HEAD.encode(), MAP: PICTURE, PRIMER: PICTURE}
+    for name, mark in marks.items():
+        check_own(folder / name, option("out"), mark)
+
+
 def keep(folder: Path, name: str, content: str | bytes) -> None:
     """Write a file into the folder of a run.
 
     Raises:
         InputError: if it cannot be written.
     """
-    try:
+    with writing(folder, option("out")):
         write_atomically(folder / name, content)
-    except OSError as error:
-        raise unwritable(folder, option("out"), error) from None
 
 
 def keep_map(folder: Path, found: Design, console: Console, dv_m_s: float) -> None:

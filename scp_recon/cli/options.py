@@ -1,7 +1,7 @@
-"""Make a command's parser from its function: signature and docstring become options and help.
+"""Make a command's parser from functions: signatures and docstrings become options and help.
 
-Types of options convert texts to numbers; `api` checks their ranges. Whatever several commands
-share stands here once, as types of parameters.
+A command takes the options of the function of `api` that does its work, with that function's
+descriptions, and adds its own. Types of options convert texts to numbers; `api` checks their ranges.
 """
 
 from __future__ import annotations
@@ -9,11 +9,10 @@ from __future__ import annotations
 import argparse
 import inspect
 import re
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+import types
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from types import NoneType
-from typing import Annotated, Any, Literal, get_args, get_origin
+from typing import Any, Literal, NamedTuple, Union, get_args, get_origin
 
 from scp_recon.errors import EXACT, InputError, whole_number
 
@@ -60,7 +59,7 @@ def int_between(low: int, high: int, words: str = "") -> Callable[[str], int]:
     return parse
 
 
-def named_folder(text: str) -> Path:
+def folder(text: str) -> Path:
     """A type of option: a folder with a name that is not empty."""
     if not text:
         raise argparse.ArgumentTypeError("got ''; must be a folder")
@@ -97,15 +96,14 @@ def budget(text: str) -> float | str | None:
     return None if text == "any" else number(text)
 
 
-@dataclass(frozen=True)
-class Option:
-    """The metadata of a parameter's `Annotated` type, for an option that its type does not describe.
+class Option(NamedTuple):
+    """How the command line spells a parameter.
 
     Attributes:
         metavar: placeholder of the value in the help; empty for the usual one of the type.
         flag: such as --set; empty for the parameter's name.
         read: converts the text of the value; None for the conversion of the type.
-        help: description; empty if the function's docstring has one.
+        help: description where several functions say the same in words of Python.
     """
 
     metavar: str = ""
@@ -114,39 +112,41 @@ class Option:
     help: str = ""
 
 
-PlanFile = Annotated[Path, Option("PLAN", help="folder with a solution.json, or the file")]
-Overrides = Annotated[
-    list[str],
-    Option(
+SPELT: Mapping[str, Option] = {
+    "file": Option("SCENARIO"),
+    "scenario": Option("SCENARIO", read=Path),
+    "init": Option("cold|warm|FILE", read=start),
+    "dv_budget_m_s": Option("M_S", "--dv-budget", budget),
+    "overrides": Option(
         "PATH=VALUE",
         "--set",
         help="override one entry of the scenario, e.g. risk.p_chance=0.8; may be repeated",
     ),
-]
-Certify = Annotated[
-    bool | None,
-    Option(
+    "certify": Option(
         help="with risk.allocation = exact, raise the target probability until fresh flights reach the "
         "required one (default: yes)"
     ),
-]
-RUN = (
-    "(default: runs/NAME/UTC with the scenario's name, to which runs/latest then points); a verified "
-    "plan there is overwritten only by a verified one"
-)
-RunFolder = Annotated[
-    Path | None, Option("DIR", read=named_folder, help=f"folder for solution.json {RUN}")
-]
-Folder = Annotated[Path, Option("DIR")]
-Scheduler = Annotated[
-    str | None,
-    Option(
-        "ADDRESS",
-        help="run on the Dask cluster of this scheduler instead, e.g. tcp://127.0.0.1:8786; needs the "
-        "extra [cluster]",
-    ),
-]
-Vehicle = Annotated[Path | None, Option(help="a TOML file (default: the packaged DARE)")]
+    "out": Option("DIR", read=folder),
+    "plan": Option("PLAN", read=Path, help="folder with a solution.json, or the file"),
+    "plans": Option("PLAN", read=Path),
+    "at_s": Option("T", "--at", str),
+    "state": Option("STATE", "--state", str),
+    "covariance": Option("FILE", read=Path),
+    "measured_burns": Option("N=X,Y,Z", "--measured-burn"),
+    "study": Option("STUDY", read=Path),
+    "scheduler": Option("ADDRESS"),
+    "until": Option("P%", read=width),
+    "field_deg": Option("DEG"),
+    "format": Option("", "--format"),
+    "body": Option("NAME", "--body"),
+    "site": Option("LAT,LON", "--site", numbers),
+    "pole": Option("RA,DEC", read=numbers),
+    "orbit": Option("X,Y,Z,VX,VY,VZ", read=numbers),
+    "epoch": Option("TDB", read=str),
+    "begin": Option("TIME", "--from", str),
+    "end": Option("TIME", "--to", str),
+}
+"""Parameters, of any command, of which name and type do not say how they are spelt."""
 USUAL: dict[Any, dict[str, Any]] = {
     bool: {"type": yes_or_no, "metavar": "yes|no"},
     int: {"type": whole, "metavar": "N"},
@@ -157,58 +157,94 @@ USUAL: dict[Any, dict[str, Any]] = {
 """Arguments of `add_argument` by the type of a parameter."""
 DESCRIBED = re.compile(r"^ {4}(\w+): (.*(?:\n {8}.*)*)", re.MULTILINE)
 """A parameter in the `Args:` of a docstring, and its description."""
+IN_PYTHON = ("progress",)
+"""Parameters without an option."""
 
 
-def parameters(function: Callable[..., Any]) -> list[inspect.Parameter]:
-    """Parameters of a command's function that are options: all but the first, the console."""
-    return list(inspect.signature(function).parameters.values())[1:]
+def parameters(
+    function: Callable[..., Any], owner: Callable[..., Any] | None
+) -> list[inspect.Parameter]:
+    """Parameters of a command that are arguments or options, each once.
+
+    They are those of the command's function but for the console; where it takes any others (`**given`),
+    those of its owner follow, which by keyword alone are before its own.
+    """
+    own = list(inspect.signature(function).parameters.values())[1:]
+    names = [one.name for one in own]
+    others = () if owner is None else inspect.signature(owner).parameters.values()
+    taken = [one for one in others if one.name not in (*names, *IN_PYTHON)]
+    first = [one for one in own if one.kind is one.POSITIONAL_OR_KEYWORD]
+    return [*first, *taken, *(one for one in own if one.kind is one.KEYWORD_ONLY)]
 
 
-def parser_of(function: Callable[..., Any], prog: str) -> argparse.ArgumentParser:
+def described(function: Callable[..., Any]) -> tuple[str, dict[str, str]]:
+    """What a docstring says before its sections, and of each parameter.
+
+    Values stand without their quotes, and a last sentence on Python is left out.
+    """
+    said, _, sections = (inspect.getdoc(function) or "").partition("\n\nArgs:\n")
+    words = {name: " ".join(text.split()) for name, text in DESCRIBED.findall(sections)}
+    return " ".join(said.split()), {
+        name: text.replace('"', "").partition(" In Python ")[0] for name, text in words.items()
+    }
+
+
+def parser_of(
+    function: Callable[..., Any],
+    owner: Callable[..., Any] | None,
+    spelt: Mapping[str, Option],
+    prog: str,
+) -> argparse.ArgumentParser:
     """Make the parser of a command.
 
     Args:
-        function: of the command. Parameters by keyword alone are options, the others arguments; a
-            parameter without a default is required.
+        function: of the command. Parameters by keyword alone, and those with a default of the owner,
+            are options, the others arguments; a parameter without a default is required.
+        owner: function of `api` whose parameters the command takes too.
+        spelt: parameters that this command spells in another way than the others.
         prog: name of the command for its help.
     """
-    said, _, section = inspect.getdoc(function).partition("\n\nArgs:\n")  # type: ignore[union-attr]
-    described = {name: " ".join(text.split()) for name, text in DESCRIBED.findall(section)}
-    p = argparse.ArgumentParser(prog=prog, description=" ".join(said.split()))
-    rows = [(one, *_kind_and_option(one.annotation)) for one in parameters(function)]
-    flags = {one.name: o.flag or f"--{one.name.replace('_', '-')}" for one, _, o in rows}
-    for one, kind, option in rows:
-        row = _row(one, kind, option)
-        said = (described.get(one.name) or option.help).removesuffix(".").replace("%", "%%")
+    said, words = described(function)
+    shared = {name: option.help for name, option in SPELT.items() if option.help}
+    words = (described(owner)[1] if owner else {}) | shared | words
+    p = argparse.ArgumentParser(prog=prog, description=said)
+    spelt = {**SPELT, **spelt}
+    rows = [(one, spelt.get(one.name, Option())) for one in parameters(function, owner)]
+    flags = {one.name: o.flag or f"--{one.name.replace('_', '-')}" for one, o in rows}
+    own = inspect.signature(function).parameters
+    for one, option in rows:
+        by_keyword = one.kind is one.KEYWORD_ONLY or bool(option.flag)
+        by_keyword |= one.name not in own and one.default is not one.empty
+        row = _row(one, option, by_keyword=by_keyword)
+        help_ = words.get(one.name, "").removesuffix(".").replace("%", "%%")
         if type(one.default) in (str, int, float):
-            said += f" (default: {one.default:{'g' if type(one.default) is float else ''}})"
-        row["help"] = re.sub("`(.+?)`", lambda match: flags.get(match[1], match[1]), said)
-        if one.kind is inspect.Parameter.KEYWORD_ONLY:
+            help_ += f" (default: {one.default:{'g' if type(one.default) is float else ''}})"
+        row["help"] = re.sub("`(.+?)`", lambda match: flags.get(match[1], match[1]), help_)
+        if by_keyword:
             p.add_argument(flags[one.name], dest=one.name, **row)
         else:
             p.add_argument(one.name, **row)
     return p
 
 
-def _kind_and_option(annotation: Any) -> tuple[Any, Option]:
-    """Type of a parameter without its `| None`, and its metadata."""
-    found = Option()
-    if get_origin(annotation) is Annotated:
-        annotation, found = get_args(annotation)
-    if NoneType in get_args(annotation):
-        (annotation,) = (kind for kind in get_args(annotation) if kind is not NoneType)
-    return annotation, found
+def _kind(annotation: Any) -> Any:
+    """Type of a parameter's values on the command line: a path, where it may be one."""
+    if get_origin(annotation) in (Union, types.UnionType):
+        kinds = [kind for kind in get_args(annotation) if kind is not types.NoneType]
+        return Path if Path in kinds else kinds[0]
+    return annotation
 
 
-def _row(one: inspect.Parameter, kind: Any, option: Option) -> dict[str, Any]:
+def _row(one: inspect.Parameter, option: Option, *, by_keyword: bool) -> dict[str, Any]:
     """Arguments of `add_argument` for a parameter, without its help."""
-    by_keyword, required = one.kind is one.KEYWORD_ONLY, one.default is one.empty
+    required, kind = one.default is one.empty, _kind(one.annotation)
     if kind is bool and one.default is False:
         return {"action": "store_true"}
     row: dict[str, Any] = {} if required else {"default": one.default}
-    if get_origin(kind) is list:
-        (kind,) = get_args(kind)
-        row |= {"action": "append"} if by_keyword else {"nargs": "+"}
+    if one.kind is one.VAR_POSITIONAL:
+        row = {"nargs": "+"}
+    elif one.name in REPEATED:
+        row, kind = {"action": "append", "default": []}, str
     elif by_keyword:
         row["required"] = required
     elif not required:
@@ -220,6 +256,7 @@ def _row(one: inspect.Parameter, kind: Any, option: Option) -> dict[str, Any]:
     return row | ({"metavar": option.metavar} if option.metavar else {})
 
 
+REPEATED = ("overrides", "measured_burns")
 LISTS = {"--state": 6, "--measured-burn": 3, "--orbit": 6, "--site": 2, "--pole": 2}
 """Options whose value is so many numbers, which may be negative and stand apart."""
 

@@ -12,7 +12,7 @@ from rich.console import Console
 from formulations.problem.flyby import Iterate
 from formulations.registry import FULL
 from scp_recon.api.infeasibility import SIZE, Diagnosis, diagnose
-from scp_recon.api.keeping import UNVERIFIED, run_folder
+from scp_recon.api.keeping import UNVERIFIED, point_latest, run_folder
 from scp_recon.api.options import PlanOptions
 from scp_recon.api.planning import PlanOutcome, Watch
 from scp_recon.certification.largest import rounded_down
@@ -63,20 +63,28 @@ class Shown(Watch):
     def __init__(self, console: Console, out: Path | None, instead: Sequence[str] = ()) -> None:
         self._console, self._out, self._instead = console, out, instead
         self._open = ExitStack()
-        self.place = Path()
+        self._status: int | None = None
+        self._folder: Path | None = None
 
     def __enter__(self) -> Self:
         """Begin."""
         return self
 
     def __exit__(self, *raised: object) -> None:
-        """Free the folder."""
+        """Free the folder; `runs/latest` points to it if the run has its answer."""
         self._open.close()
+        if self._folder is not None and self._status is not None and raised[0] is None:
+            point_latest(self._out, self._folder, self._status)
+
+    def open(self, name: str) -> Path:
+        """Open the folder of a run that is named after its scenario; it stays open until the end."""
+        if self._folder is None:
+            self._folder = self._open.enter_context(run_folder(self._out, name))
+        return self._folder
 
     def folder(self, scenario: Scenario) -> AbstractContextManager[Path]:
         """See `Watch`."""
-        self.place = self._open.enter_context(run_folder(self._out, scenario.name))
-        return nullcontext(self.place)
+        return nullcontext(self.open(scenario.name))
 
     @contextmanager
     def planning(self, mission: Mission) -> Iterator[Progress]:
@@ -120,6 +128,7 @@ class Shown(Watch):
         if not code and verification is not None and not verification.ok:
             code = NOT_VERIFIED
         assert outcome.kept.path is not None
+        self._status = code
         return Answer(code, plan_document(outcome.solution, [outcome.kept.path]))
 
 

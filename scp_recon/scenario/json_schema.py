@@ -19,6 +19,7 @@ from scp_recon.bodies.catalogue import body_names
 from scp_recon.scenario.load import base_names
 from scp_recon.scenario.schema import Scenario
 
+TITLE = "scp_recon scenario"
 DRAFT = "http://json-schema.org/draft-07/schema#"
 """What taplo and Even Better TOML read; Pydantic writes 2020-12, which names two things otherwise."""
 
@@ -47,7 +48,7 @@ def json_schema() -> dict[str, Any]:
     properties = {"base": base, **_as_draft_7(schema["properties"])}
     return {
         "$schema": DRAFT,
-        "title": "scp_recon scenario",
+        "title": TITLE,
         "description": "Units are in the names of the entries; angles are in degrees.",
         "type": "object",
         "additionalProperties": False,

@@ -14,7 +14,7 @@ from experiments.in_flight.sites import last_gains
 from experiments.maps import counted
 from experiments.plans import FLIGHT
 from formulations.problem.feedback import Feedback
-from scp_recon.api.planning import plan
+from scp_recon.api.verbs import plan
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess

@@ -11,7 +11,7 @@ from experiments.frontier import NOT_CERTIFIED, measure, record, with_costs
 from experiments.harness import Record, fly_plan
 from formulations.problem.flyby import Iterate
 from scp_recon.api import planning
-from scp_recon.api.planning import plan
+from scp_recon.api.verbs import plan
 from scp_recon.certification.certify import AimedPlanning
 from scp_recon.mission.mission import Mission
 from scp_recon.planning.plan import Certificate, Plan

@@ -2,6 +2,7 @@
 
 import ast
 import dataclasses
+import importlib
 import inspect
 import re
 import sys
@@ -21,6 +22,11 @@ pytestmark = pytest.mark.slow
 
 pandas = pytest.importorskip("pandas")
 OURS = "scp_recon", "formulations"
+LATE = [
+    *(f"scp_recon.api.{name}" for name in ("campaigns", "drafts", "files", "showing", "designing")),
+    "scp_recon.simulation.record",
+    "scp_recon.verification.reintegration",
+]
 
 
 def classes_in(hint: object) -> Iterator[type]:
@@ -32,8 +38,10 @@ def classes_in(hint: object) -> Iterator[type]:
 
 
 def hints(of: Any) -> dict[str, Any]:
-    """Annotations, those of other packages too that are imported late."""
-    known = {"pandas": pandas, "Figure": Figure, **vars(sys.modules[of.__module__])}
+    """Annotations, those too that functions name before they import them."""
+    late = (importlib.import_module(name) for name in LATE)
+    known = {name: kind for module in late for name, kind in vars(module).items()}
+    known |= {"pandas": pandas, "Figure": Figure, **vars(sys.modules[of.__module__])}
     return inspect.get_annotations(of, globals=known, eval_str=True)
 
 

@@ -2,29 +2,24 @@
 
 from __future__ import annotations
 
-from scp_recon.cli.commands.flying import montecarlo, simulate
-from scp_recon.cli.commands.kept import compare, export, report, verify
-from scp_recon.cli.commands.planning import campaign, design, new, replan, solve
-from scp_recon.cli.commands.showing import explore, scenarios, schema, windows
+from scp_recon.cli.commands.planning import (
+    campaign,
+    design,
+    explore,
+    new,
+    replan,
+    scenarios,
+    schema,
+    solve,
+    windows,
+)
+from scp_recon.cli.commands.plans import compare, export, montecarlo, report, simulate, verify
 
 COMMANDS = {
     command.name: command
     for command in (
-        solve,
-        design,
-        replan,
-        verify,
-        montecarlo,
-        simulate,
-        campaign,
-        compare,
-        report,
-        explore,
-        export,
-        new,
-        windows,
-        scenarios,
-        schema,
+        *(solve, design, replan, verify, montecarlo, simulate, campaign, compare),
+        *(report, explore, export, new, windows, scenarios, schema),
     )
 }
 """By name, in the order of the help."""

@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from scp_recon.api.exploring import BYTES_MAX, Explorer, Server, changed, explore, sliders_of
-from scp_recon.api.inputs import scenarios
-from scp_recon.api.planning import plan
+from scp_recon.api.exploring import BYTES_MAX, Explorer, Server, changed, sliders_of
+from scp_recon.api.verbs import explore, plan, scenarios
 from scp_recon.errors import InputError
 from scp_recon.results.solution import make_solution
 from scp_recon.scenario.load import load_scenario

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from scp_recon.api import drafts
-from scp_recon.api.planning import plan
+from scp_recon.api.verbs import plan
 from scp_recon.cli.commands import new
 from scp_recon.cli.plan_view import as_given
 from scp_recon.drafting import draft as drafting

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from scp_recon.cli.commands import compare, montecarlo, replan, simulate, verify
-from scp_recon.cli.options import joined
 from scp_recon.replanning.flown import FlownPlan, predict
 from scp_recon.results.read import read_solution
 
@@ -89,24 +88,3 @@ def test_covariance_file_has_axes_of_its_own(plan_folder, state_at, tmp_path, ca
     assert "covariance: got" not in capsys.readouterr().out
     trace = np.trace(np.array(read_solution(out).nodes.covariance[0])[:3, :3])
     assert trace == pytest.approx(525.0)
-
-
-STATE = ["--state", "1", "-2", "3", "-4e-1", "5", "-6"]
-
-
-@pytest.mark.parametrize(
-    ("words", "expected"),
-    [
-        ([*STATE, "plan"], ["--state=1 -2 3 -4e-1 5 -6", "plan"]),
-        ([*STATE, "7"], ["--state=1 -2 3 -4e-1 5 -6", "7"]),
-        ([*STATE[:3], "-h"], ["--state=1 -2", "-h"]),
-        (["--state", "-h"], ["--state", "-h"]),
-        (["--state", "file.txt", "plan"], ["--state=file.txt", "plan"]),
-        (["--state=file.txt", "7"], ["--state=file.txt", "7"]),
-        (["--state", "1,2,3", "4,5,6", "plan"], ["--state=1,2,3 4,5,6", "plan"]),
-        (["--measured-burn", "2=-1", "-2", "-3", "7"], ["--measured-burn=2=-1 -2 -3", "7"]),
-        (["--measured-burn", "2=1,2,3", "plan"], ["--measured-burn=2=1,2,3", "plan"]),
-    ],
-)
-def test_list_option_takes_only_its_numbers(words, expected):
-    assert joined(words) == expected

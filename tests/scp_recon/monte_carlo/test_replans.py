@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from formulations.arrays import Array
-from scp_recon.api.flights import fly
+from scp_recon.api.plan_verbs import fly
 from scp_recon.cli.commands import montecarlo
 from scp_recon.errors import InputError
 from scp_recon.monte_carlo import closed_loop as module

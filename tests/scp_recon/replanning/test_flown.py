@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from formulations.problem.flyby import Iterate
-from scp_recon.api.replans import replan
+from scp_recon.api.verbs import replan
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.scene import execution_errors
 from scp_recon.physics.flow import propagate
