@@ -10,6 +10,7 @@ import numpy as np
 from scp_recon.api.inputs import PlanRequest
 from scp_recon.api.options import PlanOptions
 from scp_recon.display import Tabulated
+from scp_recon.jobs.blas import one_thread
 from scp_recon.mission.mission import Mission
 from scp_recon.passes.descent import PassResult, explain_failure
 from scp_recon.passes.design import Designer, Trial
@@ -100,6 +101,7 @@ def options_for(scenario: Scenario, *, certify: bool | None) -> PlanOptions:
     return options
 
 
+@one_thread
 def find_pass(scenario: Scenario, observe: Callable[[Trial], None] = lambda _: None) -> Design:
     """Find the cheapest pass.
 

@@ -19,8 +19,10 @@ from scp_recon.files import check_writable, writing
 from scp_recon.interop.export import UNNAMED_BODY_ID, Export, Ids
 from scp_recon.interop.files import FORMATS, require, stem, write_export
 from scp_recon.interop.path import fly_path
+from scp_recon.jobs.blas import one_thread
 from scp_recon.mission.mission import Mission
 from scp_recon.planning.plan import Plan
+from scp_recon.results.facts import Verification
 from scp_recon.results.read import read_solution
 from scp_recon.results.runs import resolve_run
 from scp_recon.results.solution import Solution, make_solution
@@ -83,7 +85,13 @@ def stored(plan: AnyPlan) -> Solution:
 
 def verified(mission: Mission, solution: Solution) -> Solution:
     """A solution with its verification."""
-    return solution.with_verification(reintegration.verify(mission, solution))
+    return solution.with_verification(verification_of(mission, solution))
+
+
+@one_thread
+def verification_of(mission: Mission, solution: Solution) -> Verification:
+    """Verify a solution without the solver."""
+    return reintegration.verify(mission, solution)
 
 
 def save(plan: AnyPlan, folder: str | Path) -> Path:

@@ -20,6 +20,7 @@ from scp_recon.errors import (
     whole_number,
 )
 from scp_recon.files import writing
+from scp_recon.jobs.blas import one_thread
 from scp_recon.jobs.job import Executor, here
 from scp_recon.jobs.processes import Processes
 from scp_recon.mission.scene import TruthModel
@@ -168,6 +169,7 @@ def _policy(plan: Opened, kind: PolicyKind | None) -> AnyPolicy:
     return solution.corrections
 
 
+@one_thread
 def _fly(config: FlightConfig, options: FlyOptions, watcher: Watcher) -> FlightTally:
     executor: Executor = here
     if options.scheduler is not None:

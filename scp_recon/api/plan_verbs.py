@@ -87,10 +87,9 @@ def verify(plan: "AnyPlan") -> "Verification":
         >>> sr.verify(sr.plan())
         <Verification: verified>
     """
-    from scp_recon.api.files import open_plan
-    from scp_recon.verification import reintegration
+    from scp_recon.api.files import open_plan, verification_of
 
-    return reintegration.verify(*open_plan(plan))
+    return verification_of(*open_plan(plan))
 
 
 def fly(

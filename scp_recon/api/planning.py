@@ -23,6 +23,7 @@ from scp_recon.certification.certify import certify
 from scp_recon.certification.flights import Watch as FlightWatch
 from scp_recon.certification.largest import LEAST, Search, largest_promise
 from scp_recon.errors import InputError, option
+from scp_recon.jobs.blas import one_thread
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import planner
 from scp_recon.planning.initial_guess import from_burns, start_from
@@ -99,6 +100,7 @@ class Watch:
         return ()
 
 
+@one_thread
 def carry_out(
     request: PlanRequest, watch: Watch | None = None, *, verifies: bool = True
 ) -> PlanOutcome:
@@ -160,6 +162,7 @@ def checked(
     return replace(outcome, stored=solution)
 
 
+@one_thread
 def plan_mission(
     mission: Mission,
     start: Iterate | Plan,

@@ -34,6 +34,7 @@ from scp_recon.certification.certify import certified
 from scp_recon.certification.flights import KeptCounts, Step
 from scp_recon.errors import InputError, one_of, shortened
 from scp_recon.impulsive.plan import ImpulsivePlan
+from scp_recon.jobs.blas import one_thread
 from scp_recon.planning.method import ALGORITHM, FORMULATION, SOLVER, scp_method
 from scp_recon.planning.planner import Planner
 from scp_recon.planning.stages import Observer, Pipeline, unobserved
@@ -344,6 +345,7 @@ class ImpulsiveProblem:
             return Iterate(np.zeros((problem.n_burns, 3)), mean)
         return Iterate(_finite("burns", burns, (problem.n_burns, 3)) / self.unit[3], mean)
 
+    @one_thread
     def solve(
         self,
         states: npt.ArrayLike | None = None,
@@ -376,6 +378,7 @@ class ImpulsiveProblem:
         stages = tuple(run.stages)
         return ImpulsivePlan(self.dynamics, self.unit, final, stages, run.timing, planner.target)
 
+    @one_thread
     def certify(
         self,
         states: npt.ArrayLike | None = None,

@@ -22,14 +22,13 @@ if TYPE_CHECKING:
 @command(plan_verbs.verify)
 def verify(console: "Console", plan: Path) -> Answer:
     """Verify a solution again."""
-    from scp_recon.api.files import open_plan
+    from scp_recon.api.files import open_plan, verification_of
     from scp_recon.cli import plan_view
-    from scp_recon.verification import reintegration
 
     mission, solution = open_plan(plan)
     plan_view.show_mission(console, mission)
     plan_view.show_solution(console, solution)
-    found = reintegration.verify(mission, solution)
+    found = verification_of(mission, solution)
     warnings = [*solution.warnings, *mission.warnings]
     plan_view.show_verification(console, mission, solution, found, warnings)
     checked = solution.with_verification(found)
