@@ -41,7 +41,12 @@ class OneThread(ContextDecorator):
         with self._lock:
             self._inside -= 1
             if self._inside == 0 and self._limit is not None:
+                from threadpoolctl import OpenBLASController
+
+                # Only the thread that set the number of OpenBLAS could restore it otherwise.
+                OpenBLASController.clear_controlling_thread(force=True)
                 self._limit.restore_original_limits()
+                OpenBLASController.clear_controlling_thread(force=True)
                 self._limit = None
 
 

@@ -135,7 +135,6 @@ replan plan --at 17000 STATE --covariance small.txt -> --covariance small.txt: g
 replan plan --at 17000 STATE --covariance bad.txt -> --covariance: got
 replan plan --at 17000 STATE --set in_flight.at_s=9000.0 -> --set: got another in_flight
 replan plan --at 17000 STATE --set burns.times_s=[0.0,7000.0,25000.0,34842.0] -> burns.times_s: got
-replan plan --at 17000 STATE --set burns.times_s=[0.0,8000.0,34842.0] -> burns.times_s: got 1 burns left
 """
 
 

@@ -1,68 +1,77 @@
-"""Threads of BLAS: one while the library works, and the user's number after it."""
+"""Threads of BLAS: one while the library works, and the user's number after it.
 
-from threading import Barrier, Thread
+In a process of its own, in which no variable limits the threads.
+"""
 
-import numpy.linalg  # noqa: F401 -- its BLAS is one of those that are limited
+import os
+import subprocess
+import sys
+from pathlib import Path
+
 import pytest
-import scipy.linalg  # noqa: F401
+
+from scp_recon.jobs.blas import GIVEN
+
+PROJECT = Path(__file__).parents[3]
+HEAD = """
+import os
+import numpy.linalg, scipy.linalg
 from threadpoolctl import threadpool_info, threadpool_limits
-
+from scp_recon.jobs.blas import OneThread, one_thread
+threads = lambda: {i["num_threads"] for i in threadpool_info() if "scipy_openblas" in i["prefix"]}
+threadpool_limits(limits=2, user_api="blas")
+assert threads() == {2}, threads()
+"""
+WORKS = """
+from scp_recon.api import planning
+seen = []
+def load(request):
+    seen.append(threads())
+    raise KeyboardInterrupt
+planning.load = load
 import scp_recon as sr
-from scp_recon.api import files, planning
-from scp_recon.jobs.blas import GIVEN, OneThread, one_thread
-
-
-@pytest.fixture
-def two_threads(monkeypatch):
-    for name in GIVEN:
-        monkeypatch.delenv(name, raising=False)
-    with threadpool_limits(limits=2, user_api="blas"):
-        if numbers() != {2}:
-            pytest.skip("BLAS has one thread here")
-        yield
-
-
-def numbers() -> set[int]:
-    return {found["num_threads"] for found in threadpool_info() if found["user_api"] == "blas"}
-
-
-@pytest.mark.usefixtures("two_threads")
-def test_work_has_one_thread_and_restores_the_users(monkeypatch, solution):
-    seen = []
-    monkeypatch.setattr(files.reintegration, "verify", lambda *_: seen.append(numbers()))
-    sr.verify(solution)
-    monkeypatch.setattr(planning, "load", lambda _: seen.append(numbers()))
-    with pytest.raises(TypeError):  # nothing was loaded
-        sr.plan()
-    assert seen == [{1}, {1}]
-    assert numbers() == {2}
-
-
-@pytest.mark.usefixtures("two_threads")
-def test_threads_that_overlap_restore_once():
-    """The first to enter leaves first: nested contexts would restore one thread for ever."""
-    context, entered, left = OneThread(), Barrier(2, timeout=10), Barrier(2, timeout=10)
-
-    def second() -> None:
-        with context:
-            entered.wait()
-            left.wait()
-            seen.append(numbers())
-
-    seen: list[set[int]] = []
-    other = Thread(target=second)
+try:
+    sr.plan()
+except KeyboardInterrupt:
+    assert seen == [{1}], seen
+assert threads() == {2}, threads()
+"""
+OVERLAP = """
+from threading import Barrier, Thread
+context, entered, left = OneThread(), Barrier(2, timeout=10), Barrier(2, timeout=10)
+def second():
     with context:
-        other.start()
         entered.wait()
-    seen.append(numbers())
-    left.wait()
-    other.join()
-    assert seen == [{1}, {1}]
-    assert numbers() == {2}
+        left.wait()
+        assert threads() == {1}, threads()
+other = Thread(target=second)
+with context:
+    other.start()
+    entered.wait()
+assert threads() == {1}, threads()
+left.wait()
+other.join()
+assert threads() == {2}, threads()
+"""
+GIVEN_BY_USER = """
+os.environ["OMP_NUM_THREADS"] = "2"
+with one_thread:
+    assert threads() == {2}, threads()
+"""
 
 
-@pytest.mark.usefixtures("two_threads")
-def test_number_given_by_the_user_is_kept(monkeypatch):
-    monkeypatch.setenv(GIVEN[0], "2")
-    with one_thread:
-        assert numbers() == {2}
+@pytest.mark.slow
+@pytest.mark.skipif((os.cpu_count() or 1) < 2, reason="needs two cores")
+@pytest.mark.parametrize("script", [WORKS, OVERLAP, GIVEN_BY_USER])
+def test_one_thread_while_the_library_works(script):
+    free = {name: value for name, value in os.environ.items() if name not in GIVEN}
+    run = subprocess.run(
+        [sys.executable, "-c", HEAD + script],
+        cwd=PROJECT,
+        env=free,
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert (run.returncode, run.stderr) == (0, "")
