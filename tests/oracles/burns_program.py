@@ -35,9 +35,7 @@ from formulations.risk.directions import sphere_directions
 from formulations.rows.flight_probability import FlightProbability
 from formulations.rows.node_probability import Event, Quantiles, joint_events
 from scp_recon.mission.mission import Mission
-from scp_recon.planning.planner import LINES
 
-COARSE_RAYS, COARSE_LINES = 512, 512
 RAYS = 2048
 """Directions, each both ways: P to some 1e-5."""
 
@@ -96,7 +94,7 @@ class NodeRows:
 
 
 class FlightRow:
-    """Probability of the whole flight, by as many directions as the planner's in the end, `LINES`."""
+    """Probability of the whole flight, by a number of directions."""
 
     def __init__(self, problem: FlybyProblem, probability: float, lines: int) -> None:
         events, self.asked = joint_events(problem.constraints), quantile(probability)
@@ -124,17 +122,6 @@ def _moved(s: Sensitivity, at: np.ndarray, by_mean: Array, by_factor: Array) -> 
         s.factor_jacobian[at, :3, :columns].reshape(len(at), 3 * columns, -1),
     )
     return slope
-
-
-def rows_of(mission: Mission) -> tuple[ProbabilityRows, ProbabilityRows]:
-    """Probability constraints of a search: coarse ones for its begin, and full ones."""
-    problem, risk = mission.problem, mission.scenario.risk
-    few, many = (
-        [NodeRows(problem, risk.p_chance, rays) for rays in (COARSE_RAYS, RAYS)]
-        if risk.scope == "node"
-        else [FlightRow(problem, risk.p_chance, lines) for lines in (COARSE_LINES, LINES)]
-    )
-    return few, many
 
 
 class Point(NamedTuple):

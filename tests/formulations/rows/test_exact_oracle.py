@@ -70,9 +70,8 @@ def test_program_derivatives_are_finite_differences(scope, exact, planned):
 
 
 @nightly
-@pytest.mark.parametrize("solver", ["IPOPT", "SLSQP"])
-def test_references_reach_the_planners_optimum(solver, exact, planned, p3):
-    found = search(exact, {"P3": p3}, solver, 60.0)
-    assert found.holds
-    cost = np.linalg.norm(found.burns, axis=1).sum() * exact.units.speed_m_s
+def test_slsqp_reaches_the_planners_optimum(exact, planned, p3):
+    found = search(exact, p3, 60.0)
+    assert found is not None
+    cost = np.linalg.norm(found, axis=1).sum() * exact.units.speed_m_s
     assert cost == pytest.approx(planned.total_dv_m_s, rel=5e-4)
