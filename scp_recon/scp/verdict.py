@@ -27,6 +27,9 @@ UNDECIDED = (Status.STALLED, Status.SOLVER_FAILED, Status.MAX_ITERATIONS)
 SHARE = 0.25
 """Violation to aim at, over the largest one that counts as none: curvature adds some to each step."""
 
+NEAR = 1e-2
+"""First trust radius: what is left to decide lies near the end of the run before."""
+
 PROVED = 1e-2
 """Accuracy of the least violation, over the largest one that counts as none."""
 
@@ -46,6 +49,7 @@ class LeastViolation(SCvx):
     weight: float = 1.0
     weight_max: float = 1.0
     weight_limit: float = 1.0
+    initial_radius: float = NEAR
 
     def init(self, subproblem: Subproblem, lin: Linearisation) -> State:
         """Start from an iterate."""
@@ -71,6 +75,7 @@ class LeastCost(SCvx):
     """
 
     penalty: ClassVar[Penalty] = "bounded"
+    initial_radius: float = NEAR
 
     def init(self, subproblem: Subproblem, lin: Linearisation) -> State:
         """Start from an iterate whose violations count as none."""
@@ -114,7 +119,10 @@ def decide(
     )
     last = result
     for phase in phases:
-        last = run(make(phase.penalty), dynamics, last.lin, phase, observe, last)
+        subproblem = make(phase.penalty)
+        if phase is not phases[-1] and subproblem.merit.worst_violation(last.lin) <= SHARE * most:
+            continue
+        last = run(subproblem, dynamics, last.lin, phase, observe, last)
         if last.status is not Status.CONVERGED:
             break
     return replace(last, status=result.status) if last.status in UNDECIDED else last
