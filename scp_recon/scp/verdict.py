@@ -88,9 +88,12 @@ class LeastCost(SCvx):
     def step(
         self, subproblem: Subproblem, dynamics: Dynamics, state: State, k: int, timing: Timing
     ) -> tuple[State, Record]:
-        """Take a step of SCvx; two inaccurate answers in a row that promise nothing also end it."""
+        """Take a step of SCvx; an inaccurate answer that promises nothing ends the run, too.
+
+        Such an answer's optimum is known to about what violations' accuracy is worth.
+        """
         new, record = super().step(subproblem, dynamics, state, k, timing)
-        return replace(new, stationary=new.stationary or (state.unsure and new.unsure)), record
+        return replace(new, stationary=new.stationary or new.unsure), record
 
     def _worth(self, charge: PenaltyParameters, record: Record) -> float:
         """Largest negligible reduction, by the accuracy of violations too."""
