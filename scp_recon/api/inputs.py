@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from datetime import datetime
 from pathlib import Path
 from typing import NamedTuple, TypedDict
@@ -20,6 +20,7 @@ from scp_recon.planning.plan import Plan
 from scp_recon.results.read import read_solution
 from scp_recon.results.runs import resolve_run
 from scp_recon.results.solution import Solution
+from scp_recon.scenario.fields import ScenarioWarning
 from scp_recon.scenario.load import (
     load_scenario,
     naming_files,
@@ -30,6 +31,8 @@ from scp_recon.scenario.time_scales import tdb_of_utc
 
 Init = Iterate | Plan | Solution | str | Path | Array
 """A start: "cold", "warm", a guess, a plan or a solution, its file, or a table of states."""
+UNCERTAIN = ("risk", "policy", "navigation")
+"""Tables of entries that a plan without uncertainty does not use."""
 
 
 class Known(TypedDict, total=False):
@@ -117,7 +120,21 @@ def resolve(loaded: Loaded, request: PlanRequest) -> Resolved:
             mission = Mission.from_scenario(mission)
     start = _start(mission, init)
     request.options.check(mission.scenario)
+    idle = tuple(_idle(request, mission.scenario))
+    if idle:
+        mission = replace(mission, warnings=(*mission.warnings, *idle))
     return Resolved(mission, start, loaded.called)
+
+
+def _idle(request: PlanRequest, scenario: Scenario) -> Iterator[ScenarioWarning]:
+    """Overrides that have no effect on the plan that is asked for."""
+    certain, is_open = request.options.problem == "P3", scenario.policy.kind == "open"
+    for text in request.overrides:
+        entry, _, given = (part.strip() for part in text.partition("="))
+        if certain and entry.partition(".")[0] in UNCERTAIN:
+            yield ScenarioWarning.of(entry, given, "has no effect on a plan of P3")
+        elif is_open and entry == "policy.cost":
+            yield ScenarioWarning.of(entry, given, 'has no effect with policy.kind = "open"')
 
 
 def _called(init: Init) -> str:

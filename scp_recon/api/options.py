@@ -119,7 +119,7 @@ class PlanOptions:
         exact = scenario.risk.allocation == "exact"
         if not exact or self.problem != "P2":
             others = option("problem", "P2") if exact else "risk.allocation = exact only"
-            if self.certify is not None:
+            if self.certify or (exact and self.certify is not None):  # "no" is what is done anyway
                 raise InputError(option("certify"), str(self.certify), f"goes with {others}")
             if self.objective == "probability":
                 raise InputError(option("objective"), self.objective, f"goes with {others}")

@@ -215,7 +215,7 @@ TOO_SURE = EXACT.replace({"risk.p_chance": 0.9999})
 BAD_CALLS: dict[str, tuple[str, Callable[[Plan, Path], object]]] = {
     "a problem in small letters": ("problem", lambda *_: sr.plan(problem="p3")),
     "certified P3": ("certify", lambda *_: sr.plan(EXACT, problem="P3", certify=True)),
-    "certified uniform": ("certify", lambda *_: sr.plan(certify=False)),
+    "certified uniform": ("certify", lambda *_: sr.plan(certify=True)),
     "certified maybe": ("certify", lambda *_: sr.plan(EXACT, certify="maybe")),
     "certified by a number": ("certify", lambda *_: sr.plan(EXACT, certify=0)),
     "too many flights": ("risk.p_chance", lambda *_: sr.plan(TOO_SURE, starts=3)),

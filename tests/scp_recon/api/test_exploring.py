@@ -119,6 +119,7 @@ def test_invalid_slider_values_get_a_reason(server, values, reason):
         ("POST", "/plan", "{", JSON, 400),
         ("POST", "/plan", " " * BYTES_MAX + "{}", JSON, 400),
         ("POST", "/plan", "[" * 10_000, JSON, 400),
+        ("POST", "/plan", "{}", JSON | {"Content-Length": "9" * 5000}, 400),
         ("POST", "/plan", '{"risk.p_chance": NaN}', JSON, 200),
         ("GET", "/", None, {"Host": "elsewhere.example"}, 403),
         ("POST", "/plan", "{}", JSON | {"Origin": "http://elsewhere.example"}, 403),

@@ -1,10 +1,14 @@
 """Options of commands: those of the functions, each with its help."""
 
 import inspect
+import os
 
 import pytest
 
 import scp_recon as sr
+from scp_recon.__main__ import main
+from scp_recon.api.inputs import PlanRequest, load, resolve
+from scp_recon.api.options import PlanOptions
 from scp_recon.cli.commands import COMMANDS
 from scp_recon.cli.options import joined, parameters
 from scp_recon.results.read import read_solution
@@ -66,3 +70,63 @@ def test_algorithm_and_solver_are_recorded(tmp_path, algorithm, solver):
     assert (solution.algorithm, solution.solver) == (algorithm, solver.upper())
     assert (run.exit_code, solution.status) == (0, "converged")
     assert solution.total_dv_m_s == pytest.approx(0.107723, rel=1e-4)
+
+
+def test_no_certificate_is_asked_of_uniform_risk(scenario):
+    assert scenario.risk.allocation == "uniform"
+    PlanOptions(certify=False).check(scenario)
+
+
+@pytest.mark.parametrize(
+    ("problem", "override", "warned"),
+    [
+        ("P3", "risk.p_chance=0.8", True),
+        ("P3", "navigation.lead_s=900", True),
+        ("P3", 'policy.kind="open"', True),
+        ("P3", "burns.dv_max_m_s=0.2", False),
+        ("P2", "risk.p_chance=0.8", False),
+        ("P2", 'policy.cost="expected"', True),
+    ],
+)
+def test_override_without_effect_is_warned_about(problem, override, warned):
+    request = PlanRequest(options=PlanOptions(problem), overrides=[override])
+    warnings = resolve(load(request), request).mission.warnings
+    idle = [one.entry for one in warnings if "has no effect" in one.expected]
+    assert idle == [override.partition("=")[0]] * warned
+
+
+FOREIGN = {
+    "schema {}/mine.json": "FILE",
+    "windows recon_b --span-days 0.2 --csv {}/mine.csv": "--csv",
+    "windows recon_b --span-days 0.2 --chart {}/mine.png": "--chart",
+    "solve --out {}": "--out",
+    "design nightingale --out {}": "--out",
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("line", FOREIGN)
+def test_file_that_was_not_written_here_is_kept(line, tmp_path, capsys):
+    names = ("mine.json", "mine.csv", "mine.png", "solution.json", "scenario.toml", "design.csv")
+    for name in names:
+        (tmp_path / name).write_text('{"of": "the user"}', "utf-8")
+    assert main(line.format(tmp_path).split()) == 2
+    said = capsys.readouterr().err
+    assert said.startswith(f"error: {FOREIGN[line]}: got")
+    assert "which holds something else" in said
+    assert {path.read_text("utf-8") for path in tmp_path.iterdir()} == {'{"of": "the user"}'}
+
+
+@pytest.mark.parametrize("line", ["schema {}/mine.json", "windows recon_b --csv {}/mine.csv"])
+def test_own_file_is_written_again(line, tmp_path, capsys):
+    for _ in range(2):
+        assert main(line.format(tmp_path).split()) == 0
+    assert capsys.readouterr().err == ""
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no pipes here")
+def test_pipe_in_a_solutions_place_is_refused(tmp_path, capsys):
+    os.mkfifo(tmp_path / "solution.json")
+    for line in (["verify", str(tmp_path)], ["solve", "--out", str(tmp_path)]):
+        assert main(line) == 2
+    assert "a pipe" in capsys.readouterr().err
