@@ -39,7 +39,6 @@ def measure(out: Path, name: str) -> Record:
     save(plan, out / name)
     flown = fly(plan, FLIGHTS, truth=BODIES[name])
     flown.write(out / name)
-    assert flown.whole_flight is not None
     mission, mean = plan.mission, plan.final.result.lin.iterate.mean
     first, last = mission.schedule.window_s
     companion, nearest = mission.scene.companion, np.nan

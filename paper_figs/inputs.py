@@ -83,14 +83,14 @@ class Source:
             found.append(table)
         return found
 
-    def check_plan(self, plan_hash: str | None, file: Path, plan_file: Path, folder: Path) -> None:
+    def check_plan(self, plan_hash: str, file: Path, plan_file: Path, folder: Path) -> None:
         """Check that the flights in a file are of the plan in another.
 
         Raises:
-            InputError: if another plan was flown, or an unknown one.
+            InputError: if another plan was flown.
         """
         if plan_hash != (own := read_solution(plan_file).plan_hash):
-            flown = f"flights of plan {plan_hash[:SHOWN]}" if plan_hash else "flights of no plan"
+            flown = f"flights of plan {plan_hash[:SHOWN]}"
             must = f"must be of the plan {own[:SHOWN]} of {plan_file}: "
             raise self.refused(file, flown, folder, must)
 

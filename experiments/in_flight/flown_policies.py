@@ -45,9 +45,9 @@ from scp_recon.scenario.load import load_scenario
 from scp_recon.simulation.record import (
     Record,
     inputs_digest,
-    shortfalls,
 )
 from scp_recon.simulation.vehicle import load_vehicle
+from scp_recon.verification.shortfalls import shortfalls
 
 PLANS: Mapping[str, tuple[str, dict[str, Any], tuple[PolicyKind, ...]]] = {
     "default": ("recon_b", measured(lead_s=LEAD_S) | {"policy.kind": "open"}, ("open", "replan")),

@@ -140,7 +140,7 @@ def measure(out: Path, ends: Mapping[str, Record], case: Measured) -> Record:
     margins = found.final.margins.items()
     least = min(float(one.margin.min()) for name, one in margins if name != WHOLE)
     law = law_of(MOST, found.final)
-    judged, _, _ = run_test(
+    judged, _ = run_test(
         replace(found, target=law), partial(fly_plan, None), flights_of_test(law), 1, 1
     )
     assert judged.certificate is not None

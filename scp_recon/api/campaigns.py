@@ -11,7 +11,7 @@ import numpy as np
 
 from scp_recon.api.designing import find_pass, options_for, request_of
 from scp_recon.api.files import Opened
-from scp_recon.api.flights import FlyOptions, flown_summary, shortfalls, simulation_of
+from scp_recon.api.flights import FlyOptions, flown_summary, simulation_of
 from scp_recon.api.inputs import PlanRequest
 from scp_recon.api.options import PlanOptions
 from scp_recon.api.planning import PlanOutcome, carry_out
@@ -30,6 +30,7 @@ from scp_recon.results.figures import FINAL_STATE
 from scp_recon.results.solution import Solution
 from scp_recon.scenario.schema import Scenario
 from scp_recon.scp.status import Status
+from scp_recon.verification.shortfalls import shortfalls
 
 if TYPE_CHECKING:
     import pandas
@@ -212,23 +213,21 @@ def flown_row(found: Plan, solution: Solution, options: FlyOptions) -> dict[str,
     joint = {name: found for name, found in summary.probability.items() if name != ALL}
     name, lowest = min(joint.items(), key=lambda item: item[1].estimate.value, default=(None, None))
     whole, commanded = summary.whole_flight, summary.commanded
-    dispersion = summary.terminal.sigma_position_m
     return {
         "flights": options.samples,
         "flown_lowest": None if lowest is None else lowest.value,
         "flown_lowest_of": name,
-        "flown_whole": None if whole is None else whole.value,
-        "flown_whole_low": None if whole is None else whole.low,
-        "flown_whole_high": None if whole is None else whole.high,
+        "flown_whole": whole.value,
+        "flown_whole_low": whole.low,
+        "flown_whole_high": whole.high,
         "flown_dv99_m_s": commanded.dv99_m_s.value if commanded else solution.total_dv_m_s,
-        "flown_final_sigma_m": None if dispersion is None else dispersion.value,
+        "flown_final_sigma_m": summary.terminal.sigma_position_m.value,
         "flown_shortfalls": "; ".join(shortfalls(summary, solution)) or None,
     }
 
 
 def simulated_row(solution: Solution, seed: int, policy: PolicyKind | None) -> dict[str, Any]:
     """Columns of a simulated flight."""
-    from scp_recon.simulation.record import shortfalls as of_simulation
     from scp_recon.simulation.vehicle import check_vehicle, load_vehicle
 
     summary = simulation_of(solution, seed, policy, None).fly().summary
@@ -238,6 +237,6 @@ def simulated_row(solution: Solution, seed: int, policy: PolicyKind | None) -> d
         "least_charge": summary.least_charge,
         "miss_position_m": summary.terminal_miss.position_m,
         "miss_velocity_m_s": summary.terminal_miss.velocity_m_s,
-        "simulated_shortfalls": "; ".join(of_simulation(summary, solution)) or None,
+        "simulated_shortfalls": "; ".join(shortfalls(summary, solution)) or None,
         "warnings": strange or None,
     }

@@ -35,11 +35,9 @@ from scp_recon.monte_carlo.flights import (
     FlightTally,
     fly_many,
 )
-from scp_recon.monte_carlo.observation_time import ALL
 from scp_recon.monte_carlo.sampling import AnyPolicy, ErrorModel, PolicyKind
-from scp_recon.monte_carlo.summary import FILE_NAME, Interval, Summary, summarise
-from scp_recon.results.solution import Solution, require_whole_flight
-from scp_recon.scp.status import Status
+from scp_recon.monte_carlo.summary import FILE_NAME, Summary, summarise
+from scp_recon.results.solution import require_whole_flight
 from scp_recon.simulation import record as records
 from scp_recon.simulation.vehicle import Vehicle, load_vehicle
 
@@ -186,46 +184,6 @@ def _fly(config: FlightConfig, options: FlyOptions, watcher: Watcher) -> FlightT
         progress=watcher.progress,
         stop=watcher.stop,
     )
-
-
-def required_probability(solution: Solution) -> float | None:
-    """Required probability of each joint constraint at every time; None without uncertainty."""
-    return solution.scenario.risk.p_chance if solution.problem == "P2" else None
-
-
-def shortfalls(summary: Summary, solution: Solution) -> list[str]:
-    """List requirements that the flights do not meet, as value and required value; empty if none.
-
-    Estimates are compared with the required probability, as in the verification. Whole flights are
-    compared only if the scope is the whole flight.
-    """
-    converged = Status.CONVERGED.value.name
-    found = []
-    if solution.status != converged:
-        found.append(f"the plan is {solution.status}, required {converged}")
-    required = required_probability(solution)
-    if required is None:
-        return found
-    for name, lowest in summary.probability.items():
-        if name != ALL and _judged(lowest, solution) < required:
-            value, at = lowest.estimate.value, lowest.worst_t_s
-            found.append(f"{name} {value:.4f} at {at:.0f} s, required {required:g}")
-    for burn in summary.commanded.burns if summary.commanded else ():
-        for name, kept in burn.limits.items():
-            if _judged(kept, solution) < required:
-                value = kept.estimate.value
-                found.append(f"{name} of burn {burn.burn} {value:.4f}, required {required:g}")
-    whole = summary.whole_flight
-    flights = solution.scenario.risk.scope == "flight"
-    if flights and whole is not None and _judged(whole, solution) < required:
-        found.append(f"whole flights {whole.estimate.value:.4f}, required {required:g}")
-    return found
-
-
-def _judged(found: Interval, solution: Solution) -> float:
-    """The estimate; for an exact plan, which spends all its risk, the interval's upper end."""
-    exact = solution.scenario.risk.allocation == "exact"
-    return found.estimate.high if exact else found.estimate.value
 
 
 @dataclass(frozen=True, eq=False)

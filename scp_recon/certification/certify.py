@@ -30,8 +30,8 @@ from formulations.arrays import Array
 from formulations.problem.flyby import Iterate
 from scp_recon.certification.flights import (
     Fly,
-    KeptCounts,
     Watch,
+    are_close,
     fly_plan,
     fly_round,
     run_test,
@@ -44,6 +44,7 @@ from scp_recon.monte_carlo.estimates import (
     flights_of_test,
     successes_needed,
 )
+from scp_recon.monte_carlo.whole_flight import KeptCounts
 from scp_recon.planning.plan import Aimed, AimedPlan, Plan, as_interrupted
 from scp_recon.scp.status import Status
 
@@ -142,31 +143,31 @@ class _Certification(Generic[Aimed]):
 
     def _aims_well(self, plan: Aimed) -> bool:
         """Fly a round and learn from it; whether the plan is ready for a test."""
-        kept, touched_s = fly_round(plan, self.fly, self.samples, len(self.flown) + 1)
-        self.flown.append((plan, kept.reached))
+        kept = fly_round(plan, self.fly, self.samples, len(self.flown) + 1)
+        self.flown.append((plan, kept.throughout / kept.samples))
         self.aiming.worth = kept.samples / self.samples
-        close = self._learn(plan, kept, touched_s)
+        close = self._learn(plan, kept)
         return close and self.aiming.is_settled(_law(plan), binds=slack(plan) <= BINDING)
 
     def _passes(self, plan: Aimed) -> bool:
-        """Look at a plan; if it fails, learn from it."""
+        """Test a plan; if it fails, learn from it."""
         number, rounds = len(self.tested) + 1, len(self.flown)
-        plan, kept, touched_s = run_test(plan, self.fly, self.fresh, number, rounds)
+        plan, kept = run_test(plan, self.fly, self.fresh, number, rounds)
         self.tested.append(plan)
         assert plan.certificate is not None
         if plan.certificate.certifies(self.asked):
             return True
-        self._learn(plan, kept, touched_s)
+        self._learn(plan, kept)
         return False
 
-    def _learn(self, plan: Aimed, kept: KeptCounts, touched_s: Array) -> bool:
+    def _learn(self, plan: Aimed, kept: KeptCounts) -> bool:
         """Learn the loss from flights; whether the nodes are close enough."""
-        close = kept.are_close(self.asked)
+        close = are_close(kept, self.asked)
         if close:
             self.aiming.learn(_law(plan), kept.throughout, kept.samples)
         else:
             self.aiming.begin_again(_law(plan), kept.at_nodes, kept.samples)
-        self.touched_s = touched_s[:0] if close else touched_s
+        self.touched_s = kept.touched_s[:0] if close else kept.touched_s
         return close
 
     def _without(self, plan: Aimed) -> Aimed:

@@ -16,7 +16,14 @@ from scipy.special import ndtr, ndtri
 
 from formulations.problem.flyby import Iterate
 from scp_recon.certification.certify import ROUNDS_MAX, AimedPlanning
-from scp_recon.certification.flights import Watch, fly_plan, fly_round, run_test, with_nodes_at
+from scp_recon.certification.flights import (
+    Watch,
+    are_close,
+    fly_plan,
+    fly_round,
+    run_test,
+    with_nodes_at,
+)
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.estimates import FAILURES, FLIGHTS_MAX, flights_needed, flights_of_test
 from scp_recon.planning.initial_guess import start_from
@@ -161,14 +168,12 @@ def largest_promise(
         if not certified:
             return promising(best, best.target)
         try:
-            kept, touched_s = fly_round(
-                best, partial(fly_plan, watch), flights_needed(best.target), number
-            )
+            kept = fly_round(best, partial(fly_plan, watch), flights_needed(best.target), number)
         except KeyboardInterrupt:
             return as_interrupted(best)
-        if kept.are_close(kept.reached):
+        if are_close(kept, kept.throughout / kept.samples):
             break
-        mission = with_nodes_at(best.mission, touched_s)
+        mission = with_nodes_at(best.mission, kept.touched_s)
         start = start_from(mission, best)
     assert found is not None
     return _promised(found, number, watch)
@@ -178,7 +183,7 @@ def _promised(found: Plan, rounds: int, watch: Watch | None) -> Plan:
     """The plan with a scenario that requires the lower limit of a test."""
     assert found.target is not None
     try:
-        judged, _, _ = run_test(
+        judged, _ = run_test(
             found, partial(fly_plan, watch), flights_of_test(found.target), 1, rounds
         )
     except KeyboardInterrupt:

@@ -81,10 +81,9 @@ def _show_terminal(console: Console, terminal: Terminal) -> None:
     if not terminal.sigma_ratio:
         console.print("final state: no component spreads", highlight=False)
         return
-    if terminal.sigma_position_m is not None and terminal.sigma_velocity_m_s is not None:
-        position = interval_cell(terminal.sigma_position_m, 2).text
-        velocity = interval_cell(terminal.sigma_velocity_m_s, 5).text
-        console.print(f"final dispersion: {position} m, {velocity} m/s", highlight=False)
+    position = interval_cell(terminal.sigma_position_m, 2).text
+    velocity = interval_cell(terminal.sigma_velocity_m_s, 5).text
+    console.print(f"final dispersion: {position} m, {velocity} m/s", highlight=False)
     ratios = ", ".join(
         f"{name} {interval_cell(r, 3).text}" for name, r in terminal.sigma_ratio.items()
     )

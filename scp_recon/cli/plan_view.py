@@ -162,7 +162,7 @@ def show_solution(console: Console, solution: Solution) -> None:
 def _rounds(risk: Risk | None) -> int:
     """Number of plans that a certificate took; 0 without one."""
     reached = None if risk is None else risk.certificate
-    return 0 if reached is None else reached.rounds + reached.looks - 1
+    return 0 if reached is None else reached.rounds + reached.tests - 1
 
 
 def _show_policy(console: Console, solution: Solution) -> None:
@@ -237,8 +237,8 @@ class Progress:
         mission: the mission to plan.
         live: display of the table.
         table: of the iterations.
-        steps: lines on flights, by the round or look.
-        plain: flights of a round or look if none were left out.
+        steps: lines on flights, by the round or test.
+        plain: flights of a round or test if none were left out.
     """
 
     mission: Mission
@@ -261,7 +261,7 @@ class Progress:
     def flights(
         self, step: str, plan: Plan, samples: int, flown: int = 0, reached: Estimate | None = None
     ) -> None:
-        """Show how many flights of a round or a look are flown, or their result."""
+        """Show how many flights of a round or a test are flown, or their result."""
         said = (
             f"{flown} flown"
             if reached is None

@@ -31,10 +31,11 @@ from formulations.problem.flyby import FlybyProblem, Iterate, StateConstraint
 from formulations.problem.polytopes import ball
 from formulations.problem.regions import Ball, Cone, Ellipsoid, Halfspaces, Polytope, Region
 from scp_recon.certification.certify import certified
-from scp_recon.certification.flights import KeptCounts, Step
+from scp_recon.certification.flights import Step
 from scp_recon.errors import InputError, one_of, shortened
 from scp_recon.impulsive.plan import ImpulsivePlan
 from scp_recon.jobs.blas import one_thread
+from scp_recon.monte_carlo.whole_flight import KeptCounts
 from scp_recon.planning.method import ALGORITHM, FORMULATION, SOLVER, scp_method
 from scp_recon.planning.planner import Planner
 from scp_recon.planning.stages import Observer, Pipeline, unobserved
@@ -394,7 +395,7 @@ class ImpulsiveProblem:
 
         Rounds of flights adjust the target, and independent flights judge, as in
         `scp_recon.certification`. `watch` is called with the name of a round or test ("round 1",
-        "look 1"), and the number of its flights so far and in all.
+        "test 1"), and the number of its flights so far and in all.
 
         Returns:
             As `scp_recon.certification.certify.certified`.
@@ -416,13 +417,13 @@ class ImpulsiveProblem:
             start = (states, burns) if last is None else (last.states, last.burns)
             return solve(start[0], burns=start[1], target=target)
 
-        def fly(plan: ImpulsivePlan, step: Step) -> tuple[KeptCounts, Array]:
+        def fly(plan: ImpulsivePlan, step: Step) -> KeptCounts:
             flights = plan.fly(
                 step.samples, step.seed, lambda flown: watch(step.name, flown, step.samples)
             )
             found = [flights.whole] if self.scope == "flight" else flights.kept.values()
             kept = round(step.samples * min(estimate.value for estimate in found))
-            return KeptCounts(kept, kept, step.samples), np.zeros(0)
+            return KeptCounts(kept, kept, step.samples)
 
         return certified(self.probability, anew, fly)
 

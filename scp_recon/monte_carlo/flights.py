@@ -20,7 +20,7 @@ from scp_recon.mission.mission import Mission
 from scp_recon.mission.scene import TruthModel, errors_of_kind
 from scp_recon.monte_carlo.estimates import Estimate, Tally, proportion
 from scp_recon.monte_carlo.limits import EVERYWHERE, limit_margins, limits_kept
-from scp_recon.monte_carlo.narrow import Narrowed, SampledFlights, narrow
+from scp_recon.monte_carlo.narrow import Narrowed, narrow
 from scp_recon.monte_carlo.observation_time import ALL, SCIENCE, time_held
 from scp_recon.monte_carlo.sampling import (
     BLOCK,
@@ -31,12 +31,13 @@ from scp_recon.monte_carlo.sampling import (
     fly_block,
     policy_kind,
 )
+from scp_recon.monte_carlo.whole_flight import SampledFlights
 
 SAMPLES_MIN, SAMPLES_MAX, SEED_MAX, WORKERS_MAX = 20, 10**9, 2**63 - 1, 256
 """Least number of flights: the normality test needs as many."""
 
-LOOK_STEP_S = 60.0
-"""Longest spacing of the times at which the window is looked at; crossings are then bisected."""
+SAMPLE_STEP_S = 60.0
+"""Longest time between two samples in the window; crossings are then bisected."""
 
 TIME_BIN_S, DISTANCE_BIN_M = 0.5, 0.1
 DV_BIN = 1e-5
@@ -82,17 +83,17 @@ class FlightConfig:
         _ = self.mission.true_gravity(self.truth)
 
     @property
-    def looks_s(self) -> Array:
-        """Times in the rest of the window, s, at most `LOOK_STEP_S` apart; edges and nodes included."""
+    def window_samples_s(self) -> Array:
+        """Times in the rest of the window, s, at most `SAMPLE_STEP_S` apart, with edges and nodes."""
         if self.mission.observed_s is None:
             return np.zeros(0)
         first, last = self.mission.observed_s
-        even = np.linspace(first, last, int(np.ceil((last - first) / LOOK_STEP_S)) + 1)
+        even = np.linspace(first, last, int(np.ceil((last - first) / SAMPLE_STEP_S)) + 1)
         return np.union1d(even, self.mission.times_s[self.mission.window_nodes])
 
     def counted_s(self, name: str) -> Array:
         """Times at which a joint constraint is counted, s: for safety distances all nodes."""
-        return self.mission.times_s if name in EVERYWHERE else self.looks_s
+        return self.mission.times_s if name in EVERYWHERE else self.window_samples_s
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,8 +116,8 @@ class FlightBlock:
 def run_block(config: FlightConfig, block: tuple[int, int]) -> FlightBlock:
     """Fly a block, given as (its number, its number of flights)."""
     number, flights = block
-    mission, looks = config.mission, config.looks_s
-    times = np.union1d(looks, mission.times_s)
+    mission, samples = config.mission, config.window_samples_s
+    times = np.union1d(samples, mission.times_s)
     flown = fly_block(
         mission,
         config.burns_m_s,
@@ -132,8 +133,8 @@ def run_block(config: FlightConfig, block: tuple[int, int]) -> FlightBlock:
     of_burns = mission.problem.burn_margins(
         flown.commanded_m_s.swapaxes(0, 1) / mission.units.speed_m_s
     )
-    observed, nodes = (np.searchsorted(times, at) for at in (looks, mission.times_s))
-    held = time_held(mission, looks, flown.states[observed]) if len(looks) else {}
+    observed, nodes = (np.searchsorted(times, at) for at in (samples, mission.times_s))
+    held = time_held(mission, samples, flown.states[observed]) if len(samples) else {}
     holds = limits_kept(limit_margins(mission, times, flown.states[..., :3], observed, nodes))
     nothing = np.zeros(0)
     scenario = mission.scenario
@@ -330,6 +331,6 @@ def _narrowed(
     config, before = flown.config, flown.samples
     if config.policy_kind == "replan" or config.mission.observed_s is None:
         return None
-    how = config.looks_s, config.truth, config.errors, corrections_of(config.policy)
+    how = corrections_of(config.policy), config.truth, config.errors, config.window_samples_s
     flights = SampledFlights(config.mission, config.burns_m_s, *how)
     return narrow(flights, config.seed, before // BLOCK, until, samples - before, executor, stop)

@@ -7,21 +7,21 @@ flight. `risk.strata` has the statistics.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Protocol
+from typing import NamedTuple
 
 import numpy as np
 
 from formulations.arrays import Array, Booleans, Indices
 from formulations.linearisation.linearisation import Linearisation
 from formulations.risk.strata import COUNT, FAILS, Allocation, Counted, Survey, strata_of
-from formulations.rows.flight_probability import Limits, limits_within
+from formulations.rows.flight_probability import Limit, Limits, limits_within
 from formulations.rows.node_probability import joint_events
 from scp_recon.jobs.cores import each
 from scp_recon.monte_carlo.sampling import BLOCK, draw
-from scp_recon.monte_carlo.whole_flight import BlockLimits
+from scp_recon.monte_carlo.whole_flight import SampledFlights
 
 REACH = 5.0
 """Standard deviations from a limit beyond which the law leaves it out: a draw in three million."""
@@ -95,8 +95,8 @@ class Law:
 
     @cached_property
     def span(self) -> slice:
-        """Nodes between which a limit may be broken: those with one within reach, and those beside."""
-        nodes = np.concatenate([limit.nodes for limit in self.limits.inner + self.limits.outer])
+        """Nodes within `REACH` sigma of a limit, and their neighbours."""
+        nodes = np.concatenate([limit.nodes for _, limit in self._signed_limits])
         return slice(max(0, int(nodes.min()) - 1), int(nodes.max()) + 2)
 
     @property
@@ -109,45 +109,36 @@ class Law:
 
         Infinite where no limit is within reach.
         """
-        return np.broadcast_to(self._least(self._moved(draws)), len(draws))
-
-    def margin_at(self, positions: Array) -> Array:
-        """Distance to the nearest limit, m, for positions at the nodes, m, shape (n, flights, 3)."""
-        return self._least(lambda nodes: positions[nodes] / self.length_m)
+        if not self._signed_limits:
+            return np.full(len(draws), np.inf)
+        return np.asarray(self.margins(draws).min(axis=0))
 
     def margins(self, draws: Array) -> Array:
         """Distance to the nearest limit at each node of the span, m, (nodes, m), at most `FAR`."""
-        return self._at_nodes(self._moved(draws), len(draws))
 
-    def margins_at(self, positions: Array) -> Array:
-        """As `margins`, for positions at all nodes, m, shape (n, flights, 3)."""
-        return self._at_nodes(lambda nodes: positions[nodes] / self.length_m, positions.shape[1])
-
-    def _moved(self, draws: Array) -> Callable[[Indices], Array]:
         def positions(nodes: Indices) -> Array:
             factor = self.factor[nodes].swapaxes(0, 1)  # components first: one product of matrices
             moved = factor.reshape(-1, self.sources) @ draws.T
             at = self.mean[nodes].T[:, :, None] + moved.reshape(3, len(nodes), -1)
             return np.moveaxis(at, 0, -1)
 
-        return positions
+        return self._least(positions, len(draws))
 
-    def _parts(self, positions: Callable[[Indices], Array]) -> Iterator[tuple[Indices, Array]]:
-        """Margins at the nodes of each limit, m."""
-        signed = [(1.0, limit) for limit in self.limits.inner]
-        signed += [(-1.0, limit) for limit in self.limits.outer]
-        for sign, limit in signed:
-            inside = limit.region.inside(positions(limit.nodes))
-            yield limit.nodes, sign * self.length_m * inside
+    def margins_at(self, positions: Array) -> Array:
+        """As `margins`, for positions at all nodes, m, shape (n, flights, 3)."""
+        return self._least(lambda nodes: positions[nodes] / self.length_m, positions.shape[1])
 
-    def _least(self, positions: Callable[[Indices], Array]) -> Array:
-        parts = [margin for _, margin in self._parts(positions)]
-        return np.concatenate(parts).min(axis=0) if parts else np.array(np.inf)
+    @property
+    def _signed_limits(self) -> list[tuple[float, Limit]]:
+        """Limits with the sign of the margin inside their region."""
+        inner, outer = self.limits
+        return [*((1.0, limit) for limit in inner), *((-1.0, limit) for limit in outer)]
 
-    def _at_nodes(self, positions: Callable[[Indices], Array], flights: int) -> Array:
+    def _least(self, positions: Callable[[Indices], Array], flights: int) -> Array:
         least = np.full((len(self.mean[self.span]), flights), FAR)
-        for nodes, margin in self._parts(positions):
-            rows = nodes - self.span.start
+        for sign, limit in self._signed_limits:
+            rows = limit.nodes - self.span.start
+            margin = sign * self.length_m * limit.region.inside(positions(limit.nodes))
             least[rows] = np.minimum(least[rows], margin)
         return least
 
@@ -166,41 +157,28 @@ def _drawn(lin: Linearisation) -> Array:
     return np.concatenate(drawn, axis=2)
 
 
-class FlightSimulator(Protocol):
-    """Flies draws of the errors, shape (flights, sources)."""
-
-    def positions(self, draws: Array, /) -> Array:
-        """Positions at the nodes, m, shape (n, flights, 3)."""
-        ...
-
-    def count(self, draws: Array, /) -> BlockLimits:
-        """Limits that the flights keep, at the nodes and between them."""
-        ...
-
-
-@dataclass(frozen=True)
-class StratifiedFlights:
-    """Result of flights in strata of the law's margin.
+class CountedFlights(NamedTuple):
+    """Result of flights in strata.
 
     Attributes:
-        whole: of verdicts at all times.
+        throughout: of verdicts at all times.
         at_nodes: of verdicts at the nodes alone.
-        touched_s: as `BlockLimits.touched_s`.
+        touched_s: as `KeptCounts.touched_s`.
     """
 
-    whole: Counted
+    throughout: Counted
     at_nodes: Counted
     touched_s: Array
 
 
-def survey(law: Law, flights: FlightSimulator, seed: int) -> Survey:
+def survey(law: Law, flights: SampledFlights, seed: int) -> Survey:
     """Learn from a few draws how reliable the law's verdicts are."""
     draws = survey_draws(law, seed)
     margin = law.margin(draws)
     nearest = np.argsort(np.abs(margin), kind="stable")[:SURVEY_FLIGHTS]
     if np.isinf(margin).all():
         return Survey(0.0, np.eye(COUNT)[-1], np.zeros(COUNT))
-    off = law.margin_at(flights.positions(draws[nearest])) - margin[nearest]
+    off = law.margins_at(flights.positions(draws[nearest])).min(axis=0) - margin[nearest]
     near = BEYOND * float(np.abs(off).max())
     share, unlike = np.zeros(COUNT), np.zeros(COUNT)
     stratum = strata_of(margin, near)
@@ -214,11 +192,11 @@ def survey(law: Law, flights: FlightSimulator, seed: int) -> Survey:
 
 def fly_strata(
     law: Law,
-    flights: FlightSimulator,
+    flights: SampledFlights,
     allocation: Allocation,
     seed: int,
     progress: Callable[[int, int], None] | None = None,
-) -> StratifiedFlights:
+) -> CountedFlights:
     """Draw, sort draws by the law, and fly the allotted share of each stratum.
 
     `progress` is called at times with the total number and the number flown so far.
@@ -248,7 +226,7 @@ def fly_strata(
         flown = np.bincount(stratum, minlength=COUNT), np.bincount(stratum[unlike], minlength=COUNT)
         return Counted(allocation, *(tuple(counts.tolist()) for counts in (drawn, *flown)))
 
-    return StratifiedFlights(
+    return CountedFlights(
         counted([one.kept for one in seen]),
         counted([one.kept_at_nodes for one in seen]),
         np.concatenate([np.zeros(0), *(one.touched_s for one in seen)]),

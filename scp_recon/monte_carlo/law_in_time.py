@@ -11,9 +11,8 @@ fails most often, whichever event that is.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
@@ -32,6 +31,7 @@ from scp_recon.monte_carlo.law import (
     BEYOND,
     FAR,
     SURVEY_FLIGHTS,
+    CountedFlights,
     Law,
     blocks_of,
     survey_draws,
@@ -39,25 +39,13 @@ from scp_recon.monte_carlo.law import (
 )
 from scp_recon.monte_carlo.limits import Counts, LimitHistory
 from scp_recon.monte_carlo.sampling import BLOCK
-from scp_recon.monte_carlo.whole_flight import less_likely
+from scp_recon.monte_carlo.whole_flight import SampledFlights, less_likely
 
 CONTENDS = 0.3
 """Share of the largest probability of failing, from which on a node has a part in sorting."""
 
 LEVELS = COUNT // 2
 """Of how near a draw comes: next to a limit, near, and surely not."""
-
-
-class HistorySimulator(Protocol):
-    """Flies draws of the errors, shape (flights, sources)."""
-
-    def positions(self, draws: Array, /) -> Array:
-        """Positions at the nodes, m, shape (n, flights, 3)."""
-        ...
-
-    def histories(self, draws: Array, /) -> Iterable[LimitHistory]:
-        """How they keep each joint constraint."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -95,7 +83,7 @@ class LawInTime:
 
 
 def survey_in_time(
-    laws: Mapping[str, Law], nodes_s: Array, flights: HistorySimulator, seed: int
+    laws: Mapping[str, Law], nodes_s: Array, flights: SampledFlights, seed: int
 ) -> tuple[LawInTime, Survey]:
     """Learn from a few draws which nodes may be the worst, and the law's least reliability there."""
     draws = survey_draws(next(iter(laws.values())), seed)
@@ -140,30 +128,15 @@ def _strata(fails: Booleans | bool, level: Indices) -> Indices:
     return np.where(fails, LEVELS - 1 - level, LEVELS + level)
 
 
-@dataclass(frozen=True)
-class FlightsInTime:
-    """Result of flights in strata, if each limit counts at each second.
-
-    Attributes:
-        throughout: of the event that may fail most often.
-        at_nodes: of the event at a node that may fail most often.
-        touched_s: as `KeptFlights.touched_s`.
-    """
-
-    throughout: Counted
-    at_nodes: Counted
-    touched_s: Array
-
-
 def fly_in_time(
     law: LawInTime,
-    flights: HistorySimulator,
+    flights: SampledFlights,
     times_s: Mapping[str, Array],
     allocation: Allocation,
     seed: int,
     tail: float,
     progress: Callable[[int, int], None] | None = None,
-) -> FlightsInTime:
+) -> CountedFlights:
     """Draw, sort draws, and fly the allotted share of each stratum.
 
     Args:
@@ -179,7 +152,7 @@ def fly_in_time(
     every = Events.all_of(work.count(blocks_of(allocation, seed), progress), allocation)
     at_nodes = every.at(np.isin(every.times_s, law.nodes_s))
     fall = every.failed - at_nodes.failed.max()
-    return FlightsInTime(
+    return CountedFlights(
         every.worst(tail)[1], at_nodes.worst(tail)[1], less_likely(every.times_s, fall)
     )
 
@@ -223,7 +196,7 @@ class DrawsInTime:
     """Work of a process: draw, fly and count. For its attributes see `fly_in_time`."""
 
     law: LawInTime
-    flights: HistorySimulator
+    flights: SampledFlights
     times_s: Mapping[str, Array]
     allocation: Allocation
     seed: int

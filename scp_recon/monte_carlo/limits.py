@@ -52,6 +52,12 @@ def limits_kept(margins: dict[str, tuple[Array, Array]]) -> dict[str, Booleans]:
     return kept
 
 
+def every_second(times_s: Array) -> Array:
+    """Sampled times (n,) and the seconds between, ascending, s, shape (PARTS (n - 1) + 1,)."""
+    parts = times_s[:-1, None] + np.diff(times_s)[:, None] * (np.arange(PARTS) / PARTS)
+    return np.append(parts.ravel(), times_s[-1])
+
+
 @dataclass(frozen=True)
 class LimitHistory:
     """Whether flights keep one joint constraint at some times, and every second between if uncertain.
@@ -74,16 +80,19 @@ class LimitHistory:
     between: Booleans | None = None
 
     @property
-    def counts_between(self) -> Counts:
-        """Flights that keep it at each second between the times, shape (n - 1, PARTS - 1)."""
-        assert self.between is not None
+    def counts(self) -> Counts:
+        """Flights that keep it at each time or, with `between`, each of `every_second`, (times,)."""
+        at_times = self.holds.sum(axis=1)
+        if self.between is None:
+            return np.asarray(at_times)
         throughout = self._throughout
         counts = throughout.sum(axis=1) - np.bincount(
             self.arc[throughout[self.arc, self.flight]], minlength=len(throughout)
         )
-        counts = np.repeat(counts[:, None], PARTS - 1, axis=1)
-        np.add.at(counts, self.arc, self.between)
-        return counts
+        counts = np.repeat(counts[:, None], PARTS, axis=1)
+        counts[:, 0] = at_times[:-1]
+        np.add.at(counts[:, 1:], self.arc, self.between)
+        return np.append(counts, at_times[-1])
 
     @property
     def kept(self) -> Booleans:
@@ -97,10 +106,10 @@ class LimitHistory:
     def broken(self) -> tuple[Array, Indices]:
         """Times at which flights break it, s, and these flights, in pairs."""
         assert self.between is not None
-        (look, who), (row, part) = np.nonzero(~self.holds), np.nonzero(~self.between)
+        (sample, who), (row, part) = np.nonzero(~self.holds), np.nonzero(~self.between)
         step = np.diff(self.times_s)[self.arc[row]]
         time = self.times_s[self.arc[row]] + (part + 1) / PARTS * step
-        return np.concatenate([self.times_s[look], time]), np.concatenate([who, self.flight[row]])
+        return np.concatenate([self.times_s[sample], time]), np.concatenate([who, self.flight[row]])
 
     def fails(self, flights: Indices) -> Booleans:
         """Whether some flights break it at each time or, with `between`, each second: (times, some)."""

@@ -2,42 +2,36 @@
 
 Some thousands of plain flights suffice for all other statistics. A narrow interval of a probability
 needs far more flights. Further flights are therefore drawn in strata of the law's margin. Each
-joint constraint at each look is an event of its own.
+joint constraint at each time is an event of its own.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from contextlib import closing
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import ndtri
 
-from formulations.arrays import Array
-from formulations.linearisation.linearisation import Linearisation
 from formulations.risk.strata import Allocation, Counted, Survey, allocate
 from scp_recon.jobs.job import Executor, Job, in_order
-from scp_recon.mission.mission import Mission
-from scp_recon.mission.scene import TruthModel, errors_of_kind
+from scp_recon.mission.scene import errors_of_kind
 from scp_recon.monte_carlo.closed_loop import MEASURED
 from scp_recon.monte_carlo.estimates import CONFIDENCE, Estimate, of_strata, proportion
 from scp_recon.monte_carlo.law import Law, blocks_of
 from scp_recon.monte_carlo.law_in_time import CountsInTime, DrawsInTime, Events, survey_in_time
-from scp_recon.monte_carlo.limits import EVERYWHERE, LimitHistory, limit_margins, limits_kept
+from scp_recon.monte_carlo.limits import EVERYWHERE
 from scp_recon.monte_carlo.observation_time import ALL, SCIENCE
-from scp_recon.monte_carlo.sampling import (
-    ErrorModel,
-    fly_draws,
-    number_of_sources,
-)
+from scp_recon.monte_carlo.sampling import number_of_sources
+from scp_recon.monte_carlo.whole_flight import SampledFlights
 from scp_recon.planning.initial_guess import from_burns
-from scp_recon.results.policy import Policy, with_policy
+from scp_recon.results.policy import with_policy
 
 TAIL = 0.5 * (1.0 - CONFIDENCE)
 DRAW, TIMES = 0.09, (1.1, 1.3, 1.6, 2.0, 3.0, 4.0)
-"""Time of a draw by the law over that of a flight which is looked at, not followed; and draws per plain
-flight that are tried."""
+"""Time of a draw by the law over that of a flight sampled at given times; and draws per plain flight
+that are tried."""
 MORE = 0.25
 """Further draws where the intervals came out wider, over those of the first time."""
 BLOCKS = 20
@@ -71,61 +65,22 @@ class Narrowed:
         return max(one.width for one in found)
 
 
-@dataclass(frozen=True)
-class SampledFlights:
-    """Flies draws of the errors with planned burns, J2000, m/s, shape (m, 3), and looks at times.
+def _law(flights: SampledFlights) -> dict[str, Law]:
+    """Laws of the flights, with their errors, and with their corrections if the mission has these.
 
-    A policy corrects the burns.
+    None if a flight draws numbers for which the linearised flight has no columns.
     """
-
-    mission: Mission
-    burns_m_s: Array
-    looks_s: Array
-    truth: TruthModel
-    errors: ErrorModel | None
-    policy: Policy
-
-    def positions(self, draws: Array) -> Array:
-        """Positions at the nodes, J2000, m, shape (n, flights, 3)."""
-        return self._at(self.mission.times_s, draws)
-
-    def histories(self, draws: Array) -> Iterator[LimitHistory]:
-        """How they keep each joint constraint, and those of the observation together."""
-        nodes = self.mission.times_s
-        times = np.union1d(self.looks_s, nodes)
-        counted = [np.searchsorted(times, at) for at in (self.looks_s, nodes)]
-        margins = limit_margins(self.mission, times, self._at(times, draws), *counted)
-        for name, kept in limits_kept(margins).items():
-            yield LimitHistory(name, nodes if name in EVERYWHERE else self.looks_s, kept)
-
-    @property
-    def linearised(self) -> Linearisation:
-        """The planned flight with their errors, and with their corrections if the mission has these."""
-        mission, speed = self.mission, self.mission.units.speed_m_s
-        feedback, burns = mission.feedback, [one.burn for one in self.policy]
-        corrected = feedback is not None and burns == feedback.burns.tolist()
-        problem = mission.problem if corrected else mission.problem.open_loop
-        errors = errors_of_kind(mission.scenario, self.errors).in_units(speed)
-        problem = replace(problem, execution_errors=errors)
-        lin = mission.dynamics.linearise(problem, from_burns(mission, self.burns_m_s))
-        return with_policy(mission, lin, self.policy)
-
-    @property
-    def sources(self) -> int:
-        """Number of standard normal numbers that a flight draws."""
-        own = number_of_sources(self.mission, self.burns_m_s, self.errors)
-        return own + MEASURED * len(self.policy)
-
-    def _at(self, times_s: Array, draws: Array) -> Array:
-        return fly_draws(
-            self.mission,
-            self.burns_m_s,
-            times_s,
-            draws,
-            truth=self.truth,
-            errors=self.errors,
-            policy=self.policy,
-        ).states[..., :3]
+    mission, burns, speed = flights.mission, flights.burns_m_s, flights.mission.units.speed_m_s
+    feedback, corrected = mission.feedback, [one.burn for one in flights.policy]
+    closed = feedback is not None and corrected == feedback.burns.tolist()
+    problem = mission.problem if closed else mission.problem.open_loop
+    errors = errors_of_kind(mission.scenario, flights.errors).in_units(speed)
+    problem = replace(problem, execution_errors=errors)
+    lin = mission.dynamics.linearise(problem, from_burns(mission, burns))
+    lin = with_policy(mission, lin, flights.policy)
+    laws = Law.of_events(lin, mission.units.length_m, {ALL: SCIENCE})
+    drawn = number_of_sources(mission, burns, flights.errors) + MEASURED * len(corrected)
+    return laws if laws and next(iter(laws.values())).sources == drawn else {}
 
 
 def narrow(
@@ -153,8 +108,8 @@ def narrow(
             flights are cheaper, or after a stop.
     """
     mission = flights.mission
-    laws = Law.of_events(flights.linearised, mission.units.length_m, {ALL: SCIENCE})
-    if not laws or next(iter(laws.values())).sources != flights.sources:
+    laws = _law(flights)
+    if not laws or flights.times_s is None:
         return None
     law, known = survey_in_time(laws, mission.times_s, flights, seed)
     allocation = _allocation(known, until)
@@ -162,7 +117,7 @@ def narrow(
     if allocation is None or expected * allocation.draws > most:
         return None
     names = [*dict.fromkeys(constraint.event for constraint in mission.problem.constraints), ALL]
-    times = {n: mission.times_s if n in EVERYWHERE else flights.looks_s for n in names}
+    times = {n: mission.times_s if n in EVERYWHERE else flights.times_s for n in names}
     counts: dict[str, CountsInTime] = {}
     found, drawn = None, allocation
     while found is None or (

@@ -133,7 +133,7 @@ def fly_draws(
     firing = mission.scenario.burn_times_s
     burn_at = dict(zip(firing, range(len(burns_m_s)), strict=True))
     stops = make_grid((mission.scenario.start_s, *firing), RK4_STEP_MAX_S)
-    looks = np.searchsorted(times_s, stops, side="right")
+    after = np.searchsorted(times_s, stops, side="right")
     # Components first, so that an operation runs along the flights.
     states = np.empty((len(times_s), 6, flights))
     r, v = (np.ascontiguousarray(half.T) for half in (state[:, :3], state[:, 3:]))
@@ -158,7 +158,7 @@ def fly_draws(
         if stop < stops[-1]:
             duration = stops[k + 1] - stop
             end = fly(r, v, stop, duration)
-            for row in range(looks[k], np.searchsorted(times_s, stops[k + 1])):
+            for row in range(after[k], np.searchsorted(times_s, stops[k + 1])):
                 share = (times_s[row] - stop) / duration
                 states[row, :3], states[row, 3:] = interpolate((r, v), end, duration, share)
             for time in due(policy, stop, stops[k + 1]):

@@ -163,14 +163,14 @@ class Terminal(Section):
     Attributes:
         sigma_ratio: sampled over predicted sigma, by component.
         normality: of each component.
-        sigma_position_m: root of the position's summed variances; null in older files.
+        sigma_position_m: root of the position's summed variances.
         sigma_velocity_m_s: the same of the velocity.
     """
 
     sigma_ratio: ByName[Interval]
     normality: ByName[Normality]
-    sigma_position_m: Interval | None = None
-    sigma_velocity_m_s: Interval | None = None
+    sigma_position_m: Interval
+    sigma_velocity_m_s: Interval
 
 
 class CorrectedBurn(Section):
@@ -209,26 +209,26 @@ class Strata(Section):
     Attributes:
         draws: in all.
         flights: of them.
-        names: of the probabilities that are theirs; null in older files, where all are.
+        names: of the probabilities that are theirs.
     """
 
     draws: Count
     flights: Count
-    names: list[Line] | None = None
+    names: list[Line]
 
 
 class Summary(Displayed, File):
-    """Results of many flights; `plan_hash` is that of the plan flown, null in older files.
+    """Results of many flights.
 
     Attributes:
         plan_hash: of the plan flown.
         samples: flights.
         seed: of their errors.
         truth: gravity that they felt, "planner", "harmonics" or "polyhedron".
-        planned_gravity: with which the plan was made, in words; null in older files.
-        flown_gravity: that which they felt, in words; null in older files.
+        planned_gravity: with which the plan was made, in words.
+        flown_gravity: that which they felt, in words.
         errors: model of the burns' errors, "componentwise" or "gates".
-        policy: that commanded the burns, "open", "replan" or "feedback"; null in older files.
+        policy: that commanded the burns, "open", "replan" or "feedback".
         confidence: of all intervals, 0.95.
         planned_dv_m_s: sum of the planned burns' sizes.
         window_s: observation window, past the epoch; null once it is over.
@@ -245,14 +245,14 @@ class Summary(Displayed, File):
         terminal: final state.
     """
 
-    plan_hash: Line | None = None
+    plan_hash: Line
     samples: Count
     seed: Count
     truth: TruthModel
-    planned_gravity: Line | None = None
-    flown_gravity: Line | None = None
+    planned_gravity: Line
+    flown_gravity: Line
     errors: ErrorModel
-    policy: PolicyKind | None = None
+    policy: PolicyKind
     confidence: float
     planned_dv_m_s: float
     window_s: tuple[float, float] | None
@@ -261,7 +261,7 @@ class Summary(Displayed, File):
     exit_s: Statistics
     probability: ByName[LowestProbability]
     strata: Strata | None = None
-    whole_flight: Interval | None = None
+    whole_flight: Interval
     closest_m: ClosestApproach
     executed_dv_m_s: Statistics
     commanded: Commanded | None = None
@@ -278,7 +278,7 @@ class Summary(Displayed, File):
 
     def __str__(self) -> str:
         """Flights and settings, and each constraint's lowest probability."""
-        policy = f", policy {self.policy}" if self.policy not in (None, "open") else ""
+        policy = f", policy {self.policy}" if self.policy != "open" else ""
         flown = (
             f"{self.samples} flights, seed {self.seed}, {self.truth}, {self.errors} errors{policy}"
         )
@@ -295,8 +295,7 @@ class Summary(Displayed, File):
 
     def is_narrowed(self, name: str) -> bool:
         """Whether a probability is that of the further flights."""
-        own = self.strata
-        return own is not None and (own.names is None or name in own.names)
+        return self.strata is not None and name in self.strata.names
 
     def is_of(self, solution: Solution) -> bool:
         """Whether the solution's plan was flown."""

@@ -1,62 +1,67 @@
-"""Count flights that keep all limits on the position, at the nodes and between them.
+"""Sample flights, and decide at which times they keep the limits on their position.
 
 Observation limits count in the window, safety distances throughout the flight. Flights are sampled
-at times called looks. Between two looks they are sampled every second if a margin may fall below
-zero there. Second differences bound how far a margin falls below the line between the looks.
+at nodes and every half minute, and every second between two samples if a margin may fall below zero
+there. Second differences bound how far a margin falls below the line between the samples.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
-from formulations.arrays import Array, Booleans, Indices
+from formulations.arrays import Array, Booleans
+from formulations.risk.strata import Counted
 from scp_recon.mission.mission import Mission
+from scp_recon.mission.scene import TruthModel
 from scp_recon.monte_carlo.limits import (
     EVERYWHERE,
     PARTS,
     Counts,
     LimitHistory,
+    every_second,
     limit_margins,
+    limits_kept,
 )
-from scp_recon.monte_carlo.sampling import BLOCK, FlightLog, draw_flights, fly_draws
+from scp_recon.monte_carlo.sampling import BLOCK, ErrorModel, FlightLog, draw_flights, fly_draws
 from scp_recon.physics.flow import interpolate
 from scp_recon.results.policy import Policy
 
-State = tuple[Array, Array]
-
-LOOK_S = 30.0
+SAMPLE_STEP_S = 30.0
+"""Longest time between two samples of a flight."""
 BENDS = 4.0
-"""Times the dip h^2 |m''| / 8 of a parabola that a margin may dip between two looks h apart. With two,
-a margin that falls and rises at one speed would be missed where it turns between them."""
+"""Times the dip h^2 |m''| / 8 of a parabola that a margin may dip between two samples h apart. With
+two, a margin that falls and rises at one speed would be missed where it turns between them."""
 FALL = 0.5
 """Share of the largest fall of a probability between nodes from which on a second counts as touched."""
 
 
-@dataclass(frozen=True)
-class KeptFlights:
-    """Numbers of flights that keep the limits.
+class KeptCounts(NamedTuple):
+    """Numbers of flights that keep the limits of the required scope.
+
+    With the scope `flight` they are flights that keep all limits, with `node` those that keep the joint
+    constraint that fewest keep, at the time when fewest do. Flights in strata count as the number of
+    plain flights with the same standard error.
 
     Attributes:
+        at_nodes: at the nodes.
+        throughout: at every second.
         samples: flights.
-        at_nodes: of each joint constraint at each of its nodes, shape (n,).
-        throughout: least number at any second, of each joint constraint.
-        whole_at_nodes: flights that keep everything at all nodes.
-        whole: flights that keep everything at all times.
         touched_s: times between nodes with more violations than at nodes. With the scope `flight`:
             times at which flights that keep all limits at nodes break one. With `node`: seconds at
             which a constraint is less likely than every constraint at a node, by more than half of
             the largest fall.
+        strata: counts of flights in strata; None for plain flights.
     """
 
+    at_nodes: float
+    throughout: float
     samples: int
-    at_nodes: dict[str, Counts]
-    throughout: dict[str, int]
-    whole_at_nodes: int
-    whole: int
-    touched_s: Array
+    touched_s: Array = np.zeros(0)
+    strata: Counted | None = None
 
 
 def kept_flights(
@@ -66,50 +71,27 @@ def kept_flights(
     seed: int,
     progress: Callable[[int], None] | None = None,
     policy: Policy = (),
-) -> KeptFlights:
+) -> KeptCounts:
     """Fly a plan's burns, J2000, m/s, shape (m, 3), with the planner's dynamics and count limits kept.
 
     A policy corrects the burns. `progress` is called with the number flown so far after each block.
     """
-    nodes, looks = mission.times_s, looks_of(mission)
-    fly, blocks = WholeFlights(mission, burns_m_s, policy), []
+    sampled, blocks = SampledFlights(mission, burns_m_s, policy), []
     for begun in range(0, samples, BLOCK):
         flights = min(BLOCK, samples - begun)
         draws = draw_flights(mission, burns_m_s, seed, begun // BLOCK, policy=policy)[:flights]
-        blocks.append(fly.count(draws))
+        blocks.append(sampled.count(draws))
         if progress:
             progress(begun + flights)
-    names = blocks[0].at_looks
-    looked = {name: _times(mission, looks, name) for name in names}
-    at_looks = {name: np.sum([b.at_looks[name] for b in blocks], axis=0) for name in names}
-    between = {name: np.sum([b.between[name] for b in blocks], axis=0) for name in names}
-    at_nodes = {name: at_looks[name][np.isin(looked[name], nodes)] for name in names}
-    touched = np.concatenate([b.touched_s for b in blocks])
-    if mission.scenario.risk.scope == "node":
-        least = min(int(counts.min()) for counts in at_nodes.values())
-        touched = less_likely(
-            np.concatenate([_seconds(looked[name]) for name in names]),
-            least - np.concatenate([_every(at_looks[name], between[name]) for name in names]),
-        )
-    return KeptFlights(
-        samples,
-        at_nodes,
-        {name: int(_every(at_looks[name], between[name]).min()) for name in names},
-        sum(int(b.kept_at_nodes.sum()) for b in blocks),
-        sum(int(b.kept.sum()) for b in blocks),
-        touched,
-    )
-
-
-def _seconds(looks: Array) -> Array:
-    """Looks and the times between them, in the order of `_every`."""
-    share = np.arange(1, PARTS) / PARTS
-    return np.concatenate([looks, (looks[:-1, None] + np.diff(looks)[:, None] * share).ravel()])
-
-
-def _every(at_looks: Counts, between: Counts) -> Counts:
-    """Counts at the looks, then those between them."""
-    return np.concatenate([at_looks, between.ravel()])
+    if mission.scenario.risk.scope == "flight":
+        at_nodes = sum(int(block.kept_at_nodes.sum()) for block in blocks)
+        kept = sum(int(block.kept.sum()) for block in blocks)
+        return KeptCounts(at_nodes, kept, samples, np.concatenate([b.touched_s for b in blocks]))
+    seconds, names = seconds_of(mission), blocks[0].counts
+    times = np.concatenate([seconds[name] for name in names])
+    counts = np.concatenate([np.sum([b.counts[name] for b in blocks], axis=0) for name in names])
+    least = int(counts[np.isin(times, mission.times_s)].min())
+    return KeptCounts(least, int(counts.min()), samples, less_likely(times, least - counts))
 
 
 def less_likely(times: Array, fall: Array) -> Array:
@@ -119,71 +101,46 @@ def less_likely(times: Array, fall: Array) -> Array:
 
 @dataclass(frozen=True)
 class BlockLimits:
-    """Limits that some flights keep: counts at looks and between, and flights that keep everything.
+    """Limits that some flights keep.
 
     Attributes:
-        at_looks: flights that keep each joint constraint at its looks, shape (n,).
-        between: the same of seconds between looks, shape (n - 1, PARTS - 1).
+        counts: flights that keep each joint constraint at the times of `seconds_of`.
         kept_at_nodes: flights that keep everything at all nodes, shape (flights,).
         kept: flights that keep everything at all times, shape (flights,).
         touched_s: times at which flights that keep all limits at nodes break one.
     """
 
-    at_looks: dict[str, Counts]
-    between: dict[str, Counts]
+    counts: dict[str, Counts]
     kept_at_nodes: Booleans
     kept: Booleans
     touched_s: Array
 
 
-def looks_of(mission: Mission) -> Array:
-    """Times at which flights are sampled, s: nodes, and others at most `LOOK_S` apart."""
+def sample_times(mission: Mission) -> Array:
+    """Times at which flights are sampled, s: nodes, and others at most `SAMPLE_STEP_S` apart."""
     nodes = mission.times_s
-    return np.union1d(np.arange(nodes[0], nodes[-1], LOOK_S), nodes)
+    return np.union1d(np.arange(nodes[0], nodes[-1], SAMPLE_STEP_S), nodes)
 
 
 def seconds_of(mission: Mission) -> dict[str, Array]:
-    """Times at which each joint constraint counts, ascending, s: looks and the seconds between."""
-    constraints = mission.problem.constraints
-    names = dict.fromkeys(constraint.event for constraint in constraints)
-    looks = {name: _times(mission, looks_of(mission), name) for name in names}
-    return {name: np.sort(_seconds(times)) for name, times in looks.items() if len(times)}
+    """Times at which each joint constraint counts, ascending, s: samples and the seconds between."""
+    samples, seconds = sample_times(mission), {}
+    for name in dict.fromkeys(constraint.event for constraint in mission.problem.constraints):
+        times = samples if name in EVERYWHERE else samples[_in_window(mission, samples)]
+        if len(times):
+            seconds[name] = every_second(times)
+    return seconds
 
 
-def _times(mission: Mission, looks: Array, name: str) -> Array:
-    """The looks at which a constraint counts."""
+def _in_window(mission: Mission, times: Array) -> Booleans:
     first, last = mission.observed_s or (np.inf, np.inf)
-    return looks if name in EVERYWHERE else looks[(looks >= first) & (looks <= last)]
-
-
-def _margin(mission: Mission, times: Array, position: Array, name: str) -> Array:
-    """Margin of a joint constraint for positions (n, ..., 3) at times (n,)."""
-    observed = slice(0) if name in EVERYWHERE else slice(None)
-    return limit_margins(mission, times, position, observed)[name][1]
-
-
-@dataclass(frozen=True)
-class _Arcs:
-    """Flights between looks: times (n,), states after burns (n, flights, 6), burns as flown."""
-
-    times: Array
-    states: Array
-    burns: Array
-
-    def ends(self, mission: Mission, k: Indices, flight: Indices) -> tuple[State, State]:
-        """Positions and velocities, (n, 3), after looks k and at the next ones, before a burn there."""
-        start, end = self.states[k, flight], self.states[k + 1, flight]
-        velocity = end[:, 3:].copy()
-        for number, time in enumerate(mission.scenario.burn_times_s):
-            burning = self.times[k + 1] == time
-            velocity[burning] -= self.burns[flight[burning], number]
-        return (start[:, :3], start[:, 3:]), (end[:, :3], velocity)
+    return (times >= first) & (times <= last)
 
 
 def may_dip(times: Array, margin: Array) -> Array:
-    """Bound on how far margins dip below, or rise above, the line between two looks, (n - 1, ...).
+    """Bound on how far margins dip below, or rise above, the line between two samples, (n - 1, ...).
 
-    From the looks' times (n,) and margins (n, ...), by second differences about both: see `BENDS`.
+    From times (n,) and margins (n, ...) of the samples, by second differences about both: see `BENDS`.
     """
     if len(times) < 3:
         return np.full((len(times) - 1, *margin.shape[1:]), np.inf)
@@ -194,30 +151,26 @@ def may_dip(times: Array, margin: Array) -> Array:
     return np.asarray(BENDS * step**2 / 8.0 * np.maximum(padded[1:], padded[:-1]))
 
 
-def _follow(mission: Mission, name: str, arcs: _Arcs, margin: Array) -> LimitHistory:
-    """Follow flights by the second between looks whose margins leave a violation possible."""
-    times = arcs.times
-    low, high = np.minimum(margin[1:], margin[:-1]), np.maximum(margin[1:], margin[:-1])
-    near = may_dip(times, margin)
-    k, flight = np.nonzero((low < near) & (high > -near))
-    step = (times[k + 1] - times[k])[:, None]
-    ends = arcs.ends(mission, k, flight)
-    between = np.empty((len(k), PARTS - 1), dtype=bool)
-    for part in range(1, PARTS) if len(k) else ():
-        share = part / PARTS
-        position, _ = interpolate(ends[0], ends[1], step, share)
-        time = times[k] + share * step[:, 0]
-        between[:, part - 1] = _margin(mission, time, position, name) >= 0.0
-    return LimitHistory(name, times, margin >= 0.0, k, flight, between)
-
-
 @dataclass(frozen=True)
-class WholeFlights:
-    """Flies draws of the errors with a plan's burns, J2000, m/s, shape (m, 3), and its policy."""
+class SampledFlights:
+    """Flies draws of the errors, (flights, sources), with planned burns, J2000, m/s, shape (m, 3).
+
+    Attributes:
+        mission: that is flown.
+        burns_m_s: planned.
+        policy: that corrects them.
+        truth: gravity of the flights.
+        errors: of the burns; the scenario's if None.
+        times_s: at which observation limits count, while safety distances count at nodes. If None, all
+            limits count at every second.
+    """
 
     mission: Mission
     burns_m_s: Array
     policy: Policy = ()
+    truth: TruthModel = "planner"
+    errors: ErrorModel | None = None
+    times_s: Array | None = None
 
     def positions(self, draws: Array) -> Array:
         """Positions at the nodes, J2000, m, shape (n, flights, 3)."""
@@ -228,29 +181,69 @@ class WholeFlights:
         histories = list(self.histories(draws))
         kept_at_nodes, kept = np.ones((2, len(draws)), dtype=bool)
         for history in histories:
-            kept_at_nodes &= history.holds[np.isin(history.times_s, self.mission.times_s)].all(
-                axis=0
-            )
+            at_nodes = np.isin(history.times_s, self.mission.times_s)
+            kept_at_nodes &= history.holds[at_nodes].all(axis=0)
             kept &= history.kept
         lost = kept_at_nodes & ~kept
         broken = [history.broken for history in histories] if lost.any() else []
-        return BlockLimits(
-            {history.name: history.holds.sum(axis=1) for history in histories},
-            {history.name: history.counts_between for history in histories},
-            kept_at_nodes,
-            kept,
-            np.concatenate([np.zeros(0), *(time[lost[flight]] for time, flight in broken)]),
-        )
+        touched = np.concatenate([np.zeros(0), *(time[lost[flight]] for time, flight in broken)])
+        counts = {history.name: history.counts for history in histories}
+        return BlockLimits(counts, kept_at_nodes, kept, touched)
 
     def histories(self, draws: Array) -> Iterator[LimitHistory]:
-        """How they keep each joint constraint."""
-        mission, looks = self.mission, looks_of(self.mission)
-        flown = self._fly(looks, draws)
-        states, window = flown.states, np.isin(looks, _times(mission, looks, ""))
-        everywhere = _Arcs(looks, states, flown.burns_m_s)
-        observing = _Arcs(looks[window], states[window], flown.burns_m_s)
-        for name, (_, margin) in limit_margins(mission, looks, states[..., :3], window).items():
-            yield _follow(mission, name, everywhere if name in EVERYWHERE else observing, margin)
+        """How they keep each joint constraint; at given times the observation's together too."""
+        mission, nodes = self.mission, self.mission.times_s
+        if self.times_s is not None:
+            times = np.union1d(self.times_s, nodes)
+            observed, everywhere = (np.searchsorted(times, at) for at in (self.times_s, nodes))
+            position = self._fly(times, draws).states[..., :3]
+            kept = limits_kept(limit_margins(mission, times, position, observed, everywhere))
+            for name, holds in kept.items():
+                yield LimitHistory(name, nodes if name in EVERYWHERE else self.times_s, holds)
+            return
+        times = sample_times(mission)
+        flown, window = self._fly(times, draws), _in_window(mission, times)
+        margins = limit_margins(mission, times, flown.states[..., :3], window)
+        for name, (_, margin) in margins.items():
+            own = slice(None) if name in EVERYWHERE else window
+            yield self._follow(name, times[own], flown.states[own], flown.burns_m_s, margin)
+
+    def _follow(
+        self, name: str, times: Array, states: Array, burns: Array, margin: Array
+    ) -> LimitHistory:
+        """Follow flights by the second between samples whose margins leave a violation possible.
+
+        Samples are times (n,), states after burns (n, flights, 6), and margins (n, flights); burns are
+        those executed, shape (flights, m, 3).
+        """
+        mission = self.mission
+        low, high = np.minimum(margin[1:], margin[:-1]), np.maximum(margin[1:], margin[:-1])
+        near = may_dip(times, margin)
+        k, flight = np.nonzero((low < near) & (high > -near))
+        step = (times[k + 1] - times[k])[:, None]
+        start, end = states[k, flight], states[k + 1, flight]
+        for number, time in enumerate(mission.scenario.burn_times_s):
+            burning = times[k + 1] == time  # the next sample's velocity is that after its burn
+            end[burning, 3:] -= burns[flight[burning], number]
+        observed = slice(0) if name in EVERYWHERE else slice(None)
+        between = np.empty((len(k), PARTS - 1), dtype=bool)
+        for part in range(1, PARTS) if len(k) else ():
+            share = part / PARTS
+            position, _ = interpolate(
+                (start[:, :3], start[:, 3:]), (end[:, :3], end[:, 3:]), step, share
+            )
+            seconds = times[k] + share * step[:, 0]
+            _, there = limit_margins(mission, seconds, position, observed)[name]
+            between[:, part - 1] = there >= 0.0
+        return LimitHistory(name, times, margin >= 0.0, k, flight, between)
 
     def _fly(self, times_s: Array, draws: Array) -> FlightLog:
-        return fly_draws(self.mission, self.burns_m_s, times_s, draws, policy=self.policy)
+        return fly_draws(
+            self.mission,
+            self.burns_m_s,
+            times_s,
+            draws,
+            truth=self.truth,
+            errors=self.errors,
+            policy=self.policy,
+        )

@@ -180,15 +180,15 @@ class Certificate:
     """Probability that nonlinear flights of an exact plan reach, at the worst node or as a whole.
 
     Attributes:
-        samples: flights of the look that judged the plan.
+        samples: flights of the test that judged the plan.
         seed: of their errors, which planning has not seen.
         reached: probability that they reach at every second.
         low: lower end of its exact interval; the plan is certified if this is at least the required
             one.
         high: upper end of it.
         at_nodes: the same of the nodes alone.
-        rounds: plans flown to aim, before any look.
-        looks: number of the test that judged the plan, from 1; each test flies another plan.
+        rounds: plans flown to aim, before any test.
+        tests: number of the test that judged the plan, from 1; each test flies another plan.
         confidence: of the interval, both ends together.
         strata: draws and flights in strata of the law's margin; None for plain flights.
     """
@@ -200,7 +200,7 @@ class Certificate:
     high: Probability
     at_nodes: Probability
     rounds: Annotated[int, Field(ge=1)]
-    looks: Annotated[int, Field(ge=1)]
+    tests: Annotated[int, Field(ge=1)]
     confidence: Probability
     strata: Counted | None = None
 
@@ -212,7 +212,7 @@ class Certificate:
         """The certificate in words."""
         interval = f"{100 * self.confidence:g} % interval {self.low:.4f} to {self.high:.4f}"
         of = f" out of {sum(self.strata.drawn)} draws" if self.strata else ""
-        flights = f"{self.samples} flights{of} of look {self.looks}"
+        flights = f"{self.samples} flights{of} of test {self.tests}"
         return f"{flights} reached {self.reached:.4f} ({interval})"
 
 

@@ -290,8 +290,7 @@ def lowest_chart(flights: Summary) -> dict[str, Any]:
     panels = Panels(["lowest probability (1)"], "", 300)
     panels.layout |= {"hovermode": "closest", "showlegend": False}
     found = {called(name): one.estimate for name, one in flights.probability.items()}
-    if flights.whole_flight is not None:
-        found["whole flights"] = flights.whole_flight.estimate
+    found["whole flights"] = flights.whole_flight.estimate
     values = np.array(list(found.values()))
     trace = points([*found], significant(values[:, 0]), "flights", size=11, color=PLANS[0])
     value, low, high = values.T

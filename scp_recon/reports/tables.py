@@ -258,8 +258,8 @@ def observation_times_table(summary: Summary) -> Table:
         ),
         key="flights",
         note=f"{summary.samples} flights, seed {summary.seed}, {summary.errors} errors, planned with "
-        f"{summary.planned_gravity or 'the plan'}, flown with "
-        f"{summary.flown_gravity or summary.truth}, as in montecarlo.json.",
+        f"{summary.planned_gravity}, flown with "
+        f"{summary.flown_gravity}, as in montecarlo.json.",
     )  # fmt: skip
 
 
@@ -275,10 +275,8 @@ def flown_probabilities_table(summary: Summary, required: float | None) -> Table
         ]
         for name, lowest in summary.probability.items()
     ]
-    if summary.whole_flight is not None:
-        whole = interval_cell(summary.whole_flight, 4)
-        counted = _counted(summary, narrowed=False)
-        rows.append(["all limits, whole flight", whole, None, None, counted])
+    whole, counted = interval_cell(summary.whole_flight, 4), _counted(summary, narrowed=False)
+    rows.append(["all limits, whole flight", whole, None, None, counted])
     columns = ("joint constraint", "lowest probability", AT, Column("required", form="g"), "of")
     note = (
         "Rows of draws are of further flights, mostly of draws near a limit; within the intervals they "

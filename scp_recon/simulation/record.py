@@ -28,7 +28,6 @@ from scp_recon.monte_carlo.sampling import PolicyKind
 from scp_recon.results.read import File, parse_file
 from scp_recon.results.solution import Solution
 from scp_recon.scenario.fields import Line, Section
-from scp_recon.scp.status import Status
 from scp_recon.simulation.flight import (
     Flight,
     Pointing,
@@ -51,8 +50,6 @@ EVERY = slice(None, None, round(SAMPLE_S / CONTROL_PERIOD_S))
 MODES = tuple(Mode)
 STEADY_RAD = np.deg2rad(0.25)
 """Attitude error in steady state."""
-SHORT_WH = 1e-9
-"""Largest energy that counts as none, Wh."""
 QUANTILES = {"q50": 0.5, "q95": 0.95, "q997": 0.997, "q100": 1.0}
 
 Arrays = dict[str, npt.NDArray[Any]]
@@ -173,12 +170,12 @@ class TerminalMiss(Section):
 
 
 class FlightSummary(File):
-    """Summary of a simulated flight, with hashes of its plan and inputs; null in older files.
+    """Summary of a simulated flight, with hashes of its plan and inputs.
 
     Attributes:
         vehicle: its name.
         seed: of the flight's errors.
-        policy: that commanded the burns, "open", "replan" or "feedback"; null in older files.
+        policy: that commanded the burns, "open", "replan" or "feedback".
         plan_hash: of the plan that was flown.
         inputs_sha256: digest of plan and vehicle.
         modes: names of the attitude modes; the array `mode` counts in them.
@@ -198,9 +195,9 @@ class FlightSummary(File):
 
     vehicle: Line
     seed: Count
-    policy: PolicyKind | None = None
-    plan_hash: Line | None = None
-    inputs_sha256: Line | None = None
+    policy: PolicyKind
+    plan_hash: Line
+    inputs_sha256: Line
     modes: tuple[Line, ...]
     legs: tuple[ModeOutcome, ...]
     burns: tuple[FlownBurn, ...]
@@ -260,8 +257,6 @@ ARRAYS: dict[str, tuple[Shape, Of]] = {
     "node_sigma_distance": (("nodes",), sigma_distance),
 }
 """Arrays of a file of this schema: the shape of each, and a function of a flight."""
-ADDED = ("wheel_torque_n_m", "thruster_torque_n_m")
-"""Arrays that older files do not have."""
 
 
 @dataclass(frozen=True)
@@ -281,8 +276,8 @@ class Record:
         return f"<Record of a simulated flight: {', '.join(self.arrays)}>"
 
     @property
-    def plan_hash(self) -> str | None:
-        """`Solution.plan_hash` of the plan flown; None in files of earlier versions."""
+    def plan_hash(self) -> str:
+        """`Solution.plan_hash` of the plan flown."""
         return self.summary.plan_hash
 
 
@@ -434,8 +429,6 @@ def _strange(arrays: Arrays) -> str | None:
     lengths: dict[str | int, int] = {}
     for name, (shape, _) in ARRAYS.items():
         array = arrays.get(name)
-        if array is None and name in ADDED:
-            continue
         if array is None or array.dtype.kind not in "fiu" or array.ndim != len(shape):
             return name
         for side, length in zip(shape, array.shape, strict=True):
@@ -449,29 +442,3 @@ def _strange(arrays: Arrays) -> str | None:
 
 def _shape_of(name: str) -> str:
     return f"must be finite numbers of shape ({', '.join(map(str, ARRAYS[name][0]))})"
-
-
-def shortfalls(summary: FlightSummary, solution: Solution) -> list[str]:
-    """List requirements that the flight does not meet, as value and required value; empty if none.
-
-    The plan must have converged, the charge stay above the vehicle's floor with every load served, and
-    every mode have the length and the steady attitude that the schedule's rules require.
-    """
-    converged = Status.CONVERGED.value.name
-    failed = []
-    if solution.status != converged:
-        failed.append(f"the plan is {solution.status}, required {converged}")
-    charge, floor = summary.least_charge, summary.floor_charge
-    if charge < floor:
-        failed.append(f"least state of charge {charge:.3f}, required {floor:.2f}")
-    if (short := summary.energy_wh.short) > SHORT_WH:
-        failed.append(f"{short:.3g} Wh short, required 0")
-    rule = solution.scenario.schedule.attitude_s
-    for leg in summary.legs:
-        name = f"{leg.mode} mode from {leg.start_s:.0f} s"
-        if not leg.ok:
-            failed.append(f"{name} {leg.duration_s:.0f} s long, required {leg.required_s:.0f} s")
-        if not leg.settled_in_time:
-            after = "never" if leg.settled_s is None else f"after {leg.settled_s:.0f} s"
-            failed.append(f"{name} steady {after}, required {rule:.0f} s")
-    return failed

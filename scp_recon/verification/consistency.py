@@ -263,7 +263,7 @@ def _is_sound(reached: Certificate, required: float) -> bool:
         expected = of_strata(reached.strata, TEST_CONFIDENCE)
         flights = reached.strata.allocation.draws
     reported = (reached.reached, reached.low, reached.high)
-    unseen = 1 <= reached.looks <= TESTS_MAX and reached.seed == seed_of_test(reached.looks)
+    unseen = 1 <= reached.tests <= TESTS_MAX and reached.seed == seed_of_test(reached.tests)
     try:
         enough = flights >= flights_of_test(required)
     except InputError:  # no flights certify so much

@@ -29,11 +29,11 @@ and the interval of nonlinear flights. At most 0.054 was measured, on the defaul
 to 0.999. The target of a certified plan compensates the difference, so the second limit holds for
 it."""
 
-ERRORS = 5.0
-"""Largest difference between the probabilities of two samples of flights, in standard errors."""
-
 BETWEEN = 0.05
 """Share of 1 - p that a certificate's flights may lose between the times that are looked at here."""
+
+ERRORS = 5.0
+"""Largest difference between the probabilities of two samples of flights, in standard errors."""
 
 BLOCKS = 5
 """Number of blocks of a thousand flights."""
@@ -42,21 +42,33 @@ LAW = 0.02
 """Share of a sigma by which nonlinear flights may differ from it."""
 
 
-def shortfalls(
-    mission: Mission, solution: Solution, probabilities: list[JointProbability]
-) -> list[str]:
-    """Names of probabilities below the required one, and of a promise that flights contradict.
+def required_probability(solution: Solution) -> float | None:
+    """Required probability of each joint constraint at every time; None without uncertainty."""
+    return solution.scenario.risk.p_chance if solution.problem == "P2" else None
 
-    An exact plan spends all its allowed risk, so flights refute it only if their upper limit is
-    below the required probability. Its evidence is its certificate, if it has one.
+
+def falls_short(solution: Solution, value: float | None, high: float | None) -> bool:
+    """Whether an estimate and the upper end of its interval refute the required probability.
+
+    The estimate decides; of an exact plan, which spends all its allowed risk, the interval's upper end.
     """
-    required, risk = mission.scenario.risk, solution.risk
+    exact = solution.scenario.risk.allocation == "exact"
+    judged, required = high if exact else value, required_probability(solution)
+    return required is not None and judged is not None and judged < required
+
+
+def refuted(solution: Solution, probabilities: list[JointProbability]) -> list[str]:
+    """Names of probabilities that fall short, and of promises that the flights contradict.
+
+    The evidence of an exact plan is its certificate, if it has one.
+    """
+    required, risk = solution.scenario.risk.p_chance, solution.risk
+    found = [f"P({p.name})" for p in probabilities if falls_short(solution, p.estimate, p.high)]
     if risk is None:
-        return [f"P({p.name})" for p in probabilities if p.estimate < required.p_chance]
-    found = [f"P({p.name})" for p in probabilities if p.high < required.p_chance]
-    if risk.certificate is not None and not risk.certificate.certifies(required.p_chance):
-        found.append("certificate")
-    if risk.certificate is not None and not _bears_out(required.p_chance, risk, probabilities):
+        return found
+    if risk.certificate is not None and not (
+        risk.certificate.certifies(required) and _bears_out(required, risk, probabilities)
+    ):
         found.append("certificate")
     flown = next((p for p in probabilities if p.name == FLIGHT), None)
     if flown is not None:
@@ -66,7 +78,7 @@ def shortfalls(
         off = max(low - reported, reported - high)
         if off > (LAW_ERROR if risk.certificate is None else LAW_LOSS):
             found.append("risk")
-    return list(dict.fromkeys(found))
+    return found
 
 
 def _bears_out(required: float, risk: Risk, probabilities: list[JointProbability]) -> bool:

@@ -47,7 +47,7 @@ from scp_recon.verification.probabilities import (
     exceeded,
     flown_sigmas,
     joint_probabilities,
-    shortfalls,
+    refuted,
 )
 
 FLIGHTS_CHECKED = 3
@@ -111,7 +111,7 @@ def verify(mission: Mission, solution: Solution) -> Verification:
         failed += [str(b) for b in on_burns if not is_kept(b, mission.scenario.risk.p_chance)]
     sigmas: list[FinalSigma] = []
     if solution.problem == "P2":
-        failed += shortfalls(mission, solution, probabilities)
+        failed += refuted(solution, probabilities)
         sigmas = flown_sigmas(mission, burns, SEED, policy)
         failed += exceeded(sigmas)
     return Verification(
@@ -205,10 +205,10 @@ def _fly(
     return _Flown(times, states, covariances, knowledge, spread)
 
 
-def integrated(mission: Mission, state: Array, span: tuple[float, float], **looks: Any) -> Any:
+def integrated(mission: Mission, state: Array, span: tuple[float, float], **at: Any) -> Any:
     """SciPy's answer for the state and the flattened STM, shape (42,), from one time to another.
 
-    `looks` are the output times, as in `solve_ivp`.
+    `at` are the output times, as in `solve_ivp`.
     """
     return solve_ivp(
         lambda t, y: variational_rate(y, mission.forces, mission.forces.moment(t)),
@@ -217,7 +217,7 @@ def integrated(mission: Mission, state: Array, span: tuple[float, float], **look
         method="DOP853",
         rtol=1e-12,
         atol=1e-13 * np.concatenate([mission.units.state, np.ones(36)]),
-        **looks,
+        **at,
     )
 
 

@@ -46,6 +46,8 @@ def montecarlo(console: "Console", plan: Path, **how: Any) -> Answer:
     from scp_recon.cli.rendering import show_verdict, show_warnings
     from scp_recon.results.runs import folder_of, resolve_run
     from scp_recon.scp.status import Status
+    from scp_recon.verification.probabilities import required_probability
+    from scp_recon.verification.shortfalls import shortfalls
 
     options = flights.FlyOptions(**how)
     home = resolve_run(plan)
@@ -65,9 +67,9 @@ def montecarlo(console: "Console", plan: Path, **how: Any) -> Answer:
         show_line(console, f"interrupted: {count} of {options.samples} flights are summarised")
         show_written(console, flown.path)
         return Answer(Status.INTERRUPTED.value.exit_code, {"samples": count, **document})
-    show_summary(console, summary, flights.required_probability(opened.solution))
+    show_summary(console, summary, required_probability(opened.solution))
     show_warnings(console, [*opened.solution.warnings, *opened.mission.warnings])
-    failed = list(flights.shortfalls(summary, opened.solution))
+    failed = shortfalls(summary, opened.solution)
     widest, until = flown.flights.widest_interval(), options.until
     if until is not None and widest > until:
         found = f"widest interval {100.0 * widest:.3g} %, required {100.0 * until:g} %"
@@ -96,6 +98,7 @@ def simulate(console: "Console", plan: Path, *, out: Path | None = None, **how: 
     from scp_recon.results.runs import folder_of, resolve_run
     from scp_recon.simulation import record as records
     from scp_recon.simulation.vehicle import check_vehicle
+    from scp_recon.verification.shortfalls import shortfalls
 
     home = resolve_run(plan)
     simulation = flights.simulation_of(home, **how)  # before a bar is shown
@@ -111,7 +114,7 @@ def simulate(console: "Console", plan: Path, *, out: Path | None = None, **how: 
     show_flight(console, record.summary)
     other = check_vehicle(simulation.craft, solution.scenario)
     show_warnings(console, [*solution.warnings, *mission.warnings, *other])
-    failed = records.shortfalls(record.summary, solution)
+    failed = shortfalls(record.summary, solution)
     show_verdict(console, "as required", failed)
     show_written(console, path)
     document = {"failed": failed, "files": [str(path)], "summary": record.summary.entries()}

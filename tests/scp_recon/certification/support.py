@@ -9,7 +9,7 @@ from formulations.problem.flyby import Iterate
 from scp_recon.certification import certify as certification
 from scp_recon.certification import flights
 from scp_recon.mission.mission import Mission
-from scp_recon.monte_carlo.whole_flight import KeptFlights
+from scp_recon.monte_carlo.whole_flight import KeptCounts
 from scp_recon.planning import initial_guess
 from scp_recon.planning.plan import Plan
 from scp_recon.planning.planner import plan
@@ -69,7 +69,7 @@ class World:
         final = replace(self.real.final, result=ended)
         return replace(self.real, mission=mission, final=final, target=target, certificate=None)
 
-    def fly(self, _mission, burns_m_s, samples, seed, progress=None, _policy=()) -> KeptFlights:
+    def fly(self, _mission, burns_m_s, samples, seed, progress=None, _policy=()) -> KeptCounts:
         """Flights of the plan with such burns."""
         aim = np.linalg.norm(burns_m_s) / np.linalg.norm(self.real.burns_m_s)
         self.seeds.append(seed)
@@ -77,7 +77,7 @@ class World:
         if progress:
             progress(samples)
         counts = [round(share * samples) for share in shares]
-        return KeptFlights(samples, {}, {}, *counts, np.array(self.touched_s))
+        return KeptCounts(*counts, samples, np.array(self.touched_s))
 
     def last_burns(self, mission: Mission, *_: object) -> Iterate:
         """A start on the mission's grid, whatever its states."""

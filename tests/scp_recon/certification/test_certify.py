@@ -13,7 +13,13 @@ from formulations.risk.strata import Allocation, Counted
 from formulations.rows.exact_flight import FLIGHT
 from scp_recon.certification import flights
 from scp_recon.certification.certify import ROUNDS_MAX, certify
-from scp_recon.certification.flights import TEST_WIDTH, Step, certificate_of, kept_of, with_nodes_at
+from scp_recon.certification.flights import (
+    TEST_WIDTH,
+    Step,
+    certificate_of,
+    kept_in_strata,
+    with_nodes_at,
+)
 from scp_recon.monte_carlo.estimates import (
     CONFIDENCE,
     FIRST_SEED,
@@ -24,6 +30,7 @@ from scp_recon.monte_carlo.estimates import (
     proportion,
     seed_of_test,
 )
+from scp_recon.monte_carlo.law import CountedFlights
 from scp_recon.monte_carlo.whole_flight import kept_flights
 from scp_recon.planning import initial_guess
 from scp_recon.planning.plan import Plan
@@ -32,7 +39,7 @@ from scp_recon.results.facts import Verification
 from scp_recon.results.read import parse_solution
 from scp_recon.results.solution import Solution, make_solution
 from scp_recon.verification.consistency import inconsistencies
-from scp_recon.verification.probabilities import shortfalls
+from scp_recon.verification.probabilities import refuted
 from scp_recon.verification.reintegration import verify
 from tests.helpers import usually
 from tests.scp_recon.certification.support import mission_of
@@ -88,10 +95,10 @@ def test_the_lower_limit_is_what_was_asked(certified):
         assert reached.samples == flights_of_test(ASKED)
     else:
         step = Step("", flights_of_test(ASKED), reached.seed, TEST_WIDTH, TEST_CONFIDENCE)
-        kept, _ = flights.fly_plan(None, certified, step)
-        assert certificate_of(kept, reached.looks, reached.rounds) == reached
+        kept = flights.fly_plan(None, certified, step)
+        assert certificate_of(kept, reached.tests, reached.rounds) == reached
         assert reached.samples == sum(reached.strata.flown) < flights_of_test(ASKED)
-        assert "draws of look" in str(reached)
+        assert "draws of test" in str(reached)
 
 
 def test_rounding_keeps_nodes_at_least_as_likely():
@@ -100,26 +107,25 @@ def test_rounding_keeps_nodes_at_least_as_likely():
     for failing in range(60):
         drawn = (failing, 0, 0, 0, 0, 9_000)
         counted = Counted(allocation, drawn, (0,) * 6, (0,) * 6)
-        told = certificate_of(flights._kept(counted, counted), 1, 1)
+        told = certificate_of(kept_in_strata(CountedFlights(counted, counted, np.zeros(0))), 1, 1)
         assert told.reached <= told.at_nodes == pytest.approx(told.reached)
 
 
 def test_what_judges_no_round_has_flown(run):
-    """Rounds come first, then at most two looks; a seed is flown once."""
+    """Rounds come first, then at most two tests; a seed is flown once."""
     reached = run.plan.certificate
-    rounds, looks = run.seeds[: reached.rounds], run.seeds[reached.rounds :]
+    rounds, tests = run.seeds[: reached.rounds], run.seeds[reached.rounds :]
     assert rounds == list(range(FIRST_SEED, FIRST_SEED + reached.rounds))
-    assert looks == [seed_of_test(number + 1) for number in range(reached.looks)]
-    assert looks[-1] == reached.seed
+    assert tests == [seed_of_test(number + 1) for number in range(reached.tests)]
+    assert tests[-1] == reached.seed
     assert len(rounds) <= ROUNDS_MAX
-    assert len(looks) <= TESTS_MAX
-    assert set(rounds).isdisjoint(looks)
+    assert len(tests) <= TESTS_MAX
+    assert set(rounds).isdisjoint(tests)
 
 
 def test_other_flights_bear_it_out(certified):
-    flown = kept_flights(certified.mission, certified.burns_m_s, 1_000, seed=77)
-    kept = kept_of(certified.mission, flown)
-    assert proportion(kept.throughout, kept.samples).high >= ASKED
+    kept = kept_flights(certified.mission, certified.burns_m_s, 1_000, seed=77)
+    assert proportion(int(kept.throughout), kept.samples).high >= ASKED
 
 
 @pytest.fixture(scope="module")
@@ -135,7 +141,7 @@ def checked(certified, solution) -> Verification:
 def failures(certified: Plan, told: Solution, checked: Verification) -> list[str]:
     """What verification names, with the flights that it has flown already."""
     mission = certified.mission
-    return inconsistencies(mission, told) + shortfalls(mission, told, checked.probabilities)
+    return inconsistencies(mission, told) + refuted(told, checked.probabilities)
 
 
 def telling(solution: Solution, **changes: Any) -> Solution:
@@ -172,7 +178,7 @@ def test_certified_solution_is_verified(certified, solution, checked):
         ({"samples": 1_000}, "risk"),
         ({"seed": FIRST_SEED}, "risk"),
         ({"seed": FIRST_TEST_SEED + TESTS_MAX}, "risk"),
-        ({"looks": TESTS_MAX + 1, "seed": seed_of_test(TESTS_MAX + 1)}, "risk"),
+        ({"tests": TESTS_MAX + 1, "seed": seed_of_test(TESTS_MAX + 1)}, "risk"),
         ({"confidence": CONFIDENCE}, "risk"),
         ({"reached": 0.98}, "certificate"),
         ({"reached": 0.85}, "certificate"),

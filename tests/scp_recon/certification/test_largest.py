@@ -123,7 +123,7 @@ def test_what_it_aims_at_is_asked_without_flights(real, monkeypatch):
     assert found.mission.scenario.risk.p_chance == rounded_down(found.target)
 
 
-def test_what_a_look_reaches_at_least_is_asked(real, monkeypatch):
+def test_lower_limit_of_a_test_is_promised(real, monkeypatch):
     """Of flights that no round has used, whatever those reached."""
 
     def reach(target: float, seed: int) -> Reached:
@@ -146,7 +146,7 @@ def test_search_repeats_on_added_nodes(real, monkeypatch):
 
     world = World(real, reach, touched_s=(between,))
     found = promised(world, monkeypatch, certified=True)
-    assert (found.certificate.rounds, found.certificate.looks) == (2, 1)
+    assert (found.certificate.rounds, found.certificate.tests) == (2, 1)
     assert world.seeds == [FIRST_SEED, FIRST_SEED + 1, seed_of_test(1)]
     assert found.certificate.at_nodes == found.certificate.reached
     assert round(between) in found.times_s

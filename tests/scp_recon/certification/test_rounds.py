@@ -1,4 +1,4 @@
-"""Rounds aim as high as a look takes and no higher, and only looks judge, by the binomial law."""
+"""Rounds aim as high as a test takes and no higher, and only tests judge, by the binomial law."""
 
 from collections.abc import Callable
 
@@ -11,7 +11,7 @@ from scipy.stats import binom
 
 from scp_recon.certification import flights
 from scp_recon.certification.certify import ROUNDS_MAX, Aiming, certify
-from scp_recon.certification.flights import KeptCounts, certificate_of
+from scp_recon.certification.flights import certificate_of
 from scp_recon.errors import InputError
 from scp_recon.monte_carlo import estimates
 from scp_recon.monte_carlo.estimates import (
@@ -23,17 +23,18 @@ from scp_recon.monte_carlo.estimates import (
     seed_of_test,
     successes_needed,
 )
+from scp_recon.monte_carlo.whole_flight import KeptCounts
 from scp_recon.planning.plan import Plan
 from scp_recon.scp.status import Status
 from tests.scp_recon.certification.support import Reached, World, a_plan
 
 ASKED = 0.9
-ROUND, LOOK = flights_needed(ASKED), flights_of_test(ASKED)
-AIMING = Aiming(ASKED, ROUND, LOOK)
+ROUND, TEST = flights_needed(ASKED), flights_of_test(ASKED)
+AIMING = Aiming(ASKED, ROUND, TEST)
 NEEDED, ERROR = AIMING.needed, AIMING.error
 AIMED = AIMING.next()
 """What the first plan aims at."""
-LOOKS = [seed_of_test(number + 1) for number in range(TESTS_MAX)]
+TEST_SEEDS = [seed_of_test(number + 1) for number in range(TESTS_MAX)]
 
 
 @pytest.fixture(scope="module")
@@ -55,9 +56,9 @@ def losing(deviations: float) -> Callable[[float, int], Reached]:
     return reach
 
 
-def looking(*looks: float, rounds: float = AIMED) -> Callable[[float, int], Reached]:
-    """Flights that reach as much in all rounds, and so much in each look."""
-    table = dict(zip(LOOKS, looks, strict=False))
+def reaching(*tests: float, rounds: float = AIMED) -> Callable[[float, int], Reached]:
+    """Flights that reach as much in all rounds, and so much in each test."""
+    table = dict(zip(TEST_SEEDS, tests, strict=False))
     return lambda _, seed: (share := table.get(seed, rounds), share)
 
 
@@ -66,8 +67,8 @@ def low(plan: Plan) -> float:
 
 
 def steps(plan: Plan) -> tuple[int, int]:
-    """Rounds and looks of a certificate."""
-    return plan.certificate.rounds, plan.certificate.looks
+    """Rounds and tests of a certificate."""
+    return plan.certificate.rounds, plan.certificate.tests
 
 
 def later(ending: Status) -> Callable[[float, str], Status]:
@@ -93,16 +94,16 @@ def test_target_moves_against_the_measured_loss(real, monkeypatch, lost):
 
 @pytest.mark.parametrize(
     ("reach", "slack"),
-    [(losing(0.0), 0.0), (looking(1.0), 0.0), (losing(-99.0), 2.0), (losing(-99.0), 40.0)],
+    [(losing(0.0), 0.0), (reaching(1.0), 0.0), (losing(-99.0), 2.0), (losing(-99.0), 40.0)],
 )
 def test_settled_target_is_tested_unchanged(real, monkeypatch, reach, slack):
-    """Whatever the look reaches: who picks the cheapest of several that pass picks the luckiest.
+    """Whatever the test reaches: who picks the cheapest of several that pass picks the luckiest.
 
     Where nothing binds a lower aim would save nothing, however sure the law is.
     """
     found = certified(world := World(real, reach, slack=slack), monkeypatch)
     assert world.aims == [found.target]
-    assert world.seeds == [FIRST_SEED, LOOKS[0]]
+    assert world.seeds == [FIRST_SEED, TEST_SEEDS[0]]
     assert steps(found) == (1, 1)
     assert low(found) >= ASKED
 
@@ -141,23 +142,23 @@ def test_extreme_flights_leave_a_valid_target(real, monkeypatch, share):
 
 
 def test_failed_test_raises_target_for_the_last(real, monkeypatch):
-    world = World(real, looking(NEEDED - ERROR, NEEDED + ERROR))
+    world = World(real, reaching(NEEDED - ERROR, NEEDED + ERROR))
     found = certified(world, monkeypatch)
-    assert world.seeds == [FIRST_SEED, *LOOKS]
+    assert world.seeds == [FIRST_SEED, *TEST_SEEDS]
     assert found.target == world.aims[1] > world.aims[0]
-    assert (found.certificate.seed, steps(found)) == (LOOKS[1], (1, 2))
+    assert (found.certificate.seed, steps(found)) == (TEST_SEEDS[1], (1, 2))
     assert low(found) >= ASKED
 
 
-@pytest.mark.parametrize("looks", [(0.89, 0.88), (0.88, 0.89)])
-def test_two_failed_tests_leave_the_nearest_plan(real, monkeypatch, looks):
+@pytest.mark.parametrize("tests", [(0.89, 0.88), (0.88, 0.89)])
+def test_two_failed_tests_leave_the_nearest_plan(real, monkeypatch, tests):
     """Whose certificate says that it certifies nothing, though rounds had reached enough."""
-    found = certified(world := World(real, looking(*looks)), monkeypatch)
-    assert world.seeds == [FIRST_SEED, *LOOKS]
+    found = certified(world := World(real, reaching(*tests)), monkeypatch)
+    assert world.seeds == [FIRST_SEED, *TEST_SEEDS]
     assert found.status is Status.CONVERGED
     assert found.certificate.reached == pytest.approx(0.89)
     assert not found.certificate.certifies(ASKED)
-    assert found.target == world.aims[looks.index(0.89)]
+    assert found.target == world.aims[tests.index(0.89)]
 
 
 @pytest.mark.slow
@@ -173,7 +174,7 @@ def test_chance_neither_wastes_much_nor_breaks_the_promise(real, monkeypatch):
             return float(ndtr(ndtri(target) - loss))
 
         def reach(target: float, seed: int) -> Reached:
-            samples = LOOK if seed in LOOKS else ROUND
+            samples = TEST if seed in TEST_SEEDS else ROUND
             return (share := rng.binomial(samples, truth(target)) / samples), share
 
         with monkeypatch.context() as patch:
@@ -206,13 +207,13 @@ def stopped_at(seed: int) -> Callable[[float, int], Reached]:
     ("reach", "ending", "looked"),
     [
         (stopped_at(FIRST_SEED), Status.CONVERGED, False),
-        (stopped_at(LOOKS[0]), Status.CONVERGED, False),
+        (stopped_at(TEST_SEEDS[0]), Status.CONVERGED, False),
         (losing(2.0), Status.INTERRUPTED, False),
-        (looking(0.89), Status.INTERRUPTED, True),
+        (reaching(0.89), Status.INTERRUPTED, True),
     ],
 )
 def test_ctrl_c_keeps_earlier_plan_and_its_test(real, monkeypatch, reach, ending, looked):
-    """Among the flights of a round or of the first look no look stands behind it."""
+    """Among the flights of a round or of the first test no certificate stands behind it."""
     found = certified(world := World(real, reach, later(ending)), monkeypatch)
     assert (found.status, found.target) == (Status.INTERRUPTED, world.aims[0])
     assert (found.certificate is not None) == looked
@@ -220,21 +221,21 @@ def test_ctrl_c_keeps_earlier_plan_and_its_test(real, monkeypatch, reach, ending
 
 
 def test_an_aim_that_has_no_plan_ends_it(real, monkeypatch):
-    """Without a certificate, unless the plan of an aim before passes its look."""
+    """Without a certificate, unless the plan of an aim before passes its test."""
     ended = later(Status.INFEASIBLE)
-    short = certified(world := World(real, looking(0.5, rounds=0.88), ended), monkeypatch)
+    short = certified(world := World(real, reaching(0.5, rounds=0.88), ended), monkeypatch)
     assert (short.status, short.certificate) == (Status.INFEASIBLE, None)
-    assert world.seeds == [FIRST_SEED, LOOKS[0]]
-    more = certified(world := World(real, looking(0.91, rounds=0.88), ended), monkeypatch)
+    assert world.seeds == [FIRST_SEED, TEST_SEEDS[0]]
+    more = certified(world := World(real, reaching(0.91, rounds=0.88), ended), monkeypatch)
     assert (more.status, more.target) == (Status.CONVERGED, world.aims[0])
     assert low(more) >= ASKED
-    after = certified(World(real, looking(0.89), ended), monkeypatch)
+    after = certified(World(real, reaching(0.89), ended), monkeypatch)
     assert (after.status, after.certificate) == (Status.INFEASIBLE, None)
 
 
 def test_an_aim_without_a_verdict_leaves_the_nearest(real, monkeypatch):
     for rounds in (0.88, AIMED):
-        world = World(real, looking(0.89, rounds=rounds), later(Status.MAX_ITERATIONS))
+        world = World(real, reaching(0.89, rounds=rounds), later(Status.MAX_ITERATIONS))
         short = certified(world, monkeypatch)
         assert (short.status, short.target) == (Status.CONVERGED, world.aims[0])
         assert low(short) < ASKED
@@ -258,8 +259,8 @@ def test_the_watch_sees_flights_begin_and_end(real, monkeypatch):
     assert seen == [
         *(("round 1", ROUND, 0, None), ("round 1", ROUND, ROUND, None)),
         ("round 1", ROUND, ROUND, pytest.approx(AIMED, abs=1.0 / ROUND)),
-        *(("look 1", LOOK, 0, None), ("look 1", LOOK, LOOK, None)),
-        ("look 1", LOOK, LOOK, pytest.approx(AIMED, abs=1.0 / ROUND)),
+        *(("test 1", TEST, 0, None), ("test 1", TEST, TEST, None)),
+        ("test 1", TEST, TEST, pytest.approx(AIMED, abs=1.0 / ROUND)),
     ]
 
 
@@ -284,12 +285,12 @@ TAIL = 8.0
 
 
 def certifies(kept: int, samples: int, required: float) -> bool:
-    """Whether a look with so many successes certifies a plan, as the code decides it."""
+    """Whether a test with so many successes certifies a plan, as the code decides it."""
     return certificate_of(KeptCounts(kept, kept, samples), 1, 1).certifies(required)
 
 
 def passing(required: float, truth: float) -> float:
-    """Probability that a look passes a plan, over every number of successes that may come."""
+    """Probability that a test passes a plan, over every number of successes that may come."""
     n = flights_of_test(required)
     middle, width = n * truth, TAIL * np.sqrt(n * truth * (1.0 - truth))
     counts = range(int(middle - width), min(int(middle + width), n) + 1)
@@ -300,13 +301,13 @@ def passing(required: float, truth: float) -> float:
 
 
 def wrongly_certified(required: float) -> float:
-    """Probability that one of all looks passes, each at a plan that reaches just what is required."""
+    """Probability that one of all tests passes, each at a plan that reaches just what is required."""
     return 1.0 - (1.0 - passing(required, required)) ** TESTS_MAX
 
 
 @pytest.mark.parametrize("required", [0.7, 0.9, 0.99, 0.999])
 def test_plan_at_the_requirement_is_rarely_certified(required, monkeypatch):
-    """At most 2.5 times in 100, both looks together; with 97.5 % each, as of a single look, more."""
+    """At most 2.5 times in 100, both tests together; with 97.5 % each, as of a single test, more."""
     assert 0.8 * WRONGLY < wrongly_certified(required) <= WRONGLY
     monkeypatch.setattr(flights, "TEST_CONFIDENCE", estimates.CONFIDENCE)
     assert wrongly_certified(required) > 1.5 * WRONGLY

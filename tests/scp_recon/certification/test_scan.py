@@ -6,8 +6,13 @@ import pytest
 from scp_recon.mission.constraints import SAFETY
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.observation_time import joint_margins
-from scp_recon.monte_carlo.sampling import fly_block
-from scp_recon.monte_carlo.whole_flight import LOOK_S, KeptFlights, kept_flights
+from scp_recon.monte_carlo.sampling import draw_flights, fly_block
+from scp_recon.monte_carlo.whole_flight import (
+    SAMPLE_STEP_S,
+    SampledFlights,
+    kept_flights,
+    seconds_of,
+)
 from scp_recon.planning import initial_guess
 from scp_recon.planning.plan import Plan
 from scp_recon.planning.planner import plan
@@ -30,40 +35,40 @@ def sparse() -> Plan:
     return plan(mission, initial_guess.cold(mission))
 
 
-@pytest.fixture(scope="module")
-def kept(sparse) -> KeptFlights:
-    """As flights that are to keep everything."""
-    whole = Mission.from_scenario(sparse.mission.scenario.replace({"risk.scope": "flight"}))
+def test_violations_between_nodes_are_found(sparse):
+    """Against the same flights sampled every second of the window."""
+    mission, burns = sparse.mission, sparse.burns_m_s
     told: list[int] = []
-    found = kept_flights(whole, sparse.burns_m_s, FLIGHTS, SEED, told.append)
-    assert told == sorted(set(told))
-    assert told[-1] == FLIGHTS
-    return found
-
-
-def test_violations_between_nodes_are_found(sparse, kept):
-    """Against the same flights looked at every second of the window."""
-    mission = sparse.mission
+    whole = Mission.from_scenario(mission.scenario.replace({"risk.scope": "flight"}))
+    kept = kept_flights(whole, burns, FLIGHTS, SEED, told.append)
+    assert told == [FLIGHTS]
+    block = SampledFlights(mission, burns).count(draw_flights(mission, burns, SEED, 0)[:FLIGHTS])
+    worst = kept_flights(mission, burns, FLIGHTS, SEED)
     assert mission.observed_s is not None
     first, last = mission.observed_s
     nodes = mission.times_s[mission.window_nodes]
     seconds = np.union1d(np.arange(np.ceil(first), last), nodes)
-    flown = fly_block(mission, sparse.burns_m_s, seconds, 0, flights=FLIGHTS, seed=SEED)
+    flown = fly_block(mission, burns, seconds, 0, flights=FLIGHTS, seed=SEED)
     holds = {
         name: margin >= 0.0
         for name, margin in joint_margins(mission, seconds, flown.states[..., :3]).items()
     }
     at = np.isin(seconds, nodes)
     every = np.logical_and.reduce(list(holds.values()))
-    whole_at_nodes, whole = every[at].all(axis=0).sum(), every.all(axis=0).sum()
-    assert whole < whole_at_nodes - 3
-    assert kept.throughout[SAFETY] == FLIGHTS  # so that the window alone decides
+    at_nodes, throughout = every[at].all(axis=0).sum(), every.all(axis=0).sum()
+    assert throughout < at_nodes - 3
+    assert block.counts[SAFETY].min() == FLIGHTS  # so that the window alone decides
     # A flight may touch a limit for less than a second.
-    assert (kept.whole_at_nodes, kept.whole) == pytest.approx((whole_at_nodes, whole), abs=1)
+    assert kept[:2] == pytest.approx((at_nodes, throughout), abs=1)
     for name, held in holds.items():
-        np.testing.assert_array_equal(kept.at_nodes[name], held[at].sum(axis=1))
-        assert kept.throughout[name] == pytest.approx(held.sum(axis=1).min(), abs=1)
+        counts, nodes_at = block.counts[name], np.isin(seconds_of(mission)[name], nodes)
+        np.testing.assert_array_equal(counts[nodes_at], held[at].sum(axis=1))
+        assert counts.min() == pytest.approx(held.sum(axis=1).min(), abs=1)
+    assert worst[:2] == (
+        min(block.counts[n][np.isin(seconds_of(mission)[n], nodes)].min() for n in holds),
+        min(block.counts[n].min() for n in holds),
+    )
     lost = every[at].all(axis=0) & ~every.all(axis=0)
     broken = seconds[~every[:, lost].all(axis=1)]
     assert np.abs(kept.touched_s[:, None] - broken).min(axis=1).max() <= 1.0
-    assert np.abs(broken[:, None] - kept.touched_s).min(axis=1).max() <= 0.5 * LOOK_S
+    assert np.abs(broken[:, None] - kept.touched_s).min(axis=1).max() <= 0.5 * SAMPLE_STEP_S

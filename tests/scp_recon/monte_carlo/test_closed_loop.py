@@ -25,7 +25,7 @@ from scp_recon.monte_carlo.sampling import (
     number_of_sources,
 )
 from scp_recon.monte_carlo.summary import read_summary, summarise
-from scp_recon.monte_carlo.whole_flight import WholeFlights
+from scp_recon.monte_carlo.whole_flight import SampledFlights
 from scp_recon.planning.plan import Plan, Provenance, Stage, StageSpec
 from scp_recon.results.policy import Policy, policy_of
 from scp_recon.results.solution import Solution, make_solution
@@ -138,7 +138,7 @@ def test_law_has_the_draws_of_corrected_flights(solution, frame):
     mission, law = case.mission, Law.of(case.lin, case.mission.units.length_m)
     draws = draw_flights(mission, case.burns_m_s, 0, 0, policy=case.policy)[:50]
     assert draws.shape[1] == law.sources
-    flights = WholeFlights(mission, case.burns_m_s, case.policy)
+    flights = SampledFlights(mission, case.burns_m_s, case.policy)
     flown = flights.positions(draws) / law.length_m - law.mean[:, None]
     linear = np.einsum("nic,fc->nfi", law.factor, draws)
     np.testing.assert_allclose(flown, linear, atol=0.03 * np.abs(linear).max())

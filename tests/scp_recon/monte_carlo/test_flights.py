@@ -192,8 +192,6 @@ def test_a_summary_tells_the_flights_that_narrowed_it(solution, narrowed, tmp_pa
         "all limits, whole flight": "1000 flights",
     }
     assert table.note
-    older = read.model_copy(update={"strata": read.strata.model_copy(update={"names": None})})
-    assert all(older.is_narrowed(name) for name in older.probability)
     assert read.probability["emission"].estimate == narrowed.worst_probability("emission")[1]
 
 

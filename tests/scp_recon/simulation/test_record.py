@@ -10,26 +10,20 @@ import pytest
 
 from scp_recon.errors import InputError
 from scp_recon.simulation.record import (
-    ADDED,
     ARRAYS,
     FILE_NAME,
     SCHEMA,
     Arrays,
     inputs_digest,
     read_record,
-    shortfalls,
 )
 from scp_recon.simulation.vehicle import check_vehicle, load_vehicle
+from scp_recon.verification.shortfalls import shortfalls
 from tests.scp_recon.simulation.made_up import arrays, entries, summary
 from tests.scp_recon.support import numbers, with_value
 
 
-def test_an_older_file_is_of_an_unknown_plan_and_what_a_later_one_adds_is_passed_over(tmp_path):
-    before_torques = {name: a for name, a in arrays().items() if name not in ADDED}
-    save(tmp_path, with_value(entries(), ("plan_hash",), ...), before_torques)
-    older = read_record(tmp_path)
-    assert older.plan_hash is None
-    assert older.arrays.keys() == ARRAYS.keys() - {*ADDED}
+def test_later_additions_are_ignored(tmp_path):
     save(tmp_path, entries(later=1), arrays() | {"later": np.zeros(7)})
     assert read_record(tmp_path).summary == summary()
 
@@ -48,9 +42,7 @@ def test_numbers_are_neither_true_nor_words_nor_infinite(tmp_path):
 def test_arrays_are_finite_numbers_that_fit_together(tmp_path, name):
     whole = arrays()
     array = whole.pop(name)
-    missing = [] if name in ADDED else [None]  # of older files
-    wrong = array > 0.0, array.astype(str), array[None], array[:0], array + np.nan
-    for strange in (*missing, *wrong):
+    for strange in (None, array > 0.0, array.astype(str), array[None], array[:0], array + np.nan):
         save(tmp_path, entries(), whole if strange is None else whole | {name: strange})
         with pytest.raises(InputError, match=r"simulation\.npz: .*must be finite numbers of shape"):
             read_record(tmp_path)

@@ -12,7 +12,7 @@ from scp_recon.api.inputs import PlanRequest
 from scp_recon.certification import flights
 from scp_recon.drafting import draft as drafting
 from scp_recon.mission.mission import Mission
-from scp_recon.monte_carlo.whole_flight import KeptFlights, kept_flights
+from scp_recon.monte_carlo.whole_flight import KeptCounts, kept_flights
 from scp_recon.results.solution import make_solution
 from scp_recon.scp.status import Status
 from scp_recon.verification import refinement, reintegration
@@ -55,7 +55,7 @@ def test_wrong_covariances_are_planned_on_a_finer_grid(default_plan, mission):
 def test_wrong_covariances_are_not_certified(monkeypatch):
     flown: list[tuple[int, float]] = []
 
-    def fly(mission: Mission, burns: Array, samples: int, seed: int, *_: object) -> KeptFlights:
+    def fly(mission: Mission, burns: Array, samples: int, seed: int, *_: object) -> KeptCounts:
         flown.append((seed, mission.scenario.grid.step_max_s))
         return kept_flights(mission, burns, samples, seed)
 
@@ -67,7 +67,7 @@ def test_wrong_covariances_are_not_certified(monkeypatch):
     plan = sr.plan(overrides=overrides)
     assert plan.certificate.certifies(0.6)
     seeds, steps = zip(*flown, strict=True)
-    assert len(seeds) == len(set(seeds)) == plan.certificate.rounds + plan.certificate.looks
+    assert len(seeds) == len(set(seeds)) == plan.certificate.rounds + plan.certificate.tests
     assert set(steps) == {plan.mission.scenario.grid.step_max_s}
     assert steps[0] < 232.0
     assert [word.entry for word in plan.mission.warnings] == ["grid.step_max_s"]

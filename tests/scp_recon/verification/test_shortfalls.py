@@ -5,9 +5,10 @@ from dataclasses import replace
 import pytest
 
 from formulations.rows.exact_flight import FLIGHT
-from scp_recon.certification.flights import KeptCounts, certificate_of
+from scp_recon.certification.flights import certificate_of
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.estimates import proportion, successes_needed
+from scp_recon.monte_carlo.whole_flight import KeptCounts
 from scp_recon.results.facts import (
     BurnLimit,
     EventProbability,
@@ -18,7 +19,7 @@ from scp_recon.results.facts import (
 from scp_recon.results.figures import FINAL_SIGMAS
 from scp_recon.results.solution import HASH, Solution
 from scp_recon.scp.status import Status
-from scp_recon.verification.probabilities import shortfalls
+from scp_recon.verification.probabilities import refuted
 from scp_recon.verification.remedies import REMEDIES, kind_of, what_next
 from tests.scp_recon.support import mission_of
 
@@ -68,14 +69,15 @@ ENOUGH = successes_needed(ASKED, SAMPLES)
 def test_refuted_uncertified_probability_is_named(
     exact, solution, certified, by_law, successes, named
 ):
-    told = promising(solution, certified=certified, by_law=by_law)
-    assert shortfalls(exact, told, [flown(successes)]) == named
+    told = replace(solution, scenario=exact.scenario)
+    told = promising(told, certified=certified, by_law=by_law)
+    assert refuted(told, [flown(successes)]) == named
 
 
 def test_low_estimate_fails_plan_of_uniform_risk(solution):
-    mission = mission_of(f"risk.p_chance={ASKED}")
-    assert shortfalls(mission, solution, [flown(8_999)]) == [f"P({FLIGHT})"]
-    assert shortfalls(mission, solution, [flown(9_000)]) == []
+    told = replace(solution, scenario=mission_of(f"risk.p_chance={ASKED}").scenario)
+    assert refuted(told, [flown(8_999)]) == [f"P({FLIGHT})"]
+    assert refuted(told, [flown(9_000)]) == []
 
 
 def failing(verification: Verification, *names: str, **figures: float) -> Verification:
