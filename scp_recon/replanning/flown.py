@@ -21,9 +21,8 @@ from scp_recon.physics.forces import ForceModel
 from scp_recon.planning.initial_guess import nondimensional
 from scp_recon.planning.method import ScpMethod, scp_method
 from scp_recon.planning.plan import Plan, Provenance
-from scp_recon.results.corrections import stored_policy
 from scp_recon.results.figures import is_strange, strange_times
-from scp_recon.results.policy import Policy, policy_of, with_policy
+from scp_recon.results.policy import Policy, policy_of, stored_policy, with_policy
 from scp_recon.results.read import read_solution
 from scp_recon.results.runs import resolve_run
 from scp_recon.results.solution import Solution, burns_of_plan, plan_hash

@@ -15,8 +15,8 @@ from scp_recon.mission.constraints import limits_in_words
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.observation_time import ALL
 from scp_recon.planning.plan import Starts
-from scp_recon.results.corrections import sigmas
 from scp_recon.results.facts import Burn, IterationRecord, Verification
+from scp_recon.results.policy import sigmas
 from scp_recon.results.solution import Solution
 from scp_recon.results.table import Cell, Column, Table
 from scp_recon.scenario.time_scales import instant, shown_utc

@@ -17,7 +17,7 @@ from pydantic import ConfigDict, Field, TypeAdapter
 
 from scp_recon.planning.plan import Certificate, Parent, Starts
 from scp_recon.planning.primer import PrimerHistory
-from scp_recon.results.corrections import StoredPolicy
+from scp_recon.results.policy import StoredPolicy
 from scp_recon.scenario.fields import Line, Number, Probability, ScenarioWarning, Speed
 from scp_recon.scenario.schema import Scenario
 from scp_recon.scp.loop import Timing

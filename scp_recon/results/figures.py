@@ -24,8 +24,8 @@ from scp_recon.mission.grid import Units
 from scp_recon.mission.mission import Mission
 from scp_recon.physics.flow import propagate
 from scp_recon.planning.plan import Unit, scales
-from scp_recon.results.corrections import StoredPolicy
 from scp_recon.results.facts import FacetTable, Facts
+from scp_recon.results.policy import StoredPolicy
 from scp_recon.scenario.fields import Line, Number
 from scp_recon.scp.status import Status
 

@@ -23,7 +23,6 @@ from scp_recon.mission.grid import Units
 from scp_recon.mission.mission import Mission
 from scp_recon.planning.plan import NOT_CHECKED, Plan, Provenance, Stage, StageSpec
 from scp_recon.planning.primer import primer_of
-from scp_recon.results.corrections import StoredPolicy, policy_in, stored_policy
 from scp_recon.results.facts import (
     Burn,
     EventProbability,
@@ -46,7 +45,7 @@ from scp_recon.results.figures import (
     finite,
     total_dv,
 )
-from scp_recon.results.policy import Policy
+from scp_recon.results.policy import Policy, StoredPolicy, policy_in, stored_policy
 from scp_recon.scenario.schema import Scenario
 from scp_recon.scp.algorithms import SCvx
 from scp_recon.scp.loop import Record, Result, Timing
