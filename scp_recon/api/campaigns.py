@@ -17,9 +17,10 @@ from scp_recon.api.options import PlanOptions
 from scp_recon.api.planning import PlanOutcome, carry_out
 from scp_recon.campaigns.cases import Case, changed, solution_name
 from scp_recon.campaigns.checks import check_do
-from scp_recon.campaigns.run import WORKERS_MAX, Observer, executor_of, run_study
+from scp_recon.campaigns.run import Observer, executor_of, run_study
 from scp_recon.campaigns.study import Campaign, Study
 from scp_recon.errors import InputError, imported, option, whole_number
+from scp_recon.jobs.cores import WORKERS_MAX
 from scp_recon.jobs.store import Row
 from scp_recon.monte_carlo.observation_time import ALL
 from scp_recon.monte_carlo.sampling import PolicyKind

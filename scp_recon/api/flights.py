@@ -21,6 +21,7 @@ from scp_recon.errors import (
 )
 from scp_recon.files import writing
 from scp_recon.jobs.blas import one_thread
+from scp_recon.jobs.cores import WORKERS_MAX
 from scp_recon.jobs.job import Executor, here
 from scp_recon.jobs.processes import Processes
 from scp_recon.mission.scene import TruthModel
@@ -30,7 +31,6 @@ from scp_recon.monte_carlo.flights import (
     SAMPLES_MAX,
     SAMPLES_MIN,
     SEED_MAX,
-    WORKERS_MAX,
     FlightConfig,
     FlightTally,
     fly_many,

@@ -7,6 +7,7 @@ from typing import Literal
 
 from formulations.registry import FULL
 from scp_recon.errors import InputError, make_whole, number_between, one_of, option, shortened
+from scp_recon.jobs.cores import WORKERS_MAX
 from scp_recon.monte_carlo.estimates import flights_needed
 from scp_recon.planning.method import (
     ALGORITHM,
@@ -16,7 +17,6 @@ from scp_recon.planning.method import (
     SEED_MAX,
     SOLVER,
     STARTS_MAX,
-    WORKERS_MAX,
     ScpMethod,
     scp_method,
 )

@@ -28,7 +28,6 @@ from scp_recon.jobs.processes import Limits, Processes
 from scp_recon.jobs.store import Row, run, versions
 
 SCHEMA, FILE_NAME = "scp_recon.campaign/1", "campaign.json"
-WORKERS_MAX = 256
 
 Observer = Callable[[int, int, Mapping[str, Any] | None], None]
 """Called with the number of rows so far, of all, and the last row."""

@@ -19,6 +19,8 @@ from typing import IO, TypeVar
 
 CORES = "OMP_NUM_THREADS"
 """Says how many cores a process may use, as it says to NumPy."""
+WORKERS_MAX = 256
+"""Most processes that a command may be asked to start."""
 FIRST = os.getpid()
 """The process that is not a copy."""
 

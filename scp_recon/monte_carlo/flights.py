@@ -33,7 +33,7 @@ from scp_recon.monte_carlo.sampling import (
 )
 from scp_recon.monte_carlo.whole_flight import SampledFlights
 
-SAMPLES_MIN, SAMPLES_MAX, SEED_MAX, WORKERS_MAX = 20, 10**9, 2**63 - 1, 256
+SAMPLES_MIN, SAMPLES_MAX, SEED_MAX = 20, 10**9, 2**63 - 1
 """Least number of flights: the normality test needs as many."""
 
 SAMPLE_STEP_S = 60.0

@@ -11,7 +11,7 @@ from scp_recon.scp.algorithms import ALGORITHMS
 FORMULATION, ALGORITHM, SOLVER = "condensed", "scvx", "CLARABEL"
 PROBLEMS = ("P2", "P3")
 FACET_ROUNDS_MAX = 100
-STARTS_MAX, WORKERS_MAX, SEED_MAX = 1_000, 256, 2**63 - 1
+STARTS_MAX, SEED_MAX = 1_000, 2**63 - 1
 
 
 class ScpMethod(NamedTuple):
