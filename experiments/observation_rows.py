@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from scipy.optimize import brentq, least_squares
@@ -89,7 +89,8 @@ def rows(*, ipopt: bool = True, as_flown: Path | None = None) -> list[Row]:
         Row("ballistic", f"{surrogate}ballistic two-impulse arc", reference, flight, ballistic_arc),
         Row("p3", f"{surrogate}P3 design, no uncertainty", reference, flight, p3),
     ]
-    methods = {"SCP": PlanOptions()} | ({"IPOPT": PlanOptions(method="ipopt")} if ipopt else {})
+    names: tuple[Literal["scp", "ipopt"], ...] = ("scp", "ipopt") if ipopt else ("scp",)
+    methods = {name.upper(): PlanOptions(method=name, facet_rounds=0) for name in names}
     for name, options in methods.items():
         by_warm, by_cold = planned(options, warm), planned(options)
         found += [
@@ -115,7 +116,8 @@ def variants(scenario: Scenario) -> list[Row]:
     table_1 = {"uncertainty.initial_sigma_fraction": 0.03, "uncertainty.execution_error": 0.1}
     tangent = {"polytopes.ball": "tangent", "polytopes.cone": 12}
     literal = {"boundary.frame": "j2000"}
-    plain, again, p3 = PlanOptions(), PlanOptions(facet_rounds=1), PlanOptions(problem="P3")
+    plain, again = (PlanOptions(facet_rounds=rounds) for rounds in (0, 1))
+    p3 = PlanOptions(problem="P3")
     made: tuple[tuple[str, str, PlanOptions, Mapping[str, Any]], ...] = (
         ("facets_again", "facets chosen again at the solution", again, {}),
         ("cones_24", "cones of 24 facets", plain, {"polytopes.cone": 24}),

@@ -162,13 +162,19 @@ def whole_number(entry: str, given: object, low: int, high: int) -> int:
     raise InputError(entry, shortened(given), f"must be a whole number from {low} to {high}")
 
 
-def make_whole(options: object, name: str, low: int, high: int) -> None:
+def make_whole(options: object, name: str, low: int, high: int, word: str = "") -> None:
     """Check an option of a frozen data class by `whole_number`, and keep it as an int.
+
+    A message also names a `word` that is allowed in place of a number.
 
     Raises:
         InputError: as that.
     """
-    found = whole_number(option(name), getattr(options, name), low, high)
+    try:
+        found = whole_number(option(name), getattr(options, name), low, high)
+    except InputError as error:
+        allowed = f"{error.allowed}, or {word}" if word else error.allowed
+        raise InputError(option(name), error.given, allowed) from None
     object.__setattr__(options, name, found)
 
 

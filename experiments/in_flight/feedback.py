@@ -187,7 +187,7 @@ def by_targeting(mission: Mission) -> tuple[Plan, dict[str, float]]:
     the time and the share of the gain that reach the aim by the normal law.
     """
     open_loop = mission.changed({"policy.kind": "open"})
-    options, start = PlanOptions(certify=False), initial_guess.cold(open_loop)
+    options, start = PlanOptions(certify=False, starts=1), initial_guess.cold(open_loop)
     made = list[tuple[Stage, Gain]]()
 
     def search(mission: Mission, _: Iterate | Plan, target: float) -> Plan:

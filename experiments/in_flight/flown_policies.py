@@ -83,7 +83,7 @@ def plan_of(out: Path, name: str) -> Solution:
     else:
         pass_ = plan_of(out, f"{name}, designed")
         mission = Mission.from_scenario(pass_.scenario.replace(changes))
-        start, options = from_burns(mission, pass_.burns_m_s), PlanOptions(certify=False)
+        start, options = from_burns(mission, pass_.burns_m_s), PlanOptions(certify=False, starts=1)
         found = plan_mission(mission, start, options)
     if found is None:
         raise InputError("plan", name, "must be found")

@@ -108,7 +108,8 @@ def planned(mission: Mission, cell: Cell) -> Plan:
     of, start, from_p3 = cell.method, start_of(mission, cell), cell.start == "p3"
     if of.solver not in NLP_SOLVERS and not from_p3:
         certify = False if cell.group == EXACT else None
-        options = PlanOptions("P2", "scp", of.formulation, of.algorithm, of.solver, certify=certify)
+        names = of.formulation, of.algorithm, of.solver
+        options = PlanOptions("P2", "scp", *names, facet_rounds=0, certify=certify, starts=1)
         return plan_mission(mission, start, options)
     pipeline = Pipeline(mission, stage_solver(mission, of))
 

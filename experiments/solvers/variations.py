@@ -84,7 +84,7 @@ class Begun(NamedTuple):
 def begin_p2(name: str) -> Begun:
     """P2 of a problem by its name, with the facets that the default plan's program has."""
     mission = posed(name)
-    plan = plan_mission(mission, initial_guess.cold(mission), PlanOptions())
+    plan = plan_mission(mission, initial_guess.cold(mission), PlanOptions(facet_rounds=0))
     free = [stage for stage in plan.stages if stage.spec.role != "held"]
     p3 = [stage for stage in free if stage.name.startswith("P3")][-1]
     rows = free[-1].merit.rows

@@ -5,7 +5,7 @@ Risk is split evenly over facets by Boole's inequality.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import ndtri
@@ -14,6 +14,9 @@ from formulations.arrays import Array, Booleans, Indices
 from formulations.problem.flyby import FlybyProblem, StateConstraint
 from formulations.problem.polytopes import BallPolytope, inner_pyramid_angle, rotations_between
 from formulations.problem.regions import Ball, Cone, Ellipsoid, Halfspaces, Polytope, Region
+
+ROUNDING = 1e-9
+"""Room, nondimensional, within which two choices of facets leave the same."""
 
 
 def split_risk(probability: float, parts: int) -> float:
@@ -81,6 +84,23 @@ class Facets:
         """Room b - a'r_k - q ||S_k'a||, >= 0 where satisfied, (m,)."""
         distance = self.offset - np.einsum("mi,mi->m", self.normal, mean[self.node, :3])
         return distance - self.quantile * self.deviation(factor)
+
+    def where_they_hold(self, others: Facets, mean: Array, factor: Array) -> Facets:
+        """Another choice at the nodes where it holds or leaves no less room; these facets elsewhere.
+
+        What is feasible with these facets is therefore feasible with the result. The others are of the
+        same constraints and nodes in the same order; mean and factor as in `choose_facets`.
+        """
+        _, group = np.unique(np.stack([self.constraint, self.node]), axis=1, return_inverse=True)
+        least = np.full((2, group.max(initial=-1) + 1), np.inf)
+        for room, facets in zip(least, (self, others), strict=True):
+            np.minimum.at(room, group, facets.margin(mean, factor))
+        taken = (least[1] >= np.minimum(least[0], 0.0) - ROUNDING)[group]
+        return replace(
+            self,
+            normal=np.where(taken[:, None], others.normal, self.normal),
+            offset=np.where(taken, others.offset, self.offset),
+        )
 
 
 def choose_facets(

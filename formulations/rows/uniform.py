@@ -131,10 +131,11 @@ class ChanceRows:
     with_factor = condensed = True
     near = NEAR_LENGTH
     unit: Unit = "length"
-    resolution = 0.0
 
-    def __init__(self, problem: FlybyProblem, facets: Facets, included: Booleans) -> None:
-        self.problem = problem
+    def __init__(
+        self, problem: FlybyProblem, facets: Facets, included: Booleans, resolution: float = 0.0
+    ) -> None:
+        self.problem, self.resolution = problem, resolution
         self.facets = facets
         self.included = included
         self.carried = facets.chosen(included)

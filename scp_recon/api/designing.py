@@ -20,8 +20,6 @@ from scp_recon.planning.plan import Plan
 from scp_recon.results.table import Table
 from scp_recon.scenario.schema import Scenario
 
-FACET_ROUNDS = 3
-"""Of the plan of the pass, whose facets are chosen as `solve` chooses them."""
 INIT = "design"
 
 
@@ -95,8 +93,7 @@ def options_for(scenario: Scenario, *, certify: bool | None) -> PlanOptions:
     Raises:
         InputError: if flights cannot certify it.
     """
-    exact = scenario.risk.allocation == "exact"
-    options = PlanOptions(facet_rounds=0 if exact else FACET_ROUNDS, certify=certify)
+    options = PlanOptions(certify=certify)
     options.check(scenario)
     return options
 

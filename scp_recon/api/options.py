@@ -11,12 +11,16 @@ from scp_recon.jobs.cores import WORKERS_MAX
 from scp_recon.monte_carlo.estimates import flights_needed
 from scp_recon.planning.method import (
     ALGORITHM,
+    AUTO,
     FACET_ROUNDS_MAX,
     FORMULATION,
     PROBLEMS,
     SEED_MAX,
+    SETTLE,
     SOLVER,
     STARTS_MAX,
+    FacetRounds,
+    NumberOfStarts,
     ScpMethod,
     scp_method,
 )
@@ -28,7 +32,7 @@ VARIANT = "tuned"
 """Of the nonlinear program, unless another is chosen."""
 BUDGET_MIN_M_S, BUDGET_MAX_M_S = 1e-9, 1e6
 
-_OF_SCP = ("algorithm", "solver", "facet_rounds", "starts", "seed", "workers")
+_OF_SCP = ("algorithm", "solver", "starts", "seed", "workers")
 _OF_STARTS = ("seed", "workers")
 
 
@@ -47,11 +51,11 @@ class PlanOptions:
     formulation: str | None = None
     algorithm: str | None = None
     solver: str | None = None
-    facet_rounds: int = 0
+    facet_rounds: FacetRounds = SETTLE
     certify: bool | None = None
     objective: Literal["delta-v", "probability"] = "delta-v"
     dv_budget_m_s: float | None = None
-    starts: int | None = None
+    starts: NumberOfStarts | None = None
     seed: int | None = None
     workers: int | None = None
 
@@ -59,14 +63,16 @@ class PlanOptions:
         one_of(option("problem"), self.problem, PROBLEMS)
         one_of(option("method"), self.method, METHODS)
         one_of(option("objective"), self.objective, OBJECTIVES)
-        make_whole(self, "facet_rounds", 0, FACET_ROUNDS_MAX)
+        if self.facet_rounds != SETTLE:
+            make_whole(self, "facet_rounds", 0, FACET_ROUNDS_MAX, SETTLE)
         for name, low, high in (
             ("starts", 1, STARTS_MAX),
             ("seed", 0, SEED_MAX),
             ("workers", 1, WORKERS_MAX),
         ):
-            if getattr(self, name) is not None:
-                make_whole(self, name, low, high)
+            given = getattr(self, name)
+            if given is not None and (name, given) != ("starts", AUTO):
+                make_whole(self, name, low, high, *([AUTO] if name == "starts" else []))
         if self.dv_budget_m_s is not None:
             number_between(
                 option("dv_budget_m_s"), self.dv_budget_m_s, BUDGET_MIN_M_S, BUDGET_MAX_M_S
@@ -102,6 +108,17 @@ class PlanOptions:
         exact = scenario.risk.allocation == "exact" and self.problem == "P2"
         return exact and self.certify is not False
 
+    def starts_for(self, scenario: Scenario) -> NumberOfStarts:
+        """Number of starts: that of the options, or as many as pay for exact risk without feedback.
+
+        With feedback each optimum takes as long as a plan, so several starts are for the user to ask.
+        """
+        if self.starts is not None:
+            return self.starts
+        exact = scenario.risk.allocation == "exact" and self.problem == "P2"
+        pays = exact and self.objective == "delta-v" and scenario.policy.kind == "open"
+        return AUTO if pays else 1
+
     def check(self, scenario: Scenario) -> None:
         """Refuse options that do not suit a scenario's risk and burns.
 
@@ -128,7 +145,7 @@ class PlanOptions:
         for name, given, those in (
             ("method", self.method, ("scp",)),
             ("formulation", self.formulation or FORMULATION, FULL),
-            ("facet_rounds", self.facet_rounds, (0,)),
+            ("facet_rounds", self.facet_rounds, (0, SETTLE)),
         ):
             if given not in those:
                 allowed = f"must be {' or '.join(map(str, those))} with risk.allocation = exact"
@@ -150,7 +167,7 @@ class PlanOptions:
 
     def _check_starts(self) -> None:
         """Refuse options that need several starts, or do not allow them."""
-        if (self.starts or 1) == 1:
+        if self.starts in (None, 1):
             for name in _OF_STARTS:
                 if (given := getattr(self, name)) is not None:
                     allowed = f"goes with {option('starts')} of 2 or more"

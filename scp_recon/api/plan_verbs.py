@@ -135,7 +135,7 @@ def fly(
         >>> import scp_recon as sr
         >>> emission = sr.fly(sr.plan(), samples=1000).probability["emission"]
         >>> print(f"{emission.value:.3f}, 95 % interval {emission.low:.3f} to {emission.high:.3f}")
-        0.982, 95 % interval 0.972 to 0.989
+        0.981, 95 % interval 0.970 to 0.989
     """
     from scp_recon.api.files import open_plan
     from scp_recon.api.flights import FlyOptions, flown_summary
@@ -198,7 +198,7 @@ def compare(*plans: "AnyPlan") -> "Comparison":
         >>> import scp_recon as sr
         >>> table = sr.compare(sr.plan(), sr.plan(problem="P3"))
         >>> print(*(f"{dv:.3f} m/s" for dv in table["total delta-v"]))
-        0.140 m/s 0.108 m/s
+        0.126 m/s 0.108 m/s
     """
     from scp_recon.api import files
     from scp_recon.results import comparison

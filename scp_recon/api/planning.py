@@ -192,7 +192,9 @@ def plan_mission(
     """
     options.check(mission.scenario)
     make = partial(_on_right_grid, _method(options, known))
-    probable, several = options.objective == "probability", (options.starts or 1) > 1
+    probable, number = options.objective == "probability", options.starts_for(mission.scenario)
+    if options.starts is None and isinstance(start, Plan):
+        number = 1
     if isinstance(start, Plan) and (probable or options.method == "ipopt"):
         start = from_burns(mission, start.burns_m_s)
 
@@ -206,9 +208,9 @@ def plan_mission(
         found = largest_promise(mission, start, search, certified=certifies, watch=watch)
         return _within_budget(found, search.budget_m_s)
     best = None
-    if several:
-        seen = partial(_show_start, observe) if observe else None
-        seed, workers, number = options.seed or 0, options.workers or 1, options.starts or 1
+    if number != 1:
+        seen = partial(_show_start, observe) if observe and options.starts else None
+        seed, workers = options.seed or 0, options.workers or 1
         guess = from_burns(mission, start.burns_m_s) if isinstance(start, Plan) else start
         best = plan_from_several(
             mission, guess, make, starts=number, seed=seed, workers=workers, init=init, seen=seen
@@ -224,12 +226,12 @@ def plan_mission(
 
 def _method(options: PlanOptions, known: Known) -> Callable[..., Plan]:
     """The function that makes one plan from one start, on the mission's grid."""
+    what: dict[str, Any] = {"problem": options.problem, "facet_rounds": options.facet_rounds}
     if options.method == "ipopt":
         from scp_recon.planning import ipopt  # CasADi takes a second to import
 
-        return partial(ipopt.plan, problem=options.problem, variant=options.variant)
-    names, rounds = options.scp._asdict(), options.facet_rounds
-    return partial(planner.plan, problem=options.problem, facet_rounds=rounds, **names, **known)
+        return partial(ipopt.plan, variant=options.variant, **what)
+    return partial(planner.plan, **options.scp._asdict(), **what, **known)
 
 
 def _on_right_grid(

@@ -10,7 +10,7 @@ from scp_recon.api.options import PlanOptions
 from scp_recon.api.planning import carry_out
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.schedule import BURNS_TO_MEET
-from scp_recon.planning.method import ALGORITHM, FORMULATION
+from scp_recon.planning.method import ALGORITHM, FORMULATION, SETTLE
 from scp_recon.planning.plan import Parent, Plan, ended
 from scp_recon.planning.stages import CHOICES_MAX
 from scp_recon.replanning.flown import FlownPlan
@@ -45,11 +45,11 @@ def request_of_rest(flown: FlownPlan, mission: Mission, *, certify: bool | None)
         InputError: if flights cannot certify a plan.
     """
     options = left_options(flown, mission, certify=certify)
-    settled = len(mission.scenario.burn_times_s) <= BURNS_TO_MEET
+    determined = _is_determined(mission)
     known: Known = {
         "p3_resolution": P3_RESOLUTION if flown.problem == "P2" else 0.0,
-        "choices": 0 if settled else CHOICES_MAX,
-        "once": settled,
+        "choices": 0 if determined else CHOICES_MAX,
+        "once": determined,
     }
 
     def finish(plan: Plan) -> Plan:
@@ -67,6 +67,11 @@ def request_of_rest(flown: FlownPlan, mission: Mission, *, certify: bool | None)
     return PlanRequest(mission, start, options, called=called, known=known, finish=finish)
 
 
+def _is_determined(mission: Mission) -> bool:
+    """Whether the final state determines the burns that are left."""
+    return len(mission.scenario.burn_times_s) <= BURNS_TO_MEET
+
+
 def left_options(flown: FlownPlan, mission: Mission, *, certify: bool | None) -> PlanOptions:
     """Options for the rest of the flight: those of the plan in flight, as far as they apply.
 
@@ -77,10 +82,12 @@ def left_options(flown: FlownPlan, mission: Mission, *, certify: bool | None) ->
     made = flown.method.formulation
     options = PlanOptions(
         problem=flown.problem,
+        facet_rounds=0 if _is_determined(mission) else SETTLE,
         formulation=FORMULATION if exact and made not in FULL else made,
         algorithm=flown.method.algorithm if mission.must_meet else ALGORITHM,
         solver=flown.method.solver,
         certify=certify,
+        starts=1,
     )
     options.check(mission.scenario)
     return options

@@ -53,6 +53,9 @@ ROUNDS_MAX = 6
 BINDING = 0.01
 """Standard deviations between aim and law, up to which a constraint binds."""
 
+SAVING = 1e-4
+"""Relative saving up to which two plans cost the same."""
+
 AimedPlanning = Callable[[Mission, Iterate | Plan, float], Plan]
 """A plan of a mission from a start, or another plan, aiming at a probability."""
 
@@ -100,7 +103,10 @@ def certified(asked: float, make_plan: Planning[Aimed], fly: Fly[Aimed]) -> Aime
 
 @dataclass
 class _Certification(Generic[Aimed]):
-    """State of one certification: last plan, times of new nodes, plans of rounds and tests."""
+    """State of one certification: last plan, times of new nodes, plans of rounds and tests.
+
+    `found` are all plans on the present nodes.
+    """
 
     asked: float
     make_plan: Planning[Aimed]
@@ -109,6 +115,7 @@ class _Certification(Generic[Aimed]):
     touched_s: Array = field(default_factory=lambda: np.zeros(0))
     flown: list[tuple[Aimed, float]] = field(default_factory=list)
     tested: list[Aimed] = field(default_factory=list)
+    found: list[Aimed] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         self.samples, self.fresh = flights_needed(self.asked), flights_of_test(self.asked)
@@ -138,8 +145,21 @@ class _Certification(Generic[Aimed]):
         if plan.status is Status.INTERRUPTED and self.made is not None:
             raise KeyboardInterrupt
         if plan.status is Status.CONVERGED:
+            plan = self._cheapest(plan)
             self.made = plan
         return plan
+
+    def _cheapest(self, plan: Aimed) -> Aimed:
+        """The plan, or an earlier one on its nodes for a higher target that costs less.
+
+        A plan for a higher target keeps a lower one too, so no target costs more than a higher one.
+        """
+        if len(self.touched_s):
+            self.found = []
+        self.found.append(plan)
+        least = (1.0 - SAVING) * _cost(plan)
+        higher = [one for one in self.found if _target(one) > _target(plan) and _cost(one) < least]
+        return min(higher, key=_cost, default=plan)
 
     def _aims_well(self, plan: Aimed) -> bool:
         """Fly a round and learn from it; whether the plan is ready for a test."""
@@ -186,10 +206,18 @@ def _low(plan: AimedPlan) -> float:
     return plan.certificate.low
 
 
+def _target(plan: AimedPlan) -> float:
+    assert plan.target is not None
+    return plan.target
+
+
+def _cost(plan: AimedPlan) -> float:
+    return plan.final.merit.cost(plan.final.result.lin)
+
+
 def _law(plan: AimedPlan) -> float:
     """The quantile of the plan's probability by the normal law; it may exceed the target."""
-    assert plan.target is not None
-    return float(ndtri(plan.target)) + max(slack(plan), 0.0)
+    return float(ndtri(_target(plan))) + max(slack(plan), 0.0)
 
 
 def slack(plan: AimedPlan) -> float:

@@ -116,6 +116,8 @@ SPELT: Mapping[str, Option] = {
     "file": Option("SCENARIO"),
     "scenario": Option("SCENARIO", read=Path),
     "init": Option("cold|warm|FILE", read=start),
+    "facet_rounds": Option("N|settle", read=whole),
+    "starts": Option("N|auto", read=whole),
     "dv_budget_m_s": Option("M_S", "--dv-budget", budget),
     "overrides": Option(
         "PATH=VALUE",

@@ -147,6 +147,8 @@ def show_solution(console: Console, solution: Solution) -> None:
             f"{solution.timing_s.conic_solver:.2f} s in the conic solver",
         )
     )
+    if solution.cost_in_words:
+        show_line(console, solution.cost_in_words)
     _show_policy(console, solution)
     for stage in solution.stages:
         if stage.meaning:

@@ -65,7 +65,7 @@ PAIRS = {
 
 
 class Risk(NamedTuple):
-    """See `scp_recon.planning.stages.RiskSpec`."""
+    """See `scp_recon.planning.problem.RiskSpec`."""
 
     p_chance: float
     allocation: Literal["uniform", "exact"]
@@ -252,7 +252,7 @@ class ImpulsiveProblem:
 
     @property
     def risk(self) -> Risk:
-        """How risk is spent: see `scp_recon.planning.stages.PlanningProblem`."""
+        """How risk is spent: see `scp_recon.planning.problem.PlanningProblem`."""
         if self.scope == "uniform" or not self.regions:
             return Risk(self.probability, "uniform", "node")
         return Risk(self.probability, "exact", self.scope)
@@ -268,7 +268,7 @@ class ImpulsiveProblem:
         return Polytopes(ball(FACETS), CONE_FACETS)
 
     def require_plain(self, needs: str) -> None:
-        """See `scp_recon.planning.stages.PlanningProblem`."""
+        """See `scp_recon.planning.problem.PlanningProblem`."""
         if self.feedback is not None:
             raise InputError("feedback", "corrected burns", f"goes with {needs}")
         if self.final_sigma != (None, None):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from time import perf_counter
 
@@ -23,10 +23,11 @@ from scp_recon.mission.feedback import require_open_loop
 from scp_recon.mission.mission import Mission
 from scp_recon.physics.flow import GridFlow
 from scp_recon.physics.forces import acceleration
+from scp_recon.planning.method import FacetRounds
 from scp_recon.planning.missions import make_plan, other_starts
 from scp_recon.planning.plan import Plan, Problem, Provenance, Stage, StageSpec
-from scp_recon.planning.planner import screened
-from scp_recon.planning.stages import Observer, Pipeline, unobserved
+from scp_recon.planning.planner import Planner, screened
+from scp_recon.planning.stages import Observer, Pipeline, StageSolver, unobserved
 from scp_recon.scp.algorithms import SCvx
 from scp_recon.scp.loop import Record, Result, Timing
 from scp_recon.scp.status import Status
@@ -72,6 +73,7 @@ def plan(
     guess: Iterate,
     *,
     problem: Problem = "P2",
+    facet_rounds: FacetRounds = 0,
     variant: str = "tuned",
     elastic: bool = False,
     init: str = "given",
@@ -96,7 +98,7 @@ def plan(
         other = f"{option('method', 'scp')}, or with {option('formulation', 'tuned')} or shooting"
         mission.require_plain(other)
     solver = IpoptStages(mission, casadi_arcs(mission.flow), VARIANTS[variant], elastic)
-    pipeline = Pipeline(mission, solver, observe or unobserved)
+    pipeline = Pipeline(mission, solver, observe or unobserved, facet_rounds)
     algorithm = "interior point, elastic" if elastic else "interior point"
     provenance = Provenance(variant, algorithm, "IPOPT", init, "ipopt")
 
@@ -127,6 +129,16 @@ class IpoptStages:
         clearance = self.mission.clearances[0] if self.variant.screened else np.inf
         included = screened(facets, lin, clearance)
         return StageSpec("P2", ChanceRows(self.mission.problem, facets, included))
+
+    @property
+    def others(self) -> Mapping[str, StageSolver]:
+        """None: see `StageSolver`."""
+        return {}
+
+    @property
+    def scout(self) -> StageSolver:
+        """See `StageSolver`."""
+        return Planner(self.mission)
 
     def exact_stages(self) -> Sequence[StageSpec]:
         """Refuse: IPOPT has no rows of exact risk."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 from formulations.registry import FORMULATIONS
 from scp_recon.errors import one_of, option
@@ -11,6 +11,12 @@ from scp_recon.scp.algorithms import ALGORITHMS
 FORMULATION, ALGORITHM, SOLVER = "condensed", "scvx", "CLARABEL"
 PROBLEMS = ("P2", "P3")
 FACET_ROUNDS_MAX = 100
+SETTLE: Literal["settle"] = "settle"
+"""Facets are chosen again until no choice is cheaper: see `planning.settling`."""
+FacetRounds = int | Literal["settle"]
+AUTO: Literal["auto"] = "auto"
+"""As many starts as pay: see `planning.starts`."""
+NumberOfStarts = int | Literal["auto"]
 STARTS_MAX, SEED_MAX = 1_000, 2**63 - 1
 
 

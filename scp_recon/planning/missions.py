@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from time import perf_counter
 
@@ -13,8 +13,8 @@ from formulations.problem.flyby import Iterate
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.planning.initial_guess import ballistic, circular, from_burns
-from scp_recon.planning.plan import Plan, Provenance, Stage
-from scp_recon.planning.stages import Pipeline, rank
+from scp_recon.planning.plan import Plan, Provenance, Stage, WithoutUncertainty, rank
+from scp_recon.planning.stages import Pipeline, same_optimum
 from scp_recon.scenario.fields import ScenarioWarning
 from scp_recon.scp.status import Status
 
@@ -34,10 +34,12 @@ def make_plan(
     work: Callable[[], Stage],
     provenance: Provenance,
     target: float | None = None,
+    known: WithoutUncertainty | None = None,
 ) -> Plan:
     """Make the plan of a mission from the stage that `work` finds, without burns too small to execute.
 
-    An interrupted run ends with the best stage so far, if any.
+    An interrupted run ends with the best stage so far, if any. The cheapest P3 is that of the stages,
+    or the one `known` before.
     """
     started = perf_counter()
     kept = tuple(word for word in mission.warnings if not word.expected.endswith(NEITHER))
@@ -49,7 +51,31 @@ def make_plan(
         final, words = _interrupted(pipeline.stages), ()
     seconds, mission = perf_counter() - started, replace(mission, warnings=(*kept, *words))
     stages = tuple(pipeline.stages)
-    return Plan(mission, provenance, stages, final, pipeline.timing, seconds, target)
+    least = cheapest_p3(mission, stages) or known
+    return Plan(
+        mission,
+        provenance,
+        stages,
+        final,
+        pipeline.timing,
+        seconds,
+        target,
+        without_uncertainty=least,
+    )
+
+
+def cheapest_p3(mission: Mission, stages: Iterable[Stage]) -> WithoutUncertainty | None:
+    """The cheapest of the optima of P3 among stages, and their number; None if there is none."""
+    optima: list[Stage] = []
+    for stage in stages:
+        is_p3 = stage.problem == "P3" and stage.spec.role == "final"
+        found = is_p3 and stage.result.status is Status.CONVERGED
+        if found and not any(same_optimum(stage, other) for other in optima):
+            optima.append(stage)
+    if not optima:
+        return None
+    least = min(stage.result.lin.iterate.total_dv for stage in optima)
+    return WithoutUncertainty(float(least * mission.units.speed_m_s), len(optima))
 
 
 def other_starts(mission: Mission) -> Iterator[tuple[str, Iterate]]:

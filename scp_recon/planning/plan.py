@@ -28,6 +28,7 @@ from scp_recon.errors import Named
 from scp_recon.mission.grid import Units
 from scp_recon.mission.mission import Mission
 from scp_recon.scenario.fields import Line, Number, Probability
+from scp_recon.scp.algorithms import SCvx
 from scp_recon.scp.loop import Result, Timing
 from scp_recon.scp.status import Status
 
@@ -48,13 +49,15 @@ def scales(units: Units) -> dict[Unit, float]:
 Problem = Literal["P3", "P2"]
 """P3 is without uncertainty, P2 with it."""
 
-Role = Literal["final", "open", "node", "coarse", "led", "held"]
+
+Role = Literal["final", "open", "node", "coarse", "led", "held", "settled"]
 """Purpose of a stage: the "final" one of its problem, or one that
 
 - "open": leads to P3 from a guess that is no flight, or to P2 with gains from a plan without;
 - "node", "coarse": leads to P2 of whole flights, by the risk at nodes, then by few directions;
 - "led": leads to gains where there is no plan without gains;
-- "held": plans again with burns held that would be too small to execute.
+- "held": plans again with burns held that would be too small to execute;
+- "settled": plans with facets chosen along plans before it, until no choice is cheaper.
 """
 
 
@@ -151,6 +154,25 @@ class Stage:
                 rows = self.facets.constraint == index
                 margins[constraint.name] = Margins(self.facets.node[rows], margin[rows])
         return margins
+
+
+def rank(stage: Stage, *, saving: float = 0.0) -> tuple[int, float]:
+    """Rank of a run, the better the greater: by how it ended, then by cost.
+
+    It ended solved (3), at a point that violates nothing (2), otherwise (1), or without an answer of
+    the solver (0). A relative `saving` ranks it as if it were cheaper.
+    """
+    ended = 0 if stage.result.status is Status.SOLVER_FAILED else 1
+    if stage.result.status is Status.CONVERGED:
+        ended = 3
+    elif stage.merit.worst_violation(stage.result.lin) <= stage.tolerance:
+        ended = 2
+    return ended, -(1.0 - saving) * merit_of(stage)
+
+
+def merit_of(stage: Stage) -> float:
+    """Merit of a run's end with the first weight of violations."""
+    return stage.merit(stage.result.lin, SCvx().weight)
 
 
 @dataclass(frozen=True)
@@ -254,6 +276,44 @@ class Starts:
     seed: Annotated[int, Field(ge=0)]
     optima: tuple[Optimum, ...]
 
+    @property
+    def chance(self) -> float:
+        """Expected chance that a further start leads to a new optimum of P3, 1 where it is not known.
+
+        w (w + 1) / (n (n - 1)) for n starts that led to w optima: Boender and Rinnooy Kan, "Bayesian
+        stopping rules for multistart global optimization methods", Math. Programming 37, 1987.
+        """
+        p3 = [one for one in self.optima if one.problem == "P3" and one.status == "converged"]
+        w, n = len(p3), len({number for one in p3 for number in one.starts})
+        return min(1.0, w * (w + 1) / (n * (n - 1))) if n > 1 else 1.0
+
+    def __str__(self) -> str:
+        """In words."""
+        p3 = sum(one.problem == "P3" and one.status == "converged" for one in self.optima)
+        optima = f"{p3} optim{'um' if p3 == 1 else 'a'} of P3"
+        return (
+            f"{self.number} starts, {optima}; expected chance that a further start finds a new one "
+            f"{100 * self.chance:.1f} %"
+        )
+
+
+@dataclass(frozen=True)
+class WithoutUncertainty:
+    """What the cheapest P3 costs that planning found. P3 may have cheaper optima.
+
+    Attributes:
+        total_dv_m_s: sum of its burns' sizes.
+        optima: number of different optima of P3 that planning found.
+    """
+
+    total_dv_m_s: Number
+    optima: Annotated[int, Field(ge=1)]
+
+    def __str__(self) -> str:
+        """In words."""
+        of = "one optimum" if self.optima == 1 else f"least of {self.optima} optima"
+        return f"{self.total_dv_m_s:.6f} m/s without uncertainty ({of} of P3 found)"
+
 
 @dataclass(frozen=True)
 class Parent:
@@ -293,6 +353,7 @@ class Plan(Displayed):
         certificate: probability that flights of an exact plan reached; None without such flights.
         starts: local optima, where there were several starts.
         parent: the plan before, of one made in flight.
+        without_uncertainty: the cheapest P3; None if planning began at a plan without one.
     """
 
     mission: Mission
@@ -305,6 +366,7 @@ class Plan(Displayed):
     certificate: Certificate | None = None
     starts: Starts | None = None
     parent: Parent | None = None
+    without_uncertainty: WithoutUncertainty | None = None
 
     def __eq__(self, other: object) -> bool:
         """Whether another plan is the same but for the time it took."""
@@ -419,7 +481,7 @@ class Plan(Displayed):
             for name, (margin, unit) in self.worst_margins.items()
         ]
         if self.starts is not None:
-            lines.append(f"local optima of {self.starts.number} starts, seed {self.starts.seed}")
+            lines.append(f"{self.starts}; local optima, seed {self.starts.seed}")
             lines += [f"  {optimum}" for optimum in self.starts.optima]
         lines += [f"warning: {warning}" for warning in self.mission.warnings]
         return "\n".join(lines)

@@ -6,7 +6,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import cached_property, partial
 from time import perf_counter
 from typing import Final, Generic, TypeVar
@@ -26,15 +26,22 @@ from formulations.rows.exact_flight import FlightRows
 from formulations.rows.uniform import ChanceRows, DeterministicRows
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
-from scp_recon.planning.method import ALGORITHM, FORMULATION, SOLVER
+from scp_recon.planning.method import ALGORITHM, FORMULATION, SOLVER, FacetRounds
 from scp_recon.planning.missions import continued, flown, make_plan, other_starts
-from scp_recon.planning.plan import Plan, Problem, Provenance, Stage, StageSpec
+from scp_recon.planning.plan import (
+    Plan,
+    Problem,
+    Provenance,
+    Stage,
+    StageSpec,
+)
+from scp_recon.planning.problem import PlanningProblem
 from scp_recon.planning.stages import (
     CHOICES_MAX,
     RESOLUTION,
     Observer,
     Pipeline,
-    PlanningProblem,
+    StageSolver,
     path_ignores_burns,
     unobserved,
     without_partial_keep_out,
@@ -215,18 +222,43 @@ class Planner(Generic[Task]):
         algorithm = algorithm.resolving(rows.resolution)
         result = run(subproblem, dynamics, start, algorithm, partial(observe, spec.name))
         formulation, _, solver = self._names
-        if formulation in FULL:  # frozen derivatives prove nothing
+        # Frozen derivatives prove nothing, and a stage of few iterations is not asked to.
+        if formulation in FULL and spec.max_iterations is None:
             make = partial(make_subproblem, rows.problem, rows, formulation, solver)
             result = decide(make, dynamics, result, rows.resolution, partial(observe, spec.name))
         result.timing.setup += setup
         return Stage(spec, result, subproblem.merit, algorithm.feasible)
+
+    @cached_property
+    def others(self) -> Mapping[str, StageSolver]:
+        """See `StageSolver`; none where another algorithm than the usual one was chosen."""
+        formulation, algorithm, solver = self._names
+        may_miss = self.task.problem.miss_weight is not None
+        names = ("ptr",) if may_miss else ("ptr", "scvx-star")
+        return {
+            name: Planner(
+                self.task,
+                formulation=formulation,
+                algorithm=name,
+                solver=solver,
+                target=self.target,
+            )
+            for name in names
+            if algorithm == ALGORITHM
+        }
+
+    @cached_property
+    def scout(self) -> StageSolver:
+        """See `StageSolver`: this planner, if it plans as usual, or one that does."""
+        usual = self._names == (FORMULATION, ALGORITHM, SOLVER)
+        return self if usual else Planner(self.task)
 
     def plan(
         self: Planner[Mission],
         guess: Iterate | Plan,
         *,
         problem: Problem = "P2",
-        facet_rounds: int = 0,
+        facet_rounds: FacetRounds = 0,
         choices: int = CHOICES_MAX,
         init: str = "given",
         observe: Observer | None = None,
@@ -238,7 +270,8 @@ class Planner(Generic[Task]):
         gains at once, and from the plan's burns where that does not converge. Unless `once`, a stage
         that does not converge is tried from other starts: see `Pipeline.plan`. In each of
         `facet_rounds` the facets are chosen again at the solution and P2 is solved again; a round is
-        kept only if it is better (`rank`), so that facets cannot cycle. Facets that leave nothing
+        kept only if it is better (`rank`), so that facets cannot cycle. "settle" chooses them until
+        none is cheaper: see `planning.settling`. Facets that leave nothing
         feasible are always chosen again, up to `choices` times. Burns too small to execute are left
         out or raised (`missions.executable`). The observer is called after each iteration with the
         stage's name and the record.
@@ -254,7 +287,8 @@ class Planner(Generic[Task]):
             others = () if once else other_starts(mission)
             return stage or pipeline.plan(start, problem, others)
 
-        return make_plan(mission, pipeline, work, *self._provenance(init))
+        known = guess.without_uncertainty if isinstance(guess, Plan) else None
+        return make_plan(mission, pipeline, work, *self._provenance(init), known)
 
     def replan(self: Planner[Mission], last: Plan, initial_state: Array) -> Plan:
         """Solve P2 again for another initial state, from the last plan and with its facets.
@@ -302,7 +336,7 @@ def plan(
     solver: str = SOLVER,
     target: float | None = None,
     p3_resolution: float = 0.0,
-    facet_rounds: int = 0,
+    facet_rounds: FacetRounds = 0,
     choices: int = CHOICES_MAX,
     init: str = "given",
     observe: Observer | None = None,

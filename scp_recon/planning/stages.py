@@ -14,20 +14,22 @@ all sets, no nearby plan is better.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal, Protocol
+from typing import Protocol
 
 import numpy as np
 
 from formulations.linearisation.dynamics import Dynamics
 from formulations.linearisation.linearisation import Linearisation
-from formulations.problem.facets import Facets, Polytopes, choose_facets
+from formulations.problem.facets import Facets, choose_facets
 from formulations.problem.flyby import FlybyProblem, Iterate
 from formulations.program.subproblem import MeritFunction
 from formulations.rows.uniform import ChanceRows
-from scp_recon.planning.plan import Problem, Stage, StageSpec
-from scp_recon.scp.algorithms import SCvx
+from scp_recon.planning.method import SETTLE, FacetRounds
+from scp_recon.planning.plan import Problem, Stage, StageSpec, merit_of, rank
+from scp_recon.planning.problem import PlanningProblem
+from scp_recon.planning.settling import Settling
 from scp_recon.scp.loop import Record, Timing
 from scp_recon.scp.status import Status
 
@@ -43,6 +45,9 @@ RESOLUTION = 1e-3
 NO_BURN = 1e-6
 """Total delta-v, nondimensional, below which a guess has no burns that could be wrong."""
 
+DOUBTFUL = 1.3
+"""Cost of exact risk over P3's above which other algorithms are tried: it may be a poor optimum."""
+
 CHOICES_MAX = 4
 """Further choices of facets before P2 is called infeasible, where there is another choice."""
 
@@ -56,53 +61,6 @@ class Observer(Protocol):
 
 def unobserved(stage: str, record: Record, /) -> None:
     """Ignore an iteration."""
-
-
-class RiskSpec(Protocol):
-    """Required probability, and how the risk is allocated: see `scp_recon.scenario.schema.Risk`."""
-
-    @property
-    def p_chance(self) -> float:
-        """Required probability."""
-
-    @property
-    def allocation(self) -> Literal["uniform", "exact"]:
-        """Split of the risk: "uniform" over facets, or "exact" by the probabilities of the sets."""
-
-    @property
-    def scope(self) -> Literal["node", "flight"]:
-        """What must hold with that probability: each node, or the whole flight."""
-
-
-class PlanningProblem(Protocol):
-    """A problem to plan: a mission, or an `ImpulsiveProblem`."""
-
-    @property
-    def problem(self) -> FlybyProblem:
-        """The nondimensional problem."""
-
-    @property
-    def dynamics(self) -> Dynamics:
-        """Its flow with its burns."""
-
-    @property
-    def polytopes(self) -> Polytopes:
-        """Polytopes that approximate regions where risk is split evenly."""
-
-    @property
-    def risk(self) -> RiskSpec:
-        """Required probability and allocation of the risk."""
-
-    @property
-    def clearances(self) -> tuple[float, float]:
-        """Margins beyond which facets stay out of a program at first: from P3, and from P2."""
-
-    def require_plain(self, needs: str) -> None:
-        """Refuse feedback and limits on the final covariance, which go with `needs` alone.
-
-        Raises:
-            InputError: if there is either.
-        """
 
 
 class StageSolver(Protocol):
@@ -126,6 +84,14 @@ class StageSolver(Protocol):
     ) -> Stage:
         """Solve a stage from a start; its status says if it was interrupted."""
 
+    @property
+    def others(self) -> Mapping[str, StageSolver]:
+        """Other algorithms by their names, for exact risk where this one ends badly."""
+
+    @property
+    def scout(self) -> StageSolver:
+        """The method that chooses facets for this one: the quickest, the same for every method."""
+
 
 @dataclass
 class Pipeline:
@@ -135,7 +101,8 @@ class Pipeline:
         task: the problem to plan.
         solver: the method.
         observe: called after each iteration.
-        facet_rounds: times that facets may be chosen again at a solution of P2, to improve it.
+        facet_rounds: times that facets may be chosen again at a solution of P2, to improve it; or
+            "settle", until no choice is cheaper.
         choices: times that facets may be chosen again where P2 is infeasible.
         stages: all stages that were run.
         timing: of all stages, s.
@@ -144,7 +111,7 @@ class Pipeline:
     task: PlanningProblem
     solver: StageSolver
     observe: Observer = unobserved
-    facet_rounds: int = 0
+    facet_rounds: FacetRounds = 0
     choices: int = CHOICES_MAX
     stages: list[Stage] = field(default_factory=list)
     timing: Timing = field(default_factory=Timing)
@@ -158,7 +125,8 @@ class Pipeline:
         letter of its stages: P3 may have stopped at a bad local optimum. If none converges, the facets
         are chosen again.
         """
-        if problem == "P2" and self.task.risk.allocation == "exact":
+        p2_exact = problem == "P2" and self.task.risk.allocation == "exact"
+        if p2_exact:
             self.solver.exact_stages()  # a method that has none says so before any work
         firsts: list[Stage] = []
         finals: list[Stage] = []
@@ -169,14 +137,20 @@ class Pipeline:
             firsts.append(p3)
             if p3.result.status is not Status.CONVERGED or known:
                 continue
-            finals.append(p3 if problem == "P3" else self.p2(p3.result.lin, letter))
+            finals.append(p3 if problem == "P3" else self.p2(p3, letter))
             if finals[-1].result.status is Status.CONVERGED:
                 return finals[-1]
         if not finals:
             p3 = max(firsts, key=rank)
             lost = problem == "P3" or p3.result.status is Status.SOLVER_FAILED
-            finals.append(p3 if lost else self.p2(p3.result.lin, p3.spec.start))
-        for final in [final for final in finals if final.facets is not None]:
+            finals.append(p3 if lost else self.p2(p3, p3.spec.start))
+        if p2_exact and (last := max(finals, key=rank)).problem == "P2":
+            cheapest = max(
+                (one for one in firsts if is_converged(one)), key=rank, default=firsts[0]
+            )
+            finals.append(self._by_others(last, cheapest))
+        chosen_once = [final for final in finals if final.facets is not None]
+        for final in chosen_once if self.facet_rounds != SETTLE else []:
             finals.append(self.choose_again(final))
             if finals[-1].result.status is Status.CONVERGED:
                 break
@@ -190,11 +164,16 @@ class Pipeline:
             mean[0, 3:] += guess.burns[0]
         return self.task.dynamics.linearise(problem, Iterate(guess.burns, mean))
 
-    def p2(self, lin: Linearisation, letter: str = "") -> Stage:
-        """Solve P2 from a start, and again with new facets as long as that improves it."""
+    def p2(self, p3: Stage, letter: str = "") -> Stage:
+        """Solve P2 from the end of P3, and again with new facets as long as that improves it."""
+        lin = p3.result.lin
         if self.task.risk.allocation == "exact":
-            return self.exact(lin, letter)
+            final = self.exact(lin, letter)
+            doubtful = final.result.is_weighed or merit_of(final) > DOUBTFUL * merit_of(p3)
+            return self._by_others(final, p3) if doubtful and is_converged(final) else final
         final = self._with_facets(lin, letter)
+        if self.facet_rounds == SETTLE:
+            return self._settled(final, p3)
         for _ in range(self.facet_rounds):
             again = self._with_facets(final.result.lin, letter)
             if not rank(again) > rank(final):
@@ -202,12 +181,40 @@ class Pipeline:
             final = again
         return final
 
+    def _settled(self, first: Stage, p3: Stage) -> Stage:
+        """Settle the facets by the scout's rounds, and solve P2 with them; return the better plan."""
+        scouting = Pipeline(self.task, self.solver.scout)
+        settled = Settling(self.task, scouting.solve)(first, p3)
+        self.timing.add(scouting.timing)
+        if settled is None or settled.facets is None:
+            return first
+        lin = settled.result.lin
+        spec = replace(self.solver.p2_stage(settled.facets, lin), role="settled")
+        return max(first, self.run([spec], lin, first.spec.start), key=rank)
+
     def exact(self, lin: Linearisation, letter: str = "") -> Stage:
         """Solve P2 with exact risk; a start with gains keeps them and skips stages without gains."""
         stages, feedback = self.solver.exact_stages(), self.task.problem.feedback
         if lin.iterate.gains.any():
             stages = [one for one in stages if one.rows.problem.feedback is feedback]
         return self.run(stages, lin, letter)
+
+    def _by_others(self, found: Stage, p3: Stage) -> Stage:
+        """Solve P2 with exact risk by other algorithms too, whose stages end in their names."""
+        best = found
+        for name, solver in self.solver.others.items():
+            if self.task.problem.feedback is not None:
+                break  # where each takes as long as a plan
+            runs = Pipeline(self.task, solver, self.observe)
+            named = [
+                replace(spec, title=f"{replace(spec, start=p3.spec.start).name}.{name}")
+                for spec in solver.exact_stages()
+            ]
+            other = runs.run(named, p3.result.lin, p3.spec.start)
+            best = other if rank(other) > rank(best, saving=1.0 - OTHER_OPTIMUM) else best
+            self.stages += runs.stages
+            self.timing.add(runs.timing)
+        return best
 
     def choose_again(self, stage: Stage) -> Stage:
         """Solve P2 again with facets chosen at the last end, until one converges; return the best.
@@ -294,27 +301,14 @@ def without_partial_keep_out(problem: FlybyProblem) -> FlybyProblem:
     return replace(problem, constraints=tuple(kept))
 
 
+def is_converged(stage: Stage) -> bool:
+    """Whether a run has a plan."""
+    return stage.result.status is Status.CONVERGED
+
+
 def same_optimum(one: Stage, other: Stage) -> bool:
     """Whether two runs of P3 ended at the same optimum."""
-    low, high = sorted((_merit(one), _merit(other)))
+    low, high = sorted((merit_of(one), merit_of(other)))
     apart = np.abs(one.result.lin.iterate.burns - other.result.lin.iterate.burns).max()
     alike = low > OTHER_OPTIMUM * high and bool(apart < OTHER_BURNS)
     return one.result.status is other.result.status and alike
-
-
-def rank(stage: Stage) -> tuple[int, float]:
-    """Rank of a run, the better the greater: by how it ended, then by cost.
-
-    It ended solved (3), at a point that violates nothing (2), otherwise (1), or without an answer of
-    the solver (0).
-    """
-    ended = 0 if stage.result.status is Status.SOLVER_FAILED else 1
-    if stage.result.status is Status.CONVERGED:
-        ended = 3
-    elif stage.merit.worst_violation(stage.result.lin) <= stage.tolerance:
-        ended = 2
-    return ended, -_merit(stage)
-
-
-def _merit(stage: Stage) -> float:
-    return stage.merit(stage.result.lin, SCvx().weight)

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import closing
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from functools import partial
+from typing import Literal
 
 import numpy as np
 
@@ -15,9 +16,14 @@ from scp_recon.jobs.job import Job, here, in_order
 from scp_recon.jobs.processes import Processes
 from scp_recon.mission.mission import Mission
 from scp_recon.planning.initial_guess import bent
-from scp_recon.planning.plan import Optimum, Plan, Stage, Starts, as_interrupted
-from scp_recon.planning.stages import rank, same_optimum
+from scp_recon.planning.missions import cheapest_p3
+from scp_recon.planning.plan import Optimum, Plan, Stage, Starts, as_interrupted, merit_of, rank
+from scp_recon.planning.stages import is_converged, same_optimum
 from scp_recon.scp.status import Status
+
+CHANCE, STARTS_AUTO_MAX = 0.05, 100
+"""Chance that a further start finds a new optimum of P3 below which no more are planned, and the limit
+of their number."""
 
 BEND, BURN = 0.5, 0.75
 """Of a random flight's path and burns before it is made to fly, in the mission's units, 1 sigma."""
@@ -28,56 +34,173 @@ def plan_from_several(
     guess: Iterate,
     make_plan: Callable[..., Plan],
     *,
-    starts: int,
+    starts: int | Literal["auto"],
     seed: int = 0,
     workers: int = 1,
     init: str = "given",
     seen: Callable[[int, Plan], None] | None = None,
 ) -> Plan:
-    """Plan from several starts, the guess and random flights, and keep the best plan.
+    """Plan from the guess, and from the other optima of P3 that random flights lead to; keep the best.
 
-    `make_plan` is like `planner.plan` and must pickle: with `once` it plans from the given start
-    alone. Neither the plan nor the list of optima depends on the number of processes. An interrupt ends
-    with the best plan so far, marked as interrupted. `starts` includes the guess; `seen` is called with
-    each start's number and plan, in order.
+    Every random flight is planned as P3, each optimum of P3 once as P2, the cheapest first; an optimum
+    of P3 that costs more than the best P2 so far is left out where P3 bounds P2 (`_bounds`). Neither
+    the plan nor the list of optima depends on the number of processes. An interrupt ends with the best
+    plan so far, marked as interrupted.
+
+    Args:
+        mission: to plan.
+        guess: the first start.
+        make_plan: like `planner.plan`; it must pickle, and with `once` plans from its start alone.
+        starts: their number, the guess included; "auto" for as many as Boender and Rinnooy Kan's rule
+            asks for: see `Starts.chance`.
+        seed: of the random flights.
+        workers: processes.
+        init: name of the guess.
+        seen: called with each start's number and plan.
     """
-    plan_start = partial(_plan_start, mission, guess, init, make_plan, seed)
-    found: list[Plan] = []
+    work = _Several(mission, guess, make_plan, seed, init, seen or unseen)
     interrupted = False
-    executor = here if workers == 1 else Processes(min(workers, starts))
-    jobs = (Job(number, number) for number in range(starts))
     try:
-        with closing(in_order(executor, plan_start, jobs)) as ended:
-            for done in ended:
-                plan: Plan = done.result(name="start")
-                found.append(plan)
-                if seen:
-                    seen(int(done.key), plan)
-                if plan.status is Status.INTERRUPTED:
-                    raise KeyboardInterrupt
+        work.begin()
+        work.search(starts, workers)
+        work.plan_others()
     except KeyboardInterrupt:
-        if not found:
+        if not work.plans:
             raise
         interrupted = True
-    whole = [plan for plan in found if plan.status is not Status.INTERRUPTED]
-    best = max(whole or found, key=lambda plan: rank(plan.final))
-    listed = Starts(starts, seed, local_optima(found))
-    return replace(as_interrupted(best) if interrupted else best, starts=listed)
+    whole = [plan for plan in work.plans if plan.status is not Status.INTERRUPTED]
+    best = max(whole or work.plans, key=lambda plan: rank(plan.final))
+    least = cheapest_p3(mission, [stage for stage, _ in work.optima])
+    return replace(
+        as_interrupted(best) if interrupted else best,
+        starts=work.listed() if work.number > 1 else None,
+        without_uncertainty=least or best.without_uncertainty,
+    )
 
 
-def _plan_start(
-    mission: Mission,
-    guess: Iterate,
-    init: str,
-    make_plan: Callable[..., Plan],
-    seed: int,
-    number: int,
-) -> Plan:
-    """Make the plan of one start, in any process."""
-    if number == 0:
-        return make_plan(mission, guess, once=False, init=init)
+def unseen(number: int, plan: Plan) -> None:
+    """Show nothing of a start."""
+    del number, plan
+
+
+@dataclass
+class _Several:
+    """Planning from several starts, so far.
+
+    Attributes:
+        plans: from the guess, and of every further optimum of P3.
+        optima: ends of P3 and final ones of P2 with the numbers of the starts that led there.
+        number: of starts.
+    """
+
+    mission: Mission
+    guess: Iterate
+    make_plan: Callable[..., Plan]
+    seed: int
+    init: str
+    seen: Callable[[int, Plan], None]
+    plans: list[Plan] = field(default_factory=list)
+    optima: list[tuple[Stage, list[int]]] = field(default_factory=list)
+    number: int = 1
+
+    def begin(self) -> None:
+        """Plan from the guess, and from its other starts where it does not converge."""
+        first = self.make_plan(self.mission, self.guess, once=False, init=self.init)
+        self._note(first, [0])
+        self.mission = first.mission  # on the grid that planning may have refined
+
+    def search(self, starts: int | Literal["auto"], workers: int) -> None:
+        """Plan P3 from random flights, until so many starts are planned or the rule is met."""
+        most = STARTS_AUTO_MAX if starts == "auto" else starts
+        jobs = (Job(number, number) for number in range(1, most))
+        executor = here if workers == 1 else Processes(min(workers, most - 1 or 1))
+        p3_of = partial(_p3_of, self.mission, self.make_plan, self.seed)
+        with closing(in_order(executor, p3_of, jobs)) as ended:
+            for done in ended:
+                plan: Plan = done.result(name="start")
+                if plan.status is not Status.INTERRUPTED:
+                    self.number += 1
+                    self._add(_p3_ends(plan), [int(done.key)])
+                self.seen(int(done.key), plan)
+                if plan.status is Status.INTERRUPTED:
+                    raise KeyboardInterrupt
+                if starts == "auto" and self.listed().chance < CHANCE:
+                    break
+
+    def plan_others(self) -> None:
+        """Plan P2 from the optima of P3 to which only random flights led."""
+        if self.plans[0].final.spec.problem == "P3" and is_converged(self.plans[0].final):
+            return  # P3 was asked for, and `search` has planned it
+        new = [found for found in self.optima if _is_new(*found)]
+        for stage, numbers in sorted(new, key=lambda found: merit_of(found[0])):
+            best = max((plan.final for plan in self.plans), key=rank)
+            if _bounds(self.mission) and is_converged(best) and merit_of(stage) >= merit_of(best):
+                continue
+            start, called = (
+                stage.result.lin.iterate,
+                f"random flight {numbers[0]} of seed {self.seed}",
+            )
+            self._note(self.make_plan(self.mission, start, once=True, init=called), numbers)
+
+    def listed(self) -> Starts:
+        """The list of distinct optima, P3's first, the cheapest first."""
+        speed_m_s = self.mission.units.speed_m_s
+        optima = []
+        for stage, numbers in self.optima:
+            iterate = stage.result.lin.iterate
+            optima.append(
+                Optimum(
+                    problem=stage.problem,
+                    status=stage.result.status.value.name,
+                    total_dv_m_s=iterate.total_dv * speed_m_s,
+                    burns_m_s=tuple((x, y, z) for x, y, z in (iterate.burns * speed_m_s).tolist()),
+                    starts=tuple(numbers),
+                )
+            )
+        optima.sort(key=lambda o: (o.problem == "P2", o.status != "converged", o.total_dv_m_s))
+        return Starts(max(self.number, 2), self.seed, tuple(optima))
+
+    def _note(self, plan: Plan, numbers: list[int]) -> None:
+        """Keep a plan and the optima where its runs ended."""
+        self.plans.append(plan)
+        self.seen(numbers[0], plan)
+        if plan.status is Status.INTERRUPTED:
+            raise KeyboardInterrupt
+        final = [plan.final] if plan.final.problem == "P2" and _is_optimum(plan.final) else []
+        self._add([*_p3_ends(plan), *final], numbers)
+
+    def _add(self, ends: Iterable[Stage], numbers: list[int]) -> None:
+        """Add ends of runs to the optima that they are."""
+        for stage in ends:
+            for known, own in self.optima:
+                if known.problem == stage.problem and same_optimum(known, stage):
+                    own.extend(number for number in numbers if number not in own)
+                    break
+            else:
+                self.optima.append((stage, list(numbers)))
+
+
+def _p3_of(mission: Mission, make_plan: Callable[..., Plan], seed: int, number: int) -> Plan:
+    """Plan P3 from a random flight, in any process."""
     start = random_flight(mission, seed, number)
-    return make_plan(mission, start, once=True, init=f"random flight {number} of seed {seed}")
+    called = f"random flight {number} of seed {seed}"
+    return make_plan(mission, start, problem="P3", once=True, init=called)
+
+
+def _bounds(mission: Mission) -> bool:
+    """Whether no P2 costs less than the P3 in whose basin it lies.
+
+    Means then keep what P3 asks of them: with a probability of one half or more, a mean is in a convex
+    keep-in set, and outside a keep-out set that is larger than the spread. Not so with polytopes around
+    keep-in sets, nor with feedback, which costs what is commanded in flight.
+    """
+    uniform = mission.risk.allocation == "uniform"
+    return mission.problem.feedback is None and not (uniform and mission.polytopes.ball is None)
+
+
+def _is_new(stage: Stage, numbers: Sequence[int]) -> bool:
+    """Whether this is a converged P3 to which only random flights led."""
+    return stage.problem == "P3" and is_converged(stage) and 0 not in numbers
 
 
 def random_flight(mission: Mission, seed: int, number: int) -> Iterate:
@@ -98,41 +221,12 @@ def random_flight(mission: Mission, seed: int, number: int) -> Iterate:
     return mission.dynamics.close_defects(lin, burns).iterate
 
 
-def local_optima(plans: list[Plan]) -> tuple[Optimum, ...]:
-    """Local optima of several starts' plans, each once: P3's first, the cheapest first.
-
-    A local optimum is an end that converged, or is stationary at the least violation. Every P3 of a
-    start counts. Of P2 only the final one counts, because its facets depend on the end of P3.
-    """
-    groups: list[tuple[Stage, list[int]]] = []
-    for number, plan in enumerate(plans):
-        for stage in _ends(plan):
-            for known, numbers in groups:
-                if known.problem == stage.problem and same_optimum(known, stage):
-                    if number not in numbers:
-                        numbers.append(number)
-                    break
-            else:
-                groups.append((stage, [number]))
-    speed_m_s = plans[0].mission.units.speed_m_s
-    optima = []
-    for stage, numbers in groups:
-        iterate = stage.result.lin.iterate
-        optima.append(
-            Optimum(
-                problem=stage.problem,
-                status=stage.result.status.value.name,
-                total_dv_m_s=iterate.total_dv * speed_m_s,
-                burns_m_s=tuple((x, y, z) for x, y, z in (iterate.burns * speed_m_s).tolist()),
-                starts=tuple(numbers),
-            )
-        )
-    optima.sort(key=lambda o: (o.problem == "P2", o.status != "converged", o.total_dv_m_s))
-    return tuple(optima)
-
-
-def _ends(plan: Plan) -> list[Stage]:
+def _p3_ends(plan: Plan) -> list[Stage]:
+    """Local optima of P3 among the stages of a plan."""
     ends = [s for s in plan.stages if s.problem == "P3" and s.spec.role != "open"]
-    if plan.final.problem == "P2":
-        ends.append(plan.final)
-    return [s for s in ends if s.result.status in (Status.CONVERGED, Status.INFEASIBLE)]
+    return [stage for stage in ends if _is_optimum(stage)]
+
+
+def _is_optimum(stage: Stage) -> bool:
+    """Whether it converged, or is stationary at the least violation."""
+    return stage.result.status in (Status.CONVERGED, Status.INFEASIBLE)

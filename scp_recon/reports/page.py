@@ -133,7 +133,7 @@ def _remarks(subject: Subject, status: Status) -> tuple[str, ...]:
         f"{name}: violated by up to {amount.max:.4g} {amount.unit}"
         for name, amount in solution.violation.by_constraint.items()
     ]
-    said += [] if solution.by_policy is None else [solution.by_policy]
+    said += [words for words in (solution.cost_in_words, solution.by_policy) if words]
     risk = solution.risk
     if risk is not None:
         law = "not certified by flights: the normal law alone promises the probability"

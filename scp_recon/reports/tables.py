@@ -221,7 +221,7 @@ def starts_table(starts: Starts) -> Table:
     return Table.of(
         "Local optima",
         (
-            f"local optima of {starts.number} starts, seed {starts.seed}",
+            f"local optima, seed {starts.seed}",
             Column("delta-v", "m/s", ".6f"),
             "starts",
             "which",
@@ -236,6 +236,7 @@ def starts_table(starts: Starts) -> Table:
             ]
             for optimum in starts.optima
         ),
+        note=str(starts),
     )
 
 

@@ -15,12 +15,13 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import ConfigDict, Field, TypeAdapter
 
-from scp_recon.planning.plan import Certificate, Parent, Starts
+from scp_recon.planning.plan import Certificate, Parent, Starts, WithoutUncertainty
 from scp_recon.planning.primer import PrimerHistory
 from scp_recon.results.policy import StoredPolicy
 from scp_recon.scenario.fields import Line, Number, Probability, ScenarioWarning, Speed
 from scp_recon.scenario.schema import Scenario
 from scp_recon.scp.loop import Timing
+from scp_recon.scp.status import Status
 
 Direction = Annotated[tuple[Number, Number, Number], Field(strict=False)]
 """A list is accepted too; its entries still have to be numbers."""
@@ -104,6 +105,9 @@ STAGES = {
     "open": "leads to P3 from a guess that is no flight",
     "node": "each node by itself, which leads to whole flights",
     "coarse": "whole flights by few sampled directions, which leads to all of them",
+    "ptr": "solved by PTR, where SCvx ended badly",
+    "scvx-star": "solved by SCvx*, where SCvx ended badly",
+    "settled": "facets chosen again along the plans they allow, until none is cheaper",
 }
 """Endings of stages' names in words."""
 
@@ -116,7 +120,8 @@ class StageSummary:
         name: `P3`, `P2`; `P2.2` with facets chosen a second time, and so on; `P3b`, `P2b` restarted
             from the ballistic arc, `c` and `d` from a turn about the body, the shorter and the longer
             way; `P3.open` leads from a guess that is no flight to P3, `P2.node` and `P2.coarse` to
-            the P2 of an exact plan of whole flights; `P2.held` holds burns that would be too small to
+            the P2 of an exact plan of whole flights; `P2.settled` has facets chosen until none is
+            cheaper; `P2.held` holds burns that would be too small to
             execute.
         status: how it ended.
         total_dv_m_s: sum of its burns' sizes.
@@ -415,6 +420,7 @@ class Facts:
         policy: of a plan with feedback; absent from others.
         starts: of a plan that is the best of several starts.
         parent: of a plan made in flight.
+        without_uncertainty: the cheapest P3 that planning found; absent where it began at a plan.
         primer: of a converged plan whose errors shrink with the burns.
         iterations: one for each iteration of each stage.
         timing_s: time it took.
@@ -447,6 +453,7 @@ class Facts:
     policy: StoredPolicy | None = None
     starts: Starts | None = None
     parent: Parent | None = None
+    without_uncertainty: WithoutUncertainty | None = None
     primer: PrimerHistory | None = None
     iterations: list[IterationRecord]
     timing_s: PlanTiming
@@ -454,6 +461,22 @@ class Facts:
     warnings: tuple[ScenarioWarning, ...] = ()
     advice: tuple[Line, ...] = ()
     scenario: Scenario
+
+    @property
+    def cost_in_words(self) -> str:
+        """What uncertainty and a single choice of facets cost beside the plan; empty if not known."""
+        said = [] if self.problem == "P3" else [str(self.without_uncertainty or "")]
+        by_name = {stage.name: stage for stage in self.stages}
+        for name, stage in by_name.items():
+            first = by_name.get(name.removesuffix(".settled"))
+            if first is not None and first is not stage:
+                once = first.status
+                if once == Status.CONVERGED.value.name:
+                    once = f"{first.total_dv_m_s:.6f} m/s"
+                said.append(
+                    f"P2 with P3's facets {once}, facets settled {stage.total_dv_m_s:.6f} m/s"
+                )
+        return "; ".join(filter(None, said))
 
     def __post_init__(self) -> None:
         """Refuse burns whose number is not the scenario's."""

@@ -254,6 +254,7 @@ def make_solution(plan: Plan) -> Solution:
         policy=policy,
         starts=plan.starts,
         parent=plan.parent,
+        without_uncertainty=plan.without_uncertainty,
         primer=primer_of(plan),
         iterations=[
             iteration_record(mission, stage.name, record)

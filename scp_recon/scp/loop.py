@@ -157,12 +157,15 @@ class Result:
         lin: the last iterate, with its dynamics linearised about it; nondimensional.
         records: one for each iteration.
         timing: seconds by part of the work.
+        is_weighed: whether the first penalty weight did not suffice: the way from there may have led
+            to a poor optimum.
     """
 
     status: Status
     lin: Linearisation
     records: tuple[Record, ...]
     timing: Timing
+    is_weighed: bool = False
 
 
 def run(
@@ -181,7 +184,7 @@ def run(
     timing = Timing()
     if before:
         timing.add(before.timing)
-    state = algorithm.init(subproblem, start)
+    state = first = algorithm.init(subproblem, start)
     status = Status.MAX_ITERATIONS
     try:
         for k in range(len(records) + 1, len(records) + algorithm.max_iterations + 1):
@@ -195,7 +198,10 @@ def run(
     except KeyboardInterrupt:
         status = Status.INTERRUPTED
     lin = state.lin if state.lin is start else _linearised(dynamics, state.lin, timing)
-    return Result(status, lin, tuple(records), timing)
+    is_weighed = state.charge.weight > first.charge.weight or (
+        before is not None and before.is_weighed
+    )
+    return Result(status, lin, tuple(records), timing, is_weighed)
 
 
 def _linearised(dynamics: Dynamics, lin: Linearisation, timing: Timing) -> Linearisation:

@@ -313,7 +313,7 @@ def solved_or_refused(overrides: list[str], *options: str) -> None:
     """One of the documented ends, after four iterations a stage; for bad input nothing is written."""
     sets = [argument for override in overrides for argument in ("--set", override)]
     with tempfile.TemporaryDirectory() as folder, pytest.MonkeyPatch.context() as patch:
-        patch.setitem(ALGORITHMS, "scvx", lambda: SCvx(max_iterations=4))
+        patch.setitem(ALGORITHMS, "scvx", lambda **given: SCvx(**given | {"max_iterations": 4}))
         patch.setattr(infeasibility, "CLOSE", 1.0)
         fly_few(patch)
         code = command(solve.main, [*options, *sets, "--out", folder])

@@ -199,7 +199,7 @@ def test_planning_starts_from_files_and_tables(default_plan, tmp_path):
     assert read_solution(saved).verification is not None
     table = np.column_stack([default_plan.times_s, default_plan.states])
     for init in (str(tmp_path / "mine"), saved, table, default_plan):
-        found = sr.plan(init=init)
+        found = sr.plan(init=init, facet_rounds=0)
         assert found.total_dv_m_s == pytest.approx(default_plan.total_dv_m_s, rel=1e-4)
     assert found.provenance.init == "a plan"
     with pytest.raises(InputError, match=r"shape \(154, 6\).*shape \(n, 7\): t_s, x_m"):
@@ -427,7 +427,7 @@ def test_a_campaign_gives_a_table_and_figures(tmp_path):
     table, figures = sr.campaign(study, tmp_path, workers=0)
     assert list(table["risk.p_chance"]) == [0.7, 0.75]
     assert list(table["verdict"]) == ["verified"] * 2
-    assert table["total_dv_m_s"][0] == pytest.approx(0.140135, abs=1e-6)
+    assert table["total_dv_m_s"][0] == pytest.approx(0.125979, abs=2e-6)
     assert table["total_dv_m_s"][1] > table["total_dv_m_s"][0]
     assert list(figures) == ["dv99_m_s", "probability"]
     again, _ = sr.campaign(study, tmp_path, workers=0)

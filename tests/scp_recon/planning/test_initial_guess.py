@@ -14,10 +14,10 @@ from formulations.rows.uniform import DeterministicRows
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
-from scp_recon.planning.plan import Plan
+from scp_recon.planning.plan import Optimum, Plan, Starts
 from scp_recon.planning.planner import plan
 from scp_recon.planning.stages import path_ignores_burns
-from scp_recon.planning.starts import local_optima, plan_from_several, random_flight
+from scp_recon.planning.starts import plan_from_several, random_flight
 from scp_recon.results.solution import make_solution
 from scp_recon.scp.algorithms import ALGORITHMS
 from scp_recon.scp.loop import Record
@@ -308,18 +308,37 @@ def test_random_flights_obey_dynamics_and_follow_their_seed(mission):
 
 
 @pytest.mark.slow
-def test_infeasible_optima_are_listed(mission, default_plan):
-    """From the far optimum there is no way; with `once` it begins nowhere else."""
-    far = plan(mission, flight_beyond(mission), once=True)
-    assert {stage.name.partition(".")[0] for stage in far.stages} == {"P3", "P2"}
-    assert far.status is Status.INFEASIBLE
-    optima = local_optima([far, default_plan])
-    assert [(o.problem, o.status, o.starts) for o in optima] == [
-        ("P3", "converged", (1,)),
-        ("P3", "converged", (0,)),
-        ("P2", "converged", (1,)),
-        ("P2", "infeasible", (0,)),
+def test_p2_from_dearer_p3_is_left_out(mission, default_plan):
+    """Both optima of P3 are listed; P2 costs less than the dearer one, which bounds the P2 near it."""
+    found = plan_from_several(mission, initial_guess.cold(mission), plan, starts=3)
+    assert found.total_dv_m_s == pytest.approx(default_plan.total_dv_m_s, rel=1e-6)
+    assert [(o.problem, o.status, o.starts) for o in found.starts.optima] == [
+        ("P3", "converged", (0, 1)),
+        ("P3", "converged", (2,)),
+        ("P2", "converged", (0,)),
     ]
+    assert found.without_uncertainty.optima == 2
+    assert found.without_uncertainty.total_dv_m_s == pytest.approx(0.107723, rel=1e-4)
+
+
+@pytest.mark.slow
+def test_starts_end_by_the_rule():
+    """One optimum takes seven starts, and two take twelve: w (w + 1) / (n (n - 1)) < 5 %."""
+
+    def listed(*starts: int) -> Starts:
+        first, optima = 0, []
+        for number in starts:
+            numbers = tuple(range(first, first + number))
+            optima.append(Optimum("P3", "converged", 1.0, ((1.0, 0.0, 0.0),), numbers))
+            first += number
+        return Starts(sum(starts), 0, tuple(optima))
+
+    assert listed(6).chance > 0.05 > listed(7).chance
+    assert listed(5, 6).chance > 0.05 > listed(6, 6).chance
+    assert listed(6, 6).chance == pytest.approx(6 / 132)
+    made = sr.plan(problem="P3", starts="auto")
+    assert made.starts.number == 12
+    assert made.starts.chance < 0.05
 
 
 @pytest.mark.slow
@@ -345,7 +364,7 @@ def test_an_interrupt_before_any_start_is_no_plan(mission):
 @pytest.mark.slow
 def test_the_solution_lists_the_optima():
     found = sr.plan(problem="P3", starts=3, seed=0)
-    assert "local optima of 3 starts, seed 0" in str(found)
+    assert "3 starts, 2 optima of P3" in str(found)
     listed = make_solution(found).starts
     assert [o.starts for o in listed.optima] == [(0, 1), (2,)]
     assert (listed.number, listed.seed) == (3, 0)

@@ -228,7 +228,7 @@ def test_a_replan_is_flown_and_replanned_in_its_turn(flown, default_plan):
 def test_where_p3_stops_before_its_end_p2_ends_at_the_same(flown):
     state = predict(flown, 5_000.0, {}).state + drawn(flown, 5_000.0, 3)
     mission = mission_left(flown, Delivery(5_000.0, state), ["navigation.lead_s=1800"])
-    whole = Planner(mission).plan(path_planned(flown, mission))
+    whole = Planner(mission).plan(path_planned(flown, mission), facet_rounds="settle")
     quick = plan_left(flown, mission)
     p3, p3_whole = quick.stages[0].result, whole.stages[0].result
     assert len(p3.records) < len(p3_whole.records)

@@ -208,7 +208,7 @@ def test_limits_on_corrected_burns_match_normal_commands(crossed):
     apex, half, none = np.zeros((1, 3)), np.array([0]), ()
     cones = [Cone(apex, way * sun, float(np.deg2rad(off))) for way in (1.0, -1.0)]
     limits = {
-        "dv_max": [Event("size", half, (Ball(apex, np.array([0.019 / speed])),), none)],
+        "dv_max": [Event("size", half, (Ball(apex, 0.019 / speed),), none)],
         "dv_battery": [Event("cone", half, none, (cone,)) for cone in cones],
     }
     for name, events in limits.items():

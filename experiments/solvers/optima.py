@@ -1,0 +1,178 @@
+"""Compare the default plan with the best that many starts and choices of facets find.
+
+The drawn scenarios of `compare_solvers` are planned as `solve` plans them. The reference of each is the
+least that any of these finds: P3 from the straight line and from five random flights; with uniform
+risk, facets settled along each P3 and along its plan with exact risk, ten times as fine as the
+default's; SCvx and PTR from there, with exact risk SCvx* too. Seeds from 500 on were never used while
+the default was made. OUT/optima.csv has a row for each scenario, OUT/summary.csv one for each kind and
+set of seeds. After Ctrl-C the study continues with the missing rows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from time import process_time
+
+import pandas as pd
+
+from experiments.harness import Findings, Record, Session, Study, records
+from experiments.solvers.cases import NUMBER, drawn
+from formulations.linearisation.linearisation import Linearisation
+from formulations.rows.exact import NodeRows
+from scp_recon.api.options import PlanOptions
+from scp_recon.api.planning import plan_mission
+from scp_recon.errors import InputError
+from scp_recon.mission.mission import Mission
+from scp_recon.planning import initial_guess
+from scp_recon.planning.plan import Plan, Stage, StageSpec
+from scp_recon.planning.planner import Planner
+from scp_recon.planning.settling import Settling
+from scp_recon.planning.stages import Pipeline, is_converged
+from scp_recon.planning.starts import random_flight
+from scp_recon.scenario.load import load_scenario
+
+STARTS = 6
+"""Of the reference, the straight line included."""
+FINE = 1e-3
+"""Resolution of its plans with exact risk, along whose paths facets are settled."""
+UNIFORM = {"risk.allocation": "uniform", "risk.scope": "node"}
+SETS = {"tuned": range(NUMBER), "fresh": range(500, 550)}
+"""Seeds: those of every other comparison, and those that nobody has looked at."""
+EXACT_SEEDS = {"tuned": range(NUMBER), "fresh": range(500, 510)}
+NEAR, FAR = 1e-3, 1e-2
+"""Relative differences from the reference that are counted."""
+
+
+def posed(kind: str, seed: int) -> Mission:
+    """A drawn scenario with uniform risk at nodes, or with exact risk as it is drawn."""
+    changes = drawn(seed)[1] | (UNIFORM if kind == "uniform" else {})
+    return Mission.from_scenario(load_scenario().replace(changes))
+
+
+def measure(case: tuple[str, str, int]) -> Record:
+    """Plan a scenario as `solve` does, with facets chosen once or from one start, and its reference."""
+    kind, seeds, seed = case
+    row: Record = {"kind": kind, "seeds": seeds, "seed": seed, "status": "no window"}
+    nothing = (
+        "total_dv_m_s",
+        "processor_s",
+        "simple_m_s",
+        "simple_processor_s",
+        "p3_m_s",
+        "least_m_s",
+    )
+    try:
+        mission = posed(kind, seed)
+    except InputError:
+        return row | dict.fromkeys(nothing, float("nan"))
+    options = PlanOptions(certify=False) if kind == "exact" else PlanOptions()
+    simple = (
+        PlanOptions(certify=False, starts=1) if kind == "exact" else PlanOptions(facet_rounds=0)
+    )
+    found, seconds = _planned(mission, options)
+    other, less = _planned(mission, simple)
+    p3 = found.without_uncertainty
+    ends = [cost for one in (found, other) if (cost := _cost(mission, one.final)) == cost]
+    ends += _reference(mission, kind)
+    return row | {
+        "status": found.status.value.name,
+        "total_dv_m_s": _cost(mission, found.final),
+        "processor_s": seconds,
+        "simple_m_s": _cost(mission, other.final),
+        "simple_processor_s": less,
+        "p3_m_s": p3.total_dv_m_s if p3 else float("nan"),
+        "least_m_s": min(ends, default=float("nan")),
+    }
+
+
+def _planned(mission: Mission, options: PlanOptions) -> tuple[Plan, float]:
+    """A plan from the straight line, and the processor's seconds for a second one."""
+    for _ in range(2):
+        begin = process_time()
+        found = plan_mission(mission, initial_guess.cold(mission), options)
+        seconds = process_time() - begin
+    return found, seconds
+
+
+def _cost(mission: Mission, stage: Stage) -> float:
+    """Delta-v of a converged run of P2, m/s; NaN of any other."""
+    solved = is_converged(stage) and stage.problem == "P2"
+    return (
+        float(stage.result.lin.iterate.total_dv * mission.units.speed_m_s)
+        if solved
+        else float("nan")
+    )
+
+
+def _reference(mission: Mission, kind: str) -> list[float]:
+    """Delta-v of every plan that the reference finds, m/s."""
+    guesses = [initial_guess.cold(mission)]
+    guesses += [random_flight(mission, 0, number) for number in range(1, STARTS)]
+    names = ("scvx", "ptr", "scvx-star") if kind == "exact" else ("scvx", "ptr")
+    planners = {name: Planner(mission, algorithm=name) for name in names}
+    runs = Pipeline(mission, planners["scvx"])
+    costs = []
+    for guess in guesses:
+        start = runs.start(guess)
+        p3 = runs.run(planners["scvx"].p3_stages(start), start)
+        for planner in planners.values() if is_converged(p3) else ():
+            by = Pipeline(mission, planner)
+            if kind == "exact":
+                costs.append(_cost(mission, by.exact(p3.result.lin)))
+                continue
+            for settled in _settled(mission, runs, p3.result.lin):
+                assert settled.facets is not None
+                lin = settled.result.lin
+                costs.append(_cost(mission, by.run([planner.p2_stage(settled.facets, lin)], lin)))
+    return [cost for cost in costs if cost == cost]
+
+
+def _settled(mission: Mission, runs: Pipeline, p3: Linearisation) -> Iterator[Stage]:
+    """Rough plans with facets settled along P3, and along its plan with exact risk."""
+    settling = Settling(mission, runs.solve)
+    rows = NodeRows(mission.problem.open_loop, mission.risk.p_chance, FINE)
+    exact = runs.solve(StageSpec("P2", rows, "node"), p3)
+    for lin in (p3, exact.result.lin):
+        found = settling.along(lin)
+        if is_converged(found):
+            yield found
+
+
+def summary(rows: Sequence[Record]) -> list[Record]:
+    """Of the scenarios that anything solves: how many the default solves, how near, in what time."""
+    found = pd.DataFrame(rows)
+    found["over"] = found.total_dv_m_s / found.least_m_s - 1.0
+    found["simple_over"] = found.simple_m_s / found.least_m_s - 1.0
+    found["times"] = found.processor_s / found.simple_processor_s
+    result = []
+    for (kind, seeds), own in found[found.least_m_s.notna()].groupby(["kind", "seeds"], sort=False):
+        result.append(
+            {
+                "kind": kind,
+                "seeds": seeds,
+                "solved_by_any": len(own),
+                "solved": int(own.over.notna().sum()),
+                "near": int((own.over < NEAR).sum()),
+                "far": int((own.over > FAR).sum()),
+                "worst": 100.0 * own.over.max(),
+                "simple_solved": int(own.simple_over.notna().sum()),
+                "simple_near": int((own.simple_over < NEAR).sum()),
+                "simple_median": 100.0 * own.simple_over.median(),
+                "simple_worst": 100.0 * own.simple_over.max(),
+                "times_median": own.times.median(),
+                "times_worst": own.times.max(),
+            }
+        )
+    return result
+
+
+def run(session: Session) -> Findings:
+    """Plan every scenario, and tabulate."""
+    cases = [("uniform", name, seed) for name, seeds in SETS.items() for seed in seeds]
+    cases += [("exact", name, seed) for name, seeds in EXACT_SEEDS.items() for seed in seeds]
+    rows = session.rows("plans", measure, cases, session.store())
+    tables = {"optima": rows, "summary": summary(rows)}
+    return Findings({f"{name}.csv": records(found) for name, found in tables.items()})
+
+
+STUDY = Study(__doc__, run)
