@@ -271,3 +271,20 @@ def test_facets_of_an_ellipsoid_touch_it_and_without_a_constraint_there_are_none
     assert offset == pytest.approx(normal @ egg.center[0] + reach, abs=EXACT)
     none = choose_facets(problem_with(), shapes, np.zeros((9, 6)), np.zeros((9, 6, 6)))
     assert len(none.node) == len(none.normal) == 0
+
+
+@given(generators, polytopes)
+def test_holding_choice_keeps_what_holds(rng, shapes):
+    """At each node of each constraint the least room is no less than before, or not negative."""
+    problem = constrain(rng, random_flyby(rng)).problem
+    n = problem.n_nodes
+    mean, factor = rng.normal(size=(n, 6)), 0.1 * rng.normal(size=(n, 6, 6))
+    old = choose_facets(problem, shapes, rng.normal(size=(n, 6)), factor)
+    new = choose_facets(problem, shapes, mean, factor)
+    mixed = old.where_they_hold(new, mean, factor)
+    rooms = [facets.margin(mean, factor) for facets in (old, new, mixed)]
+    for group in {*zip(old.constraint.tolist(), old.node.tolist(), strict=True)}:
+        own = (old.constraint == group[0]) & (old.node == group[1])
+        before, fresh, after = (room[own].min() for room in rooms)
+        assert after >= min(before, 0.0) - EXACT
+        assert after in (before, fresh)
