@@ -97,6 +97,8 @@ def rows(*, ipopt: bool = True, as_flown: Path | None = None) -> list[Row]:
             Row(f"{name.lower()}_warm", f"{name}, {label}", "planned", "warm", by_warm),
             Row(f"{name.lower()}_cold", f"{name}, cold start", "planned", "cold", by_cold),
         ]
+    settled = planned(PlanOptions())
+    found.append(Row("settled", "SCP, facets settled", "planned", "cold", settled))
     if as_flown:
         fitted = partial(as_flown_solution, as_flown)
         found.append(Row("as_flown", f"{flight} as flown (SPK)", reference, flight, fitted))

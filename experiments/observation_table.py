@@ -38,13 +38,22 @@ TESTS: Mapping[str, Callable[[float, float], bool]] = {
     "below": operator.lt,
 }
 """Names of thresholds."""
+PAPER, SETTLED = "scp_cold", "settled"
+"""Rows of the plan with facets chosen once, as in the paper, and of the plan with settled facets."""
+OTHER_PLANS = ("scp_warm", "ipopt_cold", "cones_24", "facets_again", "spread_printed")
+"""Rows with facets chosen once too; statements that compare these say nothing of settled facets."""
 Rows = Sequence[Record]
 
 
 def statements(entries: Rows) -> list[Record]:
-    """Every statement whose rows have been computed: its columns, with text and outcome filled in."""
+    """Every statement whose rows have been computed: its columns, with text and outcome filled in.
+
+    `settled` says the same of the plan whose facets are settled, where a statement is of the plan with
+    the paper's facets.
+    """
     given = tomllib.loads(STATEMENTS.read_text("utf-8"))["statement"]
     by_key = {row["row"]: SimpleNamespace(**row) for row in entries if "mean_s" in row}
+    others = by_key | {PAPER: by_key[SETTLED]} if SETTLED in by_key else {}
     found = []
     for each in given:
         try:
@@ -55,7 +64,11 @@ def statements(entries: Rows) -> list[Record]:
         if each.get("unless") not in by_key:
             words = {key: each[key] for key in ("paper", "statement", "criterion")}
             end = {"measured": measured, "outcome": OUTCOMES[same], "why": each.get("why", "")}
-            found.append({**words, **end})
+            settled = each["measured"].format(**others) if others else measured
+            alone = not any(f"{key}." in f"{each}" for key in OTHER_PLANS)
+            told = alone and settled != measured
+            again = f"{settled}: {OUTCOMES[outcome(each, others)]}" if told else ""
+            found.append({**words, **end, "settled": again})
     return found
 
 
