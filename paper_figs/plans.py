@@ -17,6 +17,7 @@ from paper_figs.drawing import LEGEND_PT, Look, legend, page, probability_axis
 
 FRONTIER = {
     "uniform, paper polytopes": ("s-", "tab:red"),
+    "uniform, facets settled": ("v-", "tab:brown"),
     "uniform, tangent spheres": ("^-", "tab:orange"),
     "exact, each node": ("o-", "tab:blue"),
     "exact, whole flights": ("D-", "tab:green"),
