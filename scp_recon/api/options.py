@@ -109,15 +109,16 @@ class PlanOptions:
         return exact and self.certify is not False
 
     def starts_for(self, scenario: Scenario) -> NumberOfStarts:
-        """Number of starts: that of the options, or as many as pay for exact risk without feedback.
+        """Number of starts: that of the options, or as many as pay for P2 without feedback.
 
         With feedback each optimum takes as long as a plan, so several starts are for the user to ask.
         """
         if self.starts is not None:
             return self.starts
-        exact = scenario.risk.allocation == "exact" and self.problem == "P2"
-        pays = exact and self.objective == "delta-v" and scenario.policy.kind == "open"
-        return AUTO if pays else 1
+        exact = scenario.risk.allocation == "exact"
+        best = self.facet_rounds == SETTLE or exact  # what is asked for is the cheapest plan
+        plain = self.method == "scp" and self.problem == "P2" and self.objective == "delta-v"
+        return AUTO if best and plain and scenario.policy.kind == "open" else 1
 
     def check(self, scenario: Scenario) -> None:
         """Refuse options that do not suit a scenario's risk and burns.

@@ -28,7 +28,7 @@ from scp_recon.mission.mission import Mission
 from scp_recon.planning import planner
 from scp_recon.planning.initial_guess import from_burns, start_from
 from scp_recon.planning.plan import Plan
-from scp_recon.planning.stages import Observer
+from scp_recon.planning.stages import DOUBTFUL, Observer
 from scp_recon.planning.starts import plan_from_several
 from scp_recon.results.facts import Verification
 from scp_recon.results.solution import Solution, make_solution
@@ -209,12 +209,24 @@ def plan_mission(
         return _within_budget(found, search.budget_m_s)
     best = None
     if number != 1:
-        seen = partial(_show_start, observe) if observe and options.starts else None
+        seen, first = partial(_show_start, observe) if observe and options.starts else None, None
         seed, workers = options.seed or 0, options.workers or 1
         guess = from_burns(mission, start.burns_m_s) if isinstance(start, Plan) else start
-        best = plan_from_several(
-            mission, guess, make, starts=number, seed=seed, workers=workers, init=init, seen=seen
-        )
+        if options.starts is None:
+            first = best = make(mission, guess, init=init, observe=observe)
+        if first is None or _may_be_poor(first):
+            best = plan_from_several(
+                mission,
+                guess,
+                make,
+                starts=number,
+                seed=seed,
+                workers=workers,
+                init=init,
+                seen=seen,
+                first=first,
+            )
+        assert best is not None
         if best.status is not Status.CONVERGED or not certifies:
             return best
         mission, start, init = best.mission, best, best.provenance.init
@@ -222,6 +234,17 @@ def plan_mission(
         return make(mission, start, init=init, observe=observe)
     found = certify(mission, start, aimed, watch)
     return replace(found, starts=best.starts) if best else found
+
+
+def _may_be_poor(first: Plan) -> bool:
+    """Whether further starts pay: of any plan with exact risk, which is planned quickly beside them.
+
+    Evenly split risk is planned from other starts where there is no plan, or a dear one beside P3's.
+    """
+    if first.status is not Status.CONVERGED or first.mission.risk.allocation == "exact":
+        return first.status is not Status.INTERRUPTED
+    p3 = first.without_uncertainty
+    return p3 is not None and first.total_dv_m_s > DOUBTFUL * p3.total_dv_m_s
 
 
 def _method(options: PlanOptions, known: Known) -> Callable[..., Plan]:

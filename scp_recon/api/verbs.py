@@ -67,8 +67,9 @@ def plan(
             it, m/s (default: no limit).
         starts: plan from `init`, and from the optima of P3 to which random flights lead, for so many
             starts in all; list the distinct local optima and keep the best. "auto" ends where a further
-            start finds a new optimum of P3 with a chance below 5 % (default: "auto" with
-            risk.allocation = exact and fixed burns from a guess, else 1).
+            start finds a new optimum of P3 with a chance below 5 % (default: "auto" for fixed burns
+            from a guess, with risk.allocation = exact, or where P2 has no plan or costs 30 % more than
+            P3; else 1).
         seed: of the random flights (default: 0).
         workers: processes for the starts; the plan does not depend on their number (default: 1).
         overrides: `section.entry=value` each, as of `load_scenario`, e.g. risk.p_chance=0.8.

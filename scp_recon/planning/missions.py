@@ -35,16 +35,20 @@ def make_plan(
     provenance: Provenance,
     target: float | None = None,
     known: WithoutUncertainty | None = None,
+    *,
+    executes: bool = True,
 ) -> Plan:
     """Make the plan of a mission from the stage that `work` finds, without burns too small to execute.
 
     An interrupted run ends with the best stage so far, if any. The cheapest P3 is that of the stages,
-    or the one `known` before.
+    or the one `known` before. Burns too small stay in a plan that only leads to another, which nobody
+    `executes`.
     """
     started = perf_counter()
     kept = tuple(word for word in mission.warnings if not word.expected.endswith(NEITHER))
     try:
-        final, words = executable(mission, pipeline, work())
+        stage = work()
+        final, words = executable(mission, pipeline, stage) if executes else (stage, ())
     except KeyboardInterrupt:
         if not pipeline.stages:
             raise

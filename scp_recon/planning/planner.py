@@ -288,7 +288,9 @@ class Planner(Generic[Task]):
             return stage or pipeline.plan(start, problem, others)
 
         known = guess.without_uncertainty if isinstance(guess, Plan) else None
-        return make_plan(mission, pipeline, work, *self._provenance(init), known)
+        leads = problem == "P3" and self._resolution > 0.0
+        made = self._provenance(init)
+        return make_plan(mission, pipeline, work, *made, known, executes=not leads)
 
     def replan(self: Planner[Mission], last: Plan, initial_state: Array) -> Plan:
         """Solve P2 again for another initial state, from the last plan and with its facets.

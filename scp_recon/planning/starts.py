@@ -25,6 +25,9 @@ CHANCE, STARTS_AUTO_MAX = 0.05, 100
 """Chance that a further start finds a new optimum of P3 below which no more are planned, and the limit
 of their number."""
 
+KNOWN = 1e-4
+"""Relative reduction of the merit at which a P3 stops that leads to P2: optima differ by more."""
+
 BEND, BURN = 0.5, 0.75
 """Of a random flight's path and burns before it is made to fly, in the mission's units, 1 sigma."""
 
@@ -39,6 +42,7 @@ def plan_from_several(
     workers: int = 1,
     init: str = "given",
     seen: Callable[[int, Plan], None] | None = None,
+    first: Plan | None = None,
 ) -> Plan:
     """Plan from the guess, and from the other optima of P3 that random flights lead to; keep the best.
 
@@ -57,11 +61,12 @@ def plan_from_several(
         workers: processes.
         init: name of the guess.
         seen: called with each start's number and plan.
+        first: the plan from the guess, if it is made already.
     """
     work = _Several(mission, guess, make_plan, seed, init, seen or unseen)
     interrupted = False
     try:
-        work.begin()
+        work.begin(first)
         work.search(starts, workers)
         work.plan_others()
     except KeyboardInterrupt:
@@ -103,9 +108,9 @@ class _Several:
     optima: list[tuple[Stage, list[int]]] = field(default_factory=list)
     number: int = 1
 
-    def begin(self) -> None:
+    def begin(self, first: Plan | None) -> None:
         """Plan from the guess, and from its other starts where it does not converge."""
-        first = self.make_plan(self.mission, self.guess, once=False, init=self.init)
+        first = first or self.make_plan(self.mission, self.guess, once=False, init=self.init)
         self._note(first, [0])
         self.mission = first.mission  # on the grid that planning may have refined
 
@@ -114,7 +119,7 @@ class _Several:
         most = STARTS_AUTO_MAX if starts == "auto" else starts
         jobs = (Job(number, number) for number in range(1, most))
         executor = here if workers == 1 else Processes(min(workers, most - 1 or 1))
-        p3_of = partial(_p3_of, self.mission, self.make_plan, self.seed)
+        p3_of = partial(_p3_of, self.mission, self.make_plan, self.seed, self._leads)
         with closing(in_order(executor, p3_of, jobs)) as ended:
             for done in ended:
                 plan: Plan = done.result(name="start")
@@ -127,10 +132,16 @@ class _Several:
                 if starts == "auto" and self.listed().chance < CHANCE:
                     break
 
+    @property
+    def _leads(self) -> bool:
+        """Whether P3 leads to P2; else P3 was asked for."""
+        first = self.plans[0].final
+        return first.problem == "P2" or not is_converged(first)
+
     def plan_others(self) -> None:
         """Plan P2 from the optima of P3 to which only random flights led."""
-        if self.plans[0].final.spec.problem == "P3" and is_converged(self.plans[0].final):
-            return  # P3 was asked for, and `search` has planned it
+        if not self._leads:
+            return
         new = [found for found in self.optima if _is_new(*found)]
         for stage, numbers in sorted(new, key=lambda found: merit_of(found[0])):
             best = max((plan.final for plan in self.plans), key=rank)
@@ -180,11 +191,14 @@ class _Several:
                 self.optima.append((stage, list(numbers)))
 
 
-def _p3_of(mission: Mission, make_plan: Callable[..., Plan], seed: int, number: int) -> Plan:
-    """Plan P3 from a random flight, in any process."""
+def _p3_of(
+    mission: Mission, make_plan: Callable[..., Plan], seed: int, leads: bool, number: int
+) -> Plan:
+    """Plan P3 from a random flight, in any process; where it leads to P2 only until it is known."""
     start = random_flight(mission, seed, number)
     called = f"random flight {number} of seed {seed}"
-    return make_plan(mission, start, problem="P3", once=True, init=called)
+    how = {"p3_resolution": KNOWN} if leads else {}
+    return make_plan(mission, start, problem="P3", once=True, init=called, **how)
 
 
 def _bounds(mission: Mission) -> bool:
