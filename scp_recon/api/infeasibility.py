@@ -1,222 +1,567 @@
-"""Diagnose an infeasible plan: find the limits that bind, and a probability that is feasible.
+"""Diagnose a plan that failed: what would have to change, planned as the user's next command would.
 
-Binding limits are found by relaxing one kind at a time: the size of the burns, their directions,
-the final state, the state limits. The largest probability is that of exact risk, which allows every
-plan that another split of the risk allows. Every trial is a local search. A trial without a plan
-therefore does not prove that no plan exists.
+A relaxation is first planned roughly: from one start, with facets chosen once. If a rough plan exists,
+the user's own command is carried out with the other values, on its grid, from its start, with its
+options and its certificate. Only what ends verified is proposed. Every trial is a local search. A trial
+without a plan therefore does not prove that no plan exists.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
-from typing import Literal, Unpack
+import json
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass, field, replace
+from functools import partial
+from itertools import pairwise
+from time import process_time
+from typing import TypeVar
 
 import numpy as np
 from scipy.special import ndtr, ndtri
 
-from formulations.problem.flyby import FlybyProblem, Iterate
-from scp_recon.api.inputs import Known
+from formulations.problem.flyby import Iterate
+from formulations.registry import FULL
+from scp_recon.api.inputs import PlanRequest
 from scp_recon.api.options import PlanOptions
-from scp_recon.api.planning import plan_mission
-from scp_recon.certification.largest import MOST, largest_kept, rounded_down
+from scp_recon.api.planning import PlanObserver, PlanOutcome, Silent, Watch, carry_out, plan_mission
+from scp_recon.certification.flights import Watch as FlightWatch
+from scp_recon.certification.flights import fly_plan, run_test
+from scp_recon.certification.largest import largest_kept, rounded_down
 from scp_recon.errors import InputError
+from scp_recon.jobs.blas import one_thread
+from scp_recon.mission.constraints import companion_distance_m
 from scp_recon.mission.mission import Mission
+from scp_recon.monte_carlo.estimates import Estimate, flights_of_test
 from scp_recon.planning.initial_guess import from_burns
+from scp_recon.planning.method import SETTLE
 from scp_recon.planning.plan import Plan
-from scp_recon.results.solution import make_solution
+from scp_recon.scenario.schema import Scenario
+from scp_recon.scp.loop import Record
 from scp_recon.scp.status import Status
-from scp_recon.verification.reintegration import verify
+from scp_recon.verification.refinement import refined
+from scp_recon.verification.remedies import CERTIFICATE
+
+TIMES, LEAST_S = 3.0, 30.0
+"""Limit of a diagnosis: so many times the processor time of the plan, at least so many seconds."""
 
 LEAST = 0.501
 """Least probability of the search: a scenario requires more than one half."""
 
-CLOSE = 0.02
+CLOSE = 0.1
 """Standard deviations between the largest probability with a plan and the next without: a hint."""
 
-TRIES = ((False, 0.0), (True, 0.0), (True, 0.1), (True, 0.25))
-"""Whether flights certify the proposed plan, and standard deviations by which its probability is
-below the largest. If flights refute a plan, they also refute a plan for less with no higher target.
-A certified plan has a higher target."""
+BELOW, BELOW_CERTIFIED = (0.0, 0.02, 0.1, 0.25), (0.05, 0.15, 0.3)
+"""Standard deviations by which a proposed probability is below the largest with a rough plan: the
+user's grid may require more than a rough plan does, and flights do."""
 
 FREE = 100.0
-"""Factor on the largest burn if the size of burns is relaxed."""
+"""Factor on the largest burn and on the final spread if they are relaxed."""
 
-FREE_CONE, FREE_MISS = 1e-6, 1e-3
-"""Half-angle, rad, of the cones that burns avoid if their directions are relaxed, and price of a
-miss if the final state is relaxed."""
+MORE = (1.0, 1.05, 1.25)
+"""Factors on a value that suffices for a rough plan, tried one after the other."""
+
+FREE_CONE_DEG, FREE_MISS = 1e-4, 1e-3
+"""Half-angle of the cones that burns avoid if their directions are relaxed, and price of a miss if
+the final state is relaxed."""
+
+STEPS = 4
+"""Bisections of the shares by which limits are relaxed."""
+
+FEEDBACK = {
+    "policy.kind": "feedback",
+    "navigation.sigma_position_m": 5.0,
+    "navigation.sigma_velocity_m_s": 0.0005,
+}
+"""Feedback as it is tried where the scenario has no measurements of its own."""
 
 SIZE, DIRECTIONS = "the size of the burns", "the directions of the burns"
 FINAL_STATE, LIMITS = "the final state", "the limits"
 FINAL_SPREAD = "the limits on the final covariance"
 SPLIT = "the polytopes and the split of the risk"
+PROBABILITY, CORRECTED = "the probability", "burns that are fixed before departure"
+MORE_BURNS, TARGET = "the number of burns", "the target of the certificate"
+CONTINUED = "continuing from this solution"
 
-FREED: dict[str, Callable[[FlybyProblem], FlybyProblem]] = {
-    SIZE: lambda problem: replace(problem, dv_max=FREE * problem.dv_max),
-    DIRECTIONS: lambda problem: replace(problem, dv_cone=FREE_CONE),
-    FINAL_STATE: lambda problem: replace(problem, miss_weight=FREE_MISS),
-    LIMITS: lambda problem: replace(problem, constraints=()),
-    FINAL_SPREAD: lambda problem: replace(problem, final_spread=(None, None)),
-}
-"""Functions that relax one kind of limit of a problem, by name."""
+SHARE = 0.25
+SHARES = {SPLIT: 0.5, CORRECTED: 0.6, PROBABILITY: 0.4}
+"""Shares of all time that a trial may take, and those of the dearer ones."""
+
+OTHERS = (".ptr", ".scvx-star")
+"""Ends of the names of stages by other algorithms."""
+
+T = TypeVar("T")
+Changes = Mapping[str, object]
+
+
+class TimeIsUp(Exception):  # noqa: N818 -- no error
+    """The time for a diagnosis is used up."""
+
+
+@dataclass
+class Clock(Watch, Silent):
+    """Limit of processor time, checked after every iteration and every round of flights.
+
+    Attributes:
+        limit_s: of the diagnosis.
+        began: processor time at its begin, s.
+        tried: names of what was tried without success.
+        left_out: names of what the time did not suffice for.
+        until_s: processor time at which the present trial has to end.
+    """
+
+    limit_s: float
+    began: float = field(default_factory=process_time)
+    tried: list[str] = field(default_factory=list)
+    left_out: list[str] = field(default_factory=list)
+    until_s: float = math.inf
+
+    def __call__(self, stage: str, record: Record) -> None:
+        """An iteration is done."""
+        del stage, record
+        self.check()
+
+    def flights(
+        self, step: str, plan: Plan, samples: int, flown: int = 0, reached: Estimate | None = None
+    ) -> None:
+        """Some flights are flown."""
+        del step, plan, samples, flown, reached
+        self.check()
+
+    def planning(self, mission: Mission) -> AbstractContextManager[PlanObserver | None]:
+        """Observe the plan of a command."""
+        del mission
+        return nullcontext(self)
+
+    def check(self) -> None:
+        """Stop once the time is used up.
+
+        Raises:
+            TimeIsUp: if it is.
+        """
+        if process_time() > min(self.until_s, self.began + self.limit_s):
+            raise TimeIsUp
+
+    def attempt(self, name: str, work: Callable[[], T | None], share: float = 1.0) -> T | None:
+        """What a trial finds; None, and the trial is noted, if it finds nothing or time is up.
+
+        Args:
+            name: of the trial.
+            work: the trial.
+            share: of all time that it may take.
+        """
+        self.until_s = process_time() + share * self.limit_s
+        try:
+            self.check()
+            found = work()
+        except TimeIsUp:
+            self.left_out.append(name)
+            return None
+        except InputError:  # the scenario does not allow such values
+            found = None
+        if found is None:
+            self.tried.append(name)
+        return found
+
+
+class Undecided(Exception):  # noqa: N818 -- no error
+    """The usual algorithm has found no plan."""
+
+
+@dataclass
+class Roughly(Silent):
+    """Observer of a rough plan: it ends where other algorithms would be tried."""
+
+    clock: Clock
+
+    def __call__(self, stage: str, record: Record) -> None:
+        """An iteration is done."""
+        if stage.endswith(OTHERS):
+            raise Undecided
+        self.clock(stage, record)
+
+    @property
+    def flights(self) -> FlightWatch:
+        """Observer of flights."""
+        return self.clock.flights
+
+
+@dataclass(frozen=True)
+class Remedy:
+    """Other values of entries with which the user's command ended verified.
+
+    Attributes:
+        name: what is relaxed.
+        changes: values by entry.
+        cost_m_s: delta-v of the plan.
+        certify: option of certification that the command needs; None for its own.
+    """
+
+    name: str
+    changes: Changes
+    cost_m_s: float
+    certify: bool | None = None
 
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """Diagnosis of an infeasible plan: the limits that bind, and a probability that is feasible.
+    """Diagnosis of a failed plan.
 
     Attributes:
         without_uncertainty: how P3 ended, at best.
-        binds: limits of which relaxing any one suffices; empty if no single one suffices.
-        violated: constraints that the point of least violation violates.
-        burn_m_s: largest burn of a plan without a limit on the burns' size, if relaxing that limit
-            suffices.
-        exact: the plan with exact risk for the required probability, if there is one.
-        largest: the plan with the largest probability found, which is its `target`; None if there
-            is none.
-        verified: a verified plan with exact risk, if any: for the required probability, or for the
-            largest, rounded down. It is certified only if flights refute the uncertified plan.
+        violated: constraints that the plan violates.
+        remedies: each of them suffices.
+        tried: what was tried without success.
+        left_out: what the time did not suffice for.
+        limit_s: that time, of the processor.
+        miss: of the final state in m and m/s, if a plan exists that misses it.
+        kept: share of flights of the plan that kept every limit, by its certificate.
+        largest: the largest probability that was found to have a rough plan with exact risk.
     """
 
     without_uncertainty: Status
-    binds: tuple[str, ...]
-    violated: tuple[str, ...]
-    burn_m_s: float | None = None
-    exact: Plan | None = None
-    largest: Plan | None = None
-    verified: Plan | None = None
+    violated: tuple[str, ...] = ()
+    remedies: tuple[Remedy, ...] = ()
+    tried: tuple[str, ...] = ()
+    left_out: tuple[str, ...] = ()
+    limit_s: float = LEAST_S
+    miss: tuple[float, float] | None = None
+    kept: float | None = None
+    largest: float | None = None
 
 
-def diagnose(failed: Plan, start: Iterate | None = None) -> Diagnosis:
-    """Find the limits that make a plan infeasible, and a plan that is feasible.
+@one_thread
+def diagnose(failed: Plan, request: PlanRequest, spent_s: float = 0.0) -> Diagnosis:
+    """Find values with which the user's command has a verified plan.
 
     Args:
-        failed: an infeasible plan.
-        start: initial guess of the proposed plan; None for the solution of P3.
+        failed: a plan that is infeasible, lost, or without a verdict at its target.
+        request: of the user's command.
+        spent_s: processor time that planning took.
     """
+    clock = Clock(max(TIMES * spent_s, LEAST_S))
+    case = Case(failed, request, clock)
     p3 = _without_uncertainty(failed)
-    status, iterate = p3.status, p3.final.result.lin.iterate
-    if failed.final.problem == "P3" or status is Status.INFEASIBLE:
-        some = tuple(name for name in FREED if name != FINAL_SPREAD)
-        freed = {name: plan for name in some if (plan := _freed(p3, name))}
-        return Diagnosis(status, tuple(freed), _violated(p3), _largest_burn(freed))
-    risk = failed.mission.scenario.risk
-    wanted, required = failed.target or risk.p_chance, min(risk.p_chance, failed.target or 1.0)
-    uniform = risk.allocation == "uniform"
-    trial = None
-    if uniform or wanted > required:
-        trial = exact_plan(failed.mission, iterate, required)
-    exact = trial if trial and _has_converged(trial) else None
-    violated, freed = _violated(failed), {}
-    binds: tuple[str, ...] = (SPLIT,)
-    if not (uniform and exact):
-        last = trial if uniform and trial else failed
-        violated = _violated(last)
-        # Whole flights take ten times as long where the final state is free.
-        some = (SIZE, FINAL_STATE) if risk.scope == "node" else (SIZE,)
-        spread = last.mission.problem.final_spread != (None, None)
-        some = (*some, FINAL_SPREAD) if spread else some
-        freed = {name: plan for name in some if (plan := _freed(last, name))}
-        # What is left, where the final covariance alone is not too large.
-        binds = tuple(freed) if FINAL_SPREAD in freed else (*freed, LIMITS)
-    most = required if exact is None else max(wanted, MOST) if uniform else wanted
-    low = exact or exact_plan(failed.mission, iterate, LEAST)
-    largest = largest_feasible(low, most) if _has_converged(low) else None
-    verified = largest and _verified(largest, required, failed, start or iterate)
-    return Diagnosis(status, binds, violated, _largest_burn(freed), exact, largest, verified)
+    known = Diagnosis(p3, _violated(failed), limit_s=clock.limit_s)
+    if failed.status is Status.LOST:
+        remedies = [clock.attempt(MORE_BURNS, case.more_burns)]
+    elif failed.status is not Status.INFEASIBLE:
+        known = replace(known, kept=case.kept())
+        remedies = []
+        if request.remade is None:
+            remedies = [clock.attempt(CONTINUED, case.continued, 0.4)]
+        remedies.append(clock.attempt(TARGET, case.lower_promise))
+    else:
+        remedies = []
+        for name, work in case.trials(p3):
+            remedies.append(clock.attempt(name, work, SHARES.get(name, SHARE)))
+            if name == SPLIT and remedies[-1]:
+                break  # nothing else has to be given up
+        else:
+            known = replace(known, miss=clock.attempt(FINAL_STATE, case.final_miss))
+        known = replace(known, largest=case.largest)
+    found = tuple(remedy for remedy in remedies if remedy)
+    return replace(known, remedies=found, tried=tuple(clock.tried), left_out=tuple(clock.left_out))
 
 
-def exact_plan(mission: Mission, start: Iterate, target: float) -> Plan:
-    """Plan with exact risk, from one start only; the mission requires the target probability."""
-    changes = {"risk.allocation": "exact", "risk.p_chance": target}
-    exact = Mission.from_scenario(mission.scenario.replace(changes))
-    return _planned(exact, start, "P2", once=True)
+def is_diagnosed(outcome: PlanOutcome) -> bool:
+    """Whether something can be tried for a plan: it is infeasible, lost, or its target was missed."""
+    status, verification = outcome.plan.status, outcome.verification
+    if status in (Status.INFEASIBLE, Status.LOST):
+        return True
+    missed = verification is not None and CERTIFICATE in verification.failed
+    ended = status in (Status.MAX_ITERATIONS, Status.STALLED) and outcome.plan.target is not None
+    return ended or (missed and status is Status.CONVERGED)
 
 
-def largest_feasible(low: Plan, most: float) -> Plan:
-    """The plan of the largest probability that is found.
+def for_exact(options: PlanOptions) -> PlanOptions:
+    """The options of a command, as far as exact risk and a given probability allow them."""
+    return replace(
+        options,
+        method="scp",
+        formulation=options.formulation if options.formulation in (*FULL, None) else FULL[0],
+        facet_rounds=options.facet_rounds if options.facet_rounds in (0, SETTLE) else 0,
+        objective="delta-v",
+        dv_budget_m_s=None,
+    )
 
-    Args:
-        low: a plan with exact risk for its target probability.
-        most: probability above which no plan is sought.
+
+@dataclass
+class Case:
+    """A failed plan, the request of its command, and the trials that the time allows.
+
+    Attributes:
+        largest: see `Diagnosis`.
     """
 
-    def attempt(best: Plan, target: float) -> Plan:
-        return exact_plan(best.mission, best.final.result.lin.iterate, target)
+    failed: Plan
+    request: PlanRequest
+    clock: Clock
+    largest: float | None = None
 
-    return _uninterrupted(largest_kept(low, most, CLOSE, attempt, _has_converged)[0])
+    @property
+    def scenario(self) -> Scenario:
+        """That of the failed plan."""
+        return self.failed.mission.scenario
 
+    def trials(self, p3: Status) -> Iterator[tuple[str, Callable[[], Remedy | None]]]:
+        """Trials of an infeasible plan: of what is violated and of what gives up nothing first."""
+        risky = self.request.options.problem == "P2" and p3 is not Status.INFEASIBLE
+        risk, violated = self.scenario.risk, _violated(self.failed)
+        if risky and risk.allocation == "uniform":
+            yield SPLIT, partial(self._confirmed, SPLIT, {"risk.allocation": "exact"})
+        burns = [("dv_max", SIZE, self._size), ("dv_battery", DIRECTIONS, self._directions)]
+        for name, what, work in burns:
+            if name in violated:
+                yield what, work
+        if risky and _spreads(self.scenario):
+            yield FINAL_SPREAD, self._final_spread
+        if risky and self.scenario.policy.kind == "open":
+            yield CORRECTED, self._feedback
+        if risky:
+            yield PROBABILITY, self._probability
+        entries = _entries(self.scenario, violated)
+        if len(entries) > 1:
+            yield f"{LIMITS} together", partial(self._limits, entries)
+        for entry in entries:
+            yield f"{LIMITS}: {entry}", partial(self._limits, {entry: entries[entry]})
+        for name, what, work in burns:
+            if name not in violated:
+                yield what, work
 
-def _without_uncertainty(failed: Plan) -> Plan:
-    """The plan of P3: a converged one among the stages of the infeasible plan, or a new one."""
-    own = [s for s in failed.stages if s.problem == "P3" and s.spec.role != "open"]
-    if not own:
-        return _planned(failed.mission, failed.final.result.lin.iterate, "P3")
-    order = (Status.CONVERGED, Status.MAX_ITERATIONS, Status.STALLED, Status.SOLVER_FAILED)
-    ranked = {status: rank for rank, status in enumerate(order)}
-    # What is infeasible from every start comes last: one that did not end shows nothing.
-    best = min(own, key=lambda stage: ranked.get(stage.result.status, len(order)))
-    return replace(failed, final=best)
+    def rough(self, changes: Changes, *, certain: bool = False) -> Plan | None:
+        """A plan with other values, from one start and without flights; None if there is none."""
+        mission = self.failed.mission.changed(changes)
+        return self._roughly(mission, self.failed.final.result.lin.iterate, certain=certain)
 
-
-def _freed(failed: Plan, name: str) -> Plan | None:
-    """The plan with one kind of limit relaxed, if there is one."""
-    mission = replace(failed.mission)
-    # No scenario asks for such a problem: it takes the place of the one that this copy would cache.
-    vars(mission)["problem"] = FREED[name](failed.mission.problem)
-    start, problem = failed.final.result.lin.iterate, failed.final.problem
-    plan = _planned(mission, start, problem, target=failed.target, once=True)
-    return plan if _has_converged(plan) else None
-
-
-def _verified(largest: Plan, required: float, failed: Plan, start: Iterate) -> Plan | None:
-    """The plan with exact risk as the command makes it; a certified one if flights refute it."""
-    assert largest.target is not None
-    names = failed.provenance if failed.provenance.method == "scp" else largest.provenance
-    most = min(required, largest.target)
-    for certified, less in TRIES:
-        p = most if most == required and less == 0.0 else rounded_down(ndtr(ndtri(most) - less))
-        if p <= 0.5:
-            return None
-        mission = Mission.from_scenario(largest.mission.scenario.replace({"risk.p_chance": p}))
-        if len(start.mean) != len(mission.times_s):  # its grid is finer than that of the start
-            start = from_burns(mission, start.burns * mission.units.speed_m_s)
-        options = PlanOptions(algorithm=names.algorithm, solver=names.solver, certify=certified)
+    def _roughly(
+        self,
+        mission: Mission,
+        start: Iterate,
+        *,
+        certain: bool = False,
+        target: float | None = None,
+    ) -> Plan | None:
+        if len(start.mean) != len(mission.times_s):
+            start = from_burns(mission, self.failed.burns_m_s)
+        problem = "P3" if certain else self.request.options.problem
+        exact = problem == "P2" and mission.scenario.risk.allocation == "exact"
+        options = PlanOptions(problem, certify=False if exact else None, facet_rounds=0, starts=1)
+        observe = Roughly(self.clock)
         try:
-            plan = _uninterrupted(plan_mission(mission, start, options))
-        except InputError:  # no flights certify so much
-            continue
-        if _has_converged(plan) and verify(plan.mission, make_solution(plan)).ok:
-            return plan
-    return None
+            plan = plan_mission(mission, start, options, observe, once=True, target=target)
+        except Undecided:
+            return None
+        return plan if _converged(plan) else None
+
+    def command(self, changes: Changes, *, certify: bool | None = None) -> PlanOutcome | None:
+        """The user's command with other values; None unless it ends verified."""
+        exact = changes.get("risk.allocation", self.scenario.risk.allocation) == "exact"
+        options = self.request.options
+        if exact and ("risk.allocation" in changes or "risk.p_chance" in changes):
+            options = for_exact(options)
+        if certify is not None:
+            options = replace(options, certify=certify)
+        request = replace(self.request.again(overrides_of(changes)), options=options)
+        outcome = carry_out(request, self.clock)
+        if not _converged(outcome.plan) or outcome.verification is None:
+            return None
+        return outcome if outcome.verification.ok else None
+
+    def _confirmed(self, name: str, changes: Changes) -> Remedy | None:
+        """The remedy, if the user's command ends verified with these values.
+
+        A command that turns to exact risk is tried without flights, then with them.
+        """
+        turns = changes.get("risk.allocation", "uniform") != self.scenario.risk.allocation
+        for certify in (False, True) if turns and "risk.allocation" in changes else (None,):
+            try:
+                outcome = self.command(changes, certify=certify)
+            except InputError:  # no flights certify so much
+                continue
+            if outcome is not None:
+                return Remedy(name, changes, outcome.plan.cost_m_s, certify)
+        return None
+
+    def _first(self, name: str, several: Sequence[Changes]) -> Remedy | None:
+        """The remedy of the first values that suffice."""
+        return next((one for values in several if (one := self._confirmed(name, values))), None)
+
+    def _size(self) -> Remedy | None:
+        """A larger limit of the burns, as large as a plan without it needs."""
+        entry = "burns.dv_max_m_s"
+        free = self.rough({entry: FREE * self.scenario.burns.dv_max_m_s})
+        if free is None:
+            return None
+        # With corrections, or a limit that risk makes smaller, the mean burn alone does not suffice.
+        largest = float(np.linalg.norm(free.burns_m_s, axis=1).max())
+        return self._first(SIZE, [{entry: _rounded(factor * largest)} for factor in MORE])
+
+    def _directions(self) -> Remedy | None:
+        """A narrower cone that burns avoid; None if that alone does not suffice."""
+        entry, given = "battery.delta_v_cone_deg", self.scenario.battery.delta_v_cone_deg
+        if self.rough({entry: FREE_CONE_DEG}) is None:
+            return None
+        return self._least(DIRECTIONS, {entry: (given, FREE_CONE_DEG)})
+
+    def _final_spread(self) -> Remedy | None:
+        """Larger limits on the final covariance, as large as a plan without them needs."""
+        given = _spreads(self.scenario)
+        return self._least(FINAL_SPREAD, {e: (v, FREE * v) for e, v in given.items()})
+
+    def _limits(self, entries: Mapping[str, tuple[float, float]]) -> Remedy | None:
+        """Wider limits: each by the same share of the way to the widest value."""
+        one = len(entries) == 1
+        return self._least(
+            f"{LIMITS}: {next(iter(entries))}" if one else f"{LIMITS} together", entries
+        )
+
+    def _least(self, name: str, entries: Mapping[str, tuple[float, float]]) -> Remedy | None:
+        """The remedy with values the least of the way from the given ones to the widest."""
+
+        def at(share: float) -> dict[str, object]:
+            return {
+                entry: _rounded(given + share * (widest - given), up=widest > given)
+                for entry, (given, widest) in entries.items()
+            }
+
+        if self.rough(at(1.0)) is None:
+            return None
+        low, high = 0.0, 1.0
+        for _ in range(STEPS):
+            middle = 0.25 * high if low == 0.0 else math.sqrt(low * high)
+            low, high = (low, middle) if self.rough(at(middle)) else (middle, high)
+        shares = dict.fromkeys(min(1.0, factor * high) for factor in (*MORE, 2.0))
+        return self._first(name, [at(share) for share in shares])
+
+    def _probability(self) -> Remedy | None:
+        """The largest probability with exact risk, of which the command ends verified."""
+        required = self.scenario.risk.p_chance
+        iterate, mission = self.failed.final.result.lin.iterate, self.failed.mission
+
+        def exact(start: Iterate, target: float) -> Plan | None:
+            of = {"risk.allocation": "exact", "risk.p_chance": target}
+            return self._roughly(mission.changed(of), start)
+
+        def attempt(best: Plan, target: float) -> Plan:
+            return exact(best.final.result.lin.iterate, target) or self.failed
+
+        low = exact(iterate, LEAST)
+        if low is None:
+            return None
+        best, _ = largest_kept(low, required, CLOSE, attempt, _converged)
+        assert best.target is not None
+        self.largest = best.target
+        tries: list[Changes] = []
+        certified = self.request.options.is_certified(self.scenario)
+        for less in BELOW_CERTIFIED if certified else BELOW:
+            p = rounded_down(float(ndtr(ndtri(best.target) - less)))
+            if 0.5 < p < required:
+                was = self.scenario.risk.allocation
+                split = {} if was == "exact" else {"risk.allocation": "exact"}
+                tries.append({**split, "risk.p_chance": p})
+        return self._first(PROBABILITY, tries)
+
+    def _feedback(self) -> Remedy | None:
+        """Burns that are corrected in flight, with the scenario's measurements if it has any."""
+        measures = self.scenario.navigation.measures
+        changes: dict[str, object] = {"policy.kind": "feedback"} if measures else dict(FEEDBACK)
+        if self.scenario.risk.allocation != "exact":
+            changes["risk.allocation"] = "exact"
+        return self._confirmed(CORRECTED, changes)
+
+    def final_miss(self) -> tuple[float, float] | None:
+        """Miss in m and m/s of a plan that may miss the final state, on a grid that is fine enough.
+
+        No entry has a command miss the final state, so this is no remedy.
+        """
+        plan = self._missing(self.failed.mission)
+        if plan is not None and (finer := refined(plan)) is not None:
+            plan = self._missing(finer)
+        if plan is None:
+            return None
+        missed = np.linalg.norm((plan.states[-1] - plan.mission.final_state).reshape(2, 3), axis=1)
+        return float(missed[0]), float(missed[1])
+
+    def _missing(self, mission: Mission) -> Plan | None:
+        """A rough plan that may miss the final state, if there is one."""
+        free = replace(mission)
+        # No scenario asks for such a problem: it takes the place of the one that this copy caches.
+        vars(free)["problem"] = replace(mission.problem, miss_weight=FREE_MISS)
+        return self._roughly(free, from_burns(free, self.failed.burns_m_s))
+
+    def more_burns(self) -> Remedy | None:
+        """One more burn in the rest of a flight, at the first of some times at which it suffices."""
+        scenario = self.scenario
+        times = scenario.burns.times_s
+        ends = [scenario.start_s, *(t for t in times if t > scenario.start_s)]
+        for share in (0.5, 0.25, 0.75):
+            for begin, end in pairwise(ends):
+                added = round(begin + share * (end - begin))
+                several = sorted((*times, float(added)))
+                if remedy := self._confirmed(MORE_BURNS, {"burns.times_s": several}):
+                    return remedy
+        return None
+
+    def kept(self) -> float | None:
+        """Share of flights that keep every limit with a plan that has none certified, or whose test."""
+        if self.failed.certificate is not None:
+            return self.failed.certificate.reached
+        if self.failed.target is None:
+            return None
+
+        def reached() -> float:
+            flights = flights_of_test(self.scenario.risk.p_chance)
+            tested, _ = run_test(self.failed, partial(fly_plan, self.clock.flights), flights, 1, 1)
+            assert tested.certificate is not None
+            return tested.certificate.reached
+
+        return self.clock.attempt("flights of this plan", reached)
+
+    def continued(self) -> Remedy | None:
+        """The user's command, started from the plan that failed."""
+        outcome = carry_out(replace(self.request, init=self.failed), self.clock)
+        ok = outcome.verification is not None and outcome.verification.ok
+        return Remedy(CONTINUED, {}, outcome.plan.cost_m_s) if ok else None
+
+    def lower_promise(self) -> Remedy | None:
+        """The largest of some lower probabilities that flights certify."""
+        required = self.scenario.risk.p_chance
+        below = [
+            1.0 - _rounded((1.0 - required) * factor, digits=1) for factor in (1.1, 1.5, 2.0, 4.0)
+        ]
+        tries = dict.fromkeys(round(p, 9) for p in below if 0.5 < p < required)
+        return self._first(TARGET, [{"risk.p_chance": p} for p in tries])
 
 
-def _planned(
-    mission: Mission, start: Iterate, problem: Literal["P3", "P2"], **known: Unpack[Known]
-) -> Plan:
-    """Plan without certification by flights."""
-    exact = problem == "P2" and mission.scenario.risk.allocation == "exact"
-    options = PlanOptions(problem, certify=False if exact else None)
-    return _uninterrupted(plan_mission(mission, start, options, **known))
+def overrides_of(changes: Changes) -> list[str]:
+    """Changes as overrides of a command."""
+    return [f"{entry}={json.dumps(value)}" for entry, value in changes.items()]
 
 
-def _uninterrupted(plan: Plan) -> Plan:
-    """Return the plan unless it was interrupted.
+def _converged(plan: Plan) -> bool:
+    """Whether a plan has converged.
 
     Raises:
         KeyboardInterrupt: if it was interrupted.
     """
     if plan.status is Status.INTERRUPTED:
         raise KeyboardInterrupt
-    return plan
-
-
-def _has_converged(plan: Plan) -> bool:
     return plan.status is Status.CONVERGED
 
 
+def _without_uncertainty(failed: Plan) -> Status:
+    """How P3 ended, at best: what is infeasible from every start comes last."""
+    order = (Status.CONVERGED, Status.MAX_ITERATIONS, Status.STALLED, Status.SOLVER_FAILED)
+    ranked = {status: number for number, status in enumerate(order)}
+    own = [s.result.status for s in failed.stages if s.problem == "P3" and s.spec.role != "open"]
+    # A plan that continued from another has no P3 of its own; the other had one.
+    return min(own, key=lambda status: ranked.get(status, len(order)), default=Status.CONVERGED)
+
+
 def _violated(plan: Plan) -> tuple[str, ...]:
-    """Names of the constraints that the point of least violation violates."""
+    """Names of the constraints that the end of a plan violates."""
     merit, tolerance = plan.final.merit, plan.final.tolerance
     violations = merit.violations(plan.final.result.lin)
     return tuple(
@@ -226,7 +571,51 @@ def _violated(plan: Plan) -> tuple[str, ...]:
     )
 
 
-def _largest_burn(freed: dict[str, Plan]) -> float | None:
-    if SIZE not in freed:
-        return None
-    return float(np.linalg.norm(freed[SIZE].burns_m_s, axis=1).max())
+def _spreads(scenario: Scenario) -> dict[str, float]:
+    """Limits on the final covariance by entry."""
+    names = ("final_sigma_position_m", "final_sigma_velocity_m_s")
+    given = {f"boundary.{name}": getattr(scenario.boundary, name) for name in names}
+    return {entry: float(value) for entry, value in given.items() if value is not None}
+
+
+def _entries(scenario: Scenario, violated: Sequence[str]) -> dict[str, tuple[float, float]]:
+    """Entries of the limits that are violated: their values, and the widest that make sense."""
+    o, safety, battery = scenario.observation, scenario.safety, scenario.battery
+    radius = scenario.body.reference_radius_m
+    companion = 0.0 if scenario.body.companion is None else scenario.body.companion.radius_m
+    far, narrow, wide = 4.0 * o.site_distance_max_m, FREE_CONE_DEG, 89.0
+    every: dict[str, tuple[str, float | None, float]] = {
+        "site_distance_min": ("observation.site_distance_min_m", o.site_distance_min_m, 1.0),
+        "site_distance_max": ("observation.site_distance_max_m", o.site_distance_max_m, far),
+        "emission_min": ("observation.emission_min_deg", o.emission_min_deg, narrow),
+        "emission_max": ("observation.emission_max_deg", o.emission_max_deg, wide),
+        "phase_min": ("observation.phase_min_deg", o.phase_min_deg, narrow),
+        "phase_max": ("observation.phase_max_deg", o.phase_max_deg, wide),
+        "battery_observation": (
+            "battery.observation_cone_deg",
+            battery.observation_cone_deg,
+            narrow,
+        ),
+        "safety_radius": ("safety.radius_min_m", safety.radius_min_m, radius),
+        "companion_distance": (
+            "safety.companion_distance_min_m",
+            companion_distance_m(scenario) or None,
+            companion,
+        ),
+    }
+    found = {}
+    for name in violated:
+        # Sets with both limits count as one constraint where risk is exact.
+        for constraint, (entry, given, widest) in every.items():
+            is_named = constraint == name or constraint.startswith(f"{name}_")
+            if is_named and given is not None and given != widest:
+                found[entry] = (float(given), widest)
+    return found
+
+
+def _rounded(value: float, *, up: bool = True, digits: int = 4) -> float:
+    """A positive number rounded up or down to some significant digits."""
+    place = digits - 1 - math.floor(math.log10(value))
+    scaled = value * 10.0**place
+    whole = math.ceil(scaled - 1e-9) if up else math.floor(scaled + 1e-9)
+    return float(round(whole * 10.0**-place, max(place, 0)))

@@ -31,6 +31,8 @@ from scp_recon.scenario.time_scales import tdb_of_utc
 
 Init = Iterate | Plan | Solution | str | Path | Array
 """A start: "cold", "warm", a guess, a plan or a solution, its file, or a table of states."""
+GUESSES = ("cold", "warm")
+"""Starts that are made on a mission's own grid."""
 UNCERTAIN = ("risk", "policy", "navigation")
 """Tables of entries that a plan without uncertainty does not use."""
 
@@ -56,6 +58,7 @@ class PlanRequest:
         called: name of the start in the solution file; None for the name that `init` has.
         known: arguments of `planner.plan`, for sequential convex programming.
         finish: what to make of the plan before it is verified.
+        remade: makes it anew with overrides, where its mission is made of more than a scenario.
     """
 
     scenario: Mission | Scenario | str | Path | None = None
@@ -65,6 +68,19 @@ class PlanRequest:
     called: str | None = None
     known: Known = field(default_factory=Known)
     finish: Callable[[Plan], Plan] = lambda plan: plan
+    remade: Callable[[Sequence[str]], PlanRequest] | None = None
+
+    def again(self, overrides: Sequence[str]) -> PlanRequest:
+        """The request with further overrides.
+
+        Raises:
+            InputError: if they are not valid.
+        """
+        if self.remade is not None:
+            return self.remade(overrides)
+        scenario = self.scenario
+        given = scenario.scenario if isinstance(scenario, Mission) else scenario
+        return replace(self, scenario=given, overrides=(*self.overrides, *overrides))
 
 
 class Loaded(NamedTuple):
@@ -91,7 +107,7 @@ def load(request: PlanRequest) -> Loaded:
     """
     init, scenario = request.init, request.scenario
     called = request.called or _called(init)
-    if isinstance(init, str | Path) and init not in ("cold", "warm") and is_solution(Path(init)):
+    if isinstance(init, str | Path) and init not in GUESSES and is_solution(Path(init)):
         init = read_solution(Path(init))
     if scenario is None:
         scenario = "recon_b"

@@ -16,7 +16,7 @@ from typing import Any, Protocol, Unpack
 from pydantic import ValidationError
 
 from formulations.problem.flyby import Iterate
-from scp_recon.api.inputs import Known, PlanRequest, load, resolve
+from scp_recon.api.inputs import GUESSES, Known, PlanRequest, load, resolve
 from scp_recon.api.keeping import Kept, keep
 from scp_recon.api.options import PlanOptions
 from scp_recon.certification.certify import certify
@@ -75,6 +75,10 @@ class PlanObserver(Observer, Protocol):
         """Observer of the flights."""
 
 
+class Silent:
+    """Base of observers that show nothing, and are also called while several starts are planned."""
+
+
 class Watch:
     """Follows a plan on its way. This one shows and keeps nothing."""
 
@@ -91,12 +95,12 @@ class Watch:
     def planned(self, outcome: PlanOutcome) -> None:
         """The plan is made, and kept without verification."""
 
-    def verified(self, outcome: PlanOutcome, start: Iterate | None) -> tuple[str, ...]:
+    def verified(self, outcome: PlanOutcome, request: PlanRequest | None) -> tuple[str, ...]:
         """The plan is verified, and kept; return lines of advice that are kept with it.
 
-        `start` is the initial guess, from which a proposed plan may begin too.
+        `request` is what was asked for, with its files read, if it is known.
         """
-        del outcome, start
+        del outcome, request
         return ()
 
 
@@ -123,15 +127,20 @@ def carry_out(
                 mission, start, request.options, observe, init=called, **request.known
             )
             made = request.finish(made)
-        guess = start if isinstance(start, Iterate) else None
-        return checked(made, folder, watch, guess) if verifies else PlanOutcome(made)
+        if not verifies:
+            return PlanOutcome(made)
+        # A pipe can be read only once.
+        is_read = isinstance(loaded.init, str | Path) and loaded.init not in GUESSES
+        init = start if is_read else loaded.init
+        known = replace(request, scenario=loaded.scenario, init=init, called=called, overrides=())
+        return checked(made, folder, watch, known)
 
 
 def checked(
     made: Plan,
     folder: Path | None = None,
     watch: Watch | None = None,
-    start: Iterate | None = None,
+    request: PlanRequest | None = None,
 ) -> PlanOutcome:
     """Verify and keep a plan.
 
@@ -139,7 +148,7 @@ def checked(
         made: the plan; if it was interrupted, it is kept without verification.
         folder: for its file; None to keep none.
         watch: shows the plan.
-        start: its initial guess, if known.
+        request: what was asked for, if known.
 
     Raises:
         InputError: if its figures are not finite, or the folder cannot be written.
@@ -155,7 +164,7 @@ def checked(
     solution = solution.with_verification(verification)
     kept = outcome.kept.then(keep(solution, folder))
     outcome = PlanOutcome(made, solution, verification, kept)
-    if not (advice := watch.verified(outcome, start)):
+    if not (advice := watch.verified(outcome, request)):
         return outcome
     solution = replace(solution, advice=advice)
     keep(solution, folder)
@@ -215,10 +224,11 @@ def plan_mission(
         if options.starts is None:
             first = best = make(mission, guess, init=init, observe=observe)
         if first is None or _may_be_poor(first):
+            every = partial(make, observe=observe) if isinstance(observe, Silent) else make
             best = plan_from_several(
                 mission,
                 guess,
-                make,
+                every,
                 starts=number,
                 seed=seed,
                 workers=workers,

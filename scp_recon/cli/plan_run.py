@@ -2,16 +2,24 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from pathlib import Path
+from time import process_time
 from typing import Self
 
 from rich.console import Console
 
-from formulations.problem.flyby import Iterate
-from formulations.registry import FULL
-from scp_recon.api.infeasibility import SIZE, Diagnosis, diagnose
+from scp_recon.api.infeasibility import (
+    Diagnosis,
+    Remedy,
+    diagnose,
+    for_exact,
+    is_diagnosed,
+    overrides_of,
+)
+from scp_recon.api.inputs import PlanRequest
 from scp_recon.api.keeping import UNVERIFIED, point_latest, run_folder
 from scp_recon.api.options import PlanOptions
 from scp_recon.api.planning import PlanOutcome, Watch
@@ -65,6 +73,7 @@ class Shown(Watch):
         self._open = ExitStack()
         self._status: int | None = None
         self._folder: Path | None = None
+        self._began_s = process_time()
 
     def __enter__(self) -> Self:
         """Begin."""
@@ -101,22 +110,30 @@ class Shown(Watch):
             show_warnings(self._console, outcome.solution.warnings)
             show_written(self._console, outcome.kept.path)
 
-    def verified(self, outcome: PlanOutcome, start: Iterate | None) -> tuple[str, ...]:
-        """Show the verification and the files, and find and show advice on an infeasible plan."""
+    def verified(self, outcome: PlanOutcome, request: PlanRequest | None) -> tuple[str, ...]:
+        """Show the verification and the files, and find and show advice on a plan that failed."""
+        spent_s = process_time() - self._began_s
         console, mission, path = self._console, outcome.plan.mission, outcome.kept.path
+        diagnosed = request is not None and is_diagnosed(outcome)
         assert outcome.verification is not None
         assert path is not None
         plan_view.show_verification(
-            console, mission, outcome.solution, outcome.verification, mission.warnings
+            console,
+            mission,
+            outcome.solution,
+            outcome.verification,
+            mission.warnings,
+            advised=diagnosed,
         )
         for old in outcome.kept.aside:
             show_line(console, f"set aside because it belongs to another plan: {old}")
         if path.name == UNVERIFIED:
             show_line(console, f"kept, as it is verified: {path.with_name(FILE_NAME)}")
         show_written(console, path)
-        if outcome.plan.status is not Status.INFEASIBLE:
+        if request is None or not diagnosed:
             return ()
-        lines = advice_on(outcome.plan, start, self._instead)
+        diagnosis = diagnose(outcome.plan, request, spent_s)
+        lines = advice_on(diagnosis, outcome.plan, self._instead, path)
         for line in lines:
             show_line(console, line)
         return lines
@@ -132,87 +149,76 @@ class Shown(Watch):
         return Answer(code, plan_document(outcome.solution, [outcome.kept.path]))
 
 
-SEVERAL = "; relaxing any one of them suffices"
-NO_SINGLE = (
-    "relaxing one of these alone does not suffice: the burns' size, the burns' directions, "
-    "the final state, the limits"
-)
-
-
 def advice_on(
-    failed: Plan, start: Iterate | None = None, more: Sequence[str] = ()
+    diagnosis: Diagnosis, failed: Plan, more: Sequence[str] = (), file: Path = Path(FILE_NAME)
 ) -> tuple[str, ...]:
-    """Lines on the limits that bind, and on options for a feasible plan.
+    """Lines on what binds, on options that were tried and work, and on what did not.
 
     Args:
-        failed: the infeasible plan.
-        start: where it began.
+        diagnosis: of the plan.
+        failed: the plan.
         more: options that undo those of the command that exclude exact risk.
+        file: of the plan.
     """
-    diagnosis = diagnose(failed, start)
-    return what_binds(diagnosis), *what_would_do(diagnosis, failed, more)
+    risk, found = failed.mission.scenario.risk, diagnosis
+    lines = []
+    if failed.status is Status.INFEASIBLE:
+        lines.append(what_binds(found))
+        if found.without_uncertainty is Status.INFEASIBLE or failed.final.problem == "P3":
+            word = "not asked for"
+            if found.without_uncertainty is Status.INFEASIBLE:
+                word = "no lower probability helps"
+            lines.append(f"without uncertainty it is infeasible too: {word}")
+        elif found.without_uncertainty is not Status.CONVERGED:
+            how = found.without_uncertainty.value.name
+            lines.append(f"without uncertainty planning ended {how}, which shows little")
+    if found.kept is not None:
+        lines.append(f"flights of this plan kept every limit with {found.kept:.4f}")
+    if found.miss is not None:
+        lines.append(
+            f"a plan that may miss the final state ends {found.miss[0]:.3g} m and "
+            f"{found.miss[1]:.3g} m/s off it"
+        )
+    if found.largest is not None:
+        what = "whole flights" if risk.scope == "flight" else "each constraint at each node"
+        words = f"the largest probability found feasible with exact risk, of {what}"
+        lines.append(f"{words}: {rounded_down(found.largest):g} by the normal law")
+    lines += [f"{one.name}: {what_would_do(one, more, file)}" for one in found.remedies]
+    if not found.remedies:
+        lines.append("no values were found with which this command ends verified")
+    if found.tried:
+        lines.append(f"tried, and not sufficient alone: {', '.join(found.tried)}")
+    if found.left_out:
+        words = f"not tried to the end, after {found.limit_s:.0f} s of the processor"
+        lines.append(f"{words}: {', '.join(found.left_out)}")
+    return tuple(lines)
 
 
 def undoing(options: PlanOptions) -> list[str]:
     """Options that, added to those of a command, allow exact risk and a given probability."""
-    undone = []
-    kept = ("method", ("scp",)), ("formulation", FULL), ("facet-rounds", (0,))
-    for name, those in kept:
-        if getattr(options, name.replace("-", "_")) not in (*those, None):
-            undone += [f"--{name}", str(those[0])]
-    if options.objective != "delta-v":
-        undone += ["--objective", "delta-v"]
-    if options.dv_budget_m_s is not None:
-        undone += ["--dv-budget", "any"]
+    allowed, undone = for_exact(options), []
+    for name in ("method", "formulation", "facet_rounds", "objective", "dv_budget_m_s"):
+        value = getattr(allowed, name)
+        if value != getattr(options, name):
+            called = "dv-budget" if name == "dv_budget_m_s" else name.replace("_", "-")
+            undone += [f"--{called}", "any" if value is None else str(value)]
     return undone
 
 
 def what_binds(diagnosis: Diagnosis) -> str:
-    """One line on the limits of which relaxing any one suffices, and on violated constraints."""
+    """One line on what suffices if it is relaxed alone, and on violated constraints."""
     names = ", ".join(diagnosis.violated) or "none"
-    if not diagnosis.binds:
-        return f"what binds: {NO_SINGLE}; violated: {names}"
-    words = [
-        f"{name} (up to {diagnosis.burn_m_s:.4f} m/s would do)" if name == SIZE else name
-        for name in diagnosis.binds
-    ]
-    line = f"what binds: {', '.join(words)}"
-    return f"{line}{SEVERAL if len(words) > 1 else ''}; violated: {names}"
+    binds = ", ".join(one.name for one in diagnosis.remedies) or "nothing that suffices alone"
+    several = "; relaxing any one of them suffices" if len(diagnosis.remedies) > 1 else ""
+    return f"what binds: {binds}{several}; violated: {names}"
 
 
-def what_would_do(diagnosis: Diagnosis, failed: Plan, more: Sequence[str]) -> list[str]:
-    """Lines on exact risk: a plan as required, the largest feasible probability, and options."""
-    without = diagnosis.without_uncertainty
-    if without is Status.INFEASIBLE or failed.final.problem == "P3":
-        word = "no lower probability helps" if without is Status.INFEASIBLE else "not asked for"
-        return [f"without uncertainty it is infeasible too: {word}"]
-    lines = []
-    risk, largest = failed.mission.scenario.risk, diagnosis.largest
-    what = "whole flights" if risk.scope == "flight" else "each constraint at each node"
-    if diagnosis.exact is not None:
-        cost = f"{diagnosis.exact.cost_m_s:.4f} m/s"
-        if risk.allocation == "uniform":
-            word = f"exact risk solves what the uniform split cannot: {risk.p_chance} for {cost}"
-        else:
-            p = f"{diagnosis.exact.target}"
-            word = f"{p} has a plan under the normal law, for {cost}, but none that flights certify"
-        lines.append(word)
-    if largest is None or largest.target is None:
-        lines.append("no probability of more than one half was found to have a plan")
-        if without is not Status.CONVERGED:
-            lines[-1] += (
-                f", which shows little: without uncertainty planning ended {without.value.name}"
-            )
-        return lines
-    lines.append(
-        f"the largest probability found feasible, of {what}: {rounded_down(largest.target):g} "
-        f"for {largest.cost_m_s:.4f} m/s"
-    )
-    if diagnosis.verified is None:
-        return [*lines, "no plan with exact risk was found that passes verification"]
-    required = diagnosis.verified.mission.scenario.risk.p_chance
-    certify = "no" if diagnosis.verified.certificate is None else "yes"
-    options = [*more, "--set 'risk.allocation=\"exact\"'", f"--set risk.p_chance={required}"]
-    cost = f"{diagnosis.verified.cost_m_s:.4f} m/s"
-    lines.append(f"feasible, for {cost}, with: {' '.join([*options, f'--certify {certify}'])}")
-    return lines
+def what_would_do(remedy: Remedy, more: Sequence[str] = (), file: Path = Path(FILE_NAME)) -> str:
+    """Options with which the command ended verified, and the delta-v of that plan."""
+    turns = "risk.allocation" in remedy.changes or "risk.p_chance" in remedy.changes
+    options = [*(more if turns else ())] if remedy.changes else ["--init", str(file)]
+    for override in overrides_of(remedy.changes):
+        options += ["--set", shlex.quote(override)]
+    if remedy.certify is not None:
+        options += ["--certify", "yes" if remedy.certify else "no"]
+    return f"feasible, for {remedy.cost_m_s:.4f} m/s, with: {' '.join(options)}"

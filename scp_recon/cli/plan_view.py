@@ -46,7 +46,7 @@ from scp_recon.scenario.schema import Scenario
 from scp_recon.scenario.time_scales import instant, iso_tdb, iso_utc
 from scp_recon.scp.loop import Record
 from scp_recon.scp.status import Status
-from scp_recon.verification.remedies import what_next
+from scp_recon.verification.remedies import in_words, what_next
 
 
 def show_mission(console: Console, mission: Mission) -> None:
@@ -132,10 +132,12 @@ def show_solution(console: Console, solution: Solution) -> None:
     status = Status.named(solution.status)
     colour = "green" if status is Status.CONVERGED else "red"
     iterations = ", ".join(f"{s.name} {s.iterations}" for s in solution.stages)
+    said = solution.message
+    if status is not Status.INTERRUPTED:  # what to do next follows the verification
+        said = said.removesuffix(status.value.remedy).strip()
     of = " of the last round" if _rounds(solution.risk) > 1 else ""
     console.print(
-        Text(f"\n{solution.problem}: ", style=f"bold {colour}")
-        + Text(solution.message, style="not bold")
+        Text(f"\n{solution.problem}: ", style=f"bold {colour}") + Text(said, style="not bold")
     )
     console.print(terminal(burns_table(solution).without("UTC")))
     show_line(console, frame_and_time(solution.scenario), "dim")
@@ -210,8 +212,13 @@ def show_verification(
     solution: Solution,
     verification: Verification,
     warnings: Iterable[ScenarioWarning] = (),
+    *,
+    advised: bool = False,
 ) -> None:
-    """Show re-integration, mean margins, joint probabilities, warnings, verdict and remedies."""
+    """Show re-integration, mean margins, joint probabilities, warnings, verdict and remedies.
+
+    General remedies are left out if the plan is `advised`: advice on it alone follows.
+    """
     v = verification
     console.print()
     console.print(terminal(reintegration_table(mission, v)))
@@ -224,10 +231,10 @@ def show_verification(
         console.print(terminal(limits))
         show_line(console, limits.note, "dim")
     show_warnings(console, warnings)
-    show_verdict(console, "verified", v.failed)
+    show_verdict(console, "verified", [in_words(name) for name in v.failed])
     if v.missed is not None:
         show_line(console, str(v.missed))
-    for line in what_next(mission, solution, v):
+    for line in () if advised else what_next(mission, solution, v):
         show_line(console, f"next: {line}")
 
 

@@ -51,8 +51,7 @@ class Status(Enum):
     LOST = Outcome(
         "lost",
         "Lost: the final state is missed by more than three sigma of what the flown plan predicts.",
-        "Check state, frame and flown burns. If they are right, too few burns are left: replan with "
-        "more in burns.times_s, or plan another flight from there.",
+        "Check state, frame and flown burns. If they are right, too few burns are left.",
         5,
     )
     INTERRUPTED = Outcome(

@@ -37,6 +37,24 @@ REMEDIES = {
 }
 """One line for each kind of check that can fail."""
 
+NAMES = {
+    "risk": "stored probabilities",
+    "status": "status of planning",
+    "certificate": "certificate by flights",
+    "covariance_error": "covariance, re-integrated",
+    "knowledge_error": "knowledge, re-integrated",
+    "max_defect": "nodes, re-integrated",
+    "sample_error_m": "sampled flights, re-integrated",
+    "terminal_position_error_m": "final position, re-integrated",
+    "terminal_velocity_error_m_s": "final velocity, re-integrated",
+}
+"""Words for checks whose names are those of the file."""
+
+
+def in_words(name: str) -> str:
+    """A check in words, by its name in the file."""
+    return NAMES.get(name, name)
+
 
 def what_next(mission: Mission, solution: Solution, verification: Verification) -> tuple[str, ...]:
     """Lines with the names of failed checks and a remedy for them.
@@ -54,7 +72,7 @@ def what_next(mission: Mission, solution: Solution, verification: Verification) 
             remedy=Status.named(solution.status).value.remedy, step=_step_s(mission, verification)
         )
         names.setdefault(line, []).append(name)
-    return tuple(f"{', '.join(failed)}: {line}" for line, failed in names.items())
+    return tuple(f"{', '.join(map(in_words, failed))}: {line}" for line, failed in names.items())
 
 
 def kind_of(name: str, mission: Mission, verification: Verification) -> str:

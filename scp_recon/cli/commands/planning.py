@@ -8,7 +8,11 @@ from scp_recon.cli.command import Answer, command, show_line, show_written
 from scp_recon.cli.options import Option
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from rich.console import Console
+
+    from scp_recon.api.inputs import PlanRequest
 
 
 @command(verbs.plan)
@@ -111,6 +115,8 @@ def replan(
             repeated.
         out: as of solve, but not the folder of the plan in flight.
     """
+    from dataclasses import replace
+
     from scp_recon.api.planning import carry_out
     from scp_recon.api.replans import request_of_rest
     from scp_recon.cli.delivery import read_delivery
@@ -129,9 +135,14 @@ def replan(
     overrides = given.pop("overrides")
     delivery = read_delivery(solution.scenario.epoch.tdb, **given)
     flown = FlownPlan.of(solution, name=str(home))
-    rest = request_of_rest(flown, mission_left(flown, delivery, overrides), certify=certify)
+
+    def rest(more: "Sequence[str]" = ()) -> "PlanRequest":
+        mission = mission_left(flown, delivery, [*overrides, *more])
+        return replace(request_of_rest(flown, mission, certify=certify), remade=rest)
+
+    request = rest()
     with Shown(console, out) as shown:
-        return shown.answer(carry_out(rest, shown))
+        return shown.answer(carry_out(request, shown))
 
 
 @command(verbs.new)
