@@ -49,7 +49,7 @@ TIMES, LEAST_S = 3.0, 30.0
 LEAST = 0.501
 """Least probability of the search: a scenario requires more than one half."""
 
-CLOSE = 0.1
+CLOSE = 0.03
 """Standard deviations between the largest probability with a plan and the next without: a hint."""
 
 BELOW, BELOW_CERTIFIED = (0.0, 0.02, 0.1, 0.25), (0.05, 0.15, 0.3)
@@ -66,7 +66,7 @@ FREE_CONE_DEG, FREE_MISS = 1e-4, 1e-3
 """Half-angle of the cones that burns avoid if their directions are relaxed, and price of a miss if
 the final state is relaxed."""
 
-STEPS = 4
+STEPS = 6
 """Bisections of the shares by which limits are relaxed."""
 
 FEEDBACK = {
@@ -80,7 +80,7 @@ SIZE, DIRECTIONS = "the size of the burns", "the directions of the burns"
 FINAL_STATE, LIMITS = "the final state", "the limits"
 FINAL_SPREAD = "the limits on the final covariance"
 SPLIT = "the polytopes and the split of the risk"
-PROBABILITY, CORRECTED = "the probability", "burns that are fixed before departure"
+PROBABILITY, CORRECTED = "the probability", "feedback"
 MORE_BURNS, TARGET = "the number of burns", "the target of the certificate"
 CONTINUED = "continuing from this solution"
 
@@ -396,6 +396,8 @@ class Case:
             return None
         # With corrections, or a limit that risk makes smaller, the mean burn alone does not suffice.
         largest = float(np.linalg.norm(free.burns_m_s, axis=1).max())
+        if largest == 0.0:
+            return None
         return self._first(SIZE, [{entry: _rounded(factor * largest)} for factor in MORE])
 
     def _directions(self) -> Remedy | None:
@@ -492,17 +494,19 @@ class Case:
         return self._roughly(free, from_burns(free, self.failed.burns_m_s))
 
     def more_burns(self) -> Remedy | None:
-        """One more burn in the rest of a flight, at the first of some times at which it suffices."""
+        """Burns added to the rest of a flight, at the first of some times that suffice."""
         scenario = self.scenario
-        times = scenario.burns.times_s
+        times = list(scenario.burns.times_s)
         ends = [scenario.start_s, *(t for t in times if t > scenario.start_s)]
-        for share in (0.5, 0.25, 0.75):
-            for begin, end in pairwise(ends):
-                added = round(begin + share * (end - begin))
-                several = sorted((*times, float(added)))
-                if remedy := self._confirmed(MORE_BURNS, {"burns.times_s": several}):
-                    return remedy
-        return None
+        apart = min(late - early for early, late in pairwise(times))
+        several = [
+            sorted([*times, float(round(begin + share * (end - begin)))])
+            for share in (0.5, 0.25, 0.75)
+            for begin, end in pairwise(ends)
+        ]
+        later = [[times[-1] + apart], [times[-1] + apart, times[-1] + 2.0 * apart]]
+        several += [[*times, *added] for added in later]
+        return self._first(MORE_BURNS, [{"burns.times_s": tried} for tried in several])
 
     def kept(self) -> float | None:
         """Share of flights that keep every limit with a plan that has none certified, or whose test."""

@@ -39,7 +39,6 @@ REMEDIES = {
 
 NAMES = {
     "risk": "stored probabilities",
-    "status": "status of planning",
     "certificate": "certificate by flights",
     "covariance_error": "covariance, re-integrated",
     "knowledge_error": "knowledge, re-integrated",

@@ -1,30 +1,43 @@
-"""The diagnosis of an infeasible run: what binds, the largest probability, a line that is feasible."""
+"""The advice on a plan that failed: values that were planned, a limit of time, and what was tried."""
 
 import dataclasses
 import shlex
-from types import SimpleNamespace
+from time import process_time
 
+import numpy as np
 import pytest
-from scipy.special import ndtr, ndtri
 
-from formulations.problem.flyby import Iterate
+import scp_recon as sr
 from scp_recon.api import infeasibility as module
-from scp_recon.api import planning
-from scp_recon.api.infeasibility import LIMITS, SIZE, SPLIT, Diagnosis, diagnose, exact_plan
+from scp_recon.api.infeasibility import (
+    CONTINUED,
+    CORRECTED,
+    FINAL_STATE,
+    LIMITS,
+    MORE_BURNS,
+    PROBABILITY,
+    SIZE,
+    SPLIT,
+    TARGET,
+    Case,
+    Clock,
+    Diagnosis,
+    diagnose,
+)
+from scp_recon.api.inputs import PlanRequest
 from scp_recon.api.options import PlanOptions
-from scp_recon.certification.certify import AimedPlanning
-from scp_recon.cli.commands import solve
-from scp_recon.cli.plan_run import undoing, what_binds, what_would_do
+from scp_recon.api.planning import PlanOutcome, Watch, carry_out
+from scp_recon.cli.commands import replan, solve
+from scp_recon.cli.plan_run import advice_on, undoing
 from scp_recon.errors import InputError
-from scp_recon.mission.mission import Mission
-from scp_recon.planning import initial_guess
-from scp_recon.planning.plan import Certificate
-from scp_recon.planning.planner import Plan, plan
+from scp_recon.planning.plan import ended
+from scp_recon.replanning.flown import FlownPlan, predict
 from scp_recon.reports.page import _advice
 from scp_recon.reports.subject import Subject
 from scp_recon.results.read import read_solution
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scp.status import Status
+from scp_recon.verification import refinement
 from tests.scenarios import COARSE
 from tests.scp_recon.support import CommandLine, fly_few, mission_of, run_solve
 
@@ -32,14 +45,22 @@ pytestmark = pytest.mark.slow
 
 SPLIT_TOO_DEAR = ("--set", "risk.p_chance=0.98", "--set", COARSE)
 EXACT = ("risk.allocation=exact", COARSE)
-REACHED = Certificate(20_000, 2_000, 0.7, 0.69, 0.71, 0.7, 1, 1, 0.975)
+NO_FLIGHTS = PlanOptions(certify=False)
 
 
-def failed(*overrides: str, target: float | None = None) -> Plan:
-    mission = mission_of(*overrides)
-    found = plan(mission, initial_guess.cold(mission), target=target, once=True)
-    assert found.status is Status.INFEASIBLE
-    return found
+class Asked(Watch):
+    """Keeps a plan with what was asked for."""
+
+    def verified(self, outcome: PlanOutcome, request: PlanRequest | None) -> tuple[str, ...]:
+        assert request is not None
+        self.plan, self.request = outcome.plan, request
+        return ()
+
+
+def case_of(*overrides: str, options: PlanOptions = NO_FLIGHTS, limit_s: float = 60.0) -> Case:
+    asked = Asked()
+    carry_out(PlanRequest(None, "cold", options, overrides), asked)
+    return Case(asked.plan, asked.request, Clock(limit_s))
 
 
 def said(run: CommandLine) -> str:
@@ -49,7 +70,6 @@ def said(run: CommandLine) -> str:
 @pytest.fixture(scope="module")
 def refused(tmp_path_factory) -> CommandLine:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(module, "CLOSE", 1.0)
         fly_few(patch)
         folder = tmp_path_factory.mktemp("refused")
         return run_solve(folder, *SPLIT_TOO_DEAR, "--facet-rounds", "1")
@@ -106,117 +126,143 @@ def test_the_line_is_taken_after_a_budget():
     assert (options.objective, options.dv_budget_m_s) == ("delta-v", None)
 
 
-def test_unreachable_final_covariance_is_named_as_binding():
-    found = failed(*EXACT, "boundary.final_sigma_position_m=0.05")
-    assert module._freed(found, module.FINAL_SPREAD) is not None
-
-
-def test_exact_risk_is_proposed_with_its_price(refused):
+def test_split_is_named_and_priced(refused):
+    """Exact risk gives up nothing, so nothing else is tried."""
     words = said(refused)
     assert words.startswith(f"what binds: {SPLIT}; violated: ")
-    (cost,) = (line.split()[-2] for line in words.splitlines() if "exact risk solves" in line)
-    mission = mission_of("risk.p_chance=0.98", COARSE)
-    exact = exact_plan(mission, initial_guess.cold(mission), 0.98)
-    assert float(cost) == pytest.approx(exact.total_dv_m_s, abs=1e-4)
-    (largest,) = (line for line in words.splitlines() if "largest probability" in line)
-    p, price = float(largest.split()[-4]), float(largest.split()[-2])
-    assert 0.98 <= p < 1.0
-    assert price > float(cost)
+    assert SIZE not in words
+    assert "next: " not in refused.output
 
 
 @pytest.fixture(scope="module")
-def small_burns() -> tuple[Plan, Diagnosis]:
+def small_burns() -> tuple[Case, Diagnosis]:
     """Exact risk where the burns may be as large as takes 0.7, and not 0.9."""
-    found = failed(*EXACT, "burns.dv_max_m_s=0.038", "risk.p_chance=0.9")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(module, "CLOSE", 0.3)
         fly_few(patch)
-        return found, diagnose(found)
+        case = case_of(*EXACT, "burns.dv_max_m_s=0.038", "risk.p_chance=0.9")
+        assert case.failed.status is Status.INFEASIBLE
+        return case, diagnose(case.failed, case.request)
 
 
-def test_sufficient_relaxation_is_named_with_its_size(small_burns):
-    """And exact risk, which has failed, is not praised."""
-    found, out = small_burns
-    assert out.exact is None
-    words = "\n".join([what_binds(out), *what_would_do(out, found, ())])
-    assert "exact risk solves" not in words
-    assert SPLIT not in words
-    assert SIZE in out.binds
-    assert LIMITS in out.binds
-    assert "dv_max" in out.violated
-    assert f"{SIZE} (up to {out.burn_m_s:.4f} m/s would do)" in what_binds(out)
-    larger = mission_of(*EXACT, f"burns.dv_max_m_s={out.burn_m_s + 1e-6}", "risk.p_chance=0.9")
-    start = found.final.result.lin.iterate
-    assert plan(larger, start, once=True).status is Status.CONVERGED
+@pytest.mark.parametrize("name", [SIZE, PROBABILITY])
+def test_proposed_values_end_verified(small_burns, name, monkeypatch):
+    fly_few(monkeypatch)
+    case, found = small_burns
+    (remedy,) = (one for one in found.remedies if one.name == name)
+    asked = Asked()
+    sets = module.overrides_of(remedy.changes)
+    outcome = carry_out(case.request.again(sets), asked)
+    assert outcome.verification is not None
+    assert outcome.verification.ok
+    assert outcome.plan.cost_m_s == pytest.approx(remedy.cost_m_s, rel=1e-9)
+    line = f"{name}: feasible, for {remedy.cost_m_s:.4f} m/s, with: --set {sets[0]}"
+    assert line in advice_on(found, case.failed)
 
 
-def test_largest_probability_is_last_with_a_plan(small_burns):
-    found, out = small_burns
-    assert 0.5 < out.largest.target < 0.9
-    beyond = float(ndtr(ndtri(out.largest.target) + 0.3))
-    last = out.largest.final.result.lin.iterate
-    assert exact_plan(found.mission, last, beyond).status is not Status.CONVERGED
-    asked = out.verified.mission.scenario.risk.p_chance
-    assert asked == pytest.approx(out.largest.target, abs=1e-4)
-    assert asked <= out.largest.target
-    words = "\n".join(what_would_do(out, found, ["--method", "scp"]))
-    assert f"{asked:g} for {out.largest.total_dv_m_s:.4f} m/s" in words
-    line = f"--method scp --set 'risk.allocation=\"exact\"' --set risk.p_chance={asked:g}"
-    assert f"with: {line} " in words
+def test_largest_probability_is_below_the_required(small_burns):
+    _, found = small_burns
+    assert 0.5 < found.largest < 0.9
+    (remedy,) = (one for one in found.remedies if one.name == PROBABILITY)
+    assert remedy.changes["risk.p_chance"] <= found.largest
+    assert found.violated == ("dv_max",)
+    assert found.without_uncertainty is Status.CONVERGED
 
 
-def test_normal_law_and_flights_are_told_apart(monkeypatch):
-    """A plan that aims above what was asked may be the only one that is missing."""
-    monkeypatch.setattr(module, "CLOSE", 1.0)
-    monkeypatch.setattr(module, "_verified", lambda largest, *_: largest)
-    found = failed(*EXACT, "burns.dv_max_m_s=0.038", "risk.p_chance=0.7", target=0.9)
-    out = diagnose(found)
-    words = "\n".join(what_would_do(out, found, ()))
-    assert out.exact.target == 0.7
-    assert "exact risk solves" not in words
-    assert "0.7 has a plan under the normal law" in words
-    assert "none that flights certify" in words
-    assert "risk.p_chance=0.7 --certify no" in words
+def test_nothing_is_proposed_that_does_not_verify(small_burns, monkeypatch):
+    """However well rough plans do."""
+    case, _ = small_burns
+    monkeypatch.setattr(Case, "command", lambda *_, **__: None)
+    found = diagnose(case.failed, case.request)
+    assert found.remedies == ()
+    assert {SIZE, CORRECTED, PROBABILITY} <= set(found.tried)
+    words = "\n".join(advice_on(found, case.failed))
+    assert "no values were found" in words
+    assert "with: " not in words
 
 
-def test_certified_proposal_promises_less(small_burns, monkeypatch):
-    """A certified plan aims higher; where that takes more than there is, less is promised.
-
-    The start is on another grid, as where the plans that were tried had to be made on finer ones.
-    """
-    found, out = small_burns
-    made: list[float] = []
-
-    def certify(mission: Mission, start: Iterate, make: AimedPlanning, _: object) -> Plan:
-        made.append(mission.scenario.risk.p_chance)
-        of = make(mission, start, float(ndtr(ndtri(made[-1]) + 0.05)))
-        return dataclasses.replace(of, certificate=REACHED)
-
-    monkeypatch.setattr(planning, "certify", certify)
-    monkeypatch.setattr(module, "make_solution", lambda of: of)
-    monkeypatch.setattr(
-        module, "verify", lambda _, of: SimpleNamespace(ok=of.certificate is not None)
-    )
-    start = initial_guess.cold(mission_of())
-    chosen = module._verified(out.largest, 0.9, found, start)
-    assert chosen.certificate is REACHED
-    assert chosen.mission.scenario.risk.p_chance == made[-1] < made[0] <= out.largest.target
-    words = "\n".join(what_would_do(dataclasses.replace(out, verified=chosen), found, ()))
-    assert f"--set risk.p_chance={made[-1]:g} --certify yes" in words
+def test_diagnosis_ends_with_its_time(small_burns, monkeypatch):
+    """What it did not get to is named."""
+    case, _ = small_burns
+    monkeypatch.setattr(module, "LEAST_S", 0.2)
+    began = process_time()
+    found = diagnose(case.failed, case.request, spent_s=0.1)
+    assert process_time() - began < 3.0
+    assert found.limit_s == pytest.approx(0.3)
+    assert {CORRECTED, PROBABILITY, FINAL_STATE} <= set(found.left_out)
+    assert "after 0 s of the processor" in advice_on(found, case.failed)[-1]
 
 
-def test_too_small_burns_bind_without_uncertainty_too():
-    found = failed("burns.dv_max_m_s=0.02", COARSE)
-    out = diagnose(found)
-    assert out.without_uncertainty is Status.INFEASIBLE
-    assert out.binds == (SIZE,)
-    assert out.largest is None
-    (line,) = what_would_do(out, found, ())
-    assert "no lower probability helps" in line
-    larger = mission_of(f"burns.dv_max_m_s={out.burn_m_s + 1e-6}", COARSE)
-    p3 = plan(larger, initial_guess.cold(larger), problem="P3")
-    assert p3.status is Status.CONVERGED
-    unknown = Diagnosis(Status.MAX_ITERATIONS, (), ())
-    words = "\n".join([what_binds(unknown), *what_would_do(unknown, found, ())])
-    assert "no lower probability helps" not in words
-    assert "max_iterations" in words
+def test_feedback_is_tried_with_what_it_needs(small_burns, monkeypatch):
+    case, _ = small_burns
+    tried: list[dict[str, object]] = []
+    monkeypatch.setattr(Case, "command", lambda _, changes, **__: tried.append(dict(changes)))
+    dict(case.trials(Status.CONVERGED))[CORRECTED]()
+    (changes,) = tried
+    assert changes == module.FEEDBACK
+    scenario = case.failed.mission.scenario.replace(changes)
+    assert (scenario.policy.kind, scenario.navigation.sigma_position_m) == ("feedback", 5.0)
+
+
+def test_limits_have_a_number_alone_and_together(monkeypatch):
+    fly_few(monkeypatch)
+    case = case_of(*EXACT, "risk.p_chance=0.9999")
+    assert case.failed.status is Status.INFEASIBLE
+    trials = dict(case.trials(Status.CONVERGED))
+    assert sum(name.startswith(f"{LIMITS}: ") for name in trials) > 1
+    remedy = trials[f"{LIMITS} together"]()
+    assert remedy is not None
+    outcome = case.command(remedy.changes)
+    assert outcome is not None
+    before = case.failed.mission.scenario.observation
+    assert remedy.changes["observation.emission_max_deg"] > before.emission_max_deg
+    assert remedy.changes["observation.site_distance_min_m"] < before.site_distance_min_m
+
+
+def test_relaxed_plan_stays_relaxed_on_a_finer_grid(monkeypatch):
+    """And without a price of the final state, too."""
+    case = case_of("burns.dv_max_m_s=0.02", COARSE)
+    monkeypatch.setattr(refinement.reintegration, "COVARIANCE_LIMIT", 1e-6 * 1e-3)
+    free = case.rough({"burns.dv_max_m_s": 2.0})
+    assert free is not None
+    assert len(free.mission.times_s) > len(case.failed.mission.times_s)
+    assert free.mission.scenario.burns.dv_max_m_s == 2.0
+
+
+def test_too_small_burns_bind_without_uncertainty_too(monkeypatch):
+    fly_few(monkeypatch)
+    case = case_of("burns.dv_max_m_s=0.02", COARSE)
+    found = diagnose(case.failed, case.request)
+    assert found.without_uncertainty is Status.INFEASIBLE
+    assert [one.name for one in found.remedies] == [SIZE]
+    words = "\n".join(advice_on(found, case.failed))
+    assert "no lower probability helps" in words
+    assert not {PROBABILITY, CORRECTED} & {*found.tried, *found.left_out}
+
+
+def test_missed_target_is_told_with_what_flights_kept(monkeypatch):
+    """A plan without a verdict is continued, and a lower probability is certified."""
+    fly_few(monkeypatch)
+    options = PlanOptions(starts=1)
+    asked = case_of(*EXACT, "risk.p_chance=0.9", options=options)
+    missed = ended(asked.failed, Status.MAX_ITERATIONS)
+    found = diagnose(missed, asked.request)
+    assert found.kept == pytest.approx(0.9, abs=0.02)
+    assert [one.name for one in found.remedies] == [CONTINUED, TARGET]
+    lines = advice_on(found, missed)
+    assert any("--init solution.json" in line for line in lines)
+    assert found.remedies[1].changes["risk.p_chance"] < 0.9
+
+
+def test_added_burns_are_advised_only_after_a_try(default_plan, tmp_path, capsys):
+    """A lost flight: what is said to save it does."""
+    home = tmp_path / "flown"
+    sr.save(default_plan, home)
+    off = 20.0 * np.array([40.0, -40.0, 20.0, 2e-3, 2e-3, -1e-3])
+    state = predict(FlownPlan.of(default_plan), 26_000.0, {}).state + off
+    given = [str(home), "--at", "26000", "--state", *map(repr, state.tolist())]
+    code = replan.main([*given, "--out", str(tmp_path / "lost")])
+    out = capsys.readouterr().out
+    assert code == Status.LOST.value.exit_code
+    (line,) = [line for line in out.splitlines() if line.startswith(f"{MORE_BURNS}: ")]
+    more = shlex.split(line.rsplit("with: ", 1)[1])
+    assert replan.main([*given, *more, "--out", str(tmp_path / "saved")]) == 0

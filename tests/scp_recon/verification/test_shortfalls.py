@@ -112,10 +112,10 @@ def test_it_says_how_fine_a_grid_is_enough(mission, solution, verification):
     """At fourth order: half the limit of covariances that err by 17 times it at 232 s."""
     failed = failing(verification, "covariance_error", covariance_error=1.7e-5)
     (line,) = what_next(mission, solution, failed)
-    assert line.startswith("covariance_error: integration errs: set grid.step_max_s=94,")
+    assert line.startswith("covariance, re-integrated: integration errs: set grid.step_max_s=94,")
     edited = failing(verification, "covariance_error", covariance_error=0.5)
     (line,) = what_next(mission, solution, edited)
-    assert line == f"covariance_error: {REMEDIES['contradiction']}"
+    assert line == f"covariance, re-integrated: {REMEDIES['contradiction']}"
 
 
 def test_unconverged_plan_has_remedy_of_its_status(mission, solution, verification):
