@@ -85,7 +85,7 @@ MORE_BURNS, TARGET = "the number of burns", "the target of the certificate"
 CONTINUED = "continuing from this solution"
 
 SHARE = 0.25
-SHARES = {SPLIT: 0.5, CORRECTED: 0.6, PROBABILITY: 0.4}
+SHARES = {SPLIT: 0.8, CORRECTED: 0.6, PROBABILITY: 0.4}
 """Shares of all time that a trial may take, and those of the dearer ones."""
 
 OTHERS = (".ptr", ".scvx-star")
