@@ -47,23 +47,33 @@ def required_probability(solution: Solution) -> float | None:
     return solution.scenario.risk.p_chance if solution.problem == "P2" else None
 
 
-def falls_short(solution: Solution, value: float | None, high: float | None) -> bool:
+def falls_short(
+    solution: Solution, value: float | None, high: float | None, asked: float | None = None
+) -> bool:
     """Whether an estimate and the upper end of its interval refute the required probability.
 
     The estimate decides; of an exact plan, which spends all its allowed risk, the interval's upper end.
+    Required is what is `asked`, or what the plan's own scenario asks.
     """
     exact = solution.scenario.risk.allocation == "exact"
     judged, required = high if exact else value, required_probability(solution)
+    required = required if required is None or asked is None else asked
     return required is not None and judged is not None and judged < required
 
 
-def refuted(solution: Solution, probabilities: list[JointProbability]) -> list[str]:
+def refuted(
+    mission: Mission, solution: Solution, probabilities: list[JointProbability]
+) -> list[str]:
     """Names of probabilities that fall short, and of promises that the flights contradict.
 
     The evidence of an exact plan is its certificate, if it has one.
     """
-    required, risk = solution.scenario.risk.p_chance, solution.risk
-    found = [f"P({p.name})" for p in probabilities if falls_short(solution, p.estimate, p.high)]
+    required, risk = mission.scenario.risk.p_chance, solution.risk
+    found = [
+        f"P({p.name})"
+        for p in probabilities
+        if falls_short(solution, p.estimate, p.high, asked=required)
+    ]
     if risk is None:
         return found
     if risk.certificate is not None and not (

@@ -111,7 +111,7 @@ def verify(mission: Mission, solution: Solution) -> Verification:
         failed += [str(b) for b in on_burns if not is_kept(b, mission.scenario.risk.p_chance)]
     sigmas: list[FinalSigma] = []
     if solution.problem == "P2":
-        failed += refuted(solution, probabilities)
+        failed += refuted(mission, solution, probabilities)
         sigmas = flown_sigmas(mission, burns, SEED, policy)
         failed += exceeded(sigmas)
     return Verification(

@@ -71,13 +71,13 @@ def test_refuted_uncertified_probability_is_named(
 ):
     told = replace(solution, scenario=exact.scenario)
     told = promising(told, certified=certified, by_law=by_law)
-    assert refuted(told, [flown(successes)]) == named
+    assert refuted(told.mission, told, [flown(successes)]) == named
 
 
 def test_low_estimate_fails_plan_of_uniform_risk(solution):
     told = replace(solution, scenario=mission_of(f"risk.p_chance={ASKED}").scenario)
-    assert refuted(told, [flown(8_999)]) == [f"P({FLIGHT})"]
-    assert refuted(told, [flown(9_000)]) == []
+    assert refuted(told.mission, told, [flown(8_999)]) == [f"P({FLIGHT})"]
+    assert refuted(told.mission, told, [flown(9_000)]) == []
 
 
 def failing(verification: Verification, *names: str, **figures: float) -> Verification:
