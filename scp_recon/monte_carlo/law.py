@@ -20,6 +20,7 @@ from formulations.risk.strata import COUNT, FAILS, Allocation, Counted, Survey, 
 from formulations.rows.flight_probability import Limit, Limits, limits_within
 from formulations.rows.node_probability import joint_events
 from scp_recon.jobs.cores import each
+from scp_recon.jobs.seeds import generator
 from scp_recon.monte_carlo.sampling import BLOCK, draw
 from scp_recon.monte_carlo.whole_flight import SampledFlights
 
@@ -241,7 +242,7 @@ def survey_draws(law: Law, seed: int) -> Array:
 
 def blocks_of(allocation: Allocation, seed: int, first: int = 0) -> list[tuple[int, int]]:
     """Blocks from the first one, with their draws; the total number follows a Poisson law."""
-    number = int(np.random.default_rng([seed, first, NUMBER]).poisson(allocation.draws))
+    number = int(generator(seed, first, NUMBER).poisson(allocation.draws))
     begun = range(0, number, BLOCK)
     return [(first + k, min(BLOCK, number - draws)) for k, draws in enumerate(begun)]
 
@@ -251,5 +252,5 @@ def tossed(seed: int, sources: int, block: int, size: int) -> tuple[Array, Array
 
     A draw is flown if its number is below its share.
     """
-    coins = np.random.default_rng([seed, block, COINS]).random(BLOCK)
+    coins = generator(seed, block, COINS).random(BLOCK)
     return draw(seed, block, sources)[:size], coins[:size]

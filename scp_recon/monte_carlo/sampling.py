@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 
 from formulations.arrays import Array, Booleans
+from scp_recon.jobs.seeds import generator
 from scp_recon.mission.grid import RK4_STEP_MAX_S, make_grid
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.scene import TruthModel, errors_of_kind
@@ -93,7 +94,7 @@ def draw_flights(
 
 def draw(seed: int, block: int, sources: int, *stream: int) -> Array:
     """The standard normal numbers of a block of flights, shape (BLOCK, sources)."""
-    return np.random.default_rng([seed, block, *stream]).standard_normal((BLOCK, sources))
+    return generator(seed, block, *stream).standard_normal((BLOCK, sources))
 
 
 def fly_draws(

@@ -14,6 +14,7 @@ from formulations.linearisation.linearisation import final_state_map
 from formulations.problem.flyby import Iterate
 from scp_recon.jobs.job import Job, here, in_order
 from scp_recon.jobs.processes import Processes
+from scp_recon.jobs.seeds import generator
 from scp_recon.mission.mission import Mission
 from scp_recon.planning.initial_guess import bent
 from scp_recon.planning.missions import cheapest_p3
@@ -224,7 +225,7 @@ def random_flight(mission: Mission, seed: int, number: int) -> Iterate:
     burns that still leads to the final state. Each number has draws of its own.
     """
     units, problem = mission.units, mission.problem
-    rng = np.random.default_rng((seed, number))
+    rng = generator(seed, number)
     path = bent(mission, rng, BEND * units.length_m, BURN * units.speed_m_s)
     mean = path.mean.copy()
     mean[0, 3:] = problem.initial_state[3:] + path.burns[0]
