@@ -26,7 +26,7 @@ from scp_recon.scenario.messages import input_error
 from scp_recon.scenario.schema import Scenario
 
 BYTES_MAX = 50_000_000
-VERSION = 1
+VERSION = 2
 """Version of what is done with a case: raise it when results of the same study change."""
 ASK_FROM = 100_000
 """Number of cases above which a caller has to pass `yes`."""
