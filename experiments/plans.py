@@ -56,7 +56,7 @@ PRINTED = {
     "solve": "scp_recon.solve --init cold",
     "starts": "scp_recon.solve --starts 8 --seed 0 --workers 2",
     "replan": "scp_recon replan {solve} --at 17000 "
-    "--state -122.618 419.945 -556.206 0.0069457 0.0794873 0.0655264",
+    "--state -126.629 442.342 -596.582 0.0062679 0.0763651 0.0599579",
     "infeasible": "scp_recon.solve --set risk.p_chance=0.98",
 }
 """Commands after `python -m`; in braces the folder of an earlier one."""

@@ -161,6 +161,7 @@ def show_solution(console: Console, solution: Solution) -> None:
     if solution.starts is not None:
         console.print()
         console.print(terminal(starts_table(solution.starts)))
+        show_line(console, str(solution.starts), "dim")
 
 
 def _rounds(risk: Risk | None) -> int:
