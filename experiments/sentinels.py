@@ -25,7 +25,7 @@ from experiments.in_flight import feedback, policies, sites
 from experiments.observation_rows import rows as observation_rows
 from experiments.observation_rows import run_row
 from experiments.observation_table import SAMPLES
-from experiments.solvers import peers, variations
+from experiments.solvers import optima, peers, variations
 from experiments.solvers.cases import (
     NUMBER,
     PROBLEMS,
@@ -265,6 +265,7 @@ OWN = (
         {"status": EQUAL, "delta_v_m_s": 2e-5}, method_row, [REFERENCE, TUNED, SHOOTING]),
     Sentinel("compare_solvers.exact", "scenario, method", OTHER | {"reached": FLOWN},
         exact_row, [0, 3], range(NUMBER)),
+    Sentinel("optima", "kind, seeds, seed", FACETS, optima.measure, [("uniform", "tuned", 17)]),
     Sentinel("nlp_tricks", "trick",
         {"status": EQUAL, "delta-v m/s": 2e-5, "unknowns": EQUAL, "rows": EQUAL},
         variations.trick_row, ["+ derivatives arc by arc = tuned", "single shooting, exact Hessians"],
