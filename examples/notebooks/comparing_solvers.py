@@ -17,7 +17,7 @@ WAYS = {
     "SCvx*": {"algorithm": "scvx-star"},
     "IPOPT, tuned": {"method": "ipopt"},
 }
-plans = {name: sr.plan("recon_b", **options) for name, options in WAYS.items()}
+plans = {name: sr.plan("recon_b", facet_rounds=0, **options) for name, options in WAYS.items()}
 
 # %% [markdown]
 # Seconds are of this run, with everything compiled on the way: measure with `python -m
