@@ -53,8 +53,6 @@ from scp_recon.verification.probabilities import (
 FLIGHTS_CHECKED = 3
 MARGIN_STEP_S = 10.0
 POSITION_LIMIT_M, VELOCITY_LIMIT_M_S, DEFECT_LIMIT_M = 1.0, 1e-4, 1e-2
-EXECUTED = 1e-4
-"""Share of the smallest executed burn by which a burn may be smaller: the accuracy of the solver."""
 COVARIANCE_LIMIT = 1e-6
 SAMPLE_LIMIT = 1e-6
 """Share of the initial radius, if that is more than a centimetre: 1 sigma is of the order of 1e-2."""
@@ -104,7 +102,6 @@ def verify(mission: Mission, solution: Solution) -> Verification:
     if not is_converged(solution) and "status" not in failed:
         failed.append("status")
     failed += [m.name for m in margins if m.worst_margin < MARGIN_LIMIT[m.unit]]
-    failed += not_executed(mission, solution)
     on_burns: list[BurnLimit] = []
     if policy and len(flown.end.known) == len(policy):  # else the flight has no end
         covariance = flown.end.commands
@@ -146,20 +143,6 @@ def limits_of(mission: Mission) -> dict[str, float]:
         "covariance_error": COVARIANCE_LIMIT,
         "knowledge_error": COVARIANCE_LIMIT,
     }
-
-
-def not_executed(mission: Mission, solution: Solution) -> list[str]:
-    """Names of burns that are not zero, and smaller than the smallest that is executed.
-
-    A corrected burn has the root mean square of its commanded sizes.
-    """
-    sizes = np.linalg.norm(solution.burns_m_s, axis=1)
-    if solution.policy is not None and not is_strange(mission, solution.policy):
-        for one in solution.policy.corrections:
-            sizes[one.burn] = np.hypot(sizes[one.burn], one.sigma_m_s)
-    least, first = mission.scenario.burns.dv_min_m_s, 1 + mission.scenario.burns_flown
-    small = (sizes > 0.0) & (sizes < (1.0 - EXECUTED) * least)
-    return [f"dv_min of burn {first + i}" for i in np.flatnonzero(small)]
 
 
 def final_miss(mission: Mission, miss: Array) -> FinalMiss:
