@@ -29,6 +29,7 @@ fixed states. It cannot express the following, or not as the planner does:
 from __future__ import annotations
 
 import contextlib
+import importlib
 import io
 import runpy
 from collections.abc import Callable, Sequence
@@ -409,7 +410,8 @@ def _observed(
 def run(session: Session) -> Findings:
     """Solve both problems by all, then the transfer from the other guesses."""
     with needing("peers", "peers"):
-        pass
+        for name in ("openscvx", "scocp"):
+            importlib.import_module(name)
     halo, mission = Halo(), Mission.from_scenario(load_scenario())
     start = initial_guess.ballistic(mission)
     every: tuple[Method, ...] = (*OURS, "scocp", *WEIGHTS)

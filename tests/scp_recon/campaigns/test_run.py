@@ -85,8 +85,8 @@ def test_two_campaigns_in_one_folder_are_refused(tmp_path):
 def test_rows_of_another_version_are_refused(tmp_path, monkeypatch):
     run(tmp_path)
     for module in (study_module, run_module):
-        monkeypatch.setattr(module, "VERSION", 2)
-    with pytest.raises(InputError, match="version 2 of the work, not 1"):
+        monkeypatch.setattr(module, "VERSION", 3)
+    with pytest.raises(InputError, match="version 3 of the work, not 2"):
         run_study(replace(STUDY), tmp_path, work, here)
 
 

@@ -141,7 +141,7 @@ def checked(certified, solution) -> Verification:
 def failures(certified: Plan, told: Solution, checked: Verification) -> list[str]:
     """What verification names, with the flights that it has flown already."""
     mission = certified.mission
-    return inconsistencies(mission, told) + refuted(told, checked.probabilities)
+    return inconsistencies(mission, told) + refuted(mission, told, checked.probabilities)
 
 
 def telling(solution: Solution, **changes: Any) -> Solution:
