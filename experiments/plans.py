@@ -138,13 +138,18 @@ def record(found: Plan, processor_s: float) -> Record:
 
 
 def printed(out: Path, name: str) -> Record:
-    """Run a command as a program: its times, and what it prints, a line each."""
+    """Run a command as a program: its times, and what it prints, a line each, its folder as "runs"."""
     command = PRINTED[name].format(**{other: out / other for other in PRINTED})
     words = ["-m", *shlex.split(command), "--out", str(out / name)]
     seconds, said = run_python(words, ENDS)
     solution = json.loads((out / name / "solution.json").read_text("utf-8"))
     planning = {"planning_s": solution["timing_s"]["total"]}
-    return {"command": name, **seconds, **planning, "lines": said.splitlines()}
+    return {
+        "command": name,
+        **seconds,
+        **planning,
+        "lines": said.replace(str(out), "runs").splitlines(),
+    }
 
 
 def run(session: Session) -> Findings:

@@ -24,10 +24,10 @@ from scp_recon.api.planning import plan_mission
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
-from scp_recon.planning.plan import Plan, Stage, StageSpec
+from scp_recon.planning.plan import Plan, Stage, StageSpec, is_converged
 from scp_recon.planning.planner import Planner
 from scp_recon.planning.settling import Settling
-from scp_recon.planning.stages import Pipeline, is_converged, same_optimum
+from scp_recon.planning.stages import Pipeline, same_optimum
 from scp_recon.planning.starts import random_flight
 from scp_recon.scenario.load import load_scenario
 

@@ -65,14 +65,13 @@ class PlanOptions:
         one_of(option("objective"), self.objective, OBJECTIVES)
         if self.facet_rounds != SETTLE:
             make_whole(self, "facet_rounds", 0, FACET_ROUNDS_MAX, SETTLE)
-        for name, low, high in (
-            ("starts", 1, STARTS_MAX),
-            ("seed", 0, SEED_MAX),
-            ("workers", 1, WORKERS_MAX),
+        for name, low, high, word in (
+            ("starts", 1, STARTS_MAX, AUTO),
+            ("seed", 0, SEED_MAX, ""),
+            ("workers", 1, WORKERS_MAX, ""),
         ):
-            given = getattr(self, name)
-            if given is not None and (name, given) != ("starts", AUTO):
-                make_whole(self, name, low, high, *([AUTO] if name == "starts" else []))
+            if (given := getattr(self, name)) is not None and (not word or given != word):
+                make_whole(self, name, low, high, word)
         if self.dv_budget_m_s is not None:
             number_between(
                 option("dv_budget_m_s"), self.dv_budget_m_s, BUDGET_MIN_M_S, BUDGET_MAX_M_S

@@ -27,6 +27,7 @@ from scp_recon.jobs.blas import one_thread
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import planner
 from scp_recon.planning.initial_guess import from_burns, start_from
+from scp_recon.planning.method import NumberOfStarts
 from scp_recon.planning.plan import Plan
 from scp_recon.planning.stages import DOUBTFUL, Observer
 from scp_recon.planning.starts import plan_from_several
@@ -218,25 +219,7 @@ def plan_mission(
         return _within_budget(found, search.budget_m_s)
     best = None
     if number != 1:
-        seen, first = partial(_show_start, observe) if observe and options.starts else None, None
-        seed, workers = options.seed or 0, options.workers or 1
-        guess = from_burns(mission, start.burns_m_s) if isinstance(start, Plan) else start
-        if options.starts is None:
-            first = best = make(mission, guess, init=init, observe=observe)
-        if first is None or _may_be_poor(first):
-            every = partial(make, observe=observe) if isinstance(observe, Silent) else make
-            best = plan_from_several(
-                mission,
-                guess,
-                every,
-                starts=number,
-                seed=seed,
-                workers=workers,
-                init=init,
-                seen=seen,
-                first=first,
-            )
-        assert best is not None
+        best = _of_several(mission, start, make, options, number, init, observe)
         if best.status is not Status.CONVERGED or not certifies:
             return best
         mission, start, init = best.mission, best, best.provenance.init
@@ -244,6 +227,35 @@ def plan_mission(
         return make(mission, start, init=init, observe=observe)
     found = certify(mission, start, aimed, watch)
     return replace(found, starts=best.starts) if best else found
+
+
+def _of_several(
+    mission: Mission,
+    start: Iterate | Plan,
+    make: Callable[..., Plan],
+    options: PlanOptions,
+    number: NumberOfStarts,
+    init: str,
+    observe: PlanObserver | None,
+) -> Plan:
+    """The best plan of several starts, which are asked for or pay after the first one."""
+    guess = from_burns(mission, start.burns_m_s) if isinstance(start, Plan) else start
+    seen, first = partial(_show_start, observe) if observe and options.starts else None, None
+    if options.starts is None:
+        first = make(mission, guess, init=init, observe=observe)
+        if not _may_be_poor(first):
+            return first
+    return plan_from_several(
+        mission,
+        guess,
+        make,
+        starts=number,
+        seed=options.seed or 0,
+        workers=options.workers or 1,
+        init=init,
+        seen=seen,
+        first=first,
+    )
 
 
 def _may_be_poor(first: Plan) -> bool:

@@ -156,6 +156,11 @@ class Stage:
         return margins
 
 
+def is_converged(stage: Stage) -> bool:
+    """Whether a run has a plan."""
+    return stage.result.status is Status.CONVERGED
+
+
 def rank(stage: Stage, *, saving: float = 0.0) -> tuple[int, float]:
     """Rank of a run, the better the greater: by how it ended, then by cost.
 

@@ -231,7 +231,10 @@ class Planner(Generic[Task]):
 
     @cached_property
     def others(self) -> Mapping[str, StageSolver]:
-        """See `StageSolver`; none where another algorithm than the usual one was chosen."""
+        """See `StageSolver`; none where another algorithm than the usual one was chosen.
+
+        Nor with feedback, where each takes as long as a plan.
+        """
         formulation, algorithm, solver = self._names
         may_miss = self.task.problem.miss_weight is not None
         names = ("ptr",) if may_miss else ("ptr", "scvx-star")
@@ -244,7 +247,7 @@ class Planner(Generic[Task]):
                 target=self.target,
             )
             for name in names
-            if algorithm == ALGORITHM
+            if algorithm == ALGORITHM and self.task.problem.feedback is None
         }
 
     @cached_property

@@ -17,9 +17,8 @@ from formulations.linearisation.linearisation import Linearisation
 from formulations.problem.facets import Facets, choose_facets
 from formulations.rows.exact import NodeRows
 from formulations.rows.uniform import ChanceRows
-from scp_recon.planning.plan import Stage, StageSpec, rank
+from scp_recon.planning.plan import Stage, StageSpec, is_converged, rank
 from scp_recon.planning.problem import PlanningProblem
-from scp_recon.scp.status import Status
 
 ROUGH = 1e-3
 """Relative reduction of the merit at which a round stops; a choice that saves less is no better."""
@@ -51,21 +50,21 @@ class Settling:
 
     def __call__(self, first: Stage, p3: Stage) -> Stage | None:
         """The best round, from a plan of P2 with facets along P3's path; None if none has a plan."""
-        found = [self._along_plan(first) if _has_plan(first) else self.along(first.result.lin)]
+        found = [self._along_plan(first) if is_converged(first) else self.along(first.result.lin)]
         cost, least = (one.merit.cost(one.result.lin) for one in (found[0], p3))
-        if not _has_plan(found[0]) or cost > NEAR_P3 * least:
+        if not is_converged(found[0]) or cost > NEAR_P3 * least:
             rows = NodeRows(self.task.problem.open_loop, self.task.risk.p_chance, PATH)
             exact = self.run(StageSpec("P2", rows, "node"), p3.result.lin)
             found.append(self.along(exact.result.lin))
         best = max(found, key=rank)
-        return best if _has_plan(best) else None
+        return best if is_converged(best) else None
 
     def along(self, lin: Linearisation) -> Stage:
         """Settle along a path; the best choice so far where none has a plan."""
         tries: list[Stage] = []
         while len(tries) < CHOICES_MAX:
             tries.append(self._round(self._fresh(lin), lin, FIRST_ITERATIONS))
-            if _has_plan(tries[-1]):
+            if is_converged(tries[-1]):
                 return self._along_plan(tries[-1])
             lin = tries[-1].result.lin
         return max(tries, key=rank)
@@ -94,7 +93,3 @@ class Settling:
     def _fresh(self, lin: Linearisation) -> Facets:
         task = self.task
         return choose_facets(task.problem, task.polytopes, lin.iterate.mean, lin.factor)
-
-
-def _has_plan(stage: Stage) -> bool:
-    return stage.result.status is Status.CONVERGED

@@ -27,7 +27,7 @@ from formulations.problem.flyby import FlybyProblem, Iterate
 from formulations.program.subproblem import MeritFunction
 from formulations.rows.uniform import ChanceRows
 from scp_recon.planning.method import SETTLE, FacetRounds
-from scp_recon.planning.plan import Problem, Stage, StageSpec, merit_of, rank
+from scp_recon.planning.plan import Problem, Stage, StageSpec, is_converged, merit_of, rank
 from scp_recon.planning.problem import PlanningProblem
 from scp_recon.planning.settling import Settling
 from scp_recon.scp.loop import Record, Timing
@@ -203,8 +203,6 @@ class Pipeline:
         """Solve P2 with exact risk by other algorithms too, whose stages end in their names."""
         best = found
         for name, solver in self.solver.others.items():
-            if self.task.problem.feedback is not None:
-                break  # where each takes as long as a plan
             runs = Pipeline(self.task, solver, self.observe)
             named = [
                 replace(spec, title=f"{replace(spec, start=p3.spec.start).name}.{name}")
@@ -299,11 +297,6 @@ def without_partial_keep_out(problem: FlybyProblem) -> FlybyProblem:
     """
     kept = [c for c in problem.constraints if c.keep == "in" or len(c.nodes) == problem.n_nodes]
     return replace(problem, constraints=tuple(kept))
-
-
-def is_converged(stage: Stage) -> bool:
-    """Whether a run has a plan."""
-    return stage.result.status is Status.CONVERGED
 
 
 def same_optimum(one: Stage, other: Stage) -> bool:

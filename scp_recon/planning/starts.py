@@ -18,8 +18,17 @@ from scp_recon.jobs.seeds import generator
 from scp_recon.mission.mission import Mission
 from scp_recon.planning.initial_guess import bent
 from scp_recon.planning.missions import cheapest_p3
-from scp_recon.planning.plan import Optimum, Plan, Stage, Starts, as_interrupted, merit_of, rank
-from scp_recon.planning.stages import is_converged, same_optimum
+from scp_recon.planning.plan import (
+    Optimum,
+    Plan,
+    Stage,
+    Starts,
+    as_interrupted,
+    is_converged,
+    merit_of,
+    rank,
+)
+from scp_recon.planning.stages import same_optimum
 from scp_recon.scp.status import Status
 
 CHANCE, STARTS_AUTO_MAX = 0.05, 100
@@ -170,7 +179,7 @@ class _Several:
                 )
             )
         optima.sort(key=lambda o: (o.problem == "P2", o.status != "converged", o.total_dv_m_s))
-        return Starts(max(self.number, 2), self.seed, tuple(optima))
+        return Starts(self.number, self.seed, tuple(optima))
 
     def _note(self, plan: Plan, numbers: list[int]) -> None:
         """Keep a plan and the optima where its runs ended."""

@@ -48,16 +48,13 @@ def required_probability(solution: Solution) -> float | None:
 
 
 def falls_short(
-    solution: Solution, value: float | None, high: float | None, asked: float | None = None
+    solution: Solution, value: float | None, high: float | None, required: float | None
 ) -> bool:
-    """Whether an estimate and the upper end of its interval refute the required probability.
+    """Whether an estimate and the upper end of its interval refute a required probability, if any.
 
     The estimate decides; of an exact plan, which spends all its allowed risk, the interval's upper end.
-    Required is what is `asked`, or what the plan's own scenario asks.
     """
-    exact = solution.scenario.risk.allocation == "exact"
-    judged, required = high if exact else value, required_probability(solution)
-    required = required if required is None or asked is None else asked
+    judged = high if solution.scenario.risk.allocation == "exact" else value
     return required is not None and judged is not None and judged < required
 
 
@@ -70,9 +67,7 @@ def refuted(
     """
     required, risk = mission.scenario.risk.p_chance, solution.risk
     found = [
-        f"P({p.name})"
-        for p in probabilities
-        if falls_short(solution, p.estimate, p.high, asked=required)
+        f"P({p.name})" for p in probabilities if falls_short(solution, p.estimate, p.high, required)
     ]
     if risk is None:
         return found

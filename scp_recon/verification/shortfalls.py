@@ -46,10 +46,11 @@ def _of_flights(summary: Summary, solution: Solution) -> list[str]:
         ]
     if solution.scenario.risk.scope == "flight":
         probabilities.append(("whole flights {:.4f}", summary.whole_flight))
+    required = required_probability(solution)
     return [
-        f"{line.format(one.value)}, required {required_probability(solution):g}"
+        f"{line.format(one.value)}, required {required:g}"
         for line, one in probabilities
-        if falls_short(solution, one.value, one.high)
+        if falls_short(solution, one.value, one.high, required)
     ]
 
 
