@@ -53,6 +53,8 @@ from scp_recon.verification.probabilities import (
 FLIGHTS_CHECKED = 3
 MARGIN_STEP_S = 10.0
 POSITION_LIMIT_M, VELOCITY_LIMIT_M_S, DEFECT_LIMIT_M = 1.0, 1e-4, 1e-2
+EXECUTED = 1e-4
+"""Share of the smallest executed burn by which a burn may be smaller: the accuracy of the solver."""
 COVARIANCE_LIMIT = 1e-6
 SAMPLE_LIMIT = 1e-6
 """Share of the initial radius, if that is more than a centimetre: 1 sigma is of the order of 1e-2."""
@@ -102,6 +104,7 @@ def verify(mission: Mission, solution: Solution) -> Verification:
     if not is_converged(solution) and "status" not in failed:
         failed.append("status")
     failed += [m.name for m in margins if m.worst_margin < MARGIN_LIMIT[m.unit]]
+    failed += not_executed(mission, solution)
     on_burns: list[BurnLimit] = []
     if policy and len(flown.end.known) == len(policy):  # else the flight has no end
         covariance = flown.end.commands
@@ -143,6 +146,21 @@ def limits_of(mission: Mission) -> dict[str, float]:
         "covariance_error": COVARIANCE_LIMIT,
         "knowledge_error": COVARIANCE_LIMIT,
     }
+
+
+def not_executed(mission: Mission, solution: Solution) -> list[str]:
+    """Names of burns that the plan needs, and that are smaller than the smallest that is executed.
+
+    A corrected burn has the root mean square of its commanded sizes. A burn of rounding's size moves
+    the flight by less than its tolerances: the plan is the same without it.
+    """
+    sizes = np.linalg.norm(solution.burns_m_s, axis=1)
+    if solution.policy is not None and not is_strange(mission, solution.policy):
+        for one, stored in zip(solution.corrections, solution.policy.corrections, strict=True):
+            sizes[one.burn] = np.hypot(sizes[one.burn], stored.sigma_m_s)
+    least, first = mission.scenario.burns.dv_min_m_s, 1 + mission.scenario.burns_flown
+    small = (sizes > NO_BURN_M_S) & (sizes < (1.0 - EXECUTED) * least)
+    return [f"dv_min of burn {first + i}" for i in np.flatnonzero(small)]
 
 
 def final_miss(mission: Mission, miss: Array) -> FinalMiss:

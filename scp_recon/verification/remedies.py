@@ -19,6 +19,7 @@ INTEGRATION = 1e4
 not reduce it enough."""
 STATUS, GRID, BETWEEN, BURNS, SHORT = "status", "grid", "between nodes", "burns", "short"
 CERTIFICATE, SPREAD, COMMANDS = "certificate", "spread", "commands"
+UNEXECUTED = "unexecuted"
 CONTRADICTION = "contradiction"
 REMEDIES = {
     STATUS: "{remedy}",
@@ -33,6 +34,8 @@ REMEDIES = {
     "uncertainty.execution_error",
     COMMANDS: "corrections break it too often: raise burns.dv_max_m_s or take a smaller "
     'battery.delta_v_cone_deg, or set policy.kind="open"',
+    UNEXECUTED: "too small to be executed, and planning found no plan without: lower "
+    "burns.dv_min_m_s, or move burns.times_s",
     CONTRADICTION: "the file contradicts its own scenario and burns: plan again, from it as init",
 }
 """One line for each kind of check that can fail."""
@@ -85,6 +88,8 @@ def kind_of(name: str, mission: Mission, verification: Verification) -> str:
         return SPREAD
     if name in {str(limit) for limit in verification.burn_limits}:
         return COMMANDS
+    if name.startswith("dv_min of burn"):
+        return UNEXECUTED
     worst = {f"P({p.name})": (SHORT, p.worst_t_s) for p in verification.probabilities}
     worst |= {m.name: (BURNS, m.worst_t_s) for m in verification.mean_margins}
     if name not in worst:  # a part of the file

@@ -35,7 +35,7 @@ from scp_recon.scp.algorithms import SCvx
 from scp_recon.scp.loop import Result, Timing
 from scp_recon.scp.status import Status
 from scp_recon.verification.consistency import inconsistencies
-from scp_recon.verification.reintegration import limits_of, verify
+from scp_recon.verification.reintegration import limits_of, not_executed, verify
 from scp_recon.verification.remedies import COMMANDS, kind_of
 from tests.helpers import usually
 from tests.scenarios import COARSE
@@ -320,3 +320,18 @@ def test_the_terminal_tells_the_policy(solution, verification):
     assert "dv_battery" in text.partition("probability")[2]
     (row,) = (line.split() for line in text.splitlines() if line.split()[:2] == ["2", "4400"])
     assert float(row[3]) == pytest.approx(solution.policy.corrections[0].sigma_m_s, abs=1e-6)
+
+
+def test_corrected_burns_are_executed_by_commanded_size(solution):
+    """A planned burn may be smaller than the least that is executed, where its corrections are not."""
+    planned = np.linalg.norm(solution.burns_m_s, axis=1)
+    (one, *_), (stored, *_) = solution.corrections, solution.policy.corrections
+    commanded = np.hypot(planned[one.burn], stored.sigma_m_s)
+
+    def named(least: float) -> bool:
+        mission = solution.mission.changed({"burns.dv_min_m_s": least})
+        other = replace(solution, scenario=mission.scenario)
+        return f"dv_min of burn {1 + one.burn}" in not_executed(mission, other)
+
+    assert named(1.01 * commanded)
+    assert not named(0.5 * (planned[one.burn] + commanded))

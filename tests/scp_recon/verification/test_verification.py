@@ -19,7 +19,7 @@ from scp_recon.results.read import parse_solution
 from scp_recon.results.solution import Solution, make_solution
 from scp_recon.verification.consistency import inconsistencies
 from scp_recon.verification.probabilities import MARGIN_LIMIT, holds
-from scp_recon.verification.reintegration import FIGURES, limits_of, verify
+from scp_recon.verification.reintegration import FIGURES, limits_of, not_executed, verify
 from tests.helpers import usually
 from tests.scp_recon.support import mission_of
 
@@ -312,3 +312,21 @@ def test_constraints_are_checked_between_the_nodes(mission, solution):
     (probability,) = (p for p in checked.probabilities if p.name == "emission")
     for time in (margin.worst_t_s, probability.worst_t_s):
         assert 13_200.0 < time < 16_500.0
+
+
+@pytest.mark.usefixtures("few_flights")
+def test_burns_too_small_to_execute_fail(mission, solution):
+    """Each by its number; a burn of zero or rounding's size, and one just at the limit, do not fail."""
+    sizes = np.linalg.norm(solution.burns_m_s, axis=1)
+    small = np.flatnonzero((sizes > 0.0) & (sizes < 0.045))
+    least = mission.changed({"burns.dv_min_m_s": 0.045})
+    checked = verify(least, replace(solution, scenario=least.scenario))
+    named = [name for name in checked.failed if name.startswith("dv_min")]
+    assert named == [f"dv_min of burn {1 + i}" for i in small]
+    assert 0 < len(small) < len(sizes)
+    at_limit = mission.changed({"burns.dv_min_m_s": float(sizes[sizes > 0.0].min())})
+    assert not_executed(at_limit, replace(solution, scenario=at_limit.scenario)) == []
+    tiny = np.where((sizes == sizes.min())[:, None], 1e-9, solution.burns_m_s)
+    burns = [replace(b, dv_m_s=tuple(dv)) for b, dv in zip(solution.burns, tiny, strict=True)]
+    without = not_executed(least, replace(solution, scenario=least.scenario, burns=burns))
+    assert without == [name for name in named if name != f"dv_min of burn {1 + sizes.argmin()}"]
