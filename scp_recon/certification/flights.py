@@ -168,9 +168,11 @@ def _fly_in_strata(
     With the scope `node` each limit counts at each second separately.
 
     Returns:
-        What the flights keep; None if as many plain flights are quicker, or if no limit that counts
-            separately is within reach.
+        What the flights keep; None if as many plain flights are quicker, if all are the same, or if
+            no limit that counts separately is within reach.
     """
+    if flights.certain:
+        return None
     mission, lin, seed = plan.mission, plan.final.result.lin, step.seed
 
     def allocated(known: Survey) -> Allocation | None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass, field
-from functools import partial
+from functools import cached_property, partial
 from typing import get_args
 
 import numpy as np
@@ -19,7 +19,7 @@ from scp_recon.mission.constraints import companion_distance_m
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.scene import TruthModel, errors_of_kind
 from scp_recon.monte_carlo.estimates import Estimate, Tally, proportion
-from scp_recon.monte_carlo.limits import EVERYWHERE, limit_margins, limits_kept
+from scp_recon.monte_carlo.limits import EVERYWHERE, is_certain, limit_margins, limits_kept
 from scp_recon.monte_carlo.narrow import Narrowed, narrow
 from scp_recon.monte_carlo.observation_time import ALL, SCIENCE, time_held
 from scp_recon.monte_carlo.sampling import (
@@ -80,7 +80,15 @@ class FlightConfig:
         if self.errors is not None:
             one_of("errors", self.errors, get_args(ErrorModel))
         errors_of_kind(self.mission.scenario, self.errors)
-        _ = self.mission.true_gravity(self.truth)
+        _ = (
+            self.mission.true_gravity(self.truth),
+            self.certain,
+        )  # kept before a copy goes to a process
+
+    @cached_property
+    def certain(self) -> bool:
+        """Whether all flights have one path: see `is_certain`."""
+        return is_certain(self.mission, self.burns_m_s, self.errors)
 
     @property
     def window_samples_s(self) -> Array:
@@ -135,7 +143,8 @@ def run_block(config: FlightConfig, block: tuple[int, int]) -> FlightBlock:
     )
     observed, nodes = (np.searchsorted(times, at) for at in (samples, mission.times_s))
     held = time_held(mission, samples, flown.states[observed]) if len(samples) else {}
-    holds = limits_kept(limit_margins(mission, times, flown.states[..., :3], observed, nodes))
+    position, certain = flown.states[..., :3], config.certain
+    holds = limits_kept(limit_margins(mission, times, position, observed, nodes, certain=certain))
     nothing = np.zeros(0)
     scenario = mission.scenario
     whole = flown.closest_m >= scenario.safety.radius_min_m

@@ -1,8 +1,13 @@
-"""Decide whether flights keep the limits on their position, at given times and between them."""
+"""Decide whether flights keep the limits on their position, at given times and between them.
+
+One rule serves certification, verification and every count of flights: a flight keeps a limit whose
+margin is not negative. Flights that are certain (`is_certain`) have one path, and are judged like the
+plan's mean, which may violate a limit between nodes by `MEAN_TOLERANCE`.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -10,7 +15,9 @@ import numpy.typing as npt
 from formulations.arrays import Array, Booleans, Indices
 from scp_recon.mission.constraints import COMPANION, SAFETY, safety_margins
 from scp_recon.mission.mission import Mission
+from scp_recon.mission.scene import errors_of_kind
 from scp_recon.monte_carlo.observation_time import ALL, SCIENCE, joint_margins
+from scp_recon.planning.initial_guess import from_burns
 
 Counts = npt.NDArray[np.int64]
 
@@ -18,6 +25,26 @@ EVERYWHERE = SAFETY, COMPANION
 """Joint constraints that count throughout the flight; all others count in the window."""
 PARTS = 30
 """Of the time between two samples of a history: a second each."""
+MEAN_TOLERANCE = {"m": 0.5, "rad": 1e-3}
+"""Amount by which the mean may violate a limit between nodes, where it binds at nodes."""
+
+
+def is_certain(mission: Mission, burns_m_s: Array, errors: str | None = None) -> bool:
+    """Whether flights spread by less than the mean's tolerance all the way, by the linearised flow.
+
+    Corrections, which narrow the spread, are left out. Nothing that flights can show tells one such
+    flight from another, so that probabilities are 1 or 0, by the one path that all fly.
+
+    Args:
+        mission: that is flown.
+        burns_m_s: planned, J2000, shape (m, 3).
+        errors: of the burns; the scenario's if None.
+    """
+    model = errors_of_kind(mission.scenario, errors).in_units(mission.units.speed_m_s)
+    problem = replace(mission.problem.open_loop, execution_errors=model)
+    lin = mission.dynamics.linearise(problem, from_burns(mission, burns_m_s))
+    widest = np.linalg.norm(lin.factor[:, :3], ord=2, axis=(1, 2)).max()
+    return bool(widest * mission.units.length_m < MEAN_TOLERANCE["m"])
 
 
 def limit_margins(
@@ -26,6 +53,8 @@ def limit_margins(
     position: Array,
     observed: Indices | Booleans | slice,
     everywhere: Indices | slice = slice(None),
+    *,
+    certain: bool = False,
 ) -> dict[str, tuple[Array, Array]]:
     """Times at which each joint constraint counts, s, shape (k,), and its margins, shape (k, flights).
 
@@ -35,13 +64,21 @@ def limit_margins(
         position: J2000, m, shape (n, flights, 3).
         observed: which times count for the limits of the observation.
         everywhere: which times count for safety distances.
+        certain: whether the flights are; the mean's tolerance is then added.
     """
     clear = safety_margins(mission.scene, times_s[everywhere], position[everywhere])
     found = {name: (times_s[everywhere], margin) for name, margin in clear.items()}
     if len(window := times_s[observed]):
         seen = joint_margins(mission, window, position[observed])
         found |= {name: (window, margin) for name, margin in seen.items()}
+    if certain:
+        found = {name: (at, margin + allowed(name)) for name, (at, margin) in found.items()}
     return found
+
+
+def allowed(name: str) -> float:
+    """The mean's tolerance in a joint constraint, m or rad."""
+    return MEAN_TOLERANCE["m" if name in (*EVERYWHERE, "site_distance") else "rad"]
 
 
 def limits_kept(margins: dict[str, tuple[Array, Array]]) -> dict[str, Booleans]:

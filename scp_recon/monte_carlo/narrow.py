@@ -105,11 +105,10 @@ def narrow(
 
     Returns:
         The probabilities, with wider intervals if `most` flights do not suffice; None if plain
-            flights are cheaper, or after a stop.
+            flights are cheaper or all the same, or after a stop.
     """
     mission = flights.mission
-    laws = _law(flights)
-    if not laws or flights.times_s is None:
+    if flights.times_s is None or flights.certain or not (laws := _law(flights)):
         return None
     law, known = survey_in_time(laws, mission.times_s, flights, seed)
     allocation = _allocation(known, until)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -23,6 +24,7 @@ from scp_recon.monte_carlo.limits import (
     Counts,
     LimitHistory,
     every_second,
+    is_certain,
     limit_margins,
     limits_kept,
 )
@@ -172,6 +174,11 @@ class SampledFlights:
     errors: ErrorModel | None = None
     times_s: Array | None = None
 
+    @cached_property
+    def certain(self) -> bool:
+        """Whether all flights have one path: see `is_certain`."""
+        return is_certain(self.mission, self.burns_m_s, self.errors)
+
     def positions(self, draws: Array) -> Array:
         """Positions at the nodes, J2000, m, shape (n, flights, 3)."""
         return self._fly(self.mission.times_s, draws).states[..., :3]
@@ -197,13 +204,17 @@ class SampledFlights:
             times = np.union1d(self.times_s, nodes)
             observed, everywhere = (np.searchsorted(times, at) for at in (self.times_s, nodes))
             position = self._fly(times, draws).states[..., :3]
-            kept = limits_kept(limit_margins(mission, times, position, observed, everywhere))
+            margins = limit_margins(
+                mission, times, position, observed, everywhere, certain=self.certain
+            )
+            kept = limits_kept(margins)
             for name, holds in kept.items():
                 yield LimitHistory(name, nodes if name in EVERYWHERE else self.times_s, holds)
             return
         times = sample_times(mission)
         flown, window = self._fly(times, draws), _in_window(mission, times)
-        margins = limit_margins(mission, times, flown.states[..., :3], window)
+        position, certain = flown.states[..., :3], self.certain
+        margins = limit_margins(mission, times, position, window, certain=certain)
         for name, (_, margin) in margins.items():
             own = slice(None) if name in EVERYWHERE else window
             yield self._follow(name, times[own], flown.states[own], flown.burns_m_s, margin)
@@ -233,7 +244,8 @@ class SampledFlights:
                 (start[:, :3], start[:, 3:]), (end[:, :3], end[:, 3:]), step, share
             )
             seconds = times[k] + share * step[:, 0]
-            _, there = limit_margins(mission, seconds, position, observed)[name]
+            found = limit_margins(mission, seconds, position, observed, certain=self.certain)
+            _, there = found[name]
             between[:, part - 1] = there >= 0.0
         return LimitHistory(name, times, margin >= 0.0, k, flight, between)
 

@@ -15,6 +15,7 @@ from scp_recon.mission.constraints import (
     safety_margins,
 )
 from scp_recon.monte_carlo.estimates import binomial_quantile, proportion
+from scp_recon.monte_carlo.limits import is_certain
 from scp_recon.monte_carlo.observation_time import measured
 from scp_recon.monte_carlo.sampling import BLOCK, fly_block
 from scp_recon.physics import geometry
@@ -240,7 +241,8 @@ class Achieved:
 
 def achieved(subject: Subject, flown: Flown) -> list[Achieved]:
     """Probabilities of every joint constraint at each time, and of all constraints so far."""
-    kept = kept_limits(subject.mission, flown.times_s, flown.positions, flown.window)
+    mission, certain = subject.mission, is_certain(subject.mission, subject.solution.burns_m_s)
+    kept = kept_limits(mission, flown.times_s, flown.positions, flown.window, certain=certain)
     still = np.ones((len(flown.times_s), flown.samples), dtype=bool)
     for times, those in kept.values():
         still[np.isin(flown.times_s, times)] &= those

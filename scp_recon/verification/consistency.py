@@ -17,6 +17,7 @@ from formulations.arrays import Array, Indices
 from formulations.problem.flyby import StateConstraint
 from formulations.problem.regions import Ball, Cone
 from formulations.rows.exact_flight import FLIGHT
+from formulations.rows.node_probability import SPREAD_MIN
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.estimates import (
@@ -221,13 +222,17 @@ def _agree(reported: EventProbability, expected: Array) -> bool:
 
 
 def node_probabilities(mission: Mission, solution: Solution) -> dict[str, tuple[Array, Array]]:
-    """Times and probabilities of each joint constraint, by points of the nodes' normal laws."""
+    """Times and probabilities of each joint constraint, by points of the nodes' normal laws.
+
+    By definition no law of a position is narrower than `SPREAD_MIN`, so that one without errors is one.
+    """
     times = np.array(solution.nodes.t_s)
     mean = np.array(solution.nodes.state)[:, :3]
     covariance = np.array(solution.nodes.covariance)[:, :3, :3]
     first, last = mission.observed_s or (np.inf, np.inf)
     window = (times >= first) & (times <= last)
-    positions = mean[:, None] + normal_points(covariance)
+    least = (SPREAD_MIN * mission.units.length_m) ** 2 * np.eye(3)
+    positions = mean[:, None] + normal_points(covariance + least)
     margins = limit_margins(mission, times, positions, window)
     return {name: (at, (margin >= 0.0).mean(axis=1)) for name, (at, margin) in margins.items()}
 

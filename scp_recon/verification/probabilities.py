@@ -9,7 +9,7 @@ from formulations.arrays import Array, Booleans, Indices
 from formulations.rows.exact_flight import FLIGHT
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.estimates import proportion
-from scp_recon.monte_carlo.limits import EVERYWHERE, limit_margins
+from scp_recon.monte_carlo.limits import is_certain, limit_margins
 from scp_recon.monte_carlo.sampling import fly_block, sample_positions
 from scp_recon.results.facts import FinalSigma, JointProbability, Risk
 from scp_recon.results.figures import FINAL_SIGMAS, final_sigma_limits
@@ -19,9 +19,6 @@ from scp_recon.results.solution import Solution
 SAMPLES, SEED = 10_000, 0
 
 SAMPLED_PARTS_PER_ARC = 4
-
-MARGIN_LIMIT = {"m": -0.5, "rad": -1e-3, "m/s": -1e-6}
-"""Amount by which a constraint that binds at nodes may be violated between them."""
 
 LAW_ERROR, LAW_LOSS = 0.1, 0.5
 """Largest difference in standard deviations between the normal law's probability of a whole flight
@@ -63,7 +60,8 @@ def refuted(
 ) -> list[str]:
     """Names of probabilities that fall short, and of promises that the flights contradict.
 
-    The evidence of an exact plan is its certificate, if it has one.
+    The evidence of an exact plan is its certificate, if it has one. Flights that are certain may keep
+    more than the law says of them, never less.
     """
     required, risk = mission.scenario.risk.p_chance, solution.risk
     found = [
@@ -80,7 +78,8 @@ def refuted(
         reported, low, high = (
             float(ndtri(p)) for p in (min(risk.normal_law[0].probability), flown.low, flown.high)
         )
-        off = max(low - reported, reported - high)
+        more = low - reported if not is_certain(mission, solution.burns_m_s) else -np.inf
+        off = max(more, reported - high)
         if off > (LAW_ERROR if risk.certificate is None else LAW_LOSS):
             found.append("risk")
     return found
@@ -113,7 +112,7 @@ def joint_probabilities(
     times = np.union1d(observed, mission.times_s)
     positions = sample_positions(mission, burns, times, SAMPLES, SEED, policy)
     seen = np.searchsorted(times, observed)
-    kept = kept_limits(mission, times, positions, seen)
+    kept = kept_limits(mission, times, positions, seen, certain=is_certain(mission, burns))
     found = [_worst(name, at, those) for name, (at, those) in kept.items()]
     if mission.scenario.risk.scope == "flight":
         every = np.logical_and.reduce([those.all(axis=0) for _, those in kept.values()])
@@ -123,27 +122,14 @@ def joint_probabilities(
 
 
 def kept_limits(
-    mission: Mission, times: Array, positions: Array, seen: Indices
+    mission: Mission, times: Array, positions: Array, seen: Indices, *, certain: bool
 ) -> dict[str, tuple[Array, Booleans]]:
     """Flights that keep the safety distances at all times, and each joint constraint at times `seen`.
 
     By name: times, s, shape (n,), and flights, shape (n, flights); of positions (times, flights, 3).
     """
-    return {
-        name: (at, holds(margin, "m" if name in (*EVERYWHERE, "site_distance") else "rad"))
-        for name, (at, margin) in limit_margins(mission, times, positions, seen).items()
-    }
-
-
-def holds(margin: Array, unit: str) -> Booleans:
-    """Mask of the flights that keep a constraint, from margins (times, flights).
-
-    If flights spread by less than the tolerance of the mean between nodes, they are judged like the
-    mean: without uncertainty every flight is the mean.
-    """
-    limit = MARGIN_LIMIT[unit]
-    allowed = np.where(margin.std(axis=1) < -limit, limit, 0.0)
-    return np.asarray(margin >= allowed[:, None])
+    margins = limit_margins(mission, times, positions, seen, certain=certain)
+    return {name: (at, margin >= 0.0) for name, (at, margin) in margins.items()}
 
 
 def _worst(name: str, times: Array, holds: Booleans) -> JointProbability:

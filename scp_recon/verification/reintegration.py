@@ -23,6 +23,7 @@ from scp_recon.mission.constraints import safety_margins
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.schedule import MISS_WEIGHT
 from scp_recon.monte_carlo.estimates import CONFIDENCE
+from scp_recon.monte_carlo.limits import MEAN_TOLERANCE
 from scp_recon.monte_carlo.observation_time import observation_margins
 from scp_recon.monte_carlo.sampling import fly_block
 from scp_recon.physics import geometry
@@ -41,7 +42,6 @@ from scp_recon.verification.closed_loop import (
 )
 from scp_recon.verification.consistency import inconsistencies
 from scp_recon.verification.probabilities import (
-    MARGIN_LIMIT,
     SAMPLES,
     SEED,
     exceeded,
@@ -51,6 +51,8 @@ from scp_recon.verification.probabilities import (
 )
 
 FLIGHTS_CHECKED = 3
+MARGIN_LIMIT = MEAN_TOLERANCE | {"m/s": 1e-6}
+"""Amount by which a constraint on the mean that binds at nodes may be violated."""
 MARGIN_STEP_S = 10.0
 POSITION_LIMIT_M, VELOCITY_LIMIT_M_S, DEFECT_LIMIT_M = 1.0, 1e-4, 1e-2
 EXECUTED = 1e-4
@@ -103,7 +105,7 @@ def verify(mission: Mission, solution: Solution) -> Verification:
     failed += inconsistencies(mission, solution)
     if not is_converged(solution) and "status" not in failed:
         failed.append("status")
-    failed += [m.name for m in margins if m.worst_margin < MARGIN_LIMIT[m.unit]]
+    failed += [m.name for m in margins if m.worst_margin < -MARGIN_LIMIT[m.unit]]
     failed += not_executed(mission, solution)
     on_burns: list[BurnLimit] = []
     if policy and len(flown.end.known) == len(policy):  # else the flight has no end

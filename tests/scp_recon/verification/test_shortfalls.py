@@ -100,6 +100,7 @@ def test_every_check_has_a_remedy(mission, verification):
         "burns": {"dv_max"},
         "spread": {name for name, _, _ in FINAL_SIGMAS},
         "commands": {"P(dv_max of burn 2)"},
+        "unexecuted": {"dv_min of burn 2"},
         "contradiction": {HASH, "facets", "violation", "nodes.t_s", "risk", "total_dv_m_s"},
     }
     assert found.keys() == REMEDIES.keys()

@@ -7,8 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.sampling import sample_positions
@@ -18,7 +16,6 @@ from scp_recon.planning.planner import plan
 from scp_recon.results.read import parse_solution
 from scp_recon.results.solution import Solution, make_solution
 from scp_recon.verification.consistency import inconsistencies
-from scp_recon.verification.probabilities import MARGIN_LIMIT, holds
 from scp_recon.verification.reintegration import FIGURES, limits_of, not_executed, verify
 from tests.helpers import usually
 from tests.scp_recon.support import mission_of
@@ -197,17 +194,6 @@ def test_stated_constraints_are_recomputed(mission, solution, named):
     assert inconsistencies(mission, solution) == []
     for number, change in enumerate(CONTRADICTING[named]):
         assert inconsistencies(mission, changed(solution, change)) == [named], number
-
-
-@given(st.sampled_from(["m", "rad"]), st.floats(0.0, 0.9), st.floats(2.0, 100.0))
-def test_tolerance_of_mean_holds_for_flights_without_spread(unit, dip, spread):
-    """Without uncertainty every flight is the mean, whose constraints bind to the last digit."""
-    limit = -MARGIN_LIMIT[unit]
-    together = np.full((1, 100), -dip * limit)
-    apart = np.linspace(-spread, spread, 100)[None] * limit
-    assert holds(together, unit).all()
-    assert not holds(together - 1.01 * limit, unit).any()
-    assert holds(apart, unit).tolist() == (apart >= 0.0).tolist()
 
 
 @pytest.fixture(scope="module")
