@@ -24,7 +24,12 @@ def make_subproblem(
 
     The rows are the state constraints, of P3 or P2; the penalty is for violations and steps. CVXPY
     takes a second to import, so it is imported here.
+
+    Raises:
+        ValueError: if a frozen formulation is asked for firing times as controls.
     """
+    if problem.firing is not None and formulation not in FULL:
+        raise ValueError(f"free firing times go with the formulations {' and '.join(FULL)} alone")
     if formulation == "lifted":
         from formulations.program.lifted import LiftedSubproblem
 

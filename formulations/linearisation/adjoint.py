@@ -49,12 +49,20 @@ class _Backward:
         d_mean[:, :6] = mean[starts]
         np.add.at(d_start, legs, spread.stm[inside].swapaxes(1, 2) @ factor[inside])
         np.add.at(d_mean, legs, self._bent(inside, factor[inside], start[legs], mean[inside]))
+        shifts = None if problem.firing is None else lin.shifts
+        if shifts is not None:
+            shifted = shifts.factor(spread.factor)
+            self.slope[problem.time_controls] += shifts.pulled(mean, factor, spread.factor)
         d_error = np.zeros((6, c))
         for leg in range(len(starts) - 1, -1, -1):
             d_error = self._measured(leg, d_error, d_mean)
             burn = leg - problem.coasts
             if burn >= 0:
                 self._burnt(burn, d_start[leg], d_error, d_mean[leg])
+                if shifts is not None:
+                    own = np.einsum("i,iq->q", d_mean[leg, :6], shifts.mean[burn])
+                    own += np.einsum("ic,icq->q", d_start[leg], shifted[burn])
+                    self.slope[problem.time_controls] += own
             if leg > 0:
                 here, stm = starts[leg : leg + 1], spread.stm[starts[leg]]
                 parts = d_start[leg][None], start[leg - 1 : leg], d_mean[leg, None, :6]

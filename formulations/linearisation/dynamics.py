@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from formulations.arrays import Array, Indices
 from formulations.linearisation.linearisation import Linearisation, final_state_map, step_mean
-from formulations.problem.flow import Flow
-from formulations.problem.flyby import NO_GAINS, FlybyProblem, Iterate
+from formulations.problem.flow import Flow, MovableFlow
+from formulations.problem.flyby import NO_GAINS, NO_TIMES, FlybyProblem, Iterate
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,13 +35,27 @@ class Dynamics:
 
     def linearise(self, problem: FlybyProblem, iterate: Iterate) -> Linearisation:
         """An iterate with the derivatives of all its arcs."""
-        return Linearisation(problem, iterate, self.flow.differentiate(iterate.mean[:-1]))
+        flow = self.at(problem, iterate.times).flow
+        return Linearisation(problem, iterate, flow.differentiate(iterate.mean[:-1]))
+
+    def at(self, problem: FlybyProblem, times: Array) -> Dynamics:
+        """The flow map on the grid that belongs to firing times; the same if there are none.
+
+        Raises:
+            ValueError: if the times of the flow's nodes cannot move.
+        """
+        if problem.firing is None or not times.size:
+            return self
+        if not isinstance(self.flow, MovableFlow):
+            raise ValueError("firing times are controls of flows alone that know their rate")
+        return replace(self, flow=self.flow.at(problem.firing.at(times)))
 
     def close_defects(
         self,
         lin: Linearisation,
         burns: Array,
         gains: Array = NO_GAINS,
+        times: Array = NO_TIMES,
         *,
         misses: bool = False,
     ) -> Linearisation:
@@ -53,7 +67,7 @@ class Dynamics:
         the model predicts it. Without this correction, the curvature of the final state, weighed by
         the penalty, rejects good steps (the Maratos effect; Nocedal & Wright, Numerical
         Optimization, section 15.5). If Newton's method does not converge, the burns, shape (m, 3),
-        are rolled out unchanged. Gains do not move the mean.
+        are rolled out unchanged. Gains do not move the mean; firing times stay as the model has them.
 
         Set `misses` if the model intends even its smallest miss, as with an augmented Lagrangian. A
         correction of that miss would move burns that the model left at zero, where their sizes have
@@ -61,7 +75,7 @@ class Dynamics:
         """
         problem = lin.problem
         free = _may_change(problem, burns)
-        iterate = Iterate(burns, step_mean(lin, burns), gains)
+        iterate = Iterate(burns, step_mean(lin, burns, times), gains, times)
         goal = iterate.mean[-1]
         # What the conic solver leaves of a miss is its tolerance, not the model's promise.
         if not misses and np.abs(goal - problem.final_state).max() < SOLVER_MISS:
@@ -78,12 +92,12 @@ class Dynamics:
             correction = (free @ np.linalg.lstsq(jacobian @ free, miss)[0]).reshape(-1, 3)
             corrected = iterate.burns + correction
             before = iterate
-            iterate = Iterate(corrected, step_mean(trial, corrected), gains)
+            iterate = Iterate(corrected, step_mean(trial, corrected), gains, times)
             if defect < NEWTON_LAST:
                 moved = trial.arcs.moved(iterate.mean[:-1] - before.mean[:-1])
                 return Linearisation(problem, iterate, moved)
-        flown = self.rollout(problem.initial_state, burns)
-        return self.linearise(problem, Iterate(burns, flown, gains))
+        flown = self.at(problem, times).rollout(problem.initial_state, burns)
+        return self.linearise(problem, Iterate(burns, flown, gains, times))
 
 
 def _may_change(problem: FlybyProblem, burns: Array) -> Array:

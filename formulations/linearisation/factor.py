@@ -164,6 +164,7 @@ class FactorSensitivity:
         bent: derivatives of the STMs from the legs' starts by the deviation there, shape
             (n_nodes, 6, 6, 7); None if they are held.
         gains: whether gains are among the controls, or held.
+        shifted: changes after each burn by the firing times (`Shifts.factor`), if these are controls.
     """
 
     def __init__(
@@ -175,8 +176,10 @@ class FactorSensitivity:
         bent: Array | None,
         *,
         gains: bool,
+        shifted: Array | None = None,
     ) -> None:
         self._problem, self._iterate, self._spread = problem, iterate, spread
+        self._shifted = shifted
         self._moved, self._bent, self._gains = moved, bent, gains
         self._slopes = problem.execution_errors.jacobian(iterate.burns)
         self._first = problem.controls_before if gains else 3 * np.arange(problem.n_burns + 1)
@@ -276,6 +279,8 @@ class FactorSensitivity:
         place = slice(first, first + 3)
         start[3:, problem.shared_columns, place] += slopes[:, : errors.shared]
         start[3:, problem.columns_of_burn(burn), place] += slopes[:, errors.shared :]
+        if self._shifted is not None:
+            start[..., problem.time_controls] += self._shifted[burn]
         if j is not None and self._gains:
             _, of_gains = errors.correction_columns(problem.gains_of(self._iterate, j))
             place = slice(first + 3, self._first[burn + 1])

@@ -32,10 +32,12 @@ import numpy as np
 
 from formulations.arrays import Array, Indices
 from formulations.linearisation.factor import FactorSensitivity, Spread, propagate_factor
+from formulations.linearisation.shifts import Shifts
 from formulations.problem.cost import Bend, Valued, bends, cost
 from formulations.problem.feedback import Feedback
+from formulations.problem.firing_times import UNIT
 from formulations.problem.flow import ArcDerivatives
-from formulations.problem.flyby import FlybyProblem, Iterate
+from formulations.problem.flyby import NO_TIMES, FlybyProblem, Iterate
 
 DYNAMICALLY_FEASIBLE = 1e-9
 """Largest defect of an arc that obeys the dynamics."""
@@ -91,7 +93,7 @@ class Linearisation:
         """The linearisation for the problem with this feedback; without gains if it is another."""
         if self.problem.feedback is feedback:
             return self
-        plain = Iterate(self.iterate.burns, self.iterate.mean)
+        plain = Iterate(self.iterate.burns, self.iterate.mean, times=self.iterate.times)
         return Linearisation(replace(self.problem, feedback=feedback), plain, self.arcs)
 
     @property
@@ -114,8 +116,9 @@ class Linearisation:
 
     @property
     def controls(self) -> Array:
-        """Burns and gains in one vector: see `FlybyProblem.controls`."""
-        return self.problem.controls(self.iterate.burns, self.iterate.gains)
+        """Burns, firing times and gains in one vector: see `FlybyProblem.controls`."""
+        iterate = self.iterate
+        return self.problem.controls(iterate.burns, iterate.gains, iterate.times)
 
     @cached_property
     def cost(self) -> Valued:
@@ -155,9 +158,9 @@ class Linearisation:
         return _composed_tensor(self, self.problem.n_nodes - 1)
 
     def after_burns(self, kicks: Array, constant: Array) -> Array:
-        """Deviations at the legs' starts, (legs + 1, 7, q), after velocity changes (m, 3, q) there.
+        """Deviations at the legs' starts, (legs + 1, 7, q), after changes (m, 3 or 6, q) there.
 
-        The row of the constant has shape (q,).
+        Of the velocity, or of the whole state. The row of the constant has shape (q,).
         """
         legs, coasts = self.problem.legs, self.problem.coasts
         start = np.zeros((len(kicks) + coasts, 7, len(constant)))
@@ -166,7 +169,7 @@ class Linearisation:
             if leg > 0:
                 start[leg] = self.affine_map_from_last_burn[legs.ends[leg - 1]] @ start[leg - 1]
             if leg >= coasts:
-                start[leg, 3:6] += kicks[leg - coasts]
+                start[leg, 6 - kicks.shape[1] : 6] += kicks[leg - coasts]
         return start
 
     @cached_property
@@ -175,6 +178,25 @@ class Linearisation:
         m = self.problem.n_burns
         kicks = np.eye(3 * m, 3 * m + 1).reshape(m, 3, -1)
         return self.after_burns(kicks, np.eye(3 * m + 1)[-1])
+
+    @cached_property
+    def shifts(self) -> Shifts:
+        """Derivatives by firing times, where these are controls."""
+        return Shifts(self.problem, self.iterate, self.arcs)
+
+    @cached_property
+    def sensitivity(self) -> Array:
+        """`after_burns` of every control and, last, of closing the defects, (., 7, controls + 1).
+
+        Gains do not move the mean. A burn that moves leaves the mean at given times as it was before
+        it, and changes that after it.
+        """
+        own, problem = self.burn_sensitivity, self.problem
+        every = np.concatenate([problem.by_controls(own[..., :-1]), own[..., -1:]], axis=-1)
+        if problem.firing is not None:
+            kicks = self.shifts.mean
+            every[..., problem.time_controls] = self.after_burns(kicks, np.zeros(kicks.shape[-1]))
+        return every
 
     def at_nodes(self, start: Array, nodes: Indices) -> Array:
         """Deviations (n, 6, q) at some nodes from those at the legs' starts."""
@@ -186,11 +208,26 @@ class Linearisation:
         return deviation
 
 
-def step_mean(lin: Linearisation, burns: Array) -> Array:
-    """Node means that the linear model predicts for other burns, its defects closed, (n_nodes, 6)."""
+def step_mean(lin: Linearisation, burns: Array, times: Array = NO_TIMES) -> Array:
+    """Node means that the linear model predicts for other burns and firing times, (n_nodes, 6).
+
+    Its defects are closed. Without `times` these stay.
+    """
     kicks = (burns - lin.iterate.burns)[:, :, None]
     every = np.arange(lin.problem.n_nodes)
-    return lin.iterate.mean + lin.at_nodes(lin.after_burns(kicks, np.ones(1)), every)[:, :, 0]
+    mean = lin.iterate.mean + lin.at_nodes(lin.after_burns(kicks, np.ones(1)), every)[:, :, 0]
+    if not times.size:
+        return mean
+    here = lin.controls[lin.problem.time_controls]
+    step = (times / UNIT - here)[:, None]
+    moved = lin.at_nodes(lin.after_burns(lin.shifts.mean @ step, np.zeros(1)), every)
+    return np.asarray(mean + (moved + lin.shifts.drift(every) @ step)[:, :, 0])
+
+
+def final_state_of(lin: Linearisation) -> tuple[Array, Array]:
+    """Final mean as an affine function of all controls: constant (6,) and Jacobian (6, controls)."""
+    end = lin.sensitivity[-1, :6]
+    return lin.iterate.mean[-1] + end[:, -1] - end[:, :-1] @ lin.controls, end[:, :-1]
 
 
 def final_state_map(lin: Linearisation) -> tuple[Array, Array]:
@@ -235,12 +272,17 @@ def condense(
     nodes = np.arange(lin.problem.n_nodes) if nodes is None else nodes
     # The last column of each derivative is the part that does not depend on the controls: what closing
     # the defects moves.
-    moved = _by_controls(lin) if gains else lin.burn_sensitivity
-    d_mean = lin.at_nodes(moved, nodes)
+    moved = lin.sensitivity if gains else lin.burn_sensitivity
+    d_mean, timed = lin.at_nodes(moved, nodes), lin.problem.time_controls
+    d_mean[..., timed] += lin.shifts.drift(nodes) if timed.size else 0.0
     if factor:
         bent = lin.bent if curvature else None
-        legs = FactorSensitivity(lin.problem, lin.iterate, lin.spread, moved, bent, gains=gains)
+        shifted = lin.shifts.factor(lin.factor) if timed.size else None
+        legs = FactorSensitivity(
+            lin.problem, lin.iterate, lin.spread, moved, bent, gains=gains, shifted=shifted
+        )
         at, d_factor = lin.factor[nodes], legs.at(nodes)
+        d_factor[..., timed] += lin.shifts.factor_drift(nodes, at) if timed.size else 0.0
     else:
         at, d_factor = np.zeros((len(nodes), 6, 0)), np.zeros((len(nodes), 6, 0, len(z) + 1))
     require_finite(d_mean, d_factor)
@@ -257,15 +299,16 @@ def factor_kicks(lin: Linearisation) -> Array:
 
     By the controls and, last, by closing the defects, which innovations feel.
     """
-    moved = _by_controls(lin)
-    legs = FactorSensitivity(lin.problem, lin.iterate, lin.spread, moved, lin.bent, gains=True)
+    legs = FactorSensitivity(
+        lin.problem,
+        lin.iterate,
+        lin.spread,
+        lin.sensitivity,
+        lin.bent,
+        gains=True,
+        shifted=None if lin.problem.firing is None else lin.shifts.factor(lin.factor),
+    )
     return legs.kicks()
-
-
-def _by_controls(lin: Linearisation) -> Array:
-    """Deviations of the mean at the legs' starts, shape (legs + 1, 7, controls + 1): none by gains."""
-    own = lin.burn_sensitivity
-    return np.concatenate([lin.problem.by_controls(own[..., :-1]), own[..., -1:]], axis=-1)
 
 
 def _composed_tensor(lin: Linearisation, last: int) -> Array:

@@ -14,6 +14,7 @@ of the restricted three-body problem).
 from __future__ import annotations
 
 from collections.abc import Callable
+from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -22,7 +23,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import erf
 
-from formulations.arrays import Array
+from formulations.arrays import Array, Indices
 
 Acceleration = Callable[[Any, Any, Any, Any], Any]
 """Three components, of position (3,), velocity (3,), time and parameters (q,), CasADi's symbols."""
@@ -155,6 +156,10 @@ class ExpressionDerivatives:
         """The same with starts moved by deviations (n, 6) so small that first order gives the ends."""
         return replace(self, state=self.state + (self.stm @ deviation[:, :, None])[:, :, 0])
 
+    def rate(self, state: Array, arcs: Indices) -> tuple[Array, Array]:
+        """Rate of states (n, 6) at the starts of some arcs, and its derivative, shape (n, 6, 6)."""
+        return self._flow.rate(state, self._steps[0].time[0, arcs])
+
 
 class ExpressionFlow:
     """The `Flow` of an acceleration along the arcs between times, in any consistent units.
@@ -243,6 +248,21 @@ class ExpressionFlow:
             first = end
         parts = y.T.copy(), first[..., :6], first[..., 6:]
         return ExpressionDerivatives(*parts, tuple(steps), self)
+
+    def at(self, times: Array) -> ExpressionFlow:
+        """The flow along as many arcs between other times of the nodes, shape (n + 1,)."""
+        moved = copy(self)
+        moved.times = times
+        return moved
+
+    def rate(self, state: Array, time: Array) -> tuple[Array, Array]:
+        """Rate of states (n, 6) at times (n,), and its derivative, shape (n, 6, 6)."""
+        acceleration = self._rate(state.T, [time], self.parameters)[0]
+        gradient = self._gradient(state.T, [time], self.parameters)[0]
+        turn = np.zeros((len(state), 6, 6))
+        turn[:, :3, 3:] = np.eye(3)
+        turn[:, 3:] = np.moveaxis(gradient.reshape(3, -1, len(state))[:, :6], 2, 0)
+        return np.hstack([state[:, 3:], acceleration.T]), turn
 
     def curvature(self, state: Array, time: Array) -> Array:
         """Second derivatives of the acceleration by the state (6, 4, n), shape (4, n, 3, 6, 6)."""

@@ -9,11 +9,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol, Self
+from typing import Protocol, Self, runtime_checkable
 
 import numpy as np
 
-from formulations.arrays import Array
+from formulations.arrays import Array, Indices
 
 
 class ArcDerivatives(Protocol):
@@ -46,6 +46,24 @@ class Flow(Protocol):
         """Carry states (..., 6) along one arc."""
 
     def differentiate(self, state: Array) -> ArcDerivatives:
+        """Derivatives of all arcs, from their starts (n, 6)."""
+
+
+class MovableDerivatives(ArcDerivatives, Protocol):
+    """Derivatives of a `MovableFlow`."""
+
+    def rate(self, state: Array, arcs: Indices) -> tuple[Array, Array]:
+        """Rate f of states (n, 6) at the starts of some arcs, and its derivative by them, (n, 6, 6)."""
+
+
+@runtime_checkable
+class MovableFlow(Flow, Protocol):
+    """A flow whose nodes can be moved in time: what free firing times need."""
+
+    def at(self, times: Array) -> MovableFlow:
+        """The flow along as many arcs between other times of the nodes, shape (n + 1,)."""
+
+    def differentiate(self, state: Array) -> MovableDerivatives:
         """Derivatives of all arcs, from their starts (n, 6)."""
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from formulations.arrays import Array, Indices
 from formulations.problem.execution_errors import ExecutionErrors
 from formulations.problem.feedback import Feedback
+from formulations.problem.firing_times import UNIT, FiringTimes
 from formulations.problem.regions import Cone, Region
 
 
@@ -50,6 +51,9 @@ class StateConstraint:
 NO_GAINS = np.zeros(0)
 """Gains where all burns are fixed before departure, or where corrections are not planned yet."""
 
+NO_TIMES = np.zeros(0)
+"""Firing times where these are those of the grid."""
+
 
 @dataclass(frozen=True, eq=False)
 class Iterate:
@@ -59,11 +63,13 @@ class Iterate:
         burns: velocities added, shape (m, 3).
         mean: states at the nodes, shape (n_nodes, 6).
         gains: of the corrected burns, as `Feedback` orders them.
+        times: of the burns that `FiringTimes` moves, shape (q,); empty where these are the grid's.
     """
 
     burns: Array
     mean: Array
     gains: Array = field(default_factory=NO_GAINS.copy)
+    times: Array = field(default_factory=NO_TIMES.copy)
 
     @property
     def total_dv(self) -> float:
@@ -145,6 +151,7 @@ class FlybyProblem:
         dv_min: smallest size of a burn that is raised.
         feedback: measurements and gains of the corrected burns; None if all burns are fixed before
             departure.
+        firing: burns whose times are controls; None if all times are given.
     """
 
     n_nodes: int
@@ -163,9 +170,15 @@ class FlybyProblem:
     raised: tuple[int, ...] = ()
     dv_min: float = 0.0
     feedback: Feedback | None = None
+    firing: FiringTimes | None = None
 
     def __post_init__(self) -> None:
-        """Refuse an error that all burns share where several are corrected: no filter estimates it."""
+        """Refuse an error that all burns share where several are corrected: no filter estimates it.
+
+        Refuse corrected burns whose times are controls, too: cut-offs do not move along.
+        """
+        if self.feedback is not None and self.firing is not None:
+            raise ValueError("with corrected burns the firing times have to be given")
         several = self.feedback is not None and len(self.feedback.burns) > 1
         if several and self.execution_errors.shared:
             raise ValueError("with several corrected burns no error may be common to all burns")
@@ -238,8 +251,13 @@ class FlybyProblem:
 
     @cached_property
     def controls_before(self) -> Indices:
-        """Number of controls of a number of burns: components, and gains after each; shape (m + 1,)."""
+        """Number of controls of a number of burns, shape (m + 1,).
+
+        Of each burn its components, then its time if that is a control, then its gains.
+        """
         own = np.full(self.n_burns, 3)
+        if self.firing is not None:
+            own[self.firing.burns] += 1
         if self.feedback is not None:
             own[self.feedback.burns] += np.diff(self.feedback.first_gain)
         return np.cumsum([0, *own])
@@ -258,12 +276,31 @@ class FlybyProblem:
     @cached_property
     def gain_controls(self) -> Indices:
         """The controls that are gains, shape (gains,)."""
-        return np.setdiff1d(np.arange(self.controls_before[-1]), self.burn_controls)
+        return np.setdiff1d(np.arange(self.controls_before[-1]), self.moving_controls)
 
-    def controls(self, burns: Array, gains: Array) -> Array:
-        """Burns (m, 3) and gains in one vector: each burn's components, then its gains."""
+    @cached_property
+    def time_controls(self) -> Indices:
+        """The controls that are firing times, in `firing_times.UNIT`, shape (q,)."""
+        if self.firing is None:
+            return np.zeros(0, dtype=np.intp)
+        return self.burn_controls[self.firing.burns, -1] + 1
+
+    @cached_property
+    def moving_controls(self) -> Indices:
+        """The controls that move means: components of burns, and firing times."""
+        return np.union1d(self.burn_controls, self.time_controls)
+
+    def firing_times(self, times: Array) -> Array:
+        """Times of the burns that move: those given, or if none the grid's; shape (q,)."""
+        if self.firing is None or times.size:
+            return times
+        return self.firing.nodes[self.burn_nodes[self.firing.burns]]
+
+    def controls(self, burns: Array, gains: Array, times: Array = NO_TIMES) -> Array:
+        """Burns (m, 3), firing times and gains in one vector: see `controls_before`."""
         controls = np.zeros(self.controls_before[-1])
         controls[self.burn_controls] = burns
+        controls[self.time_controls] = self.firing_times(times) / UNIT
         if gains.size:
             controls[self.gain_controls] = gains
         return controls

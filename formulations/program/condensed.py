@@ -23,7 +23,7 @@ from formulations.linearisation.linearisation import (
     Condensation,
     Linearisation,
     LinearisationError,
-    final_state_map,
+    final_state_of,
 )
 from formulations.problem.flyby import FlybyProblem
 from formulations.program.convex_subproblem import ConvexSubproblem
@@ -121,9 +121,8 @@ class CondensedSubproblem(ConvexSubproblem):
             except LinearisationError as error:
                 raise SubproblemError(str(error)) from error
             self._at, self._cones = lin, self.rows.cones(lin, s)
-        constant, by_burns = final_state_map(lin)
-        miss = constant - lin.problem.final_state
-        self._final = {"miss_jacobian": lin.problem.by_controls(by_burns), "miss": miss}
+        constant, jacobian = final_state_of(lin)
+        self._final = {"miss_jacobian": jacobian, "miss": constant - lin.problem.final_state}
         most = SLOTS if lin.problem.feedback is None else SLOTS_WITH_GAINS
         self._slots = self._slots or [min(most, 2 * len(cones.rows)) for cones in self._cones]
         slack = self._slack(lin.controls)
@@ -145,7 +144,7 @@ class CondensedSubproblem(ConvexSubproblem):
         while True:
             step = self._solve_with_slots(radius, charge, planes)
             solver_s += step.solver_s
-            slack = self._slack(self.problem.controls(step.burns, step.gains))
+            slack = self._slack(self.problem.controls(step.burns, step.gains, step.times))
             missed = ~self._active & (slack < -MISSED)
             if not np.any(missed):
                 break

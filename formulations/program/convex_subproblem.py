@@ -10,6 +10,7 @@ import numpy as np
 
 from formulations.arrays import Array, Indices
 from formulations.linearisation.linearisation import Linearisation
+from formulations.problem.firing_times import UNIT
 from formulations.problem.flyby import FlybyProblem
 from formulations.program.certificate import GAP
 from formulations.program.model import (
@@ -142,7 +143,9 @@ class ConvexSubproblem(Subproblem):
         if self._has_floor:
             own |= self._floor(burns)
         of_cost, left = ({}, 0.0) if charge.least else cost_values(self._at)
-        weight = self.problem.miss_weight
+        firing, weight = self._at.problem.firing, self.problem.miss_weight
+        if firing is not None:
+            own |= {"rules": UNIT * firing.matrix, "rules_least": firing.least}
         prices = penalty_values(self._penalty, charge, len(burns), buffers, weight)
         program = compiled.evaluate(own | of_cost | prices | states)
         try:
@@ -161,4 +164,5 @@ class ConvexSubproblem(Subproblem):
             spent - answer.solver_s,
             answer.accurate,
             moved[self.problem.gain_controls],
+            UNIT * moved[self.problem.time_controls],
         )

@@ -82,7 +82,10 @@ class LiftedSubproblem(ConvexSubproblem):
         equations = self._dynamics.equations(lin, controls, states, miss)
         cones = self.rows.state_cones(lin)
         self._buffers = np.concatenate([np.zeros(0, np.intp), *(block.rows for block in cones)])
-        rows = [write_row(one, self._dynamics.index(one.places), states, controls) for one in cones]
+        seen: cp.Expression = states
+        if lin.problem.firing is not None:
+            seen = states + self._dynamics.drift(lin) @ (controls - lin.controls)
+        rows = [write_row(one, self._dynamics.index(one.places), seen, controls) for one in cones]
         return StateModel(miss, rows, equations)
 
     def _attempt(self, radius: float, charge: PenaltyParameters, planes: Array) -> Step:
@@ -150,6 +153,19 @@ class LiftedDynamics:
             states[final] == lin.problem.final_state + miss,
         ]
 
+    def drift(self, lin: Linearisation) -> sp.csr_array:
+        """What moving nodes see in addition to states at given times, by the controls, (states, nz)."""
+        n, c, shape = self._factor_arcs, self._columns, (self.size, len(lin.controls))
+        every = np.zeros((self.size, len(lin.problem.time_controls)))
+        own = lin.shifts.drift(self._nodes)
+        every[: self._mean_size] = own.reshape(self._mean_size, -1)
+        if c > 0:
+            nodes = self._nodes[: n + 1]
+            turned = lin.shifts.factor_drift(nodes, lin.factor[nodes, :, :c])
+            every[self._mean_size :] = turned.reshape(-1, every.shape[1])
+        row, q = np.nonzero(every)
+        return sp.csr_array((every[row, q], (row, lin.problem.time_controls[q])), shape=shape)
+
     def _pattern(self) -> tuple[Indices, Indices]:
         """Rows of the dynamics and the states that they connect.
 
@@ -169,15 +185,21 @@ class LiftedDynamics:
     def _kicks(self, lin: Linearisation) -> tuple[sp.csr_array, Array]:
         """Derivatives by controls of means and factors at burns, (states, nz), and their defects.
 
-        Of the means B dv; of the factors B C'^_i . dv, and what `factor_kicks` says of corrections.
+        Of the means B dv; of the factors B C'^_i . dv, and what `factor_kicks` says of corrections; of
+        both what a burn changes that comes later, at given times.
         """
         problem, c, controls = self._problem, self._columns, len(lin.controls)
         node, shape = np.searchsorted(self._nodes, problem.burn_nodes), (self.size, controls + 1)
         row, by = 6 * node[:, None] + 3 + np.arange(3), problem.burn_controls
         kicks = sp.csr_array((np.ones(by.size), (row.ravel(), by.ravel())), shape=shape)
+        row = 6 * node[:, None] + np.arange(6)
+        if problem.firing is not None:
+            burn, i, q = np.nonzero(lin.shifts.mean)
+            place = row[burn, i], problem.time_controls[q]
+            kicks = kicks + sp.csr_array((lin.shifts.mean[burn, i, q], place), shape=shape)
         if c > 0:
             felt = node <= self._factor_arcs
-            added = factor_kicks(lin)[felt, 3:, :c]
+            added = factor_kicks(lin)[felt, :, :c]
             state = self._mean_size + row[felt, :, None] * c + np.arange(c)
             filled = np.nonzero(added)
             kicks = kicks + sp.csr_array(
@@ -231,7 +253,7 @@ def compose(lin: Linearisation, nodes: Indices) -> ComposedArcs:
 
 
 def write_row(
-    block: StateCones, index: Indices, states: cp.Variable, controls: cp.Variable
+    block: StateCones, index: Indices, states: cp.Expression, controls: cp.Variable
 ) -> cp.Expression:
     """The y of a block's cones, shape (n, d); `index` has the state at each of its places."""
     shape = block.constants.size, states.size

@@ -6,6 +6,7 @@
           t <= dv_max + v_size                           largest burn
           n'z_i + v_cone >= 0                            planes that keep burns off the battery's cones
           d'z_i >= dv_min                                smallest burn, of those that are raised
+          R t >= r                                       rules of the firing times that are controls
           |miss| <= a  or  miss = a                      virtual control of the final state
           y_0 + v_row >= ||(y_1, ...)||                  state constraints, P3's or P2's
           v >= 0
@@ -116,17 +117,24 @@ class Shape(NamedTuple):
         corrected: numbers of the burns that are corrected.
         cost: what is minimised.
         floor: whether some burns are raised.
+        timed: numbers of the burns whose times are controls.
+        rules: number of the rules on these times.
     """
 
     burns: int
     corrected: tuple[int, ...] = ()
     cost: Cost = "nominal"
     floor: bool = False
+    timed: tuple[int, ...] = ()
+    rules: int = 0
 
     @classmethod
     def of(cls, problem: FlybyProblem, *, floor: bool) -> Self:
         """The controls of a problem."""
-        feedback = problem.feedback
+        feedback, firing = problem.feedback, problem.firing
+        if firing is not None:
+            timed, rules = tuple(firing.burns.tolist()), len(firing.least)
+            return cls(problem.n_burns, floor=floor, timed=timed, rules=rules)
         if feedback is None:
             return cls(problem.n_burns, floor=floor)
         return cls(problem.n_burns, tuple(feedback.burns.tolist()), feedback.cost, floor)
@@ -138,11 +146,16 @@ class Shape(NamedTuple):
         own[list(self.corrected)] = 18 * np.arange(1, len(self.corrected) + 1)
         return own
 
+    @property
+    def first(self) -> Indices:
+        """Number of controls of a number of burns: see `FlybyProblem.controls_before`."""
+        return np.cumsum([0, *(3 + np.isin(np.arange(self.burns), self.timed) + self.gains)])
+
     def split(self, controls: cp.Variable) -> tuple[cp.Expression, list[cp.Expression]]:
         """Burns (m, 3), and the gains of each corrected one."""
-        if not self.corrected:
+        if not self.corrected and not self.timed:
             return cp.reshape(controls, (self.burns, 3), order="C"), []
-        first = np.cumsum([0, *(3 + self.gains)])
+        first = self.first
         parts = [controls[start : start + 3] for start in first[:-1]]
         return cp.vstack(parts), [controls[first[i] + 3 : first[i + 1]] for i in self.corrected]
 
@@ -201,7 +214,7 @@ def cost_values(lin: Linearisation) -> tuple[Values, float]:
 def write_model(shape: Shape, penalty: Penalty, write_states: StateModelWriter) -> Model:
     """Write the program with one formulation's states and one penalty."""
     m = shape.burns
-    z = cp.Variable(3 * m + int(shape.gains.sum()))
+    z = cp.Variable(int(shape.first[-1]))
     size, squares, numbers = cp.Variable(m), cp.Variable(), Numbers()
     states = write_states(z, numbers)
     n_rows = sum(rows.shape[0] for rows in states.rows)
@@ -230,6 +243,12 @@ def write_model(shape: Shape, penalty: Penalty, write_states: StateModelWriter) 
         >= 0,
         violation >= 0,
     ]
+    if shape.timed:
+        own |= {"rules": cp.Parameter((shape.rules, len(shape.timed)))}
+        own |= {"rules_least": cp.Parameter(shape.rules)}
+        constraints.append(
+            own["rules"] @ z[shape.first[list(shape.timed)] + 3] >= own["rules_least"]
+        )
     if shape.floor:
         own |= {"floor_normals": cp.Parameter((m, 3)), "floor": cp.Parameter(m)}
         along = cp.sum(cp.multiply(own["floor_normals"], burns), axis=1)

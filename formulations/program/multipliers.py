@@ -33,9 +33,10 @@ from formulations.linearisation.adjoint import pulled_before
 from formulations.linearisation.linearisation import (
     Linearisation,
     condense,
-    final_state_map,
+    final_state_of,
 )
 from formulations.problem.cost import cost
+from formulations.problem.firing_times import UNIT
 from formulations.problem.flyby import FlybyProblem
 from formulations.rows.cones import Rows
 
@@ -54,10 +55,11 @@ BURN_LIMITS = 3
 def multipliers(problem: FlybyProblem, rows: Rows, lin: Linearisation) -> Array:
     """Multipliers m of the miss and of every violation, in the order of `MeritFunction.excess`.
 
-    Non-negative multipliers, except for the miss, that make grad(cost) + J'm least at a
-    solution; J are the derivatives of the excess without inactive constraints. Shape
-    (6 + 3 m + rows,). A burn that is held, raised or vanished, where its size has no
-    derivative, is left out. Nocedal & Wright, Numerical Optimization, 2006, eq. (12.34).
+    Those of the rules of firing times follow, if these are controls. Non-negative multipliers, except
+    for the miss, that make grad(cost) + J'm least at a solution; J are the derivatives of the excess
+    without inactive constraints. Shape (6 + 3 m + rows + rules,). A burn that is held, raised or
+    vanished, where its size has no derivative, is left out. Nocedal & Wright, Numerical Optimization,
+    2006, eq. (12.34).
     """
     there, slope = _free(problem, lin), cost(problem, lin.iterate).gradient
     jacobian, room = _excess_slopes(problem, rows, lin)
@@ -91,11 +93,13 @@ def _free(problem: FlybyProblem, lin: Linearisation) -> Booleans:
         own = slice(first, first + 3), slice(first + 3 if apart else first, stop)
         fired, corrected = (np.linalg.norm(lin.controls[part]) > VANISHED for part in own)
         free[first:stop] = np.repeat([fired, corrected], [3, stop - first - 3])
+        if at.firing is not None:
+            free[first + 3 : stop] = fired
     return free
 
 
 def _excess_slopes(problem: FlybyProblem, rows: Rows, lin: Linearisation) -> tuple[Array, Array]:
-    """Derivatives by all controls, (6 + 3 m + rows, controls), and slack without the miss's."""
+    """Derivatives by all controls, (6 + 3 m + rows + rules, controls), and slack without the miss's."""
     burns, m, controls = lin.iterate.burns, problem.n_burns, len(lin.controls)
     by_burn, every = np.zeros((3, m, controls)), np.arange(m)[:, None]
     sizes = np.linalg.norm(burns, axis=1)
@@ -104,7 +108,7 @@ def _excess_slopes(problem: FlybyProblem, rows: Rows, lin: Linearisation) -> tup
         planes = cone.facets(cone.across(burns), cone.half_angle)
         by_burn[nappe, every, problem.burn_controls] = -planes.normal
     limits = problem.burn_margins(burns)["dv_max"], *(-c.inside(burns) for c in problem.burn_cones)
-    miss = problem.by_controls(final_state_map(lin)[1])
+    miss = final_state_of(lin)[1]
     slopes, slack = np.zeros((rows.count, controls)), np.empty(rows.count)
     for cones in rows.cones(lin, condense(lin, rows.nodes, factor=rows.condensed)):
         p, y = cones.values.shape[2], cones.at(lin.controls)
@@ -114,6 +118,11 @@ def _excess_slopes(problem: FlybyProblem, rows: Rows, lin: Linearisation) -> tup
         slopes[cones.rows, :p] = np.einsum("nd,ndp->np", tail, cones.values[:, 1:])
         slopes[cones.rows, :p] -= cones.values[:, 0]
     jacobian = np.vstack([miss, by_burn.reshape(BURN_LIMITS * m, controls), slopes])
+    if (firing := lin.problem.firing) is not None:
+        by_times = np.zeros((len(firing.least), controls))
+        by_times[:, problem.time_controls] = -UNIT * firing.matrix
+        jacobian = np.vstack([jacobian, by_times])
+        slack = np.r_[slack, firing.slack(problem.firing_times(lin.iterate.times))]
     return jacobian, np.concatenate([*limits, slack])
 
 

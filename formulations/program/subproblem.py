@@ -26,7 +26,7 @@ import numpy as np
 
 from formulations.arrays import Array
 from formulations.linearisation.linearisation import Linearisation, Seen
-from formulations.problem.flyby import NO_GAINS, FlybyProblem
+from formulations.problem.flyby import NO_GAINS, NO_TIMES, FlybyProblem
 from formulations.rows.cones import Margins, Rows
 
 Penalty = Literal["exact", "proximal", "augmented", "least", "bounded"]
@@ -142,7 +142,7 @@ class SubproblemError(RuntimeError):
 
 @dataclass(frozen=True)
 class Step:
-    """Answer of a subproblem: new burns (m, 3) and gains, the merit its model predicts, seconds.
+    """Answer of a subproblem: burns (m, 3), gains and firing times, the merit by its model, seconds.
 
     `accurate` if the conic solver reports so; a verdict needs an accurate answer.
     """
@@ -153,6 +153,7 @@ class Step:
     canonicalise_s: float
     accurate: bool = True
     gains: Array = field(default_factory=NO_GAINS.copy)
+    times: Array = field(default_factory=NO_TIMES.copy)
 
 
 class Subproblem(ABC):
@@ -175,6 +176,7 @@ class Subproblem(ABC):
     def solve(self, radius: float, charge: float | PenaltyParameters) -> Step:
         """Solve within a trust region: no component of a burn, no gain moves by more than `radius`.
 
+        Nor does a firing time move by more than `radius` times `firing_times.UNIT`.
         A number as `charge` is the exact penalty's weight. The step's merit leaves out a proximal
         penalty's charge.
 

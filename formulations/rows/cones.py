@@ -180,9 +180,14 @@ class Rows(Protocol):
 def controls_felt(problem: FlybyProblem, nodes: Indices) -> Indices:
     """Number of controls on which positions at some nodes depend: those of earlier burns.
 
-    The first burn always counts, so that every cone depends on some controls.
+    The first burn always counts, so that every cone depends on some controls, and so does a later one
+    with which the node moves in time.
     """
-    return problem.controls_before[np.maximum(np.searchsorted(problem.burn_nodes, nodes), 1)]
+    felt = np.maximum(np.searchsorted(problem.burn_nodes, nodes), 1)
+    if problem.firing is not None:
+        numbers = 1 + problem.firing.burns
+        felt = np.maximum(felt, (numbers * (problem.firing.shares[nodes] > 0.0)).max(axis=1))
+    return problem.controls_before[felt]
 
 
 class FinalSpread:

@@ -234,7 +234,7 @@ class NodeRows(ExactRows):
         """
         problem, z = self.problem, lin.controls
         at = np.searchsorted(self.nodes, self.node[rows])
-        burns = problem.burn_controls.ravel()
+        burns = problem.moving_controls
         burns = burns[burns < p]
         steps = z + DIFFERENCE * np.vstack([np.zeros(len(z)), np.eye(len(z))[burns]])
         mean = s.mean_constant[at, None, :3] + np.einsum(

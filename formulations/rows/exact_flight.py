@@ -18,7 +18,7 @@ from formulations.linearisation.linearisation import (
     Linearisation,
     Sensitivity,
     condense,
-    final_state_map,
+    final_state_of,
 )
 from formulations.problem.flyby import FlybyProblem, factor_columns_used
 from formulations.risk.directions import Directions, aimed_directions, sphere_directions
@@ -276,7 +276,7 @@ class FlightRows(ExactRows):
         direction, and then those of Lanczos' method. All keep the final state.
         """
         nodes = np.union1d(met.nodes, self._coordinates.nodes)
-        s, burns = condense(lin, nodes), self.problem.burn_controls.ravel()
+        s, burns = condense(lin, nodes), self.problem.moving_controls
 
         def slopes(moves: Array) -> Array:
             if len(moves) == 0:  # too few burns are left to change any
@@ -316,9 +316,9 @@ class FlightRows(ExactRows):
 def _keeping_final_state(lin: Linearisation) -> Array:
     """Orthonormal directions of the controls that keep the final state, shape (controls, .)."""
     problem = lin.problem
-    kept = null_space(final_state_map(lin)[1])
-    gains = problem.gain_controls
+    moving, gains = problem.moving_controls, problem.gain_controls
+    kept = null_space(final_state_of(lin)[1][:, moving])
     free = np.zeros((len(lin.controls), kept.shape[1] + len(gains)))
-    free[problem.burn_controls.ravel(), : kept.shape[1]] = kept
+    free[moving, : kept.shape[1]] = kept
     free[gains, kept.shape[1] + np.arange(len(gains))] = 1.0
     return free

@@ -16,6 +16,7 @@ from formulations.arrays import Array, Indices
 from formulations.linearisation.dynamics import Dynamics
 from formulations.problem.facets import Polytopes
 from formulations.problem.feedback import Feedback
+from formulations.problem.firing_times import FiringTimes
 from formulations.problem.flyby import FlybyProblem
 from formulations.problem.polytopes import ball, paper_ball
 from scp_recon.bodies.catalogue import AU_KM
@@ -30,6 +31,7 @@ from scp_recon.mission.checks import (
 )
 from scp_recon.mission.constraints import Limit, observation_limits, state_constraints
 from scp_recon.mission.feedback import felt_cut_offs_s, require_open_loop, resolved
+from scp_recon.mission.firing import firing_times
 from scp_recon.mission.grid import RK4_STEP_MAX_S, Units, make_grid
 from scp_recon.mission.scene import (
     Scene,
@@ -43,6 +45,7 @@ from scp_recon.mission.scene import (
 from scp_recon.mission.schedule import (
     BURNS_TO_MEET,
     MISS_WEIGHT,
+    Interval,
     Schedule,
     find_window,
     make_schedule,
@@ -90,6 +93,8 @@ class Mission:
     units: Units
     warnings: tuple[ScenarioWarning, ...] = ()
     """Warnings of unlikely entries, shown with every verdict."""
+    firing_spans_s: tuple[Interval, ...] | None = None
+    """Earliest and latest time of each burn to be planned, where times are controls; None if given."""
 
     def __repr__(self) -> str:
         """One line."""
@@ -364,7 +369,17 @@ class Mission:
                 speed and speed / units.speed_m_s,
             ),
             feedback=self.feedback,
+            firing=self.firing,
         )
+
+    @property
+    def firing(self) -> FiringTimes | None:
+        """Firing times that are controls, nondimensional; None if all are given."""
+        if self.firing_spans_s is None:
+            return None
+        nodes, spans = (self.times_s, self.burn_nodes, self.window_nodes), self.firing_spans_s
+        window, unit = self.schedule.window_s, self.units.time_s
+        return firing_times(self.scenario, window, nodes, spans, unit)
 
     @cached_property
     def polytopes(self) -> Polytopes:

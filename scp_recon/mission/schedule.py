@@ -14,6 +14,7 @@ from enum import StrEnum
 
 import numpy as np
 
+from formulations.arrays import Array
 from scp_recon.errors import InputError
 from scp_recon.mission.windows import (
     SCAN_STEP_S,
@@ -159,6 +160,28 @@ def burns_before(times_s: Sequence[float], window_s: Window) -> int:
     return sum(time <= 0.5 * (window_s[0] + window_s[1]) for time in times_s[1:])
 
 
+def timing_rules(
+    n_burns: int, window_s: Window, before: int, rules: ScheduleRules
+) -> tuple[Array, Array, tuple[str, ...]]:
+    """A and b of A t >= b, shapes (m, m) and (m,), for the times t of m burns in s; names of the rows.
+
+    A burn comes a cycle after the burn or the window before it: slew and recharge, then slew and
+    heating. Slew, recharge and another slew part a burn from the window after it. Echigo et al.,
+    section V.A. The window is in the burns' time; `before` counts burns between the first one and the
+    window, at most m - 2.
+    """
+    rows = np.eye(n_burns - 1, n_burns, 1) - np.eye(n_burns - 1, n_burns)
+    least = np.full(n_burns - 1, rules.cycle_s)
+    rows[before, before] = 0.0  # the window lies between these two
+    least[before] += window_s[1]
+    rows = np.vstack([rows, -np.eye(n_burns)[before]])
+    cycle = f"at least {rules.cycle_s:g} s after"
+    names = [f"burn {i + 2} {cycle} burn {i + 1}" for i in range(n_burns - 1)]
+    names[before] = f"burn {before + 2} {cycle} the window"
+    names.append(f"burn {before + 1} at least {rules.before_window_s:g} s before the window")
+    return rows, np.r_[least, rules.before_window_s - window_s[0]], tuple(names)
+
+
 def legal_burns(
     window_s: Window,
     duration_s: float,
@@ -207,6 +230,10 @@ def legal_shifts(
     opens, closes = window_s[0] - rules.before_window_s, window_s[1] + rules.cycle_s
     found = enumerate((closes - after, opens - time) for time, after in itertools.pairwise(times_s))
     return [(index, (low, high)) for index, (low, high) in found if low <= high]
+
+
+ROOM_S = 1.0
+"""Margin in s with which free times keep the rules, so that they may be rounded."""
 
 
 BEYOND_S, SHOWN = 2 * 86_400.0, 3

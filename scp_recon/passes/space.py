@@ -15,15 +15,12 @@ from scipy.optimize import linprog
 from formulations.arrays import Array
 from scp_recon.mission.grid import make_grid
 from scp_recon.mission.mission import Mission
-from scp_recon.mission.schedule import Schedule, burns_before
+from scp_recon.mission.schedule import ROOM_S, Schedule, burns_before, timing_rules
 from scp_recon.mission.windows import Window
 from scp_recon.passes.ring import Ring
 from scp_recon.scenario.schema import Scenario, ScheduleRules
 
 Span = tuple[float, float]
-
-ROOM_S = 1.0
-"""Margin in s with which free times keep the rules, so that they may be rounded."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +66,7 @@ class Space:
     def rules(self, before: int) -> tuple[Array, Array]:
         """A and b of `timing_rules` on x, A x >= b, with some room; `before` as there."""
         rules, unit = self.mission.scenario.schedule, self.mission.units.time_s
-        matrix, least = timing_rules(self.n_burns, self.window_s, before, rules)
+        matrix, least, _ = timing_rules(self.n_burns, self.window_s, before, rules)
         return np.pad(matrix, ((0, 0), (2, 0))), (least + ROOM_S) / unit
 
     def before(self, times_s: tuple[float, ...]) -> int:
@@ -124,24 +121,6 @@ def unchecked(scenario: Scenario, **tables: Mapping[str, object]) -> Scenario:
     return scenario.model_copy(update=changed)
 
 
-def timing_rules(
-    n_burns: int, window_s: Window, before: int, rules: ScheduleRules
-) -> tuple[Array, Array]:
-    """A and b of A t >= b, shapes (m, m) and (m,), for the times t of m burns in s.
-
-    A burn comes a cycle after the burn or the window before it: slew and recharge, then slew and
-    heating. Slew, recharge and another slew part a burn from the window after it. Echigo et al.,
-    section V.A. The window is in the burns' time; `before` counts burns between the first one and the
-    window, at most m - 2.
-    """
-    rows = np.eye(n_burns - 1, n_burns, 1) - np.eye(n_burns - 1, n_burns)
-    least = np.full(n_burns - 1, rules.cycle_s)
-    rows[before, before] = 0.0  # the window lies between these two
-    least[before] += window_s[1]
-    rows = np.vstack([rows, -np.eye(n_burns)[before]])
-    return rows, np.r_[least, rules.before_window_s - window_s[0]]
-
-
 def nearest_legal(
     times_s: Sequence[float],
     spans_s: Sequence[Span],
@@ -151,7 +130,7 @@ def nearest_legal(
 ) -> tuple[float, ...] | None:
     """Times within spans and rules, the nearest to given ones by the sum of differences; or None."""
     n, wanted = len(times_s), np.array(times_s)
-    matrix, least = timing_rules(n, window_s, before, rules)
+    matrix, least, _ = timing_rules(n, window_s, before, rules)
     apart = np.vstack([np.hstack([s * np.eye(n), -np.eye(n)]) for s in (1.0, -1.0)])
     result = linprog(
         np.r_[np.zeros(n), np.ones(n)],

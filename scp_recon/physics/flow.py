@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from formulations.arrays import Array
+from formulations.arrays import Array, Indices
 from scp_recon.physics.forces import (
     ForceModel,
     Moment,
@@ -58,6 +58,15 @@ class FlowDerivatives:
         """The same with starts moved by deviations (n, 6) so small that first order gives the ends."""
         return replace(self, state=self.state + (self.stm @ deviation[:, :, None])[:, :, 0])
 
+    def rate(self, state: Array, arcs: Indices) -> tuple[Array, Array]:
+        """Rate of states (n, 6) at the starts of some arcs, and its derivative, shape (n, 6, 6)."""
+        r, moment = state[:, :3], _moment(self._forces, self._steps[0].time[0, arcs], arcs.shape)
+        acceleration = np.asarray(accelerations(r.T, self._forces, moment)).T
+        turn = np.zeros((len(arcs), 6, 6))
+        turn[:, :3, 3:] = np.eye(3)
+        turn[:, 3:, :3] = gravity_gradient(r, self._forces, moment)
+        return np.hstack([state[:, 3:], acceleration]), turn
+
 
 ARCS_AT_ONCE = 32
 """Arcs per batch of second-order sensitivities, so that a batch stays in the processor's cache."""
@@ -83,6 +92,10 @@ class GridFlow:
     def arcs(self) -> int:
         """Number of arcs."""
         return len(self.durations)
+
+    def at(self, times: Array) -> GridFlow:
+        """The flow along as many arcs between other times of the nodes, shape (n + 1,)."""
+        return replace(self, starts=times[:-1], durations=np.diff(times))
 
     def propagate(self, state: Array, arc: int) -> Array:
         """Carry states (..., 6) along one arc."""

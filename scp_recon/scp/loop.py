@@ -254,7 +254,8 @@ def trial_step(
         raise SubproblemError(f"the answer is worse than no step: {answer.merit:g}")
     start = perf_counter()
     misses = state.charge.multipliers is not None
-    lin = dynamics.close_defects(state.lin, answer.burns, answer.gains, misses=misses)
+    moved = answer.burns, answer.gains, answer.times
+    lin = dynamics.close_defects(state.lin, *moved, misses=misses)
     timing.linearise += perf_counter() - start
     merit = subproblem.merit(lin, state.charge)
     step = float(abs(controls_of(answer, state.lin) - state.lin.controls).max())
@@ -262,8 +263,8 @@ def trial_step(
 
 
 def controls_of(answer: Step, lin: Linearisation) -> Array:
-    """Burns and gains of an answer in one vector."""
-    return lin.problem.controls(answer.burns, answer.gains)
+    """Burns, firing times and gains of an answer in one vector."""
+    return lin.problem.controls(answer.burns, answer.gains, answer.times)
 
 
 def _answer(

@@ -171,7 +171,7 @@ def at(burns: float, *, flown: bool = True) -> Any:
         is_dynamically_feasible=flown,
         iterate=iterate,
         controls=iterate.burns.ravel(),
-        problem=SimpleNamespace(controls=lambda burns, _: burns.ravel()),
+        problem=SimpleNamespace(controls=lambda burns, *_: burns.ravel()),
     )
 
 

@@ -1,0 +1,103 @@
+"""Plans of the default scenario whose firing times are controls of the convex program."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from formulations.program.multipliers import multipliers, slope_left
+from scp_recon.mission.mission import Mission
+from scp_recon.mission.schedule import make_schedule
+from scp_recon.planning.plan import Plan, Stage
+from scp_recon.planning.planner import Planner
+from scp_recon.planning.stages import Pipeline
+from scp_recon.scp.status import Status
+from tests.scp_recon.support import from_cold, mission_of
+
+
+def with_free_times(mission: Mission, earliest_s: float = 0.0) -> Mission:
+    """Inner burns within the schedule's rules, none before a time."""
+    end = mission.scenario.burns.times_s[-1]
+    return replace(mission, firing_spans_s=((0.0, 0.0), *[(earliest_s, end)] * 2, (end, end)))
+
+
+def freed(plan: Plan, mission: Mission, formulation: str = "condensed") -> Stage:
+    """P2 with the plan's facets, from its burns."""
+    planner = Planner(mission, formulation=formulation)
+    pipeline = Pipeline(mission, planner)
+    start = pipeline.start(plan.final.result.lin.iterate)
+    assert plan.final.facets is not None
+    return pipeline.solve(planner.p2_stage(plan.final.facets, start, again=True), start)
+
+
+@pytest.fixture(scope="module")
+def fixed() -> Plan:
+    return from_cold(mission_of())
+
+
+@pytest.fixture(scope="module")
+def free(fixed) -> Stage:
+    return freed(fixed, with_free_times(fixed.mission))
+
+
+def times_s(fixed: Plan, stage: Stage) -> list[float]:
+    moved = stage.result.lin.iterate.times * fixed.mission.units.time_s
+    first, *_, last = fixed.mission.scenario.burns.times_s
+    return [first, *moved.tolist(), last]
+
+
+def test_free_times_save_and_keep_all_rules(fixed, free):
+    assert free.result.status is Status.CONVERGED
+    cost = free.result.lin.cost.value * fixed.mission.units.speed_m_s
+    assert cost < 0.1354
+    assert cost < 0.97 * fixed.total_dv_m_s
+    times, scenario = times_s(fixed, free), fixed.mission.scenario
+    assert len(free.result.records) < 15
+    make_schedule(tuple(times), fixed.mission.schedule.window_s, scenario.schedule)
+
+
+def test_multipliers_of_rules_tell_what_time_saves(fixed, free):
+    """A later earliest time costs what the multiplier says; and the conditions of optimality hold."""
+    merit, lin, unit = free.merit, free.result.lin, fixed.mission.units
+    prices = multipliers(merit.problem, merit.rows, lin)
+    assert slope_left(merit.problem, merit.rows, lin, prices) < 1e-5
+    firing = lin.problem.firing
+    assert firing is not None
+    own = dict(zip(firing.names, prices[-len(firing.names) :], strict=True))
+    first = own["burn 2 at least 6600 s after burn 1"]
+    assert first > 0.0
+    later = freed(fixed, with_free_times(fixed.mission, times_s(fixed, free)[1] + 20.0))
+    dearer = later.result.lin.cost.value - lin.cost.value
+    assert dearer == pytest.approx(first * 20.0 / unit.time_s, rel=0.02)
+
+
+@pytest.mark.slow
+def test_lifted_form_has_the_same_optimum(fixed, free):
+    other = freed(fixed, with_free_times(fixed.mission), "lifted")
+    assert other.result.lin.cost.value == pytest.approx(free.result.lin.cost.value, rel=1e-6)
+    assert times_s(fixed, other) == pytest.approx(times_s(fixed, free), abs=0.1)
+
+
+def test_frozen_formulations_refuse_free_times(fixed):
+    with pytest.raises(ValueError, match="free firing times go with"):
+        freed(fixed, with_free_times(fixed.mission), "frozen-stm")
+
+
+def test_given_times_are_no_controls(fixed):
+    spans = tuple((time, time) for time in fixed.mission.scenario.burns.times_s)
+    assert replace(fixed.mission, firing_spans_s=spans).problem.firing is None
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("scope", "most"), [("node", 0.1100), ("flight", 0.1098)])
+def test_exact_risk_takes_free_times(scope, most):
+    mission = mission_of('risk.allocation="exact"', f'risk.scope="{scope}"', "risk.p_chance=0.9")
+    plan = from_cold(mission)
+    free = with_free_times(mission)
+    planner = Planner(free)
+    pipeline, spec = Pipeline(free, planner), planner.exact_stages()[-1]
+    stage = pipeline.solve(spec, pipeline.start(plan.final.result.lin.iterate))
+    assert stage.result.status is Status.CONVERGED
+    speed = mission.units.speed_m_s
+    assert stage.result.lin.cost.value * speed < min(most, plan.total_dv_m_s)
+    assert np.all(stage.result.lin.problem.firing.slack(stage.result.lin.iterate.times) > -1e-6)
