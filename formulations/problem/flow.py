@@ -46,7 +46,7 @@ class Flow(Protocol):
         """Carry states (..., 6) along one arc."""
 
     def differentiate(self, state: Array) -> ArcDerivatives:
-        """Derivatives of all arcs, from their starts (n, 6)."""
+        """Derivatives of the first n arcs, from their starts (n, 6); only drifts leave arcs out."""
 
 
 class MovableDerivatives(ArcDerivatives, Protocol):

@@ -11,6 +11,7 @@ from typing import Literal
 import numpy as np
 
 from formulations.arrays import Array, Indices
+from formulations.problem.drift import Drift
 from formulations.problem.execution_errors import ExecutionErrors
 from formulations.problem.feedback import Feedback
 from formulations.problem.firing_times import UNIT, FiringTimes
@@ -152,6 +153,7 @@ class FlybyProblem:
         feedback: measurements and gains of the corrected burns; None if all burns are fixed before
             departure.
         firing: burns whose times are controls; None if all times are given.
+        drifts: free flights after a missed or cut burn, which P2 keeps out of regions.
     """
 
     n_nodes: int
@@ -171,6 +173,7 @@ class FlybyProblem:
     dv_min: float = 0.0
     feedback: Feedback | None = None
     firing: FiringTimes | None = None
+    drifts: tuple[Drift, ...] = ()
 
     def __post_init__(self) -> None:
         """Refuse an error that all burns share where several are corrected: no filter estimates it.

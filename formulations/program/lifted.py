@@ -109,7 +109,7 @@ class LiftedDynamics:
         self._nodes = np.union1d(nodes, problem.leg_starts)
         self._columns = 0
         if rows.with_factor and len(nodes) > 0:
-            limited = any(limit is not None for limit in problem.final_spread)
+            limited = problem.drifts or any(x is not None for x in problem.final_spread)
             used = factor_columns_used(problem, nodes)
             self._columns = problem.factor_columns if limited else used
         self._arcs = len(self._nodes) - 1

@@ -158,7 +158,7 @@ def adjoint(rows: Rows, lin: Linearisation, prices: Array) -> Adjoints:
     columns = problem.factor_columns if rows.with_factor else 0
     by_mean = np.zeros((problem.n_nodes, 6))
     by_factor, by_error = np.zeros((2, problem.n_nodes, 6, columns))
-    by_mean[:, :3] = here
+    by_mean[:, : here.shape[1]] = here
     by_mean[-1] += prices[:MISS]
     by_factor[:, : here_factor.shape[1], : here_factor.shape[2]] = here_factor
     knowledge = _Knowledge(lin)

@@ -26,6 +26,7 @@ from formulations.problem.flyby import FlybyProblem
 from formulations.problem.regions import Ball, Cone
 from formulations.risk.lines import normal_density
 from formulations.rows.cones import Cones, FinalSpread, Margins, Pulled, StateCones
+from formulations.rows.drift import DriftRows
 from formulations.rows.node_probability import LEAST, Event, Quantiles, node_quantiles
 
 SIZE, BATTERY = "dv_max_corrected", "dv_battery_corrected"
@@ -204,7 +205,7 @@ def _margins(
 
 
 class FurtherRows:
-    """Rows after all others of a problem: `FinalSpread`, then `CorrectedBurns`.
+    """Rows after all others of a problem: `FinalSpread`, then `CorrectedBurns`, then `DriftRows`.
 
     `first` is the number of rows before. Each row has a block of its own in `cones`.
     """
@@ -212,24 +213,27 @@ class FurtherRows:
     def __init__(self, problem: FlybyProblem, first: int) -> None:
         self._final = FinalSpread(problem, first)
         self._burns = CorrectedBurns(problem, first + self._final.count)
-        self.nodes: Indices = self._final.nodes
-        self.count = self._final.count + self._burns.count
+        self._drifts = DriftRows(problem, first + self._final.count + self._burns.count)
+        self.nodes: Indices = np.union1d(self._final.nodes, self._drifts.nodes)
+        self.count = self._final.count + self._burns.count + self._drifts.count
 
     def margins(self, lin: Linearisation) -> dict[str, Margins]:
-        """Margins of both kinds of rows."""
-        return self._final.margins(lin) | self._burns.margins(lin)
+        """Margins of all these rows."""
+        return self._final.margins(lin) | self._burns.margins(lin) | self._drifts.margins(lin)
 
     def cones(self, lin: Linearisation, s: Sensitivity) -> list[Cones]:
-        """One cone per row, in all controls; the last node of `s` is that of `nodes`, if any."""
-        return self._final.cones(lin, s) + self._burns.cones(lin)
+        """One cone per row, in all controls; `s` ends with the last node if the spread is limited."""
+        return self._final.cones(lin, s) + self._burns.cones(lin) + self._drifts.cones(lin)
 
     def state_cones(self, lin: Linearisation) -> list[StateCones]:
-        """Cones of both kinds of rows; those of burns have no entry of a state."""
+        """Cones of all these rows; those of burns have no entry of a state."""
         none = np.zeros((4, 0), dtype=np.intp), np.zeros(0)
-        return self._final.state_cones() + [
-            StateCones(one.rows, *none, one.values, one.constants) for one in self._burns.cones(lin)
-        ]
+        return (
+            self._final.state_cones()
+            + [StateCones(o.rows, *none, o.values, o.constants) for o in self._burns.cones(lin)]
+            + self._drifts.state_cones(lin)
+        )
 
     def pulled(self, others: Pulled, lin: Linearisation, prices: Array) -> Pulled:
-        """Pull of the other rows and of the final spread's: burns do not pull at states."""
-        return self._final.pulled(others, lin, prices)
+        """Pull of the other rows, of the final spread's and of the drifts': burns pull at no state."""
+        return self._drifts.pulled(self._final.pulled(others, lin, prices), lin, prices)

@@ -24,81 +24,22 @@ from formulations.linearisation.linearisation import (
 from formulations.problem.facets import quantile
 from formulations.problem.flyby import FlybyProblem, factor_columns_used
 from formulations.rows.cones import (
+    BINDING,
     Cones,
     Margins,
     Pulled,
     StateCones,
     Unit,
     controls_felt,
-    placed,
+    curved_cones,
+    on_states,
     pulled_at,
-    triangular_cones,
 )
 from formulations.rows.corrected_burns import FurtherRows
 from formulations.rows.node_probability import Quantiles, joint_events, node_quantiles
 
-BINDING = 1.0
-"""Margin, in standard deviations, up to which a row is curved."""
-
 DIFFERENCE = 1e-5
 """Step of the differences that give a node's curvature, in units of speed."""
-
-CURVED_MAX = 18
-"""Directions in which a row of a node is curved at most: those of most curvature."""
-
-BEND = 3.0
-"""c: standard deviations over which a row bends before it goes on straight."""
-
-
-def curved_cones(
-    rows: Indices, margin: Array, slope: Array, hessian: Array, z: Array, most: int = CURVED_MAX
-) -> Cones:
-    """Rows margin + slope'd + d'hessian d/2 >= 0 in d about z, their concave part as a cone.
-
-    Args:
-        rows: index of each row's buffer, shape (r,).
-        margin: at z, shape (r,).
-        slope: shape (r, p).
-        hessian: shape (r, p, p); of its negative part the most is used.
-        z: burns about which the rows are made, shape (p,).
-        most: directions in which they are curved at most.
-    """
-    r, p = slope.shape
-    curvature, axes = np.linalg.eigh(-0.5 * (hessian + hessian.swapaxes(1, 2)))
-    curvature, axes = curvature[:, -most:], axes[:, :, -most:]
-    bend = np.sqrt(BEND * np.maximum(curvature, 0.0))[:, :, None] * axes.swapaxes(1, 2)
-    curved, d = np.any(bend, axis=(1, 2)), bend.shape[1]
-    tail = np.zeros((r, d + 1, p + 1))
-    tail[:, :d, :p], tail[:, :d, p] = bend, -bend @ z
-    tail[curved, d, p] = BEND
-    head = np.column_stack([slope, margin - slope @ z + BEND * curved])
-    return triangular_cones(rows, head, tail)
-
-
-def on_states(
-    cones: Cones, lin: Linearisation, row: Indices, nodes: Indices, gradient: Array
-) -> StateCones:
-    """Cones whose heads' slopes act on the states instead: only the curvature stays with the burns.
-
-    Args:
-        cones: as `curved_cones` makes them.
-        lin: the iterate that they are made at.
-        row: of the cones, which one a part of the gradient belongs to, shape (e,).
-        nodes: where that part belongs, shape (e,).
-        gradient: by positions or states and factors, side by side, shape (e, 3 or 6, 1 + c).
-    """
-    n, d, _ = cones.values.shape
-    component = np.arange(gradient.shape[1])[:, None]
-    places = placed(
-        (d * row)[:, None, None], nodes[:, None, None], component, np.arange(gradient.shape[2])
-    )
-    at = np.concatenate([lin.iterate.mean[nodes, :, None], lin.factor[nodes]], axis=2)
-    burns, constants = cones.values.copy(), cones.constants.copy()
-    constants[:, 0] = cones.at(lin.controls)[:, 0]
-    here = np.einsum("eij,eij->e", gradient, at[:, : gradient.shape[1], : gradient.shape[2]])
-    constants[:, 0] -= np.bincount(row, here, n)
-    burns[:, 0] = 0.0
-    return StateCones(cones.rows, places, gradient.ravel(), burns, constants)
 
 
 def bent_by_gains(problem: FlybyProblem, g: Quantiles, factor: Array, map_: Array) -> Array:

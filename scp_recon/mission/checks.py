@@ -33,6 +33,7 @@ from scp_recon.bodies.catalogue import (
 )
 from scp_recon.bodies.surface import angle_deg, coordinates_of
 from scp_recon.errors import InputError
+from scp_recon.mission.drifts import check_drifts
 from scp_recon.mission.feedback import check_feedback, uncorrected_burns, useless_measurement
 from scp_recon.mission.intervals import INTERVALS, J2_ENDS, PLANNER_INTERVALS, STATE_INTERVALS
 from scp_recon.mission.scene import Scene, orbit_of_body, planned_field
@@ -303,6 +304,7 @@ def check_plannable(scene: Scene) -> None:
         tuple(row.check(scene))
     check_in_flight(scenario)
     check_feedback(scenario)
+    check_drifts(scene)
     planned_field(scenario)
 
 

@@ -30,6 +30,7 @@ from scp_recon.mission.checks import (
     hinting,
 )
 from scp_recon.mission.constraints import Limit, observation_limits, state_constraints
+from scp_recon.mission.drifts import problem_drifts, require_no_drifts
 from scp_recon.mission.feedback import felt_cut_offs_s, require_open_loop, resolved
 from scp_recon.mission.firing import firing_times
 from scp_recon.mission.grid import RK4_STEP_MAX_S, Units, make_grid
@@ -370,6 +371,7 @@ class Mission:
             ),
             feedback=self.feedback,
             firing=self.firing,
+            drifts=problem_drifts(self.scene, self.forces, units),
         )
 
     @property
@@ -377,6 +379,7 @@ class Mission:
         """Firing times that are controls, nondimensional; None if all are given."""
         if self.firing_spans_s is None:
             return None
+        require_no_drifts(self.scenario, "goes with firing times that are given")
         nodes, spans = (self.times_s, self.burn_nodes, self.window_nodes), self.firing_spans_s
         window, unit = self.schedule.window_s, self.units.time_s
         return firing_times(self.scenario, window, nodes, spans, unit)
@@ -403,12 +406,13 @@ class Mission:
         return CLEARANCE_M / length, CLEARANCE_AGAIN_M / length
 
     def require_plain(self, needs: str) -> None:
-        """Refuse feedback and limits on the final covariance, which go with `needs` alone.
+        """Refuse feedback, drifts and limits on the final covariance, which go with `needs` alone.
 
         Raises:
-            InputError: if there is either.
+            InputError: if there is any.
         """
         require_open_loop(self.scenario, needs)
+        require_no_drifts(self.scenario, needs)
         for name in ("final_sigma_position_m", "final_sigma_velocity_m_s"):
             if (limit := getattr(self.scenario.boundary, name)) is not None:
                 raise InputError(f"boundary.{name}", f"{limit:g}", f"goes with {needs}")

@@ -103,8 +103,11 @@ class GridFlow:
         return propagate(state, duration, self.forces, self.substeps, start)
 
     def differentiate(self, state: Array) -> FlowDerivatives:
-        """Derivatives of all arcs, from their starts (n, 6)."""
-        return differentiate(state, self.durations, self.forces, self.substeps, self.starts)
+        """Derivatives of the first n arcs, from their starts (n, 6)."""
+        first = slice(len(state))
+        return differentiate(
+            state, self.durations[first], self.forces, self.substeps, self.starts[first]
+        )
 
 
 class _Stages(NamedTuple):

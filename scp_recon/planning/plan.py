@@ -141,6 +141,8 @@ class Stage:
             return "m/s"
         if constraint == FINAL_POSITION:
             return "m"
+        if constraint in {drift.name for drift in self.merit.problem.drifts}:
+            return "sigma"
         return "m" if self.merit.rows.unit == "length" else "sigma"
 
     @property

@@ -53,11 +53,14 @@ class Settling:
         found = [self._along_plan(first) if is_converged(first) else self.along(first.result.lin)]
         cost, least = (one.merit.cost(one.result.lin) for one in (found[0], p3))
         if not is_converged(found[0]) or cost > NEAR_P3 * least:
-            rows = NodeRows(self.task.problem.open_loop, self.task.risk.p_chance, PATH)
-            exact = self.run(StageSpec("P2", rows, "node"), p3.result.lin)
-            found.append(self.along(exact.result.lin))
+            found.append(self.along(self.exact_path(p3.result.lin)))
         best = max(found, key=rank)
         return best if is_converged(best) else None
+
+    def exact_path(self, start: Linearisation) -> Linearisation:
+        """A rough plan with exact risk at nodes, from a start."""
+        rows = NodeRows(self.task.problem.open_loop, self.task.risk.p_chance, PATH)
+        return self.run(StageSpec("P2", rows, "node"), start).result.lin
 
     def along(self, lin: Linearisation) -> Stage:
         """Settle along a path; the best choice so far where none has a plan."""

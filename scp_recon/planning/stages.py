@@ -171,6 +171,10 @@ class Pipeline:
             final = self.exact(lin, letter)
             doubtful = final.result.is_weighed or merit_of(final) > DOUBTFUL * merit_of(p3)
             return self._by_others(final, p3) if doubtful and is_converged(final) else final
+        if self.task.problem.drifts:  # P3 has none, so its path says little about the facets
+            scouting = Pipeline(self.task, self.solver.scout)
+            lin = Settling(self.task, scouting.solve).exact_path(lin)
+            self.timing.add(scouting.timing)
         final = self._with_facets(lin, letter)
         if self.facet_rounds == SETTLE:
             return self._settled(final, p3)

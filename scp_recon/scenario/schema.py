@@ -110,13 +110,27 @@ class Observation(Section):
         return self
 
 
+DRIFT_S, DRIFT_PROBABILITY = 86400.0, 0.997
+
+
 class Safety(Section):
-    """Distances from the centres of body and companion throughout the flight."""
+    """Distances from the centres of body and companion, in the flight and after a missed burn."""
 
     radius_min_m: Positive
     """Least distance from the body's centre in m."""
     companion_distance_min_m: Positive | None = None
     """Least distance from the centre of body.companion in m; its radius_m if left out."""
+    missed_burns: Literal[1] | None = None
+    """Burns that may be missed: 1 for any one of burns 2 to the last, after which no burn follows and
+    the free drift stays safe. Not planned if left out."""
+    cut_short: bool | None = None
+    """Whether any one of these burns may stop at 0.1, 0.3, 0.5, 0.7 or 0.9 of its size."""
+    drift_s: Annotated[float, Field(gt=0, le=1e7)] | None = None
+    """Time in s for which a drift stays outside drift_radius_m; a day if left out."""
+    drift_probability: Annotated[float, Field(gt=0.5, le=1 - 1e-5)] | None = None
+    """Least probability that a whole drift is safe, of each miss by itself; 0.997 if left out."""
+    drift_radius_m: Positive | None = None
+    """Least distance of a drift from the body's centre in m; radius_min_m if left out."""
 
 
 class Battery(Section):

@@ -10,9 +10,18 @@ from hypothesis import strategies as st
 
 from formulations.arrays import Array
 from formulations.linearisation.linearisation import Linearisation, condense, final_state_map
-from formulations.rows.cones import FINAL_POSITION, FINAL_VELOCITY, FinalSpread, Pulled, Rows
-from formulations.rows.exact import BEND, NodeRows, curved_cones
-from formulations.rows.exact_flight import FLIGHT, Coordinates, FlightRows
+from formulations.rows.cones import (
+    BEND,
+    FINAL_POSITION,
+    FINAL_VELOCITY,
+    FinalSpread,
+    Pulled,
+    Rows,
+    curved_cones,
+)
+from formulations.rows.coordinates import Coordinates
+from formulations.rows.exact import NodeRows
+from formulations.rows.exact_flight import FLIGHT, FlightRows
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
 from scp_recon.planning.planner import plan
@@ -194,7 +203,7 @@ def test_a_burn_that_vanished_with_its_corrections_turns_no_coordinates():
     factor = rng.normal(size=(problem.n_nodes, 6, 20))
     first, vanished = problem.leg_starts[:2]
     known = rng.normal(size=(3, 6)) @ factor[first]
-    coordinates = Coordinates(problem, problem.n_nodes - 1)
+    coordinates = Coordinates(problem.leg_starts[:-1].tolist())
 
     def reduced() -> Array:
         factor[vanished, 3:] = known + 1e-6 * rng.normal(size=known.shape)

@@ -73,7 +73,7 @@ COMPOUND_UNITS = ("_m3_s2", "_w_m2", "_deg_day", "_deg_day2")
 DIMENSIONLESS = {
     *("j2", "reflectivity_coefficient", "normal_body", "initial_sigma_fraction"),
     *("execution_error", "p_chance", "ball", "cone", "naif_id", "coefficients"),
-    *("covariance", "planned_degree"),
+    *("covariance", "planned_degree", "drift_probability"),
     "initial_covariance",
 }
 

@@ -1,0 +1,333 @@
+"""Rows of P2 for drifts: free flights after a burn that is missed or cut short, one row each.
+
+A drift depends on mean and factor of the state at which it begins, (x, S). Its own mean m_j is flown
+from there, and its factor is P_j S with the STMs P_j along that mean. The row holds the probability
+that the whole drift keeps out of all regions at all nodes:
+
+    g(x, S) = Phi^-1(P(no flight m_j + P_j S w inside a region at any node j)) >= required.
+
+The law has the six dimensions of the state. With G_j the derivative of g by the factor at node j, and
+T_j the second-order tensor of arc j, the chain rule along the drift gives
+
+    dg/dS = R_0,  R_j = sum over l >= j of P_l' G_l,
+    dg/dx = sum over j of P_j' (dg/dm_j + T_j : (P_{j+1}^-T R_{j+1} (P_j S)')).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from formulations.arrays import Array, Indices
+from formulations.linearisation.linearisation import (
+    Linearisation,
+    Seen,
+    Sensitivity,
+    condense,
+    require_finite,
+)
+from formulations.problem.drift import Drift
+from formulations.problem.flow import ArcDerivatives
+from formulations.problem.flyby import FlybyProblem, Legs
+from formulations.risk.directions import sphere_directions
+from formulations.rows.cones import (
+    BINDING,
+    Cones,
+    Margins,
+    Pulled,
+    StateCones,
+    curved_cones,
+    on_states,
+)
+from formulations.rows.coordinates import Coordinates
+from formulations.rows.flight_probability import FlightProbability
+from formulations.rows.node_probability import SPREAD_MIN, Event
+
+LINES, REACH = 256, 5.0
+"""Directions, each taken both ways, by which the probability of a drift is computed, and deviations
+within which its regions are evaluated."""
+
+HOPELESS, FAR = -4.0, 1.0
+"""g below which almost no flight keeps out, and room above what is required beyond which a row cannot
+bind: there the tangent planes give value and derivative."""
+
+NEWTON_MAX, CLOSED = 12, 1e-9
+"""Iterations of Newton's method for a drift's mean, and the last step, whose square is rounding."""
+
+APART = 0.05
+"""Change of g over which slopes are compared, in standard deviations."""
+
+DEEP = 0.5
+"""Depth in a ball, over its radius, beyond which the further course of a mean says nothing."""
+
+
+class Start(NamedTuple):
+    """Mean (6,) and factor (6, c) at a drift's start; or derivatives of a function by them."""
+
+    mean: Array
+    factor: Array
+
+
+class DriftValue(NamedTuple):
+    """g of a drift, its derivatives by the drift's start, and the node that most flights hit first."""
+
+    value: float
+    by: Start
+    worst: int
+
+
+class Branch:
+    """Evaluates a drift; the mean is kept, because the next one is near."""
+
+    def __init__(self, drift: Drift) -> None:
+        n = drift.flow.arcs + 1
+        self._drift, self._legs = drift, Legs(n, np.array([0, n - 1]))
+        self._event = Event(drift.name, np.arange(n), (), drift.keep_out)
+        self._coordinates = Coordinates([0])
+        self._directions = sphere_directions(LINES, self._coordinates.count)
+        self._mean: Array | None = None
+
+    def __call__(self, start: Start) -> DriftValue:
+        """Value and derivatives; see `DriftValue`.
+
+        Raises:
+            LinearisationError: if the drift has no finite derivatives.
+        """
+        mean, stm = self.flown(start.mean)
+        value, worst, by_mean, by_factor = self._at_nodes(mean, stm @ start.factor)
+        n = 1 + max(map(_last, (by_mean, by_factor)))
+        arcs = self._drift.flow.differentiate(mean[: n - 1])
+        by = _pulled(stm[:n], arcs, start.factor, by_mean[:n], by_factor[:n])
+        require_finite(*by)
+        return DriftValue(value, by, worst)
+
+    def _at_nodes(self, mean: Array, factor: Array) -> tuple[float, int, Array, Array]:
+        """As `tangent`, from means and factors at the nodes; by the law near to binding."""
+        event = self._event.at(np.arange(len(mean)))
+        nearest = tangent(event, mean, factor)
+        if nearest[0] > self._drift.required + FAR:
+            return nearest
+        probability = FlightProbability((event,), self._directions, REACH)
+        found = self._coordinates(probability, mean[:, :3], factor, None)
+        nodes = found.limits.nodes
+        if len(nodes) == 0 or found.value < HOPELESS:
+            return nearest
+        return found.value, int(nodes[np.argmax(found.ends)]), found.by_mean, found.by_factor
+
+    def flown(self, state: Array) -> tuple[Array, Array]:
+        """Means (n, 6) from a state (6,), and STMs (n, 6, 6) from there.
+
+        Nodes after the mean is deep inside a ball are left out.
+        """
+        flow = self._drift.flow
+        mean = self._rolled_out(state) if self._mean is None else self._mean
+        # What comes after a passage through the centre may be any number, and is left out.
+        with np.errstate(all="ignore"):
+            for _ in range(NEWTON_MAX):
+                arcs = flow.differentiate(mean[:-1])
+                maps = np.zeros((flow.arcs, 7, 7))
+                maps[:, :6, :6], maps[:, :6, 6], maps[:, 6, 6] = (
+                    arcs.stm,
+                    arcs.state - mean[1:],
+                    1.0,
+                )
+                stm = self._legs.compose(maps)[:, :6]
+                step = stm @ np.r_[state - mean[0], 1.0]
+                mean = mean + step
+                n = self._meaningful(mean)
+                if np.abs(step[:n]).max() < CLOSED:
+                    break
+            else:
+                mean = self._rolled_out(state)
+                n = self._meaningful(mean)
+                arcs = flow.differentiate(mean[:-1])
+                stm = self._legs.compose(arcs.stm)
+        self._mean = mean if n == len(mean) else None
+        return mean[:n], stm[:n, :, :6]
+
+    def _rolled_out(self, state: Array) -> Array:
+        mean = [state]
+        with np.errstate(all="ignore"):
+            for arc in range(self._drift.flow.arcs):
+                mean.append(self._drift.flow.propagate(mean[-1], arc))
+        return np.stack(mean)
+
+    def _meaningful(self, mean: Array) -> int:
+        """Number of first nodes up to where a mean (n, 6) is deep inside a ball."""
+        deep = np.zeros(len(mean), dtype=np.bool_)
+        for ball in self._drift.keep_out:
+            depth = ball.inside(mean[:, :3])
+            deep |= ~(depth < DEEP * ball.radius)
+        return int(np.argmax(deep)) + 1 if deep.any() else len(mean)
+
+
+def tangent(event: Event, mean: Array, factor: Array) -> tuple[float, int, Array, Array]:
+    """Least room over deviation at the planes that touch each region nearest to the mean.
+
+    Returns:
+        The value, the node where it is least, and derivatives by means (n, 3) and factors (n, 6, c).
+    """
+    by_mean, by_factor = np.zeros((len(mean), 3)), np.zeros(factor.shape)
+    normals, offsets = event.facets(mean[:, :3])
+    room = offsets - np.einsum("lni,ni->ln", normals, mean[:, :3])
+    along = np.einsum("lni,nic->lnc", normals, factor[:, :3])
+    deviation = np.maximum(np.linalg.norm(along, axis=-1), SPREAD_MIN)
+    limit, node = np.unravel_index(np.argmin(room / deviation), room.shape)
+    normal, size = normals[limit, node], deviation[limit, node]
+    by_mean[node] = -normal / size
+    by_factor[node, :3] = -room[limit, node] / size**3 * np.outer(normal, along[limit, node])
+    return float(room[limit, node] / size), int(node), by_mean, by_factor
+
+
+def _pulled(
+    stm: Array, arcs: ArcDerivatives, factor: Array, by_mean: Array, by_factor: Array
+) -> Start:
+    """Derivatives by a drift's start, from those at its nodes, (n, 3) and (n, 6, c): see the module."""
+    last = len(stm)
+    following = np.cumsum((stm.swapaxes(1, 2) @ by_factor)[::-1], axis=0)[::-1]
+    own = np.zeros((last, 6))
+    own[:, :3] = by_mean
+    if last > 1:
+        before = np.linalg.solve(stm[1:].swapaxes(1, 2), following[1:] @ factor.T)
+        both = before @ stm[:-1].swapaxes(1, 2)
+        own[:-1] += np.einsum("nijl,nij->nl", arcs.tensor, both)
+    return Start(np.einsum("nij,ni->j", stm, own), following[0])
+
+
+def _last(parts: Array) -> int:
+    """The last node with a part that is not zero."""
+    return int(np.max(np.nonzero(parts)[0], initial=0))
+
+
+class DriftRows:
+    """Rows of all drifts of a problem; `first` rows come before.
+
+    P3 has none of them: a mean that must pass a region on one side of it would keep P3, and the plan
+    after it, on the side of the guess.
+    """
+
+    def __init__(self, problem: FlybyProblem, first: int) -> None:
+        self._drifts, self._first = problem.drifts, first
+        self._branches = [Branch(drift) for drift in problem.drifts]
+        self.count = len(problem.drifts)
+        after = problem.burn_nodes[[drift.burn for drift in problem.drifts]].astype(np.intp)
+        self.nodes: Indices = np.unique(np.r_[after - 1, after]).astype(np.intp)
+        self._seen = Seen[list[DriftValue]]()
+        self._bent: dict[str, tuple[Array, float, Array]] = {}
+
+    def margins(self, lin: Linearisation) -> dict[str, Margins]:
+        """Margin of each drift, in standard deviations, at the node of its burn."""
+        return {
+            drift.name: Margins(
+                lin.problem.burn_nodes[[drift.burn]], np.array([found.value - drift.required])
+            )
+            for drift, found in zip(self._drifts, self.at(lin), strict=True)
+        }
+
+    def cones(self, lin: Linearisation) -> list[Cones]:
+        """A block for each drift, in all controls, curved where it is near to binding."""
+        z, blocks = lin.controls, []
+        if not self.count:
+            return []
+        s = condense(lin, self.nodes)
+        for row, (drift, found) in enumerate(zip(self._drifts, self.at(lin), strict=True)):
+            maps, margin = self._maps(lin, drift, s), found.value - drift.required
+            slope = _slope(found.by, maps)
+            hessian = np.zeros((len(z), len(z)))
+            if margin < BINDING:
+                hessian = self._hessian(lin, row, slope, maps)
+            rows = np.array([self._first + row])
+            parts = rows, np.array([margin]), slope[None], hessian[None], z
+            blocks.append(curved_cones(*parts, most=len(z)))
+        return blocks
+
+    def state_cones(self, lin: Linearisation) -> list[StateCones]:
+        """The slopes act on mean and factor at the two nodes about each burn."""
+        blocks = []
+        for own, drift, found in zip(self.cones(lin), self._drifts, self.at(lin), strict=True):
+            nodes = lin.problem.burn_nodes[drift.burn] - np.array([1, 0])
+            by_mean, by_factor = self._on_nodes(lin, drift, found)
+            by_states = np.concatenate([by_mean[nodes, :, None], by_factor[nodes]], axis=2)
+            blocks.append(on_states(own, lin, np.zeros(2, dtype=np.intp), nodes, by_states))
+        return blocks
+
+    def pulled(self, others: Pulled, lin: Linearisation, prices: Array) -> Pulled:
+        """Pull of the other rows and of these, -dg each, at the prices of all rows."""
+        if not self.count:
+            return others
+        by_mean = np.zeros((lin.problem.n_nodes, 6))
+        by_factor = np.zeros(lin.factor.shape)
+        by_mean[:, : others.by_mean.shape[1]] = others.by_mean
+        by_factor[:, : others.by_factor.shape[1], : others.by_factor.shape[2]] = others.by_factor
+        for row, (drift, found) in enumerate(zip(self._drifts, self.at(lin), strict=True)):
+            of_mean, of_factor = self._on_nodes(lin, drift, found)
+            by_mean -= prices[self._first + row] * of_mean
+            by_factor -= prices[self._first + row] * of_factor
+        return Pulled(by_mean, by_factor)
+
+    def at(self, lin: Linearisation) -> list[DriftValue]:
+        """Values of all drifts at an iterate."""
+        if lin not in self._seen:
+            self._seen[lin] = [
+                branch(start_of(lin, drift))
+                for branch, drift in zip(self._branches, self._drifts, strict=True)
+            ]
+        return self._seen[lin]
+
+    def _maps(self, lin: Linearisation, drift: Drift, s: Sensitivity) -> Start:
+        """Derivatives of a drift's start by the controls, (6, nz) and (6, c, nz)."""
+        k = int(lin.problem.burn_nodes[drift.burn])
+        before, after = np.searchsorted(self.nodes, [k - 1, k])
+        stm, missed, moved = lin.arcs.stm[k - 1], 1.0 - drift.share, s.mean_jacobian[before]
+        mean = missed * stm @ moved + drift.share * s.mean_jacobian[after]
+        bent = np.einsum("ijl,lz,jc->icz", lin.arcs.tensor[k - 1], moved, lin.factor[k - 1])
+        factor = np.einsum("ij,jcz->icz", stm, s.factor_jacobian[before]) + bent
+        return Start(mean, missed * factor + drift.share * s.factor_jacobian[after])
+
+    def _hessian(self, lin: Linearisation, row: int, slope: Array, maps: Start) -> Array:
+        """Second derivatives of g by the burns on which a drift depends, by differences of slopes.
+
+        Steps are long enough to average out the kinks where the first region changes on a line. The
+        differences are kept until the controls have moved farther.
+        """
+        drift, z, problem = self._drifts[row], lin.controls, lin.problem
+        if drift.name in self._bent:
+            known, step, hessian = self._bent[drift.name]
+            if np.linalg.norm(z - known) < step:
+                return hessian
+        felt = problem.burn_controls[: drift.burn + (drift.share > 0.0)].ravel()
+        step = APART / max(float(np.linalg.norm(slope[felt])), APART)
+        start, hessian = start_of(lin, drift), np.zeros((len(z), len(z)))
+        for control in felt:
+            moved = Start(*(a + step * by[..., control] for a, by in zip(start, maps, strict=True)))
+            found = self._branches[row](moved)
+            hessian[felt, control] = (_slope(found.by, maps) - slope)[felt] / step
+        hessian = 0.5 * (hessian + hessian.T)
+        self._bent[drift.name] = z, step, hessian
+        return hessian
+
+    def _on_nodes(self, lin: Linearisation, drift: Drift, found: DriftValue) -> tuple[Array, Array]:
+        """Derivatives by means (n_nodes, 6) and factors (n_nodes, 6, c), from those by the start."""
+        k, missed = int(lin.problem.burn_nodes[drift.burn]), 1.0 - drift.share
+        by_mean = np.zeros((lin.problem.n_nodes, 6))
+        by_factor = np.zeros((len(by_mean), *found.by.factor.shape))
+        by_mean[k], by_factor[k] = drift.share * found.by.mean, drift.share * found.by.factor
+        stm = lin.arcs.stm[k - 1]
+        bent = np.einsum("ijl,ij->l", lin.arcs.tensor[k - 1], found.by.factor @ lin.factor[k - 1].T)
+        by_mean[k - 1] = missed * (stm.T @ found.by.mean + bent)
+        by_factor[k - 1] = missed * stm.T @ found.by.factor
+        return by_mean, by_factor
+
+
+def _slope(by: Start, maps: Start) -> Array:
+    """Derivative by the controls, from those by a drift's start and of the start."""
+    return np.asarray(by.mean @ maps.mean + np.einsum("ic,icz->z", by.factor, maps.factor))
+
+
+def start_of(lin: Linearisation, drift: Drift) -> Start:
+    """Mean and factor at which a drift begins: see `Drift`."""
+    k, missed = int(lin.problem.burn_nodes[drift.burn]), 1.0 - drift.share
+    mean = missed * lin.arcs.state[k - 1] + drift.share * lin.iterate.mean[k]
+    before = lin.arcs.stm[k - 1] @ lin.factor[k - 1]
+    return Start(mean, missed * before + drift.share * lin.factor[k])

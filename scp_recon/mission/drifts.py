@@ -1,0 +1,155 @@
+"""Drifts of a mission: free flights after a burn that does not happen, or that is cut short.
+
+Drift safety: L. S. Breger and J. P. How, "Safe trajectories for autonomous rendezvous of spacecraft",
+Journal of Guidance, Control, and Dynamics 31 (2008) 1478. A drift is a scenario, not a chance: each one
+keeps its distance with the required probability.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from formulations.arrays import Array
+from formulations.problem.drift import Drift
+from formulations.problem.facets import quantile
+from formulations.problem.regions import Ball
+from scp_recon.errors import InputError
+from scp_recon.mission.constraints import companion_distance_m
+from scp_recon.mission.grid import NODES_MAX, Units
+from scp_recon.mission.scene import Scene
+from scp_recon.physics.flow import GridFlow
+from scp_recon.physics.forces import ForceModel
+from scp_recon.scenario.schema import DRIFT_PROBABILITY, DRIFT_S, Scenario
+
+STEP_S = 120.0
+"""Spacing of a drift's nodes, s: at 0.3 m/s a path 500 m from the centre bends by 0.3 m between two."""
+
+CUTS = 0.1, 0.3, 0.5, 0.7, 0.9
+"""Shares of a burn at which `safety.cut_short` stops it."""
+
+
+@dataclass(frozen=True)
+class Miss:
+    """A burn of which only a share happens; no burn follows.
+
+    Attributes:
+        burn: number of the burn in the whole flight, from 1.
+        share: of it that happens; 0 where it is missed.
+    """
+
+    burn: int
+    share: float = 0.0
+
+    @property
+    def name(self) -> str:
+        """Name of its drift among the constraints."""
+        return (
+            f"cut_burn_{self.burn}_at_{self.share:g}" if self.share else f"missed_burn_{self.burn}"
+        )
+
+    def __str__(self) -> str:
+        """In words."""
+        how = f"is cut short at {self.share:g} of its size" if self.share else "is missed"
+        return f"burn {self.burn} {how}"
+
+
+def duration_s(scenario: Scenario) -> float:
+    """Time for which a drift must be safe, s."""
+    return scenario.safety.drift_s or DRIFT_S
+
+
+def radius_m(scenario: Scenario) -> float:
+    """Least distance of a drift from the body's centre, m."""
+    return scenario.safety.drift_radius_m or scenario.safety.radius_min_m
+
+
+def planned(scenario: Scenario) -> tuple[Miss, ...]:
+    """Misses that a plan must survive: of all burns left but the first of the flight."""
+    safety, flown = scenario.safety, scenario.burns_flown
+    numbers = range(max(2, 1 + flown), 1 + len(scenario.burns.times_s))
+    shares = (*((0.0,) if safety.missed_burns else ()), *(CUTS if safety.cut_short else ()))
+    return tuple(Miss(number, share) for number in numbers for share in shares)
+
+
+def times_of(scenario: Scenario, miss: Miss, last_s: float | None = None) -> Array:
+    """Nodes of a drift past the epoch, s, shape (n,); for another time than the scenario's if given."""
+    start, spell = scenario.burns.times_s[miss.burn - 1], last_s or duration_s(scenario)
+    count = int(np.ceil(spell / min(STEP_S, scenario.grid.step_max_s) - 1e-9))
+    return np.linspace(start, start + spell, max(count, 1) + 1)
+
+
+def problem_drifts(scene: Scene, forces: ForceModel, units: Units) -> tuple[Drift, ...]:
+    """The drifts of a scenario, nondimensional, with the forces of its planner in SI."""
+    return tuple(_drifts(scene, planned(scene.scenario), forces, units))
+
+
+def _drifts(
+    scene: Scene, misses: Sequence[Miss], forces: ForceModel, units: Units
+) -> Iterator[Drift]:
+    scenario, own = scene.scenario, forces.in_units(units.length_m, units.time_s)
+    required = quantile(scenario.safety.drift_probability or DRIFT_PROBABILITY)
+    for miss in misses:
+        times = times_of(scenario, miss)
+        flow = GridFlow(own, times[:-1] / units.time_s, np.diff(times) / units.time_s, 1)
+        keep_out = [Ball(np.zeros((len(times), 3)), radius_m(scenario) / units.length_m)]
+        if scene.companion is not None:
+            centre = scene.companion.position(times) / units.length_m
+            keep_out.append(Ball(centre, companion_distance_m(scenario) / units.length_m))
+        burn = miss.burn - 1 - scenario.burns_flown
+        yield Drift(miss.name, burn, miss.share, flow, tuple(keep_out), required)
+
+
+def check_drifts(scene: Scene) -> None:
+    """Refuse drifts that cannot be planned.
+
+    Raises:
+        InputError: naming the entry, what was given and what is allowed.
+    """
+    scenario, safety = scene.scenario, scene.scenario.safety
+    given = [
+        key for key in ("drift_s", "drift_probability", "drift_radius_m") if getattr(safety, key)
+    ]
+    if not (safety.missed_burns or safety.cut_short):
+        if given:
+            entry = f"safety.{given[0]}"
+            needs = "has no effect without safety.missed_burns or safety.cut_short"
+            raise InputError(entry, f"{getattr(safety, given[0]):g}", needs)
+        return
+    body = scenario.body.reference_radius_m
+    if radius_m(scenario) < body:
+        entry = "drift_radius_m" if safety.drift_radius_m else "radius_min_m"
+        needs = f"must be at least body.reference_radius_m, {body:g} m"
+        raise InputError(f"safety.{entry}", f"{radius_m(scenario):g} m", needs)
+    spell = duration_s(scenario)
+    step = min(STEP_S, scenario.grid.step_max_s)
+    if spell > NODES_MAX * step:
+        needs = f"must be at most {NODES_MAX * step:g} s, {NODES_MAX} nodes a drift"
+        raise InputError("safety.drift_s", f"{spell:g} s", needs)
+    if scenario.body.attitude is not None:
+        last = scenario.duration_s + spell
+        try:
+            scene.rotation.body_to_j2000([last])
+        except InputError as error:
+            needs = f"must end within the table of attitudes: {error}"
+            raise InputError("safety.drift_s", f"{spell:g} s", needs) from error
+
+
+def require_no_drifts(scenario: Scenario, needs: str) -> None:
+    """Refuse drifts, which go with `needs` alone.
+
+    Raises:
+        InputError: if a plan must survive a missed or cut burn.
+    """
+    if scenario.safety.missed_burns or scenario.safety.cut_short:
+        entry = "missed_burns" if scenario.safety.missed_burns else "cut_short"
+        raise InputError(f"safety.{entry}", "1" if scenario.safety.missed_burns else "true", needs)
+
+
+def raised(drifts: Sequence[Drift], by: Sequence[float]) -> tuple[Drift, ...]:
+    """The drifts held to higher probabilities, by numbers of standard deviations."""
+    return tuple(
+        replace(one, required=one.required + more) for one, more in zip(drifts, by, strict=True)
+    )

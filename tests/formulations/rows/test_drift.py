@@ -1,0 +1,162 @@
+"""Rows of drifts after a missed or cut burn: their law, derivatives, and what they leave unchanged."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.special import ndtri
+
+from formulations.arrays import Array
+from formulations.linearisation.linearisation import Linearisation
+from formulations.problem.flyby import Iterate
+from formulations.program.multipliers import adjoint
+from formulations.rows.drift import Branch, DriftRows, Start, start_of
+from formulations.rows.exact import NodeRows
+from scp_recon.mission.drifts import CUTS, duration_s
+from scp_recon.mission.mission import Mission
+from scp_recon.planning import initial_guess
+from scp_recon.planning.planner import Planner, plan
+from scp_recon.scenario.load import load_scenario
+from tests.helpers import nightly
+from tests.scenarios import COARSE
+
+EXACT = ("risk.allocation='exact'", COARSE)
+MISSED = "safety.missed_burns=1"
+
+
+@cache
+def planned(*entries: str) -> Linearisation:
+    mission = Mission.from_scenario(load_scenario(None, (*EXACT, *entries)))
+    return plan(mission, initial_guess.cold(mission)).final.result.lin
+
+
+def at_plan_without(*entries: str) -> tuple[Mission, Linearisation]:
+    """A mission with drifts, at the plan without: drifts there are near to their limits."""
+    mission = Mission.from_scenario(load_scenario(None, (*EXACT, *entries)))
+    return mission, mission.dynamics.linearise(mission.problem, planned().iterate)
+
+
+@pytest.mark.parametrize("entry", [MISSED, "safety.cut_short=true"])
+def test_slopes_of_drifts_are_derivatives(entry):
+    """By differences of the rows' values, in all burns, of rows near to binding."""
+    mission, lin = at_plan_without(entry)
+    problem = replace(mission.problem, drifts=mission.problem.drifts[:2])
+    rows = DriftRows(problem, 0)
+    controls, h = lin.controls, 1e-5
+
+    def values(moved: Array) -> Array:
+        burns = moved.reshape(-1, 3)
+        states = mission.dynamics.rollout(problem.initial_state, burns)
+        there = mission.dynamics.linearise(problem, Iterate(burns, states))
+        return np.array([found.value for found in rows.at(there)])
+
+    slopes = np.array([cone.values[0, 0] for cone in rows.cones(lin)])
+    differences = [(values(controls + e) - values(controls - e)) / (2 * h) for e in h * np.eye(12)]
+    near = [
+        found.value < drift.required + 1
+        for found, drift in zip(rows.at(lin), problem.drifts, strict=True)
+    ]
+    assert any(near)
+    expected = np.array(differences).T[near]
+    np.testing.assert_allclose(
+        slopes[near], expected, rtol=2e-3, atol=2e-3 * np.abs(expected).max()
+    )
+
+
+def test_rows_pull_at_states_as_at_burns():
+    """The adjoint of a row's pull, at its burns, is minus its slope."""
+    mission, lin = at_plan_without(MISSED)
+    rows = NodeRows(mission.problem, 0.7)
+    drifts = DriftRows(mission.problem, rows.count - len(mission.problem.drifts))
+    prices = np.zeros(6 + 3 * mission.problem.n_burns + rows.count)
+    prices[-3] = 1.0
+    pulled = adjoint(rows, lin, prices)
+    nodes = mission.problem.burn_nodes
+    np.testing.assert_allclose(
+        pulled.by_mean[nodes[0], 3:] + own_errors(mission, lin, pulled.by_factor[nodes[0]]),
+        -drifts.cones(lin)[0].values[0, 0, :3],
+        rtol=1e-6,
+    )
+
+
+def own_errors(mission: Mission, lin: Linearisation, by_factor: Array) -> Array:
+    """What the first burn's own columns of the factor add to a derivative by that burn."""
+    slopes = mission.problem.execution_errors.jacobian(lin.iterate.burns)[0]
+    return np.einsum("ic,icj->j", by_factor[3:, mission.problem.columns_of_burn(0)], slopes)
+
+
+def test_a_drift_follows_the_two_body_orbit():
+    point = ("body.j2=0", "spacecraft.reflectivity_coefficient=0", "safety.drift_s=20000")
+    mission = Mission.from_scenario(load_scenario(None, (*EXACT, MISSED, *point)))
+    lin = mission.dynamics.linearise(mission.problem, planned().iterate)
+    drift = mission.problem.drifts[0]
+    start = start_of(lin, drift)
+    mean, stm = Branch(drift).flown(start.mean)
+    time, h = duration_s(mission.scenario) / mission.units.time_s, 1e-5
+
+    def end(state: Array) -> Array:
+        def rate(_, x):
+            return np.r_[x[3:], -x[:3] / np.linalg.norm(x[:3]) ** 3]
+
+        return solve_ivp(rate, (0.0, time), state, "DOP853", rtol=1e-12, atol=1e-12).y[:, -1]
+
+    assert mean[-1] == pytest.approx(end(start.mean), abs=1e-5)
+    ends = [(end(start.mean + e) - end(start.mean - e)) / (2 * h) for e in h * np.eye(6)]
+    np.testing.assert_allclose(stm[-1], np.array(ends).T, rtol=1e-4, atol=1e-3)
+
+
+def test_the_law_of_a_drift_is_that_of_linear_flights():
+    """Against draws of the linear law at the drift's nodes."""
+    mission, lin = at_plan_without(MISSED)
+    drift = mission.problem.drifts[0]
+    start, branch = start_of(lin, drift), Branch(drift)
+    mean, stm = branch.flown(start.mean)
+    factor = stm @ start.factor
+    root = np.linalg.cholesky(start.factor @ start.factor.T + 1e-18 * np.eye(6))
+    draws = np.random.default_rng(3).standard_normal((50_000, 6)) @ root.T
+    inside = np.zeros(len(draws), dtype=bool)
+    for node in np.flatnonzero(np.linalg.norm(mean[:, :3], axis=1) < 3 * drift.keep_out[0].radius):
+        position = mean[node, :3] + draws @ stm[node, :3].T
+        inside |= np.linalg.norm(position, axis=1) < drift.keep_out[0].radius
+    assert factor.shape[0] == len(mean)
+    assert branch(start).value == pytest.approx(float(ndtri(1 - inside.mean())), abs=0.06)
+
+
+def test_a_cut_burn_begins_between_missed_and_whole():
+    mission, lin = at_plan_without("safety.cut_short=true", MISSED)
+    missed, *cut = [start_of(lin, drift) for drift in mission.problem.drifts[: 1 + len(CUTS)]]
+    node = mission.problem.burn_nodes[1]
+    whole = Start(lin.iterate.mean[node], lin.factor[node])
+    for share, start in zip(CUTS, cut, strict=True):
+        for part, before, after in zip(start, missed, whole, strict=True):
+            np.testing.assert_allclose(part, (1 - share) * before + share * after)
+
+
+def test_missing_a_burn_of_no_size_changes_nothing():
+    """Burn 3 of the plan has no size: its drift begins as the flight goes on."""
+    mission, lin = at_plan_without(MISSED)
+    node = mission.problem.burn_nodes[2]
+    assert not lin.iterate.burns[2].any()
+    start = start_of(lin, mission.problem.drifts[1])
+    np.testing.assert_allclose(start.mean, lin.iterate.mean[node], atol=1e-9)
+    np.testing.assert_allclose(start.factor, lin.factor[node], atol=1e-9)
+
+
+def test_a_plan_survives_a_missed_burn():
+    lin = planned(MISSED)
+    found = DriftRows(lin.problem, 0).at(lin)
+    assert min(found[k].value - lin.problem.drifts[k].required for k in range(3)) > -1e-6
+    assert planned().cost.value < lin.cost.value < 1.05 * planned().cost.value
+
+
+@nightly
+def test_both_formulations_find_one_plan_with_drifts():
+    entries = (COARSE, MISSED, "polytopes.ball='tangent'")
+    mission = Mission.from_scenario(load_scenario(None, entries))
+    plans = [
+        Planner(mission, formulation=name).plan(initial_guess.cold(mission))
+        for name in ("condensed", "lifted")
+    ]
+    assert plans[1].total_dv_m_s == pytest.approx(plans[0].total_dv_m_s, rel=1e-5)
