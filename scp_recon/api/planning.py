@@ -38,6 +38,9 @@ from scp_recon.scp.status import Status
 from scp_recon.verification.refinement import refined
 from scp_recon.verification.reintegration import verify
 
+REFINEMENTS = 6
+"""Times that a plan is made again with shorter integration steps."""
+
 
 @dataclass(frozen=True, eq=False)
 class PlanOutcome:
@@ -282,16 +285,17 @@ def _method(options: PlanOptions, known: Known) -> Callable[..., Plan]:
 def _on_right_grid(
     make_plan: Callable[..., Plan], mission: Mission, start: Iterate | Plan, **how: Any
 ) -> Plan:
-    """Make a plan; if its integration steps are too long, make it again with shorter ones.
+    """Make a plan; while its integration steps are too long, make it again with shorter ones.
 
-    The second plan starts from the burns of the first, and from its gains if it has any. Its
+    Each further plan starts from the burns of the one before, and from its gains if it has any. Its
     mission has the finer grid, and a warning about it.
     """
     found = make_plan(mission, start, **how)
-    finer = refined(found)
-    if finer is None:
-        return found
-    return make_plan(finer, start_from(finer, found), **how)
+    for _ in range(REFINEMENTS):
+        if (finer := refined(found)) is None:
+            break
+        found = make_plan(finer, start_from(finer, found), **how)
+    return found
 
 
 def _within_budget(best: Plan, budget: float) -> Plan:

@@ -20,7 +20,6 @@ from scp_recon.cli.command import show_line
 from scp_recon.cli.rendering import show_verdict, show_warnings, terminal
 from scp_recon.errors import InputError
 from scp_recon.interop.export import Export
-from scp_recon.interop.path import WITHIN_M
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.scene import Scene, orbit_of_body
 from scp_recon.monte_carlo.estimates import Estimate
@@ -329,7 +328,7 @@ def export_document(found: Export, files: Iterable[Path]) -> dict[str, Any]:
         "states": found.path.size,
         "linear_error_m": found.path.linear_error_m,
         "cubic_error_m": found.path.cubic_error_m,
-        "asked_error_m": WITHIN_M,
+        "asked_error_m": found.path.within_m,
         "burns": [
             {
                 "t_s": burn.t_s,

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from scp_recon.errors import printable, version_of
-from scp_recon.interop.path import MARGIN_S, WITHIN_M, FlownPath
+from scp_recon.interop.path import MARGIN_S, FlownPath
 from scp_recon.mission.mission import Mission
 from scp_recon.results.solution import Solution
 from scp_recon.scenario.time_scales import instant, iso_tdb, iso_utc
@@ -97,7 +97,8 @@ def heading(export: Export) -> list[str]:
         f"mean and covariance of the planner's model; coasting {MARGIN_S:g} s before the first burn "
         "and after the last is not part of the plan",
         f"a straight line between neighbouring states is within {path.linear_error_m:.1e} m of the "
-        f"flight (required: {WITHIN_M:g}), a cubic of both states within {path.cubic_error_m:.1e} m",
+        f"flight (required: {path.within_m:g}), a cubic of both states within "
+        f"{path.cubic_error_m:.1e} m",
         f"{len(solution.executed)} burns, impulses; {solution.total_dv_m_s:.6f} m/s in all:",
         *(burn_line(export, number) for number in range(1, len(solution.burns) + 1)),
         *_policy_lines(solution),

@@ -6,7 +6,8 @@ last coast, ten minutes each, are not planned; they give the states on both side
 
 The integration is that of the verification: the planner's acceleration by DOP853 at a relative
 tolerance of 1e-12, and the STM by its variational equations. Straight lines between sampled states
-are within a centimetre of the flight. Cubics are closer by orders of magnitude.
+are within a centimetre of the flight, at the default mission's scale. Cubics are closer by orders of
+magnitude.
 """
 
 from __future__ import annotations
@@ -22,10 +23,11 @@ from scp_recon.mission.mission import Mission
 from scp_recon.physics.flow import interpolate
 from scp_recon.results.solution import Solution
 from scp_recon.verification.closed_loop import JointCovariance
-from scp_recon.verification.reintegration import DEFECT_LIMIT_M, integrated
+from scp_recon.verification.reintegration import integrated, limits_of
 
 WITHIN_M = 0.01
-"""Largest distance of straight lines between neighbours from the flight, m."""
+"""Largest distance of straight lines between neighbours from the flight, m, at the default mission's
+scale."""
 STEP_MAX_S, MARGIN_S = 60.0, 600.0
 """Longest step; and how long the coasts before the first and after the last burn are."""
 STATES_MAX = 200_000
@@ -57,9 +59,11 @@ class FlownPath:
 
     Attributes:
         coasts: with their states, as closely spaced as interpolation needs.
+        within_m: `WITHIN_M` at the mission's scale.
     """
 
     coasts: tuple[Coast, ...]
+    within_m: float
 
     @property
     def linear_error_m(self) -> float:
@@ -87,14 +91,15 @@ def fly_path(mission: Mission, solution: Solution) -> FlownPath:
     begin, state = float(nodes[0]), mission.initial_state.copy()
     spread = JointCovariance.before_burns(mission, solution.corrections).measured(begin)
     back = _flight(mission, state, begin, begin - MARGIN_S)
-    coasts = [_sampled(back, np.array([begin - MARGIN_S, begin]), spread.covariance)]
+    within = mission.units.tolerance(WITHIN_M, "m")
+    coasts = [_sampled(back, np.array([begin - MARGIN_S, begin]), spread.covariance, within)]
     # Each time at which a coast ends, and the burn there; the first may begin with one.
     ends = [*zip(firing, solution.burns_m_s, strict=True), (firing[-1] + MARGIN_S, None)]
     for end, burn in ends:
         if end > begin:
             flown = _flight(mission, state, begin, end)
             edges = np.array([begin, *nodes[(nodes > begin) & (nodes < end)], end])
-            coast = _sampled(flown, edges, spread.covariance)
+            coast = _sampled(flown, edges, spread.covariance, within)
             if begin == nodes[0] and firing[0] > begin:  # it coasts before its first burn
                 coasts = [_joined(coasts[0], coast)]
             else:
@@ -103,8 +108,8 @@ def fly_path(mission: Mission, solution: Solution) -> FlownPath:
         if burn is not None:
             state[3:] += burn
             begin, spread = end, spread.after_burn(burn, firing.index(end))
-    path = FlownPath(tuple(coasts))
-    _check(path, solution)
+    path = FlownPath(tuple(coasts), within)
+    _check(path, mission, solution)
     return path
 
 
@@ -140,7 +145,7 @@ def _flight(mission: Mission, state: Array, begin: float, end: float) -> OdeSolu
     return sol
 
 
-def _sampled(flown: OdeSolution, edges: Array, covariance: Array) -> Coast:
+def _sampled(flown: OdeSolution, edges: Array, covariance: Array, within_m: float) -> Coast:
     """Sample each arc between edges evenly, with steps small enough for straight lines."""
     ascending = np.sort(edges)
     step = STEP_MAX_S
@@ -150,7 +155,7 @@ def _sampled(flown: OdeSolution, edges: Array, covariance: Array) -> Coast:
             raise InputError(
                 "solution",
                 f"a path of more than {STATES_MAX} states {step:.2g} s apart",
-                f"must be one that straight lines of so many follow within {WITHIN_M:g} m",
+                f"must be one that straight lines of so many follow within {within_m:g} m",
             )
         times = np.concatenate(
             [
@@ -160,9 +165,9 @@ def _sampled(flown: OdeSolution, edges: Array, covariance: Array) -> Coast:
             + [ascending[-1:]]
         )
         linear, cubic = _errors_m(flown, times)
-        if linear <= WITHIN_M:
+        if linear <= within_m:
             break
-        step *= 0.9 * float(np.sqrt(WITHIN_M / linear))
+        step *= 0.9 * float(np.sqrt(within_m / linear))
     y = flown(times).T
     stm = y[:, 6:].reshape(-1, 6, 6)
     return Coast(times, y[:, :6], stm @ covariance @ stm.transpose(0, 2, 1), linear, cubic)
@@ -180,7 +185,7 @@ def _errors_m(flown: OdeSolution, times: Array) -> tuple[float, float]:
     return float(off[0]), float(off[1])
 
 
-def _check(path: FlownPath, solution: Solution) -> None:
+def _check(path: FlownPath, mission: Mission, solution: Solution) -> None:
     """Compare the flown path with the stored nodes."""
     nodes = np.array(solution.nodes.t_s)
     stored = np.array(solution.nodes.state)
@@ -188,9 +193,10 @@ def _check(path: FlownPath, solution: Solution) -> None:
     states = np.concatenate([coast.states for coast in path.coasts])
     flown = states[np.searchsorted(times, nodes, side="right") - 1]  # after the burn
     off = float(np.linalg.norm(flown[:, :3] - stored[:, :3], axis=1).max())
-    if not off <= DEFECT_LIMIT_M:
+    limit = limits_of(mission)["max_defect"]
+    if not off <= limit:
         raise InputError(
             "solution",
             f"nodes up to {off:.3g} m off the path that its burns give",
-            f"must be within {DEFECT_LIMIT_M:g} m of it",
+            f"must be within {limit:g} m of it",
         )

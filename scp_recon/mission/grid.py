@@ -39,6 +39,20 @@ class Units:
         """Units of a state's six components."""
         return np.repeat([self.length_m, self.speed_m_s], 3)
 
+    def tolerance(self, figure: float, unit: str) -> float:
+        """A tolerance in "m" or "m/s", as large beside the units as a figure is in the default mission.
+
+        Tolerances in other units, angles and shares, are the figure.
+        """
+        scale = {
+            "m": self.length_m / DEFAULT.length_m,
+            "m/s": self.speed_m_s / DEFAULT.speed_m_s,
+        }
+        return figure * scale.get(unit, 1.0)
+
+
+DEFAULT = Units(1171.3081106182094, 18127.26687986026)
+"""Units of the packaged scenario recon_b, for which tolerances in m and m/s are given."""
 
 RK4_STEP_MAX_S = 240.0
 """Keeps the planner within a millimetre of an adaptive integration over the default flight."""

@@ -33,7 +33,7 @@ from scp_recon.mission.constraints import Limit, observation_limits, state_const
 from scp_recon.mission.drifts import problem_drifts, require_no_drifts
 from scp_recon.mission.feedback import felt_cut_offs_s, require_open_loop, resolved
 from scp_recon.mission.firing import firing_times
-from scp_recon.mission.grid import RK4_STEP_MAX_S, Units, make_grid
+from scp_recon.mission.grid import DEFAULT, RK4_STEP_MAX_S, Units, make_grid
 from scp_recon.mission.scene import (
     Scene,
     TruthModel,
@@ -65,8 +65,11 @@ from scp_recon.scenario.schema import Risk, Scenario
 CLEARANCE_M, CLEARANCE_AGAIN_M = 200.0, 40.0
 """Facets farther than this from binding stay out of the convex program, and are checked after it.
 
-The second figure is for starting at a solution of P2, which moves less than one of P3.
+The second figure is for starting at a solution of P2, which moves less than one of P3. Both are those
+of the default mission, and grow with the unit of length.
 """
+FLIGHT_STEPS = 1.2
+"""Longest step of sampled flights over the longest spacing of nodes."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -402,8 +405,7 @@ class Mission:
     @property
     def clearances(self) -> tuple[float, float]:
         """`CLEARANCE_M` and `CLEARANCE_AGAIN_M`, nondimensional."""
-        length = self.units.length_m
-        return CLEARANCE_M / length, CLEARANCE_AGAIN_M / length
+        return CLEARANCE_M / DEFAULT.length_m, CLEARANCE_AGAIN_M / DEFAULT.length_m
 
     def require_plain(self, needs: str) -> None:
         """Refuse feedback, drifts and limits on the final covariance, which go with `needs` alone.
@@ -434,3 +436,11 @@ class Mission:
     def arc_substeps(self) -> int:
         """Runge-Kutta steps per arc, so that none is longer than `RK4_STEP_MAX_S`."""
         return max(1, int(np.ceil(np.max(np.diff(self.times_s)) / RK4_STEP_MAX_S)))
+
+    @property
+    def flight_step_s(self) -> float:
+        """Longest Runge-Kutta step of sampled flights, s: shorter where a finer grid was needed.
+
+        Nodes that are added between do not change it, so that flights stay as they are.
+        """
+        return min(RK4_STEP_MAX_S, FLIGHT_STEPS * self.scenario.grid.step_max_s)

@@ -19,7 +19,6 @@ from formulations.arrays import Array, Booleans
 from formulations.problem.flyby import Iterate
 from scp_recon.errors import InputError, option
 from scp_recon.mission.feedback import require_measurement
-from scp_recon.mission.grid import RK4_STEP_MAX_S
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.schedule import BURNS_TO_MEET
 from scp_recon.physics.flow import propagate
@@ -242,7 +241,7 @@ class ReplanLoop:
                 continue
             stop = min(time, until_s)
             if stop > self._now:
-                steps = int(np.ceil((stop - self._now) / RK4_STEP_MAX_S))
+                steps = int(np.ceil((stop - self._now) / self._mission.flight_step_s))
                 took = np.full(len(self._estimates), stop - self._now)
                 forces, begin = self._mission.forces, self._now
                 self._estimates = propagate(self._estimates, took, forces, steps, begin)

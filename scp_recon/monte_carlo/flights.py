@@ -211,7 +211,8 @@ class FlightTally:
         self.held = {name: Tally.empty(0.0, last - first, TIME_BIN_S) for name in names}
         self.full = dict.fromkeys(self.held, 0)
         self.entry = self.exit = Tally.empty(first, last, TIME_BIN_S)
-        self.closest = Tally.empty(0.0, far, DISTANCE_BIN_M)
+        bins = self.config.mission.units.tolerance(DISTANCE_BIN_M, "m")
+        self.closest = Tally.empty(0.0, far, bins)
         self.executed_dv = Tally.empty(0.0, 3.0 * max(planned, 1e-9), planned / 1e4 or 1e-9)
         again = self.config.policy_kind == "replan"
         self.failed = np.zeros(len(self.config.policy) if again else 0)

@@ -26,7 +26,8 @@ EVERYWHERE = SAFETY, COMPANION
 PARTS = 30
 """Of the time between two samples of a history: a second each."""
 MEAN_TOLERANCE = {"m": 0.5, "rad": 1e-3}
-"""Amount by which the mean may violate a limit between nodes, where it binds at nodes."""
+"""Amount by which the mean may violate a limit between nodes, where it binds at nodes; at the default
+mission's scale."""
 
 
 def is_certain(mission: Mission, burns_m_s: Array, errors: str | None = None) -> bool:
@@ -44,7 +45,7 @@ def is_certain(mission: Mission, burns_m_s: Array, errors: str | None = None) ->
     problem = replace(mission.problem.open_loop, execution_errors=model)
     lin = mission.dynamics.linearise(problem, from_burns(mission, burns_m_s))
     widest = np.linalg.norm(lin.factor[:, :3], ord=2, axis=(1, 2)).max()
-    return bool(widest * mission.units.length_m < MEAN_TOLERANCE["m"])
+    return bool(widest * mission.units.length_m < allowed(mission, SAFETY))
 
 
 def limit_margins(
@@ -72,13 +73,16 @@ def limit_margins(
         seen = joint_margins(mission, window, position[observed])
         found |= {name: (window, margin) for name, margin in seen.items()}
     if certain:
-        found = {name: (at, margin + allowed(name)) for name, (at, margin) in found.items()}
+        found = {
+            name: (at, margin + allowed(mission, name)) for name, (at, margin) in found.items()
+        }
     return found
 
 
-def allowed(name: str) -> float:
-    """The mean's tolerance in a joint constraint, m or rad."""
-    return MEAN_TOLERANCE["m" if name in (*EVERYWHERE, "site_distance") else "rad"]
+def allowed(mission: Mission, name: str) -> float:
+    """The mean's tolerance in a joint constraint of a mission, m or rad."""
+    unit = "m" if name in (*EVERYWHERE, "site_distance") else "rad"
+    return mission.units.tolerance(MEAN_TOLERANCE[unit], unit)
 
 
 def limits_kept(margins: dict[str, tuple[Array, Array]]) -> dict[str, Booleans]:

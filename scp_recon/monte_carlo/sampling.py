@@ -10,7 +10,7 @@ import numpy as np
 
 from formulations.arrays import Array, Booleans
 from scp_recon.jobs.seeds import generator
-from scp_recon.mission.grid import RK4_STEP_MAX_S, make_grid
+from scp_recon.mission.grid import make_grid
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.scene import TruthModel, errors_of_kind
 from scp_recon.monte_carlo.closed_loop import MEASURED, ClosedLoop, Replan, ReplanLoop, Replans, due
@@ -133,7 +133,7 @@ def fly_draws(
     fly = _flow(mission, truth)
     firing = mission.scenario.burn_times_s
     burn_at = dict(zip(firing, range(len(burns_m_s)), strict=True))
-    stops = make_grid((mission.scenario.start_s, *firing), RK4_STEP_MAX_S)
+    stops = make_grid((mission.scenario.start_s, *firing), mission.flight_step_s)
     after = np.searchsorted(times_s, stops, side="right")
     # Components first, so that an operation runs along the flights.
     states = np.empty((len(times_s), 6, flights))

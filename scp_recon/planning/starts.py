@@ -158,10 +158,17 @@ class _Several:
             if _bounds(self.mission) and is_converged(best) and merit_of(stage) >= merit_of(best):
                 continue
             start, called = (
-                stage.result.lin.iterate,
+                self._on_grid(stage.result.lin.iterate),
                 f"random flight {numbers[0]} of seed {self.seed}",
             )
             self._note(self.make_plan(self.mission, start, once=True, init=called), numbers)
+
+    def _on_grid(self, found: Iterate) -> Iterate:
+        """A flight on the mission's nodes, which may have been found on a finer grid."""
+        if len(found.mean) == len(self.mission.times_s):
+            return found
+        path = self.mission.dynamics.rollout(self.mission.problem.initial_state, found.burns)
+        return replace(found, mean=path)
 
     def listed(self) -> Starts:
         """The list of distinct optima, P3's first, the cheapest first."""

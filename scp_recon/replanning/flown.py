@@ -233,7 +233,9 @@ class FlownPlan:
             miss: J2000, m and m/s, shape (6,).
         """
         spread = np.linalg.norm(self.factors[-1].reshape(2, -1), axis=1)
-        allowed = np.maximum(LOST_SIGMAS * spread, (POSITION_LIMIT_M, VELOCITY_LIMIT_M_S))
+        tolerance = self.mission.units.tolerance
+        least = tolerance(POSITION_LIMIT_M, "m"), tolerance(VELOCITY_LIMIT_M_S, "m/s")
+        allowed = np.maximum(LOST_SIGMAS * spread, least)
         return bool(np.any(np.linalg.norm(miss.reshape(2, 3), axis=1) > allowed))
 
     def strange(self) -> Iterator[ScenarioWarning]:
@@ -271,7 +273,7 @@ def _contradictions(solution: Solution, lin: Linearisation, units: Units) -> Ite
     if not lin.problem.coasts:
         first[3:] += lin.iterate.burns[0]
     off = max(np.abs(lin.defects[:-1]).max(), np.abs(lin.iterate.mean[0] - first).max())
-    if not off * units.length_m <= PATH_ERROR_M:
+    if not off * units.length_m <= units.tolerance(PATH_ERROR_M, "m"):
         yield "max_defect"
     expected = lin.factor @ lin.factor.swapaxes(1, 2)
     stored = np.array(solution.nodes.covariance) / np.outer(units.state, units.state)

@@ -200,12 +200,13 @@ def burn_limits(mission: Mission, solution: Solution, burns: Array) -> Iterator[
     cone = np.deg2rad(mission.scenario.battery.delta_v_cone_deg)
     times = np.array([solution.burns[c.burn].t_s for c in solution.corrections])
     suns, first = mission.sun_direction(times), 1 + mission.scenario.burns_flown
+    none = mission.units.tolerance(NO_BURN_M_S, "m/s")
     for j, correction in enumerate(solution.corrections):
         size = np.linalg.norm(burns[:, j], axis=1)
         angle = geometry.angle(burns[:, j], suns[j])
         kept = {
             "dv_max": size <= mission.scenario.burns.dv_max_m_s,
-            "dv_battery": (np.minimum(angle, np.pi - angle) >= cone) | (size <= NO_BURN_M_S),
+            "dv_battery": (np.minimum(angle, np.pi - angle) >= cone) | (size <= none),
         }
         for name, those in kept.items():
             share = float(those.mean())
@@ -218,18 +219,20 @@ def is_kept(limit: BurnLimit, required: float) -> bool:
     return p + FEW + ERRORS * np.sqrt(p * (1.0 - p) / POINTS) >= required
 
 
-def wrong_costs(solution: Solution, covariance: Array, burns: Array) -> Iterator[str]:
+def wrong_costs(
+    mission: Mission, solution: Solution, covariance: Array, burns: Array
+) -> Iterator[str]:
     """Names of figures in a file's policy that do not follow from its corrections."""
-    stored = solution.policy
+    stored, same = solution.policy, mission.units.tolerance(SAME_M_S, "m/s")
     assert stored is not None
     sigmas = np.sqrt(np.diag(covariance).reshape(-1, 3).sum(axis=1))
     given = np.array([correction.sigma_m_s for correction in stored.corrections])
-    if np.any(np.abs(given - sigmas) > SIGMA_ERROR * sigmas + SAME_M_S):
+    if np.any(np.abs(given - sigmas) > SIGMA_ERROR * sigmas + same):
         yield "policy.corrections"
     fixed = np.delete(solution.burns_m_s, [c.burn for c in solution.corrections], axis=0)
     total = np.linalg.norm(fixed, axis=1).sum() + np.linalg.norm(burns, axis=2).sum(axis=1)
     spread = float(total.std())
-    if abs(stored.mean_m_s - total.mean()) > MEAN_ERROR * spread + SAME_M_S:
+    if abs(stored.mean_m_s - total.mean()) > MEAN_ERROR * spread + same:
         yield "policy.mean_m_s"
-    if abs(stored.dv99_m_s - np.quantile(total, 0.99)) > DV99_ERROR * spread + SAME_M_S:
+    if abs(stored.dv99_m_s - np.quantile(total, 0.99)) > DV99_ERROR * spread + same:
         yield "policy.dv99_m_s"

@@ -58,7 +58,8 @@ POINTS, SEED = 2**15, 7
 most 4e-4. The same number of draws has a standard error of up to 2.5e-3. The planner's quadrature
 is accurate to 1e-6."""
 MARGIN_ERROR: dict[Unit, float] = {"m": 1e-3, "m/s": 1e-8, "sigma": 1e-9}
-"""Error of a carried margin: the variance along a facet is a difference of large numbers."""
+"""Error of a carried margin at the default mission's scale: the variance along a facet is a difference
+of large numbers."""
 SAME_PROBABILITY, ROUNDING = 1e-9, 1e-9
 """Tolerance between a probability and its quantile; relative rounding of sums."""
 ERRORS = 2.0
@@ -103,7 +104,7 @@ def _wrong_figures(mission: Mission, solution: Solution) -> list[str]:
             found.append("total_dv_m_s")
         rows, results = rows_of(mission, solution), {c.name: c for c in carried.constraints}
         if [c.name for c in carried.constraints] != [*rows] or not all(
-            _is_result(results[name], one, solution) for name, one in rows.items()
+            _is_result(mission, results[name], one, solution) for name, one in rows.items()
         ):
             found.append("constraints")
     violated = [own.violation] if carried is None else [own.violation, carried.violation]
@@ -113,14 +114,17 @@ def _wrong_figures(mission: Mission, solution: Solution) -> list[str]:
     return found
 
 
-def _is_result(reported: ConstraintResult, rows: Rows, solution: Solution) -> bool:
+def _is_result(
+    mission: Mission, reported: ConstraintResult, rows: Rows, solution: Solution
+) -> bool:
     """Whether kind, unit and facets agree, and the margin is the smallest, at its time."""
     there = np.abs(rows.times - reported.worst_t_s) <= TIME_ERROR_S
     least = np.array([rows.margin.min(), rows.margin[there].min(initial=np.inf)])
     return bool(
         (reported.kind, reported.unit) == (rows.kind, rows.unit)
         and reported.facets == facets_at(rows, there, solution)
-        and np.abs(reported.worst_margin - least).max() <= MARGIN_ERROR[rows.unit]
+        and np.abs(reported.worst_margin - least).max()
+        <= mission.units.tolerance(MARGIN_ERROR[rows.unit], rows.unit)
     )
 
 
@@ -138,7 +142,8 @@ def _is_violation(
     for name in parts.keys() | computed.keys():
         one, other = parts.get(name, none), computed.get(name, none)
         unit = other.unit if name in computed else one.unit
-        error = BARELY * solution.tolerance * scale[unit] + MARGIN_ERROR[unit]
+        error = BARELY * solution.tolerance * scale[unit]
+        error += mission.units.tolerance(MARGIN_ERROR[unit], unit)
         if name in parts and one.unit != unit:
             return False
         if abs(one.max - other.max) > error or abs(one.total - other.total) > rows * error:

@@ -55,11 +55,10 @@ MARGIN_LIMIT = MEAN_TOLERANCE | {"m/s": 1e-6}
 """Amount by which a constraint on the mean that binds at nodes may be violated."""
 MARGIN_STEP_S = 10.0
 POSITION_LIMIT_M, VELOCITY_LIMIT_M_S, DEFECT_LIMIT_M = 1.0, 1e-4, 1e-2
+"""At the default mission's scale, as all tolerances in m and m/s: see `Units.tolerance`."""
 EXECUTED = 1e-4
 """Share of the smallest executed burn by which a burn may be smaller: the accuracy of the solver."""
 COVARIANCE_LIMIT = 1e-6
-SAMPLE_LIMIT = 1e-6
-"""Share of the initial radius, if that is more than a centimetre: 1 sigma is of the order of 1e-2."""
 FIGURES = {
     "terminal_position_error_m": ("final position", "m"),
     "terminal_velocity_error_m_s": ("final velocity", "m/s"),
@@ -105,13 +104,17 @@ def verify(mission: Mission, solution: Solution) -> Verification:
     failed += inconsistencies(mission, solution)
     if not is_converged(solution) and "status" not in failed:
         failed.append("status")
-    failed += [m.name for m in margins if m.worst_margin < -MARGIN_LIMIT[m.unit]]
+    failed += [
+        m.name
+        for m in margins
+        if m.worst_margin < -mission.units.tolerance(MARGIN_LIMIT[m.unit], m.unit)
+    ]
     failed += not_executed(mission, solution)
     on_burns: list[BurnLimit] = []
     if policy and len(flown.end.known) == len(policy):  # else the flight has no end
         covariance = flown.end.commands
         draws = commanded(solution, covariance)
-        failed += wrong_costs(solution, covariance, draws)
+        failed += wrong_costs(mission, solution, covariance, draws)
         on_burns += burn_limits(mission, solution, draws)
         failed += [str(b) for b in on_burns if not is_kept(b, mission.scenario.risk.p_chance)]
     sigmas: list[FinalSigma] = []
@@ -139,12 +142,13 @@ def limits_of(mission: Mission) -> dict[str, float]:
     If too few burns are left to meet the final state, its miss is reported but not judged:
     infinity.
     """
-    missed = not mission.must_meet
+    missed, tolerance = not mission.must_meet, mission.units.tolerance
+    final = tolerance(POSITION_LIMIT_M, "m"), tolerance(VELOCITY_LIMIT_M_S, "m/s")
     return {
-        "terminal_position_error_m": np.inf if missed else POSITION_LIMIT_M,
-        "terminal_velocity_error_m_s": np.inf if missed else VELOCITY_LIMIT_M_S,
-        "max_defect": DEFECT_LIMIT_M,
-        "sample_error_m": max(DEFECT_LIMIT_M, SAMPLE_LIMIT * mission.units.length_m),
+        "terminal_position_error_m": np.inf if missed else final[0],
+        "terminal_velocity_error_m_s": np.inf if missed else final[1],
+        "max_defect": tolerance(DEFECT_LIMIT_M, "m"),
+        "sample_error_m": tolerance(DEFECT_LIMIT_M, "m"),
         "covariance_error": COVARIANCE_LIMIT,
         "knowledge_error": COVARIANCE_LIMIT,
     }
@@ -161,7 +165,8 @@ def not_executed(mission: Mission, solution: Solution) -> list[str]:
         for one, stored in zip(solution.corrections, solution.policy.corrections, strict=True):
             sizes[one.burn] = np.hypot(sizes[one.burn], stored.sigma_m_s)
     least, first = mission.scenario.burns.dv_min_m_s, 1 + mission.scenario.burns_flown
-    small = (sizes > NO_BURN_M_S) & (sizes < (1.0 - EXECUTED) * least)
+    none = mission.units.tolerance(NO_BURN_M_S, "m/s")
+    small = (sizes > none) & (sizes < (1.0 - EXECUTED) * least)
     return [f"dv_min of burn {first + i}" for i in np.flatnonzero(small)]
 
 
@@ -320,7 +325,8 @@ def _burn_margins(mission: Mission, burns: Array) -> list[MeanMargin]:
     size = np.linalg.norm(burns, axis=1)
     angle = geometry.angle(burns, mission.sun_direction(times))
     cone = np.deg2rad(mission.scenario.battery.delta_v_cone_deg)
-    off_sun = np.where(size > NO_BURN_M_S, np.minimum(angle, np.pi - angle) - cone, np.inf)
+    none = mission.units.tolerance(NO_BURN_M_S, "m/s")
+    off_sun = np.where(size > none, np.minimum(angle, np.pi - angle) - cone, np.inf)
     margins = [_worst("dv_max", "m/s", times, mission.scenario.burns.dv_max_m_s - size)]
     if np.isfinite(off_sun).any():
         margins.append(_worst("dv_battery", "rad", times, off_sun))

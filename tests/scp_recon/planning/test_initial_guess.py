@@ -17,7 +17,7 @@ from scp_recon.planning import initial_guess
 from scp_recon.planning.plan import Optimum, Plan, Starts
 from scp_recon.planning.planner import plan
 from scp_recon.planning.stages import path_ignores_burns
-from scp_recon.planning.starts import plan_from_several, random_flight
+from scp_recon.planning.starts import _Several, plan_from_several, random_flight, unseen
 from scp_recon.results.solution import make_solution
 from scp_recon.scp.algorithms import ALGORITHMS
 from scp_recon.scp.loop import Record
@@ -351,6 +351,18 @@ def test_an_interrupt_keeps_the_best_start_so_far(mission):
     assert found.status is Status.INTERRUPTED
     assert found.total_dv_m_s == pytest.approx(0.107723, rel=1e-4)
     assert [o.starts for o in found.starts.optima] == [(0, 1)]
+
+
+def test_optima_on_finer_grids_start_on_the_missions(mission):
+    """A close random flight may want shorter steps than the plan beside it."""
+    finer = mission.changed({"grid.step_max_s": 100.0})
+    work = _Several(mission, initial_guess.cold(mission), plan, 0, "cold", unseen)
+    found = work._on_grid(random_flight(finer, 0, 1))
+    lin = mission.dynamics.linearise(mission.problem, found)
+    assert np.abs(lin.defects[:-1]).max() < 1e-9
+    assert found.burns == pytest.approx(random_flight(finer, 0, 1).burns)
+    same = random_flight(mission, 0, 1)
+    assert work._on_grid(same) is same
 
 
 def test_an_interrupt_before_any_start_is_no_plan(mission):

@@ -30,8 +30,9 @@ def _tight(monkeypatch) -> None:
 
 
 def test_the_estimate_is_what_the_verification_finds(default_plan, verification):
-    error = refinement.covariance_error(default_plan)
-    assert error == pytest.approx(verification.covariance_error, rel=0.02)
+    error = refinement.integration_error(default_plan)
+    assert error.covariance == pytest.approx(verification.covariance_error, rel=0.02)
+    assert error.path_m == pytest.approx(verification.max_defect, rel=0.05)
     assert refinement.refined(default_plan) is None
 
 

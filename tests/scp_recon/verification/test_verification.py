@@ -49,10 +49,18 @@ def test_default_solution_is_confirmed(mission, solution, verification):
 
 def test_integration_limits_grow_with_a_large_body():
     mission = mission_of()
+    """Those of the default mission are centimetres and metres to the last digit."""
     limits = limits_of(mission)
-    assert limits["sample_error_m"] == 0.01
-    large = replace(mission, units=replace(mission.units, length_m=50_000.0))
-    assert limits_of(large) == {**limits, "sample_error_m": pytest.approx(0.05)}
+    sizes = {
+        "terminal_position_error_m": 1.0,
+        "terminal_velocity_error_m_s": 1e-4,
+        "max_defect": 0.01,
+        "sample_error_m": 0.01,
+    }
+    assert limits == sizes | dict.fromkeys(("covariance_error", "knowledge_error"), 1e-6)
+    large = replace(mission, units=replace(mission.units, length_m=50.0 * mission.units.length_m))
+    grown = {name: pytest.approx(50.0 * size) for name, size in sizes.items()}
+    assert limits_of(large) == limits | grown
     assert limits.keys() == FIGURES.keys()
 
 
