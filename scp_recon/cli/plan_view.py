@@ -38,6 +38,7 @@ from scp_recon.reports.tables import (
     starts_table,
 )
 from scp_recon.results.facts import Risk, Verification
+from scp_recon.results.figures import is_converged
 from scp_recon.results.solution import Solution, iteration_record
 from scp_recon.results.table import Cell, Table
 from scp_recon.scenario.fields import ScenarioWarning
@@ -45,6 +46,7 @@ from scp_recon.scenario.schema import Scenario
 from scp_recon.scenario.time_scales import instant, iso_tdb, iso_utc
 from scp_recon.scp.loop import Record
 from scp_recon.scp.status import Status
+from scp_recon.verification.probabilities import missed_spread
 from scp_recon.verification.remedies import in_words, what_next
 
 
@@ -231,6 +233,8 @@ def show_verification(
         console.print(terminal(limits))
         show_line(console, limits.note, "dim")
     show_warnings(console, warnings)
+    if is_converged(solution) and (missed := missed_spread(mission, solution)):
+        show_line(console, f"warning: {missed}", "yellow")
     show_verdict(console, "verified", [in_words(name) for name in v.failed])
     if v.missed is not None:
         show_line(console, str(v.missed))

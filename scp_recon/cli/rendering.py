@@ -50,7 +50,9 @@ def show_warnings(console: Console, warnings: Iterable[ScenarioWarning], of: str
         )
 
 
-def show_verdict(console: Console, word: str, failed: Sequence[str]) -> None:
+def show_verdict(
+    console: Console, word: str, failed: Sequence[str], note: str | None = None
+) -> None:
     """Show the verdict.
 
     Args:
@@ -58,6 +60,7 @@ def show_verdict(console: Console, word: str, failed: Sequence[str]) -> None:
         word: the good verdict, such as "verified".
         failed: names of failed checks, or sentences with the required values; empty for a good
             verdict.
+        note: that the verdict has to be read with.
     """
     if failed:
         text = Text(f"not {word}", style="bold red") + Text(
@@ -65,6 +68,8 @@ def show_verdict(console: Console, word: str, failed: Sequence[str]) -> None:
         )
     else:
         text = Text(word, style="bold green")
+    if note:
+        text += Text(f"; {note}", style="yellow")
     console.print(text, soft_wrap=True)
 
 

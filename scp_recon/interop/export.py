@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import textwrap
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -13,6 +14,7 @@ from scp_recon.interop.path import MARGIN_S, FlownPath
 from scp_recon.mission.mission import Mission
 from scp_recon.results.solution import Solution
 from scp_recon.scenario.time_scales import instant, iso_tdb, iso_utc
+from scp_recon.verification.probabilities import missed_spread
 
 SPACECRAFT_ID = -999
 """Default number of the spacecraft; NAIF's are negative, and this one is not assigned."""
@@ -53,6 +55,11 @@ class Export:
     def burns_flown(self) -> int:
         """Number of burns flown before a plan made in flight."""
         return self.mission.scenario.burns_flown
+
+    @cached_property
+    def missed(self) -> str | None:
+        """What the covariance after the last burn misses of nonlinear flights."""
+        return missed_spread(self.mission, self.solution)
 
     @property
     def shortfalls(self) -> list[str]:
@@ -96,6 +103,7 @@ def heading(export: Export) -> list[str]:
         f"t_s = 0 is {iso_tdb(export.instant(0.0))} TDB, {iso_utc(export.instant(0.0))} UTC",
         f"mean and covariance of the planner's model; coasting {MARGIN_S:g} s before the first burn "
         "and after the last is not part of the plan",
+        *([f"of this covariance: {export.missed}"] if export.missed else []),
         f"a straight line between neighbouring states is within {path.linear_error_m:.1e} m of the "
         f"flight (required: {path.within_m:g}), a cubic of both states within "
         f"{path.cubic_error_m:.1e} m",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Self, TypeVar
 
@@ -27,6 +28,8 @@ SCHEMA = "scp_recon.montecarlo/1"
 FILE_NAME = "montecarlo.json"
 
 COMPONENTS = ("x", "y", "z", "vx", "vy", "vz")
+WIDER = 1.25
+"""Sampled over predicted sigma of the final state beyond which the linear law is said to miss it."""
 """Of the final state, J2000."""
 ONE_SIGMA, TWO_SIGMA, CLOSEST = 0.15866, 0.02275, 0.003
 """Lower normal tails at one and two sigma; the paper's quantile of the closest approach."""
@@ -172,6 +175,12 @@ class Terminal(Section):
     sigma_position_m: Interval
     sigma_velocity_m_s: Interval
 
+    @property
+    def missed(self) -> str | None:
+        """See `missed_by_law`."""
+        values = {name: ratio.value for name, ratio in self.sigma_ratio.items()}
+        return missed_by_law({name: value for name, value in values.items() if value is not None})
+
 
 class CorrectedBurn(Section):
     """Probability that a corrected burn, as it is commanded, keeps each limit on burns.
@@ -311,6 +320,21 @@ class Summary(Displayed, File):
         entries: dict[str, Any] = self.model_dump(mode="json", exclude_unset=True)
         text = json.dumps({"schema": SCHEMA, **entries}, allow_nan=False)
         return write_atomically(folder / name, text + "\n")
+
+
+def missed_by_law(ratios: Mapping[str, float]) -> str | None:
+    """What the linear law misses of the spread after the last burn, by axis; None if nothing much.
+
+    Args:
+        ratios: sampled over predicted sigma, by component of the final state in J2000.
+    """
+    wider = [f"{name} {ratio:.2f}" for name, ratio in ratios.items() if ratio > WIDER]
+    if not wider:
+        return None
+    return (
+        "after the last burn flights spread more than by the linear law's covariance: sigma over the "
+        f"predicted one {', '.join(wider)} in J2000, expected at most {WIDER:g}"
+    )
 
 
 Kind = TypeVar("Kind", bound=Summary)

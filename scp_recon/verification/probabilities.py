@@ -11,8 +11,9 @@ from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.estimates import proportion
 from scp_recon.monte_carlo.limits import is_certain, limit_margins
 from scp_recon.monte_carlo.sampling import fly_block, sample_positions
+from scp_recon.monte_carlo.summary import COMPONENTS, missed_by_law
 from scp_recon.results.facts import FinalSigma, JointProbability, Risk
-from scp_recon.results.figures import FINAL_SIGMAS, final_sigma_limits
+from scp_recon.results.figures import FINAL_SIGMAS, final_sigma_limits, is_strange
 from scp_recon.results.policy import Policy
 from scp_recon.results.solution import Solution
 
@@ -145,11 +146,7 @@ def flown_sigmas(
     limits, found = final_sigma_limits(mission), []
     if not limits:
         return []
-    end = mission.times_s[-1:]
-    blocks = [
-        fly_block(mission, burns, end, number, seed=seed, policy=policy) for number in range(BLOCKS)
-    ]
-    states = np.concatenate([flown.states[-1] for flown in blocks])
+    states = _final_states(mission, burns, seed, policy)
     for name, part, unit in FINAL_SIGMAS:
         if name in limits:
             deviation = states[:, part] - states[:, part].mean(axis=0)
@@ -160,6 +157,24 @@ def flown_sigmas(
                 FinalSigma(name=name, unit=unit, required=limits[name], flown=sigma, error=error)
             )
     return found
+
+
+def _final_states(mission: Mission, burns: Array, seed: int, policy: Policy) -> Array:
+    """States of flights after the last burn, shape (flights, 6)."""
+    end = mission.times_s[-1:]
+    blocks = [
+        fly_block(mission, burns, end, number, seed=seed, policy=policy) for number in range(BLOCKS)
+    ]
+    return np.concatenate([flown.states[-1] for flown in blocks])
+
+
+def missed_spread(mission: Mission, solution: Solution) -> str | None:
+    """What the covariance after the last burn misses of nonlinear flights; None if nothing much."""
+    policy = () if is_strange(mission, solution.policy) else solution.corrections
+    flown = _final_states(mission, solution.burns_m_s, SEED, policy).std(axis=0)
+    predicted = np.sqrt(np.diag(np.array(solution.nodes.covariance[-1])))
+    pairs = zip(COMPONENTS, flown, predicted, strict=True)
+    return missed_by_law({name: float(s / p) for name, s, p in pairs if p > 0.0})
 
 
 def exceeded(found: list[FinalSigma]) -> list[str]:

@@ -21,13 +21,19 @@ from scp_recon.monte_carlo.summary import (
     COMPONENTS,
     FILE_NAME,
     SCHEMA,
+    WIDER,
     Summary,
+    missed_by_law,
     read_summary,
     summarise,
 )
 from scp_recon.monte_carlo.whole_flight import SampledFlights
 from scp_recon.results.solution import Solution
-from scp_recon.verification.probabilities import joint_probabilities, required_probability
+from scp_recon.verification.probabilities import (
+    joint_probabilities,
+    missed_spread,
+    required_probability,
+)
 from scp_recon.verification.shortfalls import shortfalls
 from tests import reliability
 from tests.helpers import usually
@@ -196,3 +202,24 @@ def test_packaged_field_refuses_another_body(entry, mission, solution):
     with pytest.raises(InputError, match=words):
         FlightConfig(other, solution.burns_m_s, truth="harmonics")
     FlightConfig(mission, solution.burns_m_s, truth="harmonics")
+
+
+def test_spread_beyond_the_linear_law_is_named_by_axis():
+    assert missed_by_law({"x": 0.5, "vy": WIDER}) is None
+    told = missed_by_law({"x": 1.0, "vz": 1.87, "vx": 1.26})
+    assert "vz 1.87, vx 1.26 in J2000" in told
+    assert "x 1.00" not in told
+
+
+def test_verification_and_flights_miss_the_same_axes(mission, solution):
+    """The covariance stored for the end is halved along one velocity: both see it there."""
+    covariance = [list(map(list, rows)) for rows in solution.nodes.covariance]
+    for i in range(6):
+        covariance[-1][4][i] *= 0.5
+        covariance[-1][i][4] *= 0.5
+    nodes = replace(solution.nodes, covariance=covariance)
+    narrowed = replace(solution, nodes=nodes)
+    flown = fly_many(FlightConfig(mission, solution.burns_m_s), samples=1000)
+    for told in (missed_spread(mission, narrowed), summarise(flown, narrowed).terminal.missed):
+        assert "vy" in told
+    assert "vy" not in (missed_spread(mission, solution) or "")
