@@ -15,6 +15,10 @@ from scp_recon.errors import InputError
 LOCK = ".lock"
 PICTURE = b"atplotlib"
 """In pictures of the formats that name the program which wrote them."""
+PAGE = b'<meta name="generator" content="scp_recon">'
+"""In every page."""
+ENDS = 1_000_000
+"""Bytes at either end of a file that are searched for a mark."""
 BYTES_MAX = 100_000_000
 """Thirty times the solution of the largest grid; /dev/zero ends here and not in the memory."""
 
@@ -113,7 +117,8 @@ def check_own(file: Path, entry: str, mark: bytes) -> None:
     Args:
         file: to write.
         entry: what to name in a message.
-        mark: bytes that every file of this kind written by this program has in its first megabyte.
+        mark: bytes that every file of this kind written by this program has in its first megabyte, or
+            in its last.
 
     Raises:
         InputError: if there is such a file without the mark.
@@ -123,7 +128,9 @@ def check_own(file: Path, entry: str, mark: bytes) -> None:
             return  # a folder is refused by `check_writable`
         if file.is_file():
             with file.open("rb") as opened:
-                if mark in opened.read(1_000_000):
+                begin = opened.read(ENDS)
+                opened.seek(max(0, file.stat().st_size - ENDS))
+                if mark in begin or mark in opened.read(ENDS):
                     return
     given = f"{file}, which holds something else"
     raise InputError(entry, given, "must be a new file, or one that this command wrote")

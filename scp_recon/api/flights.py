@@ -36,7 +36,7 @@ from scp_recon.monte_carlo.flights import (
     fly_many,
 )
 from scp_recon.monte_carlo.sampling import AnyPolicy, ErrorModel, PolicyKind
-from scp_recon.monte_carlo.summary import FILE_NAME, Summary, summarise
+from scp_recon.monte_carlo.summary import FILE_NAME, MARK, Summary, summarise
 from scp_recon.results.solution import require_whole_flight
 from scp_recon.simulation import record as records
 from scp_recon.simulation.vehicle import Vehicle, load_vehicle
@@ -129,7 +129,7 @@ def fly_into(folder: Path, plan: Opened, options: FlyOptions, watcher: Watcher) 
     config = _config(plan, options)
     own = "feedback" if solution.corrections else "open"
     name = FILE_NAME if config.policy_kind == own else f"montecarlo_{config.policy_kind}.json"
-    with results_beside(folder, solution, name, "folder"):
+    with results_beside(folder, solution, name, "folder", MARK):
         flown = _fly(config, options, watcher)
         interrupted = watcher.stop() and flown.samples < options.samples
         summary = summarise(flown, solution)

@@ -131,7 +131,9 @@ def check_holds(folder: Path, solution: Solution, entry: str) -> None:
 
 
 @contextmanager
-def results_beside(folder: Path, solution: Solution, name: str, entry: str) -> Iterator[None]:
+def results_beside(
+    folder: Path, solution: Solution, name: str, entry: str, mark: bytes
+) -> Iterator[None]:
     """Context in which results of a plan are made and written into a folder that only this run uses.
 
     Args:
@@ -139,11 +141,14 @@ def results_beside(folder: Path, solution: Solution, name: str, entry: str) -> I
         solution: the plan.
         name: of the file of the results.
         entry: what to name in a message.
+        mark: that such a file has: see `check_own`.
 
     Raises:
-        InputError: if the folder cannot be written, holds another plan, or is in use.
+        InputError: if the folder cannot be written, holds another plan or a file of that name that
+            this program did not write, or is in use.
     """
     check_writable(folder, name, entry)
+    check_own(folder / name, entry, mark)
     check_holds(folder, solution, entry)
     with only_run_in(folder, entry):
         yield

@@ -52,9 +52,13 @@ class Cases(Sequence[Case]):
         return Case(number, int(state >> 1), changes)
 
 
+SOLUTIONS = "solutions"
+"""Folder of kept solutions in the campaign's."""
+
+
 def solution_name(number: int) -> str:
     """Path of a case's kept solution, relative to the campaign's folder."""
-    return f"solutions/case-{number:07d}/solution.json"
+    return f"{SOLUTIONS}/case-{number:07d}/solution.json"
 
 
 def changed(base: Scenario, changes: Mapping[str, Any], folder: Path) -> Scenario:

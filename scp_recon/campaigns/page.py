@@ -31,7 +31,8 @@ from scp_recon.campaigns.outcome import (
     remarks,
 )
 from scp_recon.campaigns.results import OWN
-from scp_recon.files import unwritable, write_atomically
+from scp_recon.files import PAGE as MADE
+from scp_recon.files import check_own, unwritable, write_atomically
 from scp_recon.reports.marks import (
     BODY,
     DASHES,
@@ -81,6 +82,7 @@ def write_page(results: CampaignResults) -> Path:
         InputError: if the extra [report] is missing, or the folder cannot be written.
     """
     check_extra()
+    check_own(results.folder / PAGE, "DIR", MADE)
     try:
         return write_atomically(results.folder / PAGE, render(results, datetime.now(UTC)))
     except OSError as error:

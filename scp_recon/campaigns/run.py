@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from scp_recon.campaigns.cases import Case
+from scp_recon.campaigns.cases import SOLUTIONS, Case
 from scp_recon.campaigns.results import (
     FIXED,
     MEASURED,
@@ -125,7 +125,8 @@ def _take(folder: Path, study: Study) -> None:
         allowed = f"must be a folder of its own{allowed}"
         return InputError(option("out"), f"{folder}, {given}", allowed)
 
-    for name in (RESULTS, ROWS):
+    kept = (SOLUTIONS,) if study.campaign.keep_solutions else ()
+    for name in (RESULTS, ROWS, *kept):
         if (folder / name).exists() and not path.is_file():
             raise refused(f"with {name} but no {FILE_NAME}")
     try:

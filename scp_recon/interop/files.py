@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from scp_recon.errors import imported, option
-from scp_recon.files import write_atomically
+from scp_recon.files import check_own, write_atomically
 from scp_recon.interop import ccsds, kernels
 from scp_recon.interop.export import Export, heading
 from scp_recon.scenario.time_scales import iso_tdb, iso_utc
@@ -26,7 +26,8 @@ from scp_recon.simulation.guidance import FlightPlan
 from scp_recon.simulation.vehicle import Vehicle
 
 FORMATS = ("oem", "spk", "ck", "csv", "parquet")
-BINARY = (".bsp", "_body.bsp", ".bc")
+KERNELS = {"spk": (".bsp", "_body.bsp"), "ck": (".bc",)}
+BINARY = (*KERNELS["spk"], *KERNELS["ck"])
 TEXTS = {
     ".tls": kernels.leap_seconds,
     ".tpc": kernels.body_constants,
@@ -133,10 +134,14 @@ def write_export(export: Export, form: str, folder: Path, vehicle: Vehicle) -> l
     A vehicle adds a CK with its attitude.
 
     Raises:
-        InputError: if an extra is missing, or the vehicle cannot fly the plan.
+        InputError: if an extra is missing, the vehicle cannot fly the plan, or there are files of these
+            names that this program did not write.
         OSError: if a file cannot be written.
     """
     home = folder / stem(export)
+    ends = tuple(CONTENTS[form]) if form in CONTENTS else (*KERNELS[form], *TEXTS, ".tm")
+    for end in ends:  # every file holds its plan's hash in the heading
+        check_own(_named(home, end), option("out"), export.solution.plan_hash.encode())
     if form in ("spk", "ck"):
         return _kernels(export, form, home, vehicle)
     contents = CONTENTS[form].items()

@@ -25,6 +25,8 @@ from scp_recon.results.solution import Solution
 from scp_recon.scenario.fields import ByName, Line, Section
 
 SCHEMA = "scp_recon.montecarlo/1"
+MARK = b'"schema": "scp_recon.montecarlo/'
+"""In every file of flights, of any version."""
 FILE_NAME = "montecarlo.json"
 
 COMPONENTS = ("x", "y", "z", "vx", "vy", "vz")

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from scp_recon.errors import imported, option
-from scp_recon.files import check_ending, unwritable, write_atomically
+from scp_recon.files import PAGE, check_ending, check_own, unwritable, write_atomically
 from scp_recon.reports import charts, page, tables
 from scp_recon.reports.charts import history_chart
 from scp_recon.reports.corrections import correction_charts
@@ -72,6 +72,7 @@ def write_report(
     """
     check_extra()
     check_ending(file, option("out"), ".html", ".htm")
+    check_own(file, option("out"), PAGE)
     html = page.render(page_of(subjects_of(given), camera or Camera(), now()))
     try:
         file.parent.mkdir(parents=True, exist_ok=True)

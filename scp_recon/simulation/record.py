@@ -45,6 +45,8 @@ from scp_recon.simulation.guidance import CONTROL_PERIOD_S
 from scp_recon.simulation.vehicle import Vehicle
 
 FILE_NAME, SCHEMA = "simulation.npz", "scp_recon.simulation/1"
+MARK = b"summary.npy"
+"""Name of the summary in every such archive."""
 SAMPLE_S = 10.0
 EVERY = slice(None, None, round(SAMPLE_S / CONTROL_PERIOD_S))
 MODES = tuple(Mode)
