@@ -75,6 +75,7 @@ class StageSpec:
         judges: rows by which the stage is judged, if not its own.
         max_iterations: limit of its iterations; None for the algorithm's.
         is_required: whether later stages are in vain if it does not converge.
+        doubt: violation up to which they are not, because the stage's rows err by as much.
         fallback: stage that replaces the later ones but the last if it does not converge.
         title: name in place of the composed one.
     """
@@ -87,6 +88,7 @@ class StageSpec:
     judges: Rows | None = None
     max_iterations: int | None = None
     is_required: bool = False
+    doubt: float = 0.0
     fallback: StageSpec | None = None
     title: str = ""
 

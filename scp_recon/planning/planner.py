@@ -55,6 +55,11 @@ FEW_LINES, FEW_WITH_GAINS, LINES = 512, 1024, 4096
 coarse stage, in the coarse stage with corrected burns, and in the final stage. With gains the kinks
 between few directions stop the search early."""
 
+FEW_ERR = 0.05
+"""Standard deviations by which few directions may miss what many tell: the coarse stage called cases
+infeasible by up to 0.005 that the final stage solves. With gains a stage takes too
+long for the doubt."""
+
 COARSE, FINE = 1e-3, 1e-5
 COARSE_WITH_GAINS, FINE_WITH_GAINS = 1e-2, 1e-4
 """Relative reduction of the merit at which a coarse and a final stage stop; sampling errs by more.
@@ -184,16 +189,16 @@ class Planner(Generic[Task]):
                 StageSpec("P2", NodeRows(plain, target, COARSE), "open"),
                 StageSpec("P2", closed, is_required=True),
             ]
-        few, rough, fine, led = FEW_LINES, COARSE, FINE, None
+        few, rough, fine, led, doubt = FEW_LINES, COARSE, FINE, None, FEW_ERR
         if gains:
-            few, rough, fine = FEW_WITH_GAINS, COARSE_WITH_GAINS, FINE_WITH_GAINS
+            few, rough, fine, doubt = FEW_WITH_GAINS, COARSE_WITH_GAINS, FINE_WITH_GAINS, 0.0
             least = NodeRows(problem, 1.0 - LED_RISK * (1.0 - target), COARSE)
             led = StageSpec("P2", least, "led", max_iterations=LED_ITERATIONS)
         nodes, coarse = NodeRows(plain, target, COARSE), FlightRows(problem, target, few, rough)
         whole = FlightRows(problem, target, LINES, fine, coarse)
         return [
             StageSpec("P2", nodes, "node", is_required=not gains, fallback=led),
-            StageSpec("P2", coarse, "coarse", is_required=True),
+            StageSpec("P2", coarse, "coarse", is_required=True, doubt=doubt),
             StageSpec("P2", whole, is_required=True),
         ]
 

@@ -248,7 +248,8 @@ class Pipeline:
             lin = stage.result.lin
             if stage.result.status is Status.CONVERGED:
                 continue
-            if spec.is_required:
+            in_doubt = spec.doubt and stage.merit.worst_violation(lin) < spec.doubt
+            if spec.is_required and not in_doubt:
                 break
             if spec.fallback is not None:
                 waiting = [spec.fallback, waiting[-1]]
