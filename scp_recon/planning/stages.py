@@ -32,6 +32,7 @@ from scp_recon.planning.problem import PlanningProblem
 from scp_recon.planning.settling import Settling
 from scp_recon.scp.loop import Record, Timing
 from scp_recon.scp.status import Status
+from scp_recon.scp.verdict import UNDECIDED
 
 OTHER_OPTIMUM = 0.999
 """Ratio of two merits below which the runs ended at different optima."""
@@ -39,6 +40,8 @@ OTHER_OPTIMUM = 0.999
 OTHER_BURNS = 1e-2
 """Burns whose components differ by more, nondimensional, are different optima."""
 
+HARDLY = 0.5
+"""Share of a least violation above which that of a run without a verdict refutes nothing."""
 RESOLUTION = 1e-3
 """Relative reduction of the merit at which the open stage stops: P3 continues from there."""
 
@@ -213,7 +216,8 @@ class Pipeline:
                 for spec in solver.exact_stages()
             ]
             other = runs.run(named, p3.result.lin, p3.spec.start)
-            best = other if rank(other) > rank(best, saving=1.0 - OTHER_OPTIMUM) else best
+            better = rank(other) > rank(best, saving=1.0 - OTHER_OPTIMUM)
+            best = other if better and not _says_less(other, best) else best
             self.stages += runs.stages
             self.timing.add(runs.timing)
         return best
@@ -302,6 +306,13 @@ def without_partial_keep_out(problem: FlybyProblem) -> FlybyProblem:
     """
     kept = [c for c in problem.constraints if c.keep == "in" or len(c.nodes) == problem.n_nodes]
     return replace(problem, constraints=tuple(kept))
+
+
+def _says_less(one: Stage, other: Stage) -> bool:
+    """Whether a run ended without a verdict where another proved a hardly larger violation least."""
+    least = (run.merit.worst_violation(run.result.lin) for run in (one, other))
+    undecided = other.result.status is Status.INFEASIBLE and one.result.status in UNDECIDED
+    return undecided and next(least) > HARDLY * next(least)
 
 
 def same_optimum(one: Stage, other: Stage) -> bool:
