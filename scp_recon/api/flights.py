@@ -24,8 +24,10 @@ from scp_recon.jobs.blas import one_thread
 from scp_recon.jobs.cores import WORKERS_MAX
 from scp_recon.jobs.job import Executor, here
 from scp_recon.jobs.processes import Processes
+from scp_recon.mission.drifts import Miss, duration_s, planned, required_probability
 from scp_recon.mission.scene import TruthModel
 from scp_recon.monte_carlo.closed_loop import replans
+from scp_recon.monte_carlo.drifts import fly_drifts, reach_s, safety_of
 from scp_recon.monte_carlo.flights import (
     LIMITS,
     SAMPLES_MAX,
@@ -60,6 +62,7 @@ class FlyOptions:
     workers: int | None = None
     scheduler: str | None = None
     policy: PolicyKind | None = None
+    miss: int | None = None
 
     def __post_init__(self) -> None:
         make_whole(self, "samples", SAMPLES_MIN, SAMPLES_MAX)
@@ -98,8 +101,9 @@ class Watcher:
 
 def flown_summary(plan: Opened, options: FlyOptions) -> Summary:
     """Fly a plan and summarise its flights."""
-    flown = _fly(_config(plan, options), options, Watcher())
-    return summarise(flown, plan.solution)
+    config = _config(plan, options)
+    flown = _fly(config, options, Watcher())
+    return _with_drift(summarise(flown, plan.solution), config, options)
 
 
 @dataclass(frozen=True)
@@ -129,10 +133,14 @@ def fly_into(folder: Path, plan: Opened, options: FlyOptions, watcher: Watcher) 
     config = _config(plan, options)
     own = "feedback" if solution.corrections else "open"
     name = FILE_NAME if config.policy_kind == own else f"montecarlo_{config.policy_kind}.json"
+    if options.miss is not None:
+        name = f"{name.removesuffix('.json')}_miss_{options.miss}.json"
     with results_beside(folder, solution, name, "folder", MARK):
         flown = _fly(config, options, watcher)
         interrupted = watcher.stop() and flown.samples < options.samples
         summary = summarise(flown, solution)
+        if not interrupted:
+            summary = _with_drift(summary, config, options)
         with writing(folder, "folder"):
             path = summary.write(folder, name)
     return SavedFlights(flown, path, summary, interrupted)
@@ -140,7 +148,33 @@ def fly_into(folder: Path, plan: Opened, options: FlyOptions, watcher: Watcher) 
 
 def _config(plan: Opened, options: FlyOptions) -> FlightConfig:
     burns, policy = plan.solution.burns_m_s, _policy(plan, options.policy)
+    scenario = plan.solution.scenario
+    numbers = range(1 + scenario.burns_flown, 1 + len(scenario.burns.times_s))
+    if options.miss is not None and options.miss not in numbers:
+        allowed = f"must be a burn that is planned, {numbers[0]} to {numbers[-1]}"
+        raise InputError(option("miss"), str(options.miss), allowed)
     return FlightConfig(plan.mission, burns, options.seed, options.truth, options.errors, policy)
+
+
+def _with_drift(summary: Summary, config: FlightConfig, options: FlyOptions) -> Summary:
+    """The summary with the drifts of its flights after the burn that is missed, if one is."""
+    if options.miss is None:
+        return summary
+    mission, miss = config.mission, Miss(options.miss)
+    spell = reach_s(mission, duration_s(mission.scenario))
+    flown = fly_drifts(
+        mission,
+        config.burns_m_s,
+        [miss],
+        summary.samples,
+        seed=config.seed,
+        truth=config.truth,
+        policy=config.policy,
+        spell_s=spell,
+    )
+    required = required_probability(mission.scenario) if miss in planned(mission.scenario) else None
+    found = safety_of(mission, miss, flown[0], required, spell)
+    return summary.model_copy(update={"drift": found})
 
 
 def _policy(plan: Opened, kind: PolicyKind | None) -> AnyPolicy:

@@ -101,6 +101,7 @@ def fly(
     truth: Literal["planner", "harmonics", "polyhedron"] = "planner",
     errors: Literal["componentwise", "gates"] | None = None,
     policy: Policy | None = None,
+    miss: int | None = None,
     workers: int | None = None,
     scheduler: str | None = None,
 ) -> "Summary":
@@ -120,6 +121,8 @@ def fly(
         policy: what burns are commanded: "open", those planned; "replan", planned again before each
             from what is estimated; "feedback", corrected by the plan's gains (default: feedback of a
             plan with gains, else open).
+        miss: number of a burn that does not happen, from 1; the free drift of the same flights from it
+            on is flown too, for safety.drift_s.
         workers: processes; the result does not depend on their number (default: 1).
         scheduler: run on the Dask cluster of this scheduler instead, e.g. tcp://127.0.0.1:8786; needs
             the extra [cluster].
@@ -140,7 +143,7 @@ def fly(
     from scp_recon.api.files import open_plan
     from scp_recon.api.flights import FlyOptions, flown_summary
 
-    how = FlyOptions(samples, until, truth, errors, seed, workers, scheduler, policy)
+    how = FlyOptions(samples, until, truth, errors, seed, workers, scheduler, policy, miss)
     return flown_summary(open_plan(plan), how)
 
 

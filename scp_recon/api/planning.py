@@ -20,6 +20,7 @@ from scp_recon.api.inputs import GUESSES, Known, PlanRequest, load, resolve
 from scp_recon.api.keeping import Kept, keep
 from scp_recon.api.options import PlanOptions
 from scp_recon.certification.certify import certify
+from scp_recon.certification.drifts import with_safe_drifts
 from scp_recon.certification.flights import Watch as FlightWatch
 from scp_recon.certification.largest import LEAST, Search, largest_promise
 from scp_recon.errors import InputError, option
@@ -204,6 +205,22 @@ def plan_mission(
         InputError: if an option does not go with the scenario, or the delta-v budget has no plan.
     """
     options.check(mission.scenario)
+
+    def planned(mission: Mission, last: Plan | None) -> Plan:
+        return _planned(mission, last or start, options, observe, init, known)
+
+    return with_safe_drifts(mission, planned) if mission.problem.drifts else planned(mission, None)
+
+
+def _planned(
+    mission: Mission,
+    start: Iterate | Plan,
+    options: PlanOptions,
+    observe: PlanObserver | None,
+    init: str,
+    known: Known,
+) -> Plan:
+    """See `plan_mission`; drifts are safe by the law alone, or by the losses that the mission has."""
     make = partial(_on_right_grid, _method(options, known))
     probable, number = options.objective == "probability", options.starts_for(mission.scenario)
     if options.starts is None and isinstance(start, Plan):

@@ -222,8 +222,12 @@ def _law(plan: AimedPlan) -> float:
 
 def slack(plan: AimedPlan) -> float:
     """Excess of the normal law's probabilities over the target, in standard deviations."""
-    of = plan.final
-    return min(float(m.margin.min()) for name, m in of.margins.items() if of.unit(name) == "sigma")
+    of, drifts = plan.final, {drift.name for drift in plan.final.merit.problem.drifts}
+    return min(
+        float(m.margin.min())
+        for name, m in of.margins.items()
+        if of.unit(name) == "sigma" and name not in drifts
+    )
 
 
 SURE = float(ndtri(0.95))

@@ -63,6 +63,14 @@ def show_summary(console: Console, summary: Summary, required: float | None = No
     worst = interval_cell(summary.closest_m.worst, 1).text
     console.print(f"closest approach to the centre, 0.3 % quantile: {worst} m", highlight=False)
     _show_terminal(console, summary.terminal)
+    if summary.drift is not None:
+        console.print(str(summary.drift), highlight=False)
+        safe = summary.drift
+        console.print(
+            f"safe drifts, never within {safe.radius_m:g} m of the centre: {safe.value:.4f}, "
+            f"{safe.low:.4f} to {safe.high:.4f}",
+            highlight=False,
+        )
 
 
 def _show_spread(console: Console, label: str, spread: Statistics, digits: int) -> None:

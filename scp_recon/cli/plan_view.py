@@ -31,6 +31,7 @@ from scp_recon.reports.tables import (
     burns_table,
     constraints_table,
     corrections_table,
+    drifts_table,
     iteration_row,
     mean_margins_table,
     probabilities_table,
@@ -228,6 +229,12 @@ def show_verification(
     probabilities = probabilities_table(mission, v)
     console.print(terminal(probabilities))
     show_line(console, probabilities.note, "dim")
+    if any(drift.required is not None for drift in v.drifts):
+        drifts = drifts_table(v)
+        console.print(terminal(drifts))
+        show_line(console, drifts.note, "dim")
+    elif v.drifts:
+        show_line(console, str(min(v.drifts, key=lambda drift: drift.closest_m)))
     if v.burn_limits:
         limits = burn_limits_table(v, mission.scenario.risk.p_chance)
         console.print(terminal(limits))

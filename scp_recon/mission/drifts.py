@@ -7,8 +7,8 @@ keeps its distance with the required probability.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -50,11 +50,6 @@ class Miss:
             f"cut_burn_{self.burn}_at_{self.share:g}" if self.share else f"missed_burn_{self.burn}"
         )
 
-    def __str__(self) -> str:
-        """In words."""
-        how = f"is cut short at {self.share:g} of its size" if self.share else "is missed"
-        return f"burn {self.burn} {how}"
-
 
 def duration_s(scenario: Scenario) -> float:
     """Time for which a drift must be safe, s."""
@@ -81,17 +76,27 @@ def times_of(scenario: Scenario, miss: Miss, last_s: float | None = None) -> Arr
     return np.linspace(start, start + spell, max(count, 1) + 1)
 
 
-def problem_drifts(scene: Scene, forces: ForceModel, units: Units) -> tuple[Drift, ...]:
-    """The drifts of a scenario, nondimensional, with the forces of its planner in SI."""
-    return tuple(_drifts(scene, planned(scene.scenario), forces, units))
+def required_probability(scenario: Scenario) -> float:
+    """Probability with which each drift has to be safe."""
+    return scenario.safety.drift_probability or DRIFT_PROBABILITY
+
+
+def problem_drifts(
+    scene: Scene, forces: ForceModel, units: Units, losses: Mapping[str, float]
+) -> tuple[Drift, ...]:
+    """The drifts of a scenario, nondimensional, with the forces of its planner in SI.
+
+    `losses` are the standard deviations by which flights are less safe than the linear law, by names.
+    """
+    return tuple(_drifts(scene, forces, units, losses))
 
 
 def _drifts(
-    scene: Scene, misses: Sequence[Miss], forces: ForceModel, units: Units
+    scene: Scene, forces: ForceModel, units: Units, losses: Mapping[str, float]
 ) -> Iterator[Drift]:
     scenario, own = scene.scenario, forces.in_units(units.length_m, units.time_s)
-    required = quantile(scenario.safety.drift_probability or DRIFT_PROBABILITY)
-    for miss in misses:
+    for miss in planned(scenario):
+        required = quantile(required_probability(scenario)) + losses.get(miss.name, 0.0)
         times = times_of(scenario, miss)
         flow = GridFlow(own, times[:-1] / units.time_s, np.diff(times) / units.time_s, 1)
         keep_out = [Ball(np.zeros((len(times), 3)), radius_m(scenario) / units.length_m)]
@@ -146,10 +151,3 @@ def require_no_drifts(scenario: Scenario, needs: str) -> None:
     if scenario.safety.missed_burns or scenario.safety.cut_short:
         entry = "missed_burns" if scenario.safety.missed_burns else "cut_short"
         raise InputError(f"safety.{entry}", "1" if scenario.safety.missed_burns else "true", needs)
-
-
-def raised(drifts: Sequence[Drift], by: Sequence[float]) -> tuple[Drift, ...]:
-    """The drifts held to higher probabilities, by numbers of standard deviations."""
-    return tuple(
-        replace(one, required=one.required + more) for one, more in zip(drifts, by, strict=True)
-    )

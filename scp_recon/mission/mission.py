@@ -99,6 +99,8 @@ class Mission:
     """Warnings of unlikely entries, shown with every verdict."""
     firing_spans_s: tuple[Interval, ...] | None = None
     """Earliest and latest time of each burn to be planned, where times are controls; None if given."""
+    drift_losses: tuple[tuple[str, float], ...] = ()
+    """Standard deviations by which drifts are less safe in flights than by the linear law, by names."""
 
     def __repr__(self) -> str:
         """One line."""
@@ -374,7 +376,7 @@ class Mission:
             ),
             feedback=self.feedback,
             firing=self.firing,
-            drifts=problem_drifts(self.scene, self.forces, units),
+            drifts=problem_drifts(self.scene, self.forces, units, dict(self.drift_losses)),
         )
 
     @property

@@ -130,7 +130,7 @@ def fly_draws(
     executed = model.execute(burns_m_s, draws)
     commanded = np.tile(burns_m_s, (flights, 1, 1))
     loop = start_loop(mission, burns_m_s, policy, measured)
-    fly = _flow(mission, truth)
+    fly = flow_of(mission, truth)
     firing = mission.scenario.burn_times_s
     burn_at = dict(zip(firing, range(len(burns_m_s)), strict=True))
     stops = make_grid((mission.scenario.start_s, *firing), mission.flight_step_s)
@@ -219,7 +219,7 @@ def sample_positions(
     return np.concatenate(blocks, axis=1)
 
 
-def _flow(mission: Mission, truth: TruthModel) -> Flow:
+def flow_of(mission: Mission, truth: TruthModel) -> Flow:
     """Flow of positions and velocities (3, flights) from a time over a duration."""
     forces = mission.true_forces(truth)
 

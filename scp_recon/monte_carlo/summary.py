@@ -19,6 +19,7 @@ from scp_recon.monte_carlo.estimates import CONFIDENCE, Estimate, Tally, proport
 from scp_recon.monte_carlo.flights import FlightTally
 from scp_recon.monte_carlo.observation_time import ALL, SCIENCE
 from scp_recon.monte_carlo.sampling import ErrorModel, PolicyKind
+from scp_recon.results.facts import DriftSafety
 from scp_recon.results.policy import Correction
 from scp_recon.results.read import File, read_file
 from scp_recon.results.solution import Solution
@@ -254,6 +255,7 @@ class Summary(Displayed, File):
         executed_dv_m_s: sum of the executed burns' sizes.
         commanded: burns as they are commanded in flight; absent where all are fixed before.
         terminal: final state.
+        drift: after a burn that these flights miss; absent where none is missed.
     """
 
     plan_hash: Line
@@ -277,6 +279,7 @@ class Summary(Displayed, File):
     executed_dv_m_s: Statistics
     commanded: Commanded | None = None
     terminal: Terminal
+    drift: DriftSafety | None = None
 
     @model_validator(mode="after")
     def _every_constraint(self) -> Self:

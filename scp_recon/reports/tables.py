@@ -216,6 +216,30 @@ def probabilities_table(mission: Mission, v: Verification) -> Table:
     )
 
 
+def drifts_table(v: Verification) -> Table:
+    """Drifts after a missed or cut burn: how near they come, and how many are safe."""
+    spell = v.drifts[0].drift_s / 3600.0 if v.drifts else 0.0
+    radius = v.drifts[0].radius_m if v.drifts else 0.0
+    return Table.of(
+        "Drift after a missed burn",
+        (
+            "what happens",
+            Column("closest 99.7 %", "m", ".0f"),
+            AT,
+            *(Column(name, form=".4f") for name in ("safe", "low", "high", "impact")),
+            Column("required", form="g"),
+        ),
+        (
+            [d.event, d.closest_m, d.closest_t_s, d.value, d.low, d.high, d.impact, d.required]
+            for d in v.drifts
+        ),
+        key="drifts",
+        note=f"Nonlinear flights, {100 * v.confidence:.0f} % intervals; free for {spell:.3g} h from "
+        f"the burn on. Safe: never within {radius:g} m of the centre. Impact: within the body's "
+        "reference radius.",
+    )
+
+
 def starts_table(starts: Starts) -> Table:
     """The distinct local optima of several starts."""
     return Table.of(

@@ -265,6 +265,55 @@ class JointProbability:
 
 
 @dataclass(frozen=True)
+class DriftSafety:
+    """Free drifts after a burn that is missed or cut short, by nonlinear flights.
+
+    Attributes:
+        burn: its number in the flight, from 1.
+        share: of the burn that happens, 0 where it is missed.
+        drift_s: time flown from the burn on.
+        radius_m: distance from the body's centre that safe drifts keep.
+        required: probability that is planned for; absent where none is.
+        value: share of safe drifts.
+        low: lower end of its Clopper-Pearson interval.
+        high: upper end of it.
+        closest_m: distance from the centre that 99.7 % of drifts keep.
+        closest_t_s: time past the epoch of the approach at that distance.
+        impact: share of drifts that come within the body's reference radius.
+    """
+
+    burn: Annotated[int, Field(ge=1)]
+    share: float
+    drift_s: float
+    radius_m: float
+    required: Probability | None
+    value: Probability
+    low: Probability
+    high: Probability
+    closest_m: Number
+    closest_t_s: float
+    impact: Probability
+
+    @property
+    def event(self) -> str:
+        """What happens, in words."""
+        how = f"is cut short at {self.share:g} of its size" if self.share else "is missed"
+        return f"burn {self.burn} {how}"
+
+    @property
+    def check(self) -> str:
+        """Its name among the checks."""
+        return f"P(safe drift where {self.event})"
+
+    def __str__(self) -> str:
+        """In words."""
+        return (
+            f"drift: closest 99.7 % in {self.drift_s / 3600.0:.3g} h after {self.event}: "
+            f"{self.closest_m:.0f} m; impact {100.0 * self.impact:.3g} %"
+        )
+
+
+@dataclass(frozen=True)
 class BurnLimit:
     """Probability that a corrected burn, as it is commanded, keeps a limit on burns.
 
@@ -356,6 +405,7 @@ class Verification:
         missed: miss of the final state where too few burns are left to meet it; reported, no check.
         final_sigmas: limits on the covariance after the last burn.
         burn_limits: limits on corrected burns, with feedback.
+        drifts: after each missed burn, and after those cut short for which was planned.
         ok: whether no check failed.
     """
 
@@ -372,6 +422,7 @@ class Verification:
     missed: FinalMiss | None = None
     final_sigmas: tuple[FinalSigma, ...] = ()
     burn_limits: tuple[BurnLimit, ...] = ()
+    drifts: tuple[DriftSafety, ...] = ()
     knowledge_error: float | None = None
     ok: bool
 
@@ -385,6 +436,7 @@ class Verification:
         lines = [self.verdict]
         lines += [str(self.missed)] if self.missed else []
         lines += [str(sigma) for sigma in self.final_sigmas]
+        lines += [str(drift) for drift in self.drifts]
         lines += [
             f"P({p.name}) {p.estimate:.4f}, {p.low:.4f} to {p.high:.4f}, at {p.worst_t_s:.0f} s"
             for p in self.probabilities

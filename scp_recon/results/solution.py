@@ -321,6 +321,7 @@ def _risk(plan: Plan) -> Risk | None:
         return None
     mission, required = plan.mission, plan.mission.scenario.risk
     margins = plan.final.merit.rows.margins(plan.final.result.lin)
+    drifts = {drift.name for drift in mission.problem.drifts}  # flown by the verification
     return Risk(
         scope=required.scope,
         required=required.p_chance,
@@ -334,7 +335,7 @@ def _risk(plan: Plan) -> Risk | None:
                 sigma=(rows.margin + ndtri(plan.target)).tolist(),
             )
             for name, rows in margins.items()
-            if plan.final.unit(name) == "sigma"
+            if plan.final.unit(name) == "sigma" and name not in drifts
         ],
     )
 

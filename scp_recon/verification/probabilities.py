@@ -7,12 +7,16 @@ from scipy.special import ndtri
 
 from formulations.arrays import Array, Booleans, Indices
 from formulations.rows.exact_flight import FLIGHT
+from scp_recon.mission.drifts import STEP_S, Miss, duration_s
+from scp_recon.mission.drifts import planned as misses_planned
+from scp_recon.mission.drifts import required_probability as drift_probability
 from scp_recon.mission.mission import Mission
+from scp_recon.monte_carlo.drifts import fly_drifts, reach_s, safety_of
 from scp_recon.monte_carlo.estimates import proportion
 from scp_recon.monte_carlo.limits import is_certain, limit_margins
 from scp_recon.monte_carlo.sampling import fly_block, sample_positions
 from scp_recon.monte_carlo.summary import COMPONENTS, missed_by_law
-from scp_recon.results.facts import FinalSigma, JointProbability, Risk
+from scp_recon.results.facts import DriftSafety, FinalSigma, JointProbability, Risk
 from scp_recon.results.figures import FINAL_SIGMAS, final_sigma_limits, is_strange
 from scp_recon.results.policy import Policy
 from scp_recon.results.solution import Solution
@@ -32,6 +36,9 @@ BETWEEN = 0.05
 
 ERRORS = 5.0
 """Largest difference between the probabilities of two samples of flights, in standard errors."""
+
+DRIFTS, DRIFT_STEP_S, DRIFTS_JUDGED = 1000, 240.0, 4000
+"""Flights of a drift for which nothing was planned, and their steps; flights of one that is judged."""
 
 BLOCKS = 5
 """Number of blocks of a thousand flights."""
@@ -137,6 +144,32 @@ def _worst(name: str, times: Array, holds: Booleans) -> JointProbability:
     counts = holds.sum(axis=1)
     at = int(np.argmin(counts))
     return JointProbability(name, float(times[at]), *proportion(int(counts[at]), holds.shape[1]))
+
+
+def drift_safety(
+    mission: Mission, burns: Array, policy: Policy, *, planned: bool
+) -> list[DriftSafety]:
+    """Drifts after each missed burn, and after each miss for which is `planned`, by their flights."""
+    scenario = mission.scenario
+    judged = misses_planned(scenario) if planned else ()
+    numbers = range(1 + scenario.burns_flown, 1 + len(scenario.burns.times_s))
+    reported = [miss for miss in map(Miss, numbers) if miss not in judged]
+    spell, required = reach_s(mission, duration_s(scenario)), drift_probability(scenario)
+    found = []
+    for misses, flights, step, asked in (
+        (reported, DRIFTS, DRIFT_STEP_S, None),
+        (judged, DRIFTS_JUDGED, STEP_S, required),
+    ):
+        if not misses or spell <= 0.0:
+            continue
+        flown = fly_drifts(
+            mission, burns, misses, flights, seed=SEED, policy=policy, step_s=step, spell_s=spell
+        )
+        found += [
+            safety_of(mission, miss, one, asked, spell)
+            for miss, one in zip(misses, flown, strict=True)
+        ]
+    return sorted(found, key=lambda one: (one.burn, one.share))
 
 
 def flown_sigmas(

@@ -44,6 +44,7 @@ from scp_recon.verification.consistency import inconsistencies
 from scp_recon.verification.probabilities import (
     SAMPLES,
     SEED,
+    drift_safety,
     exceeded,
     flown_sigmas,
     joint_probabilities,
@@ -122,6 +123,8 @@ def verify(mission: Mission, solution: Solution) -> Verification:
         failed += refuted(mission, solution, probabilities)
         sigmas = flown_sigmas(mission, burns, SEED, policy)
         failed += exceeded(sigmas)
+    drifts = drift_safety(mission, burns, policy, planned=solution.problem == "P2")
+    failed += [one.check for one in drifts if one.required is not None and one.high < one.required]
     return Verification(
         **figures,
         mean_margins=margins,
@@ -132,6 +135,7 @@ def verify(mission: Mission, solution: Solution) -> Verification:
         missed=missed,
         final_sigmas=tuple(sigmas),
         burn_limits=tuple(on_burns),
+        drifts=tuple(drifts),
         ok=not failed,
     )
 

@@ -20,6 +20,7 @@ not reduce it enough."""
 STATUS, GRID, BETWEEN, BURNS, SHORT = "status", "grid", "between nodes", "burns", "short"
 CERTIFICATE, SPREAD, COMMANDS = "certificate", "spread", "commands"
 UNEXECUTED = "unexecuted"
+DRIFT = "drift"
 CONTRADICTION = "contradiction"
 REMEDIES = {
     STATUS: "{remedy}",
@@ -36,6 +37,8 @@ REMEDIES = {
     'battery.delta_v_cone_deg, or set policy.kind="open"',
     UNEXECUTED: "too small to be executed, and planning found no plan without: lower "
     "burns.dv_min_m_s, or move burns.times_s",
+    DRIFT: "drifts come nearer than by the linear law: certify the plan by flights, or raise "
+    "safety.drift_probability",
     CONTRADICTION: "the file contradicts its own scenario and burns: plan again, from it as init",
 }
 """One line for each kind of check that can fail."""
@@ -88,6 +91,8 @@ def kind_of(name: str, mission: Mission, verification: Verification) -> str:
         return SPREAD
     if name in {str(limit) for limit in verification.burn_limits}:
         return COMMANDS
+    if name in {drift.check for drift in verification.drifts}:
+        return DRIFT
     if name.startswith("dv_min of burn"):
         return UNEXECUTED
     worst = {f"P({p.name})": (SHORT, p.worst_t_s) for p in verification.probabilities}

@@ -101,6 +101,7 @@ def test_every_check_has_a_remedy(mission, verification):
         "spread": {name for name, _, _ in FINAL_SIGMAS},
         "commands": {"P(dv_max of burn 2)"},
         "unexecuted": {"dv_min of burn 2"},
+        "drift": {"P(safe drift where burn 2 is missed)"},
         "contradiction": {HASH, "facets", "violation", "nodes.t_s", "risk", "total_dv_m_s"},
     }
     assert found.keys() == REMEDIES.keys()

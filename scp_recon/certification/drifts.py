@@ -1,0 +1,86 @@
+"""Correct the linear law of drifts by flights: raise what is required until nonlinear drifts are safe.
+
+Within a day the curvature of the flow moves drifts by a part of their spread, so that the linear law is
+optimistic or pessimistic by some hundredths of a standard deviation. As certification does for the
+flight, the difference is measured and added to the quantile that the plan's rows require.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from scipy.special import ndtri
+
+from formulations.arrays import Array
+from formulations.problem.drift import Drift
+from formulations.rows.drift import Branch, start_of
+from scp_recon.mission.drifts import Miss, duration_s, planned, required_probability
+from scp_recon.mission.mission import Mission
+from scp_recon.monte_carlo.drifts import drift, reach_s, states_after
+from scp_recon.planning.plan import Plan
+from scp_recon.results.policy import policy_of
+from scp_recon.scp.status import Status
+
+FLIGHTS, SEED = 20_000, 3_000
+"""Flights that measure a drift's probability; no other draws begin at this seed."""
+
+NEAREST = 0.1
+"""Share of the flights, the nearest by the linear law, that are flown on through their drift."""
+
+NEAR = 0.5
+"""Margin of a drift, in standard deviations, beyond which its flights are not looked at."""
+
+ROUNDS_MAX = 3
+"""Times that a plan is made again for the safety of its drifts."""
+
+
+def with_safe_drifts(mission: Mission, make: Callable[[Mission, Plan | None], Plan]) -> Plan:
+    """Make a plan, and again as long as nonlinear drifts are less safe than required.
+
+    `make` plans a mission, from an earlier plan if there is one.
+    """
+    found = make(mission, None)
+    for _ in range(ROUNDS_MAX):
+        if found.status is not Status.CONVERGED or not (more := shortfalls(found)):
+            break
+        losses = dict(found.mission.drift_losses)
+        for name, by in more.items():
+            losses[name] = losses.get(name, 0.0) + by
+        again = make(replace(found.mission, drift_losses=tuple(losses.items())), found)
+        if again.status is not Status.CONVERGED:
+            break
+        found = again
+    return found
+
+
+def shortfalls(plan: Plan) -> dict[str, float]:
+    """Standard deviations by which flights of drifts miss what is required, of those that miss it."""
+    lin, mission = plan.final.result.lin, plan.mission
+    needed, found = float(ndtri(required_probability(mission.scenario))), {}
+    for miss, one in zip(planned(mission.scenario), lin.problem.drifts, strict=True):
+        if plan.final.margins[one.name].margin.min() > NEAR:
+            continue
+        policy = policy_of(mission, lin)
+        state = states_after(mission, plan.burns_m_s, [miss], FLIGHTS, seed=SEED, policy=policy)[0]
+        reached = float(ndtri(1.0 - _failing(plan, one, miss, state)))
+        if reached < needed:
+            found[one.name] = needed - reached
+    return found
+
+
+def _failing(plan: Plan, one: Drift, miss: Miss, state: Array) -> float:
+    """Share of drifts from states (flights, 6) that are not safe: those near by the law are flown."""
+    mission, units = plan.mission, plan.mission.units.state
+    start = start_of(plan.final.result.lin, one)
+    mean, stm = Branch(one).flown(start.mean)
+    off, room = (state / units - start.mean).T, np.full(len(state), np.inf)
+    for ball in one.keep_out:
+        for node, centre in enumerate(ball.center[: len(mean)]):
+            apart = (mean[node, :3] - centre)[:, None] + stm[node, :3] @ off
+            room = np.minimum(room, np.sqrt(np.einsum("in,in->n", apart, apart)) - ball.radius)
+    near = np.argsort(room)[: int(NEAREST * len(state))]
+    begin = mission.scenario.burns.times_s[miss.burn - 1]
+    flown = drift(mission, state[near], begin, reach_s(mission, duration_s(mission.scenario)))
+    return max(int((~flown.safe(mission)).sum()), 0.5) / len(state)

@@ -1,0 +1,138 @@
+"""Drifts after a missed or cut burn, flown: against another integrator, and as safe as was required."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.stats import binom
+
+import scp_recon as sr
+from scp_recon.certification.drifts import shortfalls
+from scp_recon.errors import InputError
+from scp_recon.mission.drifts import Miss
+from scp_recon.mission.mission import Mission
+from scp_recon.monte_carlo.drifts import fly_drifts, states_after
+from scp_recon.monte_carlo.sampling import fly_block
+from scp_recon.physics.forces import acceleration
+from scp_recon.planning.plan import Plan
+from scp_recon.results.solution import make_solution
+from scp_recon.scenario.load import load_scenario
+from scp_recon.verification.probabilities import drift_safety
+from scp_recon.verification.reintegration import verify
+from tests.helpers import nightly
+from tests.scenarios import COARSE
+
+DAY_S = 86_400.0
+ONE_DAY = (COARSE, "risk.allocation='exact'", "safety.missed_burns=1")
+
+
+@cache
+def planned(*entries: str) -> Plan:
+    return sr.plan(load_scenario(None, entries), starts=1)
+
+
+def test_a_drift_is_that_of_another_integrator():
+    """The nearest approach of single flights after half of burn 2, by DOP853 with dense output."""
+    plan, miss = planned(*ONE_DAY), Miss(2, 0.5)
+    mission = plan.mission
+    found = fly_drifts(mission, plan.burns_m_s, [miss], 3)[0]
+    start = mission.scenario.burns.times_s[1]
+    for number, state in enumerate(states_after(mission, plan.burns_m_s, [miss], 3)[0]):
+
+        def rate(time, y):
+            return np.r_[y[3:], acceleration(*y[:3], mission.forces, mission.forces.moment(time))]
+
+        times = start + np.linspace(0.0, DAY_S, 721)
+        flown = solve_ivp(rate, times[[0, -1]], state, "DOP853", times, rtol=1e-10, atol=1e-9)
+        distance = np.linalg.norm(flown.y[:3], axis=0)
+        assert found.closest_m[number] == pytest.approx(distance.min(), abs=0.1)
+        assert found.at_s[number] == pytest.approx(times[np.argmin(distance)], abs=1.0)
+
+
+def test_a_missed_burn_is_what_a_whole_one_lacks():
+    plan = planned(*ONE_DAY)
+    mission, burns = plan.mission, plan.burns_m_s
+    time = np.array([mission.scenario.burns.times_s[1]])
+    flown = fly_block(mission, burns, time, 0, flights=5)
+    missed, half = states_after(mission, burns, [Miss(2), Miss(2, 0.5)], 5)
+    np.testing.assert_allclose(flown.states[0, :, :3], missed[:, :3])
+    np.testing.assert_allclose(flown.states[0, :, 3:] - missed[:, 3:], flown.burns_m_s[:, 1])
+    np.testing.assert_allclose(flown.states[0, :, 3:] - half[:, 3:], flown.burns_m_s[:, 1] / 2)
+
+
+def test_a_plan_survives_a_missed_burn_in_flight():
+    """Fresh flights of the plan; without planning for it a tenth of them come too near."""
+    plan = planned(*ONE_DAY)
+    assert not shortfalls(plan)
+    without = planned(*ONE_DAY[:2])
+    mission = plan.mission
+    safe = [
+        fly_drifts(mission, burns, [Miss(2)], 4000, seed=77)[0].safe(mission).sum()
+        for burns in (plan.burns_m_s, without.burns_m_s)
+    ]
+    assert safe[0] >= binom.ppf(0.001, 4000, 0.997)
+    assert safe[1] < 0.97 * 4000
+    assert plan.total_dv_m_s < 1.05 * without.total_dv_m_s
+
+
+def test_verification_refutes_a_drift_that_was_not_planned():
+    without = planned(*ONE_DAY[:2])
+    mission = Mission.from_scenario(load_scenario(None, ONE_DAY))
+    burns = without.burns_m_s
+    found = drift_safety(mission, burns, (), planned=True)
+    assert [one.burn for one in found] == [1, 2, 3, 4]
+    assert found[0].required is None
+    assert found[1].high < found[1].required
+    verified = verify(planned(*ONE_DAY).mission, make_solution(planned(*ONE_DAY)))
+    assert verified.ok
+    assert all(one.required for one in verified.drifts[1:])
+
+
+def test_every_plan_reports_drifts_after_missed_burns():
+    solution = make_solution(planned(*ONE_DAY[:2]))
+    drifts = verify(planned(*ONE_DAY[:2]).mission, solution).drifts
+    assert [(one.burn, one.required) for one in drifts] == [(n, None) for n in (1, 2, 3, 4)]
+    assert drifts[0].impact == 1.0
+    assert drifts[2].impact == 0.0
+
+
+def test_flights_miss_a_burn_on_request():
+    plan = planned(*ONE_DAY)
+    found, plain = sr.fly(plan, 200, miss=2), sr.fly(plan, 200)
+    assert found.drift.required == 0.997
+    assert found.drift.burn == 2
+    assert found.model_copy(update={"drift": None}) == plain
+    with pytest.raises(InputError, match=r"miss: got 5; must be .* 1 to 4"):
+        sr.fly(plan, 200, miss=5)
+
+
+@pytest.mark.parametrize(
+    ("entries", "words"),
+    {
+        "two burns": (("safety.missed_burns=2",), "safety.missed_burns: got 2"),
+        "no miss": (("safety.drift_s=3600",), "has no effect without safety.missed_burns"),
+        "inside": ((ONE_DAY[2], "safety.drift_radius_m=200"), "at least body.reference_radius_m"),
+        "too long": ((ONE_DAY[2], "safety.drift_s=1e6"), "must be at most 360000 s"),
+    }.values(),
+)
+def test_drifts_that_cannot_be_planned_are_refused(entries, words):
+    with pytest.raises(InputError, match=words):
+        Mission.from_scenario(load_scenario(None, entries))
+
+
+@nightly
+@pytest.mark.parametrize("number", range(20))
+def test_drifts_are_as_safe_as_required_in_random_scenarios(number):
+    """10,000 fresh flights of each miss for which the plan has no room."""
+    from experiments.solvers.cases import drawn
+
+    _, changes = drawn(number)
+    scenario = load_scenario().replace(changes)
+    scenario = scenario.replace({"risk.allocation": "exact", "safety.missed_burns": 1})
+    plan = sr.plan(scenario, starts=1)
+    if plan.status is not sr.Status.CONVERGED:
+        pytest.skip("this scenario has no plan with safe drifts")
+    for miss in (Miss(2), Miss(3), Miss(4)):
+        safe = fly_drifts(plan.mission, plan.burns_m_s, [miss], 10_000, seed=99)[0]
+        assert safe.safe(plan.mission).sum() >= binom.ppf(0.001, 10_000, 0.997)
