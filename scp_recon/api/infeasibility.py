@@ -81,6 +81,7 @@ FINAL_STATE, LIMITS = "the final state", "the limits"
 FINAL_SPREAD = "the limits on the final covariance"
 SPLIT = "the polytopes and the split of the risk"
 PROBABILITY, CORRECTED = "the probability", "feedback"
+RETURN = "the observation: going home without it"
 MORE_BURNS, TARGET = "the number of burns", "the target of the certificate"
 CONTINUED = "continuing from this solution"
 
@@ -246,6 +247,8 @@ def diagnose(failed: Plan, request: PlanRequest, spent_s: float = 0.0) -> Diagno
     known = Diagnosis(p3, _violated(failed), limit_s=clock.limit_s)
     if failed.status is Status.LOST:
         remedies = [clock.attempt(MORE_BURNS, case.more_burns)]
+        if not remedies[0] and failed.mission.observed_s is not None:
+            remedies.append(clock.attempt(RETURN, case.going_home))
     elif failed.status is not Status.INFEASIBLE:
         known = replace(known, kept=case.kept())
         remedies = []
@@ -326,6 +329,8 @@ class Case:
             yield f"{LIMITS} together", partial(self._limits, entries)
         for entry in entries:
             yield f"{LIMITS}: {entry}", partial(self._limits, {entry: entries[entry]})
+        if self.request.remade is not None and self.failed.mission.observed_s is not None:
+            yield RETURN, self.going_home
         for name, what, work in burns:
             if name not in violated:
                 yield what, work
@@ -507,6 +512,10 @@ class Case:
         later = [[times[-1] + apart], [times[-1] + apart, times[-1] + 2.0 * apart]]
         several += [[*times, *added] for added in later]
         return self._first(MORE_BURNS, [{"burns.times_s": tried} for tried in several])
+
+    def going_home(self) -> Remedy | None:
+        """The rest of a flight without its observation."""
+        return self._confirmed(RETURN, {"observation.required": False})
 
     def kept(self) -> float | None:
         """Share of flights that keep every limit with a plan that has none certified, or whose test."""

@@ -160,6 +160,8 @@ def replan(
     covariance_frame: str | None = None,
     measured_burns: "Mapping[int, npt.ArrayLike] | None" = None,
     overrides: Sequence[str] = (),
+    goal: Literal["observe", "return"] = "observe",
+    arrive_by: float | None = None,
     certify: bool | None = None,
 ) -> "Plan":
     """Plan the rest of a flight from a state in it.
@@ -182,6 +184,10 @@ def replan(
             `frame`).
         measured_burns: burns flown as telemetry saw them, m/s, by their number in the flight from 1.
         overrides: as of `plan`, for the rest of the flight; burns may be added in `burns.times_s`.
+        goal: "observe", or "return" to the final state without the observation (observation.required =
+            false), after a missed burn say.
+        arrive_by: time of the last burn, s past the epoch, in place of the scenario's: a later one
+            leaves more time to return.
         certify: as of `plan`: with risk.allocation = exact, by fresh flights (default: yes).
 
     Returns:
@@ -201,10 +207,11 @@ def replan(
     from scp_recon.api.replans import plan_left
     from scp_recon.replanning.delivery import Delivery
     from scp_recon.replanning.flown import FlownPlan
-    from scp_recon.replanning.remainder import mission_left
+    from scp_recon.replanning.remainder import mission_left, with_goal
 
     check_overrides(overrides)
     flown = FlownPlan.of(plan)
+    overrides = [*with_goal(flown, goal, arrive_by), *overrides]
     delivery = Delivery.of(
         at_s,
         state,

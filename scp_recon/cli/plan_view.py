@@ -67,7 +67,9 @@ def show_mission(console: Console, mission: Mission) -> None:
     )
     if packaged_body(scenario.body.name) is None:
         show_line(console, f"body      {as_given(mission.scene)}")
-    if mission.observed_s is None:
+    if scenario.observation.required is False:
+        origin += "; not required, nothing is observed"
+    elif mission.observed_s is None:
         origin += "; over, nothing is observed any more"
     show_line(console, f"window    {first:.1f} to {last:.1f} s ({last - first:.1f} s, {origin})")
     start, end = mission.times_s[[0, -1]]

@@ -317,7 +317,9 @@ class Mission:
 
     @property
     def observed_s(self) -> tuple[float, float] | None:
-        """Observation window from the first node on; None if it is over."""
+        """Observation window from the first node on; None if it is over, or not required."""
+        if self.scenario.observation.required is False:
+            return None
         first, last = self.schedule.window_s
         start = float(self.times_s[0])
         return (max(first, start), last) if last > start else None

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from formulations.problem.flyby import Iterate
-from scp_recon.errors import InputError, option
+from scp_recon.errors import InputError, one_of, option
 from scp_recon.mission.mission import Mission
 from scp_recon.physics.flow import propagate
 from scp_recon.planning.initial_guess import nondimensional
@@ -91,6 +91,23 @@ def mission_left(flown: FlownPlan, delivery: Delivery, overrides: Sequence[str] 
         ),
     )
     return replace(mission, warnings=tuple(dict.fromkeys(warnings)))
+
+
+def with_goal(flown: FlownPlan, goal: str, arrive_by: float | None) -> list[str]:
+    """Overrides for the purpose of the rest of a flight, and for the time of its last burn, s.
+
+    Raises:
+        InputError: if the goal is unknown, or the time is not after the other burns.
+    """
+    one_of(option("goal"), goal, ("observe", "return"))
+    found = ["observation.required=false"] if goal == "return" else []
+    if arrive_by is not None:
+        *times, _ = flown.mission.scenario.burns.times_s
+        if not arrive_by > times[-1]:
+            allowed = f"must be after the burn before, {times[-1]:g} s"
+            raise InputError(option("arrive_by"), f"{arrive_by:g} s", allowed)
+        found.append(f"burns.times_s={[*times, float(arrive_by)]}")
+    return found
 
 
 def _changed(scenario: Scenario, overrides: Sequence[str]) -> Scenario:

@@ -98,6 +98,9 @@ class Observation(Section):
     """Latest local solar time at the site in h."""
     window_s: tuple[float, float] | None = None
     """Start and end of the observation in s after the epoch; computed from the lighting if left out."""
+    required: bool | None = None
+    """Whether the site has to be observed. If false, as on the way home after a missed burn, limits of
+    the observation are not planned; the schedule still leaves its window to it. True if left out."""
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:

@@ -123,7 +123,7 @@ def replan(
     from scp_recon.cli.plan_run import Shown
     from scp_recon.errors import InputError, option
     from scp_recon.replanning.flown import FlownPlan
-    from scp_recon.replanning.remainder import mission_left
+    from scp_recon.replanning.remainder import mission_left, with_goal
     from scp_recon.results.read import read_solution
     from scp_recon.results.runs import folder_of, resolve_run
 
@@ -132,9 +132,10 @@ def replan(
         named = f"{out}, which holds the plan in flight"
         raise InputError(option("out"), named, "must be a folder of its own")
     solution = read_solution(home)
-    overrides = given.pop("overrides")
+    overrides, goal, arrive_by = (given.pop(key) for key in ("overrides", "goal", "arrive_by"))
     delivery = read_delivery(solution.scenario.epoch.tdb, **given)
     flown = FlownPlan.of(solution, name=str(home))
+    overrides = [*with_goal(flown, goal, arrive_by), *overrides]
 
     def rest(more: "Sequence[str]" = ()) -> "PlanRequest":
         mission = mission_left(flown, delivery, [*overrides, *more])

@@ -328,3 +328,38 @@ def test_a_scenario_in_flight_can_be_written_by_hand_or_left_out(scenario):
     tables = scenario.model_dump(mode="json", exclude_none=True)
     assert "in_flight" not in tables
     assert Scenario.validated(tables) == scenario
+
+
+def after_missed_burn(flown: FlownPlan, at_s: float) -> dict[str, object]:
+    """Arguments of `replan` for the mean flight without burn 2."""
+    predicted = predict(flown, at_s, {2: np.zeros(3)})
+    return {"at_s": at_s, "state": predicted.state, "measured_burns": {2: np.zeros(3)}}
+
+
+@pytest.fixture(scope="module")
+def survivor() -> Plan:
+    """A plan of which any burn may be missed."""
+    entries = COARSE, "risk.allocation='exact'", "safety.missed_burns=1"
+    return sr.plan(mission_of(*entries).scenario, starts=1, certify=False)
+
+
+def test_a_missed_burn_loses_the_observation_not_the_way_home(survivor):
+    """Burn 2 does not happen: the final state is still reached, without the site."""
+    given = after_missed_burn(FlownPlan.of(survivor), 9_000.0)
+    left = sr.replan(survivor, **given, goal="return", certify=False)
+    assert left.status is Status.CONVERGED
+    assert left.mission.observed_s is None
+    assert {c.name for c in left.mission.problem.constraints} == {"safety_radius"}
+    assert verify(left.mission, make_solution(left)).ok
+    observed = sr.replan(survivor, **given, certify=False)
+    assert observed.status is not Status.CONVERGED
+
+
+def test_the_last_burn_may_come_later(default_plan, flown):
+    given = after_missed_burn(flown, 9_000.0)
+    left = sr.replan(default_plan, **given, goal="return", arrive_by=38_000.0)
+    assert left.mission.scenario.burns.times_s[-1] == 38_000.0
+    with pytest.raises(InputError, match=r"arrive_by: got 20000 s; must be after .* 25000 s"):
+        sr.replan(default_plan, **given, arrive_by=20_000.0)
+    with pytest.raises(InputError, match="goal: got 'home'"):
+        sr.replan(default_plan, **given, goal="home")
