@@ -15,7 +15,11 @@ import numpy as np
 
 from formulations.arrays import Array
 from scp_recon.mission.constraints import companion_distance_m
+from scp_recon.mission.drifts import duration_s
+from scp_recon.mission.grid import RK4_STEP_MAX_S
 from scp_recon.mission.mission import Mission
+from scp_recon.monte_carlo.drifts import reach_s
+from scp_recon.physics.flow import propagate
 from scp_recon.physics.frames import TabulatedRotation, sun_north_to_j2000, unit
 from scp_recon.reports.flights import Shown
 from scp_recon.reports.marks import (
@@ -109,6 +113,7 @@ def scene(plans: Sequence[Shown], shape: Shape) -> dict[str, Any]:
         *_body(frame, mission, shape),
         *(_site(each, shape) for each in sites.values()),
         *keep_sets(frame, plans[0].subject),
+        *drifts(frame, plans[0].subject),
     ]
     for number, one in enumerate(plans):
         traces += _plan(frame, one, number, PATHS // len(plans))
@@ -267,6 +272,31 @@ def keep_sets(frame: Frame, subject: Subject) -> list[Trace]:
     if "phase_max" in limits:
         name, most = "keep in: phase at most", about_the_sun(limits["phase_max"])
         traces.append(moved(mesh(most, name, name, KEEP_IN, 0.22), "site"))
+    return [trace | {"visible": False} for trace in traces]
+
+
+def drifts(frame: Frame, subject: Subject) -> list[Trace]:
+    """Mean drifts of the first plan after each missed burn but the first, and where they are nearest.
+
+    They are shown on demand, as far as they stay in the box.
+    """
+    mission, nodes, traces = subject.mission, subject.solution.nodes, list[Trace]()
+    spell = reach_s(mission, duration_s(mission.scenario))
+    times = np.linspace(0.0, spell, 1 + int(np.ceil(spell / RK4_STEP_MAX_S)))
+    for number, burn in subject.solution.executed:
+        if number == 1 or spell <= 0.0:
+            continue
+        state = np.array(nodes.state[int(np.searchsorted(nodes.t_s, burn.t_s))])
+        path = [state - np.r_[0.0, 0.0, 0.0, burn.dv_m_s]]
+        for time in times[:-1]:
+            path.append(propagate(path[-1], times[1], mission.forces, 1, burn.t_s + time))
+        seen = frame.seen(np.stack(path)[:, :3])
+        nearest = seen[[np.argmin(np.linalg.norm(seen, axis=1))]]
+        outside = np.any((seen < frame.low_m) | (seen > frame.high_m), axis=1)
+        group = f"drift if burn {number} is missed"
+        name = f"{group}, nearest {np.linalg.norm(nearest):.0f} m from the centre"
+        traces.append(lines(np.where(outside[:, None], np.nan, seen), group, group, BURN, width=3))
+        traces.append(spots(nearest, name, group, size=5, color=BURN, symbol="circle"))
     return [trace | {"visible": False} for trace in traces]
 
 

@@ -14,7 +14,7 @@ from scp_recon.physics.frames import unit
 from scp_recon.reports.charts import BINS, thinned
 from scp_recon.reports.flights import SO_FAR, Flown, achieved, budget_of, fly
 from scp_recon.reports.ground import Camera, degrees_of, first_hit, ground_track, terminator
-from scp_recon.reports.scene import Frame, companion_of, keep_sets
+from scp_recon.reports.scene import Frame, companion_of, drifts, keep_sets
 from scp_recon.reports.subject import Subject
 from scp_recon.reports.surfaces import FACETS_MAX, RING, _of_mesh, ellipsoid, shape_of, shell, tube
 from tests.helpers import generators, random_unit
@@ -75,6 +75,21 @@ def test_the_ball_about_a_companion_moves_with_it(solution):
     drawn = [np.interp(times, path["t_s"], x) for x in path["position"]]
     expected = mission.scene.companion.position(times).T
     assert np.linalg.norm(drawn - expected, axis=0).max() < 1.0
+
+
+def test_drifts_begin_at_their_burns_and_mark_their_nearest_point(solution):
+    subject = Subject("default", solution)
+    edge = np.full(3, 1e5)
+    paths = drifts(Frame(np.eye(3), -edge, edge, 1.0), subject)
+    planned = [burn for number, burn in solution.executed if number > 1]
+    for burn, path, mark in zip(planned, paths[::2], paths[1::2], strict=True):
+        drawn = np.array([path[axis] for axis in "xyz"])
+        begin = subject.positions(np.array([burn.t_s]))[0]
+        np.testing.assert_allclose(drawn[:, 0], begin, atol=0.1)
+        nearest = np.linalg.norm(drawn, axis=0).min()
+        marked = np.linalg.norm([mark[axis][0] for axis in "xyz"])
+        assert marked == pytest.approx(nearest, abs=0.2)
+        assert f"{marked:.0f} m" in mark["name"]
 
 
 def in_the_body(subject: Subject, times_s: Array) -> Array:
