@@ -1,4 +1,4 @@
-"""Design a whole pass from a home orbit: find its phases and times, and plan it as any mission."""
+"""Design a whole pass: find its times, and phases on a home orbit, and plan it as any mission."""
 
 from __future__ import annotations
 
@@ -15,7 +15,9 @@ from scp_recon.mission.mission import Mission
 from scp_recon.passes.descent import PassResult, explain_failure
 from scp_recon.passes.design import Designer, Trial
 from scp_recon.passes.setting import settled
+from scp_recon.passes.timing import RulePrice, Timing
 from scp_recon.planning.initial_guess import from_burns
+from scp_recon.planning.method import SETTLE, FacetRounds
 from scp_recon.planning.plan import Plan
 from scp_recon.results.table import Table
 from scp_recon.scenario.schema import Scenario
@@ -34,6 +36,7 @@ class Design(Tabulated):
             plan.
         plan: the plan of that scenario; None before it is made.
         start: a plan to start from; None if planning starts from the burns of the best pass.
+        prices: what rules of the firing times cost, between given boundary states.
     """
 
     trials: tuple[Trial, ...]
@@ -41,6 +44,7 @@ class Design(Tabulated):
     scenario: Scenario | None
     plan: Plan | None = None
     start: Plan | None = None
+    prices: tuple[RulePrice, ...] = ()
 
     @property
     def message(self) -> str:
@@ -56,6 +60,14 @@ class Design(Tabulated):
     def __str__(self) -> str:
         """What was found."""
         return self.message
+
+
+def phases_deg(result: PassResult) -> tuple[float | None, float | None]:
+    """Phases of departure and arrival; None between given boundary states."""
+    if result.mission.scenario.boundary.home is None:
+        return None, None
+    departure, arrival = np.rad2deg(result.at.phases) % 360.0
+    return float(departure), float(arrival)
 
 
 COLUMNS = (
@@ -77,7 +89,7 @@ def trials_table(found: Design) -> Table:
             one.step,
             one.window,
             one.result.stage.problem,
-            *map(float, np.rad2deg(one.result.at.phases) % 360.0),
+            *phases_deg(one.result),
             " ".join(f"{one.begin_s + time:.1f}" for time in one.result.at.times_s),
             one.result.stage.result.status.value.name,
             one.result.dv_m_s if one.result.converged else None,
@@ -87,32 +99,41 @@ def trials_table(found: Design) -> Table:
     return Table.of("Plans of a design", COLUMNS, rows)
 
 
-def options_for(scenario: Scenario, *, certify: bool | None) -> PlanOptions:
+def options_for(
+    scenario: Scenario, *, certify: bool | None, facet_rounds: FacetRounds = SETTLE
+) -> PlanOptions:
     """Options with which the pass of a design is planned.
 
     Raises:
-        InputError: if flights cannot certify it.
+        InputError: if one is out of range, or flights cannot certify the pass.
     """
-    options = PlanOptions(certify=certify)
+    options = PlanOptions(certify=certify, facet_rounds=facet_rounds)
     options.check(scenario)
     return options
 
 
 @one_thread
-def find_pass(scenario: Scenario, observe: Callable[[Trial], None] = lambda _: None) -> Design:
+def find_pass(
+    scenario: Scenario,
+    observe: Callable[[Trial], None] = lambda _: None,
+    facet_rounds: FacetRounds = SETTLE,
+) -> Design:
     """Find the cheapest pass.
 
     Args:
-        scenario: with a home orbit.
+        scenario: with a home orbit, or given boundary states.
         observe: called with every plan that the design makes.
+        facet_rounds: of plans between given boundary states, as of `Planner.plan`.
 
     Raises:
         InputError: see `passes.setting.spaces_of`.
     """
-    designer = Designer(scenario, observe)
+    designer = Designer(scenario, observe, facet_rounds)
     space, best = designer.run()
     fixed = settled(scenario, space, best.at) if best.converged else None
-    return Design(tuple(designer.trials), best, fixed, start=designer.corrected)
+    open_loop = scenario.policy.kind != "feedback"
+    prices = Timing(space, facet_rounds).prices(best) if fixed and open_loop else ()
+    return Design(tuple(designer.trials), best, fixed, start=designer.corrected, prices=prices)
 
 
 def request_of(found: Design, options: PlanOptions) -> PlanRequest:

@@ -111,13 +111,16 @@ def plan(
 def design(
     scenario: "Scenario | str | Path",
     *,
+    facet_rounds: int | Literal["settle"] = "settle",
     certify: bool | None = None,
     overrides: Sequence[str] = (),
 ) -> "Design":
-    """Choose departure, arrival and burn times of a pass from a home orbit, and plan it.
+    """Choose the burn times of a pass, on a home orbit departure and arrival too, and plan it.
 
     Args:
-        scenario: a file with boundary.home, or a packaged one's name.
+        scenario: a file, or a packaged one's name.
+        facet_rounds: as of `plan`; of plans while burns move between given boundary states, and of
+            the last plan.
         certify: as of `plan`: with risk.allocation = exact, by fresh flights (default: yes).
         overrides: as of `plan`, e.g. risk.p_chance=0.8.
 
@@ -142,9 +145,9 @@ def design(
     from scp_recon.scenario.load import naming_files
 
     given = scenario_of(scenario, overrides)
-    options = designing.options_for(given, certify=certify)
+    options = designing.options_for(given, certify=certify, facet_rounds=facet_rounds)
     with naming_files(scenario, overrides):
-        found = designing.find_pass(given)
+        found = designing.find_pass(given, facet_rounds=facet_rounds)
     if found.scenario is None:
         return found
     return replace(found, plan=carry_out(designing.request_of(found, options), verifies=False).plan)
@@ -449,7 +452,7 @@ def windows(
 
 
 def scenarios() -> "dict[str, Scenario]":
-    """The packaged scenarios by name: `plan` takes recon_b, `design` the others.
+    """The packaged scenarios by name: `plan` takes recon_b, `design` all.
 
     Returns:
         The scenarios by name.

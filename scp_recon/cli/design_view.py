@@ -13,6 +13,7 @@ from rich.console import Console
 
 from scp_recon.api.designing import (
     Design,
+    phases_deg,
 )
 from scp_recon.cli.command import (
     show_line,
@@ -59,7 +60,8 @@ def keep(folder: Path, name: str, content: str | bytes) -> None:
 
 def keep_map(folder: Path, found: Design, console: Console, dv_m_s: float) -> None:
     """Write the map of the design with the delta-v of its plan, if matplotlib is installed."""
-    if not any(one.result.converged for one in found.trials):
+    given = found.best.mission.scenario.boundary.home is None
+    if given or not any(one.result.converged for one in found.trials):
         return
     if not _can_draw():
         show_line(console, f"no {MAP}, no {PRIMER}: pip install 'scp_recon[report]' for them")
@@ -100,9 +102,10 @@ def progress(console: Console) -> Iterator[Callable[[Trial], None]]:
         count = f"{step:10} {counts[step]:4} plan{many}"
         if not best.result.converged:
             return f"{count}, none that holds"
-        departure, arrival = np.rad2deg(best.result.at.phases) % 360.0
+        phases = phases_deg(best.result)
+        between = "" if None in phases else " from {:.1f} to {:.1f} deg".format(*phases)
         return (
-            f"{count}, best {best.result.dv_m_s:.6f} m/s from {departure:.1f} to {arrival:.1f} deg"
+            f"{count}, best {best.result.dv_m_s:.6f} m/s{between}"
             + (", without uncertainty" if step in ("map", "certain") else "")
             + (COSTS[best.result.mission.scenario.policy.cost] if step == "corrected" else "")
         )

@@ -1,1 +1,1 @@
-"""Design whole passes from a home orbit: choose phases, epochs and burn times for the least delta-v."""
+"""Design whole passes: choose burn times, on a home orbit phases and epochs too, for the least delta-v."""

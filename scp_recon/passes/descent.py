@@ -246,9 +246,12 @@ def explain_failure(result: PassResult, plans: int) -> str:
             short = f"{amount * scales(mission.units)[unit]:.3g} {unit}"
             at = mission.times_s[margins.nodes[least]]
             worst = f"{name}, short by {short} {at:.0f} s into the pass"
-    departure, arrival = np.rad2deg(result.at.phases) % 360.0
+    between = ""
+    if mission.scenario.boundary.home is not None:
+        departure, arrival = np.rad2deg(result.at.phases) % 360.0
+        between = f" from {departure:.1f} to {arrival:.1f} deg"
     return (
-        f"no pass found in {plans} plans; the one that came furthest, of {stage.problem} from "
-        f"{departure:.1f} to {arrival:.1f} deg with burns at "
+        f"no pass found in {plans} plans; the one that came furthest, of {stage.problem}{between} "
+        f"with burns at "
         f"{', '.join(f'{time:.0f}' for time in result.at.times_s)} s, was stopped by {worst}"
     )

@@ -22,7 +22,9 @@ from scp_recon.passes.ring import TURN
 from scp_recon.passes.scan import phases, scan, starts
 from scp_recon.passes.setting import BURNS_MAX, settled, spaces_of
 from scp_recon.passes.space import Pass, Space, nearest_legal
+from scp_recon.passes.timing import Timing
 from scp_recon.planning.initial_guess import from_burns
+from scp_recon.planning.method import SETTLE, FacetRounds
 from scp_recon.planning.plan import Plan
 from scp_recon.planning.planner import Planner
 from scp_recon.planning.primer import WORTH as PRIMER_WORTH
@@ -103,13 +105,15 @@ Best = tuple[Around, PassResult]
 
 @dataclass
 class Designer:
-    """Designs a pass for a scenario with a home orbit; keeps every plan and reports it to `observe`.
+    """Designs a pass for a scenario; keeps every plan and reports it to `observe`.
 
-    `corrected` is the found pass's plan with gains, for a scenario with feedback.
+    `facet_rounds` are those of plans between given states. `corrected` is the found pass's plan with
+    gains, for a scenario with feedback.
     """
 
     scenario: Scenario
     observe: Callable[[Trial], None]
+    facet_rounds: FacetRounds = SETTLE
     trials: list[Trial] = field(default_factory=list)
     corrected: Plan | None = None
 
@@ -173,8 +177,8 @@ class Designer:
         mapped = self._map(where)
         seen = self._seen("certain", where)
         found = [
-            descend(
-                centred_on(where.space, one.at), one.at, one.burns_m_s, seen, *FIRST, certain=True
+            self._search(
+                centred_on(where.space, one.at), one.at, one.burns_m_s, seen, FIRST, certain=True
             )
             for one in starts(mapped, STARTS_MAX)
         ]
@@ -248,8 +252,8 @@ class Designer:
         """Descend from a pass with another number of burns, as long as it may be worth it."""
         there = replace(where, space=centred_on(other.space, other.at))
         seen = self._seen(step, there)
-        return there, descend(
-            there.space, other.at, other.burns_m_s, seen, *self.effort, rival_m_s=rival_m_s
+        return there, self._search(
+            there.space, other.at, other.burns_m_s, seen, self.effort, rival_m_s=rival_m_s
         )
 
     def _descent(
@@ -260,15 +264,34 @@ class Designer:
         If that does not converge, descend without uncertainty first, and from there again.
         """
         space, seen = centred_on(where.space, at), self._seen(step, where)
-        result = descend(space, at, known.burns_m_s, seen, *effort)
+        result = self._search(space, at, known.burns_m_s, seen, effort)
         if result.converged:
             return result
-        sure = descend(
-            space, at, known.burns_m_s, self._seen("certain", where), *effort, certain=True
+        sure = self._search(
+            space, at, known.burns_m_s, self._seen("certain", where), effort, certain=True
         )
         if not sure.converged:
             return result
-        return descend(space, sure.at, sure.burns_m_s, seen, *effort)
+        return self._search(space, sure.at, sure.burns_m_s, seen, effort)
+
+    def _search(
+        self,
+        space: Space,
+        at: Pass,
+        burns_m_s: Array,
+        seen: Callable[[PassResult], None],
+        effort: Effort,
+        *,
+        certain: bool = False,
+        rival_m_s: float = np.inf,
+    ) -> PassResult:
+        """Find the best pass near one: by programs with free times, or over phases and times."""
+        if not space.is_timed:
+            return descend(
+                space, at, burns_m_s, seen, *effort, certain=certain, rival_m_s=rival_m_s
+            )
+        timing = Timing(space, self.facet_rounds, certain)
+        return timing.descend(at, burns_m_s, seen, *effort[:2], rival_m_s)
 
     def _seen(
         self, step: Step, where: Around, expected: int | None = None

@@ -18,8 +18,8 @@ from scp_recon.physics.two_body import two_body
 from scp_recon.scenario.boundary import Design
 from scp_recon.scenario.schema import Scenario
 
-BURNS_MAX = 8
-"""Of a design."""
+BURNS_LEAST, BURNS_MAX = 3, 8
+"""Of a design, the least between given states."""
 WINDOWS_MAX = 24
 """Lighting windows in the span of dates, at most; passes are planned about each."""
 WINDOW_AT = 0.43
@@ -35,11 +35,10 @@ def spaces_of(scenario: Scenario) -> list[tuple[Space, tuple[float, ...]]]:
             none about which the burns can be legal; and as `Mission.from_scenario`.
     """
     home, design = scenario.boundary.home, scenario.design or Design()
-    if home is None:
-        raise InputError("boundary.home", "nothing", "must be a home orbit for a design")
     if scenario.in_flight is not None:
         raise InputError("in_flight", "a flight under way", "must be left out of a design")
     _check_size(scenario)
+    _check_given(scenario)
     departure = design.departure_s or (0.0, 0.0)
     arrival = design.arrival_s or (scenario.duration_s,) * 2
     if arrival[1] <= departure[0]:
@@ -47,7 +46,9 @@ def spaces_of(scenario: Scenario) -> list[tuple[Space, tuple[float, ...]]]:
             "design.arrival_s", _text(arrival), f"must be after departure, {_text(departure)}"
         )
     axes, known = Scene.of(scenario).boundary_axes, None
-    if home.ephemeris_file is not None:
+    if home is None:
+        known = _between_states(scenario, axes)
+    elif home.ephemeris_file is not None:
         known = ephemeris_ring(scenario, home, axes)
     windows = _windows(scenario, (departure[0], arrival[1]))
     spaces = []
@@ -62,7 +63,9 @@ def spaces_of(scenario: Scenario) -> list[tuple[Space, tuple[float, ...]]]:
             "design",
             f"departure in {_text(departure)} and arrival in {_text(arrival)}",
             f"must leave a legal schedule of {len(scenario.burns.times_s)} burns about a whole "
-            f"lighting window; those there: {'; '.join(map(_text, windows)) or 'none'}",
+            f"lighting window; those there: {'; '.join(map(_text, windows)) or 'none'}. A burn comes "
+            f"{scenario.schedule.cycle_s:g} s after the burn or the window before it, and "
+            f"{scenario.schedule.before_window_s:g} s before a window",
         )
     return spaces
 
@@ -70,8 +73,7 @@ def spaces_of(scenario: Scenario) -> list[tuple[Space, tuple[float, ...]]]:
 def _check_size(scenario: Scenario) -> None:
     """Refuse a home orbit inside the safety radius, and more burns than a design allows."""
     home, least = scenario.boundary.home, scenario.safety.radius_min_m
-    assert home is not None
-    if home.ephemeris_file is None and home.radius_m <= least:
+    if home is not None and home.ephemeris_file is None and home.radius_m <= least:
         raise InputError(
             "boundary.home.radius_m",
             f"{home.radius_m:g}",
@@ -82,6 +84,42 @@ def _check_size(scenario: Scenario) -> None:
         raise InputError(
             "burns.times_s", f"{count} burns", f"must be at most {BURNS_MAX} in a design"
         )
+
+
+def _check_given(scenario: Scenario) -> None:
+    """Refuse to move boundary states in time, and a design in which nothing may move."""
+    design = scenario.design or Design()
+    if scenario.boundary.home is not None:
+        return
+    for name in ("departure_s", "arrival_s"):
+        if (span := getattr(design, name)) is not None:
+            raise InputError(
+                f"design.{name}",
+                _text(span),
+                "goes with boundary.home: given states hold at the "
+                "epoch and at the last of burns.times_s",
+            )
+    if design.burn_times == "given":
+        raise InputError(
+            "design.burn_times",
+            "'given'",
+            "must be 'free', or there must be a boundary.home: nothing is left to design",
+        )
+    if len(scenario.burns.times_s) < BURNS_LEAST:
+        raise InputError(
+            "burns.times_s",
+            f"{len(scenario.burns.times_s)} burns",
+            f"must be at least {BURNS_LEAST} where the boundary states are given: the first and the "
+            "last stay",
+        )
+
+
+def _between_states(scenario: Scenario, axes: Array) -> Ring:
+    """The given boundary states, at phases 0 and 1; axes (3, 3) rotate from boundary.frame to J2000."""
+    given, turn = scenario.boundary, np.kron(np.eye(2), axes)
+    first = turn @ np.r_[given.initial_position_m, given.initial_velocity_m_s]
+    last = turn @ np.r_[given.final_position_m, given.final_velocity_m_s]
+    return lambda phase: np.asarray(last if phase > 0.5 else first)
 
 
 def _windows(scenario: Scenario, span: Span) -> list[Window]:
@@ -156,13 +194,12 @@ def _space(
 ) -> Space:
     """The space about a window, times past the first of legal burns, on a known ring or its own."""
     home, begin, (departure, arrival) = scenario.boundary.home, times[0], ends
-    assert home is not None
-    circle = {"flown": False, "ephemeris_file": None, "spacecraft_id": None} | {
-        f"{end}_deg": (getattr(home, f"{end}_deg")[0],) * 2 for end in ("departure", "arrival")
-    }
-    circling = unchecked(
-        scenario, boundary={"home": home.model_copy(update=circle)}, policy={"kind": "open"}
-    )
+    circling = unchecked(scenario, policy={"kind": "open"})
+    if home is not None:
+        circle = {"flown": False, "ephemeris_file": None, "spacecraft_id": None} | {
+            f"{end}_deg": (getattr(home, f"{end}_deg")[0],) * 2 for end in ("departure", "arrival")
+        }
+        circling = unchecked(circling, boundary={"home": home.model_copy(update=circle)})
     fixed = at_epoch(circling, begin).replace(
         {
             "burns.times_s": [time - begin for time in times],
@@ -172,12 +209,16 @@ def _space(
     free = (scenario.design or Design()).burn_times == "free"
     inner = [(departure[0], arrival[1]) if free else (time, time) for time in times[1:-1]]
     spans = [(low - begin, high - begin) for low, high in (departure, *inner, arrival)]
-    phases = [tuple(np.deg2rad(span).tolist()) for span in (home.departure_deg, home.arrival_deg)]
     mission, gm = Mission.from_scenario(fixed), scenario.body.gm_m3_s2
+    window_s = mission.schedule.window_s
+    if home is None:
+        assert known is not None
+        return Space(mission, known, window_s, ((0.0, 0.0), (1.0, 1.0)), tuple(spans))
+    phases = [tuple(np.deg2rad(span).tolist()) for span in (home.departure_deg, home.arrival_deg)]
     ring = known or (
         flown_ring(home, mission.forces, axes) if home.flown else home_ring(home, gm, axes)
     )
-    return Space(mission, ring, mission.schedule.window_s, (phases[0], phases[1]), tuple(spans))
+    return Space(mission, ring, window_s, (phases[0], phases[1]), tuple(spans))
 
 
 def at_epoch(scenario: Scenario, shift_s: float) -> Scenario:
@@ -201,8 +242,8 @@ def settled(scenario: Scenario, space: Space, one: Pass) -> Scenario:
     begin = one.times_s[0]
     base = at_epoch(space.mission.scenario, begin)
     axes = Scene.of(base).boundary_axes
-    ends = {}
-    for which, phase in zip(("initial", "final"), one.phases, strict=True):
+    ends, home = {}, scenario.boundary.home
+    for which, phase in zip(("initial", "final"), one.phases if home else (), strict=False):
         position, velocity = space.ring(phase).reshape(2, 3)
         ends[f"{which}_position_m"] = tuple((axes.T @ position).tolist())
         ends[f"{which}_velocity_m_s"] = tuple((axes.T @ velocity).tolist())

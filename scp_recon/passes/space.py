@@ -58,6 +58,15 @@ class Space:
         """Number of burns."""
         return len(self.time_spans)
 
+    @property
+    def is_timed(self) -> bool:
+        """Whether times alone are free, and a program can have them as controls.
+
+        It does not know how a companion moves on while nodes move.
+        """
+        scenario = self.mission.scenario
+        return scenario.boundary.home is None and scenario.body.companion is None
+
     @cached_property
     def bounds(self) -> Array:
         """Bounds of x, shape (2 + m, 2)."""
@@ -127,15 +136,19 @@ def nearest_legal(
     window_s: Window,
     before: int,
     rules: ScheduleRules,
+    room_s: float = 0.0,
 ) -> tuple[float, ...] | None:
-    """Times within spans and rules, the nearest to given ones by the sum of differences; or None."""
+    """Times within spans and rules, the nearest to given ones by the sum of differences; or None.
+
+    With some room, if wanted, to each rule.
+    """
     n, wanted = len(times_s), np.array(times_s)
     matrix, least, _ = timing_rules(n, window_s, before, rules)
     apart = np.vstack([np.hstack([s * np.eye(n), -np.eye(n)]) for s in (1.0, -1.0)])
     result = linprog(
         np.r_[np.zeros(n), np.ones(n)],
         A_ub=np.vstack([apart, np.hstack([-matrix, np.zeros((n, n))])]),
-        b_ub=np.r_[wanted, -wanted, -least],
+        b_ub=np.r_[wanted, -wanted, -least - room_s],
         bounds=[*spans_s, *[(0.0, None)] * n],
     )
     return None if result.x is None else tuple(map(float, result.x[:n]))

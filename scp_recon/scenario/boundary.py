@@ -108,7 +108,11 @@ class Boundary(Section):
 
 
 class Design(Section):
-    """Quantities that `python -m scp_recon design` may choose besides the phases of boundary.home."""
+    """Quantities that `python -m scp_recon design` may choose besides the phases of boundary.home.
+
+    Without boundary.home the states hold at the epoch and at the last of burns.times_s, and burns alone
+    move.
+    """
 
     departure_s: tuple[Moment, Moment] | None = None
     """Earliest and latest first burn in s past epoch.tdb; the epoch itself if left out."""

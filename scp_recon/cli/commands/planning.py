@@ -62,7 +62,7 @@ def solve(
 
 @command(verbs.design)
 def design(console: "Console", *, out: Path | None = None, **given: Any) -> Answer:
-    """Choose departure, arrival and burn times of a pass from a home orbit, and plan it.
+    """Choose the burn times of a pass, on a home orbit departure and arrival too, and plan it.
 
     Args:
         out: folder for solution.json, scenario.toml, design.csv and pictures (default: runs/NAME/UTC
@@ -78,12 +78,13 @@ def design(console: "Console", *, out: Path | None = None, **given: Any) -> Answ
     from scp_recon.scp.status import Status
 
     scenario = scenario_of(given["scenario"], given["overrides"])
-    how = options_for(scenario, certify=given["certify"])
+    rounds = given["facet_rounds"]
+    how = options_for(scenario, certify=given["certify"], facet_rounds=rounds)
     with Shown(console, out) as shown:
         folder = shown.open(scenario.name)
         view.check_files(folder)
         with view.progress(console) as observe, naming_files(given["scenario"], given["overrides"]):
-            found = find_pass(scenario, observe)
+            found = find_pass(scenario, observe, rounds)
         view.keep(folder, view.TABLE, trials_table(found).csv())
         if found.scenario is None:
             view.keep_map(folder, found, console, found.best.dv_m_s)
@@ -95,6 +96,8 @@ def design(console: "Console", *, out: Path | None = None, **given: Any) -> Answ
         answer = shown.answer(carry_out(request_of(found, how), shown))
         view.keep_map(folder, found, console, answer.document["plan"]["total_dv_m_s"])
         view.keep_primer(folder, console)
+        for price in found.prices:
+            show_line(console, str(price))
     return answer
 
 

@@ -79,7 +79,9 @@ campaign none --out out -> none
 schema words.csv/schema.json -> words.csv
 schema words.toml -> FILE: got words.toml; must be a file that ends in .json
 design recon_b --out '' -> --out: got ''; must be a folder
-design recon_b -> boundary.home: got nothing; must be a home orbit
+design recon_b --set 'design.departure_s=[0, 9]' -> design.departure_s: got 0 to 9 s; goes with boundary
+design recon_b --set 'burns.times_s=[0, 34842]' -> burns.times_s: got 2 burns; must be at least 3
+design recon_b --facet-rounds=-1 -> --facet-rounds
 explore none.toml -> none.toml: got no such file
 explore nightingale -> boundary.home: got a home orbit that is flown, or has free phases
 explore recon_b --port 80000 -> --port: got 80000; must be a whole number from 0 to 65535

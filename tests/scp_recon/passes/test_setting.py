@@ -134,8 +134,6 @@ def test_bad_entries_are_named(changes, entry):
 def test_what_no_design_can_begin_with_is_refused(changes, design, told):
     with pytest.raises(InputError, match=told):
         spaces_of(home_scenario(changes, design))
-    with pytest.raises(InputError, match=r"boundary\.home.*nothing"):
-        spaces_of(load_scenario())
 
 
 def test_every_window_of_a_span_has_a_space_with_legal_times():

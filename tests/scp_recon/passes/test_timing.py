@@ -1,0 +1,126 @@
+"""Designs between given boundary states: the burns between move within the schedule's rules."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import scp_recon as sr
+from scp_recon.api.designing import Design, phases_deg, trials_table
+from scp_recon.errors import InputError
+from scp_recon.mission.mission import Mission
+from scp_recon.passes.setting import settled, spaces_of
+from scp_recon.passes.space import Pass
+from scp_recon.passes.timing import Timing
+from scp_recon.planning.initial_guess import cold
+from scp_recon.planning.planner import Planner
+from scp_recon.scenario.load import load_scenario
+from scp_recon.scp.status import Status
+
+FIXED_M_S, SETTLED_M_S = 0.140135, 0.125978
+"""The default plan with its own times: with facets chosen once, and settled."""
+
+
+@pytest.fixture(scope="module")
+def once() -> Design:
+    return sr.design("recon_b", facet_rounds=0)
+
+
+def test_free_times_save_what_was_found_by_hand(once):
+    """Moved one by one with whole plans, burns 2 and 3 had led to 0.1348 m/s."""
+    assert once.plan is not None
+    assert once.plan.status is Status.CONVERGED
+    assert len(once.plan.burns_m_s) == 4
+    assert once.plan.total_dv_m_s < 0.1349 < FIXED_M_S
+    assert once.plan.total_dv_m_s == pytest.approx(once.best.dv_m_s, rel=1e-5)
+
+
+def test_a_design_keeps_states_and_rules(once):
+    given, found = load_scenario(), once.scenario
+    assert found is not None
+    assert found.boundary == given.boundary
+    assert found.epoch == given.epoch
+    assert found.design is None
+    assert found.duration_s == given.duration_s
+    assert Mission.from_scenario(found).schedule.legs  # which refuses what breaks a rule
+
+
+def test_rules_that_bind_have_prices(once):
+    binding = [price.rule for price in once.prices]
+    assert binding == [
+        "burn 2 at least 6600 s after burn 1",
+        "burn 3 at least 6600 s after the window",
+    ]
+    assert all(price.saving_m_s2 > 0.0 for price in once.prices)
+    assert re.search(r"300 s less would save 0\.\d+ mm/s", str(once.prices[0]))
+
+
+def test_trials_have_no_phases_between_states(once):
+    assert phases_deg(once.best) == (None, None)
+    assert len(trials_table(once).rows) == len(once.trials)
+
+
+@pytest.mark.slow
+def test_settled_facets_take_free_times():
+    found = sr.design("recon_b")
+    assert found.plan is not None
+    assert found.plan.total_dv_m_s < 0.99 * SETTLED_M_S
+
+
+@pytest.mark.slow
+def test_whole_flights_need_three_burns():
+    exact = ['risk.allocation="exact"', 'risk.scope="flight"', "risk.p_chance=0.9"]
+    found = sr.design("recon_b", certify=False, overrides=exact)
+    assert found.plan is not None
+    assert found.plan.status is Status.CONVERGED
+    assert len(found.plan.burns_m_s) == 3
+    assert found.plan.total_dv_m_s < 0.1098
+
+
+@pytest.mark.slow
+def test_a_hover_is_left_and_met_again():
+    found = sr.design("hover", facet_rounds=0, overrides=["grid.step_max_s=450"])
+    assert found.plan is not None
+    assert found.plan.status is Status.CONVERGED
+    assert found.plan.mission.scenario.observation.window_s is not None  # the second one
+    assert not any(found.plan.mission.scenario.boundary.initial_velocity_m_s)
+    np.testing.assert_allclose(
+        found.plan.states[-1], found.plan.mission.final_state, rtol=0.0, atol=1e-2
+    )
+
+
+def test_rounds_are_never_worse_than_their_start():
+    """Also where nothing may move."""
+    scenario = load_scenario(None, ["grid.step_max_s=450"])
+    (space, times), *_ = spaces_of(scenario)
+    at = Pass((0.0, 1.0), times)
+    mission = space.mission_of(at)
+    burns = Planner(mission).plan(cold(mission)).burns_m_s
+    timing, seen = Timing(space, 0), []
+    best = timing.descend(at, burns, seen.append, 2, 1e-4)
+    assert best.dv_m_s == min(one.dv_m_s for one in seen) < seen[0].dv_m_s
+    assert Mission.from_scenario(settled(scenario, space, best.at)).schedule.legs
+    still = tuple((time, time) for time in times)
+    alone = Timing(replace(space, time_spans=still), 0)
+    assert alone.freed(best) is None
+    assert alone.prices(best) == ()
+
+
+@pytest.mark.parametrize(
+    ("changes", "told"),
+    [
+        (
+            {"design": {"departure_s": [0.0, 9.0]}},
+            r"^design\.departure_s: got 0 to 9 s; goes with b",
+        ),
+        ({"design": {"arrival_s": [3e4, 4e4]}}, r"^design\.arrival_s.*goes with boundary\.home"),
+        ({"design": {"burn_times": "given"}}, r"^design\.burn_times.*nothing is left to design"),
+        ({"burns.times_s": [0.0, 34_842.0]}, r"^burns\.times_s: got 2 burns; must be at least 3"),
+        ({"schedule.recharge_s": 2e4}, r"^design: .*of 4 burns.*13140.*25400 s after the burn or"),
+        ({"observation.incidence_max_deg": 10.0}, "those there: none"),
+    ],
+)
+def test_what_leaves_nothing_to_move_is_refused(changes, told):
+    with pytest.raises(InputError, match=told):
+        spaces_of(load_scenario().replace(changes))
