@@ -8,7 +8,7 @@ penalty serves both methods.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import casadi as ca
 import numpy as np
@@ -86,6 +86,7 @@ class Program:
         cost: total delta-v.
         blocks: the constraints.
         mapped: addition to the values of the leading blocks.
+        times: firing times where these are unknowns, shape (q,); else empty.
     """
 
     unknowns: ca.MX
@@ -95,6 +96,7 @@ class Program:
     cost: ca.MX
     blocks: tuple[NlpRows, ...]
     mapped: Mapped | None = None
+    times: ca.MX = field(default_factory=lambda: ca.MX(0, 1))
 
     @property
     def smooth(self) -> ca.MX:
@@ -108,9 +110,10 @@ class Program:
         return smooth if self.mapped is None else smooth + _padded(self.mapped.value, smooth)
 
     def iterate(self, point: Array) -> Iterate:
-        """Burns and means at values of the unknowns."""
-        burns, mean = ca.Function("iterate", [self.unknowns], [self.burns, self.mean])(point)
-        return Iterate(np.array(burns).T, np.array(mean).T)
+        """Burns, means and firing times at values of the unknowns."""
+        parts = [self.burns, self.mean, self.times]
+        burns, mean, times = ca.Function("iterate", [self.unknowns], parts)(point)
+        return Iterate(np.array(burns).T, np.array(mean).T, times=np.array(times).ravel())
 
     def residuals(self, point: Array) -> dict[str, Array]:
         """Rows by constraint name at values of the unknowns."""

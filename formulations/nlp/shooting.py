@@ -31,7 +31,8 @@ from formulations.nlp.program import (
     state_blocks,
 )
 from formulations.problem.facets import Facets
-from formulations.problem.flyby import FlybyProblem
+from formulations.problem.firing_times import UNIT
+from formulations.problem.flyby import NO_TIMES, FlybyProblem
 from formulations.rows.cones import PARTS
 
 ArcStyle = Literal["called", "mapped", "differentiated"]
@@ -260,7 +261,8 @@ class SingleShooting:
     """A transcription; see `program.Transcription`. It starts from the guess's burns alone.
 
     Arcs carry the mean and the STM from the last burn, from which covariances follow. Burns that are
-    held are no unknowns: their sizes have no derivative.
+    held are no unknowns: their sizes have no derivative. Firing times are unknowns where they are
+    controls, and the arcs' durations follow them.
     """
 
     def __call__(
@@ -269,11 +271,12 @@ class SingleShooting:
         """Write the program down."""
         del elastic  # every row is a signed distance in any case
         free = np.setdiff1d(np.arange(problem.n_burns), problem.held)
-        own = ca.MX.sym("x", 3 * len(free))
-        burns = ca.MX(3, problem.n_burns)
-        burns[:, free.tolist()] = ca.reshape(own, 3, len(free))
+        moving = problem.firing_times(start.iterate.times)
+        own, n = ca.MX.sym("x", 3 * len(free) + len(moving)), 3 * len(free)
+        burns, times = ca.MX(3, problem.n_burns), UNIT * own[n:]
+        burns[:, free.tolist()] = ca.reshape(own[:n], 3, len(free))
         last = last_spread_node(problem, facets)
-        node, stm = roll_out(problem, arcs, last, burns)
+        node, stm = roll_out(problem, arcs, last, burns, times)
         mean = ca.horzcat(*node)
         covariances = _covariances(problem, burns, stm, last)
         blocks = (
@@ -281,8 +284,11 @@ class SingleShooting:
             *burn_blocks(replace(problem, held=()), burns, printed=False),
             *spread_blocks(problem, facets, mean, covariances, stm),
         )
-        point = start.iterate.burns[free].ravel()
-        return Program(own, point, burns, mean, ca.sum2(norms(burns)), blocks)
+        if (firing := problem.firing) is not None:
+            slack = ca.DM(firing.matrix) @ times - ca.DM(firing.least)
+            blocks = (*blocks, NlpRows("firing_times", slack, weight=0.0))
+        point = np.r_[start.iterate.burns[free].ravel(), moving / UNIT]
+        return Program(own, point, burns, mean, ca.sum2(norms(burns)), blocks, times=times)
 
 
 def last_spread_node(problem: FlybyProblem, facets: Facets | None) -> int:
@@ -337,12 +343,14 @@ def _covariances(problem: FlybyProblem, burns: ca.MX, stm: list[ca.MX], last: in
 
 
 def roll_out(
-    problem: FlybyProblem, arcs: Arcs, last: int, burns: ca.MX
+    problem: FlybyProblem, arcs: Arcs, last: int, burns: ca.MX, times: ca.MX | None = None
 ) -> tuple[list[ca.MX], list[ca.MX]]:
     """Means (6,) of every node after its burn, and STMs (6, 6) to nodes up to `last`.
 
-    From the start of the leg that ends or passes there.
+    From the start of the leg that ends or passes there. Firing times (q,) are those of the problem's
+    burns that move; the grid's if there are none.
     """
+    durations = _durations(problem, arcs, times)
     burn_at = dict(zip(problem.burn_nodes.tolist(), range(problem.n_burns), strict=True))
     kicks = ca.vertcat(ca.MX(3, problem.n_burns), burns)
     mean, stm = [ca.MX(problem.initial_state)], [ca.MX(np.eye(6))]
@@ -350,7 +358,7 @@ def roll_out(
         mean[0] += kicks[:, 0]
     for first, end in itertools.pairwise(sorted({0, *burn_at, max(last, 0)})):
         y = ca.vertcat(mean[-1], ca.vec(ca.MX(np.eye(6)))) if end <= last else mean[-1]
-        ends = _fly(arcs, y, first, end)
+        ends = _fly(arcs, y, durations[:, first:end])
         mean += ca.horzsplit(ends[:6, :])
         if end <= last:
             stm += [ca.reshape(entries, 6, 6) for entries in ca.horzsplit(ends[6:, :])]
@@ -375,12 +383,28 @@ def _deviations(
     return each(ca.DM(facets.normal.T), *given).T
 
 
-def _fly(arcs: Arcs, y: ca.MX, first: int, end: int) -> ca.MX:
-    """Mean and, if y has it, STM at the ends of the arcs between two nodes, (s, n)."""
+def _durations(problem: FlybyProblem, arcs: Arcs, times: ca.MX | None) -> ca.MX:
+    """Each arc's h, shape (k, n).
+
+    Raises:
+        ValueError: if arcs move whose forces depend on time.
+    """
+    firing = problem.firing
+    if firing is None or times is None:
+        return ca.MX(ca.DM(arcs.durations).T)
+    if arcs.durations.shape[1] > 1:
+        raise ValueError("IPOPT's firing times are free only where forces do not depend on time")
+    moved = times - ca.DM(problem.firing_times(NO_TIMES))
+    nodes = ca.DM(firing.nodes) + ca.DM(firing.shares) @ moved
+    return ca.diff(nodes).T
+
+
+def _fly(arcs: Arcs, y: ca.MX, durations: ca.MX) -> ca.MX:
+    """Mean and, if y has it, STM at the ends of arcs one after the other, (s, n)."""
     symbol, h = ca.SX.sym("y", y.numel()), _arc_symbol(arcs)
     after = arcs.flow(symbol[:6], h)
     if y.numel() > 6:
         stm = ca.jacobian(after, symbol[:6]) @ ca.reshape(symbol[6:], 6, 6)
         after = ca.vertcat(after, ca.vec(stm))
     function = ca.Function("arc", [symbol, h], [after])
-    return function.mapaccum(end - first)(y, ca.DM(arcs.durations[first:end]).T)
+    return function.mapaccum(durations.shape[1])(y, durations)

@@ -86,7 +86,7 @@ class Variant:
     """A transcription and IPOPT's settings for it.
 
     P2 with a limited final covariance always uses single shooting and exact Hessians: quasi-Newton
-    Hessians had not converged after a thousand iterations.
+    Hessians had not converged after a thousand iterations. So do firing times that are unknowns.
 
     Attributes:
         transcription: writes the program.
@@ -111,6 +111,8 @@ class Variant:
             raise ValueError("IPOPT's programs have no gains")
         if facets is not None and problem.final_spread != (None, None):
             return SingleShooting(), FROM_NEAR
+        if problem.firing is not None:
+            return SingleShooting(), EXACT
         uncertain = facets is not None and len(facets.node) > 0
         return self.transcription, self.p2 if uncertain else self.p3
 

@@ -1,1 +1,1 @@
-"""Design whole passes: choose burn times, on a home orbit phases and epochs too, for the least delta-v."""
+"""Design whole passes for the least delta-v: burn times, and on a home orbit phases and epochs."""

@@ -12,6 +12,7 @@ from scp_recon.planning.plan import Plan, Stage
 from scp_recon.planning.planner import Planner
 from scp_recon.planning.stages import Pipeline
 from scp_recon.scp.status import Status
+from tests.helpers import nightly
 from tests.scp_recon.support import from_cold, mission_of
 
 
@@ -101,3 +102,48 @@ def test_exact_risk_takes_free_times(scope, most):
     speed = mission.units.speed_m_s
     assert stage.result.lin.cost.value * speed < min(most, plan.total_dv_m_s)
     assert np.all(stage.result.lin.problem.firing.slack(stage.result.lin.iterate.times) > -1e-6)
+
+
+def by_ipopt(mission: Mission, plan: Plan) -> tuple[float, list[float]]:
+    """Least delta-v in m/s and inner times in s by single shooting, from the plan and its facets."""
+    from formulations.nlp.program import Start
+    from formulations.nlp.solve import VARIANTS, NlpOutcome, solve_nlp
+    from scp_recon.planning.ipopt import casadi_arcs
+
+    lin, facets = plan.final.result.lin, plan.final.facets
+    start = Start(lin.iterate, lin.factor)
+    arcs = casadi_arcs(mission.flow)
+    found = solve_nlp(mission.problem, arcs, facets, start, VARIANTS["shooting"])
+    assert found.outcome is NlpOutcome.SOLVED
+    times = found.iterate.times * mission.units.time_s
+    return found.objective * mission.units.speed_m_s, times.tolist()
+
+
+@pytest.mark.slow
+def test_ipopt_finds_the_same_free_times(fixed, free):
+    cost, times = by_ipopt(with_free_times(fixed.mission), fixed)
+    assert free.result.lin.cost.value * fixed.mission.units.speed_m_s == pytest.approx(
+        cost, rel=1e-5
+    )
+    assert times_s(fixed, free)[1:-1] == pytest.approx(times, abs=1.0)
+
+
+@nightly
+@pytest.mark.parametrize("seed", range(10))
+def test_ipopt_agrees_on_drawn_scenarios(seed):
+    """Other boundary states and errors; the schedule is the default scenario's."""
+    rng, given = np.random.default_rng(seed), mission_of().scenario.boundary
+    first = np.array(given.initial_position_m) + rng.uniform(-30.0, 30.0, 3)
+    last = np.array(given.final_position_m) + rng.uniform(-60.0, 60.0, 3)
+    plan = from_cold(
+        mission_of(
+            f"boundary.initial_position_m={first.tolist()}",
+            f"boundary.final_position_m={last.tolist()}",
+            f"uncertainty.execution_error={rng.uniform(0.02, 0.06)}",
+        )
+    )
+    assert plan.status is Status.CONVERGED
+    mission = with_free_times(plan.mission)
+    cost, _ = by_ipopt(mission, plan)
+    found = freed(plan, mission).result.lin.cost.value * mission.units.speed_m_s
+    assert found == pytest.approx(cost, rel=1e-5)
