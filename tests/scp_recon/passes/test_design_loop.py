@@ -58,7 +58,13 @@ class World:
             return [made]
 
         def descend(
-            space: Any, at: Pass, _burns: Any, seen: Any, *_: Any, certain: bool = False
+            space: Any,
+            at: Pass,
+            _burns: Any,
+            seen: Any,
+            *_: Any,
+            certain: bool = False,
+            **_rival: Any,
         ) -> Made:
             one = number(space)
             eased = at.phases[0] == 0.5 or not self.only_after_certain
