@@ -89,7 +89,7 @@ def call(words: Sequence[str]) -> int:
 def folder(tmp_path_factory):
     """The working folder of all lines, with the plan of `make solve`; verification flies little."""
     found = tmp_path_factory.mktemp("workspace")
-    (found / "mine.toml").write_text(snippets_of(README, "toml")[0], "utf-8")
+    (found / "mine.toml").write_text(snippets_of(START, "toml")[0], "utf-8")
     axis = '[[axis]]\nentry = "observation.incidence_max_deg"\nvalues = [0.01, 0.02]\n'
     (found / "study.toml").write_text(axis, "utf-8")  # the site is never lit so well
     with pytest.MonkeyPatch.context() as patch:
