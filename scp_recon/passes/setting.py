@@ -8,6 +8,7 @@ import numpy as np
 
 from formulations.arrays import Array
 from scp_recon.errors import InputError
+from scp_recon.mission.drifts import require_no_drifts
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.scene import Scene
 from scp_recon.mission.survey import survey
@@ -87,10 +88,11 @@ def _check_size(scenario: Scenario) -> None:
 
 
 def _check_given(scenario: Scenario) -> None:
-    """Refuse to move boundary states in time, and a design in which nothing may move."""
+    """Refuse to move boundary states in time, a design in which nothing may move, and drifts."""
     design = scenario.design or Design()
     if scenario.boundary.home is not None:
         return
+    require_no_drifts(scenario, "goes with boundary.home in a design")
     for name in ("departure_s", "arrival_s"):
         if (span := getattr(design, name)) is not None:
             raise InputError(

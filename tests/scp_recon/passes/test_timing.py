@@ -46,6 +46,13 @@ def test_a_design_keeps_states_and_rules(once):
     assert Mission.from_scenario(found).schedule.legs  # which refuses what breaks a rule
 
 
+def test_a_designed_scenario_plans_by_itself(once):
+    again = sr.plan(once.scenario, facet_rounds=0)
+    assert again.status is Status.CONVERGED
+    assert again.total_dv_m_s == pytest.approx(once.plan.total_dv_m_s, rel=1e-4)
+    assert sr.verify(again).ok
+
+
 def test_rules_that_bind_have_prices(once):
     binding = [price.rule for price in once.prices]
     assert binding == [
@@ -76,6 +83,18 @@ def test_whole_flights_need_three_burns():
     assert found.plan.status is Status.CONVERGED
     assert len(found.plan.burns_m_s) == 3
     assert found.plan.total_dv_m_s < 0.1098
+
+
+@pytest.mark.slow
+def test_corrected_burns_keep_the_times_found():
+    known = ["navigation.sigma_position_m=20", "navigation.sigma_velocity_m_s=0.002"]
+    found = sr.design(
+        "recon_b", facet_rounds=0, certify=False, overrides=['policy.kind="feedback"', *known]
+    )
+    assert found.plan is not None
+    assert found.plan.status is Status.CONVERGED
+    assert found.plan.mission.scenario.burns.times_s != load_scenario().burns.times_s
+    assert found.prices == ()
 
 
 @pytest.mark.slow
@@ -124,3 +143,9 @@ def test_rounds_are_never_worse_than_their_start():
 def test_what_leaves_nothing_to_move_is_refused(changes, told):
     with pytest.raises(InputError, match=told):
         spaces_of(load_scenario().replace(changes))
+
+
+@pytest.mark.parametrize("entry", ["missed_burns=1", "cut_short=true"])
+def test_drifts_are_refused_before_any_plan(entry):
+    with pytest.raises(InputError, match=r"^safety\..*; goes with boundary\.home in a design$"):
+        spaces_of(load_scenario(None, [f"safety.{entry}"]))
