@@ -68,7 +68,7 @@ COMMANDS = {
     **{name: name for name in (
         "plans", "sites", "nlp_tricks", "peers", "spice", "cross_check", "lifted", "sensitivity",
         "model_fidelity", "battery_cones", "timing_rules", "flown_plan", "gallery", "frontier",
-        "feedback", "policies", "accuracy", "observation_table", "optima",
+        "feedback", "policies", "accuracy", "observation_table", "optima", "dense",
     )},
     "designs": "plans --designs",
     "compare_solvers": "compare_solvers --full",

@@ -25,7 +25,7 @@ from experiments.in_flight import feedback, policies, sites
 from experiments.observation_rows import rows as observation_rows
 from experiments.observation_rows import run_row
 from experiments.observation_table import SAMPLES
-from experiments.solvers import optima, peers, variations
+from experiments.solvers import dense, optima, peers, variations
 from experiments.solvers.cases import (
     NUMBER,
     PROBLEMS,
@@ -266,6 +266,8 @@ OWN = (
     Sentinel("compare_solvers.exact", "scenario, method", OTHER | {"reached": FLOWN},
         exact_row, [0, 3], range(NUMBER)),
     Sentinel("optima", "kind, seeds, seed", FACETS, optima.measure, [("uniform", "tuned", 17)]),
+    Sentinel("dense", "points", {"p3_least_m_s": 1e-5, "p2_least_m_s": 1e-5},
+        dense.measure, dense.DENSITIES[:1]),
     Sentinel("nlp_tricks", "trick",
         {"status": EQUAL, "delta-v m/s": 2e-5, "unknowns": EQUAL, "rows": EQUAL},
         variations.trick_row, ["+ derivatives arc by arc = tuned", "single shooting, exact Hessians"],
