@@ -114,6 +114,7 @@ class Option(NamedTuple):
 
 SPELT: Mapping[str, Option] = {
     "file": Option("SCENARIO"),
+    "verbose": Option(flag="-v"),
     "scenario": Option("SCENARIO", read=Path),
     "init": Option("cold|warm|FILE", read=start),
     "facet_rounds": Option("N|settle", read=whole),

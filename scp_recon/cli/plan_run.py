@@ -66,9 +66,18 @@ class Shown(Watch):
         console: where to show it.
         out: the folder as the user gave it; None for a new one.
         instead: further options of the command for a proposed feasible plan.
+        verbose: whether to show all of the mission, each iteration, and the re-integration.
     """
 
-    def __init__(self, console: Console, out: Path | None, instead: Sequence[str] = ()) -> None:
+    def __init__(
+        self,
+        console: Console,
+        out: Path | None,
+        instead: Sequence[str] = (),
+        *,
+        verbose: bool = False,
+    ) -> None:
+        self._verbose = verbose
         self._console, self._out, self._instead = console, out, instead
         self._open = ExitStack()
         self._status: int | None = None
@@ -98,14 +107,15 @@ class Shown(Watch):
     @contextmanager
     def planning(self, mission: Mission) -> Iterator[Progress]:
         """Show the mission, and the progress of planning."""
-        plan_view.show_mission(self._console, mission)
-        self._console.print()
-        with live_progress(self._console, mission) as observe:
+        plan_view.show_mission(self._console, mission, verbose=self._verbose)
+        if self._verbose:
+            self._console.print()
+        with live_progress(self._console, mission, verbose=self._verbose) as observe:
             yield observe
 
     def planned(self, outcome: PlanOutcome) -> None:
         """Show the plan; if it was interrupted, its file too."""
-        plan_view.show_solution(self._console, outcome.solution)
+        plan_view.show_solution(self._console, outcome.solution, verbose=self._verbose)
         if outcome.plan.status is Status.INTERRUPTED and outcome.kept.path:
             show_warnings(self._console, outcome.solution.warnings)
             show_written(self._console, outcome.kept.path)
@@ -124,6 +134,7 @@ class Shown(Watch):
             outcome.verification,
             mission.warnings,
             advised=diagnosed,
+            verbose=self._verbose,
         )
         for old in outcome.kept.aside:
             show_line(console, f"set aside because it belongs to another plan: {old}")

@@ -33,8 +33,7 @@ from scp_recon.reports.tables import (
     corrections_table,
     drifts_table,
     iteration_row,
-    mean_margins_table,
-    probabilities_table,
+    limits_table,
     reintegration_table,
     starts_table,
 )
@@ -48,11 +47,12 @@ from scp_recon.scenario.time_scales import instant, iso_tdb, iso_utc
 from scp_recon.scp.loop import Record
 from scp_recon.scp.status import Status
 from scp_recon.verification.probabilities import missed_spread
+from scp_recon.verification.reintegration import FIGURES
 from scp_recon.verification.remedies import in_words, what_next
 
 
-def show_mission(console: Console, mission: Mission) -> None:
-    """Scenario, window, schedule and grid."""
+def show_mission(console: Console, mission: Mission, *, verbose: bool = True) -> None:
+    """Scenario, window and burns; boundary states, schedule and grid too if `verbose`."""
     scenario, schedule = mission.scenario, mission.schedule
     first, last = mission.observed_s or schedule.window_s
     origin = "given" if scenario.observation.window_s else "from incidence and local solar time"
@@ -72,6 +72,16 @@ def show_mission(console: Console, mission: Mission) -> None:
     elif mission.observed_s is None:
         origin += "; over, nothing is observed any more"
     show_line(console, f"window    {first:.1f} to {last:.1f} s ({last - first:.1f} s, {origin})")
+    burns = "; ".join(
+        f"{time:g} ({_interval(*interval)})" if time else "0"
+        for time, interval in zip(scenario.burn_times_s, schedule.firing_intervals_s, strict=True)
+    )
+    show_line(console, f"burns     {burns} s (legal span)")
+    if scenario.in_flight is not None:
+        flown = f"{scenario.burns_flown} burns flown"
+        show_line(console, f"in flight from {scenario.start_s:g} s on, {flown}")
+    if not verbose:
+        return
     start, end = mission.times_s[[0, -1]]
     places = (
         place_of(mission, start, mission.initial_state),
@@ -80,14 +90,6 @@ def show_mission(console: Console, mission: Mission) -> None:
     show_line(console, f"boundary  {'; '.join(places)}")
     legs = ", ".join(f"{leg.mode} {leg.start_s:.0f}-{leg.end_s:.0f}" for leg in schedule.legs)
     show_line(console, f"schedule  {legs} s")
-    burns = "; ".join(
-        f"{time:g} ({_interval(*interval)})" if time else "0"
-        for time, interval in zip(scenario.burn_times_s, schedule.firing_intervals_s, strict=True)
-    )
-    show_line(console, f"burns     {burns} s, in brackets where each may be moved")
-    if scenario.in_flight is not None:
-        flown = f"{scenario.burns_flown} burns flown"
-        show_line(console, f"in flight from {scenario.start_s:g} s on, {flown}")
     arcs = np.diff(mission.times_s)
     show_line(
         console,
@@ -131,8 +133,8 @@ def _interval(early: float, late: float) -> str:
     return f"{early:.0f} to {late:.0f}" if np.isfinite(late) else f"from {early:.0f}"
 
 
-def show_solution(console: Console, solution: Solution) -> None:
-    """Verdict, burns, constraints."""
+def show_solution(console: Console, solution: Solution, *, verbose: bool = False) -> None:
+    """Verdict, burns and cost; margins at the nodes too if `verbose`, or if no verification follows."""
     status = Status.named(solution.status)
     colour = "green" if status is Status.CONVERGED else "red"
     iterations = ", ".join(f"{s.name} {s.iterations}" for s in solution.stages)
@@ -149,18 +151,20 @@ def show_solution(console: Console, solution: Solution) -> None:
         Text.assemble(
             "total delta-v ",
             (f"{solution.total_dv_m_s:.6f} m/s", "bold"),
-            f"; iterations{of}: {iterations}; {solution.timing_s.total:.2f} s, of which "
-            f"{solution.timing_s.conic_solver:.2f} s in the conic solver",
+            f"; iterations{of}: {iterations}; {solution.timing_s.total:.2f} s",
         )
     )
     if solution.cost_in_words:
         show_line(console, solution.cost_in_words)
     _show_policy(console, solution)
-    for stage in solution.stages:
-        if stage.meaning:
-            show_line(console, f"{stage.name}: {stage.meaning}", "dim")
-    console.print()
-    console.print(terminal(constraints_table(solution).without("kind")))
+    if verbose:
+        for stage in solution.stages:
+            if stage.meaning:
+                show_line(console, f"{stage.name}: {stage.meaning}", "dim")
+        show_line(console, f"conic solver: {solution.timing_s.conic_solver:.2f} s", "dim")
+    if verbose or status is Status.INTERRUPTED:
+        console.print()
+        console.print(terminal(constraints_table(solution).without("kind")))
     _show_risk(console, solution.risk)
     if solution.starts is not None:
         console.print()
@@ -219,18 +223,20 @@ def show_verification(
     warnings: Iterable[ScenarioWarning] = (),
     *,
     advised: bool = False,
+    verbose: bool = False,
 ) -> None:
-    """Show re-integration, mean margins, joint probabilities, warnings, verdict and remedies.
+    """Show limits with their probabilities, drifts, warnings, verdict and remedies.
 
-    General remedies are left out if the plan is `advised`: advice on it alone follows.
+    The re-integration is shown if `verbose`, or if it differs too much. General remedies are left out
+    if the plan is `advised`: advice on it alone follows.
     """
     v = verification
-    console.print()
-    console.print(terminal(reintegration_table(mission, v)))
-    console.print(terminal(mean_margins_table(mission, v)))
-    probabilities = probabilities_table(mission, v)
-    console.print(terminal(probabilities))
-    show_line(console, probabilities.note, "dim")
+    if verbose or FIGURES.keys() & {*v.failed}:
+        console.print()
+        console.print(terminal(reintegration_table(mission, v)))
+    limits = limits_table(mission, solution, v)
+    console.print(terminal(limits))
+    show_line(console, limits.note, "dim")
     if any(drift.required is not None for drift in v.drifts):
         drifts = drifts_table(v)
         console.print(terminal(drifts))
@@ -238,9 +244,9 @@ def show_verification(
     elif v.drifts:
         show_line(console, str(min(v.drifts, key=lambda drift: drift.closest_m)))
     if v.burn_limits:
-        limits = burn_limits_table(v, mission.scenario.risk.p_chance)
-        console.print(terminal(limits))
-        show_line(console, limits.note, "dim")
+        corrected = burn_limits_table(v, mission.scenario.risk.p_chance)
+        console.print(terminal(corrected))
+        show_line(console, corrected.note, "dim")
     show_warnings(console, warnings)
     if is_converged(solution) and (missed := missed_spread(mission, solution)):
         show_line(console, f"warning: {missed}", "yellow")
@@ -259,6 +265,7 @@ class Progress:
         mission: the mission to plan.
         live: display of the table.
         table: of the iterations.
+        verbose: whether the table is shown.
         steps: lines on flights, by the round or test.
         plain: flights of a round or test if none were left out.
     """
@@ -266,6 +273,7 @@ class Progress:
     mission: Mission
     live: Live
     table: Table
+    verbose: bool
     steps: dict[str, Text] = field(default_factory=dict)
     plain: dict[str, int] = field(default_factory=dict)
 
@@ -297,18 +305,21 @@ class Progress:
         self._refresh()
 
     def _refresh(self) -> None:
-        self.live.update(Group(*self.steps.values(), self._shown()), refresh=True)
+        shown = [self._shown()] if self.verbose else []
+        self.live.update(Group(*self.steps.values(), *shown), refresh=True)
 
     def _shown(self) -> RichTable:
         return terminal(self.table.without("step"), narrow=True)
 
 
 @contextmanager
-def live_progress(console: Console, mission: Mission) -> Iterator[Progress]:
-    """Show the progress of planning until it ends."""
+def live_progress(console: Console, mission: Mission, *, verbose: bool) -> Iterator[Progress]:
+    """Show the progress of planning until it ends; each iteration if `verbose`."""
     # Redrawn on every row and never from a thread, so that a captured log holds the table once.
     with Live(console=console, auto_refresh=False) as live:
-        yield Progress(mission, live, Table.of("Iterations", ITERATION_COLUMNS, ()))
+        yield Progress(mission, live, Table.of("Iterations", ITERATION_COLUMNS, ()), verbose)
+    if not verbose:
+        return
     console.print(
         "\nmerit: total delta-v plus penalties; in brackets: step rejected; violation and defect: "
         "velocities count as metres per unit of time",

@@ -6,6 +6,7 @@ files to the last digit.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
@@ -15,7 +16,7 @@ from scp_recon.mission.constraints import limits_in_words
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.observation_time import ALL
 from scp_recon.planning.plan import Starts
-from scp_recon.results.facts import Burn, IterationRecord, Verification
+from scp_recon.results.facts import Burn, IterationRecord, MeanMargin, Verification
 from scp_recon.results.policy import sigmas
 from scp_recon.results.solution import Solution
 from scp_recon.results.table import Cell, Column, Table
@@ -39,6 +40,8 @@ ITERATION_COLUMNS = (
     Column("defect", "m", ".1e"),
     Column("solver", "s", ".3f"),
 )
+BINDING = 1e-4
+"""Margin in the program below which a limit binds, m or m/s."""
 NO_BURN = Cell("0", 0.0)
 """In place of each component of a burn that is not executed."""
 STARTS_NAMED = 6
@@ -176,6 +179,67 @@ def mean_margins_table(mission: Mission, v: Verification) -> Table:
         rows,
         key="mean_margins",
     )
+
+
+def limits_table(mission: Mission, solution: Solution, v: Verification) -> Table:
+    """Each limit in a row: the mean's worst value, and the lowest probability of its joint constraint.
+
+    The value is in the limit's own unit, and counts between the nodes too. The time is that of the
+    lowest probability, or of the mean's worst value where the probability is 1 or there is none. A
+    limit binds if the program's margin is zero. Violations without a limit, such as that of the final
+    state, are rows of their own.
+    """
+    allowed = limits_in_words(mission.scenario, mission.limits)
+    joint = {limit.name: limit.joint for limit in mission.limits}
+    chance = {p.name: p for p in v.probabilities}
+    by = Column("off by")
+    violated = {n: by.cell(a.max, "bad") for n, a in solution.violation.by_constraint.items()}
+    binding = {c.name for c in solution.constraints if abs(c.worst_margin) < BINDING}
+    rows: list[list[object]] = []
+    for m in v.mean_margins:
+        words = allowed.get(m.name, "")
+        p = chance.get(joint.get(m.name, m.name))
+        rows.append(
+            [
+                m.name,
+                words.replace("at least", ">=").replace("at most", "<="),
+                _reached(m, words),
+                *((None,) * 3 if p is None else (p.estimate, p.low, p.high)),
+                m.worst_t_s if p is None or p.estimate == 1.0 else p.worst_t_s,
+                violated.pop(m.name, Cell("binds") if m.name in binding else None),
+            ]
+        )
+    shown = {joint.get(m.name, m.name) for m in v.mean_margins}
+    rows += [
+        [p.name, "", None, p.estimate, p.low, p.high, p.worst_t_s, None]
+        for name, p in chance.items()
+        if name not in shown
+    ]
+    rows += [[name, "", *(None,) * 5, cell] for name, cell in violated.items()]
+    return Table.of(
+        "Limits",
+        (
+            "limit",
+            "allowed",
+            Column("worst", form=".4g"),
+            *(Column(name, form=".4f") for name in ("chance", "low", "high")),
+            AT,
+            by,
+        ),
+        rows,
+        note=f"worst: of the mean; chance: lowest of {v.samples} flights, "
+        f"{100 * v.confidence:.0f} % interval, required {mission.scenario.risk.p_chance:g}; "
+        f"{mission.true_gravity('planner')}",
+    )
+
+
+def _reached(m: MeanMargin, words: str) -> float | None:
+    """The value that a margin belongs to, in the unit of its limit."""
+    found = re.fullmatch(r"(at least|at most) (\S+) \S+", words)
+    if found is None:
+        return None
+    margin = float(np.rad2deg(m.worst_margin)) if m.unit == "rad" else m.worst_margin
+    return float(found[2]) + (margin if found[1] == "at least" else -margin)
 
 
 def reintegration_table(mission: Mission, v: Verification) -> Table:

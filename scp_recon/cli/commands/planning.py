@@ -22,6 +22,7 @@ def solve(
     *,
     report: bool = False,
     out: Path | None = None,
+    verbose: bool = False,
     **planning: Any,
 ) -> Answer:
     """Plan a flyby.
@@ -31,6 +32,7 @@ def solve(
         report: write report.html too, a page to look at; the extra [report].
         out: folder for solution.json (default: runs/NAME/UTC with the scenario's name, to which
             runs/latest then points); a verified plan there is overwritten only by a verified one.
+        verbose: show boundary states, schedule, grid, each iteration and the re-integration too.
     """
     from scp_recon.api.inputs import PlanRequest
     from scp_recon.api.options import PlanOptions
@@ -49,7 +51,7 @@ def solve(
         allowed = f"must be given once, with {option('scenario')} or without"
         raise InputError("SCENARIO", f"{file} and {scenario}", allowed)
     request = PlanRequest(scenario if file is None else file, init, how, overrides)
-    with Shown(console, out, undoing(how)) as shown:
+    with Shown(console, out, undoing(how), verbose=verbose) as shown:
         outcome = carry_out(request, shown)
         answer = shown.answer(outcome)
         if how.objective == "probability" and answer.status == 0:
@@ -61,13 +63,16 @@ def solve(
 
 
 @command(verbs.design)
-def design(console: "Console", *, out: Path | None = None, **given: Any) -> Answer:
+def design(
+    console: "Console", *, out: Path | None = None, verbose: bool = False, **given: Any
+) -> Answer:
     """Choose the burn times of a pass, on a home orbit departure and arrival too, and plan it.
 
     Args:
         out: folder for solution.json, scenario.toml, design.csv and pictures (default: runs/NAME/UTC
             with the scenario's name, to which runs/latest then points); a verified plan there is
             overwritten only by a verified one.
+        verbose: show boundary states, schedule, grid, each iteration and the re-integration too.
     """
     from scp_recon.api.designing import find_pass, options_for, request_of, trials_table
     from scp_recon.api.inputs import scenario_of
@@ -80,7 +85,7 @@ def design(console: "Console", *, out: Path | None = None, **given: Any) -> Answ
     scenario = scenario_of(given["scenario"], given["overrides"])
     rounds = given["facet_rounds"]
     how = options_for(scenario, certify=given["certify"], facet_rounds=rounds)
-    with Shown(console, out) as shown:
+    with Shown(console, out, verbose=verbose) as shown:
         folder = shown.open(scenario.name)
         view.check_files(folder)
         with view.progress(console) as observe, naming_files(given["scenario"], given["overrides"]):
@@ -108,6 +113,7 @@ def replan(
     *,
     out: Path | None = None,
     certify: bool | None = None,
+    verbose: bool = False,
     **given: Any,
 ) -> Answer:
     """Plan the rest of a flight.
@@ -117,6 +123,7 @@ def replan(
         measured_burns: a flown burn as telemetry saw it, m/s, by its number in the flight; may be
             repeated.
         out: as of solve, but not the folder of the plan in flight.
+        verbose: show boundary states, schedule, grid, each iteration and the re-integration too.
     """
     from dataclasses import replace
 
@@ -145,7 +152,7 @@ def replan(
         return replace(request_of_rest(flown, mission, certify=certify), remade=rest)
 
     request = rest()
-    with Shown(console, out) as shown:
+    with Shown(console, out, verbose=verbose) as shown:
         return shown.answer(carry_out(request, shown))
 
 

@@ -20,17 +20,21 @@ if TYPE_CHECKING:
 
 
 @command(plan_verbs.verify)
-def verify(console: "Console", plan: Path) -> Answer:
-    """Verify a solution again."""
+def verify(console: "Console", plan: Path, *, verbose: bool = False) -> Answer:
+    """Verify a solution again.
+
+    Args:
+        verbose: show boundary states, schedule, grid, margins at nodes and the re-integration too.
+    """
     from scp_recon.api.files import open_plan, verification_of
     from scp_recon.cli import plan_view
 
     mission, solution = open_plan(plan)
-    plan_view.show_mission(console, mission)
-    plan_view.show_solution(console, solution)
+    plan_view.show_mission(console, mission, verbose=verbose)
+    plan_view.show_solution(console, solution, verbose=verbose)
     found = verification_of(mission, solution)
     warnings = [*solution.warnings, *mission.warnings]
-    plan_view.show_verification(console, mission, solution, found, warnings)
+    plan_view.show_verification(console, mission, solution, found, warnings, verbose=verbose)
     checked = solution.with_verification(found)
     return Answer(0 if found.ok else NOT_VERIFIED, plan_view.plan_document(checked))
 

@@ -14,7 +14,7 @@ from scp_recon.cli.options import joined, parameters
 from scp_recon.results.read import read_solution
 from tests.scp_recon.support import run_solve
 
-OWN = {"solve": {"file", "out", "report"}, "schema": {"file"}}
+OWN = {"solve": {"file", "out", "report", "verbose"}, "schema": {"file"}}
 
 
 def test_every_function_has_its_command():
@@ -33,7 +33,7 @@ def test_options_are_those_of_the_function(name):
     known = inspect.signature(command.owner).parameters if command.owner else {}
     options = [one.name for one in parameters(command.function, command.owner)]
     assert len(options) == len({*options})
-    assert {*options} - OWN.get(name, {"out"}) == {*known} - {"progress", "out"}
+    assert {*options} - OWN.get(name, {"out", "verbose"}) == {*known} - {"progress", "out"}
     assert all(action.help for action in command.parser()._actions)
 
 

@@ -102,6 +102,25 @@ def test_json_has_exact_figures_and_text_the_frame(folder, capsys):
     assert f"x, y, z along J2000; {epoch}" in said.err
 
 
+def test_screen_of_a_plan_is_short(folder, monkeypatch, capsys):
+    """The default plan in 30 lines of 100 columns, of which solve's path takes one; rows fit in 80."""
+    said = {}
+    for columns, more in ((100, []), (80, []), (100, ["-v"])):
+        monkeypatch.setenv("COLUMNS", str(columns))
+        assert every.main(["verify", str(folder), *more]) == 0
+        said[columns, *more] = capsys.readouterr().out.splitlines()
+    assert sum(max(1, -(-len(line) // 100)) for line in said[100,]) <= 29
+    rows = {line.split()[0]: line.split() for line in said[80,] if line}
+    plan = read_solution(folder)
+    for margin in plan.verification.mean_margins:
+        assert rows[margin.name][1] in ("<=", ">=")
+    worst = {m.name: np.rad2deg(m.worst_margin) for m in plan.verification.mean_margins}
+    assert float(rows["emission_max"][4]) == pytest.approx(45.0 - worst["emission_max"], rel=1e-3)
+    assert rows["site_distance_max"][-1] == "binds"
+    assert not any(line.startswith("re-integrated") for line in said[100,])
+    assert any(line.startswith("re-integrated") for line in said[100, "-v"])
+
+
 def test_help_and_unknown_commands_list_all_commands(capsys):
     for words in ([], ["fly"], ["--verse"]):
         assert every.main(words) == 2

@@ -69,7 +69,7 @@ def test_verdict_has_the_miss_of_one_burn(plan_folder, state_at, tmp_path, capsy
     assert found.scenario.start_s == 26_000.0
     assert found.verification.missed.position_m == pytest.approx(58.8, abs=0.1)
     assert found.violation.by_constraint == {}
-    assert verify.main([str(out)]) == 0
+    assert verify.main([str(out), "-v"]) == 0
     said = capsys.readouterr().out
     assert "the final state is missed by 58.8" in said
     # What is not judged stands beside no limit.
