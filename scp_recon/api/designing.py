@@ -131,8 +131,8 @@ def find_pass(
     designer = Designer(scenario, observe, facet_rounds)
     space, best = designer.run()
     fixed = settled(scenario, space, best.at) if best.converged else None
-    open_loop = scenario.policy.kind != "feedback"
-    prices = Timing(space, facet_rounds).prices(best) if fixed and open_loop else ()
+    has_prices = fixed and space.is_timed and scenario.policy.kind != "feedback"
+    prices = Timing(space, facet_rounds).prices(best) if has_prices else ()
     return Design(tuple(designer.trials), best, fixed, start=designer.corrected, prices=prices)
 
 
