@@ -242,7 +242,8 @@ def show_verification(
         console.print(terminal(drifts))
         show_line(console, drifts.note, "dim")
     elif v.drifts:
-        show_line(console, str(min(v.drifts, key=lambda drift: drift.closest_m)))
+        later = [drift for drift in v.drifts if drift.burn > 1] or v.drifts
+        show_line(console, str(min(later, key=lambda drift: drift.closest_m)))
     if v.burn_limits:
         corrected = burn_limits_table(v, mission.scenario.risk.p_chance)
         console.print(terminal(corrected))

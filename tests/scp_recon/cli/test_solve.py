@@ -33,7 +33,7 @@ def test_default_plan_is_verified_and_kept_alone(default_run):
 
 def test_case_verdict_burns_and_constraints_are_shown(default_run):
     shown, solution = " ".join(default_run.output.split()), read_solution(default_run.folder)
-    for piece in ("recon_b", "Nightingale", "13140.2 to 16537.5 s", "154 nodes", "Converged"):
+    for piece in ("recon_b", "Nightingale", "13140.2 to 16537.5 s", "Converged"):
         assert piece in shown
     assert f"{solution.total_dv_m_s:.6f} m/s" in shown
     for burn in solution.burns:
@@ -79,7 +79,7 @@ def test_solution_file_of_any_name_is_a_start(default_run, tmp_path):
 
 
 def test_infeasible_plan_names_violated_constraints(tmp_path):
-    run = run_solve(tmp_path, "--set", "burns.dv_max_m_s=0.02", "--set", COARSE)
+    run = run_solve(tmp_path, "--set", "burns.dv_max_m_s=0.02", "--set", COARSE, "-v")
     assert (run.exit_code, run.errors) == (3, "")
     solution = read_solution(tmp_path)
     assert solution.status == "infeasible"
