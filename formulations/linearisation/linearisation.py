@@ -63,6 +63,13 @@ def require_finite(*parts: Array) -> None:
         raise LinearisationError("the dynamics have no finite derivatives at the iterate")
 
 
+def affine_maps(stm: Array, defect: Array) -> Array:
+    """Maps of deviations and the constant one along n arcs that close their defects, (n, 7, 7)."""
+    maps = np.zeros((len(stm), 7, 7))
+    maps[:, :6, :6], maps[:, :6, 6], maps[:, 6, 6] = stm, defect, 1.0
+    return maps
+
+
 @dataclass(frozen=True, eq=False)
 class Linearisation:
     """An iterate with the derivatives of its arcs. Derived quantities are computed lazily and cached.
@@ -148,9 +155,7 @@ class Linearisation:
 
         The seventh component is the constant one, so that closing the defects is part of the map.
         """
-        maps = np.zeros((self.problem.n_nodes - 1, 7, 7))
-        maps[:, :6, :6], maps[:, :6, 6], maps[:, 6, 6] = self.arcs.stm, self.defects[:-1], 1.0
-        return self.problem.legs.compose(maps)
+        return self.problem.legs.compose(affine_maps(self.arcs.stm, self.defects[:-1]))
 
     @cached_property
     def bent(self) -> Array:

@@ -106,13 +106,21 @@ class Pulled(NamedTuple):
     """Derivatives of weighed violations by the positions of a flight.
 
     Attributes:
-        by_mean: by the mean positions, shape (n_nodes, 3).
+        by_mean: by the means' first components, 3 of positions or all 6, shape (n_nodes, 3 or 6).
         by_factor: by the covariance factor's first rows, 3 of positions or all 6, and columns,
             shape (n_nodes, 3 or 6, c).
     """
 
     by_mean: Array
     by_factor: Array
+
+    def by_states(self, lin: Linearisation) -> Pulled:
+        """The same by all of means and factors, shapes (n_nodes, 6) and (n_nodes, 6, c)."""
+        found = Pulled(np.zeros((lin.problem.n_nodes, 6)), np.zeros(lin.factor.shape))
+        found.by_mean[:, : self.by_mean.shape[1]] = self.by_mean
+        _, rows, columns = self.by_factor.shape
+        found.by_factor[:, :rows, :columns] = self.by_factor
+        return found
 
 
 def triangular_cones(rows: Indices, head: Array, tail: Array) -> Cones:
@@ -311,8 +319,7 @@ class FinalSpread:
         """Pull of the other rows and of these, vec(S) / ||vec(S)|| each, at the prices of all rows."""
         if not self.count:
             return others
-        by_factor = np.zeros((self._last + 1, 6, lin.factor.shape[2]))
-        by_factor[:, : others.by_factor.shape[1], : others.by_factor.shape[2]] = others.by_factor
+        by_factor = others.by_states(lin).by_factor
         for number, (_, part, _limit) in enumerate(self._limits):
             spread = lin.factor[-1, part]
             size = max(float(np.linalg.norm(spread)), 1e-300)

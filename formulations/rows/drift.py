@@ -20,10 +20,12 @@ from typing import NamedTuple
 import numpy as np
 
 from formulations.arrays import Array, Indices
+from formulations.linearisation.dynamics import Dynamics
 from formulations.linearisation.linearisation import (
     Linearisation,
     Seen,
     Sensitivity,
+    affine_maps,
     condense,
     require_finite,
 )
@@ -62,6 +64,9 @@ DEEP = 0.5
 """Depth in a ball, over its radius, beyond which the further course of a mean says nothing."""
 
 
+NO_BURNS = np.zeros((0, 3))
+
+
 class Start(NamedTuple):
     """Mean (6,) and factor (6, c) at a drift's start; or derivatives of a function by them."""
 
@@ -70,11 +75,10 @@ class Start(NamedTuple):
 
 
 class DriftValue(NamedTuple):
-    """g of a drift, its derivatives by the drift's start, and the node that most flights hit first."""
+    """g of a drift, and its derivatives by the drift's start."""
 
     value: float
     by: Start
-    worst: int
 
 
 class Branch:
@@ -83,6 +87,7 @@ class Branch:
     def __init__(self, drift: Drift) -> None:
         n = drift.flow.arcs + 1
         self._drift, self._legs = drift, Legs(n, np.array([0, n - 1]))
+        self._free = Dynamics(drift.flow, np.zeros(0, dtype=np.intp))
         self._event = Event(drift.name, np.arange(n), (), drift.keep_out)
         self._coordinates = Coordinates([0])
         self._directions = sphere_directions(LINES, self._coordinates.count)
@@ -95,14 +100,14 @@ class Branch:
             LinearisationError: if the drift has no finite derivatives.
         """
         mean, stm = self.flown(start.mean)
-        value, worst, by_mean, by_factor = self._at_nodes(mean, stm @ start.factor)
+        value, by_mean, by_factor = self._at_nodes(mean, stm @ start.factor)
         n = 1 + max(map(_last, (by_mean, by_factor)))
         arcs = self._drift.flow.differentiate(mean[: n - 1])
         by = _pulled(stm[:n], arcs, start.factor, by_mean[:n], by_factor[:n])
         require_finite(*by)
-        return DriftValue(value, by, worst)
+        return DriftValue(value, by)
 
-    def _at_nodes(self, mean: Array, factor: Array) -> tuple[float, int, Array, Array]:
+    def _at_nodes(self, mean: Array, factor: Array) -> tuple[float, Array, Array]:
         """As `tangent`, from means and factors at the nodes; by the law near to binding."""
         event = self._event.at(np.arange(len(mean)))
         nearest = tangent(event, mean, factor)
@@ -110,10 +115,9 @@ class Branch:
             return nearest
         probability = FlightProbability((event,), self._directions, REACH)
         found = self._coordinates(probability, mean[:, :3], factor, None)
-        nodes = found.limits.nodes
-        if len(nodes) == 0 or found.value < HOPELESS:
+        if len(found.limits.nodes) == 0 or found.value < HOPELESS:
             return nearest
-        return found.value, int(nodes[np.argmax(found.ends)]), found.by_mean, found.by_factor
+        return found.value, found.by_mean, found.by_factor
 
     def flown(self, state: Array) -> tuple[Array, Array]:
         """Means (n, 6) from a state (6,), and STMs (n, 6, 6) from there.
@@ -121,17 +125,12 @@ class Branch:
         Nodes after the mean is deep inside a ball are left out.
         """
         flow = self._drift.flow
-        mean = self._rolled_out(state) if self._mean is None else self._mean
         # What comes after a passage through the centre may be any number, and is left out.
         with np.errstate(all="ignore"):
+            mean = self._free.rollout(state, NO_BURNS) if self._mean is None else self._mean
             for _ in range(NEWTON_MAX):
                 arcs = flow.differentiate(mean[:-1])
-                maps = np.zeros((flow.arcs, 7, 7))
-                maps[:, :6, :6], maps[:, :6, 6], maps[:, 6, 6] = (
-                    arcs.stm,
-                    arcs.state - mean[1:],
-                    1.0,
-                )
+                maps = affine_maps(arcs.stm, arcs.state - mean[1:])
                 stm = self._legs.compose(maps)[:, :6]
                 step = stm @ np.r_[state - mean[0], 1.0]
                 mean = mean + step
@@ -139,19 +138,12 @@ class Branch:
                 if np.abs(step[:n]).max() < CLOSED:
                     break
             else:
-                mean = self._rolled_out(state)
+                mean = self._free.rollout(state, NO_BURNS)
                 n = self._meaningful(mean)
                 arcs = flow.differentiate(mean[:-1])
                 stm = self._legs.compose(arcs.stm)
         self._mean = mean if n == len(mean) else None
         return mean[:n], stm[:n, :, :6]
-
-    def _rolled_out(self, state: Array) -> Array:
-        mean = [state]
-        with np.errstate(all="ignore"):
-            for arc in range(self._drift.flow.arcs):
-                mean.append(self._drift.flow.propagate(mean[-1], arc))
-        return np.stack(mean)
 
     def _meaningful(self, mean: Array) -> int:
         """Number of first nodes up to where a mean (n, 6) is deep inside a ball."""
@@ -162,11 +154,11 @@ class Branch:
         return int(np.argmax(deep)) + 1 if deep.any() else len(mean)
 
 
-def tangent(event: Event, mean: Array, factor: Array) -> tuple[float, int, Array, Array]:
+def tangent(event: Event, mean: Array, factor: Array) -> tuple[float, Array, Array]:
     """Least room over deviation at the planes that touch each region nearest to the mean.
 
     Returns:
-        The value, the node where it is least, and derivatives by means (n, 3) and factors (n, 6, c).
+        The value, and its derivatives by means (n, 3) and factors (n, 6, c).
     """
     by_mean, by_factor = np.zeros((len(mean), 3)), np.zeros(factor.shape)
     normals, offsets = event.facets(mean[:, :3])
@@ -177,7 +169,7 @@ def tangent(event: Event, mean: Array, factor: Array) -> tuple[float, int, Array
     normal, size = normals[limit, node], deviation[limit, node]
     by_mean[node] = -normal / size
     by_factor[node, :3] = -room[limit, node] / size**3 * np.outer(normal, along[limit, node])
-    return float(room[limit, node] / size), int(node), by_mean, by_factor
+    return float(room[limit, node] / size), by_mean, by_factor
 
 
 def _pulled(
@@ -256,10 +248,7 @@ class DriftRows:
         """Pull of the other rows and of these, -dg each, at the prices of all rows."""
         if not self.count:
             return others
-        by_mean = np.zeros((lin.problem.n_nodes, 6))
-        by_factor = np.zeros(lin.factor.shape)
-        by_mean[:, : others.by_mean.shape[1]] = others.by_mean
-        by_factor[:, : others.by_factor.shape[1], : others.by_factor.shape[2]] = others.by_factor
+        by_mean, by_factor = others.by_states(lin)
         for row, (drift, found) in enumerate(zip(self._drifts, self.at(lin), strict=True)):
             of_mean, of_factor = self._on_nodes(lin, drift, found)
             by_mean -= prices[self._first + row] * of_mean
