@@ -24,10 +24,10 @@ from scp_recon.jobs.blas import one_thread
 from scp_recon.jobs.cores import WORKERS_MAX
 from scp_recon.jobs.job import Executor, here
 from scp_recon.jobs.processes import Processes
-from scp_recon.mission.drifts import Miss, duration_s, planned, required_probability
+from scp_recon.mission.drifts import Miss, planned, required_probability
 from scp_recon.mission.scene import TruthModel
 from scp_recon.monte_carlo.closed_loop import replans
-from scp_recon.monte_carlo.drifts import fly_drifts, reach_s, safety_of
+from scp_recon.monte_carlo.drifts import fly_drifts, safety_of
 from scp_recon.monte_carlo.flights import (
     LIMITS,
     SAMPLES_MAX,
@@ -161,19 +161,9 @@ def _with_drift(summary: Summary, config: FlightConfig, options: FlyOptions) -> 
     if options.miss is None:
         return summary
     mission, miss = config.mission, Miss(options.miss)
-    spell = reach_s(mission, duration_s(mission.scenario))
-    flown = fly_drifts(
-        mission,
-        config.burns_m_s,
-        [miss],
-        summary.samples,
-        seed=config.seed,
-        truth=config.truth,
-        policy=config.policy,
-        spell_s=spell,
-    )
+    flown = fly_drifts(config, [miss], summary.samples)
     required = required_probability(mission.scenario) if miss in planned(mission.scenario) else None
-    found = safety_of(mission, miss, flown[0], required, spell)
+    found = safety_of(mission, miss, flown[0], required)
     return summary.model_copy(update={"drift": found})
 
 

@@ -13,12 +13,12 @@ from dataclasses import replace
 import numpy as np
 from scipy.special import ndtri
 
-from formulations.arrays import Array
 from formulations.problem.drift import Drift
 from formulations.rows.drift import Branch, start_of
-from scp_recon.mission.drifts import Miss, duration_s, planned, required_probability
+from scp_recon.mission.drifts import Miss, planned, required_probability
 from scp_recon.mission.mission import Mission
-from scp_recon.monte_carlo.drifts import drift, reach_s, states_after
+from scp_recon.monte_carlo.drifts import drift, states_after
+from scp_recon.monte_carlo.flights import FlightConfig
 from scp_recon.planning.plan import Plan
 from scp_recon.results.policy import policy_of
 from scp_recon.scp.status import Status
@@ -62,18 +62,17 @@ def shortfalls(plan: Plan) -> dict[str, float]:
     for miss, one in zip(planned(mission.scenario), lin.problem.drifts, strict=True):
         if plan.final.margins[one.name].margin.min() > NEAR:
             continue
-        policy = policy_of(mission, lin)
-        state = states_after(mission, plan.burns_m_s, [miss], FLIGHTS, seed=SEED, policy=policy)[0]
-        reached = float(ndtri(1.0 - _failing(plan, one, miss, state)))
+        reached = float(ndtri(1.0 - _failing(plan, one, miss)))
         if reached < needed:
             found[one.name] = needed - reached
     return found
 
 
-def _failing(plan: Plan, one: Drift, miss: Miss, state: Array) -> float:
-    """Share of drifts from states (flights, 6) that are not safe: those near by the law are flown."""
-    mission, units = plan.mission, plan.mission.units.state
-    start = start_of(plan.final.result.lin, one)
+def _failing(plan: Plan, one: Drift, miss: Miss) -> float:
+    """Share of a plan's drifts that are not safe: those near by the law are flown."""
+    mission, lin, units = plan.mission, plan.final.result.lin, plan.mission.units.state
+    config = FlightConfig(mission, plan.burns_m_s, SEED, policy=policy_of(mission, lin))
+    (state,), start = states_after(config, [miss], FLIGHTS), start_of(lin, one)
     mean, stm = Branch(one).flown(start.mean)
     off, room = (state / units - start.mean).T, np.full(len(state), np.inf)
     for ball in one.keep_out:
@@ -82,5 +81,5 @@ def _failing(plan: Plan, one: Drift, miss: Miss, state: Array) -> float:
             room = np.minimum(room, np.sqrt(np.einsum("in,in->n", apart, apart)) - ball.radius)
     near = np.argsort(room)[: int(NEAREST * len(state))]
     begin = mission.scenario.burns.times_s[miss.burn - 1]
-    flown = drift(mission, state[near], begin, reach_s(mission, duration_s(mission.scenario)))
+    flown = drift(config, state[near], begin)
     return max(int((~flown.safe(mission)).sum()), 0.5) / len(state)

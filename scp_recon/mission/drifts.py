@@ -69,10 +69,15 @@ def planned(scenario: Scenario) -> tuple[Miss, ...]:
     return tuple(Miss(number, share) for number in numbers for share in shares)
 
 
-def times_of(scenario: Scenario, miss: Miss, last_s: float | None = None) -> Array:
-    """Nodes of a drift past the epoch, s, shape (n,); for another time than the scenario's if given."""
-    start, spell = scenario.burns.times_s[miss.burn - 1], last_s or duration_s(scenario)
-    count = int(np.ceil(spell / min(STEP_S, scenario.grid.step_max_s) - 1e-9))
+def _step_s(scenario: Scenario) -> float:
+    """Longest arc of a drift, s."""
+    return min(STEP_S, scenario.grid.step_max_s)
+
+
+def _times(scenario: Scenario, miss: Miss) -> Array:
+    """Nodes of a drift past the epoch, s, shape (n,)."""
+    start, spell = scenario.burns.times_s[miss.burn - 1], duration_s(scenario)
+    count = int(np.ceil(spell / _step_s(scenario) - 1e-9))
     return np.linspace(start, start + spell, max(count, 1) + 1)
 
 
@@ -97,7 +102,7 @@ def _drifts(
     scenario, own = scene.scenario, forces.in_units(units.length_m, units.time_s)
     for miss in planned(scenario):
         required = quantile(required_probability(scenario)) + losses.get(miss.name, 0.0)
-        times = times_of(scenario, miss)
+        times = _times(scenario, miss)
         flow = GridFlow(own, times[:-1] / units.time_s, np.diff(times) / units.time_s, 1)
         keep_out = [Ball(np.zeros((len(times), 3)), radius_m(scenario) / units.length_m)]
         if scene.companion is not None:
@@ -128,8 +133,7 @@ def check_drifts(scene: Scene) -> None:
         entry = "drift_radius_m" if safety.drift_radius_m else "radius_min_m"
         needs = f"must be at least body.reference_radius_m, {body:g} m"
         raise InputError(f"safety.{entry}", f"{radius_m(scenario):g} m", needs)
-    spell = duration_s(scenario)
-    step = min(STEP_S, scenario.grid.step_max_s)
+    spell, step = duration_s(scenario), _step_s(scenario)
     if spell > NODES_MAX * step:
         needs = f"must be at most {NODES_MAX * step:g} s, {NODES_MAX} nodes a drift"
         raise InputError("safety.drift_s", f"{spell:g} s", needs)

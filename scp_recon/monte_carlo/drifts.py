@@ -15,9 +15,10 @@ from formulations.arrays import Array, Booleans
 from scp_recon.mission.constraints import companion_distance_m
 from scp_recon.mission.drifts import STEP_S, Miss, duration_s, radius_m
 from scp_recon.mission.mission import Mission
-from scp_recon.mission.scene import TruthModel
 from scp_recon.monte_carlo.estimates import proportion
-from scp_recon.monte_carlo.sampling import BLOCK, AnyPolicy, flow_of, fly_block
+from scp_recon.monte_carlo.flights import FlightConfig
+from scp_recon.monte_carlo.sampling import flow_of, fly_blocks
+from scp_recon.physics.frames import TabulatedRotation
 from scp_recon.results.facts import DriftSafety
 
 NEAREST = 0.003
@@ -32,11 +33,13 @@ class Drifted:
         closest_m: distance from the body's centre.
         at_s: its time past the epoch.
         apart_m: distance from the companion's centre, infinite without one.
+        spell_s: time flown.
     """
 
     closest_m: Array
     at_s: Array
     apart_m: Array
+    spell_s: float
 
     def safe(self, mission: Mission) -> Booleans:
         """Drifts that keep both distances."""
@@ -45,53 +48,28 @@ class Drifted:
 
 
 def fly_drifts(
-    mission: Mission,
-    burns_m_s: Array,
-    misses: Sequence[Miss],
-    flights: int,
-    *,
-    seed: int = 0,
-    truth: TruthModel = "planner",
-    policy: AnyPolicy = (),
-    step_s: float = STEP_S,
-    spell_s: float | None = None,
+    config: FlightConfig, misses: Sequence[Miss], flights: int, *, step_s: float = STEP_S
 ) -> list[Drifted]:
-    """Fly drifts of several misses, each from the same flights: see `states_before`."""
-    firing = np.array([mission.scenario.burns.times_s[miss.burn - 1] for miss in misses])
-    starts = states_after(
-        mission, burns_m_s, misses, flights, seed=seed, truth=truth, policy=policy
-    )
-    spell = reach_s(mission, spell_s or duration_s(mission.scenario))
-    return [
-        drift(mission, state, time, spell, truth=truth, step_s=step_s)
-        for state, time in zip(starts, firing.tolist(), strict=True)
-    ]
+    """Fly drifts of several misses, each from the same flights: see `states_after`."""
+    starts = states_after(config, misses, flights) if misses else []
+    times = [config.mission.scenario.burns.times_s[miss.burn - 1] for miss in misses]
+    return [drift(config, state, time, step_s) for state, time in zip(starts, times, strict=True)]
 
 
-def states_after(
-    mission: Mission,
-    burns_m_s: Array,
-    misses: Sequence[Miss],
-    flights: int,
-    *,
-    seed: int = 0,
-    truth: TruthModel = "planner",
-    policy: AnyPolicy = (),
-) -> list[Array]:
+def states_after(config: FlightConfig, misses: Sequence[Miss], flights: int) -> list[Array]:
     """States of flights just after each missed or cut burn, J2000, m and m/s, (flights, 6) each."""
-    scenario, parts = mission.scenario, []
+    scenario, parts = config.mission.scenario, []
     times = np.unique([scenario.burns.times_s[miss.burn - 1] for miss in misses])
-    for first in range(0, flights, BLOCK):
-        flown = fly_block(
-            mission,
-            burns_m_s,
-            times,
-            first // BLOCK,
-            flights=min(BLOCK, flights - first),
-            seed=seed,
-            truth=truth,
-            policy=policy,
-        )
+    for flown in fly_blocks(
+        config.mission,
+        config.burns_m_s,
+        times,
+        flights,
+        seed=config.seed,
+        truth=config.truth,
+        errors=config.errors,
+        policy=config.policy,
+    ):
         part = []
         for miss in misses:
             at = np.searchsorted(times, scenario.burns.times_s[miss.burn - 1])
@@ -102,17 +80,10 @@ def states_after(
     return [np.concatenate(states) for states in zip(*parts, strict=True)]
 
 
-def drift(
-    mission: Mission,
-    state: Array,
-    start_s: float,
-    spell_s: float,
-    *,
-    truth: TruthModel = "planner",
-    step_s: float = STEP_S,
-) -> Drifted:
+def drift(config: FlightConfig, state: Array, start_s: float, step_s: float = STEP_S) -> Drifted:
     """Fly free drifts from states (flights, 6) at a time, J2000, m and m/s."""
-    flow, companion = flow_of(mission, truth), mission.scene.companion
+    flow, companion = flow_of(config.mission, config.truth), config.mission.scene.companion
+    spell_s = reach_s(config.mission)
     r, v = (np.ascontiguousarray(half.T) for half in (state[:, :3], state[:, 3:]))
     steps = max(1, int(np.ceil(spell_s / step_s - 1e-9)))
     step, n = spell_s / steps, len(state)
@@ -129,20 +100,20 @@ def drift(
                 apart = np.fmin(apart, np.einsum("in,in->n", away, away))
             if k < steps:
                 r, v = flow(r, v, time, step)
-    return Drifted(np.sqrt(closest), at, np.sqrt(apart))
+    return Drifted(np.sqrt(closest), at, np.sqrt(apart), spell_s)
 
 
-def reach_s(mission: Mission, spell_s: float) -> float:
-    """Time for which a drift after the last burn can be flown: as far as a table of attitudes goes."""
-    table = getattr(mission.rotation, "table", None)
-    if table is None:
-        return spell_s
-    end = float(table.tdb_s[-1]) - mission.rotation.epoch_s  # type: ignore[attr-defined]
-    return float(min(spell_s, end - mission.scenario.duration_s))
+def reach_s(mission: Mission) -> float:
+    """Time of a drift, s: the scenario's, as far as a table of attitudes goes after the last burn."""
+    spell, rotation = duration_s(mission.scenario), mission.rotation
+    if not isinstance(rotation, TabulatedRotation):
+        return spell
+    end = float(rotation.table.tdb_s[-1]) - rotation.epoch_s
+    return min(spell, end - mission.scenario.duration_s)
 
 
 def safety_of(
-    mission: Mission, miss: Miss, drifted: Drifted, required: float | None, spell_s: float
+    mission: Mission, miss: Miss, drifted: Drifted, required: float | None
 ) -> DriftSafety:
     """How safe drifts are, with the probability that is required of them, if any."""
     order = np.argsort(drifted.closest_m)
@@ -152,7 +123,7 @@ def safety_of(
     return DriftSafety(
         burn=miss.burn,
         share=miss.share,
-        drift_s=spell_s,
+        drift_s=drifted.spell_s,
         radius_m=radius_m(mission.scenario),
         required=required,
         **proportion(int(safe.sum()), len(safe))._asdict(),

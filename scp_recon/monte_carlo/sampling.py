@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Literal
 
@@ -195,6 +195,32 @@ def corrections_of(policy: AnyPolicy) -> Policy:
     return tuple(one for one in policy if isinstance(one, Correction))
 
 
+def fly_blocks(
+    mission: Mission,
+    burns_m_s: Array,
+    times_s: Array,
+    samples: int,
+    *,
+    seed: int = 0,
+    truth: TruthModel = "planner",
+    errors: ErrorModel | None = None,
+    policy: AnyPolicy = (),
+) -> Iterator[FlightLog]:
+    """Fly a number of flights, block by block: see `fly_draws`."""
+    for first in range(0, samples, BLOCK):
+        yield fly_block(
+            mission,
+            burns_m_s,
+            times_s,
+            first // BLOCK,
+            flights=min(BLOCK, samples - first),
+            seed=seed,
+            truth=truth,
+            errors=errors,
+            policy=policy,
+        )
+
+
 def sample_positions(
     mission: Mission,
     burns_m_s: Array,
@@ -204,19 +230,8 @@ def sample_positions(
     policy: AnyPolicy = (),
 ) -> Array:
     """Positions of flights with the planner's dynamics, J2000, m, shape (times, samples, 3)."""
-    blocks = [
-        fly_block(
-            mission,
-            burns_m_s,
-            times_s,
-            first // BLOCK,
-            flights=min(BLOCK, samples - first),
-            seed=seed,
-            policy=policy,
-        ).states[..., :3]
-        for first in range(0, samples, BLOCK)
-    ]
-    return np.concatenate(blocks, axis=1)
+    blocks = fly_blocks(mission, burns_m_s, times_s, samples, seed=seed, policy=policy)
+    return np.concatenate([flown.states[..., :3] for flown in blocks], axis=1)
 
 
 def flow_of(mission: Mission, truth: TruthModel) -> Flow:

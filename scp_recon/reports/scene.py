@@ -15,7 +15,6 @@ import numpy as np
 
 from formulations.arrays import Array
 from scp_recon.mission.constraints import companion_distance_m
-from scp_recon.mission.drifts import duration_s
 from scp_recon.mission.grid import RK4_STEP_MAX_S
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.drifts import reach_s
@@ -281,7 +280,7 @@ def drifts(frame: Frame, subject: Subject) -> list[Trace]:
     They are shown on demand, as far as they stay in the box.
     """
     mission, nodes, traces = subject.mission, subject.solution.nodes, list[Trace]()
-    spell = reach_s(mission, duration_s(mission.scenario))
+    spell = reach_s(mission)
     times = np.linspace(0.0, spell, 1 + int(np.ceil(spell / RK4_STEP_MAX_S)))
     for number, burn in subject.solution.executed:
         if number == 1 or spell <= 0.0:

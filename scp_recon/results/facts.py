@@ -305,6 +305,11 @@ class DriftSafety:
         """Its name among the checks."""
         return f"P(safe drift where {self.event})"
 
+    @property
+    def is_refuted(self) -> bool:
+        """Whether flights refute the required probability, if there is one."""
+        return self.required is not None and self.high < self.required
+
     def __str__(self) -> str:
         """In words."""
         return (

@@ -7,14 +7,15 @@ from scipy.special import ndtri
 
 from formulations.arrays import Array, Booleans, Indices
 from formulations.rows.exact_flight import FLIGHT
-from scp_recon.mission.drifts import STEP_S, Miss, duration_s
+from scp_recon.mission.drifts import STEP_S, Miss
 from scp_recon.mission.drifts import planned as misses_planned
 from scp_recon.mission.drifts import required_probability as drift_probability
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.drifts import fly_drifts, reach_s, safety_of
 from scp_recon.monte_carlo.estimates import proportion
+from scp_recon.monte_carlo.flights import FlightConfig
 from scp_recon.monte_carlo.limits import is_certain, limit_margins
-from scp_recon.monte_carlo.sampling import fly_block, sample_positions
+from scp_recon.monte_carlo.sampling import BLOCK, fly_blocks, sample_positions
 from scp_recon.monte_carlo.summary import COMPONENTS, missed_by_law
 from scp_recon.results.facts import DriftSafety, FinalSigma, JointProbability, Risk
 from scp_recon.results.figures import FINAL_SIGMAS, final_sigma_limits, is_strange
@@ -154,20 +155,16 @@ def drift_safety(
     judged = misses_planned(scenario) if planned else ()
     numbers = range(1 + scenario.burns_flown, 1 + len(scenario.burns.times_s))
     reported = [miss for miss in map(Miss, numbers) if miss not in judged]
-    spell, required = reach_s(mission, duration_s(scenario)), drift_probability(scenario)
-    found = []
+    if reach_s(mission) <= 0.0:
+        return []
+    config, found = FlightConfig(mission, burns, SEED, policy=policy), []
     for misses, flights, step, asked in (
         (reported, DRIFTS, DRIFT_STEP_S, None),
-        (judged, DRIFTS_JUDGED, STEP_S, required),
+        (judged, DRIFTS_JUDGED, STEP_S, drift_probability(scenario)),
     ):
-        if not misses or spell <= 0.0:
-            continue
-        flown = fly_drifts(
-            mission, burns, misses, flights, seed=SEED, policy=policy, step_s=step, spell_s=spell
-        )
+        flown = fly_drifts(config, misses, flights, step_s=step)
         found += [
-            safety_of(mission, miss, one, asked, spell)
-            for miss, one in zip(misses, flown, strict=True)
+            safety_of(mission, miss, one, asked) for miss, one in zip(misses, flown, strict=True)
         ]
     return sorted(found, key=lambda one: (one.burn, one.share))
 
@@ -195,9 +192,7 @@ def flown_sigmas(
 def _final_states(mission: Mission, burns: Array, seed: int, policy: Policy) -> Array:
     """States of flights after the last burn, shape (flights, 6)."""
     end = mission.times_s[-1:]
-    blocks = [
-        fly_block(mission, burns, end, number, seed=seed, policy=policy) for number in range(BLOCKS)
-    ]
+    blocks = fly_blocks(mission, burns, end, BLOCKS * BLOCK, seed=seed, policy=policy)
     return np.concatenate([flown.states[-1] for flown in blocks])
 
 

@@ -47,7 +47,7 @@ def _of_flights(summary: Summary, solution: Solution) -> list[str]:
     if solution.scenario.risk.scope == "flight":
         probabilities.append(("whole flights {:.4f}", summary.whole_flight))
     required, drift, found = required_probability(solution), summary.drift, []
-    if drift is not None and drift.required is not None and drift.high < drift.required:
+    if drift is not None and drift.is_refuted:
         found.append(f"{drift.check} {drift.value:.4f}, required {drift.required:g}")
     return found + [
         f"{line.format(one.value)}, required {required:g}"

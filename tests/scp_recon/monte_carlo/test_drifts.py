@@ -13,6 +13,7 @@ from scp_recon.errors import InputError
 from scp_recon.mission.drifts import Miss
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.drifts import fly_drifts, states_after
+from scp_recon.monte_carlo.flights import FlightConfig
 from scp_recon.monte_carlo.sampling import fly_block
 from scp_recon.physics.forces import acceleration
 from scp_recon.planning.plan import Plan
@@ -36,9 +37,11 @@ def test_a_drift_is_that_of_another_integrator():
     """The nearest approach of single flights after half of burn 2, by DOP853 with dense output."""
     plan, miss = planned(*ONE_DAY), Miss(2, 0.5)
     mission = plan.mission
-    found = fly_drifts(mission, plan.burns_m_s, [miss], 3)[0]
+    found = fly_drifts(FlightConfig(mission, plan.burns_m_s), [miss], 3)[0]
     start = mission.scenario.burns.times_s[1]
-    for number, state in enumerate(states_after(mission, plan.burns_m_s, [miss], 3)[0]):
+    for number, state in enumerate(
+        states_after(FlightConfig(mission, plan.burns_m_s), [miss], 3)[0]
+    ):
 
         def rate(time, y):
             return np.r_[y[3:], acceleration(*y[:3], mission.forces, mission.forces.moment(time))]
@@ -55,7 +58,7 @@ def test_a_missed_burn_is_what_a_whole_one_lacks():
     mission, burns = plan.mission, plan.burns_m_s
     time = np.array([mission.scenario.burns.times_s[1]])
     flown = fly_block(mission, burns, time, 0, flights=5)
-    missed, half = states_after(mission, burns, [Miss(2), Miss(2, 0.5)], 5)
+    missed, half = states_after(FlightConfig(mission, burns), [Miss(2), Miss(2, 0.5)], 5)
     np.testing.assert_allclose(flown.states[0, :, :3], missed[:, :3])
     np.testing.assert_allclose(flown.states[0, :, 3:] - missed[:, 3:], flown.burns_m_s[:, 1])
     np.testing.assert_allclose(flown.states[0, :, 3:] - half[:, 3:], flown.burns_m_s[:, 1] / 2)
@@ -68,7 +71,7 @@ def test_a_plan_survives_a_missed_burn_in_flight():
     without = planned(*ONE_DAY[:2])
     mission = plan.mission
     safe = [
-        fly_drifts(mission, burns, [Miss(2)], 4000, seed=77)[0].safe(mission).sum()
+        fly_drifts(FlightConfig(mission, burns, 77), [Miss(2)], 4000)[0].safe(mission).sum()
         for burns in (plan.burns_m_s, without.burns_m_s)
     ]
     assert safe[0] >= binom.ppf(0.001, 4000, 0.997)
@@ -103,6 +106,8 @@ def test_flights_miss_a_burn_on_request():
     assert found.drift.required == 0.997
     assert found.drift.burn == 2
     assert found.model_copy(update={"drift": None}) == plain
+    gates = sr.fly(plan, 200, miss=2, errors="gates").drift
+    assert gates.closest_m != found.drift.closest_m  # drifts begin with the errors that were flown
     with pytest.raises(InputError, match=r"miss: got 5; must be .* 1 to 4"):
         sr.fly(plan, 200, miss=5)
 
@@ -134,5 +139,5 @@ def test_drifts_are_as_safe_as_required_in_random_scenarios(number):
     if plan.status is not sr.Status.CONVERGED:
         pytest.skip("this scenario has no plan with safe drifts")
     for miss in (Miss(2), Miss(3), Miss(4)):
-        safe = fly_drifts(plan.mission, plan.burns_m_s, [miss], 10_000, seed=99)[0]
+        safe = fly_drifts(FlightConfig(plan.mission, plan.burns_m_s, 99), [miss], 10_000)[0]
         assert safe.safe(plan.mission).sum() >= binom.ppf(0.001, 10_000, 0.997)
