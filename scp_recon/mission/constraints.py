@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -101,19 +101,34 @@ def observation_limits(scenario: Scenario) -> tuple[Limit, ...]:
     )
 
 
-def limits_in_words(scenario: Scenario, limits: Sequence[Limit]) -> dict[str, str]:
-    """Requirement on the mean by constraint, in words such as "at least 500 m"."""
+class Bound(NamedTuple):
+    """A bound on the mean: at least or at most a value, in the limit's own unit."""
+
+    sense: Literal["min", "max"]
+    value: float
+    unit: Literal["m", "m/s", "deg"]
+
+    def __str__(self) -> str:
+        """In words, such as "at least 500 m"."""
+        return f"at {'least' if self.sense == 'min' else 'most'} {self.value:g} {self.unit}"
+
+    def reached(self, margin: float) -> float:
+        """The value that has a margin to the bound, both in its unit."""
+        return self.value + (margin if self.sense == "min" else -margin)
+
+
+def bounds_on_mean(scenario: Scenario, limits: Sequence[Limit]) -> dict[str, Bound]:
+    """Requirement on the mean by constraint."""
     found = {
-        SAFETY: f"at least {scenario.safety.radius_min_m:g} m",
-        "dv_max": f"at most {scenario.burns.dv_max_m_s:g} m/s",
-        "dv_battery": f"at least {scenario.battery.delta_v_cone_deg:g} deg",
+        SAFETY: Bound("min", scenario.safety.radius_min_m, "m"),
+        "dv_max": Bound("max", scenario.burns.dv_max_m_s, "m/s"),
+        "dv_battery": Bound("min", scenario.battery.delta_v_cone_deg, "deg"),
     }
     if scenario.body.companion is not None:
-        found[COMPANION] = f"at least {companion_distance_m(scenario):g} m"
+        found[COMPANION] = Bound("min", companion_distance_m(scenario), "m")
     for limit in limits:
-        value = limit.value if limit.unit == "m" else float(np.rad2deg(limit.value))
-        sense = "at least" if limit.sense == "min" else "at most"
-        found[limit.name] = f"{sense} {value:g} {'m' if limit.unit == 'm' else 'deg'}"
+        in_deg = Bound(limit.sense, float(np.rad2deg(limit.value)), "deg")
+        found[limit.name] = Bound(limit.sense, limit.value, "m") if limit.unit == "m" else in_deg
     return found
 
 

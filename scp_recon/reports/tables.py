@@ -6,13 +6,12 @@ files to the last digit.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from scp_recon.mission.constraints import limits_in_words
+from scp_recon.mission.constraints import bounds_on_mean
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.observation_time import ALL
 from scp_recon.planning.plan import Starts
@@ -162,11 +161,11 @@ def constraints_table(solution: Solution) -> Table:
 
 def mean_margins_table(mission: Mission, v: Verification) -> Table:
     """Worst margins of the original constraints on the mean, each beside its limit."""
-    limits = limits_in_words(mission.scenario, mission.limits)
-    rows = []
-    for m in v.mean_margins:
-        scale, unit = (float(np.rad2deg(1.0)), "deg") if m.unit == "rad" else (1.0, m.unit)
-        rows.append([m.name, limits.get(m.name, ""), scale * m.worst_margin, unit, m.worst_t_s])
+    limits = bounds_on_mean(mission.scenario, mission.limits)
+    rows = [
+        [m.name, str(limits.get(m.name, "")), *_shown_margin(m), m.worst_t_s]
+        for m in v.mean_margins
+    ]
     return Table.of(
         "Margins of the mean, between the nodes too",
         (
@@ -189,7 +188,7 @@ def limits_table(mission: Mission, solution: Solution, v: Verification) -> Table
     limit binds if the program's margin is zero. Violations without a limit, such as that of the final
     state, are rows of their own.
     """
-    allowed = limits_in_words(mission.scenario, mission.limits)
+    allowed = bounds_on_mean(mission.scenario, mission.limits)
     joint = {limit.name: limit.joint for limit in mission.limits}
     chance = {p.name: p for p in v.probabilities}
     by = Column("off by")
@@ -197,13 +196,13 @@ def limits_table(mission: Mission, solution: Solution, v: Verification) -> Table
     binding = {c.name for c in solution.constraints if abs(c.worst_margin) < BINDING}
     rows: list[list[object]] = []
     for m in v.mean_margins:
-        words = allowed.get(m.name, "")
+        bound = allowed.get(m.name)
         p = chance.get(joint.get(m.name, m.name))
         rows.append(
             [
                 m.name,
-                words.replace("at least", ">=").replace("at most", "<="),
-                _reached(m, words),
+                str(bound or "").replace("at least", ">=").replace("at most", "<="),
+                None if bound is None else bound.reached(_shown_margin(m)[0]),
                 *((None,) * 3 if p is None else (p.estimate, p.low, p.high)),
                 m.worst_t_s if p is None or p.estimate == 1.0 else p.worst_t_s,
                 violated.pop(m.name, Cell("binds") if m.name in binding else None),
@@ -233,13 +232,10 @@ def limits_table(mission: Mission, solution: Solution, v: Verification) -> Table
     )
 
 
-def _reached(m: MeanMargin, words: str) -> float | None:
-    """The value that a margin belongs to, in the unit of its limit."""
-    found = re.fullmatch(r"(at least|at most) (\S+) \S+", words)
-    if found is None:
-        return None
-    margin = float(np.rad2deg(m.worst_margin)) if m.unit == "rad" else m.worst_margin
-    return float(found[2]) + (margin if found[1] == "at least" else -margin)
+def _shown_margin(m: MeanMargin) -> tuple[float, str]:
+    """A margin and its unit, angles in deg."""
+    in_deg = float(np.rad2deg(1.0)) * m.worst_margin
+    return (in_deg, "deg") if m.unit == "rad" else (m.worst_margin, m.unit)
 
 
 def reintegration_table(mission: Mission, v: Verification) -> Table:
