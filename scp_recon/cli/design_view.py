@@ -105,7 +105,7 @@ def progress(console: Console) -> Iterator[Callable[[Trial], None]]:
         phases = phases_deg(best.result)
         between = "" if None in phases else " from {:.1f} to {:.1f} deg".format(*phases)
         return (
-            f"{count}, best {best.result.dv_m_s:.6f} m/s{between}"
+            f"{count}, best {1e3 * best.result.dv_m_s:.3f} mm/s{between}"
             + (", without uncertainty" if step in ("map", "certain") else "")
             + (COSTS[best.result.mission.scenario.policy.cost] if step == "corrected" else "")
         )

@@ -32,7 +32,6 @@ from scp_recon.cli.command import (
     show_written,
 )
 from scp_recon.cli.plan_view import Progress, live_progress, plan_document
-from scp_recon.cli.rendering import show_warnings
 from scp_recon.mission.mission import Mission
 from scp_recon.planning.plan import Plan
 from scp_recon.results.solution import FILE_NAME
@@ -43,7 +42,7 @@ from scp_recon.scp.status import Status
 def show_largest(budget_m_s: float | None, plan: Plan, console: Console) -> None:
     """Show the largest probability, with its delta-v and the budget."""
     most = "any delta-v" if budget_m_s is None else f"at most {budget_m_s:g} m/s"
-    result = f"{plan.mission.scenario.risk.p_chance:.5g}, for {plan.cost_m_s:.6f} m/s"
+    result = f"{plan.mission.scenario.risk.p_chance:.5g}, for {1e3 * plan.cost_m_s:.3f} mm/s"
     show_line(console, f"largest probability found for {most}: {result}")
 
 
@@ -114,10 +113,12 @@ class Shown(Watch):
             yield observe
 
     def planned(self, outcome: PlanOutcome) -> None:
-        """Show the plan; if it was interrupted, its file too."""
-        plan_view.show_solution(self._console, outcome.solution, verbose=self._verbose)
+        """Show an interrupted plan and its file; any other is shown when it is verified."""
         if outcome.plan.status is Status.INTERRUPTED and outcome.kept.path:
-            show_warnings(self._console, outcome.solution.warnings)
+            solution = outcome.solution
+            plan_view.show_plan(
+                self._console, outcome.plan.mission, solution, None, solution.warnings
+            )
             show_written(self._console, outcome.kept.path)
 
     def verified(self, outcome: PlanOutcome, request: PlanRequest | None) -> tuple[str, ...]:
@@ -127,7 +128,7 @@ class Shown(Watch):
         diagnosed = request is not None and is_diagnosed(outcome)
         assert outcome.verification is not None
         assert path is not None
-        plan_view.show_verification(
+        plan_view.show_plan(
             console,
             mission,
             outcome.solution,
@@ -232,4 +233,4 @@ def what_would_do(remedy: Remedy, more: Sequence[str] = (), file: Path = Path(FI
         options += ["--set", shlex.quote(override)]
     if remedy.certify is not None:
         options += ["--certify", "yes" if remedy.certify else "no"]
-    return f"feasible, for {remedy.cost_m_s:.4f} m/s, with: {' '.join(options)}"
+    return f"feasible, for {1e3 * remedy.cost_m_s:.1f} mm/s, with: {' '.join(options)}"

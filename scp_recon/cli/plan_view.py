@@ -20,6 +20,7 @@ from scp_recon.cli.command import show_line
 from scp_recon.cli.rendering import show_verdict, show_warnings, terminal
 from scp_recon.errors import InputError
 from scp_recon.interop.export import Export
+from scp_recon.mission.constraints import required_in_words
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.scene import Scene, orbit_of_body
 from scp_recon.monte_carlo.estimates import Estimate
@@ -52,15 +53,14 @@ from scp_recon.verification.remedies import in_words, what_next
 
 
 def show_mission(console: Console, mission: Mission, *, verbose: bool = True) -> None:
-    """Scenario, window and burns; boundary states, schedule and grid too if `verbose`."""
+    """What is planned and required, and the window; boundary states, schedule and grid if `verbose`."""
     scenario, schedule = mission.scenario, mission.schedule
     first, last = mission.observed_s or schedule.window_s
-    origin = "given" if scenario.observation.window_s else "from incidence and local solar time"
+    origin = "given" if scenario.observation.window_s else "by incidence and solar time"
     console.print(
         Text(scenario.name, style="bold")
         + Text(
-            f": {scenario.body.name}, site {scenario.site.name}, "
-            f"boundary states in {scenario.boundary.frame}, p_chance {scenario.risk.p_chance:g}, "
+            f": {scenario.body.name}, site {scenario.site.name}; {required_in_words(scenario)}; "
             f"{scenario.uncertainty.execution}",
             style="not bold",
         )
@@ -71,12 +71,8 @@ def show_mission(console: Console, mission: Mission, *, verbose: bool = True) ->
         origin += "; not required, nothing is observed"
     elif mission.observed_s is None:
         origin += "; over, nothing is observed any more"
-    show_line(console, f"window    {first:.1f} to {last:.1f} s ({last - first:.1f} s, {origin})")
-    burns = "; ".join(
-        f"{time:g} ({_interval(*interval)})" if time else "0"
-        for time, interval in zip(scenario.burn_times_s, schedule.firing_intervals_s, strict=True)
-    )
-    show_line(console, f"burns     {burns} s (legal span)")
+    span = f"{first:.1f} to {last:.1f} s ({last - first:.1f} s, {origin})"
+    show_line(console, f"window    {span}; boundary in {scenario.boundary.frame} axes")
     if scenario.in_flight is not None:
         flown = f"{scenario.burns_flown} burns flown"
         show_line(console, f"in flight from {scenario.start_s:g} s on, {flown}")
@@ -129,47 +125,75 @@ def place_of(mission: Mission, time_s: float, state: Array) -> str:
     )
 
 
-def _interval(early: float, late: float) -> str:
-    return f"{early:.0f} to {late:.0f}" if np.isfinite(late) else f"from {early:.0f}"
+def show_plan(
+    console: Console,
+    mission: Mission,
+    solution: Solution,
+    verification: Verification | None,
+    warnings: Iterable[ScenarioWarning] = (),
+    *,
+    advised: bool = False,
+    verbose: bool = False,
+) -> None:
+    """Show the verdict, the burns, the limits with their probabilities, and what to do next.
 
-
-def show_solution(console: Console, solution: Solution, *, verbose: bool = False) -> None:
-    """Verdict, burns and cost; margins at the nodes too if `verbose`, or if no verification follows."""
+    Args:
+        console: to print to.
+        mission: that was planned.
+        solution: the plan.
+        verification: of the plan; None if it was interrupted.
+        warnings: on the scenario.
+        advised: whether advice on this plan alone follows, in place of general remedies.
+        verbose: whether margins at the nodes and the re-integration are shown too.
+    """
     status = Status.named(solution.status)
-    colour = "green" if status is Status.CONVERGED else "red"
-    iterations = ", ".join(f"{s.name} {s.iterations}" for s in solution.stages)
     said = solution.message
-    if status is not Status.INTERRUPTED:  # what to do next follows the verification
-        said = said.removesuffix(status.value.remedy).strip()
-    of = " of the last round" if _rounds(solution.risk) > 1 else ""
+    console.print()
+    if verification is not None:
+        show_verdict(console, "verified", [in_words(name) for name in verification.failed])
+        if verification.missed is not None:
+            show_line(console, str(verification.missed))
+        said = said.removesuffix(status.value.remedy).strip()  # what to do next comes last
+    colour = "green" if status is Status.CONVERGED else "red"
     console.print(
-        Text(f"\n{solution.problem}: ", style=f"bold {colour}") + Text(said, style="not bold")
+        Text(f"{solution.problem}: ", style=f"bold {colour}") + Text(said, style="not bold")
     )
-    console.print(terminal(burns_table(solution).without("UTC")))
+    _show_cost(console, solution, verbose=verbose)
+    burns = burns_table(solution, mission.schedule.firing_intervals_s)
+    console.print(terminal(burns if console.width >= WIDE else burns.without("UTC")))
     show_line(console, frame_and_time(solution.scenario), "dim")
-    console.print(
-        Text.assemble(
-            "total delta-v ",
-            (f"{solution.total_dv_m_s:.6f} m/s", "bold"),
-            f"; iterations{of}: {iterations}; {solution.timing_s.total:.2f} s",
-        )
-    )
+    _show_policy(console, solution)
+    if verbose or verification is None:
+        console.print(terminal(constraints_table(solution).without("kind")))
+    _show_risk(console, solution.risk)
+    if solution.starts is not None:
+        console.print(terminal(starts_table(solution.starts)))
+        show_line(console, str(solution.starts), "dim")
+    if verification is not None:
+        _show_verification(console, mission, solution, verification, verbose=verbose)
+    show_warnings(console, warnings)
+    if verification is None:
+        return
+    if is_converged(solution) and (missed := missed_spread(mission, solution)):
+        show_line(console, f"warning: {missed}", "yellow")
+    for line in () if advised else what_next(mission, solution, verification):
+        show_line(console, f"next: {line}")
+
+
+def _show_cost(console: Console, solution: Solution, *, verbose: bool) -> None:
+    """Show delta-v, iterations and times."""
+    iterations = ", ".join(f"{s.name} {s.iterations}" for s in solution.stages)
+    of = " of the last round" if _rounds(solution.risk) > 1 else ""
+    total = f"{1e3 * solution.total_dv_m_s:.3f} mm/s"
+    more = f"; iterations{of}: {iterations}; {solution.timing_s.total:.2f} s"
+    console.print(Text.assemble("total delta-v ", (total, "bold"), more), soft_wrap=True)
     if solution.cost_in_words:
         show_line(console, solution.cost_in_words)
-    _show_policy(console, solution)
     if verbose:
         for stage in solution.stages:
             if stage.meaning:
                 show_line(console, f"{stage.name}: {stage.meaning}", "dim")
         show_line(console, f"conic solver: {solution.timing_s.conic_solver:.2f} s", "dim")
-    if verbose or status is Status.INTERRUPTED:
-        console.print()
-        console.print(terminal(constraints_table(solution).without("kind")))
-    _show_risk(console, solution.risk)
-    if solution.starts is not None:
-        console.print()
-        console.print(terminal(starts_table(solution.starts)))
-        show_line(console, str(solution.starts), "dim")
 
 
 def _rounds(risk: Risk | None) -> int:
@@ -185,10 +209,9 @@ def _show_policy(console: Console, solution: Solution) -> None:
     corrections, policy = corrections_table(solution), solution.policy
     if policy is None:
         return
-    console.print()
     console.print(terminal(corrections))
     show_line(console, corrections.note, "dim")
-    show_line(console, f"{policy}; of the plan itself {solution.total_dv_m_s:.6f} m/s")
+    show_line(console, f"{policy}; of the plan itself {1e3 * solution.total_dv_m_s:.3f} mm/s")
 
 
 def frame_and_time(scenario: Scenario) -> str:
@@ -205,7 +228,7 @@ def _show_risk(console: Console, risk: Risk | None) -> None:
     if risk is None:
         return
     what = "of whole flights" if risk.scope == "flight" else "of each constraint at each node"
-    line = f"\nprobability {what}: required {risk.required:g}, target {risk.target:.5g}"
+    line = f"probability {what}: required {risk.required:g}, target {risk.target:.5g}"
     reached = risk.certificate
     if reached is None:
         line += "; not certified: the normal law alone promises it"
@@ -215,24 +238,11 @@ def _show_risk(console: Console, risk: Risk | None) -> None:
     show_line(console, line)
 
 
-def show_verification(
-    console: Console,
-    mission: Mission,
-    solution: Solution,
-    verification: Verification,
-    warnings: Iterable[ScenarioWarning] = (),
-    *,
-    advised: bool = False,
-    verbose: bool = False,
+def _show_verification(
+    console: Console, mission: Mission, solution: Solution, v: Verification, *, verbose: bool
 ) -> None:
-    """Show limits with their probabilities, drifts, warnings, verdict and remedies.
-
-    The re-integration is shown if `verbose`, or if it differs too much. General remedies are left out
-    if the plan is `advised`: advice on it alone follows.
-    """
-    v = verification
+    """Show the limits and the drifts; the re-integration if `verbose`, or if it differs too much."""
     if verbose or FIGURES.keys() & {*v.failed}:
-        console.print()
         console.print(terminal(reintegration_table(mission, v)))
     limits = limits_table(mission, solution, v)
     console.print(terminal(limits))
@@ -248,14 +258,6 @@ def show_verification(
         corrected = burn_limits_table(v, mission.scenario.risk.p_chance)
         console.print(terminal(corrected))
         show_line(console, corrected.note, "dim")
-    show_warnings(console, warnings)
-    if is_converged(solution) and (missed := missed_spread(mission, solution)):
-        show_line(console, f"warning: {missed}", "yellow")
-    show_verdict(console, "verified", [in_words(name) for name in v.failed])
-    if v.missed is not None:
-        show_line(console, str(v.missed))
-    for line in () if advised else what_next(mission, solution, v):
-        show_line(console, f"next: {line}")
 
 
 @dataclass
@@ -300,7 +302,7 @@ class Progress:
         )
         how = "" if samples == self.plain.setdefault(step, samples) else " in strata"
         self.steps[step] = Text(
-            f"{step}: target {plan.target:.5g}, {plan.total_dv_m_s:.6f} m/s, "
+            f"{step}: target {plan.target:.5g}, {1e3 * plan.total_dv_m_s:.3f} mm/s, "
             f"{len(plan.times_s)} nodes; {samples} flights{how}: {said}"
         )
         self._refresh()
@@ -328,6 +330,8 @@ def live_progress(console: Console, mission: Mission, *, verbose: bool) -> Itera
     )
 
 
+WIDE = 100
+"""Columns of a terminal below which burns are shown without UTC."""
 FRAME = "J2000, body-centred"
 IN_FILE = {"nodes", "facets", "iterations", "scenario", "timing_s", "units"}
 """Parts of a solution that are only in its file, not in the command's document."""

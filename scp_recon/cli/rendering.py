@@ -25,11 +25,10 @@ def terminal(table: Table, *, narrow: bool = False) -> RichTable:
     """
     shown = RichTable(box=None, header_style="bold", pad_edge=False)
     gap = "\n" if narrow else " "
-    for column, side in zip(table.columns, table.sides, strict=True):
-        heading = (
-            column.heading if column.unit in ("", "1") else f"{column.heading}{gap}{column.unit}"
-        )
-        shown.add_column(Text(heading), justify=side, no_wrap=narrow, overflow="fold")
+    for number, (column, side) in enumerate(zip(table.columns, table.sides, strict=True)):
+        unit = column.shown_unit or column.unit
+        heading = column.heading if unit in ("", "1") else f"{column.heading}{gap}{unit}"
+        shown.add_column(Text(heading), justify=side, no_wrap=narrow or not number, overflow="fold")
     for row in table.rows:
         shown.add_row(*(Text(cell.text, STYLES.get(cell.style, "")) for cell in row))
     return shown

@@ -321,7 +321,7 @@ class WithoutUncertainty:
     def __str__(self) -> str:
         """In words."""
         of = "one optimum" if self.optima == 1 else f"least of {self.optima} optima"
-        return f"{self.total_dv_m_s:.6f} m/s without uncertainty ({of} of P3 found)"
+        return f"{1e3 * self.total_dv_m_s:.3f} mm/s without uncertainty ({of} of P3 found)"
 
 
 @dataclass(frozen=True)

@@ -98,8 +98,8 @@ def verdict_of(plan: Shown) -> Verdict:
         word,
         required,
         _achieved(plan),
-        f"{solution.total_dv_m_s:.6f} m/s in {len(solution.executed)} burns; 99 % of the flights stay "
-        f"below {plan.budget.total_high_m_s:.6f} m/s",
+        f"{1e3 * solution.total_dv_m_s:.3f} mm/s in {len(solution.executed)} burns; 99 % of the "
+        f"flights stay below {1e3 * plan.budget.total_high_m_s:.3f} mm/s",
         _remarks(subject, status),
         _advice(subject),
     )

@@ -6,12 +6,12 @@ files to the last digit.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from scp_recon.mission.constraints import bounds_on_mean
+from scp_recon.mission.constraints import Bound, bounds_on_mean
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.observation_time import ALL
 from scp_recon.planning.plan import Starts
@@ -47,29 +47,43 @@ STARTS_NAMED = 6
 """Starts of a local optimum that are listed by number."""
 
 
-def burns_table(solution: Solution) -> Table:
-    """Times, components along J2000 and sizes of the burns."""
-    start = solution.scenario.epoch.tdb
-    return Table.of(
+def dv_column(heading: str, form: str = ".3f") -> Column:
+    """A column of delta-v: values in m/s, texts in mm/s."""
+    return Column(heading, "m/s", form, shown_unit="mm/s")
+
+
+def burns_table(solution: Solution, legal_s: Sequence[tuple[float, float]] = ()) -> Table:
+    """Times, components along J2000 and sizes of the burns, and their legal times where given."""
+    scenario = solution.scenario
+    table = Table.of(
         "Burns, J2000",
         (
             "burn",
             Column("time", "s"),
             "UTC",
-            *(Column(axis, "m/s", "+z.6f") for axis in "xyz"),
-            Column("size", "m/s", ".6f"),
+            *(dv_column(axis, "+z.3f") for axis in "xyz"),
+            dv_column("size"),
         ),
         (
             [
                 str(number),
                 burn.t_s,
-                shown_utc(instant(start, burn.t_s)),
+                shown_utc(instant(scenario.epoch.tdb, burn.t_s)),
                 *_components(burn),
             ]
-            for number, burn in enumerate(solution.burns, start=1 + solution.scenario.burns_flown)
+            for number, burn in enumerate(solution.burns, start=1 + scenario.burns_flown)
         ),
         key="burns",
     )
+    if not legal_s:
+        return table
+    spans = (
+        f"{early:.0f}"
+        if early == late
+        else (f"{early:.0f} to {late:.0f}" if np.isfinite(late) else f"from {early:.0f}")
+        for early, late in legal_s
+    )
+    return table.with_column(Column("legal", "s"), spans)
 
 
 def corrections_table(solution: Solution) -> Table:
@@ -83,8 +97,8 @@ def corrections_table(solution: Solution) -> Table:
         (
             "burn",
             Column("cut-off", "s"),
-            Column("nominal", "m/s", ".6f"),
-            Column("correction, 1 sigma", "m/s", ".6f"),
+            dv_column("nominal"),
+            dv_column("correction, 1 sigma"),
             *(
                 Column(f"{what} known {when}", unit, form)
                 for when in ("before", "after")
@@ -181,55 +195,78 @@ def mean_margins_table(mission: Mission, v: Verification) -> Table:
 
 
 def limits_table(mission: Mission, solution: Solution, v: Verification) -> Table:
-    """Each limit in a row: the mean's worst value, and the lowest probability of its joint constraint.
+    """Each limit in a row: the mean's values, and the lowest probability with its interval.
 
-    The value is in the limit's own unit, and counts between the nodes too. The time is that of the
-    lowest probability, or of the mean's worst value where the probability is 1 or there is none. A
-    limit binds if the program's margin is zero. Violations without a limit, such as that of the final
-    state, are rows of their own.
+    The limits of a joint constraint, such as a least and a largest distance, share a row. Values are in
+    the limit's own unit, and count between the nodes too. The time is that of the lowest probability,
+    or of the mean's worst value where the probability is 1 or there is none. A limit binds if the
+    program's margin is zero. Violations without a limit, such as that of the final state, are rows of
+    their own.
     """
-    allowed = bounds_on_mean(mission.scenario, mission.limits)
+    bounds = bounds_on_mean(mission.scenario, mission.limits)
     joint = {limit.name: limit.joint for limit in mission.limits}
-    chance = {p.name: p for p in v.probabilities}
-    by = Column("off by")
-    violated = {n: by.cell(a.max, "bad") for n, a in solution.violation.by_constraint.items()}
-    binding = {c.name for c in solution.constraints if abs(c.worst_margin) < BINDING}
+    chance, marks = {p.name: p for p in v.probabilities}, _marks(solution)
+    named = [m.name for m in v.mean_margins]
     rows: list[list[object]] = []
-    for m in v.mean_margins:
-        bound = allowed.get(m.name)
-        p = chance.get(joint.get(m.name, m.name))
+    for name in dict.fromkeys(joint.get(one, one) for one in (*named, *chance, *marks)):
+        of = [m for m in v.mean_margins if joint.get(m.name, m.name) == name]
+        known = [(bounds[m.name], _shown_margin(m)[0]) for m in of if m.name in bounds]
+        p, worst = chance.get(name), min(of, key=lambda m: m.worst_margin, default=None)
+        at = worst.worst_t_s if worst and (p is None or p.estimate == 1.0) else None
         rows.append(
             [
-                m.name,
-                str(bound or "").replace("at least", ">=").replace("at most", "<="),
-                None if bound is None else bound.reached(_shown_margin(m)[0]),
-                *((None,) * 3 if p is None else (p.estimate, p.low, p.high)),
-                m.worst_t_s if p is None or p.estimate == 1.0 else p.worst_t_s,
-                violated.pop(m.name, Cell("binds") if m.name in binding else None),
+                name,
+                " ".join(_span(bound for bound, _ in known)),
+                _span(bound._replace(value=bound.reached(m)) for bound, m in known)[0],
+                *((None, "") if p is None else (p.estimate, f"{p.low:.4f} to {p.high:.4f}")),
+                at if p is None or at is not None else p.worst_t_s,
+                _joined(marks, [one for one in marks if joint.get(one, one) == name], name),
             ]
         )
-    shown = {joint.get(m.name, m.name) for m in v.mean_margins}
-    rows += [
-        [p.name, "", None, p.estimate, p.low, p.high, p.worst_t_s, None]
-        for name, p in chance.items()
-        if name not in shown
-    ]
-    rows += [[name, "", *(None,) * 5, cell] for name, cell in violated.items()]
     return Table.of(
         "Limits",
         (
             "limit",
             "allowed",
-            Column("worst", form=".4g"),
-            *(Column(name, form=".4f") for name in ("chance", "low", "high")),
+            "planned",
+            Column("chance", form=".4f"),
+            f"{100 * v.confidence:.0f} % interval",
             AT,
-            by,
+            "",
         ),
         rows,
-        note=f"worst: of the mean; chance: lowest of {v.samples} flights, "
-        f"{100 * v.confidence:.0f} % interval, required {mission.scenario.risk.p_chance:g}; "
-        f"{mission.true_gravity('planner')}",
+        note=f"planned: of the mean; chance: lowest of {v.samples} flights, required "
+        f"{mission.scenario.risk.p_chance:g}; {mission.true_gravity('planner')}",
     )
+
+
+def _marks(solution: Solution) -> dict[str, Cell]:
+    """By constraint: whether it binds, or by how much it is violated."""
+    found = {c.name: Cell("binds") for c in solution.constraints if abs(c.worst_margin) < BINDING}
+    for name, amount in solution.violation.by_constraint.items():
+        value, unit = _shown(amount.max, amount.unit)
+        found[name] = Cell(f"off by {value:.3g} {unit}", amount.max, "bad")
+    return found
+
+
+def _joined(marks: Mapping[str, Cell], of: Sequence[str], name: str) -> Cell:
+    """The marks of a row of limits, each after what its constraint's name adds to that of the row."""
+    text = ", ".join(f"{one.removeprefix(name)} {marks[one].text}".strip(" _") for one in of)
+    return Cell(text, style=max((marks[one].style for one in of), default=""))
+
+
+def _span(bounds: Iterable[Bound]) -> tuple[str, str]:
+    """A range, such as "500 to 740" or ">= 20", and its unit; speeds in mm/s."""
+    by = {bound.sense: _shown(bound.value, bound.unit) for bound in bounds}
+    ends = [f"{by[sense][0]:.4g}" for sense in ("min", "max") if sense in by]
+    unit = next((unit for _, unit in by.values()), "")
+    one = {"min": ">= ", "max": "<= "}[next(iter(by))] if len(by) == 1 else ""
+    return one + " to ".join(ends), unit
+
+
+def _shown(value: float, unit: str) -> tuple[float, str]:
+    """A figure and its unit, speeds in mm/s."""
+    return (1e3 * value, "mm/s") if unit == "m/s" else (value, unit)
 
 
 def _shown_margin(m: MeanMargin) -> tuple[float, str]:
@@ -306,7 +343,7 @@ def starts_table(starts: Starts) -> Table:
         "Local optima",
         (
             f"local optima, seed {starts.seed}",
-            Column("delta-v", "m/s", ".6f"),
+            dv_column("delta-v"),
             "starts",
             "which",
         ),
@@ -423,7 +460,7 @@ def simulated_burns_table(summary: FlightSummary) -> Table:
         (
             "burn",
             AT,
-            *(Column(name, "m/s", ".6f") for name in ("planned", "executed")),
+            *map(dv_column, ("planned", "executed")),
             *(Column(name, "deg", ".3f") for name in ("off at start", "off")),
         ),
         (
@@ -480,7 +517,7 @@ def stages_table(solution: Solution) -> Table:
     """Status, iterations and delta-v of each stage of planning."""
     return Table.of(
         "Stages",
-        ("stage", "status", "iterations", Column("total delta-v", "m/s", ".6f"), "meaning"),
+        ("stage", "status", "iterations", dv_column("total delta-v"), "meaning"),
         ([s.name, s.status, s.iterations, s.total_dv_m_s, s.meaning] for s in solution.stages),
         key="stages",
     )

@@ -529,10 +529,9 @@ class Facts:
             if first is not None and first is not stage:
                 once = first.status
                 if once == Status.CONVERGED.value.name:
-                    once = f"{first.total_dv_m_s:.6f} m/s"
-                said.append(
-                    f"P2 with P3's facets {once}, facets settled {stage.total_dv_m_s:.6f} m/s"
-                )
+                    once = f"{1e3 * first.total_dv_m_s:.3f}"
+                settled = f"{1e3 * stage.total_dv_m_s:.3f} mm/s"
+                said.append(f"P2 with P3's facets {once}, facets settled {settled}")
         return "; ".join(filter(None, said))
 
     def __post_init__(self) -> None:

@@ -216,8 +216,8 @@ class StoredPolicy:
 
     def __str__(self) -> str:
         """Its commanded delta-v in one line."""
-        mean, most = f"mean {self.mean_m_s:.6f} m/s", f"99 % {self.dv99_m_s:.6f} m/s"
-        return f"commanded delta-v, by the normal law: {mean}, {most}"
+        mean, most = 1e3 * self.mean_m_s, 1e3 * self.dv99_m_s
+        return f"commanded delta-v, by the normal law: mean {mean:.3f} mm/s, 99 % {most:.3f} mm/s"
 
     def __post_init__(self) -> None:
         """Refuse corrections out of order, or with more or fewer gains than cut-offs so far."""

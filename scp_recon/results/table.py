@@ -18,6 +18,8 @@ from typing import Any, Literal
 import numpy as np
 
 Value = str | int | float | bool | None
+SCALES = {("m/s", "mm/s"): 1e3}
+"""Factors from the unit of a column's values to that of its texts."""
 
 
 @dataclass(frozen=True)
@@ -29,17 +31,20 @@ class Column:
         unit: unit of all values; empty if they have none or each its own.
         form: format specification of figures that are not whole numbers.
         name: name in CSV and JSON; by default made of heading and unit.
+        shown_unit: unit of the texts, where people read another than the values have.
     """
 
     heading: str
     unit: str = ""
     form: str = ".6g"
     name: str = ""
+    shown_unit: str = ""
 
     @property
     def label(self) -> str:
-        """Heading with the unit in brackets."""
-        return f"{self.heading} ({self.unit})" if self.unit else self.heading
+        """Heading with the unit of the texts in brackets."""
+        unit = self.shown_unit or self.unit
+        return f"{self.heading} ({unit})" if unit else self.heading
 
     @property
     def key(self) -> str:
@@ -58,7 +63,7 @@ class Column:
         if not isinstance(value, str | int | float | None):
             raise TypeError(f"{type(value).__name__} is no value of a cell")
         if isinstance(value, float):
-            text = format(value, self.form)
+            text = format(value * SCALES.get((self.unit, self.shown_unit), 1.0), self.form)
             if not text.strip("+-0.e%"):
                 text = format(0.0, self.form)  # rounding has no sign
         else:
@@ -155,6 +160,12 @@ class Table:
             columns=tuple(self.columns[i] for i in kept),
             rows=tuple(tuple(row[i] for i in kept) for row in self.rows),
         )
+
+    def with_column(self, column: Column, values: Iterable[object]) -> Table:
+        """The table with a further column on the right."""
+        cells = map(column.cell, values)
+        rows = tuple((*row, cell) for row, cell in zip(self.rows, cells, strict=True))
+        return replace(self, columns=(*self.columns, column), rows=rows)
 
     def with_rows(self, rows: Iterable[Sequence[object]]) -> Table:
         """The table with more rows at the end."""

@@ -165,8 +165,7 @@ def new(console: "Console", **given: Any) -> Answer:
 
     found = verbs.new(**given, progress=lambda line: show_line(console, line))
     plan_view.show_mission(console, found.mission)
-    plan_view.show_solution(console, found.solution)
-    plan_view.show_verification(
+    plan_view.show_plan(
         console, found.mission, found.solution, found.verification, found.mission.warnings
     )
     for file in found.files:

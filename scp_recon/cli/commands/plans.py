@@ -31,10 +31,9 @@ def verify(console: "Console", plan: Path, *, verbose: bool = False) -> Answer:
 
     mission, solution = open_plan(plan)
     plan_view.show_mission(console, mission, verbose=verbose)
-    plan_view.show_solution(console, solution, verbose=verbose)
     found = verification_of(mission, solution)
     warnings = [*solution.warnings, *mission.warnings]
-    plan_view.show_verification(console, mission, solution, found, warnings, verbose=verbose)
+    plan_view.show_plan(console, mission, solution, found, warnings, verbose=verbose)
     checked = solution.with_verification(found)
     return Answer(0 if found.ok else NOT_VERIFIED, plan_view.plan_document(checked))
 

@@ -84,7 +84,7 @@ def test_the_very_line_ends_verified(refused, tmp_path):
     solution = read_solution(tmp_path)
     assert solution.verification.ok
     assert solution.scenario.risk.p_chance == 0.98
-    assert f"feasible, for {solution.total_dv_m_s:.4f} m/s, with: " in said(refused)
+    assert f"feasible, for {1e3 * solution.total_dv_m_s:.1f} mm/s, with: " in said(refused)
 
 
 def test_the_report_says_the_same(refused):
@@ -155,7 +155,7 @@ def test_proposed_values_end_verified(small_burns, name, monkeypatch):
     assert outcome.verification is not None
     assert outcome.verification.ok
     assert outcome.plan.cost_m_s == pytest.approx(remedy.cost_m_s, rel=1e-9)
-    line = f"{name}: feasible, for {remedy.cost_m_s:.4f} m/s, with: --set {sets[0]}"
+    line = f"{name}: feasible, for {1e3 * remedy.cost_m_s:.1f} mm/s, with: --set {sets[0]}"
     assert line in advice_on(found, case.failed)
 
 

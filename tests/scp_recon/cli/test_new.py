@@ -49,7 +49,7 @@ def test_what_is_written_solves(options, capsys):
     # What was planned is what the file holds, to the last digit.
     (line,) = [line for line in shown.err.splitlines() if line.startswith("total delta-v")]
     total = plan(load_scenario("mine.toml")).total_dv_m_s
-    assert line.startswith(f"total delta-v {total:.6f} m/s")
+    assert line.startswith(f"total delta-v {1e3 * total:.3f} mm/s")
 
 
 def test_infeasible_draft_is_written_with_its_remedies(monkeypatch, capsys):

@@ -110,13 +110,15 @@ def test_screen_of_a_plan_is_short(folder, monkeypatch, capsys):
         assert every.main(["verify", str(folder), *more]) == 0
         said[columns, *more] = capsys.readouterr().out.splitlines()
     assert sum(max(1, -(-len(line) // 100)) for line in said[100,]) <= 29
-    rows = {line.split()[0]: line.split() for line in said[80,] if line}
+    rows = {line.split()[0]: line for line in said[100,] if line}
     plan = read_solution(folder)
-    for margin in plan.verification.mean_margins:
-        assert rows[margin.name][1] in ("<=", ">=")
+    words = {line.split()[0] for line in said[80,] if line}
+    assert {"dv_max", "dv_battery", "safety_radius", "phase", "battery_observation"} <= words
     worst = {m.name: np.rad2deg(m.worst_margin) for m in plan.verification.mean_margins}
-    assert float(rows["emission_max"][4]) == pytest.approx(45.0 - worst["emission_max"], rel=1e-3)
-    assert rows["site_distance_max"][-1] == "binds"
+    low, high = (float(rows["emission"].split()[i]) for i in (5, 7))
+    assert low == pytest.approx(20.0 + worst["emission_min"], rel=1e-3)
+    assert high == pytest.approx(45.0 - worst["emission_max"], rel=1e-3)
+    assert rows["site_distance"].endswith("max binds")
     assert not any(line.startswith("re-integrated") for line in said[100,])
     assert any(line.startswith("re-integrated") for line in said[100, "-v"])
 

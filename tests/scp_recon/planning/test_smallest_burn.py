@@ -143,7 +143,7 @@ def test_a_zero_burn_is_shown_without_sign(stored):
     first = replace(stored.burns[0], dv_m_s=(-1e-9, 0.02, 1e-9))
     table = burns_table(replace(stored, burns=[first, *stored.burns[1:]]))
     shown = [[cell.text for cell in row] for row in table.rows]
-    assert shown[0][3:] == ["+0.000000", "+0.020000", "+0.000000", "0.020000"]
+    assert shown[0][3:] == ["+0.000", "+20.000", "+0.000", "20.000"]
     assert shown[2][3:] == ["0", "0", "0", "0"]
     assert [cell.value for cell in table.rows[2][3:]] == [0.0, 0.0, 0.0, 0.0]
     subject = Subject("plan", stored)

@@ -28,7 +28,7 @@ from scp_recon.reports.page import Page, _surplus, render, verdict_of
 from scp_recon.reports.subject import PLANS_MAX, Subject, subjects_of
 from scp_recon.reports.write import page_of
 from scp_recon.results.solution import Solution, make_solution
-from scp_recon.results.table import Table
+from scp_recon.results.table import SCALES, Table
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scp.status import Status
 from tests.scenarios import COARSE
@@ -66,7 +66,7 @@ def test_page_is_self_contained_and_begins_with_verdict(html_file, html, verifie
     text = words_of(html)
     verdict = text.index("verified Required: every limit at every node with at least 0.7")
     assert verdict < text.index("Flight in 3-D")
-    assert f"Delta-v: {verified.total_dv_m_s:.6f} m/s in 4 burns" in text
+    assert f"Delta-v: {1e3 * verified.total_dv_m_s:.3f} mm/s in 4 burns" in text
     when = "t = 0 at 2020-01-21 20:32:08 UTC"
     assert text.count(f"recon_b, {when}, plan {verified.plan_hash[:12]} | scp_recon ") >= 11
 
@@ -105,11 +105,15 @@ def test_tables_equal_the_solution_file(page, verified, html):
     assert numbers(tables["iterations"]) == [
         [getattr(r, key) for key in keys] for r in verified.iterations
     ]
-    for cell in (cell for table in tables.values() for row in table.rows for cell in row):
-        if cell.is_number:
-            figure = cell.text.split()[0]  # and after it may stand its interval
-            last = 10.0 ** int(Decimal(figure).as_tuple().exponent)
-            assert abs(float(figure) - cell.value) <= 0.51 * last, cell  # type: ignore[operator]
+    for table in tables.values():
+        for column, cell in (
+            pair for row in table.rows for pair in zip(table.columns, row, strict=True)
+        ):
+            if cell.is_number:
+                figure = cell.text.split()[0]  # and after it may stand its interval
+                last = 10.0 ** int(Decimal(figure).as_tuple().exponent)
+                value = cell.value * SCALES.get((column.unit, column.shown_unit), 1.0)
+                assert abs(float(figure) - value) <= 0.51 * last, cell
 
 
 def test_every_figure_is_one_of_plotlys(page):

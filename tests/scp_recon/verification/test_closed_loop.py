@@ -18,7 +18,7 @@ from formulations.program.subproblem import MeritFunction
 from formulations.rows.node_probability import Event, node_quantiles
 from formulations.rows.uniform import DeterministicRows
 from scp_recon.cli.command import WIDE
-from scp_recon.cli.plan_view import show_solution, show_verification
+from scp_recon.cli.plan_view import show_plan
 from scp_recon.errors import InputError
 from scp_recon.interop.export import Export, Ids, heading
 from scp_recon.interop.path import fly_path
@@ -96,7 +96,7 @@ def test_description_of_plan_names_its_corrections(crossed):
     told = " ".join(heading(Export(crossed, crossed.mission, path, ids)))
     numbers = [one.burn for one in policy.corrections]
     assert [int(burn) for burn in re.findall(r"burn (\d) is corrected in flight", told)] == numbers
-    assert f"99 % {policy.dv99_m_s:.6f} m/s; burns are without corrections" in told
+    assert f"99 % {1e3 * policy.dv99_m_s:.3f} mm/s; burns are without corrections" in told
     none = [replace(burn, dv_m_s=(0.0, 0.0, 0.0)) for burn in crossed.burns]
     without = Export(replace(crossed, burns=none), crossed.mission, path, ids)
     told = " ".join(heading(without))
@@ -312,14 +312,13 @@ def test_a_policy_of_another_shape_is_refused(solution, change, told):
 def test_the_terminal_tells_the_policy(solution, verification):
     shown = io.StringIO()
     console = Console(file=shown, width=WIDE)
-    show_solution(console, solution)
-    show_verification(console, solution.mission, solution, verification)
+    show_plan(console, solution.mission, solution, verification)
     text = shown.getvalue()
-    assert f"99 % {solution.policy.dv99_m_s:.6f} m/s" in text
+    assert f"99 % {1e3 * solution.policy.dv99_m_s:.3f} mm/s" in text
     assert "correction, 1 sigma" in text
     assert "dv_battery" in text.partition("probability")[2]
     (row,) = (line.split() for line in text.splitlines() if line.split()[:2] == ["2", "4400"])
-    assert float(row[3]) == pytest.approx(solution.policy.corrections[0].sigma_m_s, abs=1e-6)
+    assert float(row[3]) == pytest.approx(1e3 * solution.policy.corrections[0].sigma_m_s, abs=1e-3)
 
 
 def test_corrected_burns_are_executed_by_commanded_size(solution):
