@@ -1,4 +1,4 @@
-"""Takes README and what the pages link to outside `docs` into the site: a hook of MkDocs.
+"""Takes README and what the pages link to outside `docs` into the site, and formulas: a hook of MkDocs.
 
 At the end it warns of links that lead nowhere, of tags too, which MkDocs itself does not look at.
 
@@ -8,19 +8,33 @@ get somewhere: `docs/frames.md` in README, `../examples/halo_transfer.py` in a p
 
 from __future__ import annotations
 
+import ast
 import logging
 import posixpath
 import re
+import tomllib
+from contextlib import suppress
+from html import unescape
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
 from urllib.parse import unquote, urlsplit
 
+from latex2mathml.converter import convert
 from mkdocs.structure.files import File, Files
+from pygments import highlight
+from pygments.formatters import HtmlFormatter
+from pygments.lexers import get_lexer_by_name
 
 _LOG = logging.getLogger("mkdocs.hooks.site_hook")
 """Whose warnings MkDocs counts."""
 _LINK = re.compile(r"(?<=\]\()([^)#\s]+)")
+_FORMULA = re.compile(r'(?s)<(?:span|div) class="arithmatex">\\([(\[])(.*?)\\[)\]]</(?:span|div)>')
+"""As pymdownx.arithmatex leaves them."""
+_CODE = re.compile(
+    r'(?s)(<div class="highlight"><pre><span></span><code>)(.*?)(</code></pre></div>)'
+)
+"""Blocks of code without a language, as pymdownx.highlight leaves them."""
 _PAGES = {
     "README.md": "index.md",
     "CONTRIBUTING.md": "CONTRIBUTING.md",
@@ -66,6 +80,31 @@ def on_page_markdown(markdown: str, page: Any, config: Any, **_: Any) -> str:
         return posixpath.relpath(inside, here or ".")
 
     return _LINK.sub(led, markdown)
+
+
+def on_page_content(html: str, **_: Any) -> str:
+    """A page with formulas as MathML, which browsers typeset without a script, and coloured code."""
+
+    def typeset(match: re.Match[str]) -> str:
+        return convert(unescape(match[2]), display="block" if match[1] == "[" else "inline")
+
+    return _CODE.sub(_coloured, _FORMULA.sub(typeset, html))
+
+
+def _coloured(match: re.Match[str]) -> str:
+    """A block of code with its tokens marked, as the theme colours them."""
+    code = unescape(match[2])
+    lines = highlight(code, get_lexer_by_name(_language(code)), HtmlFormatter(nowrap=True))
+    return f"{match[1]}{lines}{match[3]}"
+
+
+def _language(code: str) -> str:
+    """TOML or Python if their readers take the code, else a shell's."""
+    for language, reader in (("toml", tomllib.loads), ("python", ast.parse)):
+        with suppress(ValueError, SyntaxError):  # what tomllib raises is a ValueError
+            if reader(code):
+                return language
+    return "bash"
 
 
 class _Read(HTMLParser):
