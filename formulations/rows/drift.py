@@ -34,12 +34,10 @@ from formulations.problem.flow import ArcDerivatives
 from formulations.problem.flyby import FlybyProblem, Legs
 from formulations.risk.directions import sphere_directions
 from formulations.rows.cones import (
-    BINDING,
     Cones,
     Margins,
     Pulled,
     StateCones,
-    curved_cones,
     on_states,
 )
 from formulations.rows.coordinates import Coordinates
@@ -54,15 +52,14 @@ HOPELESS, FAR = -4.0, 1.0
 """g below which almost no flight keeps out, and room above what is required beyond which a row cannot
 bind: there the tangent planes give value and derivative."""
 
+LITTLE = 0.25
+"""Share of that room up to which a change of g is taken from the last derivatives."""
+
 NEWTON_MAX, CLOSED = 12, 1e-9
 """Iterations of Newton's method for a drift's mean, and the last step, whose square is rounding."""
 
-APART = 0.05
-"""Change of g over which slopes are compared, in standard deviations."""
-
 DEEP = 0.5
 """Depth in a ball, over its radius, beyond which the further course of a mean says nothing."""
-
 
 NO_BURNS = np.zeros((0, 3))
 
@@ -82,7 +79,7 @@ class DriftValue(NamedTuple):
 
 
 class Branch:
-    """Evaluates a drift; the mean is kept, because the next one is near."""
+    """Evaluates a drift, and keeps what it has found, because the next start is near."""
 
     def __init__(self, drift: Drift) -> None:
         n = drift.flow.arcs + 1
@@ -91,14 +88,26 @@ class Branch:
         self._event = Event(drift.name, np.arange(n), (), drift.keep_out)
         self._coordinates = Coordinates([0])
         self._directions = sphere_directions(LINES, self._coordinates.count)
-        self._mean: Array | None = None
+        self._last: tuple[Start, DriftValue] | None = None
 
     def __call__(self, start: Start) -> DriftValue:
-        """Value and derivatives; see `DriftValue`.
+        """Value and derivatives, see `DriftValue`; from the last ones where the row cannot bind.
 
         Raises:
             LinearisationError: if the drift has no finite derivatives.
         """
+        if self._last is not None:
+            (mean, factor), (value, by) = self._last
+            change = by.mean @ (start.mean - mean) + np.sum(by.factor * (start.factor - factor))
+            room = value - self._drift.required
+            if room > FAR and abs(change) < LITTLE * room:
+                return DriftValue(value + float(change), by)
+        found = self.anew(start)
+        self._last = start, found
+        return found
+
+    def anew(self, start: Start) -> DriftValue:
+        """Value and derivatives, evaluated there."""
         mean, stm = self.flown(start.mean)
         value, by_mean, by_factor = self._at_nodes(mean, stm @ start.factor)
         n = 1 + max(map(_last, (by_mean, by_factor)))
@@ -127,7 +136,8 @@ class Branch:
         flow = self._drift.flow
         # What comes after a passage through the centre may be any number, and is left out.
         with np.errstate(all="ignore"):
-            mean = self._free.rollout(state, NO_BURNS) if self._mean is None else self._mean
+            known = self._drift.path
+            mean = known[0] if known else self._free.rollout(state, NO_BURNS)
             for _ in range(NEWTON_MAX):
                 arcs = flow.differentiate(mean[:-1])
                 maps = affine_maps(arcs.stm, arcs.state - mean[1:])
@@ -142,7 +152,7 @@ class Branch:
                 n = self._meaningful(mean)
                 arcs = flow.differentiate(mean[:-1])
                 stm = self._legs.compose(arcs.stm)
-        self._mean = mean if n == len(mean) else None
+        self._drift.path[:] = [mean] if n == len(mean) else []
         return mean[:n], stm[:n, :, :6]
 
     def _meaningful(self, mean: Array) -> int:
@@ -206,7 +216,6 @@ class DriftRows:
         after = problem.burn_nodes[[drift.burn for drift in problem.drifts]].astype(np.intp)
         self.nodes: Indices = np.unique(np.r_[after - 1, after]).astype(np.intp)
         self._seen = Seen[list[DriftValue]]()
-        self._bent: dict[str, tuple[Array, float, Array]] = {}
 
     def margins(self, lin: Linearisation) -> dict[str, Margins]:
         """Margin of each drift, in standard deviations, at the node of its burn."""
@@ -218,20 +227,16 @@ class DriftRows:
         }
 
     def cones(self, lin: Linearisation) -> list[Cones]:
-        """A block for each drift, in all controls, curved where it is near to binding."""
+        """A half-space for each drift, in all controls: curving them was tried, and slows planning."""
         z, blocks = lin.controls, []
         if not self.count:
             return []
         s = condense(lin, self.nodes)
         for row, (drift, found) in enumerate(zip(self._drifts, self.at(lin), strict=True)):
-            maps, margin = self._maps(lin, drift, s), found.value - drift.required
-            slope = _slope(found.by, maps)
-            hessian = np.zeros((len(z), len(z)))
-            if margin < BINDING:
-                hessian = self._hessian(lin, row, slope, maps)
+            slope = _slope(found.by, self._maps(lin, drift, s))
+            constant = found.value - drift.required - slope @ z
             rows = np.array([self._first + row])
-            parts = rows, np.array([margin]), slope[None], hessian[None], z
-            blocks.append(curved_cones(*parts, most=len(z)))
+            blocks.append(Cones(rows, slope[None, None], np.full((1, 1), constant)))
         return blocks
 
     def state_cones(self, lin: Linearisation) -> list[StateCones]:
@@ -273,28 +278,6 @@ class DriftRows:
         bent = np.einsum("ijl,lz,jc->icz", lin.arcs.tensor[k - 1], moved, lin.factor[k - 1])
         factor = np.einsum("ij,jcz->icz", stm, s.factor_jacobian[before]) + bent
         return Start(mean, missed * factor + drift.share * s.factor_jacobian[after])
-
-    def _hessian(self, lin: Linearisation, row: int, slope: Array, maps: Start) -> Array:
-        """Second derivatives of g by the burns on which a drift depends, by differences of slopes.
-
-        Steps are long enough to average out the kinks where the first region changes on a line. The
-        differences are kept until the controls have moved farther.
-        """
-        drift, z, problem = self._drifts[row], lin.controls, lin.problem
-        if drift.name in self._bent:
-            known, step, hessian = self._bent[drift.name]
-            if np.linalg.norm(z - known) < step:
-                return hessian
-        felt = problem.burn_controls[: drift.burn + (drift.share > 0.0)].ravel()
-        step = APART / max(float(np.linalg.norm(slope[felt])), APART)
-        start, hessian = start_of(lin, drift), np.zeros((len(z), len(z)))
-        for control in felt:
-            moved = Start(*(a + step * by[..., control] for a, by in zip(start, maps, strict=True)))
-            found = self._branches[row](moved)
-            hessian[felt, control] = (_slope(found.by, maps) - slope)[felt] / step
-        hessian = 0.5 * (hessian + hessian.T)
-        self._bent[drift.name] = z, step, hessian
-        return hessian
 
     def _on_nodes(self, lin: Linearisation, drift: Drift, found: DriftValue) -> tuple[Array, Array]:
         """Derivatives by means (n_nodes, 6) and factors (n_nodes, 6, c), from those by the start."""

@@ -183,7 +183,8 @@ class Planner(Generic[Task]):
         gains, plain = problem.feedback is not None, problem.open_loop
         if self.task.risk.scope == "node":
             if not gains:
-                return [StageSpec("P2", NodeRows(problem, target), is_required=True)]
+                exactly = FINE if problem.drifts else 0.0
+                return [StageSpec("P2", NodeRows(problem, target, exactly), is_required=True)]
             closed = NodeRows(problem, target, FINE_WITH_GAINS)
             return [
                 StageSpec("P2", NodeRows(plain, target, COARSE), "open"),
@@ -288,12 +289,12 @@ class Planner(Generic[Task]):
         pipeline = Pipeline(mission, self, observe or unobserved, facet_rounds, choices)
 
         def work() -> Stage:
-            start, stage = guess, None
+            start = guess
             if isinstance(start, Plan):
-                stage = continued(mission, pipeline, start) if problem == "P2" else None
+                if problem == "P2" and (stage := continued(mission, pipeline, start)):
+                    return stage
                 start = flown(mission, start)
-            others = () if once else other_starts(mission)
-            return stage or pipeline.plan(start, problem, others)
+            return pipeline.plan(start, problem, () if once else other_starts(mission))
 
         known = guess.without_uncertainty if isinstance(guess, Plan) else None
         leads = problem == "P3" and self._resolution > 0.0
