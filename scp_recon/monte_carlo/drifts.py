@@ -69,6 +69,7 @@ def states_after(config: FlightConfig, misses: Sequence[Miss], flights: int) -> 
         truth=config.truth,
         errors=config.errors,
         policy=config.policy,
+        until_s=times[-1],
     ):
         part = []
         for miss in misses:

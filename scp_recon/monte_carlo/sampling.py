@@ -66,10 +66,12 @@ def fly_block(
     truth: TruthModel = "planner",
     errors: ErrorModel | None = None,
     policy: AnyPolicy = (),
+    until_s: float = np.inf,
 ) -> FlightLog:
     """Fly the first `flights` of a block of draws, at most `BLOCK`: see `fly_draws`."""
     draws = draw_flights(mission, burns_m_s, seed, block, errors, policy)[:flights]
-    return fly_draws(mission, burns_m_s, times_s, draws, truth=truth, errors=errors, policy=policy)
+    known = burns_m_s, times_s, draws
+    return fly_draws(mission, *known, truth=truth, errors=errors, policy=policy, until_s=until_s)
 
 
 def number_of_sources(mission: Mission, burns_m_s: Array, errors: ErrorModel | None = None) -> int:
@@ -106,6 +108,7 @@ def fly_draws(
     truth: TruthModel = "planner",
     errors: ErrorModel | None = None,
     policy: AnyPolicy = (),
+    until_s: float = np.inf,
 ) -> FlightLog:
     """Fly draws of the errors, shape (flights, sources), with planned burns, shape (m, 3).
 
@@ -118,7 +121,7 @@ def fly_draws(
     another gravity turning with the body: with "harmonics" the whole field, with "polyhedron" that of a
     homogeneous solid. Integration steps depend on the burns' times alone; states at the ascending
     `times_s` are interpolated. A policy corrects burns, or plans them again; their errors are those of
-    the commanded burn.
+    the commanded burn. Nothing is flown after `until_s`.
 
     Raises:
         InputError: if the scenario's errors have no such counterpart.
@@ -134,6 +137,7 @@ def fly_draws(
     firing = mission.scenario.burn_times_s
     burn_at = dict(zip(firing, range(len(burns_m_s)), strict=True))
     stops = make_grid((mission.scenario.start_s, *firing), mission.flight_step_s)
+    stops = stops[stops <= until_s]
     after = np.searchsorted(times_s, stops, side="right")
     # Components first, so that an operation runs along the flights.
     states = np.empty((len(times_s), 6, flights))
@@ -205,6 +209,7 @@ def fly_blocks(
     truth: TruthModel = "planner",
     errors: ErrorModel | None = None,
     policy: AnyPolicy = (),
+    until_s: float = np.inf,
 ) -> Iterator[FlightLog]:
     """Fly a number of flights, block by block: see `fly_draws`."""
     for first in range(0, samples, BLOCK):
@@ -218,6 +223,7 @@ def fly_blocks(
             truth=truth,
             errors=errors,
             policy=policy,
+            until_s=until_s,
         )
 
 
