@@ -140,7 +140,7 @@ def check_drifts(scene: Scene) -> None:
         raise InputError(f"safety.{entry}", f"{radius_m(scenario):g} m", needs)
     spell, step = duration_s(scenario), _step_s(scenario)
     if spell > NODES_MAX * step:
-        needs = f"must be at most {NODES_MAX * step:g} s, {NODES_MAX} nodes a drift"
+        needs = f"must be at most {NODES_MAX * step:.0f} s, {NODES_MAX} nodes a drift"
         raise InputError("safety.drift_s", f"{spell:g} s", needs)
     if scenario.body.attitude is not None:
         last = scenario.duration_s + spell

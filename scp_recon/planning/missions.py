@@ -170,9 +170,10 @@ def _sizes(stage: Stage) -> Array:
 
 
 def _accuracy(stage: Stage) -> float:
-    """Relative accuracy of a stage's merit: with gains the resolution of its rows."""
+    """Relative accuracy of a stage's merit: with gains or drifts the resolution of its rows."""
     rows = stage.merit.rows
-    return RESOLVED if rows.problem.feedback is None else max(RESOLVED, rows.resolution)
+    kinked = rows.problem.feedback is not None or rows.problem.drifts
+    return max(RESOLVED, rows.resolution) if kinked else RESOLVED
 
 
 def _with_burns(

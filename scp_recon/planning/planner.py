@@ -62,6 +62,7 @@ long for the doubt."""
 
 COARSE, FINE = 1e-3, 1e-5
 COARSE_WITH_GAINS, FINE_WITH_GAINS = 1e-2, 1e-4
+FINE_WITH_DRIFTS = 3e-5
 """Relative reduction of the merit at which a coarse and a final stage stop; sampling errs by more.
 Gains are many, and the merit is flat in them. Few directions, aimed at flights without gains, say
 little about flights with gains: with 1e-3 the coarse stage took up to 38 iterations in their kinks."""
@@ -183,8 +184,8 @@ class Planner(Generic[Task]):
         gains, plain = problem.feedback is not None, problem.open_loop
         if self.task.risk.scope == "node":
             if not gains:
-                exactly = FINE if problem.drifts else 0.0
-                return [StageSpec("P2", NodeRows(problem, target, exactly), is_required=True)]
+                resolution = FINE_WITH_DRIFTS if problem.drifts else 0.0
+                return [StageSpec("P2", NodeRows(problem, target, resolution), is_required=True)]
             closed = NodeRows(problem, target, FINE_WITH_GAINS)
             return [
                 StageSpec("P2", NodeRows(plain, target, COARSE), "open"),

@@ -19,6 +19,7 @@ from scp_recon.physics.forces import acceleration
 from scp_recon.planning.plan import Plan
 from scp_recon.results.solution import make_solution
 from scp_recon.scenario.load import load_scenario
+from scp_recon.scp.status import Status
 from scp_recon.verification.probabilities import drift_safety
 from scp_recon.verification.reintegration import verify
 from tests.helpers import nightly
@@ -118,7 +119,7 @@ def test_flights_miss_a_burn_on_request():
         "two burns": (("safety.missed_burns=2",), "safety.missed_burns: got 2"),
         "no miss": (("safety.drift_s=3600",), "has no effect without safety.missed_burns"),
         "inside": ((ONE_DAY[2], "safety.drift_radius_m=200"), "at least body.reference_radius_m"),
-        "too long": ((ONE_DAY[2], "safety.drift_s=1e6"), "must be at most 360000 s"),
+        "too long": ((ONE_DAY[2], "safety.drift_s=1e7"), r"must be at most 15\d{5} s"),
     }.values(),
 )
 def test_drifts_that_cannot_be_planned_are_refused(entries, words):
@@ -136,7 +137,7 @@ def test_drifts_are_as_safe_as_required_in_random_scenarios(number):
     scenario = load_scenario().replace(changes)
     scenario = scenario.replace({"risk.allocation": "exact", "safety.missed_burns": 1})
     plan = sr.plan(scenario, starts=1)
-    if plan.status is not sr.Status.CONVERGED:
+    if plan.status is not Status.CONVERGED:
         pytest.skip("this scenario has no plan with safe drifts")
     for miss in (Miss(2), Miss(3), Miss(4)):
         safe = fly_drifts(FlightConfig(plan.mission, plan.burns_m_s, 99), [miss], 10_000)[0]
