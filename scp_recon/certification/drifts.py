@@ -37,7 +37,7 @@ RESOLVED = 0.01
 """Standard deviations below which a loss is left: flights resolve several times as much."""
 
 SMALL = 0.1
-"""Standard deviations below which a loss hardly changes with the next plan, and is not measured anew."""
+"""Standard deviations below which a loss hardly changes with the next plan: it is not measured anew."""
 
 ROUNDS_MAX = 3
 """Times that a plan is made again for the safety of its drifts."""

@@ -28,9 +28,9 @@ STEP_S = 120.0
 """Spacing of the times at which flights of a drift are judged, s."""
 
 NODE_SHARE = 0.1
-"""Spacing of a drift's nodes in the linear law, over sqrt(R^3 / GM) at the radius R that it keeps: 500 s
-at 500 m from Bennu. There a quarter of it moves the probability of a drift by 0.001 standard deviations,
-and the lines along which that is estimated err by 0.02."""
+"""Spacing of a drift's nodes in the linear law, over sqrt(R^3 / GM) at the radius R that it keeps:
+500 s at 500 m from Bennu. There a quarter of it moves the probability of a drift by 0.001 standard
+deviations, and the lines along which that is estimated err by 0.02."""
 
 CUTS = 0.1, 0.3, 0.5, 0.7, 0.9
 """Shares of a burn at which `safety.cut_short` stops it."""
