@@ -61,13 +61,12 @@ def test_the_page_on_the_paper_counts_its_outcomes():
     of = (sum(word in one for one in outcomes) for word in ("same", "opposite", "not comparable"))
     same, opposite, other = of
     counts = (len(outcomes), same - both, opposite - both, other, both)
-    said = re.search(r"In short: of the .*?\*mixed\*", text, re.DOTALL)
+    plain = " ".join(text.split())
+    said = re.search(r"In short: of the .*?\*mixed\*", plain)
     assert said
     assert tuple(map(int, re.findall(r"\d+", said[0]))) == counts
-    assert (
-        f"Of the {len(reproduced)}\nprinted numbers of Section VII {reproduced.count('yes')}"
-        in text
-    )
+    printed, yes = len(reproduced), reproduced.count("yes")
+    assert f"Of the {printed} printed numbers of Section VII {yes} are reproduced" in plain
 
 
 ROWS = [
