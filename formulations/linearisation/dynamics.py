@@ -8,6 +8,7 @@ import numpy as np
 
 from formulations.arrays import Array, Indices
 from formulations.linearisation.linearisation import Linearisation, final_state_map, step_mean
+from formulations.problem.firing_times import UNIT
 from formulations.problem.flow import Flow, MovableFlow
 from formulations.problem.flyby import NO_GAINS, NO_TIMES, FlybyProblem, Iterate
 
@@ -34,9 +35,10 @@ class Dynamics:
         return states
 
     def linearise(self, problem: FlybyProblem, iterate: Iterate) -> Linearisation:
-        """An iterate with the derivatives of all its arcs."""
+        """An iterate with the derivatives of all its arcs, and with the boundary of its phases."""
         flow = self.at(problem, iterate.times).flow
-        return Linearisation(problem, iterate, flow.differentiate(iterate.mean[:-1]))
+        arcs = flow.differentiate(iterate.mean[:-1])
+        return Linearisation(problem.at(iterate.times), iterate, arcs)
 
     def at(self, problem: FlybyProblem, times: Array) -> Dynamics:
         """The flow map on the grid that belongs to firing times; the same if there are none.
@@ -67,16 +69,22 @@ class Dynamics:
         the model predicts it. Without this correction, the curvature of the final state, weighed by
         the penalty, rejects good steps (the Maratos effect; Nocedal & Wright, Numerical
         Optimization, section 15.5). If Newton's method does not converge, the burns, shape (m, 3),
-        are rolled out unchanged. Gains do not move the mean; firing times stay as the model has them.
+        are rolled out unchanged. Gains do not move the mean; firing times and phases stay as the
+        model has them.
 
         Set `misses` if the model intends even its smallest miss, as with an augmented Lagrangian. A
         correction of that miss would move burns that the model left at zero, where their sizes have
         a kink.
         """
-        problem = lin.problem
-        free = _may_change(problem, burns)
-        iterate = Iterate(burns, step_mean(lin, burns, times), gains, times)
-        goal = iterate.mean[-1]
+        problem, mean = lin.problem.at(times), step_mean(lin, burns, times)
+        free, goal = _may_change(problem, burns), mean[-1]
+        if problem is not lin.problem:  # phases moved the boundary, and the model promises a miss
+            mean[0] = problem.initial_state
+            mean[0, 3:] += burns[0]
+            step = times - problem.firing_times(lin.iterate.times)
+            goal = goal + problem.final_state - lin.problem.final_state
+            goal -= lin.shifts.final @ step / UNIT
+        iterate = Iterate(burns, mean, gains, times)
         # What the conic solver leaves of a miss is its tolerance, not the model's promise.
         if not misses and np.abs(goal - problem.final_state).max() < SOLVER_MISS:
             goal = problem.final_state

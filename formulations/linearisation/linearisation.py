@@ -123,7 +123,7 @@ class Linearisation:
 
     @property
     def controls(self) -> Array:
-        """Burns, firing times and gains in one vector: see `FlybyProblem.controls`."""
+        """Burns, firing times and phases, and gains in one vector: see `FlybyProblem.controls`."""
         iterate = self.iterate
         return self.problem.controls(iterate.burns, iterate.gains, iterate.times)
 
@@ -186,7 +186,7 @@ class Linearisation:
 
     @cached_property
     def shifts(self) -> Shifts:
-        """Derivatives by firing times, where these are controls."""
+        """Derivatives by firing times and phases, where these are controls."""
         return Shifts(self.problem, self.iterate, self.arcs)
 
     @cached_property
@@ -229,10 +229,14 @@ def step_mean(lin: Linearisation, burns: Array, times: Array = NO_TIMES) -> Arra
     return np.asarray(mean + (moved + lin.shifts.drift(every) @ step)[:, :, 0])
 
 
-def final_state_of(lin: Linearisation) -> tuple[Array, Array]:
-    """Final mean as an affine function of all controls: constant (6,) and Jacobian (6, controls)."""
-    end = lin.sensitivity[-1, :6]
-    return lin.iterate.mean[-1] + end[:, -1] - end[:, :-1] @ lin.controls, end[:, :-1]
+def miss_of(lin: Linearisation) -> tuple[Array, Array]:
+    """Miss of the final state as an affine function of all controls: (6,) and (6, controls)."""
+    end, problem = lin.sensitivity[-1, :6], lin.problem
+    jacobian = end[:, :-1].copy()
+    if problem.firing is not None:
+        jacobian[:, problem.time_controls] -= lin.shifts.final
+    constant = lin.iterate.mean[-1] + end[:, -1] - jacobian @ lin.controls
+    return constant - problem.final_state, jacobian
 
 
 def final_state_map(lin: Linearisation) -> tuple[Array, Array]:

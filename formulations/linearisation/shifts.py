@@ -1,4 +1,4 @@
-"""Derivatives of mean and covariance factor by firing times.
+"""Derivatives of mean and covariance factor by firing times and phases.
 
 With f the rate of the state, D = df/dx, and - and + before and after a burn dv, a burn that comes dt
 later changes mean and factor right after it, at given times, by
@@ -7,7 +7,9 @@ later changes mean and factor right after it, at given times, by
 
 a the acceleration. Where a does not depend on the velocity, D- = D+ = D and these are -[dv, 0] dt and
 -D B C(dv) dt. What follows is carried on by the STMs and second-order tensors, as the burns' own
-changes are. Nodes that move along with a burn see f dt and D S dt in addition.
+changes are. Nodes that move along with a burn see f dt and D S dt in addition. Before the first burn,
+and after the last, the boundary state holds whenever that is: f = 0 and D = 0 there. A phase moves
+boundary state and initial factor as its orbit says.
 
 These are the derivatives of the flow itself. Those of its Runge-Kutta scheme differ by the scheme's
 error per unit of time.
@@ -29,7 +31,7 @@ from formulations.problem.flyby import FlybyProblem, Iterate
 
 @dataclass(frozen=True, eq=False)
 class Shifts:
-    """Derivatives by the firing times of a problem that has some, in `firing_times.UNIT`.
+    """Derivatives by the firing times and phases of a problem that has some, in `firing_times.UNIT`.
 
     Attributes:
         problem: of the iterate.
@@ -53,37 +55,75 @@ class Shifts:
         return cast("MovableDerivatives", self.arcs).rate(self.iterate.mean[:-1], arcs)
 
     @cached_property
-    def _before(self) -> tuple[Array, Array]:
-        """The same before each burn that moves, (q, 6) and (q, 6, 6)."""
+    def _about(self) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+        """The same before and after each burn that moves, (q, 6) and (q, 6, 6); at the ends zero."""
         nodes = self.problem.burn_nodes[self._firing.burns]
-        return cast("MovableDerivatives", self.arcs).rate(self.arcs.state[nodes - 1], nodes)
+        inner, flies = nodes > 0, nodes < self.problem.n_nodes - 1
+        before, after = (np.zeros((len(nodes), 6)), np.zeros((len(nodes), 6, 6))), self._rates
+        rates = cast("MovableDerivatives", self.arcs).rate
+        found = rates(self.arcs.state[nodes[inner] - 1], nodes[inner])
+        for whole, part in zip(before, found, strict=True):
+            whole[inner] = part
+        ends = [np.zeros((len(nodes), *part.shape[1:])) for part in after]
+        for whole, part in zip(ends, after, strict=True):
+            whole[flies] = part[nodes[flies]]
+        return before, (ends[0], ends[1])
+
+    @cached_property
+    def _slopes(self) -> tuple[Array, Array, Array] | None:
+        """Derivatives of the boundary by its phases; see `Boundary.slopes`."""
+        firing = self._firing
+        if firing.boundary is None:
+            return None
+        times = self.problem.firing_times(self.iterate.times)
+        return firing.boundary.slopes(firing.phases(times))
+
+    def _phase(self, which: int) -> int | None:
+        """Number of the control that is a boundary's phase, 0 or 1; None if it is not free."""
+        firing = self._firing
+        if firing.boundary is None or which not in firing.boundary.free:
+            return None
+        return len(firing.burns) + firing.boundary.free.index(which)
 
     @cached_property
     def mean(self) -> Array:
         """Change of the mean after each burn at given times, shape (m, 6, q)."""
         problem, burns = self.problem, self._firing.burns
-        change = np.zeros((problem.n_burns, 6, len(burns)))
-        after = self._rates[0][problem.burn_nodes[burns]]
-        change[burns, :, range(len(burns))] = UNIT * (self._before[0] - after)
+        change = np.zeros((problem.n_burns, 6, self._firing.shares.shape[1]))
+        (before, _), (after, _) = self._about
+        change[burns, :, range(len(burns))] = UNIT * (before - after)
+        if self._slopes is not None and (phase := self._phase(0)) is not None:
+            change[0, :, phase] = UNIT * self._slopes[0]
+        return change
+
+    @cached_property
+    def final(self) -> Array:
+        """Change of the final state that is to be met, shape (6, q)."""
+        change = np.zeros((6, self._firing.shares.shape[1]))
+        if self._slopes is not None and (phase := self._phase(1)) is not None:
+            change[:, phase] = UNIT * self._slopes[2]
         return change
 
     def factor(self, factor: Array) -> Array:
         """The same of the factor, (m, 6, c, q); `factor` is the iterate's at all nodes."""
         problem, burns = self.problem, self._firing.burns
-        change = np.zeros((problem.n_burns, *factor.shape[1:], len(burns)))
+        change = np.zeros((problem.n_burns, *factor.shape[1:], self._firing.shares.shape[1]))
         columns = problem.execution_errors.columns(self.iterate.burns)
-        shared = problem.execution_errors.shared
+        shared, ((_, before), (_, after)) = problem.execution_errors.shared, self._about
         for j, burn in enumerate(burns):
             node, added = problem.burn_nodes[burn], np.zeros(factor.shape[1:])
             added[3:, problem.shared_columns] = columns[burn, :, :shared]
             added[3:, problem.columns_of_burn(burn)] = columns[burn, :, shared:]
-            after = self._rates[1][node] @ factor[node]
-            change[burn, ..., j] = UNIT * (self._before[1][j] @ (factor[node] - added) - after)
+            turned = before[j] @ (factor[node] - added) - after[j] @ factor[node]
+            change[burn, ..., j] = UNIT * turned
+        if self._slopes is not None and (phase := self._phase(0)) is not None:
+            slope = self._slopes[1]
+            change[0, :, : slope.shape[1], phase] = UNIT * slope
         return change
 
     def drift(self, nodes: Indices) -> Array:
         """What nodes see of the mean's rate as they move along, shape (n, 6, q)."""
-        found = np.zeros((len(nodes), 6, len(self._firing.burns)))
+        found = np.zeros((len(nodes), 6, self._firing.shares.shape[1]))
         moved = nodes < self.problem.n_nodes - 1
         here = nodes[moved]
         found[moved] = UNIT * self._rates[0][here, :, None] * self._firing.shares[here, None]
@@ -91,7 +131,7 @@ class Shifts:
 
     def factor_drift(self, nodes: Indices, factor: Array) -> Array:
         """The same of the factor's rate, (n, 6, c, q); `factor` is the iterate's at these nodes."""
-        found = np.zeros((*factor.shape, len(self._firing.burns)))
+        found = np.zeros((*factor.shape, self._firing.shares.shape[1]))
         moved = nodes < self.problem.n_nodes - 1
         here = nodes[moved]
         turned = self._rates[1][here] @ factor[moved]

@@ -157,8 +157,9 @@ class ExpressionDerivatives:
         return replace(self, state=self.state + (self.stm @ deviation[:, :, None])[:, :, 0])
 
     def rate(self, state: Array, arcs: Indices) -> tuple[Array, Array]:
-        """Rate of states (n, 6) at the starts of some arcs, and its derivative, shape (n, 6, 6)."""
-        return self._flow.rate(state, self._steps[0].time[0, arcs])
+        """See `MovableDerivatives.rate`."""
+        times = np.append(self._steps[0].time[0], self._steps[-1].time[-1, -1])
+        return self._flow.rate(state, times[arcs])
 
 
 class ExpressionFlow:

@@ -1,12 +1,16 @@
-"""Describe firing times as controls: which burns move, the rules, and how a grid follows them.
+"""Describe firing times and phases as controls: what moves, the rules, and how a grid follows.
 
 Nodes between two fixed nodes move with the burns between these, in proportion, so that every leg keeps
-its number of arcs. The times of all nodes are therefore affine in the firing times.
+its number of arcs. The times of all nodes are therefore affine in the firing times. Where the first or
+the last burn moves, the boundary state stays what it is and holds at another time; phases move boundary
+states along an orbit.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Self
 
 import numpy as np
@@ -14,21 +18,50 @@ import numpy as np
 from formulations.arrays import Array, Indices
 
 UNIT = 0.05
-"""Time by which a unit of a control moves a burn: the trust region's scale. Means are bilinear in burns
-and times, and after a step of a whole unit of time the linear model would say nothing."""
+"""Time or phase by which a unit of a control moves: the trust region's scale. Means are bilinear in
+burns and times, and after a step of a whole unit of time the linear model would say nothing."""
+
+DIFFERENCE = 1e-5
+"""Step of the central differences of boundary states by phase, rad."""
+
+
+@dataclass(frozen=True, eq=False)
+class Boundary:
+    """Boundary states by phase, where one or both of the phases are controls.
+
+    Attributes:
+        first: state (6,) and covariance factor (6, c) before the first burn, by its phase in rad.
+        last: state (6,) after the last burn.
+        phases: of both before any has moved.
+        free: numbers of the phases that move, 0 and 1, ascending.
+    """
+
+    first: Callable[[float], tuple[Array, Array]]
+    last: Callable[[float], Array]
+    phases: tuple[float, float]
+    free: tuple[int, ...]
+
+    def slopes(self, phases: Array) -> tuple[Array, Array, Array]:
+        """Derivatives at phases (2,): of the first state and factor by the first, and of the last."""
+        ahead, behind = (self.first(phases[0] + side * DIFFERENCE) for side in (1, -1))
+        ends = [self.last(phases[1] + side * DIFFERENCE) for side in (1, -1)]
+        pairs = (*zip(ahead, behind, strict=True), ends)
+        first, factor, last = ((a - b) / (2.0 * DIFFERENCE) for a, b in pairs)
+        return first, factor, last
 
 
 @dataclass(frozen=True, eq=False)
 class FiringTimes:
-    """Times of some burns, which may move as long as matrix t >= least.
+    """Times of some burns and phases, t (q,), which may move as long as matrix t >= least.
 
     Attributes:
-        burns: numbers of these burns, ascending; neither at the first nor at the last node; shape (q,).
+        burns: numbers of these burns, ascending; their times come first in t.
         nodes: times of the grid's nodes before any burn has moved, shape (n_nodes,).
-        shares: derivative of these times by the firing times, shape (n_nodes, q).
+        shares: derivative of these times by t, shape (n_nodes, q).
         matrix: of the rules, shape (r, q).
         least: shape (r,).
         names: of the rules, r of them.
+        boundary: states by phase; None if these are given.
     """
 
     burns: Indices
@@ -37,6 +70,7 @@ class FiringTimes:
     matrix: Array
     least: Array
     names: tuple[str, ...]
+    boundary: Boundary | None = None
 
     @classmethod
     def on_grid(
@@ -46,6 +80,7 @@ class FiringTimes:
         burn_nodes: Indices,
         fixed: Indices,
         rules: tuple[Array, Array, tuple[str, ...]],
+        boundary: Boundary | None = None,
     ) -> Self:
         """Firing times on a grid whose `fixed` nodes stay, as do those of burns that do not move.
 
@@ -53,19 +88,41 @@ class FiringTimes:
             burns: that move.
             nodes: times of the nodes.
             burn_nodes: node of every burn of the problem.
-            fixed: further nodes that stay; the first and the last always do.
+            fixed: further nodes that stay; the first and the last do unless a burn there moves.
             rules: matrix, least values and names.
+            boundary: states by phase, if any is free.
         """
         marks = np.unique(np.r_[0, burn_nodes, fixed, len(nodes) - 1])
         own = (marks[:, None] == burn_nodes[burns]).astype(float)
         columns = [np.interp(nodes, nodes[marks], one) for one in own.T]
-        return cls(burns, nodes, np.reshape(columns, (-1, len(nodes))).T, *rules)
+        columns += [np.zeros(len(nodes))] * (len(boundary.free) if boundary else 0)
+        return cls(burns, nodes, np.reshape(columns, (-1, len(nodes))).T, *rules, boundary)
+
+    @cached_property
+    def start(self) -> Array:
+        """Times and phases before any has moved, shape (q,)."""
+        times = self.nodes[self.shares[:, : len(self.burns)].argmax(axis=0)]
+        free = (
+            [] if self.boundary is None else [self.boundary.phases[i] for i in self.boundary.free]
+        )
+        return np.r_[times, free]
+
+    def owners(self, last: int) -> Indices:
+        """Burn to which each control belongs, shape (q,); `last` is the number of the last burn."""
+        free = () if self.boundary is None else self.boundary.free
+        return np.r_[self.burns, [(0, last)[i] for i in free]].astype(np.intp)
+
+    def phases(self, times: Array) -> Array:
+        """Both phases of the boundary, shape (2,), for times and phases (q,)."""
+        assert self.boundary is not None
+        phases = np.array(self.boundary.phases)
+        phases[list(self.boundary.free)] = times[len(self.burns) :]
+        return phases
 
     def at(self, times: Array) -> Array:
-        """Times of the nodes, shape (n_nodes,), for firing times (q,)."""
-        moving = self.shares.argmax(axis=0)
-        return self.nodes + self.shares @ (times - self.nodes[moving])
+        """Times of the nodes, shape (n_nodes,), for times and phases (q,)."""
+        return self.nodes + self.shares @ (times - self.start)
 
     def slack(self, times: Array) -> Array:
-        """How much later or earlier each rule lets the burns be, >= 0 where it holds, shape (r,)."""
+        """How far each rule lets burns and phases move, >= 0 where it holds, shape (r,)."""
         return self.matrix @ times - self.least

@@ -53,7 +53,10 @@ class MovableDerivatives(ArcDerivatives, Protocol):
     """Derivatives of a `MovableFlow`."""
 
     def rate(self, state: Array, arcs: Indices) -> tuple[Array, Array]:
-        """Rate f of states (n, 6) at the starts of some arcs, and its derivative by them, (n, 6, 6)."""
+        """Rate f of states (n, 6) at the starts of some arcs, and its derivative by them, (n, 6, 6).
+
+        The number after the last arc's stands for its end.
+        """
 
 
 @runtime_checkable

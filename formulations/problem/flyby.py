@@ -64,7 +64,7 @@ class Iterate:
         burns: velocities added, shape (m, 3).
         mean: states at the nodes, shape (n_nodes, 6).
         gains: of the corrected burns, as `Feedback` orders them.
-        times: of the burns that `FiringTimes` moves, shape (q,); empty where these are the grid's.
+        times: and phases that `FiringTimes` moves, shape (q,); empty where these are the grid's.
     """
 
     burns: Array
@@ -152,7 +152,7 @@ class FlybyProblem:
         dv_min: smallest size of a burn that is raised.
         feedback: measurements and gains of the corrected burns; None if all burns are fixed before
             departure.
-        firing: burns whose times are controls; None if all times are given.
+        firing: times and phases that are controls; None if all are given.
         drifts: free flights after a missed or cut burn, which P2 keeps out of regions.
     """
 
@@ -256,11 +256,10 @@ class FlybyProblem:
     def controls_before(self) -> Indices:
         """Number of controls of a number of burns, shape (m + 1,).
 
-        Of each burn its components, then its time if that is a control, then its gains.
+        Of each burn its components, then its time and phase if these are controls, then its gains.
         """
         own = np.full(self.n_burns, 3)
-        if self.firing is not None:
-            own[self.firing.burns] += 1
+        own += np.bincount(self._owners, minlength=self.n_burns)
         if self.feedback is not None:
             own[self.feedback.burns] += np.diff(self.feedback.first_gain)
         return np.cumsum([0, *own])
@@ -283,21 +282,35 @@ class FlybyProblem:
 
     @cached_property
     def time_controls(self) -> Indices:
-        """The controls that are firing times, in `firing_times.UNIT`, shape (q,)."""
+        """The controls that are firing times and phases, in `firing_times.UNIT`, shape (q,)."""
+        owners = self._owners
+        before = [int(np.sum(owners[:i] == owner)) for i, owner in enumerate(owners)]
+        return self.burn_controls[owners, -1] + 1 + np.array(before, dtype=np.intp)
+
+    @cached_property
+    def _owners(self) -> Indices:
+        """Burn to which each of the firing times and phases belongs, shape (q,)."""
         if self.firing is None:
             return np.zeros(0, dtype=np.intp)
-        return self.burn_controls[self.firing.burns, -1] + 1
+        return self.firing.owners(self.n_burns - 1)
 
     @cached_property
     def moving_controls(self) -> Indices:
-        """The controls that move means: components of burns, and firing times."""
+        """The controls that move means: components of burns, firing times and phases."""
         return np.union1d(self.burn_controls, self.time_controls)
 
     def firing_times(self, times: Array) -> Array:
-        """Times of the burns that move: those given, or if none the grid's; shape (q,)."""
-        if self.firing is None or times.size:
-            return times
-        return self.firing.nodes[self.burn_nodes[self.firing.burns]]
+        """Times and phases that move: those given, or if none the grid's; shape (q,)."""
+        return times if self.firing is None or times.size else self.firing.start
+
+    def at(self, times: Array) -> FlybyProblem:
+        """The problem with the boundary states of times and phases (q,); itself if no phase moves."""
+        if self.firing is None or self.firing.boundary is None or not times.size:
+            return self
+        first, last = self.firing.phases(times)
+        state, factor = self.firing.boundary.first(first)
+        final = self.firing.boundary.last(last)
+        return replace(self, initial_state=state, initial_factor=factor, final_state=final)
 
     def controls(self, burns: Array, gains: Array, times: Array = NO_TIMES) -> Array:
         """Burns (m, 3), firing times and gains in one vector: see `controls_before`."""

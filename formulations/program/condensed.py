@@ -23,7 +23,7 @@ from formulations.linearisation.linearisation import (
     Condensation,
     Linearisation,
     LinearisationError,
-    final_state_of,
+    miss_of,
 )
 from formulations.problem.flyby import FlybyProblem
 from formulations.program.convex_subproblem import ConvexSubproblem
@@ -121,8 +121,8 @@ class CondensedSubproblem(ConvexSubproblem):
             except LinearisationError as error:
                 raise SubproblemError(str(error)) from error
             self._at, self._cones = lin, self.rows.cones(lin, s)
-        constant, jacobian = final_state_of(lin)
-        self._final = {"miss_jacobian": jacobian, "miss": constant - lin.problem.final_state}
+        constant, jacobian = miss_of(lin)
+        self._final = {"miss_jacobian": jacobian, "miss": constant}
         most = SLOTS if lin.problem.feedback is None else SLOTS_WITH_GAINS
         self._slots = self._slots or [min(most, 2 * len(cones.rows)) for cones in self._cones]
         slack = self._slack(lin.controls)

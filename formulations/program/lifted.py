@@ -146,11 +146,13 @@ class LiftedDynamics:
         here = np.r_[lin.iterate.mean[self._nodes].ravel(), factor.ravel()]
         (kicks, closed), moved = self._kicks(lin), controls - lin.controls
         off, starts, ends = states - here, self._starts, self._ends
-        final = slice(self._mean_size - 6, self._mean_size)
+        final, goal = slice(self._mean_size - 6, self._mean_size), lin.problem.final_state
+        if lin.problem.firing is not None:
+            goal = goal + lin.shifts.final @ moved[lin.problem.time_controls]
         return [
             off[starts] == kicks[starts] @ moved + closed[starts],
             off[ends] == step @ off + kicks[ends] @ moved + closing + closed[ends],
-            states[final] == lin.problem.final_state + miss,
+            states[final] == goal + miss,
         ]
 
     def drift(self, lin: Linearisation) -> sp.csr_array:

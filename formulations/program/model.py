@@ -6,7 +6,7 @@
           t <= dv_max + v_size                           largest burn
           n'z_i + v_cone >= 0                            planes that keep burns off the battery's cones
           d'z_i >= dv_min                                smallest burn, of those that are raised
-          R t >= r                                       rules of the firing times that are controls
+          R t >= r                                       rules of firing times and phases
           |miss| <= a  or  miss = a                      virtual control of the final state
           y_0 + v_row >= ||(y_1, ...)||                  state constraints, P3's or P2's
           v >= 0
@@ -117,8 +117,8 @@ class Shape(NamedTuple):
         corrected: numbers of the burns that are corrected.
         cost: what is minimised.
         floor: whether some burns are raised.
-        timed: numbers of the burns whose times are controls.
-        rules: number of the rules on these times.
+        timed: burn of each firing time and phase that is a control.
+        rules: number of the rules on these.
     """
 
     burns: int
@@ -133,7 +133,7 @@ class Shape(NamedTuple):
         """The controls of a problem."""
         feedback, firing = problem.feedback, problem.firing
         if firing is not None:
-            timed, rules = tuple(firing.burns.tolist()), len(firing.least)
+            timed, rules = tuple(firing.owners(problem.n_burns - 1).tolist()), len(firing.least)
             return cls(problem.n_burns, floor=floor, timed=timed, rules=rules)
         if feedback is None:
             return cls(problem.n_burns, floor=floor)
@@ -149,7 +149,14 @@ class Shape(NamedTuple):
     @property
     def first(self) -> Indices:
         """Number of controls of a number of burns: see `FlybyProblem.controls_before`."""
-        return np.cumsum([0, *(3 + np.isin(np.arange(self.burns), self.timed) + self.gains)])
+        timed = np.bincount(np.array(self.timed, dtype=np.intp), minlength=self.burns)
+        return np.cumsum([0, *(3 + timed + self.gains)])
+
+    @property
+    def times(self) -> Indices:
+        """The controls that are firing times and phases: see `FlybyProblem.time_controls`."""
+        before = [self.timed[:i].count(burn) for i, burn in enumerate(self.timed)]
+        return np.array(self.first[list(self.timed)] + 3 + before, dtype=np.intp)
 
     def split(self, controls: cp.Variable) -> tuple[cp.Expression, list[cp.Expression]]:
         """Burns (m, 3), and the gains of each corrected one."""
@@ -246,9 +253,7 @@ def write_model(shape: Shape, penalty: Penalty, write_states: StateModelWriter) 
     if shape.timed:
         own |= {"rules": cp.Parameter((shape.rules, len(shape.timed)))}
         own |= {"rules_least": cp.Parameter(shape.rules)}
-        constraints.append(
-            own["rules"] @ z[shape.first[list(shape.timed)] + 3] >= own["rules_least"]
-        )
+        constraints.append(own["rules"] @ z[shape.times] >= own["rules_least"])
     if shape.floor:
         own |= {"floor_normals": cp.Parameter((m, 3)), "floor": cp.Parameter(m)}
         along = cp.sum(cp.multiply(own["floor_normals"], burns), axis=1)

@@ -33,7 +33,7 @@ from formulations.linearisation.adjoint import pulled_before
 from formulations.linearisation.linearisation import (
     Linearisation,
     condense,
-    final_state_of,
+    miss_of,
 )
 from formulations.problem.cost import cost
 from formulations.problem.firing_times import UNIT
@@ -55,11 +55,11 @@ BURN_LIMITS = 3
 def multipliers(problem: FlybyProblem, rows: Rows, lin: Linearisation) -> Array:
     """Multipliers m of the miss and of every violation, in the order of `MeritFunction.excess`.
 
-    Those of the rules of firing times follow, if these are controls. Non-negative multipliers, except
-    for the miss, that make grad(cost) + J'm least at a solution; J are the derivatives of the excess
-    without inactive constraints. Shape (6 + 3 m + rows + rules,). A burn that is held, raised or
-    vanished, where its size has no derivative, is left out. Nocedal & Wright, Numerical Optimization,
-    2006, eq. (12.34).
+    Those of the rules of firing times and phases follow, if these are controls. Non-negative
+    multipliers, except for the miss, that make grad(cost) + J'm least at a solution; J are the
+    derivatives of the excess without inactive constraints. Shape (6 + 3 m + rows + rules,). A burn that
+    is held, raised or vanished, where its size has no derivative, is left out. Nocedal & Wright,
+    Numerical Optimization, 2006, eq. (12.34).
     """
     there, slope = _free(problem, lin), cost(problem, lin.iterate).gradient
     jacobian, room = _excess_slopes(problem, rows, lin)
@@ -93,8 +93,8 @@ def _free(problem: FlybyProblem, lin: Linearisation) -> Booleans:
         own = slice(first, first + 3), slice(first + 3 if apart else first, stop)
         fired, corrected = (np.linalg.norm(lin.controls[part]) > VANISHED for part in own)
         free[first:stop] = np.repeat([fired, corrected], [3, stop - first - 3])
-        if at.firing is not None:
-            free[first + 3 : stop] = fired
+        if at.firing is not None:  # the flight's ends move it whether or not there is a burn
+            free[first + 3 : stop] = fired or burn in (0, at.n_burns - 1)
     return free
 
 
@@ -108,7 +108,7 @@ def _excess_slopes(problem: FlybyProblem, rows: Rows, lin: Linearisation) -> tup
         planes = cone.facets(cone.across(burns), cone.half_angle)
         by_burn[nappe, every, problem.burn_controls] = -planes.normal
     limits = problem.burn_margins(burns)["dv_max"], *(-c.inside(burns) for c in problem.burn_cones)
-    miss = final_state_of(lin)[1]
+    miss = miss_of(lin)[1]
     slopes, slack = np.zeros((rows.count, controls)), np.empty(rows.count)
     for cones in rows.cones(lin, condense(lin, rows.nodes, factor=rows.condensed)):
         p, y = cones.values.shape[2], cones.at(lin.controls)

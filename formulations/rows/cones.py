@@ -253,8 +253,9 @@ def controls_felt(problem: FlybyProblem, nodes: Indices) -> Indices:
     """
     felt = np.maximum(np.searchsorted(problem.burn_nodes, nodes), 1)
     if problem.firing is not None:
-        numbers = 1 + problem.firing.burns
-        felt = np.maximum(felt, (numbers * (problem.firing.shares[nodes] > 0.0)).max(axis=1))
+        numbers = 1 + problem.firing.owners(problem.n_burns - 1)
+        moves = problem.firing.shares[nodes] > 0.0
+        felt = np.maximum(felt, (numbers * moves).max(axis=1, initial=0))
     return problem.controls_before[felt]
 
 

@@ -16,7 +16,7 @@ from formulations.linearisation.linearisation import (
     Linearisation,
     Sensitivity,
     condense,
-    final_state_of,
+    miss_of,
 )
 from formulations.problem.flyby import FlybyProblem, factor_columns_used
 from formulations.risk.directions import Directions, aimed_directions, sphere_directions
@@ -226,7 +226,7 @@ def _keeping_final_state(lin: Linearisation) -> Array:
     """Orthonormal directions of the controls that keep the final state, shape (controls, .)."""
     problem = lin.problem
     moving, gains = problem.moving_controls, problem.gain_controls
-    kept = null_space(final_state_of(lin)[1][:, moving])
+    kept = null_space(miss_of(lin)[1][:, moving])
     free = np.zeros((len(lin.controls), kept.shape[1] + len(gains)))
     free[moving, : kept.shape[1]] = kept
     free[gains, kept.shape[1] + np.arange(len(gains))] = 1.0

@@ -16,7 +16,7 @@ from formulations.arrays import Array, Indices
 from formulations.linearisation.dynamics import Dynamics
 from formulations.problem.facets import Polytopes
 from formulations.problem.feedback import Feedback
-from formulations.problem.firing_times import FiringTimes
+from formulations.problem.firing_times import Boundary, FiringTimes
 from formulations.problem.flyby import FlybyProblem
 from formulations.problem.polytopes import ball, paper_ball
 from scp_recon.bodies.catalogue import AU_KM
@@ -32,7 +32,7 @@ from scp_recon.mission.checks import (
 from scp_recon.mission.constraints import Limit, observation_limits, state_constraints
 from scp_recon.mission.drifts import problem_drifts, require_no_drifts
 from scp_recon.mission.feedback import felt_cut_offs_s, require_open_loop, resolved
-from scp_recon.mission.firing import firing_times
+from scp_recon.mission.firing import HomePhases, firing_times
 from scp_recon.mission.grid import DEFAULT, RK4_STEP_MAX_S, Units, make_grid
 from scp_recon.mission.scene import (
     Scene,
@@ -99,6 +99,8 @@ class Mission:
     """Warnings of unlikely entries, shown with every verdict."""
     firing_spans_s: tuple[Interval, ...] | None = None
     """Earliest and latest time of each burn to be planned, where times are controls; None if given."""
+    home: HomePhases | None = None
+    """Phases on the home orbit, where these and the flight's ends are controls too."""
     drift_losses: tuple[tuple[str, float], ...] = ()
     """Standard deviations by which drifts are less safe in flights than by the linear law, by names."""
 
@@ -346,10 +348,11 @@ class Mission:
     def problem(self) -> FlybyProblem:
         """The nondimensional problem on this mission's grid."""
         units, scenario, window = self.units, self.scenario, self.window_nodes
+        firing = self.firing
         # Limits on the sigmas after the last burn, None where there is none.
         position = scenario.boundary.final_sigma_position_m
         speed = scenario.boundary.final_sigma_velocity_m_s
-        return FlybyProblem(
+        problem = FlybyProblem(
             n_nodes=len(self.times_s),
             burn_nodes=self.burn_nodes,
             initial_state=self.initial_state / units.state,
@@ -377,19 +380,31 @@ class Mission:
                 speed and speed / units.speed_m_s,
             ),
             feedback=self.feedback,
-            firing=self.firing,
+            firing=firing,
             drifts=problem_drifts(self.scene, self.forces, units, dict(self.drift_losses)),
         )
+        return problem if firing is None else problem.at(firing.start)
 
     @property
     def firing(self) -> FiringTimes | None:
-        """Firing times that are controls, nondimensional; None if all are given."""
+        """Firing times and phases that are controls, nondimensional; None if all are given."""
         if self.firing_spans_s is None:
             return None
         require_no_drifts(self.scenario, "goes with firing times that are given")
         nodes, spans = (self.times_s, self.burn_nodes, self.window_nodes), self.firing_spans_s
         window, unit = self.schedule.window_s, self.units.time_s
-        return firing_times(self.scenario, window, nodes, spans, unit)
+        home = None if self.home is None else (self.home, self._boundary(self.home))
+        return firing_times(self.scenario, window, nodes, spans, unit, home)
+
+    def _boundary(self, home: HomePhases) -> Boundary:
+        """Nondimensional boundary states by their phases on the home orbit."""
+        unit, ring = self.units.state, home.ring
+
+        def first(phase: float) -> tuple[Array, Array]:
+            factor = self.scene.initial_factor(ring(phase), signed=True)
+            return ring(phase) / unit, factor / unit[:, None]
+
+        return Boundary(first, lambda phase: ring(phase) / unit, home.at, home.free)
 
     @cached_property
     def polytopes(self) -> Polytopes:

@@ -108,11 +108,12 @@ class Scene:
         axes = self.axes(flight.frame)
         return np.concatenate([axes @ flight.position_m, axes @ flight.velocity_m_s])
 
-    def initial_factor(self, state: Array) -> Array:
+    def initial_factor(self, state: Array, *, signed: bool = False) -> Array:
         """Factor S of the covariance S S' where planning begins, m and m/s, shape (6, 6).
 
         A state in flight without a covariance of its own has the scenario's initial one. Radial,
-        transverse and normal axes are those of the mean state, shape (6,).
+        transverse and normal axes are those of the mean state, shape (6,). A share of the state's
+        components is smooth in the state if `signed`, and covariance is the same.
 
         Raises:
             InputError: if the state has no plane to be normal to.
@@ -128,7 +129,8 @@ class Scene:
         elif flight is not None and frame != "rtn":
             state = self.boundary_state("initial")
         if entry.startswith("uncertainty") and given.initial_sigma_fraction is not None:
-            return np.diag(given.initial_sigma_fraction * np.abs(state))
+            share = given.initial_sigma_fraction
+            return np.diag(share * (state if signed else np.abs(state)))
         if matrix is not None:
             root = factor_of(np.array(matrix))
         else:

@@ -16,9 +16,9 @@ from typing import Literal
 import numpy as np
 
 from formulations.arrays import Array, Booleans
+from scp_recon.mission.firing import TURN
 from scp_recon.mission.mission import Mission
 from scp_recon.passes.descent import ROUNDS_MAX, WORTH, PassResult, descend
-from scp_recon.passes.ring import TURN
 from scp_recon.passes.scan import phases, scan, starts
 from scp_recon.passes.setting import BURNS_MAX, settled, spaces_of
 from scp_recon.passes.space import Pass, Space, nearest_legal

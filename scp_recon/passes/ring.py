@@ -18,11 +18,11 @@ from scp_recon.bodies.kernels import read_states
 from scp_recon.errors import InputError
 from scp_recon.interop.ccsds import plain_name
 from scp_recon.interop.tracks import csv_track, oem_track
+from scp_recon.mission.firing import TURN, Ring
 from scp_recon.physics.forces import ForceModel, acceleration
 from scp_recon.scenario.boundary import HomeOrbit
 from scp_recon.scenario.schema import Scenario
 
-TURN = 2.0 * np.pi
 LONGEST, SAMPLES = 3.0, 3001
 """Revolutions of the circle within which the flown one must close, and samples of it."""
 ENTRY = "boundary.home.ephemeris_file"
@@ -34,13 +34,6 @@ WITHIN = 2.0
 """Largest factor between the ephemeris's distances and radius_m."""
 LOOKS = 8
 """Between neighbouring states."""
-
-
-Ring = Callable[[float], Array]
-"""States by phase, rad, of any turn; the waiting spacecraft may be at any of them at any time.
-
-Position and velocity, J2000, body-centred, m and m/s, shape (6,).
-"""
 
 
 def home_ring(home: HomeOrbit, gm: float, axes: Array) -> Ring:

@@ -9,11 +9,12 @@ import numpy as np
 from formulations.arrays import Array
 from scp_recon.errors import InputError
 from scp_recon.mission.drifts import require_no_drifts
+from scp_recon.mission.firing import Ring
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.scene import Scene
 from scp_recon.mission.survey import survey
 from scp_recon.mission.windows import Window
-from scp_recon.passes.ring import Ring, ephemeris_ring, flown_ring, home_ring
+from scp_recon.passes.ring import ephemeris_ring, flown_ring, home_ring
 from scp_recon.passes.space import Pass, Space, Span, nearest_legal, unchecked
 from scp_recon.physics.two_body import two_body
 from scp_recon.scenario.boundary import Design

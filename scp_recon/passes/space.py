@@ -13,11 +13,11 @@ import numpy as np
 from scipy.optimize import linprog
 
 from formulations.arrays import Array
+from scp_recon.mission.firing import Ring
 from scp_recon.mission.grid import make_grid
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.schedule import ROOM_S, Schedule, burns_before, timing_rules
 from scp_recon.mission.windows import Window
-from scp_recon.passes.ring import Ring
 from scp_recon.scenario.schema import Scenario, ScheduleRules
 
 Span = tuple[float, float]

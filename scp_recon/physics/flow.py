@@ -59,8 +59,9 @@ class FlowDerivatives:
         return replace(self, state=self.state + (self.stm @ deviation[:, :, None])[:, :, 0])
 
     def rate(self, state: Array, arcs: Indices) -> tuple[Array, Array]:
-        """Rate of states (n, 6) at the starts of some arcs, and its derivative, shape (n, 6, 6)."""
-        r, moment = state[:, :3], _moment(self._forces, self._steps[0].time[0, arcs], arcs.shape)
+        """See `MovableDerivatives.rate`."""
+        times = np.append(self._steps[0].time[0], self._steps[-1].time[-1, -1])
+        r, moment = state[:, :3], _moment(self._forces, times[arcs], arcs.shape)
         acceleration = np.asarray(accelerations(r.T, self._forces, moment)).T
         turn = np.zeros((len(arcs), 6, 6))
         turn[:, :3, 3:] = np.eye(3)

@@ -15,13 +15,13 @@ from formulations.linearisation.dynamics import Dynamics
 from formulations.linearisation.linearisation import (
     Linearisation,
     condense,
-    final_state_of,
+    miss_of,
     step_mean,
 )
 from formulations.problem.execution_errors import ComponentwiseErrors, GatesErrors
 from formulations.problem.expression_flow import ExpressionFlow
 from formulations.problem.facets import Polytopes, choose_facets
-from formulations.problem.firing_times import UNIT, FiringTimes
+from formulations.problem.firing_times import UNIT, Boundary, FiringTimes
 from formulations.problem.flyby import FlybyProblem, Iterate, StateConstraint
 from formulations.problem.regions import Ball
 from formulations.rows.exact import NodeRows
@@ -62,14 +62,14 @@ class Case(NamedTuple):
 
     def at(self, times: Array) -> Linearisation:
         """The same burns at other times."""
-        problem, burns = self.problem, self.lin.iterate.burns
+        problem, burns = self.problem.at(times), self.lin.iterate.burns
         moved = self.dynamics.at(problem, times)
         mean = moved.rollout(problem.initial_state, burns)
         return self.dynamics.linearise(problem, Iterate(burns, mean, times=times))
 
     def differences(self, of: Any, direction: Array) -> Any:
         """Central differences of functions of the iterate along a direction of the times' controls."""
-        times = self.problem.firing_times(self.lin.iterate.times)
+        times = self.lin.iterate.times
         ahead, behind = (of(self.at(times + s * STEP * UNIT * direction)) for s in (1, -1))
         return [(a - b) / (2 * STEP) for a, b in zip(ahead, behind, strict=True)]
 
@@ -77,15 +77,28 @@ class Case(NamedTuple):
 @st.composite
 def cases(draw: st.DrawFn) -> Case:
     rng, drag = draw(generators), draw(st.sampled_from(list(FLOWS)))
-    return case(rng, FLOWS[drag], draw(st.sampled_from(MODELS)))
+    errors, home = draw(st.sampled_from(MODELS)), draw(st.booleans())
+    return case(rng, FLOWS[drag], errors, home=home)
 
 
-def case(rng: np.random.Generator, flow: ExpressionFlow, errors: Any) -> Case:
-    """A problem with four burns, of which two move about nodes that stay."""
+def case(rng: np.random.Generator, flow: ExpressionFlow, errors: Any, *, home: bool) -> Case:
+    """A problem with four burns, two or all of which move about nodes that stay; both phases too."""
     start = np.r_[random_unit(rng), 0.3 * rng.normal(size=3)]
     burns = 0.3 * rng.normal(size=(4, 3))
-    free = np.array([1, 2])
-    firing = FiringTimes.on_grid(free, NODES, BURNS, WINDOW, (np.eye(2), np.zeros(2), ("a", "b")))
+    free, boundary = np.arange(4) if home else np.array([1, 2]), None
+    if home:
+        bend, root = 0.3 * rng.normal(size=(3, 6)), 0.02 * rng.normal(size=(6, 6))
+
+        def last(phase: float) -> Array:
+            return start + bend[0] * np.sin(phase) + bend[1] * (np.cos(phase) - 1.0)
+
+        def first(phase: float) -> tuple[Array, Array]:
+            return last(phase), root + 0.1 * np.outer(last(phase), bend[2])
+
+        boundary = Boundary(first, last, (0.3, -0.4), (0, 1))
+    q = len(free) + 2 * home
+    rules = np.eye(q), np.zeros(q), tuple("abcdef"[:q])
+    firing = FiringTimes.on_grid(free, NODES, BURNS, WINDOW, rules, boundary)
     problem = FlybyProblem(
         n_nodes=len(NODES),
         burn_nodes=BURNS,
@@ -101,7 +114,7 @@ def case(rng: np.random.Generator, flow: ExpressionFlow, errors: Any) -> Case:
     )
     dynamics = Dynamics(flow, BURNS)
     mean = dynamics.rollout(start, burns)
-    times = NODES[BURNS[free]] + 0.01 * rng.normal(size=2)
+    times = firing.start + 0.01 * rng.normal(size=q)
     found = Case(problem, dynamics, dynamics.linearise(problem, Iterate(burns, mean)))
     return found._replace(lin=found.at(times))
 
@@ -118,14 +131,16 @@ few = settings(max_examples=share_of_examples(20, 3))
 @given(cases(), generators)
 def test_mean_and_factor_have_derivatives_by_times(one, rng):
     """At all nodes: those that stay, those that move along, and those of the burns."""
-    direction, timed = rng.normal(size=2), one.problem.time_controls
+    timed = one.problem.time_controls
+    direction = rng.normal(size=len(timed))
     s = condense(one.lin)
-    mean, factor = one.differences(lambda lin: (lin.iterate.mean, lin.factor), direction)
+    of = one.differences(lambda lin: (lin.iterate.mean, lin.factor, lin.defects[-1]), direction)
+    mean, factor, miss = of
     close(s.mean_jacobian[..., timed] @ direction, mean)
     close(s.factor_jacobian[..., timed] @ direction, factor)
-    constant, jacobian = final_state_of(one.lin)
-    close(jacobian[:, timed] @ direction, mean[-1])
-    close(constant + jacobian @ one.lin.controls, one.lin.iterate.mean[-1])
+    constant, jacobian = miss_of(one.lin)
+    close(jacobian[:, timed] @ direction, miss)
+    close(constant + jacobian @ one.lin.controls, one.lin.defects[-1])
 
 
 @few
@@ -143,12 +158,13 @@ def test_the_adjoint_is_the_transposed_derivative(one, rng):
 @given(cases(), generators)
 def test_the_model_errs_by_the_square_of_times(one, rng):
     """Of the mean that a step predicts, burns and times together."""
-    d_burns, d_times = 0.1 * rng.normal(size=(4, 3)), 0.01 * rng.normal(size=2)
     burns, times = one.lin.iterate.burns, one.lin.iterate.times
+    d_burns, d_times = 0.1 * rng.normal(size=(4, 3)), 0.01 * rng.normal(size=len(times))
     errors = []
     for share in (1e-2, 1e-3):
         moved = burns + share * d_burns, times + share * d_times
-        flown = one.dynamics.at(one.problem, moved[1]).rollout(one.problem.initial_state, moved[0])
+        start = one.problem.at(moved[1]).initial_state
+        flown = one.dynamics.at(one.problem, moved[1]).rollout(start, moved[0])
         errors.append(np.linalg.norm(step_mean(one.lin, *moved) - flown))
     assert np.log10(errors[0] / errors[1]) == pytest.approx(2.0, abs=0.2)
 
@@ -160,9 +176,8 @@ def test_closing_defects_keeps_times_and_obeys_flow(one):
     flown = one.dynamics.close_defects(one.lin, one.lin.iterate.burns, times=step)
     assert np.array_equal(flown.iterate.times, step)
     assert flown.is_dynamically_feasible
-    again = one.dynamics.at(one.problem, step).rollout(
-        one.problem.initial_state, flown.iterate.burns
-    )
+    start = one.problem.at(step).initial_state
+    again = one.dynamics.at(one.problem, step).rollout(start, flown.iterate.burns)
     close(flown.iterate.mean, again, 1e-9)
 
 
@@ -191,7 +206,7 @@ def test_rows_of_every_risk_have_derivatives(kind, one, rng):
         rows = NodeRows(problem, 0.8)
     else:
         rows = FlightRows(problem, 0.8, 256, 1e-5)
-    direction = rng.normal(size=2)
+    direction = rng.normal(size=len(problem.time_controls))
     s = condense(one.lin, rows.nodes, factor=rows.condensed)
     slope = np.zeros(rows.count)
     for cones in rows.cones(one.lin, s):
