@@ -10,8 +10,8 @@ import pytest
 from formulations.arrays import Array
 from scp_recon.bodies.catalogue import J2000_TDB
 from scp_recon.errors import InputError
-from scp_recon.mission.mission import Mission
 from scp_recon.mission.firing import TURN
+from scp_recon.mission.mission import Mission
 from scp_recon.passes.setting import settled, spaces_of
 from scp_recon.passes.space import Pass
 from scp_recon.scenario.load import load_scenario, scenario_text
