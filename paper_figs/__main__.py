@@ -144,7 +144,7 @@ ALONE = {
     "flyby": Item(flight.flyby, read=read_whole_flight, dpi=140),
     "modes": Item(flight.modes, read=_default_mission, dpi=120),
     "solver_comparison": _study(
-        plans.solver_comparison, "comparison", "compare_solvers", comparison="group"
+        plans.solver_comparison, "comparison", "compare_solvers", methods="method", random="solved"
     ),
 }
 """Figures that are drawn only if they are named."""

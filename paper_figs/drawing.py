@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib import style
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.quiver import Quiver
 from matplotlib.text import Text
 from matplotlib.transforms import Bbox
 from numpy.typing import ArrayLike
@@ -18,29 +17,22 @@ from scipy.special import ndtri
 
 from formulations.arrays import Array
 from scp_recon.files import check_ending, unwritable, write_atomically
-from scp_recon.results import pictures
-from scp_recon.results.pictures import WIDTH_IN
+from scp_recon.results.pictures import endings, legend, picture
 
 Look = dict[str, Any]
 """Keywords of a style."""
-
-STYLE = Path(__file__).with_name("style.mplstyle")
-
-LEGEND_PT = 8.0
-"""Size of the words in legends."""
 
 ABOVE: Look = {
     "loc": "lower left",
     "bbox_to_anchor": (0.0, 1.0),
     "borderaxespad": 0.1,
-    "fontsize": LEGEND_PT,
 }
 """Where a legend hides nothing."""
 
 BANDS = ((2.28, 97.72, "0.85", "2 sigma"), (15.87, 84.13, "0.65", "1 sigma"))
 """Percentiles between which a normal variable lies with 95.4 % and 68.3 % probability."""
 
-BURN = "C3"
+BURN = "C1"
 
 AWAY_PT = (9.0, 16.0, 26.0, 38.0, 52.0, 70.0)
 """Distances from a point at which words are tried, the nearest first."""
@@ -50,18 +42,6 @@ ON_WORDS, OFF_PAGE, ON_POINT = 1000.0, 300.0, 8.0
 """Costs of overlapping other words, of leaving the axes and of covering a point; a distance costs its
 length."""
 ROOM_PX = 2.0
-
-
-@contextmanager
-def page(height_in: float, width_in: float = WIDTH_IN) -> Iterator[Figure]:
-    """Yield an empty figure in the common style; draw within the context."""
-    with style.context(STYLE):
-        yield Figure(figsize=(width_in, height_in), layout="constrained")
-
-
-def legend(figure: Figure, ncols: int, where: str = "outside upper center") -> None:
-    """Add one legend for all panels, each label once, beside the panels."""
-    pictures.legend(figure, ncols, where, fontsize=LEGEND_PT)
 
 
 def history(
@@ -88,12 +68,11 @@ def history(
     axes.set_axisbelow(True)
 
 
-def draw_burns(axes: Axes, starts: Array, arrows: Array, shortest: float) -> None:
-    """Draw an arrow for each burn that is not too short for one; shape (m, 2) in data coordinates."""
-    look = {"arrowstyle": "-|>", "color": BURN, "lw": 1.8, "shrinkA": 0, "shrinkB": 0}
-    for start, arrow in zip(starts, arrows, strict=True):
-        if np.hypot(*arrow) >= shortest:
-            axes.annotate("", start + arrow, start, zorder=7, arrowprops=look)
+def draw_burns(axes: Axes, starts: Array, arrows: Array) -> Quiver:
+    """Draw an arrow for each burn, its head no longer than itself; shape (m, 2) in data coordinates."""
+    axes.plot(*starts.T, "o", color=BURN, ms=3, zorder=7)
+    look: Look = {"angles": "xy", "scale_units": "xy", "scale": 1.0, "width": 0.005, "zorder": 7}
+    return axes.quiver(*starts.T, *arrows.T, color=BURN, minlength=0.0, **look)
 
 
 def probability_axis(axes: Axes, ticks: Sequence[float], label: str, **look: Any) -> None:
@@ -189,9 +168,8 @@ def save(
     Raises:
         InputError: if the ending is no picture format, or the file cannot be written.
     """
-    check_ending(path, "file", *pictures.endings())
-    with style.context(STYLE):
-        content = pictures.picture(figure, path.suffix, plan_hash=plan_hash, dpi=dpi)
+    check_ending(path, "file", *endings())
+    content = picture(figure, path.suffix, plan_hash=plan_hash, dpi=dpi)
     try:
         return write_atomically(path, content)
     except OSError as error:

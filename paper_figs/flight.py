@@ -15,16 +15,7 @@ from matplotlib.ticker import MaxNLocator, MultipleLocator
 from scipy.spatial import ConvexHull
 
 from formulations.arrays import Array
-from paper_figs.drawing import (
-    BURN,
-    LEGEND_PT,
-    Look,
-    draw_burns,
-    history,
-    legend,
-    page,
-    place_labels,
-)
+from paper_figs.drawing import BURN, Look, draw_burns, history, place_labels
 from paper_figs.inputs import FlownPlan, Runs
 from paper_figs.observation import SEED, observed, planned_positions
 from scp_recon.mission.constraints import companion_distance_m
@@ -33,12 +24,12 @@ from scp_recon.mission.schedule import Mode
 from scp_recon.monte_carlo.sampling import sample_positions
 from scp_recon.physics import geometry
 from scp_recon.physics.frames import sun_north_to_j2000
-from scp_recon.results.pictures import plain
+from scp_recon.results.pictures import legend, page, plain
 from scp_recon.results.solution import Solution
 
 PATHS_SHOWN = 150
-ARROW, SHORT = 0.2, 1e-3
-"""In the flyby: arrow of the largest burn over the extent of the path; km below which none is drawn."""
+ARROW = 0.2
+"""In the flyby: arrow of the largest burn over the extent of the path."""
 
 PATHS, TIMES = 60, 600
 SIGMAS = ((2.0, "0.87", "2 sigma"), (1.0, "0.7", "1 sigma"))
@@ -53,20 +44,21 @@ PLANES = ((1, 2), (0, 2), (1, 0))
 def flyby(solution: Solution) -> Figure:
     """The path seen from the Sun with sampled flights; the observation geometry in the window."""
     mission = solution.mission
-    with page(4.4, 10.0) as figure:
-        grid = figure.add_gridspec(3, 2, width_ratios=(1.15, 1.0))
+    with page(4.2, 8.6) as figure:
+        grid = figure.add_gridspec(3, 2, width_ratios=(1.35, 1.0), height_ratios=(3, 3, 2))
         path = figure.add_subplot(grid[:, 0])
         _path(path, mission, solution)
         _histories([figure.add_subplot(grid[row, 1]) for row in range(3)], mission, solution)
         figure.suptitle(
             f"{plain(mission.scenario.site.name)} on {plain(mission.scenario.body.name)}: "
-            f"{solution.problem}, "
-            f"{solution.total_dv_m_s:.4f} m/s in {len(solution.executed)} burns",
+            f"{1e3 * solution.total_dv_m_s:.1f} mm/s in {len(solution.executed)} burns",
             fontweight="bold",
         )
-        starts, arrows = _burns_from_sun(mission, solution)
-        sizes = {number: 1e3 * np.linalg.norm(burn.dv_m_s) for number, burn in solution.executed}
-        words = [f"{number}: {size:.0f} mm/s" for number, size in sizes.items()]
+        starts, arrows, _ = _burns_from_sun(mission, solution)
+        sizes = [1e3 * float(np.linalg.norm(burn.dv_m_s)) for _, burn in solution.executed]
+        words = [
+            f"{n}: {size:.0f} mm/s" for (n, _), size in zip(solution.executed, sizes, strict=True)
+        ]
         along = (starts + np.linspace(0.0, 1.0, 9)[:, None, None] * arrows).reshape(-1, 2)
         mean = seen_from_sun(mission, np.array(solution.nodes.state)[:, :3])
         place_labels(path, starts, words, np.vstack([mean, along]), color=BURN)
@@ -86,33 +78,38 @@ def _burns(solution: Solution, project: Callable[[Array], Array]) -> tuple[Array
     return project(places), project(solution.burns_m_s[fired])
 
 
-def _burns_from_sun(mission: Mission, solution: Solution) -> tuple[Array, Array]:
-    """Positions of the burns that are not zero and their arrows, km, shape (m, 2) each."""
+def _burns_from_sun(mission: Mission, solution: Solution) -> tuple[Array, Array, float]:
+    """Positions of the burns that are not zero, their arrows, km, (m, 2) each, and km per m/s."""
     starts, burns = _burns(solution, partial(seen_from_sun, mission))
     extent = float(np.ptp(np.array(solution.nodes.state)[:, :3], axis=0).max()) / 1000.0
-    return starts, ARROW * extent * burns / max(np.linalg.norm(burns, axis=1).max(), 1e-12)
+    scale = ARROW * extent / max(np.linalg.norm(solution.burns_m_s, axis=1).max(), 1e-12)
+    return starts, 1000.0 * scale * burns, scale
 
 
 def _path(axes: Axes, mission: Mission, solution: Solution) -> None:
     seen, times = partial(seen_from_sun, mission), mission.times_s
     burns, policy = solution.burns_m_s, solution.corrections
     samples = seen(sample_positions(mission, burns, times, PATHS_SHOWN, SEED, policy))
-    axes.plot(samples[..., 0], samples[..., 1], color="0.75", lw=0.4, alpha=0.5, zorder=1)
+    axes.plot(samples[..., 0], samples[..., 1], color="0.7", lw=0.4, alpha=0.6, zorder=1)
     axes.plot([], [], color="0.6", lw=1, label=f"{PATHS_SHOWN} sampled flights")
     mean = seen(np.array(solution.nodes.state)[:, :3])
     axes.plot(*mean.T, color="k", lw=1.2, label="plan", zorder=3)
     window = mission.window_nodes
     axes.plot(*mean[window].T, color="C0", lw=4, solid_capstyle="butt", label="window", zorder=3)
     track = geometry.track(mission.site, mission.rotation, times[window])
-    axes.plot(*seen(track.position).T, color="C1", lw=3, label="site in the window", zorder=3)
+    axes.plot(*seen(track.position).T, color="C4", lw=3, label="site in the window", zorder=3)
     axes.add_patch(_body(mission))
     companion, amid = mission.scene.companion, float(np.mean(mission.schedule.window_s))
     if companion is not None:
         way, at = seen(companion.position(times)), seen(companion.position(amid))
-        axes.plot(*way.T, color="C2", lw=1, ls=":", label="companion, kept clear")
-        radius = companion_distance_m(mission.scenario) / 1e3
-        axes.add_patch(Circle(tuple(at), radius, facecolor="none", edgecolor="C2", zorder=2))
-    draw_burns(axes, *_burns_from_sun(mission, solution), SHORT)
+        axes.plot(*way.T, color="C2", lw=1, ls=":", label="companion's path")
+        radius, label = companion_distance_m(mission.scenario) / 1e3, "kept clear, mid-window"
+        look: Look = {"facecolor": "none", "edgecolor": "C2", "zorder": 2}
+        axes.add_patch(Circle(tuple(at), radius, label=label, **look))
+    starts, arrows, scale = _burns_from_sun(mission, solution)
+    size = float(f"{500.0 * np.linalg.norm(burns, axis=1).max():.1g}")
+    arrow = draw_burns(axes, starts, arrows)
+    axes.quiverkey(arrow, 0.1, 0.06, 1e-3 * scale * size, f"{size:g} mm/s", labelpos="E")
     axes.set(xlabel="Sun-North Y (km), seen from the Sun", ylabel="Sun-North Z (km)")
     axes.set_aspect("equal")
     axes.margins(0.12)
@@ -137,7 +134,7 @@ def _histories(panels: Sequence[Axes], mission: Mission, solution: Solution) -> 
         history(axes, times, quantity.sampled, quantity.plan, quantity.limits, window)
         axes.set_ylabel(quantity.label)
         axes.tick_params(labelbottom=axes is panels[-1])
-    panels[-1].set_xlabel("time (s)")
+    panels[-1].set_xlabel("time past the epoch (s)")
     handles, labels = panels[0].get_legend_handles_labels()
     named = dict(zip(labels, handles, strict=True))
     look: Look = {"ncols": 4, "loc": "lower center", "bbox_to_anchor": (0.5, 1.0)}
@@ -182,7 +179,7 @@ def trajectories(runs: Runs) -> Figure:
             starts, sizes = _burns(runs.plan.solution, lambda vectors: vectors[:, pair])  # noqa: B023
             starts, arrows = starts / 1000.0, scale * sizes
             ends.append((starts, starts + arrows))
-            draw_burns(axes, starts, arrows, 0.01 * arrow)
+            draw_burns(axes, starts, arrows)
             label = f"burns {', '.join(words)}, arrows to scale"
             axes.plot(*starts.T, "o", color=BURN, ms=4.5, zorder=7, label=label)
             look = {"mfc": "w", "mec": "k", "ms": 5, "zorder": 6}
@@ -200,7 +197,7 @@ def trajectories(runs: Runs) -> Figure:
         corner = panels[1, 1]
         corner.axis("off")
         handles, labels = panels[0, 0].get_legend_handles_labels()
-        corner.legend(handles, labels, loc="center", borderaxespad=0.0, fontsize=LEGEND_PT)
+        corner.legend(handles, labels, loc="center", borderaxespad=0.0)
     return figure
 
 
@@ -267,7 +264,9 @@ def control_history(runs: Runs) -> Figure:
             bottom.axhspan(low, low + cone, lw=0, **hatched)
             text = f"keep-out: within {cone:g} deg of {way}"
             bottom.text(0.5 * times[-1], low + 0.5 * cone, text, bbox=box, **look)
-        bottom.set(ylabel="angle to the Sun (deg)", xlabel="time (s)", ylim=(0.0, 180.0))
+        bottom.set(
+            ylabel="angle to the Sun (deg)", xlabel="time past the epoch (s)", ylim=(0.0, 180.0)
+        )
         bottom.set_yticks(np.arange(0, 181, 30))
         top.text(float(np.mean(window)), 0.5 * limit, "observation\nwindow", size=8, **look)
         for axes, values in ((top, sizes), (bottom, angles)):
@@ -282,10 +281,11 @@ def control_history(runs: Runs) -> Figure:
 
 RULES = {
     "slew": ("0.55", "attitude_s"),
-    "heating": ("C1", "heating_s"),
+    "heating": ("C4", "heating_s"),
     "recharge": ("C2", "recharge_s"),
 }
 """Colour of what a mode begins with, and the rule that says how long it takes."""
+REST, LIT = "#cfe3ef", "#fbf6c0"
 IN_MODE = {
     Mode.DELTA_V: ("slew", "heating"),
     Mode.OBSERVATION: ("slew",),
@@ -300,7 +300,7 @@ def modes(mission: Mission) -> Figure:
         axes = figure.subplots()
         for leg in schedule.legs:
             row, begin = rows.index(leg.mode) + 1, leg.start_s
-            axes.barh(row, leg.end_s - begin, 0.6, begin, fc="C0", alpha=0.25, lw=0)
+            axes.barh(row, leg.end_s - begin, 0.6, begin, fc=REST, lw=0)
             for name in IN_MODE[leg.mode]:
                 colour, rule = RULES[name]
                 length = getattr(scenario.schedule, rule)
@@ -309,13 +309,15 @@ def modes(mission: Mission) -> Figure:
         burns = zip(scenario.burns.times_s, schedule.firing_intervals_s, strict=True)
         for time, (early, late) in burns:
             late = min(late, scenario.duration_s + 600.0)
-            axes.plot([early, late], [0.0, 0.0], color=BURN, lw=5.0, alpha=0.35)
+            axes.plot(
+                [early, late], [0.0, 0.0], color=BURN, lw=5.0, alpha=0.35, solid_capstyle="butt"
+            )
             axes.plot(time, 0.0, "v", color=BURN, ms=7)
-        axes.axvspan(*schedule.window_s, fc="gold", alpha=0.3, lw=0)
+        axes.axvspan(*schedule.window_s, fc=LIT, lw=0, zorder=0)
         for name, (colour, _) in RULES.items():
             axes.barh(0, 0, fc=colour, label=name)
-        axes.barh(0, 0, fc="C0", alpha=0.25, label="rest of the mode")
-        axes.barh(0, 0, fc="gold", alpha=0.3, label="window")
+        axes.barh(0, 0, fc=REST, label="rest of the mode")
+        axes.barh(0, 0, fc=LIT, label="observation window")
         axes.plot([], [], "v", color=BURN, label="burn, and its legal times")
         axes.set_yticks(range(len(rows) + 1), ["burns", *rows])
         axes.invert_yaxis()

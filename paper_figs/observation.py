@@ -11,7 +11,7 @@ from matplotlib.patches import Arc, Circle, Wedge
 from scipy.stats import norm
 
 from formulations.arrays import Array
-from paper_figs.drawing import Look, history, legend, page, quantile_panels
+from paper_figs.drawing import Look, history, quantile_panels
 from paper_figs.inputs import FlownPlan, Runs
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.observation_time import measured
@@ -19,6 +19,7 @@ from scp_recon.monte_carlo.sampling import sample_positions
 from scp_recon.monte_carlo.summary import COMPONENTS
 from scp_recon.physics import geometry
 from scp_recon.physics.frames import unit
+from scp_recon.results.pictures import legend, page
 from scp_recon.results.solution import Solution
 from scp_recon.scenario.uncertainty import Uncertainty
 
@@ -96,7 +97,7 @@ def observation_histories(runs: Runs) -> Figure:
                 axes.axvline(edge, color="0.4", lw=0.8)
             axes.set_ylabel(own.label)
         panels[0].set_title(f"observation window, {last - first:.0f} s")
-        panels[-1].set_xlabel("time (s)")
+        panels[-1].set_xlabel("time past the epoch (s)")
         legend(figure, 5)
     return figure
 

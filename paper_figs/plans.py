@@ -2,109 +2,135 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator
 from pandas import DataFrame as Table
 from scipy.special import ndtri
 
 from formulations.arrays import Array
-from paper_figs.drawing import LEGEND_PT, Look, legend, page, probability_axis
+from paper_figs.drawing import Look, probability_axis
+from scp_recon.results.pictures import legend, page
 
-FRONTIER = {
-    "uniform, paper polytopes": ("s-", "tab:red"),
-    "uniform, facets settled": ("v-", "tab:brown"),
-    "uniform, tangent spheres": ("^-", "tab:orange"),
-    "exact, each node": ("o-", "tab:blue"),
-    "exact, whole flights": ("D-", "tab:green"),
-    "certified, each node": ("o:", "tab:blue"),
-    "certified, whole flights": ("D:", "tab:green"),
+FRONTIER: dict[str, Look] = {
+    "uniform, paper polytopes": {"marker": "s", "color": "C1"},
+    "uniform, facets settled": {"marker": "v", "color": "C4"},
+    "uniform, tangent spheres": {"marker": "^", "color": "C3"},
+    "exact, each node": {"marker": "o", "color": "C0", "ms": 7, "mfc": "none"},
+    "exact, whole flights": {"marker": "D", "color": "C2", "ms": 3},
+    "certified, each node": {"marker": "o", "color": "C0", "ms": 7, "mfc": "none", "ls": ":"},
+    "certified, whole flights": {"marker": "D", "color": "C2", "ms": 3, "ls": ":"},
 }
+LEFT_OF = 0.98
+"""Probability above which words do not fit on the right of a curve's end."""
 OPEN = "open loop"
-FEEDBACK = {
-    OPEN: ("s-", "tab:red"),
-    "feedback": ("o-", "tab:blue"),
-    "feedback, lead 1 h": ("o:", "tab:cyan"),
-    "targeting gain": ("^--", "tab:orange"),
-    "targeting gain, lead 1 h": ("v:", "tab:brown"),
-    "feedback, limited at the end": ("D-", "tab:green"),
+FEEDBACK: dict[str, Look] = {
+    OPEN: {"marker": "s", "color": "C1", "ms": 8, "mfc": "none"},
+    "feedback": {"marker": "o", "color": "C0", "ms": 5, "mfc": "none"},
+    "feedback, lead 1 h": {"marker": ".", "color": "C5", "ls": ":"},
+    "targeting gain": {"marker": "^", "color": "C4", "ls": "--"},
+    "targeting gain, lead 1 h": {"marker": "v", "color": "k", "ls": ":", "mfc": "none"},
+    "feedback, limited at the end": {"marker": "D", "color": "C2", "ls": ""},
 }
+"""Curves coincide where the open loop is as good: the larger markers are open."""
 ROOM_MM_S = 1.0
 """Margin about all costs but the open loop's, beside which the others would look the same."""
 POLICIES = {
-    "open": ("s-", "tab:red", "as planned"),
-    "feedback": ("o-", "tab:blue", "corrected by gains"),
-    "replan": ("D-", "tab:green", "planned again"),
+    "open": ("s-", "C1", "as planned"),
+    "feedback": ("o-", "C0", "corrected by gains"),
+    "replan": ("D-", "C2", "planned again"),
 }
 QUANTITIES = {
-    "whole_flight": (100.0, "whole flights that hold (%)"),
+    "whole_flight": (100.0, "flights within limits (%)"),
     "dv99_m_s": (1e3, "delta-v, 99 % (mm/s)"),
     "final_sigma_m": (1.0, "final dispersion (m)"),
 }
 """Factor and name of each column of the policies."""
-POSITION_M = 10.0
-"""Error of the usual measurement, of which `scale` gives multiples, m."""
+POSITION_M, UNMEASURED_M = 10.0, 1e4
+"""Error of the usual measurement, of which `scale` gives multiples, and that which is as good as none,
+m."""
 LEAST = 1e-9
 """Smallest error shown, less than the difference between two solvers."""
-COLOURS = {"scvx": "C0", "ptr": "C1", "scvx-star": "C2", "hard": "C3", "elastic": "C4"}
-MARKERS = {"CLARABEL": "o", "ECOS": "s", "QOCO": "^", "SCS": "D", "IPOPT": "*", "UNO": "P"}
-OTHER = "X"
-PROFILED = {"scenarios": "P2 from one P3 solution", "random": "random scenarios, cold"}
-"""Groups of problems with performance profiles, and their titles."""
-COLOURS_MAX = 10
-"""Number of colours; methods beyond it have them again, dashed."""
-SAME = 1e-4
-"""Relative difference of total delta-v within which two ends are the same optimum."""
+METHODS = ("C0", "C1", "C2", "C3", "C4", "C5", "k")
+SOLVERS: dict[str, Look] = {
+    "CLARABEL": {"marker": "o", "color": "C0"},
+    "QOCO": {"marker": "^", "color": "C2"},
+    "ECOS": {"marker": "s", "color": "C4"},
+    "SCS": {"marker": "D", "color": "C3"},
+    "IPOPT": {"marker": "P", "color": "C1"},
+    "UNO": {"marker": "X", "color": "k"},
+}
+WITHIN: dict[str, tuple[str, Look]] = {
+    "solved": ("a plan", {"marker": "s", "color": "C0", "mfc": "none"}),
+    "within_0_1_of_the_least": ("within 10 % of the cheapest", {"marker": "^", "color": "C2"}),
+    "within_0_01_of_the_least": ("within 1 %", {"marker": "D", "color": "C4"}),
+    "within_0_0001_of_the_least": ("within 0.01 %", {"marker": "o", "color": "C1"}),
+}
+"""Columns of the random scenarios, with their names and looks."""
 
 
 def frontier(tables: list[Table]) -> Figure:
     """Delta-v, what certifying adds to it and the time observed, on the normal quantile scale."""
     (rows,) = tables
     few = (0.55, 0.8, 0.95, 0.99, 0.999)
-    with page(4.2) as figure:
+    with page(4.4) as figure:
         panels = figure.subplot_mosaic(
             [["dv", "more"], ["dv", "observed"]], width_ratios=(1.6, 1.0)
         )
-        for kind, (mark, colour) in FRONTIER.items():
-            own = rows[rows.kind == kind]
+        for kind, given in FRONTIER.items():
+            own, look = rows[rows.kind == kind], {"ms": 4, **given}
             required, more, dv = ndtri(own.asked), own.certifying_dv_m_s, own.total_dv_m_s
-            panels["dv"].plot(required, dv, mark, color=colour, ms=4, label=kind)
-            panels["observed"].plot(required, own.observed_mean_s, mark, color=colour, ms=3)
+            panels["dv"].plot(required, 1e3 * dv, label=kind, **look)
+            panels["observed"].plot(required, own.observed_mean_s, **look)
             if np.isfinite(more).any():
-                panels["more"].plot(required, 100.0 * more / (dv - more), mark, color=colour, ms=3)
-        probability_axis(
-            panels["dv"], (0.55, 0.7, 0.8, 0.9, 0.95, 0.99, 0.999), "required probability (-)"
-        )
+                panels["more"].plot(required, 100.0 * more / (dv - more), **look)
+            if dv.isna().iloc[-1]:
+                _ends(panels["dv"], own.assign(x=required, y=1e3 * dv), look["color"])
+        ticks = (0.55, 0.7, 0.8, 0.9, 0.95, 0.98, 0.99, 0.995, 0.999)
+        probability_axis(panels["dv"], ticks, "required probability (-)", rotation=60)
         probability_axis(panels["more"], few, "")
         probability_axis(panels["observed"], few, "required probability (-)")
-        panels["dv"].set_ylabel("delta-v (m/s)")
-        panels["more"].set_ylabel("certifying adds (%)")
+        panels["dv"].set(ylabel="delta-v (mm/s)", ylim=(100.0, None))
+        panels["more"].set(ylabel="certifying adds (%)", ylim=(-0.2, None))
         panels["observed"].set_ylabel("mean time observed (s)")
         legend(figure, 3)
     return figure
 
 
+def _ends(axes: Axes, rows: Table, colour: str) -> None:
+    """Say where a curve ends from which probability on there is no plan."""
+    end, beyond = rows[rows.y.notna()].iloc[-1], rows[rows.y.isna()].asked.iloc[0]
+    left = end.asked > LEFT_OF
+    look: Look = {"color": colour, "fontsize": 8, "va": "center", "ha": "right" if left else "left"}
+    away = (-6.0 if left else 6.0, 3.0)
+    axes.annotate(
+        f"no plan from {beyond}", (end.x, end.y), away, textcoords="offset points", **look
+    )
+
+
 def feedback(tables: list[Table]) -> Figure:
     """Delta-v's 99 % and the final dispersion by probability; the program's delta-v by error."""
     rows, errors = tables
-    with page(4.4) as figure:
+    with page(4.6) as figure:
         panels = figure.subplot_mosaic([["dv", "end"], ["dv", "errors"]], width_ratios=(1.4, 1.0))
-        for kind, (mark, colour) in FEEDBACK.items():
-            own = rows[rows.kind == kind]
+        for kind, given in FEEDBACK.items():
+            own, look = rows[rows.kind == kind], {"ms": 4, **given}
             p, cost = _cheapest(own, "asked", "dv99_m_s")
-            panels["dv"].plot(ndtri(p), 1e3 * cost, mark, color=colour, ms=4, label=kind)
+            panels["dv"].plot(ndtri(p), 1e3 * cost, label=kind, **look)
             p, sigma = _cheapest(own, "asked", "final_sigma_m")
-            panels["end"].plot(ndtri(p), sigma, mark, color=colour, ms=3)
+            panels["end"].plot(ndtri(p), sigma, **look)
         of_flights = errors[(errors.scope == "flight") & (errors.kind == "feedback")]
         groups = of_flights.groupby("asked", sort=False)
-        for (asked, own), look in zip(groups, ("o-", "o--"), strict=False):
+        for (asked, own), dash in zip(groups, ("o-", "o--"), strict=False):
             scale, cost = _cheapest(own, "scale", "program_m_s")
-            look, label = f"k{look}", f"program, for {asked}"
-            panels["errors"].semilogx(POSITION_M * scale, 1e3 * cost, look, ms=3, label=label)
+            error = np.minimum(POSITION_M * scale, UNMEASURED_M)
+            panels["errors"].semilogx(error, 1e3 * cost, f"k{dash}", ms=3)
+            panels["errors"].annotate(
+                f"required {asked}", (1.0, 1e3 * cost[0]), (0, -11), textcoords="offset points"
+            )
         words = "required probability of whole flights (-)"
         probability_axis(panels["dv"], (0.7, 0.9, 0.95, 0.99, 0.997, 0.999), words)
         probability_axis(panels["end"], (0.7, 0.9, 0.99, 0.999), words)
@@ -112,10 +138,27 @@ def feedback(tables: list[Table]) -> Figure:
         costs = 1e3 * rows[rows.kind != OPEN].dv99_m_s.dropna()
         if len(costs):  # which a run that was stopped need not have
             panels["dv"].set_ylim(costs.min() - ROOM_MM_S, costs.max() + ROOM_MM_S)
-        panels["end"].set_ylabel("final dispersion (m)")
+            _dearer(panels["dv"], rows[rows.kind == OPEN])
+        panels["end"].margins(y=0.1)
+        panels["end"].set(ylabel="final dispersion (m)", ylim=(0.0, None))
         panels["errors"].set(xlabel="error of the measured position (m)", ylabel="delta-v (mm/s)")
+        panels["errors"].set_xticks([1.0, 10.0, 100.0, 1e3, UNMEASURED_M],
+                                    ["1", "10", "100", "1000", "not\nmeasured"])  # fmt: skip
+        panels["errors"].margins(y=0.2)
         legend(figure, 3)
     return figure
+
+
+def _dearer(axes: Axes, rows: Table) -> None:
+    """Give the values of a curve above the axes, where it leaves them."""
+    above = rows[1e3 * rows.dv99_m_s > axes.get_ylim()[1]]
+    if len(above):
+        words = "\n".join(f"{1e3 * row.dv99_m_s:.0f} for {row.asked}" for row in above.itertuples())
+        x = 0.5 * ndtri(above.asked.iloc[0]) + 0.5 * ndtri(rows.asked[above.index[0] - 1])
+        axes.annotate(
+            f"\u2191 {OPEN}:\n{words}", (x, 1.0), (-9, -2), va="top", ha="right", color="C1",
+            xycoords=("data", "axes fraction"), textcoords="offset points", fontsize=8,
+        )  # fmt: skip
 
 
 def _cheapest(rows: Table, x: str, y: str) -> tuple[Array, Array]:
@@ -137,17 +180,22 @@ def policies(tables: list[Table]) -> Figure:
             panels.T, QUANTITIES.items(), strict=True
         ):
             for policy, (mark, colour, label) in POLICIES.items():
-                look: Look = {"fmt": mark, "color": colour, "label": label}
                 own = usual[usual.policy == policy].sort_values("asked")
+                look: Look = {"fmt": mark, "color": colour}
+                look["label"] = f"{label} ({own.flights.max():,} flights)"
                 _bars(above, ndtri(own.asked), factor * own.filter(like=name), name, look)
                 own = over_error[over_error.policy == policy].sort_values("scale")
                 if policy == "open":
                     below.axhline(factor * own[name].iloc[0], color=colour, lw=1.0)
                 else:
                     _bars(below, POSITION_M * own.scale, factor * own.filter(like=name), name, look)
-            probability_axis(above, ticks, "required probability (-)", fontsize=6)
+            probability_axis(above, ticks, "required probability (-)")
             above.set_ylabel(words)
             below.set(xlabel=f"measured to (m), for {at}", ylabel=words, xscale="log")
+            below.xaxis.set_major_formatter("{x:g}")
+            if name == "final_sigma_m":
+                above.set_ylim(0.0, None)
+                below.set_ylim(0.0, None)
         legend(figure, 3)
     return figure
 
@@ -180,7 +228,7 @@ def map_sample(tables: list[Table]) -> Figure:
                 at, cost = _where(rows[which]), rows.dv99_m_s[which]
                 points = axes.scatter(*at, c=cost, marker=mark, label=label, **look)
             none = ~(alone | more)
-            axes.plot(*_where(rows[none]), "x", color="0.45", ms=4, label="no plan")
+            axes.plot(*_where(rows[none]), "x", color="0.45", ms=4, label="no plan", clip_on=False)
             count = f"{said}: {len(rows) - none.sum()} of {len(rows)} sites"
             axes.set_title(count, fontsize="medium")
             axes.set(xlim=(0, 360), ylim=(-90, 90), xlabel="east longitude (deg)")
@@ -201,94 +249,71 @@ def accuracy(tables: list[Table]) -> Figure:
     """Error over processor seconds, a panel a problem; a mark is an iteration, a full one the end."""
     (rows,) = tables
     problems, methods = list(rows.problem.unique()), list(rows.method.unique())
-    with page(3.2) as figure:
-        panels = figure.subplots(1, len(problems), sharey=True, squeeze=False)[0]
+    with page(3.6) as figure:
+        panels = figure.subplots(1, len(problems), sharex=True, sharey=True, squeeze=False)[0]
         for axes, problem in zip(panels, problems, strict=True):
-            for number, method in enumerate(methods):
+            for colour, method in zip(METHODS, methods, strict=True):
                 own = rows[(rows.problem == problem) & (rows.method == method)]
                 seconds, errors = own.processor_s, own.error.clip(lower=LEAST)
-                look: Look = {"color": f"C{number}", "marker": "P" if "IPOPT" in method else "o"}
+                look: Look = {"color": colour, "marker": "P" if "IPOPT" in method else "o"}
                 axes.plot(seconds, errors, ms=3, mfc="none", lw=1.0, label=method, **look)
-                axes.plot(seconds[-1:], errors[-1:], ms=5, **look)
+                axes.plot(seconds[-1:], errors[-1:], ms=6, **look)
             axes.set(xscale="log", yscale="log", title=problem)
+            axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
             axes.xaxis.set_major_formatter("{x:g}")
-        panels[0].set_ylabel("merit over the least, less one (-)")
-        figure.supxlabel("seconds of the processor from the solution of P3", fontsize="medium")
+        panels[0].plot([], [], "o", color="0.4", mfc="none", ms=3, label="an iteration")
+        panels[0].plot([], [], "o", color="0.4", ms=6, label="the end")
+        panels[0].set_ylabel("merit / least merit - 1 (-)")
+        figure.supxlabel("processor time from the solution of P3 (s)", fontsize="medium")
         legend(figure, 3)
     return figure
 
 
 def solver_comparison(tables: list[Table]) -> dict[str, Figure]:
-    """The figures of the groups of runs in the table, by name."""
-    (rows,) = tables
-    figures: dict[str, tuple[str, Callable[[Table], Figure]]] = {
-        "comparison_times": ("matrix", comparison_times),
-        "comparison_profiles": ("scenarios", comparison_profiles),
+    """The figures of the comparison of solvers, by name."""
+    methods, drawn = tables
+    return {
+        "comparison_times": comparison_times(methods),
+        "comparison_random": comparison_random(drawn),
     }
-    groups = {*rows.group}
-    return {name: draw(rows) for name, (group, draw) in figures.items() if group in groups}
-
-
-def _solved(rows: Table) -> Any:
-    """Whether P2 converged, by row."""
-    return (rows.status == "converged") & (rows.problem == "P2")
 
 
 def comparison_times(rows: Table) -> Figure:
     """Processor time from the straight line to the end of P2 of the default scenario."""
-    rows = rows.assign(solved=_solved(rows))
-    cold = (rows.group == "matrix") & (rows.start == "cold") & (rows.scenario == "recon_b")
-    chosen = rows[cold]
-    forms = list(chosen.formulation.unique())
-    with page(0.55 * len(forms) + 1.6) as figure:
+    own = rows[(rows.problem == "recon_b") & (rows.start == "cold")]
+    words = own.method.str.split("/", expand=True)
+    lines = list(dict.fromkeys(words[0] + ", " + words[1]))
+    with page(0.22 * len(lines) + 1.4) as figure:
         axes = figure.subplots()
-        for row in chosen.itertuples():
-            beside = 0.14 * (1 - list(COLOURS).index(row.algorithm) % 3)
-            y = len(forms) - 1 - forms.index(row.formulation) + beside
-            colour = COLOURS[row.algorithm]
-            look: Look = {"color": colour, "mfc": colour if row.solved else "none", "ms": 6}
-            axes.plot(row.cpu_s, y, MARKERS.get(row.solver, OTHER), **look)
-        axes.set(xscale="log", xlabel="seconds of the processor from the straight line, P3 and P2")
+        for row, (form, algorithm, solver) in zip(own.itertuples(), words.values, strict=True):
+            look: Look = {"ms": 6, **SOLVERS[solver]}
+            if not row.status.startswith("converged"):
+                look["mfc"] = "none"
+            axes.plot(row.processor_s, lines.index(f"{form}, {algorithm}"), **look)
+        for name, look in SOLVERS.items():
+            axes.plot([], [], ls="", label=name, **look)
+        axes.plot([], [], "o", color="0.4", mfc="none", label="no plan")
+        axes.set(xscale="log", xlabel="processor time from the straight line, P3 and P2 (s)")
         axes.xaxis.set_major_formatter("{x:g}")
-        axes.set_yticks(range(len(forms)), forms[::-1])
-        for name in chosen.algorithm.unique():
-            axes.plot([], [], "o", color=COLOURS[name], label=name)
-        for name in chosen.solver.unique():
-            axes.plot([], [], MARKERS.get(name, OTHER), color="0.3", label=name)
-        axes.plot([], [], "o", color="0.3", mfc="none", label="not solved")
-        axes.legend(fontsize=LEGEND_PT, loc="upper left", bbox_to_anchor=(1.0, 1.0))
+        axes.set_yticks(range(len(lines)), lines)
+        axes.invert_yaxis()
+        legend(figure, 4)
     return figure
 
 
-def comparison_profiles(rows: Table) -> Figure:
-    """Share of the problems that a method solves within a multiple of the least processor time."""
-    groups = [group for group in PROFILED if group in {*rows.group}]
-    methods = list(rows[rows.group.isin(groups)].method.unique())
-    with page(3.4) as figure:
-        panels = figure.subplots(1, len(groups), sharey=True, squeeze=False)[0]
-        for axes, group in zip(panels, groups, strict=True):
-            for method, (ratios, share) in profiles(rows[rows.group == group]).items():
-                number = methods.index(method)
-                look = "--" if number >= COLOURS_MAX else "-"
-                axes.step(ratios, share, look, where="post", color=f"C{number}", label=method)
-            axes.set(xscale="log", ylim=(0.0, 1.02), title=PROFILED[group])
-            axes.xaxis.set_major_formatter("{x:g}")
-        panels[0].set_ylabel("share solved")
-        figure.supxlabel("processor time over the least of all methods", fontsize="medium")
+def comparison_random(rows: Table) -> Figure:
+    """How many random scenarios each method solves, how near the cheapest plan, and how fast."""
+    places, most = range(len(rows)), rows.solved_by_any.max()
+    with page(0.24 * len(rows) + 1.3) as figure:
+        left, right = figure.subplots(1, 2, sharey=True, width_ratios=(1.5, 1.0))
+        for column, (label, look) in WITHIN.items():
+            left.plot(rows[column], places, ls="", ms=6, label=label, **look)
+        left.axvline(most, color="0.4", ls="--", lw=1.0, label="solved by any method")
+        right.plot(rows.median_processor_s_of_the_solved, places, "ko", ms=5)
+        left.set(xlabel=f"random scenarios, of {rows.scenarios.max()}", xlim=(0, None))
+        right.set(xscale="log", xlabel="median processor time (s)")
+        right.xaxis.set_major_formatter("{x:g}")
+        left.set_yticks(places, rows.method)
+        left.invert_yaxis()
         legend(figure, 3)
     return figure
-
-
-def profiles(rows: Table) -> dict[str, tuple[Array, Array]]:
-    """Ratios to the least time, and shares solved within them, of methods that got every problem."""
-    solved = rows[_solved(rows)]
-    best = solved.groupby("scenario").total_dv_m_s.transform("min")
-    ended = solved[solved.total_dv_m_s <= (1 + SAME) * best]
-    least = ended.groupby("scenario").cpu_s.min()
-    ratios = (ended.cpu_s / ended.scenario.map(least)).groupby(ended.method)
-    found = {}
-    for method, own in rows.groupby("method", sort=False):
-        if {*own.scenario} >= {*least.index}:
-            within = ratios.get_group(method) if method in ratios.groups else pd.Series(dtype=float)
-            found[method] = np.sort(within), np.arange(1, len(within) + 1) / len(least)
-    return found

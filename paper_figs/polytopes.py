@@ -8,19 +8,21 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import Circle, Ellipse, Polygon
-from scipy.spatial import ConvexHull, HalfspaceIntersection
+from matplotlib.patches import Polygon
+from scipy.spatial import HalfspaceIntersection
 
 from formulations.arrays import Array
 from formulations.problem.facets import Polytopes, inner_facets, outer_facets
 from formulations.problem.polytopes import paper_ball
 from formulations.problem.regions import Ball, Cone, Halfspaces
-from paper_figs.drawing import Look, legend, page
+from paper_figs.drawing import Look
 from paper_figs.inputs import FlownPlan, Runs
 from scp_recon.physics import geometry
+from scp_recon.results.pictures import legend, page
 
 MANY = 12
 """Facets of the pyramids drawn beside those of the scenario."""
+TURN = np.linspace(0.0, 2.0 * np.pi, 181)
 
 
 @dataclass(frozen=True)
@@ -69,18 +71,12 @@ def _at(flown: FlownPlan, name: str) -> tuple[Array, Array, Array, Array]:
     return site, track.normal[0], np.array(nodes.state[node][:3]) - site, covariance
 
 
-def corners(planes: Halfspaces) -> Array:
-    """Corners of a polytope around the origin, shape (n, its dimensions)."""
-    equations = np.column_stack([planes.normal, -planes.offset])
-    inside = np.zeros(planes.normal.shape[1])
-    found = HalfspaceIntersection(equations, inside).intersections
-    _, first = np.unique(found.round(3), axis=0, return_index=True)
-    return found[np.sort(first)]
-
-
 def polygon(planes: Halfspaces) -> Array:
-    """Section of a polytope, its corners in order about the origin, shape (n, 2)."""
-    found = corners(Halfspaces(planes.normal[:, :2], planes.offset))
+    """Section of a polytope around the origin, its corners in order about it, shape (n, 2)."""
+    equations = np.column_stack([planes.normal[:, :2], -planes.offset])
+    found = HalfspaceIntersection(equations, np.zeros(2)).intersections
+    _, first = np.unique(found.round(3), axis=0, return_index=True)
+    found = found[np.sort(first)]
     return found[np.argsort(np.arctan2(found[:, 1], found[:, 0]))]
 
 
@@ -128,7 +124,7 @@ def cone_polytopes(runs: Runs) -> Figure:
 
 
 def ball_polytopes(runs: Runs) -> Figure:
-    """Keep-in on the left and keep-out on the right, in the plane of the widest spread and in space.
+    """Keep-in on the left and keep-out on the right, in the plane of the widest spread.
 
     Polytopes are the paper's where the plan has tangent planes alone.
     """
@@ -143,8 +139,8 @@ def ball_polytopes(runs: Runs) -> Figure:
     low, high = limits.site_distance_min_m, limits.site_distance_max_m
     inner = cut.facets(Ball(site[None], high), polytopes, "in")
     outer = cut.facets(Ball(site[None], low), polytopes, "out")
-    with page(6.6) as figure:
-        left, right, *spaces = _panels(figure, 1.35)
+    with page(4.0) as figure:
+        left, right = figure.subplots(1, 2, subplot_kw={"aspect": "equal"})
         _keep_in(left, cut, inner, "sphere", high)
         _keep_out(right, cut, outer, "sphere", low)
         left.set_title(f"keep in: site distance at most {high:g} m")
@@ -153,8 +149,6 @@ def ball_polytopes(runs: Runs) -> Figure:
         for axes in (left, right):
             axes.plot(0.0, 0.0, "k^", ms=5, label="site")
             axes.set(xlabel="to the spacecraft (m)", ylabel="across (m)", xlim=reach, ylim=reach)
-        _ball_in_space(spaces[0], cut, inner, high, None, high)
-        _ball_in_space(spaces[1], cut, outer, low, cut.most_probable(outer), high)
         legend(figure, 3, "outside lower center")
     return figure
 
@@ -192,22 +186,21 @@ def _keep_out(axes: Axes, cut: Section, planes: Halfspaces, name: str, radius_m:
     look: Look = {"facecolor": "0.88", "edgecolor": "none"}
     axes.add_patch(Polygon(beyond, label="allowed by the facet chosen", **look))
     axes.plot(*line.T, "k-", lw=1.8, label="facet chosen: it has to hold")
-    label, look = f"outside, {len(planes.offset)} facets", {"edgecolor": "0.6", "lw": 1.4}
-    axes.add_patch(Polygon(polygon(planes), fill=False, label=label, **look))
+    ring = polygon(planes)
+    label = f"outside, {len(planes.offset)} facets: one has to hold"
+    axes.plot(*np.vstack([ring, ring[:1]]).T, color="C2", lw=1.4, label=label)
     _region(axes, cut, name, radius_m)
 
 
 def _region(axes: Axes, cut: Section, name: str, radius_m: float) -> None:
-    """The region's disc; the spacecraft with one and two standard deviations."""
-    axes.add_patch(Circle((0, 0), radius_m, fill=False, lw=1.0, edgecolor="0.45", label=name))
-    variance, direction = np.linalg.eigh(cut.covariance_m2[:2, :2])
-    angle = float(np.rad2deg(np.arctan2(direction[1, 1], direction[0, 1])))
+    """The region's edge; the spacecraft with one and two standard deviations."""
+    circle = np.stack([np.cos(TURN), np.sin(TURN)])
+    axes.plot(*radius_m * circle, color="C0", lw=1.2, ls="--", label=f"{name} of the limit")
+    factor = np.linalg.cholesky(cut.covariance_m2[:2, :2])
     for sigmas, dashes in ((1.0, "-"), (2.0, ":")):
-        height, width = 2.0 * sigmas * np.sqrt(variance)
-        look: Look = {"angle": angle, "fill": False, "ls": dashes, "lw": 1.2}
-        at = (cut.point_m[0], cut.point_m[1])
-        axes.add_patch(Ellipse(at, width, height, label=f"{sigmas:g} sigma", **look))
-    axes.plot(*cut.point_m[:2], "ko", ms=4, label="spacecraft")
+        ellipse = cut.point_m[:2, None] + sigmas * factor @ circle
+        axes.plot(*ellipse, color="C1", ls=dashes, lw=1.2, label=f"{sigmas:g} sigma")
+    axes.plot(*cut.point_m[:2], "o", color="C1", ms=4, label="spacecraft")
 
 
 def _cone_in_space(
@@ -225,31 +218,6 @@ def _cone_in_space(
     axes.text(0.0, 0.0, -0.06 * height_m, "site", ha="center", va="top")
     axes.set(xlim=(-reach_m, reach_m), ylim=(-reach_m, reach_m), zlim=(0.0, height_m))
     _view(axes, 1.33, 20.0, -55.0)
-
-
-def _ball_in_space(
-    axes: Any, cut: Section, planes: Halfspaces, radius_m: float, chosen: int | None, reach_m: float
-) -> None:
-    """Sphere and polytope, its corners marked, the chosen facet filled."""
-    polar, azimuth = np.meshgrid(np.linspace(0, np.pi, 25), np.linspace(0, 2 * np.pi, 49))
-    flat = np.sin(polar)
-    ball = radius_m * np.array([flat * np.cos(azimuth), flat * np.sin(azimuth), np.cos(polar)])
-    axes.plot_surface(*ball, color="0.75", alpha=0.25, linewidth=0, shade=False)
-    points = corners(planes)
-    triangles = ConvexHull(points).simplices
-    look: Look = {"color": (1, 1, 1, 0.12), "edgecolor": "0.25", "linewidth": 0.8, "shade": False}
-    axes.plot_trisurf(*points.T, triangles=triangles, **look)
-    if chosen is not None:
-        on = np.abs(points @ planes.normal[chosen] - planes.offset[chosen]) < 1e-6 * radius_m
-        mine = triangles[on[triangles].all(axis=1)]
-        axes.plot_trisurf(*points.T, triangles=mine, color="0.3", edgecolor="k", shade=False)
-    axes.plot(*points.T, "o", color="0.25", ms=2.5)
-    axes.plot(*([0.0, x] for x in cut.point_m), color="k", lw=1.0, ls=":")
-    axes.plot(*([x] for x in cut.point_m), "ko", ms=4)
-    axes.set(**dict.fromkeys(("xlim", "ylim", "zlim"), (-reach_m, reach_m)))
-    _view(axes, 1.45, 18.0, -38.0)
-    side = "inside" if chosen is None else "outside"
-    axes.set_title(f"{side}: {len(points)} corners, {len(planes.offset)} facets", y=1.0)
 
 
 def _view(axes: Any, zoom: float, elevation_deg: float, azimuth_deg: float) -> None:

@@ -13,15 +13,15 @@ from pandas import DataFrame as Table
 from scipy.stats import chi
 
 from formulations.arrays import Array
-from paper_figs.drawing import ABOVE, LEGEND_PT, Look, legend, page, quantile_panels
-from scp_recon.results.pictures import HOUR_S
+from paper_figs.drawing import ABOVE, Look, quantile_panels
+from scp_recon.results.pictures import HOUR_S, legend, page
 from scp_recon.simulation.flight import Actuators
 from scp_recon.simulation.record import Record
 
-COLOURS = ("k", "tab:blue", "tab:orange", "tab:green", "tab:red")
+COLOURS = ("k", "C0", "C4", "C2", "C1")
 DASHES = ("-", "-", "-", "-", "--")
 """The last two panels are equal: the one is seen through the other."""
-TORQUES = {"thruster": ("micro-thrusters", "tab:red"), "wheel": ("wheels", "k")}
+TORQUES = {"thruster": ("micro-thrusters", "C1"), "wheel": ("wheels", "k")}
 LEAST_MN_M = 1e-3
 """Smallest torque shown, mN m; torques are pulses."""
 RADIUS_SIGMA = 3.0
@@ -29,9 +29,9 @@ TOGETHER = "together"
 MODELS = (
     ("none", "k", ":"),
     ("cannonball", "k", "-"),
-    ("degree 0", "tab:blue", ":"),
-    ("J2", "tab:blue", "-"),
-    ("impulsive", "tab:orange", "-"),
+    ("degree 0", "C0", ":"),
+    ("J2", "C0", "-"),
+    ("impulsive", "C4", "-"),
 )
 """Models whose distance is drawn over time, with their looks."""
 WORDS = {"none": "no light pressure", "degree 0": "point mass"}
@@ -115,7 +115,7 @@ def power_history(record: Record) -> Figure:
         rows = figure.subplots(3, 1, sharex=True, height_ratios=(2, 2.4, 1.2))
         top, middle, bottom = rows
         top.plot(time[1:], panels.sum(axis=1), color="k", label="generated")
-        top.plot(time, arrays["consumed_w"], color="tab:red", lw=1.0, label="consumed")
+        top.plot(time, arrays["consumed_w"], color="C1", lw=1.0, label="consumed")
         top.set(ylabel="power (W)", ylim=(0.0, None))
         for i, (peak, colour, dash) in enumerate(zip(peaks, COLOURS, DASHES, strict=False)):
             middle.plot(time[1:], panels[:, i], dash, color=colour, lw=1.2, label=f"SP{i + 1}")
@@ -129,7 +129,7 @@ def power_history(record: Record) -> Figure:
         bottom.set(ylabel="charge (%)", ylim=(0.0, 112.0), xlabel="time (h)")
         top.legend(**ABOVE, ncols=2)
         middle.legend(**ABOVE, ncols=len(peaks))
-        bottom.legend(loc="center right", fontsize=LEGEND_PT)
+        bottom.legend(loc="center right")
         _mark_burns(rows, record)
     return figure
 
@@ -147,16 +147,16 @@ def flown_plan(records: list[Record]) -> Figure:
         left, right = figure.subplots(1, 2)
         for axes, values, colour, label in (
             (left, distances.ravel(), "k", "all nodes"),
-            (left, distances[:, -1], "tab:blue", "final node"),
-            (left, distances.max(axis=1), "tab:orange", "farthest node"),
+            (left, distances[:, -1], "C0", "final node"),
+            (left, distances.max(axis=1), "C4", "farthest node"),
             (right, starts, "k", "thrust at start"),
-            (right, [burn.executed_pointing_deg for burn in burns], "tab:blue", "velocity gained"),
-            (right, [spread.q50 for spread in camera], "tab:orange", "camera, median"),
-            (right, [spread.q100 for spread in camera], "tab:red", "camera, largest"),
+            (right, [burn.executed_pointing_deg for burn in burns], "C0", "velocity gained"),
+            (right, [spread.q50 for spread in camera], "C4", "camera, median"),
+            (right, [spread.q100 for spread in camera], "C1", "camera, largest"),
         ):
             axes.ecdf(values, color=colour, label=label)
         left.plot(sigmas, chi.cdf(sigmas, 3), color="0.5", ls="--", lw=1.0, label="normal position")
-        left.axvline(RADIUS_SIGMA, color="tab:red", lw=1.0, ls=":")
+        left.axvline(RADIUS_SIGMA, color="C1", lw=1.0, ls=":")
         left.set(xlabel="distance from the planned mean (sigma)", ylabel="share (1)")
         left.set_xlim(0.0, reach)
         right.set(xlabel="angle to the command (deg)", xlim=(0.0, None))
@@ -170,7 +170,7 @@ def battery_cones(tables: list[Table]) -> Figure:
     """Both halves of the sphere as seen along the Sun line, and generation against the angle to it."""
     cones, samples = tables
     calibrated = cones[cones.calibrated.eq(True)]
-    loads = list(zip(calibrated.itertuples(), ("k", "tab:red"), strict=True))
+    loads = list(zip(calibrated.itertuples(), ("k", "C1"), strict=True))
     titles = "sunward half, seen from the Sun", "anti-sunward half, same view"
     with page(5.9) as figure:
         grid = figure.add_gridspec(2, 2, height_ratios=(1.5, 1.0))
@@ -224,12 +224,12 @@ def model_fidelity(tables: list[Table]) -> Figure:
                 "label": WORDS.get(model, model),
             }
             right.plot(own.t_s / HOUR_S, own.distance_m, **look)
-        right.axhline(limit_m, color="tab:red", lw=1.0, ls="--", label=f"{limit_m:g} m")
+        right.axhline(limit_m, color="C1", lw=1.0, ls="--", label=f"{limit_m:g} m")
         right.set(xlabel="time (h)", ylabel="distance from the truth (m)", xlim=(0.0, None))
         right.set(yscale="log", ylim=(1e-2, 30.0))
         right.yaxis.set_major_formatter("{x:g}")
         right.set_title(f"over time, {flight}", loc="left")
-        right.legend(loc="lower right", fontsize=LEGEND_PT)
+        right.legend(loc="lower right")
     return figure
 
 
@@ -252,7 +252,7 @@ def _at_the_end(axes: Axes, rows: Table, limit_m: float) -> None:
     axes.set(xscale="log", xlabel="distance at the end (m)", xlim=(1e-5, 3e2))
     axes.set_title("filled: lowest fidelity that passes", loc="left")
     look = {"frameon": True, "edgecolor": "none", "framealpha": 1.0}
-    axes.legend(loc="upper left", fontsize=LEGEND_PT, **look)
+    axes.legend(loc="upper left", **look)
 
 
 def timing_rules(tables: list[Table]) -> Figure:
@@ -265,7 +265,7 @@ def timing_rules(tables: list[Table]) -> Figure:
         axes.plot(slews, [0.0] * len(slews), "|", ms=9, color="k", label="each half turn")
         for holds, colour, label in (
             (True, "k", "measured, holds"),
-            (False, "tab:red", "measured, too long"),
+            (False, "C1", "measured, too long"),
         ):
             own = rules[rules.holds.eq(holds)]
             axes.plot(own.measured_s / 60.0, own.index, "o", color=colour, label=label)

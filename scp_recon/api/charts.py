@@ -14,12 +14,12 @@ from scp_recon.mission.survey import LitWindow, Survey
 from scp_recon.passes.descent import PassResult
 from scp_recon.passes.design import Trial
 from scp_recon.planning.primer import PrimerHistory
-from scp_recon.results.pictures import HOUR_S, picture, plain, sheet
+from scp_recon.results.pictures import HOUR_S, page, picture, plain
 from scp_recon.scenario.schema import Scenario
 
 ROWS_MAX = 12
 """Windows that are drawn: more rows cannot be read."""
-BURN_COLOURS = ("tab:blue", "tab:orange", "tab:green", "tab:red", "tab:purple", "tab:brown")
+BURN_COLOURS = ("C0", "C4", "C2", "C1", "C3", "C5")
 WINDOW_COLOUR = "0.15"
 
 
@@ -32,19 +32,19 @@ def draw_windows(scenario: Scenario, survey: Survey, ending: str) -> bytes:
         ending: of the file, which is the format, one of `pictures.endings`.
     """
     shown = survey.windows[:ROWS_MAX]
-    figure = sheet(4.2 + 0.34 * len(shown), 9.0)
     heights = [2.4, 0.8 + 0.34 * max(1, len(shown))]
-    above, below = figure.subplots(2, 1, sharex=True, height_ratios=heights)
-    some = "" if len(shown) == len(survey.windows) else f", first {ROWS_MAX} of them"
-    figure.suptitle(
-        f"{plain(scenario.body.name)}, {plain(scenario.site.name)}: "
-        f"{len(survey.windows)} lighting windows{some}"
-    )
-    _incidence(above, scenario, survey, shown)
-    _rows(below, shown)
-    below.set_xlabel(f"hours past {scenario.epoch.tdb.isoformat(timespec='seconds')} TDB")
-    _legend(figure, len(scenario.burns.times_s))
-    return picture(figure, ending)
+    with page(3.4 + 0.34 * len(shown)) as figure:
+        above, below = figure.subplots(2, 1, sharex=True, height_ratios=heights)
+        some = "" if len(shown) == len(survey.windows) else f", first {ROWS_MAX} of them"
+        figure.suptitle(
+            f"{plain(scenario.body.name)}, {plain(scenario.site.name)}: "
+            f"{len(survey.windows)} lighting windows{some}"
+        )
+        _incidence(above, scenario, survey, shown)
+        _rows(below, shown)
+        below.set_xlabel(f"hours past {scenario.epoch.tdb.isoformat(timespec='seconds')} TDB")
+        _legend(figure, len(scenario.burns.times_s))
+        return picture(figure, ending)
 
 
 def _incidence(
@@ -56,22 +56,21 @@ def _incidence(
     times = np.linspace(first, last, 4000)
     incidence = np.rad2deg(survey.lighting.incidence(times))
     for window in shown:
-        axes.axvspan(*(edge / HOUR_S for edge in window.edges_s), color="gold", alpha=0.45, lw=0)
+        axes.axvspan(*(edge / HOUR_S for edge in window.edges_s), color="#fbf6c0", lw=0, zorder=0)
     axes.plot(times / HOUR_S, incidence, color="0.3", lw=1.2)
     limit = scenario.observation.incidence_max_deg
-    axes.axhline(limit, color="tab:red", lw=1.0, ls="--")
+    axes.axhline(limit, color="C1", lw=1.0, ls="--")
     axes.annotate(
-        f"limit {limit:g} deg", (1.0, limit), xycoords=("axes fraction", "data"), color="tab:red",
+        f"limit {limit:g} deg", (1.0, limit), xycoords=("axes fraction", "data"), color="C1",
         xytext=(-4, 3), textcoords="offset points", ha="right", fontsize=8,
     )  # fmt: skip
-    axes.set_ylabel("incidence, deg")
+    axes.set_ylabel("incidence (deg)")
     axes.set_ylim(0.0, 180.0)
     axes.set_yticks(range(0, 181, 30))
     hours = scenario.observation
     axes.set_title(
         f"windows (shaded): incidence at most {limit:g} deg, local solar time "
         f"{hours.local_solar_time_min_h:g} to {hours.local_solar_time_max_h:g} h",
-        fontsize=9,
     )
 
 
@@ -92,12 +91,11 @@ def _rows(axes: Axes, shown: tuple[LitWindow, ...]) -> None:
     axes.set_yticks(range(len(shown)), [f"{k + 1}" for k in range(len(shown))])
     axes.set_ylim(len(shown) - 0.4, -0.6)
     axes.set_ylabel("window")
-    axes.grid(axis="x", color="0.9")
-    axes.set_axisbelow(True)
+    axes.grid(visible=False, axis="y")
     times = [edge / HOUR_S for window in shown for interval in window.burns_s for edge in interval]
     if times:
         axes.set_xlim(min(times) - 1.0, max(times) + 1.0)
-    axes.set_title("where each burn may be, for a flight that observes in that window", fontsize=9)
+    axes.set_title("where each burn may be, for a flight that observes in that window")
 
 
 def _legend(figure: Figure, count: int) -> None:
@@ -109,7 +107,7 @@ def _legend(figure: Figure, count: int) -> None:
         )
         for i in range(count)
     ]
-    figure.legend(handles=names, loc="outside lower center", ncols=7, fontsize=8, frameon=False)
+    figure.legend(handles=names, loc="outside lower center", ncols=7)
 
 
 COLOURS_NAMED = 6
@@ -123,37 +121,37 @@ def draw_design(tried: Sequence[Trial], found: PassResult, dv_m_s: float) -> byt
         found: the cheapest pass.
         dv_m_s: its delta-v in the final plan, with the facets chosen again.
     """
-    figure = sheet(5.6)
-    axes = figure.subplots()
-    kept = [one for one in tried if one.result.converged and one.step != "certain"]
-    costs = np.array([one.result.dv_m_s for one in kept])
-    places = np.rad2deg([one.result.at.phases for one in kept]) % 360.0
-    mapped = np.array([one.step == "map" for one in kept])
-    colours = LogNorm(costs.min(), max(costs.max(), 1.01 * costs.min()))
-    squares = axes.scatter(
-        places[mapped, 0], places[mapped, 1], c=costs[mapped], marker="s", s=420, norm=colours
-    )
-    axes.scatter(
-        places[~mapped, 0],
-        places[~mapped, 1],
-        c=costs[~mapped],
-        s=14,
-        edgecolors="white",
-        norm=colours,
-    )
-    if found.converged:
-        label = f"found: {dv_m_s:.6f} m/s"
-        place = np.rad2deg(found.at.phases) % 360.0
-        axes.plot(*place, "*", color="red", markeredgecolor="white", markersize=14, label=label)
-        figure.legend(loc="outside upper center", frameon=False)
-    bar = figure.colorbar(squares, label="total delta-v, m/s; squares: without uncertainty")
-    bar.minorticks_off()
-    between = np.geomspace(costs.min(), costs.max(), COLOURS_NAMED)
-    bar.set_ticks(between.tolist(), labels=[f"{cost:.2g}" for cost in between])
-    axes.set(xlabel="phase of departure, deg", ylabel="phase of arrival, deg")
-    edges, ticks = (-25.0, 380.0), np.arange(0.0, 361.0, 60.0)
-    axes.set(xlim=edges, ylim=edges, xticks=ticks, yticks=ticks)
-    return picture(figure)
+    with page(5.6) as figure:
+        axes = figure.subplots()
+        kept = [one for one in tried if one.result.converged and one.step != "certain"]
+        costs = np.array([one.result.dv_m_s for one in kept])
+        places = np.rad2deg([one.result.at.phases for one in kept]) % 360.0
+        mapped = np.array([one.step == "map" for one in kept])
+        colours = LogNorm(costs.min(), max(costs.max(), 1.01 * costs.min()))
+        squares = axes.scatter(
+            places[mapped, 0], places[mapped, 1], c=costs[mapped], marker="s", s=420, norm=colours
+        )
+        axes.scatter(
+            places[~mapped, 0],
+            places[~mapped, 1],
+            c=costs[~mapped],
+            s=14,
+            edgecolors="white",
+            norm=colours,
+        )
+        if found.converged:
+            label = f"found: {1e3 * dv_m_s:.1f} mm/s"
+            place = np.rad2deg(found.at.phases) % 360.0
+            axes.plot(*place, "*", color="red", markeredgecolor="white", markersize=14, label=label)
+            figure.legend(loc="outside upper center")
+        bar = figure.colorbar(squares, label="total delta-v (m/s); squares: without uncertainty")
+        bar.minorticks_off()
+        between = np.geomspace(costs.min(), costs.max(), COLOURS_NAMED)
+        bar.set_ticks(between.tolist(), labels=[f"{cost:.2g}" for cost in between])
+        axes.set(xlabel="phase of departure (deg)", ylabel="phase of arrival (deg)")
+        edges, ticks = (-25.0, 380.0), np.arange(0.0, 361.0, 60.0)
+        axes.set(xlim=edges, ylim=edges, xticks=ticks, yticks=ticks)
+        return picture(figure)
 
 
 def draw_primer(primer: PrimerHistory, burns_s: list[float]) -> bytes:
@@ -163,26 +161,25 @@ def draw_primer(primer: PrimerHistory, burns_s: list[float]) -> bytes:
         primer: of a solution.
         burns_s: times of its burns.
     """
-    figure = sheet(4.2)
-    axes = figure.subplots()
-    hours, legal = np.array(primer.t_s) / HOUR_S, np.array(primer.legal)
-    top = 1.05 * max(1.0, *np.linalg.norm(primer.vector, axis=1))
-    axes.fill_between(
-        hours, 0.0, top, where=legal.tolist(), color="0.88", label="another burn is legal"
-    )
-    for number, time in enumerate(burns_s):
-        label = "burns of the plan" if number == 0 else None
-        axes.axvline(time / HOUR_S, color="tab:red", lw=1.0, ls=":", label=label)
-    axes.axhline(1.0, color="black", lw=0.8)
-    sizes = np.linalg.norm(primer.vector, axis=1)
-    axes.plot(hours, sizes, color="tab:blue", lw=1.0, ls="--", label="in any direction")
-    axes.plot(
-        hours, primer.allowed, color="tab:blue", label="in directions off the battery's cones"
-    )
-    axes.set(
-        xlabel="time past the epoch, h", ylabel="delta-v saved per delta-v of a small burn more"
-    )
-    axes.set(ylim=(0.0, top))
-    axes.margins(x=0.01)
-    figure.legend(loc="outside upper center", ncols=2, fontsize="small", frameon=False)
-    return picture(figure)
+    with page(4.2) as figure:
+        axes = figure.subplots()
+        hours, legal = np.array(primer.t_s) / HOUR_S, np.array(primer.legal)
+        top = 1.05 * max(1.0, *np.linalg.norm(primer.vector, axis=1))
+        axes.fill_between(
+            hours, 0.0, top, where=legal.tolist(), color="0.88", label="another burn is legal"
+        )
+        for number, time in enumerate(burns_s):
+            label = "burns of the plan" if number == 0 else None
+            axes.axvline(time / HOUR_S, color="C1", lw=1.0, ls=":", label=label)
+        axes.axhline(1.0, color="black", lw=0.8)
+        sizes = np.linalg.norm(primer.vector, axis=1)
+        axes.plot(hours, sizes, color="C0", lw=1.0, ls="--", label="in any direction")
+        axes.plot(hours, primer.allowed, color="C0", label="in directions off the battery's cones")
+        axes.set(
+            xlabel="time past the epoch (h)",
+            ylabel="delta-v saved per delta-v of a small burn more",
+        )
+        axes.set(ylim=(0.0, top))
+        axes.margins(x=0.01)
+        figure.legend(loc="outside upper center", ncols=2)
+        return picture(figure)

@@ -16,7 +16,7 @@ from experiments.harness import records
 from experiments.observation_rows import rows
 from experiments.observation_table import measure
 from paper_figs import __main__ as command_line
-from paper_figs import flight, inputs, observation, plans
+from paper_figs import flight, inputs, observation
 from paper_figs.__main__ import EVERYTHING, FIGURES, STUDIES, Item, main
 from paper_figs.drawing import save
 from paper_figs.inputs import PAPER, PLAN, SURROGATE, Runs, read_runs, run_missing
@@ -268,19 +268,3 @@ def test_figure_is_the_same_file_every_time(tmp_path):
     assert one == other
     assert NO_PLAN.encode() in one
     assert NO_PLAN.encode() not in saved("3", None)
-
-
-def test_profiles_rise_to_the_share_solved():
-    table = pd.DataFrame(
-        {
-            "scenario": ["a", "a", "b", "b"],
-            "method": ["ours", "theirs"] * 2,
-            "problem": "P2",
-            "status": "converged",
-            "total_dv_m_s": [0.14, 0.14, 0.2, 0.3],
-            "cpu_s": [0.1, 1.0, 0.5, 0.5],
-        }
-    )
-    found = plans.profiles(table)
-    assert [list(values) for values in found["ours"]] == [[1.0, 1.0], [0.5, 1.0]]
-    assert [list(values) for values in found["theirs"]] == [pytest.approx([10.0]), [0.5]]
