@@ -5,6 +5,7 @@ Risk is split evenly over facets by Boole's inequality.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -115,6 +116,24 @@ def choose_facets(
         _constraint_facets(index, constraint, polytopes, mean, factor)
         for index, constraint in enumerate(problem.constraints)
     ]
+    return _joined(parts)
+
+
+def touching_facets(problem: FlybyProblem, mean: Array) -> Facets:
+    """A facet for each region that touches it nearest to the mean, with the whole probability.
+
+    That is the probability of keep-in and keep-out sets to first order: the bends of their surfaces
+    within the spread are left out. Shape of the mean as in `choose_facets`.
+    """
+    parts = []
+    for index, one in enumerate(problem.constraints):
+        plane = one.region.supporting(mean[one.nodes, :3])
+        parts.append(_facets_of(index, one, [plane if one.keep == "in" else plane.complement()]))
+    return _joined(parts)
+
+
+def _joined(parts: Sequence[Facets]) -> Facets:
+    """Facets of several constraints, in their order."""
     if not parts:
         none = np.zeros(0, dtype=np.intp)
         return Facets(none, none, np.zeros((0, 3)), np.zeros(0), np.zeros(0))
@@ -131,15 +150,15 @@ def _constraint_facets(
 ) -> Facets:
     point = mean[constraint.nodes, :3]
     if constraint.keep == "in":
-        candidates = inner_facets(constraint.region, polytopes, point)
-        # A tangent facet stands alone, so Boole's split leaves it the whole probability.
-        share = split_risk(constraint.probability, len(candidates))
-    else:
-        outside = [
-            plane.complement() for plane in outer_facets(constraint.region, polytopes, point)
-        ]
-        candidates = [_most_probable(outside, point, factor[constraint.nodes, :3])]
-        share = constraint.probability
+        return _facets_of(index, constraint, inner_facets(constraint.region, polytopes, point))
+    outside = [plane.complement() for plane in outer_facets(constraint.region, polytopes, point)]
+    nearest = _most_probable(outside, point, factor[constraint.nodes, :3])
+    return _facets_of(index, constraint, [nearest])
+
+
+def _facets_of(index: int, constraint: StateConstraint, candidates: list[Halfspaces]) -> Facets:
+    """Facets that hold together, with equal shares of a constraint's risk; one has the whole of it."""
+    share = split_risk(constraint.probability, len(candidates))
     count = len(candidates) * len(constraint.nodes)
     return Facets(
         constraint=np.full(count, index),

@@ -74,6 +74,7 @@ class StageSpec:
         choice: number of the choice of facets, from 1.
         judges: rows by which the stage is judged, if not its own.
         max_iterations: limit of its iterations; None for the algorithm's.
+        weight: penalty weight of violations, which stays; None for the algorithm's weights.
         is_required: whether later stages are in vain if it does not converge.
         doubt: violation up to which they are not, because the stage's rows err by as much.
         fallback: stage that replaces the later ones but the last if it does not converge.
@@ -87,6 +88,7 @@ class StageSpec:
     choice: int = 1
     judges: Rows | None = None
     max_iterations: int | None = None
+    weight: float | None = None
     is_required: bool = False
     doubt: float = 0.0
     fallback: StageSpec | None = None

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from functools import cached_property, partial
 from time import perf_counter
-from typing import Final, Generic, TypeVar
+from typing import Any, Final, Generic, TypeVar
 
 import numpy as np
 
@@ -224,8 +224,10 @@ class Planner(Generic[Task]):
         subproblem = self.subproblem(rows)
         setup = perf_counter() - begin
         if spec.max_iterations is not None:
-            fewer = self._special | {"max_iterations": spec.max_iterations}
-            algorithm = ALGORITHMS[self._names[1]](**fewer)
+            own: dict[str, Any] = {"max_iterations": spec.max_iterations}
+            if spec.weight is not None:
+                own |= dict.fromkeys(("weight", "weight_max", "weight_limit"), spec.weight)
+            algorithm = ALGORITHMS[self._names[1]](**self._special | own)
         algorithm = algorithm.resolving(rows.resolution)
         result = run(subproblem, dynamics, start, algorithm, partial(observe, spec.name))
         formulation, _, solver = self._names

@@ -1,11 +1,17 @@
 """Settle the facets of P2: choose them again along the plans that they allow, until none is cheaper.
 
 A keep-out polytope is a disjunction: any of its facets keeps the spacecraft outside. Which one does so
-at the least delta-v is known only with the plan. Facets are therefore chosen again along each plan
-(`choose_facets`), and P2 is solved again, roughly. Once a new choice is no cheaper, facets change only
-at nodes where the new ones hold too (`Facets.where_they_hold`), which cannot lose the plan. Facets and
-plan together are a local optimum. Rounds therefore begin along P2's plan with P3's facets, and along a
-rough plan with exact risk at nodes, which needs no facets; the cheaper end counts.
+at the least delta-v is known only with the plan. Facets are therefore chosen again along each flight
+(`choose_facets`), and P2 is solved again, roughly. Once a new choice is no better, facets change only
+at nodes where the new ones hold too (`Facets.where_they_hold`), which cannot lose the plan. A round is
+judged by cost and violations at the first penalty weight, which is raised once the facets have settled:
+facets chosen along flights that violate them a little are far cheaper than those along dear plans.
+
+Facets and plan together are a local optimum. Rounds therefore begin along a rough plan whose regions
+are half-spaces that touch them, which is exact risk to first order. Unless that ends near the rough
+plan's cost, they begin also along P2's plan with P3's facets; where that is no plan, or needed a larger
+weight, along its end and P3's path; and where all these end dear, along a rough plan with exact risk at
+nodes. The cheapest end counts.
 """
 
 from __future__ import annotations
@@ -14,29 +20,36 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from formulations.linearisation.linearisation import Linearisation
-from formulations.problem.facets import Facets, choose_facets
+from formulations.problem.facets import Facets, choose_facets, touching_facets
 from formulations.rows.exact import NodeRows
 from formulations.rows.uniform import ChanceRows
-from scp_recon.planning.plan import Stage, StageSpec, is_converged, rank
+from scp_recon.planning.plan import Stage, StageSpec, is_converged
 from scp_recon.planning.problem import PlanningProblem
 
 ROUGH = 1e-3
 """Relative reduction of the merit at which a round stops; a choice that saves less is no better."""
 
-PATH = 1e-2
-"""The same of the plan with exact risk, of which only the path counts."""
+WEIGHTS = (10.0, 1000.0)
+"""Penalty weights of violations, one after the other until nothing is violated."""
 
-ROUND_ITERATIONS, FIRST_ITERATIONS = 8, 12
-"""Limits of iterations of a round: from a plan with neighbouring facets, and from any other path."""
+HOLDS = 1e-4
+"""Violation, nondimensional, that a rough round leaves where there is a plan."""
+
+ROUND_ITERATIONS, FIRST_ITERATIONS = 2, 8
+"""Limits of iterations of a round: from a flight with neighbouring facets, and from any other."""
+
+TOUCHING_ROUNDS, TOUCHING_ITERATIONS = 2, 3
+"""Rounds of the rough plan with half-spaces that touch the regions, and their iterations."""
 
 ROUNDS_MAX = 30
-"""Limit of the number of rounds along the plans of one path."""
+"""Limit of the number of rounds along one path with one weight."""
 
-CHOICES_MAX = 4
-"""Choices of facets along paths that violate them, after which a path is given up."""
+NEAR, DEAR = 1.01, 1.2
+"""Cost over that of the rough plan up to which no further path is tried, and cost over P3's above which
+a plan with exact risk is worth its time."""
 
-NEAR_P3 = 1.01
-"""Cost of P2 over P3's, which no choice of facets undercuts, up to which no further path is tried."""
+PATH = 1e-2
+"""Relative reduction of the merit at which that plan stops, of which only the path counts."""
 
 Run = Callable[[StageSpec, Linearisation], Stage]
 
@@ -48,14 +61,23 @@ class Settling:
     task: PlanningProblem
     run: Run
 
-    def __call__(self, first: Stage, p3: Stage) -> Stage | None:
-        """The best round, from a plan of P2 with facets along P3's path; None if none has a plan."""
-        found = [self._along_plan(first) if is_converged(first) else self.along(first.result.lin)]
-        cost, least = (one.merit.cost(one.result.lin) for one in (found[0], p3))
-        if not is_converged(found[0]) or cost > NEAR_P3 * least:
-            found.append(self.along(self.exact_path(p3.result.lin)))
-        best = max(found, key=rank)
-        return best if is_converged(best) else None
+    def __call__(self, first: Stage, p3: Stage) -> Stage:
+        """The best round of all paths, from the plan of P2 with facets along P3's path."""
+        lin = p3.result.lin
+        for _ in range(TOUCHING_ROUNDS):
+            touching = touching_facets(self.task.problem, lin.iterate.mean)
+            rough = self._round(touching, lin, TOUCHING_ITERATIONS, WEIGHTS[0])
+            lin = rough.result.lin
+        found = [self.along(lin)]
+        if not _holds(found[0]) or _cost(found[0]) > NEAR * max(_cost(rough), _cost(p3)):
+            if is_converged(first) and not first.result.is_weighed:
+                found.append(self._settled(first))
+            else:
+                found += [self.along(one.result.lin) for one in (p3, first)]
+            best = max(found, key=_order)
+            if not _holds(best) or _cost(best) > DEAR * _cost(p3):
+                found.append(self.along(self.exact_path(lin)))
+        return max(found, key=_order)
 
     def exact_path(self, start: Linearisation) -> Linearisation:
         """A rough plan with exact risk at nodes, from a start."""
@@ -63,17 +85,23 @@ class Settling:
         return self.run(StageSpec("P2", rows, "node"), start).result.lin
 
     def along(self, lin: Linearisation) -> Stage:
-        """Settle along a path; the best choice so far where none has a plan."""
-        tries: list[Stage] = []
-        while len(tries) < CHOICES_MAX:
-            tries.append(self._round(self._fresh(lin), lin, FIRST_ITERATIONS))
-            if is_converged(tries[-1]):
-                return self._along_plan(tries[-1])
-            lin = tries[-1].result.lin
-        return max(tries, key=rank)
+        """Settle along a path."""
+        first = self._round(self._fresh(lin), lin, FIRST_ITERATIONS, WEIGHTS[0])
+        return self._settled(first)
 
-    def _along_plan(self, best: Stage) -> Stage:
-        """Choose facets along a plan and those that follow, all anew and then where they hold."""
+    def _settled(self, best: Stage) -> Stage:
+        """Settle along a flight and those that follow, with weights until nothing is violated."""
+        for weight in WEIGHTS:
+            if weight != WEIGHTS[0]:
+                assert best.facets is not None
+                best = self._round(best.facets, best.result.lin, FIRST_ITERATIONS, weight)
+            best = self._weighed(best, weight)
+            if _holds(best):
+                break
+        return best
+
+    def _weighed(self, best: Stage, weight: float) -> Stage:
+        """Choose facets along a flight and those that follow, all anew and then where they hold."""
         rounds = 0
         for holding in (False, True):
             gains = True
@@ -82,17 +110,32 @@ class Settling:
                 lin, facets = best.result.lin, self._fresh(best.result.lin)
                 if holding and best.facets is not None:
                     facets = best.facets.where_they_hold(facets, lin.iterate.mean, lin.factor)
-                again = self._round(facets, lin, ROUND_ITERATIONS)
-                gains = rank(again) > rank(best, saving=ROUGH)
-                best = max(best, again, key=rank)
+                again = self._round(facets, lin, ROUND_ITERATIONS, weight)
+                merit, least = (one.merit(one.result.lin, weight) for one in (again, best))
+                gains = merit < (1.0 - ROUGH) * least
+                best = again if merit < least else best
         return best
 
-    def _round(self, facets: Facets, lin: Linearisation, iterations: int) -> Stage:
-        """Solve P2 roughly with given facets from a start."""
+    def _round(self, facets: Facets, lin: Linearisation, iterations: int, weight: float) -> Stage:
+        """Solve P2 roughly with given facets and penalty weight from a start."""
         included = facets.margin(lin.iterate.mean, lin.factor) < self.task.clearances[1]
         rows = ChanceRows(self.task.problem, facets, included, ROUGH)
-        return self.run(StageSpec("P2", rows, "settled", max_iterations=iterations), lin)
+        spec = StageSpec("P2", rows, "settled", max_iterations=iterations, weight=weight)
+        return self.run(spec, lin)
 
     def _fresh(self, lin: Linearisation) -> Facets:
         task = self.task
         return choose_facets(task.problem, task.polytopes, lin.iterate.mean, lin.factor)
+
+
+def _holds(stage: Stage) -> bool:
+    return stage.merit.worst_violation(stage.result.lin) <= HOLDS
+
+
+def _cost(stage: Stage) -> float:
+    return stage.merit.cost(stage.result.lin)
+
+
+def _order(stage: Stage) -> tuple[bool, float]:
+    """Order of rounds, the better the greater."""
+    return _holds(stage), -stage.merit(stage.result.lin, WEIGHTS[-1])

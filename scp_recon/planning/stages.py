@@ -193,8 +193,7 @@ class Pipeline:
         scouting = Pipeline(self.task, self.solver.scout)
         settled = Settling(self.task, scouting.solve)(first, p3)
         self.timing.add(scouting.timing)
-        if settled is None or settled.facets is None:
-            return first
+        assert settled.facets is not None
         lin = settled.result.lin
         spec = replace(self.solver.p2_stage(settled.facets, lin), role="settled")
         return max(first, self.run([spec], lin, first.spec.start), key=rank)

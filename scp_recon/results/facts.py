@@ -105,6 +105,8 @@ STAGES = {
     "open": "leads to P3 from a guess that is no flight",
     "node": "each node by itself, which leads to whole flights",
     "coarse": "whole flights by few sampled directions, which leads to all of them",
+    "led": "leads to corrected burns where nothing else has a plan",
+    "held": "burns that would be too small to execute are left out or raised",
     "ptr": "solved by PTR, where SCvx ended badly",
     "scvx-star": "solved by SCvx*, where SCvx ended badly",
     "settled": "facets chosen again along the plans they allow, until none is cheaper",
@@ -136,10 +138,11 @@ class StageSummary:
     @property
     def meaning(self) -> str:
         """Meaning of the name's ending; empty for plain P3 and P2."""
-        again, _, rest = self.name[2:].partition(".")
-        facets = f"choice {rest} of the facets" if rest.isdecimal() else ""
-        said = STAGES.get(again), STAGES.get(rest), facets
-        return "; ".join(words for words in said if words)
+        again, *rest = self.name[2:].split(".")
+        said = [
+            f"choice {end} of the facets" if end.isdecimal() else STAGES.get(end) for end in rest
+        ]
+        return "; ".join(words for words in (STAGES.get(again), *said) if words)
 
 
 @dataclass(frozen=True)

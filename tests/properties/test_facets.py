@@ -11,7 +11,14 @@ from scipy.spatial import HalfspaceIntersection
 from scipy.stats import norm
 
 from formulations.arrays import Array
-from formulations.problem.facets import Facets, Polytopes, choose_facets, inner_facets, outer_facets
+from formulations.problem.facets import (
+    Facets,
+    Polytopes,
+    choose_facets,
+    inner_facets,
+    outer_facets,
+    touching_facets,
+)
 from formulations.problem.flyby import FlybyProblem, StateConstraint
 from formulations.problem.polytopes import ball, paper_ball
 from formulations.problem.regions import Ball, Cone, Ellipsoid, Halfspaces, Region
@@ -228,6 +235,21 @@ def test_keep_in_facets_share_the_risk_and_keep_out_facets_take_it_whole(
                 assert of_one.sum() == shapes.cone_facets
             else:
                 assert of_one.sum() == (1 if shapes.ball is None else len(shapes.ball.normals))
+
+
+@given(st.floats(0.5, 0.99), st.one_of(balls(), cones()), beliefs())
+def test_touching_facets_bear_the_whole_risk_at_the_surface(probability, region, belief):
+    mean, _ = belief
+    nodes = np.array([3, 5])
+    regions = spread_over(region, nodes)
+    constraints = [
+        StateConstraint(keep, nodes, regions, keep, probability) for keep in ("in", "out")
+    ]
+    facets = touching_facets(problem_with(*constraints), mean)
+    assert norm.cdf(facets.quantile) == pytest.approx(probability)
+    room = facets.offset - np.einsum("mi,mi->m", facets.normal, mean[facets.node, :3])
+    depth = regions.inside(mean[nodes, :3])
+    assert room == pytest.approx(np.concatenate([depth, -depth]), abs=1e-9)
 
 
 @given(generators, polytopes)
