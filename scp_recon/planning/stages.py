@@ -196,7 +196,10 @@ class Pipeline:
         assert settled.facets is not None
         lin = settled.result.lin
         spec = replace(self.solver.p2_stage(settled.facets, lin), role="settled")
-        return max(first, self.run([spec], lin, first.spec.start), key=rank)
+        found = self.run([spec], lin, first.spec.start)
+        if found.result.status is Status.STALLED:  # too near to its end for frozen derivatives
+            found = max(found, self.run([spec], p3.result.lin, first.spec.start), key=rank)
+        return max(first, found, key=rank)
 
     def exact(self, lin: Linearisation, letter: str = "") -> Stage:
         """Solve P2 with exact risk; a start with gains keeps them and skips stages without gains."""
