@@ -2,7 +2,8 @@
 
 Delta-v grows with the required probability. Bisection on the normal quantile scale therefore finds
 the largest probability with a plan. Each trial starts from the burns and gains of the best plan so
-far, and from the first start if that gives no verdict.
+far; where that ends without a plan, from the end of the trial for the next larger probability, which
+may keep this one; and from the first start if neither gives a verdict.
 """
 
 from __future__ import annotations
@@ -68,13 +69,20 @@ class Search:
         if not self.keeps(best):
             return best
 
+        failed: list[Plan] = []
+
         def attempt(best: Plan, target: float) -> Plan:
-            """Plan from the best burns, and from the first start if they give no verdict."""
-            at = best.mission
-            found = self._planned(at, start_from(at, best), target)
-            if found.status not in ANSWERS:
-                again = self._planned(mission, start, target)
-                found = again if again.status in ANSWERS else found
+            """Plan from the best burns, then from those that a larger probability led to."""
+            tries: list[Plan] = []
+            for near in (best, *failed[-1:]):
+                tries.append(self._planned(best.mission, start_from(best.mission, near), target))
+                if self.keeps(tries[-1]) or tries[-1].status is Status.INTERRUPTED:
+                    return tries[-1]
+            if all(one.status not in ANSWERS for one in tries):
+                tries.append(self._planned(mission, start, target))
+            found = next((one for one in tries if one.status in ANSWERS), tries[0])
+            if found.status in ANSWERS and not self.keeps(found):
+                failed.append(found)
             return found
 
         best, above = largest_kept(best, MOST, self.close, attempt, self.keeps)
