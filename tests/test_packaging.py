@@ -35,6 +35,14 @@ def files_of(package: str) -> set[str]:
     return {str(path.relative_to(PROJECT)) for path in found if path.suffix != ".pyc"}
 
 
+def test_readme_renders_for_the_package_index():
+    render = pytest.importorskip("readme_renderer.markdown").render
+    page = render((PROJECT / "README.md").read_text("utf-8"))
+    assert page
+    assert all(f"<{tag}" in page for tag in ("h1", "img", "table", "pre"))
+    assert "|---" not in page
+
+
 def test_citation_agrees_with_project():
     yaml = pytest.importorskip("yaml")
     cited = yaml.safe_load((PROJECT / "CITATION.cff").read_text("utf-8"))

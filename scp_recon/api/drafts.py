@@ -210,7 +210,7 @@ class NewScenario:
     def verdict(self) -> str:
         """The verdict on the plan in one line."""
         verdict = "verified" if self.verification.ok else "not verified"
-        return f"{self.solution.status}, {verdict}, {self.solution.total_dv_m_s:.4f} m/s"
+        return f"{self.solution.status}, {verdict}, {1e3 * self.solution.total_dv_m_s:.1f} mm/s"
 
     def __repr__(self) -> str:
         """One line."""
