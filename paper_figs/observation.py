@@ -15,7 +15,7 @@ from paper_figs.drawing import Look, history, quantile_panels
 from paper_figs.inputs import FlownPlan, Runs
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.observation_time import measured
-from scp_recon.monte_carlo.sampling import sample_positions
+from scp_recon.monte_carlo.sampling import flown_mission, sample_positions
 from scp_recon.monte_carlo.summary import COMPONENTS
 from scp_recon.physics import geometry
 from scp_recon.physics.frames import unit
@@ -59,7 +59,8 @@ def observed(solution: Solution, times_s: Array, samples: int = SAMPLES) -> list
     mission, burns, policy = solution.mission, solution.burns_m_s, solution.corrections
     plan = measured(mission, times_s, planned_positions(mission, burns, times_s))
     flights = sample_positions(mission, burns, times_s, samples, SEED, policy)
-    sampled, limits = measured(mission, times_s, flights), mission.scenario.observation
+    own, limits = flown_mission(mission, SEED, samples), mission.scenario.observation
+    sampled = measured(own, times_s, flights)
     looks = (
         ("site distance (m)", 1.0, (limits.site_distance_min_m, limits.site_distance_max_m)),
         ("emission (deg)", DEGREES, (limits.emission_min_deg, limits.emission_max_deg)),

@@ -34,7 +34,8 @@ class _Backward:
         self._lin, self._problem = lin, problem
         self._slopes = problem.execution_errors.jacobian(lin.iterate.burns)
         every = problem.n_nodes
-        factor, mean = np.zeros((every, 6, c)), np.zeros((every, 6))
+        size = 6 + problem.parameters
+        factor, mean = np.zeros((every, size, c)), np.zeros((every, 6))
         mean[:, : by_mean.shape[1]] = by_mean
         factor[:, : by_factor.shape[1], : by_factor.shape[2]] = by_factor
         k = 0 if problem.feedback is None else len(problem.feedback.burns)
@@ -52,8 +53,8 @@ class _Backward:
         shifts = None if problem.firing is None else lin.shifts
         if shifts is not None:
             shifted = shifts.factor(spread.factor)
-            self.slope[problem.time_controls] += shifts.pulled(mean, factor, spread.factor)
-        d_error = np.zeros((6, c))
+            self.slope[problem.time_controls] += shifts.pulled(mean, factor[:, :6], spread.factor)
+        d_error = np.zeros((size, c))
         for leg in range(len(starts) - 1, -1, -1):
             d_error = self._measured(leg, d_error, d_mean)
             burn = leg - problem.coasts
@@ -61,7 +62,7 @@ class _Backward:
                 self._burnt(burn, d_start[leg], d_error, d_mean[leg])
                 if shifts is not None:
                     own = np.einsum("i,iq->q", d_mean[leg, :6], shifts.mean[burn])
-                    own += np.einsum("ic,icq->q", d_start[leg], shifted[burn])
+                    own += np.einsum("ic,icq->q", d_start[leg, :6], shifted[burn])
                     self.slope[problem.time_controls] += own
             if leg > 0:
                 here, stm = starts[leg : leg + 1], spread.stm[starts[leg]]
@@ -78,7 +79,7 @@ class _Backward:
         """Pull at the mean at the legs' starts of factors P S and means at nodes, shape (n, 7)."""
         maps = self._lin.affine_map_from_last_burn[nodes, :6]
         pulled = np.einsum("nij,ni->nj", maps, by_mean)
-        both = by_factor @ start.swapaxes(1, 2)
+        both = by_factor[:, :6] @ start.swapaxes(1, 2)
         return np.asarray(pulled + np.einsum("nijl,nij->nl", self._lin.bent[nodes], both))
 
     def _measured(self, leg: int, d_error: Array, d_mean: Array) -> Array:
@@ -106,19 +107,19 @@ class _Backward:
             problem.burn_controls[burn],
             corrected(problem, burn),
         )
-        both = (d_start + d_error)[3:]
+        both = (d_start + d_error)[3:6]
         slopes = self._slopes[burn]
         own = np.hstack([both[:, problem.shared_columns], both[:, problem.columns_of_burn(burn)]])
         self.slope[by] = d_mean[3:6] + np.einsum("ic,icj->j", own, slopes)
         if j is None:
             return
         gains, known = problem.gains_of(iterate, j), self._lin.spread.innovations[: j + 1]
-        by_gain = d_start[3:] @ np.vstack([one.rows for one in known]).T
+        by_gain = d_start[3:6] @ np.vstack([one.rows for one in known]).T
         _, of_gains = errors.correction_columns(gains)
         own = both[:, problem.columns_of_correction(j)[0]]
         by_gain += np.einsum("ic,icab->ab", own, of_gains)
         self.slope[by[-1] + 1 : problem.controls_before[burn + 1]] = by_gain.ravel()
-        self._rows[: j + 1] += (gains.T @ d_start[3:]).reshape(j + 1, 6, -1)
+        self._rows[: j + 1] += (gains.T @ d_start[3:6]).reshape(j + 1, 6, -1)
 
 
 def pulled_before(
@@ -133,5 +134,6 @@ def pulled_before(
     low = np.tril(d_rows @ one.rows.T)
     low[range(6), range(6)] *= 0.5
     moved = d_rows - (low + low.T) @ one.rows
-    there = solve_triangular(one.root, moved, lower=True, trans="T")
-    return d_error - pulled @ one.rows, np.asarray(there)
+    there = np.zeros_like(d_error)
+    there[:6] = solve_triangular(one.root, moved, lower=True, trans="T")
+    return d_error - pulled @ one.rows, there

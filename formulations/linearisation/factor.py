@@ -1,7 +1,8 @@
 """The covariance factor along a flight and its derivatives, open loop or with corrected burns.
 
 Each column belongs to one source of error: the initial state, the execution of a burn, or a
-measurement. A correction is U Xi, with the innovations Xi of the measurements (`innovations`):
+measurement; or an uncertain parameter, which is constant: its rows stand below those of the state,
+in S and in E. A correction is U Xi, with the innovations Xi of the measurements (`innovations`):
 
     S <- S + B U Xi + B C(dv) + B D(U)    at a corrected burn,
     E <- E + B C(dv) + B D(U),
@@ -29,11 +30,12 @@ class Spread:
     """The covariance factor of an iterate, and what its measurements tell.
 
     Attributes:
-        factor: S at every node, after the burn where there is one, shape (n_nodes, 6, c).
+        factor: S at every node, after the burn where there is one, shape (n_nodes, 6 + p, c).
         innovations: of each measurement.
-        errors: E at the start of the leg in which each measurement is made, before it, (k, 6, c).
-        stm: from the last burn to each node, shape (n_nodes, 6, 6).
-        leg_errors: E after each leg's start, none of the leg's measurements made, (legs + 1, 6, c).
+        errors: E at the start of the leg in which each measurement is made, before it, (k, 6 + p, c).
+        stm: from the last burn to each node, shape (n_nodes, 6 + p, 6 + p).
+        leg_errors: E after each leg's start, none of the leg's measurements made,
+            (legs + 1, 6 + p, c).
     """
 
     factor: Array
@@ -61,7 +63,7 @@ def propagate_factor(problem: FlybyProblem, stm: Array, iterate: Iterate) -> Spr
     Columns of later burns and measurements are zero.
     """
     legs, feedback = problem.legs, problem.feedback
-    shape = len(problem.leg_starts), 6, problem.factor_columns
+    shape = len(problem.leg_starts), 6 + problem.parameters, problem.factor_columns
     start, leg_errors, at_measurement = np.zeros(shape), np.zeros(shape), []
     first = np.zeros(shape[1:])
     first[:, : problem.first_factor.shape[1]] = problem.first_factor
@@ -89,7 +91,7 @@ def propagate_factor(problem: FlybyProblem, stm: Array, iterate: Iterate) -> Spr
             j = corrected(problem, burn)
             if j is not None:
                 rows = np.vstack([one.rows for one in innovations[: j + 1]])
-                start[leg, 3:] += problem.gains_of(iterate, j) @ rows
+                start[leg, 3:6] += problem.gains_of(iterate, j) @ rows
             for factor in (start[leg], error):
                 _add_errors(problem, iterate, burn, columns[burn], factor)
         leg_errors[leg] = error
@@ -101,7 +103,7 @@ def propagate_factor(problem: FlybyProblem, stm: Array, iterate: Iterate) -> Spr
 
 
 def knowledge(problem: FlybyProblem, spread: Spread) -> Array:
-    """Factor of the estimate's error at every node, after its measurement and burn, (n_nodes, 6, c)."""
+    """Factor of the estimate's error at every node, after measurement and burn, (n_nodes, 6 + p, c)."""
     error = spread.stm @ spread.leg_errors[problem.legs.of]
     error[problem.leg_starts] = spread.leg_errors
     for leg, end in enumerate(problem.legs.ends):
@@ -113,7 +115,7 @@ def knowledge(problem: FlybyProblem, spread: Spread) -> Array:
 
 
 def after_measurements(problem: FlybyProblem, spread: Spread, leg: int) -> Array:
-    """Factor E of the estimate's error at a leg's start, after all the leg's measurements, (6, c)."""
+    """Factor E of the estimate's error at a leg's start, after its measurements, shape (6 + p, c)."""
     error = spread.leg_errors[leg]
     for j in measured_in(problem, leg):
         error = spread.innovations[j].updated(error)
@@ -142,19 +144,20 @@ def corrected(problem: FlybyProblem, burn: int) -> int | None:
 def _add_errors(
     problem: FlybyProblem, iterate: Iterate, burn: int, columns: Array, factor: Array
 ) -> None:
-    """Add a burn's errors of execution, and its correction's, to a factor (6, c) at its node."""
+    """Add a burn's errors of execution, and its correction's, to a factor (6 + p, c) at its node."""
     errors, j = problem.execution_errors, corrected(problem, burn)
-    factor[3:, problem.shared_columns] += columns[:, : errors.shared]
-    factor[3:, problem.columns_of_burn(burn)] = columns[:, errors.shared :]
+    factor[3:6, problem.shared_columns] += columns[:, : errors.shared]
+    factor[3:6, problem.columns_of_burn(burn)] = columns[:, errors.shared :]
     if j is not None and iterate.gains.size:
         own, _ = errors.correction_columns(problem.gains_of(iterate, j))
-        factor[3:, problem.columns_of_correction(j)[0]] = own
+        factor[3:6, problem.columns_of_correction(j)[0]] = own
 
 
 class FactorSensitivity:
     """Derivatives of the factor by all controls and, last, by closing the defects: by legs.
 
-    With P the STM from a leg's start, d(P S) = P dS + (T . dmu) S there.
+    With P the STM from a leg's start, d(P S) = P dS + (T . dmu) S there. Rows of parameters change only
+    in E, as it learns: without measurements the derivatives have no such rows.
 
     Args:
         problem: of the iterate.
@@ -162,7 +165,7 @@ class FactorSensitivity:
         spread: its factors.
         moved: deviations of the mean at the legs' starts by control, shape (legs + 1, 7, q).
         bent: derivatives of the STMs from the legs' starts by the deviation there, shape
-            (n_nodes, 6, 6, 7); None if they are held.
+            (n_nodes, 6, 6 + p, 7); None if they are held.
         gains: whether gains are among the controls, or held.
         shifted: changes after each burn by the firing times (`Shifts.factor`), if these are controls.
     """
@@ -183,10 +186,11 @@ class FactorSensitivity:
         self._moved, self._bent, self._gains = moved, bent, gains
         self._slopes = problem.execution_errors.jacobian(iterate.burns)
         self._first = problem.controls_before if gains else 3 * np.arange(problem.n_burns + 1)
-        self._shape = 6, problem.factor_columns, moved.shape[-1]
+        rows = 6 if problem.feedback is None else 6 + problem.parameters
+        self._shape = rows, problem.factor_columns, moved.shape[-1]
 
     def at(self, nodes: Indices) -> Array:
-        """The derivative at some nodes, shape (n, 6, c, q)."""
+        """The derivative at some nodes, shape (n, 6 or 6 + p, c, q)."""
         problem, starts = self._problem, self._problem.leg_starts
         start, _ = self._starts(int(nodes.max(initial=0)))
         factors = self._spread.factor[starts]
@@ -198,7 +202,7 @@ class FactorSensitivity:
         return derivative
 
     def kicks(self) -> Array:
-        """Derivative of each burn's additions to the factor at its node, shape (m, 6, c, q)."""
+        """Derivative of each burn's additions to the factor at its node, (m, 6 or 6 + p, c, q)."""
         problem, d_rows = self._problem, np.zeros((0, *self._shape[1:]))
         if problem.feedback is not None:
             _, d_rows = self._starts(problem.n_nodes)
@@ -209,7 +213,7 @@ class FactorSensitivity:
         return kicks
 
     def _starts(self, last: int) -> tuple[Array, Array]:
-        """The derivatives at the legs' starts up to a node, (legs + 1, 6, c, q), and of Xi."""
+        """The derivatives at the legs' starts up to a node, (legs + 1, ., c, q), and of Xi."""
         problem, spread = self._problem, self._spread
         starts = problem.leg_starts
         start = np.zeros((len(starts), *self._shape))
@@ -234,14 +238,14 @@ class FactorSensitivity:
         return start, d_rows
 
     def _reached(self, nodes: Indices, start: Array, factor: Array) -> Array:
-        """Derivatives at nodes of factors (n, 6, c) at their legs' starts, with those there."""
-        _, c, q = self._shape
-        derivative = self._spread.stm[nodes] @ start.reshape(-1, 6, c * q)
-        derivative = derivative.reshape(-1, 6, c, q)
+        """Derivatives at nodes of factors (n, 6 + p, c) at their legs' starts, with those there."""
+        rows, c, q = self._shape
+        derivative = self._spread.stm[nodes, :rows, :rows] @ start.reshape(-1, rows, c * q)
+        derivative = derivative.reshape(-1, rows, c, q)
         if self._bent is not None:
             legs = self._problem.legs.of[nodes]
-            d_stm = self._bent[nodes] @ self._moved[legs][:, None]  # (n, 6, 6, q)
-            derivative += factor[:, None].swapaxes(-1, -2) @ d_stm
+            d_stm = self._bent[nodes] @ self._moved[legs][:, None]  # (n, 6, 6 + p, q)
+            derivative[:, :6] += factor[:, None].swapaxes(-1, -2) @ d_stm
         return np.asarray(derivative)
 
     def _measured(self, leg: int, d_error: Array, d_rows: Array) -> tuple[Array, Array]:
@@ -259,12 +263,12 @@ class FactorSensitivity:
         return d_error, d_rows
 
     def _corrected(self, burn: int, start: Array, d_rows: Array) -> None:
-        """Add the correction of a burn to the derivative (6, c, q) at its node."""
+        """Add the correction of a burn to the derivative (., c, q) at its node."""
         problem, j = self._problem, corrected(self._problem, burn)
         if j is None:
             return
         gains, n = problem.gains_of(self._iterate, j), 6 * (j + 1)
-        start[3:] += np.einsum("an,ncq->acq", gains, d_rows[:n])
+        start[3:6] += np.einsum("an,ncq->acq", gains, d_rows[:n])
         if not self._gains:
             return
         rows = np.vstack([one.rows for one in self._spread.innovations[: j + 1]])
@@ -277,15 +281,15 @@ class FactorSensitivity:
         first, j = int(self._first[burn]), corrected(problem, burn)
         slopes = self._slopes[burn]
         place = slice(first, first + 3)
-        start[3:, problem.shared_columns, place] += slopes[:, : errors.shared]
-        start[3:, problem.columns_of_burn(burn), place] += slopes[:, errors.shared :]
+        start[3:6, problem.shared_columns, place] += slopes[:, : errors.shared]
+        start[3:6, problem.columns_of_burn(burn), place] += slopes[:, errors.shared :]
         if self._shifted is not None:
             start[..., problem.time_controls] += self._shifted[burn]
         if j is not None and self._gains:
             _, of_gains = errors.correction_columns(problem.gains_of(self._iterate, j))
             place = slice(first + 3, self._first[burn + 1])
             own = of_gains.reshape(3, of_gains.shape[1], -1)
-            start[3:, problem.columns_of_correction(j)[0], place] += own
+            start[3:6, problem.columns_of_correction(j)[0], place] += own
 
     def _gain_controls(self, j: int) -> Indices:
         """The controls that are gains of the corrected burn j, ascending."""

@@ -1,6 +1,7 @@
 """Innovations of measurements, by a Kalman filter along a plan, as rows of a covariance factor.
 
-E is the factor of the estimate's error. N is the factor of the measurement's error, in columns of
+E is the factor of the estimate's error: of the state and, below it, of uncertain parameters, which
+are estimated with it by their correlations. N is the factor of the measurement's error, in columns of
 its own. With Y = E + N and the triangular root W of Y Y',
 
     Xi = W^-1 Y,    Xi Xi' = I,    E <- E - (E Xi')Xi.
@@ -30,7 +31,7 @@ class Innovation:
     Attributes:
         rows: Xi, shape (6, c).
         root: W, lower triangular, shape (6, 6).
-        gain: E Xi' before the update, which is the Kalman gain times W, shape (6, 6).
+        gain: E Xi' before the update, which is the Kalman gain times W, shape (6 + p, 6).
         axes: orthonormal directions of xi that carry information on the state, shape (6, r). The
             other directions hold almost only the measurement's error.
         correlation: with the state along each of them, shape (r,).
@@ -44,13 +45,13 @@ class Innovation:
 
     @classmethod
     def of(cls, error: Array, measurement: Array, columns: slice) -> Innovation:
-        """Innovation of a measurement with factor N (6, 6), given the estimate's factor E (6, c)."""
-        measured = error.copy()
+        """Innovation of a measurement with factor N (6, 6), given the estimate's factor E (., c)."""
+        measured = error[:6].copy()
         measured[:, columns] += measurement
         root = np.asarray(np.linalg.cholesky(measured @ measured.T))
         rows = np.asarray(solve_triangular(root, measured, lower=True))
         axes, correlation, _ = np.linalg.svd(
-            solve_triangular(root, error, lower=True), full_matrices=False
+            solve_triangular(root, error[:6], lower=True), full_matrices=False
         )
         told = int((correlation >= LEARNT).sum())
         return cls(rows, root, error @ rows.T, axes[:, :told], correlation[:told])
@@ -70,7 +71,8 @@ class Innovation:
         From dW W^-1 = low(W^-1 d(YY') W^-T), with low the lower triangle and half of the diagonal.
         """
         c, q = d_error.shape[1:]
-        moved = solve_triangular(self.root, d_error.reshape(6, c * q), lower=True).reshape(6, c, q)
+        own = d_error[:6].reshape(6, c * q)
+        moved = solve_triangular(self.root, own, lower=True).reshape(6, c, q)
         half = np.einsum("icq,jc->ijq", moved, self.rows)
         low = np.tril(np.ones((6, 6)))[..., None] * (half + half.swapaxes(0, 1))
         low[range(6), range(6)] *= 0.5

@@ -36,7 +36,7 @@ from formulations.linearisation.shifts import Shifts
 from formulations.problem.cost import Bend, Valued, bends, cost
 from formulations.problem.feedback import Feedback
 from formulations.problem.firing_times import UNIT
-from formulations.problem.flow import ArcDerivatives
+from formulations.problem.flow import ArcDerivatives, bending, by_parameters
 from formulations.problem.flyby import NO_TIMES, FlybyProblem, Iterate
 
 DYNAMICALLY_FEASIBLE = 1e-9
@@ -63,10 +63,16 @@ def require_finite(*parts: Array) -> None:
         raise LinearisationError("the dynamics have no finite derivatives at the iterate")
 
 
-def affine_maps(stm: Array, defect: Array) -> Array:
-    """Maps of deviations and the constant one along n arcs that close their defects, (n, 7, 7)."""
-    maps = np.zeros((len(stm), 7, 7))
+def affine_maps(stm: Array, defect: Array, by_parameters: Array | None = None) -> Array:
+    """Maps of deviations, of the constant one and of p parameters along n arcs, (n, 7 + p, 7 + p).
+
+    They close the defects; the parameters are as constant as the one.
+    """
+    p = 0 if by_parameters is None else by_parameters.shape[2]
+    maps = np.zeros((len(stm), 7 + p, 7 + p))
     maps[:, :6, :6], maps[:, :6, 6], maps[:, 6, 6] = stm, defect, 1.0
+    if by_parameters is not None:
+        maps[:, :6, 7:], maps[:, 7:, 7:] = by_parameters, np.eye(p)
     return maps
 
 
@@ -139,15 +145,13 @@ class Linearisation:
 
     @cached_property
     def factor(self) -> Array:
-        """Covariance factor at every node, shape (n_nodes, 6, columns)."""
-        return self.spread.factor
+        """Covariance factor of the state at every node, shape (n_nodes, 6, columns)."""
+        return self.spread.factor[:, :6]
 
     @cached_property
     def spread(self) -> Spread:
         """Covariance factor, and the innovations of the measurements."""
-        return propagate_factor(
-            self.problem, self.affine_map_from_last_burn[:, :6, :6], self.iterate
-        )
+        return propagate_factor(self.problem, self.stm_from_last_burn, self.iterate)
 
     @cached_property
     def affine_map_from_last_burn(self) -> Array:
@@ -155,11 +159,46 @@ class Linearisation:
 
         The seventh component is the constant one, so that closing the defects is part of the map.
         """
-        return self.problem.legs.compose(affine_maps(self.arcs.stm, self.defects[:-1]))
+        return self._maps_from_last_burn[:, :7, :7]
+
+    @cached_property
+    def stm_from_last_burn(self) -> Array:
+        """STMs of the state and the p parameters from there, (n_nodes, 6 + p, 6 + p)."""
+        maps = self._maps_from_last_burn
+        if not self.problem.parameters:
+            return maps[:, :6, :6]
+        return np.delete(np.delete(maps, 6, axis=1), 6, axis=2)
+
+    @cached_property
+    def _maps_from_last_burn(self) -> Array:
+        maps = affine_maps(self.arcs.stm, self.defects[:-1], self.by_parameters)
+        return self.problem.legs.compose(maps)
+
+    @cached_property
+    def stm_of_arcs(self) -> Array:
+        """STMs of the state and the p parameters along each arc, (n_nodes - 1, 6 + p, 6 + p)."""
+        if not (p := self.problem.parameters):
+            return self.arcs.stm
+        stm = np.tile(np.eye(6 + p), (len(self.arcs.stm), 1, 1))
+        stm[:, :6, :6], stm[:, :6, 6:] = self.arcs.stm, self.by_parameters
+        return stm
+
+    @cached_property
+    def by_parameters(self) -> Array:
+        """Derivatives of the arcs' ends by the uncertain parameters, shape (n_nodes - 1, 6, p)."""
+        return by_parameters(self.arcs, self.problem.parameters)
+
+    @cached_property
+    def bending(self) -> Array:
+        """Derivatives of STMs and `by_parameters` by the arcs' starts, (n_nodes - 1, 6, 6 + p, 6)."""
+        return bending(self.arcs, self.problem.parameters)
 
     @cached_property
     def bent(self) -> Array:
-        """Derivatives of the STMs from the legs' starts by the deviation there, (n_nodes, 6, 6, 7)."""
+        """Derivatives of the state's rows of the STMs from the legs' starts by the deviation there.
+
+        Shape (n_nodes, 6, 6 + p, 7).
+        """
         return _composed_tensor(self, self.problem.n_nodes - 1)
 
     def after_burns(self, kicks: Array, constant: Array) -> Array:
@@ -286,12 +325,14 @@ def condense(
     d_mean[..., timed] += lin.shifts.drift(nodes) if timed.size else 0.0
     if factor:
         bent = lin.bent if curvature else None
-        shifted = lin.shifts.factor(lin.factor) if timed.size else None
+        shifted = lin.shifts.factor(lin.spread.factor) if timed.size else None
         legs = FactorSensitivity(
             lin.problem, lin.iterate, lin.spread, moved, bent, gains=gains, shifted=shifted
         )
-        at, d_factor = lin.factor[nodes], legs.at(nodes)
-        d_factor[..., timed] += lin.shifts.factor_drift(nodes, at) if timed.size else 0.0
+        at, d_factor = lin.factor[nodes], legs.at(nodes)[:, :6]
+        d_factor[..., timed] += (
+            lin.shifts.factor_drift(nodes, lin.spread.factor[nodes]) if timed.size else 0.0
+        )
     else:
         at, d_factor = np.zeros((len(nodes), 6, 0)), np.zeros((len(nodes), 6, 0, len(z) + 1))
     require_finite(d_mean, d_factor)
@@ -315,29 +356,32 @@ def factor_kicks(lin: Linearisation) -> Array:
         lin.sensitivity,
         lin.bent,
         gains=True,
-        shifted=None if lin.problem.firing is None else lin.shifts.factor(lin.factor),
+        shifted=None if lin.problem.firing is None else lin.shifts.factor(lin.spread.factor),
     )
-    return legs.kicks()
+    return legs.kicks()[:, :6]
 
 
 def _composed_tensor(lin: Linearisation, last: int) -> Array:
-    """Derivatives of the STMs from the legs' starts by the deviation there, (last + 1, 6, 6, 7).
+    """Derivatives of the STMs from the legs' starts by the deviation there, (last + 1, 6, 6 + p, 7).
 
     Along a leg T' = A T + (T_k . D) P with D the map of the deviation and P the STM so far. The
     second term of all arcs is computed at once; the first propagates it.
     """
     legs, before = lin.problem.legs, lin.affine_map_from_last_burn.copy()
     before[lin.problem.leg_starts] = np.eye(7)
-    before = before[:last]
-    stm, tensor = lin.arcs.stm[:last], lin.arcs.tensor[:last]
+    before, here = before[:last], before[:last, :6, :6]
+    if p := lin.problem.parameters:
+        here = lin.stm_from_last_burn[:last].copy()
+        here[lin.problem.leg_starts[:-1]] = np.eye(6 + p)
+    stm, tensor = lin.arcs.stm[:last], lin.bending[:last]
     added = tensor @ before[:, None, :6]  # rows i, columns (j, l)
-    added = before[:, None, :6, :6].swapaxes(-1, -2) @ added
-    composed = np.zeros((last + 1, 6, 42))
-    composed[1:] = added.reshape(last, 6, 42)
+    added = here[:, None].swapaxes(-1, -2) @ added
+    composed = np.zeros((last + 1, 6, 7 * (6 + p)))
+    composed[1:] = added.reshape(last, 6, -1)
     inside = np.setdiff1d(np.arange(1, last), legs.ends)
     for k in inside:
         composed[k + 1] += stm[k] @ composed[k]
-    return composed.reshape(last + 1, 6, 6, 7)
+    return composed.reshape(last + 1, 6, 6 + p, 7)
 
 
 def condense_frozen_covariance(lin: Linearisation, nodes: Indices, *, factor: bool) -> Sensitivity:

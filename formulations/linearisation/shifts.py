@@ -50,16 +50,17 @@ class Shifts:
 
     @cached_property
     def _rates(self) -> tuple[Array, Array]:
-        """Rates f (n, 6) and their derivatives D (n, 6, 6) at the starts of the n arcs."""
+        """Rates f (n, 6) and their derivatives D (n, 6, 6 + p) at the starts of the n arcs."""
         arcs = np.arange(self.problem.n_nodes - 1)
         return cast("MovableDerivatives", self.arcs).rate(self.iterate.mean[:-1], arcs)
 
     @cached_property
     def _about(self) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
-        """The same before and after each burn that moves, (q, 6) and (q, 6, 6); at the ends zero."""
+        """The same before and after each burn that moves, (q, 6) and (q, 6, 6 + p); at the ends zero."""
         nodes = self.problem.burn_nodes[self._firing.burns]
         inner, flies = nodes > 0, nodes < self.problem.n_nodes - 1
-        before, after = (np.zeros((len(nodes), 6)), np.zeros((len(nodes), 6, 6))), self._rates
+        size = 6 + self.problem.parameters
+        before, after = (np.zeros((len(nodes), 6)), np.zeros((len(nodes), 6, size))), self._rates
         rates = cast("MovableDerivatives", self.arcs).rate
         found = rates(self.arcs.state[nodes[inner] - 1], nodes[inner])
         for whole, part in zip(before, found, strict=True):
@@ -105,19 +106,19 @@ class Shifts:
         return change
 
     def factor(self, factor: Array) -> Array:
-        """The same of the factor, (m, 6, c, q); `factor` is the iterate's at all nodes."""
+        """The same of the factor, (m, 6, c, q); `factor` is the iterate's, (n_nodes, 6 + p, c)."""
         problem, burns = self.problem, self._firing.burns
-        change = np.zeros((problem.n_burns, *factor.shape[1:], self._firing.shares.shape[1]))
+        change = np.zeros((problem.n_burns, 6, factor.shape[2], self._firing.shares.shape[1]))
         columns = problem.execution_errors.columns(self.iterate.burns)
         shared, ((_, before), (_, after)) = problem.execution_errors.shared, self._about
         for j, burn in enumerate(burns):
             node, added = problem.burn_nodes[burn], np.zeros(factor.shape[1:])
-            added[3:, problem.shared_columns] = columns[burn, :, :shared]
-            added[3:, problem.columns_of_burn(burn)] = columns[burn, :, shared:]
+            added[3:6, problem.shared_columns] = columns[burn, :, :shared]
+            added[3:6, problem.columns_of_burn(burn)] = columns[burn, :, shared:]
             turned = before[j] @ (factor[node] - added) - after[j] @ factor[node]
             change[burn, ..., j] = UNIT * turned
         if self._slopes is not None and (phase := self._phase(0)) is not None:
-            slope = self._slopes[1]
+            slope = self._slopes[1][:6]
             change[0, :, : slope.shape[1], phase] = UNIT * slope
         return change
 
@@ -130,8 +131,8 @@ class Shifts:
         return found
 
     def factor_drift(self, nodes: Indices, factor: Array) -> Array:
-        """The same of the factor's rate, (n, 6, c, q); `factor` is the iterate's at these nodes."""
-        found = np.zeros((*factor.shape, self._firing.shares.shape[1]))
+        """The same of the factor's rate, (n, 6, c, q), of factors (n, 6 + p, c) at these nodes."""
+        found = np.zeros((len(nodes), 6, factor.shape[2], self._firing.shares.shape[1]))
         moved = nodes < self.problem.n_nodes - 1
         here = nodes[moved]
         turned = self._rates[1][here] @ factor[moved]
@@ -144,7 +145,7 @@ class Shifts:
         Args:
             by_mean: its derivatives by the means at all nodes, shape (n_nodes, 6).
             by_factor: by the factors, shape (n_nodes, 6, c).
-            factor: the iterate's at all nodes.
+            factor: the iterate's at all nodes, shape (n_nodes, 6 + p, c).
         """
         rate, turn = self._rates
         own = np.einsum("ki,ki->k", by_mean[:-1], rate)

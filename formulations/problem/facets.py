@@ -13,6 +13,7 @@ from scipy.special import ndtri
 
 from formulations.arrays import Array, Booleans, Indices
 from formulations.problem.flyby import FlybyProblem, StateConstraint
+from formulations.problem.motion import Motion, relative, with_parameters
 from formulations.problem.polytopes import BallPolytope, inner_pyramid_angle, rotations_between
 from formulations.problem.regions import Ball, Cone, Ellipsoid, Halfspaces, Polytope, Region
 
@@ -55,6 +56,10 @@ class Polytopes:
     cone_facets: int
 
 
+PARTS = "constraint", "node", "normal", "offset", "quantile"
+"""Arrays of `Facets`."""
+
+
 @dataclass(frozen=True, eq=False)
 class Facets:
     """Affine chance constraints a'r_k + q ||S_k'a|| <= b on positions, m of them.
@@ -65,6 +70,8 @@ class Facets:
         normal: a, shape (m, 3).
         offset: b, shape (m,).
         quantile: q = Psi^-1 of the facet's share of the probability, shape (m,).
+        motion: of the regions with p uncertain parameters; None without any. S_k is then the factor of
+            the position relative to the region.
     """
 
     constraint: Indices
@@ -72,19 +79,30 @@ class Facets:
     normal: Array
     offset: Array
     quantile: Array
+    motion: Motion | None = None
 
     def chosen(self, which: Booleans) -> Facets:
         """The facets of a mask, shape (m,)."""
-        return Facets(*(getattr(self, name)[which] for name in Facets.__annotations__))
+        motion = self.motion and self.motion.at(np.flatnonzero(which))
+        own = {name: getattr(self, name)[which] for name in PARTS}
+        return Facets(**own, motion=motion)
 
-    def deviation(self, factor: Array) -> Array:
-        """Standard deviation of a'r along each facet's normal, ||S_k'a||, (m,)."""
-        return np.linalg.norm(np.einsum("mi,mic->mc", self.normal, factor[self.node, :3]), axis=1)
+    def along(self, mean: Array, factor: Array) -> Array:
+        """S_k'a of means (n_nodes, 6) and factors (n_nodes, 6 + p, c), shape (m, c)."""
+        found = np.einsum("mi,mic->mc", self.normal, factor[self.node, :3])
+        if self.motion is not None:
+            seen = self.motion.seen(mean[self.node, :3])
+            found += np.einsum("mi,mip,mpc->mc", self.normal, seen, factor[self.node, 6:])
+        return np.asarray(found)
+
+    def deviation(self, mean: Array, factor: Array) -> Array:
+        """Standard deviation along each facet's normal, ||S_k'a||, (m,)."""
+        return np.linalg.norm(self.along(mean, factor), axis=1)
 
     def margin(self, mean: Array, factor: Array) -> Array:
         """Room b - a'r_k - q ||S_k'a||, >= 0 where satisfied, (m,)."""
         distance = self.offset - np.einsum("mi,mi->m", self.normal, mean[self.node, :3])
-        return distance - self.quantile * self.deviation(factor)
+        return distance - self.quantile * self.deviation(mean, factor)
 
     def where_they_hold(self, others: Facets, mean: Array, factor: Array) -> Facets:
         """Another choice at the nodes where it holds or leaves no less room; these facets elsewhere.
@@ -110,13 +128,13 @@ def choose_facets(
     """Choose all facets of keep-in polytopes, and of each keep-out polytope the most probable one.
 
     The guess's means (n_nodes, 6), by their lines of sight, orient the polytopes; its factor has
-    shape (n_nodes, 6, c).
+    shape (n_nodes, 6 + p, c).
     """
     parts = [
         _constraint_facets(index, constraint, polytopes, mean, factor)
         for index, constraint in enumerate(problem.constraints)
     ]
-    return _joined(parts)
+    return _joined(problem, parts)
 
 
 def touching_facets(problem: FlybyProblem, mean: Array) -> Facets:
@@ -129,20 +147,32 @@ def touching_facets(problem: FlybyProblem, mean: Array) -> Facets:
     for index, one in enumerate(problem.constraints):
         plane = one.region.supporting(mean[one.nodes, :3])
         parts.append(_facets_of(index, one, [plane if one.keep == "in" else plane.complement()]))
-    return _joined(parts)
+    return _joined(problem, parts)
 
 
-def _joined(parts: Sequence[Facets]) -> Facets:
+def _joined(problem: FlybyProblem, parts: Sequence[Facets]) -> Facets:
     """Facets of several constraints, in their order."""
     if not parts:
         none = np.zeros(0, dtype=np.intp)
         return Facets(none, none, np.zeros((0, 3)), np.zeros(0), np.zeros(0))
-    return Facets(
-        *(
-            np.concatenate([getattr(part, name) for part in parts])
-            for name in Facets.__annotations__
-        )
-    )
+    joined = {n: np.concatenate([getattr(part, n) for part in parts]) for n in PARTS}
+    found = Facets(**joined, motion=None)
+    if not problem.parameters:
+        return found
+    motions = [
+        motion_at(constraint, problem.parameters, part.node)
+        for constraint, part in zip(problem.constraints, parts, strict=True)
+    ]
+    fields = ([getattr(one, name) for one in motions] for name in ("apex", "shift", "turn"))
+    return replace(found, motion=Motion(*(np.concatenate(each) for each in fields)))
+
+
+def motion_at(constraint: StateConstraint, parameters: int, node: Indices) -> Motion:
+    """The motion of a constraint's region at some of its nodes; none at all if it stays."""
+    if constraint.motion is not None:
+        return constraint.motion.at(np.searchsorted(constraint.nodes, node))
+    still = np.zeros((len(node), 3, parameters))
+    return Motion(np.zeros((len(node), 3)), still, still)
 
 
 def _constraint_facets(
@@ -152,8 +182,8 @@ def _constraint_facets(
     if constraint.keep == "in":
         return _facets_of(index, constraint, inner_facets(constraint.region, polytopes, point))
     outside = [plane.complement() for plane in outer_facets(constraint.region, polytopes, point)]
-    nearest = _most_probable(outside, point, factor[constraint.nodes, :3])
-    return _facets_of(index, constraint, [nearest])
+    own = relative(constraint.motion, point, with_parameters(factor[constraint.nodes]))
+    return _facets_of(index, constraint, [_most_probable(outside, point, own)])
 
 
 def _facets_of(index: int, constraint: StateConstraint, candidates: list[Halfspaces]) -> Facets:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol, Self, runtime_checkable
+from typing import Protocol, Self, cast, runtime_checkable
 
 import numpy as np
 
@@ -49,13 +49,40 @@ class Flow(Protocol):
         """Derivatives of the first n arcs, from their starts (n, 6); only drifts leave arcs out."""
 
 
+class UncertainDerivatives(ArcDerivatives, Protocol):
+    """Derivatives of a flow with p uncertain parameters, constants of standard normal law."""
+
+    @property
+    def by_parameters(self) -> Array:
+        """Derivatives dF_i/dw_j of the ends by the parameters, shape (n, 6, p)."""
+
+    @property
+    def mixed(self) -> Array:
+        """Second derivatives d2F_i/dw_j dx_l, shape (n, 6, p, 6)."""
+
+
+def by_parameters(arcs: ArcDerivatives, parameters: int) -> Array:
+    """Derivatives of arcs' ends by a number of parameters, shape (n, 6, parameters)."""
+    if not parameters:
+        return np.zeros((len(arcs.state), 6, 0))
+    return cast("UncertainDerivatives", arcs).by_parameters
+
+
+def bending(arcs: ArcDerivatives, parameters: int) -> Array:
+    """Derivatives by the state of the STM and of `by_parameters`, shape (n, 6, 6 + parameters, 6)."""
+    if not parameters:
+        return arcs.tensor
+    return np.concatenate([arcs.tensor, cast("UncertainDerivatives", arcs).mixed], axis=2)
+
+
 class MovableDerivatives(ArcDerivatives, Protocol):
     """Derivatives of a `MovableFlow`."""
 
     def rate(self, state: Array, arcs: Indices) -> tuple[Array, Array]:
-        """Rate f of states (n, 6) at the starts of some arcs, and its derivative by them, (n, 6, 6).
+        """Rate f of states (n, 6) at the starts of some arcs, and its derivatives, shape (n, 6, 6 + p).
 
-        The number after the last arc's stands for its end.
+        By the state and by the p uncertain parameters, if the flow has some. The number after the last
+        arc's stands for its end.
         """
 
 
@@ -113,6 +140,17 @@ class ScaledDerivatives:
         """Second derivatives, shape (n, 6, 6, 6)."""
         unit = self.unit
         return self.arcs.tensor * unit * unit[:, None] / unit[:, None, None]
+
+    @property
+    def by_parameters(self) -> Array:
+        """See `UncertainDerivatives`."""
+        return cast("UncertainDerivatives", self.arcs).by_parameters / self.unit[:, None]
+
+    @property
+    def mixed(self) -> Array:
+        """See `UncertainDerivatives`."""
+        mixed = cast("UncertainDerivatives", self.arcs).mixed
+        return mixed * self.unit / self.unit[:, None, None]
 
     def moved(self, deviation: Array) -> ScaledDerivatives:
         """See `ArcDerivatives.moved`."""

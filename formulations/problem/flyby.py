@@ -15,6 +15,7 @@ from formulations.problem.drift import Drift
 from formulations.problem.execution_errors import ExecutionErrors
 from formulations.problem.feedback import Feedback
 from formulations.problem.firing_times import UNIT, FiringTimes
+from formulations.problem.motion import Motion
 from formulations.problem.regions import Cone, Region
 
 
@@ -29,6 +30,7 @@ class StateConstraint:
         keep: "in" or "out".
         probability: required of this constraint alone in P2, after joint risk was split.
         joint: name of the joint chance constraint it belongs to; by default its own.
+        motion: of the region with the problem's uncertain parameters; None if it stays.
     """
 
     name: str
@@ -37,6 +39,7 @@ class StateConstraint:
     keep: Literal["in", "out"]
     probability: float
     joint: str = ""
+    motion: Motion | None = None
 
     @property
     def event(self) -> str:
@@ -137,7 +140,8 @@ class FlybyProblem:
         burn_nodes: node of each burn, ascending, the last n_nodes - 1, shape (m,).
         initial_state: mean at the first node, before a burn there, shape (6,).
         final_state: mean after the last burn, shape (6,).
-        initial_factor: S with S S' its covariance, shape (6, c).
+        initial_factor: S with S S' its covariance, and below it the factor of p uncertain constants
+            of the flow and of the regions, shape (6 + p, c).
         execution_errors: of the burns.
         dv_max: largest burn.
         sun: unit vectors to the Sun at each burn, shape (m, 3).
@@ -210,6 +214,17 @@ class FlybyProblem:
     def leg_starts(self) -> Indices:
         """Nodes at which legs start, the last node included; burn i is at the one of i + `coasts`."""
         return np.r_[np.zeros(self.coasts, dtype=np.intp), self.burn_nodes]
+
+    @property
+    def parameters(self) -> int:
+        """Number p of uncertain constants, which the factor carries along below the state."""
+        return len(self.initial_factor) - 6
+
+    @cached_property
+    def parameter_factor(self) -> Array:
+        """Rows of the parameters in the covariance factor, the same at every node, shape (p, c)."""
+        rows = self.initial_factor[6:]
+        return np.pad(rows, ((0, 0), (0, self.factor_columns - rows.shape[1])))
 
     @cached_property
     def first_factor(self) -> Array:

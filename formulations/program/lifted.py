@@ -136,13 +136,14 @@ class LiftedDynamics:
             LinearisationError: if their numbers are not finite.
         """
         n, c, arcs = self._factor_arcs, self._columns, compose(lin, self._nodes)
-        factor = lin.factor[self._nodes[: n + 1], :, :c]
+        full = lin.spread.factor[self._nodes[: n + 1], :, :c]
+        factor = full[:, :6]
         # (T_k . dmu) S^_k: rows i, factor column c, mean component l.
-        bent = np.einsum("kijl,kjc->kicl", arcs.tensor[:n], factor[:n], optimize=True)
+        bent = np.einsum("kijl,kjc->kicl", arcs.tensor[:n], full[:n], optimize=True)
         own = np.broadcast_to(arcs.stm[:n, :, None, :], bent.shape)
         entries = np.concatenate([arcs.stm.ravel(), own.ravel(), bent.ravel()])
         step = sp.csr_array((entries, self._pattern()), shape=(len(self._ends), self.size))
-        closing = np.r_[arcs.shift.ravel(), (arcs.shift_stm[:n] @ factor[:n]).ravel()]
+        closing = np.r_[arcs.shift.ravel(), (arcs.shift_stm[:n] @ full[:n]).ravel()]
         here = np.r_[lin.iterate.mean[self._nodes].ravel(), factor.ravel()]
         (kicks, closed), moved = self._kicks(lin), controls - lin.controls
         off, starts, ends = states - here, self._starts, self._ends
@@ -163,7 +164,7 @@ class LiftedDynamics:
         every[: self._mean_size] = own.reshape(self._mean_size, -1)
         if c > 0:
             nodes = self._nodes[: n + 1]
-            turned = lin.shifts.factor_drift(nodes, lin.factor[nodes, :, :c])
+            turned = lin.shifts.factor_drift(nodes, lin.spread.factor[nodes, :, :c])
             every[self._mean_size :] = turned.reshape(-1, every.shape[1])
         row, q = np.nonzero(every)
         return sp.csr_array((every[row, q], (row, lin.problem.time_controls[q])), shape=shape)
@@ -214,8 +215,8 @@ class LiftedDynamics:
 class ComposedArcs:
     """Arcs between chosen nodes, composed from the grid's, as maps of the deviation d at their start.
 
-    Deviation of the mean at the end: stm d + shift. STM along the deviated mean:
-    stm + shift_stm + tensor . d. Shapes: (n, 6, 6), (n, 6), (n, 6, 6), (n, 6, 6, 6).
+    Deviation of the mean at the end: stm d + shift. STM along the deviated mean, of p parameters too:
+    stm + shift_stm + tensor . d. Shapes: (n, 6, 6), (n, 6), (n, 6, 6 + p), (n, 6, 6 + p, 6).
     """
 
     stm: Array
@@ -234,20 +235,21 @@ def compose(lin: Linearisation, nodes: Indices) -> ComposedArcs:
     Raises:
         LinearisationError: if they are not finite.
     """
-    n = len(nodes) - 1
+    n, size = len(nodes) - 1, 6 + lin.problem.parameters
     composed = ComposedArcs(
-        np.empty((n, 6, 6)), np.empty((n, 6)), np.empty((n, 6, 6)), np.empty((n, 6, 6, 6))
+        np.empty((n, 6, 6)), np.empty((n, 6)), np.empty((n, 6, size)), np.empty((n, 6, size, 6))
     )
     defects = lin.defects
     for arc, (first, last) in enumerate(itertools.pairwise(nodes)):
-        stm, shift = np.eye(6), np.zeros(6)
-        shift_stm, tensor = np.zeros((6, 6)), np.zeros((6, 6, 6))
+        stm, shift, full = np.eye(6), np.zeros(6), np.eye(size)
+        shift_stm, tensor = np.zeros((6, size)), np.zeros((6, size, 6))
         for k in range(first, last):
-            a, t = lin.arcs.stm[k], lin.arcs.tensor[k]
-            shift_stm = a @ shift_stm + (t @ shift) @ stm
-            # (T . stm d) stm: rows i, columns c of the STM, component l of d.
-            tensor = (a @ tensor.reshape(6, 36)).reshape(6, 6, 6) + stm.T @ (t @ stm)
+            a, t = lin.arcs.stm[k], lin.bending[k]
+            shift_stm = a @ shift_stm + (t @ shift) @ full
+            # (T . stm d) full: rows i, columns c of the STM, component l of d.
+            tensor = (a @ tensor.reshape(6, -1)).reshape(6, size, 6) + full.T @ (t @ stm)
             stm, shift = a @ stm, a @ shift + defects[k]
+            full = lin.stm_of_arcs[k] @ full
         composed.stm[arc], composed.shift[arc] = stm, shift
         composed.shift_stm[arc], composed.tensor[arc] = shift_stm, tensor
     require_finite(composed.stm, composed.shift, composed.shift_stm, composed.tensor)

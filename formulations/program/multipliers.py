@@ -157,22 +157,22 @@ def adjoint(rows: Rows, lin: Linearisation, prices: Array) -> Adjoints:
     here, here_factor = rows.pulled(lin, prices[first:])
     columns = problem.factor_columns if rows.with_factor else 0
     by_mean = np.zeros((problem.n_nodes, 6))
-    by_factor, by_error = np.zeros((2, problem.n_nodes, 6, columns))
+    by_factor, by_error = np.zeros((2, problem.n_nodes, 6 + problem.parameters, columns))
     by_mean[:, : here.shape[1]] = here
     by_mean[-1] += prices[:MISS]
     by_factor[:, : here_factor.shape[1], : here_factor.shape[2]] = here_factor
-    knowledge = _Knowledge(lin)
+    knowledge, stm = _Knowledge(lin), lin.stm_of_arcs
     for k in range(problem.n_nodes - 2, -1, -1):
         by_mean[k] += by_mean[k + 1] @ arcs.stm[k]
         if columns:
-            bent = by_factor[k + 1] @ lin.factor[k].T
-            by_factor[k] += arcs.stm[k].T @ by_factor[k + 1]
+            bent = by_factor[k + 1, :6] @ lin.spread.factor[k].T
+            by_factor[k] += stm[k].T @ by_factor[k + 1]
             if problem.feedback is not None:
                 before = knowledge.before(k + 1, by_factor[k + 1], by_error[k + 1])
-                bent += before @ knowledge.error(k).T
-                by_error[k] = arcs.stm[k].T @ before
-            by_mean[k] += np.einsum("ijl,ij->l", arcs.tensor[k], bent)
-    return Adjoints(by_mean, by_factor, by_error)
+                bent += before[:6] @ knowledge.error(k).T
+                by_error[k] = stm[k].T @ before
+            by_mean[k] += np.einsum("ijl,ij->l", lin.bending[k], bent)
+    return Adjoints(by_mean, by_factor[:, :6], by_error[:, :6])
 
 
 class _Knowledge:
@@ -184,7 +184,7 @@ class _Knowledge:
         self._rows = np.zeros((k, 6, lin.problem.factor_columns))
 
     def error(self, node: int, measurement: int | None = None) -> Array:
-        """E at a node (6, c), after a burn there, or before one of the measurements there."""
+        """E at a node (6 + p, c), after a burn there, or before one of the measurements there."""
         problem, spread = self._problem, self._lin.spread
         feedback, starts = problem.feedback, problem.leg_starts
         assert feedback is not None
@@ -202,7 +202,7 @@ class _Knowledge:
         assert feedback is not None
         for j in np.flatnonzero(problem.burn_nodes[feedback.burns] == node).tolist():
             gains = problem.gains_of(self._lin.iterate, j)
-            self._rows[: j + 1] += (gains.T @ by_factor[3:]).reshape(j + 1, 6, -1)
+            self._rows[: j + 1] += (gains.T @ by_factor[3:6]).reshape(j + 1, 6, -1)
         for j in np.flatnonzero(feedback.cut_offs == node)[::-1].tolist():
             one, error = self._lin.spread.innovations[j], self.error(node, j)
             along, there = pulled_before(one, error, by_error, self._rows[j])

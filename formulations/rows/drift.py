@@ -30,7 +30,7 @@ from formulations.linearisation.linearisation import (
     require_finite,
 )
 from formulations.problem.drift import Drift
-from formulations.problem.flow import ArcDerivatives
+from formulations.problem.flow import ArcDerivatives, bending, by_parameters
 from formulations.problem.flyby import FlybyProblem, Legs
 from formulations.risk.directions import sphere_directions
 from formulations.rows.cones import (
@@ -65,7 +65,10 @@ NO_BURNS = np.zeros((0, 3))
 
 
 class Start(NamedTuple):
-    """Mean (6,) and factor (6, c) at a drift's start; or derivatives of a function by them."""
+    """Mean (6,) and factor (6 + p, c) at a drift's start; or derivatives of a function by them.
+
+    The factor's p rows of uncertain parameters are constant: no derivative is by them.
+    """
 
     mean: Array
     factor: Array
@@ -79,14 +82,14 @@ class DriftValue(NamedTuple):
 
 
 class Branch:
-    """Evaluates a drift, and keeps what it has found, because the next start is near."""
+    """Evaluates a drift with p uncertain parameters, and keeps what it has found for a start nearby."""
 
-    def __init__(self, drift: Drift) -> None:
+    def __init__(self, drift: Drift, parameters: int = 0) -> None:
         n = drift.flow.arcs + 1
         self._drift, self._legs = drift, Legs(n, np.array([0, n - 1]))
         self._free = Dynamics(drift.flow, np.zeros(0, dtype=np.intp))
         self._event = Event(drift.name, np.arange(n), (), drift.keep_out)
-        self._coordinates = Coordinates([0])
+        self._coordinates, self._parameters = Coordinates([0], parameters), parameters
         self._directions = sphere_directions(LINES, self._coordinates.count)
         self._last: tuple[Start, DriftValue] | None = None
 
@@ -98,7 +101,7 @@ class Branch:
         """
         if self._last is not None:
             (mean, factor), (value, by) = self._last
-            change = by.mean @ (start.mean - mean) + np.sum(by.factor * (start.factor - factor))
+            change = by.mean @ (start.mean - mean) + np.sum(by.factor * (start.factor - factor)[:6])
             room = value - self._drift.required
             if room > FAR and abs(change) < LITTLE * room:
                 return DriftValue(value + float(change), by)
@@ -129,7 +132,9 @@ class Branch:
         return found.value, found.by_mean, found.by_factor
 
     def flown(self, state: Array) -> tuple[Array, Array]:
-        """Means (n, 6) from a state (6,), and STMs (n, 6, 6) from there.
+        """Means (n, 6) from a state (6,), and STMs of state and parameters from there.
+
+        The STMs have shape (n, 6 + p, 6 + p).
 
         Nodes after the mean is deep inside a ball are left out.
         """
@@ -140,9 +145,8 @@ class Branch:
             mean = known[0] if known else self._free.rollout(state, NO_BURNS)
             for _ in range(NEWTON_MAX):
                 arcs = flow.differentiate(mean[:-1])
-                maps = affine_maps(arcs.stm, arcs.state - mean[1:])
-                stm = self._legs.compose(maps)[:, :6]
-                step = stm @ np.r_[state - mean[0], 1.0]
+                stm = self._composed(arcs, arcs.state - mean[1:])
+                step = stm[:, :6, :7] @ np.r_[state - mean[0], 1.0]
                 mean = mean + step
                 n = self._meaningful(mean)
                 if np.abs(step[:n]).max() < CLOSED:
@@ -151,9 +155,16 @@ class Branch:
                 mean = self._free.rollout(state, NO_BURNS)
                 n = self._meaningful(mean)
                 arcs = flow.differentiate(mean[:-1])
-                stm = self._legs.compose(arcs.stm)
+                stm = self._composed(arcs, np.zeros_like(mean[1:]))
         self._drift.path[:] = [mean] if n == len(mean) else []
-        return mean[:n], stm[:n, :, :6]
+        if not self._parameters:
+            return mean[:n], stm[:n, :6, :6]
+        return mean[:n], np.delete(np.delete(stm[:n], 6, axis=1), 6, axis=2)
+
+    def _composed(self, arcs: ArcDerivatives, defects: Array) -> Array:
+        """Maps of `affine_maps` from the drift's start to its nodes, shape (n, 7 + p, 7 + p)."""
+        maps = affine_maps(arcs.stm, defects, by_parameters(arcs, self._parameters))
+        return self._legs.compose(maps)
 
     def _meaningful(self, mean: Array) -> int:
         """Number of first nodes up to where a mean (n, 6) is deep inside a ball."""
@@ -168,9 +179,9 @@ def tangent(event: Event, mean: Array, factor: Array) -> tuple[float, Array, Arr
     """Least room over deviation at the planes that touch each region nearest to the mean.
 
     Returns:
-        The value, and its derivatives by means (n, 3) and factors (n, 6, c).
+        The value, and its derivatives by means (n, 3) and the state's factors (n, 6, c).
     """
-    by_mean, by_factor = np.zeros((len(mean), 3)), np.zeros(factor.shape)
+    by_mean, by_factor = np.zeros((len(mean), 3)), np.zeros((len(mean), 6, factor.shape[2]))
     normals, offsets = event.facets(mean[:, :3])
     room = offsets - np.einsum("lni,ni->ln", normals, mean[:, :3])
     along = np.einsum("lni,nic->lnc", normals, factor[:, :3])
@@ -186,15 +197,16 @@ def _pulled(
     stm: Array, arcs: ArcDerivatives, factor: Array, by_mean: Array, by_factor: Array
 ) -> Start:
     """Derivatives by a drift's start, from those at its nodes, (n, 3) and (n, 6, c): see the module."""
-    last = len(stm)
+    last, parameters = len(stm), len(factor) - 6
+    by_factor = np.pad(by_factor, ((0, 0), (0, parameters), (0, 0)))
     following = np.cumsum((stm.swapaxes(1, 2) @ by_factor)[::-1], axis=0)[::-1]
     own = np.zeros((last, 6))
     own[:, :3] = by_mean
     if last > 1:
         before = np.linalg.solve(stm[1:].swapaxes(1, 2), following[1:] @ factor.T)
         both = before @ stm[:-1].swapaxes(1, 2)
-        own[:-1] += np.einsum("nijl,nij->nl", arcs.tensor, both)
-    return Start(np.einsum("nij,ni->j", stm, own), following[0])
+        own[:-1] += np.einsum("nijl,nij->nl", bending(arcs, parameters), both[:, :6])
+    return Start(np.einsum("nij,ni->j", stm[:, :6, :6], own), following[0, :6])
 
 
 def _last(parts: Array) -> int:
@@ -211,7 +223,7 @@ class DriftRows:
 
     def __init__(self, problem: FlybyProblem, first: int) -> None:
         self._drifts, self._first = problem.drifts, first
-        self._branches = [Branch(drift) for drift in problem.drifts]
+        self._branches = [Branch(drift, problem.parameters) for drift in problem.drifts]
         self.count = len(problem.drifts)
         after = problem.burn_nodes[[drift.burn for drift in problem.drifts]].astype(np.intp)
         self.nodes: Indices = np.unique(np.r_[after - 1, after]).astype(np.intp)
@@ -275,7 +287,7 @@ class DriftRows:
         before, after = np.searchsorted(self.nodes, [k - 1, k])
         stm, missed, moved = lin.arcs.stm[k - 1], 1.0 - drift.share, s.mean_jacobian[before]
         mean = missed * stm @ moved + drift.share * s.mean_jacobian[after]
-        bent = np.einsum("ijl,lz,jc->icz", lin.arcs.tensor[k - 1], moved, lin.factor[k - 1])
+        bent = np.einsum("ijl,lz,jc->icz", lin.bending[k - 1], moved, lin.spread.factor[k - 1])
         factor = np.einsum("ij,jcz->icz", stm, s.factor_jacobian[before]) + bent
         return Start(mean, missed * factor + drift.share * s.factor_jacobian[after])
 
@@ -286,7 +298,8 @@ class DriftRows:
         by_factor = np.zeros((len(by_mean), *found.by.factor.shape))
         by_mean[k], by_factor[k] = drift.share * found.by.mean, drift.share * found.by.factor
         stm = lin.arcs.stm[k - 1]
-        bent = np.einsum("ijl,ij->l", lin.arcs.tensor[k - 1], found.by.factor @ lin.factor[k - 1].T)
+        both = found.by.factor @ lin.spread.factor[k - 1].T
+        bent = np.einsum("ijl,ij->l", lin.bending[k - 1], both)
         by_mean[k - 1] = missed * (stm.T @ found.by.mean + bent)
         by_factor[k - 1] = missed * stm.T @ found.by.factor
         return by_mean, by_factor
@@ -301,5 +314,5 @@ def start_of(lin: Linearisation, drift: Drift) -> Start:
     """Mean and factor at which a drift begins: see `Drift`."""
     k, missed = int(lin.problem.burn_nodes[drift.burn]), 1.0 - drift.share
     mean = missed * lin.arcs.state[k - 1] + drift.share * lin.iterate.mean[k]
-    before = lin.arcs.stm[k - 1] @ lin.factor[k - 1]
-    return Start(mean, missed * before + drift.share * lin.factor[k])
+    before = lin.stm_of_arcs[k - 1] @ lin.spread.factor[k - 1]
+    return Start(mean, missed * before + drift.share * lin.spread.factor[k])

@@ -36,7 +36,7 @@ from formulations.rows.cones import (
     pulled_at,
 )
 from formulations.rows.corrected_burns import FurtherRows
-from formulations.rows.node_probability import Quantiles, joint_events, node_quantiles
+from formulations.rows.node_probability import Quantiles, joint_events, moving_quantiles
 
 DIFFERENCE = 1e-5
 """Step of the differences that give a node's curvature, in units of speed."""
@@ -152,13 +152,13 @@ class NodeRows(ExactRows):
 
     def _quantiles(self, rows: Indices, mean: Array, factor: Array) -> Quantiles:
         """The quantiles g of ascending rows, with a mean (r, 3) and factor (r, 3, c) for each."""
-        cuts = np.searchsorted(rows, self._first)
+        cuts, parameters = np.searchsorted(rows, self._first), self.problem.parameter_factor
         parts = []
         for event, first, start, stop in zip(
             self.events, self._first, cuts, cuts[1:], strict=False
         ):
             some, mine = event.at(rows[start:stop] - first), slice(start, stop)
-            parts.append(node_quantiles(some, mean[mine], factor[mine]))
+            parts.append(moving_quantiles(some, mean[mine], factor[mine], parameters))
         return Quantiles(*(np.concatenate(part) for part in zip(*parts, strict=True)))
 
     def _slope(self, g: Quantiles, rows: Indices, s: Sensitivity, p: int) -> Array:

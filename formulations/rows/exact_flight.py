@@ -74,7 +74,7 @@ class FlightRows(ExactRows):
         nodes = np.unique(np.concatenate([event.nodes for event in self.events]))
         self.further = FurtherRows(problem, 1)
         starts = problem.leg_starts[problem.leg_starts < nodes[-1]].tolist()
-        self._coordinates = Coordinates(starts or [0])
+        self._coordinates = Coordinates(starts or [0], problem.parameters)
         felt = np.union1d(nodes, self._coordinates.nodes)
         self._columns = factor_columns_used(problem, felt)
         self.nodes = np.union1d(felt, self.further.nodes)
@@ -92,8 +92,8 @@ class FlightRows(ExactRows):
 
     def aim(self, lin: Linearisation) -> None:
         """Use directions of which half are drawn where an iterate's flights fail."""
-        self._coordinates.settle(lin.factor)
-        mean, factor = lin.iterate.mean[:, :3], self._coordinates.reduced(lin.factor)
+        self._coordinates.settle(lin.spread.factor)
+        mean, factor = lin.iterate.mean[:, :3], self._coordinates.reduced(lin.spread.factor)
 
         def failing(directions: Directions) -> Array:
             return FlightProbability(self.events, directions).failing(mean, factor)
@@ -137,7 +137,7 @@ class FlightRows(ExactRows):
 
     def at(self, lin: Linearisation) -> FlightValue:
         """G at an iterate."""
-        mean, factor = lin.iterate.mean[:, :3], lin.factor
+        mean, factor = lin.iterate.mean[:, :3], lin.spread.factor
         for k, seen in enumerate(self._seen):
             if np.array_equal(seen[0], mean) and np.array_equal(seen[1], factor):
                 self._seen.insert(0, self._seen.pop(k))
@@ -191,9 +191,9 @@ class FlightRows(ExactRows):
             if len(moves) == 0:  # too few burns are left to change any
                 return moves
             mean = np.repeat(lin.iterate.mean[None, :, :3], len(moves), axis=0)
-            factor = np.repeat(lin.factor[None], len(moves), axis=0)
+            factor = np.repeat(lin.spread.factor[None], len(moves), axis=0)
             mean[:, nodes] += np.moveaxis(s.mean_jacobian[:, :3] @ moves.T, 2, 0)
-            factor[:, nodes] += np.moveaxis(s.factor_jacobian @ moves.T, 3, 0)
+            factor[:, nodes, :6] += np.moveaxis(s.factor_jacobian @ moves.T, 3, 0)
             found = self._coordinates.of_many(self._rough, mean, factor, met)
             by_mean = np.stack([g.by_mean[nodes].ravel() for g in found])
             by_factor = np.stack([g.by_factor[nodes].ravel() for g in found])

@@ -4,7 +4,8 @@ A flight depends on one standard normal vector w with a component per column of 
 factor. The position at every node is mu_k + S_k w. On a line through the mean, w = s u with u on
 the unit sphere, every region at every node contains an interval of s. The directions u are fixed,
 quasi-random points of the sphere, so that the probability is a smooth function of means and
-factors: see `risk.lines`.
+factors: see `risk.lines`. The factors have rows of p uncertain parameters too. Where regions move with
+these, S_k is that of the position relative to the region, linearised at the mean.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ import numpy as np
 from scipy.special import ndtri
 
 from formulations.arrays import Array, Booleans, Indices
+from formulations.problem.motion import Motion, relative
 from formulations.problem.regions import Region
 from formulations.risk.directions import Directions
 from formulations.risk.lines import Chords, Segments, TwoSidedChiLaw, kept_segments, normal_density
@@ -46,10 +48,12 @@ class Limit(NamedTuple):
 
     region: Region
     nodes: Indices
+    motion: Motion | None = None
 
     def at(self, which: Indices) -> Limit:
         """The limit at some of its nodes."""
-        return Limit(self.region.at(which), self.nodes[which])
+        motion = self.motion and self.motion.at(which)
+        return Limit(self.region.at(which), self.nodes[which], motion)
 
 
 class Limits(NamedTuple):
@@ -79,6 +83,25 @@ class Limits(NamedTuple):
         count = len(self.inner)
         return Limits(tuple(kept[:count]), tuple(kept[count:]))
 
+    @property
+    def moving(self) -> Iterator[tuple[slice, Motion]]:
+        """Rows of limits whose regions move, with the motion."""
+        parts = zip(self.inner + self.outer, self.first, self.first[1:], strict=False)
+        for limit, start, stop in parts:
+            if limit.motion is not None:
+                yield slice(start, stop), limit.motion
+
+    def relative(self, at: Array, factor: Array) -> Array:
+        """Factors (b, r, 3, d) relative to the rows' regions, from (b, r, 3) and (b, r, 3 + p, d)."""
+        found = factor[:, :, :3]
+        if factor.shape[2] == 3:
+            return found
+        found = found.copy()
+        for rows, motion in self.moving:
+            for flight, (point, own) in enumerate(zip(at[:, rows], factor[:, rows], strict=True)):
+                found[flight, rows] = relative(motion, point, own)
+        return found
+
     def normals(self, row: Indices, point: Array) -> Array:
         """Normals to the surface of the region of ascending rows at points (m, 3) on it."""
         normal, first = np.empty_like(point), self.first
@@ -98,7 +121,7 @@ class FlightQuantile(NamedTuple):
         value: g.
         limits: limits evaluated, r rows.
         by_mean: shape (r, 3).
-        by_factor: shape (r, 3, d), of the factor's first d columns.
+        by_factor: shape (r, 3 + p, d), of the factor's first d columns.
         ends: share of the flights that a row ends, in density, shape (r,).
     """
 
@@ -130,13 +153,13 @@ class FlightProbability:
     reach: float = 6.0
 
     def limits(self, mean: Array, factor: Array) -> Limits:
-        """Limits that flights within reach meet, for mean positions (n, 3) and factors (n, 3, c)."""
+        """Limits that flights within reach meet, for mean positions (n, 3), factors (n, 3 + p, c)."""
         return limits_within(
             self.events, mean, self.reach * factor[:, :, : self.directions.unit.shape[1]]
         )
 
     def __call__(self, mean: Array, factor: Array, limits: Limits | None = None) -> FlightQuantile:
-        """The quantile g for mean positions (n, 3) and factors (n, 3, c) at all nodes.
+        """The quantile g for mean positions (n, 3) and factors (n, 3 + p, c) at all nodes.
 
         By default all limits within reach are evaluated.
         """
@@ -145,10 +168,11 @@ class FlightProbability:
         return self.of_many(mean[None], factor[None], limits)[0]
 
     def of_many(self, mean: Array, factor: Array, limits: Limits) -> list[FlightQuantile]:
-        """The quantiles g of b flights by the same limits, from (b, n, 3) and (b, n, 3, c)."""
+        """The quantiles g of b flights by the same limits, from (b, n, 3) and (b, n, 3 + p, c)."""
         (unit, weight), law, nodes = self.directions, self._law, limits.nodes
         (lines, d), b, r = unit.shape, len(mean), len(nodes)
-        at, spread = mean[:, nodes], factor[:, nodes, :, :d]
+        at, every = mean[:, nodes], factor[:, nodes, :, :d]
+        spread = limits.relative(at, every)
         kept = self._kept(at, spread, limits)
         between = np.bincount(kept.line, law.between(kept.low, kept.high), b * lines)
         p = 1.0 - (1.0 - between.reshape(b, lines)) @ weight / lines
@@ -171,8 +195,12 @@ class FlightProbability:
         if len(met):
             for of_all, parts in zip(sums, (gradient, moved, density), strict=True):
                 of_all[np.divmod(met, b)] = np.add.reduceat(parts, start)
+        by_mean, by_factor, ends = sums
+        if every.shape[2] > 3:
+            by_mean, by_factor = _with_motion(limits, at, every, by_mean, by_factor)
+        parts = by_mean, by_factor, ends
         return [
-            FlightQuantile(float(g[j]), limits, *(part[:, j] for part in sums)) for j in range(b)
+            FlightQuantile(float(g[j]), limits, *(part[:, j] for part in parts)) for j in range(b)
         ]
 
     def failing(self, mean: Array, factor: Array) -> Array:
@@ -180,7 +208,8 @@ class FlightProbability:
         lines, d = self.directions.unit.shape
         limits = self.limits(mean, factor)
         nodes = limits.nodes
-        kept = self._kept(mean[None, nodes], factor[None, nodes, :, :d], limits)
+        at = mean[None, nodes]
+        kept = self._kept(at, limits.relative(at, factor[None, nodes, :, :d]), limits)
         between = self._law.between(kept.low, kept.high)
         return np.asarray(1.0 - np.bincount(kept.line, between, lines))
 
@@ -196,7 +225,7 @@ class FlightProbability:
 
         Args:
             at: mean positions of b flights at the rows of the limits, shape (b, r, 3).
-            spread: their factors there, shape (b, r, 3, d).
+            spread: their factors there, relative to the regions, shape (b, r, 3, d).
             limits: of r rows.
 
         Returns:
@@ -233,6 +262,24 @@ class FlightProbability:
         return kept_segments((low, high), keep_out)
 
 
+def _with_motion(
+    limits: Limits, at: Array, factor: Array, by_mean: Array, by_factor: Array
+) -> tuple[Array, Array]:
+    """Derivatives by positions (r, b, 3) and all rows (r, b, 3 + p, d), from those by relative ones.
+
+    At positions (b, r, 3) with factors (b, r, 3 + p, d).
+    """
+    found = np.concatenate([by_factor, np.zeros_like(factor[:, :, 3:].swapaxes(0, 1))], axis=2)
+    by_mean = by_mean.copy()
+    for rows, motion in limits.moving:
+        for flight in range(len(at)):
+            own = by_factor[rows, flight]
+            seen, parameters = motion.seen(at[flight, rows]), factor[flight, rows, 3:]
+            found[rows, flight, 3:] = seen.swapaxes(1, 2) @ own
+            by_mean[rows, flight] += motion.pulled(own @ parameters.swapaxes(1, 2))
+    return by_mean, found
+
+
 def _parts(limits: Sequence[Limit], first: int) -> Iterator[tuple[Region, slice]]:
     """Regions of some limits, and their rows from the first on, in blocks."""
     for limit in limits:
@@ -244,20 +291,27 @@ def _parts(limits: Sequence[Limit], first: int) -> Iterator[tuple[Region, slice]
 
 
 def limits_within(events: tuple[Event, ...], mean: Array, spread: Array) -> Limits:
-    """Limits that positions mean + spread w may break, with |w| <= 1; (n, 3) and (n, 3, c)."""
-    radius = np.sqrt(np.linalg.eigvalsh(spread @ spread.swapaxes(1, 2))[:, -1])
-    inner = (limit for e in events for limit in _met_inside(e, mean, radius))
+    """Limits that positions mean + spread w may break, with |w| <= 1; (n, 3) and (n, 3 + p, c)."""
+    radius = _reach(spread[:, :3])
+    inner = (limit for e in events for limit in _met_inside(e, mean, spread, radius))
     outer = (limit for e in events for limit in _met_outside(e, mean, spread))
     return Limits(tuple(inner), tuple(outer))
 
 
-def _met_inside(event: Event, mean: Array, radius: Array) -> Iterator[Limit]:
-    """Keep-in limits that flights within a radius about the mean leave."""
-    at = event.nodes
+def _reach(spread: Array) -> Array:
+    """Radius of the balls that hold spread w with |w| <= 1, shape (n,), of (n, 3, c)."""
+    return np.sqrt(np.linalg.eigvalsh(spread @ spread.swapaxes(1, 2))[:, -1])
+
+
+def _met_inside(event: Event, mean: Array, spread: Array, radius: Array) -> Iterator[Limit]:
+    """Keep-in limits that flights leave, which are within a radius about the mean of a still region."""
+    at, within = event.nodes, radius[event.nodes]
+    if event.keep_in and event.motion is not None:
+        within = _reach(relative(event.motion, mean[at], spread[at]))
     for region in event.keep_in:
-        near = np.flatnonzero(region.inside(mean[at]) < radius[at])
+        near = np.flatnonzero(region.inside(mean[at]) < within)
         if len(near):
-            yield Limit(region.at(near), at[near])
+            yield _limit(event, region, near)
 
 
 def _met_outside(event: Event, mean: Array, spread: Array) -> Iterator[Limit]:
@@ -265,10 +319,16 @@ def _met_outside(event: Event, mean: Array, spread: Array) -> Iterator[Limit]:
     at = event.nodes
     for region in event.keep_out:
         planes = region.supporting(mean[at]).complement()
-        along = np.linalg.norm(np.einsum("ni,nic->nc", planes.normal, spread[at]), axis=1)
+        own = relative(event.motion, mean[at], spread[at])
+        along = np.linalg.norm(np.einsum("ni,nic->nc", planes.normal, own), axis=1)
         near = np.flatnonzero(planes.slack(mean[at]) < along)
         if len(near):
-            yield Limit(region.at(near), at[near])
+            yield _limit(event, region, near)
+
+
+def _limit(event: Event, region: Region, near: Indices) -> Limit:
+    """One of an event's limits at some of its nodes."""
+    return Limit(region.at(near), event.nodes[near], event.motion and event.motion.at(near))
 
 
 def _end_velocity(normal: Array, direction: Array) -> Array:

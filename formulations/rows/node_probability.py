@@ -18,6 +18,7 @@ from scipy.special import ndtr, ndtri
 
 from formulations.arrays import Array, Indices
 from formulations.problem.flyby import StateConstraint
+from formulations.problem.motion import Motion
 from formulations.problem.regions import Ball, Cone, Ellipsoid, Halfspaces, Polytope, Region
 from formulations.risk.lines import normal_density
 from formulations.risk.quadratic_forms import NAPPE, WHOLE, Below, below, below_beyond
@@ -50,12 +51,16 @@ class Quantiles(NamedTuple):
 
 @dataclass(frozen=True)
 class Event:
-    """A joint constraint: limits, with a region per node, that must hold together at n nodes."""
+    """A joint constraint: limits, with a region per node, that must hold together at n nodes.
+
+    All its regions have one motion with the uncertain parameters; None where they stay.
+    """
 
     name: str
     nodes: Indices
     keep_in: tuple[Region, ...]
     keep_out: tuple[Region, ...]
+    motion: Motion | None = None
 
     def check_nested(self) -> None:
         """Check that there is at most one keep-in and one keep-out, the latter within the former.
@@ -86,6 +91,7 @@ class Event:
             self.nodes[which],
             tuple(region.at(which) for region in self.keep_in),
             tuple(region.at(which) for region in self.keep_out),
+            self.motion and self.motion.at(which),
         )
 
     def facets(self, position: Array) -> tuple[Array, Array]:
@@ -118,6 +124,7 @@ def joint_events(constraints: Sequence[StateConstraint]) -> tuple[Event, ...]:
             own[0].nodes,
             tuple(c.region for c in own if c.keep == "in"),
             tuple(c.region for c in own if c.keep == "out"),
+            own[0].motion,
         )
         for name, own in sides.items()
     )
@@ -125,6 +132,8 @@ def joint_events(constraints: Sequence[StateConstraint]) -> tuple[Event, ...]:
 
 def node_quantiles(event: Event, position: Array, factor: Array) -> Quantiles:
     """The quantile g at each node and its gradient, for mean positions (n, 3) and factors (n, 3, c).
+
+    The factors are those of the positions relative to regions that stay: see `moving_quantiles`.
 
     Raises:
         ValueError: if the event's limits are not nested.
@@ -162,6 +171,18 @@ def node_quantiles(event: Event, position: Array, factor: Array) -> Quantiles:
     by_mean[near] = scale[:, None] * missed.by_mean[seen]
     by_factor[near] = 2.0 * scale[:, None, None] * (missed.by_covariance[seen] @ factor[near])
     return Quantiles(value, by_mean, by_factor)
+
+
+def moving_quantiles(event: Event, position: Array, factor: Array, parameters: Array) -> Quantiles:
+    """As `node_quantiles` of regions that may move; `parameters` are the parameters' rows (p, c).
+
+    The gradient is by the positions themselves, and by their factors.
+    """
+    if event.motion is None:
+        return node_quantiles(event, position, factor)
+    g = node_quantiles(event, position, factor + event.motion.seen(position) @ parameters)
+    by_mean = g.by_mean + event.motion.pulled(g.by_factor @ parameters.T)
+    return Quantiles(g.value, by_mean, g.by_factor)
 
 
 def _missed(

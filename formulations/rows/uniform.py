@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 import scipy.sparse as sp
 
-from formulations.arrays import Array, Booleans
+from formulations.arrays import Array, Booleans, Indices
 from formulations.linearisation.linearisation import (
     Linearisation,
     Sensitivity,
@@ -145,7 +145,7 @@ class ChanceRows:
 
     def margins(self, lin: Linearisation) -> dict[str, Margins]:
         """Margins b - a'mu - q ||S'a|| of the included facets."""
-        margin = self.carried.margin(lin.iterate.mean, lin.factor)
+        margin = self.carried.margin(lin.iterate.mean, lin.spread.factor)
         ends = np.searchsorted(
             self.carried.constraint, np.arange(len(self.problem.constraints) + 1)
         )
@@ -156,7 +156,7 @@ class ChanceRows:
 
     def missed(self, lin: Linearisation, tolerance: float) -> Booleans:
         """Facets left out of the program that the iterate violates by more than `tolerance`."""
-        margin = self.facets.margin(lin.iterate.mean, lin.factor)
+        margin = self.facets.margin(lin.iterate.mean, lin.spread.factor)
         return ~self.included & (margin < -tolerance)
 
     @cached_property
@@ -183,6 +183,11 @@ class ChanceRows:
                 [s.factor_jacobian[nodes, :3, :c, :p], s.factor_constant[nodes, :3, :c, None]], -1
             )
             spread = (pick @ spread.reshape(3 * len(nodes), -1)).reshape(-1, c, p + 1)
+            if carried.motion is not None:
+                at = np.searchsorted(self.nodes, carried.node[rows])
+                slope, still = self._moved(rows, s.mean_constant[at, :3], c)
+                spread[:, :, :p] += slope.swapaxes(1, 2) @ s.mean_jacobian[at, :3, :p]
+                spread[:, :, p] += still
             spread *= carried.quantile[rows, None, None]
             mean = np.concatenate(
                 [s.mean_jacobian[nodes, :3, :p], s.mean_constant[nodes, :3, None]], axis=2
@@ -204,15 +209,38 @@ class ChanceRows:
         entries = (carried.normal[:, :, None] * weight[:, None]).ravel()
         constants = carried.offset[:, None] * np.eye(1, d)
         places = placed(y, carried.node[:, None, None], POSITION, np.arange(d))
+        if carried.motion is not None:
+            slope, still = self._moved(np.arange(n), np.zeros((n, 3)), columns)
+            constants[:, 1:] += carried.quantile[:, None] * still
+            entries = np.r_[entries, (carried.quantile[:, None, None] * slope).ravel()]
+            mean = np.zeros(1, dtype=np.intp)
+            more = placed(y[..., 1:], carried.node[:, None, None], POSITION, mean)
+            places = np.hstack([places, more])
         own = StateCones(np.arange(n), places, entries, np.zeros((n, d, 0)), constants)
         return [own, *self.further.state_cones(lin)]
 
+    def _moved(self, rows: Indices, point: Array, columns: int) -> tuple[Array, Array]:
+        """Part of some facets' S'a by the regions' motion, for points (r, 3) and first columns.
+
+        It is affine in the position: slope (r, 3, columns) and value (r, columns).
+        """
+        carried, own = self.carried, self.problem.parameter_factor[:, :columns]
+        assert carried.motion is not None
+        motion, normal = carried.motion.at(rows), carried.normal[rows]
+        value = np.einsum("ri,rip->rp", normal, motion.seen(point)) @ own
+        return np.asarray(motion.slope(normal) @ own), np.asarray(value)
+
     def pulled(self, lin: Linearisation, prices: Array) -> Pulled:
-        """Derivatives of a'mu + q ||S'a||: a by the mean, q a (S'a)' / ||S'a|| by the factor."""
+        """Derivatives of a'mu + q ||S'a||: a by the mean, q a (S'a)' / ||S'a|| by the factor.
+
+        Where regions move, S depends on the mean, too.
+        """
         carried, node = self.carried, self.carried.node
-        spread = np.einsum("ri,ric->rc", carried.normal, lin.factor[node, :3])
+        spread = carried.along(lin.iterate.mean, lin.spread.factor)
         size = np.maximum(np.linalg.norm(spread, axis=1), 1e-300)
         weighted = prices[: len(node), None] * carried.normal
         along = (carried.quantile / size)[:, None] * spread
         by_factor = weighted[:, :, None] * along[:, None]
+        if carried.motion is not None:
+            weighted = weighted + carried.motion.pulled(by_factor @ self.problem.parameter_factor.T)
         return self.further.pulled(pulled_at(self.problem, node, weighted, by_factor), lin, prices)

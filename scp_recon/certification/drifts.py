@@ -20,6 +20,7 @@ from scp_recon.mission.drifts import Miss, duration_s, planned, required_probabi
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.drifts import drift, states_after
 from scp_recon.monte_carlo.flights import FlightConfig
+from scp_recon.monte_carlo.sampling import BLOCK, draw_parameters, flown_mission
 from scp_recon.planning.plan import Plan
 from scp_recon.results.policy import policy_of
 from scp_recon.scp.status import Status
@@ -88,13 +89,19 @@ def _lost(plan: Plan, one: Drift, miss: Miss) -> float:
     mission, lin, units = plan.mission, plan.final.result.lin, plan.mission.units.state
     config = FlightConfig(mission, plan.burns_m_s, SEED, policy=policy_of(mission, lin))
     (state,), start = states_after(config, [miss], FLIGHTS), start_of(lin, one)
-    mean, stm = Branch(one).flown(start.mean)
+    mean, stm = Branch(one, lin.problem.parameters).flown(start.mean)
+    own = flown_mission(mission, SEED, FLIGHTS)
     off, room = (state / units - start.mean).T, np.full(len(state), np.inf)
+    if own.deviation is not None:
+        blocks = range(FLIGHTS // BLOCK)
+        known = [draw_parameters(mission, SEED, block) for block in blocks]
+        off = np.vstack([off, np.concatenate(known).T])
     for ball in one.keep_out:
         for node, centre in enumerate(ball.center[: len(mean)]):
             apart = (mean[node, :3] - centre)[:, None] + stm[node, :3] @ off
             room = np.minimum(room, np.sqrt(np.einsum("in,in->n", apart, apart)) - ball.radius)
     near = np.argsort(room)[: max(int(NEAREST * len(state)), 2 * int((room < 0.0).sum()))]
     begin = mission.scenario.burns.times_s[miss.burn - 1]
-    flown = drift(config, state[near], begin, duration_s(mission.scenario) / one.flow.arcs)
+    step = duration_s(mission.scenario) / one.flow.arcs
+    flown = drift(own.some_flights(near), config.truth, state[near], begin, step)
     return float((~flown.safe(mission)).sum() - (room < 0.0).sum()) / len(state)

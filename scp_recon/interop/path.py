@@ -23,7 +23,7 @@ from scp_recon.mission.mission import Mission
 from scp_recon.physics.flow import interpolate
 from scp_recon.results.solution import Solution
 from scp_recon.verification.closed_loop import JointCovariance
-from scp_recon.verification.reintegration import integrated, limits_of
+from scp_recon.verification.reintegration import full_stm, integrated, limits_of
 
 WITHIN_M = 0.01
 """Largest distance of straight lines between neighbours from the flight, m, at the default mission's
@@ -92,14 +92,14 @@ def fly_path(mission: Mission, solution: Solution) -> FlownPath:
     spread = JointCovariance.before_burns(mission, solution.corrections).measured(begin)
     back = _flight(mission, state, begin, begin - MARGIN_S)
     within = mission.units.tolerance(WITHIN_M, "m")
-    coasts = [_sampled(back, np.array([begin - MARGIN_S, begin]), spread.covariance, within)]
+    coasts = [_sampled(back, np.array([begin - MARGIN_S, begin]), spread.deviation, within)]
     # Each time at which a coast ends, and the burn there; the first may begin with one.
     ends = [*zip(firing, solution.burns_m_s, strict=True), (firing[-1] + MARGIN_S, None)]
     for end, burn in ends:
         if end > begin:
             flown = _flight(mission, state, begin, end)
             edges = np.array([begin, *nodes[(nodes > begin) & (nodes < end)], end])
-            coast = _sampled(flown, edges, spread.covariance, within)
+            coast = _sampled(flown, edges, spread.deviation, within)
             if begin == nodes[0] and firing[0] > begin:  # it coasts before its first burn
                 coasts = [_joined(coasts[0], coast)]
             else:
@@ -117,9 +117,9 @@ def _carried(
     spread: JointCovariance, flown: OdeSolution, begin: float, end: float
 ) -> JointCovariance:
     """Carry the spread to the end of a coast, with all measurements up to and at its end."""
-    stm, cut_offs = np.eye(6), [one.cut_off_s for one in spread.policy]
+    stm, cut_offs = np.eye(spread.size), [one.cut_off_s for one in spread.policy]
     for time in [*(cut_off for cut_off in cut_offs if begin < cut_off < end), end]:
-        there = flown(time)[6:].reshape(6, 6)
+        there = full_stm(flown(time)[6:])
         spread = spread.carried(np.asarray(there @ np.linalg.inv(stm))).measured(time)
         stm = there
     return spread
@@ -169,8 +169,9 @@ def _sampled(flown: OdeSolution, edges: Array, covariance: Array, within_m: floa
             break
         step *= 0.9 * float(np.sqrt(within_m / linear))
     y = flown(times).T
-    stm = y[:, 6:].reshape(-1, 6, 6)
-    return Coast(times, y[:, :6], stm @ covariance @ stm.transpose(0, 2, 1), linear, cubic)
+    stm = full_stm(y[:, 6:])
+    spread = stm @ covariance @ stm.transpose(0, 2, 1)
+    return Coast(times, y[:, :6], spread[:, :6, :6], linear, cubic)
 
 
 def _errors_m(flown: OdeSolution, times: Array) -> tuple[float, float]:

@@ -36,6 +36,7 @@ from scp_recon.errors import InputError
 from scp_recon.mission.drifts import check_drifts
 from scp_recon.mission.feedback import check_feedback, uncorrected_burns, useless_measurement
 from scp_recon.mission.intervals import INTERVALS, J2_ENDS, PLANNER_INTERVALS, STATE_INTERVALS
+from scp_recon.mission.knowledge import check_knowledge
 from scp_recon.mission.scene import Scene, orbit_of_body, planned_field
 from scp_recon.mission.schedule import check_in_flight
 from scp_recon.mission.windows import SCAN_STEP_S, Window
@@ -305,6 +306,7 @@ def check_plannable(scene: Scene) -> None:
     check_in_flight(scenario)
     check_feedback(scenario)
     check_drifts(scene)
+    check_knowledge(scene.scenario)
     planned_field(scenario)
 
 

@@ -5,7 +5,7 @@ The planner makes regions of them, the Monte Carlo margins. Verification states 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
@@ -14,6 +14,7 @@ import numpy as np
 from formulations.arrays import Array, Indices
 from formulations.problem.facets import split_risk
 from formulations.problem.flyby import StateConstraint
+from formulations.problem.motion import Motion
 from formulations.problem.regions import Ball, Cone
 from scp_recon.mission.scene import Scene
 from scp_recon.physics.geometry import SiteTrack
@@ -69,8 +70,7 @@ def safety_margins(scene: Scene, times_s: Array, position: Array) -> dict[str, A
     scenario = scene.scenario
     found = {SAFETY: np.linalg.norm(position, axis=-1) - scenario.safety.radius_min_m}
     if scene.companion is not None:
-        centre = scene.companion.position(times_s)
-        centre = centre.reshape(len(centre), *[1] * (position.ndim - 2), 3)
+        centre = scene.companion.position(times_s.reshape(-1, *[1] * (position.ndim - 2)))
         apart = np.linalg.norm(position - centre, axis=-1)
         found[COMPANION] = apart - companion_distance_m(scenario)
     return found
@@ -149,12 +149,14 @@ def state_constraints(
     window: Indices,
     track: SiteTrack,
     sun: Array,
+    motions: Mapping[str, Motion | None],
 ) -> tuple[StateConstraint, ...]:
     """Build the nondimensional state constraints: safety at every node, the limits in the window.
 
     `companion` has the companion's centre at every node, J2000, m, shape (n_nodes, 3), `window` the
     window's nodes, shape (n,), `track` the site there, J2000, m, and `sun` the directions to the Sun
-    there, shape (n, 3).
+    there, shape (n, 3). `motions` are those of regions with the uncertain parameters, by what a limit
+    measures.
     """
     p = scenario.risk.p_chance
     at, axes = track.position / length_m, {"emission": track.normal, "phase": sun}
@@ -163,7 +165,8 @@ def state_constraints(
     found = [StateConstraint(SAFETY, everywhere, body, "out", p)]
     if companion is not None:
         ball = Ball(companion / length_m, companion_distance_m(scenario) / length_m)
-        found.append(StateConstraint(COMPANION, everywhere, ball, "out", p))
+        moved = motions.get(COMPANION)
+        found.append(StateConstraint(COMPANION, everywhere, ball, "out", p, motion=moved))
     if not len(window):  # which is over for a flight that is under way
         return tuple(found)
     for limit in limits:
@@ -175,5 +178,6 @@ def state_constraints(
         # A two-sided constraint splits its risk in two.
         share = split_risk(p, sum(other.joint == limit.joint for other in limits))
         keep: Literal["in", "out"] = "out" if limit.sense == "min" else "in"
-        found.append(StateConstraint(limit.name, window, region, keep, share, limit.joint))
+        moved = motions.get(limit.measure)
+        found.append(StateConstraint(limit.name, window, region, keep, share, limit.joint, moved))
     return tuple(found)

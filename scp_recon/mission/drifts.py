@@ -22,6 +22,7 @@ from scp_recon.mission.grid import NODES_MAX, Units
 from scp_recon.mission.scene import Scene
 from scp_recon.physics.flow import GridFlow
 from scp_recon.physics.forces import ForceModel
+from scp_recon.physics.partials import Partials
 from scp_recon.scenario.schema import DRIFT_PROBABILITY, DRIFT_S, Scenario
 
 STEP_S = 120.0
@@ -92,23 +93,32 @@ def required_probability(scenario: Scenario) -> float:
 
 
 def problem_drifts(
-    scene: Scene, forces: ForceModel, units: Units, losses: Mapping[str, float]
+    scene: Scene,
+    forces: ForceModel,
+    partials: Partials | None,
+    units: Units,
+    losses: Mapping[str, float],
 ) -> tuple[Drift, ...]:
-    """The drifts of a scenario, nondimensional, with the forces of its planner in SI.
+    """The drifts of a scenario, nondimensional, with the forces of its planner and partials in SI.
 
     `losses` are the standard deviations by which flights are less safe than the linear law, by names.
     """
-    return tuple(_drifts(scene, forces, units, losses))
+    return tuple(_drifts(scene, forces, partials, units, losses))
 
 
 def _drifts(
-    scene: Scene, forces: ForceModel, units: Units, losses: Mapping[str, float]
+    scene: Scene,
+    forces: ForceModel,
+    partials: Partials | None,
+    units: Units,
+    losses: Mapping[str, float],
 ) -> Iterator[Drift]:
     scenario, own = scene.scenario, forces.in_units(units.length_m, units.time_s)
+    moved = partials and partials.in_units(units.length_m, units.time_s)
     for miss in planned(scenario):
         required = quantile(required_probability(scenario)) + losses.get(miss.name, 0.0)
         times = _times(scenario, miss)
-        flow = GridFlow(own, times[:-1] / units.time_s, np.diff(times) / units.time_s, 1)
+        flow = GridFlow(own, times[:-1] / units.time_s, np.diff(times) / units.time_s, 1, moved)
         keep_out = [Ball(np.zeros((len(times), 3)), radius_m(scenario) / units.length_m)]
         if scene.companion is not None:
             centre = scene.companion.position(times) / units.length_m

@@ -11,6 +11,7 @@ from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
+from scipy.linalg import block_diag
 
 from formulations.arrays import Array, Indices
 from formulations.linearisation.dynamics import Dynamics
@@ -18,6 +19,7 @@ from formulations.problem.facets import Polytopes
 from formulations.problem.feedback import Feedback
 from formulations.problem.firing_times import Boundary, FiringTimes
 from formulations.problem.flyby import FlybyProblem
+from formulations.problem.motion import Motion
 from formulations.problem.polytopes import ball, paper_ball
 from scp_recon.bodies.catalogue import AU_KM
 from scp_recon.bodies.surface import Mesh
@@ -29,11 +31,18 @@ from scp_recon.mission.checks import (
     check_window,
     hinting,
 )
-from scp_recon.mission.constraints import Limit, observation_limits, state_constraints
+from scp_recon.mission.constraints import COMPANION, Limit, observation_limits, state_constraints
 from scp_recon.mission.drifts import problem_drifts, require_no_drifts
 from scp_recon.mission.feedback import felt_cut_offs_s, require_open_loop, resolved
 from scp_recon.mission.firing import HomePhases, firing_times
 from scp_recon.mission.grid import DEFAULT, RK4_STEP_MAX_S, Units, make_grid
+from scp_recon.mission.knowledge import (
+    Deviation,
+    Uncertain,
+    companion_motion,
+    region_motions,
+    require_known,
+)
 from scp_recon.mission.scene import (
     Scene,
     TruthModel,
@@ -57,6 +66,7 @@ from scp_recon.physics.flow import GridFlow
 from scp_recon.physics.forces import ForceModel, cannonball_srp
 from scp_recon.physics.frames import Rotation
 from scp_recon.physics.harmonics import HarmonicField, TurningField
+from scp_recon.physics.partials import Partials
 from scp_recon.physics.polyhedron import PolyhedronField
 from scp_recon.physics.two_body import lambert
 from scp_recon.scenario.fields import ScenarioWarning
@@ -103,6 +113,10 @@ class Mission:
     """Phases on the home orbit, where these and the flight's ends are controls too."""
     drift_losses: tuple[tuple[str, float], ...] = ()
     """Standard deviations by which drifts are less safe in flights than by the linear law, by names."""
+    deviation: Deviation | None = None
+    """Of flights' parameters from the scenario's, which rotation and site have already."""
+    nominal: Mission | None = None
+    """The mission that this one deviates from."""
 
     def __repr__(self) -> str:
         """One line."""
@@ -156,7 +170,26 @@ class Mission:
     @cached_property
     def scene(self) -> Scene:
         """Body, site and Sun, and their axes."""
-        return Scene(self.scenario, self.rotation, self.site)
+        return Scene(self.scenario, self.rotation, self.site, self.deviation)
+
+    @cached_property
+    def uncertain(self) -> Uncertain:
+        """The law of the uncertain parameters."""
+        return Uncertain.of(self.scenario)
+
+    def deviating(self, deviation: Deviation) -> Mission:
+        """The mission as flights with other parameters have it: body, site and forces deviate."""
+        return replace(
+            self,
+            rotation=deviation.rotation(self.rotation),
+            site=deviation.site(self.site),
+            deviation=deviation,
+            nominal=self,
+        )
+
+    def of_flights(self, draws: Array) -> Mission:
+        """The mission as flights have it whose parameters are draws, shape (flights, p)."""
+        return self.deviating(self.uncertain.deviation(draws)) if self.uncertain.count else self
 
     def with_initial_state(self, state: Array) -> Mission:
         """The same mission from another state at its first node, J2000, SI, shape (6,); units are kept.
@@ -182,6 +215,17 @@ class Mission:
         scenario = self.scenario.model_copy(update={name: table.model_copy(update=given)})
         return replace(self, scenario=scenario, initial_state=state.copy())
 
+    def some_flights(self, flights: Indices | int) -> Mission:
+        """The mission as some of the flights have it that it deviates for, or one."""
+        if self.deviation is None:
+            return self
+        assert self.nominal is not None
+        return self.nominal.deviating(self.deviation.at(flights))
+
+    def body_to_j2000(self, times_s: Array) -> Array:
+        """Rotations of the body at times (n,), of each flight: shape (n, flights or 1, 3, 3)."""
+        return self.rotation.body_to_j2000(times_s[:, None])
+
     def sun_direction(self, time_s: npt.ArrayLike) -> Array:
         """Unit vectors from the body to the Sun, J2000, shape (..., 3)."""
         return self.scene.sun_direction(time_s)
@@ -189,7 +233,7 @@ class Mission:
     @cached_property
     def forces(self) -> ForceModel:
         """Forces of the planner, SI, J2000."""
-        return self._forces(planned_field(self.scenario))
+        return self._deviating(self._forces(planned_field(self.scenario)))
 
     def true_forces(self, truth: TruthModel) -> ForceModel:
         """Forces of flights: the planner's, or with another gravity.
@@ -198,14 +242,19 @@ class Mission:
             InputError: if the body has no field, or its shape is not known.
         """
         if truth == "harmonics":
-            return self._forces(self.truth_field)
+            return self._deviating(self._forces(self.truth_field))
         if truth == "planner":
             return self.forces
         field = PolyhedronField(
             self.scenario.body.gm_m3_s2, self.solid.vertices_m, self.solid.facets
         )
         turning = TurningField(field, self.rotation)
-        return replace(self._forces(None), gm=0.0, j2_strength=0.0, field=turning)
+        forces = replace(self._forces(None), gm=0.0, j2_strength=0.0, field=turning)
+        return self._deviating(forces)
+
+    def _deviating(self, forces: ForceModel) -> ForceModel:
+        """Forces with the parameters of the flights that the mission deviates for."""
+        return self.deviation.forces(forces, self.scenario) if self.deviation else forces
 
     def true_gravity(self, truth: TruthModel) -> str:
         """The gravity of the planner, or of flights, with its rotation and the companion, in words."""
@@ -243,7 +292,7 @@ class Mission:
         return ForceModel(
             gm=body.gm_m3_s2,
             j2_strength=0.0 if tumbles else 1.5 * body.gm_m3_s2 * j2 * radius**2,
-            pole=self.rotation.pole,
+            pole=self.rotation.pole.T,
             field=None if field is None else TurningField(field.beside(*closed), self.rotation),
             companion=self.scene.companion,
             srp=cannonball_srp(
@@ -255,6 +304,17 @@ class Mission:
                 self.scenario.sun.solar_constant_w_m2,
             ),
         )
+
+    @cached_property
+    def partials(self) -> Partials | None:
+        """Derivatives of the planner's forces by the uncertain parameters, SI.
+
+        None without any, or where the parameters are those of flights.
+        """
+        if not self.uncertain.count or self.deviation is not None:
+            return None
+        turning = self.forces.field is not None
+        return self.uncertain.partials(lambda d: self.deviating(d).forces, turning=turning)
 
     @cached_property
     def initial_factor(self) -> Array:
@@ -308,6 +368,14 @@ class Mission:
         return self.dynamics.rollout(state / self.units.state, np.zeros((len(self.burn_nodes), 3)))
 
     @property
+    def joint_factor(self) -> Array:
+        """Nondimensional factor of the initial state and the p uncertain parameters, (6 + p, 6 + p)."""
+        return self._joint(self.initial_factor / self.units.state[:, None])
+
+    def _joint(self, factor: Array) -> Array:
+        return np.asarray(block_diag(factor, np.eye(self.uncertain.count)))
+
+    @property
     def initial_sigma(self) -> Array:
         """1-sigma of each component of the initial state, shape (6,)."""
         return np.linalg.norm(self.initial_factor, axis=1)
@@ -349,6 +417,13 @@ class Mission:
         """The nondimensional problem on this mission's grid."""
         units, scenario, window = self.units, self.scenario, self.window_nodes
         firing = self.firing
+        companion, motions = self.scene.companion, dict[str, Motion | None]()
+        if self.uncertain.count:
+            at_s, length = self.times_s[window], units.length_m
+            motions |= region_motions(self.uncertain, self.site, self.rotation, at_s, length)
+            if companion is not None:
+                moved = companion_motion(self.uncertain, companion, self.times_s, length)
+                motions[COMPANION] = moved
         # Limits on the sigmas after the last burn, None where there is none.
         position = scenario.boundary.final_sigma_position_m
         speed = scenario.boundary.final_sigma_velocity_m_s
@@ -357,7 +432,7 @@ class Mission:
             burn_nodes=self.burn_nodes,
             initial_state=self.initial_state / units.state,
             final_state=self.final_state / units.state,
-            initial_factor=self.initial_factor / units.state[:, None],
+            initial_factor=self.joint_factor,
             execution_errors=execution_errors(scenario, units.speed_m_s),
             dv_max=scenario.burns.dv_max_m_s / units.speed_m_s,
             sun=self.sun_direction(np.array(scenario.burn_times_s)),
@@ -366,13 +441,12 @@ class Mission:
                 scenario,
                 self.limits,
                 units.length_m,
-                None
-                if self.scene.companion is None
-                else self.scene.companion.position(self.times_s),
+                None if companion is None else companion.position(self.times_s),
                 len(self.times_s),
                 window,
                 geometry.track(self.site, self.rotation, self.times_s[window]),
                 self.sun_direction(self.times_s[window]),
+                motions,
             ),
             miss_weight=None if self.must_meet else MISS_WEIGHT,
             final_spread=(
@@ -381,7 +455,9 @@ class Mission:
             ),
             feedback=self.feedback,
             firing=firing,
-            drifts=problem_drifts(self.scene, self.forces, units, dict(self.drift_losses)),
+            drifts=problem_drifts(
+                self.scene, self.forces, self.partials, units, dict(self.drift_losses)
+            ),
         )
         return problem if firing is None else problem.at(firing.start)
 
@@ -402,7 +478,7 @@ class Mission:
 
         def first(phase: float) -> tuple[Array, Array]:
             factor = self.scene.initial_factor(ring(phase), signed=True)
-            return ring(phase) / unit, factor / unit[:, None]
+            return ring(phase) / unit, self._joint(factor / unit[:, None])
 
         return Boundary(first, lambda phase: ring(phase) / unit, home.at, home.free)
 
@@ -427,13 +503,16 @@ class Mission:
         return CLEARANCE_M / DEFAULT.length_m, CLEARANCE_AGAIN_M / DEFAULT.length_m
 
     def require_plain(self, needs: str) -> None:
-        """Refuse feedback, drifts and limits on the final covariance, which go with `needs` alone.
+        """Refuse feedback, drifts, knowledge and limits on the final covariance.
+
+        They go with `needs` alone.
 
         Raises:
             InputError: if there is any.
         """
         require_open_loop(self.scenario, needs)
         require_no_drifts(self.scenario, needs)
+        require_known(self.scenario, needs)
         for name in ("final_sigma_position_m", "final_sigma_velocity_m_s"):
             if (limit := getattr(self.scenario.boundary, name)) is not None:
                 raise InputError(f"boundary.{name}", f"{limit:g}", f"goes with {needs}")
@@ -444,7 +523,10 @@ class Mission:
         forces = self.forces.in_units(self.units.length_m, self.units.time_s)
         times = self.times_s / self.units.time_s
         durations = np.diff(self.times_s) / self.units.time_s
-        return GridFlow(forces, times[:-1], durations, self.arc_substeps)
+        partials = self.partials
+        if partials is not None:
+            partials = partials.in_units(self.units.length_m, self.units.time_s)
+        return GridFlow(forces, times[:-1], durations, self.arc_substeps, partials)
 
     @cached_property
     def dynamics(self) -> Dynamics:

@@ -19,6 +19,7 @@ from scp_recon.bodies.attitude import AttitudeTable
 from scp_recon.bodies.catalogue import GM_SUN_KM3_S2, packaged_body
 from scp_recon.bodies.surface import Ellipsoid, Mesh
 from scp_recon.errors import InputError, option
+from scp_recon.mission.knowledge import Deviation
 from scp_recon.mission.windows import Lighting
 from scp_recon.physics.companion import Companion
 from scp_recon.physics.frames import Rotation, TabulatedRotation, sun_north_to_j2000, unit
@@ -42,11 +43,13 @@ class Scene:
         scenario: with the data.
         rotation: of the body.
         site: on it, body-fixed.
+        deviation: of what flights have in place of the scenario's parameters; None if they have these.
     """
 
     scenario: Scenario
     rotation: Rotation
     site: Site
+    deviation: Deviation | None = None
 
     @classmethod
     def of(cls, scenario: Scenario) -> Scene:
@@ -74,7 +77,10 @@ class Scene:
     def companion(self) -> Companion | None:
         """The body's companion, if it has one."""
         given = self.scenario.body.companion
-        return None if given is None else Companion.of(given, self.scenario.epoch.tdb)
+        if given is None:
+            return None
+        companion = Companion.of(given, self.scenario.epoch.tdb)
+        return companion if self.deviation is None else self.deviation.companion(companion)
 
     @property
     def lighting(self) -> Lighting:

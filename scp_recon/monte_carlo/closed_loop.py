@@ -19,6 +19,7 @@ from formulations.arrays import Array, Booleans
 from formulations.problem.flyby import Iterate
 from scp_recon.errors import InputError, option
 from scp_recon.mission.feedback import require_measurement
+from scp_recon.mission.knowledge import require_known
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.schedule import BURNS_TO_MEET
 from scp_recon.physics.flow import propagate
@@ -168,6 +169,7 @@ def replans(mission: Mission, burns_m_s: Array) -> Replans:
         InputError: as `cut_offs_s`.
     """
     scenario = mission.scenario
+    require_known(scenario, f"goes with {option('policy')} 'open' and 'feedback'")
     cut_offs = cut_offs_s(scenario)
     nodes = sorted({*scenario.grid.nodes_s, *cut_offs.values()})
     left, burns = Mission.from_scenario(scenario.replace({"grid.nodes_s": nodes})), burns_m_s

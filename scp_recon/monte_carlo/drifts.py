@@ -15,9 +15,10 @@ from formulations.arrays import Array, Booleans
 from scp_recon.mission.constraints import companion_distance_m
 from scp_recon.mission.drifts import STEP_S, Miss, duration_s, radius_m
 from scp_recon.mission.mission import Mission
+from scp_recon.mission.scene import TruthModel
 from scp_recon.monte_carlo.estimates import proportion
 from scp_recon.monte_carlo.flights import FlightConfig
-from scp_recon.monte_carlo.sampling import flow_of, fly_blocks
+from scp_recon.monte_carlo.sampling import flow_of, flown_mission, fly_blocks
 from scp_recon.physics.frames import TabulatedRotation
 from scp_recon.results.facts import DriftSafety
 
@@ -53,7 +54,8 @@ def fly_drifts(
     """Fly drifts of several misses, each from the same flights: see `states_after`."""
     starts = states_after(config, misses, flights) if misses else []
     times = [config.mission.scenario.burns.times_s[miss.burn - 1] for miss in misses]
-    return [drift(config, state, time, step_s) for state, time in zip(starts, times, strict=True)]
+    own = flown_mission(config.mission, config.seed, flights)
+    return [drift(own, config.truth, *at, step_s) for at in zip(starts, times, strict=True)]
 
 
 def states_after(config: FlightConfig, misses: Sequence[Miss], flights: int) -> list[Array]:
@@ -81,10 +83,12 @@ def states_after(config: FlightConfig, misses: Sequence[Miss], flights: int) -> 
     return [np.concatenate(states) for states in zip(*parts, strict=True)]
 
 
-def drift(config: FlightConfig, state: Array, start_s: float, step_s: float = STEP_S) -> Drifted:
+def drift(
+    mission: Mission, truth: TruthModel, state: Array, start_s: float, step_s: float = STEP_S
+) -> Drifted:
     """Fly free drifts from states (flights, 6) at a time, J2000, m and m/s."""
-    flow, companion = flow_of(config.mission, config.truth), config.mission.scene.companion
-    spell_s = reach_s(config.mission)
+    flow, companion = flow_of(mission, truth), mission.scene.companion
+    spell_s = reach_s(mission)
     r, v = (np.ascontiguousarray(half.T) for half in (state[:, :3], state[:, 3:]))
     steps = max(1, int(np.ceil(spell_s / step_s - 1e-9)))
     step, n = spell_s / steps, len(state)
@@ -97,7 +101,7 @@ def drift(config: FlightConfig, state: Array, start_s: float, step_s: float = ST
             nearer = square < closest
             closest, at = np.where(nearer, square, closest), np.where(nearer, time, at)
             if companion is not None:
-                away = r - companion.position(time)[:, None]
+                away = r - np.atleast_2d(companion.position(time)).T
                 apart = np.fmin(apart, np.einsum("in,in->n", away, away))
             if k < steps:
                 r, v = flow(r, v, time, step)

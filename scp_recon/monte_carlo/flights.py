@@ -142,9 +142,10 @@ def run_block(config: FlightConfig, block: tuple[int, int]) -> FlightBlock:
         flown.commanded_m_s.swapaxes(0, 1) / mission.units.speed_m_s
     )
     observed, nodes = (np.searchsorted(times, at) for at in (samples, mission.times_s))
-    held = time_held(mission, samples, flown.states[observed]) if len(samples) else {}
+    own = flown.mission
+    held = time_held(own, samples, flown.states[observed]) if len(samples) else {}
     position, certain = flown.states[..., :3], config.certain
-    holds = limits_kept(limit_margins(mission, times, position, observed, nodes, certain=certain))
+    holds = limits_kept(limit_margins(own, times, position, observed, nodes, certain=certain))
     nothing = np.zeros(0)
     scenario = mission.scenario
     whole = flown.closest_m >= scenario.safety.radius_min_m

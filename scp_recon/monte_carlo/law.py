@@ -16,6 +16,7 @@ import numpy as np
 
 from formulations.arrays import Array, Booleans, Indices
 from formulations.linearisation.linearisation import Linearisation
+from formulations.problem.motion import with_parameters
 from formulations.risk.strata import COUNT, FAILS, Allocation, Counted, Survey, strata_of
 from formulations.rows.flight_probability import Limit, Limits, limits_within
 from formulations.rows.node_probability import joint_events
@@ -48,8 +49,8 @@ class Law:
 
     Attributes:
         mean: positions, shape (n, 3).
-        factor: of their covariance, a column for each number that a flight draws, shape (n, 3,
-            sources).
+        factor: of the covariance of positions and of p uncertain parameters, a column for each number
+            that a flight draws, shape (n, 3 + p, sources).
         limits: that flights may break.
         length_m: of the unit of length.
     """
@@ -65,7 +66,7 @@ class Law:
 
         Errors of executing a correction are products of two numbers, and have no column.
         """
-        mean, factor = lin.iterate.mean[:, :3], _drawn(lin)[:, :3]
+        mean, factor = lin.iterate.mean[:, :3], with_parameters(_drawn(lin))
         events = joint_events(lin.problem.constraints)
         return cls(mean, factor, limits_within(events, mean, REACH * factor), length_m)
 
@@ -118,16 +119,16 @@ class Law:
         """Distance to the nearest limit at each node of the span, m, (nodes, m), at most `FAR`."""
 
         def positions(nodes: Indices) -> Array:
-            factor = self.factor[nodes].swapaxes(0, 1)  # components first: one product of matrices
+            factor = self.factor[nodes, :3].swapaxes(0, 1)  # components first: one matrix product
             moved = factor.reshape(-1, self.sources) @ draws.T
             at = self.mean[nodes].T[:, :, None] + moved.reshape(3, len(nodes), -1)
             return np.moveaxis(at, 0, -1)
 
-        return self._least(positions, len(draws))
+        return self._least(positions, draws)
 
-    def margins_at(self, positions: Array) -> Array:
-        """As `margins`, for positions at all nodes, m, shape (n, flights, 3)."""
-        return self._least(lambda nodes: positions[nodes] / self.length_m, positions.shape[1])
+    def margins_at(self, positions: Array, draws: Array) -> Array:
+        """As `margins`, for draws with positions at all nodes, m, shape (n, flights, 3)."""
+        return self._least(lambda nodes: positions[nodes] / self.length_m, draws)
 
     @property
     def _signed_limits(self) -> list[tuple[float, Limit]]:
@@ -135,18 +136,21 @@ class Law:
         inner, outer = self.limits
         return [*((1.0, limit) for limit in inner), *((-1.0, limit) for limit in outer)]
 
-    def _least(self, positions: Callable[[Indices], Array], flights: int) -> Array:
-        least = np.full((len(self.mean[self.span]), flights), FAR)
+    def _least(self, positions: Callable[[Indices], Array], draws: Array) -> Array:
+        least = np.full((len(self.mean[self.span]), len(draws)), FAR)
+        parameters = draws @ self.factor[0, 3:].T
         for sign, limit in self._signed_limits:
-            rows = limit.nodes - self.span.start
-            margin = sign * self.length_m * limit.region.inside(positions(limit.nodes))
+            rows, point = limit.nodes - self.span.start, positions(limit.nodes)
+            if limit.motion is not None:
+                point = limit.motion.of_draws(point, parameters)
+            margin = sign * self.length_m * limit.region.inside(point)
             least[rows] = np.minimum(least[rows], margin)
         return least
 
 
 def _drawn(lin: Linearisation) -> Array:
-    """Columns of the factor for the flights' random numbers, in order, shape (n_nodes, 6, sources)."""
-    problem, factor = lin.problem, lin.factor
+    """Columns of the factor for the flights' random numbers, in order, (n_nodes, 6 + p, sources)."""
+    problem, factor = lin.problem, lin.spread.factor
     if problem.feedback is None:
         return factor
     drawn = [factor[..., : problem.shared_columns.stop]]
@@ -179,7 +183,8 @@ def survey(law: Law, flights: SampledFlights, seed: int) -> Survey:
     nearest = np.argsort(np.abs(margin), kind="stable")[:SURVEY_FLIGHTS]
     if np.isinf(margin).all():
         return Survey(0.0, np.eye(COUNT)[-1], np.zeros(COUNT))
-    off = law.margins_at(flights.positions(draws[nearest])).min(axis=0) - margin[nearest]
+    flown = law.margins_at(flights.positions(draws[nearest]), draws[nearest])
+    off = flown.min(axis=0) - margin[nearest]
     near = BEYOND * float(np.abs(off).max())
     share, unlike = np.zeros(COUNT), np.zeros(COUNT)
     stratum = strata_of(margin, near)

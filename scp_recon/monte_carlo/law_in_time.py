@@ -93,8 +93,8 @@ def survey_in_time(
     law = LawInTime(laws, nodes_s, {n: share >= CONTENDS * most for n, share in failed.items()})
     nearest = law.nearest(margins)
     chosen = np.argsort(nearest, kind="stable")[:SURVEY_FLIGHTS]
-    positions = flights.positions(draws[chosen])
-    off = {name: own.margins_at(positions) - margins[name][:, chosen] for name, own in laws.items()}
+    flown = flights.positions(draws[chosen]), draws[chosen]
+    off = {name: own.margins_at(*flown) - margins[name][:, chosen] for name, own in laws.items()}
     near = BEYOND * max(np.abs(off[name][law.contends[name]]).max(initial=0.0) for name in laws)
     level = levels_of(nearest, near)
     worst = max(failed, key=lambda name: float(failed[name].max()))

@@ -41,6 +41,8 @@ def is_certain(mission: Mission, burns_m_s: Array, errors: str | None = None) ->
         burns_m_s: planned, J2000, shape (m, 3).
         errors: of the burns; the scenario's if None.
     """
+    if mission.uncertain.count:  # a site or a pole that is uncertain spreads no path
+        return False
     model = errors_of_kind(mission.scenario, errors).in_units(mission.units.speed_m_s)
     problem = replace(mission.problem.open_loop, execution_errors=model)
     lin = mission.dynamics.linearise(problem, from_burns(mission, burns_m_s))

@@ -34,10 +34,16 @@ def observation_margins(mission: Mission, times_s: Array, position: Array) -> Ma
 
 
 def measured(mission: Mission, times_s: Array, position: Array) -> dict[Measure, Array]:
-    """Distance from the site, m, emission and phase, rad, of positions (n, ..., 3), J2000, m."""
-    track = geometry.track(mission.site, mission.rotation, times_s)
+    """Distance from the site, m, emission and phase, rad, of positions (n, ..., 3), J2000, m.
+
+    With parameters of each flight positions have shape (n, flights, 3), or are one of each flight.
+    """
     wide = (slice(None),) + (None,) * (position.ndim - 2)
-    site = geometry.SiteTrack(track.position[wide], track.normal[wide])
+    if mission.deviation is None:
+        track = geometry.track(mission.site, mission.rotation, times_s)
+        site = geometry.SiteTrack(track.position[wide], track.normal[wide])
+    else:
+        site = geometry.track(mission.site, mission.rotation, times_s[wide])
     return {
         "distance": geometry.distance(position, site),
         "emission": geometry.emission(position, site),
@@ -129,11 +135,11 @@ def _bisect(
         return low
     start, step = low.copy(), (high - low)[:, None]
     before, after = ((s[:, :3], s[:, 3:]) for s in (states[k, flight], states[k + 1, flight]))
-    event = np.arange(len(k))
+    event, own = np.arange(len(k)), mission.some_flights(flight)
     for _ in range(BISECTIONS):
         middle = 0.5 * (low + high)
         position, _ = interpolate(before, after, step, (middle - start)[:, None] / step)
-        margins = np.stack(list(_counted(joint_margins(mission, middle, position)).values()))
+        margins = np.stack(list(_counted(joint_margins(own, middle, position)).values()))
         same = (margins[which, event] >= 0.0) == holds_before
         low, high = np.where(same, middle, low), np.where(same, high, middle)
     return 0.5 * (low + high)

@@ -30,6 +30,9 @@ BLOCK = 1000
 NAVIGATION = 4
 """Stream of the measurements' random numbers, so that all others are those of flights without them."""
 
+PARAMETERS = 5
+"""Stream of the uncertain parameters, for the same reason."""
+
 
 @dataclass(frozen=True, eq=False)
 class FlightLog:
@@ -44,6 +47,7 @@ class FlightLog:
         apart_m: smallest distance from the companion's centre there, infinite without one.
         failed: whether planning again failed, at each of k cut-offs, shape (k, flights); k = 0 where
             nothing is planned again.
+        mission: as the flights have it, with their parameters.
     """
 
     times_s: Array
@@ -53,6 +57,7 @@ class FlightLog:
     closest_m: Array
     apart_m: Array
     failed: Booleans
+    mission: Mission
 
 
 def fly_block(
@@ -77,7 +82,8 @@ def fly_block(
 def number_of_sources(mission: Mission, burns_m_s: Array, errors: ErrorModel | None = None) -> int:
     """Number of standard normal numbers that a flight draws besides those of its measurements."""
     model = errors_of_kind(mission.scenario, errors)
-    return mission.initial_factor.shape[1] + model.draws(len(burns_m_s))
+    initial = mission.initial_factor.shape[1] + mission.uncertain.count
+    return initial + model.draws(len(burns_m_s))
 
 
 def draw_flights(
@@ -89,9 +95,25 @@ def draw_flights(
     policy: AnyPolicy = (),
 ) -> Array:
     """The draws of a block of flights, shape (BLOCK, sources): see `fly_draws`."""
-    draws = draw(seed, block, number_of_sources(mission, burns_m_s, errors))
+    p, initial = mission.uncertain.count, mission.initial_factor.shape[1]
+    draws = draw(seed, block, number_of_sources(mission, burns_m_s, errors) - p)
+    if p:
+        own = draw_parameters(mission, seed, block)
+        draws = np.hstack([draws[:, :initial], own, draws[:, initial:]])
     measured = draw(seed, block, MEASURED * len(policy), NAVIGATION)
     return np.hstack([draws, measured]) if policy else draws
+
+
+def draw_parameters(mission: Mission, seed: int, block: int) -> Array:
+    """The draws of the uncertain parameters of a block of flights, shape (BLOCK, p)."""
+    return draw(seed, block, mission.uncertain.count, PARAMETERS)
+
+
+def flown_mission(mission: Mission, seed: int, flights: int) -> Mission:
+    """The mission as the first flights of a seed have it, each with its own parameters."""
+    blocks = range(-(-flights // BLOCK))
+    draws = [draw_parameters(mission, seed, block) for block in blocks]
+    return mission.of_flights(np.concatenate(draws)[:flights])
 
 
 def draw(seed: int, block: int, sources: int, *stream: int) -> Array:
@@ -112,7 +134,8 @@ def fly_draws(
 ) -> FlightLog:
     """Fly draws of the errors, shape (flights, sources), with planned burns, shape (m, 3).
 
-    The draws are those of the initial state, of the burns' execution, and of the measurements.
+    The draws are those of the initial state, of the uncertain parameters, of the burns' execution, and
+    of the measurements. Each flight has its own parameters in forces, site and companion.
 
     The initial state is Gaussian about the mission's. A burn is executed with the scenario's errors:
     dv (1 + beta w) by component with w standard normal (Echigo et al., eq. 3), or Gates' model.
@@ -129,11 +152,14 @@ def fly_draws(
     initial, flights = mission.initial_factor.shape[1], len(draws)
     state = mission.initial_state + draws[:, :initial] @ mission.initial_factor.T
     model = errors_of_kind(mission.scenario, errors)
-    draws, measured = np.hsplit(draws[:, initial:], [model.draws(len(burns_m_s))])
+    p = mission.uncertain.count
+    known, draws = np.hsplit(draws[:, initial:], [p])
+    draws, measured = np.hsplit(draws, [model.draws(len(burns_m_s))])
+    as_flown = mission.of_flights(known)
     executed = model.execute(burns_m_s, draws)
     commanded = np.tile(burns_m_s, (flights, 1, 1))
     loop = start_loop(mission, burns_m_s, policy, measured)
-    fly = flow_of(mission, truth)
+    fly = flow_of(as_flown, truth)
     firing = mission.scenario.burn_times_s
     burn_at = dict(zip(firing, range(len(burns_m_s)), strict=True))
     stops = make_grid((mission.scenario.start_s, *firing), mission.flight_step_s)
@@ -142,7 +168,7 @@ def fly_draws(
     # Components first, so that an operation runs along the flights.
     states = np.empty((len(times_s), 6, flights))
     r, v = (np.ascontiguousarray(half.T) for half in (state[:, :3], state[:, 3:]))
-    companion = mission.scene.companion
+    companion = as_flown.scene.companion
     closest2, apart2 = np.full((2, flights), np.inf)
     for _ in due(policy, -np.inf, stops[0]):
         loop.measure(np.concatenate([r, v]))
@@ -158,7 +184,7 @@ def fly_draws(
         states[times_s == stop] = np.concatenate([r, v])
         closest2 = np.minimum(closest2, np.einsum("in,in->n", r, r))
         if companion is not None:
-            apart = r - companion.position(stop)[:, None]
+            apart = r - np.atleast_2d(companion.position(stop)).T
             apart2 = np.minimum(apart2, np.einsum("in,in->n", apart, apart))
         if stop < stops[-1]:
             duration = stops[k + 1] - stop
@@ -173,7 +199,7 @@ def fly_draws(
     failed = np.array(loop.failed, dtype=np.bool_).reshape(-1, flights)
     states = np.moveaxis(states, 1, 2)
     return FlightLog(
-        times_s, states, executed, commanded, np.sqrt(closest2), np.sqrt(apart2), failed
+        times_s, states, executed, commanded, np.sqrt(closest2), np.sqrt(apart2), failed, as_flown
     )
 
 
@@ -242,11 +268,12 @@ def sample_positions(
 
 def flow_of(mission: Mission, truth: TruthModel) -> Flow:
     """Flow of positions and velocities (3, flights) from a time over a duration."""
-    forces = mission.true_forces(truth)
+    forces, each = mission.true_forces(truth), mission.deviation is not None
 
     def flow(r: Array, v: Array, start: float, duration: float) -> tuple[Array, Array]:
         def acceleration(at: Array, elapsed: float) -> Array:
-            return accelerations(at, forces, forces.moment(start + elapsed))
+            time = np.full(at.shape[1], start + elapsed) if each else start + elapsed
+            return accelerations(at, forces, forces.moment(time))
 
         return advance(r, v, duration, acceleration, 1)
 

@@ -203,9 +203,10 @@ class SampledFlights:
         if self.times_s is not None:
             times = np.union1d(self.times_s, nodes)
             observed, everywhere = (np.searchsorted(times, at) for at in (self.times_s, nodes))
-            position = self._fly(times, draws).states[..., :3]
+            flown = self._fly(times, draws)
+            position = flown.states[..., :3]
             margins = limit_margins(
-                mission, times, position, observed, everywhere, certain=self.certain
+                flown.mission, times, position, observed, everywhere, certain=self.certain
             )
             kept = limits_kept(margins)
             for name, holds in kept.items():
@@ -214,25 +215,25 @@ class SampledFlights:
         times = sample_times(mission)
         flown, window = self._fly(times, draws), _in_window(mission, times)
         position, certain = flown.states[..., :3], self.certain
-        margins = limit_margins(mission, times, position, window, certain=certain)
+        margins = limit_margins(flown.mission, times, position, window, certain=certain)
         for name, (_, margin) in margins.items():
             own = slice(None) if name in EVERYWHERE else window
-            yield self._follow(name, times[own], flown.states[own], flown.burns_m_s, margin)
+            yield self._follow(name, times[own], flown, flown.states[own], margin)
 
     def _follow(
-        self, name: str, times: Array, states: Array, burns: Array, margin: Array
+        self, name: str, times: Array, flown: FlightLog, states: Array, margin: Array
     ) -> LimitHistory:
         """Follow flights by the second between samples whose margins leave a violation possible.
 
-        Samples are times (n,), states after burns (n, flights, 6), and margins (n, flights); burns are
-        those executed, shape (flights, m, 3).
+        Samples are times (n,), states after burns (n, flights, 6), and margins (n, flights).
         """
-        mission = self.mission
+        burns = flown.burns_m_s
         low, high = np.minimum(margin[1:], margin[:-1]), np.maximum(margin[1:], margin[:-1])
         near = may_dip(times, margin)
         k, flight = np.nonzero((low < near) & (high > -near))
         step = (times[k + 1] - times[k])[:, None]
         start, end = states[k, flight], states[k + 1, flight]
+        mission = flown.mission.some_flights(flight)
         for number, time in enumerate(mission.scenario.burn_times_s):
             burning = times[k + 1] == time  # the next sample's velocity is that after its burn
             end[burning, 3:] -= burns[flight[burning], number]

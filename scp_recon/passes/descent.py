@@ -119,7 +119,7 @@ class Near:
             coarse = [stage for stage in stages if stage.role == "coarse"]
             return replace((*coarse, final)[0], role="final")
         problem, polytopes = self._mission.problem, self._mission.polytopes
-        facets = choose_facets(problem, polytopes, lin.iterate.mean, lin.factor)
+        facets = choose_facets(problem, polytopes, lin.iterate.mean, lin.spread.factor)
         return self._planner.p2_stage(facets, lin, again=True)
 
 
@@ -133,7 +133,7 @@ def reflown(mission: Mission, lin: Linearisation) -> Linearisation:
         lin.problem,
         initial_state=mission.initial_state / units.state,
         final_state=mission.final_state / units.state,
-        initial_factor=mission.initial_factor / units.state[:, None],
+        initial_factor=mission.joint_factor,
     )
     mean = iterate.mean.copy()
     mean[0] = problem.initial_state

@@ -7,7 +7,7 @@ the exact derivatives of the discrete map, not approximations of those of the co
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -22,6 +22,7 @@ from scp_recon.physics.forces import (
     gravity_curvature,
     gravity_gradient,
 )
+from scp_recon.physics.partials import Partials
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,21 +38,53 @@ class FlowDerivatives:
     stm: Array
     _steps: tuple[_Stages, ...] = field(repr=False)
     _forces: ForceModel = field(repr=False)
+    _partials: Partials | None = field(default=None, repr=False)
 
-    @cached_property
+    @property
     def tensor(self) -> Array:
         """Second derivatives d2F_i/dx_j dx_k, shape (n, 6, 6, 6), symmetric in j and k.
 
         Computed at first use: P3 and Newton's method need no second derivatives.
         """
-        n = len(self.state)
-        tensor = np.empty((n, 6, 6, 6))
+        return self._second[:, :, :6]
+
+    @property
+    def by_parameters(self) -> Array:
+        """Derivatives dF_i/dw_j by the uncertain parameters, shape (n, 6, p)."""
+        return self._moved_by_parameters[0]
+
+    @property
+    def mixed(self) -> Array:
+        """Second derivatives d2F_i/dw_j dx_k, shape (n, 6, p, 6)."""
+        return self._second[:, :, 6:]
+
+    @cached_property
+    def _moved_by_parameters(self) -> tuple[Array, list[_Forced]]:
+        """Derivatives of the ends by parameters, and of each step's stages."""
+        assert self._partials is not None
+        n, p, forced = len(self.state), self._partials.count, []
+        end = np.zeros((n, 2, 3, p))
+        for step in self._steps:
+            position, time = step.position.reshape(-1, 3), step.time.ravel()
+            push = self._partials.accelerations(position, time).reshape(4, n, 3, p)
+            first, end = _first_order(end, step.gradient, step.h, push)
+            slope = self._partials.gradients(position, time).reshape(4, n, p, 3, 3)
+            forced.append(_Forced(first, slope))
+        return end.reshape(n, 6, p), forced
+
+    @cached_property
+    def _second(self) -> Array:
+        """Second derivatives by parameters beside the state, and by the state, (n, 6, 6 + p, 6)."""
+        n, p = len(self.state), 0 if self._partials is None else self._partials.count
+        forced = self._moved_by_parameters[1] if p else [None] * len(self._steps)
+        tensor = np.empty((n, 6, 6 + p, 6))
         for first in range(0, n, ARCS_AT_ONCE):
             arcs = slice(first, first + ARCS_AT_ONCE)
-            part = np.zeros((len(tensor[arcs]), 2, 3, 36))
-            for step in self._steps:
-                part = _second_order(part, step.of(arcs), self._forces)
-            tensor[arcs] = part.reshape(-1, 6, 6, 6)
+            part = np.zeros((len(tensor[arcs]), 2, 3, 6 * (6 + p)))
+            for step, more in zip(self._steps, forced, strict=True):
+                own = None if more is None else more.of(arcs)
+                part = _second_order(part, step.of(arcs), self._forces, own)
+            tensor[arcs] = part.reshape(-1, 6, 6 + p, 6)
         return tensor
 
     def moved(self, deviation: Array) -> FlowDerivatives:
@@ -61,11 +94,14 @@ class FlowDerivatives:
     def rate(self, state: Array, arcs: Indices) -> tuple[Array, Array]:
         """See `MovableDerivatives.rate`."""
         times = np.append(self._steps[0].time[0], self._steps[-1].time[-1, -1])
-        r, moment = state[:, :3], _moment(self._forces, times[arcs], arcs.shape)
+        time, p = times[arcs], 0 if self._partials is None else self._partials.count
+        r, moment = state[:, :3], _moment(self._forces, time, arcs.shape)
         acceleration = np.asarray(accelerations(r.T, self._forces, moment)).T
-        turn = np.zeros((len(arcs), 6, 6))
-        turn[:, :3, 3:] = np.eye(3)
+        turn = np.zeros((len(arcs), 6, 6 + p))
+        turn[:, :3, 3:6] = np.eye(3)
         turn[:, 3:, :3] = gravity_gradient(r, self._forces, moment)
+        if self._partials is not None:
+            turn[:, 3:, 6:] = self._partials.accelerations(r, time)
         return np.hstack([state[:, 3:], acceleration]), turn
 
 
@@ -82,12 +118,14 @@ class GridFlow:
         starts: times at which arcs begin, from the epoch on, shape (n,).
         durations: of the arcs, shape (n,).
         substeps: Runge-Kutta steps per arc.
+        partials: of the forces by uncertain parameters; None without any.
     """
 
     forces: ForceModel
     starts: Array
     durations: Array
     substeps: int
+    partials: Partials | None = None
 
     @property
     def arcs(self) -> int:
@@ -106,9 +144,10 @@ class GridFlow:
     def differentiate(self, state: Array) -> FlowDerivatives:
         """Derivatives of the first n arcs, from their starts (n, 6)."""
         first = slice(len(state))
-        return differentiate(
+        found = differentiate(
             state, self.durations[first], self.forces, self.substeps, self.starts[first]
         )
+        return found if self.partials is None else replace(found, _partials=self.partials)
 
 
 class _Stages(NamedTuple):
@@ -127,6 +166,20 @@ class _Stages(NamedTuple):
     def of(self, arcs: slice) -> _Stages:
         """Stages of some of the arcs."""
         return _Stages(self.h[arcs], *(part[:, arcs] for part in self[1:]))
+
+
+class _Forced(NamedTuple):
+    """Derivatives by p parameters at the stages.
+
+    Of positions, shape (4, n, 3, p), and of gravity gradients, shape (4, n, p, 3, 3).
+    """
+
+    first: Array
+    slope: Array
+
+    def of(self, arcs: slice) -> _Forced:
+        """Stages of some of the arcs."""
+        return _Forced(self.first[:, arcs], self.slope[:, arcs])
 
 
 def propagate(
@@ -250,23 +303,31 @@ def _stage_positions(
     return position, end, v + (h / 6.0) * (a1 + a4 + 2.0 * middle)
 
 
-def _first_order(stm: Array, gradient: Array, h: Array) -> tuple[Array, Array]:
-    """First derivatives of the stages' positions (4, n, 3, 6) and of the step's end (n, 2, 3, 6)."""
+def _first_order(
+    stm: Array, gradient: Array, h: Array, push: Array | Sequence[float] = (0.0,) * 4
+) -> tuple[Array, Array]:
+    """First derivatives of the stages' positions (4, n, 3, 6) and of the step's end (n, 2, 3, 6).
+
+    Or those by p parameters, with the accelerations' own derivatives by these, shape (4, n, 3, p).
+    """
     w = h[:, None, None]
     r, v = stm[:, 0], stm[:, 1]
     half, full = r + (0.5 * w) * v, r + w * v
-    a1, a2 = gradient[0] @ r, gradient[1] @ half
+    a1, a2 = gradient[0] @ r + push[0], gradient[1] @ half + push[1]
     third, fourth = half + (0.25 * w * w) * a1, full + (0.5 * w * w) * a2
-    a3, a4 = gradient[2] @ third, gradient[3] @ fourth
+    a3, a4 = gradient[2] @ third + push[2], gradient[3] @ fourth + push[3]
     middle = a2 + a3
     end = full + (w * w / 6.0) * (a1 + middle), v + (w / 6.0) * (a1 + a4 + 2.0 * middle)
     return np.stack([r, half, third, fourth]), np.stack(end, axis=1)
 
 
-def _second_order(tensor: Array, stages: _Stages, forces: ForceModel) -> Array:
+def _second_order(
+    tensor: Array, stages: _Stages, forces: ForceModel, forced: _Forced | None = None
+) -> Array:
     """Second derivatives (n, 2, 3, 36) of the step's end from those of its start.
 
-    The stages' accelerations have a_i'' = H_i (r_i', r_i') + G_i r_i''.
+    The stages' accelerations have a_i'' = H_i (r_i', r_i') + G_i r_i''. With p parameters w besides,
+    those by w and state follow, (n, 2, 3, 6 (6 + p)), with H_i (dr_i/dw, r_i') + (dG_i/dw) r_i' + ...
     """
     n, w, g = len(tensor), stages.h[:, None, None], stages.gradient
     first = stages.first.reshape(4 * n, 3, 6)
@@ -274,8 +335,13 @@ def _second_order(tensor: Array, stages: _Stages, forces: ForceModel) -> Array:
     curvature = gravity_curvature(stages.position.reshape(-1, 3), forces, moment)
     # Columns (i, k) of H_lim r_mk and then of r_lj H_lim r_mk, as H is symmetric.
     along = (curvature.reshape(-1, 9, 3) @ first).reshape(-1, 3, 18)
-    both = (first.transpose(0, 2, 1) @ along).reshape(4, n, 6, 3, 6)
-    bend = both.transpose(0, 1, 3, 2, 4).reshape(4, n, 3, 36)
+    rows = first
+    if forced is not None:
+        rows = np.concatenate([first, forced.first.reshape(4 * n, 3, -1)], axis=2)
+    both = (rows.transpose(0, 2, 1) @ along).reshape(4, n, -1, 3, 6)
+    if forced is not None:
+        both[:, :, 6:] += forced.slope @ stages.first[:, :, None]
+    bend = both.transpose(0, 1, 3, 2, 4).reshape(4, n, 3, -1)
     r, v = tensor[:, 0], tensor[:, 1]
     half, full = r + (0.5 * w) * v, r + w * v
     a1, a2 = bend[0] + g[0] @ r, bend[1] + g[1] @ half

@@ -33,6 +33,9 @@ The body's three axes, then the position of its companion; zero of what there is
 class ForceModel:
     """Constants of the translational dynamics in one consistent set of units.
 
+    For `accelerations` they may be those of as many flights as there are positions: arrays (n,) of
+    numbers, and (3, n) of vectors.
+
     Attributes:
         gm: gravitational parameter, length^3 / time^2.
         j2_strength: 3/2 gm J2 R^2, length^5 / time^2.
@@ -143,10 +146,12 @@ def _apart(position: Array, moment: Moment | None) -> tuple[Array, Array]:
 def accelerations(position: Array, forces: ForceModel, moment: Moment | None = None) -> Array:
     """Accelerations at positions (3, n), shape (3, n), in a third of `acceleration`'s operations."""
     r2 = np.einsum("in,in->n", position, position)
-    radial, polar = _pulls(r2, forces.pole @ position, forces)
+    pole, srp = (a if a.ndim == 2 else a[:, None] for a in (forces.pole, forces.srp))
+    own = forces.pole @ position if forces.pole.ndim == 1 else (pole * position).sum(axis=0)
+    radial, polar = _pulls(r2, own, forces)
     value = radial * position
-    value += forces.pole[:, None] * polar
-    value += forces.srp[:, None]
+    value += pole * polar
+    value += srp
     if forces.field is not None:
         value += forces.field.derivatives(position, _given(moment)[:3], 0)
     if forces.companion is not None:

@@ -36,7 +36,7 @@ def sun_north_to_j2000(sun_direction: Array, pole: Array) -> Array:
 
 @dataclass(frozen=True)
 class Rotation:
-    """Uniform rotation of a body by the IAU convention.
+    """Uniform rotation of a body by the IAU convention; or of one a flight, by arrays of angles.
 
     Attributes:
         pole_ra, pole_dec: right ascension and declination of the pole, rad, J2000.
@@ -79,7 +79,7 @@ class Rotation:
     def pole(self) -> Array:
         """Unit vector of the spin pole, J2000."""
         # A column in a row: products with a strided vector round otherwise than with its copy.
-        return self.body_to_j2000(0.0)[:, 2].copy()
+        return self.body_to_j2000(0.0)[..., :, 2].copy()
 
     def body_to_j2000(self, time_s: Any) -> Array:
         """Rotation matrices at times after the epoch, shape (..., 3, 3).
@@ -95,15 +95,10 @@ class Rotation:
 
     @cached_property
     def equator(self) -> Array:
-        """Node of the equator on J2000's, a quarter turn on, and pole, as rows of shape (3, 3)."""
-        node = np.array([-np.sin(self.pole_ra), np.cos(self.pole_ra), 0.0])
-        pole = np.array(
-            [
-                np.cos(self.pole_dec) * np.cos(self.pole_ra),
-                np.cos(self.pole_dec) * np.sin(self.pole_ra),
-                np.sin(self.pole_dec),
-            ]
-        )
+        """Node of the equator on J2000's, a quarter turn on, and pole, as rows of shape (3, ..., 3)."""
+        ra, dec = np.broadcast_arrays(self.pole_ra, self.pole_dec)
+        node = np.stack([-np.sin(ra), np.cos(ra), np.zeros(ra.shape)], axis=-1)
+        pole = np.stack([np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)], axis=-1)
         return np.stack([node, np.cross(pole, node), pole])
 
     def angle(self, time: Any) -> Any:

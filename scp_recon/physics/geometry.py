@@ -37,9 +37,18 @@ class SiteTrack:
 
 
 def track(site: Site, rotation: Rotation, time_s: npt.ArrayLike) -> SiteTrack:
-    """Position (m) and normal of a site in J2000 at times in s past the epoch, shape (n,)."""
+    """Position (m) and normal of a site in J2000 at times in s past the epoch, shape (n,).
+
+    Site and rotation may be one a flight; times then have shape (n, 1), or are one a flight.
+    """
     matrix = rotation.body_to_j2000(time_s)
-    return SiteTrack(matrix @ site.position_body, matrix @ site.normal_body)
+    return SiteTrack(_turned(matrix, site.position_body), _turned(matrix, site.normal_body))
+
+
+def _turned(matrix: Array, vector: Array) -> Array:
+    if vector.ndim == 1:
+        return matrix @ vector
+    return np.einsum("...ij,...j->...i", matrix, vector)
 
 
 def angle(a: Array, direction: Array) -> Array:

@@ -209,14 +209,17 @@ class TurningField:
     Attributes:
         field: of the body, in its own axes.
         rotation: of the body.
+        strength: factor of the field, a number or one for each position.
     """
 
     field: HarmonicField | PolyhedronField
     rotation: Rotation
+    strength: Any = 1.0
 
     def in_units(self, length: float, time: float) -> TurningField:
         """The same measured in units of `length` and `time`."""
-        return TurningField(self.field.in_units(length, time), self.rotation.in_units(time))
+        own = self.field.in_units(length, time), self.rotation.in_units(time)
+        return TurningField(*own, self.strength)
 
     def acceleration(self, x: Any, y: Any, z: Any, axes: Any) -> tuple[Any, Any, Any]:
         """Acceleration at a position given by components, arrays or symbols alike.
@@ -237,7 +240,7 @@ class TurningField:
         for _ in range(order + 1):
             # Turn the first index, and put it behind the others: after all the order is as it was.
             found = np.einsum("b...n,bin->...in", found, axes)
-        return found
+        return np.asarray(self.strength * found)
 
 
 def _normalisation(n: int, m: int) -> float:

@@ -21,6 +21,7 @@ from formulations.rows.uniform import ChanceRows, DeterministicRows
 from scp_recon.errors import InputError, option
 from scp_recon.mission.drifts import require_no_drifts
 from scp_recon.mission.feedback import require_open_loop
+from scp_recon.mission.knowledge import require_known
 from scp_recon.mission.mission import Mission
 from scp_recon.physics.flow import GridFlow
 from scp_recon.physics.forces import acceleration
@@ -96,6 +97,7 @@ def plan(
     if problem == "P2":
         require_open_loop(mission.scenario, option("method", "scp"))
         require_no_drifts(mission.scenario, f"goes with {option('method', 'scp')} only")
+        require_known(mission.scenario, f"goes with {option('method', 'scp')} only")
     if variant == "printed":
         other = f"{option('method', 'scp')}, or with {option('formulation', 'tuned')} or shooting"
         mission.require_plain(other)

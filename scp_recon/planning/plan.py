@@ -155,7 +155,7 @@ class Stage:
         lin = self.result.lin
         margins = self.merit.margins(lin)
         if self.facets is not None:
-            margin = self.facets.margin(lin.iterate.mean, lin.factor)
+            margin = self.facets.margin(lin.iterate.mean, lin.spread.factor)
             for index, constraint in enumerate(self.merit.problem.constraints):
                 rows = self.facets.constraint == index
                 margins[constraint.name] = Margins(self.facets.node[rows], margin[rows])
@@ -423,13 +423,20 @@ class Plan(Displayed):
         return _read_only(factor @ factor.transpose(0, 2, 1))
 
     @cached_property
+    def parameter_covariances(self) -> Array:
+        """Covariances of the states with the p numbers of the uncertain parameters, (n, 6, p)."""
+        lin = self.final.result.lin
+        factor = lin.factor * self.mission.units.state[:, None]
+        return _read_only(factor @ lin.problem.parameter_factor.T)
+
+    @cached_property
     def known(self) -> Array:
         """Covariances of the estimated states' errors at the nodes, shape (n, 6, 6).
 
         After the measurement and the burn there, if any. Without measurements they are `covariances`.
         """
         lin = self.final.result.lin
-        factor = knowledge(lin.problem, lin.spread) * self.mission.units.state[:, None]
+        factor = knowledge(lin.problem, lin.spread)[:, :6] * self.mission.units.state[:, None]
         return _read_only(factor @ factor.transpose(0, 2, 1))
 
     @property

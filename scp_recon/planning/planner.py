@@ -382,4 +382,4 @@ def screened(facets: Facets, lin: Linearisation, clearance: float) -> Booleans:
     Those farther from binding at an iterate than the clearance are checked after it, and restored if
     one of them turns out to matter.
     """
-    return np.asarray(facets.margin(lin.iterate.mean, lin.factor) < clearance)
+    return np.asarray(facets.margin(lin.iterate.mean, lin.spread.factor) < clearance)

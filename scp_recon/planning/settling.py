@@ -109,7 +109,9 @@ class Settling:
                 rounds += 1
                 lin, facets = best.result.lin, self._fresh(best.result.lin)
                 if holding and best.facets is not None:
-                    facets = best.facets.where_they_hold(facets, lin.iterate.mean, lin.factor)
+                    facets = best.facets.where_they_hold(
+                        facets, lin.iterate.mean, lin.spread.factor
+                    )
                 again = self._round(facets, lin, ROUND_ITERATIONS, weight)
                 merit, least = (one.merit(one.result.lin, weight) for one in (again, best))
                 gains = merit < (1.0 - ROUGH) * least
@@ -118,14 +120,14 @@ class Settling:
 
     def _round(self, facets: Facets, lin: Linearisation, iterations: int, weight: float) -> Stage:
         """Solve P2 roughly with given facets and penalty weight from a start."""
-        included = facets.margin(lin.iterate.mean, lin.factor) < self.task.clearances[1]
+        included = facets.margin(lin.iterate.mean, lin.spread.factor) < self.task.clearances[1]
         rows = ChanceRows(self.task.problem, facets, included, ROUGH)
         spec = StageSpec("P2", rows, "settled", max_iterations=iterations, weight=weight)
         return self.run(spec, lin)
 
     def _fresh(self, lin: Linearisation) -> Facets:
         task = self.task
-        return choose_facets(task.problem, task.polytopes, lin.iterate.mean, lin.factor)
+        return choose_facets(task.problem, task.polytopes, lin.iterate.mean, lin.spread.factor)
 
 
 def _holds(stage: Stage) -> bool:

@@ -239,7 +239,9 @@ class Pipeline:
 
     def _with_facets(self, lin: Linearisation, letter: str) -> Stage:
         """Solve P2 with facets chosen at a start."""
-        facets = choose_facets(self.task.problem, self.task.polytopes, lin.iterate.mean, lin.factor)
+        facets = choose_facets(
+            self.task.problem, self.task.polytopes, lin.iterate.mean, lin.spread.factor
+        )
         chosen = [one.spec for one in self.stages if one.facets is not None]
         last = max((spec.choice for spec in chosen if spec.start == letter), default=0)
         spec = replace(self.solver.p2_stage(facets, lin), choice=last + 1)

@@ -14,10 +14,11 @@ from scp_recon.mission.constraints import (
     companion_distance_m,
     safety_margins,
 )
+from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.estimates import binomial_quantile, proportion
 from scp_recon.monte_carlo.limits import is_certain
 from scp_recon.monte_carlo.observation_time import measured
-from scp_recon.monte_carlo.sampling import BLOCK, fly_block
+from scp_recon.monte_carlo.sampling import BLOCK, flown_mission, fly_block
 from scp_recon.physics import geometry
 from scp_recon.physics.frames import unit
 from scp_recon.reports.ground import Camera, GroundTrack, ground_track
@@ -53,6 +54,7 @@ class Flown:
         positions: J2000, m, shape (n, flights, 3).
         executed_m_s: sizes of the burns as executed, shape (flights, m).
         commanded_m_s: sums of their sizes as commanded, shape (flights,).
+        mission: as the flights have it, with their parameters.
     """
 
     times_s: Array
@@ -60,6 +62,7 @@ class Flown:
     positions: Array
     executed_m_s: Array
     commanded_m_s: Array
+    mission: Mission
 
     @property
     def window_s(self) -> Array:
@@ -88,7 +91,8 @@ def fly(subject: Subject, samples: int | None = None) -> Flown:
         commanded.append(np.linalg.norm(block.commanded_m_s, axis=2).sum(axis=1))
     window = np.flatnonzero((times >= first) & (times <= last))
     sizes = np.concatenate(executed), np.concatenate(commanded)
-    return Flown(times, window, np.concatenate(positions, axis=1), *sizes)
+    own = flown_mission(mission, SEED, samples)
+    return Flown(times, window, np.concatenate(positions, axis=1), *sizes, own)
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,7 +145,7 @@ def _measured(plan: Shown) -> tuple[dict[Measure, Array], dict[Measure, Array]]:
     """Distance, emission and phase in the window: of the mean, and of the sampled flights."""
     mission, flown = plan.subject.mission, plan.flown
     mean = measured(mission, flown.window_s, plan.subject.positions(flown.window_s))
-    return mean, measured(mission, flown.window_s, flown.positions[flown.window])
+    return mean, measured(flown.mission, flown.window_s, flown.positions[flown.window])
 
 
 def range_histories(plan: Shown) -> list[History]:
@@ -161,7 +165,7 @@ def range_histories(plan: Shown) -> list[History]:
             "range to the surface (m)",
             times,
             altitude(mean, body),
-            bands_of(altitude(flown.positions, body[:, None]), (1, 3)),
+            bands_of(altitude(flown.positions, flown.mission.body_to_j2000(times)), (1, 3)),
         ),
         History(
             "distance from the centre (m)",
@@ -174,8 +178,8 @@ def range_histories(plan: Shown) -> list[History]:
     scenario, least = mission.scenario, companion_distance_m(mission.scenario)
     if scenario.body.companion is not None:
         means, sampled = (
-            safety_margins(mission.scene, times, position)[COMPANION] + least
-            for position in (mean, flown.positions)
+            safety_margins(one.scene, times, position)[COMPANION] + least
+            for one, position in ((mission, mean), (flown.mission, flown.positions))
         )
         title = f"distance from the centre of {scenario.body.companion.name} (m)"
         limit = (f"{COMPANION}: at least", least)
@@ -241,8 +245,8 @@ class Achieved:
 
 def achieved(subject: Subject, flown: Flown) -> list[Achieved]:
     """Probabilities of every joint constraint at each time, and of all constraints so far."""
-    mission, certain = subject.mission, is_certain(subject.mission, subject.solution.burns_m_s)
-    kept = kept_limits(mission, flown.times_s, flown.positions, flown.window, certain=certain)
+    certain = is_certain(subject.mission, subject.solution.burns_m_s)
+    kept = kept_limits(flown.mission, flown.times_s, flown.positions, flown.window, certain=certain)
     still = np.ones((len(flown.times_s), flown.samples), dtype=bool)
     for times, those in kept.values():
         still[np.isin(flown.times_s, times)] &= those

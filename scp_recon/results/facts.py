@@ -50,12 +50,15 @@ class Nodes:
         covariance: of these, n x 6 x 6: how far flights are off the mean.
         knowledge: covariance of the estimated state's errors, of a plan with feedback, n x 6 x 6: after
             the measurement where one is made on the node.
+        parameters: covariance of the state with each of the p independent standard normal numbers that
+            the uncertain parameters of the scenario's `knowledge` are made of, n x 6 x p.
     """
 
     t_s: list[Number]
     state: list[list[Number]]
     covariance: list[list[list[Number]]]
     knowledge: list[list[list[Number]]] | None = None
+    parameters: list[list[list[Number]]] | None = None
 
     def __post_init__(self) -> None:
         """Refuse times that do not ascend, and arrays of other shapes."""

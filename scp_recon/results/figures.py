@@ -17,6 +17,7 @@ from scipy.special import ndtri
 
 from formulations.arrays import Array, Booleans, Indices
 from formulations.problem.flyby import Iterate, StateConstraint
+from formulations.problem.motion import Motion
 from formulations.problem.regions import Ball, Cone
 from formulations.rows.cones import FINAL_POSITION, FINAL_VELOCITY
 from scp_recon.errors import Named
@@ -153,7 +154,7 @@ def rows_of(mission: Mission, facts: Facts) -> dict[str, Rows]:
     else:
         position = np.array(facts.nodes.state)[:, :3]
         facets = facts.facets if p2 else None
-        table = None if facets is None else _facet_rows(facts, facets, position)
+        table = None if facets is None else _facet_rows(mission, facts, facets, position)
         for c in mission.problem.constraints:
             if table is None:
                 inside = _inside(c, position, mission.units.length_m)
@@ -180,12 +181,27 @@ def _burn_rows(mission: Mission, facts: Facts) -> dict[str, tuple[Array, Array]]
     return {"dv_max": (times, size), "dv_battery": (times, battery)}
 
 
+def relative_covariances(mission: Mission, facts: Facts, motion: Motion, nodes: Indices) -> Array:
+    """Covariances of positions at nodes relative to a region that moves there, m^2, shape (n, 3, 3)."""
+    length, position = mission.units.length_m, np.array(facts.nodes.state)[nodes, :3]
+    own = np.array(facts.nodes.covariance)[nodes, :3, :3]
+    cross = np.array(facts.nodes.parameters)[nodes, :3]
+    seen = length * motion.seen(position / length)
+    both = cross @ seen.swapaxes(1, 2)
+    return np.asarray(own + both + both.swapaxes(1, 2) + seen @ seen.swapaxes(1, 2))
+
+
 def _facet_rows(
-    facts: Facts, facets: FacetTable, position: Array
+    mission: Mission, facts: Facts, facets: FacetTable, position: Array
 ) -> dict[str, tuple[Indices, Array]]:
     """Nodes and margins of the facets by constraint: distance less quantile times deviation, m."""
     normal, node = np.array(facets.normal).reshape(-1, 3), np.array(facets.node, dtype=np.intp)
     covariance = np.array(facts.nodes.covariance)[node, :3, :3]
+    for c in mission.problem.constraints if facts.nodes.parameters is not None else ():
+        own = np.flatnonzero((np.array(facets.constraint) == c.name) & np.isin(node, c.nodes))
+        if c.motion is not None:
+            motion = c.motion.at(np.searchsorted(c.nodes, node[own]))
+            covariance[own] = relative_covariances(mission, facts, motion, node[own])
     variance = np.einsum("mi,mij,mj->m", normal, covariance, normal)
     room = np.array(facets.offset_m) - np.einsum("mi,mi->m", normal, position[node])
     room -= np.array(facets.quantile) * np.sqrt(np.maximum(variance, 0.0))

@@ -247,6 +247,7 @@ def make_solution(plan: Plan) -> Solution:
             state=plan.states.tolist(),
             covariance=plan.covariances.tolist(),
             knowledge=plan.known.tolist() if policy is not None else None,
+            parameters=plan.parameter_covariances.tolist() if mission.uncertain.count else None,
         ),
         stages=[_summary(mission, stage) for stage in plan.stages],
         facets=_facet_table(mission, plan.final),

@@ -31,6 +31,7 @@ from scp_recon.scenario.fields import (
     Tdb,
 )
 from scp_recon.scenario.given import inherit, tables_of
+from scp_recon.scenario.knowledge import Knowledge
 from scp_recon.scenario.messages import input_error
 from scp_recon.scenario.uncertainty import InFlight, Navigation, Policy, Uncertainty
 
@@ -237,6 +238,8 @@ class Scenario(Section):
     uncertainty: Uncertainty
     navigation: Navigation = Navigation()
     policy: Policy = Policy()
+    knowledge: Knowledge | None = None
+    """How well body, site and spacecraft are known; all of it is known if left out."""
     risk: Risk
     polytopes: PolytopeSection
     grid: Grid

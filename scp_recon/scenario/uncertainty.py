@@ -43,6 +43,16 @@ def _covariance(rows: tuple[tuple[float, ...], ...]) -> Any:
     """Validate a covariance: six by six, symmetric and positive semidefinite as correlations."""
     if [len(row) for row in rows] != 6 * [6]:
         raise ValueError("must have 6 rows of 6 numbers: three of position, three of velocity")
+    check_covariance(rows)
+    return rows
+
+
+def check_covariance(rows: tuple[tuple[float, ...], ...]) -> None:
+    """Validate that a square matrix is symmetric and positive semidefinite as correlations.
+
+    Raises:
+        ValueError: saying what it must be, and where it is not.
+    """
     matrix = np.array(rows)
     variance = np.diag(matrix)
     if np.any(variance < 0.0):
@@ -59,7 +69,7 @@ def _covariance(rows: tuple[tuple[float, ...], ...]) -> Any:
     scaled = matrix / np.outer(known, known)
     apart = np.abs(scaled - scaled.T)
     if apart.max() > MATRIX_TOLERANCE:
-        i, j = sorted(divmod(int(np.argmax(apart)), 6))
+        i, j = sorted(divmod(int(np.argmax(apart)), len(matrix)))
         raise ValueError(
             f"must be symmetric: entries {i + 1},{j + 1} and {j + 1},{i + 1} are "
             f"{matrix[i, j]:g} and {matrix[j, i]:g}"
@@ -70,7 +80,6 @@ def _covariance(rows: tuple[tuple[float, ...], ...]) -> Any:
             "must be positive semidefinite: the smallest eigenvalue of its correlations is "
             f"{least:.3g}, below -{MATRIX_TOLERANCE:g}"
         )
-    return rows
 
 
 def _of_a_measurement(rows: tuple[tuple[float, ...], ...]) -> Any:

@@ -11,7 +11,7 @@ burns share, and the estimates at all cut-offs so far. Linear maps propagate it:
     burn              e <- e + B (errors),      x <- x + B c
 
 where P is the covariance of e, R that of the measurement's error n, and c the gains times the
-estimates.
+estimates. Uncertain parameters are constant components of d, e and x; a state is measured alone.
 
 Without corrections x is zero, and e is the deviation. The corrections are jointly normal; their
 limits and costs are checked by points of that law.
@@ -23,7 +23,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import block_diag, cho_factor, cho_solve
 
 from formulations.arrays import Array
 from formulations.problem.execution_errors import VANISHED
@@ -34,9 +34,6 @@ from scp_recon.results.policy import Correction, Policy
 from scp_recon.results.solution import Solution
 from scp_recon.scenario.uncertainty import Gates
 from scp_recon.verification.consistency import ERRORS, FEW, POINTS, normal_points
-
-ERROR, ESTIMATE, BIAS, MEMORY = slice(0, 6), slice(6, 12), 12, 13
-"""Places in the joint vector; the estimates at cut-offs begin at the last."""
 
 NO_BURN_M_S = 1e-6
 """Size below which a burn needs no attitude."""
@@ -64,7 +61,8 @@ class JointCovariance:
     Attributes:
         mission: that is flown.
         policy: its corrections.
-        joint: of e, x, bias, and estimates at k cut-offs, shape (13 + 6 k, 13 + 6 k).
+        joint: of e and x, with p parameters each, bias, and estimates of the state at k cut-offs, shape
+            (13 + 2 p + 6 k, 13 + 2 p + 6 k).
         known: of each cut-off so far.
     """
 
@@ -75,22 +73,40 @@ class JointCovariance:
 
     @classmethod
     def before_burns(cls, mission: Mission, policy: Policy = ()) -> JointCovariance:
-        """Spread of the initial state, with nothing learnt."""
-        joint = np.zeros((MEMORY, MEMORY))
-        joint[ERROR, ERROR] = mission.initial_factor @ mission.initial_factor.T
-        joint[BIAS, BIAS] = 1.0
+        """Spread of the initial state and the parameters, with nothing learnt."""
+        initial = mission.initial_factor @ mission.initial_factor.T
+        size = 6 + mission.uncertain.count
+        joint = np.zeros((2 * size + 1, 2 * size + 1))
+        joint[:size, :size] = block_diag(initial, np.eye(size - 6))
+        joint[-1, -1] = 1.0
         return cls(mission, policy, joint)
 
     @property
+    def size(self) -> int:
+        """Components of a deviation: the state's and the parameters'. The bias follows two of them."""
+        return 6 + self.mission.uncertain.count
+
+    @property
+    def deviation(self) -> Array:
+        """Covariance of the deviation from the plan, shape (6 + p, 6 + p)."""
+        n = self.size
+        both = self.joint[:n] + self.joint[n : 2 * n]
+        return np.asarray(both[:, :n] + both[:, n : 2 * n])
+
+    @property
     def covariance(self) -> Array:
-        """Covariance of the deviation from the plan, shape (6, 6)."""
-        both = self.joint[ERROR] + self.joint[ESTIMATE]
-        return np.asarray(both[:, ERROR] + both[:, ESTIMATE])
+        """That of the state, shape (6, 6)."""
+        return self.deviation[:6, :6]
+
+    @property
+    def error(self) -> Array:
+        """Covariance of the estimate's error, shape (6 + p, 6 + p)."""
+        return self.joint[: self.size, : self.size]
 
     @property
     def knowledge(self) -> Array:
-        """Covariance of the estimate's error, shape (6, 6)."""
-        return self.joint[ERROR, ERROR]
+        """That of the state, shape (6, 6)."""
+        return self.joint[:6, :6]
 
     @property
     def commands(self) -> Array:
@@ -101,9 +117,9 @@ class JointCovariance:
         return gains @ self.joint @ gains.T
 
     def carried(self, stm: Array) -> JointCovariance:
-        """The spread after an arc with an STM (6, 6)."""
-        carry = np.eye(len(self.joint))
-        carry[ERROR, ERROR] = carry[ESTIMATE, ESTIMATE] = stm
+        """The spread after an arc with an STM (6 + p, 6 + p)."""
+        carry, n = np.eye(len(self.joint)), self.size
+        carry[:n, :n] = carry[n : 2 * n, n : 2 * n] = stm
         return replace(self, joint=carry @ self.joint @ carry.T)
 
     def measured(self, time_s: float) -> JointCovariance:
@@ -115,35 +131,34 @@ class JointCovariance:
         return spread
 
     def _measured(self, errors: Array) -> JointCovariance:
-        size, before = len(self.joint), self.knowledge
-        gain = cho_solve(cho_factor(before + errors), before).T
+        size, n, before = len(self.joint), self.size, self.knowledge
+        gain = cho_solve(cho_factor(before + errors), self.joint[:6, :n]).T
         update, noise = np.eye(size + 6, size), np.zeros((size + 6, 6))
-        update[ERROR, ERROR] -= gain
-        update[ESTIMATE, ERROR] = gain
-        noise[ERROR], noise[ESTIMATE] = -gain, gain
-        update[size:], noise[size:] = update[ESTIMATE], noise[ESTIMATE]
+        update[:n, :6] -= gain
+        update[n : 2 * n, :6] = gain
+        noise[:n], noise[n : 2 * n] = -gain, gain
+        update[size:], noise[size:] = update[n : n + 6], noise[n : n + 6]
         joint = update @ self.joint @ update.T + noise @ errors @ noise.T
-        return replace(
-            self, joint=joint, known=(*self.known, ErrorCovariances(before, joint[ERROR, ERROR]))
-        )
+        known = (*self.known, ErrorCovariances(before, joint[:6, :6]))
+        return replace(self, joint=joint, known=known)
 
     def after_burn(self, burn: Array, number: int) -> JointCovariance:
         """The spread after a burn, m/s, shape (3,), by its number from 0, with its correction if any.
 
         The errors of executing a correction have its second moment, and depend on nothing else.
         """
-        change, added = np.eye(len(self.joint)), np.zeros((3, 3))
+        change, added, n = np.eye(len(self.joint)), np.zeros((3, 3)), self.size
         gates, fraction = self.mission.scenario.uncertainty.gates, 0.0
         if gates is None:
             fraction = self.mission.scenario.uncertainty.execution_error or 0.0
             added += np.diag((fraction * burn) ** 2)
         else:
             added += gates_covariance(gates, burn)
-            change[3:6, BIAS] = gates.magnitude_bias * burn
+            change[3:6, 2 * n] = gates.magnitude_bias * burn
         for correction in self.policy:
             if correction.burn == number:
                 gains = self._by_memory(correction)
-                change[9:12] += gains
+                change[n + 3 : n + 6] += gains
                 command = gains @ self.joint @ gains.T
                 added += _error_of_correction(gates, fraction, command)
         joint = change @ self.joint @ change.T
@@ -151,10 +166,10 @@ class JointCovariance:
         return replace(self, joint=joint)
 
     def _by_memory(self, correction: Correction) -> Array:
-        """Gains of a correction on the joint vector, shape (3, 13 + 6 k)."""
+        """Gains of a correction on the joint vector, shape (3, 13 + 2 p + 6 k)."""
         gains = np.zeros((3, len(self.joint)))
-        blocks = np.hstack(list(correction.gains))
-        gains[:, MEMORY : MEMORY + blocks.shape[1]] = blocks
+        blocks, first = np.hstack(list(correction.gains)), 2 * self.size + 1
+        gains[:, first : first + blocks.shape[1]] = blocks
         return gains
 
 

@@ -43,6 +43,7 @@ from scp_recon.results.figures import (
     figures_of,
     is_converged,
     is_strange,
+    relative_covariances,
     rows_of,
     strange_times,
     summed,
@@ -239,6 +240,12 @@ def node_probabilities(mission: Mission, solution: Solution) -> dict[str, tuple[
     least = (SPREAD_MIN * mission.units.length_m) ** 2 * np.eye(3)
     positions = mean[:, None] + normal_points(covariance + least)
     margins = limit_margins(mission, times, positions, window)
+    for c in mission.problem.constraints if solution.nodes.parameters is not None else ():
+        if c.motion is not None:
+            relative = covariance.copy()
+            relative[c.nodes] = relative_covariances(mission, solution, c.motion, c.nodes)
+            seen = mean[:, None] + normal_points(relative + least)
+            margins[c.event] = limit_margins(mission, times, seen, window)[c.event]
     return {name: (at, (margin >= 0.0).mean(axis=1)) for name, (at, margin) in margins.items()}
 
 

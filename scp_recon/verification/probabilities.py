@@ -15,7 +15,7 @@ from scp_recon.monte_carlo.drifts import fly_drifts, reach_s, safety_of
 from scp_recon.monte_carlo.estimates import proportion
 from scp_recon.monte_carlo.flights import FlightConfig
 from scp_recon.monte_carlo.limits import is_certain, limit_margins
-from scp_recon.monte_carlo.sampling import BLOCK, fly_blocks, sample_positions
+from scp_recon.monte_carlo.sampling import BLOCK, fly_blocks
 from scp_recon.monte_carlo.summary import COMPONENTS, missed_by_law
 from scp_recon.results.facts import DriftSafety, FinalSigma, JointProbability, Risk
 from scp_recon.results.figures import FINAL_SIGMAS, final_sigma_limits, is_strange
@@ -119,9 +119,15 @@ def joint_probabilities(
     between = (window[:-1, None] + step * np.arange(1, SAMPLED_PARTS_PER_ARC)).ravel()
     observed = np.union1d(window, between)
     times = np.union1d(observed, mission.times_s)
-    positions = sample_positions(mission, burns, times, SAMPLES, SEED, policy)
-    seen = np.searchsorted(times, observed)
-    kept = kept_limits(mission, times, positions, seen, certain=is_certain(mission, burns))
+    seen, certain = np.searchsorted(times, observed), is_certain(mission, burns)
+    parts = [
+        kept_limits(flown.mission, times, flown.states[..., :3], seen, certain=certain)
+        for flown in fly_blocks(mission, burns, times, SAMPLES, seed=SEED, policy=policy)
+    ]
+    kept = {
+        name: (at, np.concatenate([part[name][1] for part in parts], axis=1))
+        for name, (at, _) in parts[0].items()
+    }
     found = [_worst(name, at, those) for name, (at, those) in kept.items()]
     if mission.scenario.risk.scope == "flight":
         every = np.logical_and.reduce([those.all(axis=0) for _, those in kept.values()])

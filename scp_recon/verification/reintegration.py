@@ -98,6 +98,11 @@ def verify(mission: Mission, solution: Solution) -> Verification:
         "sample_error_m": sample_error,
         "covariance_error": _covariance_error(mission, stored, flown.covariances[at_nodes]),
     }
+    if mission.uncertain.count:
+        figures["covariance_error"] = max(
+            figures["covariance_error"],
+            _parameter_error(mission, solution, flown.parameters[at_nodes]),
+        )
     if policy:
         figures["knowledge_error"] = _knowledge_error(mission, solution, flown, at_nodes)
     limits = limits_of(mission)
@@ -188,13 +193,14 @@ def final_miss(mission: Mission, miss: Array) -> FinalMiss:
 class _Flown:
     """A re-integrated flight, after the burns: times (n,), states (n, 6), covariances (n, 6, 6).
 
-    Covariances are those of the deviation from the plan and of the estimate's error; last the
-    spread at the end.
+    Covariances are those of the deviation from the plan, of the p parameters with it, (n, 6, p), and of
+    the estimate's error; last the spread at the end.
     """
 
     times: Array
     states: Array
     covariances: Array
+    parameters: Array
     knowledge: Array
     end: JointCovariance
 
@@ -211,7 +217,13 @@ def _fly(
     numbers = {time: number for number, time in enumerate(firing)}
     times = np.union1d(times, stops)
     states = np.full((len(times), 6), DIVERGED)  # for what the integrator does not reach
-    covariances, knowledge = (np.full((len(times), 6, 6), DIVERGED) for _ in range(2))
+    size = 6 + mission.uncertain.count
+    deviation, error = (np.full((len(times), size, size), DIVERGED) for _ in range(2))
+
+    def flown() -> _Flown:
+        own, known = deviation[:, :6, :6], error[:, :6, :6]
+        return _Flown(times, states, own, deviation[:, :6, 6:], known, spread)
+
     state, spread = initial.copy(), JointCovariance.before_burns(mission, policy)
     for i, begin in enumerate(stops):
         spread = spread.measured(begin)
@@ -224,34 +236,54 @@ def _fly(
         leg = (times >= begin) & (times <= stops[i + 1])
         answer = integrated(mission, state, (begin, stops[i + 1]), t_eval=times[leg])
         if not answer.success:
-            return _Flown(times, states, covariances, knowledge, spread)
-        stm = answer.y[6:].T.reshape(-1, 6, 6)
+            return flown()
+        stm = full_stm(answer.y[6:].T)
         states[leg] = answer.y[:6].T
-        covariances[leg] = stm @ spread.covariance @ stm.transpose(0, 2, 1)
-        knowledge[leg] = stm @ spread.knowledge @ stm.transpose(0, 2, 1)
+        deviation[leg] = stm @ spread.deviation @ stm.transpose(0, 2, 1)
+        error[leg] = stm @ spread.error @ stm.transpose(0, 2, 1)
         state, spread = states[leg][-1].copy(), spread.carried(stm[-1])
-    states[-1], covariances[-1], knowledge[-1] = state, spread.covariance, spread.knowledge
-    return _Flown(times, states, covariances, knowledge, spread)
+    states[-1], deviation[-1], error[-1] = state, spread.deviation, spread.error
+    return flown()
 
 
 def integrated(mission: Mission, state: Array, span: tuple[float, float], **at: Any) -> Any:
-    """SciPy's answer for the state and the flattened STM, shape (42,), from one time to another.
+    """SciPy's answer for the state and the flattened STM, shape (42 + 6 p,), from one time to another.
 
-    `at` are the output times, as in `solve_ivp`.
+    The STM's last p columns are by the uncertain parameters. `at` are the output times, as in
+    `solve_ivp`.
     """
+    p, partials = mission.uncertain.count, mission.partials
+
+    def rate(t: float, y: Array) -> Array:
+        at = y[None, :3], np.array([t])
+        push = None if partials is None else partials.accelerations(*at)[0]
+        return variational_rate(y, mission.forces, mission.forces.moment(t), push)
+
     return solve_ivp(
-        lambda t, y: variational_rate(y, mission.forces, mission.forces.moment(t)),
+        rate,
         span,
-        np.concatenate([state, np.eye(6).ravel()]),
+        np.concatenate([state, np.eye(6, 6 + p).ravel()]),
         method="DOP853",
         rtol=1e-12,
-        atol=1e-13 * np.concatenate([mission.units.state, np.ones(36)]),
+        atol=1e-13 * np.concatenate([mission.units.state, np.ones(36 + 6 * p)]),
         **at,
     )
 
 
-def variational_rate(y: Array, forces: ForceModel, moment: Moment | None = None) -> Array:
-    """d/dt of the state and the flattened STM, shape (42,).
+def full_stm(flat: Array) -> Array:
+    """STMs of state and parameters (..., 6 + p, 6 + p), from flattened ones (..., 36 + 6 p)."""
+    rows = flat.reshape(*flat.shape[:-1], 6, -1)
+    size = rows.shape[-1]
+    below = np.broadcast_to(np.eye(size)[6:], (*rows.shape[:-2], size - 6, size))
+    return np.concatenate([rows, below], axis=-2)
+
+
+def variational_rate(
+    y: Array, forces: ForceModel, moment: Moment | None = None, push: Array | None = None
+) -> Array:
+    """d/dt of the state and the flattened STM, shape (42 + 6 p,).
+
+    `push` are derivatives of the acceleration by p parameters, shape (3, p).
 
     The gravity gradient is a complex step of the acceleration: exact to roundoff and independent of
     the closed forms that the planner uses.
@@ -259,8 +291,10 @@ def variational_rate(y: Array, forces: ForceModel, moment: Moment | None = None)
     step = 1e-20
     r = y[:3, None] + 1j * step * np.eye(3)
     columns = np.stack(acceleration(r[0], r[1], r[2], forces, moment))
-    stm = y[6:].reshape(6, 6)
+    stm = y[6:].reshape(6, -1)
     stm_rate = np.concatenate([stm[3:], columns.imag / step @ stm[:3]])
+    if push is not None:
+        stm_rate[3:, 6:] += push
     return np.concatenate([y[3:6], columns.real[:, 0], stm_rate.ravel()])
 
 
@@ -273,7 +307,7 @@ def _sample_error(mission: Mission, burns: Array, policy: Policy) -> float:
         initial = sampled.states[0, i].copy()
         if not mission.problem.coasts:
             initial[3:] -= executed[0]
-        again = _fly(mission, executed, times, initial)
+        again = _fly(sampled.mission.some_flights(i), executed, times, initial)
         looked = np.searchsorted(again.times, times)
         errors.append(np.abs(again.states[looked] - sampled.states[:, i]) / mission.units.state)
     return _finite(np.max(errors) * mission.units.length_m)
@@ -287,6 +321,16 @@ def _covariance_error(mission: Mission, stored: Array, flown: Array) -> float:
     """Largest error of a node's covariance relative to its largest entry, in scaled units."""
     units = np.outer(mission.units.state, mission.units.state)
     return relative_error(stored / units, flown / units)
+
+
+def _parameter_error(mission: Mission, solution: Solution, flown: Array) -> float:
+    """Largest error of a node's covariance of state and parameters, in standard deviations."""
+    given, units = np.array(solution.nodes.parameters), mission.units.state[:, None]
+    if given.shape != flown.shape:
+        return DIVERGED
+    size = np.abs(flown / units).max(axis=(1, 2))
+    error = np.abs((given - flown) / units).max(axis=(1, 2))
+    return _finite((error / np.maximum(size, SMALLEST)).max())
 
 
 def _knowledge_error(mission: Mission, solution: Solution, flown: _Flown, nodes: Indices) -> float:

@@ -276,9 +276,9 @@ def test_a_facets_deviation_is_that_of_the_covariance_along_it(rng, belief):
     )
     covariance = (factor @ factor.transpose(0, 2, 1))[node, :3, :3]
     variance = np.einsum("mi,mij,mj->m", normal, covariance, normal)
-    assert facets.deviation(factor) ** 2 == pytest.approx(variance, rel=1e-9, abs=1e-13)
+    assert facets.deviation(mean, factor) ** 2 == pytest.approx(variance, rel=1e-9, abs=1e-13)
     distance = facets.offset - np.sum(normal * mean[node, :3], axis=1)
-    expected = distance - facets.quantile * facets.deviation(factor)
+    expected = distance - facets.quantile * facets.deviation(mean, factor)
     assert facets.margin(mean, factor) == pytest.approx(expected, abs=EXACT)
 
 

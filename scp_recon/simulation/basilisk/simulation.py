@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from formulations.arrays import Array
 from scp_recon.errors import InputError
+from scp_recon.mission.knowledge import require_known
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.closed_loop import MEASURED
 from scp_recon.monte_carlo.sampling import AnyPolicy, policy_kind, start_loop
@@ -115,6 +116,7 @@ def simulate(
         if body.attitude is not None:
             entry, given = "body.attitude", f"{body.name} tumbling"
         raise InputError(entry, given, "cannot be simulated: one body alone turns evenly there")
+    require_known(mission.scenario, "goes with montecarlo: one known body is simulated")
     plan = FlightPlan.of(solution, mission, vehicle)
     times = CONTROL_PERIOD_S * np.arange(round(plan.end_s / CONTROL_PERIOD_S) + 1.0)
     factor = mission.initial_factor
