@@ -56,7 +56,7 @@ class Shifts:
 
     @cached_property
     def _about(self) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
-        """The same before and after each burn that moves, (q, 6) and (q, 6, 6 + p); at the ends zero."""
+        """The same before and after burns that move, (q, 6) and (q, 6, 6 + p); at the ends zero."""
         nodes = self.problem.burn_nodes[self._firing.burns]
         inner, flies = nodes > 0, nodes < self.problem.n_nodes - 1
         size = 6 + self.problem.parameters

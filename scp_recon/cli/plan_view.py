@@ -20,6 +20,7 @@ from scp_recon.cli.command import show_line
 from scp_recon.cli.rendering import show_verdict, show_warnings, terminal
 from scp_recon.errors import InputError
 from scp_recon.interop.export import Export
+from scp_recon.mission import knowledge
 from scp_recon.mission.constraints import required_in_words
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.scene import Scene, orbit_of_body
@@ -73,6 +74,8 @@ def show_mission(console: Console, mission: Mission, *, verbose: bool = True) ->
         origin += "; over, nothing is observed any more"
     span = f"{first:.1f} to {last:.1f} s ({last - first:.1f} s, {origin})"
     show_line(console, f"window    {span}; boundary in {scenario.boundary.frame} axes")
+    if mission.uncertain.count:
+        show_line(console, f"uncertain {knowledge.in_words(scenario)} (1 sigma)")
     if scenario.in_flight is not None:
         flown = f"{scenario.burns_flown} burns flown"
         show_line(console, f"in flight from {scenario.start_s:g} s on, {flown}")

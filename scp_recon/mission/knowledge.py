@@ -256,14 +256,17 @@ def require_known(scenario: Scenario, needs: str) -> None:
         raise InputError(f"knowledge.{entry}", ", ".join(f"{one:g}" for one in sigma), needs)
 
 
-def shares(scenario: Scenario) -> dict[str, float | None]:
-    """1 sigma of each uncertain entry over its value; None of angles, places and directions."""
+def in_words(scenario: Scenario) -> str:
+    """1 sigma of each uncertain entry, with its share of the entry where that says something."""
     body, craft = scenario.body, scenario.spacecraft
     values = {GM: body.gm_m3_s2, J2: body.j2, RATE: body.prime_meridian_rate_deg_day}
     values |= {AREA: craft.srp_area_m2, REFLECTIVITY: craft.reflectivity_coefficient}
     if body.companion is not None:
         values[COMPANION_GM] = body.companion.gm_m3_s2
-    return {
-        entry: float(sigma[0]) / abs(values[entry]) if values.get(entry) else None
-        for entry, sigma in Uncertain.of(scenario).sigmas.items()
-    }
+    parts = []
+    for entry, sigma in Uncertain.of(scenario).sigmas.items():
+        words = f"{entry} {', '.join(f'{one:g}' for one in sigma)}"
+        if value := values.get(entry):
+            words += f" ({100.0 * float(sigma[0]) / abs(value):.3g} %)"
+        parts.append(words)
+    return "; ".join(parts)

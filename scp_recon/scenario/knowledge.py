@@ -48,6 +48,7 @@ class KnownBody(Known):
     prime_meridian_rate_deg_day: NonNegative | None = None
     """1 sigma in deg/day of the spin rate, about the phase at the epoch."""
     companion: KnownCompanion | None = None
+    """Of the companion."""
 
 
 class KnownSpacecraft(Known):
@@ -80,8 +81,11 @@ class Knowledge(Known):
     """
 
     body: KnownBody | None = None
+    """Of the body."""
     spacecraft: KnownSpacecraft | None = None
+    """Of the spacecraft."""
     site: KnownSite | None = None
+    """Of the site."""
     names: Annotated[tuple[Line, ...], Field(min_length=2, max_length=20)] | None = None
     """Entries of the scenario that have a covariance, such as body.gm_m3_s2; vectors count three."""
     covariance: tuple[tuple[Component, ...], ...] | None = None

@@ -22,7 +22,7 @@ from formulations.rows.exact_flight import FlightRows
 from formulations.rows.node_probability import Event, moving_quantiles
 from formulations.rows.uniform import ChanceRows
 from scp_recon.errors import InputError
-from scp_recon.mission.knowledge import PHASE, POSITION, Uncertain, shares
+from scp_recon.mission.knowledge import Uncertain, in_words
 from scp_recon.mission.mission import Mission
 from scp_recon.physics.flow import GridFlow
 from scp_recon.physics.forces import ForceModel
@@ -267,11 +267,9 @@ def test_covariance_of_names_is_the_law():
 
 
 def test_shares_are_of_the_entries_values():
-    scenario = load_scenario().replace({"knowledge": EVERYTHING})
-    found = shares(scenario)
-    assert found["body.gm_m3_s2"] == pytest.approx(0.05 / scenario.body.gm_m3_s2)
-    assert found[PHASE] is None
-    assert found[POSITION] is None
+    words = in_words(load_scenario().replace({"knowledge": EVERYTHING}))
+    assert "body.gm_m3_s2 0.05 (1.02 %)" in words
+    assert "site.position_body_m 2, 3, 1;" in words
 
 
 def test_relative_factors_have_the_parameters_rows():

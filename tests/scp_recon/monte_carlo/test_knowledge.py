@@ -1,0 +1,162 @@
+"""Flights with parameters of their own: their streams, and the normal law against them."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.stats import binom
+
+import scp_recon
+from formulations.rows.drift import start_of
+from scp_recon.mission.drifts import Miss
+from scp_recon.mission.mission import Mission
+from scp_recon.monte_carlo.drifts import fly_drifts
+from scp_recon.monte_carlo.flights import FlightConfig
+from scp_recon.monte_carlo.law import Law
+from scp_recon.monte_carlo.sampling import draw_flights, fly_block, fly_draws
+from scp_recon.monte_carlo.whole_flight import SampledFlights
+from scp_recon.planning.initial_guess import from_burns
+from scp_recon.scenario.load import load_scenario
+from tests.helpers import nightly
+from tests.scp_recon.mission.test_knowledge import BURNS, COARSE, EVERYTHING
+from tests.scp_recon.support import COMPANION, fly_few, from_cold
+
+CERTAIN = {"uncertainty": {"initial_sigma_fraction": 0.0, "execution_error": 0.0}}
+ALONE: dict[str, Any] = {
+    "body.gm_m3_s2": 0.05,
+    "body.j2": 0.004,
+    "body.pole_ra_deg": 2.0,
+    "body.pole_dec_deg": 2.0,
+    "body.prime_meridian_deg": 1.0,
+    "body.prime_meridian_rate_deg_day": 3.0,
+    "spacecraft.reflectivity_coefficient": 0.2,
+    "site.position_body_m": [4.0, 4.0, 4.0],
+    "site.normal_body": [0.02, 0.02, 0.02],
+    "body.companion.gm_m3_s2": 0.01,
+    "body.companion.mean_anomaly_deg": 0.4,
+}
+
+
+def mission_with(changes: dict[str, Any]) -> Mission:
+    return Mission.from_scenario(load_scenario().replace({**COARSE, **changes}))
+
+
+def flights_of(mission: Mission) -> SampledFlights:
+    return SampledFlights(mission, BURNS, times_s=mission.times_s[mission.window_nodes])
+
+
+def law_of(mission: Mission) -> Law:
+    lin = mission.dynamics.linearise(mission.problem, from_burns(mission, BURNS))
+    return Law.of(lin, mission.units.length_m)
+
+
+@pytest.mark.parametrize("entry", ALONE)
+def test_each_parameter_alone_acts_on_flights_as_by_law(entry):
+    """What flights see of each limit, less the mean, is the linear law's to 2 %, for small draws."""
+    companion = {"body.companion": COMPANION} if ".companion." in entry else {}
+    changes = {**companion, **CERTAIN, f"knowledge.{entry}": ALONE[entry]}
+    mission = mission_with(changes)
+    draws = 0.1 * draw_flights(mission, BURNS, 3, 0)[:20]
+    flown = fly_draws(mission, BURNS, mission.times_s, draws)
+    lin = mission.dynamics.linearise(mission.problem, from_burns(mission, BURNS))
+    mean, factor = lin.iterate.mean, lin.spread.factor
+    known = draws[:, 6 : 6 + mission.uncertain.count]
+    moved, off = 0.0, []
+    for c in mission.problem.constraints:
+        linear = mean[c.nodes, None, :3] + np.einsum("nic,mc->nmi", factor[c.nodes, :3], draws)
+        if c.motion is not None:
+            linear = c.motion.of_draws(linear, known)
+        expected = c.region.inside(linear) - c.region.inside(mean[c.nodes, :3])[:, None]
+        # The exact region of each flight, as `Mission.problem` of its own parameters has it.
+        found = np.empty_like(expected)
+        for flight in range(len(draws)):
+            own = flown.mission.some_flights(flight)
+            region = next(o.region for o in own.problem.constraints if o.name == c.name)
+            at = flown.states[c.nodes, flight, :3] / mission.units.length_m
+            found[:, flight] = region.inside(at) - c.region.inside(mean[c.nodes, :3])
+        size = float(np.sqrt(np.mean(found**2)))
+        off.append(float(np.sqrt(np.mean((found - expected) ** 2))))
+        moved = max(moved, size)
+    assert max(off) <= 0.02 * moved
+    assert moved > 1e-7  # of 1 km: no parameter is without effect
+
+
+def test_parameters_have_a_stream_of_their_own():
+    """An uncertain site leaves every path as it is, and moves what is seen from it."""
+    plain = mission_with({})
+    site = mission_with({"knowledge.site.position_body_m": [2.0, 2.0, 2.0]})
+    one, other = (fly_block(m, BURNS, m.times_s, 1, flights=40) for m in (plain, site))
+    assert np.array_equal(one.states, other.states)
+    assert one.mission is plain
+    assert other.mission.site.position_body.shape == (40, 3)
+
+
+def test_flights_keep_limits_as_often_as_by_law():
+    """With everything uncertain besides the errors of state and burns: 3,000 flights."""
+    mission = mission_with({"knowledge": EVERYTHING})
+    flights, law = flights_of(mission), law_of(mission)
+    draws = np.concatenate([draw_flights(mission, BURNS, 5, block) for block in range(3)])
+    by_law, flown = law.margin(draws) >= 0.0, flights.count(draws).kept_at_nodes
+    assert 0.05 < flown.mean() < 0.98
+    assert np.mean(by_law != flown) < 0.02
+
+
+@pytest.mark.parametrize("truth", ["harmonics", "polyhedron"])
+def test_true_gravity_deviates_too(truth):
+    changes = {**CERTAIN, "knowledge.body.gm_m3_s2": 0.05}
+    mission = mission_with(changes)
+    ends = mission.times_s[-1:]
+    sizes = []
+    for gravity in ("planner", truth):
+        flown = fly_block(mission, BURNS, ends, 0, flights=12, truth=gravity)
+        sizes.append(flown.states[0, :, :3].std(axis=0))
+    np.testing.assert_allclose(sizes[1], sizes[0], rtol=0.2)
+
+
+def test_drifts_have_the_parameters_of_their_flights():
+    """After the last burn is missed: the linear law of the drift's start and of its end."""
+    changes = {**CERTAIN, "knowledge.body.gm_m3_s2": 0.05, "safety.missed_burns": 1}
+    mission = mission_with({**changes, "safety.drift_s": 7200.0})
+    config, (drift,) = FlightConfig(mission, BURNS), mission.problem.drifts[2:]
+    lin = mission.dynamics.linearise(mission.problem, from_burns(mission, BURNS))
+    assert start_of(lin, drift).factor.shape[0] == 7
+    assert np.abs(start_of(lin, drift).factor[:6, 6]).max() > 1e-4
+    (flown,) = fly_drifts(config, [Miss(4)], 30)
+    assert flown.closest_m.std() > 0.0
+
+
+def test_plan_with_everything_uncertain_is_verified(monkeypatch):
+    fly_few(monkeypatch)
+    scenario = load_scenario().replace({"knowledge": EVERYTHING})
+    found = scp_recon.plan(scenario, facet_rounds=0)
+    checked = scp_recon.verify(found)
+    assert checked.ok, checked.failed
+    plain = from_cold(Mission.from_scenario(load_scenario()))
+    assert found.total_dv_m_s > plain.total_dv_m_s
+
+
+@nightly
+@pytest.mark.parametrize("kind", ["uniform", "certified"])
+@pytest.mark.parametrize("seed", range(20))
+def test_random_scenarios_hold_their_probability(kind, seed):
+    """10,000 fresh flights each: no more outside than a binomial test at 0.1 % allows."""
+    rng = np.random.default_rng(seed)
+    entries = rng.choice([e for e in ALONE if ".companion." not in e], size=3, replace=False)
+    changes: dict[str, Any] = {
+        f"knowledge.{e}": (np.array(ALONE[e]) * rng.uniform(1.0, 2.0)).tolist() for e in entries
+    }
+    changes["knowledge.body.gm_m3_s2"] = float(rng.uniform(0.3, 0.6))
+    p = float(rng.uniform(0.7, 0.92))
+    changes |= {"risk.p_chance": p, "observation.site_distance_max_m": float(rng.uniform(730, 780))}
+    if kind == "certified":
+        changes |= {"risk.allocation": "exact", "risk.scope": "flight"}
+    found = scp_recon.plan(load_scenario().replace(changes))
+    assert found.status.name == "CONVERGED"
+    flights = SampledFlights(found.mission, found.burns_m_s)
+    draws = [draw_flights(found.mission, found.burns_m_s, 900 + seed, b) for b in range(10)]
+    if kind == "certified":
+        kept = sum(int(flights.count(one).kept.sum()) for one in draws)
+    else:
+        counts = [flights.count(one).counts for one in draws]
+        kept = min(int(np.sum([c[name] for c in counts], axis=0).min()) for name in counts[0])
+    assert binom.cdf(kept, 10_000, p) >= 1e-3
