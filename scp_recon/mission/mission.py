@@ -512,7 +512,7 @@ class Mission:
         """
         require_open_loop(self.scenario, needs)
         require_no_drifts(self.scenario, needs)
-        require_known(self.scenario, needs)
+        require_known(self.scenario, f"goes with {needs}")
         for name in ("final_sigma_position_m", "final_sigma_velocity_m_s"):
             if (limit := getattr(self.scenario.boundary, name)) is not None:
                 raise InputError(f"boundary.{name}", f"{limit:g}", f"goes with {needs}")

@@ -178,10 +178,10 @@ class FlownPlan:
         """Columns of each burn in the factor of the velocity, corrections included, shape (m, 3, c)."""
         nodes, first = self.lin.problem.burn_nodes, self.lin.problem.initial_factor
         before = np.zeros_like(self.lin.factor[nodes])
-        before[:, :, : first.shape[1]] = first
+        before[:, :, : first.shape[1]] = first[:6]
         later = nodes > 0
         arcs = nodes[later] - 1
-        before[later] = self.lin.arcs.stm[arcs] @ self.lin.factor[arcs]
+        before[later] = (self.lin.stm_of_arcs[arcs] @ self.lin.spread.factor[arcs])[:, :6]
         kicks = self.lin.factor[nodes, 3:] - before[:, 3:]
         return np.asarray(kicks * self.mission.units.speed_m_s)
 
