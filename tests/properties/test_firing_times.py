@@ -229,9 +229,10 @@ def test_rows_of_every_risk_have_derivatives(kind, one, rng):
         close(slope, margin, 1e-3 if kind == "flight" else 1e-6)
 
 
-def test_default_flow_has_rates():
+@pytest.mark.parametrize("changes", [{}, {"knowledge.body.gm_m3_s2": 0.05}])
+def test_default_flow_has_rates(changes):
     """Of the packaged scenario's forces, on its own grid with many steps an arc."""
-    mission = Mission.from_scenario(load_scenario())
+    mission = Mission.from_scenario(load_scenario().replace(changes))
     nodes = mission.times_s / mission.units.time_s
     free = np.array([1, 2])
     firing = FiringTimes.on_grid(
