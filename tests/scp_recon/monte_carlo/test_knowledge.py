@@ -140,7 +140,7 @@ def random_scenario(rng: np.random.Generator, kind: str) -> Scenario:
     """GM is uncertain by 3 to 10 %, and three other entries with it."""
     entries = rng.choice([e for e in ALONE if ".companion." not in e], size=3, replace=False)
     changes: dict[str, Any] = {
-        f"knowledge.{e}": (np.array(ALONE[e]) * rng.uniform(1.0, 2.0)).tolist() for e in entries
+        f"knowledge.{e}": (np.array(ALONE[e]) * rng.uniform(1.0, 1.8)).tolist() for e in entries
     }
     changes["knowledge.body.gm_m3_s2"] = float(rng.uniform(0.15, 0.5))
     changes["risk.p_chance"] = float(rng.uniform(0.7, 0.9))
