@@ -334,7 +334,7 @@ def text_of(record: Mapping[str, Mapping[str, Figures]]) -> str:
 
 def tenth(of: date) -> list[str]:
     """The runs that a day's tests compare: a seeded tenth of those that take seconds."""
-    return Random(of.toordinal()).sample([name for name in RUNS if name not in LONG], 5)
+    return Random(of.toordinal()).sample([name for name in RUNS if name not in LONG], 3)
 
 
 LONG = ("simulate", "infeasible_frame", "infeasible_risk", "campaign", "eros", "probability")

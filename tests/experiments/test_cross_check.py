@@ -9,6 +9,7 @@ from experiments import cross_check
 from experiments.__main__ import main
 from scp_recon.bodies.gravity_file import read_gravity
 from scp_recon.physics.harmonics import HarmonicField
+from tests.helpers import nightly
 
 
 def test_without_the_tools_it_says_what_is_missing(monkeypatch, capsys, tmp_path):
@@ -37,6 +38,7 @@ def test_fields_and_leap_seconds_are_written_as_their_readers_expect(tmp_path):
     assert lines[-1].startswith(" 2017 JAN  1 =JD 2457754.5  TAI-UTC=  37.0 ")
 
 
+@nightly
 @pytest.mark.slow
 def test_other_tools_fly_the_plan_where_the_planner_does(solution):
     for tool in ("orekit_jpype", "brahe"):

@@ -130,6 +130,7 @@ def test_bad_evidence_names_file_and_entry(text, said):
     assert "\n" not in str(error.value)
 
 
+@nightly
 @pytest.mark.slow
 def test_only_outdated_evidence_is_renewed(folder, capsys):
     keep(tables={CONES: [row | {"half_angle_deg": 1.0} for row in TABLE]})

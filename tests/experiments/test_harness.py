@@ -27,6 +27,7 @@ from scp_recon.jobs.job import Job
 from scp_recon.results.table import Table
 from scp_recon.scenario.load import load_scenario
 from tests import reliability
+from tests.helpers import nightly
 
 from .support import session_in
 
@@ -181,6 +182,7 @@ except SystemExit:
 """
 
 
+@nightly
 def test_a_study_runs_numpy_on_one_thread():
     done = subprocess.run(
         [sys.executable, "-c", THREADS], check=True, capture_output=True, text=True

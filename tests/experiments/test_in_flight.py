@@ -20,6 +20,7 @@ from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
 from scp_recon.results.policy import policy_of, transition
 from scp_recon.scenario.load import load_scenario
+from tests.helpers import nightly
 from tests.scp_recon.support import fly_few
 
 
@@ -76,6 +77,7 @@ def test_a_failed_case_is_a_row(monkeypatch):
     assert not any(one.holds for one in feedback.claims([found | {"asked": 0.99}], []))
 
 
+@nightly
 @pytest.mark.slow
 def test_policies_fly_their_own_plans(monkeypatch):
     """Fixed burns cost what is planned; burns planned again end nearer to where they are to."""

@@ -315,6 +315,7 @@ def solved_or_refused(overrides: list[str], *options: str) -> None:
     with tempfile.TemporaryDirectory() as folder, pytest.MonkeyPatch.context() as patch:
         patch.setitem(ALGORITHMS, "scvx", lambda **given: SCvx(**given | {"max_iterations": 4}))
         patch.setattr(infeasibility, "CLOSE", 1.0)
+        patch.setattr(infeasibility, "LEAST_S", 1.0)
         fly_few(patch)
         code = command(solve.main, [*options, *sets, "--out", folder])
         assert code in (0, 2, 3, 4)

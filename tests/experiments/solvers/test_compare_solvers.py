@@ -35,6 +35,7 @@ from scp_recon.planning import initial_guess
 from scp_recon.planning.planner import plan
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scp.status import Status
+from tests.helpers import nightly
 
 CELL = Cell("matrix", "recon_b", (), REFERENCE, "cold")
 
@@ -68,6 +69,7 @@ def test_every_method_gets_every_problem(name):
     assert plan(mission, initial_guess.cold(mission)).status is Status.CONVERGED
 
 
+@nightly
 def test_uno_finds_the_optimum_of_scp():
     ours, theirs = (
         solve(Cell("scenarios", "recon_b", (), method, "p3"))

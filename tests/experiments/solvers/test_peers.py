@@ -7,6 +7,7 @@ import pytest
 from experiments.__main__ import main
 from experiments.solvers import peers
 from scp_recon.planning import initial_guess
+from tests.helpers import nightly
 
 pytestmark = pytest.mark.slow
 
@@ -75,6 +76,7 @@ def test_p3_row_flies_its_burns(mission):
     assert row["missed"] < 1e-3
 
 
+@nightly
 @pytest.mark.skipif(MISSING, reason="the peers are not installed")
 def test_scocp_solves_its_own_case(halo):
     row = halo.row("scocp")

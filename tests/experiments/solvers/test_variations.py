@@ -26,6 +26,7 @@ from formulations.program import model, subproblem
 from scp_recon.planning import initial_guess
 from scp_recon.planning.planner import Planner
 from scp_recon.scp.algorithms import SCvx
+from tests.helpers import nightly
 
 CHEAP = "replan"
 
@@ -68,6 +69,7 @@ def test_near_counts_where_a_method_stays():
     assert b["end_error"] == pytest.approx(0.02)
 
 
+@nightly
 def test_forms_find_one_plan():
     rows = [form_row(("uniform", form)) for form in FORMS]
     assert rows[0]["variables"] < rows[1]["variables"]

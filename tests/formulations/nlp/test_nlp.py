@@ -361,6 +361,7 @@ def again(case: Case) -> tuple[NlpOutcome, Linearisation]:
     return outcome, case.mission.dynamics.linearise(lin.problem, iterate)
 
 
+@nightly
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", usually([0, 4, 5, 11], 1))
 def test_ipopt_returns_to_plans_with_corrected_burns(seed):

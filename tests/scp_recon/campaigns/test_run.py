@@ -28,6 +28,7 @@ from scp_recon.jobs.store import Row
 from scp_recon.results.solution import make_solution
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scenario.schema import Scenario
+from tests.helpers import nightly
 from tests.scp_recon.campaigns.shown import table_of
 from tests.scp_recon.support import raising
 
@@ -199,6 +200,7 @@ def test_dark_site_is_refused_with_its_reason():
     assert {path.stem for path in STUDIES.glob("*.toml")} == {*SIZES, "asteroid_year", "ryugu_map"}
 
 
+@nightly
 @pytest.mark.slow
 @pytest.mark.usefixtures("few_flights")
 def test_a_case_is_flown_by_the_campaigns_policy():

@@ -38,6 +38,7 @@ from scp_recon.results.read import read_solution
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scp.status import Status
 from scp_recon.verification import refinement
+from tests.helpers import nightly
 from tests.scenarios import COARSE
 from tests.scp_recon.support import CommandLine, fly_few, mission_of, run_solve
 
@@ -139,6 +140,7 @@ def small_burns() -> tuple[Case, Diagnosis]:
     """Exact risk where the burns may be as large as takes 0.7, and not 0.9."""
     with pytest.MonkeyPatch.context() as patch:
         fly_few(patch)
+        patch.setattr(module, "LEAST_S", 20.0)
         case = case_of(*EXACT, "burns.dv_max_m_s=0.038", "risk.p_chance=0.9")
         assert case.failed.status is Status.INFEASIBLE
         return case, diagnose(case.failed, case.request)
@@ -203,6 +205,7 @@ def test_feedback_is_tried_with_what_it_needs(small_burns, monkeypatch):
     assert (scenario.policy.kind, scenario.navigation.sigma_position_m) == ("feedback", 5.0)
 
 
+@nightly
 def test_limits_have_a_number_alone_and_together(monkeypatch):
     fly_few(monkeypatch)
     case = case_of(*EXACT, "risk.p_chance=0.9999")
@@ -218,6 +221,7 @@ def test_limits_have_a_number_alone_and_together(monkeypatch):
     assert remedy.changes["observation.site_distance_min_m"] < before.site_distance_min_m
 
 
+@nightly
 def test_relaxed_plan_stays_relaxed_on_a_finer_grid(monkeypatch):
     """And without a price of the final state, too."""
     case = case_of("burns.dv_max_m_s=0.02", COARSE)
@@ -230,6 +234,7 @@ def test_relaxed_plan_stays_relaxed_on_a_finer_grid(monkeypatch):
 
 def test_too_small_burns_bind_without_uncertainty_too(monkeypatch):
     fly_few(monkeypatch)
+    monkeypatch.setattr(module, "LEAST_S", 5.0)
     case = case_of("burns.dv_max_m_s=0.02", COARSE)
     found = diagnose(case.failed, case.request)
     assert found.without_uncertainty is Status.INFEASIBLE

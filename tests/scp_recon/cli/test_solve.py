@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from scp_recon.api import planning
+from scp_recon.api import infeasibility, planning
 from scp_recon.planning import planner, stages
 from scp_recon.results.read import read_solution
 from scp_recon.scp.algorithms import SCvx
@@ -77,7 +77,8 @@ def test_solution_file_of_any_name_is_a_start(default_run, tmp_path):
     assert (solution.scenario, solution.init) == (first.scenario, str(renamed))
 
 
-def test_infeasible_plan_names_violated_constraints(tmp_path):
+def test_infeasible_plan_names_violated_constraints(tmp_path, monkeypatch):
+    monkeypatch.setattr(infeasibility, "LEAST_S", 0.5)
     run = run_solve(tmp_path, "--set", "burns.dv_max_m_s=0.02", "--set", COARSE, "-v")
     assert (run.exit_code, run.errors) == (3, "")
     solution = read_solution(tmp_path)

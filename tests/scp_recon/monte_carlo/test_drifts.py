@@ -80,6 +80,7 @@ def test_a_plan_survives_a_missed_burn_in_flight():
     assert plan.total_dv_m_s < 1.05 * without.total_dv_m_s
 
 
+@nightly
 def test_verification_refutes_a_drift_that_was_not_planned():
     without = planned(*ONE_DAY[:2])
     mission = Mission.from_scenario(load_scenario(None, ONE_DAY))

@@ -17,6 +17,7 @@ from scp_recon.planning.initial_guess import cold
 from scp_recon.planning.planner import Planner
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scp.status import Status
+from tests.helpers import nightly
 
 FIXED_M_S, SETTLED_M_S = 0.140135, 0.125978
 """The default plan with its own times: with facets chosen once, and settled."""
@@ -75,6 +76,7 @@ def test_settled_facets_take_free_times():
     assert found.plan.total_dv_m_s < 0.99 * SETTLED_M_S
 
 
+@nightly
 @pytest.mark.slow
 def test_whole_flights_need_three_burns():
     exact = ['risk.allocation="exact"', 'risk.scope="flight"', "risk.p_chance=0.9"]
@@ -97,6 +99,7 @@ def test_corrected_burns_keep_the_times_found():
     assert found.prices == ()
 
 
+@nightly
 @pytest.mark.slow
 def test_a_hover_is_left_and_met_again():
     found = sr.design("hover", facet_rounds=0, overrides=["grid.step_max_s=450"])

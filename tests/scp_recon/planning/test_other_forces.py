@@ -134,6 +134,7 @@ def test_an_orbit_that_cannot_be_is_refused(changes, entry):
 DEGREE = "body.planned_degree"
 
 
+@nightly
 @pytest.mark.slow
 @pytest.mark.usefixtures("few_flights")
 def test_a_plan_with_harmonics_is_verified():

@@ -18,6 +18,7 @@ from scp_recon.results.read import read_solution
 from scp_recon.results.solution import Solution, make_solution
 from scp_recon.scp.status import Status
 from scp_recon.verification.reintegration import verify
+from tests.helpers import nightly
 from tests.scenarios import COARSE
 
 pytestmark = pytest.mark.slow
@@ -82,6 +83,7 @@ def test_each_small_burn_is_chosen_separately():
     assert sizes_of(plan) == pytest.approx([0.070969, 0.0, 0.0, 0.044315], abs=2e-6)
 
 
+@nightly
 def test_a_raised_burn_stays_at_its_floor():
     """The floor is hard: an iterate below it would leave the next program without a worse answer."""
     plan = sr.plan(overrides=["burns.dv_min_m_s=0.027"])

@@ -38,6 +38,7 @@ from scp_recon.simulation.flight import (
 from scp_recon.simulation.guidance import FlightPlan
 from scp_recon.simulation.record import ARRAYS, FILE_NAME, make_record, read_record, write_record
 from scp_recon.simulation.vehicle import Vehicle
+from tests.helpers import nightly
 from tests.scp_recon.simulation.short_plan import SHORT, short_plan
 from tests.scp_recon.support import mission_of
 
@@ -115,6 +116,7 @@ def corrected(gain: float, cut_off_s: float) -> Correction:
     )
 
 
+@nightly
 def test_a_burn_is_commanded_at_its_cut_off_from_the_state_there(vehicle):
     """With the length and the attitude of the corrected burn; what was before stays."""
     mission = mission_of(*SHORT, "grid.nodes_s=[2600.0]")
