@@ -60,6 +60,7 @@ DRAWN = {
        for name in ("frontier", "feedback", "policies", "map_sample")},
     "gallery": tuple(f"flyby --runs {{out}}/{one} --out docs/gallery/{one}.png" for one in BODIES),
     "compare_solvers": ("solver_comparison --runs {out} --out docs",),
+    "maps": ("maps --runs {out} --out docs",),
     "accuracy": ("accuracy --runs {out} --out docs/comparison_accuracy.png",),
     "observation_table": ("flyby --runs {out}/scp_cold --out docs/flyby.png",
                           "ball_polytopes --runs {out} --out docs/ball_polytopes.png"),
@@ -68,14 +69,13 @@ COMMANDS = {
     **{name: name for name in (
         "plans", "sites", "nlp_tricks", "peers", "spice", "cross_check", "lifted", "sensitivity",
         "model_fidelity", "battery_cones", "timing_rules", "flown_plan", "gallery", "frontier",
-        "feedback", "policies", "accuracy", "observation_table", "optima", "dense",
+        "feedback", "policies", "accuracy", "observation_table", "optima", "dense", "maps",
     )},
     "designs": "plans --designs",
     "compare_solvers": "compare_solvers --full",
     "uncertainty_sources": "uncertainty_sources --flights 4",
     "flown_default": "flown_policies default",
     "flown_kingfisher": "flown_policies kingfisher",
-    "maps": "maps --pictures docs",
     "map_sample": "maps --sample",
 }  # fmt: skip
 DATED = {

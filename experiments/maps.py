@@ -17,7 +17,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from functools import partial
-from pathlib import Path
 from time import process_time
 from typing import Any, TypeAlias
 
@@ -33,7 +32,6 @@ from scp_recon.campaigns.cases import changed
 from scp_recon.campaigns.results import VERIFIED
 from scp_recon.campaigns.study import Study, read_study
 from scp_recon.errors import InputError
-from scp_recon.files import write_atomically
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.summary import MOST
 from scp_recon.passes.descent import PassResult
@@ -72,15 +70,6 @@ SUMMED: Mapping[str, tuple[str, Callable[[Case], str]]] = {
     "ryugu_map": ("ryugu_latitudes", latitude),
 }
 """Of each campaign the name of its summary, and what it is summed up by."""
-PICTURES = {
-    "reconnaissance_map/map_dv99_m_s": "studies_map",
-    "reconnaissance_map/shape": "studies_globe",
-    "ryugu_map/map_dv99_m_s": "gallery/ryugu_map",
-    "errors/dv99_m_s": "studies_errors",
-    "asteroid_year/dv99_m_s": "studies_year",
-    "sizes/dv99_m_s": "studies_sizes",
-}
-"""Charts of the campaigns that the pages show, by their pictures' names; written with kaleido."""
 
 
 def feasible(cases: pd.DataFrame) -> pd.Series:
@@ -177,12 +166,10 @@ def run(session: Session) -> Findings:
     if session.options.sample:
         return run_sample(session)
     tables: dict[str, list[Record]] = {"campaigns": []}
-    drawn: dict[str, Any] = {}
     for name, (key, by) in SUMMED.items():
         session.say(f"{name}:")
         path = STUDIES / f"{name}.toml"
         found = campaign(path, session.out / name, workers=session.options.workers)
-        drawn |= {f"{name}/{figure}": one for figure, one in found.figures.items()}
         cases, solved = found.table, feasible(found.table)
         groups = cases.groupby(cases.apply(by, axis=1), sort=False)
         tables[key] = [{"of": words} | summary(group) for words, group in groups]
@@ -192,10 +179,6 @@ def run(session: Session) -> Findings:
         }
         total["processor_s"] = cases.cpu_s.sum()
         tables["campaigns"].append({"campaign": name, **summary(cases), **total})
-    if session.options.pictures:
-        for source, target in PICTURES.items():
-            path = session.options.pictures / f"{target}.png"
-            write_atomically(path, drawn[source].to_image("png"))
     return Findings({f"{name}.csv": records(rows) for name, rows in tables.items()})
 
 
@@ -205,6 +188,5 @@ STUDY = Harnessed(
     [
         number("--workers", 1, 0, 256, "processes"),
         option("--sample", action="store_true", help="a sample of the map's sites, with feedback"),
-        option("--pictures", type=Path, metavar="DIR", help="draw maps and curves in this folder"),
     ],
 )

@@ -29,7 +29,7 @@ from typing import Any
 from matplotlib.figure import Figure
 from rich.console import Console
 
-from paper_figs import flight, observation, plans, polytopes, spacecraft
+from paper_figs import campaigns, flight, observation, plans, polytopes, spacecraft
 from paper_figs.drawing import save
 from paper_figs.inputs import (
     FLOWN_PLAN,
@@ -143,6 +143,9 @@ def _default_mission(_: Path) -> Mission:
 ALONE = {
     "flyby": Item(flight.flyby, read=read_whole_flight, dpi=140),
     "modes": Item(flight.modes, read=_default_mission, dpi=120),
+    "maps": Item(
+        campaigns.campaigns, Source("maps", "python -m experiments maps"), campaigns.read_campaigns
+    ),
     "solver_comparison": _study(
         plans.solver_comparison, "comparison", "compare_solvers", methods="method", random="solved"
     ),

@@ -230,7 +230,8 @@ class Explorer:
         first = 1 + mission.scenario.burns_flown
         return {
             "verdict": slider_verdict(planned.shown, solution),
-            "cost": f"{solution.total_dv_m_s:.6f} m/s{'' if converged else f', {solution.status}'}",
+            "cost": f"{1e3 * solution.total_dv_m_s:.1f} mm/s"
+            + ("" if converged else f", {solution.status}"),
             "converged": converged,
             "effort": f"iterations: {iterations}; planned in {solution.timing_s.total:.2f} s",
             "legal": {

@@ -29,7 +29,7 @@ FLIGHTS = ("#8fa9bb", "#c9a791", "#8cb8a9", "#bfa9b6", "#c2b28d", "#9db9c6")
 GREY = "#888888"
 """Colour of limits and whiskers, visible on light and on dark ground; no plan has this colour."""
 BURN, SITE, SUN, VIEW, KEEP_IN, KEEP_OUT = (
-    *("#CC79A7", "#E69F00", "#F0E442", "#56B4E9"),
+    *("#CC79A7", "#E69F00", "#B58900", "#56B4E9"),
     *("#009E73", "#D55E00"),
 )
 BODY = "#b9b09e"

@@ -99,7 +99,7 @@ def verdict_of(plan: Shown) -> Verdict:
         required,
         _achieved(plan),
         f"{1e3 * solution.total_dv_m_s:.3f} mm/s in {len(solution.executed)} burns; 99 % of the "
-        f"flights stay below {1e3 * plan.budget.total_high_m_s:.3f} mm/s",
+        f"flights execute at most {1e3 * plan.budget.total_high_m_s:.3f} mm/s",
         _remarks(subject, status),
         _advice(subject),
     )

@@ -27,6 +27,7 @@ STYLE = {
     "axes.spines.right": False,
     "axes.spines.top": False,
     "axes.titlesize": 9,
+    "date.converter": "concise",
     "font.size": 9,
     "grid.color": "0.92",
     "hatch.linewidth": 0.6,

@@ -16,11 +16,13 @@ from experiments.harness import records
 from experiments.observation_rows import rows
 from experiments.observation_table import measure
 from paper_figs import __main__ as command_line
-from paper_figs import flight, inputs, observation
+from paper_figs import campaigns, flight, inputs, observation
 from paper_figs.__main__ import EVERYTHING, FIGURES, STUDIES, Item, main
 from paper_figs.drawing import save
 from paper_figs.inputs import PAPER, PLAN, SURROGATE, Runs, read_runs, run_missing
 from paper_figs.spacecraft import SHOWN
+from scp_recon.campaigns.axes import EPOCH, LATITUDE, LONGITUDE
+from scp_recon.campaigns.outcome import CHANCE, COST, CampaignResults
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo import sampling
@@ -268,3 +270,19 @@ def test_figure_is_the_same_file_every_time(tmp_path):
     assert one == other
     assert NO_PLAN.encode() in one
     assert NO_PLAN.encode() not in saved("3", None)
+
+
+def test_campaigns_are_drawn_with_cases_without_plan():
+    sizes = [(20.0 * i, 40.0 * j) for i in range(3) for j in range(4)]
+    table = pd.DataFrame(sizes, columns=[LATITUDE, LONGITUDE]).assign(
+        case=range(12), status="converged", verdict="verified", **{COST: 0.1, CHANCE: 0.9}
+    )
+    table[campaigns.BURN] = table[campaigns.LARGEST] = table[LATITUDE] + 0.1
+    table[campaigns.INITIAL] = table[campaigns.LEAST] = table[LONGITUDE] + 0.1
+    table[EPOCH] = pd.date_range("2020-01-01", periods=12).astype(str)
+    table.loc[8:, "status"] = "infeasible"
+    results = CampaignResults(Path(), table, None, None, (LATITUDE, LONGITUDE), 12)
+    drawn = campaigns.campaigns(dict.fromkeys(campaigns.CAMPAIGNS, results))
+    for figure in drawn.values():
+        figure.draw_without_rendering()
+    assert {*drawn} == {*campaigns.CAMPAIGNS}

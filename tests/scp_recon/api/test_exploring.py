@@ -65,7 +65,7 @@ def test_the_written_scenario_gives_the_shown_plan(server, tmp_path):
     assert (scenario.risk.p_chance, scenario.burns.times_s[1]) == (0.8, 7000.0)
     alone = make_solution(plan(scenario))
     assert found["drawn"]["file"] == f"{scenario.name}-{alone.plan_hash[:12]}"
-    assert found["cost"] == f"{alone.total_dv_m_s:.6f} m/s"
+    assert found["cost"] == f"{1e3 * alone.total_dv_m_s:.1f} mm/s"
     assert found["legal"]["burns.times_s.2"].startswith("legal, the others kept: 23137 to ")
     assert "not checked" in found["verdict"]
     assert "not checked" not in (judged := answered(server, "/verdict", values)["verdict"])
@@ -81,7 +81,7 @@ def test_a_plan_that_is_infeasible_says_so(server):
     shown = replace(made.shown, subject=replace(made.shown.subject, solution=infeasible))
     kept = replace(made, solution=infeasible, shown=shown)
     found = Explorer(server.explorer.scenario, kept).answer({})
-    assert found["cost"].endswith("m/s, infeasible")
+    assert found["cost"].endswith("mm/s, infeasible")
     assert not found["converged"]
     assert "Infeasible: so it is." in found["verdict"]
     assert "init" not in found["verdict"]  # which is an option of commands

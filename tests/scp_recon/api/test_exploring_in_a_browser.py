@@ -38,7 +38,7 @@ def test_the_page_shows_the_plan_of_its_sliders(server, tmp_path):
         page.wait_for_function("explorer.state() === 'judged'")
         solution = server.explorer.kept.solution
         assert solution.scenario.risk.p_chance == 0.8
-        assert page.inner_text("#cost") == f"{solution.total_dv_m_s:.6f} m/s" != before
+        assert page.inner_text("#cost") == f"{1e3 * solution.total_dv_m_s:.1f} mm/s" != before
         assert "verified" in page.inner_text("#verdict strong")
         drawn = page.evaluate(
             "document.getElementById('flight').data.find(d => d.name.endsWith('burns')).x"
