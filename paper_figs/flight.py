@@ -109,7 +109,7 @@ def _path(axes: Axes, mission: Mission, solution: Solution) -> None:
     starts, arrows, scale = _burns_from_sun(mission, solution)
     size = float(f"{500.0 * np.linalg.norm(burns, axis=1).max():.1g}")
     arrow = draw_burns(axes, starts, arrows)
-    axes.quiverkey(arrow, 0.1, 0.06, 1e-3 * scale * size, f"{size:g} mm/s", labelpos="E")
+    axes.quiverkey(arrow, 0.8, 0.06, 1e-3 * scale * size, f"{size:g} mm/s", labelpos="E")
     axes.set(xlabel="Sun-North Y (km), seen from the Sun", ylabel="Sun-North Z (km)")
     axes.set_aspect("equal")
     axes.margins(0.12)
