@@ -47,7 +47,8 @@ ROUNDS_MAX = 3
 def with_safe_drifts(mission: Mission, make: Callable[[Mission, Plan | None], Plan]) -> Plan:
     """Make a plan, and again as long as nonlinear drifts are less safe than required.
 
-    `make` plans a mission, from an earlier plan if there is one.
+    `make` plans a mission, from an earlier plan if there is one. A mission whose plans are all unsafe
+    ends infeasible.
     """
     found = make(mission, None)
     for _ in range(ROUNDS_MAX):
@@ -61,7 +62,7 @@ def with_safe_drifts(mission: Mission, make: Callable[[Mission, Plan | None], Pl
         for old, new in zip(flown, mission.problem.drifts, strict=True):
             new.path[:] = old.path
         again = make(mission, found)
-        if again.status is not Status.CONVERGED:
+        if again.status not in (Status.CONVERGED, Status.INFEASIBLE):
             break
         found = again
         if max(more.values()) < SMALL:

@@ -330,7 +330,8 @@ def check_in_flight(scenario: Scenario) -> None:
         raise InputError(
             entry,
             f"{at:g} s, at or after the last burn at {times[-1]:g} s",
-            f"must leave a burn to plan: at most {times[-1] - lead:g} s",
+            f"must leave a burn to plan: at most {times[-1] - lead:g} s, or with later burns added to "
+            "burns.times_s (two reach a final state)",
         )
     following, flown = scenario.burn_times_s[0], scenario.burns_flown
     if following - at < lead - SAME_S:

@@ -201,6 +201,15 @@ def test_burns_may_be_added_or_left_out(flown, at_s, off, times):
         again(flown, 26_000.0, OFF, "burns.times_s=[0, 8100, 25000, 34842]")
 
 
+def test_burns_added_after_the_last_one_go_home(flown):
+    times = "burns.times_s=[0, 8000, 25000, 34842, 42000, 60000]"
+    plan = again(flown, 38_000.0, OFF, times, "observation.required=false")
+    assert plan.status is Status.CONVERGED
+    assert verify(plan.mission, make_solution(plan)).ok
+    with pytest.raises(InputError, match=r"^at_s: .*later burns added to burns.times_s"):
+        again(flown, 38_000.0, OFF)
+
+
 def test_the_covariance_is_the_initial_one_unless_given(flown, default_plan):
     factor = default_plan.mission.initial_factor
     initial = factor @ factor.T
