@@ -32,6 +32,7 @@ from scp_recon.certification.largest import largest_kept, rounded_down
 from scp_recon.errors import InputError
 from scp_recon.jobs.blas import one_thread
 from scp_recon.mission.constraints import companion_distance_m
+from scp_recon.mission.drifts import planned, radius_m
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.estimates import Estimate, flights_of_test
 from scp_recon.planning.initial_guess import from_burns
@@ -244,7 +245,7 @@ def diagnose(failed: Plan, request: PlanRequest, spent_s: float = 0.0) -> Diagno
     clock = Clock(max(TIMES * spent_s, LEAST_S))
     case = Case(failed, request, clock)
     p3 = _without_uncertainty(failed)
-    known = Diagnosis(p3, _violated(failed), limit_s=clock.limit_s)
+    known = Diagnosis(p3, _by_how_much(failed), limit_s=clock.limit_s)
     if failed.status is Status.LOST:
         remedies = [clock.attempt(MORE_BURNS, case.more_burns)]
         if not remedies[0] and failed.mission.observed_s is not None:
@@ -584,6 +585,19 @@ def _violated(plan: Plan) -> tuple[str, ...]:
     )
 
 
+def _by_how_much(plan: Plan) -> tuple[str, ...]:
+    """The same in words, drifts with what they miss of their quantile, for they are in no table."""
+    missed = {
+        drift.name: -float(plan.final.margins[drift.name].margin.min())
+        for drift in plan.final.merit.problem.drifts
+        if plan.final.problem == "P2"
+    }
+    return tuple(
+        f"{name} by {missed[name]:.2g} sigma" if name in missed else name
+        for name in _violated(plan)
+    )
+
+
 def _spreads(scenario: Scenario) -> dict[str, float]:
     """Limits on the final covariance by entry."""
     names = ("final_sigma_position_m", "final_sigma_velocity_m_s")
@@ -617,7 +631,10 @@ def _entries(scenario: Scenario, violated: Sequence[str]) -> dict[str, tuple[flo
         ),
     }
     found = {}
+    drifts = {miss.name for miss in planned(scenario)}
     for name in violated:
+        if name in drifts and (kept := radius_m(scenario)) > radius:
+            found["safety.drift_radius_m"] = (kept, radius)
         # Sets with both limits count as one constraint where risk is exact.
         for constraint, (entry, given, widest) in every.items():
             is_named = constraint == name or constraint.startswith(f"{name}_")
