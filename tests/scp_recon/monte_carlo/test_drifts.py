@@ -8,6 +8,8 @@ from scipy.integrate import solve_ivp
 from scipy.stats import binom
 
 import scp_recon as sr
+from scp_recon.api.infeasibility import _entries
+from scp_recon.certification import drifts
 from scp_recon.certification.drifts import shortfalls
 from scp_recon.errors import InputError
 from scp_recon.mission.drifts import Miss
@@ -16,7 +18,7 @@ from scp_recon.monte_carlo.drifts import fly_drifts, states_after
 from scp_recon.monte_carlo.flights import FlightConfig
 from scp_recon.monte_carlo.sampling import fly_block
 from scp_recon.physics.forces import acceleration
-from scp_recon.planning.plan import Plan
+from scp_recon.planning.plan import Plan, ended
 from scp_recon.results.solution import make_solution
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scp.status import Status
@@ -78,6 +80,19 @@ def test_a_plan_survives_a_missed_burn_in_flight():
     assert safe[0] >= binom.ppf(0.001, 4000, 0.997)
     assert safe[1] < 0.97 * 4000
     assert plan.total_dv_m_s < 1.05 * without.total_dv_m_s
+
+
+def test_a_mission_without_safe_plans_ends_infeasible(monkeypatch):
+    plan = planned(*ONE_DAY)
+    unsafe = ended(plan, Status.INFEASIBLE)
+    monkeypatch.setattr(drifts, "shortfalls", lambda _: {"missed_burn_2": 0.5})
+    found = drifts.with_safe_drifts(plan.mission, lambda _, last: unsafe if last else plan)
+    assert found is unsafe
+
+
+def test_a_violated_drift_has_a_smaller_radius_to_try():
+    scenario = planned(*ONE_DAY).mission.scenario
+    assert _entries(scenario, ("missed_burn_2",)) == {"safety.drift_radius_m": (500.0, 290.0)}
 
 
 @nightly
