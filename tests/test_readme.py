@@ -67,7 +67,7 @@ SHOWN = {line: page.name for page in reversed(PAGES) for line in lines_of(page)}
 RUN = [*dict.fromkeys(line for page in (README, START) for line in lines_of(page))]
 FEWER = {"montecarlo": ["--until", "5%", "--samples", "2000"], "explore": ["--no-browser"]}
 """Options in addition, of which the last one of a name counts."""
-LONG = ("simulate", "design", "allocation", "new mission", "explore")
+LONG = ("simulate", "design", "allocation", "mission.toml", "new mission", "explore")
 """Words of lines that take a minute, and that other tests run every day with less work."""
 
 

@@ -53,7 +53,8 @@ HOPELESS, FAR = -4.0, 1.0
 bind: there the tangent planes give value and derivative."""
 
 LITTLE = 0.25
-"""Share of that room up to which a change of g is taken from the last derivatives."""
+"""Share of that room, at most of one standard deviation, by which a start may be apart from the last
+for its derivatives to serve: by no more than that comes any plane along the drift nearer."""
 
 NEWTON_MAX, CLOSED = 12, 1e-9
 """Iterations of Newton's method for a drift's mean, and the last step, whose square is rounding."""
@@ -101,9 +102,10 @@ class Branch:
         """
         if self._last is not None:
             (mean, factor), (value, by) = self._last
-            change = by.mean @ (start.mean - mean) + np.sum(by.factor * (start.factor - factor)[:6])
             room = value - self._drift.required
-            if room > FAR and abs(change) < LITTLE * room:
+            if room > FAR and _apart(self._last[0], start) < LITTLE * min(room, 1.0):
+                change = by.mean @ (start.mean - mean)
+                change += np.sum(by.factor * (start.factor - factor)[:6])
                 return DriftValue(value + float(change), by)
         found = self.anew(start)
         self._last = start, found
@@ -173,6 +175,18 @@ class Branch:
             depth = ball.inside(mean[:, :3])
             deep |= ~(depth < DEEP * ball.radius)
         return int(np.argmax(deep)) + 1 if deep.any() else len(mean)
+
+
+def _apart(one: Start, other: Start) -> float:
+    """Distance of two starts in standard deviations of the first; inf if its covariance is singular."""
+    spread = one.factor[:6] @ one.factor[:6].T
+    try:
+        root = np.linalg.cholesky(spread)
+    except np.linalg.LinAlgError:
+        return np.inf
+    by = np.c_[other.mean - one.mean, (other.factor - one.factor)[:6]]
+    moved = np.linalg.solve(root, by)
+    return float(np.linalg.norm(moved[:, 0]) + np.linalg.norm(moved[:, 1:]))
 
 
 def tangent(event: Event, mean: Array, factor: Array) -> tuple[float, Array, Array]:

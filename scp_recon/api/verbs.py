@@ -85,7 +85,7 @@ def plan(
         >>> import scp_recon as sr
         >>> found = sr.plan(sr.load_scenario("recon_b").replace({"risk.p_chance": 0.8}))
         >>> print(found.status.value.name, f"{found.total_dv_m_s:.3f} m/s")
-        converged 0.130 m/s
+        converged 0.129 m/s
     """
     from scp_recon.api.inputs import PlanRequest
     from scp_recon.api.options import PlanOptions

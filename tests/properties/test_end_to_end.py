@@ -1,5 +1,6 @@
 """The command line on random scenarios: verified, or refused in so many words; nothing else."""
 
+import re
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -103,7 +104,7 @@ def assert_solved(run: CommandLine, solution: Solution) -> None:
     assert solution.status == Status.CONVERGED.value.name
     assert solution.verification.ok
     assert solution.verification.failed == []
-    assert run.output.rstrip().splitlines()[-2] == "verified"
+    assert "verified" in run.output.splitlines()
     assert (solution.violation.max, solution.violation.by_constraint) == (0.0, {})
     # To a tenth of a millimetre: a binding margin is rounded.
     assert min(c.worst_margin for c in solution.constraints) > -1e-3
@@ -120,7 +121,7 @@ def assert_infeasible(run: CommandLine, solution: Solution) -> None:
     assert solution.violation.max > 0.0
     for name, amount in solution.violation.by_constraint.items():
         assert amount.max > 0.0
-        assert name in run.output
+        assert re.sub("_(min|max)$", "", name) in run.output
     assert "not verified" in run.output
     assert not others_that_find_a_plan(solution)
     reliability.count(reliability.REFUSED)

@@ -93,7 +93,7 @@ class Case:
         facets, rows = self.p2.facets, self.p2.merit.rows
         assert facets is not None
         assert isinstance(rows, ChanceRows)
-        return Facets(*(getattr(facets, name)[rows.included] for name in Facets.__annotations__))
+        return facets.chosen(rows.included)
 
     def start(self, stage: Stage) -> Start:
         return Start(stage.result.lin.iterate, stage.result.lin.factor)

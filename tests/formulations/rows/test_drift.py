@@ -12,7 +12,7 @@ from formulations.arrays import Array
 from formulations.linearisation.linearisation import Linearisation
 from formulations.problem.flyby import Iterate
 from formulations.program.multipliers import adjoint
-from formulations.rows.drift import Branch, DriftRows, Start, start_of
+from formulations.rows.drift import FAR, Branch, DriftRows, Start, start_of
 from formulations.rows.exact import NodeRows
 from scp_recon.mission.drifts import CUTS, duration_s
 from scp_recon.mission.mission import Mission
@@ -85,6 +85,18 @@ def own_errors(mission: Mission, lin: Linearisation, by_factor: Array) -> Array:
     """What the first burn's own columns of the factor add to a derivative by that burn."""
     slopes = mission.problem.execution_errors.jacobian(lin.iterate.burns)[0]
     return np.einsum("ic,icj->j", by_factor[3:, mission.problem.columns_of_burn(0)], slopes)
+
+
+def test_values_are_reused_for_near_starts_only():
+    mission, lin = at_plan_without(MISSED)
+    drift = mission.problem.drifts[-1]
+    branch, start = Branch(drift), start_of(lin, drift)
+    known = branch(start)
+    assert known.value > drift.required + FAR
+    along = start.factor[:6, 0]
+    assert branch(start._replace(mean=start.mean + 0.01 * along)).by is known.by
+    away = start._replace(mean=start.mean + 5.0 * along)
+    assert branch(away).value == pytest.approx(Branch(drift).anew(away).value, abs=1e-9)
 
 
 def test_a_drift_follows_the_two_body_orbit():

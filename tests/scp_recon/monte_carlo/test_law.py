@@ -122,7 +122,7 @@ def test_law_has_the_draws_of_flights_in_order(solution, law):
     moved = np.linalg.norm(expected - its.mean[:, None], axis=2) * its.length_m
     assert off.max() < 0.02
     assert moved.max() > 1.0
-    assert its.margin(draws) == pytest.approx(its.margins_at(flown).min(axis=0), abs=0.02)
+    assert its.margin(draws) == pytest.approx(its.margins_at(flown, draws).min(axis=0), abs=0.02)
 
 
 @pytest.mark.slow
@@ -167,7 +167,7 @@ class ToyInTime:
         return moved
 
     def margins(self, draws: Array) -> Array:
-        at_nodes = LAW.margins_at(self.positions(draws))
+        at_nodes = LAW.margins_at(self.positions(draws), draws)
         lines = [np.interp(TIMES_S, NODES_S, margin) for margin in at_nodes.T]
         return np.column_stack(lines)
 

@@ -35,7 +35,7 @@ def plan(planner) -> Plan:
     return planner.plan(initial_guess.cold(planner.task))
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Kicked(GridFlow):
     """A flow in which the flight is pushed at the end of one arc, whatever the burns."""
 
