@@ -202,7 +202,11 @@ def tangent(event: Event, mean: Array, factor: Array) -> tuple[float, Array, Arr
     deviation = np.maximum(np.linalg.norm(along, axis=-1), SPREAD_MIN)
     limit, node = np.unravel_index(np.argmin(room / deviation), room.shape)
     normal, size = normals[limit, node], deviation[limit, node]
-    by_mean[node] = -normal / size
+    # The plane turns with the mean, and the deviation along its normal with the plane.
+    apart = np.linalg.norm(mean[node, :3] - event.keep_out[limit].center[node])
+    turned = factor[node, :3] @ along[limit, node]
+    turned -= normal * (normal @ turned)
+    by_mean[node] = room[limit, node] / (size**3 * apart) * turned - normal / size
     by_factor[node, :3] = -room[limit, node] / size**3 * np.outer(normal, along[limit, node])
     return float(room[limit, node] / size), by_mean, by_factor
 

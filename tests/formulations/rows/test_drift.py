@@ -11,9 +11,11 @@ from scipy.special import ndtri
 from formulations.arrays import Array
 from formulations.linearisation.linearisation import Linearisation
 from formulations.problem.flyby import Iterate
+from formulations.problem.regions import Ball
 from formulations.program.multipliers import adjoint
-from formulations.rows.drift import FAR, Branch, DriftRows, Start, start_of
+from formulations.rows.drift import FAR, Branch, DriftRows, Start, start_of, tangent
 from formulations.rows.exact import NodeRows
+from formulations.rows.node_probability import Event
 from scp_recon.mission.drifts import CUTS, duration_s
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
@@ -63,6 +65,20 @@ def test_slopes_of_drifts_are_derivatives(entry):
     np.testing.assert_allclose(
         slopes[near], expected, rtol=2e-3, atol=2e-3 * np.abs(expected).max()
     )
+
+
+@pytest.mark.parametrize("distance", [0.6, 3.0])
+def test_tangent_planes_turn_with_the_mean(distance):
+    """Derivatives of the least room over deviation, inside the ball and outside."""
+    rng = np.random.default_rng(8)
+    event = Event("drift", np.arange(3), (), (Ball(np.zeros((3, 3)), 1.0),))
+    mean, factor = rng.normal(size=(3, 6)), 0.1 * rng.normal(size=(3, 6, 6))
+    mean[:, :3] *= distance / np.linalg.norm(mean[:, :3], axis=1, keepdims=True)
+    _, by_mean, by_factor = tangent(event, mean, factor)
+    step, kick = 1e-6 * rng.normal(size=mean.shape), 1e-6 * rng.normal(size=factor.shape)
+    ahead, behind = (tangent(event, mean + s * step, factor + s * kick)[0] for s in (1.0, -1.0))
+    expected = np.sum(by_mean * step[:, :3]) + np.sum(by_factor * kick)
+    assert (ahead - behind) / 2 == pytest.approx(expected, rel=1e-6)
 
 
 def test_rows_pull_at_states_as_at_burns():
