@@ -32,6 +32,7 @@ from formulations.linearisation.linearisation import (
 from formulations.problem.drift import Drift
 from formulations.problem.flow import ArcDerivatives, bending, by_parameters
 from formulations.problem.flyby import FlybyProblem, Legs
+from formulations.problem.regions import Ball
 from formulations.risk.directions import sphere_directions
 from formulations.rows.cones import (
     Cones,
@@ -203,7 +204,9 @@ def tangent(event: Event, mean: Array, factor: Array) -> tuple[float, Array, Arr
     limit, node = np.unravel_index(np.argmin(room / deviation), room.shape)
     normal, size = normals[limit, node], deviation[limit, node]
     # The plane turns with the mean, and the deviation along its normal with the plane.
-    apart = np.linalg.norm(mean[node, :3] - event.keep_out[limit].center[node])
+    ball = event.keep_out[limit]
+    assert isinstance(ball, Ball)
+    apart = np.linalg.norm(mean[node, :3] - ball.center[node])
     turned = factor[node, :3] @ along[limit, node]
     turned -= normal * (normal @ turned)
     by_mean[node] = room[limit, node] / (size**3 * apart) * turned - normal / size
