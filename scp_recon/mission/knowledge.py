@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from formulations.arrays import Array, Indices
 from formulations.linearisation.factor import factor_of
@@ -120,11 +121,7 @@ class Uncertain:
         if given is not None and given.names is not None:
             entries += given.names
             roots.append(factor_of(np.array(given.covariance)))
-        size = sum(len(root) for root in roots)
-        factor, first = np.zeros((size, size)), 0
-        for root in roots:
-            own = slice(first, first := first + len(root))
-            factor[own, own] = root
+        factor = block_diag(*roots) if roots else np.zeros((0, 0))
         return cls(tuple(entries), factor[:, np.any(factor != 0.0, axis=0)])
 
     @property
@@ -163,7 +160,8 @@ class Uncertain:
         idle = {POSITION, NORMAL} | (set() if turning else {PHASE, RATE})
         acting = np.any([rows.any(axis=0) for e, rows in self._rows() if e not in idle], axis=0)
         columns = np.flatnonzero(np.broadcast_to(acting, self.count))
-        pairs = [self.steps()[k] for k in columns]
+        steps = self.steps()
+        pairs = [steps[k] for k in columns]
         ahead, behind = (tuple(forces(pair[side]) for pair in pairs) for side in (0, 1))
         return Partials(ahead, behind, columns, self.count)
 
@@ -252,8 +250,9 @@ def require_known(scenario: Scenario, needs: str) -> None:
     Raises:
         InputError: if any sigma is given.
     """
-    for entry, sigma in Uncertain.of(scenario).sigmas.items():
-        raise InputError(f"knowledge.{entry}", ", ".join(f"{one:g}" for one in sigma), needs)
+    sigmas = Uncertain.of(scenario).sigmas
+    for entry in sigmas:
+        _refuse(entry, sigmas, needs)
 
 
 def in_words(scenario: Scenario) -> str:
