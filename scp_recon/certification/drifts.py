@@ -20,7 +20,7 @@ from scp_recon.mission.drifts import duration_s, planned, required_probability
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.drifts import drift, states_after
 from scp_recon.monte_carlo.flights import FlightConfig
-from scp_recon.monte_carlo.sampling import BLOCK, draw_parameters, flown_mission
+from scp_recon.monte_carlo.sampling import BLOCK, draw_parameters
 from scp_recon.planning.plan import Plan
 from scp_recon.results.policy import policy_of
 from scp_recon.scp.status import Status
@@ -79,29 +79,33 @@ def shortfalls(plan: Plan) -> dict[str, float]:
         for miss, one in zip(planned(mission.scenario), lin.problem.drifts, strict=True)
         if plan.final.margins[one.name].margin.min() < NEAR
     ]
+    if not near:
+        return {}
     config = FlightConfig(mission, plan.burns_m_s, SEED, policy=policy_of(mission, lin))
-    starts = states_after(config, [miss for miss, _ in near], FLIGHTS) if near else []
+    starts = states_after(config, [miss for miss, _ in near], FLIGHTS)
+    blocks = range(FLIGHTS // BLOCK)
+    draws = np.concatenate([draw_parameters(mission, SEED, block) for block in blocks])
+    deviating = mission.of_flights(draws)
     for (miss, one), state in zip(near, starts, strict=True):
         begin = mission.scenario.burns.times_s[miss.burn - 1]
         step = duration_s(mission.scenario) / one.flow.arcs
-        nearest = _nearest(plan, one, state)
-        own = flown_mission(mission, SEED, FLIGHTS).some_flights(nearest)
-        flown = drift(own, config.truth, state[nearest], begin, step)
+        nearest = _nearest(plan, one, state, draws)
+        flown = drift(deviating.some_flights(nearest), config.truth, state[nearest], begin, step)
         failing = max(int((~flown.safe(mission)).sum()), 0.5) / FLIGHTS
         if (short := needed - float(ndtri(1.0 - failing))) > RESOLVED:
             found[one.name] = short
     return found
 
 
-def _nearest(plan: Plan, one: Drift, state: Array) -> Indices:
-    """Numbers of those states (n, 6) at a drift's start that come nearest by the linear law."""
+def _nearest(plan: Plan, one: Drift, state: Array, draws: Array) -> Indices:
+    """Numbers of those states (n, 6) at a drift's start that come nearest by the linear law.
+
+    `draws` are those of the uncertain parameters, shape (n, p).
+    """
     lin, mission = plan.final.result.lin, plan.mission
     start, room = start_of(lin, one), np.full(len(state), np.inf)
     mean, stm = Branch(one, lin.problem.parameters).flown(start.mean)
-    off = (state / mission.units.state - start.mean).T
-    if flown_mission(mission, SEED, FLIGHTS).deviation is not None:
-        known = [draw_parameters(mission, SEED, block) for block in range(FLIGHTS // BLOCK)]
-        off = np.vstack([off, np.concatenate(known).T])
+    off = np.vstack([(state / mission.units.state - start.mean).T, draws.T])
     for ball in one.keep_out:
         for node, centre in enumerate(ball.center[: len(mean)]):
             apart = (mean[node, :3] - centre)[:, None] + stm[node, :3] @ off
