@@ -54,8 +54,8 @@ HOPELESS, FAR = -4.0, 1.0
 bind: there the tangent planes give value and derivative."""
 
 LITTLE = 0.25
-"""Share of that room, at most of one standard deviation, by which a start may be apart from the last
-for its derivatives to serve: by no more than that comes any plane along the drift nearer."""
+"""Standard deviations, less than that room, by which a start may be apart from the last for its
+derivatives to serve: by no more than that comes any plane along the drift nearer."""
 
 NEWTON_MAX, CLOSED = 12, 1e-9
 """Iterations of Newton's method for a drift's mean, and the last step, whose square is rounding."""
@@ -103,8 +103,8 @@ class Branch:
         """
         if self._last is not None:
             (mean, factor), (value, by) = self._last
-            room = value - self._drift.required
-            if room > FAR and _apart(self._last[0], start) < LITTLE * min(room, 1.0):
+            is_far = value > self._drift.required + FAR
+            if is_far and _apart(self._last[0], start) < LITTLE:
                 change = by.mean @ (start.mean - mean)
                 change += np.sum(by.factor * (start.factor - factor)[:6])
                 return DriftValue(value + float(change), by)
