@@ -18,7 +18,7 @@ from scp_recon.planning.plan import Starts
 from scp_recon.results.facts import Burn, IterationRecord, MeanMargin, Verification
 from scp_recon.results.policy import sigmas
 from scp_recon.results.solution import Solution
-from scp_recon.results.table import Cell, Column, Table
+from scp_recon.results.table import SCALES, Cell, Column, Table
 from scp_recon.scenario.time_scales import instant, shown_utc
 from scp_recon.verification.reintegration import FIGURES, limits_of
 
@@ -212,14 +212,14 @@ def limits_table(mission: Mission, solution: Solution, v: Verification) -> Table
         of = [m for m in v.mean_margins if joint.get(m.name, m.name) == name]
         known = [(bounds[m.name], _shown_margin(m)[0]) for m in of if m.name in bounds]
         p, worst = chance.get(name), min(of, key=lambda m: m.worst_margin, default=None)
-        at = worst.worst_t_s if worst and (p is None or p.estimate == 1.0) else None
+        telling = p if worst is None or (p is not None and p.estimate < 1.0) else worst
         rows.append(
             [
                 name,
                 " ".join(_span(bound for bound, _ in known)),
                 _span(bound._replace(value=bound.reached(m)) for bound, m in known)[0],
                 *((None, "") if p is None else (p.estimate, f"{p.low:.4f} to {p.high:.4f}")),
-                at if p is None or at is not None else p.worst_t_s,
+                None if telling is None else telling.worst_t_s,
                 _joined(marks, [one for one in marks if joint.get(one, one) == name], name),
             ]
         )
@@ -266,7 +266,8 @@ def _span(bounds: Iterable[Bound]) -> tuple[str, str]:
 
 def _shown(value: float, unit: str) -> tuple[float, str]:
     """A figure and its unit, speeds in mm/s."""
-    return (1e3 * value, "mm/s") if unit == "m/s" else (value, unit)
+    shown = "mm/s" if unit == "m/s" else unit
+    return value * SCALES.get((unit, shown), 1.0), shown
 
 
 def _shown_margin(m: MeanMargin) -> tuple[float, str]:
