@@ -176,7 +176,7 @@ def trajectories(runs: Runs) -> Figure:
             label = runs.reference.label.replace(" (", "\n(")
             axes.plot(*reference[:, pair].T, "k:", lw=1.4, label=label, zorder=4)
             _spheres(axes, mission)
-            starts, sizes = _burns(runs.plan.solution, lambda vectors: vectors[:, pair])  # noqa: B023
+            starts, sizes = _burns(runs.plan.solution, partial(np.take, indices=pair, axis=1))
             starts, arrows = starts / 1000.0, scale * sizes
             ends.append((starts, starts + arrows))
             draw_burns(axes, starts, arrows)
