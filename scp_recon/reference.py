@@ -151,7 +151,7 @@ def warnings_page() -> str:
     functions = [check for check in every if inspect.isfunction(check)]
     parts = [
         "# What is refused, and what is warned about",
-        _summary(checks).partition(". ")[2],
+        inspect.cleandoc(checks.__doc__ or "").partition("\n\n")[2],
         "## Quantities held to an interval",
         "Outside what is allowed an entry is refused, outside what is expected it is warned about. "
         "Of a vector its length counts.",

@@ -5,12 +5,17 @@ a small body can have, such as kilometres in place of metres, are refused before
 values become warnings, which stand in `solution.json` and above every verdict and change no exit
 status. A quantity held to an interval is a row of `intervals`; every other check is a function.
 
-These checks cannot detect: a wrong probability; wrong axes of the boundary states, unless they lead
-into the shadow (`solve` shows distance, latitude, climb, plane, and angle off the Sun); a wrong
-prime meridian, pole, spin, Sun or normal of a body that is not packaged (`solve` shows the given
-sense of rotation, distance and season of the Sun); UTC in place of TDB, unless `epoch.utc` is given too
-(every table of burns has both scales); or a small body wholly in kilometres. If `base` names a
-complete file, no entry of another date or body is inherited.
+No check can detect:
+
+- a wrong probability;
+- wrong axes of the boundary states, unless they lead into the shadow (`solve` shows distance,
+  latitude, climb, plane, and angle off the Sun);
+- a wrong prime meridian, pole, spin, Sun or normal of a body that is not packaged (`solve` shows the
+  sense of rotation, distance and season of the Sun);
+- UTC in place of TDB, unless `epoch.utc` is given too (every table of burns has both scales);
+- a small body wholly in kilometres.
+
+If `base` names a complete file, no entry of another date or body is inherited.
 """
 
 from __future__ import annotations
