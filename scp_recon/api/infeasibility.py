@@ -47,6 +47,10 @@ from scp_recon.verification.remedies import CERTIFICATE
 TIMES, LEAST_S = 3.0, 30.0
 """Limit of a diagnosis: so many times the processor time of the plan, at least so many seconds."""
 
+LEAST_TRIAL_S, WORTH_SAYING = 1.0, 1e-3
+"""Least limit of time for a plan with exact risk beside a verified one, and the share of its delta-v
+that exact risk has to save."""
+
 LEAST = 0.501
 """Least probability of the search: a scenario requires more than one half."""
 
@@ -277,6 +281,30 @@ def is_diagnosed(outcome: PlanOutcome) -> bool:
     missed = verification is not None and CERTIFICATE in verification.failed
     ended = status in (Status.MAX_ITERATIONS, Status.STALLED) and outcome.plan.target is not None
     return ended or (missed and status is Status.CONVERGED)
+
+
+@one_thread
+def cost_of_exact_risk(made: Plan, request: PlanRequest, spent_s: float = 0.0) -> float | None:
+    """Delta-v of a verified plan's mission with exact risk, by the normal law, m/s.
+
+    None if no such plan is found within `SHARE` of the time that planning took, if it costs as much,
+    or if the plan's risk is not split evenly. Plans with feedback or drifts are not tried.
+
+    Args:
+        made: the verified plan.
+        request: of the user's command.
+        spent_s: processor time that planning took.
+    """
+    risk, open_loop = made.mission.risk, made.mission.scenario.policy.kind == "open"
+    if made.final.problem != "P2" or risk.allocation != "uniform" or not open_loop:
+        return None
+    if made.mission.problem.drifts:
+        return None
+    case = Case(made, request, Clock(max(SHARE * spent_s, LEAST_TRIAL_S)))
+    found = case.clock.attempt(SPLIT, partial(case.rough, {"risk.allocation": "exact"}))
+    if found is None or found.cost_m_s > (1.0 - WORTH_SAYING) * made.cost_m_s:
+        return None
+    return found.cost_m_s
 
 
 def for_exact(options: PlanOptions) -> PlanOptions:

@@ -14,6 +14,7 @@ from rich.console import Console
 from scp_recon.api.infeasibility import (
     Diagnosis,
     Remedy,
+    cost_of_exact_risk,
     diagnose,
     for_exact,
     is_diagnosed,
@@ -142,10 +143,13 @@ class Shown(Watch):
         if path.name == UNVERIFIED:
             show_line(console, f"kept, as it is verified: {path.with_name(FILE_NAME)}")
         show_written(console, path)
-        if request is None or not diagnosed:
+        if request is None:
             return ()
-        diagnosis = diagnose(outcome.plan, request, spent_s)
-        lines = advice_on(diagnosis, outcome.plan, self._instead, path)
+        if diagnosed:
+            diagnosis = diagnose(outcome.plan, request, spent_s)
+            lines = advice_on(diagnosis, outcome.plan, self._instead, path)
+        else:
+            lines = saving(outcome, request, spent_s, self._instead)
         for line in lines:
             show_line(console, line)
         return lines
@@ -204,6 +208,20 @@ def advice_on(
         words = f"not tried to the end, after {found.limit_s:.0f} s of the processor"
         lines.append(f"{words}: {', '.join(found.left_out)}")
     return tuple(lines)
+
+
+def saving(
+    outcome: PlanOutcome, request: PlanRequest, spent_s: float, more: Sequence[str] = ()
+) -> tuple[str, ...]:
+    """A line on what exact risk would save of a verified plan's delta-v; see `advice_on`."""
+    verified = outcome.verification is not None and outcome.verification.ok
+    cost = cost_of_exact_risk(outcome.plan, request, spent_s) if verified else None
+    if cost is None:
+        return ()
+    options = " ".join([*more, "--set", shlex.quote('risk.allocation="exact"')])
+    saved, cost = 1e3 * (outcome.plan.cost_m_s - cost), 1e3 * cost
+    words = f"next: exact risk saves {saved:.1f} mm/s ({cost:.1f} mm/s by the normal law"
+    return (f"{words}, before flights certify the plan), with: {options}",)
 
 
 def undoing(options: PlanOptions) -> list[str]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
@@ -149,26 +148,7 @@ def _advice(subject: Subject) -> tuple[str, ...]:
     if solution.verification is None:
         return tuple(filter(None, [Status.named(solution.status).value.remedy]))
     lines = what_next(subject.mission, solution, solution.verification)
-    return (*(solution.advice or lines), *_surplus(subject))
-
-
-def _surplus(subject: Subject) -> list[str]:
-    """Advice for a plan whose flights surely exceed the required probability."""
-    solution = subject.solution
-    checked, risk = solution.verification, solution.scenario.risk
-    if checked is None or not checked.ok or solution.problem == "P3" or risk.allocation == "exact":
-        return []
-    low = min((p.low for p in checked.probabilities), default=0.0)
-    if low <= risk.p_chance:
-        return []
-    options = "--set 'risk.allocation=\"exact\"'"
-    if subject.path is not None and solution.scenario.in_flight is None:
-        options = f"scp-recon solve --init {shlex.quote(str(subject.path))} {options}"
-    return [
-        f"flights reach at least {low:.4f} where {risk.p_chance:g} is required, as the risk is split "
-        "evenly; a plan by the probability itself, which as a rule costs less delta-v, with: "
-        f"{options}"
-    ]
+    return solution.advice or lines
 
 
 @dataclass(frozen=True, eq=False)

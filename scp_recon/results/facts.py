@@ -489,8 +489,8 @@ class Facts:
         timing_s: time it took.
         verification: absent if the run was interrupted.
         warnings: entries that are allowed but unlikely.
-        advice: what binds an infeasible plan, and options with which there would be one, as the command
-            line said it.
+        advice: of an infeasible plan the binding limits and options that were tried and work; of a
+            verified one what exact risk would save; as the command line printed it.
         scenario: the whole validated input, with the numbers computed from shapes, kernels and gravity
             files ([entries](scenario.md)).
     """

@@ -1,5 +1,6 @@
 """The command line: what it shows, what it leaves on disk, and how it ends."""
 
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -7,11 +8,13 @@ from typing import Any
 
 import pytest
 
+import scp_recon as sr
 from scp_recon.api import infeasibility, planning
 from scp_recon.planning import planner, stages
 from scp_recon.results.read import read_solution
 from scp_recon.scp.algorithms import SCvx
 from scp_recon.scp.loop import Record, State
+from scp_recon.scp.status import Status
 from tests.scenarios import COARSE
 from tests.scp_recon.support import raising, run_solve
 
@@ -42,6 +45,18 @@ def test_case_verdict_burns_and_constraints_are_shown(default_run):
     for p in solution.verification.probabilities:
         assert f"{p.estimate:.4f} {p.low:.4f} to {p.high:.4f}" in shown
     assert str(default_run.folder / "solution.json") in default_run.output.replace("\n", "")
+
+
+def test_saving_by_exact_risk_was_planned(default_run):
+    assert len(default_run.output.strip().splitlines()) <= 30
+    (line,) = read_solution(default_run.folder).advice
+    assert line in " ".join(default_run.output.split())
+    saved, cost = map(float, re.findall(r"([\d.]+) mm/s", line))
+    exact = sr.plan("recon_b", certify=False, overrides=['risk.allocation="exact"'])
+    assert exact.status is Status.CONVERGED
+    assert abs(cost - 1e3 * exact.total_dv_m_s) <= 0.1
+    assert abs(cost + saved - 1e3 * read_solution(default_run.folder).total_dv_m_s) <= 0.11
+    assert line.endswith("""with: --set 'risk.allocation="exact"'""")
 
 
 def test_it_runs_as_a_module(tmp_path):

@@ -2,7 +2,6 @@
 
 import json
 import re
-import shlex
 from dataclasses import replace
 from datetime import timedelta
 from decimal import Decimal
@@ -16,7 +15,7 @@ import pytest
 from scp_recon.api.infeasibility import Diagnosis
 from scp_recon.api.replans import plan_left
 from scp_recon.cli import plan_run
-from scp_recon.cli.commands import report, solve
+from scp_recon.cli.commands import report
 from scp_recon.errors import InputError
 from scp_recon.replanning.delivery import Delivery
 from scp_recon.replanning.flown import FlownPlan, predict
@@ -24,12 +23,11 @@ from scp_recon.replanning.remainder import mission_left
 from scp_recon.reports.charts import probability_chart
 from scp_recon.reports.flights import fly
 from scp_recon.reports.ground import Camera
-from scp_recon.reports.page import Page, _surplus, render, verdict_of
-from scp_recon.reports.subject import PLANS_MAX, Subject, subjects_of
+from scp_recon.reports.page import Page, render, verdict_of
+from scp_recon.reports.subject import PLANS_MAX, subjects_of
 from scp_recon.reports.write import page_of
 from scp_recon.results.solution import Solution, make_solution
 from scp_recon.results.table import SCALES, Table
-from scp_recon.scenario.load import load_scenario
 from scp_recon.scp.status import Status
 from tests.scenarios import COARSE
 from tests.scp_recon.support import run_solve
@@ -153,24 +151,6 @@ def test_required_probability_is_drawn_where_it_applies(page):
         said = [a["text"] for a in layout["annotations"] if "at least" in a["text"]]
         assert said == expected
         assert sum(s["type"] == "line" for s in layout["shapes"]) == len(expected)
-
-
-def test_surplus_of_a_uniform_plan_suggests_exact_risk(verified, tmp_path):
-    """By a command that names the run's own folder, not the pointer to the latest."""
-    real, moving = tmp_path / "my run", tmp_path / "latest"
-    real.mkdir()
-    verified.write(real)
-    moving.symlink_to(real.name)
-    (line,) = _surplus(subjects_of([moving])[0])
-    assert re.match(r"flights reach at least 0\.\d{4} where 0\.7 is required", line)
-    program, *words = shlex.split(line.rpartition("with: ")[2])
-    assert program == "scp-recon"
-    options = solve.parser().parse_args(words[1:])
-    assert (words[0], options.init) == ("solve", str(real))
-    assert load_scenario(None, options.overrides).risk.allocation == "exact"
-    for change in ({"risk.allocation": "exact"}, {"risk.p_chance": 0.999}):
-        other = replace(verified, scenario=verified.scenario.replace(change))
-        assert _surplus(Subject("plan", other)) == []
 
 
 @pytest.mark.usefixtures("few_flights")
