@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
-from formulations.arrays import Array
 from formulations.problem.flow import Flow
 from formulations.problem.regions import Ball
 
@@ -25,7 +24,6 @@ class Drift:
         flow: the motion along the drift's arcs, in the units of the problem.
         keep_out: balls that the drift keeps out of, each with a centre per node of the drift.
         required: Phi^-1 of the probability that the whole drift keeps out of all of them.
-        path: the last mean that was flown, (n + 1, 6), or empty: where Newton's method starts next.
     """
 
     name: str
@@ -34,4 +32,3 @@ class Drift:
     flow: Flow
     keep_out: tuple[Ball, ...]
     required: float
-    path: list[Array] = field(default_factory=list, repr=False)

@@ -94,6 +94,7 @@ class Branch:
         self._coordinates, self._parameters = Coordinates([0], parameters), parameters
         self._directions = sphere_directions(LINES, self._coordinates.count)
         self._last: tuple[Start, DriftValue] | None = None
+        self._path: Array | None = None  # the last mean, where Newton's method starts
 
     def __call__(self, start: Start) -> DriftValue:
         """Value and derivatives, see `DriftValue`; from the last ones where the row cannot bind.
@@ -144,8 +145,7 @@ class Branch:
         flow = self._drift.flow
         # What comes after a passage through the centre may be any number, and is left out.
         with np.errstate(all="ignore"):
-            known = self._drift.path
-            mean = known[0] if known else self._free.rollout(state, NO_BURNS)
+            mean = self._free.rollout(state, NO_BURNS) if self._path is None else self._path
             for _ in range(NEWTON_MAX):
                 arcs = flow.differentiate(mean[:-1])
                 stm = self._composed(arcs, arcs.state - mean[1:])
@@ -159,7 +159,7 @@ class Branch:
                 n = self._meaningful(mean)
                 arcs = flow.differentiate(mean[:-1])
                 stm = self._composed(arcs, np.zeros_like(mean[1:]))
-        self._drift.path[:] = [mean] if n == len(mean) else []
+        self._path = mean if n == len(mean) else None
         if not self._parameters:
             return mean[:n], stm[:n, :6, :6]
         return mean[:n], np.delete(np.delete(stm[:n], 6, axis=1), 6, axis=2)

@@ -58,9 +58,6 @@ def with_safe_drifts(mission: Mission, make: Callable[[Mission, Plan | None], Pl
         for name, by in more.items():
             losses[name] = losses.get(name, 0.0) + by
         mission = replace(found.mission, drift_losses=tuple(losses.items()))
-        flown = found.final.result.lin.problem.drifts
-        for old, new in zip(flown, mission.problem.drifts, strict=True):
-            new.path[:] = old.path
         again = make(mission, found)
         if again.status not in (Status.CONVERGED, Status.INFEASIBLE):
             break

@@ -25,6 +25,7 @@ from scp_recon.mission.constraints import required_in_words
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.scene import Scene, orbit_of_body
 from scp_recon.monte_carlo.estimates import Estimate
+from scp_recon.monte_carlo.summary import missed_by_law
 from scp_recon.physics.geometry import angle
 from scp_recon.planning.plan import Plan
 from scp_recon.reports.tables import (
@@ -48,7 +49,6 @@ from scp_recon.scenario.schema import Scenario
 from scp_recon.scenario.time_scales import instant, iso_tdb, iso_utc
 from scp_recon.scp.loop import Record
 from scp_recon.scp.status import Status
-from scp_recon.verification.probabilities import missed_spread
 from scp_recon.verification.reintegration import FIGURES
 from scp_recon.verification.remedies import in_words, what_next
 
@@ -177,7 +177,7 @@ def show_plan(
     show_warnings(console, warnings)
     if verification is None:
         return
-    if is_converged(solution) and (missed := missed_spread(mission, solution)):
+    if is_converged(solution) and (missed := missed_by_law(verification.wider or {})):
         show_line(console, f"warning: {missed}", "yellow")
     for line in () if advised else what_next(mission, solution, verification):
         show_line(console, f"next: {line}")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import textwrap
 from dataclasses import dataclass
-from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -12,9 +11,9 @@ import numpy as np
 from scp_recon.errors import printable, version_of
 from scp_recon.interop.path import MARGIN_S, FlownPath
 from scp_recon.mission.mission import Mission
+from scp_recon.monte_carlo.summary import missed_by_law
 from scp_recon.results.solution import Solution
 from scp_recon.scenario.time_scales import instant, iso_tdb, iso_utc
-from scp_recon.verification.probabilities import missed_spread
 
 SPACECRAFT_ID = -999
 """Default number of the spacecraft; NAIF's are negative, and this one is not assigned."""
@@ -56,10 +55,11 @@ class Export:
         """Number of burns flown before a plan made in flight."""
         return self.mission.scenario.burns_flown
 
-    @cached_property
+    @property
     def missed(self) -> str | None:
         """What the covariance after the last burn misses of nonlinear flights."""
-        return missed_spread(self.mission, self.solution)
+        checked = self.solution.verification
+        return missed_by_law(checked.wider or {}) if checked else None
 
     @property
     def shortfalls(self) -> list[str]:

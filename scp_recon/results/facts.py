@@ -417,6 +417,8 @@ class Verification:
         final_sigmas: limits on the covariance after the last burn.
         burn_limits: limits on corrected burns, with feedback.
         drifts: after each missed burn, and after those cut short for which was planned.
+        wider: sigma of flights after the last burn over the predicted one, of those components of the
+            state in which flights spread clearly more; absent if none does.
         ok: whether no check failed.
     """
 
@@ -434,6 +436,7 @@ class Verification:
     final_sigmas: tuple[FinalSigma, ...] = ()
     burn_limits: tuple[BurnLimit, ...] = ()
     drifts: tuple[DriftSafety, ...] = ()
+    wider: dict[str, float] | None = None
     knowledge_error: float | None = None
     ok: bool
 

@@ -16,9 +16,9 @@ from scp_recon.monte_carlo.estimates import proportion
 from scp_recon.monte_carlo.flights import FlightConfig
 from scp_recon.monte_carlo.limits import is_certain, limit_margins
 from scp_recon.monte_carlo.sampling import BLOCK, fly_blocks
-from scp_recon.monte_carlo.summary import COMPONENTS, missed_by_law
+from scp_recon.monte_carlo.summary import COMPONENTS, WIDER
 from scp_recon.results.facts import DriftSafety, FinalSigma, JointProbability, Risk
-from scp_recon.results.figures import FINAL_SIGMAS, final_sigma_limits, is_strange
+from scp_recon.results.figures import FINAL_SIGMAS, final_sigma_limits
 from scp_recon.results.policy import Policy
 from scp_recon.results.solution import Solution
 
@@ -109,10 +109,13 @@ def _bears_out(required: float, risk: Risk, probabilities: list[JointProbability
 
 def joint_probabilities(
     mission: Mission, burns: Array, policy: Policy = ()
-) -> list[JointProbability]:
+) -> tuple[list[JointProbability], Array]:
     """Estimate joint probabilities by Monte Carlo, in the window at nodes and between, safety at nodes.
 
     With the scope "flight", estimate the probability of whole flights too.
+
+    Returns:
+        The probabilities, and the flights' states after the last burn, shape (flights, 6).
     """
     window = mission.times_s[mission.window_nodes]
     step = np.diff(window)[:, None] / SAMPLED_PARTS_PER_ARC
@@ -120,10 +123,12 @@ def joint_probabilities(
     observed = np.union1d(window, between)
     times = np.union1d(observed, mission.times_s)
     seen, certain = np.searchsorted(times, observed), is_certain(mission, burns)
-    parts = [
-        kept_limits(flown.mission, times, flown.states[..., :3], seen, certain=certain)
-        for flown in fly_blocks(mission, burns, times, SAMPLES, seed=SEED, policy=policy)
-    ]
+    parts, ends = [], []
+    for flown in fly_blocks(mission, burns, times, SAMPLES, seed=SEED, policy=policy):
+        parts.append(
+            kept_limits(flown.mission, times, flown.states[..., :3], seen, certain=certain)
+        )
+        ends.append(flown.states[-1])
     kept = {
         name: (at, np.concatenate([part[name][1] for part in parts], axis=1))
         for name, (at, _) in parts[0].items()
@@ -133,7 +138,7 @@ def joint_probabilities(
         every = np.logical_and.reduce([those.all(axis=0) for _, those in kept.values()])
         first = min(found, key=lambda one: one.estimate)
         found.append(_worst(FLIGHT, np.array([first.worst_t_s]), every[None]))
-    return found
+    return found, np.concatenate(ends)
 
 
 def kept_limits(
@@ -182,7 +187,9 @@ def flown_sigmas(
     limits, found = final_sigma_limits(mission), []
     if not limits:
         return []
-    states = _final_states(mission, burns, seed, policy)
+    end = mission.times_s[-1:]
+    blocks = fly_blocks(mission, burns, end, BLOCKS * BLOCK, seed=seed, policy=policy)
+    states = np.concatenate([flown.states[-1] for flown in blocks])
     for name, part, unit in FINAL_SIGMAS:
         if name in limits:
             deviation = states[:, part] - states[:, part].mean(axis=0)
@@ -195,20 +202,18 @@ def flown_sigmas(
     return found
 
 
-def _final_states(mission: Mission, burns: Array, seed: int, policy: Policy) -> Array:
-    """States of flights after the last burn, shape (flights, 6)."""
-    end = mission.times_s[-1:]
-    blocks = fly_blocks(mission, burns, end, BLOCKS * BLOCK, seed=seed, policy=policy)
-    return np.concatenate([flown.states[-1] for flown in blocks])
+def wider_than_law(ends: Array, covariance: Array) -> dict[str, float]:
+    """Flown over predicted sigma of the components in which the linear law misses a part of the spread.
 
-
-def missed_spread(mission: Mission, solution: Solution) -> str | None:
-    """What the covariance after the last burn misses of nonlinear flights; None if nothing much."""
-    policy = () if is_strange(mission, solution.policy) else solution.corrections
-    flown = _final_states(mission, solution.burns_m_s, SEED, policy).std(axis=0)
-    predicted = np.sqrt(np.diag(np.array(solution.nodes.covariance[-1])))
-    pairs = zip(COMPONENTS, flown, predicted, strict=True)
-    return missed_by_law({name: float(s / p) for name, s, p in pairs if p > 0.0})
+    Args:
+        ends: states of flights after the last burn, shape (flights, 6).
+        covariance: the predicted one, shape (6, 6).
+    """
+    predicted = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    with np.errstate(all="ignore"):  # a flight through the body may end anywhere
+        ratios = np.nan_to_num(ends.std(axis=0) / predicted)
+    some = zip(COMPONENTS, ratios.tolist(), predicted, strict=True)
+    return {name: ratio for name, ratio, sigma in some if sigma > 0.0 and ratio > WIDER}
 
 
 def exceeded(found: list[FinalSigma]) -> list[str]:

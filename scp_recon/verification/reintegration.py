@@ -49,6 +49,7 @@ from scp_recon.verification.probabilities import (
     flown_sigmas,
     joint_probabilities,
     refuted,
+    wider_than_law,
 )
 
 FLIGHTS_CHECKED = 3
@@ -84,7 +85,7 @@ def verify(mission: Mission, solution: Solution) -> Verification:
     with beside(lambda: joint_probabilities(mission, burns, policy)) as coming:
         flown = _fly(mission, burns, np.union1d(times, fine), mission.initial_state, policy)
         sample_error = _sample_error(mission, burns, policy)
-        probabilities = coming()
+        probabilities, ends = coming()
     at_nodes = np.searchsorted(flown.times, times)
     stored = np.array(solution.nodes.covariance)
     defects = np.abs(flown.states[at_nodes] - states) / mission.units.state * mission.units.length_m
@@ -141,6 +142,7 @@ def verify(mission: Mission, solution: Solution) -> Verification:
         final_sigmas=tuple(sigmas),
         burn_limits=tuple(on_burns),
         drifts=tuple(drifts),
+        wider=wider_than_law(ends, stored[-1]) or None,
         ok=not failed,
     )
 
