@@ -104,6 +104,11 @@ class Facets:
         distance = self.offset - np.einsum("mi,mi->m", self.normal, mean[self.node, :3])
         return distance - self.quantile * self.deviation(mean, factor)
 
+    def are_near(self, others: Facets) -> bool:
+        """Whether another choice of facets of the same constraints and nodes is the same to rounding."""
+        pairs = (self.normal, others.normal), (self.offset, others.offset)
+        return all(np.allclose(one, other) for one, other in pairs)
+
     def where_they_hold(self, others: Facets, mean: Array, factor: Array) -> Facets:
         """Another choice at the nodes where it holds or leaves no less room; these facets elsewhere.
 

@@ -42,7 +42,6 @@ class Known(TypedDict, total=False):
 
     target: float | None
     p3_resolution: float
-    choices: int
     once: bool
 
 

@@ -12,7 +12,6 @@ from scp_recon.mission.mission import Mission
 from scp_recon.mission.schedule import BURNS_TO_MEET
 from scp_recon.planning.method import ALGORITHM, FORMULATION, SETTLE
 from scp_recon.planning.plan import Parent, Plan, ended
-from scp_recon.planning.stages import CHOICES_MAX
 from scp_recon.replanning.flown import FlownPlan
 from scp_recon.replanning.remainder import path_planned
 from scp_recon.scp.status import Status
@@ -48,7 +47,6 @@ def request_of_rest(flown: FlownPlan, mission: Mission, *, certify: bool | None)
     determined = _is_determined(mission)
     known: Known = {
         "p3_resolution": P3_RESOLUTION if flown.problem == "P2" else 0.0,
-        "choices": 0 if determined else CHOICES_MAX,
         "once": determined,
     }
 

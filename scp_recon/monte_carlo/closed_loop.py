@@ -257,7 +257,6 @@ def _plan_again(one: Replan, states: Array) -> Array:
     """Burns from estimated states (flights, 6), shape (flights, m, 3); NaN where none were found."""
     from scp_recon.planning.method import SETTLE
     from scp_recon.planning.planner import Planner  # CVXPY takes a second to import
-    from scp_recon.planning.stages import CHOICES_MAX
     from scp_recon.scp.status import Status
 
     found = np.full((len(states), *one.burns_m_s.shape), np.nan)
@@ -267,7 +266,6 @@ def _plan_again(one: Replan, states: Array) -> Array:
         from_burns(one.mission, one.burns_m_s),
         facet_rounds=0 if determined else SETTLE,
         once=determined,
-        choices=0 if determined else CHOICES_MAX,
     )
     if first.final.problem != "P2":
         return found

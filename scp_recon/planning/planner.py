@@ -37,7 +37,6 @@ from scp_recon.planning.plan import (
 )
 from scp_recon.planning.problem import PlanningProblem
 from scp_recon.planning.stages import (
-    CHOICES_MAX,
     RESOLUTION,
     Observer,
     Pipeline,
@@ -271,7 +270,6 @@ class Planner(Generic[Task]):
         *,
         problem: Problem = "P2",
         facet_rounds: FacetRounds = 0,
-        choices: int = CHOICES_MAX,
         init: str = "given",
         observe: Observer | None = None,
         once: bool = False,
@@ -284,12 +282,12 @@ class Planner(Generic[Task]):
         `facet_rounds` the facets are chosen again at the solution and P2 is solved again; a round is
         kept only if it is better (`rank`), so that facets cannot cycle. "settle" chooses them until
         none is cheaper: see `planning.settling`. Facets that leave nothing
-        feasible are always chosen again, up to `choices` times. Burns too small to execute are left
+        feasible are always chosen again, up to `CHOICES_MAX` times. Burns too small to execute are left
         out or raised (`missions.executable`). The observer is called after each iteration with the
         stage's name and the record.
         """
         mission = self.task
-        pipeline = Pipeline(mission, self, observe or unobserved, facet_rounds, choices)
+        pipeline = Pipeline(mission, self, observe or unobserved, facet_rounds)
 
         def work() -> Stage:
             start = guess
@@ -351,7 +349,6 @@ def plan(
     target: float | None = None,
     p3_resolution: float = 0.0,
     facet_rounds: FacetRounds = 0,
-    choices: int = CHOICES_MAX,
     init: str = "given",
     observe: Observer | None = None,
     once: bool = False,
@@ -369,7 +366,6 @@ def plan(
         guess,
         problem=problem,
         facet_rounds=facet_rounds,
-        choices=choices,
         init=init,
         observe=observe,
         once=once,

@@ -23,6 +23,7 @@ from formulations.linearisation.linearisation import Linearisation
 from formulations.problem.facets import Facets, choose_facets, touching_facets
 from formulations.rows.exact import NodeRows
 from formulations.rows.uniform import ChanceRows
+from scp_recon.planning.method import FACET_ROUNDS_MAX
 from scp_recon.planning.plan import Stage, StageSpec, is_converged
 from scp_recon.planning.problem import PlanningProblem
 
@@ -40,9 +41,6 @@ ROUND_ITERATIONS, FIRST_ITERATIONS = 2, 8
 
 TOUCHING_ROUNDS, TOUCHING_ITERATIONS = 2, 3
 """Rounds of the rough plan with half-spaces that touch the regions, and their iterations."""
-
-ROUNDS_MAX = 30
-"""Limit of the number of rounds along one path with one weight."""
 
 NEAR, DEAR = 1.01, 1.2
 """Cost over that of the rough plan up to which no further path is tried, and cost over P3's above which
@@ -105,7 +103,7 @@ class Settling:
         rounds = 0
         for holding in (False, True):
             gains = True
-            while gains and rounds < ROUNDS_MAX:
+            while gains and rounds < FACET_ROUNDS_MAX:
                 rounds += 1
                 lin, facets = best.result.lin, self._fresh(best.result.lin)
                 if holding and best.facets is not None:

@@ -106,7 +106,6 @@ class Pipeline:
         observe: called after each iteration.
         facet_rounds: times that facets may be chosen again at a solution of P2, to improve it; or
             "settle", until no choice is cheaper.
-        choices: times that facets may be chosen again where P2 is infeasible.
         stages: all stages that were run.
         timing: of all stages, s.
     """
@@ -115,7 +114,6 @@ class Pipeline:
     solver: StageSolver
     observe: Observer = unobserved
     facet_rounds: FacetRounds = 0
-    choices: int = CHOICES_MAX
     stages: list[Stage] = field(default_factory=list)
     timing: Timing = field(default_factory=Timing)
 
@@ -228,20 +226,26 @@ class Pipeline:
         """Solve P2 again with facets chosen at the last end, until one converges; return the best.
 
         Infeasibility with one choice of facets says little about other choices, so a few are tried.
-        A try that ends without a verdict does not count.
+        A try that ends without a verdict does not count. Where the facets chosen at an end are those
+        that it has, as where the final state determines the burns, there is no other choice.
         """
         letter, tries = stage.spec.start, [stage]
-        while tries[-1].result.status is Status.INFEASIBLE and len(tries) <= self.choices:
+        while tries[-1].result.status is Status.INFEASIBLE and len(tries) <= CHOICES_MAX:
             same = [s for s in self.stages if s.problem == stage.problem and s.spec.start == letter]
-            tries.append(self._with_facets(same[-1].result.lin, letter))
+            lin, facets = same[-1].result.lin, same[-1].facets
+            if facets is not None and facets.are_near(self._facets_at(lin)):
+                break
+            tries.append(self._with_facets(lin, letter))
         verdicts = (Status.CONVERGED, stage.result.status)
         return max((one for one in tries if one.result.status in verdicts), key=rank)
 
+    def _facets_at(self, lin: Linearisation) -> Facets:
+        mean, factor = lin.iterate.mean, lin.spread.factor
+        return choose_facets(self.task.problem, self.task.polytopes, mean, factor)
+
     def _with_facets(self, lin: Linearisation, letter: str) -> Stage:
         """Solve P2 with facets chosen at a start."""
-        facets = choose_facets(
-            self.task.problem, self.task.polytopes, lin.iterate.mean, lin.spread.factor
-        )
+        facets = self._facets_at(lin)
         chosen = [one.spec for one in self.stages if one.facets is not None]
         last = max((spec.choice for spec in chosen if spec.start == letter), default=0)
         spec = replace(self.solver.p2_stage(facets, lin), choice=last + 1)
