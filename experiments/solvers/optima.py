@@ -39,8 +39,8 @@ FINE = 1e-3
 UNIFORM = {"risk.allocation": "uniform", "risk.scope": "node"}
 SETS = (
     ("uniform", "tuned", range(NUMBER)),
-    ("uniform", "fresh", range(500, 512)),
-    ("exact", "tuned", range(25)),
+    ("exact", "tuned", range(NUMBER)),
+    ("uniform", "fresh", range(500, 600)),
 )
 """Kinds of risk and seeds: those of every other comparison, and those that nobody has looked at."""
 NEAR, FAR = 1e-3, 1e-2

@@ -105,7 +105,7 @@ class Facets:
         return distance - self.quantile * self.deviation(mean, factor)
 
     def are_near(self, others: Facets) -> bool:
-        """Whether another choice of facets of the same constraints and nodes is the same to rounding."""
+        """Whether another choice at the same nodes is the same but for rounding."""
         pairs = (self.normal, others.normal), (self.offset, others.offset)
         return all(np.allclose(one, other) for one, other in pairs)
 
