@@ -37,6 +37,7 @@ from scp_recon.certification.flights import (
     run_test,
     with_nodes_at,
 )
+from scp_recon.certification.targets import Targets, target_of
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.estimates import (
     TESTS_MAX,
@@ -52,9 +53,6 @@ ROUNDS_MAX = 6
 
 BINDING = 0.01
 """Standard deviations between aim and law, up to which a constraint binds."""
-
-SAVING = 1e-4
-"""Relative saving up to which two plans cost the same."""
 
 AimedPlanning = Callable[[Mission, Iterate | Plan, float], Plan]
 """A plan of a mission from a start, or another plan, aiming at a probability."""
@@ -103,10 +101,7 @@ def certified(asked: float, make_plan: Planning[Aimed], fly: Fly[Aimed]) -> Aime
 
 @dataclass
 class _Certification(Generic[Aimed]):
-    """State of one certification: last plan, times of new nodes, plans of rounds and tests.
-
-    `found` are all plans on the present nodes.
-    """
+    """State of one certification: last plan, times of new nodes, plans of rounds and tests."""
 
     asked: float
     make_plan: Planning[Aimed]
@@ -115,9 +110,9 @@ class _Certification(Generic[Aimed]):
     touched_s: Array = field(default_factory=lambda: np.zeros(0))
     flown: list[tuple[Aimed, float]] = field(default_factory=list)
     tested: list[Aimed] = field(default_factory=list)
-    found: list[Aimed] = field(default_factory=list)
 
     def __post_init__(self) -> None:
+        self.targets = Targets(self._make)
         self.samples, self.fresh = flights_needed(self.asked), flights_of_test(self.asked)
         self.aiming = Aiming(self.asked, self.samples, self.fresh)
 
@@ -141,25 +136,19 @@ class _Certification(Generic[Aimed]):
 
     def _next(self) -> Aimed:
         """The plan for the present target."""
-        plan = self.make_plan(self.made, self.touched_s, self.aiming.next())
+        if len(self.touched_s):
+            self.targets = Targets(self._make)
+        plan = self.targets.plan(self.made, self.aiming.next())
         if plan.status is Status.INTERRUPTED and self.made is not None:
             raise KeyboardInterrupt
         if plan.status is Status.CONVERGED:
-            plan = self._cheapest(plan)
             self.made = plan
         return plan
 
-    def _cheapest(self, plan: Aimed) -> Aimed:
-        """The plan, or an earlier one on its nodes for a higher target that costs less.
-
-        A plan for a higher target keeps a lower one too, so no target costs more than a higher one.
-        """
-        if len(self.touched_s):
-            self.found = []
-        self.found.append(plan)
-        least = (1.0 - SAVING) * _cost(plan)
-        higher = [one for one in self.found if _target(one) > _target(plan) and _cost(one) < least]
-        return min(higher, key=_cost, default=plan)
+    def _make(self, last: Aimed | None, target: float) -> Aimed:
+        """A plan from the last one, with new nodes, or from one that has these nodes."""
+        new = self.touched_s if last is self.made else self.touched_s[:0]
+        return self.make_plan(last, new, target)
 
     def _aims_well(self, plan: Aimed) -> bool:
         """Fly a round and learn from it; whether the plan is ready for a test."""
@@ -206,18 +195,9 @@ def _low(plan: AimedPlan) -> float:
     return plan.certificate.low
 
 
-def _target(plan: AimedPlan) -> float:
-    assert plan.target is not None
-    return plan.target
-
-
-def _cost(plan: AimedPlan) -> float:
-    return plan.final.merit.cost(plan.final.result.lin)
-
-
 def _law(plan: AimedPlan) -> float:
     """The quantile of the plan's probability by the normal law; it may exceed the target."""
-    return float(ndtri(_target(plan))) + max(slack(plan), 0.0)
+    return float(ndtri(target_of(plan))) + max(slack(plan), 0.0)
 
 
 def slack(plan: AimedPlan) -> float:

@@ -2,8 +2,8 @@
 
 Delta-v grows with the required probability. Bisection on the normal quantile scale therefore finds
 the largest probability with a plan. Each trial starts from the burns and gains of the best plan so
-far; where that ends without a plan, from the end of the trial for the next larger probability, which
-may keep this one; and from the first start if neither gives a verdict.
+far, and where that ends without a plan from trials for other probabilities (`targets`); from the first
+start if none gives a verdict.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ from scp_recon.certification.flights import (
     run_test,
     with_nodes_at,
 )
+from scp_recon.certification.targets import ANSWERS, Targets
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.estimates import FAILURES, FLIGHTS_MAX, flights_needed, flights_of_test
 from scp_recon.planning.initial_guess import start_from
@@ -38,9 +39,6 @@ CLOSE = 0.01
 """Standard deviations between the last probability with a plan and the first without."""
 DIGITS = 4
 """Digits of a promised probability."""
-
-ANSWERS = (Status.CONVERGED, Status.INFEASIBLE, Status.INTERRUPTED)
-"""Outcomes after which a try is not repeated from another start."""
 
 
 def rounded_down(probability: float) -> float:
@@ -65,25 +63,21 @@ class Search:
             A plan whose `target` is that probability; the trial for `LEAST` if no trial succeeds.
                 The plan has a warning if the next larger trial ended without a verdict.
         """
-        best = self._planned(mission, start, LEAST)
+
+        def make(last: Plan | None, target: float) -> Plan:
+            if last is None:
+                return self._planned(mission, start, target)
+            return self._planned(last.mission, start_from(last.mission, last), target)
+
+        best = make(None, LEAST)
         if not self.keeps(best):
             return best
-
-        failed: list[Plan] = []
+        targets = Targets(make, self.keeps, [best])
 
         def attempt(best: Plan, target: float) -> Plan:
-            """Plan from the best burns, then from those that a larger probability led to."""
-            tries: list[Plan] = []
-            for near in (best, *failed[-1:]):
-                tries.append(self._planned(best.mission, start_from(best.mission, near), target))
-                if self.keeps(tries[-1]) or tries[-1].status is Status.INTERRUPTED:
-                    return tries[-1]
-            if all(one.status not in ANSWERS for one in tries):
-                tries.append(self._planned(mission, start, target))
-            found = next((one for one in tries if one.status in ANSWERS), tries[0])
-            if found.status in ANSWERS and not self.keeps(found):
-                failed.append(found)
-            return found
+            """Plan from the best burns and other trials, and from the start if they say nothing."""
+            found = targets.plan(best, target)
+            return found if found.status in ANSWERS else make(None, target)
 
         best, above = largest_kept(best, MOST, self.close, attempt, self.keeps)
         if above is None or above.status in ANSWERS or best.status is Status.INTERRUPTED:

@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 from scipy.special import ndtr, ndtri
 from scipy.stats import binom
 
-from scp_recon.certification import certify as certify_module
-from scp_recon.certification import flights
+from scp_recon.certification import flights, targets
 from scp_recon.certification.certify import ROUNDS_MAX, Aiming, certify
 from scp_recon.certification.flights import certificate_of
 from scp_recon.errors import InputError
@@ -95,7 +94,7 @@ def test_target_moves_against_the_measured_loss(real, monkeypatch, lost):
 
 def test_lower_target_never_costs_more(real, monkeypatch):
     """Flights reach more than the law says, so the second target is lower; its plan is dearer."""
-    monkeypatch.setattr(certify_module, "_cost", lambda plan: 1.0 - 0.5 * plan.target)
+    monkeypatch.setattr(targets, "cost_of", lambda plan: 1.0 - 0.5 * plan.target)
     found = certified(world := World(real, losing(-GAIN)), monkeypatch)
     assert world.aims[1] < world.aims[0]
     assert found.target == world.aims[0]

@@ -1,0 +1,108 @@
+"""Plan for several target probabilities: a plan for one target is the start of the next, both ways.
+
+A plan for a higher target keeps a lower one. A target therefore has a plan if a higher one has, and
+costs no more. Local optima break both: from the same start one target ends without a plan, or with a
+dear one, and another does not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from typing import Generic
+
+from scipy.special import ndtr, ndtri
+
+from scp_recon.planning.plan import Aimed, AimedPlan
+from scp_recon.scp.status import Status
+
+SAVING = 1e-4
+"""Relative saving up to which two plans cost the same."""
+
+ANSWERS = (Status.CONVERGED, Status.INFEASIBLE, Status.INTERRUPTED)
+"""Outcomes that answer whether a target has a plan, or end planning."""
+
+
+def is_plan(trial: AimedPlan) -> bool:
+    """Whether a trial found a plan."""
+    return trial.status is Status.CONVERGED
+
+
+@dataclass
+class Targets(Generic[Aimed]):
+    """Trials of one problem on the same nodes for several targets, so far.
+
+    Attributes:
+        make: plans for a target from the end of another trial.
+        keeps: whether a trial found what is looked for.
+        trials: with an answer.
+    """
+
+    make: Callable[[Aimed | None, float], Aimed]
+    keeps: Callable[[Aimed], bool] = is_plan
+    trials: list[Aimed] = field(default_factory=list)
+
+    def plan(self, last: Aimed | None, target: float) -> Aimed:
+        """Plan for a target from the last trial, and from those of other targets where that may help.
+
+        Returns:
+            The cheapest plan found that keeps the target, which may be one for a higher target. If
+                there is none, a trial that proves it, or the first.
+        """
+        found = [self._trial(last, target)]
+        for start in self._others(found[0], target):
+            if found[-1].status is Status.INTERRUPTED:
+                break
+            found.append(self._trial(start, target))
+            if self.keeps(found[-1]):
+                break
+        if found[-1].status is Status.INTERRUPTED:
+            return found[-1]
+        plans = [one for one in (*found, *self._above(target)) if self.keeps(one)]
+        if not plans:
+            return next((one for one in found if one.status in ANSWERS), found[0])
+        own = min((one for one in found if self.keeps(one)), key=cost_of, default=plans[0])
+        best = min(plans, key=cost_of)
+        return best if cost_of(best) < (1.0 - SAVING) * cost_of(own) else own
+
+    def _above(self, target: float) -> list[Aimed]:
+        """Trials for higher targets, the nearest first."""
+        return sorted((one for one in self.trials if target_of(one) > target), key=target_of)
+
+    def _others(self, first: Aimed, target: float) -> Iterator[Aimed]:
+        """Other starts for a target: after a plan the cheapest for a higher target, if it costs less.
+
+        Otherwise the end for the next higher target, and a plan for a target half way down to the next
+        lower one that has a plan, or to one half.
+        """
+        above = self._above(target)
+        if self.keeps(first):
+            plans = [one for one in above if self.keeps(one)]
+            least = min(plans, key=cost_of, default=first)
+            if cost_of(least) < (1.0 - SAVING) * cost_of(first):
+                yield least
+            return
+        yield from above[:1]
+        lower = (one for one in self.trials if self.keeps(one) and target_of(one) < target)
+        below = max(lower, key=target_of, default=None)
+        low = 0.0 if below is None else ndtri(target_of(below))
+        half = self._trial(below or first, float(ndtr(0.5 * (low + ndtri(target)))))
+        if self.keeps(half) or half.status is Status.INTERRUPTED:
+            yield half
+
+    def _trial(self, start: Aimed | None, target: float) -> Aimed:
+        made = self.make(start, target)
+        if made.status in ANSWERS:
+            self.trials.append(made)
+        return made
+
+
+def target_of(plan: AimedPlan) -> float:
+    """Target probability of a plan with exact risk."""
+    assert plan.target is not None
+    return plan.target
+
+
+def cost_of(plan: AimedPlan) -> float:
+    """What planning minimises, nondimensional."""
+    return plan.final.merit.cost(plan.final.result.lin)
