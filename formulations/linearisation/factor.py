@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -43,6 +44,26 @@ class Spread:
     errors: Array
     stm: Array
     leg_errors: Array
+
+
+class Filter(NamedTuple):
+    """What the filter of a flight knows.
+
+    Attributes:
+        error: E at every node, after measurement and burn, shape (n_nodes, 6 + p, c).
+        before: E before each measurement, (k, 6 + p, c).
+        innovations: of each measurement; they depend on each other if parameters are considered.
+        estimated: number of components that it estimates: those of the state, and p or none.
+    """
+
+    error: Array
+    before: tuple[Array, ...]
+    innovations: tuple[Innovation, ...]
+    estimated: int
+
+    def after(self, j: int) -> Array:
+        """E of what is estimated after a measurement, shape (estimated, c)."""
+        return self.innovations[j].updated(self.before[j][: self.estimated])
 
 
 def factor_of(covariance: Array) -> Array:
@@ -102,8 +123,8 @@ def propagate_factor(problem: FlybyProblem, stm: Array, iterate: Iterate) -> Spr
     return Spread(factor, tuple(innovations), errors, stm, leg_errors)
 
 
-def knowledge(problem: FlybyProblem, spread: Spread) -> Array:
-    """Factor of the estimate's error at every node, after measurement and burn, (n_nodes, 6 + p, c)."""
+def best_filter(problem: FlybyProblem, spread: Spread) -> Filter:
+    """Kalman's filter, which estimates the parameters with the state."""
     error = spread.stm @ spread.leg_errors[problem.legs.of]
     error[problem.leg_starts] = spread.leg_errors
     for leg, end in enumerate(problem.legs.ends):
@@ -111,7 +132,39 @@ def knowledge(problem: FlybyProblem, spread: Spread) -> Array:
             assert problem.feedback is not None
             after = slice(problem.feedback.cut_offs[j], end)
             error[after] = spread.innovations[j].updated(error[after])
-    return np.asarray(error)
+    before = tuple(
+        spread.stm[problem.feedback.cut_offs[j]] @ own
+        for j, own in enumerate(spread.errors)
+        if problem.feedback is not None
+    )
+    return Filter(error, before, spread.innovations, error.shape[1])
+
+
+def considering_filter(problem: FlybyProblem, stm_of_arcs: Array, iterate: Iterate) -> Filter:
+    """Schmidt's filter, which considers the parameters: its estimates of them stay zero.
+
+    It weighs measurements by the errors that parameters cause, too (S. F. Schmidt, "Application of
+    state-space methods to navigation problems", 1966). STMs are of state and parameters along the
+    arcs, shape (n_nodes - 1, 6 + p, 6 + p).
+    """
+    feedback = problem.feedback
+    assert feedback is not None
+    found = np.zeros((problem.n_nodes, 6 + problem.parameters, problem.factor_columns))
+    found[0, :, : problem.first_factor.shape[1]] = problem.first_factor
+    columns = problem.execution_errors.columns(iterate.burns)
+    before: list[Array] = []
+    innovations: list[Innovation] = []
+    for node, error in enumerate(found):
+        if node > 0:
+            error[:] = stm_of_arcs[node - 1] @ found[node - 1]
+        for j in np.flatnonzero(feedback.cut_offs == node).tolist():
+            _, own = problem.columns_of_correction(j)
+            before.append(error.copy())
+            innovations.append(Innovation.of(error, feedback.measurement[j], own))
+            error[:6] = innovations[-1].updated(error[:6])
+        for burn in np.flatnonzero(problem.burn_nodes == node).tolist():
+            _add_errors(problem, iterate, burn, columns[burn], error)
+    return Filter(found, tuple(before), tuple(innovations), 6)
 
 
 def after_measurements(problem: FlybyProblem, spread: Spread, leg: int) -> Array:

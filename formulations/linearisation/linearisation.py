@@ -31,7 +31,14 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from formulations.arrays import Array, Indices
-from formulations.linearisation.factor import FactorSensitivity, Spread, propagate_factor
+from formulations.linearisation.factor import (
+    FactorSensitivity,
+    Filter,
+    Spread,
+    best_filter,
+    considering_filter,
+    propagate_factor,
+)
 from formulations.linearisation.shifts import Shifts
 from formulations.problem.cost import Bend, Valued, bends, cost
 from formulations.problem.feedback import Feedback
@@ -152,6 +159,13 @@ class Linearisation:
     def spread(self) -> Spread:
         """Covariance factor, and the innovations of the measurements."""
         return propagate_factor(self.problem, self.stm_from_last_burn, self.iterate)
+
+    @cached_property
+    def flown_filter(self) -> Filter:
+        """What the filter that flies knows; without feedback, what is known before departure."""
+        if self.problem.feedback is not None and self.problem.feedback.considers:
+            return considering_filter(self.problem, self.stm_of_arcs, self.iterate)
+        return best_filter(self.problem, self.spread)
 
     @cached_property
     def affine_map_from_last_burn(self) -> Array:

@@ -41,6 +41,9 @@ class Feedback:
         measurement: factors N of the measurements' errors, with N N' the covariance, shape (k, 6, 6).
         cost: of the burns' sizes, which is minimised.
         probability: with which a corrected burn keeps each limit on burns.
+        considers: whether the filter that flies does not estimate uncertain parameters, and allows for
+            their errors alone. Gains on all its estimates so far can do what they can do on those of
+            the best filter, so plans are made with the innovations of the latter.
     """
 
     burns: Indices
@@ -48,6 +51,7 @@ class Feedback:
     measurement: Array
     cost: Cost
     probability: float
+    considers: bool = False
 
     @cached_property
     def first_gain(self) -> Indices:

@@ -8,7 +8,6 @@ import numpy as np
 
 from formulations.arrays import Array
 from scp_recon.errors import InputError
-from scp_recon.mission.knowledge import require_known
 from scp_recon.mission.scene import Scene, execution_errors
 from scp_recon.mission.schedule import SAME_S
 from scp_recon.scenario.fields import ScenarioWarning
@@ -155,7 +154,6 @@ def check_feedback(scenario: Scenario) -> None:
     if scenario.policy.kind == "open":
         return
     require_measurement(scenario, "policy.kind", "'feedback'")
-    require_known(scenario, "goes with policy.kind = 'open'")
     if scenario.in_flight is not None:
         return
     correctable = _correctable(scenario)

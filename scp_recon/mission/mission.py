@@ -343,7 +343,14 @@ class Mission:
             measurement=self.measurement(self._transfer[nodes]),
             cost=self.scenario.policy.cost,
             probability=self.scenario.risk.p_chance,
+            considers=self.uncertain.count > 0 and self.estimated == 0,
         )
+
+    @property
+    def estimated(self) -> int:
+        """Number of uncertain parameters that the filter of a flight estimates."""
+        considers = self.scenario.navigation.estimate_parameters is False
+        return 0 if considers else self.uncertain.count
 
     def measurement(self, mean: Array) -> Array:
         """Factors N of the covariances N N' of states measured at means (k, 6); shape (k, 6, 6).
@@ -374,6 +381,10 @@ class Mission:
 
     def _joint(self, factor: Array) -> Array:
         return np.asarray(block_diag(factor, np.eye(self.uncertain.count)))
+
+    def state_units(self, size: int) -> Array:
+        """Units of the state and of uncertain parameters below it, shape (size,)."""
+        return np.r_[self.units.state, np.ones(size - 6)]
 
     @property
     def initial_sigma(self) -> Array:

@@ -1,8 +1,9 @@
 """Command the burns of flights under way, corrected by gains or planned again, from estimates.
 
 The policy "replan" plans again before each burn. At a cut-off the state is measured. A Kalman filter
-with the covariances of the planned flight estimates it. The rest of the flight is planned again from
-the estimate, near the plan from the planned state. Each cut-off has one program, compiled once. If a
+with the covariances of the planned flight estimates it. Uncertain parameters are considered, at each
+cut-off as independent of the estimate before. The rest of the flight is planned again from the
+estimate, near the plan from the planned state. Each cut-off has one program, compiled once. If a
 replan does not converge, the flight keeps its last burns. Between cut-offs estimates follow the
 planner's dynamics and the commanded burns.
 """
@@ -19,7 +20,6 @@ from formulations.arrays import Array, Booleans
 from formulations.problem.flyby import Iterate
 from scp_recon.errors import InputError, option
 from scp_recon.mission.feedback import require_measurement
-from scp_recon.mission.knowledge import require_known
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.schedule import BURNS_TO_MEET
 from scp_recon.physics.flow import propagate
@@ -59,14 +59,17 @@ class ClosedLoop:
     def __init__(self, mission: Mission, burns_m_s: Array, policy: Policy, draws: Array) -> None:
         self._mission, self._burns, self._policy = mission, burns_m_s, policy
         self._draws = draws.reshape(len(draws), len(policy), MEASURED)
-        self._estimates: list[Array] = []  # after each cut-off so far, shape (6, flights)
+        # Of the state and q parameters after each cut-off so far, shape (6 + q, flights).
+        self._estimates: list[Array] = []
+        self._size = len(policy[0].estimate_covariance) if policy else MEASURED
 
     def measure(self, state: Array) -> None:
         """Update the estimates at the next cut-off from true states (6, flights) before a burn."""
         j = len(self._estimates)
         one = self._policy[j]
         predicted = self._predicted(j)
-        innovation = state - self._planned(j)[:, None] + one.noise(self._draws[:, j]) - predicted
+        measured = state - self._planned(j)[:, None] + one.noise(self._draws[:, j])
+        innovation = measured - predicted[:MEASURED]
         self._estimates.append(predicted + one.kalman_gain @ innovation)
 
     def correction(self, burn: int) -> Array | None:
@@ -74,13 +77,13 @@ class ClosedLoop:
         for one in self._policy:
             if one.burn == burn and one.gains.any():
                 known = zip(one.gains, self._estimates, strict=False)
-                return np.asarray(sum(gain @ estimate for gain, estimate in known).T)
+                return np.asarray(sum(gain @ estimate[:MEASURED] for gain, estimate in known).T)
         return None
 
     def _predicted(self, j: int) -> Array:
-        """The estimate just before a cut-off, shape (6, flights)."""
+        """The estimate just before a cut-off, shape (6 + q, flights)."""
         node = self._node(j)
-        predicted = np.zeros((MEASURED, len(self._draws)))
+        predicted = np.zeros((self._size, len(self._draws)))
         if j == 0:
             return predicted
         before = self._node(j - 1)
@@ -89,7 +92,7 @@ class ClosedLoop:
             fired = int(self._mission.burn_nodes[one.burn])
             correction = self.correction(one.burn)
             if before <= fired < node and correction is not None:
-                predicted += self._carried(fired, node)[:, 3:] @ correction.T
+                predicted += self._carried(fired, node)[:, 3:6] @ correction.T
         return predicted
 
     def _node(self, j: int) -> int:
@@ -102,8 +105,8 @@ class ClosedLoop:
         return np.asarray(state)
 
     def _carried(self, first: int, last: int) -> Array:
-        """The plan's state-transition matrix between two nodes, in SI."""
-        units = self._mission.units.state
+        """The plan's transition matrix of state and q parameters between two nodes, in SI."""
+        units = self._mission.state_units(self._size)
         return np.asarray(units[:, None] * transition(self._stm, first, last) / units)
 
     @cached_property
@@ -117,11 +120,10 @@ class ClosedLoop:
 
     @cached_property
     def _stm(self) -> Array:
-        """State-transition matrices of the arcs, shape (n - 1, 6, 6), nondimensional."""
-        mission = self._mission
-        return np.asarray(
-            mission.dynamics.linearise(mission.problem.open_loop, self._iterate).arcs.stm
-        )
+        """Transition matrices of the arcs, shape (n - 1, 6 + q, 6 + q), nondimensional."""
+        mission, size = self._mission, self._size
+        lin = mission.dynamics.linearise(mission.problem.open_loop, self._iterate)
+        return np.asarray(lin.stm_of_arcs[:, :size, :size])
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,7 +171,6 @@ def replans(mission: Mission, burns_m_s: Array) -> Replans:
         InputError: as `cut_offs_s`.
     """
     scenario = mission.scenario
-    require_known(scenario, f"goes with {option('policy')} 'open' and 'feedback'")
     cut_offs = cut_offs_s(scenario)
     nodes = sorted({*scenario.grid.nodes_s, *cut_offs.values()})
     left, burns = Mission.from_scenario(scenario.replace({"grid.nodes_s": nodes})), burns_m_s

@@ -14,7 +14,6 @@ import numpy as np
 from pydantic import Field
 
 from formulations.arrays import Array
-from formulations.linearisation.factor import knowledge
 from formulations.problem.cost import PROBABILITY, total_sizes
 from formulations.problem.facets import Facets
 from formulations.problem.flyby import Iterate
@@ -436,7 +435,7 @@ class Plan(Displayed):
         After the measurement and the burn there, if any. Without measurements they are `covariances`.
         """
         lin = self.final.result.lin
-        factor = knowledge(lin.problem, lin.spread)[:, :6] * self.mission.units.state[:, None]
+        factor = lin.flown_filter.error[:, :6] * self.mission.units.state[:, None]
         return _read_only(factor @ factor.transpose(0, 2, 1))
 
     @property

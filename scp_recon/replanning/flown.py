@@ -11,7 +11,6 @@ from typing import Literal
 import numpy as np
 
 from formulations.arrays import Array
-from formulations.linearisation.factor import knowledge
 from formulations.linearisation.linearisation import Linearisation
 from scp_recon.errors import InputError, shortened
 from scp_recon.mission.grid import RK4_STEP_MAX_S, Units
@@ -194,7 +193,7 @@ class FlownPlan:
         """Covariance (6, 6) of the estimate that its filter has at a time; None if it has no filter."""
         if not self.policy:
             return None
-        factors = knowledge(self.lin.problem, self.lin.spread) * self.mission.units.state[:, None]
+        factors = self.lin.flown_filter.error[:, :6] * self.mission.units.state[:, None]
         return self._carried(factors, at_s).covariance
 
     def commanded(self, state: Array, at_s: float) -> Array | None:

@@ -333,7 +333,7 @@ def strange_times(
 
 
 def is_strange(mission: Mission, policy: StoredPolicy | None) -> bool:
-    """Whether corrected burns and their cut-offs are not those of a mission; none never are."""
+    """Whether corrected burns, cut-offs or what is estimated are not a mission's; none never are."""
     if policy is None:
         return False
     feedback, flown = mission.feedback, mission.scenario.burns_flown
@@ -341,6 +341,9 @@ def is_strange(mission: Mission, policy: StoredPolicy | None) -> bool:
         return True
     burns = [correction.burn - 1 - flown for correction in policy.corrections]
     cut_offs = [correction.cut_off_s for correction in policy.corrections]
+    sizes = {len(correction.estimate_covariance) for correction in policy.corrections}
+    if sizes != {6 + mission.estimated}:
+        return True
     return burns != feedback.burns.tolist() or not np.allclose(
         cut_offs, mission.times_s[feedback.cut_offs], rtol=0.0, atol=TIME_ERROR_S
     )

@@ -3,25 +3,28 @@
 At a cut-off the state is measured, with the result y. A Kalman filter along the plan updates its
 prediction,
 
-    x <- x + K (y - x),    K = P R^-1,
+    x <- x + K (y - H x),    K = P H' R^-1,
 
 where R is the covariance of the measurement's error, P that of the estimate's error after the
-update, and x the estimated deviation from the plan. Until the next cut-off the plan's
-state-transition matrices propagate x, and each commanded correction is added to its velocity. The
-corrected burn is the planned burn plus gains times the estimates of its own cut-off and of all
-earlier ones.
+update, x the estimated deviation from the plan, and H x that of the state. Below it x has the
+uncertain parameters, if the filter estimates them; one that considers them has the state alone, and
+its P the error that they cause. Until the next cut-off the plan's state-transition matrices
+propagate x, and each commanded correction is added to its velocity. The corrected burn is the
+planned burn plus gains times the estimates of the state at its own cut-off and all earlier ones:
+estimates of parameters are a linear function of these.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated
 
 import numpy as np
 from pydantic import Field
+from scipy.linalg import solve_triangular
 
 from formulations.arrays import Array
+from formulations.linearisation.innovations import Innovation
 from formulations.linearisation.linearisation import Linearisation
 from scp_recon.mission.mission import Mission
 from scp_recon.planning.plan import Plan
@@ -36,7 +39,8 @@ class CutOff:
         burn: number of the burn, from 0, among those that are planned.
         cut_off_s: time of its measurement past the epoch, before a burn at that time.
         measurement_covariance: of the measured state, shape (6, 6).
-        estimate_covariance: of the estimated state's error after the update, shape (6, 6).
+        estimate_covariance: of the estimate's error after the update: of the state, and of q parameters
+            that are estimated, in standard deviations before the flight, shape (6 + q, 6 + q).
     """
 
     burn: int
@@ -46,8 +50,9 @@ class CutOff:
 
     @property
     def kalman_gain(self) -> Array:
-        """K = P R^-1, shape (6, 6)."""
-        return np.asarray(np.linalg.solve(self.measurement_covariance, self.estimate_covariance).T)
+        """K = P H' R^-1, shape (6 + q, 6)."""
+        of_state = self.estimate_covariance[:6]
+        return np.asarray(np.linalg.solve(self.measurement_covariance, of_state).T)
 
     def noise(self, draws: Array) -> Array:
         """Errors of the measurement, shape (6, flights), from standard normal draws (flights, 6)."""
@@ -73,35 +78,27 @@ Policy = tuple[Correction, ...]
 def policy_of(mission: Mission, lin: Linearisation) -> Policy:
     """The policy at an iterate of a mission's problem; none where it is solved without feedback.
 
-    The iterate's gains act on innovations xi, of which the estimate takes G xi = K (y - x). So they are
-    a lower block triangular map of the estimates.
+    The iterate's gains act on innovations xi, of which the estimate takes G xi = K (y - H x). So they
+    are a lower block triangular map of the estimates.
     """
-    problem, spread = lin.problem, lin.spread
-    feedback = problem.feedback
+    problem, feedback = lin.problem, lin.problem.feedback
     if feedback is None:
         return ()
     state, speed = mission.units.state, mission.units.speed_m_s
-    square = np.outer(state, state)
-    nodes = feedback.cut_offs.tolist()
-    # Innovations and corrections, by the estimates at all cut-offs.
-    estimates = np.eye(6 * len(nodes)).reshape(-1, 6, 6 * len(nodes))
-    innovations, policy = np.zeros((6 * len(nodes), 6 * len(nodes))), []
-    corrections: list[Array] = []
+    units, known = mission.state_units(lin.flown_filter.estimated), lin.flown_filter
+    policy, filters = [], _Filters(lin, 6 * len(feedback.burns))
     for j, burn in enumerate(feedback.burns.tolist()):
         stop = 6 * j + 6
-        one, change = spread.innovations[j], estimates[j] - _predicted(lin, estimates, corrections)
-        innovations[6 * j : stop] = one.by_estimate(change)
-        corrections.append(problem.gains_of(lin.iterate, j) @ innovations[:stop])
-        gains = corrections[j][:, :stop]
-        error = one.updated(spread.stm[nodes[j]] @ spread.errors[j])
-        measurement = feedback.measurement[j]
+        filters.estimated(np.eye(6, 6 * len(feedback.burns), 6 * j))
+        gains = filters.corrected(problem.gains_of(lin.iterate, j))[:, :stop]
+        error, measurement = known.after(j), feedback.measurement[j]
         policy.append(
             Correction(
                 burn=burn,
-                cut_off_s=float(mission.times_s[nodes[j]]),
+                cut_off_s=float(mission.times_s[feedback.cut_offs[j]]),
                 gains=speed * gains.reshape(3, j + 1, 6).swapaxes(0, 1) / state,
-                measurement_covariance=measurement @ measurement.T * square,
-                estimate_covariance=error @ error.T * square,
+                measurement_covariance=measurement @ measurement.T * np.outer(state, state),
+                estimate_covariance=error @ error.T * np.outer(units, units),
             )
         )
     return tuple(policy)
@@ -113,48 +110,104 @@ def with_policy(mission: Mission, lin: Linearisation, policy: Policy) -> Lineari
     if feedback is None or not policy:
         return lin
     scale = np.tile(mission.units.state, len(policy)) / mission.units.speed_m_s
-    gains = np.zeros(feedback.size)
-    # Estimates and corrections, by innovations. What a cut-off tells depends on earlier gains alone.
-    estimates: list[Array] = []
-    corrections: list[Array] = []
+    gains, filters = np.zeros(feedback.size), _Filters(lin, 6 * len(policy))
     for j, one in enumerate(policy):
-        lin = Linearisation(problem, replace(lin.iterate, gains=gains.copy()), lin.arcs)
-        own = slice(6 * j, 6 * j + 6)
-        estimate = _predicted(lin, [*estimates, np.zeros((6, 6 * len(policy)))], corrections)
-        estimate[:, own] = lin.spread.innovations[j].gain
-        estimates.append(estimate)
-        blocks = np.hstack(list(one.gains)) * scale[: own.stop]
-        corrections.append(blocks @ np.vstack(estimates))
+        # What a cut-off tells depends on earlier gains alone.
+        filters.lin = Linearisation(problem, replace(lin.iterate, gains=gains.copy()), lin.arcs)
+        filters.measured(np.eye(6, 6 * len(policy), 6 * j))
+        own = filters.command(np.hstack(list(one.gains)) * scale[: 6 * j + 6])
         first, last = feedback.first_gain[j : j + 2]
-        gains[first:last] = corrections[j][:, : own.stop].ravel()
+        gains[first:last] = own[:, : 6 * j + 6].ravel()
     return Linearisation(problem, replace(lin.iterate, gains=gains), lin.arcs)
 
 
-def _predicted(
-    lin: Linearisation, estimates: Sequence[Array] | Array, corrections: Sequence[Array]
-) -> Array:
-    """The estimate just before the next cut-off, shape (6, q), nondimensional.
+class _Filters:
+    """Estimates at the cut-offs so far as linear functions of q variables, nondimensional.
 
-    Estimates (6, q) and corrections (3, q) so far are given as derivatives by q variables. Only
-    estimates at earlier cut-offs count.
+    Of the best filter, on whose innovations an iterate's gains act, and of the one that flies.
+
+    Args:
+        lin: an iterate, whose gains of burns before the next cut-off count.
+        q: number of variables.
+
+    Attributes:
+        innovations: of the best filter, shape (6 k, q).
+        estimates: of the state by the filter that flies, shape (6 k, q).
     """
-    problem, feedback, j = lin.problem, lin.problem.feedback, len(corrections)
-    assert feedback is not None
-    predicted = np.zeros_like(estimates[0])
-    if j == 0:
-        return predicted
-    before, node = feedback.cut_offs[j - 1 : j + 1].tolist()
-    predicted += transition(lin.arcs.stm, before, node) @ estimates[j - 1]
-    for burn, correction in zip(feedback.burns.tolist(), corrections, strict=False):
-        fired = int(problem.burn_nodes[burn])
-        if before <= fired < node:
-            predicted += transition(lin.arcs.stm, fired, node)[:, 3:] @ correction
-    return predicted
+
+    def __init__(self, lin: Linearisation, q: int) -> None:
+        self.lin, none = lin, np.zeros((0, q))
+        self.innovations, self.estimates = none, none
+        start = np.zeros((6 + lin.problem.parameters, q))
+        self._best, self._flown = start, start  # estimates of state and parameters, the last ones
+        self._commands: list[Array] = []
+
+    def estimated(self, state: Array) -> None:
+        """Take the flown filter's estimate of the state at the next cut-off, shape (6, q)."""
+        best, flown, before, told = self._next()
+        own = flown.by_estimate(state - told[:6])
+        if flown is not best:
+            apart = flown.root @ own + told[:6] - before[:6]
+            own = best.axes @ best.axes.T @ solve_triangular(best.root, apart, lower=True)
+        self._take(own, before, state)
+
+    def measured(self, innovation: Array) -> None:
+        """Take the best filter's innovation at the next cut-off, shape (6, q)."""
+        best, flown, before, told = self._next()
+        state = before[:6] + best.gain[:6] @ innovation
+        if flown is not best:
+            apart = best.root @ innovation + before[:6] - told[:6]
+            own = solve_triangular(flown.root, apart, lower=True)
+            state = told[:6] + flown.gain[:6] @ own
+        self._take(innovation, before, state)
+
+    def command(self, by: Array) -> Array:
+        """The correction (3, q) for the last cut-off, by gains on all estimates so far, (3, 6 k)."""
+        return self._commanded(by @ self.estimates)
+
+    def corrected(self, by: Array) -> Array:
+        """The same by gains on all innovations so far."""
+        return self._commanded(by @ self.innovations)
+
+    def _commanded(self, command: Array) -> Array:
+        self._commands.append(command)
+        return command
+
+    def _next(self) -> tuple[Innovation, Innovation, Array, Array]:
+        j = len(self._commands)
+        best, flown = self.lin.spread.innovations[j], self.lin.flown_filter.innovations[j]
+        return best, flown, self._predicted(self._best), self._predicted(self._flown)
+
+    def _take(self, innovation: Array, before: Array, state: Array) -> None:
+        best = self.lin.spread.innovations[len(self._commands)]
+        parameters = before[6:] + best.gain[6:] @ innovation
+        if self.lin.flown_filter.estimated == len(before):
+            self._best = self._flown = np.vstack([state, parameters])
+        else:
+            self._best = np.vstack([before[:6] + best.gain[:6] @ innovation, parameters])
+            self._flown = np.vstack([state, 0.0 * parameters])
+        self.innovations = np.vstack([self.innovations, innovation])
+        self.estimates = np.vstack([self.estimates, state])
+
+    def _predicted(self, estimate: Array) -> Array:
+        """An estimate after the last cut-off carried to just before the next one, (6 + p, q)."""
+        problem, feedback, j = self.lin.problem, self.lin.problem.feedback, len(self._commands)
+        assert feedback is not None
+        if j == 0:
+            return estimate
+        before, node = feedback.cut_offs[j - 1 : j + 1].tolist()
+        predicted = transition(self.lin.stm_of_arcs, before, node) @ estimate
+        for burn, command in zip(feedback.burns.tolist(), self._commands, strict=False):
+            fired = int(problem.burn_nodes[burn])
+            if before <= fired < node:
+                kick = transition(self.lin.stm_of_arcs, fired, node)[:, 3:6]
+                predicted += kick @ command
+        return np.asarray(predicted)
 
 
 def transition(stm: Array, first: int, last: int) -> Array:
-    """The state-transition matrix from one node to another, from those of the arcs (n - 1, 6, 6)."""
-    product = np.eye(6)
+    """The state-transition matrix from one node to another, from those of the arcs (n - 1, d, d)."""
+    product = np.eye(stm.shape[-1])
     for arc in stm[first:last]:
         product = arc @ product
     return product
@@ -177,8 +230,9 @@ class CorrectedBurn:
         cut_off_s: time of its measurement past the epoch, before a burn at that time.
         gain: 3 by 6 for each cut-off so far, the earliest first: m/s by m and by m/s.
         measurement_covariance: of the measured state's errors, 6 by 6.
-        predicted_covariance: of the estimate's errors before the measurement, 6 by 6.
-        estimate_covariance: of the estimate's errors after it, 6 by 6.
+        predicted_covariance: of the estimate's errors before the measurement, 6 by 6; or 6 + q by
+            6 + q with q uncertain parameters that are estimated, in standard deviations.
+        estimate_covariance: of the estimate's errors after it, likewise.
         sigma_m_s: root of the summed variances of the correction.
     """
 
@@ -192,10 +246,11 @@ class CorrectedBurn:
 
     def __post_init__(self) -> None:
         """Refuse arrays of other shapes."""
-        for name in ("measurement", "predicted", "estimate"):
+        size = max(6, len(self.estimate_covariance))
+        for name, n in {"measurement": 6, "predicted": size, "estimate": size}.items():
             rows = getattr(self, f"{name}_covariance")
-            if len(rows) != 6 or any(len(row) != 6 for row in rows):
-                raise ValueError(f"{name}_covariance must hold 6 by 6 numbers")
+            if len(rows) != n or any(len(row) != n for row in rows):
+                raise ValueError(f"{name}_covariance must hold {n} by {n} numbers")
         if any(len(block) != 3 or any(len(row) != 6 for row in block) for block in self.gain):
             raise ValueError("gain must hold 3 by 6 numbers for each cut-off so far")
 
@@ -235,10 +290,10 @@ def stored_policy(plan: Plan) -> StoredPolicy | None:
     feedback, scenario = lin.problem.feedback, plan.mission.scenario
     if feedback is None or plan.commanded is None:
         return None
-    speed, spread = mission.units.speed_m_s, lin.spread
-    corrections = []
+    speed, spread, known = mission.units.speed_m_s, lin.spread, lin.flown_filter
+    units, corrections = mission.state_units(known.estimated), []
     for j, one in enumerate(policy_of(mission, lin)):
-        before = spread.stm[feedback.cut_offs[j]] @ spread.errors[j] * mission.units.state[:, None]
+        before = known.before[j][: known.estimated] * units[:, None]
         innovations = np.vstack([each.rows for each in spread.innovations[: j + 1]])
         command = lin.problem.gains_of(lin.iterate, j) @ innovations
         corrections.append(
@@ -270,6 +325,6 @@ def policy_in(stored: StoredPolicy | None, burns_flown: int) -> Policy:
 
 
 def sigmas(covariance: Array) -> tuple[float, float]:
-    """Roots of the summed variances of position, m, and velocity, m/s, of a covariance (6, 6)."""
+    """Roots of the summed variances of position, m, and velocity, m/s: the first six rows' own."""
     variance = np.diag(covariance)
-    return float(np.sqrt(variance[:3].sum())), float(np.sqrt(variance[3:].sum()))
+    return float(np.sqrt(variance[:3].sum())), float(np.sqrt(variance[3:6].sum()))

@@ -268,6 +268,9 @@ class Navigation(OneWay):
     frame: Literal["j2000", "rtn"] | None = None
     """Axes of the covariance: rtn are radial, transverse and normal, at the cut-off on the transfer of
     less than half a revolution from the initial to the final position."""
+    estimate_parameters: bool | None = None
+    """Whether the filter estimates the uncertain parameters of `knowledge` with the state, the default;
+    or considers their errors without estimating them (Schmidt)."""
 
     @property
     def measures(self) -> bool:

@@ -11,7 +11,8 @@ burns share, and the estimates at all cut-offs so far. Linear maps propagate it:
     burn              e <- e + B (errors),      x <- x + B c
 
 where P is the covariance of e, R that of the measurement's error n, and c the gains times the
-estimates. Uncertain parameters are constant components of d, e and x; a state is measured alone.
+estimates. Uncertain parameters are constant components of d, e and x; a state is measured alone. A
+filter that considers parameters has no gain on them, so that their x stays zero.
 
 Without corrections x is zero, and e is the deviation. The corrections are jointly normal; their
 limits and costs are checked by points of that law.
@@ -48,7 +49,7 @@ SAME_M_S = 1e-8
 
 @dataclass(frozen=True)
 class ErrorCovariances:
-    """Covariances of the estimate's error before and after a cut-off, shape (6, 6)."""
+    """Of what a filter estimates, before and after a cut-off, shape (6 + q, 6 + q)."""
 
     before: Array
     after: Array
@@ -131,15 +132,17 @@ class JointCovariance:
         return spread
 
     def _measured(self, errors: Array) -> JointCovariance:
-        size, n, before = len(self.joint), self.size, self.knowledge
-        gain = cho_solve(cho_factor(before + errors), self.joint[:6, :n]).T
+        size, n, told = len(self.joint), self.size, 6 + self.mission.estimated
+        before = self.joint[:told, :told]
+        gain = np.zeros((n, 6))
+        gain[:told] = cho_solve(cho_factor(self.knowledge + errors), self.joint[:6, :told]).T
         update, noise = np.eye(size + 6, size), np.zeros((size + 6, 6))
         update[:n, :6] -= gain
         update[n : 2 * n, :6] = gain
         noise[:n], noise[n : 2 * n] = -gain, gain
         update[size:], noise[size:] = update[n : n + 6], noise[n : n + 6]
         joint = update @ self.joint @ update.T + noise @ errors @ noise.T
-        known = (*self.known, ErrorCovariances(before, joint[:6, :6]))
+        known = (*self.known, ErrorCovariances(before, joint[:told, :told]))
         return replace(self, joint=joint, known=known)
 
     def after_burn(self, burn: Array, number: int) -> JointCovariance:

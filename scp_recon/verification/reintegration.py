@@ -11,6 +11,7 @@ and the boundary states.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -341,17 +342,31 @@ def _knowledge_error(mission: Mission, solution: Solution, flown: _Flown, nodes:
     assert stored is not None
     if solution.nodes.knowledge is None or len(flown.end.known) != len(stored.corrections):
         return DIVERGED
-    given = [np.array(solution.nodes.knowledge)]
-    given += [np.array([c.predicted_covariance for c in stored.corrections])]
-    given += [np.array([c.estimate_covariance for c in stored.corrections])]
-    exact = [flown.knowledge[nodes]]
-    exact += [np.stack([known.before for known in flown.end.known])]
-    exact += [np.stack([known.after for known in flown.end.known])]
-    return _covariance_error(mission, np.concatenate(given), np.concatenate(exact))
+    given = [[c.predicted_covariance for c in stored.corrections]]
+    given += [[c.estimate_covariance for c in stored.corrections]]
+    exact = [
+        [known.before for known in flown.end.known],
+        [known.after for known in flown.end.known],
+    ]
+    if np.shape(given) != np.shape(exact):
+        return DIVERGED
+    at_nodes = _covariance_error(
+        mission, np.array(solution.nodes.knowledge), flown.knowledge[nodes]
+    )
+    return max(at_nodes, *_estimate_errors(mission, np.concatenate(given), np.concatenate(exact)))
+
+
+def _estimate_errors(mission: Mission, given: Array, exact: Array) -> Iterator[float]:
+    """Errors of covariances (n, 6 + q, 6 + q): of the state, of parameters with it, and of these."""
+    yield _covariance_error(mission, given[:, :6, :6], exact[:, :6, :6])
+    if given.shape[1] > 6:
+        units = mission.units.state
+        yield relative_error(given[:, 6:, :6] / units, exact[:, 6:, :6] / units)
+        yield relative_error(given[:, 6:, 6:], exact[:, 6:, 6:])
 
 
 def relative_error(given: Array, exact: Array) -> float:
-    """Largest error of nondimensional covariances (n, 6, 6), relative to each one's largest entry."""
+    """Largest error of nondimensional covariances (n, ., .), relative to each one's largest entry."""
     size = np.abs(exact).max(axis=(1, 2))
     error = np.abs(given - exact).max(axis=(1, 2))
     return _finite((error / np.maximum(size, SMALLEST)).max())
