@@ -4,11 +4,8 @@ WHAT is one of:
 
 - methods (default): each method in a process of its own, with one thread, all in turn several times,
   so that other work on the machine affects all alike; the smallest figures count, by the wall clock.
-- growth: how plans grow with nodes, facets and burns, in seconds of the processor.
 - waits: the commands that users wait for, all in turn; the least of the processor's seconds counts,
   which hardly depends on other work.
-- campaign_scale: overhead of a campaign per case, and plans per second by its executors. Figures are
-  differences between many and few cases, so that the start cancels. It needs an idle machine.
 
 After Ctrl-C it continues with what is missing. `make bench` sets up the environment.
 """
@@ -21,23 +18,12 @@ if __name__ == "__main__":
     exit_on_sigint()
 
 import json
-import pickle
-import resource
 import sys
-import tempfile
-import time
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
 from itertools import product
 from pathlib import Path
-from time import perf_counter
 from typing import Any
 
-import numpy as np
-
-from benchmarks import empty
-from benchmarks.methods import QUANTITIES
 from experiments.harness import (
     Findings,
     Record,
@@ -48,14 +34,7 @@ from experiments.harness import (
     run,
     run_python,
 )
-from formulations.arrays import Array
-from scp_recon.api.campaigns import work_of
-from scp_recon.campaigns.run import CaseWork, run_study
-from scp_recon.campaigns.study import Study as Campaign
-from scp_recon.errors import imported
-from scp_recon.jobs.cluster import Cluster
-from scp_recon.jobs.job import Executor, Job, here
-from scp_recon.jobs.processes import Limits, Processes
+from scp_recon.jobs.job import Job
 
 ROUNDS, REPEATS = 3, 3
 METHODS = {
@@ -73,7 +52,6 @@ SAME_ARITHMETIC = {"OPENBLAS_CORETYPE": "Haswell", "OPENBLAS_NUM_THREADS": "1"}
 """OpenBLAS's kernels, which every x86 processor since 2013 has, on one thread, as commands have it. How
 long IPOPT takes for the program as printed depends on rounding: with a newer processor's kernels it had
 no plan after seven minutes."""
-GROWING = ("scp condensed", "scp lifted", "ipopt tuned")
 
 CERTIFIED = (
     "solve --init cold --set risk.allocation=exact --set risk.p_chance={p} --set risk.scope={of}"
@@ -99,17 +77,6 @@ WAITS = {
     "design nightingale": "design nightingale",
 }
 """Commands that users wait for; `{out}` has the plan of `solve`."""
-
-FEW, MANY, PLANS, QUEUED = 200, 2_200, 48, 100_000
-"""Empty cases, of which the times are compared; plans by each executor; cases of a scheduler."""
-WHERE = {
-    "this process": 1,
-    "1 process": 1,
-    "2 processes": 2,
-    "Dask, 1 worker": 1,
-    "Dask, 2 workers": 2,
-}
-"""Executors of a campaign, with their cores."""
 
 
 def methods(session: Session) -> Findings:
@@ -189,13 +156,6 @@ def _without_setup(row: Mapping[str, Any]) -> float:
     return float(row["later_s"] - row["setup_s"])
 
 
-def growth(session: Session) -> Findings:
-    """Measure how plans grow."""
-    growing = GROWING[:1] if session.options.quick else GROWING
-    cases = product(["growth"], QUANTITIES, growing)
-    return _found({"growth": session.rows("growth", in_a_process, cases, session.store())})
-
-
 def waits(session: Session) -> Findings:
     """Time every command, and keep of each the run of least processor time."""
     rounds = 1 if session.options.quick else ROUNDS - 1
@@ -213,96 +173,14 @@ def waited(name: str, out: Path) -> dict[str, Any]:
     return {"command": name, **run_python(["-m", "scp_recon", *words])[0]}
 
 
-def campaign_scale(session: Session) -> Findings:
-    """Time empty cases and plans by every executor, and a scheduler's queue."""
-    imported("cluster", "cluster", "distributed", "psutil")
-    limits, found = Limits(600.0, memory_mb=4096), list[Record]()
-    axis = {"entry": "risk.p_chance", "grid": {"from": 0.7, "to": 0.8, "count": PLANS}}
-    study = Campaign.validated({"axis": [axis]})
-    plans, two = work_of(study), replace(study, axes=tuple(rows[:2] for rows in study.axes))
-    few, many = (replace(study, axes=([{}] * cases,)) for cases in (FEW, MANY))
-    for where, cores in WHERE.items():
-        with ExitStack() as stack:
-            executor: Executor = here
-            if "Dask" in where:
-                executor = Cluster(stack.enter_context(local_cluster(cores)), limits)
-            elif "this" not in where:
-                executor = Processes(cores, limits)
-            _, empty_s = (spent(empty, many, executor) - spent(empty, few, executor)) / (MANY - FEW)
-            more = spent(plans, study, executor) - spent(plans, two, executor)
-            wall_s, plan_s = more / (PLANS - len(two.cases))
-        row = {"where": where, "empty_s": empty_s, "plan_s": plan_s, "plans_a_second": 1.0 / wall_s}
-        alone = found[0]["plans_a_second"] if found else row["plans_a_second"]
-        found.append({**row, "efficiency": row["plans_a_second"] / cores / alone})
-        session.say(", ".join(f"{key} {value}" for key, value in found[-1].items()))
-    return _found({"campaign_scale": found, "scheduler": [scheduler()]})
-
-
-def spent(work: CaseWork, study: Campaign, executor: Executor) -> Array:
-    """Seconds of running a study into a new folder, of the wall clock and of all processes."""
-    with tempfile.TemporaryDirectory() as folder:
-        before = _clocks()
-        run_study(study, Path(folder), work, executor)
-        return _clocks() - before
-
-
-def _clocks() -> Array:
-    """Wall clock; processor time of this process, of ended children and of those still running."""
-    import psutil
-
-    ended = resource.getrusage(resource.RUSAGE_CHILDREN)
-    running = psutil.Process().children(recursive=True)
-    # Times are a child's own, and those of its children that have ended.
-    children = sum(sum(process.cpu_times()[:4]) for process in running)
-    own = time.process_time() + ended.ru_utime + ended.ru_stime
-    return np.array([perf_counter(), own + children])
-
-
-@contextmanager
-def local_cluster(workers: int) -> Iterator[str]:
-    """A scheduler and workers of one thread each, as processes of their own."""
-    from distributed.deploy.subprocess import SubprocessCluster
-
-    size = {"n_workers": workers, "threads_per_worker": 1, "dashboard_address": None}
-    with SubprocessCluster(**size) as cluster:
-        yield cluster.scheduler_address
-
-
-def scheduler() -> Record:
-    """Megabytes of a scheduler without and with queued cases, and its processor time for them, s."""
-    import distributed
-    import psutil
-
-    with (
-        local_cluster(0) as address,
-        distributed.Client(address, timeout=120, set_as_default=False) as client,
-    ):
-        (process,) = psutil.Process().children()
-        before, cpu = process.memory_info().rss, sum(process.cpu_times()[:2])
-        jobs = [pickle.dumps(Job(case, {})) for case in range(QUEUED)]
-        sent = client.map(empty, jobs, pure=False, batch_size=10_000)
-        while client.run_on_scheduler(_tasks) < len(sent):
-            time.sleep(0.5)
-        after, took = process.memory_info().rss, sum(process.cpu_times()[:2]) - cpu
-    sizes = {"before_mb": before / 1e6, "after_mb": after / 1e6}
-    return {"queued": QUEUED, **sizes, "scheduler_s": took}
-
-
-def _tasks(dask_scheduler: Any) -> int:
-    """Number of tasks that a scheduler holds."""
-    return len(dask_scheduler.tasks)
-
-
 def _found(tables: Mapping[str, Sequence[Record]]) -> Findings:
     return Findings({f"{name}.csv": records(rows) for name, rows in tables.items()})
 
 
-QUICK = option("--quick", action="store_true", help="one round, or one method")
+QUICK = option("--quick", action="store_true", help="one round")
 STUDIES = {
     "methods": Study(__doc__, methods, [QUICK]),
-    "growth": Study(__doc__, growth, [QUICK]),
     "waits": Study(__doc__, waits, [QUICK]),
-    "campaign_scale": Study(__doc__, campaign_scale),
 }
 
 

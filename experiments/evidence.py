@@ -80,7 +80,7 @@ COMMANDS = {
 }  # fmt: skip
 DATED = {
     "benchmarks": "benchmarks",
-    **{name: f"benchmarks {name}" for name in ("growth", "waits", "campaign_scale")},
+    "waits": "benchmarks waits",
     **{name: f"experiments testing {name}" for name in ("reliability", "coverage", "mutation")},
 }
 SOURCES: Mapping[str, Source] = {

@@ -5,17 +5,12 @@ import subprocess
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
 import benchmarks.__main__ as command
-from benchmarks import methods
 from experiments.evidence import FILE, ROOT, Evidence
-from scp_recon.mission.mission import Mission
-from scp_recon.scenario.load import load_scenario
-from scp_recon.scp.status import Status
 
 PLANNED = {"total_dv_m_s": 0.14, "status": "converged, verified", "import_s": 0.4, "first_s": 0.2}
 PLANNED |= {"later_s": 0.1, "processor_s": 0.1, "setup_s": 0.0, "canonicalise_s": 0.01}
@@ -67,35 +62,6 @@ def test_stopped_run_continues_and_leaves_evidence(tmp_path, monkeypatch):
     assert ratios["replan over cold plan"] == pytest.approx(0.2)
     assert ratios["flights a second"] == 20_000
     assert ratios["command line over importing CVXPY"] == pytest.approx(2.0)
-
-
-@pytest.mark.parametrize("name", methods.QUANTITIES)
-def test_every_size_is_a_mission(name):
-    sizes, overrides = methods.QUANTITIES[name]
-    for size in (sizes[0], sizes[-1]):
-        mission = Mission.from_scenario(load_scenario(None, overrides(size)))
-        assert name != "burns" or len(mission.burn_nodes) == size
-
-
-def planned_in(overrides: list[str], _: object) -> tuple[object, float]:
-    """A plan of n iterations in n^2 seconds, but for two nodes none in a hundred."""
-    n = int(overrides[0])
-    status = Status.MAX_ITERATIONS if n == 2 else Status.CONVERGED
-    stage = SimpleNamespace(result=SimpleNamespace(records=[None] * n))
-    plan = SimpleNamespace(status=status, stages=[stage], total_dv_m_s=0.14)
-    return plan, 100.0 if n == 2 else n**2.0
-
-
-def test_only_converged_sizes_give_an_exponent(monkeypatch):
-    monkeypatch.setattr(methods, "fastest", planned_in)
-    monkeypatch.setattr(methods, "LEFT_OUT", {("nodes", "scp lifted"): (8, 16)})
-    monkeypatch.setitem(methods.QUANTITIES, "nodes", ((2, 4, 8, 16), lambda n: [str(n)]))
-    whole, short = (methods.growth("nodes", f"scp {form}") for form in ("condensed", "lifted"))
-    assert whole["seconds"] == "100.00 (2, max iterations), 16.00 (4), 64.00 (8), 256.00 (16)"
-    exponents = [whole[name] for name in ("exponent", "last", "an_iteration")]
-    assert exponents == pytest.approx([2.0, 2.0, 1.0])
-    assert (short["method"], short["sizes"]) == ("scp lifted", "2, 4")
-    assert short["exponent"] is short["last"] is short["an_iteration"] is None
 
 
 IMPORTED = """
