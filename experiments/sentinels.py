@@ -43,7 +43,6 @@ from scp_recon.api.plan_verbs import simulate
 from scp_recon.campaigns.study import read_study
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
-from scp_recon.planning import initial_guess
 from scp_recon.results.solution import ballistic_arc
 from scp_recon.scenario.load import load_scenario
 from scp_recon.simulation.vehicle import load_vehicle
@@ -160,12 +159,9 @@ def exact_row(seed: int) -> Record:
     return solve(cell)
 
 
-def peers_row(problem: str) -> Record:
-    """The planner's row of a problem."""
-    if problem == peers.HALO:
-        return peers.Halo().row(peers.OURS[0])
-    mission = default_mission()
-    return peers.p3_row(mission, initial_guess.ballistic(mission), "scvx", "CLARABEL")
+def peers_row(of: tuple[str, str]) -> Record:
+    """The planner's row by a formulation and an algorithm."""
+    return peers.Halo().row(of)
 
 
 def spice_rows(folder: Path, _: None) -> list[Record]:
@@ -272,8 +268,8 @@ OWN = (
         {"status": EQUAL, "delta-v m/s": 2e-5, "unknowns": EQUAL, "rows": EQUAL},
         variations.trick_row, ["+ derivatives arc by arc = tuned", "single shooting, exact Hessians"],
         [*variations.tricks()]),
-    Sentinel("peers.methods", "problem, method", {"status": EQUAL, "cost": 1e-5},
-        peers_row, [peers.HALO, peers.P3]),
+    Sentinel("peers.methods", "method", {"status": EQUAL, "cost": 1e-5},
+        peers_row, peers.OURS[:1]),
     Sentinel("spice", "what", {"off": 1e-4}, partial(in_folder, spice_rows), [None]),
     Sentinel("cross_check", "tool, forces", {"position_m": 1e-4}, left_out_rows, [None]),
     Sentinel("accuracy", "problem, method, iterations", {"ended": EQUAL, "merit_m_s": 1e-4},

@@ -83,9 +83,6 @@ FROZEN_COVARIANCE = Method("frozen-covariance")
 TUNED, ELASTIC = Method("tuned", "hard", IPOPT), Method("tuned", "elastic", IPOPT)
 SHOOTING, SHOOTING_UNO = (Method("shooting", "hard", solver) for solver in NLP_SOLVERS)
 
-UNGUARDED = "unguarded"
-"""`Unguarded` in `cells`, for P2 from a P3 solution only."""
-
 EVERY_NODE = Method("lifted-every-node")
 """Lifted with all facets from the first, for P2 from a P3 solution only: every node has its factor."""
 
@@ -93,7 +90,6 @@ SCP_METHODS = tuple(Method(*key) for key in product(FORMULATIONS, ALGORITHMS, in
 NLP_METHODS = (Method("printed", "hard", IPOPT), TUNED, SHOOTING, SHOOTING_UNO, ELASTIC)
 FEW = (
     *(REFERENCE, PTR, SCVX_STAR, FROZEN_STM, FROZEN_COVARIANCE),
-    *(Method(form, UNGUARDED) for form in ("condensed", "frozen-covariance")),
     *(TUNED, SHOOTING, SHOOTING_UNO, ELASTIC),
 )
 """Methods run in every scenario."""

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from functools import partial
 from itertools import pairwise
 from time import process_time
-from typing import Any, ClassVar, Self
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -21,7 +21,6 @@ from experiments.solvers.cases import (
     EXACT,
     NLP_SOLVERS,
     PROBLEMS,
-    UNGUARDED,
     UNO,
     Cell,
     Method,
@@ -31,8 +30,8 @@ from formulations.arrays import Array, Indices
 from formulations.linearisation.dynamics import Dynamics
 from formulations.linearisation.linearisation import Linearisation
 from formulations.problem.facets import choose_facets
-from formulations.problem.flyby import FlybyProblem, Iterate, factor_columns_used
-from formulations.program.subproblem import MeritFunction, Penalty, PenaltyParameters, Subproblem
+from formulations.problem.flyby import Iterate, factor_columns_used
+from formulations.program.subproblem import MeritFunction
 from formulations.risk.directions import Directions
 from formulations.rows.flight_probability import FlightProbability
 from formulations.rows.node_probability import joint_events
@@ -48,8 +47,7 @@ from scp_recon.planning.planner import Planner, screened
 from scp_recon.planning.stages import Observer, Pipeline, StageSolver
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scp.algorithms import ALGORITHMS, SCvx
-from scp_recon.scp.loop import Record as Iteration
-from scp_recon.scp.loop import State, Timing, record_of, run, trial_step
+from scp_recon.scp.loop import run
 from scp_recon.scp.status import Status
 
 for form in ("condensed", "lifted"):
@@ -154,12 +152,10 @@ def stage_solver(mission: Mission, method: Method, **parameters: Any) -> StageSo
         variant = replace(variant, p2=replace(variant.p2, **parameters))
         elastic = method.algorithm == "elastic"
         return IpoptStages(mission, casadi_arcs(mission.flow), variant, elastic)
-    unguarded = Unguarded(mission.problem) if method.algorithm == UNGUARDED else None
-    name = "scvx" if unguarded else method.algorithm  # of the same penalty
     form = "lifted" if method == EVERY_NODE else method.formulation
-    kind = LoopAlone if unguarded or parameters else Planner
+    kind, name = LoopAlone if parameters else Planner, method.algorithm
     planner = kind(mission, formulation=form, algorithm=name, solver=method.solver)
-    planner.algorithm = unguarded or ALGORITHMS[name](**parameters)
+    planner.algorithm = ALGORITHMS[name](**parameters)
     return planner
 
 
@@ -296,53 +292,3 @@ def _normal(dimension: int, count: int, seed: int) -> Array:
     """Quasi-random standard normal vectors, shape (count, dimension)."""
     points = qmc.Sobol(dimension, scramble=True, rng=np.random.default_rng([SEED, seed]))
     return np.asarray(ndtri(points.random(count)))
-
-
-# --- without a safeguard --------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class Unguarded:
-    """An `Algorithm` without safeguards: it linearises, solves and flies, and accepts every answer.
-
-    Frozen covariances are used in this scheme: Rizza, Topputo et al. propagate the covariance with
-    the previous solution, so that the convex program may be infeasible where the problem is not;
-    Echigo et al. call that artificial infeasibility. The ratio tests of `scp_recon` prevent it.
-    """
-
-    problem: FlybyProblem
-
-    penalty: ClassVar[Penalty] = "exact"
-    feasible: ClassVar[float] = 1e-6
-    max_iterations: ClassVar[int] = 20
-    WEIGHT, STEP = 1e4, 1e-5
-
-    def init(self, subproblem: Subproblem, lin: Linearisation) -> State:
-        """Start from the guess, with a trust region so large that it never binds."""
-        merit = subproblem.merit(lin, self.WEIGHT)
-        return State(lin, merit, 2.0 * self.problem.dv_max, PenaltyParameters(self.WEIGHT))
-
-    def resolving(self, resolution: float) -> Self:  # noqa: ARG002 -- of the protocol
-        """The same algorithm: it has no test of stationarity."""
-        return self
-
-    def step(
-        self, subproblem: Subproblem, dynamics: Dynamics, state: State, k: int, timing: Timing
-    ) -> tuple[State, Iteration]:
-        """Linearise, solve, fly."""
-        trial = trial_step(subproblem, dynamics, state, state.radius, timing, float("inf"))
-        new = State(trial.lin, trial.merit, state.radius, state.charge)
-        return new, record_of(subproblem, state, new, k, trial)
-
-    def terminate(self, subproblem: Subproblem, state: State, record: Iteration) -> Status | None:  # noqa: ARG002 -- of the protocol
-        """Stop where the convex program has no feasible point, or the burns stand still.
-
-        A feasible point costs at most n burns of dv_max; an elastic optimum that costs more proves that
-        there is none.
-        """
-        promised = record.merit + record.actual - record.predicted
-        if promised > self.problem.n_burns * self.problem.dv_max:
-            return Status.INFEASIBLE
-        if record.step > self.STEP:
-            return None
-        return Status.CONVERGED if record.violated <= self.feasible else Status.STALLED

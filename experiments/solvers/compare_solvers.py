@@ -27,9 +27,7 @@ from experiments.solvers.cases import (
     REFERENCE,
     SCVX_STAR,
     TUNED,
-    UNGUARDED,
     Cell,
-    Method,
     exact_design,
     full_design,
 )
@@ -267,13 +265,12 @@ def agreement_claims(rows: Frame) -> list[Claim]:
 
 
 def frozen_claims(rows: Frame) -> list[Claim]:
-    """What freezing the STM or the covariance costs, with a safeguard and without."""
-    by_method = rows.assign(cost=costs(rows)).pivot(index="scenario", columns="method")
-    by_method = by_method.reindex(rows.scenario.unique())
-    ended, table = by_method["status"], by_method["cost"]
+    """What freezing the STM or the covariance costs."""
+    table = rows.assign(cost=costs(rows)).pivot(index="scenario", columns="method", values="cost")
+    table = table.reindex(rows.scenario.unique())
     full, found = table[REFERENCE.name].dropna(), []
     for method in (FROZEN_STM, FROZEN_COVARIANCE):
-        if method.name in ended:
+        if method.name in table:
             own = table[method.name].reindex(full.index)
             dearer, lost = (own / full - 1.0).max(), list(full.index[own.isna()])
             words = f"{method.formulation} differs from the full linearisation"
@@ -281,15 +278,6 @@ def frozen_claims(rows: Frame) -> list[Claim]:
             holds = bool(lost) or bool(dearer > AGREE)
             threshold = f"by more than {AGREE:g}, or unsolved"
             found.append(Claim(words, threshold, measured + listed(lost), holds))
-    free, frozen = (Method(one.formulation, UNGUARDED) for one in (REFERENCE, FROZEN_COVARIANCE))
-    if {free.name, frozen.name} <= {*ended.columns}:
-        both = full.index.intersection(table[free.name].dropna().index)
-        lost = list(both[ended[frozen.name][both] == Status.INFEASIBLE.value.name])
-        words = (
-            "without a safeguard frozen-covariance reports infeasible what the full method solves, "
-            "with a safeguard or without"
-        )
-        found.append(Claim(words, "in one scenario", f"in {listed(lost)}", bool(lost)))
     return found
 
 

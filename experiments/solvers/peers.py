@@ -1,10 +1,9 @@
-"""Solve two problems with the planner and with other tools; needs the extra [peers].
+"""Solve a halo transfer with the planner and with other tools; needs the extra [peers].
 
 The halo transfer of `examples` is the own test of scocp (SCvx*, by CVXPY and Clarabel). OpenSCvx (PTR,
-QOCO) takes it too, and P3 of the default scenario. Every tool integrates an arc between burns to 1e-9:
-the planner by the classical Runge-Kutta scheme in 40 steps, which errs by at most 7e-10 along the
-optimum; the others adaptively with that tolerance. Burns are then flown by another integrator (of the
-halo transfer DOP853 to 1e-13; of P3 the planner's own dynamics on its grid, judged by its merit).
+QOCO) takes it too. Every tool integrates an arc between burns to 1e-9: the planner by the classical
+Runge-Kutta scheme in 40 steps, which errs by at most 7e-10 along the optimum; the others adaptively
+with that tolerance. Burns are then flown by DOP853 to 1e-13.
 
 From the guess of scocp's test, both orbits blended, and from 20 others: states bent by three random
 sines of a tenth of the units in every component. A tool has solved the transfer if it reports
@@ -15,15 +14,8 @@ Seconds are of the processor, libraries imported. Set-up is building and compili
 guess; scocp has none, and the planner's, of a few hundredths of a second, is part of each solve.
 
 OpenSCvx 0.5.2 is used as its users would: symbolic dynamics, impulsive controls, the nodes' times as
-fixed states. It cannot express the following, or not as the planner does:
-
-- Chance constraints. A covariance state would need its 36 differential equations with second
-  derivatives written by hand, so only P3 is compared.
-- The size of an impulse: its derivative at the nodes without a burn, where the impulse is zero, is not
-  a number. A second control bounds it from above, in the cost and in the battery's cone.
-- The straight line as a guess for P3: it leads through the body's centre, where the adaptive
-  integration fails. Both sides start from the ballistic arc. The Sun's motion of 0.02 deg in the
-  window is left out, and both phase limits are one.
+fixed states. It has no chance constraints, and no size of an impulse, whose derivative at the nodes
+without a burn is not a number: a second control bounds it from above, in the cost.
 """
 
 from __future__ import annotations
@@ -43,22 +35,11 @@ import pandas as pd
 from scipy.integrate import solve_ivp
 
 from experiments.harness import Findings, Record, Session, Study, records
-from experiments.solvers.cells import rolled_out
 from formulations.arrays import Array, Indices
-from formulations.problem.flyby import Iterate
-from formulations.program.subproblem import MeritFunction
 from formulations.registry import FORMULATIONS
-from formulations.rows.uniform import DeterministicRows
-from scp_recon.api.options import PlanOptions
-from scp_recon.api.planning import plan_mission
 from scp_recon.errors import needing
 from scp_recon.impulsive.problem import ImpulsiveProblem
-from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.estimates import proportion
-from scp_recon.physics import geometry
-from scp_recon.physics.forces import acceleration
-from scp_recon.planning import initial_guess
-from scp_recon.scenario.load import load_scenario
 from scp_recon.scp.algorithms import ALGORITHMS
 
 
@@ -94,11 +75,7 @@ WEIGHTS = (
     Settings(TOLERANCE, 1.0, 1e2, 1e2, 1e-8),
     Settings(TOLERANCE, 10.0, 1e3, 1e3, 1e-8),
 )
-STRIDE = 5
-"""OpenSCvx has so many-th nodes of P3 outside the window."""
-P3_CASES = (WEIGHTS[0], Settings(1e-10, 0.1, 10.0, 10.0, 1e-6), WEIGHTS[2])
 GUESSED: tuple[Method, ...] = (*OURS[:4], "scocp", WEIGHTS[1])
-HALO, P3 = "halo transfer", "P3"
 
 
 class Answer(NamedTuple):
@@ -110,10 +87,9 @@ class Answer(NamedTuple):
     solve_s: float
     set_up_s: float = 0.0
 
-    def row(self, problem: str, method: Method, cost: float, missed: float) -> Record:
+    def row(self, method: Method, cost: float, missed: float) -> Record:
         """A row of the tables."""
         return {
-            "problem": problem,
             "method": str(method) if isinstance(method, str | Settings) else "/".join(method),
             "status": self.status.replace("_", " "),
             "cost": cost,
@@ -135,7 +111,6 @@ class OpenScvx:
         dv_max: largest component, and size, of a burn.
         guess: states at the nodes, shape (n, 6), and burns, shape (m, 3).
         rate: three components of the acceleration, of its position, velocity and time.
-        constraints: further ones, of position, burn, its size, and time.
     """
 
     def __init__(
@@ -147,7 +122,6 @@ class OpenScvx:
         dv_max: float,
         guess: tuple[Array, Array],
         rate: Callable[[Any, Any, Any], Sequence[Any]],
-        constraints: Callable[[Any, Any, Any, Any], Sequence[Any]] = lambda *_: (),
     ) -> None:
         import openscvx as ox
 
@@ -190,7 +164,7 @@ class OpenScvx:
                 states=[position, velocity, spent],
                 controls=[burn, size],
                 time=time,
-                constraints=[*fixed, *sizes, *constraints(position, burn, size, time)],
+                constraints=[*fixed, *sizes],
                 N=n,
                 float_dtype="float64",
                 algorithm=algorithm,
@@ -271,7 +245,7 @@ class Halo:
             seconds = process_time() - begin
             found = Answer(plan.burns, plan.status.value.name, plan.iterations, seconds)
         cost = float(np.linalg.norm(found.burns, axis=1).sum())
-        return found.row(HALO, method, cost, self.missed(found.burns)) | {"seed": seed}
+        return found.row(method, cost, self.missed(found.burns)) | {"seed": seed}
 
     def _scocp(self, guess: Array) -> Answer:
         """By scocp, with its test's tolerances and limit of iterations."""
@@ -306,127 +280,23 @@ class Halo:
         return self._compiled[settings].solve(guess, none)
 
 
-# --- P3 -------------------------------------------------------------------------------------------
-
-
-def p3_row(mission: Mission, start: Iterate, algorithm: str, solver: str) -> Record:
-    """P3 by the planner."""
-    options, begin = PlanOptions(problem="P3", algorithm=algorithm, solver=solver), process_time()
-    done = plan_mission(mission, start, options)
-    seconds, result = process_time() - begin, done.final.result
-    iterations = sum(len(stage.result.records) for stage in done.stages)
-    found = Answer(result.lin.iterate.burns, result.status.value.name, iterations, seconds)
-    return _judged(mission, f"condensed/{algorithm}/{solver}", found)
-
-
-def _judged(mission: Mission, method: str, found: Answer) -> Record:
-    """Of burns flown on the planner's grid: delta-v, m/s, and the worst violation, m."""
-    lin = rolled_out(mission, found.burns)
-    merit = MeritFunction(mission.problem, DeterministicRows(mission.problem))
-    missed = merit.worst_violation(lin) * mission.units.length_m
-    return found.row(P3, method, lin.iterate.total_dv * mission.units.speed_m_s, missed)
-
-
-def p3_peer(mission: Mission, start: Iterate, settings: Settings) -> Record:
-    """P3 by OpenSCvx on every so many-th node, and on those of the window and of burns."""
-    problem, units, begin = mission.problem, mission.units, process_time()
-    kept = np.union1d(mission.window_nodes, mission.burn_nodes)
-    nodes = np.union1d(kept, np.arange(0, len(mission.times_s), STRIDE))
-    times_s, burn_nodes = mission.times_s[nodes], np.searchsorted(nodes, mission.burn_nodes)
-    window = np.searchsorted(nodes, mission.window_nodes).tolist()
-    forces = mission.forces.in_units(units.length_m, units.time_s)
-
-    def constraints(position: Any, burn: Any, size: Any, time: Any) -> list[Any]:
-        """The battery's double cone: the part of a burn along the Sun line is below its cosine."""
-        import openscvx as ox
-
-        limit = float(np.cos(problem.dv_cone))
-        cones = [
-            (sign * ox.Sum(burn * sun) <= limit * size[0]).convex().at([k])
-            for k, sun in zip(burn_nodes.tolist(), problem.sun, strict=True)
-            for sign in (1.0, -1.0)
-        ]
-        return [*cones, *_observed(mission, position, time, times_s, window)]
-
-    guess = start.mean[nodes], start.burns
-    solver = OpenScvx(
-        settings,
-        times_s / units.time_s,
-        burn_nodes,
-        (problem.initial_state, problem.final_state),
-        problem.dv_max,
-        guess,
-        lambda r, *_: acceleration(r[0], r[1], r[2], forces),
-        constraints,
-    )
-    found = solver.solve(*guess)._replace(solve_s=process_time() - begin, set_up_s=0.0)
-    return _judged(mission, f"{settings}, every {STRIDE}th node", found)
-
-
-def _observed(
-    mission: Mission, position: Any, time: Any, times_s: Array, window: list[int]
-) -> list[Any]:
-    """Safety at every node, the observation in the window; the site turns with the time state."""
-    import openscvx as ox
-
-    limits, length, unit = (
-        mission.scenario.observation,
-        mission.units.length_m,
-        mission.units.time_s,
-    )
-    angle = mission.rotation.rate * times_s
-    basis = np.stack([np.ones_like(angle), np.cos(angle), np.sin(angle)], axis=1)
-
-    def turning(values: Array) -> Any:
-        """A vector fixed in the body, (n, 3) at the nodes, as an expression of the time state."""
-        fixed, cosine, sine = np.linalg.lstsq(basis, values)[0]
-        turned = mission.rotation.rate * unit * time[0]
-        return fixed + ox.Cos(turned) * cosine + ox.Sin(turned) * sine
-
-    track = geometry.track(mission.site, mission.rotation, times_s)
-    sun = mission.sun_direction(times_s[window]).mean(axis=0)
-    offset = position - turning(track.position / length)
-    distance = ox.linalg.Norm(offset)
-    emission = ox.Sum(offset * turning(track.normal)) / distance
-    phase = ox.Sum(offset * sun) / distance
-    widest = max(limits.phase_min_deg, mission.scenario.battery.observation_cone_deg)
-    steep, flat, lit = np.cos(
-        np.deg2rad([limits.emission_min_deg, limits.emission_max_deg, widest])
-    ).tolist()
-    safe = mission.scenario.safety.radius_min_m / length
-    return [
-        (ox.linalg.Norm(position) >= safe).at(list(range(len(times_s)))),
-        (distance >= limits.site_distance_min_m / length).at(window),
-        (distance <= limits.site_distance_max_m / length).at(window),
-        (emission <= steep).at(window),
-        (emission >= flat).at(window),
-        (phase <= lit).at(window),
-    ]
-
-
 # --- the study ------------------------------------------------------------------------------------
 
 
 def run(session: Session) -> Findings:
-    """Solve both problems by all, then the transfer from the other guesses."""
+    """Solve the transfer by all, then by some from the other guesses."""
     with needing("peers", "peers"):
         for name in ("openscvx", "scocp"):
             importlib.import_module(name)
-    halo, mission = Halo(), Mission.from_scenario(load_scenario())
-    start = initial_guess.ballistic(mission)
+    halo = Halo()
     every: tuple[Method, ...] = (*OURS, "scocp", *WEIGHTS)
-    solves = {f"{HALO}|{method}": partial(halo.row, method) for method in every}
-    for of in (("scvx", "CLARABEL"), ("ptr", "QOCO")):
-        solves[f"{P3}|{of}"] = partial(p3_row, mission, start, *of)
-    for case in P3_CASES:
-        solves[f"{P3}|{case}"] = partial(p3_peer, mission, start, case)
+    solves = {f"{method}": partial(halo.row, method) for method in every}
     for seed in range(SEEDS):
         for method in GUESSED:
             solves[f"{method}|{seed}"] = partial(halo.row, method, seed)
     rows = session.rows("solves", lambda key: solves[key](), solves, session.store())
     once = [
-        {name: row[name] for name in row if name != "seed"}
-        | {"cost": f"{row['cost']:.{7 if row['problem'] == HALO else 6}f}"}
+        {name: row[name] for name in row if name != "seed"} | {"cost": f"{row['cost']:.7f}"}
         for row in rows
         if row.get("seed") is None
     ]

@@ -6,7 +6,6 @@ import pytest
 
 from experiments.__main__ import main
 from experiments.solvers import peers
-from scp_recon.planning import initial_guess
 from tests.helpers import nightly
 
 pytestmark = pytest.mark.slow
@@ -67,13 +66,6 @@ def test_solved_meets_end_and_least_cost():
     ]
     a, b = ([*line.values()][:4] for line in peers.guesses(rows))
     assert (a, b) == (["a", 5, 4, 2], ["b", 1, 1, 0])
-
-
-def test_p3_row_flies_its_burns(mission):
-    row = peers.p3_row(mission, initial_guess.ballistic(mission), "scvx", "CLARABEL")
-    assert (row["problem"], row["status"]) == ("P3", "converged")
-    assert row["cost"] == pytest.approx(0.107723, abs=2e-6)
-    assert row["missed"] < 1e-3
 
 
 @nightly
