@@ -209,11 +209,17 @@ class _Flown:
 
 
 def _fly(
-    mission: Mission, burns: Array, times: Array, initial: Array, policy: Policy = ()
+    mission: Mission,
+    burns: Array,
+    times: Array,
+    initial: Array,
+    policy: Policy = (),
+    *,
+    spreads: bool = True,
 ) -> _Flown:
     """Fly from burn to burn and cut-off to cut-off, so that the integrator never steps over a jump.
 
-    The flight starts from a state before the burns.
+    The flight starts from a state before the burns. Unless it `spreads`, it has no covariances.
     """
     firing = mission.scenario.burn_times_s
     stops = sorted({mission.scenario.start_s, *firing, *(one.cut_off_s for one in policy)})
@@ -237,38 +243,53 @@ def _fly(
             break
         # The leg's last time is overwritten by the next leg's first, after burn and measurement.
         leg = (times >= begin) & (times <= stops[i + 1])
-        answer = integrated(mission, state, (begin, stops[i + 1]), t_eval=times[leg])
+        span = begin, stops[i + 1]
+        answer = integrated(mission, state, span, with_stm=spreads, t_eval=times[leg])
         if not answer.success:
             return flown()
-        stm = full_stm(answer.y[6:].T)
         states[leg] = answer.y[:6].T
+        state = states[leg][-1].copy()
+        if not spreads:
+            continue
+        stm = full_stm(answer.y[6:].T)
         deviation[leg] = stm @ spread.deviation @ stm.transpose(0, 2, 1)
         error[leg] = stm @ spread.error @ stm.transpose(0, 2, 1)
-        state, spread = states[leg][-1].copy(), spread.carried(stm[-1])
+        spread = spread.carried(stm[-1])
     states[-1], deviation[-1], error[-1] = state, spread.deviation, spread.error
     return flown()
 
 
-def integrated(mission: Mission, state: Array, span: tuple[float, float], **at: Any) -> Any:
+def integrated(
+    mission: Mission,
+    state: Array,
+    span: tuple[float, float],
+    *,
+    with_stm: bool = True,
+    **at: Any,
+) -> Any:
     """SciPy's answer for the state and the flattened STM, shape (42 + 6 p,), from one time to another.
 
-    The STM's last p columns are by the uncertain parameters. `at` are the output times, as in
-    `solve_ivp`.
+    The STM's last p columns are by the uncertain parameters. Without the STM it is the state's alone.
+    `at` are the output times, as in `solve_ivp`.
     """
-    p, partials = mission.uncertain.count, mission.partials
+    p, partials, forces = mission.uncertain.count, mission.partials, mission.forces
+
+    def state_rate(t: float, y: Array) -> Array:
+        return np.array([*y[3:], *acceleration(y[0], y[1], y[2], forces, forces.moment(t))])
 
     def rate(t: float, y: Array) -> Array:
         at = y[None, :3], np.array([t])
         push = None if partials is None else partials.accelerations(*at)[0]
-        return variational_rate(y, mission.forces, mission.forces.moment(t), push)
+        return variational_rate(y, forces, forces.moment(t), push)
 
+    stm = np.eye(6, 6 + p).ravel() if with_stm else np.empty(0)
     return solve_ivp(
-        rate,
+        rate if with_stm else state_rate,
         span,
-        np.concatenate([state, np.eye(6, 6 + p).ravel()]),
+        np.concatenate([state, stm]),
         method="DOP853",
         rtol=1e-12,
-        atol=1e-13 * np.concatenate([mission.units.state, np.ones(36 + 6 * p)]),
+        atol=1e-13 * np.concatenate([mission.units.state, np.ones(len(stm))]),
         **at,
     )
 
@@ -310,7 +331,8 @@ def _sample_error(mission: Mission, burns: Array, policy: Policy) -> float:
         initial = sampled.states[0, i].copy()
         if not mission.problem.coasts:
             initial[3:] -= executed[0]
-        again = _fly(sampled.mission.some_flights(i), executed, times, initial)
+        own = sampled.mission.some_flights(i)
+        again = _fly(own, executed, times, initial, spreads=False)
         looked = np.searchsorted(again.times, times)
         errors.append(np.abs(again.states[looked] - sampled.states[:, i]) / mission.units.state)
     return _finite(np.max(errors) * mission.units.length_m)
