@@ -11,6 +11,7 @@ import pytest
 
 import benchmarks.__main__ as command
 from experiments.evidence import FILE, ROOT, Evidence
+from tests.helpers import usually
 
 PLANNED = {"total_dv_m_s": 0.14, "status": "converged, verified", "import_s": 0.4, "first_s": 0.2}
 PLANNED |= {"later_s": 0.1, "processor_s": 0.1, "setup_s": 0.0, "canonicalise_s": 0.01}
@@ -78,7 +79,7 @@ methods.main()
 """
 
 
-@pytest.mark.parametrize("name", ["scp condensed", "ipopt tuned"])
+@pytest.mark.parametrize("name", usually(["scp condensed", "ipopt tuned"], 1))
 def test_timed_run_imports_nothing(name):
     subprocess.run([sys.executable, "-c", IMPORTED, "planned", name, "0"], check=True, cwd=ROOT)
 

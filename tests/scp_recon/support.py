@@ -50,9 +50,14 @@ def from_cold(mission: Mission, **options: Any) -> Plan:
 
 
 def fly_few(patch) -> None:
-    """Have verifications and reports fly few: where what is tested depends not on their number."""
+    """Have verifications and reports fly few: where what is tested depends not on their number.
+
+    Drifts after missed burns, too, are few and take long steps.
+    """
     for module in (probabilities, reintegration, flights):
         patch.setattr(module, "SAMPLES", 500)
+    patch.setattr(probabilities, "DRIFTS", 200)
+    patch.setattr(probabilities, "DRIFT_STEP_S", 1800.0)
 
 
 def flight_beyond(mission: Mission) -> Iterate:

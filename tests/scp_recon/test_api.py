@@ -29,7 +29,7 @@ from tests.scp_recon.support import raising
 campaign = sr.campaign  # imported here, before a test puts anything in its modules' place
 
 PROJECT = Path(__file__).parents[2]
-BY_NIGHT = {"read_campaign", "campaign", "charts", "report", "simulate", "design"}
+BY_NIGHT = {"read_campaign", "campaign", "charts", "report", "simulate", "design", "new"}
 """Their examples take seconds, and extras."""
 
 

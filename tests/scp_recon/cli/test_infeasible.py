@@ -44,9 +44,9 @@ from tests.scp_recon.support import CommandLine, fly_few, mission_of, run_solve
 
 pytestmark = pytest.mark.slow
 
-SPLIT_TOO_DEAR = ("--set", "risk.p_chance=0.98", "--set", COARSE)
+SPLIT_TOO_DEAR = ("--set", "risk.p_chance=0.98", "--set", COARSE, "--starts", "1")
 EXACT = ("risk.allocation=exact", COARSE)
-NO_FLIGHTS = PlanOptions(certify=False)
+NO_FLIGHTS = PlanOptions(certify=False, starts=1)
 
 
 class Asked(Watch):
@@ -141,6 +141,7 @@ def small_burns() -> tuple[Case, Diagnosis]:
     with pytest.MonkeyPatch.context() as patch:
         fly_few(patch)
         patch.setattr(module, "LEAST_S", 20.0)
+        patch.setitem(module.SHARES, CORRECTED, 0.01)
         case = case_of(*EXACT, "burns.dv_max_m_s=0.038", "risk.p_chance=0.9")
         assert case.failed.status is Status.INFEASIBLE
         return case, diagnose(case.failed, case.request)

@@ -15,7 +15,7 @@ pytestmark = pytest.mark.slow
 
 STATE = "-122.618 419.945 -556.206 0.0069457 0.0794873 0.0655264"
 """Near the default plan at 17,000 s, J2000."""
-NEW = ("--body", "Bennu", "--site", "20,150", "--epoch", "2020-01-21T20:33:17")
+NEW = ("--body", "Bennu", "--site", "55.9,41.8", "--epoch", "2020-01-21T20:33:17")
 
 
 @pytest.fixture(scope="module")

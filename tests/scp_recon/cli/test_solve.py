@@ -94,7 +94,8 @@ def test_solution_file_of_any_name_is_a_start(default_run, tmp_path):
 
 def test_infeasible_plan_names_violated_constraints(tmp_path, monkeypatch):
     monkeypatch.setattr(infeasibility, "LEAST_S", 0.5)
-    run = run_solve(tmp_path, "--set", "burns.dv_max_m_s=0.02", "--set", COARSE, "-v")
+    words = ("--set", "burns.dv_max_m_s=0.02", "--set", COARSE, "--starts", "1")
+    run = run_solve(tmp_path, *words, "-v")
     assert (run.exit_code, run.errors) == (3, "")
     solution = read_solution(tmp_path)
     assert solution.status == "infeasible"

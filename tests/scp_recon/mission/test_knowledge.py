@@ -30,6 +30,7 @@ from scp_recon.physics.geometry import track
 from scp_recon.physics.partials import STEP, Partials
 from scp_recon.planning.initial_guess import from_burns
 from scp_recon.scenario.load import load_scenario
+from tests.helpers import usually
 from tests.scp_recon.support import COMPANION
 
 COARSE: dict[str, Any] = {"grid.step_max_s": 600.0}
@@ -71,11 +72,18 @@ def flown(mission: Mission, burns: Array = BURNS) -> Linearisation:
 
 @pytest.mark.parametrize("name", ["plain", "field"])
 def test_columns_are_derivatives_of_deviating_flights(name):
-    """Each number's column at every node, by central differences of the nonlinear flow."""
+    """A number's column at every node, by central differences of the nonlinear flow.
+
+    With harmonics and a companion, of the usual day's numbers only the last ones that act.
+    """
     mission = mission_with(name)
     lin, step = flown(mission), 1e-3
-    start, burns = mission.problem.initial_state, lin.iterate.burns
-    for k, move in enumerate(step * np.eye(mission.uncertain.count)):
+    start, burns, count = mission.problem.initial_state, lin.iterate.burns, mission.uncertain.count
+    acting = np.abs(lin.factor[:, :, 6 : 6 + count]).max(axis=(0, 1)) > 0.0
+    assert acting.sum() == (6 if name == "plain" else 10)
+    numbers = range(count) if name == "plain" else usually(np.flatnonzero(acting)[::-1], 4)
+    for k in numbers:
+        move = step * np.eye(count)[k]
         ends = [
             mission.deviating(mission.uncertain.deviation(s * move)).dynamics.rollout(start, burns)
             for s in (1.0, -1.0)
@@ -83,8 +91,6 @@ def test_columns_are_derivatives_of_deviating_flights(name):
         expected = (ends[0] - ends[1]) / (2.0 * step)
         column = lin.factor[:, :, 6 + k]
         assert np.abs(column - expected).max() <= 1e-6 * max(1e-3, np.abs(expected).max())
-    acting = np.abs(lin.factor[:, :, 6 : 6 + mission.uncertain.count]).max(axis=(0, 1)) > 0.0
-    assert acting.sum() == (6 if name == "plain" else 10)
 
 
 @pytest.mark.parametrize("name", ["plain", "field"])

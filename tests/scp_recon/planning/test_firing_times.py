@@ -119,6 +119,7 @@ def by_ipopt(mission: Mission, plan: Plan) -> tuple[float, list[float]]:
     return found.objective * mission.units.speed_m_s, times.tolist()
 
 
+@nightly
 @pytest.mark.slow
 def test_ipopt_finds_the_same_free_times(fixed, free):
     cost, times = by_ipopt(with_free_times(fixed.mission), fixed)

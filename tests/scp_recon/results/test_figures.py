@@ -79,18 +79,15 @@ def test_an_older_schema_is_refused_by_name(number, tmp_path):
 
 
 @pytest.mark.usefixtures("few_flights")
-@pytest.mark.parametrize(
-    ("change", "named"),
-    [
-        (lambda d: d["constraints"][-1].update(worst_margin=99.0), "constraints"),
-        (lambda d: d.update(total_dv_m_s=0.999 * d["total_dv_m_s"]), "total_dv_m_s"),
-        (lambda d: d["violation"].update(total=1.0 + d["violation"]["total"]), "violation"),
-    ],
-)
-def test_verify_names_a_wrong_figure(stored, change, named, tmp_path):
+def test_verify_names_every_wrong_figure(stored, tmp_path):
     failed, figures = stored["verification"]["failed"], parsed(stored).figures
-    change(stored)
-    assert set(failures(stored, tmp_path)) == {named, *failed}
+    stored["constraints"][-1].update(worst_margin=99.0)
+    stored.update(total_dv_m_s=0.999 * stored["total_dv_m_s"])
+    stored["violation"].update(total=1.0 + stored["violation"]["total"])
+    assert set(failures(stored, tmp_path)) == {
+        *("constraints", "total_dv_m_s", "violation"),
+        *failed,
+    }
     assert read(stored, tmp_path).figures == figures  # whatever the file carries
 
 

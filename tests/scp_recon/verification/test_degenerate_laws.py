@@ -1,6 +1,7 @@
 """Laws without errors, with hardly any, or along one line go one way from planning to verification."""
 
 from functools import partial
+from itertools import cycle
 
 import numpy as np
 import pytest
@@ -44,11 +45,13 @@ LAWS = {
 }
 """Entries by a word for their law."""
 
+CASES = [*zip(LAWS, cycle(["flight", "node"])), *zip(LAWS, cycle(["node", "flight"]))]
+"""Every law with risk of both scopes."""
+
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("fewer", "few_flights")
-@pytest.mark.parametrize("scope", ["node", "flight"])
-@pytest.mark.parametrize("law", usually([*LAWS], 2))
+@pytest.mark.parametrize(("law", "scope"), usually(CASES, 2))
 def test_degenerate_laws_are_certified_and_verified(law, scope):
     mission = mission_of(EXACT, f'risk.scope="{scope}"', *LAWS[law])
 
