@@ -1,1 +1,5 @@
-"""Draft a first scenario for a site and a body: design a flyby, and write the scenario file."""
+"""Draft a first scenario for a site and a body: design a flyby, and write the scenario file.
+
+`draft` chooses window and limits, `flyby` designs, `flown` takes an existing trajectory. The api and
+`interop` may import this folder; it imports `mission` and below, and plans nothing.
+"""

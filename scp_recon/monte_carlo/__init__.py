@@ -1,1 +1,5 @@
-"""Fly a plan many times with errors, and summarise the flights."""
+"""Fly a plan many times with errors, and summarise the flights.
+
+`sampling` draws and flies, `limits` judges, `law` and `narrow` save flights, `summary` is the file.
+Verification, certification and everything above them may import this folder; it imports `results`.
+"""

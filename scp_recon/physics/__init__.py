@@ -1,1 +1,5 @@
-"""Compute forces, frames, geometry, and the flow of states with its derivatives."""
+"""Compute forces, frames, geometry, and the flow of states with its derivatives.
+
+`forces` has the one set of equations of motion, `flow` integrates it. Missions and everything above
+them may import this folder; it imports `scenario`, `bodies` and `formulations`.
+"""
