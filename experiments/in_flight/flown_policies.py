@@ -115,13 +115,13 @@ def observed(record: Record, mission: Mission) -> Row:
     """Time for which a flight observes, and whether it keeps every limit on its path."""
     times, states = record.arrays["t_s"], record.arrays["state"]
     first, last = mission.schedule.window_s
-    looks = np.unique([first, last, *times[(times > first) & (times < last)]])
+    samples_s = np.unique([first, last, *times[(times > first) & (times < last)]])
     path = CubicHermiteSpline(times, states[:, :3], states[:, 3:])
-    seen = np.hstack([path(looks), path(looks, 1)])[:, None]
-    margins = joint_margins(mission, looks, seen[..., :3]).values()
+    seen = np.hstack([path(samples_s), path(samples_s, 1)])[:, None]
+    margins = joint_margins(mission, samples_s, seen[..., :3]).values()
     radius = np.linalg.norm(states[:, :3], axis=1).min() - mission.scenario.safety.radius_min_m
     return {
-        "observed_s": float(time_held(mission, looks, seen)[ALL].duration[0]),
+        "observed_s": float(time_held(mission, samples_s, seen)[ALL].duration[0]),
         "window_s": last - first,
         "whole": bool(min(radius, *(float(margin.min()) for margin in margins)) >= 0.0),
     }

@@ -76,7 +76,7 @@ class Allocation:
             raise ValueError("the number of draws must be positive, and the margin not negative")
         if not (np.all((share > 0.0) & (share <= 1.0)) and min(self.lean) > 0.0):
             raise ValueError("the shares must be positive and at most 1, and the leans positive")
-        worth = _worth(share)
+        worth = _failure_weights(share)
         if np.any(1.0 - most * worth <= 0.0) or np.any(1.0 + least * worth <= 0.0):
             raise ValueError("the leans must be below the shares")
 
@@ -148,7 +148,7 @@ def most_at(allocation: Allocation, drawn: Indices, unlike: Indices, tail: float
     share, lean = np.array(allocation.share), np.array(allocation.lean[0])
     none = np.zeros((len(law), COUNT))
     most = most_failures(law, none, share, lean, np.array(allocation.draws), tail)
-    log_e = unlike @ np.log1p(-lean * _worth(share))
+    log_e = unlike @ np.log1p(-lean * _failure_weights(share))
     return np.asarray(most[event] - log_e / (lean * allocation.draws))
 
 
@@ -157,7 +157,7 @@ def strata_of(margin: Array, near: float) -> Indices:
     return np.searchsorted(near * EDGES, margin, side="right")
 
 
-def _worth(share: Array) -> Array:
+def _failure_weights(share: Array) -> Array:
     """Addition to the failures of a flown draw that is unlike the law, shape (..., 6)."""
     return np.where(FAILS, 1.0, 0.0) + np.where(FAILS, -1.0, 1.0) / share
 
@@ -177,7 +177,7 @@ def most_failures(
         draws: expected number.
         tail: probability with which the limit may be missed.
     """
-    log_e = np.sum(unlike * np.log1p(-lean[..., None] * _worth(share)), axis=-1)
+    log_e = np.sum(unlike * np.log1p(-lean[..., None] * _failure_weights(share)), axis=-1)
     low, high = np.zeros_like(failing), failing / (1.0 - lean)
     for _ in range(BISECTIONS):
         middle = 0.5 * (low + high)
@@ -195,7 +195,7 @@ def least_failures(
 
     As `most_failures`, with the reversed hazard.
     """
-    log_e = np.sum(unlike * np.log1p(lean[..., None] * _worth(share)), axis=-1)
+    log_e = np.sum(unlike * np.log1p(lean[..., None] * _failure_weights(share)), axis=-1)
     x = np.maximum(failing, 1.0)
     low, high = (x - 1.0) / (1.0 + lean), x + 40.0 * np.sqrt(x) + 100.0
     for _ in range(BISECTIONS):

@@ -37,7 +37,7 @@ UNCERTAIN = ("risk", "policy", "navigation")
 """Tables of entries that a plan without uncertainty does not use."""
 
 
-class Known(TypedDict, total=False):
+class PlannerArguments(TypedDict, total=False):
     """Arguments of `planner.plan` that are known before planning."""
 
     target: float | None
@@ -65,7 +65,7 @@ class PlanRequest:
     options: PlanOptions = field(default_factory=PlanOptions)
     overrides: Sequence[str] = ()
     called: str | None = None
-    known: Known = field(default_factory=Known)
+    known: PlannerArguments = field(default_factory=PlannerArguments)
     finish: Callable[[Plan], Plan] = lambda plan: plan
     remade: Callable[[Sequence[str]], PlanRequest] | None = None
 

@@ -16,7 +16,7 @@ from typing import Any, Protocol, Unpack
 from pydantic import ValidationError
 
 from formulations.problem.flyby import Iterate
-from scp_recon.api.inputs import GUESSES, Known, PlanRequest, load, resolve
+from scp_recon.api.inputs import GUESSES, PlannerArguments, PlanRequest, load, resolve
 from scp_recon.api.keeping import Kept, keep
 from scp_recon.api.options import PlanOptions
 from scp_recon.certification.certify import certify
@@ -184,7 +184,7 @@ def plan_mission(
     observe: PlanObserver | None = None,
     *,
     init: str = "given",
-    **known: Unpack[Known],
+    **known: Unpack[PlannerArguments],
 ) -> Plan:
     """Plan a mission from a start, and certify the plan by flights if the options require it.
 
@@ -218,7 +218,7 @@ def _planned(
     options: PlanOptions,
     observe: PlanObserver | None,
     init: str,
-    known: Known,
+    known: PlannerArguments,
 ) -> Plan:
     """See `plan_mission`; drifts are safe by the law alone, or by the losses that the mission has."""
     make = partial(_on_right_grid, _method(options, known))
@@ -289,7 +289,7 @@ def _may_be_poor(first: Plan) -> bool:
     return p3 is not None and first.total_dv_m_s > DOUBTFUL * p3.total_dv_m_s
 
 
-def _method(options: PlanOptions, known: Known) -> Callable[..., Plan]:
+def _method(options: PlanOptions, known: PlannerArguments) -> Callable[..., Plan]:
     """The function that makes one plan from one start, on the mission's grid."""
     what: dict[str, Any] = {"problem": options.problem, "facet_rounds": options.facet_rounds}
     if options.method == "ipopt":

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from formulations.registry import FULL
-from scp_recon.api.inputs import Known, PlanRequest
+from scp_recon.api.inputs import PlannerArguments, PlanRequest
 from scp_recon.api.options import PlanOptions
 from scp_recon.api.planning import carry_out
 from scp_recon.mission.mission import Mission
@@ -45,7 +45,7 @@ def request_of_rest(flown: FlownPlan, mission: Mission, *, certify: bool | None)
     """
     options = left_options(flown, mission, certify=certify)
     determined = _is_determined(mission)
-    known: Known = {
+    known: PlannerArguments = {
         "p3_resolution": P3_RESOLUTION if flown.problem == "P2" else 0.0,
         "once": determined,
     }

@@ -347,7 +347,7 @@ def noons_of(scenario: Scenario) -> Callable[[float], float]:
     return noon_s
 
 
-class Spread(Section):
+class EvenSites(Section):
     """The number of sites, and the time of their local noon."""
 
     count: Annotated[int, Field(ge=4, le=10_000)]
@@ -363,7 +363,7 @@ class ShapeSites(Axis):
     The first sites are spread evenly too, so a stopped campaign still has a coarser map.
     """
 
-    spread: Spread
+    spread: EvenSites
 
     def rows(self, base: Scenario, _seed: tuple[int, ...], /) -> list[Changes]:
         """Latitude, longitude, name and, if it moves, the epoch of each."""

@@ -252,8 +252,8 @@ def under_limits(draft: Draft, span: Window) -> Iterator[tuple[Draft, list[Windo
         InputError: if the site is dark.
     """
     scenario = scenario_of(draft)
-    lighting, looks = Scene.of(scenario).lighting, np.linspace(*span, 4000)
-    incidence = np.rad2deg(lighting.incidence(looks))
+    lighting, samples_s = Scene.of(scenario).lighting, np.linspace(*span, 4000)
+    incidence = np.rad2deg(lighting.incidence(samples_s))
     least, limit = float(incidence.min()), scenario.observation.incidence_max_deg
     if least > DARK_DEG:
         raise InputError(
@@ -262,7 +262,7 @@ def under_limits(draft: Draft, span: Window) -> Iterator[tuple[Draft, list[Windo
             f"must be lit at the epoch, at {DARK_DEG:g} deg or less: take another site or date",
         )
     limit = max(limit, float(np.ceil(least + ROOM_DEG)))
-    best_hour = lighting.local_solar_time(looks[np.array([int(np.argmin(incidence))])]).item()
+    best_hour = lighting.local_solar_time(samples_s[np.array([int(np.argmin(incidence))])]).item()
     for half in HALF_WIDTHS_H:
         middle = 12.0 if half == HALF_WIDTHS_H[0] else best_hour
         hours = max(0.0, round(middle - half, 2)), min(24.0, round(middle + half, 2))

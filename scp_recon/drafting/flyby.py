@@ -101,12 +101,12 @@ def _passes(
         sight = np.cos(emission) * track.normal + np.sin(emission) * across
         position = track.position + distance * sight
         starts.append(np.concatenate([position, turn * np.cross(spin, position)]))
-    looks, field = np.linspace(*window_s, LOOKS), (body.gm_m3_s2, 0.5 * body.reference_radius_m)
-    early, late = looks[looks <= middle][::-1], looks[looks > middle]
+    samples_s, field = np.linspace(*window_s, LOOKS), (body.gm_m3_s2, 0.5 * body.reference_radius_m)
+    early, late = samples_s[samples_s <= middle][::-1], samples_s[samples_s > middle]
     back = _flown(np.array(starts), middle, np.append(early, times[1]), *field)
     forth = _flown(np.array(starts), middle, np.append(late, times[2]), *field)
     seen = np.concatenate([back[:, -2::-1], forth[:, :-1]], axis=1)
-    margins = _margins(scene, looks, seen[:, :, :3])
+    margins = _margins(scene, samples_s, seen[:, :, :3])
     return list(zip(margins.tolist(), back[:, -1], forth[:, -1], strict=True))
 
 

@@ -125,9 +125,9 @@ def _at_edges(of_time: OfTime, edges: Sequence[float]) -> tuple[float, float]:
 
 def _least(of_time: OfTime, edges: Window) -> float:
     """Smallest value in a window, by a scan and a search about its lowest sample."""
-    looks = np.linspace(*edges, 101)
-    values = of_time(looks)
+    times = np.linspace(*edges, 101)
+    values = of_time(times)
     k = int(np.argmin(values))
-    bracket = looks[max(k - 1, 0)], looks[min(k + 1, len(looks) - 1)]
+    bracket = times[max(k - 1, 0)], times[min(k + 1, len(times) - 1)]
     found = minimize_scalar(lambda t: float(of_time(np.array(t))), bounds=bracket, method="bounded")
     return min(float(values[k]), float(found.fun))

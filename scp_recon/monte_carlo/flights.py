@@ -250,7 +250,7 @@ class FlightTally:
     def worst_probability(self, name: str) -> tuple[float, Estimate]:
         """Time (s) at which a joint constraint holds in the fewest flights, and its probability.
 
-        Of these flights, or of those in strata: of which the interval is narrower.
+        The narrower of the plain interval and the stratified one.
         """
         counts = self.node_counts[name]
         at = int(np.argmin(counts))

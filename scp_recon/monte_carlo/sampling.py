@@ -28,7 +28,7 @@ BLOCK = 1000
 """Flights drawn from one seed: a flight is the same however many others are flown, and where."""
 
 NAVIGATION = 4
-"""Stream of the measurements' random numbers, so that all others are those of flights without them."""
+"""A stream of its own: measurements leave all other draws unchanged."""
 
 PARAMETERS = 5
 """Stream of the uncertain parameters, for the same reason."""

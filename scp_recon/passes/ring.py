@@ -136,8 +136,8 @@ def ephemeris_ring(scenario: Scenario, home: HomeOrbit, axes: Array) -> Ring:
     ring = None
     if once and np.all(np.diff(times[:once]) > 0.0) and steps[: once - 1].max() <= APART:
         track = _cubics(times[:once], states[:once])
-        looks = np.interp(np.arange(LOOKS * (once - 1) + 1) / LOOKS, np.arange(once), times[:once])
-        ring = ring_of(track, looks, first, second, sense)
+        fine_s = np.interp(np.arange(LOOKS * (once - 1) + 1) / LOOKS, np.arange(once), times[:once])
+        ring = ring_of(track, fine_s, first, second, sense)
     if ring is None:
         raise InputError(
             ENTRY,

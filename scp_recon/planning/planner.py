@@ -80,10 +80,10 @@ LED_ITERATIONS, LED_RISK = 30, 0.3
 risk at a node over the risk of a whole flight. Flights fail more often than any of their nodes."""
 
 
-Task = TypeVar("Task", bound=PlanningProblem)
+AnyProblem = TypeVar("AnyProblem", bound=PlanningProblem)
 
 
-class Planner(Generic[Task]):
+class Planner(Generic[AnyProblem]):
     """A `StageSolver` by SCP that keeps its compiled subproblems and solvers.
 
     They serve any task with the same constraints, burn nodes and nodes: see `plan` and `replan`.
@@ -102,7 +102,7 @@ class Planner(Generic[Task]):
 
     def __init__(
         self,
-        task: Task,
+        task: AnyProblem,
         *,
         formulation: str = FORMULATION,
         algorithm: str = ALGORITHM,

@@ -1,4 +1,4 @@
-"""What planning asks of a problem: a mission, or an `ImpulsiveProblem`."""
+"""Protocol of a problem that can be planned: a mission, or an `ImpulsiveProblem`."""
 
 from __future__ import annotations
 

@@ -45,7 +45,7 @@ MEASURES: dict[Measure, tuple[str, float, float]] = {
 
 
 @dataclass(frozen=True, eq=False)
-class Flown:
+class DrawnFlights:
     """Flights with the planner's dynamics and the same draws as the verification.
 
     Attributes:
@@ -75,7 +75,7 @@ class Flown:
         return len(self.executed_m_s)
 
 
-def fly(subject: Subject, samples: int | None = None) -> Flown:
+def fly(subject: Subject, samples: int | None = None) -> DrawnFlights:
     """Fly a plan at its nodes' times and at even ones in the window, as often as the verification."""
     samples = samples or SAMPLES
     mission, burns = subject.mission, subject.solution.burns_m_s
@@ -92,7 +92,7 @@ def fly(subject: Subject, samples: int | None = None) -> Flown:
     window = np.flatnonzero((times >= first) & (times <= last))
     sizes = np.concatenate(executed), np.concatenate(commanded)
     own = flown_mission(mission, SEED, samples)
-    return Flown(times, window, np.concatenate(positions, axis=1), *sizes, own)
+    return DrawnFlights(times, window, np.concatenate(positions, axis=1), *sizes, own)
 
 
 @dataclass(frozen=True, eq=False)
@@ -243,7 +243,7 @@ class Achieved:
     high: Array
 
 
-def achieved(subject: Subject, flown: Flown) -> list[Achieved]:
+def achieved(subject: Subject, flown: DrawnFlights) -> list[Achieved]:
     """Probabilities of every joint constraint at each time, and of all constraints so far."""
     certain = is_certain(subject.mission, subject.solution.burns_m_s)
     kept = kept_limits(flown.mission, flown.times_s, flown.positions, flown.window, certain=certain)
@@ -284,7 +284,7 @@ class Budget:
     interval_m_s: tuple[float, float]
 
 
-def budget_of(subject: Subject, flown: Flown) -> Budget:
+def budget_of(subject: Subject, flown: DrawnFlights) -> Budget:
     """Budget of a plan; the interval is that of an order statistic, for any distribution."""
     executed = flown.executed_m_s
     totals = np.sort(executed.sum(axis=1))
@@ -333,7 +333,7 @@ class Shown:
     subject: Subject
     shape: Shape
     camera: Camera
-    flown: Flown
+    flown: DrawnFlights
     achieved: list[Achieved]
     budget: Budget
     ground: GroundTrack

@@ -212,14 +212,14 @@ def limits_table(mission: Mission, solution: Solution, v: Verification) -> Table
         of = [m for m in v.mean_margins if joint.get(m.name, m.name) == name]
         known = [(bounds[m.name], _shown_margin(m)[0]) for m in of if m.name in bounds]
         p, worst = chance.get(name), min(of, key=lambda m: m.worst_margin, default=None)
-        telling = p if worst is None or (p is not None and p.estimate < 1.0) else worst
+        weakest = p if worst is None or (p is not None and p.estimate < 1.0) else worst
         rows.append(
             [
                 name,
                 " ".join(_span(bound for bound, _ in known)),
                 _span(bound._replace(value=bound.reached(m)) for bound, m in known)[0],
                 *((None, "") if p is None else (p.estimate, f"{p.low:.4f} to {p.high:.4f}")),
-                None if telling is None else telling.worst_t_s,
+                None if weakest is None else weakest.worst_t_s,
                 _joined(marks, [one for one in marks if joint.get(one, one) == name], name),
             ]
         )

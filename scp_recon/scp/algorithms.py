@@ -76,14 +76,14 @@ class ExactPenalty:
         if state.stationary and not violated:
             return Status.CONVERGED
         if state.stationary:
-            return Status.INFEASIBLE if self._heavier(subproblem, state) is None else None
+            return Status.INFEASIBLE if self._next_weight(subproblem, state) is None else None
         return Status.STALLED if state.radius < self.COLLAPSED else None
 
     def _negligible(self, record: Record) -> float:
         """Largest reduction of the merit that is not worth a step."""
         return self.stationary * max(1.0, abs(record.merit))
 
-    def _worth(self, charge: PenaltyParameters, record: Record) -> float:
+    def _negligible_reduction(self, charge: PenaltyParameters, record: Record) -> float:
         """Largest reduction of the merit within a unit radius at which an iterate counts as stationary.
 
         At the largest weight the question is whether violations can be removed at all. The answer
@@ -97,13 +97,13 @@ class ExactPenalty:
 
     def _weighed(self, subproblem: Subproblem, state: State) -> State:
         """Raise the weight at a stationary, violated iterate: the penalty may not have been exact."""
-        weight = self._heavier(subproblem, state) if state.stationary else None
+        weight = self._next_weight(subproblem, state) if state.stationary else None
         if weight is None:
             return state
         merit = subproblem.merit(state.lin, weight)
         return State(state.lin, merit, self.initial_radius, PenaltyParameters(weight))
 
-    def _heavier(self, subproblem: Subproblem, state: State) -> float | None:
+    def _next_weight(self, subproblem: Subproblem, state: State) -> float | None:
         """The next weight; None if a heavier one cannot change the verdict.
 
         No feasible plan costs more than all burns at their largest. A merit above that is above any
@@ -210,7 +210,7 @@ class SCvx(ExactPenalty):
         """
         binds = record.step > 0.99 * record.trust_radius
         scale = min(1.0, record.trust_radius) if binds else 1.0
-        return record.predicted <= self._worth(state.charge, record) * scale
+        return record.predicted <= self._negligible_reduction(state.charge, record) * scale
 
 
 @dataclass(frozen=True)
@@ -271,11 +271,11 @@ class SCvxStar(SCvx):
         """Update the multipliers in place of raising the weight."""
         return state
 
-    def _worth(self, charge: PenaltyParameters, record: Record) -> float:  # noqa: ARG002 -- as inherited
+    def _negligible_reduction(self, charge: PenaltyParameters, record: Record) -> float:  # noqa: ARG002 -- as inherited
         """The same threshold at every weight: multipliers show whether violations can be removed."""
         return self._negligible(record)
 
-    def _heavier(self, subproblem: Subproblem, state: State) -> float | None:  # noqa: ARG002 -- as inherited
+    def _next_weight(self, subproblem: Subproblem, state: State) -> float | None:  # noqa: ARG002 -- as inherited
         """The next weight: weights grow with the multipliers up to the largest."""
         return self.weight_max if state.charge.weight < self.weight_max else None
 
@@ -340,7 +340,7 @@ class PTR(ExactPenalty):
         # component above one can gain: predicted + p (||s||_1 - ||s||^2).
         moved = controls_of(trial.answer, state.lin) - state.lin.controls
         bound = trial.predicted + prox * float(np.abs(moved).sum() - (moved**2).sum())
-        worth = self._worth(state.charge, record)
+        worth = self._negligible_reduction(state.charge, record)
         stationary = trial.answer.accurate and not guess and bound <= worth
         if prox > 1.0:  # steps are short because they are charged
             return replace(new, stationary=stationary), record

@@ -61,7 +61,7 @@ class LeastViolation(SCvx):
         small = record.violated <= SHARE * self.feasible
         return Status.CONVERGED if small else super().terminate(subproblem, state, record)
 
-    def _worth(self, charge: PenaltyParameters, record: Record) -> float:  # noqa: ARG002 -- as inherited
+    def _negligible_reduction(self, charge: PenaltyParameters, record: Record) -> float:  # noqa: ARG002 -- as inherited
         """The last digits of the least violation do not matter."""
         return max(self._negligible(record), self.LITTLE * record.merit)
 
@@ -95,7 +95,7 @@ class LeastCost(SCvx):
         new, record = super().step(subproblem, dynamics, state, k, timing)
         return replace(new, stationary=new.stationary or new.unsure), record
 
-    def _worth(self, charge: PenaltyParameters, record: Record) -> float:
+    def _negligible_reduction(self, charge: PenaltyParameters, record: Record) -> float:
         """Largest negligible reduction, by the accuracy of violations too."""
         return max(self._negligible(record), charge.weight * FLOWN * self.feasible)
 
