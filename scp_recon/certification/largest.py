@@ -25,16 +25,16 @@ from scp_recon.certification.flights import (
     run_test,
     with_nodes_at,
 )
-from scp_recon.certification.targets import ANSWERS, Targets
+from scp_recon.certification.targets import ANSWERS, MOST, Targets
 from scp_recon.mission.mission import Mission
-from scp_recon.monte_carlo.estimates import FAILURES, FLIGHTS_MAX, flights_needed, flights_of_test
+from scp_recon.monte_carlo.estimates import flights_needed, flights_of_test
 from scp_recon.planning.initial_guess import start_from
 from scp_recon.planning.plan import Plan, as_interrupted
 from scp_recon.scenario.fields import ScenarioWarning
 from scp_recon.scp.status import Status
 
-LEAST, MOST = 0.55, 1.0 - FAILURES / FLIGHTS_MAX
-"""Ends of the search for the largest probability: flights cannot certify a larger one."""
+LEAST = 0.55
+"""Least probability that is looked for."""
 CLOSE = 0.01
 """Standard deviations between the last probability with a plan and the first without."""
 DIGITS = 4
@@ -69,10 +69,10 @@ class Search:
                 return self._planned(mission, start, target)
             return self._planned(last.mission, start_from(last.mission, last), target)
 
-        best = make(None, LEAST)
+        targets = Targets(make, self.keeps)
+        best = targets.plan(None, LEAST)
         if not self.keeps(best):
             return best
-        targets = Targets(make, self.keeps, [best])
 
         def attempt(best: Plan, target: float) -> Plan:
             """Plan from the best burns and other trials, and from the start if they say nothing."""

@@ -7,14 +7,19 @@ dear one, and another does not.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Generic
 
 from scipy.special import ndtr, ndtri
 
+from scp_recon.monte_carlo.estimates import FAILURES, FLIGHTS_MAX
 from scp_recon.planning.plan import Aimed, AimedPlan
 from scp_recon.scp.status import Status
+
+MOST = 1.0 - FAILURES / FLIGHTS_MAX
+"""End of the search for the largest probability: flights cannot certify a larger one."""
 
 SAVING = 1e-4
 """Relative saving up to which two plans cost the same."""
@@ -35,11 +40,13 @@ class Targets(Generic[Aimed]):
     Attributes:
         make: plans for a target from the end of another trial.
         keeps: whether a trial found what is looked for.
+        begun: starts of trials with an answer.
         trials: with an answer.
     """
 
     make: Callable[[Aimed | None, float], Aimed]
     keeps: Callable[[Aimed], bool] = is_plan
+    begun: list[Aimed | None] = field(default_factory=list)
     trials: list[Aimed] = field(default_factory=list)
 
     def plan(self, last: Aimed | None, target: float) -> Aimed:
@@ -50,10 +57,9 @@ class Targets(Generic[Aimed]):
                 there is none, a trial that proves it, or the first.
         """
         found = [self._trial(last, target)]
-        for start in self._others(found[0], target):
-            if found[-1].status is Status.INTERRUPTED:
-                break
-            found.append(self._trial(start, target))
+        for start in self._others(last, found[0], target):
+            ended = start.status is Status.INTERRUPTED
+            found.append(start if ended else self._trial(start, target))
             if self.keeps(found[-1]):
                 break
         if found[-1].status is Status.INTERRUPTED:
@@ -69,11 +75,12 @@ class Targets(Generic[Aimed]):
         """Trials for higher targets, the nearest first."""
         return sorted((one for one in self.trials if target_of(one) > target), key=target_of)
 
-    def _others(self, first: Aimed, target: float) -> Iterator[Aimed]:
+    def _others(self, last: Aimed | None, first: Aimed, target: float) -> Iterator[Aimed]:
         """Other starts for a target: after a plan the cheapest for a higher target, if it costs less.
 
-        Otherwise the end for the next higher target, and a plan for a target half way down to the next
-        lower one that has a plan, or to one half.
+        Otherwise the end for the next higher target, and a plan half way to the next lower target that
+        has one, on the normal quantile scale. Where there are neither, the end for a target half way to
+        `MOST`, be it a plan or not: its violation is the least, and a lower target may hold there.
         """
         above = self._above(target)
         if self.keeps(first):
@@ -82,19 +89,32 @@ class Targets(Generic[Aimed]):
             if cost_of(least) < (1.0 - SAVING) * cost_of(first):
                 yield least
             return
+        if first.status is Status.INTERRUPTED:
+            return
         yield from above[:1]
         lower = (one for one in self.trials if self.keeps(one) and target_of(one) < target)
         below = max(lower, key=target_of, default=None)
-        low = 0.0 if below is None else ndtri(target_of(below))
-        half = self._trial(below or first, float(ndtr(0.5 * (low + ndtri(target)))))
-        if self.keeps(half) or half.status is Status.INTERRUPTED:
-            yield half
+        if below is not None:
+            half = self._trial(below, _half_way(target, target_of(below)))
+            if self.keeps(half) or half.status is Status.INTERRUPTED:
+                yield half
+        elif not above and target < MOST:
+            yield self._trial(last, _half_way(target, MOST))
 
     def _trial(self, start: Aimed | None, target: float) -> Aimed:
+        for begun, made in zip(self.begun, self.trials, strict=True):
+            if begun is start and math.isclose(target_of(made), target):
+                return made
         made = self.make(start, target)
         if made.status in ANSWERS:
+            self.begun.append(start)
             self.trials.append(made)
         return made
+
+
+def _half_way(one: float, other: float) -> float:
+    """The target in the middle on the normal quantile scale."""
+    return float(ndtr(0.5 * (ndtri(one) + ndtri(other))))
 
 
 def target_of(plan: AimedPlan) -> float:

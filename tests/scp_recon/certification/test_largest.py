@@ -11,11 +11,11 @@ from formulations.problem.flyby import Iterate
 from scp_recon.certification.largest import (
     CLOSE,
     LEAST,
-    MOST,
     Search,
     largest_promise,
     rounded_down,
 )
+from scp_recon.certification.targets import MOST
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.estimates import (
     FIRST_SEED,
@@ -69,14 +69,20 @@ def ends(beyond: Status, *, shy: bool = False) -> Callable[[float, str], Status]
     return status
 
 
+def only_from_others(target: float, start: str) -> Status:
+    """How plans end of which none is found from the first start."""
+    return Status.INFEASIBLE if target > LAST or start == "given" else CONVERGED
+
+
 @pytest.mark.parametrize(
     ("status", "share"),
     [
         (ends(Status.INFEASIBLE), math.inf),
         (ends(CONVERGED), LAST),
         (ends(Status.INFEASIBLE, shy=True), math.inf),
+        (only_from_others, math.inf),
     ],
-    ids=["infeasible", "budget", "again from the first start"],
+    ids=["infeasible", "budget", "again from the first start", "from the end of a larger one"],
 )
 def test_the_last_one_with_a_plan_is_found(real, monkeypatch, status, share):
     """A try that ends without a verdict is made again from the first start."""
