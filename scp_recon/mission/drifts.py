@@ -80,7 +80,7 @@ def _step_s(scenario: Scenario) -> float:
     return float(NODE_SHARE * np.sqrt(radius_m(scenario) ** 3 / scenario.body.gm_m3_s2))
 
 
-def _times(scenario: Scenario, miss: Miss) -> Array:
+def drift_times(scenario: Scenario, miss: Miss) -> Array:
     """Nodes of a drift past the epoch, s, shape (n,)."""
     start, spell = scenario.burns.times_s[miss.burn - 1], duration_s(scenario)
     count = int(np.ceil(spell / _step_s(scenario) - 1e-9))
@@ -117,7 +117,7 @@ def _drifts(
     moved = partials and partials.in_units(units.length_m, units.time_s)
     for miss in planned(scenario):
         required = quantile(required_probability(scenario)) + losses.get(miss.name, 0.0)
-        times = _times(scenario, miss)
+        times = drift_times(scenario, miss)
         flow = GridFlow(own, times[:-1] / units.time_s, np.diff(times) / units.time_s, 1, moved)
         keep_out = [Ball(np.zeros((len(times), 3)), radius_m(scenario) / units.length_m)]
         if scene.companion is not None:

@@ -408,6 +408,8 @@ class Verification:
             units.
         knowledge_error: largest error of a stored covariance of estimates, likewise; absent without
             feedback.
+        drift_error_m: largest distance of a planned drift's mean from its adaptive integration; absent
+            without planned drifts.
         mean_margins: every original constraint on the mean, between the nodes too.
         samples: flights of the Monte Carlo simulation.
         confidence: of its Clopper-Pearson intervals.
@@ -438,6 +440,7 @@ class Verification:
     drifts: tuple[DriftSafety, ...] = ()
     wider: dict[str, float] | None = None
     knowledge_error: float | None = None
+    drift_error_m: float | None = None
     ok: bool
 
     @property

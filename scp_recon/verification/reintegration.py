@@ -19,8 +19,10 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from formulations.arrays import Array, Indices
+from formulations.linearisation.dynamics import Dynamics
 from scp_recon.jobs.cores import beside
 from scp_recon.mission.constraints import safety_margins
+from scp_recon.mission.drifts import drift_times, planned
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.schedule import MISS_WEIGHT
 from scp_recon.monte_carlo.estimates import CONFIDENCE
@@ -69,6 +71,7 @@ FIGURES = {
     "sample_error_m": ("sampled flights", "m"),
     "covariance_error": ("covariance, relative", ""),
     "knowledge_error": ("covariance of estimates, relative", ""),
+    "drift_error_m": ("planned drifts", "m"),
 }
 """Figures of a verification that `limits_of` limits: their names in tables, and units."""
 SMALLEST = 1e-30
@@ -107,6 +110,8 @@ def verify(mission: Mission, solution: Solution) -> Verification:
         )
     if policy:
         figures["knowledge_error"] = _knowledge_error(mission, solution, flown, at_nodes)
+    if solution.problem == "P2" and mission.problem.drifts:
+        figures["drift_error_m"] = _drift_error(mission, states, burns)
     limits = limits_of(mission)
     failed = [name for name, value in figures.items() if value > limits[name]]
     failed += inconsistencies(mission, solution)
@@ -163,6 +168,7 @@ def limits_of(mission: Mission) -> dict[str, float]:
         "sample_error_m": tolerance(DEFECT_LIMIT_M, "m"),
         "covariance_error": COVARIANCE_LIMIT,
         "knowledge_error": COVARIANCE_LIMIT,
+        "drift_error_m": tolerance(POSITION_LIMIT_M, "m"),
     }
 
 
@@ -336,6 +342,27 @@ def _sample_error(mission: Mission, burns: Array, policy: Policy) -> float:
         looked = np.searchsorted(again.times, times)
         errors.append(np.abs(again.states[looked] - sampled.states[:, i]) / mission.units.state)
     return _finite(np.max(errors) * mission.units.length_m)
+
+
+def _drift_error(mission: Mission, states: Array, burns: Array) -> float:
+    """Largest distance of the means of planned drifts from the adaptive integration of the same, m.
+
+    Both begin at the stored states (n, 6) of the burns' nodes, less the shares of burns that lack.
+    """
+    errors, units = [], mission.units.state
+    for miss, one in zip(planned(mission.scenario), mission.problem.drifts, strict=True):
+        start, times = (
+            states[mission.burn_nodes[one.burn]].copy(),
+            drift_times(mission.scenario, miss),
+        )
+        start[3:] -= (1.0 - one.share) * burns[one.burn]
+        with np.errstate(all="ignore"):  # a drift through the body may end anywhere
+            mean = Dynamics(one.flow, np.zeros(0, np.intp)).rollout(start / units, np.zeros((0, 3)))
+            again = integrated(mission, start, (times[0], times[-1]), t_eval=times)
+            if not again.success:
+                return DIVERGED
+            errors.append(np.abs(again.y[:3].T - mean[:, :3] * units[:3]).max())
+    return _finite(np.max(errors))
 
 
 def _finite(figure: np.floating) -> float:

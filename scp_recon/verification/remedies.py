@@ -48,6 +48,7 @@ NAMES = {
     "certificate": "certificate by flights",
     "covariance_error": "covariance, re-integrated",
     "knowledge_error": "knowledge, re-integrated",
+    "drift_error_m": "drifts, re-integrated",
     "max_defect": "nodes, re-integrated",
     "sample_error_m": "sampled flights, re-integrated",
     "terminal_position_error_m": "final position, re-integrated",

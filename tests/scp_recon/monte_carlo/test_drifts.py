@@ -23,7 +23,7 @@ from scp_recon.results.solution import make_solution
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scp.status import Status
 from scp_recon.verification.probabilities import drift_safety
-from scp_recon.verification.reintegration import verify
+from scp_recon.verification.reintegration import _drift_error, verify
 from tests.helpers import nightly
 from tests.scenarios import COARSE
 
@@ -104,9 +104,18 @@ def test_verification_refutes_a_drift_that_was_not_planned():
     assert [one.burn for one in found] == [1, 2, 3, 4]
     assert found[0].required is None
     assert found[1].high < found[1].required
-    verified = verify(planned(*ONE_DAY).mission, make_solution(planned(*ONE_DAY)))
-    assert verified.ok
-    assert all(one.required for one in verified.drifts[1:])
+
+
+def test_verification_integrates_means_of_drifts_again(monkeypatch):
+    plan = planned(*ONE_DAY)
+    solution = make_solution(plan)
+    found = verify(plan.mission, solution)
+    assert found.ok
+    assert all(one.required for one in found.drifts[1:])
+    assert found.drift_error_m < 0.01
+    monkeypatch.setattr("scp_recon.mission.drifts.NODE_SHARE", 1.0)  # steps of an hour
+    rough = Mission.from_scenario(plan.mission.scenario)
+    assert _drift_error(rough, np.array(solution.nodes.state), plan.burns_m_s) > 1.0
 
 
 def test_every_plan_reports_drifts_after_missed_burns():

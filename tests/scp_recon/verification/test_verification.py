@@ -56,6 +56,7 @@ def test_integration_limits_grow_with_a_large_body():
         "terminal_velocity_error_m_s": 1e-4,
         "max_defect": 0.01,
         "sample_error_m": 0.01,
+        "drift_error_m": 1.0,
     }
     assert limits == sizes | dict.fromkeys(("covariance_error", "knowledge_error"), 1e-6)
     large = replace(mission, units=replace(mission.units, length_m=50.0 * mission.units.length_m))
