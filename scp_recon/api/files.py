@@ -20,6 +20,7 @@ from scp_recon.interop.export import UNNAMED_BODY_ID, Export, Ids
 from scp_recon.interop.files import FORMATS, require, stem, write_export
 from scp_recon.interop.path import fly_path
 from scp_recon.jobs.blas import one_thread
+from scp_recon.mission.drifts import check_miss
 from scp_recon.mission.mission import Mission
 from scp_recon.planning.plan import Plan
 from scp_recon.results.facts import Verification
@@ -182,7 +183,12 @@ class Exported(NamedTuple):
 
 
 def write_export_of(
-    plan: AnyPlan, form: str, out: str | Path, spacecraft: int, vehicle: str | Path | None
+    plan: AnyPlan,
+    form: str,
+    out: str | Path,
+    spacecraft: int,
+    vehicle: str | Path | None,
+    miss: int | None,
 ) -> Exported:
     """See `plan_verbs.export`."""
     one_of(option("format"), form, FORMATS)
@@ -190,15 +196,20 @@ def write_export_of(
     require(form)
     if vehicle is not None and form != "ck":
         raise InputError(option("vehicle"), str(vehicle), f"goes with {option('format')} ck")
+    if miss is not None and form == "ck":
+        raise InputError(
+            option("miss"), str(miss), f"goes with a path, not with {option('format')} ck"
+        )
     craft = load_vehicle(None if vehicle is None else path_of(option("vehicle"), vehicle))
-    found, place = export_of(plan, spacecraft), path_of(option("out"), out)
+    found, place = export_of(plan, spacecraft, miss), path_of(option("out"), out)
     check_writable(place, f"{stem(found)}.{form}", option("out"))
     with writing(place, option("out")):
         return Exported(write_export(found, form, place, craft), found)
 
 
-def export_of(plan: AnyPlan, spacecraft: int = -999) -> Export:
+def export_of(plan: AnyPlan, spacecraft: int = -999, miss: int | None = None) -> Export:
     """Fly a plan's burns again, sampled for other tools."""
     mission, solution = open_plan(plan)
+    check_miss(solution.scenario, miss)
     ids = Ids(spacecraft, mission.scenario.body.naif_id or UNNAMED_BODY_ID)
-    return Export(solution, mission, fly_path(mission, solution), ids)
+    return Export(solution, mission, fly_path(mission, solution, miss), ids, miss)

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import get_args
+from typing import Literal, get_args
+
+import numpy as np
 
 from scp_recon.api.files import AnyPlan, Opened, open_plan
 from scp_recon.api.keeping import results_beside
@@ -24,7 +26,7 @@ from scp_recon.jobs.blas import one_thread
 from scp_recon.jobs.cores import WORKERS_MAX
 from scp_recon.jobs.job import Executor, here
 from scp_recon.jobs.processes import Processes
-from scp_recon.mission.drifts import Miss, planned, required_probability
+from scp_recon.mission.drifts import Miss, check_miss, planned, required_probability
 from scp_recon.mission.scene import TruthModel
 from scp_recon.monte_carlo.closed_loop import replans
 from scp_recon.monte_carlo.drifts import fly_drifts, safety_of
@@ -38,7 +40,7 @@ from scp_recon.monte_carlo.flights import (
     fly_many,
 )
 from scp_recon.monte_carlo.sampling import AnyPolicy, ErrorModel, PolicyKind
-from scp_recon.monte_carlo.summary import FILE_NAME, MARK, Summary, summarise
+from scp_recon.monte_carlo.summary import FILE_NAME, MARK, Contingency, Summary, summarise
 from scp_recon.results.solution import require_whole_flight
 from scp_recon.simulation import record as records
 from scp_recon.simulation.vehicle import Vehicle, load_vehicle
@@ -63,6 +65,7 @@ class FlyOptions:
     scheduler: str | None = None
     policy: PolicyKind | None = None
     miss: int | None = None
+    then: Literal["return"] | None = None
 
     def __post_init__(self) -> None:
         make_whole(self, "samples", SAMPLES_MIN, SAMPLES_MAX)
@@ -77,6 +80,10 @@ class FlyOptions:
             one_of(option("errors"), self.errors, get_args(ErrorModel))
         if self.policy is not None:
             one_of(option("policy"), self.policy, get_args(PolicyKind))
+        if self.then is not None:
+            one_of(option("then"), self.then, ("return",))
+            if self.miss is None:
+                raise InputError(option("then"), self.then, f"goes with {option('miss')}")
         if self.workers is not None:
             make_whole(self, "workers", 1, WORKERS_MAX)
             if self.scheduler is not None:
@@ -103,7 +110,7 @@ def flown_summary(plan: Opened, options: FlyOptions) -> Summary:
     """Fly a plan and summarise its flights."""
     config = _config(plan, options)
     flown = _fly(config, options, Watcher())
-    return _with_drift(summarise(flown, plan.solution), config, options)
+    return _with_drift(summarise(flown, plan.solution), plan, config, options)
 
 
 @dataclass(frozen=True)
@@ -140,7 +147,7 @@ def fly_into(folder: Path, plan: Opened, options: FlyOptions, watcher: Watcher) 
         interrupted = watcher.stop() and flown.samples < options.samples
         summary = summarise(flown, solution)
         if not interrupted:
-            summary = _with_drift(summary, config, options)
+            summary = _with_drift(summary, plan, config, options)
         with writing(folder, "folder"):
             path = summary.write(folder, name)
     return SavedFlights(flown, path, summary, interrupted)
@@ -148,15 +155,16 @@ def fly_into(folder: Path, plan: Opened, options: FlyOptions, watcher: Watcher) 
 
 def _config(plan: Opened, options: FlyOptions) -> FlightConfig:
     burns, policy = plan.solution.burns_m_s, _policy(plan, options.policy)
-    scenario = plan.solution.scenario
-    numbers = range(1 + scenario.burns_flown, 1 + len(scenario.burns.times_s))
-    if options.miss is not None and options.miss not in numbers:
-        allowed = f"must be a burn that is planned, {numbers[0]} to {numbers[-1]}"
-        raise InputError(option("miss"), str(options.miss), allowed)
+    check_miss(plan.solution.scenario, options.miss)
+    if options.then and options.miss == len(plan.solution.scenario.burns.times_s):
+        needs = "must leave a burn: `scp-recon replan --goal return` takes more in burns.times_s"
+        raise InputError(option("then"), f"{options.then} after the last burn", needs)
     return FlightConfig(plan.mission, burns, options.seed, options.truth, options.errors, policy)
 
 
-def _with_drift(summary: Summary, config: FlightConfig, options: FlyOptions) -> Summary:
+def _with_drift(
+    summary: Summary, plan: Opened, config: FlightConfig, options: FlyOptions
+) -> Summary:
     """The summary with the drifts of its flights after the burn that is missed, if one is."""
     if options.miss is None:
         return summary
@@ -164,7 +172,27 @@ def _with_drift(summary: Summary, config: FlightConfig, options: FlyOptions) -> 
     flown = fly_drifts(config, [miss], summary.samples)
     required = required_probability(mission.scenario) if miss in planned(mission.scenario) else None
     found = safety_of(mission, miss, flown[0], required)
-    return summary.model_copy(update={"drift": found})
+    then = None if options.then is None else _contingency(plan, options.miss, options)
+    return summary.model_copy(update={"drift": found, "then": then})
+
+
+def _contingency(plan: Opened, miss: int, options: FlyOptions) -> Contingency:
+    """Plan home from the mean state at a missed burn, and fly that plan."""
+    from scp_recon.api.verbs import replan
+
+    mission, solution = plan
+    index = miss - 1 - mission.scenario.burns_flown
+    state = np.array(solution.nodes.state[mission.burn_nodes[index]])
+    state[3:] -= solution.burns_m_s[index]
+    at_s = mission.scenario.burns.times_s[miss - 1]
+    home = replan(solution, at_s, state, measured_burns={miss: np.zeros(3)}, goal="return")
+    flown = flown_summary(open_plan(home), replace(options, miss=None, then=None))
+    return Contingency(
+        status=home.status.value.name,
+        total_dv_m_s=home.total_dv_m_s,
+        burn_times_s=home.mission.scenario.burn_times_s,
+        whole_flight=flown.whole_flight,
+    )
 
 
 def _policy(plan: Opened, kind: PolicyKind | None) -> AnyPolicy:
@@ -219,12 +247,14 @@ class Simulation:
         seed: of all errors.
         policy: what commands its burns.
         craft: the vehicle.
+        miss: number of the burn that does not happen, if one does not.
     """
 
     opened: Opened
     seed: int
     policy: AnyPolicy
     craft: Vehicle
+    miss: int | None = None
 
     def fly(self, progress: Callable[[float], None] | None = None) -> records.Record:
         """Fly it; `progress` is called with the time of the flight, s."""
@@ -232,13 +262,17 @@ class Simulation:
 
         solution = self.opened.solution
         flight = simulation.simulate(
-            solution, self.craft, self.seed, progress=progress, policy=self.policy
+            solution, self.craft, self.seed, progress=progress, policy=self.policy, miss=self.miss
         )
         return records.make_record(flight, solution, self.seed)
 
 
 def simulation_of(
-    plan: AnyPlan, seed: int, policy: PolicyKind | None, vehicle: str | Path | None
+    plan: AnyPlan,
+    seed: int,
+    policy: PolicyKind | None,
+    vehicle: str | Path | None,
+    miss: int | None = None,
 ) -> Simulation:
     """Check the arguments of `plan_verbs.simulate`.
 
@@ -252,4 +286,5 @@ def simulation_of(
         one_of(option("policy"), policy, get_args(PolicyKind))
     craft = load_vehicle(None if vehicle is None else path_of(option("vehicle"), vehicle))
     require_whole_flight(opened.solution.scenario, option("plan"))
-    return Simulation(opened, seed, _policy(opened, policy), craft)
+    check_miss(opened.solution.scenario, miss)
+    return Simulation(opened, seed, _policy(opened, policy), craft, miss)

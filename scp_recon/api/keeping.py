@@ -167,7 +167,7 @@ def _holds_verified(folder: Path) -> bool:
 
 def _set_aside(solution: Solution, folder: Path) -> list[Path]:
     """Rename results of other or unknown plans, and move exports of other plans."""
-    results = (*folder.glob("montecarlo*.json"), folder / "simulation.npz")
+    results = (*folder.glob("montecarlo*.json"), *folder.glob("simulation*.npz"))
     aside = [
         path.replace(folder / f"{OLD}{path.name}")
         for path in results

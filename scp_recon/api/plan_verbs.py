@@ -102,6 +102,7 @@ def fly(
     errors: Literal["componentwise", "gates"] | None = None,
     policy: Policy | None = None,
     miss: int | None = None,
+    then: Literal["return"] | None = None,
     workers: int | None = None,
     scheduler: str | None = None,
 ) -> "Summary":
@@ -123,6 +124,8 @@ def fly(
             plan with gains, else open).
         miss: number of a burn that does not happen, from 1; the free drift of the same flights from it
             on is flown too, for safety.drift_s.
+        then: "return": plan home from the mean state at the missed burn, as `replan` does with that
+            goal, and fly that plan too.
         workers: processes; the result does not depend on their number (default: 1).
         scheduler: run on the Dask cluster of this scheduler instead, e.g. tcp://127.0.0.1:8786; needs
             the extra [cluster].
@@ -143,7 +146,7 @@ def fly(
     from scp_recon.api.files import open_plan
     from scp_recon.api.flights import FlyOptions, flown_summary
 
-    how = FlyOptions(samples, until, truth, errors, seed, workers, scheduler, policy, miss)
+    how = FlyOptions(samples, until, truth, errors, seed, workers, scheduler, policy, miss, then)
     return flown_summary(open_plan(plan), how)
 
 
@@ -152,6 +155,7 @@ def simulate(
     *,
     seed: int = 0,
     policy: Policy | None = None,
+    miss: int | None = None,
     vehicle: str | Path | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> "Record":
@@ -164,6 +168,8 @@ def simulate(
         seed: of all errors.
         policy: what burns are commanded, "open", "replan" or "feedback"; from the simulated state at
             each cut-off, with errors of its measurement.
+        miss: number of a burn that does not happen, from 1; no burn follows, and the flight goes on
+            for safety.drift_s.
         vehicle: a TOML file (default: the packaged DARE).
         progress: called with the time of the flight, s.
 
@@ -181,7 +187,7 @@ def simulate(
     """
     from scp_recon.api.flights import simulation_of
 
-    return simulation_of(plan, seed, policy, vehicle).fly(progress)
+    return simulation_of(plan, seed, policy, vehicle, miss).fly(progress)
 
 
 def compare(*plans: "AnyPlan") -> "Comparison":
@@ -284,6 +290,7 @@ def export(
     *,
     spacecraft: int = -999,
     vehicle: str | Path | None = None,
+    miss: int | None = None,
 ) -> "Exported":
     """Write a plan for other tools, sampled densely enough for their interpolation.
 
@@ -295,6 +302,8 @@ def export(
         spacecraft: NAIF's number of the spacecraft, below zero; on the command line as
             --spacecraft=-64.
         vehicle: a TOML file, for "ck" (default: the packaged DARE).
+        miss: number of a burn that does not happen, from 1: the path is the mean free drift from it on,
+            for safety.drift_s, in files of their own.
 
     Returns:
         The files that were written, and the content of their headings.
@@ -310,4 +319,4 @@ def export(
     """
     from scp_recon.api.files import write_export_of
 
-    return write_export_of(plan, format, out, spacecraft, vehicle)
+    return write_export_of(plan, format, out, spacecraft, vehicle, miss)

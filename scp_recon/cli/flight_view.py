@@ -71,6 +71,8 @@ def show_summary(console: Console, summary: Summary, required: float | None = No
             f"{safe.low:.4f} to {safe.high:.4f}",
             highlight=False,
         )
+    if summary.then is not None:
+        console.print(str(summary.then), highlight=False)
 
 
 def _show_spread(console: Console, label: str, spread: Statistics, digits: int) -> None:
@@ -122,6 +124,7 @@ def show_flight(console: Console, summary: FlightSummary) -> None:
         f"within 3 sigma         at {100 * summary.within_3_sigma:.1f} % of the nodes, "
         f"at most {summary.largest_sigma_distance:.2f} sigma",
     ]
+    lines += [str(summary.drift)] if summary.drift else []
     for line in lines:
         console.print(line, markup=False, highlight=False, soft_wrap=True)
 

@@ -58,7 +58,7 @@ def opm_text(export: Export) -> str:
             f"C{name}_{other} = {x:.15e} [{_unit(name, other)}]"
             for other, x in zip(AXES[: row + 1], entries, strict=True)
         ]
-    for number, burn in export.solution.executed:
+    for number, burn in export.executed:
         lines += [
             f"COMMENT burn {number}; the mass is not modelled",
             f"MAN_EPOCH_IGNITION = {iso_tdb(export.instant(burn.t_s))}",

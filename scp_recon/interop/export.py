@@ -12,6 +12,7 @@ from scp_recon.errors import printable, version_of
 from scp_recon.interop.path import MARGIN_S, FlownPath
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.summary import missed_by_law
+from scp_recon.results.facts import Burn
 from scp_recon.results.solution import Solution
 from scp_recon.scenario.time_scales import instant, iso_tdb, iso_utc
 
@@ -43,17 +44,25 @@ class Export:
         mission: of its scenario.
         path: flown with its burns.
         ids: of spacecraft and body.
+        miss: number of the burn that is missed, whose drift the path is; None for the whole plan.
     """
 
     solution: Solution
     mission: Mission
     path: FlownPath
     ids: Ids
+    miss: int | None = None
 
     @property
     def burns_flown(self) -> int:
         """Number of burns flown before a plan made in flight."""
         return self.mission.scenario.burns_flown
+
+    @property
+    def executed(self) -> list[tuple[int, Burn]]:
+        """Burns along the path that have a size, with their numbers in the flight."""
+        some = self.solution.executed
+        return [(number, burn) for number, burn in some if not self.miss or number < self.miss]
 
     @property
     def missed(self) -> str | None:
@@ -93,6 +102,7 @@ def maker() -> str:
 def heading(export: Export) -> list[str]:
     """Lines of the heading, in ASCII, short enough for a CCSDS message."""
     scenario, solution, path = export.mission.scenario, export.solution, export.path
+    total = sum(float(np.linalg.norm(burn.dv_m_s)) for _, burn in export.executed)
     lines = [
         f"scenario {scenario.name}, {solution.problem}, by {maker()}",
         f"plan {solution.plan_hash}",
@@ -107,7 +117,7 @@ def heading(export: Export) -> list[str]:
         f"a straight line between neighbouring states is within {path.linear_error_m:.1e} m of the "
         f"flight (required: {path.within_m:g}), a cubic of both states within "
         f"{path.cubic_error_m:.1e} m",
-        f"{len(solution.executed)} burns, impulses; {solution.total_dv_m_s:.6f} m/s in all:",
+        f"{len(export.executed)} burns, impulses; {total:.6f} m/s in all:",
         *(burn_line(export, number) for number in range(1, len(solution.burns) + 1)),
         *_policy_lines(solution),
     ]
@@ -136,6 +146,8 @@ def burn_line(export: Export, number: int) -> str:
     x, y, z = burn.dv_m_s
     number, policy = export.burns_flown + number, export.solution.policy
     named, corrections = f"burn {number}", policy.corrections if policy is not None else []
+    if export.miss and number >= export.miss:
+        return f"{named}: missed; a free drift" if number == export.miss else f"{named}: none"
     if not any(burn.dv_m_s):
         corrected = any(one.burn == number for one in corrections)
         why = "but its correction" if corrected else "as it would be too small to execute"

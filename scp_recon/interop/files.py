@@ -43,12 +43,13 @@ COVARIANCE_UNITS = ("m2", "m2_s", "m2_s2")
 def stem(export: Export) -> str:
     """Common part of the files' names: scenario, first digits of the plan's hash, spacecraft."""
     name = re.sub(r"[^A-Za-z0-9_-]+", "_", export.mission.scenario.name)[:NAME_MAX]
-    return f"{name}_{export.solution.plan_hash[:8]}_{abs(export.ids.spacecraft)}"
+    drift = f"_miss_{export.miss}" if export.miss else ""
+    return f"{name}_{export.solution.plan_hash[:8]}_{abs(export.ids.spacecraft)}{drift}"
 
 
 def plan_in(name: str) -> str | None:
     """First digits of a plan's hash in the name of an exported file; None for other files."""
-    found = re.search(r"_([0-9a-f]{8})_\d+(_body)?\.[a-z]+$", name)
+    found = re.search(r"_([0-9a-f]{8})_\d+(_miss_\d+)?(_body)?\.[a-z]+$", name)
     return found[1] if found else None
 
 

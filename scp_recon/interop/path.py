@@ -20,6 +20,7 @@ from scipy.integrate import OdeSolution
 from formulations.arrays import Array
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
+from scp_recon.monte_carlo.drifts import reach_s
 from scp_recon.physics.flow import interpolate
 from scp_recon.results.solution import Solution
 from scp_recon.verification.closed_loop import JointCovariance
@@ -81,8 +82,8 @@ class FlownPath:
         return sum(len(coast.times_s) for coast in self.coasts)
 
 
-def fly_path(mission: Mission, solution: Solution) -> FlownPath:
-    """Fly a plan's burns and sample the path.
+def fly_path(mission: Mission, solution: Solution, miss: int | None = None) -> FlownPath:
+    """Fly a plan's burns and sample the path; if a burn is missed, the free drift from it on.
 
     Raises:
         InputError: if the stored nodes are off the path, or the path needs too many states.
@@ -94,7 +95,10 @@ def fly_path(mission: Mission, solution: Solution) -> FlownPath:
     within = mission.units.tolerance(WITHIN_M, "m")
     coasts = [_sampled(back, np.array([begin - MARGIN_S, begin]), spread.deviation, within)]
     # Each time at which a coast ends, and the burn there; the first may begin with one.
-    ends = [*zip(firing, solution.burns_m_s, strict=True), (firing[-1] + MARGIN_S, None)]
+    executed = len(firing) if miss is None else miss - 1 - mission.scenario.burns_flown
+    last = firing[-1] + MARGIN_S if miss is None else firing[executed] + reach_s(mission)
+    burns = solution.burns_m_s[:executed]
+    ends = [*zip(firing[:executed], burns, strict=True), (last, None)]
     for end, burn in ends:
         if end > begin:
             flown = _flight(mission, state, begin, end)
@@ -109,7 +113,7 @@ def fly_path(mission: Mission, solution: Solution) -> FlownPath:
             state[3:] += burn
             begin, spread = end, spread.after_burn(burn, firing.index(end))
     path = FlownPath(tuple(coasts), within)
-    _check(path, mission, solution)
+    _check(path, mission, solution, firing[-1 if miss is None else executed])
     return path
 
 
@@ -186,10 +190,10 @@ def _errors_m(flown: OdeSolution, times: Array) -> tuple[float, float]:
     return float(off[0]), float(off[1])
 
 
-def _check(path: FlownPath, mission: Mission, solution: Solution) -> None:
-    """Compare the flown path with the stored nodes."""
-    nodes = np.array(solution.nodes.t_s)
-    stored = np.array(solution.nodes.state)
+def _check(path: FlownPath, mission: Mission, solution: Solution, until_s: float) -> None:
+    """Compare the flown path with the nodes that are stored until a time."""
+    nodes, stored = np.array(solution.nodes.t_s), np.array(solution.nodes.state)
+    nodes, stored = nodes[nodes <= until_s], stored[nodes <= until_s]
     times = np.concatenate([coast.times_s for coast in path.coasts])
     states = np.concatenate([coast.states for coast in path.coasts])
     flown = states[np.searchsorted(times, nodes, side="right") - 1]  # after the burn

@@ -16,7 +16,7 @@ from formulations.arrays import Array
 from formulations.problem.drift import Drift
 from formulations.problem.facets import quantile
 from formulations.problem.regions import Ball
-from scp_recon.errors import InputError
+from scp_recon.errors import InputError, option
 from scp_recon.mission.constraints import companion_distance_m
 from scp_recon.mission.grid import NODES_MAX, Units
 from scp_recon.mission.scene import Scene
@@ -125,6 +125,18 @@ def _drifts(
             keep_out.append(Ball(centre, companion_distance_m(scenario) / units.length_m))
         burn = miss.burn - 1 - scenario.burns_flown
         yield Drift(miss.name, burn, miss.share, flow, tuple(keep_out), required)
+
+
+def check_miss(scenario: Scenario, number: int | None) -> None:
+    """Refuse the number of a missed burn that is not planned.
+
+    Raises:
+        InputError: if there is one, and no such burn.
+    """
+    numbers = range(1 + scenario.burns_flown, 1 + len(scenario.burns.times_s))
+    if number is not None and number not in numbers:
+        allowed = f"must be a burn that is planned, {numbers[0]} to {numbers[-1]}"
+        raise InputError(option("miss"), str(number), allowed)
 
 
 def check_drifts(scene: Scene) -> None:

@@ -229,6 +229,30 @@ class Strata(Section):
     names: list[Line]
 
 
+class Contingency(Section):
+    """The way home after a missed burn, planned from the mean state there, and flown.
+
+    Attributes:
+        status: how the planning ended.
+        total_dv_m_s: sum of its burns' sizes.
+        burn_times_s: times of its burns, past the epoch of the plan in flight.
+        whole_flight: probability that a flight home keeps every limit throughout.
+    """
+
+    status: Line
+    total_dv_m_s: float
+    burn_times_s: tuple[float, ...]
+    whole_flight: Interval
+
+    def __str__(self) -> str:
+        """In words."""
+        kept, times = self.whole_flight, ", ".join(f"{t:.0f}" for t in self.burn_times_s)
+        return (
+            f"then return: {self.status}, {1e3 * self.total_dv_m_s:.1f} mm/s by burns at {times} s; "
+            f"flights home that keep every limit {kept.value:.4f}, {kept.low:.4f} to {kept.high:.4f}"
+        )
+
+
 class Summary(Displayed, File):
     """Results of many flights.
 
@@ -256,6 +280,7 @@ class Summary(Displayed, File):
         commanded: burns as they are commanded in flight; absent where all are fixed before.
         terminal: final state.
         drift: after a burn that these flights miss; absent where none is missed.
+        then: the way home after it, if asked for.
     """
 
     plan_hash: Line
@@ -280,6 +305,7 @@ class Summary(Displayed, File):
     commanded: Commanded | None = None
     terminal: Terminal
     drift: DriftSafety | None = None
+    then: Contingency | None = None
 
     @model_validator(mode="after")
     def _every_constraint(self) -> Self:

@@ -45,6 +45,7 @@ class Flight:
         dumps: number of dumps of the wheels' momentum.
         terminal_state: at the planned end, with the last burn as an impulse, shape (6,).
         policy: that commanded the burns.
+        miss: number of the burn that did not happen, if one did not.
     """
 
     plan: FlightPlan
@@ -67,6 +68,7 @@ class Flight:
     dumps: int
     terminal_state: Array
     policy: PolicyKind = "open"
+    miss: int | None = None
 
 
 @dataclass(frozen=True)

@@ -171,6 +171,29 @@ class TerminalMiss(Section):
     velocity_m_s: float
 
 
+class SimulatedDrift(Section):
+    """The free drift after a burn that did not happen.
+
+    Attributes:
+        burn: its number, from 1.
+        drift_s: time flown from the burn on.
+        closest_m: least distance from the body's centre in that time.
+        closest_t_s: when, past the epoch.
+    """
+
+    burn: Annotated[int, Field(ge=1)]
+    drift_s: float
+    closest_m: float
+    closest_t_s: float
+
+    def __str__(self) -> str:
+        """In words."""
+        return (
+            f"drift: nearest to the centre in {self.drift_s / 3600.0:.3g} h after burn {self.burn} is "
+            f"missed: {self.closest_m:.0f} m at {self.closest_t_s:.0f} s"
+        )
+
+
 class FlightSummary(File):
     """Summary of a simulated flight, with hashes of its plan and inputs.
 
@@ -193,6 +216,7 @@ class FlightSummary(File):
         terminal_miss: of the final state.
         within_3_sigma: share of the nodes whose position is within three sigma of the planned spread.
         largest_sigma_distance: of a node's position from the planned mean, in these sigmas.
+        drift: after a burn that did not happen; absent if all did.
     """
 
     vehicle: Line
@@ -213,6 +237,7 @@ class FlightSummary(File):
     terminal_miss: TerminalMiss
     within_3_sigma: float
     largest_sigma_distance: float
+    drift: SimulatedDrift | None = None
 
     def entries(self) -> dict[str, Any]:
         """The summary as the file holds it."""
@@ -323,6 +348,22 @@ def _summary(flight: Flight, solution: Solution, seed: int) -> FlightSummary:
         ),
         within_3_sigma=float((distance <= 3.0).mean()),
         largest_sigma_distance=float(distance.max()),
+        drift=_drift(flight),
+    )
+
+
+def _drift(flight: Flight) -> SimulatedDrift | None:
+    """The drift of a flight after a missed burn."""
+    if flight.miss is None:
+        return None
+    times, start = flight.times_s, flight.plan.firings[flight.miss - 1].start_s
+    distance = np.where(times < start, np.inf, np.linalg.norm(flight.states[:, :3], axis=1))
+    at = int(np.argmin(distance))
+    return SimulatedDrift(
+        burn=flight.miss,
+        drift_s=float(times[-1] - start),
+        closest_m=float(distance[at]),
+        closest_t_s=float(times[at]),
     )
 
 
@@ -386,7 +427,7 @@ def _energy(flight: Flight) -> Energy:
 
 
 def write_record(record: Record, folder: Path) -> Path:
-    """Write `simulation.npz` into a folder, whole or not at all.
+    """Write `simulation.npz`, or that of a missed burn, into a folder, whole or not at all.
 
     Raises:
         OSError: if the folder cannot be written.
@@ -394,7 +435,13 @@ def write_record(record: Record, folder: Path) -> Path:
     buffer = io.BytesIO()
     text = np.array(json.dumps(record.summary.entries()))
     np.savez_compressed(buffer, allow_pickle=False, summary=text, **record.arrays)
-    return write_atomically(folder / FILE_NAME, buffer.getvalue())
+    miss = record.summary.drift.burn if record.summary.drift else None
+    return write_atomically(folder / file_name(miss), buffer.getvalue())
+
+
+def file_name(miss: int | None) -> str:
+    """Name of the file of a flight, of one in which a burn is missed if a number is given."""
+    return FILE_NAME if miss is None else FILE_NAME.replace(".", f"_miss_{miss}.")
 
 
 def read_record(path: Path) -> Record:

@@ -108,7 +108,8 @@ def simulate(console: "Console", plan: Path, *, out: Path | None = None, **how: 
     mission, solution = simulation.opened
     folder, entry = out or folder_of(home), option("out")
     columns = ("flight", BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
-    with results_beside(folder, solution, records.FILE_NAME, entry, records.MARK):
+    name = records.file_name(simulation.miss)
+    with results_beside(folder, solution, name, entry, records.MARK):
         with Progress(*columns, console=progress_console(console)) as bar:
             task = bar.add_task("flight", total=solution.scenario.duration_s)
             record = simulation.fly(lambda time: bar.update(task, completed=time))

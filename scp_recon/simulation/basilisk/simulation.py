@@ -17,6 +17,7 @@ from scp_recon.errors import InputError
 from scp_recon.mission.knowledge import require_known
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.closed_loop import MEASURED
+from scp_recon.monte_carlo.drifts import reach_s
 from scp_recon.monte_carlo.sampling import AnyPolicy, policy_kind, start_loop
 from scp_recon.physics.frames import unit
 from scp_recon.results.solution import Solution
@@ -98,12 +99,14 @@ def simulate(
     initial_sigma_fraction: float | None = None,
     progress: Callable[[float], None] | None = None,
     policy: AnyPolicy = (),
+    miss: int | None = None,
 ) -> Flight:
     """Simulate a solution's flight; a source of error that is left out is perfect.
 
     The initial state's 1 sigma is a fraction of each component, or the scenario's uncertainty.
     `progress` is called now and then with the simulated time in s. A policy commands burns at their
-    cut-offs, from the true state then with the errors of its measurement.
+    cut-offs, from the true state then with the errors of its measurement. If a burn is missed, no burn
+    follows, and the flight goes on until the end of the drift.
 
     Raises:
         InputError: if the solution's scenario has no window or breaks a rule of the schedule, or its
@@ -117,8 +120,14 @@ def simulate(
             entry, given = "body.attitude", f"{body.name} tumbling"
         raise InputError(entry, given, "cannot be simulated: one body alone turns evenly there")
     require_known(mission.scenario, "goes with montecarlo: one known body is simulated")
-    plan = FlightPlan.of(solution, mission, vehicle)
-    times = CONTROL_PERIOD_S * np.arange(round(plan.end_s / CONTROL_PERIOD_S) + 1.0)
+    plan, burns = FlightPlan.of(solution, mission, vehicle), solution.burns_m_s
+    end_s = plan.end_s
+    if miss is not None:
+        burns[miss - 1 :] = 0.0
+        plan = plan.with_burns(burns)
+        policy = policy[: sum(one.burn < miss - 1 for one in policy)]
+        end_s = max(end_s, plan.firings[miss - 1].start_s + reach_s(mission))
+    times = CONTROL_PERIOD_S * np.arange(round(end_s / CONTROL_PERIOD_S) + 1.0)
     factor = mission.initial_factor
     if initial_sigma_fraction is not None:
         factor = np.diag(initial_sigma_fraction * np.abs(mission.initial_state))
@@ -132,8 +141,8 @@ def simulate(
     )
     sigmas = sensor_sigmas(vehicle.errors, sources)
     sim = Simulator(plan, commands, start, draws, sigmas, times)
-    sim.run(progress, Commander(mission, solution.burns_m_s, policy, draws.measured))
-    return replace(sim.flight(), policy=policy_kind(policy))
+    sim.run(progress, Commander(mission, burns, policy, draws.measured))
+    return replace(sim.flight(), policy=policy_kind(policy), miss=miss)
 
 
 def sensor_sigmas(errors: Errors, sources: Collection[Source]) -> SensorSigmas:

@@ -42,6 +42,21 @@ def test_coasts_meet_at_burns_that_jump_the_velocity(export):
     assert np.linalg.norm(off[3:]) < 1e-7
 
 
+def test_a_missed_burn_leaves_the_free_drift(export):
+    mission, solution = export.mission, export.solution
+    drifting = replace(export, path=fly_path(mission, solution, miss=2), miss=2)
+    (drift,) = drifting.path.coasts[1:]
+    ends = (0.0, mission.scenario.burns.times_s[1] + 86_400.0)
+    assert (drift.times_s[0], drift.times_s[-1]) == ends
+    flown = integrate(mission.forces, drift.states[0], ends)[-1]
+    np.testing.assert_allclose(drift.states[-1, :3], flown[:3], atol=0.01)
+    text = csv_text(drifting)
+    assert "burn 2: missed; a free drift" in text
+    assert "# 1 burns, impulses" in text
+    assert "MAN_EPOCH" in opm_text(drifting)
+    assert opm_text(drifting).count("MAN_EPOCH") == 1
+
+
 def test_covariances_are_the_plans_at_its_nodes(export):
     stored = np.array(export.solution.nodes.covariance)
     times, seen = np.array(export.solution.nodes.t_s), 0

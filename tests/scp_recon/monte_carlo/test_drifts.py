@@ -138,6 +138,18 @@ def test_flights_miss_a_burn_on_request():
         sr.fly(plan, 200, miss=5)
 
 
+def test_the_way_home_is_flown_after_a_missed_burn():
+    plan = planned(*ONE_DAY)
+    then = sr.fly(plan, 200, miss=2, then="return").then
+    assert then.status == "converged"
+    assert then.burn_times_s == plan.mission.scenario.burns.times_s[2:]
+    assert then.total_dv_m_s == pytest.approx(0.0595, abs=2e-3)
+    assert then.whole_flight.value > 0.97
+    for options, words in (({}, "goes with miss"), ({"miss": 4}, "must leave a burn")):
+        with pytest.raises(InputError, match=words):
+            sr.fly(plan, 200, then="return", **options)
+
+
 @pytest.mark.parametrize(
     ("entries", "words"),
     {

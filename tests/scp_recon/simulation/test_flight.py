@@ -270,6 +270,21 @@ def test_a_burn_of_zero_is_no_burn(short_solution, short_mission, vehicle):
     np.testing.assert_allclose(drift, expected, atol=0.01)
 
 
+def test_no_burn_follows_one_that_is_missed(
+    perfect, short_solution, vehicle, tmp_path, monkeypatch
+):
+    monkeypatch.setattr(simulation, "reach_s", lambda _: 1_000.0)
+    flight = simulate(short_solution, vehicle, sources=(), miss=2)
+    assert flight.times_s[-1] == 4_270.0
+    assert not flight.burns_m_s[1].any()
+    np.testing.assert_allclose(flight.states[3_000], perfect.states[3_000], atol=0.05)
+    record = make_record(flight, short_solution, 0)
+    distance = np.linalg.norm(flight.states[3_270:, :3], axis=1)
+    assert record.summary.drift.closest_m == distance.min()
+    assert record.summary.drift.drift_s == 1_000.0
+    assert write_record(record, tmp_path).name == "simulation_miss_2.npz"
+
+
 def test_what_moves_the_path_is_what_was_drawn(perfect, starved, short_mission):
     """Velocities gained in the burns against those of the flight without errors."""
     plan, factor = starved.plan, short_mission.initial_factor
