@@ -7,7 +7,7 @@ import signal
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from time import perf_counter
 from typing import Any, Literal
@@ -16,7 +16,8 @@ import casadi as ca
 import numpy as np
 
 from formulations.nlp.covariance import Covariance, initial_deviation
-from formulations.nlp.program import Arcs, Assembled, Start, Transcription, assemble
+from formulations.nlp.outer import Outer, OuterRows
+from formulations.nlp.program import Arcs, Assembled, NlpRows, Start, Transcription, assemble
 from formulations.nlp.shooting import MultipleShooting, SingleShooting
 from formulations.problem.facets import Facets
 from formulations.problem.flyby import FlybyProblem, Iterate
@@ -210,11 +211,12 @@ def solve_nlp(
     start: Start,
     variant: Variant,
     penalty: float | None = None,
+    outer: Outer | None = None,
 ) -> NlpResult:
     """Solve P2 on fixed facets, or P3 without.
 
     `penalty` is the weight of an exact L1 penalty on violations, as in `MeritFunction`; only the arcs
-    stay hard. Without it all constraints are hard.
+    stay hard. Without it all constraints are hard. `outer` are further margins.
 
     Raises:
         ValueError: if P2 has no factor to start from, or corrected burns.
@@ -223,6 +225,11 @@ def solve_nlp(
     elastic = penalty is not None
     transcription, settings = variant.of(problem, facets)
     program = transcription(problem, arcs, facets, start, elastic)
+    if outer is not None:
+        called = OuterRows(outer, problem.n_burns)
+        values = ca.vertsplit(called(program.burns))
+        added = (NlpRows(name, value) for name, value in zip(outer.names, values, strict=True))
+        program = replace(program, blocks=(*program.blocks, *added))
     nlp = assemble(program, penalty)
     solver = ipopt_solver(nlp, settings)
     build_s = perf_counter() - begin

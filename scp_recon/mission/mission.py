@@ -521,8 +521,12 @@ class Mission:
         Raises:
             InputError: if there is any.
         """
-        require_open_loop(self.scenario, needs)
         require_no_drifts(self.scenario, needs)
+        self.require_limits_as_printed(needs)
+
+    def require_limits_as_printed(self, needs: str) -> None:
+        """Refuse what `require_plain` does, drifts apart."""
+        require_open_loop(self.scenario, needs)
         require_known(self.scenario, f"goes with {needs}")
         for name in ("final_sigma_position_m", "final_sigma_velocity_m_s"):
             if (limit := getattr(self.scenario.boundary, name)) is not None:

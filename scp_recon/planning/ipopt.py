@@ -9,17 +9,19 @@ from time import perf_counter
 import casadi as ca
 import numpy as np
 
+from formulations.arrays import Array
 from formulations.linearisation.dynamics import Dynamics
 from formulations.linearisation.linearisation import Linearisation
+from formulations.nlp.outer import Outer
 from formulations.nlp.program import Arcs, Start
 from formulations.nlp.solve import VARIANTS, NlpOutcome, NlpResult, Variant, solve_nlp
 from formulations.problem.facets import Facets
-from formulations.problem.flyby import Iterate
+from formulations.problem.flyby import FlybyProblem, Iterate
 from formulations.program.subproblem import MeritFunction
 from formulations.rows.cones import Rows
+from formulations.rows.drift import DriftRows
 from formulations.rows.uniform import ChanceRows, DeterministicRows
 from scp_recon.errors import InputError, option
-from scp_recon.mission.drifts import require_no_drifts
 from scp_recon.mission.feedback import require_open_loop
 from scp_recon.mission.knowledge import require_known
 from scp_recon.mission.mission import Mission
@@ -96,11 +98,10 @@ def plan(
     """
     if problem == "P2":
         require_open_loop(mission.scenario, option("method", "scp"))
-        require_no_drifts(mission.scenario, f"goes with {option('method', 'scp')} only")
         require_known(mission.scenario, f"goes with {option('method', 'scp')} only")
     if variant == "printed":
         other = f"{option('method', 'scp')}, or with {option('formulation', 'tuned')} or shooting"
-        mission.require_plain(other)
+        mission.require_limits_as_printed(other)
     solver = IpoptStages(mission, casadi_arcs(mission.flow), VARIANTS[variant], elastic)
     pipeline = Pipeline(mission, solver, observe or unobserved, facet_rounds)
     algorithm = "interior point, elastic" if elastic else "interior point"
@@ -179,11 +180,25 @@ class IpoptStages:
     ) -> tuple[Linearisation, NlpResult]:
         problem, start = lin.problem, Start(lin.iterate, lin.factor)
         facets = rows.carried if isinstance(rows, ChanceRows) else None
-        run = solve_nlp(problem, self.arcs, facets, start, self.variant, penalty)
+        outer = drift_rows(problem, dynamics) if facets is not None and problem.drifts else None
+        run = solve_nlp(problem, self.arcs, facets, start, self.variant, penalty, outer)
         if not (np.isfinite(run.iterate.burns).all() and np.isfinite(run.iterate.mean).all()):
             return lin, replace(run, outcome=NlpOutcome.FAILED)
         run.iterate.burns[list(problem.held)] = 0.0  # IPOPT keeps them zero within its tolerances
         return dynamics.linearise(problem, run.iterate), run
+
+
+def drift_rows(problem: FlybyProblem, dynamics: Dynamics) -> Outer:
+    """Rows of drifts as functions of the burns, by the planner's law of drifts."""
+    rows = DriftRows(problem, 0)
+
+    def values(burns: Array) -> tuple[Array, Array]:
+        mean = dynamics.rollout(problem.initial_state, burns)
+        lin = dynamics.linearise(problem, Iterate(burns, mean))
+        margins = np.concatenate([one.margin for one in rows.margins(lin).values()])
+        return margins, np.concatenate([cone.values[:, 0] for cone in rows.cones(lin)])
+
+    return Outer(tuple(drift.name for drift in problem.drifts), values)
 
 
 def _status(outcome: NlpOutcome, *, violated: bool, elastic: bool) -> Status:

@@ -3,6 +3,7 @@
 from dataclasses import replace
 from functools import cache
 
+import casadi as ca
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -18,9 +19,12 @@ from formulations.rows.exact import NodeRows
 from formulations.rows.node_probability import Event
 from scp_recon.mission.drifts import CUTS, duration_s
 from scp_recon.mission.mission import Mission
-from scp_recon.planning import initial_guess
+from scp_recon.planning import initial_guess, ipopt
+from scp_recon.planning.ipopt import casadi_arcs
 from scp_recon.planning.planner import Planner, plan
 from scp_recon.scenario.load import load_scenario
+from scp_recon.scenario.schema import Scenario
+from scp_recon.scp.status import Status
 from tests.helpers import nightly
 from tests.scenarios import COARSE
 
@@ -135,6 +139,22 @@ def test_a_drift_follows_the_two_body_orbit():
     np.testing.assert_allclose(stm[-1], np.array(ends).T, rtol=1e-4, atol=1e-3)
 
 
+def test_derivatives_of_a_drift_are_those_of_casadi():
+    mission, lin = at_plan_without("safety.cut_short=true")
+    for drift in mission.problem.drifts[:2]:
+        start, arcs = start_of(lin, drift), casadi_arcs(drift.flow)
+        mean, stm = Branch(drift).flown(start.mean)
+        x = ca.MX.sym("x", 6)
+        ends = arcs.flow.mapaccum(drift.flow.arcs)(x, ca.DM(arcs.durations).T)
+        some = [len(mean) // 2 - 1, len(mean) - 2]
+        for node in some:
+            end = ends[:, node]
+            there = ca.Function("end", [x], [end, ca.jacobian(end, x)])(start.mean)
+            np.testing.assert_allclose(mean[node + 1], np.array(there[0])[:, 0], atol=1e-8)
+            scale = np.abs(stm[node + 1]).max()
+            np.testing.assert_allclose(stm[node + 1], there[1], atol=1e-6 * scale)
+
+
 def test_the_law_of_a_drift_is_that_of_linear_flights():
     """Against draws of the linear law at the drift's nodes."""
     mission, lin = at_plan_without(MISSED)
@@ -177,6 +197,38 @@ def test_a_plan_survives_a_missed_burn():
     found = DriftRows(lin.problem, 0).at(lin)
     assert min(found[k].value - lin.problem.drifts[k].required for k in range(3)) > -1e-6
     assert planned().cost.value < lin.cost.value < 1.05 * planned().cost.value
+
+
+def agrees_with_ipopt(scenario: Scenario, variant: str) -> None:
+    mission = Mission.from_scenario(scenario)
+    guess = initial_guess.cold(mission)
+    ours, theirs = plan(mission, guess), ipopt.plan(mission, guess, variant=variant)
+    binding = [ours.final.margins[drift.name].margin.min() for drift in mission.problem.drifts]
+    assert min(binding) == pytest.approx(0.0, abs=1e-5)
+    assert theirs.status is ours.status is Status.CONVERGED
+    assert theirs.total_dv_m_s == pytest.approx(ours.total_dv_m_s, rel=1e-5)
+
+
+FIVE = (0, 2, 3, 4, 6)
+BINDING = ("polytopes.ball='tangent'", MISSED, "safety.drift_radius_m=620")
+
+
+def test_ipopt_finds_the_same_plan_with_drifts():
+    agrees_with_ipopt(load_scenario(None, (COARSE, *BINDING)), "tuned")
+
+
+@nightly
+@pytest.mark.parametrize("variant", ["printed", "shooting"])
+def test_every_variant_of_ipopt_has_drifts(variant):
+    agrees_with_ipopt(load_scenario(None, (COARSE, *BINDING)), variant)
+
+
+@nightly
+@pytest.mark.parametrize("number", FIVE)
+def test_ipopt_agrees_on_random_scenarios_with_drifts(number):
+    from experiments.solvers.cases import drawn
+
+    agrees_with_ipopt(load_scenario(None, BINDING).replace(drawn(number)[1]), "tuned")
 
 
 @nightly
