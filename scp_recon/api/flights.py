@@ -11,6 +11,7 @@ import numpy as np
 
 from scp_recon.api.files import AnyPlan, Opened, open_plan
 from scp_recon.api.keeping import results_beside
+from scp_recon.api.replans import plan_left
 from scp_recon.errors import (
     InputError,
     imported,
@@ -41,6 +42,9 @@ from scp_recon.monte_carlo.flights import (
 )
 from scp_recon.monte_carlo.sampling import AnyPolicy, ErrorModel, PolicyKind
 from scp_recon.monte_carlo.summary import FILE_NAME, MARK, Contingency, Summary, summarise
+from scp_recon.replanning.delivery import Delivery
+from scp_recon.replanning.flown import FlownPlan
+from scp_recon.replanning.remainder import mission_left, with_goal
 from scp_recon.results.solution import require_whole_flight
 from scp_recon.simulation import record as records
 from scp_recon.simulation.vehicle import Vehicle, load_vehicle
@@ -178,14 +182,17 @@ def _with_drift(
 
 def _contingency(plan: Opened, miss: int, options: FlyOptions) -> Contingency:
     """Plan home from the mean state at a missed burn, and fly that plan."""
-    from scp_recon.api.verbs import replan
-
     mission, solution = plan
     index = miss - 1 - mission.scenario.burns_flown
     state = np.array(solution.nodes.state[mission.burn_nodes[index]])
     state[3:] -= solution.burns_m_s[index]
     at_s = mission.scenario.burns.times_s[miss - 1]
-    home = replan(solution, at_s, state, measured_burns={miss: np.zeros(3)}, goal="return")
+    delivery, parent = (
+        Delivery.of(at_s, state, measured={miss: np.zeros(3)}),
+        FlownPlan.of(solution),
+    )
+    left = mission_left(parent, delivery, with_goal(parent, "return", None))
+    home = plan_left(parent, left)
     flown = flown_summary(open_plan(home), replace(options, miss=None, then=None))
     return Contingency(
         status=home.status.value.name,
