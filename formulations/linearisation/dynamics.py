@@ -91,7 +91,8 @@ class Dynamics:
         for _ in range(NEWTON_MAX):
             trial = self.linearise(problem, iterate)
             defect = np.abs(trial.defects[:-1]).max()
-            if defect < NEWTON_TOLERANCE:
+            missed = np.abs(goal - trial.iterate.mean[-1]).max()
+            if max(defect, missed) < NEWTON_TOLERANCE:
                 return trial
             if not defect < NEWTON_DIVERGED:
                 break
