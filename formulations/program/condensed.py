@@ -51,13 +51,14 @@ MISSED = 1e-9
 class ConeSize(NamedTuple):
     """The size of a block of cones in a compiled program.
 
-    `slots` cones of dimension d depend on the first p controls; for `triangular` see `Cones`.
+    `slots` cones of dimension d depend on the first p controls; for the others see `Cones`.
     """
 
     dimension: int
     controls: int
     triangular: bool
     slots: int
+    shared: bool = False
 
     @property
     def entries(self) -> tuple[Indices, Indices]:
@@ -93,7 +94,7 @@ def write_states(sizes: Sequence[ConeSize], controls: cp.Variable, numbers: Numb
         constants = numbers.array(f"constants_{block}", size.slots, size.dimension)
         y = cp.reshape(values @ controls[: size.controls], constants.shape, order="C") + constants
         rows.append(y)
-    return StateModel(miss, rows, [])
+    return StateModel(miss, rows, [], [size.shared for size in sizes])
 
 
 class CondensedSubproblem(ConvexSubproblem):
@@ -173,22 +174,23 @@ class CondensedSubproblem(ConvexSubproblem):
         for block, (cones, slots) in enumerate(zip(self._cones, self._slots, strict=True)):
             chosen = np.flatnonzero(self._active[cones.rows])
             n, (_, d, p) = len(chosen), cones.values.shape
-            size = ConeSize(d, p, cones.triangular, slots)
+            size = ConeSize(d, p, cones.triangular, slots, cones.shared)
             row, column = size.entries
             values, constants = np.zeros((slots, len(row))), np.zeros((slots, d))
             values[:n] = cones.values[chosen][:, row, column]
             constants[:n], constants[n:, 0] = cones.constants[chosen], 1.0
             states |= {f"values_{block}": values.ravel(), f"constants_{block}": constants}
             sizes.append(size)
-            buffers.append(np.r_[cones.rows[chosen], np.full(slots - n, -1)])
+            own = np.r_[cones.rows[chosen], np.full(slots - n, -1)]
+            buffers.append(own[:1] if cones.shared else own)
         shape = Shape.of(self.problem, floor=self._has_floor)
         compiled = compile_condensed(shape, self._penalty, tuple(sizes))
         return self._solve(compiled, radius, charge, planes, states, np.concatenate(buffers))
 
     def _slack(self, controls: Array) -> Array:
         """Slack of every row by the model, >= 0 where satisfied, shape (rows,)."""
-        slack = np.empty(self.rows.count)
+        slack = np.full(self.rows.count, np.inf)
         for cones in self._cones:
             y = cones.at(controls)
-            slack[cones.rows] = y[:, 0] - np.linalg.norm(y[:, 1:], axis=1)
+            np.minimum.at(slack, cones.rows, y[:, 0] - np.linalg.norm(y[:, 1:], axis=1))
         return slack

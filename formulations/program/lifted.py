@@ -86,7 +86,7 @@ class LiftedSubproblem(ConvexSubproblem):
         if lin.problem.firing is not None:
             seen = states + self._dynamics.drift(lin) @ (controls - lin.controls)
         rows = [write_row(one, self._dynamics.index(one.places), seen, controls) for one in cones]
-        return StateModel(miss, rows, equations)
+        return StateModel(miss, rows, equations, [False] * len(rows))
 
     def _attempt(self, radius: float, charge: PenaltyParameters, planes: Array) -> Step:
         start = perf_counter()

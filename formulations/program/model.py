@@ -21,7 +21,7 @@ a parameter or one of `Numbers`, so the program is compiled once.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, Self
 
@@ -87,12 +87,14 @@ class StateModel:
     """A formulation's part of the program: miss and state constraints as functions of the burns.
 
     The miss has shape (6,), the y of n state constraints of dimension d (n, d), with buffers in this
-    order. `constraints` are the linearised dynamics, unless these are eliminated.
+    order; a block that is `shared` has one. `constraints` are the linearised dynamics, unless these are
+    eliminated.
     """
 
     miss: cp.Expression
     rows: list[cp.Expression]
     constraints: list[cp.Constraint]
+    shared: Sequence[bool]
 
 
 StateModelWriter = Callable[[cp.Variable, Numbers], StateModel]
@@ -224,7 +226,8 @@ def write_model(shape: Shape, penalty: Penalty, write_states: StateModelWriter) 
     z = cp.Variable(int(shape.first[-1]))
     size, squares, numbers = cp.Variable(m), cp.Variable(), Numbers()
     states = write_states(z, numbers)
-    n_rows = sum(rows.shape[0] for rows in states.rows)
+    blocks = list(zip(states.rows, states.shared, strict=True))
+    n_rows = sum(1 if shared else rows.shape[0] for rows, shared in blocks)
     excess, violation = cp.Variable(6), cp.Variable(3 * m + n_rows)
     charged = cp.hstack([excess, violation])
     own = {
@@ -259,9 +262,9 @@ def write_model(shape: Shape, penalty: Penalty, write_states: StateModelWriter) 
         along = cp.sum(cp.multiply(own["floor_normals"], burns), axis=1)
         constraints.append(along >= own["floor"])
     first = 3 * m
-    for y in states.rows:
-        buffer = violation[first : first + y.shape[0]]
-        first += y.shape[0]
+    for y, shared in blocks:
+        buffer = violation[first] if shared else violation[first : first + y.shape[0]]
+        first += 1 if shared else y.shape[0]
         constraints.append(
             cp.SOC(y[:, 0] + buffer, y[:, 1:], axis=1) if y.shape[1] > 1 else y[:, 0] + buffer >= 0
         )

@@ -57,12 +57,14 @@ class Cones(NamedTuple):
         values: shape (n, d, p).
         constants: shape (n, d).
         triangular: whether the last d - 1 rows of [values, constants] are zero below the diagonal.
+        shared: whether all bound one row, and have its buffer.
     """
 
     rows: Indices
     values: Array
     constants: Array
     triangular: bool = False
+    shared: bool = False
 
     def at(self, controls: Array) -> Array:
         """The y of all controls, shape (n, d)."""

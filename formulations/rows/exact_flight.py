@@ -7,6 +7,8 @@ many sources of errors there are. Fewer dimensions need fewer directions.
 
 from __future__ import annotations
 
+from copy import copy
+
 import numpy as np
 from scipy.linalg import null_space
 
@@ -46,6 +48,9 @@ ENDS_MIN = 1e-9
 APART = 0.05
 """Change of a flight's g over which slopes are compared, in standard deviations."""
 
+TANGENTS = 12
+"""Tangents of a bundle, that of the iterate included."""
+
 LANCZOS = 4
 """Directions of the gains in which slopes are compared."""
 
@@ -61,6 +66,7 @@ class FlightRows(ExactRows):
     """
 
     condensed = False
+    _tangents: list[tuple[Linearisation, float, Array]] | None = None
 
     def __init__(
         self,
@@ -100,6 +106,18 @@ class FlightRows(ExactRows):
 
         self._look(aimed_directions(self._lines, self._coordinates.count, failing))
 
+    def bundled(self) -> FlightRows:
+        """The same row, whose model is bounded also by its tangents where it was evaluated before.
+
+        g has kinks where a flight's first broken limit changes. One slope says little about the other
+        sides of near kinks, and steps towards them are refused however short they are. The minimum of
+        tangents is a bundle: Lemarechal, Nemirovskii & Nesterov, "New variants of bundle methods",
+        Math. Program. 69 (1995).
+        """
+        rows = copy(self)
+        rows._seen, rows._tangents = [], []
+        return rows
+
     def margins(self, lin: Linearisation) -> dict[str, Margins]:
         """Margin of the whole flight, at the node where most flights break a limit."""
         g = self.at(lin)
@@ -113,13 +131,32 @@ class FlightRows(ExactRows):
         g, z = self.at(lin), lin.controls
         slope = gradient(lin, g.by_mean, g.by_factor)
         hessian = self._hessian(lin, g, slope)
-        margin = np.array([g.value - self.required])
-        own = curved_cones(np.zeros(1, np.intp), margin, slope[None], hessian[None], z, most=len(z))
+        margin, slopes = np.array([g.value - self.required]), slope[None]
+        if self._tangents is not None:
+            margin, slopes = self._bounds(lin, g, slope)
+        rows, bent = np.zeros(len(margin), np.intp), np.repeat(hessian[None], len(margin), axis=0)
+        own = curved_cones(rows, margin, slopes, bent, z, most=len(z))
+        own = own._replace(shared=self._tangents is not None)
         return [own, *self.further.cones(lin, s)]
+
+    def _bounds(self, lin: Linearisation, g: FlightValue, slope: Array) -> tuple[Array, Array]:
+        """Margins (TANGENTS,) and slopes (TANGENTS, controls) of tangents, the iterate's first.
+
+        A tangent that cuts off the iterate, as g is not quite concave, is moved to it.
+        """
+        assert self._tangents is not None
+        z, margins, slopes = lin.controls, [g.value], [slope]
+        for other, value, own in self._tangents:
+            if other is not lin:
+                margins.append(max(value + float(own @ (z - other.controls)), g.value))
+                slopes.append(own)
+        some = np.resize(np.arange(len(margins)), TANGENTS)
+        return np.array(margins)[some] - self.required, np.array(slopes)[some]
 
     def state_cones(self, lin: Linearisation) -> list[StateCones]:
         """The gradient acts on the mean and the factor of every node that may take part."""
         g, own = self.at(lin), self.cones(lin, condense(lin, self.nodes, factor=False))[0]
+        own = Cones(own.rows[:1], own.values[:1], own.constants[:1], own.triangular)
         by_mean = np.pad(g.by_mean, ((0, 0), (0, 3)))
         by_factor = g.by_factor[:, :, : self._columns]
         by_states = np.concatenate([by_mean[:, :, None], by_factor], axis=2)
@@ -143,6 +180,9 @@ class FlightRows(ExactRows):
                 self._seen.insert(0, self._seen.pop(k))
                 return seen[2]
         found = self._coordinates(self.probability, mean, factor, None)
+        if self._tangents is not None:
+            own = lin, found.value, gradient(lin, found.by_mean, found.by_factor)
+            self._tangents = [own, *self._tangents[: TANGENTS - 2]]
         self._seen = [(mean, factor, found), *self._seen[: REMEMBERED - 1]]
         return found
 

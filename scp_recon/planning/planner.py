@@ -232,6 +232,8 @@ class Planner(Generic[AnyProblem]):
         formulation, _, solver = self._names
         # Frozen derivatives prove nothing, and a stage of few iterations is not asked to.
         if formulation in FULL and spec.max_iterations is None:
+            if isinstance(rows, FlightRows) and rows.problem.feedback is None:
+                rows = rows.bundled()
             make = partial(make_subproblem, rows.problem, rows, formulation, solver)
             result = decide(make, dynamics, result, rows.resolution, partial(observe, spec.name))
         result.timing.setup += setup

@@ -3,7 +3,8 @@
 Near the border of feasibility the multipliers grow without bound. A penalty weight below them is not
 exact. One above them, 1e4 and more, multiplies the conic solver's errors, until predicted reductions
 are rounding and the trust region collapses. Two problems without a weight take the place of the merit:
-the least violation, and the least cost among iterates whose violations count as none.
+the least violation, and the least cost among iterates whose violations count as none. Whole flights
+have kinks; their rows are then bundles of tangents (`FlightRows.bundled`).
 """
 
 from __future__ import annotations

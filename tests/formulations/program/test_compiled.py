@@ -24,6 +24,7 @@ SIZES = (
     ConeSize(1, 3, triangular=False, slots=3),
     ConeSize(4, 6, triangular=False, slots=2),
     ConeSize(8, 6, triangular=True, slots=3),
+    ConeSize(3, 6, triangular=False, slots=2, shared=True),
 )
 CORRECTED = Shape(3, (1, 2), "dv99"), ConeSize(3, 24, triangular=True, slots=2)
 

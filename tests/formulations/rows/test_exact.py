@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.linalg import null_space
 
 from formulations.arrays import Array
 from formulations.linearisation.linearisation import Linearisation, condense, final_state_map
@@ -21,7 +22,7 @@ from formulations.rows.cones import (
 )
 from formulations.rows.coordinates import Coordinates
 from formulations.rows.exact import NodeRows
-from formulations.rows.exact_flight import FLIGHT, FlightRows
+from formulations.rows.exact_flight import FLIGHT, TANGENTS, FlightRows
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
 from scp_recon.planning.planner import plan
@@ -146,6 +147,28 @@ def test_rows_have_the_slope_of_margins_along_flown_burns(scope, accuracy):
         expected = (modelled(rows, lin, ends[0][1]) - modelled(rows, lin, ends[1][1]))[near]
         scale = np.abs(expected).max() + step
         np.testing.assert_allclose(difference, expected, rtol=0.0, atol=accuracy * scale)
+
+
+def test_a_bundle_bounds_a_flight_by_tangents_where_it_was_asked():
+    """None of them cuts off the iterate; where a tangent belongs, the model says no more than it."""
+    mission, lin = flown("flight")
+    rows, z = rows_of("flight", mission).bundled(), lin.controls
+    free, rng = null_space(final_state_map(lin)[1]), np.random.default_rng(4)
+    others = [
+        mission.dynamics.close_defects(lin, (z + free @ move).reshape(-1, 3))
+        for move in rng.normal(scale=1e-4, size=(5, free.shape[1]))
+    ]
+    values = [margins(rows, other).item() for other in (*others, lin)]
+    (cones,) = rows.cones(lin, condense(lin, rows.nodes))
+    assert cones.shared
+    assert cones.rows.tolist() == [0] * TANGENTS
+    at_iterate = slack(cones, z)
+    assert at_iterate.min() == pytest.approx(at_iterate[0], abs=1e-12)
+    assert at_iterate[0] == pytest.approx(values[-1], abs=1e-9)
+    assert len({*at_iterate.round(10)}) == 1 + len(others)  # each has its own tangent
+    for other, value in zip(others, values, strict=False):
+        # g is concave here but for its kinks, which a tangent through the iterate leaves out.
+        assert slack(cones, other.controls).min() < value + 1e-6
 
 
 def test_curvature_of_a_node_is_that_of_its_margin():

@@ -244,6 +244,13 @@ def test_a_flown_step_reaches_the_linear_final_state(mission, optimum, size):
     assert np.abs(flown.iterate.burns - burns).max() < 100.0 * size**2
 
 
+def test_a_short_step_keeps_no_miss_of_the_solver(mission, optimum):
+    """Its arcs have no defects to close, but the conic solver leaves a miss of its tolerance."""
+    change = np.random.default_rng(5).normal(scale=1e-9, size=optimum.iterate.burns.shape)
+    flown = mission.dynamics.close_defects(optimum, optimum.iterate.burns + change)
+    assert np.abs(flown.defects).max() < 1e-12
+
+
 @pytest.mark.parametrize("size", [0.3, 3.0, 30.0, None])
 def test_large_steps_end_dynamically_exact(mission, optimum, size):
     """From a flight, or from the straight line to the final state."""
