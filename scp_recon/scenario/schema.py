@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
+import math
 from collections.abc import Mapping
 from datetime import datetime
 from typing import Annotated, Any, Literal, Self
@@ -110,7 +111,9 @@ class Observation(Section):
                 next(v for k, v in self if k.startswith(f"{name}_{end}")) for end in ("min", "max")
             )
             if high is not None and low >= high:
-                raise ValueError(f"{name}: the minimum {low} must be below the maximum {high}")
+                in_radians = name in ("emission", "phase") and high < 0.5 * math.pi
+                hint = "; degrees?" if in_radians else ""
+                raise ValueError(f"{name}: the minimum {low} must be below the maximum {high}{hint}")
         return self
 
 

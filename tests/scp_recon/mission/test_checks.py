@@ -376,6 +376,13 @@ def test_radians_are_told_before_what_follows_from_them(given):
     assert caught.value.entry == "risk.p_chance"
 
 
+def test_limit_in_radians_below_its_minimum_is_told():
+    with pytest.raises(InputError, match=r"below the maximum 0\.785; degrees\?"):
+        mission_of("observation.emission_max_deg=0.785")
+    with pytest.raises(InputError, match=r"below the maximum 15\.0$"):
+        mission_of("observation.emission_max_deg=15.0")
+
+
 def test_largest_probability_of_whole_flights_is_accepted():
     assert mission_of(*WHOLE, f"risk.p_chance={PROBABILITY_MAX}").scenario.risk.scope == "flight"
     mission_of("risk.allocation=exact", "risk.p_chance=0.999999999")
