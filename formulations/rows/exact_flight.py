@@ -142,14 +142,18 @@ class FlightRows(ExactRows):
     def _bounds(self, lin: Linearisation, g: FlightValue, slope: Array) -> tuple[Array, Array]:
         """Margins (TANGENTS,) and slopes (TANGENTS, controls) of tangents, the iterate's first.
 
-        A tangent that cuts off the iterate, as g is not quite concave, is moved to it.
+        g is not quite concave: it falls as a root where a flight begins to touch a limit. A tangent that
+        cuts off the iterate is replaced by a plane through both values, turned along the step between.
         """
         assert self._tangents is not None
         z, margins, slopes = lin.controls, [g.value], [slope]
         for other, value, own in self._tangents:
-            if other is not lin:
-                margins.append(max(value + float(own @ (z - other.controls)), g.value))
-                slopes.append(own)
+            step = other.controls - z
+            length = float(step @ step)
+            if length > 0.0:
+                above = value - float(own @ step) - g.value
+                margins.append(g.value + max(above, 0.0))
+                slopes.append(own + min(above, 0.0) / length * step)
         some = np.resize(np.arange(len(margins)), TANGENTS)
         return np.array(margins)[some] - self.required, np.array(slopes)[some]
 

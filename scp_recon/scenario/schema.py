@@ -113,7 +113,9 @@ class Observation(Section):
             if high is not None and low >= high:
                 in_radians = name in ("emission", "phase") and high < 0.5 * math.pi
                 hint = "; degrees?" if in_radians else ""
-                raise ValueError(f"{name}: the minimum {low} must be below the maximum {high}{hint}")
+                raise ValueError(
+                    f"{name}: the minimum {low} must be below the maximum {high}{hint}"
+                )
         return self
 
 

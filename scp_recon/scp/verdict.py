@@ -43,14 +43,35 @@ FLOWN = 3e-2
 
 
 @dataclass(frozen=True)
-class LeastViolation(SCvx):
+class Deciding(SCvx):
+    """Base of both phases.
+
+    Attributes:
+        kinked: whether rows have kinks, as estimates from fixed directions do. A minimum at a kink has no
+            vanishing slope. What proves it are the flown steps of every length from `VERDICT_RADIUS` down
+            to `COLLAPSED`, in the best direction of a bundle of slopes, none of which lowers the merit.
+    """
+
+    initial_radius: float = NEAR
+    max_iterations: int = 100
+    kinked: bool = False
+
+    def terminate(self, subproblem: Subproblem, state: State, record: Record) -> Status | None:
+        """Stop as SCvx does, and at the bottom of a kink."""
+        status = super().terminate(subproblem, state, record)
+        if status is not Status.STALLED or not self.kinked:
+            return status
+        return Status.INFEASIBLE if record.violated > self.feasible else Status.CONVERGED
+
+
+@dataclass(frozen=True)
+class LeastViolation(Deciding):
     """SCvx on the sum of violations, until they are a share of what counts as none, or least."""
 
     penalty: ClassVar[Penalty] = "least"
     weight: float = 1.0
     weight_max: float = 1.0
     weight_limit: float = 1.0
-    initial_radius: float = NEAR
 
     def init(self, subproblem: Subproblem, lin: Linearisation) -> State:
         """Start from an iterate."""
@@ -68,7 +89,7 @@ class LeastViolation(SCvx):
 
 
 @dataclass(frozen=True)
-class LeastCost(SCvx):
+class LeastCost(Deciding):
     """SCvx on the cost, among iterates of which no violation is above `feasible`.
 
     The model's violations stay within a share of `feasible`, or between those of the start and it. What
@@ -76,7 +97,6 @@ class LeastCost(SCvx):
     """
 
     penalty: ClassVar[Penalty] = "bounded"
-    initial_radius: float = NEAR
 
     def init(self, subproblem: Subproblem, lin: Linearisation) -> State:
         """Start from an iterate whose violations count as none."""
@@ -115,10 +135,11 @@ def decide(
     """
     if result.status not in UNDECIDED or not result.lin.is_dynamically_feasible:
         return result
-    cost = LeastCost().resolving(resolution)
+    kinked = resolution > 0.0
+    cost = LeastCost(kinked=kinked).resolving(resolution)
     most = cost.feasible
     phases = (
-        LeastViolation(feasible=most, stationary=PROVED * most),
+        LeastViolation(feasible=most, stationary=PROVED * most, kinked=kinked),
         replace(cost, weight=WEIGHT / np.sqrt(most)),
     )
     last = result
