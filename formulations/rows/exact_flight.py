@@ -142,8 +142,8 @@ class FlightRows(ExactRows):
     def _bounds(self, lin: Linearisation, g: FlightValue, slope: Array) -> tuple[Array, Array]:
         """Margins (TANGENTS,) and slopes (TANGENTS, controls) of tangents, the iterate's first.
 
-        g is not quite concave: it falls as a root where a flight begins to touch a limit. A tangent that
-        cuts off the iterate is replaced by a plane through both values, turned along the step between.
+        g is not quite concave: it falls as a root where a flight begins to touch a limit. A tangent
+        that cuts off the iterate becomes a plane through both values, turned along the step between.
         """
         assert self._tangents is not None
         z, margins, slopes = lin.controls, [g.value], [slope]

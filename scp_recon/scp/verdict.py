@@ -47,9 +47,9 @@ class Deciding(SCvx):
     """Base of both phases.
 
     Attributes:
-        kinked: whether rows have kinks, as estimates from fixed directions do. A minimum at a kink has no
-            vanishing slope. What proves it are the flown steps of every length from `VERDICT_RADIUS` down
-            to `COLLAPSED`, in the best direction of a bundle of slopes, none of which lowers the merit.
+        kinked: whether rows have kinks, as estimates from fixed directions do. A minimum at a kink has
+            no vanishing slope. What proves it are flown steps of every length down to `COLLAPSED`, each
+            the best by a bundle of slopes, none of which lowers the merit.
     """
 
     initial_radius: float = NEAR
