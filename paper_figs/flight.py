@@ -18,6 +18,7 @@ from formulations.arrays import Array
 from paper_figs.drawing import BURN, Look, draw_burns, history, place_labels
 from paper_figs.inputs import FlownPlan, Runs
 from paper_figs.observation import SEED, observed, planned_positions
+from scp_recon.display import mm_s
 from scp_recon.mission.constraints import companion_distance_m
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.schedule import Mode
@@ -51,7 +52,7 @@ def flyby(solution: Solution) -> Figure:
         _histories([figure.add_subplot(grid[row, 1]) for row in range(3)], mission, solution)
         figure.suptitle(
             f"{plain(mission.scenario.site.name)} on {plain(mission.scenario.body.name)}: "
-            f"{1e3 * solution.total_dv_m_s:.1f} mm/s in {len(solution.executed)} burns",
+            f"{mm_s(solution.total_dv_m_s, 1)} in {len(solution.executed)} burns",
             fontweight="bold",
         )
         starts, arrows, _ = _burns_from_sun(mission, solution)

@@ -14,6 +14,14 @@ if TYPE_CHECKING:
     import pandas
     from plotly.graph_objects import Figure
 
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
+"""Okabe and Ito's colours, which eyes of all kinds tell apart: of pages and pictures alike."""
+
+
+def mm_s(speed_m_s: float, digits: int = 3) -> str:
+    """A speed in m/s as words in mm/s."""
+    return f"{1e3 * speed_m_s:.{digits}f} mm/s"
+
 
 class Displays(Protocol):
     """Functions that draw and tabulate results."""

@@ -10,6 +10,7 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
+from scp_recon.display import mm_s
 from scp_recon.mission.survey import LitWindow, Survey
 from scp_recon.passes.descent import PassResult
 from scp_recon.passes.design import Trial
@@ -140,7 +141,7 @@ def draw_design(tried: Sequence[Trial], found: PassResult, dv_m_s: float) -> byt
             norm=colours,
         )
         if found.converged:
-            label = f"found: {1e3 * dv_m_s:.1f} mm/s"
+            label = f"found: {mm_s(dv_m_s, 1)}"
             place = np.rad2deg(found.at.phases) % 360.0
             axes.plot(*place, "*", color="red", markeredgecolor="white", markersize=14, label=label)
             figure.legend(loc="outside upper center")

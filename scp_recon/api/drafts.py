@@ -14,6 +14,7 @@ import numpy as np
 from scp_recon.api.inputs import PlanRequest, date_in_tdb
 from scp_recon.api.planning import carry_out
 from scp_recon.bodies.catalogue import DAY_S, J2000_TDB, body_names, packaged_body
+from scp_recon.display import mm_s
 from scp_recon.drafting.draft import Draft, GivenBody, Tables, draft_text, drafts
 from scp_recon.drafting.draft import scenario_of as drafted
 from scp_recon.drafting.flown import Track, flown_draft, start_csv, start_table
@@ -210,7 +211,7 @@ class NewScenario:
     def verdict(self) -> str:
         """The verdict on the plan in one line."""
         verdict = "verified" if self.verification.ok else "not verified"
-        return f"{self.solution.status}, {verdict}, {1e3 * self.solution.total_dv_m_s:.1f} mm/s"
+        return f"{self.solution.status}, {verdict}, {mm_s(self.solution.total_dv_m_s, 1)}"
 
     def __repr__(self) -> str:
         """One line."""

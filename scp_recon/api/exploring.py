@@ -18,6 +18,7 @@ from scp_recon.api import files
 from scp_recon.api.inputs import PlanRequest, scenario_of
 from scp_recon.api.options import PlanOptions
 from scp_recon.api.planning import carry_out
+from scp_recon.display import mm_s
 from scp_recon.errors import InputError, number_between, one_of, option, shortened, whole_number
 from scp_recon.mission.mission import Mission
 from scp_recon.reports.flights import Shown
@@ -230,8 +231,7 @@ class Explorer:
         first = 1 + mission.scenario.burns_flown
         return {
             "verdict": slider_verdict(planned.shown, solution),
-            "cost": f"{1e3 * solution.total_dv_m_s:.1f} mm/s"
-            + ("" if converged else f", {solution.status}"),
+            "cost": mm_s(solution.total_dv_m_s, 1) + ("" if converged else f", {solution.status}"),
             "converged": converged,
             "effort": f"iterations: {iterations}; planned in {solution.timing_s.total:.2f} s",
             "legal": {

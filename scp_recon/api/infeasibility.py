@@ -1,213 +1,44 @@
-"""Diagnose a plan that failed: what would have to change, planned as the user's next command would.
+"""Diagnose a plan that failed: values with which the user's command ends verified, within a time.
 
-A relaxation is first planned roughly: from one start, with facets chosen once. If a rough plan exists,
-the user's own command is carried out with the other values, on its grid, from its start, with its
-options and its certificate. Only what ends verified is proposed. Every trial is a local search. A trial
-without a plan therefore does not prove that no plan exists.
+Every trial is a local search. A trial without a plan therefore does not prove that no plan exists.
 """
 
 from __future__ import annotations
 
-import json
-import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
-from itertools import pairwise
-from time import process_time
-from typing import TypeVar
 
-import numpy as np
-from scipy.special import ndtr, ndtri
-
-from formulations.problem.flyby import Iterate
-from formulations.registry import FULL
+from scp_recon.api.clock import Clock
 from scp_recon.api.inputs import PlanRequest
-from scp_recon.api.options import PlanOptions
-from scp_recon.api.planning import PlanObserver, PlanOutcome, Silent, Watch, carry_out, plan_mission
-from scp_recon.certification.flights import Watch as FlightWatch
-from scp_recon.certification.flights import fly_plan, run_test
-from scp_recon.certification.largest import largest_kept, rounded_down
-from scp_recon.errors import InputError
+from scp_recon.api.planning import PlanOutcome
+from scp_recon.api.trials import (
+    CONTINUED,
+    CORRECTED,
+    FINAL_STATE,
+    MORE_BURNS,
+    PROBABILITY,
+    RETURN,
+    SPLIT,
+    TARGET,
+    Case,
+    Remedy,
+    violated_by,
+)
 from scp_recon.jobs.blas import one_thread
-from scp_recon.mission.constraints import companion_distance_m
-from scp_recon.mission.drifts import planned, radius_m
-from scp_recon.mission.mission import Mission
-from scp_recon.monte_carlo.estimates import Estimate, flights_of_test
-from scp_recon.planning.initial_guess import from_burns
-from scp_recon.planning.method import SETTLE
 from scp_recon.planning.plan import Plan
-from scp_recon.scenario.schema import Scenario
-from scp_recon.scp.loop import Record
 from scp_recon.scp.status import Status
-from scp_recon.verification.refinement import refined
 from scp_recon.verification.remedies import CERTIFICATE
 
 TIMES, LEAST_S = 3.0, 30.0
 """Limit of a diagnosis: so many times the processor time of the plan, at least so many seconds."""
 
-LEAST_TRIAL_S, WORTH_SAYING = 1.0, 1e-3
-"""Least limit of time for a plan with exact risk beside a verified one, and the share of its delta-v
-that exact risk has to save."""
-
-LEAST = 0.501
-"""Least probability of the search: a scenario requires more than one half."""
-
-CLOSE = 0.03
-"""Standard deviations between the largest probability with a plan and the next without: a hint."""
-
-BELOW, BELOW_CERTIFIED = (0.0, 0.02, 0.1, 0.25), (0.05, 0.15, 0.3)
-"""Standard deviations by which a proposed probability is below the largest with a rough plan: the
-user's grid may require more than a rough plan does, and flights do."""
-
-FREE = 100.0
-"""Factor on the largest burn and on the final spread if they are relaxed."""
-
-MORE = (1.0, 1.05, 1.25)
-"""Factors on a value that suffices for a rough plan, tried one after the other."""
-
-FREE_CONE_DEG, FREE_MISS = 1e-4, 1e-3
-"""Half-angle of the cones that burns avoid if their directions are relaxed, and price of a miss if
-the final state is relaxed."""
-
-STEPS = 6
-"""Bisections of the shares by which limits are relaxed."""
-
-FEEDBACK = {
-    "policy.kind": "feedback",
-    "navigation.sigma_position_m": 5.0,
-    "navigation.sigma_velocity_m_s": 0.0005,
-}
-"""Feedback as it is tried where the scenario has no measurements of its own."""
-
-SIZE, DIRECTIONS = "the size of the burns", "the directions of the burns"
-FINAL_STATE, LIMITS = "the final state", "the limits"
-FINAL_SPREAD = "the limits on the final covariance"
-SPLIT = "the polytopes and the split of the risk"
-PROBABILITY, CORRECTED = "the probability", "feedback"
-RETURN = "the observation: going home without it"
-MORE_BURNS, TARGET = "the number of burns", "the target of the certificate"
-CONTINUED = "continuing from this solution"
-
 SHARE = 0.25
 SHARES = {SPLIT: 0.8, CORRECTED: 0.6, PROBABILITY: 0.4}
 """Shares of all time that a trial may take, and those of the dearer ones."""
 
-OTHERS = (".ptr", ".scvx-star")
-"""Ends of the names of stages by other algorithms."""
-
-T = TypeVar("T")
-Changes = Mapping[str, object]
-
-
-class TimeIsUp(Exception):  # noqa: N818 -- no error
-    """The time for a diagnosis is used up."""
-
-
-@dataclass
-class Clock(Watch, Silent):
-    """Limit of processor time, checked after every iteration and every round of flights.
-
-    Attributes:
-        limit_s: of the diagnosis.
-        began: processor time at its begin, s.
-        tried: names of what was tried without success.
-        left_out: names of what the time did not suffice for.
-        until_s: processor time at which the present trial has to end.
-    """
-
-    limit_s: float
-    began: float = field(default_factory=process_time)
-    tried: list[str] = field(default_factory=list)
-    left_out: list[str] = field(default_factory=list)
-    until_s: float = math.inf
-
-    def __call__(self, stage: str, record: Record) -> None:
-        """An iteration is done."""
-        del stage, record
-        self.check()
-
-    def flights(
-        self, step: str, plan: Plan, samples: int, flown: int = 0, reached: Estimate | None = None
-    ) -> None:
-        """Some flights are flown."""
-        del step, plan, samples, flown, reached
-        self.check()
-
-    def planning(self, mission: Mission) -> AbstractContextManager[PlanObserver | None]:
-        """Observe the plan of a command."""
-        del mission
-        return nullcontext(self)
-
-    def check(self) -> None:
-        """Stop once the time is used up.
-
-        Raises:
-            TimeIsUp: if it is.
-        """
-        if process_time() > min(self.until_s, self.began + self.limit_s):
-            raise TimeIsUp
-
-    def attempt(self, name: str, work: Callable[[], T | None], share: float = 1.0) -> T | None:
-        """What a trial finds; None, and the trial is noted, if it finds nothing or time is up.
-
-        Args:
-            name: of the trial.
-            work: the trial.
-            share: of all time that it may take.
-        """
-        self.until_s = process_time() + share * self.limit_s
-        try:
-            self.check()
-            found = work()
-        except TimeIsUp:
-            self.left_out.append(name)
-            return None
-        except InputError:  # the scenario does not allow such values
-            found = None
-        if found is None:
-            self.tried.append(name)
-        return found
-
-
-class Undecided(Exception):  # noqa: N818 -- no error
-    """The usual algorithm has found no plan."""
-
-
-@dataclass
-class Roughly(Silent):
-    """Observer of a rough plan: it ends where other algorithms would be tried."""
-
-    clock: Clock
-
-    def __call__(self, stage: str, record: Record) -> None:
-        """An iteration is done."""
-        if stage.endswith(OTHERS):
-            raise Undecided
-        self.clock(stage, record)
-
-    @property
-    def flights(self) -> FlightWatch:
-        """Observer of flights."""
-        return self.clock.flights
-
-
-@dataclass(frozen=True)
-class Remedy:
-    """Other values of entries with which the user's command ended verified.
-
-    Attributes:
-        name: what is relaxed.
-        changes: values by entry.
-        cost_m_s: delta-v of the plan.
-        certify: option of certification that the command needs; None for its own.
-    """
-
-    name: str
-    changes: Changes
-    cost_m_s: float
-    certify: bool | None = None
+LEAST_TRIAL_S, WORTH_SAYING = 1.0, 1e-3
+"""Least limit of time for a plan with exact risk beside a verified one, and the share of its delta-v
+that exact risk has to save."""
 
 
 @dataclass(frozen=True)
@@ -307,292 +138,6 @@ def cost_of_exact_risk(made: Plan, request: PlanRequest, spent_s: float = 0.0) -
     return found.cost_m_s
 
 
-def for_exact(options: PlanOptions) -> PlanOptions:
-    """The options of a command, as far as exact risk and a given probability allow them."""
-    return replace(
-        options,
-        method="scp",
-        formulation=options.formulation if options.formulation in (*FULL, None) else FULL[0],
-        facet_rounds=options.facet_rounds if options.facet_rounds in (0, SETTLE) else 0,
-        objective="delta-v",
-        dv_budget_m_s=None,
-    )
-
-
-@dataclass
-class Case:
-    """A failed plan, the request of its command, and the trials that the time allows.
-
-    Attributes:
-        largest: see `Diagnosis`.
-    """
-
-    failed: Plan
-    request: PlanRequest
-    clock: Clock
-    largest: float | None = None
-
-    @property
-    def scenario(self) -> Scenario:
-        """That of the failed plan."""
-        return self.failed.mission.scenario
-
-    def trials(self, p3: Status) -> Iterator[tuple[str, Callable[[], Remedy | None]]]:
-        """Trials of an infeasible plan: of what is violated and of what gives up nothing first."""
-        risky = self.request.options.problem == "P2" and p3 is not Status.INFEASIBLE
-        risk, violated = self.scenario.risk, _violated(self.failed)
-        if risky and risk.allocation == "uniform":
-            yield SPLIT, partial(self._confirmed, SPLIT, {"risk.allocation": "exact"})
-        burns = [("dv_max", SIZE, self._size), ("dv_battery", DIRECTIONS, self._directions)]
-        for name, what, work in burns:
-            if name in violated:
-                yield what, work
-        if risky and _spreads(self.scenario):
-            yield FINAL_SPREAD, self._final_spread
-        if risky and self.scenario.policy.kind == "open":
-            yield CORRECTED, self._feedback
-        if risky:
-            yield PROBABILITY, self._probability
-        entries = _entries(self.scenario, violated)
-        if len(entries) > 1:
-            yield f"{LIMITS} together", partial(self._limits, entries)
-        for entry in entries:
-            yield f"{LIMITS}: {entry}", partial(self._limits, {entry: entries[entry]})
-        if self.request.remade is not None and self.failed.mission.observed_s is not None:
-            yield RETURN, self.going_home
-        for name, what, work in burns:
-            if name not in violated:
-                yield what, work
-
-    def rough(self, changes: Changes, *, certain: bool = False) -> Plan | None:
-        """A plan with other values, from one start and without flights; None if there is none."""
-        mission = self.failed.mission.changed(changes)
-        return self._roughly(mission, self.failed.final.result.lin.iterate, certain=certain)
-
-    def _roughly(
-        self,
-        mission: Mission,
-        start: Iterate,
-        *,
-        certain: bool = False,
-        target: float | None = None,
-    ) -> Plan | None:
-        if len(start.mean) != len(mission.times_s):
-            start = from_burns(mission, self.failed.burns_m_s)
-        problem = "P3" if certain else self.request.options.problem
-        exact = problem == "P2" and mission.scenario.risk.allocation == "exact"
-        options = PlanOptions(problem, certify=False if exact else None, facet_rounds=0, starts=1)
-        observe = Roughly(self.clock)
-        try:
-            plan = plan_mission(mission, start, options, observe, once=True, target=target)
-        except Undecided:
-            return None
-        return plan if _converged(plan) else None
-
-    def command(self, changes: Changes, *, certify: bool | None = None) -> PlanOutcome | None:
-        """The user's command with other values; None unless it ends verified."""
-        exact = changes.get("risk.allocation", self.scenario.risk.allocation) == "exact"
-        options = self.request.options
-        if exact and ("risk.allocation" in changes or "risk.p_chance" in changes):
-            options = for_exact(options)
-        if certify is not None:
-            options = replace(options, certify=certify)
-        request = replace(self.request.again(overrides_of(changes)), options=options)
-        outcome = carry_out(request, self.clock)
-        if not _converged(outcome.plan) or outcome.verification is None:
-            return None
-        return outcome if outcome.verification.ok else None
-
-    def _confirmed(self, name: str, changes: Changes) -> Remedy | None:
-        """The remedy, if the user's command ends verified with these values.
-
-        A command that turns to exact risk is tried without flights, then with them.
-        """
-        turns = changes.get("risk.allocation", "uniform") != self.scenario.risk.allocation
-        for certify in (False, True) if turns and "risk.allocation" in changes else (None,):
-            try:
-                outcome = self.command(changes, certify=certify)
-            except InputError:  # no flights certify so much
-                continue
-            if outcome is not None:
-                return Remedy(name, changes, outcome.plan.cost_m_s, certify)
-        return None
-
-    def _first(self, name: str, several: Sequence[Changes]) -> Remedy | None:
-        """The remedy of the first values that suffice."""
-        return next((one for values in several if (one := self._confirmed(name, values))), None)
-
-    def _size(self) -> Remedy | None:
-        """A larger limit of the burns, as large as a plan without it needs."""
-        entry = "burns.dv_max_m_s"
-        free = self.rough({entry: FREE * self.scenario.burns.dv_max_m_s})
-        if free is None:
-            return None
-        # With corrections, or a limit that risk makes smaller, the mean burn alone does not suffice.
-        largest = float(np.linalg.norm(free.burns_m_s, axis=1).max())
-        if largest == 0.0:
-            return None
-        return self._first(SIZE, [{entry: _rounded(factor * largest)} for factor in MORE])
-
-    def _directions(self) -> Remedy | None:
-        """A narrower cone that burns avoid; None if that alone does not suffice."""
-        entry, given = "battery.delta_v_cone_deg", self.scenario.battery.delta_v_cone_deg
-        if self.rough({entry: FREE_CONE_DEG}) is None:
-            return None
-        return self._least(DIRECTIONS, {entry: (given, FREE_CONE_DEG)})
-
-    def _final_spread(self) -> Remedy | None:
-        """Larger limits on the final covariance, as large as a plan without them needs."""
-        given = _spreads(self.scenario)
-        return self._least(FINAL_SPREAD, {e: (v, FREE * v) for e, v in given.items()})
-
-    def _limits(self, entries: Mapping[str, tuple[float, float]]) -> Remedy | None:
-        """Wider limits: each by the same share of the way to the widest value."""
-        one = len(entries) == 1
-        return self._least(
-            f"{LIMITS}: {next(iter(entries))}" if one else f"{LIMITS} together", entries
-        )
-
-    def _least(self, name: str, entries: Mapping[str, tuple[float, float]]) -> Remedy | None:
-        """The remedy with values the least of the way from the given ones to the widest."""
-
-        def at(share: float) -> dict[str, object]:
-            return {
-                entry: _rounded(given + share * (widest - given), up=widest > given)
-                for entry, (given, widest) in entries.items()
-            }
-
-        if self.rough(at(1.0)) is None:
-            return None
-        low, high = 0.0, 1.0
-        for _ in range(STEPS):
-            middle = 0.25 * high if low == 0.0 else math.sqrt(low * high)
-            low, high = (low, middle) if self.rough(at(middle)) else (middle, high)
-        shares = dict.fromkeys(min(1.0, factor * high) for factor in (*MORE, 2.0))
-        return self._first(name, [at(share) for share in shares])
-
-    def _probability(self) -> Remedy | None:
-        """The largest probability with exact risk, of which the command ends verified."""
-        required = self.scenario.risk.p_chance
-        iterate, mission = self.failed.final.result.lin.iterate, self.failed.mission
-
-        def exact(start: Iterate, target: float) -> Plan | None:
-            of = {"risk.allocation": "exact", "risk.p_chance": target}
-            return self._roughly(mission.changed(of), start)
-
-        def attempt(best: Plan, target: float) -> Plan:
-            return exact(best.final.result.lin.iterate, target) or self.failed
-
-        low = exact(iterate, LEAST)
-        if low is None:
-            return None
-        best, _ = largest_kept(low, required, CLOSE, attempt, _converged)
-        assert best.target is not None
-        self.largest = best.target
-        tries: list[Changes] = []
-        certified = self.request.options.is_certified(self.scenario)
-        for less in BELOW_CERTIFIED if certified else BELOW:
-            p = rounded_down(float(ndtr(ndtri(best.target) - less)))
-            if 0.5 < p < required:
-                was = self.scenario.risk.allocation
-                split = {} if was == "exact" else {"risk.allocation": "exact"}
-                tries.append({**split, "risk.p_chance": p})
-        return self._first(PROBABILITY, tries)
-
-    def _feedback(self) -> Remedy | None:
-        """Burns that are corrected in flight, with the scenario's measurements if it has any."""
-        measures = self.scenario.navigation.measures
-        changes: dict[str, object] = {"policy.kind": "feedback"} if measures else dict(FEEDBACK)
-        if self.scenario.risk.allocation != "exact":
-            changes["risk.allocation"] = "exact"
-        return self._confirmed(CORRECTED, changes)
-
-    def final_miss(self) -> tuple[float, float] | None:
-        """Miss in m and m/s of a plan that may miss the final state, on a grid that is fine enough.
-
-        No entry has a command miss the final state, so this is no remedy.
-        """
-        plan = self._missing(self.failed.mission)
-        if plan is not None and (finer := refined(plan)) is not None:
-            plan = self._missing(finer)
-        if plan is None:
-            return None
-        missed = np.linalg.norm((plan.states[-1] - plan.mission.final_state).reshape(2, 3), axis=1)
-        return float(missed[0]), float(missed[1])
-
-    def _missing(self, mission: Mission) -> Plan | None:
-        """A rough plan that may miss the final state, if there is one."""
-        free = replace(mission)
-        # No scenario asks for such a problem: it takes the place of the one that this copy caches.
-        vars(free)["problem"] = replace(mission.problem, miss_weight=FREE_MISS)
-        return self._roughly(free, from_burns(free, self.failed.burns_m_s))
-
-    def more_burns(self) -> Remedy | None:
-        """Burns added to the rest of a flight, at the first of some times that suffice."""
-        scenario = self.scenario
-        times = list(scenario.burns.times_s)
-        ends = [scenario.start_s, *(t for t in times if t > scenario.start_s)]
-        apart = min(late - early for early, late in pairwise(times))
-        several = [
-            sorted([*times, float(round(begin + share * (end - begin)))])
-            for share in (0.5, 0.25, 0.75)
-            for begin, end in pairwise(ends)
-        ]
-        later = [[times[-1] + apart], [times[-1] + apart, times[-1] + 2.0 * apart]]
-        several += [[*times, *added] for added in later]
-        return self._first(MORE_BURNS, [{"burns.times_s": tried} for tried in several])
-
-    def going_home(self) -> Remedy | None:
-        """The rest of a flight without its observation."""
-        return self._confirmed(RETURN, {"observation.required": False})
-
-    def kept(self) -> float | None:
-        """Share of flights that keep every limit with a plan that has none certified, or whose test."""
-        if self.failed.certificate is not None:
-            return self.failed.certificate.reached
-        if self.failed.target is None:
-            return None
-
-        def reached() -> float:
-            flights = flights_of_test(self.scenario.risk.p_chance)
-            tested, _ = run_test(self.failed, partial(fly_plan, self.clock.flights), flights, 1, 1)
-            assert tested.certificate is not None
-            return tested.certificate.reached
-
-        return self.clock.attempt("flights of this plan", reached)
-
-    def continued(self) -> Remedy | None:
-        """The user's command, started from the plan that failed."""
-        outcome = carry_out(replace(self.request, init=self.failed), self.clock)
-        ok = outcome.verification is not None and outcome.verification.ok
-        return Remedy(CONTINUED, {}, outcome.plan.cost_m_s) if ok else None
-
-    def lower_promise(self) -> Remedy | None:
-        """The largest of some lower probabilities that flights certify."""
-        required = self.scenario.risk.p_chance
-        below = [
-            1.0 - _rounded((1.0 - required) * factor, digits=1) for factor in (1.1, 1.5, 2.0, 4.0)
-        ]
-        tries = dict.fromkeys(round(p, 9) for p in below if 0.5 < p < required)
-        return self._first(TARGET, [{"risk.p_chance": p} for p in tries])
-
-
-def overrides_of(changes: Changes) -> list[str]:
-    """Changes as overrides of a command."""
-    return [f"{entry}={json.dumps(value)}" for entry, value in changes.items()]
-
-
-def _converged(plan: Plan) -> bool:
-    """Whether a plan has converged.
-
-    Raises:
-        KeyboardInterrupt: if it was interrupted.
-    """
-    if plan.status is Status.INTERRUPTED:
-        raise KeyboardInterrupt
-    return plan.status is Status.CONVERGED
-
-
 def _without_uncertainty(failed: Plan) -> Status:
     """How P3 ended, at best: what is infeasible from every start comes last."""
     order = (Status.CONVERGED, Status.MAX_ITERATIONS, Status.STALLED, Status.SOLVER_FAILED)
@@ -600,17 +145,6 @@ def _without_uncertainty(failed: Plan) -> Status:
     own = [s.result.status for s in failed.stages if s.problem == "P3" and s.spec.role != "open"]
     # A plan that continued from another has no P3 of its own; the other had one.
     return min(own, key=lambda status: ranked.get(status, len(order)), default=Status.CONVERGED)
-
-
-def _violated(plan: Plan) -> tuple[str, ...]:
-    """Names of the constraints that the end of a plan violates."""
-    merit, tolerance = plan.final.merit, plan.final.tolerance
-    violations = merit.violations(plan.final.result.lin)
-    return tuple(
-        FINAL_STATE if name == "dynamics" else name
-        for name, amount in violations.items()
-        if amount.max(initial=0.0) > tolerance
-    )
 
 
 def _by_how_much(plan: Plan) -> tuple[str, ...]:
@@ -622,58 +156,5 @@ def _by_how_much(plan: Plan) -> tuple[str, ...]:
     }
     return tuple(
         f"{name} by {missed[name]:.2g} sigma" if name in missed else name
-        for name in _violated(plan)
+        for name in violated_by(plan)
     )
-
-
-def _spreads(scenario: Scenario) -> dict[str, float]:
-    """Limits on the final covariance by entry."""
-    names = ("final_sigma_position_m", "final_sigma_velocity_m_s")
-    given = {f"boundary.{name}": getattr(scenario.boundary, name) for name in names}
-    return {entry: float(value) for entry, value in given.items() if value is not None}
-
-
-def _entries(scenario: Scenario, violated: Sequence[str]) -> dict[str, tuple[float, float]]:
-    """Entries of the limits that are violated: their values, and the widest that make sense."""
-    o, safety, battery = scenario.observation, scenario.safety, scenario.battery
-    radius = scenario.body.reference_radius_m
-    companion = 0.0 if scenario.body.companion is None else scenario.body.companion.radius_m
-    far, narrow, wide = 4.0 * o.site_distance_max_m, FREE_CONE_DEG, 89.0
-    every: dict[str, tuple[str, float | None, float]] = {
-        "site_distance_min": ("observation.site_distance_min_m", o.site_distance_min_m, 1.0),
-        "site_distance_max": ("observation.site_distance_max_m", o.site_distance_max_m, far),
-        "emission_min": ("observation.emission_min_deg", o.emission_min_deg, narrow),
-        "emission_max": ("observation.emission_max_deg", o.emission_max_deg, wide),
-        "phase_min": ("observation.phase_min_deg", o.phase_min_deg, narrow),
-        "phase_max": ("observation.phase_max_deg", o.phase_max_deg, wide),
-        "battery_observation": (
-            "battery.observation_cone_deg",
-            battery.observation_cone_deg,
-            narrow,
-        ),
-        "safety_radius": ("safety.radius_min_m", safety.radius_min_m, radius),
-        "companion_distance": (
-            "safety.companion_distance_min_m",
-            companion_distance_m(scenario) or None,
-            companion,
-        ),
-    }
-    found = {}
-    drifts = {miss.name for miss in planned(scenario)}
-    for name in violated:
-        if name in drifts and (kept := radius_m(scenario)) > radius:
-            found["safety.drift_radius_m"] = (kept, radius)
-        # Sets with both limits count as one constraint where risk is exact.
-        for constraint, (entry, given, widest) in every.items():
-            is_named = constraint == name or constraint.startswith(f"{name}_")
-            if is_named and given is not None and given != widest:
-                found[entry] = (float(given), widest)
-    return found
-
-
-def _rounded(value: float, *, up: bool = True, digits: int = 4) -> float:
-    """A positive number rounded up or down to some significant digits."""
-    place = digits - 1 - math.floor(math.log10(value))
-    scaled = value * 10.0**place
-    whole = math.ceil(scaled - 1e-9) if up else math.floor(scaled + 1e-9)
-    return float(round(whole * 10.0**-place, max(place, 0)))

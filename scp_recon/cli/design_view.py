@@ -19,6 +19,7 @@ from scp_recon.cli.command import (
     show_line,
 )
 from scp_recon.cli.rendering import time_left
+from scp_recon.display import mm_s
 from scp_recon.errors import option
 from scp_recon.files import PICTURE, check_own, write_atomically, writing
 from scp_recon.passes.design import Trial
@@ -105,7 +106,7 @@ def progress(console: Console) -> Iterator[Callable[[Trial], None]]:
         phases = phases_deg(best.result)
         between = "" if None in phases else " from {:.1f} to {:.1f} deg".format(*phases)
         return (
-            f"{count}, best {1e3 * best.result.dv_m_s:.3f} mm/s{between}"
+            f"{count}, best {mm_s(best.result.dv_m_s)}{between}"
             + (", without uncertainty" if step in ("map", "certain") else "")
             + (COSTS[best.result.mission.scenario.policy.cost] if step == "corrected" else "")
         )

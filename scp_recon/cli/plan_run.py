@@ -11,19 +11,12 @@ from typing import Self
 
 from rich.console import Console
 
-from scp_recon.api.infeasibility import (
-    Diagnosis,
-    Remedy,
-    cost_of_exact_risk,
-    diagnose,
-    for_exact,
-    is_diagnosed,
-    overrides_of,
-)
+from scp_recon.api.infeasibility import Diagnosis, cost_of_exact_risk, diagnose, is_diagnosed
 from scp_recon.api.inputs import PlanRequest
 from scp_recon.api.keeping import UNVERIFIED, point_latest, run_folder
 from scp_recon.api.options import PlanOptions
 from scp_recon.api.planning import PlanOutcome, Watch
+from scp_recon.api.trials import Remedy, for_exact, overrides_of
 from scp_recon.certification.largest import rounded_down
 from scp_recon.cli import plan_view
 from scp_recon.cli.command import (
@@ -33,6 +26,7 @@ from scp_recon.cli.command import (
     show_written,
 )
 from scp_recon.cli.plan_view import Progress, live_progress, plan_document
+from scp_recon.display import mm_s
 from scp_recon.mission.mission import Mission
 from scp_recon.planning.plan import Plan
 from scp_recon.results.solution import FILE_NAME
@@ -43,7 +37,7 @@ from scp_recon.scp.status import Status
 def show_largest(budget_m_s: float | None, plan: Plan, console: Console) -> None:
     """Show the largest probability, with its delta-v and the budget."""
     most = "any delta-v" if budget_m_s is None else f"at most {budget_m_s:g} m/s"
-    result = f"{plan.mission.scenario.risk.p_chance:.5g}, for {1e3 * plan.cost_m_s:.3f} mm/s"
+    result = f"{plan.mission.scenario.risk.p_chance:.5g}, for {mm_s(plan.cost_m_s)}"
     show_line(console, f"largest probability found for {most}: {result}")
 
 
@@ -251,4 +245,4 @@ def what_would_do(remedy: Remedy, more: Sequence[str] = (), file: Path = Path(FI
         options += ["--set", shlex.quote(override)]
     if remedy.certify is not None:
         options += ["--certify", "yes" if remedy.certify else "no"]
-    return f"feasible, for {1e3 * remedy.cost_m_s:.1f} mm/s, with: {' '.join(options)}"
+    return f"feasible, for {mm_s(remedy.cost_m_s, 1)}, with: {' '.join(options)}"

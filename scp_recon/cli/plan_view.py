@@ -18,6 +18,7 @@ from formulations.arrays import Array
 from scp_recon.bodies.catalogue import AU_KM, packaged_body
 from scp_recon.cli.command import show_line
 from scp_recon.cli.rendering import show_verdict, show_warnings, terminal
+from scp_recon.display import mm_s
 from scp_recon.errors import InputError
 from scp_recon.interop.export import Export
 from scp_recon.mission import knowledge
@@ -187,7 +188,7 @@ def _show_cost(console: Console, solution: Solution, *, verbose: bool) -> None:
     """Show delta-v, iterations and times."""
     iterations = ", ".join(f"{s.name} {s.iterations}" for s in solution.stages)
     of = " of the last round" if _rounds(solution.risk) > 1 else ""
-    total = f"{1e3 * solution.total_dv_m_s:.3f} mm/s"
+    total = mm_s(solution.total_dv_m_s)
     more = f"; iterations{of}: {iterations}; {solution.timing_s.total:.2f} s"
     console.print(Text.assemble("total delta-v ", (total, "bold"), more), soft_wrap=True)
     if solution.cost_in_words:
@@ -214,7 +215,7 @@ def _show_policy(console: Console, solution: Solution) -> None:
         return
     console.print(terminal(corrections))
     show_line(console, corrections.note, "dim")
-    show_line(console, f"{policy}; of the plan itself {1e3 * solution.total_dv_m_s:.3f} mm/s")
+    show_line(console, f"{policy}; of the plan itself {mm_s(solution.total_dv_m_s)}")
 
 
 def frame_and_time(scenario: Scenario) -> str:
@@ -305,7 +306,7 @@ class Progress:
         )
         how = "" if samples == self.plain.setdefault(step, samples) else " in strata"
         self.steps[step] = Text(
-            f"{step}: target {plan.target:.5g}, {1e3 * plan.total_dv_m_s:.3f} mm/s, "
+            f"{step}: target {plan.target:.5g}, {mm_s(plan.total_dv_m_s)}, "
             f"{len(plan.times_s)} nodes; {samples} flights{how}: {said}"
         )
         self._refresh()

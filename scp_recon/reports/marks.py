@@ -16,12 +16,13 @@ import numpy as np
 import numpy.typing as npt
 
 from formulations.arrays import Array, Indices
+from scp_recon.display import COLOURS
 from scp_recon.reports.surfaces import Solid
 
 Trace = dict[str, Any]
 
-PLANS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
-"""Colours of overlaid plans, and of the curves in one chart."""
+PLANS = COLOURS
+"""Of overlaid plans, and of the curves in one chart."""
 DASHES = ("solid", "dash", "dot", "dashdot", "longdash", "longdashdot")
 """Line styles that tell curves apart in print without colour."""
 FLIGHTS = ("#8fa9bb", "#c9a791", "#8cb8a9", "#bfa9b6", "#c2b28d", "#9db9c6")

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from formulations.rows.exact_flight import FLIGHT
+from scp_recon.display import mm_s
 from scp_recon.errors import version_of
 from scp_recon.mission.constraints import required_in_words
 from scp_recon.planning.plan import NOT_CHECKED
@@ -97,8 +98,8 @@ def verdict_of(plan: Shown) -> Verdict:
         word,
         required,
         _achieved(plan),
-        f"{1e3 * solution.total_dv_m_s:.3f} mm/s in {len(solution.executed)} burns; 99 % of the "
-        f"flights execute at most {1e3 * plan.budget.total_high_m_s:.3f} mm/s",
+        f"{mm_s(solution.total_dv_m_s)} in {len(solution.executed)} burns; 99 % of the "
+        f"flights execute at most {mm_s(plan.budget.total_high_m_s)}",
         _remarks(subject, status),
         _advice(subject),
     )

@@ -15,6 +15,7 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import ConfigDict, Field, TypeAdapter
 
+from scp_recon.display import mm_s
 from scp_recon.planning.plan import Certificate, Parent, Starts, WithoutUncertainty
 from scp_recon.planning.primer import PrimerHistory
 from scp_recon.results.policy import StoredPolicy
@@ -542,7 +543,7 @@ class Facts:
                 once = first.status
                 if once == Status.CONVERGED.value.name:
                     once = f"{1e3 * first.total_dv_m_s:.3f}"
-                settled = f"{1e3 * stage.total_dv_m_s:.3f} mm/s"
+                settled = mm_s(stage.total_dv_m_s)
                 said.append(f"P2 with P3's facets {once}, facets settled {settled}")
         return "; ".join(filter(None, said))
 

@@ -14,12 +14,12 @@ from cycler import cycler
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
+from scp_recon.display import COLOURS
+
 WIDTH_IN = 7.0
 """Of a figure across the page."""
 
 HOUR_S = 3600.0
-COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
-"""As on pages: of Okabe and Ito 2008."""
 STYLE = {
     "axes.axisbelow": True,
     "axes.grid": True,

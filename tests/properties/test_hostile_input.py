@@ -23,7 +23,7 @@ import pytest
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
-from scp_recon.api import infeasibility, planning
+from scp_recon.api import infeasibility, planning, trials
 from scp_recon.cli.commands import montecarlo, simulate, solve, verify
 from scp_recon.errors import InputError
 from scp_recon.interop.tracks import oem_track
@@ -319,7 +319,7 @@ def solved_or_refused(overrides: list[str], *options: str) -> None:
         sets += ["--starts", "1", "--facet-rounds", "0"]
     with tempfile.TemporaryDirectory() as folder, pytest.MonkeyPatch.context() as patch:
         patch.setitem(ALGORITHMS, "scvx", lambda **given: SCvx(**given | {"max_iterations": 4}))
-        patch.setattr(infeasibility, "CLOSE", 1.0)
+        patch.setattr(trials, "CLOSE", 1.0)
         patch.setattr(infeasibility, "TIMES", 0.0)
         patch.setattr(infeasibility, "LEAST_S", 0.5)
         patch.setattr(planning, "REFINEMENTS", 2)

@@ -9,9 +9,15 @@ import pytest
 
 import scp_recon as sr
 from scp_recon.api import infeasibility as module
-from scp_recon.api.infeasibility import (
+from scp_recon.api.clock import Clock
+from scp_recon.api.infeasibility import Diagnosis, diagnose
+from scp_recon.api.inputs import PlanRequest
+from scp_recon.api.options import PlanOptions
+from scp_recon.api.planning import PlanOutcome, Watch, carry_out
+from scp_recon.api.trials import (
     CONTINUED,
     CORRECTED,
+    FEEDBACK,
     FINAL_STATE,
     LIMITS,
     MORE_BURNS,
@@ -20,13 +26,8 @@ from scp_recon.api.infeasibility import (
     SPLIT,
     TARGET,
     Case,
-    Clock,
-    Diagnosis,
-    diagnose,
+    overrides_of,
 )
-from scp_recon.api.inputs import PlanRequest
-from scp_recon.api.options import PlanOptions
-from scp_recon.api.planning import PlanOutcome, Watch, carry_out
 from scp_recon.cli.commands import replan, solve
 from scp_recon.cli.plan_run import advice_on, undoing
 from scp_recon.errors import InputError
@@ -153,7 +154,7 @@ def test_proposed_values_end_verified(small_burns, name, monkeypatch):
     case, found = small_burns
     (remedy,) = (one for one in found.remedies if one.name == name)
     asked = Asked()
-    sets = module.overrides_of(remedy.changes)
+    sets = overrides_of(remedy.changes)
     outcome = carry_out(case.request.again(sets), asked)
     assert outcome.verification is not None
     assert outcome.verification.ok
@@ -201,7 +202,7 @@ def test_feedback_is_tried_with_what_it_needs(small_burns, monkeypatch):
     monkeypatch.setattr(Case, "command", lambda _, changes, **__: tried.append(dict(changes)))
     dict(case.trials(Status.CONVERGED))[CORRECTED]()
     (changes,) = tried
-    assert changes == module.FEEDBACK
+    assert changes == FEEDBACK
     scenario = case.failed.mission.scenario.replace(changes)
     assert (scenario.policy.kind, scenario.navigation.sigma_position_m) == ("feedback", 5.0)
 

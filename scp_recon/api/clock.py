@@ -1,0 +1,115 @@
+"""Limit the processor time of trials: planning and flights end where the time is used up."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass, field
+from time import process_time
+from typing import TypeVar
+
+from scp_recon.api.planning import PlanObserver, Silent, Watch
+from scp_recon.certification.flights import Watch as FlightWatch
+from scp_recon.errors import InputError
+from scp_recon.mission.mission import Mission
+from scp_recon.monte_carlo.estimates import Estimate
+from scp_recon.planning.plan import Plan
+from scp_recon.scp.loop import Record
+
+OTHERS = (".ptr", ".scvx-star")
+"""Ends of the names of stages by other algorithms."""
+
+T = TypeVar("T")
+
+
+class TimeIsUp(Exception):  # noqa: N818 -- no error
+    """The time for a diagnosis is used up."""
+
+
+@dataclass
+class Clock(Watch, Silent):
+    """Limit of processor time, checked after every iteration and every round of flights.
+
+    Attributes:
+        limit_s: of the diagnosis.
+        began: processor time at its begin, s.
+        tried: names of what was tried without success.
+        left_out: names of what the time did not suffice for.
+        until_s: processor time at which the present trial has to end.
+    """
+
+    limit_s: float
+    began: float = field(default_factory=process_time)
+    tried: list[str] = field(default_factory=list)
+    left_out: list[str] = field(default_factory=list)
+    until_s: float = math.inf
+
+    def __call__(self, stage: str, record: Record) -> None:
+        """An iteration is done."""
+        del stage, record
+        self.check()
+
+    def flights(
+        self, step: str, plan: Plan, samples: int, flown: int = 0, reached: Estimate | None = None
+    ) -> None:
+        """Some flights are flown."""
+        del step, plan, samples, flown, reached
+        self.check()
+
+    def planning(self, mission: Mission) -> AbstractContextManager[PlanObserver | None]:
+        """Observe the plan of a command."""
+        del mission
+        return nullcontext(self)
+
+    def check(self) -> None:
+        """Stop once the time is used up.
+
+        Raises:
+            TimeIsUp: if it is.
+        """
+        if process_time() > min(self.until_s, self.began + self.limit_s):
+            raise TimeIsUp
+
+    def attempt(self, name: str, work: Callable[[], T | None], share: float = 1.0) -> T | None:
+        """What a trial finds; None, and the trial is noted, if it finds nothing or time is up.
+
+        Args:
+            name: of the trial.
+            work: the trial.
+            share: of all time that it may take.
+        """
+        self.until_s = process_time() + share * self.limit_s
+        try:
+            self.check()
+            found = work()
+        except TimeIsUp:
+            self.left_out.append(name)
+            return None
+        except InputError:  # the scenario does not allow such values
+            found = None
+        if found is None:
+            self.tried.append(name)
+        return found
+
+
+class Undecided(Exception):  # noqa: N818 -- no error
+    """The usual algorithm has found no plan."""
+
+
+@dataclass
+class Roughly(Silent):
+    """Observer of a rough plan: it ends where other algorithms would be tried."""
+
+    clock: Clock
+
+    def __call__(self, stage: str, record: Record) -> None:
+        """An iteration is done."""
+        if stage.endswith(OTHERS):
+            raise Undecided
+        self.clock(stage, record)
+
+    @property
+    def flights(self) -> FlightWatch:
+        """Observer of flights."""
+        return self.clock.flights
