@@ -167,6 +167,7 @@ def weak(vehicle: Vehicle) -> Vehicle:
     )
 
 
+@nightly
 def test_the_energy_ledger_closes_through_empty_and_full(starved):
     assert abs(ledger_error(starved)) < 1e-6
     stored = starved.stored_wh
@@ -285,6 +286,7 @@ def test_no_burn_follows_one_that_is_missed(
     assert write_record(record, tmp_path).name == "simulation_miss_2.npz"
 
 
+@nightly
 def test_what_moves_the_path_is_what_was_drawn(perfect, starved, short_mission):
     """Velocities gained in the burns against those of the flight without errors."""
     plan, factor = starved.plan, short_mission.initial_factor
