@@ -13,6 +13,8 @@ import benchmarks.__main__ as command
 from experiments.evidence import FILE, ROOT, Evidence
 from tests.helpers import usually
 
+pytestmark = pytest.mark.slow
+
 PLANNED = {"total_dv_m_s": 0.14, "status": "converged, verified", "import_s": 0.4, "first_s": 0.2}
 PLANNED |= {"later_s": 0.1, "processor_s": 0.1, "setup_s": 0.0, "canonicalise_s": 0.01}
 PLANNED |= {"conic_solver_s": 0.05, "subproblem_s": 0.008}
@@ -32,7 +34,6 @@ def made_up(words: Sequence[str]) -> dict[str, Any]:
     return OTHERS.get(what) or {"method": rest[0], **PLANNED, **SLOW.get(rest[0], {})}
 
 
-@pytest.mark.slow
 def test_stopped_run_continues_and_leaves_evidence(tmp_path, monkeypatch):
     ran: list[Sequence[str]] = []
 
@@ -84,7 +85,6 @@ def test_timed_run_imports_nothing(name):
     subprocess.run([sys.executable, "-c", IMPORTED, "planned", name, "0"], check=True, cwd=ROOT)
 
 
-@pytest.mark.slow
 def test_least_processor_time_of_a_command_counts(tmp_path, monkeypatch):
     took = itertools.count(1)
 

@@ -34,6 +34,8 @@ from scp_recon.scenario.schema import Epoch
 
 from .support import QUICK, SAMPLES, table_of, write_kernel
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def measured(finished) -> list[Record]:

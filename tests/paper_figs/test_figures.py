@@ -35,6 +35,8 @@ from scp_recon.simulation.record import Record, write_record
 from tests.scp_recon.simulation import made_up
 from tests.scp_recon.support import mission_of
 
+pytestmark = pytest.mark.slow
+
 SAMPLES, DPI = 400, 40.0
 NO_PLAN = "1f" * 32
 """Hash of no plan."""
@@ -122,7 +124,6 @@ def studies(tmp_path_factory) -> Path:
     return out
 
 
-@pytest.mark.slow
 def test_everything_is_written_into_one_folder(folder, runs, studies, tmp_path, monkeypatch):
     for name, item in FIGURES.items():
         monkeypatch.setitem(FIGURES, name, replace(item, dpi=DPI))
@@ -135,7 +136,6 @@ def test_everything_is_written_into_one_folder(folder, runs, studies, tmp_path, 
     assert all(plan_hash in (out / f"{name}.png").read_bytes() for name in FIGURES)
 
 
-@pytest.mark.slow
 def test_a_plan_of_ones_own_is_drawn(tmp_path, monkeypatch):
     """Of five burns, two of them close to each other; the site's name would be a formula."""
     own = mission_of("burns.times_s=[0.0, 8000.0, 23200.0, 29800.0, 36400.0]")
@@ -153,7 +153,6 @@ class Marked(tuple[Any, ...]):
     """A policy without corrections that is known again."""
 
 
-@pytest.mark.slow
 def test_every_flight_of_a_plan_is_corrected(runs, monkeypatch):
     monkeypatch.setattr(Solution, "corrections", Marked())
     fly, corrected = sampling.fly_draws, list[bool]()
@@ -210,7 +209,6 @@ def test_flights_of_another_plan_are_refused(copy):
             read(place)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", STUDIES)
 def test_study_is_drawn_or_names_its_command(studies, tmp_path, name, capsys, monkeypatch):
     study, file = STUDIES[name], tmp_path / "figure.png"

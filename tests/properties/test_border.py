@@ -18,6 +18,8 @@ from scp_recon.verification.reintegration import verify
 from tests.helpers import nightly
 from tests.scp_recon.support import mission_of
 
+pytestmark = pytest.mark.slow
+
 RISKS = {
     "uniform": (),
     "node": ('risk.allocation="exact"', 'risk.scope="node"'),

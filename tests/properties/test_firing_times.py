@@ -32,6 +32,8 @@ from scp_recon.physics.flow import GridFlow
 from scp_recon.scenario.load import load_scenario
 from tests.helpers import generators, random_unit, share_of_examples
 
+pytestmark = pytest.mark.slow
+
 BURNS = np.array([0, 4, 9, 16])
 NODES = np.r_[np.linspace(0.0, 0.4, 5), 0.4 + np.linspace(0.06, 0.3, 5), np.linspace(0.8, 1.4, 7)]
 WINDOW = np.array([5, 6, 7])

@@ -36,6 +36,8 @@ from scp_recon.scenario.load import load_scenario
 from scp_recon.scp.status import Status
 from tests.helpers import nightly
 
+pytestmark = pytest.mark.slow
+
 CELL = Cell("matrix", "recon_b", (), REFERENCE, "cold")
 
 

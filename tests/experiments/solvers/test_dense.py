@@ -7,6 +7,8 @@ from experiments.solvers.dense import VOLUME, best_cells, first_burns, flown
 from scp_recon.mission.mission import Mission
 from scp_recon.scenario.load import load_scenario
 
+pytestmark = pytest.mark.slow
+
 COST = 1.7
 
 

@@ -28,6 +28,8 @@ from scp_recon.planning.planner import Planner
 from scp_recon.scp.algorithms import SCvx
 from tests.helpers import nightly
 
+pytestmark = pytest.mark.slow
+
 CHEAP = "replan"
 
 
@@ -76,7 +78,6 @@ def test_forms_find_one_plan():
     assert rows[0]["total_dv_m_s"] == pytest.approx(rows[1]["total_dv_m_s"], rel=1e-4)
 
 
-@pytest.mark.slow
 def test_transcriptions_find_one_plan():
     names = "+ derivatives arc by arc = tuned", "single shooting, L-BFGS = shooting"
     tuned, shooting = map(trick_row, names)

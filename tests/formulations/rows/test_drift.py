@@ -28,6 +28,8 @@ from scp_recon.scp.status import Status
 from tests.helpers import nightly
 from tests.scenarios import COARSE
 
+pytestmark = pytest.mark.slow
+
 EXACT = ("risk.allocation='exact'", COARSE)
 MISSED = "safety.missed_burns=1"
 

@@ -33,6 +33,8 @@ from scp_recon.scenario.load import load_scenario
 from tests.helpers import usually
 from tests.scp_recon.support import COMPANION
 
+pytestmark = pytest.mark.slow
+
 COARSE: dict[str, Any] = {"grid.step_max_s": 600.0}
 EVERYTHING: dict[str, Any] = {
     "body": {

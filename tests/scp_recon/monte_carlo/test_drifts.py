@@ -27,6 +27,8 @@ from scp_recon.verification.reintegration import _drift_error, verify
 from tests.helpers import nightly
 from tests.scenarios import COARSE
 
+pytestmark = pytest.mark.slow
+
 DAY_S = 86_400.0
 ONE_DAY = (COARSE, "risk.allocation='exact'", "safety.missed_burns=1")
 

@@ -22,6 +22,8 @@ from tests.helpers import nightly
 from tests.scp_recon.mission.test_knowledge import BURNS, COARSE, EVERYTHING
 from tests.scp_recon.support import COMPANION, fly_few, from_cold
 
+pytestmark = pytest.mark.slow
+
 CERTAIN = {"uncertainty": {"initial_sigma_fraction": 0.0, "execution_error": 0.0}}
 ALONE: dict[str, Any] = {
     "body.gm_m3_s2": 0.05,

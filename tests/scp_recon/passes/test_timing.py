@@ -19,6 +19,8 @@ from scp_recon.scenario.load import load_scenario
 from scp_recon.scp.status import Status
 from tests.helpers import nightly
 
+pytestmark = pytest.mark.slow
+
 FIXED_M_S, SETTLED_M_S = 0.140135, 0.125978
 """The default plan with its own times: with facets chosen once, and settled."""
 
@@ -69,7 +71,6 @@ def test_trials_have_no_phases_between_states(once):
     assert len(trials_table(once).rows) == len(once.trials)
 
 
-@pytest.mark.slow
 def test_settled_facets_take_free_times():
     found = sr.design("recon_b")
     assert found.plan is not None
@@ -77,7 +78,6 @@ def test_settled_facets_take_free_times():
 
 
 @nightly
-@pytest.mark.slow
 def test_whole_flights_need_three_burns():
     exact = ['risk.allocation="exact"', 'risk.scope="flight"', "risk.p_chance=0.9"]
     found = sr.design("recon_b", certify=False, overrides=exact)
@@ -87,7 +87,6 @@ def test_whole_flights_need_three_burns():
     assert found.plan.total_dv_m_s < 0.1098
 
 
-@pytest.mark.slow
 def test_corrected_burns_keep_the_times_found():
     known = ["navigation.sigma_position_m=20", "navigation.sigma_velocity_m_s=0.002"]
     found = sr.design(
@@ -100,7 +99,6 @@ def test_corrected_burns_keep_the_times_found():
 
 
 @nightly
-@pytest.mark.slow
 def test_a_hover_is_left_and_met_again():
     found = sr.design("hover", facet_rounds=0, overrides=["grid.step_max_s=450"])
     assert found.plan is not None

@@ -28,7 +28,7 @@ from tests.helpers import usually
 from tests.scenarios import COARSE
 from tests.scp_recon.support import integrate, mission_of
 
-pytestmark = pytest.mark.usefixtures("fewer")
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("fewer")]
 
 OFF = np.array([40.0, -40.0, 20.0, 2e-3, 2e-3, -1e-3])
 """60 m and 3 mm/s."""
@@ -57,7 +57,6 @@ def drawn(flown: FlownPlan, at_s: float, seed: int = 0) -> Array:
     return np.random.default_rng(seed).multivariate_normal(np.zeros(6), covariance)
 
 
-@pytest.mark.slow
 @pytest.mark.usefixtures("few_flights")
 @pytest.mark.parametrize(
     ("at_s", "left", "observed"),
@@ -89,7 +88,6 @@ def test_from_every_leg_what_is_left_is_planned_and_verified(flown, at_s, left, 
     assert (found.missed is None) == (left > 1)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("seed", usually([0, 2], 1))
 def test_before_the_window_a_flight_is_met_or_cannot_be_helped(flown, seed):
     """No burn is left before the window; what is infeasible says so at once, and by how much."""
@@ -115,7 +113,6 @@ def test_in_the_window_what_is_left_of_it_counts(flown):
     assert (nodes[0], nodes[-1]) == (15_000.0, last)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("at_s", [3_000.0, 17_000.0])
 def test_ipopt_finds_the_same_of_the_remaining_problem(flown, at_s):
     """From scratch: a cold start, facets at IPOPT's own solution without spread."""
@@ -244,7 +241,6 @@ def test_where_p3_stops_before_its_end_p2_ends_at_the_same(flown):
     assert quick.total_dv_m_s == pytest.approx(whole.total_dv_m_s, rel=1e-6)
 
 
-@pytest.mark.slow
 def test_a_replan_is_made_as_its_parent_was(flown):
     mission = mission_of(COARSE)
     planner = Planner(mission, formulation="lifted", algorithm="ptr")
@@ -283,7 +279,6 @@ def test_what_is_known_of_a_mission_is_what_would_be_found_again(flown):
     assert known.warnings[0].entry == "in_flight.position_m"
 
 
-@pytest.mark.slow
 @pytest.mark.usefixtures("few_flights")
 def test_exact_risk_goes_on_in_flight(flown):
     off = drawn(flown, 3_000.0)
