@@ -34,9 +34,9 @@ from scp_recon.campaigns.study import Study, read_study
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.summary import MOST
-from scp_recon.passes.descent import PassResult
 from scp_recon.passes.design import Around, Designer, windows_of
 from scp_recon.passes.setting import settled
+from scp_recon.passes.timing import PassResult
 from scp_recon.planning.initial_guess import from_burns
 from scp_recon.planning.plan import Plan
 from scp_recon.planning.planner import Planner

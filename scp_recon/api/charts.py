@@ -12,8 +12,8 @@ from matplotlib.patches import Patch
 
 from scp_recon.display import mm_s
 from scp_recon.mission.survey import LitWindow, Survey
-from scp_recon.passes.descent import PassResult
 from scp_recon.passes.design import Trial
+from scp_recon.passes.timing import PassResult
 from scp_recon.planning.primer import PrimerHistory
 from scp_recon.results.pictures import HOUR_S, page, picture, plain
 from scp_recon.scenario.schema import Scenario

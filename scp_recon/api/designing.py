@@ -12,10 +12,9 @@ from scp_recon.api.options import PlanOptions
 from scp_recon.display import Tabulated
 from scp_recon.jobs.blas import one_thread
 from scp_recon.mission.mission import Mission
-from scp_recon.passes.descent import PassResult, explain_failure
 from scp_recon.passes.design import Designer, Trial
 from scp_recon.passes.setting import settled
-from scp_recon.passes.timing import RulePrice, Timing
+from scp_recon.passes.timing import PassResult, RulePrice, Timing, explain_failure
 from scp_recon.planning.initial_guess import from_burns
 from scp_recon.planning.method import SETTLE, FacetRounds
 from scp_recon.planning.plan import Plan
@@ -36,7 +35,7 @@ class Design(Tabulated):
             plan.
         plan: the plan of that scenario; None before it is made.
         start: a plan to start from; None if planning starts from the burns of the best pass.
-        prices: what rules of the firing times cost, between given boundary states.
+        prices: what rules of the firing times cost.
     """
 
     trials: tuple[Trial, ...]
@@ -131,7 +130,7 @@ def find_pass(
     designer = Designer(scenario, observe, facet_rounds)
     space, best = designer.run()
     fixed = settled(scenario, space, best.at) if best.converged else None
-    has_prices = fixed and space.is_timed and scenario.policy.kind != "feedback"
+    has_prices = fixed and scenario.policy.kind != "feedback"
     prices = Timing(space, facet_rounds).prices(best) if has_prices else ()
     return Design(tuple(designer.trials), best, fixed, start=designer.corrected, prices=prices)
 

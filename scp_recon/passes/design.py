@@ -16,13 +16,11 @@ from typing import Literal
 import numpy as np
 
 from formulations.arrays import Array, Booleans
-from scp_recon.mission.firing import TURN
 from scp_recon.mission.mission import Mission
-from scp_recon.passes.descent import ROUNDS_MAX, WORTH, PassResult, descend
 from scp_recon.passes.scan import phases, scan, starts
 from scp_recon.passes.setting import BURNS_MAX, settled, spaces_of
 from scp_recon.passes.space import Pass, Space, nearest_legal
-from scp_recon.passes.timing import Timing
+from scp_recon.passes.timing import PassResult, Timing
 from scp_recon.planning.initial_guess import from_burns
 from scp_recon.planning.method import SETTLE, FacetRounds
 from scp_recon.planning.plan import Plan
@@ -33,13 +31,12 @@ from scp_recon.scenario.schema import Scenario
 
 STARTS_MAX = 4
 """Number of the map's minima from which descents begin."""
-Effort = tuple[int, float, float]
-"""Rounds of a descent at most, and the relative gains worth another one, and another step."""
-FIRST: Effort = (2, 1e-2, 1e-3)
-LAST: Effort = (ROUNDS_MAX, WORTH, 0.1 * WORTH)
-EXACT: Effort = (3, 1e-3, 0.1 * WORTH)
-"""Effort of descents for comparison, of the last descents, and of descents with exact risk, where
-plans take five times as long."""
+Effort = tuple[int, float]
+"""Rounds of a descent at most, and the relative gain worth another one."""
+FIRST: Effort = (3, 1e-2)
+LAST: Effort = (12, 1e-4)
+EXACT: Effort = (6, 1e-3)
+"""Effort of descents for comparison, of the last descents, and of descents with exact risk."""
 SURROGATE = {
     "risk": {"allocation": "uniform", "scope": "node"},
     "polytopes": {"ball": "tangent", "cone": 12},
@@ -177,9 +174,7 @@ class Designer:
         mapped = self._map(where)
         seen = self._seen("certain", where)
         found = [
-            self._search(
-                centred_on(where.space, one.at), one.at, one.burns_m_s, seen, FIRST, certain=True
-            )
+            self._search(where.space, one.at, one.burns_m_s, seen, FIRST, certain=True)
             for one in starts(mapped, STARTS_MAX)
         ]
         return sorted(found, key=lambda one: one.dv_m_s) or [min(mapped, key=violation)]
@@ -205,11 +200,13 @@ class Designer:
     def _map_and_descend(self, first: Around) -> Best:
         """Map one window and descend from its minima: the best pass, or the one of least violation."""
         mapped = self._map(first)
-        tries = [
-            self._descent(first, "descent", one.at, one, FIRST)
-            for one in starts(mapped, STARTS_MAX)
-        ]
-        best = min(tries, key=lambda one: one.dv_m_s, default=None)
+        tries: list[PassResult] = []
+        best: PassResult | None = None
+        for one in starts(mapped, STARTS_MAX):
+            if best is not None and one.dv_m_s > best.dv_m_s:
+                break  # the others cost more even without uncertainty
+            tries.append(self._descent(first, "descent", one.at, one, FIRST))
+            best = min(tries, key=lambda one: one.dv_m_s)
         if best is not None and best.converged:
             return first, best
         return first, min(tries or mapped, key=violation)
@@ -250,7 +247,7 @@ class Designer:
         self, step: Step, where: Around, other: Candidate, rival_m_s: float
     ) -> Best:
         """Descend from a pass with another number of burns, as long as it may be worth it."""
-        there = replace(where, space=centred_on(other.space, other.at))
+        there = replace(where, space=other.space)
         seen = self._seen(step, there)
         return there, self._search(
             there.space, other.at, other.burns_m_s, seen, self.effort, rival_m_s=rival_m_s
@@ -263,7 +260,7 @@ class Designer:
 
         If that does not converge, descend without uncertainty first, and from there again.
         """
-        space, seen = centred_on(where.space, at), self._seen(step, where)
+        space, seen = where.space, self._seen(step, where)
         result = self._search(space, at, known.burns_m_s, seen, effort)
         if result.converged:
             return result
@@ -285,13 +282,9 @@ class Designer:
         certain: bool = False,
         rival_m_s: float = np.inf,
     ) -> PassResult:
-        """Find the best pass near one: by programs with free times, or over phases and times."""
-        if not space.is_timed:
-            return descend(
-                space, at, burns_m_s, seen, *effort, certain=certain, rival_m_s=rival_m_s
-            )
+        """Find the best pass from a given one."""
         timing = Timing(space, self.facet_rounds, certain)
-        return timing.descend(at, burns_m_s, seen, *effort[:2], rival_m_s)
+        return timing.descend(at, burns_m_s, seen, *effort, rival_m_s)
 
     def _seen(
         self, step: Step, where: Around, expected: int | None = None
@@ -319,15 +312,6 @@ def cheapest(tries: Iterable[Best]) -> Best:
 def violation(result: PassResult) -> float:
     """Largest violation of a pass's plan."""
     return result.stage.merit.worst_violation(result.stage.result.lin)
-
-
-def centred_on(space: Space, one: Pass) -> Space:
-    """The same space, with spans of a whole turn centred on a pass."""
-    spans = [
-        (phase - 0.5 * TURN, phase + 0.5 * TURN) if high - low >= TURN - 1e-9 else (low, high)
-        for phase, (low, high) in zip(one.phases, space.phase_spans, strict=True)
-    ]
-    return replace(space, phase_spans=(spans[0], spans[1]))
 
 
 def vanished(space: Space, result: PassResult) -> Candidate | None:

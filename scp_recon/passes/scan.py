@@ -13,8 +13,8 @@ from formulations.arrays import Array
 from formulations.problem.flyby import Iterate
 from scp_recon.mission.firing import TURN
 from scp_recon.mission.mission import Mission
-from scp_recon.passes.descent import PassResult
 from scp_recon.passes.space import Pass, Space
+from scp_recon.passes.timing import PassResult
 from scp_recon.planning.initial_guess import circular, from_burns
 from scp_recon.planning.planner import Planner
 from scp_recon.planning.stages import Pipeline

@@ -91,9 +91,9 @@ def _check_size(scenario: Scenario) -> None:
 def _check_given(scenario: Scenario) -> None:
     """Refuse to move boundary states in time, a design in which nothing may move, and drifts."""
     design = scenario.design or Design()
+    require_no_drifts(scenario, "must be left out of a design: it goes with given firing times")
     if scenario.boundary.home is not None:
         return
-    require_no_drifts(scenario, "goes with boundary.home in a design")
     for name in ("departure_s", "arrival_s"):
         if (span := getattr(design, name)) is not None:
             raise InputError(

@@ -1,22 +1,17 @@
-"""Define the design space: two phases on the ring and the times of all burns, within their spans.
-
-The schedule's rules are linear inequalities on the times (`timing_rules`).
-"""
+"""Define the design space: two phases on the ring and the times of all burns, within their spans."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 from scipy.optimize import linprog
 
-from formulations.arrays import Array
 from scp_recon.mission.firing import Ring
 from scp_recon.mission.grid import make_grid
 from scp_recon.mission.mission import Mission
-from scp_recon.mission.schedule import ROOM_S, Schedule, burns_before, timing_rules
+from scp_recon.mission.schedule import Schedule, burns_before, timing_rules
 from scp_recon.mission.windows import Window
 from scp_recon.scenario.schema import Scenario, ScheduleRules
 
@@ -40,7 +35,7 @@ class Pass:
 
 @dataclass(frozen=True)
 class Space:
-    """All passes with one number of burns about one window: x = (phases, times / unit of time)."""
+    """All passes with one number of burns about one window."""
 
     mission: Mission
     """Mission of any pass of the design, for body, limits, units and rules."""
@@ -59,37 +54,13 @@ class Space:
         return len(self.time_spans)
 
     @property
-    def is_timed(self) -> bool:
-        """Whether times alone are free, and a program can have them as controls.
-
-        It does not know how a companion moves on while nodes move.
-        """
-        scenario = self.mission.scenario
-        return scenario.boundary.home is None and scenario.body.companion is None
-
-    @cached_property
-    def bounds(self) -> Array:
-        """Bounds of x, shape (2 + m, 2)."""
-        return np.vstack([self.phase_spans, np.array(self.time_spans) / self.mission.units.time_s])
-
-    def rules(self, before: int) -> tuple[Array, Array]:
-        """A and b of `timing_rules` on x, A x >= b, with some room; `before` as there."""
-        rules, unit = self.mission.scenario.schedule, self.mission.units.time_s
-        matrix, least, _ = timing_rules(self.n_burns, self.window_s, before, rules)
-        return np.pad(matrix, ((0, 0), (2, 0))), (least + ROOM_S) / unit
+    def has_home(self) -> bool:
+        """Whether passes begin and end on a home orbit; otherwise boundary states are given."""
+        return self.mission.scenario.boundary.home is not None
 
     def before(self, times_s: tuple[float, ...]) -> int:
         """Burns between departure and window."""
         return burns_before(times_s, self.window_s)
-
-    def vector(self, one: Pass) -> Array:
-        """Point x of a pass."""
-        return np.r_[one.phases, np.array(one.times_s) / self.mission.units.time_s]
-
-    def at(self, x: Array) -> Pass:
-        """The pass of x."""
-        times = x[2:] * self.mission.units.time_s
-        return Pass((float(x[0]), float(x[1])), tuple(map(float, times)))
 
     def on_grid(self, step_max_s: float) -> Space:
         """The same space with another longest spacing of nodes."""
@@ -99,25 +70,13 @@ class Space:
     def mission_of(self, one: Pass) -> Mission:
         """The mission of a pass, without checks; times are past the design's epoch."""
         step = self.mission.scenario.grid.step_max_s
-        return self._on_grid(one, make_grid((*one.times_s, *self.window_s), step))
-
-    def moved(self, mission: Mission, one: Pass) -> Mission:
-        """The mission of a pass on another pass's grid, whose nodes move along with the burns.
-
-        Nodes in the window stay, so that both missions have the same constraints there.
-        """
-        old = np.unique([*mission.scenario.burns.times_s, *self.window_s])
-        new = np.unique([*one.times_s, *self.window_s])
-        return self._on_grid(one, np.interp(mission.times_s, old, new))
-
-    def _on_grid(self, one: Pass, times_s: Array) -> Mission:
         return replace(
             self.mission,
             scenario=unchecked(self.mission.scenario, burns={"times_s": one.times_s}),
             initial_state=self.ring(one.phases[0]),
             final_state=self.ring(one.phases[1]),
             schedule=Schedule(self.window_s, (), ()),
-            times_s=times_s,
+            times_s=make_grid((*one.times_s, *self.window_s), step),
         )
 
 

@@ -1,7 +1,9 @@
-"""Move the burns of a pass between fixed states, by rounds of plans and of programs with free times.
+"""Find the cheapest pass near a given one, by plans and by programs with free times and phases.
 
-A plan with given times has facets and a grid of its own. The program with these facets and free times
-starts from the plan. Both alternate until a round gains little.
+A plan at given times and phases has facets and a grid of its own. The program with these facets, in
+which times and phases are controls too, starts from the plan. Both alternate until a round gains
+little.
+Within a program a companion stays where it was at each node, and the Sun at each burn.
 """
 
 from __future__ import annotations
@@ -12,16 +14,57 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from formulations.arrays import Array
+from formulations.problem.facets import choose_facets
 from formulations.program.multipliers import multipliers
+from formulations.rows.exact_flight import FlightRows
+from scp_recon.mission.firing import HomePhases
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.schedule import ROOM_S
-from scp_recon.passes.descent import PassResult
 from scp_recon.passes.space import Pass, Space, nearest_legal
 from scp_recon.planning.initial_guess import from_burns
 from scp_recon.planning.method import FacetRounds
-from scp_recon.planning.plan import StageSpec, rank
-from scp_recon.planning.planner import Planner
+from scp_recon.planning.plan import Problem, Stage, StageSpec, rank, scales
+from scp_recon.planning.planner import FEW_LINES, FINE, Planner
 from scp_recon.planning.stages import Pipeline
+from scp_recon.scp.status import Status
+
+ITERATIONS = 40
+"""Limit of iterations of a program with free times: a new one follows on a grid of its own."""
+PRICELESS = 1e-6
+"""Multiplier up to which a rule costs nothing: its unit is the speed's over the time's."""
+
+Observe = Callable[["PassResult"], None]
+
+
+@dataclass(frozen=True, eq=False)
+class PassResult:
+    """A pass with its mission and its plan, the last stage of P3 or P2.
+
+    Attributes:
+        at: the pass.
+        mission: of it.
+        stage: of P3 or P2.
+    """
+
+    at: Pass
+    mission: Mission
+    stage: Stage
+
+    @property
+    def converged(self) -> bool:
+        """Whether the plan converged."""
+        return self.stage.result.status is Status.CONVERGED
+
+    @property
+    def dv_m_s(self) -> float:
+        """Total delta-v of the plan, as it is minimised; infinite if it did not converge."""
+        total = self.stage.result.lin.cost.value * self.mission.units.speed_m_s
+        return total if self.converged else float("inf")
+
+    @property
+    def burns_m_s(self) -> Array:
+        """Burns, J2000, shape (m, 3)."""
+        return self.stage.result.lin.iterate.burns * self.mission.units.speed_m_s
 
 
 @dataclass(frozen=True)
@@ -43,7 +86,11 @@ class RulePrice:
 
 @dataclass(frozen=True)
 class Timing:
-    """Rounds about one space; `certain` leaves uncertainty out: P3 in place of P2."""
+    """Rounds about one space; `certain` leaves uncertainty out: P3 in place of P2.
+
+    From a home orbit a plan has the facets along the flight from which it starts, and exact risk is
+    computed by few directions: the pass found is planned as any other after that.
+    """
 
     space: Space
     facet_rounds: FacetRounds
@@ -53,12 +100,12 @@ class Timing:
         self,
         at: Pass,
         burns_m_s: Array,
-        observe: Callable[[PassResult], None],
+        observe: Observe,
         rounds_max: int,
         worth: float,
         rival_m_s: float = np.inf,
     ) -> PassResult:
-        """Find the best times from those of a pass; they are never worse than the start's.
+        """Find the best pass from a given one; it is never worse than the start.
 
         The first plan starts from the given burns, J2000, m/s, shape (m, 3). A round is followed by
         another if its relative gain is at least `worth`, and if the pass is not dearer than a rival by
@@ -70,7 +117,7 @@ class Timing:
             freed = self.freed(best)
             if freed is None:
                 break
-            again = self.plan(freed.at, freed.burns_m_s)
+            again = self.plan(freed.at, freed.burns_m_s, again=True)
             observe(again)
             better = rank(again.stage) > rank(best.stage)
             gain = 1.0 - again.dv_m_s / best.dv_m_s if best.converged else float(again.converged)
@@ -86,37 +133,63 @@ class Timing:
         legal = nearest_legal(times, space.time_spans, space.window_s, before, rules, ROOM_S)
         return at if legal is None else Pass(at.phases, legal)
 
-    def plan(self, at: Pass, burns_m_s: Array) -> PassResult:
-        """The plan at given times, started from burns."""
+    def plan(self, at: Pass, burns_m_s: Array, *, again: bool = False) -> PassResult:
+        """The plan at given times and phases, started from burns; `again` from those of P2."""
         mission = self.space.mission_of(at)
-        plan = Planner(mission).plan(
-            from_burns(mission, burns_m_s),
-            problem="P3" if self.certain else "P2",
-            facet_rounds=self.facet_rounds,
-            once=True,
-        )
-        return PassResult(at, mission, plan.final)
+        planner, guess = Planner(mission), from_burns(mission, burns_m_s)
+        if not self.space.has_home:
+            problem: Problem = "P3" if self.certain else "P2"
+            rounds = self.facet_rounds
+            plan = planner.plan(guess, problem=problem, facet_rounds=rounds, once=True)
+            return PassResult(at, mission, plan.final)
+        pipeline = Pipeline(mission, planner)
+        start, polytopes = pipeline.start(guess), mission.polytopes
+        if self.certain:
+            spec = planner.p3
+        elif mission.risk.allocation == "exact":
+            spec = self._exact(planner)
+        else:
+            if not again:
+                start = pipeline.solve(planner.p3, start).result.lin
+            facets = choose_facets(mission.problem, polytopes, start.iterate.mean, start.spread.factor)
+            spec = planner.p2_stage(facets, start, again=again)
+        return PassResult(at, mission, pipeline.solve(spec, start))
+
+    def _exact(self, planner: Planner[Mission]) -> StageSpec:
+        """Exact risk, of whole flights from a home orbit by few directions."""
+        final = planner.exact_stages()[-1]
+        if self.space.has_home and isinstance(final.rows, FlightRows):
+            rows = FlightRows(final.rows.problem, planner.target, FEW_LINES, FINE)
+            return replace(final, rows=rows)
+        return final
 
     def freed(self, result: PassResult) -> PassResult | None:
-        """The program with a plan's facets and free times, started from it; None if all are given."""
-        mission = replace(result.mission, firing_spans_s=self.space.time_spans)
+        """The program with a plan's facets and free times and phases; None if all are given."""
+        space, home = self.space, None
+        if space.has_home:
+            home = HomePhases(space.ring, result.at.phases, space.phase_spans)
+        mission = replace(result.mission, firing_spans_s=space.time_spans, home=home)
         if mission.firing is None:
             return None
         planner, lin = Planner(mission), result.stage.result.lin
         pipeline = Pipeline(mission, planner)
-        stage = pipeline.solve(self._spec(planner, result), pipeline.start(lin.iterate))
+        spec = replace(self._spec(planner, result), max_iterations=ITERATIONS)
+        stage = pipeline.solve(spec, pipeline.start(lin.iterate))
         iterate, problem = stage.result.lin.iterate, stage.result.lin.problem
-        times = np.array(result.at.times_s)
         assert problem.firing is not None
-        times[problem.firing.burns] = mission.units.time_s * problem.firing_times(iterate.times)
-        at = Pass(result.at.phases, tuple(map(float, times)))
-        return PassResult(at, mission, stage)
+        moved, burns = problem.firing_times(iterate.times), problem.firing.burns
+        times, phases = np.array(result.at.times_s), result.at.phases
+        times[burns] = mission.units.time_s * moved[: len(burns)]
+        if problem.firing.boundary is not None:
+            first, last = problem.firing.phases(moved).tolist()
+            phases = first, last
+        return PassResult(Pass(phases, tuple(map(float, times))), mission, stage)
 
     def _spec(self, planner: Planner[Mission], result: PassResult) -> StageSpec:
         if self.certain:
             return planner.p3
         facets, lin = result.stage.facets, result.stage.result.lin
-        return planner.exact_stages()[-1] if facets is None else planner.p2_stage(facets, lin)
+        return self._exact(planner) if facets is None else planner.p2_stage(facets, lin)
 
     def prices(self, result: PassResult) -> tuple[RulePrice, ...]:
         """What each rule costs that binds at the times of a converged pass, the dearest first."""
@@ -128,13 +201,35 @@ class Timing:
         assert firing is not None
         own = multipliers(merit.problem, merit.rows, lin)[-len(firing.names) :]
         rate = units.speed_m_s / units.time_s
+        of_times = firing.matrix[:, : len(firing.burns)].any(
+            axis=1
+        )  # phases have no price a second
         found = [
             RulePrice(name, float(price) * rate)
-            for name, price in zip(firing.names, own, strict=True)
-            if price > PRICELESS
+            for name, price, timed in zip(firing.names, own, of_times, strict=True)
+            if timed and price > PRICELESS
         ]
         return tuple(sorted(found, key=lambda one: -one.saving_m_s2))
 
 
-PRICELESS = 1e-6
-"""Multiplier up to which a rule costs nothing: its unit is the speed's over the time's."""
+def explain_failure(result: PassResult, plans: int) -> str:
+    """Explain a design without a plan: its best pass, and the limit that this pass violates most."""
+    stage, mission = result.stage, result.mission
+    worst, most = "the final state", 0.0
+    for name, margins in stage.margins.items():
+        least = int(np.argmin(margins.margin))
+        amount = -float(margins.margin[least])
+        if amount > most:
+            most, unit = amount, stage.unit(name)
+            short = f"{amount * scales(mission.units)[unit]:.3g} {unit}"
+            at = mission.times_s[margins.nodes[least]]
+            worst = f"{name}, short by {short} {at:.0f} s into the pass"
+    between = ""
+    if mission.scenario.boundary.home is not None:
+        departure, arrival = np.rad2deg(result.at.phases) % 360.0
+        between = f" from {departure:.1f} to {arrival:.1f} deg"
+    return (
+        f"no pass found in {plans} plans; the one that came furthest, of {stage.problem}{between} "
+        f"with burns at "
+        f"{', '.join(f'{time:.0f}' for time in result.at.times_s)} s, was stopped by {worst}"
+    )
