@@ -106,7 +106,9 @@ def options_for(
     Raises:
         InputError: if one is out of range, or flights cannot certify the pass.
     """
-    options = PlanOptions(certify=certify, facet_rounds=facet_rounds)
+    # The map of a home orbit's phases has been several starts.
+    starts = None if scenario.boundary.home is None else 1
+    options = PlanOptions(certify=certify, facet_rounds=facet_rounds, starts=starts)
     options.check(scenario)
     return options
 

@@ -8,11 +8,11 @@ import pytest
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.schedule import make_schedule
 from scp_recon.passes import design
-from scp_recon.passes.descent import Near, PassResult, descend
 from scp_recon.passes.design import other_counts, peaks, vanished
 from scp_recon.passes.scan import scan
 from scp_recon.passes.setting import settled, spaces_of
 from scp_recon.passes.space import Pass, Space
+from scp_recon.passes.timing import PassResult, Timing
 from scp_recon.planning.initial_guess import cold
 from scp_recon.planning.planner import Planner
 from scp_recon.planning.primer import primer_history
@@ -28,34 +28,18 @@ def space() -> Space:
 
 
 @pytest.fixture(scope="module")
-def near(space) -> Near:
+def near(space) -> PassResult:
     at = Pass((np.deg2rad(155.0), 0.0), (0.0, 8000.0, 24_000.0, 34_842.0))
     mission = space.mission_of(at)
     plan = Planner(mission).plan(cold(mission))
-    return Near(space, at, plan.burns_m_s)
-
-
-STEP = 1e-3
-
-
-@pytest.mark.slow
-def test_multipliers_give_the_derivative_by_phases_and_times(space, near):
-    first = near.first
-    assert first.converged
-    unit = first.mission.units.speed_m_s
-    slope = unit * near.slope(first, np.ones(6, dtype=np.bool_))
-    x = space.vector(first.at)
-    for j in (0, 1, 2, 4, 5):
-        step = STEP * np.eye(6)[j]
-        ahead, behind = (near.plan(x + side * step).dv_m_s for side in (1.0, -1.0))
-        assert slope[j] == pytest.approx((ahead - behind) / (2.0 * STEP), rel=2e-3, abs=1e-6)
+    return Timing(space, 0).plan(at, plan.burns_m_s)
 
 
 @pytest.mark.slow
 def test_a_descent_is_never_worse_and_its_pass_can_be_planned_as_it_is(space, near):
     seen: list[PassResult] = []
-    best = descend(space, near.first.at, near.first.burns_m_s, seen.append, rounds_max=1)
-    assert best.dv_m_s < 0.95 * near.first.dv_m_s
+    best = Timing(space, 0).descend(near.at, near.burns_m_s, seen.append, 1, 1e-4)
+    assert best.dv_m_s < 0.95 * near.dv_m_s
     assert best.dv_m_s <= min(seen[0].dv_m_s, seen[-1].dv_m_s)
     scenario = home_scenario(design={"departure_s": [-500.0, 500.0]})
     mission = Mission.from_scenario(settled(scenario, space, best.at))
@@ -63,28 +47,10 @@ def test_a_descent_is_never_worse_and_its_pass_can_be_planned_as_it_is(space, ne
     assert again.total_dv_m_s == pytest.approx(best.dv_m_s, rel=2e-3)
 
 
-@pytest.mark.slow
-def test_each_plan_of_a_round_begins_at_the_nearest_one_before(space, near, monkeypatch):
-    """From a plan far away, which the first step reaches, those near by may be out of reach."""
-    made, plan = [], Near.plan
-
-    def noted(self, x, start=None):
-        made.append((x, start, plan(self, x, start)))
-        return made[-1][2]
-
-    monkeypatch.setattr(Near, "plan", noted)
-    descend(space, near.first.at, near.first.burns_m_s, lambda _: None, rounds_max=1)
-    assert len(made) > 5
-    for k, (x, start, _) in enumerate(made[1:-1], start=1):
-        before = [one for one in made[:k] if one[2].converged]
-        nearest = min(before, key=lambda one: np.linalg.norm(one[0] - x))
-        assert start is nearest[2].stage.result.lin
-
-
 def test_times_that_are_all_given_leave_no_rules_to_keep(near):
     space = spaces_of(home_scenario(design={"burn_times": "given"}))[0][0]
-    at = Pass(near.first.at.phases, space.mission.scenario.burns.times_s)
-    best = descend(space, at, near.first.burns_m_s, lambda _: None, rounds_max=1)
+    at = Pass(near.at.phases, space.mission.scenario.burns.times_s)
+    best = Timing(space, 0).descend(at, near.burns_m_s, lambda _: None, 1, 1e-4)
     assert best.converged
     assert best.at.times_s == pytest.approx(at.times_s, abs=1e-6)
     assert best.at.phases != at.phases
@@ -107,7 +73,7 @@ def test_an_interrupt_ends_the_map_and_a_descent(space):
         scan(space, times, lambda _: None)
     for certain in (False, True):
         with pytest.raises(KeyboardInterrupt):
-            Near(space, Pass((2.7, 0.0), times), np.zeros((4, 3)), certain=certain)
+            Timing(space, 0, certain).plan(Pass((2.7, 0.0), times), np.zeros((4, 3)))
 
 
 PHASES = np.deg2rad(140.0), np.deg2rad(10.0)
@@ -122,20 +88,20 @@ GATES = {
 }
 
 
-def near_of(scenario: Scenario) -> tuple[Space, Near]:
+def near_of(scenario: Scenario) -> tuple[Space, PassResult]:
     space, times = spaces_of(scenario)[0]
-    return space, Near(space, Pass(PHASES, times), np.zeros((len(times), 3)))
+    return space, Timing(space, 0).plan(Pass(PHASES, times), np.zeros((len(times), 3)))
 
 
 @pytest.fixture(scope="module")
-def few() -> tuple[Space, Near]:
+def few() -> tuple[Space, PassResult]:
     return near_of(home_scenario(COARSE | {"burns.times_s": [0.0, 25_000.0, 34_842.0]}))
 
 
 @pytest.mark.slow
 def test_a_burn_is_tried_where_the_primer_exceeds_one_and_makes_the_pass_cheaper(few):
     space, near = few
-    found = near.first
+    found = near
     assert found.converged
     history = primer_history(found.mission, found.stage)
     assert history is not None
@@ -151,13 +117,9 @@ def test_a_burn_is_tried_where_the_primer_exceeds_one_and_makes_the_pass_cheaper
             space.mission.scenario.schedule,
         )
     before, after = (
-        descend(
-            replace(one.space, phase_spans=((PHASES[0],) * 2, (PHASES[1],) * 2)),
-            one.at,
-            one.burns_m_s,
-            lambda _: None,
-            rounds_max=1,
-        ).dv_m_s
+        Timing(replace(one.space, phase_spans=((PHASES[0],) * 2, (PHASES[1],) * 2)), 0)
+        .descend(one.at, one.burns_m_s, lambda _: None, 1, 1e-4)
+        .dv_m_s
         for one in (design.Candidate(space, found.at, found.burns_m_s), tries[0])
     )
     assert before <= found.dv_m_s
@@ -166,12 +128,12 @@ def test_a_burn_is_tried_where_the_primer_exceeds_one_and_makes_the_pass_cheaper
 
 def test_there_are_eight_burns_at_most(few, monkeypatch):
     monkeypatch.setattr(design, "BURNS_MAX", 3)
-    assert other_counts(few[0], few[1].first) == []
+    assert other_counts(few[0], few[1]) == []
 
 
 def test_inner_burns_that_have_vanished_are_left_out_with_their_rules():
     space, near = near_of(home_scenario(COARSE | {"burns.times_s": [0.0, 25_000.0, 34_842.0]}))
-    found = near.first
+    found = near
     assert vanished(space, found) is None
     found.stage.result.lin.iterate.burns[1] = 0.0
     fewer = vanished(space, found)
@@ -183,6 +145,6 @@ def test_inner_burns_that_have_vanished_are_left_out_with_their_rules():
 def test_where_errors_do_not_shrink_one_more_and_one_less_is_tried():
     changes = COARSE | GATES | {"burns.times_s": [0.0, 25_000.0, 38_000.0]}
     space, near = near_of(home_scenario(changes, design={"arrival_s": [36_000.0, 52_000.0]}))
-    assert near.first.converged
-    counts = sorted(other.space.n_burns for other in other_counts(space, near.first))
+    assert near.converged
+    counts = sorted(other.space.n_burns for other in other_counts(space, near))
     assert counts == [2, 4, 4]
