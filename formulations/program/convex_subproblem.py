@@ -144,7 +144,7 @@ class ConvexSubproblem(Subproblem):
             own |= self._floor(burns)
         of_cost, left = ({}, 0.0) if charge.least else cost_values(self._at)
         firing, weight = self._at.problem.firing, self.problem.miss_weight
-        if firing is not None:
+        if firing is not None and firing.names:
             own |= {"rules": UNIT * firing.matrix, "rules_least": firing.least}
         prices = penalty_values(self._penalty, charge, len(burns), buffers, weight)
         program = compiled.evaluate(own | of_cost | prices | states)

@@ -253,7 +253,7 @@ def write_model(shape: Shape, penalty: Penalty, write_states: StateModelWriter) 
         >= 0,
         violation >= 0,
     ]
-    if shape.timed:
+    if shape.rules:
         own |= {"rules": cp.Parameter((shape.rules, len(shape.timed)))}
         own |= {"rules_least": cp.Parameter(shape.rules)}
         constraints.append(own["rules"] @ z[shape.times] >= own["rules_least"])

@@ -19,7 +19,7 @@ from scp_recon.planning.initial_guess import circular, from_burns
 from scp_recon.planning.planner import Planner
 from scp_recon.planning.stages import Pipeline
 
-STEP = float(np.deg2rad(60.0))
+STEP = float(np.deg2rad(40.0))
 """Largest step between phases, rad."""
 COARSER = 2.0
 """Factor by which the map's grid is coarser than the scenario's."""

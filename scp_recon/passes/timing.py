@@ -198,7 +198,8 @@ class Timing:
             return ()
         lin, merit, units = freed.stage.result.lin, freed.stage.merit, freed.mission.units
         firing = lin.problem.firing
-        assert firing is not None
+        if firing is None or not firing.names:
+            return ()
         own = multipliers(merit.problem, merit.rows, lin)[-len(firing.names) :]
         rate = units.speed_m_s / units.time_s
         of_times = firing.matrix[:, : len(firing.burns)].any(

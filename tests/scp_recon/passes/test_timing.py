@@ -148,5 +148,5 @@ def test_what_leaves_nothing_to_move_is_refused(changes, told):
 
 @pytest.mark.parametrize("entry", ["missed_burns=1", "cut_short=true"])
 def test_drifts_are_refused_before_any_plan(entry):
-    with pytest.raises(InputError, match=r"^safety\..*; goes with boundary\.home in a design$"):
+    with pytest.raises(InputError, match=r"^safety\..*; must be left out of a design"):
         spaces_of(load_scenario(None, [f"safety.{entry}"]))
