@@ -151,7 +151,9 @@ class Timing:
         else:
             if not again:
                 start = pipeline.solve(planner.p3, start).result.lin
-            facets = choose_facets(mission.problem, polytopes, start.iterate.mean, start.spread.factor)
+            facets = choose_facets(
+                mission.problem, polytopes, start.iterate.mean, start.spread.factor
+            )
             spec = planner.p2_stage(facets, start, again=again)
         return PassResult(at, mission, pipeline.solve(spec, start))
 
@@ -202,9 +204,9 @@ class Timing:
             return ()
         own = multipliers(merit.problem, merit.rows, lin)[-len(firing.names) :]
         rate = units.speed_m_s / units.time_s
-        of_times = firing.matrix[:, : len(firing.burns)].any(
-            axis=1
-        )  # phases have no price a second
+        of_times = [
+            row[: len(firing.burns)].any() for row in firing.matrix
+        ]  # a phase has no seconds
         found = [
             RulePrice(name, float(price) * rate)
             for name, price, timed in zip(firing.names, own, of_times, strict=True)
