@@ -130,6 +130,19 @@ class Shifts:
         found[moved] = UNIT * self._rates[0][here, :, None] * self._firing.shares[here, None]
         return found
 
+    def before(self, burn: int, factor: Array) -> tuple[Array, Array]:
+        """What a burn's node sees of both rates just before the burn, (6, q) and (6, c, q).
+
+        `factor` is the iterate's there, (6 + p, c).
+        """
+        q = self._firing.shares.shape[1]
+        mean, turned = np.zeros((6, q)), np.zeros((6, factor.shape[1], q))
+        if burn in self._firing.burns:
+            j = int(np.searchsorted(self._firing.burns, burn))
+            rate, turn = self._about[0]
+            mean[:, j], turned[..., j] = UNIT * rate[j], UNIT * turn[j] @ factor
+        return mean, turned
+
     def factor_drift(self, nodes: Indices, factor: Array) -> Array:
         """The same of the factor's rate, (n, 6, c, q), of factors (n, 6 + p, c) at these nodes."""
         found = np.zeros((len(nodes), 6, factor.shape[2], self._firing.shares.shape[1]))

@@ -303,14 +303,30 @@ class DriftRows:
         return self._seen[lin]
 
     def _maps(self, lin: Linearisation, drift: Drift, s: Sensitivity) -> Start:
-        """Derivatives of a drift's start by the controls, (6, nz) and (6, c, nz)."""
+        """Derivatives of a drift's start by the controls, (6, nz) and (6, c, nz).
+
+        A burn that moves takes the drift along. The drift's own forces stay those of its times.
+        """
         k = int(lin.problem.burn_nodes[drift.burn])
         before, after = np.searchsorted(self.nodes, [k - 1, k])
         stm, missed, moved = lin.arcs.stm[k - 1], 1.0 - drift.share, s.mean_jacobian[before]
-        mean = missed * stm @ moved + drift.share * s.mean_jacobian[after]
-        bent = np.einsum("ijl,lz,jc->icz", lin.bending[k - 1], moved, lin.spread.factor[k - 1])
-        factor = np.einsum("ij,jcz->icz", stm, s.factor_jacobian[before]) + bent
-        return Start(mean, missed * factor + drift.share * s.factor_jacobian[after])
+        turned, timed = s.factor_jacobian[before], lin.problem.time_controls
+        if timed.size:  # the arc begins and ends at other times
+            nodes, here = np.array([k - 1]), lin.spread.factor[k - 1]
+            moved, turned = moved.copy(), turned.copy()
+            moved[:, timed] -= lin.shifts.drift(nodes)[0]
+            turned[..., timed] -= lin.shifts.factor_drift(nodes, here[None])[0]
+        mean = stm @ moved
+        factor = np.einsum("ij,jcz->icz", stm, turned)
+        factor += np.einsum("ijl,lz,jc->icz", lin.bending[k - 1], moved, lin.spread.factor[k - 1])
+        if timed.size:
+            along = lin.shifts.before(drift.burn, lin.stm_of_arcs[k - 1] @ here)
+            mean[:, timed] += along[0]
+            factor[..., timed] += along[1]
+        return Start(
+            missed * mean + drift.share * s.mean_jacobian[after],
+            missed * factor + drift.share * s.factor_jacobian[after],
+        )
 
     def _on_nodes(self, lin: Linearisation, drift: Drift, found: DriftValue) -> tuple[Array, Array]:
         """Derivatives by means (n_nodes, 6) and factors (n_nodes, 6, c), from those by the start."""

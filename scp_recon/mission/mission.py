@@ -477,7 +477,6 @@ class Mission:
         """Firing times and phases that are controls, nondimensional; None if all are given."""
         if self.firing_spans_s is None:
             return None
-        require_no_drifts(self.scenario, "goes with firing times that are given")
         nodes, spans = (self.times_s, self.burn_nodes, self.window_nodes), self.firing_spans_s
         window, unit = self.schedule.window_s, self.units.time_s
         home = None if self.home is None else (self.home, self._boundary(self.home))

@@ -20,7 +20,7 @@ from scp_recon.mission.mission import Mission
 from scp_recon.passes.scan import phases, scan, starts
 from scp_recon.passes.setting import BURNS_MAX, settled, spaces_of
 from scp_recon.passes.space import Pass, Space, nearest_legal
-from scp_recon.passes.timing import PassResult, Timing
+from scp_recon.passes.timing import Effort, PassResult, Timing
 from scp_recon.planning.initial_guess import from_burns
 from scp_recon.planning.method import SETTLE, FacetRounds
 from scp_recon.planning.plan import Plan
@@ -31,17 +31,18 @@ from scp_recon.scenario.schema import Scenario
 
 STARTS_MAX = 4
 """Number of the map's minima from which descents begin."""
-Effort = tuple[int, float]
-"""Rounds of a descent at most, and the relative gain worth another one."""
-FIRST: Effort = (3, 1e-2)
-LAST: Effort = (12, 1e-4)
-EXACT: Effort = (6, 1e-3)
+FIRST = Effort(6, 1e-2, 15)
+LAST = Effort(12, 1e-4, 40)
+EXACT = Effort(6, 1e-3, 40)
 """Effort of descents for comparison, of the last descents, and of descents with exact risk."""
 SURROGATE = {
     "risk": {"allocation": "uniform", "scope": "node"},
     "polytopes": {"ball": "tangent", "cone": 12},
 }
 """Risk planned with in place of exact risk until the last descent: quicker, and near it."""
+
+NEAR = 1.1
+"""Ratio of the costs of two windows' passes below which exact risk compares them."""
 
 CORRECTED_MAX = 3
 """Largest number of passes planned with gains until one has a plan."""
@@ -142,7 +143,7 @@ class Designer:
                 where, best = self._descend_exact(where, best)
             return where.space, best
         others = around[len(begun) :]  # the earlier ones have no pass
-        where, best = cheapest([(where, best), *self._other_windows(others, best)])
+        where, best = self._chosen([(where, best), *self._other_windows(others, best)])
         best = self._descent(where, "refinement", best.at, best, self.effort)
         where, best = self._vary_burns(where, best)
         if exact:
@@ -189,13 +190,21 @@ class Designer:
             self.corrected = plan
         return result
 
-    def _descend_exact(self, where: Around, best: PassResult) -> Best:
+    def _chosen(self, tries: list[Best]) -> Best:
+        """The cheapest pass of all windows; of nearly equal ones, the cheapest by exact risk."""
+        least = cheapest(tries)
+        near = [one for one in tries if one[1].dv_m_s <= NEAR * least[1].dv_m_s]
+        if self.scenario.risk.allocation != "exact" or len(near) == 1:
+            return least
+        return min(near, key=lambda one: self._descend_exact(*one, FIRST)[1].dv_m_s)
+
+    def _descend_exact(self, where: Around, best: PassResult, effort: Effort = EXACT) -> Best:
         """Descend from a pass under the scenario's own, exact risk."""
         space, given = where.space, self.scenario
         update = {"risk": given.risk, "polytopes": given.polytopes}
         own = space.mission.scenario.model_copy(update=update)
         where = replace(where, space=replace(space, mission=replace(space.mission, scenario=own)))
-        return where, self._descent(where, "exact", best.at, best, EXACT)
+        return where, self._descent(where, "exact", best.at, best, effort)
 
     def _map_and_descend(self, first: Around) -> Best:
         """Map one window and descend from its minima: the best pass, or the one of least violation."""
@@ -228,7 +237,7 @@ class Designer:
                 for other in other_counts(where.space, best)
             ]
             there, result = cheapest([(where, best), *tries])
-            if result.dv_m_s > (1.0 - self.effort[1]) * best.dv_m_s:
+            if result.dv_m_s > (1.0 - self.effort.worth) * best.dv_m_s:
                 break
             where, best = there, result
         return where, best
@@ -239,7 +248,7 @@ class Designer:
         if fewer is None or (design is not None and design.burn_times == "given"):
             return where, best
         there, result = self._descend_candidate("fewer", where, fewer, best.dv_m_s)
-        if result.dv_m_s <= (1.0 + self.effort[1]) * best.dv_m_s:
+        if result.dv_m_s <= (1.0 + self.effort.worth) * best.dv_m_s:
             return there, result
         return where, best
 
@@ -284,7 +293,7 @@ class Designer:
     ) -> PassResult:
         """Find the best pass from a given one."""
         timing = Timing(space, self.facet_rounds, certain)
-        return timing.descend(at, burns_m_s, seen, *effort, rival_m_s)
+        return timing.descend(at, burns_m_s, seen, effort, rival_m_s)
 
     def _seen(
         self, step: Step, where: Around, expected: int | None = None

@@ -6,6 +6,7 @@ Uncertainty only adds constraints: where P3 is expensive, so is P2.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -19,13 +20,15 @@ from scp_recon.planning.initial_guess import circular, from_burns
 from scp_recon.planning.planner import Planner
 from scp_recon.planning.stages import Pipeline
 
-STEP = float(np.deg2rad(40.0))
+STEP = float(np.deg2rad(60.0))
 """Largest step between phases, rad."""
 COARSER = 2.0
 """Factor by which the map's grid is coarser than the scenario's."""
 ROUGH = 1e-2
 """Relative reduction of the merit at which a plan of the map stops: next to Nightingale's valley its
 delta-v is then 6e-5 off."""
+ITERATIONS = 15
+"""Limit of a map's plan: those that converge take 3 to 12, and a minimum converges soon."""
 
 
 def phases(span: tuple[float, float]) -> Array:
@@ -51,29 +54,23 @@ def scan(
         best = _cheapest(planner, at, mission, last)
         cells.append(best)
         observe(best)
-        last = best if best.converged else last
+        last = best
     return cells
 
 
 def _cheapest(
     planner: Planner[Mission], at: Pass, mission: Mission, last: PassResult | None
 ) -> PassResult:
-    """Plan P3 from the neighbour's burns, and if that does not converge from turns about the body."""
-    pipeline = Pipeline(mission, planner)
-    for guess in _guesses(mission, last):
-        stage = pipeline.solve(planner.p3, pipeline.start(guess))
-        result = PassResult(at, mission, stage)
-        if result.converged:
-            break
-    return result
+    """Plan P3 from a turn about the body; if that does not converge, from the last cell's burns."""
+    pipeline, spec = Pipeline(mission, planner), replace(planner.p3, max_iterations=ITERATIONS)
 
+    def planned(guess: Iterate) -> PassResult:
+        return PassResult(at, mission, pipeline.solve(spec, pipeline.start(guess)))
 
-def _guesses(mission: Mission, last: PassResult | None) -> Iterator[Iterate]:
-    yield ahead(mission)
-    if last is not None:
-        yield from_burns(mission, last.burns_m_s)
-    yield circular(mission, 1.0)
-    yield circular(mission, -1.0)
+    found = planned(ahead(mission))
+    if found.converged or last is None or not last.converged:
+        return found  # where neither converges, there is most often no pass at all
+    return planned(from_burns(mission, last.burns_m_s))
 
 
 def ahead(mission: Mission) -> Iterate:

@@ -8,7 +8,6 @@ import numpy as np
 
 from formulations.arrays import Array
 from scp_recon.errors import InputError
-from scp_recon.mission.drifts import require_no_drifts
 from scp_recon.mission.firing import Ring
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.scene import Scene
@@ -89,9 +88,8 @@ def _check_size(scenario: Scenario) -> None:
 
 
 def _check_given(scenario: Scenario) -> None:
-    """Refuse to move boundary states in time, a design in which nothing may move, and drifts."""
+    """Refuse to move boundary states in time, and a design in which nothing may move."""
     design = scenario.design or Design()
-    require_no_drifts(scenario, "must be left out of a design: it goes with given firing times")
     if scenario.boundary.home is not None:
         return
     for name in ("departure_s", "arrival_s"):

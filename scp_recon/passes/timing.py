@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -28,8 +29,6 @@ from scp_recon.planning.planner import FEW_LINES, FINE, Planner
 from scp_recon.planning.stages import Pipeline
 from scp_recon.scp.status import Status
 
-ITERATIONS = 40
-"""Limit of iterations of a program with free times: a new one follows on a grid of its own."""
 PRICELESS = 1e-6
 """Multiplier up to which a rule costs nothing: its unit is the speed's over the time's."""
 
@@ -67,6 +66,24 @@ class PassResult:
         return self.stage.result.lin.iterate.burns * self.mission.units.speed_m_s
 
 
+class Effort(NamedTuple):
+    """How long a descent goes on.
+
+    Attributes:
+        rounds: at most.
+        worth: relative gain of a round after which another one is made.
+        iterations: of each program with free times, at most: the next round's has a grid of its own.
+    """
+
+    rounds: int
+    worth: float
+    iterations: int
+
+
+PRICING = 40
+"""Iterations of the program that prices rules, from its solution."""
+
+
 @dataclass(frozen=True)
 class RulePrice:
     """What a rule of the firing times costs.
@@ -101,20 +118,19 @@ class Timing:
         at: Pass,
         burns_m_s: Array,
         observe: Observe,
-        rounds_max: int,
-        worth: float,
+        effort: Effort,
         rival_m_s: float = np.inf,
     ) -> PassResult:
         """Find the best pass from a given one; it is never worse than the start.
 
         The first plan starts from the given burns, J2000, m/s, shape (m, 3). A round is followed by
-        another if its relative gain is at least `worth`, and if the pass is not dearer than a rival by
+        another if its relative gain is worth it, and if the pass is not dearer than a rival by
         more than that.
         """
         best = self.plan(self._with_room(at), burns_m_s)
         observe(best)
-        for _ in range(rounds_max):
-            freed = self.freed(best)
+        for _ in range(effort.rounds):
+            freed = self.freed(best, effort.iterations)
             if freed is None:
                 break
             again = self.plan(freed.at, freed.burns_m_s, again=True)
@@ -122,7 +138,7 @@ class Timing:
             better = rank(again.stage) > rank(best.stage)
             gain = 1.0 - again.dv_m_s / best.dv_m_s if best.converged else float(again.converged)
             best = again if better else best
-            if not better or gain < worth or best.dv_m_s > (1.0 + worth) * rival_m_s:
+            if not better or gain < effort.worth or best.dv_m_s > (1.0 + effort.worth) * rival_m_s:
                 break
         return best
 
@@ -165,7 +181,7 @@ class Timing:
             return replace(final, rows=rows)
         return final
 
-    def freed(self, result: PassResult) -> PassResult | None:
+    def freed(self, result: PassResult, iterations: int = PRICING) -> PassResult | None:
         """The program with a plan's facets and free times and phases; None if all are given."""
         space, home = self.space, None
         if space.has_home:
@@ -175,7 +191,7 @@ class Timing:
             return None
         planner, lin = Planner(mission), result.stage.result.lin
         pipeline = Pipeline(mission, planner)
-        spec = replace(self._spec(planner, result), max_iterations=ITERATIONS)
+        spec = replace(self._spec(planner, result), max_iterations=iterations)
         stage = pipeline.solve(spec, pipeline.start(lin.iterate))
         iterate, problem = stage.result.lin.iterate, stage.result.lin.problem
         assert problem.firing is not None
@@ -194,7 +210,12 @@ class Timing:
         return self._exact(planner) if facets is None else planner.p2_stage(facets, lin)
 
     def prices(self, result: PassResult) -> tuple[RulePrice, ...]:
-        """What each rule costs that binds at the times of a converged pass, the dearest first."""
+        """What each rule costs that binds at the times of a converged pass, the dearest first.
+
+        None with drifts, whose rows' adjoint does not know times.
+        """
+        if result.mission.problem.drifts:
+            return ()
         freed = self.freed(result)
         if freed is None or not freed.converged:
             return ()

@@ -11,6 +11,7 @@ from scipy.special import ndtri
 
 from formulations.arrays import Array
 from formulations.linearisation.linearisation import Linearisation
+from formulations.problem.firing_times import UNIT
 from formulations.problem.flyby import Iterate
 from formulations.problem.regions import Ball
 from formulations.program.multipliers import adjoint
@@ -71,6 +72,31 @@ def test_slopes_of_drifts_are_derivatives(entry):
     np.testing.assert_allclose(
         slopes[near], expected, rtol=2e-3, atol=2e-3 * np.abs(expected).max()
     )
+
+
+def test_slopes_of_drifts_follow_firing_times():
+    """By differences too, where burns 2 and 3 move; the drifts' own forces do not."""
+    given, start = at_plan_without(MISSED, "spacecraft.reflectivity_coefficient=0")
+    spans = ((0.0, 0.0), (0.0, 3e4), (0.0, 3e4), (34_842.0, 34_842.0))
+    mission = replace(given, firing_spans_s=spans)
+    problem = replace(mission.problem, drifts=mission.problem.drifts[:2])
+    rows, burns, h = DriftRows(problem, 0), start.iterate.burns, 1e-5
+    assert problem.firing is not None
+
+    def at(times: Array) -> Linearisation:
+        mean = mission.dynamics.at(problem, times).rollout(problem.initial_state, burns)
+        return mission.dynamics.linearise(problem, Iterate(burns, mean, times=times))
+
+    now = problem.firing.start
+    slopes = [cone.values[0, 0, problem.time_controls] for cone in rows.cones(at(now))]
+    steps = h * UNIT * np.eye(len(now))
+    ahead, behind = (
+        np.array([[found.value for found in rows.at(at(now + side * step))] for step in steps])
+        for side in (1, -1)
+    )
+    expected = (ahead - behind).T / (2 * h)
+    assert np.abs(expected[:, 0]).min() > 1e-3
+    np.testing.assert_allclose(slopes, expected, rtol=1e-2, atol=1e-6)
 
 
 @pytest.mark.parametrize("distance", [0.6, 3.0])

@@ -12,7 +12,7 @@ from scp_recon.passes.design import other_counts, peaks, vanished
 from scp_recon.passes.scan import scan
 from scp_recon.passes.setting import settled, spaces_of
 from scp_recon.passes.space import Pass, Space
-from scp_recon.passes.timing import PassResult, Timing
+from scp_recon.passes.timing import Effort, PassResult, Timing
 from scp_recon.planning.initial_guess import cold
 from scp_recon.planning.planner import Planner
 from scp_recon.planning.primer import primer_history
@@ -38,7 +38,7 @@ def near(space) -> PassResult:
 @pytest.mark.slow
 def test_a_descent_is_never_worse_and_its_pass_can_be_planned_as_it_is(space, near):
     seen: list[PassResult] = []
-    best = Timing(space, 0).descend(near.at, near.burns_m_s, seen.append, 1, 1e-4)
+    best = Timing(space, 0).descend(near.at, near.burns_m_s, seen.append, Effort(1, 1e-4, 40))
     assert best.dv_m_s < 0.95 * near.dv_m_s
     assert best.dv_m_s <= min(seen[0].dv_m_s, seen[-1].dv_m_s)
     scenario = home_scenario(design={"departure_s": [-500.0, 500.0]})
@@ -50,7 +50,7 @@ def test_a_descent_is_never_worse_and_its_pass_can_be_planned_as_it_is(space, ne
 def test_times_that_are_all_given_leave_no_rules_to_keep(near):
     space = spaces_of(home_scenario(design={"burn_times": "given"}))[0][0]
     at = Pass(near.at.phases, space.mission.scenario.burns.times_s)
-    best = Timing(space, 0).descend(at, near.burns_m_s, lambda _: None, 1, 1e-4)
+    best = Timing(space, 0).descend(at, near.burns_m_s, lambda _: None, Effort(1, 1e-4, 40))
     assert best.converged
     assert best.at.times_s == pytest.approx(at.times_s, abs=1e-6)
     assert best.at.phases != at.phases
@@ -118,7 +118,7 @@ def test_a_burn_is_tried_where_the_primer_exceeds_one_and_makes_the_pass_cheaper
         )
     before, after = (
         Timing(replace(one.space, phase_spans=((PHASES[0],) * 2, (PHASES[1],) * 2)), 0)
-        .descend(one.at, one.burns_m_s, lambda _: None, 1, 1e-4)
+        .descend(one.at, one.burns_m_s, lambda _: None, Effort(1, 1e-4, 40))
         .dv_m_s
         for one in (design.Candidate(space, found.at, found.burns_m_s), tries[0])
     )

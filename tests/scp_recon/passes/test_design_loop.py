@@ -111,7 +111,7 @@ def test_the_next_window_is_mapped_where_the_first_has_no_pass(monkeypatch):
     assert found.converged
     assert window == 2
     assert [one.window for one in tried if one.step == "map"] == [0, 1, 2]
-    assert all(one.expected == (81 if one.step == "map" else None) for one in tried)  # 9 x 9 phases
+    assert all(one.expected == (36 if one.step == "map" else None) for one in tried)  # 6 x 6 phases
 
 
 def test_later_windows_are_tried_and_the_cheapest_counts(monkeypatch):
