@@ -105,14 +105,15 @@ Best = tuple[Around, PassResult]
 class Designer:
     """Designs a pass for a scenario; keeps every plan and reports it to `observe`.
 
-    `facet_rounds` are those of plans between given states. `corrected` is the found pass's plan with
-    gains, for a scenario with feedback.
+    `facet_rounds` are those of plans between given states. `exact` are passes under exact risk, and
+    `corrected` is the found pass's plan with gains, for a scenario with feedback.
     """
 
     scenario: Scenario
     observe: Callable[[Trial], None]
     facet_rounds: FacetRounds = SETTLE
     trials: list[Trial] = field(default_factory=list)
+    exact: list[Best] = field(default_factory=list)
     corrected: Plan | None = None
 
     @property
@@ -147,7 +148,8 @@ class Designer:
         best = self._descent(where, "refinement", best.at, best, self.effort)
         where, best = self._vary_burns(where, best)
         if exact:
-            where, best = self._without_vanished(*self._descend_exact(where, best))
+            self.exact.append(self._descend_exact(where, best))
+            where, best = self._without_vanished(*cheapest(self.exact))
         return where.space, best
 
     def _with_corrections(self, around: list[Around]) -> tuple[Space, PassResult]:
@@ -196,15 +198,17 @@ class Designer:
         near = [one for one in tries if one[1].dv_m_s <= NEAR * least[1].dv_m_s]
         if self.scenario.risk.allocation != "exact" or len(near) == 1:
             return least
-        return min(near, key=lambda one: self._descend_exact(*one, FIRST)[1].dv_m_s)
+        own = [self._descend_exact(where, best) for where, best in near]
+        self.exact += own
+        return near[own.index(cheapest(own))]
 
-    def _descend_exact(self, where: Around, best: PassResult, effort: Effort = EXACT) -> Best:
+    def _descend_exact(self, where: Around, best: PassResult) -> Best:
         """Descend from a pass under the scenario's own, exact risk."""
         space, given = where.space, self.scenario
         update = {"risk": given.risk, "polytopes": given.polytopes}
         own = space.mission.scenario.model_copy(update=update)
         where = replace(where, space=replace(space, mission=replace(space.mission, scenario=own)))
-        return where, self._descent(where, "exact", best.at, best, effort)
+        return where, self._descent(where, "exact", best.at, best, EXACT)
 
     def _map_and_descend(self, first: Around) -> Best:
         """Map one window and descend from its minima: the best pass, or the one of least violation."""
