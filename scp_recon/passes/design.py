@@ -173,11 +173,18 @@ class Designer:
         return scan(where.space, where.times_s, self._seen("map", where, cells))
 
     def certain(self, where: Around) -> list[PassResult]:
-        """Passes about a window without uncertainty, the cheapest first."""
+        """Passes about a window without uncertainty, the cheapest first.
+
+        Burns between departure and the last one before the window stay where they are: without errors
+        some are zero, at any time, and how well they correct depends on their times.
+        """
         mapped = self._map(where)
-        seen = self._seen("certain", where)
+        seen, spans = self._seen("certain", where), list(where.space.time_spans)
+        for burn in range(1, where.space.before(where.times_s)):
+            spans[burn] = (where.times_s[burn],) * 2
+        space = replace(where.space, time_spans=tuple(spans))
         found = [
-            self._search(where.space, one.at, one.burns_m_s, seen, FIRST, certain=True)
+            self._search(space, one.at, one.burns_m_s, seen, FIRST, certain=True)
             for one in starts(mapped, STARTS_MAX)
         ]
         return sorted(found, key=lambda one: one.dv_m_s) or [min(mapped, key=violation)]
