@@ -77,7 +77,8 @@ def test_design_without_pass_names_limit_and_departure(tmp_path, capsys, monkeyp
     assert design.main([str(scenario_file(tmp_path, changes)), "--out", str(out)]) == 3
     said = capsys.readouterr().out
     assert "no pass found" in said
-    assert "dv_max, short by" in said
+    assert "was stopped by" in said
+    assert ", short by" in said
     assert "from 1" in said  # a departure between 140 and 175 deg
     assert not (out / "solution.json").exists()
     assert (out / "design.csv").exists()
