@@ -38,6 +38,7 @@ from scp_recon.reports.tables import (
     drifts_table,
     iteration_row,
     limits_table,
+    lost_contacts_table,
     reintegration_table,
     starts_table,
 )
@@ -258,6 +259,10 @@ def _show_verification(
     elif v.drifts:
         later = [drift for drift in v.drifts if drift.burn > 1] or v.drifts
         show_line(console, str(min(later, key=lambda drift: drift.closest_m)))
+    if v.lost_contacts:
+        lost = lost_contacts_table(v)
+        console.print(terminal(lost))
+        show_line(console, lost.note, "dim")
     if v.burn_limits:
         corrected = burn_limits_table(v, mission.scenario.risk.p_chance)
         console.print(terminal(corrected))

@@ -67,14 +67,36 @@ def cut_offs_s(scenario: Scenario) -> dict[int, float]:
     delivered state, which contains all earlier knowledge. The first burn of the whole flight is
     never corrected. The last one is corrected only if `boundary.final_sigma_velocity_m_s` limits
     its result: its correction affects nothing else. There are no cut-offs with the policy "open".
+    With contacts, a burn without data that are newer than those of a corrected burn before is not
+    corrected.
     """
-    start, lead = scenario.start_s, scenario.navigation.lead_s
+    start, found = scenario.start_s, dict[int, float]()
     earliest = start + (-SAME_S if scenario.in_flight is None else SAME_S)
-    return {
-        burn: max(time - lead, start)
-        for burn, time in _correctable(scenario).items()
-        if time - lead >= earliest
-    }
+    for burn, time in _correctable(scenario).items():
+        until = data_until_s(scenario, burn, time)
+        if until >= earliest:
+            found[burn] = max(until, start)
+            earliest = until + SAME_S if scenario.navigation.contacts else earliest
+    return found
+
+
+def data_until_s(scenario: Scenario, burn: int, time_s: float) -> float:
+    """Time of the last data that a burn at a time can use, s."""
+    contact = contact_of(scenario, burn)
+    if contact is None:
+        return time_s - scenario.navigation.lead_s
+    return contact[0]
+
+
+def contact_of(scenario: Scenario, burn: int) -> tuple[float, float] | None:
+    """The contact whose data a burn uses, by its number from 0, s; None if it uses data on board.
+
+    Infinitely early if there is none in time.
+    """
+    contacts = scenario.navigation.contacts
+    if contacts is None or 1 + burn + scenario.burns_flown in (contacts.onboard or ()):
+        return None
+    return contacts.last_before(scenario.burn_times_s[burn]) or (-np.inf, -np.inf)
 
 
 def in_vain(scene: Scene) -> float:
@@ -163,12 +185,33 @@ def check_feedback(scenario: Scenario) -> None:
             "'feedback' with no burn between the first and the last",
             "must be 'open', or boundary.final_sigma_velocity_m_s must limit what the last burn leaves",
         )
+    _check_contacts(scenario)
     if not cut_offs_s(scenario):
         latest = max(correctable)
         raise InputError(
             "navigation.lead_s",
             f"{scenario.navigation.lead_s:g} s, with which every cut-off precedes departure",
             f"must be at most {correctable[latest]:g} s, for burn {latest + 1} to be corrected",
+        )
+
+
+def _check_contacts(scenario: Scenario) -> None:
+    """Refuse contacts that serve no burn, and burns on board that there are not."""
+    contacts = scenario.navigation.contacts
+    if contacts is None:
+        return
+    times = scenario.burns.times_s
+    if strange := [number for number in contacts.onboard or () if number > len(times)]:
+        allowed = f"must be among 1 to {len(times)}"
+        raise InputError("navigation.contacts.onboard", f"{strange[0]}", allowed)
+    if not cut_offs_s(scenario):
+        latest = max(_correctable(scenario).values())
+        given = "every_s" if contacts.windows_s is None else "windows_s"
+        raise InputError(
+            f"navigation.contacts.{given}",
+            f"no contact that a burn can use, {contacts.turnaround_s:g} s after its end",
+            f"must have one that begins at {scenario.start_s:g} s or later and ends by "
+            f"{latest - contacts.turnaround_s:g} s",
         )
 
 
@@ -207,7 +250,13 @@ def uncorrected_burns(scene: Scene) -> Iterator[ScenarioWarning]:
         return
     corrected = cut_offs_s(scenario)
     for burn, time in _correctable(scenario).items():
-        if burn not in corrected:
+        if burn not in corrected and contact_of(scenario, burn) is not None:
+            yield ScenarioWarning.of(
+                "navigation.contacts",
+                f"no contact with new data for burn {burn + 1} at {time:g} s, which is not corrected",
+                "expected one after that of the burn before, a turnaround before the burn",
+            )
+        elif burn not in corrected:
             yield ScenarioWarning.of(
                 "navigation.lead_s",
                 f"{scenario.navigation.lead_s:g} s, so that burn {burn + 1} at {time:g} s is not "

@@ -19,7 +19,7 @@ import numpy as np
 from formulations.arrays import Array, Booleans
 from formulations.problem.flyby import Iterate
 from scp_recon.errors import InputError, option
-from scp_recon.mission.feedback import require_measurement
+from scp_recon.mission.feedback import data_until_s, require_measurement
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.schedule import BURNS_TO_MEET
 from scp_recon.physics.flow import propagate
@@ -151,15 +151,16 @@ def cut_offs_s(scenario: Scenario) -> dict[int, float]:
             burn before.
     """
     require_measurement(scenario, option("policy"), "'replan'")
-    lead, firing = max(scenario.navigation.lead_s, LEAST_LEAD_S), scenario.burn_times_s
-    cut_offs = {i: t - lead for i, t in enumerate(firing) if t - lead > scenario.start_s}
+    firing = scenario.burn_times_s
+    until = (min(data_until_s(scenario, i, t), t - LEAST_LEAD_S) for i, t in enumerate(firing))
+    cut_offs = {i: at for i, at in enumerate(until) if at > scenario.start_s}
     early = [i for i, at in cut_offs.items() if i > 0 and at <= firing[i - 1]]
     if not cut_offs or early:
         burn = scenario.burns_flown + 1 + (early[0] if early else len(firing) - 1)
         raise InputError(
-            "navigation.lead_s",
-            f"{lead:g} s, with which the cut-off of burn {burn} precedes the one before",
-            f"must be less for {option('policy')} 'replan'",
+            "navigation.lead_s" if scenario.navigation.contacts is None else "navigation.contacts",
+            f"cut-offs of which that of burn {burn} precedes the one before",
+            f"must be later for {option('policy')} 'replan'",
         )
     return cut_offs
 

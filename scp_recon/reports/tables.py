@@ -117,8 +117,8 @@ def corrections_table(solution: Solution) -> Table:
             for c, burn in zip(corrections, nominal, strict=True)
         ),
         key="corrections",
-        note="Known before and after the measurement at the cut-off: roots of the summed variances of "
-        "the estimate's errors."
+        note="The cut-off is the time of the last data that a burn uses. Known before and after the "
+        "measurement there: roots of the summed variances of the estimate's errors."
         + (f" Not corrected: burns {', '.join(map(str, sorted(fixed)))}." if fixed else ""),
     )
 
@@ -335,6 +335,28 @@ def drifts_table(v: Verification) -> Table:
         note=f"Nonlinear flights, {100 * v.confidence:.0f} % intervals; free for {spell:.3g} h from "
         f"the burn on. Safe: never within {radius:g} m of the centre. Impact: within the body's "
         "reference radius.",
+    )
+
+
+def lost_contacts_table(v: Verification) -> Table:
+    """What each lost contact does; no rows if the scenario does not ask."""
+    return Table.of(
+        "Lost contacts",
+        (
+            Column("contact", "s"),
+            Column("ends", "s"),
+            "for burn",
+            "fewest keep",
+            *(Column(name, form=".4f") for name in ("probability", "low", "high")),
+        ),
+        (
+            [one.begin_s, one.end_s, str(one.burn), p.name, p.estimate, p.low, p.high]
+            for one in v.lost_contacts or ()
+            for p in (one.worst,)
+        ),
+        key="lost_contacts",
+        note="By flights in which this contact alone is lost: its burn is commanded from the estimate "
+        "at the cut-off before, carried on, or as planned if there is none.",
     )
 
 

@@ -140,7 +140,7 @@ def tables_of(subject: Subject, budget: Budget) -> list[Table]:
     if v is not None:
         required = solution.scenario.risk.p_chance
         found += [tables.probabilities_table(mission, v), tables.burn_limits_table(v, required)]
-        found.append(tables.drifts_table(v))
+        found += [tables.drifts_table(v), tables.lost_contacts_table(v)]
     found.append(tables.constraints_table(solution))
     if v is not None:
         found.append(tables.mean_margins_table(mission, v))

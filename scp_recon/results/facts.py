@@ -272,6 +272,23 @@ class JointProbability:
 
 
 @dataclass(frozen=True)
+class LostContact:
+    """What flights keep if a contact is lost: its burn is commanded from earlier data.
+
+    Attributes:
+        burn: that uses its data, from 1.
+        begin_s: beginning of the contact past the epoch.
+        end_s: end of it.
+        worst: of whole flights with the scope "flight", else of the joint constraint that fewest keep.
+    """
+
+    burn: Annotated[int, Field(ge=1)]
+    begin_s: float
+    end_s: float
+    worst: JointProbability
+
+
+@dataclass(frozen=True)
 class DriftSafety:
     """Free drifts after a burn that is missed or cut short, by nonlinear flights.
 
@@ -420,6 +437,7 @@ class Verification:
         final_sigmas: limits on the covariance after the last burn.
         burn_limits: limits on corrected burns, with feedback.
         drifts: after each missed burn, and after those cut short for which was planned.
+        lost_contacts: what each lost contact does, if `navigation.contacts.what_if_lost` asks for it.
         wider: sigma of flights after the last burn over the predicted one, of those components of the
             state in which flights spread clearly more; absent if none does.
         ok: whether no check failed.
@@ -439,6 +457,7 @@ class Verification:
     final_sigmas: tuple[FinalSigma, ...] = ()
     burn_limits: tuple[BurnLimit, ...] = ()
     drifts: tuple[DriftSafety, ...] = ()
+    lost_contacts: tuple[LostContact, ...] | None = None
     wider: dict[str, float] | None = None
     knowledge_error: float | None = None
     drift_error_m: float | None = None

@@ -17,7 +17,7 @@ estimates of parameters are a linear function of these.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Annotated
+from typing import Annotated, Self
 
 import numpy as np
 from pydantic import Field
@@ -57,6 +57,11 @@ class CutOff:
     def noise(self, draws: Array) -> Array:
         """Errors of the measurement, shape (6, flights), from standard normal draws (flights, 6)."""
         return np.linalg.cholesky(self.measurement_covariance) @ draws.T
+
+    @property
+    def lost(self) -> Self:
+        """The same without the measurement: the filter's estimate stays the predicted one."""
+        return replace(self, estimate_covariance=0.0 * self.estimate_covariance)
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,6 +5,7 @@ They say how well states and burns are known, and how burns are corrected in fli
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar, Literal, Self
 
@@ -108,6 +109,9 @@ FixedError = Annotated[float, Field(ge=0, le=1e6), ZeroOrSome]
 SmallAngle = Annotated[float, Field(ge=0, le=0.2), ZeroOrSome]
 """In rad: beyond it pointing errors are not linear any more, by 2 %, and degrees were meant."""
 Frame = Literal["j2000", "sun_north", "rtn", "body_fixed"]
+
+
+Interval = tuple[FlightTime, FlightTime]
 
 
 class Gates(Section):
@@ -242,6 +246,59 @@ class Uncertainty(OneWay):
         )
 
 
+class Contacts(OneWay):
+    """Contacts with the ground, which bring data down and commands up, in place of one lead.
+
+    By its end a contact brings down what was measured before it began. A burn uses the last contact
+    that ends a turnaround before it; one that is commanded on board uses all data, as navigation.lead_s
+    says. A contact that brings nothing new to a burn corrects nothing.
+    """
+
+    WAYS: ClassVar[Mapping[str, tuple[Way, ...]]] = {
+        "times of contacts": (("windows_s",), ("every_s",)),
+    }
+
+    windows_s: Annotated[tuple[Interval, ...], Field(min_length=1, max_length=1000)] | None = None
+    """Beginning and end of each contact in s after the epoch, in order."""
+    every_s: Annotated[float, Field(ge=60.0, le=1e7)] | None = None
+    """From one contact to the next in s."""
+    first_s: FlightTime | None = None
+    """Beginning of the first contact in s after the epoch, with every_s; 0 if left out."""
+    length_s: FlightTime | None = None
+    """Length of a contact in s, with every_s; 0 if left out."""
+    turnaround_s: FlightTime
+    """From the end of a contact to the earliest burn that uses its data in s."""
+    onboard: Annotated[tuple[Annotated[int, Field(ge=1)], ...], Field(min_length=1)] | None = None
+    """Numbers from 1 of burns that are commanded on board."""
+    what_if_lost: Literal["any"] | None = None
+    """With "any" a verification flies the plan without each contact, too: its burn is then commanded
+    from earlier data."""
+
+    @model_validator(mode="after")
+    def _in_order(self) -> Self:
+        if self.windows_s is not None:
+            if self.first_s is not None or self.length_s is not None:
+                raise ValueError("must have first_s and length_s with every_s alone")
+            bounds = [time for window in self.windows_s for time in window]
+            if bounds != sorted(bounds):
+                raise ValueError(
+                    "windows_s must be in order, each with its beginning before its end"
+                )
+        elif self.every_s is not None and (self.length_s or 0.0) >= self.every_s:
+            raise ValueError(f"length_s must be below every_s, {self.every_s:g} s")
+        return self
+
+    def last_before(self, time_s: float) -> tuple[float, float] | None:
+        """The last contact, beginning and end, whose data a burn at a time can use, s."""
+        latest = time_s - self.turnaround_s
+        if self.windows_s is not None:
+            return max((one for one in self.windows_s if one[1] <= latest), default=None)
+        first, length, every = self.first_s or 0.0, self.length_s or 0.0, self.every_s or 0.0
+        number = math.floor((latest - length - first) / every)
+        begin = first + number * every
+        return (begin, begin + length) if number >= 0 else None
+
+
 class Navigation(OneWay):
     """Measurement of the state before each burn, at a cut-off, with errors independent of all others.
 
@@ -271,6 +328,8 @@ class Navigation(OneWay):
     estimate_parameters: bool | None = None
     """Whether the filter estimates the uncertain parameters of `knowledge` with the state, the default;
     or considers their errors without estimating them (Schmidt)."""
+    contacts: Contacts | None = None
+    """When data come down and commands go up; any time if left out."""
 
     @property
     def measures(self) -> bool:

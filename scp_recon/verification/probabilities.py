@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 from scipy.special import ndtri
 
@@ -10,6 +12,7 @@ from formulations.rows.exact_flight import FLIGHT
 from scp_recon.mission.drifts import STEP_S, Miss
 from scp_recon.mission.drifts import planned as misses_planned
 from scp_recon.mission.drifts import required_probability as drift_probability
+from scp_recon.mission.feedback import contact_of
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.drifts import fly_drifts, reach_s, safety_of
 from scp_recon.monte_carlo.estimates import proportion
@@ -17,7 +20,13 @@ from scp_recon.monte_carlo.flights import FlightConfig
 from scp_recon.monte_carlo.limits import is_certain, limit_margins
 from scp_recon.monte_carlo.sampling import BLOCK, fly_blocks
 from scp_recon.monte_carlo.summary import COMPONENTS, WIDER
-from scp_recon.results.facts import DriftSafety, FinalSigma, JointProbability, Risk
+from scp_recon.results.facts import (
+    DriftSafety,
+    FinalSigma,
+    JointProbability,
+    LostContact,
+    Risk,
+)
 from scp_recon.results.figures import FINAL_SIGMAS, final_sigma_limits
 from scp_recon.results.policy import Policy
 from scp_recon.results.solution import Solution
@@ -178,6 +187,21 @@ def drift_safety(
             safety_of(mission, miss, one, asked) for miss, one in zip(misses, flown, strict=True)
         ]
     return sorted(found, key=lambda one: (one.burn, one.share))
+
+
+def lost_contacts(mission: Mission, burns: Array, policy: Policy) -> Iterator[LostContact]:
+    """Fly a plan without each contact whose data it uses, if the scenario asks for that."""
+    scenario = mission.scenario
+    if scenario.navigation.contacts is None or scenario.navigation.contacts.what_if_lost is None:
+        return
+    for j, one in enumerate(policy):
+        contact = contact_of(scenario, one.burn)
+        if contact is not None:
+            without = (*policy[:j], one.lost, *policy[j + 1 :])
+            found, _ = joint_probabilities(mission, burns, without)
+            worst = min(found, key=lambda p: (p.name != FLIGHT, p.estimate))
+            number = 1 + one.burn + scenario.burns_flown
+            yield LostContact(number, *contact, worst)
 
 
 def flown_sigmas(

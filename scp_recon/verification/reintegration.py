@@ -51,6 +51,7 @@ from scp_recon.verification.probabilities import (
     exceeded,
     flown_sigmas,
     joint_probabilities,
+    lost_contacts,
     refuted,
     wider_than_law,
 )
@@ -148,6 +149,7 @@ def verify(mission: Mission, solution: Solution) -> Verification:
         final_sigmas=tuple(sigmas),
         burn_limits=tuple(on_burns),
         drifts=tuple(drifts),
+        lost_contacts=tuple(lost_contacts(mission, burns, policy)) or None,
         wider=wider_than_law(ends, stored[-1]) or None,
         ok=not failed,
     )

@@ -1,4 +1,4 @@
-"""What goes with what, pair by pair: times, drifts, knowledge, feedback, kinds of risk, formulations."""
+"""What goes with what, by pairs: times, drifts, knowledge, feedback, kinds of risk, formulations."""
 
 import itertools
 from collections.abc import Mapping, Sequence
