@@ -27,11 +27,13 @@ class Arcs:
     """CasADi flow map F(x, h) -> x_next of states (6,), which takes SX symbols, and each arc's h.
 
     The h are rows of an array (n, k): the duration, then the numbers that time-dependent forces
-    need.
+    need. `by_parameters` is the derivative G(x, h), (6, p), of x_next by p uncertain parameters; None
+    without any.
     """
 
     flow: ca.Function
     durations: Array
+    by_parameters: ca.Function | None = None
 
 
 @dataclass(frozen=True)

@@ -308,11 +308,12 @@ def spread_blocks(
 ) -> Iterator[NlpRows]:
     """State constraints on the means (6, n_nodes), and limits on the final covariance.
 
-    The covariances (6, 6) are those at the starts of the legs, and the STMs lead from there.
+    The covariances (6 + p, 6 + p) are those at the starts of the legs, from where the STMs (6, 6 + p)
+    lead.
     """
     deviation = None
     if facets is not None and len(facets.node):
-        deviation = _deviations(problem, facets, covariances, stm)
+        deviation = _deviations(problem, facets, mean, covariances, stm)
     yield from state_blocks(problem, facets, mean, deviation, printed=False)
     if facets is not None:
         for (name, part), limit in zip(PARTS, problem.final_spread, strict=True):
@@ -321,66 +322,89 @@ def spread_blocks(
 
 
 def _covariances(problem: FlybyProblem, burns: ca.MX, stm: list[ca.MX], last: int) -> list[ca.MX]:
-    """Covariances (6, 6) of the deviation at the start of each leg that begins at a node up to `last`.
+    """Covariances of deviation and p parameters at starts of the legs that begin at nodes up to `last`.
 
-    States have six components and the errors that all burns share; see `roll_out` for the STMs.
+    Shape (6 + p, 6 + p) each. Errors that all burns share stand below; see `roll_out` for the STMs.
     """
-    errors, starts = problem.execution_errors, problem.leg_starts
-    first = np.eye(6 + errors.shared)
-    first[:6, :6] = problem.initial_factor @ problem.initial_factor.T
+    errors, starts, size = problem.execution_errors, problem.leg_starts, 6 + problem.parameters
+    first = np.eye(size + errors.shared)
+    first[:size, :size] = problem.initial_factor @ problem.initial_factor.T
     covariance, found = ca.MX(ca.DM(first)), []
     for leg, node in enumerate(starts[starts <= last].tolist()):
         if leg > 0:
-            flown = ca.diagcat(stm[node], ca.MX(np.eye(errors.shared)))
+            flown = ca.diagcat(_with_parameters(stm[node]), ca.MX(np.eye(errors.shared)))
             covariance = flown @ covariance @ flown.T
         if (burn := leg - problem.coasts) >= 0:
-            kick = ca.MX(np.eye(6 + errors.shared))
-            kick[3:6, 6:] = shared_columns(errors, burns[:, burn])
+            kick = ca.MX(np.eye(size + errors.shared))
+            kick[3:6, size:] = shared_columns(errors, burns[:, burn])
             covariance = kick @ covariance @ kick.T
             covariance[3:6, 3:6] += own_covariance(errors, burns[:, burn])
-        found.append(covariance[:6, :6])
+        found.append(covariance[:size, :size])
     return found
+
+
+def _with_parameters(stm: ca.MX) -> ca.MX:
+    """The STM of state and p parameters, which are constant, from its rows (6, 6 + p) of the state."""
+    return ca.vertcat(stm, ca.MX(np.eye(stm.shape[1])[6:]))
 
 
 def roll_out(
     problem: FlybyProblem, arcs: Arcs, last: int, burns: ca.MX, times: ca.MX | None = None
 ) -> tuple[list[ca.MX], list[ca.MX]]:
-    """Means (6,) of every node after its burn, and STMs (6, 6) to nodes up to `last`.
+    """Means (6,) of every node after its burn, and STMs (6, 6 + p) to nodes up to `last`.
 
-    From the start of the leg that ends or passes there. Firing times (q,) are those of the problem's
-    burns that move; the grid's if there are none.
+    By state and parameters, from the start of the leg that ends or passes there. Firing times (q,) are
+    those of the problem's burns that move; the grid's if there are none.
     """
     durations = _durations(problem, arcs, times)
     burn_at = dict(zip(problem.burn_nodes.tolist(), range(problem.n_burns), strict=True))
     kicks = ca.vertcat(ca.MX(3, problem.n_burns), burns)
-    mean, stm = [ca.MX(problem.initial_state)], [ca.MX(np.eye(6))]
+    still = ca.MX(np.eye(6, 6 + problem.parameters))
+    mean, stm = [ca.MX(problem.initial_state)], [still]
     if not problem.coasts:
         mean[0] += kicks[:, 0]
     for first, end in itertools.pairwise(sorted({0, *burn_at, max(last, 0)})):
-        y = ca.vertcat(mean[-1], ca.vec(ca.MX(np.eye(6)))) if end <= last else mean[-1]
+        y = ca.vertcat(mean[-1], ca.vec(still)) if end <= last else mean[-1]
         ends = _fly(arcs, y, durations[:, first:end])
         mean += ca.horzsplit(ends[:6, :])
         if end <= last:
-            stm += [ca.reshape(entries, 6, 6) for entries in ca.horzsplit(ends[6:, :])]
+            stm += [ca.reshape(entries, *still.shape) for entries in ca.horzsplit(ends[6:, :])]
         if end in burn_at:
             mean[-1] += kicks[:, burn_at[end]]
     return mean, stm
 
 
 def _deviations(
-    problem: FlybyProblem, facets: Facets, starts: list[ca.MX], stm: list[ca.MX]
+    problem: FlybyProblem, facets: Facets, mean: ca.MX, starts: list[ca.MX], stm: list[ca.MX]
 ) -> ca.MX:
-    """Standard deviations along the facets' normals, (m,), from the covariances at the legs' starts."""
-    leg = np.searchsorted(problem.leg_starts, facets.node)
+    """Standard deviations along the facets' normals, (m,), from the covariances at the legs' starts.
+
+    Of positions as they are seen from regions that move with p parameters: see `problem.motion`.
+    """
+    leg, p = np.searchsorted(problem.leg_starts, facets.node), problem.parameters
     begun = problem.leg_starts[leg] == facets.node
-    flown = [ca.MX(np.eye(6)) if new else stm[k] for k, new in zip(facets.node, begun, strict=True)]
+    still = ca.MX(np.eye(6, 6 + p))
+    flown = [still if new else stm[k] for k, new in zip(facets.node, begun, strict=True)]
     covariances = [starts[i] for i in (leg - ~begun).tolist()]
-    a, there, before = ca.SX.sym("a", 3), ca.SX.sym("stm", 3, 6), ca.SX.sym("covariance", 6, 6)
-    pulled = there.T @ a
+    a, there = ca.SX.sym("a", 3), ca.SX.sym("stm", 3, 6 + p)
+    before, seen = ca.SX.sym("covariance", 6 + p, 6 + p), ca.SX.sym("seen", 3, p)
+    pulled = (there + ca.horzcat(ca.SX(3, 6), seen)).T @ a
     size = ca.sqrt(pulled.T @ before @ pulled + GUARD)
-    each = ca.Function("deviation", [a, there, before], [size]).map(len(leg))
+    each = ca.Function("deviation", [a, there, before, seen], [size]).map(len(leg))
     given = ca.horzcat(*(one[:3, :] for one in flown)), ca.horzcat(*covariances)
-    return each(ca.DM(facets.normal.T), *given).T
+    return each(ca.DM(facets.normal.T), *given, _seen(facets, mean, p)).T
+
+
+def _seen(facets: Facets, mean: ca.MX, p: int) -> ca.MX:
+    """`Motion.seen` at every facet's mean, side by side, shape (3, p m)."""
+    motion = facets.motion
+    if motion is None:
+        return ca.MX(3, p * len(facets.node))
+    found = []
+    for k, node in enumerate(facets.node.tolist()):
+        off = mean[:3, node] - ca.DM(motion.apex[k])
+        found.append(-ca.DM(motion.shift[k]) + ca.skew(off) @ ca.DM(motion.turn[k]))
+    return ca.horzcat(*found)
 
 
 def _durations(problem: FlybyProblem, arcs: Arcs, times: ca.MX | None) -> ca.MX:
@@ -404,7 +428,9 @@ def _fly(arcs: Arcs, y: ca.MX, durations: ca.MX) -> ca.MX:
     symbol, h = ca.SX.sym("y", y.numel()), _arc_symbol(arcs)
     after = arcs.flow(symbol[:6], h)
     if y.numel() > 6:
-        stm = ca.jacobian(after, symbol[:6]) @ ca.reshape(symbol[6:], 6, 6)
+        stm = ca.jacobian(after, symbol[:6]) @ ca.reshape(symbol[6:], 6, y.numel() // 6 - 1)
+        if arcs.by_parameters is not None:
+            stm[:, 6:] += arcs.by_parameters(symbol[:6], h)
         after = ca.vertcat(after, ca.vec(stm))
     function = ca.Function("arc", [symbol, h], [after])
     return function.mapaccum(durations.shape[1])(y, durations)

@@ -26,7 +26,8 @@ from scp_recon.mission.feedback import require_open_loop
 from scp_recon.mission.knowledge import require_known
 from scp_recon.mission.mission import Mission
 from scp_recon.physics.flow import GridFlow
-from scp_recon.physics.forces import acceleration
+from scp_recon.physics.forces import ForceModel, acceleration
+from scp_recon.physics.partials import STEP
 from scp_recon.planning.method import FacetRounds
 from scp_recon.planning.missions import make_plan, other_starts
 from scp_recon.planning.plan import Plan, Problem, Provenance, Stage, StageSpec
@@ -60,16 +61,31 @@ def casadi_arcs(flow: GridFlow) -> Arcs:
         return [ca.vertsplit(arc[first : first + 3]) for first in rows] or None
 
     def rate(y: ca.SX, half: int) -> ca.SX:
-        return ca.vertcat(y[3:], *acceleration(y[0], y[1], y[2], forces, moment(half)))
+        push = ca.vertcat(*acceleration(y[0], y[1], y[2], forces, moment(half)))
+        for one, ahead, behind in pushes:
+            sides = (acceleration(y[0], y[1], y[2], side, None) for side in (ahead, behind))
+            push += one / (2.0 * STEP) * (ca.vertcat(*next(sides)) - ca.vertcat(*next(sides)))
+        return ca.vertcat(y[3:], push)
 
-    y = state
-    for k in range(0, 2 * flow.substeps, 2):
-        k1 = rate(y, k)
-        k2 = rate(y + 0.5 * h * k1, k + 1)
-        k3 = rate(y + 0.5 * h * k2, k + 1)
-        k4 = rate(y + h * k3, k + 2)
-        y = y + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
-    return Arcs(ca.Function("flow", [state, arc], [y]), arcs)
+    def end() -> ca.SX:
+        y = state
+        for k in range(0, 2 * flow.substeps, 2):
+            k1 = rate(y, k)
+            k2 = rate(y + 0.5 * h * k1, k + 1)
+            k3 = rate(y + 0.5 * h * k2, k + 1)
+            k4 = rate(y + h * k3, k + 2)
+            y = y + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
+        return y
+
+    pushes: list[tuple[ca.SX, ForceModel, ForceModel]] = []
+    known, partials = Arcs(ca.Function("flow", [state, arc], [end()]), arcs), flow.partials
+    if partials is None:
+        return known
+    all_of = ca.SX.sym("w", partials.count)
+    moving = ca.vertsplit(all_of[partials.columns.tolist()]) if len(partials.columns) else []
+    pushes += zip(moving, partials.ahead, partials.behind, strict=True)
+    slope = ca.substitute(ca.jacobian(end(), all_of), all_of, ca.SX.zeros(partials.count, 1))
+    return replace(known, by_parameters=ca.Function("by_parameters", [state, arc], [slope]))
 
 
 def plan(
@@ -98,7 +114,13 @@ def plan(
     """
     if problem == "P2":
         require_open_loop(mission.scenario, option("method", "scp"))
-        require_known(mission.scenario, f"goes with {option('method', 'scp')} only")
+        plain = not (mission.flow.forces.timed or mission.problem.drifts)
+        if variant != "shooting" or not plain:
+            method, form = option("method", "scp"), option("formulation", "shooting")
+            needs = (
+                f"goes with {method}, or with {form} if no force depends on time, without drifts"
+            )
+            require_known(mission.scenario, needs)
     if variant == "printed":
         other = f"{option('method', 'scp')}, or with {option('formulation', 'tuned')} or shooting"
         mission.require_limits_as_printed(other)
