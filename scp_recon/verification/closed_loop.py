@@ -41,8 +41,8 @@ NO_BURN_M_S = 1e-6
 SIGMA_ERROR = 1e-5
 """Relative tolerance of a correction's standard deviation."""
 MEAN_ERROR = 0.02
-"""Standard deviations of the total delta-v by which its mean over other draws may differ: twice to three
-times what was measured."""
+"""Standard deviations of the total delta-v by which its mean over other draws may differ: twice to
+three times what was measured."""
 DV99, DV99_ERROR = 0.99, 0.003
 """Share of other draws up to the stored quantile, and by how much it may differ: three standard errors
 of the program's draws, whatever the law."""
