@@ -157,10 +157,14 @@ def cut_offs_s(scenario: Scenario) -> dict[int, float]:
     early = [i for i, at in cut_offs.items() if i > 0 and at <= firing[i - 1]]
     if not cut_offs or early:
         burn = scenario.burns_flown + 1 + (early[0] if early else len(firing) - 1)
+        lead = scenario.navigation.lead_s
+        entry, given, needs = "navigation.lead_s", f"{max(lead, LEAST_LEAD_S):g} s", "less"
+        if scenario.navigation.contacts is not None:
+            entry, given, needs = "navigation.contacts", "contacts", "more frequent"
         raise InputError(
-            "navigation.lead_s" if scenario.navigation.contacts is None else "navigation.contacts",
-            f"cut-offs of which that of burn {burn} precedes the one before",
-            f"must be later for {option('policy')} 'replan'",
+            entry,
+            f"{given}, with which the cut-off of burn {burn} precedes the one before",
+            f"must be {needs} for {option('policy')} 'replan'",
         )
     return cut_offs
 
