@@ -115,7 +115,7 @@ class _Step(NamedTuple):
     state: Array
     time: Array
     gradient: Array  # (4, n, 3, 6)
-    first: Array  # (4, n, 6, 6)
+    first: Array  # (4, n, 6, 6 + q)
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,23 +134,35 @@ class ExpressionDerivatives:
     _steps: tuple[_Step, ...] = field(repr=False)
     _flow: ExpressionFlow = field(repr=False)
 
-    @cached_property
+    @property
     def tensor(self) -> Array:
         """Second derivatives d2F_i/dx_j dx_k, shape (n, 6, 6, 6)."""
-        n = len(self.state)
-        tensor = np.zeros((n, 6, 36))
+        return self._bent[:, :, :6]
+
+    @property
+    def mixed(self) -> Array:
+        """Second derivatives d2F_i/dp_j dx_k, shape (n, 6, q, 6)."""
+        return self._bent[:, :, 6:]
+
+    @cached_property
+    def _bent(self) -> Array:
+        """Derivatives of all first ones by the arcs' starts, shape (n, 6, 6 + q, 6)."""
+        n, size = len(self.state), 6 + self.by_parameters.shape[2]
+        bent = np.zeros((n, 6, 6 * size))
         for h, state, time, gradient, first in self._steps:
             curvature = self._flow.curvature(state, time)
-            bend = first.swapaxes(-1, -2)[:, :, None] @ curvature @ first[:, :, None]
-            begun, end, slope = tensor, tensor, np.zeros_like(tensor)
+            moved = np.zeros((*first.shape[:2], size, size))
+            moved[..., :6, :], moved[..., 6:, 6:] = first, np.eye(size - 6)
+            bend = moved.swapaxes(-1, -2)[:, :, None] @ curvature @ first[:, :, None, :, :6]
+            begun, end, slope = bent, bent, np.zeros_like(bent)
             for i, (share, weight) in enumerate(zip(SHARES, WEIGHTS, strict=True)):
                 at = begun + share * h[:, None, None] * slope
-                slope = np.empty_like(tensor)
+                slope = np.empty_like(bent)
                 slope[:, :3] = at[:, 3:]
-                slope[:, 3:] = gradient[i] @ at + bend[i].reshape(n, 3, 36)
+                slope[:, 3:] = gradient[i] @ at + bend[i].reshape(n, 3, 6 * size)
                 end = end + (weight / 6.0) * h[:, None, None] * slope
-            tensor = end
-        return tensor.reshape(n, 6, 6, 6)
+            bent = end
+        return bent.reshape(n, 6, size, 6)
 
     def moved(self, deviation: Array) -> ExpressionDerivatives:
         """The same with starts moved by deviations (n, 6) so small that first order gives the ends."""
@@ -211,7 +223,7 @@ class ExpressionFlow:
             return Columns(ca.Function("f", [y, t, p], dense, {"cse": True}))
 
         self._rate, self._gradient = columns(rate), columns(both)
-        self._curvature = columns(ca.jacobian(ca.vec(by_state.T), y))
+        self._curvature = columns(ca.jacobian(ca.vec(both.T), y))
 
     @property
     def arcs(self) -> int:
@@ -244,11 +256,16 @@ class ExpressionFlow:
                 slope[:, 3:] = gradient[i, :, :, :6] @ own[-1]
                 slope[:, 3:, 6:] += gradient[i, :, :, 6:]
                 end = end + (weight / 6.0) * h[:, None, None] * slope
-            kept = np.stack(own)[..., :6]
-            steps.append(_Step(h, states, times, gradient[..., :6], kept))
+            steps.append(_Step(h, states, times, gradient[..., :6], np.stack(own)))
             first = end
         parts = y.T.copy(), first[..., :6], first[..., 6:]
         return ExpressionDerivatives(*parts, tuple(steps), self)
+
+    def with_parameters(self, values: Array) -> ExpressionFlow:
+        """The flow of other parameters: numbers (q,), or one a flight (q, flights) to propagate."""
+        other = copy(self)
+        other.parameters = values
+        return other
 
     def at(self, times: Array) -> ExpressionFlow:
         """The flow along as many arcs between other times of the nodes, shape (n + 1,)."""
@@ -266,9 +283,13 @@ class ExpressionFlow:
         return np.hstack([state[:, 3:], acceleration.T]), turn
 
     def curvature(self, state: Array, time: Array) -> Array:
-        """Second derivatives of the acceleration by the state (6, 4, n), shape (4, n, 3, 6, 6)."""
+        """Derivatives of the acceleration's by state and parameters, by the state (6, 4, n).
+
+        Shape (4, n, 3, 6 + q, 6).
+        """
         found = self._curvature(state, [time], self.parameters)[0]
-        return np.moveaxis(found.reshape(3, 6, 6, 4, -1), (0, 1, 2), (2, 3, 4))
+        rows = 6 + len(self.parameters)
+        return np.moveaxis(found.reshape(3, rows, 6, 4, -1), (0, 1, 2), (2, 3, 4))
 
     def _step(self, y: Array, t: Any, h: Any) -> tuple[Array, Array, Array]:
         """States (6, 4, ...) and times (4, ...) of a step's stages, and its end (6, ...), from y."""

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
 from formulations.arrays import Array
 from formulations.linearisation.dynamics import Dynamics
+from formulations.problem.expression_flow import ExpressionFlow
+from formulations.problem.flow import Flow, ScaledFlow
 from formulations.rows.node_probability import joint_events
 from scp_recon.errors import InputError
 from scp_recon.monte_carlo.estimates import Estimate, proportion
@@ -210,15 +212,18 @@ class ImpulsivePlan:
     def _fly(self, block: int, flights: int, seed: int) -> tuple[Array, Array, Array]:
         """Positions (n + 1, flights, 3), commanded delta-v (flights,) and final states (flights, 6).
 
-        Estimates are deviations from the plan; a measurement is taken before a burn at its node.
+        Estimates are deviations from the plan, of the parameters too; a measurement is taken before a
+        burn at its node.
         """
         lin = self.final.result.lin
         problem, flow, mean = lin.problem, self.dynamics.flow, lin.iterate.mean
         errors, feedback, burns = problem.execution_errors, problem.feedback, lin.iterate.burns
         columns = problem.initial_factor.shape[1]
         draws = draw(seed, block, columns + errors.draws(problem.n_burns))[:flights]
-        state = problem.initial_state + draws[:, :columns] @ problem.initial_factor.T
-        draws, estimate = draws[:, columns:], np.zeros((flights, 6))
+        state = problem.initial_state + draws[:, :columns] @ problem.initial_factor[:6].T
+        if problem.parameters:
+            flow = _deviating(flow, draws[:, :columns] @ problem.initial_factor[6:].T)
+        draws, estimate = draws[:, columns:], np.zeros((flights, 6 + problem.parameters))
         known: list[Array] = []
         if feedback is not None:
             noise = draw(seed, block, 6 * len(feedback.burns), NAVIGATION)[:flights]
@@ -227,7 +232,7 @@ class ImpulsivePlan:
         for node in range(problem.n_nodes):
             if node > 0:
                 state = flow.propagate(state, node - 1)
-                estimate = estimate @ lin.arcs.stm[node - 1].T
+                estimate = estimate @ lin.stm_of_arcs[node - 1].T
             fired = np.flatnonzero(problem.burn_nodes == node)
             planned = mean[node].copy()
             planned[3:] -= burns[fired].sum(axis=0)
@@ -235,7 +240,8 @@ class ImpulsivePlan:
                 for j in np.flatnonzero(feedback.cut_offs == node):
                     innovation = lin.spread.innovations[j]
                     measured = state - planned + noise[:, j] @ feedback.measurement[j].T
-                    known.append(np.linalg.solve(innovation.root, (measured - estimate).T).T)
+                    apart = measured - estimate[:, :6]
+                    known.append(np.linalg.solve(innovation.root, apart.T).T)
                     estimate = estimate + known[-1] @ innovation.gain.T
             for burn in fired.tolist():
                 command = np.tile(burns[burn], (flights, 1))
@@ -245,7 +251,16 @@ class ImpulsivePlan:
                         command += np.hstack(known[: j + 1]) @ gains.T
                 own = errors.draws_of_burn(draws, burn)
                 state[:, 3:] += errors.execute(command[:, None], own)[:, 0]
-                estimate[:, 3:] += command - burns[burn]
+                estimate[:, 3:6] += command - burns[burn]
                 total += np.linalg.norm(command, axis=1)
             positions[node] = state[:, :3]
         return positions, total, state
+
+
+def _deviating(flow: Flow, deviations: Array) -> Flow:
+    """The flow of flights whose parameters deviate, by (flights, q)."""
+    assert isinstance(flow, ScaledFlow)
+    own = flow.flow
+    assert isinstance(own, ExpressionFlow)
+    values = own.parameters[:, None] + deviations.T
+    return replace(flow, flow=own.with_parameters(values))

@@ -18,6 +18,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from scipy.linalg import block_diag
 
 from formulations.arrays import Array
 from formulations.linearisation.dynamics import Dynamics
@@ -133,6 +134,8 @@ class ImpulsiveProblem:
         final_state: mean after the last burn, shape (6,).
         dv_max: largest burn; it is also the unit of speed, so be it of the order of burns.
         initial_covariance: of the initial state, shape (6, 6); none by default.
+        parameter_covariance: of the flow's q parameters, shape (q, q): constants of a flight, of normal
+            law; known by default. Only with an `ExpressionFlow`.
         errors: of executing burns; none by default.
         regions: to be kept in or out of.
         probability: required probability that each region is kept at each node, or that whole
@@ -161,6 +164,7 @@ class ImpulsiveProblem:
     final_sigma: tuple[float | None, float | None] = (None, None)
     feedback: Feedback | None = None
     units: tuple[float, float] | None = None
+    parameter_covariance: npt.ArrayLike | None = None
 
     def __post_init__(self) -> None:
         """Refuse entries that contradict each other."""
@@ -184,6 +188,13 @@ class ImpulsiveProblem:
             _positive("units", size)
         if self.initial_covariance is not None:
             _covariance_factor("initial_covariance", self.initial_covariance)
+        if self.parameter_covariance is not None:
+            if not isinstance(self.flow, ExpressionFlow):
+                given = f"with the flow {type(self.flow).__name__}"
+                raise InputError("parameter_covariance", given, "goes with an ExpressionFlow")
+            _covariance_factor(
+                "parameter_covariance", self.parameter_covariance, len(self.flow.parameters)
+            )
         if not isinstance(self.errors, ExecutionErrors | None):
             raise InputError("errors", f"{self.errors!r}", "must be a model, such as GatesErrors")
         for limit in self.final_sigma:
@@ -248,7 +259,8 @@ class ImpulsiveProblem:
     @property
     def is_deterministic(self) -> bool:
         """Whether there are no errors."""
-        return self.initial_covariance is None and self.errors is None
+        given = self.initial_covariance, self.parameter_covariance, self.errors
+        return all(one is None for one in given)
 
     @property
     def risk(self) -> Risk:
@@ -287,6 +299,11 @@ class ImpulsiveProblem:
         if self.initial_covariance is not None:
             factor = (
                 _covariance_factor("initial_covariance", self.initial_covariance) / unit[:, None]
+            )
+        if self.parameter_covariance is not None:
+            known = np.asarray(self.parameter_covariance, dtype=float)
+            factor = block_diag(
+                factor, _covariance_factor("parameter_covariance", known, len(known))
             )
         feedback = self.feedback
         if feedback is not None:
@@ -512,8 +529,8 @@ def _finite(name: str, value: npt.ArrayLike, shape: tuple[int, ...]) -> Array:
     return array
 
 
-def _covariance_factor(name: str, covariance: npt.ArrayLike) -> Array:
-    matrix = _finite(name, covariance, (6, 6))
+def _covariance_factor(name: str, covariance: npt.ArrayLike, size: int = 6) -> Array:
+    matrix = _finite(name, covariance, (size, size))
     scale = np.sqrt(np.abs(np.diag(matrix)))
     scale[scale == 0.0] = 1.0
     values = np.linalg.eigvalsh(matrix / scale / scale[:, None])

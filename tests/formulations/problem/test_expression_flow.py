@@ -76,6 +76,8 @@ def test_derivatives_are_those_of_the_map(acceleration, p):
         assert (ahead.state - behind.state) / (2 * h) == pytest.approx(at.stm[:, :, j], abs=1e-7)
         bent = (ahead.stm - behind.stm) / (2 * h)
         assert bent == pytest.approx(at.tensor[..., j], rel=1e-6, abs=1e-6)
+        mixed = (ahead.by_parameters - behind.by_parameters) / (2 * h)
+        assert mixed == pytest.approx(at.mixed[..., j], rel=1e-6, abs=1e-6)
     for j, step in enumerate(h * np.eye(len(p))):
         ahead, behind = (flow(p + side * step).differentiate(STARTS) for side in (1, -1))
         moved = (ahead.state - behind.state) / (2 * h)
