@@ -17,6 +17,7 @@ from scp_recon.errors import InputError, option, shortened
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
 from scp_recon.planning.plan import Plan
+from scp_recon.results.policy import with_policy
 from scp_recon.results.read import read_solution
 from scp_recon.results.runs import resolve_run
 from scp_recon.results.solution import Solution
@@ -170,8 +171,10 @@ def _start(mission: Mission, init: Init) -> Iterate:
         return init
     if isinstance(init, np.ndarray):
         return initial_guess.from_states(mission, init, entry)
-    if isinstance(init, Plan | Solution):
+    if isinstance(init, Plan):
         return initial_guess.from_burns(mission, init.burns_m_s, entry)
+    if isinstance(init, Solution):
+        return _of_solution(mission, init, entry)
     if not isinstance(init, str | Path):
         allowed = "must be cold, warm, a file, a plan or an array of shape (n, 7)"
         raise InputError(entry, shortened(init), allowed)
@@ -180,6 +183,16 @@ def _start(mission: Mission, init: Init) -> Iterate:
     if init == "warm":
         return initial_guess.ballistic(mission, entry)
     return initial_guess.from_table(mission, Path(init), entry)
+
+
+def _of_solution(mission: Mission, init: Solution, entry: str) -> Iterate:
+    """Burns of a solution, and its gains where the mission corrects the same burns."""
+    start = initial_guess.from_burns(mission, init.burns_m_s, entry)
+    feedback, corrected = mission.problem.feedback, [one.burn for one in init.corrections]
+    if feedback is None or corrected != feedback.burns.tolist():
+        return start
+    lin = mission.dynamics.linearise(mission.problem, start)
+    return with_policy(mission, lin, init.corrections).iterate
 
 
 def is_solution(path: Path) -> bool:

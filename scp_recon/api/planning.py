@@ -225,7 +225,7 @@ def _planned(
     probable, number = options.objective == "probability", options.starts_for(mission.scenario)
     if options.starts is None and isinstance(start, Plan):
         number = 1
-    if isinstance(start, Plan) and (probable or options.method == "ipopt"):
+    if isinstance(start, Plan) and options.method == "ipopt":
         start = from_burns(mission, start.burns_m_s)
 
     def aimed(mission: Mission, start: Iterate | Plan, target: float) -> Plan:

@@ -102,10 +102,10 @@ def flown(mission: Mission, last: Plan) -> Iterate:
     return replace(from_burns(mission, last.burns_m_s), gains=last.final.result.lin.iterate.gains)
 
 
-def continued(mission: Mission, pipeline: Pipeline, last: Plan) -> Stage | None:
-    """Solve P2 with exact risk from a plan, without the preliminary stages.
+def continued(mission: Mission, pipeline: Pipeline, begun: Iterate) -> Stage | None:
+    """Solve P2 with exact risk from a plan's burns and gains, without the preliminary stages.
 
-    If the last stage alone does not converge from a plan with gains, all stages with gains are run.
+    If the last stage alone does not converge from gains, all stages with gains are run.
 
     Returns:
         The stage; None if it did not converge, or if risk is not exact.
@@ -114,7 +114,7 @@ def continued(mission: Mission, pipeline: Pipeline, last: Plan) -> Stage | None:
         return None
     *before, spec = pipeline.solver.exact_stages()
     feedback = spec.rows.problem.feedback
-    start = mission.dynamics.linearise(spec.rows.problem, flown(mission, last))
+    start = mission.dynamics.linearise(spec.rows.problem, begun)
     stage = pipeline.solve(spec, start)
     leads = any(other.rows.problem.feedback is feedback for other in before)
     if stage.result.status is not Status.CONVERGED and start.iterate.gains.any() and leads:

@@ -23,6 +23,7 @@ from scp_recon.errors import InputError
 from scp_recon.planning.plan import Certificate, Parent, Plan, as_interrupted
 from scp_recon.results.comparison import Comparison
 from scp_recon.results.read import read_solution
+from scp_recon.results.solution import make_solution
 from tests.helpers import nightly
 from tests.scp_recon.support import raising
 
@@ -208,7 +209,24 @@ def test_planning_starts_from_files_and_tables(default_plan, tmp_path):
 
 
 EXACT = sr.load_scenario().replace({"risk.allocation": "exact"})
+MEASURED = EXACT.replace(
+    {
+        "policy.kind": "feedback",
+        "navigation.sigma_position_m": 10.0,
+        "navigation.sigma_velocity_m_s": 5e-4,
+        "grid.step_max_s": 450.0,
+    }
+)
 TOO_SURE = EXACT.replace({"risk.p_chance": 0.9999})
+
+
+@pytest.mark.slow
+def test_planning_goes_on_from_gains_of_solutions():
+    first = sr.plan(MEASURED, certify=False)
+    again = sr.plan(init=make_solution(first), certify=False)
+    assert [stage.name for stage in again.stages] == ["P2", "P2.held"]
+    assert again.cost_m_s == pytest.approx(first.cost_m_s, rel=1e-4)
+
 
 BAD_CALLS: dict[str, tuple[str, Callable[[Plan, Path], object]]] = {
     "a problem in small letters": ("problem", lambda *_: sr.plan(problem="p3")),
