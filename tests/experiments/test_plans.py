@@ -1,7 +1,9 @@
 """Studies of plans: rows are what their cases describe, all rounds count, maps are summed up."""
 
+import json
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import pandas as pd
 import pytest
@@ -31,6 +33,16 @@ def test_row_is_the_plan_of_its_case(monkeypatch):
     assert all(row["verified"] and row["node"] > 0.7 for row in found.values())
     costs = [row["total_dv_m_s"] for row in found.values()]
     assert costs == sorted(costs, reverse=True)
+
+
+def test_measured_frontiers_are_monotone():
+    """A plan for a higher probability costs no less, and exists only where lower ones have plans."""
+    root = Path(frontier.__file__).parents[1]
+    file = json.loads((root / "docs" / "evidence" / "frontier.json").read_text())
+    for row in pd.DataFrame(file["tables"]["costs"]).set_index("delta_v_m_s_for").to_numpy():
+        solved = [cost for cost in row if not isinstance(cost, str)]
+        assert solved == sorted(solved)
+        assert [*row[: len(solved)]] == solved
 
 
 @pytest.mark.parametrize("name", [*plans.PLANS, *plans.DESIGNS])
