@@ -161,9 +161,22 @@ class Uncertain:
         acting = np.any([rows.any(axis=0) for e, rows in self._rows() if e not in idle], axis=0)
         columns = np.flatnonzero(np.broadcast_to(acting, self.count))
         steps = self.steps()
-        pairs = [steps[k] for k in columns]
-        ahead, behind = (tuple(forces(pair[side]) for pair in pairs) for side in (0, 1))
+        pairs = [_without_shared_field(*map(forces, steps[k])) for k in columns]
+        ahead, behind = (tuple(pair[side] for pair in pairs) for side in (0, 1))
         return Partials(ahead, behind, columns, self.count)
+
+
+def _without_shared_field(ahead: ForceModel, behind: ForceModel) -> tuple[ForceModel, ForceModel]:
+    """Forces of the same difference, the first with the difference of a field that turns alike.
+
+    Fields are linear in their strength, so that one evaluation, or none, serves for two.
+    """
+    one, other = ahead.field, behind.field
+    if one is None or other is None or one.rotation is not other.rotation:
+        return ahead, behind
+    apart = one.strength - other.strength
+    field = replace(one, strength=apart) if apart else None
+    return replace(ahead, field=field), replace(behind, field=None)
 
 
 def region_motions(
