@@ -25,7 +25,8 @@ from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.estimates import Estimate
 from scp_recon.monte_carlo.flights import FlightConfig, fly_many
 from scp_recon.monte_carlo.observation_time import ALL, SCIENCE, measured, time_held
-from scp_recon.monte_carlo.summary import ONE_SIGMA, Summary, summarise
+from scp_recon.monte_carlo.summarise import summarise
+from scp_recon.monte_carlo.summary import ONE_SIGMA, Summary
 from scp_recon.physics import geometry
 from scp_recon.planning import initial_guess
 from scp_recon.results.solution import (

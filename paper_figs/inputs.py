@@ -16,8 +16,9 @@ import pandas as pd
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.flights import FlightConfig, fly_many
+from scp_recon.monte_carlo.summarise import summarise
 from scp_recon.monte_carlo.summary import FILE_NAME as SUMMARY_FILE
-from scp_recon.monte_carlo.summary import Summary, read_summary, summarise
+from scp_recon.monte_carlo.summary import Summary, read_summary
 from scp_recon.results.read import read_solution
 from scp_recon.results.runs import folder_of, resolve_run
 from scp_recon.results.solution import FILE_NAME as SOLUTION_FILE

@@ -41,7 +41,8 @@ from scp_recon.monte_carlo.flights import (
     fly_many,
 )
 from scp_recon.monte_carlo.sampling import AnyPolicy, ErrorModel, PolicyKind
-from scp_recon.monte_carlo.summary import FILE_NAME, MARK, Contingency, Summary, summarise
+from scp_recon.monte_carlo.summarise import summarise
+from scp_recon.monte_carlo.summary import FILE_NAME, MARK, Contingency, Summary
 from scp_recon.replanning.delivery import Delivery
 from scp_recon.replanning.flown import FlownPlan
 from scp_recon.replanning.remainder import mission_left, with_goal

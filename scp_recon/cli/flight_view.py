@@ -10,7 +10,7 @@ from scp_recon.monte_carlo.summary import (
     Summary,
     Terminal,
 )
-from scp_recon.reports.tables import (
+from scp_recon.reports.flight_tables import (
     corrected_burns_table,
     flown_probabilities_table,
     interval_cell,

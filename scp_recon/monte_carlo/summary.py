@@ -1,4 +1,4 @@
-"""Summarise many flights for `montecarlo.json`, and compare them with the plan, in SI."""
+"""The summary of many flights, as in `montecarlo.json`: its parts, written and read, in SI."""
 
 from __future__ import annotations
 
@@ -9,18 +9,14 @@ from typing import Annotated, Any, Self, TypeVar
 
 import numpy as np
 from pydantic import Field, model_validator
-from scipy.special import chdtri
 
-from formulations.arrays import Array
 from scp_recon.display import Displayed
 from scp_recon.files import write_atomically
 from scp_recon.mission.scene import TruthModel
-from scp_recon.monte_carlo.estimates import CONFIDENCE, Estimate, Tally, proportion
-from scp_recon.monte_carlo.flights import FlightTally
+from scp_recon.monte_carlo.estimates import Estimate
 from scp_recon.monte_carlo.observation_time import ALL, SCIENCE
 from scp_recon.monte_carlo.sampling import ErrorModel, PolicyKind
 from scp_recon.results.facts import DriftSafety
-from scp_recon.results.policy import Correction
 from scp_recon.results.read import File, read_file
 from scp_recon.results.solution import Solution
 from scp_recon.scenario.fields import ByName, Line, Section
@@ -383,160 +379,3 @@ def read_summary(path: Path) -> Summary:
 def read_summary_as(kind: type[Kind], path: Path) -> Kind:
     """Read a summary of a class that a study has derived from `Summary`, as `read_summary` does."""
     return read_file(path / FILE_NAME if path.is_dir() else path, kind, [SCHEMA], "summary")
-
-
-def summarise(flown: FlightTally, solution: Solution) -> Summary:
-    """Summarise the flights of a solution's plan.
-
-    Raises:
-        ValueError: if another plan was flown.
-    """
-    config = flown.config
-    same_burns = np.array_equal(config.burns_m_s, solution.burns_m_s)
-    gains = [one.gains for one in config.policy if isinstance(one, Correction)]
-    own = [one.gains for one in solution.corrections]
-    same_gains = len(gains) == len(own) and all(map(np.array_equal, gains, own))
-    if not same_burns or (gains and not same_gains) or config.mission.scenario != solution.scenario:
-        raise ValueError("the flights are of another plan than the solution's")
-    further: dict[str, Any] = {"commanded": _commanded(flown)} if config.policy else {}
-    if (those := flown.narrowed) is not None:
-        names = [name for name in flown.node_counts if flown.is_narrowed(name)]
-        further["strata"] = Strata(draws=those.draws, flights=those.flights, names=names)
-    return Summary(
-        plan_hash=solution.plan_hash,
-        samples=flown.samples,
-        seed=config.seed,
-        truth=config.truth,
-        planned_gravity=config.mission.true_gravity("planner"),
-        flown_gravity=config.mission.true_gravity(config.truth),
-        errors=config.errors or config.mission.scenario.uncertainty.errors,
-        policy=config.policy_kind,
-        confidence=CONFIDENCE,
-        planned_dv_m_s=solution.total_dv_m_s,
-        window_s=config.mission.observed_s,
-        held_s={name: _held(flown, name) for name in flown.held},
-        entry_s=Statistics(**_spread(flown.entry)),
-        exit_s=Statistics(**_spread(flown.exit)),
-        probability={name: _lowest(flown, name) for name in flown.node_counts},
-        whole_flight=_interval(proportion(flown.whole, flown.samples)),
-        closest_m=ClosestApproach(
-            **_spread(flown.closest), worst=_interval(flown.closest.quantile(CLOSEST))
-        ),
-        executed_dv_m_s=Statistics(**_spread(flown.executed_dv)),
-        terminal=_terminal(flown, solution),
-        **further,
-    )
-
-
-def _finite(estimate: Estimate) -> dict[str, float | None]:
-    return {k: v if np.isfinite(v) else None for k, v in estimate._asdict().items()}
-
-
-def _interval(estimate: Estimate) -> Interval:
-    return Interval(**_finite(estimate))
-
-
-def _lowest(flown: FlightTally, name: str) -> LowestProbability:
-    at, estimate = flown.worst_probability(name)
-    return LowestProbability(**_finite(estimate), worst_t_s=at)
-
-
-def _held(flown: FlightTally, name: str) -> HoldingTime:
-    tally = flown.held[name]
-    used = np.flatnonzero(tally.counts)
-    return HoldingTime(
-        mean=_interval(tally.mean()),
-        worst_1_sigma=_interval(tally.quantile(ONE_SIGMA)),
-        worst_2_sigma=_interval(tally.quantile(TWO_SIGMA)),
-        throughout=_interval(proportion(flown.full[name], flown.samples)),
-        histogram=Histogram(
-            bin=float(tally.edges[1] - tally.edges[0]),
-            start=tally.edges[used].tolist(),
-            count=tally.counts[used].tolist(),
-        ),
-    )
-
-
-def _commanded(flown: FlightTally) -> Commanded:
-    first = 1 + flown.config.mission.scenario.burns_flown
-    return Commanded(
-        mean_dv_m_s=_interval(flown.commanded_dv.mean()),
-        dv99_m_s=_interval(flown.commanded_dv.quantile(MOST)),
-        burns=[
-            CorrectedBurn(
-                burn=first + one.burn,
-                cut_off_s=one.cut_off_s,
-                limits={
-                    name: _interval(proportion(int(counts[j]), flown.samples))
-                    for name, counts in flown.limits.items()
-                },
-                **({"failed": int(flown.failed[j])} if len(flown.failed) else {}),
-            )
-            for j, one in enumerate(flown.config.policy)
-        ],
-    )
-
-
-def _spread(tally: Tally) -> dict[str, Any]:
-    if not tally.samples:
-        return {"samples": 0}
-    return {
-        "samples": tally.samples,
-        "mean": _interval(tally.mean()),
-        "q05": _interval(tally.quantile(0.05)),
-        "q95": _interval(tally.quantile(0.95)),
-    }
-
-
-def _terminal(flown: FlightTally, solution: Solution) -> Terminal:
-    """Final state against the planner's prediction, and how normal it is.
-
-    The ratio of a sampled to the true variance is chi-squared over its degrees of freedom if the
-    state is normal, which gives the interval of the ratio of the sigmas. A component without spread
-    is left out.
-    """
-    from scipy.stats import normaltest  # half a second to import, for reports only
-
-    n, kept, covariance = flown.samples, flown.terminal, flown.terminal_covariance()
-    predicted = np.diag(np.array(solution.nodes.covariance[-1]))
-    spread = np.flatnonzero((predicted > 0.0) & (kept.std(axis=0) > 0.0))
-    ratios = np.sqrt(np.diag(covariance)[spread] / predicted[spread])
-    levels = (np.arange(1, 100) / 100.0).tolist()
-    kept = kept[:, spread]
-    standard = (kept - kept.mean(axis=0)) / kept.std(axis=0, ddof=1)
-    names = [COMPONENTS[i] for i in spread]
-    return Terminal(
-        sigma_ratio={
-            name: _sigma(ratio, n - 1) for name, ratio in zip(names, ratios.tolist(), strict=True)
-        },
-        normality={
-            name: Normality(
-                samples=len(kept),
-                p_value=float(normaltest(kept[:, i]).pvalue),
-                levels=levels,
-                quantiles=np.quantile(standard[:, i], levels).tolist(),
-            )
-            for i, name in enumerate(names)
-        },
-        sigma_position_m=_size(covariance[:3, :3], n),
-        sigma_velocity_m_s=_size(covariance[3:, 3:], n),
-    )
-
-
-def _size(covariance: Array, samples: int) -> Interval:
-    """Root of a sampled covariance's trace, with its interval.
-
-    The trace is approximately chi-squared over its degrees of freedom, whose number is that of
-    Welch and Satterthwaite.
-    """
-    trace = float(np.trace(covariance))
-    if trace <= 0.0:
-        return Interval(value=0.0, low=0.0, high=0.0)
-    return _sigma(float(np.sqrt(trace)), (samples - 1) * trace**2 / float(np.sum(covariance**2)))
-
-
-def _sigma(value: float, freedom: float) -> Interval:
-    """A sampled sigma, or its ratio, with the interval of so many degrees of freedom."""
-    tails = (0.5 - 0.5 * CONFIDENCE, 0.5 + 0.5 * CONFIDENCE)
-    low, high = (value / float(np.sqrt(chdtri(freedom, p) / freedom)) for p in tails)
-    return Interval(value=value, low=low, high=high)

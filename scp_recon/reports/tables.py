@@ -1,4 +1,4 @@
-"""Build the tables of a plan: burns, margins, verification, iterations, flights, simulation.
+"""Build the tables of a plan: burns, margins, verification, iterations.
 
 Each table is built here once, for the terminal and for the report. Its values are those of the
 files to the last digit.
@@ -7,7 +7,6 @@ files to the last digit.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -21,10 +20,6 @@ from scp_recon.results.solution import Solution
 from scp_recon.results.table import SCALES, Cell, Column, Table
 from scp_recon.scenario.time_scales import instant, shown_utc
 from scp_recon.verification.reintegration import FIGURES, limits_of
-
-if TYPE_CHECKING:
-    from scp_recon.monte_carlo.summary import Commanded, Interval, Summary
-    from scp_recon.simulation.record import FlightSummary
 
 AT = Column("at", "s", ".0f")
 ITERATION_COLUMNS = (
@@ -384,156 +379,9 @@ def starts_table(starts: Starts) -> Table:
     )
 
 
-def observation_times_table(summary: Summary) -> Table:
-    """Time observed by flights, s, and the probability that a limit holds throughout."""
-    return Table.of(
-        "Observation times",
-        ("time held", *(Column(name, "s") for name in ("mean", "worst 1 sigma", "worst 2 sigma")),
-         Column("throughout", "1")),
-        (
-            [
-                called(name),
-                *(
-                    interval_cell(x, 1, "\n")
-                    for x in (held.mean, held.worst_1_sigma, held.worst_2_sigma)
-                ),
-                interval_cell(held.throughout, 4, "\n"),
-            ]
-            for name, held in summary.held_s.items()
-        ),
-        key="flights",
-        note=f"{summary.samples} flights, seed {summary.seed}, {summary.errors} errors, planned with "
-        f"{summary.planned_gravity}, flown with "
-        f"{summary.flown_gravity}, as in montecarlo.json.",
-    )  # fmt: skip
-
-
-def flown_probabilities_table(summary: Summary, required: float | None) -> Table:
-    """Lowest probabilities of the joint constraints and of whole flights, with their intervals."""
-    rows: list[list[object]] = [
-        [
-            called(name),
-            interval_cell(lowest, 4),
-            lowest.worst_t_s,
-            None if name == ALL else required,
-            _counted(summary, narrowed=summary.is_narrowed(name)),
-        ]
-        for name, lowest in summary.probability.items()
-    ]
-    whole, counted = interval_cell(summary.whole_flight, 4), _counted(summary, narrowed=False)
-    rows.append(["all limits, whole flight", whole, None, None, counted])
-    columns = ("joint constraint", "lowest probability", AT, Column("required", form="g"), "of")
-    note = (
-        "Rows of draws are of further flights, mostly of draws near a limit; within the intervals they "
-        "differ from rows of flights."
-    )
-    return Table.of("Lowest probabilities", columns, rows, note=note if summary.strata else "")
-
-
-def _counted(summary: Summary, *, narrowed: bool) -> str:
-    """The flights that a probability is of."""
-    own = summary.strata
-    if own is None or not narrowed:
-        return f"{summary.samples} flights"
-    return f"{own.draws} draws, {own.flights} flown"
-
-
-def corrected_burns_table(commanded: Commanded, required: float | None) -> Table:
-    """How often each corrected burn keeps each limit on burns, with intervals; and failed replans."""
-    again = any(burn.failed is not None for burn in commanded.burns)
-    return Table.of(
-        "Burns planned again, as commanded" if again else "Corrected burns as commanded",
-        (
-            "burn",
-            Column("cut-off", "s", "g"),
-            "limit",
-            "probability that it holds",
-            Column("required", form="g"),
-            *(["failed replans"] if again else []),
-        ),
-        (
-            [
-                *(str(burn.burn), burn.cut_off_s, name, interval_cell(kept, 4), required),
-                *([str(burn.failed)] if again else []),
-            ]
-            for burn in commanded.burns
-            for name, kept in burn.limits.items()
-        ),
-        key="corrected_burns",
-    )
-
-
 def called(constraint: str) -> str:
     """A constraint's name in a table of flights."""
     return "all at once" if constraint == ALL else constraint
-
-
-def interval_cell(interval: Interval, digits: int, gap: str = " ") -> Cell:
-    """A value, with its interval if it has both ends."""
-    text = f"{interval.estimate.value:.{digits}f}"
-    if interval.low is not None and interval.high is not None:
-        text += f"{gap}({interval.low:.{digits}f} to {interval.high:.{digits}f})"
-    return Cell(text, interval.value)
-
-
-def simulated_burns_table(summary: FlightSummary) -> Table:
-    """Burns as planned and as the spacecraft's simulation executed them."""
-    return Table.of(
-        f"Burns in the simulation ({summary.vehicle}, seed {summary.seed})",
-        (
-            "burn",
-            AT,
-            *map(dv_column, ("planned", "executed")),
-            *(Column(name, "deg", ".3f") for name in ("off at start", "off")),
-        ),
-        (
-            [
-                str(number),
-                burn.t_s,
-                *or_none(
-                    any(burn.planned_m_s),
-                    *(float(np.linalg.norm(dv)) for dv in (burn.planned_m_s, burn.executed_m_s)),
-                    burn.pointing_deg,
-                    burn.executed_pointing_deg,
-                ),
-            ]
-            for number, burn in enumerate(summary.burns, start=1)
-        ),
-        key="simulated_burns",
-    )
-
-
-def legs_table(summary: FlightSummary) -> Table:
-    """Attitude modes as flown, with their failed requirements."""
-    rows = []
-    for leg in summary.legs:
-        faults = ("" if leg.ok else " too short") + (
-            "" if leg.settled_in_time else " not steady in time"
-        )
-        settled = "never" if leg.settled_s is None else leg.settled_s
-        rows.append([leg.mode + faults, leg.start_s, leg.duration_s, leg.required_s, settled])
-    times = ("from", "for", "at least", "steady after")
-    return Table.of("Attitude modes", ("mode", *(Column(name, "s", ".0f") for name in times)), rows)
-
-
-def simulated_table(summary: FlightSummary) -> Table:
-    """Charge, pointing and final state in the spacecraft's simulation."""
-    miss = summary.terminal_miss
-    rows = (
-        ("least state of charge", 100.0 * summary.least_charge, ".1f", "%"),
-        ("floor of it", 100.0 * summary.floor_charge, ".1f", "%"),
-        ("camera off the site, 99.7 %", summary.window_pointing_deg.site.q997, ".3f", "deg"),
-        ("final position off the mean", miss.position_m, ".1f", "m"),
-        ("final velocity off the mean", miss.velocity_m_s, ".4f", "m/s"),
-        ("largest distance in the planned spread", summary.largest_sigma_distance, ".2f", "sigma"),
-        ("momentum dumps", summary.dumps, "d", ""),
-    )
-    return Table.of(
-        f"In the simulation ({summary.vehicle}, seed {summary.seed})",
-        ("figure", "value", "unit"),
-        ([name, Cell(format(value, form), value), unit] for name, value, form, unit in rows),
-        key="simulated",
-    )
 
 
 def stages_table(solution: Solution) -> Table:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from scp_recon.errors import imported, option
 from scp_recon.files import PAGE, check_ending, check_own, unwritable, write_atomically
-from scp_recon.reports import charts, page, tables
+from scp_recon.reports import charts, flight_tables, page, tables
 from scp_recon.reports.charts import history_chart
 from scp_recon.reports.corrections import correction_charts
 from scp_recon.reports.flights import (
@@ -147,10 +147,10 @@ def tables_of(subject: Subject, budget: Budget) -> list[Table]:
         found.append(tables.reintegration_table(mission, v))
     found += [tables.stages_table(solution), tables.iterations_table(solution)]
     if subject.summary is not None:
-        found.append(tables.observation_times_table(subject.summary))
+        found.append(flight_tables.observation_times_table(subject.summary))
     if subject.record is not None:
         flown = subject.record.summary
-        found += [tables.simulated_burns_table(flown), tables.simulated_table(flown)]
+        found += [flight_tables.simulated_burns_table(flown), flight_tables.simulated_table(flown)]
     return [each for each in found if each.rows]
 
 

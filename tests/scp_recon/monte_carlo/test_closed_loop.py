@@ -24,7 +24,8 @@ from scp_recon.monte_carlo.sampling import (
     fly_block,
     number_of_sources,
 )
-from scp_recon.monte_carlo.summary import read_summary, summarise
+from scp_recon.monte_carlo.summarise import summarise
+from scp_recon.monte_carlo.summary import read_summary
 from scp_recon.monte_carlo.whole_flight import SampledFlights
 from scp_recon.planning.plan import Plan, Provenance, Stage, StageSpec
 from scp_recon.results.policy import Policy, policy_of

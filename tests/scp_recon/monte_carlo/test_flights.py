@@ -24,10 +24,11 @@ from scp_recon.monte_carlo.flights import (
     fly_many,
 )
 from scp_recon.monte_carlo.observation_time import ALL
-from scp_recon.monte_carlo.summary import FILE_NAME, read_summary, summarise
+from scp_recon.monte_carlo.summarise import summarise
+from scp_recon.monte_carlo.summary import FILE_NAME, read_summary
 from scp_recon.planning import initial_guess
 from scp_recon.planning.planner import plan
-from scp_recon.reports.tables import flown_probabilities_table
+from scp_recon.reports.flight_tables import flown_probabilities_table
 from scp_recon.results.solution import Solution, make_solution
 from tests.helpers import usually
 from tests.scp_recon.monte_carlo.test_closed_loop import case_of

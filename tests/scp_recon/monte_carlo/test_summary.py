@@ -18,6 +18,7 @@ from scp_recon.monte_carlo.flights import FlightConfig, FlightTally, fly_many
 from scp_recon.monte_carlo.narrow import narrow
 from scp_recon.monte_carlo.observation_time import ALL, SCIENCE
 from scp_recon.monte_carlo.sampling import draw_flights
+from scp_recon.monte_carlo.summarise import summarise
 from scp_recon.monte_carlo.summary import (
     COMPONENTS,
     FILE_NAME,
@@ -26,7 +27,6 @@ from scp_recon.monte_carlo.summary import (
     Summary,
     missed_by_law,
     read_summary,
-    summarise,
 )
 from scp_recon.monte_carlo.whole_flight import SampledFlights
 from scp_recon.results.solution import Solution

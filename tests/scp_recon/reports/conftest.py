@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from scp_recon.monte_carlo.flights import FlightConfig, fly_many
-from scp_recon.monte_carlo.summary import summarise
+from scp_recon.monte_carlo.summarise import summarise
 from scp_recon.reports.ground import Camera
 from scp_recon.reports.page import Page
 from scp_recon.reports.subject import Subject, subjects_of
