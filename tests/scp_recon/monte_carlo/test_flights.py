@@ -68,9 +68,11 @@ def test_certain_flights_have_no_spread(certain, tmp_path, capsys):
 
     text = (tmp_path / FILE_NAME).read_text("utf-8")
     report = json.loads(text, parse_constant=no_constant)
-    none = dict.fromkeys(("value", "low", "high"), 0.0)
-    sizes = {"sigma_position_m": none, "sigma_velocity_m_s": none}
-    assert report["terminal"] == {"sigma_ratio": {}, "normality": {}, **sizes}
+    terminal = report["terminal"]
+    assert (terminal.pop("sigma_ratio"), terminal.pop("normality")) == ({}, {})
+    assert terminal.keys() == {"sigma_position_m", "sigma_velocity_m_s"}
+    # The mean of equal states may differ from each by rounding.
+    assert max(max(size.values()) for size in terminal.values()) < 1e-12
     assert "no component spreads" in capsys.readouterr().out
 
 
