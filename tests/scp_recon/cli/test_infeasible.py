@@ -10,7 +10,7 @@ import pytest
 import scp_recon as sr
 from scp_recon.api import infeasibility as module
 from scp_recon.api.clock import Clock
-from scp_recon.api.infeasibility import Diagnosis, diagnose
+from scp_recon.api.infeasibility import Diagnosis, cost_of_exact_risk, diagnose
 from scp_recon.api.inputs import PlanRequest
 from scp_recon.api.options import PlanOptions
 from scp_recon.api.planning import PlanOutcome, Watch, carry_out
@@ -31,6 +31,7 @@ from scp_recon.api.trials import (
 from scp_recon.cli.commands import replan, solve
 from scp_recon.cli.plan_run import advice_on, undoing
 from scp_recon.errors import InputError
+from scp_recon.mission.mission import Mission
 from scp_recon.planning.plan import ended
 from scp_recon.replanning.flown import FlownPlan, predict
 from scp_recon.reports.page import _advice
@@ -41,7 +42,7 @@ from scp_recon.scp.status import Status
 from scp_recon.verification import refinement
 from tests.helpers import nightly
 from tests.scenarios import COARSE
-from tests.scp_recon.support import CommandLine, fly_few, mission_of, run_solve
+from tests.scp_recon.support import CommandLine, fly_few, from_cold, mission_of, run_solve
 
 pytestmark = pytest.mark.slow
 
@@ -93,6 +94,15 @@ def test_the_report_says_the_same(refused):
     solution = read_solution(refused.folder)
     assert solution.advice == tuple(said(refused).splitlines())
     assert _advice(Subject("plan", solution)) == solution.advice
+
+
+def test_saving_by_exact_risk_is_that_of_its_plan(default_plan, mission):
+    request = PlanRequest(mission.scenario, "cold", PlanOptions())
+    cost = cost_of_exact_risk(default_plan, request)
+    exact = Mission.from_scenario(mission.scenario.replace({"risk.allocation": "exact"}))
+    assert cost == pytest.approx(from_cold(exact).cost_m_s, rel=2e-3)
+    assert cost < 0.9 * default_plan.cost_m_s
+    assert cost_of_exact_risk(from_cold(exact), request) is None
 
 
 def plan_options(parsed):
