@@ -47,6 +47,9 @@ BELOW, BELOW_CERTIFIED = (0.0, 0.02, 0.1, 0.25), (0.05, 0.15, 0.3)
 """Standard deviations by which a proposed probability is below the largest with a rough plan: the
 user's grid may require more than a rough plan does, and flights do."""
 
+LARGEST = "burns.dv_max_m_s"
+"""Entry of the largest burn."""
+
 FREE = 100.0
 """Factor on the largest burn and on the final spread if they are relaxed."""
 
@@ -143,8 +146,8 @@ class Case:
         if risky:
             yield PROBABILITY, self._probability
         entries = _entries(self.scenario, violated)
-        if len(entries) > 1:
-            yield f"{LIMITS} together", partial(self._limits, entries)
+        if len(entries) > 1 or (entries and "dv_max" in violated):
+            yield f"{LIMITS} together", partial(self._together, entries)
         for entry in entries:
             yield f"{LIMITS}: {entry}", partial(self._limits, {entry: entries[entry]})
         if self.request.remade is not None and self.failed.mission.observed_s is not None:
@@ -213,15 +216,14 @@ class Case:
 
     def _size(self) -> Remedy | None:
         """A larger limit of the burns, as large as a plan without it needs."""
-        entry = "burns.dv_max_m_s"
-        free = self.rough({entry: FREE * self.scenario.burns.dv_max_m_s})
+        free = self.rough({LARGEST: FREE * self.scenario.burns.dv_max_m_s})
         if free is None:
             return None
         # With corrections, or a limit that risk makes smaller, the mean burn alone does not suffice.
         largest = float(np.linalg.norm(free.burns_m_s, axis=1).max())
         if largest == 0.0:
             return None
-        return self._first(SIZE, [{entry: _rounded(factor * largest)} for factor in MORE])
+        return self._first(SIZE, [{LARGEST: _rounded(factor * largest)} for factor in MORE])
 
     def _directions(self) -> Remedy | None:
         """A narrower cone that burns avoid; None if that alone does not suffice."""
@@ -234,6 +236,18 @@ class Case:
         """Larger limits on the final covariance, as large as a plan without them needs."""
         given = _spreads(self.scenario)
         return self._least(FINAL_SPREAD, {e: (v, FREE * v) for e, v in given.items()})
+
+    def _together(self, entries: Mapping[str, tuple[float, float]]) -> Remedy | None:
+        """Wider limits; where burns are too large, also as large ones as the widest limits need."""
+        if "dv_max" not in violated_by(self.failed):
+            return self._limits(entries)
+        given = self.scenario.burns.dv_max_m_s
+        widest: dict[str, object] = {entry: value for entry, (_, value) in entries.items()}
+        free = self.rough(widest | {LARGEST: FREE * given})
+        if free is None:
+            return None
+        needed = MORE[-1] * float(np.linalg.norm(free.burns_m_s, axis=1).max())
+        return self._limits({**entries, LARGEST: (given, max(given, needed))})
 
     def _limits(self, entries: Mapping[str, tuple[float, float]]) -> Remedy | None:
         """Wider limits: each by the same share of the way to the widest value."""

@@ -233,6 +233,24 @@ def test_limits_have_a_number_alone_and_together(monkeypatch):
     assert remedy.changes["observation.site_distance_min_m"] < before.site_distance_min_m
 
 
+def test_size_of_burns_is_relaxed_with_the_limits():
+    """Two burns leave no choice: neither a larger one nor wider limits suffice alone."""
+    few = "burns.times_s=[0.0, 34842.0]", "burns.dv_max_m_s=0.02"
+    near, options = "observation.site_distance_max_m", PlanOptions("P3", starts=1)
+    case = case_of(*few, f"{near}=520.0", options=options)
+    assert case.failed.status is Status.INFEASIBLE
+    trials = dict(case.trials(Status.INFEASIBLE))
+    assert trials[SIZE]() is None
+    assert trials[f"{LIMITS}: {near}"]() is None
+    remedy = trials[f"{LIMITS} together"]()
+    assert remedy is not None
+    assert {*remedy.changes} == {near, "burns.dv_max_m_s"}
+    outcome = case.command(remedy.changes)
+    assert outcome is not None
+    largest = np.linalg.norm(outcome.plan.burns_m_s, axis=1).max()
+    assert largest <= remedy.changes["burns.dv_max_m_s"] < 1.3 * largest
+
+
 @nightly
 def test_relaxed_plan_stays_relaxed_on_a_finer_grid(monkeypatch):
     """And without a price of the final state, too."""
