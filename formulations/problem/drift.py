@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from formulations.problem.flow import Flow
 from formulations.problem.regions import Ball
@@ -32,3 +32,8 @@ class Drift:
     flow: Flow
     keep_out: tuple[Ball, ...]
     required: float
+
+    def shrunk(self, share: float) -> Drift:
+        """The same that keeps out of balls of a share of their radius."""
+        balls = (replace(ball, radius=share * ball.radius) for ball in self.keep_out)
+        return replace(self, keep_out=tuple(balls))

@@ -49,12 +49,13 @@ Problem = Literal["P3", "P2"]
 """P3 is without uncertainty, P2 with it."""
 
 
-Role = Literal["final", "open", "node", "coarse", "led", "held", "settled"]
+Role = Literal["final", "open", "node", "coarse", "led", "grown", "held", "settled"]
 """Purpose of a stage: the "final" one of its problem, or one that
 
 - "open": leads to P3 from a guess that is no flight, or to P2 with gains from a plan without;
 - "node", "coarse": leads to P2 of whole flights, by the risk at nodes, then by few directions;
 - "led": leads to gains where there is no plan without gains;
+- "grown": leads a drift out of a ball, by smaller balls;
 - "held": plans again with burns held that would be too small to execute;
 - "settled": plans with facets chosen along plans before it, until no choice is cheaper.
 """

@@ -7,6 +7,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import cached_property, partial
 from time import perf_counter
 from typing import Any, Final, Generic, TypeVar
@@ -71,6 +72,10 @@ WEIGHT = 100.0
 weight of ten. At the next weight of a thousand, the resolution of the probability of whole flights
 would hide the possible reductions of cost."""
 
+
+GROWN = 0.65, 0.8, 0.9
+"""Radii of the balls that drifts keep out of, over their own, in stages that lead out of them. Larger
+steps end inside the next ball."""
 
 ITERATIONS_WITH_GAINS = 100
 """Limit of a stage's iterations where burns are corrected: twice the usual one."""
@@ -160,13 +165,21 @@ class Planner(Generic[AnyProblem]):
         assert self._p2 is not None
         return self._p2
 
-    def exact_stages(self) -> Sequence[StageSpec]:
+    def exact_stages(self, *, growing: bool = False) -> Sequence[StageSpec]:
         """See `StageSolver`."""
         formulation = self._names[0]
         if formulation not in FULL:
             needs = f"goes with the formulations {' and '.join(FULL)}, not with {formulation}"
             raise InputError("risk.allocation", "'exact'", needs)
-        return self._exact
+        if not growing:
+            return self._exact
+        plain = self.task.problem.open_loop
+        grown = []
+        for share in GROWN:
+            drifts = tuple(drift.shrunk(share) for drift in plain.drifts)
+            rows = NodeRows(replace(plain, drifts=drifts), self.target, COARSE)
+            grown.append(StageSpec("P2", rows, "grown", is_required=True))
+        return [*grown, *self._exact]
 
     @cached_property
     def _exact(self) -> list[StageSpec]:

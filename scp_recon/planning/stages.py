@@ -25,6 +25,7 @@ from formulations.linearisation.linearisation import Linearisation
 from formulations.problem.facets import Facets, choose_facets
 from formulations.problem.flyby import FlybyProblem, Iterate
 from formulations.program.subproblem import MeritFunction
+from formulations.rows.drift import HOPELESS
 from formulations.rows.uniform import ChanceRows
 from scp_recon.planning.method import SETTLE, FacetRounds
 from scp_recon.planning.plan import Problem, Stage, StageSpec, is_converged, merit_of, rank
@@ -75,8 +76,10 @@ class StageSolver(Protocol):
     def p2_stage(self, facets: Facets, lin: Linearisation) -> StageSpec:
         """P2 with given facets; its program includes those near an iterate."""
 
-    def exact_stages(self) -> Sequence[StageSpec]:
+    def exact_stages(self, *, growing: bool = False) -> Sequence[StageSpec]:
         """Stages of P2 with exact risk, each started from the end of the one before.
+
+        If `growing`, stages whose drifts keep out of smaller balls come first.
 
         Raises:
             InputError: if the method cannot plan exact risk.
@@ -170,6 +173,9 @@ class Pipeline:
         lin = p3.result.lin
         if self.task.risk.allocation == "exact":
             final = self.exact(lin, letter)
+            if not is_converged(final) and _is_hopeless(final):
+                grown = self.run(self.solver.exact_stages(growing=True), lin, letter)
+                final = grown if is_converged(grown) else final
             doubtful = final.result.is_weighed or merit_of(final) > DOUBTFUL * merit_of(p3)
             return self._by_others(final, p3) if doubtful and is_converged(final) else final
         if self.task.problem.drifts:  # P3 has none, so its path says little about the facets
@@ -314,6 +320,12 @@ def without_partial_keep_out(problem: FlybyProblem) -> FlybyProblem:
     """
     kept = [c for c in problem.constraints if c.keep == "in" or len(c.nodes) == problem.n_nodes]
     return replace(problem, constraints=tuple(kept))
+
+
+def _is_hopeless(stage: Stage) -> bool:
+    """Whether a drift at a run's end is so far inside a ball that its row knows no way out."""
+    margins, drifts = stage.margins, stage.merit.problem.drifts
+    return any(margins[drift.name].margin.min() < HOPELESS for drift in drifts)
 
 
 def _says_less(one: Stage, other: Stage) -> bool:

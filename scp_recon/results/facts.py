@@ -110,6 +110,7 @@ STAGES = {
     "node": "each node by itself, which leads to whole flights",
     "coarse": "whole flights by few sampled directions, which leads to all of them",
     "led": "leads to corrected burns where nothing else has a plan",
+    "grown": "drifts keep out of a smaller ball, which leads out of the whole one",
     "held": "burns that would be too small to execute are left out or raised",
     "ptr": "solved by PTR, where SCvx ended badly",
     "scvx-star": "solved by SCvx*, where SCvx ended badly",
@@ -127,8 +128,8 @@ class StageSummary:
             from the ballistic arc, `c` and `d` from a turn about the body, the shorter and the longer
             way; `P3.open` leads from a guess that is no flight to P3, `P2.node` and `P2.coarse` to
             the P2 of an exact plan of whole flights; `P2.settled` has facets chosen until none is
-            cheaper; `P2.held` holds burns that would be too small to
-            execute.
+            cheaper; `P2.grown` keeps drifts out of a smaller ball; `P2.held` holds burns that would be
+            too small to execute.
         status: how it ended.
         total_dv_m_s: sum of its burns' sizes.
         iterations: their number.

@@ -22,7 +22,7 @@ from scp_recon.mission.drifts import CUTS, duration_s
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess, ipopt
 from scp_recon.planning.ipopt import casadi_arcs
-from scp_recon.planning.planner import Planner, plan
+from scp_recon.planning.planner import GROWN, Planner, plan
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scenario.schema import Scenario
 from scp_recon.scp.status import Status
@@ -258,6 +258,14 @@ def test_ipopt_agrees_on_random_scenarios_with_drifts(number):
     from experiments.solvers.cases import drawn
 
     agrees_with_ipopt(load_scenario(None, BINDING).replace(drawn(number)[1] | UNIFORM), "tuned")
+
+
+def test_smaller_balls_lead_a_drift_out_of_one():
+    mission, _ = at_plan_without(MISSED)
+    *grown, last = Planner(mission).exact_stages(growing=True)
+    radii = [spec.rows.problem.drifts[0].keep_out[0].radius for spec in (*grown, last)]
+    assert [spec.name for spec in grown] == ["P2.grown"] * 3
+    np.testing.assert_allclose(radii, np.array([*GROWN, 1.0]) * radii[-1])
 
 
 @nightly
