@@ -24,6 +24,7 @@ class Drift:
         flow: the motion along the drift's arcs, in the units of the problem.
         keep_out: balls that the drift keeps out of, each with a centre per node of the drift.
         required: Phi^-1 of the probability that the whole drift keeps out of all of them.
+        by_planes: whether tangent planes stand for the linear law, which misses what the flow bends.
     """
 
     name: str
@@ -32,6 +33,7 @@ class Drift:
     flow: Flow
     keep_out: tuple[Ball, ...]
     required: float
+    by_planes: bool = False
 
     def shrunk(self, share: float) -> Drift:
         """The same that keeps out of balls of a share of their radius."""

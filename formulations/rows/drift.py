@@ -123,11 +123,16 @@ class Branch:
         require_finite(*by)
         return DriftValue(value, by)
 
+    def by_planes(self, start: Start) -> float:
+        """Least room over deviation at tangent planes: less than the law's value, if that knows all."""
+        mean, stm = self.flown(start.mean)
+        return tangent(self._event.at(np.arange(len(mean))), mean, stm @ start.factor)[0]
+
     def _at_nodes(self, mean: Array, factor: Array) -> tuple[float, Array, Array]:
         """As `tangent`, from means and factors at the nodes; by the law near to binding."""
         event = self._event.at(np.arange(len(mean)))
         nearest = tangent(event, mean, factor)
-        if nearest[0] > self._drift.required + FAR:
+        if self._drift.by_planes or nearest[0] > self._drift.required + FAR:
             return nearest
         probability = FlightProbability((event,), self._directions, REACH)
         found = self._coordinates(probability, mean[:, :3], factor, None)

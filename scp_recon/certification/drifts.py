@@ -16,9 +16,10 @@ from scipy.special import ndtri
 from formulations.arrays import Array, Indices
 from formulations.problem.drift import Drift
 from formulations.rows.drift import Branch, start_of
-from scp_recon.mission.drifts import duration_s, planned, required_probability
+from scp_recon.mission.drifts import Miss, duration_s, planned, required_probability
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.drifts import drift, states_after
+from scp_recon.monte_carlo.estimates import proportion
 from scp_recon.monte_carlo.flights import FlightConfig
 from scp_recon.monte_carlo.sampling import BLOCK, draw_parameters
 from scp_recon.planning.plan import Plan
@@ -32,7 +33,12 @@ NEAREST = 0.1
 """Share of the flights, the nearest by the linear law, that are flown on through their drift."""
 
 NEAR = 0.5
-"""Margin of a drift, in standard deviations, beyond which its flights are not looked at."""
+"""Margin of a drift, in standard deviations, beyond which its flights are not looked at. The law may
+miss what the flow bends where it sees more room than its tangent planes: after the last burn of the
+default scenario, cut at 0.9, it saw no flight inside, and 43 % came there within the day."""
+
+BLIND = 4_000
+"""Flights that judge a drift which is near by its tangent planes alone."""
 
 RESOLVED = 0.01
 """Standard deviations below which a loss is left: flights resolve four times as much."""
@@ -68,14 +74,21 @@ def with_safe_drifts(mission: Mission, make: Callable[[Mission, Plan | None], Pl
 
 
 def shortfalls(plan: Plan) -> dict[str, float]:
-    """Standard deviations by which flights of drifts miss what is required, of those that miss it."""
+    """Standard deviations by which flights of drifts miss what is required, of those that miss it.
+
+    Infinite where the linear law sees room that flights do not have.
+    """
     lin, mission = plan.final.result.lin, plan.mission
-    needed, found = float(ndtri(required_probability(mission.scenario))), {}
-    near = [
-        (miss, one)
-        for miss, one in zip(planned(mission.scenario), lin.problem.drifts, strict=True)
-        if plan.final.margins[one.name].margin.min() < NEAR
-    ]
+    asked = required_probability(mission.scenario)
+    needed, found = float(ndtri(asked)), dict[str, float]()
+    margins, near = plan.final.margins, list[tuple[Miss, Drift]]()
+    for miss, one in zip(planned(mission.scenario), lin.problem.drifts, strict=True):
+        room = float(margins[one.name].margin.min())
+        if room > NEAR:
+            branch = Branch(one, lin.problem.parameters)
+            room = branch.by_planes(start_of(lin, one)) - one.required
+        if room < NEAR and not one.by_planes:
+            near.append((miss, one))
     if not near:
         return {}
     config = FlightConfig(mission, plan.burns_m_s, SEED, policy=policy_of(mission, lin))
@@ -86,6 +99,12 @@ def shortfalls(plan: Plan) -> dict[str, float]:
     for (miss, one), state in zip(near, starts, strict=True):
         begin = mission.scenario.burns.times_s[miss.burn - 1]
         step = duration_s(mission.scenario) / one.flow.arcs
+        if margins[one.name].margin.min() > NEAR:
+            some = np.arange(BLIND, dtype=np.intp)
+            flown = drift(deviating.some_flights(some), config.truth, state[some], begin, step)
+            if proportion(int(flown.safe(mission).sum()), BLIND).high < asked:
+                found[one.name] = np.inf
+            continue
         nearest = _nearest(plan, one, state, draws)
         flown = drift(deviating.some_flights(nearest), config.truth, state[nearest], begin, step)
         failing = max(int((~flown.safe(mission)).sum()), 0.5) / FLIGHTS

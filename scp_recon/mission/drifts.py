@@ -101,7 +101,8 @@ def problem_drifts(
 ) -> tuple[Drift, ...]:
     """The drifts of a scenario, nondimensional, with the forces of its planner and partials in SI.
 
-    `losses` are the standard deviations by which flights are less safe than the linear law, by names.
+    `losses` are the standard deviations by which flights are less safe than the linear law, by names;
+    infinite where that law knows nothing of it, and tangent planes stand for it.
     """
     return tuple(_drifts(scene, forces, partials, units, losses))
 
@@ -116,7 +117,9 @@ def _drifts(
     scenario, own = scene.scenario, forces.in_units(units.length_m, units.time_s)
     moved = partials and partials.in_units(units.length_m, units.time_s)
     for miss in planned(scenario):
-        required = quantile(required_probability(scenario)) + losses.get(miss.name, 0.0)
+        loss = losses.get(miss.name, 0.0)
+        by_planes = np.isinf(loss)
+        required = quantile(required_probability(scenario)) + (0.0 if by_planes else loss)
         times = drift_times(scenario, miss)
         flow = GridFlow(own, times[:-1] / units.time_s, np.diff(times) / units.time_s, 1, moved)
         keep_out = [Ball(np.zeros((len(times), 3)), radius_m(scenario) / units.length_m)]
@@ -124,7 +127,7 @@ def _drifts(
             centre = scene.companion.position(times) / units.length_m
             keep_out.append(Ball(centre, companion_distance_m(scenario) / units.length_m))
         burn = miss.burn - 1 - scenario.burns_flown
-        yield Drift(miss.name, burn, miss.share, flow, tuple(keep_out), required)
+        yield Drift(miss.name, burn, miss.share, flow, tuple(keep_out), required, bool(by_planes))
 
 
 def check_miss(scenario: Scenario, number: int | None) -> None:

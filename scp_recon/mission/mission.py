@@ -112,7 +112,8 @@ class Mission:
     home: HomePhases | None = None
     """Phases on the home orbit, where these and the flight's ends are controls too."""
     drift_losses: tuple[tuple[str, float], ...] = ()
-    """Standard deviations by which drifts are less safe in flights than by the linear law, by names."""
+    """Standard deviations by which drifts are less safe in flights than by the linear law, by names;
+    infinite where tangent planes stand for that law."""
     deviation: Deviation | None = None
     """Of flights' parameters from the scenario's, which rotation and site have already."""
     nominal: Mission | None = None

@@ -1,5 +1,6 @@
 """Drifts after a missed or cut burn, flown: against another integrator, and as safe as was required."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -18,7 +19,9 @@ from scp_recon.monte_carlo.drifts import fly_drifts, states_after
 from scp_recon.monte_carlo.flights import FlightConfig
 from scp_recon.monte_carlo.sampling import fly_block
 from scp_recon.physics.forces import acceleration
+from scp_recon.planning.initial_guess import cold
 from scp_recon.planning.plan import Plan, ended
+from scp_recon.planning.planner import plan as plan_by_law
 from scp_recon.results.solution import make_solution
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scp.status import Status
@@ -82,6 +85,17 @@ def test_a_plan_survives_a_missed_burn_in_flight():
     assert safe[0] >= binom.ppf(0.001, 4000, 0.997)
     assert safe[1] < 0.97 * 4000
     assert plan.total_dv_m_s < 1.05 * without.total_dv_m_s
+
+
+def test_flights_judge_a_drift_where_the_law_is_blind():
+    """After burn 4, cut at 0.9, the linear law sees no drift inside, and 43 % of flights are."""
+    entries = (COARSE, "risk.allocation='exact'", "safety.cut_short=true")
+    mission, name = Mission.from_scenario(load_scenario(None, entries)), "cut_burn_4_at_0.9"
+    found = plan_by_law(mission, cold(mission))
+    assert found.final.margins[name].margin.min() > 4.0
+    assert shortfalls(found)[name] == np.inf
+    aware = replace(mission, drift_losses=((name, np.inf),)).problem.drifts
+    assert [one.name for one in aware if one.by_planes] == [name]
 
 
 def test_a_mission_without_safe_plans_ends_infeasible(monkeypatch):
