@@ -14,6 +14,7 @@ from scp_recon.planning.method import ALGORITHM, FORMULATION, SETTLE
 from scp_recon.planning.plan import Parent, Plan, ended
 from scp_recon.replanning.flown import FlownPlan
 from scp_recon.replanning.remainder import path_planned
+from scp_recon.replanning.retiming import with_free_times
 from scp_recon.scp.status import Status
 
 P3_RESOLUTION = 1e-3
@@ -21,12 +22,17 @@ P3_RESOLUTION = 1e-3
 places the facets. Newton's steps then still converge to about 1e-6, with one iteration less."""
 
 
-def plan_left(flown: FlownPlan, mission: Mission, *, certify: bool | None = None) -> Plan:
+def plan_left(
+    flown: FlownPlan, mission: Mission, *, certify: bool | None = None, free_times: bool = False
+) -> Plan:
     """Plan the rest of a mission: see `request_of_rest`."""
-    return carry_out(request_of_rest(flown, mission, certify=certify), verifies=False).plan
+    request = request_of_rest(flown, mission, certify=certify, free_times=free_times)
+    return carry_out(request, verifies=False).plan
 
 
-def request_of_rest(flown: FlownPlan, mission: Mission, *, certify: bool | None) -> PlanRequest:
+def request_of_rest(
+    flown: FlownPlan, mission: Mission, *, certify: bool | None, free_times: bool = False
+) -> PlanRequest:
     """What to plan: the rest of a mission near the plan in flight, by the method of that plan.
 
     With one or two burns left, the final state determines the burns. An infeasible case is then
@@ -39,11 +45,13 @@ def request_of_rest(flown: FlownPlan, mission: Mission, *, certify: bool | None)
         flown: the plan in flight.
         mission: from `mission_left`.
         certify: as of `PlanOptions`.
+        free_times: whether burns that are left may move: see `with_free_times`.
 
     Raises:
-        InputError: if flights cannot certify a plan.
+        InputError: if flights cannot certify a plan, or no burn may move.
     """
     options = left_options(flown, mission, certify=certify)
+    mission = with_free_times(flown, mission) if free_times else mission
     determined = _is_determined(mission)
     known: PlannerArguments = {
         "p3_resolution": P3_RESOLUTION if flown.problem == "P2" else 0.0,

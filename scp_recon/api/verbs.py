@@ -165,6 +165,7 @@ def replan(
     overrides: Sequence[str] = (),
     goal: Literal["observe", "return"] = "observe",
     arrive_by: float | None = None,
+    free_times: bool = False,
     certify: bool | None = None,
 ) -> "Plan":
     """Plan the rest of a flight from a state in it.
@@ -191,6 +192,7 @@ def replan(
             false), after a missed burn say.
         arrive_by: time of the last burn, s past the epoch, in place of the scenario's: a later one
             leaves more time to return.
+        free_times: move burns that are left, but the last, within the schedule's rules.
         certify: as of `plan`: with risk.allocation = exact, by fresh flights (default: yes).
 
     Returns:
@@ -223,7 +225,8 @@ def replan(
         covariance_frame=covariance_frame,
         measured=measured_burns,
     )
-    return plan_left(flown, mission_left(flown, delivery, overrides), certify=certify)
+    left = mission_left(flown, delivery, overrides)
+    return plan_left(flown, left, certify=certify, free_times=free_times)
 
 
 def campaign(

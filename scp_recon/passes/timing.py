@@ -186,7 +186,8 @@ class Timing:
         space, home = self.space, None
         if space.has_home:
             home = HomePhases(space.ring, result.at.phases, space.phase_spans)
-        mission = replace(result.mission, firing_spans_s=space.time_spans, home=home)
+        flown = result.mission.scenario.burns_flown
+        mission = replace(result.mission, firing_spans_s=space.time_spans[flown:], home=home)
         if mission.firing is None:
             return None
         planner, lin = Planner(mission), result.stage.result.lin
@@ -197,7 +198,7 @@ class Timing:
         assert problem.firing is not None
         moved, burns = problem.firing_times(iterate.times), problem.firing.burns
         times, phases = np.array(result.at.times_s), result.at.phases
-        times[burns] = mission.units.time_s * moved[: len(burns)]
+        times[flown + burns] = mission.units.time_s * moved[: len(burns)]
         if problem.firing.boundary is not None:
             first, last = problem.firing.phases(moved).tolist()
             phases = first, last

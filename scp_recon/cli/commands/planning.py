@@ -112,6 +112,7 @@ def replan(
     plan: Path,
     *,
     out: Path | None = None,
+    free_times: bool = False,
     certify: bool | None = None,
     verbose: bool = False,
     **given: Any,
@@ -149,7 +150,8 @@ def replan(
 
     def rest(more: "Sequence[str]" = ()) -> "PlanRequest":
         mission = mission_left(flown, delivery, [*overrides, *more])
-        return replace(request_of_rest(flown, mission, certify=certify), remade=rest)
+        made = request_of_rest(flown, mission, certify=certify, free_times=free_times)
+        return replace(made, remade=rest)
 
     request = rest()
     with Shown(console, out, verbose=verbose) as shown:
