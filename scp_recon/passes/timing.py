@@ -80,6 +80,8 @@ class Effort(NamedTuple):
     iterations: int
 
 
+PATIENCE = 1
+"""Rounds in turn that may gain too little: facets chosen anew may cost more at first."""
 PRICING = 40
 """Iterations of the program that prices rules, from its solution."""
 
@@ -124,21 +126,22 @@ class Timing:
         """Find the best pass from a given one; it is never worse than the start.
 
         The first plan starts from the given burns, J2000, m/s, shape (m, 3). A round is followed by
-        another if its relative gain is worth it, and if the pass is not dearer than a rival by
-        more than that.
+        another if its relative gain is worth it, or that of the round before was, and if the pass is
+        not dearer than a rival by more than that.
         """
-        best = self.plan(self._with_room(at), burns_m_s)
+        failed = 0
+        best = last = self.plan(self._with_room(at), burns_m_s)
         observe(best)
         for _ in range(effort.rounds):
-            freed = self.freed(best, effort.iterations)
+            freed = self.freed(last, effort.iterations)
             if freed is None:
                 break
-            again = self.plan(freed.at, freed.burns_m_s, again=True)
-            observe(again)
-            better = rank(again.stage) > rank(best.stage)
-            gain = 1.0 - again.dv_m_s / best.dv_m_s if best.converged else float(again.converged)
-            best = again if better else best
-            if not better or gain < effort.worth or best.dv_m_s > (1.0 + effort.worth) * rival_m_s:
+            last = self.plan(freed.at, freed.burns_m_s, again=True)
+            observe(last)
+            goal = (1.0 - effort.worth) * best.dv_m_s if best.converged else np.inf
+            failed = 0 if last.dv_m_s < goal else failed + 1
+            best = max(best, last, key=lambda one: rank(one.stage))
+            if failed > PATIENCE or best.dv_m_s > (1.0 + effort.worth) * rival_m_s:
                 break
         return best
 
