@@ -148,7 +148,12 @@ class Designer:
         best = self._descent(where, "refinement", best.at, best, self.effort)
         where, best = self._vary_burns(where, best)
         if exact:
-            self.exact.append(self._descend_exact(where, best))
+            burns = len(best.at.times_s)
+            if all(
+                (near.number, len(one.at.times_s)) != (where.number, burns)
+                for near, one in self.exact
+            ):
+                self.exact.append(self._descend_exact(where, best))
             where, best = self._without_vanished(*cheapest(self.exact))
         return where.space, best
 
