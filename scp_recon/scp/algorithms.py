@@ -342,7 +342,7 @@ class PTR(ExactPenalty):
         bound = trial.predicted + prox * float(np.abs(moved).sum() - (moved**2).sum())
         worth = self._negligible_reduction(state.charge, record)
         stationary = trial.answer.accurate and not guess and bound <= worth
-        if prox > 1.0:  # steps are short because they are charged
+        if prox > 1.0 or not trial.answer.accurate:  # steps are short because they are charged
             return replace(new, stationary=stationary), record
         return self._settled(state, new, trial, record, stationary=stationary), record
 

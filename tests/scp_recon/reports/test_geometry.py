@@ -12,7 +12,7 @@ from scp_recon.bodies.surface import Ellipsoid, Mesh, direction_of
 from scp_recon.mission.constraints import companion_distance_m
 from scp_recon.physics.frames import unit
 from scp_recon.reports.charts import BINS, thinned
-from scp_recon.reports.flights import SO_FAR, Flown, achieved, budget_of, fly
+from scp_recon.reports.flights import SO_FAR, DrawnFlights, achieved, budget_of, fly
 from scp_recon.reports.ground import Camera, degrees_of, first_hit, ground_track, terminator
 from scp_recon.reports.scene import Frame, companion_of, drifts, keep_sets
 from scp_recon.reports.subject import Subject
@@ -23,7 +23,7 @@ from tests.scp_recon.support import COMPANION, mission_of
 
 
 @pytest.fixture(scope="module")
-def flown(subject) -> Flown:
+def flown(subject) -> DrawnFlights:
     return fly(subject)
 
 
