@@ -188,9 +188,9 @@ def _contingency(plan: Opened, miss: int, options: FlyOptions) -> Contingency:
     state = np.array(solution.nodes.state[mission.burn_nodes[index]])
     state[3:] -= solution.burns_m_s[index]
     at_s = mission.scenario.burns.times_s[miss - 1]
-    delivery, parent = (
-        Delivery.of(at_s, state, measured={miss: np.zeros(3)}),
+    parent, delivery = (
         FlownPlan.of(solution),
+        Delivery.of(at_s, state, measured={miss: np.zeros(3)}),
     )
     left = mission_left(parent, delivery, with_goal(parent, "return", None))
     home = plan_left(parent, left)

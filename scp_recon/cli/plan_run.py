@@ -213,8 +213,8 @@ def saving(
     if cost is None:
         return ()
     options = " ".join([*more, "--set", shlex.quote('risk.allocation="exact"')])
-    saved, cost = 1e3 * (outcome.plan.cost_m_s - cost), 1e3 * cost
-    words = f"next: exact risk saves {saved:.1f} mm/s ({cost:.1f} mm/s by the normal law"
+    saved = mm_s(outcome.plan.cost_m_s - cost, 1)
+    words = f"next: exact risk saves {saved} ({mm_s(cost, 1)} by the normal law"
     return (f"{words}, before flights certify the plan), with: {options}",)
 
 

@@ -10,7 +10,7 @@ from typing import Annotated, Any, Self, TypeVar
 import numpy as np
 from pydantic import Field, model_validator
 
-from scp_recon.display import Displayed
+from scp_recon.display import Displayed, mm_s
 from scp_recon.files import write_atomically
 from scp_recon.mission.scene import TruthModel
 from scp_recon.monte_carlo.estimates import Estimate
@@ -244,7 +244,7 @@ class Contingency(Section):
         """In words."""
         kept, times = self.whole_flight, ", ".join(f"{t:.0f}" for t in self.burn_times_s)
         return (
-            f"then return: {self.status}, {1e3 * self.total_dv_m_s:.1f} mm/s by burns at {times} s; "
+            f"then return: {self.status}, {mm_s(self.total_dv_m_s, 1)} by burns at {times} s; "
             f"flights home that keep every limit {kept.value:.4f}, {kept.low:.4f} to {kept.high:.4f}"
         )
 

@@ -229,12 +229,10 @@ class Timing:
             return ()
         own = multipliers(merit.problem, merit.rows, lin)[-len(firing.names) :]
         rate = units.speed_m_s / units.time_s
-        of_times = [
-            row[: len(firing.burns)].any() for row in firing.matrix
-        ]  # a phase has no seconds
+        in_time = np.any(firing.matrix[:, : len(firing.burns)], axis=1)  # a phase has no seconds
         found = [
             RulePrice(name, float(price) * rate)
-            for name, price, timed in zip(firing.names, own, of_times, strict=True)
+            for name, price, timed in zip(firing.names, own, in_time, strict=True)
             if timed and price > PRICELESS
         ]
         return tuple(sorted(found, key=lambda one: -one.saving_m_s2))

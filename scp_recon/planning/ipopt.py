@@ -167,7 +167,7 @@ class IpoptStages:
         """See `StageSolver`."""
         return Planner(self.mission)
 
-    def exact_stages(self, *, growing: bool = False) -> Sequence[StageSpec]:  # noqa: ARG002
+    def exact_stages(self, *, growing: bool = False) -> Sequence[StageSpec]:  # noqa: ARG002 -- of the protocol
         """Refuse: IPOPT has no rows of exact risk."""
         raise InputError("risk.allocation", "'exact'", f"goes with {option('method', 'scp')} only")
 

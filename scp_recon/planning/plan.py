@@ -22,7 +22,7 @@ from formulations.risk.strata import Counted
 from formulations.rows.cones import FINAL_POSITION, FINAL_VELOCITY, Margins, Rows
 from formulations.rows.corrected_burns import BATTERY, SIZE
 from formulations.rows.uniform import ChanceRows
-from scp_recon.display import Displayed
+from scp_recon.display import Displayed, mm_s
 from scp_recon.errors import Named
 from scp_recon.mission.grid import Units
 from scp_recon.mission.mission import Mission
@@ -323,7 +323,7 @@ class WithoutUncertainty:
     def __str__(self) -> str:
         """In words."""
         of = "one optimum" if self.optima == 1 else f"least of {self.optima} optima"
-        return f"{1e3 * self.total_dv_m_s:.3f} mm/s without uncertainty ({of} of P3 found)"
+        return f"{mm_s(self.total_dv_m_s)} without uncertainty ({of} of P3 found)"
 
 
 @dataclass(frozen=True)
