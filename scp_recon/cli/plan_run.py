@@ -11,12 +11,12 @@ from typing import Self
 
 from rich.console import Console
 
-from scp_recon.api.infeasibility import Diagnosis, cost_of_exact_risk, diagnose, is_diagnosed
+from scp_recon.advice.infeasibility import Diagnosis, cost_of_exact_risk, diagnose, is_diagnosed
+from scp_recon.advice.trials import Remedy, for_exact, overrides_of
 from scp_recon.api.inputs import PlanRequest
 from scp_recon.api.keeping import UNVERIFIED, point_latest, run_folder
 from scp_recon.api.options import PlanOptions
 from scp_recon.api.planning import PlanOutcome, Watch
-from scp_recon.api.trials import Remedy, for_exact, overrides_of
 from scp_recon.certification.largest import rounded_down
 from scp_recon.cli import plan_view
 from scp_recon.cli.command import (

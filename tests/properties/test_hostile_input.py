@@ -23,7 +23,8 @@ import pytest
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
-from scp_recon.api import infeasibility, planning, trials
+from scp_recon.advice import infeasibility, trials
+from scp_recon.api import planning
 from scp_recon.cli.commands import montecarlo, simulate, solve, verify
 from scp_recon.errors import InputError
 from scp_recon.interop.tracks import oem_track

@@ -101,6 +101,7 @@ FLOORS = (
     "scp_recon.reports",
     "scp_recon.campaigns",
     "scp_recon.api",
+    "scp_recon.advice",
     "scp_recon.cli",
     "scp_recon.cli.commands",
     "scp_recon",  # the lazy names, and the ways in

@@ -8,13 +8,10 @@ import numpy as np
 import pytest
 
 import scp_recon as sr
-from scp_recon.api import infeasibility as module
-from scp_recon.api.clock import Clock
-from scp_recon.api.infeasibility import Diagnosis, cost_of_exact_risk, diagnose
-from scp_recon.api.inputs import PlanRequest
-from scp_recon.api.options import PlanOptions
-from scp_recon.api.planning import PlanOutcome, Watch, carry_out
-from scp_recon.api.trials import (
+from scp_recon.advice import infeasibility as module
+from scp_recon.advice.clock import Clock
+from scp_recon.advice.infeasibility import Diagnosis, cost_of_exact_risk, diagnose
+from scp_recon.advice.trials import (
     CONTINUED,
     CORRECTED,
     FEEDBACK,
@@ -28,6 +25,9 @@ from scp_recon.api.trials import (
     Case,
     overrides_of,
 )
+from scp_recon.api.inputs import PlanRequest
+from scp_recon.api.options import PlanOptions
+from scp_recon.api.planning import PlanOutcome, Watch, carry_out
 from scp_recon.cli.commands import replan, solve
 from scp_recon.cli.plan_run import advice_on, undoing
 from scp_recon.errors import InputError

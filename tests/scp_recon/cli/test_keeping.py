@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 import scp_recon as sr
-from scp_recon.api.infeasibility import Diagnosis
+from scp_recon.advice.infeasibility import Diagnosis
 from scp_recon.api.keeping import UNVERIFIED, check_holds, keep, run_folder
 from scp_recon.cli import plan_run
 from scp_recon.cli.commands import compare, export, montecarlo, report, simulate, solve, verify

@@ -9,7 +9,8 @@ from typing import Any
 import pytest
 
 import scp_recon as sr
-from scp_recon.api import infeasibility, planning
+from scp_recon.advice import infeasibility
+from scp_recon.api import planning
 from scp_recon.planning import planner, stages
 from scp_recon.results.read import read_solution
 from scp_recon.scp.algorithms import SCvx

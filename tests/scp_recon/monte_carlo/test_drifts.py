@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 from scipy.stats import binom
 
 import scp_recon as sr
-from scp_recon.api.trials import _entries
+from scp_recon.advice.trials import _entries
 from scp_recon.certification import drifts
 from scp_recon.certification.drifts import shortfalls
 from scp_recon.errors import InputError

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from scp_recon.api.infeasibility import Diagnosis
+from scp_recon.advice.infeasibility import Diagnosis
 from scp_recon.api.replans import plan_left
 from scp_recon.cli import plan_run
 from scp_recon.cli.commands import report

@@ -19,7 +19,7 @@ from scipy.special import ndtr, ndtri
 
 from formulations.problem.flyby import Iterate
 from formulations.registry import FULL
-from scp_recon.api.clock import Clock, Roughly, Undecided
+from scp_recon.advice.clock import Clock, Roughly, Undecided
 from scp_recon.api.inputs import PlanRequest
 from scp_recon.api.options import PlanOptions
 from scp_recon.api.planning import PlanOutcome, carry_out, plan_mission

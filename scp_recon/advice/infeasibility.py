@@ -8,10 +8,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import partial
 
-from scp_recon.api.clock import Clock
-from scp_recon.api.inputs import PlanRequest
-from scp_recon.api.planning import PlanOutcome
-from scp_recon.api.trials import (
+from scp_recon.advice.clock import Clock
+from scp_recon.advice.trials import (
     CONTINUED,
     CORRECTED,
     FINAL_STATE,
@@ -24,6 +22,8 @@ from scp_recon.api.trials import (
     Remedy,
     violated_by,
 )
+from scp_recon.api.inputs import PlanRequest
+from scp_recon.api.planning import PlanOutcome
 from scp_recon.jobs.blas import one_thread
 from scp_recon.planning.plan import Plan
 from scp_recon.scp.status import Status
