@@ -25,10 +25,10 @@ from scp_recon.jobs.store import Row
 from scp_recon.monte_carlo.observation_time import ALL
 from scp_recon.monte_carlo.sampling import PolicyKind
 from scp_recon.planning.plan import Plan, Stage
-from scp_recon.results.facts import Verification
 from scp_recon.results.figures import FINAL_STATE
 from scp_recon.results.policy import sigmas
 from scp_recon.results.solution import Solution
+from scp_recon.results.verification import Verification
 from scp_recon.scenario.schema import Scenario
 from scp_recon.scp.status import Status
 from scp_recon.verification.shortfalls import shortfalls

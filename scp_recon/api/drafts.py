@@ -32,8 +32,8 @@ from scp_recon.interop.tracks import (
 from scp_recon.mission.intervals import DENSITIES, density
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
-from scp_recon.results.facts import Verification
 from scp_recon.results.solution import Solution
+from scp_recon.results.verification import Verification
 from scp_recon.scenario.schema import Scenario
 from scp_recon.scp.status import Status
 from scp_recon.verification.remedies import what_next

@@ -23,10 +23,10 @@ from scp_recon.jobs.blas import one_thread
 from scp_recon.mission.drifts import check_miss
 from scp_recon.mission.mission import Mission
 from scp_recon.planning.plan import Plan
-from scp_recon.results.facts import Verification
 from scp_recon.results.read import read_solution
 from scp_recon.results.runs import resolve_run
 from scp_recon.results.solution import Solution, make_solution
+from scp_recon.results.verification import Verification
 from scp_recon.simulation.vehicle import load_vehicle
 from scp_recon.verification import reintegration
 

@@ -13,8 +13,8 @@ if TYPE_CHECKING:
     from scp_recon.api.files import AnyPlan, Exported
     from scp_recon.monte_carlo.summary import Summary
     from scp_recon.results.comparison import Comparison
-    from scp_recon.results.facts import Verification
     from scp_recon.results.solution import Solution
+    from scp_recon.results.verification import Verification
     from scp_recon.simulation.record import Record
 
 Policy = Literal["open", "replan", "feedback"]

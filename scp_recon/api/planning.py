@@ -32,8 +32,8 @@ from scp_recon.planning.method import NumberOfStarts
 from scp_recon.planning.plan import Plan
 from scp_recon.planning.stages import DOUBTFUL, Observer
 from scp_recon.planning.starts import plan_from_several
-from scp_recon.results.facts import Verification
 from scp_recon.results.solution import Solution, make_solution
+from scp_recon.results.verification import Verification
 from scp_recon.scenario.schema import Scenario
 from scp_recon.scp.status import Status
 from scp_recon.verification.refinement import refined

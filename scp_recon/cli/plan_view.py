@@ -42,10 +42,11 @@ from scp_recon.reports.tables import (
     reintegration_table,
     starts_table,
 )
-from scp_recon.results.facts import Risk, Verification
+from scp_recon.results.facts import Risk
 from scp_recon.results.figures import is_converged
 from scp_recon.results.solution import Solution, iteration_record
 from scp_recon.results.table import Cell, Table
+from scp_recon.results.verification import Verification
 from scp_recon.scenario.fields import ScenarioWarning
 from scp_recon.scenario.schema import Scenario
 from scp_recon.scenario.time_scales import instant, iso_tdb, iso_utc

@@ -20,7 +20,7 @@ from scp_recon.monte_carlo.estimates import proportion
 from scp_recon.monte_carlo.flights import FlightConfig
 from scp_recon.monte_carlo.sampling import flow_of, flown_mission, fly_blocks
 from scp_recon.physics.frames import TabulatedRotation
-from scp_recon.results.facts import DriftSafety
+from scp_recon.results.verification import DriftSafety
 
 NEAREST = 0.003
 """Share of flights that come nearer than the distance that is reported."""

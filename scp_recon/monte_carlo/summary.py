@@ -16,9 +16,9 @@ from scp_recon.mission.scene import TruthModel
 from scp_recon.monte_carlo.estimates import Estimate
 from scp_recon.monte_carlo.observation_time import ALL, SCIENCE
 from scp_recon.monte_carlo.sampling import ErrorModel, PolicyKind
-from scp_recon.results.facts import DriftSafety
 from scp_recon.results.read import File, read_file
 from scp_recon.results.solution import Solution
+from scp_recon.results.verification import DriftSafety
 from scp_recon.scenario.fields import ByName, Line, Section
 
 SCHEMA = "scp_recon.montecarlo/1"

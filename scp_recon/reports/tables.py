@@ -14,10 +14,11 @@ from scp_recon.mission.constraints import Bound, bounds_on_mean
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.observation_time import ALL
 from scp_recon.planning.plan import Starts
-from scp_recon.results.facts import Burn, IterationRecord, MeanMargin, Verification
+from scp_recon.results.facts import Burn, IterationRecord
 from scp_recon.results.policy import sigmas
 from scp_recon.results.solution import Solution
 from scp_recon.results.table import SCALES, Cell, Column, Table
+from scp_recon.results.verification import MeanMargin, Verification
 from scp_recon.scenario.time_scales import instant, shown_utc
 from scp_recon.verification.reintegration import FIGURES, limits_of
 

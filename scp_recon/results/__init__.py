@@ -1,5 +1,5 @@
 """Store plans: facts, figures computed from them, the file, tables and comparisons.
 
-`facts` are what a file states, `figures` what follows; `verification` compares the two.
+`facts` are what a file states, with the record in `verification`; `figures` are what follows from them.
 Flights, reports and everything above them may import this folder; it imports `planning`.
 """

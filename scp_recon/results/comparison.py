@@ -13,9 +13,9 @@ from scp_recon.display import Displayed
 from scp_recon.errors import unknown_name
 from scp_recon.physics.flow import interpolate
 from scp_recon.planning.plan import NOT_CHECKED
-from scp_recon.results.facts import Verification
 from scp_recon.results.solution import Solution
 from scp_recon.results.table import Cell, Column, Table
+from scp_recon.results.verification import Verification
 from scp_recon.scenario.schema import Scenario
 
 DIFFERS = "differs from the first in"

@@ -33,7 +33,6 @@ from scp_recon.results.facts import (
     PlanTiming,
     Risk,
     StageSummary,
-    Verification,
     adapter,
 )
 from scp_recon.results.figures import (
@@ -46,6 +45,7 @@ from scp_recon.results.figures import (
     total_dv,
 )
 from scp_recon.results.policy import Policy, StoredPolicy, policy_in, stored_policy
+from scp_recon.results.verification import Verification
 from scp_recon.scenario.schema import Scenario
 from scp_recon.scp.algorithms import SCvx
 from scp_recon.scp.loop import Record, Result, Timing

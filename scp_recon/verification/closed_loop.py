@@ -30,9 +30,9 @@ from formulations.arrays import Array
 from formulations.problem.execution_errors import VANISHED
 from scp_recon.mission.mission import Mission
 from scp_recon.physics import geometry
-from scp_recon.results.facts import BurnLimit
 from scp_recon.results.policy import Correction, Policy
 from scp_recon.results.solution import Solution
+from scp_recon.results.verification import BurnLimit
 from scp_recon.scenario.uncertainty import Gates
 from scp_recon.verification.consistency import ERRORS, FEW, POINTS, normal_points
 

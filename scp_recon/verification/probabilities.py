@@ -20,16 +20,11 @@ from scp_recon.monte_carlo.flights import FlightConfig
 from scp_recon.monte_carlo.limits import is_certain, limit_margins
 from scp_recon.monte_carlo.sampling import BLOCK, fly_blocks
 from scp_recon.monte_carlo.summary import COMPONENTS, WIDER
-from scp_recon.results.facts import (
-    DriftSafety,
-    FinalSigma,
-    JointProbability,
-    LostContact,
-    Risk,
-)
+from scp_recon.results.facts import Risk
 from scp_recon.results.figures import FINAL_SIGMAS, final_sigma_limits
 from scp_recon.results.policy import Policy
 from scp_recon.results.solution import Solution
+from scp_recon.results.verification import DriftSafety, FinalSigma, JointProbability, LostContact
 
 SAMPLES, SEED = 10_000, 0
 

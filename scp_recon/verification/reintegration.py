@@ -31,10 +31,16 @@ from scp_recon.monte_carlo.observation_time import observation_margins
 from scp_recon.monte_carlo.sampling import fly_block
 from scp_recon.physics import geometry
 from scp_recon.physics.forces import ForceModel, Moment, acceleration
-from scp_recon.results.facts import BurnLimit, FinalMiss, FinalSigma, MeanMargin, Verification
 from scp_recon.results.figures import is_converged, is_strange
 from scp_recon.results.policy import Policy
 from scp_recon.results.solution import Solution
+from scp_recon.results.verification import (
+    BurnLimit,
+    FinalMiss,
+    FinalSigma,
+    MeanMargin,
+    Verification,
+)
 from scp_recon.verification.closed_loop import (
     NO_BURN_M_S,
     JointCovariance,

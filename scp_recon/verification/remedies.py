@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from scp_recon.mission.mission import Mission
-from scp_recon.results.facts import Verification
 from scp_recon.results.figures import FINAL_SIGMAS
 from scp_recon.results.solution import Solution
+from scp_recon.results.verification import Verification
 from scp_recon.scp.status import Status
 from scp_recon.verification.refinement import finer_step_s
 from scp_recon.verification.reintegration import limits_of

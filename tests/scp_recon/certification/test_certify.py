@@ -35,9 +35,9 @@ from scp_recon.monte_carlo.whole_flight import kept_flights
 from scp_recon.planning import initial_guess
 from scp_recon.planning.plan import Plan
 from scp_recon.planning.planner import plan
-from scp_recon.results.facts import Verification
 from scp_recon.results.read import parse_solution
 from scp_recon.results.solution import Solution, make_solution
+from scp_recon.results.verification import Verification
 from scp_recon.verification.consistency import inconsistencies
 from scp_recon.verification.probabilities import refuted
 from scp_recon.verification.reintegration import verify

@@ -28,9 +28,9 @@ from scp_recon.planning import initial_guess
 from scp_recon.planning.plan import Plan, Provenance, Stage, StageSpec
 from scp_recon.planning.planner import plan
 from scp_recon.results.comparison import compare
-from scp_recon.results.facts import Verification
 from scp_recon.results.read import read_solution
 from scp_recon.results.solution import FILE_NAME, HASH, Solution, make_solution
+from scp_recon.results.verification import Verification
 from scp_recon.scp.algorithms import SCvx
 from scp_recon.scp.loop import Result, Timing
 from scp_recon.scp.status import Status

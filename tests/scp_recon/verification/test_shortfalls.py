@@ -9,15 +9,10 @@ from scp_recon.certification.flights import certificate_of
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.estimates import proportion, successes_needed
 from scp_recon.monte_carlo.whole_flight import KeptCounts
-from scp_recon.results.facts import (
-    BurnLimit,
-    EventProbability,
-    JointProbability,
-    Risk,
-    Verification,
-)
+from scp_recon.results.facts import EventProbability, Risk
 from scp_recon.results.figures import FINAL_SIGMAS
 from scp_recon.results.solution import HASH, Solution
+from scp_recon.results.verification import BurnLimit, JointProbability, Verification
 from scp_recon.scp.status import Status
 from scp_recon.verification.probabilities import refuted
 from scp_recon.verification.remedies import REMEDIES, kind_of, what_next
