@@ -25,7 +25,7 @@ from scp_recon.files import check_writable, write_atomically
 from scp_recon.mission import checks, grid
 from scp_recon.mission.interval import Interval
 from scp_recon.mission.intervals import INTERVALS, PLANNER_INTERVALS, STATE_INTERVALS
-from scp_recon.planning import plan, primer
+from scp_recon.planning import primer, records
 from scp_recon.results import facts, figures, policy, verification
 from scp_recon.results.solution import HASH, SCHEMA
 from scp_recon.scenario.json_schema import field_descriptions, json_schema
@@ -90,7 +90,7 @@ def scenario_page() -> str:
 
 def solution_page() -> str:
     """Every key of a solution file."""
-    modules = (plan, strata, primer, grid, policy, facts, verification, figures)
+    modules = (records, strata, primer, grid, policy, facts, verification, figures)
     kinds = {name: kind for module in modules for name, kind in vars(module).items()}
     parts = [
         "# Keys of a solution file",

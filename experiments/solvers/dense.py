@@ -20,8 +20,9 @@ from formulations.problem.flyby import Iterate
 from formulations.rows.exact import NodeRows
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
-from scp_recon.planning.plan import Problem, Stage, StageSpec, is_converged, merit_of
+from scp_recon.planning.plan import Stage, StageSpec, is_converged, merit_of
 from scp_recon.planning.planner import Planner
+from scp_recon.planning.records import Problem
 from scp_recon.planning.stages import Pipeline, same_optimum
 from scp_recon.scenario.load import load_scenario
 

@@ -11,7 +11,8 @@ from scp_recon.api.planning import carry_out
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.schedule import BURNS_TO_MEET
 from scp_recon.planning.method import ALGORITHM, FORMULATION, SETTLE
-from scp_recon.planning.plan import Parent, Plan, ended
+from scp_recon.planning.plan import Plan, ended
+from scp_recon.planning.records import Parent
 from scp_recon.replanning.flown import FlownPlan
 from scp_recon.replanning.remainder import path_planned
 from scp_recon.replanning.retiming import with_free_times

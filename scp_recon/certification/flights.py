@@ -34,7 +34,8 @@ from scp_recon.monte_carlo.whole_flight import (
     kept_flights,
     seconds_of,
 )
-from scp_recon.planning.plan import Aimed, Certificate, Plan
+from scp_recon.planning.plan import Aimed, Plan
+from scp_recon.planning.records import Certificate
 from scp_recon.results.policy import policy_of
 
 TEST_WIDTH, ROUND_WIDTH = 0.97, 1.5

@@ -16,7 +16,8 @@ from formulations.rows.node_probability import joint_events
 from scp_recon.errors import InputError
 from scp_recon.monte_carlo.estimates import Estimate, proportion
 from scp_recon.monte_carlo.sampling import BLOCK, NAVIGATION, draw
-from scp_recon.planning.plan import Certificate, Stage, Unit
+from scp_recon.planning.plan import Stage, Unit
+from scp_recon.planning.records import Certificate
 from scp_recon.scp.loop import Timing
 from scp_recon.scp.status import Status
 

@@ -24,8 +24,9 @@ from scp_recon.mission.schedule import ROOM_S
 from scp_recon.passes.space import Pass, Space, nearest_legal
 from scp_recon.planning.initial_guess import from_burns
 from scp_recon.planning.method import FacetRounds
-from scp_recon.planning.plan import Problem, Stage, StageSpec, rank, scales
+from scp_recon.planning.plan import Stage, StageSpec, rank, scales
 from scp_recon.planning.planner import FEW_LINES, FINE, Planner
+from scp_recon.planning.records import Problem
 from scp_recon.planning.stages import Pipeline
 from scp_recon.scp.status import Status
 

@@ -30,8 +30,9 @@ from scp_recon.physics.forces import ForceModel, acceleration
 from scp_recon.physics.partials import STEP
 from scp_recon.planning.method import FacetRounds
 from scp_recon.planning.missions import make_plan, other_starts
-from scp_recon.planning.plan import Plan, Problem, Provenance, Stage, StageSpec
+from scp_recon.planning.plan import Plan, Provenance, Stage, StageSpec
 from scp_recon.planning.planner import Planner, screened
+from scp_recon.planning.records import Problem
 from scp_recon.planning.stages import Observer, Pipeline, StageSolver, unobserved
 from scp_recon.scp.algorithms import SCvx
 from scp_recon.scp.loop import Record, Result, Timing

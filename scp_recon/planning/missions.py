@@ -13,7 +13,8 @@ from formulations.problem.flyby import Iterate
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.planning.initial_guess import ballistic, circular, from_burns
-from scp_recon.planning.plan import Plan, Provenance, Stage, WithoutUncertainty, rank
+from scp_recon.planning.plan import Plan, Provenance, Stage, rank
+from scp_recon.planning.records import WithoutUncertainty
 from scp_recon.planning.stages import Pipeline, same_optimum
 from scp_recon.scenario.fields import ScenarioWarning
 from scp_recon.scp.status import Status

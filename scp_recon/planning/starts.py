@@ -18,16 +18,8 @@ from scp_recon.jobs.seeds import generator
 from scp_recon.mission.mission import Mission
 from scp_recon.planning.initial_guess import bent
 from scp_recon.planning.missions import cheapest_p3
-from scp_recon.planning.plan import (
-    Optimum,
-    Plan,
-    Stage,
-    Starts,
-    as_interrupted,
-    is_converged,
-    merit_of,
-    rank,
-)
+from scp_recon.planning.plan import Plan, Stage, as_interrupted, is_converged, merit_of, rank
+from scp_recon.planning.records import Optimum, Starts
 from scp_recon.planning.stages import same_optimum
 from scp_recon.scp.status import Status
 

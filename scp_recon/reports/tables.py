@@ -13,7 +13,7 @@ import numpy as np
 from scp_recon.mission.constraints import Bound, bounds_on_mean
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.observation_time import ALL
-from scp_recon.planning.plan import Starts
+from scp_recon.planning.records import Starts
 from scp_recon.results.facts import Burn, IterationRecord
 from scp_recon.results.policy import sigmas
 from scp_recon.results.solution import Solution

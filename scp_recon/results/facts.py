@@ -16,8 +16,8 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import ConfigDict, Field, TypeAdapter
 
 from scp_recon.display import mm_s
-from scp_recon.planning.plan import Certificate, Parent, Starts, WithoutUncertainty
 from scp_recon.planning.primer import PrimerHistory
+from scp_recon.planning.records import Certificate, Parent, Starts, WithoutUncertainty
 from scp_recon.results.policy import StoredPolicy
 from scp_recon.results.verification import Verification
 from scp_recon.scenario.fields import Line, Number, Probability, ScenarioWarning, Speed

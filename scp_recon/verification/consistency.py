@@ -29,7 +29,8 @@ from scp_recon.monte_carlo.estimates import (
     seed_of_test,
 )
 from scp_recon.monte_carlo.limits import limit_margins
-from scp_recon.planning.plan import Certificate, Unit, scales
+from scp_recon.planning.plan import Unit, scales
+from scp_recon.planning.records import Certificate
 from scp_recon.results.facts import EventProbability, FacetTable, Risk
 from scp_recon.results.figures import (
     BARELY,

@@ -16,7 +16,8 @@ from scp_recon.api import planning
 from scp_recon.api.verbs import plan
 from scp_recon.certification.certify import AimedPlanning
 from scp_recon.mission.mission import Mission
-from scp_recon.planning.plan import Certificate, Plan
+from scp_recon.planning.plan import Plan
+from scp_recon.planning.records import Certificate
 from scp_recon.scenario.load import load_scenario
 from tests.scenarios import COARSE
 from tests.scp_recon.support import fly_few

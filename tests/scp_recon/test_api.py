@@ -20,7 +20,8 @@ from scp_recon.api import files, flights, planning
 from scp_recon.api.options import PlanOptions
 from scp_recon.display import Displayed
 from scp_recon.errors import InputError
-from scp_recon.planning.plan import Certificate, Parent, Plan, as_interrupted
+from scp_recon.planning.plan import Plan, as_interrupted
+from scp_recon.planning.records import Certificate, Parent
 from scp_recon.results.comparison import Comparison
 from scp_recon.results.read import read_solution
 from scp_recon.results.solution import make_solution

@@ -14,8 +14,9 @@ from formulations.rows.uniform import DeterministicRows
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
-from scp_recon.planning.plan import Optimum, Plan, Starts
+from scp_recon.planning.plan import Plan
 from scp_recon.planning.planner import plan
+from scp_recon.planning.records import Optimum, Starts
 from scp_recon.planning.stages import path_ignores_burns
 from scp_recon.planning.starts import _Several, plan_from_several, random_flight, unseen
 from scp_recon.results.solution import make_solution
