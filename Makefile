@@ -72,8 +72,9 @@ release: check golden $(VENV)/.evidence  ## all that a release has to pass, then
 	$(BIN)/python -m experiments evidence --check
 	$(BIN)/python -m experiments evidence --dated
 
-figures: $(VENV)/.test  ## make all figures, the studies that are missing first, and those of docs that no study feeds
-	$(BIN)/python -m paper_figs --all
+figures: $(VENV)/.test  ## draw the paper's figures, and those of docs that no study feeds
+	test -d runs/paper || $(BIN)/python -m experiments observation_table
+	$(BIN)/python -m paper_figs
 	$(BIN)/python -m paper_figs modes --out docs/modes.png
 	$(BIN)/python -m paper_figs flyby --runs runs/paper/scp_cold --out docs/flyby.png
 

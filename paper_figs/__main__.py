@@ -1,20 +1,13 @@
 """Draw the paper's figures, or those named: `python -m paper_figs [NAME ...]`.
 
-Without names all of the paper's go to a folder as PNG and PDF, with the figures of every study whose
-folder is found. They are drawn from the results of `python -m experiments observation_table`. Named
-figures are PNG, and a single one may be a file of any format.
+Without names the paper's figures go to a folder as PNG and PDF, drawn from the results of
+`python -m experiments observation_table`. Named figures are PNG, and a single one may be a file of
+any format; those of studies are drawn from the study's folder.
 """
 
 from __future__ import annotations
 
-from scp_recon.cli.command import (
-    Answer,
-    exit_on_sigint,
-    parse,
-    run_command,
-    show_line,
-    show_written,
-)
+from scp_recon.cli.command import Answer, exit_on_sigint, parse, run_command, show_written
 
 if __name__ == "__main__":
     exit_on_sigint()
@@ -29,19 +22,9 @@ from typing import Any
 from matplotlib.figure import Figure
 from rich.console import Console
 
-from paper_figs import campaigns, flight, observation, plans, polytopes, spacecraft
+from paper_figs import campaigns, flight, observation, plans, polytopes
 from paper_figs.drawing import save
-from paper_figs.inputs import (
-    FLOWN_PLAN,
-    PAPER,
-    SIMULATED,
-    Source,
-    read_flight,
-    read_flights,
-    read_runs,
-    read_whole_flight,
-    run_missing,
-)
+from paper_figs.inputs import read_runs, read_tables, read_whole_flight
 from scp_recon.errors import one_of
 from scp_recon.files import unwritable
 from scp_recon.mission.mission import Mission
@@ -56,35 +39,31 @@ class Item:
 
     Attributes:
         draw: function of the result of `read` to the figure, or to several by name.
-        source: the folder of its input, and the command that writes it.
-        read: function of that folder to the input; by default the source's tables.
+        read: function of a folder to the input.
+        folder: usual name of the folder of its input, below runs.
         dpi: resolution of a raster, if not the style's.
     """
 
     draw: Callable[[Any], Figure | Mapping[str, Figure]]
-    source: Source = PAPER
-    read: Callable[[Path], Any] | None = None
+    read: Callable[[Path], Any] = read_runs
+    folder: str = "paper"
     dpi: float | None = None
-
-    def found(self, folder: Path) -> Any:
-        """The input in a folder."""
-        return (self.read or self.source.read)(folder)
 
 
 def _study(
     draw: Callable[..., Figure | Mapping[str, Figure]],
     folder: str = "",
     line: str = "",
-    **tables: str,
+    **columns: str,
 ) -> Item:
     """A figure of a study's tables, each with a column that it must have."""
     name = folder or draw.__name__
-    files = {f"{table}.csv": column for table, column in tables.items()}
-    return Item(draw, Source(name, f"python -m experiments {line or name}", files))
+    command = f"python -m experiments {line or name}"
+    return Item(draw, lambda place: read_tables(place, command, columns), name)
 
 
 FIGURES = {
-    draw.__name__: Item(draw, read=read_runs)
+    draw.__name__: Item(draw)
     for draw in (
         observation.observation_geometry,
         polytopes.cone_polytopes,
@@ -107,117 +86,61 @@ STUDIES = {
         _study(plans.map_sample, line="maps --sample", sample="site.latitude_deg"),
         _study(plans.accuracy, accuracy="error"),
         _study(
-            spacecraft.battery_cones,
-            battery_cones="half_angle_deg",
-            battery_cones_samples="power_w",
-        ),
-        _study(
-            spacecraft.model_fidelity,
-            model_fidelity="terminal_m",
-            model_fidelity_history="distance_m",
-        ),
-        _study(spacecraft.uncertainty_sources, uncertainty_sources="rms_m"),
-        _study(
-            spacecraft.uncertainty_quantiles,
-            "uncertainty_sources",
-            uncertainty_quantiles="observed",
-            uncertainty_sources="rms_m",
-        ),
-        Item(spacecraft.attitude_and_actuators, SIMULATED, read_flight),
-        Item(spacecraft.power_history, SIMULATED, read_flight),
-        Item(spacecraft.flown_plan, FLOWN_PLAN, read_flights),
-        _study(
-            spacecraft.timing_rules,
-            timing_rules="measured_s",
-            timing_rules_slews="settled_0.25_deg_s",
+            plans.solver_comparison,
+            "comparison",
+            "compare_solvers",
+            methods="method",
+            random="solved",
         ),
     )
 }
-"""Figures of studies, drawn with the paper's if the study's folder exists."""
+"""Figures of studies."""
 
-
-def _default_mission(_: Path) -> Mission:
-    return Mission.from_scenario(load_scenario())
-
-
-ALONE = {
-    "flyby": Item(flight.flyby, read=read_whole_flight, dpi=140),
-    "modes": Item(flight.modes, read=_default_mission, dpi=120),
-    "maps": Item(
-        campaigns.campaigns, Source("maps", "python -m experiments maps"), campaigns.read_campaigns
-    ),
-    "solver_comparison": _study(
-        plans.solver_comparison, "comparison", "compare_solvers", methods="method", random="solved"
-    ),
+EVERYTHING: dict[str, Item] = {
+    **FIGURES,
+    **STUDIES,
+    "flyby": Item(flight.flyby, read_whole_flight, "paper/scp_cold", 140),
+    "modes": Item(flight.modes, lambda _: Mission.from_scenario(load_scenario()), dpi=120),
+    "maps": Item(campaigns.campaigns, campaigns.read_campaigns, "maps"),
 }
-"""Figures that are drawn only if they are named."""
-
-EVERYTHING: dict[str, Item] = FIGURES | STUDIES | ALONE
 
 
-def plan_hash_of(source: Any) -> str | None:
-    """Hash of the plan of which a figure is drawn; None if it is not one known plan."""
-    one = source[0] if isinstance(source, list) else source
-    found: str | None = getattr(one, "plan_hash", None)
-    return found
+def draw(items: Mapping[str, Item], runs: Path | None, out: Path) -> Iterator[Path]:
+    """Draw figures into a folder, or one into a file; yields each path.
 
-
-def draw(
-    items: Mapping[str, Item], folders: Mapping[str, Path], out: Path, endings: Sequence[str]
-) -> Iterator[Path]:
-    """Draw figures from their folders into a folder, or one into a file; yields each path.
+    Args:
+        items: the figures by name.
+        runs: folder of their inputs; None for the usual one of each.
+        out: folder, or the file of a single figure.
 
     Raises:
-        InputError: if a folder is unusable, or the name of a file is no picture's.
+        InputError: if an input is unusable, or the name of a file is no picture's.
         OSError: if the folder cannot be written.
     """
     alone = len(items) == 1 and out.suffix != "" and not out.is_dir()
+    endings = PICTURES if items == FIGURES else PICTURES[:1]
     if not alone:
         out.mkdir(parents=True, exist_ok=True)
     inputs: dict[tuple[object, Path], Any] = {}  # the paper's figures share theirs
     for name, item in items.items():
-        key = item.read or name, folders[name]
-        inputs = inputs if key in inputs else {key: item.found(folders[name])}
-        made = item.draw(inputs[key])
+        folder = runs or Path("runs") / item.folder
+        key = item.read, folder
+        inputs = inputs if key in inputs else {key: item.read(folder)}
+        made, plan_hash = item.draw(inputs[key]), getattr(inputs[key], "plan_hash", None)
         for own, figure in ({name: made} if isinstance(made, Figure) else made).items():
             for path in [out] if alone else [out / f"{own}{ending}" for ending in endings]:
-                yield save(figure, path, item.dpi, plan_hash_of(inputs[key]))
+                yield save(figure, path, item.dpi, plan_hash)
 
 
 def parser() -> argparse.ArgumentParser:
     """The command line."""
-    p = argparse.ArgumentParser(
-        prog="python -m paper_figs",
-        description=__doc__,
-        epilog=f"Names: {', '.join(EVERYTHING)}.",
-    )
+    names = f"Names: {', '.join(EVERYTHING)}."
+    p = argparse.ArgumentParser(prog="python -m paper_figs", description=__doc__, epilog=names)
     p.add_argument("names", nargs="*", metavar="NAME", help="a figure (default: the paper's)")
-    p.add_argument(
-        "--runs",
-        type=Path,
-        metavar="DIR",
-        help="what experiments observation_table wrote, or a plan of one's own (default: runs/paper); "
-        "of a single study's figure, the study's folder",
-    )
-    p.add_argument(
-        "--studies",
-        type=Path,
-        default=Path("runs"),
-        metavar="DIR",
-        help="folder of the studies' folders (default: runs)",
-    )
-    p.add_argument(
-        "--out",
-        type=Path,
-        default=Path("runs") / "figures",
-        metavar="DIR",
-        help="folder for all of it (default: runs/figures), or for a single one a file, e.g. x.svg",
-    )
-    p.add_argument(
-        "--all",
-        action="store_true",
-        help="run first whatever study has left nothing in its folder; hours, with all extras",
-    )
+    said = "what the study wrote, of the paper's figures also a plan (default: the study's in runs)"
+    p.add_argument("--runs", type=Path, metavar="DIR", help=said)
+    said = "folder (default: runs/figures), or of a single one a file, e.g. x.svg"
+    p.add_argument("--out", type=Path, default=Path("runs") / "figures", metavar="DIR", help=said)
     return p
 
 
@@ -228,34 +151,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _draw(options: argparse.Namespace, console: Console) -> Answer:
-    names = [one_of("NAME", name, EVERYTHING) for name in options.names]
-    items = {name: EVERYTHING[name] for name in names} or FIGURES | STUDIES
-    paper, single = Path("runs") / PAPER.folder, len(names) == 1
-    if options.all:
-        sources = [item.source for item in items.values() if item.source is not PAPER]
-        runs = options.runs or paper
-        run_missing(runs, options.studies, sources, lambda line: show_line(console, line))
-    folders = {}
-    for name, item in items.items():
-        home = paper if item.source is PAPER else options.studies / item.source.folder
-        folders[name] = options.runs if options.runs and (single or home == paper) else home
-    wanting = {
-        name: STUDIES[name].source.command
-        for name in ({} if names else STUDIES)
-        if not folders[name].is_dir()
-    }
+    items = {one_of("NAME", name, EVERYTHING): EVERYTHING[name] for name in options.names}
     files: list[str] = []
     try:
-        endings = PICTURES[:1] if names else PICTURES
-        chosen = {name: item for name, item in items.items() if name not in wanting}
-        for path in draw(chosen, folders, options.out, endings):
+        for path in draw(items or FIGURES, options.runs, options.out):
             show_written(console, path)
             files.append(str(path))
     except OSError as error:
         raise unwritable(options.out, "--out", error) from None
-    for name, line in wanting.items():
-        show_line(console, f"not drawn: {name}, for want of `{line}`")
-    return Answer(0, {"files": files, "not_drawn": wanting})
+    return Answer(0, {"files": files})
 
 
 if __name__ == "__main__":

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,12 +12,11 @@ from matplotlib.figure import Figure
 from matplotlib.quiver import Quiver
 from matplotlib.text import Text
 from matplotlib.transforms import Bbox
-from numpy.typing import ArrayLike
 from scipy.special import ndtri
 
 from formulations.arrays import Array
 from scp_recon.files import check_ending, unwritable, write_atomically
-from scp_recon.results.pictures import endings, legend, picture
+from scp_recon.results.pictures import endings, picture
 
 Look = dict[str, Any]
 """Keywords of a style."""
@@ -79,26 +78,6 @@ def probability_axis(axes: Axes, ticks: Sequence[float], label: str, **look: Any
     """Label an axis of normal quantiles by their probabilities."""
     axes.set_xticks(ndtri(ticks), [f"{p:g}" for p in ticks], **look)
     axes.set_xlabel(label)
-
-
-def quantile_panels(
-    figure: Figure, points: Mapping[str, tuple[ArrayLike, ArrayLike]], reach: float
-) -> None:
-    """Draw sampled quantiles against a normal variable's in two rows of three panels, by title.
-
-    `reach` is the number of standard deviations shown.
-    """
-    panels = figure.subplots(2, 3, sharex=True, sharey=True)
-    for axes, (title, quantiles) in zip(panels.flat, points.items(), strict=True):
-        axes.axline((0.0, 0.0), slope=1.0, color="0.5", lw=1.0, ls="--", label="normal")
-        axes.plot(*quantiles, "o", ms=2.5, color="k", label="sampled flights")
-        axes.set_title(title, loc="left")
-        axes.set(xlim=(-reach, reach), ylim=(-reach, reach), aspect="equal")
-    for axes in panels[-1]:
-        axes.set_xlabel("normal quantile (sigma)")
-    for axes in panels[:, 0]:
-        axes.set_ylabel("sampled quantile (sigma)")
-    legend(figure, 2)
 
 
 def place_labels(

@@ -1,14 +1,11 @@
-"""Read the figures' inputs: a plan with its flights, a simulated flight, tables of studies.
+"""Read the figures' inputs: a plan with its flights, and tables of studies.
 
 Every message names the command that writes what is missing, damaged or of another plan.
 """
 
 from __future__ import annotations
 
-import subprocess
-import sys
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import pandas as pd
@@ -23,86 +20,13 @@ from scp_recon.results.read import read_solution
 from scp_recon.results.runs import folder_of, resolve_run
 from scp_recon.results.solution import FILE_NAME as SOLUTION_FILE
 from scp_recon.results.solution import Solution, ballistic_arc, require_whole_flight
-from scp_recon.simulation.record import FILE_NAME as FLIGHT_FILE
-from scp_recon.simulation.record import Record, read_record
 
 PLAN, SURROGATE, AS_FLOWN = "scp_cold", "ballistic", "as_flown"
+PAPER = "python -m experiments observation_table"
 FLIGHTS = 10_000
 """Flights of a plan that has no flights beside it."""
 SHOWN = 16
 """Digits of a plan's hash in messages."""
-SOLUTION = "SOLUTION"
-"""Placeholder of the plan in a study's command."""
-EMPTY_HANDED = 2
-"""Exit status of a command that could not begin."""
-
-
-@dataclass(frozen=True)
-class Source:
-    """Files that a command writes for a figure.
-
-    Attributes:
-        folder: name of its folder among those of the studies.
-        command: command that writes it, without its --out.
-        tables: its CSV files by name, each with a column that it must have.
-    """
-
-    folder: str
-    command: str
-    tables: Mapping[str, str] = field(default_factory=dict)
-
-    def refused(self, path: Path, given: str, folder: Path, must: str = "") -> InputError:
-        """Error for a file, with the command that writes it anew."""
-        written = f"{must}written by `{self.command} --out {folder}`"
-        return InputError(str(path), given, written)
-
-    def require(self, path: Path, folder: Path) -> Path:
-        """Path of an existing file.
-
-        Raises:
-            InputError: if it is missing.
-        """
-        if not path.is_file():
-            raise self.refused(path, "no such file", folder)
-        return path
-
-    def read(self, folder: Path) -> list[pd.DataFrame]:
-        """All tables in a folder.
-
-        Raises:
-            InputError: if a file is missing, damaged, empty or lacks its column.
-        """
-        found = []
-        for name, column in self.tables.items():
-            path = self.require(folder / name, folder)
-            try:
-                table = pd.read_csv(path)
-            except ValueError:
-                table = pd.DataFrame()
-            if column not in table or table.empty:
-                raise self.refused(path, "an unusable file", folder)
-            found.append(table)
-        return found
-
-    def check_plan(self, plan_hash: str, file: Path, plan_file: Path, folder: Path) -> None:
-        """Check that the flights in a file are of the plan in another.
-
-        Raises:
-            InputError: if another plan was flown.
-        """
-        if plan_hash != (own := read_solution(plan_file).plan_hash):
-            flown = f"flights of plan {plan_hash[:SHOWN]}"
-            must = f"must be of the plan {own[:SHOWN]} of {plan_file}: "
-            raise self.refused(file, flown, folder, must)
-
-
-PAPER = Source("paper", "python -m experiments observation_table")
-SIMULATED = Source("simulation", "python -m scp_recon simulate SOLUTION")
-FLOWN_PLAN = Source(
-    "flown_plan",
-    "python -m experiments flown_plan SOLUTION --fresh",
-    {"flown_plan.csv": "seed"},
-)
 
 
 @dataclass(frozen=True)
@@ -173,14 +97,19 @@ def _fly(solution: Solution) -> Summary:
 
 
 def _flown(folder: Path, key: str, label: str) -> FlownPlan:
-    plan_file = PAPER.require(folder / key / SOLUTION_FILE, folder)
-    file = PAPER.require(folder / key / SUMMARY_FILE, folder)
+    plan_file, file = folder / key / SOLUTION_FILE, folder / key / SUMMARY_FILE
+    for path in (plan_file, file):
+        if not path.is_file():
+            raise _refused(path, "no such file", PAPER)
     solution = read_solution(plan_file)
     try:
         summary = read_summary(file)
     except InputError:
-        raise PAPER.refused(file, "an unusable file", folder) from None
-    PAPER.check_plan(summary.plan_hash, file, plan_file, folder)
+        raise _refused(file, "an unusable file", PAPER) from None
+    if not summary.is_of(solution):
+        flown = f"flights of plan {summary.plan_hash[:SHOWN]}"
+        must = f"must be of the plan {solution.plan_hash[:SHOWN]} of {plan_file}: "
+        raise _refused(file, flown, PAPER, must)
     return FlownPlan(label, solution, summary)
 
 
@@ -195,61 +124,28 @@ def read_whole_flight(folder: Path) -> Solution:
     return solution
 
 
-def read_flight(folder: Path) -> Record:
-    """The simulated flight in a folder.
+def read_tables(folder: Path, command: str, columns: dict[str, str]) -> list[pd.DataFrame]:
+    """Tables of a study by name, each with a column that it must have.
 
     Raises:
-        InputError: if its file is missing or unusable, or of another plan than a solution beside it.
+        InputError: if a file is missing, damaged, empty or lacks its column.
     """
-    return _read_flight(SIMULATED, folder / FLIGHT_FILE, folder)
+    found = []
+    for name, column in columns.items():
+        path = folder / f"{name}.csv"
+        if not path.is_file():
+            raise _refused(path, "no such file", command)
+        try:
+            table = pd.read_csv(path)
+        except ValueError:
+            table = pd.DataFrame()
+        if column not in table or table.empty:
+            raise _refused(path, "an unusable file", command)
+        found.append(table)
+    return found
 
 
-def read_flights(folder: Path) -> list[Record]:
-    """The flights of the study `flown_plan`, those that its table names.
-
-    Raises:
-        InputError: if a file is missing or unusable, or flights are of different plans or of
-            another than a solution beside them.
-    """
-    (table,) = FLOWN_PLAN.read(folder)
-    files = [folder / f"seed_{seed}" / FLIGHT_FILE for seed in table.seed]
-    records = [_read_flight(FLOWN_PLAN, file, folder) for file in files]
-    if len({record.plan_hash for record in records}) > 1:
-        raise FLOWN_PLAN.refused(folder, "flights of different plans", folder, "must be of one: ")
-    return records
-
-
-def _read_flight(source: Source, file: Path, folder: Path) -> Record:
-    source.require(file, folder)
-    try:
-        record = read_record(file)
-    except InputError:
-        raise source.refused(file, "an unusable file", folder) from None
-    plan_file = folder / SOLUTION_FILE
-    if plan_file.is_file():
-        source.check_plan(record.plan_hash, file, plan_file, folder)
-    return record
-
-
-def run_missing(
-    runs: Path,
-    studies: Path,
-    wanted: Iterable[Source],
-    tell: Callable[[str], None],
-    run: Callable[[list[str]], int] = lambda words: subprocess.run(words, check=False).returncode,
-) -> None:
-    """Run the studies without results; one that lacks an extra is reported and skipped.
-
-    `runs` is the folder of the observation-time table, or a plan; `studies` has the studies' folders.
-    """
-    own = runs.is_file() or (runs / SOLUTION_FILE).exists()
-    plan = runs if own else runs / PLAN
-    lines = {} if own or plan.exists() else {runs: PAPER.command}
-    folders = {studies / source.folder: source.command for source in wanted}
-    lines |= {folder: command for folder, command in folders.items() if not folder.is_dir()}
-    for out, line in lines.items():
-        words = [str(plan) if word == SOLUTION else word for word in line.split()]
-        tell(" ".join([*words, "--out", str(out)]))
-        status = run([sys.executable, *words[1:], "--out", str(out)])
-        if status == EMPTY_HANDED:
-            tell(f"exit status {status}: left out")
+def _refused(path: Path, given: str, command: str, must: str = "") -> InputError:
+    """Error for a file, with the command that writes it anew."""
+    home = path.parent.parent if command is PAPER else path.parent
+    return InputError(str(path), given, f"{must}written by `{command} --out {home}`")

@@ -11,7 +11,7 @@ from matplotlib.patches import Arc, Circle, Wedge
 from scipy.stats import norm
 
 from formulations.arrays import Array
-from paper_figs.drawing import Look, history, quantile_panels
+from paper_figs.drawing import Look, history
 from paper_figs.inputs import FlownPlan, Runs
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.observation_time import measured
@@ -143,13 +143,20 @@ def _times(axes: Axes, runs: Runs, name: str, edges: Array) -> None:
 
 def terminal_normality(runs: Runs) -> Figure:
     """A quantile-quantile panel per component of the final state, J2000."""
-    tests = {name: runs.plan.summary.terminal.normality[name] for name in COMPONENTS}
-    points = {
-        f"{name}: p-value {test.p_value:.1g}": (norm.ppf(test.levels), np.array(test.quantiles))
-        for name, test in tests.items()
-    }
+    tests = runs.plan.summary.terminal.normality
     with page(4.8) as figure:
-        quantile_panels(figure, points, REACH)
+        panels = figure.subplots(2, 3, sharex=True, sharey=True)
+        for axes, name in zip(panels.flat, COMPONENTS, strict=True):
+            test, reach = tests[name], (-REACH, REACH)
+            axes.axline((0.0, 0.0), slope=1.0, color="0.5", lw=1.0, ls="--", label="normal")
+            expected = norm.ppf(test.levels)
+            axes.plot(expected, test.quantiles, "o", ms=2.5, color="k", label="sampled flights")
+            axes.set_title(f"{name}: p-value {test.p_value:.1g}", loc="left")
+            axes.set(xlim=reach, ylim=reach, aspect="equal")
+            axes.set(xlabel="normal quantile (sigma)", ylabel="sampled quantile (sigma)")
+        for axes in panels.flat:
+            axes.label_outer()
+        legend(figure, 2)
     return figure
 
 
