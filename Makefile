@@ -41,7 +41,7 @@ types: $(VENV)/.dev  ## check the types
 nightly: $(VENV)/.test $(VENV)/.docs $(VENV)/.evidence  ## look harder: 500 examples a property, and counts of what they tried
 	HYPOTHESIS_PROFILE=nightly $(BIN)/python -m pytest $(BY_FILE) --timeout 3600 \
 	--reliability=runs/reliability.json
-	$(BIN)/python -m experiments evidence --check --random
+	$(BIN)/python -m experiments evidence --check
 
 coverage: $(VENV)/.dev  ## lines and branches that the tests reach
 	$(BIN)/python -m pytest $(BY_FILE) --cov --cov-report term --cov-report json:runs/coverage.json

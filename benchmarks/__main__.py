@@ -24,16 +24,7 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
-from experiments.harness import (
-    Findings,
-    Record,
-    Session,
-    Study,
-    option,
-    records,
-    run,
-    run_python,
-)
+from experiments.harness import Findings, Record, Session, Study, run, run_python
 from scp_recon.jobs.job import Job
 
 ROUNDS, REPEATS = 3, 3
@@ -81,15 +72,15 @@ WAITS = {
 
 def methods(session: Session) -> Findings:
     """Time every method and the command line."""
-    store, rounds = session.store(), 1 if session.options.quick else ROUNDS
+    store = session.store()
     what: dict[str, tuple[str, ...]]
     what = {name: ("planned", name, str(repeats)) for name, repeats in METHODS.items()}
     what |= {REPLANS: ("replanned",), FLIGHTS: ("flown", str(REPEATS))}
-    every = product(range(rounds), what)
+    every = product(range(ROUNDS), what)
     jobs = [Job(f"{round_} {name}", what[name]) for round_, name in every]
     rows = session.rows("methods", in_a_process, jobs, store)
     found = {name: best([*rows[k :: len(what)]]) for k, name in enumerate(what)}
-    repeats = [Job(f"command {number}", session.out) for number in range(2 * rounds)]
+    repeats = [Job(f"command {number}", session.out) for number in range(2 * ROUNDS)]
     times = session.rows("commands", command_times, repeats, store)
     commands = {name: min(row[name] for row in times) for name in times[0]}
     planned = [found[name] for name in METHODS]
@@ -100,7 +91,7 @@ def methods(session: Session) -> Findings:
         | {key: row[key] for key in row if key != "subproblem_s"}
         for row in planned
     ]
-    return _found({"methods": table, "ratios": ratios(found, commands)})
+    return Findings({"methods": table, "ratios": ratios(found, commands)})
 
 
 def best(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
@@ -158,11 +149,10 @@ def _without_setup(row: Mapping[str, Any]) -> float:
 
 def waits(session: Session) -> Findings:
     """Time every command, and keep of each the run of least processor time."""
-    rounds = 1 if session.options.quick else ROUNDS - 1
-    runs = product(range(rounds), WAITS)
+    runs = product(range(ROUNDS - 1), WAITS)
     rows = session.rows("waits", lambda one: waited(one[1], session.out), runs, session.store())
     ends = (rows[k :: len(WAITS)] for k in range(len(WAITS)))
-    return _found({"waits": [min(own, key=lambda row: row["processor_s"]) for own in ends]})
+    return Findings({"waits": [min(own, key=lambda row: row["processor_s"]) for own in ends]})
 
 
 def waited(name: str, out: Path) -> dict[str, Any]:
@@ -173,15 +163,7 @@ def waited(name: str, out: Path) -> dict[str, Any]:
     return {"command": name, **run_python(["-m", "scp_recon", *words])[0]}
 
 
-def _found(tables: Mapping[str, Sequence[Record]]) -> Findings:
-    return Findings({f"{name}.csv": records(rows) for name, rows in tables.items()})
-
-
-QUICK = option("--quick", action="store_true", help="one round")
-STUDIES = {
-    "methods": Study(__doc__, methods, [QUICK]),
-    "waits": Study(__doc__, waits, [QUICK]),
-}
+STUDIES = {"methods": Study(__doc__, methods), "waits": Study(__doc__, waits)}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

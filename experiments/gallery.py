@@ -14,7 +14,7 @@ from time import process_time
 
 import numpy as np
 
-from experiments.harness import Findings, Record, Session, Study, records
+from experiments.harness import Findings, Record, Session, Study
 from scp_recon.api.plan_verbs import fly, save
 from scp_recon.api.verbs import design
 from scp_recon.mission.scene import TruthModel
@@ -62,7 +62,7 @@ def measure(out: Path, name: str) -> Record:
 def run(session: Session) -> Findings:
     """Measure every body."""
     rows = session.rows("passes", partial(measure, session.out), BODIES, session.store())
-    return Findings({"gallery.csv": records(rows)})
+    return Findings({"gallery": rows})
 
 
 STUDY = Study(__doc__, run)

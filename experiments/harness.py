@@ -25,6 +25,7 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any, NamedTuple
 
+import pandas as pd
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
@@ -39,22 +40,20 @@ from scp_recon.cli.command import (
     show_line,
     show_written,
 )
-from scp_recon.cli.options import int_between
 from scp_recon.cli.rendering import terminal
 from scp_recon.errors import InputError
 from scp_recon.files import write_atomically
 from scp_recon.jobs.job import Done, Executor, Failure, Job, Key, Work
 from scp_recon.jobs.store import Row, Store
 from scp_recon.jobs.store import run as run_jobs
-from scp_recon.mission.feedback import require_open_loop
+from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.flights import FlightConfig, FlightTally, fly_many
 from scp_recon.monte_carlo.observation_time import ALL
 from scp_recon.planning.plan import Plan
 from scp_recon.results.policy import policy_of
-from scp_recon.results.read import read_solution
 from scp_recon.results.solution import Solution, make_solution
 from scp_recon.results.table import Cell, Table
-from scp_recon.scenario.load import base_names, packaged
+from scp_recon.scenario.load import base_names, load_scenario, packaged
 
 Record = dict[str, Any]
 """A row of a CSV file by column."""
@@ -76,23 +75,6 @@ Option = tuple[str, Mapping[str, Any]]
 def option(flag: str, **settings: Any) -> Option:
     """An option or argument, with the keywords of `argparse.add_argument`."""
     return flag, settings
-
-
-def number(flag: str, default: int, least: int, most: int, what: str, words: str = "") -> Option:
-    """An option for a whole number within bounds."""
-    kind, said = int_between(least, most, words), f"{what} (default: {default})"
-    return flag, {"type": kind, "default": default, "metavar": "N", "help": said}
-
-
-def path(flag: str, metavar: str, what: str) -> Option:
-    """An option for a file or a folder."""
-    return flag, {"type": Path, "metavar": metavar, "help": what}
-
-
-SEED = number("--seed", 0, 0, 2**32 - 1, "of all random numbers")
-FRESH = option("--fresh", action="store_true", help="do finished work again")
-VEHICLE = path("--vehicle", "FILE", "vehicle file (default: the packaged DARE)")
-PLAN = path("--solution", "DIR", "plan to fly (default: the default scenario's from a cold start)")
 
 
 class Claim(NamedTuple):
@@ -118,12 +100,21 @@ VARIATIONS = ("accuracy", "lifted", "nlp_tricks", "sensitivity")
 class Findings:
     """Results of a study.
 
-    `files` are tables by the name of their CSV file; `status` is the command's exit status.
+    `tables` are rows by the name of their table, which is that of the CSV file too; `status` is the
+    command's exit status.
     """
 
-    files: Mapping[str, Table]
+    tables: Mapping[str, Sequence[Record] | pd.DataFrame]
     claims: Sequence[Claim] = ()
     status: int = 0
+
+    def written(self) -> dict[str, Table]:
+        """The tables as they are written, a column for each key of any row."""
+        rows = {
+            name: own.to_dict("records") if isinstance(own, pd.DataFrame) else own
+            for name, own in self.tables.items()
+        }
+        return {name: Table.of_records("", own) for name, own in rows.items()}
 
 
 @dataclass(frozen=True)
@@ -214,10 +205,13 @@ class Session:
     def end(self, found: Findings) -> Answer:
         """Write the findings, and show the claims."""
         self.out.mkdir(parents=True, exist_ok=True)
-        tables = found.files.items()
-        written = [write_atomically(self.out / name, table.csv()) for name, table in tables]
-        took = round(perf_counter() - self._began, 1)
-        ended = {"seconds": took, "resumed": self.resumed, "tables": tables_of(found)}
+        tables, took = found.written(), round(perf_counter() - self._began, 1)
+        written = [
+            write_atomically(self.out / f"{name}.csv", own.csv()) for name, own in tables.items()
+        ]
+        tables |= {"claims": claims_table(found.claims)} if found.claims else {}
+        rows = {key: own.records() for key, own in tables.items() if len(own.rows) <= ROWS_MAX}
+        ended = {"seconds": took, "resumed": self.resumed, "tables": rows}
         written.append(self.evidence.model_copy(update=ended).write(self.out / FILE))
         for store in self._partial:
             store.forget()
@@ -240,24 +234,16 @@ def packaged_entries() -> str:
     return hashlib.sha256(json.dumps(entries, sort_keys=True, default=str).encode()).hexdigest()
 
 
-def tables_of(found: Findings) -> dict[str, list[Record]]:
-    """Rows of every table by the stem of its file, and the claims."""
-    tables = {file.partition(".")[0]: table for file, table in found.files.items()}
-    tables |= {"claims": claims_table(found.claims)} if found.claims else {}
-    return {key: table.records() for key, table in tables.items() if len(table.rows) <= ROWS_MAX}
+@cache
+def default_plan() -> Solution:
+    """The default scenario's plan, from a cold start."""
+    return make_solution(plan())
 
 
-def plan_or_default(solution: Path | None) -> Solution:
-    """The plan in a folder, or the default scenario's from a cold start.
-
-    Raises:
-        InputError: if the folder has no plan, or one whose burns are corrected in flight.
-    """
-    if solution is None:
-        return make_solution(plan())
-    found = read_solution(solution)
-    require_open_loop(found.scenario, "solve and montecarlo; not yet with this study")
-    return found
+@cache
+def default_mission() -> Mission:
+    """The default scenario's mission."""
+    return Mission.from_scenario(load_scenario())
 
 
 def plan_figures(found: Plan) -> Record:
@@ -329,11 +315,6 @@ def study_of(name: str) -> Study:
     found = importlib.import_module(module_of("variations" if name in VARIATIONS else name)).STUDY
     study: Study = found[name] if isinstance(found, dict) else found
     return study
-
-
-def records(rows: Sequence[Record]) -> Table:
-    """Rows of a CSV file with a column for each key of any of them."""
-    return Table.of_records("", rows)
 
 
 def run(prog: str, study: Study, arguments: Sequence[str]) -> int:

@@ -24,7 +24,7 @@ import numpy as np
 import pandas as pd
 
 from experiments.evidence import ROOT
-from experiments.harness import Findings, Record, Session, fly_plan, number, option, records
+from experiments.harness import Findings, Record, Session, fly_plan, option
 from experiments.harness import Study as Harnessed
 from experiments.in_flight.feedback import measured
 from scp_recon.api.verbs import campaign
@@ -142,7 +142,7 @@ def run_sample(session: Session) -> Findings:
     bands = found.apply(latitude, axis=1)
     own = {band: found[bands == band] for band in BANDS} | {"all": found}
     sums = [{"of": band, **counted(some)} for band, some in own.items() if len(some)]
-    return Findings({"sample.csv": records(rows), "sample_latitudes.csv": records(sums)})
+    return Findings({"sample": rows, "sample_latitudes": sums})
 
 
 def drawn_numbers(sites: Study) -> list[int]:
@@ -169,7 +169,7 @@ def run(session: Session) -> Findings:
     for name, (key, by) in SUMMED.items():
         session.say(f"{name}:")
         path = STUDIES / f"{name}.toml"
-        found = campaign(path, session.out / name, workers=session.options.workers)
+        found = campaign(path, session.out / name)
         cases, solved = found.table, feasible(found.table)
         groups = cases.groupby(cases.apply(by, axis=1), sort=False)
         tables[key] = [{"of": words} | summary(group) for words, group in groups]
@@ -179,14 +179,8 @@ def run(session: Session) -> Findings:
         }
         total["processor_s"] = cases.cpu_s.sum()
         tables["campaigns"].append({"campaign": name, **summary(cases), **total})
-    return Findings({f"{name}.csv": records(rows) for name, rows in tables.items()})
+    return Findings(tables)
 
 
-STUDY = Harnessed(
-    __doc__,
-    run,
-    [
-        number("--workers", 1, 0, 256, "processes"),
-        option("--sample", action="store_true", help="a sample of the map's sites, with feedback"),
-    ],
-)
+SAMPLED = option("--sample", action="store_true", help="a sample of the map's sites, with feedback")
+STUDY = Harnessed(__doc__, run, [SAMPLED])

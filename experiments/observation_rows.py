@@ -14,7 +14,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from scipy.optimize import brentq, least_squares
 
-from experiments.harness import Record
+from experiments.harness import Record, default_mission
 from formulations.arrays import Array
 from formulations.problem.flyby import Iterate
 from scp_recon.api.options import PlanOptions
@@ -72,13 +72,11 @@ class Row(NamedTuple):
     changes: Mapping[str, Any] = {}
 
 
-def rows(*, ipopt: bool = True, as_flown: Path | None = None) -> list[Row]:
+def rows(as_flown: Path | None = None) -> list[Row]:
     """The table's rows in its order.
 
-    Args:
-        ipopt: whether to plan by IPOPT too.
-        as_flown: the flight's kernel. The warm rows then start from the flight, as the paper's do;
-            without it from the ballistic arc.
+    With the flight's kernel the warm rows start from the flight, as the paper's do; without it from
+    the ballistic arc.
     """
     warm: Callable[[Mission], Iterate] = initial_guess.ballistic
     label, reference = "warm start", "reference"
@@ -90,13 +88,13 @@ def rows(*, ipopt: bool = True, as_flown: Path | None = None) -> list[Row]:
         Row("ballistic", f"{surrogate}ballistic two-impulse arc", reference, flight, ballistic_arc),
         Row("p3", f"{surrogate}P3 design, no uncertainty", reference, flight, p3),
     ]
-    names: tuple[Literal["scp", "ipopt"], ...] = ("scp", "ipopt") if ipopt else ("scp",)
-    methods = {name.upper(): PlanOptions(method=name, facet_rounds=0) for name in names}
-    for name, options in methods.items():
+    names: tuple[Literal["scp", "ipopt"], ...] = ("scp", "ipopt")
+    for name in names:
+        options = PlanOptions(method=name, facet_rounds=0)
         by_warm, by_cold = planned(options, warm), planned(options)
         found += [
-            Row(f"{name.lower()}_warm", f"{name}, {label}", "planned", "warm", by_warm),
-            Row(f"{name.lower()}_cold", f"{name}, cold start", "planned", "cold", by_cold),
+            Row(f"{name}_warm", f"{name.upper()}, {label}", "planned", "warm", by_warm),
+            Row(f"{name}_cold", f"{name.upper()}, cold start", "planned", "cold", by_cold),
         ]
     settled = planned(PlanOptions())
     found.append(Row("settled", "SCP, facets settled", "planned", "cold", settled))
@@ -207,17 +205,17 @@ def as_flown_burns(kernel: Path, mission: Mission) -> tuple[Array, float]:
 # --- a row's figures ------------------------------------------------------------------------------
 
 
-def run_row(row: Row, default: Mission, folder: Path, *, samples: int, check: bool) -> Record:
-    """Design a row's burns, fly them, and write solution.json and montecarlo.json.
+def run_row(row: Row, folder: Path, samples: int) -> Record:
+    """Design a row's burns, verify and fly them, and write solution.json and montecarlo.json.
 
-    With `check` a plan is verified independently of its solver. Returns a row of the CSV, SI.
+    Returns a row of the CSV, SI.
     """
-    mission = default
+    mission = default_mission()
     if row.changes:
-        mission = Mission.from_scenario(default.scenario.replace(row.changes))
+        mission = Mission.from_scenario(mission.scenario.replace(row.changes))
     folder.mkdir(parents=True, exist_ok=True)
     solution = row.design(mission)
-    if check and solution.algorithm != NOT_OPTIMISED:
+    if solution.algorithm != NOT_OPTIMISED:
         solution = solution.with_verification(verify(mission, solution))
     solution.write(folder)
     flown = fly_many(FlightConfig(mission, solution.burns_m_s), samples=samples)

@@ -18,15 +18,12 @@ from types import SimpleNamespace
 from typing import Any
 
 from experiments.evidence import ROOT
-from experiments.harness import Claim, Findings, Record, Session, Study, option, path, records
+from experiments.harness import Claim, Findings, Record, Session, Study, default_mission, option
 from experiments.observation_rows import Row, about, flown_states, rows, run_row, variants
-from scp_recon.cli.options import int_between
 from scp_recon.jobs.job import Job
-from scp_recon.mission.mission import Mission
-from scp_recon.scenario.load import load_scenario
 
 STATEMENTS = ROOT / "docs" / "validation" / "statements.toml"
-SAMPLES, QUICK_SAMPLES = 10_000, 3_000
+SAMPLES = 10_000
 ROW_FAILED = 4
 TWO_RUNS = 2.0**0.5
 """The paper's figures come from as many samples as ours: its interval adds to ours."""
@@ -122,28 +119,23 @@ def agrees(row: Record, column: str, printed: float) -> bool:
     return bool(off < 0.5 or (end != "" and off <= TWO_RUNS * abs(end - row[column])))
 
 
-def measure(out: Path, samples: int, check: bool, row: Row) -> Record:
+def measure(out: Path, row: Row) -> Record:
     """A row of the table; a failure in one does not stop the others."""
-    mission = Mission.from_scenario(load_scenario())
     try:
-        return run_row(row, mission, out / row.key, samples=samples, check=check)
+        return run_row(row, out / row.key, SAMPLES)
     except Exception as error:  # a solver's, a file system's: the row says which
         return about(row, f"failed: {type(error).__name__}: {' '.join(str(error).split())[:200]}")
 
 
 def run(session: Session) -> Findings:
     """Design and fly every row."""
-    options, quick = session.options, session.options.quick
-    mission = Mission.from_scenario(load_scenario())
-    if options.as_flown:
-        flown_states(options.as_flown, mission)  # before the work, not after it
-    samples = options.samples or (QUICK_SAMPLES if quick else SAMPLES)
-    cases = rows(ipopt=not options.skip_ipopt, as_flown=options.as_flown)
-    cases += [] if quick else variants(mission.scenario)
-    work = partial(measure, session.out, samples, not quick)
-    store = session.store(samples=samples, check=not quick, kernel=str(options.as_flown))
+    kernel = session.options.as_flown
+    if kernel:
+        flown_states(kernel, default_mission())  # before the work, not after it
+    cases = [*rows(as_flown=kernel), *variants(default_mission().scenario)]
+    store = session.store(samples=SAMPLES, kernel=str(kernel))
     jobs = [Job(row.key, row) for row in cases]
-    entries = session.rows("rows", work, jobs, store)
+    entries = session.rows("rows", partial(measure, session.out), jobs, store)
     tested, decided = statements(entries), {words: same for same, words in OUTCOMES.items()}
     claims = [
         Claim(
@@ -151,26 +143,14 @@ def run(session: Session) -> Findings:
         )
         for s in tested
     ]
-    files = {"observation_table": entries, "statements": tested, "numbers": numbers(entries)}
-    status = 0 if all("mean_s" in row for row in entries) else ROW_FAILED
-    tables = {f"{name}.csv": records(found) for name, found in files.items()}
-    return Findings(tables, claims, status)
+    tables = {"observation_table": entries, "statements": tested, "numbers": numbers(entries)}
+    return Findings(tables, claims, 0 if all("mean_s" in row for row in entries) else ROW_FAILED)
 
 
-FEW = "fewer flights, plans are not verified again, no other readings and choices"
-KERNEL = (
-    "SPK of the flight, for a row of its own and as the warm rows' start; needs the extra [spice]"
+AS_FLOWN = option(
+    "--as-flown",
+    type=Path,
+    metavar="FILE",
+    help="SPK of the flight, for a row of its own and as the warm rows' start; needs the extra [spice]",
 )
-OF_SAMPLES = f"flights a row (default: {SAMPLES}, with --quick {QUICK_SAMPLES})"
-AT_LEAST = int_between(20, 10**9, "20 to 1e9")
-STUDY = Study(
-    __doc__,
-    run,
-    (
-        option("--samples", type=AT_LEAST, metavar="N", help=OF_SAMPLES),
-        option("--quick", action="store_true", help=FEW),
-        path("--as-flown", "FILE", KERNEL),
-        option("--skip-ipopt", action="store_true", help="no rows planned by IPOPT"),
-    ),
-    folder="paper",
-)
+STUDY = Study(__doc__, run, [AS_FLOWN], folder="paper")

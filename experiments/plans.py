@@ -30,7 +30,6 @@ from experiments.harness import (
     fly_plan,
     option,
     plan_figures,
-    records,
     run_python,
 )
 from scp_recon.api.verbs import design, plan
@@ -157,7 +156,7 @@ def run(session: Session) -> Findings:
     store = session.store()
     if session.options.designs:
         rows = session.rows("designs", measure_design, DESIGNS, store)
-        return Findings({"designs.csv": records(rows)})
+        return Findings({"designs": rows})
     rows = session.rows("plans", measure, PLANS, store)
     said = session.rows("commands", partial(printed, session.out), PRINTED, store)
     lines = [
@@ -166,12 +165,8 @@ def run(session: Session) -> Findings:
         for line in row.pop("lines")
         if line.strip() and not ITERATION.match(line)
     ]
-    files = {"plans.csv": rows, "commands.csv": said, "printed.csv": lines}
-    return Findings({name: records(found) for name, found in files.items()})
+    return Findings({"plans": rows, "commands": said, "printed": lines})
 
 
-STUDY = Study(
-    __doc__,
-    run,
-    [option("--designs", action="store_true", help="passes from a home orbit instead")],
-)
+DESIGNED = option("--designs", action="store_true", help="passes from a home orbit instead")
+STUDY = Study(__doc__, run, [DESIGNED])

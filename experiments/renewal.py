@@ -9,7 +9,6 @@ a stop the same command continues: finished studies are current, and an unfinish
 from __future__ import annotations
 
 import argparse
-import random
 import shlex
 import subprocess
 import sys
@@ -35,15 +34,12 @@ RUNS = Path("runs") / "evidence"
 OUT_OF_DATE = 1
 """Exit status of --check where anything is."""
 PROCESSES = 2
-AT_LEAST = 1e-4
-"""Tolerance of a row that is drawn: of any kind and method."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit status."""
     p = argparse.ArgumentParser(prog="python -m experiments evidence", description=__doc__)
     p.add_argument("--page", metavar="PAGE", help="only what a page shows, such as README.md")
-    p.add_argument("--random", action="store_true", help="check a random row of each study as well")
     does = p.add_mutually_exclusive_group()
     for flag, said in (
         ("--check", "renew nothing; status 1 if any is out of date"),
@@ -61,7 +57,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if options.dated:
             stale = [name for name in names if SOURCES[name].dated]
         else:
-            stale = check(names, console, drawn=options.random)
+            stale = check(names, console)
         if options.check:
             behind = pages.behind()
             for page in behind:
@@ -97,10 +93,8 @@ def _names(page: str | None) -> list[str]:
     return pages.used((ROOT / page).read_text("utf-8"))
 
 
-def check(names: Sequence[str], console: Console, *, drawn: bool = False) -> list[str]:
+def check(names: Sequence[str], console: Console) -> list[str]:
     """Names of the evidence that is out of date; a line says why of each, or that it is current.
-
-    With `drawn` a row is measured too that is drawn from all rows of the study that stand alone.
 
     Raises:
         InputError: if a file of evidence is none.
@@ -108,19 +102,17 @@ def check(names: Sequence[str], console: Console, *, drawn: bool = False) -> lis
     names = sorted(names, key=seconds_of, reverse=True)  # the slowest sentinels first
     found = {name: changes(name) for name in names}
     cases: dict[str, Job] = {}
-    uses: dict[str, list[tuple[str, Sentinel, float]]] = {}
+    uses: dict[str, list[tuple[str, Sentinel]]] = {}
     for name in (name for name in names if not (SOURCES[name].dated or found[name])):
         for one in sentinels_of(name):
-            others = [random.choice(one.others)] if drawn and one.others else []
-            for case in (*one.cases, *others):
+            for case in one.cases:
                 key = f"{one.of}, {one.work}, {case}"  # those of several studies are measured once
                 cases[key] = Job(key, (one.work, case))
-                at_least = AT_LEAST if case in others else 0.0
-                uses.setdefault(key, []).append((name, one, at_least))
+                uses.setdefault(key, []).append((name, one))
     for done in Processes(PROCESSES)(measured, cases.values()):
-        for name, one, at_least in uses[str(done.key)]:
+        for name, one in uses[str(done.key)]:
             try:
-                found[name] += one.moved(done.result(), at_least)
+                found[name] += one.moved(done.result())
             except InputError as error:  # an extra that is missing, or a row that is not there
                 found[name].append(str(error))
     for name, lines in found.items():

@@ -14,7 +14,7 @@ from types import ModuleType
 
 import numpy as np
 
-from experiments.harness import Findings, Record, Session, Study, plan_or_default, records
+from experiments.harness import Findings, Record, Session, Study, default_plan
 from formulations.arrays import Array
 from scp_recon.api.plan_verbs import export
 from scp_recon.errors import imported
@@ -25,13 +25,13 @@ from scp_recon.physics import geometry
 
 def run(session: Session) -> Findings:
     """Compare, with kernels in OUT."""
-    return Findings({"spice.csv": records(measure(session.out / "kernels"))})
+    return Findings({"spice": measure(session.out / "kernels")})
 
 
 def measure(folder: Path) -> list[Record]:
     """Export to a folder, load and compare: rows."""
     spice = imported("spice", "spice", "spiceypy")
-    files, found = export(plan_or_default(None), "spk", folder)
+    files, found = export(default_plan(), "spk", folder)
     (listed,) = (path for path in files if path.suffix == ".tm")
     with chdir(listed.parent):  # from which it names the others
         spice.furnsh(listed.name)

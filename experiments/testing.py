@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from experiments.evidence import ROOT
-from experiments.harness import Findings, Record, Session, Study, option, records, run_python
+from experiments.harness import Findings, Record, Session, Study, option, run_python
 from scp_recon.monte_carlo.estimates import proportion
 
 BY_FILE = ("-n", "2", "--dist", "loadfile")
@@ -118,11 +118,8 @@ KINDS = {"reliability": reliability, "coverage": coverage, "mutation": mutation}
 def run(session: Session) -> Findings:
     """Measure one of them."""
     what = session.options.what
-    return Findings({f"{what}.csv": records(KINDS[what](session))})
+    return Findings({what: KINDS[what](session)})
 
 
-STUDY = Study(
-    __doc__,
-    run,
-    [option("what", choices=tuple(KINDS), metavar="WHAT", help=f"one of {', '.join(KINDS)}")],
-)
+WHAT = option("what", choices=tuple(KINDS), metavar="WHAT", help=f"one of {', '.join(KINDS)}")
+STUDY = Study(__doc__, run, [WHAT])

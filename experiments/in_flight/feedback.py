@@ -15,7 +15,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 from itertools import pairwise
 from time import process_time
 from typing import Any, NamedTuple
@@ -25,7 +24,7 @@ from scipy.optimize import brentq, minimize_scalar
 from scipy.special import ndtr, ndtri
 
 from experiments.frontier import SEED, record
-from experiments.harness import Claim, Findings, Record, Session, Study, fly_plan, option, records
+from experiments.harness import Claim, Findings, Record, Session, Study, fly_plan
 from experiments.plans import FLIGHT
 from experiments.solvers.variations import noted
 from formulations.linearisation.linearisation import Linearisation
@@ -48,7 +47,7 @@ from scp_recon.scp.status import Status
 
 PROBABILITIES = (0.7, 0.9, 0.95, 0.99, 0.997, 0.999)
 TO_THE_END = (0.9, 0.99)
-FLIGHTS, QUICK_FLIGHTS = 40_000, 1000
+FLIGHTS = 40_000
 ERRORS = (None, 1e6, 100.0, 10.0, 3.0, 1.0, 0.3, 0.1)
 ERRORS_AT = (("flight", 0.9), ("flight", 0.99), ("node", 0.99))
 """Scopes of the risk, and probabilities."""
@@ -114,10 +113,8 @@ class Case(NamedTuple):
 TARGET = dict.fromkeys(("planned_for", "share", "target_s"), np.nan)
 """Of plans that no scaled targeting gain corrects."""
 
-QUICK = (Case(OPEN, 0.9), Case(CORRECTED, 0.9))
 
-
-def measure(flights: int, case: Case) -> Record:
+def measure(case: Case) -> Record:
     """Plan a case from a cold start and fly it: a row, which says so where that failed."""
     changes = FLIGHT | KINDS[case.kind] | dict(case.changes) | {"risk.p_chance": case.asked}
     scenario, begin, more = load_scenario().replace(changes), process_time(), TARGET
@@ -128,7 +125,7 @@ def measure(flights: int, case: Case) -> Record:
             found = plan(scenario, certify=case.certified)
     except (ArithmeticError, ValueError, np.linalg.LinAlgError) as error:
         return {"kind": case.kind, "asked": case.asked, "status": f"failed: {error}"}
-    return row(case, found, flights, process_time() - begin) | more
+    return row(case, found, FLIGHTS, process_time() - begin) | more
 
 
 def row(case: Case, found: Plan, flights: int, processor_s: float) -> Record:
@@ -290,7 +287,7 @@ def limited(rows: Sequence[Record]) -> list[Case]:
     ]
 
 
-def over_errors(flights: int, at: tuple[str, float, Sequence[float | None]]) -> Record:
+def over_errors(at: tuple[str, float, Sequence[float | None]]) -> Record:
     """Rows of plans that are not certified, by better and better measurements.
 
     Each begins at the plan before it, the first at the straight line.
@@ -304,7 +301,7 @@ def over_errors(flights: int, at: tuple[str, float, Sequence[float | None]]) -> 
         mission = Mission.from_scenario(load_scenario().replace(changes))
         begin = process_time()
         found = Planner(mission).plan(last or initial_guess.cold(mission))
-        one = row(Case(kind, asked), found, flights, process_time() - begin)
+        one = row(Case(kind, asked), found, FLIGHTS, process_time() - begin)
         rows.append({"scope": scope, "scale": scale} | one)
         if found.status is Status.CONVERGED:
             last = found
@@ -399,25 +396,17 @@ def claims(
 
 def run(session: Session) -> Findings:
     """Plan and fly everything; limits at the end follow from open-loop plans."""
-    quick = session.options.quick
-    flights = QUICK_FLIGHTS if quick else FLIGHTS
-    store, work = session.store(flights=flights), partial(measure, flights)
+    store = session.store(flights=FLIGHTS)
     cases = [Case(kind, p) for kind in (OPEN, CORRECTED, LATE) for p in PROBABILITIES]
     cases += [Case(kind, p) for kind, p in TARGETING]
-    rows = session.rows("plans", work, QUICK if quick else cases, store)
-    rows += session.rows("limits at the end", work, [] if quick else limited(rows), store)
-    chains = [(*at, ERRORS[: 2 if quick else None]) for at in ERRORS_AT]
-    errors = session.rows("errors", partial(over_errors, flights), chains, store)
-    errors = [one for chain in errors for one in chain["rows"]]
-    programs = session.rows("programs", timed, PROGRAMS[: 1 if quick else None], store)
+    rows = session.rows("plans", measure, cases, store)
+    rows += session.rows("limits at the end", measure, limited(rows), store)
+    chains = session.rows("errors", over_errors, [(*at, ERRORS) for at in ERRORS_AT], store)
+    errors = [one for chain in chains for one in chain["rows"]]
+    programs = session.rows("programs", timed, PROGRAMS, store)
     rows = beside(rows)
-    files = {"feedback": rows, "feedback_errors": errors, "feedback_programs": programs}
-    tables = {f"{name}.csv": records(found) for name, found in files.items()}
+    tables = {"feedback": rows, "feedback_errors": errors, "feedback_programs": programs}
     return Findings(tables, claims(rows, errors, programs))
 
 
-STUDY = Study(
-    __doc__,
-    run,
-    [option("--quick", action="store_true", help="few plans and flights, to see that it runs")],
-)
+STUDY = Study(__doc__, run)

@@ -16,15 +16,7 @@ import numpy as np
 import pandas as pd
 from scipy.interpolate import CubicHermiteSpline
 
-from experiments.harness import (
-    VEHICLE,
-    Findings,
-    Session,
-    Study,
-    number,
-    option,
-    records,
-)
+from experiments.harness import Findings, Session, Study, option
 from experiments.harness import Record as Row
 from experiments.in_flight.feedback import LEAD_S, measured
 from experiments.spacecraft.flown_plan import SEEDS, row
@@ -42,10 +34,7 @@ from scp_recon.planning.plan import Plan
 from scp_recon.results.read import read_solution
 from scp_recon.results.solution import FILE_NAME, Solution, make_solution
 from scp_recon.scenario.load import load_scenario
-from scp_recon.simulation.record import (
-    Record,
-    inputs_digest,
-)
+from scp_recon.simulation.record import Record, inputs_digest
 from scp_recon.simulation.vehicle import load_vehicle
 from scp_recon.verification.shortfalls import shortfalls
 
@@ -93,14 +82,12 @@ def plan_of(out: Path, name: str) -> Solution:
     return solution
 
 
-def fly_policy(
-    plans: Mapping[str, Solution], vehicle: Path | None, case: tuple[str, PolicyKind, int]
-) -> Row:
+def fly_policy(plans: Mapping[str, Solution], case: tuple[str, PolicyKind, int]) -> Row:
     """Simulate a flight of a plan by a policy: a row."""
     name, policy, seed = case
     solution, begun = plans[name], {"plan": name, "policy": policy, "seed": seed}
     try:
-        record = simulate(solution, seed=seed, policy=policy, vehicle=vehicle)
+        record = simulate(solution, seed=seed, policy=policy)
     except InputError as error:  # as of a burn that the thruster cannot give in its time
         return begun | {"shortfalls": str(error)}
     commanded = [np.linalg.norm(burn.planned_m_s) for burn in record.summary.burns]
@@ -156,30 +143,18 @@ def by_policy(rows: Sequence[Row]) -> list[Row]:
 
 def run(session: Session) -> Findings:
     """Fly each plan by its policies, once for each seed; seed by seed."""
-    out, vehicle = session.out, session.options.vehicle
     names = [name for name in PLANS if name.startswith(session.options.subject)]
-    plans = {name: plan_of(out, name) for name in names}
-    digests = [inputs_digest(one, load_vehicle(vehicle)) for one in plans.values()]
+    plans = {name: plan_of(session.out, name) for name in names}
+    digests = [inputs_digest(one, load_vehicle()) for one in plans.values()]
     store = session.store("flown_policies.jsonl", inputs=digests)
     cases = [
-        (name, policy, seed)
-        for seed in range(session.options.seeds)
-        for name in names
-        for policy in PLANS[name][2]
+        (name, policy, seed) for seed in range(SEEDS) for name in names for policy in PLANS[name][2]
     ]
-    rows = session.rows("flights", partial(fly_policy, plans, vehicle), cases, store)
-    files = {"flown_policies": by_policy(rows), "flown_policies_flights": rows}
-    return Findings({f"{name}.csv": records(found) for name, found in files.items()})
+    rows = session.rows("flights", partial(fly_policy, plans), cases, store)
+    return Findings({"flown_policies": by_policy(rows), "flown_policies_flights": rows})
 
 
-STUDY = Study(
-    __doc__,
-    run,
-    (
-        option(
-            "subject", choices=SUBJECTS, metavar="SUBJECT", help=f"one of {', '.join(SUBJECTS)}"
-        ),
-        number("--seeds", SEEDS, 1, 10_000, "flights, of the seeds from 0 on"),
-        VEHICLE,
-    ),
+SUBJECT = option(
+    "subject", choices=SUBJECTS, metavar="SUBJECT", help=f"one of {', '.join(SUBJECTS)}"
 )
+STUDY = Study(__doc__, run, [SUBJECT])

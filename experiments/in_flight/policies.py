@@ -10,14 +10,13 @@ After Ctrl-C the study continues with the missing rows.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import partial
 from time import process_time
 from typing import NamedTuple
 
 import numpy as np
 
 from experiments.frontier import SEED
-from experiments.harness import Findings, Record, Session, Study, number, records
+from experiments.harness import Findings, Record, Session, Study
 from experiments.in_flight.feedback import measured
 from experiments.plans import FLIGHT
 from scp_recon.api.plan_verbs import fly
@@ -46,8 +45,8 @@ CASES = [Case(kind, p) for p in PROBABILITIES for kind in FLIGHTS]
 CASES += [Case(kind, ERRORS_AT, scale) for scale in ERRORS for kind in ("feedback", "replan")]
 
 
-def measure(most: int, case: Case) -> Record:
-    """Plan a case and fly it, at most so many times: a row."""
+def measure(case: Case) -> Record:
+    """Plan a case and fly it: a row."""
     changes = FLIGHT | measured(case.scale) | {"risk.p_chance": case.asked}
     if case.policy != "feedback":
         changes |= {"policy.kind": "open"}
@@ -55,7 +54,7 @@ def measure(most: int, case: Case) -> Record:
     row = {**case._asdict(), "status": found.status.value.name}
     if found.status is not Status.CONVERGED:
         return row
-    flights, begin = min(most, FLIGHTS[case.policy]), process_time()
+    flights, begin = FLIGHTS[case.policy], process_time()
     flown = fly(found, flights, SEED, policy=case.policy)
     seconds = process_time() - begin
     fixed = Interval(value=found.total_dv_m_s, low=found.total_dv_m_s, high=found.total_dv_m_s)
@@ -76,14 +75,7 @@ def measure(most: int, case: Case) -> Record:
 
 def run(session: Session) -> Findings:
     """Measure every case."""
-    flights = session.options.flights
-    store = session.store(flights=flights)
-    rows = session.rows("cases", partial(measure, flights), CASES, store)
-    return Findings({"policies.csv": records(rows)})
+    return Findings({"policies": session.rows("cases", measure, CASES, session.store())})
 
 
-STUDY = Study(
-    __doc__,
-    run,
-    [number("--flights", max(FLIGHTS.values()), 20, 10**6, "flights of a plan at most")],
-)
+STUDY = Study(__doc__, run)

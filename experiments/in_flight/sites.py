@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.special import ndtr, ndtri
 
-from experiments.harness import Findings, Record, Session, Study, records
+from experiments.harness import Findings, Record, Session, Study
 from experiments.in_flight.feedback import Case, row
 from formulations.arrays import Array
 from formulations.rows.exact_flight import FLIGHT as WHOLE
@@ -167,7 +167,7 @@ def run(session: Session) -> Findings:
     rows = session.rows("navigation", partial(measure, session.out, ends), CASES, store)
     rows.sort(key=lambda one: (one["site"], one["position_m"], one["lead_h"]))
     short = [{name: one[name] for name in one if name not in ("burns", "gains")} for one in passes]
-    return Findings({"sites.csv": records(rows), "passes.csv": records(short)})
+    return Findings({"sites": rows, "passes": short})
 
 
 STUDY = Study(__doc__, run, version=2)

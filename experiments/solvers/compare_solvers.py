@@ -17,7 +17,7 @@ import numpy as np
 import pandas as pd
 from scipy.special import ndtri
 
-from experiments.harness import FRESH, Claim, Findings, Record, Session, Study, option, records
+from experiments.harness import Claim, Findings, Record, Session, Study
 from experiments.solvers.cases import (
     ELASTIC,
     EXACT,
@@ -61,8 +61,6 @@ def solved_cells(session: Session, cells: Sequence[Cell]) -> Frame:
     A cell that reaches its limit is not repeated.
     """
     store = session.store("rows.jsonl")
-    if session.options.fresh:
-        store.forget()
 
     def rows(label: str, some: Sequence[Cell], seconds: float) -> list[Record]:
         by_key: dict[Key, Cell] = {f"{cell.key}|{seconds:g} s": cell for cell in some}
@@ -115,15 +113,6 @@ def shown(row: pd.Series) -> str:
 
 # --- tables ---------------------------------------------------------------------------------------
 
-METHOD_FIGURES = {
-    "delta_v_m_s": ("total_dv_m_s", ".6f"),
-    "worst_violation_m": ("violation_m", ".1e"),
-    "processor_s": ("cpu_s", ".2f"),
-    "wall_s": ("total_s", ".2f"),
-    "of_it_set_up_s": ("setup_s", ".2f"),
-}
-"""Columns of the table of methods: the column of the rows, and a format."""
-
 
 def methods(rows: Frame) -> list[Record]:
     """A row for each problem, start and method, with the medians of the repeats."""
@@ -131,9 +120,12 @@ def methods(rows: Frame) -> list[Record]:
     for (problem, start, method), own in rows.groupby(["scenario", "start", "method"], sort=False):
         of = own.median(numeric_only=True)
         row = {"problem": problem, "start": start, "method": method, "status": shown(own.iloc[0])}
-        row |= {name: figure(of[column], form) for name, (column, form) in METHOD_FIGURES.items()}
+        row |= {
+            "delta_v_m_s": figure(of.total_dv_m_s, ".6f"),
+            "processor_s": figure(of.cpu_s, ".2f"),
+        }
         p3, p2 = (figure(of[f"iterations_{stage}"], ".0f") for stage in ("p3", "p2"))
-        found.append({**row, "p3_p2_iterations": f"{p3} + {p2}", "repeats": len(own)})
+        found.append(row | {"p3_p2_iterations": f"{p3} + {p2}"})
     return found
 
 
@@ -353,22 +345,8 @@ def tables_of(rows: Frame) -> Mapping[str, list[Record]]:
 
 def run(session: Session) -> Findings:
     """Solve the missing cells, those of exact risk last."""
-    cells = exact_design() if session.options.exact else (*full_design(), *exact_design())
-    rows = solved_cells(session, cells)
-    session.say(
-        f"`python -m paper_figs solver_comparison --runs {session.out} --out DIR` draws it."
-    )
-    tables = {**tables_of(rows), "comparison": rows.to_dict("records")}
-    return Findings({f"{name}.csv": records(own) for name, own in tables.items()}, claims(rows))
+    rows = solved_cells(session, (*full_design(), *exact_design()))
+    return Findings({**tables_of(rows), "comparison": rows}, claims(rows))
 
 
-STUDY = Study(
-    __doc__,
-    run,
-    (
-        option("--full", action="store_true", help="everything, three to four hours (default)"),
-        option("--exact", action="store_true", help="random scenarios of exact risk alone"),
-        FRESH,
-    ),
-    folder="comparison",
-)
+STUDY = Study(__doc__, run, folder="comparison")

@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.stats import beta, qmc
 
-from experiments.harness import Findings, Record, Session, Study, records
+from experiments.harness import Findings, Record, Session, Study
 from formulations.arrays import Array
 from formulations.problem.flyby import Iterate
 from formulations.rows.exact import NodeRows
@@ -154,7 +154,7 @@ def measure(density: tuple[int, int]) -> Record:
 def run(session: Session) -> Findings:
     """Search with every density."""
     rows = session.rows("densities", measure, DENSITIES, session.store())
-    return Findings({"dense.csv": records(rows)})
+    return Findings({"dense": rows})
 
 
 STUDY = Study(__doc__, run)

@@ -17,7 +17,7 @@ from time import process_time
 
 import pandas as pd
 
-from experiments.harness import Findings, Record, Session, Study, records
+from experiments.harness import Findings, Record, Session, Study
 from experiments.solvers.cases import NUMBER, drawn
 from formulations.linearisation.linearisation import Linearisation
 from formulations.rows.exact import NodeRows
@@ -182,8 +182,7 @@ def run(session: Session) -> Findings:
     """Plan every scenario, and tabulate."""
     cases = [(kind, name, seed) for kind, name, seeds in SETS for seed in seeds]
     rows = session.rows("plans", measure, cases, session.store())
-    tables = {"optima": rows, "summary": summary(rows)}
-    return Findings({f"{name}.csv": records(found) for name, found in tables.items()})
+    return Findings({"optima": rows, "summary": summary(rows)})
 
 
 STUDY = Study(__doc__, run, version=2)

@@ -34,7 +34,7 @@ import numpy as np
 import pandas as pd
 from scipy.integrate import solve_ivp
 
-from experiments.harness import Findings, Record, Session, Study, records
+from experiments.harness import Findings, Record, Session, Study
 from formulations.arrays import Array, Indices
 from formulations.registry import FORMULATIONS
 from scp_recon.errors import needing
@@ -301,7 +301,7 @@ def run(session: Session) -> Findings:
         if row.get("seed") is None
     ]
     bent = [row for row in rows if row.get("seed") is not None]
-    return Findings({"methods.csv": records(once), "guesses.csv": records(guesses(bent))})
+    return Findings({"methods": once, "guesses": guesses(bent)})
 
 
 def guesses(rows: Sequence[Record]) -> list[Record]:

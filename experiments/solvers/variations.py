@@ -19,7 +19,7 @@ import numpy as np
 import pandas as pd
 
 from experiments.frontier import EXACT
-from experiments.harness import Findings, Record, Session, Study, plan_figures, records
+from experiments.harness import Findings, Record, Session, Study, plan_figures
 from experiments.solvers.cases import IPOPT, ONE_FACTOR, PROBLEMS, Method
 from experiments.solvers.cells import (
     CONVERGED,
@@ -157,8 +157,7 @@ def accuracy(session: Session) -> Findings:
         before = [(*pair, most) for most in range(1, end["iterations"])]
         rows += [*solved(f"{pair[0]}, {pair[1].name}", before), end]
     found = with_errors(rows)
-    tables = {"accuracy": found.to_dict("records"), "reached": reached(found)}
-    return Findings({f"{name}.csv": records(of) for name, of in tables.items()})
+    return Findings({"accuracy": found, "reached": reached(found)})
 
 
 # --- lifted: forms of the convex program ----------------------------------------------------------
@@ -235,7 +234,7 @@ def lifted(session: Session) -> Findings:
     processor's seconds, the better of two runs.
     """
     rows = session.rows("cases", form_row, product(CASES, FORMS), session.store())
-    return Findings({"lifted.csv": records(rows)})
+    return Findings({"lifted": rows})
 
 
 # --- nlp_tricks: from the printed nonlinear program to the tuned one ------------------------------
@@ -330,7 +329,7 @@ def nlp_tricks(session: Session) -> Findings:
     those before; then with alternatives to one of them. The table goes to OUT/nlp_tricks.csv.
     """
     rows = session.rows("tricks", trick_row, tricks(), session.store())
-    return Findings({"nlp_tricks.csv": records(rows)})
+    return Findings({"nlp_tricks": rows})
 
 
 # --- sensitivity: parameters of the loop ----------------------------------------------------------
@@ -414,8 +413,7 @@ def sensitivity(session: Session) -> Findings:
     """
     cases = [(problem, *rest) for *rest, problem in product(VARIED, FACTORS, MULTIPLES, PROBLEMS)]
     found = compared(session.rows("plans", parameter_row, cases, session.store()))
-    tables = {"sensitivity": found.to_dict("records"), "by_value": by_value(found)}
-    return Findings({f"{name}.csv": records(rows) for name, rows in tables.items()})
+    return Findings({"sensitivity": found, "by_value": by_value(found)})
 
 
 STUDY = {

@@ -1,4 +1,4 @@
-"""Check whether the spacecraft can fly a plan.
+"""Check whether the spacecraft can fly the default plan.
 
 The plan is simulated with every source of error, once for each seed. OUT/flown_plan.csv has a row
 for each seed, the other tables charge, pointing and the flown path against the planned covariance;
@@ -14,28 +14,16 @@ from pathlib import Path
 
 import numpy as np
 
-from experiments.harness import (
-    FRESH,
-    VEHICLE,
-    Claim,
-    Findings,
-    Session,
-    Study,
-    number,
-    option,
-    plan_or_default,
-    records,
-)
+from experiments.harness import Claim, Findings, Session, Study, default_plan
 from experiments.harness import Record as Row
 from formulations.arrays import Array, Indices
 from scp_recon.api.plan_verbs import simulate
-from scp_recon.jobs.job import Job
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.scene import execution_errors
 from scp_recon.monte_carlo.estimates import proportion
 from scp_recon.monte_carlo.sampling import BLOCK
 from scp_recon.results.solution import Solution
-from scp_recon.simulation.flight import distance_in_sigmas
+from scp_recon.simulation.flight import Actuators, distance_in_sigmas
 from scp_recon.simulation.record import (
     FlightSummary,
     Record,
@@ -49,14 +37,14 @@ SEEDS, SAMPLES = 20, 10_000
 RADIUS_SIGMA = 3.0
 
 
-def fly(solution: Solution, vehicle: Path | None, out: Path, seed: int) -> Row:
+def fly(solution: Solution, out: Path, seed: int) -> Row:
     """Simulate a flight, and write it to `seed_N` in a folder: a row of the table.
 
     Raises:
         InputError: if Basilisk is not installed.
         OSError: if the folder cannot be written.
     """
-    record = simulate(solution, seed=seed, vehicle=vehicle)
+    record = simulate(solution, seed=seed)
     folder = out / f"seed_{seed}"
     folder.mkdir(parents=True, exist_ok=True)
     write_record(record, folder)
@@ -97,11 +85,18 @@ def figures(rows: Sequence[Row], flights: Sequence[Record]) -> list[Row]:
         return np.array([one[name] for one in rows])
 
     generated, missed = joined("panel_w").sum(axis=1), column("terminal_miss_m")
+    load, ratio = joined("consumed_w"), generated / joined("consumed_w")
+    thrusting = [(one.arrays["actuators"] == Actuators.THRUSTERS).mean() for one in flights]
     found = {
         "flights": len(flights),
         "least generation, W": generated.min(),
         "most generation, W": generated.max(),
-        "most load, W": joined("consumed_w").max(),
+        "most load, W": load.max(),
+        "least generation over load": ratio.min(),
+        "mean of it": ratio.mean(),
+        "most of it": ratio.max(),
+        "fastest wheel, rad/s": np.abs(joined("wheel_speed_rad_s")).max(),
+        "share of time on micro-thrusters": np.mean(thrusting),
         "least state of charge": column("least_charge").min(),
         "momentum dumps a flight": column("dumps").mean(),
         "least miss of the final position, m": missed.min(),
@@ -235,41 +230,20 @@ def sample_distances(
 
 def run(session: Session) -> Findings:
     """Fly the plan once for each seed, and sample its dispersion without a spacecraft."""
-    options, out = session.options, session.out
-    solution, vehicle = plan_or_default(options.solution), load_vehicle(options.vehicle)
+    solution, vehicle = default_plan(), load_vehicle()
     store = session.store("flown_plan.jsonl", inputs=inputs_digest(solution, vehicle))
-    if options.fresh:
-        store.forget()
-    work = partial(fly, solution, options.vehicle, out)
-    rows = session.rows("flights", work, [Job(seed, seed) for seed in range(options.seeds)], store)
-    flights = [read_record(out / f"seed_{seed}") for seed in range(options.seeds)]
+    rows = session.rows("flights", partial(fly, solution, session.out), range(SEEDS), store)
+    flights = [read_record(session.out / f"seed_{seed}") for seed in range(SEEDS)]
     distances = np.array([flight.arrays["node_sigma_distance"] for flight in flights])
     sampled = [sample_distances(solution, errs, SAMPLES) for errs in (vehicle, None)]
-    files = {
-        "flown_plan.csv": rows,
-        "figures.csv": figures(rows, flights),
-        "pointing.csv": pointing([flight.summary for flight in flights]),
-        "position_against_the_planned_covariance.csv": within(
-            distances, sampled, solution.mission.window_nodes
-        ),
+    window = solution.mission.window_nodes
+    tables = {
+        "flown_plan": rows,
+        "figures": figures(rows, flights),
+        "pointing": pointing([flight.summary for flight in flights]),
+        "position_against_the_planned_covariance": within(distances, sampled, window),
     }
-    made = claims(rows, vehicle.battery.floor_charge)
-    return Findings({name: records(found) for name, found in files.items()}, made)
+    return Findings(tables, claims(rows, vehicle.battery.floor_charge))
 
 
-STUDY = Study(
-    __doc__,
-    run,
-    (
-        option(
-            "solution",
-            nargs="?",
-            type=Path,
-            metavar="SOLUTION",
-            help="folder with a solution.json, or the file (default: the default plan)",
-        ),
-        number("--seeds", SEEDS, 1, 10_000, "flights, of the seeds from 0 on"),
-        FRESH,
-        VEHICLE,
-    ),
-)
+STUDY = Study(__doc__, run)

@@ -9,36 +9,22 @@ timing_rules_slews.csv.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import partial
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from experiments.harness import (
-    SEED,
-    VEHICLE,
-    Claim,
-    Findings,
-    Record,
-    Session,
-    Study,
-    number,
-    records,
-)
+from experiments.harness import Findings, Record, Session, Study, default_mission
 from formulations.arrays import Array
 from scp_recon.errors import needing
-from scp_recon.jobs.job import Job
-from scp_recon.mission.mission import Mission
 from scp_recon.mission.schedule import Leg, Mode
 from scp_recon.physics import geometry
 from scp_recon.physics.frames import unit
-from scp_recon.scenario.load import load_scenario
 from scp_recon.simulation.flight import Flight, attitude_error, settling_time, state_of_charge
 from scp_recon.simulation.guidance import FlightPlan, sun_pointing
 from scp_recon.simulation.panels import SolarArray, irradiance
 from scp_recon.simulation.vehicle import Vehicle, load_vehicle
 
-SLEWS = 20
+SLEWS, SEED = 20, 0
 SLEW_S, RECHARGE_S = 2400.0, 1800.0
 STEADY_DEG = (1.0, 0.5, 0.25)
 """Errors that steady state may mean; the last decides."""
@@ -49,14 +35,13 @@ SETTLED = {limit: f"settled_{limit:g}_deg_s" for limit in STEADY_DEG}
 
 
 def coast(
-    mission: Mission,
     vehicle: Vehicle,
     commands: Rotation,
     attitude: Rotation,
     speeds: Array,
     seed: int,
 ) -> Flight:
-    """Fly sun-pointing mode along the mission's first arc with given commands, one a second.
+    """Fly sun-pointing mode along the default flight's first arc with given commands, one a second.
 
     Attitudes lead from the body to J2000; the first one is at rest. The wheels start with `speeds`,
     rad/s, the battery with the vehicle's initial charge.
@@ -67,7 +52,7 @@ def coast(
     with needing("python -m experiments timing_rules", "sim", "Basilisk"):
         from scp_recon.simulation.basilisk.plant import Start
         from scp_recon.simulation.basilisk.simulation import Draws, Simulator, Source, sensor_sigmas
-    times = np.arange(float(len(commands)))
+    mission, times = default_mission(), np.arange(float(len(commands)))
     plan = FlightPlan(mission, vehicle, (), (Leg(Mode.SUN_POINTING, 0.0, times[-1]),), ())
     sources = frozenset(Source)
     draws = Draws.of(plan, np.zeros(6), len(times), seed, sources)
@@ -78,7 +63,7 @@ def coast(
     return sim.flight()
 
 
-def measure_slew(mission: Mission, vehicle: Vehicle, seed: int, index: int) -> Record:
+def measure_slew(index: int) -> Record:
     """A half turn about a principal axis of the body (the first three) or a random one: a row.
 
     The turn ends where the star tracker sees stars, as in every mode: otherwise the gyro's random walk
@@ -86,9 +71,9 @@ def measure_slew(mission: Mission, vehicle: Vehicle, seed: int, index: int) -> R
     the wheels' largest speed over the largest allowed, and the error's root mean square in the last
     five minutes.
     """
-    rng = np.random.default_rng([seed, index])
+    rng, vehicle = np.random.default_rng([SEED, index]), load_vehicle()
     axis = unit(np.eye(3)[index] if index < 3 else rng.normal(size=3))
-    end, sun = Rotation.random(rng=rng), mission.sun_direction(0.0)
+    end, sun = Rotation.random(rng=rng), default_mission().sun_direction(0.0)
     exclusion = np.deg2rad(vehicle.sensors.star_tracker_sun_exclusion_deg)
     while geometry.angle(end.apply(unit(vehicle.sensors.star_tracker)), sun) <= exclusion:
         end = Rotation.random(rng=rng)
@@ -98,7 +83,7 @@ def measure_slew(mission: Mission, vehicle: Vehicle, seed: int, index: int) -> R
     share = vehicle.wheels.dump_start * rng.uniform()
     speeds *= share * vehicle.wheels.speed_max_rad_s / np.abs(speeds).max()
     commands = Rotation.concatenate([end] * int(SLEW_S))
-    flight = coast(mission, vehicle, commands, begin, speeds, seed + index)
+    flight = coast(vehicle, commands, begin, speeds, SEED + index)
     error = np.rad2deg(attitude_error(flight))
     return {
         **dict(zip(("axis_x", "axis_y", "axis_z"), axis.tolist(), strict=True)),
@@ -108,7 +93,7 @@ def measure_slew(mission: Mission, vehicle: Vehicle, seed: int, index: int) -> R
     }
 
 
-def measure_recharge(mission: Mission, vehicle: Vehicle, seed: int, extra_w: float = 0.0) -> float:
+def measure_recharge(vehicle: Vehicle, extra_w: float = 0.0) -> float:
     """Time in s until batteries that start empty are full, in sun-pointing mode; inf if never.
 
     `extra_w` is drawn besides the quiescent load.
@@ -120,26 +105,24 @@ def measure_recharge(mission: Mission, vehicle: Vehicle, seed: int, extra_w: flo
             "loads": loads.model_copy(update={"quiescent_w": loads.quiescent_w + extra_w}),
         }
     )
-    times = np.arange(RECHARGE_S)
+    mission, times = default_mission(), np.arange(RECHARGE_S)
     panels = SolarArray.of(vehicle, irradiance(mission.scenario))
     sun, position = mission.sun_direction(times), mission.initial_state[:3]
     commands = Rotation.from_matrix(
         sun_pointing(panels, unit(vehicle.sensors.camera), sun, position)
     )
     speeds = np.zeros(len(vehicle.wheels.axes))
-    flight = coast(mission, empty, commands, commands[0], speeds, seed)
+    flight = coast(empty, commands, commands[0], speeds, SEED)
     full = np.flatnonzero((state_of_charge(flight) >= FULL).all(axis=1))
     return float(full[0]) if len(full) else np.inf
 
 
-def rules(
-    mission: Mission, vehicle: Vehicle, slews: Sequence[Record], recharges_s: Sequence[float]
-) -> list[Record]:
+def rules(vehicle: Vehicle, slews: Sequence[Record], recharges_s: Sequence[float]) -> list[Record]:
     """Rows of the schedule's durations beside the measured ones.
 
     The recharge has two rows: quiescent, and with the attitude control's reserve drawn.
     """
-    allowed, loads = mission.scenario.schedule, vehicle.loads
+    allowed, loads = default_mission().scenario.schedule, vehicle.loads
     worst = max(slew[SETTLED[STEADY_DEG[-1]]] for slew in slews)
     heating = vehicle.chemical_thruster.heating_s
     found = [
@@ -172,35 +155,12 @@ def figures(slews: Sequence[Record], vehicle: Vehicle) -> list[Record]:
 
 def run(session: Session) -> Findings:
     """Simulate half turns and recharges."""
-    options = session.options
-    mission, vehicle = Mission.from_scenario(load_scenario()), load_vehicle(options.vehicle)
-    store = session.store(seed=options.seed, vehicle=repr(vehicle))
-    work = partial(measure_slew, mission, vehicle, options.seed)
-    slews = session.rows("slews", work, [Job(k, k) for k in range(options.slews)], store)
-    recharges = [
-        measure_recharge(mission, vehicle, options.seed, extra_w)
-        for extra_w in (0.0, vehicle.loads.attitude_control_w)
-    ]
-    found = rules(mission, vehicle, slews, recharges)
-    files = {
-        "timing_rules.csv": found,
-        "timing_rules_slews.csv": slews,
-        "figures.csv": figures(slews, vehicle),
-    }
-    claims = [
-        Claim(
-            f"{rule['name']}, {rule['how']}",
-            f"{rule['allowed_s'] / 60:.0f} min",
-            f"{rule['measured_s'] / 60:.1f} min",
-            rule["holds"],
-        )
-        for rule in found
-    ]
-    return Findings({name: records(table) for name, table in files.items()}, claims)
+    vehicle = load_vehicle()
+    slews = session.rows("slews", measure_slew, range(SLEWS), session.store())
+    extra_w = (0.0, vehicle.loads.attitude_control_w)
+    found = rules(vehicle, slews, [measure_recharge(vehicle, more) for more in extra_w])
+    tables = {"timing_rules": found, "timing_rules_slews": slews}
+    return Findings(tables | {"figures": figures(slews, vehicle)})
 
 
-STUDY = Study(
-    __doc__,
-    run,
-    (number("--slews", SLEWS, 3, 10_000, "half turns"), SEED, VEHICLE),
-)
+STUDY = Study(__doc__, run)

@@ -3,8 +3,8 @@
 Each source of the vehicle's errors is flown alone, and all together. Sources that act on the path
 directly are flown many times in the planner's dynamics. Sources that act through the attitude, and
 all sources together, are flown a few times each in the simulation of the whole spacecraft (extra
-[sim]). How far flights end from the one without errors goes to OUT/uncertainty_sources.csv, and
-their quantiles to uncertainty_quantiles.csv. Simulated flights are taken up again.
+[sim]). How far flights end from the one without errors goes to OUT/uncertainty_sources.csv.
+Simulated flights are taken up again.
 """
 
 from __future__ import annotations
@@ -17,30 +17,16 @@ from types import ModuleType
 import numpy as np
 from scipy.stats import chi2, probplot, shapiro
 
-from experiments.harness import (
-    PLAN,
-    SEED,
-    VEHICLE,
-    Claim,
-    Findings,
-    Record,
-    Session,
-    Study,
-    number,
-    plan_or_default,
-    records,
-)
+from experiments.harness import Claim, Findings, Record, Session, Study, default_plan
 from experiments.spacecraft.flown_plan import sampled_states
 from formulations.arrays import Array
 from scp_recon.errors import needing
-from scp_recon.jobs.job import Job, here
-from scp_recon.jobs.processes import Processes
 from scp_recon.monte_carlo.estimates import CONFIDENCE, Estimate
 from scp_recon.results.solution import Solution
 from scp_recon.simulation.record import inputs_digest
 from scp_recon.simulation.vehicle import Errors, Vehicle, load_vehicle
 
-PATHS, FLIGHTS = 10_000, 8
+PATHS, FLIGHTS = 10_000, 4
 INITIAL, CHEMICAL, BOTH, NO_ERRORS = "initial_state", "chemical_thruster", "path", "none"
 PATH, SPACECRAFT = "planner's dynamics", "whole spacecraft"
 ATTITUDE = ("sun_sensor", "star_tracker", "imu", "micro_thruster")
@@ -74,8 +60,6 @@ NORMAL_MIN = 8
 TESTED_MAX = 5000
 """Samples up to which the p-values of Shapiro and Wilk's test are accurate."""
 SIGNIFICANCE = 0.05
-POINTS_MAX = 199
-"""Of a quantile-quantile plot."""
 ROUNDING_M = 1e-6
 """Below it flights differ by rounding alone."""
 
@@ -149,35 +133,25 @@ def dispersion(deviation: Array) -> Estimate:
     return Estimate(np.sqrt(trace), np.sqrt(trace * low), np.sqrt(trace * high))
 
 
-def normality(sample: Array) -> tuple[float, float, Array, Array]:
+def normality(sample: Array) -> tuple[float, float]:
     """Test a sample, shape (n,), n > 3, whose values are not all the same.
 
     Returns:
         The p-value of Shapiro and Wilk's test; the correlation of the sample's quantiles with a
-        normal variable's; quantiles of a standard normal and of the standardised sample.
+        normal variable's.
     """
     standard = (sample - sample.mean()) / sample.std(ddof=1)
-    (expected, observed), (_, _, correlation) = probplot(standard)
-    # Evenly spaced along the axis, so that the tails are seen.
-    keep = np.unique(np.searchsorted(expected, np.linspace(expected[0], expected[-1], POINTS_MAX)))
-    p_value = float(shapiro(standard[:TESTED_MAX]).pvalue)
-    return p_value, float(correlation), expected[keep], observed[keep]
+    _, (_, _, correlation) = probplot(standard)
+    return float(shapiro(standard[:TESTED_MAX]).pvalue), float(correlation)
 
 
-def measure_paths(
-    solution: Solution, vehicle: Vehicle, samples: int, seed: int
-) -> tuple[list[Record], list[Record]]:
-    """Rows of the sources that act on the path, alone and together, and of their quantiles."""
-    planned, rows, quantiles = np.array(solution.nodes.state[-1]), list[Record](), list[Record]()
-    for k, (name, sources) in enumerate(PATH_SETS.items()):
-        states = fly_paths(solution, vehicle, sources, samples, seed + k)
+def measure_paths(solution: Solution, vehicle: Vehicle) -> list[Record]:
+    """Rows of the sources that act on the path, alone and together."""
+    planned, rows = np.array(solution.nodes.state[-1]), list[Record]()
+    for seed, (name, sources) in enumerate(PATH_SETS.items()):
+        states = fly_paths(solution, vehicle, sources, PATHS, seed)
         rows.append(row(name, PATH, states, planned, planned, vehicle.errors))
-        for axis, (_, _, *points) in _normal(states - planned).items():
-            quantiles += [
-                {"source": name, "axis": axis, "expected": e, "observed": o}
-                for e, o in zip(*(of.tolist() for of in points), strict=True)
-            ]
-    return rows, quantiles
+    return rows
 
 
 def measure_flights(flown: Sequence[Record], solution: Solution, vehicle: Vehicle) -> list[Record]:
@@ -193,13 +167,6 @@ def measure_flights(flown: Sequence[Record], solution: Solution, vehicle: Vehicl
     return found
 
 
-def _normal(deviation: Array) -> dict[str, tuple[float, float, Array, Array]]:
-    """Normality of the final position by axis, if enough flights differ."""
-    if len(deviation) < NORMAL_MIN or dispersion(deviation[:, :3]).value < ROUNDING_M:
-        return {}
-    return {axis: normality(deviation[:, i]) for i, axis in enumerate("xyz")}
-
-
 def row(
     name: str, flown_by: str, ends: Array, perfect: Array, planned: Array, errors: Errors
 ) -> Record:
@@ -207,8 +174,9 @@ def row(
 
     `perfect` is the end of the flight without errors, J2000, m and m/s.
     """
-    spread, normal = dispersion((ends - perfect)[:, :3]), _normal(ends - perfect)
-    label, sigma = SOURCES[name]
+    off, (label, sigma) = (ends - perfect)[:, :3], SOURCES[name]
+    spread = dispersion(off)
+    tested = len(off) >= NORMAL_MIN and spread.value >= ROUNDING_M
     found: Record = {
         "source": name,
         "label": label,
@@ -221,8 +189,8 @@ def row(
         "mean_off_plan_m": float(np.linalg.norm((ends.mean(axis=0) - planned)[:3])),
         "attitude_error_deg": "",
     }
-    for axis in "xyz":
-        p_value, correlation, *_ = normal.get(axis, ("", ""))
+    for axis, sample in zip("xyz", off.T, strict=True):
+        p_value, correlation = normality(sample) if tested else ("", "")
         found |= {f"p_value_{axis}": p_value, f"correlation_{axis}": correlation}
     return found
 
@@ -266,44 +234,21 @@ def _shown(one: Record) -> str:
 
 def run(session: Session) -> Findings:
     """Fly every set of sources."""
-    options = session.options
-    vehicle, solution = load_vehicle(options.vehicle), plan_or_default(options.solution)
+    vehicle, solution = load_vehicle(), default_plan()
     # Seed by seed, so that an interrupted study has as many flights of every set.
-    wanted = [
-        (name, options.seed + k)
-        for k in range(options.flights)
+    cases = [
+        (name, seed)
+        for seed in range(FLIGHTS)
         for name in SPACECRAFT_SETS
-        if name != NO_ERRORS or k == 0
+        if name != NO_ERRORS or not seed
     ]
     store = session.store("uncertainty_flights.jsonl", inputs=inputs_digest(solution, vehicle))
-    jobs = [Job(f"{name} {seed}", (name, seed)) for name, seed in wanted]
-    if any(job.key not in store for job in jobs):
+    if len(store) < len(cases):
         simulator()  # if it is not there, that is said once, and here
-    work = partial(fly_spacecraft, solution, vehicle)
-    executor = Processes(options.workers) if options.workers > 1 else here
-    flown = session.rows("flights", work, jobs, store, executor=executor)
-    rows, quantiles = measure_paths(solution, vehicle, options.paths, options.seed)
-    rows += measure_flights(flown, solution, vehicle)
+    flown = session.rows("flights", partial(fly_spacecraft, solution, vehicle), cases, store)
+    rows = measure_paths(solution, vehicle) + measure_flights(flown, solution, vehicle)
     rows.sort(key=lambda one: [*SOURCES].index(one["source"]))
-    files = {
-        "uncertainty_sources.csv": rows,
-        "uncertainty_quantiles.csv": quantiles,
-        **({"uncertainty_flights.csv": flown} if flown else {}),
-    }
-    return Findings({name: records(found) for name, found in files.items()}, claims(rows))
+    return Findings({"uncertainty_sources": rows, "uncertainty_flights": flown}, claims(rows))
 
 
-OF_PATHS = "flights in the planner's dynamics for each set of sources"
-OF_FLIGHTS = "simulated flights for each set, about a minute each; 0 for none"
-STUDY = Study(
-    __doc__,
-    run,
-    (
-        number("--paths", PATHS, 20, 10_000_000, OF_PATHS),
-        number("--flights", FLIGHTS, 0, 100_000, OF_FLIGHTS),
-        number("--workers", 1, 1, 256, "processes"),
-        SEED,
-        PLAN,
-        VEHICLE,
-    ),
-)
+STUDY = Study(__doc__, run)

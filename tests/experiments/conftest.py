@@ -7,17 +7,17 @@ from pathlib import Path
 
 import pytest
 
+from experiments import harness, observation_table
 from experiments.__main__ import main
 from scp_recon.mission.mission import Mission
 from scp_recon.results.solution import Solution, ballistic_arc
-from scp_recon.scenario.load import load_scenario
 
-from .support import QUICK
+from .support import SAMPLES, quick_rows
 
 
 @pytest.fixture(scope="session")
 def mission() -> Mission:
-    return Mission.from_scenario(load_scenario())
+    return harness.default_mission()
 
 
 @pytest.fixture(scope="session")
@@ -25,8 +25,11 @@ def finished(tmp_path_factory) -> tuple[Path, str]:
     """A whole run of the command: its folder and what it printed."""
     out = tmp_path_factory.mktemp("paper")
     printed = io.StringIO()
-    with contextlib.redirect_stdout(printed):
-        assert main(["observation_table", *QUICK, "--out", str(out)]) == 0
+    with contextlib.redirect_stdout(printed), pytest.MonkeyPatch.context() as patch:
+        patch.setattr(observation_table, "SAMPLES", SAMPLES)
+        patch.setattr(observation_table, "rows", quick_rows)
+        patch.setattr(observation_table, "variants", lambda _: [])
+        assert main(["observation_table", "--out", str(out)]) == 0
     return out, printed.getvalue()
 
 

@@ -8,7 +8,7 @@ from rich.console import Console
 
 from experiments.evidence import Evidence
 from experiments.harness import Session
-from experiments.observation_rows import BENNU_ID, OSIRIS_REX_ID
+from experiments.observation_rows import BENNU_ID, OSIRIS_REX_ID, Row, rows
 from formulations.arrays import Array
 from scp_recon.bodies.catalogue import J2000_TDB
 from scp_recon.mission.mission import Mission
@@ -21,7 +21,9 @@ def session_in(out: Path, name: str = "study", version: int = 1) -> Session:
     return Session(name, Namespace(), out, Console(quiet=True), Evidence.begun(name, version))
 
 
-QUICK = ("--quick", "--skip-ipopt", "--samples", str(SAMPLES))
+def quick_rows(as_flown: Path | None = None) -> list[Row]:
+    """Rows of the table that take no IPOPT."""
+    return [row for row in rows(as_flown) if "ipopt" not in row.key]
 
 
 def table_of(out: Path) -> dict[str, dict[str, str]]:

@@ -72,7 +72,7 @@ def test_a_failed_case_is_a_row(monkeypatch):
         raise InputError("policy.kind", "'feedback'", "goes with nothing")
 
     monkeypatch.setattr(feedback, "plan", fail)
-    found = feedback.measure(100, Case(CORRECTED, 0.9))
+    found = feedback.measure(Case(CORRECTED, 0.9))
     assert found["status"].startswith("failed: policy.kind: got 'feedback'")
     assert not any(one.holds for one in feedback.claims([found | {"asked": 0.99}], []))
 
@@ -84,7 +84,8 @@ def test_policies_fly_their_own_plans(monkeypatch):
     fly_few(monkeypatch)
     monkeypatch.setattr(policies, "plan", lambda scenario, **_: plan(scenario))
     monkeypatch.setattr(policies, "FLIGHT", {"grid.step_max_s": 450.0, "policy.cost": "nominal"})
-    found = [policies.measure(20, policies.Case(kind, 0.7)) for kind in policies.FLIGHTS]
+    monkeypatch.setattr(policies, "FLIGHTS", dict.fromkeys(policies.FLIGHTS, 20))
+    found = [policies.measure(policies.Case(kind, 0.7)) for kind in policies.FLIGHTS]
     fixed, corrected, replanned = found
     assert {row["status"] for row in found} == {"converged"}
     assert fixed["mean_dv_m_s"] == fixed["dv99_m_s"] == fixed["dv99_m_s_high"]

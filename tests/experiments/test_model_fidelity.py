@@ -11,7 +11,6 @@ from experiments.model_fidelity import (
     GRAVITY,
     PLANNER,
     SRP,
-    claims,
     flight_plan,
     fly,
     models_of,
@@ -56,16 +55,3 @@ def test_burn_acts_from_its_middle(mission, late, lead_s):
         acting = np.maximum(time - np.array([0.0, 8000.0]) - lead_s * lengths, 0.0)
         expected = start[:3] + time * start[3:] + np.r_[0.1 * acting[0], 0.05 * acting[1], 0.0]
         np.testing.assert_allclose(state[:3], expected, atol=1e-6)
-
-
-def test_lowest_fidelity_within_the_limit_passes():
-    def row(model: str, distance_m: float, effect: str = "gravity") -> dict[str, Any]:
-        of = {"flight": "plan", "effect": effect, "model": model}
-        return of | {"terminal_m": distance_m, "passes": distance_m < 10.0}
-
-    rows = [row("crude", 30.0), row("better", 9.9), row("good", 12.0), row("none", 10.0, "burns")]
-    gravity, burns = claims(rows)
-    assert "better" in gravity.claim
-    assert "not good" in gravity.claim
-    assert (gravity.measured, gravity.holds) == ("9.90 m", True)
-    assert not burns.holds

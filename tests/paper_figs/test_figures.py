@@ -10,8 +10,7 @@ import pandas as pd
 import pytest
 from matplotlib.figure import Figure
 
-from experiments.observation_rows import rows
-from experiments.observation_table import measure
+from experiments.observation_rows import rows, run_row
 from paper_figs import __main__ as command_line
 from paper_figs import campaigns, flight, inputs, observation
 from paper_figs.__main__ import EVERYTHING, FIGURES, STUDIES, Item, main
@@ -38,9 +37,9 @@ EVIDENCE = Path(__file__).parents[2] / "docs" / "evidence"
 def folder(tmp_path_factory) -> Path:
     """What experiments write, for the two rows that figures are drawn from."""
     out = tmp_path_factory.mktemp("runs")
-    for row in rows(ipopt=False):
+    for row in rows():
         if row.key in (PLAN, SURROGATE):
-            measure(out, SAMPLES, False, row)
+            run_row(row, out / row.key, SAMPLES)
     return out
 
 
