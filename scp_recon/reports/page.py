@@ -147,9 +147,12 @@ def _advice(subject: Subject) -> tuple[str, ...]:
     """What to do next: what was found to work for this plan, else what helps with its failed checks."""
     solution = subject.solution
     if solution.verification is None:
-        return tuple(filter(None, [Status.named(solution.status).value.remedy]))
-    lines = what_next(subject.mission, solution, solution.verification)
-    return solution.advice or lines
+        lines = tuple(filter(None, [Status.named(solution.status).value.remedy]))
+    elif solution.advice:
+        return solution.advice
+    else:
+        lines = what_next(subject.mission, solution, solution.verification)
+    return tuple(f"next: {line}" for line in lines)
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,7 +22,7 @@ from scp_recon.scenario.schema import Scenario
 
 TURNS = 36
 """Directions about an axis: of a surface of revolution, and of the edge of a field of view."""
-RING = 14
+RING = 24
 """Points of a tube's cross section."""
 FACETS_MAX = 12_000
 """Of a mesh as it is drawn: more would make the file heavy and the view slow."""

@@ -167,7 +167,7 @@ def test_names_are_escaped(verified):
 
 @pytest.mark.usefixtures("few_flights")
 def test_several_plans_are_laid_over_each_other(page, verified, plan_folder):
-    other = replace(verified, burns=verified.burns[:], status="stalled")
+    other = replace(verified, burns=verified.burns[:], status="stalled", advice=("next: less",))
     both = page_of(subjects_of([plan_folder, other]), Camera(), MADE)
     assert [verdict_of(plan).good for plan in both.plans] == [True, False]
     assert "stalled" in both.comparison.rows[2][2].text if both.comparison else False
@@ -178,7 +178,9 @@ def test_several_plans_are_laid_over_each_other(page, verified, plan_folder):
         if chart["key"] != "timeline":
             assert any(name.startswith(str(plan_folder)) for name in named), chart["key"]
             assert any(name.startswith("recon_b") for name in named), chart["key"]
-    assert len(render(both)) < BYTES_MAX
+    written = render(both)
+    assert written.count("next: less") == 1 and "next: next" not in written
+    assert len(written) < BYTES_MAX
 
 
 @pytest.mark.usefixtures("few_flights")
