@@ -76,7 +76,8 @@ figures: $(VENV)/.test  ## draw the paper's figures, and those of docs that no s
 	test -d runs/paper || $(BIN)/python -m experiments observation_table
 	$(BIN)/python -m paper_figs
 	$(BIN)/python -m paper_figs modes --out docs/modes.png
-	$(BIN)/python -m paper_figs flyby --runs runs/paper/scp_cold --out docs/flyby.png
+	$(BIN)/python -m scp_recon.solve --init cold --out runs/flyby
+	$(BIN)/python -m paper_figs flyby --runs runs/flyby --out docs/flyby.png
 
 notebooks: $(VENV)/.notebooks  ## run the notebooks, and keep each as a page in runs/notebooks
 	for name in $(basename $(notdir $(wildcard examples/notebooks/*.py))); do \
