@@ -4,8 +4,6 @@ import inspect
 import json
 from pathlib import Path
 
-import pytest
-
 from experiments import cross_check, frontier, testing
 from experiments.__main__ import STUDIES, main
 from experiments.evidence import FILE, ROOT, Evidence
@@ -16,10 +14,8 @@ from experiments.harness import (
     Session,
     Study,
     run,
-    run_python,
     study_of,
 )
-from scp_recon.errors import InputError
 from scp_recon.jobs.job import Job
 from tests import reliability
 
@@ -90,16 +86,6 @@ def test_a_study_is_one_document_or_silent(tmp_path, capsys, monkeypatch):
     assert {str(path) for path in tmp_path.iterdir()} == set(document["files"])
 
 
-def test_rows_go_once_the_tables_have_it(tmp_path):
-    session = session_in(tmp_path)
-    with session.stores:
-        for file in ("", "stays.jsonl"):
-            session.store(file).put(0, {})
-        session.end(Findings({}))
-    kept = [path.name for path in tmp_path.iterdir() if not path.name.startswith(".")]
-    assert sorted(kept) == ["evidence.json", "stays.jsonl"]
-
-
 def evidence_of(what: str, out: Path) -> dict[str, dict[str, object]]:
     words = [what, "--out", str(out), "--quiet"]
     assert run("python -m experiments testing", testing.STUDY, words) == 0
@@ -117,12 +103,6 @@ def test_counts_of_property_tests_are_rows(tmp_path, monkeypatch):
 
     monkeypatch.setattr(testing, "run_python", pytest_run)
     assert evidence_of("reliability", tmp_path)[reliability.SOLVED]["all"] == 10
-
-
-def test_failed_program_is_an_error():
-    assert run_python(["-c", "print('out'); exit(3)"], statuses=(3,))[1] == "out\n"
-    with pytest.raises(InputError, match="exit status 3"):
-        run_python(["-c", "exit(3)"])
 
 
 def test_mutants_are_drawn_tried_and_counted(tmp_path, monkeypatch):

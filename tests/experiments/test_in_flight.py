@@ -1,27 +1,22 @@
 """Studies of feedback: targeting gains do what they say, and claims judge what is there."""
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pandas as pd
 import pytest
 
-from experiments.harness import Record
-from experiments.in_flight import feedback, policies
-from experiments.in_flight.feedback import CORRECTED, ENDING, ERRORS, OPEN, TARGETED, Case
+from experiments.in_flight import feedback
+from experiments.in_flight.feedback import CORRECTED, Case
 from experiments.in_flight.sites import last_gains
 from experiments.maps import counted
 from experiments.plans import FLIGHT
 from formulations.problem.feedback import Feedback
-from scp_recon.api.verbs import plan
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
 from scp_recon.results.policy import policy_of, transition
 from scp_recon.scenario.load import load_scenario
-from tests.helpers import nightly
-from tests.scp_recon.support import fly_few
 
 
 def test_whole_gain_targets_the_planned_position():
@@ -45,28 +40,6 @@ def test_whole_gain_targets_the_planned_position():
     np.testing.assert_allclose(left[:3] / size, 0.0, atol=1e-7)
 
 
-def test_least_share_reaches_the_required_probability():
-    """Of a made-up surplus that rises and falls again."""
-
-    class Rows:
-        required = 1.0
-
-        @staticmethod
-        def at(share: Any) -> Any:
-            return share
-
-    class At:
-        def __init__(self, share: float) -> None:
-            self.value = 4.0 * share * (1.2 - share)
-            self.cost = self
-
-    found = feedback.scaled(At, Rows())  # type: ignore[arg-type]
-    assert found.share == pytest.approx(0.6 - np.sqrt(0.11), abs=1e-3)
-    assert found.cost == pytest.approx(1.0, abs=1e-3)
-    Rows.required = 2.0
-    assert feedback.scaled(At, Rows()) is feedback.NO_GAIN  # type: ignore[arg-type]
-
-
 def test_a_failed_case_is_a_row(monkeypatch):
     def fail(*_: object, **__: object) -> None:
         raise InputError("policy.kind", "'feedback'", "goes with nothing")
@@ -75,48 +48,6 @@ def test_a_failed_case_is_a_row(monkeypatch):
     found = feedback.measure(Case(CORRECTED, 0.9))
     assert found["status"].startswith("failed: policy.kind: got 'feedback'")
     assert not any(one.holds for one in feedback.claims([found | {"asked": 0.99}], []))
-
-
-@nightly
-@pytest.mark.slow
-def test_policies_fly_their_own_plans(monkeypatch):
-    """Fixed burns cost what is planned; burns planned again end nearer to where they are to."""
-    fly_few(monkeypatch)
-    monkeypatch.setattr(policies, "plan", lambda scenario, **_: plan(scenario))
-    monkeypatch.setattr(policies, "FLIGHT", {"grid.step_max_s": 450.0, "policy.cost": "nominal"})
-    monkeypatch.setattr(policies, "FLIGHTS", dict.fromkeys(policies.FLIGHTS, 20))
-    found = [policies.measure(policies.Case(kind, 0.7)) for kind in policies.FLIGHTS]
-    fixed, corrected, replanned = found
-    assert {row["status"] for row in found} == {"converged"}
-    assert fixed["mean_dv_m_s"] == fixed["dv99_m_s"] == fixed["dv99_m_s_high"]
-    assert all(row["mean_dv_m_s"] < row["dv99_m_s"] for row in (corrected, replanned))
-    assert all(row["whole_flight_low"] < row["whole_flight"] for row in found)
-    others = fixed["final_sigma_m"], corrected["final_sigma_m"]
-    assert replanned["final_sigma_m"] < 0.5 * min(others)
-    assert replanned["failed_replans"] == 0
-
-
-def test_claims_tell_what_falls_short():
-    def figures(kind: str, p: float, cost: float, sigma: float = 200.0) -> Record:
-        dv = {"dv99_m_s": cost, "program_m_s": cost}
-        return {"kind": kind, "asked": p, "final_sigma_m": sigma, **dv}
-
-    rows = [
-        figures(OPEN, 0.99, 0.13),
-        figures(CORRECTED, 0.99, 0.1155),
-        figures(TARGETED, 0.99, 0.1150),
-        figures(ENDING, 0.99, 0.118, 60.0),
-        figures(ENDING, 0.99, 0.12, 80.0),
-    ]
-    costs = [0.12, *(0.12 - 1e-3 * i for i in range(len(ERRORS) - 1))]
-    errors = [{"scope": "flight"} | figures(CORRECTED, 0.9, cost) for cost in costs]
-    made = feedback.claims(feedback.beside(rows), errors)
-    assert [one.holds for one in made] == [True, False, True, False, True, True]
-    errors[-1]["program_m_s"] = 0.13
-    assert [one.holds for one in feedback.claims([], errors)] == [True, False]
-    assert [case.changes for case in feedback.limited(rows[:1])] == [
-        {feedback.LIMIT: 200.0 / (3.0 * more)} for more in feedback.FURTHER
-    ]
 
 
 @pytest.mark.parametrize("left", [3, 2, 1])

@@ -17,11 +17,9 @@ from experiments.observation_rows import (
     flown_guess,
     flown_states,
     middle_beyond_facet_m,
-    run_row,
     still_sun_window_s,
-    variants,
 )
-from experiments.observation_table import agrees, numbers, outcome, statements
+from experiments.observation_table import numbers, statements
 from formulations.arrays import Array
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
@@ -65,21 +63,6 @@ def test_statements_have_their_outcomes(measured):
     assert reproduced["warm start, mean, s"] == "no"
 
 
-def test_intervals_over_the_threshold_decide_nothing():
-    row = {"plan": type("Row", (), {"p": 0.9, "p_low": 0.85, "p_high": 0.95, "n": 2})}
-    assert outcome({"quantity": "plan.p", "at_least": 0.8}, row) is True
-    assert outcome({"quantity": "plan.p", "below": 0.8}, row) is False
-    assert outcome({"quantity": "plan.p", "at_least": 0.9}, row) is None
-    assert outcome({"quantity": "max(plan.p, plan.n)", "above": 2}, row) is False
-    assert outcome({}, row) is None
-    figures = {"s": 100.0, "s_low": 98.0, "s_high": 102.0}
-    assert [agrees(figures, "s", printed) for printed in (102.5, 103.0, 97.0)] == [
-        True,
-        False,
-        False,
-    ]
-
-
 def test_still_sun_window_follows_from_rotation_alone(mission):
     """The incidence's cosine then is a sinusoid of the body's turning alone."""
     pole, sun = mission.rotation.pole, mission.sun_direction(0.0)
@@ -104,13 +87,6 @@ def test_middle_of_two_facet_points_lies_beyond(finished):
     assert np.abs(spreads - middle_beyond_facet_m(plan)).min() < 1e-3
     assert middle_beyond_facet_m(plan) > 1.0
     assert middle_beyond_facet_m(read_solution(finished[0] / "p3")) == ""
-
-
-def test_variants_have_their_own_mission(mission, tmp_path):
-    row = next(row for row in variants(mission.scenario) if row.key == "p3_j2000")
-    found = run_row(row, tmp_path, 100)
-    assert read_solution(tmp_path).scenario.boundary.frame == "j2000"
-    assert found["mean_s"] < 2000.0
 
 
 def test_failed_rows_leave_the_others(tmp_path, monkeypatch, capsys):

@@ -9,31 +9,14 @@ import pandas as pd
 import pytest
 
 from experiments import frontier, maps, plans
-from experiments.frontier import NOT_CERTIFIED, measure, record, with_costs
-from experiments.harness import Record, fly_plan
-from formulations.problem.flyby import Iterate
-from scp_recon.api import planning
+from experiments.frontier import NOT_CERTIFIED, record
+from experiments.harness import fly_plan
 from scp_recon.api.verbs import plan
-from scp_recon.certification.certify import AimedPlanning
-from scp_recon.mission.mission import Mission
-from scp_recon.planning.plan import Plan
 from scp_recon.planning.records import Certificate
 from scp_recon.scenario.load import load_scenario
 from tests.scenarios import COARSE
-from tests.scp_recon.support import fly_few
 
 pytestmark = pytest.mark.slow
-
-
-def test_row_is_the_plan_of_its_case(monkeypatch):
-    fly_few(monkeypatch)
-    monkeypatch.setattr(plans, "FLIGHTS", 200)
-    monkeypatch.setitem(plans.PLANS, "tangent", plans.TANGENT)
-    found = {name: plans.measure(name) for name in ("default", "tangent")}
-    assert [row["status"] for row in found.values()] == 2 * ["converged"]
-    assert all(row["verified"] and row["node"] > 0.7 for row in found.values())
-    costs = [row["total_dv_m_s"] for row in found.values()]
-    assert costs == sorted(costs, reverse=True)
 
 
 def test_measured_frontiers_are_monotone():
@@ -72,33 +55,6 @@ def test_cases_are_summed_up():
     assert math.isnan(maps.summary(pd.DataFrame(cases[3:]))["dv_m_s_min"])
     assert maps.latitude({"site.latitude_deg": -5.0}) == "0 to 40 S"
     assert maps.latitude({"site.latitude_deg": 80.0}) == "above 70 N"
-
-
-def aiming_higher(mission: Mission, start: Iterate, make_plan: AimedPlanning, _: object) -> Plan:
-    """What certifying comes to: two plans, the second with a higher aim."""
-    make_plan(mission, start, 0.9)
-    return make_plan(mission, start, 0.91)
-
-
-@pytest.fixture(scope="module")
-def rows() -> list[Record]:
-    """Of one probability, per node, on the coarse grid."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(planning, "certify", aiming_higher)
-        patch.setattr(frontier, "load_scenario", lambda: load_scenario(None, (COARSE,)))
-        kinds = ("exact, each node", "certified, each node")
-        patch.setattr(frontier, "FLIGHTS", 200)
-        return with_costs([measure((kind, 0.9)) for kind in kinds])
-
-
-def test_certifying_costs_more(rows):
-    aimed, certified = rows
-    assert math.isnan(float(aimed["certifying_dv_m_s"]))
-    more = float(certified["certifying_dv_m_s"])
-    assert more == float(certified["total_dv_m_s"]) - float(aimed["total_dv_m_s"])
-    assert more > 0.0
-    took = float(certified["processor_s"]) - float(aimed["processor_s"])
-    assert certified["certifying_processor_s"] == took
 
 
 def test_flights_that_fall_short_certify_nothing():

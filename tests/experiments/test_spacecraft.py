@@ -14,24 +14,15 @@ from experiments.model_fidelity import Plates
 from experiments.spacecraft import flown_plan, timing_rules, uncertainty_sources
 from experiments.spacecraft.battery_cones import SAMPLES, find_cones
 from experiments.spacecraft.uncertainty_sources import (
-    ATTITUDE,
-    BOTH,
-    CHEMICAL,
-    INITIAL,
     NO_ERRORS,
-    PATH_SETS,
-    SPACECRAFT_SETS,
     STATE,
     dispersion,
-    fly_paths,
     measure_flights,
     measure_paths,
     normality,
 )
 from scp_recon.errors import InputError
-from scp_recon.mission.mission import Mission
 from scp_recon.physics.forces import SPEED_OF_LIGHT_M_S
-from scp_recon.results.solution import Solution
 from scp_recon.simulation.panels import SolarArray, irradiance
 from scp_recon.simulation.record import Record, read_record
 from scp_recon.simulation.vehicle import Vehicle, load_vehicle
@@ -114,53 +105,6 @@ def test_only_small_attitude_errors_are_negligible(
     assert claim.holds is holds
 
 
-@pytest.mark.slow
-def test_the_command_measures_every_set(solution, tmp_path, monkeypatch):
-    """Of flights that end 0.1 m off for each source that errs, 100 m for those of the path."""
-
-    def simulated(solution: Solution, _: Vehicle, case: tuple[str, int]) -> Row:
-        name, seed = case
-        errs = SPACECRAFT_SETS[name]
-        scale = sum(0.1 if source in ATTITUDE else 100.0 for source in errs)
-        off = scale * np.random.default_rng([seed, len(errs)]).standard_normal(6)
-        return flown(name, seed, solution.nodes.state[-1] + off * np.repeat([1.0, 1e-4], 3))
-
-    monkeypatch.setattr(uncertainty_sources, "fly_spacecraft", simulated)
-    monkeypatch.setattr(uncertainty_sources, "simulator", lambda: None)
-    monkeypatch.setattr(uncertainty_sources, "default_plan", lambda: solution)
-    monkeypatch.setattr(uncertainty_sources, "PATHS", 500)
-    monkeypatch.setattr(uncertainty_sources, "FLIGHTS", 10)
-    assert main(["uncertainty_sources", "--out", str(tmp_path)]) == 0
-    with (tmp_path / "uncertainty_sources.csv").open(encoding="utf-8") as file:
-        table = {row["source"]: row for row in csv.DictReader(file)}
-    assert set(table) == {*SPACECRAFT_SETS, *PATH_SETS}
-    for name, row in table.items():
-        assert float(row["rms_m_low"]) <= float(row["rms_m"])
-        few = 1 if name == NO_ERRORS else 10
-        assert int(row["flights"]) == (500 if name in PATH_SETS else few)
-    assert float(table["imu"]["attitude_error_deg"]) == pytest.approx(np.rad2deg(1e-4))
-
-
-@pytest.mark.slow
-def test_paths_spread_as_the_linearised_flight(solution, vehicle):
-    """Finite differences of the end by each error, times the errors' sigmas."""
-    mission = Mission.from_scenario(solution.scenario)
-    units, step = mission.units, 1e-4
-    sigma = vehicle.errors.initial_state * np.abs(mission.initial_state)
-    # The draws come in the order: initial state, then a factor for each burn.
-    starts = np.vstack([np.diag(step * sigma), np.zeros((5, 6))]) + mission.initial_state
-    factors = np.vstack([np.zeros((6, 4)), step * np.eye(4), np.zeros((1, 4))])
-    burns = solution.burns_m_s * (1.0 + vehicle.errors.chemical_thruster * factors[:, :, None])
-    ends = mission.dynamics.rollout(starts / units.state, burns / units.speed_m_s)[-1] * units.state
-    sensitivity = (ends[:-1] - ends[-1]) / step
-    expected = {INITIAL: sensitivity[:6], CHEMICAL: sensitivity[6:], BOTH: sensitivity}
-    for name, factor in expected.items():
-        found = fly_paths(solution, vehicle, PATH_SETS[name], 4000, 1)
-        rms = np.sqrt(np.sum(factor[:, :3] ** 2))
-        # Curvature and 4000 flights leave some per cent.
-        assert dispersion(found[:, :3] - ends[-1, :3]).value == pytest.approx(rms, rel=0.08)
-
-
 @pytest.mark.parametrize("flights", [3, 8])
 @pytest.mark.parametrize("sigmas", [(1.0, 1.0, 1.0), (5.0, 1.0, 0.2)])
 def test_intervals_of_dispersion_cover_the_truth(sigmas, flights):
@@ -237,13 +181,3 @@ def test_a_recharge_takes_the_power_left_over(vehicle, panels, monkeypatch):
     assert found == pytest.approx(expected, abs=3.0)
     monkeypatch.setattr(timing_rules, "RECHARGE_S", 100.0)
     assert timing_rules.measure_recharge(small) == np.inf
-
-
-def test_a_rule_holds_within_its_duration(vehicle):
-    columns = timing_rules.SETTLED.values()
-    slews = [dict(zip(columns, (t - 20.0, t - 10.0, t), strict=True)) for t in (900, 1801)]
-    found = timing_rules.rules(vehicle, slews, (1200.0, 1201.0))
-    assert [rule["holds"] for rule in found] == [False, True, True, False]
-    # 115 W for half an hour out of 80 Wh at 0.96.
-    figures = timing_rules.figures([{"steady_rms_deg": 0.1}], vehicle)
-    assert figures[1]["value"] == pytest.approx(1.0 - 57.5 / 0.96 / 80.0)

@@ -3,7 +3,6 @@
 import hashlib
 from dataclasses import replace
 
-import numpy as np
 import pandas as pd
 import pytest
 
@@ -13,28 +12,19 @@ from experiments.solvers.cases import (
     ELASTIC,
     FROZEN_COVARIANCE,
     FROZEN_STM,
-    NLP_METHODS,
-    PROBLEMS,
     REFERENCE,
-    REPEATS,
-    SCP_METHODS,
-    SHOOTING_UNO,
     TUNED,
     Cell,
     Method,
-    crossing,
     drawn,
     exact_design,
 )
 from experiments.solvers.cells import FAILED, burns_violation_m, checked_probability, named, solve
-from experiments.solvers.compare_solvers import MISS_M, claims, ended, shares, tables_of
-from scp_recon.jobs.job import TIMED_OUT, Failure
+from experiments.solvers.compare_solvers import MISS_M, claims, shares, tables_of
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
 from scp_recon.planning.planner import plan
 from scp_recon.scenario.load import load_scenario
-from scp_recon.scp.status import Status
-from tests.helpers import nightly
 
 pytestmark = pytest.mark.slow
 
@@ -57,35 +47,6 @@ def test_cells_are_solved_as_the_planner_solves(mission):
         assert row["heavy_merit_m_s"] == pytest.approx(expected, rel=1e-6)
         assert row["iterations_p2"] == len(done.final.result.records)
         assert 0.0 < row["setup_s"] < row["total_s"]
-
-
-@pytest.mark.parametrize("name", PROBLEMS)
-def test_every_method_gets_every_problem(name):
-    cells = [cell for cell in crossing() if cell.scenario == name]
-    assert {(cell.method, cell.repeat) for cell in cells} == {
-        (method, repeat) for method in (*SCP_METHODS, *NLP_METHODS) for repeat in range(REPEATS)
-    }
-    assert len({cell.key for cell in cells}) == len(cells)
-    mission = Mission.from_scenario(load_scenario(cells[0].base, cells[0].overrides))
-    assert plan(mission, initial_guess.cold(mission)).status is Status.CONVERGED
-
-
-@nightly
-def test_uno_finds_the_optimum_of_scp():
-    ours, theirs = (
-        solve(Cell("scenarios", "recon_b", (), method, "p3"))
-        for method in (REFERENCE, SHOOTING_UNO)
-    )
-    assert theirs["status"] == "converged"
-    assert theirs["total_dv_m_s"] == pytest.approx(ours["total_dv_m_s"], rel=1e-6)
-
-
-def test_failed_cells_are_rows_with_reasons():
-    late = ended(CELL, 2.0, Failure(TIMED_OUT, "2 s"))
-    assert (late["status"], late["detail"], late["cpu_s"]) == (FAILED, "no end after 2 s", 2.0)
-    lost = ended(CELL, 2.0, Failure("failed", "no\nmemory"))
-    assert lost["detail"] == "no memory"
-    assert np.isnan(lost["cpu_s"])
 
 
 def test_claims_hold_where_rows_say_so():

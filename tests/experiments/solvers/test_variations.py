@@ -8,25 +8,18 @@ from experiments.solvers.cells import posed
 from experiments.solvers.variations import (
     ENOUGH,
     FACTORS,
-    FORMS,
-    VARIED,
     Begun,
     begin_p2,
-    by_value,
-    compared,
     dynamics_weight,
-    form_row,
     parameter_row,
     reached,
     stopped_row,
-    trick_row,
     with_errors,
 )
 from formulations.program import model, subproblem
 from scp_recon.planning import initial_guess
 from scp_recon.planning.planner import Planner
 from scp_recon.scp.algorithms import SCvx
-from tests.helpers import nightly
 
 pytestmark = pytest.mark.slow
 
@@ -71,22 +64,6 @@ def test_near_counts_where_a_method_stays():
     assert b["end_error"] == pytest.approx(0.02)
 
 
-@nightly
-def test_forms_find_one_plan():
-    rows = [form_row(("uniform", form)) for form in FORMS]
-    assert rows[0]["variables"] < rows[1]["variables"]
-    assert rows[0]["total_dv_m_s"] == pytest.approx(rows[1]["total_dv_m_s"], rel=1e-4)
-
-
-def test_transcriptions_find_one_plan():
-    names = "+ derivatives arc by arc = tuned", "single shooting, L-BFGS = shooting"
-    tuned, shooting = map(trick_row, names)
-    assert shooting["status"] == "converged (Solve_Succeeded)"
-    assert shooting["unknowns"] == "12"
-    assert shooting["delta-v m/s"] == tuned["delta-v m/s"]
-    assert float(shooting["processor s"]) > 0.0
-
-
 @pytest.fixture(scope="module")
 def usual() -> dict[str, object]:
     """The row of the default plan."""
@@ -125,17 +102,3 @@ def test_dynamics_weight_holds_within_its_context():
         assert vars(model)["DYNAMICS_WEIGHT"] == 0.5
     assert vars(model)["DYNAMICS_WEIGHT"] == subproblem.DYNAMICS_WEIGHT == 10.0
     assert merit(lin, 1.0) == rows
-
-
-def test_best_plan_has_converged():
-    def row(problem: str, multiple: float, dv: float, status: str = "converged") -> dict:
-        of = {"problem": problem, "algorithm": VARIED[0], "factor": "penalty weight"}
-        of |= {"multiple": multiple, "value": 10.0 * multiple, "status": status}
-        return of | {"total_dv_m_s": dv, "iterations_p3": 7, "iterations_p2": 4}
-
-    rows = [row("a", 1.0, 0.2), row("b", 1.0, 0.4), row("a", 0.1, 0.25)]
-    found = compared([*rows, row("b", 0.1, 0.1, "max_iterations")])
-    assert [*found.off] == pytest.approx([0.0, 0.0, 0.25, -0.75])
-    first, second = by_value(found)
-    assert [first[name] for name in ("a", "b")] == ["0.200000 (7 + 4)", "0.400000 (7 + 4)"]
-    assert (second["multiple"], second["b"]) == (0.1, "max iterations (7 + 4)")
