@@ -230,14 +230,17 @@ def short_run(
     turning: bool = False,
     begin: int = 0,
     speeds: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0),
+    factor: Array | None = None,
 ) -> Simulator:
     """The first minutes, with the attitude of a second, turning or not, and wheels that spin."""
     mission, plan = whole.mission, replace(whole, firings=whole.firings[:burns])
     times = np.arange(float(seconds))
     commands = whole.attitudes(times)
     rate = (commands[0].inv() * commands[1]).as_rotvec() * turning
-    start = Start(mission.initial_state, commands[begin], rate, np.array(speeds))
-    draws = Draws.of(plan, np.zeros((6, 6)), seconds, seed, sources)
+    own = np.zeros((6, 6)) if factor is None else factor
+    draws = Draws.of(plan, own, seconds, seed, sources)
+    state = mission.initial_state + draws.initial
+    start = Start(state, commands[begin], rate, np.array(speeds))
     sigmas = sensor_sigmas(whole.vehicle.errors, sources)
     sim = Simulator(plan, commands, start, draws, sigmas, times)
     sim.run()
@@ -284,6 +287,24 @@ def test_no_burn_follows_one_that_is_missed(
     assert record.summary.drift.closest_m == distance.min()
     assert record.summary.drift.drift_s == 1_000.0
     assert write_record(record, tmp_path).name == "simulation_miss_2.npz"
+
+
+def test_first_burn_goes_as_drawn(perfect, short_solution, short_mission, vehicle):
+    """Of the first minute, off the one without errors by what was drawn for state and burn."""
+    plan, factor = (
+        FlightPlan.of(short_solution, short_mission, vehicle),
+        short_mission.initial_factor,
+    )
+    flight = short_run(plan, 60, PATH, seed=3, factor=factor).flight()
+    firing = plan.firings[0]
+    draws = Draws.of(replace(plan, firings=plan.firings[:1]), factor, 60, 3, PATH)
+    kick = draws.burns[0] * firing.dv_m_s
+    assert np.linalg.norm(kick) > 1e-4
+    off = (flight.states - perfect.states[:60])[-1]
+    np.testing.assert_allclose(off[3:], draws.initial[3:] + kick, atol=6e-5)
+    moved = draws.initial[:3] + 59.0 * draws.initial[3:]
+    moved += (59.0 - 0.5 * firing.duration_s) * kick
+    np.testing.assert_allclose(off[:3], moved, atol=5e-3)
 
 
 @nightly
