@@ -17,14 +17,15 @@ from typing import Any, NamedTuple
 
 import pandas as pd
 
-from experiments import cross_check, frontier, gallery, maps, model_fidelity, plans, spice
+from experiments import frontier, gallery, maps, plans
 from experiments.evidence import Evidence, Records, path_of
 from experiments.harness import Record, default_mission, default_plan
 from experiments.in_flight import feedback, policies
 from experiments.observation_rows import rows as observation_rows
 from experiments.observation_rows import run_row
 from experiments.observation_table import SAMPLES
-from experiments.solvers import dense, optima, peers, variations
+from experiments.other_tools import cross_check, peers, spice
+from experiments.solvers import dense, optima, variations
 from experiments.solvers.cases import (
     REFERENCE,
     SHOOTING,
@@ -34,7 +35,13 @@ from experiments.solvers.cases import (
     exact_design,
 )
 from experiments.solvers.cells import solve
-from experiments.spacecraft import battery_cones, flown_plan, timing_rules, uncertainty_sources
+from experiments.spacecraft import (
+    battery_cones,
+    flown_plan,
+    model_fidelity,
+    timing_rules,
+    uncertainty_sources,
+)
 from scp_recon.api.campaigns import work_of
 from scp_recon.api.plan_verbs import simulate
 from scp_recon.campaigns.study import read_study

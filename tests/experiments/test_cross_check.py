@@ -5,8 +5,8 @@ import sys
 import numpy as np
 import pytest
 
-from experiments import cross_check
 from experiments.__main__ import main
+from experiments.other_tools import cross_check
 from scp_recon.bodies.gravity_file import read_gravity
 from scp_recon.physics.harmonics import HarmonicField
 from tests.helpers import nightly

@@ -4,7 +4,7 @@ import inspect
 import json
 from pathlib import Path
 
-from experiments import cross_check, frontier, testing
+from experiments import frontier, testing
 from experiments.__main__ import STUDIES, main
 from experiments.evidence import FILE, ROOT, Evidence
 from experiments.harness import (
@@ -16,6 +16,7 @@ from experiments.harness import (
     run,
     study_of,
 )
+from experiments.other_tools import cross_check
 from scp_recon.jobs.job import Job
 from tests import reliability
 

@@ -10,9 +10,9 @@ from scipy.stats import multivariate_normal
 from experiments.__main__ import main
 from experiments.harness import Record as Row
 from experiments.in_flight import flown_policies
-from experiments.model_fidelity import Plates
 from experiments.spacecraft import flown_plan, timing_rules, uncertainty_sources
 from experiments.spacecraft.battery_cones import SAMPLES, find_cones
+from experiments.spacecraft.model_fidelity import Plates
 from experiments.spacecraft.uncertainty_sources import (
     NO_ERRORS,
     STATE,

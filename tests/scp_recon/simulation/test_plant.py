@@ -12,7 +12,7 @@ pytest.importorskip("Basilisk", reason="needs the extra [sim]")
 
 from Basilisk.utilities import SimulationBaseClass, macros
 
-from experiments.model_fidelity import Plates
+from experiments.spacecraft.model_fidelity import Plates
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.schedule import Leg, Mode
 from scp_recon.physics.flow import propagate

@@ -5,7 +5,7 @@ import importlib.util
 import pytest
 
 from experiments.__main__ import main
-from experiments.solvers import peers
+from experiments.other_tools import peers
 
 pytestmark = pytest.mark.slow
 
