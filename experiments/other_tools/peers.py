@@ -24,18 +24,18 @@ import contextlib
 import importlib
 import io
 import runpy
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from time import process_time
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
 from scipy.integrate import solve_ivp
 
 from experiments.harness import Findings, Record, Session, Study
-from formulations.arrays import Array, Indices
+from formulations.arrays import Array
 from formulations.registry import FORMULATIONS
 from scp_recon.errors import needing
 from scp_recon.impulsive.problem import ImpulsiveProblem
@@ -101,59 +101,41 @@ class Answer(NamedTuple):
 
 
 class OpenScvx:
-    """A transfer by impulses, posed and compiled in OpenSCvx; nondimensional.
+    """The halo transfer, posed and compiled in OpenSCvx, with the guess of its states (m, 6)."""
 
-    Args:
-        settings: of the tool.
-        times: of the nodes, shape (n,).
-        burn_nodes: nodes with burns, shape (m,).
-        ends: states before the first and after the last burn, shape (6,) each.
-        dv_max: largest component, and size, of a burn.
-        guess: states at the nodes, shape (n, 6), and burns, shape (m, 3).
-        rate: three components of the acceleration, of its position, velocity and time.
-    """
-
-    def __init__(
-        self,
-        settings: Settings,
-        times: Array,
-        burn_nodes: Indices,
-        ends: tuple[Array, Array],
-        dv_max: float,
-        guess: tuple[Array, Array],
-        rate: Callable[[Any, Any, Any], Sequence[Any]],
-    ) -> None:
+    def __init__(self, settings: Settings, halo: Halo, guess: Array) -> None:
         import openscvx as ox
 
-        begin, n, end = process_time(), len(times), float(times[-1])
-        self._at = burn_nodes.tolist()
+        begin, times, n = process_time(), halo.times[halo.nodes], len(halo.nodes)
+        end, dv_max, every = float(times[-1]), halo.problem.dv_max, list(range(n))
         position, velocity = ox.State("position", shape=(3,)), ox.State("velocity", shape=(3,))
         spent = ox.State("spent", shape=(1,))
         burn, size = (
-            ox.Control(name, shape=(k,), parameterization="impulsive", nodes=self._at)
+            ox.Control(name, shape=(k,), parameterization="impulsive", nodes=every)
             for name, k in (("burn", 3), ("size", 1))
         )
         self._variables = position, velocity, spent, burn, size
         for state, part in ((position, slice(0, 3)), (velocity, slice(3, 6))):
             state.min, state.max = [-3.0] * 3, [3.0] * 3
-            state.initial, state.final = (one[part] for one in ends)
-        spent.min, spent.max, spent.initial = [0.0], [dv_max * len(self._at)], [0.0]
-        spent.final = [ox.Minimize(float(np.linalg.norm(guess[1], axis=1).sum()))]
+            state.initial, state.final = (one[part] for one in halo.ends)
+        spent.min, spent.max, spent.initial = [0.0], [dv_max * n], [0.0]
+        spent.final = [ox.Minimize(0.0)]
         burn.min, burn.max, size.min, size.max = [-dv_max] * 3, [dv_max] * 3, [0.0], [dv_max]
-        self._guess(*guess)
+        self._guess(guess)
         # By default arcs have three tenths of the mean at least, which those of the window have not.
         least = min(0.5 * float(np.diff(times).min()) * (n - 1), 0.3 * end)
         bounds = {"min": 0.0, "max": end, "time_dilation_min": least}
         time = ox.Time(initial=0.0, final=end, guess=times, **bounds)
         fixed = [(time[0] == float(times[k])).convex().at([k]) for k in range(1, n - 1)]
-        sizes = [(ox.linalg.Norm(burn) <= size[0]).convex().at([k]) for k in self._at]
+        sizes = [(ox.linalg.Norm(burn) <= size[0]).convex().at([k]) for k in every]
         algorithm = settings._asdict()
         tolerance = algorithm.pop("tolerance")
+        pull = halo.acceleration(position, velocity, time, [halo.mu])
         with contextlib.redirect_stdout(io.StringIO()):  # it prints a table as it goes
             self._problem = ox.Problem(
                 dynamics={
                     "position": velocity,
-                    "velocity": ox.Concat(*rate(position, velocity, time)),
+                    "velocity": ox.Concat(*pull),
                     "spent": ox.Constant(np.zeros(1)),
                 },
                 dynamics_discrete={
@@ -173,22 +155,21 @@ class OpenScvx:
             self._problem.initialize()
         self.set_up_s = process_time() - begin
 
-    def _guess(self, states: Array, burns: Array) -> None:
+    def _guess(self, states: Array) -> None:
+        """Begin at states with no burns."""
         position, velocity, spent, burn, size = self._variables
-        n, sizes = len(states), np.linalg.norm(burns, axis=1, keepdims=True)
+        n = len(states)
         position.guess, velocity.guess = states[:, :3], states[:, 3:]
-        spent.guess = np.linspace(0.0, sizes.sum(), n)[:, None]
-        burn.guess, size.guess = np.zeros((n, 3)), np.zeros((n, 1))
-        burn.guess[self._at], size.guess[self._at] = burns, sizes
+        spent.guess, burn.guess, size.guess = np.zeros((n, 1)), np.zeros((n, 3)), np.zeros((n, 1))
 
-    def solve(self, states: Array, burns: Array) -> Answer:
-        """Solve from states at the nodes, shape (n, 6), and burns, shape (m, 3)."""
+    def solve(self, states: Array) -> Answer:
+        """Solve from states at the nodes, shape (m, 6)."""
         begin = process_time()
-        self._guess(states, burns)
+        self._guess(states)
         with contextlib.redirect_stdout(io.StringIO()):
             self._problem.reset()
             found = self._problem.solve(max_iters=ITERATIONS)
-        seconds, burns = process_time() - begin, np.asarray(found.nodes["burn"])[self._at]
+        seconds, burns = process_time() - begin, np.asarray(found.nodes["burn"])
         status = "converged" if found.converged else "not converged"
         return Answer(burns, status, self._problem.state.k - 1, seconds, self.set_up_s)
 
@@ -266,18 +247,9 @@ class Halo:
 
     def _openscvx(self, settings: Settings, guess: Array) -> Answer:
         """By OpenSCvx, compiled once."""
-        none = np.zeros((len(guess), 3))
         if settings not in self._compiled:
-            self._compiled[settings] = OpenScvx(
-                settings,
-                self.times[self.nodes],
-                np.arange(len(guess)),
-                self.ends,
-                self.problem.dv_max,
-                (guess, none),
-                lambda r, v, t: self.acceleration(r, v, t, [self.mu]),
-            )
-        return self._compiled[settings].solve(guess, none)
+            self._compiled[settings] = OpenScvx(settings, self, guess)
+        return self._compiled[settings].solve(guess)
 
 
 # --- the study ------------------------------------------------------------------------------------
