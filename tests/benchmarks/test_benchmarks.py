@@ -11,7 +11,7 @@ import pytest
 
 import benchmarks.__main__ as command
 from experiments.evidence import FILE, ROOT, Evidence
-from tests.helpers import usually
+from tests.helpers import nightly
 
 pytestmark = pytest.mark.slow
 
@@ -81,7 +81,8 @@ methods.main()
 """
 
 
-@pytest.mark.parametrize("name", usually(["scp condensed", "ipopt tuned"], 1))
+@nightly
+@pytest.mark.parametrize("name", ["scp condensed", "ipopt tuned"])
 def test_timed_run_imports_nothing(name):
     subprocess.run([sys.executable, "-c", IMPORTED, "planned", name, "0"], check=True, cwd=ROOT)
 

@@ -11,6 +11,7 @@ from experiments import harness, observation_table
 from experiments.__main__ import main
 from scp_recon.mission.mission import Mission
 from scp_recon.results.solution import Solution, ballistic_arc
+from tests.scp_recon.support import fly_few
 
 from .support import SAMPLES, quick_rows
 
@@ -29,6 +30,7 @@ def finished(tmp_path_factory) -> tuple[Path, str]:
         patch.setattr(observation_table, "SAMPLES", SAMPLES)
         patch.setattr(observation_table, "rows", quick_rows)
         patch.setattr(observation_table, "variants", lambda _: [])
+        fly_few(patch)
         assert main(["observation_table", "--out", str(out)]) == 0
     return out, printed.getvalue()
 

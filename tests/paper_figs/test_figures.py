@@ -64,11 +64,10 @@ def test_a_plan_of_ones_own_is_drawn(tmp_path, monkeypatch):
     own = Mission.from_scenario(own.scenario.replace({"site.name": r"$\frac{$"}))
     make_solution(plan(own, initial_guess.cold(own), problem="P3")).write(tmp_path)
     monkeypatch.setattr(inputs, "FLIGHTS", SAMPLES)
-    for name in ("trajectories", "flyby"):
-        monkeypatch.setitem(EVERYTHING, name, replace(EVERYTHING[name], dpi=DPI))
-        file = tmp_path / f"{name}.svg"
-        assert main([name, "--runs", str(tmp_path), "--out", str(file)]) == 0
-        assert read_solution(tmp_path).plan_hash in file.read_text("utf-8")
+    monkeypatch.setattr(flight, "PATHS", 5)
+    file = tmp_path / "drawn.svg"
+    assert main(["trajectories", "--runs", str(tmp_path), "--out", str(file)]) == 0
+    assert read_solution(tmp_path).plan_hash in file.read_text("utf-8")
 
 
 class Marked(tuple[Any, ...]):
@@ -85,6 +84,7 @@ def test_every_flight_of_a_plan_is_corrected(runs, monkeypatch):
         return fly(mission, *args, policy=policy, **how)
 
     monkeypatch.setattr(sampling, "fly_draws", seen)
+    monkeypatch.setattr(observation, "SAMPLES", 50)
     monkeypatch.setattr(inputs, "FLIGHTS", SAMPLES)
     for draw in (flight.trajectories, observation.observation_histories):
         draw(runs)

@@ -21,6 +21,7 @@ from experiments.solvers.cases import (
 )
 from experiments.solvers.cells import FAILED, burns_violation_m, checked_probability, named, solve
 from experiments.solvers.compare_solvers import MISS_M, claims, shares, tables_of
+from scp_recon.jobs.job import here
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
 from scp_recon.planning.planner import plan
@@ -107,6 +108,7 @@ def test_drawn_scenarios_stay_as_they_are():
 def test_stopped_command_continues(tmp_path, monkeypatch):
     monkeypatch.setattr(compare_solvers, "full_design", lambda: (CELL,))
     monkeypatch.setattr(compare_solvers, "exact_design", lambda *_: ())
+    monkeypatch.setattr(compare_solvers, "Processes", lambda *_: here)
     written = []
     for _ in range(2):
         assert main(["compare_solvers", "--quiet", "--out", str(tmp_path)]) == 0
