@@ -302,7 +302,7 @@ def test_the_penalty_weighs_as_the_merit_does(coarse, name):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("variant", usually(["shooting", "tuned"], 1))
+@pytest.mark.parametrize("variant", usually(["tuned", "shooting"], 1))
 def test_ipopt_and_scp_find_the_same_plan(coarse, variant, capfd):
     mission = coarse.mission
     lines: list[tuple[str, int]] = []
