@@ -179,7 +179,8 @@ def test_several_plans_are_laid_over_each_other(page, verified, plan_folder):
             assert any(name.startswith(str(plan_folder)) for name in named), chart["key"]
             assert any(name.startswith("recon_b") for name in named), chart["key"]
     written = render(both)
-    assert written.count("next: less") == 1 and "next: next" not in written
+    assert written.count("next: less") == 1
+    assert "next: next" not in written
     assert len(written) < BYTES_MAX
 
 
