@@ -1,6 +1,5 @@
 """Evidence: when it is out of date, what a sentinel feels, and renewal."""
 
-import json
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -11,7 +10,7 @@ from scipy.special import ndtri
 
 from experiments import evidence, pages, renewal
 from experiments.__main__ import main
-from experiments.evidence import FOLDER, SCHEMA, SOURCES, Evidence, Source, path_of
+from experiments.evidence import FOLDER, SOURCES, Evidence, path_of
 from experiments.sentinels import near, sentinels_of
 from experiments.spacecraft.battery_cones import find_cones
 from scp_recon.errors import InputError
@@ -107,30 +106,6 @@ def test_evidence_is_outdated_by_results_alone(changes, said):
     assert said is None or said in lines[0]
 
 
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        ("{", r"battery_cones\.json"),
-        ('{"schema": "scp_recon.evidence/1"}', r"battery_cones\.json: .*evidence/1"),
-        (json.dumps({"schema": SCHEMA}), r"battery_cones\.json: command: got nothing"),
-        ({"version": "x"}, r"battery_cones\.json: version: got 'x'"),
-        ({"seconds": None}, r"battery_cones\.json: seconds: got None"),
-        ({"tables": {"cones": []}}, r"battery_cones\.json: tables: got cones"),
-        ({"tables": {CONES: TABLE[1:]}}, r"battery_cones\[delta-V, warm-up, False\]: got 0"),
-        ({"tables": {CONES: TABLE * 2}}, r"battery_cones\[delta-V, warm-up, False\]: got 2"),
-    ],
-)
-@pytest.mark.usefixtures("folder")
-def test_bad_evidence_names_file_and_entry(text, said):
-    keep()
-    if isinstance(text, dict):
-        text = json.dumps(json.loads(path_of(CONES).read_text("utf-8")) | text)
-    path_of(CONES).write_text(text, "utf-8")
-    with pytest.raises(InputError, match=said) as error:
-        moved()
-    assert "\n" not in str(error.value)
-
-
 @nightly
 @pytest.mark.slow
 def test_only_outdated_evidence_is_renewed(folder, capsys):
@@ -146,16 +121,6 @@ def test_only_outdated_evidence_is_renewed(folder, capsys):
     assert "| 90 |" in (folder / "page.md").read_text("utf-8")
     assert main(["evidence", "--check"]) == 0
     assert "battery_cones: current" in capsys.readouterr().out
-
-
-@pytest.mark.usefixtures("folder")
-def test_a_failed_study_stops_no_other(capsys, monkeypatch):
-    sources = {"waits": Source("experiments none", dated=True), CONES: SOURCES[CONES]}
-    monkeypatch.setattr(renewal, "SOURCES", sources)
-    assert main(["evidence"]) == 2
-    assert "waits: python -m experiments none --out" in capsys.readouterr().out
-    assert Evidence.read(path_of(CONES)).tables[CONES]
-    assert renewal.changes("waits") == ["never measured"]
 
 
 MORE = 1.001
