@@ -20,6 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from formulations.arrays import Array, Indices
+from formulations.linearisation.adjoint import gradient
 from formulations.linearisation.dynamics import Dynamics
 from formulations.linearisation.linearisation import (
     Linearisation,
@@ -278,13 +279,21 @@ class DriftRows:
         return blocks
 
     def state_cones(self, lin: Linearisation) -> list[StateCones]:
-        """The slopes act on mean and factor at the two nodes about each burn."""
-        blocks = []
+        """The slopes act on mean and factor at the two nodes about each burn.
+
+        The controls have what is left of times: the node before a burn moves less than the burn does.
+        """
+        blocks, timed = [], lin.problem.time_controls
         for own, drift, found in zip(self.cones(lin), self._drifts, self.at(lin), strict=True):
             nodes = lin.problem.burn_nodes[drift.burn] - np.array([1, 0])
             by_mean, by_factor = self._on_nodes(lin, drift, found)
             by_states = np.concatenate([by_mean[nodes, :, None], by_factor[nodes]], axis=2)
-            blocks.append(on_states(own, lin, np.zeros(2, dtype=np.intp), nodes, by_states))
+            block = on_states(own, lin, np.zeros(2, dtype=np.intp), nodes, by_states)
+            if timed.size:
+                left = own.values[0, 0, timed] - gradient(lin, by_mean, by_factor)[timed]
+                block.burns[0, 0, timed] = left
+                block.constants[0, 0] -= left @ lin.controls[timed]
+            blocks.append(block)
         return blocks
 
     def pulled(self, others: Pulled, lin: Linearisation, prices: Array) -> Pulled:

@@ -5,9 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from formulations.linearisation.linearisation import condense
 from formulations.program.multipliers import multipliers, slope_left
+from formulations.rows.drift import DriftRows
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.schedule import make_schedule
+from scp_recon.planning.initial_guess import cold
 from scp_recon.planning.plan import Plan, Stage
 from scp_recon.planning.planner import Planner
 from scp_recon.planning.stages import Pipeline
@@ -82,6 +85,24 @@ def test_lifted_form_has_the_same_optimum(fixed, free):
 def test_frozen_formulations_refuse_free_times(fixed):
     with pytest.raises(ValueError, match="free firing times go with"):
         freed(fixed, with_free_times(fixed.mission), "frozen-stm")
+
+
+def test_drifts_have_the_same_slopes_in_lifted_form():
+    """The node before a burn moves less than the burn, from which a missed one drifts."""
+    mission = with_free_times(mission_of("grid.step_max_s=900", "safety.missed_burns=1"))
+    lin = Pipeline(mission, Planner(mission)).start(cold(mission))
+    rows = DriftRows(lin.problem, 0)
+    s = condense(lin)
+    step = np.random.default_rng(2).normal(size=len(lin.controls))
+    states = np.concatenate([s.mean_jacobian[:, :, None] @ step, s.factor_jacobian @ step], axis=2)
+    here = np.concatenate([lin.iterate.mean[:, :, None], lin.factor], axis=2)
+    assert len(lin.problem.time_controls) == 2
+    for own, lifted in zip(rows.cones(lin), rows.state_cones(lin), strict=True):
+        _, node, i, j = lifted.places
+        slope = lifted.entries @ states[node, i, j] + (lifted.burns @ step).item()
+        assert slope == pytest.approx((own.values @ step).item(), rel=1e-9)
+        value = lifted.entries @ here[node, i, j] + (lifted.burns @ lin.controls).item()
+        assert value + lifted.constants.item() == pytest.approx(own.at(lin.controls).item())
 
 
 def test_given_times_are_no_controls(fixed):
