@@ -216,7 +216,7 @@ def replan(
 
     check_overrides(overrides)
     flown = FlownPlan.of(plan)
-    overrides = [*with_goal(flown, goal, arrive_by), *overrides]
+    overrides = with_goal(flown, goal, arrive_by, overrides)
     delivery = Delivery.of(
         at_s,
         state,

@@ -143,7 +143,7 @@ def make_schedule(times_s: tuple[float, ...], window_s: Window, rules: ScheduleR
             moved = (
                 f"between {early:g} s and {late:g} s" if late < np.inf else f"from {early:g} s on"
             )
-            moved = "nowhere" if early > late else moved
+            moved = f"nowhere, from {early:g} s on but until {late:g} s" if early > late else moved
             raise InputError(
                 f"burns.times_s.{burn}",
                 f"{times_s[burn]:g} s",

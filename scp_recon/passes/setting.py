@@ -11,13 +11,14 @@ from scp_recon.errors import InputError
 from scp_recon.mission.firing import Ring
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.scene import Scene
+from scp_recon.mission.schedule import timing_rules
 from scp_recon.mission.survey import survey
 from scp_recon.mission.windows import Window
 from scp_recon.passes.ring import ephemeris_ring, flown_ring, home_ring
 from scp_recon.passes.space import Pass, Space, Span, nearest_legal, unchecked
 from scp_recon.physics.two_body import two_body
 from scp_recon.scenario.boundary import Design
-from scp_recon.scenario.schema import Scenario
+from scp_recon.scenario.schema import Scenario, ScheduleRules
 
 BURNS_LEAST, BURNS_MAX = 3, 8
 """Of a design, the least between given states."""
@@ -42,10 +43,7 @@ def spaces_of(scenario: Scenario) -> list[tuple[Space, tuple[float, ...]]]:
     _check_given(scenario)
     departure = design.departure_s or (0.0, 0.0)
     arrival = design.arrival_s or (scenario.duration_s,) * 2
-    if arrival[1] <= departure[0]:
-        raise InputError(
-            "design.arrival_s", _text(arrival), f"must be after departure, {_text(departure)}"
-        )
+    _check_spans(scenario, departure, arrival)
     axes, known = Scene.of(scenario).boundary_axes, None
     if home is None:
         known = _between_states(scenario, axes)
@@ -64,11 +62,72 @@ def spaces_of(scenario: Scenario) -> list[tuple[Space, tuple[float, ...]]]:
             "design",
             f"departure in {_text(departure)} and arrival in {_text(arrival)}",
             f"must leave a legal schedule of {len(scenario.burns.times_s)} burns about a whole "
-            f"lighting window; those there: {'; '.join(map(_text, windows)) or 'none'}. A burn comes "
-            f"{scenario.schedule.cycle_s:g} s after the burn or the window before it, and "
-            f"{scenario.schedule.before_window_s:g} s before a window",
+            f"lighting window; those there: {'; '.join(map(_text, windows)) or 'none'}"
+            + _what_is_left(scenario, windows, departure, arrival),
         )
     return spaces
+
+
+def _check_spans(scenario: Scenario, departure: Span, arrival: Span) -> None:
+    """Refuse an arrival that no burns reach in time, and one at another time than given."""
+    design, times, cycle = scenario.design, scenario.burns.times_s, scenario.schedule.cycle_s
+    apart = len(times) - 1 if scenario.policy.kind == "open" else 1
+    if (least := departure[0] + apart * cycle) > arrival[1]:
+        each = f"with {apart + 1} burns, each at least {cycle:g} s after the one before it"
+        raise InputError(
+            "design.arrival_s",
+            _text(arrival),
+            f"must reach {least:g} s or later, after departure in {_text(departure)} {each}: "
+            f"{least:g} to {arrival[1]:g} s is left",
+        )
+    if design is None or design.burn_times == "free" or design.arrival_s is None:
+        return
+    if not arrival[0] <= times[-1] <= arrival[1]:
+        raise InputError(
+            "design.arrival_s",
+            _text(arrival),
+            f"must contain the last of burns.times_s, {times[-1]:g} s, where design.burn_times is "
+            "'given'",
+        )
+
+
+def _what_is_left(scenario: Scenario, windows: list[Window], departure: Span, arrival: Span) -> str:
+    """Rules that leave a burn no time, and what span they leave, about the nearest window."""
+    times = scenario.burns.times_s
+    inner = [(departure[0], arrival[1])] * (len(times) - 2)
+    if (scenario.design or Design()).burn_times == "given":
+        inner = [(time, time) for time in times[1:-1]]
+    spans = [departure, *inner, arrival]
+    tries = [
+        (_shortage(spans, window, before, scenario.schedule), _text(window))
+        for window in windows
+        for before in range(len(times) - 1)
+    ]
+    if not tries:
+        return ""
+    (_, left), window = min(tries, key=lambda one: one[0][0])
+    return f". About that of {window}: {left}"
+
+
+def _shortage(
+    spans: list[Span], window: Window, before: int, rules: ScheduleRules
+) -> tuple[float, str]:
+    """By how many seconds the worst burn's earliest time is after its latest, and that in words."""
+    matrix, least, names = timing_rules(len(spans), window, before, rules)
+    (early, late), said = np.array(spans, dtype=np.float64).T, [["", ""] for _ in spans]
+    for i, name in enumerate(names[:-1]):
+        if (bound := least[i] - matrix[i, i] * early[i]) > early[i + 1]:
+            early[i + 1], said[i + 1][0] = bound, name
+    if -least[-1] < late[before]:
+        late[before], said[before][1] = -least[-1], names[-1]
+    for i in reversed(range(len(spans) - 1)):
+        if matrix[i, i] and late[i + 1] - least[i] < late[i]:
+            late[i], said[i][1] = late[i + 1] - least[i], names[i]
+    # All burns of a chain lack as much; one of them has a rule on either side.
+    worst = max(range(len(spans)), key=lambda i: (round(early[i] - late[i], 6), all(said[i])))
+    words = " and ".join(filter(None, said[worst]))
+    left = f"burn {worst + 1} is left {_text((early[worst], late[worst]))} ({words})"
+    return float(early[worst] - late[worst]), left
 
 
 def _check_size(scenario: Scenario) -> None:
@@ -97,8 +156,8 @@ def _check_given(scenario: Scenario) -> None:
             raise InputError(
                 f"design.{name}",
                 _text(span),
-                "goes with boundary.home: given states hold at the "
-                "epoch and at the last of burns.times_s",
+                "goes with boundary.home: given states fix the first burn at 0 s and the last at "
+                f"{scenario.burns.times_s[-1]:g} s",
             )
     if design.burn_times == "given":
         raise InputError(

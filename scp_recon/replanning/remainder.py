@@ -93,11 +93,13 @@ def mission_left(flown: FlownPlan, delivery: Delivery, overrides: Sequence[str] 
     return replace(mission, warnings=tuple(dict.fromkeys(warnings)))
 
 
-def with_goal(flown: FlownPlan, goal: str, arrive_by: float | None) -> list[str]:
-    """Overrides for the purpose of the rest of a flight, and for the time of its last burn, s.
+def with_goal(
+    flown: FlownPlan, goal: str, arrive_by: float | None, overrides: Sequence[str] = ()
+) -> list[str]:
+    """Overrides for the purpose of the rest of a flight, and the time of its last burn, s; and more.
 
     Raises:
-        InputError: if the goal is unknown, or the time is not after the other burns.
+        InputError: if the goal is unknown, or the time is not after the other burns, or given twice.
     """
     one_of(option("goal"), goal, ("observe", "return"))
     found = ["observation.required=false"] if goal == "return" else []
@@ -106,8 +108,11 @@ def with_goal(flown: FlownPlan, goal: str, arrive_by: float | None) -> list[str]
         if not arrive_by > times[-1]:
             allowed = f"must be after the burn before, {times[-1]:g} s"
             raise InputError(option("arrive_by"), f"{arrive_by:g} s", allowed)
+        if twice := [one for one in overrides if one.startswith("burns.times_s=")]:
+            allowed = "must be left out beside burns.times_s, whose last burn fixes the same time"
+            raise InputError(option("arrive_by"), f"{arrive_by:g} s and {twice[-1]}", allowed)
         found.append(f"burns.times_s={[*times, float(arrive_by)]}")
-    return found
+    return [*found, *overrides]
 
 
 def _changed(scenario: Scenario, overrides: Sequence[str]) -> Scenario:

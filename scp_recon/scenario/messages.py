@@ -10,7 +10,7 @@ from typing import Any
 from pydantic import BaseModel, ValidationError
 
 from scp_recon.errors import InputError, shortened
-from scp_recon.scenario.given import derivable
+from scp_recon.scenario.given import ENDS, derivable
 
 Node = dict[str, Any]
 """Part of a JSON schema: what is allowed at one place."""
@@ -51,13 +51,16 @@ def input_error(error: ValidationError, schema: type[BaseModel]) -> InputError:
     return InputError(entry, given, "\n".join([", or ".join(allowed[entry, given]), *more]))
 
 
-INSTEAD = {
+INSTEAD: dict[str | tuple[str, ...], str] = {
     "epoch.": "epoch: utc will do in place of tdb.",
     "body.": "body: the name of a packaged body gives the rest; so do pck_file, attitude_file, "
     "gravity_file, and "
     "rotation_period_h with prime_meridian_at_epoch_deg. Another body inherits nothing.",
     "sun.": "sun: computed for packaged bodies, and from spk_files. Another epoch inherits no Sun.",
-    "boundary.": "boundary: a home orbit, boundary.home, gives the states.",
+    (
+        "boundary.initial",
+        "boundary.final",
+    ): "boundary: a home orbit, boundary.home, gives the states.",
     "site.": "site: latitude_deg and longitude_deg will do on a shape, which is body.radii_m, "
     "body.shape_file or a packaged body's. Another body inherits no site.",
 }
@@ -71,6 +74,8 @@ def _missing(problems: Iterable[dict[str, Any]], schema: type[BaseModel]) -> lis
         entry = ".".join(map(str, location))
         keys = [key for table in _at(location, schema) for key in table.get("required", ())]
         entries += [f"{entry}.{key}" for key in keys] or [entry]
+    if any(entry.startswith("boundary.home.") for entry in entries):  # which gives the states
+        return [entry for entry in entries if entry not in ENDS]
     return entries
 
 

@@ -146,7 +146,7 @@ def replan(
     overrides, goal, arrive_by = (given.pop(key) for key in ("overrides", "goal", "arrive_by"))
     delivery = read_delivery(solution.scenario.epoch.tdb, **given)
     flown = FlownPlan.of(solution, name=str(home))
-    overrides = [*with_goal(flown, goal, arrive_by), *overrides]
+    overrides = with_goal(flown, goal, arrive_by, overrides)
 
     def rest(more: "Sequence[str]" = ()) -> "PlanRequest":
         mission = mission_left(flown, delivery, [*overrides, *more])

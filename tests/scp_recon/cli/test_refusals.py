@@ -28,6 +28,9 @@ solve --scenario none.toml -> none.toml: got no such file
 solve --scenario words.toml -> TOML
 solve --scenario . -> got a folder
 solve nightingale -> boundary.home: got
+solve --set boundary.home.departure_deg=[0,10] -> boundary.home.radius_m: got nothing; required, as are
+solve --set schedule.recharge_s=20000.0 -> nowhere, from 25400 s on but until -10459.8 s
+solve --set burns.times_s=[0,8000,8000,34842] -> burns.times_s: got [0, 8000, 8000, 34842]
 solve / -> scenario /: got a folder; must be a scenario file in TOML; solve plans
 solve a --scenario b -> SCENARIO: got a and b; must be given once
 solve a b -> got b; there is no such option or argument
@@ -81,6 +84,10 @@ schema words.toml -> FILE: got words.toml; must be a file that ends in .json
 design recon_b --out '' -> --out: got ''; must be a folder
 design recon_b --set 'design.departure_s=[0, 9]' -> design.departure_s: got 0 to 9 s; goes with boundary
 design recon_b --set 'burns.times_s=[0, 34842]' -> burns.times_s: got 2 burns; must be at least 3
+design recon_b --set schedule.recharge_s=20000.0 -> 25400 s after the one before it: 76200 to 34842 s is
+design recon_b --set observation.window_s=[1000,2000] -> burn 1 is left 0 to -3800 s (burn 1 at least
+design recon_b --set boundary.home.departure_deg=[0,10] -> boundary.home.radius_m: got nothing
+design recon_b --formulation frozen-stm -> got --formulation frozen-stm; there is no such option
 design recon_b --facet-rounds=-1 -> --facet-rounds
 explore none.toml -> none.toml: got no such file
 explore nightingale -> boundary.home: got a home orbit that is flown, or has free phases
@@ -135,6 +142,10 @@ replan plan --at 17000 STATE --measured-burn 1 -> --measured-burn: got '1'; must
 replan plan --at 17000 STATE --covariance-frame rtn -> --covariance-frame: got rtn; goes with
 replan plan --at 17000 STATE --covariance small.txt -> --covariance small.txt: got 2 rows of 2 numbers
 replan plan --at 17000 STATE --covariance bad.txt -> --covariance: got
+replan plan --at 26000 STATE --free-times -> --free-times: got only burn 4 at 34842 s left
+replan plan --at 17000 STATE --free-times --set schedule.recharge_s=20000.0 -> 21800 s' is broken
+replan plan --at 17000 STATE --free-times --arrive-by 4e4 --set burns.times_s=[0] -> --arrive-by
+replan plan --at 17000 STATE --free-times --formulation frozen-stm -> got --formulation frozen-stm
 replan plan --at 17000 STATE --set in_flight.at_s=9000.0 -> --set: got another in_flight
 replan plan --at 17000 STATE --set burns.times_s=[0.0,7000.0,25000.0,34842.0] -> burns.times_s: got
 """

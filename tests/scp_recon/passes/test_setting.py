@@ -126,8 +126,28 @@ def test_bad_entries_are_named(changes, entry):
         ({"boundary.home.radius_m": 500.0}, None, r"^boundary\.home\.radius_m.*_min_m, 500 m"),
         ({"burns.times_s": [8e3 * k for k in range(9)]}, None, r"^burns\.times_s: got 9 .*most 8"),
         ({"observation.incidence_max_deg": 10.0}, None, r"design.*none"),
-        ({"schedule.recharge_s": 2e4}, None, r"design.*legal schedule of 4 burns.*13140"),
-        ({}, {"arrival_s": [-10.0, -5.0]}, r"design.arrival_s.*after departure"),
+        (
+            {"schedule.recharge_s": 2e4},
+            None,
+            r"design\.arrival_s: .*25400 s after the one before it",
+        ),
+        (
+            {"schedule.recharge_s": 5e3},
+            None,
+            r"design: .*burn 2 is left 10400 to 4540.* 10400 s after burn 1 and",
+        ),
+        ({}, {"arrival_s": [-10.0, -5.0]}, r"design\.arrival_s.*after departure.*-5 s is left"),
+        ({"observation.window_s": [9e4, 92e3]}, None, r"burn 4 is left .*6600 s after the window"),
+        (
+            {"burns.times_s": [0.0, 7000.0, 25000.0, 60000.0]},
+            {"arrival_s": [3e4, 5e4], "burn_times": "given"},
+            r"design\.arrival_s: .*must contain the last of burns\.times_s, 60000 s",
+        ),
+        (
+            {"burns.times_s": [0.0, 20000.0, 21000.0, 45000.0]},
+            {"arrival_s": [3e4, 5e4], "burn_times": "given"},
+            r"burn 2 is left 20000 to 14400 s \(burn 3 at least 6600 s after burn 2\)",
+        ),
         ({}, {"arrival_s": [30_000.0, 900_000.0]}, "at most 24"),
     ],
 )

@@ -138,7 +138,18 @@ def test_rounds_are_never_worse_than_their_start():
         ({"design": {"arrival_s": [3e4, 4e4]}}, r"^design\.arrival_s.*goes with boundary\.home"),
         ({"design": {"burn_times": "given"}}, r"^design\.burn_times.*nothing is left to design"),
         ({"burns.times_s": [0.0, 34_842.0]}, r"^burns\.times_s: got 2 burns; must be at least 3"),
-        ({"schedule.recharge_s": 2e4}, r"^design: .*of 4 burns.*13140.*25400 s after the burn or"),
+        (
+            {"schedule.recharge_s": 2e4},
+            r"^design\.arrival_s: .*25400 s after the one before it: 76200 to 34842 s is left$",
+        ),
+        (
+            {"schedule.recharge_s": 5e3},
+            r"^design: .*of 4 burns.*13140.*burn 2 is left 10400 to 4540",
+        ),
+        (
+            {"observation.window_s": [1e3, 2e3]},
+            r"burn 1 is left 0 to -3800 s \(burn 1 at least 4800 s before the window\)$",
+        ),
         ({"observation.incidence_max_deg": 10.0}, "those there: none"),
     ],
 )
