@@ -228,8 +228,8 @@ def _planned(
     if isinstance(start, Plan) and options.method == "ipopt":
         start = from_burns(mission, start.burns_m_s)
 
-    def aimed(mission: Mission, start: Iterate | Plan, target: float) -> Plan:
-        return make(mission, start, target=target, init=init, observe=observe)
+    def aimed(mission: Mission, start: Iterate | Plan, target: float, **how: bool) -> Plan:
+        return make(mission, start, target=target, init=init, observe=observe, **how)
 
     certifies, watch = options.is_certified(mission.scenario), observe.flights if observe else None
     if probable:

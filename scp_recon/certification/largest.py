@@ -4,6 +4,10 @@ Delta-v grows with the required probability. Bisection on the normal quantile sc
 the largest probability with a plan. Each trial starts from the burns and gains of the best plan so
 far, and where that ends without a plan from trials for other probabilities (`targets`); from the first
 start if none gives a verdict.
+
+With feedback a trial takes a minute. Without a budget the search therefore begins above: a trial for
+more than flights can certify ends where hardly anything is likelier, and the next one starts there and
+requires what that end keeps.
 """
 
 from __future__ import annotations
@@ -13,10 +17,11 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 
+import numpy as np
 from scipy.special import ndtr, ndtri
 
 from formulations.problem.flyby import Iterate
-from scp_recon.certification.certify import ROUNDS_MAX, AimedPlanning
+from scp_recon.certification.certify import ROUNDS_MAX
 from scp_recon.certification.flights import (
     Watch,
     are_close,
@@ -25,10 +30,11 @@ from scp_recon.certification.flights import (
     run_test,
     with_nodes_at,
 )
-from scp_recon.certification.targets import ANSWERS, MOST, Targets
+from scp_recon.certification.targets import ANSWERS, MOST, Targets, target_of
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.estimates import flights_needed, flights_of_test
 from scp_recon.planning.initial_guess import start_from
+from scp_recon.planning.missions import flown
 from scp_recon.planning.plan import Plan, as_interrupted
 from scp_recon.scenario.fields import ScenarioWarning
 from scp_recon.scp.status import Status
@@ -37,6 +43,8 @@ LEAST = 0.55
 """Least probability that is looked for."""
 CLOSE = 0.01
 """Standard deviations between the last probability with a plan and the first without."""
+LEAPS, GROWTH = 3, 4.0
+"""Trials from above, each for what the one before keeps; and the growth of steps upwards from there."""
 DIGITS = 4
 """Digits of a promised probability."""
 
@@ -48,16 +56,23 @@ def rounded_down(probability: float) -> float:
 
 @dataclass(frozen=True)
 class Search:
-    """Search for the largest probability within a budget, to a number of standard deviations."""
+    """Search for the largest probability within a budget, to a number of standard deviations.
 
-    make_plan: AimedPlanning
+    Attributes:
+        make_plan: plans a mission from a start for a target; if `once`, from that start alone.
+        budget_m_s: largest delta-v.
+        close: see `CLOSE`.
+    """
+
+    make_plan: Callable[..., Plan]
     budget_m_s: float = float("inf")
     close: float = CLOSE
 
-    def run(self, mission: Mission, start: Iterate | Plan) -> Plan:
+    def run(self, mission: Mission, start: Iterate | Plan, above: float = MOST) -> Plan:
         """Find the largest probability by the normal law; the mission's allocation is exact.
 
-        Ctrl-C ends with the best so far, marked as interrupted.
+        `above` is hardly less than that probability. Ctrl-C ends with the best so far, marked as
+        interrupted.
 
         Returns:
             A plan whose `target` is that probability; the trial for `LEAST` if no trial succeeds.
@@ -67,30 +82,71 @@ class Search:
         def make(last: Plan | None, target: float) -> Plan:
             if last is None:
                 return self._planned(mission, start, target)
-            return self._planned(last.mission, start_from(last.mission, last), target)
+            return self._planned(last.mission, start_from(last.mission, last), target, once=True)
 
-        targets = Targets(make, self.keeps)
-        best = targets.plan(None, LEAST)
+        targets, step = Targets(make, self.keeps), 2.0 * self.close
+        best = self._from_above(mission, start, above, make)
+        if best is None:
+            best, step = targets.plan(None, LEAST), math.inf
         if not self.keeps(best):
             return best
 
         def attempt(best: Plan, target: float) -> Plan:
             """Plan from the best burns and other trials, and from the start if they say nothing."""
+            if step < math.inf:
+                return make(best, target)
             found = targets.plan(best, target)
             return found if found.status in ANSWERS else make(None, target)
 
-        best, above = largest_kept(best, MOST, self.close, attempt, self.keeps)
-        if above is None or above.status in ANSWERS or best.status is Status.INTERRUPTED:
+        best, failed = largest_kept(best, MOST, self.close, attempt, self.keeps, step)
+        if failed is None or failed.status in ANSWERS or best.status is Status.INTERRUPTED:
             return best
-        return with_warning(best, above)
+        return with_warning(best, failed)
 
-    def _planned(self, mission: Mission, start: Iterate | Plan, target: float) -> Plan:
+    def _from_above(
+        self,
+        mission: Mission,
+        start: Iterate | Plan,
+        above: float,
+        make: Callable[[Plan | None, float], Plan],
+    ) -> Plan | None:
+        """A plan for what an end of a trial for more keeps; None where bisection is as quick.
+
+        The first trial for `MOST` has no gains to begin with: those of a plan for less lead nowhere.
+        """
+        if mission.problem.feedback is None or self.budget_m_s < math.inf:
+            return None
+        begun = flown(mission, start) if isinstance(start, Plan) else start
+        if above == MOST:
+            begun = replace(begun, gains=np.zeros_like(begun.gains))
+        trial = self._planned(mission, begun, above, once=True)
+        for _ in range(LEAPS):
+            if self.keeps(trial) or trial.status is Status.INTERRUPTED:
+                return trial
+            kept = kept_quantile(trial)
+            if not ndtri(LEAST) < kept < ndtri(target_of(trial)):
+                break
+            trial = make(trial, float(ndtr(kept - 0.5 * self.close)))
+        return trial if self.keeps(trial) else None
+
+    def _planned(
+        self, mission: Mission, start: Iterate | Plan, target: float, *, once: bool = False
+    ) -> Plan:
         """Plan for a probability, also required of the limits on corrected burns."""
-        return self.make_plan(mission.changed({"risk.p_chance": target}), start, target)
+        return self.make_plan(mission.changed({"risk.p_chance": target}), start, target, once=once)
 
     def keeps(self, plan: Plan) -> bool:
         """Whether a trial has a plan within the budget."""
         return plan.status is Status.CONVERGED and plan.cost_m_s <= self.budget_m_s
+
+
+def kept_quantile(trial: Plan) -> float:
+    """Normal quantile of the probability that a trial's end keeps, at most of its target."""
+    final = trial.final
+    rows = [
+        part.margin.min() for name, part in final.margins.items() if final.unit(name) == "sigma"
+    ]
+    return float(ndtri(target_of(trial)) + min([0.0, *rows]))
 
 
 def largest_kept(
@@ -99,11 +155,13 @@ def largest_kept(
     close: float,
     attempt: Callable[[Plan, float], Plan],
     keeps: Callable[[Plan], bool],
+    step: float = math.inf,
 ) -> tuple[Plan, Plan | None]:
     """Bisect for the largest probability that has a plan, on the normal quantile scale.
 
     The search lies between the probability of the best plan and `most`, which is not planned, and
-    ends within `close` standard deviations. Each trial starts from the best plan so far.
+    ends within `close` standard deviations. Each trial starts from the best plan so far, at most a
+    `step` above it, which grows with each trial.
 
     Returns:
         The best plan, marked as interrupted after Ctrl-C; and the failed trial of the least
@@ -112,7 +170,7 @@ def largest_kept(
     assert best.target is not None
     low, high, above = float(ndtri(best.target)), float(ndtri(most)), None
     while high - low > close:
-        middle = 0.5 * (low + high)
+        middle, step = min(low + step, 0.5 * (low + high)), GROWTH * step
         try:
             found = attempt(best, float(ndtr(middle)))
         except KeyboardInterrupt:
@@ -158,7 +216,7 @@ def largest_promise(
     """
     found: Plan | None = None
     for number in range(1, ROUNDS_MAX + 1):
-        best = search.run(mission, start)
+        best = search.run(mission, start, found.target if found and found.target else MOST)
         if best.status is Status.INTERRUPTED and found is not None:
             return as_interrupted(found)
         if not search.keeps(best):

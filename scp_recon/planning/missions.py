@@ -103,13 +103,15 @@ def flown(mission: Mission, last: Plan) -> Iterate:
     return replace(from_burns(mission, last.burns_m_s), gains=last.final.result.lin.iterate.gains)
 
 
-def continued(mission: Mission, pipeline: Pipeline, begun: Iterate) -> Stage | None:
+def continued(mission: Mission, pipeline: Pipeline, begun: Iterate, *, once: bool) -> Stage | None:
     """Solve P2 with exact risk from a plan's burns and gains, without the preliminary stages.
 
-    If the last stage alone does not converge from gains, all stages with gains are run.
+    If the last stage alone does not converge from gains, all stages with gains are run; not if `once`
+    and the case is infeasible from there.
 
     Returns:
-        The stage; None if it did not converge, or if risk is not exact.
+        The stage; None if it did not converge, or if risk is not exact. If `once`, also a stage that
+            found the case infeasible.
     """
     if mission.risk.allocation != "exact":
         return None
@@ -117,10 +119,11 @@ def continued(mission: Mission, pipeline: Pipeline, begun: Iterate) -> Stage | N
     feedback = spec.rows.problem.feedback
     start = mission.dynamics.linearise(spec.rows.problem, begun)
     stage = pipeline.solve(spec, start)
+    answers = (Status.CONVERGED, Status.INFEASIBLE) if once else (Status.CONVERGED,)
     leads = any(other.rows.problem.feedback is feedback for other in before)
-    if stage.result.status is not Status.CONVERGED and start.iterate.gains.any() and leads:
+    if stage.result.status not in answers and start.iterate.gains.any() and leads:
         stage = pipeline.exact(start)
-    return stage if stage.result.status is Status.CONVERGED else None
+    return stage if stage.result.status in answers else None
 
 
 def executable(

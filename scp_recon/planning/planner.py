@@ -287,14 +287,14 @@ class Planner(Generic[AnyProblem]):
         """Solve P3 from the guess, choose the facets at its solution, and solve P2 from there.
 
         The guess may have defects. Exact risk continues from a plan, or a guess with gains, with its
-        last stage, burns and gains at once, and from the burns where that does not converge. Unless
-        `once`, a stage that does not converge is tried from other starts: see `Pipeline.plan`. In each
-        of `facet_rounds` the facets are chosen again at the solution and P2 is solved again; a round is
-        kept only if it is better (`rank`), so that facets cannot cycle. "settle" chooses them until
-        none is cheaper: see `planning.settling`. Facets that leave nothing feasible are always chosen
-        again, up to `CHOICES_MAX` times. Burns too small to execute are left out or raised
-        (`missions.executable`). The observer is called after each iteration with the
-        stage's name and the record.
+        last stage, burns and gains together, and from the burns where that does not converge. Unless
+        `once`, a stage that does not converge is tried from other starts (see `Pipeline.plan`), also
+        where a last stage finds the case infeasible. In each of `facet_rounds` the facets are chosen
+        again at the solution and P2 is solved again; a round is kept only if it is better (`rank`), so
+        that facets cannot cycle. "settle" chooses them until none is cheaper: see `planning.settling`.
+        Facets that leave nothing feasible are always chosen again, up to `CHOICES_MAX` times. Burns too
+        small to execute are left out or raised (`missions.executable`). The observer is called after
+        each iteration with the stage's name and the record.
         """
         mission = self.task
         pipeline = Pipeline(mission, self, observe or unobserved, facet_rounds)
@@ -302,7 +302,7 @@ class Planner(Generic[AnyProblem]):
         def work() -> Stage:
             start = flown(mission, guess) if isinstance(guess, Plan) else guess
             goes_on = problem == "P2" and (isinstance(guess, Plan) or start.gains.any())
-            if goes_on and (stage := continued(mission, pipeline, start)):
+            if goes_on and (stage := continued(mission, pipeline, start, once=once)):
                 return stage
             return pipeline.plan(start, problem, () if once else other_starts(mission))
 

@@ -56,7 +56,9 @@ class World:
     seeds: list[int] = field(default_factory=list)
     missions: list[Mission] = field(default_factory=list)
 
-    def make_plan(self, mission: Mission, start: Iterate | Plan, target: float) -> Plan:
+    def make_plan(
+        self, mission: Mission, start: Iterate | Plan, target: float, **_: object
+    ) -> Plan:
         """A plan of the mission with the real one's stages, its burns scaled by its aim."""
         assert isinstance(start, Plan) or len(start.mean) == len(mission.times_s)
         self.aims.append(target)

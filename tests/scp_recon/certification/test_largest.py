@@ -8,6 +8,7 @@ import pytest
 from scipy.special import ndtr, ndtri
 
 from formulations.problem.flyby import Iterate
+from scp_recon.certification import largest
 from scp_recon.certification.largest import (
     CLOSE,
     LEAST,
@@ -98,7 +99,7 @@ def test_a_larger_probability_leads_to_a_smaller(real, monkeypatch):
     (world := World(real, honest)).enter(monkeypatch)
     starts: list[tuple[float, float]] = []
 
-    def make_plan(mission: Mission, start: Iterate, target: float) -> Plan:
+    def make_plan(mission: Mission, start: Iterate, target: float, **_: object) -> Plan:
         begun = float(np.linalg.norm(start.burns) / np.linalg.norm(world.start.burns))
         starts.append((begun, target))
         made = world.make_plan(mission, start, target)
@@ -109,6 +110,22 @@ def test_a_larger_probability_leads_to_a_smaller(real, monkeypatch):
     assert found.status is CONVERGED
     assert is_at(found, LAST)
     assert any(begun > target for begun, target in starts[1:])
+
+
+@pytest.mark.parametrize("kept", [LAST, 0.98, 0.3])
+def test_search_with_feedback_begins_above(real, monkeypatch, kept):
+    """At what the first trial's end keeps, which may also be too much, or less than is looked for."""
+
+    def quantile(trial: Plan) -> float:
+        return float(ndtri(kept if trial.target == MOST else LAST))
+
+    monkeypatch.setattr(largest, "kept_quantile", quantile)
+    (world := World(real, honest, ends(Status.INFEASIBLE))).enter(monkeypatch)
+    found = Search(world.make_plan).run(real.mission.changed(MEASURED), world.start)
+    assert is_at(found, LAST)
+    assert world.aims[0] == MOST
+    assert (LEAST in world.aims) == (kept == 0.3)
+    assert len(world.aims) < 7 or kept == 0.3
 
 
 def test_always_feasible_search_ends_at_certifiable_limit(real, monkeypatch):
@@ -198,8 +215,8 @@ def test_the_budget_buys_so_much_and_no_more(changes, budget):
     mission, close = mission_of("node").changed(changes), 1.0
     tries: list[tuple[Iterate | Plan, Plan]] = []
 
-    def make_plan(mission: Mission, start: Iterate | Plan, target: float) -> Plan:
-        tries.append((start, plan(mission, start, target=target)))
+    def make_plan(mission: Mission, start: Iterate | Plan, target: float, **how: bool) -> Plan:
+        tries.append((start, plan(mission, start, target=target, **how)))
         return tries[-1][1]
 
     best = Search(make_plan, budget, close).run(mission, initial_guess.cold(mission))
