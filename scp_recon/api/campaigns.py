@@ -11,7 +11,7 @@ import numpy as np
 
 from scp_recon.api.designing import find_pass, options_for, request_of
 from scp_recon.api.files import Opened
-from scp_recon.api.flights import FlyOptions, flown_summary, simulation_of
+from scp_recon.api.flying import FlyOptions, flown_summary, simulation_of
 from scp_recon.api.inputs import PlanRequest
 from scp_recon.api.options import PlanOptions
 from scp_recon.api.planning import PlanOutcome, carry_out

@@ -21,7 +21,7 @@ from scp_recon.api.planning import carry_out
 from scp_recon.display import mm_s
 from scp_recon.errors import InputError, number_between, one_of, option, shortened, whole_number
 from scp_recon.mission.mission import Mission
-from scp_recon.reports.flights import Shown
+from scp_recon.reports.shown import Shown
 from scp_recon.reports.write import (
     check_extra,
     slider_data,

@@ -144,7 +144,7 @@ def fly(
         0.976, 95 % interval 0.964 to 0.985
     """
     from scp_recon.api.files import open_plan
-    from scp_recon.api.flights import FlyOptions, flown_summary
+    from scp_recon.api.flying import FlyOptions, flown_summary
 
     how = FlyOptions(samples, until, truth, errors, seed, workers, scheduler, policy, miss, then)
     return flown_summary(open_plan(plan), how)
@@ -185,7 +185,7 @@ def simulate(
         >>> flown.least_charge > flown.floor_charge
         True
     """
-    from scp_recon.api.flights import simulation_of
+    from scp_recon.api.flying import simulation_of
 
     return simulation_of(plan, seed, policy, vehicle, miss).fly(progress)
 

@@ -46,7 +46,7 @@ def find_windows(
         check_own(Path(csv), option("csv"), MARK)
     if chart is not None:
         with needing(option("chart"), "report"):
-            from scp_recon.api.charts import draw_windows
+            from scp_recon.reports.command_charts import draw_windows
             from scp_recon.results.pictures import endings
         check_ending(Path(chart), option("chart"), *endings())
         check_own(Path(chart), option("chart"), PICTURE)

@@ -209,7 +209,7 @@ def replan(
         2 burns, 0.050 m/s
     """
     from scp_recon.api.inputs import check_overrides
-    from scp_recon.api.replans import plan_left
+    from scp_recon.api.planning import plan_left
     from scp_recon.replanning.delivery import Delivery
     from scp_recon.replanning.flown import FlownPlan
     from scp_recon.replanning.remainder import mission_left, with_goal

@@ -67,7 +67,7 @@ def keep_map(folder: Path, found: Design, console: Console, dv_m_s: float) -> No
     if not _can_draw():
         show_line(console, f"no {MAP}, no {PRIMER}: pip install 'scp_recon[report]' for them")
         return
-    from scp_recon.api.charts import draw_design
+    from scp_recon.reports.command_charts import draw_design
 
     keep(folder, MAP, draw_design(found.trials, found.best, dv_m_s))
 
@@ -79,7 +79,7 @@ def keep_primer(folder: Path, console: Console) -> None:
     solution = read_solution(folder)
     show_line(console, primer_says(solution.primer))
     if solution.primer is not None and _can_draw():
-        from scp_recon.api.charts import draw_primer
+        from scp_recon.reports.command_charts import draw_primer
 
         keep(
             folder,

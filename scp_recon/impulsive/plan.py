@@ -36,7 +36,7 @@ REMEDIES = {
 
 
 @dataclass(frozen=True, eq=False)
-class Flights:
+class ImpulsiveFlights:
     """Results of flights with errors, in the problem's units.
 
     Attributes:
@@ -179,7 +179,7 @@ class ImpulsivePlan:
         samples: int = 10_000,
         seed: int = 0,
         report: Callable[[int], None] = lambda _: None,
-    ) -> Flights:
+    ) -> ImpulsiveFlights:
         """Fly the user's flow with errors drawn, and count the flights that keep the regions.
 
         `report` is called at times with the number of flights flown.
@@ -208,7 +208,7 @@ class ImpulsivePlan:
         ends = np.concatenate(final) * self.unit
         speed = float(self.unit[3])
         own = np.concatenate(commanded) * speed
-        return Flights(samples, worst, proportion(whole, samples), own, ends)
+        return ImpulsiveFlights(samples, worst, proportion(whole, samples), own, ends)
 
     def _fly(self, block: int, flights: int, seed: int) -> tuple[Array, Array, Array]:
         """Positions (n + 1, flights, 3), commanded delta-v (flights,) and final states (flights, 6).

@@ -13,7 +13,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from numbers import Real
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -22,7 +21,6 @@ from scipy.linalg import block_diag
 
 from formulations.arrays import Array
 from formulations.linearisation.dynamics import Dynamics
-from formulations.linearisation.factor import factor_of
 from formulations.problem.execution_errors import ComponentwiseErrors, ExecutionErrors, GatesErrors
 from formulations.problem.expression_flow import ExpressionFlow
 from formulations.problem.facets import Polytopes, split_risk
@@ -30,11 +28,12 @@ from formulations.problem.feedback import Feedback
 from formulations.problem.flow import Flow, ScaledFlow, check_flow
 from formulations.problem.flyby import FlybyProblem, Iterate, StateConstraint
 from formulations.problem.polytopes import ball
-from formulations.problem.regions import Ball, Cone, Ellipsoid, Halfspaces, Polytope, Region
+from formulations.problem.regions import Ball, Cone, Ellipsoid, Halfspaces, Polytope
 from scp_recon.certification.certify import certified
 from scp_recon.certification.flights import Step
-from scp_recon.errors import InputError, one_of, shortened
+from scp_recon.errors import InputError, one_of
 from scp_recon.impulsive.plan import ImpulsivePlan
+from scp_recon.impulsive.regions import Keep, covariance_factor, finite, positive, scaled
 from scp_recon.jobs.blas import one_thread
 from scp_recon.monte_carlo.whole_flight import KeptCounts
 from scp_recon.planning.method import ALGORITHM, FORMULATION, SOLVER, scp_method
@@ -71,46 +70,6 @@ class Risk(NamedTuple):
     p_chance: float
     allocation: Literal["uniform", "exact"]
     scope: Literal["node", "flight"]
-
-
-@dataclass(frozen=True, eq=False)
-class Keep:
-    """A region in or out of which the position stays at some nodes.
-
-    Centres, apices, axes, normals and offsets are those of all nodes, or one for each.
-
-    Examples:
-        >>> import scp_recon as sr
-        >>> sr.Keep("out", sr.Ball([0.0, 0.0, 0.0], 100.0), nodes=range(1, 25)).side
-        'out'
-
-    Attributes:
-        side: "in" or "out".
-        region: of positions, in the problem's units.
-        nodes: indices, by default all but the first.
-        name: by default the kind of region, and its number.
-
-    Raises:
-        InputError: if the side is another, or the region is empty or of other shapes.
-    """
-
-    side: Literal["in", "out"]
-    region: Region
-    nodes: npt.ArrayLike | None = None
-    name: str = ""
-
-    def __post_init__(self) -> None:
-        """Refuse what no problem could use."""
-        name = self.name or type(self.region).__name__.lower()
-        one_of(f"{name}: side", self.side, ("in", "out"))
-        if not isinstance(self.region, Region):
-            raise InputError("region", f"{self.region!r}", "must be a Ball, Cone, Halfspaces, ...")
-        nodes = None if self.nodes is None else np.asarray(self.nodes)
-        if nodes is not None and (nodes.ndim != 1 or nodes.dtype.kind != "i" or not len(nodes)):
-            raise InputError(f"{name}: nodes", f"{self.nodes}", "must be some indices of nodes")
-        if nodes is not None and (nodes[0] < 0 or np.any(np.diff(nodes) <= 0)):
-            raise InputError(f"{name}: nodes", f"{self.nodes}", "must ascend from 0")
-        scaled(name, self.region, None if nodes is None else len(nodes), 1.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,29 +136,27 @@ class ImpulsiveProblem:
         if nodes[0] < 0 or np.any(np.diff(nodes) <= 0):
             raise InputError("burn_nodes", f"{nodes.tolist()}", "must ascend from 0")
         for name in ("initial_state", "final_state"):
-            _finite(name, getattr(self, name), (6,))
-        _positive("dv_max", self.dv_max)
-        if not 0.5 < _positive("probability", self.probability) <= 1.0 - 1e-9:
+            finite(name, getattr(self, name), (6,))
+        positive("dv_max", self.dv_max)
+        if not 0.5 < positive("probability", self.probability) <= 1.0 - 1e-9:
             raise InputError("probability", f"{self.probability}", "must be in (0.5, 1)")
         for name, pair in (("units", self.units), ("final_sigma", self.final_sigma)):
             if pair is not None and np.shape(np.array(pair, dtype=object)) != (2,):
                 raise InputError(name, f"{pair}", "must be two: " + PAIRS[name])
         for size in self.units or ():
-            _positive("units", size)
+            positive("units", size)
         if self.initial_covariance is not None:
-            _covariance_factor("initial_covariance", self.initial_covariance)
+            _ = self._initial_factor
         if self.parameter_covariance is not None:
             if not isinstance(self.flow, ExpressionFlow):
                 given = f"with the flow {type(self.flow).__name__}"
                 raise InputError("parameter_covariance", given, "goes with an ExpressionFlow")
-            _covariance_factor(
-                "parameter_covariance", self.parameter_covariance, len(self.flow.parameters)
-            )
+            _ = self._parameter_factor
         if not isinstance(self.errors, ExecutionErrors | None):
             raise InputError("errors", f"{self.errors!r}", "must be a model, such as GatesErrors")
         for limit in self.final_sigma:
             if limit is not None:
-                _positive("final_sigma", limit)
+                positive("final_sigma", limit)
         if not (
             isinstance(self.regions, Sequence) and all(isinstance(k, Keep) for k in self.regions)
         ):
@@ -256,6 +213,20 @@ class ImpulsiveProblem:
         speed = self.length / self.units[1] if self.units else float(self.dv_max)
         return np.repeat([self.length, speed], 3)
 
+    @cached_property
+    def _initial_factor(self) -> Array:
+        """Factor of the initial covariance, zero without one."""
+        given = np.zeros((6, 6)) if self.initial_covariance is None else self.initial_covariance
+        return covariance_factor("initial_covariance", given, 6)
+
+    @cached_property
+    def _parameter_factor(self) -> Array:
+        """Factor of the parameters' covariance."""
+        assert isinstance(self.flow, ExpressionFlow)
+        assert self.parameter_covariance is not None
+        size = len(self.flow.parameters)
+        return covariance_factor("parameter_covariance", self.parameter_covariance, size)
+
     @property
     def is_deterministic(self) -> bool:
         """Whether there are no errors."""
@@ -295,17 +266,9 @@ class ImpulsiveProblem:
     def problem(self) -> FlybyProblem:
         """The nondimensional problem."""
         unit, nodes, limits = self.unit, np.array(self.burn_nodes, dtype=np.intp), self.final_sigma
-        factor = np.zeros((6, 6))
-        if self.initial_covariance is not None:
-            factor = (
-                _covariance_factor("initial_covariance", self.initial_covariance) / unit[:, None]
-            )
+        factor, feedback = self._initial_factor / unit[:, None], self.feedback
         if self.parameter_covariance is not None:
-            known = np.asarray(self.parameter_covariance, dtype=float)
-            factor = block_diag(
-                factor, _covariance_factor("parameter_covariance", known, len(known))
-            )
-        feedback = self.feedback
+            factor = block_diag(factor, self._parameter_factor)
         if feedback is not None:
             measurement = np.asarray(feedback.measurement, dtype=float) / unit[:, None]
             of = np.array(feedback.burns, np.intp), np.array(feedback.cut_offs, np.intp)
@@ -358,10 +321,10 @@ class ImpulsiveProblem:
             share = np.linspace(0.0, 1.0, n + 1)[:, None]
             mean = (1.0 - share) * problem.initial_state + share * problem.final_state
         else:
-            mean = _finite("guess", states, (n + 1, 6)) / self.unit
+            mean = finite("guess", states, (n + 1, 6)) / self.unit
         if burns is None:
             return Iterate(np.zeros((problem.n_burns, 3)), mean)
-        return Iterate(_finite("burns", burns, (problem.n_burns, 3)) / self.unit[3], mean)
+        return Iterate(finite("burns", burns, (problem.n_burns, 3)) / self.unit[3], mean)
 
     @one_thread
     def solve(
@@ -443,97 +406,3 @@ class ImpulsiveProblem:
             return KeptCounts(kept, kept, step.samples)
 
         return certified(self.probability, anew, fly)
-
-
-def scaled(name: str, region: Region, n: int | None, length: float) -> Region:
-    """A user's region as one region for each of n nodes, in units of a length.
-
-    Without n, arrays may be those of any number of nodes.
-
-    Raises:
-        InputError: if it is empty, or its arrays have other shapes.
-    """
-
-    def each(of: str, value: npt.ArrayLike, width: tuple[int, ...] = (3,)) -> Array:
-        array = _numbers(f"{name}: {of}", value)
-        count = len(array) if n is None and array.ndim > len(width) else n or 1
-        if array.shape not in (width, (count, *width)) or not np.isfinite(array).all():
-            found = f"{of} of shape {array.shape}" if np.isfinite(array).all() else f"{of} {array}"
-            raise InputError(name, found, f"must be finite, of shape {width} or {(count, *width)}")
-        return np.array(np.broadcast_to(array, (count, *width)))
-
-    def empty(found: str, needs: str) -> InputError:
-        return InputError(name, found, f"must have points: {needs}")
-
-    match region:
-        case Ball(center, radius):
-            if not radius > 0.0:
-                raise empty(f"radius {radius}", "a positive radius")
-            return Ball(each("center", center) / length, radius / length)
-        case Cone(apex, axis, half_angle):
-            axes = each("axis", axis)
-            size = np.linalg.norm(axes, axis=1, keepdims=True)
-            if not half_angle > 0.0 or not size.all():
-                raise empty(f"half-angle {half_angle}, axis {axis}", "0 to pi/2, about an axis")
-            return Cone(each("apex", apex) / length, axes / size, half_angle)
-        case Halfspaces(normal, offset):
-            normals, offsets = each("normal", normal), each("offset", offset, ())
-            size = np.linalg.norm(normals, axis=1)
-            if not size.all():
-                raise empty(f"normal {normal}", "a normal other than zero")
-            return Halfspaces(normals / size[:, None], offsets / size / length)
-        case Ellipsoid(center, matrix, radius):
-            shape = _finite(f"{name}: matrix", matrix, (3, 3))
-            sizes = np.linalg.svd(shape, compute_uv=False)
-            if not radius > 0.0 or sizes[-1] <= 1e-12 * sizes[0]:
-                raise empty(f"radius {radius}, stretches {sizes}", "all positive")
-            own = radius / sizes[0] / length
-            return Ellipsoid(each("center", center) / length, shape / sizes[0], own)
-        case Polytope(normal, offset):
-            normals = np.atleast_2d(np.asarray(normal, dtype=float))
-            offsets = _finite(f"{name}: offset", offset, (len(normals),))
-            size = np.linalg.norm(_finite(f"{name}: normal", normals, (len(normals), 3)), axis=1)
-            if not size.all() or not _has_points(normals / size[:, None], offsets / size):
-                raise empty(f"{len(normals)} faces", "half-spaces that meet")
-            return Polytope(normals / size[:, None], offsets / size / length)
-
-
-def _has_points(normal: Array, offset: Array) -> bool:
-    """Whether half-spaces have a ball in common, by the largest one (Chebyshev's centre)."""
-    from scipy.optimize import linprog
-
-    ones, bounds = np.ones((len(offset), 1)), [(None, None)] * 3 + [(0.0, 1.0)]
-    found = linprog([0.0, 0.0, 0.0, -1.0], np.hstack([normal, ones]), offset, bounds=bounds)
-    return bool(found.status == 0 and float(found.fun or 0.0) < 0.0)
-
-
-def _positive(name: str, given: object) -> float:
-    """A positive, finite number."""
-    if not isinstance(given, Real) or not 0.0 < float(given) < np.inf:
-        raise InputError(name, shortened(given), "must be positive and finite")
-    return float(given)
-
-
-def _numbers(name: str, value: npt.ArrayLike) -> Array:
-    try:
-        return np.asarray(value, dtype=float)
-    except (TypeError, ValueError):
-        raise InputError(name, shortened(value), "must be numbers") from None
-
-
-def _finite(name: str, value: npt.ArrayLike, shape: tuple[int, ...]) -> Array:
-    array = _numbers(name, value)
-    if array.shape != shape or not np.isfinite(array).all():
-        found = f"shape {array.shape}" if array.shape != shape else "numbers that are not finite"
-        raise InputError(name, found, f"must be finite, of shape {shape}")
-    return array
-
-
-def _covariance_factor(name: str, covariance: npt.ArrayLike, size: int = 6) -> Array:
-    matrix = _finite(name, covariance, (size, size))
-    scale = np.sqrt(np.abs(np.diag(matrix)))
-    scale[scale == 0.0] = 1.0
-    values = np.linalg.eigvalsh(matrix / scale / scale[:, None])
-    if np.abs(matrix - matrix.T).max() > 1e-9 * np.abs(matrix).max() or values[0] < -1e-9:
-        raise InputError(name, "a matrix that is no covariance", "must be symmetric, none negative")
-    return factor_of(matrix)

@@ -12,10 +12,12 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from formulations.arrays import Array, Indices
-from formulations.problem.facets import split_risk
+from formulations.problem.facets import Polytopes, split_risk
 from formulations.problem.flyby import StateConstraint
 from formulations.problem.motion import Motion
+from formulations.problem.polytopes import ball, paper_ball
 from formulations.problem.regions import Ball, Cone
+from scp_recon.errors import InputError
 from scp_recon.mission.scene import Scene
 from scp_recon.physics.geometry import SiteTrack
 from scp_recon.scenario.schema import Scenario
@@ -56,6 +58,25 @@ class Limit:
 
 SAFETY, COMPANION = "safety_radius", "companion_distance"
 """Constraints that count throughout the flight."""
+
+
+def chosen_polytopes(scenario: Scenario) -> Polytopes:
+    """Polytopes that approximate balls and cones in P2."""
+    choice, shape = scenario.polytopes, None
+    if choice.ball != "tangent":
+        shape = paper_ball() if choice.ball == "paper" else ball(choice.ball)
+    return Polytopes(shape, 4 if choice.cone == "paper" else choice.cone)
+
+
+def require_any_final_sigma(scenario: Scenario, needs: str) -> None:
+    """Refuse limits on the final covariance, which go with `needs` alone.
+
+    Raises:
+        InputError: if there is one.
+    """
+    for name in ("final_sigma_position_m", "final_sigma_velocity_m_s"):
+        if (limit := getattr(scenario.boundary, name)) is not None:
+            raise InputError(f"boundary.{name}", f"{limit:g}", f"goes with {needs}")
 
 
 def companion_distance_m(scenario: Scenario) -> float:

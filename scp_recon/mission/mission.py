@@ -20,10 +20,7 @@ from formulations.problem.feedback import Feedback
 from formulations.problem.firing_times import Boundary, FiringTimes
 from formulations.problem.flyby import FlybyProblem
 from formulations.problem.motion import Motion
-from formulations.problem.polytopes import ball, paper_ball
-from scp_recon.bodies.catalogue import AU_KM
 from scp_recon.bodies.surface import Mesh
-from scp_recon.errors import InputError
 from scp_recon.mission.checks import (
     check_plannable,
     check_scene,
@@ -31,10 +28,18 @@ from scp_recon.mission.checks import (
     check_window,
     hinting,
 )
-from scp_recon.mission.constraints import COMPANION, Limit, observation_limits, state_constraints
+from scp_recon.mission.constraints import (
+    COMPANION,
+    Limit,
+    chosen_polytopes,
+    observation_limits,
+    require_any_final_sigma,
+    state_constraints,
+)
 from scp_recon.mission.drifts import problem_drifts, require_no_drifts
 from scp_recon.mission.feedback import felt_cut_offs_s, require_open_loop, resolved
 from scp_recon.mission.firing import HomePhases, firing_times
+from scp_recon.mission.gravity import forces_of, gravity_in_words, solid_forces
 from scp_recon.mission.grid import DEFAULT, RK4_STEP_MAX_S, Units, make_grid
 from scp_recon.mission.knowledge import (
     Deviation,
@@ -47,7 +52,6 @@ from scp_recon.mission.scene import (
     Scene,
     TruthModel,
     execution_errors,
-    is_planned_as_solid,
     planned_field,
     solid_of,
     truth_field,
@@ -63,11 +67,10 @@ from scp_recon.mission.schedule import (
 from scp_recon.mission.windows import scan_step_s
 from scp_recon.physics import geometry
 from scp_recon.physics.flow import GridFlow
-from scp_recon.physics.forces import ForceModel, cannonball_srp
+from scp_recon.physics.forces import ForceModel
 from scp_recon.physics.frames import Rotation
-from scp_recon.physics.harmonics import HarmonicField, TurningField
+from scp_recon.physics.harmonics import HarmonicField
 from scp_recon.physics.partials import Partials
-from scp_recon.physics.polyhedron import PolyhedronField
 from scp_recon.physics.two_body import lambert
 from scp_recon.scenario.fields import ScenarioWarning
 from scp_recon.scenario.schema import Risk, Scenario
@@ -180,13 +183,8 @@ class Mission:
 
     def deviating(self, deviation: Deviation) -> Mission:
         """The mission as flights with other parameters have it: body, site and forces deviate."""
-        return replace(
-            self,
-            rotation=deviation.rotation(self.rotation),
-            site=deviation.site(self.site),
-            deviation=deviation,
-            nominal=self,
-        )
+        rotation, site = deviation.rotation(self.rotation), deviation.site(self.site)
+        return replace(self, rotation=rotation, site=site, deviation=deviation, nominal=self)
 
     def of_flights(self, draws: Array) -> Mission:
         """The mission as flights have it whose parameters are draws, shape (flights, p)."""
@@ -204,17 +202,7 @@ class Mission:
             raise ValueError(f"an initial state has six finite components, not {state}")
         if np.linalg.norm(state[:3]) <= radius:
             raise ValueError(f"an initial state is outside the body, whose radius is {radius:g} m")
-        flight = self.scenario.in_flight
-        frame, which = (flight.frame, "") if flight else (self.scenario.boundary.frame, "initial_")
-        matrix = self.scene.axes(frame)
-        given: dict[str, object] = {} if flight else {"home": None}
-        given |= {
-            f"{which}position_m": tuple((matrix.T @ state[:3]).tolist()),
-            f"{which}velocity_m_s": tuple((matrix.T @ state[3:]).tolist()),
-        }
-        name, table = ("in_flight", flight) if flight else ("boundary", self.scenario.boundary)
-        scenario = self.scenario.model_copy(update={name: table.model_copy(update=given)})
-        return replace(self, scenario=scenario, initial_state=state.copy())
+        return replace(self, scenario=self.scene.beginning_at(state), initial_state=state.copy())
 
     def some_flights(self, flights: Indices | int) -> Mission:
         """The mission as some of the flights have it that it deviates for, or one."""
@@ -234,7 +222,7 @@ class Mission:
     @cached_property
     def forces(self) -> ForceModel:
         """Forces of the planner, SI, J2000."""
-        return self._deviating(self._forces(planned_field(self.scenario)))
+        return self._deviating(forces_of(self.scene, planned_field(self.scenario)))
 
     def true_forces(self, truth: TruthModel) -> ForceModel:
         """Forces of flights: the planner's, or with another gravity.
@@ -243,15 +231,10 @@ class Mission:
             InputError: if the body has no field, or its shape is not known.
         """
         if truth == "harmonics":
-            return self._deviating(self._forces(self.truth_field))
+            return self._deviating(forces_of(self.scene, self.truth_field))
         if truth == "planner":
             return self.forces
-        field = PolyhedronField(
-            self.scenario.body.gm_m3_s2, self.solid.vertices_m, self.solid.facets
-        )
-        turning = TurningField(field, self.rotation)
-        forces = replace(self._forces(None), gm=0.0, j2_strength=0.0, field=turning)
-        return self._deviating(forces)
+        return self._deviating(solid_forces(self.scene, self.solid))
 
     def _deviating(self, forces: ForceModel) -> ForceModel:
         """Forces with the parameters of the flights that the mission deviates for."""
@@ -259,17 +242,9 @@ class Mission:
 
     def true_gravity(self, truth: TruthModel) -> str:
         """The gravity of the planner, or of flights, with its rotation and the companion, in words."""
-        body, own = self.scenario.body, "point mass and J2"
-        if truth == "harmonics":
-            own = f"harmonics to degree {len(self.truth_field.c) - 1}"
-        elif truth == "polyhedron":
-            own = f"a homogeneous polyhedron of {len(self.solid.facets)} facets"
-        elif body.planned_degree is not None:
-            of = " of a homogeneous solid" if is_planned_as_solid(body) else ""
-            own = f"harmonics{of} to degree {body.planned_degree}"
-        if body.attitude is not None:
-            own += " that tumble with the body"
-        return own if body.companion is None else f"{own}, and the pull of {body.companion.name}"
+        solid = self.solid if truth == "polyhedron" else None
+        field = self.truth_field if truth == "harmonics" else None
+        return gravity_in_words(self.scenario.body, field, solid)
 
     @cached_property
     def solid(self) -> Mesh:
@@ -279,32 +254,6 @@ class Mission:
             InputError: if its shape is not known.
         """
         return solid_of(self.scenario.body)
-
-    def _forces(self, field: HarmonicField | None) -> ForceModel:
-        body, craft = self.scenario.body, self.scenario.spacecraft
-        distance = np.linalg.norm(self.scenario.sun.body_position_km)
-        tumbles = body.attitude is not None
-        if tumbles and field is None:  # J2 has a closed form about a fixed axis alone
-            field = HarmonicField.zonal(body.gm_m3_s2, body.reference_radius_m, body.j2)
-        j2, radius = (
-            (body.j2, body.reference_radius_m) if field is None else (field.j2, field.radius)
-        )
-        closed = (0,) if tumbles else (0, 2)
-        return ForceModel(
-            gm=body.gm_m3_s2,
-            j2_strength=0.0 if tumbles else 1.5 * body.gm_m3_s2 * j2 * radius**2,
-            pole=self.rotation.pole.T,
-            field=None if field is None else TurningField(field.beside(*closed), self.rotation),
-            companion=self.scene.companion,
-            srp=cannonball_srp(
-                self.sun_direction(0.0),
-                craft.srp_area_m2,
-                craft.reflectivity_coefficient,
-                craft.mass_kg,
-                float(distance) / AU_KM,
-                self.scenario.sun.solar_constant_w_m2,
-            ),
-        )
 
     @cached_property
     def partials(self) -> Partials | None:
@@ -386,11 +335,6 @@ class Mission:
     def state_units(self, size: int) -> Array:
         """Units of the state and of uncertain parameters below it, shape (size,)."""
         return np.r_[self.units.state, np.ones(size - 6)]
-
-    @property
-    def initial_sigma(self) -> Array:
-        """1-sigma of each component of the initial state, shape (6,)."""
-        return np.linalg.norm(self.initial_factor, axis=1)
 
     @property
     def burn_nodes(self) -> Indices:
@@ -496,12 +440,7 @@ class Mission:
     @cached_property
     def polytopes(self) -> Polytopes:
         """Polytopes that approximate balls and cones in P2."""
-        choice = self.scenario.polytopes
-        if choice.ball == "tangent":
-            shape = None
-        else:
-            shape = paper_ball() if choice.ball == "paper" else ball(choice.ball)
-        return Polytopes(shape, 4 if choice.cone == "paper" else choice.cone)
+        return chosen_polytopes(self.scenario)
 
     @property
     def risk(self) -> Risk:
@@ -528,9 +467,7 @@ class Mission:
         """Refuse what `require_plain` does, drifts apart."""
         require_open_loop(self.scenario, needs)
         require_known(self.scenario, f"goes with {needs}")
-        for name in ("final_sigma_position_m", "final_sigma_velocity_m_s"):
-            if (limit := getattr(self.scenario.boundary, name)) is not None:
-                raise InputError(f"boundary.{name}", f"{limit:g}", f"goes with {needs}")
+        require_any_final_sigma(self.scenario, needs)
 
     @cached_property
     def flow(self) -> GridFlow:

@@ -11,7 +11,6 @@ import numpy.typing as npt
 
 from formulations.arrays import Array
 from scp_recon.monte_carlo.summary import Summary
-from scp_recon.reports.flights import SO_FAR, History, Shown
 from scp_recon.reports.ground import degrees_of, terminator
 from scp_recon.reports.marks import (
     BURN,
@@ -29,6 +28,7 @@ from scp_recon.reports.marks import (
     significant,
     whiskers,
 )
+from scp_recon.reports.shown import SO_FAR, History, Shown
 from scp_recon.reports.subject import Subject
 from scp_recon.reports.tables import called
 from scp_recon.simulation.guidance import CONTROL_PERIOD_S

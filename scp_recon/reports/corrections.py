@@ -11,8 +11,8 @@ import numpy as np
 from formulations.arrays import Array
 from formulations.linearisation.linearisation import Linearisation
 from scp_recon.planning.initial_guess import nondimensional
-from scp_recon.reports.flights import SHARE, Shown
 from scp_recon.reports.marks import DASHES, LOGARITHMIC, PLANS, Panels, faint, labelled
+from scp_recon.reports.shown import SHARE, Shown
 from scp_recon.reports.subject import Subject
 from scp_recon.results.figures import is_strange
 from scp_recon.results.policy import with_policy

@@ -16,8 +16,8 @@ from scp_recon.display import mm_s
 from scp_recon.errors import version_of
 from scp_recon.mission.constraints import required_in_words
 from scp_recon.planning.plan import NOT_CHECKED
-from scp_recon.reports.flights import SO_FAR, Shown
 from scp_recon.reports.marks import BODY, script
+from scp_recon.reports.shown import SO_FAR, Shown
 from scp_recon.reports.subject import Subject
 from scp_recon.results.solution import Solution
 from scp_recon.results.table import Table

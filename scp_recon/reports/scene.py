@@ -20,7 +20,6 @@ from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.drifts import reach_s
 from scp_recon.physics.flow import propagate
 from scp_recon.physics.frames import TabulatedRotation, sun_north_to_j2000, unit
-from scp_recon.reports.flights import Shown
 from scp_recon.reports.marks import (
     BURN,
     DASHES,
@@ -41,6 +40,7 @@ from scp_recon.reports.marks import (
     moved,
     spots,
 )
+from scp_recon.reports.shown import Shown
 from scp_recon.reports.subject import Subject
 from scp_recon.reports.surfaces import Shape, Solid, cone, shell, sphere, tube
 

@@ -13,7 +13,10 @@ from scp_recon.files import PAGE, check_ending, check_own, unwritable, write_ato
 from scp_recon.reports import charts, flight_tables, page, tables
 from scp_recon.reports.charts import history_chart
 from scp_recon.reports.corrections import correction_charts
-from scp_recon.reports.flights import (
+from scp_recon.reports.ground import Camera
+from scp_recon.reports.page import Page
+from scp_recon.reports.scene import picture, scene
+from scp_recon.reports.shown import (
     Budget,
     Shown,
     budget_table,
@@ -22,9 +25,6 @@ from scp_recon.reports.flights import (
     range_histories,
     resolution_histories,
 )
-from scp_recon.reports.ground import Camera
-from scp_recon.reports.page import Page
-from scp_recon.reports.scene import picture, scene
 from scp_recon.reports.subject import Subject, subjects_of
 from scp_recon.reports.surfaces import shape_of
 from scp_recon.results.comparison import compare

@@ -14,7 +14,7 @@ from experiments.evidence import FOLDER, SOURCES, Evidence, path_of
 from experiments.sentinels import near, sentinels_of
 from experiments.spacecraft.battery_cones import find_cones
 from scp_recon.errors import InputError
-from scp_recon.mission.mission import Mission
+from scp_recon.mission.gravity import forces_of
 from scp_recon.physics import forces
 from scp_recon.simulation import panels
 from tests.helpers import nightly
@@ -142,16 +142,16 @@ def plant(what: str, patch: pytest.MonkeyPatch) -> None:
             if ours and vars(module).get(name) is usual:
                 patch.setattr(module, name, other)
 
-    real, light_m_s, irradiance = Mission._forces, forces.SPEED_OF_LIGHT_M_S, panels.irradiance
+    real, light_m_s, irradiance = forces_of, forces.SPEED_OF_LIGHT_M_S, panels.irradiance
 
-    def heavier(mission: Mission, field: Any) -> forces.ForceModel:
-        found = real(mission, field)
+    def heavier(scene: Any, field: Any) -> forces.ForceModel:
+        found = real(scene, field)
         return replace(found, gm=MORE * found.gm, j2_strength=MORE * found.j2_strength)
 
     if what == "quantile":
         everywhere("ndtri", ndtri, lambda p: MORE * ndtri(p))
     elif what == "GM":
-        patch.setattr(Mission, "_forces", heavier)
+        everywhere("forces_of", real, heavier)
     else:
         everywhere("SPEED_OF_LIGHT_M_S", light_m_s, light_m_s / MORE)
         everywhere("irradiance", irradiance, lambda scenario: MORE * irradiance(scenario))

@@ -19,7 +19,7 @@ from scp_recon.mission.mission import Mission
 from scp_recon.physics.forces import ForceModel, acceleration
 from scp_recon.planning import initial_guess
 from scp_recon.planning.planner import Plan, plan
-from scp_recon.reports import flights
+from scp_recon.reports import shown as flights
 from scp_recon.scenario.load import load_scenario, validate_scenario
 from scp_recon.scenario.schema import Scenario
 from scp_recon.verification import probabilities, reintegration
@@ -38,6 +38,11 @@ COMPANION: dict[str, object] = {
     "epoch_tdb": "2020-01-20T00:00:00",
 }
 """A companion of Bennu, made up: 1 % of its GM, with the period of its orbit."""
+
+
+def sigma_of(mission: Mission) -> Array:
+    """1 sigma of each component of the initial state, shape (6,)."""
+    return np.linalg.norm(mission.initial_factor, axis=1)
 
 
 def mission_of(*overrides: str) -> Mission:

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 import scp_recon as sr
-from scp_recon.api import files, flights, planning
+from scp_recon.api import files, flying, planning
 from scp_recon.api.options import PlanOptions
 from scp_recon.display import Displayed
 from scp_recon.errors import InputError
@@ -296,7 +296,7 @@ def test_whole_numbers_may_be_written_as_floats(default_plan):
 def test_a_wrong_argument_is_named_before_any_work(name, default_plan, tmp_path, monkeypatch):
     work = raising(AssertionError("work was begun"))
     monkeypatch.setattr(planning.planner, "plan", work)
-    for module, done in ((files, "make_solution"), (flights, "summarise")):
+    for module, done in ((files, "make_solution"), (flying, "summarise")):
         monkeypatch.setattr(module, done, work)
     monkeypatch.setattr(files.reintegration, "verify", work)
     (tmp_path / "file").write_text("x", "utf-8")

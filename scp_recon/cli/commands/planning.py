@@ -128,8 +128,7 @@ def replan(
     """
     from dataclasses import replace
 
-    from scp_recon.api.planning import carry_out
-    from scp_recon.api.replans import request_of_rest
+    from scp_recon.api.planning import carry_out, request_of_rest
     from scp_recon.cli.delivery import read_delivery
     from scp_recon.cli.plan_run import Shown
     from scp_recon.errors import InputError, option

@@ -43,7 +43,7 @@ def montecarlo(console: "Console", plan: Path, **how: Any) -> Answer:
     """Fly a plan many times with errors."""
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
 
-    from scp_recon.api import flights
+    from scp_recon.api import flying
     from scp_recon.api.files import open_plan
     from scp_recon.cli.flight_view import show_summary
     from scp_recon.cli.rendering import show_verdict, show_warnings
@@ -52,18 +52,18 @@ def montecarlo(console: "Console", plan: Path, **how: Any) -> Answer:
     from scp_recon.verification.probabilities import required_probability
     from scp_recon.verification.shortfalls import shortfalls
 
-    options = flights.FlyOptions(**how)
+    options = flying.FlyOptions(**how)
     home = resolve_run(plan)
     opened, folder = open_plan(home), folder_of(home)
     columns = ("flights", BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with asked_to_stop() as stop, Progress(*columns, console=progress_console(console)) as bar:
         task = bar.add_task("flights", total=options.samples)
-        watcher = flights.Watcher(
+        watcher = flying.Watcher(
             lambda done: bar.update(task, completed=done),
             stop,
             lambda line: show_line(console, line),
         )
-        flown = flights.fly_into(folder, opened, options, watcher)
+        flown = flying.fly_into(folder, opened, options, watcher)
     summary, document = flown.summary, {"files": [str(flown.path)]}
     if flown.interrupted:
         count = summary.samples
@@ -92,7 +92,7 @@ def simulate(console: "Console", plan: Path, *, out: Path | None = None, **how: 
     """
     from rich.progress import BarColumn, Progress, TaskProgressColumn, TimeRemainingColumn
 
-    from scp_recon.api import flights
+    from scp_recon.api import flying
     from scp_recon.api.keeping import results_beside
     from scp_recon.cli.flight_view import show_flight
     from scp_recon.cli.rendering import show_verdict, show_warnings
@@ -104,7 +104,7 @@ def simulate(console: "Console", plan: Path, *, out: Path | None = None, **how: 
     from scp_recon.verification.shortfalls import shortfalls
 
     home = resolve_run(plan)
-    simulation = flights.simulation_of(home, **how)  # before a bar is shown
+    simulation = flying.simulation_of(home, **how)  # before a bar is shown
     mission, solution = simulation.opened
     folder, entry = out or folder_of(home), option("out")
     columns = ("flight", BarColumn(), TaskProgressColumn(), TimeRemainingColumn())

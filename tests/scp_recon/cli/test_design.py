@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from scp_recon.api import charts
 from scp_recon.cli.commands import design, solve
 from scp_recon.cli.design_view import primer_says
 from scp_recon.mission.mission import Mission
 from scp_recon.passes.design import Trial
 from scp_recon.passes.timing import PassResult
 from scp_recon.planning.primer import PrimerHistory
+from scp_recon.reports import command_charts as charts
 from scp_recon.results.read import read_solution
 from scp_recon.scenario.load import load_scenario, scenario_text
 from tests.scp_recon.passes.support import home_scenario

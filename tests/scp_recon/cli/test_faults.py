@@ -11,7 +11,8 @@ from pathlib import Path
 import pytest
 
 from scp_recon import files
-from scp_recon.api import flights, planning
+from scp_recon.api import flying as flights
+from scp_recon.api import planning
 from scp_recon.cli.commands import montecarlo, simulate, solve, verify
 from scp_recon.planning import planner
 from scp_recon.results.read import read_solution

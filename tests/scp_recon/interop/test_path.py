@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from scp_recon.api.replans import plan_left
+from scp_recon.api.planning import plan_left
 from scp_recon.errors import InputError
 from scp_recon.interop import path as path_module
 from scp_recon.interop.ccsds import oem_text, opm_text

@@ -10,7 +10,7 @@ from scp_recon.mission.grid import make_grid
 from scp_recon.mission.mission import Mission
 from scp_recon.physics import geometry
 from tests.helpers import unit_vectors
-from tests.scp_recon.support import mission_of
+from tests.scp_recon.support import mission_of, sigma_of
 
 
 @given(
@@ -139,7 +139,7 @@ def test_another_initial_state_is_in_the_scenario(frame):
     again = Mission.from_scenario(moved.scenario)
     assert moved.initial_state == pytest.approx(state, rel=1e-15)
     assert again.initial_state == pytest.approx(state, rel=1e-12)
-    assert moved.initial_sigma == pytest.approx(again.initial_sigma, rel=1e-12)
+    assert sigma_of(moved) == pytest.approx(sigma_of(again), rel=1e-12)
     assert np.array_equal(moved.final_state, mission.final_state)
     assert moved.units == mission.units != again.units
     assert moved.problem.initial_state * moved.units.state == pytest.approx(state, rel=1e-12)

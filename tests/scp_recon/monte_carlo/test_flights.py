@@ -10,7 +10,7 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from scp_recon.api import flights as api
+from scp_recon.api import flying as api
 from scp_recon.cli.command import asked_to_stop
 from scp_recon.cli.commands import montecarlo
 from scp_recon.errors import InputError

@@ -29,7 +29,7 @@ from scp_recon.scp.status import Status
 from tests.helpers import nightly, share_of_examples, usually
 from tests.properties.test_optimality import Values, conditions_of
 from tests.scenarios import COARSE, planned, scenarios
-from tests.scp_recon.support import from_cold, mission_of
+from tests.scp_recon.support import from_cold, mission_of, sigma_of
 
 pytestmark = pytest.mark.slow
 
@@ -209,7 +209,7 @@ def test_an_exact_plan_can_be_planned_again(scope):
     mission = mission_of(*exact(scope, 0.9, COARSE))
     planner = Planner(mission)
     first = planner.plan(initial_guess.cold(mission))
-    state = mission.initial_state + 0.5 * mission.initial_sigma * np.array([1, -1, 1, -1, 1, 0.5])
+    state = mission.initial_state + 0.5 * sigma_of(mission) * np.array([1, -1, 1, -1, 1, 0.5])
     moved = planner.replan(first, state)
     assert moved.status is Status.CONVERGED
     assert moved.final.name in ("P2", "P2.held")

@@ -24,7 +24,7 @@ from scp_recon.scp.status import Status
 from scp_recon.verification.reintegration import verify
 from tests.helpers import near_from, nightly, usually
 from tests.scenarios import COARSE
-from tests.scp_recon.support import flight_beyond, from_cold, mission_of
+from tests.scp_recon.support import flight_beyond, from_cold, mission_of, sigma_of
 
 
 def total_dv(mission: Mission, stage: Stage) -> float:
@@ -239,7 +239,7 @@ def test_replan_finds_the_optimum_for_its_facets(coarse_plan, formulation):
     """Also in CVXPY, whose kept program must not remember the old initial state."""
     mission, last = coarse_plan.mission, coarse_plan
     again = Planner(mission, formulation=formulation)
-    state = mission.initial_state + mission.initial_sigma * np.array([1, -1, 1, -1, 1, 0.5])
+    state = mission.initial_state + sigma_of(mission) * np.array([1, -1, 1, -1, 1, 0.5])
     again.replan(last, mission.initial_state)
     found = again.replan(last, state).final
     assert found.result.status is Status.CONVERGED

@@ -10,7 +10,7 @@ from scp_recon.interop.ccsds import opm_text
 from scp_recon.interop.export import SPACECRAFT_ID, Export, Ids
 from scp_recon.interop.path import fly_path
 from scp_recon.planning.plan import Plan
-from scp_recon.reports.flights import budget_of, budget_table, fly
+from scp_recon.reports.shown import budget_of, budget_table, fly
 from scp_recon.reports.subject import Subject
 from scp_recon.reports.tables import burns_table
 from scp_recon.results.facts import Burn

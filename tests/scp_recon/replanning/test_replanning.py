@@ -8,7 +8,7 @@ from scipy.optimize import NonlinearConstraint, minimize
 
 import scp_recon as sr
 from formulations.arrays import Array
-from scp_recon.api.replans import plan_left
+from scp_recon.api.planning import plan_left
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.schedule import MISS_WEIGHT

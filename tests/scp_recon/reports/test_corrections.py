@@ -12,9 +12,9 @@ import scp_recon as sr
 from scp_recon.physics import geometry
 from scp_recon.physics.frames import unit
 from scp_recon.reports.corrections import ELLIPSE, correction_charts, covariances_of
-from scp_recon.reports.flights import Shown
 from scp_recon.reports.ground import Camera
 from scp_recon.reports.scene import picture
+from scp_recon.reports.shown import Shown
 from scp_recon.reports.subject import Subject
 from scp_recon.reports.surfaces import shape_of
 from scp_recon.reports.write import page_of
@@ -29,7 +29,7 @@ def subject() -> Subject:
 @pytest.fixture(scope="module")
 def shown(subject) -> Shown:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("scp_recon.reports.flights.SAMPLES", 200)
+        patch.setattr("scp_recon.reports.shown.SAMPLES", 200)
         return Shown.of(subject, shape_of(subject.solution.scenario), Camera())
 
 

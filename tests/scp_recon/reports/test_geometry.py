@@ -12,9 +12,9 @@ from scp_recon.bodies.surface import Ellipsoid, Mesh, direction_of
 from scp_recon.mission.constraints import companion_distance_m
 from scp_recon.physics.frames import unit
 from scp_recon.reports.charts import BINS, thinned
-from scp_recon.reports.flights import SO_FAR, DrawnFlights, achieved, budget_of, fly
 from scp_recon.reports.ground import Camera, degrees_of, first_hit, ground_track, terminator
 from scp_recon.reports.scene import Frame, companion_of, drifts, keep_sets
+from scp_recon.reports.shown import SO_FAR, DrawnFlights, achieved, budget_of, fly
 from scp_recon.reports.subject import Subject
 from scp_recon.reports.surfaces import FACETS_MAX, RING, _of_mesh, ellipsoid, shape_of, shell, tube
 from tests.helpers import generators, random_unit

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from scp_recon.advice.infeasibility import Diagnosis
-from scp_recon.api.replans import plan_left
+from scp_recon.api.planning import plan_left
 from scp_recon.cli import plan_run
 from scp_recon.cli.commands import report
 from scp_recon.errors import InputError
@@ -21,9 +21,9 @@ from scp_recon.replanning.delivery import Delivery
 from scp_recon.replanning.flown import FlownPlan, predict
 from scp_recon.replanning.remainder import mission_left
 from scp_recon.reports.charts import probability_chart
-from scp_recon.reports.flights import fly
 from scp_recon.reports.ground import Camera
 from scp_recon.reports.page import Page, render, verdict_of
+from scp_recon.reports.shown import fly
 from scp_recon.reports.subject import PLANS_MAX, subjects_of
 from scp_recon.reports.write import page_of
 from scp_recon.results.solution import Solution, make_solution

@@ -22,6 +22,7 @@ from scp_recon.scenario.load import (
 )
 from scp_recon.scenario.uncertainty import MATRIX_TOLERANCE
 from tests.helpers import generators
+from tests.scp_recon.support import sigma_of
 
 POSITION = "uncertainty.initial_sigma_position_m=[30, 10, 5]"
 VELOCITY = "uncertainty.initial_sigma_velocity_m_s=[1e-3, 5e-4, 1e-4]"
@@ -221,7 +222,7 @@ def test_factor_is_a_root_of_the_covariance(rng, rank, frame):
     scale = np.sqrt(np.outer(np.diag(matrix), np.diag(matrix)))
     assert (np.abs(back @ back.T - matrix) <= 1e-9 * scale).all()
     sigma = np.sqrt(np.diag(mission.initial_factor @ mission.initial_factor.T))
-    np.testing.assert_allclose(mission.initial_sigma, sigma, rtol=1e-12)
+    np.testing.assert_allclose(sigma_of(mission), sigma, rtol=1e-12)
 
 
 @pytest.mark.slow

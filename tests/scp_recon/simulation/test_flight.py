@@ -40,7 +40,7 @@ from scp_recon.simulation.record import ARRAYS, FILE_NAME, make_record, read_rec
 from scp_recon.simulation.vehicle import Vehicle
 from tests.helpers import nightly
 from tests.scp_recon.simulation.short_plan import SHORT, short_plan
-from tests.scp_recon.support import mission_of
+from tests.scp_recon.support import mission_of, sigma_of
 
 pytestmark = pytest.mark.slow
 
@@ -202,7 +202,7 @@ def test_leaving_a_source_out_leaves_the_draws_of_the_others(
     short_solution, short_mission, vehicle
 ):
     plan = FlightPlan.of(short_solution, short_mission, vehicle)
-    sigma, factor = short_mission.initial_sigma, short_mission.initial_factor
+    sigma, factor = sigma_of(short_mission), short_mission.initial_factor
     every = Draws.of(plan, factor, 100, 5, frozenset(Source))
     assert np.abs(every.initial / sigma).max() < 5.0
     assert every.pulses.std() == pytest.approx(vehicle.errors.micro_thruster_n, rel=0.15)

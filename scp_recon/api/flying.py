@@ -11,7 +11,7 @@ import numpy as np
 
 from scp_recon.api.files import AnyPlan, Opened, open_plan
 from scp_recon.api.keeping import results_beside
-from scp_recon.api.replans import plan_left
+from scp_recon.api.planning import plan_left
 from scp_recon.errors import (
     InputError,
     imported,
