@@ -36,6 +36,8 @@ from formulations.problem.flyby import NO_TIMES, FlybyProblem
 from formulations.rows.cones import PARTS
 
 ArcStyle = Literal["called", "mapped", "differentiated"]
+WAVES = 8
+"""Waves of a home orbit by phase, with the mean: a circle has one, its states' squares two."""
 
 
 @dataclass(frozen=True)
@@ -278,9 +280,10 @@ class SingleShooting:
         last = last_spread_node(problem, facets)
         node, stm = roll_out(problem, arcs, last, burns, times)
         mean = ca.horzcat(*node)
-        covariances = _covariances(problem, burns, stm, last)
+        covariances = _covariances(problem, burns, stm, last, times)
+        final = replace(problem, final_state=boundary_of(problem, times)[2])
         blocks = (
-            final_state_block(problem, mean),
+            final_state_block(final, mean),
             *burn_blocks(replace(problem, held=()), burns, printed=False),
             *spread_blocks(problem, facets, mean, covariances, stm),
         )
@@ -321,15 +324,47 @@ def spread_blocks(
                 yield NlpRows(name, limit - root(ca.trace(covariances[-1][part, part])))
 
 
-def _covariances(problem: FlybyProblem, burns: ca.MX, stm: list[ca.MX], last: int) -> list[ca.MX]:
+def boundary_of(problem: FlybyProblem, times: ca.MX | None) -> tuple[ca.MX, ca.MX, ca.MX]:
+    """State (6,) and covariance (6 + p, 6 + p) before the first burn, and the final state (6,).
+
+    Where phases are controls they are by these, as `periodic` has them.
+    """
+    first, last = ca.MX(ca.DM(problem.initial_state)), ca.MX(ca.DM(problem.final_state))
+    covariance = ca.MX(ca.DM(problem.initial_factor @ problem.initial_factor.T))
+    firing = problem.firing
+    if times is None or firing is None or (boundary := firing.boundary) is None:
+        return first, covariance, last
+    phase = dict(zip(boundary.free, ca.vertsplit(times[len(firing.burns) :]), strict=True))
+
+    def begin(angle: float) -> Array:
+        state, factor = boundary.first(angle)
+        return np.r_[state, (factor @ factor.T).ravel()]
+
+    if 0 in phase:
+        both = periodic(begin, phase[0])
+        first, covariance = both[:6], ca.reshape(both[6:], *covariance.shape)
+    return first, covariance, periodic(boundary.last, phase[1]) if 1 in phase else last
+
+
+def periodic(of: Callable[[float], Array], phase: ca.MX) -> ca.MX:
+    """A function (k,) of a phase by its first `WAVES` - 1 waves: exact for a circular orbit."""
+    angles = np.pi / WAVES * np.arange(2 * WAVES)
+    waves = np.fft.rfft([of(angle) for angle in angles.tolist()], axis=0)[:WAVES].T / len(angles)
+    turns = ca.DM(np.arange(1, WAVES)) * phase
+    cosines, sines = 2.0 * waves[:, 1:].real, 2.0 * waves[:, 1:].imag
+    return ca.DM(waves[:, 0].real) + ca.DM(cosines) @ ca.cos(turns) - ca.DM(sines) @ ca.sin(turns)
+
+
+def _covariances(
+    problem: FlybyProblem, burns: ca.MX, stm: list[ca.MX], last: int, times: ca.MX | None = None
+) -> list[ca.MX]:
     """Covariances of deviation and p parameters at starts of the legs that begin at nodes up to `last`.
 
     Shape (6 + p, 6 + p) each. Errors that all burns share stand below; see `roll_out` for the STMs.
     """
     errors, starts, size = problem.execution_errors, problem.leg_starts, 6 + problem.parameters
-    first = np.eye(size + errors.shared)
-    first[:size, :size] = problem.initial_factor @ problem.initial_factor.T
-    covariance, found = ca.MX(ca.DM(first)), []
+    covariance, found = ca.MX(np.eye(size + errors.shared)), []
+    covariance[:size, :size] = boundary_of(problem, times)[1]
     for leg, node in enumerate(starts[starts <= last].tolist()):
         if leg > 0:
             flown = ca.diagcat(_with_parameters(stm[node]), ca.MX(np.eye(errors.shared)))
@@ -360,7 +395,7 @@ def roll_out(
     burn_at = dict(zip(problem.burn_nodes.tolist(), range(problem.n_burns), strict=True))
     kicks = ca.vertcat(ca.MX(3, problem.n_burns), burns)
     still = ca.MX(np.eye(6, 6 + problem.parameters))
-    mean, stm = [ca.MX(problem.initial_state)], [still]
+    mean, stm = [boundary_of(problem, times)[0]], [still]
     if not problem.coasts:
         mean[0] += kicks[:, 0]
     for first, end in itertools.pairwise(sorted({0, *burn_at, max(last, 0)})):

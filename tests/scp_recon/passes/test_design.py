@@ -5,6 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from formulations.nlp.program import Start
+from formulations.nlp.solve import VARIANTS, NlpOutcome, solve_nlp
+from scp_recon.mission.firing import HomePhases
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.schedule import make_schedule
 from scp_recon.passes import design
@@ -14,6 +17,7 @@ from scp_recon.passes.setting import settled, spaces_of
 from scp_recon.passes.space import Pass, Space
 from scp_recon.passes.timing import Effort, PassResult, Timing
 from scp_recon.planning.initial_guess import cold
+from scp_recon.planning.ipopt import casadi_arcs
 from scp_recon.planning.planner import Planner
 from scp_recon.planning.primer import primer_history
 from scp_recon.scenario.schema import Scenario
@@ -45,6 +49,30 @@ def test_a_descent_is_never_worse_and_its_pass_can_be_planned_as_it_is(space, ne
     mission = Mission.from_scenario(settled(scenario, space, best.at))
     again = Planner(mission).plan(cold(mission))
     assert again.total_dv_m_s == pytest.approx(best.dv_m_s, rel=2e-3)
+
+
+@pytest.mark.slow
+def test_ipopt_finds_the_same_pass_from_a_home_orbit(space, near):
+    """Phases, dates and times free, with the plan's facets and from its burns."""
+    spans = space.time_spans
+    home = HomePhases(space.ring, near.at.phases, space.phase_spans)
+    mission = replace(near.mission, firing_spans_s=spans, home=home)
+    problem, lin = mission.problem, near.stage.result.lin
+    assert problem.firing is not None
+    assert problem.firing.boundary is not None
+    arcs, start = casadi_arcs(mission.flow), Start(lin.iterate, lin.factor)
+    found = solve_nlp(problem, arcs, near.stage.facets, start, VARIANTS["shooting"])
+    assert found.outcome is NlpOutcome.SOLVED
+    own = Timing(space, 0).freed(near, 100)
+    assert own.converged
+    speed, unit = mission.units.speed_m_s, mission.units.time_s
+    assert own.dv_m_s == pytest.approx(found.objective * speed, rel=1e-5)
+    phases = problem.firing.phases(found.iterate.times)
+    assert own.at.phases == pytest.approx(phases, abs=1e-3)
+    free, burns = problem.firing.burns, found.iterate.burns
+    fired = np.linalg.norm(burns[free], axis=1) > 1e-4  # when a burn of nothing is, is all the same
+    times = found.iterate.times[: len(free)] * unit
+    assert np.array(own.at.times_s)[free[fired]] == pytest.approx(times[fired], abs=1.0)
 
 
 def test_times_that_are_all_given_leave_no_rules_to_keep(near):
