@@ -145,7 +145,8 @@ class Designer:
             return where.space, best
         others = around[len(begun) :]  # the earlier ones have no pass
         where, best = self._chosen([(where, best), *self._other_windows(others, best)])
-        best = self._descent(where, "refinement", best.at, best, self.effort)
+        if not self.exact:
+            best = self._descent(where, "refinement", best.at, best, self.effort)
         where, best = self._vary_burns(where, best)
         if exact:
             burns = len(best.at.times_s)
@@ -210,17 +211,19 @@ class Designer:
         near = [one for one in tries if one[1].dv_m_s <= NEAR * least[1].dv_m_s]
         if self.scenario.risk.allocation != "exact" or len(near) == 1:
             return least
-        own = [self._descend_exact(where, best) for where, best in near]
-        self.exact += own
-        return near[own.index(cheapest(own))]
+        near.sort(key=lambda one: one[1].dv_m_s)
+        for where, best in near:
+            rival = min((one.dv_m_s for _, one in self.exact), default=np.inf)
+            self.exact.append(self._descend_exact(where, best, rival))
+        return near[self.exact.index(cheapest(self.exact))]
 
-    def _descend_exact(self, where: Around, best: PassResult) -> Best:
-        """Descend from a pass under the scenario's own, exact risk."""
+    def _descend_exact(self, where: Around, best: PassResult, rival_m_s: float = np.inf) -> Best:
+        """Descend from a pass under the scenario's own, exact risk, as long as it may beat a rival."""
         space, given = where.space, self.scenario
         update = {"risk": given.risk, "polytopes": given.polytopes}
         own = space.mission.scenario.model_copy(update=update)
         where = replace(where, space=replace(space, mission=replace(space.mission, scenario=own)))
-        return where, self._descent(where, "exact", best.at, best, EXACT)
+        return where, self._descent(where, "exact", best.at, best, EXACT, rival_m_s)
 
     def _map_and_descend(self, first: Around) -> Best:
         """Map one window and descend from its minima: the best pass, or the one of least violation."""
@@ -279,14 +282,20 @@ class Designer:
         )
 
     def _descent(
-        self, where: Around, step: Step, at: Pass, known: PassResult, effort: Effort
+        self,
+        where: Around,
+        step: Step,
+        at: Pass,
+        known: PassResult,
+        effort: Effort,
+        rival_m_s: float = np.inf,
     ) -> PassResult:
         """Descend from a pass, started from the burns of a known plan.
 
         If that does not converge, descend without uncertainty first, and from there again.
         """
         space, seen = where.space, self._seen(step, where)
-        result = self._search(space, at, known.burns_m_s, seen, effort)
+        result = self._search(space, at, known.burns_m_s, seen, effort, rival_m_s=rival_m_s)
         if result.converged:
             return result
         sure = self._search(

@@ -246,7 +246,7 @@ def test_a_burn_that_vanishes_with_exact_risk_is_left_out_where_that_costs_nothi
         at = Pass(found.at.phases, (*found.at.times_s[:1], *found.at.times_s[2:]))
         return Candidate(replace(space, time_spans=spans), at, found.burns_m_s[1:])
 
-    def exact(_: Designer, where: Any, best: Made) -> Any:
+    def exact(_: Designer, where: Any, best: Made, _rival: float = 0.0) -> Any:
         last.append(best.at)
         return where, best
 
