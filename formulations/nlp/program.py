@@ -222,9 +222,9 @@ def burn_blocks(problem: FlybyProblem, burns: ca.MX, *, printed: bool) -> list[N
     ]
 
 
-def final_state_block(problem: FlybyProblem, mean: ca.MX) -> NlpRows:
-    """Miss of the final state for means (6, n_nodes)."""
-    miss = mean[:, -1] - problem.final_state
+def final_state_block(problem: FlybyProblem, mean: ca.MX, goal: ca.MX | None = None) -> NlpRows:
+    """Miss of the final state for means (6, n_nodes); the problem's if no goal (6,) is given."""
+    miss = mean[:, -1] - (problem.final_state if goal is None else goal)
     return NlpRows("final_state", miss, DYNAMICS_WEIGHT, equality=True, price=problem.miss_weight)
 
 

@@ -281,9 +281,8 @@ class SingleShooting:
         node, stm = roll_out(problem, arcs, last, burns, times)
         mean = ca.horzcat(*node)
         covariances = _covariances(problem, burns, stm, last, times)
-        final = replace(problem, final_state=boundary_of(problem, times)[2])
         blocks = (
-            final_state_block(final, mean),
+            final_state_block(problem, mean, boundary_of(problem, times)[2]),
             *burn_blocks(replace(problem, held=()), burns, printed=False),
             *spread_blocks(problem, facets, mean, covariances, stm),
         )
