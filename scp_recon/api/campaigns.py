@@ -1,4 +1,4 @@
-"""Run campaigns: plan, design, certify, fly or simulate each case of a study."""
+"""Run campaigns: plan, design, certify, replan, fly or simulate each case of a study."""
 
 from __future__ import annotations
 
@@ -15,7 +15,8 @@ from scp_recon.api.flying import FlyOptions, flown_summary, simulation_of
 from scp_recon.api.inputs import PlanRequest
 from scp_recon.api.options import PlanOptions
 from scp_recon.api.planning import PlanOutcome, carry_out
-from scp_recon.campaigns.cases import Case, changed, solution_name
+from scp_recon.api.replans import plan_left
+from scp_recon.campaigns.cases import Case, changed, of_campaign, solution_name
 from scp_recon.campaigns.checks import check_do
 from scp_recon.campaigns.run import Observer, executor_of, run_study
 from scp_recon.campaigns.study import Campaign, Study
@@ -25,6 +26,9 @@ from scp_recon.jobs.store import Row
 from scp_recon.monte_carlo.observation_time import ALL
 from scp_recon.monte_carlo.sampling import PolicyKind
 from scp_recon.planning.plan import Plan, Stage
+from scp_recon.replanning.delivery import Delivery
+from scp_recon.replanning.flown import FlownPlan, predict
+from scp_recon.replanning.remainder import mission_left
 from scp_recon.results.figures import FINAL_STATE
 from scp_recon.results.policy import sigmas
 from scp_recon.results.solution import Solution
@@ -97,7 +101,7 @@ def work_of(study: Study) -> StudyWork:
 
 @dataclass(frozen=True)
 class StudyWork:
-    """Plans, designs, certifies, flies or simulates a case, as its campaign says: a `run.CaseWork`.
+    """Plans a case, and does what else its campaign says: a `run.CaseWork`.
 
     Cases change the base; files that they name are relative to the folder.
     """
@@ -131,6 +135,8 @@ class StudyWork:
             row["binds"] = binding(found.final)
         if do == "certify":
             row |= certified_row(found)
+        elif do == "replan" and found.status is Status.CONVERGED:
+            row |= rest_row(found, self.campaign.model_copy(update=of_campaign(case.changes)))
         elif do == "fly" and found.status is Status.CONVERGED:
             options = FlyOptions(self.campaign.samples, seed=case.seed, policy=self.campaign.policy)
             row |= flown_row(found, solution, options)
@@ -192,6 +198,19 @@ def planned_row(solution: Solution, verification: Verification) -> dict[str, Any
         "plan_hash": solution.plan_hash,
         "warnings": "; ".join(map(str, solution.warnings)) or None,
         "message": solution.message,
+    }
+
+
+def rest_row(found: Plan, campaign: Campaign) -> dict[str, Any]:
+    """Columns of the rest of a flight, planned again from its planned state; cost of the rest alone."""
+    flown = FlownPlan.of(found)
+    state = predict(flown, campaign.at_s, {}).state
+    mission = mission_left(flown, Delivery.of(campaign.at_s, state))
+    rest = plan_left(flown, mission, free_times=campaign.free_times)
+    return {
+        "rest_status": rest.status.value.name,
+        "rest_dv_m_s": rest.total_dv_m_s,
+        "rest_times_s": " ".join(f"{time:.1f}" for time in rest.mission.scenario.burn_times_s),
     }
 
 

@@ -61,13 +61,23 @@ def solution_name(number: int) -> str:
     return f"{SOLUTIONS}/case-{number:07d}/solution.json"
 
 
+TABLE = "campaign."
+"""How entries of an axis begin that are of the campaign's table, not of the scenario."""
+
+
+def of_campaign(changes: Mapping[str, Any]) -> Changes:
+    """A case's changes to the table `[campaign]`, without its name."""
+    return {key.removeprefix(TABLE): one for key, one in changes.items() if key.startswith(TABLE)}
+
+
 def changed(base: Scenario, changes: Mapping[str, Any], folder: Path) -> Scenario:
-    """Apply a case's changes to the base.
+    """Apply a case's changes to the base, but those to the campaign's table.
 
     Raises:
         InputError: if the result is no valid scenario.
     """
-    return base.changed(layer_of(changes, folder)) if changes else base
+    own = {entry: value for entry, value in changes.items() if not entry.startswith(TABLE)}
+    return base.changed(layer_of(own, folder)) if own else base
 
 
 def layer_of(changes: Mapping[str, Any], folder: Path) -> dict[str, Any]:

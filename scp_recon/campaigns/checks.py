@@ -24,7 +24,9 @@ from scp_recon.scenario.schema import Scenario
 CHECKED = 100
 """Rows of an axis whose scenarios are made before the work, spread evenly from first to last."""
 SHOWN = 5
-CERTIFIED, DESIGN, FLY = "exact", "design", "fly"
+CERTIFIED, DESIGN, FLY, REPLAN = "exact", "design", "fly", "replan"
+REST = "at_s", "free_times"
+"""Entries of `[campaign]` on the rest of a flight, which axes may change as `campaign.at_s`."""
 FLOWN = FLY, "simulate"
 
 
@@ -159,9 +161,14 @@ def unused(
             f"{given['policy']!r} with do = '{do}'",
             f"needs do = {FLOWN[0]!r} or {FLOWN[1]!r}",
         )
+    places = _places(given.get("overrides", {}), axes)
+    every = {f"campaign.{key}" for key in given} | {one for _, found in places for one in found}
+    for entry in sorted(every & {f"campaign.{key}" for key in REST}):
+        if do != REPLAN:
+            yield InputError(entry, f"with do = '{do}'", "needs do = 'replan'")
     if do == DESIGN:
         return
-    for where, entries in _places(given.get("overrides", {}), axes):
+    for where, entries in places:
         for entry in entries:
             if overlap(entry, DESIGN):
                 yield InputError(f"{where}: {entry}", f"with do = '{do}'", "needs do = 'design'")

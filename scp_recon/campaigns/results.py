@@ -45,6 +45,7 @@ OWN: dict[str, dict[str, type]] = {
         "duration_s": float,
         "burns": int,
     },
+    "replan": {"rest_status": str, "rest_dv_m_s": float, "rest_times_s": str},
     "certify": {"certified": float, "certified_low": float, "aim": float, "rounds": int},
     "fly": {
         "flights": int,

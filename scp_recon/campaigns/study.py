@@ -15,8 +15,8 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, ValidationError
 
 from scp_recon.campaigns.axes import Axis, Draws, Grid, Values, Windows, axis_of
-from scp_recon.campaigns.cases import Cases, Changes, changed, layer_of
-from scp_recon.campaigns.checks import check_axes, check_do, ineffective, refuse
+from scp_recon.campaigns.cases import Cases, Changes, changed, layer_of, of_campaign
+from scp_recon.campaigns.checks import REPLAN, REST, check_axes, check_do, ineffective, refuse
 from scp_recon.campaigns.results import kind_of
 from scp_recon.errors import InputError, shortened
 from scp_recon.files import read_text
@@ -31,7 +31,7 @@ VERSION = 2
 ASK_FROM = 100_000
 """Number of cases above which a caller has to pass `yes`."""
 
-Do = Literal["plan", "design", "certify", "fly", "simulate"]
+Do = Literal["plan", "design", "certify", "replan", "fly", "simulate"]
 
 
 class Campaign(Section):
@@ -40,7 +40,12 @@ class Campaign(Section):
     base: Annotated[str, Field(min_length=1)] = "recon_b"
     """Packaged scenario, or a file relative to the study."""
     do: Do = "plan"
-    """plan; design a pass from the home orbit; certify an exact plan; fly a plan often; simulate it."""
+    """plan; design a pass from the home orbit; certify an exact plan; plan the rest from the planned
+    state in flight again; fly a plan often; simulate it."""
+    at_s: Annotated[float, Field(ge=0, le=1e7)] = 0.0
+    """When the rest is planned with do = "replan", s past the epoch."""
+    free_times: bool = False
+    """Whether burns of the rest may move, as with `replan --free-times`."""
     policy: Literal["open", "replan"] | None = None
     """What burns are flown: as planned, or planned again before each (default: the plan's gains)."""
     samples: Annotated[int, Field(ge=20, le=10_000_000)] = 10_000
@@ -91,6 +96,14 @@ class Study:
         base = _overridden(base, campaign.overrides, kinds, folder)
         check_do(campaign.do, base)
         rows = tuple(axis.rows(base, (campaign.seed, place)) for place, axis in enumerate(kinds))
+        given = campaign.model_dump(mode="json", exclude_unset=True)
+        for row in (row for each in rows for row in each if of_campaign(row)):
+            if unknown := of_campaign(row).keys() - REST:
+                named = f"campaign.{min(unknown)}"
+                raise InputError(
+                    named, "an axis", f"must be one of {', '.join(REST)}, or given once"
+                )
+            _model(Campaign, given | of_campaign(row), "campaign")
         study = cls(campaign, base, rows, folder, tables)
         if len(study.cases) > ASK_FROM and not yes:
             product = " x ".join(f"{len(each):,}" for each in rows)
@@ -122,8 +135,9 @@ class Study:
     @cached_property
     def hash(self) -> str:
         """SHA-256 of everything that the rows depend on: base, axes, limits, named files, `VERSION`."""
+        excluded = {"base", "overrides"} | set(REST if self.campaign.do != REPLAN else ())
         parts = {
-            "campaign": self.campaign.model_dump(mode="json", exclude={"base", "overrides"}),
+            "campaign": self.campaign.model_dump(mode="json", exclude=excluded),
             "base": self.base.model_dump(mode="json"),
             "axes": self.axes,
             "files": dict(_digests(self)),

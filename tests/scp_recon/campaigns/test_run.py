@@ -16,6 +16,7 @@ from scp_recon.api.campaigns import work_of
 from scp_recon.api.planning import PlanOutcome
 from scp_recon.campaigns import run as run_module
 from scp_recon.campaigns import study as study_module
+from scp_recon.campaigns.axes import Values
 from scp_recon.campaigns.cases import Case
 from scp_recon.campaigns.results import RESULTS, ROWS, cell, kind_of, read_results
 from scp_recon.campaigns.run import FILE_NAME, Observer, run_study
@@ -29,6 +30,7 @@ from scp_recon.results.solution import make_solution
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scenario.schema import Scenario
 from tests.helpers import nightly
+from tests.scenarios import COARSE
 from tests.scp_recon.campaigns.shown import table_of
 from tests.scp_recon.support import raising
 
@@ -154,6 +156,7 @@ def test_case_follows_the_do_of_its_study(do, default_plan, verification, monkey
         return outcome
 
     ways = {"certify": "certified_row", "fly": "flown_row", "simulate": "simulated_row"}
+    ways["replan"] = "rest_row"
     for name in ways.values():
         monkeypatch.setattr(campaigns, name, lambda *given, name=name: {"done": (name, given)})
     monkeypatch.setattr(campaigns, "planned", planned)
@@ -165,6 +168,17 @@ def test_case_follows_the_do_of_its_study(do, default_plan, verification, monkey
     assert way == ways.get(do)
     seeds = [7 for one in given if one == 7 or getattr(one, "seed", None) == 7]
     assert len(seeds) == (do in ("fly", "simulate"))
+
+
+@pytest.mark.slow
+def test_campaigns_sweep_free_times_of_the_rest():
+    base = load_scenario(None, [COARSE])
+    times = Values(entry="campaign.free_times", values=(False, True)).rows(base, ())
+    work = campaigns.StudyWork(base, Path(), Campaign(do="replan", at_s=2000.0))
+    given, free = (work(Case(i, 0, row)).values for i, row in enumerate(times))
+    assert given["rest_status"] == free["rest_status"] == "converged"
+    assert free["rest_dv_m_s"] < 0.995 * given["rest_dv_m_s"] < given["total_dv_m_s"]
+    assert given["rest_times_s"] == "8000.0 25000.0 34842.0" != free["rest_times_s"]
 
 
 STUDIES = Path(__file__).parents[3] / "examples" / "studies"

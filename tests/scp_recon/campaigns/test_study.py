@@ -194,6 +194,18 @@ REPLANNED = {"do": "fly", "policy": "replan"}
             r"axis 1: design.departure_s: got with do = 'plan'; needs do = 'design'",
         ),
         ([], {"overrides": {"design.burn_times": "given"}}, r"overrides: design.burn_times: got"),
+        (
+            [axis("campaign.free_times", True)],
+            {},
+            "campaign.free_times: got with do = 'plan'; needs",
+        ),
+        ([], {"at_s": 5.0}, "campaign.at_s: got with do = 'plan'; needs do = 'replan'"),
+        ([axis("campaign.at_s", -1.0)], {"do": "replan"}, "campaign.at_s: got -1"),
+        (
+            [axis("campaign.seed", 1)],
+            {"do": "replan"},
+            "campaign.seed: got an axis; must be one of",
+        ),
         ([P_CHANCE, P_CHANCE], {}, "must be in one place"),
         ([P_CHANCE, axis("risk", {"p_chance": 0.9})], {}, f"{P}: got axis 1 and axis 2"),
         (
