@@ -13,6 +13,7 @@ KEPT = {
 }
 
 
+@pytest.mark.slow
 def test_one_run_of_the_record_holds_today():
     assert differences([run_of(date.today())]) == []
 

@@ -7,11 +7,13 @@ import shlex
 import tomllib
 from collections.abc import Sequence
 from contextlib import suppress
+from functools import cache
 from itertools import pairwise
 from pathlib import Path
 
 import pytest
 from markdown_it import MarkdownIt
+from markdown_it.token import Token
 
 from scp_recon.api.exploring import Server
 from scp_recon.campaigns.study import Study
@@ -40,11 +42,16 @@ RECIPE = re.compile(
 )
 
 
+@cache
+def tokens_of(page: Path) -> list[Token]:
+    """All tokens of a page, those within lines too."""
+    tokens = MarkdownIt("commonmark").enable("table").parse(page.read_text("utf-8"))
+    return [*tokens, *(child for token in tokens for child in token.children or ())]
+
+
 def codes(page: Path, *kinds: str) -> list[str]:
     """Texts of a page's code of some kinds of tokens: its blocks, or what stands in its lines."""
-    tokens = MarkdownIt("commonmark").enable("table").parse(page.read_text("utf-8"))
-    every = [*tokens, *(child for token in tokens for child in token.children or ())]
-    return [one.content for one in every if one.type in kinds]
+    return [one.content for one in tokens_of(page) if one.type in kinds]
 
 
 def blocks(page: Path) -> list[str]:

@@ -108,7 +108,7 @@ class FlightConfig:
 class FlightBlock:
     """Counts and sums of one block of flights."""
 
-    held: dict[str, Array]
+    held_s: dict[str, Array]
     entry: Array
     exit: Array
     node_counts: dict[str, npt.NDArray[np.int64]]
@@ -153,7 +153,7 @@ def run_block(config: FlightConfig, block: tuple[int, int]) -> FlightBlock:
     for kept in holds.values():
         whole &= kept.all(axis=0)
     return FlightBlock(
-        held={name: h.duration for name, h in held.items()},
+        held_s={name: h.duration for name, h in held.items()},
         entry=held[ALL].entry if held else nothing,
         exit=held[ALL].exit if held else nothing,
         node_counts={name: h.sum(axis=1) for name, h in holds.items()},
@@ -172,7 +172,7 @@ class FlightTally:
     """Running totals of the flights of a configuration.
 
     Attributes:
-        held: seconds in which each observation constraint holds, and all at once.
+        held_s: seconds in which each observation constraint holds, and all at once.
         full: flights in which each holds throughout the window.
         entry, exit: first and last time at which all hold, of the flights in which they ever do.
         node_counts: flights in which each joint constraint holds, at the times of `counted_s`.
@@ -209,8 +209,8 @@ class FlightTally:
         planned = float(np.linalg.norm(self.config.burns_m_s, axis=1).sum())
         far = 20.0 * float(np.linalg.norm(self.config.mission.initial_state[:3]))
         names = (*SCIENCE, ALL) if observed else ()
-        self.held = {name: Tally.empty(0.0, last - first, TIME_BIN_S) for name in names}
-        self.full = dict.fromkeys(self.held, 0)
+        self.held_s = {name: Tally.empty(0.0, last - first, TIME_BIN_S) for name in names}
+        self.full = dict.fromkeys(self.held_s, 0)
         self.entry = self.exit = Tally.empty(first, last, TIME_BIN_S)
         bins = self.config.mission.units.tolerance(DISTANCE_BIN_M, "m")
         self.closest = Tally.empty(0.0, far, bins)
@@ -224,8 +224,8 @@ class FlightTally:
     def add(self, block: FlightBlock) -> None:
         """Count a block; blocks must come in order, so that sums round the same way every time."""
         first, last = self.config.mission.observed_s or (0.0, 0.0)
-        for name, seconds in block.held.items():
-            self.held[name] = self.held[name].add(seconds)
+        for name, seconds in block.held_s.items():
+            self.held_s[name] = self.held_s[name].add(seconds)
             self.full[name] += int((seconds >= last - first - 1e-6).sum())
         ever = np.isfinite(block.entry)
         if ever.any():

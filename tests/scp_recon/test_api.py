@@ -134,6 +134,7 @@ def test_what_comes_back_tells_its_verdict(default_plan, solution, verification)
         sr.plann  # noqa: B018 -- the attribute is what is asked for
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("few_flights")
 def test_a_path_is_taken_wherever_a_plan_is(solution, tmp_path):
     first = sr.save(solution, tmp_path / "first")
@@ -161,6 +162,7 @@ def test_a_misspelt_name_of_a_result_is_told_the_near_one(default_plan, solution
             results[name]
 
 
+@pytest.mark.slow
 def test_a_plan_is_data_that_anything_but_its_timing_makes_another(default_plan):
     """What it is made of holds arrays, and is equal only to itself: asking ends in no traceback."""
     for again in (pickle.loads(pickle.dumps(default_plan)), copy.deepcopy(default_plan)):

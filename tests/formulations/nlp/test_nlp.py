@@ -392,6 +392,7 @@ def test_ipopt_finds_no_better_corrected_burns(seed):
         assert theirs.cost.value > (1.0 - 1e-5) * ours
 
 
+@pytest.mark.slow
 def test_ipopt_starts_from_small_gains():
     """At zero the cost has a kink. Two iterations, on few nodes."""
     few = "grid.step_max_s=3000", "burns.times_s=[0.0,8000.0,34842.0]"

@@ -37,6 +37,7 @@ def plan() -> Plan:
     return from_cold(mission_with(), facet_rounds=0)
 
 
+@pytest.mark.slow
 def test_rows_have_the_parameters_of_the_convex_side(plan):
     mission, lin, facets = plan.mission, plan.final.result.lin, plan.final.facets
     every = ChanceRows(mission.problem, facets, np.ones(len(facets.node), dtype=bool))
@@ -48,6 +49,7 @@ def test_rows_have_the_parameters_of_the_convex_side(plan):
         np.testing.assert_allclose(rows[name], expected.margin, atol=1e-7)
 
 
+@pytest.mark.slow
 def test_ipopt_finds_the_same_plan_with_parameters(plan):
     """The same facets from the plan's burns: one problem, to 1e-5."""
     mission, lin = plan.mission, plan.final.result.lin

@@ -149,6 +149,7 @@ def test_rows_have_the_slope_of_margins_along_flown_burns(scope, accuracy):
         np.testing.assert_allclose(difference, expected, rtol=0.0, atol=accuracy * scale)
 
 
+@pytest.mark.slow
 def test_a_bundle_bounds_a_flight_by_tangents_where_it_was_asked():
     """None of them cuts off the iterate; where a tangent belongs, the model says no more than it."""
     mission, lin = flown("flight")
@@ -171,6 +172,7 @@ def test_a_bundle_bounds_a_flight_by_tangents_where_it_was_asked():
         assert slack(cones, other.controls).min() < value + 1e-6
 
 
+@pytest.mark.slow
 def test_curvature_of_a_node_is_that_of_its_margin():
     """On the affine model: second differences of g, where g is concave along a direction."""
     mission, lin = flown("node")

@@ -74,6 +74,7 @@ def test_the_written_scenario_gives_the_shown_plan(server, tmp_path):
     assert {chart["key"] for chart in found["drawn"]["charts"]} >= {"observation", "timeline"}
 
 
+@pytest.mark.slow
 def test_a_plan_that_is_infeasible_says_so(server):
     made = server.explorer.plan({})
     said = f"Infeasible: so it is. {Status.INFEASIBLE.value.remedy}"

@@ -142,6 +142,7 @@ def test_a_scenario_by_kernels_needs_them_once(tmp_path, spice):
     assert found.replace({"risk.p_chance": 0.8}).sun == found.sun
 
 
+@pytest.mark.slow
 def test_threads_read_kernels_as_one_does(tmp_path, spice):
     """SPICE has one state for all threads of a process, which die or get another's kernels."""
     file, states = write_spk(tmp_path / "rock.bsp", spice)

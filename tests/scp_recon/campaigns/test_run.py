@@ -144,6 +144,7 @@ def test_a_column_holds_all_values_of_an_entry(values, cells):
     assert list(map(type, found)) == list(map(type, cells))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("do", get_args(Do))
 def test_case_follows_the_do_of_its_study(do, default_plan, verification, monkeypatch):
     """With its own seed; only what is to be certified is planned so."""

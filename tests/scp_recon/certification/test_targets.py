@@ -80,6 +80,7 @@ def test_other_target_leads_where_its_own_ends(monkeypatch, first, then):
     assert (found.status, found.target) == (Status.CONVERGED, then)
 
 
+@pytest.mark.slow
 def test_frontier_of_real_plans_is_monotone():
     """The least target starts in the basin of a dear optimum, and ends in that of the others."""
     mission = mission_of("node")

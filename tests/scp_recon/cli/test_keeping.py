@@ -78,6 +78,7 @@ def test_results_of_another_plan_are_set_aside(verified, tmp_path, capsys):
     assert capsys.readouterr().err.count("error") == 0
 
 
+@pytest.mark.slow
 def test_exports_of_another_plan_are_set_aside(verified, tmp_path):
     """A pattern of their names then finds one plan; those of the same plan, and other files, stay."""
     scenarios = [verified.scenario.replace({"name": name}) for name in ("first", "next", "last")]

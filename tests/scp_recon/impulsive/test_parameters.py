@@ -42,6 +42,7 @@ COVARIANCE = np.diag([0.03 * RATE, 2e-5]) ** 2
 """Of the rate, 3 %, and of the push, which alone moves a flight by 160 m."""
 
 
+@pytest.mark.slow
 def test_plans_keep_their_probability_with_uncertain_parameters(problem):
     """The plan that knows them does not, and costs less."""
     uncertain = replace(problem, parameter_covariance=COVARIANCE)
@@ -57,6 +58,7 @@ def test_plans_keep_their_probability_with_uncertain_parameters(problem):
     assert np.all(law[:2] > 50.0)
 
 
+@pytest.mark.slow
 def test_filters_learn_parameters_of_any_flow(problem):
     """Measurements before burns 2 and 3 leave less of the push unknown, and the end nearer."""
     uncertain = replace(problem, parameter_covariance=COVARIANCE)

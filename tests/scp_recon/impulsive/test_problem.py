@@ -150,6 +150,7 @@ def test_every_kind_of_region_is_kept(erring, scope):
     assert min(estimate.high for estimate in flights.kept.values()) > 0.95
 
 
+@pytest.mark.slow
 def test_corrected_burns_fly_as_planned(erring):
     measured = np.diag([1.0, 1.0, 1.0, 0.001, 0.001, 0.001])[None]
     feedback = sr.Feedback(np.array([2]), np.array([15]), measured, "dv99", 0.99)

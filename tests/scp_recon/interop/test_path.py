@@ -142,6 +142,7 @@ def message(export, tmp_path_factory) -> Any:
     return oem.OrbitEphemerisMessage.open(str(path))
 
 
+@pytest.mark.slow
 def test_another_reader_interpolates_segments_within_a_centimetre(message, export):
     from astropy.time import Time, TimeDelta
 

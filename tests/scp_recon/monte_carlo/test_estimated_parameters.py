@@ -143,6 +143,7 @@ def test_law_has_the_draws_of_flights_that_learn():
     assert np.abs(off).max() <= 0.03 * np.abs(linear).max()
 
 
+@pytest.mark.slow
 def test_flights_are_planned_again_with_uncertain_parameters():
     """The filter considers the parameter: what it delivers allows for the spread that GM causes."""
     words = ("grid.step_max_s=900", "uncertainty.initial_sigma_fraction=0", "burns.dv_min_m_s=0")

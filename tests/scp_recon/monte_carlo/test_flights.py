@@ -55,7 +55,7 @@ def certain() -> Mission:
 def test_a_plan_holds_all_constraints_when_nothing_errs(certain, solution):
     flown = fly_many(FlightConfig(certain, solution.burns_m_s), samples=20)
     first, last = certain.schedule.window_s
-    assert flown.held[ALL].mean().value == pytest.approx(last - first, abs=1e-6)
+    assert flown.held_s[ALL].mean().value == pytest.approx(last - first, abs=1e-6)
     assert flown.executed_dv.mean().value == pytest.approx(solution.total_dv_m_s, abs=1e-12)
 
 
@@ -167,6 +167,7 @@ def test_narrowed_probabilities_are_the_same_for_any_split(config, narrowed, mon
     assert other.narrowed == narrowed.narrowed
 
 
+@pytest.mark.slow
 def test_no_interval_is_replaced_by_a_wider_one(config, narrowed):
     """Where hardly a flight fails, the plain ones' is narrower."""
     plain = fly_many(config, samples=narrowed.samples)
@@ -198,6 +199,7 @@ def test_a_summary_tells_the_flights_that_narrowed_it(solution, narrowed, tmp_pa
     assert read.probability["emission"].estimate == narrowed.worst_probability("emission")[1]
 
 
+@pytest.mark.slow
 def test_stopped_or_few_flights_are_not_narrowed(config, monkeypatch):
     monkeypatch.setattr(flights, "PLAIN", 1_000)
     few = fly_many(config, samples=1_500, until=0.008)

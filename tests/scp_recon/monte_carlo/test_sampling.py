@@ -132,6 +132,7 @@ def test_path_before_a_burn_is_unchanged(solution):
     np.testing.assert_allclose(found, np.sum(distance >= limit, axis=1), atol=1)
 
 
+@pytest.mark.slow
 def test_nodes_added_at_violations_close_the_gap(burns):
     mission = mission_of("observation.emission_max_deg=36", "grid.step_max_s=3500")
     kept = kept_flights(mission, burns, FLIGHTS, SEED)

@@ -143,6 +143,7 @@ def many(mission, solution) -> Summary:
     return summarise(fly_many(FlightConfig(mission, solution.burns_m_s), samples=1000), solution)
 
 
+@pytest.mark.slow
 def test_flights_tell_what_the_verification_tells(mission, solution, many):
     """The safety distance too, which counts in the whole flight: here nearest after the window."""
     names = [one.name for one in joint_probabilities(mission, solution.burns_m_s)[0]]

@@ -10,6 +10,7 @@ from scp_recon.replanning.flown import FlownPlan, predict
 pytestmark = pytest.mark.usefixtures("fewer")
 
 
+@pytest.mark.slow
 def test_free_times_make_the_rest_cheaper(default_plan):
     at_s = 2000.0
     given = {"at_s": at_s, "state": predict(FlownPlan.of(default_plan), at_s, {}).state}

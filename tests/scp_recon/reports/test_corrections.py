@@ -82,6 +82,7 @@ def test_delta_v_is_that_of_the_flights(charts, shown):
     assert figures[2]["x"][0] == pytest.approx(most, rel=1e-4)
 
 
+@pytest.mark.slow
 def test_python_has_the_charts_of_the_page(shown, subject, monkeypatch):
     monkeypatch.setattr(Shown, "of", lambda *_: shown)
     drawn = sr.charts(subject.solution)

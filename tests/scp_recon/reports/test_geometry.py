@@ -186,6 +186,7 @@ def test_probabilities_are_the_verification_s(subject, flown, verified):
     assert so_far[-1] <= min(one.value.min() for one in found.values())
 
 
+@pytest.mark.slow
 def test_the_budget_is_that_of_the_executed_burns(subject, flown):
     budget = budget_of(subject, flown)
     total = subject.solution.total_dv_m_s
