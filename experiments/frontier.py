@@ -68,7 +68,7 @@ def record(kind: str, p: float, found: Plan, flown: FlightTally, processor_s: fl
         "kind": kind,
         "asked": p,
         "status": NOT_CERTIFIED if missed else found.status.value.name,
-        "aim": found.target or float("nan"),
+        "target": found.target or float("nan"),
         **(figures if converged else dict.fromkeys(figures, float("nan"))),
         "rounds": reached.rounds if reached else 1,
         "processor_s": processor_s,

@@ -217,11 +217,11 @@ def certified_row(found: Plan) -> dict[str, Any]:
     """Columns of a certificate."""
     reached = found.certificate
     if reached is None:
-        return {"aim": found.target}
+        return {"target": found.target}
     return {
         "certified": reached.reached,
         "certified_low": reached.low,
-        "aim": found.target,
+        "target": found.target,
         "rounds": reached.rounds,
     }
 

@@ -46,7 +46,7 @@ OWN: dict[str, dict[str, type]] = {
         "burns": int,
     },
     "replan": {"rest_status": str, "rest_dv_m_s": float, "rest_times_s": str},
-    "certify": {"certified": float, "certified_low": float, "aim": float, "rounds": int},
+    "certify": {"certified": float, "certified_low": float, "target": float, "rounds": int},
     "fly": {
         "flights": int,
         "flown_lowest": float,

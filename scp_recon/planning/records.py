@@ -27,7 +27,7 @@ class Certificate:
             one.
         high: upper end of it.
         at_nodes: the same of the nodes alone.
-        rounds: plans flown to aim, before any test.
+        rounds: plans flown to choose the target, before any test.
         tests: number of the test that judged the plan, from 1; each test flies another plan.
         confidence: of the interval, both ends together.
         strata: draws and flights in strata of the law's margin; None for plain flights.

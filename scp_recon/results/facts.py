@@ -232,7 +232,7 @@ class Risk:
 
     scope: Literal["node", "flight"]
     required: Annotated[Probability, Field(alias="asked")]
-    target: Annotated[Probability, Field(alias="aim")]
+    target: Probability
     certificate: Certificate | None
     normal_law: list[EventProbability]
 
