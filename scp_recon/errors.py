@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 import re
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from importlib import import_module
 from numbers import Integral
@@ -127,9 +127,13 @@ class Named(dict[str, Value]):
 def unknown_name(name: object, known: Iterable[str]) -> str:
     """Message for an unknown name: the nearest known one, and all of them."""
     names = list(known)
-    near = difflib.get_close_matches(str(name), names, n=1)
-    meant = f"did you mean {near[0]!r}? " if near else ""
-    return f"{name!r}; {meant}there are {', '.join(names) or 'none'}"
+    return f"{name!r}; {nearest(name, names)}there are {', '.join(names) or 'none'}"
+
+
+def nearest(name: object, known: Sequence[str]) -> str:
+    """Question whether the nearest known name is meant; empty if none is near."""
+    near = difflib.get_close_matches(str(name), known, n=1)
+    return f"did you mean {near[0]!r}? " if near else ""
 
 
 def path_of(entry: str, given: object) -> Path:

@@ -154,9 +154,11 @@ def show_plan(
     """
     status = Status.named(solution.status)
     said = solution.message
+    warnings = list(warnings)
+    many = f"{len(warnings)} warning{'s' if len(warnings) > 1 else ''} below" if warnings else None
     console.print()
     if verification is not None:
-        show_verdict(console, "verified", [in_words(name) for name in verification.failed])
+        show_verdict(console, "verified", [in_words(name) for name in verification.failed], many)
         if verification.missed is not None:
             show_line(console, str(verification.missed))
         said = said.removesuffix(status.value.remedy).strip()  # what to do next comes last
@@ -244,6 +246,10 @@ def _show_risk(console: Console, risk: Risk | None) -> None:
     show_line(console, line)
 
 
+IMPACT_WARNED = 0.01
+"""Share of flights that hit the body after a missed burn, from which on it is a warning."""
+
+
 def _show_verification(
     console: Console, mission: Mission, solution: Solution, v: Verification, *, verbose: bool
 ) -> None:
@@ -259,7 +265,11 @@ def _show_verification(
         show_line(console, drifts.note, "dim")
     elif v.drifts:
         later = [drift for drift in v.drifts if drift.burn > 1] or v.drifts
-        show_line(console, str(min(later, key=lambda drift: drift.closest_m)))
+        nearest = min(later, key=lambda drift: drift.closest_m)
+        if nearest.impact < IMPACT_WARNED:
+            show_line(console, str(nearest))
+        else:
+            show_line(console, f"warning: {nearest} of flights hit the body", "yellow")
     if v.lost_contacts:
         lost = lost_contacts_table(v)
         console.print(terminal(lost))

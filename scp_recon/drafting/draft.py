@@ -109,7 +109,7 @@ def draft_text(draft: Draft) -> str:
     """Write the scenario file: every entry with unit, frame and source of its value."""
     tables = _tables("scenario", _values(draft), _words(draft))
     if draft.given is not None:
-        tables |= _tables("given_body", _values_given(draft.body, draft.given))
+        tables |= _tables("given_body", _values_given(draft, draft.given))
     for title, entries in draft.instead.items():
         tables[title] = "\n".join(
             f"{key} = {json.dumps(value)}  # {c}" for key, value, c in entries
@@ -189,11 +189,11 @@ def _words(draft: Draft) -> dict[str, str]:
     return {key: f"{x:g}" for key, x in numbers.items()} | {"why_incidence": why, "window": window}
 
 
-def _values_given(name: str, body: GivenBody) -> dict[str, object]:
+def _values_given(draft: Draft, body: GivenBody) -> dict[str, object]:
     """Values for the template of a body that is not packaged."""
-    ra, dec = body.pole_deg
-    radii = 3 * [body.radius_m]
-    return asdict(body) | {"body": name, "radii_m": radii, "pole_ra_deg": ra, "pole_dec_deg": dec}
+    (ra, dec), radii = body.pole_deg, 3 * [body.radius_m]
+    named = {"body": draft.body, "epoch": draft.epoch.isoformat(), "radii_m": radii}
+    return asdict(body) | named | {"pole_ra_deg": ra, "pole_dec_deg": dec}
 
 
 def _three(value: float) -> float:

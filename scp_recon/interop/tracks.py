@@ -119,6 +119,7 @@ def spice_body(
     ]
     how = f"J2000, body from the Sun at epoch.tdb; {source}"
     sun: list[Entry] = [
+        ("state_tdb", when.isoformat(), "TDB to which the next two entries belong"),
         ("body_position_km", position, f"km, {how}"),
         ("body_velocity_km_s", velocity, f"km/s, {how}"),
         ("solar_constant_w_m2", 1361.0, "W/m^2 at 1 au"),

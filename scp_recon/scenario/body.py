@@ -211,6 +211,9 @@ class Sun(Section):
     bodies, and from spk_files."""
     body_velocity_km_s: Velocity
     """Velocity of the body about the Sun at the epoch in km/s, J2000. Computed likewise."""
+    state_tdb: Tdb | None = None
+    """TDB to which this state and body.prime_meridian_at_epoch_deg belong. It has to be the epoch's, so
+    that an epoch is not changed alone."""
     solar_constant_w_m2: Positive = 1361.0
     """Solar irradiance at 1 au in W/m^2."""
     spk_files: Annotated[tuple[Path, ...], Field(min_length=1, max_length=20)] | None = None

@@ -68,6 +68,7 @@ def derive(given: Mapping[str, Any], changes: Mapping[str, Any] | None = None) -
         return changed is None or any(entry.startswith(beginnings) for entry in changed)
 
     _epoch(tables)
+    _check_state_epoch(tables)
     body, days = tables.get("body"), _days(tables)
     if not isinstance(body, dict) or not _well_formed(body, Body):
         return tables
@@ -143,6 +144,16 @@ def _epoch(tables: Given) -> None:
         why = f"which is epoch.utc in TDB; they are {off:.3f} s apart"
         check("epoch.tdb", given.isoformat(), off <= UTC_TOLERANCE_S, computed.isoformat(), why)
     del epoch["utc"]
+
+
+def _check_state_epoch(tables: Mapping[str, Any]) -> None:
+    """Refuse an epoch other than that of the given Sun and prime meridian."""
+    of_state, epoch = value_of(tables, "sun.state_tdb"), _days(tables)
+    known = None if of_state is None else _days({"epoch": {"tdb": of_state}})
+    if known is not None and epoch is not None and abs(known - epoch) * DAY_S > 1.0:
+        must = f"must be {of_state} (sun.state_tdb), to which the Sun's state and the prime meridian at"
+        hint = f"{must} the epoch belong: give those of another epoch with it"
+        raise InputError("epoch.tdb", str(value_of(tables, "epoch.tdb")), hint)
 
 
 def _days(tables: Mapping[str, Any]) -> float | None:

@@ -79,7 +79,7 @@ def inherit(base: Mapping[str, Any], changes: Mapping[str, Any]) -> Given:
     rate, period, angle = MERIDIAN[1], "body.rotation_period_h", "body.prime_meridian_at_epoch_deg"
     epoch, spin = ("epoch.tdb", "epoch.utc"), (*POLE, *MERIDIAN, period, angle)
     drop("body", "site", *STATE, "sun.spk_files", after=["body.name"])
-    drop(*STATE, angle, after=epoch)
+    drop(*STATE, "sun.state_tdb", angle, after=epoch)
     drop("epoch.utc", after=["epoch.tdb"])
     drop("epoch.tdb", after=["epoch.utc"])
     drop(*spin, after=["body.pck_file", "body.attitude_file"])

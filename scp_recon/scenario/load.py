@@ -14,7 +14,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from scp_recon.errors import InputError, option, shortened
+from scp_recon.errors import InputError, nearest, option, shortened
 from scp_recon.files import read_text
 from scp_recon.scenario.derive import derive
 from scp_recon.scenario.given import anchored, inherit, tables_of
@@ -176,7 +176,8 @@ def _read(path: Path) -> dict[str, Any]:
     except InputError as error:
         if error.given != NO_FILE:
             raise
-        allowed = f"{error.allowed}, or a packaged scenario: {', '.join(base_names())}"
+        names, meant = ", ".join(base_names()), nearest(path, base_names())
+        allowed = f"{meant}{error.allowed}, or a packaged scenario: {names}"
         raise InputError(error.entry, error.given, allowed) from None
     if text.lstrip().startswith("{"):  # TOML never does: likely a solution
         raise InputError(f"scenario {path}", "JSON", again)

@@ -183,15 +183,22 @@ def _number(value: float) -> str:
 
 def _suggestion(location: list[str | int], schema: type[BaseModel]) -> str:
     """Suggest the entry meant by an unknown one, else list the entries of its table."""
-    paths = list(_entries(_whole(schema), schema))
+    paths, key = list(_entries(_whole(schema), schema)), str(location[-1])
     written = ".".join(str(part) for part in location)
     by_key = {path.rsplit(".", 1)[1]: path for path in paths}
-    near = difflib.get_close_matches(written, paths, n=1, cutoff=0.7)
-    near = near or difflib.get_close_matches(str(location[-1]), by_key, n=1, cutoff=0.6)
-    if near:
-        return f"did you mean {by_key.get(near[0], near[0])}? (units are part of the key)"
     tables = [node for node in _at(location[:-1], schema) if "properties" in node]
-    return f"must be one of {', '.join((tables or [_whole(schema)])[0]['properties'])}"
+    beside = (tables or [_whole(schema)])[0]["properties"]
+    near = difflib.get_close_matches(key, beside, n=1, cutoff=0.7) if len(location) == 1 else []
+    near = near or difflib.get_close_matches(written, paths, n=1, cutoff=0.7)
+    near = near or difflib.get_close_matches(key, by_key, n=1, cutoff=0.6)
+    if not near:
+        return f"must be one of {', '.join(beside)}"
+    meant = near[0].rsplit(".", 1)[-1]
+    lacks_unit = "_" in meant and (
+        key.split("_")[:-1] == meant.split("_")[:-1] or meant.startswith(key)
+    )
+    units = " (units are part of the key)" if lacks_unit else ""
+    return f"did you mean {by_key.get(near[0], near[0])}?{units}"
 
 
 # --- the JSON schema --------------------------------------------------------------------------------

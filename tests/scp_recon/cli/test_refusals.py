@@ -25,6 +25,7 @@ REFUSED = """
 solve --set risk.p_chanse=0.8 -> p_chance
 solve --set risk.p_chance -> --set: got
 solve --scenario none.toml -> none.toml: got no such file
+solve --scenario recon-b -> scenario recon-b: got no such file or directory; did you mean 'recon_b'?
 solve --scenario words.toml -> TOML
 solve --scenario . -> got a folder
 solve nightingale -> boundary.home: got

@@ -306,6 +306,14 @@ def test_another_epoch_inherits_no_sun():
     assert "Another epoch inherits no Sun" in error.allowed
 
 
+def test_an_epoch_changed_alone_is_refused(scenario):
+    dated = {"sun": STATE | {"state_tdb": scenario.epoch.tdb.isoformat()}}
+    assert rock(**dated).sun.body_position_km == rock().sun.body_position_km
+    error = refused(epoch={"tdb": "2020-07-21T00:00:00"}, **dated)
+    assert error.entry == "epoch.tdb"
+    assert "sun.state_tdb" in error.allowed
+
+
 # --- gravity ------------------------------------------------------------------------------------
 
 

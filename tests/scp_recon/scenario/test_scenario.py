@@ -190,6 +190,8 @@ BAD_VALUES = [
     (f"name={201 * 'x'}", "name", "xxx", "at most 200 characters"),
     ('name="a\\u001b[31m"', "name", r"'a\x1b[31m'", "printable"),
     ("body=5", "body", "5", "table"),
+    ("uncertainties.execution_error=0.1", "uncertainties", "unknown", "did you mean uncertainty?"),
+    ("burns.dv_max=0.1", "burns.dv_max", "unknown", "dv_max_m_s? (units are part of the key)"),
     # Values that are each fine and do not go together, or that the type alone does not refuse.
     ("burns.times_s=[0, 25000, 8000, 34842]", "burns.times_s", "8000", "ascending"),
     ("burns.times_s=[5, 8000, 25000, 34842]", "burns.times_s", "5", "start at 0"),
