@@ -44,7 +44,7 @@ from formulations.problem.cost import Bend, Valued, bends, cost
 from formulations.problem.feedback import Feedback
 from formulations.problem.firing_times import UNIT
 from formulations.problem.flow import ArcDerivatives, bending, by_parameters
-from formulations.problem.flyby import NO_TIMES, FlybyProblem, Iterate
+from formulations.problem.flyby import NO_GAINS, NO_TIMES, FlybyProblem, Iterate
 
 DYNAMICALLY_FEASIBLE = 1e-9
 """Largest defect of an arc that obeys the dynamics."""
@@ -113,7 +113,7 @@ class Linearisation:
         """The linearisation for the problem with this feedback; without gains if it is another."""
         if self.problem.feedback is feedback:
             return self
-        plain = Iterate(self.iterate.burns, self.iterate.mean, times=self.iterate.times)
+        plain = replace(self.iterate, gains=NO_GAINS)
         return Linearisation(replace(self.problem, feedback=feedback), plain, self.arcs)
 
     @property

@@ -85,9 +85,12 @@ class DriftValue(NamedTuple):
 
 
 class Branch:
-    """Evaluates a drift with p uncertain parameters, and keeps what it has found for a start nearby."""
+    """Evaluates a drift with p uncertain parameters, and keeps what it has found for a start nearby.
 
-    def __init__(self, drift: Drift, parameters: int = 0) -> None:
+    `path` is its last mean, where Newton's method starts; None if that is not known in full.
+    """
+
+    def __init__(self, drift: Drift, parameters: int = 0, path: Array | None = None) -> None:
         n = drift.flow.arcs + 1
         self._drift, self._legs = drift, Legs(n, np.array([0, n - 1]))
         self._free = Dynamics(drift.flow, np.zeros(0, dtype=np.intp))
@@ -95,7 +98,7 @@ class Branch:
         self._coordinates, self._parameters = Coordinates([0], parameters), parameters
         self._directions = sphere_directions(LINES, self._coordinates.count)
         self._last: tuple[Start, DriftValue] | None = None
-        self._path: Array | None = None  # the last mean, where Newton's method starts
+        self.path = path if path is not None and len(path) == n else None
 
     def __call__(self, start: Start) -> DriftValue:
         """Value and derivatives, see `DriftValue`; from the last ones where the row cannot bind.
@@ -151,7 +154,7 @@ class Branch:
         flow = self._drift.flow
         # What comes after a passage through the centre may be any number, and is left out.
         with np.errstate(all="ignore"):
-            mean = self._free.rollout(state, NO_BURNS) if self._path is None else self._path
+            mean = self._free.rollout(state, NO_BURNS) if self.path is None else self.path
             for _ in range(NEWTON_MAX):
                 arcs = flow.differentiate(mean[:-1])
                 stm = self._composed(arcs, arcs.state - mean[1:])
@@ -165,7 +168,7 @@ class Branch:
                 n = self._meaningful(mean)
                 arcs = flow.differentiate(mean[:-1])
                 stm = self._composed(arcs, np.zeros_like(mean[1:]))
-        self._path = mean if n == len(mean) else None
+        self.path = mean if n == len(mean) else None
         if not self._parameters:
             return mean[:n], stm[:n, :6, :6]
         return mean[:n], np.delete(np.delete(stm[:n], 6, axis=1), 6, axis=2)
@@ -250,7 +253,7 @@ class DriftRows:
 
     def __init__(self, problem: FlybyProblem, first: int) -> None:
         self._drifts, self._first = problem.drifts, first
-        self._branches = [Branch(drift, problem.parameters) for drift in problem.drifts]
+        self._branches = dict[int, Branch]()
         self.count = len(problem.drifts)
         after = problem.burn_nodes[[drift.burn for drift in problem.drifts]].astype(np.intp)
         self.nodes: Indices = np.unique(np.r_[after - 1, after]).astype(np.intp)
@@ -310,11 +313,18 @@ class DriftRows:
     def at(self, lin: Linearisation) -> list[DriftValue]:
         """Values of all drifts at an iterate."""
         if lin not in self._seen:
-            self._seen[lin] = [
-                branch(start_of(lin, drift))
-                for branch, drift in zip(self._branches, self._drifts, strict=True)
-            ]
+            self._seen[lin] = [self._value(lin, number) for number in range(len(self._drifts))]
         return self._seen[lin]
+
+    def _value(self, lin: Linearisation, number: int) -> DriftValue:
+        drift = self._drifts[number]
+        if number not in self._branches:
+            self._branches[number] = branch_at(lin, drift)
+        branch = self._branches[number]
+        found = branch(start_of(lin, drift))
+        if branch.path is not None:
+            lin.iterate.drifts[drift.name] = branch.path
+        return found
 
     def _maps(self, lin: Linearisation, drift: Drift, s: Sensitivity) -> Start:
         """Derivatives of a drift's start by the controls, (6, nz) and (6, c, nz).
@@ -359,6 +369,11 @@ class DriftRows:
 def _slope(by: Start, maps: Start) -> Array:
     """Derivative by the controls, from those by a drift's start and of the start."""
     return np.asarray(by.mean @ maps.mean + np.einsum("ic,icz->z", by.factor, maps.factor))
+
+
+def branch_at(lin: Linearisation, drift: Drift) -> Branch:
+    """Evaluates a drift near an iterate, which may know the drift's path."""
+    return Branch(drift, lin.problem.parameters, lin.iterate.drifts.get(drift.name))
 
 
 def start_of(lin: Linearisation, drift: Drift) -> Start:

@@ -212,7 +212,7 @@ def _begin(start: Array | float | None, forces: ForceModel) -> Array:
 
 def _moment(forces: ForceModel, time: Array, shape: tuple[int, ...]) -> Moment | None:
     """Surroundings at times, of positions of a shape in a row."""
-    return forces.moment(np.broadcast_to(time, shape).ravel())
+    return forces.moment(np.broadcast_to(time, shape).ravel()) if forces.timed else None
 
 
 def advance(

@@ -100,7 +100,8 @@ def other_starts(mission: Mission) -> Iterator[tuple[str, Iterate]]:
 
 def flown(mission: Mission, last: Plan) -> Iterate:
     """Burns and gains of a plan on a mission's nodes."""
-    return replace(from_burns(mission, last.burns_m_s), gains=last.final.result.lin.iterate.gains)
+    end = last.final.result.lin.iterate
+    return replace(from_burns(mission, last.burns_m_s), gains=end.gains, drifts=dict(end.drifts))
 
 
 def continued(mission: Mission, pipeline: Pipeline, begun: Iterate, *, once: bool) -> Stage | None:
@@ -196,7 +197,8 @@ def _with_burns(
         raised=(*at.raised, *np.flatnonzero(raised).tolist()),
         dv_min=least,
     )
-    moved = Iterate(burns, dynamics.rollout(at.initial_state, burns), gains)
+    mean = dynamics.rollout(at.initial_state, burns)
+    moved = Iterate(burns, mean, gains, drifts=iterate.drifts)
     spec = replace(stage.spec, rows=stage.merit.rows, role="held")
     return pipeline.solve(spec, dynamics.linearise(problem, moved))
 

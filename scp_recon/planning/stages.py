@@ -167,7 +167,9 @@ class Pipeline:
         mean[0] = problem.initial_state
         if not problem.coasts:
             mean[0, 3:] += guess.burns[0]
-        return self.task.dynamics.linearise(problem, Iterate(guess.burns, mean))
+        return self.task.dynamics.linearise(
+            problem, Iterate(guess.burns, mean, drifts=guess.drifts)
+        )
 
     def p2(self, p3: Stage, letter: str = "") -> Stage:
         """Solve P2 from the end of P3, and again with new facets as long as that improves it."""
