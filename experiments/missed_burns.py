@@ -1,0 +1,198 @@
+"""Measure what it costs to survive a missed burn, and what can be done after one.
+
+The default scenario with several kinds of risk, and the passes of packaged scenarios at the times and
+boundary states of their designs (`passes.toml`), are planned without drifts, for any one burn missed,
+and for any one cut short: a day at 0.997, by the law and the drifts' flights. OUT/costs.csv has a row
+for each; where there is no plan, the burns whose drifts fail, and what the infeasibility diagnosis
+offers. OUT/afterwards.csv has a row for each burn of the plan that survives its miss: the pass, and the
+way home.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping
+from itertools import product
+from pathlib import Path
+from time import process_time
+from typing import Any, Literal
+
+import numpy as np
+
+from experiments.frontier import TANGENT
+from experiments.harness import Findings, Record, Session, Study, records
+from experiments.plans import FLIGHT
+from scp_recon.advice.infeasibility import diagnose
+from scp_recon.api.inputs import PlanRequest
+from scp_recon.api.options import PlanOptions
+from scp_recon.api.verbs import plan, replan
+from scp_recon.jobs.job import Failure, Job, Key
+from scp_recon.jobs.processes import Limits, Processes
+from scp_recon.planning.plan import Plan
+from scp_recon.results.solution import make_solution
+from scp_recon.scenario.load import load_scenario
+from scp_recon.scenario.schema import Scenario
+from scp_recon.scp.status import Status
+from scp_recon.verification.reintegration import verify
+
+PASSES = Path(__file__).with_name("passes.toml")
+GAINS = {
+    "policy.kind": "feedback",
+    "navigation.lead_s": 0.0,
+    "navigation.sigma_position_m": 5.0,
+    "navigation.sigma_velocity_m_s": 5e-4,
+}
+DEFAULT: Mapping[str, dict[str, Any]] = {
+    "0.70, evenly split": TANGENT,
+    "0.90 of whole flights": FLIGHT | {"risk.p_chance": 0.9},
+    "0.99 of whole flights": FLIGHT | {"risk.p_chance": 0.99},
+    "0.99 with feedback": FLIGHT | GAINS | {"risk.p_chance": 0.99},
+}
+"""Changes to the default scenario."""
+DRIFTS: Mapping[str, dict[str, Any]] = {
+    "without": {},
+    "missed": {"safety.missed_burns": 1},
+    "cut short": {"safety.cut_short": True},
+}
+OPTIONS: dict[str, Any] = {"starts": 1, "certify": False}
+LIMIT_S = 120.0
+"""Processor time that a case may take."""
+MORE = (0.2, 0.7), (0.5, 1.0), (0.3, 1.5)
+"""Times of two burns that are added for the way home after the last one, past it, over the flight's
+duration: the first pair that has a plan."""
+
+
+def passes() -> dict[str, dict[str, Any]]:
+    """Entries of the passes by the names of their scenarios."""
+    return tomllib.loads(PASSES.read_text("utf-8"))
+
+
+CASES = [*DEFAULT, *passes()]
+
+
+def scenario_of(case: str, drifts: str) -> Scenario:
+    """The scenario of a case; a designed pass has no home orbit left to design from."""
+    if case in DEFAULT:
+        return load_scenario().replace(DEFAULT[case] | DRIFTS[drifts])
+    fixed = _flat(passes()[case]) | {"boundary.home": None, "design": None}
+    return load_scenario(case).replace(fixed | DRIFTS[drifts])
+
+
+def _flat(entries: Mapping[str, Any], before: str = "") -> dict[str, Any]:
+    """Entries by their dotted names."""
+    found: dict[str, Any] = {}
+    for key, value in entries.items():
+        name = f"{before}{key}"
+        found |= _flat(value, f"{name}.") if isinstance(value, Mapping) else {name: value}
+    return found
+
+
+def measure(at: tuple[str, str]) -> Record:
+    """Plan a case: a row."""
+    case, drifts = at
+    scenario, begin = scenario_of(case, drifts), process_time()
+    found = plan(scenario, **OPTIONS)
+    seconds = process_time() - begin
+    row = {
+        "case": case,
+        "drifts": drifts,
+        "status": found.status.value.name,
+        "processor_s": seconds,
+    }
+    if found.status is not Status.CONVERGED:
+        names = [one.name for one in found.mission.problem.drifts]
+        blind = [name for name, _ in found.mission.drift_losses]
+        short = [n for n in names if found.final.margins[n].margin.min() < -found.final.tolerance]
+        request = PlanRequest(scenario, "cold", PlanOptions(**OPTIONS))
+        offers = diagnose(found, request).remedies
+        would = "; ".join(
+            ", ".join(f"{entry} {value}" for entry, value in one.changes.items()) for one in offers
+        )
+        return row | {
+            "in_the_way": "; ".join(dict.fromkeys(blind + short)) or "other limits",
+            "what_would_do": would or "nothing found",
+        }
+    checked = verify(found.mission, make_solution(found))
+    later = [one for one in checked.drifts if one.burn > 1]
+    nearest = min(later, key=lambda one: (one.value, one.closest_m))
+    return row | {
+        "total_dv_m_s": found.total_dv_m_s,
+        "loss_sigma": max((by for _, by in found.mission.drift_losses), default=0.0),
+        "verified": checked.ok,
+        "worst": nearest.event,
+        "safe": nearest.value,
+        "closest_m": nearest.closest_m,
+        "impact": max(one.impact for one in later),
+    }
+
+
+def afterwards(case: str) -> list[Record]:
+    """The pass and the way home after each missed burn but the first: rows."""
+    found = plan(scenario_of(case, "missed"), **OPTIONS)
+    if found.status is not Status.CONVERGED:
+        found = plan(scenario_of(case, "without"), **OPTIONS)
+    times = found.mission.scenario.burns.times_s
+    return [after(case, found, number) for number in range(2, 1 + len(times))]
+
+
+def after(case: str, found: Plan, number: int) -> Record:
+    """What can be done after one burn of a plan is missed, from the mean state there: a row."""
+    mission, times = found.mission, found.mission.scenario.burns.times_s
+    at, state = times[number - 1], found.states[mission.burn_nodes[number - 1]].copy()
+    state[3:] -= found.burns_m_s[number - 1]
+
+    def left(goal: Literal["observe", "return"], *overrides: str) -> Plan:
+        nothing = {number: np.zeros(3)}
+        how: dict[str, Any] = {"measured_burns": nothing, "overrides": overrides, "certify": False}
+        return replan(found, at, state, goal=goal, **how)
+
+    row: Record = {"case": case, "missed": number, "at_s": at, "pass": "over by then"}
+    if mission.schedule.window_s[1] > at:
+        again = left("observe")
+        row |= {"pass": again.status.value.name, "pass_dv_m_s": cost(again)}
+    added = [[*times, *(times[-1] * (1.0 + share) for share in shares)] for shares in MORE]
+    tries = [f"burns.times_s={one}" for one in added] if number == len(times) else []
+    home = left("return", *tries[:1])
+    for other in tries[1:]:
+        home = home if home.status is Status.CONVERGED else left("return", other)
+    first_s, last_s = (home.mission.scenario.burn_times_s[k] for k in (0, -1))
+    way = {"home": home.status.value.name, "home_dv_m_s": cost(home)}
+    return row | way | {"home_first_s": first_s, "home_last_s": last_s}
+
+
+def cost(found: Plan) -> float:
+    """Delta-v of a plan, m/s; NaN if it is none."""
+    return found.total_dv_m_s if found.status is Status.CONVERGED else float("nan")
+
+
+def run(session: Session) -> Findings:
+    """Plan every case with and without drifts, and from each missed burn on."""
+    alone = Processes(2, Limits(seconds=20.0 * LIMIT_S, cpu_s=LIMIT_S, apart=True))
+    how: dict[str, Any] = {"executor": alone, "failed": ended}
+    plans = [Job("; ".join(of), of) for of in product(CASES, DRIFTS)]
+    costs = session.rows("plans", measure, plans, session.store(), **how)
+    without = {row["case"]: row.get("total_dv_m_s") for row in costs if row["drifts"] == "without"}
+    for row in costs:
+        least, own = without[row["case"]], row.get("total_dv_m_s")
+        row["more_percent"] = 100.0 * (own / least - 1.0) if own and least else float("nan")
+    store = session.store("afterwards.jsonl")
+    each = [Job(case, case) for case in CASES]
+    later = session.rows("afterwards", rows_after, each, store, **how)
+    every = [row for found in later for row in found.get("rows", [])]
+    return Findings({"costs.csv": records(costs), "afterwards.csv": records(every)})
+
+
+def ended(key: Key, failure: Failure) -> Record:
+    """The row of a case that did not end in time."""
+    if failure.error is not None:
+        raise failure.error
+    case, _, drifts = str(key).partition("; ")
+    return {"case": case, "drifts": drifts, "status": f"not within {LIMIT_S:.0f} s"}
+
+
+def rows_after(case: str) -> Record:
+    """The rows of a case in one."""
+    return {"rows": afterwards(case)}
+
+
+STUDY = Study(__doc__, run)
