@@ -20,7 +20,7 @@ from typing import Any, Literal
 import numpy as np
 
 from experiments.frontier import TANGENT
-from experiments.harness import Findings, Record, Session, Study, records
+from experiments.harness import Findings, Record, Session, Study
 from experiments.plans import FLIGHT
 from scp_recon.advice.infeasibility import diagnose
 from scp_recon.api.inputs import PlanRequest
@@ -179,7 +179,7 @@ def run(session: Session) -> Findings:
     each = [Job(case, case) for case in CASES]
     later = session.rows("afterwards", rows_after, each, store, **how)
     every = [row for found in later for row in found.get("rows", [])]
-    return Findings({"costs.csv": records(costs), "afterwards.csv": records(every)})
+    return Findings({"costs.csv": costs, "afterwards.csv": every})
 
 
 def ended(key: Key, failure: Failure) -> Record:
