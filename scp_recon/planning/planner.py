@@ -300,9 +300,8 @@ class Planner(Generic[AnyProblem]):
         pipeline = Pipeline(mission, self, observe or unobserved, facet_rounds)
 
         def work() -> Stage:
-            of_plan = isinstance(guess, Plan)
-            start = flown(mission, guess) if of_plan else replace(guess, drifts={})
-            goes_on = problem == "P2" and (of_plan or start.gains.any())
+            start = flown(mission, guess) if isinstance(guess, Plan) else replace(guess, drifts={})
+            goes_on = problem == "P2" and (isinstance(guess, Plan) or start.gains.any())
             if goes_on and (stage := continued(mission, pipeline, start, once=once)):
                 return stage
             return pipeline.plan(start, problem, () if once else other_starts(mission))

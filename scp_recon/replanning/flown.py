@@ -200,8 +200,8 @@ class FlownPlan:
         """The next burn as its policy alone would command it, m/s, shape (3,).
 
         From an estimate (6,), J2000, m and m/s, at a time not after that burn's cut-off: by its
-        deviation from the path, carried there. None of a plan without corrections, and where gains act
-        on estimates at earlier cut-offs too, which no delivery tells.
+        deviation from the path, carried there. None of a plan without corrections or without a burn
+        left, and where gains act on estimates at earlier cut-offs too, which no delivery tells.
         """
         burn = sum(time <= at_s for time in self.mission.scenario.burn_times_s)
         for one in self.policy:
@@ -212,7 +212,7 @@ class FlownPlan:
                 apart = Prediction(planned.state, (state - planned.state)[:, None])
                 apart = apart.carried(max(one.cut_off_s - at_s, 0.0), self.mission.forces, at_s)
                 return np.asarray(self.burns_m_s[burn] + one.gains[-1] @ apart.factor[:, 0])
-        return self.burns_m_s[burn] if self.policy else None
+        return self.burns_m_s[burn] if self.policy and burn < len(self.burns_m_s) else None
 
     def _carried(self, factors: Array, at_s: float) -> Prediction:
         """The plan's path at a time, after a burn there, and the factors of its nodes carried there."""
