@@ -115,8 +115,9 @@ class CondensedSubproblem(ConvexSubproblem):
         self._slots: list[int] = []
 
     def update(self, lin: Linearisation) -> None:
-        """Convexify at an iterate, once. Raises as `Subproblem.update` does."""
-        if getattr(self, "_at", None) is not lin:
+        """Convexify at an iterate, once, but for bundles, which grow. Raises as in `Subproblem`."""
+        known = getattr(self, "_at", None) is lin
+        if not known or any(cones.shared for cones in self._cones):
             try:
                 s = self._condense(lin, self.rows.nodes, factor=self.rows.condensed)
             except LinearisationError as error:

@@ -67,6 +67,7 @@ class FlightRows(ExactRows):
 
     condensed = False
     _tangents: list[tuple[Linearisation, float, Array]] | None = None
+    _reach = 0.0
 
     def __init__(
         self,
@@ -118,6 +119,18 @@ class FlightRows(ExactRows):
         rows._seen, rows._tangents = [], []
         return rows
 
+    def sloped(self, reach: float) -> FlightRows:
+        """The same bundle, whose model is the least of the slopes known within `reach` of a control.
+
+        All pass through the iterate, without curvature. What the model promises per radius is the norm
+        of the smallest element in the hull of these gradients (dual to that of the trust region, with
+        all other rows): Goldstein, "Optimization of Lipschitz continuous functions", Math. Program. 13
+        (1977). Nearly nothing promised proves a minimum, which one gradient at a kink cannot.
+        """
+        rows = copy(self)
+        rows._reach = reach
+        return rows
+
     def margins(self, lin: Linearisation) -> dict[str, Margins]:
         """Margin of the whole flight, at the node where most flights break a limit."""
         g = self.at(lin)
@@ -130,13 +143,19 @@ class FlightRows(ExactRows):
         """One row in all controls."""
         g, z = self.at(lin), lin.controls
         slope = gradient(lin, g.by_mean, g.by_factor)
-        hessian = self._hessian(lin, g, slope)
         margin, slopes = np.array([g.value - self.required]), slope[None]
-        if self._tangents is not None:
+        bundled = bool(self._reach) or (
+            self._tangents is not None and self.problem.feedback is None
+        )
+        if bundled:
             margin, slopes = self._bounds(lin, g, slope)
-        rows, bent = np.zeros(len(margin), np.intp), np.repeat(hessian[None], len(margin), axis=0)
-        own = curved_cones(rows, margin, slopes, bent, z, most=len(z))
-        own = own._replace(shared=self._tangents is not None)
+        rows = np.zeros(len(margin), np.intp)
+        if self._reach:
+            own = Cones(rows, slopes[:, None], (margin - slopes @ z)[:, None])
+        else:
+            bent = np.repeat(self._hessian(lin, g, slope)[None], len(margin), axis=0)
+            own = curved_cones(rows, margin, slopes, bent, z, most=len(z))
+        own = own._replace(shared=bundled)
         return [own, *self.further.cones(lin, s)]
 
     def _bounds(self, lin: Linearisation, g: FlightValue, slope: Array) -> tuple[Array, Array]:
@@ -150,7 +169,11 @@ class FlightRows(ExactRows):
         for other, value, own in self._tangents:
             step = other.controls - z
             length = float(step @ step)
-            if length > 0.0:
+            if self._reach:
+                if 0.0 < np.abs(step).max() <= self._reach:
+                    margins.append(g.value)
+                    slopes.append(own)
+            elif length > 0.0:
                 above = value - float(own @ step) - g.value
                 margins.append(g.value + max(above, 0.0))
                 slopes.append(own + min(above, 0.0) / length * step)
@@ -186,8 +209,8 @@ class FlightRows(ExactRows):
         found = self._coordinates(self.probability, mean, factor, None)
         if self._tangents is not None:
             own = lin, found.value, gradient(lin, found.by_mean, found.by_factor)
-            self._tangents = [own, *self._tangents[: TANGENTS - 2]]
-        self._seen = [(mean, factor, found), *self._seen[: REMEMBERED - 1]]
+            self._tangents[:] = [own, *self._tangents[: TANGENTS - 2]]
+        self._seen[:] = [(mean, factor, found), *self._seen[: REMEMBERED - 1]]
         return found
 
     def _hessian(self, lin: Linearisation, g: FlightValue, slope: Array) -> Array:

@@ -43,7 +43,7 @@ from scp_recon.planning.stages import (
 )
 from scp_recon.scp.algorithms import ALGORITHMS
 from scp_recon.scp.loop import Algorithm, run
-from scp_recon.scp.verdict import decide
+from scp_recon.scp.verdict import REACH, decide
 
 FEW_LINES, FEW_WITH_GAINS, LINES = 512, 1024, 4096
 """Directions, each taken both ways, by which the probability of whole flights is computed: in the
@@ -240,10 +240,14 @@ class Planner(Generic[AnyProblem]):
         formulation, _, solver = self._names
         # Frozen derivatives prove nothing, and a stage of few iterations is not asked to.
         if formulation in FULL and spec.max_iterations is None:
-            if isinstance(rows, FlightRows) and rows.problem.feedback is None:
+            slopes = None
+            if isinstance(rows, FlightRows):
                 rows = rows.bundled()
+                near = rows.sloped(REACH)
+                slopes = partial(make_subproblem, rows.problem, near, "condensed", solver)
             make = partial(make_subproblem, rows.problem, rows, formulation, solver)
-            result = decide(make, dynamics, result, rows.resolution, partial(observe, spec.name))
+            seen = partial(observe, spec.name)
+            result = decide(make, slopes, dynamics, result, rows.resolution, seen)
         result.timing.setup += setup
         return Stage(spec, result, subproblem.merit, algorithm.feasible)
 

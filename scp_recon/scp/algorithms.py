@@ -259,7 +259,8 @@ class SCvxStar(SCvx):
         )
         violated = record.violated > self.feasible
         if not violated or not (settled or state.stationary):
-            return state, record
+            again = not record.accepted and not record.failure and before.radius <= self.RADIUS_MIN
+            return replace(state, radius=0.0 if again else state.radius), record
         hopeless = record.violated > max(
             self.HOPELESS * state.violated, self.BEYOND_ROUNDING * self.feasible
         )

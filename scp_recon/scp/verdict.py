@@ -4,7 +4,8 @@ Near the border of feasibility the multipliers grow without bound. A penalty wei
 exact. One above them, 1e4 and more, multiplies the conic solver's errors, until predicted reductions
 are rounding and the trust region collapses. Two problems without a weight take the place of the merit:
 the least violation, and the least cost among iterates whose violations count as none. Whole flights
-have kinks; their rows are then bundles of tangents (`FlightRows.bundled`).
+have kinks; their rows are then bundles of tangents (`FlightRows.bundled`), and a verdict needs a
+certificate from the hull of slopes near the iterate (`Deciding`).
 """
 
 from __future__ import annotations
@@ -17,9 +18,9 @@ import numpy as np
 
 from formulations.linearisation.dynamics import Dynamics
 from formulations.linearisation.linearisation import Linearisation
-from formulations.program.subproblem import Penalty, PenaltyParameters, Subproblem
+from formulations.program.subproblem import Penalty, PenaltyParameters, Subproblem, SubproblemError
 from scp_recon.scp.algorithms import SCvx
-from scp_recon.scp.loop import Record, Result, State, Timing, run
+from scp_recon.scp.loop import Record, Result, State, Timing, run, trial_step
 from scp_recon.scp.status import Status
 
 UNDECIDED = (Status.STALLED, Status.SOLVER_FAILED, Status.MAX_ITERATIONS)
@@ -30,6 +31,12 @@ SHARE = 0.25
 
 NEAR = 1e-2
 """First trust radius: what is left to decide lies near the end of the run before."""
+
+LEAST = 1e-3
+"""Least trust radius where rows have kinks."""
+
+REACH = 1.5 * LEAST
+"""Distance, in each control, within which slopes count as those of a kink: flown steps turn."""
 
 PROVED = 1e-2
 """Accuracy of the least violation, over the largest one that counts as none."""
@@ -47,21 +54,39 @@ class Deciding(SCvx):
     """Base of both phases.
 
     Attributes:
-        kinked: whether rows have kinks, as estimates from fixed directions do. A minimum at a kink has
-            no vanishing slope. What proves it are flown steps of every length down to `COLLAPSED`, each
-            the best by a bundle of slopes, none of which lowers the merit.
+        slopes: the subproblem of the slopes near an iterate, if rows have kinks, as estimates from
+            fixed directions do (`FlightRows.sloped`). A minimum at a kink has no vanishing slope, and
+            steps by few tangents may be refused anywhere. The trust region then shrinks to `LEAST`
+            only. There steps go by all slopes within `REACH`. One that is refused adds its slope,
+            until the phase goes on, or what is promised within `NEAR` proves a minimum.
     """
 
     initial_radius: float = NEAR
     max_iterations: int = 100
-    kinked: bool = False
+    slopes: Subproblem | None = None
 
-    def terminate(self, subproblem: Subproblem, state: State, record: Record) -> Status | None:
-        """Stop as SCvx does, and at the bottom of a kink."""
-        status = super().terminate(subproblem, state, record)
-        if status is not Status.STALLED or not self.kinked:
-            return status
-        return Status.INFEASIBLE if record.violated > self.feasible else Status.CONVERGED
+    def step(
+        self, subproblem: Subproblem, dynamics: Dynamics, state: State, k: int, timing: Timing
+    ) -> tuple[State, Record]:
+        """Take a step of SCvx, or one by slopes in a collapsed trust region or before a verdict."""
+        if self.slopes is None:
+            return super().step(subproblem, dynamics, state, k, timing)
+        within = self.SHRINK * LEAST
+        if state.radius >= LEAST:
+            new, record = super().step(subproblem, dynamics, state, k, timing)
+            small = new.stationary or new.unsure
+            radius = within if small else new.radius
+            return replace(new, stationary=False, unsure=False, radius=radius), record
+        state = replace(state, radius=LEAST)
+        try:
+            trial = trial_step(self.slopes, dynamics, state, LEAST, timing, self.stationary)
+        except SubproblemError as error:
+            return self._failed(subproblem, state, k, str(error))
+        accepted = trial.actual > self.SHRINK_BELOW * max(trial.predicted, 0.0)
+        radius = LEAST if accepted else within
+        new, record = self._judged(subproblem, state, k, trial, accepted=accepted, radius=radius)
+        small = trial.predicted * NEAR / LEAST <= self._negligible_reduction(state.charge, record)
+        return replace(new, stationary=small and trial.answer.accurate), record
 
 
 @dataclass(frozen=True)
@@ -109,7 +134,7 @@ class LeastCost(Deciding):
     def step(
         self, subproblem: Subproblem, dynamics: Dynamics, state: State, k: int, timing: Timing
     ) -> tuple[State, Record]:
-        """Take a step of SCvx; an inaccurate answer that promises nothing ends the run, too.
+        """Take a step; an inaccurate answer that promises nothing ends the run, too.
 
         Such an answer's optimum is known to about what violations' accuracy is worth.
         """
@@ -123,6 +148,7 @@ class LeastCost(Deciding):
 
 def decide(
     make: Callable[[Penalty], Subproblem],
+    slopes: Callable[[Penalty], Subproblem] | None,
     dynamics: Dynamics,
     result: Result,
     resolution: float,
@@ -135,11 +161,10 @@ def decide(
     """
     if result.status not in UNDECIDED or not result.lin.is_dynamically_feasible:
         return result
-    kinked = resolution > 0.0
-    cost = LeastCost(kinked=kinked).resolving(resolution)
+    cost = LeastCost().resolving(resolution)
     most = cost.feasible
     phases = (
-        LeastViolation(feasible=most, stationary=PROVED * most, kinked=kinked),
+        LeastViolation(feasible=most, stationary=PROVED * most),
         replace(cost, weight=WEIGHT / np.sqrt(most)),
     )
     last = result
@@ -147,6 +172,7 @@ def decide(
         subproblem = make(phase.penalty)
         if phase is not phases[-1] and subproblem.merit.worst_violation(last.lin) <= SHARE * most:
             continue
+        phase = replace(phase, slopes=slopes and slopes(phase.penalty))
         last = run(subproblem, dynamics, last.lin, phase, observe, last)
         if last.status is not Status.CONVERGED:
             break

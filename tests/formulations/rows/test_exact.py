@@ -172,6 +172,21 @@ def test_a_bundle_bounds_a_flight_by_tangents_where_it_was_asked():
         assert slack(cones, other.controls).min() < value + 1e-6
 
 
+def test_slopes_near_an_iterate_bound_it_through_its_value():
+    """Without curvature; those beyond the reach are left out, and what is evaluated later counts."""
+    mission, lin = flown("flight")
+    bundle, z = rows_of("flight", mission).bundled(), lin.controls
+    rows, free = bundle.sloped(1e-3), null_space(final_state_map(lin)[1])
+    for size in (5e-4, 1e-2):
+        other = mission.dynamics.close_defects(lin, (z + size * free[:, 0]).reshape(-1, 3))
+        margins(bundle, other)
+        (cones,) = rows.cones(lin, condense(lin, rows.nodes))
+        assert len({*cones.at(z + free[:, 0])[:, 0].round(10)}) == 2  # the iterate's and the first
+    assert cones.shared
+    assert cones.values.shape == (TANGENTS, 1, len(z))
+    np.testing.assert_allclose(cones.at(z)[:, 0], margins(rows, lin).item(), atol=1e-9)
+
+
 @pytest.mark.slow
 def test_curvature_of_a_node_is_that_of_its_margin():
     """On the affine model: second differences of g, where g is concave along a direction."""
