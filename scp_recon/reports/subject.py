@@ -84,7 +84,7 @@ def subjects_of(given: Sequence[Solution | Path]) -> list[Subject]:
     """
     if not 1 <= len(given) <= PLANS_MAX:
         raise InputError("plans", f"{len(given)}", f"must be 1 to {PLANS_MAX} plans")
-    names = [str(one) if isinstance(one, Path) else one.scenario.name for one in given]
+    names = [str(resolve_run(one)) if isinstance(one, Path) else one.scenario.name for one in given]
     found = [
         _read(one, name) if isinstance(one, Path) else Subject(name, one)
         for one, name in zip(given, _distinct(names), strict=True)

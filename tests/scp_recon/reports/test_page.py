@@ -166,6 +166,12 @@ def test_names_are_escaped(verified):
 
 
 @pytest.mark.usefixtures("few_flights")
+def test_latest_run_is_named_by_its_own_folder(plan_folder, tmp_path):
+    (tmp_path / "latest").symlink_to(plan_folder)
+    (found,) = subjects_of([tmp_path / "latest"])
+    assert found.name == str(plan_folder)
+
+
 def test_several_plans_are_laid_over_each_other(page, verified, plan_folder):
     other = replace(verified, burns=verified.burns[:], status="stalled", advice=("next: less",))
     both = page_of(subjects_of([plan_folder, other]), Camera(), MADE)
