@@ -36,7 +36,7 @@ from formulations.program.model import (
 )
 from formulations.program.solvers import SOLVERS, FallbackSolver
 from formulations.program.subproblem import Penalty, PenaltyParameters, Step, SubproblemError
-from formulations.rows.cones import Rows
+from formulations.rows.cones import Cones, Rows
 
 SLOTS, SLOTS_WITH_GAINS = 32, 16
 """Slots for each size of cone, to begin with; with corrected burns cones are large, and few bind."""
@@ -113,6 +113,7 @@ class CondensedSubproblem(ConvexSubproblem):
         self._reserve = FEW if solver in SOLVERS else 1
         self._active = np.zeros(rows.count, dtype=np.bool_)
         self._slots: list[int] = []
+        self._cones: list[Cones] = []
 
     def update(self, lin: Linearisation) -> None:
         """Convexify at an iterate, once, but for bundles, which grow. Raises as in `Subproblem`."""

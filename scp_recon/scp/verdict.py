@@ -85,7 +85,9 @@ class Deciding(SCvx):
         accepted = trial.actual > self.SHRINK_BELOW * max(trial.predicted, 0.0)
         radius = LEAST if accepted else within
         new, record = self._judged(subproblem, state, k, trial, accepted=accepted, radius=radius)
-        small = trial.predicted * NEAR / LEAST <= self._negligible_reduction(state.charge, record)
+        # The gains are many for so few slopes: with these the proof is of a step's own length.
+        longer = NEAR / LEAST if subproblem.merit.problem.feedback is None else 1.0
+        small = trial.predicted * longer <= self._negligible_reduction(state.charge, record)
         return replace(new, stationary=small and trial.answer.accurate), record
 
 

@@ -30,7 +30,10 @@ def at(z) -> SimpleNamespace:
 class Planes:
     """Merit and subproblem at once; `reach` is None for the slope at the iterate alone."""
 
-    rows, problem = SimpleNamespace(with_factor=False), SimpleNamespace(n_burns=1, dv_max=1.0)
+    rows, problem = (
+        SimpleNamespace(with_factor=False),
+        SimpleNamespace(n_burns=1, dv_max=1.0, feedback=None),
+    )
 
     def __init__(self, slopes, values, bend, bundle, reach=None) -> None:
         self.slopes, self.values, self.bend = slopes, values, bend
