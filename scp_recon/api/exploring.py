@@ -122,7 +122,8 @@ def sliders_of(scenario: Scenario) -> list[Slider]:
         rows.append(Slider("Burn times", f"{BURN}.{k}", f"burn {k + 1} (s)", times[k], *ends))
     label = "cut-off before a burn (s)"
     rows.append(Slider("Navigation", "navigation.lead_s", label, lead, 0.0, max(14_400.0, lead)))
-    if scenario.navigation.covariance is None:
+    navigation = scenario.navigation
+    if navigation.covariance is None and navigation.landmarks is None:
         for key, (label, usual) in MEASURED.items():
             value = value_of(tables, key) or usual
             ends = value / 100, 100 * value

@@ -24,6 +24,7 @@ from scp_recon.certification.certify import certify
 from scp_recon.certification.drifts import with_safe_drifts
 from scp_recon.certification.flights import Watch as FlightWatch
 from scp_recon.certification.largest import LEAST, Search, largest_promise
+from scp_recon.certification.pictures import with_pictures
 from scp_recon.errors import InputError, option
 from scp_recon.jobs.blas import one_thread
 from scp_recon.mission.mission import Mission
@@ -218,7 +219,15 @@ def plan_mission(
     def planned(mission: Mission, last: Plan | None) -> Plan:
         return _planned(mission, last or start, options, observe, init, known)
 
-    return with_safe_drifts(mission, planned) if mission.problem.drifts else planned(mission, None)
+    def safe(mission: Mission, last: Plan | None) -> Plan:
+        if not mission.problem.drifts:
+            return planned(mission, last)
+        return with_safe_drifts(mission, lambda mission, again: planned(mission, again or last))
+
+    if mission.scenario.navigation.landmarks is None or mission.feedback is None:
+        return safe(mission, None)
+    path = start if isinstance(start, Plan) else planner.plan(mission, start, problem="P3")
+    return with_pictures(mission, path.burns_m_s, safe)
 
 
 def _planned(

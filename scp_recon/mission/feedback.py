@@ -67,25 +67,26 @@ def cut_offs_s(scenario: Scenario) -> dict[int, float]:
     delivered state, which contains all earlier knowledge. The first burn of the whole flight is
     never corrected. The last one is corrected only if `boundary.final_sigma_velocity_m_s` limits
     its result: its correction affects nothing else. There are no cut-offs with the policy "open".
-    With contacts, a burn without data that are newer than those of a corrected burn before is not
-    corrected.
+    With contacts or pictures, a burn without data that are newer than those of a corrected burn before
+    is not corrected.
     """
+    navigation = scenario.navigation
+    seldom = navigation.contacts is not None or navigation.landmarks is not None
     start, found = scenario.start_s, dict[int, float]()
     earliest = start + (-SAME_S if scenario.in_flight is None else SAME_S)
     for burn, time in _correctable(scenario).items():
         until = data_until_s(scenario, burn, time)
         if until >= earliest:
             found[burn] = max(until, start)
-            earliest = until + SAME_S if scenario.navigation.contacts else earliest
+            earliest = until + SAME_S if seldom else earliest
     return found
 
 
 def data_until_s(scenario: Scenario, burn: int, time_s: float) -> float:
     """Time of the last data that a burn at a time can use, s."""
-    contact = contact_of(scenario, burn)
-    if contact is None:
-        return time_s - scenario.navigation.lead_s
-    return contact[0]
+    contact, landmarks = contact_of(scenario, burn), scenario.navigation.landmarks
+    until = time_s - scenario.navigation.lead_s if contact is None else contact[0]
+    return until if landmarks is None else landmarks.last_by(until)
 
 
 def contact_of(scenario: Scenario, burn: int) -> tuple[float, float] | None:
@@ -102,8 +103,11 @@ def contact_of(scenario: Scenario, burn: int) -> tuple[float, float] | None:
 def in_vain(scene: Scene) -> float:
     """Least ratio of the measurements' errors to the largest deviation until the last cut-off.
 
-    The ratio is infinite for a flight without deviations.
+    The ratio is infinite for a flight without deviations, else 0 for pictures, which tell more or less
+    along different paths.
     """
+    if scene.scenario.navigation.landmarks is not None:
+        return 0.0 if _strays(scene).any() else np.inf
     (measured,) = scene.measurement_factors(scene.initial_state[None])
     known = float(np.linalg.norm(np.linalg.solve(measured, np.diag(_strays(scene))), 2))
     return 1.0 / known if known > 0.0 else np.inf
@@ -225,8 +229,8 @@ def require_measurement(scenario: Scenario, entry: str, policy: str) -> None:
         raise InputError(
             entry,
             f"{policy} without a measurement",
-            "must be 'open', or [navigation] must have sigma_position_m with sigma_velocity_m_s, or "
-            "covariance with frame",
+            "must be 'open', or [navigation] must have sigma_position_m with sigma_velocity_m_s, "
+            "covariance with frame, or landmarks",
         )
 
 
@@ -255,6 +259,12 @@ def uncorrected_burns(scene: Scene) -> Iterator[ScenarioWarning]:
                 "navigation.contacts",
                 f"no contact with new data for burn {burn + 1} at {time:g} s, which is not corrected",
                 "expected one after that of the burn before, a turnaround before the burn",
+            )
+        elif burn not in corrected and (landmarks := scenario.navigation.landmarks):
+            yield ScenarioWarning.of(
+                "navigation.landmarks",
+                f"no new picture for burn {burn + 1} at {time:g} s, which is not corrected",
+                f"expected every_s of less than {landmarks.every_s:g} s, or less navigation.lead_s",
             )
         elif burn not in corrected:
             yield ScenarioWarning.of(

@@ -48,6 +48,7 @@ from scp_recon.mission.knowledge import (
     region_motions,
     require_known,
 )
+from scp_recon.mission.landmarks import Camera, Path, measurement_factors, picture_times_s
 from scp_recon.mission.scene import (
     Scene,
     TruthModel,
@@ -117,6 +118,8 @@ class Mission:
     drift_losses: tuple[tuple[str, float], ...] = ()
     """Standard deviations by which drifts are less safe in flights than by the linear law, by names;
     infinite where tangent planes stand for that law."""
+    pictured_m_s: Array | None = None
+    """Burns of the path along which landmarks are pictured, shape (m, 3); None for a coast."""
     deviation: Deviation | None = None
     """Of flights' parameters from the scenario's, which rotation and site have already."""
     nominal: Mission | None = None
@@ -169,7 +172,13 @@ class Mission:
         """
         made = Mission.from_scenario(self.scenario.replace(entries))
         told = dict.fromkeys((*made.warnings, *self.warnings, *words))
-        return replace(made, warnings=tuple(told))
+        return replace(made, warnings=tuple(told), pictured_m_s=self.pictured_m_s)
+
+    def along(self, burns_m_s: Array) -> Mission:
+        """The mission whose pictures of landmarks, if any, are taken along the path of some burns."""
+        if self.scenario.navigation.landmarks is None:
+            return self
+        return replace(self, pictured_m_s=burns_m_s)
 
     @cached_property
     def scene(self) -> Scene:
@@ -287,10 +296,15 @@ class Mission:
         if not cut_offs:
             return None
         nodes = np.searchsorted(self.times_s, list(cut_offs.values()))
+        if self.scenario.navigation.landmarks is None:
+            measurement = self.measurement(self._transfer[nodes])
+        else:
+            found = self.measured_by_pictures(self.times_s[nodes])
+            measurement = found / self.units.state[:, None]
         return Feedback(
             burns=np.array(list(cut_offs)),
             cut_offs=nodes,
-            measurement=self.measurement(self._transfer[nodes]),
+            measurement=measurement,
             cost=self.scenario.policy.cost,
             probability=self.scenario.risk.p_chance,
             considers=self.uncertain.count > 0 and self.estimated == 0,
@@ -309,6 +323,38 @@ class Mission:
         """
         found = self.scene.measurement_factors(mean * self.units.state)
         return resolved(self.scene, found) / self.units.state[:, None]
+
+    def measured_by_pictures(self, cut_offs_s: Array) -> Array:
+        """Factors N of the covariances N N' of states that pictures tell at times (k,), (k, 6, 6); SI.
+
+        Raises:
+            InputError: if no picture shows a landmark before a cut-off along the path of some burns.
+        """
+        if self.nominal is not None:
+            return self.nominal.measured_by_pictures(cut_offs_s)
+        pictures, p = picture_times_s(self.scenario, cut_offs_s[-1]), self.uncertain.count
+        times = np.unique(np.concatenate([self.times_s, pictures, cut_offs_s]))
+        fine = replace(self, times_s=times)
+        start, speed, executed = self.initial_state / self.units.state, self.units.speed_m_s, {}
+        states, burns = fine._transfer, self.pictured_m_s
+        if burns is not None:
+            states = fine.dynamics.rollout(start, burns / speed)
+            columns = execution_errors(self.scenario).columns(burns)
+            executed = dict(zip(fine.burn_nodes.tolist(), columns @ columns.mT, strict=True))
+        arcs, units = fine.flow.differentiate(states[:-1]), self.state_units(6 + p)
+        stm = np.tile(np.eye(6 + p), (len(times) - 1, 1, 1))
+        stm[:, :6, :6] = arcs.stm
+        if p:
+            stm[:, :6, 6:] = arcs.by_parameters
+        factor = units[:, None] * self.joint_factor
+        path = Path(
+            times_s=times,
+            position_m=states[:, :3] * self.units.length_m,
+            stm=units[:, None] * stm / units,
+            executed=executed,
+            prior=factor @ factor.T,
+        )
+        return measurement_factors(Camera(self.scene, self.uncertain), path, cut_offs_s)
 
     @cached_property
     def _transfer(self) -> Array:

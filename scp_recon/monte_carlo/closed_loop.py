@@ -161,6 +161,8 @@ def cut_offs_s(scenario: Scenario) -> dict[int, float]:
         entry, given, needs = "navigation.lead_s", f"{max(lead, LEAST_LEAD_S):g} s", "less"
         if scenario.navigation.contacts is not None:
             entry, given, needs = "navigation.contacts", "contacts", "more frequent"
+        elif (landmarks := scenario.navigation.landmarks) is not None:
+            entry, given = "navigation.landmarks.every_s", f"{landmarks.every_s:g} s"
         raise InputError(
             entry,
             f"{given}, with which the cut-off of burn {burn} precedes the one before",
@@ -179,13 +181,15 @@ def replans(mission: Mission, burns_m_s: Array) -> Replans:
     cut_offs = cut_offs_s(scenario)
     nodes = sorted({*scenario.grid.nodes_s, *cut_offs.values()})
     left, burns = Mission.from_scenario(scenario.replace({"grid.nodes_s": nodes})), burns_m_s
-    found: list[Replan] = []
+    found, pictured = list[Replan](), scenario.navigation.landmarks is not None
+    if pictured:
+        roots = left.along(burns).measured_by_pictures(np.array(list(cut_offs.values())))
     for burn, at_s in cut_offs.items():
         lin = left.dynamics.linearise(left.problem.open_loop, from_burns(left, burns))
         node = int(np.searchsorted(left.times_s, at_s))
         state = lin.iterate.mean[node] * left.units.state
         factor = lin.factor[node] * left.units.state[:, None]
-        (root,) = left.scene.measurement_factors(state[None])
+        root = roots[len(found)] if pictured else left.scene.measurement_factors(state[None])[0]
         measured, before = root @ root.T, factor @ factor.T
         after = before - before @ np.linalg.solve(before + measured, before)
         flown = [] if scenario.in_flight is None else list(scenario.in_flight.flown_m_s)

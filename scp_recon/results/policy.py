@@ -24,11 +24,15 @@ from pydantic import Field
 from scipy.linalg import solve_triangular
 
 from formulations.arrays import Array
+from formulations.linearisation.factor import factor_of
 from formulations.linearisation.innovations import Innovation
 from formulations.linearisation.linearisation import Linearisation
 from scp_recon.mission.mission import Mission
 from scp_recon.planning.plan import Plan
 from scp_recon.scenario.fields import Number
+
+SAME = 0.05
+"""Relative error of the estimates' information up to which pictures along two paths tell the same."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,6 +128,21 @@ def with_policy(mission: Mission, lin: Linearisation, policy: Policy) -> Lineari
         first, last = feedback.first_gain[j : j + 2]
         gains[first:last] = own[:, : 6 * j + 6].ravel()
     return Linearisation(problem, replace(lin.iterate, gains=gains), lin.arcs)
+
+
+def misjudged(mission: Mission, policy: Policy, burns_m_s: Array) -> float:
+    """Largest relative error of the estimates' information for pictures along the path of some burns.
+
+    Zero if all corrections have the measurements that these pictures give.
+    """
+    cut_offs = np.array([one.cut_off_s for one in policy])
+    most, found = 0.0, mission.along(burns_m_s).measured_by_pictures(cut_offs)
+    for one, factor in zip(policy, found, strict=True):
+        known = factor_of(one.estimate_covariance[:6, :6])
+        own = np.linalg.solve(factor, known)
+        used = np.linalg.solve(np.linalg.cholesky(one.measurement_covariance), known)
+        most = max(most, float(np.linalg.norm(own.T @ own - used.T @ used, 2)))
+    return most
 
 
 class _Filters:

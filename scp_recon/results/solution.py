@@ -84,7 +84,7 @@ class Solution(Displayed, Facts):
         Raises:
             InputError: as `Mission.from_scenario`.
         """
-        return Mission.from_scenario(self.scenario)
+        return Mission.from_scenario(self.scenario).along(self.burns_m_s)
 
     @cached_property
     def figures(self) -> Figures:

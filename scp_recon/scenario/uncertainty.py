@@ -299,17 +299,48 @@ class Contacts(OneWay):
         return (begin, begin + length) if number >= 0 else None
 
 
+class Landmarks(Section):
+    """Pictures of mapped landmarks, from which the state at each cut-off is determined along the plan.
+
+    A camera points to the body's centre, and its attitude is known. Landmarks lie evenly on the body,
+    an ellipsoid if body.radii_m are given, else a sphere of reference_radius_m. A picture has lines of
+    sight to those that are lit, visible and in the field. A burn uses the pictures up to its cut-off,
+    the time of the last one. Errors of the map are the same in all pictures.
+    """
+
+    number: Annotated[int, Field(ge=3, le=100)]
+    """Landmarks on the lit and visible side of the body, a half of it where the Sun is behind."""
+    map_error_m: MeasuredSigma
+    """1 sigma of each component of a landmark's position in m, body-fixed and constant."""
+    every_s: Annotated[float, Field(ge=60.0, le=1e7)]
+    """From one picture to the next in s; the first one is taken at the epoch."""
+    pixel_error: Annotated[float, Field(ge=1e-4, le=100.0)]
+    """1 sigma of a landmark's place in a picture along each axis, in pixels."""
+    field_of_view_deg: Annotated[float, Field(ge=0.01, le=120.0)]
+    """Full angle of the camera's square field of view in deg."""
+    pixels: Annotated[int, Field(ge=16, le=100_000)]
+    """Pixels across the field."""
+
+    def last_by(self, time_s: float) -> float:
+        """The last picture at a time or before, s; infinitely early if there is none."""
+        if time_s < 0.0:
+            return -math.inf
+        return self.every_s * math.floor(time_s / self.every_s * (1.0 + 1e-12))
+
+
 class Navigation(OneWay):
     """Measurement of the state before each burn, at a cut-off, with errors independent of all others.
 
-    The errors are 1-sigma figures, the same along every axis; or a covariance in a frame, m and m/s.
-    Without them nothing is measured: the lead alone counts, of plans that are made again in flight.
+    The errors are 1-sigma figures, the same along every axis; a covariance in a frame, m and m/s; or
+    those of pictures of landmarks, in place of both. Without them nothing is measured: the lead alone
+    counts, of plans that are made again in flight.
     """
 
     WAYS: ClassVar[Mapping[str, tuple[Way, ...]]] = {
         "measurement's errors": (
             ("sigma_position_m", "sigma_velocity_m_s"),
             ("covariance", "frame"),
+            ("landmarks",),
         ),
     }
     REQUIRED: ClassVar[bool] = False
@@ -328,13 +359,16 @@ class Navigation(OneWay):
     estimate_parameters: bool | None = None
     """Whether the filter estimates the uncertain parameters of `knowledge` with the state, the default;
     or considers their errors without estimating them (Schmidt)."""
+    landmarks: Landmarks | None = None
+    """Pictures from which the state is determined."""
     contacts: Contacts | None = None
     """When data come down and commands go up; any time if left out."""
 
     @property
     def measures(self) -> bool:
         """Whether anything is measured."""
-        return self.sigma_position_m is not None or self.covariance is not None
+        given = self.sigma_position_m, self.covariance, self.landmarks
+        return any(one is not None for one in given)
 
 
 class Policy(Section):

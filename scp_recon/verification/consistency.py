@@ -49,12 +49,13 @@ from scp_recon.results.figures import (
     strange_times,
     summed,
 )
+from scp_recon.results.policy import SAME, misjudged
 from scp_recon.results.solution import Solution
 from scp_recon.scp.status import Status
 
 FACET_ERROR = 1e-9
-MEASUREMENT_ERROR = 1e-6
-"""Relative tolerance of a covariance in scaled units."""
+MEASUREMENT_ERROR, PICTURED = 1e-6, 2.0 * SAME
+"""Relative tolerance of a covariance in scaled units, and of what pictures tell along the plan."""
 POINTS, SEED = 2**15, 7
 """Size and seed of a scrambled Sobol net. On plans per node for 0.70, 0.90 and 0.99 its error is at
 most 4e-4. The same number of draws has a standard error of up to 2.5e-3. The planner's quadrature
@@ -162,6 +163,8 @@ def _is_policy(mission: Mission, solution: Solution) -> bool:
         return feedback is None or solution.problem == "P3" or not is_converged(solution)
     if feedback is None or is_strange(mission, solution.policy):
         return False
+    if mission.scenario.navigation.landmarks is not None:
+        return misjudged(mission, solution.corrections, solution.burns_m_s) <= PICTURED
     given = np.array([c.measurement_covariance for c in solution.policy.corrections])
     given /= np.outer(mission.units.state, mission.units.state)
     expected = feedback.measurement @ feedback.measurement.swapaxes(1, 2)
