@@ -131,7 +131,7 @@ BAD_CAMPAIGNS: list[tuple[dict[str, Any], str, str]] = [
     ({"base": "nowhere"}, "scenario nowhere", "must be a readable"),
     ({"overrides": {P: 2}}, P, "must be"),
     ({"limit_s": 0}, "campaign.limit_s", "at least 0.1"),
-    ({"baze": "x"}, "campaign.baze", "must be one of"),
+    ({"baze": "x"}, "campaign.baze", "did you mean base?"),
 ]
 
 
