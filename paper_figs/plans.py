@@ -24,6 +24,13 @@ FRONTIER: dict[str, Look] = {
     "certified, each node": {"marker": "o", "color": "C0", "ms": 7, "mfc": "none", "ls": ":"},
     "certified, whole flights": {"marker": "D", "color": "C2", "ms": 3, "ls": ":"},
 }
+DRIFTS: dict[str, Look] = {
+    "without": {"marker": "s", "color": "C1", "ls": "", "ms": 5},
+    "missed": {"marker": "o", "color": "C0", "ls": "", "ms": 5},
+    "cut short": {"marker": "D", "color": "C2", "ls": "", "ms": 4},
+}
+NONE_INSIDE = 1e-4
+"""Where no flight comes inside, of 4,000."""
 LEFT_OF = 0.98
 """Probability above which words do not fit on the right of a curve's end."""
 OPEN = "open loop"
@@ -96,6 +103,26 @@ def frontier(tables: list[Table]) -> Figure:
         panels["dv"].set(ylabel="delta-v (mm/s)", ylim=(100.0, None))
         panels["more"].set(ylabel="certifying adds (%)", ylim=(-0.2, None))
         panels["observed"].set_ylabel("mean time observed (s)")
+        legend(figure, 3)
+    return figure
+
+
+def missed_burns(tables: list[Table]) -> Figure:
+    """Share of flights inside after the worst miss, and what it costs to survive the misses."""
+    (rows,) = tables
+    cases = list(dict.fromkeys(rows.case))
+    with page(4.4) as figure:
+        inside, more = figure.subplots(1, 2, sharey=True)
+        for (drifts, look), shift in zip(DRIFTS.items(), (-0.2, 0.0, 0.2), strict=True):
+            own = rows[rows.drifts == drifts].set_index("case").reindex(cases)
+            height = np.arange(len(cases)) + shift
+            inside.plot(np.maximum(1.0 - own.safe, NONE_INSIDE), height, **look, label=drifts)
+            more.plot(own.more_percent, height, **look)
+        inside.axvline(0.003, color="k", lw=1.0, ls="--")
+        inside.set(xscale="log", xlabel="flights inside the radius (-)")
+        inside.set_yticks(range(len(cases)), cases)
+        inside.invert_yaxis()
+        more.set_xlabel("delta-v beyond the plan without (%)")
         legend(figure, 3)
     return figure
 
