@@ -179,7 +179,7 @@ def run(session: Session) -> Findings:
     each = [Job(case, case) for case in CASES]
     later = session.rows("afterwards", rows_after, each, store, **how)
     every = [row for found in later for row in found.get("rows", [])]
-    return Findings({"costs.csv": costs, "afterwards.csv": every})
+    return Findings({"costs": costs, "afterwards": every})
 
 
 def ended(key: Key, failure: Failure) -> Record:

@@ -119,7 +119,7 @@ def missed_burns(tables: list[Table]) -> Figure:
             inside.plot(np.maximum(1.0 - own.safe, NONE_INSIDE), height, **look, label=drifts)
             more.plot(own.more_percent, height, **look)
         inside.axvline(0.003, color="k", lw=1.0, ls="--")
-        inside.set(xscale="log", xlabel="flights inside the radius (-)")
+        inside.set(xscale="log", xlabel="flights inside the radius (-; none at the left edge)")
         inside.set_yticks(range(len(cases)), cases)
         inside.invert_yaxis()
         more.set_xlabel("delta-v beyond the plan without (%)")
