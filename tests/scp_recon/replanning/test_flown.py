@@ -142,6 +142,8 @@ def test_the_policy_alone_acts_on_the_estimate_at_the_cut_off(corrected, at_s):
     assert np.linalg.norm(commanded - flown.burns_m_s[1]) > 1e-3
     # Gains of later burns act on what was estimated before, which a state does not tell.
     assert flown.commanded(planned + OFF, 17_000.0) is None
+    # No burn is left.
+    assert flown.commanded(planned, flown.mission.scenario.burn_times_s[-1]) is None
 
 
 @pytest.mark.slow
