@@ -173,6 +173,8 @@ def run(session: Session) -> Findings:
         cases, solved = found.table, feasible(found.table)
         groups = cases.groupby(cases.apply(by, axis=1), sort=False)
         tables[key] = [{"of": words} | summary(group) for words, group in groups]
+        if by is latitude:
+            tables[key].sort(key=lambda row: [*BANDS].index(row["of"]))
         total = {
             f"processor_s_{words}": cases.cpu_s[solved == end].quantile(0.5, "higher")
             for words, end in (("feasible", True), ("other", False))
