@@ -278,11 +278,12 @@ class SingleShooting:
         burns, times = ca.MX(3, problem.n_burns), UNIT * own[n:]
         burns[:, free.tolist()] = ca.reshape(own[:n], 3, len(free))
         last = last_spread_node(problem, facets)
-        node, stm = roll_out(problem, arcs, last, burns, times)
+        first, covariance, goal = boundary_of(problem, times)
+        node, stm = roll_out(problem, arcs, last, burns, first, times)
         mean = ca.horzcat(*node)
-        covariances = _covariances(problem, burns, stm, last, times)
+        covariances = _covariances(problem, burns, stm, last, covariance)
         blocks = (
-            final_state_block(problem, mean, boundary_of(problem, times)[2]),
+            final_state_block(problem, mean, goal),
             *burn_blocks(replace(problem, held=()), burns, printed=False),
             *spread_blocks(problem, facets, mean, covariances, stm),
         )
@@ -355,15 +356,16 @@ def periodic(of: Callable[[float], Array], phase: ca.MX) -> ca.MX:
 
 
 def _covariances(
-    problem: FlybyProblem, burns: ca.MX, stm: list[ca.MX], last: int, times: ca.MX | None = None
+    problem: FlybyProblem, burns: ca.MX, stm: list[ca.MX], last: int, first: ca.MX
 ) -> list[ca.MX]:
     """Covariances of deviation and p parameters at starts of the legs that begin at nodes up to `last`.
 
-    Shape (6 + p, 6 + p) each. Errors that all burns share stand below; see `roll_out` for the STMs.
+    Shape (6 + p, 6 + p) each, from the `first` before any burn. Errors that all burns share stand
+    below; see `roll_out` for the STMs.
     """
     errors, starts, size = problem.execution_errors, problem.leg_starts, 6 + problem.parameters
     covariance, found = ca.MX(np.eye(size + errors.shared)), []
-    covariance[:size, :size] = boundary_of(problem, times)[1]
+    covariance[:size, :size] = first
     for leg, node in enumerate(starts[starts <= last].tolist()):
         if leg > 0:
             flown = ca.diagcat(_with_parameters(stm[node]), ca.MX(np.eye(errors.shared)))
@@ -383,18 +385,24 @@ def _with_parameters(stm: ca.MX) -> ca.MX:
 
 
 def roll_out(
-    problem: FlybyProblem, arcs: Arcs, last: int, burns: ca.MX, times: ca.MX | None = None
+    problem: FlybyProblem,
+    arcs: Arcs,
+    last: int,
+    burns: ca.MX,
+    state: ca.MX,
+    times: ca.MX | None = None,
 ) -> tuple[list[ca.MX], list[ca.MX]]:
     """Means (6,) of every node after its burn, and STMs (6, 6 + p) to nodes up to `last`.
 
-    By state and parameters, from the start of the leg that ends or passes there. Firing times (q,) are
-    those of the problem's burns that move; the grid's if there are none.
+    From a state (6,) before the first burn; STMs by state and parameters, from the start of the leg
+    that ends or passes there. Firing times (q,) are those of the problem's burns that move; the grid's
+    if there are none.
     """
     durations = _durations(problem, arcs, times)
     burn_at = dict(zip(problem.burn_nodes.tolist(), range(problem.n_burns), strict=True))
     kicks = ca.vertcat(ca.MX(3, problem.n_burns), burns)
     still = ca.MX(np.eye(6, 6 + problem.parameters))
-    mean, stm = [boundary_of(problem, times)[0]], [still]
+    mean, stm = [state], [still]
     if not problem.coasts:
         mean[0] += kicks[:, 0]
     for first, end in itertools.pairwise(sorted({0, *burn_at, max(last, 0)})):

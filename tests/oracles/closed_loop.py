@@ -79,7 +79,7 @@ def corrected_shooting(
     burns = ca.reshape(controls[problem.burn_controls.ravel().tolist()], 3, problem.n_burns)
     all_gains = controls[problem.gain_controls.tolist()]
     gains = gains_of(problem, all_gains)
-    node, stm = roll_out(problem, arcs, last, burns)
+    node, stm = roll_out(problem, arcs, last, burns, ca.MX(ca.DM(problem.initial_state)))
     mean = ca.horzcat(*node)
     law = policy(problem, burns, gains, first)
     blocks = (
