@@ -45,6 +45,14 @@ class HomePhases:
         """Numbers of the phases that may move."""
         return tuple(i for i, (low, high) in enumerate(self.spans) if high - low > FREE_SPAN)
 
+    def boundary(self, units: Array, factor: Callable[[Array], Array]) -> Boundary:
+        """Nondimensional boundary states by phase, with the initial factor by the initial state, SI."""
+
+        def first(phase: float) -> tuple[Array, Array]:
+            return self.ring(phase) / units, factor(self.ring(phase))
+
+        return Boundary(first, lambda phase: self.ring(phase) / units, self.at, self.free)
+
     def rules(self, columns: int) -> tuple[Array, Array, tuple[str, ...]]:
         """Edges of spans of less than a turn, as matrix t >= least; phases are t's last columns."""
         rows, least, names = np.zeros((0, columns)), [], []

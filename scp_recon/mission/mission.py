@@ -17,7 +17,7 @@ from formulations.arrays import Array, Indices
 from formulations.linearisation.dynamics import Dynamics
 from formulations.problem.facets import Polytopes
 from formulations.problem.feedback import Feedback
-from formulations.problem.firing_times import Boundary, FiringTimes
+from formulations.problem.firing_times import FiringTimes
 from formulations.problem.flyby import FlybyProblem
 from formulations.problem.motion import Motion
 from scp_recon.bodies.surface import Mesh
@@ -39,7 +39,6 @@ from scp_recon.mission.constraints import (
 from scp_recon.mission.drifts import problem_drifts, require_no_drifts
 from scp_recon.mission.feedback import felt_cut_offs_s, require_open_loop, resolved
 from scp_recon.mission.firing import HomePhases, firing_times
-from scp_recon.mission.gravity import forces_of, gravity_in_words, solid_forces
 from scp_recon.mission.grid import DEFAULT, RK4_STEP_MAX_S, Units, make_grid
 from scp_recon.mission.knowledge import (
     Deviation,
@@ -53,7 +52,10 @@ from scp_recon.mission.scene import (
     Scene,
     TruthModel,
     execution_errors,
+    forces_of,
+    gravity_in_words,
     planned_field,
+    solid_forces,
     solid_of,
     truth_field,
 )
@@ -332,7 +334,7 @@ class Mission:
         """
         if self.nominal is not None:
             return self.nominal.measured_by_pictures(cut_offs_s)
-        pictures, p = picture_times_s(self.scenario, cut_offs_s[-1]), self.uncertain.count
+        pictures = picture_times_s(self.scenario, cut_offs_s[-1])
         times = np.unique(np.concatenate([self.times_s, pictures, cut_offs_s]))
         fine = replace(self, times_s=times)
         start, speed, executed = self.initial_state / self.units.state, self.units.speed_m_s, {}
@@ -341,20 +343,11 @@ class Mission:
             states = fine.dynamics.rollout(start, burns / speed)
             columns = execution_errors(self.scenario).columns(burns)
             executed = dict(zip(fine.burn_nodes.tolist(), columns @ columns.mT, strict=True))
-        arcs, units = fine.flow.differentiate(states[:-1]), self.state_units(6 + p)
-        stm = np.tile(np.eye(6 + p), (len(times) - 1, 1, 1))
-        stm[:, :6, :6] = arcs.stm
-        if p:
-            stm[:, :6, 6:] = arcs.by_parameters
-        factor = units[:, None] * self.joint_factor
-        path = Path(
-            times_s=times,
-            position_m=states[:, :3] * self.units.length_m,
-            stm=units[:, None] * stm / units,
-            executed=executed,
-            prior=factor @ factor.T,
-        )
-        return measurement_factors(Camera(self.scene, self.uncertain), path, cut_offs_s)
+        arcs = fine.flow.differentiate(states[:-1])
+        units = self.state_units(6 + self.uncertain.count)
+        path = Path.of_arcs(times, states, arcs, units, self.joint_factor)
+        camera = Camera(self.scene, self.uncertain)
+        return measurement_factors(camera, replace(path, executed=executed), cut_offs_s)
 
     @cached_property
     def _transfer(self) -> Array:
@@ -470,18 +463,15 @@ class Mission:
             return None
         nodes, spans = (self.times_s, self.burn_nodes, self.window_nodes), self.firing_spans_s
         window, unit = self.schedule.window_s, self.units.time_s
-        home = None if self.home is None else (self.home, self._boundary(self.home))
+        home = None
+        if self.home is not None:
+            home = self.home, self.home.boundary(self.units.state, self._initial_factor_at)
         return firing_times(self.scenario, window, nodes, spans, unit, home)
 
-    def _boundary(self, home: HomePhases) -> Boundary:
-        """Nondimensional boundary states by their phases on the home orbit."""
-        unit, ring = self.units.state, home.ring
-
-        def first(phase: float) -> tuple[Array, Array]:
-            factor = self.scene.initial_factor(ring(phase), signed=True)
-            return ring(phase) / unit, self._joint(factor / unit[:, None])
-
-        return Boundary(first, lambda phase: ring(phase) / unit, home.at, home.free)
+    def _initial_factor_at(self, state: Array) -> Array:
+        """Nondimensional factor of another initial state, SI, and the parameters."""
+        factor = self.scene.initial_factor(state, signed=True)
+        return self._joint(factor / self.units.state[:, None])
 
     @cached_property
     def polytopes(self) -> Polytopes:

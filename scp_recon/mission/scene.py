@@ -1,11 +1,11 @@
-"""Resolve a scenario's geometry: body, site, Sun, axes, boundary states, and the models of errors.
+"""Resolve what a scenario describes: body, site, Sun, axes, boundary states, errors and forces.
 
 J2000, body-centred, SI.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
 
@@ -16,15 +16,17 @@ from formulations.arrays import Array
 from formulations.linearisation.factor import factor_of
 from formulations.problem.execution_errors import ComponentwiseErrors, ExecutionErrors, GatesErrors
 from scp_recon.bodies.attitude import AttitudeTable
-from scp_recon.bodies.catalogue import GM_SUN_KM3_S2, packaged_body
+from scp_recon.bodies.catalogue import AU_KM, GM_SUN_KM3_S2, packaged_body
 from scp_recon.bodies.surface import Ellipsoid, Mesh
 from scp_recon.errors import InputError, option
 from scp_recon.mission.knowledge import Deviation
 from scp_recon.mission.windows import Lighting
 from scp_recon.physics.companion import Companion
+from scp_recon.physics.forces import ForceModel, cannonball_srp
 from scp_recon.physics.frames import Rotation, TabulatedRotation, sun_north_to_j2000, unit
 from scp_recon.physics.geometry import Site
-from scp_recon.physics.harmonics import HarmonicField
+from scp_recon.physics.harmonics import HarmonicField, TurningField
+from scp_recon.physics.polyhedron import PolyhedronField
 from scp_recon.physics.two_body import Orbit
 from scp_recon.scenario.body import Body
 from scp_recon.scenario.schema import Scenario
@@ -251,6 +253,56 @@ FIELD_BODY = "Bennu"
 """Body of the packaged field: Chesley et al. 2020."""
 SAME_GM, SAME_J2 = 0.01, 0.1
 """How far a scenario's GM and J2 may be off the packaged field's, relative."""
+
+
+# --- gravity ---------------------------------------------------------------------------------------
+
+
+def forces_of(scene: Scene, field: HarmonicField | None) -> ForceModel:
+    """Forces with a gravity field, SI, J2000; without one that of a point mass and J2."""
+    body, craft, sun = scene.scenario.body, scene.scenario.spacecraft, scene.scenario.sun
+    tumbles = body.attitude is not None
+    if tumbles and field is None:  # J2 has a closed form about a fixed axis alone
+        field = HarmonicField.zonal(body.gm_m3_s2, body.reference_radius_m, body.j2)
+    j2, radius = (body.j2, body.reference_radius_m) if field is None else (field.j2, field.radius)
+    closed = (0,) if tumbles else (0, 2)
+    return ForceModel(
+        gm=body.gm_m3_s2,
+        j2_strength=0.0 if tumbles else 1.5 * body.gm_m3_s2 * j2 * radius**2,
+        pole=scene.rotation.pole.T,
+        field=None if field is None else TurningField(field.beside(*closed), scene.rotation),
+        companion=scene.companion,
+        srp=cannonball_srp(
+            scene.sun_direction(0.0),
+            craft.srp_area_m2,
+            craft.reflectivity_coefficient,
+            craft.mass_kg,
+            float(np.linalg.norm(sun.body_position_km)) / AU_KM,
+            sun.solar_constant_w_m2,
+        ),
+    )
+
+
+def solid_forces(scene: Scene, solid: Mesh) -> ForceModel:
+    """Forces with the gravity of a homogeneous polyhedron."""
+    field = PolyhedronField(scene.scenario.body.gm_m3_s2, solid.vertices_m, solid.facets)
+    turning = TurningField(field, scene.rotation)
+    return replace(forces_of(scene, None), gm=0.0, j2_strength=0.0, field=turning)
+
+
+def gravity_in_words(body: Body, field: HarmonicField | None, solid: Mesh | None) -> str:
+    """A true field or solid, else the planner's gravity, with its rotation and the companion."""
+    own = "point mass and J2"
+    if field is not None:
+        own = f"harmonics to degree {len(field.c) - 1}"
+    elif solid is not None:
+        own = f"a homogeneous polyhedron of {len(solid.facets)} facets"
+    elif body.planned_degree is not None:
+        of = " of a homogeneous solid" if is_planned_as_solid(body) else ""
+        own = f"harmonics{of} to degree {body.planned_degree}"
+    if body.attitude is not None:
+        own += " that tumble with the body"
+    return own if body.companion is None else f"{own}, and the pull of {body.companion.name}"
 
 
 def planned_field(scenario: Scenario) -> HarmonicField | None:
