@@ -63,7 +63,7 @@ duration: the first pair that has a plan."""
 
 
 def passes() -> dict[str, dict[str, Any]]:
-    """Entries of the passes by the names of their scenarios."""
+    """Tables of entries of the passes by the names of their scenarios."""
     return tomllib.loads(PASSES.read_text("utf-8"))
 
 
@@ -74,17 +74,8 @@ def scenario_of(case: str, drifts: str) -> Scenario:
     """The scenario of a case; a designed pass has no home orbit left to design from."""
     if case in DEFAULT:
         return load_scenario().replace(DEFAULT[case] | DRIFTS[drifts])
-    fixed = _flat(passes()[case]) | {"boundary.home": None, "design": None}
+    fixed = passes()[case] | {"boundary.home": None, "design": None}
     return load_scenario(case).replace(fixed | DRIFTS[drifts])
-
-
-def _flat(entries: Mapping[str, Any], before: str = "") -> dict[str, Any]:
-    """Entries by their dotted names."""
-    found: dict[str, Any] = {}
-    for key, value in entries.items():
-        name = f"{before}{key}"
-        found |= _flat(value, f"{name}.") if isinstance(value, Mapping) else {name: value}
-    return found
 
 
 def measure(at: tuple[str, str]) -> Record:

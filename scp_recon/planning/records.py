@@ -48,12 +48,16 @@ class Certificate:
         """Whether the certificate proves a required probability."""
         return self.low >= required
 
+    @property
+    def interval(self) -> str:
+        """The interval of the probability in words."""
+        return f"{100 * self.confidence:g} % interval {self.low:.4f} to {self.high:.4f}"
+
     def __str__(self) -> str:
         """The certificate in words."""
-        interval = f"{100 * self.confidence:g} % interval {self.low:.4f} to {self.high:.4f}"
         of = f" out of {sum(self.strata.drawn)} draws" if self.strata else ""
         flights = f"{self.samples} flights{of} of test {self.tests}"
-        return f"{flights} reached {self.reached:.4f} ({interval})"
+        return f"{flights} reached {self.reached:.4f} ({self.interval})"
 
 
 @dataclass(frozen=True)

@@ -148,18 +148,18 @@ def _epoch(tables: Given) -> None:
 
 def _check_state_epoch(tables: Mapping[str, Any]) -> None:
     """Refuse an epoch other than that of the given Sun and prime meridian."""
-    of_state, epoch = value_of(tables, "sun.state_tdb"), _days(tables)
-    known = None if of_state is None else _days({"epoch": {"tdb": of_state}})
-    if known is not None and epoch is not None and abs(known - epoch) * DAY_S > 1.0:
-        must = f"must be {of_state} (sun.state_tdb), to which the Sun's state and the prime meridian at"
-        hint = f"{must} the epoch belong: give those of another epoch with it"
-        raise InputError("epoch.tdb", str(value_of(tables, "epoch.tdb")), hint)
+    of_state, epoch = _days(tables, "sun.state_tdb"), _days(tables)
+    if of_state is not None and epoch is not None and abs(of_state - epoch) * DAY_S > 1.0:
+        given, known = (str(value_of(tables, entry)) for entry in ("epoch.tdb", "sun.state_tdb"))
+        belong = "the Sun's state and the prime meridian at the epoch belong: give those of another"
+        hint = f"must be {known} (sun.state_tdb), to which {belong} epoch with it"
+        raise InputError("epoch.tdb", given, hint)
 
 
-def _days(tables: Mapping[str, Any]) -> float | None:
-    """TDB days past J2000 of the epoch; None if it is missing or no date."""
+def _days(tables: Mapping[str, Any], entry: str = "epoch.tdb") -> float | None:
+    """TDB days past J2000 of the epoch, or of another date; None if it is missing or no date."""
     try:
-        tdb = datetime.fromisoformat(str(value_of(tables, "epoch.tdb")))
+        tdb = datetime.fromisoformat(str(value_of(tables, entry)))
         return (tdb - J2000_TDB).total_seconds() / DAY_S
     except (ValueError, TypeError):
         return None
