@@ -25,6 +25,7 @@ from scp_recon.advice.trials import (
 from scp_recon.api.inputs import PlanRequest
 from scp_recon.api.planning import PlanOutcome
 from scp_recon.jobs.blas import one_thread
+from scp_recon.mission.drifts import planned
 from scp_recon.planning.plan import Plan
 from scp_recon.scp.status import Status
 from scp_recon.verification.remedies import CERTIFICATE
@@ -149,12 +150,10 @@ def _without_uncertainty(failed: Plan) -> Status:
 
 def _by_how_much(plan: Plan) -> tuple[str, ...]:
     """The same in words, drifts with what they miss of their quantile, for they are in no table."""
-    missed = {
-        drift.name: -float(plan.final.margins[drift.name].margin.min())
-        for drift in plan.final.merit.problem.drifts
-        if plan.final.problem == "P2"
+    margins, drifts = plan.final.margins, planned(plan.mission.scenario)
+    words = {
+        miss.name: f"drift where {miss.event} by {-margins[miss.name].margin.min():.2g} sigma"
+        for miss in drifts
+        if miss.name in margins
     }
-    return tuple(
-        f"{name} by {missed[name]:.2g} sigma" if name in missed else name
-        for name in violated_by(plan)
-    )
+    return tuple(words.get(name, name) for name in violated_by(plan))

@@ -46,7 +46,7 @@ from scp_recon.monte_carlo.summary import FILE_NAME, MARK, Contingency, Summary
 from scp_recon.replanning.delivery import Delivery
 from scp_recon.replanning.flown import FlownPlan
 from scp_recon.replanning.remainder import mission_left, with_goal
-from scp_recon.results.solution import require_whole_flight
+from scp_recon.results.solution import burns_of_plan, require_whole_flight
 from scp_recon.simulation import record as records
 from scp_recon.simulation.vehicle import Vehicle, load_vehicle
 
@@ -199,6 +199,7 @@ def _contingency(plan: Opened, miss: int, options: FlyOptions) -> Contingency:
         status=home.status.value.name,
         total_dv_m_s=home.total_dv_m_s,
         burn_times_s=home.mission.scenario.burn_times_s,
+        burns_m_s=tuple(burn.dv_m_s for burn in burns_of_plan(home)),
         whole_flight=flown.whole_flight,
     )
 

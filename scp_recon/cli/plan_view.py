@@ -35,7 +35,6 @@ from scp_recon.reports.tables import (
     burns_table,
     constraints_table,
     corrections_table,
-    drifts_table,
     iteration_row,
     limits_table,
     lost_contacts_table,
@@ -259,11 +258,7 @@ def _show_verification(
     limits = limits_table(mission, solution, v)
     console.print(terminal(limits))
     show_line(console, limits.note, "dim")
-    if any(drift.required is not None for drift in v.drifts):
-        drifts = drifts_table(v)
-        console.print(terminal(drifts))
-        show_line(console, drifts.note, "dim")
-    elif v.drifts:
+    if v.drifts:
         later = [drift for drift in v.drifts if drift.burn > 1] or v.drifts
         nearest = min(later, key=lambda drift: drift.closest_m)
         if nearest.impact < IMPACT_WARNED:

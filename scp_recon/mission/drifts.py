@@ -56,6 +56,12 @@ class Miss:
             f"cut_burn_{self.burn}_at_{self.share:g}" if self.share else f"missed_burn_{self.burn}"
         )
 
+    @property
+    def event(self) -> str:
+        """What happens, in words."""
+        how = f"stops at {100.0 * self.share:g} %" if self.share else "is missed"
+        return f"burn {self.burn} {how}"
+
 
 def duration_s(scenario: Scenario) -> float:
     """Time for which a drift must be safe, s."""

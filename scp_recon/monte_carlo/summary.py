@@ -24,7 +24,8 @@ from scp_recon.scenario.fields import ByName, Line, Section
 SCHEMA = "scp_recon.montecarlo/1"
 MARK = b'"schema": "scp_recon.montecarlo/'
 """In every file of flights, of any version."""
-FILE_NAME = "montecarlo.json"
+FILE_NAME, MISSES = "montecarlo.json", "montecarlo_miss_*.json"
+"""Of the flights of a plan, and of those that miss a burn."""
 
 COMPONENTS = ("x", "y", "z", "vx", "vy", "vz")
 WIDER = 1.25
@@ -232,12 +233,14 @@ class Contingency(Section):
         status: how the planning ended.
         total_dv_m_s: sum of its burns' sizes.
         burn_times_s: times of its burns, past the epoch of the plan in flight.
+        burns_m_s: its burns, J2000.
         whole_flight: probability that a flight home keeps every limit throughout.
     """
 
     status: Line
     total_dv_m_s: float
     burn_times_s: tuple[float, ...]
+    burns_m_s: tuple[tuple[float, float, float], ...] = ()
     whole_flight: Interval
 
     def __str__(self) -> str:

@@ -5,6 +5,7 @@ As those of `tables` they serve terminal and report, with the values of the file
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,7 +15,8 @@ from scp_recon.reports.tables import AT, called, dv_column, or_none
 from scp_recon.results.table import Cell, Column, Table
 
 if TYPE_CHECKING:
-    from scp_recon.monte_carlo.summary import Commanded, Interval, Summary
+    from scp_recon.monte_carlo.summary import Commanded, Contingency, Interval, Summary
+    from scp_recon.results.verification import DriftSafety
     from scp_recon.simulation.record import FlightSummary
 
 
@@ -40,6 +42,36 @@ def observation_times_table(summary: Summary) -> Table:
         f"{summary.planned_gravity}, flown with "
         f"{summary.flown_gravity}, as in montecarlo.json.",
     )  # fmt: skip
+
+
+def missed_burns_table(missed: Sequence[Summary]) -> Table:
+    """Flights that miss a burn: their drifts, and the way home where it was planned."""
+    return Table.of(
+        "Flown with a missed burn, and then home",
+        (
+            "what happens",
+            Column("closest 99.7 %", "m", ".0f"),
+            *(Column(name, form=".4f") for name in ("safe", "impact")),
+            "way home",
+            dv_column("delta-v"),
+            "burns at s",
+            "flights home that keep every limit",
+        ),
+        ([*_drifted(one.drift), *_home(one.then)] for one in missed if one.drift is not None),
+        key="missed_burns",
+        note="From `scp-recon montecarlo --miss N --then return`: see montecarlo_miss_N.json.",
+    )
+
+
+def _drifted(drift: DriftSafety) -> Sequence[object]:
+    return drift.event, drift.closest_m, drift.value, drift.impact
+
+
+def _home(then: Contingency | None) -> Sequence[object]:
+    if then is None:
+        return "not planned", None, "", None
+    times = ", ".join(f"{time:.0f}" for time in then.burn_times_s)
+    return then.status, then.total_dv_m_s, times, interval_cell(then.whole_flight, 4)
 
 
 def flown_probabilities_table(summary: Summary, required: float | None) -> Table:

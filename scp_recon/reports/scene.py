@@ -14,10 +14,12 @@ from typing import Any
 import numpy as np
 
 from formulations.arrays import Array
+from scp_recon.display import mm_s
 from scp_recon.mission.constraints import companion_distance_m
 from scp_recon.mission.grid import RK4_STEP_MAX_S
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.drifts import reach_s
+from scp_recon.monte_carlo.summary import Contingency
 from scp_recon.physics.flow import propagate
 from scp_recon.physics.frames import TabulatedRotation, sun_north_to_j2000, unit
 from scp_recon.reports.marks import (
@@ -277,26 +279,46 @@ def keep_sets(frame: Frame, subject: Subject) -> list[Trace]:
 def drifts(frame: Frame, subject: Subject) -> list[Trace]:
     """Mean drifts of the first plan after each missed burn but the first, and where they are nearest.
 
-    They are shown on demand, as far as they stay in the box.
+    They are shown on demand, as far as they stay in the box; with the way home where it was planned.
     """
     mission, nodes, traces = subject.mission, subject.solution.nodes, list[Trace]()
     spell = reach_s(mission)
-    times = np.linspace(0.0, spell, 1 + int(np.ceil(spell / RK4_STEP_MAX_S)))
+    homes = {one.drift.burn: one.then for one in subject.missed if one.drift and one.then}
     for number, burn in subject.solution.executed:
         if number == 1 or spell <= 0.0:
             continue
         state = np.array(nodes.state[int(np.searchsorted(nodes.t_s, burn.t_s))])
-        path = [state - np.r_[0.0, 0.0, 0.0, burn.dv_m_s]]
-        for time in times[:-1]:
-            path.append(propagate(path[-1], times[1], mission.forces, 1, burn.t_s + time))
-        seen = frame.seen(np.stack(path)[:, :3])
+        state[3:] -= burn.dv_m_s
+        seen = frame.seen(free_path(mission, state, burn.t_s, spell)[:, :3])
         nearest = seen[[np.argmin(np.linalg.norm(seen, axis=1))]]
         outside = np.any((seen < frame.low_m) | (seen > frame.high_m), axis=1)
         group = f"drift if burn {number} is missed"
         name = f"{group}, nearest {np.linalg.norm(nearest):.0f} m from the centre"
         traces.append(lines(np.where(outside[:, None], np.nan, seen), group, group, BURN, width=3))
         traces.append(spots(nearest, name, group, size=5, color=BURN, symbol="circle"))
+        if (home := homes.get(number)) is not None:
+            name = f"way home if burn {number} is missed, {mm_s(home.total_dv_m_s, 1)}"
+            way = frame.seen(_way_home(mission, state, burn.t_s, home)[:, :3])
+            traces.append(lines(way, name, group, BURN, width=3, dash="dash"))
     return [trace | {"visible": False} for trace in traces]
+
+
+def free_path(mission: Mission, state: Array, begin_s: float, spell_s: float) -> Array:
+    """Mean states (n, 6) of a free flight at even times, from its beginning to its end, SI."""
+    times = np.linspace(0.0, spell_s, 1 + max(1, int(np.ceil(spell_s / RK4_STEP_MAX_S))))
+    path = [state]
+    for time in times[:-1]:
+        path.append(propagate(path[-1], times[1], mission.forces, 1, begin_s + time))
+    return np.stack(path)
+
+
+def _way_home(mission: Mission, state: Array, begin_s: float, home: Contingency) -> Array:
+    """Mean states (n, 6) from a missed burn to the last burn of the way home."""
+    parts = []
+    for time, burn in zip(home.burn_times_s, home.burns_m_s, strict=True):
+        parts.append(free_path(mission, state, begin_s, time - begin_s))
+        state, begin_s = parts[-1][-1] + np.r_[0.0, 0.0, 0.0, burn], time
+    return np.concatenate(parts)
 
 
 def _burn_cones(frame: Frame, subject: Subject) -> Trace:

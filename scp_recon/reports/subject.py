@@ -32,6 +32,7 @@ PARTS_PER_ARC = 3
 class Subject:
     """A plan with the flights and the simulation of this very plan, if they lie beside it.
 
+    `missed` are flights in which a burn is missed, with the way home if that was planned.
     `passed_over` names the files beside it that belong to another plan, with the reason. `path` is
     the plan's file or folder, if any, never `runs/latest`, which moves.
     """
@@ -42,6 +43,7 @@ class Subject:
     record: Record | None = None
     passed_over: tuple[str, ...] = ()
     path: Path | None = None
+    missed: tuple[Summary, ...] = ()
 
     @cached_property
     def mission(self) -> Mission:
@@ -123,16 +125,20 @@ def _distinct(names: list[str]) -> list[str]:
 def _read(path: Path, name: str) -> Subject:
     home = resolve_run(path)
     solution, folder = read_solution(home), folder_of(home)
-    passed_over = []
-    summary = record = None
-    if (folder / summary_file.FILE_NAME).is_file():
-        summary = read_summary(folder)
-        if not summary.is_of(solution):
-            passed_over.append(f"{folder / summary_file.FILE_NAME}: flights of another plan")
-            summary = None
+    passed_over, record = list[str](), None
+
+    def flights(names: str) -> list[Summary]:
+        """Those of the plan, in files beside it."""
+        found = {file: read_summary(file) for file in sorted(folder.glob(names))}
+        others = [file for file, one in found.items() if not one.is_of(solution)]
+        passed_over.extend(f"{file}: flights of another plan" for file in others)
+        return [one for one in found.values() if one.is_of(solution)]
+
+    summary = next(iter(flights(summary_file.FILE_NAME)), None)
+    missed = tuple(one for one in flights(summary_file.MISSES) if one.drift is not None)
     if (folder / record_file.FILE_NAME).is_file():
         record = read_record(folder)
         if record.plan_hash != solution.plan_hash:
             passed_over.append(f"{folder / record_file.FILE_NAME}: a simulation of another plan")
             record = None
-    return Subject(name, solution, summary, record, tuple(passed_over), home)
+    return Subject(name, solution, summary, record, tuple(passed_over), home, missed)

@@ -18,7 +18,7 @@ from scp_recon.results.facts import Burn, IterationRecord
 from scp_recon.results.policy import sigmas
 from scp_recon.results.solution import Solution
 from scp_recon.results.table import SCALES, Cell, Column, Table
-from scp_recon.results.verification import MeanMargin, Verification
+from scp_recon.results.verification import DriftSafety, MeanMargin, Verification
 from scp_recon.scenario.time_scales import instant, shown_utc
 from scp_recon.verification.reintegration import FIGURES, limits_of
 
@@ -160,12 +160,17 @@ def constraints_table(solution: Solution) -> Table:
     rows += [
         [name, "", None, violated[name].unit, None, None, cell] for name, cell in amounts.items()
     ]
+    rows += [
+        [d.row, "drift", d.closest_m - d.radius_m, "m", d.closest_t_s, None, None]
+        for d in _planned_drifts(solution.verification)
+    ]
     return Table.of(
         "Margins at the nodes",
         ("constraint", "kind", Column(worst, form="+.4f"), "unit", AT, "facets", by),
         rows,
         key="constraints",
-        note="A margin of 0 or more is satisfied.",
+        note="A margin of 0 or more is satisfied. Of a drift it is that of the distance which 99.7 % "
+        "of its flights keep.",
     )
 
 
@@ -219,6 +224,18 @@ def limits_table(mission: Mission, solution: Solution, v: Verification) -> Table
                 _joined(marks, [one for one in marks if joint.get(one, one) == name], name),
             ]
         )
+    rows += [
+        [
+            d.row,
+            f">= {d.radius_m:.4g} m",
+            f">= {d.closest_m:.4g} m",
+            d.value,
+            f"{d.low:.4f} to {d.high:.4f}",
+            d.closest_t_s,
+            Cell("short", style="bad") if d.is_refuted else Cell("binds" if d.binds else ""),
+        ]
+        for d in _planned_drifts(v)
+    ]
     return Table.of(
         "Limits",
         (
@@ -232,8 +249,18 @@ def limits_table(mission: Mission, solution: Solution, v: Verification) -> Table
         ),
         rows,
         note=f"planned: of the mean; chance: lowest of {v.samples} flights, required "
-        f"{mission.scenario.risk.p_chance:g}; {mission.true_gravity('planner')}",
+        f"{mission.scenario.risk.p_chance:g}; {mission.true_gravity('planner')}"
+        + "".join(
+            f"; of drifts: the distance that 99.7 % of flights keep for {d.drift_s / 3600.0:.3g} h, "
+            f"and the chance to keep the radius, required {d.required:g}"
+            for d in _planned_drifts(v)[:1]
+        ),
     )
+
+
+def _planned_drifts(v: Verification | None) -> list[DriftSafety]:
+    """Drifts for which the plan has a required probability."""
+    return [] if v is None else [d for d in v.drifts if d.required is not None]
 
 
 def _marks(solution: Solution) -> dict[str, Cell]:

@@ -148,6 +148,7 @@ def tables_of(subject: Subject, budget: Budget) -> list[Table]:
     found += [tables.stages_table(solution), tables.iterations_table(solution)]
     if subject.summary is not None:
         found.append(flight_tables.observation_times_table(subject.summary))
+    found.append(flight_tables.missed_burns_table(subject.missed))
     if subject.record is not None:
         flown = subject.record.summary
         found += [flight_tables.simulated_burns_table(flown), flight_tables.simulated_table(flown)]

@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
+from scp_recon.mission.drifts import Miss
 from scp_recon.scenario.fields import Line, Number, Probability
 
 
@@ -96,8 +97,7 @@ class DriftSafety:
     @property
     def event(self) -> str:
         """What happens, in words."""
-        how = f"is cut short at {self.share:g} of its size" if self.share else "is missed"
-        return f"burn {self.burn} {how}"
+        return Miss(self.burn, self.share).event
 
     @property
     def check(self) -> str:
@@ -105,9 +105,19 @@ class DriftSafety:
         return f"P(safe drift where {self.event})"
 
     @property
+    def row(self) -> str:
+        """Its name in tables of limits."""
+        return f"drift: {self.event}"
+
+    @property
     def is_refuted(self) -> bool:
         """Whether flights refute the required probability, if there is one."""
         return self.required is not None and self.high < self.required
+
+    @property
+    def binds(self) -> bool:
+        """Whether flights cannot tell the probability from what is required, or refute that."""
+        return self.required is not None and self.low < self.required
 
     def __str__(self) -> str:
         """In words."""

@@ -10,13 +10,15 @@ from hypothesis import strategies as st
 from formulations.arrays import Array
 from scp_recon.bodies.surface import Ellipsoid, Mesh, direction_of
 from scp_recon.mission.constraints import companion_distance_m
+from scp_recon.monte_carlo.summary import Contingency, Interval, Summary
 from scp_recon.physics.frames import unit
 from scp_recon.reports.charts import BINS, thinned
 from scp_recon.reports.ground import Camera, degrees_of, first_hit, ground_track, terminator
-from scp_recon.reports.scene import Frame, companion_of, drifts, keep_sets
+from scp_recon.reports.scene import Frame, companion_of, drifts, free_path, keep_sets
 from scp_recon.reports.shown import SO_FAR, DrawnFlights, achieved, budget_of, fly
 from scp_recon.reports.subject import Subject
 from scp_recon.reports.surfaces import FACETS_MAX, RING, _of_mesh, ellipsoid, shape_of, shell, tube
+from scp_recon.results.verification import DriftSafety
 from tests.helpers import generators, random_unit
 from tests.scp_recon.bodies.test_surface import write_obj
 from tests.scp_recon.support import COMPANION, mission_of
@@ -90,6 +92,29 @@ def test_drifts_begin_at_their_burns_and_mark_their_nearest_point(solution):
         marked = np.linalg.norm([mark[axis][0] for axis in "xyz"])
         assert marked == pytest.approx(nearest, abs=0.2)
         assert f"{marked:.0f} m" in mark["name"]
+
+
+def test_way_home_after_missed_burn_is_drawn(solution):
+    """From the missed burn, by two burns of no size: along the free drift, to the last one."""
+    number, burn = next((number, burn) for number, burn in solution.executed if number > 1)
+    kept = Interval(value=1.0, low=0.9, high=1.0)
+    ends = (burn.t_s + 1000.0, burn.t_s + 5000.0)
+    still = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    home = Contingency(
+        status="converged", total_dv_m_s=0.0, burn_times_s=ends, burns_m_s=still, whole_flight=kept
+    )
+    drift = DriftSafety(number, 0.0, 86_400.0, 500.0, None, 1.0, 0.9, 1.0, 600.0, ends[0], 0.0)
+    flights = Summary.model_construct(drift=drift, then=home)
+    subject = replace(Subject("default", solution), missed=(flights,))
+    edge = np.full(3, 1e5)
+    paths = drifts(Frame(np.eye(3), -edge, edge, 1.0), subject)
+    free, way = (np.array([paths[k][axis] for axis in "xyz"]) for k in (0, 2))
+    assert paths[2]["name"] == f"way home if burn {number} is missed, 0.0 mm/s"
+    state = np.array(solution.nodes.state[list(solution.nodes.t_s).index(burn.t_s)])
+    state[3:] -= burn.dv_m_s
+    expected = free_path(subject.mission, state, burn.t_s, 5000.0)[-1, :3]
+    np.testing.assert_allclose(way[:, 0], free[:, 0], atol=0.1)
+    np.testing.assert_allclose(way[:, -1], expected, atol=0.1)
 
 
 def in_the_body(subject: Subject, times_s: Array) -> Array:

@@ -17,14 +17,17 @@ from scp_recon.api.planning import plan_left
 from scp_recon.cli import plan_run
 from scp_recon.cli.commands import report
 from scp_recon.errors import InputError
+from scp_recon.monte_carlo.summary import Contingency, Interval
 from scp_recon.replanning.delivery import Delivery
 from scp_recon.replanning.flown import FlownPlan, predict
 from scp_recon.replanning.remainder import mission_left
 from scp_recon.reports.charts import probability_chart
+from scp_recon.reports.flight_tables import missed_burns_table
 from scp_recon.reports.ground import Camera
 from scp_recon.reports.page import Page, render, verdict_of
 from scp_recon.reports.shown import fly
 from scp_recon.reports.subject import PLANS_MAX, subjects_of
+from scp_recon.reports.tables import constraints_table, limits_table
 from scp_recon.reports.write import page_of
 from scp_recon.results.solution import Solution, make_solution
 from scp_recon.results.table import SCALES, Table
@@ -239,6 +242,43 @@ def test_flights_of_another_plan_are_skipped(plan_folder, subject, tmp_path):
     (found,) = subjects_of([tmp_path])
     assert found.summary is None
     assert found.passed_over == (f"{tmp_path / 'montecarlo.json'}: flights of another plan",)
+
+
+def test_flights_that_miss_a_burn_are_shown(subject, tmp_path):
+    """With the way home where it was planned; a file of another plan is left out."""
+    subject.solution.write(tmp_path)
+    drift = subject.solution.verification.drifts[1]
+    kept = Interval(value=0.99, low=0.98, high=1.0)
+    home = Contingency(
+        status="converged", total_dv_m_s=0.06, burn_times_s=(25000.0,), whole_flight=kept
+    )
+    flown = subject.summary.model_copy(update={"drift": drift, "then": home})
+    flown.write(tmp_path, "montecarlo_miss_2.json")
+    other = flown.model_copy(update={"plan_hash": "0" * 64})
+    other.write(tmp_path, "montecarlo_miss_3.json")
+    (found,) = subjects_of([tmp_path])
+    assert found.missed == (flown,)
+    assert found.summary is None
+    assert len(found.passed_over) == 1
+    (row,) = missed_burns_table(found.missed).rows
+    shown = ["burn 2 is missed", "converged", "60.000", "25000", "0.9900 (0.9800 to 1.0000)"]
+    assert [row[k].text for k in (0, 4, 5, 6, 7)] == shown
+
+
+def test_planned_drifts_are_rows_of_limits(subject):
+    """Of limits and of margins, with what flights keep; one cut short by its share."""
+    solution, v = subject.solution, subject.solution.verification
+    planned = replace(v.drifts[1], required=0.997, low=0.996, high=0.999)
+    planned = replace(planned, closest_m=512.0, share=0.3)
+    judged = replace(v, drifts=(v.drifts[0], planned))
+    row = limits_table(subject.mission, solution, judged).rows[-1]
+    name, *figures = (cell.text for cell in row)
+    assert name == "drift: burn 2 stops at 30 %"
+    assert figures[:2] == [">= 500 m", ">= 512 m"]
+    assert figures[-1] == "binds"
+    name, kind, margin = constraints_table(replace(solution, verification=judged)).rows[-1][:3]
+    assert (name.text, kind.text, margin.value) == ("drift: burn 2 stops at 30 %", "drift", 12.0)
+    assert "drift: " not in str(limits_table(subject.mission, solution, v).rows)
 
 
 @pytest.mark.usefixtures("few_flights")
