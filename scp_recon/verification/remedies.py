@@ -18,7 +18,7 @@ INTEGRATION = 1e4
 """Factor on a limit beyond which an error is not one of integration: ten times finer steps would
 not reduce it enough."""
 STATUS, GRID, BETWEEN, BURNS, SHORT = "status", "grid", "between nodes", "burns", "short"
-CERTIFICATE, SPREAD, COMMANDS = "certificate", "spread", "commands"
+CERTIFICATE, SPREAD, COMMANDS, BY_LAW = "certificate", "spread", "commands", "short by law"
 UNEXECUTED = "unexecuted"
 DRIFT = "drift"
 CONTRADICTION = "contradiction"
@@ -29,6 +29,8 @@ REMEDIES = {
     BURNS: "the burns do not keep it: plan again, from this file as init",
     SHORT: "flights reach less than was required: raise risk.p_chance, or set "
     'risk.allocation="exact", which flights certify',
+    BY_LAW: "flights reach less than the linear law, with which exact risk is planned: let flights "
+    "certify the plan, without --certify no, or raise risk.p_chance",
     CERTIFICATE: "flights do not certify the plan: take a lower risk.p_chance or a smaller "
     "uncertainty.execution_error, or plan again on a smaller grid.step_max_s",
     SPREAD: "flights spread more: raise the limit in boundary, or lower "
@@ -96,7 +98,8 @@ def kind_of(name: str, mission: Mission, verification: Verification) -> str:
         return DRIFT
     if name.startswith("dv_min of burn"):
         return UNEXECUTED
-    worst = {f"P({p.name})": (SHORT, p.worst_t_s) for p in verification.probabilities}
+    short = BY_LAW if mission.scenario.risk.allocation == "exact" else SHORT
+    worst = {f"P({p.name})": (short, p.worst_t_s) for p in verification.probabilities}
     worst |= {m.name: (BURNS, m.worst_t_s) for m in verification.mean_margins}
     if name not in worst:  # a part of the file
         return CONTRADICTION

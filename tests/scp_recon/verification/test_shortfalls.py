@@ -99,7 +99,9 @@ def test_every_check_has_a_remedy(mission, verification):
         "drift": {"P(safe drift where burn 2 is missed)"},
         "contradiction": {HASH, "facets", "violation", "nodes.t_s", "risk", "total_dv_m_s"},
     }
-    assert found.keys() == REMEDIES.keys()
+    assert found.keys() | {"short by law"} == REMEDIES.keys()
+    exact = mission.changed({"risk.allocation": "exact"})
+    assert {kind_of(name, exact, v) for name in found["short"]} == {"short by law"}
     for kind, names in found.items():
         assert names
         assert {kind_of(name, mission, v) for name in names} == {kind}
