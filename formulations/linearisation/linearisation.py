@@ -23,6 +23,8 @@ forms serve for comparison:
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import Any, Generic, Protocol, TypeVar
@@ -133,6 +135,12 @@ class Linearisation:
                 own[:] = own @ axes @ axes.T
             lin = Linearisation(self.problem, replace(self.iterate, gains=gains), self.arcs)
         return lin
+
+    def with_drifts(self, drifts: Mapping[str, Array]) -> Linearisation:
+        """The same with means of drifts, on which nothing derived depends."""
+        other = copy(self)
+        object.__setattr__(other, "iterate", replace(self.iterate, drifts=drifts))
+        return other
 
     @property
     def controls(self) -> Array:

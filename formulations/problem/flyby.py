@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Literal
@@ -68,14 +68,14 @@ class Iterate:
         mean: states at the nodes, shape (n_nodes, 6).
         gains: of the corrected burns, as `Feedback` orders them.
         times: and phases that `FiringTimes` moves, shape (q,); empty where these are the grid's.
-        drifts: means of free drifts by their names, as far as they were flown: the guess of the next.
+        drifts: means of free drifts by their names, near these: where the search for these starts.
     """
 
     burns: Array
     mean: Array
     gains: Array = field(default_factory=NO_GAINS.copy)
     times: Array = field(default_factory=NO_TIMES.copy)
-    drifts: dict[str, Array] = field(default_factory=dict)
+    drifts: Mapping[str, Array] = field(default_factory=dict)
 
     @property
     def total_dv(self) -> float:

@@ -40,10 +40,12 @@ class Margins(NamedTuple):
     Attributes:
         nodes: of the rows, shape (n,).
         margin: of each row, shape (n,).
+        path: means (., 6) of the free drift that they judge, if that is known in full.
     """
 
     nodes: Indices
     margin: Array
+    path: Array | None = None
 
 
 class Cones(NamedTuple):

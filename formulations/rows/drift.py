@@ -78,16 +78,17 @@ class Start(NamedTuple):
 
 
 class DriftValue(NamedTuple):
-    """g of a drift, and its derivatives by the drift's start."""
+    """g of a drift, its derivatives by the drift's start, and its means (n, 6) if known in full."""
 
     value: float
     by: Start
+    path: Array | None
 
 
 class Branch:
     """Evaluates a drift with p uncertain parameters, and keeps what it has found for a start nearby.
 
-    `path` is its last mean, where Newton's method starts; None if that is not known in full.
+    Newton's method for its means starts from a `path`, if one is given, and then from the last.
     """
 
     def __init__(self, drift: Drift, parameters: int = 0, path: Array | None = None) -> None:
@@ -98,7 +99,7 @@ class Branch:
         self._coordinates, self._parameters = Coordinates([0], parameters), parameters
         self._directions = sphere_directions(LINES, self._coordinates.count)
         self._last: tuple[Start, DriftValue] | None = None
-        self.path = path if path is not None and len(path) == n else None
+        self._path = path if path is not None and len(path) == n else None
 
     def __call__(self, start: Start) -> DriftValue:
         """Value and derivatives, see `DriftValue`; from the last ones where the row cannot bind.
@@ -107,12 +108,12 @@ class Branch:
             LinearisationError: if the drift has no finite derivatives.
         """
         if self._last is not None:
-            (mean, factor), (value, by) = self._last
+            (mean, factor), (value, by, path) = self._last
             is_far = value > self._drift.required + FAR
             if is_far and _apart(self._last[0], start) < LITTLE:
                 change = by.mean @ (start.mean - mean)
                 change += np.sum(by.factor * (start.factor - factor)[:6])
-                return DriftValue(value + float(change), by)
+                return DriftValue(value + float(change), by, path)
         found = self.anew(start)
         self._last = start, found
         return found
@@ -125,7 +126,7 @@ class Branch:
         arcs = self._drift.flow.differentiate(mean[: n - 1])
         by = _pulled(stm[:n], arcs, start.factor, by_mean[:n], by_factor[:n])
         require_finite(*by)
-        return DriftValue(value, by)
+        return DriftValue(value, by, self._path)
 
     def by_planes(self, start: Start) -> float:
         """Least room over deviation at tangent planes: less than the law's value, if that knows all."""
@@ -154,7 +155,7 @@ class Branch:
         flow = self._drift.flow
         # What comes after a passage through the centre may be any number, and is left out.
         with np.errstate(all="ignore"):
-            mean = self._free.rollout(state, NO_BURNS) if self.path is None else self.path
+            mean = self._free.rollout(state, NO_BURNS) if self._path is None else self._path
             for _ in range(NEWTON_MAX):
                 arcs = flow.differentiate(mean[:-1])
                 stm = self._composed(arcs, arcs.state - mean[1:])
@@ -168,7 +169,7 @@ class Branch:
                 n = self._meaningful(mean)
                 arcs = flow.differentiate(mean[:-1])
                 stm = self._composed(arcs, np.zeros_like(mean[1:]))
-        self.path = mean if n == len(mean) else None
+        self._path = mean if n == len(mean) else None
         if not self._parameters:
             return mean[:n], stm[:n, :6, :6]
         return mean[:n], np.delete(np.delete(stm[:n], 6, axis=1), 6, axis=2)
@@ -263,7 +264,9 @@ class DriftRows:
         """Margin of each drift, in standard deviations, at the node of its burn."""
         return {
             drift.name: Margins(
-                lin.problem.burn_nodes[[drift.burn]], np.array([found.value - drift.required])
+                lin.problem.burn_nodes[[drift.burn]],
+                np.array([found.value - drift.required]),
+                found.path,
             )
             for drift, found in zip(self._drifts, self.at(lin), strict=True)
         }
@@ -320,11 +323,7 @@ class DriftRows:
         drift = self._drifts[number]
         if number not in self._branches:
             self._branches[number] = branch_at(lin, drift)
-        branch = self._branches[number]
-        found = branch(start_of(lin, drift))
-        if branch.path is not None:
-            lin.iterate.drifts[drift.name] = branch.path
-        return found
+        return self._branches[number](start_of(lin, drift))
 
     def _maps(self, lin: Linearisation, drift: Drift, s: Sensitivity) -> Start:
         """Derivatives of a drift's start by the controls, (6, nz) and (6, c, nz).
@@ -376,9 +375,13 @@ def branch_at(lin: Linearisation, drift: Drift) -> Branch:
     return Branch(drift, lin.problem.parameters, lin.iterate.drifts.get(drift.name))
 
 
-def start_of(lin: Linearisation, drift: Drift) -> Start:
-    """Mean and factor at which a drift begins: see `Drift`."""
+def start_of(lin: Linearisation, drift: Drift, factor: Array | None = None) -> Start:
+    """Mean and factor at which a drift begins: see `Drift`.
+
+    `factor` are columns at the nodes, (n_nodes, 6 + p, c), other than the covariance factor's.
+    """
     k, missed = int(lin.problem.burn_nodes[drift.burn]), 1.0 - drift.share
     mean = missed * lin.arcs.state[k - 1] + drift.share * lin.iterate.mean[k]
-    before = lin.stm_of_arcs[k - 1] @ lin.spread.factor[k - 1]
-    return Start(mean, missed * before + drift.share * lin.spread.factor[k])
+    own = lin.spread.factor if factor is None else factor
+    before = lin.stm_of_arcs[k - 1] @ own[k - 1]
+    return Start(mean, missed * before + drift.share * own[k])

@@ -14,14 +14,16 @@ import numpy as np
 from scipy.special import ndtri
 
 from formulations.arrays import Array, Indices
+from formulations.linearisation.linearisation import Linearisation
 from formulations.problem.drift import Drift
 from formulations.rows.drift import REACH, branch_at, start_of
 from scp_recon.mission.drifts import Miss, duration_s, planned, required_probability
 from scp_recon.mission.mission import Mission
-from scp_recon.monte_carlo.drifts import drift, states_after
+from scp_recon.monte_carlo.drifts import blocks_of_draws, drift, states_of_draws
 from scp_recon.monte_carlo.estimates import proportion
 from scp_recon.monte_carlo.flights import FlightConfig
-from scp_recon.monte_carlo.sampling import BLOCK, draw_parameters
+from scp_recon.monte_carlo.law import drawn_factor
+from scp_recon.monte_carlo.sampling import BLOCK
 from scp_recon.planning.plan import Plan
 from scp_recon.results.policy import policy_of
 from scp_recon.scp.status import Status
@@ -30,7 +32,7 @@ FLIGHTS, SEED = 20_000, 3_000
 """Flights that measure a drift's probability; no other draws begin at this seed."""
 
 NEAREST = 0.1
-"""Share of the flights, the nearest by the linear law, that are flown on through their drift."""
+"""Share of the flights, the nearest by the linear law, that are flown."""
 
 NEAR = 0.5
 """Margin of a drift, in standard deviations, beyond which its flights are not looked at. The law may
@@ -78,7 +80,7 @@ def shortfalls(plan: Plan) -> dict[str, float]:
 
     Infinite where the linear law sees room that flights do not have.
     """
-    lin, mission = plan.final.result.lin, plan.mission
+    lin, mission = plan.final.result.lin.with_drifts(plan.final.drifts), plan.mission
     asked = required_probability(mission.scenario)
     needed, found = float(ndtri(asked)), dict[str, float]()
     near, blind = list[tuple[Miss, Drift]](), list[tuple[Miss, Drift]]()
@@ -89,53 +91,49 @@ def shortfalls(plan: Plan) -> dict[str, float]:
             near.append((miss, one))
         elif branch_at(lin, one).by_planes(start_of(lin, one)) < one.required + NEAR:
             blind.append((miss, one))
+    if not (near or blind):
+        return found
     config = FlightConfig(mission, plan.burns_m_s, SEED, policy=policy_of(mission, lin))
-    for (miss, one), state, draws in _flown(config, near, FLIGHTS):
-        nearest = _nearest(plan, one, state, draws)
-        failing = max(_unsafe(config, miss, one, state[nearest], draws[nearest]), 0.5) / FLIGHTS
-        if (short := needed - float(ndtri(1.0 - failing))) > RESOLVED:
+    draws = np.concatenate([*blocks_of_draws(config, FLIGHTS if near else BLIND)])
+    for miss, one in near:
+        nearest = draws[_nearest(lin, one, draws)]
+        (unsafe,) = _unsafe(config, [(miss, one)], nearest)
+        short = needed - float(ndtri(1.0 - max(unsafe, 0.5) / FLIGHTS))
+        if short > RESOLVED:
             found[one.name] = short
-    for (miss, one), state, draws in _flown(config, blind, BLIND):
-        unsafe = _unsafe(config, miss, one, state, draws)
+    for (_, one), unsafe in zip(blind, _unsafe(config, blind, draws[:BLIND]), strict=True):
         if proportion(BLIND - unsafe, BLIND).high < asked:
             found[one.name] = np.inf
     return found
 
 
-def _flown(
-    config: FlightConfig, cases: Sequence[tuple[Miss, Drift]], flights: int
-) -> Iterator[tuple[tuple[Miss, Drift], Array, Array]]:
-    """Each case with the states of flights at its start, and the draws of their parameters."""
+def _unsafe(
+    config: FlightConfig, cases: Sequence[tuple[Miss, Drift]], draws: Array
+) -> Iterator[int]:
+    """Number of flights whose drifts are not safe, of each case, with steps as the linear law's."""
     if not cases:
         return
-    blocks = range(-(-flights // BLOCK))
-    draws = np.concatenate([draw_parameters(config.mission, SEED, block) for block in blocks])
-    starts = states_after(config, [miss for miss, _ in cases], flights)
-    yield from ((case, state, draws) for case, state in zip(cases, starts, strict=True))
+    mission, scenario = config.mission, config.mission.scenario
+    initial = mission.initial_factor.shape[1]
+    deviating = mission.of_flights(draws[:, initial : initial + mission.uncertain.count])
+    blocks = (draws[first : first + BLOCK] for first in range(0, len(draws), BLOCK))
+    starts = states_of_draws(config, [miss for miss, _ in cases], blocks)
+    for (miss, one), state in zip(cases, starts, strict=True):
+        begin, step = scenario.burns.times_s[miss.burn - 1], duration_s(scenario) / one.flow.arcs
+        flown = drift(deviating, config.truth, state, begin, step)
+        yield int((~flown.safe(mission)).sum())
 
 
-def _unsafe(config: FlightConfig, miss: Miss, one: Drift, state: Array, draws: Array) -> int:
-    """Number of drifts from states that are not safe, with steps as long as the linear law's."""
-    scenario, deviating = config.mission.scenario, config.mission.of_flights(draws)
-    begin, step = scenario.burns.times_s[miss.burn - 1], duration_s(scenario) / one.flow.arcs
-    flown = drift(deviating, config.truth, state, begin, step)
-    return int((~flown.safe(config.mission)).sum())
-
-
-def _nearest(plan: Plan, one: Drift, state: Array, draws: Array) -> Indices:
-    """Numbers of those states (n, 6) at a drift's start that come nearest by the linear law.
-
-    `draws` are those of the uncertain parameters, shape (n, p).
-    """
-    lin, mission = plan.final.result.lin, plan.mission
-    start, room = start_of(lin, one), np.full(len(state), np.inf)
+def _nearest(lin: Linearisation, one: Drift, draws: Array) -> Indices:
+    """Numbers of the draws (n, sources) whose drifts come nearest by the linear law."""
+    start, room = start_of(lin, one), np.full(len(draws), np.inf)
     mean, stm = branch_at(lin, one).flown(start.mean)
-    off = np.vstack([(state / mission.units.state - start.mean).T, draws.T])
+    off = start_of(lin, one, drawn_factor(lin)).factor @ draws.T
     for ball in one.keep_out:
         centred = mean[:, :3] - ball.center[: len(mean)]
         spread = np.linalg.norm(stm[:, :3] @ start.factor, axis=(1, 2))
         for node in np.flatnonzero(np.linalg.norm(centred, axis=1) - ball.radius < REACH * spread):
             apart = centred[node, :, None] + stm[node, :3] @ off
             room = np.minimum(room, np.sqrt(np.einsum("in,in->n", apart, apart)) - ball.radius)
-    most = max(int(NEAREST * len(state)), 2 * int((room < 0.0).sum()))
+    most = max(int(NEAREST * len(draws)), 2 * int((room < 0.0).sum()))
     return np.argsort(room)[:most].astype(np.intp)

@@ -80,10 +80,12 @@ class FlightConfig:
         if self.errors is not None:
             one_of("errors", self.errors, get_args(ErrorModel))
         errors_of_kind(self.mission.scenario, self.errors)
-        _ = (
-            self.mission.true_gravity(self.truth),
-            self.certain,
-        )  # kept before a copy goes to a process
+        self.mission.true_gravity(self.truth)
+
+    def __getstate__(self) -> dict[str, object]:
+        """What a copy for another process takes along, with `certain`, which takes long to find."""
+        _ = self.certain
+        return vars(self)
 
     @cached_property
     def certain(self) -> bool:

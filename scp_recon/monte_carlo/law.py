@@ -66,7 +66,7 @@ class Law:
 
         Errors of executing a correction are products of two numbers, and have no column.
         """
-        mean, factor = lin.iterate.mean[:, :3], with_parameters(_drawn(lin))
+        mean, factor = lin.iterate.mean[:, :3], with_parameters(drawn_factor(lin))
         events = joint_events(lin.problem.constraints)
         return cls(mean, factor, limits_within(events, mean, REACH * factor), length_m)
 
@@ -148,7 +148,7 @@ class Law:
         return least
 
 
-def _drawn(lin: Linearisation) -> Array:
+def drawn_factor(lin: Linearisation) -> Array:
     """Columns of the factor for the flights' random numbers, in order, (n_nodes, 6 + p, sources)."""
     problem, factor = lin.problem, lin.spread.factor
     if problem.feedback is None:

@@ -100,8 +100,8 @@ def other_starts(mission: Mission) -> Iterator[tuple[str, Iterate]]:
 
 def flown(mission: Mission, last: Plan) -> Iterate:
     """Burns and gains of a plan on a mission's nodes."""
-    end = last.final.result.lin.iterate
-    return replace(from_burns(mission, last.burns_m_s), gains=end.gains, drifts=dict(end.drifts))
+    gains, drifts = last.final.result.lin.iterate.gains, last.final.drifts
+    return replace(from_burns(mission, last.burns_m_s), gains=gains, drifts=drifts)
 
 
 def continued(mission: Mission, pipeline: Pipeline, begun: Iterate, *, once: bool) -> Stage | None:
@@ -198,7 +198,7 @@ def _with_burns(
         dv_min=least,
     )
     mean = dynamics.rollout(at.initial_state, burns)
-    moved = Iterate(burns, mean, gains, drifts=iterate.drifts)
+    moved = Iterate(burns, mean, gains, drifts=stage.drifts)
     spec = replace(stage.spec, rows=stage.merit.rows, role="held")
     return pipeline.solve(spec, dynamics.linearise(problem, moved))
 

@@ -143,6 +143,14 @@ class Stage:
         return "m" if self.merit.rows.unit == "length" else "sigma"
 
     @property
+    def drifts(self) -> dict[str, Array]:
+        """Means of drifts at the end, by their names, of those that are known in full."""
+        if not self.merit.problem.drifts:
+            return {}
+        margins = self.merit.margins(self.result.lin)
+        return {name: own.path for name, own in margins.items() if own.path is not None}
+
+    @property
     def margins(self) -> dict[str, Margins]:
         """Margins by constraint, those of facets left out of the convex program included."""
         lin = self.result.lin

@@ -304,7 +304,7 @@ class Planner(Generic[AnyProblem]):
         pipeline = Pipeline(mission, self, observe or unobserved, facet_rounds)
 
         def work() -> Stage:
-            start = flown(mission, guess) if isinstance(guess, Plan) else replace(guess, drifts={})
+            start = flown(mission, guess) if isinstance(guess, Plan) else guess
             goes_on = problem == "P2" and (isinstance(guess, Plan) or start.gains.any())
             if goes_on and (stage := continued(mission, pipeline, start, once=once)):
                 return stage

@@ -201,7 +201,7 @@ class Pipeline:
         settled = Settling(self.task, scouting.solve)(first, p3)
         self.timing.add(scouting.timing)
         assert settled.facets is not None
-        lin = settled.result.lin
+        lin = settled.result.lin.with_drifts(settled.drifts)
         spec = replace(self.solver.p2_stage(settled.facets, lin), role="settled")
         found = self.run([spec], lin, first.spec.start)
         if found.result.status is Status.STALLED:  # too near to its end for frozen derivatives
@@ -293,8 +293,15 @@ class Pipeline:
             every = ChanceRows(self.task.problem, rows.facets, rows.included | missed)
             spec = replace(spec, rows=every)
 
+    def _near_drifts(self, start: Linearisation, spec: StageSpec) -> Linearisation:
+        """The start, with the means of drifts that the last stage found if it has none."""
+        if start.iterate.drifts or not spec.rows.problem.drifts:
+            return start
+        known = (one.drifts for one in reversed(self.stages))
+        return start.with_drifts(next(filter(None, known), {}))
+
     def _solve_once(self, spec: StageSpec, start: Linearisation) -> Stage:
-        start = start.known(spec.rows.problem.feedback)
+        start = self._near_drifts(start.known(spec.rows.problem.feedback), spec)
         stage = self.solver.solve(spec, start, self.task.dynamics, self.observe)
         stage = replace(stage, result=replace(stage.result, lin=stage.result.lin.informed))
         if spec.judges is not None:
