@@ -22,6 +22,7 @@ from scp_recon.mission.grid import NODES_MAX, Units
 from scp_recon.mission.scene import Scene
 from scp_recon.physics.flow import GridFlow
 from scp_recon.physics.forces import ForceModel
+from scp_recon.physics.frames import TabulatedRotation
 from scp_recon.physics.partials import Partials
 from scp_recon.scenario.schema import DRIFT_PROBABILITY, DRIFT_S, Scenario
 
@@ -136,6 +137,14 @@ def _drifts(
         yield Drift(miss.name, burn, miss.share, flow, tuple(keep_out), required, bool(by_planes))
 
 
+def attitudes_left_s(scene: Scene) -> float:
+    """Time after the last burn until a table of attitudes ends, s; infinite without a table."""
+    rotation = scene.rotation
+    if not isinstance(rotation, TabulatedRotation):
+        return np.inf
+    return float(rotation.table.tdb_s[-1]) - rotation.epoch_s - scene.scenario.duration_s
+
+
 def check_miss(scenario: Scenario, number: int | None) -> None:
     """Refuse the number of a missed burn that is not planned.
 
@@ -173,13 +182,9 @@ def check_drifts(scene: Scene) -> None:
     if spell > NODES_MAX * step:
         needs = f"must be at most {NODES_MAX * step:.0f} s, {NODES_MAX} nodes a drift"
         raise InputError("safety.drift_s", f"{spell:g} s", needs)
-    if scenario.body.attitude is not None:
-        last = scenario.duration_s + spell
-        try:
-            scene.rotation.body_to_j2000([last])
-        except InputError as error:
-            needs = f"must end within the table of attitudes: {error}"
-            raise InputError("safety.drift_s", f"{spell:g} s", needs) from error
+    if spell > (left := attitudes_left_s(scene)):
+        needs = f"must be at most {np.floor(left):.0f} s, when the table of attitudes ends"
+        raise InputError("safety.drift_s", f"{spell:g} s", needs)
 
 
 def require_no_drifts(scenario: Scenario, needs: str) -> None:
@@ -190,4 +195,5 @@ def require_no_drifts(scenario: Scenario, needs: str) -> None:
     """
     if scenario.safety.missed_burns or scenario.safety.cut_short:
         entry = "missed_burns" if scenario.safety.missed_burns else "cut_short"
-        raise InputError(f"safety.{entry}", "1" if scenario.safety.missed_burns else "true", needs)
+        given = "1" if scenario.safety.missed_burns else "true"
+        raise InputError(f"safety.{entry}", given, f"goes with {needs}")

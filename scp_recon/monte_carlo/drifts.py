@@ -13,13 +13,12 @@ import numpy as np
 
 from formulations.arrays import Array, Booleans
 from scp_recon.mission.constraints import companion_distance_m
-from scp_recon.mission.drifts import STEP_S, Miss, duration_s, radius_m
+from scp_recon.mission.drifts import STEP_S, Miss, attitudes_left_s, duration_s, radius_m
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.scene import TruthModel
 from scp_recon.monte_carlo.estimates import proportion
 from scp_recon.monte_carlo.flights import FlightConfig
 from scp_recon.monte_carlo.sampling import BLOCK, draw_flights, flow_of, flown_mission, fly_draws
-from scp_recon.physics.frames import TabulatedRotation
 from scp_recon.results.verification import DriftSafety
 
 NEAREST = 0.003
@@ -124,11 +123,7 @@ def drift(
 
 def reach_s(mission: Mission) -> float:
     """Time of a drift, s: the scenario's, as far as a table of attitudes goes after the last burn."""
-    spell, rotation = duration_s(mission.scenario), mission.rotation
-    if not isinstance(rotation, TabulatedRotation):
-        return spell
-    end = float(rotation.table.tdb_s[-1]) - rotation.epoch_s
-    return min(spell, end - mission.scenario.duration_s)
+    return min(duration_s(mission.scenario), attitudes_left_s(mission.scene))
 
 
 def safety_of(

@@ -180,6 +180,16 @@ def test_drifts_that_cannot_be_planned_are_refused(entries, words):
         Mission.from_scenario(load_scenario(None, entries))
 
 
+def test_drifts_beyond_a_table_of_attitudes_are_refused():
+    from experiments.missed_burns import scenario_of
+
+    scenario = scenario_of("apophis", "missed")
+    words = r"drift_s: got 700000 s; must be at most 554782 s, when the table of attitudes ends"
+    with pytest.raises(InputError, match=words):
+        Mission.from_scenario(scenario.replace({"safety.drift_s": 7e5}))
+    Mission.from_scenario(scenario.replace({"safety.drift_s": 554_782.0}))
+
+
 BINDING = (1, 2, 3, 4, 6, 8, 10, 11, 12, 14, 16, 17, 19, 20, 22, 23, 24, 26, 27, 28)
 """The first random scenarios whose plans spend all of the risk of a drift."""
 
