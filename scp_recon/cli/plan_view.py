@@ -38,6 +38,7 @@ from scp_recon.reports.tables import (
     iteration_row,
     limits_table,
     lost_contacts_table,
+    own_windows,
     reintegration_table,
     starts_table,
 )
@@ -74,7 +75,7 @@ def show_mission(console: Console, mission: Mission, *, verbose: bool = True) ->
         origin += "; not required, nothing is observed"
     elif mission.observed_s is None:
         origin += "; over, nothing is observed any more"
-    span = f"{first:.1f} to {last:.1f} s ({last - first:.1f} s, {origin})"
+    span = f"{first:.1f} to {last:.1f} s ({last - first:.1f} s, {origin}){own_windows(mission)}"
     show_line(console, f"window    {span}; boundary in {scenario.boundary.frame} axes")
     if mission.uncertain.count:
         show_line(console, f"uncertain {knowledge.in_words(scenario)} (1 sigma)")

@@ -41,11 +41,12 @@ from scp_recon.errors import InputError
 from scp_recon.mission.drifts import check_drifts
 from scp_recon.mission.feedback import check_feedback, uncorrected_burns, useless_measurement
 from scp_recon.mission.intervals import INTERVALS, J2_ENDS, PLANNER_INTERVALS, STATE_INTERVALS
-from scp_recon.mission.knowledge import check_knowledge
+from scp_recon.mission.knowledge import FAR, Uncertain, check_knowledge
 from scp_recon.mission.scene import Scene, orbit_of_body, planned_field
 from scp_recon.mission.schedule import check_in_flight
-from scp_recon.mission.windows import SCAN_STEP_S, Window
+from scp_recon.mission.windows import SCAN_STEP_S, Lighting, Window
 from scp_recon.physics.frames import Rotation, unit
+from scp_recon.physics.partials import STEP
 from scp_recon.physics.two_body import Orbit
 from scp_recon.scenario.fields import ScenarioWarning
 from scp_recon.scenario.given import COORDINATES, POLE
@@ -329,6 +330,18 @@ def check_state(scene: Scene) -> tuple[ScenarioWarning, ...]:
     return tuple(found for check in STATE_CHECKS for found in check(scene))
 
 
+def _incidence_spread(scene: Scene, times_s: Array) -> Array:
+    """`FAR` sigma of the incidence at times (n,) by uncertain spin and site, deg; linearised."""
+    moved = [
+        Lighting(one.site(scene.site), one.rotation(scene.rotation), scene.sun_direction)
+        for sides in Uncertain.of(scene.scenario).steps()
+        for one in sides
+    ]
+    angles = np.array([one.incidence(times_s) for one in moved]).reshape(-1, 2, len(times_s))
+    slopes = (angles[:, 0] - angles[:, 1]) / (2.0 * STEP)
+    return np.rad2deg(FAR * np.linalg.norm(slopes, axis=0))
+
+
 def check_window(scene: Scene, window: Window) -> tuple[ScenarioWarning, ...]:
     """Refuse a window in which the site is dark at any time; warn of a given one beyond its limits.
 
@@ -354,8 +367,12 @@ def check_window(scene: Scene, window: Window) -> tuple[ScenarioWarning, ...]:
     if computed:
         return ()
     found = []
+    spread, how = _incidence_spread(scene, times), ""
+    if spread.any():
+        worst, how = float((angles + spread).max()), f", with {FAR:g} sigma of knowledge,"
+        at = float(times[np.argmax(angles + spread)])
     if worst > limits.incidence_max_deg + WINDOW_SLACK:
-        text = f"{given}, in which incidence reaches {worst:.1f} deg at {at:.0f} s"
+        text = f"{given}, in which incidence{how} reaches {worst:.1f} deg at {at:.0f} s"
         expected = f"observation.incidence_max_deg is {limits.incidence_max_deg:g} deg"
         found.append(ScenarioWarning.of(entry, text, expected))
     low, high = limits.local_solar_time_min_h, limits.local_solar_time_max_h

@@ -41,6 +41,7 @@ from scp_recon.mission.feedback import felt_cut_offs_s, require_open_loop, resol
 from scp_recon.mission.firing import HomePhases, firing_times
 from scp_recon.mission.grid import DEFAULT, RK4_STEP_MAX_S, Units, make_grid
 from scp_recon.mission.knowledge import (
+    FAR,
     Deviation,
     Uncertain,
     companion_motion,
@@ -67,13 +68,13 @@ from scp_recon.mission.schedule import (
     find_window,
     make_schedule,
 )
-from scp_recon.mission.windows import scan_step_s
+from scp_recon.mission.windows import moved_edges, scan_step_s
 from scp_recon.physics import geometry
 from scp_recon.physics.flow import GridFlow
 from scp_recon.physics.forces import ForceModel
 from scp_recon.physics.frames import Rotation
 from scp_recon.physics.harmonics import HarmonicField
-from scp_recon.physics.partials import Partials
+from scp_recon.physics.partials import STEP, Partials
 from scp_recon.physics.two_body import lambert
 from scp_recon.scenario.fields import ScenarioWarning
 from scp_recon.scenario.schema import Risk, Scenario
@@ -84,6 +85,8 @@ CLEARANCE_M, CLEARANCE_AGAIN_M = 200.0, 40.0
 The second figure is for starting at a solution of P2, which moves less than one of P3. Both are those
 of the default mission, and grow with the unit of length.
 """
+EDGE_MOVES_S = 0.1
+"""1 sigma up to which an edge of the window stays."""
 FLIGHT_STEPS = 1.2
 """Longest step of sampled flights over the longest spacing of nodes."""
 
@@ -388,6 +391,37 @@ class Mission:
         first, last = self.schedule.window_s
         start = float(self.times_s[0])
         return (max(first, start), last) if last > start else None
+
+    @cached_property
+    def edge_sigmas_s(self) -> Array | None:
+        """1 sigma of the window's edges, which move with the body's spin and the site, s, shape (2,).
+
+        None where they do not move, or where the window is given.
+        """
+        if self.nominal is not None:
+            return self.nominal.edge_sigmas_s
+        if not self.uncertain.count or self.observed_s is None:
+            return None
+        if self.scenario.observation.window_s is not None:
+            return None
+        moves = STEP * np.eye(self.uncertain.count)
+        ahead, behind = (self.of_flights(sign * moves).own_edges_s for sign in (1.0, -1.0))
+        sigmas = np.linalg.norm((ahead - behind) / (2.0 * STEP), axis=1)
+        return sigmas if sigmas.max() > EDGE_MOVES_S else None
+
+    @cached_property
+    def own_edges_s(self) -> Array:
+        """Edges of the window in the flights that the mission deviates for, s, shape (2, flights)."""
+        slack = self.scene.lighting.slack(self.scenario.observation)
+        return moved_edges(slack, self.schedule.window_s)
+
+    @property
+    def watched_s(self) -> tuple[float, float] | None:
+        """When flights' limits of the observation may count: the window, and 3 sigma of its edges."""
+        if self.observed_s is None or self.edge_sigmas_s is None:
+            return self.observed_s
+        (first, last), (early, late) = self.observed_s, FAR * self.edge_sigmas_s
+        return max(first - early, float(self.times_s[0])), min(last + late, float(self.times_s[-1]))
 
     @property
     def must_meet(self) -> bool:

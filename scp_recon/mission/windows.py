@@ -49,15 +49,33 @@ class Lighting:
 
         def slack(time_s: Array) -> Array:
             hour = self.local_solar_time(time_s)
-            return np.minimum.reduce(
-                [
-                    limits.incidence_max_deg - np.rad2deg(self.incidence(time_s)),
-                    hour - limits.local_solar_time_min_h,
-                    limits.local_solar_time_max_h - hour,
-                ]
-            )
+            lit = limits.incidence_max_deg - np.rad2deg(self.incidence(time_s))
+            early, late = hour - limits.local_solar_time_min_h, limits.local_solar_time_max_h - hour
+            return np.minimum(np.minimum(lit, early), late)
 
         return slack
+
+
+NEWTON_STEPS = 5
+"""To the edge of another flight's window: from 300 s away it is then within 1e-6 s."""
+
+
+def moved_edges(slack: OfTime, window: Window) -> Array:
+    """Edges of a window in flights with a lighting of their own, s, shape (2, flights).
+
+    Newton's steps from the edges of the mean, at most half the window's length away: farther edges are
+    no longer its own. Times of `slack` are one a flight.
+    """
+    half, found = 0.5 * (window[1] - window[0]), []
+    for edge in window:
+        time = np.full(np.shape(slack(np.array(edge))) or (1,), edge)
+        for _ in range(NEWTON_STEPS):
+            here = slack(time)
+            slope = slack(time + 1.0) - here
+            step = np.divide(-here, slope, out=np.zeros_like(here), where=slope != 0.0)
+            time = np.clip(time + step, edge - half, edge + half)
+        found.append(time)
+    return np.array(found)
 
 
 SCAN_STEP_S = 20.0

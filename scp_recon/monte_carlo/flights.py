@@ -18,6 +18,7 @@ from scp_recon.jobs.processes import Limits
 from scp_recon.mission.constraints import companion_distance_m
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.scene import TruthModel, errors_of_kind
+from scp_recon.mission.windows import Window
 from scp_recon.monte_carlo.estimates import Estimate, Tally, proportion
 from scp_recon.monte_carlo.limits import EVERYWHERE, is_certain, limit_margins, limits_kept
 from scp_recon.monte_carlo.narrow import Narrowed, narrow
@@ -95,15 +96,24 @@ class FlightConfig:
     @property
     def window_samples_s(self) -> Array:
         """Times in the rest of the window, s, at most `SAMPLE_STEP_S` apart, with edges and nodes."""
-        if self.mission.observed_s is None:
+        return self._samples(self.mission.observed_s)
+
+    @property
+    def watched_samples_s(self) -> Array:
+        """The same of `watched_s`, in which the windows of flights lie."""
+        return np.union1d(self.window_samples_s, self._samples(self.mission.watched_s))
+
+    def _samples(self, span: Window | None) -> Array:
+        if span is None:
             return np.zeros(0)
-        first, last = self.mission.observed_s
+        first, last = span
         even = np.linspace(first, last, int(np.ceil((last - first) / SAMPLE_STEP_S)) + 1)
-        return np.union1d(even, self.mission.times_s[self.mission.window_nodes])
+        nodes = self.mission.times_s
+        return np.union1d(even, nodes[(nodes >= first) & (nodes <= last)])
 
     def counted_s(self, name: str) -> Array:
         """Times at which a joint constraint is counted, s: for safety distances all nodes."""
-        return self.mission.times_s if name in EVERYWHERE else self.window_samples_s
+        return self.mission.times_s if name in EVERYWHERE else self.watched_samples_s
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,8 +136,12 @@ class FlightBlock:
 def run_block(config: FlightConfig, block: tuple[int, int]) -> FlightBlock:
     """Fly a block, given as (its number, its number of flights)."""
     number, flights = block
-    mission, samples = config.mission, config.window_samples_s
-    times = np.union1d(samples, mission.times_s)
+    mission, samples, watched = (
+        config.mission,
+        config.window_samples_s,
+        config.watched_samples_s,
+    )
+    times = np.union1d(watched, mission.times_s)
     flown = fly_block(
         mission,
         config.burns_m_s,
@@ -143,11 +157,13 @@ def run_block(config: FlightConfig, block: tuple[int, int]) -> FlightBlock:
     of_burns = mission.problem.burn_margins(
         flown.commanded_m_s.swapaxes(0, 1) / mission.units.speed_m_s
     )
-    observed, nodes = (np.searchsorted(times, at) for at in (samples, mission.times_s))
+    observed, seen, nodes = (
+        np.searchsorted(times, at) for at in (samples, watched, mission.times_s)
+    )
     own = flown.mission
     held = time_held(own, samples, flown.states[observed]) if len(samples) else {}
     position, certain = flown.states[..., :3], config.certain
-    holds = limits_kept(limit_margins(own, times, position, observed, nodes, certain=certain))
+    holds = limits_kept(limit_margins(own, times, position, seen, nodes, certain=certain))
     nothing = np.zeros(0)
     scenario = mission.scenario
     whole = flown.closest_m >= scenario.safety.radius_min_m
@@ -339,10 +355,14 @@ def _narrowed(
 ) -> Narrowed | None:
     """Probabilities of further flights in strata.
 
-    None where burns are planned again, for which there is no law, and after the window.
+    None where burns are planned again, for which there is no law, where each flight has a window of its
+    own, and after the window.
     """
     config, before = flown.config, flown.samples
-    if config.policy_kind == "replan" or config.mission.observed_s is None:
+    mission = config.mission
+    if config.policy_kind == "replan" or mission.observed_s is None:
+        return None
+    if mission.edge_sigmas_s is not None:
         return None
     how = corrections_of(config.policy), config.truth, config.errors, config.window_samples_s
     flights = SampledFlights(config.mission, config.burns_m_s, *how)

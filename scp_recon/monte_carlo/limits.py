@@ -23,6 +23,8 @@ Counts = npt.NDArray[np.int64]
 
 EVERYWHERE = SAFETY, COMPANION
 """Joint constraints that count throughout the flight; all others count in the window."""
+OUTSIDE = 1e-3
+"""Margin a second outside the flight's own window: only its sign counts."""
 PARTS = 30
 """Of the time between two samples of a history: a second each."""
 MEAN_TOLERANCE = {"m": 0.5, "rad": 1e-3}
@@ -73,12 +75,21 @@ def limit_margins(
     found = {name: (times_s[everywhere], margin) for name, margin in clear.items()}
     if len(window := times_s[observed]):
         seen = joint_margins(mission, window, position[observed])
-        found |= {name: (window, margin) for name, margin in seen.items()}
+        found |= {name: (window, in_own_window(mission, window, m)) for name, m in seen.items()}
     if certain:
         found = {
             name: (at, margin + allowed(mission, name)) for name, (at, margin) in found.items()
         }
     return found
+
+
+def in_own_window(mission: Mission, times_s: Array, margin: Array) -> Array:
+    """Margins (k,) or (k, flights), positive outside each flight's own window where edges move."""
+    if mission.deviation is None or mission.edge_sigmas_s is None:
+        return margin
+    first, last = mission.own_edges_s
+    time = times_s.reshape(-1, *[1] * (margin.ndim - 1))
+    return np.maximum(margin, OUTSIDE * np.maximum(first - time, time - last))
 
 
 def allowed(mission: Mission, name: str) -> float:

@@ -135,7 +135,7 @@ def seconds_of(mission: Mission) -> dict[str, Array]:
 
 
 def _in_window(mission: Mission, times: Array) -> Booleans:
-    first, last = mission.observed_s or (np.inf, np.inf)
+    first, last = mission.watched_s or (np.inf, np.inf)
     return (times >= first) & (times <= last)
 
 

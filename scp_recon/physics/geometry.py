@@ -83,6 +83,6 @@ def local_solar_time(
 ) -> Array:
     """Local solar time in h: 12 when the Sun crosses the site's meridian; one rotation is 24 h."""
     sun_body = np.einsum("...ji,...j->...i", rotation.body_to_j2000(time_s), sun_direction)
-    site_longitude = np.arctan2(site.position_body[1], site.position_body[0])
+    site_longitude = np.arctan2(site.position_body[..., 1], site.position_body[..., 0])
     hour_angle = site_longitude - np.arctan2(sun_body[..., 1], sun_body[..., 0])
     return (12.0 + hour_angle * 12.0 / np.pi) % 24.0

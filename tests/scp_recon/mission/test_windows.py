@@ -13,7 +13,13 @@ from scp_recon.bodies.catalogue import DAY_S
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.survey import survey
-from scp_recon.mission.windows import SCAN_STEP_S, each_window, scan_step_s, whole_windows
+from scp_recon.mission.windows import (
+    SCAN_STEP_S,
+    each_window,
+    moved_edges,
+    scan_step_s,
+    whole_windows,
+)
 from scp_recon.physics.two_body import two_body
 from scp_recon.scenario.load import load_scenario
 from tests.scp_recon.mission.test_schedule import independent_incidence
@@ -58,6 +64,22 @@ def test_a_short_window_between_limits_is_found(at, width):
 
     (window,) = each_window(slack, (0.0, 1000.0), SCAN_STEP_S)
     assert window == pytest.approx((at, at + width), abs=1e-5)
+
+
+def test_moved_edges_are_those_of_each_flights_window():
+    """A phase of a wave a flight; a flight without such an edge stays within half a window."""
+    phases = np.array([-0.2, 0.0, 0.15])
+
+    def slack(t: Array) -> Array:
+        return np.cos(2.0 * np.pi * t / 10_000.0 + phases) - 0.3
+
+    (window,) = each_window(waves((1.0, 10_000.0, 0.0)), (5000.0, 15_000.0), SCAN_STEP_S)
+    moved = moved_edges(slack, window)
+    expected = np.array(window)[:, None] - phases * 10_000.0 / (2.0 * np.pi)
+    np.testing.assert_allclose(moved, expected, atol=1e-6)
+    never = moved_edges(lambda t: slack(t) - 1.0, window)
+    half = 0.5 * (window[1] - window[0])
+    assert np.abs(never - np.array(window)[:, None]).max() <= half + 1e-6
 
 
 def test_the_ends_of_the_span_cut_windows():

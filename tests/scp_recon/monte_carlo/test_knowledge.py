@@ -1,5 +1,6 @@
 """Flights with parameters of their own: their streams, and the normal law against them."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,11 +11,13 @@ import scp_recon
 from formulations.rows.drift import start_of
 from scp_recon.mission.drifts import Miss
 from scp_recon.mission.mission import Mission
+from scp_recon.mission.windows import SCAN_STEP_S, each_window
 from scp_recon.monte_carlo.drifts import fly_drifts
 from scp_recon.monte_carlo.flights import FlightConfig
 from scp_recon.monte_carlo.law import Law
+from scp_recon.monte_carlo.observation_time import SCIENCE, joint_margins
 from scp_recon.monte_carlo.sampling import draw_flights, fly_block, fly_draws
-from scp_recon.monte_carlo.whole_flight import SampledFlights, kept_flights
+from scp_recon.monte_carlo.whole_flight import SampledFlights, kept_flights, sample_times
 from scp_recon.planning.initial_guess import from_burns
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scenario.schema import Scenario
@@ -94,9 +97,40 @@ def test_parameters_have_a_stream_of_their_own():
     assert other.mission.site.position_body.shape == (40, 3)
 
 
+def test_limits_count_in_the_own_window_of_each_flight():
+    """The window of each flight is searched for anew, and every sample in it judged by itself."""
+    changes = {"knowledge.body.prime_meridian_deg": 2.0, "knowledge.body.pole_dec_deg": 1.0}
+    mission = mission_with(changes)
+    draws = draw_flights(mission, BURNS, 7, 0)[:60]
+    flown = fly_draws(mission, BURNS, sample_times(mission), draws)
+    times, kept, planned = flown.times_s, list[bool](), list[bool]()
+    for number in range(len(draws)):
+        own, path = flown.mission.some_flights(number), flown.states[:, number, :3]
+        limits = joint_margins(replace(own, nominal=None, deviation=None), times, path)
+        holds = np.logical_and.reduce([margin >= 0.0 for margin in limits.values()])
+        slack = own.scene.lighting.slack(mission.scenario.observation)
+        windows = each_window(slack, (9000.0, 21_000.0), SCAN_STEP_S)
+        first, last = min(windows, key=lambda w: abs(w[0] - mission.schedule.window_s[0]))
+        kept.append(bool(holds[(times >= first) & (times <= last)].all()))
+        first, last = mission.schedule.window_s
+        planned.append(bool(holds[(times >= first) & (times <= last)].all()))
+    of_limits = [
+        one for one in SampledFlights(mission, BURNS).histories(draws) if one.name in SCIENCE
+    ]
+    found = np.logical_and.reduce([one.holds.all(axis=0) for one in of_limits])
+    assert found.tolist() == kept
+    assert kept != planned
+    early, late = np.array(mission.watched_s) - mission.observed_s
+    assert (-early, late) == pytest.approx(3.0 * mission.edge_sigmas_s)
+    given = mission.changed({"observation.window_s": [13_200.0, 16_400.0]})
+    assert given.edge_sigmas_s is None
+    assert given.watched_s == given.observed_s
+
+
 def test_flights_keep_limits_as_often_as_by_law():
     """With everything uncertain besides the errors of state and burns: 3,000 flights."""
-    mission = mission_with({"knowledge": EVERYTHING})
+    window = mission_with({}).schedule.window_s
+    mission = mission_with({"knowledge": EVERYTHING, "observation.window_s": window})
     flights, law = flights_of(mission), law_of(mission)
     draws = np.concatenate([draw_flights(mission, BURNS, 5, block) for block in range(3)])
     by_law, flown = law.margin(draws) >= 0.0, flights.count(draws).kept_at_nodes
