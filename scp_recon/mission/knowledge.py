@@ -1,8 +1,8 @@
 """Uncertain parameters of body, site and spacecraft: their law, and what a deviation of them changes.
 
 A deviation acts on the forces, on the site as it turns with the body, and on the companion's place.
-Derivatives by the parameters are central differences over the forces and regions of two deviations, so
-that each parameter acts on plans exactly where it acts on flights.
+Derivatives by the parameters are central differences over the forces, rotations and regions of two
+deviations, so that each parameter acts on plans exactly where it acts on flights.
 """
 
 from __future__ import annotations
@@ -30,6 +30,7 @@ from scp_recon.scenario.schema import Scenario
 GM, J2 = "body.gm_m3_s2", "body.j2"
 POLE = "body.pole_ra_deg", "body.pole_dec_deg"
 PHASE, RATE = "body.prime_meridian_deg", "body.prime_meridian_rate_deg_day"
+SPIN = *POLE, PHASE, RATE
 COMPANION_GM, COMPANION_PHASE = "body.companion.gm_m3_s2", "body.companion.mean_anomaly_deg"
 AREA, REFLECTIVITY = "spacecraft.srp_area_m2", "spacecraft.reflectivity_coefficient"
 POSITION, NORMAL = "site.position_body_m", "site.normal_body"
@@ -58,9 +59,16 @@ class Deviation:
         """The deviations of some flights."""
         return Deviation({entry: value[flights] for entry, value in self.values.items()})
 
+    @property
+    def without_spin(self) -> Deviation:
+        """The deviations of all else."""
+        return Deviation(
+            {entry: value for entry, value in self.values.items() if entry not in SPIN}
+        )
+
     def rotation(self, rotation: Rotation) -> Rotation:
         """The body's rotation."""
-        if not self.values.keys() & {*POLE, PHASE, RATE}:
+        if not self.values.keys() & {*SPIN}:
             return rotation
         ra, dec = (np.deg2rad(self.of(entry)) for entry in POLE)
         return replace(
@@ -155,15 +163,30 @@ class Uncertain:
                 found.append((entry, rows))
         return found
 
-    def partials(self, forces: Callable[[Deviation], ForceModel], *, turning: bool) -> Partials:
+    def partials(
+        self, forces: Callable[[Deviation], ForceModel], rotation: Rotation, *, turning: bool
+    ) -> Partials:
         """Derivatives of the forces of deviations; `turning` says whether these depend on the spin."""
-        idle = {POSITION, NORMAL} | (set() if turning else {PHASE, RATE})
-        acting = np.any([rows.any(axis=0) for e, rows in self._rows() if e not in idle], axis=0)
-        columns = np.flatnonzero(np.broadcast_to(acting, self.count))
+        still, spin = {POSITION, NORMAL, *SPIN}, {*POLE, *((PHASE, RATE) if turning else ())}
+        columns = self._columns(lambda entry: entry not in still)
+        turned = self._columns(lambda entry: entry in spin)
         steps = self.steps()
-        pairs = [_without_shared_field(*map(forces, steps[k])) for k in columns]
+        pairs = [
+            _without_shared_field(*(forces(one.without_spin) for one in steps[k])) for k in columns
+        ]
         ahead, behind = (tuple(pair[side] for pair in pairs) for side in (0, 1))
-        return Partials(ahead, behind, columns, self.count)
+        turns = [(one.rotation(rotation), other.rotation(rotation)) for one, other in steps]
+        gravity = replace(forces(Deviation({})), srp=np.zeros(3), companion=None)
+        own = tuple(turns[k] for k in turned)
+        return Partials(ahead, behind, columns, own, turned, gravity, self.count)
+
+    def _columns(self, acts: Callable[[str], bool]) -> Indices:
+        """Numbers along which an entry deviates that acts."""
+        found = np.zeros(self.count, dtype=bool)
+        for entry, rows in self._rows():
+            if acts(entry):
+                found |= rows.any(axis=0)
+        return np.flatnonzero(found)
 
 
 def _without_shared_field(ahead: ForceModel, behind: ForceModel) -> tuple[ForceModel, ForceModel]:
@@ -223,7 +246,7 @@ def check_knowledge(scenario: Scenario) -> None:
     sigmas = Uncertain.of(scenario).sigmas
     if body.companion is None and (own := [e for e in sigmas if ".companion." in e]):
         _refuse(own[0], sigmas, "needs body.companion, which the scenario does not have")
-    if body.attitude is not None and (own := [e for e in (J2, *POLE, PHASE, RATE) if e in sigmas]):
+    if body.attitude is not None and (own := [e for e in (J2, *SPIN) if e in sigmas]):
         _refuse(own[0], sigmas, "goes with a body that turns evenly, not with body.attitude")
     positive = {
         GM: body.gm_m3_s2,

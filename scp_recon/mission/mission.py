@@ -278,7 +278,9 @@ class Mission:
         if not self.uncertain.count or self.deviation is not None:
             return None
         turning = self.forces.field is not None
-        return self.uncertain.partials(lambda d: self.deviating(d).forces, turning=turning)
+        return self.uncertain.partials(
+            lambda deviation: self.deviating(deviation).forces, self.rotation, turning=turning
+        )
 
     @cached_property
     def initial_factor(self) -> Array:

@@ -7,7 +7,7 @@ the exact derivatives of the discrete map, not approximations of those of the co
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -59,24 +59,32 @@ class FlowDerivatives:
         return self._second[:, :, 6:]
 
     @cached_property
-    def _moved_by_parameters(self) -> tuple[Array, list[_Forced]]:
+    def _moved_by_parameters(self) -> tuple[Array, list[Array]]:
         """Derivatives of the ends by parameters, and of each step's stages."""
         assert self._partials is not None
-        n, p, forced = len(self.state), self._partials.count, []
+        n, p, stages = len(self.state), self._partials.count, list[Array]()
         end = np.zeros((n, 2, 3, p))
         for step in self._steps:
             position, time = step.position.reshape(-1, 3), step.time.ravel()
             push = self._partials.accelerations(position, time).reshape(4, n, 3, p)
             first, end = _first_order(end, step.gradient, step.h, push)
-            slope = self._partials.gradients(position, time).reshape(4, n, p, 3, 3)
-            forced.append(_Forced(first, slope))
-        return end.reshape(n, 6, p), forced
+            stages.append(first)
+        return end.reshape(n, 6, p), stages
+
+    @property
+    def _forced(self) -> Iterator[_Forced]:
+        """What parameters do to each step's stages."""
+        partials = self._partials
+        assert partials is not None
+        for step, first in zip(self._steps, self._moved_by_parameters[1], strict=True):
+            slope = partials.gradients(step.position.reshape(-1, 3), step.time.ravel())
+            yield _Forced(first, slope.reshape(*first.shape[:2], partials.count, 3, 3))
 
     @cached_property
     def _second(self) -> Array:
         """Second derivatives by parameters beside the state, and by the state, (n, 6, 6 + p, 6)."""
         n, p = len(self.state), 0 if self._partials is None else self._partials.count
-        forced = self._moved_by_parameters[1] if p else [None] * len(self._steps)
+        forced = list(self._forced) if p else [None] * len(self._steps)
         tensor = np.empty((n, 6, 6 + p, 6))
         for first in range(0, n, ARCS_AT_ONCE):
             arcs = slice(first, first + ARCS_AT_ONCE)

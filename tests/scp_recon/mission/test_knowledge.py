@@ -124,7 +124,8 @@ def test_gm_error_drifts_along_a_circular_orbit():
     forces = ForceModel(1.0, 0.0, np.array([0.0, 0.0, 1.0]), np.zeros(3))
     share, times = 0.01, np.linspace(0.0, 12.0, 241)
     sides = ((replace(forces, gm=1.0 + s * STEP * share),) for s in (1.0, -1.0))
-    partials = Partials(*sides, np.array([0]), 1)
+    none = np.zeros(0, np.intp)
+    partials = Partials(*sides, np.array([0]), (), none, forces, 1)
     flow = GridFlow(forces, times[:-1], np.diff(times), 1, partials)
     state, column = np.array([[1.0, 0, 0, 0, 1.0, 0]]), np.zeros(6)
     found = [0.0]
