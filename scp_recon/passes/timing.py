@@ -181,7 +181,7 @@ class Timing:
         """Exact risk, of whole flights from a home orbit by few directions."""
         final = planner.exact_stages()[-1]
         if self.space.has_home and isinstance(final.rows, FlightRows):
-            rows = FlightRows(final.rows.problem, planner.target, FEW_LINES, FINE)
+            rows = FlightRows(final.rows.problem, planner.target, FEW_LINES, FINE).bundled()
             return replace(final, rows=rows)
         return final
 
