@@ -40,8 +40,9 @@ from formulations.problem.firing_times import UNIT
 from formulations.problem.flyby import FlybyProblem
 from formulations.rows.cones import Rows
 
-BINDING = 1e-5
-"""Slack up to which a constraint counts as active."""
+BINDING, UNRESOLVED = 1e-5, 10.0
+"""Slack up to which a constraint counts as active, and the same over the rows' resolution: a program
+that stops at a reduction of the merit by that leaves rows a slack of about it over their price."""
 VANISHED = 1e-6
 """Size of a burn, nondimensional, below which its direction is rounding."""
 TINY = 1e-300
@@ -63,7 +64,8 @@ def multipliers(problem: FlybyProblem, rows: Rows, lin: Linearisation) -> Array:
     """
     there, slope = _free(problem, lin), cost(problem, lin.iterate).gradient
     jacobian, room = _excess_slopes(problem, rows, lin)
-    counts = np.concatenate([np.full(6, True), room < BINDING])
+    active = room < max(BINDING, UNRESOLVED * rows.resolution)
+    counts = np.concatenate([np.full(6, True), active])
     prices = np.zeros(len(counts))
     if there.any():
         low = np.concatenate([np.full(6, -np.inf), np.zeros(len(room))])[counts]

@@ -217,7 +217,9 @@ class Timing:
     def prices(self, result: PassResult) -> tuple[RulePrice, ...]:
         """What each rule costs that binds at the times of a converged pass, the dearest first.
 
-        None with drifts, whose rows' adjoint does not know times.
+        None with drifts: their rows have kinks at an optimum, where a multiplier holds for one
+        direction only. In the default scenario 60 s more of a rule cost what it says, and 60 s less
+        saved a hundredth of that.
         """
         if result.mission.problem.drifts:
             return ()
