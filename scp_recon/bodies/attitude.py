@@ -82,11 +82,11 @@ def read_attitude(path: Path) -> AttitudeTable:
     try:
         if tuple(name.strip() for name in line.split(",")) != COLUMNS:
             raise ValueError(line)
-        wanted = f"must be {len(COLUMNS)} numbers"
+        wanted = f"must be {len(COLUMNS)} finite numbers"
         while len(values) < len(rows):
             number, line = rows[len(values)]
             row = [float(word) for word in line.split(",")]
-            if len(row) != len(COLUMNS):
+            if len(row) != len(COLUMNS) or not np.isfinite(row).all():
                 raise ValueError(line)
             values.append(row)
     except ValueError:

@@ -134,6 +134,8 @@ def read_dsk(path: Path, naif_id: int | None = None) -> tuple[Array, Indices]:
 _ALONE = RLock()
 NAME_MAX = 255
 """Characters of a file's name that SPICE reads."""
+SEGMENTS = 20_000
+"""Size of a window: twice the disjoint spans that a kernel may have of a body."""
 
 
 @contextmanager
@@ -186,8 +188,11 @@ def _load(spiceypy: Any, path: Path) -> None:
 
 
 def _no_kernel(entry: str, paths: Sequence[Path], error: Any) -> InputError:
+    why = error.short
+    if "NOSUCHFILE" in why:  # of a list of kernels
+        why += f" {' '.join(error.long.split())}"
     return InputError(
-        entry, ", ".join(map(str, paths)), f"must be a SPICE kernel of its kind: {error.short}"
+        entry, ", ".join(map(str, paths)), f"must be a SPICE kernel of its kind: {why}"
     )
 
 
@@ -240,10 +245,18 @@ def _geometric(
 
 
 def _spans(spice: Any, body: int) -> Iterator[str]:
-    """Times in TDB for which each loaded file has a body."""
+    """Times in TDB for which each loaded file has a body.
+
+    Files are searched by their handles: the names of those loaded from their own folder lead nowhere.
+    """
     for number in range(spice.ktotal("SPK")):
-        file = spice.kdata(number, "SPK")[0]
-        times = spice.spkcov(file, body)
+        file, _, _, handle = spice.kdata(number, "SPK")
+        times = spice.cell_double(SEGMENTS)
+        spice.dafbfs(handle)
+        while spice.daffna():
+            (begin, end), (target, *_) = spice.dafus(spice.dafgs(), 2, 6)
+            if target == body:
+                spice.wninsd(begin, end, times)
         for begin, end in (spice.wnfetd(times, k) for k in range(spice.wncard(times))):
             yield f"{Path(file).name} has {body} from {_tdb(begin)} to {_tdb(end)} TDB"
 

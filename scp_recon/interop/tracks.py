@@ -138,7 +138,7 @@ def oem_track(path: Path, body: str) -> Track:
             segments are not in order; names the key and the line.
     """
     entry = f"{OEM} {path}"
-    text = read_text(path, entry, "OEM")
+    text = read_text(path, entry, "CCSDS OEM")
     lines = _of_xml(text, entry) if text.lstrip().startswith("<") else _of_kvn(text)
     instants, states, doubts = list[int](), list[list[float]](), dict[str, ScenarioWarning]()
     for about, rows in _segments(entry, lines):
@@ -162,6 +162,8 @@ def oem_track(path: Path, body: str) -> Track:
             instants.append(when)
             states.append(numbers)
             previous = epoch
+        ends = rows[0][2], rows[-1][2]
+        doubts |= {str(doubt): doubt for doubt in _span_doubts(entry, about, ends)}
     if not instants:
         raise InputError(entry, "no states", "must be a CCSDS OEM with states")
     first = instants[0]
@@ -178,6 +180,8 @@ About = dict[str, Line]
 Row = tuple[str, str, str, list[float]]
 """Where a state stands, its line, its epoch on the calendar, and six numbers in km and km/s."""
 VERSIONS = ("1.0", "2.0", "3.0")
+SIZE = 6
+"""Rows and columns of a covariance."""
 EPOCH = re.compile(r"([1-8]\d{3})-(?:(\d\d-\d\d)|(\d{3}))T(\d\d:\d\d:\d\d(?:\.\d*)?)Z?")
 """A calendar date or day of the year; a Z ends it in any scale: CCSDS 502.0-B-3, 7.5.10."""
 
@@ -226,6 +230,7 @@ def _segments(entry: str, lines: Iterable[Line]) -> Iterator[tuple[About, list[R
             if key != "CCSDS_OEM_VERS" or value not in VERSIONS:
                 raise fail(f"must be CCSDS_OEM_VERS = {' or '.join(VERSIONS)}, as an OEM begins")
         elif not equals and re.fullmatch("(META|COVARIANCE)_(START|STOP)", line):
+            _check_whole(triangle, fail)
             if line == "META_START" and rows:
                 yield about, rows
             if line == "META_START":
@@ -235,24 +240,41 @@ def _segments(entry: str, lines: Iterable[Line]) -> Iterator[tuple[About, list[R
         elif inside in ("", "META_START"):
             if not equals:
                 raise fail("must read KEY = value")
+            if inside and key in about:
+                raise fail(f"must be given once, not on {about[key][0]} too")
             if inside:
                 about[key] = (where, value)
         elif inside == "COVARIANCE_START" and equals:
-            triangle = 0 if key == "EPOCH" else triangle
+            if key == "EPOCH":
+                _check_whole(triangle, fail)
+                _calendar(value, fail)
+                triangle = 0
         elif inside == "COVARIANCE_START":
             if triangle < 0:
                 raise fail("must come after its EPOCH")
             triangle += 1
-            if triangle > 6 or len(line.split()) != triangle:
-                raise fail(f"must have {triangle} numbers, the row's of a lower triangle of 6 rows")
+            if triangle > SIZE:
+                raise fail(f"must be left out: a covariance is a lower triangle of {SIZE} rows")
+            if len(line.split()) != triangle:
+                raise fail(
+                    f"must have {triangle} numbers, the row's of a lower triangle of {SIZE} rows"
+                )
             _finite(line.split(), fail)
         else:
             epoch, *numbers = line.split()
             if len(numbers) not in (6, 9):
                 raise fail("must be an epoch and six numbers")
             rows.append((where, line, _calendar(epoch, fail), _finite(numbers, fail)[:6]))
+    if inside == "COVARIANCE_START":
+        raise fail("must not be the last line: COVARIANCE_STOP is missing")
     if rows:
         yield about, rows
+
+
+def _check_whole(rows: int, fail: Callable[[str], InputError]) -> None:
+    """Refuse a covariance with some rows and not all; -1 before any."""
+    if 0 <= rows < SIZE:
+        raise fail(f"must come after all {SIZE} rows of a covariance, and follows {rows}")
 
 
 def _calendar(epoch: str, fail: Callable[[str], InputError]) -> str:
@@ -316,6 +338,32 @@ def _centre_doubts(entry: str, about: About, body: str) -> Iterator[ScenarioWarn
             f"taken as about the centre of {body}, from which other bodies of the system move the "
             "barycentre",
         )
+
+
+def _span_doubts(entry: str, about: About, ends: tuple[str, str]) -> Iterator[ScenarioWarning]:
+    """Warn of states that begin after START_TIME or end before STOP_TIME: of a file cut short.
+
+    Raises:
+        InputError: if one of these is no date.
+    """
+    for key, epoch in zip(("START_TIME", "STOP_TIME"), ends, strict=True):
+        if key not in about:
+            continue
+        where, given = about[key]
+        allowed = "must be a date such as 2020-01-21T20:33:17.184"
+        refusal = InputError(f"{entry}: {key}, {where}", given, allowed)
+        try:
+            said, first = (
+                tdb_instant(_calendar(one, lambda _, no=refusal: no), "TDB")
+                for one in (given, epoch)
+            )
+        except ValueError:
+            raise refusal from None
+        if abs(first - said) > 1e9 * LATE_MAX_S:
+            word = "begin" if key == "START_TIME" else "end"
+            yield ScenarioWarning.of(
+                "trajectory", f"states that {word} at {epoch}", f"expected {key}, {given}"
+            )
 
 
 def csv_track(path: Path, epoch: datetime) -> Track:

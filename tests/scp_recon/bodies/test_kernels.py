@@ -176,7 +176,17 @@ def test_kernels_at_long_paths_are_read(tmp_path, spice):
     assert len(read_dsk(folder / "rock.bds", ROCK_ID)[1]) == len(ROCK.facets)
     here = Path.cwd()
     assert read_heliocentric([folder / "rock.bsp"], ROCK_ID, DAYS * DAY_S)[0]
+    with pytest.raises(InputError, match=f"rock.bsp has {ROCK_ID} from "):
+        read_heliocentric([folder / "rock.bsp"], ROCK_ID, (DAYS + 9.0) * DAY_S)
     assert Path.cwd() == here
+
+
+@pytest.mark.usefixtures("spice")
+def test_a_missing_kernel_of_a_list_is_named(tmp_path):
+    listed = tmp_path / "all.tm"
+    listed.write_text("KPL/MK\n\\begindata\nKERNELS_TO_LOAD = ( 'gone.bsp' )\n", "utf-8")
+    with pytest.raises(InputError, match=r"gone\.bsp' specified by KERNELS_TO_LOAD"):
+        read_pck(listed, ROCK_ID, DAYS)
 
 
 def test_the_users_own_kernels_stay(tmp_path, spice):

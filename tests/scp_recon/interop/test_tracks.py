@@ -117,8 +117,13 @@ def test_oems_agree_with_another_reader(scale, tmp_path):
         ("VERS = 2.0", "VERS = 4.0", "line 1", "1.0 or 2.0 or 3.0"),
         ("CCSDS_OEM_VERS = 2.0\n", "", "line 1", "CCSDS_OEM_VERS"),
         ("0.0 0.0 1e-4\n", "0.0 0.0 1e-4 0 0 0 0\n", "line 23", "3 numbers"),
-        ("0.0 1e-8\nCOV", "0.0 1e-8\n0 0 0 0 0 0 1\nCOV", "line 27", "lower triangle"),
+        ("0.0 1e-8\nCOV", "0.0 1e-8\n0 0 0 0 0 0 1\nCOV", "line 27", "left out: a covariance is"),
         ("EPOCH = 2027-02-01T00:00:00\n", "", "line 20", "after its EPOCH"),
+        ("EPOCH = 2027-02-01T00:00:00", "EPOCH = today", "line 20", "epoch"),
+        ("0.0 0.0 0.0 0.0 0.0 1e-8\n", "", "line 26", "after all 6 rows"),
+        ("COVARIANCE_STOP\n", "", "line 26", "COVARIANCE_STOP is missing"),
+        ("= EME2000\n", "= ITRF93\nREF_FRAME = EME2000\n", "line 10", "given once"),
+        ("TIME      = 2027-02-01T02:00", "TIME = 2 h", "STOP_TIME, line 13", "a date"),
         (AT_ONE, "2027-02-01T00:00:00.0", "line 17", "later than the state before"),
         (AT_ONE, "2027-02-01T02:30:00.0", "line 18", "later than the state before"),
         (AT_ONE, "2027-02-30T01:00:00.0", "line 17", "epoch"),
@@ -135,6 +140,19 @@ def test_faults_of_an_oem_are_named_by_line(old, new, where, allowed):
         oem_track(hera((old, new)), "Didymos")
     assert caught.value.entry.endswith(where)
     assert "\n" not in str(caught.value)
+
+
+def test_states_that_stop_before_their_file_says_are_doubted():
+    (doubt,) = oem_track(
+        hera(("2027-02-01T02:00:00.000000  9.28", "COMMENT")), "didymosbarycenter"
+    ).doubts
+    assert (doubt.given, doubt.expected) == (
+        "states that end at 2027-02-01T01:00:00.000000",
+        "expected STOP_TIME, 2027-02-01T02:00:00.000000",
+    )
+    assert not oem_track(
+        hera(("T02:00:00.000000\nMETA", "T02:00:00.4\nMETA")), "didymosbarycenter"
+    ).doubts
 
 
 def test_segments_meet_at_burns_in_order():
