@@ -5,6 +5,7 @@ from __future__ import annotations
 from rich.console import Console
 
 from scp_recon.cli.rendering import terminal
+from scp_recon.display import mm_s
 from scp_recon.monte_carlo.summary import (
     Statistics,
     Summary,
@@ -18,7 +19,10 @@ from scp_recon.reports.flight_tables import (
     observation_times_table,
     simulated_burns_table,
 )
+from scp_recon.results.table import SCALES
 from scp_recon.simulation.record import Angles, FlightSummary
+
+IN_MM_S = SCALES["m/s", "mm/s"]
 
 
 def show_summary(console: Console, summary: Summary, required: float | None = None) -> None:
@@ -46,18 +50,18 @@ def show_summary(console: Console, summary: Summary, required: float | None = No
         console.print(lowest.note, highlight=False)
     if summary.commanded is not None:
         console.print(terminal(corrected_burns_table(summary.commanded, required)))
-    for label, spread, digits in (
-        ("all hold from", summary.entry_s, 0),
-        ("all hold until", summary.exit_s, 0),
-        ("nearest the centre m", summary.closest_m, 1),
-        ("executed delta-v m/s", summary.executed_dv_m_s, 5),
+    for label, spread, digits, scale in (
+        ("all hold from s", summary.entry_s, 0, 1.0),
+        ("all hold until s", summary.exit_s, 0, 1.0),
+        ("nearest the centre m", summary.closest_m, 1, 1.0),
+        ("executed delta-v mm/s", summary.executed_dv_m_s, 2, IN_MM_S),
     ):
-        _show_spread(console, label, spread, digits)
+        _show_spread(console, label, spread, digits, scale)
     if summary.commanded is not None:
         mean, most = summary.commanded.mean_dv_m_s, summary.commanded.dv99_m_s
         console.print(
-            f"commanded delta-v m/s {interval_cell(mean, 5).text}; "
-            f"99 % of flights at most {interval_cell(most, 5).text}",
+            f"commanded delta-v mm/s {interval_cell(mean, 2, scale=IN_MM_S).text}; "
+            f"99 % of flights at most {interval_cell(most, 2, scale=IN_MM_S).text}",
             highlight=False,
         )
     worst = interval_cell(summary.closest_m.worst, 1).text
@@ -75,14 +79,16 @@ def show_summary(console: Console, summary: Summary, required: float | None = No
         console.print(str(summary.then), highlight=False)
 
 
-def _show_spread(console: Console, label: str, spread: Statistics, digits: int) -> None:
+def _show_spread(
+    console: Console, label: str, spread: Statistics, digits: int, scale: float
+) -> None:
     """One line, and none without flights."""
     if spread.mean is None or spread.q05 is None or spread.q95 is None:
         return
-    low, high = spread.q05.estimate.value, spread.q95.estimate.value
+    low, high = scale * spread.q05.estimate.value, scale * spread.q95.estimate.value
+    mean = interval_cell(spread.mean, digits, scale=scale).text
     console.print(
-        f"{label:21} {interval_cell(spread.mean, digits).text}; 90 % of flights {low:.{digits}f} to "
-        f"{high:.{digits}f}",
+        f"{label:21} {mean}; 90 % of flights {low:.{digits}f} to {high:.{digits}f}",
         highlight=False,
     )
 
@@ -92,8 +98,8 @@ def _show_terminal(console: Console, terminal: Terminal) -> None:
         console.print("final state: no component spreads", highlight=False)
         return
     position = interval_cell(terminal.sigma_position_m, 2).text
-    velocity = interval_cell(terminal.sigma_velocity_m_s, 5).text
-    console.print(f"final dispersion: {position} m, {velocity} m/s", highlight=False)
+    velocity = interval_cell(terminal.sigma_velocity_m_s, 2, scale=IN_MM_S).text
+    console.print(f"final dispersion: {position} m, {velocity} mm/s", highlight=False)
     ratios = ", ".join(
         f"{name} {interval_cell(r, 3).text}" for name, r in terminal.sigma_ratio.items()
     )
@@ -119,7 +125,7 @@ def show_flight(console: Console, summary: FlightSummary) -> None:
         f"least state of charge  {summary.least_charge:.3f} (floor {summary.floor_charge:.2f})",
         f"energy ledger error    {summary.ledger_error:.1e} of what is generated",
         f"momentum dumps         {summary.dumps}",
-        f"final state            {miss.position_m:.1f} m and {miss.velocity_m_s:.4f} m/s "
+        f"final state            {miss.position_m:.1f} m and {mm_s(miss.velocity_m_s, 2)} "
         "from the planned mean",
         f"within 3 sigma         at {100 * summary.within_3_sigma:.1f} % of the nodes, "
         f"at most {summary.largest_sigma_distance:.2f} sigma",

@@ -36,7 +36,7 @@ from scp_recon.scp.status import Status
 
 def show_largest(budget_m_s: float | None, plan: Plan, console: Console) -> None:
     """Show the largest probability, with its delta-v and the budget."""
-    most = "any delta-v" if budget_m_s is None else f"at most {budget_m_s:g} m/s"
+    most = "any delta-v" if budget_m_s is None else f"at most {1e3 * budget_m_s:g} mm/s"
     result = f"{plan.mission.scenario.risk.p_chance:.5g}, for {mm_s(plan.cost_m_s)}"
     show_line(console, f"largest probability found for {most}: {result}")
 
@@ -187,7 +187,7 @@ def advice_on(
     if found.miss is not None:
         lines.append(
             f"a plan that may miss the final state ends {found.miss[0]:.3g} m and "
-            f"{found.miss[1]:.3g} m/s off it"
+            f"{1e3 * found.miss[1]:.3g} mm/s off it"
         )
     if found.largest is not None:
         what = "whole flights" if risk.scope == "flight" else "each constraint at each node"

@@ -46,7 +46,7 @@ from scp_recon.results.facts import Risk
 from scp_recon.results.figures import is_converged
 from scp_recon.results.solution import Solution, iteration_record
 from scp_recon.results.table import Cell, Table
-from scp_recon.results.verification import Verification
+from scp_recon.results.verification import DriftSafety, Verification
 from scp_recon.scenario.fields import ScenarioWarning
 from scp_recon.scenario.schema import Scenario
 from scp_recon.scenario.time_scales import instant, iso_tdb, iso_utc
@@ -154,8 +154,9 @@ def show_plan(
     """
     status = Status.named(solution.status)
     said = solution.message
-    warnings = list(warnings)
-    many = f"{len(warnings)} warning{'s' if len(warnings) > 1 else ''} below" if warnings else None
+    doubts = list(dict.fromkeys([*map(str, warnings), *_doubts(solution, verification)]))
+    many = f"{len(doubts)} warning{'s' if len(doubts) > 1 else ''} above" if doubts else None
+    show_warnings(console, doubts)
     console.print()
     if verification is not None:
         show_verdict(console, "verified", [in_words(name) for name in verification.failed], many)
@@ -179,13 +180,8 @@ def show_plan(
         show_line(console, str(solution.starts), "dim")
     if verification is not None:
         _show_verification(console, mission, solution, verification, verbose=verbose)
-    show_warnings(console, warnings)
-    if verification is None:
-        return
-    if is_converged(solution) and (missed := missed_by_law(verification.wider or {})):
-        show_line(console, f"warning: {missed}", "yellow")
-    for line in () if advised else what_next(mission, solution, verification):
-        show_line(console, f"next: {line}")
+        for line in () if advised else what_next(mission, solution, verification):
+            show_line(console, f"next: {line}")
 
 
 def _show_cost(console: Console, solution: Solution, *, verbose: bool) -> None:
@@ -250,6 +246,23 @@ IMPACT_WARNED = 0.01
 """Share of flights that hit the body after a missed burn, from which on it is a warning."""
 
 
+def _nearest_drift(v: Verification) -> DriftSafety | None:
+    """The drift that comes nearest, of those after the first burn where there are any."""
+    later = [drift for drift in v.drifts if drift.burn > 1] or v.drifts
+    return min(later, key=lambda drift: drift.closest_m, default=None)
+
+
+def _doubts(solution: Solution, v: Verification | None) -> Iterator[str]:
+    """What a verification warns of, whether or not the plan is verified."""
+    if v is None:
+        return
+    nearest = _nearest_drift(v)
+    if nearest is not None and nearest.impact >= IMPACT_WARNED:
+        yield f"{nearest} of flights hit the body"
+    if is_converged(solution) and (missed := missed_by_law(v.wider or {})):
+        yield missed
+
+
 def _show_verification(
     console: Console, mission: Mission, solution: Solution, v: Verification, *, verbose: bool
 ) -> None:
@@ -259,13 +272,8 @@ def _show_verification(
     limits = limits_table(mission, solution, v)
     console.print(terminal(limits))
     show_line(console, limits.note, "dim")
-    if v.drifts:
-        later = [drift for drift in v.drifts if drift.burn > 1] or v.drifts
-        nearest = min(later, key=lambda drift: drift.closest_m)
-        if nearest.impact < IMPACT_WARNED:
-            show_line(console, str(nearest))
-        else:
-            show_line(console, f"warning: {nearest} of flights hit the body", "yellow")
+    if (nearest := _nearest_drift(v)) is not None and nearest.impact < IMPACT_WARNED:
+        show_line(console, str(nearest))
     if v.lost_contacts:
         lost = lost_contacts_table(v)
         console.print(terminal(lost))
@@ -303,7 +311,7 @@ class Progress:
         if record.failure:
             row[2:] = [Cell("solver failed", style="doubtful"), *[None] * (len(row) - 3)]
         elif not r.accepted:
-            row[4] = Cell(f"({r.actual:.2e})", r.actual)
+            row[4] = Cell(f"({1e3 * r.actual:.2e})", r.actual)
         self.table = self.table.with_rows([row])
         self._refresh()
 

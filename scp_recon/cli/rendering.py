@@ -34,12 +34,14 @@ def terminal(table: Table, *, narrow: bool = False) -> RichTable:
     return shown
 
 
-def show_warnings(console: Console, warnings: Iterable[ScenarioWarning], of: str = "") -> None:
+def show_warnings(
+    console: Console, warnings: Iterable[ScenarioWarning | str], of: str = ""
+) -> None:
     """One line each, however long; each once.
 
     Args:
         console: to print to.
-        warnings: warnings of one plan, or of its file and of its mission.
+        warnings: warnings of one plan, or of its file and of its mission; or their words.
         of: name of the plan, if there are several.
     """
     head = f"warning of {of}" if of else "warning"

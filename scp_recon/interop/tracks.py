@@ -289,6 +289,14 @@ def _calendar(epoch: str, fail: Callable[[str], InputError]) -> str:
     return f"{year}-{date}T{time}"
 
 
+def _date(text: str, refusal: InputError) -> int:
+    """Nanoseconds past J2000 of a date, in its own scale; the refusal is raised if it is none."""
+    try:
+        return tdb_instant(_calendar(text, lambda _: refusal), "TDB")
+    except ValueError:
+        raise refusal from None
+
+
 def _finite(words: Sequence[str], fail: Callable[[str], InputError]) -> list[float]:
     try:
         found = [float(word) for word in words]
@@ -313,10 +321,7 @@ def _check_frame_epoch(entry: str, about: About) -> None:
         "the states to it if their axes are of that date"
     )
     refusal = InputError(f"{entry}: REF_FRAME_EPOCH, {where}", given, allowed)
-    try:
-        off = tdb_instant(_calendar(given, lambda _: refusal), "TDB") / 1e9
-    except ValueError:
-        raise refusal from None
+    off = _date(given, refusal) / 1e9
     if abs(off) > EPOCH_SLACK_S:
         raise refusal
 
@@ -352,13 +357,7 @@ def _span_doubts(entry: str, about: About, ends: tuple[str, str]) -> Iterator[Sc
         where, given = about[key]
         allowed = "must be a date such as 2020-01-21T20:33:17.184"
         refusal = InputError(f"{entry}: {key}, {where}", given, allowed)
-        try:
-            said, first = (
-                tdb_instant(_calendar(one, lambda _, no=refusal: no), "TDB")
-                for one in (given, epoch)
-            )
-        except ValueError:
-            raise refusal from None
+        first, said = _date(epoch, refusal), _date(given, refusal)
         if abs(first - said) > 1e9 * LATE_MAX_S:
             word = "begin" if key == "START_TIME" else "end"
             yield ScenarioWarning.of(

@@ -292,7 +292,7 @@ def solid_forces(scene: Scene, solid: Mesh) -> ForceModel:
 
 def gravity_in_words(body: Body, field: HarmonicField | None, solid: Mesh | None) -> str:
     """A true field or solid, else the planner's gravity, with its rotation and the companion."""
-    own = "point mass and J2"
+    own = "point mass and J2" if body.j2 else "point mass"
     if field is not None:
         own = f"harmonics to degree {len(field.c) - 1}"
     elif solid is not None:

@@ -206,9 +206,9 @@ def _with_burns(
 def _warning(mission: Mission, small: Booleans, sizes: Array) -> ScenarioWarning:
     """The warning of burns that stay smaller than the smallest executable burn."""
     first, speed = 1 + mission.scenario.burns_flown, mission.units.speed_m_s
-    said = (f"burn {first + i} of {speed * sizes[i]:.1e} m/s" for i in np.flatnonzero(small))
+    said = (f"burn {first + i} of {1e3 * speed * sizes[i]:.3g} mm/s" for i in np.flatnonzero(small))
     least = mission.scenario.burns.dv_min_m_s
-    expected = f"expected none or {least:g} m/s, {NEITHER}"
+    expected = f"expected none or {1e3 * least:g} mm/s, {NEITHER}"
     return ScenarioWarning.of("burns.dv_min_m_s", ", ".join(said), expected)
 
 

@@ -159,9 +159,9 @@ class Delivery:
             if off > SURE_SIGMAS * sigma and off > 0.0:
                 yield ScenarioWarning.of(
                     "measured_burns",
-                    f"burn {number} {off:.3g} m/s from the one planned",
-                    f"expected at most {SURE_SIGMAS * sigma:.3g} m/s, {SURE_SIGMAS:g} sigma of its "
-                    "errors: check unit and frame",
+                    f"burn {number} {1e3 * off:.3g} mm/s from the one planned",
+                    f"expected at most {1e3 * SURE_SIGMAS * sigma:.3g} mm/s, {SURE_SIGMAS:g} sigma of "
+                    "its errors: check unit and frame",
                 )
 
     def strange_state(
@@ -193,11 +193,11 @@ class Delivery:
                 )
         distance2 = float(off @ np.linalg.solve(spread, off))
         if chdtrc(6, distance2) < UNLIKELY:
-            apart = state - predicted.state
+            position, velocity = np.linalg.norm((state - predicted.state).reshape(2, 3), axis=1)
             yield ScenarioWarning.of(
                 "state",
-                f"{np.linalg.norm(apart[:3]):.4g} m and {np.linalg.norm(apart[3:]):.3g} m/s from what "
-                f"the plan predicts at {self.at_s:g} s",
+                f"{position:.4g} m and {1e3 * velocity:.3g} mm/s from what the plan predicts at "
+                f"{self.at_s:g} s",
                 f"{np.sqrt(distance2):.1f} sigma, expected at most {np.sqrt(chdtri(6, UNLIKELY)):.1f}: "
                 "check units, frame and the burns flown",
             )

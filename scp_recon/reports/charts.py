@@ -42,10 +42,10 @@ LEVELS = 3
 OUTLINES_SHOWN = 5
 """Of the field of view, over the window."""
 CONVERGENCE = (
-    ("merit (m/s)", ("merit",)),
-    ("change of merit (m/s)", ("predicted", "actual")),
-    ("violation, defect (m)", ("max_violation", "max_defect")),
-    ("trust radius (m/s)", ("trust_radius",)),
+    ("merit (mm/s)", ("merit",), 1e3),
+    ("change of merit (mm/s)", ("predicted", "actual"), 1e3),
+    ("violation, defect (m)", ("max_violation", "max_defect"), 1.0),
+    ("trust radius (mm/s)", ("trust_radius",), 1e3),
 )
 LEAST, LEAST_DEG = 1e-13, 1e-4
 """Below these, logarithmic axes show nothing."""
@@ -301,15 +301,15 @@ def lowest_chart(flights: Summary) -> dict[str, Any]:
 
 def convergence_chart(subjects: Sequence[Subject]) -> dict[str, Any]:
     """Merit, its changes, violation and radius by iteration, stages one after the other."""
-    panels = Panels([title for title, _ in CONVERGENCE], "iteration, over all stages", 140)
+    panels = Panels([title for title, _, _ in CONVERGENCE], "iteration, over all stages", 140)
     alone = len(subjects) == 1
     for number, subject in enumerate(subjects):
         records = subject.solution.iterations
         x = np.arange(1, len(records) + 1)
         words = [f"{r.stage} {r.k}{'' if r.accepted else ', rejected'}" for r in records]
-        for panel, (_, keys) in enumerate(CONVERGENCE):
+        for panel, (_, keys, scale) in enumerate(CONVERGENCE):
             for other, key in enumerate(keys):
-                values = np.abs([getattr(record, key) for record in records])
+                values = scale * np.abs([getattr(record, key) for record in records])
                 said = key.removeprefix("max_").replace("_", " ")
                 panels.curve(
                     x,

@@ -129,11 +129,11 @@ def corrected_burns_table(commanded: Commanded, required: float | None) -> Table
     )
 
 
-def interval_cell(interval: Interval, digits: int, gap: str = " ") -> Cell:
-    """A value, with its interval if it has both ends."""
-    text = f"{interval.estimate.value:.{digits}f}"
+def interval_cell(interval: Interval, digits: int, gap: str = " ", scale: float = 1.0) -> Cell:
+    """A value, with its interval if it has both ends; the text's unit may be another."""
+    text = f"{scale * interval.estimate.value:.{digits}f}"
     if interval.low is not None and interval.high is not None:
-        text += f"{gap}({interval.low:.{digits}f} to {interval.high:.{digits}f})"
+        text += f"{gap}({scale * interval.low:.{digits}f} to {scale * interval.high:.{digits}f})"
     return Cell(text, interval.value)
 
 
@@ -185,7 +185,7 @@ def simulated_table(summary: FlightSummary) -> Table:
         ("floor of it", 100.0 * summary.floor_charge, ".1f", "%"),
         ("camera off the site, 99.7 %", summary.window_pointing_deg.site.q997, ".3f", "deg"),
         ("final position off the mean", miss.position_m, ".1f", "m"),
-        ("final velocity off the mean", miss.velocity_m_s, ".4f", "m/s"),
+        ("final velocity off the mean", 1e3 * miss.velocity_m_s, ".2f", "mm/s"),
         ("largest distance in the planned spread", summary.largest_sigma_distance, ".2f", "sigma"),
         ("momentum dumps", summary.dumps, "d", ""),
     )

@@ -317,11 +317,11 @@ def budget_table(budget: Budget, corrected: bool = False) -> Table:
     names = ("planned", "executed, mean", f"executed, {percent} stay below")
     return Table.of(
         "Delta-v budget",
-        ("burn", *(Column(name, "m/s", ".6f") for name in names)),
+        ("burn", *(Column(name, "m/s", ".3f", shown_unit="mm/s") for name in names)),
         rows,
         key="budget",
-        note=f"95 % interval of the flights' {percent}: {low:.6f} to {high:.6f} m/s. Of the planned "
-        "burns with their execution errors; "
+        note=f"95 % interval of the flights' {percent}: {1e3 * low:.3f} to {1e3 * high:.3f} mm/s. "
+        "Of the planned burns with their execution errors; "
         + ("corrected by gains." if corrected else "no burns to correct them."),
     )
 

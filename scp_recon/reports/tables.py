@@ -23,14 +23,13 @@ from scp_recon.scenario.time_scales import instant, shown_utc
 from scp_recon.verification.reintegration import FIGURES, limits_of
 
 AT = Column("at", "s", ".0f")
-ITERATION_COLUMNS = (
+ITERATION_COLUMNS: tuple[Column | str, ...] = (
     "stage",
     "k",
-    Column("merit", "m/s", ".6f"),
-    Column("predicted", "m/s", ".2e"),
-    Column("actual", "m/s", ".2e"),
+    Column("merit", "m/s", ".3f", shown_unit="mm/s"),
+    *(Column(name, "m/s", ".2e", shown_unit="mm/s") for name in ("predicted", "actual")),
     "step",
-    Column("radius", "m/s", ".1e"),
+    Column("radius", "m/s", ".3g", shown_unit="mm/s"),
     Column("violation", "m", ".1e"),
     Column("defect", "m", ".1e"),
     Column("solver", "s", ".3f"),

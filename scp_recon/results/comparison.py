@@ -14,10 +14,12 @@ from scp_recon.errors import unknown_name
 from scp_recon.physics.flow import interpolate
 from scp_recon.planning.plan import NOT_CHECKED
 from scp_recon.results.solution import Solution
-from scp_recon.results.table import Cell, Column, Table
+from scp_recon.results.table import SCALES, Cell, Column, Table
 from scp_recon.results.verification import Verification
 from scp_recon.scenario.schema import Scenario
 
+SHOWN = dict(SCALES.keys())
+"""Units of a table's texts by those of the rows."""
 DIFFERS = "differs from the first in"
 """Row of the sections in which a scenario differs from the first plan's: it limits comparison."""
 MARGIN, MARGIN_ROUNDING = "margin ", 1e-6
@@ -51,9 +53,9 @@ class Comparison(Displayed):
 
     @property
     def table(self) -> Table:
-        """Rows with their units in brackets; figures have six digits, rounding counts as zero."""
+        """Rows with their units in brackets, speeds in mm/s; six digits, rounding counts as zero."""
         rows = (
-            [f"{name} ({unit})" if unit else name, *(_cell(name, figure) for figure in row)]
+            [_label(name, unit), *(_cell(name, unit, figure) for figure in row)]
             for name, unit, row in self.rows
         )
         columns = (Column("", name="figure"), *map(Column, self.names))
@@ -143,12 +145,18 @@ def _history(
     ]
 
 
-def _cell(name: str, figure: float | str | None) -> Cell | str | None:
+def _label(name: str, unit: str) -> str:
+    """A row's name with its unit, as shown."""
+    return f"{name} ({SHOWN.get(unit, unit)})" if unit else name
+
+
+def _cell(name: str, unit: str, figure: float | str | None) -> Cell | str | None:
     """A figure to six digits; a margin within a solver's tolerance of its limit is zero."""
     if not isinstance(figure, float):
         return figure
     rounding = MARGIN_ROUNDING if name.startswith(MARGIN) else 1e-9
-    return Cell(f"{figure:.6g}" if abs(figure) >= rounding else "0", figure)
+    shown = figure * SCALES.get((unit, SHOWN.get(unit, unit)), 1.0)
+    return Cell(f"{shown:.6g}" if abs(figure) >= rounding else "0", shown)
 
 
 def largest_distance_m(one: Solution, other: Solution) -> float | None:

@@ -16,7 +16,7 @@ from scipy.special import ndtr, ndtri
 from formulations.arrays import Array
 from formulations.program.subproblem import MeritFunction
 from formulations.rows.uniform import DeterministicRows
-from scp_recon.display import Displayed
+from scp_recon.display import Displayed, mm_s
 from scp_recon.errors import InputError
 from scp_recon.files import write_atomically
 from scp_recon.mission.grid import Units
@@ -131,8 +131,8 @@ class Solution(Displayed, Facts):
         return (
             f"the policy of {self.parent.name} alone would command burn "
             f"{1 + self.scenario.burns_flown} at {burn.t_s:g} s as "
-            f"{' '.join(f'{part:+.6f}' for part in alone)}, "
-            f"{np.linalg.norm(alone):.6f} m/s; this plan differs by {apart:.6f} m/s"
+            f"{' '.join(f'{1e3 * part:+.3f}' for part in alone)}, "
+            f"{mm_s(float(np.linalg.norm(alone)))}; this plan differs by {mm_s(apart)}"
         )
 
     @property

@@ -165,8 +165,8 @@ class FinalMiss:
     def __str__(self) -> str:
         """In words."""
         return (
-            f"the final state is missed by {self.position_m:.4g} m and {self.velocity_m_s:.4g} m/s: "
-            "too few burns are left to meet it"
+            f"the final state is missed by {self.position_m:.4g} m and "
+            f"{1e3 * self.velocity_m_s:.4g} mm/s: too few burns are left to meet it"
         )
 
 

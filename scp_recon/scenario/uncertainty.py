@@ -240,8 +240,8 @@ class Uncertainty(OneWay):
         g = self.gates
         bias = f", bias {g.magnitude_bias:g}" if g.magnitude_bias else ""
         return (
-            f"execution errors by Gates: magnitude {g.magnitude_fixed_m_s:g} m/s and "
-            f"{g.magnitude_proportional:g}, pointing {g.pointing_fixed_m_s:g} m/s and "
+            f"execution errors by Gates: magnitude {1e3 * g.magnitude_fixed_m_s:g} mm/s and "
+            f"{g.magnitude_proportional:g}, pointing {1e3 * g.pointing_fixed_m_s:g} mm/s and "
             f"{g.pointing_proportional_rad:g} rad{bias}"
         )
 

@@ -55,7 +55,7 @@ def test_replan_is_kept_verified_flown_and_compared(plan_folder, state_at, tmp_p
     assert "the window is over" in capsys.readouterr().out
     assert compare.main([str(plan_folder), str(out)]) == 0
     said = capsys.readouterr().out
-    assert "with those flown (m/s)" in said
+    assert "with those flown (mm/s)" in said
     assert str(plan_folder) in said
     assert simulate.main([str(out)]) == 2
     assert "must be the plan of a whole flight" in capsys.readouterr().err

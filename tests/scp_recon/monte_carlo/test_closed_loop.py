@@ -220,7 +220,7 @@ def test_the_command_flies_what_the_file_stores(corrected, tmp_path, capsys):
     montecarlo.main([str(tmp_path), "--samples=2000"])
     shown = capsys.readouterr().out
     assert "dv_battery" in shown
-    assert "commanded delta-v m/s" in shown
+    assert "commanded delta-v mm/s" in shown
     commanded = read_summary(tmp_path).commanded
     assert [burn.burn for burn in commanded.burns] == [2, 3, 4]
     mission, burns = corrected.mission, corrected.burns_m_s

@@ -99,7 +99,7 @@ def test_unavoidable_small_burns_stay_with_a_warning(default_plan):
     assert left.status is Status.CONVERGED
     assert sizes_of(left)[0] == pytest.approx(0.02365, abs=1e-4)
     (warning,) = [w for w in left.mission.warnings if w.entry == "burns.dv_min_m_s"]
-    assert warning.given == "burn 3 of 2.4e-02 m/s"
+    assert warning.given == "burn 3 of 23.7 mm/s"
 
 
 def test_whole_flight_plan_has_an_exactly_zero_burn(exact):
