@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from time import process_time
 from typing import TypeVar
 
-from scp_recon.api.planning import PlanObserver, Silent, Watch
+from scp_recon.api.planning import PlanObserver, Watch
 from scp_recon.certification.flights import Watch as FlightWatch
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
@@ -28,7 +28,7 @@ class TimeIsUp(Exception):  # noqa: N818 -- no error
 
 
 @dataclass
-class Clock(Watch, Silent):
+class Clock(Watch):
     """Limit of processor time, checked after every iteration and every round of flights.
 
     Attributes:
@@ -37,6 +37,7 @@ class Clock(Watch, Silent):
         tried: names of what was tried without success.
         left_out: names of what the time did not suffice for.
         until_s: processor time at which the present trial has to end.
+        show: called with what is tried, and for how long.
     """
 
     limit_s: float
@@ -44,6 +45,8 @@ class Clock(Watch, Silent):
     tried: list[str] = field(default_factory=list)
     left_out: list[str] = field(default_factory=list)
     until_s: float = math.inf
+    show: Callable[[str], None] | None = None
+    _trying: str = ""
 
     def __call__(self, stage: str, record: Record) -> None:
         """An iteration is done."""
@@ -68,7 +71,10 @@ class Clock(Watch, Silent):
         Raises:
             TimeIsUp: if it is.
         """
-        if process_time() > min(self.until_s, self.began + self.limit_s):
+        now = process_time()
+        if self.show is not None:
+            self.show(f"trying {self._trying}: {now - self.began:.0f} of at most {self.limit_s:.0f} s")
+        if now > min(self.until_s, self.began + self.limit_s):
             raise TimeIsUp
 
     def attempt(self, name: str, work: Callable[[], T | None], share: float = 1.0) -> T | None:
@@ -79,7 +85,7 @@ class Clock(Watch, Silent):
             work: the trial.
             share: of all time that it may take.
         """
-        self.until_s = process_time() + share * self.limit_s
+        self.until_s, self._trying = process_time() + share * self.limit_s, name
         try:
             self.check()
             found = work()
@@ -98,7 +104,7 @@ class Undecided(Exception):  # noqa: N818 -- no error
 
 
 @dataclass
-class Roughly(Silent):
+class Roughly:
     """Observer of a rough plan: it ends where other algorithms would be tried."""
 
     clock: Clock

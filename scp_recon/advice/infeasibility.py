@@ -5,6 +5,7 @@ Every trial is a local search. A trial without a plan therefore does not prove t
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -70,15 +71,21 @@ class Diagnosis:
 
 
 @one_thread
-def diagnose(failed: Plan, request: PlanRequest, spent_s: float = 0.0) -> Diagnosis:
+def diagnose(
+    failed: Plan,
+    request: PlanRequest,
+    spent_s: float = 0.0,
+    show: Callable[[str], None] | None = None,
+) -> Diagnosis:
     """Find values with which the user's command has a verified plan.
 
     Args:
         failed: a plan that is infeasible, lost, or without a verdict at its target.
         request: of the user's command.
         spent_s: processor time that planning took.
+        show: called with what is tried, and with its time.
     """
-    clock = Clock(max(TIMES * spent_s, LEAST_S))
+    clock = Clock(max(TIMES * spent_s, LEAST_S), show=show)
     case = Case(failed, request, clock)
     p3 = _without_uncertainty(failed)
     known = Diagnosis(p3, _by_how_much(failed), limit_s=clock.limit_s)

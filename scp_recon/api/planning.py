@@ -90,10 +90,6 @@ class PlanObserver(Observer, Protocol):
         """Observer of the flights."""
 
 
-class Silent:
-    """Base of observers that show nothing, and are also called while several starts are planned."""
-
-
 class Watch:
     """Follows a plan on its way. This one shows and keeps nothing."""
 
@@ -278,7 +274,7 @@ def _of_several(
 ) -> Plan:
     """The best plan of several starts, which are asked for or pay after the first one."""
     guess = from_burns(mission, start.burns_m_s) if isinstance(start, Plan) else start
-    seen, first = partial(_show_start, observe) if observe and options.starts else None, None
+    seen, first = partial(_show_start, observe) if observe else None, None
     if options.starts is None:
         first = make(mission, guess, init=init, observe=observe)
         if not _may_be_poor(first):
@@ -293,6 +289,7 @@ def _of_several(
         init=init,
         seen=seen,
         first=first,
+        observe=observe,
     )
 
 

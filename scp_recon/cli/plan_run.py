@@ -140,7 +140,8 @@ class Shown(Watch):
         if request is None:
             return ()
         if diagnosed:
-            diagnosis = diagnose(outcome.plan, request, spent_s)
+            with plan_view.live_line(console) as show:
+                diagnosis = diagnose(outcome.plan, request, spent_s, show)
             lines = advice_on(diagnosis, outcome.plan, self._instead, path)
         else:
             lines = saving(outcome, request, spent_s, self._instead)

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.console import Console, Group
+from rich.console import Console, Group, RenderableType
 from rich.live import Live
 from rich.table import Table as RichTable
 from rich.text import Text
@@ -293,6 +293,7 @@ class Progress:
         live: display of the table.
         table: of the iterations.
         verbose: whether the table is shown.
+        doing: the last iteration in words, in place of the table on a terminal.
         steps: lines on flights, by the round or test.
         plain: flights of a round or test if none were left out.
     """
@@ -301,6 +302,7 @@ class Progress:
     live: Live
     table: Table
     verbose: bool
+    doing: str = ""
     steps: dict[str, Text] = field(default_factory=dict)
     plain: dict[str, int] = field(default_factory=dict)
 
@@ -313,6 +315,7 @@ class Progress:
         elif not r.accepted:
             row[4] = Cell(f"({1e3 * r.actual:.2e})", r.actual)
         self.table = self.table.with_rows([row])
+        self.doing = f"{stage}, iteration {r.k}: {mm_s(r.merit)}, violation {r.max_violation:.1e} m"
         self._refresh()
 
     def flights(
@@ -331,8 +334,15 @@ class Progress:
         )
         self._refresh()
 
+    def end(self) -> None:
+        """Planning is done."""
+        self.doing = ""
+        self._refresh()
+
     def _refresh(self) -> None:
-        shown = [self._shown()] if self.verbose else []
+        shown: list[RenderableType] = [self._shown()] if self.verbose else []
+        if self.doing and not self.verbose and self.live.console.is_terminal:
+            shown.append(Text(self.doing, style="dim"))
         self.live.update(Group(*self.steps.values(), *shown), refresh=True)
 
     def _shown(self) -> RichTable:
@@ -344,7 +354,11 @@ def live_progress(console: Console, mission: Mission, *, verbose: bool) -> Itera
     """Show the progress of planning until it ends; each iteration if `verbose`."""
     # Redrawn on every row and never from a thread, so that a captured log holds the table once.
     with Live(console=console, auto_refresh=False) as live:
-        yield Progress(mission, live, Table.of("Iterations", ITERATION_COLUMNS, ()), verbose)
+        shown = Progress(mission, live, Table.of("Iterations", ITERATION_COLUMNS, ()), verbose)
+        try:
+            yield shown
+        finally:
+            shown.end()
     if not verbose:
         return
     console.print(
@@ -352,6 +366,18 @@ def live_progress(console: Console, mission: Mission, *, verbose: bool) -> Itera
         "velocities count as metres per unit of time",
         style="dim",
     )
+
+
+@contextmanager
+def live_line(console: Console) -> Iterator[Callable[[str], None]]:
+    """Yield a function that shows a line while work lasts, on a terminal alone."""
+    with Live(console=console, auto_refresh=False, transient=True) as live:
+
+        def show(text: str) -> None:
+            if console.is_terminal:
+                live.update(Text(text, style="dim"), refresh=True)
+
+        yield show
 
 
 WIDE = 100

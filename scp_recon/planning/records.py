@@ -102,17 +102,26 @@ class Starts:
     def chance(self) -> float:
         """Expected chance that a further start leads to a new optimum of P3, 1 where it is not known.
 
+        Without an optimum, minima of P3's violation count in their place.
         w (w + 1) / (n (n - 1)) for n starts that led to w optima: Boender and Rinnooy Kan, "Bayesian
         stopping rules for multistart global optimization methods", Math. Programming 37, 1987.
         """
-        p3 = [one for one in self.optima if one.problem == "P3" and one.status == "converged"]
+        p3 = self.converged or [one for one in self.optima if one.problem == "P3"]
         w, n = len(p3), len({number for one in p3 for number in one.starts})
         return min(1.0, w * (w + 1) / (n * (n - 1))) if n > 1 else 1.0
 
+    @property
+    def converged(self) -> list[Optimum]:
+        """Optima of P3."""
+        return [one for one in self.optima if one.problem == "P3" and one.status == "converged"]
+
     def __str__(self) -> str:
         """In words."""
-        p3 = sum(one.problem == "P3" and one.status == "converged" for one in self.optima)
+        p3 = len(self.converged)
         optima = f"{p3} optim{'um' if p3 == 1 else 'a'} of P3"
+        if not p3:
+            minima = sum(one.problem == "P3" for one in self.optima)
+            optima += f", {minima} minim{'um' if minima == 1 else 'a'} of its violation"
         return (
             f"{self.number} starts, {optima}; expected chance that a further start finds a new one "
             f"{100 * self.chance:.1f} %"

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -20,12 +20,12 @@ from scp_recon.planning.initial_guess import bent
 from scp_recon.planning.missions import cheapest_p3
 from scp_recon.planning.plan import Plan, Stage, as_interrupted, is_converged, merit_of, rank
 from scp_recon.planning.records import Optimum, Starts
-from scp_recon.planning.stages import same_optimum
+from scp_recon.planning.stages import Observer, same_optimum
 from scp_recon.scp.status import Status
 
-CHANCE, STARTS_AUTO_MAX = 0.05, 100
-"""Chance that a further start finds a new optimum of P3 below which no more are planned, and the limit
-of their number."""
+CHANCE, CHANCE_WITHOUT, STARTS_AUTO_MAX = 0.05, 0.01, 100
+"""Chance that a further start finds a new optimum of P3 below which no more are planned, the same of a
+new minimum of its violation where it has no optimum, and the limit of their number."""
 
 KNOWN = 1e-4
 """Relative reduction of the merit at which a P3 stops that leads to P2: optima differ by more."""
@@ -45,6 +45,7 @@ def plan_from_several(
     init: str = "given",
     seen: Callable[[int, Plan], None] | None = None,
     first: Plan | None = None,
+    observe: Observer | None = None,
 ) -> Plan:
     """Plan from the guess, and from the other optima of P3 that random flights lead to; keep the best.
 
@@ -58,14 +59,15 @@ def plan_from_several(
         guess: the first start.
         make_plan: like `planner.plan`; it must pickle, and with `once` plans from its start alone.
         starts: their number, the guess included; "auto" for as many as Boender and Rinnooy Kan's rule
-            asks for: see `Starts.chance`.
+            asks for, and more where P3 has no optimum: see `Starts.chance`.
         seed: of the random flights.
         workers: processes.
         init: name of the guess.
         seen: called with each start's number and plan.
         first: the plan from the guess, if it is made already.
+        observe: called with the iterations of plans from the guess and from other optima.
     """
-    work = _Several(mission, guess, make_plan, seed, init, seen or unseen)
+    work = _Several(mission, guess, make_plan, seed, init, seen or unseen, observe)
     interrupted = False
     try:
         work.begin(first)
@@ -106,13 +108,14 @@ class _Several:
     seed: int
     init: str
     seen: Callable[[int, Plan], None]
+    observe: Observer | None
     plans: list[Plan] = field(default_factory=list)
     optima: list[tuple[Stage, list[int]]] = field(default_factory=list)
     number: int = 1
 
     def begin(self, first: Plan | None) -> None:
         """Plan from the guess, and from its other starts where it does not converge."""
-        first = first or self.make_plan(self.mission, self.guess, once=False, init=self.init)
+        first = first or self._made(self.guess, once=False, init=self.init)
         self._note(first, [0])
         self.mission = first.mission  # on the grid that planning may have refined
 
@@ -131,7 +134,9 @@ class _Several:
                 self.seen(int(done.key), plan)
                 if plan.status is Status.INTERRUPTED:
                     raise KeyboardInterrupt
-                if starts == "auto" and self.listed().chance < CHANCE:
+                listed = self.listed()
+                enough = CHANCE if listed.converged else CHANCE_WITHOUT
+                if starts == "auto" and listed.chance < enough:
                     break
 
     @property
@@ -153,7 +158,11 @@ class _Several:
                 self._on_grid(stage.result.lin.iterate),
                 f"random flight {numbers[0]} of seed {self.seed}",
             )
-            self._note(self.make_plan(self.mission, start, once=True, init=called), numbers)
+            self._note(self._made(start, once=True, init=called), numbers)
+
+    def _made(self, start: Iterate, **how: Any) -> Plan:
+        """A plan on the present grid, observed."""
+        return self.make_plan(self.mission, start, observe=self.observe, **how)
 
     def _on_grid(self, found: Iterate) -> Iterate:
         """A flight on the mission's nodes, which may have been found on a finer grid."""

@@ -339,7 +339,9 @@ def test_results_are_frames_of_pandas(default_plan, solution, monkeypatch):
     assert found["held_mean_s"] == flown.held_s["emission"].mean.value
     table = sr.compare(solution, solution)
     assert [*table.to_frame()["total delta-v (m/s)"]] == [*table["total delta-v"]]
-    assert f"total delta-v (mm/s)  {1e3 * solution.total_dv_m_s:.6g}" in re.sub("  +", "  ", str(table))
+    assert f"total delta-v (mm/s)  {1e3 * solution.total_dv_m_s:.6g}" in re.sub(
+        "  +", "  ", str(table)
+    )
     survey = sr.windows("recon_b", span_days=0.2)
     assert [*survey.to_frame()["opens_s"]] == [window.edges_s[0] for window in survey.windows]
     with pytest.raises(InputError, match=r"^table: got 'path'; must be one of figures"):

@@ -2,10 +2,12 @@
 
 import dataclasses
 import shlex
+from io import StringIO
 from time import process_time
 
 import numpy as np
 import pytest
+from rich.console import Console
 
 import scp_recon as sr
 from scp_recon.advice import infeasibility as module
@@ -28,11 +30,14 @@ from scp_recon.advice.trials import (
 from scp_recon.api.inputs import PlanRequest
 from scp_recon.api.options import PlanOptions
 from scp_recon.api.planning import PlanOutcome, Watch, carry_out
+from scp_recon.cli import plan_view
 from scp_recon.cli.commands import replan, solve
 from scp_recon.cli.plan_run import advice_on, undoing
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
+from scp_recon.planning import initial_guess
 from scp_recon.planning.plan import ended
+from scp_recon.planning.planner import plan
 from scp_recon.replanning.flown import FlownPlan, predict
 from scp_recon.reports.page import _advice
 from scp_recon.reports.subject import Subject
@@ -103,6 +108,28 @@ def test_saving_by_exact_risk_is_that_of_its_plan(default_plan, mission):
     assert cost == pytest.approx(from_cold(exact).cost_m_s, rel=2e-3)
     assert cost < 0.9 * default_plan.cost_m_s
     assert cost_of_exact_risk(from_cold(exact), request) is None
+
+
+def test_what_is_tried_is_shown_with_its_time():
+    shown = list[str]()
+    clock = Clock(30.0, show=shown.append)
+    assert clock.attempt("the limits", clock.check) is None
+    assert {*shown} == {"trying the limits: 0 of at most 30 s"}
+
+
+def test_planning_shows_its_last_iteration_on_a_terminal_alone(mission):
+    ends = {}
+    for is_terminal in (True, False):
+        console = Console(file=StringIO(), force_terminal=is_terminal, width=100)
+        with plan_view.live_progress(console, mission, verbose=False) as observe:
+            plan(mission, initial_guess.cold(mission), problem="P3", observe=observe)
+        with plan_view.live_line(console) as show:
+            show("trying the limits")
+        assert isinstance(console.file, StringIO)
+        ends[is_terminal] = console.file.getvalue()
+    assert ends[False].strip() == ""
+    assert "P3, iteration 1: " in ends[True]
+    assert "trying the limits" in ends[True]
 
 
 def plan_options(parsed):

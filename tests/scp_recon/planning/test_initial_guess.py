@@ -1,6 +1,7 @@
 """Initial guesses, the first stage that each leads to, and several starts."""
 
 import itertools
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -337,6 +338,14 @@ def test_starts_end_by_the_rule():
     assert listed(6).chance > 0.05 > listed(7).chance
     assert listed(5, 6).chance > 0.05 > listed(6, 6).chance
     assert listed(6, 6).chance == pytest.approx(6 / 132)
+    least = Optimum("P3", "infeasible", 1.0, ((1.0, 0.0, 0.0),), tuple(range(15)))
+    without = Starts(15, 0, (least,))
+    assert (
+        without.chance
+        < 0.01
+        < replace(without, optima=(replace(least, starts=(*range(14),)),)).chance
+    )
+    assert "0 optima of P3, 1 minimum of its violation" in str(without)
     made = sr.plan(problem="P3", starts="auto")
     assert made.starts.number == 12
     assert made.starts.chance < 0.05
