@@ -73,7 +73,9 @@ class Clock(Watch):
         """
         now = process_time()
         if self.show is not None:
-            self.show(f"trying {self._trying}: {now - self.began:.0f} of at most {self.limit_s:.0f} s")
+            self.show(
+                f"trying {self._trying}: {now - self.began:.0f} of at most {self.limit_s:.0f} s"
+            )
         if now > min(self.until_s, self.began + self.limit_s):
             raise TimeIsUp
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 from pathlib import Path
@@ -14,7 +15,9 @@ from formulations.arrays import Array
 from formulations.problem.flyby import Iterate
 from scp_recon.api.options import PlanOptions
 from scp_recon.errors import InputError, option, shortened
+from scp_recon.mission.checks import check_scene
 from scp_recon.mission.mission import Mission
+from scp_recon.mission.scene import Scene
 from scp_recon.planning import initial_guess
 from scp_recon.planning.plan import Plan
 from scp_recon.results.policy import with_policy
@@ -36,6 +39,8 @@ GUESSES = ("cold", "warm")
 """Starts that are made on a mission's own grid."""
 UNCERTAIN = ("risk", "policy", "navigation")
 """Tables of entries that a plan without uncertainty does not use."""
+ABOUT_LIGHT = ("site.", "sun.", "body.pole", "body.prime_meridian", "body.rotation")
+"""Beginnings of the entries that decide when a site is lit."""
 
 
 class PlannerArguments(TypedDict, total=False):
@@ -133,13 +138,63 @@ def resolve(loaded: Loaded, request: PlanRequest) -> Resolved:
         return Resolved(mission, init, loaded.called)
     if not isinstance(mission, Mission):
         with naming_files(request.scenario, request.overrides):
-            mission = Mission.from_scenario(mission)
+            mission = _mission_of(mission)
     start = _start(mission, init)
     request.options.check(mission.scenario)
     idle = tuple(_idle(request, mission.scenario))
     if idle:
         mission = replace(mission, warnings=(*mission.warnings, *idle))
     return Resolved(mission, start, loaded.called)
+
+
+def _mission_of(scenario: Scenario) -> Mission:
+    """Resolve a user's scenario; a refusal of its window names the entries that explain it.
+
+    Named are entries that decide when the site is lit: doubtful ones, and other readings that were
+    tried and have a mission.
+
+    Raises:
+        InputError: as `Mission.from_scenario`.
+    """
+    try:
+        return Mission.from_scenario(scenario)
+    except InputError as error:
+        if not error.entry.startswith(("observation", "burns.times_s")):
+            raise
+        said = [error.allowed]
+        with suppress(InputError):  # this one again
+            doubts = check_scene(Scene.of(scenario))
+            said += [str(doubt) for doubt in doubts if doubt.entry.startswith(ABOUT_LIGHT)]
+        for question, changes in _other_readings(scenario):
+            with suppress(InputError):
+                Mission.from_scenario(scenario.replace(changes))
+                entry, value = next(iter(changes.items()))
+                shown = f"{value:g}" if isinstance(value, float) else value
+                said.append(f"tried, and accepted: {entry} = {shown} ({question})")
+        raise InputError(error.entry, error.given, "\n".join(said)) from None
+
+
+def _other_readings(scenario: Scenario) -> Iterator[tuple[str, dict[str, object]]]:
+    """Other readings of entries that decide when the site is lit: a question, and the changes."""
+    site, sun, body = scenario.site, scenario.sun, scenario.body
+    for entry, given, side in (
+        ("site.longitude_deg", site.longitude_deg, "west"),
+        ("site.latitude_deg", site.latitude_deg, "south"),
+    ):
+        if given is not None:
+            yield f"counted to the {side}?", {entry: -given}
+    yield (
+        "from the body to the Sun?",
+        {
+            "sun.body_position_km": [-x for x in sun.body_position_km],
+            "sun.body_velocity_km_s": [-x for x in sun.body_velocity_km_s],
+        },
+    )
+    if (period := body.rotation_period_h) is not None:
+        for question, factor in (("backwards?", -1.0), ("in days?", 24.0), ("in minutes?", 1 / 60)):
+            yield question, {"body.rotation_period_h": factor * period}
+    else:
+        yield "backwards?", {"body.prime_meridian_rate_deg_day": -body.prime_meridian_rate_deg_day}
 
 
 def _idle(request: PlanRequest, scenario: Scenario) -> Iterator[ScenarioWarning]:

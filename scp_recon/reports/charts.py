@@ -43,8 +43,8 @@ OUTLINES_SHOWN = 5
 """Of the field of view, over the window."""
 CONVERGENCE = (
     ("merit (mm/s)", ("merit",), 1e3),
-    ("change of merit (mm/s)", ("predicted", "actual"), 1e3),
-    ("violation, defect (m)", ("max_violation", "max_defect"), 1.0),
+    ("change of merit: predicted, and dotted actual (mm/s)", ("predicted", "actual"), 1e3),
+    ("violation, and dotted defect (m)", ("max_violation", "max_defect"), 1.0),
     ("trust radius (mm/s)", ("trust_radius",), 1e3),
 )
 LEAST, LEAST_DEG = 1e-13, 1e-4
@@ -311,12 +311,16 @@ def convergence_chart(subjects: Sequence[Subject]) -> dict[str, Any]:
             for other, key in enumerate(keys):
                 values = scale * np.abs([getattr(record, key) for record in records])
                 said = key.removeprefix("max_").replace("_", " ")
+                first = panel == other == 0
                 panels.curve(
                     x,
                     np.where(values > LEAST, values, np.nan),
-                    labelled(subject.name, said, alone),
+                    # Of several plans each has one entry in the legend: titles name the curves.
+                    subject.name if first and not alone else labelled(subject.name, said, alone),
                     panel if alone else number,
                     panel,
+                    legend=alone or first,
+                    **({} if alone else {"legendgroup": subject.name}),
                     line={"dash": "dot" if other else "solid"},
                     mode="lines+markers",
                     marker={"symbol": "x" if other else "circle", "size": 7},

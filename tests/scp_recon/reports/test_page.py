@@ -187,6 +187,10 @@ def test_several_plans_are_laid_over_each_other(page, verified, plan_folder):
         if chart["key"] != "timeline":
             assert any(name.startswith(str(plan_folder)) for name in named), chart["key"]
             assert any(name.startswith("recon_b") for name in named), chart["key"]
+        if chart["key"] == "convergence":
+            entries = [trace for trace in chart["data"] if trace["showlegend"]]
+            assert [trace["name"] for trace in entries] == [str(plan_folder), "recon_b"]
+            assert len({trace["line"]["color"] for trace in entries}) == 2
     written = render(both)
     assert written.count("next: less") == 1
     assert "next: next" not in written
