@@ -236,17 +236,17 @@ class Planner(Generic[AnyProblem]):
                 own |= dict.fromkeys(("weight", "weight_max", "weight_limit"), spec.weight)
             algorithm = ALGORITHMS[self._names[1]](**self._special | own)
         algorithm = algorithm.resolving(rows.resolution)
-        result = run(subproblem, dynamics, start, algorithm, partial(observe, spec.name))
+        seen, rough = partial(observe, spec.name), spec.max_iterations is not None
+        result = run(subproblem, dynamics, start, algorithm, seen, rough=rough)
         formulation, _, solver = self._names
         # Frozen derivatives prove nothing, and a stage of few iterations is not asked to.
-        if formulation in FULL and spec.max_iterations is None:
+        if formulation in FULL and not rough:
             slopes = None
             if isinstance(rows, FlightRows):
                 rows = rows.bundled()
                 near = rows.sloped(REACH)
                 slopes = partial(make_subproblem, rows.problem, near, "condensed", solver)
             make = partial(make_subproblem, rows.problem, rows, formulation, solver)
-            seen = partial(observe, spec.name)
             result = decide(make, slopes, dynamics, result, rows.resolution, seen)
         result.timing.setup += setup
         return Stage(spec, result, subproblem.merit, algorithm.feasible)

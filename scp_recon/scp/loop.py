@@ -175,10 +175,13 @@ def run(
     algorithm: Algorithm,
     observe: Callable[[Record], None],
     before: Result | None = None,
+    *,
+    rough: bool = False,
 ) -> Result:
     """Iterate until the algorithm stops, `before` being the records and seconds so far.
 
-    Ctrl-C ends with the best iterate so far.
+    Ctrl-C ends with the best iterate so far. A `rough` end keeps the derivatives before the last
+    correction of its flight, which is below 1e-8.
     """
     records = list(before.records) if before else []
     timing = Timing()
@@ -197,7 +200,8 @@ def run(
                 break
     except KeyboardInterrupt:
         status = Status.INTERRUPTED
-    lin = state.lin if state.lin is start else _linearised(dynamics, state.lin, timing)
+    kept = rough or state.lin is start
+    lin = state.lin if kept else _linearised(dynamics, state.lin, timing)
     is_weighed = state.charge.weight > first.charge.weight or (
         before is not None and before.is_weighed
     )

@@ -102,6 +102,17 @@ def test_infeasible_is_told_with_the_least_violation(infeasible):
     assert np.abs(result.lin.defects).max() < 1e-6
 
 
+def test_rough_end_flies_alike_with_earlier_derivatives(cold, mission):
+    def ended(*, rough: bool) -> Linearisation:
+        p3 = make_subproblem(mission.problem, DeterministicRows(mission.problem), "condensed")
+        return run(p3, mission.dynamics, cold, SCvx(max_iterations=3), ignore, rough=rough).lin
+
+    whole, rough = ended(rough=False), ended(rough=True)
+    assert np.array_equal(whole.iterate.mean, rough.iterate.mean)
+    assert np.abs(rough.defects[:-1]).max() < 1e-9
+    assert 0.0 < np.abs(whole.arcs.stm - rough.arcs.stm).max() < 1e-6
+
+
 def raising(monkeypatch, error: BaseException, at: Collection[int]) -> None:
     """Have some of the solver's calls, by number, end so."""
     original, calls = CondensedSubproblem.solve, itertools.count(1)
