@@ -28,7 +28,7 @@ def settled(mission) -> Plan:
 def test_settled_facets_save_delta_v(settled, default_plan):
     assert settled.status is Status.CONVERGED
     assert settled.final.name == "P2.settled"
-    assert settled.total_dv_m_s == pytest.approx(0.125970, rel=1e-4)
+    assert settled.total_dv_m_s == pytest.approx(0.125660, rel=1e-4)
     least = settled.without_uncertainty
     assert least.total_dv_m_s < settled.total_dv_m_s < 0.93 * default_plan.total_dv_m_s
     assert least.optima == 1
@@ -78,7 +78,7 @@ def test_ipopt_solves_p2_on_settled_facets():
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("seed", "most"),
-    usually([(17, 0.1126), (13, 0.1650), (7, 0.1375), (12, 0.1212), (22, 0.15)], 2),
+    usually([(17, 0.1126), (13, 0.1650), (7, 0.1375), (12, 0.1212), (22, 0.15), (511, 0.1278)], 2),
 )
 def test_settled_plan_may_be_far_cheaper(seed, most):
     """Infeasible with P3's facets at the cheapest optimum of P3, or a third dearer or more."""
