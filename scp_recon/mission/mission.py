@@ -85,8 +85,9 @@ CLEARANCE_M, CLEARANCE_AGAIN_M = 200.0, 40.0
 The second figure is for starting at a solution of P2, which moves less than one of P3. Both are those
 of the default mission, and grow with the unit of length.
 """
-EDGE_MOVES_S = 0.1
-"""1 sigma up to which an edge of the window stays."""
+EDGE_MOVES_S, EDGE_PARTS = 0.1, 25
+"""1 sigma up to which an edge of the window stays; and times within 3 sigma at which flights are sampled:
+a flight's own edge is then missed by an eighth of a sigma at most."""
 FLIGHT_STEPS = 1.2
 """Longest step of sampled flights over the longest spacing of nodes."""
 
@@ -424,6 +425,15 @@ class Mission:
             return self.observed_s
         (first, last), (early, late) = self.observed_s, FAR * self.edge_sigmas_s
         return max(first - early, float(self.times_s[0])), min(last + late, float(self.times_s[-1]))
+
+    @property
+    def edge_samples_s(self) -> Array:
+        """Times about the window's edges where those of flights are mostly, s; none where they stay."""
+        if self.observed_s is None or self.edge_sigmas_s is None:
+            return np.zeros(0)
+        pairs = zip(self.observed_s, FAR * self.edge_sigmas_s, strict=True)
+        times = np.concatenate([np.linspace(at - far, at + far, EDGE_PARTS) for at, far in pairs])
+        return times[(times > self.times_s[0]) & (times < self.times_s[-1])]
 
     @property
     def must_meet(self) -> bool:

@@ -101,7 +101,8 @@ class FlightConfig:
     @property
     def watched_samples_s(self) -> Array:
         """The same of `watched_s`, in which the windows of flights lie."""
-        return np.union1d(self.window_samples_s, self._samples(self.mission.watched_s))
+        whole = self._samples(self.mission.watched_s), self.mission.edge_samples_s
+        return np.union1d(self.window_samples_s, np.concatenate(whole))
 
     def _samples(self, span: Window | None) -> Array:
         if span is None:

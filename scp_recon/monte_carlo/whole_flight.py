@@ -121,7 +121,8 @@ class BlockLimits:
 def sample_times(mission: Mission) -> Array:
     """Times at which flights are sampled, s: nodes, and others at most `SAMPLE_STEP_S` apart."""
     nodes = mission.times_s
-    return np.union1d(np.arange(nodes[0], nodes[-1], SAMPLE_STEP_S), nodes)
+    even = np.union1d(np.arange(nodes[0], nodes[-1], SAMPLE_STEP_S), nodes)
+    return np.union1d(even, mission.edge_samples_s)
 
 
 def seconds_of(mission: Mission) -> dict[str, Array]:

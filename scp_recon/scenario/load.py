@@ -27,8 +27,8 @@ SHORT = re.compile(r"[+-]?(?:\d+\.|\.\d+)(?:[eE][+-]?\d+)?")
 DOTS_MAX = 200
 """Beside those of numbers, in a line: what has more nests without end."""
 NUMBER = re.compile(r"(?<![\w.])[+-]?\d[\d_]*\.\d[\d_]*(?:[eE][+-]?\d+)?(?![\w.])")
-PARTS_MAX = 3
-"""Of a dotted entry: section.entry.item."""
+PARTS_MAX = 4
+"""Of a dotted entry: knowledge.body.companion.gm_m3_s2."""
 NO_FILE = os.strerror(errno.ENOENT).lower()
 BASES_MAX = 8
 """Of files that are each the base of the one before."""

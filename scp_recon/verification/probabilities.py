@@ -129,7 +129,7 @@ def joint_probabilities(
         early, late = mission.watched_s or (window[0], window[-1])
         apart = between[1] - between[0]
         beyond = np.arange(early, window[0], apart), np.arange(late, window[-1], -apart)
-        observed = np.union1d(observed, np.concatenate(beyond))
+        observed = np.union1d(observed, np.concatenate([*beyond, mission.edge_samples_s]))
     times = np.union1d(observed, mission.times_s)
     seen, certain = np.searchsorted(times, observed), is_certain(mission, burns)
     parts, ends = [], []

@@ -1,4 +1,4 @@
-"""What goes with what, by pairs: times, drifts, knowledge, feedback, kinds of risk, formulations."""
+"""What goes with what, by pairs: times, drifts, knowledge, feedback, pictures, risks, formulations."""
 
 import itertools
 from collections.abc import Mapping, Sequence
@@ -27,12 +27,22 @@ WORDS: Mapping[str, tuple[str, ...]] = {
     "uncertain": ("knowledge.body.gm_m3_s2=0.2", "knowledge.site.position_body_m=[1, 1, 1]"),
     "feedback": ("policy.kind=feedback", "policy.cost=expected"),
     "considering": ("policy.kind=feedback", "navigation.estimate_parameters=false"),
+    "pictured": (
+        "policy.kind=feedback",
+        "policy.cost=expected",
+        "navigation.landmarks.number=20",
+        "navigation.landmarks.map_error_m=0.5",
+        "navigation.landmarks.every_s=1800",
+        "navigation.landmarks.pixel_error=0.5",
+        "navigation.landmarks.field_of_view_deg=40",
+        "navigation.landmarks.pixels=1024",
+    ),
     "node": ("risk.allocation=exact",),
     "flight": ("risk.allocation=exact", "risk.scope=flight"),
 }
 MEASURED = ("navigation.sigma_position_m=10", "navigation.sigma_velocity_m_s=5e-4")
 TIMES, DRIFTS, KNOWLEDGE = ("given", "free"), ("no drift", "missed"), ("known", "uncertain")
-POLICIES, RISKS = ("open", "feedback", "considering"), ("node", "flight")
+POLICIES, RISKS = ("open", "feedback", "considering", "pictured"), ("node", "flight")
 FORMS = "condensed", "lifted"
 
 
@@ -58,7 +68,7 @@ def covering(*factors: tuple[str, ...]) -> list[Choice]:
 
 def mission_with(choice: Choice) -> Mission:
     words = itertools.chain(*(WORDS.get(one, ()) for one in choice))
-    return mission_of(*SMALL, *MEASURED, *words)
+    return mission_of(*SMALL, *(MEASURED if "pictured" not in choice else ()), *words)
 
 
 def planned(choice: Choice, *, certify: bool | None) -> Plan:

@@ -352,3 +352,8 @@ def test_bad_knowledge_is_refused_in_one_message(case):
         Mission.from_scenario(load_scenario().replace(changes))
     assert words in str(raised.value)
     assert str(raised.value).startswith("knowledge")
+
+
+def test_sigmas_of_a_companion_are_set_in_one_override():
+    scenario = load_scenario("didymos", ["knowledge.body.companion.gm_m3_s2=0.01"])
+    assert Uncertain.of(scenario).sigmas == {"body.companion.gm_m3_s2": np.array([0.01])}

@@ -249,7 +249,7 @@ def test_problems_are_listed_together_up_to_five():
 @pytest.mark.parametrize(
     "override",
     [
-        *("risk.p_chance", "=0.8", ".=1", "risk.=1", ".p=1", "", "a.b.c.d=1", "name=a\tb"),
+        *("risk.p_chance", "=0.8", ".=1", "risk.=1", ".p=1", "", "a.b.c.d.e=1", "name=a\tb"),
         "risk.p_chance=0.8\nburns.dv_max_m_s=0.1",
     ],
 )
