@@ -86,8 +86,8 @@ The second figure is for starting at a solution of P2, which moves less than one
 of the default mission, and grow with the unit of length.
 """
 EDGE_MOVES_S, EDGE_PARTS = 0.1, 25
-"""1 sigma up to which an edge of the window stays; and times within 3 sigma at which flights are sampled:
-a flight's own edge is then missed by an eighth of a sigma at most."""
+"""1 sigma up to which an edge of the window stays; and times within 3 sigma of it at which flights are
+sampled: a flight's own edge is then missed by an eighth of a sigma at most."""
 FLIGHT_STEPS = 1.2
 """Longest step of sampled flights over the longest spacing of nodes."""
 
