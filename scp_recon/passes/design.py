@@ -366,7 +366,9 @@ def other_counts(space: Space, result: PassResult) -> list[Candidate]:
         fewer = [_chosen(space, result, every != gone) for gone in every[1:-1]]
     room = space.n_burns < BURNS_MAX
     more = [_with_burn(space, result, place) for place in places if room]
-    return [one for one in more if one is not None] + fewer
+    # At several places the rules may leave a burn the same time.
+    apart = {tuple(np.round(one.at.times_s)): one for one in more if one is not None}
+    return [*apart.values(), *fewer]
 
 
 def peaks(history: PrimerHistory) -> list[float]:

@@ -154,6 +154,12 @@ def test_a_burn_is_tried_where_the_primer_exceeds_one_and_makes_the_pass_cheaper
     assert after < 0.99 * before
 
 
+def test_a_burn_at_the_same_legal_time_is_tried_once(few, monkeypatch):
+    monkeypatch.setattr(design, "peaks", lambda _: [2_000.0, 2_500.0])
+    (other,) = other_counts(few[0], few[1])
+    assert other.at.times_s == pytest.approx((0.0, 6_600.0, 25_000.0, 34_842.0))
+
+
 def test_there_are_eight_burns_at_most(few, monkeypatch):
     monkeypatch.setattr(design, "BURNS_MAX", 3)
     assert other_counts(few[0], few[1]) == []
