@@ -5,8 +5,8 @@ least that any of these finds: P3 from the straight line and from five random fl
 risk, facets settled along each P3 and along its plan with exact risk at nodes, where the default has
 a rough one; SCvx and PTR from there, with exact risk SCvx* too. References are measured first, and
 stay in OUT/reference.jsonl. The default was made while seeds below 600 were looked at; from 700 on they
-are fresh. OUT/optima.csv has a row for each scenario, OUT/summary.csv one for each kind and set of seeds.
-After Ctrl-C the study continues with the missing rows.
+are fresh. OUT/optima.csv has a row for each scenario, OUT/summary.csv one for each kind and set of
+seeds. After Ctrl-C the study continues with the missing rows.
 """
 
 from __future__ import annotations
