@@ -31,8 +31,9 @@ from scp_recon.scp.status import Status
 FLIGHTS, SEED = 20_000, 3_000
 """Flights that measure a drift's probability; no other draws begin at this seed."""
 
-NEAREST = 0.1
-"""Share of the flights, the nearest by the linear law, that are flown."""
+NEAREST = 0.05
+"""Share of the flights, the nearest by the linear law, that are flown. In four random scenarios the
+nearest 2 % had all of the 60 to 64 unsafe ones of 20,000."""
 
 NEAR = 0.5
 """Margin of a drift, in standard deviations, beyond which its flights are not looked at. The law may
