@@ -10,6 +10,7 @@ import numpy as np
 from scp_recon.api.inputs import PlanRequest
 from scp_recon.api.options import PlanOptions
 from scp_recon.display import Tabulated
+from scp_recon.errors import InputError
 from scp_recon.jobs.blas import one_thread
 from scp_recon.mission.mission import Mission
 from scp_recon.passes.design import Designer, Trial
@@ -104,8 +105,15 @@ def options_for(
     """Options with which the pass of a design is planned.
 
     Raises:
-        InputError: if one is out of range, or flights cannot certify the pass.
+        InputError: if one is out of range, flights cannot certify the pass, or pictures of landmarks are
+            to be taken along a path that is not known yet.
     """
+    if scenario.navigation.landmarks is not None:
+        raise InputError(
+            "navigation.landmarks",
+            "pictures along a pass that is still to be found",
+            "goes with solve: design with sigma_position_m and sigma_velocity_m_s first",
+        )
     # The map of a home orbit's phases has been several starts.
     starts = None if scenario.boundary.home is None else 1
     options = PlanOptions(certify=certify, facet_rounds=facet_rounds, starts=starts)

@@ -10,6 +10,7 @@ from scipy.linalg import block_diag
 
 import scp_recon
 from formulations.arrays import Array
+from scp_recon.api.designing import options_for
 from scp_recon.errors import InputError
 from scp_recon.mission.feedback import cut_offs_s
 from scp_recon.mission.landmarks import Camera, picture_times_s
@@ -251,4 +252,11 @@ def test_bad_landmarks_are_refused_in_one_message(case):
         _ = mission_with(changes).problem
     assert words in str(raised.value)
     assert str(raised.value).startswith("navigation")
+    assert "\n" not in str(raised.value)
+
+
+def test_design_refuses_pictures_in_one_line():
+    scenario = load_scenario("nightingale").replace({"navigation.landmarks": PICTURES})
+    with pytest.raises(InputError, match="design with sigma_position_m") as raised:
+        options_for(scenario, certify=False)
     assert "\n" not in str(raised.value)
