@@ -57,7 +57,8 @@ class Source(NamedTuple):
 BODIES = ("ryugu", "itokawa", "didymos", "apophis")
 DRAWN = {
     **{name: (f"{name} --runs {{out}} --out docs/{name}.png",)
-       for name in ("frontier", "feedback", "policies", "map_sample", "missed_burns")},
+       for name in ("frontier", "feedback", "policies", "map_sample", "missed_burns",
+                    "knowledge")},
     "gallery": tuple(f"flyby --runs {{out}}/{one} --out docs/gallery/{one}.png" for one in BODIES),
     "compare_solvers": ("solver_comparison --runs {out} --out docs",),
     "maps": ("maps --runs {out} --out docs",),
@@ -70,7 +71,7 @@ COMMANDS = {
         "plans", "sites", "nlp_tricks", "peers", "spice", "cross_check", "lifted", "sensitivity",
         "model_fidelity", "battery_cones", "timing_rules", "flown_plan", "gallery", "frontier",
         "feedback", "policies", "accuracy", "observation_table", "optima", "dense", "maps",
-        "missed_burns",
+        "missed_burns", "knowledge",
         "compare_solvers", "uncertainty_sources",
     )},
     "designs": "plans --designs",

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 
 import pandas as pd
 
-from experiments import frontier, gallery, maps, missed_burns, plans
+from experiments import frontier, gallery, knowledge, maps, missed_burns, plans
 from experiments.evidence import Evidence, Records, path_of
 from experiments.harness import Record, default_mission, default_plan
 from experiments.in_flight import feedback, policies
@@ -222,6 +222,10 @@ OWN = (
         frontier.measure, [("exact, whole flights", 0.7)]),
     Sentinel("frontier", "kind, asked", FACETS | {"whole_flight": FLOWN},
         frontier.measure, [("uniform, tangent spheres", 0.9)]),
+    Sentinel("knowledge.parameters", "case, parameter", {"kept": FLOWN},
+        knowledge.measure, [("Bennu on approach", knowledge.PHASE)]),
+    Sentinel("knowledge.plans", "case", {"open_m_s": 1e-6, "feedback_m_s": 1e-6, "open_flown": FLOWN},
+        knowledge.measure, [(knowledge.GM_10, knowledge.ALL)]),
     Sentinel("missed_burns.costs", "case, drifts", OTHER | {"safe": FLOWN},
         missed_burns.measure, [("nightingale", "missed")]),
     Sentinel("feedback.feedback_errors", "scope, scale, asked",

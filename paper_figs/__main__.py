@@ -84,6 +84,7 @@ STUDIES = {
         _study(plans.feedback, feedback="dv99_m_s", feedback_errors="program_m_s"),
         _study(plans.policies, policies="dv99_m_s"),
         _study(plans.missed_burns, costs="more_percent"),
+        _study(plans.knowledge, parameters="kept", plans="without"),
         _study(plans.map_sample, line="maps --sample", sample="site.latitude_deg"),
         _study(plans.accuracy, accuracy="error"),
         _study(

@@ -29,6 +29,20 @@ DRIFTS: dict[str, Look] = {
     "missed": {"marker": "o", "color": "C0", "ls": "", "ms": 5},
     "cut short": {"marker": "D", "color": "C2", "ls": "", "ms": 4},
 }
+PARAMETERS: dict[str, tuple[str, Look]] = {
+    "body.gm": ("GM", {"marker": "o", "color": "C0"}),
+    "body.j2": ("J2", {"marker": "s", "color": "C1"}),
+    "body.pole": ("pole", {"marker": "D", "color": "C2"}),
+    "body.prime": ("phase, spin rate", {"marker": "^", "color": "C4"}),
+    "site": ("site", {"marker": "v", "color": "C5"}),
+    "spacecraft": ("reflectivity", {"marker": "x", "color": "k"}),
+    "body.companion": ("companion", {"marker": "P", "color": "C3"}),
+}
+"""Beginnings of uncertain entries, with their names and looks."""
+KNOWING: dict[str, Look] = {
+    "open": {"marker": "s", "color": "C1", "ls": "", "ms": 6, "mfc": "none"},
+    "feedback": {"marker": "o", "color": "C0", "ls": "", "ms": 4},
+}
 NONE_INSIDE = 1e-4
 """Where no flight comes inside, of 4,000."""
 LEFT_OF = 0.98
@@ -124,6 +138,33 @@ def missed_burns(tables: list[Table]) -> Figure:
         inside.invert_yaxis()
         more.set_xlabel("delta-v beyond the plan without (%)")
         legend(figure, 3)
+    return figure
+
+
+def knowledge(tables: list[Table]) -> Figure:
+    """Share of flights lost to each uncertain parameter, and the price of plans that know of all."""
+    alone, plans = tables
+    cases, without = list(plans.case), plans.set_index("case").without
+    with page(3.8) as figure:
+        lost, price = figure.subplots(1, 2, sharey=True, width_ratios=(1.5, 1.0))
+        for begins, (name, look) in PARAMETERS.items():
+            own = alone[alone.parameter.str.startswith(begins)]
+            share = 100.0 * (without.loc[own.case].to_numpy() - own.kept)
+            lost.plot(share, own.case.map(cases.index), ls="", ms=5, mfc="none", label=name, **look)
+        for policy, look in KNOWING.items():
+            percent = plans[f"{policy}_percent"]
+            label = "open loop" if policy == "open" else policy
+            price.plot(percent.clip(lower=0.0), range(len(cases)), label=label, **look)
+            for at in np.flatnonzero(percent.isna()):
+                height = at + (-0.17 if policy == "open" else 0.17)
+                price.text(0.0, height, f"{label}: no plan", va="center", fontsize=7)
+        lost.set_yticks(range(len(cases)), cases)
+        lost.invert_yaxis()
+        lost.set_xlabel("flights lost to one parameter (%)")
+        price.set_xlabel("price of all (%)")
+        price.set_xscale("symlog", linthresh=1.0)
+        price.xaxis.set_major_formatter("{x:g}")
+        legend(figure, 5)
     return figure
 
 
