@@ -163,6 +163,7 @@ def knowledge(tables: list[Table]) -> Figure:
         lost.set_xlabel("flights lost to one parameter (%)")
         price.set_xlabel("price of all (%)")
         price.set_xscale("symlog", linthresh=1.0)
+        price.set_xlim(-0.3, 200.0)
         price.xaxis.set_major_formatter("{x:g}")
         legend(figure, 5)
     return figure

@@ -105,8 +105,8 @@ def options_for(
     """Options with which the pass of a design is planned.
 
     Raises:
-        InputError: if one is out of range, flights cannot certify the pass, or pictures of landmarks are
-            to be taken along a path that is not known yet.
+        InputError: if one is out of range, flights cannot certify the pass, or landmarks are pictured
+            along a path that is not known yet.
     """
     if scenario.navigation.landmarks is not None:
         raise InputError(
