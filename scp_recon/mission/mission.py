@@ -155,7 +155,12 @@ class Mission:
                 step = scan_step_s(scene.rotation.rate, (0.0, scenario.duration_s))
                 window = find_window(scenario, scene.lighting, step)
                 warnings += check_window(scene, window)
-            schedule = make_schedule(scenario.burns.times_s, window, scenario.schedule)
+            schedule = make_schedule(
+                scenario.burns.times_s,
+                window,
+                scenario.schedule,
+                observed=scenario.observation.required is not False,
+            )
         start, cut_offs = scenario.start_s, felt_cut_offs_s(scene, window).values()
         fixed = start, *scenario.burn_times_s, *cut_offs, *window, *scenario.grid.nodes_s
         return cls(

@@ -108,8 +108,10 @@ def find_window(scenario: Scenario, lighting: Lighting, step_s: float = SCAN_STE
     )
 
 
-def make_schedule(times_s: tuple[float, ...], window_s: Window, rules: ScheduleRules) -> Schedule:
-    """Lay out the modes of a whole flight.
+def make_schedule(
+    times_s: tuple[float, ...], window_s: Window, rules: ScheduleRules, *, observed: bool = True
+) -> Schedule:
+    """Lay out the modes of a whole flight; without an observation its mode is left out.
 
     Raises:
         InputError: if a firing time breaks one of the rules, naming the rule.
@@ -119,6 +121,9 @@ def make_schedule(times_s: tuple[float, ...], window_s: Window, rules: ScheduleR
     before = burns_before(times_s, window_s)
     # Everything that is not sun-pointing, in order, with the first burn as an instant at zero.
     busy = [Leg(Mode.DELTA_V, 0.0, 0.0), *burns[:before], observation, *burns[before:]]
+    if not observed:
+        busy.remove(observation)
+        before = len(burns)
     following = [*(leg.start_s - rules.sun_leg_s for leg in busy[1:]), np.inf]
     intervals = [(0.0, 0.0)] + [
         (previous.end_s + rules.cycle_s, latest)
@@ -133,7 +138,7 @@ def make_schedule(times_s: tuple[float, ...], window_s: Window, rules: ScheduleR
                 f"{rules.sun_leg_s:g} s' is broken: {previous.mode} mode ends at "
                 f"{previous.end_s:g} s and {leg.mode} mode must start at {leg.start_s:g} s"
             )
-            legal = _legal_times(times_s, window_s, rules)
+            legal = _legal_times(times_s, window_s, rules) if observed else "nothing is observed"
             # The burn that ends the short leg; before the observation, the one that starts it.
             burn = index - 1 if index > before else index
             if burn == 0:  # which cannot move: the window has to

@@ -11,7 +11,7 @@ from formulations.arrays import Array
 from scp_recon.api.planning import plan_left
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
-from scp_recon.mission.schedule import MISS_WEIGHT
+from scp_recon.mission.schedule import MISS_WEIGHT, Mode
 from scp_recon.planning import initial_guess, ipopt
 from scp_recon.planning.method import ScpMethod, scp_method
 from scp_recon.planning.missions import other_starts
@@ -357,6 +357,23 @@ def test_a_missed_burn_loses_the_observation_not_the_way_home(survivor):
     assert verify(left.mission, make_solution(left)).ok
     observed = sr.replan(survivor, **given, certify=False)
     assert observed.status is not Status.CONVERGED
+
+
+def test_way_home_may_burn_in_the_window(default_plan, flown):
+    given = after_missed_burn(flown, 9_000.0)
+    added = ["burns.times_s=[0, 8000, 15000, 25000, 34842]"]
+    left = sr.replan(default_plan, **given, goal="return", overrides=added)
+    assert left.status is Status.CONVERGED
+    modes = [leg.mode for leg in left.mission.schedule.legs]
+    assert Mode.OBSERVATION not in modes
+    assert modes.count(Mode.DELTA_V) == 3
+    with pytest.raises(InputError, match=r"nothing is observed"):
+        sr.replan(
+            default_plan,
+            **given,
+            goal="return",
+            overrides=["burns.times_s=[0, 8000, 15000, 16000, 34842]"],
+        )
 
 
 def test_the_last_burn_may_come_later(default_plan, flown):
