@@ -39,16 +39,24 @@ class ConicSolver(Protocol):
 
 
 class Clarabel:
-    """Goulart & Chen, "Clarabel: an interior-point solver for conic programs", 2024."""
+    """Goulart & Chen, "Clarabel: an interior-point solver for conic programs", 2024.
+
+    A program's matrix has room for rows that are empty now. Its zeros are left out, because a
+    factorisation would fill them: half of the time, two thirds with gains. The solver is built
+    again where the entries that are not zero have other places.
+    """
 
     def __init__(self, settings: Mapping[str, float]) -> None:
         self._solver: Any = None
         self._settings = settings
+        self._places: Any = None
 
     def solve(self, program: ConeProgram) -> Answer:
         """See `ConicSolver`."""
-        a, start = program.matrix, perf_counter()
-        if self._solver is None:
+        a, start = sp.csc_matrix(program.matrix, copy=True), perf_counter()
+        a.eliminate_zeros()
+        places, before = (a.indptr, a.indices), self._places
+        if before is None or not all(map(np.array_equal, places, before)):
             settings = clarabel.DefaultSettings()
             settings.verbose = False
             settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = TOLERANCE
@@ -63,8 +71,9 @@ class Clarabel:
             ]
             p = sp.csc_matrix((len(program.cost),) * 2)
             self._solver = clarabel.DefaultSolver(
-                p, program.cost, sp.csc_matrix(a), program.bound, cones, settings
+                p, program.cost, a, program.bound, cones, settings
             )
+            self._places = places
         else:
             self._solver.update(q=program.cost, A=a.data, b=program.bound)
         result = self._solver.solve()
