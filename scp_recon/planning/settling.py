@@ -11,7 +11,7 @@ Facets and plan together are a local optimum. Rounds therefore begin along a rou
 are half-spaces that touch them, which is exact risk to first order. Unless that ends near the rough
 plan's cost, they begin also along P2's plan with P3's facets; where that is no plan, or needed a larger
 weight, along its end and P3's path; and where all these end dear, along a rough plan with exact risk at
-nodes. The cheapest end counts.
+nodes, from the rough plan and, where nothing holds yet, from P3's. The cheapest end counts.
 """
 
 from __future__ import annotations
@@ -79,6 +79,8 @@ class Settling:
                 found += [self._along(one.result.lin) for one in (p3, first)]
             if min(_price(one) for one in found) > DEAR * _cost(p3):
                 found.append(self._along(self.exact_path(lin)))
+            if min(_price(one) for one in found) == math.inf:
+                found.append(self._along(self.exact_path(p3.result.lin)))
         return self._best(found)
 
     def exact_path(self, start: Linearisation) -> Linearisation:
