@@ -41,8 +41,8 @@ FINE = 1e-3
 UNIFORM = {"risk.allocation": "uniform", "risk.scope": "node"}
 SETS = (
     ("uniform", "tuned", range(NUMBER)),
-    ("exact", "tuned", range(41)),
-    ("uniform", "fresh", range(700, 743)),
+    ("exact", "tuned", range(NUMBER)),
+    ("uniform", "fresh", range(700, 800)),
 )
 """Kinds of risk and seeds: those of every other comparison, and fresh ones."""
 NEAR, FAR = 1e-3, 1e-2

@@ -265,6 +265,7 @@ class Simulation:
     craft: Vehicle
     miss: int | None = None
 
+    @one_thread
     def fly(self, progress: Callable[[float], None] | None = None) -> records.Record:
         """Fly it; `progress` is called with the time of the flight, s."""
         from scp_recon.simulation.basilisk import simulation

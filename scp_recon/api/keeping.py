@@ -64,7 +64,8 @@ def check_folder(folder: Path, entry: str) -> None:
         InputError: if a plan cannot be written there.
     """
     check_writable(folder, FILE_NAME, entry)
-    check_own(folder / FILE_NAME, entry, MARK)
+    for name in (FILE_NAME, UNVERIFIED):
+        check_own(folder / name, entry, MARK)
 
 
 def point_latest(out: Path | None, folder: Path, status: int) -> None:

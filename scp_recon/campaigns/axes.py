@@ -18,6 +18,7 @@ from scp_recon.bodies.shape_file import read_shape
 from scp_recon.bodies.surface import Ellipsoid, Mesh, Surface, coordinates_of
 from scp_recon.campaigns.cases import Changes
 from scp_recon.errors import InputError
+from scp_recon.jobs.seeds import generator
 from scp_recon.mission.scene import Scene
 from scp_recon.mission.survey import survey
 from scp_recon.physics.two_body import two_body
@@ -171,7 +172,7 @@ class Draws(Axis):
     def rows(self, _base: Scenario, seed: tuple[int, ...], /) -> list[Changes]:
         """Random rows; each entry has a stream of its own."""
         columns = [
-            law.drawn(np.random.default_rng((*seed, place)), self.count).tolist()
+            law.drawn(generator(*seed, place), self.count).tolist()
             for place, law in enumerate(self.draws)
         ]
         names = [law.entry for law in self.draws]

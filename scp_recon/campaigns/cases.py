@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from scp_recon.jobs.seeds import sequence
 from scp_recon.scenario.given import anchored, tables_of
 from scp_recon.scenario.schema import Scenario
 
@@ -48,7 +49,7 @@ class Cases(Sequence[Case]):
         for rows in reversed(self.axes):
             rest, place = divmod(rest, len(rows))
             changes = {**rows[place], **changes}
-        (state,) = np.random.SeedSequence((self.seed, number)).generate_state(1, np.uint64)
+        (state,) = sequence(self.seed, number).generate_state(1, np.uint64)
         return Case(number, int(state >> 1), changes)
 
 

@@ -180,8 +180,12 @@ def show_plan(
         show_line(console, str(solution.starts), "dim")
     if verification is not None:
         _show_verification(console, mission, solution, verification, verbose=verbose)
-        for line in () if advised else what_next(mission, solution, verification):
-            show_line(console, f"next: {line}")
+        if not advised and solution.advice and not verification.ok:
+            for line in solution.advice:
+                show_line(console, line)
+        elif not advised:
+            for line in what_next(mission, solution, verification):
+                show_line(console, f"next: {line}")
 
 
 def _show_cost(console: Console, solution: Solution, *, verbose: bool) -> None:

@@ -14,6 +14,7 @@ from formulations.problem.expression_flow import ExpressionFlow
 from formulations.problem.flow import Flow, ScaledFlow
 from formulations.rows.node_probability import joint_events
 from scp_recon.errors import InputError
+from scp_recon.jobs.blas import one_thread
 from scp_recon.monte_carlo.estimates import Estimate, proportion
 from scp_recon.monte_carlo.sampling import BLOCK, NAVIGATION, draw
 from scp_recon.planning.plan import Stage, Unit
@@ -174,6 +175,7 @@ class ImpulsivePlan:
         """One line."""
         return f"<ImpulsivePlan: {self.status.value.name}, cost {self.cost:.9g}>"
 
+    @one_thread
     def fly(
         self,
         samples: int = 10_000,

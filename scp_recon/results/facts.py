@@ -315,6 +315,8 @@ class Facts:
                 if once == Status.CONVERGED.value.name:
                     once = f"{1e3 * first.total_dv_m_s:.3f}"
                 settled = mm_s(stage.total_dv_m_s)
+                if stage.status != Status.CONVERGED.value.name:
+                    settled = stage.status
                 said.append(f"P2 with P3's facets {once}, facets settled {settled}")
         return "; ".join(filter(None, said))
 

@@ -50,14 +50,14 @@ def _folder_name(name: str) -> str:
 def point_to(folder: Path, root: Path = RUNS) -> None:
     """Let `root/latest` point to a run's folder, atomically.
 
-    A folder of that name, which earlier versions wrote to, is renamed.
+    A folder or a file of that name that is no pointer is renamed.
 
     Raises:
         InputError: if neither a link nor a file can be written.
     """
     latest, target = root / LATEST, os.path.relpath(folder, root)
     try:
-        if latest.is_dir() and not latest.is_symlink():
+        if latest.exists() and not latest.is_symlink() and resolve_run(latest) == latest:
             kept = new_run(f"{LATEST}_before", root)
             kept.rmdir()
             latest.rename(kept)

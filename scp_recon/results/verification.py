@@ -123,7 +123,7 @@ class DriftSafety:
         """In words."""
         return (
             f"drift: closest 99.7 % in {self.drift_s / 3600.0:.3g} h after {self.event}: "
-            f"{self.closest_m:.0f} m; impact {100.0 * self.impact:.3g} %"
+            f"{self.closest_m:.0f} m from the centre; impact {100.0 * self.impact:.3g} %"
         )
 
 

@@ -4,6 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
+from scp_recon.campaigns.cases import Cases
 from scp_recon.jobs.seeds import WORD, generator
 
 seeds = st.integers(0, 2**63 - 1) | st.integers(0, 3).map(lambda high: high * WORD)
@@ -27,6 +28,13 @@ def test_a_seed_a_word_above_repeats_no_block(seed, block):
         for at in (block, block + 1)
     }
     assert len(numbers) == 6
+
+
+def test_campaigns_of_different_seeds_repeat_no_case():
+    axes = ([{}] * 4,)
+    seeds = [case.seed for k in range(3) for case in Cases(axes, k * WORD)]
+    assert len(set(seeds)) == 12
+    assert seeds[1] == 2918264622725855778  # as ever
 
 
 @given(st.integers(0, WORD - 1), places)
