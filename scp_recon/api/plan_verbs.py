@@ -141,7 +141,7 @@ def fly(
         >>> import scp_recon as sr
         >>> emission = sr.fly(sr.plan(), samples=1000).probability["emission"]
         >>> print(f"{emission.value:.3f}, 95 % interval {emission.low:.3f} to {emission.high:.3f}")
-        0.976, 95 % interval 0.964 to 0.985
+        0.979, 95 % interval 0.968 to 0.987
     """
     from scp_recon.api.files import open_plan
     from scp_recon.api.flying import FlyOptions, flown_summary

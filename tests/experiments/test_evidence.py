@@ -128,7 +128,7 @@ MOST = "plans designs sites policies frontier lifted sensitivity accuracy cross_
 FELT = {
     "quantile": f"{MOST} compare_solvers nlp_tricks uncertainty_sources spice maps",
     "GM": f"{MOST} compare_solvers nlp_tricks peers model_fidelity feedback map_sample",
-    "sunlight": f"{MOST} model_fidelity feedback map_sample battery_cones",
+    "sunlight": f"{MOST} model_fidelity feedback map_sample battery_cones missed_burns",
 }
 """Evidence that each planted change makes out of date."""
 

@@ -221,7 +221,7 @@ def test_rows_cost_and_gradient_are_those_of_the_convex_side(price, rng, errors)
     # these move; cost and weighed rows one after the other.
     prices = {
         name: rng.normal(size=len(margin)) * (name not in (SIZE, BATTERY))
-        for name, (_, margin) in margins.items()
+        for name, margin in ((key, one.margin) for key, one in margins.items())
     }
     weighed = sum(ca.dot(ca.DM(price), blocks[name]) for name, price in prices.items())
     further = [blocks[name] for name in ("sizes", "width", "quantile") if name in blocks]

@@ -104,7 +104,7 @@ def assert_solved(run: CommandLine, solution: Solution) -> None:
     assert solution.status == Status.CONVERGED.value.name
     assert solution.verification.ok
     assert solution.verification.failed == []
-    assert "verified" in run.output.splitlines()
+    assert any(line.startswith("verified") for line in run.output.splitlines())
     assert (solution.violation.max, solution.violation.by_constraint) == (0.0, {})
     # To a tenth of a millimetre: a binding margin is rounded.
     assert min(c.worst_margin for c in solution.constraints) > -1e-3

@@ -52,7 +52,7 @@ def test_slopes_of_drifts_are_derivatives(entry):
     """By differences of fourth order of values evaluated anew, in all burns."""
     mission, lin = at_plan_without(entry)
     problem = replace(mission.problem, drifts=mission.problem.drifts[:2])
-    controls, h = lin.controls, 1e-5
+    controls, h = lin.controls, 1e-6
 
     def values(moved: Array) -> Array:
         burns = moved.reshape(-1, 3)

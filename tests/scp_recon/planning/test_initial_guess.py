@@ -18,7 +18,7 @@ from scp_recon.planning import initial_guess
 from scp_recon.planning.plan import Plan
 from scp_recon.planning.planner import plan
 from scp_recon.planning.records import Optimum, Starts
-from scp_recon.planning.stages import path_ignores_burns
+from scp_recon.planning.stages import path_ignores_burns, unobserved
 from scp_recon.planning.starts import _Several, plan_from_several, random_flight, unseen
 from scp_recon.results.solution import make_solution
 from scp_recon.scp.algorithms import ALGORITHMS
@@ -366,7 +366,7 @@ def test_an_interrupt_keeps_the_best_start_so_far(mission):
 def test_optima_on_finer_grids_start_on_the_missions(mission):
     """A close random flight may want shorter steps than the plan beside it."""
     finer = mission.changed({"grid.step_max_s": 100.0})
-    work = _Several(mission, initial_guess.cold(mission), plan, 0, "cold", unseen)
+    work = _Several(mission, initial_guess.cold(mission), plan, 0, "cold", unseen, unobserved)
     found = work._on_grid(random_flight(finer, 0, 1))
     lin = mission.dynamics.linearise(mission.problem, found)
     assert np.abs(lin.defects[:-1]).max() < 1e-9

@@ -238,7 +238,7 @@ def test_where_p3_stops_before_its_end_p2_ends_at_the_same(flown):
     quick = plan_left(flown, mission)
     p3, p3_whole = quick.stages[0].result, whole.stages[0].result
     assert len(p3.records) < len(p3_whole.records)
-    assert quick.total_dv_m_s == pytest.approx(whole.total_dv_m_s, rel=1e-6)
+    assert quick.total_dv_m_s == pytest.approx(whole.total_dv_m_s, rel=5e-6)
 
 
 def test_a_replan_is_made_as_its_parent_was(flown):
