@@ -20,10 +20,10 @@ from scp_recon.drafting.draft import scenario_of as drafted
 from scp_recon.drafting.flown import Track, flown_draft, start_csv, start_table
 from scp_recon.errors import InputError, make_whole, number_between, option, path_of, shortened
 from scp_recon.files import check_writable, write_atomically, writing
+from scp_recon.interop.oem import oem_track
 from scp_recon.interop.tracks import (
     csv_track,
     cut,
-    oem_track,
     pull_doubts,
     spice_body,
     spice_track,

@@ -11,7 +11,8 @@ from scp_recon.bodies.catalogue import J2000_TDB
 from scp_recon.drafting.flown import Track
 from scp_recon.errors import InputError
 from scp_recon.interop.files import csv_text
-from scp_recon.interop.tracks import csv_track, cut, oem_track, pull_doubts, step_doubts
+from scp_recon.interop.oem import oem_track
+from scp_recon.interop.tracks import csv_track, cut, pull_doubts, step_doubts
 
 
 @pytest.fixture(autouse=True)
