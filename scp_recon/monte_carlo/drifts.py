@@ -18,7 +18,7 @@ from scp_recon.mission.mission import Mission
 from scp_recon.mission.scene import TruthModel
 from scp_recon.monte_carlo.estimates import proportion
 from scp_recon.monte_carlo.flights import FlightConfig
-from scp_recon.monte_carlo.sampling import BLOCK, draw_flights, flow_of, flown_mission, fly_draws
+from scp_recon.monte_carlo.sampling import draw_blocks, flow_of, flown_mission, fly_draws
 from scp_recon.results.verification import DriftSafety
 
 NEAREST = 0.003
@@ -63,10 +63,9 @@ def states_after(config: FlightConfig, misses: Sequence[Miss], flights: int) -> 
 
 
 def blocks_of_draws(config: FlightConfig, flights: int) -> Iterator[Array]:
-    """The draws of the first flights, at most `BLOCK` at a time: see `sampling.fly_draws`."""
-    for first in range(0, flights, BLOCK):
-        own = config.mission, config.burns_m_s, config.seed, first // BLOCK
-        yield draw_flights(*own, config.errors, config.policy)[: flights - first]
+    """The draws of the first flights of a configuration, block by block."""
+    known = config.mission, config.burns_m_s, flights, config.seed
+    return draw_blocks(*known, config.errors, config.policy)
 
 
 def states_of_draws(

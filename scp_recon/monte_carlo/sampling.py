@@ -104,6 +104,20 @@ def draw_flights(
     return np.hstack([draws, measured]) if policy else draws
 
 
+def draw_blocks(
+    mission: Mission,
+    burns_m_s: Array,
+    samples: int,
+    seed: int,
+    errors: ErrorModel | None = None,
+    policy: AnyPolicy = (),
+) -> Iterator[Array]:
+    """The draws of the first flights, block by block: see `fly_draws`."""
+    for first in range(0, samples, BLOCK):
+        draws = draw_flights(mission, burns_m_s, seed, first // BLOCK, errors, policy)
+        yield draws[: samples - first]
+
+
 def draw_parameters(mission: Mission, seed: int, block: int) -> Array:
     """The draws of the uncertain parameters of a block of flights, shape (BLOCK, p)."""
     return draw(seed, block, mission.uncertain.count, PARAMETERS)
@@ -238,14 +252,12 @@ def fly_blocks(
     until_s: float = np.inf,
 ) -> Iterator[FlightLog]:
     """Fly a number of flights, block by block: see `fly_draws`."""
-    for first in range(0, samples, BLOCK):
-        yield fly_block(
+    for draws in draw_blocks(mission, burns_m_s, samples, seed, errors, policy):
+        yield fly_draws(
             mission,
             burns_m_s,
             times_s,
-            first // BLOCK,
-            flights=min(BLOCK, samples - first),
-            seed=seed,
+            draws,
             truth=truth,
             errors=errors,
             policy=policy,
