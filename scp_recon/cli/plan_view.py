@@ -53,7 +53,7 @@ from scp_recon.scenario.time_scales import instant, iso_tdb, iso_utc
 from scp_recon.scp.loop import Record
 from scp_recon.scp.status import Status
 from scp_recon.verification.reintegration import FIGURES
-from scp_recon.verification.remedies import in_words, what_next
+from scp_recon.verification.remedies import in_words, next_lines
 
 
 def show_mission(console: Console, mission: Mission, *, verbose: bool = True) -> None:
@@ -180,12 +180,9 @@ def show_plan(
         show_line(console, str(solution.starts), "dim")
     if verification is not None:
         _show_verification(console, mission, solution, verification, verbose=verbose)
-        if not advised and solution.advice and not verification.ok:
-            for line in solution.advice:
+        if not advised and not verification.ok:
+            for line in next_lines(mission, solution, verification):
                 show_line(console, line)
-        elif not advised:
-            for line in what_next(mission, solution, verification):
-                show_line(console, f"next: {line}")
 
 
 def _show_cost(console: Console, solution: Solution, *, verbose: bool) -> None:

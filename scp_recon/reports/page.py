@@ -23,7 +23,7 @@ from scp_recon.results.solution import Solution
 from scp_recon.results.table import Table
 from scp_recon.scenario.time_scales import instant, iso_utc, shown_utc
 from scp_recon.scp.status import Status
-from scp_recon.verification.remedies import what_next
+from scp_recon.verification.remedies import next_lines
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -151,13 +151,10 @@ def _remarks(subject: Subject, status: Status) -> tuple[str, ...]:
 def _advice(subject: Subject) -> tuple[str, ...]:
     """What to do next: what was found to work for this plan, else what helps with its failed checks."""
     solution = subject.solution
-    if solution.verification is None:
-        lines = tuple(filter(None, [Status.named(solution.status).value.remedy]))
-    elif solution.advice:
-        return solution.advice
-    else:
-        lines = what_next(subject.mission, solution, solution.verification)
-    return tuple(f"next: {line}" for line in lines)
+    if solution.verification is not None:
+        return next_lines(subject.mission, solution, solution.verification)
+    remedy = Status.named(solution.status).value.remedy
+    return (f"next: {remedy}",) if remedy else ()
 
 
 @dataclass(frozen=True, eq=False)

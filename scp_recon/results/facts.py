@@ -311,12 +311,13 @@ class Facts:
         for name, stage in by_name.items():
             first = by_name.get(name.removesuffix(".settled"))
             if first is not None and first is not stage:
-                once = first.status
-                if once == Status.CONVERGED.value.name:
-                    once = f"{1e3 * first.total_dv_m_s:.3f}"
-                settled = mm_s(stage.total_dv_m_s)
-                if stage.status != Status.CONVERGED.value.name:
-                    settled = stage.status
+                once, settled = (
+                    mm_s(one.total_dv_m_s)
+                    if one.status == Status.CONVERGED.value.name
+                    else one.status
+                    for one in (first, stage)
+                )
+                once = once.removesuffix(" mm/s")
                 said.append(f"P2 with P3's facets {once}, facets settled {settled}")
         return "; ".join(filter(None, said))
 

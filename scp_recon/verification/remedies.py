@@ -64,6 +64,13 @@ def in_words(name: str) -> str:
     return NAMES.get(name, name)
 
 
+def next_lines(mission: Mission, solution: Solution, verification: Verification) -> tuple[str, ...]:
+    """What was found to work for a plan, else `what_next`."""
+    return solution.advice or tuple(
+        f"next: {line}" for line in what_next(mission, solution, verification)
+    )
+
+
 def what_next(mission: Mission, solution: Solution, verification: Verification) -> tuple[str, ...]:
     """Lines with the names of failed checks and a remedy for them.
 
