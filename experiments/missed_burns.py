@@ -45,7 +45,7 @@ GAINS = {
     "navigation.sigma_velocity_m_s": 5e-4,
 }
 DEFAULT: Mapping[str, dict[str, Any]] = {
-    "0.70, evenly split": TANGENT,
+    "0.70, tangent facets": TANGENT,
     "0.90 of whole flights": FLIGHT | {"risk.p_chance": 0.9},
     "0.99 of whole flights": FLIGHT | {"risk.p_chance": 0.99},
     "0.99 with feedback": FLIGHT | GAINS | {"risk.p_chance": 0.99},

@@ -133,7 +133,7 @@ def missed_burns(tables: list[Table]) -> Figure:
             inside.plot(np.maximum(1.0 - own.safe, NONE_INSIDE), height, **look, label=drifts)
             more.plot(own.more_percent, height, **look)
         inside.axvline(0.003, color="k", lw=1.0, ls="--")
-        inside.set(xscale="log", xlabel="flights inside the radius (-; none at the left edge)")
+        inside.set(xscale="log", xlabel="share of flights inside; none at the left edge")
         inside.set_yticks(range(len(cases)), cases)
         inside.invert_yaxis()
         more.set_xlabel("delta-v beyond the plan without (%)")
@@ -172,12 +172,12 @@ def knowledge(tables: list[Table]) -> Figure:
 def _ends(axes: Axes, rows: Table, colour: str) -> None:
     """Say where a curve ends from which probability on there is no plan."""
     end, beyond = rows[rows.y.notna()].iloc[-1], rows[rows.y.isna()].asked.iloc[0]
-    left = end.asked > LEFT_OF
-    look: Look = {"color": colour, "fontsize": 8, "va": "center", "ha": "right" if left else "left"}
-    away = (-6.0 if left else 6.0, 3.0)
-    axes.annotate(
-        f"no plan from {beyond}", (end.x, end.y), away, textcoords="offset points", **look
-    )
+    look: Look = {"color": colour, "fontsize": 8, "textcoords": "offset points"}
+    if end.asked > LEFT_OF:
+        text, away, look["ha"] = f"no plan\nfrom {beyond}", (-6.0, 4.0), "right"
+    else:
+        text, away = f"no plan from {beyond}", (6.0, 0.0)
+    axes.annotate(text, (end.x, end.y), away, **look)
 
 
 def feedback(tables: list[Table]) -> Figure:
