@@ -113,7 +113,7 @@ class Watcher:
 
 def flown_summary(plan: Opened, options: FlyOptions) -> Summary:
     """Fly a plan and summarise its flights."""
-    config = _config(plan, options)
+    config = config_of(plan, options)
     flown = _fly(config, options, Watcher())
     return _with_drift(summarise(flown, plan.solution), plan, config, options)
 
@@ -135,14 +135,17 @@ class SavedFlights:
     interrupted: bool
 
 
-def fly_into(folder: Path, plan: Opened, options: FlyOptions, watcher: Watcher) -> SavedFlights:
+def fly_into(
+    folder: Path, plan: Opened, options: FlyOptions, config: FlightConfig, watcher: Watcher
+) -> SavedFlights:
     """Fly a plan, and write the summary into its folder, also of fewer flights after an interrupt.
+
+    `config` is that of `config_of`.
 
     Raises:
         InputError: if the folder cannot be written, or holds another plan.
     """
     solution = plan.solution
-    config = _config(plan, options)
     own = "feedback" if solution.corrections else "open"
     name = FILE_NAME if config.policy_kind == own else f"montecarlo_{config.policy_kind}.json"
     if options.miss is not None:
@@ -158,7 +161,12 @@ def fly_into(folder: Path, plan: Opened, options: FlyOptions, watcher: Watcher) 
     return SavedFlights(flown, path, summary, interrupted)
 
 
-def _config(plan: Opened, options: FlyOptions) -> FlightConfig:
+def config_of(plan: Opened, options: FlyOptions) -> FlightConfig:
+    """The flights of a plan that options ask for.
+
+    Raises:
+        InputError: if the plan cannot be flown so.
+    """
     burns, policy = plan.solution.burns_m_s, _policy(plan, options.policy)
     check_miss(plan.solution.scenario, options.miss)
     if options.then and options.miss == len(plan.solution.scenario.burns.times_s):

@@ -55,6 +55,7 @@ def montecarlo(console: "Console", plan: Path, **how: Any) -> Answer:
     options = flying.FlyOptions(**how)
     home = resolve_run(plan)
     opened, folder = open_plan(home), folder_of(home)
+    config = flying.config_of(opened, options)  # before a bar is shown
     columns = ("flights", BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with asked_to_stop() as stop, Progress(*columns, console=progress_console(console)) as bar:
         task = bar.add_task("flights", total=options.samples)
@@ -63,7 +64,7 @@ def montecarlo(console: "Console", plan: Path, **how: Any) -> Answer:
             stop,
             lambda line: show_line(console, line),
         )
-        flown = flying.fly_into(folder, opened, options, watcher)
+        flown = flying.fly_into(folder, opened, options, config, watcher)
     summary, document = flown.summary, {"files": [str(flown.path)]}
     if flown.interrupted:
         count = summary.samples

@@ -76,6 +76,7 @@ solve --objective probability --dv-budget 115 --set EXACT -> --dv-budget: got 11
 solve --starts 2 --set EXACT --set risk.p_chance=0.9999 -> risk.p_chance: got 0.9999; takes 3000000
 verify none -> none
 montecarlo none -> none
+montecarlo plan --miss 9 -> --miss: got 9; must be a burn that is planned, 1 to 4
 simulate none -> none
 compare none -> none
 report none -> none
@@ -196,3 +197,10 @@ def test_bad_input_is_one_message_and_document(line, folder, monkeypatch, capsys
         )
     assert set(folder.rglob("*")) == before
     reliability.count(reliability.BAD_INPUTS)
+
+
+def test_refused_flights_draw_no_bar(folder, capsys):
+    assert status_of(main, "montecarlo", str(folder / "plan"), "--miss", "9") == 2
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    assert printed.err.count("\n") == 1
