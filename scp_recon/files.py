@@ -6,7 +6,9 @@ import codecs
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
+from itertools import chain, count
 from pathlib import Path
+from stat import S_ISFIFO
 from tempfile import TemporaryFile
 from uuid import uuid4
 
@@ -36,8 +38,10 @@ def read_text(path: Path, entry: str, kind: str, bytes_max: int = BYTES_MAX) -> 
         InputError: if it cannot be read, is too large, or is no UTF-8 text.
     """
     try:
-        with path.open("rb") as file:
+        with open(path, "rb", opener=_without_waiting) as file:
             data = file.read(bytes_max + 1)
+            if not data and S_ISFIFO(os.fstat(file.fileno()).st_mode):
+                raise InputError(entry, "a pipe into which nothing is written", f"must be a {kind}")
     except OSError as error:
         raise InputError(entry, reason_of(error), f"must be a readable {kind}") from None
     except ValueError as error:  # of a path that no file can have
@@ -50,6 +54,14 @@ def read_text(path: Path, entry: str, kind: str, bytes_max: int = BYTES_MAX) -> 
         return data.removeprefix(codecs.BOM_UTF8).decode("utf-8")
     except UnicodeDecodeError as error:
         raise InputError(entry, f"no UTF-8 text ({error.reason})", f"must be a {kind}") from None
+
+
+def _without_waiting(path: str, flags: int) -> int:
+    """Open a file; a pipe that nothing writes to is at its end, and its writer is not waited for."""
+    opened = os.open(path, flags | getattr(os, "O_NONBLOCK", 0))
+    if hasattr(os, "O_NONBLOCK"):
+        os.set_blocking(opened, True)
+    return opened
 
 
 def reason_of(error: OSError) -> str:
@@ -149,6 +161,13 @@ def write_atomically(path: Path, content: str | bytes) -> Path:
         beside.unlink(missing_ok=True)
         raise
     return path
+
+
+def set_aside(path: Path, to: Path) -> Path:
+    """Rename a file, to a numbered name where another file has that name."""
+    names = (to.with_name(f"{to.stem}_{number}{to.suffix}") for number in count(2))
+    free = next(file for file in chain([to], names) if not os.path.lexists(file))
+    return path.rename(free)
 
 
 @contextmanager

@@ -21,7 +21,7 @@ from formulations.risk import strata
 from scp_recon.cli.command import EXIT_STATUSES, SCRIPT, add_output_options
 from scp_recon.cli.commands import COMMANDS
 from scp_recon.errors import InputError
-from scp_recon.files import check_writable, write_atomically
+from scp_recon.files import check_own, check_writable, write_atomically
 from scp_recon.mission import checks, grid
 from scp_recon.mission.interval import Interval
 from scp_recon.mission.intervals import INTERVALS, PLANNER_INTERVALS, STATE_INTERVALS
@@ -260,6 +260,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         for name, page in PAGES.items():
             check_writable(folder, f"{name}.md", "folder")
+            check_own(folder / f"{name}.md", "folder", HEAD.strip().encode())
             write_atomically(folder / f"{name}.md", page())
     except InputError as error:
         parser.error(str(error))

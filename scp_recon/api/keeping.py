@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from scp_recon.errors import InputError, option
-from scp_recon.files import check_own, check_writable, only_run_in, writing
+from scp_recon.files import check_own, check_writable, only_run_in, set_aside, writing
 from scp_recon.results.read import read_solution
 from scp_recon.results.runs import is_pointer, new_run, point_to
 from scp_recon.results.solution import FILE_NAME, Solution
@@ -170,7 +170,7 @@ def _set_aside(solution: Solution, folder: Path) -> list[Path]:
     """Rename results of other or unknown plans, and move exports of other plans."""
     results = (*folder.glob("montecarlo*.json"), *folder.glob("simulation*.npz"))
     aside = [
-        path.replace(folder / f"{OLD}{path.name}")
+        set_aside(path, folder / f"{OLD}{path.name}")
         for path in results
         if path.is_file() and _plan_hash(path) != solution.plan_hash
     ]
@@ -190,7 +190,7 @@ def _set_exports_aside(solution: Solution, folder: Path) -> list[Path]:
         return []
     old.mkdir(exist_ok=True)
     for path in others:
-        path.replace(old / path.name)
+        set_aside(path, old / path.name)
     with suppress(OSError):  # other files are there
         exports.rmdir()
     return [old]

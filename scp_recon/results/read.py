@@ -96,10 +96,6 @@ def read_solution(path: Path) -> Solution:
     """
     path = resolve_run(path)
     file = path / FILE_NAME if path.is_dir() else path
-    if path.is_dir() and file.exists() and not file.is_file():  # a pipe would wait for its writer
-        raise InputError(
-            f"solution {file}", "a pipe or a device", "must be a solution file in JSON"
-        )
     data = read_json(file, "solution")
     solution = parse_solution(data, f"solution {file}")
     try:

@@ -2,16 +2,22 @@
 
 import inspect
 import os
+from threading import Timer
 
 import pytest
 
 import scp_recon as sr
+from scp_recon import reference
 from scp_recon.__main__ import main
 from scp_recon.api.inputs import PlanRequest, load, resolve
+from scp_recon.api.keeping import keep
 from scp_recon.api.options import PlanOptions
 from scp_recon.cli.commands import COMMANDS
 from scp_recon.cli.options import joined, parameters
+from scp_recon.errors import InputError
+from scp_recon.files import read_text
 from scp_recon.results.read import read_solution
+from scp_recon.results.runs import point_to
 from tests.scp_recon.support import run_solve
 
 OWN = {"solve": {"file", "out", "report", "verbose"}, "schema": {"file"}}
@@ -124,9 +130,95 @@ def test_own_file_is_written_again(line, tmp_path, capsys):
     assert capsys.readouterr().err == ""
 
 
+WRITERS = (
+    "schema {0}/mine.json",
+    "windows recon_b --span-days 0.2 --csv {0}/mine.csv",
+    "montecarlo {0} --samples 100",
+    "montecarlo {0} --samples 100 --miss 2",
+    "export {0} --format csv",
+    "export {0} --format oem",
+    "export {0} --format spk",
+    "export {0} --format parquet",
+    "report {0}",
+)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("line", WRITERS)
+def test_every_writer_refuses_what_it_did_not_write(line, tmp_path, solution, capsys):
+    """What it wrote itself is written again; the same names with other content are kept."""
+    solution.write(tmp_path)
+    words = line.format(tmp_path).split()
+    for _ in range(2):
+        assert main(words) != 2
+    written = [
+        path for path in tmp_path.rglob("*") if path.is_file() and path.name != "solution.json"
+    ]
+    assert written
+    for path in written:
+        kept = path.read_bytes()
+        path.write_text("the user's", "utf-8")
+        capsys.readouterr()
+        assert main(words) == 2
+        assert "which holds something else" in capsys.readouterr().err
+        assert path.read_text("utf-8") == "the user's"
+        path.write_bytes(kept)
+
+
+def test_reference_pages_of_others_are_kept(tmp_path, capsys):
+    assert reference.main([str(tmp_path)]) == 0
+    assert reference.main([str(tmp_path)]) == 0
+    (tmp_path / "warnings.md").write_text("mine", "utf-8")
+    with pytest.raises(SystemExit):
+        reference.main([str(tmp_path)])
+    assert "warnings.md, which holds something else" in capsys.readouterr().err
+    assert (tmp_path / "warnings.md").read_text("utf-8") == "mine"
+
+
+def test_own_notes_beside_plans_are_kept(tmp_path, solution, default_plan):
+    """Notes under the names of an unverified plan, of old results, and of the latest run."""
+    (tmp_path / "solution_unverified.json").write_text("mine", "utf-8")
+    with pytest.raises(InputError, match="which holds something else"):
+        sr.save(default_plan, tmp_path)
+    assert (tmp_path / "solution_unverified.json").read_text("utf-8") == "mine"
+    folder = tmp_path / "plan"
+    folder.mkdir()
+    for name in ("old_montecarlo.json", "old_montecarlo_2.json", "montecarlo.json"):
+        (folder / name).write_text(name, "utf-8")
+    keep(solution, folder)
+    kept = {path.name: path.read_text("utf-8") for path in folder.glob("old_*")}
+    assert kept == {
+        "old_montecarlo.json": "old_montecarlo.json",
+        "old_montecarlo_2.json": "old_montecarlo_2.json",
+        "old_montecarlo_3.json": "montecarlo.json",
+    }
+    runs = tmp_path / "runs"
+    (runs / "one").mkdir(parents=True)
+    (runs / "latest").write_text("my notes", "utf-8")
+    point_to(runs / "one", runs)
+    assert [path.read_text("utf-8") for path in runs.glob("latest_before/*")] == ["my notes"]
+    assert (runs / "latest").resolve() == runs / "one"
+
+
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no pipes here")
-def test_pipe_in_a_solutions_place_is_refused(tmp_path, capsys):
-    os.mkfifo(tmp_path / "solution.json")
-    for line in (["verify", str(tmp_path)], ["solve", "--out", str(tmp_path)]):
+@pytest.mark.parametrize("name", ["solution.json", "mine.json", "mine.toml", "mine.csv"])
+def test_pipe_without_writer_is_refused_at_once(name, tmp_path, capsys):
+    pipe = tmp_path / name
+    os.mkfifo(pipe)
+    given = tmp_path if name == "solution.json" else pipe
+    lines = [["solve", "--scenario", str(pipe)], ["solve", "--init", str(pipe)]]
+    lines += [["verify", str(given)], ["report", str(given)]]
+    for line in lines:
         assert main(line) == 2
-    assert "a pipe" in capsys.readouterr().err
+        assert "a pipe" in capsys.readouterr().err
+    assert main(["solve", "--out", str(tmp_path)]) == 2 or name != "solution.json"
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no pipes here")
+def test_pipe_is_read_until_its_writer_ends(tmp_path):
+    pipe = tmp_path / "mine.toml"
+    os.mkfifo(pipe)
+    writer = os.open(pipe, os.O_RDWR)
+    os.write(writer, b"name = ")
+    Timer(0.1, lambda: (os.write(writer, b'"piped"'), os.close(writer))).start()
+    assert read_text(pipe, "scenario", "text") == 'name = "piped"'
