@@ -58,7 +58,9 @@ def test_integration_limits_grow_with_a_large_body():
         "sample_error_m": 0.01,
         "drift_error_m": 1.0,
     }
-    assert limits == sizes | dict.fromkeys(("covariance_error", "knowledge_error"), 1e-6)
+    assert limits == pytest.approx(
+        sizes | dict.fromkeys(("covariance_error", "knowledge_error"), 1e-6)
+    )
     large = replace(mission, units=replace(mission.units, length_m=50.0 * mission.units.length_m))
     grown = {name: pytest.approx(50.0 * size) for name, size in sizes.items()}
     assert limits_of(large) == limits | grown
