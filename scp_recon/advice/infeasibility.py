@@ -11,25 +11,22 @@ from functools import partial
 
 from scp_recon.advice.clock import Clock
 from scp_recon.advice.trials import (
-    CONTINUED,
     CORRECTED,
     FINAL_STATE,
     MORE_BURNS,
     PROBABILITY,
     RETURN,
     SPLIT,
-    TARGET,
     Case,
     Remedy,
     violated_by,
 )
 from scp_recon.api.inputs import PlanRequest
-from scp_recon.api.planning import PlanOutcome
 from scp_recon.jobs.blas import one_thread
 from scp_recon.mission.drifts import planned
 from scp_recon.planning.plan import Plan
+from scp_recon.results.verification import Verification
 from scp_recon.scp.status import Status
-from scp_recon.verification.remedies import CERTIFICATE
 
 TIMES, LEAST_S = 3.0, 30.0
 """Limit of a diagnosis: so many times the processor time of the plan, at least so many seconds."""
@@ -76,14 +73,16 @@ def diagnose(
     request: PlanRequest,
     spent_s: float = 0.0,
     show: Callable[[str], None] | None = None,
+    verification: Verification | None = None,
 ) -> Diagnosis:
     """Find values with which the user's command has a verified plan.
 
     Args:
-        failed: a plan that is infeasible, lost, or without a verdict at its target.
+        failed: a plan that is not verified.
         request: of the user's command.
         spent_s: processor time that planning took.
         show: called with what is tried, and with its time.
+        verification: of the plan; its failed checks say what is tried for a converged plan.
     """
     clock = Clock(max(TIMES * spent_s, LEAST_S), show=show)
     case = Case(failed, request, clock)
@@ -95,10 +94,10 @@ def diagnose(
             remedies.append(clock.attempt(RETURN, case.going_home))
     elif failed.status is not Status.INFEASIBLE:
         known = replace(known, kept=case.kept())
-        remedies = []
-        if request.remade is None:
-            remedies = [clock.attempt(CONTINUED, case.continued, 0.4)]
-        remedies.append(clock.attempt(TARGET, case.lower_promise))
+        remedies = [
+            clock.attempt(name, work, SHARES.get(name, SHARE))
+            for name, work in case.repairs(verification)
+        ]
     else:
         remedies = []
         for name, work in case.trials(p3):
@@ -110,16 +109,6 @@ def diagnose(
         known = replace(known, largest=case.largest)
     found = tuple(remedy for remedy in remedies if remedy)
     return replace(known, remedies=found, tried=tuple(clock.tried), left_out=tuple(clock.left_out))
-
-
-def is_diagnosed(outcome: PlanOutcome) -> bool:
-    """Whether something can be tried for a plan: it is infeasible, lost, or its target was missed."""
-    status, verification = outcome.plan.status, outcome.verification
-    if status in (Status.INFEASIBLE, Status.LOST):
-        return True
-    missed = verification is not None and CERTIFICATE in verification.failed
-    ended = status in (Status.MAX_ITERATIONS, Status.STALLED) and outcome.plan.target is not None
-    return ended or (missed and status is Status.CONVERGED)
 
 
 @one_thread

@@ -33,8 +33,25 @@ from scp_recon.monte_carlo.estimates import flights_of_test
 from scp_recon.planning.initial_guess import from_burns
 from scp_recon.planning.method import SETTLE
 from scp_recon.planning.plan import Plan
+from scp_recon.results.verification import Verification
 from scp_recon.scenario.schema import Scenario
 from scp_recon.scp.status import Status
+from scp_recon.verification.causes import (
+    BETWEEN,
+    BURNS,
+    BY_LAW,
+    CERTIFICATE,
+    COMMANDS,
+    CONTRADICTION,
+    DRIFT,
+    GRID,
+    SHORT,
+    SPREAD,
+    STATUS,
+    UNEXECUTED,
+    kind_of,
+    needed_step_s,
+)
 from scp_recon.verification.refinement import refined
 
 LEAST = 0.501
@@ -60,6 +77,9 @@ FREE_CONE_DEG, FREE_MISS = 1e-4, 1e-3
 """Half-angle of the cones that burns avoid if their directions are relaxed, and price of a miss if
 the final state is relaxed."""
 
+STEEPER = (0.9, 0.75, 0.5, 0.25)
+"""Factors on a probability's complement, tried one after the other where flights reach too little."""
+
 STEPS = 6
 """Bisections of the shares by which limits are relaxed."""
 
@@ -77,7 +97,9 @@ SPLIT = "the polytopes and the split of the risk"
 PROBABILITY, CORRECTED = "the probability", "feedback"
 RETURN = "the observation: going home without it"
 MORE_BURNS, TARGET = "the number of burns", "the target of the certificate"
-CONTINUED = "continuing from this solution"
+CONTINUED, CERTIFIED = "continuing from this solution", "certification by flights"
+FINER, STRICTER = "a finer grid", "a higher probability"
+EXECUTED, UNCORRECTED = "the least burn", "burns without corrections"
 
 Changes = Mapping[str, object]
 
@@ -195,13 +217,56 @@ class Case:
             return None
         return outcome if outcome.verification.ok else None
 
-    def _confirmed(self, name: str, changes: Changes) -> Remedy | None:
+    def repairs(
+        self, verification: Verification | None
+    ) -> Iterator[tuple[str, Callable[[], Remedy | None]]]:
+        """Trials of a plan without a verdict, or of one whose verification fails, by its checks."""
+        mission, scenario, options = self.failed.mission, self.scenario, self.request.options
+        kinds = {STATUS}
+        if verification is not None and STATUS not in verification.failed:
+            kinds = {kind_of(name, mission, verification) for name in verification.failed}
+        risk, burns = scenario.risk, scenario.burns
+        if kinds & {STATUS, BURNS, CONTRADICTION} and self.request.remade is None:
+            yield CONTINUED, self.continued
+        if kinds & {STATUS, GRID, BETWEEN}:
+            apart = float(np.diff(mission.times_s).max())
+            steps = [float(math.floor(apart / n)) for n in (2, 4)]
+            if verification is not None and GRID in kinds:
+                steps.insert(0, needed_step_s(mission, verification))
+            finer: list[Changes] = [{"grid.step_max_s": step} for step in steps if step >= 1.0]
+            yield FINER, partial(self._first, FINER, finer)
+        uniform = options.problem == "P2" and risk.allocation == "uniform"
+        if kinds & {STATUS, SHORT} and uniform:
+            yield SPLIT, partial(self._confirmed, SPLIT, {"risk.allocation": "exact"})
+        if kinds & {BY_LAW, DRIFT} and risk.allocation == "exact" and options.certify is False:
+            yield CERTIFIED, partial(self._confirmed, CERTIFIED, {}, certified=True)
+        if kinds & {SHORT, BY_LAW}:
+            yield STRICTER, partial(self._first, STRICTER, _steeper("risk.p_chance", risk.p_chance))
+        if SPREAD in kinds:
+            yield FINAL_SPREAD, self._final_spread
+        if COMMANDS in kinds:
+            larger = [{LARGEST: _rounded(f * burns.dv_max_m_s)} for f in (1.1, 1.25, 1.5, 2.0)]
+            yield SIZE, partial(self._first, SIZE, larger)
+            yield UNCORRECTED, partial(self._confirmed, UNCORRECTED, {"policy.kind": "open"})
+        if UNEXECUTED in kinds:
+            sizes = np.linalg.norm(self.failed.burns_m_s, axis=1)
+            least = {"burns.dv_min_m_s": _rounded(float(sizes[sizes > 0.0].min()), up=False)}
+            yield EXECUTED, partial(self._confirmed, EXECUTED, least)
+        entry = "safety.drift_probability"
+        if DRIFT in kinds and (asked := scenario.safety.drift_probability) is not None:
+            yield STRICTER, partial(self._first, STRICTER, _steeper(entry, asked))
+        if kinds & {STATUS, CERTIFICATE} and self.failed.target is not None:
+            yield TARGET, self.lower_promise
+
+    def _confirmed(
+        self, name: str, changes: Changes, *, certified: bool | None = None
+    ) -> Remedy | None:
         """The remedy, if the user's command ends verified with these values.
 
         A command that turns to exact risk is tried without flights, then with them.
         """
         turns = changes.get("risk.allocation", "uniform") != self.scenario.risk.allocation
-        for certify in (False, True) if turns and "risk.allocation" in changes else (None,):
+        for certify in (False, True) if turns and "risk.allocation" in changes else (certified,):
             try:
                 outcome = self.command(changes, certify=certify)
             except InputError:  # no flights certify so much
@@ -353,7 +418,7 @@ class Case:
         """Share of flights that keep every limit with a plan that has none certified, or whose test."""
         if self.failed.certificate is not None:
             return self.failed.certificate.reached
-        if self.failed.target is None:
+        if self.failed.target is None or self.failed.status is Status.CONVERGED:
             return None
 
         def reached() -> float:
@@ -365,7 +430,10 @@ class Case:
         return self.clock.attempt("flights of this plan", reached)
 
     def continued(self) -> Remedy | None:
-        """The user's command, started from the plan that failed."""
+        """The user's command, started from the plan that failed; a certification goes on by itself."""
+        options = self.request.options
+        if options.is_certified(self.scenario) and options.objective == "delta-v":
+            return None
         outcome = carry_out(replace(self.request, init=self.failed), self.clock)
         ok = outcome.verification is not None and outcome.verification.ok
         return Remedy(CONTINUED, {}, outcome.plan.cost_m_s) if ok else None
@@ -378,6 +446,11 @@ class Case:
         ]
         tries = dict.fromkeys(round(p, 9) for p in below if 0.5 < p < required)
         return self._first(TARGET, [{"risk.p_chance": p} for p in tries])
+
+
+def _steeper(entry: str, asked: float) -> list[Changes]:
+    """Higher probabilities than asked, one after the other."""
+    return [{entry: round(1.0 - _rounded((1.0 - asked) * f), 9)} for f in STEEPER]
 
 
 def overrides_of(changes: Changes) -> list[str]:

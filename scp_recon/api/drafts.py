@@ -36,7 +36,7 @@ from scp_recon.results.solution import Solution
 from scp_recon.results.verification import Verification
 from scp_recon.scenario.schema import Scenario
 from scp_recon.scp.status import Status
-from scp_recon.verification.remedies import what_next
+from scp_recon.verification.causes import causes
 
 NUMBERS = {
     "gm": (1e-6, 1e20, "m^3/s^2"),
@@ -326,17 +326,13 @@ def _outcome(found: NewScenario, options: str = "") -> list[str]:
     lines = [f"python -m scp_recon.solve --scenario FILE{options} gave: {found.verdict}."]
     if found.is_verified:
         return lines
-    for line in what_next(found.mission, found.solution, found.verification):
-        lines += wrap(f"next: {line}", HEAD_COLUMNS, subsequent_indent="  ")
-    if found.solution.status == Status.CONVERGED.value.name:
-        return lines
-    broken = ", ".join(found.solution.violation.by_constraint) or "none"
-    return [
-        *lines,
-        f"Constraints that are violated: {broken}. To change, in this order: narrower",
-        "observation.local_solar_time_*_h, wider observation.emission_*_deg and site_distance_*_m, a",
-        "smaller uncertainty.execution_error, a larger burns.dv_max_m_s, another boundary.",
-    ]
+    said = list(causes(found.mission, found.verification))
+    if found.solution.violation.by_constraint:
+        said.append(f"violated: {', '.join(found.solution.violation.by_constraint)}")
+    said.append("no remedy was tried; the command above tries some, and shows what suffices")
+    for line in said:
+        lines += wrap(line, HEAD_COLUMNS, subsequent_indent="  ")
+    return lines
 
 
 def _write(path: Path, text: str) -> None:

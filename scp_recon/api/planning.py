@@ -260,6 +260,9 @@ def _planned(
     if not certifies:
         return make(mission, start, init=init, observe=observe)
     found = certify(mission, start, aimed, watch)
+    if found.status in (Status.MAX_ITERATIONS, Status.STALLED):  # the next target may have a plan
+        again = certify(found.mission, found, aimed, watch)
+        found = again if again.status in (Status.CONVERGED, Status.INTERRUPTED) else found
     return replace(found, starts=best.starts) if best else found
 
 

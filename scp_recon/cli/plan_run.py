@@ -11,7 +11,7 @@ from typing import Self
 
 from rich.console import Console
 
-from scp_recon.advice.infeasibility import Diagnosis, cost_of_exact_risk, diagnose, is_diagnosed
+from scp_recon.advice.infeasibility import Diagnosis, cost_of_exact_risk, diagnose
 from scp_recon.advice.trials import Remedy, for_exact, overrides_of
 from scp_recon.api.inputs import PlanRequest
 from scp_recon.api.keeping import UNVERIFIED, point_latest, run_folder
@@ -32,6 +32,7 @@ from scp_recon.planning.plan import Plan
 from scp_recon.results.solution import FILE_NAME
 from scp_recon.scenario.schema import Scenario
 from scp_recon.scp.status import Status
+from scp_recon.verification.causes import causes
 
 
 def show_largest(budget_m_s: float | None, plan: Plan, console: Console) -> None:
@@ -120,8 +121,8 @@ class Shown(Watch):
         """Show the verification and the files, and find and show advice on a plan that failed."""
         spent_s = process_time() - self._began_s
         console, mission, path = self._console, outcome.plan.mission, outcome.kept.path
-        diagnosed = request is not None and is_diagnosed(outcome)
         assert outcome.verification is not None
+        diagnosed = request is not None and not outcome.verification.ok
         assert path is not None
         plan_view.show_plan(
             console,
@@ -141,8 +142,10 @@ class Shown(Watch):
             return ()
         if diagnosed:
             with plan_view.live_line(console) as show:
-                diagnosis = diagnose(outcome.plan, request, spent_s, show)
+                diagnosis = diagnose(outcome.plan, request, spent_s, show, outcome.verification)
             lines = advice_on(diagnosis, outcome.plan, self._instead, path)
+            if outcome.plan.status is Status.CONVERGED:
+                lines = (*causes(mission, outcome.verification), *lines)
         else:
             lines = saving(outcome, request, spent_s, self._instead)
         for line in lines:
@@ -241,7 +244,9 @@ def what_binds(diagnosis: Diagnosis) -> str:
 def what_would_do(remedy: Remedy, more: Sequence[str] = (), file: Path = Path(FILE_NAME)) -> str:
     """Options with which the command ended verified, and the delta-v of that plan."""
     turns = "risk.allocation" in remedy.changes or "risk.p_chance" in remedy.changes
-    options = [*(more if turns else ())] if remedy.changes else ["--init", str(file)]
+    options = [*(more if turns else ())]
+    if not remedy.changes and remedy.certify is None:
+        options += ["--init", str(file)]
     for override in overrides_of(remedy.changes):
         options += ["--set", shlex.quote(override)]
     if remedy.certify is not None:

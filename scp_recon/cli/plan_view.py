@@ -46,14 +46,14 @@ from scp_recon.results.facts import Risk
 from scp_recon.results.figures import is_converged
 from scp_recon.results.solution import Solution, iteration_record
 from scp_recon.results.table import Cell, Table
-from scp_recon.results.verification import DriftSafety, Verification
+from scp_recon.results.verification import DriftSafety, Verification, in_words
 from scp_recon.scenario.fields import ScenarioWarning
 from scp_recon.scenario.schema import Scenario
 from scp_recon.scenario.time_scales import instant, iso_tdb, iso_utc
 from scp_recon.scp.loop import Record
 from scp_recon.scp.status import Status
+from scp_recon.verification.causes import next_lines
 from scp_recon.verification.reintegration import FIGURES
-from scp_recon.verification.remedies import in_words, next_lines
 
 
 def show_mission(console: Console, mission: Mission, *, verbose: bool = True) -> None:
@@ -149,11 +149,10 @@ def show_plan(
         solution: the plan.
         verification: of the plan; None if it was interrupted.
         warnings: on the scenario.
-        advised: whether advice on this plan alone follows, in place of general remedies.
+        advised: whether advice on this plan follows, in place of the causes of failed checks.
         verbose: whether margins at the nodes and the re-integration are shown too.
     """
     status = Status.named(solution.status)
-    said = solution.message
     doubts = list(dict.fromkeys([*map(str, warnings), *_doubts(solution, verification)]))
     many = f"{len(doubts)} warning{'s' if len(doubts) > 1 else ''} above" if doubts else None
     show_warnings(console, doubts)
@@ -162,10 +161,10 @@ def show_plan(
         show_verdict(console, "verified", [in_words(name) for name in verification.failed], many)
         if verification.missed is not None:
             show_line(console, str(verification.missed))
-        said = said.removesuffix(status.value.remedy).strip()  # what to do next comes last
     colour = "green" if status is Status.CONVERGED else "red"
     console.print(
-        Text(f"{solution.problem}: ", style=f"bold {colour}") + Text(said, style="not bold")
+        Text(f"{solution.problem}: ", style=f"bold {colour}")
+        + Text(status.value.message, style="not bold")
     )
     _show_cost(console, solution, verbose=verbose)
     burns = burns_table(solution, mission.schedule.firing_intervals_s)

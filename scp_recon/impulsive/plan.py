@@ -26,14 +26,6 @@ QUANTILE = 0.99
 """Of the flights' commanded delta-v."""
 UNITS: dict[Unit, str] = {"m": "length", "m/s": "speed", "sigma": "sigma"}
 """Units of margins: of length or speed in the user's flow, or standard deviations."""
-REMEDIES = {
-    Status.INFEASIBLE: "Relax what is violated, lower probability, or give other states as a guess.",
-    Status.MAX_ITERATIONS: "Solve again from the states and burns of this plan.",
-    Status.STALLED: "Give other states as a guess; if it recurs, take a flow with more nodes.",
-    Status.SOLVER_FAILED: "Check magnitudes, dv_max and units, or give other states as a guess.",
-    Status.INTERRUPTED: "Continue from the states and burns of this plan.",
-}
-"""What to do next, in the words of an `ImpulsiveProblem`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,10 +148,9 @@ class ImpulsivePlan:
         ], unit
 
     def __str__(self) -> str:
-        """Status with remedy, cost, burns, violations and margins."""
-        remedy = REMEDIES.get(self.status, "")
+        """Status, cost, burns, violations and margins."""
         lines = [
-            f"{self.final.problem}: {self.status.value.message} {remedy}".rstrip(),
+            f"{self.final.problem}: {self.status.value.message}",
             f"cost {self.cost:.9g}, {self.iterations} iterations",
         ]
         for node, burn in zip(self.final.merit.problem.burn_nodes, self.burns, strict=True):

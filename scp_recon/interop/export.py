@@ -77,7 +77,7 @@ class Export:
         if checked is None:
             return [f"{self.solution.status}, and never checked"]
         if not checked.ok:
-            return [f"{self.solution.status}; failed: {', '.join(checked.failed)}"]
+            return [f"{self.solution.status}; failed: {checked.failed_in_words}"]
         return []
 
     @property

@@ -338,11 +338,11 @@ class Plan(Displayed):
         return found
 
     def __str__(self) -> str:
-        """Status with remedy, delta-v, burns, margins and warnings."""
+        """Status, delta-v, burns, margins and warnings."""
         scenario, outcome = self.mission.scenario, self.status.value
         problem = self.final.problem
         lines = [
-            f"{scenario.name}, {problem}: {outcome.message} {outcome.remedy}".rstrip(),
+            f"{scenario.name}, {problem}: {outcome.message}",
             f"total delta-v {self.total_dv_m_s:.6f} m/s, required p_chance {scenario.risk.p_chance:g}",
             "burn   time s      x m/s      y m/s      z m/s   size m/s",
         ]

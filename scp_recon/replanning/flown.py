@@ -25,6 +25,7 @@ from scp_recon.results.policy import Policy, policy_of, stored_policy, with_poli
 from scp_recon.results.read import read_solution
 from scp_recon.results.runs import resolve_run
 from scp_recon.results.solution import Solution, burns_of_plan, plan_hash
+from scp_recon.results.verification import in_words
 from scp_recon.scenario.fields import ScenarioWarning
 from scp_recon.scp.status import Status
 from scp_recon.verification.reintegration import POSITION_LIMIT_M, VELOCITY_LIMIT_M_S
@@ -243,7 +244,7 @@ class FlownPlan:
         if self.failed:
             yield ScenarioWarning.of(
                 "parent",
-                f"{self.name}, which is not verified: {', '.join(self.failed)}",
+                f"{self.name}, which is not verified: {', '.join(map(in_words, self.failed))}",
                 "expected a verified plan: only then are its nodes and their spread certain",
             )
         elif self.status != converged:

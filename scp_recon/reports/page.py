@@ -23,7 +23,7 @@ from scp_recon.results.solution import Solution
 from scp_recon.results.table import Table
 from scp_recon.scenario.time_scales import instant, iso_utc, shown_utc
 from scp_recon.scp.status import Status
-from scp_recon.verification.remedies import next_lines
+from scp_recon.verification.causes import next_lines
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -89,7 +89,7 @@ def verdict_of(plan: Shown) -> Verdict:
     if checked is None:
         word = NOT_CHECKED
     elif checked.failed:
-        word = f"not verified: {', '.join(checked.failed)}"
+        word = f"not verified: {checked.failed_in_words}"
     required = "no probability (P3: the problem without uncertainty)"
     if solution.problem == "P2":
         required = required_in_words(solution.scenario)
@@ -132,8 +132,7 @@ def _achieved(plan: Shown) -> str:
 
 def _remarks(subject: Subject, status: Status) -> tuple[str, ...]:
     solution = subject.solution
-    what = solution.message.removesuffix(status.value.remedy).strip()
-    said = [] if status is Status.CONVERGED else [what]
+    said = [] if status is Status.CONVERGED else [status.value.message]
     said += [
         f"{name}: violated by up to {amount.max:.4g} {amount.unit}"
         for name, amount in solution.violation.by_constraint.items()
@@ -149,12 +148,11 @@ def _remarks(subject: Subject, status: Status) -> tuple[str, ...]:
 
 
 def _advice(subject: Subject) -> tuple[str, ...]:
-    """What to do next: what was found to work for this plan, else what helps with its failed checks."""
+    """What was found to work for this plan, else why its checks fail."""
     solution = subject.solution
-    if solution.verification is not None:
-        return next_lines(subject.mission, solution, solution.verification)
-    remedy = Status.named(solution.status).value.remedy
-    return (f"next: {remedy}",) if remedy else ()
+    if solution.verification is None:
+        return ()
+    return next_lines(subject.mission, solution, solution.verification)
 
 
 @dataclass(frozen=True, eq=False)

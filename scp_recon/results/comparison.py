@@ -122,7 +122,7 @@ def _scope(solution: Solution) -> str | None:
 def _verdict(verification: Verification | None) -> str:
     if verification is None:
         return NOT_CHECKED
-    return "yes" if verification.ok else f"no: {', '.join(verification.failed)}"
+    return "yes" if verification.ok else f"no: {verification.failed_in_words}"
 
 
 def _whole_flight(solution: Solution) -> Array:

@@ -238,7 +238,7 @@ def make_solution(plan: Plan) -> Solution:
     solution = Solution(
         **vars(plan.provenance),
         status=outcome.name,
-        message=f"{outcome.message} {outcome.remedy}".strip(),
+        message=outcome.message,
         problem=plan.final.problem,
         tolerance=plan.final.tolerance,
         burns=burns_of_plan(plan),

@@ -10,6 +10,24 @@ from pydantic import Field
 from scp_recon.mission.drifts import Miss
 from scp_recon.scenario.fields import Line, Number, Probability
 
+NAMES = {
+    "risk": "stored probabilities",
+    "certificate": "certificate by flights",
+    "covariance_error": "covariance, re-integrated",
+    "knowledge_error": "knowledge, re-integrated",
+    "drift_error_m": "drifts, re-integrated",
+    "max_defect": "nodes, re-integrated",
+    "sample_error_m": "sampled flights, re-integrated",
+    "terminal_position_error_m": "final position, re-integrated",
+    "terminal_velocity_error_m_s": "final velocity, re-integrated",
+}
+"""Words for checks whose names are those of the file."""
+
+
+def in_words(name: str) -> str:
+    """A check in words, by its name in the file."""
+    return NAMES.get(name, name)
+
 
 @dataclass(frozen=True)
 class MeanMargin:
@@ -251,7 +269,12 @@ class Verification:
     @property
     def verdict(self) -> str:
         """Whether the plan is verified, or which checks failed, on one line."""
-        return "verified" if self.ok else f"not verified: {', '.join(self.failed)}"
+        return "verified" if self.ok else f"not verified: {self.failed_in_words}"
+
+    @property
+    def failed_in_words(self) -> str:
+        """Failed checks in words, on one line."""
+        return ", ".join(map(in_words, self.failed))
 
     def __str__(self) -> str:
         """The verdict, and the lowest probabilities."""

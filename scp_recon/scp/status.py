@@ -1,4 +1,4 @@
-"""List the statuses of a plan: every way in which planning can end, with message and remedy."""
+"""List the statuses of a plan: every way in which planning can end, with its message."""
 
 from __future__ import annotations
 
@@ -7,11 +7,10 @@ from typing import NamedTuple
 
 
 class Outcome(NamedTuple):
-    """A status: its name in a file, what happened, what to try next, the command's exit code."""
+    """A status: its name in a file, what happened, the command's exit code."""
 
     name: str
     message: str
-    remedy: str
     exit_code: int
 
 
@@ -21,43 +20,38 @@ class Status(Enum):
     CONVERGED = Outcome(
         "converged",
         "Converged: stationary, every constraint of the problem holds, no buffer is in use.",
-        "",
         0,
     )
     INFEASIBLE = Outcome(
         "infeasible",
         "Infeasible: stationary at the least violation that was found from here.",
-        "Relax the violated constraints, lower p_chance, or start from another init.",
         3,
     )
     MAX_ITERATIONS = Outcome(
         "max_iterations",
         "Not converged: the iteration limit came first.",
-        "Start again from this solution, as init.",
         4,
     )
     STALLED = Outcome(
         "stalled",
         "Not converged: the trust region collapsed before the iterate became stationary.",
-        "Start from another init; if it recurs, the linearisation is poor: use a finer grid.",
         4,
     )
     SOLVER_FAILED = Outcome(
         "solver_failed",
         "Not converged: the conic solver gave no usable answer in any trust region tried.",
-        "Check the scenario's magnitudes, or start from another init.",
         4,
     )
     LOST = Outcome(
         "lost",
-        "Lost: the final state is missed by more than three sigma of what the flown plan predicts.",
-        "Check state, frame and flown burns. If they are right, too few burns are left.",
+        "Lost: the final state is missed by more than three sigma of what the flown plan predicts. "
+        "State, frame or flown burns are wrong, or too few burns are left.",
         5,
     )
     INTERRUPTED = Outcome(
         "interrupted",
-        "Interrupted: this is the best iterate so far; it need not be a solution.",
-        "Continue from it, as init.",
+        "Interrupted: this is the best iterate so far; it need not be a solution. As init, it is "
+        "continued.",
         130,
     )
 

@@ -2,6 +2,7 @@
 
 import dataclasses
 import shlex
+from dataclasses import replace
 from io import StringIO
 from time import process_time
 
@@ -14,37 +15,48 @@ from scp_recon.advice import infeasibility as module
 from scp_recon.advice.clock import Clock
 from scp_recon.advice.infeasibility import Diagnosis, cost_of_exact_risk, diagnose
 from scp_recon.advice.trials import (
+    CERTIFIED,
     CONTINUED,
     CORRECTED,
+    EXECUTED,
     FEEDBACK,
+    FINAL_SPREAD,
     FINAL_STATE,
+    FINER,
     LIMITS,
     MORE_BURNS,
     PROBABILITY,
     SIZE,
     SPLIT,
+    STRICTER,
     TARGET,
+    UNCORRECTED,
     Case,
     overrides_of,
 )
+from scp_recon.api import planning
 from scp_recon.api.inputs import PlanRequest
 from scp_recon.api.options import PlanOptions
-from scp_recon.api.planning import PlanOutcome, Watch, carry_out
+from scp_recon.api.planning import PlanOutcome, Watch, carry_out, plan_mission
+from scp_recon.certification.certify import certify
 from scp_recon.cli import plan_view
 from scp_recon.cli.commands import replan, solve
 from scp_recon.cli.plan_run import advice_on, undoing
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
-from scp_recon.planning.plan import ended
+from scp_recon.planning.plan import Plan, ended
 from scp_recon.planning.planner import plan
 from scp_recon.replanning.flown import FlownPlan, predict
 from scp_recon.reports.page import _advice
 from scp_recon.reports.subject import Subject
+from scp_recon.results.figures import FINAL_POSITION
 from scp_recon.results.read import read_solution
+from scp_recon.results.verification import BurnLimit, JointProbability
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scp.status import Status
 from scp_recon.verification import refinement
+from scp_recon.verification.causes import BY_LAW, CAUSES
 from tests.helpers import nightly
 from tests.scenarios import COARSE
 from tests.scp_recon.support import CommandLine, fly_few, from_cold, mission_of, run_solve
@@ -302,17 +314,126 @@ def test_too_small_burns_bind_without_uncertainty_too(monkeypatch):
 
 
 def test_missed_target_is_told_with_what_flights_kept(monkeypatch):
-    """A plan without a verdict is continued, and a lower probability is certified."""
+    """A lower probability is certified; the certification went on by itself before."""
     fly_few(monkeypatch)
     options = PlanOptions(starts=1)
     asked = case_of(*EXACT, "risk.p_chance=0.9", options=options)
     missed = ended(asked.failed, Status.MAX_ITERATIONS)
     found = diagnose(missed, asked.request)
     assert found.kept == pytest.approx(0.9, abs=0.02)
-    assert [one.name for one in found.remedies] == [CONTINUED, TARGET]
-    lines = advice_on(found, missed)
-    assert any("--init solution.json" in line for line in lines)
-    assert found.remedies[1].changes["risk.p_chance"] < 0.9
+    assert found.tried[0] == CONTINUED
+    assert TARGET in [one.name for one in found.remedies]
+    assert found.remedies[-1].changes["risk.p_chance"] < 0.9
+
+
+def test_target_without_verdict_is_certified_from_its_end(monkeypatch):
+    """The plan that the continued certification finds is the user's."""
+    fly_few(monkeypatch)
+    began = list[object]()
+
+    def once_missed(mission, start, *given):
+        began.append(start)
+        found = certify(mission, start, *given)
+        return found if len(began) > 1 else ended(found, Status.STALLED)
+
+    monkeypatch.setattr(planning, "certify", once_missed)
+    request = PlanRequest(None, "cold", PlanOptions(starts=1), [*EXACT, "risk.p_chance=0.9"])
+    outcome = carry_out(request)
+    assert isinstance(began[1], Plan)
+    assert began[1].status is Status.STALLED
+    assert outcome.plan.status is Status.CONVERGED
+    assert outcome.verification.ok
+
+
+def test_plan_without_verdict_is_continued_by_the_line(tmp_path, monkeypatch):
+    """One that has no target: from its file the command ends verified."""
+    made = list[Plan]()
+
+    def once_ended(*given, **known):
+        found = plan_mission(*given, **known)
+        made.append(found if made else ended(found, Status.MAX_ITERATIONS))
+        return made[-1]
+
+    monkeypatch.setattr(planning, "plan_mission", once_ended)
+    words = ["--problem", "P3", "--set", COARSE]
+    first = run_solve(tmp_path / "first", *words)
+    assert first.exit_code == Status.MAX_ITERATIONS.value.exit_code
+    (line,) = [one for one in first.output.splitlines() if one.startswith(f"{CONTINUED}: ")]
+    more = shlex.split(line.rsplit("with: ", 1)[1])
+    assert more == ["--init", str(tmp_path / "first" / "solution.json")]
+    again = run_solve(tmp_path / "again", *words, *more)
+    assert (again.exit_code, again.errors) == (0, "")
+    assert f"for {1e3 * read_solution(tmp_path / 'again').total_dv_m_s:.1f} mm/s" in line
+
+
+@pytest.fixture(scope="module")
+def exact() -> Case:
+    return case_of(*EXACT)
+
+
+@pytest.mark.parametrize(
+    ("failed", "names"),
+    [
+        ("P(whole_flight)", {CERTIFIED, STRICTER}),
+        ("certificate", {TARGET}),
+        ("dv_min of burn 2", {EXECUTED}),
+        (FINAL_POSITION, {FINAL_SPREAD}),
+        ("covariance_error", {FINER}),
+        ("total_dv_m_s", {CONTINUED}),
+        ("P(dv_max of burn 2)", {SIZE, UNCORRECTED}),
+        ("status", {CONTINUED, FINER, TARGET}),
+    ],
+)
+def test_each_failed_check_has_its_trials(failed, names, exact, verification):
+    p = JointProbability(name="whole_flight", worst_t_s=0.0, estimate=0.6, low=0.6, high=0.6)
+    limits = (BurnLimit(2, "dv_max", 8000.0, 0.5),)
+    checked = replace(
+        verification, failed=[failed], ok=False, probabilities=(p,), burn_limits=limits
+    )
+    checked = replace(checked, covariance_error=1.7e-5)
+    assert dict(exact.repairs(checked)).keys() == names
+
+
+def test_certification_is_advised_once_it_verified(exact, verification, monkeypatch):
+    fly_few(monkeypatch)
+    p = JointProbability(name="whole_flight", worst_t_s=0.0, estimate=0.6, low=0.6, high=0.6)
+    failed = replace(verification, failed=["P(whole_flight)"], ok=False, probabilities=(p,))
+    found = diagnose(exact.failed, exact.request, verification=failed)
+    assert [(one.name, one.certify) for one in found.remedies] == [
+        (CERTIFIED, True),
+        (STRICTER, None),
+    ]
+    lines = advice_on(found, exact.failed)
+    assert lines[0].endswith("mm/s, with: --certify yes")
+    monkeypatch.setattr(Case, "command", lambda *_, **__: None)
+    nothing = diagnose(exact.failed, exact.request, verification=failed)
+    assert advice_on(nothing, exact.failed) == (
+        "no values were found with which this command ends verified",
+        f"tried, and not sufficient alone: {CERTIFIED}, {STRICTER}",
+    )
+
+
+@nightly
+def test_law_that_flights_refute_is_advised(tmp_path):
+    """A plan that flights do not confirm: each line shown ends verified."""
+    entries = [
+        'risk.allocation="exact"',
+        'risk.scope="flight"',
+        "risk.p_chance=0.99",
+        'policy.kind="feedback"',
+        "navigation.sigma_position_m=5",
+        "navigation.sigma_velocity_m_s=0.0005",
+    ]
+    words = [word for entry in entries for word in ("--set", entry)]
+    words += ["--certify", "no", "--starts", "1"]
+    first = run_solve(tmp_path / "first", *words)
+    assert first.exit_code != 0
+    assert f"P(whole_flight): {CAUSES[BY_LAW]}" in first.output
+    lines = [line for line in first.output.splitlines() if "with: " in line]
+    assert {line.split(":")[0] for line in lines} == {CERTIFIED, STRICTER}
+    for number, line in enumerate(lines):
+        more = shlex.split(line.rsplit("with: ", 1)[1])
+        assert run_solve(tmp_path / f"{number}", *words, *more).exit_code == 0
 
 
 def test_added_burns_are_advised_only_after_a_try(default_plan, tmp_path, capsys):

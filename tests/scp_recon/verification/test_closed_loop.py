@@ -34,9 +34,9 @@ from scp_recon.results.verification import Verification
 from scp_recon.scp.algorithms import SCvx
 from scp_recon.scp.loop import Result, Timing
 from scp_recon.scp.status import Status
+from scp_recon.verification.causes import COMMANDS, kind_of
 from scp_recon.verification.consistency import inconsistencies
 from scp_recon.verification.reintegration import limits_of, not_executed, verify
-from scp_recon.verification.remedies import COMMANDS, kind_of
 from tests.helpers import usually
 from tests.scenarios import COARSE
 from tests.scp_recon.support import fly_few, mission_of

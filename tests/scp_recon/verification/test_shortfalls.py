@@ -1,4 +1,4 @@
-"""How a verdict is told: shortfalls of flights, and what would remedy them."""
+"""How a verdict is told: shortfalls of flights, and their causes."""
 
 from dataclasses import replace
 
@@ -6,16 +6,26 @@ import pytest
 
 from formulations.rows.exact_flight import FLIGHT
 from scp_recon.certification.flights import certificate_of
+from scp_recon.interop.export import Export, Ids
+from scp_recon.interop.path import fly_path
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.estimates import proportion, successes_needed
 from scp_recon.monte_carlo.whole_flight import KeptCounts
+from scp_recon.results.comparison import compare
 from scp_recon.results.facts import EventProbability, Risk
 from scp_recon.results.figures import FINAL_SIGMAS
 from scp_recon.results.solution import HASH, Solution
 from scp_recon.results.verification import BurnLimit, JointProbability, Verification
 from scp_recon.scp.status import Status
+from scp_recon.verification.causes import (
+    CAUSES,
+    UNTRIED,
+    causes,
+    kind_of,
+    needed_step_s,
+    next_lines,
+)
 from scp_recon.verification.probabilities import refuted
-from scp_recon.verification.remedies import REMEDIES, kind_of, what_next
 from tests.scp_recon.support import mission_of
 
 ASKED, SAMPLES = 0.9, 10_000
@@ -79,7 +89,7 @@ def failing(verification: Verification, *names: str, **figures: float) -> Verifi
     return replace(verification, **figures, failed=list(names), ok=False)  # type: ignore[arg-type]
 
 
-def test_every_check_has_a_remedy(mission, verification):
+def test_every_check_has_a_cause(mission, verification):
     """By its kind; a probability or a margin by where it is missed."""
     v = verification
     between = replace(v.mean_margins[-1], worst_t_s=float(mission.times_s[:2].mean()))
@@ -99,7 +109,7 @@ def test_every_check_has_a_remedy(mission, verification):
         "drift": {"P(safe drift where burn 2 is missed)"},
         "contradiction": {HASH, "facets", "violation", "nodes.t_s", "risk", "total_dv_m_s"},
     }
-    assert found.keys() | {"short by law"} == REMEDIES.keys()
+    assert found.keys() | {"short by law"} == CAUSES.keys()
     exact = mission.changed({"risk.allocation": "exact"})
     assert {kind_of(name, exact, v) for name in found["short"]} == {"short by law"}
     for kind, names in found.items():
@@ -107,18 +117,30 @@ def test_every_check_has_a_remedy(mission, verification):
         assert {kind_of(name, mission, v) for name in names} == {kind}
 
 
-def test_it_says_how_fine_a_grid_is_enough(mission, solution, verification):
+def test_it_says_how_fine_a_grid_is_enough(mission, verification):
     """At fourth order: half the limit of covariances that err by 17 times it at 232 s."""
     failed = failing(verification, "covariance_error", covariance_error=1.7e-5)
-    (line,) = what_next(mission, solution, failed)
-    assert line.startswith("covariance, re-integrated: integration errs: set grid.step_max_s=94,")
+    assert causes(mission, failed) == (f"covariance, re-integrated: {CAUSES['grid']}",)
+    assert needed_step_s(mission, failed) == 94.0
     edited = failing(verification, "covariance_error", covariance_error=0.5)
-    (line,) = what_next(mission, solution, edited)
-    assert line == f"covariance, re-integrated: {REMEDIES['contradiction']}"
+    assert causes(mission, edited) == (f"covariance, re-integrated: {CAUSES['contradiction']}",)
 
 
-def test_unconverged_plan_has_remedy_of_its_status(mission, solution, verification):
+def test_causes_without_advice_propose_nothing(mission, solution, verification):
     stalled = replace(solution, status=Status.STALLED.value.name)
     failed = failing(verification, "status", "P(emission)", "emission_max")
-    (line,) = what_next(mission, stalled, failed)
-    assert line == f"status, P(emission), emission_max: {Status.STALLED.value.remedy}"
+    line = f"status, P(emission), emission_max: {CAUSES['status']}"
+    assert next_lines(mission, stalled, failed) == (line, UNTRIED)
+    advised = replace(stalled, advice=("what was tried",))
+    assert next_lines(mission, advised, failed) == ("what was tried",)
+    assert next_lines(mission, solution, verification) == ()
+
+
+def test_failed_checks_are_in_words_everywhere(solution, verification):
+    failed = failing(verification, "risk", "covariance_error")
+    words = "stored probabilities, covariance, re-integrated"
+    assert str(failed).startswith(f"not verified: {words}\n")
+    told = replace(solution, verification=failed)
+    export = Export(told, told.mission, fly_path(told.mission, told), Ids(-999, 2101955))
+    assert export.shortfalls == [f"converged; failed: {words}"]
+    assert f"no: {words}" in str(compare(["one", "two"], [solution, told]))
