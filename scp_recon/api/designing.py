@@ -10,7 +10,6 @@ import numpy as np
 from scp_recon.api.inputs import PlanRequest
 from scp_recon.api.options import PlanOptions
 from scp_recon.display import Tabulated
-from scp_recon.errors import InputError
 from scp_recon.jobs.blas import one_thread
 from scp_recon.mission.mission import Mission
 from scp_recon.passes.design import Designer, Trial
@@ -105,15 +104,8 @@ def options_for(
     """Options with which the pass of a design is planned.
 
     Raises:
-        InputError: if one is out of range, flights cannot certify the pass, or landmarks are pictured
-            along a path that is not known yet.
+        InputError: if one is out of range, or flights cannot certify the pass.
     """
-    if scenario.navigation.landmarks is not None:
-        raise InputError(
-            "navigation.landmarks",
-            "pictures along a pass that is still to be found",
-            "goes with solve: design with sigma_position_m and sigma_velocity_m_s first",
-        )
     # The map of a home orbit's phases has been several starts.
     starts = None if scenario.boundary.home is None else 1
     options = PlanOptions(certify=certify, facet_rounds=facet_rounds, starts=starts)

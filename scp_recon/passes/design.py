@@ -196,8 +196,9 @@ class Designer:
         return sorted(found, key=lambda one: one.dv_m_s) or [min(mapped, key=violation)]
 
     def _correct(self, where: Around, one: PassResult) -> PassResult:
-        """Plan a pass with gains, in its own scenario."""
+        """Plan a pass with gains, in its own scenario; landmarks are pictured along the given burns."""
         mission = Mission.from_scenario(settled(self.scenario, where.space, one.at))
+        mission = mission.along(one.burns_m_s)
         plan = Planner(mission).plan(from_burns(mission, one.burns_m_s), once=True)
         result = PassResult(one.at, mission, plan.final)
         self._seen("corrected", where)(result)

@@ -285,7 +285,8 @@ def at_epoch(scenario: Scenario, shift_s: float) -> Scenario:
     """The same scenario at a later epoch: the Sun by two-body motion, given times shifted."""
     if shift_s == 0.0:
         return scenario
-    sun, grid = scenario.sun, scenario.grid
+    sun, grid, contacts = scenario.sun, scenario.grid, scenario.navigation.contacts
+    later = contacts.past(shift_s) if contacts else {}
     motion = two_body(sun.body_position_km, sun.body_velocity_km_s, (0.0, shift_s))
     return scenario.replace(
         {
@@ -293,6 +294,7 @@ def at_epoch(scenario: Scenario, shift_s: float) -> Scenario:
             "sun.body_position_km": motion(shift_s).tolist(),
             "sun.body_velocity_km_s": motion(shift_s, 1).tolist(),
             "grid.nodes_s": [node - shift_s for node in grid.nodes_s if node >= shift_s],
+            **{f"navigation.contacts.{entry}": value for entry, value in later.items()},
         }
     )
 

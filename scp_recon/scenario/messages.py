@@ -188,7 +188,10 @@ def _suggestion(location: list[str | int], schema: type[BaseModel]) -> str:
     by_key = {path.rsplit(".", 1)[1]: path for path in paths}
     tables = [node for node in _at(location[:-1], schema) if "properties" in node]
     beside = (tables or [_whole(schema)])[0]["properties"]
-    near = difflib.get_close_matches(key, beside, n=1, cutoff=0.7) if len(location) == 1 else []
+    begun = [other for other in beside if other.startswith(f"{key}_")]
+    near = [".".join([*written.split(".")[:-1], begun[0]])] if len(begun) == 1 else []
+    if len(location) == 1:
+        near = near or difflib.get_close_matches(key, beside, n=1, cutoff=0.7)
     near = near or difflib.get_close_matches(written, paths, n=1, cutoff=0.7)
     near = near or difflib.get_close_matches(key, by_key, n=1, cutoff=0.6)
     if not near:

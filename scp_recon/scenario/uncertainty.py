@@ -298,6 +298,14 @@ class Contacts(OneWay):
         begin = first + number * every
         return (begin, begin + length) if number >= 0 else None
 
+    def past(self, shift_s: float) -> dict[str, Any]:
+        """Entries of the contacts that begin at a time or later, in s after that time."""
+        if self.windows_s is not None:
+            later = [one for one in self.windows_s if one[0] >= shift_s]
+            return {"windows_s": [(begin - shift_s, end - shift_s) for begin, end in later]}
+        first, every = (self.first_s or 0.0) - shift_s, self.every_s or 1.0
+        return {"first_s": first if first >= 0.0 else first % every}
+
 
 class Landmarks(Section):
     """Pictures of mapped landmarks, from which the state at each cut-off is determined along the plan.
@@ -310,7 +318,7 @@ class Landmarks(Section):
 
     number: Annotated[int, Field(ge=3, le=100)]
     """Landmarks on the lit and visible side of the body, a half of it where the Sun is behind."""
-    map_error_m: MeasuredSigma
+    map_error_m: Annotated[float, Field(ge=1e-6, le=1e5)]
     """1 sigma of each component of a landmark's position in m, body-fixed and constant."""
     every_s: Annotated[float, Field(ge=60.0, le=1e7)]
     """From one picture to the next in s; the first one is taken at the epoch."""

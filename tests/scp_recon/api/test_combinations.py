@@ -48,8 +48,7 @@ FORMS = "condensed", "lifted"
 
 def is_planned(choice: Choice) -> bool:
     """Whether a combination is planned, not refused or without meaning."""
-    plain = "missed" not in choice and "open" in choice
-    return ("given" in choice or plain) and not {"considering", "known"} <= set(choice)
+    return ("given" in choice or "open" in choice) and not {"considering", "known"} <= set(choice)
 
 
 def pairs(choice: Choice) -> set[Choice]:

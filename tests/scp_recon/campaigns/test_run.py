@@ -182,6 +182,16 @@ def test_campaigns_sweep_free_times_of_the_rest():
     assert given["rest_times_s"] == "8000.0 25000.0 34842.0" != free["rest_times_s"]
 
 
+@pytest.mark.slow
+def test_campaigns_sweep_radii_of_drifts():
+    base = load_scenario(None, [COARSE, 'risk.allocation="exact"', "safety.missed_burns=1"])
+    work = campaigns.StudyWork(base, Path(), Campaign())
+    radii = ({"safety.drift_radius_m": radius} for radius in (400.0, 500.0))
+    near, far = (work(Case(i, 0, row)).values for i, row in enumerate(radii))
+    assert near["status"] == far["status"] == "converged"
+    assert near["total_dv_m_s"] < far["total_dv_m_s"]
+
+
 STUDIES = Path(__file__).parents[3] / "examples" / "studies"
 SIZES = {"reconnaissance_map": 324, "errors": 64, "sizes": 24, "navigation": 6}
 

@@ -302,6 +302,7 @@ def test_drifting_dynamics_close_their_defects():
 BAD: dict[str, tuple[Mapping[str, Any], str]] = {
     "negative": ({"knowledge.body.gm_m3_s2": -0.1}, "knowledge.body.gm_m3_s2"),
     "a name": ({"knowledge.body.mass_kg": 1.0}, "knowledge.body.mass_kg"),
+    "a name without unit": ({"knowledge.body.gm": 1.0}, "did you mean knowledge.body.gm_m3_s2?"),
     "gm below zero": ({"knowledge.body.gm_m3_s2": 2.0}, "3 sigma reach zero"),
     "no companion": ({"knowledge.body.companion.gm_m3_s2": 0.01}, "needs body.companion"),
     "light below zero": ({"knowledge.spacecraft.reflectivity_coefficient": 1.0}, "3 sigma"),

@@ -10,7 +10,6 @@ from scipy.linalg import block_diag
 
 import scp_recon
 from formulations.arrays import Array
-from scp_recon.api.designing import options_for
 from scp_recon.errors import InputError
 from scp_recon.mission.feedback import cut_offs_s
 from scp_recon.mission.landmarks import Camera, picture_times_s
@@ -21,6 +20,7 @@ from scp_recon.results.policy import SAME, misjudged
 from scp_recon.results.solution import make_solution
 from scp_recon.scenario.load import load_scenario
 from scp_recon.verification.reintegration import verify
+from tests.helpers import nightly
 from tests.scp_recon.mission.test_knowledge import BURNS
 from tests.scp_recon.support import fly_few
 
@@ -228,6 +228,10 @@ BAD: dict[str, tuple[Mapping[str, Any], str]] = {
         "in one way",
     ),
     "a negative error": ({"navigation.landmarks": PICTURES | {"map_error_m": -1.0}}, "map_error_m"),
+    "a map larger than bodies": (
+        {"navigation.landmarks": PICTURES | {"map_error_m": 1e8}},
+        "map_error_m",
+    ),
     "no landmark": ({"navigation.landmarks": PICTURES | {"number": 0}}, "number"),
     "a wide field": (
         {"navigation.landmarks": PICTURES | {"field_of_view_deg": 190.0}},
@@ -255,8 +259,10 @@ def test_bad_landmarks_are_refused_in_one_message(case):
     assert "\n" not in str(raised.value)
 
 
-def test_design_refuses_pictures_in_one_line():
-    scenario = load_scenario("nightingale").replace({"navigation.landmarks": PICTURES})
-    with pytest.raises(InputError, match="design with sigma_position_m") as raised:
-        options_for(scenario, certify=False)
-    assert "\n" not in str(raised.value)
+@nightly
+def test_designs_picture_landmarks_along_their_own_path():
+    pictures = {"policy.kind": "feedback", "navigation.landmarks": PICTURES}
+    found = scp_recon.design(load_scenario("nightingale").replace(pictures)).plan
+    solution = make_solution(found)
+    assert misjudged(found.mission, solution.corrections, found.burns_m_s) <= SAME
+    assert verify(solution.mission, solution).ok

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.schedule import make_schedule
-from scp_recon.passes.setting import settled, spaces_of
+from scp_recon.passes.setting import at_epoch, settled, spaces_of
 from scp_recon.passes.space import Pass, nearest_legal
 from scp_recon.scenario.load import load_scenario, validate_scenario
 from scp_recon.scenario.schema import ScheduleRules
@@ -201,3 +201,18 @@ def test_nearest_legal_times_keep_the_schedule_s_rules(wanted, opens, before):
         make_schedule(times, window, RULES)
     else:  # as many cycles do not fit before the window
         assert min(before, m - 2) * 6600.0 + 4800.0 > opens
+
+
+@pytest.mark.parametrize(
+    ("contacts", "expected"),
+    [
+        ({"every_s": 9000.0, "first_s": 500.0}, {"first_s": 8500.0}),
+        ({"every_s": 9000.0, "first_s": 4000.0}, {"first_s": 3000.0}),
+        ({"windows_s": [[0.0, 900.0], [1500.0, 2000.0]]}, {"windows_s": ((500.0, 1000.0),)}),
+    ],
+)
+def test_contacts_stay_where_they_are_at_later_epochs(contacts, expected):
+    given = {"navigation.contacts": contacts | {"turnaround_s": 0.0}}
+    moved = at_epoch(load_scenario().replace(given), 1000.0).navigation.contacts
+    assert moved is not None
+    assert {entry: getattr(moved, entry) for entry in expected} == expected
