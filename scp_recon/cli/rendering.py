@@ -74,7 +74,7 @@ def show_verdict(
     console.print(text, soft_wrap=True)
 
 
-def time_left(done: int, total: int, took_s: float) -> str:
+def time_left(done: float, total: float, took_s: float) -> str:
     """Time that is left in words, where each piece of work takes as long as those done on average."""
     if not 0 < done < total:
         return ""

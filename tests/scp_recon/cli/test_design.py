@@ -2,11 +2,16 @@
 
 import csv
 from collections.abc import Sequence
+from contextlib import nullcontext
+from io import StringIO
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from rich.console import Console
 
+from scp_recon.cli import design_view
 from scp_recon.cli.commands import design, solve
 from scp_recon.cli.design_view import primer_says
 from scp_recon.mission.mission import Mission
@@ -100,3 +105,22 @@ def test_primer_concludes_only_from_small_residuals(allowed, legal, residual, sa
         [0.0, 60.0, 120.0], ends, [1.0, allowed, 1.0], [False, legal, False], residual
     )
     assert says in primer_says(history)
+
+
+def test_what_is_left_is_shown_in_every_step(monkeypatch):
+    """Of a map by its plans; of what follows by the time that the map took."""
+    shown, clock = list[str](), [0.0]
+    monkeypatch.setattr(design_view, "monotonic", lambda: clock[0])
+    console = Console(file=StringIO())
+    status = SimpleNamespace(update=shown.append)
+    monkeypatch.setattr(console, "status", lambda _: nullcontext(status))
+    result = SimpleNamespace(converged=False, dv_m_s=1.0)
+    with design_view.progress(console) as count:
+        for time_s, step, expected in ((10.0, "map", 2), (20.0, "map", 2), (30.0, "descent", None)):
+            clock[0] = time_s
+            count(SimpleNamespace(step=step, window=0, expected=expected, result=result))
+        clock[0] = 500.0
+        count(SimpleNamespace(step="exact", window=0, expected=None, result=result))
+    assert "of 2, about 10 s left, then descents" in shown[0]
+    assert shown[2].endswith("; about 50 s left, then its plan")
+    assert "left" not in shown[3]
