@@ -13,9 +13,10 @@ from formulations.linearisation.dynamics import Dynamics
 from formulations.problem.expression_flow import ExpressionFlow
 from formulations.problem.flow import Flow, ScaledFlow
 from formulations.rows.node_probability import joint_events
-from scp_recon.errors import InputError
+from scp_recon.errors import whole_number
 from scp_recon.jobs.blas import one_thread
 from scp_recon.monte_carlo.estimates import Estimate, proportion
+from scp_recon.monte_carlo.flights import SAMPLES_MAX, SEED_MAX
 from scp_recon.monte_carlo.sampling import BLOCK, NAVIGATION, draw
 from scp_recon.planning.plan import Stage, Unit
 from scp_recon.planning.records import Certificate
@@ -176,9 +177,12 @@ class ImpulsivePlan:
         """Fly the user's flow with errors drawn, and count the flights that keep the regions.
 
         `report` is called at times with the number of flights flown.
+
+        Raises:
+            InputError: if `samples` or `seed` is out of range.
         """
-        if samples < 1:
-            raise InputError("samples", f"{samples}", "must be 1 or more")
+        samples = whole_number("samples", samples, 1, SAMPLES_MAX)
+        seed = whole_number("seed", seed, 0, SEED_MAX)
         events = joint_events(self.final.merit.problem.constraints)
         counts = {event.name: np.zeros(len(event.nodes)) for event in events}
         whole, commanded, final = 0, [], []

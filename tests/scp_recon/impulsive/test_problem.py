@@ -318,3 +318,18 @@ def test_infeasible_plan_names_what_is_violated(problem):
     assert (size, unit) == (pytest.approx(-barred.margins["wall"], rel=1e-6), "length")
     off = abs(barred.states[-1, 1] - 600.0)
     assert size == pytest.approx(off, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("given", "says"),
+    [
+        ({"seed": -1}, "seed: got -1; must be "),
+        ({"seed": 2**63}, "seed: got "),
+        ({"seed": 0.5}, "seed: got 0.5; must be "),
+        ({"samples": 0}, "samples: got 0; must be "),
+        ({"samples": "many"}, "samples: got 'many'; must be "),
+    ],
+)
+def test_flights_refuse_numbers_out_of_range(given, says, problem):
+    with pytest.raises(InputError, match=says):
+        problem.solve().fly(**given)
