@@ -36,6 +36,35 @@ except KeyboardInterrupt:
     assert seen == [{1}], seen
 assert threads() == {2}, threads()
 """
+BY_HAND = """
+import sys
+from types import SimpleNamespace
+from scp_recon.api import flying
+from scp_recon.impulsive import plan, problem
+seen = []
+def watched(*given, **known):
+    seen.append(threads())
+    raise KeyboardInterrupt
+plan.whole_number = problem.scp_method = problem.certified = watched
+exact = SimpleNamespace(
+    is_deterministic=False, risk=SimpleNamespace(allocation="exact"), probability=0.9, solve=watched
+)
+basilisk = SimpleNamespace(simulation=SimpleNamespace(simulate=watched))
+sys.modules["scp_recon.simulation.basilisk"] = basilisk
+simulation = flying.Simulation(SimpleNamespace(solution=None), 0, None, None)
+for work in (
+    lambda: plan.ImpulsivePlan.fly(None),
+    lambda: problem.ImpulsiveProblem.solve(exact),
+    lambda: problem.ImpulsiveProblem.certify(exact),
+    simulation.fly,
+):
+    try:
+        work()
+    except KeyboardInterrupt:
+        pass
+    assert threads() == {2}, threads()
+assert seen == 4 * [{1}], seen
+"""
 OVERLAP = """
 from threading import Barrier, Thread
 context, entered, left = OneThread(), Barrier(2, timeout=10), Barrier(2, timeout=10)
@@ -62,7 +91,7 @@ with one_thread:
 
 @pytest.mark.slow
 @pytest.mark.skipif((os.cpu_count() or 1) < 2, reason="needs two cores")
-@pytest.mark.parametrize("script", [WORKS, OVERLAP, GIVEN_BY_USER])
+@pytest.mark.parametrize("script", [WORKS, BY_HAND, OVERLAP, GIVEN_BY_USER])
 def test_one_thread_while_the_library_works(script):
     free = {name: value for name, value in os.environ.items() if name not in GIVEN}
     run = subprocess.run(
