@@ -23,6 +23,11 @@ def mm_s(speed_m_s: float, digits: int = 3) -> str:
     return f"{1e3 * speed_m_s:.{digits}f} mm/s"
 
 
+def digits(value: float, number: int = 6) -> str:
+    """A figure in so many significant digits; a larger one to the unit, without an exponent."""
+    return f"{value:.0f}" if abs(value) >= 10.0**number - 0.5 else f"{value:.{number}g}"
+
+
 class Displays(Protocol):
     """Functions that draw and tabulate results."""
 

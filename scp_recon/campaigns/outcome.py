@@ -16,6 +16,7 @@ from scp_recon.campaigns.axes import EPOCH, LATITUDE, LONGITUDE, NAME
 from scp_recon.campaigns.results import VERIFIED, read_results
 from scp_recon.campaigns.run import FILE_NAME, SCHEMA
 from scp_recon.campaigns.study import Campaign
+from scp_recon.display import digits
 from scp_recon.errors import InputError
 from scp_recon.jobs.job import REFUSED
 from scp_recon.mission.constraints import required_in_words
@@ -197,7 +198,7 @@ def axes_of(results: CampaignResults) -> list[str]:
 
 def in_words(value: Any) -> str:
     """A value of an entry as a legend shows it; an epoch to the minute."""
-    return value[:16] if isinstance(value, str) else f"{value:.6g}"
+    return value[:16] if isinstance(value, str) else digits(value, 6)
 
 
 def label(entry: str) -> str:

@@ -26,7 +26,7 @@ from scp_recon.cli.command import (
     show_written,
 )
 from scp_recon.cli.plan_view import Progress, live_progress, plan_document
-from scp_recon.display import mm_s
+from scp_recon.display import digits, mm_s
 from scp_recon.mission.mission import Mission
 from scp_recon.planning.plan import Plan
 from scp_recon.results.solution import FILE_NAME
@@ -190,8 +190,8 @@ def advice_on(
         lines.append(f"flights of this plan kept every limit with {found.kept:.4f}")
     if found.miss is not None:
         lines.append(
-            f"a plan that may miss the final state ends {found.miss[0]:.3g} m and "
-            f"{1e3 * found.miss[1]:.3g} mm/s off it"
+            f"a plan that may miss the final state ends {digits(found.miss[0], 3)} m and "
+            f"{digits(1e3 * found.miss[1], 3)} mm/s off it"
         )
     if found.largest is not None:
         what = "whole flights" if risk.scope == "flight" else "each constraint at each node"

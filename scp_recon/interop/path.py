@@ -18,6 +18,7 @@ import numpy as np
 from scipy.integrate import OdeSolution
 
 from formulations.arrays import Array
+from scp_recon.display import digits
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.drifts import reach_s
@@ -202,6 +203,6 @@ def _check(path: FlownPath, mission: Mission, solution: Solution, until_s: float
     if not off <= limit:
         raise InputError(
             "solution",
-            f"nodes up to {off:.3g} m off the path that its burns give",
+            f"nodes up to {digits(off, 3)} m off the path that its burns give",
             f"must be within {limit:g} m of it",
         )

@@ -7,9 +7,10 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
+from scp_recon.display import digits
 from scp_recon.errors import InputError
 from scp_recon.mission.scene import Scene
-from scp_recon.scenario.fields import ScenarioWarning
+from scp_recon.scenario.fields import ScenarioWarning, unit_hint
 from scp_recon.scenario.given import shown
 
 Ends = tuple[float, float]
@@ -51,29 +52,32 @@ class Interval:
             if scale is None:
                 continue
             if self.refuse and not self.refuse[0] <= value / scale <= self.refuse[1]:
-                allowed = f"must be {self._expected(self.refuse, scale)}"
+                allowed = f"must be {self._expected(self.refuse, scale, value)}"
                 raise InputError(entry, self._shown(value_at(scene, entry), value), allowed)
             if self.warn and not self.warn[0] <= value / scale <= self.warn[1]:
-                expected = f"expected {self._expected(self.warn, scale)}"
+                expected = f"expected {self._expected(self.warn, scale, value)}"
                 given = self._shown(value_at(scene, entry), value)
                 yield ScenarioWarning.of(entry, given, expected)
 
     def _shown(self, given: Any, value: float) -> str:
         """The quantity beside the number or vector it is computed from."""
         if not self.quantity:
-            digits = 12 if isinstance(given, float) else 4
-            return f"{value:.{digits}g} {self.unit}".rstrip()
-        number = f"{self.quantity}: {value:.3g} {self.unit}".rstrip()
+            figures = 12 if isinstance(given, float) else 4
+            return f"{value:.{figures}g} {self.unit}".rstrip()
+        number = f"{self.quantity}: {_number(value, 3)} {self.unit}".rstrip()
         if isinstance(given, tuple) and (len(given) > 3 or isinstance(given[0], tuple)):
             return number
         return f"{f'{given:.12g}' if isinstance(given, float) else shown(given)} ({number})"
 
-    def _expected(self, ends: Ends, scale: float) -> str:
+    def _expected(self, ends: Ends, scale: float, value: float) -> str:
+        hint = self.hint
+        if "?" not in hint and self.unit:
+            hint += unit_hint(self.unit, value, ends[0] * scale, ends[1] * scale)
         if self.scale is None:
-            return f"{self.within(ends)}{self.hint}"
+            return f"{self.within(ends)}{hint}"
         absolute = _within((ends[0] * scale, ends[1] * scale), self.unit)
         relative = _within(ends, self.scale[1]).removeprefix("at least ").removeprefix("at most ")
-        return f"{self._zero(ends)}{absolute} ({relative}){self.hint}"
+        return f"{self._zero(ends)}{absolute} ({relative}){hint}"
 
     def within(self, ends: Ends) -> str:
         """An interval in words: "300 to 8000 kg/m^3", "0, or at least 60 s", "at most 2 radii"."""
@@ -85,13 +89,21 @@ class Interval:
         return "0, or " if self.or_zero and ends[0] > 0.0 else ""
 
 
+VAST = 1e7
+"""Numbers from here on have an exponent."""
+
+
+def _number(value: float, figures: int = 4) -> str:
+    return digits(value, figures) if abs(value) < VAST else f"{value:.{figures}g}"
+
+
 def _within(ends: Ends, unit: str) -> str:
     low, high = ends
-    words = f"{low:.4g} to {high:.4g}"
+    words = f"{_number(low)} to {_number(high)}"
     if high == INF:
-        words = f"at least {low:.4g}"
+        words = f"at least {_number(low)}"
     elif low == -INF:
-        words = f"at most {high:.4g}"
+        words = f"at most {_number(high)}"
     words = f"{words} {unit}".rstrip()
     return words.replace(" 1 times ", " ") if words.startswith("at ") else words
 

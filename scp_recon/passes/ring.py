@@ -15,6 +15,7 @@ from scipy.interpolate import CubicHermiteSpline, PchipInterpolator
 from formulations.arrays import Array
 from scp_recon.bodies.catalogue import J2000_TDB
 from scp_recon.bodies.kernels import read_states
+from scp_recon.display import digits
 from scp_recon.errors import InputError
 from scp_recon.interop.ccsds import plain_name
 from scp_recon.interop.oem import oem_track
@@ -128,7 +129,8 @@ def ephemeris_ring(scenario: Scenario, home: HomeOrbit, axes: Array) -> Ring:
         raise InputError(
             "boundary.home.radius_m",
             f"{home.radius_m:g} m",
-            f"must be within a factor of {WITHIN:g} of {low:.4g} to {high:.4g} m in {path.name}",
+            f"must be within a factor of {WITHIN:g} of {digits(low, 4)} to {digits(high, 4)} m in "
+            f"{path.name}",
         )
     first, second, sense = directions(home, axes)
     angle = sense * np.unwrap(np.arctan2(second @ states[:, :3].T, first @ states[:, :3].T))

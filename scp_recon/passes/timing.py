@@ -18,6 +18,7 @@ from formulations.arrays import Array
 from formulations.problem.facets import choose_facets
 from formulations.program.multipliers import multipliers
 from formulations.rows.exact_flight import FlightRows
+from scp_recon.display import digits
 from scp_recon.mission.firing import HomePhases
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.schedule import ROOM_S
@@ -250,7 +251,7 @@ def explain_failure(result: PassResult, plans: int) -> str:
         amount = -float(margins.margin[least])
         if amount > most:
             most, unit = amount, stage.unit(name)
-            short = f"{amount * scales(mission.units)[unit]:.3g} {unit}"
+            short = f"{digits(amount * scales(mission.units)[unit], 3)} {unit}"
             at = mission.times_s[margins.nodes[least]]
             worst = f"{name}, short by {short} {at:.0f} s into the pass"
     between = ""

@@ -12,6 +12,7 @@ import numpy.typing as npt
 from scipy.special import chdtrc, chdtri  # of chi-squared; scipy.stats takes half a second
 
 from formulations.arrays import Array
+from scp_recon.display import digits
 from scp_recon.errors import InputError, one_of, option, shortened, whole_number
 from scp_recon.replanning.flown import Prediction
 from scp_recon.scenario.fields import ScenarioWarning
@@ -153,13 +154,13 @@ class Delivery:
             if size > max(UNITS_RATIO_MAX * planned_size, scenario.burns.dv_max_m_s):
                 raise InputError(
                     MEASURED,
-                    f"burn {number} of {size:.4g}",
-                    f"must be in m/s: the plan has {planned_size:.4g} m/s then",
+                    f"burn {number} of {digits(size, 4)}",
+                    f"must be in m/s: the plan has {digits(planned_size, 4)} m/s then",
                 )
             if off > SURE_SIGMAS * sigma and off > 0.0:
                 yield ScenarioWarning.of(
                     "measured_burns",
-                    f"burn {number} {1e3 * off:.3g} mm/s from the one planned",
+                    f"burn {number} {digits(1e3 * off, 3)} mm/s from the one planned",
                     f"expected at most {1e3 * SURE_SIGMAS * sigma:.3g} mm/s, {SURE_SIGMAS:g} sigma of "
                     "its errors: check unit and frame",
                 )
@@ -188,16 +189,16 @@ class Delivery:
             if high > UNITS_RATIO_MAX * low and np.linalg.norm(off[part]) > SURE_SIGMAS * sigma:
                 raise InputError(
                     option("state"),
-                    f"a {noun} of {given:.4g}",
-                    f"must be in {unit_name}: the plan has {expected:.4g} {unit_name} then",
+                    f"a {noun} of {digits(given, 4)}",
+                    f"must be in {unit_name}: the plan has {digits(expected, 4)} {unit_name} then",
                 )
         distance2 = float(off @ np.linalg.solve(spread, off))
         if chdtrc(6, distance2) < UNLIKELY:
             position, velocity = np.linalg.norm((state - predicted.state).reshape(2, 3), axis=1)
             yield ScenarioWarning.of(
                 "state",
-                f"{position:.4g} m and {1e3 * velocity:.3g} mm/s from what the plan predicts at "
-                f"{self.at_s:g} s",
+                f"{digits(position, 4)} m and {digits(1e3 * velocity, 3)} mm/s from what the plan "
+                f"predicts at {self.at_s:g} s",
                 f"{np.sqrt(distance2):.1f} sigma, expected at most {np.sqrt(chdtri(6, UNLIKELY)):.1f}: "
                 "check units, frame and the burns flown",
             )

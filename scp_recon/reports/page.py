@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from formulations.rows.exact_flight import FLIGHT
-from scp_recon.display import mm_s
+from scp_recon.display import digits, mm_s
 from scp_recon.errors import version_of
 from scp_recon.mission.constraints import required_in_words
 from scp_recon.planning.plan import NOT_CHECKED
@@ -134,7 +134,7 @@ def _remarks(subject: Subject, status: Status) -> tuple[str, ...]:
     solution = subject.solution
     said = [] if status is Status.CONVERGED else [status.value.message]
     said += [
-        f"{name}: violated by up to {amount.max:.4g} {amount.unit}"
+        f"{name}: violated by up to {digits(amount.max, 4)} {amount.unit}"
         for name, amount in solution.violation.by_constraint.items()
     ]
     said += [words for words in (solution.cost_in_words, solution.by_policy) if words]

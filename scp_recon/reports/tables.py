@@ -10,10 +10,12 @@ from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
+from scp_recon.display import digits
 from scp_recon.mission.constraints import Bound, bounds_on_mean
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.observation_time import ALL
 from scp_recon.planning.records import Starts
+from scp_recon.results.comparison import BINDING
 from scp_recon.results.facts import Burn, IterationRecord
 from scp_recon.results.policy import sigmas
 from scp_recon.results.solution import Solution
@@ -34,8 +36,6 @@ ITERATION_COLUMNS: tuple[Column | str, ...] = (
     Column("defect", "m", ".1e"),
     Column("solver", "s", ".3f"),
 )
-BINDING = 1e-4
-"""Margin in the program below which a limit binds, m or m/s."""
 NO_BURN = Cell("0", 0.0)
 """In place of each component of a burn that is not executed."""
 STARTS_NAMED = 6
@@ -226,8 +226,8 @@ def limits_table(mission: Mission, solution: Solution, v: Verification) -> Table
     rows += [
         [
             d.row,
-            f">= {d.radius_m:.4g} m",
-            f">= {d.closest_m:.4g} m",
+            f">= {digits(d.radius_m, 4)} m",
+            f">= {digits(d.closest_m, 4)} m",
             d.value,
             f"{d.low:.4f} to {d.high:.4f}",
             d.closest_t_s,
@@ -267,7 +267,7 @@ def _marks(solution: Solution) -> dict[str, Cell]:
     found = {c.name: Cell("binds") for c in solution.constraints if abs(c.worst_margin) < BINDING}
     for name, amount in solution.violation.by_constraint.items():
         value, unit = _shown(amount.max, amount.unit)
-        found[name] = Cell(f"off by {value:.3g} {unit}", amount.max, "bad")
+        found[name] = Cell(f"off by {digits(value, 3)} {unit}", amount.max, "bad")
     return found
 
 
@@ -280,7 +280,7 @@ def _joined(marks: Mapping[str, Cell], of: Sequence[str], name: str) -> Cell:
 def _span(bounds: Iterable[Bound]) -> tuple[str, str]:
     """A range, such as "500 to 740" or ">= 20", and its unit; speeds in mm/s."""
     by = {bound.sense: _shown(bound.value, bound.unit) for bound in bounds}
-    ends = [f"{by[sense][0]:.4g}" for sense in ("min", "max") if sense in by]
+    ends = [digits(by[sense][0], 4) for sense in ("min", "max") if sense in by]
     unit = next((unit for _, unit in by.values()), "")
     one = {"min": ">= ", "max": "<= "}[next(iter(by))] if len(by) == 1 else ""
     return one + " to ".join(ends), unit

@@ -9,7 +9,7 @@ from itertools import zip_longest
 import numpy as np
 
 from formulations.arrays import Array
-from scp_recon.display import Displayed
+from scp_recon.display import Displayed, digits
 from scp_recon.errors import unknown_name
 from scp_recon.physics.flow import interpolate
 from scp_recon.planning.plan import NOT_CHECKED
@@ -22,8 +22,10 @@ SHOWN = dict(SCALES.keys())
 """Units of a table's texts by those of the rows."""
 DIFFERS = "differs from the first in"
 """Row of the sections in which a scenario differs from the first plan's: it limits comparison."""
-MARGIN, MARGIN_ROUNDING = "margin ", 1e-6
-"""Names of margins begin so; below this size, in m, sigma or m/s, one is the rounding of a solver."""
+MARGIN, MARGIN_ROUNDING = "margin ", {"m/s": 1e-6}
+"""Names of margins begin so; below this size, `BINDING` for m and sigma, one is a solver's rounding."""
+BINDING = 1e-4
+"""Margin in the program below which a limit binds, m or sigma."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -154,9 +156,9 @@ def _cell(name: str, unit: str, figure: float | str | None) -> Cell | str | None
     """A figure to six digits; a margin within a solver's tolerance of its limit is zero."""
     if not isinstance(figure, float):
         return figure
-    rounding = MARGIN_ROUNDING if name.startswith(MARGIN) else 1e-9
+    rounding = MARGIN_ROUNDING.get(unit, BINDING) if name.startswith(MARGIN) else 1e-9
     shown = figure * SCALES.get((unit, SHOWN.get(unit, unit)), 1.0)
-    return Cell(f"{shown:.6g}" if abs(figure) >= rounding else "0", shown)
+    return Cell(digits(shown, 6) if abs(figure) >= rounding else "0", shown)
 
 
 def largest_distance_m(one: Solution, other: Solution) -> float | None:

@@ -17,6 +17,8 @@ from typing import Any, Literal
 
 import numpy as np
 
+from scp_recon.display import digits
+
 Value = str | int | float | bool | None
 SCALES = {("m/s", "mm/s"): 1e3}
 """Factors from the unit of a column's values to that of its texts."""
@@ -63,7 +65,9 @@ class Column:
         if not isinstance(value, str | int | float | None):
             raise TypeError(f"{type(value).__name__} is no value of a cell")
         if isinstance(value, float):
-            text = format(value * SCALES.get((self.unit, self.shown_unit), 1.0), self.form)
+            number = value * SCALES.get((self.unit, self.shown_unit), 1.0)
+            general = re.fullmatch(r"\.(\d+)g", self.form)
+            text = digits(number, int(general[1])) if general else format(number, self.form)
             if not text.strip("+-0.e%"):
                 text = format(0.0, self.form)  # rounding has no sign
         else:

@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
+from scp_recon.display import digits
 from scp_recon.mission.drifts import Miss
 from scp_recon.scenario.fields import Line, Number, Probability
 
@@ -183,8 +184,8 @@ class FinalMiss:
     def __str__(self) -> str:
         """In words."""
         return (
-            f"the final state is missed by {self.position_m:.4g} m and "
-            f"{1e3 * self.velocity_m_s:.4g} mm/s: too few burns are left to meet it"
+            f"the final state is missed by {digits(self.position_m, 4)} m and "
+            f"{digits(1e3 * self.velocity_m_s, 4)} mm/s: too few burns are left to meet it"
         )
 
 
@@ -209,7 +210,7 @@ class FinalSigma:
     def __str__(self) -> str:
         """In words."""
         return (
-            f"{self.name} of flights {self.flown:.4g} +- {self.error:.2g} {self.unit}, "
+            f"{self.name} of flights {digits(self.flown, 4)} +- {self.error:.2g} {self.unit}, "
             f"required at most {self.required:g}"
         )
 

@@ -352,16 +352,19 @@ def test_results_are_frames_of_pandas(default_plan, solution, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("name", "figure", "text"),
+    ("name", "unit", "figure", "text"),
     [
-        ("margin emission_max", -9e-9, "0"),
-        ("margin emission_max", -2e-6, "-2e-06"),
-        ("total delta-v", 2e-7, "2e-07"),
-        ("farthest from the first", 1e-11, "0"),
+        ("margin emission_max", "m", -9e-9, "0"),
+        ("margin emission_max", "m", 1e-5, "0"),
+        ("margin emission_max", "sigma", -2e-4, "-0.0002"),
+        ("margin dv_max", "m/s", 1e-5, "0.01"),
+        ("total delta-v", "m", 2e-7, "2e-07"),
+        ("farthest from the first", "m", 1e-11, "0"),
+        ("farthest from the first", "m", 1.23456789e7, "12345679"),
     ],
 )
-def test_rounding_counts_as_zero_in_comparisons(name, figure, text):
-    compared = Comparison(("one",), ((name, "m", (figure,)),), ())
+def test_rounding_counts_as_zero_in_comparisons(name, unit, figure, text):
+    compared = Comparison(("one",), ((name, unit, (figure,)),), ())
     assert compared.table.rows[0][1].text == text
     assert compared[name] == (figure,)
 

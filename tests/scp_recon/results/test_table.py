@@ -8,6 +8,7 @@ import pytest
 from rich.console import Console
 
 from scp_recon.cli.rendering import terminal
+from scp_recon.display import digits
 from scp_recon.results.table import Cell, Column, Table
 
 MARGINS = Table.of(
@@ -74,3 +75,15 @@ def test_the_terminal_shows_texts_as_they_are(*, narrow):
     assert ("margin m/s" in said[0]) is not narrow
     plain = str(MARGINS).splitlines()
     assert plain[1].split() == said[1 + narrow].split()
+
+
+def test_large_figures_have_no_exponent():
+    column = Column("radius", "m/s", ".3g", shown_unit="mm/s")
+    assert [column.cell(value).text for value in (1.84567, 0.9996, 0.0123, -123.4)] == [
+        "1846",
+        "1000",
+        "12.3",
+        "-123400",
+    ]
+    assert [digits(value, 4) for value in (999.96, 9999.6, 123456.7)] == ["1000", "10000", "123457"]
+    assert digits(1.5e-7, 2) == "1.5e-07"
