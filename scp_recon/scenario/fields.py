@@ -21,6 +21,53 @@ SHORTEST = 1e-3
 """Least length of a vector with a direction: shorter ones are slips, and their squares may vanish."""
 
 
+SLIPS: dict[str, tuple[tuple[float, str], ...]] = {
+    "": ((0.01, "; a share, not per cent?"),),
+    "m": ((1e3, "; metres, not kilometres?"), (1e-3, "; metres, not millimetres?")),
+    "km": ((1e-3, "; kilometres, not metres?"),),
+    "m/s": ((1e-3, "; m/s, not mm/s?"), (1e3, "; m/s, not km/s?")),
+    "deg": ((math.degrees(1.0), "; degrees?"),),
+    "s": ((60.0, "; seconds, not minutes?"), (3600.0, "; seconds, not hours?")),
+    "h": ((1.0 / 60.0, "; hours, not minutes?"), (1.0 / 3600.0, "; hours, not seconds?")),
+    "m^3/s^2": ((1e9, "; m^3/s^2, not km^3/s^2?"),),
+    "kg/m^3": ((1e-9, "; the radius in metres?"), (1e9, "; GM in m^3/s^2?")),
+    "m^2/kg": ((1e3, "; kilograms, not grams?"), (1e-4, "; m^2, not cm^2?")),
+}
+"""Likely slips of a unit: what a value has to be multiplied by, and the question."""
+SUFFIXES = {"m3_s2": "m^3/s^2", "m_s": "m/s"} | {
+    unit: unit for unit in ("km", "m", "deg", "s", "h")
+}
+"""Units by the end of an entry's name."""
+
+
+def unit_of(entry: str) -> str:
+    """The unit by an entry's name; empty for a share, and where it has another."""
+    name = entry.removesuffix("_min").removesuffix("_max")
+    return next((unit for end, unit in SUFFIXES.items() if name.endswith(f"_{end}")), "")
+
+
+def unit_hint(unit: str, value: float, low: float, high: float) -> str:
+    """Question whether another unit was meant; empty if that does not explain a value out of a range.
+
+    In the other unit it must be within the range; of a range with one end also nearer to that end.
+
+    Args:
+        unit: that the value should have.
+        value: that was given.
+        low: end of the range, -inf for none.
+        high: likewise.
+    """
+    if low <= value <= high:
+        return ""
+    end, bounded = (low if value < low else high), unit == "" or 0.0 < low < high < math.inf
+    for factor, hint in SLIPS.get(unit, ()):
+        meant = factor * value
+        nearer = end * value > 0.0 and abs(math.log(meant / end)) < abs(math.log(value / end))
+        if low <= meant <= high and (bounded or nearer):
+            return hint
+    return ""
+
+
 def zero_or_at_least(least: float) -> AfterValidator:
     """Validate a number that is not negative: zero, or at least as large as this."""
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import math
 from collections.abc import Iterable, Iterator, Sequence
 from functools import cache
 from typing import Any
@@ -10,6 +11,7 @@ from typing import Any
 from pydantic import BaseModel, ValidationError
 
 from scp_recon.errors import InputError, shortened
+from scp_recon.scenario.fields import unit_hint, unit_of
 from scp_recon.scenario.given import ENDS, derivable
 
 Node = dict[str, Any]
@@ -101,8 +103,19 @@ def _describe(problem: dict[str, Any], schema: type[BaseModel]) -> tuple[str, st
     if kind == "missing":  # of a list of fixed length
         location = location[:-1]
     entry = ".".join(map(str, location)) or "scenario"
-    message = _rule(problem, _at(location, schema))
+    message = _rule(problem, _at(location, schema)) + _slip(problem, entry, _at(location, schema))
     return entry, _given(problem["input"]), message if "must" in message else f"must be {message}"
+
+
+def _slip(problem: dict[str, Any], entry: str, allowed: Sequence[Node]) -> str:
+    """The hint at a unit, if a number is out of its range."""
+    value = problem["input"]
+    if not isinstance(value, int | float) or not problem["type"].startswith(("greater", "less")):
+        return ""
+    ends = {end: node[key] for node in allowed for key, end in ENDS_OF.items() if key in node}
+    unit = unit_of(next(part for part in reversed(entry.split(".")) if not part.isdigit()))
+    low, high = ends.get("low", -math.inf), ends.get("high", math.inf)
+    return unit_hint(unit, value, low, high) if unit or high <= 1.0 else ""
 
 
 def _given(value: object) -> str:
@@ -145,6 +158,13 @@ WORDS = {
     **dict.fromkeys(("datetime_type", "datetime_parsing", "datetime_from_date_parsing"), DATE),
 }
 """Allowed values, by the type of Pydantic's error."""
+ENDS_OF = {
+    "minimum": "low",
+    "exclusiveMinimum": "low",
+    "maximum": "high",
+    "exclusiveMaximum": "high",
+}
+"""Ends of a range by the JSON schema's names."""
 BOUNDS = {
     "exclusiveMinimum": "greater than",
     "minimum": "at least",

@@ -30,6 +30,7 @@ from scp_recon.scenario.fields import (
     Positive,
     Section,
     Tdb,
+    unit_hint,
 )
 from scp_recon.scenario.given import inherit, tables_of
 from scp_recon.scenario.knowledge import Knowledge
@@ -111,8 +112,10 @@ class Observation(Section):
                 next(v for k, v in self if k.startswith(f"{name}_{end}")) for end in ("min", "max")
             )
             if high is not None and low >= high:
-                in_radians = name in ("emission", "phase") and high < 0.5 * math.pi
-                hint = "; degrees?" if in_radians else ""
+                unit = {"site_distance": "m", "local_solar_time": "h"}.get(name, "deg")
+                hint = unit_hint(unit, high, low, math.inf) or unit_hint(unit, low, 0.0, high)
+                if unit == "deg" and high < 0.5 * math.pi:
+                    hint = "; degrees?"
                 raise ValueError(
                     f"{name}: the minimum {low} must be below the maximum {high}{hint}"
                 )

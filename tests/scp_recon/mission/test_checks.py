@@ -17,7 +17,7 @@ from scp_recon.mission.intervals import INTERVALS, PLANNER_INTERVALS, STATE_INTE
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.scene import Scene
 from scp_recon.physics.two_body import two_body
-from scp_recon.scenario.load import validate_scenario
+from scp_recon.scenario.load import load_scenario, validate_scenario
 from scp_recon.scenario.schema import Scenario
 from tests import reliability
 from tests.scp_recon.support import file_of, mission_of
@@ -104,7 +104,7 @@ WARNED = [
             (END, [0.0, 1e5, 0.0], "(100 reference radii)"),
             (END, [-1128.7, 19.9, -140.9], SHADOW),
             (BEGIN, [-1096.3, 70.2, 200.0], SHADOW),
-            ("burns.dv_max_m_s", 200.0, "200 m/s"),
+            ("burns.dv_max_m_s", 200.0, "m/s, not mm/s?"),
             ("burns.dv_min_m_s", 0.15, "(0.5 times burns.dv_max_m_s)"),
             ("uncertainty.execution_error", 0.0008, "0.0008 of a burn"),
             ("uncertainty.execution_error", 0.8, "not in per cent"),
@@ -119,6 +119,7 @@ WARNED = [
         )
     ),
     ({"spacecraft.mass_kg": 0.178}, "spacecraft.srp_area_m2", "m^2/kg"),
+    ({"spacecraft.mass_kg": 178e3}, "spacecraft.srp_area_m2", "kilograms, not grams?"),
     ({"body.radii_m": RADII, "body.j2": 0.0193}, "body.j2", "has 0.0344 at 290 m"),
     ({"body.radii_m": RADII, "body.reference_radius_m": 170.0}, "body.radii_m", "no diameters?"),
     ({"body.radii_m": RADII, "body.gm_m3_s2": 1.6}, "body.radii_m", "packaged: 299 kg/m^3"),
@@ -403,3 +404,28 @@ def test_the_rows_are_about_entries_of_a_scenario(row):
     if row.warn and row.refuse:
         assert row.refuse[0] < row.warn[0] or row.warn[0] == -np.inf
         assert row.warn[0] < row.warn[1] < row.refuse[1]
+
+
+@pytest.mark.parametrize(
+    ("override", "hint"),
+    [
+        ("uncertainty.execution_error=8.0", "; a share, not per cent?"),
+        ("risk.p_chance=70", "; a share, not per cent?"),
+        ("risk.p_chance=1.5", None),
+        ("observation.site_distance_max_m=0.74", "; metres, not kilometres?"),
+        ("observation.site_distance_min_m=800", None),
+        ("observation.emission_max_deg=0.3", "; degrees?"),
+        ("observation.local_solar_time_max_h=960", "; hours, not minutes?"),
+        ("safety.radius_min_m=0.5", "; metres, not kilometres?"),
+        ("safety.radius_min_m=200", None),
+        ("body.reference_radius_m=0.29", "; the radius in metres?"),
+        ("body.gm_m3_s2=4.89e-9", "; m^3/s^2, not km^3/s^2?"),
+        ("boundary.initial_position_m=[0.07,-1.1,0.4]", "; metres, not kilometres?"),
+        ("boundary.initial_velocity_m_s=[-4.7,-16.7,27.8]", "; m/s, not mm/s?"),
+    ],
+)
+def test_refused_value_of_another_unit_gets_hint(override, hint):
+    with pytest.raises(InputError) as caught:
+        Mission.from_scenario(load_scenario(None, [override]))
+    said = caught.value.allowed.splitlines()[0]
+    assert said.endswith(hint) if hint else "?" not in said
