@@ -71,16 +71,17 @@ class Settling:
             touching = touching_facets(self.task.problem, lin.iterate.mean)
             rough = self._round(touching, lin, TOUCHING_ITERATIONS, WEIGHTS[0])
             lin = rough.result.lin
-        found = [self._along(lin)]
+        begun: list[Facets] = []
+        found = self._along([lin], begun)
         if _price(found[0]) > NEAR * max(_cost(rough), _cost(p3)):
             if is_converged(first) and not first.result.is_weighed:
                 found.append(self._settled(first, WEIGHTS[0]))
             else:
-                found += [self._along(one.result.lin) for one in (p3, first)]
+                found += self._along([one.result.lin for one in (p3, first)], begun)
             if min(_price(one) for one in found) > DEAR * _cost(p3):
-                found.append(self._along(self.exact_path(lin)))
+                found += self._along([self.exact_path(lin)], begun)
             if min(_price(one) for one in found) == math.inf:
-                found.append(self._along(self.exact_path(p3.result.lin)))
+                found += self._along([self.exact_path(p3.result.lin)], begun)
         return self._best(found)
 
     def exact_path(self, start: Linearisation) -> Linearisation:
@@ -90,12 +91,19 @@ class Settling:
 
     def along(self, lin: Linearisation) -> Stage:
         """Settle along a path."""
-        return self._best([self._along(lin)])
+        return self._best(self._along([lin], []))
 
-    def _along(self, lin: Linearisation) -> Stage:
-        """Settle along a path at the first weight."""
-        first = self._round(self._fresh(lin), lin, FIRST_ITERATIONS, WEIGHTS[0])
-        return self._settled(first, WEIGHTS[0])
+    def _along(self, paths: Sequence[Linearisation], begun: list[Facets]) -> list[Stage]:
+        """Settle at the first weight along each path on which no earlier path's facets are chosen."""
+        found = []
+        for lin in paths:
+            facets = self._fresh(lin)
+            if any(facets.are_near(others) for others in begun):
+                continue
+            begun.append(facets)
+            first = self._round(facets, lin, FIRST_ITERATIONS, WEIGHTS[0])
+            found.append(self._settled(first, WEIGHTS[0]))
+        return found
 
     def _best(self, settled: Sequence[Stage]) -> Stage:
         """The best of flights settled at the first weight, which is raised where violations are left.
