@@ -18,6 +18,7 @@ if __name__ == "__main__":
     exit_on_sigint()
 
 import json
+import shutil
 import sys
 from collections.abc import Mapping, Sequence
 from itertools import product
@@ -25,6 +26,7 @@ from pathlib import Path
 from typing import Any
 
 from experiments.harness import Findings, Record, Session, Study, run, run_python
+from scp_recon.files import write_atomically
 from scp_recon.jobs.job import Job
 
 ROUNDS, REPEATS = 3, 3
@@ -53,6 +55,18 @@ GAINS = (
     ' --set policy.kind="feedback" --set navigation.lead_s=0'
     " --set navigation.sigma_position_m=10 --set navigation.sigma_velocity_m_s=0.0005"
 )
+DELIVERED = "-126.629 442.342 -596.582 0.0062679 0.0763651 0.0599579"
+"""The state on the page of replanning, m and m/s."""
+STUDY_OF_32 = """[campaign]
+base = "recon_b"
+[[axis]]
+entry = "uncertainty.execution_error"
+grid = { from = 0.02, to = 0.16, count = 8, scale = "log" }
+[[axis]]
+entry = "uncertainty.initial_sigma_fraction"
+values = [0.0, 0.005, 0.01, 0.02]
+"""
+"""The study on the page of campaigns."""
 WAITS = {
     "solve --help": "solve --help",
     "solve": "solve --init cold",
@@ -66,6 +80,9 @@ WAITS = {
     "whole flights 0.99 with feedback, certified in strata": CERTIFIED.format(p=0.99, of="flight")
     + GAINS,
     "design nightingale": "design nightingale",
+    "replan": "replan {out}/solve --at 17000 --state " + DELIVERED,
+    "windows recon_b": "windows recon_b",
+    "campaign of 32 plans": "campaign {out}/study.toml --out {out}/campaign",
 }
 """Commands that users wait for; `{out}` has the plan of `solve`."""
 
@@ -158,7 +175,10 @@ def waits(session: Session) -> Findings:
 def waited(name: str, out: Path) -> dict[str, Any]:
     """Seconds of a command."""
     words = [word.format(out=out) for word in WAITS[name].split()]
-    if words[0] in ("solve", "design") and "--help" not in words:
+    if words[0] == "campaign":
+        write_atomically(out / "study.toml", STUDY_OF_32)
+        shutil.rmtree(out / "campaign", ignore_errors=True)  # a finished one is not run again
+    elif words[0] in ("solve", "design", "replan") and "--help" not in words:
         words += ["--out", str(out / name)]
     return {"command": name, **run_python(["-m", "scp_recon", *words])[0]}
 
