@@ -50,20 +50,21 @@ class _Backward:
         d_mean[:, :6] = mean[starts]
         np.add.at(d_start, legs, spread.stm[inside].swapaxes(1, 2) @ factor[inside])
         np.add.at(d_mean, legs, self._bent(inside, factor[inside], start[legs], mean[inside]))
-        shifts = None if problem.firing is None else lin.shifts
-        if shifts is not None:
-            shifted = shifts.factor(spread.factor)
-            self.slope[problem.time_controls] += shifts.pulled(mean, factor[:, :6], spread.factor)
+        shifted = None if problem.firing is None else lin.shifts.factor(spread)
+        self._shifted = shifted
+        if shifted is not None:
+            pulled = lin.shifts.pulled(mean, factor[:, :6], spread.factor)
+            self.slope[problem.time_controls] += pulled
         d_error = np.zeros((size, c))
         for leg in range(len(starts) - 1, -1, -1):
             d_error = self._measured(leg, d_error, d_mean)
             burn = leg - problem.coasts
             if burn >= 0:
                 self._burnt(burn, d_start[leg], d_error, d_mean[leg])
-                if shifts is not None:
-                    own = np.einsum("i,iq->q", d_mean[leg, :6], shifts.mean[burn])
-                    own += np.einsum("ic,icq->q", d_start[leg, :6], shifted[burn])
-                    self.slope[problem.time_controls] += own
+                if shifted is not None:
+                    self.slope[problem.time_controls] += d_mean[leg, :6] @ lin.shifts.mean[burn]
+                    self._shift(d_start[leg], shifted.factor[burn])
+                    self._shift(d_error, shifted.error[burn])
             if leg > 0:
                 here, stm = starts[leg : leg + 1], spread.stm[starts[leg]]
                 parts = d_start[leg][None], start[leg - 1 : leg], d_mean[leg, None, :6]
@@ -73,7 +74,14 @@ class _Backward:
                 none = np.zeros((1, 6))
                 d_mean[leg - 1] += self._bent(here, d_error[None], before[None], none)[0]
                 d_error = stm.T @ d_error
-        self._measured(-1, d_error, d_mean)
+        d_error = self._measured(-1, d_error, d_mean)
+        if shifted is not None:
+            self._shift(d_error, shifted.first)
+
+    def _shift(self, by_factor: Array, change: Array) -> None:
+        """Derivative by firing times of a factor that changes with them, (6, c, q)."""
+        own = np.einsum("ic,icq->q", by_factor[:6], change)
+        self.slope[self._problem.time_controls] += own
 
     def _bent(self, nodes: Indices, by_factor: Array, start: Array, by_mean: Array) -> Array:
         """Pull at the mean at the legs' starts of factors P S and means at nodes, shape (n, 7)."""
@@ -93,6 +101,8 @@ class _Backward:
             if leg < 0:
                 d_error = d_error + there
                 continue
+            if self._shifted is not None:
+                self._shift(there, self._shifted.measured[j])
             node = feedback.cut_offs[j : j + 1]
             error = spread.errors[j : j + 1]
             d_mean[leg] += self._bent(node, there[None], error, np.zeros((1, 6)))[0]
@@ -118,7 +128,7 @@ class _Backward:
         _, of_gains = errors.correction_columns(gains)
         own = both[:, problem.columns_of_correction(j)[0]]
         by_gain += np.einsum("ic,icab->ab", own, of_gains)
-        self.slope[by[-1] + 1 : problem.controls_before[burn + 1]] = by_gain.ravel()
+        self.slope[by[-1] + 1 : problem.commanded_controls(j).stop] = by_gain.ravel()
         self._rows[: j + 1] += (gains.T @ d_start[3:6]).reshape(j + 1, 6, -1)
 
 

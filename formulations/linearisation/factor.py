@@ -46,6 +46,22 @@ class Spread:
     leg_errors: Array
 
 
+class Shifted(NamedTuple):
+    """Changes of the state's rows of factors by q firing times and phases, at given times.
+
+    Attributes:
+        first: of E before the first measurement, shape (6, c, q).
+        factor: of S right after each burn, shape (m, 6, c, q).
+        error: of E there.
+        measured: of E before each measurement, which moves along with its cut-off, (k, 6, c, q).
+    """
+
+    first: Array
+    factor: Array
+    error: Array
+    measured: Array
+
+
 class Filter(NamedTuple):
     """What the filter of a flight knows.
 
@@ -220,7 +236,7 @@ class FactorSensitivity:
         bent: derivatives of the STMs from the legs' starts by the deviation there, shape
             (n_nodes, 6, 6 + p, 7); None if they are held.
         gains: whether gains are among the controls, or held.
-        shifted: changes after each burn by the firing times (`Shifts.factor`), if these are controls.
+        shifted: changes by the firing times (`Shifts.factor`), if these are controls.
     """
 
     def __init__(
@@ -232,7 +248,7 @@ class FactorSensitivity:
         bent: Array | None,
         *,
         gains: bool,
-        shifted: Array | None = None,
+        shifted: Shifted | None = None,
     ) -> None:
         self._problem, self._iterate, self._spread = problem, iterate, spread
         self._shifted = shifted
@@ -263,14 +279,18 @@ class FactorSensitivity:
         for burn, kick in enumerate(kicks):
             self._corrected(burn, kick, d_rows)
             self._add_errors(burn, kick)
+            if self._shifted is not None:
+                kick[:6, ..., problem.time_controls] += self._shifted.factor[burn]
         return kicks
 
     def _starts(self, last: int) -> tuple[Array, Array]:
         """The derivatives at the legs' starts up to a node, (legs + 1, ., c, q), and of Xi."""
         problem, spread = self._problem, self._spread
-        starts = problem.leg_starts
+        starts, shifted, timed = problem.leg_starts, self._shifted, problem.time_controls
         start = np.zeros((len(starts), *self._shape))
         d_error, d_rows = np.zeros(self._shape), np.zeros((0, *self._shape[1:]))
+        if shifted is not None:
+            d_error[:6, ..., timed] = shifted.first
         d_error, d_rows = self._measured(-1, d_error, d_rows)
         for leg, node in enumerate(starts):
             if node > last:
@@ -287,6 +307,9 @@ class FactorSensitivity:
                 self._corrected(burn, start[leg], d_rows)
                 self._add_errors(burn, start[leg])
                 self._add_errors(burn, d_error)
+                if shifted is not None:
+                    start[leg][:6, ..., timed] += shifted.factor[burn]
+                    d_error[:6, ..., timed] += shifted.error[burn]
             d_error, d_rows = self._measured(leg, d_error, d_rows)
         return start, d_rows
 
@@ -310,6 +333,9 @@ class FactorSensitivity:
             there, node = d_error, feedback.cut_offs[j : j + 1]
             if leg >= 0:
                 there = self._reached(node, d_error[None], error[None])[0]
+            if self._shifted is not None:
+                there = there.copy()
+                there[:6, ..., self._problem.time_controls] += self._shifted.measured[j]
             rows = one.derivative(there)
             d_error = one.updated_derivative(error, d_error, rows)
             d_rows = np.concatenate([d_rows, rows])
@@ -336,17 +362,13 @@ class FactorSensitivity:
         place = slice(first, first + 3)
         start[3:6, problem.shared_columns, place] += slopes[:, : errors.shared]
         start[3:6, problem.columns_of_burn(burn), place] += slopes[:, errors.shared :]
-        if self._shifted is not None:
-            start[..., problem.time_controls] += self._shifted[burn]
         if j is not None and self._gains:
             _, of_gains = errors.correction_columns(problem.gains_of(self._iterate, j))
-            place = slice(first + 3, self._first[burn + 1])
+            place = slice(first + 3, problem.commanded_controls(j).stop)
             own = of_gains.reshape(3, of_gains.shape[1], -1)
             start[3:6, problem.columns_of_correction(j)[0], place] += own
 
     def _gain_controls(self, j: int) -> Indices:
         """The controls that are gains of the corrected burn j, ascending."""
-        assert self._problem.feedback is not None
-        burn = int(self._problem.feedback.burns[j])
-        first, stop = self._problem.controls_before[burn : burn + 2]
-        return np.arange(first + 3, stop)
+        own = self._problem.commanded_controls(j)
+        return np.arange(own.start + 3, own.stop)

@@ -343,11 +343,12 @@ def condense(
     # The last column of each derivative is the part that does not depend on the controls: what closing
     # the defects moves.
     moved = lin.sensitivity if gains else lin.burn_sensitivity
-    d_mean, timed = lin.at_nodes(moved, nodes), lin.problem.time_controls
+    d_mean = lin.at_nodes(moved, nodes)
+    timed = lin.problem.time_controls if gains else np.zeros(0, np.intp)
     d_mean[..., timed] += lin.shifts.drift(nodes) if timed.size else 0.0
     if factor:
         bent = lin.bent if curvature else None
-        shifted = lin.shifts.factor(lin.spread.factor) if timed.size else None
+        shifted = lin.shifts.factor(lin.spread) if timed.size else None
         legs = FactorSensitivity(
             lin.problem, lin.iterate, lin.spread, moved, bent, gains=gains, shifted=shifted
         )
@@ -378,7 +379,7 @@ def factor_kicks(lin: Linearisation) -> Array:
         lin.sensitivity,
         lin.bent,
         gains=True,
-        shifted=None if lin.problem.firing is None else lin.shifts.factor(lin.spread.factor),
+        shifted=None if lin.problem.firing is None else lin.shifts.factor(lin.spread),
     )
     return legs.kicks()[:, :6]
 

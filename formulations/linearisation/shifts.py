@@ -11,6 +11,9 @@ changes are. Nodes that move along with a burn see f dt and D S dt in addition. 
 and after the last, the boundary state holds whenever that is: f = 0 and D = 0 there. A phase moves
 boundary state and initial factor as its orbit says.
 
+The factor E of the estimate's error changes in the same way, (D- E- - D+ E+) dt at a burn; and a
+cut-off that moves along with its burn sees D E dt before its measurement.
+
 These are the derivatives of the flow itself. Those of its Runge-Kutta scheme differ by the scheme's
 error per unit of time.
 """
@@ -24,6 +27,7 @@ from typing import cast
 import numpy as np
 
 from formulations.arrays import Array, Indices
+from formulations.linearisation.factor import Shifted, Spread, after_measurements
 from formulations.problem.firing_times import UNIT, FiringTimes
 from formulations.problem.flow import ArcDerivatives, MovableDerivatives
 from formulations.problem.flyby import FlybyProblem, Iterate
@@ -105,22 +109,36 @@ class Shifts:
             change[:, phase] = UNIT * self._slopes[2]
         return change
 
-    def factor(self, factor: Array) -> Array:
-        """The same of the factor, (m, 6, c, q); `factor` is the iterate's, (n_nodes, 6 + p, c)."""
-        problem, burns = self.problem, self._firing.burns
-        change = np.zeros((problem.n_burns, 6, factor.shape[2], self._firing.shares.shape[1]))
-        columns = problem.execution_errors.columns(self.iterate.burns)
-        shared, ((_, before), (_, after)) = problem.execution_errors.shared, self._about
-        for j, burn in enumerate(burns):
-            node, added = problem.burn_nodes[burn], np.zeros(factor.shape[1:])
-            added[3:6, problem.shared_columns] = columns[burn, :, :shared]
-            added[3:6, problem.columns_of_burn(burn)] = columns[burn, :, shared:]
-            turned = before[j] @ (factor[node] - added) - after[j] @ factor[node]
-            change[burn, ..., j] = UNIT * turned
+    def factor(self, spread: Spread) -> Shifted:
+        """The same of the factors of deviation and estimate's error, from those of the iterate."""
+        problem, starts = self.problem, self.problem.leg_starts
+        shape = 6, problem.factor_columns, self._firing.shares.shape[1]
+        first, change = np.zeros(shape), np.zeros((2, problem.n_burns, *shape))
+        (_, before), (_, after) = self._about
+        for j, burn in enumerate(self._firing.burns):
+            leg, node = burn + problem.coasts, problem.burn_nodes[burn]
+            pairs = [(spread.factor[node], spread.factor[starts[leg - 1]])]
+            if problem.feedback is not None:
+                known = after_measurements(problem, spread, leg - 1)
+                pairs.append((spread.leg_errors[leg], known))
+            for part, (here, left) in zip(change, pairs, strict=False):
+                turned = before[j] @ spread.stm[node] @ left - after[j] @ here
+                part[burn, ..., j] = UNIT * turned
         if self._slopes is not None and (phase := self._phase(0)) is not None:
             slope = self._slopes[1][:6]
-            change[0, :, : slope.shape[1], phase] = UNIT * slope
-        return change
+            change[0, 0, :, : slope.shape[1], phase] = UNIT * slope
+            first[:, : slope.shape[1], phase] = UNIT * slope
+        measured = [self._measured(spread, j) for j in range(len(spread.innovations))]
+        return Shifted(first, change[0], change[1], np.reshape(measured, (-1, *shape)))
+
+    def _measured(self, spread: Spread, j: int) -> Array:
+        """What the cut-off of the corrected burn j sees of its error's rate, (6, c, q)."""
+        assert self.problem.feedback is not None
+        node = int(self.problem.feedback.cut_offs[j])
+        error = spread.stm[node] @ spread.errors[j]
+        for burn in np.flatnonzero(self.problem.burn_nodes == node):
+            return self.before(int(burn), error)[1]
+        return self.factor_drift(np.array([node]), error[None])[0]
 
     def drift(self, nodes: Indices) -> Array:
         """What nodes see of the mean's rate as they move along, shape (n, 6, q)."""

@@ -121,18 +121,18 @@ def formula(problem: FlybyProblem, iterate: Iterate, roots: Sequence[Array]) -> 
     if feedback is None:
         return Valued(total, gradient)
     for j, burn in enumerate(feedback.burns):
-        first, stop = problem.controls_before[burn : burn + 2]
-        gains = problem.gains_of(iterate, j)
+        own, gains = problem.commanded_controls(j), problem.gains_of(iterate, j)
         if feedback.cost == "nominal":
             spent = float(np.linalg.norm(gains))
             total += SMALLEST * spent
-            gradient[first + 3 : stop] = SMALLEST * gains.ravel() / max(spent, TINY)
+            gradient[own.start + 3 : own.stop] = SMALLEST * gains.ravel() / max(spent, TINY)
             continue
         weighed = np.column_stack([iterate.burns[burn], gains]) @ roots[j]
         size = float(np.linalg.norm(weighed))
         total += size - sizes[burn]
         slope = weighed @ roots[j].T / max(size, TINY)
-        gradient[first + _places(gains.shape[1])] = 0.0 if _vanished(problem, iterate, j) else slope
+        place = own.start + _places(gains.shape[1])
+        gradient[place] = 0.0 if _vanished(problem, iterate, j) else slope
     return Valued(total, gradient)
 
 
@@ -142,6 +142,13 @@ def _vanished(problem: FlybyProblem, iterate: Iterate, j: int) -> bool:
     assert feedback is not None
     own = np.r_[iterate.burns[feedback.burns[j]], problem.gains_of(iterate, j).ravel()]
     return bool(np.abs(own).max() <= VANISHED * problem.dv_max)
+
+
+def _moved(problem: FlybyProblem) -> Indices:
+    """The controls on which corrected burns' sizes depend: times move none."""
+    assert problem.feedback is not None
+    every = problem.controls_of(problem.feedback.burns.tolist())
+    return np.setdiff1d(every, problem.time_controls)
 
 
 def _corrects(problem: FlybyProblem, iterate: Iterate) -> bool:
@@ -180,7 +187,7 @@ def bends(problem: FlybyProblem, iterate: Iterate) -> tuple[Bend, Bend]:
     """
     feedback = problem.feedback
     assert feedback is not None
-    moved = problem.controls_of(feedback.burns.tolist())
+    moved = _moved(problem)
     root = np.zeros((len(moved), problem.controls_before[-1]))
     start, jacobian = size_spread(problem, iterate)
     start, jacobian = QUANTILE * start, QUANTILE * jacobian
@@ -219,7 +226,8 @@ def size_spread(problem: FlybyProblem, iterate: Iterate) -> tuple[Array, Array]:
         size = max(float(np.sqrt(v @ v + np.sum(gains**2))), VANISHED * problem.dv_max)
         along = v @ gains / size
         value[:n] += along
-        first, stop = problem.controls_before[burn : burn + 2]
+        place = problem.commanded_controls(j)
+        first, stop = place.start, place.stop
         jacobian[:n, first : first + 3] += gains.T / size - np.outer(along, v) / size**2
         own = np.zeros((n, 3, n))
         own[range(n), :, range(n)] = v / size
@@ -241,15 +249,13 @@ class _Sizes:
         self._fixed[problem.burn_controls] = iterate.burns / np.maximum(sizes, TINY)[:, None]
         sizes[feedback.burns] = 0.0
         self.total = np.full(DRAWS, sizes.sum())
-        self._still = np.setdiff1d(
-            np.arange(len(self._fixed)), problem.controls_of(feedback.burns.tolist())
-        )
+        self._still = np.setdiff1d(np.arange(len(self._fixed)), _moved(problem))
         self._burns: list[tuple[slice, Array, Array, Array]] = []
         for j, burn in enumerate(feedback.burns):
             known = draws[:, : 6 * (j + 1)]
             commanded = iterate.burns[burn] + known @ problem.gains_of(iterate, j).T
             size = np.maximum(np.linalg.norm(commanded, axis=1), TINY)
-            own = slice(*problem.controls_before[burn : burn + 2])
+            own = problem.commanded_controls(j)
             direction = commanded / size[:, None] * (not _vanished(problem, iterate, j))
             self._burns.append((own, known, size, direction))
             self.total += size

@@ -8,7 +8,7 @@ states along an orbit.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Self
@@ -81,6 +81,7 @@ class FiringTimes:
         fixed: Indices,
         rules: tuple[Array, Array, tuple[str, ...]],
         boundary: Boundary | None = None,
+        cut_offs: Mapping[int, int] | None = None,
     ) -> Self:
         """Firing times on a grid whose `fixed` nodes stay, as do those of burns that do not move.
 
@@ -91,17 +92,23 @@ class FiringTimes:
             fixed: further nodes that stay; the first and the last do unless a burn there moves.
             rules: matrix, least values and names.
             boundary: states by phase, if any is free.
+            cut_offs: nodes that move along with burns, by the numbers of these.
         """
-        marks = np.unique(np.r_[0, burn_nodes, fixed, len(nodes) - 1])
-        own = (marks[:, None] == burn_nodes[burns]).astype(float)
-        columns = [np.interp(nodes, nodes[marks], one) for one in own.T]
+        along = cut_offs or {}
+        marks = np.unique(np.r_[0, burn_nodes, fixed, list(along.values()), len(nodes) - 1])
+        marks = marks.astype(np.intp)
+        follow = np.array([along.get(int(burn), burn_nodes[burn]) for burn in burns], np.intp)
+        own = (marks[:, None] == burn_nodes[burns]) | (marks[:, None] == follow)
+        columns = [np.interp(nodes, nodes[marks], one) for one in own.T.astype(float)]
         columns += [np.zeros(len(nodes))] * (len(boundary.free) if boundary else 0)
         return cls(burns, nodes, np.reshape(columns, (-1, len(nodes))).T, *rules, boundary)
 
     @cached_property
     def start(self) -> Array:
         """Times and phases before any has moved, shape (q,)."""
-        times = self.nodes[self.shares[:, : len(self.burns)].argmax(axis=0)]
+        # A burn is the last of the nodes that move as it does: its cut-off comes before.
+        last = self.shares[::-1, : len(self.burns)].argmax(axis=0)
+        times = self.nodes[len(self.nodes) - 1 - last]
         free = (
             [] if self.boundary is None else [self.boundary.phases[i] for i in self.boundary.free]
         )

@@ -182,12 +182,7 @@ class FlybyProblem:
     drifts: tuple[Drift, ...] = ()
 
     def __post_init__(self) -> None:
-        """Refuse an error that all burns share where several are corrected: no filter estimates it.
-
-        Refuse corrected burns whose times are controls, too: cut-offs do not move along.
-        """
-        if self.feedback is not None and self.firing is not None:
-            raise ValueError("with corrected burns the firing times have to be given")
+        """Refuse an error that all burns share where several are corrected: no filter estimates it."""
         several = self.feedback is not None and len(self.feedback.burns) > 1
         if several and self.execution_errors.shared:
             raise ValueError("with several corrected burns no error may be common to all burns")
@@ -273,7 +268,7 @@ class FlybyProblem:
     def controls_before(self) -> Indices:
         """Number of controls of a number of burns, shape (m + 1,).
 
-        Of each burn its components, then its time and phase if these are controls, then its gains.
+        Of each burn its components, then its gains, then its time and phase if these are controls.
         """
         own = np.full(self.n_burns, 3)
         own += np.bincount(self._owners, minlength=self.n_burns)
@@ -292,6 +287,12 @@ class FlybyProblem:
         parts = [np.arange(first[burn], first[burn + 1]) for burn in burns]
         return np.concatenate([np.zeros(0, np.intp), *parts])
 
+    def commanded_controls(self, j: int) -> slice:
+        """The controls of the corrected burn j without its time: its components and its gains."""
+        assert self.feedback is not None
+        first = int(self.controls_before[self.feedback.burns[j]])
+        return slice(first, first + 3 + 18 * (j + 1))
+
     @cached_property
     def gain_controls(self) -> Indices:
         """The controls that are gains, shape (gains,)."""
@@ -301,8 +302,8 @@ class FlybyProblem:
     def time_controls(self) -> Indices:
         """The controls that are firing times and phases, in `firing_times.UNIT`, shape (q,)."""
         owners = self._owners
-        before = [int(np.sum(owners[:i] == owner)) for i, owner in enumerate(owners)]
-        return self.burn_controls[owners, -1] + 1 + np.array(before, dtype=np.intp)
+        left = [int(np.sum(owners[i:] == owner)) for i, owner in enumerate(owners)]
+        return self.controls_before[owners + 1] - np.array(left, dtype=np.intp)
 
     @cached_property
     def _owners(self) -> Indices:

@@ -134,12 +134,13 @@ class Shape(NamedTuple):
     def of(cls, problem: FlybyProblem, *, floor: bool) -> Self:
         """The controls of a problem."""
         feedback, firing = problem.feedback, problem.firing
+        shape = cls(problem.n_burns, floor=floor)
         if firing is not None:
-            timed, rules = tuple(firing.owners(problem.n_burns - 1).tolist()), len(firing.least)
-            return cls(problem.n_burns, floor=floor, timed=timed, rules=rules)
+            owners = tuple(firing.owners(problem.n_burns - 1).tolist())
+            shape = shape._replace(timed=owners, rules=len(firing.least))
         if feedback is None:
-            return cls(problem.n_burns, floor=floor)
-        return cls(problem.n_burns, tuple(feedback.burns.tolist()), feedback.cost, floor)
+            return shape
+        return shape._replace(corrected=tuple(feedback.burns.tolist()), cost=feedback.cost)
 
     @property
     def gains(self) -> Indices:
@@ -157,16 +158,17 @@ class Shape(NamedTuple):
     @property
     def times(self) -> Indices:
         """The controls that are firing times and phases: see `FlybyProblem.time_controls`."""
-        before = [self.timed[:i].count(burn) for i, burn in enumerate(self.timed)]
-        return np.array(self.first[list(self.timed)] + 3 + before, dtype=np.intp)
+        left = [self.timed[i:].count(burn) for i, burn in enumerate(self.timed)]
+        return np.array(self.first[1 + np.array(self.timed, np.intp)] - left, dtype=np.intp)
 
     def split(self, controls: cp.Variable) -> tuple[cp.Expression, list[cp.Expression]]:
         """Burns (m, 3), and the gains of each corrected one."""
         if not self.corrected and not self.timed:
             return cp.reshape(controls, (self.burns, 3), order="C"), []
-        first = self.first
+        first, gains = self.first, self.gains
         parts = [controls[start : start + 3] for start in first[:-1]]
-        return cp.vstack(parts), [controls[first[i] + 3 : first[i + 1]] for i in self.corrected]
+        own = [controls[first[i] + 3 : first[i] + 3 + gains[i]] for i in self.corrected]
+        return cp.vstack(parts), own
 
 
 def write_cost(

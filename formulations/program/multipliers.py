@@ -92,11 +92,13 @@ def _free(problem: FlybyProblem, lin: Linearisation) -> Booleans:
     apart = feedback is None or feedback.cost == "nominal"
     for burn in np.setdiff1d(np.arange(at.n_burns), (*at.held, *at.raised)):
         first, stop = at.controls_before[burn : burn + 2]
-        own = slice(first, first + 3), slice(first + 3 if apart else first, stop)
+        every = np.arange(first, stop)
+        timed = np.isin(every, at.time_controls)
+        own = slice(first, first + 3), every[~timed][3 if apart else 0 :]
         fired, corrected = (np.linalg.norm(lin.controls[part]) > VANISHED for part in own)
         free[first:stop] = np.repeat([fired, corrected], [3, stop - first - 3])
-        if at.firing is not None:  # the flight's ends move it whether or not there is a burn
-            free[first + 3 : stop] = fired or burn in (0, at.n_burns - 1)
+        # The flight's ends move it whether or not there is a burn.
+        free[every[timed]] = fired or corrected or burn in (0, at.n_burns - 1)
     return free
 
 

@@ -88,18 +88,18 @@ class CorrectedBurns:
         blocks: list[Cones] = []
         for at in self._at(lin).values():
             for j, burn in enumerate(feedback.burns):
-                first, p = problem.controls_before[burn : burn + 2]
+                own, p = problem.commanded_controls(j), problem.controls_before[burn + 1]
                 gains = problem.gains_of(lin.iterate, j)
                 by_gains = at.by_factor[j, :, : gains.shape[1]]
                 along = at.by_mean[j] @ gains
                 # ||a'U|| with the certain part, which keeps the derivative finite.
                 spread = np.hypot(np.linalg.norm(along), CERTAIN)
                 values = np.zeros((1, 1 + gains.shape[1], p))
-                values[0, 0, first : first + 3] = at.by_mean[j]
-                own = by_gains + q * np.outer(at.by_mean[j], along) / spread
-                values[0, 0, first + 3 :] = own.ravel()
+                values[0, 0, own.start : own.start + 3] = at.by_mean[j]
+                slope = by_gains + q * np.outer(at.by_mean[j], along) / spread
+                values[0, 0, own.start + 3 : own.stop] = slope.ravel()
                 tail = np.einsum("i,cd->cid", q * at.by_mean[j], np.eye(gains.shape[1]))
-                values[0, 1:, first + 3 :] = tail.reshape(gains.shape[1], -1)
+                values[0, 1:, own.start + 3 : own.stop] = tail.reshape(gains.shape[1], -1)
                 constants = np.zeros((1, 1 + gains.shape[1]))
                 constants[0, 0] = at.value[j] + q * spread - values[0, 0] @ z[:p]
                 blocks.append(Cones(np.array([self._first + len(blocks)]), values, constants))

@@ -100,6 +100,19 @@ def contact_of(scenario: Scenario, burn: int) -> tuple[float, float] | None:
     return contacts.last_before(scenario.burn_times_s[burn]) or (-np.inf, -np.inf)
 
 
+def moves_along(scenario: Scenario, burn: int) -> bool:
+    """Whether a burn's cut-off moves with the burn: data of contacts and pictures have their times."""
+    return contact_of(scenario, burn) is None and scenario.navigation.landmarks is None
+
+
+def known_from_s(scenario: Scenario, burn: int, cut_off_s: float) -> float:
+    """Time from which on a burn can use the data of its contact or pictures, s."""
+    contact, navigation = contact_of(scenario, burn), scenario.navigation
+    if contact is None or navigation.contacts is None:
+        return cut_off_s + navigation.lead_s
+    return contact[1] + navigation.contacts.turnaround_s
+
+
 def in_vain(scene: Scene) -> float:
     """Least ratio of the measurements' errors to the largest deviation until the last cut-off.
 

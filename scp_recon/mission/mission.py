@@ -517,7 +517,7 @@ class Mission:
         home = None
         if self.home is not None:
             home = self.home, self.home.boundary(self.units.state, self._initial_factor_at)
-        return firing_times(self.scenario, window, nodes, spans, unit, home)
+        return firing_times(self.scenario, window, nodes, spans, unit, home, self.feedback)
 
     def _initial_factor_at(self, state: Array) -> Array:
         """Nondimensional factor of another initial state, SI, and the parameters."""

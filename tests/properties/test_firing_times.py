@@ -21,6 +21,7 @@ from formulations.linearisation.linearisation import (
 from formulations.problem.execution_errors import ComponentwiseErrors, GatesErrors
 from formulations.problem.expression_flow import ExpressionFlow
 from formulations.problem.facets import Polytopes, choose_facets
+from formulations.problem.feedback import Feedback
 from formulations.problem.firing_times import UNIT, Boundary, FiringTimes
 from formulations.problem.flyby import FlybyProblem, Iterate, StateConstraint
 from formulations.problem.regions import Ball
@@ -39,6 +40,15 @@ NODES = np.r_[np.linspace(0.0, 0.4, 5), 0.4 + np.linspace(0.06, 0.3, 5), np.lins
 WINDOW = np.array([5, 6, 7])
 MODELS = ComponentwiseErrors(0.08), GatesErrors(0.03, 0.05, 0.01, 0.04, 0.06)
 STEP = 1e-4
+CUT_OFFS: list[dict[int, int]] = [
+    {},
+    {1: 2},
+    {2: 9},
+    {1: 4, 2: 8},
+    {1: 1, 2: 3},
+    {1: 3, 2: 9, 3: 12},
+]
+"""Nodes of cut-offs by the burns that they serve: none, with and without lead, before another burn."""
 SUBSTEPS = 6  # so many that the scheme's derivatives are the flow's
 
 
@@ -65,9 +75,10 @@ class Case(NamedTuple):
     def at(self, times: Array) -> Linearisation:
         """The same burns at other times."""
         problem, burns = self.problem.at(times), self.lin.iterate.burns
+        gains = self.lin.iterate.gains
         moved = self.dynamics.at(problem, times)
         mean = moved.rollout(problem.initial_state, burns)
-        return self.dynamics.linearise(problem, Iterate(burns, mean, times=times))
+        return self.dynamics.linearise(problem, Iterate(burns, mean, gains, times))
 
     def differences(self, of: Any, direction: Array) -> Any:
         """Central differences of functions of the iterate along a direction of the times' controls."""
@@ -80,11 +91,23 @@ class Case(NamedTuple):
 def cases(draw: st.DrawFn) -> Case:
     rng, drag = draw(generators), draw(st.sampled_from(list(FLOWS)))
     errors, home = draw(st.sampled_from(MODELS)), draw(st.booleans())
-    return case(rng, FLOWS[drag], errors, home=home)
+    several = not errors.shared
+    cut_offs = draw(st.sampled_from([one for one in CUT_OFFS if several or len(one) < 2]))
+    return case(rng, FLOWS[drag], errors, home=home, cut_offs=cut_offs)
 
 
-def case(rng: np.random.Generator, flow: ExpressionFlow, errors: Any, *, home: bool) -> Case:
-    """A problem with four burns, two or all of which move about nodes that stay; both phases too."""
+def case(
+    rng: np.random.Generator,
+    flow: ExpressionFlow,
+    errors: Any,
+    *,
+    home: bool,
+    cut_offs: dict[int, int],
+) -> Case:
+    """A problem with four burns, two or all of which move about nodes that stay; both phases too.
+
+    Burns with a cut-off are corrected, and the cut-off moves along.
+    """
     start = np.r_[random_unit(rng), 0.3 * rng.normal(size=3)]
     burns = 0.3 * rng.normal(size=(4, 3))
     free, boundary = np.arange(4) if home else np.array([1, 2]), None
@@ -100,7 +123,16 @@ def case(rng: np.random.Generator, flow: ExpressionFlow, errors: Any, *, home: b
         boundary = Boundary(first, last, (0.3, -0.4), (0, 1))
     q = len(free) + 2 * home
     rules = np.eye(q), np.zeros(q), tuple("abcdef"[:q])
-    firing = FiringTimes.on_grid(free, NODES, BURNS, WINDOW, rules, boundary)
+    firing = FiringTimes.on_grid(free, NODES, BURNS, WINDOW, rules, boundary, cut_offs)
+    feedback = None
+    if cut_offs:
+        feedback = Feedback(
+            np.array(list(cut_offs)),
+            np.array(list(cut_offs.values())),
+            0.02 * rng.normal(size=(len(cut_offs), 6, 6)),
+            "dv99",
+            0.9,
+        )
     problem = FlybyProblem(
         n_nodes=len(NODES),
         burn_nodes=BURNS,
@@ -113,11 +145,14 @@ def case(rng: np.random.Generator, flow: ExpressionFlow, errors: Any, *, home: b
         dv_cone=0.2,
         constraints=(),
         firing=firing,
+        feedback=feedback,
     )
     dynamics = Dynamics(flow, BURNS)
     mean = dynamics.rollout(start, burns)
     times = firing.start + 0.01 * rng.normal(size=q)
-    found = Case(problem, dynamics, dynamics.linearise(problem, Iterate(burns, mean)))
+    gains = 0.03 * rng.normal(size=0 if feedback is None else feedback.size)
+    iterate = Iterate(burns, mean, gains)
+    found = Case(problem, dynamics, dynamics.linearise(problem, iterate))
     return found._replace(lin=found.at(times))
 
 
@@ -143,6 +178,26 @@ def test_mean_and_factor_have_derivatives_by_times(one, rng):
     constant, jacobian = miss_of(one.lin)
     close(jacobian[:, timed] @ direction, miss)
     close(constant + jacobian @ one.lin.controls, one.lin.defects[-1])
+
+
+@few
+@pytest.mark.parametrize("cut_offs", CUT_OFFS[1:])
+@pytest.mark.parametrize("home", [False, True])
+@given(generators)
+def test_factor_of_corrected_burns_has_derivatives_by_times(cut_offs, home, rng):
+    """Measurements move along with their burns, and so does what the corrections know."""
+    one = case(rng, FLOWS[0.3], MODELS[0], home=home, cut_offs=cut_offs)
+    timed, s = one.problem.time_controls, condense(one.lin)
+    direction = rng.normal(size=len(timed))
+    moved = one.problem.firing.shares @ np.eye(len(timed))[0]
+    burn = int(one.problem.firing.burns[0])
+    if burn in cut_offs:
+        assert moved[cut_offs[burn]] == moved[BURNS[burn]] == 1.0
+    (factor,) = one.differences(lambda lin: (lin.factor,), direction)
+    close(s.factor_jacobian[..., timed] @ direction, factor)
+    by_mean, by_factor = np.zeros((len(NODES), 3)), rng.normal(size=factor.shape)
+    expected = np.einsum("kic,kicq->q", by_factor, s.factor_jacobian)
+    close(gradient(one.lin, by_mean, by_factor), expected, 1e-10)
 
 
 @few

@@ -125,6 +125,110 @@ def test_exact_risk_takes_free_times(scope, most):
     assert np.all(stage.result.lin.problem.firing.slack(stage.result.lin.iterate.times) > -1e-6)
 
 
+MEASURED = (
+    'policy.kind="feedback"',
+    "navigation.sigma_position_m=10",
+    "navigation.sigma_velocity_m_s=0.0005",
+)
+
+
+@pytest.fixture(scope="module")
+def corrected() -> Plan:
+    return from_cold(mission_of(*MEASURED, "navigation.lead_s=3600"))
+
+
+@pytest.fixture(scope="module")
+def moved(corrected) -> Stage:
+    return freed(corrected, with_free_times(corrected.mission))
+
+
+def test_cut_offs_move_along_with_their_burns(corrected, moved):
+    assert moved.result.status is Status.CONVERGED
+    assert moved.result.lin.cost.value < 0.992 * corrected.final.result.lin.cost.value
+    problem, times = moved.result.lin.problem, times_s(corrected, moved)
+    nodes_s = problem.firing.at(moved.result.lin.iterate.times) * corrected.mission.units.time_s
+    assert nodes_s[problem.feedback.cut_offs] == pytest.approx([times[1] - 3600.0], abs=1e-6)
+    assert times[1] == pytest.approx(6601.0, abs=1e-3)
+    window = corrected.mission.window_nodes
+    assert nodes_s[window] == pytest.approx(corrected.mission.times_s[window])
+    make_schedule(
+        tuple(times), corrected.mission.schedule.window_s, corrected.mission.scenario.schedule
+    )
+
+
+def test_multipliers_with_gains_tell_what_time_saves(corrected, moved):
+    merit, lin = moved.merit, moved.result.lin
+    prices = multipliers(merit.problem, merit.rows, lin)
+    assert slope_left(merit.problem, merit.rows, lin, prices) < 2e-3
+    names = lin.problem.firing.names
+    own = dict(zip(names, prices[-len(names) :], strict=True))
+    first = own["burn 2 at least 6600 s after burn 1"]
+    later = freed(corrected, with_free_times(corrected.mission, 6621.0))
+    dearer = later.result.lin.cost.value - lin.cost.value
+    unit = corrected.mission.units.time_s
+    assert dearer == pytest.approx(first * 20.0 / unit, rel=0.04)
+
+
+@nightly
+def test_lifted_form_has_the_same_optimum_with_gains(corrected, moved):
+    other = freed(corrected, with_free_times(corrected.mission), "lifted")
+    assert other.result.lin.cost.value == pytest.approx(moved.result.lin.cost.value, rel=1e-5)
+
+
+def test_burns_stay_whose_cut_offs_have_no_room():
+    """That of burn 2 is at the epoch, that of burn 3 in the window."""
+    late = mission_of(*MEASURED, "navigation.lead_s=8000", "boundary.final_sigma_position_m=150")
+    problem = with_free_times(late).problem
+    assert problem.feedback.burns.tolist() == [1, 2]
+    assert problem.firing.burns.tolist() == [2]
+    later = mission_of(*MEASURED, "navigation.lead_s=9000", "boundary.final_sigma_position_m=150")
+    assert np.isin(later.problem.feedback.cut_offs, later.window_nodes).any()
+    assert with_free_times(later).problem.firing.burns.tolist() == [1]
+
+
+def test_no_burn_moves_whose_time_is_a_cut_off():
+    """That of burn 3, 17,000 s before it, is at burn 2; burn 2 itself has none after departure."""
+    given = *MEASURED, "navigation.lead_s=17000", "boundary.final_sigma_position_m=150"
+    problem = mission_of(*given).problem
+    assert problem.feedback.cut_offs.tolist() == [problem.burn_nodes[1]]
+    assert with_free_times(mission_of(*given)).problem.firing is None
+
+
+def test_cut_offs_keep_their_order():
+    """That of burn 3 comes after the window, even where the burn itself could be earlier."""
+    mission = mission_of(*MEASURED, "navigation.lead_s=8000", "boundary.final_sigma_position_m=150")
+    firing = with_free_times(mission).problem.firing
+    least = dict(zip(firing.names, firing.least * mission.units.time_s, strict=True))
+    end = mission.schedule.window_s[1]
+    assert least["the cut-off of burn 3 after the window"] == pytest.approx(end + 8001.0)
+
+
+def test_data_of_contacts_stay_where_they_are():
+    contacts = ("navigation.contacts.every_s=3600", "navigation.contacts.turnaround_s=2000")
+    mission = with_free_times(mission_of(*MEASURED, *contacts, "navigation.contacts.length_s=600"))
+    problem, unit = mission.problem, mission.units.time_s
+    (cut_off,) = problem.feedback.cut_offs
+    assert mission.times_s[cut_off] == pytest.approx(3600.0)
+    moved = problem.firing.start + np.array([-0.02, 0.01])
+    assert problem.firing.at(moved)[cut_off] * unit == pytest.approx(3600.0)
+    least = dict(zip(problem.firing.names, problem.firing.least * unit, strict=True))
+    assert least["burn 2 at 6200 s or later, with its data"] == pytest.approx(6200.0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scope", ["node", "flight"])
+def test_exact_risk_with_gains_takes_free_times(scope):
+    exact = ('risk.allocation="exact"', f'risk.scope="{scope}"', "risk.p_chance=0.9")
+    plan = from_cold(mission_of(*MEASURED, *exact, "navigation.lead_s=0"))
+    free = with_free_times(plan.mission)
+    planner = Planner(free)
+    pipeline, spec = Pipeline(free, planner), planner.exact_stages()[-1]
+    stage = pipeline.solve(spec, pipeline.start(plan.final.result.lin.iterate))
+    assert stage.result.status is Status.CONVERGED
+    assert stage.result.lin.cost.value < 0.9985 * plan.final.result.lin.cost.value
+    assert np.all(stage.result.lin.problem.firing.slack(stage.result.lin.iterate.times) > -1e-6)
+
+
 def by_ipopt(mission: Mission, plan: Plan) -> tuple[float, list[float]]:
     """Least delta-v in m/s and inner times in s by single shooting, from the plan and its facets."""
     from formulations.nlp.program import Start
