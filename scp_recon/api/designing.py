@@ -132,8 +132,10 @@ def find_pass(
     designer = Designer(scenario, observe, facet_rounds)
     space, best = designer.run()
     fixed = settled(scenario, space, best.at) if best.converged else None
-    has_prices = fixed and scenario.policy.kind != "feedback"
-    prices = Timing(space, facet_rounds).prices(best) if has_prices else ()
+    # From a home orbit only passes without corrections are found by programs with free times.
+    has_prices = fixed and (scenario.policy.kind == "open" or not space.has_home)
+    timing = Timing(space.with_policy_of(scenario), facet_rounds)
+    prices = timing.prices(best) if has_prices else ()
     return Design(tuple(designer.trials), best, fixed, start=designer.corrected, prices=prices)
 
 

@@ -34,7 +34,7 @@ STARTS_MAX = 4
 FIRST = Effort(6, 1e-2, 15)
 LAST = Effort(12, 1e-4, 40)
 EXACT = Effort(6, 1e-3, 40)
-"""Effort of descents for comparison, of the last descents, and of descents with exact risk."""
+"""Effort of descents for comparison, of the last descents, and of those with exact risk or gains."""
 SURROGATE = {
     "risk": {"allocation": "uniform", "scope": "node"},
     "polytopes": {"ball": "tangent", "cone": 12},
@@ -170,7 +170,7 @@ class Designer:
                 planned = self._correct(where, one) if one.converged else one
                 tries.append((where, planned))
                 if planned.converged:
-                    return where.space, planned
+                    return where.space, self._with_moved_cut_offs(where, planned)
         where, best = min(tries, key=lambda one: violation(one[1]))
         return where.space, best
 
@@ -205,6 +205,23 @@ class Designer:
         if result.converged:
             self.corrected = plan
         return result
+
+    def _with_moved_cut_offs(self, where: Around, planned: PassResult) -> PassResult:
+        """The pass with the times at which it is cheapest with gains, or as it is planned.
+
+        From a home orbit times stay: burns between departure and window are where they correct.
+        """
+        if where.space.has_home:
+            return planned
+        space, first = where.space.with_policy_of(self.scenario), self.corrected
+        seen = self._seen("corrected", where)
+        found = self._search(space, planned.at, planned.burns_m_s, seen, EXACT)
+        if found.dv_m_s < planned.dv_m_s:
+            again = self._correct(where, found)
+            if again.dv_m_s < planned.dv_m_s:
+                return again
+        self.corrected = first
+        return planned
 
     def _chosen(self, tries: list[Best]) -> Best:
         """The cheapest pass of all windows; of nearly equal ones, the cheapest by exact risk."""

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import linprog
 
+from scp_recon.mission.feedback import felt_cut_offs_s
 from scp_recon.mission.firing import Ring
 from scp_recon.mission.grid import make_grid
 from scp_recon.mission.mission import Mission
@@ -69,15 +70,21 @@ class Space:
 
     def mission_of(self, one: Pass) -> Mission:
         """The mission of a pass, without checks; times are past the design's epoch."""
-        step = self.mission.scenario.grid.step_max_s
-        return replace(
+        made = replace(
             self.mission,
             scenario=unchecked(self.mission.scenario, burns={"times_s": one.times_s}),
             initial_state=self.ring(one.phases[0]),
             final_state=self.ring(one.phases[1]),
             schedule=Schedule(self.window_s, (), ()),
-            times_s=make_grid((*one.times_s, *self.window_s), step),
         )
+        cut_offs = felt_cut_offs_s(made.scene, self.window_s).values()
+        times = *one.times_s, *self.window_s, *cut_offs
+        return replace(made, times_s=make_grid(times, self.mission.scenario.grid.step_max_s))
+
+    def with_policy_of(self, scenario: Scenario) -> Space:
+        """The same space with a scenario's policy."""
+        own = self.mission.scenario.model_copy(update={"policy": scenario.policy})
+        return replace(self, mission=replace(self.mission, scenario=own))
 
 
 def unchecked(scenario: Scenario, **tables: Mapping[str, object]) -> Scenario:

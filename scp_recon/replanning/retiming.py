@@ -35,7 +35,7 @@ class Rest(Space):
 def with_free_times(flown: FlownPlan, mission: Mission) -> Mission:
     """The rest of a flight with the times at which it is cheapest; the last burn stays.
 
-    With feedback the times are found without uncertainty. Where no plan is found, times stay.
+    Cut-offs of corrected burns move along. Where no plan is found, times stay.
 
     Args:
         flown: the plan in flight.
@@ -60,7 +60,7 @@ def with_free_times(flown: FlownPlan, mission: Mission) -> Mission:
         ((0.0, 0.0), (1.0, 1.0)),
         tuple((low, high) for low, high in spans),
     )
-    certain = flown.problem == "P3" or scenario.policy.kind == "feedback"
+    certain = flown.problem == "P3"
     burns = path_planned(flown, mission).burns * mission.units.speed_m_s
     timing = Timing(space, 0, certain)
     best = timing.descend(Pass((0.0, 1.0), times), burns, lambda _: None, EFFORT)

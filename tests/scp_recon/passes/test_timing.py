@@ -89,15 +89,36 @@ def test_whole_flights_need_three_burns():
     assert found.plan.total_dv_m_s < 0.1098
 
 
-def test_corrected_burns_keep_the_times_found():
-    known = ["navigation.sigma_position_m=20", "navigation.sigma_velocity_m_s=0.002"]
-    found = sr.design(
-        "recon_b", facet_rounds=0, certify=False, overrides=['policy.kind="feedback"', *known]
-    )
+MEASURED = (
+    'policy.kind="feedback"',
+    "navigation.sigma_position_m=10",
+    "navigation.sigma_velocity_m_s=0.0005",
+    "navigation.lead_s=0",
+)
+EXACT = 'risk.allocation="exact"', "risk.p_chance=0.9"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("risk", "most"),
+    [
+        pytest.param((), 0.1165, marks=nightly),
+        pytest.param((*EXACT, 'risk.scope="node"'), 0.1098, marks=nightly),
+        ((*EXACT, 'risk.scope="flight"'), 0.1099),
+    ],
+)
+def test_corrected_burns_move_with_their_cut_offs(risk, most):
+    """To less than at the packaged times, and less than at the best times without uncertainty."""
+    given = [*MEASURED, *risk]
+    found = sr.design("recon_b", certify=False, overrides=given)
     assert found.plan is not None
     assert found.plan.status is Status.CONVERGED
-    assert found.plan.mission.scenario.burns.times_s != load_scenario().burns.times_s
-    assert found.prices == ()
+    assert found.plan.cost_m_s < min(most, sr.plan(load_scenario(None, given)).cost_m_s)
+    assert found.plan.mission.scenario.burns.times_s[1] == pytest.approx(6601.0, abs=0.1)
+    failed = sr.verify(found.plan).failed
+    assert all(name.startswith("P(") for name in failed)  # which certification would judge
+    prices = [price.rule for price in found.prices]
+    assert prices == ([] if risk else ["burn 2 at least 6600 s after burn 1"])
 
 
 @nightly

@@ -1,5 +1,6 @@
 """Burns that are left of a flight move within the schedule's rules, to where the rest is cheaper."""
 
+import numpy as np
 import pytest
 
 import scp_recon as sr
@@ -21,6 +22,21 @@ def test_free_times_make_the_rest_cheaper(default_plan):
     assert times[1:-1] != before[1:-1]
     assert Mission.from_scenario(free.mission.scenario).schedule.legs  # which keeps every rule
     assert sr.verify(free).ok
+
+
+@pytest.mark.slow
+def test_corrected_burns_of_the_rest_move_too():
+    """The best times without uncertainty would be dearer than those given."""
+    given = ['policy.kind="feedback"', "navigation.sigma_position_m=10", "navigation.lead_s=0"]
+    exact = ['risk.allocation="exact"', 'risk.scope="flight"', "risk.p_chance=0.9"]
+    plan = sr.plan(overrides=[*given, "navigation.sigma_velocity_m_s=5e-4", *exact])
+    at_s = 3011.0
+    off = np.array([30.0, -20.0, 25.0, 1e-3, -2e-3, 1e-3])
+    state = predict(FlownPlan.of(plan), at_s, {}).state + off
+    left, free = (sr.replan(plan, at_s, state, free_times=on) for on in (False, True))
+    assert free.status is left.status
+    assert free.mission.problem.feedback is not None
+    assert free.cost_m_s < 0.98 * left.cost_m_s
 
 
 def test_the_last_burn_alone_cannot_move(default_plan):
