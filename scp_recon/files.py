@@ -40,12 +40,13 @@ def read_text(path: Path, entry: str, kind: str, bytes_max: int = BYTES_MAX) -> 
     try:
         with open(path, "rb", opener=_without_waiting) as file:
             data = file.read(bytes_max + 1)
-            if not data and S_ISFIFO(os.fstat(file.fileno()).st_mode):
-                raise InputError(entry, "a pipe into which nothing is written", f"must be a {kind}")
+            is_unwritten = not data and S_ISFIFO(os.fstat(file.fileno()).st_mode)
     except OSError as error:
         raise InputError(entry, reason_of(error), f"must be a readable {kind}") from None
     except ValueError as error:  # of a path that no file can have
         raise InputError(entry, str(error), f"must be a readable {kind}") from None
+    if is_unwritten:
+        raise InputError(entry, "a pipe into which nothing is written", f"must be a {kind}")
     if len(data) > bytes_max:
         raise InputError(
             entry, f"more than {bytes_max / 1_000_000:g} megabytes", f"must be a {kind}"
