@@ -31,7 +31,7 @@ def test_every_format_is_written_beside_the_plan(plan, form, capsys):
     said = capsys.readouterr()
     document = json.loads(said.out)
     assert document["status"] == 0
-    assert document["linear_error_m"] <= document["asked_error_m"] == 0.01
+    assert document["linear_error_m"] <= document["asked_error_m"] == pytest.approx(0.01)
     assert all(Path(file).parent == plan / "export" for file in document["files"])
     assert all(Path(file).stat().st_size > 500 for file in document["files"])
     assert "verified" in said.err
