@@ -2,7 +2,8 @@
 
 Each takes some seconds. Tolerances are relative. They are well above what differs between OpenBLAS's
 kernels (SkylakeX, Haswell, Sandybridge): of the delta-v up to 4e-5 of a plan with uniform risk, whose
-facets follow from where P3 stopped, 1e-7 of other plans, 1e-3 of a designed pass over Didymos; 1e-4 of
+facets follow from where P3 stopped, and of a certified plan, whose level follows from flights; 1e-7 of
+other plans, 1e-5 of plans with gains and of designs, 1e-3 of a designed pass over Didymos; 1e-4 of
 where a simulated spacecraft ends.
 """
 
@@ -205,6 +206,7 @@ def path_rows(_: None) -> list[Record]:
 
 EQUAL, FLOWN = 0.0, 1e-3
 """Tolerances of statuses and sizes; and of shares of flights, a few of ten thousand."""
+CERTIFIED = {"open_m_s": 1e-4, "feedback_m_s": 1e-4, "open_flown": FLOWN}
 FACETS, OTHER = {"status": EQUAL, "total_dv_m_s": 1e-4}, {"status": EQUAL, "total_dv_m_s": 1e-6}
 """Of plans with uniform risk, and of others."""
 SIZES = {"variables": EQUAL, "rows": EQUAL, "nonzeros": EQUAL}
@@ -214,7 +216,7 @@ OWN = (
     Sentinel("plans", "plan", FACETS | {"whole_flight": FLOWN, "observed_mean_s": 1e-4},
         plans.measure, ["default"]),
     Sentinel("plans", "plan", OTHER, plans.measure, ["certified 0.9"]),
-    Sentinel("designs", "design", {"status": EQUAL, "total_dv_m_s": 5e-6},
+    Sentinel("designs", "design", {"status": EQUAL, "total_dv_m_s": 2e-5},
         plans.measure_design, ["whole flights 0.9"]),
     Sentinel("gallery", "body", {"total_dv_m_s": 4e-3, "flown": 5 * FLOWN, "window_s": 1e-6},
         partial(in_folder, gallery.measure), ["didymos"]),
@@ -224,7 +226,7 @@ OWN = (
         frontier.measure, [("uniform, tangent spheres", 0.9)]),
     Sentinel("knowledge.parameters", "case, parameter", {"kept": FLOWN},
         knowledge.measure, [("Bennu on approach", knowledge.PHASE)]),
-    Sentinel("knowledge.plans", "case", {"open_m_s": 1e-6, "feedback_m_s": 1e-6, "open_flown": FLOWN},
+    Sentinel("knowledge.plans", "case", CERTIFIED,
         knowledge.measure, [(knowledge.GM_10, knowledge.ALL)]),
     Sentinel("missed_burns.costs", "case, drifts",
         {"status": EQUAL, "cost_m_s": 1e-6, "safe": FLOWN},
@@ -233,7 +235,7 @@ OWN = (
         OTHER | {"dv99_m_s": 1e-6, "whole_flight": FLOWN},
         error_rows, [("flight", 0.9, feedback.ERRORS[:3])]),
     Sentinel("policies", "policy, asked, scale",
-        {"status": EQUAL, "mean_dv_m_s": 1e-6, "dv99_m_s": 1e-6, "whole_flight": FLOWN},
+        {"status": EQUAL, "mean_dv_m_s": 1e-5, "dv99_m_s": 1e-5, "whole_flight": FLOWN},
         policies.measure, [policies.Case("open", 0.7), policies.Case("feedback", 0.7)]),
     Sentinel("compare_solvers.methods", "problem, start, method",
         {"status": EQUAL, "delta_v_m_s": 2e-5}, method_row, [REFERENCE, TUNED, SHOOTING]),
