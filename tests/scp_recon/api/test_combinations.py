@@ -86,8 +86,12 @@ def with_free_times(fixed: Plan, form: str) -> Stage:
     pipeline = Pipeline(mission, planner)
     start = pipeline.start(last.result.lin.iterate)
     if last.facets is None:
-        return pipeline.solve(planner.exact_stages()[-1], start)
-    return pipeline.solve(planner.p2_stage(last.facets, start, again=True), start)
+        spec = planner.exact_stages()[-1]
+    else:
+        spec = planner.p2_stage(last.facets, start, again=True)
+    if last.result.lin.iterate.gains.any():
+        start = mission.dynamics.linearise(spec.rows.problem, last.result.lin.iterate)
+    return pipeline.solve(spec, start)
 
 
 DAILY = covering(TIMES, DRIFTS, KNOWLEDGE, POLICIES[:2], RISKS, FORMS[:1])

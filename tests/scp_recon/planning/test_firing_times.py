@@ -30,8 +30,13 @@ def freed(plan: Plan, mission: Mission, formulation: str = "condensed") -> Stage
     planner = Planner(mission, formulation=formulation)
     pipeline = Pipeline(mission, planner)
     start = pipeline.start(plan.final.result.lin.iterate)
-    assert plan.final.facets is not None
-    return pipeline.solve(planner.p2_stage(plan.final.facets, start, again=True), start)
+    if plan.final.facets is None:
+        spec = planner.exact_stages()[-1]
+    else:
+        spec = planner.p2_stage(plan.final.facets, start, again=True)
+    if plan.final.result.lin.iterate.gains.any():
+        start = mission.dynamics.linearise(spec.rows.problem, plan.final.result.lin.iterate)
+    return pipeline.solve(spec, start)
 
 
 @pytest.fixture(scope="module")
@@ -115,10 +120,7 @@ def test_given_times_are_no_controls(fixed):
 def test_exact_risk_takes_free_times(scope, most):
     mission = mission_of('risk.allocation="exact"', f'risk.scope="{scope}"', "risk.p_chance=0.9")
     plan = from_cold(mission)
-    free = with_free_times(mission)
-    planner = Planner(free)
-    pipeline, spec = Pipeline(free, planner), planner.exact_stages()[-1]
-    stage = pipeline.solve(spec, pipeline.start(plan.final.result.lin.iterate))
+    stage = freed(plan, with_free_times(mission))
     assert stage.result.status is Status.CONVERGED
     speed = mission.units.speed_m_s
     assert stage.result.lin.cost.value * speed < min(most, plan.total_dv_m_s)
@@ -220,10 +222,7 @@ def test_data_of_contacts_stay_where_they_are():
 def test_exact_risk_with_gains_takes_free_times(scope):
     exact = ('risk.allocation="exact"', f'risk.scope="{scope}"', "risk.p_chance=0.9")
     plan = from_cold(mission_of(*MEASURED, *exact, "navigation.lead_s=0"))
-    free = with_free_times(plan.mission)
-    planner = Planner(free)
-    pipeline, spec = Pipeline(free, planner), planner.exact_stages()[-1]
-    stage = pipeline.solve(spec, pipeline.start(plan.final.result.lin.iterate))
+    stage = freed(plan, with_free_times(plan.mission))
     assert stage.result.status is Status.CONVERGED
     assert stage.result.lin.cost.value < 0.9985 * plan.final.result.lin.cost.value
     assert np.all(stage.result.lin.problem.firing.slack(stage.result.lin.iterate.times) > -1e-6)
