@@ -62,7 +62,12 @@ class Shown(Watch):
         out: the folder as the user gave it; None for a new one.
         instead: further options of the command for a proposed feasible plan.
         verbose: whether to show all of the mission, each iteration, and the re-integration.
+
+    Attributes:
+        found: the scenario of a design's pass, for which advised options are tried.
     """
+
+    found: Path | None = None
 
     def __init__(
         self,
@@ -148,6 +153,8 @@ class Shown(Watch):
                 lines = (*causes(mission, outcome.verification), *lines)
         else:
             lines = saving(outcome, request, spent_s, self._instead)
+        if self.found is not None and any(" with: " in line for line in lines):
+            lines = (*lines, f"these options are for solve --scenario {self.found}")
         for line in lines:
             show_line(console, line)
         return lines

@@ -98,6 +98,7 @@ def design(
             files = [str(folder / view.TABLE)]
             return Answer(Status.INFEASIBLE.value.exit_code, {"files": files})
         view.keep(folder, view.SCENARIO, view.HEAD + scenario_text(found.scenario))
+        shown.found = folder / view.SCENARIO
         answer = shown.answer(carry_out(request_of(found, how), shown))
         view.keep_map(folder, found, console, answer.document["plan"]["total_dv_m_s"])
         view.keep_primer(folder, console)

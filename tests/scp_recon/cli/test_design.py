@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from scp_recon.cli import design_view
+from scp_recon.cli import design_view, plan_run
 from scp_recon.cli.commands import design, solve
 from scp_recon.cli.design_view import primer_says
 from scp_recon.mission.mission import Mission
@@ -39,7 +39,8 @@ NARROW = {
 }
 
 
-def test_design_writes_verified_plan_scenario_table_and_map(tmp_path, monkeypatch):
+def test_design_writes_verified_plan_scenario_table_and_map(tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("COLUMNS", "300")
     out, drawn, draw = tmp_path / "out", [], charts.draw_design
 
     def seen(tried: Sequence[Trial], found: PassResult, dv_m_s: float) -> bytes:
@@ -47,9 +48,12 @@ def test_design_writes_verified_plan_scenario_table_and_map(tmp_path, monkeypatc
         return draw(tried, found, dv_m_s)
 
     monkeypatch.setattr(charts, "draw_design", seen)
+    monkeypatch.setattr(plan_run, "saving", lambda *_: ("next: cheaper, with: --set a=1",))
     assert design.main([str(scenario_file(tmp_path, NARROW)), "--out", str(out)]) == 0
     solution = read_solution(out)
     assert drawn == [solution.total_dv_m_s]
+    advice = "these options are for solve --scenario " + str(out / "scenario.toml")
+    assert advice in capsys.readouterr().out
     assert solution.verification.ok
     assert solution.total_dv_m_s <= 0.0254
     # The scenario stands for itself, and a plan of it from cold is no cheaper.
