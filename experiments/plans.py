@@ -46,6 +46,8 @@ PLAIN = {"risk.sampling": "plain"}
 PLANS: Mapping[str, dict[str, Any]] = {
     "default": {},
     **{f"certified {p:g}": FLIGHT | {"risk.p_chance": p} for p in (0.9, 0.95, 0.99)},
+    "earlier burn": FLIGHT
+    | {"risk.p_chance": 0.9, "burns.times_s": [0.0, 7000.0, 25000.0, 34842.0]},
     **{f"plain {p:g}": FLIGHT | PLAIN | {"risk.p_chance": p} for p in (0.9, 0.99)},
 }
 """Changes to the scenario."""
@@ -53,10 +55,12 @@ PLANS: Mapping[str, dict[str, Any]] = {
 ITERATION = re.compile(r"\d* ?P[23]\S* +\d")
 PRINTED = {
     "solve": "scp_recon.solve --init cold",
-    "starts": "scp_recon.solve --starts 8 --seed 0 --workers 2",
+    "starts": "scp_recon.solve --starts 8 --seed 0 --workers 2 -v",
     "replan": "scp_recon replan {solve} --at 17000 "
     "--state -126.629 442.342 -596.582 0.0062679 0.0763651 0.0599579",
     "infeasible": "scp_recon.solve --set risk.p_chance=0.98",
+    "certified": "scp_recon.solve --set risk.allocation=exact --set risk.scope=flight "
+    "--set risk.p_chance=0.9",
 }
 """Commands after `python -m`; in braces the folder of an earlier one."""
 ENDS = {status.value.exit_code for status in (Status.CONVERGED, Status.INFEASIBLE)}

@@ -45,16 +45,16 @@ PLANES = ((1, 2), (0, 2), (1, 0))
 def flyby(solution: Solution) -> Figure:
     """The path seen from the Sun with sampled flights; the observation geometry in the window."""
     mission = solution.mission
-    with page(4.2, 8.6) as figure:
-        grid = figure.add_gridspec(3, 2, width_ratios=(1.35, 1.0), height_ratios=(3, 3, 2))
-        path = figure.add_subplot(grid[:, 0])
+    with page(2.75, 8.6) as figure:
+        path, *histories = figure.subplots(1, 4, width_ratios=(3.0, 1.0, 1.0, 1.0))
         _path(path, mission, solution)
-        _histories([figure.add_subplot(grid[row, 1]) for row in range(3)], mission, solution)
-        figure.suptitle(
+        _histories(histories, mission, solution)
+        path.set_title(
             f"{plain(mission.scenario.site.name)} on {plain(mission.scenario.body.name)}: "
             f"{mm_s(solution.total_dv_m_s, 1)} in {len(solution.executed)} burns",
             fontweight="bold",
         )
+        legend(figure, 7, columnspacing=1.2, handlelength=1.6)
         starts, arrows, _ = _burns_from_sun(mission, solution)
         sizes = [1e3 * float(np.linalg.norm(burn.dv_m_s)) for _, burn in solution.executed]
         words = [
@@ -62,7 +62,7 @@ def flyby(solution: Solution) -> Figure:
         ]
         along = (starts + np.linspace(0.0, 1.0, 9)[:, None, None] * arrows).reshape(-1, 2)
         mean = seen_from_sun(mission, np.array(solution.nodes.state)[:, :3])
-        place_labels(path, starts, words, np.vstack([mean, along]), color=BURN)
+        place_labels(path, starts, words, np.vstack([mean, along]), color=BURN, fontsize=8)
     return figure
 
 
@@ -110,11 +110,10 @@ def _path(axes: Axes, mission: Mission, solution: Solution) -> None:
     starts, arrows, scale = _burns_from_sun(mission, solution)
     size = float(f"{500.0 * np.linalg.norm(burns, axis=1).max():.1g}")
     arrow = draw_burns(axes, starts, arrows)
-    axes.quiverkey(arrow, 0.8, 0.06, 1e-3 * scale * size, f"{size:g} mm/s", labelpos="E")
+    axes.quiverkey(arrow, 0.76, 0.06, 1e-3 * scale * size, f"{size:g} mm/s", labelpos="E")
     axes.set(xlabel="Sun-North Y (km), seen from the Sun", ylabel="Sun-North Z (km)")
     axes.set_aspect("equal")
     axes.margins(0.12)
-    axes.legend(ncols=2, loc="lower center", bbox_to_anchor=(0.5, 1.0))
 
 
 def _body(mission: Mission) -> Patch:
@@ -133,13 +132,9 @@ def _histories(panels: Sequence[Axes], mission: Mission, solution: Solution) -> 
     times = np.linspace(*window, 61)
     for axes, quantity in zip(panels, observed(solution, times), strict=True):
         history(axes, times, quantity.sampled, quantity.plan, quantity.limits, window)
-        axes.set_ylabel(quantity.label)
-        axes.tick_params(labelbottom=axes is panels[-1])
-    panels[-1].set_xlabel("time past the epoch (s)")
-    handles, labels = panels[0].get_legend_handles_labels()
-    named = dict(zip(labels, handles, strict=True))
-    look: Look = {"ncols": 4, "loc": "lower center", "bbox_to_anchor": (0.5, 1.0)}
-    panels[0].legend(list(named.values()), list(named), **look)
+        axes.set_title(quantity.label)
+        axes.xaxis.set_major_locator(MaxNLocator(3))
+    panels[1].set_xlabel("time past the epoch (s)")
 
 
 def trajectories(runs: Runs) -> Figure:

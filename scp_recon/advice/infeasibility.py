@@ -19,11 +19,9 @@ from scp_recon.advice.trials import (
     SPLIT,
     Case,
     Remedy,
-    violated_by,
 )
 from scp_recon.api.inputs import PlanRequest
 from scp_recon.jobs.blas import one_thread
-from scp_recon.mission.drifts import planned
 from scp_recon.planning.plan import Plan
 from scp_recon.results.verification import Verification
 from scp_recon.scp.status import Status
@@ -46,7 +44,6 @@ class Diagnosis:
 
     Attributes:
         without_uncertainty: how P3 ended, at best.
-        violated: constraints that the plan violates.
         remedies: each of them suffices.
         tried: what was tried without success.
         left_out: what the time did not suffice for.
@@ -57,7 +54,6 @@ class Diagnosis:
     """
 
     without_uncertainty: Status
-    violated: tuple[str, ...] = ()
     remedies: tuple[Remedy, ...] = ()
     tried: tuple[str, ...] = ()
     left_out: tuple[str, ...] = ()
@@ -87,7 +83,7 @@ def diagnose(
     clock = Clock(max(TIMES * spent_s, LEAST_S), show=show)
     case = Case(failed, request, clock)
     p3 = _without_uncertainty(failed)
-    known = Diagnosis(p3, _by_how_much(failed), limit_s=clock.limit_s)
+    known = Diagnosis(p3, limit_s=clock.limit_s)
     if failed.status is Status.LOST:
         remedies = [clock.attempt(MORE_BURNS, case.more_burns)]
         if not remedies[0] and failed.mission.observed_s is not None:
@@ -142,14 +138,3 @@ def _without_uncertainty(failed: Plan) -> Status:
     own = [s.result.status for s in failed.stages if s.problem == "P3" and s.spec.role != "open"]
     # A plan that continued from another has no P3 of its own; the other had one.
     return min(own, key=lambda status: ranked.get(status, len(order)), default=Status.CONVERGED)
-
-
-def _by_how_much(plan: Plan) -> tuple[str, ...]:
-    """The same in words, drifts with what they miss of their quantile, for they are in no table."""
-    margins, drifts = plan.final.margins, planned(plan.mission.scenario)
-    words = {
-        miss.name: f"drift where {miss.event} by {-margins[miss.name].margin.min():.2g} sigma"
-        for miss in drifts
-        if miss.name in margins
-    }
-    return tuple(words.get(name, name) for name in violated_by(plan))

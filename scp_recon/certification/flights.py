@@ -61,7 +61,7 @@ class Watch(Protocol):
         reached: Estimate | None = None,
         /,
     ) -> None:
-        """Report the number of flights flown in a step, such as "round 2" or "test 1".
+        """Report the number of flights flown in a step, such as "calibration 2" or "test 1".
 
         After the last flight the probability reached is reported too.
         """
@@ -86,7 +86,7 @@ def are_close(kept: KeptCounts, required: float) -> bool:
 
 
 class Step(NamedTuple):
-    """A round or a test: its name, and the number, seed and accuracy of its flights.
+    """A calibration or a test: its name, and the number, seed and accuracy of its flights.
 
     `width` is the width of the interval with flights in strata, relative to plain flights.
     """
@@ -105,7 +105,7 @@ Fly = Callable[[Aimed, Step], KeptCounts]
 def fly_round(plan: Aimed, fly: Fly[Aimed], samples: int, number: int) -> KeptCounts:
     """Fly a round to estimate the probability that a plan reaches."""
     seed = FIRST_SEED + number - 1
-    return fly(plan, Step(f"round {number}", samples, seed, ROUND_WIDTH, CONFIDENCE))
+    return fly(plan, Step(f"calibration {number}", samples, seed, ROUND_WIDTH, CONFIDENCE))
 
 
 def run_test(

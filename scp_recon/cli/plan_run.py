@@ -241,11 +241,10 @@ def undoing(options: PlanOptions) -> list[str]:
 
 
 def what_binds(diagnosis: Diagnosis) -> str:
-    """One line on what suffices if it is relaxed alone, and on violated constraints."""
-    names = ", ".join(diagnosis.violated) or "none"
+    """One line on what suffices if it is relaxed alone."""
     binds = ", ".join(one.name for one in diagnosis.remedies) or "nothing that suffices alone"
     several = "; relaxing any one of them suffices" if len(diagnosis.remedies) > 1 else ""
-    return f"what binds: {binds}{several}; violated: {names}"
+    return f"what binds: {binds}{several}"
 
 
 def what_would_do(remedy: Remedy, more: Sequence[str] = (), file: Path = Path(FILE_NAME)) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,7 @@ from rich.text import Text
 from formulations.arrays import Array
 from scp_recon.bodies.catalogue import AU_KM, packaged_body
 from scp_recon.cli.command import show_line
-from scp_recon.cli.rendering import show_verdict, show_warnings, terminal
+from scp_recon.cli.rendering import fitting, show_verdict, show_warnings, terminal
 from scp_recon.display import mm_s
 from scp_recon.errors import InputError
 from scp_recon.interop.export import Export
@@ -26,7 +26,6 @@ from scp_recon.mission.constraints import required_in_words
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.scene import Scene, orbit_of_body
 from scp_recon.monte_carlo.estimates import Estimate
-from scp_recon.monte_carlo.summary import missed_by_law
 from scp_recon.physics.geometry import angle
 from scp_recon.planning.plan import Plan
 from scp_recon.reports.tables import (
@@ -43,16 +42,15 @@ from scp_recon.reports.tables import (
     starts_table,
 )
 from scp_recon.results.facts import Risk
-from scp_recon.results.figures import is_converged
 from scp_recon.results.solution import Solution, iteration_record
 from scp_recon.results.table import Cell, Table
-from scp_recon.results.verification import DriftSafety, Verification, in_words
+from scp_recon.results.verification import Verification, in_words
 from scp_recon.scenario.fields import ScenarioWarning
 from scp_recon.scenario.schema import Scenario
 from scp_recon.scenario.time_scales import instant, iso_tdb, iso_utc
 from scp_recon.scp.loop import Record
 from scp_recon.scp.status import Status
-from scp_recon.verification.causes import next_lines
+from scp_recon.verification.causes import IMPACT_WARNED, in_doubt, next_lines
 from scp_recon.verification.reintegration import FIGURES
 
 
@@ -67,7 +65,8 @@ def show_mission(console: Console, mission: Mission, *, verbose: bool = True) ->
             f": {scenario.body.name}, site {scenario.site.name}; {required_in_words(scenario)}; "
             f"{scenario.uncertainty.execution}",
             style="not bold",
-        )
+        ),
+        soft_wrap=True,
     )
     if packaged_body(scenario.body.name) is None:
         show_line(console, f"body      {as_given(mission.scene)}")
@@ -150,10 +149,11 @@ def show_plan(
         verification: of the plan; None if it was interrupted.
         warnings: on the scenario.
         advised: whether advice on this plan follows, in place of the causes of failed checks.
-        verbose: whether margins at the nodes and the re-integration are shown too.
+        verbose: whether margins at the nodes, the re-integration, local optima and every share of a
+            burn cut short are shown too.
     """
     status = Status.named(solution.status)
-    doubts = list(dict.fromkeys([*map(str, warnings), *_doubts(solution, verification)]))
+    doubts = in_doubt(solution, verification, warnings)
     many = f"{len(doubts)} warning{'s' if len(doubts) > 1 else ''} above" if doubts else None
     show_warnings(console, doubts)
     console.print()
@@ -168,14 +168,15 @@ def show_plan(
     )
     _show_cost(console, solution, verbose=verbose)
     burns = burns_table(solution, mission.schedule.firing_intervals_s)
-    console.print(terminal(burns if console.width >= WIDE else burns.without("UTC")))
+    console.print(fitting(console, burns, "UTC"))
     show_line(console, frame_and_time(solution.scenario), "dim")
     _show_policy(console, solution)
     if verbose or verification is None:
         console.print(terminal(constraints_table(solution).without("kind")))
     _show_risk(console, solution.risk)
     if solution.starts is not None:
-        console.print(terminal(starts_table(solution.starts)))
+        if verbose:
+            console.print(terminal(starts_table(solution.starts)))
         show_line(console, str(solution.starts), "dim")
     if verification is not None:
         _show_verification(console, mission, solution, verification, verbose=verbose)
@@ -187,7 +188,7 @@ def show_plan(
 def _show_cost(console: Console, solution: Solution, *, verbose: bool) -> None:
     """Show delta-v, iterations and times."""
     iterations = ", ".join(f"{s.name} {s.iterations}" for s in solution.stages)
-    of = " of the last round" if _rounds(solution.risk) > 1 else ""
+    of = " of the last plan" if _rounds(solution.risk) > 1 else ""
     total = mm_s(solution.total_dv_m_s)
     more = f"; iterations{of}: {iterations}; {solution.timing_s.total:.2f} s"
     console.print(Text.assemble("total delta-v ", (total, "bold"), more), soft_wrap=True)
@@ -242,27 +243,6 @@ def _show_risk(console: Console, risk: Risk | None) -> None:
     show_line(console, line)
 
 
-IMPACT_WARNED = 0.01
-"""Share of flights that hit the body after a missed burn, from which on it is a warning."""
-
-
-def _nearest_drift(v: Verification) -> DriftSafety | None:
-    """The drift that comes nearest, of those after the first burn where there are any."""
-    later = [drift for drift in v.drifts if drift.burn > 1] or v.drifts
-    return min(later, key=lambda drift: drift.closest_m, default=None)
-
-
-def _doubts(solution: Solution, v: Verification | None) -> Iterator[str]:
-    """What a verification warns of, whether or not the plan is verified."""
-    if v is None:
-        return
-    nearest = _nearest_drift(v)
-    if nearest is not None and nearest.impact >= IMPACT_WARNED:
-        yield f"{nearest} of flights hit the body"
-    if is_converged(solution) and (missed := missed_by_law(v.wider or {})):
-        yield missed
-
-
 def _show_verification(
     console: Console, mission: Mission, solution: Solution, v: Verification, *, verbose: bool
 ) -> None:
@@ -270,9 +250,12 @@ def _show_verification(
     if verbose or FIGURES.keys() & {*v.failed}:
         console.print(terminal(reintegration_table(mission, v)))
     limits = limits_table(mission, solution, v)
-    console.print(terminal(limits))
+    if not verbose:
+        idle = {d.row for d in v.drifts if d.share and not d.binds}
+        limits = replace(limits, rows=tuple(row for row in limits.rows if row[0].text not in idle))
+    console.print(fitting(console, limits, f"{100 * v.confidence:.0f} % interval"))
     show_line(console, limits.note, "dim")
-    if (nearest := _nearest_drift(v)) is not None and nearest.impact < IMPACT_WARNED:
+    if (nearest := v.nearest_drift) is not None and nearest.impact < IMPACT_WARNED:
         show_line(console, str(nearest))
     if v.lost_contacts:
         lost = lost_contacts_table(v)
@@ -292,10 +275,10 @@ class Progress:
         mission: the mission to plan.
         live: display of the table.
         table: of the iterations.
-        verbose: whether the table is shown.
-        doing: the last iteration in words, in place of the table on a terminal.
-        steps: lines on flights, by the round or test.
-        plain: flights of a round or test if none were left out.
+        verbose: whether the table and all lines on flights are shown.
+        doing: the last iteration or flights in words, in place of the table on a terminal.
+        steps: lines on flights, by the calibration or test.
+        plain: flights of a calibration or test if none were left out.
     """
 
     mission: Mission
@@ -321,17 +304,18 @@ class Progress:
     def flights(
         self, step: str, plan: Plan, samples: int, flown: int = 0, reached: Estimate | None = None
     ) -> None:
-        """Show how many flights of a round or a test are flown, or their result."""
+        """Show how many flights of a calibration or a test are flown, or their result."""
         said = (
             f"{flown} flown"
             if reached is None
             else f"{reached.value:.4f}, at least {reached.low:.4f}"
         )
         how = "" if samples == self.plain.setdefault(step, samples) else " in strata"
-        self.steps[step] = Text(
+        self.doing = (
             f"{step}: target {plan.target:.5g}, {mm_s(plan.total_dv_m_s)}, "
             f"{len(plan.times_s)} nodes; {samples} flights{how}: {said}"
         )
+        self.steps[step] = Text(self.doing)
         self._refresh()
 
     def end(self) -> None:
@@ -340,10 +324,12 @@ class Progress:
         self._refresh()
 
     def _refresh(self) -> None:
-        shown: list[RenderableType] = [self._shown()] if self.verbose else []
-        if self.doing and not self.verbose and self.live.console.is_terminal:
-            shown.append(Text(self.doing, style="dim"))
-        self.live.update(Group(*self.steps.values(), *shown), refresh=True)
+        shown: list[RenderableType] = []
+        if self.verbose:
+            shown = [*self.steps.values(), self._shown()]
+        elif self.doing and self.live.console.is_terminal:
+            shown = [Text(self.doing, style="dim")]
+        self.live.update(Group(*shown), refresh=True)
 
     def _shown(self) -> RichTable:
         return terminal(self.table.without("step"), narrow=True)
@@ -380,8 +366,6 @@ def live_line(console: Console) -> Iterator[Callable[[str], None]]:
         yield show
 
 
-WIDE = 100
-"""Columns of a terminal below which burns are shown without UTC."""
 FRAME = "J2000, body-centred"
 IN_FILE = {"nodes", "facets", "iterations", "scenario", "timing_s", "units"}
 """Parts of a solution that are only in its file, not in the command's document."""

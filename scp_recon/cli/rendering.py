@@ -34,6 +34,13 @@ def terminal(table: Table, *, narrow: bool = False) -> RichTable:
     return shown
 
 
+def fitting(console: Console, table: Table, heading: str) -> RichTable:
+    """A table for the terminal, without one of its columns where the lines would be too long."""
+    shown = terminal(table)
+    needed = console.measure(shown, options=console.options.update(width=1000)).maximum
+    return shown if needed <= console.width else terminal(table.without(heading))
+
+
 def show_warnings(
     console: Console, warnings: Iterable[ScenarioWarning | str], of: str = ""
 ) -> None:

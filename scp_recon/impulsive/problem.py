@@ -374,8 +374,8 @@ class ImpulsiveProblem:
         """Plan so that independent flights reach the required probability; arguments as of `solve`.
 
         Rounds of flights adjust the target, and independent flights judge, as in
-        `scp_recon.certification`. `watch` is called with the name of a round or test ("round 1",
-        "test 1"), and the number of its flights so far and in all.
+        `scp_recon.certification`. `watch` is called with the name of a step, such as "calibration 1",
+        and the number of its flights so far and in all.
 
         Returns:
             As `scp_recon.certification.certify.certified`.

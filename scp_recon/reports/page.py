@@ -23,7 +23,7 @@ from scp_recon.results.solution import Solution
 from scp_recon.results.table import Table
 from scp_recon.scenario.time_scales import instant, iso_utc, shown_utc
 from scp_recon.scp.status import Status
-from scp_recon.verification.causes import next_lines
+from scp_recon.verification.causes import in_doubt, next_lines
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -142,8 +142,8 @@ def _remarks(subject: Subject, status: Status) -> tuple[str, ...]:
     if risk is not None:
         law = "not certified by flights: the normal law alone promises the probability"
         said.append(f"certificate: {risk.certificate}" if risk.certificate else law)
-    warned = dict.fromkeys([*solution.warnings, *subject.mission.warnings])
-    said += [f"warning: {w.entry}: {w.given}; {w.expected}" for w in warned]
+    warned = [*solution.warnings, *subject.mission.warnings]
+    said += [f"warning: {one}" for one in in_doubt(solution, solution.verification, warned)]
     return (*said, *subject.passed_over)
 
 

@@ -14,6 +14,7 @@ from scp_recon.display import digits
 from scp_recon.mission.constraints import Bound, bounds_on_mean
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.observation_time import ALL
+from scp_recon.physics.geometry import track
 from scp_recon.planning.records import Starts
 from scp_recon.results.comparison import BINDING
 from scp_recon.results.facts import Burn, IterationRecord
@@ -200,12 +201,12 @@ def limits_table(mission: Mission, solution: Solution, v: Verification) -> Table
     The limits of a joint constraint, such as a least and a largest distance, share a row. Values are in
     the limit's own unit, and count between the nodes too. The time is that of the lowest probability,
     or of the mean's worst value where the probability is 1 or there is none. A limit binds if the
-    program's margin is zero. Violations without a limit, such as that of the final state, are rows of
-    their own.
+    program's margin is zero, and is "off" by its largest violation. Violations without a limit, such as
+    that of the final state, are rows of their own.
     """
     bounds = bounds_on_mean(mission.scenario, mission.limits)
     joint = {limit.name: limit.joint for limit in mission.limits}
-    chance, marks = {p.name: p for p in v.probabilities}, _marks(solution)
+    chance, marks = {p.name: p for p in v.probabilities}, _marks(mission, solution)
     named = [m.name for m in v.mean_margins]
     rows: list[list[object]] = []
     for name in dict.fromkeys(joint.get(one, one) for one in (*named, *chance, *marks)):
@@ -262,19 +263,36 @@ def _planned_drifts(v: Verification | None) -> list[DriftSafety]:
     return [] if v is None else [d for d in v.drifts if d.required is not None]
 
 
-def _marks(solution: Solution) -> dict[str, Cell]:
+def _marks(mission: Mission, solution: Solution) -> dict[str, Cell]:
     """By constraint: whether it binds, or by how much it is violated."""
     found = {c.name: Cell("binds") for c in solution.constraints if abs(c.worst_margin) < BINDING}
     for name, amount in solution.violation.by_constraint.items():
-        value, unit = _shown(amount.max, amount.unit)
-        found[name] = Cell(f"off by {digits(value, 3)} {unit}", amount.max, "bad")
+        value, unit = _shown(*_in_own_unit(mission, solution, name))
+        found[name] = Cell(f"off {digits(value, 3)} {unit}", amount.max, "bad")
     return found
 
 
+def _in_own_unit(mission: Mission, solution: Solution, name: str) -> tuple[float, str]:
+    """A violation and its unit; of angles in degrees, at the site or at the start of the burn."""
+    amount = solution.violation.by_constraint[name]
+    at = next((c.worst_t_s for c in solution.constraints if c.name == name), None)
+    angles = {limit.name for limit in mission.limits if limit.unit == "rad"}
+    if at is not None and name in angles and amount.unit == "m":
+        site = track(mission.site, mission.rotation, np.array([at])).position[0]
+        reach = solution.nodes.state[solution.nodes.t_s.index(at)][:3] - site
+    elif at is not None and name == "dv_battery":
+        reach = np.array(next(burn.dv_m_s for burn in solution.burns if burn.t_s == at))
+    else:
+        return amount.max, amount.unit
+    return float(np.rad2deg(np.arcsin(min(amount.max / float(np.linalg.norm(reach)), 1.0)))), "deg"
+
+
 def _joined(marks: Mapping[str, Cell], of: Sequence[str], name: str) -> Cell:
-    """The marks of a row of limits, each after what its constraint's name adds to that of the row."""
+    """The marks of a row, after what a constraint's name adds; of violations the largest alone."""
+    if violated := [one for one in of if marks[one].style]:
+        of = [max(violated, key=lambda one: float(marks[one].value or 0.0))]
     text = ", ".join(f"{one.removeprefix(name)} {marks[one].text}".strip(" _") for one in of)
-    return Cell(text, style=max((marks[one].style for one in of), default=""))
+    return Cell(text, style=marks[of[0]].style if of else "")
 
 
 def _span(bounds: Iterable[Bound]) -> tuple[str, str]:

@@ -268,6 +268,12 @@ class Verification:
     ok: bool
 
     @property
+    def nearest_drift(self) -> DriftSafety | None:
+        """The drift that comes nearest, of those after the first burn where there are any."""
+        later = [drift for drift in self.drifts if drift.burn > 1] or self.drifts
+        return min(later, key=lambda drift: drift.closest_m, default=None)
+
+    @property
     def verdict(self) -> str:
         """Whether the plan is verified, or which checks failed, on one line."""
         return "verified" if self.ok else f"not verified: {self.failed_in_words}"

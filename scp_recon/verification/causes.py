@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 
 from scp_recon.mission.mission import Mission
-from scp_recon.results.figures import FINAL_SIGMAS
+from scp_recon.monte_carlo.summary import missed_by_law
+from scp_recon.results.figures import FINAL_SIGMAS, is_converged
 from scp_recon.results.solution import Solution
 from scp_recon.results.verification import Verification, in_words
 from scp_recon.verification.refinement import finer_step_s
@@ -41,6 +44,22 @@ UNTRIED = (
     "no remedy was tried; solve --init FILE plans from this plan, and tries some if it fails again"
 )
 """What follows causes where no advice was looked for."""
+IMPACT_WARNED = 0.01
+"""Share of flights that hit the body after a missed burn, from which on it is a warning."""
+
+
+def in_doubt(
+    solution: Solution, v: Verification | None, warnings: Iterable[object] = ()
+) -> list[str]:
+    """Warnings on a scenario, and what a verification warns of even if it holds; each once."""
+    said = [str(warning) for warning in warnings]
+    if v is not None:
+        nearest = v.nearest_drift
+        if nearest is not None and nearest.impact >= IMPACT_WARNED:
+            said.append(f"{nearest} of flights hit the body")
+        if is_converged(solution) and (missed := missed_by_law(v.wider or {})):
+            said.append(missed)
+    return list(dict.fromkeys(said))
 
 
 def next_lines(mission: Mission, solution: Solution, verification: Verification) -> tuple[str, ...]:

@@ -265,8 +265,8 @@ def test_the_watch_sees_flights_begin_and_end(real, monkeypatch):
     world.enter(monkeypatch)
     certify(real.mission, world.start, world.make_plan, watch)
     assert seen == [
-        *(("round 1", ROUND, 0, None), ("round 1", ROUND, ROUND, None)),
-        ("round 1", ROUND, ROUND, pytest.approx(AIMED, abs=1.0 / ROUND)),
+        *(("calibration 1", ROUND, 0, None), ("calibration 1", ROUND, ROUND, None)),
+        ("calibration 1", ROUND, ROUND, pytest.approx(AIMED, abs=1.0 / ROUND)),
         *(("test 1", TEST, 0, None), ("test 1", TEST, TEST, None)),
         ("test 1", TEST, TEST, pytest.approx(AIMED, abs=1.0 / ROUND)),
     ]

@@ -111,7 +111,7 @@ def test_a_certified_plan_costs_more_and_fresh_flights_reach_the_probability(err
     )
     aimed = own.solve()
     assert stages == {stage.name for stage in plan.stages}
-    assert seen[0][0] == "round 1"
+    assert seen[0][0] == "calibration 1"
     assert seen[-1][0].startswith("test")
     assert seen[-1][1] == seen[-1][2]
     assert plan.certificate.certifies(0.9)

@@ -7,6 +7,7 @@ from datetime import timedelta
 from decimal import Decimal
 from html import unescape
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -18,17 +19,19 @@ from scp_recon.cli import plan_run
 from scp_recon.cli.commands import report
 from scp_recon.errors import InputError
 from scp_recon.monte_carlo.summary import Contingency, Interval
+from scp_recon.physics.geometry import track
 from scp_recon.replanning.delivery import Delivery
 from scp_recon.replanning.flown import FlownPlan, predict
 from scp_recon.replanning.remainder import mission_left
 from scp_recon.reports.charts import probability_chart
 from scp_recon.reports.flight_tables import missed_burns_table
 from scp_recon.reports.ground import Camera
-from scp_recon.reports.page import Page, render, verdict_of
+from scp_recon.reports.page import Page, _remarks, render, verdict_of
 from scp_recon.reports.shown import fly
 from scp_recon.reports.subject import PLANS_MAX, subjects_of
 from scp_recon.reports.tables import constraints_table, limits_table
 from scp_recon.reports.write import page_of
+from scp_recon.results.figures import Violation, ViolationAmount
 from scp_recon.results.solution import Solution, make_solution
 from scp_recon.results.table import SCALES, Table
 from scp_recon.scp.status import Status
@@ -283,6 +286,38 @@ def test_planned_drifts_are_rows_of_limits(subject):
     name, kind, margin = constraints_table(replace(solution, verification=judged)).rows[-1][:3]
     assert (name.text, kind.text, margin.value) == ("drift: burn 2 stops at 30 %", "drift", 12.0)
     assert "drift: " not in str(limits_table(subject.mission, solution, v).rows)
+
+
+def test_violated_angles_are_shown_in_degrees(subject):
+    """The larger side of two; seen from the site, or from where the burn begins."""
+    solution, mission, off = subject.solution, subject.mission, np.sin(np.deg2rad(2.0))
+    at = {c.name: c.worst_t_s for c in solution.constraints}
+    node = solution.nodes.t_s.index(at["emission_max"])
+    site = track(mission.site, mission.rotation, np.array([at["emission_max"]])).position[0]
+    far = np.linalg.norm(np.array(solution.nodes.state[node])[:3] - site)
+    burn = next(b.dv_m_s for b in solution.burns if b.t_s == at["dv_battery"])
+    amounts = {
+        "emission_min": ViolationAmount(1.0, 1.0, "m"),
+        "emission_max": ViolationAmount(far * off, far * off, "m"),
+        "dv_battery": ViolationAmount(off * np.linalg.norm(burn), 1.0, "m/s"),
+        "site_distance_min": ViolationAmount(3.0, 3.0, "m"),
+    }
+    violated = SimpleNamespace(
+        violation=Violation(far, far, amounts),
+        **{name: getattr(solution, name) for name in ("constraints", "nodes", "burns")},
+    )
+    rows = limits_table(mission, violated, solution.verification).rows
+    marks = {row[0].text: row[-1].text for row in rows}
+    assert marks["emission"] == "max off 2 deg"
+    assert marks["dv_battery"] == "off 2 deg"
+    assert marks["site_distance"] == "min off 3 m"
+
+
+def test_stored_plan_keeps_all_warnings(subject):
+    wider = replace(subject.solution.verification, wider={"vz": 2.0})
+    doubtful = replace(subject, solution=replace(subject.solution, verification=wider))
+    said = _remarks(doubtful, Status.CONVERGED)
+    assert any(one.startswith("warning: after the last burn") for one in said)
 
 
 @pytest.mark.usefixtures("few_flights")
