@@ -45,7 +45,9 @@ PLANES = ((1, 2), (0, 2), (1, 0))
 def flyby(solution: Solution) -> Figure:
     """The path seen from the Sun with sampled flights; the observation geometry in the window."""
     mission = solution.mission
-    with page(2.75, 8.6) as figure:
+    seen = seen_from_sun(mission, np.array(solution.nodes.state)[:, :3])
+    across, up = np.ptp(np.vstack([seen, np.zeros(2)]), axis=0)
+    with page(1.4 + 3.5 * min(up / across, 1.0), 8.6) as figure:
         path, *histories = figure.subplots(1, 4, width_ratios=(3.0, 1.0, 1.0, 1.0))
         _path(path, mission, solution)
         _histories(histories, mission, solution)
@@ -61,8 +63,7 @@ def flyby(solution: Solution) -> Figure:
             f"{n}: {size:.0f} mm/s" for (n, _), size in zip(solution.executed, sizes, strict=True)
         ]
         along = (starts + np.linspace(0.0, 1.0, 9)[:, None, None] * arrows).reshape(-1, 2)
-        mean = seen_from_sun(mission, np.array(solution.nodes.state)[:, :3])
-        place_labels(path, starts, words, np.vstack([mean, along]), color=BURN, fontsize=8)
+        place_labels(path, starts, words, np.vstack([seen, along]), color=BURN, fontsize=8)
     return figure
 
 

@@ -196,11 +196,10 @@ def row(
 
 
 def claims(rows: Sequence[Record]) -> list[Claim]:
-    """Whether the attitude may be left out, whether both ways to fly agree, how normal the ends are."""
+    """Whether the attitude may be left out, and how normal the ends are."""
     by_name, found = {one["source"]: one for one in rows}, list[Claim]()
-    low, high = by_name[BOTH]["rms_m_low"], by_name[BOTH]["rms_m_high"]
     if "attitude" in by_name:
-        own, path = by_name["attitude"], by_name[BOTH]["rms_m"]
+        own, path, low = by_name["attitude"], by_name[BOTH]["rms_m"], by_name[BOTH]["rms_m_low"]
         share, most = (
             a**2 / (a**2 + p**2) for a, p in ((own["rms_m"], path), (own["rms_m_high"], low))
         )
@@ -210,12 +209,6 @@ def claims(rows: Sequence[Record]) -> list[Claim]:
         measured = f"{_shown(own)} m: {100 * share:.2g} %, at most {100 * most:.2g} %"
         threshold = f"less than {100 * NEGLIGIBLE:g} % of the total"
         found.append(Claim(words, threshold, measured, bool(most < NEGLIGIBLE)))
-    if "all" in by_name:
-        own = by_name["all"]
-        words = "all sources in the whole spacecraft spread the end as the path's two do"
-        measured = f"{_shown(own)} m and {_shown(by_name[BOTH])} m"
-        agree = own["rms_m_low"] <= high and low <= own["rms_m_high"]
-        found.append(Claim(words, "intervals overlap", measured, bool(agree)))
     for own in (by_name[INITIAL], by_name[CHEMICAL]):
         if own["p_value_x"] == "":  # of flights that all end alike, nothing can be said
             continue
