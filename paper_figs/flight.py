@@ -47,7 +47,7 @@ def flyby(solution: Solution) -> Figure:
     mission = solution.mission
     seen = seen_from_sun(mission, np.array(solution.nodes.state)[:, :3])
     across, up = np.ptp(np.vstack([seen, np.zeros(2)]), axis=0)
-    with page(1.4 + 3.5 * min(up / across, 1.0), 8.6) as figure:
+    with page(1.2 + 3.5 * min(up / across, 1.0), 8.6) as figure:
         path, *histories = figure.subplots(1, 4, width_ratios=(3.0, 1.0, 1.0, 1.0))
         _path(path, mission, solution)
         _histories(histories, mission, solution)
