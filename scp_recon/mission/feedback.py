@@ -223,6 +223,11 @@ def _check_contacts(scenario: Scenario) -> None:
         raise InputError("navigation.contacts.onboard", f"{strange[0]}", allowed)
     if not cut_offs_s(scenario):
         latest = max(_correctable(scenario).values())
+        if contacts.turnaround_s > latest - scenario.start_s:
+            needs = f"must be at most {latest - scenario.start_s:g} s, for a burn to use a contact"
+            raise InputError(
+                "navigation.contacts.turnaround_s", f"{contacts.turnaround_s:g} s", needs
+            )
         given = "every_s" if contacts.windows_s is None else "windows_s"
         raise InputError(
             f"navigation.contacts.{given}",

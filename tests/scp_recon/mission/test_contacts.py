@@ -86,6 +86,7 @@ def test_flights_planned_again_wait_for_contacts():
     ("contacts", "words"),
     [
         ({"windows_s": ((40_000.0, 41_000.0),), "turnaround_s": 600.0}, "ends by 34242 s"),
+        ({"windows_s": ((0.0, 900.0),), "turnaround_s": 40_000.0}, "turnaround_s: got 40000 s"),
         ({"windows_s": ((9000.0, 8000.0),), "turnaround_s": 600.0}, "in order"),
         ({"windows_s": ((0.0, 1.0),), "every_s": 600.0, "turnaround_s": 600.0}, "in one way"),
         ({"turnaround_s": 600.0}, "in one way"),
