@@ -2,6 +2,7 @@
 
 import json
 import shlex
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -204,3 +205,11 @@ def test_refused_flights_draw_no_bar(folder, capsys):
     printed = capsys.readouterr()
     assert printed.out == ""
     assert printed.err.count("\n") == 1
+
+
+def test_flights_of_unrequired_drifts_say_so(folder, tmp_path, capsys):
+    plan = shutil.copytree(folder / "plan", tmp_path / "plan")
+    assert status_of(main, "montecarlo", str(plan), "--miss", "2", "--samples", "100") == 0
+    printed = capsys.readouterr().out
+    assert "nothing is required of this drift" in printed
+    assert "as required" not in printed

@@ -7,7 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from scp_recon.advice.trials import RETURN, Remedy
 from scp_recon.cli.commands import compare, montecarlo, replan, simulate, verify
+from scp_recon.cli.plan_run import what_would_do
 from scp_recon.mission.mission import Mission
 from scp_recon.replanning.flown import FlownPlan, predict
 from scp_recon.results.read import read_solution
@@ -92,3 +94,8 @@ def test_covariance_file_has_axes_of_its_own(plan_folder, state_at, tmp_path, ca
     assert "covariance: got" not in capsys.readouterr().out
     trace = np.trace(np.array(read_solution(out).nodes.covariance[0])[:3, :3])
     assert trace == pytest.approx(525.0)
+
+
+def test_advice_to_go_home_is_an_option_of_replan():
+    remedy = Remedy(RETURN, {"observation.required": False}, 0.049)
+    assert what_would_do(remedy) == "feasible, for 49.0 mm/s, with: --goal return"
