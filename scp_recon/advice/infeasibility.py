@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 from scp_recon.advice.clock import Clock
+from scp_recon.advice.repairs import kept, repairs
 from scp_recon.advice.trials import (
     CORRECTED,
     FINAL_STATE,
@@ -89,10 +90,10 @@ def diagnose(
         if not remedies[0] and failed.mission.observed_s is not None:
             remedies.append(clock.attempt(RETURN, case.going_home))
     elif failed.status is not Status.INFEASIBLE:
-        known = replace(known, kept=case.kept())
+        known = replace(known, kept=kept(case))
         remedies = [
             clock.attempt(name, work, SHARES.get(name, SHARE))
-            for name, work in case.repairs(verification)
+            for name, work in repairs(case, verification)
         ]
     else:
         remedies = []

@@ -23,35 +23,16 @@ from scp_recon.advice.clock import Clock, Roughly, Undecided
 from scp_recon.api.inputs import PlanRequest
 from scp_recon.api.options import PlanOptions
 from scp_recon.api.planning import PlanOutcome, carry_out, plan_mission
-from scp_recon.certification.flights import fly_plan, run_test
 from scp_recon.certification.largest import largest_kept, rounded_down
 from scp_recon.errors import InputError
 from scp_recon.mission.constraints import companion_distance_m
 from scp_recon.mission.drifts import planned, radius_m
 from scp_recon.mission.mission import Mission
-from scp_recon.monte_carlo.estimates import flights_of_test
 from scp_recon.planning.initial_guess import from_burns
 from scp_recon.planning.method import SETTLE
 from scp_recon.planning.plan import Plan
-from scp_recon.results.verification import Verification
 from scp_recon.scenario.schema import Scenario
 from scp_recon.scp.status import Status
-from scp_recon.verification.causes import (
-    BETWEEN,
-    BURNS,
-    BY_LAW,
-    CERTIFICATE,
-    COMMANDS,
-    CONTRADICTION,
-    DRIFT,
-    GRID,
-    SHORT,
-    SPREAD,
-    STATUS,
-    UNEXECUTED,
-    kind_of,
-    needed_step_s,
-)
 from scp_recon.verification.refinement import refined
 
 LEAST = 0.501
@@ -77,9 +58,6 @@ FREE_CONE_DEG, FREE_MISS = 1e-4, 1e-3
 """Half-angle of the cones that burns avoid if their directions are relaxed, and price of a miss if
 the final state is relaxed."""
 
-STEEPER = (0.9, 0.75, 0.5, 0.25)
-"""Factors on a probability's complement, tried one after the other where flights reach too little."""
-
 STEPS = 6
 """Bisections of the shares by which limits are relaxed."""
 
@@ -96,10 +74,7 @@ FINAL_SPREAD = "the limits on the final covariance"
 SPLIT = "the polytopes and the split of the risk"
 PROBABILITY, CORRECTED = "the probability", "feedback"
 RETURN = "the observation: going home without it"
-MORE_BURNS, TARGET = "the number of burns", "the target of the certificate"
-CONTINUED, CERTIFIED = "continuing from this solution", "certification by flights"
-FINER, STRICTER = "a finer grid", "a higher probability"
-EXECUTED, UNCORRECTED = "the least burn", "burns without corrections"
+MORE_BURNS = "the number of burns"
 
 Changes = Mapping[str, object]
 
@@ -156,13 +131,13 @@ class Case:
         risky = self.request.options.problem == "P2" and p3 is not Status.INFEASIBLE
         risk, violated = self.scenario.risk, violated_by(self.failed)
         if risky and risk.allocation == "uniform":
-            yield SPLIT, partial(self._confirmed, SPLIT, {"risk.allocation": "exact"})
+            yield SPLIT, partial(self.confirmed, SPLIT, {"risk.allocation": "exact"})
         burns = [("dv_max", SIZE, self._size), ("dv_battery", DIRECTIONS, self._directions)]
         for name, what, work in burns:
             if name in violated:
                 yield what, work
         if risky and _spreads(self.scenario):
-            yield FINAL_SPREAD, self._final_spread
+            yield FINAL_SPREAD, self.final_spread
         if risky and self.scenario.policy.kind == "open":
             yield CORRECTED, self._feedback
         if risky:
@@ -217,48 +192,7 @@ class Case:
             return None
         return outcome if outcome.verification.ok else None
 
-    def repairs(
-        self, verification: Verification | None
-    ) -> Iterator[tuple[str, Callable[[], Remedy | None]]]:
-        """Trials of a plan without a verdict, or of one whose verification fails, by its checks."""
-        mission, scenario, options = self.failed.mission, self.scenario, self.request.options
-        kinds = {STATUS}
-        if verification is not None and STATUS not in verification.failed:
-            kinds = {kind_of(name, mission, verification) for name in verification.failed}
-        risk, burns = scenario.risk, scenario.burns
-        if kinds & {STATUS, BURNS, CONTRADICTION} and self.request.remade is None:
-            yield CONTINUED, self.continued
-        if kinds & {STATUS, GRID, BETWEEN}:
-            apart = float(np.diff(mission.times_s).max())
-            steps = [float(math.floor(apart / n)) for n in (2, 4)]
-            if verification is not None and GRID in kinds:
-                steps.insert(0, needed_step_s(mission, verification))
-            finer: list[Changes] = [{"grid.step_max_s": step} for step in steps if step >= 1.0]
-            yield FINER, partial(self._first, FINER, finer)
-        uniform = options.problem == "P2" and risk.allocation == "uniform"
-        if kinds & {STATUS, SHORT} and uniform:
-            yield SPLIT, partial(self._confirmed, SPLIT, {"risk.allocation": "exact"})
-        if kinds & {BY_LAW, DRIFT} and risk.allocation == "exact" and options.certify is False:
-            yield CERTIFIED, partial(self._confirmed, CERTIFIED, {}, certified=True)
-        if kinds & {SHORT, BY_LAW}:
-            yield STRICTER, partial(self._first, STRICTER, _steeper("risk.p_chance", risk.p_chance))
-        if SPREAD in kinds:
-            yield FINAL_SPREAD, self._final_spread
-        if COMMANDS in kinds:
-            larger = [{LARGEST: _rounded(f * burns.dv_max_m_s)} for f in (1.1, 1.25, 1.5, 2.0)]
-            yield SIZE, partial(self._first, SIZE, larger)
-            yield UNCORRECTED, partial(self._confirmed, UNCORRECTED, {"policy.kind": "open"})
-        if UNEXECUTED in kinds:
-            sizes = np.linalg.norm(self.failed.burns_m_s, axis=1)
-            least = {"burns.dv_min_m_s": _rounded(float(sizes[sizes > 0.0].min()), up=False)}
-            yield EXECUTED, partial(self._confirmed, EXECUTED, least)
-        entry = "safety.drift_probability"
-        if DRIFT in kinds and (asked := scenario.safety.drift_probability) is not None:
-            yield STRICTER, partial(self._first, STRICTER, _steeper(entry, asked))
-        if kinds & {STATUS, CERTIFICATE} and self.failed.target is not None:
-            yield TARGET, self.lower_promise
-
-    def _confirmed(
+    def confirmed(
         self, name: str, changes: Changes, *, certified: bool | None = None
     ) -> Remedy | None:
         """The remedy, if the user's command ends verified with these values.
@@ -275,9 +209,9 @@ class Case:
                 return Remedy(name, changes, outcome.plan.cost_m_s, certify)
         return None
 
-    def _first(self, name: str, several: Sequence[Changes]) -> Remedy | None:
+    def first(self, name: str, several: Sequence[Changes]) -> Remedy | None:
         """The remedy of the first values that suffice."""
-        return next((one for values in several if (one := self._confirmed(name, values))), None)
+        return next((one for values in several if (one := self.confirmed(name, values))), None)
 
     def _size(self) -> Remedy | None:
         """A larger limit of the burns, as large as a plan without it needs."""
@@ -288,7 +222,7 @@ class Case:
         largest = float(np.linalg.norm(free.burns_m_s, axis=1).max())
         if largest == 0.0:
             return None
-        return self._first(SIZE, [{LARGEST: _rounded(factor * largest)} for factor in MORE])
+        return self.first(SIZE, [{LARGEST: rounded(factor * largest)} for factor in MORE])
 
     def _directions(self) -> Remedy | None:
         """A narrower cone that burns avoid; None if that alone does not suffice."""
@@ -297,7 +231,7 @@ class Case:
             return None
         return self._least(DIRECTIONS, {entry: (given, FREE_CONE_DEG)})
 
-    def _final_spread(self) -> Remedy | None:
+    def final_spread(self) -> Remedy | None:
         """Larger limits on the final covariance, as large as a plan without them needs."""
         given = _spreads(self.scenario)
         return self._least(FINAL_SPREAD, {e: (v, FREE * v) for e, v in given.items()})
@@ -326,7 +260,7 @@ class Case:
 
         def at(share: float) -> dict[str, object]:
             return {
-                entry: _rounded(given + share * (widest - given), up=widest > given)
+                entry: rounded(given + share * (widest - given), up=widest > given)
                 for entry, (given, widest) in entries.items()
             }
 
@@ -337,7 +271,7 @@ class Case:
             middle = 0.25 * high if low == 0.0 else math.sqrt(low * high)
             low, high = (low, middle) if self.rough(at(middle)) else (middle, high)
         shares = dict.fromkeys(min(1.0, factor * high) for factor in (*MORE, 2.0))
-        return self._first(name, [at(share) for share in shares])
+        return self.first(name, [at(share) for share in shares])
 
     def _probability(self) -> Remedy | None:
         """The largest probability with exact risk, of which the command ends verified."""
@@ -365,7 +299,7 @@ class Case:
                 was = self.scenario.risk.allocation
                 split = {} if was == "exact" else {"risk.allocation": "exact"}
                 tries.append({**split, "risk.p_chance": p})
-        return self._first(PROBABILITY, tries)
+        return self.first(PROBABILITY, tries)
 
     def _feedback(self) -> Remedy | None:
         """Burns that are corrected in flight, with the scenario's measurements if it has any."""
@@ -373,7 +307,7 @@ class Case:
         changes: dict[str, object] = {"policy.kind": "feedback"} if measures else dict(FEEDBACK)
         if self.scenario.risk.allocation != "exact":
             changes["risk.allocation"] = "exact"
-        return self._confirmed(CORRECTED, changes)
+        return self.confirmed(CORRECTED, changes)
 
     def final_miss(self) -> tuple[float, float] | None:
         """Miss in m and m/s of a plan that may miss the final state, on a grid that is fine enough.
@@ -408,49 +342,11 @@ class Case:
         ]
         later = [[times[-1] + apart], [times[-1] + apart, times[-1] + 2.0 * apart]]
         several += [[*times, *added] for added in later]
-        return self._first(MORE_BURNS, [{"burns.times_s": tried} for tried in several])
+        return self.first(MORE_BURNS, [{"burns.times_s": tried} for tried in several])
 
     def going_home(self) -> Remedy | None:
         """The rest of a flight without its observation."""
-        return self._confirmed(RETURN, {"observation.required": False})
-
-    def kept(self) -> float | None:
-        """Share of flights that keep every limit with a plan that has none certified, or whose test."""
-        if self.failed.certificate is not None:
-            return self.failed.certificate.reached
-        if self.failed.target is None or self.failed.status is Status.CONVERGED:
-            return None
-
-        def reached() -> float:
-            flights = flights_of_test(self.scenario.risk.p_chance)
-            tested, _ = run_test(self.failed, partial(fly_plan, self.clock.flights), flights, 1, 1)
-            assert tested.certificate is not None
-            return tested.certificate.reached
-
-        return self.clock.attempt("flights of this plan", reached)
-
-    def continued(self) -> Remedy | None:
-        """The user's command, started from the plan that failed; a certification goes on by itself."""
-        options = self.request.options
-        if options.is_certified(self.scenario) and options.objective == "delta-v":
-            return None
-        outcome = carry_out(replace(self.request, init=self.failed), self.clock)
-        ok = outcome.verification is not None and outcome.verification.ok
-        return Remedy(CONTINUED, {}, outcome.plan.cost_m_s) if ok else None
-
-    def lower_promise(self) -> Remedy | None:
-        """The largest of some lower probabilities that flights certify."""
-        required = self.scenario.risk.p_chance
-        below = [
-            1.0 - _rounded((1.0 - required) * factor, digits=1) for factor in (1.1, 1.5, 2.0, 4.0)
-        ]
-        tries = dict.fromkeys(round(p, 9) for p in below if 0.5 < p < required)
-        return self._first(TARGET, [{"risk.p_chance": p} for p in tries])
-
-
-def _steeper(entry: str, asked: float) -> list[Changes]:
-    """Higher probabilities than asked, one after the other."""
-    return [{entry: round(1.0 - _rounded((1.0 - asked) * f), 9)} for f in STEEPER]
+        return self.confirmed(RETURN, {"observation.required": False})
 
 
 def overrides_of(changes: Changes) -> list[str]:
@@ -525,7 +421,7 @@ def _entries(scenario: Scenario, violated: Sequence[str]) -> dict[str, tuple[flo
     return found
 
 
-def _rounded(value: float, *, up: bool = True, digits: int = 4) -> float:
+def rounded(value: float, *, up: bool = True, digits: int = 4) -> float:
     """A positive number rounded up or down to some significant digits."""
     place = digits - 1 - math.floor(math.log10(value))
     scaled = value * 10.0**place

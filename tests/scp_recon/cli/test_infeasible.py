@@ -14,23 +14,26 @@ import scp_recon as sr
 from scp_recon.advice import infeasibility as module
 from scp_recon.advice.clock import Clock
 from scp_recon.advice.infeasibility import Diagnosis, cost_of_exact_risk, diagnose
-from scp_recon.advice.trials import (
+from scp_recon.advice.repairs import (
     CERTIFIED,
     CONTINUED,
-    CORRECTED,
     EXECUTED,
+    FINER,
+    STRICTER,
+    TARGET,
+    UNCORRECTED,
+    repairs,
+)
+from scp_recon.advice.trials import (
+    CORRECTED,
     FEEDBACK,
     FINAL_SPREAD,
     FINAL_STATE,
-    FINER,
     LIMITS,
     MORE_BURNS,
     PROBABILITY,
     SIZE,
     SPLIT,
-    STRICTER,
-    TARGET,
-    UNCORRECTED,
     Case,
     overrides_of,
 )
@@ -390,7 +393,7 @@ def test_each_failed_check_has_its_trials(failed, names, exact, verification):
         verification, failed=[failed], ok=False, probabilities=(p,), burn_limits=limits
     )
     checked = replace(checked, covariance_error=1.7e-5)
-    assert dict(exact.repairs(checked)).keys() == names
+    assert dict(repairs(exact, checked)).keys() == names
 
 
 def test_certification_is_advised_once_it_verified(exact, verification, monkeypatch):
