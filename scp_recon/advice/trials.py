@@ -88,12 +88,14 @@ class Remedy:
         changes: values by entry.
         cost_m_s: delta-v of the plan.
         certify: option of certification that the command needs; None for its own.
+        options: of the command, that stand for the changes.
     """
 
     name: str
     changes: Changes
     cost_m_s: float
     certify: bool | None = None
+    options: tuple[str, ...] = ()
 
 
 def for_exact(options: PlanOptions) -> PlanOptions:
@@ -346,7 +348,8 @@ class Case:
 
     def going_home(self) -> Remedy | None:
         """The rest of a flight without its observation."""
-        return self.confirmed(RETURN, {"observation.required": False})
+        found = self.confirmed(RETURN, {"observation.required": False})
+        return found and replace(found, options=("--goal", "return"))
 
 
 def overrides_of(changes: Changes) -> list[str]:

@@ -12,7 +12,7 @@ from typing import Self
 from rich.console import Console
 
 from scp_recon.advice.infeasibility import Diagnosis, cost_of_exact_risk, diagnose
-from scp_recon.advice.trials import RETURN, Remedy, for_exact, overrides_of
+from scp_recon.advice.trials import Remedy, for_exact, overrides_of
 from scp_recon.api.inputs import PlanRequest
 from scp_recon.api.keeping import UNVERIFIED, point_latest, run_folder
 from scp_recon.api.options import PlanOptions
@@ -148,12 +148,14 @@ class Shown(Watch):
         if diagnosed:
             with plan_view.live_line(console) as show:
                 diagnosis = diagnose(outcome.plan, request, spent_s, show, outcome.verification)
+            advised = bool(diagnosis.remedies)
             lines = advice_on(diagnosis, outcome.plan, self._instead, path)
             if outcome.plan.status is Status.CONVERGED:
                 lines = (*causes(mission, outcome.verification), *lines)
         else:
             lines = saving(outcome, request, spent_s, self._instead)
-        if self.found is not None and any(" with: " in line for line in lines):
+            advised = bool(lines)
+        if self.found is not None and advised:
             lines = (*lines, f"these options are for solve --scenario {self.found}")
         for line in lines:
             show_line(console, line)
@@ -250,12 +252,10 @@ def what_binds(diagnosis: Diagnosis) -> str:
 def what_would_do(remedy: Remedy, more: Sequence[str] = (), file: Path = Path(FILE_NAME)) -> str:
     """Options with which the command ended verified, and the delta-v of that plan."""
     turns = "risk.allocation" in remedy.changes or "risk.p_chance" in remedy.changes
-    options = [*(more if turns else ())]
-    if remedy.name == RETURN:
-        return f"feasible, for {mm_s(remedy.cost_m_s, 1)}, with: --goal return"
+    options = [*(more if turns else ()), *remedy.options]
     if not remedy.changes and remedy.certify is None:
         options += ["--init", str(file)]
-    for override in overrides_of(remedy.changes):
+    for override in overrides_of({} if remedy.options else remedy.changes):
         options += ["--set", shlex.quote(override)]
     if remedy.certify is not None:
         options += ["--certify", "yes" if remedy.certify else "no"]
