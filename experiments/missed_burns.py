@@ -6,8 +6,7 @@ and for any one cut short: a day at 0.997, by the law and the drifts' flights, a
 burns are corrected. OUT/costs.csv has a row for each, with the delta-v as `policy.cost` counts it;
 where there is no plan, the burns whose drifts fail, and what the infeasibility diagnosis offers.
 OUT/afterwards.csv has a row for each burn of the plan that survives its miss (with gains of the one
-without drifts): the pass, and the way home. The passes with gains, each plan of which takes minutes,
-are not cut short.
+without drifts): the pass, and the way home. A plan with gains takes minutes.
 """
 
 from __future__ import annotations

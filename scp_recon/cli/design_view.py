@@ -118,13 +118,13 @@ def progress(console: Console) -> Iterator[Callable[[Trial], None]]:
     def left(tried: Trial) -> str:
         """What is left of a map, and what follows it."""
         nonlocal map_s
+        took_s = monotonic() - begun
         if tried.expected is None:
-            time = time_left(monotonic() - begun, OF_MAP * map_s, monotonic() - begun)
+            time = time_left(took_s, OF_MAP * map_s, took_s)
             return f"; {time}, then its plan" if time else ""
         mapped.add(tried.window)
-        total, done = tried.expected * len(mapped), counts[tried.step]
-        map_s = monotonic() - begun
-        time = time_left(done, total, map_s)
+        total, done, map_s = tried.expected * len(mapped), counts[tried.step], took_s
+        time = time_left(done, total, took_s)
         return f"; of {total}, {time}, then descents from the map's minima" if time else ""
 
     with console.status("designing") as status:
