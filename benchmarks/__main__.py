@@ -26,7 +26,6 @@ from pathlib import Path
 from typing import Any
 
 from experiments.harness import Findings, Record, Session, Study, run, run_python
-from experiments.plans import DELIVERED
 from scp_recon.files import write_atomically
 from scp_recon.jobs.job import Job
 
@@ -56,6 +55,8 @@ GAINS = (
     ' --set policy.kind="feedback" --set navigation.lead_s=0'
     " --set navigation.sigma_position_m=10 --set navigation.sigma_velocity_m_s=0.0005"
 )
+DELIVERED = "-126.629 442.342 -596.582 0.0062679 0.0763651 0.0599579"
+"""The state on the page of replanning, m and m/s."""
 STUDY_OF_32 = """[campaign]
 base = "recon_b"
 [[axis]]

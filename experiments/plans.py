@@ -53,12 +53,11 @@ PLANS: Mapping[str, dict[str, Any]] = {
 """Changes to the scenario."""
 
 ITERATION = re.compile(r"\d* ?P[23]\S* +\d")
-DELIVERED = "-126.629 442.342 -596.582 0.0062679 0.0763651 0.0599579"
-"""The state on the page of replanning at 17000 s, m and m/s."""
 PRINTED = {
     "solve": "scp_recon.solve --init cold",
     "starts": "scp_recon.solve --starts 8 --seed 0 --workers 2 -v",
-    "replan": "scp_recon replan {solve} --at 17000 --state " + DELIVERED,
+    "replan": "scp_recon replan {solve} --at 17000 "
+    "--state -126.629 442.342 -596.582 0.0062679 0.0763651 0.0599579",
     "infeasible": "scp_recon.solve --set risk.p_chance=0.98",
     "certified": "scp_recon.solve --set risk.allocation=exact --set risk.scope=flight "
     "--set risk.p_chance=0.9",
