@@ -18,9 +18,13 @@ COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 """Okabe and Ito's colours, which eyes of all kinds tell apart: of pages and pictures alike."""
 
 
-def mm_s(speed_m_s: float, digits: int = 3) -> str:
-    """A speed in m/s as words in mm/s."""
-    return f"{1e3 * speed_m_s:.{digits}f} mm/s"
+COUNTED = {"nominal": "", "expected": " (mean commanded)", "dv99": " (99 % of commanded delta-v)"}
+"""What a delta-v with corrected burns is, by `policy.cost`."""
+
+
+def mm_s(speed_m_s: float, digits: int = 3, counted: str = "nominal") -> str:
+    """A speed in m/s as words in mm/s; with corrected burns also what `counted` makes of it."""
+    return f"{1e3 * speed_m_s:.{digits}f} mm/s{COUNTED[counted]}"
 
 
 def digits(value: float, number: int = 6) -> str:

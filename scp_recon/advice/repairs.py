@@ -118,7 +118,7 @@ def _continued(case: Case) -> Remedy | None:
         return None
     outcome = carry_out(replace(case.request, init=case.failed), case.clock)
     ok = outcome.verification is not None and outcome.verification.ok
-    return Remedy(CONTINUED, {}, outcome.plan.cost_m_s) if ok else None
+    return Remedy.of(CONTINUED, {}, outcome.plan) if ok else None
 
 
 def _lower_promise(case: Case) -> Remedy | None:

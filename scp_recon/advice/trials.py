@@ -17,6 +17,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.special import ndtr, ndtri
 
+from formulations.problem.feedback import Cost
 from formulations.problem.flyby import Iterate
 from formulations.registry import FULL
 from scp_recon.advice.clock import Clock, Roughly, Undecided
@@ -86,7 +87,7 @@ class Remedy:
     Attributes:
         name: what is relaxed.
         changes: values by entry.
-        cost_m_s: delta-v of the plan.
+        cost_m_s: delta-v of the plan, as `counted` counts it.
         certify: option of certification that the command needs; None for its own.
         options: of the command, that stand for the changes.
     """
@@ -96,6 +97,12 @@ class Remedy:
     cost_m_s: float
     certify: bool | None = None
     options: tuple[str, ...] = ()
+    counted: Cost = "nominal"
+
+    @classmethod
+    def of(cls, name: str, changes: Changes, plan: Plan, certify: bool | None = None) -> Remedy:
+        """Make the remedy that a plan confirms."""
+        return cls(name, changes, plan.cost_m_s, certify, counted=plan.counted)
 
 
 def for_exact(options: PlanOptions) -> PlanOptions:
@@ -208,7 +215,7 @@ class Case:
             except InputError:  # no flights certify so much
                 continue
             if outcome is not None:
-                return Remedy(name, changes, outcome.plan.cost_m_s, certify)
+                return Remedy.of(name, changes, outcome.plan, certify)
         return None
 
     def first(self, name: str, several: Sequence[Changes]) -> Remedy | None:

@@ -29,8 +29,6 @@ from scp_recon.results.solution import FILE_NAME
 
 TABLE, MAP, SCENARIO, PRIMER = "design.csv", "design.png", "scenario.toml", "primer.png"
 """What a design writes besides its plan."""
-COSTS = {"nominal": "", "expected": ", mean with corrections", "dv99": ", 99 % with corrections"}
-"""What the delta-v of a pass with corrected burns is, by what is minimised."""
 OF_MAP = 4.0
 """Time of a design over that of its maps: 2.9 was measured for Nightingale, 4.9 for Sandpiper."""
 RESIDUAL = 0.1
@@ -106,11 +104,10 @@ def progress(console: Console) -> Iterator[Callable[[Trial], None]]:
         if not best.result.converged:
             return f"{count}, none that holds"
         phases = phases_deg(best.result)
+        counted = best.result.mission.scenario.policy.cost if step == "corrected" else "nominal"
         between = "" if None in phases else " from {:.1f} to {:.1f} deg".format(*phases)
-        return (
-            f"{count}, best {mm_s(best.result.dv_m_s)}{between}"
-            + (", without uncertainty" if step in ("map", "certain") else "")
-            + (COSTS[best.result.mission.scenario.policy.cost] if step == "corrected" else "")
+        return f"{count}, best {mm_s(best.result.dv_m_s, counted=counted)}{between}" + (
+            ", without uncertainty" if step in ("map", "certain") else ""
         )
 
     begun, mapped, map_s = monotonic(), set[int](), 0.0

@@ -38,7 +38,8 @@ from scp_recon.verification.causes import causes
 def show_largest(budget_m_s: float | None, plan: Plan, console: Console) -> None:
     """Show the largest probability, with its delta-v and the budget."""
     most = "any delta-v" if budget_m_s is None else f"at most {1e3 * budget_m_s:g} mm/s"
-    result = f"{plan.mission.scenario.risk.p_chance:.5g}, for {mm_s(plan.cost_m_s)}"
+    cost = mm_s(plan.cost_m_s, counted=plan.counted)
+    result = f"{plan.mission.scenario.risk.p_chance:.5g}, for {cost}"
     show_line(console, f"largest probability found for {most}: {result}")
 
 
@@ -259,4 +260,4 @@ def what_would_do(remedy: Remedy, more: Sequence[str] = (), file: Path = Path(FI
         options += ["--set", shlex.quote(override)]
     if remedy.certify is not None:
         options += ["--certify", "yes" if remedy.certify else "no"]
-    return f"feasible, for {mm_s(remedy.cost_m_s, 1)}, with: {' '.join(options)}"
+    return f"feasible, for {mm_s(remedy.cost_m_s, 1, remedy.counted)}, with: {' '.join(options)}"

@@ -14,6 +14,7 @@ import numpy as np
 from formulations.arrays import Array
 from formulations.problem.cost import PROBABILITY, total_sizes
 from formulations.problem.facets import Facets
+from formulations.problem.feedback import Cost
 from formulations.problem.flyby import Iterate
 from formulations.program.subproblem import MeritFunction
 from formulations.rows.cones import FINAL_POSITION, FINAL_VELOCITY, Margins, Rows
@@ -312,11 +313,16 @@ class Plan(Displayed):
     @property
     def cost_m_s(self) -> float:
         """The total delta-v as `policy.cost` counts it, which is minimised, m/s."""
-        feedback = self.final.result.lin.problem.feedback
-        if feedback is None or self.commanded is None or feedback.cost == "nominal":
+        if self.commanded is None or self.counted == "nominal":
             return self.total_dv_m_s
         mean, most = self.commanded
-        return mean if feedback.cost == "expected" else most
+        return mean if self.counted == "expected" else most
+
+    @property
+    def counted(self) -> Cost:
+        """What `cost_m_s` is: `policy.cost`, or "nominal" with fixed burns."""
+        feedback = self.final.result.lin.problem.feedback
+        return "nominal" if feedback is None else feedback.cost
 
     @cached_property
     def commanded(self) -> tuple[float, float] | None:

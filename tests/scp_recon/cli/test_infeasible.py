@@ -35,6 +35,7 @@ from scp_recon.advice.trials import (
     SIZE,
     SPLIT,
     Case,
+    Remedy,
     overrides_of,
 )
 from scp_recon.api import planning
@@ -44,7 +45,7 @@ from scp_recon.api.planning import PlanOutcome, Watch, carry_out, plan_mission
 from scp_recon.certification.certify import certify
 from scp_recon.cli import plan_view
 from scp_recon.cli.commands import replan, solve
-from scp_recon.cli.plan_run import advice_on, undoing
+from scp_recon.cli.plan_run import advice_on, undoing, what_would_do
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
@@ -256,6 +257,18 @@ def test_feedback_is_tried_with_what_it_needs(small_burns, monkeypatch):
     assert changes == FEEDBACK
     scenario = case.failed.mission.scenario.replace(changes)
     assert (scenario.policy.kind, scenario.navigation.sigma_position_m) == ("feedback", 5.0)
+
+
+def test_advised_feedback_says_what_its_delta_v_counts():
+    sets = overrides_of(FEEDBACK)
+    for cost, label in (("expected", "mean commanded"), ("dv99", "99 % of commanded delta-v")):
+        made = from_cold(mission_of(*sets, COARSE, f'policy.cost="{cost}"'))
+        mean, most = made.commanded
+        line = what_would_do(Remedy.of(CORRECTED, FEEDBACK, made))
+        counted = 1e3 * {"expected": mean, "dv99": most}[cost]
+        assert line.startswith(f"feasible, for {counted:.1f} mm/s ({label}), with: ")
+    fixed = Remedy.of(CORRECTED, {}, from_cold(mission_of(COARSE)))
+    assert what_would_do(fixed).startswith(f"feasible, for {1e3 * fixed.cost_m_s:.1f} mm/s, with: ")
 
 
 @nightly
