@@ -7,13 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from scp_recon.api.inputs import PlanRequest
+from scp_recon.api.inputs import PlanRequest, read_in_degrees
 from scp_recon.api.options import PlanOptions
 from scp_recon.display import Tabulated
+from scp_recon.errors import InputError
 from scp_recon.jobs.blas import one_thread
 from scp_recon.mission.mission import Mission
 from scp_recon.passes.design import Designer, Trial
-from scp_recon.passes.setting import settled
+from scp_recon.passes.setting import settled, spaces_of
 from scp_recon.passes.timing import PassResult, RulePrice, Timing, explain_failure
 from scp_recon.planning.initial_guess import from_burns
 from scp_recon.planning.method import SETTLE, FacetRounds
@@ -130,7 +131,10 @@ def find_pass(
         InputError: see `passes.setting.spaces_of`.
     """
     designer = Designer(scenario, observe, facet_rounds)
-    space, best = designer.run()
+    try:
+        space, best = designer.run()
+    except InputError as error:
+        raise read_in_degrees(scenario, error, spaces_of) from None
     fixed = settled(scenario, space, best.at) if best.converged else None
     # From a home orbit only passes without corrections are found by programs with free times.
     has_prices = fixed and (scenario.policy.kind == "open" or not space.has_home)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -159,19 +160,46 @@ def _mission_of(scenario: Scenario) -> Mission:
     try:
         return Mission.from_scenario(scenario)
     except InputError as error:
-        if not error.entry.startswith(("observation", "burns.times_s")):
-            raise
         said = [error.allowed]
-        with suppress(InputError):  # this one again
-            doubts = check_scene(Scene.of(scenario))
-            said += [str(doubt) for doubt in doubts if doubt.entry.startswith(ABOUT_LIGHT)]
-        for question, changes in _other_readings(scenario):
-            with suppress(InputError):
-                Mission.from_scenario(scenario.replace(changes))
-                entry, value = next(iter(changes.items()))
-                shown = f"{value:g}" if isinstance(value, float) else value
-                said.append(f"tried, and accepted: {entry} = {shown} ({question})")
-        raise InputError(error.entry, error.given, "\n".join(said)) from None
+        if error.entry.startswith(("observation", "burns.times_s")):
+            with suppress(InputError):  # this one again
+                doubts = check_scene(Scene.of(scenario))
+                said += [str(doubt) for doubt in doubts if doubt.entry.startswith(ABOUT_LIGHT)]
+            for question, changes in _other_readings(scenario):
+                with suppress(InputError):
+                    Mission.from_scenario(scenario.replace(changes))
+                    entry, value = next(iter(changes.items()))
+                    shown = f"{value:g}" if isinstance(value, float) else value
+                    said.append(f"tried, and accepted: {entry} = {shown} ({question})")
+        full = InputError(error.entry, error.given, "\n".join(said))
+        raise read_in_degrees(scenario, full, Mission.from_scenario) from None
+
+
+def read_in_degrees(
+    scenario: Scenario, error: InputError, resolve: Callable[[Scenario], object]
+) -> InputError:
+    """Begin a refusal with a small angle that, in degrees instead of radians, is accepted.
+
+    Args:
+        scenario: that is refused.
+        error: the refusal.
+        resolve: raises an `InputError` if a scenario is refused.
+    """
+    for entry, value in _small_angles(scenario):
+        right = math.degrees(value)
+        with suppress(InputError):
+            resolve(scenario.replace({entry: right}))
+            allowed = f"tried, and accepted: {right:.6g}; degrees?\n{error}"
+            return InputError(entry, f"{value:.12g} deg", allowed)
+    return error
+
+
+def _small_angles(scenario: Scenario) -> Iterator[tuple[str, float]]:
+    """Angles that may be in radians, by entry."""
+    for table in ("site", "body", "observation"):
+        for key, value in getattr(scenario, table):
+            if key.endswith("_deg") and value is not None and 0.0 < abs(value) < 2.0 * math.pi:
+                yield f"{table}.{key}", value
 
 
 def _other_readings(scenario: Scenario) -> Iterator[tuple[str, dict[str, object]]]:

@@ -36,7 +36,7 @@ from scp_recon.bodies.catalogue import (
     PackagedBody,
     packaged_body,
 )
-from scp_recon.bodies.surface import angle_deg, coordinates_of
+from scp_recon.bodies.surface import angle_deg, coordinates_of, direction_of
 from scp_recon.errors import InputError
 from scp_recon.mission.drifts import check_drifts
 from scp_recon.mission.feedback import check_feedback, uncorrected_burns, useless_measurement
@@ -149,10 +149,15 @@ def _known_attitude(scene: Scene, packaged: PackagedBody) -> Iterator[ScenarioWa
 
     off = angle_deg(scene.rotation.pole, right.pole)
     if off > SAME_ANGLE_DEG:
+        given, entry, hint = (body.pole_ra_deg, body.pole_dec_deg), POLE[0], ""
+        for turned, name in enumerate(POLE):
+            ra, dec = (np.rad2deg(x) if i == turned else x for i, x in enumerate(given))
+            if angle_deg(direction_of(dec, ra), right.pole) <= SAME_ANGLE_DEG:
+                entry, hint = name, "; degrees?"
         yield ScenarioWarning.of(
-            "body.pole_ra_deg",
-            f"({body.pole_ra_deg:g}, {body.pole_dec_deg:g}) deg, {off:.1f} deg off",
-            f"the pole of {known['name']} is at ({pole[0]:g}, {pole[1]:g}) deg",
+            entry,
+            f"({given[0]:g}, {given[1]:g}) deg, {off:.1f} deg off",
+            f"the pole of {known['name']} is at ({pole[0]:g}, {pole[1]:g}) deg{hint}",
         )
         return
     other = right

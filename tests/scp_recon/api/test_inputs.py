@@ -2,8 +2,10 @@
 
 import pytest
 
+from scp_recon.api.designing import find_pass
 from scp_recon.api.inputs import PlanRequest, load, resolve
 from scp_recon.errors import InputError
+from scp_recon.scenario.load import load_scenario
 from scp_recon.scenario.schema import Scenario
 from tests.scp_recon.scenario.test_resolution import PLACE, ROCK, STATE, rock
 
@@ -38,6 +40,37 @@ def test_other_readings_that_light_the_window_are_named(tables, line):
     assert line in said
     right = PlanRequest(rock(observation=WINDOW))
     assert resolve(load(right), right).mission.schedule.window_s == (13_200.0, 16_500.0)
+
+
+@pytest.mark.parametrize(
+    ("override", "right"),
+    [
+        ("body.pole_ra_deg=1.4935", "85.5712"),
+        ("body.prime_meridian_deg=2.44", "139.802"),
+        ("observation.incidence_max_deg=1.047", "59.9887"),
+    ],
+)
+def test_one_angle_in_radians_begins_the_refusal(override, right):
+    entry, given = override.split("=")
+    first, *others = refusal("recon_b", override).splitlines()
+    assert first == f"{entry}: got {given} deg; tried, and accepted: {right}; degrees?"
+    assert others[0].startswith("observation")
+    accepted = PlanRequest("recon_b", overrides=(f"{entry}={right}",))
+    assert resolve(load(accepted), accepted).mission.schedule.window_s
+
+
+def test_design_names_one_angle_in_radians():
+    with pytest.raises(InputError) as caught:
+        find_pass(load_scenario("recon_b", ["observation.incidence_max_deg=1.047"]))
+    said = "observation.incidence_max_deg: got 1.047 deg; tried, and accepted: 59.9887; degrees?\n"
+    assert str(caught.value).startswith(f"{said}design: got ")
+
+
+def test_declination_in_radians_is_asked_about():
+    request = PlanRequest("recon_b", overrides=("body.pole_dec_deg=-1.0535",))
+    (warning,) = resolve(load(request), request).mission.warnings
+    assert warning.entry == "body.pole_dec_deg"
+    assert warning.expected.endswith("; degrees?")
 
 
 def test_a_known_bodys_wrong_spin_is_named_beside_its_window():

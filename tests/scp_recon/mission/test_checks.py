@@ -208,7 +208,7 @@ POLE_AT = "body.pole_dec_deg", "body.pole_ra_deg"
         *((SITE_AT, *row) for row in ((0.976, 0.73, 1), (-1.2, -3.0, 1), (0.0, 0.73, 0))),
         *((SITE_AT, *row) for row in ((0.976, 41.8, 0), (55.9, 0.73, 0))),
         (POLE_AT, -1.0535, 1.4916, 1),
-        (POLE_AT, -1.0535, 85.46, 0),
+        (POLE_AT, -1.0535, 85.46, 1),
     ],
 )
 def test_angles_in_radians_are_warned_about(entries, north, east, told, scenario):
