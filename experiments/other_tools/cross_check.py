@@ -86,7 +86,7 @@ def planners(mission: Mission) -> Coaster:
         if "sunlight" not in forces:
             model = replace(model, srp=np.zeros(3))
         if "harmonics" in forces:
-            model = mission.true_forces("harmonics")
+            model = mission.gravity.forces("harmonics")
 
         def rate(t: float, y: Array) -> Array:
             return np.r_[y[3:], acceleration(y[0], y[1], y[2], model, model.moment(t))]
@@ -181,7 +181,7 @@ class Orekit:
         gm, body = mission.forces.gm, mission.scenario.body
         yield self._own(gravity + "NewtonianAttraction")(gm)
         if "harmonics" in names:
-            field = mission.truth_field
+            field = mission.gravity.harmonics
             unknown = self._own(gravity + "potential.TideSystem").UNKNOWN
             triangles = (
                 [row[: n + 1].tolist() for n, row in enumerate(c)] for c in field.normalised()
@@ -280,7 +280,7 @@ def brahes(mission: Mission, folder: Path) -> Coaster:
     j2 = HarmonicField(mission.forces.gm, scenario.body.reference_radius_m, *np.zeros((2, 3, 3)))
     j2.c[0, 0], j2.c[2, 0] = 1.0, -scenario.body.j2
     models = {}
-    for name, field in (("J2", j2), ("harmonics", mission.truth_field)):
+    for name, field in (("J2", j2), ("harmonics", mission.gravity.harmonics)):
         file = folder / f"{name}.gfc"
         file.write_text("\n".join(_gfc(field)) + "\n", "ascii")
         models[name] = brahe.GravityModel.from_file(str(file))

@@ -28,7 +28,7 @@ from scp_recon.jobs.cores import WORKERS_MAX
 from scp_recon.jobs.job import Executor, here
 from scp_recon.jobs.processes import Processes
 from scp_recon.mission.drifts import Miss, check_miss, planned, required_probability
-from scp_recon.mission.scene import TruthModel
+from scp_recon.mission.gravity import TruthModel
 from scp_recon.monte_carlo.closed_loop import replans
 from scp_recon.monte_carlo.drifts import fly_drifts, safety_of
 from scp_recon.monte_carlo.flights import (

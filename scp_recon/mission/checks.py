@@ -40,9 +40,10 @@ from scp_recon.bodies.surface import angle_deg, coordinates_of, direction_of
 from scp_recon.errors import InputError
 from scp_recon.mission.drifts import check_drifts
 from scp_recon.mission.feedback import check_feedback, uncorrected_burns, useless_measurement
+from scp_recon.mission.gravity import planned_field
 from scp_recon.mission.intervals import INTERVALS, J2_ENDS, PLANNER_INTERVALS, STATE_INTERVALS
 from scp_recon.mission.knowledge import FAR, Uncertain, check_knowledge
-from scp_recon.mission.scene import Scene, orbit_of_body, planned_field
+from scp_recon.mission.scene import Scene, orbit_of_body
 from scp_recon.mission.schedule import check_in_flight
 from scp_recon.mission.windows import SCAN_STEP_S, Lighting, Window
 from scp_recon.physics.frames import Rotation, unit

@@ -5,7 +5,7 @@ The planner makes regions of them, the Monte Carlo margins. Verification states 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
@@ -14,12 +14,12 @@ import numpy as np
 from formulations.arrays import Array, Indices
 from formulations.problem.facets import Polytopes, split_risk
 from formulations.problem.flyby import StateConstraint
-from formulations.problem.motion import Motion
 from formulations.problem.polytopes import ball, paper_ball
 from formulations.problem.regions import Ball, Cone
 from scp_recon.errors import InputError
+from scp_recon.mission.knowledge import Uncertain, companion_motion, region_motions
 from scp_recon.mission.scene import Scene
-from scp_recon.physics.geometry import SiteTrack
+from scp_recon.physics.geometry import track
 from scp_recon.scenario.schema import Scenario
 
 Measure = Literal["distance", "emission", "phase"]
@@ -162,34 +162,38 @@ def required_in_words(scenario: Scenario) -> str:
 
 
 def state_constraints(
-    scenario: Scenario,
+    scene: Scene,
     limits: Sequence[Limit],
-    length_m: float,
-    companion: Array | None,
-    n_nodes: int,
+    uncertain: Uncertain,
+    times_s: Array,
     window: Indices,
-    track: SiteTrack,
-    sun: Array,
-    motions: Mapping[str, Motion | None],
+    length_m: float,
 ) -> tuple[StateConstraint, ...]:
     """Build the nondimensional state constraints: safety at every node, the limits in the window.
 
-    `companion` has the companion's centre at every node, J2000, m, shape (n_nodes, 3), `window` the
-    window's nodes, shape (n,), `track` the site there, J2000, m, and `sun` the directions to the Sun
-    there, shape (n, 3). `motions` are those of regions with the uncertain parameters, by what a limit
-    measures.
+    Args:
+        scene: where the limits are.
+        limits: of the observation.
+        uncertain: parameters, with which the regions of limits move.
+        times_s: of the nodes, shape (n,).
+        window: nodes of the window.
+        length_m: unit of length.
     """
-    p = scenario.risk.p_chance
-    at, axes = track.position / length_m, {"emission": track.normal, "phase": sun}
-    everywhere = np.arange(n_nodes)
-    body = Ball(np.zeros((n_nodes, 3)), scenario.safety.radius_min_m / length_m)
+    scenario, observed_s = scene.scenario, times_s[window]
+    p, everywhere = scenario.risk.p_chance, np.arange(len(times_s))
+    body = Ball(np.zeros((len(times_s), 3)), scenario.safety.radius_min_m / length_m)
     found = [StateConstraint(SAFETY, everywhere, body, "out", p)]
-    if companion is not None:
-        ball = Ball(companion / length_m, companion_distance_m(scenario) / length_m)
-        moved = motions.get(COMPANION)
+    if (companion := scene.companion) is not None:
+        centre = companion.position(times_s) / length_m
+        ball = Ball(centre, companion_distance_m(scenario) / length_m)
+        moved = companion_motion(uncertain, companion, times_s, length_m)
         found.append(StateConstraint(COMPANION, everywhere, ball, "out", p, motion=moved))
     if not len(window):  # which is over for a flight that is under way
         return tuple(found)
+    site = track(scene.site, scene.rotation, observed_s)
+    at = site.position / length_m
+    axes = {"emission": site.normal, "phase": scene.sun_direction(observed_s)}
+    motions = region_motions(uncertain, scene.site, scene.rotation, observed_s, length_m)
     for limit in limits:
         region = (
             Ball(at, limit.value / length_m)
@@ -199,6 +203,9 @@ def state_constraints(
         # A two-sided constraint splits its risk in two.
         share = split_risk(p, sum(other.joint == limit.joint for other in limits))
         keep: Literal["in", "out"] = "out" if limit.sense == "min" else "in"
-        moved = motions.get(limit.measure)
-        found.append(StateConstraint(limit.name, window, region, keep, share, limit.joint, moved))
+        found.append(
+            StateConstraint(
+                limit.name, window, region, keep, share, limit.joint, motions.get(limit.measure)
+            )
+        )
     return tuple(found)

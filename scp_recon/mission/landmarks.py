@@ -17,7 +17,8 @@ import numpy as np
 from scipy.linalg import block_diag, cho_factor, cho_solve, solve_triangular
 
 from formulations.arrays import Array
-from formulations.problem.flow import ArcDerivatives, by_parameters
+from formulations.linearisation.dynamics import Dynamics
+from formulations.problem.flow import by_parameters
 from scp_recon.errors import InputError
 from scp_recon.mission.feedback import USELESS
 from scp_recon.mission.knowledge import Uncertain
@@ -53,23 +54,34 @@ class Path:
     prior: Array
 
     @classmethod
-    def of_arcs(
-        cls, times_s: Array, states: Array, arcs: ArcDerivatives, units: Array, factor: Array
+    def flown(
+        cls,
+        times_s: Array,
+        dynamics: Dynamics,
+        start: Array,
+        burns: Array,
+        executed: Mapping[int, Array],
+        units: Array,
+        factor: Array,
     ) -> Path:
-        """Path of a coast through states (n, 6) by arcs, all nondimensional.
+        """The path of some burns from a start, shapes (m, 3) and (6,), nondimensional.
 
         Args:
-            times_s: of the states.
-            states: at the nodes.
-            arcs: between them.
+            times_s: of the nodes.
+            dynamics: between them.
+            start: state at the first node.
+            burns: zero for a coast.
+            executed: as the attribute.
             units: of the state and the parameters, shape (6 + p,).
             factor: of the covariance of state and parameters at the first node, shape (6 + p, c).
         """
+        states = dynamics.rollout(start, burns)
+        arcs = dynamics.flow.differentiate(states[:-1])
         stm = np.tile(np.eye(len(units)), (len(arcs.stm), 1, 1))
         stm[:, :6] = np.concatenate([arcs.stm, by_parameters(arcs, len(units) - 6)], axis=2)
         prior = units[:, None] * factor
         position = states[:, :3] * units[:3]
-        return cls(times_s, position, units[:, None] * stm / units, {}, prior @ prior.T)
+        return cls(times_s, position, units[:, None] * stm / units, executed, prior @ prior.T)
 
 
 def picture_times_s(scenario: Scenario, until_s: float) -> Array:

@@ -19,8 +19,6 @@ from formulations.problem.facets import Polytopes
 from formulations.problem.feedback import Feedback
 from formulations.problem.firing_times import FiringTimes
 from formulations.problem.flyby import FlybyProblem
-from formulations.problem.motion import Motion
-from scp_recon.bodies.surface import Mesh
 from scp_recon.mission.checks import (
     check_plannable,
     check_scene,
@@ -29,7 +27,6 @@ from scp_recon.mission.checks import (
     hinting,
 )
 from scp_recon.mission.constraints import (
-    COMPANION,
     Limit,
     chosen_polytopes,
     observation_limits,
@@ -37,29 +34,14 @@ from scp_recon.mission.constraints import (
     state_constraints,
 )
 from scp_recon.mission.drifts import problem_drifts, require_no_drifts
+from scp_recon.mission.edges import WindowEdges, edge_sigmas_s, moved_edges
 from scp_recon.mission.feedback import felt_cut_offs_s, require_open_loop, resolved
 from scp_recon.mission.firing import HomePhases, firing_times
+from scp_recon.mission.gravity import Gravity
 from scp_recon.mission.grid import DEFAULT, RK4_STEP_MAX_S, Units, make_grid
-from scp_recon.mission.knowledge import (
-    FAR,
-    Deviation,
-    Uncertain,
-    companion_motion,
-    region_motions,
-    require_known,
-)
+from scp_recon.mission.knowledge import Deviation, Uncertain, require_known
 from scp_recon.mission.landmarks import Camera, Path, measurement_factors, picture_times_s
-from scp_recon.mission.scene import (
-    Scene,
-    TruthModel,
-    execution_errors,
-    forces_of,
-    gravity_in_words,
-    planned_field,
-    solid_forces,
-    solid_of,
-    truth_field,
-)
+from scp_recon.mission.scene import Scene, execution_errors
 from scp_recon.mission.schedule import (
     BURNS_TO_MEET,
     MISS_WEIGHT,
@@ -68,12 +50,11 @@ from scp_recon.mission.schedule import (
     find_window,
     make_schedule,
 )
-from scp_recon.mission.windows import moved_edges, scan_step_s
+from scp_recon.mission.windows import scan_step_s
 from scp_recon.physics import geometry
 from scp_recon.physics.flow import GridFlow
 from scp_recon.physics.forces import ForceModel
 from scp_recon.physics.frames import Rotation
-from scp_recon.physics.harmonics import HarmonicField
 from scp_recon.physics.partials import STEP, Partials
 from scp_recon.physics.two_body import lambert
 from scp_recon.scenario.fields import ScenarioWarning
@@ -85,9 +66,6 @@ CLEARANCE_M, CLEARANCE_AGAIN_M = 200.0, 40.0
 The second figure is for starting at a solution of P2, which moves less than one of P3. Both are those
 of the default mission, and grow with the unit of length.
 """
-EDGE_MOVES_S, EDGE_PARTS = 0.1, 25
-"""1 sigma up to which an edge of the window stays; and times within 3 sigma of it at which flights are
-sampled: a flight's own edge is then missed by an eighth of a sigma at most."""
 FLIGHT_STEPS = 1.2
 """Longest step of sampled flights over the longest spacing of nodes."""
 
@@ -240,40 +218,14 @@ class Mission:
         return self.scene.sun_direction(time_s)
 
     @cached_property
+    def gravity(self) -> Gravity:
+        """Forces of the planner, and of flights with another gravity."""
+        return Gravity(self.scene)
+
+    @property
     def forces(self) -> ForceModel:
         """Forces of the planner, SI, J2000."""
-        return self._deviating(forces_of(self.scene, planned_field(self.scenario)))
-
-    def true_forces(self, truth: TruthModel) -> ForceModel:
-        """Forces of flights: the planner's, or with another gravity.
-
-        Raises:
-            InputError: if the body has no field, or its shape is not known.
-        """
-        if truth == "harmonics":
-            return self._deviating(forces_of(self.scene, self.truth_field))
-        if truth == "planner":
-            return self.forces
-        return self._deviating(solid_forces(self.scene, self.solid))
-
-    def _deviating(self, forces: ForceModel) -> ForceModel:
-        """Forces with the parameters of the flights that the mission deviates for."""
-        return self.deviation.forces(forces, self.scenario) if self.deviation else forces
-
-    def true_gravity(self, truth: TruthModel) -> str:
-        """The gravity of the planner, or of flights, with its rotation and the companion, in words."""
-        solid = self.solid if truth == "polyhedron" else None
-        field = self.truth_field if truth == "harmonics" else None
-        return gravity_in_words(self.scenario.body, field, solid)
-
-    @cached_property
-    def solid(self) -> Mesh:
-        """The body as a homogeneous polyhedron.
-
-        Raises:
-            InputError: if its shape is not known.
-        """
-        return solid_of(self.scenario.body)
+        return self.gravity.planned
 
     @cached_property
     def partials(self) -> Partials | None:
@@ -294,15 +246,6 @@ class Mission:
         return self.scene.initial_factor(self.initial_state)
 
     @cached_property
-    def truth_field(self) -> HarmonicField:
-        """Gravity field of the true dynamics, against which the planner's J2 is tested; SI.
-
-        Raises:
-            InputError: if there is no field of this body.
-        """
-        return truth_field(self.scenario)
-
-    @cached_property
     def feedback(self) -> Feedback | None:
         """Measurements of the corrected burns, nondimensional; None if no burn is corrected."""
         cut_offs = felt_cut_offs_s(self.scene, self.schedule.window_s)
@@ -310,7 +253,8 @@ class Mission:
             return None
         nodes = np.searchsorted(self.times_s, list(cut_offs.values()))
         if self.scenario.navigation.landmarks is None:
-            measurement = self.measurement(self._transfer[nodes])
+            coast = self.dynamics.rollout(self._coast_start, np.zeros((len(self.burn_nodes), 3)))
+            measurement = self.measurement(coast[nodes])
         else:
             found = self.measured_by_pictures(self.times_s[nodes])
             measurement = found / self.units.state[:, None]
@@ -348,31 +292,27 @@ class Mission:
         pictures = picture_times_s(self.scenario, cut_offs_s[-1])
         times = np.unique(np.concatenate([self.times_s, pictures, cut_offs_s]))
         fine = replace(self, times_s=times)
-        start, speed, executed = self.initial_state / self.units.state, self.units.speed_m_s, {}
-        states, burns = fine._transfer, self.pictured_m_s
-        if burns is not None:
-            states = fine.dynamics.rollout(start, burns / speed)
+        start, burns, executed = fine._coast_start, np.zeros((len(fine.burn_nodes), 3)), {}
+        if self.pictured_m_s is not None:
+            start, burns = self.initial_state / self.units.state, self.pictured_m_s
             columns = execution_errors(self.scenario).columns(burns)
             executed = dict(zip(fine.burn_nodes.tolist(), columns @ columns.mT, strict=True))
-        arcs = fine.flow.differentiate(states[:-1])
-        units = self.state_units(6 + self.uncertain.count)
-        path = Path.of_arcs(times, states, arcs, units, self.joint_factor)
-        camera = Camera(self.scene, self.uncertain)
-        return measurement_factors(camera, replace(path, executed=executed), cut_offs_s)
+        units, burns = self.state_units(6 + self.uncertain.count), burns / self.units.speed_m_s
+        path = Path.flown(times, fine.dynamics, start, burns, executed, units, self.joint_factor)
+        return measurement_factors(Camera(self.scene, self.uncertain), path, cut_offs_s)
 
     @cached_property
-    def _transfer(self) -> Array:
-        """Nondimensional states (n, 6) that approximate a plan before there is one.
+    def _coast_start(self) -> Array:
+        """Nondimensional start of a coast that stands for a plan before there is one, shape (6,).
 
-        They follow a flight from the initial position, with the velocity of Lambert's arc of less
-        than half a revolution to the final position. Without such an arc the initial velocity is
-        used.
+        It leaves on Lambert's arc of less than half a revolution to the final position; where there is
+        none, with the initial velocity.
         """
         state, time = self.initial_state.copy(), float(self.times_s[-1] - self.times_s[0])
         arc = lambert(state[:3], self.final_state[:3], time, self.scenario.body.gm_m3_s2)
         if arc is not None:
             state[3:] = arc[0]
-        return self.dynamics.rollout(state / self.units.state, np.zeros((len(self.burn_nodes), 3)))
+        return state / self.units.state
 
     @property
     def joint_factor(self) -> Array:
@@ -401,44 +341,27 @@ class Mission:
         return (max(first, start), last) if last > start else None
 
     @cached_property
-    def edge_sigmas_s(self) -> Array | None:
-        """1 sigma of the window's edges, which move with the body's spin and the site, s, shape (2,).
-
-        None where they do not move, or where the window is given.
-        """
+    def edges(self) -> WindowEdges:
+        """Edges of the observation window, which may move with the body's spin and the site."""
         if self.nominal is not None:
-            return self.nominal.edge_sigmas_s
-        if not self.uncertain.count or self.observed_s is None:
-            return None
-        if self.scenario.observation.window_s is not None:
+            return self.nominal.edges
+        first, last = self.times_s[[0, -1]].tolist()
+        return WindowEdges(self.observed_s, self._edge_sigmas_s(), (first, last))
+
+    def _edge_sigmas_s(self) -> Array | None:
+        """1 sigma of the window's edges; None where they do not move, or the window is given."""
+        given = self.observed_s is None or self.scenario.observation.window_s is not None
+        if given or not self.uncertain.count:
             return None
         moves = STEP * np.eye(self.uncertain.count)
         ahead, behind = (self.of_flights(sign * moves).own_edges_s for sign in (1.0, -1.0))
-        sigmas = np.linalg.norm((ahead - behind) / (2.0 * STEP), axis=1)
-        return sigmas if sigmas.max() > EDGE_MOVES_S else None
+        return edge_sigmas_s((ahead - behind) / (2.0 * STEP))
 
-    @cached_property
+    @property
     def own_edges_s(self) -> Array:
         """Edges of the window in the flights that the mission deviates for, s, shape (2, flights)."""
         slack = self.scene.lighting.slack(self.scenario.observation)
         return moved_edges(slack, self.schedule.window_s)
-
-    @property
-    def watched_s(self) -> tuple[float, float] | None:
-        """When flights' limits of the observation may count: the window, and 3 sigma of its edges."""
-        if self.observed_s is None or self.edge_sigmas_s is None:
-            return self.observed_s
-        (first, last), (early, late) = self.observed_s, FAR * self.edge_sigmas_s
-        return max(first - early, float(self.times_s[0])), min(last + late, float(self.times_s[-1]))
-
-    @property
-    def edge_samples_s(self) -> Array:
-        """Times about the window's edges where those of flights are mostly, s; none where they stay."""
-        if self.observed_s is None or self.edge_sigmas_s is None:
-            return np.zeros(0)
-        pairs = zip(self.observed_s, FAR * self.edge_sigmas_s, strict=True)
-        times = np.concatenate([np.linspace(at - far, at + far, EDGE_PARTS) for at, far in pairs])
-        return times[(times > self.times_s[0]) & (times < self.times_s[-1])]
 
     @property
     def must_meet(self) -> bool:
@@ -461,15 +384,7 @@ class Mission:
     @cached_property
     def problem(self) -> FlybyProblem:
         """The nondimensional problem on this mission's grid."""
-        units, scenario, window = self.units, self.scenario, self.window_nodes
-        firing = self.firing
-        companion, motions = self.scene.companion, dict[str, Motion | None]()
-        if self.uncertain.count:
-            at_s, length = self.times_s[window], units.length_m
-            motions |= region_motions(self.uncertain, self.site, self.rotation, at_s, length)
-            if companion is not None:
-                moved = companion_motion(self.uncertain, companion, self.times_s, length)
-                motions[COMPANION] = moved
+        units, scenario, firing = self.units, self.scenario, self.firing
         # Limits on the sigmas after the last burn, None where there is none.
         position = scenario.boundary.final_sigma_position_m
         speed = scenario.boundary.final_sigma_velocity_m_s
@@ -484,15 +399,12 @@ class Mission:
             sun=self.sun_direction(np.array(scenario.burn_times_s)),
             dv_cone=float(np.deg2rad(scenario.battery.delta_v_cone_deg)),
             constraints=state_constraints(
-                scenario,
+                self.scene,
                 self.limits,
+                self.uncertain,
+                self.times_s,
+                self.window_nodes,
                 units.length_m,
-                None if companion is None else companion.position(self.times_s),
-                len(self.times_s),
-                window,
-                geometry.track(self.site, self.rotation, self.times_s[window]),
-                self.sun_direction(self.times_s[window]),
-                motions,
             ),
             miss_weight=None if self.must_meet else MISS_WEIGHT,
             final_spread=(

@@ -1,13 +1,12 @@
-"""Resolve what a scenario describes: body, site, Sun, axes, boundary states, errors and forces.
+"""Resolve what a scenario describes: body, site, Sun, axes, boundary states and errors.
 
 J2000, body-centred, SI.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -16,23 +15,16 @@ from formulations.arrays import Array
 from formulations.linearisation.factor import factor_of
 from formulations.problem.execution_errors import ComponentwiseErrors, ExecutionErrors, GatesErrors
 from scp_recon.bodies.attitude import AttitudeTable
-from scp_recon.bodies.catalogue import AU_KM, GM_SUN_KM3_S2, packaged_body
-from scp_recon.bodies.surface import Ellipsoid, Mesh
-from scp_recon.errors import InputError, option
+from scp_recon.bodies.catalogue import GM_SUN_KM3_S2
+from scp_recon.errors import InputError
 from scp_recon.mission.knowledge import Deviation
 from scp_recon.mission.windows import Lighting
 from scp_recon.physics.companion import Companion
-from scp_recon.physics.forces import ForceModel, cannonball_srp
 from scp_recon.physics.frames import Rotation, TabulatedRotation, sun_north_to_j2000, unit
 from scp_recon.physics.geometry import Site
-from scp_recon.physics.harmonics import HarmonicField, TurningField
-from scp_recon.physics.polyhedron import PolyhedronField
 from scp_recon.physics.two_body import Orbit
-from scp_recon.scenario.body import Body
 from scp_recon.scenario.schema import Scenario
 
-TruthModel = Literal["planner", "harmonics", "polyhedron"]
-"""Gravity with which flights are flown: the plan's, all harmonics, or the homogeneous solid's."""
 ALONG = 1e-6
 """Sine of the angle between position and velocity below which they span no plane."""
 
@@ -245,144 +237,3 @@ def errors_of_kind(scenario: Scenario, kind: str | None) -> ExecutionErrors:
     raise InputError(
         "errors", repr(kind), "must be 'gates', or not given: the scenario's errors are Gates'"
     )
-
-
-HARMONICS_DEGREE = 8
-"""Degree of the packaged field: the paper's ground truth."""
-FIELD_BODY = "Bennu"
-"""Body of the packaged field: Chesley et al. 2020."""
-SAME_GM, SAME_J2 = 0.01, 0.1
-"""How far a scenario's GM and J2 may be off the packaged field's, relative."""
-
-
-# --- gravity ---------------------------------------------------------------------------------------
-
-
-def forces_of(scene: Scene, field: HarmonicField | None) -> ForceModel:
-    """Forces with a gravity field, SI, J2000; without one that of a point mass and J2."""
-    body, craft, sun = scene.scenario.body, scene.scenario.spacecraft, scene.scenario.sun
-    tumbles = body.attitude is not None
-    if tumbles and field is None:  # J2 has a closed form about a fixed axis alone
-        field = HarmonicField.zonal(body.gm_m3_s2, body.reference_radius_m, body.j2)
-    j2, radius = (body.j2, body.reference_radius_m) if field is None else (field.j2, field.radius)
-    closed = (0,) if tumbles else (0, 2)
-    return ForceModel(
-        gm=body.gm_m3_s2,
-        j2_strength=0.0 if tumbles else 1.5 * body.gm_m3_s2 * j2 * radius**2,
-        pole=scene.rotation.pole.T,
-        field=None if field is None else TurningField(field.beside(*closed), scene.rotation),
-        companion=scene.companion,
-        srp=cannonball_srp(
-            scene.sun_direction(0.0),
-            craft.srp_area_m2,
-            craft.reflectivity_coefficient,
-            craft.mass_kg,
-            float(np.linalg.norm(sun.body_position_km)) / AU_KM,
-            sun.solar_constant_w_m2,
-        ),
-    )
-
-
-def solid_forces(scene: Scene, solid: Mesh) -> ForceModel:
-    """Forces with the gravity of a homogeneous polyhedron."""
-    field = PolyhedronField(scene.scenario.body.gm_m3_s2, solid.vertices_m, solid.facets)
-    turning = TurningField(field, scene.rotation)
-    return replace(forces_of(scene, None), gm=0.0, j2_strength=0.0, field=turning)
-
-
-def gravity_in_words(body: Body, field: HarmonicField | None, solid: Mesh | None) -> str:
-    """A true field or solid, else the planner's gravity, with its rotation and the companion."""
-    own = "point mass and J2" if body.j2 else "point mass"
-    if field is not None:
-        own = f"harmonics to degree {len(field.c) - 1}"
-    elif solid is not None:
-        own = f"a homogeneous polyhedron of {len(solid.facets)} facets"
-    elif body.planned_degree is not None:
-        of = " of a homogeneous solid" if is_planned_as_solid(body) else ""
-        own = f"harmonics{of} to degree {body.planned_degree}"
-    if body.attitude is not None:
-        own += " that tumble with the body"
-    return own if body.companion is None else f"{own}, and the pull of {body.companion.name}"
-
-
-def planned_field(scenario: Scenario) -> HarmonicField | None:
-    """The field to `body.planned_degree`, SI; None where the point mass and J2 are planned with.
-
-    Raises:
-        InputError: as `truth_field`, and if the body's field has no such degree.
-    """
-    body, degree = scenario.body, scenario.body.planned_degree
-    if degree is None:
-        return None
-    if is_planned_as_solid(body):
-        mesh = solid_of(body, PLANNED)
-        return HarmonicField.of_solid(mesh, body.gm_m3_s2, body.reference_radius_m, degree)
-    field = truth_field(scenario, PLANNED)
-    most = len(field.c) - 1
-    if degree > most:
-        raise InputError(PLANNED, str(degree), f"must be at most {most}, the degree of the field")
-    return field.up_to(degree)
-
-
-PLANNED = "body.planned_degree"
-
-
-def is_planned_as_solid(body: Body) -> bool:
-    """Whether the planner's harmonics are those of the homogeneous solid, for lack of a field."""
-    known = body.gravity is not None or packaged_body(body.name) is packaged_body(FIELD_BODY)
-    return not known and (body.solid is not None or body.radii_m is not None)
-
-
-def solid_of(body: Body, needed_by: str = option("truth", "polyhedron")) -> Mesh:
-    """The body as a homogeneous polyhedron: that of `body.solid_file`, else the ellipsoid's.
-
-    Raises:
-        InputError: if the body has neither.
-    """
-    if body.solid is not None:
-        return Mesh(np.array(body.solid.vertices_m), np.array(body.solid.facets, dtype=np.intp))
-    if body.radii_m is None:
-        allowed = f"must name a shape model, or body.radii_m be given, for {needed_by}"
-        raise InputError("body.solid_file", "nothing", allowed)
-    return Ellipsoid(np.array(body.radii_m)).tessellated(HALVINGS)
-
-
-HALVINGS = 3
-"""Of the octahedron that becomes an ellipsoid: 512 facets. Of Itokawa's, at 500 m, 3e-4 of the pull is
-lost by that."""
-
-
-def truth_field(scenario: Scenario, needed_by: str = option("truth", "harmonics")) -> HarmonicField:
-    """The field of `body.gravity_file` in full, else that of the packaged body to degree 8; SI.
-
-    Raises:
-        InputError: if the body has neither, or its GM, reference radius or J2 differs from the
-            packaged field's.
-    """
-    body = scenario.body
-    if body.gravity is not None:
-        rows = body.gravity.coefficients
-        degree = max(n for n, _, _, _ in rows)
-        return HarmonicField.of_rows(body.gm_m3_s2, body.gravity.reference_radius_m, degree, rows)
-    if packaged_body(body.name) is packaged_body(FIELD_BODY):
-        _check_is_packaged(body, needed_by)
-        return HarmonicField.bennu(body.gm_m3_s2, HARMONICS_DEGREE)
-    raise InputError(
-        "body.gravity_file",
-        f"nothing for {body.name}",
-        f"must name a gravity field (.gfc, or a PDS SHA table) for {needed_by}",
-    )
-
-
-def _check_is_packaged(body: Body, needed_by: str) -> None:
-    known = packaged_body(FIELD_BODY)
-    assert known is not None
-    for entry, share in (("gm_m3_s2", SAME_GM), ("reference_radius_m", 0.0), ("j2", SAME_J2)):
-        given, own = getattr(body, entry), known.entries[entry]
-        if abs(given - own) > share * own:
-            within = f"within {100 * share:g} % of " if share else ""
-            raise InputError(
-                needed_by,
-                f"body.{entry} {given:g}",
-                f"must be {within}{own:g}: the packaged gravity field is that of {FIELD_BODY}",
-            )

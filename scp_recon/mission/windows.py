@@ -56,28 +56,6 @@ class Lighting:
         return slack
 
 
-NEWTON_STEPS = 5
-"""To the edge of another flight's window: from 300 s away it is then within 1e-6 s."""
-
-
-def moved_edges(slack: OfTime, window: Window) -> Array:
-    """Edges of a window in flights with a lighting of their own, s, shape (2, flights).
-
-    Newton's steps from the edges of the mean, at most half the window's length away: farther edges are
-    no longer its own. Times of `slack` are one a flight.
-    """
-    half, found = 0.5 * (window[1] - window[0]), []
-    for edge in window:
-        time = np.full(np.shape(slack(np.array(edge))) or (1,), edge)
-        for _ in range(NEWTON_STEPS):
-            here = slack(time)
-            slope = slack(time + 1.0) - here
-            step = np.divide(-here, slope, out=np.zeros_like(here), where=slope != 0.0)
-            time = np.clip(time + step, edge - half, edge + half)
-        found.append(time)
-    return np.array(found)
-
-
 SCAN_STEP_S = 20.0
 SCANS_PER_ROTATION = 500
 """At least: where lighting turns by less than a degree from one look to the next."""

@@ -14,8 +14,8 @@ import numpy as np
 from formulations.arrays import Array, Booleans
 from scp_recon.mission.constraints import companion_distance_m
 from scp_recon.mission.drifts import STEP_S, Miss, attitudes_left_s, duration_s, radius_m
+from scp_recon.mission.gravity import TruthModel
 from scp_recon.mission.mission import Mission
-from scp_recon.mission.scene import TruthModel
 from scp_recon.monte_carlo.estimates import proportion
 from scp_recon.monte_carlo.flights import FlightConfig
 from scp_recon.monte_carlo.sampling import draw_blocks, flow_of, flown_mission, fly_draws

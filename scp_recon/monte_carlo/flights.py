@@ -16,8 +16,9 @@ from scp_recon.errors import InputError, one_of, whole_number
 from scp_recon.jobs.job import Executor, Job, here, in_order
 from scp_recon.jobs.processes import Limits
 from scp_recon.mission.constraints import companion_distance_m
+from scp_recon.mission.gravity import TruthModel
 from scp_recon.mission.mission import Mission
-from scp_recon.mission.scene import TruthModel, errors_of_kind
+from scp_recon.mission.scene import errors_of_kind
 from scp_recon.mission.windows import Window
 from scp_recon.monte_carlo.estimates import Estimate, Tally, proportion
 from scp_recon.monte_carlo.limits import EVERYWHERE, is_certain, limit_margins, limits_kept
@@ -81,7 +82,7 @@ class FlightConfig:
         if self.errors is not None:
             one_of("errors", self.errors, get_args(ErrorModel))
         errors_of_kind(self.mission.scenario, self.errors)
-        self.mission.true_gravity(self.truth)
+        self.mission.gravity.in_words(self.truth)
 
     def __getstate__(self) -> dict[str, object]:
         """What a copy for another process takes along, with `certain`, which takes long to find."""
@@ -101,7 +102,7 @@ class FlightConfig:
     @property
     def watched_samples_s(self) -> Array:
         """The same of `watched_s`, in which the windows of flights lie."""
-        whole = self._samples(self.mission.watched_s), self.mission.edge_samples_s
+        whole = self._samples(self.mission.edges.watched_s), self.mission.edges.samples_s
         return np.union1d(self.window_samples_s, np.concatenate(whole))
 
     def _samples(self, span: Window | None) -> Array:
@@ -363,7 +364,7 @@ def _narrowed(
     mission = config.mission
     if config.policy_kind == "replan" or mission.observed_s is None:
         return None
-    if mission.edge_sigmas_s is not None:
+    if mission.edges.sigmas_s is not None:
         return None
     how = corrections_of(config.policy), config.truth, config.errors, config.window_samples_s
     flights = SampledFlights(config.mission, config.burns_m_s, *how)

@@ -85,7 +85,7 @@ def limit_margins(
 
 def in_own_window(mission: Mission, times_s: Array, margin: Array) -> Array:
     """Margins (k,) or (k, flights), positive outside each flight's own window where edges move."""
-    if mission.deviation is None or mission.edge_sigmas_s is None:
+    if mission.deviation is None or mission.edges.sigmas_s is None:
         return margin
     first, last = mission.own_edges_s
     time = times_s.reshape(-1, *[1] * (margin.ndim - 1))

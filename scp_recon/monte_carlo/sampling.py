@@ -10,9 +10,10 @@ import numpy as np
 
 from formulations.arrays import Array, Booleans
 from scp_recon.jobs.seeds import generator
+from scp_recon.mission.gravity import TruthModel
 from scp_recon.mission.grid import make_grid
 from scp_recon.mission.mission import Mission
-from scp_recon.mission.scene import TruthModel, errors_of_kind
+from scp_recon.mission.scene import errors_of_kind
 from scp_recon.monte_carlo.closed_loop import MEASURED, ClosedLoop, Replan, ReplanLoop, Replans, due
 from scp_recon.physics.flow import advance, interpolate
 from scp_recon.physics.forces import accelerations
@@ -280,7 +281,7 @@ def sample_positions(
 
 def flow_of(mission: Mission, truth: TruthModel) -> Flow:
     """Flow of positions and velocities (3, flights) from a time over a duration."""
-    forces, each = mission.true_forces(truth), mission.deviation is not None
+    forces, each = mission.gravity.forces(truth), mission.deviation is not None
 
     def flow(r: Array, v: Array, start: float, duration: float) -> tuple[Array, Array]:
         def acceleration(at: Array, elapsed: float) -> Array:

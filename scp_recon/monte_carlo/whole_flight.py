@@ -16,8 +16,8 @@ import numpy as np
 
 from formulations.arrays import Array, Booleans
 from formulations.risk.strata import Counted
+from scp_recon.mission.gravity import TruthModel
 from scp_recon.mission.mission import Mission
-from scp_recon.mission.scene import TruthModel
 from scp_recon.monte_carlo.limits import (
     EVERYWHERE,
     PARTS,
@@ -122,7 +122,7 @@ def sample_times(mission: Mission) -> Array:
     """Times at which flights are sampled, s: nodes, and others at most `SAMPLE_STEP_S` apart."""
     nodes = mission.times_s
     even = np.union1d(np.arange(nodes[0], nodes[-1], SAMPLE_STEP_S), nodes)
-    return np.union1d(even, mission.edge_samples_s)
+    return np.union1d(even, mission.edges.samples_s)
 
 
 def seconds_of(mission: Mission) -> dict[str, Array]:
@@ -136,7 +136,7 @@ def seconds_of(mission: Mission) -> dict[str, Array]:
 
 
 def _in_window(mission: Mission, times: Array) -> Booleans:
-    first, last = mission.watched_s or (np.inf, np.inf)
+    first, last = mission.edges.watched_s or (np.inf, np.inf)
     return (times >= first) & (times <= last)
 
 

@@ -249,7 +249,7 @@ def limits_table(mission: Mission, solution: Solution, v: Verification) -> Table
         ),
         rows,
         note=f"planned: of the mean; chance: lowest of {v.samples} flights, required "
-        f"{mission.scenario.risk.p_chance:g}; {mission.true_gravity('planner')}{own_windows(mission)}"
+        f"{mission.scenario.risk.p_chance:g}; {mission.gravity.in_words()}{own_windows(mission)}"
         + "".join(
             f"; of drifts: the distance that 99.7 % of flights keep for {d.drift_s / 3600.0:.3g} h, "
             f"and the chance to keep the radius, required {d.required:g}"
@@ -350,13 +350,13 @@ def probabilities_table(mission: Mission, v: Verification) -> Table:
         ([p.name, p.estimate, p.low, p.high, p.worst_t_s, required] for p in v.probabilities),
         key="probabilities",
         note=f"Monte Carlo, {v.samples} flights, {100 * v.confidence:.0f} % intervals. Planned and "
-        f"flown with {mission.true_gravity('planner')}{own_windows(mission)}.",
+        f"flown with {mission.gravity.in_words()}{own_windows(mission)}.",
     )
 
 
 def own_windows(mission: Mission) -> str:
     """How far the window's edges move with spin and site, after a semicolon; empty where they stay."""
-    if (sigmas := mission.edge_sigmas_s) is None:
+    if (sigmas := mission.edges.sigmas_s) is None:
         return ""
     return (
         f"; the window's edges move by {sigmas[0]:.0f} and {sigmas[1]:.0f} s (1 sigma), and flights "

@@ -87,7 +87,7 @@ def refuted(
     ):
         found.append("certificate")
     flown = next((p for p in probabilities if p.name == FLIGHT), None)
-    if flown is not None and mission.edge_sigmas_s is None:  # the law is of the planned window
+    if flown is not None and mission.edges.sigmas_s is None:  # the law is of the planned window
         reported, low, high = (
             float(ndtri(p)) for p in (min(risk.normal_law[0].probability), flown.low, flown.high)
         )
@@ -125,11 +125,11 @@ def joint_probabilities(
     step = np.diff(window)[:, None] / SAMPLED_PARTS_PER_ARC
     between = (window[:-1, None] + step * np.arange(1, SAMPLED_PARTS_PER_ARC)).ravel()
     observed = np.union1d(window, between)
-    if mission.watched_s != mission.observed_s:
-        early, late = mission.watched_s or (window[0], window[-1])
+    if mission.edges.watched_s != mission.observed_s:
+        early, late = mission.edges.watched_s or (window[0], window[-1])
         apart = between[1] - between[0]
         beyond = np.arange(early, window[0], apart), np.arange(late, window[-1], -apart)
-        observed = np.union1d(observed, np.concatenate([*beyond, mission.edge_samples_s]))
+        observed = np.union1d(observed, np.concatenate([*beyond, mission.edges.samples_s]))
     times = np.union1d(observed, mission.times_s)
     seen, certain = np.searchsorted(times, observed), is_certain(mission, burns)
     parts, ends = [], []

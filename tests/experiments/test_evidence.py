@@ -14,7 +14,7 @@ from experiments.evidence import FOLDER, SOURCES, Evidence, path_of
 from experiments.sentinels import near, sentinels_of
 from experiments.spacecraft.battery_cones import find_cones
 from scp_recon.errors import InputError
-from scp_recon.mission.scene import forces_of
+from scp_recon.mission.gravity import forces_of
 from scp_recon.physics import forces
 from scp_recon.simulation import panels
 from tests.helpers import nightly

@@ -201,7 +201,7 @@ class Simulator:
         times_s: Array,
     ) -> None:
         self.plan, self.times_s = plan, times_s
-        field = plan.mission.truth_field
+        field = plan.mission.gravity.harmonics
         self.plant = build_plant(plan.mission, plan.vehicle, start, field=field)
         sensors = build_sensors(
             self.plant.hub.scStateOutMsg,

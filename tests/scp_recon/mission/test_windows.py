@@ -11,12 +11,12 @@ from hypothesis import strategies as st
 from formulations.arrays import Array
 from scp_recon.bodies.catalogue import DAY_S
 from scp_recon.errors import InputError
+from scp_recon.mission.edges import moved_edges
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.survey import survey
 from scp_recon.mission.windows import (
     SCAN_STEP_S,
     each_window,
-    moved_edges,
     scan_step_s,
     whole_windows,
 )

@@ -120,11 +120,11 @@ def test_limits_count_in_the_own_window_of_each_flight():
     found = np.logical_and.reduce([one.holds.all(axis=0) for one in of_limits])
     assert found.tolist() == kept
     assert kept != planned
-    early, late = np.array(mission.watched_s) - mission.observed_s
-    assert (-early, late) == pytest.approx(3.0 * mission.edge_sigmas_s)
+    early, late = np.array(mission.edges.watched_s) - mission.observed_s
+    assert (-early, late) == pytest.approx(3.0 * mission.edges.sigmas_s)
     given = mission.changed({"observation.window_s": [13_200.0, 16_400.0]})
-    assert given.edge_sigmas_s is None
-    assert given.watched_s == given.observed_s
+    assert given.edges.sigmas_s is None
+    assert given.edges.watched_s == given.observed_s
 
 
 def test_flights_keep_limits_as_often_as_by_law():
