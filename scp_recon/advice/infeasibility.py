@@ -31,7 +31,7 @@ TIMES, LEAST_S = 3.0, 30.0
 """Limit of a diagnosis: so many times the processor time of the plan, at least so many seconds."""
 
 SHARE = 0.25
-SHARES = {SPLIT: 0.8, CORRECTED: 0.6, PROBABILITY: 0.4}
+SHARES = {SPLIT: 0.8, PROBABILITY: 0.6}
 """Shares of all time that a trial may take, and those of the dearer ones."""
 
 LEAST_TRIAL_S, WORTH_SAYING = 1.0, 1e-3
@@ -51,7 +51,7 @@ class Diagnosis:
         limit_s: that time, of the processor.
         miss: of the final state in m and m/s, if a plan exists that misses it.
         kept: share of flights of the plan that kept every limit, by its certificate.
-        largest: the largest probability that was found to have a rough plan with exact risk.
+        largest: the largest probability that was found to have a plan, by the normal law.
     """
 
     without_uncertainty: Status
@@ -103,6 +103,8 @@ def diagnose(
                 break  # nothing else has to be given up
         else:
             known = replace(known, miss=clock.attempt(FINAL_STATE, case.final_miss))
+            if case.is_risky(p3) and case.scenario.policy.kind == "open":  # takes longest
+                remedies.append(clock.attempt(CORRECTED, case.feedback))
         known = replace(known, largest=case.largest)
     found = tuple(remedy for remedy in remedies if remedy)
     return replace(known, remedies=found, tried=tuple(clock.tried), left_out=tuple(clock.left_out))

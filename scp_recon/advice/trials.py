@@ -24,7 +24,7 @@ from scp_recon.advice.clock import Clock, Roughly, Undecided
 from scp_recon.api.inputs import PlanRequest
 from scp_recon.api.options import PlanOptions
 from scp_recon.api.planning import PlanOutcome, carry_out, plan_mission
-from scp_recon.certification.largest import largest_kept, rounded_down
+from scp_recon.certification.largest import Search, rounded_down
 from scp_recon.errors import InputError
 from scp_recon.mission.constraints import companion_distance_m
 from scp_recon.mission.drifts import planned, radius_m
@@ -36,13 +36,10 @@ from scp_recon.scenario.schema import Scenario
 from scp_recon.scp.status import Status
 from scp_recon.verification.refinement import refined
 
-LEAST = 0.501
-"""Least probability of the search: a scenario requires more than one half."""
-
 CLOSE = 0.03
 """Standard deviations between the largest probability with a plan and the next without: a hint."""
 
-BELOW, BELOW_CERTIFIED = (0.0, 0.02, 0.1, 0.25), (0.05, 0.15, 0.3)
+BELOW, BELOW_CERTIFIED = (0.0, 0.02, 0.1, 0.25), (0.03, 0.06, 0.15, 0.3)
 """Standard deviations by which a proposed probability is below the largest with a rough plan: the
 user's grid may require more than a rough plan does, and flights do."""
 
@@ -137,7 +134,7 @@ class Case:
 
     def trials(self, p3: Status) -> Iterator[tuple[str, Callable[[], Remedy | None]]]:
         """Trials of an infeasible plan: of what is violated and of what gives up nothing first."""
-        risky = self.request.options.problem == "P2" and p3 is not Status.INFEASIBLE
+        risky = self.is_risky(p3)
         risk, violated = self.scenario.risk, violated_by(self.failed)
         if risky and risk.allocation == "uniform":
             yield SPLIT, partial(self.confirmed, SPLIT, {"risk.allocation": "exact"})
@@ -147,8 +144,6 @@ class Case:
                 yield what, work
         if risky and _spreads(self.scenario):
             yield FINAL_SPREAD, self.final_spread
-        if risky and self.scenario.policy.kind == "open":
-            yield CORRECTED, self._feedback
         if risky:
             yield PROBABILITY, self._probability
         entries = _entries(self.scenario, violated)
@@ -162,6 +157,10 @@ class Case:
             if name not in violated:
                 yield what, work
 
+    def is_risky(self, p3: Status) -> bool:
+        """Whether risk may be what makes the plan infeasible."""
+        return self.request.options.problem == "P2" and p3 is not Status.INFEASIBLE
+
     def rough(self, changes: Changes, *, certain: bool = False) -> Plan | None:
         """A plan with other values, from one start and without flights; None if there is none."""
         mission = self.failed.mission.changed(changes)
@@ -173,7 +172,6 @@ class Case:
         start: Iterate,
         *,
         certain: bool = False,
-        target: float | None = None,
     ) -> Plan | None:
         if len(start.mean) != len(mission.times_s):
             start = from_burns(mission, self.failed.burns_m_s)
@@ -182,7 +180,7 @@ class Case:
         options = PlanOptions(problem, certify=False if exact else None, facet_rounds=0, starts=1)
         observe = Roughly(self.clock)
         try:
-            plan = plan_mission(mission, start, options, observe, once=True, target=target)
+            plan = plan_mission(mission, start, options, observe, once=True)
         except Undecided:
             return None
         return plan if _converged(plan) else None
@@ -228,10 +226,9 @@ class Case:
         if free is None:
             return None
         # With corrections, or a limit that risk makes smaller, the mean burn alone does not suffice.
-        largest = float(np.linalg.norm(free.burns_m_s, axis=1).max())
-        if largest == 0.0:
-            return None
-        return self.first(SIZE, [{LARGEST: rounded(factor * largest)} for factor in MORE])
+        given = self.scenario.burns.dv_max_m_s
+        needed = MORE[-1] * float(np.linalg.norm(free.burns_m_s, axis=1).max())
+        return self._least(SIZE, {LARGEST: (given, max(given, needed))})
 
     def _directions(self) -> Remedy | None:
         """A narrower cone that burns avoid; None if that alone does not suffice."""
@@ -284,33 +281,31 @@ class Case:
 
     def _probability(self) -> Remedy | None:
         """The largest probability with exact risk, of which the command ends verified."""
-        required = self.scenario.risk.p_chance
-        iterate, mission = self.failed.final.result.lin.iterate, self.failed.mission
-
-        def exact(start: Iterate, target: float) -> Plan | None:
-            of = {"risk.allocation": "exact", "risk.p_chance": target}
-            return self._roughly(mission.changed(of), start)
-
-        def attempt(best: Plan, target: float) -> Plan:
-            return exact(best.final.result.lin.iterate, target) or self.failed
-
-        low = exact(iterate, LEAST)
-        if low is None:
+        required, allocation = self.scenario.risk.p_chance, self.scenario.risk.allocation
+        split: Changes = {} if allocation == "exact" else {"risk.allocation": "exact"}
+        search = Search(self._for_target, close=CLOSE, most=self.failed.target or required)
+        best = search.run(self.failed.mission.changed(split), self.failed.final.result.lin.iterate)
+        if not _converged(best) or best.target is None:
             return None
-        best, _ = largest_kept(low, required, CLOSE, attempt, _converged)
-        assert best.target is not None
-        self.largest = best.target
         tries: list[Changes] = []
         certified = self.request.options.is_certified(self.scenario)
         for less in BELOW_CERTIFIED if certified else BELOW:
             p = rounded_down(float(ndtr(ndtri(best.target) - less)))
             if 0.5 < p < required:
-                was = self.scenario.risk.allocation
-                split = {} if was == "exact" else {"risk.allocation": "exact"}
                 tries.append({**split, "risk.p_chance": p})
         return self.first(PROBABILITY, tries)
 
-    def _feedback(self) -> Remedy | None:
+    def _for_target(
+        self, mission: Mission, start: Iterate | Plan, target: float, *, once: bool
+    ) -> Plan:
+        """A plan with exact risk by the normal law, for the search for the largest probability."""
+        options = PlanOptions(certify=False, facet_rounds=0, starts=1)
+        plan = plan_mission(mission, start, options, self.clock, target=target, once=once)
+        if _converged(plan):
+            self.largest = max(self.largest or 0.0, target)
+        return plan
+
+    def feedback(self) -> Remedy | None:
         """Burns that are corrected in flight, with the scenario's measurements if it has any."""
         measures = self.scenario.navigation.measures
         changes: dict[str, object] = {"policy.kind": "feedback"} if measures else dict(FEEDBACK)

@@ -11,9 +11,11 @@ round. If flights violate a limit between nodes, nodes are added there. Rounds e
 independent flights should pass 95 times in 100, and whose surplus is within sampling error.
 
 A *test* judges the plan: flights with seeds that no round has used. A plan that passes is
-certified; there is no choice among several passing plans. After a failed test, its flights count as
-a round's. One more plan then has one more test, the last. A plan that reaches exactly the required
-probability is therefore certified at most 2.5 times in 100: see `estimates.TEST_CONFIDENCE`.
+certified; there is no choice among several passing plans. Where a target has no plan, that for the
+largest lower target is tested, which may still reach the required probability. After a failed test,
+its flights count as a round's. One more plan then has one more test, the last. A plan that reaches
+exactly the required probability is therefore certified at most 2.5 times in 100: see
+`estimates.TEST_CONFIDENCE`.
 """
 
 from __future__ import annotations
@@ -37,7 +39,7 @@ from scp_recon.certification.flights import (
     run_test,
     with_nodes_at,
 )
-from scp_recon.certification.targets import Targets, target_of
+from scp_recon.certification.targets import Targets, is_plan, largest_kept, target_of
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.estimates import (
     TESTS_MAX,
@@ -53,6 +55,9 @@ ROUNDS_MAX = 6
 
 BINDING = 0.01
 """Standard deviations between aim and law, up to which a constraint binds."""
+
+CLOSE = 0.005
+"""Standard deviations between the largest target with a plan and the least without."""
 
 AimedPlanning = Callable[[Mission, Iterate | Plan, float], Plan]
 """A plan of a mission from a start, or another plan, aiming at a probability."""
@@ -85,9 +90,9 @@ def certified(asked: float, make_plan: Planning[Aimed], fly: Fly[Aimed]) -> Aime
 
     Returns:
         The plan that passed a test, with its certificate. If none passed, the plan that came
-            nearest, whose certificate says so. If a target is infeasible and no earlier plan
-            passes, or the first plan ends without a verdict, the plan for that target, without a
-            certificate.
+            nearest, whose certificate says so. If a target is infeasible, or the first plan ends
+            without a verdict, and the plan for the largest target below does not pass either, the
+            plan for that target, without a certificate.
     """
     work = _Certification(asked, make_plan, fly)
     try:
@@ -179,15 +184,29 @@ class _Certification(Generic[Aimed]):
         self.touched_s = kept.touched_s[:0] if close else kept.touched_s
         return close
 
-    def _without(self, plan: Aimed) -> Aimed:
-        """The result if a target has no plan: the plan of the best round has a test."""
-        if self.flown and not self.tested:
-            best, _ = max(self.flown, key=lambda flown: flown[1])
-            if self._passes(best):
+    def _without(self, failed: Aimed) -> Aimed:
+        """The result if a target has no plan: that of the largest lower target may pass a test."""
+        if failed.status is not Status.INTERRUPTED:
+            best = self._largest_below(failed)
+            is_new = all(target_of(best) != target_of(tested) for tested in self.tested)
+            if is_plan(best) and is_new and self._passes(best):
                 return self.tested[-1]
-        if self.nearest is None or plan.status is Status.INFEASIBLE:
-            return plan
+        if self.nearest is None or failed.status is Status.INFEASIBLE:
+            return failed
         return self.nearest
+
+    def _largest_below(self, failed: Aimed) -> Aimed:
+        """The plan for the largest target below a failed one that may suffice, or of the best round."""
+        lower = (one for one in self.targets.trials if target_of(one) < target_of(failed))
+        best = max(filter(is_plan, lower), key=target_of, default=None)
+        best = best or self.targets.plan(failed, self.aiming.least)
+        if is_plan(best):
+            best, _ = largest_kept(best, target_of(failed), CLOSE, self.targets.plan)
+        elif self.flown:
+            best, _ = max(self.flown, key=lambda flown: flown[1])
+        if best.status is Status.INTERRUPTED:
+            raise KeyboardInterrupt
+        return best
 
 
 def _low(plan: AimedPlan) -> float:
@@ -256,6 +275,11 @@ class Aiming:
             return 0.0
         values, flights = np.array(self.losses).T
         return float(np.average(values, weights=flights))
+
+    @property
+    def least(self) -> float:
+        """The target at which flights reach just the required probability."""
+        return float(np.clip(ndtr(ndtri(self.asked) + self.loss), LEAST, MOST))
 
     @property
     def error(self) -> float:

@@ -30,7 +30,7 @@ from scp_recon.certification.flights import (
     run_test,
     with_nodes_at,
 )
-from scp_recon.certification.targets import ANSWERS, MOST, Targets, target_of
+from scp_recon.certification.targets import ANSWERS, MOST, Targets, largest_kept, target_of
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.estimates import flights_needed, flights_of_test
 from scp_recon.planning.initial_guess import start_from
@@ -43,8 +43,8 @@ LEAST = 0.55
 """Least probability that is looked for."""
 CLOSE = 0.01
 """Standard deviations between the last probability with a plan and the first without."""
-LEAPS, GROWTH = 3, 4.0
-"""Trials from above, each for what the one before keeps; and the growth of steps upwards from there."""
+LEAPS = 3
+"""Trials from above, each for what the one before keeps."""
 DIGITS = 4
 """Digits of a promised probability."""
 
@@ -62,11 +62,13 @@ class Search:
         make_plan: plans a mission from a start for a target; if `once`, from that start alone.
         budget_m_s: largest delta-v.
         close: see `CLOSE`.
+        most: end of the search, a probability without a plan.
     """
 
     make_plan: Callable[..., Plan]
     budget_m_s: float = float("inf")
     close: float = CLOSE
+    most: float = MOST
 
     def run(self, mission: Mission, start: Iterate | Plan, above: float = MOST) -> Plan:
         """Find the largest probability by the normal law; the mission's allocation is exact.
@@ -98,7 +100,7 @@ class Search:
             found = targets.plan(best, target)
             return found if found.status in ANSWERS else make(None, target)
 
-        best, failed = largest_kept(best, MOST, self.close, attempt, self.keeps, step)
+        best, failed = largest_kept(best, self.most, self.close, attempt, self.keeps, step)
         if failed is None or failed.status in ANSWERS or best.status is Status.INTERRUPTED:
             return best
         return with_warning(best, failed)
@@ -147,41 +149,6 @@ def kept_quantile(trial: Plan) -> float:
         part.margin.min() for name, part in final.margins.items() if final.unit(name) == "sigma"
     ]
     return float(ndtri(target_of(trial)) + min([0.0, *rows]))
-
-
-def largest_kept(
-    best: Plan,
-    most: float,
-    close: float,
-    attempt: Callable[[Plan, float], Plan],
-    keeps: Callable[[Plan], bool],
-    step: float = math.inf,
-) -> tuple[Plan, Plan | None]:
-    """Bisect for the largest probability that has a plan, on the normal quantile scale.
-
-    The search lies between the probability of the best plan and `most`, which is not planned, and
-    ends within `close` standard deviations. Each trial starts from the best plan so far, at most a
-    `step` above it, which grows with each trial.
-
-    Returns:
-        The best plan, marked as interrupted after Ctrl-C; and the failed trial of the least
-            probability, if any trial failed.
-    """
-    assert best.target is not None
-    low, high, above = float(ndtri(best.target)), float(ndtri(most)), None
-    while high - low > close:
-        middle, step = min(low + step, 0.5 * (low + high)), GROWTH * step
-        try:
-            found = attempt(best, float(ndtr(middle)))
-        except KeyboardInterrupt:
-            return as_interrupted(best), None
-        if found.status is Status.INTERRUPTED:
-            return as_interrupted(best), None
-        if keeps(found):
-            best, low = found, middle
-        else:
-            high, above = middle, found
-    return best, above
 
 
 def with_warning(best: Plan, undecided: Plan) -> Plan:

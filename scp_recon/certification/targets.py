@@ -15,7 +15,7 @@ from typing import Generic
 from scipy.special import ndtr, ndtri
 
 from scp_recon.monte_carlo.estimates import FAILURES, FLIGHTS_MAX
-from scp_recon.planning.plan import Aimed, AimedPlan
+from scp_recon.planning.plan import Aimed, AimedPlan, as_interrupted
 from scp_recon.scp.status import Status
 
 MOST = 1.0 - FAILURES / FLIGHTS_MAX
@@ -23,6 +23,9 @@ MOST = 1.0 - FAILURES / FLIGHTS_MAX
 
 SAVING = 1e-4
 """Relative saving up to which two plans cost the same."""
+
+GROWTH = 4.0
+"""Growth of the steps between probabilities from one trial to the next."""
 
 ANSWERS = (Status.CONVERGED, Status.INFEASIBLE, Status.INTERRUPTED)
 """Outcomes that answer whether a target has a plan, or end planning."""
@@ -110,6 +113,41 @@ class Targets(Generic[Aimed]):
             self.begun.append(start)
             self.trials.append(made)
         return made
+
+
+def largest_kept(
+    best: Aimed,
+    most: float,
+    close: float,
+    attempt: Callable[[Aimed, float], Aimed],
+    keeps: Callable[[Aimed], bool] = is_plan,
+    step: float = math.inf,
+) -> tuple[Aimed, Aimed | None]:
+    """Bisect for the largest probability that has a plan, on the normal quantile scale.
+
+    The search lies between the probability of the best plan and `most`, which is not planned, and
+    ends within `close` standard deviations. Each trial starts from the best plan so far, at most a
+    `step` above it, which grows with each trial.
+
+    Returns:
+        The best plan, marked as interrupted after Ctrl-C; and the failed trial of the least
+            probability, if any trial failed.
+    """
+    low, high = float(ndtri(target_of(best))), float(ndtri(most))
+    above: Aimed | None = None
+    while high - low > close:
+        middle, step = min(low + step, 0.5 * (low + high)), GROWTH * step
+        try:
+            found = attempt(best, float(ndtr(middle)))
+        except KeyboardInterrupt:
+            return as_interrupted(best), None
+        if found.status is Status.INTERRUPTED:
+            return as_interrupted(best), None
+        if keeps(found):
+            best, low = found, middle
+        else:
+            high, above = middle, found
+    return best, above
 
 
 def _half_way(one: float, other: float) -> float:

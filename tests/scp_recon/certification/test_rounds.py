@@ -253,6 +253,31 @@ def test_an_aim_without_a_verdict_leaves_the_nearest(real, monkeypatch):
     assert first.seeds == []
 
 
+@pytest.mark.parametrize(
+    ("last", "lost", "ending"),
+    [
+        (0.5 * (NEEDED + AIMED), 0.0, Status.CONVERGED),
+        (0.5 * (NEEDED + AIMED), 0.1, Status.INFEASIBLE),
+        (ASKED - 0.01, 0.0, Status.INFEASIBLE),
+    ],
+    ids=["passes", "fails", "none may suffice"],
+)
+def test_largest_feasible_target_is_tested(real, monkeypatch, last, lost, ending):
+    """The first target has no plan; one test judges the plan for the largest that has one."""
+
+    def status(target: float, _: str) -> Status:
+        return Status.INFEASIBLE if target > last else Status.CONVERGED
+
+    found = certified(world := World(real, losing(lost), status), monkeypatch)
+    assert found.status is ending
+    assert world.seeds == TEST_SEEDS[: last > ASKED]
+    if ending is Status.CONVERGED:
+        assert last - 0.002 < found.target <= last
+        assert low(found) >= ASKED
+    else:
+        assert (found.target, found.certificate) == (AIMED, None)
+
+
 def test_the_watch_sees_flights_begin_and_end(real, monkeypatch):
     seen: list[tuple[str, int, int, float | None]] = []
 
