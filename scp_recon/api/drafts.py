@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import datetime
+from functools import partial
+from itertools import product
 from pathlib import Path
 from textwrap import wrap
 from typing import Any
@@ -53,6 +56,10 @@ GOES_WITH = {"spacecraft": SOURCES[:1], "begin": SOURCES, "end": SOURCES} | dict
     OF_A_BODY, (None, *SOURCES[1:])
 )
 """Trajectories, or none, with which an option may be given; kernels contain the body."""
+BOUNDARY_AT = {"initial": (0, "at --from"), "final": (-1, "at --to")}
+"""Number of a boundary's state in a trajectory, and its time in words."""
+METRES = {"km": 1e3, "m": 1.0, "mm": 1e-3}
+"""Units of positions that files may have, m."""
 HEAD_COLUMNS = 98
 """Of the head of a scenario's file."""
 
@@ -281,8 +288,12 @@ def _planned(draft: Draft, request: PlanRequest) -> NewScenario:
 
 def _from_track(options: NewOptions, source: str, path: Path, start: Path) -> NewScenario:
     """Draft and plan a scenario from a trajectory; write the start beside the scenario."""
-    flown, track = _track_draft(options, source)
-    mission = Mission.from_scenario(drafted(flown))
+    about, track = _track_draft(options, source)
+    flown = about(track)
+    try:
+        mission = Mission.from_scenario(drafted(flown))
+    except InputError as error:
+        raise _of_the_file(error, track, about) from None
     doubts = (*track.doubts, *step_doubts(track), *pull_doubts(mission, track))
     mission = replace(mission, warnings=(*mission.warnings, *doubts))
     check_writable(path.parent, path.name, option("name"))
@@ -297,8 +308,34 @@ def _from_track(options: NewOptions, source: str, path: Path, start: Path) -> Ne
     return replace(found, files=(path, start))
 
 
-def _track_draft(options: NewOptions, source: str) -> tuple[Draft, Track]:
-    """A draft about a trajectory, and the trajectory."""
+def _of_the_file(error: InputError, track: Track, about: Callable[[Track], Draft]) -> InputError:
+    """A refused boundary state as one of the trajectory's file, with units that are accepted.
+
+    Args:
+        error: the refusal.
+        track: the trajectory.
+        about: drafts a scenario about a trajectory.
+    """
+    which = error.entry.removeprefix("boundary.").partition("_")[0]
+    if which not in BOUNDARY_AT:
+        return error
+    (at, when), unit = BOUNDARY_AT[which], track.unit
+    far, fast = np.linalg.norm(track.states[at].reshape(2, 3), axis=1) / METRES[unit]
+    given = f"{digits(far)} {unit} from the centre at {digits(fast)} {unit}/s"
+    place, allowed = f"{track.entry}, {track.where[at] if track.where else when}", str(error)
+    for position, speed in product(METRES, repeat=2):
+        factors = np.repeat([METRES[position], METRES[speed]], 3) / METRES[unit]
+        read = replace(track, states=factors * track.states)
+        with suppress(InputError):
+            mission = Mission.from_scenario(drafted(about(read)))
+            if not any((*step_doubts(read), *pull_doubts(mission, read))):
+                units = f"{unit} and {unit}/s, not {position} and {speed}/s"
+                return InputError(place, given, f"must be in {units}?\n{allowed}")
+    return InputError(place, given, allowed)
+
+
+def _track_draft(options: NewOptions, source: str) -> tuple[Callable[[Track], Draft], Track]:
+    """What drafts a scenario about a trajectory, and the trajectory."""
     known: Tables = {}
     packaged = packaged_body(options.body)
     if source == "from_spice":
@@ -318,7 +355,7 @@ def _track_draft(options: NewOptions, source: str) -> tuple[Draft, Track]:
             track = csv_track(options.from_csv, options.epoch)
         track = cut(track, options.begin, options.end)
         draft = options.draft_at(track.epoch)  # at which orbit and meridian are
-    return flown_draft(replace(draft, epoch=track.epoch), known, track), track
+    return partial(flown_draft, replace(draft, epoch=track.epoch), known), track
 
 
 def _outcome(found: NewScenario, options: str = "") -> list[str]:

@@ -43,6 +43,12 @@ class Track:
     """Name of its file, for comments."""
     doubts: tuple[ScenarioWarning, ...] = ()
     """Warnings about it."""
+    entry: str = ""
+    """Option and file that it is from."""
+    unit: str = "km"
+    """Unit of its file's positions, and by the second that of its velocities."""
+    where: tuple[str, ...] = ()
+    """Where each state stands in its file; empty without lines."""
 
     @property
     def duration_s(self) -> float:

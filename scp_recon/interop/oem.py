@@ -45,6 +45,7 @@ def oem_track(path: Path, body: str) -> Track:
     text = read_text(path, entry, "CCSDS OEM")
     lines = _of_xml(text, entry) if text.lstrip().startswith("<") else _of_kvn(text)
     instants, states, doubts = list[int](), list[list[float]](), dict[str, ScenarioWarning]()
+    places = list[str]()
     for about, rows in _segments(entry, lines):
         turn = "; turn the states to one of them"
         _one_of(entry, "REF_FRAME", about, FRAMES, turn)
@@ -65,6 +66,7 @@ def oem_track(path: Path, body: str) -> Track:
                 )
             instants.append(when)
             states.append(numbers)
+            places.append(where)
             previous = epoch
         ends = rows[0][2], rows[-1][2]
         doubts |= {str(doubt): doubt for doubt in _span_doubts(entry, about, ends)}
@@ -73,8 +75,15 @@ def oem_track(path: Path, body: str) -> Track:
     first = instants[0]
     epoch_tdb = J2000_TDB + timedelta(microseconds=round(first / 1e3))  # as fine as a scenario's
     times = np.array([(when - first) / 1e9 for when in instants])
-    source = f"from {path.name}"
-    return Track(epoch_tdb, times, 1e3 * np.array(states), source, tuple(doubts.values()))
+    return Track(
+        epoch_tdb,
+        times,
+        1e3 * np.array(states),
+        f"from {path.name}",
+        tuple(doubts.values()),
+        entry=entry,
+        where=tuple(places),
+    )
 
 
 Line = tuple[str, str]

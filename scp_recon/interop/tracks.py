@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Iterator
+from dataclasses import replace
 from datetime import datetime, timedelta
+from itertools import compress
 from pathlib import Path
 
 import numpy as np
@@ -59,7 +61,8 @@ def spice_track(meta: Path, spacecraft: int, body: int, span: tuple[datetime, da
     times = np.linspace(0.0, duration, count)
     states = read_states([meta], spacecraft, body, _et(begin) + times, SPICE)
     doubts = tuple(jump_doubts(meta, spacecraft, body, (_et(begin), _et(end)), SPICE))
-    return Track(begin, times, states, f"from {meta.name}, spacecraft {spacecraft}", doubts)
+    source = f"from {meta.name}, spacecraft {spacecraft}"
+    return Track(begin, times, states, source, doubts, entry=f"{SPICE} {meta}")
 
 
 def spice_body(
@@ -124,10 +127,12 @@ def csv_track(path: Path, epoch: datetime) -> Track:
     Raises:
         InputError: if the file cannot be read, or has a column `tdb` that says another epoch.
     """
-    table = read_table(path, f"{CSV} {path}")
+    entry = f"{CSV} {path}"
+    table = read_table(path, entry)
     begin = epoch + timedelta(seconds=float(table[0, 0]))
-    lines = (line for line in read_text(path, CSV, "file").splitlines() if line[:1] != "#")
-    if (said := next(csv.DictReader(lines)).get("tdb")) is not None:
+    lines = enumerate(read_text(path, CSV, "file").splitlines(), start=1)
+    rows = {f"line {number}": line for number, line in lines if line and line[0] != "#"}
+    if (said := next(csv.DictReader(rows.values())).get("tdb")) is not None:
         off = (begin - datetime.fromisoformat(said)).total_seconds()
         if abs(off) > LATE_MAX_S:
             raise InputError(
@@ -135,7 +140,9 @@ def csv_track(path: Path, epoch: datetime) -> Track:
                 f"{epoch.isoformat()}, which puts the first row at {begin.isoformat()}",
                 f"must be TDB, and {-off:.3f} s later: the row's own column tdb says {said}",
             )
-    return Track(begin, table[:, 0] - table[0, 0], table[:, 1:], f"from {path.name}")
+    times, source = table[:, 0] - table[0, 0], f"from {path.name}"
+    places = tuple(rows)[1:]
+    return Track(begin, times, table[:, 1:], source, entry=entry, unit="m", where=places)
 
 
 def cut(track: Track, begin: datetime | None, end: datetime | None) -> Track:
@@ -158,7 +165,14 @@ def cut(track: Track, begin: datetime | None, end: datetime | None) -> Track:
         )
     first, last = (track.epoch + timedelta(seconds=float(time)) for time in times[[0, -1]])
     doubts = (*track.doubts, *late_doubts(begin, end, (first, last)))
-    return Track(first, times - times[0], track.states[inside], track.source, doubts)
+    return replace(
+        track,
+        epoch=first,
+        times_s=times - times[0],
+        states=track.states[inside],
+        doubts=doubts,
+        where=tuple(compress(track.where, inside)),
+    )
 
 
 def _et(when: datetime) -> float:

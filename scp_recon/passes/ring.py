@@ -23,6 +23,7 @@ from scp_recon.interop.tracks import csv_track
 from scp_recon.mission.firing import TURN, Ring
 from scp_recon.physics.forces import ForceModel, acceleration
 from scp_recon.scenario.boundary import HomeOrbit
+from scp_recon.scenario.fields import unit_hint
 from scp_recon.scenario.schema import Scenario
 
 LONGEST, SAMPLES = 3.0, 3001
@@ -126,11 +127,13 @@ def ephemeris_ring(scenario: Scenario, home: HomeOrbit, axes: Array) -> Ring:
     distances = np.linalg.norm(states[:, :3], axis=1)
     low, high = float(distances.min()), float(distances.max())
     if not home.radius_m / WITHIN <= low <= high <= home.radius_m * WITHIN:
+        unit, metres = ("m", 1.0) if path.suffix.lower() == ".csv" else ("km", 1e3)
+        ends = home.radius_m / WITHIN / metres, home.radius_m * WITHIN / metres
         raise InputError(
-            "boundary.home.radius_m",
-            f"{home.radius_m:g} m",
-            f"must be within a factor of {WITHIN:g} of {digits(low, 4)} to {digits(high, 4)} m in "
-            f"{path.name}",
+            ENTRY,
+            f"{path.name}, {digits(low / metres)} to {digits(high / metres)} {unit} from the centre",
+            f"must be within a factor of {WITHIN:g} of boundary.home.radius_m, {digits(home.radius_m)} "
+            f"m{unit_hint(unit, low / metres, *ends)}",
         )
     first, second, sense = directions(home, axes)
     angle = sense * np.unwrap(np.arctan2(second @ states[:, :3].T, first @ states[:, :3].T))

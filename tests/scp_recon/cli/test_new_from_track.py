@@ -1,5 +1,6 @@
 """`python -m scp_recon new --from-spice`, `--from-oem`, `--from-csv`: kernels that the tests write."""
 
+from dataclasses import replace
 from datetime import datetime
 from functools import partial
 from pathlib import Path
@@ -41,9 +42,12 @@ def export(mission, solution) -> Export:
 
 @pytest.fixture(scope="module")
 def meta(export, tmp_path_factory) -> Path:
+    return kernels_of(export, tmp_path_factory.mktemp("kernels"))
+
+
+def kernels_of(export: Export, folder: Path, unit_m: float = 1e3) -> Path:
     """A meta-kernel of Bennu and of Stone, with the plan as what CRAFT flew about both."""
     spice = pytest.importorskip("spiceypy")
-    folder = tmp_path_factory.mktemp("kernels")
     stone = (
         f"BODY{STONE}_RADII = ( 0.29 0.27 0.25 )",
         f"BODY{STONE}_GM = {reference.GM_M3_S2 * 1e-9!r}",
@@ -57,7 +61,7 @@ def meta(export, tmp_path_factory) -> Path:
     handle = spice.spkopn(str(folder / "all.bsp"), "test", 0)
     for body in (reference.BENNU, STONE):
         for times, coast in zip(et, export.path.coasts, strict=True):
-            states = np.ascontiguousarray(coast.states / 1e3)
+            states = np.ascontiguousarray(coast.states / unit_m)
             spice.spkw13(
                 handle, CRAFT, body, "J2000", times[0], times[-1], "flight", 3, len(times), states,
                 times,
@@ -132,6 +136,43 @@ def test_a_message_or_a_table_is_a_start(export, form, capsys):
     given = (*scenario.boundary.initial_position_m, *scenario.boundary.initial_velocity_m_s)
     np.testing.assert_allclose(given, export.mission.initial_state, rtol=1e-6)
     assert scenario.duration_s == pytest.approx(export.mission.scenario.duration_s, abs=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("form", "position", "speed", "asked"),
+    [
+        ("oem", 1e3, 1e3, "must be in km and km/s, not m and m/s?"),
+        ("oem", 1.0, 1e3, "must be in km and km/s, not km and m/s?"),
+        ("csv", 1e-3, 1e-3, "must be in m and m/s, not km and km/s?"),
+        ("csv", 1.0, 1e3, "must be in m and m/s, not m and mm/s?"),
+    ],
+)
+def test_states_in_other_units_are_named_by_line(export, form, position, speed, asked, capsys):
+    factors = np.repeat([position, speed], 3)
+    coasts = [replace(one, states=factors * one.states) for one in export.path.coasts]
+    scaled = replace(export, path=replace(export.path, coasts=coasts))
+    text = oem_text(scaled) if form == "oem" else csv_text(scaled)
+    Path(f"plan.{form}").write_text(text, encoding="utf-8")
+    lines = text.splitlines()
+    row = next(n for n, line in enumerate(lines) if line.startswith(("2020", "t_s")))
+    first = row + 1 + (form == "csv")
+    epoch = ("--epoch", export.mission.scenario.epoch.tdb.isoformat())
+    words = ("--body", "Bennu", *SITE, *(() if form == "oem" else epoch))
+    assert run("mine", f"--from-{form}", f"plan.{form}", *words) == 2
+    said = capsys.readouterr().err
+    assert f"error: --from-{form} plan.{form}, line {first}: got " in said
+    assert asked in said
+
+
+def test_kernel_in_metres_is_named_with_its_unit(export, tmp_path, capsys):
+    meta = kernels_of(export, tmp_path, unit_m=1.0)
+    assert (
+        run("mine", "--from-spice", str(meta), "--spacecraft=-64", "--body", "Bennu", *SITE, *SPAN)
+        == 2
+    )
+    said = capsys.readouterr().err
+    assert f"error: --from-spice {meta}, at --from: got 11" in said
+    assert "must be in km and km/s, not m and m/s?" in said
 
 
 SPICE = ("--from-spice", "META", "--spacecraft=-64")

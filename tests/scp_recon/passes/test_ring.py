@@ -125,7 +125,8 @@ FILE = r"boundary\.home\.ephemeris_file"
         ((0.8, 1.0, 400), {}, f"{FILE}.*288 deg.*go round once"),
         ((1.3, 1.0, 20), {}, f"{FILE}.*15 deg between states"),
         ((1.3, 1.0, 400), {"sense": "right_handed"}, f"{FILE}.*boundary.home.sense"),
-        ((1.3, 1.0, 400), {"radius_m": 2500.0}, r"boundary\.home\.radius_m.*factor of 2 of 1000"),
+        ((1.3, 1.0, 400), {"radius_m": 2500.0}, f"{FILE}.*1000 m from.*radius_m, 2500 m$"),
+        ((1.3, 1.0, 400), {"radius_m": 1e6}, f"{FILE}.*metres, not kilometres"),
         ((1.3, 1.0, 400), {"spacecraft_id": -64}, r"boundary\.home\.spacecraft_id.*no kernel"),
     ],
 )
@@ -152,3 +153,10 @@ def test_bad_files_are_told_by_the_entry(tmp_path):
         from_file(tmp_path / "home.csv", flown=True)
     with pytest.raises(InputError, match=r"boundary\.home.*spacecraft_id must be left out"):
         home_scenario(spacecraft_id=-64)
+
+
+def test_ring_in_metres_for_kilometres_is_asked_about(tmp_path):
+    times, states = revolution()
+    path = write_oem(tmp_path / "home.oem", times, 1e3 * states)
+    with pytest.raises(InputError, match=f"{FILE}.* km from the centre.*kilometres, not metres"):
+        spaces_of(from_file(path))
