@@ -2,7 +2,10 @@
 
 import inspect
 import json
+from argparse import Namespace
 from pathlib import Path
+
+from rich.console import Console
 
 from experiments import frontier, testing
 from experiments.__main__ import STUDIES, main
@@ -19,8 +22,6 @@ from experiments.harness import (
 from experiments.other_tools import cross_check
 from scp_recon.jobs.job import Job
 from tests import reliability
-
-from .support import session_in
 
 
 def test_a_study_leaves_tables_and_origin(tmp_path):
@@ -44,6 +45,11 @@ def test_a_study_leaves_tables_and_origin(tmp_path):
     assert run("python -m experiments some", none, words) == 0
     assert Evidence.read(tmp_path / FILE).resumed
     assert found[0].command == "experiments some"
+
+
+def session_in(out: Path, name: str = "study", version: int = 1) -> Session:
+    """A session of a study that writes into a folder, in silence."""
+    return Session(name, Namespace(), out, Console(quiet=True), Evidence.begun(name, version))
 
 
 def test_finished_rows_depend_on_version_and_settings(tmp_path):

@@ -7,12 +7,10 @@ import pandas as pd
 import pytest
 
 from experiments.in_flight import feedback
-from experiments.in_flight.feedback import CORRECTED, Case
 from experiments.in_flight.sites import last_gains
 from experiments.maps import counted
 from experiments.plans import FLIGHT
 from formulations.problem.feedback import Feedback
-from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
 from scp_recon.results.policy import policy_of, transition
@@ -38,16 +36,6 @@ def test_whole_gain_targets_the_planned_position():
     left = after @ (before + np.vstack([np.zeros((3, 6)), gain]))
     size = np.abs(after @ before)[:3].max()
     np.testing.assert_allclose(left[:3] / size, 0.0, atol=1e-7)
-
-
-def test_a_failed_case_is_a_row(monkeypatch):
-    def fail(*_: object, **__: object) -> None:
-        raise InputError("policy.kind", "'feedback'", "goes with nothing")
-
-    monkeypatch.setattr(feedback, "plan", fail)
-    found = feedback.measure(Case(CORRECTED, 0.9))
-    assert found["status"].startswith("failed: policy.kind: got 'feedback'")
-    assert not any(one.holds for one in feedback.claims([found | {"asked": 0.99}], []))
 
 
 @pytest.mark.parametrize("left", [3, 2, 1])

@@ -11,56 +11,44 @@ import spiceypy
 
 from experiments import observation_table
 from experiments.__main__ import main
-from experiments.harness import Record
+from experiments.evidence import Evidence, path_of
 from experiments.observation_rows import (
+    BENNU_ID,
+    OSIRIS_REX_ID,
     as_flown_burns,
     flown_guess,
     flown_states,
-    middle_beyond_facet_m,
+    rows,
     still_sun_window_s,
 )
 from experiments.observation_table import numbers, statements
 from formulations.arrays import Array
+from scp_recon.bodies.catalogue import J2000_TDB
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.physics import geometry
 from scp_recon.physics.flow import propagate
 from scp_recon.planning import initial_guess
-from scp_recon.results.read import read_solution
 from scp_recon.results.solution import Solution
 from scp_recon.scenario.schema import Epoch
-
-from .support import SAMPLES, quick_rows, table_of, write_kernel
 
 pytestmark = pytest.mark.slow
 
 
-@pytest.fixture(scope="module")
-def measured(finished) -> list[Record]:
-    with (finished[0] / "observation_table.csv").open(encoding="utf-8") as file:
-        return pd.read_csv(file).astype(object).where(lambda x: x.notna(), "").to_dict("records")
-
-
-def test_statements_have_their_outcomes(measured):
-    """The plan's flights break distance more often, the surrogate's emission, as the paper says."""
-    found = {each["statement"]: each["outcome"] for each in statements(measured)}
-    for whose, same in (
-        ("the plan's flights", "opposite"),
-        ("flights of the ballistic surrogate's burns", "same"),
-    ):
-        of_them = [each for words, each in found.items() if words.endswith(whose)]
-        assert of_them == [same] * len(of_them)
-    opposite = {words for words, each in found.items() if each == "opposite"}
-    assert opposite > {
-        "the filter's prediction step carries the covariance to the end",
-        "the direction to the Sun is one vector",
-        "the two burns between are there to keep the constraints under uncertainty",
-    }
-    assert found["the spacecraft fires mainly at the beginning and at the end"] == "same"
-    assert "an off-the-shelf solver of nonlinear programs solves P2" not in found
-    reproduced = {each["number"]: each["reproduced"] for each in numbers(measured)}
-    assert reproduced["window, s"] == "yes"
-    assert reproduced["warm start, mean, s"] == "no"
+def test_statements_and_numbers_follow_from_the_rows():
+    """Those of the page, from its rows; fixed text apart, each is computed."""
+    tables = Evidence.read(path_of("observation_table")).tables
+    rows = [
+        {column: "" if cell is None else cell for column, cell in row.items()}
+        for row in tables["observation_table"]
+    ]
+    assert statements(rows) == tables["statements"]
+    assert numbers(rows) == tables["numbers"]
+    without = [row for row in rows if "ipopt" not in row["row"]]
+    fewer = {each["statement"] for each in statements(without)}
+    assert "an off-the-shelf solver of nonlinear programs solves P2" not in fewer
+    worse = [row | {"mean_s": 0.0} if row["row"] == "scp_warm" else row for row in rows]
+    assert numbers(worse) != tables["numbers"]
 
 
 def test_still_sun_window_follows_from_rotation_alone(mission):
@@ -76,33 +64,31 @@ def test_still_sun_window_follows_from_rotation_alone(mission):
     assert still_sun_window_s(Mission.from_scenario(given)) == ""
 
 
-def test_middle_of_two_facet_points_lies_beyond(finished):
-    """By the difference of one over the root of two and a half, of the facet's spread."""
-    plan = read_solution(finished[0] / "scp_cold")
-    facets = plan.facets
-    covariance = np.array(plan.nodes.covariance)[facets.node, :3, :3]
-    normal = np.array(facets.normal)
-    deviation = np.sqrt(np.einsum("mi,mij,mj->m", normal, covariance, normal))
-    spreads = (np.sqrt(0.5) - 0.5) * np.array(facets.quantile) * deviation
-    assert np.abs(spreads - middle_beyond_facet_m(plan)).min() < 1e-3
-    assert middle_beyond_facet_m(plan) > 1.0
-    assert middle_beyond_facet_m(read_solution(finished[0] / "p3")) == ""
-
-
 def test_failed_rows_leave_the_others(tmp_path, monkeypatch, capsys):
     def failing(_: Mission) -> Solution:
         raise RuntimeError("the solver\nlost its way")
 
-    first, second, *_ = quick_rows()
+    first, second, *_ = rows()
     broken = [first._replace(key="broken", design=failing), second]
     monkeypatch.setattr(observation_table, "rows", lambda **_: broken)
     monkeypatch.setattr(observation_table, "variants", lambda _: [])
-    monkeypatch.setattr(observation_table, "SAMPLES", SAMPLES)
+    monkeypatch.setattr(observation_table, "SAMPLES", 500)
     assert main(["observation_table", "--out", str(tmp_path)]) == 4
     assert "failed: RuntimeError: the solver lost its way" in capsys.readouterr().out
-    table = table_of(tmp_path)
-    assert table["broken"]["mean_s"] == ""
-    assert float(table["p3"]["mean_s"]) > 0.0
+    table = pd.read_csv(tmp_path / "observation_table.csv").set_index("row")
+    assert np.isnan(table.mean_s["broken"])
+    assert table.mean_s["p3"] > 0.0
+
+
+def write_kernel(path: Path, mission: Mission, states: Array) -> Path:
+    """Node states in m and m/s as an SPK of the flight, cubic between the nodes."""
+    et = (mission.scenario.epoch.tdb - J2000_TDB).total_seconds() + mission.times_s
+    handle = spiceypy.spkopn(str(path), "test", 0)
+    spiceypy.spkw13(
+        handle, OSIRIS_REX_ID, BENNU_ID, "J2000", et[0], et[-1], "flight", 3, len(et), states / 1e3, et
+    )  # fmt: skip
+    spiceypy.spkcls(handle)
+    return path
 
 
 @pytest.fixture(scope="module")

@@ -3,7 +3,6 @@
 import re
 
 import pytest
-from markdown_it import MarkdownIt
 
 from experiments import evidence, pages
 from experiments.evidence import ROOT, SOURCES, Evidence, path_of
@@ -34,18 +33,6 @@ def test_pages_show_all_evidence_as_it_is():
     of = pages._read(pages.TABLES)
     assert shown == {f"{name}.{table}" for name, tables in of.items() for table in tables}
     assert "<!--" not in PAGES["README.md"]
-
-
-@pytest.mark.parametrize("page", PAGES)
-def test_pages_render_as_plain_markdown(page):
-    """A comment stands on lines of its own, and no line of text is taken for HTML."""
-    tokens = MarkdownIt("commonmark").enable("table").parse(PAGES[page])
-    for token in tokens:
-        if token.type == "html_block":
-            assert re.fullmatch(r"<!--[^>]*-->\n?", token.content), token.content
-        for child in token.children or ():
-            assert "](" not in child.content or child.type == "code_inline", token.content
-            assert child.type != "html_inline" or "<!--" not in child.content, token.content
 
 
 def test_the_page_on_the_paper_counts_its_outcomes():

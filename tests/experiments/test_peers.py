@@ -1,22 +1,10 @@
 """Other tools: what is told without them, and that a row is of the burns that it reports."""
 
-import importlib.util
-
 import pytest
 
-from experiments.__main__ import main
 from experiments.other_tools import peers
 
 pytestmark = pytest.mark.slow
-
-MISSING = importlib.util.find_spec("openscvx") is None or importlib.util.find_spec("scocp") is None
-
-
-@pytest.mark.skipif(not MISSING, reason="the peers are installed")
-def test_missing_peers_name_the_extra(tmp_path, capsys):
-    assert main(["peers", "--out", str(tmp_path)]) == 2
-    assert "scp_recon[peers]" in capsys.readouterr().err
-    assert not list(tmp_path.iterdir())
 
 
 @pytest.fixture(scope="module")

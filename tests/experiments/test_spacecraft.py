@@ -19,7 +19,6 @@ from experiments.spacecraft.uncertainty_sources import (
     dispersion,
     measure_flights,
     measure_paths,
-    normality,
 )
 from scp_recon.errors import InputError
 from scp_recon.physics.forces import SPEED_OF_LIGHT_M_S
@@ -117,15 +116,6 @@ def test_intervals_of_dispersion_cover_the_truth(sigmas, flights):
     # Never too narrow, and somewhat too wide in three axes.
     assert 0.92 < covered < 0.999
     assert np.mean([e.value**2 for e in found]) == pytest.approx(true**2, rel=0.1)
-
-
-def test_normal_samples_are_told_from_others():
-    rng = np.random.default_rng(1)
-    p_value, straight = normality(rng.standard_normal(3000))
-    skew_p_value, bent = normality(rng.exponential(size=3000))
-    assert p_value > 0.01
-    assert skew_p_value < 1e-20
-    assert straight > 0.999 > bent
 
 
 # --- flights by the simulation --------------------------------------------------------------------

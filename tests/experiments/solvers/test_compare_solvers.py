@@ -1,13 +1,10 @@
 """The comparison of solvers: rows, tables and claims that follow from them."""
 
 import hashlib
-from dataclasses import replace
 
 import pandas as pd
 import pytest
 
-from experiments.__main__ import main
-from experiments.solvers import compare_solvers
 from experiments.solvers.cases import (
     ELASTIC,
     FROZEN_COVARIANCE,
@@ -19,9 +16,8 @@ from experiments.solvers.cases import (
     drawn,
     exact_design,
 )
-from experiments.solvers.cells import FAILED, burns_violation_m, checked_probability, named, solve
+from experiments.solvers.cells import FAILED, burns_violation_m, checked_probability, named
 from experiments.solvers.compare_solvers import MISS_M, claims, shares, tables_of
-from scp_recon.jobs.job import here
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
 from scp_recon.planning.planner import plan
@@ -29,25 +25,11 @@ from scp_recon.scenario.load import load_scenario
 
 pytestmark = pytest.mark.slow
 
-CELL = Cell("matrix", "recon_b", (), REFERENCE, "cold")
-
 
 def row_of(scenario: str, method: Method, dv: float, status: str = "converged", **about) -> dict:
     cell = Cell(about.pop("group", "scenarios"), scenario, (), method, "p3")
     figures = {"total_dv_m_s": dv, "merit_m_s": dv, "heavy_merit_m_s": dv, "cpu_s": 1.0}
     return named(cell) | {"status": status, "detail": "", "problem": "P2"} | figures | about
-
-
-def test_cells_are_solved_as_the_planner_solves(mission):
-    done = plan(mission, initial_guess.cold(mission))
-    expected = done.final.result.lin.iterate.total_dv * mission.units.speed_m_s
-    for start in ("cold", "p3"):
-        row = solve(replace(CELL, start=start))
-        assert row["status"] == "converged"
-        assert row["total_dv_m_s"] == pytest.approx(expected, rel=1e-9)
-        assert row["heavy_merit_m_s"] == pytest.approx(expected, rel=1e-6)
-        assert row["iterations_p2"] == len(done.final.result.records)
-        assert 0.0 < row["setup_s"] < row["total_s"]
 
 
 def test_claims_hold_where_rows_say_so():
@@ -103,19 +85,6 @@ def test_drawn_scenarios_stay_as_they_are():
     every = hashlib.sha256(repr([drawn(seed) for seed in range(200)]).encode()).hexdigest()
     assert every.startswith("65ae75d1a36e5b07")
     assert {cell.scenario for cell in exact_design(range(3))} == {"node 00", "flight 01", "node 02"}
-
-
-def test_stopped_command_continues(tmp_path, monkeypatch):
-    monkeypatch.setattr(compare_solvers, "full_design", lambda: (CELL,))
-    monkeypatch.setattr(compare_solvers, "exact_design", lambda *_: ())
-    monkeypatch.setattr(compare_solvers, "Processes", lambda *_: here)
-    written = []
-    for _ in range(2):
-        assert main(["compare_solvers", "--quiet", "--out", str(tmp_path)]) == 0
-        written.append((tmp_path / "rows.jsonl").read_bytes())
-    assert written[0] == written[1]
-    (row,) = pd.read_csv(tmp_path / "methods.csv").to_dict("records")
-    assert row["status"] == "converged"
 
 
 @pytest.mark.parametrize("scope", ["node", "flight"])

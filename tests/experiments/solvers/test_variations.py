@@ -19,7 +19,6 @@ from experiments.solvers.variations import (
 from formulations.program import model, subproblem
 from scp_recon.planning import initial_guess
 from scp_recon.planning.planner import Planner
-from scp_recon.scp.algorithms import SCvx
 
 pytestmark = pytest.mark.slow
 
@@ -68,20 +67,6 @@ def test_near_counts_where_a_method_stays():
 def usual() -> dict[str, object]:
     """The row of the default plan."""
     return parameter_row((CHEAP, "scvx", "penalty weight", 1.0))
-
-
-def test_parameter_row_is_its_plan(usual):
-    mission = posed(CHEAP)
-    start, planner = initial_guess.cold(mission), Planner(mission)
-    assert usual["total_dv_m_s"] == Planner(mission).plan(start).total_dv_m_s
-    planner.algorithm = SCvx(weight=0.1)
-    plan, row = planner.plan(start), parameter_row((CHEAP, "scvx", "penalty weight", 0.01))
-    assert row["status"] == plan.status.value.name == "converged"
-    assert row["total_dv_m_s"] == plan.total_dv_m_s
-    iterations = [stage.problem for stage in plan.stages for _ in stage.result.records]
-    assert row["iterations_p3"] == iterations.count("P3")
-    assert row["iterations_p2"] == iterations.count("P2")
-    assert row["value"] == pytest.approx(0.1)
 
 
 @pytest.mark.parametrize("name", FACTORS)
