@@ -299,7 +299,7 @@ def run_python(
 def fly_plan(found: Plan, samples: int, seed: int) -> FlightTally:
     """Fly a plan with errors, its burns corrected as it says."""
     policy = policy_of(found.mission, found.final.result.lin)
-    config = FlightConfig(found.mission, found.burns_m_s, seed, policy=policy)
+    config = FlightConfig(found.mission, found.burns_m_s, policy, seed=seed)
     return fly_many(config, samples=samples)
 
 

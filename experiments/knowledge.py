@@ -154,7 +154,7 @@ def _planned(scenario: Scenario) -> Plan:
 def kept(found: Plan, known: Sequence[Known]) -> float:
     """Share of a plan's flights that keep all limits, with parameters that the plan takes as known."""
     mission = found.mission.changed(sigmas(known))
-    flown = fly_many(FlightConfig(mission, found.burns_m_s, SEED), samples=FLIGHTS)
+    flown = fly_many(FlightConfig(mission, found.burns_m_s, seed=SEED), samples=FLIGHTS)
     return flown.whole / flown.samples
 
 

@@ -172,7 +172,8 @@ def config_of(plan: Opened, options: FlyOptions) -> FlightConfig:
     if options.then and options.miss == len(plan.solution.scenario.burns.times_s):
         needs = "must leave a burn: `scp-recon replan --goal return` takes more in burns.times_s"
         raise InputError(option("then"), f"{options.then} after the last burn", needs)
-    return FlightConfig(plan.mission, burns, options.seed, options.truth, options.errors, policy)
+    how = policy, options.truth, options.errors
+    return FlightConfig(plan.mission, burns, *how, seed=options.seed)
 
 
 def _with_drift(

@@ -19,7 +19,7 @@ from formulations.problem.drift import Drift
 from formulations.rows.drift import REACH, branch_at, start_of
 from scp_recon.mission.drifts import Miss, duration_s, planned, required_probability
 from scp_recon.mission.mission import Mission
-from scp_recon.monte_carlo.drifts import blocks_of_draws, drift, states_of_draws
+from scp_recon.monte_carlo.drifts import drift, states_of_draws
 from scp_recon.monte_carlo.estimates import proportion
 from scp_recon.monte_carlo.flights import FlightConfig
 from scp_recon.monte_carlo.law import drawn_factor
@@ -94,8 +94,8 @@ def shortfalls(plan: Plan) -> dict[str, float]:
             blind.append((miss, one))
     if not (near or blind):
         return found
-    config = FlightConfig(mission, plan.burns_m_s, SEED, policy=policy_of(mission, lin))
-    draws = np.concatenate([*blocks_of_draws(config, FLIGHTS if near else BLIND)])
+    config = FlightConfig(mission, plan.burns_m_s, policy_of(mission, lin), seed=SEED)
+    draws = np.concatenate([*config.blocks_of_draws(FLIGHTS if near else BLIND, SEED)])
     for miss, one in near:
         nearest = draws[_nearest(lin, one, draws)]
         (unsafe,) = _unsafe(config, [(miss, one)], nearest)

@@ -1,12 +1,12 @@
 """Fly the drift after a burn that is missed or cut short, with the nonlinear dynamics.
 
-The flights up to the burn are those of `sampling.fly_blocks`, with the same draws: flights without a
+The flights up to the burn are those of `Flyer.fly_blocks`, with the same draws: flights without a
 miss stay as they are.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,7 +18,7 @@ from scp_recon.mission.gravity import TruthModel
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.estimates import proportion
 from scp_recon.monte_carlo.flights import FlightConfig
-from scp_recon.monte_carlo.sampling import draw_blocks, flow_of, flown_mission, fly_draws
+from scp_recon.monte_carlo.sampling import flow_of, flown_mission
 from scp_recon.results.verification import DriftSafety
 
 NEAREST = 0.003
@@ -59,13 +59,7 @@ def fly_drifts(
 
 def states_after(config: FlightConfig, misses: Sequence[Miss], flights: int) -> list[Array]:
     """States of flights just after each missed or cut burn, J2000, m and m/s, (flights, 6) each."""
-    return states_of_draws(config, misses, blocks_of_draws(config, flights))
-
-
-def blocks_of_draws(config: FlightConfig, flights: int) -> Iterator[Array]:
-    """The draws of the first flights of a configuration, block by block."""
-    known = config.mission, config.burns_m_s, flights, config.seed
-    return draw_blocks(*known, config.errors, config.policy)
+    return states_of_draws(config, misses, config.blocks_of_draws(flights, config.seed))
 
 
 def states_of_draws(
@@ -75,16 +69,7 @@ def states_of_draws(
     scenario, parts = config.mission.scenario, []
     times = np.unique([scenario.burns.times_s[miss.burn - 1] for miss in misses])
     for draws in blocks:
-        flown = fly_draws(
-            config.mission,
-            config.burns_m_s,
-            times,
-            draws,
-            truth=config.truth,
-            errors=config.errors,
-            policy=config.policy,
-            until_s=times[-1],
-        )
+        flown = config.fly(times, draws, until_s=times[-1])
         part = []
         for miss in misses:
             at = np.searchsorted(times, scenario.burns.times_s[miss.burn - 1])

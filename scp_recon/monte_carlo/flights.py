@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass, field
-from functools import cached_property, partial
+from functools import partial
 from typing import get_args
 
 import numpy as np
@@ -17,20 +17,18 @@ from scp_recon.jobs.job import Executor, Job, here, in_order
 from scp_recon.jobs.processes import Limits
 from scp_recon.mission.constraints import companion_distance_m
 from scp_recon.mission.gravity import TruthModel
-from scp_recon.mission.mission import Mission
 from scp_recon.mission.scene import errors_of_kind
 from scp_recon.mission.windows import Window
 from scp_recon.monte_carlo.estimates import Estimate, Tally, proportion
-from scp_recon.monte_carlo.limits import EVERYWHERE, is_certain, limit_margins, limits_kept
+from scp_recon.monte_carlo.limits import EVERYWHERE, limit_margins, limits_kept
 from scp_recon.monte_carlo.narrow import Narrowed, narrow
 from scp_recon.monte_carlo.observation_time import ALL, SCIENCE, time_held
 from scp_recon.monte_carlo.sampling import (
     BLOCK,
-    AnyPolicy,
     ErrorModel,
+    Flyer,
     PolicyKind,
     corrections_of,
-    fly_block,
     policy_kind,
 )
 from scp_recon.monte_carlo.whole_flight import SampledFlights
@@ -53,22 +51,14 @@ TERMINAL_KEPT = 5000
 
 
 @dataclass(frozen=True, eq=False)
-class FlightConfig:
-    """Planned burns to fly, J2000, m/s, shape (m, 3), the true dynamics, and the seed of all draws.
-
-    Burns are executed with the scenario's errors if `errors` is None. A policy corrects them, or plans
-    them again.
+class FlightConfig(Flyer):
+    """Planned burns to fly, and the seed of all draws.
 
     Raises:
         InputError: if seed, truth or errors are unknown, or cannot be flown in this scenario.
     """
 
-    mission: Mission
-    burns_m_s: Array
     seed: int = 0
-    truth: TruthModel = "planner"
-    errors: ErrorModel | None = None
-    policy: AnyPolicy = ()
 
     @property
     def policy_kind(self) -> PolicyKind:
@@ -88,11 +78,6 @@ class FlightConfig:
         """What a copy for another process takes along, with `certain`, which takes long to find."""
         _ = self.certain
         return vars(self)
-
-    @cached_property
-    def certain(self) -> bool:
-        """Whether all flights have one path: see `is_certain`."""
-        return is_certain(self.mission, self.burns_m_s, self.errors)
 
     @property
     def window_samples_s(self) -> Array:
@@ -144,17 +129,7 @@ def run_block(config: FlightConfig, block: tuple[int, int]) -> FlightBlock:
         config.watched_samples_s,
     )
     times = np.union1d(watched, mission.times_s)
-    flown = fly_block(
-        mission,
-        config.burns_m_s,
-        times,
-        number,
-        flights=flights,
-        seed=config.seed,
-        truth=config.truth,
-        errors=config.errors,
-        policy=config.policy,
-    )
+    flown = config.fly_block(times, number, flights=flights, seed=config.seed)
     corrected = [one.burn for one in config.policy]
     of_burns = mission.problem.burn_margins(
         flown.commanded_m_s.swapaxes(0, 1) / mission.units.speed_m_s

@@ -23,7 +23,7 @@ from scp_recon.monte_carlo.law import Law, blocks_of
 from scp_recon.monte_carlo.law_in_time import CountsInTime, DrawsInTime, Events, survey_in_time
 from scp_recon.monte_carlo.limits import EVERYWHERE
 from scp_recon.monte_carlo.observation_time import ALL, SCIENCE
-from scp_recon.monte_carlo.sampling import number_of_sources
+from scp_recon.monte_carlo.sampling import corrections_of
 from scp_recon.monte_carlo.whole_flight import SampledFlights
 from scp_recon.planning.initial_guess import from_burns
 from scp_recon.results.policy import with_policy
@@ -77,9 +77,9 @@ def _law(flights: SampledFlights) -> dict[str, Law]:
     errors = errors_of_kind(mission.scenario, flights.errors).in_units(speed)
     problem = replace(problem, execution_errors=errors)
     lin = mission.dynamics.linearise(problem, from_burns(mission, burns))
-    lin = with_policy(mission, lin, flights.policy)
+    lin = with_policy(mission, lin, corrections_of(flights.policy))
     laws = Law.of_events(lin, mission.units.length_m, {ALL: SCIENCE})
-    drawn = number_of_sources(mission, burns, flights.errors) + MEASURED * len(corrected)
+    drawn = flights.sources + MEASURED * len(corrected)
     return laws if laws and next(iter(laws.values())).sources == drawn else {}
 
 

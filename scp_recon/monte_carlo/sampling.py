@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -15,6 +16,7 @@ from scp_recon.mission.grid import make_grid
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.scene import errors_of_kind
 from scp_recon.monte_carlo.closed_loop import MEASURED, ClosedLoop, Replan, ReplanLoop, Replans, due
+from scp_recon.monte_carlo.limits import is_certain
 from scp_recon.physics.flow import advance, interpolate
 from scp_recon.physics.forces import accelerations
 from scp_recon.results.policy import Correction, Policy
@@ -61,64 +63,6 @@ class FlightLog:
     mission: Mission
 
 
-def fly_block(
-    mission: Mission,
-    burns_m_s: Array,
-    times_s: Array,
-    block: int,
-    *,
-    flights: int = BLOCK,
-    seed: int = 0,
-    truth: TruthModel = "planner",
-    errors: ErrorModel | None = None,
-    policy: AnyPolicy = (),
-    until_s: float = np.inf,
-) -> FlightLog:
-    """Fly the first `flights` of a block of draws, at most `BLOCK`: see `fly_draws`."""
-    draws = draw_flights(mission, burns_m_s, seed, block, errors, policy)[:flights]
-    known = burns_m_s, times_s, draws
-    return fly_draws(mission, *known, truth=truth, errors=errors, policy=policy, until_s=until_s)
-
-
-def number_of_sources(mission: Mission, burns_m_s: Array, errors: ErrorModel | None = None) -> int:
-    """Number of standard normal numbers that a flight draws besides those of its measurements."""
-    model = errors_of_kind(mission.scenario, errors)
-    initial = mission.initial_factor.shape[1] + mission.uncertain.count
-    return initial + model.draws(len(burns_m_s))
-
-
-def draw_flights(
-    mission: Mission,
-    burns_m_s: Array,
-    seed: int,
-    block: int,
-    errors: ErrorModel | None = None,
-    policy: AnyPolicy = (),
-) -> Array:
-    """The draws of a block of flights, shape (BLOCK, sources): see `fly_draws`."""
-    p, initial = mission.uncertain.count, mission.initial_factor.shape[1]
-    draws = draw(seed, block, number_of_sources(mission, burns_m_s, errors) - p)
-    if p:
-        own = draw_parameters(mission, seed, block)
-        draws = np.hstack([draws[:, :initial], own, draws[:, initial:]])
-    measured = draw(seed, block, MEASURED * len(policy), NAVIGATION)
-    return np.hstack([draws, measured]) if policy else draws
-
-
-def draw_blocks(
-    mission: Mission,
-    burns_m_s: Array,
-    samples: int,
-    seed: int,
-    errors: ErrorModel | None = None,
-    policy: AnyPolicy = (),
-) -> Iterator[Array]:
-    """The draws of the first flights, block by block: see `fly_draws`."""
-    for first in range(0, samples, BLOCK):
-        draws = draw_flights(mission, burns_m_s, seed, first // BLOCK, errors, policy)
-        yield draws[: samples - first]
-
-
 def draw_parameters(mission: Mission, seed: int, block: int) -> Array:
     """The draws of the uncertain parameters of a block of flights, shape (BLOCK, p)."""
     return draw(seed, block, mission.uncertain.count, PARAMETERS)
@@ -136,18 +80,9 @@ def draw(seed: int, block: int, sources: int, *stream: int) -> Array:
     return generator(seed, block, *stream).standard_normal((BLOCK, sources))
 
 
-def fly_draws(
-    mission: Mission,
-    burns_m_s: Array,
-    times_s: Array,
-    draws: Array,
-    *,
-    truth: TruthModel = "planner",
-    errors: ErrorModel | None = None,
-    policy: AnyPolicy = (),
-    until_s: float = np.inf,
-) -> FlightLog:
-    """Fly draws of the errors, shape (flights, sources), with planned burns, shape (m, 3).
+@dataclass(frozen=True, eq=False)
+class Flyer:
+    """Flies planned burns with errors by draws: standard normal numbers, shape (flights, sources).
 
     The draws are those of the initial state, of the uncertain parameters, of the burns' execution, and
     of the measurements. Each flight has its own parameters in forces, site and companion.
@@ -157,65 +92,130 @@ def fly_draws(
     With `errors` = "gates" Gates' model replaces the former by its isotropic counterpart: errors of
     beta in magnitude and of beta rad about each axis across. The forces are those of the plan, or have
     another gravity turning with the body: with "harmonics" the whole field, with "polyhedron" that of a
-    homogeneous solid. Integration steps depend on the burns' times alone; states at the ascending
-    `times_s` are interpolated. A policy corrects burns, or plans them again; their errors are those of
-    the commanded burn. Nothing is flown after `until_s`.
+    homogeneous solid. A policy corrects burns, or plans them again; their errors are those of the
+    commanded burn.
 
-    Raises:
-        InputError: if the scenario's errors have no such counterpart.
+    Attributes:
+        mission: that is flown.
+        burns_m_s: planned, J2000, shape (m, 3).
+        policy: that commands others.
+        truth: gravity of the flights.
+        errors: of the burns; the scenario's if None.
     """
-    initial, flights = mission.initial_factor.shape[1], len(draws)
-    state = mission.initial_state + draws[:, :initial] @ mission.initial_factor.T
-    model = errors_of_kind(mission.scenario, errors)
-    p = mission.uncertain.count
-    known, draws = np.hsplit(draws[:, initial:], [p])
-    draws, measured = np.hsplit(draws, [model.draws(len(burns_m_s))])
-    as_flown = mission.of_flights(known)
-    executed = model.execute(burns_m_s, draws)
-    commanded = np.tile(burns_m_s, (flights, 1, 1))
-    loop = start_loop(mission, burns_m_s, policy, measured)
-    fly = flow_of(as_flown, truth)
-    firing = mission.scenario.burn_times_s
-    burn_at = dict(zip(firing, range(len(burns_m_s)), strict=True))
-    stops = make_grid((mission.scenario.start_s, *firing), mission.flight_step_s)
-    stops = stops[stops <= until_s]
-    after = np.searchsorted(times_s, stops, side="right")
-    # Components first, so that an operation runs along the flights.
-    states = np.empty((len(times_s), 6, flights))
-    r, v = (np.ascontiguousarray(half.T) for half in (state[:, :3], state[:, 3:]))
-    companion = as_flown.scene.companion
-    closest2, apart2 = np.full((2, flights), np.inf)
-    for _ in due(policy, -np.inf, stops[0]):
-        loop.measure(np.concatenate([r, v]))
-    for k, stop in enumerate(stops.tolist()):
-        if stop in burn_at:
-            burn = burn_at[stop]
-            correction = loop.correction(burn)
-            if correction is not None:
-                commanded[:, burn] += correction
-                own = model.draws_of_burn(draws, burn)
-                executed[:, burn] = model.execute(commanded[:, burn : burn + 1], own)[:, 0]
-            v = v + executed[:, burn].T
-        states[times_s == stop] = np.concatenate([r, v])
-        closest2 = np.minimum(closest2, np.einsum("in,in->n", r, r))
-        if companion is not None:
-            apart = r - np.atleast_2d(companion.position(stop)).T
-            apart2 = np.minimum(apart2, np.einsum("in,in->n", apart, apart))
-        if stop < stops[-1]:
-            duration = stops[k + 1] - stop
-            end = fly(r, v, stop, duration)
-            for row in range(after[k], np.searchsorted(times_s, stops[k + 1])):
-                share = (times_s[row] - stop) / duration
-                states[row, :3], states[row, 3:] = interpolate((r, v), end, duration, share)
-            for time in due(policy, stop, stops[k + 1]):
-                share = (time - stop) / duration
-                loop.measure(np.concatenate(interpolate((r, v), end, duration, share)))
-            r, v = end
-    failed = np.array(loop.failed, dtype=np.bool_).reshape(-1, flights)
-    states = np.moveaxis(states, 1, 2)
-    return FlightLog(
-        times_s, states, executed, commanded, np.sqrt(closest2), np.sqrt(apart2), failed, as_flown
-    )
+
+    mission: Mission
+    burns_m_s: Array
+    policy: AnyPolicy = ()
+    truth: TruthModel = "planner"
+    errors: ErrorModel | None = None
+
+    @cached_property
+    def certain(self) -> bool:
+        """Whether all flights have one path: see `is_certain`."""
+        return is_certain(self.mission, self.burns_m_s, self.errors)
+
+    @property
+    def sources(self) -> int:
+        """Number of draws of a flight besides those of its measurements."""
+        model = errors_of_kind(self.mission.scenario, self.errors)
+        initial = self.mission.initial_factor.shape[1] + self.mission.uncertain.count
+        return initial + model.draws(len(self.burns_m_s))
+
+    def draws(self, seed: int, block: int) -> Array:
+        """The draws of a block of flights, shape (BLOCK, sources)."""
+        p, initial = self.mission.uncertain.count, self.mission.initial_factor.shape[1]
+        draws = draw(seed, block, self.sources - p)
+        if p:
+            own = draw_parameters(self.mission, seed, block)
+            draws = np.hstack([draws[:, :initial], own, draws[:, initial:]])
+        measured = draw(seed, block, MEASURED * len(self.policy), NAVIGATION)
+        return np.hstack([draws, measured]) if self.policy else draws
+
+    def blocks_of_draws(self, samples: int, seed: int) -> Iterator[Array]:
+        """The draws of the first flights, block by block."""
+        for first in range(0, samples, BLOCK):
+            yield self.draws(seed, first // BLOCK)[: samples - first]
+
+    def fly_blocks(self, times_s: Array, samples: int, seed: int) -> Iterator[FlightLog]:
+        """Fly the first flights, block by block: see `fly`."""
+        for draws in self.blocks_of_draws(samples, seed):
+            yield self.fly(times_s, draws)
+
+    def fly_block(
+        self, times_s: Array, block: int, *, flights: int = BLOCK, seed: int = 0
+    ) -> FlightLog:
+        """Fly the first `flights` of a block of draws, at most `BLOCK`: see `fly`."""
+        return self.fly(times_s, self.draws(seed, block)[:flights])
+
+    def fly(self, times_s: Array, draws: Array, until_s: float = np.inf) -> FlightLog:
+        """Fly draws, shape (flights, sources).
+
+        Integration steps depend on the burns' times alone; states at the ascending `times_s` are
+        interpolated. Nothing is flown after `until_s`.
+
+        Raises:
+            InputError: if the scenario's errors have no such counterpart as is asked for.
+        """
+        mission, burns_m_s, policy = self.mission, self.burns_m_s, self.policy
+        initial, flights = mission.initial_factor.shape[1], len(draws)
+        state = mission.initial_state + draws[:, :initial] @ mission.initial_factor.T
+        model = errors_of_kind(mission.scenario, self.errors)
+        p = mission.uncertain.count
+        known, draws = np.hsplit(draws[:, initial:], [p])
+        draws, measured = np.hsplit(draws, [model.draws(len(burns_m_s))])
+        as_flown = mission.of_flights(known)
+        executed = model.execute(burns_m_s, draws)
+        commanded = np.tile(burns_m_s, (flights, 1, 1))
+        loop = start_loop(mission, burns_m_s, policy, measured)
+        fly = flow_of(as_flown, self.truth)
+        firing = mission.scenario.burn_times_s
+        burn_at = dict(zip(firing, range(len(burns_m_s)), strict=True))
+        stops = make_grid((mission.scenario.start_s, *firing), mission.flight_step_s)
+        stops = stops[stops <= until_s]
+        after = np.searchsorted(times_s, stops, side="right")
+        # Components first, so that an operation runs along the flights.
+        states = np.empty((len(times_s), 6, flights))
+        r, v = (np.ascontiguousarray(half.T) for half in (state[:, :3], state[:, 3:]))
+        companion = as_flown.scene.companion
+        closest2, apart2 = np.full((2, flights), np.inf)
+        for _ in due(policy, -np.inf, stops[0]):
+            loop.measure(np.concatenate([r, v]))
+        for k, stop in enumerate(stops.tolist()):
+            if stop in burn_at:
+                burn = burn_at[stop]
+                correction = loop.correction(burn)
+                if correction is not None:
+                    commanded[:, burn] += correction
+                    own = model.draws_of_burn(draws, burn)
+                    executed[:, burn] = model.execute(commanded[:, burn : burn + 1], own)[:, 0]
+                v = v + executed[:, burn].T
+            states[times_s == stop] = np.concatenate([r, v])
+            closest2 = np.minimum(closest2, np.einsum("in,in->n", r, r))
+            if companion is not None:
+                apart = r - np.atleast_2d(companion.position(stop)).T
+                apart2 = np.minimum(apart2, np.einsum("in,in->n", apart, apart))
+            if stop < stops[-1]:
+                duration = stops[k + 1] - stop
+                end = fly(r, v, stop, duration)
+                for row in range(after[k], np.searchsorted(times_s, stops[k + 1])):
+                    share = (times_s[row] - stop) / duration
+                    states[row, :3], states[row, 3:] = interpolate((r, v), end, duration, share)
+                for time in due(policy, stop, stops[k + 1]):
+                    share = (time - stop) / duration
+                    loop.measure(np.concatenate(interpolate((r, v), end, duration, share)))
+                r, v = end
+        failed = np.array(loop.failed, dtype=np.bool_).reshape(-1, flights)
+        states = np.moveaxis(states, 1, 2)
+        return FlightLog(
+            times_s,
+            states,
+            executed,
+            commanded,
+            np.sqrt(closest2),
+            np.sqrt(apart2),
+            failed,
+            as_flown,
+        )
 
 
 def policy_kind(policy: AnyPolicy) -> PolicyKind:
@@ -240,32 +240,6 @@ def corrections_of(policy: AnyPolicy) -> Policy:
     return tuple(one for one in policy if isinstance(one, Correction))
 
 
-def fly_blocks(
-    mission: Mission,
-    burns_m_s: Array,
-    times_s: Array,
-    samples: int,
-    *,
-    seed: int = 0,
-    truth: TruthModel = "planner",
-    errors: ErrorModel | None = None,
-    policy: AnyPolicy = (),
-    until_s: float = np.inf,
-) -> Iterator[FlightLog]:
-    """Fly a number of flights, block by block: see `fly_draws`."""
-    for draws in draw_blocks(mission, burns_m_s, samples, seed, errors, policy):
-        yield fly_draws(
-            mission,
-            burns_m_s,
-            times_s,
-            draws,
-            truth=truth,
-            errors=errors,
-            policy=policy,
-            until_s=until_s,
-        )
-
-
 def sample_positions(
     mission: Mission,
     burns_m_s: Array,
@@ -275,7 +249,7 @@ def sample_positions(
     policy: AnyPolicy = (),
 ) -> Array:
     """Positions of flights with the planner's dynamics, J2000, m, shape (times, samples, 3)."""
-    blocks = fly_blocks(mission, burns_m_s, times_s, samples, seed=seed, policy=policy)
+    blocks = Flyer(mission, burns_m_s, policy).fly_blocks(times_s, samples, seed)
     return np.concatenate([flown.states[..., :3] for flown in blocks], axis=1)
 
 

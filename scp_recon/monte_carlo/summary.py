@@ -28,9 +28,9 @@ FILE_NAME, MISSES = "montecarlo.json", "montecarlo_miss_*.json"
 """Of the flights of a plan, and of those that miss a burn."""
 
 COMPONENTS = ("x", "y", "z", "vx", "vy", "vz")
+"""Of the final state, J2000."""
 WIDER = 1.25
 """Sampled over predicted sigma of the final state beyond which the linear law is said to miss it."""
-"""Of the final state, J2000."""
 ONE_SIGMA, TWO_SIGMA, CLOSEST = 0.15866, 0.02275, 0.003
 """Lower normal tails at one and two sigma; the paper's quantile of the closest approach."""
 MOST = 0.99

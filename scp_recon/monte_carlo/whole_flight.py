@@ -9,14 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 
 from formulations.arrays import Array, Booleans
 from formulations.risk.strata import Counted
-from scp_recon.mission.gravity import TruthModel
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.limits import (
     EVERYWHERE,
@@ -24,11 +22,10 @@ from scp_recon.monte_carlo.limits import (
     Counts,
     LimitHistory,
     every_second,
-    is_certain,
     limit_margins,
     limits_kept,
 )
-from scp_recon.monte_carlo.sampling import BLOCK, ErrorModel, FlightLog, draw_flights, fly_draws
+from scp_recon.monte_carlo.sampling import FlightLog, Flyer
 from scp_recon.physics.flow import interpolate
 from scp_recon.results.policy import Policy
 
@@ -79,12 +76,10 @@ def kept_flights(
     A policy corrects the burns. `progress` is called with the number flown so far after each block.
     """
     sampled, blocks = SampledFlights(mission, burns_m_s, policy), []
-    for begun in range(0, samples, BLOCK):
-        flights = min(BLOCK, samples - begun)
-        draws = draw_flights(mission, burns_m_s, seed, begun // BLOCK, policy=policy)[:flights]
+    for draws in sampled.blocks_of_draws(samples, seed):
         blocks.append(sampled.count(draws))
         if progress:
-            progress(begun + flights)
+            progress(sum(len(block.kept) for block in blocks))
     if mission.scenario.risk.scope == "flight":
         at_nodes = sum(int(block.kept_at_nodes.sum()) for block in blocks)
         kept = sum(int(block.kept.sum()) for block in blocks)
@@ -154,35 +149,20 @@ def may_dip(times: Array, margin: Array) -> Array:
     return np.asarray(BENDS * step**2 / 8.0 * np.maximum(padded[1:], padded[:-1]))
 
 
-@dataclass(frozen=True)
-class SampledFlights:
-    """Flies draws of the errors, (flights, sources), with planned burns, J2000, m/s, shape (m, 3).
+@dataclass(frozen=True, eq=False)
+class SampledFlights(Flyer):
+    """Flies draws of the errors, and decides which limits the flights keep.
 
     Attributes:
-        mission: that is flown.
-        burns_m_s: planned.
-        policy: that corrects them.
-        truth: gravity of the flights.
-        errors: of the burns; the scenario's if None.
         times_s: at which observation limits count, while safety distances count at nodes. If None, all
             limits count at every second.
     """
 
-    mission: Mission
-    burns_m_s: Array
-    policy: Policy = ()
-    truth: TruthModel = "planner"
-    errors: ErrorModel | None = None
     times_s: Array | None = None
-
-    @cached_property
-    def certain(self) -> bool:
-        """Whether all flights have one path: see `is_certain`."""
-        return is_certain(self.mission, self.burns_m_s, self.errors)
 
     def positions(self, draws: Array) -> Array:
         """Positions at the nodes, J2000, m, shape (n, flights, 3)."""
-        return self._fly(self.mission.times_s, draws).states[..., :3]
+        return self.fly(self.mission.times_s, draws).states[..., :3]
 
     def count(self, draws: Array) -> BlockLimits:
         """Limits that the flights keep, at the nodes and between them."""
@@ -204,7 +184,7 @@ class SampledFlights:
         if self.times_s is not None:
             times = np.union1d(self.times_s, nodes)
             observed, everywhere = (np.searchsorted(times, at) for at in (self.times_s, nodes))
-            flown = self._fly(times, draws)
+            flown = self.fly(times, draws)
             position = flown.states[..., :3]
             margins = limit_margins(
                 flown.mission, times, position, observed, everywhere, certain=self.certain
@@ -214,7 +194,7 @@ class SampledFlights:
                 yield LimitHistory(name, nodes if name in EVERYWHERE else self.times_s, holds)
             return
         times = sample_times(mission)
-        flown, window = self._fly(times, draws), _in_window(mission, times)
+        flown, window = self.fly(times, draws), _in_window(mission, times)
         position, certain = flown.states[..., :3], self.certain
         margins = limit_margins(flown.mission, times, position, window, certain=certain)
         for name, (_, margin) in margins.items():
@@ -250,14 +230,3 @@ class SampledFlights:
             _, there = found[name]
             between[:, part - 1] = there >= 0.0
         return LimitHistory(name, times, margin >= 0.0, k, flight, between)
-
-    def _fly(self, times_s: Array, draws: Array) -> FlightLog:
-        return fly_draws(
-            self.mission,
-            self.burns_m_s,
-            times_s,
-            draws,
-            truth=self.truth,
-            errors=self.errors,
-            policy=self.policy,
-        )

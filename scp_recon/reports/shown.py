@@ -18,7 +18,7 @@ from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.estimates import binomial_quantile, proportion
 from scp_recon.monte_carlo.limits import is_certain
 from scp_recon.monte_carlo.observation_time import measured
-from scp_recon.monte_carlo.sampling import BLOCK, flown_mission, fly_block
+from scp_recon.monte_carlo.sampling import Flyer, flown_mission
 from scp_recon.physics import geometry
 from scp_recon.physics.frames import unit
 from scp_recon.reports.ground import Camera, GroundTrack, ground_track
@@ -83,9 +83,7 @@ def fly(subject: Subject, samples: int | None = None) -> DrawnFlights:
     first, last = subject.window_s
     times = np.union1d(mission.times_s, subject.looks_s(LOOKS_IN_WINDOW))
     positions, executed, commanded = [], [], []
-    for number in range(-(-samples // BLOCK)):
-        flights = min(BLOCK, samples - number * BLOCK)
-        block = fly_block(mission, burns, times, number, flights=flights, seed=SEED, policy=policy)
+    for block in Flyer(mission, burns, policy).fly_blocks(times, samples, SEED):
         positions.append(block.states[..., :3])
         executed.append(np.linalg.norm(block.burns_m_s, axis=2))
         commanded.append(np.linalg.norm(block.commanded_m_s, axis=2).sum(axis=1))

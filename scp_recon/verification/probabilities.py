@@ -18,7 +18,7 @@ from scp_recon.monte_carlo.drifts import fly_drifts, reach_s, safety_of
 from scp_recon.monte_carlo.estimates import proportion
 from scp_recon.monte_carlo.flights import FlightConfig
 from scp_recon.monte_carlo.limits import is_certain, limit_margins
-from scp_recon.monte_carlo.sampling import BLOCK, fly_blocks
+from scp_recon.monte_carlo.sampling import BLOCK, Flyer
 from scp_recon.monte_carlo.summary import COMPONENTS, WIDER
 from scp_recon.results.facts import Risk
 from scp_recon.results.figures import FINAL_SIGMAS, final_sigma_limits
@@ -131,12 +131,11 @@ def joint_probabilities(
         beyond = np.arange(early, window[0], apart), np.arange(late, window[-1], -apart)
         observed = np.union1d(observed, np.concatenate([*beyond, mission.edges.samples_s]))
     times = np.union1d(observed, mission.times_s)
-    seen, certain = np.searchsorted(times, observed), is_certain(mission, burns)
+    seen, flyer = np.searchsorted(times, observed), Flyer(mission, burns, policy)
     parts, ends = [], []
-    for flown in fly_blocks(mission, burns, times, SAMPLES, seed=SEED, policy=policy):
-        parts.append(
-            kept_limits(flown.mission, times, flown.states[..., :3], seen, certain=certain)
-        )
+    for flown in flyer.fly_blocks(times, SAMPLES, SEED):
+        position, certain = flown.states[..., :3], flyer.certain
+        parts.append(kept_limits(flown.mission, times, position, seen, certain=certain))
         ends.append(flown.states[-1])
     kept = {
         name: (at, np.concatenate([part[name][1] for part in parts], axis=1))
@@ -177,7 +176,7 @@ def drift_safety(
     reported = [miss for miss in map(Miss, numbers) if miss not in judged]
     if reach_s(mission) <= 0.0:
         return []
-    config, found = FlightConfig(mission, burns, SEED, policy=policy), []
+    config, found = FlightConfig(mission, burns, policy, seed=SEED), []
     for misses, flights, step, asked in (
         (reported, DRIFTS, DRIFT_STEP_S, None),
         (judged, DRIFTS_JUDGED, STEP_S, drift_probability(scenario)),
@@ -212,7 +211,7 @@ def flown_sigmas(
     if not limits:
         return []
     end = mission.times_s[-1:]
-    blocks = fly_blocks(mission, burns, end, BLOCKS * BLOCK, seed=seed, policy=policy)
+    blocks = Flyer(mission, burns, policy).fly_blocks(end, BLOCKS * BLOCK, seed)
     states = np.concatenate([flown.states[-1] for flown in blocks])
     for name, part, unit in FINAL_SIGMAS:
         if name in limits:

@@ -28,7 +28,7 @@ from scp_recon.mission.schedule import MISS_WEIGHT
 from scp_recon.monte_carlo.estimates import CONFIDENCE
 from scp_recon.monte_carlo.limits import MEAN_TOLERANCE
 from scp_recon.monte_carlo.observation_time import observation_margins
-from scp_recon.monte_carlo.sampling import fly_block
+from scp_recon.monte_carlo.sampling import Flyer
 from scp_recon.physics import geometry
 from scp_recon.physics.forces import ForceModel, Moment, acceleration
 from scp_recon.results.figures import is_converged, is_strange
@@ -339,7 +339,7 @@ def variational_rate(
 def _sample_error(mission: Mission, burns: Array, policy: Policy) -> float:
     """Largest difference of some sampled flights from the adaptive integration of the same, m."""
     times = mission.times_s[[0, *mission.window_nodes, -1]]
-    sampled = fly_block(mission, burns, times, 0, flights=FLIGHTS_CHECKED, seed=SEED, policy=policy)
+    sampled = Flyer(mission, burns, policy).fly_block(times, 0, flights=FLIGHTS_CHECKED, seed=SEED)
     errors = []
     for i, executed in enumerate(sampled.burns_m_s):
         initial = sampled.states[0, i].copy()

@@ -20,7 +20,7 @@ from scp_recon.campaigns.axes import EPOCH, LATITUDE, LONGITUDE
 from scp_recon.campaigns.outcome import CHANCE, COST, CampaignResults
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
-from scp_recon.monte_carlo import sampling
+from scp_recon.monte_carlo.sampling import Flyer
 from scp_recon.planning import initial_guess
 from scp_recon.planning.planner import plan
 from scp_recon.results.read import read_solution
@@ -76,14 +76,14 @@ class Marked(tuple[Any, ...]):
 
 def test_every_flight_of_a_plan_is_corrected(runs, monkeypatch):
     monkeypatch.setattr(Solution, "corrections", Marked())
-    fly, corrected = sampling.fly_draws, list[bool]()
+    fly, corrected = Flyer.fly, list[bool]()
 
-    def seen(mission: Mission, *args: Any, policy: Any = (), **how: Any) -> Any:
-        if mission.initial_factor.any():  # else nothing errs
-            corrected.append(isinstance(policy, Marked))
-        return fly(mission, *args, policy=policy, **how)
+    def seen(flyer: Flyer, *given: Any) -> Any:
+        if flyer.mission.initial_factor.any():  # else nothing errs
+            corrected.append(isinstance(flyer.policy, Marked))
+        return fly(flyer, *given)
 
-    monkeypatch.setattr(sampling, "fly_draws", seen)
+    monkeypatch.setattr(Flyer, "fly", seen)
     monkeypatch.setattr(observation, "SAMPLES", 50)
     monkeypatch.setattr(inputs, "FLIGHTS", SAMPLES)
     for draw in (flight.trajectories, observation.observation_histories):

@@ -6,7 +6,7 @@ import pytest
 from scp_recon.mission.constraints import SAFETY
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.observation_time import joint_margins
-from scp_recon.monte_carlo.sampling import draw_flights, fly_block
+from scp_recon.monte_carlo.sampling import Flyer
 from scp_recon.monte_carlo.whole_flight import (
     SAMPLE_STEP_S,
     SampledFlights,
@@ -42,13 +42,13 @@ def test_violations_between_nodes_are_found(sparse):
     whole = Mission.from_scenario(mission.scenario.replace({"risk.scope": "flight"}))
     kept = kept_flights(whole, burns, FLIGHTS, SEED, told.append)
     assert told == [FLIGHTS]
-    block = SampledFlights(mission, burns).count(draw_flights(mission, burns, SEED, 0)[:FLIGHTS])
+    block = SampledFlights(mission, burns).count(Flyer(mission, burns).draws(SEED, 0)[:FLIGHTS])
     worst = kept_flights(mission, burns, FLIGHTS, SEED)
     assert mission.observed_s is not None
     first, last = mission.observed_s
     nodes = mission.times_s[mission.window_nodes]
     seconds = np.union1d(np.arange(np.ceil(first), last), nodes)
-    flown = fly_block(mission, burns, seconds, 0, flights=FLIGHTS, seed=SEED)
+    flown = Flyer(mission, burns).fly_block(seconds, 0, flights=FLIGHTS, seed=SEED)
     holds = {
         name: margin >= 0.0
         for name, margin in joint_margins(mission, seconds, flown.states[..., :3]).items()

@@ -9,7 +9,7 @@ from scp_recon.errors import InputError
 from scp_recon.mission.feedback import contact_of, cut_offs_s
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.closed_loop import cut_offs_s as planned_again_s
-from scp_recon.monte_carlo.sampling import draw_flights, fly_draws
+from scp_recon.monte_carlo.sampling import Flyer
 from scp_recon.results.policy import policy_of
 from scp_recon.results.solution import make_solution
 from scp_recon.scenario.load import load_scenario
@@ -120,10 +120,10 @@ def test_lost_contacts_are_reported(monkeypatch):
     kept = min(p.estimate for p in checked.probabilities)
     assert first.worst.estimate < kept - 0.05
     assert last.worst.estimate == pytest.approx(kept)  # it is after the window
-    draws = draw_flights(mission, plan.burns_m_s, 0, 0, policy=policy)[:20]
+    draws = Flyer(mission, plan.burns_m_s, policy).draws(0, 0)[:20]
     spread = []
     for one in (policy, (policy[0].lost, *policy[1:])):
-        flown = fly_draws(mission, plan.burns_m_s, mission.times_s[-1:], draws, policy=one)
+        flown = Flyer(mission, plan.burns_m_s, one).fly(mission.times_s[-1:], draws)
         spread.append(float(np.ptp(flown.commanded_m_s[:, 1], axis=0).max()))
     assert spread[0] > 1e-3
     assert spread[1] == 0.0

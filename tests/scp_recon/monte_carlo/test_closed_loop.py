@@ -16,14 +16,7 @@ from scp_recon.cli.commands import montecarlo
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.flights import FlightConfig, fly_many
 from scp_recon.monte_carlo.law import Law
-from scp_recon.monte_carlo.sampling import (
-    BLOCK,
-    FlightLog,
-    draw,
-    draw_flights,
-    fly_block,
-    number_of_sources,
-)
+from scp_recon.monte_carlo.sampling import BLOCK, FlightLog, Flyer, draw
 from scp_recon.monte_carlo.summarise import summarise
 from scp_recon.monte_carlo.summary import read_summary
 from scp_recon.monte_carlo.whole_flight import SampledFlights
@@ -52,7 +45,7 @@ class Case(NamedTuple):
 
     def fly(self, times_s: Array, block: int = 0) -> FlightLog:
         mission, burns = self.mission, self.burns_m_s
-        return fly_block(mission, burns, times_s, block, policy=self.policy)
+        return Flyer(mission, burns, self.policy).fly_block(times_s, block)
 
 
 def case_of(
@@ -137,7 +130,7 @@ def test_law_has_the_draws_of_corrected_flights(solution, frame):
         words = f"navigation.covariance={along.tolist()}", f"navigation.frame={frame}"
         case = case_of(3600.0, solution, *words, measured=())
     mission, law = case.mission, Law.of(case.lin, case.mission.units.length_m)
-    draws = draw_flights(mission, case.burns_m_s, 0, 0, policy=case.policy)[:50]
+    draws = Flyer(mission, case.burns_m_s, case.policy).draws(0, 0)[:50]
     assert draws.shape[1] == law.sources
     flights = SampledFlights(mission, case.burns_m_s, case.policy)
     flown = flights.positions(draws) / law.length_m - law.mean[:, None]
@@ -151,11 +144,11 @@ def test_zero_gains_fly_bit_identical_to_open_loop(solution):
     assert len(case.policy) == 3
     mission, burns, times = case.mission, case.burns_m_s, case.mission.times_s
     corrected = case.fly(times)
-    alone = fly_block(mission, burns, times, 0)
+    alone = Flyer(mission, burns).fly_block(times, 0)
     np.testing.assert_array_equal(corrected.states, alone.states)
     np.testing.assert_array_equal(corrected.burns_m_s, alone.burns_m_s)
-    sources = number_of_sources(mission, burns)
-    draws = draw_flights(mission, burns, 5, 2, policy=case.policy)
+    sources = Flyer(mission, burns).sources
+    draws = Flyer(mission, burns, case.policy).draws(5, 2)
     assert draws.shape == (BLOCK, sources + 18)
     np.testing.assert_array_equal(draws[:, :sources], draw(5, 2, sources))
     assert len(np.unique(draws)) == draws.size
@@ -166,7 +159,7 @@ def test_execution_errors_follow_the_commanded_burn(solution):
     mission, burns = case.mission, case.burns_m_s
     flown = case.fly(mission.times_s[-1:])
     model = mission.problem.execution_errors
-    first, sources = mission.initial_factor.shape[1], number_of_sources(mission, burns)
+    first, sources = mission.initial_factor.shape[1], Flyer(mission, burns).sources
     executed = model.execute(flown.commanded_m_s, draw(0, 0, sources)[:, first:])
     np.testing.assert_array_equal(flown.burns_m_s, executed)
     assert np.ptp(flown.commanded_m_s[:, 0], axis=0).max() == 0.0
@@ -225,7 +218,7 @@ def test_the_command_flies_what_the_file_stores(corrected, tmp_path, capsys):
     assert [burn.burn for burn in commanded.burns] == [2, 3, 4]
     mission, burns = corrected.mission, corrected.burns_m_s
     blocks = [
-        fly_block(mission, burns, mission.times_s[-1:], block, policy=corrected.corrections)
+        Flyer(mission, burns, corrected.corrections).fly_block(mission.times_s[-1:], block)
         for block in range(2)
     ]
     flown = [np.linalg.norm(one.commanded_m_s, axis=2).sum(axis=1) for one in blocks]

@@ -17,7 +17,7 @@ from scp_recon.mission.drifts import Miss
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.drifts import fly_drifts, states_after
 from scp_recon.monte_carlo.flights import FlightConfig
-from scp_recon.monte_carlo.sampling import fly_block
+from scp_recon.monte_carlo.sampling import Flyer
 from scp_recon.physics.forces import acceleration
 from scp_recon.planning.initial_guess import cold
 from scp_recon.planning.plan import Plan, ended
@@ -65,7 +65,7 @@ def test_a_missed_burn_is_what_a_whole_one_lacks():
     plan = planned(*ONE_DAY)
     mission, burns = plan.mission, plan.burns_m_s
     time = np.array([mission.scenario.burns.times_s[1]])
-    flown = fly_block(mission, burns, time, 0, flights=5)
+    flown = Flyer(mission, burns).fly_block(time, 0, flights=5)
     missed, half = states_after(FlightConfig(mission, burns), [Miss(2), Miss(2, 0.5)], 5)
     np.testing.assert_allclose(flown.states[0, :, :3], missed[:, :3])
     np.testing.assert_allclose(flown.states[0, :, 3:] - missed[:, 3:], flown.burns_m_s[:, 1])
@@ -79,7 +79,7 @@ def test_a_plan_survives_a_missed_burn_in_flight():
     without = planned(*ONE_DAY[:2])
     mission = plan.mission
     safe = [
-        fly_drifts(FlightConfig(mission, burns, 77), [Miss(2)], 4000)[0].safe(mission).sum()
+        fly_drifts(FlightConfig(mission, burns, seed=77), [Miss(2)], 4000)[0].safe(mission).sum()
         for burns in (plan.burns_m_s, without.burns_m_s)
     ]
     assert safe[0] >= binom.ppf(0.001, 4000, 0.997)
@@ -209,5 +209,5 @@ def test_drifts_that_bind_are_safe_in_flight(number):
     names = [one.name for one in plan.mission.problem.drifts]
     assert min(abs(plan.final.margins[name].margin.min()) for name in names) < 1e-4
     for miss in (Miss(2), Miss(3), Miss(4)):
-        safe = fly_drifts(FlightConfig(plan.mission, plan.burns_m_s, 99), [miss], 10_000)[0]
+        safe = fly_drifts(FlightConfig(plan.mission, plan.burns_m_s, seed=99), [miss], 10_000)[0]
         assert safe.safe(plan.mission).sum() >= binom.ppf(0.001, 10_000, 0.997)

@@ -11,7 +11,7 @@ from formulations.problem.flyby import Iterate
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.closed_loop import replans
 from scp_recon.monte_carlo.law import Law
-from scp_recon.monte_carlo.sampling import draw_flights, fly_draws
+from scp_recon.monte_carlo.sampling import Flyer
 from scp_recon.monte_carlo.whole_flight import SampledFlights
 from scp_recon.results.policy import policy_of, with_policy
 from scp_recon.verification.reintegration import full_stm, integrated
@@ -52,9 +52,9 @@ def test_filter_is_a_square_root_information_filter(lead_s):
     """Commanded corrections and covariances, by another integrator; also across an earlier burn."""
     mission, lin = case(lead_s=lead_s)
     policy = policy_of(mission, lin)
-    draws = draw_flights(mission, BURNS, 0, 0, policy=policy)[:FLIGHTS]
+    draws = Flyer(mission, BURNS, policy).draws(0, 0)[:FLIGHTS]
     cut_offs = np.array([one.cut_off_s for one in policy])
-    flown = fly_draws(mission, BURNS, cut_offs, draws, policy=policy)
+    flown = Flyer(mission, BURNS, policy).fly(cut_offs, draws)
     commanded = flown.commanded_m_s - BURNS
     noise = draws[:, -6 * len(policy) :].reshape(FLIGHTS, len(policy), 6)
     size, units = 6 + mission.uncertain.count, mission.units.state
@@ -119,9 +119,9 @@ def test_filter_that_considers_parameters_commands_the_same():
     """Its estimates err more, and gains on all of them so far make up for it."""
     (mission, lin), (other, considering) = case(), case("navigation.estimate_parameters=false")
     policies = policy_of(mission, lin), policy_of(other, considering)
-    draws = draw_flights(mission, BURNS, 0, 0, policy=policies[0])[:FLIGHTS]
+    draws = Flyer(mission, BURNS, policies[0]).draws(0, 0)[:FLIGHTS]
     commands = [
-        fly_draws(one, BURNS, one.times_s[-1:], draws, policy=policy).commanded_m_s
+        Flyer(one, BURNS, policy).fly(one.times_s[-1:], draws).commanded_m_s
         for one, policy in zip((mission, other), policies, strict=True)
     ]
     most = np.abs(commands[0] - BURNS).max()
@@ -135,7 +135,7 @@ def test_filter_that_considers_parameters_commands_the_same():
 def test_law_has_the_draws_of_flights_that_learn():
     mission, lin = case()
     policy, law = policy_of(mission, lin), Law.of(lin, mission.units.length_m)
-    draws = draw_flights(mission, BURNS, 0, 0, policy=policy)[:FLIGHTS]
+    draws = Flyer(mission, BURNS, policy).draws(0, 0)[:FLIGHTS]
     assert draws.shape[1] == law.sources
     flown = SampledFlights(mission, BURNS, policy).positions(draws) / law.length_m
     linear = np.einsum("nic,fc->nfi", law.factor[:, :3], draws)
@@ -154,7 +154,7 @@ def test_flights_are_planned_again_with_uncertain_parameters():
     spreads = [np.sqrt(np.diag(policy[0].estimate_covariance)) for policy in policies]
     assert np.all(spreads[1] > spreads[0])
     assert (spreads[1] / spreads[0]).max() > 2.0
-    draws = draw_flights(mission, BURNS, 0, 0, policy=policies[1])[:2]
-    flown = fly_draws(mission, BURNS, mission.times_s[-1:], draws, policy=policies[1])
+    draws = Flyer(mission, BURNS, policies[1]).draws(0, 0)[:2]
+    flown = Flyer(mission, BURNS, policies[1]).fly(mission.times_s[-1:], draws)
     assert not flown.failed.any()
     assert np.abs(flown.commanded_m_s - BURNS).max() > 1e-4

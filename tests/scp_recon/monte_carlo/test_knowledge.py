@@ -16,7 +16,7 @@ from scp_recon.monte_carlo.drifts import fly_drifts
 from scp_recon.monte_carlo.flights import FlightConfig
 from scp_recon.monte_carlo.law import Law
 from scp_recon.monte_carlo.observation_time import SCIENCE, joint_margins
-from scp_recon.monte_carlo.sampling import draw_flights, fly_block, fly_draws
+from scp_recon.monte_carlo.sampling import Flyer
 from scp_recon.monte_carlo.whole_flight import SampledFlights, kept_flights, sample_times
 from scp_recon.planning.initial_guess import from_burns
 from scp_recon.scenario.load import load_scenario
@@ -62,8 +62,8 @@ def test_each_parameter_alone_acts_on_flights_as_by_law(entry):
     companion = {"body.companion": COMPANION} if ".companion." in entry else {}
     changes = {**companion, **CERTAIN, f"knowledge.{entry}": ALONE[entry]}
     mission = mission_with(changes)
-    draws = 0.1 * draw_flights(mission, BURNS, 3, 0)[:20]
-    flown = fly_draws(mission, BURNS, mission.times_s, draws)
+    draws = 0.1 * Flyer(mission, BURNS).draws(3, 0)[:20]
+    flown = Flyer(mission, BURNS).fly(mission.times_s, draws)
     lin = mission.dynamics.linearise(mission.problem, from_burns(mission, BURNS))
     mean, factor = lin.iterate.mean, lin.spread.factor
     known = draws[:, 6 : 6 + mission.uncertain.count]
@@ -91,7 +91,7 @@ def test_parameters_have_a_stream_of_their_own():
     """An uncertain site leaves every path as it is, and moves what is seen from it."""
     plain = mission_with({})
     site = mission_with({"knowledge.site.position_body_m": [2.0, 2.0, 2.0]})
-    one, other = (fly_block(m, BURNS, m.times_s, 1, flights=40) for m in (plain, site))
+    one, other = (Flyer(m, BURNS).fly_block(m.times_s, 1, flights=40) for m in (plain, site))
     assert np.array_equal(one.states, other.states)
     assert one.mission is plain
     assert other.mission.site.position_body.shape == (40, 3)
@@ -101,8 +101,8 @@ def test_limits_count_in_the_own_window_of_each_flight():
     """The window of each flight is searched for anew, and every sample in it judged by itself."""
     changes = {"knowledge.body.prime_meridian_deg": 2.0, "knowledge.body.pole_dec_deg": 1.0}
     mission = mission_with(changes)
-    draws = draw_flights(mission, BURNS, 7, 0)[:60]
-    flown = fly_draws(mission, BURNS, sample_times(mission), draws)
+    draws = Flyer(mission, BURNS).draws(7, 0)[:60]
+    flown = Flyer(mission, BURNS).fly(sample_times(mission), draws)
     times, kept, planned = flown.times_s, list[bool](), list[bool]()
     for number in range(len(draws)):
         own, path = flown.mission.some_flights(number), flown.states[:, number, :3]
@@ -132,7 +132,7 @@ def test_flights_keep_limits_as_often_as_by_law():
     window = mission_with({}).schedule.window_s
     mission = mission_with({"knowledge": EVERYTHING, "observation.window_s": window})
     flights, law = flights_of(mission), law_of(mission)
-    draws = np.concatenate([draw_flights(mission, BURNS, 5, block) for block in range(3)])
+    draws = np.concatenate([Flyer(mission, BURNS).draws(5, block) for block in range(3)])
     by_law, flown = law.margin(draws) >= 0.0, flights.count(draws).kept_at_nodes
     assert 0.05 < flown.mean() < 0.98
     assert np.mean(by_law != flown) < 0.02
@@ -145,7 +145,7 @@ def test_true_gravity_deviates_too(truth):
     ends = mission.times_s[-1:]
     sizes = []
     for gravity in ("planner", truth):
-        flown = fly_block(mission, BURNS, ends, 0, flights=12, truth=gravity)
+        flown = Flyer(mission, BURNS, truth=gravity).fly_block(ends, 0, flights=12)
         sizes.append(flown.states[0, :, :3].std(axis=0))
     np.testing.assert_allclose(sizes[1], sizes[0], rtol=0.2)
 

@@ -17,7 +17,7 @@ from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.estimates import of_strata, proportion
 from scp_recon.monte_carlo.law import CountedFlights, Law, fly_strata, survey
 from scp_recon.monte_carlo.law_in_time import LawInTime, fly_in_time, survey_in_time
-from scp_recon.monte_carlo.sampling import draw, fly_draws, number_of_sources
+from scp_recon.monte_carlo.sampling import Flyer, draw
 from scp_recon.monte_carlo.whole_flight import (
     PARTS,
     BlockLimits,
@@ -114,9 +114,9 @@ def law(solution) -> tuple[Mission, Law]:
 
 def test_law_has_the_draws_of_flights_in_order(solution, law):
     mission, its = law
-    assert its.sources == number_of_sources(mission, solution.burns_m_s)
+    assert its.sources == Flyer(mission, solution.burns_m_s).sources
     draws = 0.01 * draw(3, 0, its.sources)[:50]
-    flown = fly_draws(mission, solution.burns_m_s, mission.times_s, draws).states[..., :3]
+    flown = Flyer(mission, solution.burns_m_s).fly(mission.times_s, draws).states[..., :3]
     expected = its.mean[:, None] + np.einsum("nic,fc->nfi", its.factor, draws)
     off = np.linalg.norm(flown / its.length_m - expected, axis=2) * its.length_m
     moved = np.linalg.norm(expected - its.mean[:, None], axis=2) * its.length_m
@@ -228,7 +228,7 @@ def test_draws_crossing_between_nodes_are_nearest():
 
 def test_history_counts_flights_at_each_second(mission, default_plan):
     burns = 0.9 * default_plan.burns_m_s
-    draws = draw(3, 0, number_of_sources(mission, burns))[:40]
+    draws = draw(3, 0, Flyer(mission, burns).sources)[:40]
     histories = SampledFlights(mission, burns).histories(draws)
     its = next(one for one in histories if one.name == "emission")
     some = np.arange(40)[::3]

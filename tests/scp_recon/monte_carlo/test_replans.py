@@ -11,7 +11,7 @@ from scp_recon.cli.commands import montecarlo
 from scp_recon.errors import InputError
 from scp_recon.monte_carlo import closed_loop as module
 from scp_recon.monte_carlo.closed_loop import Replan, replans
-from scp_recon.monte_carlo.sampling import FlightLog, fly_block
+from scp_recon.monte_carlo.sampling import FlightLog, Flyer
 from scp_recon.monte_carlo.summary import read_summary
 from scp_recon.results.solution import Solution
 from tests.scp_recon.monte_carlo.test_closed_loop import case_of
@@ -33,7 +33,7 @@ def flown(solution: Solution, flights: int, *words: str) -> tuple[FlightLog, tup
     mission, burns = mission_of(*MEASURED, *words), solution.burns_m_s
     again = replans(mission, burns)
     times = np.array([*(one.cut_off_s for one in again), mission.times_s[-1]])
-    return fly_block(mission, burns, times, 0, flights=flights, policy=again), again
+    return Flyer(mission, burns, again).fly_block(times, 0, flights=flights), again
 
 
 @pytest.mark.parametrize("lead_s", [3600.0, 7000.0])
@@ -86,7 +86,7 @@ def test_failed_replan_flies_the_last_plan(solution, monkeypatch):
     flights, _ = flown(solution, 20)
     np.testing.assert_array_equal(flights.failed.sum(axis=1), [10, 20, 20])
     np.testing.assert_allclose(flights.commanded_m_s[::2, 1:] - solution.burns_m_s[1:], 1e-4)
-    alone = fly_block(mission_of(*MEASURED), solution.burns_m_s, np.zeros(1), 0, flights=20)
+    alone = Flyer(mission_of(*MEASURED), solution.burns_m_s).fly_block(np.zeros(1), 0, flights=20)
     np.testing.assert_array_equal(flights.burns_m_s[1::2], alone.burns_m_s[1::2])
 
 

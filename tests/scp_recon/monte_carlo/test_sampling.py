@@ -16,13 +16,7 @@ from scp_recon.monte_carlo.estimates import CONFIDENCE, binomial_quantile, propo
 from scp_recon.monte_carlo.flights import FlightConfig
 from scp_recon.monte_carlo.limits import every_second
 from scp_recon.monte_carlo.observation_time import ALL, SCIENCE, joint_margins, time_held
-from scp_recon.monte_carlo.sampling import (
-    BLOCK,
-    draw,
-    fly_block,
-    number_of_sources,
-    sample_positions,
-)
+from scp_recon.monte_carlo.sampling import BLOCK, Flyer, draw, sample_positions
 from scp_recon.monte_carlo.whole_flight import (
     PARTS,
     SAMPLE_STEP_S,
@@ -59,7 +53,7 @@ def test_flights_are_distinct_and_independent_of_their_number(mission, burns):
 
 def test_each_flight_is_that_of_an_adaptive_integration(mission, burns):
     times = np.array(mission.scenario.burns.times_s)
-    flights = fly_block(mission, burns, times, 0, flights=4)
+    flights = Flyer(mission, burns).fly_block(times, 0, flights=4)
     for flight in range(4):
         for leg in range(len(times) - 1):
             end = integrate(mission.forces, flights.states[leg, flight], times[leg : leg + 2])[-1]
@@ -79,9 +73,9 @@ def assert_white(standard: Array) -> None:
 
 def test_initial_states_and_burns_err_as_specified(mission, burns):
     x0 = mission.initial_state
-    flown = fly_block(mission, np.zeros((4, 3)), LOOK[:1], 0).states[0]
+    flown = Flyer(mission, np.zeros((4, 3))).fly_block(LOOK[:1], 0).states[0]
     assert_white((flown - x0) / (0.01 * np.abs(x0)))
-    executed = fly_block(mission, burns, LOOK[:1], 0).burns_m_s
+    executed = Flyer(mission, burns).fly_block(LOOK[:1], 0).burns_m_s
     assert_white(((executed / burns - 1.0) / 0.08).reshape(BLOCK, 12))
 
 
@@ -126,7 +120,7 @@ def test_path_before_a_burn_is_unchanged(solution):
     limit = float(np.median(distance[2 * PARTS // 3]))
     at_limit = solution.scenario.replace({"safety.radius_min_m": limit})
     tight = dataclasses.replace(mission, scenario=at_limit)  # a limit in the flight's own way
-    draws = draw(SEED, 0, number_of_sources(tight, burns))
+    draws = draw(SEED, 0, Flyer(tight, burns).sources)
     counts = SampledFlights(tight, burns).count(draws).counts[SAFETY]
     found = counts[PARTS * arc + 1 : PARTS * (arc + 1)]
     np.testing.assert_allclose(found, np.sum(distance >= limit, axis=1), atol=1)
@@ -151,11 +145,11 @@ def test_holding_time_matches_a_fine_scan(mission, burns):
     """With burns that make many flights cross limits."""
     bold_burns = burns * np.array([1.03, 0.97, 1.0, 1.0])[:, None]
     looks = FlightConfig(mission, bold_burns).window_samples_s
-    coarse = fly_block(mission, bold_burns, looks, 0, flights=SCANNED)
+    coarse = Flyer(mission, bold_burns).fly_block(looks, 0, flights=SCANNED)
     found = time_held(mission, looks, coarse.states)
     step, length = 0.5, looks[-1] - looks[0]
     fine = np.arange(looks[0] + 0.5 * step, looks[-1], step)
-    states = fly_block(mission, bold_burns, fine, 0, flights=SCANNED).states
+    states = Flyer(mission, bold_burns).fly_block(fine, 0, flights=SCANNED).states
     joint = joint_margins(mission, fine, states[..., :3])
     for name in (*SCIENCE, ALL):
         held = found[name]

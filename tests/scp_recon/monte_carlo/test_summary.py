@@ -17,7 +17,7 @@ from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.flights import FlightConfig, FlightTally, fly_many
 from scp_recon.monte_carlo.narrow import narrow
 from scp_recon.monte_carlo.observation_time import ALL, SCIENCE
-from scp_recon.monte_carlo.sampling import draw_flights
+from scp_recon.monte_carlo.sampling import Flyer
 from scp_recon.monte_carlo.summarise import summarise
 from scp_recon.monte_carlo.summary import (
     COMPONENTS,
@@ -154,7 +154,7 @@ def test_flights_tell_what_the_verification_tells(mission, solution, many):
     at, lowest = flown.worst_probability("safety_radius")
     assert at > nearer.observed_s[1]
     sampled = SampledFlights(nearer, solution.burns_m_s)
-    draws = draw_flights(nearer, solution.burns_m_s, 0, 0)
+    draws = Flyer(nearer, solution.burns_m_s).draws(0, 0)
     kept = sampled.count(draws).counts["safety_radius"]
     assert lowest.value == pytest.approx(kept.min() / 1000, abs=2e-3)
     assert flown.whole <= kept.min()

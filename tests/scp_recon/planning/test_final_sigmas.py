@@ -14,7 +14,7 @@ from formulations.rows.cones import FINAL_POSITION, FINAL_VELOCITY
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.flights import FlightConfig
-from scp_recon.monte_carlo.sampling import BLOCK, fly_block
+from scp_recon.monte_carlo.sampling import BLOCK, Flyer
 from scp_recon.planning import initial_guess, ipopt
 from scp_recon.planning.plan import Plan
 from scp_recon.results.solution import Solution, make_solution
@@ -186,7 +186,7 @@ def test_executing_a_vanished_burn_may_predict_more(monkeypatch):
 def drawn(*overrides: str, errors: str | None = None) -> Array:
     """Deviations of the burns of a block of flights."""
     mission, burns = mission_of(COARSE, *overrides), planned_by(UNLIKE).burns_m_s
-    flights = fly_block(mission, burns, np.zeros(1), 0, errors=errors)  # type: ignore[arg-type]
+    flights = Flyer(mission, burns, errors=errors).fly_block(np.zeros(1), 0)  # type: ignore[arg-type]
     return flights.burns_m_s - burns
 
 

@@ -16,7 +16,7 @@ from scp_recon.errors import InputError
 from scp_recon.mission.constraints import COMPANION as NAME
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.flights import FlightConfig, fly_many
-from scp_recon.monte_carlo.sampling import draw_flights, fly_block
+from scp_recon.monte_carlo.sampling import Flyer
 from scp_recon.monte_carlo.whole_flight import BlockLimits, SampledFlights
 from scp_recon.physics.flow import propagate
 from scp_recon.physics.forces import accelerations
@@ -97,7 +97,7 @@ def test_a_plan_keeps_out_of_the_moving_ball(overrides):
 
 def block(mission: Mission, burns: Array) -> BlockLimits:
     """Limits that 200 flights keep."""
-    return SampledFlights(mission, burns).count(draw_flights(mission, burns, 0, 0)[:200])
+    return SampledFlights(mission, burns).count(Flyer(mission, burns).draws(0, 0)[:200])
 
 
 def test_flights_through_the_ball_are_counted_as_lost(default_plan):
@@ -147,7 +147,9 @@ def test_a_plan_with_harmonics_is_verified():
 def test_the_whole_field_equals_the_true_field(default_plan):
     j2, turning = default_plan.mission, mission_of(f"{DEGREE}=8")
     planner, truth, before = (
-        fly_block(each, default_plan.burns_m_s, each.times_s, 0, flights=3, truth=field).states[-1]
+        Flyer(each, default_plan.burns_m_s, truth=field)
+        .fly_block(each.times_s, 0, flights=3)
+        .states[-1]
         for each, field in ((turning, "planner"), (turning, "harmonics"), (j2, "planner"))
     )
     np.testing.assert_array_equal(planner, truth)
