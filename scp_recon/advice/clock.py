@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, field
 from time import process_time
 from typing import TypeVar
@@ -78,6 +78,18 @@ class Clock(Watch):
             )
         if now > min(self.until_s, self.began + self.limit_s):
             raise TimeIsUp
+
+    @contextmanager
+    def part(self, share: float) -> Iterator[None]:
+        """Context for a share of the time that the present trial has left; its end is no failure."""
+        until_s, now = self.until_s, process_time()
+        self.until_s = now + share * (min(until_s, self.began + self.limit_s) - now)
+        try:
+            yield
+        except TimeIsUp:
+            pass
+        finally:
+            self.until_s = until_s
 
     def attempt(self, name: str, work: Callable[[], T | None], share: float = 1.0) -> T | None:
         """What a trial finds; None, and the trial is noted, if it finds nothing or time is up.

@@ -12,7 +12,6 @@ from functools import partial
 from scp_recon.advice.clock import Clock
 from scp_recon.advice.repairs import kept, repairs
 from scp_recon.advice.trials import (
-    CORRECTED,
     FINAL_STATE,
     MORE_BURNS,
     PROBABILITY,
@@ -31,7 +30,7 @@ TIMES, LEAST_S = 3.0, 30.0
 """Limit of a diagnosis: so many times the processor time of the plan, at least so many seconds."""
 
 SHARE = 0.25
-SHARES = {SPLIT: 0.8, PROBABILITY: 0.6}
+SHARES = {SPLIT: 0.8, PROBABILITY: 0.5}
 """Shares of all time that a trial may take, and those of the dearer ones."""
 
 LEAST_TRIAL_S, WORTH_SAYING = 1.0, 1e-3
@@ -103,8 +102,8 @@ def diagnose(
                 break  # nothing else has to be given up
         else:
             known = replace(known, miss=clock.attempt(FINAL_STATE, case.final_miss))
-            if case.is_risky(p3) and case.scenario.policy.kind == "open":  # takes longest
-                remedies.append(clock.attempt(CORRECTED, case.feedback))
+            for name, work in case.longer_trials(p3):
+                remedies.append(clock.attempt(name, work, SHARES.get(name, 1.0)))
         known = replace(known, largest=case.largest)
     found = tuple(remedy for remedy in remedies if remedy)
     return replace(known, remedies=found, tried=tuple(clock.tried), left_out=tuple(clock.left_out))

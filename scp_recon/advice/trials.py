@@ -43,6 +43,9 @@ BELOW, BELOW_CERTIFIED = (0.0, 0.02, 0.1, 0.25), (0.03, 0.06, 0.15, 0.3)
 """Standard deviations by which a proposed probability is below the largest with a rough plan: the
 user's grid may require more than a rough plan does, and flights do."""
 
+SEARCHING = 0.6
+"""Share of the time for a lower probability in which the largest is looked for."""
+
 LARGEST = "burns.dv_max_m_s"
 """Entry of the largest burn."""
 
@@ -134,7 +137,7 @@ class Case:
 
     def trials(self, p3: Status) -> Iterator[tuple[str, Callable[[], Remedy | None]]]:
         """Trials of an infeasible plan: of what is violated and of what gives up nothing first."""
-        risky = self.is_risky(p3)
+        risky = self._is_risky(p3)
         risk, violated = self.scenario.risk, violated_by(self.failed)
         if risky and risk.allocation == "uniform":
             yield SPLIT, partial(self.confirmed, SPLIT, {"risk.allocation": "exact"})
@@ -144,8 +147,6 @@ class Case:
                 yield what, work
         if risky and _spreads(self.scenario):
             yield FINAL_SPREAD, self.final_spread
-        if risky:
-            yield PROBABILITY, self._probability
         entries = _entries(self.scenario, violated)
         if len(entries) > 1 or (entries and "dv_max" in violated):
             yield f"{LIMITS} together", partial(self._together, entries)
@@ -157,7 +158,14 @@ class Case:
             if name not in violated:
                 yield what, work
 
-    def is_risky(self, p3: Status) -> bool:
+    def longer_trials(self, p3: Status) -> Iterator[tuple[str, Callable[[], Remedy | None]]]:
+        """Trials of an infeasible plan that take longest."""
+        if self._is_risky(p3):
+            yield PROBABILITY, self._probability
+            if self.scenario.policy.kind == "open":
+                yield CORRECTED, self._feedback
+
+    def _is_risky(self, p3: Status) -> bool:
         """Whether risk may be what makes the plan infeasible."""
         return self.request.options.problem == "P2" and p3 is not Status.INFEASIBLE
 
@@ -284,13 +292,14 @@ class Case:
         required, allocation = self.scenario.risk.p_chance, self.scenario.risk.allocation
         split: Changes = {} if allocation == "exact" else {"risk.allocation": "exact"}
         search = Search(self._for_target, close=CLOSE, most=self.failed.target or required)
-        best = search.run(self.failed.mission.changed(split), self.failed.final.result.lin.iterate)
-        if not _converged(best) or best.target is None:
+        with self.clock.part(SEARCHING):
+            search.run(self.failed.mission.changed(split), self.failed.final.result.lin.iterate)
+        if self.largest is None:
             return None
         tries: list[Changes] = []
         certified = self.request.options.is_certified(self.scenario)
         for less in BELOW_CERTIFIED if certified else BELOW:
-            p = rounded_down(float(ndtr(ndtri(best.target) - less)))
+            p = rounded_down(float(ndtr(ndtri(self.largest) - less)))
             if 0.5 < p < required:
                 tries.append({**split, "risk.p_chance": p})
         return self.first(PROBABILITY, tries)
@@ -305,7 +314,7 @@ class Case:
             self.largest = max(self.largest or 0.0, target)
         return plan
 
-    def feedback(self) -> Remedy | None:
+    def _feedback(self) -> Remedy | None:
         """Burns that are corrected in flight, with the scenario's measurements if it has any."""
         measures = self.scenario.navigation.measures
         changes: dict[str, object] = {"policy.kind": "feedback"} if measures else dict(FEEDBACK)

@@ -25,6 +25,7 @@ from scp_recon.results.figures import FINAL_SIGMAS, final_sigma_limits
 from scp_recon.results.policy import Policy
 from scp_recon.results.solution import Solution
 from scp_recon.results.verification import DriftSafety, FinalSigma, JointProbability, LostContact
+from scp_recon.scp.status import Status
 
 SAMPLES, SEED = 10_000, 0
 
@@ -87,10 +88,12 @@ def refuted(
     ):
         found.append("certificate")
     flown = next((p for p in probabilities if p.name == FLIGHT), None)
-    if flown is not None and mission.edges.sigmas_s is None:  # the law is of the planned window
-        reported, low, high = (
-            float(ndtri(p)) for p in (min(risk.normal_law[0].probability), flown.low, flown.high)
-        )
+    law = next((min(event.probability) for event in risk.normal_law if event.name == FLIGHT), None)
+    if law is None:  # a plan of whole flights that is infeasible at its nodes ends there
+        if risk.scope == "flight" and solution.status == Status.CONVERGED.value.name:
+            found.append("risk")
+    elif flown is not None and mission.edges.sigmas_s is None:  # the law is of the planned window
+        reported, low, high = (float(ndtri(p)) for p in (law, flown.low, flown.high))
         more = low - reported if not is_certain(mission, solution.burns_m_s) else -np.inf
         off = max(more, reported - high)
         if off > (LAW_ERROR if risk.certificate is None else LAW_LOSS):

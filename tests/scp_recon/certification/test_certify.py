@@ -37,7 +37,8 @@ from scp_recon.planning.plan import Plan
 from scp_recon.planning.planner import plan
 from scp_recon.results.read import parse_solution
 from scp_recon.results.solution import Solution, make_solution
-from scp_recon.results.verification import Verification
+from scp_recon.results.verification import JointProbability, Verification
+from scp_recon.scp.status import Status
 from scp_recon.verification.consistency import inconsistencies
 from scp_recon.verification.probabilities import refuted
 from scp_recon.verification.reintegration import verify
@@ -239,6 +240,17 @@ def test_a_flight_law_that_flights_contradict_is_named(certified, solution, chec
     law = [replace(solution.risk.normal_law[0], probability=[told], sigma=[float(ndtri(told))])]
     lie = telling(solution, normal_law=law, certificate=None)
     assert "risk" in failures(certified, lie, checked)
+
+
+@pytest.mark.parametrize("run", ["flight"], indirect=True)
+def test_law_of_nodes_contradicts_no_whole_flights(certified, solution):
+    """An infeasible plan of whole flights ends with the law of its nodes; a converged one does not."""
+    nodes = [replace(solution.risk.normal_law[0], name="emission")]
+    told = telling(solution, normal_law=nodes, certificate=None)
+    flown = [JointProbability(name=FLIGHT, worst_t_s=0.0, estimate=0.5, low=0.49, high=0.51)]
+    ended = replace(told, status=Status.INFEASIBLE.value.name)
+    assert refuted(certified.mission, ended, flown) == [f"P({FLIGHT})"]
+    assert refuted(certified.mission, told, flown) == [f"P({FLIGHT})", "risk"]
 
 
 def test_nodes_are_added_where_flights_touch():

@@ -195,7 +195,7 @@ def small_burns() -> tuple[Case, Diagnosis]:
     with pytest.MonkeyPatch.context() as patch:
         fly_few(patch)
         patch.setattr(module, "LEAST_S", 20.0)
-        patch.setattr(Case, "feedback", lambda _: None)
+        patch.setattr(Case, "_feedback", lambda _: None)
         case = case_of(*EXACT, "burns.dv_max_m_s=0.038", "risk.p_chance=0.9")
         assert case.failed.status is Status.INFEASIBLE
         return case, diagnose(case.failed, case.request)
@@ -252,7 +252,7 @@ def test_feedback_is_tried_with_what_it_needs(small_burns, monkeypatch):
     case, _ = small_burns
     tried: list[dict[str, object]] = []
     monkeypatch.setattr(Case, "command", lambda _, changes, **__: tried.append(dict(changes)))
-    case.feedback()
+    dict(case.longer_trials(Status.CONVERGED))[CORRECTED]()
     (changes,) = tried
     assert changes == FEEDBACK
     scenario = case.failed.mission.scenario.replace(changes)
