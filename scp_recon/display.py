@@ -32,6 +32,11 @@ def digits(value: float, number: int = 6) -> str:
     return f"{value:.0f}" if abs(value) >= 10.0**number - 0.5 else f"{value:.{number}g}"
 
 
+def exact(value: float) -> str:
+    """A number as it was given: the fewest digits that are it, with an exponent from 1e16 on alone."""
+    return repr(float(value)).removesuffix(".0")
+
+
 class Displays(Protocol):
     """Functions that draw and tabulate results."""
 

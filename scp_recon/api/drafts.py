@@ -17,7 +17,7 @@ import numpy as np
 from scp_recon.api.inputs import PlanRequest, date_in_tdb
 from scp_recon.api.planning import carry_out
 from scp_recon.bodies.catalogue import DAY_S, J2000_TDB, body_names, packaged_body
-from scp_recon.display import digits, mm_s
+from scp_recon.display import digits, exact, mm_s
 from scp_recon.drafting.draft import Draft, GivenBody, Tables, draft_text, drafts
 from scp_recon.drafting.draft import scenario_of as drafted
 from scp_recon.drafting.flown import Track, flown_draft, start_csv, start_table
@@ -110,7 +110,7 @@ class NewOptions:
         latitude, longitude = self.site
         if not -90.0 <= latitude <= 90.0 or not -360.0 <= longitude <= 360.0:
             allowed = "must be within 90 deg of latitude and 360 of longitude"
-            raise InputError(option("site"), f"{latitude:g},{longitude:g}", allowed)
+            raise InputError(option("site"), f"{exact(latitude)},{exact(longitude)}", allowed)
         if self.spacecraft is not None:
             make_whole(self, "spacecraft", -(2**31) + 1, 2**31 - 1)
         self._check_source()
@@ -179,7 +179,7 @@ class NewOptions:
         dense = density(gm, radius)
         if not DENSITIES[0] <= dense <= DENSITIES[1]:  # before any search about such a body
             low, high = DENSITIES
-            given = f"{gm:g} m^3/s^2, a density of {digits(dense, 3)} kg/m^3"
+            given = f"{exact(gm)} m^3/s^2, a density of {digits(dense, 3)} kg/m^3"
             allowed = f"must make {low:g} to {high:g} kg/m^3 with {option('radius')}"
             raise InputError(option("gm"), given, allowed)
         body = GivenBody(gm, radius, period, pole, orbit[:3], orbit[3:], 0.0)

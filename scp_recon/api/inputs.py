@@ -15,6 +15,7 @@ import numpy as np
 from formulations.arrays import Array
 from formulations.problem.flyby import Iterate
 from scp_recon.api.options import PlanOptions
+from scp_recon.display import exact
 from scp_recon.errors import InputError, option, shortened
 from scp_recon.mission.checks import check_scene
 from scp_recon.mission.mission import Mission
@@ -169,7 +170,7 @@ def _mission_of(scenario: Scenario) -> Mission:
                 with suppress(InputError):
                     Mission.from_scenario(scenario.replace(changes))
                     entry, value = next(iter(changes.items()))
-                    shown = f"{value:g}" if isinstance(value, float) else value
+                    shown = exact(value) if isinstance(value, float) else value
                     said.append(f"tried, and accepted: {entry} = {shown} ({question})")
         full = InputError(error.entry, error.given, "\n".join(said))
         raise read_in_degrees(scenario, full, Mission.from_scenario) from None

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from formulations.registry import FULL
+from scp_recon.display import digits
 from scp_recon.errors import InputError, make_whole, number_between, one_of, option, shortened
 from scp_recon.jobs.cores import WORKERS_MAX
 from scp_recon.monte_carlo.estimates import flights_needed
@@ -129,10 +130,10 @@ class PlanOptions:
         most = len(scenario.burn_times_s) * scenario.burns.dv_max_m_s
         if budget is not None and self.objective != "probability":
             allowed = f"goes with {option('objective', 'probability')}"
-            raise InputError(option("dv_budget_m_s"), f"{budget:g}", allowed)
+            raise InputError(option("dv_budget_m_s"), digits(budget, 12), allowed)
         if budget is not None and budget > most:
             allowed = f"must be at most {most:g} m/s, all burns at burns.dv_max_m_s, or any"
-            raise InputError(option("dv_budget_m_s"), f"{budget:g} m/s", allowed)
+            raise InputError(option("dv_budget_m_s"), f"{digits(budget, 12)} m/s", allowed)
         exact = scenario.risk.allocation == "exact"
         if not exact or self.problem != "P2":
             others = option("problem", "P2") if exact else "risk.allocation = exact only"

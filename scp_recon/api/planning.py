@@ -25,6 +25,7 @@ from scp_recon.certification.drifts import with_safe_drifts
 from scp_recon.certification.flights import Watch as FlightWatch
 from scp_recon.certification.largest import LEAST, Search, largest_promise
 from scp_recon.certification.pictures import with_pictures
+from scp_recon.display import exact
 from scp_recon.errors import InputError, option
 from scp_recon.jobs.blas import one_thread
 from scp_recon.mission.mission import Mission
@@ -337,7 +338,7 @@ def _within_budget(best: Plan, budget: float) -> Plan:
     """Refuse a budget that allows no plan even for the least probability."""
     if best.status is Status.CONVERGED and best.cost_m_s > budget:
         allowed = f"must be at least {best.cost_m_s:.6f} m/s, which {LEAST} costs"
-        raise InputError(option("dv_budget_m_s"), f"{budget:g} m/s", allowed)
+        raise InputError(option("dv_budget_m_s"), f"{exact(budget)} m/s", allowed)
     return best
 
 

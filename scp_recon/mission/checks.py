@@ -37,6 +37,7 @@ from scp_recon.bodies.catalogue import (
     packaged_body,
 )
 from scp_recon.bodies.surface import angle_deg, coordinates_of, direction_of
+from scp_recon.display import digits, exact
 from scp_recon.errors import InputError
 from scp_recon.mission.drifts import check_drifts
 from scp_recon.mission.feedback import check_feedback, uncorrected_burns, useless_measurement
@@ -110,7 +111,7 @@ def known_body(scene: Scene) -> Iterator[ScenarioWarning]:
         value = getattr(body, entry)
         if right is not None and abs(value - right) > most * abs(right):  # None where it tumbles
             yield ScenarioWarning.of(
-                f"body.{entry}", f"{value:g}", f"{known['name']} has {right:g}"
+                f"body.{entry}", exact(value), f"{known['name']} has {right:g}"
             )
     if body.radii_m is not None and not np.allclose(body.radii_m, known["radii_m"], SAME_RADIUS):
         yield ScenarioWarning.of(
@@ -132,7 +133,7 @@ def assumed(scene: Scene) -> Iterator[ScenarioWarning]:
         value = attrgetter(entry)(body)
         if value == reduce(getitem, entry.split("."), packaged.entries):
             name = packaged.entries["name"]
-            given = f"{value:g}" if isinstance(value, float) else f"that of {name}"
+            given = exact(value) if isinstance(value, float) else f"that of {name}"
             yield ScenarioWarning.of(f"body.{entry}", f"{given}, which is assumed", text)
 
 
@@ -157,7 +158,7 @@ def _known_attitude(scene: Scene, packaged: PackagedBody) -> Iterator[ScenarioWa
                 entry, hint = name, "; degrees?"
         yield ScenarioWarning.of(
             entry,
-            f"({given[0]:g}, {given[1]:g}) deg, {off:.1f} deg off",
+            f"({exact(given[0])}, {exact(given[1])}) deg, {off:.1f} deg off",
             f"the pole of {known['name']} is at ({pole[0]:g}, {pole[1]:g}) deg{hint}",
         )
         return
@@ -197,9 +198,9 @@ def oblateness(scene: Scene) -> Iterator[ScenarioWarning]:
     if abs(body.j2 - even) > max(J2_SHARE * max(body.j2, even), J2_SLACK):
         yield ScenarioWarning.of(
             "body.j2",
-            f"{body.j2:g}",
+            exact(body.j2),
             f"a homogeneous ellipsoid of body.radii_m has {even:.3g} at "
-            f"{body.reference_radius_m:g} m; unnormalised, which is -sqrt(5) C20?",
+            f"{exact(body.reference_radius_m)} m; unnormalised, which is -sqrt(5) C20?",
         )
 
 
@@ -212,7 +213,7 @@ def angles_in_radians(scene: Scene) -> Iterator[ScenarioWarning]:
         if 0.0 < abs(north) < 0.5 * np.pi and 0.0 < abs(east) < 2.0 * np.pi:
             yield ScenarioWarning.of(
                 entry,
-                f"{north:g} deg, and {other.partition('.')[2]} {east:g} deg",
+                f"{exact(north)} deg, and {other.partition('.')[2]} {exact(east)} deg",
                 f"expected more than {0.5 * np.pi:.2f} or {2.0 * np.pi:.2f} deg; degrees?",
             )
 
@@ -361,13 +362,13 @@ def check_window(scene: Scene, window: Window) -> tuple[ScenarioWarning, ...]:
     computed, (first, last) = limits.window_s is None, window
     times = np.linspace(first, last, int(np.ceil((last - first) / SCAN_STEP_S)) + 1)
     angles, hours = np.rad2deg(lighting.incidence(times)), lighting.local_solar_time(times)
-    worst, given = float(angles.max()), f"[{first:g}, {last:g}] s"
+    worst, given = float(angles.max()), f"[{digits(first)}, {digits(last)}] s"
     at = float(times[np.argmax(angles)])
     if worst >= 90.0:
         dark = f"{given}, in which incidence reaches {worst:.1f} deg at {at:.0f} s"
-        limit = f"the limit is {limits.incidence_max_deg:g} deg"
+        limit = f"the limit is {exact(limits.incidence_max_deg)} deg"
         if computed:
-            dark = f"{limits.incidence_max_deg:g} deg, which makes a window of {dark}"
+            dark = f"{exact(limits.incidence_max_deg)} deg, which makes a window of {dark}"
         entry = "observation.incidence_max_deg" if computed else entry
         raise InputError(entry, dark, f"must keep the site in the light, below 90 deg; {limit}")
     if computed:
@@ -379,7 +380,7 @@ def check_window(scene: Scene, window: Window) -> tuple[ScenarioWarning, ...]:
         at = float(times[np.argmax(angles + spread)])
     if worst > limits.incidence_max_deg + WINDOW_SLACK:
         text = f"{given}, in which incidence{how} reaches {worst:.1f} deg at {at:.0f} s"
-        expected = f"observation.incidence_max_deg is {limits.incidence_max_deg:g} deg"
+        expected = f"observation.incidence_max_deg is {exact(limits.incidence_max_deg)} deg"
         found.append(ScenarioWarning.of(entry, text, expected))
     low, high = limits.local_solar_time_min_h, limits.local_solar_time_max_h
     if hours.min() < low - WINDOW_SLACK or hours.max() > high + WINDOW_SLACK:

@@ -16,6 +16,7 @@ from formulations.problem.facets import Polytopes, split_risk
 from formulations.problem.flyby import StateConstraint
 from formulations.problem.polytopes import ball, paper_ball
 from formulations.problem.regions import Ball, Cone
+from scp_recon.display import exact
 from scp_recon.errors import InputError
 from scp_recon.mission.knowledge import Uncertain, companion_motion, region_motions
 from scp_recon.mission.scene import Scene
@@ -76,7 +77,7 @@ def require_any_final_sigma(scenario: Scenario, needs: str) -> None:
     """
     for name in ("final_sigma_position_m", "final_sigma_velocity_m_s"):
         if (limit := getattr(scenario.boundary, name)) is not None:
-            raise InputError(f"boundary.{name}", f"{limit:g}", f"goes with {needs}")
+            raise InputError(f"boundary.{name}", exact(limit), f"goes with {needs}")
 
 
 def companion_distance_m(scenario: Scenario) -> float:

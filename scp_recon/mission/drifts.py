@@ -16,6 +16,7 @@ from formulations.arrays import Array
 from formulations.problem.drift import Drift
 from formulations.problem.facets import quantile
 from formulations.problem.regions import Ball
+from scp_recon.display import exact
 from scp_recon.errors import InputError, option
 from scp_recon.mission.constraints import companion_distance_m
 from scp_recon.mission.grid import NODES_MAX, Units
@@ -171,20 +172,20 @@ def check_drifts(scene: Scene) -> None:
         if given:
             entry = f"safety.{given[0]}"
             needs = "has no effect without safety.missed_burns or safety.cut_short"
-            raise InputError(entry, f"{getattr(safety, given[0]):g}", needs)
+            raise InputError(entry, exact(getattr(safety, given[0])), needs)
         return
     body = scenario.body.reference_radius_m
     if radius_m(scenario) < body:
         entry = "drift_radius_m" if safety.drift_radius_m else "radius_min_m"
-        needs = f"must be at least body.reference_radius_m, {body:g} m"
-        raise InputError(f"safety.{entry}", f"{radius_m(scenario):g} m", needs)
+        needs = f"must be at least body.reference_radius_m, {exact(body)} m"
+        raise InputError(f"safety.{entry}", f"{exact(radius_m(scenario))} m", needs)
     spell, step = duration_s(scenario), _step_s(scenario)
     if spell > NODES_MAX * step:
         needs = f"must be at most {NODES_MAX * step:.0f} s, {NODES_MAX} nodes a drift"
-        raise InputError("safety.drift_s", f"{spell:g} s", needs)
+        raise InputError("safety.drift_s", f"{exact(spell)} s", needs)
     if spell > (left := attitudes_left_s(scene)):
         needs = f"must be at most {np.floor(left):.0f} s, when the table of attitudes ends"
-        raise InputError("safety.drift_s", f"{spell:g} s", needs)
+        raise InputError("safety.drift_s", f"{exact(spell)} s", needs)
 
 
 def require_no_drifts(scenario: Scenario, needs: str) -> None:

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from formulations.arrays import Array
+from scp_recon.display import exact
 from scp_recon.errors import InputError
 from scp_recon.mission.scene import Scene, execution_errors
 from scp_recon.mission.schedule import SAME_S
@@ -207,7 +208,7 @@ def check_feedback(scenario: Scenario) -> None:
         latest = max(correctable)
         raise InputError(
             "navigation.lead_s",
-            f"{scenario.navigation.lead_s:g} s, with which every cut-off precedes departure",
+            f"{exact(scenario.navigation.lead_s)} s, with which every cut-off precedes departure",
             f"must be at most {correctable[latest]:g} s, for burn {latest + 1} to be corrected",
         )
 
@@ -226,12 +227,12 @@ def _check_contacts(scenario: Scenario) -> None:
         if contacts.turnaround_s > latest - scenario.start_s:
             needs = f"must be at most {latest - scenario.start_s:g} s, for a burn to use a contact"
             raise InputError(
-                "navigation.contacts.turnaround_s", f"{contacts.turnaround_s:g} s", needs
+                "navigation.contacts.turnaround_s", f"{exact(contacts.turnaround_s)} s", needs
             )
         given = "every_s" if contacts.windows_s is None else "windows_s"
         raise InputError(
             f"navigation.contacts.{given}",
-            f"no contact that a burn can use, {contacts.turnaround_s:g} s after its end",
+            f"no contact that a burn can use, {exact(contacts.turnaround_s)} s after its end",
             f"must have one that begins at {scenario.start_s:g} s or later and ends by "
             f"{latest - contacts.turnaround_s:g} s",
         )
@@ -287,7 +288,7 @@ def uncorrected_burns(scene: Scene) -> Iterator[ScenarioWarning]:
         elif burn not in corrected:
             yield ScenarioWarning.of(
                 "navigation.lead_s",
-                f"{scenario.navigation.lead_s:g} s, so that burn {burn + 1} at {time:g} s is not "
+                f"{exact(scenario.navigation.lead_s)} s, so that burn {burn + 1} at {time:g} s is not "
                 "corrected: its cut-off precedes departure",
                 f"expected at most {time - scenario.start_s:g} s",
             )

@@ -10,6 +10,7 @@ import numpy as np
 
 from scp_recon.bodies.catalogue import AU_KM, packaged_body
 from scp_recon.bodies.surface import Ellipsoid, Mesh
+from scp_recon.display import exact
 from scp_recon.errors import InputError, option
 from scp_recon.mission.scene import Scene
 from scp_recon.physics.forces import ForceModel, cannonball_srp
@@ -200,6 +201,6 @@ def _check_is_packaged(body: Body, needed_by: str) -> None:
             within = f"within {100 * share:g} % of " if share else ""
             raise InputError(
                 needed_by,
-                f"body.{entry} {given:g}",
+                f"body.{entry} {exact(given)}",
                 f"must be {within}{own:g}: the packaged gravity field is that of {FIELD_BODY}",
             )

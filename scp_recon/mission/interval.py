@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from scp_recon.display import digits
+from scp_recon.display import digits, exact
 from scp_recon.errors import InputError
 from scp_recon.mission.scene import Scene
 from scp_recon.scenario.fields import ScenarioWarning, unit_hint
@@ -62,12 +62,12 @@ class Interval:
     def _shown(self, given: Any, value: float) -> str:
         """The quantity beside the number or vector it is computed from."""
         if not self.quantity:
-            figures = 12 if isinstance(given, float) else 4
-            return f"{value:.{figures}g} {self.unit}".rstrip()
+            text = exact(value) if isinstance(given, float) else _number(value)
+            return f"{text} {self.unit}".rstrip()
         number = f"{self.quantity}: {_number(value, 3)} {self.unit}".rstrip()
         if isinstance(given, tuple) and (len(given) > 3 or isinstance(given[0], tuple)):
             return number
-        return f"{f'{given:.12g}' if isinstance(given, float) else shown(given)} ({number})"
+        return f"{shown(given)} ({number})"
 
     def _expected(self, ends: Ends, scale: float, value: float) -> str:
         hint = self.hint

@@ -196,6 +196,17 @@ PLANNER_INTERVALS = (
     Interval(
         "grid.step_max_s", "nodes in the flight",
         lambda s, entry: s.scenario.duration_s / float(value_at(s, entry)), refuse=(-INF, NODES_MAX),
+        hint="; a shorter flight, or longer steps",
+    ),
+    # Beside it site and flight would be called too near the centre.
+    Interval(
+        "body.reference_radius_m", unit="m", refuse=(-INF, 1.0),
+        scale=(
+            lambda s, e: max(
+                5.0 * float(np.linalg.norm(s.site.position_body)), _nearer_end_m(s, e)
+            ),
+            "times the nearer end of the flight, or 5 times the site's distance",
+        ),
     ),
     # The body moves on a straight line, which must not lead to the Sun.
     Interval(
@@ -209,6 +220,10 @@ PLANNER_INTERVALS = (
         f"{ENDS} {HOME} {FLIGHT}",
         "from the centre", _outside_m, "m", refuse=(math.nextafter(1.0, 2.0), INF),
         hint=", outside the body", scale=RADII,
+    ),
+    Interval(
+        "safety.radius_min_m", unit="m", refuse=(-INF, 1.0),
+        scale=(_nearer_end_m, "times the nearer end of the flight"),
     ),
     # Where a flight turns by a radian per step.
     Interval(

@@ -18,6 +18,7 @@ from formulations.arrays import Array, Indices
 from formulations.linearisation.factor import factor_of
 from formulations.problem.motion import Motion
 from scp_recon.bodies.catalogue import DAY_S
+from scp_recon.display import exact
 from scp_recon.errors import InputError
 from scp_recon.physics.companion import Companion
 from scp_recon.physics.forces import ForceModel
@@ -276,7 +277,7 @@ def check_knowledge(scenario: Scenario) -> None:
 
 
 def _refuse(entry: str, sigmas: Mapping[str, Array], needs: str) -> None:
-    given = ", ".join(f"{one:g}" for one in sigmas[entry])
+    given = ", ".join(exact(one) for one in sigmas[entry])
     raise InputError(f"knowledge.{entry}", given, needs)
 
 
@@ -300,7 +301,7 @@ def in_words(scenario: Scenario) -> str:
         values[COMPANION_GM] = body.companion.gm_m3_s2
     parts = []
     for entry, sigma in Uncertain.of(scenario).sigmas.items():
-        words = f"{entry} {', '.join(f'{one:g}' for one in sigma)}"
+        words = f"{entry} {', '.join(f'{exact(one)}' for one in sigma)}"
         if value := values.get(entry):
             words += f" ({100.0 * float(sigma[0]) / abs(value):.3g} %)"
         parts.append(words)

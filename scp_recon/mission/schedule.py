@@ -15,6 +15,7 @@ from enum import StrEnum
 import numpy as np
 
 from formulations.arrays import Array
+from scp_recon.display import digits, exact
 from scp_recon.errors import InputError
 from scp_recon.mission.windows import (
     SCAN_STEP_S,
@@ -91,8 +92,8 @@ def find_window(scenario: Scenario, lighting: Lighting, step_s: float = SCAN_STE
         if not 0.0 < first < last < end:
             raise InputError(
                 "observation.window_s",
-                f"[{first:g}, {last:g}] s",
-                f"must be ascending and inside the flight, 0 to {end:g} s",
+                f"[{exact(first)}, {exact(last)}] s",
+                f"must be ascending and inside the flight, 0 to {exact(end)} s",
             )
         return first, last
     slack, flight = lighting.slack(limits), (0.0, end)
@@ -101,9 +102,9 @@ def find_window(scenario: Scenario, lighting: Lighting, step_s: float = SCAN_STE
         return found
     raise InputError(
         "observation",
-        f"incidence at most {limits.incidence_max_deg:g} deg and local solar time "
-        f"{limits.local_solar_time_min_h:g} to {limits.local_solar_time_max_h:g} h",
-        f"the flight of {end:g} s must contain a whole window in which both hold; "
+        f"incidence at most {exact(limits.incidence_max_deg)} deg and local solar time "
+        f"{exact(limits.local_solar_time_min_h)} to {exact(limits.local_solar_time_max_h)} h",
+        f"the flight of {exact(end)} s must contain a whole window in which both hold; "
         + _other_windows(scenario, slack, lighting.incidence, step_s),
     )
 
@@ -142,7 +143,7 @@ def make_schedule(
             # The burn that ends the short leg; before the observation, the one that starts it.
             burn = index - 1 if index > before else index
             if burn == 0:  # which cannot move: the window has to
-                given = f"[{window_s[0]:g}, {window_s[1]:g}] s"
+                given = f"[{digits(window_s[0])}, {digits(window_s[1])}] s"
                 raise InputError("observation.window_s", given, f"{broken}; {legal}")
             early, late = intervals[burn]
             moved = (
@@ -151,7 +152,7 @@ def make_schedule(
             moved = f"nowhere, from {early:g} s on but until {late:g} s" if early > late else moved
             raise InputError(
                 f"burns.times_s.{burn}",
-                f"{times_s[burn]:g} s",
+                f"{exact(times_s[burn])} s",
                 f"{broken}; with the others kept this burn may be {moved}; {legal}",
             )
         if leg.start_s > previous.end_s:
@@ -334,7 +335,7 @@ def check_in_flight(scenario: Scenario) -> None:
     if not scenario.burn_times_s:
         raise InputError(
             entry,
-            f"{at:g} s, at or after the last burn at {times[-1]:g} s",
+            f"{exact(at)} s, at or after the last burn at {exact(times[-1])} s",
             f"must leave a burn to plan: at most {times[-1] - lead:g} s, or with later burns added to "
             "burns.times_s (two reach a final state)",
         )
@@ -345,7 +346,7 @@ def check_in_flight(scenario: Scenario) -> None:
         )
         raise InputError(
             entry,
-            f"{at:g} s, {following - at:g} s before burn {flown + 1} at {following:g} s",
+            f"{exact(at)} s, {following - at:g} s before burn {flown + 1} at {following:g} s",
             f"must leave the lead time, navigation.lead_s = {lead:g} s, before the next burn: "
             f"at most {following - lead:g} s{later}",
         )
@@ -353,5 +354,5 @@ def check_in_flight(scenario: Scenario) -> None:
         raise InputError(
             "in_flight.flown_m_s",
             f"{len(flight.flown_m_s)} burns",
-            f"must be the {flown} burns at or before in_flight.at_s, {at:g} s",
+            f"must be the {flown} burns at or before in_flight.at_s, {exact(at)} s",
         )

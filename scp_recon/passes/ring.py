@@ -15,7 +15,7 @@ from scipy.interpolate import CubicHermiteSpline, PchipInterpolator
 from formulations.arrays import Array
 from scp_recon.bodies.catalogue import J2000_TDB
 from scp_recon.bodies.kernels import read_states
-from scp_recon.display import digits
+from scp_recon.display import digits, exact
 from scp_recon.errors import InputError
 from scp_recon.interop.ccsds import plain_name
 from scp_recon.interop.oem import oem_track
@@ -82,7 +82,7 @@ def flown_ring(home: HomeOrbit, forces: ForceModel, axes: Array) -> Ring:
     if ring is None:
         raise InputError(
             "boundary.home.flown",
-            f"a circle of {home.radius_m:g} m",
+            f"a circle of {exact(home.radius_m)} m",
             f"must come round under the mission's forces within {LONGEST:g} of its revolutions",
         )
     return ring

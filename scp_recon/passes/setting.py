@@ -7,6 +7,7 @@ from datetime import timedelta
 import numpy as np
 
 from formulations.arrays import Array
+from scp_recon.display import exact
 from scp_recon.errors import InputError
 from scp_recon.mission.firing import Ring
 from scp_recon.mission.mission import Mission
@@ -86,7 +87,7 @@ def _check_spans(scenario: Scenario, departure: Span, arrival: Span) -> None:
         raise InputError(
             "design.arrival_s",
             _text(arrival),
-            f"must contain the last of burns.times_s, {times[-1]:g} s, where design.burn_times is "
+            f"must contain the last of burns.times_s, {exact(times[-1])} s, where design.burn_times is "
             "'given'",
         )
 
@@ -136,8 +137,8 @@ def _check_size(scenario: Scenario) -> None:
     if home is not None and home.ephemeris_file is None and home.radius_m <= least:
         raise InputError(
             "boundary.home.radius_m",
-            f"{home.radius_m:g}",
-            f"must exceed safety.radius_min_m, {least:g} m",
+            exact(home.radius_m),
+            f"must exceed safety.radius_min_m, {exact(least)} m",
         )
     count = len(scenario.burns.times_s)
     if count > BURNS_MAX:
@@ -157,7 +158,7 @@ def _check_given(scenario: Scenario) -> None:
                 f"design.{name}",
                 _text(span),
                 "goes with boundary.home: given states fix the first burn at 0 s and the last at "
-                f"{scenario.burns.times_s[-1]:g} s",
+                f"{exact(scenario.burns.times_s[-1])} s",
             )
     if design.burn_times == "given":
         raise InputError(

@@ -10,6 +10,7 @@ import numpy as np
 
 from formulations.arrays import Array
 from formulations.problem.flyby import Iterate
+from scp_recon.display import exact
 from scp_recon.errors import InputError
 from scp_recon.files import read_text
 from scp_recon.mission.mission import Mission
@@ -235,8 +236,8 @@ def from_states(mission: Mission, table: Array, entry: str = "init") -> Iterate:
     if time[0] > start or time[-1] < end:
         raise InputError(
             entry,
-            f"{time[0]:g} to {time[-1]:g} s",
-            f"must cover the flight, {start:g} to {end:g} s",
+            f"{exact(time[0])} to {exact(time[-1])} s",
+            f"must cover the flight, {exact(start)} to {exact(end)} s",
         )
     _check_units(mission, entry, time, states)
     nodes = _interpolated(pieces, mission.times_s)

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from formulations.problem.flyby import Iterate
+from scp_recon.display import exact
 from scp_recon.errors import InputError, one_of, option
 from scp_recon.mission.mission import Mission
 from scp_recon.physics.flow import propagate
@@ -44,8 +45,8 @@ def mission_left(flown: FlownPlan, delivery: Delivery, overrides: Sequence[str] 
     if at < before.start_s:
         raise InputError(
             option("at_s"),
-            f"{at:g} s",
-            f"must not be before {before.start_s:g} s past its epoch, where the plan begins",
+            f"{exact(at)} s",
+            f"must not be before {exact(before.start_s)} s past its epoch, where the plan begins",
         )
     burns = delivery.burns_flown(before, flown.burns_m_s)
     known = flown.known_at(at) if delivery.covariance is None else None
@@ -106,11 +107,11 @@ def with_goal(
     if arrive_by is not None:
         *times, _ = flown.mission.scenario.burns.times_s
         if not arrive_by > times[-1]:
-            allowed = f"must be after the burn before, {times[-1]:g} s"
-            raise InputError(option("arrive_by"), f"{arrive_by:g} s", allowed)
+            allowed = f"must be after the burn before, {exact(times[-1])} s"
+            raise InputError(option("arrive_by"), f"{exact(arrive_by)} s", allowed)
         if twice := [one for one in overrides if one.startswith("burns.times_s=")]:
             allowed = "must be left out beside burns.times_s, whose last burn fixes the same time"
-            raise InputError(option("arrive_by"), f"{arrive_by:g} s and {twice[-1]}", allowed)
+            raise InputError(option("arrive_by"), f"{exact(arrive_by)} s and {twice[-1]}", allowed)
         found.append(f"burns.times_s={[*times, float(arrive_by)]}")
     return [*found, *overrides]
 

@@ -8,13 +8,14 @@ another body's spin). `derive` computes them anew or the schema reports them as 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from scp_recon.display import digits, exact
 from scp_recon.errors import InputError
 from scp_recon.scenario.uncertainty import Navigation, OneWay, Uncertainty
 
@@ -221,7 +222,7 @@ def check(entry: str, given: object, near: bool, computed: object, why: str) -> 
         InputError: if `near` is False.
     """
     if not near:
-        raise InputError(entry, shown(given), f"must agree with {shown(computed)}, {why}")
+        raise InputError(entry, shown(given), f"must agree with {shown(computed, digits)}, {why}")
 
 
 def check_share(entry: str, given: float, computed: float, share: float, source: str) -> None:
@@ -230,10 +231,10 @@ def check_share(entry: str, given: float, computed: float, share: float, source:
     check(entry, given, near, computed, f"{source}, to {share:g}")
 
 
-def shown(value: object) -> str:
-    """A number or a list of them, to six digits."""
+def shown(value: object, number: Callable[[float], str] = exact) -> str:
+    """A number or a list of them, each as a text that a function makes."""
     if isinstance(value, float | int):
-        return f"{value:g}"
+        return number(value)
     if isinstance(value, Sequence | np.ndarray) and not isinstance(value, str):
-        return f"[{', '.join(f'{float(x):g}' for x in value)}]"
+        return f"[{', '.join(number(float(x)) for x in value)}]"
     return str(value)

@@ -19,6 +19,7 @@ from scp_recon.bodies.surface import (
     coordinates_of,
     direction_of,
 )
+from scp_recon.display import exact
 from scp_recon.errors import InputError
 from scp_recon.scenario.given import check, has, shown
 
@@ -52,7 +53,7 @@ def derive_site(site: dict[str, Any], body: dict[str, Any]) -> None:
     else:
         raise InputError(
             "site.latitude_deg",
-            f"{site['latitude_deg']:g} on a body without a shape",
+            f"{exact(site['latitude_deg'])} on a body without a shape",
             "needs body.radii_m or body.shape_file, or a packaged body's name",
         )
     if surface is None:
@@ -83,7 +84,7 @@ def _surface(site: dict[str, Any], body: dict[str, Any]) -> Surface | None:
         if has(site, "normal_radius_m"):
             raise InputError(
                 "site.normal_radius_m",
-                f"{site['normal_radius_m']:g}",
+                exact(site["normal_radius_m"]),
                 "goes with body.shape_file only",
             )
         return None if radii is None else Ellipsoid(radii)
@@ -95,7 +96,7 @@ def _surface(site: dict[str, Any], body: dict[str, Any]) -> Surface | None:
         if not low <= mesh.normal_radius_m <= high:
             raise InputError(
                 "site.normal_radius_m",
-                f"{mesh.normal_radius_m:g} m",
+                f"{exact(mesh.normal_radius_m)} m",
                 f"must be {low:.3g} to {high:.3g} m, from a tenth of a facet to half the body",
             )
     if radii is not None:

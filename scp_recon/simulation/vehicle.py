@@ -14,6 +14,7 @@ import numpy as np
 from pydantic import Field, ValidationError, model_validator
 
 from formulations.arrays import Array
+from scp_recon.display import exact
 from scp_recon.errors import InputError
 from scp_recon.files import read_text
 from scp_recon.physics.frames import unit
@@ -250,6 +251,6 @@ def check_vehicle(vehicle: Vehicle, scenario: Scenario) -> Iterator[ScenarioWarn
     if abs(flown - planned) > SAME_MASS * planned:
         yield ScenarioWarning.of(
             "spacecraft.mass_kg",
-            f"{planned:g} kg",
+            f"{exact(planned)} kg",
             f"{vehicle.name}, the vehicle that is flown, has {flown:g} kg: give your own by --vehicle",
         )

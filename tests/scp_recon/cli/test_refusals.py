@@ -136,7 +136,7 @@ replan plan --at 17000 STATE --out '' -> --out: got ''; must be a folder
 replan plan --at 17000 STATE --out plan -> --out: got plan, which holds the plan in flight
 replan plan --at noon STATE -> --at: got 'noon'; must be seconds
 replan plan --at 2020-01-22T03:46:37Z STATE -> --at: got '2020-01-22T03:46:37Z'
-replan plan --at 2019-01-22T03:46:37 STATE -> --at: got -3.1
+replan plan --at 2019-01-22T03:46:37 STATE -> --at: got -31510000.184 s
 replan plan --at 17000 --state 1 2 3 4 5 -> --state: got 5 numbers; must be six
 replan plan --at 17000 --state nowhere.txt -> --state nowhere.txt: got no such file
 replan plan --at 17000 STATE --measured-burn 2=0,0,0.1 --measured-burn=2=0,0,0.2 -> got burn 2 twice

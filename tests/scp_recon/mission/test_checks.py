@@ -306,7 +306,7 @@ DARK = (
     [
         (["grid.step_max_s=1.0"], "grid.step_max_s", "at most 3000"),
         (["sun.body_position_km=[1.0, 0.0, 0.0]"], "sun.body_position_km", "elements of Bennu"),
-        (["body.reference_radius_m=1140.0"], "boundary.final_position_m", "outside the body"),
+        (["body.reference_radius_m=1140.0"], "body.reference_radius_m", "at most 1138 m"),
         # kilometres in the place of metres, and km^3/s^2 converted the wrong way round
         ([f"{BEGIN}=[0.0702, -1.0963, 0.4064]"], BEGIN, "centre: 1.17 m); must be at least 290 m"),
         (["body.gm_m3_s2=4.89e9"], "body.gm_m3_s2", "the planner's steps are 240 s"),
@@ -375,6 +375,30 @@ def test_radians_are_told_before_what_follows_from_them(given):
     with pytest.raises(InputError) as caught:
         mission_of(f"site.latitude_deg={north}", f"site.longitude_deg={east}", "risk.p_chance=2")
     assert caught.value.entry == "risk.p_chance"
+
+
+@pytest.mark.parametrize(
+    ("override", "given"),
+    [
+        ("boundary.initial_position_m=[1128712.5,0,0]", "[1128712.5, 0, 0] (from"),
+        ("sun.body_position_km=[1128712.5,3,-2.25]", "[1128712.5, 3, -2.25]"),
+        ("observation.window_s=[1128712.5,1128999.5]", "[1128712.5, 1128999.5] s"),
+        ("body.gm_m3_s2=1128712.5", "1128712.5 m^3/s^2"),
+        ("safety.radius_min_m=500000", "500000 m"),
+    ],
+)
+def test_refused_value_is_shown_as_given(override, given):
+    with pytest.raises(InputError) as caught:
+        mission_of(override)
+    assert caught.value.entry == override.partition("=")[0]
+    assert caught.value.given.startswith(given)
+
+
+@pytest.mark.parametrize("override", ["safety.radius_min_m=5000", "body.reference_radius_m=29000"])
+def test_entry_out_of_proportion_is_the_one_named(override):
+    with pytest.raises(InputError) as caught:
+        mission_of(override)
+    assert caught.value.entry == override.partition("=")[0]
 
 
 def test_limit_in_radians_below_its_minimum_is_told():
