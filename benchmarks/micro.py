@@ -6,10 +6,7 @@ from typing import Any
 
 import pytest
 
-from formulations.linearisation.linearisation import (
-    Linearisation,
-    condense,
-)
+from formulations.linearisation.linearisation import Linearisation, condense
 from formulations.registry import make_subproblem
 from formulations.rows.uniform import ChanceRows
 from scp_recon.mission.mission import Mission

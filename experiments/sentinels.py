@@ -27,14 +27,7 @@ from experiments.observation_rows import run_row
 from experiments.observation_table import SAMPLES
 from experiments.other_tools import cross_check, peers, spice
 from experiments.solvers import dense, optima, variations
-from experiments.solvers.cases import (
-    REFERENCE,
-    SHOOTING,
-    TUNED,
-    Cell,
-    Method,
-    exact_design,
-)
+from experiments.solvers.cases import REFERENCE, SHOOTING, TUNED, Cell, Method, exact_design
 from experiments.solvers.cells import solve
 from experiments.spacecraft import (
     battery_cones,

@@ -15,14 +15,7 @@ from typing import Any
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from experiments.harness import (
-    Findings,
-    Record,
-    Session,
-    Study,
-    default_mission,
-    default_plan,
-)
+from experiments.harness import Findings, Record, Session, Study, default_mission, default_plan
 from formulations.arrays import Array
 from scp_recon.mission.gravity import HARMONICS_DEGREE
 from scp_recon.mission.mission import Mission

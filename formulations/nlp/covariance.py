@@ -17,11 +17,7 @@ import casadi as ca
 import numpy as np
 
 from formulations.arrays import Array
-from formulations.problem.execution_errors import (
-    ComponentwiseErrors,
-    ExecutionErrors,
-    GatesErrors,
-)
+from formulations.problem.execution_errors import ComponentwiseErrors, ExecutionErrors, GatesErrors
 from formulations.problem.flyby import FlybyProblem
 
 GUARD = 1e-16

@@ -27,13 +27,7 @@ from formulations.linearisation.linearisation import (
 )
 from formulations.problem.flyby import FlybyProblem
 from formulations.program.convex_subproblem import ConvexSubproblem
-from formulations.program.model import (
-    CompiledProgram,
-    Numbers,
-    Shape,
-    StateModel,
-    write_model,
-)
+from formulations.program.model import CompiledProgram, Numbers, Shape, StateModel, write_model
 from formulations.program.solvers import SOLVERS, FallbackSolver
 from formulations.program.subproblem import Penalty, PenaltyParameters, Step, SubproblemError
 from formulations.rows.cones import Cones, Rows

@@ -13,12 +13,7 @@ from formulations.linearisation.linearisation import Linearisation
 from formulations.problem.firing_times import UNIT
 from formulations.problem.flyby import FlybyProblem
 from formulations.program.certificate import GAP
-from formulations.program.model import (
-    CompiledProgram,
-    Values,
-    cost_values,
-    penalty_values,
-)
+from formulations.program.model import CompiledProgram, Values, cost_values, penalty_values
 from formulations.program.solvers import FallbackSolver
 from formulations.program.subproblem import (
     MeritFunction,

@@ -30,11 +30,7 @@ from scipy.optimize import lsq_linear
 
 from formulations.arrays import Array, Booleans
 from formulations.linearisation.adjoint import pulled_before
-from formulations.linearisation.linearisation import (
-    Linearisation,
-    condense,
-    miss_of,
-)
+from formulations.linearisation.linearisation import Linearisation, condense, miss_of
 from formulations.problem.cost import cost
 from formulations.problem.firing_times import UNIT
 from formulations.problem.flyby import FlybyProblem

@@ -7,11 +7,7 @@ from typing import Literal, NamedTuple, Protocol
 import numpy as np
 
 from formulations.arrays import Array, Indices
-from formulations.linearisation.linearisation import (
-    Linearisation,
-    Sensitivity,
-    condense,
-)
+from formulations.linearisation.linearisation import Linearisation, Sensitivity, condense
 from formulations.problem.flyby import FlybyProblem
 
 Unit = Literal["length", "sigma"]

@@ -15,12 +15,7 @@ from __future__ import annotations
 import numpy as np
 
 from formulations.arrays import Array, Indices
-from formulations.linearisation.linearisation import (
-    Linearisation,
-    Seen,
-    Sensitivity,
-    condense,
-)
+from formulations.linearisation.linearisation import Linearisation, Seen, Sensitivity, condense
 from formulations.problem.facets import quantile
 from formulations.problem.flyby import FlybyProblem, factor_columns_used
 from formulations.rows.cones import (

@@ -9,10 +9,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from formulations.arrays import Array, Booleans, Indices
-from formulations.linearisation.linearisation import (
-    Linearisation,
-    Sensitivity,
-)
+from formulations.linearisation.linearisation import Linearisation, Sensitivity
 from formulations.problem.facets import Facets
 from formulations.problem.flyby import FlybyProblem, StateConstraint, factor_columns_used
 from formulations.rows.cones import (

@@ -27,11 +27,7 @@ from scp_recon.results.read import read_solution
 from scp_recon.results.runs import resolve_run
 from scp_recon.results.solution import Solution
 from scp_recon.scenario.fields import ScenarioWarning
-from scp_recon.scenario.load import (
-    load_scenario,
-    naming_files,
-    override,
-)
+from scp_recon.scenario.load import load_scenario, naming_files, override
 from scp_recon.scenario.schema import Scenario
 from scp_recon.scenario.time_scales import tdb_of_utc
 

@@ -11,13 +11,8 @@ from time import monotonic
 import numpy as np
 from rich.console import Console
 
-from scp_recon.api.designing import (
-    Design,
-    phases_deg,
-)
-from scp_recon.cli.command import (
-    show_line,
-)
+from scp_recon.api.designing import Design, phases_deg
+from scp_recon.cli.command import show_line
 from scp_recon.cli.rendering import time_left
 from scp_recon.display import mm_s
 from scp_recon.errors import option

@@ -6,11 +6,7 @@ from rich.console import Console
 
 from scp_recon.cli.rendering import terminal
 from scp_recon.display import mm_s
-from scp_recon.monte_carlo.summary import (
-    Statistics,
-    Summary,
-    Terminal,
-)
+from scp_recon.monte_carlo.summary import Statistics, Summary, Terminal
 from scp_recon.reports.flight_tables import (
     corrected_burns_table,
     flown_probabilities_table,

@@ -15,12 +15,7 @@ import numpy as np
 from scipy.constants import G
 
 from formulations.rows.flight_probability import PROBABILITY_MAX
-from scp_recon.bodies.catalogue import (
-    AU_KM,
-    ECLIPTIC_NORTH,
-    GM_SUN_KM3_S2,
-    packaged_body,
-)
+from scp_recon.bodies.catalogue import AU_KM, ECLIPTIC_NORTH, GM_SUN_KM3_S2, packaged_body
 from scp_recon.bodies.surface import angle_deg
 from scp_recon.mission.grid import NODES_MAX, RK4_STEP_MAX_S
 from scp_recon.mission.interval import INF, Interval, size, value_at

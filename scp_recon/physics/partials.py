@@ -16,12 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from formulations.arrays import Array, Indices
-from scp_recon.physics.forces import (
-    ForceModel,
-    accelerations,
-    gravity_curvature,
-    gravity_gradient,
-)
+from scp_recon.physics.forces import ForceModel, accelerations, gravity_curvature, gravity_gradient
 from scp_recon.physics.frames import Rotation
 
 STEP = 1e-3

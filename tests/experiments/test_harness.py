@@ -10,15 +10,7 @@ from rich.console import Console
 from experiments import frontier, testing
 from experiments.__main__ import STUDIES, main
 from experiments.evidence import FILE, ROOT, Evidence
-from experiments.harness import (
-    Claim,
-    Findings,
-    Record,
-    Session,
-    Study,
-    run,
-    study_of,
-)
+from experiments.harness import Claim, Findings, Record, Session, Study, run, study_of
 from experiments.other_tools import cross_check
 from scp_recon.jobs.job import Job
 from tests import reliability

@@ -12,12 +12,7 @@ from hypothesis import strategies as st
 from formulations.arrays import Array
 from formulations.linearisation.adjoint import gradient
 from formulations.linearisation.dynamics import Dynamics
-from formulations.linearisation.linearisation import (
-    Linearisation,
-    condense,
-    miss_of,
-    step_mean,
-)
+from formulations.linearisation.linearisation import Linearisation, condense, miss_of, step_mean
 from formulations.problem.execution_errors import ComponentwiseErrors, GatesErrors
 from formulations.problem.expression_flow import ExpressionFlow
 from formulations.problem.facets import Polytopes, choose_facets

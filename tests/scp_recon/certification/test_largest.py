@@ -9,13 +9,7 @@ from scipy.special import ndtr, ndtri
 
 from formulations.problem.flyby import Iterate
 from scp_recon.certification import largest
-from scp_recon.certification.largest import (
-    CLOSE,
-    LEAST,
-    Search,
-    largest_promise,
-    rounded_down,
-)
+from scp_recon.certification.largest import CLOSE, LEAST, Search, largest_promise, rounded_down
 from scp_recon.certification.targets import MOST
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.estimates import (

@@ -18,11 +18,7 @@ from scp_recon.jobs.job import DIED, Done, Failure, Job, Work, attempt
 from scp_recon.jobs.processes import Processes
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo import flights, narrow
-from scp_recon.monte_carlo.flights import (
-    FlightConfig,
-    FlightTally,
-    fly_many,
-)
+from scp_recon.monte_carlo.flights import FlightConfig, FlightTally, fly_many
 from scp_recon.monte_carlo.observation_time import ALL
 from scp_recon.monte_carlo.summarise import summarise
 from scp_recon.monte_carlo.summary import FILE_NAME, read_summary

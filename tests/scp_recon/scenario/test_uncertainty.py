@@ -14,12 +14,7 @@ from hypothesis import strategies as st
 from formulations.arrays import Array
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
-from scp_recon.scenario.load import (
-    base_names,
-    load_scenario,
-    scenario_text,
-    validate_scenario,
-)
+from scp_recon.scenario.load import base_names, load_scenario, scenario_text, validate_scenario
 from scp_recon.scenario.uncertainty import MATRIX_TOLERANCE
 from tests.helpers import generators
 from tests.scp_recon.support import sigma_of
