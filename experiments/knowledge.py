@@ -15,7 +15,7 @@ from collections.abc import Mapping, Sequence
 from functools import cache
 from typing import Any, NamedTuple
 
-from experiments.harness import Claim, Findings, Record, Session, Study, fly_plan
+from experiments.harness import Findings, Record, Session, Study, fly_plan
 from experiments.in_flight.feedback import LEAD_S, measured
 from experiments.missed_burns import passes
 from experiments.plans import FLIGHT
@@ -195,24 +195,7 @@ def run(session: Session) -> Findings:
     store = session.store()
     alone = session.rows("parameters", measure, each, store)
     together = session.rows("plans", measure, [(case, ALL) for case in CASES], store)
-    return Findings({"parameters": alone, "plans": together}, claims_of(together))
-
-
-def claims_of(plans: Sequence[Record]) -> list[Claim]:
-    """What plans with GM to 10 % are to hold."""
-    row = next(row for row in plans if row["case"] == GM_10)
-    flown = [row[f"{policy}_flown"] for policy in POLICIES]
-    price, less = (row[f"{policy}_percent"] for policy in POLICIES)
-    words = f"open loop {flown[0]:.3f}, feedback {flown[1]:.3f}"
-    return [
-        Claim("flights keep all limits, GM to 10 %", "at least 0.90", words, min(flown) >= 0.9),
-        Claim(
-            "price of GM to 10 %",
-            "with feedback at most half that of the open loop",
-            f"{less:.1f} % and {price:.1f} %",
-            less <= 0.5 * price,
-        ),
-    ]
+    return Findings({"parameters": alone, "plans": together})
 
 
 STUDY = Study(__doc__, run)

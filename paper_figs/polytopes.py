@@ -30,14 +30,12 @@ class Section:
     """A plane through the spacecraft at one node, in which a region is a disc about the origin.
 
     Attributes:
-        site_m: the site, J2000, shape (3,).
         origin_m: J2000, shape (3,).
         frame: the plane's axes and its normal as columns, J2000, shape (3, 3).
         point_m: the spacecraft from the origin along the frame, whose first axis points to it, (3,).
         covariance_m2: of its position along the frame, shape (3, 3).
     """
 
-    site_m: Array
     origin_m: Array
     frame: Array
     point_m: Array
@@ -88,7 +86,7 @@ def cone_polytopes(runs: Runs) -> Figure:
     first = across / np.linalg.norm(across)
     frame = np.stack([first, np.cross(normal, first), normal], axis=1)
     origin = site + height * normal
-    cut = Section(site, origin, frame, frame.T @ across, frame.T @ covariance @ frame)
+    cut = Section(origin, frame, frame.T @ across, frame.T @ covariance @ frame)
     limits, count = runs.plan.mission.scenario.observation, runs.plan.mission.polytopes.cone_facets
     low, high = limits.emission_min_deg, limits.emission_max_deg
 
@@ -133,7 +131,7 @@ def ball_polytopes(runs: Runs) -> Figure:
     across = np.eye(3) - np.outer(sight, sight)
     widest = np.linalg.eigh(across @ covariance @ across)[1][:, -1]
     frame = np.stack([sight, widest, np.cross(sight, widest)], axis=1)
-    cut = Section(site, site, frame, frame.T @ line, frame.T @ covariance @ frame)
+    cut = Section(site, frame, frame.T @ line, frame.T @ covariance @ frame)
     own, limits = runs.plan.mission.polytopes, runs.plan.mission.scenario.observation
     polytopes = own if own.ball else replace(own, ball=paper_ball())
     low, high = limits.site_distance_min_m, limits.site_distance_max_m

@@ -45,20 +45,6 @@ def numbers(text: str) -> tuple[float, ...] | str:
     return floats if floats == found else text
 
 
-def int_between(low: int, high: int, words: str = "") -> Callable[[str], int]:
-    """A type of option: whole numbers within bounds, named in `words` if these are shorter."""
-
-    def parse(text: str) -> int:
-        try:
-            return whole_number("", whole(text), low, high)
-        except InputError:
-            allowed = words or f"{low} to {high}"
-            said = f"got {text!r}; must be a whole number from {allowed}"
-            raise argparse.ArgumentTypeError(said) from None
-
-    return parse
-
-
 def folder(text: str) -> Path:
     """A type of option: a folder with a name that is not empty."""
     if not text:
