@@ -17,7 +17,7 @@ from formulations.problem.flyby import Iterate
 from scp_recon.api.options import PlanOptions
 from scp_recon.display import exact
 from scp_recon.errors import InputError, option, shortened
-from scp_recon.mission.checks import check_scene
+from scp_recon.mission.checks import check_scene, later_end
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.scene import Scene
 from scp_recon.planning import initial_guess
@@ -35,7 +35,7 @@ Init = Iterate | Plan | Solution | str | Path | Array
 """A start: "cold", "warm", a guess, a plan or a solution, its file, or a table of states."""
 GUESSES = ("cold", "warm")
 """Starts that are made on a mission's own grid."""
-UNCERTAIN = ("risk", "policy", "navigation")
+UNCERTAIN = ("risk", "policy", "navigation", "polytopes")
 """Tables of entries that a plan without uncertainty does not use."""
 ABOUT_LIGHT = ("site.", "sun.", "body.pole", "body.prime_meridian", "body.rotation")
 """Beginnings of the entries that decide when a site is lit."""
@@ -139,9 +139,9 @@ def resolve(loaded: Loaded, request: PlanRequest) -> Resolved:
             mission = _mission_of(mission)
     start = _start(mission, init)
     request.options.check(mission.scenario)
-    idle = tuple(_idle(request, mission.scenario))
-    if idle:
-        mission = replace(mission, warnings=(*mission.warnings, *idle))
+    doubts = tuple(_doubts(request, mission.scenario))
+    if doubts:
+        mission = replace(mission, warnings=(*mission.warnings, *doubts))
     return Resolved(mission, start, loaded.called)
 
 
@@ -222,15 +222,24 @@ def _other_readings(scenario: Scenario) -> Iterator[tuple[str, dict[str, object]
         yield "backwards?", {"body.prime_meridian_rate_deg_day": -body.prime_meridian_rate_deg_day}
 
 
-def _idle(request: PlanRequest, scenario: Scenario) -> Iterator[ScenarioWarning]:
-    """Overrides that have no effect on the plan that is asked for."""
+def _doubts(request: PlanRequest, scenario: Scenario) -> Iterator[ScenarioWarning]:
+    """Overrides that have no effect on the plan that is asked for, or end the flight later."""
     certain, is_open = request.options.problem == "P3", scenario.policy.kind == "open"
+    is_exact = scenario.risk.allocation == "exact"
     for text in request.overrides:
         entry, _, given = (part.strip() for part in text.partition("="))
         if certain and entry.partition(".")[0] in UNCERTAIN:
             yield ScenarioWarning.of(entry, given, "has no effect on a plan of P3")
         elif is_open and entry == "policy.cost":
             yield ScenarioWarning.of(entry, given, 'has no effect with policy.kind = "open"')
+        elif is_exact and entry.startswith("polytopes"):
+            yield ScenarioWarning.of(entry, given, 'has no effect with risk.allocation = "exact"')
+        elif entry == "burns.times_s":
+            others = [one for one in request.overrides if one != text]
+            with suppress(InputError):  # burns that alone make the others right
+                before = load(replace(request, overrides=others)).scenario
+                if isinstance(before, Scenario):
+                    yield from later_end(before, scenario)
 
 
 def _called(init: Init) -> str:

@@ -53,6 +53,7 @@ from scp_recon.physics.two_body import Orbit
 from scp_recon.scenario.fields import ScenarioWarning
 from scp_recon.scenario.given import COORDINATES, POLE
 from scp_recon.scenario.load import base_names, packaged_scenario
+from scp_recon.scenario.schema import Scenario
 
 Check = Callable[[Scene], Iterator[ScenarioWarning]]
 J2_SHARE, J2_SLACK = 0.4, 0.01
@@ -277,6 +278,17 @@ def known_orbit(scene: Scene) -> Iterator[ScenarioWarning]:
             f"{ahead:.1f} deg from where {body.name} would be at {scenario.epoch.tdb:%Y-%m-%d} on its "
             f"orbit of {first if days < packaged.span[0] else last}",
             f"expected at most {most:.1f} deg; is it that of the epoch?",
+        )
+
+
+def later_end(before: Scenario, after: Scenario) -> Iterator[ScenarioWarning]:
+    """Warn of added burns that end the flight later than it did before; once it is over they must."""
+    old, new = before.burns.times_s, after.burns.times_s
+    if len(new) > len(old) and new[-1] > old[-1] > after.start_s:
+        yield ScenarioWarning.of(
+            "burns.times_s",
+            f"a last burn at {exact(new[-1])} s, {digits(new[-1] - old[-1])} s later than before",
+            f"the flight reaches its final state then; expected added burns before {exact(old[-1])} s",
         )
 
 

@@ -17,6 +17,7 @@ import numpy as np
 from formulations.problem.flyby import Iterate
 from scp_recon.display import exact
 from scp_recon.errors import InputError, one_of, option
+from scp_recon.mission.checks import later_end
 from scp_recon.mission.mission import Mission
 from scp_recon.physics.flow import propagate
 from scp_recon.planning.initial_guess import nondimensional
@@ -83,6 +84,7 @@ def mission_left(flown: FlownPlan, delivery: Delivery, overrides: Sequence[str] 
     ]
     warnings = (
         *flown.mission.warnings,
+        *later_end(before, scenario),
         *renamed,
         *flown.warnings,
         *flown.strange(),

@@ -89,6 +89,8 @@ def test_no_certificate_is_asked_of_uniform_risk(scenario):
         ("P3", "risk.p_chance=0.8", True),
         ("P3", "navigation.lead_s=900", True),
         ("P3", 'policy.kind="open"', True),
+        ("P3", "polytopes.cone=12", True),
+        ("P2", "polytopes.cone=12", False),
         ("P3", "burns.dv_max_m_s=0.2", False),
         ("P2", "risk.p_chance=0.8", False),
         ("P2", 'policy.cost="expected"', True),
@@ -99,6 +101,23 @@ def test_override_without_effect_is_warned_about(problem, override, warned):
     warnings = resolve(load(request), request).mission.warnings
     idle = [one.entry for one in warnings if "has no effect" in one.expected]
     assert idle == [override.partition("=")[0]] * warned
+
+
+def test_polytopes_beside_exact_risk_are_warned_about():
+    overrides = ["polytopes.ball=40", 'risk.allocation="exact"']
+    request = PlanRequest(options=PlanOptions(), overrides=overrides)
+    (warning,) = resolve(load(request), request).mission.warnings
+    assert (warning.entry, warning.given) == ("polytopes.ball", "40")
+    assert warning.expected == 'has no effect with risk.allocation = "exact"'
+
+
+@pytest.mark.parametrize(("last", "warned"), [("50842.0", 1), ("34842.0", 0)])
+def test_burn_added_after_the_end_is_warned_about(last, warned):
+    override = f"burns.times_s=[0.0, 8000.0, 22700.0, 28700.0, {last}]"
+    request = PlanRequest(options=PlanOptions(), overrides=[override, "schedule.recharge_s=600"])
+    found = [str(one) for one in resolve(load(request), request).mission.warnings]
+    said = "burns.times_s: got a last burn at 50842 s, 16000 s later than before"
+    assert sum(one.startswith(said) for one in found) == warned
 
 
 FOREIGN = {

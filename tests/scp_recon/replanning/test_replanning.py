@@ -203,8 +203,19 @@ def test_burns_added_after_the_last_one_go_home(flown):
     plan = again(flown, 38_000.0, OFF, times, "observation.required=false")
     assert plan.status is Status.CONVERGED
     assert verify(plan.mission, make_solution(plan)).ok
+    assert "burns.times_s" not in [one.entry for one in plan.mission.warnings]
     with pytest.raises(InputError, match=r"^at_s: .*later burns added to burns.times_s"):
         again(flown, 38_000.0, OFF)
+
+
+def test_burn_added_after_the_end_ahead_is_warned_about(flown):
+    left = mission_left(
+        flown,
+        Delivery.of(17_000.0, predict(flown, 17_000.0, {}).state),
+        ["burns.times_s=[0, 8000, 25000, 34842, 50842]"],
+    )
+    (warning,) = (one for one in left.warnings if one.entry == "burns.times_s")
+    assert warning.given == "a last burn at 50842 s, 16000 s later than before"
 
 
 def test_the_covariance_is_the_initial_one_unless_given(flown, default_plan):
