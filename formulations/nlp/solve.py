@@ -198,11 +198,6 @@ class NlpResult:
     solve_s: float
     evaluate_s: float
 
-    @property
-    def total_s(self) -> float:
-        """Seconds from problem to answer."""
-        return self.build_s + self.solve_s
-
 
 def solve_nlp(
     problem: FlybyProblem,

@@ -173,34 +173,6 @@ def below_beyond(matrix: Array, mean: Array, axis: Array, covariance: Array) -> 
     return Below(inside, 1.0 - inside, -by_mean, -0.5 * by_covariance)
 
 
-class Contour(NamedTuple):
-    """Where and how to integrate exp(log G - peak), for others that evaluate it.
-
-    Attributes:
-        t: points of the upper half, shape (n, points); those beyond its end are the first.
-        weight: dt/t / pi, zero beyond the end and where the probability is none, shape (n, points).
-        peak: log G at the first point, where it is real, no less than `NONE`, shape (n,).
-    """
-
-    t: ComplexArray
-    weight: ComplexArray
-    peak: Array
-
-
-def contour(
-    matrix: Array, mean: Array, level: Array, covariance: Array, side: float, rule: Rule
-) -> Contour:
-    """The contour on which the imaginary parts' sum is P(x'Mx > l), or -P(x'Mx < l) for side -1."""
-    form = _form(matrix, mean, level, covariance)
-    t, weight = _descent(form, np.full(len(mean), side), rule)
-    x = 1.0 - 2.0 * t[:, :, None] * form.eigenvalue[:, None]
-    log = _exponent(form, t, x) - 0.5 * np.log(x).sum(axis=2)
-    peak = np.maximum(log[:, 0].real, NONE)
-    seen = (peak > NONE)[:, None]
-    kept = seen & (_ended(weight * np.exp(np.where(seen, log - peak[:, None], 0.0))) != 0.0)
-    return Contour(np.where(kept, t, t[:, :1]), np.where(kept, weight, 0.0), peak)
-
-
 def _form(matrix: Array, mean: Array, level: Array, covariance: Array) -> _Form:
     root = np.asarray(np.linalg.cholesky(covariance), dtype=float)
     eigenvalue, turn = np.linalg.eigh(root.swapaxes(1, 2) @ matrix @ root)

@@ -16,7 +16,7 @@ import casadi as ca
 import numpy as np
 
 from formulations.arrays import Array
-from formulations.risk.quadratic_forms import Rule, contour
+from formulations.risk import quadratic_forms as forms
 
 
 class Limits(NamedTuple):
@@ -32,7 +32,7 @@ class Limits(NamedTuple):
     matrix: Array
     level: Array
     side: float
-    rule: Rule
+    rule: forms.Rule
 
 
 def broken(limits: Limits, mean: ca.MX, covariance: ca.MX) -> tuple[ca.MX, ca.Callback]:
@@ -159,7 +159,17 @@ class _Contours(ca.Callback):
         """See `casadi.Callback`."""
         matrix, level, side, rule = self._limits
         mean, covariance = (np.array(one).T for one in arguments)
-        t, weight, peak = contour(matrix, mean, level, covariance.reshape(-1, 3, 3), side, rule)
+        form = forms._form(matrix, mean, level, covariance.reshape(-1, 3, 3))
+        t, weight = forms._descent(form, np.full(len(mean), side), rule)
+        x = 1.0 - 2.0 * t[:, :, None] * form.eigenvalue[:, None]
+        log = forms._exponent(form, t, x) - 0.5 * np.log(x).sum(axis=2)
+        peak = np.maximum(log[:, 0].real, forms.NONE)
+        seen = (peak > forms.NONE)[:, None]
+        size = weight * np.exp(np.where(seen, log - peak[:, None], 0.0))
+        kept = seen & (
+            forms._ended(size) != 0.0
+        )  # beyond its end a contour stays at the first point
+        t, weight = np.where(kept, t, t[:, :1]), np.where(kept, weight, 0.0)
         path = np.stack([t.real, t.imag, weight.real, weight.imag], axis=2)
         return [np.column_stack([peak, path.reshape(len(peak), -1)]).T]
 
