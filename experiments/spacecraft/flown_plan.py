@@ -205,9 +205,7 @@ def sampled_states(
     return np.concatenate(found, axis=1)
 
 
-def sample_distances(
-    solution: Solution, vehicle: Vehicle | None, samples: int, seed: int = 0
-) -> Array:
+def sample_distances(solution: Solution, vehicle: Vehicle | None, samples: int) -> Array:
     """Distances of sampled positions from the mean, in planned sigmas, shape (samples, nodes).
 
     The initial state errs as the scenario says, each burn in size as the vehicle's thruster does;
@@ -224,7 +222,7 @@ def sample_distances(
 
     numbers = planned.size if vehicle else model.draws(len(planned))
     factor = mission.initial_factor
-    states = sampled_states(mission, factor, executed, numbers, samples, seed)
+    states = sampled_states(mission, factor, executed, numbers, samples, seed=0)
     return distance_in_sigmas(np.moveaxis(states, 0, 1)[..., :3], solution)
 
 

@@ -24,6 +24,8 @@ from scp_recon.jobs.job import Done, Executor, Job, Key, Work, here
 SCHEMA = "scp_recon.jobs/1"
 SYNC_S = 1.0
 """Seconds of work that a power cut may cost; what the process alone loses is nothing."""
+OUT = option("out")
+"""Of the folder in messages."""
 PACKAGES = ("scp_recon", "numpy", "scipy", "cvxpy", "clarabel")
 """Packages on whose versions the last bits of a result depend."""
 
@@ -45,14 +47,14 @@ class Store:
 
     `depends_on`, as JSON, is all that the rows depend on besides their jobs: entries of scenarios,
     options, and a version of the work, which is raised by hand when results change. Rows of a file
-    that depends on anything else are ignored. Messages call the folder `entry`.
+    that depends on anything else are ignored.
 
     Raises:
         InputError: if another process has it open, or the folder cannot be written.
     """
 
-    def __init__(self, path: Path, depends_on: Values, entry: str = option("out")) -> None:
-        self.path, self._entry = path, entry
+    def __init__(self, path: Path, depends_on: Values) -> None:
+        self.path = path
         head = {"schema": SCHEMA, "depends_on": depends_on}
         self._head = json.dumps(head, sort_keys=True, default=str).encode() + b"\n"
         self._places: dict[Key, int] = {}
@@ -63,8 +65,8 @@ class Store:
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise unwritable(path.parent, entry, error) from None
-        self._open.enter_context(only_run_in(path.parent, entry, f".{path.name}.lock"))
+            raise unwritable(path.parent, OUT, error) from None
+        self._open.enter_context(only_run_in(path.parent, OUT, f".{path.name}.lock"))
         try:
             with suppress(FileNotFoundError), path.open("rb") as file:
                 if file.readline() == self._head:
@@ -73,7 +75,7 @@ class Store:
                         self._places[key] = place
         except OSError as error:
             self.close()
-            raise unwritable(path.parent, entry, error) from None
+            raise unwritable(path.parent, OUT, error) from None
 
     def __enter__(self) -> Self:
         """The store itself, closed at the end."""
@@ -124,7 +126,7 @@ class Store:
                 write_atomically(path, content)
             self._append(key, _line(key, values))
         except OSError as error:
-            found = unwritable(self.path.parent, self._entry, error)
+            found = unwritable(self.path.parent, OUT, error)
             allowed = f"{found.allowed}; all rows so far are kept; run the same command to continue"
             raise InputError(found.entry, found.given, allowed) from None
 

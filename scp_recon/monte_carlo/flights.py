@@ -181,8 +181,8 @@ class FlightTally:
 
     config: FlightConfig
     samples: int = 0
-    held: dict[str, Tally] = field(default_factory=dict)
-    full: dict[str, int] = field(default_factory=dict)
+    held_s: dict[str, Tally] = field(init=False)
+    full: dict[str, int] = field(init=False)
     entry: Tally = field(init=False)
     exit: Tally = field(init=False)
     node_counts: dict[str, npt.NDArray[np.int64]] = field(default_factory=dict)

@@ -133,18 +133,13 @@ class Table:
         return cls(title, named, tuple(cells), key, note)
 
     @classmethod
-    def of_records(
-        cls,
-        title: str,
-        records: Sequence[Mapping[str, Value]],
-        forms: Mapping[str, str] | None = None,
-    ) -> Table:
-        """Make a table from records, with a column for each key of any, and forms of figures by key.
+    def of_records(cls, title: str, records: Sequence[Mapping[str, Value]]) -> Table:
+        """Make a table from records, with a column for each key of any.
 
         A record that lacks a key has an empty cell.
         """
         keys = list(dict.fromkeys(key for record in records for key in record))
-        columns = [Column(key, form=(forms or {}).get(key, ".6g"), name=key) for key in keys]
+        columns = [Column(key, form=".6g", name=key) for key in keys]
         return cls.of(title, columns, ([record.get(key) for key in keys] for record in records))
 
     @property
@@ -212,10 +207,9 @@ class Table:
         ]
         return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
-    def csv(self, comments: Iterable[str] = ()) -> str:
-        """CSV of the values, truth values in lower case; comments stand above it after a #."""
+    def csv(self) -> str:
+        """CSV of the values, truth values in lower case."""
         text = StringIO()
-        text.writelines(f"# {line}\n" for line in comments)
         writer = csv.writer(text, lineterminator="\n")
         writer.writerow(column.key for column in self.columns)
         for row in self.rows:
