@@ -8,8 +8,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from itertools import chain, count
 from pathlib import Path
+from select import select
 from stat import S_ISFIFO
 from tempfile import TemporaryFile
+from typing import BinaryIO
 from uuid import uuid4
 
 from scp_recon.errors import InputError
@@ -21,6 +23,8 @@ PAGE = b'<meta name="generator" content="scp_recon">'
 """In every page."""
 ENDS = 1_000_000
 """Bytes at either end of a file that are searched for a mark."""
+SILENT_S = 30.0
+"""Longest time without a byte from a pipe that has a writer, which may compute before it writes."""
 BYTES_MAX = 100_000_000
 """Thirty times the solution of the largest grid; /dev/zero ends here and not in the memory."""
 
@@ -39,13 +43,13 @@ def read_text(path: Path, entry: str, kind: str, bytes_max: int = BYTES_MAX) -> 
     """
     try:
         with open(path, "rb", opener=_without_waiting) as file:
-            data = file.read(bytes_max + 1)
-            is_unwritten = not data and S_ISFIFO(os.fstat(file.fileno()).st_mode)
+            is_pipe = S_ISFIFO(os.fstat(file.fileno()).st_mode)
+            data = _of_pipe(file, bytes_max + 1) if is_pipe else file.read(bytes_max + 1)
     except OSError as error:
         raise InputError(entry, reason_of(error), f"must be a readable {kind}") from None
     except ValueError as error:  # of a path that no file can have
         raise InputError(entry, str(error), f"must be a readable {kind}") from None
-    if is_unwritten:
+    if is_pipe and not data:
         raise InputError(entry, "a pipe into which nothing is written", f"must be a {kind}")
     if len(data) > bytes_max:
         raise InputError(
@@ -55,6 +59,28 @@ def read_text(path: Path, entry: str, kind: str, bytes_max: int = BYTES_MAX) -> 
         return data.removeprefix(codecs.BOM_UTF8).decode("utf-8")
     except UnicodeDecodeError as error:
         raise InputError(entry, f"no UTF-8 text ({error.reason})", f"must be a {kind}") from None
+
+
+def _of_pipe(pipe: BinaryIO, size: int) -> bytes:
+    """Bytes of a pipe until its end, or up to a size.
+
+    Raises:
+        TimeoutError: if nothing comes for `SILENT_S`.
+    """
+    data, number = b"", pipe.fileno()
+    os.set_blocking(number, False)  # `select` would wait for a first writer too
+    while len(data) < size:
+        try:
+            more = os.read(number, size - len(data))
+        except BlockingIOError:
+            if not select([number], [], [], SILENT_S)[0]:
+                words = f"a pipe into which nothing is written for {SILENT_S:g} s"
+                raise TimeoutError(None, words) from None
+            continue
+        if not more:
+            break
+        data += more
+    return data
 
 
 def _without_waiting(path: str, flags: int) -> int:

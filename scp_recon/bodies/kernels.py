@@ -104,6 +104,8 @@ def read_dsk(path: Path, naif_id: int | None = None) -> tuple[Array, Indices]:
             body.
     """
     entry = "body.shape_file"
+    if path.is_fifo():
+        raise InputError(entry, str(path), "must be a readable kernel")
     with _kernels(entry, []) as spice:
         handle = None
         try:

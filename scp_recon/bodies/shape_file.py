@@ -87,6 +87,10 @@ def _against_neighbours(facets: Indices, fail: Callable[[int, str, str], InputEr
     )
     if (sides != 2).any():
         worst = order[first[sides != 2]]
+        single = set(zip(low[worst].tolist(), high[worst].tolist(), strict=True))
+        for facet in np.flatnonzero(flat).tolist():
+            if single & set(itertools.combinations(sorted({*facets[facet].tolist()}), 2)):
+                raise fail(facet, "a side of no length, beside an open edge", CLOSED)
         facet, count = int(owner[worst].min()), int(sides[sides != 2][np.argmin(owner[worst])])
         others = "no other facet has" if count == 1 else f"{count - 1} other facets have"
         raise fail(facet, f"an edge that {others}", CLOSED)

@@ -451,6 +451,8 @@ def read_record(path: Path) -> Record:
         InputError: if there is none, or it is damaged or of another version.
     """
     file = path / FILE_NAME if path.is_dir() else path
+    if file.is_fifo():  # NumPy reads it more than once
+        raise InputError(f"simulation {file}", "a pipe", "must be a file")
     try:
         with file.open("rb") as stream, zipfile.ZipFile(stream):
             pass  # or it is no archive, of which NumPy has other readers

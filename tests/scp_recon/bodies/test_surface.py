@@ -166,6 +166,17 @@ def test_open_shape_is_refused_with_a_facets_line(facet, twice, tmp_path):
     assert len(corners & {*BALL.facets[facet].tolist()}) >= 2
 
 
+@pytest.mark.parametrize("facet", [0, 17, 127])
+def test_degenerate_facet_is_named_by_its_own_line(facet, tmp_path):
+    facets = BALL.facets.copy()
+    facets[facet, 1] = facets[facet, 0]
+    file = write_obj(tmp_path / "flat.obj", Mesh(BALL.vertices_m, facets))
+    lines = file.read_text("utf-8").split("\n")
+    own = [n for n, line in enumerate(lines, start=1) if line.startswith("f")][facet]
+    with pytest.raises(InputError, match=f"line {own}: a side of no length"):
+        read_shape(file, "m")
+
+
 @pytest.mark.parametrize(
     "text",
     [

@@ -7,7 +7,7 @@ from threading import Timer
 import pytest
 
 import scp_recon as sr
-from scp_recon import reference
+from scp_recon import files, reference
 from scp_recon.__main__ import main
 from scp_recon.api.inputs import PlanRequest, load, resolve
 from scp_recon.api.keeping import keep
@@ -231,6 +231,19 @@ def test_pipe_without_writer_is_refused_at_once(name, tmp_path, capsys):
         assert main(line) == 2
         assert capsys.readouterr().err.count("got ") == 1
     assert main(["solve", "--out", str(tmp_path)]) == 2 or name != "solution.json"
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no pipes here")
+def test_pipe_of_a_silent_writer_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr(files, "SILENT_S", 0.1)
+    pipe = tmp_path / "mine.toml"
+    os.mkfifo(pipe)
+    writer = os.open(pipe, os.O_RDWR)
+    for begun in (b"", b"name = "):
+        os.write(writer, begun)
+        with pytest.raises(InputError, match=r"a pipe into which nothing is written for 0\.1 s"):
+            read_text(pipe, "scenario", "text")
+    os.close(writer)
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no pipes here")
