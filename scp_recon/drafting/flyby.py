@@ -36,7 +36,7 @@ SUN_LINE_COST = 2.0
 
 @dataclass(frozen=True)
 class Design:
-    """Boundary states and burn times of a flyby, with its delta-v and margin by two-body motion."""
+    """Boundary states and burn times of a flyby, with its delta-v by two-body motion."""
 
     times_s: tuple[float, float, float, float]
     """Four burns, s."""
@@ -46,8 +46,6 @@ class Design:
     """On the home orbit after the last burn, shape (6,)."""
     burns_m_s: Array
     """Sizes, by two-body motion, shape (4,)."""
-    margin: float
-    """Least share of the way from a limit to the middle of its range; negative if broken."""
 
 
 def window_opens_s(rules: ScheduleRules) -> float:
@@ -72,7 +70,7 @@ def design_flyby(scene: Scene, window_s: Window) -> Design:
     for margin, before, after in passes:
         if margin < enough:
             continue
-        found = _joined(scene, times, margin, before, after)
+        found = _joined(scene, times, before, after)
         if found and (best is None or found.burns_m_s.sum() < best.burns_m_s.sum()):
             best = found
     assert best is not None, "no arc joins the home orbit to any pass"
@@ -153,8 +151,7 @@ def _shares(value: Array, low: float, high: float) -> tuple[Array, Array]:
 
 
 def _joined(
-    scene: Scene, times: tuple[float, float, float, float], margin: float, before: Array,
-    after: Array,
+    scene: Scene, times: tuple[float, float, float, float], before: Array, after: Array
 ) -> Design | None:  # fmt: skip
     """Join a pass to the cheapest places on the home orbits before and after it."""
     scenario, sun, axes = scene.scenario, scene.sun_direction(0.0), scene.axes("sun_north")
@@ -187,7 +184,7 @@ def _joined(
         return None
     turn = np.kron(np.eye(2), axes.T)
     sizes = np.concatenate([there[2], back[2]])
-    return Design(times, turn @ there[1], turn @ back[1], sizes, margin)
+    return Design(times, turn @ there[1], turn @ back[1], sizes)
 
 
 def _home_orbit(scenario: Scenario, axes: Array) -> Iterator[Array]:

@@ -33,8 +33,7 @@ class Subject:
     """A plan with the flights and the simulation of this very plan, if they lie beside it.
 
     `missed` are flights in which a burn is missed, with the way home if that was planned.
-    `passed_over` names the files beside it that belong to another plan, with the reason. `path` is
-    the plan's file or folder, if any, never `runs/latest`, which moves.
+    `passed_over` names the files beside it that belong to another plan, with the reason.
     """
 
     name: str
@@ -42,7 +41,6 @@ class Subject:
     summary: Summary | None = None
     record: Record | None = None
     passed_over: tuple[str, ...] = ()
-    path: Path | None = None
     missed: tuple[Summary, ...] = ()
 
     @cached_property
@@ -141,4 +139,4 @@ def _read(path: Path, name: str) -> Subject:
         if record.plan_hash != solution.plan_hash:
             passed_over.append(f"{folder / record_file.FILE_NAME}: a simulation of another plan")
             record = None
-    return Subject(name, solution, summary, record, tuple(passed_over), home, missed)
+    return Subject(name, solution, summary, record, tuple(passed_over), missed)

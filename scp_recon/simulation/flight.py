@@ -76,15 +76,13 @@ class Pointing:
     """Angles in rad.
 
     Attributes:
-        attitude: between the commanded and the true attitude, shape (n,).
-        estimate: between the estimated and the true one, shape (n,).
+        estimate: between the estimated and the true attitude, shape (n,).
         burns: between each planned burn and the thrust when it starts, shape (m,); 0 if it is none.
         executed: between each planned burn and the velocity it gave, shape (m,); 0 if none.
         camera: between boresight and command at the samples of the window, shape (w,).
         site: between boresight and true line of sight to the site there, shape (w,).
     """
 
-    attitude: Array
     estimate: Array
     burns: Array
     executed: Array
@@ -106,7 +104,6 @@ def pointing(flight: Flight) -> Pointing:
     thrusting = geometry.angle(flight.attitudes[starts].apply(thrust), planned)
     track = geometry.track(mission.site, mission.rotation, flight.times_s[window])
     return Pointing(
-        attitude=attitude_error(flight),
         estimate=_between(flight.estimates, flight.attitudes),
         burns=np.where([firing.duration_s > 0.0 for firing in plan.firings], thrusting, 0.0),
         executed=np.where(flight.burns_m_s.any(axis=1), executed, 0.0),
