@@ -209,10 +209,6 @@ class Mission:
         assert self.nominal is not None
         return self.nominal.deviating(self.deviation.at(flights))
 
-    def body_to_j2000(self, times_s: Array) -> Array:
-        """Rotations of the body at times (n,), of each flight: shape (n, flights or 1, 3, 3)."""
-        return self.rotation.body_to_j2000(times_s[:, None])
-
     def sun_direction(self, time_s: npt.ArrayLike) -> Array:
         """Unit vectors from the body to the Sun, J2000, shape (..., 3)."""
         return self.scene.sun_direction(time_s)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Self, TypeVar
+from typing import Annotated, Any, Self
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -367,18 +367,10 @@ def missed_by_law(ratios: Mapping[str, float]) -> str | None:
     )
 
 
-Kind = TypeVar("Kind", bound=Summary)
-
-
 def read_summary(path: Path) -> Summary:
     """Read a summary, or the one in a folder.
 
     Raises:
         InputError: if there is none, or it is damaged or of another version.
     """
-    return read_summary_as(Summary, path)
-
-
-def read_summary_as(kind: type[Kind], path: Path) -> Kind:
-    """Read a summary of a class that a study has derived from `Summary`, as `read_summary` does."""
-    return read_file(path / FILE_NAME if path.is_dir() else path, kind, [SCHEMA], "summary")
+    return read_file(path / FILE_NAME if path.is_dir() else path, Summary, [SCHEMA], "summary")

@@ -163,7 +163,10 @@ def range_histories(plan: Shown) -> list[History]:
             "range to the surface (m)",
             times,
             altitude(mean, body),
-            bands_of(altitude(flown.positions, flown.mission.body_to_j2000(times)), (1, 3)),
+            bands_of(
+                altitude(flown.positions, flown.mission.rotation.body_to_j2000(times[:, None])),
+                (1, 3),
+            ),
         ),
         History(
             "distance from the centre (m)",
