@@ -135,7 +135,7 @@ class Evidence(File):
         Raises:
             InputError: if there is none, or it is none.
         """
-        return read_file(path, cls, [SCHEMA], "evidence")
+        return read_file(path, cls, SCHEMA, "evidence")
 
     def write(self, path: Path) -> Path:
         """Write a line for each row."""

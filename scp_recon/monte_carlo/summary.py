@@ -373,4 +373,4 @@ def read_summary(path: Path) -> Summary:
     Raises:
         InputError: if there is none, or it is damaged or of another version.
     """
-    return read_file(path / FILE_NAME if path.is_dir() else path, Summary, [SCHEMA], "summary")
+    return read_file(path / FILE_NAME if path.is_dir() else path, Summary, SCHEMA, "summary")

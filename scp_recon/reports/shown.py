@@ -150,6 +150,7 @@ def range_histories(plan: Shown) -> list[History]:
     """Range to the surface below, along the line to the centre, and to the centre; with 3 sigma."""
     mission, flown, times = plan.subject.mission, plan.flown, plan.flown.times_s
     body = mission.rotation.body_to_j2000(times)
+    each = flown.mission.rotation.body_to_j2000(times[:, None])
     mean = plan.subject.positions(times)
 
     def altitude(position: Array, matrix: Array) -> Array:
@@ -163,10 +164,7 @@ def range_histories(plan: Shown) -> list[History]:
             "range to the surface (m)",
             times,
             altitude(mean, body),
-            bands_of(
-                altitude(flown.positions, flown.mission.rotation.body_to_j2000(times[:, None])),
-                (1, 3),
-            ),
+            bands_of(altitude(flown.positions, each), (1, 3)),
         ),
         History(
             "distance from the centre (m)",

@@ -7,7 +7,6 @@ verified. Files of older schemas are refused.
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any, TypeVar
@@ -34,18 +33,18 @@ class File(Section):
 FileKind = TypeVar("FileKind", bound=File)
 
 
-def read_file(path: Path, kind: type[FileKind], schemas: Sequence[str], noun: str) -> FileKind:
-    """Read a file whose entry `schema` is one of `schemas`, the newest last; messages use the noun.
+def read_file(path: Path, kind: type[FileKind], schema: str, noun: str) -> FileKind:
+    """Read a file of a schema; messages use the noun.
 
     Raises:
         InputError: if the file is missing, damaged or of another version.
     """
-    return parse_file(read_json(path, noun), kind, schemas, f"{noun} {path}")
+    return parse_file(read_json(path, noun), kind, schema, f"{noun} {path}")
 
 
-def parse_file(data: Any, kind: type[FileKind], schemas: Sequence[str], named: str) -> FileKind:
+def parse_file(data: Any, kind: type[FileKind], schema: str, named: str) -> FileKind:
     """Validate parsed JSON, as `read_file` does; messages call it by its name."""
-    _check_schema(data, schemas, named)
+    _check_schema(data, schema, named)
     return _validated(TypeAdapter(kind), data, named)
 
 
@@ -63,10 +62,10 @@ def read_json(path: Path, noun: str) -> Any:
         raise InputError(f"{noun} {path}", reason, f"must be a {noun} file") from None
 
 
-def _check_schema(data: Any, schemas: Sequence[str], named: str) -> None:
-    if not isinstance(data, dict) or data.get("schema") not in schemas:
+def _check_schema(data: Any, schema: str, named: str) -> None:
+    if not isinstance(data, dict) or data.get("schema") != schema:
         given = data.get("schema", "no schema") if isinstance(data, dict) else "no object"
-        raise InputError(named, repr(given)[:80], f"schema must be {schemas[-1]!r}")
+        raise InputError(named, repr(given)[:80], f"schema must be {schema!r}")
 
 
 def _validated(kind: TypeAdapter[Any], data: Any, named: str) -> Any:
@@ -126,7 +125,7 @@ def parse_solution(data: Any, named: str) -> Solution:
     Raises:
         InputError: if it is of another version or damaged.
     """
-    _check_schema(data, [SCHEMA], named)
+    _check_schema(data, SCHEMA, named)
     data = dict(data)
     carried = {each.name: data.pop(each.name) for each in fields(Figures) if each.name in data}
     known = {each.name: data[each.name] for each in fields(Facts) if each.name in data}

@@ -467,7 +467,7 @@ def read_record(path: Path) -> Record:
         raise InputError(
             f"simulation {file}", str(error)[:80], "must be a simulation file"
         ) from None
-    parsed = parse_file(summary, FlightSummary, [SCHEMA], f"simulation {file}")
+    parsed = parse_file(summary, FlightSummary, SCHEMA, f"simulation {file}")
     if strange := _strange(arrays):
         raise InputError(
             f"simulation {file}: {strange}", "missing or malformed", _shape_of(strange)
