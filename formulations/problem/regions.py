@@ -18,6 +18,7 @@ from functools import cached_property
 from numbers import Real
 
 import numpy as np
+import numpy.typing as npt
 
 from formulations.arrays import Array, Booleans, Indices
 
@@ -39,6 +40,10 @@ class Halfspaces:
 
     normal: Array
     offset: Array
+
+    def __post_init__(self) -> None:
+        """Refuse normals that are no vectors."""
+        check_vectors(normal=self.normal)
 
     def at(self, which: Indices) -> Halfspaces:
         """The half-spaces of some nodes."""
@@ -168,8 +173,26 @@ def check_size(
     Raises:
         ValueError: naming the entry, what was given and what is allowed.
     """
-    if not (isinstance(given, Real) and 0.0 <= float(given) < below):
+    if isinstance(given, bool) or not (isinstance(given, Real) and 0.0 <= float(given) < below):
         raise ValueError(f"{name}: got {given!r}; must be {allowed}")
+
+
+def check_vectors(**named: npt.ArrayLike) -> None:
+    """Refuse what is no vector of three finite numbers, or rows of such; rows by their shape alone.
+
+    Raises:
+        ValueError: naming the entry, what was given and what is allowed.
+    """
+    for name, given in named.items():
+        if isinstance(given, np.ndarray) and given.ndim == 2 and given.shape[1] == 3:
+            continue  # as the programs make them, at every iteration
+        try:
+            array = np.asarray(given, dtype=float)
+        except (TypeError, ValueError):
+            array = np.zeros(0)
+        if array.ndim not in (1, 2) or array.shape[-1] != 3 or not np.isfinite(array).all():
+            words = " ".join(f"{given!r}".split())[:60]
+            raise ValueError(f"{name}: got {words}; must be three finite numbers, or rows of three")
 
 
 @dataclass(frozen=True)
@@ -185,7 +208,8 @@ class Ball:
     radius: float
 
     def __post_init__(self) -> None:
-        """Refuse a radius of no ball."""
+        """Refuse a center or a radius of no ball."""
+        check_vectors(center=self.center)
         check_size("radius", self.radius)
 
     def at(self, which: Indices) -> Ball:
@@ -238,7 +262,8 @@ class Cone:
     half_angle: float
 
     def __post_init__(self) -> None:
-        """Refuse an angle of no convex cone."""
+        """Refuse vectors or an angle of no convex cone."""
+        check_vectors(apex=self.apex, axis=self.axis)
         check_size("half_angle", self.half_angle, np.pi / 2.0, "from 0 to less than pi/2, rad")
 
     @cached_property
@@ -326,7 +351,8 @@ class Ellipsoid:
     radius: float = 1.0
 
     def __post_init__(self) -> None:
-        """Refuse a radius of no ellipsoid."""
+        """Refuse a center, a matrix or a radius of no ellipsoid."""
+        check_vectors(center=self.center, matrix=self.matrix)
         check_size("radius", self.radius)
 
     @cached_property
@@ -385,6 +411,10 @@ class Polytope:
 
     normal: Array
     offset: Array
+
+    def __post_init__(self) -> None:
+        """Refuse normals that are no vectors."""
+        check_vectors(normal=self.normal)
 
     @property
     def faces(self) -> list[Halfspaces]:

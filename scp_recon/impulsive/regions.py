@@ -119,7 +119,8 @@ def _has_points(normal: Array, offset: Array) -> bool:
 
 def positive(name: str, given: object) -> float:
     """A positive, finite number."""
-    if not isinstance(given, Real) or not 0.0 < float(given) < np.inf:
+    is_bool = isinstance(given, bool)
+    if is_bool or not isinstance(given, Real) or not 0.0 < float(given) < np.inf:
         raise InputError(name, shortened(given), "must be positive and finite")
     return float(given)
 
