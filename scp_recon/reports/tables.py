@@ -224,6 +224,7 @@ def limits_table(mission: Mission, solution: Solution, v: Verification) -> Table
                 _joined(marks, [one for one in marks if joint.get(one, one) == name], name),
             ]
         )
+    rows += _least_burn(mission, solution)
     rows += [
         [
             d.row,
@@ -256,6 +257,18 @@ def limits_table(mission: Mission, solution: Solution, v: Verification) -> Table
             for d in _planned_drifts(v)[:1]
         ),
     )
+
+
+def _least_burn(mission: Mission, solution: Solution) -> list[list[object]]:
+    """The row of the smallest executed burn, if it is as small as a burn may be."""
+    least = mission.scenario.burns.dv_min_m_s
+    all_sizes = {burn.t_s: float(np.linalg.norm(burn.dv_m_s)) for burn in solution.burns}
+    sizes = {time: size for time, size in all_sizes.items() if size > 0.0}
+    at = min(sizes, key=lambda time: sizes[time], default=None)
+    if at is None or least == 0.0 or abs(sizes[at] / least - 1.0) > BINDING:
+        return []
+    allowed, planned = (f">= {digits(1e3 * size, 4)}" for size in (least, sizes[at]))
+    return [["dv_min", f"{allowed} mm/s", planned, None, "", at, "binds"]]
 
 
 def _planned_drifts(v: Verification | None) -> list[DriftSafety]:

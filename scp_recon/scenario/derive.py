@@ -206,13 +206,17 @@ def _rotation(body: dict[str, Any], known: PackagedBody | None, days: float | No
 
 def _from_attitudes(body: dict[str, Any], days: float | None) -> None:
     """Enter a table of attitudes, and pole and meridian that turn with it at the epoch."""
-    if lacks(body, "attitude"):
+    if is_read := lacks(body, "attitude"):
         read = read_attitude(Path(body["attitude_file"]))
         body["attitude"] = {"tdb_s": read.tdb_s.tolist(), "quaternions": read.quaternions.tolist()}
     try:
         given = Attitude.model_validate_json(json.dumps(body["attitude"]))
-    except ValidationError:  # the schema tells what is wrong
-        return
+    except ValidationError as error:
+        fault = error.errors()[0]
+        if is_read and fault["type"] == "value_error":
+            allowed = fault["msg"].removeprefix("Value error, ")
+            raise InputError("body.attitude_file", str(body["attitude_file"]), allowed) from None
+        return  # the schema tells what is wrong
     if days is not None:
         table = AttitudeTable(np.array(given.tdb_s), np.array(given.quaternions))
         ra, dec, meridian, rate = table.iau(days)

@@ -145,5 +145,7 @@ ONE = [1.0, 0.0, 0.0, 0.0]
 )
 def test_what_is_no_table_of_attitudes_is_refused(times, quaternions, header, words, tmp_path):
     path = written(tmp_path / "wrong.csv", np.array(times), np.array(quaternions), header)
-    with pytest.raises(InputError, match=re.escape(words)):
+    with pytest.raises(InputError, match=re.escape(words)) as caught:
         load_scenario(None, [f'{FILE}="{path}"'])
+    assert caught.value.entry == FILE
+    assert str(path) in caught.value.given

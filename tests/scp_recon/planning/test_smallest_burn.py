@@ -12,7 +12,7 @@ from scp_recon.interop.path import fly_path
 from scp_recon.planning.plan import Plan
 from scp_recon.reports.shown import budget_of, budget_table, fly
 from scp_recon.reports.subject import Subject
-from scp_recon.reports.tables import burns_table
+from scp_recon.reports.tables import burns_table, limits_table
 from scp_recon.results.facts import Burn
 from scp_recon.results.read import read_solution
 from scp_recon.results.solution import Solution, make_solution
@@ -65,6 +65,19 @@ def test_it_is_raised_where_that_is_cheaper(options):
     first, without, with_it, both = (s.result.lin.iterate.total_dv for s in raised.stages)
     assert first < with_it < without < both
     assert raised.final is raised.stages[2]
+
+
+def test_table_says_that_the_smallest_burn_binds(default_plan, solution, verification):
+    raised = without_uncertainty(0.025)
+    kept = make_solution(raised)
+    rows = [
+        [c.text for c in row]
+        for row in limits_table(raised.mission, kept, verify(raised.mission, kept)).rows
+    ]
+    (row,) = (row for row in rows if row[0] == "dv_min")
+    assert (row[1:3], row[-2:]) == ([">= 25 mm/s", ">= 25"], ["8000", "binds"])
+    free = limits_table(default_plan.mission, solution, verification).rows
+    assert "dv_min" not in [row[0].text for row in free]
 
 
 def test_ipopt_decides_as_scp_does():
