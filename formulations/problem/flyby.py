@@ -159,6 +159,7 @@ class FlybyProblem:
         feedback: measurements and gains of the corrected burns; None if all burns are fixed before
             departure.
         firing: times and phases that are controls; None if all are given.
+        phases: of the boundary states, rad, if they were set by `at`.
         drifts: free flights after a missed or cut burn, which P2 keeps out of regions.
     """
 
@@ -179,6 +180,7 @@ class FlybyProblem:
     dv_min: float = 0.0
     feedback: Feedback | None = None
     firing: FiringTimes | None = None
+    phases: tuple[float, float] | None = None
     drifts: tuple[Drift, ...] = ()
 
     def __post_init__(self) -> None:
@@ -325,10 +327,14 @@ class FlybyProblem:
         """The problem with the boundary states of times and phases (q,); itself if no phase moves."""
         if self.firing is None or self.firing.boundary is None or not times.size:
             return self
-        first, last = self.firing.phases(times)
+        first, last = self.firing.phases(times).tolist()
+        if self.phases == (first, last):
+            return self
         state, factor = self.firing.boundary.first(first)
-        final = self.firing.boundary.last(last)
-        return replace(self, initial_state=state, initial_factor=factor, final_state=final)
+        final, phases = self.firing.boundary.last(last), (first, last)
+        return replace(
+            self, initial_state=state, initial_factor=factor, final_state=final, phases=phases
+        )
 
     def controls(self, burns: Array, gains: Array, times: Array = NO_TIMES) -> Array:
         """Burns (m, 3), firing times and gains in one vector: see `controls_before`."""

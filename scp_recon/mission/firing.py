@@ -52,7 +52,8 @@ class HomePhases:
         """Nondimensional boundary states by phase, with the initial factor by the initial state, SI."""
 
         def first(phase: float) -> tuple[Array, Array]:
-            return self.ring(phase) / units, factor(self.ring(phase))
+            state = self.ring(phase)
+            return state / units, factor(state)
 
         return Boundary(first, lambda phase: self.ring(phase) / units, self.at, self.free)
 

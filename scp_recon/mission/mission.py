@@ -316,7 +316,8 @@ class Mission:
         return self._joint(self.initial_factor / self.units.state[:, None])
 
     def _joint(self, factor: Array) -> Array:
-        return np.asarray(block_diag(factor, np.eye(self.uncertain.count)))
+        count = self.uncertain.count
+        return np.asarray(block_diag(factor, np.eye(count))) if count else factor
 
     def state_units(self, size: int) -> Array:
         """Units of the state and of uncertain parameters below it, shape (size,)."""

@@ -41,8 +41,9 @@ LOOKS = 8
 
 def home_ring(home: HomeOrbit, gm: float, axes: Array) -> Ring:
     """A scenario's circular home orbit by phase; axes (3, 3) rotate from boundary.frame to J2000."""
-    turn = np.kron(np.eye(2), axes)
-    return lambda phase_rad: turn @ home.state(phase_rad, gm)
+    # A state is a turn of those at phase zero and a quarter turn later.
+    first, ahead = (np.kron(np.eye(2), axes) @ home.state(at, gm) for at in (0.0, 0.25 * TURN))
+    return lambda phase_rad: np.cos(phase_rad) * first + np.sin(phase_rad) * ahead
 
 
 def directions(home: HomeOrbit, axes: Array) -> tuple[Array, Array, float]:
