@@ -93,6 +93,8 @@ class Mission:
     times_s: Array
     """Nodes of the grid, shape (n,)."""
     units: Units
+    step_max_s: float = RK4_STEP_MAX_S
+    """Longest Runge-Kutta step of the planner, s."""
     warnings: tuple[ScenarioWarning, ...] = ()
     """Warnings of unlikely entries, shown with every verdict."""
     firing_spans_s: tuple[Interval, ...] | None = None
@@ -483,8 +485,8 @@ class Mission:
 
     @property
     def arc_substeps(self) -> int:
-        """Runge-Kutta steps per arc, so that none is longer than `RK4_STEP_MAX_S`."""
-        return max(1, int(np.ceil(np.max(np.diff(self.times_s)) / RK4_STEP_MAX_S)))
+        """Runge-Kutta steps per arc, so that none is longer than `step_max_s`."""
+        return max(1, int(np.ceil(np.max(np.diff(self.times_s)) / self.step_max_s)))
 
     @property
     def flight_step_s(self) -> float:

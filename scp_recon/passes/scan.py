@@ -43,7 +43,7 @@ def scan(
     space: Space, times_s: tuple[float, ...], observe: Callable[[PassResult], None]
 ) -> list[PassResult]:
     """Plan P3 at every pair of phases for one set of times, row by row of departure, to and fro."""
-    space = space.on_grid(COARSER * space.mission.scenario.grid.step_max_s)
+    space = space.coarser(COARSER)
     planner: Planner[Mission] | None = None
     cells: list[PassResult] = []
     last: PassResult | None = None

@@ -10,7 +10,7 @@ from scipy.optimize import linprog
 
 from scp_recon.mission.feedback import felt_cut_offs_s
 from scp_recon.mission.firing import Ring
-from scp_recon.mission.grid import make_grid
+from scp_recon.mission.grid import RK4_STEP_MAX_S, make_grid
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.schedule import Schedule, burns_before, timing_rules
 from scp_recon.mission.windows import Window
@@ -48,6 +48,8 @@ class Space:
     """Least and greatest phase of departure and of arrival, rad."""
     time_spans: tuple[Span, ...]
     """Earliest and latest time of each burn, s; equal where it is fixed."""
+    step_max_s: float = 2.0 * RK4_STEP_MAX_S
+    """Longest Runge-Kutta step, s: the pass that is found is planned again with shorter ones."""
 
     @property
     def n_burns(self) -> int:
@@ -63,10 +65,11 @@ class Space:
         """Burns between departure and window."""
         return burns_before(times_s, self.window_s)
 
-    def on_grid(self, step_max_s: float) -> Space:
-        """The same space with another longest spacing of nodes."""
-        scenario = unchecked(self.mission.scenario, grid={"step_max_s": step_max_s})
-        return replace(self, mission=replace(self.mission, scenario=scenario))
+    def coarser(self, factor: float) -> Space:
+        """The same space with longer spacings of nodes and integration steps."""
+        grid = {"step_max_s": factor * self.mission.scenario.grid.step_max_s}
+        mission = replace(self.mission, scenario=unchecked(self.mission.scenario, grid=grid))
+        return replace(self, mission=mission, step_max_s=factor * self.step_max_s)
 
     def mission_of(self, one: Pass) -> Mission:
         """The mission of a pass, without checks; times are past the design's epoch."""
@@ -76,6 +79,7 @@ class Space:
             initial_state=self.ring(one.phases[0]),
             final_state=self.ring(one.phases[1]),
             schedule=Schedule(self.window_s, (), ()),
+            step_max_s=self.step_max_s,
         )
         cut_offs = felt_cut_offs_s(made.scene, self.window_s).values()
         times = *one.times_s, *self.window_s, *cut_offs
