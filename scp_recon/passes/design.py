@@ -31,8 +31,8 @@ from scp_recon.scenario.schema import Scenario
 
 STARTS_MAX = 4
 """Number of the map's minima from which descents begin."""
-FIRST = Effort(6, 1e-2, 15)
-LAST = Effort(12, 1e-4, 40)
+FIRST = Effort(6, 1e-2, 15, 1e-3)
+LAST = Effort(12, 1e-4, 40, 1e-4)
 EXACT = Effort(6, 1e-3, 40)
 """Effort of descents for comparison, of the last descents, and of those with exact risk or gains."""
 SURROGATE = {

@@ -19,7 +19,7 @@ from formulations.problem.facets import choose_facets
 from formulations.program.multipliers import multipliers
 from formulations.rows.exact_flight import FlightRows
 from scp_recon.display import digits
-from scp_recon.mission.firing import HomePhases
+from scp_recon.mission.firing import FREE_SPAN_S, HomePhases
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.schedule import ROOM_S
 from scp_recon.passes.space import Pass, Space, nearest_legal
@@ -75,11 +75,13 @@ class Effort(NamedTuple):
         rounds: at most.
         worth: relative gain of a round after which another one is made.
         iterations: of each program with free times, at most: the next round's has a grid of its own.
+        resolution: relative reduction of the merit at which programs stop.
     """
 
     rounds: int
     worth: float
     iterations: int
+    resolution: float = 0.0
 
 
 PATIENCE = 1
@@ -132,13 +134,14 @@ class Timing:
         not dearer than a rival by more than that.
         """
         failed = 0
-        best = last = self.plan(self._with_room(at), burns_m_s)
+        rough = effort.resolution
+        best = last = self.plan(self._with_room(at), burns_m_s, resolution=rough)
         observe(best)
         for _ in range(effort.rounds):
-            freed = self.freed(last, effort.iterations)
+            freed = self.freed(last, effort.iterations, rough)
             if freed is None:
                 break
-            last = self.plan(freed.at, freed.burns_m_s, again=True)
+            last = self.plan(freed.at, freed.burns_m_s, again=True, resolution=rough)
             observe(last)
             goal = (1.0 - effort.worth) * best.dv_m_s if best.converged else np.inf
             failed = 0 if last.dv_m_s < goal else failed + 1
@@ -154,7 +157,9 @@ class Timing:
         legal = nearest_legal(times, space.time_spans, space.window_s, before, rules, ROOM_S)
         return at if legal is None else Pass(at.phases, legal)
 
-    def plan(self, at: Pass, burns_m_s: Array, *, again: bool = False) -> PassResult:
+    def plan(
+        self, at: Pass, burns_m_s: Array, *, again: bool = False, resolution: float = 0.0
+    ) -> PassResult:
         """The plan at given times and phases, started from burns; `again` from those of P2."""
         mission = self.space.mission_of(at).along(burns_m_s)
         planner, guess = Planner(mission), from_burns(mission, burns_m_s)
@@ -165,18 +170,20 @@ class Timing:
             return PassResult(at, mission, plan.final)
         pipeline = Pipeline(mission, planner)
         start, polytopes = pipeline.start(guess), mission.polytopes
+        p3 = replace(planner.p3, resolution=resolution)
         if self.certain:
-            spec = planner.p3
+            spec = p3
         elif mission.risk.allocation == "exact":
             spec = self._exact(planner)
         else:
             if not again:
-                start = pipeline.solve(planner.p3, start).result.lin
+                start = pipeline.solve(p3, start).result.lin
             facets = choose_facets(
                 mission.problem, polytopes, start.iterate.mean, start.spread.factor
             )
             spec = planner.p2_stage(facets, start, again=again)
-        return PassResult(at, mission, pipeline.solve(spec, start))
+        stage = pipeline.solve(replace(spec, resolution=resolution), start)
+        return PassResult(at, mission, stage)
 
     def _exact(self, planner: Planner[Mission]) -> StageSpec:
         """Exact risk, of whole flights from a home orbit by few directions."""
@@ -186,7 +193,9 @@ class Timing:
             return replace(final, rows=rows)
         return final
 
-    def freed(self, result: PassResult, iterations: int = PRICING) -> PassResult | None:
+    def freed(
+        self, result: PassResult, iterations: int = PRICING, resolution: float = 0.0
+    ) -> PassResult | None:
         """The program with a plan's facets and free times and phases; None if all are given."""
         space, home = self.space, None
         if space.has_home:
@@ -197,7 +206,8 @@ class Timing:
             return None
         planner, lin = Planner(mission), result.stage.result.lin
         pipeline = Pipeline(mission, planner)
-        spec = replace(self._spec(planner, result), max_iterations=iterations)
+        spec = self._spec(planner, result)
+        spec = replace(spec, max_iterations=iterations, resolution=resolution)
         start = pipeline.start(lin.iterate)
         if lin.iterate.gains.any():
             start = mission.dynamics.linearise(spec.rows.problem, lin.iterate)
@@ -229,7 +239,8 @@ class Timing:
         """
         problem = result.mission.problem
         exact = result.mission.risk.allocation == "exact"
-        if problem.drifts or (problem.feedback is not None and exact):
+        given = all(high - low <= FREE_SPAN_S for low, high in self.space.time_spans)
+        if given or problem.drifts or (problem.feedback is not None and exact):
             return ()
         freed = self.freed(result)
         if freed is None or not freed.converged:

@@ -69,6 +69,7 @@ class StageSpec:
         judges: rows by which the stage is judged, if not its own.
         max_iterations: limit of its iterations; None for the algorithm's.
         weight: penalty weight of violations, which stays; None for the algorithm's weights.
+        resolution: relative reduction of the merit at which it stops, if that of its rows is smaller.
         is_required: whether later stages are in vain if it does not converge.
         doubt: violation up to which they are not, because the stage's rows err by as much.
         fallback: stage that replaces the later ones but the last if it does not converge.
@@ -83,6 +84,7 @@ class StageSpec:
     judges: Rows | None = None
     max_iterations: int | None = None
     weight: float | None = None
+    resolution: float = 0.0
     is_required: bool = False
     doubt: float = 0.0
     fallback: StageSpec | None = None

@@ -235,7 +235,8 @@ class Planner(Generic[AnyProblem]):
             if spec.weight is not None:
                 own |= dict.fromkeys(("weight", "weight_max", "weight_limit"), spec.weight)
             algorithm = ALGORITHMS[self._names[1]](**self._special | own)
-        algorithm = algorithm.resolving(rows.resolution)
+        resolution = max(rows.resolution, spec.resolution)
+        algorithm = algorithm.resolving(resolution)
         seen, rough = partial(observe, spec.name), spec.max_iterations is not None
         result = run(subproblem, dynamics, start, algorithm, seen, rough=rough)
         formulation, _, solver = self._names
@@ -247,7 +248,7 @@ class Planner(Generic[AnyProblem]):
                 near = rows.sloped(REACH)
                 slopes = partial(make_subproblem, rows.problem, near, "condensed", solver)
             make = partial(make_subproblem, rows.problem, rows, formulation, solver)
-            result = decide(make, slopes, dynamics, result, rows.resolution, seen)
+            result = decide(make, slopes, dynamics, result, resolution, seen)
         result.timing.setup += setup
         return Stage(spec, result, subproblem.merit, algorithm.feasible)
 
