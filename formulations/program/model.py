@@ -115,59 +115,45 @@ class Shape(NamedTuple):
     """The controls of a program.
 
     Attributes:
-        burns: their number m.
+        first: number of controls of a number of burns, m + 1: see `FlybyProblem.controls_before`.
         corrected: numbers of the burns that are corrected.
         cost: what is minimised.
         floor: whether some burns are raised.
-        timed: burn of each firing time and phase that is a control.
+        times: the controls that are firing times and phases.
         rules: number of the rules on these.
     """
 
-    burns: int
+    first: tuple[int, ...]
     corrected: tuple[int, ...] = ()
     cost: Cost = "nominal"
     floor: bool = False
-    timed: tuple[int, ...] = ()
+    times: tuple[int, ...] = ()
     rules: int = 0
 
     @classmethod
     def of(cls, problem: FlybyProblem, *, floor: bool) -> Self:
         """The controls of a problem."""
         feedback, firing = problem.feedback, problem.firing
-        shape = cls(problem.n_burns, floor=floor)
+        shape = cls(tuple(problem.controls_before.tolist()), floor=floor)
         if firing is not None:
-            owners = tuple(firing.owners(problem.n_burns - 1).tolist())
-            shape = shape._replace(timed=owners, rules=len(firing.least))
+            times = tuple(problem.time_controls.tolist())
+            shape = shape._replace(times=times, rules=len(firing.least))
         if feedback is None:
             return shape
         return shape._replace(corrected=tuple(feedback.burns.tolist()), cost=feedback.cost)
 
     @property
-    def gains(self) -> Indices:
-        """Number of gains of each burn, shape (m,)."""
-        own = np.zeros(self.burns, dtype=np.intp)
-        own[list(self.corrected)] = 18 * np.arange(1, len(self.corrected) + 1)
-        return own
-
-    @property
-    def first(self) -> Indices:
-        """Number of controls of a number of burns: see `FlybyProblem.controls_before`."""
-        timed = np.bincount(np.array(self.timed, dtype=np.intp), minlength=self.burns)
-        return np.cumsum([0, *(3 + timed + self.gains)])
-
-    @property
-    def times(self) -> Indices:
-        """The controls that are firing times and phases: see `FlybyProblem.time_controls`."""
-        left = [self.timed[i:].count(burn) for i, burn in enumerate(self.timed)]
-        return np.array(self.first[1 + np.array(self.timed, np.intp)] - left, dtype=np.intp)
+    def burns(self) -> int:
+        """Number m of the burns."""
+        return len(self.first) - 1
 
     def split(self, controls: cp.Variable) -> tuple[cp.Expression, list[cp.Expression]]:
         """Burns (m, 3), and the gains of each corrected one."""
-        if not self.corrected and not self.timed:
+        if not self.corrected and not self.times:
             return cp.reshape(controls, (self.burns, 3), order="C"), []
-        first, gains = self.first, self.gains
-        parts = [controls[start : start + 3] for start in first[:-1]]
-        own = [controls[first[i] + 3 : first[i] + 3 + gains[i]] for i in self.corrected]
+        parts = [controls[start : start + 3] for start in self.first[:-1]]
+        gains = [self.first[i] + 3 for i in self.corrected]
+        own = [controls[start : start + 18 * (j + 1)] for j, start in enumerate(gains)]
         return cp.vstack(parts), own
 
 
@@ -225,7 +211,7 @@ def cost_values(lin: Linearisation) -> tuple[Values, float]:
 def write_model(shape: Shape, penalty: Penalty, write_states: StateModelWriter) -> Model:
     """Write the program with one formulation's states and one penalty."""
     m = shape.burns
-    z = cp.Variable(int(shape.first[-1]))
+    z = cp.Variable(shape.first[-1])
     size, squares, numbers = cp.Variable(m), cp.Variable(), Numbers()
     states = write_states(z, numbers)
     blocks = list(zip(states.rows, states.shared, strict=True))
@@ -256,9 +242,9 @@ def write_model(shape: Shape, penalty: Penalty, write_states: StateModelWriter) 
         violation >= 0,
     ]
     if shape.rules:
-        own |= {"rules": cp.Parameter((shape.rules, len(shape.timed)))}
+        own |= {"rules": cp.Parameter((shape.rules, len(shape.times)))}
         own |= {"rules_least": cp.Parameter(shape.rules)}
-        constraints.append(own["rules"] @ z[shape.times] >= own["rules_least"])
+        constraints.append(own["rules"] @ z[list(shape.times)] >= own["rules_least"])
     if shape.floor:
         own |= {"floor_normals": cp.Parameter((m, 3)), "floor": cp.Parameter(m)}
         along = cp.sum(cp.multiply(own["floor_normals"], burns), axis=1)

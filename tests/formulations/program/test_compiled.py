@@ -26,13 +26,15 @@ SIZES = (
     ConeSize(8, 6, triangular=True, slots=3),
     ConeSize(3, 6, triangular=False, slots=2, shared=True),
 )
-CORRECTED = Shape(3, (1, 2), "dv99"), ConeSize(3, 24, triangular=True, slots=2)
+CORRECTED = Shape((0, 3, 24, 63), (1, 2), "dv99"), ConeSize(3, 24, triangular=True, slots=2)
 
 
 def lifted_model(penalty: Penalty, name: str) -> Model:
     lin = linearised(np.random.default_rng(1))
     subproblem = LiftedSubproblem(lin.problem, every_row(lin, name, 4), penalty, "CLARABEL")
-    return write_model(Shape(lin.problem.n_burns), penalty, partial(subproblem._states, lin))
+    return write_model(
+        Shape.of(lin.problem, floor=False), penalty, partial(subproblem._states, lin)
+    )
 
 
 def condensed_model(penalty: Penalty, shape: Shape, *sizes: ConeSize) -> Model:
@@ -40,7 +42,7 @@ def condensed_model(penalty: Penalty, shape: Shape, *sizes: ConeSize) -> Model:
 
 
 MODELS: dict[str, Callable[[Penalty], Model]] = {
-    "condensed": lambda penalty: condensed_model(penalty, Shape(4), *SIZES),
+    "condensed": lambda penalty: condensed_model(penalty, Shape((0, 3, 6, 9, 12)), *SIZES),
     "with corrected burns": lambda penalty: condensed_model(penalty, *CORRECTED),
     "lifted P3": lambda penalty: lifted_model(penalty, "P3"),
     "lifted P2": lambda penalty: lifted_model(penalty, "P2"),
