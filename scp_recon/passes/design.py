@@ -41,6 +41,10 @@ SURROGATE = {
 }
 """Risk planned with in place of exact risk until the last descent: quicker, and near it."""
 
+TRIED, HOPEFUL = Effort(1, 1e-3, 15, 1e-3), 1.02
+"""Effort of a first descent with exact risk beside a rival, and cost over it up to which another
+follows."""
+
 NEAR = 1.1
 """Ratio of the costs of two windows' passes below which exact risk compares them."""
 
@@ -241,6 +245,10 @@ class Designer:
         update = {"risk": given.risk, "polytopes": given.polytopes}
         own = space.mission.scenario.model_copy(update=update)
         where = replace(where, space=replace(space, mission=replace(space.mission, scenario=own)))
+        if np.isfinite(rival_m_s):
+            best = self._descent(where, "exact", best.at, best, TRIED, rival_m_s)
+            if best.dv_m_s > HOPEFUL * rival_m_s:
+                return where, best
         return where, self._descent(where, "exact", best.at, best, EXACT, rival_m_s)
 
     def _map_and_descend(self, first: Around) -> Best:
