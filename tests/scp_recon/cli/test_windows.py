@@ -16,7 +16,7 @@ def test_wrong_pole_is_warned_about_small_radius_refused(tmp_path, capsys):
     path.write_text('base = "recon_b"\n[body]\npole_dec_deg = 60.3586\n', "utf-8")
     assert run(str(path), "--span-days", "0.2") == 0
     said = " ".join(capsys.readouterr().out.split())
-    assert "warning: body.pole_ra_deg: got (85.461, 60.3586) deg, 120.7 deg off" in said
+    assert "warning: body.pole_ra_deg: got (85.46097, 60.3586) deg, 120.7 deg off" in said
     path.write_text('base = "recon_b"\n[safety]\nradius_min_m = 0.5\n', "utf-8")
     assert run(str(path), "--span-days", "0.2") == 2
     assert "safety.radius_min_m: got 0.5 m" in capsys.readouterr().err
