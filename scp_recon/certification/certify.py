@@ -30,6 +30,7 @@ from scipy.special import ndtr, ndtri
 
 from formulations.arrays import Array
 from formulations.problem.flyby import Iterate
+from formulations.risk.strata import Counted
 from scp_recon.certification.flights import (
     Fly,
     Watch,
@@ -37,6 +38,7 @@ from scp_recon.certification.flights import (
     fly_plan,
     fly_round,
     run_test,
+    unlike_beyond,
     with_nodes_at,
 )
 from scp_recon.certification.targets import Targets, is_plan, largest_kept, target_of
@@ -106,7 +108,7 @@ def certified(asked: float, make_plan: Planning[Aimed], fly: Fly[Aimed]) -> Aime
 
 @dataclass
 class _Certification(Generic[Aimed]):
-    """State of one certification: last plan, times of new nodes, plans of rounds and tests."""
+    """State of one certification: last plan, times of new nodes, plans and strata of its flights."""
 
     asked: float
     make_plan: Planning[Aimed]
@@ -115,6 +117,7 @@ class _Certification(Generic[Aimed]):
     touched_s: Array = field(default_factory=lambda: np.zeros(0))
     flown: list[tuple[Aimed, float]] = field(default_factory=list)
     tested: list[Aimed] = field(default_factory=list)
+    counted: list[Counted] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         self.targets = Targets(self._make)
@@ -166,7 +169,8 @@ class _Certification(Generic[Aimed]):
     def _passes(self, plan: Aimed) -> bool:
         """Test a plan; if it fails, learn from it."""
         number, rounds = len(self.tested) + 1, len(self.flown)
-        plan, kept = run_test(plan, self.fly, self.fresh, number, rounds)
+        unlike = unlike_beyond(self.counted)
+        plan, kept = run_test(plan, self.fly, self.fresh, number, rounds, unlike)
         self.tested.append(plan)
         assert plan.certificate is not None
         if plan.certificate.certifies(self.asked):
@@ -176,6 +180,8 @@ class _Certification(Generic[Aimed]):
 
     def _learn(self, plan: Aimed, kept: KeptCounts) -> bool:
         """Learn the loss from flights; whether the nodes are close enough."""
+        if kept.strata is not None:
+            self.counted.append(kept.strata)
         close = are_close(kept, self.asked)
         if close:
             self.aiming.learn(_law(plan), kept.throughout, kept.samples)

@@ -6,7 +6,7 @@ they judge.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from functools import partial
 from typing import NamedTuple, Protocol
@@ -14,7 +14,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from formulations.arrays import Array
-from formulations.risk.strata import Allocation, Survey, allocate
+from formulations.risk.strata import Allocation, Counted, Survey, allocate
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.estimates import (
     CONFIDENCE,
@@ -80,6 +80,16 @@ def flown_of(kept: KeptCounts) -> int:
     return kept.samples if kept.strata is None else sum(kept.strata.flown)
 
 
+def unlike_beyond(flown: Iterable[Counted]) -> tuple[float, float]:
+    """Shares of the sure strata's flights that ended unlike the law."""
+    several = list(flown)
+    ends = (
+        (sum(c.unlike[at] for c in several), sum(c.flown[at] for c in several)) for at in (0, -1)
+    )
+    fails, holds = (unlike / max(flown, 1) for unlike, flown in ends)
+    return fails, holds
+
+
 def are_close(kept: KeptCounts, required: float) -> bool:
     """Whether flights lose so little between nodes that no node is missing."""
     return kept.at_nodes - kept.throughout <= LOST_BETWEEN * (1.0 - required) * kept.samples
@@ -88,7 +98,8 @@ def are_close(kept: KeptCounts, required: float) -> bool:
 class Step(NamedTuple):
     """A calibration or a test: its name, and the number, seed and accuracy of its flights.
 
-    `width` is the width of the interval with flights in strata, relative to plain flights.
+    `width` is the width of the interval with flights in strata, relative to plain flights. `unlike`
+    are the shares of the sure strata's flights that end unlike the law, as earlier flights found.
     """
 
     name: str
@@ -96,6 +107,7 @@ class Step(NamedTuple):
     seed: int
     width: float
     confidence: float
+    unlike: tuple[float, float] = (0.0, 0.0)
 
 
 Fly = Callable[[Aimed, Step], KeptCounts]
@@ -109,10 +121,19 @@ def fly_round(plan: Aimed, fly: Fly[Aimed], samples: int, number: int) -> KeptCo
 
 
 def run_test(
-    plan: Aimed, fly: Fly[Aimed], samples: int, number: int, rounds: int
+    plan: Aimed,
+    fly: Fly[Aimed],
+    samples: int,
+    number: int,
+    rounds: int,
+    unlike: tuple[float, float] = (0.0, 0.0),
 ) -> tuple[Aimed, KeptCounts]:
-    """Judge a plan by independent flights, after a number of rounds: the plan with its certificate."""
-    step = Step(f"test {number}", samples, seed_of_test(number), TEST_WIDTH, TEST_CONFIDENCE)
+    """Judge a plan by independent flights, after a number of rounds: the plan with its certificate.
+
+    `unlike` is as of `Step`.
+    """
+    seed = seed_of_test(number)
+    step = Step(f"test {number}", samples, seed, TEST_WIDTH, TEST_CONFIDENCE, unlike)
     kept = fly(plan, step)
     return replace(plan, certificate=certificate_of(kept, number, rounds)), kept
 
@@ -180,6 +201,7 @@ def _fly_in_strata(
         reached = interval_of_test(round((1.0 - known.failed) * step.samples), step.samples)
         ends = reached.value - reached.low, reached.high - reached.value
         widths = step.width * ends[0], step.width * ends[1]
+        known = replace(known, unlike=np.r_[step.unlike[0], known.unlike[1:-1], step.unlike[1]])
         return allocate(known, step.samples, widths, TAIL, mirrored=not whole)
 
     whole = mission.scenario.risk.scope == "flight"

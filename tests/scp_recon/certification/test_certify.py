@@ -18,6 +18,7 @@ from scp_recon.certification.flights import (
     Step,
     certificate_of,
     kept_in_strata,
+    unlike_beyond,
     with_nodes_at,
 )
 from scp_recon.monte_carlo.estimates import (
@@ -100,6 +101,23 @@ def test_the_lower_limit_is_what_was_asked(certified):
         assert certificate_of(kept, reached.tests, reached.rounds) == reached
         assert reached.samples == sum(reached.strata.flown) < flights_of_test(ASKED)
         assert "draws of test" in str(reached)
+
+
+@pytest.mark.parametrize("run", ["strata"], indirect=True)
+def test_surprises_of_earlier_flights_are_looked_for(certified):
+    """Where flights that the law is sure of have failed, the next test flies more of them."""
+    allocation = Allocation(1e4, 5.0, (0.1, 0.5, 0.6, 0.6, 0.5, 0.1), (0.09, 0.1))
+    counted = [
+        Counted(allocation, (9, 0, 0, 0, 0, 9_000), (5, 0, 0, 0, 0, 1_000), (1, *(0,) * 4, 2))
+    ]
+    assert unlike_beyond([]) == (0.0, 0.0)
+    assert unlike_beyond(counted * 2) == (0.2, 0.002)
+    step = Step("", flights_of_test(ASKED), 7, TEST_WIDTH, TEST_CONFIDENCE)
+    plain, wary = (
+        flights.fly_plan(None, certified, replaced).strata.allocation.share[-1]
+        for replaced in (step, step._replace(unlike=(0.2, 0.005)))
+    )
+    assert wary > 1.02 * plain
 
 
 def test_rounding_keeps_nodes_at_least_as_likely():
