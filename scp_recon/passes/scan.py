@@ -52,6 +52,9 @@ def scan(
         mission = space.mission_of(at)
         planner = planner or Planner(mission, p3_resolution=ROUGH)
         best = _cheapest(planner, at, mission, last)
+        if not (best.converged or space.has_home):  # the only cell: other algorithms too
+            stage = Planner(mission).plan(ahead(mission), problem="P3").final
+            best = PassResult(at, mission, stage)
         cells.append(best)
         observe(best)
         last = best
