@@ -47,7 +47,10 @@ class Keep:
         one_of(f"{name}: side", self.side, ("in", "out"))
         if not isinstance(self.region, Region):
             raise InputError("region", f"{self.region!r}", "must be a Ball, Cone, Halfspaces, ...")
-        nodes = None if self.nodes is None else np.asarray(self.nodes)
+        try:
+            nodes = None if self.nodes is None else np.asarray(self.nodes)
+        except ValueError:  # rows of several lengths
+            nodes = np.zeros((0, 0))
         if nodes is not None and (nodes.ndim != 1 or nodes.dtype.kind != "i" or not len(nodes)):
             raise InputError(f"{name}: nodes", f"{self.nodes}", "must be some indices of nodes")
         if nodes is not None and (nodes[0] < 0 or np.any(np.diff(nodes) <= 0)):

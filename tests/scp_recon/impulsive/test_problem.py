@@ -207,7 +207,7 @@ BAD_REGIONS: list[tuple[Callable[[], Any], str]] = [
     (lambda: sr.Polytope(np.ones((6, 2)), np.ones(6)), "normal: got"),
     *(
         (lambda nodes=nodes: sr.Keep("in", sr.Ball(*BALL), nodes), "ball: nodes: got")
-        for nodes in ("x", [2, 1], [-1], [], 3, [0.5])
+        for nodes in ("x", [2, 1], [-1], [], 3, [0.5], [[1], [2, 3]])
     ),
     (lambda: sr.Keep("in", BALL), "region: got .*must be a Ball"),
     (lambda: sr.Keep("in", sr.Ball(BALL[0], 0.0)), "ball: got radius 0.0; must have points"),
