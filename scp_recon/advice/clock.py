@@ -81,13 +81,11 @@ class Clock(Watch):
 
     @contextmanager
     def part(self, share: float) -> Iterator[None]:
-        """Context for a share of the time that the present trial has left; its end is no failure."""
+        """Context for a share of the time that the present trial has left."""
         until_s, now = self.until_s, process_time()
         self.until_s = now + share * (min(until_s, self.began + self.limit_s) - now)
         try:
             yield
-        except TimeIsUp:
-            pass
         finally:
             self.until_s = until_s
 

@@ -20,7 +20,7 @@ from scipy.special import ndtr, ndtri
 from formulations.problem.feedback import Cost
 from formulations.problem.flyby import Iterate
 from formulations.registry import FULL
-from scp_recon.advice.clock import Clock, Roughly, Undecided
+from scp_recon.advice.clock import Clock, Roughly, TimeIsUp, Undecided
 from scp_recon.api.inputs import PlanRequest
 from scp_recon.api.options import PlanOptions
 from scp_recon.api.planning import PlanOutcome, carry_out, plan_mission
@@ -292,8 +292,12 @@ class Case:
         required, allocation = self.scenario.risk.p_chance, self.scenario.risk.allocation
         split: Changes = {} if allocation == "exact" else {"risk.allocation": "exact"}
         search = Search(self._for_target, close=CLOSE, most=self.failed.target or required)
-        with self.clock.part(SEARCHING):
-            search.run(self.failed.mission.changed(split), self.failed.final.result.lin.iterate)
+        try:
+            with self.clock.part(SEARCHING):
+                search.run(self.failed.mission.changed(split), self.failed.final.result.lin.iterate)
+        except TimeIsUp:
+            if self.largest is None:
+                raise
         if self.largest is None:
             return None
         tries: list[Changes] = []
