@@ -28,7 +28,6 @@ from scp_recon.advice.trials import (
     CORRECTED,
     FEEDBACK,
     FINAL_SPREAD,
-    FINAL_STATE,
     LIMITS,
     MORE_BURNS,
     PROBABILITY,
@@ -244,7 +243,7 @@ def test_diagnosis_ends_with_its_time(small_burns, monkeypatch):
     found = diagnose(case.failed, case.request, spent_s=0.1)
     assert process_time() - began < 3.0
     assert found.limit_s == pytest.approx(0.3)
-    assert {CORRECTED, PROBABILITY, FINAL_STATE} <= set(found.left_out)
+    assert {CORRECTED, PROBABILITY} <= set(found.left_out)
     assert "after 0 s of the processor" in advice_on(found, case.failed)[-1]
 
 
