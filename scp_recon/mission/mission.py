@@ -34,7 +34,6 @@ from scp_recon.mission.constraints import (
     state_constraints,
 )
 from scp_recon.mission.drifts import problem_drifts, require_no_drifts
-from scp_recon.mission.edges import WindowEdges, edge_sigmas_s, moved_edges
 from scp_recon.mission.feedback import felt_cut_offs_s, require_open_loop, resolved
 from scp_recon.mission.firing import HomePhases, firing_times
 from scp_recon.mission.gravity import Gravity
@@ -50,7 +49,7 @@ from scp_recon.mission.schedule import (
     find_window,
     make_schedule,
 )
-from scp_recon.mission.windows import scan_step_s
+from scp_recon.mission.windows import WindowEdges, edge_sigmas_s, moved_edges, scan_step_s
 from scp_recon.physics import geometry
 from scp_recon.physics.flow import GridFlow
 from scp_recon.physics.forces import ForceModel

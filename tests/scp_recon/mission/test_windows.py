@@ -11,10 +11,15 @@ from hypothesis import strategies as st
 from formulations.arrays import Array
 from scp_recon.bodies.catalogue import DAY_S
 from scp_recon.errors import InputError
-from scp_recon.mission.edges import moved_edges
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.survey import survey
-from scp_recon.mission.windows import SCAN_STEP_S, each_window, scan_step_s, whole_windows
+from scp_recon.mission.windows import (
+    SCAN_STEP_S,
+    each_window,
+    moved_edges,
+    scan_step_s,
+    whole_windows,
+)
 from scp_recon.physics.two_body import two_body
 from scp_recon.scenario.load import load_scenario
 from tests.scp_recon.mission.test_schedule import independent_incidence
