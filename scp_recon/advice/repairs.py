@@ -112,7 +112,7 @@ def kept(case: Case) -> float | None:
 
 
 def _continued(case: Case) -> Remedy | None:
-    """The user's command, started from the plan that failed; a certification goes on by itcase."""
+    """The user's command, started from the plan that failed; a certification goes on by itself."""
     options = case.request.options
     if options.is_certified(case.scenario) and options.objective == "delta-v":
         return None

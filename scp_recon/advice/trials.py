@@ -174,13 +174,7 @@ class Case:
         mission = self.failed.mission.changed(changes)
         return self._roughly(mission, self.failed.final.result.lin.iterate, certain=certain)
 
-    def _roughly(
-        self,
-        mission: Mission,
-        start: Iterate,
-        *,
-        certain: bool = False,
-    ) -> Plan | None:
+    def _roughly(self, mission: Mission, start: Iterate, *, certain: bool = False) -> Plan | None:
         if len(start.mean) != len(mission.times_s):
             start = from_burns(mission, self.failed.burns_m_s)
         problem = "P3" if certain else self.request.options.problem

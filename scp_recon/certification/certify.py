@@ -285,7 +285,7 @@ class Aiming:
     @property
     def least(self) -> float:
         """The target at which flights reach just the required probability."""
-        return float(np.clip(ndtr(ndtri(self.asked) + self.loss), LEAST, MOST))
+        return self._target(self.asked)
 
     @property
     def error(self) -> float:
@@ -309,7 +309,7 @@ class Aiming:
     def next(self) -> float:
         """The target at which a test passes with the probability of `SURE`."""
         above = min(self.needed + SURE * self._deviation, 1.0 - 0.5 / self.fresh)
-        return float(np.clip(ndtr(ndtri(above) + self.loss), LEAST, MOST))
+        return self._target(above)
 
     def is_settled(self, law: float, *, binds: bool) -> bool:
         """Whether a test should pass a plan, and its surplus is within sampling error.
@@ -319,6 +319,10 @@ class Aiming:
         most, least = (float(ndtr(q - self.loss)) for q in (law, ndtri(self.next())))
         sure = most - self.needed >= SURE_ENOUGH * self._deviation
         return sure and (not binds or most - least <= EXCESS * self.error)
+
+    def _target(self, reached: float) -> float:
+        """The target at which flights reach a probability."""
+        return float(np.clip(ndtr(ndtri(reached) + self.loss), LEAST, MOST))
 
     @property
     def _deviation(self) -> float:

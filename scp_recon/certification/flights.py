@@ -6,7 +6,7 @@ they judge.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import NamedTuple, Protocol
@@ -80,13 +80,12 @@ def flown_of(kept: KeptCounts) -> int:
     return kept.samples if kept.strata is None else sum(kept.strata.flown)
 
 
-def unlike_beyond(flown: Iterable[Counted]) -> tuple[float, float]:
+def unlike_beyond(counted: Sequence[Counted]) -> tuple[float, float]:
     """Shares of the sure strata's flights that ended unlike the law."""
-    several = list(flown)
-    ends = (
-        (sum(c.unlike[at] for c in several), sum(c.flown[at] for c in several)) for at in (0, -1)
+    fails, holds = (
+        sum(one.unlike[end] for one in counted) / max(sum(one.flown[end] for one in counted), 1)
+        for end in (0, -1)
     )
-    fails, holds = (unlike / max(flown, 1) for unlike, flown in ends)
     return fails, holds
 
 
