@@ -62,15 +62,14 @@ DRAWN = {
     "gallery": tuple(f"flyby --runs {{out}}/{one} --out docs/gallery/{one}.png" for one in BODIES),
     "compare_solvers": ("solver_comparison --runs {out} --out docs",),
     "maps": ("maps --runs {out} --out docs",),
-    "accuracy": ("accuracy --runs {out} --out docs/comparison_accuracy.png",),
     "observation_table": ("flyby --runs {out}/scp_cold --out docs/flyby.png",
                           "ball_polytopes --runs {out} --out docs/ball_polytopes.png"),
 }  # fmt: skip
 COMMANDS = {
     **{name: name for name in (
-        "plans", "sites", "nlp_tricks", "peers", "spice", "cross_check", "lifted", "sensitivity",
+        "plans", "sites", "peers", "spice", "cross_check", "sensitivity",
         "model_fidelity", "battery_cones", "timing_rules", "flown_plan", "gallery", "frontier",
-        "feedback", "policies", "accuracy", "observation_table", "optima", "dense", "maps",
+        "feedback", "policies", "observation_table", "optima", "maps",
         "missed_burns", "knowledge",
         "compare_solvers", "uncertainty_sources",
     )},

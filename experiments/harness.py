@@ -92,10 +92,6 @@ def claims_table(claims: Sequence[Claim]) -> Table:
     return Table.of("Claims", Claim._fields, rows)
 
 
-VARIATIONS = ("accuracy", "lifted", "nlp_tricks", "sensitivity")
-"""Studies of one module."""
-
-
 @dataclass(frozen=True)
 class Findings:
     """Results of a study.
@@ -311,9 +307,8 @@ def module_of(name: str) -> str:
 
 
 def study_of(name: str) -> Study:
-    """The study of a name; a module of several has a dictionary of them."""
-    found = importlib.import_module(module_of("variations" if name in VARIATIONS else name)).STUDY
-    study: Study = found[name] if isinstance(found, dict) else found
+    """The study of a name."""
+    study: Study = importlib.import_module(module_of(name)).STUDY
     return study
 
 

@@ -26,7 +26,7 @@ from experiments.observation_rows import rows as observation_rows
 from experiments.observation_rows import run_row
 from experiments.observation_table import SAMPLES
 from experiments.other_tools import cross_check, peers, spice
-from experiments.solvers import dense, optima, variations
+from experiments.solvers import optima, sensitivity
 from experiments.solvers.cases import REFERENCE, SHOOTING, TUNED, Cell, Method, exact_design
 from experiments.solvers.cells import solve
 from experiments.spacecraft import (
@@ -133,11 +133,6 @@ def sizes_row(of: str) -> Record:
     return {"of": of} | maps.summary(pd.DataFrame(rows))
 
 
-def accuracy_row(case: tuple[str, Method, int]) -> Record:
-    """A run of a method up to an iteration."""
-    return variations.stopped_row({case[0]: variations.begin_p2(case[0])}, case)
-
-
 def method_row(method: Method) -> Record:
     """A row of the table of methods."""
     row = solve(Cell("matrix", "recon_b", (), method, "cold"))
@@ -202,7 +197,6 @@ EQUAL, FLOWN = 0.0, 1e-3
 CERTIFIED = {"open_m_s": 1e-4, "feedback_m_s": 1e-4, "open_flown": FLOWN}
 FACETS, OTHER = {"status": EQUAL, "total_dv_m_s": 1e-4}, {"status": EQUAL, "total_dv_m_s": 1e-6}
 """Of plans with uniform risk, and of others."""
-SIZES = {"variables": EQUAL, "rows": EQUAL, "nonzeros": EQUAL}
 DEFAULT = "penalty weight", 1.0
 
 OWN = (
@@ -235,27 +229,14 @@ OWN = (
     Sentinel("compare_solvers.exact", "scenario, method", OTHER | {"reached": FLOWN},
         exact_row, [0, 3]),
     Sentinel("optima", "kind, seeds, seed", FACETS, optima.measure, [("uniform", "tuned", 17)]),
-    Sentinel("dense", "points", {"p3_least_m_s": 1e-5, "p2_least_m_s": 1e-5},
-        dense.measure, dense.DENSITIES[:1]),
-    Sentinel("nlp_tricks", "trick",
-        {"status": EQUAL, "delta-v m/s": 2e-5, "unknowns": EQUAL, "rows": EQUAL},
-        variations.trick_row, ["+ derivatives arc by arc = tuned", "single shooting, exact Hessians"]),
     Sentinel("peers.methods", "method", {"status": EQUAL, "cost": 1e-5},
         peers_row, peers.OURS[:1]),
     Sentinel("spice", "what", {"off": 1e-4}, partial(in_folder, spice_rows), [None]),
     Sentinel("cross_check", "tool, forces", {"position_m": 1e-4}, left_out_rows, [None]),
-    Sentinel("accuracy", "problem, method, iterations", {"ended": EQUAL, "merit_m_s": 1e-4},
-        accuracy_row, [("recon_b", REFERENCE, 2)]),
-    Sentinel("accuracy", "problem, method, iterations", {"ended": EQUAL, "merit_m_s": 1e-6},
-        accuracy_row, [("nightingale", REFERENCE, 7)]),
-    Sentinel("lifted", "risk, form", SIZES | {"total_dv_m_s": 1e-6},
-        variations.form_row, [("exact, nodes", "condensed"), ("exact, flight", "condensed")]),
-    Sentinel("lifted", "risk, form", SIZES | {"total_dv_m_s": 1e-4},
-        variations.form_row, [("uniform", "condensed")]),
     Sentinel("sensitivity", "problem, algorithm, factor, multiple", FACETS,
-        variations.parameter_row, [("recon_b", "scvx", *DEFAULT)]),
+        sensitivity.measure, [("recon_b", "scvx", *DEFAULT)]),
     Sentinel("sensitivity", "problem, algorithm, factor, multiple", OTHER,
-        variations.parameter_row, [("nightingale", "scvx", *DEFAULT), ("replan", "scvx", *DEFAULT)]),
+        sensitivity.measure, [("nightingale", "scvx", *DEFAULT), ("replan", "scvx", *DEFAULT)]),
     Sentinel("observation_table", "row", FACETS | {"mean_s": 1e-4, "closest_0_3_percent_m": 1e-3},
         partial(in_folder, observation_row), ["scp_cold"]),
     Sentinel("observation_table", "row", OTHER, partial(in_folder, observation_row), ["p3"]),

@@ -86,7 +86,6 @@ STUDIES = {
         _study(plans.missed_burns, costs="more_percent"),
         _study(plans.knowledge, parameters="kept", plans="without"),
         _study(plans.map_sample, line="maps --sample", sample="site.latitude_deg"),
-        _study(plans.accuracy, accuracy="error"),
         _study(
             plans.solver_comparison,
             "comparison",

@@ -7,11 +7,9 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import LogLocator
 from pandas import DataFrame as Table
 from scipy.special import ndtri
 
-from formulations.arrays import Array
 from paper_figs.drawing import Look, probability_axis
 from scp_recon.results.pictures import legend, page
 
@@ -52,9 +50,6 @@ FEEDBACK: dict[str, Look] = {
     OPEN: {"marker": "s", "color": "C1", "ms": 8, "mfc": "none"},
     "feedback": {"marker": "o", "color": "C0", "ms": 5, "mfc": "none"},
     "feedback, lead 1 h": {"marker": ".", "color": "C5", "ls": ":"},
-    "targeting gain": {"marker": "^", "color": "C4", "ls": "--"},
-    "targeting gain, lead 1 h": {"marker": "v", "color": "k", "ls": ":", "mfc": "none"},
-    "feedback, limited at the end": {"marker": "D", "color": "C2", "ls": ""},
 }
 """Curves coincide where the open loop is as good: the larger markers are open."""
 ROOM_MM_S = 1.0
@@ -73,9 +68,6 @@ QUANTITIES = {
 POSITION_M, UNMEASURED_M = 10.0, 1e4
 """Error of the usual measurement, of which `scale` gives multiples, and that which is as good as none,
 m."""
-LEAST = 1e-9
-"""Smallest error shown, less than the difference between two solvers."""
-METHODS = ("C0", "C1", "C2", "C3", "C4", "C5", "k")
 SOLVERS: dict[str, Look] = {
     "CLARABEL": {"marker": "o", "color": "C0"},
     "QOCO": {"marker": "^", "color": "C2"},
@@ -187,19 +179,16 @@ def feedback(tables: list[Table]) -> Figure:
         panels = figure.subplot_mosaic([["dv", "end"], ["dv", "errors"]], width_ratios=(1.4, 1.0))
         for kind, given in FEEDBACK.items():
             own, look = rows[rows.kind == kind], {"ms": 4, **given}
-            p, cost = _cheapest(own, "asked", "dv99_m_s")
-            panels["dv"].plot(ndtri(p), 1e3 * cost, label=kind, **look)
-            p, sigma = _cheapest(own, "asked", "final_sigma_m")
-            panels["end"].plot(ndtri(p), sigma, **look)
+            panels["dv"].plot(ndtri(own.asked), 1e3 * own.dv99_m_s, label=kind, **look)
+            panels["end"].plot(ndtri(own.asked), own.final_sigma_m, **look)
         of_flights = errors[(errors.scope == "flight") & (errors.kind == "feedback")]
         groups = of_flights.groupby("asked", sort=False)
         for (asked, own), dash in zip(groups, ("o-", "o--"), strict=False):
-            scale, cost = _cheapest(own, "scale", "program_m_s")
-            error = np.minimum(POSITION_M * scale, UNMEASURED_M)
-            panels["errors"].semilogx(error, 1e3 * cost, f"k{dash}", ms=3)
-            panels["errors"].annotate(
-                f"required {asked}", (1.0, 1e3 * cost[0]), (0, -11), textcoords="offset points"
-            )
+            own = own.sort_values("scale")
+            error, cost = np.minimum(POSITION_M * own.scale, UNMEASURED_M), 1e3 * own.program_m_s
+            panels["errors"].semilogx(error, cost, f"k{dash}", ms=3)
+            said: Look = {"xytext": (0, -11), "textcoords": "offset points"}
+            panels["errors"].annotate(f"required {asked}", (1.0, cost.iloc[0]), **said)
         words = "required probability of whole flights (-)"
         probability_axis(panels["dv"], (0.7, 0.9, 0.95, 0.99, 0.997, 0.999), words)
         probability_axis(panels["end"], (0.7, 0.9, 0.99, 0.999), words)
@@ -228,12 +217,6 @@ def _dearer(axes: Axes, rows: Table) -> None:
             f"\u2191 {OPEN}:\n{words}", (x, 1.0), (-9, -2), va="top", ha="right", color="C1",
             xycoords=("data", "axes fraction"), textcoords="offset points", fontsize=8,
         )  # fmt: skip
-
-
-def _cheapest(rows: Table, x: str, y: str) -> tuple[Array, Array]:
-    """Two columns of the rows that have figures, the cheapest of several, by the first."""
-    own = rows.dropna(subset=[y]).sort_values("dv99_m_s").drop_duplicates(x).sort_values(x)
-    return own[x].to_numpy(), own[y].to_numpy()
 
 
 def policies(tables: list[Table]) -> Figure:
@@ -312,30 +295,6 @@ def map_sample(tables: list[Table]) -> Figure:
 def _where(rows: Table) -> tuple[Any, Any]:
     """East longitudes from 0 to 360 and latitudes, deg."""
     return rows["site.longitude_deg"] % 360.0, rows["site.latitude_deg"]
-
-
-def accuracy(tables: list[Table]) -> Figure:
-    """Error over processor seconds, a panel a problem; a mark is an iteration, a full one the end."""
-    (rows,) = tables
-    problems, methods = list(rows.problem.unique()), list(rows.method.unique())
-    with page(3.6) as figure:
-        panels = figure.subplots(1, len(problems), sharex=True, sharey=True, squeeze=False)[0]
-        for axes, problem in zip(panels, problems, strict=True):
-            for colour, method in zip(METHODS, methods, strict=True):
-                own = rows[(rows.problem == problem) & (rows.method == method)]
-                seconds, errors = own.processor_s, own.error.clip(lower=LEAST)
-                look: Look = {"color": colour, "marker": "P" if "IPOPT" in method else "o"}
-                axes.plot(seconds, errors, ms=3, mfc="none", lw=1.0, label=method, **look)
-                axes.plot(seconds[-1:], errors[-1:], ms=6, **look)
-            axes.set(xscale="log", yscale="log", title=problem)
-            axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-            axes.xaxis.set_major_formatter("{x:g}")
-        panels[0].plot([], [], "o", color="0.4", mfc="none", ms=3, label="an iteration")
-        panels[0].plot([], [], "o", color="0.4", ms=6, label="the end")
-        panels[0].set_ylabel("merit / least merit - 1 (-)")
-        figure.supxlabel("processor time from the solution of P3 (s)", fontsize="medium")
-        legend(figure, 3)
-    return figure
 
 
 def solver_comparison(tables: list[Table]) -> dict[str, Figure]:

@@ -22,7 +22,7 @@ import numpy as np
 from scipy.special import ndtr, ndtri
 
 from experiments.harness import Findings, Record, Session, Study
-from experiments.in_flight.feedback import Case, row
+from experiments.in_flight.feedback import row
 from formulations.arrays import Array
 from formulations.rows.exact_flight import FLIGHT as WHOLE
 from scp_recon.api.options import PlanOptions
@@ -139,7 +139,7 @@ def measure(out: Path, ends: Mapping[str, Record], case: Measured) -> Record:
     assert judged.certificate is not None
     low, high = judged.certificate.low, judged.certificate.high
     return {
-        **row(Case(case.site, low), judged, FLIGHTS, process_time() - begin),
+        **row(case.site, low, judged, FLIGHTS, process_time() - begin),
         **case._asdict(),
         "law": law,
         "certified_high": high,

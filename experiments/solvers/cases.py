@@ -83,9 +83,6 @@ FROZEN_COVARIANCE = Method("frozen-covariance")
 TUNED, ELASTIC = Method("tuned", "hard", IPOPT), Method("tuned", "elastic", IPOPT)
 SHOOTING, SHOOTING_UNO = (Method("shooting", "hard", solver) for solver in NLP_SOLVERS)
 
-EVERY_NODE = Method("lifted-every-node")
-"""Lifted with all facets from the first, for P2 from a P3 solution only: every node has its factor."""
-
 SCP_METHODS = tuple(Method(*key) for key in product(FORMULATIONS, ALGORITHMS, installed()))
 NLP_METHODS = (Method("printed", "hard", IPOPT), TUNED, SHOOTING, SHOOTING_UNO, ELASTIC)
 FEW = (
@@ -186,7 +183,6 @@ def full_design() -> tuple[Cell, ...]:
         *crossing(),
         *_cells("matrix", default, (*by_clarabel, *NLP_METHODS), "warm"),
         *_cells("scenarios", scenarios(), FEW, "p3"),
-        *_cells("scenarios", default, (LIFTED, EVERY_NODE), "p3"),
         *(
             Cell("guesses", "recon_b", (), method, "random", seed)
             for seed, method in product(range(GUESSES), GUESSED)

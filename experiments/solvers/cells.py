@@ -5,10 +5,8 @@ from __future__ import annotations
 import importlib
 from collections.abc import Sequence
 from dataclasses import asdict, replace
-from functools import partial
 from itertools import pairwise
 from time import process_time
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -17,7 +15,6 @@ from scipy.stats import qmc
 
 from experiments.harness import Record, plan_figures
 from experiments.solvers.cases import (
-    EVERY_NODE,
     EXACT,
     NLP_SOLVERS,
     PROBLEMS,
@@ -31,7 +28,6 @@ from formulations.linearisation.dynamics import Dynamics
 from formulations.linearisation.linearisation import Linearisation
 from formulations.problem.facets import choose_facets
 from formulations.problem.flyby import Iterate, factor_columns_used
-from formulations.program.subproblem import MeritFunction
 from formulations.risk.directions import Directions
 from formulations.rows.flight_probability import FlightProbability
 from formulations.rows.node_probability import joint_events
@@ -44,10 +40,9 @@ from scp_recon.planning import initial_guess
 from scp_recon.planning.missions import make_plan, other_starts
 from scp_recon.planning.plan import Plan, Provenance, Stage, StageSpec
 from scp_recon.planning.planner import Planner, screened
-from scp_recon.planning.stages import Observer, Pipeline, StageSolver
+from scp_recon.planning.stages import Pipeline, StageSolver
 from scp_recon.scenario.load import load_scenario
-from scp_recon.scp.algorithms import ALGORITHMS, SCvx
-from scp_recon.scp.loop import run
+from scp_recon.scp.algorithms import SCvx
 from scp_recon.scp.status import Status
 
 for form in ("condensed", "lifted"):
@@ -116,8 +111,7 @@ def planned(mission: Mission, cell: Cell) -> Plan:
             return pipeline.plan(start, "P2", other_starts(mission))
         p3 = p3_solution(mission)
         facets = choose_facets(mission.problem, mission.polytopes, p3.iterate.mean, p3.factor)
-        clearance = np.inf if of == EVERY_NODE else mission.clearances[0]
-        rows = ChanceRows(mission.problem, facets, screened(facets, p3, clearance))
+        rows = ChanceRows(mission.problem, facets, screened(facets, p3, mission.clearances[0]))
         return pipeline.solve(StageSpec("P2", rows), p3)
 
     provenance = Provenance(of.formulation, of.algorithm, of.solver, cell.start)
@@ -130,33 +124,17 @@ def p3_solution(mission: Mission) -> Linearisation:
     return [one for one in stages if one.spec.role != "held"][-1].result.lin
 
 
-class LoopAlone(Planner[Mission]):
-    """A planner whose stages end where the loop ends, also without a verdict on the case."""
-
-    def solve(
-        self, spec: StageSpec, start: Linearisation, dynamics: Dynamics, observe: Observer
-    ) -> Stage:
-        """See `StageSolver`."""
-        subproblem = self.subproblem(spec.rows)
-        result = run(subproblem, dynamics, start, self.algorithm, partial(observe, spec.name))
-        return Stage(spec, result, subproblem.merit, self.algorithm.feasible)
-
-
-def stage_solver(mission: Mission, method: Method, **parameters: Any) -> StageSolver:
-    """The solver of stages by a method, with parameters of the loop alone, or of IPOPT for P2."""
+def stage_solver(mission: Mission, method: Method) -> StageSolver:
+    """The solver of stages by a method."""
     if method.solver in NLP_SOLVERS:
         from formulations.nlp.solve import BY_UNO, VARIANTS
         from scp_recon.planning.ipopt import IpoptStages, casadi_arcs
 
         variant = BY_UNO if method.solver == UNO else VARIANTS[method.formulation]
-        variant = replace(variant, p2=replace(variant.p2, **parameters))
         elastic = method.algorithm == "elastic"
         return IpoptStages(mission, casadi_arcs(mission.flow), variant, elastic)
-    form = "lifted" if method == EVERY_NODE else method.formulation
-    kind, name = LoopAlone if parameters else Planner, method.algorithm
-    planner = kind(mission, formulation=form, algorithm=name, solver=method.solver)
-    planner.algorithm = ALGORITHMS[name](**parameters)
-    return planner
+    form, name, solver = method.formulation, method.algorithm, method.solver
+    return Planner(mission, formulation=form, algorithm=name, solver=solver)
 
 
 def by_merit(mission: Mission, done: Plan) -> Record:
@@ -183,13 +161,6 @@ def by_check(mission: Mission, done: Plan) -> Record:
         "reached": reached,
         "reached_error": error,
     }
-
-
-def merit_of(mission: Mission, burns: Array, rows: ChanceRows) -> float:
-    """Merit with SCvx's first weight and all facets of burns as flown, m/s."""
-    every = ChanceRows(mission.problem, rows.facets, np.ones_like(rows.included))
-    merit = MeritFunction(mission.problem, every)(rolled_out(mission, burns), SCvx().weight)
-    return merit * mission.units.speed_m_s
 
 
 def rolled_out(mission: Mission, burns: Array) -> Linearisation:

@@ -124,10 +124,10 @@ def test_only_outdated_evidence_is_renewed(folder, capsys):
 
 
 MORE = 1.001
-MOST = "plans designs sites policies frontier lifted sensitivity accuracy cross_check observation_table"
+MOST = "plans designs sites policies frontier sensitivity cross_check observation_table"
 FELT = {
-    "quantile": f"{MOST} compare_solvers nlp_tricks uncertainty_sources spice maps",
-    "GM": f"{MOST} compare_solvers nlp_tricks peers model_fidelity feedback map_sample",
+    "quantile": f"{MOST} compare_solvers uncertainty_sources spice maps",
+    "GM": f"{MOST} compare_solvers peers model_fidelity feedback map_sample",
     "sunlight": f"{MOST} model_fidelity feedback map_sample battery_cones missed_burns",
 }
 """Evidence that each planted change makes out of date."""
