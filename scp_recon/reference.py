@@ -22,7 +22,7 @@ from scp_recon.cli.command import EXIT_STATUSES, SCRIPT, add_output_options
 from scp_recon.cli.commands import COMMANDS
 from scp_recon.errors import InputError
 from scp_recon.files import check_own, check_writable, write_atomically
-from scp_recon.mission import checks, grid
+from scp_recon.mission import checks, scene
 from scp_recon.mission.interval import Interval
 from scp_recon.mission.intervals import INTERVALS, PLANNER_INTERVALS, STATE_INTERVALS
 from scp_recon.planning import primer, records
@@ -90,7 +90,7 @@ def scenario_page() -> str:
 
 def solution_page() -> str:
     """Every key of a solution file."""
-    modules = (records, strata, primer, grid, policy, facts, verification, figures)
+    modules = (records, strata, primer, scene, policy, facts, verification, figures)
     kinds = {name: kind for module in modules for name, kind in vars(module).items()}
     parts = [
         "# Keys of a solution file",

@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 
 from formulations.arrays import Array
 from formulations.linearisation.linearisation import Linearisation
+from formulations.problem.controls import Cost, Feedback
 from formulations.problem.execution_errors import ComponentwiseErrors
-from formulations.problem.feedback import Cost, Feedback
 from formulations.problem.flyby import FlybyProblem, Iterate, StateConstraint
 from formulations.problem.regions import Ball, Cone
 from formulations.rows.uniform import ChanceRows, DeterministicRows

@@ -36,7 +36,7 @@ from scp_recon.results.solution import FILE_NAME, Solution, make_solution
 from scp_recon.scenario.load import load_scenario
 from scp_recon.simulation.record import Record, inputs_digest
 from scp_recon.simulation.vehicle import load_vehicle
-from scp_recon.verification.shortfalls import shortfalls
+from scp_recon.verification.causes import shortfalls
 
 PLANS: Mapping[str, tuple[str, dict[str, Any], tuple[PolicyKind, ...]]] = {
     "default": ("recon_b", measured(lead_s=LEAD_S) | {"policy.kind": "open"}, ("open", "replan")),

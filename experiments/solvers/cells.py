@@ -28,7 +28,7 @@ from formulations.linearisation.dynamics import Dynamics
 from formulations.linearisation.linearisation import Linearisation
 from formulations.problem.facets import choose_facets
 from formulations.problem.flyby import Iterate, factor_columns_used
-from formulations.risk.directions import Directions
+from formulations.risk.lines import Directions
 from formulations.rows.flight_probability import FlightProbability
 from formulations.rows.node_probability import joint_events
 from formulations.rows.uniform import ChanceRows

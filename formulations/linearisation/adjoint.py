@@ -10,8 +10,7 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from formulations.arrays import Array, Indices
-from formulations.linearisation.factor import after_measurements, corrected, measured_in
-from formulations.linearisation.innovations import Innovation
+from formulations.linearisation.factor import Innovation, after_measurements, corrected, measured_in
 from formulations.linearisation.linearisation import Linearisation
 
 

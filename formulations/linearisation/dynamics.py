@@ -8,7 +8,7 @@ import numpy as np
 
 from formulations.arrays import Array, Indices
 from formulations.linearisation.linearisation import Linearisation, final_state_map, step_mean
-from formulations.problem.firing_times import UNIT
+from formulations.problem.controls import UNIT
 from formulations.problem.flow import Flow, MovableFlow
 from formulations.problem.flyby import NO_GAINS, NO_TIMES, FlybyProblem, Iterate
 

@@ -42,9 +42,8 @@ from formulations.linearisation.factor import (
     propagate_factor,
 )
 from formulations.linearisation.shifts import Shifts
+from formulations.problem.controls import UNIT, Feedback
 from formulations.problem.cost import Bend, Valued, bends, cost
-from formulations.problem.feedback import Feedback
-from formulations.problem.firing_times import UNIT
 from formulations.problem.flow import ArcDerivatives, bending, by_parameters
 from formulations.problem.flyby import NO_GAINS, NO_TIMES, FlybyProblem, Iterate
 

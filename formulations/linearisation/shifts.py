@@ -28,14 +28,14 @@ import numpy as np
 
 from formulations.arrays import Array, Indices
 from formulations.linearisation.factor import Shifted, Spread, after_measurements
-from formulations.problem.firing_times import UNIT, FiringTimes
+from formulations.problem.controls import UNIT, FiringTimes
 from formulations.problem.flow import ArcDerivatives, MovableDerivatives
 from formulations.problem.flyby import FlybyProblem, Iterate
 
 
 @dataclass(frozen=True, eq=False)
 class Shifts:
-    """Derivatives by the firing times and phases of a problem that has some, in `firing_times.UNIT`.
+    """Derivatives by the firing times and phases of a problem that has some, in `controls.UNIT`.
 
     Attributes:
         problem: of the iterate.

@@ -30,8 +30,8 @@ from formulations.nlp.program import (
     norms,
     state_blocks,
 )
+from formulations.problem.controls import UNIT
 from formulations.problem.facets import Facets
-from formulations.problem.firing_times import UNIT
 from formulations.problem.flyby import NO_TIMES, FlybyProblem
 from formulations.rows.cones import PARTS
 

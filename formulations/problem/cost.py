@@ -30,8 +30,7 @@ from scipy.special import ndtr, ndtri
 
 from formulations.arrays import Array, Indices
 from formulations.problem.flyby import FlybyProblem, Iterate
-from formulations.risk.directions import normal_points
-from formulations.risk.lines import normal_density
+from formulations.risk.lines import normal_density, normal_points
 
 PROBABILITY = 0.99
 QUANTILE = float(ndtri(PROBABILITY))

@@ -1,4 +1,4 @@
-"""The flyby problem as data: arcs, burns, legs and limits; and iterates of burns and means."""
+"""The flyby problem as data: arcs, burns, legs, limits, drifts; and iterates of burns and means."""
 
 from __future__ import annotations
 
@@ -11,12 +11,44 @@ from typing import Literal
 import numpy as np
 
 from formulations.arrays import Array, Indices
-from formulations.problem.drift import Drift
+from formulations.problem.controls import UNIT, Feedback, FiringTimes
 from formulations.problem.execution_errors import ExecutionErrors
-from formulations.problem.feedback import Feedback
-from formulations.problem.firing_times import UNIT, FiringTimes
+from formulations.problem.flow import Flow
 from formulations.problem.motion import Motion
-from formulations.problem.regions import Cone, Region
+from formulations.problem.regions import Ball, Cone, Region
+
+
+@dataclass(frozen=True, eq=False)
+class Drift:
+    """The flight from a burn's node on, if only a share of that burn happens and no burn follows.
+
+    A cut burn adds its share of the burn, of its correction and of the errors of both. Between mean
+    and factor just before the burn, (mu-, S-), and just after it, (mu+, S+), the drift begins at
+
+        (1 - share) (mu-, S-) + share (mu+, S+).
+
+    Attributes:
+        name: unique among the problem's drifts and constraints.
+        burn: index of the burn.
+        share: of the burn that happens; 0 where it is missed.
+        flow: the motion along the drift's arcs, in the units of the problem.
+        keep_out: balls that the drift keeps out of, each with a centre per node of the drift.
+        required: Phi^-1 of the probability that the whole drift keeps out of all of them.
+        by_planes: whether tangent planes stand for the linear law, which misses what the flow bends.
+    """
+
+    name: str
+    burn: int
+    share: float
+    flow: Flow
+    keep_out: tuple[Ball, ...]
+    required: float
+    by_planes: bool = False
+
+    def shrunk(self, share: float) -> Drift:
+        """The same that keeps out of balls of a share of their radius."""
+        balls = (replace(ball, radius=share * ball.radius) for ball in self.keep_out)
+        return replace(self, keep_out=tuple(balls))
 
 
 @dataclass(frozen=True, eq=False)
@@ -302,7 +334,7 @@ class FlybyProblem:
 
     @cached_property
     def time_controls(self) -> Indices:
-        """The controls that are firing times and phases, in `firing_times.UNIT`, shape (q,)."""
+        """The controls that are firing times and phases, in `controls.UNIT`, shape (q,)."""
         owners = self._owners
         left = [int(np.sum(owners[i:] == owner)) for i, owner in enumerate(owners)]
         return self.controls_before[owners + 1] - np.array(left, dtype=np.intp)

@@ -10,7 +10,7 @@ import numpy as np
 
 from formulations.arrays import Array, Indices
 from formulations.linearisation.linearisation import Linearisation
-from formulations.problem.firing_times import UNIT
+from formulations.problem.controls import UNIT
 from formulations.problem.flyby import FlybyProblem
 from formulations.program.certificate import GAP
 from formulations.program.model import CompiledProgram, Values, cost_values, penalty_values

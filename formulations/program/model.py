@@ -31,8 +31,8 @@ import scipy.sparse as sp
 
 from formulations.arrays import Array, Indices
 from formulations.linearisation.linearisation import Linearisation
+from formulations.problem.controls import Cost
 from formulations.problem.cost import SMALLEST, formula, roots_of
-from formulations.problem.feedback import Cost
 from formulations.problem.flyby import FlybyProblem
 from formulations.program.certificate import ConeProgram
 from formulations.program.subproblem import DYNAMICS_WEIGHT, Penalty, PenaltyParameters

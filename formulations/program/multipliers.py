@@ -10,7 +10,7 @@ adjoint of the dynamics reads
 
 Corrected burns also depend on the errors E of estimates. Their adjoint Omega obeys the same
 equation as Psi and adds to psi in the same way. Corrections act on it through the innovations of
-`linearisation.innovations`. A burn dv added at node k changes the least cost by ||dv|| - p_k'dv +
+`linearisation.factor`. A burn dv added at node k changes the least cost by ||dv|| - p_k'dv +
 o(||dv||) with the primer
 
     p_k = -B'psi_k - sum over the columns that all burns share of C'B'(Psi_k + Omega_k).
@@ -31,8 +31,8 @@ from scipy.optimize import lsq_linear
 from formulations.arrays import Array, Booleans
 from formulations.linearisation.adjoint import pulled_before
 from formulations.linearisation.linearisation import Linearisation, condense, miss_of
+from formulations.problem.controls import UNIT
 from formulations.problem.cost import cost
-from formulations.problem.firing_times import UNIT
 from formulations.problem.flyby import FlybyProblem
 from formulations.rows.cones import Rows
 

@@ -176,7 +176,7 @@ class Subproblem(ABC):
     def solve(self, radius: float, charge: float | PenaltyParameters) -> Step:
         """Solve within a trust region: no component of a burn, no gain moves by more than `radius`.
 
-        Nor does a firing time or phase move by more than `radius` times `firing_times.UNIT`.
+        Nor does a firing time or phase move by more than `radius` times `controls.UNIT`.
         A number as `charge` is the exact penalty's weight. The step's merit leaves out a proximal
         penalty's charge.
 

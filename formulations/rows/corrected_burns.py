@@ -21,7 +21,7 @@ from scipy.special import ndtr, ndtri
 
 from formulations.arrays import Array, Indices
 from formulations.linearisation.linearisation import Linearisation, Seen, Sensitivity
-from formulations.problem.feedback import Feedback
+from formulations.problem.controls import Feedback
 from formulations.problem.flyby import FlybyProblem
 from formulations.problem.regions import Ball, Cone
 from formulations.risk.lines import normal_density

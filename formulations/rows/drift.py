@@ -30,14 +30,12 @@ from formulations.linearisation.linearisation import (
     condense,
     require_finite,
 )
-from formulations.problem.drift import Drift
 from formulations.problem.flow import ArcDerivatives, bending, by_parameters
-from formulations.problem.flyby import FlybyProblem, Legs
+from formulations.problem.flyby import Drift, FlybyProblem, Legs
 from formulations.problem.regions import Ball
-from formulations.risk.directions import sphere_directions
+from formulations.risk.lines import sphere_directions
 from formulations.rows.cones import Cones, Margins, Pulled, StateCones, on_states
-from formulations.rows.coordinates import Coordinates
-from formulations.rows.flight_probability import FlightProbability
+from formulations.rows.flight_probability import Coordinates, FlightProbability
 from formulations.rows.node_probability import SPREAD_MIN, Event
 
 LINES, REACH = 256, 5.0

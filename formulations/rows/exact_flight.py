@@ -16,12 +16,11 @@ from formulations.arrays import Array
 from formulations.linearisation.adjoint import gradient
 from formulations.linearisation.linearisation import Linearisation, Sensitivity, condense, miss_of
 from formulations.problem.flyby import FlybyProblem, factor_columns_used
-from formulations.risk.directions import Directions, aimed_directions, sphere_directions
+from formulations.risk.lines import Directions, aimed_directions, sphere_directions
 from formulations.rows.cones import Cones, Margins, Pulled, StateCones, curved_cones, on_states
-from formulations.rows.coordinates import Coordinates, FlightValue
 from formulations.rows.corrected_burns import FurtherRows
 from formulations.rows.exact import ExactRows, bent_by_gains
-from formulations.rows.flight_probability import FlightProbability, Limits
+from formulations.rows.flight_probability import Coordinates, FlightProbability, FlightValue, Limits
 from formulations.rows.node_probability import Quantiles
 
 FLIGHT = "whole_flight"

@@ -17,7 +17,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.special import ndtr, ndtri
 
-from formulations.problem.feedback import Cost
+from formulations.problem.controls import Cost
 from formulations.problem.flyby import Iterate
 from formulations.registry import FULL
 from scp_recon.advice.clock import Clock, Roughly, TimeIsUp, Undecided

@@ -34,7 +34,7 @@ from scp_recon.results.solution import Solution
 from scp_recon.results.verification import Verification
 from scp_recon.scenario.schema import Scenario
 from scp_recon.scp.status import Status
-from scp_recon.verification.shortfalls import shortfalls
+from scp_recon.verification.causes import shortfalls
 
 if TYPE_CHECKING:
     import pandas

@@ -20,11 +20,10 @@ from formulations.registry import FULL
 from scp_recon.api.inputs import GUESSES, PlannerArguments, PlanRequest, load, resolve
 from scp_recon.api.keeping import Kept, keep
 from scp_recon.api.options import PlanOptions
+from scp_recon.certification.again import with_pictures, with_safe_drifts
 from scp_recon.certification.certify import certify
-from scp_recon.certification.drifts import with_safe_drifts
 from scp_recon.certification.flights import Watch as FlightWatch
 from scp_recon.certification.largest import LEAST, Search, largest_promise
-from scp_recon.certification.pictures import with_pictures
 from scp_recon.display import exact
 from scp_recon.errors import InputError, option
 from scp_recon.jobs.blas import one_thread
@@ -38,8 +37,7 @@ from scp_recon.planning.records import Parent
 from scp_recon.planning.stages import DOUBTFUL, Observer
 from scp_recon.planning.starts import plan_from_several
 from scp_recon.replanning.flown import FlownPlan
-from scp_recon.replanning.remainder import path_planned
-from scp_recon.replanning.retiming import with_free_times
+from scp_recon.replanning.remainder import path_planned, with_free_times
 from scp_recon.results.solution import Solution, make_solution
 from scp_recon.results.verification import Verification
 from scp_recon.scenario.schema import Scenario

@@ -18,7 +18,7 @@ from scp_recon.bodies.shape_file import read_shape
 from scp_recon.bodies.surface import Ellipsoid, Mesh, Surface, coordinates_of
 from scp_recon.campaigns.cases import Changes
 from scp_recon.errors import InputError
-from scp_recon.jobs.seeds import generator
+from scp_recon.jobs.job import generator
 from scp_recon.mission.scene import Scene
 from scp_recon.mission.survey import survey
 from scp_recon.physics.two_body import two_body

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from scp_recon.jobs.seeds import sequence
+from scp_recon.jobs.job import sequence
 from scp_recon.scenario.given import anchored, tables_of
 from scp_recon.scenario.schema import Scenario
 

@@ -20,7 +20,7 @@ from scp_recon.mission.scene import Scene
 from scp_recon.mission.windows import Window
 from scp_recon.physics import geometry
 from scp_recon.physics.two_body import lambert
-from scp_recon.scenario.boundary import HomeOrbit
+from scp_recon.scenario.body import HomeOrbit
 from scp_recon.scenario.schema import Scenario, ScheduleRules
 
 HOME_RADII, SLACK_S = 4.0, 500.0

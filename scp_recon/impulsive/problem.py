@@ -21,10 +21,10 @@ from scipy.linalg import block_diag
 
 from formulations.arrays import Array
 from formulations.linearisation.dynamics import Dynamics
+from formulations.problem.controls import Feedback
 from formulations.problem.execution_errors import ComponentwiseErrors, ExecutionErrors, GatesErrors
 from formulations.problem.expression_flow import ExpressionFlow
 from formulations.problem.facets import Polytopes, split_risk
-from formulations.problem.feedback import Feedback
 from formulations.problem.flow import Flow, ScaledFlow, check_flow
 from formulations.problem.flyby import FlybyProblem, Iterate, StateConstraint
 from formulations.problem.polytopes import ball
@@ -65,7 +65,7 @@ PAIRS = {
 
 
 class Risk(NamedTuple):
-    """See `scp_recon.planning.problem.RiskSpec`."""
+    """See `scp_recon.planning.plan.RiskSpec`."""
 
     p_chance: float
     allocation: Literal["uniform", "exact"]
@@ -235,7 +235,7 @@ class ImpulsiveProblem:
 
     @property
     def risk(self) -> Risk:
-        """How risk is spent: see `scp_recon.planning.problem.PlanningProblem`."""
+        """How risk is spent: see `scp_recon.planning.plan.PlanningProblem`."""
         if self.scope == "uniform" or not self.regions:
             return Risk(self.probability, "uniform", "node")
         return Risk(self.probability, "exact", self.scope)
@@ -251,7 +251,7 @@ class ImpulsiveProblem:
         return Polytopes(ball(FACETS), CONE_FACETS)
 
     def require_plain(self, needs: str) -> None:
-        """See `scp_recon.planning.problem.PlanningProblem`."""
+        """See `scp_recon.planning.plan.PlanningProblem`."""
         if self.feedback is not None:
             raise InputError("feedback", "corrected burns", f"goes with {needs}")
         if self.final_sigma != (None, None):

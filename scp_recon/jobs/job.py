@@ -1,4 +1,4 @@
-"""Jobs and their outcomes; run jobs in this process, and put outcomes in order."""
+"""Jobs, their outcomes and seeds; run jobs in this process, and put outcomes in order."""
 
 from __future__ import annotations
 
@@ -9,7 +9,29 @@ from dataclasses import dataclass, field
 from time import perf_counter, process_time
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from scp_recon.errors import InputError, option, printable
+
+WORD = 2**32
+"""A larger seed fills several words, the second of which would be taken for a place."""
+
+
+def sequence(seed: int, *places: int) -> np.random.SeedSequence:
+    """What a seed and some places, such as the number of a block of flights, draw from.
+
+    Different seeds and places give different numbers. A seed below `WORD` and its places are one list
+    of words; of a larger seed the places are a spawn key, which numpy sets apart from the seed.
+    """
+    if seed < WORD:
+        return np.random.SeedSequence([seed, *places])
+    return np.random.SeedSequence(seed, spawn_key=places)
+
+
+def generator(seed: int, *places: int) -> np.random.Generator:
+    """The generator of a seed at some places: see `sequence`."""
+    return np.random.default_rng(sequence(seed, *places))
+
 
 REFUSED, FAILED, OUT_OF_MEMORY = "refused", "failed", "out of memory"
 TIMED_OUT, DIED = "timed out", "died"

@@ -13,14 +13,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from formulations.arrays import Array
-from formulations.problem.drift import Drift
 from formulations.problem.facets import quantile
+from formulations.problem.flyby import Drift
 from formulations.problem.regions import Ball
 from scp_recon.display import exact
 from scp_recon.errors import InputError, option
 from scp_recon.mission.constraints import companion_distance_m
-from scp_recon.mission.grid import NODES_MAX, Units
-from scp_recon.mission.scene import Scene
+from scp_recon.mission.scene import NODES_MAX, Scene, Units
 from scp_recon.physics.flow import GridFlow
 from scp_recon.physics.forces import ForceModel
 from scp_recon.physics.frames import TabulatedRotation

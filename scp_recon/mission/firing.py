@@ -9,8 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from formulations.arrays import Array, Indices
-from formulations.problem.feedback import Feedback
-from formulations.problem.firing_times import Boundary, FiringTimes
+from formulations.problem.controls import Boundary, Feedback, FiringTimes
 from scp_recon.mission.feedback import known_from_s, moves_along
 from scp_recon.mission.schedule import ROOM_S, Interval, burns_before, timing_rules
 from scp_recon.mission.windows import Window

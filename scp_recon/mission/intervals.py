@@ -17,9 +17,8 @@ from scipy.constants import G
 from formulations.rows.flight_probability import PROBABILITY_MAX
 from scp_recon.bodies.catalogue import AU_KM, ECLIPTIC_NORTH, GM_SUN_KM3_S2, packaged_body
 from scp_recon.bodies.surface import angle_deg
-from scp_recon.mission.grid import NODES_MAX, RK4_STEP_MAX_S
 from scp_recon.mission.interval import INF, Interval, size, value_at
-from scp_recon.mission.scene import Scene, orbit_of_body
+from scp_recon.mission.scene import NODES_MAX, RK4_STEP_MAX_S, Scene, orbit_of_body
 from scp_recon.scenario.fields import Section
 from scp_recon.scenario.schema import Battery, Observation, ScheduleRules
 

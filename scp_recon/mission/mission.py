@@ -15,9 +15,8 @@ from scipy.linalg import block_diag
 
 from formulations.arrays import Array, Indices
 from formulations.linearisation.dynamics import Dynamics
+from formulations.problem.controls import Feedback, FiringTimes
 from formulations.problem.facets import Polytopes
-from formulations.problem.feedback import Feedback
-from formulations.problem.firing_times import FiringTimes
 from formulations.problem.flyby import FlybyProblem
 from scp_recon.mission.checks import (
     check_plannable,
@@ -37,10 +36,16 @@ from scp_recon.mission.drifts import problem_drifts, require_no_drifts
 from scp_recon.mission.feedback import felt_cut_offs_s, require_open_loop, resolved
 from scp_recon.mission.firing import HomePhases, firing_times
 from scp_recon.mission.gravity import Gravity
-from scp_recon.mission.grid import DEFAULT, RK4_STEP_MAX_S, Units, make_grid
 from scp_recon.mission.knowledge import Deviation, Uncertain, require_known
 from scp_recon.mission.landmarks import Camera, Path, measurement_factors, picture_times_s
-from scp_recon.mission.scene import Scene, execution_errors
+from scp_recon.mission.scene import (
+    DEFAULT,
+    RK4_STEP_MAX_S,
+    Scene,
+    Units,
+    execution_errors,
+    make_grid,
+)
 from scp_recon.mission.schedule import (
     BURNS_TO_MEET,
     MISS_WEIGHT,

@@ -21,7 +21,7 @@ from formulations.risk.strata import COUNT, FAILS, Allocation, Counted, Survey, 
 from formulations.rows.flight_probability import Limit, Limits, limits_within
 from formulations.rows.node_probability import joint_events
 from scp_recon.jobs.cores import each
-from scp_recon.jobs.seeds import generator
+from scp_recon.jobs.job import generator
 from scp_recon.monte_carlo.sampling import BLOCK, draw
 from scp_recon.monte_carlo.whole_flight import SampledFlights
 

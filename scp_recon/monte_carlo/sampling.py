@@ -10,11 +10,10 @@ from typing import Literal
 import numpy as np
 
 from formulations.arrays import Array, Booleans
-from scp_recon.jobs.seeds import generator
+from scp_recon.jobs.job import generator
 from scp_recon.mission.gravity import TruthModel
-from scp_recon.mission.grid import make_grid
 from scp_recon.mission.mission import Mission
-from scp_recon.mission.scene import errors_of_kind
+from scp_recon.mission.scene import errors_of_kind, make_grid
 from scp_recon.monte_carlo.closed_loop import MEASURED, ClosedLoop, Replan, ReplanLoop, Replans, due
 from scp_recon.monte_carlo.limits import is_certain
 from scp_recon.physics.flow import advance, interpolate

@@ -22,7 +22,7 @@ from scp_recon.interop.oem import oem_track
 from scp_recon.interop.tracks import csv_track
 from scp_recon.mission.firing import TURN, Ring
 from scp_recon.physics.forces import ForceModel, acceleration
-from scp_recon.scenario.boundary import HomeOrbit
+from scp_recon.scenario.body import HomeOrbit
 from scp_recon.scenario.fields import unit_hint
 from scp_recon.scenario.schema import Scenario
 

@@ -18,7 +18,7 @@ from scp_recon.mission.windows import Window
 from scp_recon.passes.ring import ephemeris_ring, flown_ring, home_ring
 from scp_recon.passes.space import Pass, Space, Span, nearest_legal, unchecked
 from scp_recon.physics.two_body import two_body
-from scp_recon.scenario.boundary import Design
+from scp_recon.scenario.body import Design
 from scp_recon.scenario.schema import Scenario, ScheduleRules
 
 BURNS_LEAST, BURNS_MAX = 3, 8

@@ -10,8 +10,8 @@ from scipy.optimize import linprog
 
 from scp_recon.mission.feedback import felt_cut_offs_s
 from scp_recon.mission.firing import Ring
-from scp_recon.mission.grid import RK4_STEP_MAX_S, make_grid
 from scp_recon.mission.mission import Mission
+from scp_recon.mission.scene import RK4_STEP_MAX_S, make_grid
 from scp_recon.mission.schedule import Schedule, burns_before, timing_rules
 from scp_recon.mission.windows import Window
 from scp_recon.scenario.schema import Scenario, ScheduleRules

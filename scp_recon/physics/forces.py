@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 
 from formulations.arrays import Array
-from scp_recon.physics.companion import Companion
 from scp_recon.physics.harmonics import TurningField
+from scp_recon.physics.two_body import Companion
 
 SPEED_OF_LIGHT_M_S = 299_792_458.0
 """Exact by the definition of the metre."""

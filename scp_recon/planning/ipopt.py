@@ -12,9 +12,8 @@ import numpy as np
 from formulations.arrays import Array
 from formulations.linearisation.dynamics import Dynamics
 from formulations.linearisation.linearisation import Linearisation
-from formulations.nlp.outer import Outer
 from formulations.nlp.program import Arcs, Start
-from formulations.nlp.solve import VARIANTS, NlpOutcome, NlpResult, Variant, solve_nlp
+from formulations.nlp.solve import VARIANTS, NlpOutcome, NlpResult, Outer, Variant, solve_nlp
 from formulations.problem.facets import Facets
 from formulations.problem.flyby import FlybyProblem, Iterate
 from formulations.program.subproblem import MeritFunction

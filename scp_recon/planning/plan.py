@@ -1,4 +1,4 @@
-"""A plan as data: its stages, how it was made, and its figures in SI.
+"""A problem that can be planned, as a protocol; a plan as data: its stages, provenance, figures in SI.
 
 A stage is one run of the SCP or of IPOPT.
 """
@@ -12,22 +12,71 @@ from typing import Any, ClassVar, Literal, Protocol, TypeVar
 import numpy as np
 
 from formulations.arrays import Array
+from formulations.linearisation.dynamics import Dynamics
+from formulations.problem.controls import Cost
 from formulations.problem.cost import PROBABILITY, total_sizes
-from formulations.problem.facets import Facets
-from formulations.problem.feedback import Cost
-from formulations.problem.flyby import Iterate
+from formulations.problem.facets import Facets, Polytopes
+from formulations.problem.flyby import FlybyProblem, Iterate
 from formulations.program.subproblem import MeritFunction
 from formulations.rows.cones import FINAL_POSITION, FINAL_VELOCITY, Margins, Rows
 from formulations.rows.corrected_burns import BATTERY, SIZE
 from formulations.rows.uniform import ChanceRows
 from scp_recon.display import Displayed
 from scp_recon.errors import Named
-from scp_recon.mission.grid import Units
 from scp_recon.mission.mission import Mission
+from scp_recon.mission.scene import Units
 from scp_recon.planning.records import Certificate, Parent, Problem, Starts, WithoutUncertainty
 from scp_recon.scp.algorithms import SCvx
 from scp_recon.scp.loop import Result, Timing
 from scp_recon.scp.status import Status
+
+
+class RiskSpec(Protocol):
+    """Required probability, and how the risk is allocated: see `scp_recon.scenario.schema.Risk`."""
+
+    @property
+    def p_chance(self) -> float:
+        """Required probability."""
+
+    @property
+    def allocation(self) -> Literal["uniform", "exact"]:
+        """Split of the risk: "uniform" over facets, or "exact" by the probabilities of the sets."""
+
+    @property
+    def scope(self) -> Literal["node", "flight"]:
+        """What must hold with that probability: each node, or the whole flight."""
+
+
+class PlanningProblem(Protocol):
+    """A problem to plan: a mission, or an `ImpulsiveProblem`."""
+
+    @property
+    def problem(self) -> FlybyProblem:
+        """The nondimensional problem."""
+
+    @property
+    def dynamics(self) -> Dynamics:
+        """Its flow with its burns."""
+
+    @property
+    def polytopes(self) -> Polytopes:
+        """Polytopes that approximate regions where risk is split evenly."""
+
+    @property
+    def risk(self) -> RiskSpec:
+        """Required probability and allocation of the risk."""
+
+    @property
+    def clearances(self) -> tuple[float, float]:
+        """Margins beyond which facets stay out of a program at first: from P3, and from P2."""
+
+    def require_plain(self, needs: str) -> None:
+        """Refuse feedback and limits on the final covariance, which go with `needs` alone.
+
+        Raises:
+            InputError: if there is either.
+        """
+
 
 Unit = Literal["m", "m/s", "sigma"]
 """Of a margin in SI; sigma is a standard deviation on the normal quantile scale."""

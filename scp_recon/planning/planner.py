@@ -29,8 +29,7 @@ from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.planning.method import ALGORITHM, FORMULATION, SOLVER, FacetRounds
 from scp_recon.planning.missions import continued, flown, make_plan, other_starts
-from scp_recon.planning.plan import Plan, Provenance, Stage, StageSpec
-from scp_recon.planning.problem import PlanningProblem
+from scp_recon.planning.plan import Plan, PlanningProblem, Provenance, Stage, StageSpec
 from scp_recon.planning.records import Problem
 from scp_recon.planning.stages import (
     RESOLUTION,

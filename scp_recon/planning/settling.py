@@ -25,8 +25,7 @@ from formulations.problem.facets import Facets, choose_facets, touching_facets
 from formulations.rows.exact import NodeRows
 from formulations.rows.uniform import ChanceRows
 from scp_recon.planning.method import FACET_ROUNDS_MAX
-from scp_recon.planning.plan import Stage, StageSpec, is_converged
-from scp_recon.planning.problem import PlanningProblem
+from scp_recon.planning.plan import PlanningProblem, Stage, StageSpec, is_converged
 
 ROUGH = 1e-3
 """Relative reduction of the merit at which a round stops."""

@@ -28,8 +28,7 @@ from formulations.program.subproblem import MeritFunction
 from formulations.rows.drift import HOPELESS
 from formulations.rows.uniform import ChanceRows
 from scp_recon.planning.method import SETTLE, FacetRounds
-from scp_recon.planning.plan import Stage, StageSpec, is_converged, merit_of, rank
-from scp_recon.planning.problem import PlanningProblem
+from scp_recon.planning.plan import PlanningProblem, Stage, StageSpec, is_converged, merit_of, rank
 from scp_recon.planning.records import Problem
 from scp_recon.planning.settling import Settling
 from scp_recon.scp.loop import Record, Timing

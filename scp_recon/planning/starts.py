@@ -12,9 +12,8 @@ import numpy as np
 
 from formulations.linearisation.linearisation import final_state_map
 from formulations.problem.flyby import Iterate
-from scp_recon.jobs.job import Job, here, in_order
+from scp_recon.jobs.job import Job, generator, here, in_order
 from scp_recon.jobs.processes import Processes
-from scp_recon.jobs.seeds import generator
 from scp_recon.mission.mission import Mission
 from scp_recon.planning.initial_guess import bent
 from scp_recon.planning.missions import cheapest_p3

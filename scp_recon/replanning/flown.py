@@ -13,8 +13,8 @@ import numpy as np
 from formulations.arrays import Array
 from formulations.linearisation.linearisation import Linearisation
 from scp_recon.errors import InputError, shortened
-from scp_recon.mission.grid import RK4_STEP_MAX_S, Units
 from scp_recon.mission.mission import Mission
+from scp_recon.mission.scene import RK4_STEP_MAX_S, Units
 from scp_recon.physics.flow import differentiate
 from scp_recon.physics.forces import ForceModel
 from scp_recon.planning.initial_guess import nondimensional

@@ -16,8 +16,8 @@ import numpy as np
 from formulations.arrays import Array
 from scp_recon.display import mm_s
 from scp_recon.mission.constraints import companion_distance_m
-from scp_recon.mission.grid import RK4_STEP_MAX_S
 from scp_recon.mission.mission import Mission
+from scp_recon.mission.scene import RK4_STEP_MAX_S
 from scp_recon.monte_carlo.drifts import reach_s
 from scp_recon.monte_carlo.summary import Contingency
 from scp_recon.physics.flow import propagate

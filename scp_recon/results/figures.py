@@ -21,8 +21,8 @@ from formulations.problem.motion import Motion
 from formulations.problem.regions import Ball, Cone
 from formulations.rows.cones import FINAL_POSITION, FINAL_VELOCITY
 from scp_recon.errors import Named
-from scp_recon.mission.grid import Units
 from scp_recon.mission.mission import Mission
+from scp_recon.mission.scene import Units
 from scp_recon.physics.flow import propagate
 from scp_recon.planning.plan import Unit, scales
 from scp_recon.results.facts import FacetTable, Facts

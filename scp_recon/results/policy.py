@@ -24,8 +24,7 @@ from pydantic import Field
 from scipy.linalg import solve_triangular
 
 from formulations.arrays import Array
-from formulations.linearisation.factor import factor_of
-from formulations.linearisation.innovations import Innovation
+from formulations.linearisation.factor import Innovation, factor_of
 from formulations.linearisation.linearisation import Linearisation
 from scp_recon.mission.mission import Mission
 from scp_recon.planning.plan import Plan

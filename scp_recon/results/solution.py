@@ -19,8 +19,8 @@ from formulations.rows.uniform import DeterministicRows
 from scp_recon.display import Displayed, mm_s
 from scp_recon.errors import InputError
 from scp_recon.files import write_atomically
-from scp_recon.mission.grid import Units
 from scp_recon.mission.mission import Mission
+from scp_recon.mission.scene import Units
 from scp_recon.planning.plan import NOT_CHECKED, Plan, Provenance, Stage, StageSpec
 from scp_recon.planning.primer import primer_of
 from scp_recon.results.facts import (

@@ -26,8 +26,16 @@ from scp_recon.bodies.shape_file import read_shape
 from scp_recon.bodies.surface import angle_deg, direction_of
 from scp_recon.errors import InputError
 from scp_recon.scenario import given as entries_of
-from scp_recon.scenario.body import DEGREE_MAX, FACETS_MAX, Attitude, Body, SiteSection, Sun
-from scp_recon.scenario.boundary import Boundary, HomeOrbit
+from scp_recon.scenario.body import (
+    DEGREE_MAX,
+    FACETS_MAX,
+    Attitude,
+    Body,
+    Boundary,
+    HomeOrbit,
+    SiteSection,
+    Sun,
+)
 from scp_recon.scenario.fields import Section
 from scp_recon.scenario.given import (
     Given,

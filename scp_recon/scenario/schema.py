@@ -19,8 +19,7 @@ from pydantic import (
 )
 
 from scp_recon.errors import InputError, shortened
-from scp_recon.scenario.body import Body, SiteSection, Sun
-from scp_recon.scenario.boundary import Boundary, Design
+from scp_recon.scenario.body import Body, Boundary, Design, SiteSection, Sun
 from scp_recon.scenario.derive import derive
 from scp_recon.scenario.fields import (
     ConeAngle,

@@ -19,7 +19,7 @@ from pydantic import (
 )
 
 from formulations.arrays import Array
-from formulations.problem.feedback import Cost
+from formulations.problem.controls import Cost
 from scp_recon.scenario.fields import (
     Component,
     FlightTime,

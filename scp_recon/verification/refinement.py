@@ -15,8 +15,8 @@ import numpy as np
 from formulations.linearisation.dynamics import Dynamics
 from formulations.linearisation.linearisation import step_mean
 from formulations.problem.flyby import Iterate
-from scp_recon.mission.grid import NODES_MAX
 from scp_recon.mission.mission import Mission
+from scp_recon.mission.scene import NODES_MAX
 from scp_recon.planning.plan import Plan
 from scp_recon.scenario.fields import ScenarioWarning
 from scp_recon.scp.status import Status

@@ -6,7 +6,7 @@ import pytest
 
 from experiments.in_flight.sites import last_gains
 from experiments.maps import counted
-from formulations.problem.feedback import Feedback
+from formulations.problem.controls import Feedback
 
 
 @pytest.mark.parametrize("left", [3, 2, 1])

@@ -31,7 +31,7 @@ from formulations.linearisation.linearisation import (
 )
 from formulations.problem.facets import quantile
 from formulations.problem.flyby import FlybyProblem, Iterate, factor_columns_used
-from formulations.risk.directions import sphere_directions
+from formulations.risk.lines import sphere_directions
 from formulations.rows.flight_probability import FlightProbability
 from formulations.rows.node_probability import Event, Quantiles, joint_events
 from scp_recon.mission.mission import Mission

@@ -35,7 +35,7 @@ from formulations.problem.cost import DRAWS, PROBABILITY, QUANTILE, SMALLEST, SM
 from formulations.problem.execution_errors import ComponentwiseErrors, ExecutionErrors, GatesErrors
 from formulations.problem.facets import Facets
 from formulations.problem.flyby import FlybyProblem, Iterate
-from formulations.risk.directions import normal_points
+from formulations.risk.lines import normal_points
 from formulations.risk.quadratic_forms import NAPPE, WHOLE
 from formulations.rows.corrected_burns import BATTERY, SIZE
 from tests.oracles.probability import Limits, broken

@@ -14,8 +14,8 @@ from formulations.arrays import Array
 from formulations.linearisation.adjoint import gradient
 from formulations.linearisation.linearisation import condense
 from formulations.nlp.program import Arcs, Start
+from formulations.problem.controls import Cost
 from formulations.problem.execution_errors import ComponentwiseErrors, GatesErrors
-from formulations.problem.feedback import Cost
 from formulations.rows.corrected_burns import BATTERY, SIZE, margins_of
 from formulations.rows.uniform import ChanceRows
 from tests.formulations.program.support import every_row, slope_of

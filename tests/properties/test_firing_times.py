@@ -13,11 +13,10 @@ from formulations.arrays import Array
 from formulations.linearisation.adjoint import gradient
 from formulations.linearisation.dynamics import Dynamics
 from formulations.linearisation.linearisation import Linearisation, condense, miss_of, step_mean
+from formulations.problem.controls import UNIT, Boundary, Feedback, FiringTimes
 from formulations.problem.execution_errors import ComponentwiseErrors, GatesErrors
 from formulations.problem.expression_flow import ExpressionFlow
 from formulations.problem.facets import Polytopes, choose_facets
-from formulations.problem.feedback import Feedback
-from formulations.problem.firing_times import UNIT, Boundary, FiringTimes
 from formulations.problem.flyby import FlybyProblem, Iterate, StateConstraint
 from formulations.problem.regions import Ball
 from formulations.rows.exact import NodeRows

@@ -49,8 +49,8 @@ def montecarlo(console: "Console", plan: Path, **how: Any) -> Answer:
     from scp_recon.cli.rendering import show_verdict, show_warnings
     from scp_recon.results.runs import folder_of, resolve_run
     from scp_recon.scp.status import Status
+    from scp_recon.verification.causes import shortfalls
     from scp_recon.verification.probabilities import required_probability
-    from scp_recon.verification.shortfalls import shortfalls
 
     options = flying.FlyOptions(**how)
     home = resolve_run(plan)
@@ -104,7 +104,7 @@ def simulate(console: "Console", plan: Path, *, out: Path | None = None, **how: 
     from scp_recon.results.runs import folder_of, resolve_run
     from scp_recon.simulation import record as records
     from scp_recon.simulation.vehicle import check_vehicle
-    from scp_recon.verification.shortfalls import shortfalls
+    from scp_recon.verification.causes import shortfalls
 
     home = resolve_run(plan)
     simulation = flying.simulation_of(home, **how)  # before a bar is shown

@@ -33,8 +33,8 @@ from formulations.nlp.solve import (
     scaled_covariance,
     solve_nlp,
 )
+from formulations.problem.controls import Cost
 from formulations.problem.facets import Facets
-from formulations.problem.feedback import Cost
 from formulations.problem.flyby import FlybyProblem, Iterate
 from formulations.problem.regions import Ball, Cone
 from formulations.program.subproblem import DYNAMICS_WEIGHT

@@ -13,6 +13,7 @@ from scipy.special import ndtri
 
 from formulations.arrays import Array
 from formulations.linearisation.linearisation import Linearisation
+from formulations.problem.controls import Cost
 from formulations.problem.cost import (
     PROBABILITY,
     Valued,
@@ -22,7 +23,6 @@ from formulations.problem.cost import (
     roots_of,
     total_sizes,
 )
-from formulations.problem.feedback import Cost
 from formulations.problem.flyby import FlybyProblem, Iterate
 from formulations.program.model import Shape, cost_values, write_cost
 from tests.helpers import Arcs, generators, random_flyby, share_of_examples

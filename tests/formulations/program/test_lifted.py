@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from formulations.linearisation.linearisation import Linearisation
+from formulations.problem.controls import Cost
 from formulations.problem.facets import Polytopes, choose_facets
-from formulations.problem.feedback import Cost
 from formulations.problem.polytopes import ball
 from formulations.problem.regions import Ball
 from formulations.program import solvers

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from formulations.arrays import Array
 from formulations.linearisation.linearisation import Linearisation, final_state_map
-from formulations.problem.feedback import Cost
+from formulations.problem.controls import Cost
 from formulations.problem.flyby import FlybyProblem
 from formulations.program.multipliers import adjoint, multipliers, slope_left
 from formulations.program.subproblem import MeritFunction, PenaltyParameters

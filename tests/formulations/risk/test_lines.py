@@ -9,8 +9,16 @@ from scipy.special import ndtr
 from scipy.stats import chi, ncx2, norm
 
 from formulations.arrays import Array
-from formulations.risk.directions import Directions, aimed_directions, sphere_directions
-from formulations.risk.lines import Chords, Segments, TwoSidedChiLaw, kept_segments, normal_density
+from formulations.risk.lines import (
+    Chords,
+    Directions,
+    Segments,
+    TwoSidedChiLaw,
+    aimed_directions,
+    kept_segments,
+    normal_density,
+    sphere_directions,
+)
 from formulations.risk.quadratic_forms import below, below_beyond
 from tests.helpers import generators, random_rotation
 

@@ -11,7 +11,7 @@ from scipy.special import ndtri
 
 from formulations.arrays import Array
 from formulations.linearisation.linearisation import Linearisation
-from formulations.problem.firing_times import UNIT
+from formulations.problem.controls import UNIT
 from formulations.problem.flyby import Iterate
 from formulations.problem.regions import Ball
 from formulations.program.multipliers import adjoint

@@ -20,9 +20,9 @@ from formulations.rows.cones import (
     Rows,
     curved_cones,
 )
-from formulations.rows.coordinates import Coordinates
 from formulations.rows.exact import NodeRows
 from formulations.rows.exact_flight import FLIGHT, TANGENTS, FlightRows
+from formulations.rows.flight_probability import Coordinates
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
 from scp_recon.planning.planner import plan

@@ -10,8 +10,7 @@ from scipy.special import ndtr, ndtri
 
 from formulations.arrays import Array
 from formulations.problem.regions import Ball, Cone
-from formulations.risk.directions import sphere_directions
-from formulations.risk.lines import Chords, Segments, kept_segments
+from formulations.risk.lines import Chords, Segments, kept_segments, sphere_directions
 from formulations.rows.flight_probability import PROBABILITY_MAX, FlightProbability, Limits
 from formulations.rows.node_probability import Event, node_quantiles
 from tests.helpers import random_unit, share_of_examples

@@ -13,8 +13,7 @@ from rich.console import Console
 import scp_recon as sr
 from scp_recon.advice import infeasibility as module
 from scp_recon.advice.clock import Clock
-from scp_recon.advice.infeasibility import Diagnosis, cost_of_exact_risk, diagnose
-from scp_recon.advice.repairs import (
+from scp_recon.advice.infeasibility import (
     CERTIFIED,
     CONTINUED,
     EXECUTED,
@@ -22,6 +21,9 @@ from scp_recon.advice.repairs import (
     STRICTER,
     TARGET,
     UNCORRECTED,
+    Diagnosis,
+    cost_of_exact_risk,
+    diagnose,
     repairs,
 )
 from scp_recon.advice.trials import (

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from scp_recon.campaigns.cases import Cases
-from scp_recon.jobs.seeds import WORD, generator
+from scp_recon.jobs.job import WORD, generator
 
 seeds = st.integers(0, 2**63 - 1) | st.integers(0, 3).map(lambda high: high * WORD)
 places = st.lists(st.integers(0, 4), min_size=1, max_size=3)

@@ -6,8 +6,8 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from formulations.problem.execution_errors import ComponentwiseErrors
-from scp_recon.mission.grid import make_grid
 from scp_recon.mission.mission import Mission
+from scp_recon.mission.scene import make_grid
 from scp_recon.physics import geometry
 from tests.helpers import unit_vectors
 from tests.scp_recon.support import mission_of, sigma_of

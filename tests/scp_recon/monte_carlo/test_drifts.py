@@ -11,7 +11,7 @@ from scipy.stats import binom
 import scp_recon as sr
 from scp_recon.advice.trials import _entries
 from scp_recon.certification import drifts
-from scp_recon.certification.drifts import shortfalls
+from scp_recon.certification.again import shortfalls
 from scp_recon.errors import InputError
 from scp_recon.mission.drifts import Miss
 from scp_recon.mission.mission import Mission

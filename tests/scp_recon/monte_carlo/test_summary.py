@@ -30,12 +30,12 @@ from scp_recon.monte_carlo.summary import (
 )
 from scp_recon.monte_carlo.whole_flight import SampledFlights
 from scp_recon.results.solution import Solution
+from scp_recon.verification.causes import shortfalls
 from scp_recon.verification.probabilities import (
     joint_probabilities,
     required_probability,
     wider_than_law,
 )
-from scp_recon.verification.shortfalls import shortfalls
 from tests import reliability
 from tests.helpers import usually
 from tests.scp_recon.support import file_of, mission_of, numbers, with_value

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from formulations.arrays import Array
 from formulations.problem.expression_flow import ExpressionFlow
-from scp_recon.mission.grid import RK4_STEP_MAX_S
+from scp_recon.mission.scene import RK4_STEP_MAX_S
 from scp_recon.physics.flow import differentiate, interpolate, propagate
 from scp_recon.physics.forces import ForceModel, acceleration
 from tests.helpers import unit_vectors

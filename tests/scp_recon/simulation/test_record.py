@@ -18,7 +18,7 @@ from scp_recon.simulation.record import (
     read_record,
 )
 from scp_recon.simulation.vehicle import check_vehicle, load_vehicle
-from scp_recon.verification.shortfalls import shortfalls
+from scp_recon.verification.causes import shortfalls
 from tests.scp_recon.simulation.made_up import arrays, entries, summary
 from tests.scp_recon.support import numbers, with_value
 

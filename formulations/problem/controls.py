@@ -1,9 +1,19 @@
-"""Describe firing times and phases as controls: what moves, the rules, and how a grid follows.
+"""Describe the controls beside the burns: gains of corrected burns, firing times and phases.
 
-Nodes between two fixed nodes move with the burns between these, in proportion, so that every leg keeps
-its number of arcs. The times of all nodes are therefore affine in the firing times. Where the first or
-the last burn moves, the boundary state stays what it is and holds at another time; phases move boundary
-states along an orbit.
+At the cut-off before a corrected burn the state is measured, with errors independent from cut-off
+to cut-off. A linear Kalman filter along the plan turns the measurement into an innovation xi ~ N(0,
+I_6), independent of all earlier ones. The commanded burn is its nominal value plus gains times all
+innovations until then,
+
+    dv_i + U_i0 xi_0 + ... + U_ij xi_j,    j the cut-off of burn i,
+
+Gains are velocities, as burns are. The sum of squares of a burn's gains is the variance of its
+correction.
+
+Firing times and phases move within rules. Nodes between two fixed nodes move with the burns between
+these, in proportion, so that every leg keeps its number of arcs. The times of all nodes are
+therefore affine in the firing times. Where the first or the last burn moves, the boundary state
+stays what it is and holds at another time; phases move boundary states along an orbit.
 """
 
 from __future__ import annotations
@@ -11,11 +21,58 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Self
+from typing import Literal, Self
 
 import numpy as np
 
 from formulations.arrays import Array, Indices
+
+Cost = Literal["nominal", "expected", "dv99"]
+"""Of the burns' sizes summed: the plan's own, the mean, or the 99 % quantile."""
+
+
+@dataclass(frozen=True, eq=False)
+class Feedback:
+    """The k corrected burns of a problem, with their measurements, cost and probability.
+
+    Examples:
+        >>> burns, cut_offs = np.array([1, 2]), np.array([5, 9])
+        >>> Feedback(burns, cut_offs, np.array([np.eye(6)] * 2), "dv99", 0.99).size
+        54
+
+    Attributes:
+        burns: numbers of the corrected burns from 0, ascending, shape (k,).
+        cut_offs: node at which the state is measured before each, ascending, shape (k,); that of the
+            burn itself if it is measured just before it.
+        measurement: factors N of the measurements' errors, with N N' the covariance, shape (k, 6, 6).
+        cost: of the burns' sizes, which is minimised.
+        probability: with which a corrected burn keeps each limit on burns.
+        considers: whether the filter that flies does not estimate uncertain parameters, and allows for
+            their errors alone. Gains on all its estimates so far can do what they can do on those of
+            the best filter, so plans are made with the innovations of the latter.
+    """
+
+    burns: Indices
+    cut_offs: Indices
+    measurement: Array
+    cost: Cost
+    probability: float
+    considers: bool = False
+
+    @cached_property
+    def first_gain(self) -> Indices:
+        """Index of each corrected burn's first gain, and the number of gains, shape (k + 1,)."""
+        return np.cumsum([0, *(18 * (j + 1) for j in range(len(self.burns)))])
+
+    @property
+    def size(self) -> int:
+        """Number of gains."""
+        return int(self.first_gain[-1])
+
+    def of_burn(self, gains: Array, j: int) -> Array:
+        """Gains of the corrected burn j on the innovations known to it, shape (3, 6 (j + 1))."""
+        return gains[self.first_gain[j] : self.first_gain[j + 1]].reshape(3, -1)
+
 
 UNIT = 0.05
 """Time or phase by which a unit of a control moves: the trust region's scale. Means are bilinear in

@@ -1,4 +1,4 @@
-"""Correct the linear law of drifts by flights: raise what is required until nonlinear drifts are safe.
+"""Make a plan again until its drifts are safe, and pictures tell what the plan takes them to tell.
 
 Within a day the curvature of the flow moves drifts by a part of their spread, so that the linear law is
 optimistic or pessimistic by some hundredths of a standard deviation. As certification does for the
@@ -15,7 +15,7 @@ from scipy.special import ndtri
 
 from formulations.arrays import Array, Indices
 from formulations.linearisation.linearisation import Linearisation
-from formulations.problem.drift import Drift
+from formulations.problem.flyby import Drift
 from formulations.rows.drift import REACH, branch_at, start_of
 from scp_recon.mission.drifts import Miss, duration_s, planned, required_probability
 from scp_recon.mission.mission import Mission
@@ -25,7 +25,7 @@ from scp_recon.monte_carlo.flights import FlightConfig
 from scp_recon.monte_carlo.law import drawn_factor
 from scp_recon.monte_carlo.sampling import BLOCK
 from scp_recon.planning.plan import Plan
-from scp_recon.results.policy import policy_of
+from scp_recon.results.policy import SAME, misjudged, policy_of
 from scp_recon.scp.status import Status
 
 FLIGHTS, SEED = 20_000, 3_000
@@ -138,3 +138,29 @@ def _nearest(lin: Linearisation, one: Drift, draws: Array) -> Indices:
             room = np.minimum(room, np.sqrt(np.einsum("in,in->n", apart, apart)) - ball.radius)
     most = max(int(NEAREST * len(draws)), 2 * int((room < 0.0).sum()))
     return np.argsort(room)[:most].astype(np.intp)
+
+
+PICTURE_ROUNDS_MAX = 4
+"""Times that a plan is made again along the path of the one before."""
+
+
+def with_pictures(
+    mission: Mission, burns_m_s: Array, make: Callable[[Mission, Plan | None], Plan]
+) -> Plan:
+    """Make a plan, and again along its own path until pictures tell there what it took them to tell.
+
+    `make` plans a mission, from an earlier plan if there is one; the first pictures are along the path
+    of burns (m, 3).
+
+    Raises:
+        InputError: if no picture shows a landmark before a cut-off.
+    """
+    found = make(mission.along(burns_m_s), None)
+    for _ in range(PICTURE_ROUNDS_MAX):
+        policy = policy_of(found.mission, found.final.result.lin)
+        if found.status is not Status.CONVERGED or not policy:
+            break
+        if misjudged(found.mission, policy, found.burns_m_s) <= SAME:
+            break
+        found = make(found.mission.along(found.burns_m_s), found)
+    return found
