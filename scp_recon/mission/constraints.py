@@ -5,7 +5,7 @@ The planner makes regions of them, the Monte Carlo margins. Verification states 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
@@ -24,6 +24,9 @@ from scp_recon.physics.geometry import track
 from scp_recon.scenario.schema import Scenario
 
 Measure = Literal["distance", "emission", "phase"]
+Beyond = Literal["drifts", "feedback", "knowledge", "final sigma"]
+AS_PRINTED: tuple[Beyond, ...] = ("feedback", "knowledge", "final sigma")
+"""What the paper's own problem does not have, drifts apart."""
 
 
 @dataclass(frozen=True)
@@ -69,15 +72,26 @@ def chosen_polytopes(scenario: Scenario) -> Polytopes:
     return Polytopes(shape, 4 if choice.cone == "paper" else choice.cone)
 
 
-def require_any_final_sigma(scenario: Scenario, needs: str) -> None:
-    """Refuse limits on the final covariance, which go with `needs` alone.
+def require_without(refused: Container[Beyond], scenario: Scenario, needs: str) -> None:
+    """Refuse what a scenario has beyond a plan as printed, where it goes with `needs` alone.
 
     Raises:
-        InputError: if there is one.
+        InputError: if the scenario has any of what is refused.
     """
+    safety, boundary = scenario.safety, scenario.boundary
+    given: list[tuple[Beyond, str, str | None]] = [
+        ("drifts", "safety.missed_burns", "1" if safety.missed_burns else None),
+        ("drifts", "safety.cut_short", "true" if safety.cut_short else None),
+        ("feedback", "policy.kind", "'feedback'" if scenario.policy.kind == "feedback" else None),
+    ]
+    for entry, sigmas in Uncertain.of(scenario).sigmas.items():
+        given.append(("knowledge", f"knowledge.{entry}", ", ".join(map(exact, sigmas))))
     for name in ("final_sigma_position_m", "final_sigma_velocity_m_s"):
-        if (limit := getattr(scenario.boundary, name)) is not None:
-            raise InputError(f"boundary.{name}", exact(limit), f"goes with {needs}")
+        limit = getattr(boundary, name)
+        given.append(("final sigma", f"boundary.{name}", None if limit is None else exact(limit)))
+    for what, entry, found in given:
+        if what in refused and found is not None:
+            raise InputError(entry, found, f"goes with {needs}")
 
 
 def companion_distance_m(scenario: Scenario) -> float:

@@ -105,22 +105,12 @@ def problem_drifts(
     partials: Partials | None,
     units: Units,
     losses: Mapping[str, float],
-) -> tuple[Drift, ...]:
+) -> Iterator[Drift]:
     """The drifts of a scenario, nondimensional, with the forces of its planner and partials in SI.
 
     `losses` are the standard deviations by which flights are less safe than the linear law, by names;
     infinite where that law knows nothing of it, and tangent planes stand for it.
     """
-    return tuple(_drifts(scene, forces, partials, units, losses))
-
-
-def _drifts(
-    scene: Scene,
-    forces: ForceModel,
-    partials: Partials | None,
-    units: Units,
-    losses: Mapping[str, float],
-) -> Iterator[Drift]:
     scenario, own = scene.scenario, forces.in_units(units.length_m, units.time_s)
     moved = partials and partials.in_units(units.length_m, units.time_s)
     for miss in planned(scenario):
@@ -185,15 +175,3 @@ def check_drifts(scene: Scene) -> None:
     if spell > (left := attitudes_left_s(scene)):
         needs = f"must be at most {np.floor(left):.0f} s, when the table of attitudes ends"
         raise InputError("safety.drift_s", f"{exact(spell)} s", needs)
-
-
-def require_no_drifts(scenario: Scenario, needs: str) -> None:
-    """Refuse drifts, which go with `needs` alone.
-
-    Raises:
-        InputError: if a plan must survive a missed or cut burn.
-    """
-    if scenario.safety.missed_burns or scenario.safety.cut_short:
-        entry = "missed_burns" if scenario.safety.missed_burns else "cut_short"
-        given = "1" if scenario.safety.missed_burns else "true"
-        raise InputError(f"safety.{entry}", given, f"goes with {needs}")

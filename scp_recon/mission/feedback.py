@@ -253,16 +253,6 @@ def require_measurement(scenario: Scenario, entry: str, policy: str) -> None:
         )
 
 
-def require_open_loop(scenario: Scenario, needs: str) -> None:
-    """Refuse feedback for a purpose that does not support gains.
-
-    Raises:
-        InputError: if the policy is feedback.
-    """
-    if scenario.policy.kind == "feedback":
-        raise InputError("policy.kind", "'feedback'", f"goes with {needs}")
-
-
 def uncorrected_burns(scene: Scene) -> Iterator[ScenarioWarning]:
     """Warn of burns that feedback would correct if their cut-off did not precede departure.
 

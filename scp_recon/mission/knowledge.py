@@ -281,17 +281,6 @@ def _refuse(entry: str, sigmas: Mapping[str, Array], needs: str) -> None:
     raise InputError(f"knowledge.{entry}", given, needs)
 
 
-def require_known(scenario: Scenario, needs: str) -> None:
-    """Refuse uncertain parameters, which go with `needs` alone.
-
-    Raises:
-        InputError: if any sigma is given.
-    """
-    sigmas = Uncertain.of(scenario).sigmas
-    for entry in sigmas:
-        _refuse(entry, sigmas, needs)
-
-
 def in_words(scenario: Scenario) -> str:
     """1 sigma of each uncertain entry, with its share of the entry where that says something."""
     body, craft = scenario.body, scenario.spacecraft

@@ -26,17 +26,18 @@ from scp_recon.mission.checks import (
     hinting,
 )
 from scp_recon.mission.constraints import (
+    AS_PRINTED,
     Limit,
     chosen_polytopes,
     observation_limits,
-    require_any_final_sigma,
+    require_without,
     state_constraints,
 )
-from scp_recon.mission.drifts import problem_drifts, require_no_drifts
-from scp_recon.mission.feedback import felt_cut_offs_s, require_open_loop, resolved
+from scp_recon.mission.drifts import problem_drifts
+from scp_recon.mission.feedback import felt_cut_offs_s, resolved
 from scp_recon.mission.firing import HomePhases, firing_times
 from scp_recon.mission.gravity import Gravity
-from scp_recon.mission.knowledge import Deviation, Uncertain, require_known
+from scp_recon.mission.knowledge import Deviation, Uncertain
 from scp_recon.mission.landmarks import Camera, Path, measurement_factors, picture_times_s
 from scp_recon.mission.scene import (
     DEFAULT,
@@ -416,8 +417,10 @@ class Mission:
             ),
             feedback=self.feedback,
             firing=firing,
-            drifts=problem_drifts(
-                self.scene, self.forces, self.partials, units, dict(self.drift_losses)
+            drifts=tuple(
+                problem_drifts(
+                    self.scene, self.forces, self.partials, units, dict(self.drift_losses)
+                )
             ),
         )
         return problem if firing is None else problem.at(firing.start)
@@ -462,14 +465,7 @@ class Mission:
         Raises:
             InputError: if there is any.
         """
-        require_no_drifts(self.scenario, needs)
-        self.require_limits_as_printed(needs)
-
-    def require_limits_as_printed(self, needs: str) -> None:
-        """Refuse what `require_plain` does, drifts apart."""
-        require_open_loop(self.scenario, needs)
-        require_known(self.scenario, f"goes with {needs}")
-        require_any_final_sigma(self.scenario, needs)
+        require_without(("drifts", *AS_PRINTED), self.scenario, needs)
 
     @cached_property
     def flow(self) -> GridFlow:

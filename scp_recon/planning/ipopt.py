@@ -21,8 +21,7 @@ from formulations.rows.cones import Rows
 from formulations.rows.drift import DriftRows
 from formulations.rows.uniform import ChanceRows, DeterministicRows
 from scp_recon.errors import InputError, option
-from scp_recon.mission.feedback import require_open_loop
-from scp_recon.mission.knowledge import require_known
+from scp_recon.mission.constraints import AS_PRINTED, require_without
 from scp_recon.mission.mission import Mission
 from scp_recon.physics.flow import GridFlow
 from scp_recon.physics.forces import ForceModel, acceleration
@@ -113,17 +112,15 @@ def plan(
             as printed is asked for limits that the paper does not have.
     """
     if problem == "P2":
-        require_open_loop(mission.scenario, option("method", "scp"))
+        require_without(("feedback",), mission.scenario, option("method", "scp"))
         plain = not (mission.flow.forces.timed or mission.problem.drifts)
         if variant != "shooting" or not plain:
             method, form = option("method", "scp"), option("formulation", "shooting")
-            needs = (
-                f"goes with {method}, or with {form} if no force depends on time, without drifts"
-            )
-            require_known(mission.scenario, needs)
+            needs = f"{method}, or with {form} if no force depends on time, without drifts"
+            require_without(("knowledge",), mission.scenario, needs)
     if variant == "printed":
         other = f"{option('method', 'scp')}, or with {option('formulation', 'tuned')} or shooting"
-        mission.require_limits_as_printed(other)
+        require_without(AS_PRINTED, mission.scenario, other)
     solver = IpoptStages(mission, casadi_arcs(mission.flow), VARIANTS[variant], elastic)
     pipeline = Pipeline(mission, solver, observe or unobserved, facet_rounds)
     algorithm = "interior point, elastic" if elastic else "interior point"

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from formulations.arrays import Array
 from scp_recon.errors import InputError
-from scp_recon.mission.knowledge import require_known
+from scp_recon.mission.constraints import require_without
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.closed_loop import MEASURED
 from scp_recon.monte_carlo.drifts import reach_s
@@ -119,7 +119,8 @@ def simulate(
         if body.attitude is not None:
             entry, given = "body.attitude", f"{body.name} tumbling"
         raise InputError(entry, given, "cannot be simulated: one body alone turns evenly there")
-    require_known(mission.scenario, "goes with montecarlo: one known body is simulated")
+    needs = "montecarlo: one known body is simulated"
+    require_without(("knowledge",), mission.scenario, needs)
     plan, burns = FlightPlan.of(solution, mission, vehicle), solution.burns_m_s
     end_s = plan.end_s
     if miss is not None:

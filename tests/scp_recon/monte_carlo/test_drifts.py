@@ -10,7 +10,7 @@ from scipy.stats import binom
 
 import scp_recon as sr
 from scp_recon.advice.trials import _entries
-from scp_recon.certification import drifts
+from scp_recon.certification import again
 from scp_recon.certification.again import shortfalls
 from scp_recon.errors import InputError
 from scp_recon.mission.drifts import Miss
@@ -101,8 +101,8 @@ def test_flights_judge_a_drift_where_the_law_is_blind():
 def test_a_mission_without_safe_plans_ends_infeasible(monkeypatch):
     plan = planned(*ONE_DAY)
     unsafe = ended(plan, Status.INFEASIBLE)
-    monkeypatch.setattr(drifts, "shortfalls", lambda _: {"missed_burn_2": 0.5})
-    found = drifts.with_safe_drifts(plan.mission, lambda _, last: unsafe if last else plan)
+    monkeypatch.setattr(again, "shortfalls", lambda _: {"missed_burn_2": 0.5})
+    found = again.with_safe_drifts(plan.mission, lambda _, last: unsafe if last else plan)
     assert found is unsafe
 
 
