@@ -18,13 +18,18 @@ from typing import Any, NamedTuple
 
 import pandas as pd
 
-from experiments import frontier, gallery, knowledge, maps, missed_burns, plans
+from experiments import (
+    frontier,
+    gallery,
+    knowledge,
+    maps,
+    missed_burns,
+    observation_table,
+    plans,
+)
 from experiments.evidence import Evidence, Records, path_of
 from experiments.harness import Record, default_mission, default_plan
 from experiments.in_flight import feedback, policies
-from experiments.observation_rows import rows as observation_rows
-from experiments.observation_rows import run_row
-from experiments.observation_table import SAMPLES
 from experiments.other_tools import cross_check, peers, spice
 from experiments.solvers import optima, sensitivity
 from experiments.solvers.cases import REFERENCE, SHOOTING, TUNED, Cell, Method, exact_design
@@ -163,8 +168,8 @@ def left_out_rows(_: None) -> list[Record]:
 
 def observation_row(folder: Path, key: str) -> Record:
     """A row of the table of observation times."""
-    (row,) = (one for one in observation_rows() if one.key == key)
-    return run_row(row, folder, SAMPLES)
+    (row,) = (one for one in observation_table.rows() if one.key == key)
+    return observation_table.run_row(folder, row)
 
 
 def fidelity_rows(_: None) -> list[Record]:

@@ -21,7 +21,7 @@ from scp_recon.results.runs import folder_of, resolve_run
 from scp_recon.results.solution import FILE_NAME as SOLUTION_FILE
 from scp_recon.results.solution import Solution, ballistic_arc, require_whole_flight
 
-PLAN, SURROGATE, AS_FLOWN = "scp_cold", "ballistic", "as_flown"
+PLAN, SURROGATE = "scp_cold", "ballistic"
 PAPER = "python -m experiments observation_table"
 FLIGHTS = 10_000
 """Flights of a plan that has no flights beside it."""
@@ -49,7 +49,7 @@ class Runs:
 
     Attributes:
         plan: P2 by sequential convex programming from the cold start; or the user's own plan.
-        reference: the real flight if its kernel was given, else the ballistic arc.
+        reference: the ballistic arc.
     """
 
     plan: FlownPlan
@@ -70,10 +70,7 @@ def read_runs(folder: Path) -> Runs:
     home = resolve_run(folder)
     if home.is_file() or (home / SOLUTION_FILE).exists():
         return own_plan(home)
-    if (folder / AS_FLOWN / SOLUTION_FILE).exists():
-        reference = _flown(folder, AS_FLOWN, "OSIRIS-REx as flown")
-    else:
-        reference = _flown(folder, SURROGATE, "OSIRIS-REx surrogate (ballistic arc)")
+    reference = _flown(folder, SURROGATE, "OSIRIS-REx surrogate (ballistic arc)")
     return Runs(_flown(folder, PLAN, "plan"), reference)
 
 

@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 from matplotlib.figure import Figure
 
-from experiments.observation_rows import rows, run_row
+from experiments import observation_table
 from paper_figs import __main__ as command_line
 from paper_figs import campaigns, flight, inputs, observation
 from paper_figs.__main__ import EVERYTHING, FIGURES, STUDIES, Item, main
@@ -37,9 +37,11 @@ EVIDENCE = Path(__file__).parents[2] / "docs" / "evidence"
 def folder(tmp_path_factory) -> Path:
     """What experiments write, for the two rows that figures are drawn from."""
     out = tmp_path_factory.mktemp("runs")
-    for row in rows():
-        if row.key in (PLAN, SURROGATE):
-            run_row(row, out / row.key, SAMPLES)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(observation_table, "SAMPLES", SAMPLES)
+        for row in observation_table.rows():
+            if row.key in (PLAN, SURROGATE):
+                observation_table.run_row(out, row)
     return out
 
 
