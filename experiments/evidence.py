@@ -31,7 +31,7 @@ FILE = "evidence.json"
 """Its name in the folder of a study that has ended."""
 SCHEMA = "scp_recon.evidence/2"
 PACKAGES = (
-    "numpy", "scipy", "cvxpy", "clarabel", "casadi", "ecos", "qoco", "scs", "bsk", "openscvx",
+    "numpy", "scipy", "cvxpy", "clarabel", "casadi", "ecos", "qoco", "scs", "bsk",
     "scocp", "spiceypy", "brahe", "orekit-jpype", "polyhedral-gravity",
 )  # fmt: skip
 """Packages whose versions are noted, as far as they are installed."""

@@ -1,12 +1,11 @@
-"""Measure what it costs to survive a missed burn, and what can be done after one.
+"""Measure what it costs to survive a missed burn.
 
 The default scenario with several kinds of risk, and the passes of packaged scenarios at the times and
 boundary states of their designs (`passes.toml`), are planned without drifts, for any one burn missed,
 and for any one cut short: a day at 0.997, by the law and the drifts' flights, and certified where
 burns are corrected. OUT/costs.csv has a row for each, with the delta-v as `policy.cost` counts it;
 where there is no plan, the burns whose drifts fail, and what the infeasibility diagnosis offers.
-OUT/afterwards.csv has a row for each burn of the plan that survives its miss (with gains of the one
-without drifts): the pass, and the way home. A plan with gains takes minutes.
+A plan with gains takes minutes.
 """
 
 from __future__ import annotations
@@ -16,9 +15,7 @@ from collections.abc import Mapping, Set
 from itertools import product
 from pathlib import Path
 from time import process_time
-from typing import Any, Literal
-
-import numpy as np
+from typing import Any
 
 from experiments.frontier import TANGENT
 from experiments.harness import Findings, Record, Session, Study
@@ -26,7 +23,7 @@ from experiments.plans import FLIGHT
 from scp_recon.advice.infeasibility import diagnose
 from scp_recon.api.inputs import PlanRequest
 from scp_recon.api.options import PlanOptions
-from scp_recon.api.verbs import plan, replan
+from scp_recon.api.verbs import plan
 from scp_recon.jobs.job import Failure, Job, Key
 from scp_recon.jobs.processes import Limits, Processes
 from scp_recon.mission.drifts import planned
@@ -64,9 +61,6 @@ FED = {"0.99 with feedback", *CORRECTED}
 LIMIT_S = 600.0
 """Processor time that a case may take."""
 RADIUS, NEARER_M = "safety.drift_radius_m", 400.0
-MORE = (0.2, 0.7), (0.5, 1.0), (0.3, 1.5)
-"""Times of two burns that are added for the way home after the last one, past it, over the flight's
-duration: the first pair that has a plan."""
 
 
 def passes() -> dict[str, dict[str, Any]]:
@@ -149,65 +143,17 @@ def in_words(scenario: Scenario, names: Set[str]) -> str:
     return "; ".join(said)
 
 
-def afterwards(case: str) -> list[Record]:
-    """The pass and the way home after each missed burn but the first: rows.
-
-    They are those of the plan that survives its misses; with gains, or where there is none, of the one
-    without drifts.
-    """
-    drifts = "without" if case in CORRECTED else "missed"
-    found = plan(scenario_of(case, drifts), **options_of(case))
-    if found.status is not Status.CONVERGED:
-        found = plan(scenario_of(case, "without"), **options_of(case))
-    times = found.mission.scenario.burns.times_s
-    return [after(case, found, number) for number in range(2, 1 + len(times))]
-
-
-def after(case: str, found: Plan, number: int) -> Record:
-    """What can be done after one burn of a plan is missed, from the mean state there: a row."""
-    mission, times = found.mission, found.mission.scenario.burns.times_s
-    at, state = times[number - 1], found.states[mission.burn_nodes[number - 1]].copy()
-    state[3:] -= found.burns_m_s[number - 1]
-
-    def left(goal: Literal["observe", "return"], *overrides: str) -> Plan:
-        nothing = {number: np.zeros(3)}
-        how: dict[str, Any] = {"measured_burns": nothing, "overrides": overrides, "certify": False}
-        return replan(found, at, state, goal=goal, **how)
-
-    row: Record = {"case": case, "missed": number, "at_s": at, "pass": "over by then"}
-    if mission.schedule.window_s[1] > at:
-        again = left("observe")
-        row |= {"pass": again.status.value.name, "pass_dv_m_s": cost(again)}
-    added = [[*times, *(times[-1] * (1.0 + share) for share in shares)] for shares in MORE]
-    tries = [f"burns.times_s={one}" for one in added] if number == len(times) else []
-    home = left("return", *tries[:1])
-    for other in tries[1:]:
-        home = home if home.status is Status.CONVERGED else left("return", other)
-    first_s, last_s = (home.mission.scenario.burn_times_s[k] for k in (0, -1))
-    way = {"home": home.status.value.name, "home_dv_m_s": cost(home)}
-    return row | way | {"home_first_s": first_s, "home_last_s": last_s}
-
-
-def cost(found: Plan) -> float:
-    """Delta-v of a plan, m/s; NaN if it is none."""
-    return found.cost_m_s if found.status is Status.CONVERGED else float("nan")
-
-
 def run(session: Session) -> Findings:
-    """Plan every case with and without drifts, and from each missed burn on."""
+    """Plan every case with and without drifts."""
     alone = Processes(2, Limits(seconds=20.0 * LIMIT_S, cpu_s=LIMIT_S, apart=True))
-    how: dict[str, Any] = {"executor": alone, "failed": ended}
     plans = [Job("; ".join(of), of) for of in product(CASES, DRIFTS)]
-    costs = session.rows("plans", measure, plans, session.store(), **how)
+    store = session.store()
+    costs = session.rows("plans", measure, plans, store, executor=alone, failed=ended)
     without = {row["case"]: row.get("cost_m_s") for row in costs if row["drifts"] == "without"}
     for row in costs:
         least, own = without[row["case"]], row.get("cost_m_s")
         row["more_percent"] = 100.0 * (own / least - 1.0) if own and least else float("nan")
-    store = session.store("afterwards.jsonl")
-    each = [Job(case, case) for case in CASES]
-    later = session.rows("afterwards", rows_after, each, store, **how)
-    every = [row for found in later for row in found.get("rows", [])]
-    return Findings({"costs": costs, "afterwards": every})
+    return Findings({"costs": costs})
 
 
 def ended(key: Key, failure: Failure) -> Record:
@@ -216,11 +162,6 @@ def ended(key: Key, failure: Failure) -> Record:
         raise failure.error
     case, _, drifts = str(key).partition("; ")
     return {"case": case, "drifts": drifts, "status": f"not within {LIMIT_S:.0f} s"}
-
-
-def rows_after(case: str) -> Record:
-    """The rows of a case in one."""
-    return {"rows": afterwards(case)}
 
 
 STUDY = Study(__doc__, run, version=2)

@@ -151,11 +151,6 @@ def exact_row(seed: int) -> Record:
     return solve(cell)
 
 
-def peers_row(of: tuple[str, str]) -> Record:
-    """The planner's row by a formulation and an algorithm."""
-    return peers.Halo().row(of)
-
-
 def spice_rows(folder: Path, _: None) -> list[Record]:
     """Differences of position and velocity; the others are rounding."""
     return spice.measure(folder)[:2]
@@ -235,7 +230,7 @@ OWN = (
         exact_row, [0, 3]),
     Sentinel("optima", "kind, seeds, seed", FACETS, optima.measure, [("uniform", "tuned", 17)]),
     Sentinel("peers.methods", "method", {"status": EQUAL, "cost": 1e-5},
-        peers_row, peers.OURS[:1]),
+        peers.measure, ["scvx"]),
     Sentinel("spice", "what", {"off": 1e-4}, partial(in_folder, spice_rows), [None]),
     Sentinel("cross_check", "tool, forces", {"position_m": 1e-4}, left_out_rows, [None]),
     Sentinel("sensitivity", "problem, algorithm, factor, multiple", FACETS,

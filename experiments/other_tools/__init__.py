@@ -1,1 +1,1 @@
-"""Studies that fly or solve by other tools: Orekit and brahe, SPICE, OpenSCvx and scocp."""
+"""Studies that fly or solve by other tools: Orekit and brahe, SPICE, scocp."""
