@@ -32,7 +32,7 @@ FILE = "evidence.json"
 SCHEMA = "scp_recon.evidence/2"
 PACKAGES = (
     "numpy", "scipy", "cvxpy", "clarabel", "casadi", "ecos", "qoco", "scs", "bsk",
-    "scocp", "spiceypy", "brahe", "orekit-jpype", "polyhedral-gravity",
+    "scocp", "spiceypy", "orekit-jpype", "polyhedral-gravity",
 )  # fmt: skip
 """Packages whose versions are noted, as far as they are installed."""
 
@@ -68,7 +68,7 @@ DRAWN = {
 COMMANDS = {
     **{name: name for name in (
         "plans", "sites", "peers", "spice", "cross_check", "sensitivity",
-        "model_fidelity", "battery_cones", "timing_rules", "flown_plan", "gallery", "frontier",
+        "model_fidelity", "battery_cones", "flown_plan", "gallery", "frontier",
         "feedback", "policies", "observation_table", "optima", "maps",
         "missed_burns", "knowledge",
         "compare_solvers", "uncertainty_sources",

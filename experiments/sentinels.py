@@ -38,7 +38,6 @@ from experiments.spacecraft import (
     battery_cones,
     flown_plan,
     model_fidelity,
-    timing_rules,
     uncertainty_sources,
 )
 from scp_recon.api.campaigns import work_of
@@ -173,13 +172,6 @@ def fidelity_rows(_: None) -> list[Record]:
     return [row for row in rows if row["terminal_m"] > 0.1]
 
 
-def recharge_row(_: None) -> Record:
-    """The recharge of the packaged vehicle beside its rule."""
-    vehicle, no_slew = load_vehicle(), dict.fromkeys(timing_rules.SETTLED.values(), 0.0)
-    recharge_s = timing_rules.measure_recharge(vehicle)
-    return timing_rules.rules(vehicle, [no_slew], (recharge_s, recharge_s))[2]
-
-
 def flight_row(seed: int) -> Record:
     """A flight of the default plan by the whole spacecraft."""
     return flown_plan.row(simulate(default_plan(), seed=seed))
@@ -244,10 +236,6 @@ OWN = (
         fidelity_rows, [None]),
     Sentinel("battery_cones", "mode, calibrated",
         {"half_angle_deg": 1e-6, "sampled_fraction": 1e-9}, battery_cones.find_cones, [0]),
-    Sentinel("timing_rules.timing_rules_slews", "axis_x, axis_y, axis_z",
-        {"settled_0.25_deg_s": EQUAL, "steady_rms_deg": 1e-4},
-        timing_rules.measure_slew, [1]),
-    Sentinel("timing_rules", "name, how", {"measured_s": 1e-4}, recharge_row, [None]),
     Sentinel("uncertainty_sources", "source",
         {"flights": EQUAL, "rms_m": 1e-5, "mean_off_plan_m": 1e-3}, path_rows, [None]),
     Sentinel("flown_plan", "seed",

@@ -1,10 +1,10 @@
-"""Fly the default plan with other tools' forces and integrators; needs the extra [crosscheck].
+"""Fly the default plan with Orekit's forces and integrator; needs the extra [crosscheck].
 
 Orekit reads the exported OPM and OEM with its own parsers. It flies the OPM's state and burns with
-its own forces, and with the numbers and axes of the scenario. brahe flies the same with its own
-forces. Each flight is compared with the planner's equations, integrated by SciPy's DOP853. A row
-for each tool and set of forces has the largest distance at the grid's nodes. Two rows have forces
-that the planner leaves out: sunlight from a moving Sun, and the Sun's tide.
+its own forces, and with the numbers and axes of the scenario. Each flight is compared with the
+planner's equations, integrated by SciPy's DOP853. A row for each set of forces has the largest distance
+at the grid's nodes. Two rows have forces that the planner leaves out: sunlight from a moving Sun, and
+the Sun's tide.
 """
 
 from __future__ import annotations
@@ -26,7 +26,6 @@ from scp_recon.bodies.catalogue import AU_KM, GM_SUN_KM3_S2
 from scp_recon.errors import needing
 from scp_recon.mission.mission import Mission
 from scp_recon.physics.forces import SPEED_OF_LIGHT_M_S, acceleration
-from scp_recon.physics.harmonics import HarmonicField
 from scp_recon.results.solution import Solution
 from scp_recon.scenario.time_scales import FIRST_TAI_MINUS_UTC_S, LEAPS
 
@@ -48,7 +47,7 @@ LEFT_OUT = {
     "the same, the Sun moving": ({"J2", "moving Sun"}, "the planner's sunlight is constant"),
     "the same, with the Sun's tide": (FORCES[ALL] | {"tide"}, "the planner has no third body"),
 }
-"""Forces that only Orekit flies, and why they differ from the plan's."""
+"""Forces that the planner leaves out, and why."""
 
 Coaster = Callable[[Array, Array, set[str]], Array]
 """From a state, times (n,) from that of the state on and the forces: states (n, 6), SI."""
@@ -268,65 +267,8 @@ def _numbers(coordinates: Any) -> Array:
     return np.r_[_components(coordinates.getPosition()), _components(coordinates.getVelocity())]
 
 
-def brahes(mission: Mission, folder: Path) -> Coaster:
-    """Gravity and sunlight of brahe, by its RKF7(8).
-
-    Raises:
-        InputError: without the extra.
-    """
-    with needing("cross_check", "crosscheck"):
-        import brahe
-    scenario, rotation = mission.scenario, mission.rotation
-    j2 = HarmonicField(mission.forces.gm, scenario.body.reference_radius_m, *np.zeros((2, 3, 3)))
-    j2.c[0, 0], j2.c[2, 0] = 1.0, -scenario.body.j2
-    models = {}
-    for name, field in (("J2", j2), ("harmonics", mission.gravity.harmonics)):
-        file = folder / f"{name}.gfc"
-        file.write_text("\n".join(_gfc(field)) + "\n", "ascii")
-        models[name] = brahe.GravityModel.from_file(str(file))
-    craft, sun = scenario.spacecraft, -1e3 * np.array(scenario.sun.body_position_km)
-    pressure = scenario.sun.solar_constant_w_m2 / SPEED_OF_LIGHT_M_S
-    plate = craft.mass_kg, craft.reflectivity_coefficient, craft.srp_area_m2, pressure
-    start = brahe.Epoch.from_date(2020, 1, 1, brahe.TimeSystem.TAI)
-    how = brahe.NumericalPropagationConfig.default().with_method(brahe.IntegrationMethod.RKF78)
-    how = how.with_abs_tol(1e-10).with_rel_tol(TOLERANCE)
-
-    def fly(state: Array, times_s: Array, forces: set[str]) -> Array:
-        model = next((one for name, one in models.items() if name in forces), None)
-
-        def rate(t: float, y: Array, _: Any = None) -> Array:
-            if model is None:
-                pull = brahe.accel_point_mass_gravity(y[:3], np.zeros(3), mission.forces.gm)
-            else:
-                axes, most = rotation.body_to_j2000(times_s[0] + t).T, model.n_max
-                pull = brahe.accel_gravity_spherical_harmonics(y[:3], axes, model, most, most)
-            if "sunlight" in forces:
-                pull = pull + brahe.accel_solar_radiation_pressure(y[:3], sun, *plate)
-            return np.r_[y[3:], pull]
-
-        flight, states = brahe.NumericalPropagator(start, state, rate, how), [state]
-        for time in times_s[1:]:
-            flight.propagate_to(start + float(time - times_s[0]))
-            states.append(np.array(flight.current_state()))
-        return np.array(states)
-
-    return fly
-
-
-def _gfc(field: HarmonicField) -> Iterator[str]:
-    """Lines of an ICGEM file."""
-    c, s = field.normalised()
-    degree = len(c) - 1
-    yield from ("product_type gravity_field", "modelname plan", "errors no", "tide_system unknown")
-    yield from (f"earth_gravity_constant {field.gm!r}", f"radius {field.radius!r}")
-    yield from (f"max_degree {degree}", "norm fully_normalized", "end_of_head")
-    for n in range(degree + 1):
-        for m in range(n + 1):
-            yield f"gfc {n} {m} {c[n, m]:.17e} {s[n, m]:.17e}"
-
-
 def compare(solution: Solution) -> list[Record]:
-    """Rows for each tool and set of forces, and one for the OEM that Orekit read."""
+    """Rows for each set of forces, and one for the OEM that Orekit read."""
     mission = Mission.from_scenario(solution.scenario)
     with TemporaryDirectory() as name:
         folder = Path(name)
@@ -335,8 +277,7 @@ def compare(solution: Solution) -> list[Record]:
         flight, oem = orekit.read(folder / "plan")
         own = {name: flight.by(planners(mission), forces) for name, forces in FORCES.items()}
         rows = [
-            row(tool, name, flight.by(coast, forces), own[name])
-            for tool, coast in (("Orekit", orekit.fly), ("brahe", brahes(mission, folder)))
+            row("Orekit", name, flight.by(orekit.fly, forces), own[name])
             for name, forces in FORCES.items()
         ]
         for name, (forces, why) in LEFT_OUT.items():
@@ -354,7 +295,7 @@ def row(tool: str, forces: str, states: Array, own: Array, why: str = "") -> Rec
 
 
 def run(session: Session) -> Findings:
-    """Fly the plan by both tools."""
+    """Fly the plan by Orekit."""
     session.say("Orekit's virtual machine takes some seconds to start")
     return Findings({"cross_check": compare(default_plan())})
 

@@ -1,8 +1,8 @@
-"""Find the positions at which the panels cannot carry the load.
+"""Find the positions at which the panels cannot carry the load, and how long a recharge takes.
 
 Random positions on a sphere about the asteroid, the bottom face to nadir, the best rotation about it.
 Generation falls below a mode's load in two opposite cones about the Sun line; their half-angles, with
-and without calibration, go to OUT/battery_cones.csv.
+and without calibration, go to OUT/battery_cones.csv, figures of the batteries to OUT/batteries.csv.
 """
 
 from __future__ import annotations
@@ -73,9 +73,35 @@ def find_cones(seed: int) -> list[Record]:
     return found
 
 
+def batteries() -> list[Record]:
+    """A recharge from empty, facing the Sun, and the charge that a warm-up in the dark leaves of full.
+
+    The recharge is quiescent, or with the attitude control's reserve drawn as well.
+    """
+    vehicle = load_vehicle()
+    battery, loads = vehicle.battery, vehicle.loads
+    peak_w = np.linalg.norm(SolarArray.of(vehicle, irradiance(load_scenario())).best_direction())
+    stored_wh = battery.count * battery.capacity_wh
+    warm_up_wh = loads.warm_up_w * vehicle.chemical_thruster.heating_s / 3600.0
+
+    def recharge_min(drawn_w: float) -> float:
+        return float(60.0 * stored_wh / battery.efficiency / (peak_w - drawn_w))
+
+    found = {
+        "recharge from empty, quiescent, min": recharge_min(loads.quiescent_w),
+        "the same with the attitude control, min": recharge_min(
+            loads.quiescent_w + loads.attitude_control_w
+        ),
+        "charge after a warm-up that no panel helps": 1.0
+        - warm_up_wh / battery.efficiency / stored_wh,
+        "floor of the charge": battery.floor_charge,
+    }
+    return [{"figure": figure, "value": value} for figure, value in found.items()]
+
+
 def run(_: Session) -> Findings:
     """Sample positions, and find every mode's cone."""
-    return Findings({"battery_cones": find_cones(0)})
+    return Findings({"battery_cones": find_cones(0), "batteries": batteries()})
 
 
 STUDY = Study(__doc__, run)

@@ -10,7 +10,7 @@ from scipy.stats import multivariate_normal
 from experiments.__main__ import main
 from experiments.harness import Record as Row
 from experiments.in_flight import flown_policies
-from experiments.spacecraft import flown_plan, timing_rules, uncertainty_sources
+from experiments.spacecraft import flown_plan, uncertainty_sources
 from experiments.spacecraft.battery_cones import SAMPLES, find_cones
 from experiments.spacecraft.model_fidelity import Plates
 from experiments.spacecraft.uncertainty_sources import (
@@ -156,18 +156,3 @@ def test_a_short_flight_is_tabulated_and_judged(tmp_path, monkeypatch):
     (summed,) = flown_policies.by_policy(rows)
     assert (summed["flights"], summed["observed_mean_s"]) == (2, rows[0]["observed_s"])
     assert summed["as_required"] == (not rows[0]["shortfalls"])
-
-
-@needs_basilisk
-@pytest.mark.slow
-def test_a_recharge_takes_the_power_left_over(vehicle, panels, monkeypatch):
-    """Batteries an eighth as large, so that the flight is short."""
-    monkeypatch.setattr(timing_rules, "RECHARGE_S", 300.0)
-    battery = vehicle.battery.model_copy(update={"capacity_wh": 5.0})
-    small = vehicle.model_copy(update={"battery": battery})
-    net = np.linalg.norm(panels.best_direction()) - vehicle.loads.quiescent_w
-    expected = 3600.0 * 10.0 / battery.efficiency / net
-    found = timing_rules.measure_recharge(small)
-    assert found == pytest.approx(expected, abs=3.0)
-    monkeypatch.setattr(timing_rules, "RECHARGE_S", 100.0)
-    assert timing_rules.measure_recharge(small) == np.inf
