@@ -63,8 +63,8 @@ reference: $(VENV)/.solve  ## write docs/reference and the JSON schema of scenar
 bench: $(VENV)/.dev  ## time everything
 	$(BIN)/python -m benchmarks
 
-evidence: $(VENV)/.evidence  ## renew evidence whose results have moved; PAGE=README.md for one page
-	$(BIN)/python -m experiments evidence $(if $(PAGE),--page $(PAGE))
+evidence: $(VENV)/.evidence  ## renew evidence whose results have moved
+	$(BIN)/python -m experiments evidence
 
 check: lint types test  ## everything that a change has to pass
 

@@ -96,13 +96,11 @@ def claims_table(claims: Sequence[Claim]) -> Table:
 class Findings:
     """Results of a study.
 
-    `tables` are rows by the name of their table, which is that of the CSV file too; `status` is the
-    command's exit status.
+    `tables` are rows by the name of their table, which is that of the CSV file too.
     """
 
     tables: Mapping[str, Sequence[Record] | pd.DataFrame]
     claims: Sequence[Claim] = ()
-    status: int = 0
 
     def written(self) -> dict[str, Table]:
         """The tables as they are written, a column for each key of any row."""
@@ -167,14 +165,12 @@ class Session:
         store: Store,
         *,
         executor: Executor | None = None,
-        line: Callable[[Record], str] | None = None,
         failed: Callable[[Key, Failure], Record] | None = None,
     ) -> list[Record]:
         """Measure the cases whose rows a store lacks, under a bar; return the rows of all in order.
 
-        `work` makes the row of a case, which may be a `Job` with a key of its own. `line` gives the
-        line to show for each row, by default the status, and `failed` the row of a job that failed,
-        whose failure is raised without it.
+        `work` makes the row of a case, which may be a `Job` with a key of its own, `failed` the row of
+        a job that failed, whose failure is raised without it.
         """
         jobs = [case if isinstance(case, Job) else Job(repr(case), case) for case in cases]
         columns = (TextColumn(label), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
@@ -182,8 +178,8 @@ class Session:
             task = bar.add_task("", total=len(jobs))
 
             def tell(key: Key, row: Mapping[str, Any]) -> None:
-                if line or "status" in row:
-                    self.say(line(dict(row)) if line else f"{key}: {row['status']}")
+                if "status" in row:
+                    self.say(f"{key}: {row['status']}")
                 bar.advance(task)
 
             for job in jobs:
@@ -220,7 +216,7 @@ class Session:
             "files": [str(path) for path in written],
             "claims": claims_table(found.claims).records(),
         }
-        return Answer(found.status, document)
+        return Answer(0, document)
 
 
 @cache

@@ -23,7 +23,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from experiments.evidence import ROOT, SOURCES, Evidence, Records, path_of
+from experiments.evidence import ROOT, Evidence, Records, path_of
 from scp_recon.errors import InputError, one_of
 from scp_recon.results.table import Column, Table, Value
 
@@ -65,22 +65,6 @@ def behind() -> dict[Path, str]:
     _tables.cache_clear()
     texts = {page: page.read_text("utf-8") for page in PAGES}
     return {page: new for page, text in texts.items() if (new := render(text)) != text}
-
-
-def used(text: str) -> list[str]:
-    """Names of the evidence behind a page's pictures, tables and claims, in this order."""
-    drawn = {Path(target).name for target in re.findall(r"!\[[^\]]*\]\(([^)]+)\)", text)}
-    names = [
-        name
-        for name, source in SOURCES.items()
-        if drawn & {Path(figure.split()[-1]).name for figure in source.figures}
-    ]
-    names += [block[1].partition(".")[0] for block in BLOCK.finditer(text)]
-    plain = " ".join(text.split())
-    for claims in _read(CLAIMS).values():
-        of = [values for phrase, values in claims.items() if phrase in plain]
-        names += re.findall(r"(\w+)(?:\.\w+)?\[", str(of))
-    return list(dict.fromkeys(names))
 
 
 def table(name: str) -> Table:

@@ -12,34 +12,31 @@ import argparse
 import shlex
 import subprocess
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
 
 from experiments import pages
-from experiments.evidence import FILE, ROOT, SOURCES, Evidence, path_of
+from experiments.evidence import FILE, SOURCES, Evidence, path_of
 from experiments.harness import study_of
 from experiments.sentinels import Sentinel, sentinels_of
 from scp_recon.cli.command import parse, run_command, show_line, show_written
-from scp_recon.cli.rendering import terminal
 from scp_recon.errors import InputError
 from scp_recon.files import write_atomically
 from scp_recon.jobs.job import Job
 from scp_recon.jobs.processes import Processes
-from scp_recon.results.table import Column, Table
 
 RUNS = Path("runs") / "evidence"
 OUT_OF_DATE = 1
-"""Exit status of --check where anything is."""
+"""Exit status where anything is."""
 PROCESSES = 2
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit status."""
     p = argparse.ArgumentParser(prog="python -m experiments evidence", description=__doc__)
-    p.add_argument("--page", metavar="PAGE", help="only what a page shows, such as README.md")
     does = p.add_mutually_exclusive_group()
     for flag, said in (
         ("--check", "renew nothing; status 1 if any is out of date"),
@@ -50,56 +47,32 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parse(p, arguments)
 
     def action(console: Console) -> int:
-        names = _names(options.page)
-        if options.render:
-            _write_pages(console)
-            return 0
+        stale, left = list[str](), list[str]()
         if options.dated:
-            stale = [name for name in names if SOURCES[name].dated]
-        else:
-            stale = check(names, console)
+            stale = [name for name, source in SOURCES.items() if source.dated]
+        elif not options.render:
+            stale = check(console)
         if options.check:
-            behind = pages.behind()
-            for page in behind:
-                show_line(console, f"{page.name}: its tables are not the evidence's")
-            return OUT_OF_DATE if _show_wrong_claims(console) or stale or behind else 0
-        stale.sort(key=seconds_of)
-        if stale:
-            minutes = [seconds_of(name) / 60.0 for name in stale]
-            rows = [*zip(stale, minutes, strict=True), ("together", sum(minutes))]
-            columns = ("evidence", Column("the last time", "min", ".1f"))
-            console.print(terminal(Table.of("", columns, rows)))
-        failed = []
-        for name in stale:
-            try:
-                renew(name, console)
-                _write_pages(console)
-            except InputError as error:  # the others need not wait for what this one lacks
-                failed.append(name)
-                show_line(console, f"{name}: {error}", "red")
-        if failed:
-            raise InputError(", ".join(failed), "not renewed", "must be, as said above")
-        return OUT_OF_DATE if _show_wrong_claims(console) else 0
+            left = [*stale, *(f"{page.name}: its tables are old" for page in pages.behind())]
+        else:
+            left = [*renewed(sorted(stale, key=seconds_of), console)]
+            for page, text in pages.behind().items():
+                show_written(console, write_atomically(page, text))
+        left += [] if options.render else pages.wrong_claims()
+        for line in left:
+            show_line(console, line)
+        return OUT_OF_DATE if left else 0
 
     return run_command(action, options)
 
 
-def _names(page: str | None) -> list[str]:
-    """Evidence of a page, or all."""
-    if page is None:
-        return list(SOURCES)
-    if ROOT / page not in pages.PAGES:
-        raise InputError("--page", page, "must be README.md or a page of docs, from the project on")
-    return pages.used((ROOT / page).read_text("utf-8"))
-
-
-def check(names: Sequence[str], console: Console) -> list[str]:
+def check(console: Console) -> list[str]:
     """Names of the evidence that is out of date; a line says why of each, or that it is current.
 
     Raises:
         InputError: if a file of evidence is none.
     """
-    names = sorted(names, key=seconds_of, reverse=True)  # the slowest sentinels first
+    names = sorted(SOURCES, key=seconds_of, reverse=True)  # the slowest sentinels first
     found = {name: changes(name) for name in names}
     cases: dict[str, Job] = {}
     uses: dict[str, list[tuple[str, Sentinel]]] = {}
@@ -107,7 +80,7 @@ def check(names: Sequence[str], console: Console) -> list[str]:
         for one in sentinels_of(name):
             for case in one.cases:
                 key = f"{one.of}, {one.work}, {case}"  # those of several studies are measured once
-                cases[key] = Job(key, (one.work, case))
+                cases[key] = Job(key, (one, case))
                 uses.setdefault(key, []).append((name, one))
     for done in Processes(PROCESSES)(measured, cases.values()):
         for name, one in uses[str(done.key)]:
@@ -116,8 +89,7 @@ def check(names: Sequence[str], console: Console) -> list[str]:
             except InputError as error:  # an extra that is missing, or a row that is not there
                 found[name].append(str(error))
     for name, lines in found.items():
-        said = "dated" if SOURCES[name].dated else "current"
-        for line in lines or [f"{said} ({Evidence.read(path_of(name)).date})"]:
+        for line in lines or [f"current, of {Evidence.read(path_of(name)).date}"]:
             show_line(console, f"{name}: {line}")
     return [name for name, lines in found.items() if lines]
 
@@ -134,32 +106,32 @@ def changes(name: str) -> list[str]:
     return found + ([f"made by {kept.command}"] if kept.command != source.command else [])
 
 
-def measured(inputs: tuple[Callable[[Any], Any], Any]) -> Any:
+def measured(inputs: tuple[Sentinel, Any]) -> Any:
     """Measure a case of a sentinel: the work of a process."""
-    work, case = inputs
-    return work(case)
+    one, case = inputs
+    return one.work(case)
 
 
 def seconds_of(name: str) -> float:
-    """Seconds of wall time that a study took the last time; infinite if it never ran."""
-    return Evidence.read(path_of(name)).seconds if path_of(name).exists() else float("inf")
+    """Seconds of wall time that a study took the last time; 0 if it never ran."""
+    return Evidence.read(path_of(name)).seconds if path_of(name).exists() else 0.0
 
 
-def renew(name: str, console: Console) -> None:
-    """Run a study, and keep its evidence and pictures.
-
-    Raises:
-        InputError: if a command fails.
-    """
-    source, out = SOURCES[name], RUNS / name
-    _run(f"{source.command} --out {out}", console)
-    found = Evidence.read(out / FILE)
-    if found.resumed and path_of(name).exists():
-        found = found.model_copy(update={"seconds": max(found.seconds, seconds_of(name))})
-    path_of(name).parent.mkdir(exist_ok=True)
-    found.write(path_of(name))
-    for figure in source.figures:
-        _run(f"paper_figs {figure.format(out=out)}", console)
+def renewed(names: Sequence[str], console: Console) -> Iterator[str]:
+    """Run studies, and keep their evidence and pictures; yields a line for each that failed."""
+    for name in names:
+        source, out = SOURCES[name], RUNS / name
+        try:
+            _run(f"{source.command} --out {out}", console)
+            found = Evidence.read(out / FILE)
+            if found.resumed:
+                found = found.model_copy(update={"seconds": max(found.seconds, seconds_of(name))})
+            path_of(name).parent.mkdir(exist_ok=True)
+            found.write(path_of(name))
+            for figure in source.figures:
+                _run(f"paper_figs {figure.format(out=out)}", console)
+        except InputError as error:  # the others need not wait for what this one lacks
+            yield f"{name}: {error}"
 
 
 def _run(command: str, console: Console) -> None:
@@ -167,16 +139,3 @@ def _run(command: str, console: Console) -> None:
     status = subprocess.run([sys.executable, "-m", *shlex.split(command)], check=False).returncode
     if status:
         raise InputError(f"python -m {command}", f"exit status {status}", "must end with 0")
-
-
-def _write_pages(console: Console) -> None:
-    for page, text in pages.behind().items():
-        show_written(console, write_atomically(page, text))
-
-
-def _show_wrong_claims(console: Console) -> bool:
-    """Show figures in the text that are not the evidence's; whether there are any."""
-    wrong = [*pages.wrong_claims()]
-    for line in wrong:
-        show_line(console, line)
-    return bool(wrong)
