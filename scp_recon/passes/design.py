@@ -72,7 +72,8 @@ class Trial:
         window: number of the lighting window, from 0.
         begin_s: where the pass's times begin.
         result: the pass and its plan.
-        expected: number of plans of the step, of which only a map's is known beforehand.
+        expected: number of plans of the step, of which only that of a map of several pairs of phases is
+            known beforehand.
     """
 
     step: Step
@@ -125,6 +126,11 @@ class Designer:
         """Settings of the last descents before those with exact risk."""
         return FIRST if self.scenario.risk.allocation == "exact" else LAST
 
+    @property
+    def _rival_m_s(self) -> float:
+        """Least cost under exact risk so far."""
+        return min((one.dv_m_s for _, one in self.exact), default=np.inf)
+
     def run(self) -> tuple[Space, PassResult]:
         """Find the cheapest pass and its space; if none converged, the one with the least violation.
 
@@ -151,14 +157,11 @@ class Designer:
         where, best = self._chosen([(where, best), *self._other_windows(others, best)])
         if not self.exact:
             best = self._descent(where, "refinement", best.at, best, self.effort)
+        chosen = best
         where, best = self._vary_burns(where, best)
         if exact:
-            burns = len(best.at.times_s)
-            if all(
-                (near.number, len(one.at.times_s)) != (where.number, burns)
-                for near, one in self.exact
-            ):
-                self.exact.append(self._descend_exact(where, best))
+            if not self.exact or best is not chosen:
+                self.exact.append(self._descend_exact(where, best, self._rival_m_s))
             where, best = self._without_vanished(*cheapest(self.exact))
         return where.space, best
 
@@ -180,7 +183,8 @@ class Designer:
 
     def _map(self, where: Around) -> list[PassResult]:
         cells = math.prod(len(phases(span)) for span in where.space.phase_spans)
-        return scan(where.space, where.times_s, self._seen("map", where, cells))
+        known = cells if cells > 1 else None  # one pair of phases has several plans
+        return scan(where.space, where.times_s, self._seen("map", where, known))
 
     def certain(self, where: Around) -> list[PassResult]:
         """Passes about a window without uncertainty, the cheapest first.
@@ -235,8 +239,7 @@ class Designer:
             return least
         near.sort(key=lambda one: one[1].dv_m_s)
         for where, best in near:
-            rival = min((one.dv_m_s for _, one in self.exact), default=np.inf)
-            self.exact.append(self._descend_exact(where, best, rival))
+            self.exact.append(self._descend_exact(where, best, self._rival_m_s))
         return near[self.exact.index(cheapest(self.exact))]
 
     def _descend_exact(self, where: Around, best: PassResult, rival_m_s: float = np.inf) -> Best:
@@ -251,25 +254,32 @@ class Designer:
                 return where, best
         return where, self._descent(where, "exact", best.at, best, EXACT, rival_m_s)
 
-    def _map_and_descend(self, first: Around) -> Best:
-        """Map one window and descend from its minima: the best pass, or the one of least violation."""
+    def _map_and_descend(self, first: Around, rival_m_s: float = np.inf) -> Best:
+        """Map one window and descend from its minima: the best pass, or the one of least violation.
+
+        Minima that cost more than a rival even without uncertainty are left.
+        """
         mapped = self._map(first)
         tries: list[PassResult] = []
-        best: PassResult | None = None
         for one in starts(mapped, STARTS_MAX):
-            if best is not None and one.dv_m_s > best.dv_m_s:
-                break  # the others cost more even without uncertainty
+            if one.dv_m_s > rival_m_s:
+                break
             tries.append(self._descent(first, "descent", one.at, one, FIRST))
-            best = min(tries, key=lambda one: one.dv_m_s)
-        if best is not None and best.converged:
-            return first, best
+            rival_m_s = min(rival_m_s, tries[-1].dv_m_s)
+        held = [one for one in tries if one.converged]
+        if held:
+            return first, min(held, key=lambda one: one.dv_m_s)
         return first, min(tries or mapped, key=violation)
 
     def _other_windows(self, others: Iterable[Around], best: PassResult) -> Iterable[Best]:
-        """Descend from a pass about the other windows, at their own legal times."""
+        """Descend from a pass about the other windows, at their own legal times.
+
+        A window in which that finds no pass is mapped: its passes may have other phases.
+        """
         for other in others:
             at = Pass(best.at.phases, other.times_s)
-            yield other, self._descent(other, "window", at, best, FIRST)
+            found = self._descent(other, "window", at, best, FIRST)
+            yield (other, found) if found.converged else self._map_and_descend(other, best.dv_m_s)
 
     def _vary_burns(self, where: Around, best: PassResult) -> Best:
         """Leave out vanished burns and add others, as long as that helps."""

@@ -16,9 +16,10 @@ from scp_recon.mission.firing import TURN
 from scp_recon.mission.mission import Mission
 from scp_recon.passes.space import Pass, Space
 from scp_recon.passes.timing import PassResult
-from scp_recon.planning.initial_guess import circular, from_burns
+from scp_recon.planning.initial_guess import circular, cold, from_burns, random
+from scp_recon.planning.missions import other_starts
 from scp_recon.planning.planner import Planner
-from scp_recon.planning.stages import Pipeline
+from scp_recon.planning.stages import Pipeline, same_optimum
 
 STEP = float(np.deg2rad(60.0))
 """Largest step between phases, rad."""
@@ -29,6 +30,8 @@ ROUGH = 5e-2
 take a quarter more time, and Nightingale's and Sandpiper's passes cost the same to 1e-4."""
 ITERATIONS = 8
 """Limit of a map's plan: most that converge take 3 to 7, and a minimum converges soon."""
+RANDOM = 4
+"""Random guesses at one pair of phases, beside the cold start, the ballistic arc and the turns."""
 
 
 def phases(span: tuple[float, float]) -> Array:
@@ -42,23 +45,40 @@ def phases(span: tuple[float, float]) -> Array:
 def scan(
     space: Space, times_s: tuple[float, ...], observe: Callable[[PassResult], None]
 ) -> list[PassResult]:
-    """Plan P3 at every pair of phases for one set of times, row by row of departure, to and fro."""
+    """Plan P3 at every pair of phases for one set of times, row by row of departure, to and fro.
+
+    One pair, as between given states, is planned from several guesses.
+    """
     space = space.coarser(COARSER)
+    pairs = list(_to_and_fro(*map(phases, space.phase_spans)))
+    if len(pairs) == 1:
+        return _optima(space, Pass(pairs[0], times_s), observe)
     planner: Planner[Mission] | None = None
     cells: list[PassResult] = []
     last: PassResult | None = None
-    for departure, arrival in _to_and_fro(*map(phases, space.phase_spans)):
-        at = Pass((departure, arrival), times_s)
+    for pair in pairs:
+        at = Pass(pair, times_s)
         mission = space.mission_of(at)
         planner = planner or Planner(mission, p3_resolution=ROUGH)
-        best = _cheapest(planner, at, mission, last)
-        if not (best.converged or space.has_home):  # the only cell: other algorithms too
-            stage = Planner(mission).plan(ahead(mission), problem="P3").final
-            best = PassResult(at, mission, stage)
-        cells.append(best)
-        observe(best)
-        last = best
+        last = _cheapest(planner, at, mission, last)
+        cells.append(last)
+        observe(last)
     return cells
+
+
+def _optima(space: Space, at: Pass, observe: Callable[[PassResult], None]) -> list[PassResult]:
+    """Optima of P3, each found once: from one guess the last digits choose which one is found."""
+    mission = space.mission_of(at)
+    planner = Planner(mission)
+    pipeline, found = Pipeline(mission, planner), list[PassResult]()
+    guesses = [guess for _, guess in other_starts(mission)]
+    for guess in [cold(mission), *guesses, *(random(mission, seed) for seed in range(RANDOM))]:
+        start = pipeline.start(guess)
+        one = PassResult(at, mission, pipeline.run(planner.p3_stages(start), start))
+        observe(one)
+        if not any(same_optimum(one.stage, other.stage) for other in found):
+            found.append(one)
+    return found
 
 
 def _cheapest(
@@ -89,7 +109,13 @@ def _to_and_fro(rows: Array, columns: Array) -> Iterator[tuple[float, float]]:
 
 
 def starts(cells: Sequence[PassResult], most: int) -> list[PassResult]:
-    """Cells cheaper than all neighbours, the cheapest first; phases of a whole turn wrap around."""
+    """Cells cheaper than all neighbours, the cheapest first; phases of a whole turn wrap around.
+
+    With one pair of phases, as between given states, every optimum.
+    """
+    if len({one.at.phases for one in cells}) == 1:
+        optima = [one for one in cells if one.converged]
+        return sorted(optima, key=lambda one: one.dv_m_s)[:most]
     rows, columns = (sorted({one.at.phases[k] for one in cells}) for k in (0, 1))
     cost = np.full((len(rows), len(columns)), np.inf)
     cell = {(rows.index(one.at.phases[0]), columns.index(one.at.phases[1])): one for one in cells}

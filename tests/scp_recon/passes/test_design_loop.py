@@ -110,7 +110,9 @@ def test_the_next_window_is_mapped_where_the_first_has_no_pass(monkeypatch):
     found, _, window, tried = run(World({1, 2}, {2}, costs=costs), monkeypatch)
     assert found.converged
     assert window == 2
-    assert [one.window for one in tried if one.step == "map"] == [0, 1, 2]
+    mapped = [one.window for one in tried if one.step == "map"]
+    assert mapped == list(range(len(mapped)))  # also the later ones, none of which has a plan
+    assert len(mapped) > 3
     assert all(one.expected == (36 if one.step == "map" else None) for one in tried)  # 6 x 6 phases
 
 
@@ -120,6 +122,26 @@ def test_later_windows_are_tried_and_the_cheapest_counts(monkeypatch):
     found, _, window, tried = run(World(everywhere, everywhere, costs=costs), monkeypatch)
     assert (found.cost, window) == (1.0, 1)
     assert [one.window for one in tried if one.step == "map"] == [0]
+
+
+@pytest.mark.parametrize(("costs", "chosen"), [((1.0, 2.0, 3.0), 0), ((1.0, 0.5, 3.0), 1)])
+def test_a_later_window_without_a_descent_is_mapped(monkeypatch, costs, chosen):
+    """A window has passes at its own phases alone, where descents from another window's fail."""
+    edges = [space.window_s for space, _ in spaces_of(home_scenario(None, SPANS))]
+
+    def scan(space: Any, times: tuple[float, ...], seen: Any) -> list[Made]:
+        made = Made(Pass((float(edges.index(space.window_s)), 0.0), times), True, 0.4)
+        seen(made)
+        return [made]
+
+    def descend(space: Any, at: Pass, _burns: Any, seen: Any, *_more: Any, **_others: Any) -> Made:
+        window = edges.index(space.window_s)
+        seen(made := Made(at, at.phases[0] == window, costs[min(window, 2)]))
+        return made
+
+    found, _, window, tried = run(World(set(), set()), monkeypatch, scan=scan, descend=descend)
+    assert [one.window for one in tried if one.step == "map"] == list(range(len(edges)))
+    assert (found.dv_m_s, window) == (costs[chosen], chosen)
 
 
 def test_a_valley_without_a_plan_is_left_by_way_of_one_without_uncertainty(monkeypatch):
