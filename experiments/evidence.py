@@ -70,12 +70,10 @@ COMMANDS = {
         "plans", "sites", "peers", "spice", "cross_check", "sensitivity",
         "model_fidelity", "battery_cones", "flown_plan", "gallery", "frontier",
         "feedback", "policies", "observation_table", "optima", "maps",
-        "missed_burns", "knowledge",
+        "missed_burns", "knowledge", "flown_policies",
         "compare_solvers", "uncertainty_sources",
     )},
     "designs": "plans --designs",
-    "flown_default": "flown_policies default",
-    "flown_kingfisher": "flown_policies kingfisher",
     "map_sample": "maps --sample",
 }  # fmt: skip
 DATED = {

@@ -251,8 +251,7 @@ OWN = (
 ALSO = {
     "sites": ("designs", "policies"),
     "uncertainty_sources": ("flown_plan",),
-    "flown_default": ("flown_plan", "policies"),
-    "flown_kingfisher": ("flown_plan", "policies"),
+    "flown_policies": ("flown_plan", "policies"),
 }
 """Studies whose rows take minutes, and those whose sentinels feel the same."""
 

@@ -146,8 +146,8 @@ def test_a_short_flight_is_tabulated_and_judged(tmp_path, monkeypatch):
         return record
 
     monkeypatch.setattr(flown_policies, "simulate", simulate)
-    plans, (first, last) = {"short": solution}, mission.schedule.window_s
-    rows = [flown_policies.fly_policy(plans, ("short", "open", seed)) for seed in (0, 1)]
+    first, last = mission.schedule.window_s
+    rows = [flown_policies.fly_policy(solution, ("open", seed)) for seed in (0, 1)]
     assert rows[0]["window_s"] == last - first
     assert 0.0 <= rows[0]["observed_s"] <= last - first + 1e-6
     assert rows[0]["whole"] <= (rows[0]["observed_s"] > last - first - 1e-3)
