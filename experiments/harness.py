@@ -1,9 +1,8 @@
-"""Run a study: options, finished work, progress, tables and claims.
+"""Run a study: options, finished work, progress and tables.
 
 A study is a module with a `STUDY`, which `python -m experiments NAME` runs. Its `run` gets a
-`Session` and returns `Findings`: tables, which go to OUT as CSV, and claims. A claim is a row of claim,
-threshold, measured value, and whether it holds. All tables of at most `ROWS_MAX` rows go into a file of
-evidence as well, from which the pages' tables are rendered.
+`Session` and returns `Findings`: tables, which go to OUT as CSV. All tables of at most `ROWS_MAX` rows
+go into a file of evidence as well, from which the pages' tables are rendered.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 from time import perf_counter
-from typing import Any, NamedTuple
+from typing import Any
 
 import pandas as pd
 from rich.console import Console
@@ -40,7 +39,6 @@ from scp_recon.cli.command import (
     show_line,
     show_written,
 )
-from scp_recon.cli.rendering import terminal
 from scp_recon.errors import InputError
 from scp_recon.files import write_atomically
 from scp_recon.jobs.job import Done, Executor, Failure, Job, Key, Work
@@ -52,7 +50,7 @@ from scp_recon.monte_carlo.observation_time import ALL
 from scp_recon.planning.plan import Plan
 from scp_recon.results.policy import policy_of
 from scp_recon.results.solution import Solution, make_solution
-from scp_recon.results.table import Cell, Table
+from scp_recon.results.table import Table
 from scp_recon.scenario.load import base_names, load_scenario, packaged
 
 Record = dict[str, Any]
@@ -60,14 +58,6 @@ Record = dict[str, Any]
 
 ROWS_MAX = 400
 """Rows of a table up to which it is kept as evidence; longer ones are for figures."""
-VERDICTS = {
-    True: ("yes", True, ""),
-    False: ("NO", False, "bad"),
-    None: ("not tested", None, "doubtful"),
-}
-"""Text, value and style of a claim's last cell."""
-
-
 Option = tuple[str, Mapping[str, Any]]
 """An option of a study, or its argument, with what `argparse.add_argument` takes of it."""
 
@@ -77,19 +67,9 @@ def option(flag: str, **settings: Any) -> Option:
     return flag, settings
 
 
-class Claim(NamedTuple):
-    """A claim of a study, its threshold and measurement in words; `holds` is None if undecided."""
-
-    claim: str
-    threshold: str
-    measured: str
-    holds: bool | None
-
-
-def claims_table(claims: Sequence[Claim]) -> Table:
-    """The table of claims; those that do not hold are marked."""
-    rows = [(*each[:3], Cell(*VERDICTS[each.holds])) for each in claims]
-    return Table.of("Claims", Claim._fields, rows)
+def claim(words: str, threshold: str, measured: str, holds: bool | None) -> Record:
+    """A claim as a row: its threshold and measurement in words; `holds` is None if undecided."""
+    return {"claim": words, "threshold": threshold, "measured": measured, "holds": holds}
 
 
 @dataclass(frozen=True)
@@ -100,7 +80,6 @@ class Findings:
     """
 
     tables: Mapping[str, Sequence[Record] | pd.DataFrame]
-    claims: Sequence[Claim] = ()
 
     def written(self) -> dict[str, Table]:
         """The tables as they are written, a column for each key of any row."""
@@ -195,28 +174,20 @@ class Session:
         return [store[job.key] for job in jobs]
 
     def end(self, found: Findings) -> Answer:
-        """Write the findings, and show the claims."""
+        """Write the findings."""
         self.out.mkdir(parents=True, exist_ok=True)
         tables, took = found.written(), round(perf_counter() - self._began, 1)
         written = [
             write_atomically(self.out / f"{name}.csv", own.csv()) for name, own in tables.items()
         ]
-        tables |= {"claims": claims_table(found.claims)} if found.claims else {}
         rows = {key: own.records() for key, own in tables.items() if len(own.rows) <= ROWS_MAX}
         ended = {"seconds": took, "resumed": self.resumed, "tables": rows}
         written.append(self.evidence.model_copy(update=ended).write(self.out / FILE))
         for store in self._partial:
             store.forget()
-        if found.claims:
-            self.console.print(terminal(claims_table(found.claims)))
         for path in written:
             show_written(self.console, path)
-        document = {
-            "folder": str(self.out),
-            "files": [str(path) for path in written],
-            "claims": claims_table(found.claims).records(),
-        }
-        return Answer(0, document)
+        return Answer(0, {"folder": str(self.out), "files": [str(path) for path in written]})
 
 
 @cache

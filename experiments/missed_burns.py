@@ -4,7 +4,7 @@ The default scenario with several kinds of risk, and the passes of packaged scen
 boundary states of their designs (`passes.toml`), are planned without drifts, for any one burn missed,
 and for any one cut short: a day at 0.997, by the law and the drifts' flights, and certified where
 burns are corrected. OUT/costs.csv has a row for each, with the delta-v as `policy.cost` counts it;
-where there is no plan, the burns whose drifts fail, and what the infeasibility diagnosis offers.
+where there is no plan, the burns whose drifts fail.
 A plan with gains takes minutes.
 """
 
@@ -20,14 +20,10 @@ from typing import Any
 from experiments.frontier import TANGENT
 from experiments.harness import Findings, Record, Session, Study
 from experiments.plans import FLIGHT
-from scp_recon.advice.infeasibility import diagnose
-from scp_recon.api.inputs import PlanRequest
-from scp_recon.api.options import PlanOptions
 from scp_recon.api.verbs import plan
 from scp_recon.jobs.job import Failure, Job, Key
 from scp_recon.jobs.processes import Limits, Processes
 from scp_recon.mission.drifts import planned
-from scp_recon.planning.plan import Plan
 from scp_recon.results.solution import make_solution
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scenario.schema import Scenario
@@ -60,7 +56,6 @@ FED = {"0.99 with feedback", *CORRECTED}
 """Cases whose plans flights certify: with gains the law finds a probability too high by 0.07 sigma."""
 LIMIT_S = 600.0
 """Processor time that a case may take."""
-RADIUS, NEARER_M = "safety.drift_radius_m", 400.0
 
 
 def passes() -> dict[str, dict[str, Any]]:
@@ -100,10 +95,7 @@ def measure(at: tuple[str, str]) -> Record:
         names = [one.name for one in found.mission.problem.drifts]
         blind = {name for name, _ in found.mission.drift_losses}
         short = {n for n in names if found.final.margins[n].margin.min() < -found.final.tolerance}
-        return row | {
-            "in_the_way": in_words(scenario, blind | short) or "other limits",
-            "what_would_do": what_would_do(found, case, scenario) or "nothing found",
-        }
+        return row | {"in_the_way": in_words(scenario, blind | short) or "other limits"}
     checked = verify(found.mission, make_solution(found))
     later = [one for one in checked.drifts if one.burn > 1]
     nearest = min(later, key=lambda one: (one.value, one.closest_m))
@@ -115,22 +107,6 @@ def measure(at: tuple[str, str]) -> Record:
         "closest_m": nearest.closest_m,
         "impact": max(one.impact for one in later),
     }
-
-
-def what_would_do(found: Plan, case: str, scenario: Scenario) -> str:
-    """What the infeasibility diagnosis offers; a plan with gains takes longer than its trials may.
-
-    Of these passes one smaller radius is tried, from the plan without drifts.
-    """
-    options = options_of(case)
-    if case in CORRECTED:
-        start = plan(scenario_of(case, "without"), **options)
-        again = plan(scenario.replace({RADIUS: NEARER_M}), start, **options)
-        return f"{RADIUS} {NEARER_M}" if again.status is Status.CONVERGED else ""
-    offers = diagnose(found, PlanRequest(scenario, "cold", PlanOptions(**options))).remedies
-    return "; ".join(
-        ", ".join(f"{entry} {value}" for entry, value in one.changes.items()) for one in offers
-    )
 
 
 def in_words(scenario: Scenario, names: Set[str]) -> str:

@@ -17,12 +17,10 @@ import numpy as np
 import pandas as pd
 from scipy.special import ndtri
 
-from experiments.harness import Claim, Findings, Record, Session, Study
+from experiments.harness import Findings, Record, Session, Study, claim
 from experiments.solvers.cases import (
     ELASTIC,
     EXACT,
-    FROZEN_COVARIANCE,
-    FROZEN_STM,
     PTR,
     REFERENCE,
     SCVX_STAR,
@@ -218,27 +216,22 @@ def guesses(rows: Frame) -> list[Record]:
 WITHIN = f"within {AGREE:g}"
 
 
-def claims(rows: Frame) -> list[Claim]:
+def claims(rows: Frame) -> list[Record]:
     """Claims of the comparison that the rows suffice to judge."""
-    found = list[Claim]()
+    found = list[Record]()
     groups = dict(list(rows.groupby("group")))
     if "scenarios" in groups:
-        found += [*agreement_claims(groups["scenarios"]), *frozen_claims(groups["scenarios"])]
+        found += agreement_claims(groups["scenarios"])
     whole = rows[rows.group.isin(["matrix", "scenarios"]) & (rows["repeat"] == 0)]
     found.append(
         algorithm_claim(whole, "from P3's solution, the straight line and the ballistic arc")
     )
     if "guesses" in groups:
         found.append(algorithm_claim(groups["guesses"], "from random guesses"))
-        best = costs(groups["guesses"]).groupby(groups["guesses"].method).min()
-        ours, theirs = (best.get(method.name, np.nan) for method in (REFERENCE, TUNED))
-        words = "over the random guesses SCP's best is no worse than IPOPT's best"
-        holds = bool(ours <= theirs * (1.0 + AGREE)) if ours + theirs > 0.0 else None
-        found.append(Claim(words, WITHIN, f"{ours:.6f} and {theirs:.6f} m/s", holds))
     return found + (exact_claims(groups[EXACT]) if EXACT in groups else [])
 
 
-def agreement_claims(rows: Frame) -> list[Claim]:
+def agreement_claims(rows: Frame) -> list[Record]:
     """SCP with full linearisation against IPOPT, from one P3 solution on the same facets."""
     off = pd.Series(differences(rows), dtype=float).dropna().abs()
     solved = off.index.isin(rows.scenario[costs(rows).notna() & (rows.method == REFERENCE.name)])
@@ -252,28 +245,11 @@ def agreement_claims(rows: Frame) -> list[Claim]:
             f"largest {chosen.max():.1e}; {agree} of {len(chosen)} scenarios in which both end"
         )
         holds = agree == len(chosen) if len(chosen) else None
-        found.append(Claim(f"SCP and IPOPT agree on {what}", WITHIN, measured, holds))
+        found.append(claim(f"SCP and IPOPT agree on {what}", WITHIN, measured, holds))
     return found
 
 
-def frozen_claims(rows: Frame) -> list[Claim]:
-    """What freezing the STM or the covariance costs."""
-    table = rows.assign(cost=costs(rows)).pivot(index="scenario", columns="method", values="cost")
-    table = table.reindex(rows.scenario.unique())
-    full, found = table[REFERENCE.name].dropna(), []
-    for method in (FROZEN_STM, FROZEN_COVARIANCE):
-        if method.name in table:
-            own = table[method.name].reindex(full.index)
-            dearer, lost = (own / full - 1.0).max(), list(full.index[own.isna()])
-            words = f"{method.formulation} differs from the full linearisation"
-            measured = f"delta-v up to {dearer:.1e} higher; not solved where the full one is: "
-            holds = bool(lost) or bool(dearer > AGREE)
-            threshold = f"by more than {AGREE:g}, or unsolved"
-            found.append(Claim(words, threshold, measured + listed(lost), holds))
-    return found
-
-
-def algorithm_claim(rows: Frame, where: str) -> Claim:
+def algorithm_claim(rows: Frame, where: str) -> Record:
     """Whether the three algorithms, condensed and by Clarabel, reach the same optimum."""
     own = rows[rows.method.isin([one.name for one in (REFERENCE, PTR, SCVX_STAR)])]
     index = ["group", "scenario", "start", "seed"]
@@ -287,10 +263,10 @@ def algorithm_claim(rows: Frame, where: str) -> Claim:
         f"{listed(' '.join(map(str, case)) for case in partly)}; none solves {len(cases) - len(some)}"
     )
     holds = bool(worst <= AGREE) and not partly if len(some) else None
-    return Claim(f"SCvx, PTR and SCvx* {where} reach the same optimum", WITHIN, measured, holds)
+    return claim(f"SCvx, PTR and SCvx* {where} reach the same optimum", WITHIN, measured, holds)
 
 
-def exact_claims(rows: Frame) -> list[Claim]:
+def exact_claims(rows: Frame) -> list[Record]:
     """The default plans of exact risk against the cheapest of all methods, and by the check."""
     ours = rows[rows.method == REFERENCE.name].set_index("scenario")
     cost, least = costs(ours), costs(rows).groupby(rows.scenario).min().reindex(ours.index)
@@ -310,8 +286,8 @@ def exact_claims(rows: Frame) -> list[Claim]:
     kept = f"{len(converged) - len(short)} of {len(converged)} scenarios; not in: {listed(short)}"
     by_check = "plans that the planner calls converged hold by the check"
     return [
-        Claim(words, WITHIN, measured, not apart),
-        Claim(by_check, "in every scenario", kept, not short),
+        claim(words, WITHIN, measured, not apart),
+        claim(by_check, "in every scenario", kept, not short),
     ]
 
 
@@ -346,7 +322,7 @@ def tables_of(rows: Frame) -> Mapping[str, list[Record]]:
 def run(session: Session) -> Findings:
     """Solve the missing cells, those of exact risk last."""
     rows = solved_cells(session, (*full_design(), *exact_design()))
-    return Findings({**tables_of(rows), "comparison": rows}, claims(rows))
+    return Findings({**tables_of(rows), "claims": claims(rows), "comparison": rows})
 
 
 STUDY = Study(__doc__, run, folder="comparison")

@@ -17,7 +17,7 @@ from types import ModuleType
 import numpy as np
 from scipy.stats import chi2, probplot, shapiro
 
-from experiments.harness import Claim, Findings, Record, Session, Study, default_plan
+from experiments.harness import Findings, Record, Session, Study, claim, default_plan
 from experiments.spacecraft.flown_plan import sampled_states
 from formulations.arrays import Array
 from scp_recon.errors import needing
@@ -195,9 +195,9 @@ def row(
     return found
 
 
-def claims(rows: Sequence[Record]) -> list[Claim]:
+def claims(rows: Sequence[Record]) -> list[Record]:
     """Whether the attitude may be left out, and how normal the ends are."""
-    by_name, found = {one["source"]: one for one in rows}, list[Claim]()
+    by_name, found = {one["source"]: one for one in rows}, list[Record]()
     if "attitude" in by_name:
         own, path, low = by_name["attitude"], by_name[BOTH]["rms_m"], by_name[BOTH]["rms_m_low"]
         share, most = (
@@ -208,7 +208,7 @@ def claims(rows: Sequence[Record]) -> list[Claim]:
         )
         measured = f"{_shown(own)} m: {100 * share:.2g} %, at most {100 * most:.2g} %"
         threshold = f"less than {100 * NEGLIGIBLE:g} % of the total"
-        found.append(Claim(words, threshold, measured, bool(most < NEGLIGIBLE)))
+        found.append(claim(words, threshold, measured, bool(most < NEGLIGIBLE)))
     for own in (by_name[INITIAL], by_name[CHEMICAL]):
         if own["p_value_x"] == "":  # of flights that all end alike, nothing can be said
             continue
@@ -217,7 +217,7 @@ def claims(rows: Sequence[Record]) -> list[Claim]:
         axes = ", ".join(rejected) or "none"
         measured = f"rejected for {axes}; quantiles correlate by {straight:.4f}"
         words = f"{own['label']}: final positions are normal on every axis"
-        found.append(Claim(words, f"p-value of at least {SIGNIFICANCE:g}", measured, not rejected))
+        found.append(claim(words, f"p-value of at least {SIGNIFICANCE:g}", measured, not rejected))
     return found
 
 
@@ -241,7 +241,8 @@ def run(session: Session) -> Findings:
     flown = session.rows("flights", partial(fly_spacecraft, solution, vehicle), cases, store)
     rows = measure_paths(solution, vehicle) + measure_flights(flown, solution, vehicle)
     rows.sort(key=lambda one: [*SOURCES].index(one["source"]))
-    return Findings({"uncertainty_sources": rows, "uncertainty_flights": flown}, claims(rows))
+    tables = {"uncertainty_sources": rows, "uncertainty_flights": flown}
+    return Findings(tables | {"claims": claims(rows)})
 
 
 STUDY = Study(__doc__, run)

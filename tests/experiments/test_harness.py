@@ -10,7 +10,7 @@ from rich.console import Console
 from experiments import frontier, testing
 from experiments.__main__ import STUDIES, main
 from experiments.evidence import FILE, ROOT, Evidence
-from experiments.harness import Claim, Findings, Record, Session, Study, run, study_of
+from experiments.harness import Findings, Record, Session, Study, run, study_of
 from experiments.other_tools import cross_check
 from scp_recon.jobs.job import Job
 from tests import reliability
@@ -71,14 +71,12 @@ def test_every_study_is_listed(capsys):
 
 def test_a_study_is_one_document_or_silent(tmp_path, capsys, monkeypatch):
     words = ["cross_check", "--out", str(tmp_path)]
-    claim = Claim("it holds", "at most 1", "0.5", True)
-    found = Findings({"rows": [{"x": 1}]}, [claim])
+    found = Findings({"rows": [{"x": 1}]})
     monkeypatch.setattr(cross_check, "STUDY", Study("", lambda _: found))
     assert main([*words, "--json"]) == 0
     said = capsys.readouterr()
     document = json.loads(said.out)
     assert document["folder"] == str(tmp_path)
-    assert [claim["holds"] for claim in document["claims"]] == [True]
     assert "written: " in said.err
     assert main([*words, "--quiet"]) == 0
     assert capsys.readouterr() == ("", "")

@@ -100,8 +100,8 @@ def test_only_small_attitude_errors_are_negligible(
         for seed in range(20)
     ]
     rows += measure_flights(flights, solution, vehicle)
-    (claim,) = (c for c in uncertainty_sources.claims(rows) if "attitude" in c.claim)
-    assert claim.holds is holds
+    (claim,) = (c for c in uncertainty_sources.claims(rows) if "attitude" in c["claim"])
+    assert claim["holds"] is holds
 
 
 @pytest.mark.parametrize("flights", [3, 8])
