@@ -1,17 +1,13 @@
-"""Represent the covariance as unknowns of an NLP: all entries, the unique ones, or a factor.
+"""Represent the covariance as unknowns of an NLP: all entries, or the unique ones.
 
     Sigma_{k+1} = A_k Sigma_k A_k' + B C(dv_i) C(dv_i)' B'
-    S_{k+1} = [A_k S_k, B C(dv_i)]
 
-with the columns C of a burn's errors (`execution_errors`, here over CasADi's symbols). Every form
-has a vector of entries at each node, after the burn if one falls on the node. Every form keeps the
-columns that all burns share as columns. An arc carries the entries. A burn appends zeros if the
-form grows, and adds its `kick`.
+with the columns C of a burn's errors (`execution_errors`, here over CasADi's symbols). Each node has a
+vector of entries, after the burn if one falls on the node; the columns that all burns share stay
+columns. An arc carries the entries, a burn adds its `kick`.
 """
 
 from __future__ import annotations
-
-from typing import Protocol
 
 import casadi as ca
 import numpy as np
@@ -23,8 +19,6 @@ from formulations.problem.flyby import FlybyProblem
 GUARD = 1e-16
 """Added under every root, so that its derivative exists at zero. It moves a norm x by 5e-17 / x, in
 units of the problem, and never by more than 1e-8."""
-TINY = 1e-16
-"""Added under the root of e^2 (see `GatesErrors`), which has a kink where a burn vanishes."""
 CERTAIN = 1e-6
 """Largest standard deviation that counts as a certain initial state."""
 
@@ -32,25 +26,6 @@ CERTAIN = 1e-6
 def root(square: ca.MX) -> ca.MX:
     """Square root whose derivative at zero is finite."""
     return ca.sqrt(square + GUARD)
-
-
-class CovarianceForm(Protocol):
-    """A form of the covariance at a node."""
-
-    def size(self, burns: int) -> int:
-        """Number of entries at a node with that many burns at or before it."""
-
-    def carry(self, stm: ca.SX, entries: ca.SX) -> ca.SX:
-        """Entries at the end of an arc with that STM (6, 6)."""
-
-    def kick(self, burn: ca.MX, burns: int) -> ca.MX:
-        """Entries that a burn (3,) adds at its node, which has that many burns before it."""
-
-    def pack(self, factor: Array, burns: int) -> Array:
-        """Entries from a factor (6, c) whose columns of later burns are zero."""
-
-    def deviation(self, normal: Array, entries: ca.MX) -> ca.MX:
-        """Standard deviations of the position along the rows of `normal` (m, 3), shape (m,)."""
 
 
 class Covariance:
@@ -71,20 +46,21 @@ class Covariance:
             self._entry[self._element] = np.arange(21)
             self._entry.T[self._element] = np.arange(21)
 
-    def size(self, burns: int) -> int:  # noqa: ARG002 -- of the protocol
-        """Number of entries, the same at all nodes; six more per shared column."""
+    @property
+    def size(self) -> int:
+        """Number of entries of a node; six more per shared column."""
         return len(self._element[0]) + 6 * self._shared
 
     def carry(self, stm: ca.SX, entries: ca.SX) -> ca.SX:
-        """Entries of A Sigma A', and A times shared columns."""
+        """Entries at the end of an arc with an STM A (6, 6): A Sigma A', and A times shared columns."""
         before = ca.reshape(entries[self._entry.ravel().tolist()], 6, 6).T
         after = stm @ before @ stm.T
         carried = (after[int(i), int(j)] for i, j in zip(*self._element, strict=True))
         shared = ca.reshape(entries[len(self._element[0]) :], 6, self._shared)
         return ca.vertcat(*carried, ca.vec(stm @ shared))
 
-    def kick(self, burn: ca.MX, burns: int) -> ca.MX:  # noqa: ARG002 -- of the protocol
-        """C C' in the velocity's part, and the shared columns."""
+    def kick(self, burn: ca.MX) -> ca.MX:
+        """What a burn (3,) adds: C C' in the velocity's part, and the shared columns."""
         added = own_covariance(self._errors, burn) / self._unit**2
         zero = ca.MX(1, 1)
         entries = [
@@ -94,15 +70,15 @@ class Covariance:
         shared = ca.vertcat(ca.MX(3, self._shared), shared_columns(self._errors, burn) / self._unit)
         return ca.vertcat(*entries, ca.vec(shared))
 
-    def pack(self, factor: Array, burns: int) -> Array:  # noqa: ARG002 -- of the protocol
-        """Entries of S S' of the columns that burns do not share, then the shared columns."""
+    def pack(self, factor: Array) -> Array:
+        """Entries from a factor S (6, c): S S' of columns that burns do not share, then the others."""
         first = self._initial_columns
         shared = factor[:, first : first + self._shared]
         covariance = factor @ factor.T - shared @ shared.T
         return np.r_[covariance[self._element] / self._unit**2, shared.T.ravel() / self._unit]
 
     def deviation(self, normal: Array, entries: ca.MX) -> ca.MX:
-        """Root of a'Sigma a, in which the entries of the covariance are linear."""
+        """Standard deviations of the position along the rows a of `normal` (m, 3), shape (m,)."""
         count = len(self._element[0])
         weights = np.zeros((len(normal), count))
         for i, j in np.ndindex(3, 3):
@@ -114,41 +90,8 @@ class Covariance:
         return root(self._unit**2 * square)
 
 
-class Factor:
-    """Factor S by columns: initial ones, those that burns share, each burn's at or before the node."""
-
-    def __init__(self, problem: FlybyProblem, *, unit: float = 1.0) -> None:
-        self._errors, self._unit = problem.execution_errors, unit
-        self._columns = problem.columns_before
-        self._before = problem.shared_columns.start
-
-    def size(self, burns: int) -> int:
-        """Number of entries: six per column."""
-        return 6 * self._columns(burns)
-
-    def carry(self, stm: ca.SX, entries: ca.SX) -> ca.SX:
-        """Columns of A S."""
-        return ca.vec(stm @ ca.reshape(entries, 6, entries.numel() // 6))
-
-    def kick(self, burn: ca.MX, burns: int) -> ca.MX:
-        """Own columns B C(dv) after the earlier ones; shared columns are added up."""
-        shared, own = shared_columns(self._errors, burn), own_columns(self._errors, burn)
-        between = self._columns(burns) - self._before - self._errors.shared
-        columns = ca.horzcat(ca.MX(3, self._before), shared, ca.MX(3, between), own)
-        return ca.vec(ca.vertcat(ca.MX(3, columns.shape[1]), columns)) / self._unit
-
-    def pack(self, factor: Array, burns: int) -> Array:
-        """Entries of the columns, one after the other."""
-        return factor.T.ravel()[: self.size(burns)] / self._unit
-
-    def deviation(self, normal: Array, entries: ca.MX) -> ca.MX:
-        """Standard deviation ||S'a||, convex in the entries."""
-        position = ca.reshape(entries, 6, entries.numel() // 6)[:3, :]
-        return root(self._unit**2 * ca.sum2((ca.DM(normal) @ position) ** 2))
-
-
 def initial_deviation(problem: FlybyProblem) -> float:
-    """Largest standard deviation before the first burn: the natural unit of a factor's entries.
+    """Largest standard deviation before the first burn: the natural unit of the entries' roots.
 
     If the initial state is certain, the deviation after the largest burn counts.
     """
@@ -164,17 +107,6 @@ def shared_columns(errors: ExecutionErrors, burn: ca.MX) -> ca.MX:
     if isinstance(errors, GatesErrors) and errors.shared:
         return errors.magnitude_bias * burn
     return ca.MX(3, 0)
-
-
-def own_columns(errors: ExecutionErrors, burn: ca.MX) -> ca.MX:
-    """Columns of a burn (3,) alone, shape (3, own)."""
-    if isinstance(errors, GatesErrors):
-        parts = [errors.magnitude_proportional * burn, errors.pointing_proportional * ca.skew(burn)]
-        if not errors.affine:
-            executed, root = _fixed_part(errors, burn)
-            parts += [ca.sqrt(executed + TINY) * root, ca.MX(3, 1)]
-        return ca.horzcat(*parts)
-    return _componentwise(errors).fraction * ca.diag(burn)
 
 
 def own_covariance(errors: ExecutionErrors, burn: ca.MX) -> ca.MX:

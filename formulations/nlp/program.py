@@ -15,7 +15,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from formulations.arrays import Array
-from formulations.nlp.covariance import CovarianceForm, root
+from formulations.nlp.covariance import Covariance, root
 from formulations.problem.facets import Facets
 from formulations.problem.flyby import FlybyProblem, Iterate, StateConstraint
 from formulations.problem.regions import Ball, Cone
@@ -266,7 +266,7 @@ def _facet_blocks(
             yield NlpRows(constraint.name, margin[rows.tolist()])
 
 
-def deviations(spread: CovarianceForm, facets: Facets, node: Sequence[ca.MX]) -> ca.MX:
+def deviations(spread: Covariance, facets: Facets, node: Sequence[ca.MX]) -> ca.MX:
     """Standard deviation along every facet's normal, (m,)."""
     parts, order = [], []
     for k in np.unique(facets.node):

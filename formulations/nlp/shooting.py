@@ -17,7 +17,7 @@ import casadi as ca
 import numpy as np
 
 from formulations.arrays import Array, Indices
-from formulations.nlp.covariance import GUARD, CovarianceForm, own_covariance, root, shared_columns
+from formulations.nlp.covariance import GUARD, Covariance, own_covariance, root, shared_columns
 from formulations.nlp.program import (
     Arcs,
     Mapped,
@@ -52,7 +52,7 @@ class MultipleShooting:
         whole: carry the spread to the last node, not only to the last node with a facet.
     """
 
-    spread: Callable[[FlybyProblem], CovarianceForm]
+    spread: Callable[[FlybyProblem], Covariance]
     arcs: ArcStyle
     printed: bool = False
     whole: bool = False
@@ -86,7 +86,7 @@ class MultipleShooting:
             *burn_blocks(problem, burns, printed=printed),
             *state_blocks(problem, facets, mean, deviation, printed=printed),
         )
-        point = _pack(problem, spread, layout, start)
+        point = _pack(spread, layout, start)
         return Program(x, point, burns, mean, ca.sum2(norms(burns)), blocks, own)
 
 
@@ -122,13 +122,9 @@ class _Layout:
             yield arcs[0], arcs[-1] + 1
 
 
-def _layout(
-    problem: FlybyProblem, spread: CovarianceForm | None, looked_at: Indices | None
-) -> _Layout:
+def _layout(problem: FlybyProblem, spread: Covariance | None, looked_at: Indices | None) -> _Layout:
     last = problem.n_nodes - 1 if looked_at is None else int(looked_at.max(initial=0))
-    burns = np.searchsorted(problem.burn_nodes, np.arange(problem.n_nodes), side="right")
-    entries = np.array([spread.size(int(b)) if spread else 0 for b in burns])
-    size = 6 + np.where(np.arange(problem.n_nodes) <= last, entries, 0)
+    size = 6 + np.where(np.arange(problem.n_nodes) <= last, spread.size if spread else 0, 0)
     carried = np.where(np.arange(1, problem.n_nodes) <= last, size[:-1], 6)
     return _Layout(3 * problem.n_burns + np.cumsum(size) - size, size, carried)
 
@@ -141,7 +137,7 @@ class _Group:
     """Consecutive arcs of one size, as one SX function of y (s,) and h, and its derivatives."""
 
     def __init__(
-        self, layout: _Layout, arcs: Arcs, spread: CovarianceForm | None, first: int, last: int
+        self, layout: _Layout, arcs: Arcs, spread: Covariance | None, first: int, last: int
     ) -> None:
         self.count = last - first
         self.size = int(layout.carried[first])
@@ -192,7 +188,7 @@ class _Group:
         return ca.MX(sparsity, blocks.nz[:])
 
 
-def step(arcs: Arcs, spread: CovarianceForm | None, y: ca.SX, duration: ca.SX) -> ca.SX:
+def step(arcs: Arcs, spread: Covariance | None, y: ca.SX, duration: ca.SX) -> ca.SX:
     """End of an arc: flow map of the mean and the carried spread of y = (mean, entries)."""
     mean, entries = y[:6], y[6:]
     end = arcs.flow(mean, duration)
@@ -222,39 +218,36 @@ def _differentiated(layout: _Layout, groups: list[_Group], x: ca.MX, ends: ca.MX
 
 
 def _burn_part(
-    problem: FlybyProblem, spread: CovarianceForm | None, layout: _Layout, burns: ca.MX
+    problem: FlybyProblem, spread: Covariance | None, layout: _Layout, burns: ca.MX
 ) -> ca.MX:
     """Initial data and additions of the burns, in the rows of their nodes."""
     parts = [ca.MX(int(size), 1) for size in layout.size]
     for i, k in enumerate(problem.burn_nodes):
-        parts[k] = kick(spread if layout.size[k] > 6 else None, burns[:, i], i)
+        parts[k] = kick(spread if layout.size[k] > 6 else None, burns[:, i])
     given = np.zeros(layout.size[0])
     given[:6] = problem.initial_state
     if spread is not None:
-        entries = spread.pack(problem.first_factor, 0)
+        entries = spread.pack(problem.first_factor)
         given[6 : 6 + len(entries)] = entries
     parts[0] += given
     return ca.vertcat(*parts)
 
 
-def kick(spread: CovarianceForm | None, burn: ca.MX, burns: int) -> ca.MX:
-    """Addition of a burn (3,) with that many before it to y = (mean, entries)."""
+def kick(spread: Covariance | None, burn: ca.MX) -> ca.MX:
+    """Addition of a burn (3,) to y = (mean, entries)."""
     state = ca.vertcat(ca.MX(3, 1), burn)
-    return state if spread is None else ca.vertcat(state, spread.kick(burn, burns))
+    return state if spread is None else ca.vertcat(state, spread.kick(burn))
 
 
-def _pack(
-    problem: FlybyProblem, spread: CovarianceForm | None, layout: _Layout, start: Start
-) -> Array:
+def _pack(spread: Covariance | None, layout: _Layout, start: Start) -> Array:
     """Values of the unknowns at an iterate and its factor."""
     parts = [start.iterate.burns.ravel()]
-    burns = np.searchsorted(problem.burn_nodes, np.arange(problem.n_nodes), side="right")
     for k, mean in enumerate(start.iterate.mean):
         parts.append(mean)
         if spread is not None and layout.size[k] > 6:
             if start.factor is None:
                 raise ValueError("P2 needs a start with a covariance factor")
-            parts.append(spread.pack(start.factor[k], int(burns[k])))
+            parts.append(spread.pack(start.factor[k]))
     return np.concatenate(parts)
 
 

@@ -118,10 +118,9 @@ class _Slopes(ca.Callback):
 class Settings:
     """IPOPT's options that differ from its defaults.
 
-    An inexact Hessian is a limited-memory BFGS approximation. With CasADi's wheels there is also
-    the linear solver "spral", which needs the environment variables OMP_CANCELLATION=TRUE and
-    OMP_PROC_BIND=TRUE. With `near` the barrier begins at that value, and the start is kept as near
-    to the bounds, so that IPOPT does not leave a start that is nearly a plan.
+    An inexact Hessian is a limited-memory BFGS approximation. With `near` the barrier begins at that
+    value, and the start is kept as near to the bounds, so that IPOPT does not leave a start that is
+    nearly a plan.
 
     `solver` names CasADi's plugin. Uno, a filter SQP method with dense quadratic programs and
     CasADi's derivatives, serves studies of programs of few unknowns; of these options it takes the
@@ -130,7 +129,6 @@ class Settings:
 
     solver: Literal["ipopt", "uno"] = "ipopt"
     hessian: Literal["exact", "limited-memory"] = "exact"
-    linear_solver: str = "mumps"
     barrier: Literal["monotone", "adaptive"] = "monotone"
     max_iterations: int = 1000
     near: float | None = None
@@ -144,7 +142,7 @@ class Settings:
         }
         return ({} if self.near is None else close) | {
             "ipopt.hessian_approximation": self.hessian,
-            "ipopt.linear_solver": self.linear_solver,
+            "ipopt.linear_solver": "mumps",
             "ipopt.mu_strategy": self.barrier,
             "ipopt.tol": 1e-8,  # of the scaled optimality conditions
             # Of the rows unscaled; by default 1e-4, a decimetre.

@@ -20,7 +20,7 @@ from experiments.solvers.cases import drawn
 from formulations.arrays import Array
 from formulations.linearisation.linearisation import Linearisation
 from formulations.nlp import solve
-from formulations.nlp.covariance import Covariance, CovarianceForm, Factor, initial_deviation
+from formulations.nlp.covariance import Covariance
 from formulations.nlp.program import Arcs, Program, Start, Transcription, assemble
 from formulations.nlp.shooting import MultipleShooting, SingleShooting
 from formulations.nlp.solve import (
@@ -52,11 +52,10 @@ from tests.helpers import nightly, share_of_examples, usually
 from tests.oracles.closed_loop import solve_corrected
 from tests.scenarios import COARSE
 
-SPREADS: dict[str, Callable[[FlybyProblem], CovarianceForm]] = {
+SPREADS: dict[str, Callable[[FlybyProblem], Covariance]] = {
     "36 entries": paper_covariance,
     "21 entries": lambda problem: Covariance(problem, unique=True),
     "21 entries scaled": scaled_covariance,
-    "factor": lambda problem: Factor(problem, unit=initial_deviation(problem)),
 }
 
 
@@ -172,12 +171,11 @@ def test_p2_has_the_rows_of_the_convex_side(coarse, spread, seed):
     program = coarse.program(transcription, coarse.p2.facets, lin)
     rows = program.residuals(program.start)
     # Row by row the mean's defects; the spread that goes with the iterate has none.
-    form, expected = SPREADS[spread](problem), []
-    burns = np.searchsorted(problem.burn_nodes, np.arange(problem.n_nodes), side="right")
+    expected, size = [], SPREADS[spread](problem).size
     first = np.r_[problem.initial_state - lin.iterate.mean[0]]
     first[3:] += lin.iterate.burns[0]
-    for defect, count in zip([first, *lin.defects[:-1]], burns, strict=True):
-        expected += [defect, np.zeros(form.size(int(count)))]
+    for defect in (first, *lin.defects[:-1]):
+        expected += [defect, np.zeros(size)]
     assert rows.pop("arcs") == within(np.concatenate(expected))
     _check_rows(_every_facet(coarse), lin, rows)
 
@@ -245,7 +243,7 @@ def test_p3_as_printed_bounds_the_same_sets(coarse, seed):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("spread", usually(["21 entries scaled", "factor", "36 entries"], 1))
+@pytest.mark.parametrize("spread", usually(["21 entries scaled", "36 entries"], 1))
 def test_derivatives_by_arc_are_those_of_the_whole(coarse, spread):
     lin = coarse.near(5)
     by_arc, whole = (
