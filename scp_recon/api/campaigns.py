@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from scp_recon.api.designing import find_pass, options_for, request_of
-from scp_recon.api.files import Opened
 from scp_recon.api.flying import FlyOptions, flown_summary, simulation_of
 from scp_recon.api.inputs import PlanRequest
 from scp_recon.api.options import PlanOptions
@@ -19,8 +18,8 @@ from scp_recon.campaigns.cases import Case, changed, of_campaign, solution_name
 from scp_recon.campaigns.checks import check_do
 from scp_recon.campaigns.run import Observer, executor_of, run_study
 from scp_recon.campaigns.study import Campaign, Study
-from scp_recon.errors import InputError, imported, option, whole_number
-from scp_recon.jobs.cores import WORKERS_MAX
+from scp_recon.errors import imported
+from scp_recon.jobs.cluster import check_workers
 from scp_recon.jobs.store import Row
 from scp_recon.monte_carlo.observation_time import ALL
 from scp_recon.monte_carlo.sampling import PolicyKind
@@ -78,11 +77,7 @@ def run_campaign(
     Raises:
         InputError: naming the argument, what was given and what is allowed.
     """
-    if workers is not None:
-        workers = whole_number(option("workers"), workers, 0, WORKERS_MAX)
-        if scheduler is not None:
-            allowed = f"must be left out with {option('scheduler')}"
-            raise InputError(option("workers"), str(workers), allowed)
+    workers = check_workers(workers, scheduler, 0)
     executor = executor_of(study, 1 if workers is None else workers, scheduler, say)
     return run_study(study, folder, work_of(study), executor, observe)
 
@@ -138,7 +133,7 @@ class StudyWork:
             row |= rest_row(found, self.campaign.model_copy(update=of_campaign(case.changes)))
         elif do == "fly" and found.status is Status.CONVERGED:
             options = FlyOptions(self.campaign.samples, seed=case.seed, policy=self.campaign.policy)
-            row |= flown_row(found, solution, options)
+            row |= flown_row(solution, options)
         elif do == "simulate" and found.status is Status.CONVERGED:
             row |= simulated_row(solution, case.seed, self.campaign.policy)
         files = {}
@@ -226,9 +221,9 @@ def certified_row(found: Plan) -> dict[str, Any]:
     }
 
 
-def flown_row(found: Plan, solution: Solution, options: FlyOptions) -> dict[str, Any]:
+def flown_row(solution: Solution, options: FlyOptions) -> dict[str, Any]:
     """Columns of many flights."""
-    summary = flown_summary(Opened(found.mission, solution), options)
+    summary = flown_summary(solution, options)
     joint = {name: found for name, found in summary.probability.items() if name != ALL}
     name, lowest = min(joint.items(), key=lambda item: item[1].estimate.value, default=(None, None))
     whole, commanded = summary.whole_flight, summary.commanded

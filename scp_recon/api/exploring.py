@@ -20,7 +20,6 @@ from scp_recon.api.options import PlanOptions
 from scp_recon.api.planning import carry_out
 from scp_recon.display import mm_s
 from scp_recon.errors import InputError, number_between, one_of, option, shortened, whole_number
-from scp_recon.mission.mission import Mission
 from scp_recon.reports.shown import Shown
 from scp_recon.reports.write import (
     check_extra,
@@ -29,7 +28,6 @@ from scp_recon.reports.write import (
     slider_plan,
     slider_verdict,
 )
-from scp_recon.results.solution import Solution
 from scp_recon.scenario.given import tables_of, value_of
 from scp_recon.scenario.load import naming_files, scenario_text
 from scp_recon.scenario.schema import Scenario
@@ -172,16 +170,6 @@ def _scaled(value: Any, factor: float) -> Any:
     return value * factor
 
 
-@dataclass(frozen=True, eq=False)
-class _Planned:
-    """A plan for some values of the sliders, as it is shown."""
-
-    values: Values
-    mission: Mission
-    solution: Solution
-    shown: Shown
-
-
 @dataclass(eq=False)
 class Explorer:
     """Answers the page's questions about a scenario; the last plan is kept.
@@ -189,33 +177,33 @@ class Explorer:
     Attributes:
         scenario: as it was given.
         sliders: of the page.
-        kept: the last plan.
+        kept: the last plan, as it is shown, and its values of the sliders.
     """
 
     scenario: Scenario
     sliders: list[Slider] = field(init=False)
-    kept: _Planned | None = None
+    kept: tuple[Values, Shown] | None = None
     _planning: Lock = field(default_factory=Lock)
 
     def __post_init__(self) -> None:
         self.sliders = sliders_of(self.scenario)
 
-    def plan(self, values: Values) -> _Planned:
+    def plan(self, values: Values) -> Shown:
         """The plan for these values, made as by `plan` but not certified by flights.
 
         Raises:
             InputError: if there is none for them.
         """
         with self._planning:
-            if self.kept is not None and self.kept.values == values:
-                return self.kept
+            if self.kept is not None and self.kept[0] == values:
+                return self.kept[1]
             scenario = changed(self.scenario, self.sliders, values)
             exact = scenario.risk.allocation == "exact"
             options = PlanOptions(certify=False if exact else None)
             outcome = carry_out(PlanRequest(scenario, options=options), verifies=False)
-            mission, solution = outcome.plan.mission, outcome.solution
-            self.kept = _Planned(values, mission, solution, slider_plan(solution))
-            return self.kept
+            shown = slider_plan(outcome.solution)
+            self.kept = values, shown
+            return shown
 
     def answer(self, values: Values) -> dict[str, Any]:
         """The plan for these values, not verified yet, and all that is drawn of it.
@@ -223,15 +211,14 @@ class Explorer:
         Raises:
             InputError: if there is none for them.
         """
-        planned = self.plan(values)
-        solution, mission = planned.solution, planned.mission
-        drawn = slider_data(planned.shown)
+        shown = self.plan(values)
+        solution, mission = shown.subject.solution, shown.subject.mission
         converged = Status.named(solution.status) is Status.CONVERGED
         iterations = ", ".join(f"{stage.name} {stage.iterations}" for stage in solution.stages)
         legal = mission.schedule.firing_intervals_s[-len(mission.scenario.burn_times_s) :]
         first = 1 + mission.scenario.burns_flown
         return {
-            "verdict": slider_verdict(planned.shown, solution),
+            "verdict": slider_verdict(shown, solution),
             "cost": mm_s(solution.total_dv_m_s, 1) + ("" if converged else f", {solution.status}"),
             "converged": converged,
             "effort": f"iterations: {iterations}; planned in {solution.timing_s.total:.2f} s",
@@ -239,7 +226,7 @@ class Explorer:
                 f"{BURN}.{number - 1}": f"legal, the others kept: {low:.0f} to {high:.0f} s"
                 for number, (low, high) in enumerate(legal, start=first)
             },
-            "drawn": drawn,
+            "drawn": slider_data(shown),
             "toml": scenario_text(mission.scenario),
         }
 
@@ -249,13 +236,12 @@ class Explorer:
         Raises:
             InputError: if there is none for them.
         """
-        planned = self.plan(values)
-        solution = files.verified(planned.mission, planned.solution)
-        return {"verdict": slider_verdict(planned.shown, solution)}
+        shown = self.plan(values)
+        return {"verdict": slider_verdict(shown, files.verified(shown.subject.solution))}
 
     def html(self) -> str:
         """The page with the plan of the scenario as it was given."""
-        return slider_page(self.plan({}).shown, self.sliders, self.answer({}))
+        return slider_page(self.plan({}), self.sliders, self.answer({}))
 
 
 class Server(ThreadingHTTPServer):

@@ -21,12 +21,10 @@ from scp_recon.interop.files import FORMATS, require, stem, write_export
 from scp_recon.interop.path import fly_path
 from scp_recon.jobs.blas import one_thread
 from scp_recon.mission.drifts import check_miss
-from scp_recon.mission.mission import Mission
 from scp_recon.planning.plan import Plan
 from scp_recon.results.read import read_solution
 from scp_recon.results.runs import resolve_run
 from scp_recon.results.solution import Solution, make_solution
-from scp_recon.results.verification import Verification
 from scp_recon.simulation.vehicle import load_vehicle
 from scp_recon.verification import reintegration
 
@@ -43,28 +41,6 @@ FIELD_MAX_DEG, PIXELS_MAX = 170.0, 1_000_000
 CAMPAIGN = "campaign.json"
 
 
-class Opened(NamedTuple):
-    """A plan that was given as a plan, a solution, a file or a folder.
-
-    Attributes:
-        mission: of its scenario.
-        solution: as its file has it.
-    """
-
-    mission: Mission
-    solution: Solution
-
-
-def open_plan(given: AnyPlan) -> Opened:
-    """A plan with its mission.
-
-    Raises:
-        InputError: if it is no plan and no file of one.
-    """
-    solution = solution_of(given)
-    return Opened(given.mission if isinstance(given, Plan) else solution.mission, solution)
-
-
 def solution_of(given: AnyPlan) -> Solution:
     """The solution of a plan; a plan that was not verified stays so.
 
@@ -77,22 +53,17 @@ def solution_of(given: AnyPlan) -> Solution:
 def stored(plan: AnyPlan) -> Solution:
     """See `plan_verbs.load`."""
     if isinstance(plan, Plan):
-        return verified(plan.mission, make_solution(plan))
+        return verified(make_solution(plan))
     if isinstance(plan, Solution):
         return plan
     require_some((plan,))
     return read_solution(resolve_run(Path(plan)))
 
 
-def verified(mission: Mission, solution: Solution) -> Solution:
-    """A solution with its verification."""
-    return solution.with_verification(verification_of(mission, solution))
-
-
 @one_thread
-def verification_of(mission: Mission, solution: Solution) -> Verification:
-    """Verify a solution without the solver."""
-    return reintegration.verify(mission, solution)
+def verified(solution: Solution) -> Solution:
+    """A solution with its verification, without the solver."""
+    return solution.with_verification(reintegration.verify(solution.mission, solution))
 
 
 def save(plan: AnyPlan, folder: str | Path) -> Path:
@@ -209,7 +180,8 @@ def write_export_of(
 
 def export_of(plan: AnyPlan, spacecraft: int = -999, miss: int | None = None) -> Export:
     """Fly a plan's burns again, sampled for other tools."""
-    mission, solution = open_plan(plan)
+    solution = solution_of(plan)
+    mission = solution.mission
     check_miss(solution.scenario, miss)
     ids = Ids(spacecraft, mission.scenario.body.naif_id or UNNAMED_BODY_ID)
     return Export(solution, mission, fly_path(mission, solution, miss), ids, miss)

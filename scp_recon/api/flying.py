@@ -9,7 +9,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from scp_recon.api.files import AnyPlan, Opened, open_plan
+from scp_recon.api.files import AnyPlan, solution_of
 from scp_recon.api.keeping import results_beside
 from scp_recon.api.planning import plan_left
 from scp_recon.errors import (
@@ -24,9 +24,7 @@ from scp_recon.errors import (
 )
 from scp_recon.files import writing
 from scp_recon.jobs.blas import one_thread
-from scp_recon.jobs.cores import WORKERS_MAX
-from scp_recon.jobs.job import Executor, here
-from scp_recon.jobs.processes import Processes
+from scp_recon.jobs.cluster import check_workers, executor_for
 from scp_recon.mission.drifts import Miss, check_miss, planned, required_probability
 from scp_recon.mission.gravity import TruthModel
 from scp_recon.monte_carlo.closed_loop import replans
@@ -40,13 +38,13 @@ from scp_recon.monte_carlo.flights import (
     FlightTally,
     fly_many,
 )
-from scp_recon.monte_carlo.sampling import AnyPolicy, ErrorModel, PolicyKind
+from scp_recon.monte_carlo.sampling import AnyPolicy, ErrorModel, PolicyKind, policy_kind
 from scp_recon.monte_carlo.summarise import summarise
 from scp_recon.monte_carlo.summary import FILE_NAME, MARK, Contingency, Summary
 from scp_recon.replanning.delivery import Delivery
 from scp_recon.replanning.flown import FlownPlan
 from scp_recon.replanning.remainder import mission_left, with_goal
-from scp_recon.results.solution import burns_of_plan, require_whole_flight
+from scp_recon.results.solution import Solution, burns_of_plan, require_whole_flight
 from scp_recon.simulation import record as records
 from scp_recon.simulation.vehicle import Vehicle, load_vehicle
 
@@ -89,11 +87,8 @@ class FlyOptions:
             one_of(option("then"), self.then, ("return",))
             if self.miss is None:
                 raise InputError(option("then"), self.then, f"goes with {option('miss')}")
-        if self.workers is not None:
-            make_whole(self, "workers", 1, WORKERS_MAX)
-            if self.scheduler is not None:
-                allowed = f"must be left out with {option('scheduler')}"
-                raise InputError(option("workers"), str(self.workers), allowed)
+        workers = check_workers(self.workers, self.scheduler, 1)
+        object.__setattr__(self, "workers", workers)
 
 
 @dataclass(frozen=True)
@@ -111,11 +106,11 @@ class Watcher:
     say: Callable[[str], None] = lambda _: None
 
 
-def flown_summary(plan: Opened, options: FlyOptions) -> Summary:
+def flown_summary(plan: Solution, options: FlyOptions) -> Summary:
     """Fly a plan and summarise its flights."""
     config = config_of(plan, options)
     flown = _fly(config, options, Watcher())
-    return _with_drift(summarise(flown, plan.solution), plan, config, options)
+    return _with_drift(summarise(flown, plan), plan, config, options)
 
 
 @dataclass(frozen=True)
@@ -136,7 +131,7 @@ class SavedFlights:
 
 
 def fly_into(
-    folder: Path, plan: Opened, options: FlyOptions, config: FlightConfig, watcher: Watcher
+    folder: Path, plan: Solution, options: FlyOptions, config: FlightConfig, watcher: Watcher
 ) -> SavedFlights:
     """Fly a plan, and write the summary into its folder, also of fewer flights after an interrupt.
 
@@ -145,15 +140,15 @@ def fly_into(
     Raises:
         InputError: if the folder cannot be written, or holds another plan.
     """
-    solution = plan.solution
-    own = "feedback" if solution.corrections else "open"
-    name = FILE_NAME if config.policy_kind == own else f"montecarlo_{config.policy_kind}.json"
+    own = "feedback" if plan.corrections else "open"
+    kind = policy_kind(config.policy)
+    name = FILE_NAME if kind == own else f"montecarlo_{kind}.json"
     if options.miss is not None:
         name = f"{name.removesuffix('.json')}_miss_{options.miss}.json"
-    with results_beside(folder, solution, name, "folder", MARK):
+    with results_beside(folder, plan, name, "folder", MARK):
         flown = _fly(config, options, watcher)
         interrupted = watcher.stop() and flown.samples < options.samples
-        summary = summarise(flown, solution)
+        summary = summarise(flown, plan)
         if not interrupted:
             summary = _with_drift(summary, plan, config, options)
         with writing(folder, "folder"):
@@ -161,15 +156,15 @@ def fly_into(
     return SavedFlights(flown, path, summary, interrupted)
 
 
-def config_of(plan: Opened, options: FlyOptions) -> FlightConfig:
+def config_of(plan: Solution, options: FlyOptions) -> FlightConfig:
     """The flights of a plan that options ask for.
 
     Raises:
         InputError: if the plan cannot be flown so.
     """
-    burns, policy = plan.solution.burns_m_s, _policy(plan, options.policy)
-    check_miss(plan.solution.scenario, options.miss)
-    if options.then and options.miss == len(plan.solution.scenario.burns.times_s):
+    burns, policy = plan.burns_m_s, _policy(plan, options.policy)
+    check_miss(plan.scenario, options.miss)
+    if options.then and options.miss == len(plan.scenario.burns.times_s):
         needs = "must leave a burn: `scp-recon replan --goal return` takes more in burns.times_s"
         raise InputError(option("then"), f"{options.then} after the last burn", needs)
     how = policy, options.truth, options.errors
@@ -177,7 +172,7 @@ def config_of(plan: Opened, options: FlyOptions) -> FlightConfig:
 
 
 def _with_drift(
-    summary: Summary, plan: Opened, config: FlightConfig, options: FlyOptions
+    summary: Summary, plan: Solution, config: FlightConfig, options: FlyOptions
 ) -> Summary:
     """The summary with the drifts of its flights after the burn that is missed, if one is."""
     if options.miss is None:
@@ -190,20 +185,20 @@ def _with_drift(
     return summary.model_copy(update={"drift": found, "then": then})
 
 
-def _contingency(plan: Opened, miss: int, options: FlyOptions) -> Contingency:
+def _contingency(plan: Solution, miss: int, options: FlyOptions) -> Contingency:
     """Plan home from the mean state at a missed burn, and fly that plan."""
-    mission, solution = plan
+    mission = plan.mission
     index = miss - 1 - mission.scenario.burns_flown
-    state = np.array(solution.nodes.state[mission.burn_nodes[index]])
-    state[3:] -= solution.burns_m_s[index]
+    state = np.array(plan.nodes.state[mission.burn_nodes[index]])
+    state[3:] -= plan.burns_m_s[index]
     at_s = mission.scenario.burns.times_s[miss - 1]
     parent, delivery = (
-        FlownPlan.of(solution),
+        FlownPlan.of(plan),
         Delivery.of(at_s, state, measured={miss: np.zeros(3)}),
     )
     left = mission_left(parent, delivery, with_goal(parent, "return", None))
     home = plan_left(parent, left)
-    flown = flown_summary(open_plan(home), replace(options, miss=None, then=None))
+    flown = flown_summary(solution_of(home), replace(options, miss=None, then=None))
     return Contingency(
         status=home.status.value.name,
         total_dv_m_s=home.total_dv_m_s,
@@ -213,39 +208,33 @@ def _contingency(plan: Opened, miss: int, options: FlyOptions) -> Contingency:
     )
 
 
-def _policy(plan: Opened, kind: PolicyKind | None) -> AnyPolicy:
+def _policy(plan: Solution, kind: PolicyKind | None) -> AnyPolicy:
     """Find the policy that commands the burns of a plan.
 
     Raises:
         InputError: if the plan cannot be flown by that policy.
     """
-    solution = plan.solution
     if kind == "open":
         return ()
     if kind == "replan":
-        if solution.problem != "P2":
+        if plan.problem != "P2":
             raise InputError(
                 option("policy"), "'replan' of a plan of P3", "must be of a plan of P2"
             )
-        return replans(plan.mission, solution.burns_m_s)
-    if kind == "feedback" and not solution.corrections:
+        return replans(plan.mission, plan.burns_m_s)
+    if kind == "feedback" and not plan.corrections:
         raise InputError(
             option("policy"),
             "'feedback' of a plan without gains",
             "must be 'open' or 'replan', or the plan made with policy.kind = \"feedback\"",
         )
-    return solution.corrections
+    return plan.corrections
 
 
 @one_thread
 def _fly(config: FlightConfig, options: FlyOptions, watcher: Watcher) -> FlightTally:
-    executor: Executor = here
-    if options.scheduler is not None:
-        from scp_recon.jobs.cluster import Cluster
-
-        executor = Cluster(options.scheduler, LIMITS, watcher.say)
-    elif options.workers is not None and options.workers > 1:
-        executor = Processes(options.workers, LIMITS)
+    workers = options.workers if options.workers != 1 else None  # this process is one
+    executor = executor_for(workers or 0, options.scheduler, LIMITS, watcher.say)
     return fly_many(
         config,
         samples=options.samples,
@@ -261,14 +250,14 @@ class Simulation:
     """A simulated flight that is checked and not flown yet.
 
     Attributes:
-        opened: the plan.
+        solution: of the plan.
         seed: of all errors.
         policy: what commands its burns.
         craft: the vehicle.
         miss: number of the burn that does not happen, if one does not.
     """
 
-    opened: Opened
+    solution: Solution
     seed: int
     policy: AnyPolicy
     craft: Vehicle
@@ -279,11 +268,15 @@ class Simulation:
         """Fly it; `progress` is called with the time of the flight, s."""
         from scp_recon.simulation.basilisk import simulation
 
-        solution = self.opened.solution
         flight = simulation.simulate(
-            solution, self.craft, self.seed, progress=progress, policy=self.policy, miss=self.miss
+            self.solution,
+            self.craft,
+            self.seed,
+            progress=progress,
+            policy=self.policy,
+            miss=self.miss,
         )
-        return records.make_record(flight, solution, self.seed)
+        return records.make_record(flight, self.solution, self.seed)
 
 
 def simulation_of(
@@ -300,10 +293,10 @@ def simulation_of(
     """
     imported("simulate", "sim", "Basilisk")
     seed = whole_number(option("seed"), seed, 0, SEED_MAX)
-    opened = open_plan(plan)
+    solution = solution_of(plan)
     if policy is not None:
         one_of(option("policy"), policy, get_args(PolicyKind))
     craft = load_vehicle(None if vehicle is None else path_of(option("vehicle"), vehicle))
-    require_whole_flight(opened.solution.scenario, option("plan"))
-    check_miss(opened.solution.scenario, miss)
-    return Simulation(opened, seed, _policy(opened, policy), craft, miss)
+    require_whole_flight(solution.scenario, option("plan"))
+    check_miss(solution.scenario, miss)
+    return Simulation(solution, seed, _policy(solution, policy), craft, miss)

@@ -87,9 +87,11 @@ def verify(plan: "AnyPlan") -> "Verification":
         >>> sr.verify(sr.plan())
         <Verification: verified>
     """
-    from scp_recon.api.files import open_plan, verification_of
+    from scp_recon.api.files import solution_of, verified
 
-    return verification_of(*open_plan(plan))
+    found = verified(solution_of(plan)).verification
+    assert found is not None
+    return found
 
 
 def fly(
@@ -143,11 +145,11 @@ def fly(
         >>> print(f"{emission.value:.3f}, 95 % interval {emission.low:.3f} to {emission.high:.3f}")
         0.979, 95 % interval 0.968 to 0.987
     """
-    from scp_recon.api.files import open_plan
+    from scp_recon.api.files import solution_of
     from scp_recon.api.flying import FlyOptions, flown_summary
 
     how = FlyOptions(samples, until, truth, errors, seed, workers, scheduler, policy, miss, then)
-    return flown_summary(open_plan(plan), how)
+    return flown_summary(solution_of(plan), how)
 
 
 def simulate(

@@ -23,8 +23,9 @@ from scp_recon.campaigns.results import (
 from scp_recon.campaigns.study import VERSION, Study
 from scp_recon.errors import InputError, option
 from scp_recon.files import check_writable, only_run_in, unwritable, write_atomically
-from scp_recon.jobs.job import Done, Executor, Job, Key, here
-from scp_recon.jobs.processes import Limits, Processes
+from scp_recon.jobs.cluster import executor_for
+from scp_recon.jobs.job import Done, Executor, Job, Key
+from scp_recon.jobs.processes import Limits
 from scp_recon.jobs.store import Row, run, versions
 
 SCHEMA, FILE_NAME = "scp_recon.campaign/1", "campaign.json"
@@ -38,21 +39,12 @@ CaseWork = Callable[[Case], Row]
 def executor_of(
     study: Study, workers: int, scheduler: str | None, say: Callable[[str], None] = lambda _: None
 ) -> Executor:
-    """Choose the executor of a study's cases, each within the study's limits.
-
-    That is `workers` processes, with 0 this process, or the Dask cluster of a scheduler's address.
-    `say` is called with each line worth showing.
-    """
-    limits = Limits(study.campaign.limit_s, memory_mb=study.campaign.memory_mb)
-    if scheduler is not None:
-        from scp_recon.jobs.cluster import Cluster
-
-        return Cluster(scheduler, limits, say)
-    if workers:
-        return Processes(workers, limits)
-    if asked := sorted(study.campaign.model_fields_set & {"limit_s", "memory_mb"}):
+    """Choose the executor of a study's cases, each within the study's limits: see `executor_for`."""
+    asked = sorted(study.campaign.model_fields_set & {"limit_s", "memory_mb"})
+    if asked and not workers and scheduler is None:
         say(f"{' and '.join(asked)}: not kept with --workers 0, where no case can be ended")
-    return here
+    limits = Limits(study.campaign.limit_s, memory_mb=study.campaign.memory_mb)
+    return executor_for(workers, scheduler, limits, say)
 
 
 def run_study(

@@ -19,7 +19,7 @@ from formulations.problem.flyby import Drift
 from formulations.rows.drift import REACH, branch_at, start_of
 from scp_recon.mission.drifts import Miss, duration_s, planned, required_probability
 from scp_recon.mission.mission import Mission
-from scp_recon.monte_carlo.drifts import drift, states_of_draws
+from scp_recon.monte_carlo.drifts import drift, states_after
 from scp_recon.monte_carlo.estimates import proportion
 from scp_recon.monte_carlo.flights import FlightConfig
 from scp_recon.monte_carlo.law import drawn_factor
@@ -118,7 +118,7 @@ def _unsafe(
     initial = mission.initial_factor.shape[1]
     deviating = mission.of_flights(draws[:, initial : initial + mission.uncertain.count])
     blocks = (draws[first : first + BLOCK] for first in range(0, len(draws), BLOCK))
-    starts = states_of_draws(config, [miss for miss, _ in cases], blocks)
+    starts = states_after(config, [miss for miss, _ in cases], blocks)
     for (miss, one), state in zip(cases, starts, strict=True):
         begin, step = scenario.burns.times_s[miss.burn - 1], duration_s(scenario) / one.flow.arcs
         flown = drift(deviating, config.truth, state, begin, step)

@@ -18,9 +18,10 @@ from math import inf
 from time import monotonic
 from typing import Any
 
-from scp_recon.errors import InputError, needing, option
-from scp_recon.jobs.job import DIED, Done, Failure, Job, Key, Work
-from scp_recon.jobs.processes import TRIES, Child, Limits, UnfitError
+from scp_recon.errors import InputError, needing, option, whole_number
+from scp_recon.jobs.cores import WORKERS_MAX
+from scp_recon.jobs.job import DIED, Done, Executor, Failure, Job, Key, Work, here
+from scp_recon.jobs.processes import TRIES, Child, Limits, Processes, UnfitError
 from scp_recon.jobs.store import versions
 
 AHEAD = 4
@@ -174,3 +175,30 @@ def run_in_child(pickled: bytes, job: bytes, limits: Limits) -> Done:
         child, _CHILDREN.pickled = Child(work, limits), pickled
         _CHILDREN.child = child
     return child.run(pickle.loads(job))
+
+
+def check_workers(workers: object, scheduler: str | None, least: int) -> int | None:
+    """Check a number of processes, None for the usual one, that is not given beside a scheduler.
+
+    Raises:
+        InputError: if it is out of bounds, or given beside one.
+    """
+    if workers is None:
+        return None
+    found = whole_number(option("workers"), workers, least, WORKERS_MAX)
+    if scheduler is not None:
+        allowed = f"must be left out with {option('scheduler')}"
+        raise InputError(option("workers"), str(found), allowed)
+    return found
+
+
+def executor_for(
+    workers: int, scheduler: str | None, limits: Limits, say: Callable[[str], None]
+) -> Executor:
+    """Choose an executor: so many processes, with 0 this one, or the Dask cluster of an address.
+
+    `say` is called with each line worth showing.
+    """
+    if scheduler is not None:
+        return Cluster(scheduler, limits, say)
+    return Processes(workers, limits) if workers else here

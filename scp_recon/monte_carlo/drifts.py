@@ -51,21 +51,17 @@ def fly_drifts(
     config: FlightConfig, misses: Sequence[Miss], flights: int, *, step_s: float = STEP_S
 ) -> list[Drifted]:
     """Fly drifts of several misses, each from the same flights: see `states_after`."""
-    starts = states_after(config, misses, flights) if misses else []
+    blocks = config.blocks_of_draws(flights, config.seed)
+    starts = states_after(config, misses, blocks) if misses else []
     times = [config.mission.scenario.burns.times_s[miss.burn - 1] for miss in misses]
     own = flown_mission(config.mission, config.seed, flights)
     return [drift(own, config.truth, *at, step_s) for at in zip(starts, times, strict=True)]
 
 
-def states_after(config: FlightConfig, misses: Sequence[Miss], flights: int) -> list[Array]:
-    """States of flights just after each missed or cut burn, J2000, m and m/s, (flights, 6) each."""
-    return states_of_draws(config, misses, config.blocks_of_draws(flights, config.seed))
-
-
-def states_of_draws(
+def states_after(
     config: FlightConfig, misses: Sequence[Miss], blocks: Iterable[Array]
 ) -> list[Array]:
-    """As `states_after`, of given draws."""
+    """States of draws just after each missed or cut burn, J2000, m and m/s, (flights, 6) each."""
     scenario, parts = config.mission.scenario, []
     times = np.unique([scenario.burns.times_s[miss.burn - 1] for miss in misses])
     for draws in blocks:

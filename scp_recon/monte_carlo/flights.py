@@ -6,17 +6,14 @@ from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass, field
 from functools import partial
-from typing import get_args
 
 import numpy as np
 import numpy.typing as npt
 
 from formulations.arrays import Array
-from scp_recon.errors import InputError, one_of, whole_number
 from scp_recon.jobs.job import Executor, Job, here, in_order
 from scp_recon.jobs.processes import Limits
 from scp_recon.mission.constraints import companion_distance_m
-from scp_recon.mission.gravity import TruthModel
 from scp_recon.mission.scene import errors_of_kind
 from scp_recon.mission.windows import Window
 from scp_recon.monte_carlo.estimates import Estimate, Tally, proportion
@@ -25,9 +22,7 @@ from scp_recon.monte_carlo.narrow import Narrowed, narrow
 from scp_recon.monte_carlo.observation_time import ALL, SCIENCE, time_held
 from scp_recon.monte_carlo.sampling import (
     BLOCK,
-    ErrorModel,
     Flyer,
-    PolicyKind,
     corrections_of,
     policy_kind,
 )
@@ -55,22 +50,13 @@ class FlightConfig(Flyer):
     """Planned burns to fly, and the seed of all draws.
 
     Raises:
-        InputError: if seed, truth or errors are unknown, or cannot be flown in this scenario.
+        InputError: if truth or errors cannot be flown in this scenario.
     """
 
     seed: int = 0
 
-    @property
-    def policy_kind(self) -> PolicyKind:
-        """Name of the policy."""
-        return policy_kind(self.policy)
-
     def __post_init__(self) -> None:
         """Refuse inputs that make flights impossible, and another body's gravity."""
-        object.__setattr__(self, "seed", whole_number("seed", self.seed, 0, SEED_MAX))
-        one_of("truth", self.truth, get_args(TruthModel))
-        if self.errors is not None:
-            one_of("errors", self.errors, get_args(ErrorModel))
         errors_of_kind(self.mission.scenario, self.errors)
         self.mission.gravity.in_words(self.truth)
 
@@ -210,7 +196,7 @@ class FlightTally:
         bins = self.config.mission.units.tolerance(DISTANCE_BIN_M, "m")
         self.closest = Tally.empty(0.0, far, bins)
         self.executed_dv = Tally.empty(0.0, 3.0 * max(planned, 1e-9), planned / 1e4 or 1e-9)
-        again = self.config.policy_kind == "replan"
+        again = policy_kind(self.config.policy) == "replan"
         self.failed = np.zeros(len(self.config.policy) if again else 0)
         # However small the planned burns are, corrected ones may be as large as their limit.
         most = planned + self.config.mission.scenario.burns.dv_max_m_s * len(self.config.burns_m_s)
@@ -289,12 +275,8 @@ def fly_many(
     each block `progress` is called with the number flown so far, and a true `stop()` ends the flights.
 
     Raises:
-        InputError: if samples or until are out of bounds, before any flight; or if a block
-            could not be flown.
+        InputError: if a block could not be flown.
     """
-    samples = whole_number("samples", samples, SAMPLES_MIN, SAMPLES_MAX)
-    if until is not None and not 0.0 < until < 1.0:
-        raise InputError("until", repr(until), "must be a width between 0 and 1")
     flown = FlightTally(config)
 
     def has_ended() -> bool:
@@ -337,7 +319,7 @@ def _narrowed(
     """
     config, before = flown.config, flown.samples
     mission = config.mission
-    if config.policy_kind == "replan" or mission.observed_s is None:
+    if policy_kind(config.policy) == "replan" or mission.observed_s is None:
         return None
     if mission.edges.sigmas_s is not None:
         return None

@@ -10,6 +10,7 @@ from scipy.special import chdtri
 from formulations.arrays import Array
 from scp_recon.monte_carlo.estimates import CONFIDENCE, Estimate, Tally, proportion
 from scp_recon.monte_carlo.flights import FlightTally
+from scp_recon.monte_carlo.sampling import policy_kind
 from scp_recon.monte_carlo.summary import (
     CLOSEST,
     COMPONENTS,
@@ -58,7 +59,7 @@ def summarise(flown: FlightTally, solution: Solution) -> Summary:
         planned_gravity=config.mission.gravity.in_words(),
         flown_gravity=config.mission.gravity.in_words(config.truth),
         errors=config.errors or config.mission.scenario.uncertainty.errors,
-        policy=config.policy_kind,
+        policy=policy_kind(config.policy),
         confidence=CONFIDENCE,
         planned_dv_m_s=solution.total_dv_m_s,
         window_s=config.mission.observed_s,

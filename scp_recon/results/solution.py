@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
@@ -196,16 +196,9 @@ def _resolved(solution: Solution, mission: Mission | None) -> Solution:
 
 
 def plan_hash(scenario: Scenario, burns: Sequence[Burn], policy: StoredPolicy | None) -> str:
-    """See `Solution.plan_hash`."""
-    return hash_of(scenario.model_dump(mode="json", exclude_defaults=True), burns, policy)
-
-
-def hash_of(
-    tables: Mapping[str, Any], burns: Sequence[Burn], policy: StoredPolicy | None = None
-) -> str:
     """SHA-256 of burns, corrections if any, and of a scenario's tables without its defaults."""
     plan: dict[str, Any] = {
-        "scenario": tables,
+        "scenario": scenario.model_dump(mode="json", exclude_defaults=True),
         "burns": [{"t_s": burn.t_s, "dv_m_s": burn.dv_m_s} for burn in burns],
     }
     if policy is not None:

@@ -26,15 +26,17 @@ def verify(console: "Console", plan: Path, *, verbose: bool = False) -> Answer:
     Args:
         verbose: show boundary states, schedule, grid, margins at nodes and the re-integration too.
     """
-    from scp_recon.api.files import open_plan, verification_of
+    from scp_recon.api.files import solution_of, verified
     from scp_recon.cli import plan_view
 
-    mission, solution = open_plan(plan)
+    solution = solution_of(plan)
+    mission = solution.mission
     plan_view.show_mission(console, mission, verbose=verbose)
-    found = verification_of(mission, solution)
+    checked = verified(solution)
+    found = checked.verification
+    assert found is not None
     warnings = [*solution.warnings, *mission.warnings]
     plan_view.show_plan(console, mission, solution, found, warnings, verbose=verbose)
-    checked = solution.with_verification(found)
     return Answer(0 if found.ok else NOT_VERIFIED, plan_view.plan_document(checked))
 
 
@@ -44,7 +46,7 @@ def montecarlo(console: "Console", plan: Path, **how: Any) -> Answer:
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
 
     from scp_recon.api import flying
-    from scp_recon.api.files import open_plan
+    from scp_recon.api.files import solution_of
     from scp_recon.cli.flight_view import show_summary
     from scp_recon.cli.rendering import show_verdict, show_warnings
     from scp_recon.results.runs import folder_of, resolve_run
@@ -54,8 +56,8 @@ def montecarlo(console: "Console", plan: Path, **how: Any) -> Answer:
 
     options = flying.FlyOptions(**how)
     home = resolve_run(plan)
-    opened, folder = open_plan(home), folder_of(home)
-    config = flying.config_of(opened, options)  # before a bar is shown
+    solution, folder = solution_of(home), folder_of(home)
+    config = flying.config_of(solution, options)  # before a bar is shown
     columns = ("flights", BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with asked_to_stop() as stop, Progress(*columns, console=progress_console(console)) as bar:
         task = bar.add_task("flights", total=options.samples)
@@ -64,16 +66,16 @@ def montecarlo(console: "Console", plan: Path, **how: Any) -> Answer:
             stop,
             lambda line: show_line(console, line),
         )
-        flown = flying.fly_into(folder, opened, options, config, watcher)
+        flown = flying.fly_into(folder, solution, options, config, watcher)
     summary, document = flown.summary, {"files": [str(flown.path)]}
     if flown.interrupted:
         count = summary.samples
         show_line(console, f"interrupted: {count} of {options.samples} flights are summarised")
         show_written(console, flown.path)
         return Answer(Status.INTERRUPTED.value.exit_code, {"samples": count, **document})
-    show_summary(console, summary, required_probability(opened.solution))
-    show_warnings(console, [*opened.solution.warnings, *opened.mission.warnings])
-    failed = shortfalls(summary, opened.solution)
+    show_summary(console, summary, required_probability(solution))
+    show_warnings(console, [*solution.warnings, *solution.mission.warnings])
+    failed = shortfalls(summary, solution)
     widest, until = flown.flights.widest_interval(), options.until
     if until is not None and widest > until:
         found = f"widest interval {100.0 * widest:.3g} %, required {100.0 * until:g} %"
@@ -108,7 +110,7 @@ def simulate(console: "Console", plan: Path, *, out: Path | None = None, **how: 
 
     home = resolve_run(plan)
     simulation = flying.simulation_of(home, **how)  # before a bar is shown
-    mission, solution = simulation.opened
+    solution = simulation.solution
     folder, entry = out or folder_of(home), option("out")
     columns = ("flight", BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
     name = records.file_name(simulation.miss)
@@ -120,7 +122,7 @@ def simulate(console: "Console", plan: Path, *, out: Path | None = None, **how: 
             path = records.write_record(record, folder)
     show_flight(console, record.summary)
     other = check_vehicle(simulation.craft, solution.scenario)
-    show_warnings(console, [*solution.warnings, *mission.warnings, *other])
+    show_warnings(console, [*solution.warnings, *solution.mission.warnings, *other])
     failed = shortfalls(record.summary, solution)
     show_verdict(console, "as required", failed)
     show_written(console, path)

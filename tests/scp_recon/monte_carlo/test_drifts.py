@@ -45,11 +45,10 @@ def test_a_drift_is_that_of_another_integrator():
     """The nearest approach of single flights after half of burn 2, by DOP853 with dense output."""
     plan, miss = planned(*ONE_DAY), Miss(2, 0.5)
     mission = plan.mission
-    found = fly_drifts(FlightConfig(mission, plan.burns_m_s), [miss], 3)[0]
+    config = FlightConfig(mission, plan.burns_m_s)
+    found = fly_drifts(config, [miss], 3)[0]
     start = mission.scenario.burns.times_s[1]
-    for number, state in enumerate(
-        states_after(FlightConfig(mission, plan.burns_m_s), [miss], 3)[0]
-    ):
+    for number, state in enumerate(states_after(config, [miss], config.blocks_of_draws(3, 0))[0]):
 
         def rate(time, y):
             return np.r_[y[3:], acceleration(*y[:3], mission.forces, mission.forces.moment(time))]
@@ -66,7 +65,9 @@ def test_a_missed_burn_is_what_a_whole_one_lacks():
     mission, burns = plan.mission, plan.burns_m_s
     time = np.array([mission.scenario.burns.times_s[1]])
     flown = Flyer(mission, burns).fly_block(time, 0, flights=5)
-    missed, half = states_after(FlightConfig(mission, burns), [Miss(2), Miss(2, 0.5)], 5)
+    config = FlightConfig(mission, burns)
+    misses = [Miss(2), Miss(2, 0.5)]
+    missed, half = states_after(config, misses, config.blocks_of_draws(5, config.seed))
     np.testing.assert_allclose(flown.states[0, :, :3], missed[:, :3])
     np.testing.assert_allclose(flown.states[0, :, 3:] - missed[:, 3:], flown.burns_m_s[:, 1])
     np.testing.assert_allclose(flown.states[0, :, 3:] - half[:, 3:], flown.burns_m_s[:, 1] / 2)
