@@ -2,9 +2,9 @@
 
     Sigma_{k+1} = A_k Sigma_k A_k' + B C(dv_i) C(dv_i)' B'
 
-with the columns C of a burn's errors (`execution_errors`, here over CasADi's symbols). Each node has a
-vector of entries, after the burn if one falls on the node; the columns that all burns share stay
-columns. An arc carries the entries, a burn adds its `kick`.
+with the columns C of a burn's errors (`execution_errors`, here over CasADi's symbols). Either form
+has a vector of entries at each node, after the burn if one falls on the node, and keeps the columns
+that all burns share as columns. An arc carries the entries, and a burn adds its `kick`.
 """
 
 from __future__ import annotations
@@ -29,30 +29,31 @@ def root(square: ca.MX) -> ca.MX:
 
 
 class Covariance:
-    """Sigma by entries: all 36, as in the paper, or the 21 unique ones.
+    """Sigma by entries: all 36 in the problem's units, as printed; or 21 in those of the initial one.
 
-    Entries are in units of a standard deviation `unit`, squared. Only feasibility keeps an iterate
-    positive semidefinite.
+    These are the unique entries, over the square of `initial_deviation`. Only feasibility keeps an
+    iterate positive semidefinite.
     """
 
-    def __init__(self, problem: FlybyProblem, *, unique: bool, unit: float = 1.0) -> None:
-        self._errors, self._unit = problem.execution_errors, unit
+    def __init__(self, problem: FlybyProblem, *, printed: bool) -> None:
+        self._errors = problem.execution_errors
+        self._unit = 1.0 if printed else initial_deviation(problem)
         self._shared, self._initial_columns = self._errors.shared, problem.initial_factor.shape[1]
         # Entry of each element, and the element that each entry is read from.
         self._entry = np.arange(36).reshape(6, 6)
         self._element = np.divmod(np.arange(36), 6)
-        if unique:
+        if not printed:
             self._element = np.triu_indices(6)
             self._entry[self._element] = np.arange(21)
             self._entry.T[self._element] = np.arange(21)
 
     @property
     def size(self) -> int:
-        """Number of entries of a node; six more per shared column."""
+        """Number of entries, the same at all nodes; six more per shared column."""
         return len(self._element[0]) + 6 * self._shared
 
     def carry(self, stm: ca.SX, entries: ca.SX) -> ca.SX:
-        """Entries at the end of an arc with an STM A (6, 6): A Sigma A', and A times shared columns."""
+        """Entries at the end of an arc with an STM A: of A Sigma A', and A times shared columns."""
         before = ca.reshape(entries[self._entry.ravel().tolist()], 6, 6).T
         after = stm @ before @ stm.T
         carried = (after[int(i), int(j)] for i, j in zip(*self._element, strict=True))
@@ -71,14 +72,17 @@ class Covariance:
         return ca.vertcat(*entries, ca.vec(shared))
 
     def pack(self, factor: Array) -> Array:
-        """Entries from a factor S (6, c): S S' of columns that burns do not share, then the others."""
+        """Entries of a factor (6, c): of S S' of columns that burns do not share, then the shared."""
         first = self._initial_columns
         shared = factor[:, first : first + self._shared]
         covariance = factor @ factor.T - shared @ shared.T
         return np.r_[covariance[self._element] / self._unit**2, shared.T.ravel() / self._unit]
 
     def deviation(self, normal: Array, entries: ca.MX) -> ca.MX:
-        """Standard deviations of the position along the rows a of `normal` (m, 3), shape (m,)."""
+        """Standard deviations of the position along rows of `normal` (m, 3), shape (m,).
+
+        Roots of a'Sigma a, in which the entries of the covariance are linear.
+        """
         count = len(self._element[0])
         weights = np.zeros((len(normal), count))
         for i, j in np.ndindex(3, 3):

@@ -11,7 +11,6 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import casadi as ca
 import numpy as np
@@ -35,7 +34,6 @@ from formulations.problem.facets import Facets
 from formulations.problem.flyby import NO_TIMES, FlybyProblem
 from formulations.rows.cones import PARTS
 
-ArcStyle = Literal["called", "mapped", "differentiated"]
 WAVES = 8
 """Waves of a home orbit by phase, with the mean: a circle has one, its states' squares two."""
 
@@ -45,37 +43,34 @@ class MultipleShooting:
     """A transcription; see `program.Transcription`.
 
     Attributes:
-        spread: the form of the covariance.
-        arcs: one call per arc; or one map over all of them; or that with first and second
-            derivatives formed arc by arc, not by CasADi's sweeps through the whole.
-        printed: cones as the paper prints them, by ratios, unless violations are weighed.
-        whole: carry the spread to the last node, not only to the last node with a facet.
+        printed: as the paper prints it: all entries of the covariance, carried to the last node; cones
+            by ratios, unless violations are weighed; and one call per arc. Else the unique entries,
+            carried to the last node with a facet; cones by distances; and one map over all arcs, whose
+            derivatives of both orders are formed arc by arc, not by CasADi's sweeps through the whole.
     """
 
-    spread: Callable[[FlybyProblem], Covariance]
-    arcs: ArcStyle
-    printed: bool = False
-    whole: bool = False
+    printed: bool
 
     def __call__(
         self, problem: FlybyProblem, arcs: Arcs, facets: Facets | None, start: Start, elastic: bool
     ) -> Program:
         """Write the program down."""
         # Without a facet there is nothing to spread for.
-        spread = self.spread(problem) if facets is not None and len(facets.node) else None
-        layout = _layout(problem, spread, None if facets is None or self.whole else facets.node)
+        uncertain = facets is not None and len(facets.node)
+        spread = Covariance(problem, printed=self.printed) if uncertain else None
+        layout = _layout(problem, spread, None if facets is None or self.printed else facets.node)
         x = ca.MX.sym("x", layout.total)
         burns = ca.reshape(x[: 3 * problem.n_burns], 3, problem.n_burns)
         node = [x[int(o) : int(o + s)] for o, s in zip(layout.start, layout.size, strict=True)]
         mean = ca.horzcat(*(y[:6] for y in node))
         groups = [_Group(layout, arcs, spread, first, last) for first, last in layout.groups()]
-        ends = _stack(layout, groups, x, mapped=self.arcs != "called")
+        ends = _stack(layout, groups, x, mapped=not self.printed)
         smooth = _burn_part(problem, spread, layout, burns) - x[3 * problem.n_burns :]
         own = None
-        if self.arcs == "differentiated":
-            own = _differentiated(layout, groups, x, ends)
-        else:
+        if self.printed:
             smooth += ends
+        else:
+            own = _differentiated(layout, groups, x, ends)
         deviation = None
         if spread is not None and facets is not None:
             deviation = deviations(spread, facets, node)
@@ -227,8 +222,7 @@ def _burn_part(
     given = np.zeros(layout.size[0])
     given[:6] = problem.initial_state
     if spread is not None:
-        entries = spread.pack(problem.first_factor)
-        given[6 : 6 + len(entries)] = entries
+        given[6:] = spread.pack(problem.first_factor)
     parts[0] += given
     return ca.vertcat(*parts)
 

@@ -21,7 +21,6 @@ import casadi as ca
 import numpy as np
 
 from formulations.arrays import Array
-from formulations.nlp.covariance import Covariance, initial_deviation
 from formulations.nlp.program import Arcs, Assembled, NlpRows, Start, Transcription, assemble
 from formulations.nlp.shooting import MultipleShooting, SingleShooting
 from formulations.problem.facets import Facets
@@ -207,26 +206,14 @@ class Variant:
         return self.transcription, self.p2 if uncertain else self.p3
 
 
-def paper_covariance(problem: FlybyProblem) -> Covariance:
-    """All 36 entries, in the problem's units."""
-    return Covariance(problem, unique=False)
-
-
-def scaled_covariance(problem: FlybyProblem) -> Covariance:
-    """The 21 unique entries, in units of the initial variance."""
-    return Covariance(problem, unique=True, unit=initial_deviation(problem))
-
-
 VARIANTS: dict[str, Variant] = {
     "printed": Variant(
-        MultipleShooting(paper_covariance, arcs="called", printed=True, whole=True),
+        MultipleShooting(printed=True),
         p3=Settings(),
         p2=Settings(),
         screened=False,
     ),
-    "tuned": Variant(
-        MultipleShooting(scaled_covariance, arcs="differentiated"), p3=EXACT, p2=EXACT
-    ),
+    "tuned": Variant(MultipleShooting(printed=False), p3=EXACT, p2=EXACT),
     "shooting": Variant(SingleShooting(), p3=EXACT, p2=QUASI_NEWTON),
 }
 """Variants: the problems as the paper prints them, as an expert would pose them, with few unknowns."""

@@ -15,7 +15,7 @@ from scipy.spatial import KDTree
 from formulations.arrays import Array
 from scp_recon.bodies.catalogue import DAY_S
 from scp_recon.bodies.shape_file import read_shape
-from scp_recon.bodies.surface import Ellipsoid, Mesh, Surface, coordinates_of
+from scp_recon.bodies.surface import Ellipsoid, Mesh, Surface, coordinates_of, quartered
 from scp_recon.campaigns.cases import Changes
 from scp_recon.errors import InputError
 from scp_recon.jobs.job import generator
@@ -309,14 +309,6 @@ def parts(surface: Surface, least: int) -> tuple[Array, Array]:
     # An area is r^2 of its solid angle, over the cosine between normal and direction.
     areas = np.sum(middles**2, axis=1) / np.sum(directions * normals, axis=1)
     return middles, 4.0 * np.pi / least * areas
-
-
-def quartered(corners: Array) -> Array:
-    """Cut each triangle in four at the middles of its sides: shape (n, 3, 3) to (4 n, 3, 3)."""
-    a, b, c = np.moveaxis(corners, 1, 0)
-    ab, bc, ca = (a + b) / 2.0, (b + c) / 2.0, (c + a) / 2.0
-    found = [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)]
-    return np.concatenate([np.stack(one, axis=1) for one in found])
 
 
 def noons_of(scenario: Scenario) -> Callable[[float], float]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import json
 import signal
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any, get_args
@@ -29,8 +28,6 @@ from formulations.nlp.solve import (
     QUASI_NEWTON,
     VARIANTS,
     NlpOutcome,
-    paper_covariance,
-    scaled_covariance,
     solve_nlp,
 )
 from formulations.problem.controls import Cost
@@ -51,12 +48,6 @@ from scp_recon.scp.status import Status
 from tests.helpers import nightly, share_of_examples, usually
 from tests.oracles.closed_loop import solve_corrected
 from tests.scenarios import COARSE
-
-SPREADS: dict[str, Callable[[FlybyProblem], Covariance]] = {
-    "36 entries": paper_covariance,
-    "21 entries": lambda problem: Covariance(problem, unique=True),
-    "21 entries scaled": scaled_covariance,
-}
 
 
 @dataclass(frozen=True)
@@ -149,12 +140,12 @@ def test_casadi_flies_the_planners_arcs(coarse):
 
 
 @pytest.mark.parametrize("seed", usually(range(3), 1))
-@pytest.mark.parametrize("style", ["called", "mapped", "differentiated"])
-def test_p3_has_the_rows_of_the_convex_side(coarse, style, seed):
+@pytest.mark.parametrize("printed", [True, False])
+def test_p3_has_the_rows_of_the_convex_side(coarse, printed, seed):
     """Also of a burn that is held, and of one that is raised."""
     lin = coarse.near(seed)
     problem = replace(coarse.problem, held=(1,), raised=(2,), dv_min=0.02)
-    transcription = MultipleShooting(scaled_covariance, style)
+    transcription = MultipleShooting(printed)
     start = Start(lin.iterate, lin.factor)
     program = transcription(problem, coarse.arcs, None, start, True)
     rows = program.residuals(program.start)
@@ -164,18 +155,18 @@ def test_p3_has_the_rows_of_the_convex_side(coarse, style, seed):
 
 
 @pytest.mark.parametrize("seed", usually(range(3), 1))
-@pytest.mark.parametrize("spread", SPREADS)
-def test_p2_has_the_rows_of_the_convex_side(coarse, spread, seed):
-    lin, problem = coarse.near(seed), coarse.problem
-    transcription = MultipleShooting(SPREADS[spread], "mapped", whole=True)
-    program = coarse.program(transcription, coarse.p2.facets, lin)
+@pytest.mark.parametrize("printed", [True, False])
+def test_p2_has_the_rows_of_the_convex_side(coarse, printed, seed):
+    lin, problem, facets = coarse.near(seed), coarse.problem, coarse.p2.facets
+    program = coarse.program(MultipleShooting(printed), facets, lin)
     rows = program.residuals(program.start)
     # Row by row the mean's defects; the spread that goes with the iterate has none.
-    expected, size = [], SPREADS[spread](problem).size
+    size, expected = Covariance(problem, printed=printed).size, []
+    last = problem.n_nodes - 1 if printed else facets.node.max()
     first = np.r_[problem.initial_state - lin.iterate.mean[0]]
     first[3:] += lin.iterate.burns[0]
-    for defect in (first, *lin.defects[:-1]):
-        expected += [defect, np.zeros(size)]
+    for node, defect in enumerate([first, *lin.defects[:-1]]):
+        expected += [defect, np.zeros(size if node <= last else 0)]
     assert rows.pop("arcs") == within(np.concatenate(expected))
     _check_rows(_every_facet(coarse), lin, rows)
 
@@ -243,13 +234,13 @@ def test_p3_as_printed_bounds_the_same_sets(coarse, seed):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("spread", usually(["21 entries scaled", "36 entries"], 1))
-def test_derivatives_by_arc_are_those_of_the_whole(coarse, spread):
-    lin = coarse.near(5)
-    by_arc, whole = (
-        assemble(coarse.program(MultipleShooting(SPREADS[spread], style), coarse.facets, lin), 10.0)
-        for style in ("differentiated", "mapped")
-    )
+def test_derivatives_by_arc_are_those_of_the_whole(coarse):
+    program = coarse.program(MultipleShooting(printed=False), coarse.facets, coarse.near(5))
+    assert program.mapped is not None
+    arcs, *others = program.blocks
+    arcs = replace(arcs, value=arcs.value + program.mapped.value)
+    by_arc = assemble(program, 10.0)
+    whole = assemble(replace(program, blocks=(arcs, *others), mapped=None), 10.0)
     assert by_arc.jacobian is not None
     assert by_arc.hessian is not None
     x, rng = whole.unknowns, np.random.default_rng(5)
