@@ -255,17 +255,6 @@ def test_derivatives_by_arc_are_those_of_the_whole(coarse):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", usually(["tuned", "shooting", "quasi-Newton"], 1))
-def test_ipopt_and_scp_find_the_same_p2(coarse, name):
-    variant = VARIANTS.get(name) or replace(VARIANTS["tuned"], p2=QUASI_NEWTON)
-    start = coarse.start(coarse.p3)
-    result = solve_nlp(coarse.problem, coarse.arcs, coarse.facets, start, variant)
-    assert result.outcome is NlpOutcome.SOLVED or variant.p2 is QUASI_NEWTON, result.status
-    expected = coarse.p2.result.lin.iterate.total_dv
-    assert result.iterate.total_dv == pytest.approx(expected, rel=1e-4)
-
-
-@pytest.mark.slow
 def test_ipopt_and_scp_agree_on_infeasible_merit(infeasible):
     stage, start, weight = infeasible.p2, infeasible.start(infeasible.p3), 1_000.0
     assert stage.result.status is Status.INFEASIBLE

@@ -277,14 +277,3 @@ def test_smaller_balls_lead_a_drift_out_of_one():
     radii = [spec.rows.problem.drifts[0].keep_out[0].radius for spec in (*grown, last)]
     assert [spec.name for spec in grown] == ["P2.grown"] * 3
     np.testing.assert_allclose(radii, np.array([*GROWN, 1.0]) * radii[-1])
-
-
-@nightly
-def test_both_formulations_find_one_plan_with_drifts():
-    entries = (COARSE, MISSED, "polytopes.ball='tangent'")
-    mission = Mission.from_scenario(load_scenario(None, entries))
-    plans = [
-        Planner(mission, formulation=name).plan(initial_guess.cold(mission))
-        for name in ("condensed", "lifted")
-    ]
-    assert plans[1].total_dv_m_s == pytest.approx(plans[0].total_dv_m_s, rel=1e-5)

@@ -10,14 +10,13 @@ import scp_recon as sr
 from scp_recon.advice.infeasibility import Diagnosis
 from scp_recon.api.keeping import UNVERIFIED, check_holds, keep, run_folder
 from scp_recon.cli import plan_run
-from scp_recon.cli.commands import compare, export, montecarlo, report, simulate, solve, verify
+from scp_recon.cli.commands import compare, montecarlo, solve, verify
 from scp_recon.errors import InputError
 from scp_recon.files import only_run_in
 from scp_recon.monte_carlo.summary import FILE_NAME, read_summary
 from scp_recon.results.read import read_solution
 from scp_recon.results.solution import Solution
 from scp_recon.scp.status import Status
-from tests.helpers import usually
 from tests.scenarios import COARSE
 from tests.scp_recon.support import run_solve
 
@@ -103,37 +102,6 @@ def test_results_beside_another_plan_are_refused(verified, tmp_path):
     another(verified).write(tmp_path)
     with pytest.raises(InputError, match="holds another plan"):
         check_holds(tmp_path, verified, "--out")
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("command", "name", "options"),
-    usually(
-        [
-            (montecarlo, FILE_NAME, ("--samples", "40")),
-            (export, "", ("--format", "csv")),
-            (export, "", ("--format", "parquet")),
-            (export, "", ("--format", "oem")),
-            (export, "", ("--format", "spk")),
-            (report, "report.html", ()),
-            (simulate, "simulation.npz", ()),
-        ],
-        3,
-    ),
-)
-def test_files_of_others_are_never_overwritten(verified, tmp_path, capsys, command, name, options):
-    """The program's own are, and the same name with anything else in it is refused."""
-    if command is simulate:
-        pytest.importorskip("Basilisk")
-    verified.write(tmp_path)
-    for _ in range(2):
-        assert command.main([str(tmp_path), *options]) in (0, 4)
-    (mine, *_) = [tmp_path / name] if name else sorted((tmp_path / "export").iterdir())
-    mine.write_text("mine")
-    capsys.readouterr()
-    assert command.main([str(tmp_path), *options]) == 2
-    assert "must be a new file, or one that this command wrote" in capsys.readouterr().err
-    assert mine.read_text() == "mine"
 
 
 def test_second_run_into_a_folder_is_refused(tmp_path):

@@ -4,7 +4,6 @@ import re
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -13,8 +12,6 @@ from scp_recon.advice import infeasibility
 from scp_recon.api import planning
 from scp_recon.planning import planner, stages
 from scp_recon.results.read import read_solution
-from scp_recon.scp.algorithms import SCvx
-from scp_recon.scp.loop import Record, State
 from scp_recon.scp.status import Status
 from tests.scenarios import COARSE
 from tests.scp_recon.support import raising, run_solve
@@ -84,15 +81,6 @@ def test_scenario_of_a_start_may_be_overridden(tmp_path):
     assert "mine" in again.output
 
 
-def test_solution_file_of_any_name_is_a_start(default_run, tmp_path):
-    first, renamed = read_solution(default_run.folder), tmp_path / "best.txt"
-    renamed.write_bytes((default_run.folder / "solution.json").read_bytes())
-    assert run_solve(tmp_path / "out", "--init", str(renamed)).exit_code == 0
-    solution = read_solution(tmp_path / "out")
-    assert solution.total_dv_m_s == pytest.approx(first.total_dv_m_s, rel=1e-4)
-    assert (solution.scenario, solution.init) == (first.scenario, str(renamed))
-
-
 def test_infeasible_plan_names_violated_constraints(tmp_path, monkeypatch):
     monkeypatch.setattr(infeasibility, "LEAST_S", 0.5)
     words = ("--set", "burns.dv_max_m_s=0.02", "--set", COARSE, "--starts", "1")
@@ -108,31 +96,6 @@ def test_infeasible_plan_names_violated_constraints(tmp_path, monkeypatch):
         assert any({name, f"{amount.max:.6g}", amount.unit} <= {*line.split()} for line in lines), (
             name
         )
-
-
-def test_ctrl_c_keeps_best_iterate_as_a_start(tmp_path, monkeypatch):
-    calls, original = iter(range(1, 1000)), SCvx.step
-
-    def step(self: SCvx, *arguments: Any) -> tuple[State, Record]:
-        if next(calls) == 4:
-            raise KeyboardInterrupt
-        return original(self, *arguments)
-
-    monkeypatch.setattr(SCvx, "step", step)
-    run = run_solve(tmp_path, "--init", "cold", "--set", COARSE)
-    assert run.exit_code == 130
-    assert "Traceback" not in run.errors
-    solution = read_solution(tmp_path)
-    assert solution.status == "interrupted"
-    assert len(solution.iterations) == 3
-    merits = [iteration.merit for iteration in solution.iterations]
-    assert merits[-1] == min(merits)
-    assert solution.stages[-1].total_dv_m_s == pytest.approx(solution.total_dv_m_s)
-    assert "Interrupted" in run.output
-    assert "solution.json" in run.output.replace("\n", "")
-    monkeypatch.undo()
-    assert run_solve(tmp_path, "--init", str(tmp_path / "solution.json")).exit_code == 0
-    assert read_solution(tmp_path).status == "converged"
 
 
 @pytest.mark.parametrize(

@@ -217,11 +217,6 @@ def tame() -> Solution:
     return short_plan(mission_of(*SHORT))
 
 
-@pytest.fixture(scope="module")
-def short_config(tame) -> FlightConfig:
-    return FlightConfig(tame.mission, tame.burns_m_s, seed=3)
-
-
 def test_second_ctrl_c_ends_at_once():
     with asked_to_stop() as stop:
         assert not stop()

@@ -65,21 +65,6 @@ def test_free_times_save_and_keep_all_rules(fixed, free):
     make_schedule(tuple(times), fixed.mission.schedule.window_s, scenario.schedule)
 
 
-def test_multipliers_of_rules_tell_what_time_saves(fixed, free):
-    """A later earliest time costs what the multiplier says; and the conditions of optimality hold."""
-    merit, lin, unit = free.merit, free.result.lin, fixed.mission.units
-    prices = multipliers(merit.problem, merit.rows, lin)
-    assert slope_left(merit.problem, merit.rows, lin, prices) < 1e-5
-    firing = lin.problem.firing
-    assert firing is not None
-    own = dict(zip(firing.names, prices[-len(firing.names) :], strict=True))
-    first = own["burn 2 at least 6600 s after burn 1"]
-    assert first > 0.0
-    later = freed(fixed, with_free_times(fixed.mission, times_s(fixed, free)[1] + 20.0))
-    dearer = later.result.lin.cost.value - lin.cost.value
-    assert dearer == pytest.approx(first * 20.0 / unit.time_s, rel=0.02)
-
-
 @pytest.mark.slow
 def test_lifted_form_has_the_same_optimum(fixed, free):
     other = freed(fixed, with_free_times(fixed.mission), "lifted")
@@ -115,18 +100,6 @@ def test_given_times_are_no_controls(fixed):
     assert replace(fixed.mission, firing_spans_s=spans).problem.firing is None
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("scope", "most"), [("node", 0.1100), ("flight", 0.1098)])
-def test_exact_risk_takes_free_times(scope, most):
-    mission = mission_of('risk.allocation="exact"', f'risk.scope="{scope}"', "risk.p_chance=0.9")
-    plan = from_cold(mission)
-    stage = freed(plan, with_free_times(mission))
-    assert stage.result.status is Status.CONVERGED
-    speed = mission.units.speed_m_s
-    assert stage.result.lin.cost.value * speed < min(most, plan.total_dv_m_s)
-    assert np.all(stage.result.lin.problem.firing.slack(stage.result.lin.iterate.times) > -1e-6)
-
-
 MEASURED = (
     'policy.kind="feedback"',
     "navigation.sigma_position_m=10",
@@ -158,23 +131,23 @@ def test_cut_offs_move_along_with_their_burns(corrected, moved):
     )
 
 
-def test_multipliers_with_gains_tell_what_time_saves(corrected, moved):
-    merit, lin = moved.merit, moved.result.lin
+@pytest.mark.parametrize(("gains", "left", "off"), [(False, 1e-5, 0.02), (True, 2e-3, 0.04)])
+def test_multipliers_of_rules_tell_what_time_saves(gains, left, off, request):
+    """A later earliest time costs what the multiplier says; and the conditions of optimality hold."""
+    plan, stage = map(
+        request.getfixturevalue, ("corrected", "moved") if gains else ("fixed", "free")
+    )
+    merit, lin = stage.merit, stage.result.lin
     prices = multipliers(merit.problem, merit.rows, lin)
-    assert slope_left(merit.problem, merit.rows, lin, prices) < 2e-3
+    assert slope_left(merit.problem, merit.rows, lin, prices) < left
     names = lin.problem.firing.names
-    own = dict(zip(names, prices[-len(names) :], strict=True))
-    first = own["burn 2 at least 6600 s after burn 1"]
-    later = freed(corrected, with_free_times(corrected.mission, 6621.0))
+    first = dict(zip(names, prices[-len(names) :], strict=True))[
+        "burn 2 at least 6600 s after burn 1"
+    ]
+    assert first > 0.0
+    later = freed(plan, with_free_times(plan.mission, times_s(plan, stage)[1] + 20.0))
     dearer = later.result.lin.cost.value - lin.cost.value
-    unit = corrected.mission.units.time_s
-    assert dearer == pytest.approx(first * 20.0 / unit, rel=0.04)
-
-
-@nightly
-def test_lifted_form_has_the_same_optimum_with_gains(corrected, moved):
-    other = freed(corrected, with_free_times(corrected.mission), "lifted")
-    assert other.result.lin.cost.value == pytest.approx(moved.result.lin.cost.value, rel=1e-5)
+    assert dearer == pytest.approx(first * 20.0 / plan.mission.units.time_s, rel=off)
 
 
 def test_burns_stay_whose_cut_offs_have_no_room():
@@ -219,12 +192,15 @@ def test_data_of_contacts_stay_where_they_are():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("scope", ["node", "flight"])
-def test_exact_risk_with_gains_takes_free_times(scope):
+@pytest.mark.parametrize(
+    ("policy", "share"), [((), 0.9995), ((*MEASURED, "navigation.lead_s=0"), 0.9985)]
+)
+def test_exact_risk_takes_free_times(scope, policy, share):
     exact = ('risk.allocation="exact"', f'risk.scope="{scope}"', "risk.p_chance=0.9")
-    plan = from_cold(mission_of(*MEASURED, *exact, "navigation.lead_s=0"))
+    plan = from_cold(mission_of(*policy, *exact))
     stage = freed(plan, with_free_times(plan.mission))
     assert stage.result.status is Status.CONVERGED
-    assert stage.result.lin.cost.value < 0.9985 * plan.final.result.lin.cost.value
+    assert stage.result.lin.cost.value < share * plan.final.result.lin.cost.value
     assert np.all(stage.result.lin.problem.firing.slack(stage.result.lin.iterate.times) > -1e-6)
 
 

@@ -22,7 +22,7 @@ from scp_recon.scp.algorithms import SCvx
 from scp_recon.scp.loop import Record, run
 from scp_recon.scp.status import Status
 from scp_recon.verification.reintegration import verify
-from tests.helpers import near_from, nightly, usually
+from tests.helpers import near_from, usually
 from tests.scenarios import COARSE
 from tests.scp_recon.support import flight_beyond, from_cold, mission_of, sigma_of
 
@@ -153,32 +153,6 @@ def test_lifted_and_condensed_agree_at_convergence(coarse_plan, at_nodes, kind):
     assert [one.status for one in found] == 2 * [Status.CONVERGED]
     ours, theirs = (one.lin.iterate.total_dv for one in found)
     assert ours == pytest.approx(theirs, rel=1e-6)
-
-
-@nightly
-@pytest.mark.parametrize(
-    ("risk", "off"),
-    [
-        ([], 5e-6),
-        (["risk.allocation=exact", "risk.p_chance=0.9"], 5e-6),
-        (["risk.allocation=exact", "risk.scope=flight", "risk.p_chance=0.95"], 2e-5),
-    ],
-)
-def test_lifted_and_condensed_agree_with_corrected_burns(risk, off):
-    """On few nodes, with facets and exact risk; that of whole flights, by directions, has kinks."""
-    navigation = ("sigma_position_m=10", "sigma_velocity_m_s=0.0005", "lead_s=0")
-    mission = mission_of(
-        "grid.step_max_s=2000.0",
-        "policy.kind=feedback",
-        *(f"navigation.{entry}" for entry in navigation),
-        *risk,
-    )
-    cold = initial_guess.cold(mission)
-    found = [plan(mission, cold, formulation=name) for name in ("lifted", "condensed")]
-    assert [one.status for one in found] == 2 * [Status.CONVERGED]
-    ours, theirs = (one.final.result.lin for one in found)
-    assert ours.iterate.gains.any()
-    assert ours.cost.value == pytest.approx(theirs.cost.value, rel=off)
 
 
 def test_planning_again_is_the_same_silent_and_observed(mission, default_plan, capfd):
