@@ -21,10 +21,9 @@ from formulations.linearisation.linearisation import Linearisation
 from formulations.nlp import solve
 from formulations.nlp.covariance import Covariance
 from formulations.nlp.program import Arcs, Program, Start, Transcription, assemble
-from formulations.nlp.shooting import MultipleShooting, SingleShooting
+from formulations.nlp.shooting import MultipleShooting
 from formulations.nlp.solve import (
     EXACT,
-    FROM_NEAR,
     QUASI_NEWTON,
     VARIANTS,
     NlpOutcome,
@@ -171,14 +170,6 @@ def test_p2_has_the_rows_of_the_convex_side(coarse, printed, seed):
     _check_rows(_every_facet(coarse), lin, rows)
 
 
-@pytest.mark.parametrize("seed", usually(range(3), 1))
-def test_single_shooting_has_the_rows_of_the_convex_side(coarse, seed):
-    lin = coarse.near(seed, flown=True)
-    program = coarse.program(SingleShooting(), coarse.p2.facets, lin)
-    assert program.iterate(program.start).mean == within(lin.iterate.mean)
-    _check_rows(_every_facet(coarse), lin, program.residuals(program.start))
-
-
 def _every_facet(case: Case) -> ChanceRows:
     facets = case.p2.facets
     assert facets is not None
@@ -302,14 +293,6 @@ def test_ipopt_and_scp_find_the_same_plan(coarse, variant, capfd):
     assert p3 == pytest.approx(coarse.p3.result.lin.iterate.total_dv, rel=1e-4)
 
 
-NAVIGATED = (
-    'policy.kind="feedback"',
-    "navigation.lead_s=0",
-    "navigation.sigma_position_m=10",
-    "navigation.sigma_velocity_m_s=0.0005",
-)
-
-
 def navigated(seed: int) -> tuple[str, ...]:
     """A random scenario with uniform risk, navigation and feedback, on few nodes."""
     changes, rng = drawn(seed)[1], np.random.default_rng([seed, 30])
@@ -368,26 +351,6 @@ def test_ipopt_finds_no_better_corrected_burns(seed):
         assert theirs.cost.value == pytest.approx(ours, rel=1e-5)
     elif case.p2.merit.worst_violation(theirs) < 1e-6:
         assert theirs.cost.value > (1.0 - 1e-5) * ours
-
-
-@pytest.mark.slow
-def test_ipopt_starts_from_small_gains():
-    """At zero the cost has a kink. Two iterations, on few nodes."""
-    few = "grid.step_max_s=3000", "burns.times_s=[0.0,8000.0,34842.0]"
-    mission = Mission.from_scenario(load_scenario(None, (*NAVIGATED, *few)))
-    arc, arcs = initial_guess.ballistic(mission), ipopt.casadi_arcs(mission.flow)
-    start = Start(arc, mission.dynamics.linearise(mission.problem, arc).factor)
-    brief = replace(FROM_NEAR, max_iterations=2)
-    iterate, outcome = solve_corrected(mission.problem, arcs, None, start, brief)
-    assert outcome is NlpOutcome.LIMIT
-    assert iterate.gains.any()
-
-
-@pytest.mark.parametrize("variant", VARIANTS)
-def test_ipopt_refuses_feedback(variant):
-    mission = Mission.from_scenario(load_scenario(None, (COARSE, *NAVIGATED)))
-    with pytest.raises(InputError, match=r"policy\.kind.*'feedback'"):
-        ipopt.plan(mission, initial_guess.cold(mission), variant=variant)
 
 
 @pytest.mark.slow

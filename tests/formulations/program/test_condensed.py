@@ -108,17 +108,6 @@ def test_an_answer_that_misses_rows_takes_them_in_and_no_others(lin, monkeypatch
     assert step.canonicalise_s == 6.5
 
 
-@pytest.mark.parametrize(("share", "again"), [(0.5, False), (1.5, True)])
-def test_a_row_is_missed_by_more_than_the_solvers_tolerance(lin, share, again):
-    subproblem = Told(lin)
-    room = subproblem.slack(within=[0, 1])
-    room[3] = -share * condensed.MISSED
-    subproblem.told = [subproblem.slack(), room, subproblem.slack()]
-    subproblem.update(lin)
-    subproblem.solve(0.5, 10.0)
-    assert subproblem.attempts == ([[], [3]] if again else [[]])
-
-
 def test_half_of_the_slots_go_to_the_rows_with_the_least_room(lin, monkeypatch):
     """The other half stays free for what the answer misses."""
     monkeypatch.setattr(condensed, "SLOTS", 4)

@@ -19,7 +19,7 @@ from formulations.rows.cones import PARTS, Rows
 from formulations.rows.uniform import ChanceRows, DeterministicRows
 from tests.helpers import constrain, random_flyby, usually
 
-from .support import PENALTIES, alone, charge_for, every_row, minimum, need, small
+from .support import PENALTIES, charge_for, every_row, small
 
 pytestmark = pytest.mark.slow
 
@@ -96,36 +96,6 @@ def test_corrections_are_linearised_as_in_the_condensed_form(seed, name, cost):
     assert theirs.burns == pytest.approx(ours.burns, abs=1e-4)
     if cost != "nominal":  # which hardly tells one gain from another
         assert theirs.gains == pytest.approx(ours.gains, abs=1e-3)
-
-
-@pytest.mark.parametrize("penalty", PENALTIES)
-@pytest.mark.parametrize(
-    ("formulation", "solver"),
-    usually(
-        [
-            ("lifted", "ECOS"),
-            ("condensed", "QOCO"),
-            ("lifted", "CLARABEL"),
-            ("lifted", "QOCO"),
-            ("condensed", "ECOS"),
-        ],
-        3,
-    ),
-)
-def test_conic_solvers_agree(penalty, formulation, solver, monkeypatch):
-    """Built, then updated or built anew."""
-    need(solver)
-    lin = small()
-    rows = every_row(lin, "P2", 4)
-    charge, found = charge_for(penalty, rows, lin), []
-    for form, by in (("condensed", "CLARABEL"), (formulation, solver)):
-        if by == solver and solver in SOLVERS:
-            alone(monkeypatch, solver)
-        subproblem = make_subproblem(lin.problem, rows, form, by, penalty)
-        assert subproblem.rows is rows
-        subproblem.update(lin)
-        found += [minimum(subproblem.solve(radius, charge), lin, charge) for radius in (0.1, 0.5)]
-    assert found[2:] == pytest.approx(found[:2], rel=1e-6, abs=1e-9)
 
 
 def test_clarabels_regularisation_is_what_this_form_needs_and_no_others(monkeypatch):

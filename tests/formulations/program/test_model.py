@@ -33,14 +33,6 @@ KINDS = [*itertools.product(FORMULATIONS, ("P3", "P2"), PENALTIES)]
 CASES = usually(KINDS[::3] + KINDS[1::3] + KINDS[2::3], len(KINDS) // 3)
 
 
-def elsewhere(lin: Linearisation) -> Linearisation:
-    """The same arcs around other burns and means."""
-    rng = np.random.default_rng(11)
-    burns = lin.iterate.burns + 0.1 * rng.normal(size=lin.iterate.burns.shape)
-    mean = lin.iterate.mean + 0.05 * rng.normal(size=lin.iterate.mean.shape)
-    return Linearisation(lin.problem, replace(lin.iterate, burns=burns, mean=mean), lin.arcs)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(("formulation", "name", "penalty"), CASES)
 @settings(max_examples=share_of_examples(250, usual=1))
@@ -63,27 +55,6 @@ def test_the_program_has_the_solution_of_the_one_said_plainly(formulation, name,
     assert minimum(step, lin, charge) == pytest.approx(plain.value, rel=rel, abs=1e-9)
     if penalty != "least":  # whose optimum is a set
         assert step.burns == pytest.approx(plain.burns, abs=1e-3)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("formulation", "name", "penalty"), CASES)
-def test_an_updated_program_is_a_new_one(formulation, name, penalty):
-    """Every parameter is set again: nothing is left of the last iterate, radius and charge."""
-    lin = small()
-    rows, moved = every_row(lin, name, 4), elsewhere(lin)
-    used, fresh = (
-        make_subproblem(lin.problem, rows, formulation, penalty=penalty) for _ in range(2)
-    )
-    used.update(lin)
-    used.solve(0.1, charge_for(penalty, rows, lin, 3.0))
-    charge = charge_for(penalty, rows, lin, 20.0)
-    for subproblem in (used, fresh):
-        subproblem.update(moved)
-    again, new = used.solve(0.5, charge), fresh.solve(0.5, charge)
-    assert again.merit == pytest.approx(new.merit, rel=1e-6, abs=1e-9)
-    if penalty != "least":
-        assert again.burns == pytest.approx(new.burns, abs=1e-3)
-    assert np.abs(again.burns - moved.iterate.burns).max() <= 0.5 + 1e-6
 
 
 @pytest.mark.parametrize("formulation", FORMULATIONS)

@@ -212,13 +212,6 @@ def test_another_that_is_not_installed_is_passed_over(monkeypatch):
         FallbackSolver("CLARABEL").solve(FREE)
 
 
-def test_where_all_fail_their_words_are_the_message(monkeypatch):
-    for error in (ValueError("x"), ZeroDivisionError("x"), Panic("x")):
-        script(monkeypatch, [error, error], [ValueError("y")])
-        with pytest.raises(ValueError, match=r"^x; y$"):
-            FallbackSolver("CLARABEL").solve(FREE)
-
-
 @pytest.mark.parametrize("error", [KeyboardInterrupt, MemoryError])
 def test_what_is_no_fault_of_the_solver_goes_through(error, monkeypatch):
     script(monkeypatch, [error(), GOOD], [GOOD])

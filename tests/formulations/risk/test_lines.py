@@ -135,26 +135,6 @@ def test_segments_are_where_all_limits_hold_and_name_those_that_end_them(rng, in
         np.testing.assert_array_equal(named, values[met])
 
 
-def test_a_line_that_meets_nothing_is_kept_whole():
-    nothing = np.zeros((0, 2)), np.zeros((0, 2))
-    found = kept_segments(nothing, chords(nothing))
-    np.testing.assert_array_equal(found.line, [0, 1])
-    assert np.all(found.low == -np.inf)
-    assert np.all(found.high == np.inf)
-    assert np.all(found.low_limit == -1)
-    assert np.all(found.high_limit == -1)
-
-
-def test_keep_outs_that_touch_or_overlap_leave_nothing_between():
-    none = np.zeros((0, 1)), np.zeros((0, 1))
-    out = np.array([[0.0], [1.0], [0.5]]), np.array([[1.0], [3.0], [2.0]])
-    found = kept_segments(none, chords(out))
-    np.testing.assert_array_equal(found.low, [-np.inf, 3.0])
-    np.testing.assert_array_equal(found.high, [0.0, np.inf])
-    np.testing.assert_array_equal(found.high_limit[0], 0)
-    np.testing.assert_array_equal(found.low_limit[1], 1)
-
-
 LINES = 4096
 
 
@@ -166,13 +146,6 @@ def test_even_directions_are_unit_vectors_spread_evenly(dimension):
     np.testing.assert_allclose(np.linalg.norm(u, axis=1), 1.0, rtol=1e-12)
     np.testing.assert_allclose(u.mean(axis=0), 0.0, atol=2e-3)
     np.testing.assert_allclose(u.T @ u / LINES, np.eye(dimension) / dimension, atol=5e-3)
-
-
-def test_directions_are_the_same_for_everyone():
-    for part in range(2):
-        few, many = sphere_directions(64, 5)[part], sphere_directions(128, 5)[part]
-        np.testing.assert_array_equal(few, sphere_directions(64, 5)[part])
-        np.testing.assert_array_equal(few, many[:64])
 
 
 def failing(directions: Directions, away: float) -> np.ndarray:

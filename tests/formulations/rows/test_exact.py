@@ -228,14 +228,6 @@ def test_asking_more_leaves_less_by_the_difference_of_quantiles(scope):
     np.testing.assert_allclose(apart, 1.6448536269514722 - 0.8416212335729143, rtol=1e-9)
 
 
-def test_rows_look_at_all_nodes_of_their_events():
-    mission, lin = flown("node")
-    rows = NodeRows(mission.problem, 0.9)
-    assert rows.count == sum(len(event.nodes) for event in rows.events)
-    assert list(rows.margins(lin)) == [event.name for event in rows.events]
-    np.testing.assert_array_equal(rows.nodes, np.arange(mission.problem.n_nodes))
-
-
 def test_a_burn_that_vanished_with_its_corrections_turns_no_coordinates():
     """Its velocities are all but known from what came before: nearly nothing has any direction."""
     problem = Mission.from_scenario(load_scenario(None, (COARSE,))).problem

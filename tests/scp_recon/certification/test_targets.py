@@ -8,13 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from scp_recon.certification import targets
-from scp_recon.certification.targets import SAVING, Targets, cost_of
-from scp_recon.planning.initial_guess import cold, start_from
-from scp_recon.planning.plan import Plan
-from scp_recon.planning.planner import plan
-from scp_recon.planning.starts import random_flight
+from scp_recon.certification.targets import SAVING, Targets
 from scp_recon.scp.status import Status
-from tests.scp_recon.certification.support import mission_of
 
 FRONTIER = (0.6, 0.9, 0.99)
 
@@ -78,22 +73,3 @@ def test_other_target_leads_where_its_own_ends(monkeypatch, first, then):
     assert work.plan(None, first).status is Status.CONVERGED
     found = work.plan(None, then)
     assert (found.status, found.target) == (Status.CONVERGED, then)
-
-
-@pytest.mark.slow
-def test_frontier_of_real_plans_is_monotone():
-    """The least target starts in the basin of a dear optimum, and ends in that of the others."""
-    mission = mission_of("node")
-    dear = random_flight(mission, 0, 2)
-
-    def make(last: Plan | None, target: float) -> Plan:
-        first = dear if target == FRONTIER[0] else cold(mission)
-        start = first if last is None else start_from(mission, last)
-        return plan(mission, start, target=target, once=True)
-
-    work = Targets(make)
-    found = {target: work.plan(None, target) for target in reversed(FRONTIER)}
-    costs = [cost_of(found[target]) for target in FRONTIER]
-    assert costs == sorted(costs)
-    assert cost_of(work.trials[-2]) > 1.05 * costs[0]
-    assert all(one.target == target for target, one in found.items())

@@ -84,18 +84,6 @@ def test_verdict_has_the_miss_of_one_burn(plan_folder, state_at, tmp_path, capsy
     assert rows["nodes"][-2:] == [f"{limit:.1e}", "m"]
 
 
-def test_covariance_file_has_axes_of_its_own(plan_folder, state_at, tmp_path, capsys):
-    rows = np.diag([100.0, 400.0, 25.0, 1e-8, 1e-8, 1e-8])
-    path, out = tmp_path / "covariance.csv", tmp_path / "again"
-    path.write_text("\n".join(",".join(map(repr, row)) for row in rows.tolist()))
-    words = [str(plan_folder), "--at", "17000", "--state", " ".join(state_at(17_000.0))]
-    more = ["--covariance", str(path), "--covariance-frame", "rtn", "--out", str(out)]
-    assert replan.main([*words, *more]) == 0
-    assert "covariance: got" not in capsys.readouterr().out
-    trace = np.trace(np.array(read_solution(out).nodes.covariance[0])[:3, :3])
-    assert trace == pytest.approx(525.0)
-
-
 def test_advice_to_go_home_is_an_option_of_replan():
     case = Case.__new__(Case)
     found = Remedy(RETURN, {"observation.required": False}, 0.049)

@@ -276,22 +276,6 @@ def test_only_a_large_initial_sigma_is_warned_about(fraction, told, mission):
     assert mission.warnings == ()
 
 
-def test_own_changes_inherit_only_valid_entries(scenario):
-    """Of a body of which nothing is computed, what followed from the change has to be given."""
-    own = file_of(scenario, {"site.normal_body": [0.4, 0.5, 0.7]}, name="Other")
-    with pytest.raises(InputError, match=r"site\.normal_body: got nothing"):
-        own.replace({"site.position_body_m": ELSEWHERE})
-    with pytest.raises(InputError, match=r"sun\.body_position_km: got nothing"):
-        own.replace({"epoch.tdb": LATER})
-
-
-def test_small_moves_keep_the_given_sun_and_normal(scenario):
-    """A metre and forty seconds, in a copied file."""
-    moved = [x + 1.0 for x in scenario.site.position_body_m]
-    near = {"site.position_body_m": moved, "epoch.tdb": "2020-01-21T20:34:00"}
-    assert Mission.from_scenario(file_of(scenario, near)).warnings == ()
-
-
 WHOLE = ("risk.allocation=exact", "risk.scope=flight")
 INSIDE = "{radius_m=250, normal=[1, 0, 0], departure_deg=[160, 160], arrival_deg=[0, 0]}"
 DARK = (

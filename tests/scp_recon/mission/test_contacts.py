@@ -8,7 +8,6 @@ import pytest
 from scp_recon.errors import InputError
 from scp_recon.mission.feedback import contact_of, cut_offs_s
 from scp_recon.mission.mission import Mission
-from scp_recon.monte_carlo.closed_loop import cut_offs_s as planned_again_s
 from scp_recon.monte_carlo.sampling import Flyer
 from scp_recon.results.policy import policy_of
 from scp_recon.results.solution import make_solution
@@ -75,11 +74,6 @@ def test_burns_without_newer_data_are_named():
     assert "burn 3 at 25000 s, which is not corrected" in told
     assert mission.feedback is not None
     assert mission.feedback.burns.tolist() == [1, 3]
-
-
-def test_flights_planned_again_wait_for_contacts():
-    scenario = scenario_with(every_s=9000.0, turnaround_s=3600.0)
-    assert planned_again_s(scenario) == pytest.approx({2: 18_000.0, 3: 27_000.0})
 
 
 @pytest.mark.parametrize(

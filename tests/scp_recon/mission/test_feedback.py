@@ -103,13 +103,6 @@ def test_in_flight_only_future_cut_offs_correct_burns(corrected):
         assert not left.warnings
 
 
-def test_in_flight_no_correction_may_remain(corrected):
-    assert in_flight(corrected.scenario, 26_000.0, flown=3).problem.feedback is None
-    last = corrected.scenario.replace({"boundary.final_sigma_velocity_m_s": 0.01})
-    feedback = in_flight(last, 26_000.0, flown=3).problem.feedback
-    assert feedback.burns.tolist() == [0]
-
-
 def covariances(mission: Mission, measurement: Array | None = None) -> Array:
     """Of what is measured at each cut-off, SI."""
     if measurement is None:

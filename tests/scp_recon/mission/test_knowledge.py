@@ -10,7 +10,6 @@ import pytest
 
 from formulations.arrays import Array
 from formulations.linearisation.adjoint import gradient
-from formulations.linearisation.dynamics import Dynamics
 from formulations.linearisation.linearisation import Linearisation, condense
 from formulations.problem.facets import choose_facets
 from formulations.problem.motion import Motion, relative, with_parameters
@@ -287,16 +286,6 @@ def test_relative_factors_have_the_parameters_rows():
     assert factor.shape[1] == 3 + lin.problem.parameters
     still = relative(None, lin.iterate.mean[:, :3], factor)
     assert np.array_equal(still, lin.factor[:, :3])
-
-
-def test_drifting_dynamics_close_their_defects():
-    """Newton's method of multiple shooting is that of the nominal parameters."""
-    mission = mission_with("field")
-    lin = flown(mission)
-    assert isinstance(mission.dynamics, Dynamics)
-    closed = mission.dynamics.close_defects(lin, lin.iterate.burns + 1e-4)
-    assert closed.is_dynamically_feasible
-    assert closed.spread.factor.shape[1] == 22
 
 
 BAD: dict[str, tuple[Mapping[str, Any], str]] = {

@@ -5,7 +5,7 @@ from datetime import timedelta
 
 import numpy as np
 import pytest
-from hypothesis import example, given
+from hypothesis import given
 from hypothesis import strategies as st
 
 from formulations.arrays import Array
@@ -18,7 +18,6 @@ from scp_recon.mission.windows import (
     each_window,
     moved_edges,
     scan_step_s,
-    whole_windows,
 )
 from scp_recon.physics.two_body import two_body
 from scp_recon.scenario.load import load_scenario
@@ -54,18 +53,6 @@ def test_windows_are_those_of_dense_sampling(terms):
     np.testing.assert_allclose(slack(np.array(edges)), 0.0, atol=1e-7)
 
 
-@given(at=st.floats(100.0, 900.0), width=st.floats(1e-3, 30.0))
-@example(at=100.0, width=1.0)
-def test_a_short_window_between_limits_is_found(at, width):
-    """One limit begins to hold shortly before another ceases to: a corner, not a smooth peak."""
-
-    def slack(t: Array) -> Array:
-        return np.minimum(0.01 * (t - at), 0.03 * (at + width - t))
-
-    (window,) = each_window(slack, (0.0, 1000.0), SCAN_STEP_S)
-    assert window == pytest.approx((at, at + width), abs=1e-5)
-
-
 def test_moved_edges_are_those_of_each_flights_window():
     """A phase of a wave a flight; a flight without such an edge stays within half a window."""
     phases = np.array([-0.2, 0.0, 0.15])
@@ -82,30 +69,12 @@ def test_moved_edges_are_those_of_each_flights_window():
     assert np.abs(never - np.array(window)[:, None]).max() <= half + 1e-6
 
 
-def test_the_ends_of_the_span_cut_windows():
-    slack = waves((1.0, 10_000.0, 0.0))
-    found = list(each_window(slack, (0.0, 20_000.0), SCAN_STEP_S))
-    assert found[0][0] == 0.0
-    assert found[-1][1] == 20_000.0
-    assert len([*whole_windows(found, (0.0, 20_000.0))]) == len(found) - 2 == 1
-    assert [*each_window(np.ones_like, (0.0, 1.0), 20.0)] == [(0.0, 1.0)]
-    assert [*each_window(lambda t: -np.ones_like(t), (0.0, 1.0), 20.0)] == []
-
-
 def test_a_body_turning_too_often_is_refused():
     assert scan_step_s(2.0 * np.pi / 15_466.0, (0.0, 34_842.0)) == SCAN_STEP_S
     assert scan_step_s(0.0, (0.0, 34_842.0)) == SCAN_STEP_S
     assert scan_step_s(-2.0 * np.pi / 1000.0, (0.0, 34_842.0)) == pytest.approx(2.0)
     with pytest.raises(InputError, match="rotation in 1 s"):
         scan_step_s(2.0 * np.pi, (0.0, 34_842.0))
-
-
-def test_first_survey_window_is_the_missions(mission):
-    """But for the curvature of the orbit, which a mission leaves out: 2 ms of time at most."""
-    found = survey(mission.scenario, (0.0, DAY_S))
-    assert found.windows[0].edges_s == pytest.approx(mission.schedule.window_s, abs=0.002)
-    assert found.before == 1
-    assert not found.always
 
 
 def test_survey_windows_are_exactly_the_lit_times(mission):

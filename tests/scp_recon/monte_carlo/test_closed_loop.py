@@ -166,17 +166,6 @@ def test_execution_errors_follow_the_commanded_burn(solution):
     assert np.std(flown.commanded_m_s[:, 1:], axis=0).min() > 1e-3
 
 
-def test_what_policies_store_gives_kalmans_gain(solution):
-    """P R^-1 is the gain of the covariances before the update."""
-    case = case_of(3600.0, solution)
-    units = case.mission.units.state
-    for one, innovation in zip(case.policy, case.lin.spread.innovations, strict=True):
-        gain = np.linalg.solve(innovation.root.T, innovation.gain.T).T
-        np.testing.assert_allclose(
-            one.kalman_gain / units[:, None] * units, gain, rtol=1e-6, atol=1e-9
-        )
-
-
 def test_flights_count_what_corrected_burns_break(solution):
     """Each limit and each burn for itself; a burn beyond its limit is flown as it is commanded."""
     largest = float(np.linalg.norm(solution.burns_m_s[2]))

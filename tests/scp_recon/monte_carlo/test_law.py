@@ -3,7 +3,7 @@
 Of all limits together, and then of each limit at each second by itself.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,7 +11,7 @@ import pytest
 
 from formulations.arrays import Array
 from formulations.problem.regions import Ball
-from formulations.risk.strata import Allocation, Counted, allocate
+from formulations.risk.strata import Allocation, allocate
 from formulations.rows.flight_probability import Limit, Limits
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.estimates import of_strata, proportion
@@ -23,7 +23,6 @@ from scp_recon.monte_carlo.whole_flight import (
     BlockLimits,
     LimitHistory,
     SampledFlights,
-    kept_flights,
     sample_times,
     seconds_of,
 )
@@ -125,30 +124,6 @@ def test_law_has_the_draws_of_flights_in_order(solution, law):
     assert its.margin(draws) == pytest.approx(its.margins_at(flown, draws).min(axis=0), abs=0.02)
 
 
-@pytest.mark.slow
-def test_mission_strata_agree_with_plain_flights(solution, law):
-    mission, its = law
-    flights = SampledFlights(mission, solution.burns_m_s)
-    known = survey(its, flights, SEED)
-    assert 1.0 < known.near < 30.0
-    allocation = allocate(known, 10_000, (0.02, 0.02), 0.025)
-    assert allocation is not None
-    found = fly_strata(its, flights, allocation, SEED)
-    whole = Mission.from_scenario(
-        mission.scenario.replace({"risk.allocation": "exact", "risk.scope": "flight"})
-    )
-    other = kept_flights(whole, solution.burns_m_s, 1_000, seed=12)
-    assert_alike((found.throughout, found.at_nodes), other[:2][::-1])
-
-
-def assert_alike(strata: Sequence[Counted], plain: Sequence[int]) -> None:
-    """What few flights in strata reach, first of whole flights, and how many of a thousand keep."""
-    for one, kept in zip(strata, plain, strict=True):
-        few, many = of_strata(one, 0.99), proportion(kept, 1_000, 0.99)
-        assert max(few.low, many.low) <= min(few.high, many.high)
-    assert sum(strata[0].flown) < 1_500
-
-
 NODES_S = 90.0 * np.arange(NODES)
 SAMPLES_S = np.arange(0.0, NODES_S[-1] + 1.0, 30.0)
 TIMES_S = np.linspace(0.0, NODES_S[-1], PARTS * (len(SAMPLES_S) - 1) + 1)
@@ -244,17 +219,3 @@ def test_history_counts_flights_at_each_second(mission, default_plan):
     assert set(who) == set(np.flatnonzero(~its.kept))
     assert len(seconds_of(mission)["emission"]) == len(every)
     assert set(its.times_s) <= set(sample_times(mission))
-
-
-@pytest.mark.slow
-def test_mission_strata_agree_with_plain_flights_in_time(mission, default_plan):
-    burns = default_plan.burns_m_s
-    laws = Law.of_events(default_plan.final.result.lin, mission.units.length_m)
-    flights = SampledFlights(mission, burns)
-    law, known = survey_in_time(laws, mission.times_s, flights, SEED)
-    assert 1.0 < known.near < 30.0
-    allocation = allocate(known, 10_000, (0.01, 0.01), 0.025, mirrored=True)
-    assert allocation is not None
-    found = fly_in_time(law, flights, seconds_of(mission), allocation, SEED, TAIL)
-    other = kept_flights(mission, burns, 1_000, seed=12)
-    assert_alike((found.throughout, found.at_nodes), other[:2][::-1])

@@ -24,7 +24,6 @@ from scp_recon.planning.plan import StageSpec
 from scp_recon.planning.planner import Plan, Planner, plan
 from scp_recon.planning.stages import Pipeline
 from scp_recon.scenario.load import load_scenario
-from scp_recon.scp.algorithms import ALGORITHMS
 from scp_recon.scp.status import Status
 from tests.helpers import nightly, share_of_examples, usually
 from tests.properties.test_optimality import Values, conditions_of
@@ -87,13 +86,6 @@ def test_other_risk_begins_at_a_plan_s_burns():
     uniform = plan(mission_of(), found("node", 0.9))
     assert uniform.status is Status.CONVERGED
     assert [stage.name for stage in uniform.stages] == ["P3", "P2"]
-
-
-@pytest.mark.parametrize("algorithm", usually(sorted(set(ALGORITHMS) - {"scvx"}), 1))
-def test_all_algorithms_find_the_same(algorithm):
-    other = found("node", 0.9, algorithm)
-    assert other.status is Status.CONVERGED
-    assert other.total_dv_m_s == pytest.approx(found("node", 0.9).total_dv_m_s, rel=1e-4)
 
 
 @settings(

@@ -101,14 +101,6 @@ def test_given_burns_are_rolled_out(mission, default_plan):
     assert np.abs(defects_of(mission, iterate)[:-1]).max() < 1e-9
 
 
-@pytest.mark.parametrize("shape", [(3, 3), (5, 3), (0, 3), (4, 2)])
-def test_other_numbers_of_burns_are_refused(mission, shape):
-    with pytest.raises(InputError) as caught:
-        initial_guess.from_burns(mission, np.zeros(shape))
-    assert caught.value.entry == "init"
-    assert "4" in caught.value.allowed
-
-
 def write(path: Path, times: Array, states: Array, header: tuple[str, ...] = WITH_UNITS) -> Path:
     rows = [",".join(repr(float(x)) for x in (t, *s)) for t, s in zip(times, states, strict=True)]
     path.write_text("\n".join(["# a comment", ",".join(header), *rows]) + "\n", "utf-8")

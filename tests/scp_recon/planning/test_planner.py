@@ -7,22 +7,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from formulations.linearisation.linearisation import Linearisation
 from formulations.problem.flyby import Iterate
 from formulations.registry import make_subproblem
-from formulations.rows.exact import NodeRows
-from formulations.rows.exact_flight import FlightRows
 from formulations.rows.uniform import ChanceRows
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
-from scp_recon.planning.plan import StageSpec
-from scp_recon.planning.planner import Plan, Planner, Stage, plan, screened
+from scp_recon.planning.planner import Plan, Planner, Stage, plan
 from scp_recon.results.solution import make_solution
 from scp_recon.scp.algorithms import SCvx
 from scp_recon.scp.loop import Record, run
 from scp_recon.scp.status import Status
 from scp_recon.verification.reintegration import verify
-from tests.helpers import near_from, usually
 from tests.scenarios import COARSE
 from tests.scp_recon.support import flight_beyond, from_cold, mission_of, sigma_of
 
@@ -116,43 +111,6 @@ def test_facets_wrongly_left_out_are_restored(mission, default_plan, monkeypatch
 
 def ignore(*_: object) -> None:
     pass
-
-
-@pytest.fixture(scope="module")
-def at_nodes() -> tuple[Mission, Linearisation]:
-    """The optimum with exact risk at nodes, 0.88, on few of them."""
-    mission = mission_of("grid.step_max_s=2000.0")
-    planner, cold = Planner(mission), initial_guess.cold(mission)
-    start = planner.plan(cold, problem="P3").final.result.lin
-    rows = NodeRows(mission.problem, 0.88)
-    spec = StageSpec("P2", rows)
-    return mission, planner.solve(spec, start, mission.dynamics, ignore).result.lin
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", usually(["facets", "flight", "node"], 1))
-def test_lifted_and_condensed_agree_at_convergence(coarse_plan, at_nodes, kind):
-    if kind == "facets":
-        mission, start = coarse_plan.mission, coarse_plan.stages[0].result.lin
-        problem, facets = mission.problem, coarse_plan.final.facets
-        rows = ChanceRows(problem, facets, screened(facets, start, mission.clearances[0]))
-        subproblem = make_subproblem(problem, rows, "lifted")
-        lifted = run(subproblem, mission.dynamics, start, SCvx(), ignore)
-        found = [lifted, coarse_plan.final.result]
-    else:
-        mission, start = at_nodes
-        node, flight = NodeRows(mission.problem, 0.9), FlightRows(mission.problem, 0.9, 512, 1e-5)
-        rows = node if kind == "node" else flight
-        found = [
-            Planner(mission, formulation=name)
-            .solve(StageSpec("P2", rows), start, mission.dynamics, ignore)
-            .result
-            for name in ("lifted", "condensed")
-        ]
-        assert found[0].lin.iterate.total_dv > (1.0 + 1e-4) * start.iterate.total_dv
-    assert [one.status for one in found] == 2 * [Status.CONVERGED]
-    ours, theirs = (one.lin.iterate.total_dv for one in found)
-    assert ours == pytest.approx(theirs, rel=1e-6)
 
 
 def test_planning_again_is_the_same_silent_and_observed(mission, default_plan, capfd):
@@ -257,22 +215,3 @@ def test_replan_refuses_p3_other_missions_and_bad_states(mission, default_plan):
     for state in (np.zeros(6), np.full(6, np.nan), np.ones(3), inside):
         with pytest.raises(ValueError, match="an initial state"):
             Planner(mission).replan(default_plan, state)
-
-
-def test_screened_rows_do_not_change_a_stage(mission, default_plan, monkeypatch):
-    """Neither those far from binding at the start nor those that the condensed program leaves out."""
-    facets, start = default_plan.final.facets, default_plan.stages[0].result.lin
-    found = []
-    for near, again in ((0.04, False), (0.04, True), (np.inf, None)):
-        near_from(monkeypatch, near)
-        planner = Planner(mission)
-        if again is None:
-            rows = ChanceRows(mission.problem, facets, np.full(len(facets.node), fill_value=True))
-        else:
-            rows = planner.p2_stage(facets, start, again=again).rows
-        subproblem = planner.subproblem(rows)
-        result = run(subproblem, mission.dynamics, start, SCvx(), lambda _: None)
-        assert result.status is Status.CONVERGED
-        assert not rows.missed(result.lin, 1e-6).any()
-        found.append(result.lin.iterate.total_dv)
-    assert found == pytest.approx([found[-1]] * 3, rel=1e-7)

@@ -115,14 +115,6 @@ def test_unavoidable_small_burns_stay_with_a_warning(default_plan):
     assert warning.given == "burn 3 of 23.7 mm/s"
 
 
-def test_whole_flight_plan_has_an_exactly_zero_burn(exact):
-    assert exact.status is Status.CONVERGED
-    assert exact.burns_m_s[2].tolist() == [0.0, 0.0, 0.0]
-    assert exact.total_dv_m_s == pytest.approx(0.109080, abs=1e-6)
-    row = str(exact).splitlines()[5].split()
-    assert row == ["3", "25000", "0", "0", "0", "0"]
-
-
 @pytest.mark.usefixtures("few_flights")
 def test_a_file_with_a_zero_burn_is_verified(stored, tmp_path):
     checked = stored.with_verification(verify(stored.mission, stored))
@@ -134,14 +126,6 @@ def test_a_file_with_a_zero_burn_is_verified(stored, tmp_path):
     fired = Burn(read.burns[2].t_s, (1e-3, 0.0, 0.0))
     other = replace(read, burns=[*read.burns[:2], fired, read.burns[3]])
     assert "max_defect" in verify(other.mission, other).failed
-
-
-def test_no_limit_judges_it(exact, stored):
-    """Of a burn of zero the battery's cone would have no room at all."""
-    (battery,) = [c for c in stored.constraints if c.name == "dv_battery"]
-    assert battery.worst_margin > 0.01
-    assert battery.worst_t_s != 25_000.0
-    assert exact.worst_margins["dv_battery"][0] == pytest.approx(battery.worst_margin, abs=1e-6)
 
 
 def test_a_zero_burn_is_no_manoeuvre(stored):

@@ -15,8 +15,6 @@ from scp_recon.planning.planner import Planner
 from scp_recon.replanning.delivery import Delivery
 from scp_recon.replanning.flown import FlownPlan, predict
 from scp_recon.replanning.remainder import mission_left
-from scp_recon.results.solution import make_solution
-from scp_recon.verification import reintegration
 
 AT = 17_000.0
 SIGMA = np.array([10.0, 10.0, 10.0, 3e-4, 3e-4, 3e-4])
@@ -127,19 +125,6 @@ def test_only_exact_risk_with_uncertainty_is_certified(default_plan, mission, st
     plan = sr.replan(default_plan, AT, state, overrides=exact, certify=False)
     assert plan.certificate is None
     assert plan.target is not None
-
-
-def test_a_solution_is_not_verified_again_to_be_flown(default_plan, state, monkeypatch):
-    """Neither its flights nor its reintegration are needed: two seconds and a half."""
-
-    def refuse(*_: object, **__: object) -> None:
-        raise AssertionError("flown")
-
-    monkeypatch.setattr(reintegration, "joint_probabilities", refuse)
-    monkeypatch.setattr(reintegration, "solve_ivp", refuse)
-    plan = sr.replan(make_solution(default_plan), AT, state)
-    assert not plan.mission.warnings
-    assert plan.burns_m_s == pytest.approx(sr.replan(default_plan, AT, state).burns_m_s)
 
 
 @pytest.mark.parametrize(

@@ -104,15 +104,6 @@ def test_before_the_window_a_flight_is_met_or_cannot_be_helped(flown, seed):
         assert worst == pytest.approx(-solution.violation.max, rel=1e-6)
 
 
-def test_in_the_window_what_is_left_of_it_counts(flown):
-    plan = again(flown, 15_000.0, np.zeros(6), "risk.p_chance=0.6")
-    first, last = plan.mission.schedule.window_s
-    assert first < 15_000.0
-    assert plan.mission.observed_s == (15_000.0, last)
-    nodes = plan.times_s[plan.mission.window_nodes]
-    assert (nodes[0], nodes[-1]) == (15_000.0, last)
-
-
 @pytest.mark.parametrize("at_s", [3_000.0, 17_000.0])
 def test_ipopt_finds_the_same_of_the_remaining_problem(flown, at_s):
     """From scratch: a cold start, facets at IPOPT's own solution without spread."""
@@ -218,18 +209,6 @@ def test_burn_added_after_the_end_ahead_is_warned_about(flown):
     assert warning.given == "a last burn at 50842 s, 16000 s later than before"
 
 
-def test_the_covariance_is_the_initial_one_unless_given(flown, default_plan):
-    factor = default_plan.mission.initial_factor
-    initial = factor @ factor.T
-    plan = again(flown, 17_000.0, np.zeros(6))
-    assert plan.covariances[0] == pytest.approx(initial, rel=1e-9, abs=1e-15)
-    given = np.diag([4.0, 4.0, 4.0, 1e-8, 1e-8, 1e-8])
-    state = predict(flown, 17_000.0, {}).state
-    other = sr.replan(default_plan, 17_000.0, state, given)
-    assert other.covariances[0] == pytest.approx(given, rel=1e-9, abs=1e-15)
-    assert make_solution(other).plan_hash != make_solution(plan).plan_hash
-
-
 def test_a_replan_is_flown_and_replanned_in_its_turn(flown, default_plan):
     first = again(flown, 9_000.0, 0.1 * drawn(flown, 9_000.0))
     assert first.parent.plan_hash == make_solution(default_plan).plan_hash
@@ -319,15 +298,6 @@ def test_a_measured_burn_explains_a_state_and_stands_in_the_history(flown, defau
     plan = sr.replan(default_plan, 17_000.0, state, measured_burns={2: burn})
     assert [warning.entry for warning in plan.mission.warnings] == []
     assert plan.mission.scenario.in_flight.flown_m_s[1] == pytest.approx(burn)
-
-
-def test_a_state_may_be_in_sun_north_axes(default_plan, flown):
-    mission, state = default_plan.mission, predict(flown, 17_000.0, {}).state + OFF
-    axes = mission.scene.axes("sun_north").T
-    turned = np.concatenate([axes @ state[:3], axes @ state[3:]])
-    plain = sr.replan(default_plan, 17_000.0, state)
-    plan = sr.replan(default_plan, 17_000.0, turned, frame="sun_north")
-    assert plan.burns_m_s == pytest.approx(plain.burns_m_s, abs=1e-9)
 
 
 def test_a_scenario_in_flight_can_be_written_by_hand_or_left_out(scenario):

@@ -76,15 +76,6 @@ def test_absent_ways_and_empty_tables_are_not_written():
     assert scenario_text(same) == scenario_text(scenario)
 
 
-def test_navigation_is_written_and_read_again(tmp_path):
-    told = load_scenario(None, [*MEASURED, "navigation.lead_s=14400", "policy.kind=feedback"])
-    file = tmp_path / "mine.toml"
-    file.write_text(scenario_text(told), "utf-8")
-    assert load_scenario(file) == validate_scenario(json.loads(told.model_dump_json())) == told
-    assert told.navigation.measures
-    assert not load_scenario(None, ["navigation.lead_s=0"]).navigation.measures
-
-
 def test_another_way_replaces_the_navigation_errors():
     first = load_scenario(None, MEASURED)
     sigmas = {"navigation.sigma_position_m": 1.0, "navigation.sigma_velocity_m_s": 1e-4}

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from formulations.linearisation import dynamics
 from formulations.linearisation.linearisation import Linearisation, final_state_map, step_mean
 from formulations.program.condensed import CondensedSubproblem
 from formulations.program.subproblem import PenaltyParameters, Step, SubproblemError
@@ -244,13 +243,6 @@ def test_a_flown_step_reaches_the_linear_final_state(mission, optimum, size):
     assert np.abs(flown.iterate.burns - burns).max() < 100.0 * size**2
 
 
-def test_a_short_step_keeps_no_miss_of_the_solver(mission, optimum):
-    """Its arcs have no defects to close, but the conic solver leaves a miss of its tolerance."""
-    change = np.random.default_rng(5).normal(scale=1e-9, size=optimum.iterate.burns.shape)
-    flown = mission.dynamics.close_defects(optimum, optimum.iterate.burns + change)
-    assert np.abs(flown.defects).max() < 1e-12
-
-
 @pytest.mark.parametrize("size", [0.3, 3.0, 30.0, None])
 def test_large_steps_end_dynamically_exact(mission, optimum, size):
     """From a flight, or from the straight line to the final state."""
@@ -263,12 +255,3 @@ def test_large_steps_end_dynamically_exact(mission, optimum, size):
         burns = optimum.iterate.burns + size
     flown = mission.dynamics.close_defects(start, burns)
     assert np.abs(flown.defects[:-1]).max() < 1e-9
-
-
-def test_without_newton_convergence_burns_are_rolled_out(mission, optimum, monkeypatch):
-    monkeypatch.setattr(dynamics, "NEWTON_MAX", 1)
-    burns = optimum.iterate.burns + 0.1
-    flown = mission.dynamics.close_defects(optimum, burns)
-    np.testing.assert_array_equal(flown.iterate.burns, burns)
-    rolled = mission.dynamics.rollout(mission.problem.initial_state, burns)
-    np.testing.assert_array_equal(flown.iterate.mean, rolled)

@@ -92,16 +92,6 @@ def test_p2_ends_superlinearly(default_plan):
         assert record.actual == pytest.approx(record.predicted, rel=0.05, abs=noise)
 
 
-def test_infeasible_is_told_with_the_least_violation(infeasible):
-    result = infeasible.final.result
-    assert result.status is Status.INFEASIBLE
-    assert result.records[-1].max_violation > 1e-3
-    violations = infeasible.final.merit.violations(result.lin)
-    assert violations["dv_max"].max() > 1e-3
-    # The dynamics weigh more than the constraints, so that physics is not what gives way.
-    assert np.abs(result.lin.defects).max() < 1e-6
-
-
 def test_rough_end_flies_alike_with_earlier_derivatives(cold, mission):
     def ended(*, rough: bool) -> Linearisation:
         p3 = make_subproblem(mission.problem, DeterministicRows(mission.problem), "condensed")
@@ -143,14 +133,6 @@ def answering(monkeypatch, step: float, merit: float) -> None:
         return Step(self._at.iterate.burns + step * radius, merit, 0.0, 0.0)
 
     monkeypatch.setattr(CondensedSubproblem, "solve", solve)
-
-
-def test_a_promise_never_kept_stalls(p3, mission, optimum, monkeypatch):
-    answering(monkeypatch, 1.0, p3.merit(optimum.lin, SCvx.weight) - 1.0)
-    result = run(p3, mission.dynamics, optimum.lin, SCvx(), ignore)
-    assert result.status is Status.STALLED
-    assert result.lin is optimum.lin
-    assert not any(record.accepted for record in result.records)
 
 
 @pytest.mark.parametrize("within", [False, True])

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from scp_recon.mission.mission import Mission
-from scp_recon.monte_carlo.sampling import sample_positions
 from scp_recon.physics import geometry
 from scp_recon.planning import initial_guess
 from scp_recon.planning.planner import plan
@@ -65,18 +64,6 @@ def test_integration_limits_grow_with_a_large_body():
     grown = {name: pytest.approx(50.0 * size) for name, size in sizes.items()}
     assert limits_of(large) == limits | grown
     assert limits.keys() == FIGURES.keys()
-
-
-def test_probability_is_that_of_counting(mission, solution, verification):
-    """The lowest probability of the site distance, counted again with different draws."""
-    (site,) = (p for p in verification.probabilities if p.name == "site_distance")
-    time = np.array([site.worst_t_s])
-    positions = sample_positions(mission, solution.burns_m_s, time, 10_000, seed=77)[0]
-    at = mission.rotation.body_to_j2000(site.worst_t_s) @ mission.site.position_body
-    distance = np.linalg.norm(positions - at, axis=1)
-    again = np.mean((distance >= 500.0) & (distance <= 740.0))
-    sigma = np.sqrt(2.0 * site.estimate * (1.0 - site.estimate) / 10_000)
-    assert again == pytest.approx(site.estimate, abs=4.5 * sigma)
 
 
 @pytest.mark.usefixtures("few_flights")
