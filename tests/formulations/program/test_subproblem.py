@@ -4,7 +4,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from cvxpy.reductions.solvers.solving_chain import SolvingChain
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
@@ -15,8 +14,7 @@ from formulations.program import condensed
 from formulations.program.certificate import ConeProgram
 from formulations.program.condensed import CondensedSubproblem
 from formulations.program.convex_subproblem import SMALL_BURN
-from formulations.program.model import CompiledProgram, Model
-from formulations.program.solvers import SOLVERS, Answer, FallbackSolver
+from formulations.program.solvers import SOLVERS, Answer
 from formulations.program.subproblem import PenaltyParameters, Step, SubproblemError
 from formulations.registry import FORMULATIONS, make_subproblem
 from formulations.rows.cones import Rows
@@ -65,51 +63,6 @@ def case() -> Case:
     found = plan(mission, initial_guess.cold(mission))
     assert [stage.result.status for stage in found.stages] == [Status.CONVERGED] * 2
     return Case(mission, found)
-
-
-def compiling(monkeypatch) -> list[Model]:
-    """The models that are compiled from now on; those of condensed forms with slots for all rows."""
-    compiled: list[Model] = []
-
-    def watch(model: Model) -> CompiledProgram:
-        compiled.append(model)
-        return CompiledProgram(model)
-
-    monkeypatch.setattr(condensed, "CompiledProgram", watch)
-    monkeypatch.setattr(condensed, "SLOTS", 128)
-    condensed.compile_condensed.cache_clear()
-    return compiled
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["P3", "P2"])
-def test_programs_are_compiled_once_and_only_their_numbers_change(case, name, monkeypatch):
-    models, applied, programs = compiling(monkeypatch), [], list[ConeProgram]()
-    apply, solve = SolvingChain.apply, FallbackSolver.solve
-
-    def count(self: SolvingChain, *args: object) -> object:
-        applied.append(args)
-        return apply(self, *args)
-
-    def watch(self: FallbackSolver, program: ConeProgram, gap: float) -> Answer:
-        programs.append(program)
-        return solve(self, program, gap)
-
-    monkeypatch.setattr(SolvingChain, "apply", count)
-    monkeypatch.setattr(FallbackSolver, "solve", watch)
-    subproblem, of = make_subproblem(case.problem, case.rows(name)), []
-    for around in ("ballistic", "P3", "P2"):
-        subproblem.update(case.at(around))
-        subproblem.solve(0.5, WEIGHT)
-        of.append(programs[-1])
-    assert len(models) == len(applied) == 1
-    assert len(programs) >= 3
-    for program in programs:
-        assert program.form is programs[0].form
-        assert np.array_equal(program.matrix.indices, programs[0].matrix.indices)
-        assert np.array_equal(program.matrix.indptr, programs[0].matrix.indptr)
-    norms = [np.linalg.norm(program.matrix.data) for program in of]
-    assert norms[0] != norms[1] != norms[2]
 
 
 def breaking_every_limit(rng: np.random.Generator) -> Linearisation:

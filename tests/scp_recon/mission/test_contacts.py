@@ -29,30 +29,23 @@ def scenario_with(**contacts: Any):
     return load_scenario().replace(FEEDBACK).replace({"navigation.contacts": contacts})
 
 
+HOURLY = {"every_s": 3600.0, "turnaround_s": 3600.0}
+SELDOM = {"every_s": 28_800.0, "turnaround_s": 3000.0}
+
+
+def given(*windows: tuple[float, float]) -> dict[str, Any]:
+    return {"windows_s": windows, "turnaround_s": 7100.0}
+
+
 @pytest.mark.parametrize(
     ("contacts", "expected"),
     [
-        ({"every_s": 3600.0, "turnaround_s": 3600.0}, {1: 3600.0, 2: 18_000.0, 3: 28_800.0}),
-        (
-            {"every_s": 3600.0, "length_s": 1000.0, "turnaround_s": 3600.0},
-            {1: 0.0, 2: 18_000.0, 3: 28_800.0},
-        ),
-        (
-            {"every_s": 28_800.0, "turnaround_s": 3000.0, "first_s": 2000.0},
-            {1: 2000.0, 3: 30_800.0},
-        ),
-        (
-            {"windows_s": ((100.0, 900.0), (9000.0, 9000.0)), "turnaround_s": 7100.0},
-            {1: 100.0, 2: 9000.0},
-        ),
-        (
-            {"windows_s": ((100.0, 901.0), (9000.0, 9000.0)), "turnaround_s": 7100.0},
-            {2: 9000.0},
-        ),
-        (
-            {"every_s": 28_800.0, "turnaround_s": 3000.0, "onboard": (2, 3)},
-            {1: 4400.0, 2: 21_400.0, 3: 28_800.0},
-        ),
+        (HOURLY, {1: 3600.0, 2: 18_000.0, 3: 28_800.0}),
+        (HOURLY | {"length_s": 1000.0}, {1: 0.0, 2: 18_000.0, 3: 28_800.0}),
+        (SELDOM | {"first_s": 2000.0}, {1: 2000.0, 3: 30_800.0}),
+        (given((100.0, 900.0), (9000.0, 9000.0)), {1: 100.0, 2: 9000.0}),
+        (given((100.0, 901.0), (9000.0, 9000.0)), {2: 9000.0}),
+        (SELDOM | {"onboard": (2, 3)}, {1: 4400.0, 2: 21_400.0, 3: 28_800.0}),
     ],
 )
 def test_burns_use_the_last_contact_in_time(contacts, expected):

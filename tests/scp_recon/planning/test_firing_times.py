@@ -190,20 +190,6 @@ def test_data_of_contacts_stay_where_they_are():
     assert least["burn 2 at 6200 s or later, with its data"] == pytest.approx(6200.0)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("scope", ["node", "flight"])
-@pytest.mark.parametrize(
-    ("policy", "share"), [((), 0.9995), ((*MEASURED, "navigation.lead_s=0"), 0.9985)]
-)
-def test_exact_risk_takes_free_times(scope, policy, share):
-    exact = ('risk.allocation="exact"', f'risk.scope="{scope}"', "risk.p_chance=0.9")
-    plan = from_cold(mission_of(*policy, *exact))
-    stage = freed(plan, with_free_times(plan.mission))
-    assert stage.result.status is Status.CONVERGED
-    assert stage.result.lin.cost.value < share * plan.final.result.lin.cost.value
-    assert np.all(stage.result.lin.problem.firing.slack(stage.result.lin.iterate.times) > -1e-6)
-
-
 def by_ipopt(mission: Mission, plan: Plan) -> tuple[float, list[float]]:
     """Least delta-v in m/s and inner times in s by single shooting, from the plan and its facets."""
     from formulations.nlp.program import Start

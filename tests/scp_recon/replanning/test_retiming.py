@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 import scp_recon as sr
-from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.replanning.flown import FlownPlan, predict
 
@@ -37,10 +36,3 @@ def test_corrected_burns_of_the_rest_move_too():
     assert free.status is left.status
     assert free.mission.problem.feedback is not None
     assert free.cost_m_s < 0.98 * left.cost_m_s
-
-
-def test_the_last_burn_alone_cannot_move(default_plan):
-    at_s = 26_000.0
-    state = predict(FlownPlan.of(default_plan), at_s, {}).state
-    with pytest.raises(InputError, match=r"free_times: got only burn 4 .*; needs another burn"):
-        sr.replan(default_plan, at_s, state, free_times=True)
