@@ -3,7 +3,6 @@
 import math
 from collections.abc import Callable
 
-import numpy as np
 import pytest
 from scipy.special import ndtr, ndtri
 
@@ -19,7 +18,7 @@ from scp_recon.monte_carlo.estimates import (
     seed_of_test,
 )
 from scp_recon.planning import initial_guess
-from scp_recon.planning.plan import Plan, ended
+from scp_recon.planning.plan import Plan
 from scp_recon.planning.planner import plan
 from scp_recon.scp.status import Status
 from tests.scp_recon.certification.support import Reached, World, a_plan, mission_of
@@ -86,24 +85,6 @@ def test_the_last_one_with_a_plan_is_found(real, monkeypatch, status, share):
     assert found.status is CONVERGED
     assert is_at(found, LAST)
     assert found.mission.warnings == real.mission.warnings
-
-
-def test_a_larger_probability_leads_to_a_smaller(real, monkeypatch):
-    """Where the best burns lead to no plan, those of a trial for more do."""
-    (world := World(real, honest)).enter(monkeypatch)
-    starts: list[tuple[float, float]] = []
-
-    def make_plan(mission: Mission, start: Iterate, target: float, **_: object) -> Plan:
-        begun = float(np.linalg.norm(start.burns) / np.linalg.norm(world.start.burns))
-        starts.append((begun, target))
-        made = world.make_plan(mission, start, target)
-        stuck = target > LAST or (target > 0.7 and begun < target)
-        return ended(made, Status.INFEASIBLE) if stuck else made
-
-    found = Search(make_plan).run(real.mission, world.start)
-    assert found.status is CONVERGED
-    assert is_at(found, LAST)
-    assert any(begun > target for begun, target in starts[1:])
 
 
 @pytest.mark.parametrize("kept", [LAST, 0.98, 0.3])

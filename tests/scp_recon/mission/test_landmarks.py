@@ -140,29 +140,6 @@ def test_filter_knows_as_much_as_batch_least_squares(known):
         assert np.abs(apart).max() < 1e-5
 
 
-def test_errors_of_the_map_never_average_out():
-    """Of 5 pictures in 16 minutes or 17: independent errors would fall to 0.54."""
-    sigma = []
-    for every_s in (240.0, 60.0):
-        pictures = PICTURES | {"pixel_error": 0.1, "every_s": every_s}
-        mission = mission_with(
-            {"navigation.landmarks": pictures, "uncertainty.initial_sigma_fraction": 0.1}
-        )
-        (factor,) = mission.measured_by_pictures(np.array([960.0]))
-        sigma.append(np.linalg.norm(factor[:3], axis=1))
-    assert np.all(sigma[1] > 0.95 * sigma[0])
-
-
-def test_picture_shows_lit_and_visible_landmarks():
-    mission = mission_with({})
-    camera = Camera(mission.scene, mission.uncertain)
-    semi_axes = np.array(mission.scenario.body.radii_m)
-    assert np.allclose(np.linalg.norm(camera.landmarks_m / semi_axes, axis=1), 1.0)
-    behind_sun = 1000.0 * mission.sun_direction(0.0)
-    assert 3 <= len(camera.partials(0.0, behind_sun)) // 2 <= PICTURES["number"]
-    assert len(camera.partials(0.0, -behind_sun)) == 0
-
-
 SELDOM = {"every_s": 9000.0, "turnaround_s": 3600.0}
 
 

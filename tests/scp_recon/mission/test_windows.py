@@ -5,7 +5,7 @@ from datetime import timedelta
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from formulations.arrays import Array
@@ -51,6 +51,18 @@ def test_windows_are_those_of_dense_sampling(terms):
     np.testing.assert_array_equal(covered[clear], lit[clear])
     edges = [edge for window in found for edge in window if edge not in SPAN]
     np.testing.assert_allclose(slack(np.array(edges)), 0.0, atol=1e-7)
+
+
+@given(at=st.floats(100.0, 900.0), width=st.floats(1e-3, 30.0))
+@example(at=100.0, width=1.0)
+def test_a_short_window_between_limits_is_found(at, width):
+    """One limit begins to hold shortly before another ceases to: a corner, not a smooth peak."""
+
+    def slack(t: Array) -> Array:
+        return np.minimum(0.01 * (t - at), 0.03 * (at + width - t))
+
+    (window,) = each_window(slack, (0.0, 1000.0), SCAN_STEP_S)
+    assert window == pytest.approx((at, at + width), abs=1e-5)
 
 
 def test_moved_edges_are_those_of_each_flights_window():

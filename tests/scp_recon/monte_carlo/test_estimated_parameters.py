@@ -10,9 +10,7 @@ from formulations.linearisation.linearisation import Linearisation
 from formulations.problem.flyby import Iterate
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.closed_loop import replans
-from scp_recon.monte_carlo.law import Law
 from scp_recon.monte_carlo.sampling import Flyer
-from scp_recon.monte_carlo.whole_flight import SampledFlights
 from scp_recon.results.policy import policy_of, with_policy
 from scp_recon.verification.reintegration import full_stm, integrated
 from tests.oracles.information_filter import Information
@@ -130,17 +128,6 @@ def test_filter_that_considers_parameters_commands_the_same():
         more = np.diag(worse.estimate_covariance) / np.diag(best.estimate_covariance)[:6]
         assert more.min() > 1.0 - 1e-9
     assert more.max() > 1.02
-
-
-def test_law_has_the_draws_of_flights_that_learn():
-    mission, lin = case()
-    policy, law = policy_of(mission, lin), Law.of(lin, mission.units.length_m)
-    draws = Flyer(mission, BURNS, policy).draws(0, 0)[:FLIGHTS]
-    assert draws.shape[1] == law.sources
-    flown = SampledFlights(mission, BURNS, policy).positions(draws) / law.length_m
-    linear = np.einsum("nic,fc->nfi", law.factor[:, :3], draws)
-    off = flown - law.mean[:, None] - linear
-    assert np.abs(off).max() <= 0.03 * np.abs(linear).max()
 
 
 @pytest.mark.slow

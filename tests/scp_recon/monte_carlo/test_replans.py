@@ -18,15 +18,6 @@ from tests.scp_recon.monte_carlo.test_closed_loop import case_of
 from tests.scp_recon.support import mission_of
 
 MEASURED = "navigation.sigma_position_m=10", "navigation.sigma_velocity_m_s=5e-4"
-SMALL = (
-    "uncertainty.initial_sigma_fraction=1e-4",
-    "uncertainty.execution_error=3e-4",
-    "navigation.sigma_position_m=0.5",
-    "navigation.sigma_velocity_m_s=3e-5",
-)
-FLIGHTS = 1000
-VALUES = 0.25
-"""Of sampled over true variances of so many flights, in whichever direction."""
 
 
 def flown(solution: Solution, flights: int, *words: str) -> tuple[FlightLog, tuple[Replan, ...]]:
@@ -51,24 +42,6 @@ def test_knowledge_at_cut_offs_matches_planners_filter(solution, lead_s):
         )
         known = one.mission.initial_factor @ one.mission.initial_factor.T
         np.testing.assert_allclose(known / scale, one.estimate_covariance / scale, atol=1e-6)
-
-
-def test_estimates_are_as_good_as_the_filter_says(solution, monkeypatch):
-    """With small errors: flights far off the plan bend away from what a linear filter expects."""
-    seen: list[Array] = []
-
-    def in_vain(one: Replan, states: Array) -> Array:
-        seen.append(states.copy())
-        return np.full((len(states), *one.burns_m_s.shape), np.nan)
-
-    monkeypatch.setattr(module, "_plan_again", in_vain)
-    flights, again = flown(solution, FLIGHTS, *SMALL)
-    assert len(seen) == 3
-    for row, (one, states) in enumerate(zip(again, seen, strict=True)):
-        root = np.linalg.cholesky(one.estimate_covariance)
-        whitened = np.linalg.solve(root, (states - flights.states[row]).T)
-        values = np.linalg.svd(whitened, compute_uv=False) ** 2 / FLIGHTS
-        np.testing.assert_allclose(values, 1.0, atol=VALUES)
 
 
 def test_failed_replan_flies_the_last_plan(solution, monkeypatch):

@@ -81,18 +81,6 @@ def test_a_limit_that_is_more_changes_nothing(free):
     np.testing.assert_allclose(loose.burns_m_s, free.burns_m_s, atol=1e-6)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("scope", usually(["node", "flight"], 1))
-def test_it_binds_with_exact_risk_too(scope):
-    """Without a limit it is 204.96 m."""
-    exact = "risk.allocation='exact'", f"risk.scope={scope!r}", "risk.p_chance=0.6"
-    limit = 185.0
-    plan = planned(*exact, f"{LIMITS['position']}={limit}")
-    assert plan.status is Status.CONVERGED
-    assert final_sigmas(plan)[0] == pytest.approx(limit, rel=1e-4)
-    assert inconsistencies(plan.mission, make_solution(plan)) == []
-
-
 def test_a_file_that_says_otherwise_is_found_out(free):
     limit = 0.9 * final_sigmas(free)[0]
     scenario = free.mission.scenario.replace({LIMITS["position"]: limit})

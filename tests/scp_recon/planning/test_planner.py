@@ -109,10 +109,6 @@ def test_facets_wrongly_left_out_are_restored(mission, default_plan, monkeypatch
     )
 
 
-def ignore(*_: object) -> None:
-    pass
-
-
 def test_planning_again_is_the_same_silent_and_observed(mission, default_plan, capfd):
     rng, errors, filters = np.random.get_state(), np.geterr(), list(warnings.filters)  # noqa: NPY002
     seen: list[tuple[str, Record]] = []

@@ -308,23 +308,6 @@ def test_first_burn_goes_as_drawn(perfect, short_solution, short_mission, vehicl
     np.testing.assert_allclose(off[:3], moved, atol=5e-3)
 
 
-@nightly
-def test_what_moves_the_path_is_what_was_drawn(perfect, starved, short_mission):
-    """Velocities gained in the burns against those of the flight without errors."""
-    plan, factor = starved.plan, short_mission.initial_factor
-    draws = Draws.of(plan, factor, len(starved.times_s), 3, PATH)
-    off = starved.states[0] - short_mission.initial_state
-    np.testing.assert_allclose(off, draws.initial, rtol=1e-9, atol=1e-15)
-    for firing, error in zip(plan.firings, draws.burns, strict=True):
-        assert abs(error) > 5e-3
-        during = [round(firing.start_s), round(firing.end_s)]
-        gained, expected = (np.diff(f.states[during, 3:], axis=0)[0] for f in (starved, perfect))
-        more = gained - expected
-        np.testing.assert_allclose(more, error * firing.dv_m_s, atol=6e-5)
-        along = more @ firing.direction / np.linalg.norm(firing.dv_m_s)
-        assert along == pytest.approx(error, abs=5e-4)
-
-
 def test_pulses_that_err_move_the_end(perfect, short_solution, short_mission, vehicle):
     """The first slew, with a tenth of the thrust as error; without it nothing changes at all."""
     ends = []
