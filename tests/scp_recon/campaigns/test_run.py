@@ -2,9 +2,7 @@
 
 import functools
 import tomllib
-from collections.abc import Generator, Iterable
 from dataclasses import replace
-from itertools import islice
 from pathlib import Path
 from typing import Any, get_args
 
@@ -23,8 +21,7 @@ from scp_recon.campaigns.run import FILE_NAME, Observer, run_study
 from scp_recon.campaigns.study import Campaign, Do, Study
 from scp_recon.errors import InputError
 from scp_recon.jobs import store
-from scp_recon.jobs.job import Done, Executor, Job, Work, here
-from scp_recon.jobs.processes import Limits, Processes
+from scp_recon.jobs.job import Executor, here
 from scp_recon.jobs.store import Row
 from scp_recon.results.solution import make_solution
 from scp_recon.scenario.load import load_scenario
@@ -50,29 +47,6 @@ def work(case: Case) -> Row:
 def run(folder: Path, executor: Executor = here, observe: Observer | None = None) -> pyarrow.Table:
     run_study(STUDY, folder, work, executor, observe)
     return table_of(folder)
-
-
-def stopped(work: Work, jobs: Iterable[Job]) -> Generator[Done, None, None]:
-    yield from here(work, islice(jobs, 3))
-    raise KeyboardInterrupt
-
-
-@pytest.mark.slow
-def test_table_is_the_same_when_continued_elsewhere(tmp_path):
-    with pytest.raises(KeyboardInterrupt):
-        run(tmp_path / "a", stopped)
-    kept = read_results(tmp_path / "a")
-    assert list(kept["status"]) == ["converged"] * 3
-    seen: list[tuple[Any, ...]] = []
-    table = run(tmp_path / "a", Processes(2, Limits(60.0)), lambda *told: seen.append(told))
-    assert seen[0] == (3, 9, None)
-    assert [told[:2] for told in seen[1:]] == [(n, 9) for n in range(4, 10)]
-    assert table.equals(run(tmp_path / "b"))
-    assert not (tmp_path / "a" / ROWS).exists()
-    whole = read_results(tmp_path / "a")
-    assert whole[:3].equals(kept)
-    assert list(whole.status[3::4]) == ["refused"] * 2
-    assert whole.message[3] == "x: got 0; must be more"
 
 
 def test_two_campaigns_in_one_folder_are_refused(tmp_path):
@@ -180,16 +154,6 @@ def test_campaigns_sweep_free_times_of_the_rest():
     assert given["rest_status"] == free["rest_status"] == "converged"
     assert free["rest_dv_m_s"] < 0.995 * given["rest_dv_m_s"] < given["total_dv_m_s"]
     assert given["rest_times_s"] == "8000.0 25000.0 34842.0" != free["rest_times_s"]
-
-
-@pytest.mark.slow
-def test_campaigns_sweep_radii_of_drifts():
-    base = load_scenario(None, [COARSE, 'risk.allocation="exact"', "safety.missed_burns=1"])
-    work = campaigns.StudyWork(base, Path(), Campaign())
-    radii = ({"safety.drift_radius_m": radius} for radius in (400.0, 500.0))
-    near, far = (work(Case(i, 0, row)).values for i, row in enumerate(radii))
-    assert near["status"] == far["status"] == "converged"
-    assert near["total_dv_m_s"] < far["total_dv_m_s"]
 
 
 STUDIES = Path(__file__).parents[3] / "examples" / "studies"
