@@ -23,7 +23,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import erf
 
-from formulations.arrays import Array, Indices
+from formulations.arrays import Array
 
 Acceleration = Callable[[Any, Any, Any, Any], Any]
 """Three components, of position (3,), velocity (3,), time and parameters (q,), CasADi's symbols."""
@@ -168,11 +168,6 @@ class ExpressionDerivatives:
         """The same with starts moved by deviations (n, 6) so small that first order gives the ends."""
         return replace(self, state=self.state + (self.stm @ deviation[:, :, None])[:, :, 0])
 
-    def rate(self, state: Array, arcs: Indices) -> tuple[Array, Array]:
-        """See `MovableDerivatives.rate`."""
-        times = np.append(self._steps[0].time[0], self._steps[-1].time[-1, -1])
-        return self._flow.rate(state, times[arcs])
-
 
 class ExpressionFlow:
     """The `Flow` of an acceleration along the arcs between times, in any consistent units.
@@ -266,21 +261,6 @@ class ExpressionFlow:
         other = copy(self)
         other.parameters = values
         return other
-
-    def at(self, times: Array) -> ExpressionFlow:
-        """The flow along as many arcs between other times of the nodes, shape (n + 1,)."""
-        moved = copy(self)
-        moved.times = times
-        return moved
-
-    def rate(self, state: Array, time: Array) -> tuple[Array, Array]:
-        """Rate of states (n, 6) at times (n,), and its derivative, shape (n, 6, 6)."""
-        acceleration = self._rate(state.T, [time], self.parameters)[0]
-        gradient = self._gradient(state.T, [time], self.parameters)[0]
-        turn = np.zeros((len(state), 6, 6))
-        turn[:, :3, 3:] = np.eye(3)
-        turn[:, 3:] = np.moveaxis(gradient.reshape(3, -1, len(state))[:, :6], 2, 0)
-        return np.hstack([state[:, 3:], acceleration.T]), turn
 
     def curvature(self, state: Array, time: Array) -> Array:
         """Derivatives of the acceleration's by state and parameters, by the state (6, 4, n).

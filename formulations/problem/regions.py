@@ -416,11 +416,6 @@ class Polytope:
         """Refuse normals that are no vectors."""
         check_vectors(normal=self.normal)
 
-    @property
-    def faces(self) -> list[Halfspaces]:
-        """Half-spaces of the faces, of one node each."""
-        return [Halfspaces(a[None], b[None]) for a, b in zip(self.normal, self.offset, strict=True)]
-
     def at(self, which: Indices) -> Polytope:
         """The polytope at some nodes, the same as at all."""
         del which

@@ -52,9 +52,6 @@ UPRIGHT = 0.5
 NEGLIGIBLE = 1e-11
 """Value, relative to the saddle point's, below which the integrand is negligible: the contour ends."""
 
-NONE = -700.0
-"""Logarithm of a probability that counts as none."""
-
 NEWTON, CLOSE = 40, 1e-2
 """Most steps to a saddle point, and the relative change that is near enough: any point does."""
 

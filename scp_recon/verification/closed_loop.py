@@ -98,11 +98,6 @@ class JointCovariance:
         return np.asarray(both[:, :n] + both[:, n : 2 * n])
 
     @property
-    def covariance(self) -> Array:
-        """That of the state, shape (6, 6)."""
-        return self.deviation[:6, :6]
-
-    @property
     def error(self) -> Array:
         """Covariance of the estimate's error, shape (6 + p, 6 + p)."""
         return self.joint[: self.size, : self.size]

@@ -1,5 +1,6 @@
 """Firing times as controls: derivatives of mean, factor and every kind of row, by differences."""
 
+from copy import copy
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -9,13 +10,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from formulations.arrays import Array
+from formulations.arrays import Array, Indices
 from formulations.linearisation.adjoint import gradient
 from formulations.linearisation.dynamics import Dynamics
 from formulations.linearisation.linearisation import Linearisation, condense, miss_of, step_mean
 from formulations.problem.controls import UNIT, Boundary, Feedback, FiringTimes
 from formulations.problem.execution_errors import ComponentwiseErrors, GatesErrors
-from formulations.problem.expression_flow import ExpressionFlow
+from formulations.problem.expression_flow import ExpressionDerivatives, ExpressionFlow
 from formulations.problem.facets import Polytopes, choose_facets
 from formulations.problem.flyby import FlybyProblem, Iterate, StateConstraint
 from formulations.problem.regions import Ball
@@ -53,9 +54,34 @@ def dragged(r: Any, v: Any, t: Any, p: Any) -> Any:
     return pull + p[0] * (turning - ca.norm_2(v) * v) + ca.vertcat(0.0, 0.0, p[0] * ca.cos(3.0 * t))
 
 
+class MovableDerivatives(ExpressionDerivatives):
+    """Derivatives that know the flow's rate."""
+
+    def rate(self, state: Array, arcs: Indices) -> tuple[Array, Array]:
+        times = np.append(self._steps[0].time[0], self._steps[-1].time[-1, -1])[arcs]
+        acceleration = self._flow._rate(state.T, [times], self._flow.parameters)[0]
+        gradient = self._flow._gradient(state.T, [times], self._flow.parameters)[0]
+        turn = np.zeros((len(state), 6, 6))
+        turn[:, :3, 3:] = np.eye(3)
+        turn[:, 3:] = np.moveaxis(gradient.reshape(3, -1, len(state))[:, :6], 2, 0)
+        return np.hstack([state[:, 3:], acceleration.T]), turn
+
+
+class MovableFlow(ExpressionFlow):
+    """A flow whose nodes can be moved in time."""
+
+    def at(self, times: Array) -> "MovableFlow":
+        moved = copy(self)
+        moved.times = times
+        return moved
+
+    def differentiate(self, state: Array) -> MovableDerivatives:
+        d = super().differentiate(state)
+        return MovableDerivatives(d.state, d.stm, d.by_parameters, d._steps, d._flow)
+
+
 FLOWS = {
-    drag: ExpressionFlow(dragged, NODES, parameters=[drag], substeps=SUBSTEPS)
-    for drag in (0.0, 0.3)
+    drag: MovableFlow(dragged, NODES, parameters=[drag], substeps=SUBSTEPS) for drag in (0.0, 0.3)
 }
 
 
