@@ -28,7 +28,7 @@ from experiments.harness import Findings, Record, Session, fly_plan, option
 from experiments.harness import Study as Harnessed
 from experiments.in_flight.feedback import measured
 from scp_recon.api.verbs import campaign
-from scp_recon.campaigns.cases import changed
+from scp_recon.campaigns.axes import changed
 from scp_recon.campaigns.results import VERIFIED
 from scp_recon.campaigns.study import Study, read_study
 from scp_recon.errors import InputError

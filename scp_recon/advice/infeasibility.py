@@ -33,7 +33,7 @@ from scp_recon.advice.trials import (
 from scp_recon.api.inputs import PlanRequest
 from scp_recon.api.planning import carry_out
 from scp_recon.certification.flights import fly_plan, run_test
-from scp_recon.jobs.blas import one_thread
+from scp_recon.jobs.cores import one_thread
 from scp_recon.monte_carlo.estimates import flights_of_test
 from scp_recon.planning.plan import Plan
 from scp_recon.results.verification import Verification

@@ -11,7 +11,7 @@ from scp_recon.api.inputs import PlanRequest, read_in_degrees
 from scp_recon.api.options import PlanOptions
 from scp_recon.display import Tabulated
 from scp_recon.errors import InputError
-from scp_recon.jobs.blas import one_thread
+from scp_recon.jobs.cores import one_thread
 from scp_recon.mission.mission import Mission
 from scp_recon.passes.design import Designer, Trial
 from scp_recon.passes.setting import settled, spaces_of

@@ -23,8 +23,8 @@ from scp_recon.errors import (
     whole_number,
 )
 from scp_recon.files import writing
-from scp_recon.jobs.blas import one_thread
 from scp_recon.jobs.cluster import check_workers, executor_for
+from scp_recon.jobs.cores import one_thread
 from scp_recon.mission.drifts import Miss, check_miss, planned, required_probability
 from scp_recon.mission.gravity import TruthModel
 from scp_recon.monte_carlo.closed_loop import replans

@@ -26,7 +26,7 @@ from scp_recon.certification.flights import Watch as FlightWatch
 from scp_recon.certification.largest import LEAST, Search, largest_promise
 from scp_recon.display import exact
 from scp_recon.errors import InputError, option
-from scp_recon.jobs.blas import one_thread
+from scp_recon.jobs.cores import one_thread
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.schedule import BURNS_TO_MEET
 from scp_recon.planning import planner

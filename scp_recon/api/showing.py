@@ -10,7 +10,7 @@ from scp_recon.api.survey import survey_table
 from scp_recon.display import Displayed, Tabulated
 from scp_recon.errors import imported, one_of, option
 from scp_recon.interop.files import columns
-from scp_recon.mission.survey import Survey
+from scp_recon.mission.schedule import Survey
 from scp_recon.monte_carlo.summary import Summary
 from scp_recon.planning.plan import Plan
 from scp_recon.reports import tables

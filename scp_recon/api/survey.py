@@ -11,7 +11,7 @@ from scp_recon.api.inputs import date_in_tdb, scenario_of
 from scp_recon.bodies.catalogue import DAY_S
 from scp_recon.errors import InputError, needing, number_between, option
 from scp_recon.files import PICTURE, check_ending, check_own, write_atomically, writing
-from scp_recon.mission.survey import Survey, survey
+from scp_recon.mission.schedule import Survey, survey
 from scp_recon.results.table import Table
 from scp_recon.scenario.load import naming_files
 from scp_recon.scenario.schema import Scenario

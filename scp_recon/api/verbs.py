@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from scp_recon.api.campaigns import CampaignOutput
     from scp_recon.api.designing import Design
     from scp_recon.api.drafts import NewScenario
-    from scp_recon.mission.survey import Survey
+    from scp_recon.mission.schedule import Survey
     from scp_recon.planning.plan import Plan
     from scp_recon.results.solution import Solution
     from scp_recon.scenario.schema import Scenario

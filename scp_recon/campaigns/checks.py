@@ -14,8 +14,7 @@ from typing import Any, NoReturn
 
 import numpy as np
 
-from scp_recon.campaigns.axes import LATITUDE, LONGITUDE, NAME
-from scp_recon.campaigns.cases import Changes, changed
+from scp_recon.campaigns.axes import LATITUDE, LONGITUDE, NAME, Changes, changed
 from scp_recon.errors import InputError, shortened
 from scp_recon.mission.feedback import check_feedback
 from scp_recon.monte_carlo.closed_loop import cut_offs_s

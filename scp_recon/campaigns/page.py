@@ -14,8 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from scp_recon.bodies.surface import direction_of
-from scp_recon.campaigns.axes import EPOCH, LATITUDE, LONGITUDE
-from scp_recon.campaigns.cases import solution_name
+from scp_recon.campaigns.axes import EPOCH, LATITUDE, LONGITUDE, solution_name
 from scp_recon.campaigns.outcome import (
     CHANCE,
     COLOURS,

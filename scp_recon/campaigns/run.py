@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from scp_recon.campaigns.cases import SOLUTIONS, Case
+from scp_recon.campaigns.axes import SOLUTIONS, Case
 from scp_recon.campaigns.results import (
     FIXED,
     MEASURED,

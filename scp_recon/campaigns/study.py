@@ -14,8 +14,19 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, ValidationError
 
-from scp_recon.campaigns.axes import Axis, Draws, Grid, Values, Windows, axis_of
-from scp_recon.campaigns.cases import Cases, Changes, changed, layer_of, of_campaign
+from scp_recon.campaigns.axes import (
+    Axis,
+    Cases,
+    Changes,
+    Draws,
+    Grid,
+    Values,
+    Windows,
+    axis_of,
+    changed,
+    layer_of,
+    of_campaign,
+)
 from scp_recon.campaigns.checks import REPLAN, REST, check_axes, check_do, ineffective, refuse
 from scp_recon.campaigns.results import kind_of
 from scp_recon.errors import InputError, shortened

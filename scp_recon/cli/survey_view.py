@@ -12,8 +12,7 @@ from rich.text import Text
 from scp_recon.api.survey import tdb
 from scp_recon.bodies.catalogue import DAY_S
 from scp_recon.cli.rendering import terminal
-from scp_recon.mission.schedule import Interval
-from scp_recon.mission.survey import Survey
+from scp_recon.mission.schedule import Interval, Survey
 from scp_recon.results.table import Column, Table
 from scp_recon.scenario.schema import Scenario
 

@@ -24,7 +24,7 @@ from scp_recon.drafting.flyby import (
 )
 from scp_recon.errors import InputError, option
 from scp_recon.mission.scene import Scene
-from scp_recon.mission.survey import survey
+from scp_recon.mission.schedule import survey
 from scp_recon.mission.windows import Window, each_window, scan_step_s, whole_windows
 from scp_recon.physics.two_body import two_body
 from scp_recon.scenario.load import validate_scenario

@@ -14,7 +14,7 @@ from formulations.problem.expression_flow import ExpressionFlow
 from formulations.problem.flow import Flow, ScaledFlow
 from formulations.rows.node_probability import joint_events
 from scp_recon.errors import whole_number
-from scp_recon.jobs.blas import one_thread
+from scp_recon.jobs.cores import one_thread
 from scp_recon.monte_carlo.estimates import Estimate, proportion
 from scp_recon.monte_carlo.flights import SAMPLES_MAX, SEED_MAX
 from scp_recon.monte_carlo.sampling import BLOCK, NAVIGATION, draw

@@ -34,7 +34,7 @@ from scp_recon.certification.flights import Step
 from scp_recon.errors import InputError, one_of
 from scp_recon.impulsive.plan import ImpulsivePlan
 from scp_recon.impulsive.regions import Keep, covariance_factor, finite, positive, scaled
-from scp_recon.jobs.blas import one_thread
+from scp_recon.jobs.cores import one_thread
 from scp_recon.monte_carlo.whole_flight import KeptCounts
 from scp_recon.planning.method import ALGORITHM, FORMULATION, SOLVER, scp_method
 from scp_recon.planning.planner import Planner

@@ -186,14 +186,19 @@ def survey(law: Law, flights: SampledFlights, seed: int) -> Survey:
     flown = law.margins_at(flights.positions(draws[nearest]), draws[nearest])
     off = flown.min(axis=0) - margin[nearest]
     near = BEYOND * float(np.abs(off).max())
-    share, unlike = np.zeros(COUNT), np.zeros(COUNT)
     stratum = strata_of(margin, near)
-    for number in range(COUNT):
+    share = np.bincount(stratum, minlength=COUNT) / len(margin)
+    return Survey(near, share, ending_unlike(stratum, margin, off))
+
+
+def ending_unlike(stratum: Indices, margin: Array, off: Array) -> Array:
+    """Share of each stratum's draws that end unlike the law if margins are so far off, shape (6,)."""
+    unlike = np.zeros(COUNT)
+    for number in range(1, COUNT - 1):
         mine = margin[stratum == number]
-        share[number] = len(mine) / len(margin)
-        if 0 < number < COUNT - 1 and len(mine):
+        if len(mine):
             unlike[number] = np.mean((mine[:, None] + off < 0.0) != FAILS[number])
-    return Survey(near, share, unlike)
+    return unlike
 
 
 def fly_strata(

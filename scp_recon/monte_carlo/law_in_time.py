@@ -34,6 +34,7 @@ from scp_recon.monte_carlo.law import (
     CountedFlights,
     Law,
     blocks_of,
+    ending_unlike,
     survey_draws,
     tossed,
 )
@@ -101,21 +102,13 @@ def survey_in_time(
     stratum = _strata(margins[worst][np.argmax(failed[worst])] < 0.0, level)
     share = np.bincount(stratum, minlength=COUNT) / len(level)
     unlike = [
-        _unlike(margins[name][node], off[name][node], level)
+        ending_unlike(
+            _strata(margins[name][node] < 0.0, level), margins[name][node], off[name][node]
+        )
         for name, contends in law.contends.items()
         for node in np.flatnonzero(contends)
     ]
     return law, Survey(near, share, np.max(unlike, axis=0))
-
-
-def _unlike(margin: Array, off: Array, level: Indices) -> Array:
-    """Share of each stratum's draws that end unlike the law if margins are so far off, shape (6,)."""
-    unlike, stratum = np.zeros(COUNT), _strata(margin < 0.0, level)
-    for number in range(1, COUNT - 1):
-        mine = margin[stratum == number]
-        if len(mine):
-            unlike[number] = np.mean((mine[:, None] + off < 0.0) != FAILS[number])
-    return unlike
 
 
 def levels_of(nearest: Array, near: float) -> Indices:

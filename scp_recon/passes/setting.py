@@ -12,8 +12,7 @@ from scp_recon.errors import InputError
 from scp_recon.mission.firing import Ring
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.scene import Scene
-from scp_recon.mission.schedule import timing_rules
-from scp_recon.mission.survey import survey
+from scp_recon.mission.schedule import survey, timing_rules
 from scp_recon.mission.windows import Window
 from scp_recon.passes.ring import ephemeris_ring, flown_ring, home_ring
 from scp_recon.passes.space import Pass, Space, Span, nearest_legal, unchecked

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from scp_recon.display import mm_s
-from scp_recon.mission.survey import LitWindow, Survey
+from scp_recon.mission.schedule import LitWindow, Survey
 from scp_recon.passes.design import Trial
 from scp_recon.passes.timing import PassResult
 from scp_recon.planning.primer import PrimerHistory

@@ -6,7 +6,7 @@ from typing import Any
 
 import pyarrow.parquet
 
-from scp_recon.campaigns.cases import Case
+from scp_recon.campaigns.axes import Case
 from scp_recon.campaigns.results import MEASURED, RESULTS
 from scp_recon.campaigns.run import run_study
 from scp_recon.campaigns.study import Study

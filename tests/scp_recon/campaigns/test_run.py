@@ -14,8 +14,7 @@ from scp_recon.api.campaigns import work_of
 from scp_recon.api.planning import PlanOutcome
 from scp_recon.campaigns import run as run_module
 from scp_recon.campaigns import study as study_module
-from scp_recon.campaigns.axes import Values
-from scp_recon.campaigns.cases import Case
+from scp_recon.campaigns.axes import Case, Values
 from scp_recon.campaigns.results import RESULTS, ROWS, cell, kind_of, read_results
 from scp_recon.campaigns.run import FILE_NAME, Observer, run_study
 from scp_recon.campaigns.study import Campaign, Do, Study

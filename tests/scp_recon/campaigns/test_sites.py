@@ -5,8 +5,15 @@ import pytest
 from scipy.spatial import ConvexHull, KDTree
 
 from scp_recon.bodies.surface import Ellipsoid, Mesh, direction_of
-from scp_recon.campaigns.axes import ShapeSites, even_sites, fibonacci, noons_of, parts, surface_of
-from scp_recon.campaigns.cases import changed
+from scp_recon.campaigns.axes import (
+    ShapeSites,
+    changed,
+    even_sites,
+    fibonacci,
+    noons_of,
+    parts,
+    surface_of,
+)
 from scp_recon.campaigns.study import Study
 from scp_recon.errors import InputError
 from scp_recon.mission.scene import Scene

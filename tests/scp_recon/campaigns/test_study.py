@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from scp_recon.campaigns.cases import Cases, changed
+from scp_recon.campaigns.axes import Cases, changed
 from scp_recon.campaigns.study import Study, files_in, read_study
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission

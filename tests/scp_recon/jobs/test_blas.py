@@ -10,14 +10,14 @@ from pathlib import Path
 
 import pytest
 
-from scp_recon.jobs.blas import GIVEN
+from scp_recon.jobs.cores import GIVEN
 
 PROJECT = Path(__file__).parents[3]
 HEAD = """
 import os
 import numpy.linalg, scipy.linalg
 from threadpoolctl import threadpool_info, threadpool_limits
-from scp_recon.jobs.blas import OneThread, one_thread
+from scp_recon.jobs.cores import OneThread, one_thread
 threads = lambda: {i["num_threads"] for i in threadpool_info() if "scipy_openblas" in i["prefix"]}
 threadpool_limits(limits=2, user_api="blas")
 assert threads() == {2}, threads()

@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from scp_recon.campaigns.cases import Cases
+from scp_recon.campaigns.axes import Cases
 from scp_recon.jobs.job import WORD, generator
 
 seeds = st.integers(0, 2**63 - 1) | st.integers(0, 3).map(lambda high: high * WORD)

@@ -12,7 +12,7 @@ from formulations.arrays import Array
 from scp_recon.bodies.catalogue import DAY_S
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
-from scp_recon.mission.survey import survey
+from scp_recon.mission.schedule import survey
 from scp_recon.mission.windows import (
     SCAN_STEP_S,
     each_window,
