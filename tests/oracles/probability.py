@@ -18,6 +18,9 @@ import numpy as np
 from formulations.arrays import Array
 from formulations.risk import quadratic_forms as forms
 
+NONE = -700.0
+"""Logarithm of a probability that counts as none."""
+
 
 class Limits(NamedTuple):
     """Limits x'Mx <= l on normal vectors, n of them.
@@ -163,8 +166,8 @@ class _Contours(ca.Callback):
         t, weight = forms._descent(form, np.full(len(mean), side), rule)
         x = 1.0 - 2.0 * t[:, :, None] * form.eigenvalue[:, None]
         log = forms._exponent(form, t, x) - 0.5 * np.log(x).sum(axis=2)
-        peak = np.maximum(log[:, 0].real, forms.NONE)
-        seen = (peak > forms.NONE)[:, None]
+        peak = np.maximum(log[:, 0].real, NONE)
+        seen = (peak > NONE)[:, None]
         size = weight * np.exp(np.where(seen, log - peak[:, None], 0.0))
         kept = seen & (
             forms._ended(size) != 0.0
