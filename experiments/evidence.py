@@ -67,7 +67,7 @@ DRAWN = {
 }  # fmt: skip
 COMMANDS = {
     **{name: name for name in (
-        "plans", "sites", "peers", "spice", "cross_check", "sensitivity",
+        "plans", "sites", "peers", "cross_check", "sensitivity",
         "model_fidelity", "battery_cones", "flown_plan", "gallery", "frontier",
         "feedback", "policies", "observation_table", "optima", "maps",
         "missed_burns", "knowledge", "flown_policies",

@@ -1,1 +1,1 @@
-"""Studies that fly or solve by other tools: Orekit, SPICE, scocp."""
+"""Studies that fly or solve by other tools: Orekit, scocp."""
