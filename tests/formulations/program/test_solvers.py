@@ -359,18 +359,6 @@ def test_solvers_get_their_settings_and_what_is_asked_besides(solver, monkeypatc
         assert ByCvxpy.SETTINGS[solver] == settings
 
 
-def test_an_answer_by_cvxpy_is_the_variables_the_multipliers_and_the_seconds(monkeypatch):
-    program = two_tents()
-    for status, accurate in ((cp.OPTIMAL, True), (cp.OPTIMAL_INACCURATE, False)):
-        fake(monkeypatch, FakeInterface(status))
-        clock = iter([10.0, 14.0])
-        monkeypatch.setattr(solvers, "perf_counter", lambda clock=clock: next(clock))
-        answer = ByCvxpy("FAKE", {}).solve(program)
-        assert (answer.status, answer.accurate, answer.solver_s) == (status, accurate, 4.0)
-        assert answer.x.tolist() == [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]
-        assert answer.multipliers.tolist() == [0.0, 1.0, 2.0]
-
-
 @pytest.mark.parametrize(
     ("status", "error"),
     [

@@ -12,18 +12,14 @@ from scipy.spatial.transform import Rotation as SciPyRotation
 
 from formulations.arrays import Array
 from scp_recon.errors import InputError
-from scp_recon.mission.scene import Scene
 from scp_recon.mission.schedule import (
     Mode,
     Schedule,
-    find_window,
     legal_additions,
     legal_burns,
     legal_shifts,
     make_schedule,
 )
-from scp_recon.mission.windows import Lighting
-from scp_recon.scenario.load import load_scenario
 from scp_recon.scenario.schema import Scenario, ScheduleRules
 from tests.scp_recon.support import mission_of
 
@@ -85,31 +81,6 @@ def test_a_window_outside_the_flight_is_refused(window):
     assert error.entry == "observation.window_s"
     assert all(f"{edge:g}" in error.given for edge in window)
     assert "34842" in error.allowed
-
-
-def window_of(lit: list[tuple[float, float]], end: float) -> tuple[float, float]:
-    """The window found where the site is lit during the given intervals only."""
-    scenario = load_scenario(None, [f"burns.times_s=[0, {end}]"])
-
-    class Intervals(Lighting):
-        def incidence(self, time_s: Array) -> Array:
-            # 60 deg at each edge, falling towards the middle of an interval, rising outside.
-            depth = [np.minimum(time_s - a, b - time_s) for a, b in lit]
-            return np.deg2rad(60.0 - 0.001 * np.max(depth, axis=0))
-
-        def local_solar_time(self, time_s: Array) -> Array:
-            return np.full_like(time_s, 12.0, dtype=float)
-
-    scene = Scene.of(scenario)
-    return find_window(scenario, Intervals(scene.site, scene.rotation, scene.sun_direction))
-
-
-def test_the_first_whole_window_is_taken():
-    begun_before, outlasting = (-500.0, 300.0), (9000.0, 12_000.0)
-    lit = [begun_before, (2000.0, 3000.0), (7000.0, 8000.0)]
-    assert window_of(lit, 10_000.0) == pytest.approx((2000.0, 3000.0), abs=1e-4)
-    with pytest.raises(InputError, match="whole window"):
-        window_of([begun_before, outlasting], 10_000.0)
 
 
 def test_timeline_follows_the_rules(mission):

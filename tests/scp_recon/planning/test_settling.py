@@ -5,8 +5,6 @@ import pytest
 from experiments.solvers.cases import drawn
 from formulations.problem.facets import Facets, choose_facets
 from scp_recon.mission.mission import Mission
-from scp_recon.planning import ipopt
-from scp_recon.planning.initial_guess import cold
 from scp_recon.planning.plan import Plan, Stage
 from scp_recon.planning.planner import Planner
 from scp_recon.planning.settling import ROUGH
@@ -14,8 +12,7 @@ from scp_recon.planning.stages import Pipeline
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scp.status import Status
 from tests.helpers import usually
-from tests.scenarios import COARSE
-from tests.scp_recon.support import from_cold, mission_of
+from tests.scp_recon.support import from_cold
 
 UNIFORM = {"risk.allocation": "uniform", "risk.scope": "node"}
 
@@ -59,15 +56,6 @@ def test_every_method_settles_alike(settled, mission, options):
     """The same scout chooses the facets for all."""
     other = from_cold(mission, facet_rounds="settle", **options)
     assert other.total_dv_m_s == pytest.approx(settled.total_dv_m_s, rel=1e-3)
-
-
-@pytest.mark.slow
-def test_ipopt_solves_p2_on_settled_facets():
-    mission = mission_of(COARSE)
-    ours = from_cold(mission, facet_rounds="settle")
-    theirs = ipopt.plan(mission, cold(mission), facet_rounds="settle")
-    assert theirs.final.name == "P2.settled"
-    assert theirs.total_dv_m_s == pytest.approx(ours.total_dv_m_s, rel=1e-4)
 
 
 @pytest.mark.slow

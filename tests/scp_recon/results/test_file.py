@@ -136,13 +136,6 @@ def refused(file: Path, content: str | bytes) -> InputError:
     return caught.value
 
 
-def test_a_missing_file_is_refused(tmp_path):
-    for path in (tmp_path / "none.json", tmp_path):
-        with pytest.raises(InputError) as caught:
-            read_solution(path)
-        assert "no such file" in caught.value.given
-
-
 NO_JSON = [b"", b"{", b"\x89PNG\r\n\x1a\n", b"\xff\xfe\x00", b"nonsense", b"[" * 100_000]
 OTHER = [b"[]", b"5", b"null", b'"text"', b"{}", b'{"schema": 1}']
 

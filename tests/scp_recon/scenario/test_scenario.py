@@ -2,7 +2,6 @@
 
 import json
 import re
-from importlib.resources import files
 from operator import attrgetter
 from pathlib import Path
 from typing import Any, get_args, get_origin
@@ -12,7 +11,7 @@ from pydantic import BaseModel, ValidationError
 
 from scp_recon.errors import InputError
 from scp_recon.scenario.json_schema import schema_text
-from scp_recon.scenario.load import Scenario, load_scenario, scenario_text, validate_scenario
+from scp_recon.scenario.load import Scenario, load_scenario, scenario_text
 from tests import reliability
 
 
@@ -116,18 +115,6 @@ def test_a_derived_file_holds_only_what_differs(encoding, tmp_path, scenario):
     expected = scenario.model_dump()
     expected["name"], expected["risk"]["p_chance"] = "mine", 0.8
     assert mine.model_dump() == expected
-
-
-def test_a_complete_file_needs_no_base(tmp_path, scenario):
-    file = tmp_path / "whole.toml"
-    file.write_text((files("scp_recon") / "data" / "recon_b.toml").read_text("utf-8"), "utf-8")
-    assert load_scenario(file) == scenario
-
-
-def test_the_later_override_wins():
-    given = {"base": "recon_b", "risk": {"p_chance": 0.8}}
-    for overrides in (["risk.p_chance=0.9"], ["risk.p_chance=0.95", "risk.p_chance=0.9"]):
-        assert validate_scenario(given, overrides).risk.p_chance == 0.9
 
 
 @pytest.mark.parametrize(

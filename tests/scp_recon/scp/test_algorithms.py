@@ -122,23 +122,6 @@ def test_a_tenth_of_predicted_reduction_accepts_a_step(prox_run):
         assert after.trust_radius == pytest.approx(expected)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "algorithm",
-    [
-        *map(PTR, (0.03, 30.0)),
-        *(SCvx(initial_radius=radius) for radius in (0.3, 6.0)),
-        *(SCvxStar(weight=weight) for weight in (1.0, 1e4)),
-    ],
-    ids=lambda algorithm: type(algorithm).__name__,
-)
-def test_the_optimum_is_independent_of_radius_and_weight(algorithm, mission, cold, prox_run):
-    result = p3_by(algorithm, mission, cold)
-    assert result.status is Status.CONVERGED
-    expected = prox_run.lin.iterate.total_dv
-    assert result.lin.iterate.total_dv == pytest.approx(expected, rel=1e-4)
-
-
 def test_multipliers_price_the_final_state(mission, cold, prox_run):
     """Moving the final state by d changes the least delta-v by -l'd, to first order."""
     algorithm = SCvxStar()
