@@ -268,8 +268,6 @@ class NlpResult:
     status: str
     objective: float
     iterations: tuple[NlpIteration, ...]
-    unknowns: int
-    rows: int
     build_s: float
     solve_s: float
     evaluate_s: float
@@ -320,8 +318,6 @@ def solve_nlp(
         status=stats["return_status"],
         objective=float(answer["f"]),
         iterations=tuple(NlpIteration(*line) for line in lines),
-        unknowns=nlp.unknowns.numel(),
-        rows=nlp.rows.numel(),
         build_s=build_s,
         solve_s=solve_s,
         evaluate_s=sum(s for name, s in stats.items() if name.startswith("t_wall_nlp_")),

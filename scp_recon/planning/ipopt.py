@@ -37,13 +37,6 @@ from scp_recon.scp.loop import Record, Result, Timing
 from scp_recon.scp.status import Status
 
 
-@dataclass(frozen=True, eq=False)
-class NlpStage(Stage):
-    """A stage that IPOPT solved in one run, or in two where the penalty had to be raised."""
-
-    runs: tuple[NlpResult, ...]
-
-
 def casadi_arcs(flow: GridFlow) -> Arcs:
     """The flow map of `flow.propagate` over CasADi symbols: same forces, scheme and substeps."""
     forces, halves = flow.forces, np.linspace(0.0, 1.0, 2 * flow.substeps + 1)
@@ -105,7 +98,7 @@ def plan(
     instead of forbidden. The observer is called with each line of IPOPT's log once a run is over.
 
     Returns:
-        A plan of `NlpStage`s, whose linearisations are those of the dynamics at IPOPT's iterates.
+        A plan, whose linearisations are those of the dynamics at IPOPT's iterates.
 
     Raises:
         InputError: if burns are corrected by feedback, which IPOPT does not plan; or if the variant
@@ -170,7 +163,7 @@ class IpoptStages:
 
     def solve(
         self, spec: StageSpec, start: Linearisation, dynamics: Dynamics, observe: Observer
-    ) -> NlpStage:
+    ) -> Stage:
         """Solve P3 or, on the included facets of its rows, P2.
 
         An elastic problem that stays violated is solved again with SCP's second weight.
@@ -192,7 +185,7 @@ class IpoptStages:
         result = Result(status, lin, _records(runs), _timing(runs, setup))
         for record in result.records:
             observe(spec.name, record)
-        return NlpStage(spec, result, merit, algorithm.feasible, tuple(runs))
+        return Stage(spec, result, merit, algorithm.feasible)
 
     def _run(
         self, rows: Rows, lin: Linearisation, dynamics: Dynamics, penalty: float | None
