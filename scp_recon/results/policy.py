@@ -98,7 +98,7 @@ def policy_of(mission: Mission, lin: Linearisation) -> Policy:
     for j, burn in enumerate(feedback.burns.tolist()):
         stop = 6 * j + 6
         filters.estimated(np.eye(6, 6 * len(feedback.burns), 6 * j))
-        gains = filters.corrected(problem.gains_of(lin.iterate, j))[:, :stop]
+        gains = filters.commanded(problem.gains_of(lin.iterate, j) @ filters.innovations)[:, :stop]
         error, measurement = known.after(j), feedback.measurement[j]
         policy.append(
             Correction(
@@ -123,7 +123,8 @@ def with_policy(mission: Mission, lin: Linearisation, policy: Policy) -> Lineari
         # What a cut-off tells depends on earlier gains alone.
         filters.lin = Linearisation(problem, replace(lin.iterate, gains=gains.copy()), lin.arcs)
         filters.measured(np.eye(6, 6 * len(policy), 6 * j))
-        own = filters.command(np.hstack(list(one.gains)) * scale[: 6 * j + 6])
+        by = np.hstack(list(one.gains)) * scale[: 6 * j + 6]
+        own = filters.commanded(by @ filters.estimates)
         first, last = feedback.first_gain[j : j + 2]
         gains[first:last] = own[:, : 6 * j + 6].ravel()
     return Linearisation(problem, replace(lin.iterate, gains=gains), lin.arcs)
@@ -184,15 +185,8 @@ class _Filters:
             state = told[:6] + flown.gain[:6] @ own
         self._take(innovation, before, state)
 
-    def command(self, by: Array) -> Array:
-        """The correction (3, q) for the last cut-off, by gains on all estimates so far, (3, 6 k)."""
-        return self._commanded(by @ self.estimates)
-
-    def corrected(self, by: Array) -> Array:
-        """The same by gains on all innovations so far."""
-        return self._commanded(by @ self.innovations)
-
-    def _commanded(self, command: Array) -> Array:
+    def commanded(self, command: Array) -> Array:
+        """Take the correction (3, q) for the last cut-off."""
         self._commands.append(command)
         return command
 

@@ -142,7 +142,7 @@ class FlightPlan:
         firing = next(f for f in self.firings if f.end_s >= leg.end_s - CONTROL_PERIOD_S)
         idle = leg.mode is Mode.DELTA_V and not firing.duration_s
         if leg.mode is Mode.SUN_POINTING or idle:
-            return sun_pointing(self.panels, camera, sun, position)
+            return align(unit(self.panels.best_direction()), sun, camera, -position)
         if leg.mode is Mode.DELTA_V:
             axis_body = unit(self.vehicle.chemical_thruster.direction)
             axis = np.broadcast_to(firing.direction, sun.shape)
@@ -158,21 +158,6 @@ class FlightPlan:
 
 CONTROL_PERIOD_S = 1.0
 """Period in s with which sensors are read and actuators commanded."""
-
-
-def sun_pointing(panels: SolarArray, camera: Array, sun: Array, position: Array) -> Array:
-    """Attitudes of largest power, with the camera as near to the asteroid as that allows.
-
-    Args:
-        panels: the vehicle's panels.
-        camera: unit boresight in the body frame, shape (3,).
-        sun: unit vectors to the Sun, J2000, shape (..., 3).
-        position: positions about the asteroid, J2000, shape (..., 3).
-
-    Returns:
-        Matrices from the body to J2000, shape (..., 3, 3).
-    """
-    return align(unit(panels.best_direction()), sun, camera, -position)
 
 
 def _interpolate(solution: Solution) -> tuple[CubicHermiteSpline, ...]:

@@ -14,6 +14,7 @@ import numpy as np
 
 from formulations.arrays import Array
 from scp_recon.bodies.catalogue import AU_KM
+from scp_recon.physics.frames import unit
 from scp_recon.scenario.schema import Scenario
 from scp_recon.simulation.vehicle import Vehicle
 
@@ -41,7 +42,9 @@ class SolarArray:
     def of(cls, vehicle: Vehicle, irradiance_w_m2: float) -> SolarArray:
         """A vehicle's panels; p_i = irradiance x area x packing x efficiency."""
         cells = vehicle.panels.packing * vehicle.panels.efficiency
-        return cls(vehicle.panel_normals, irradiance_w_m2 * cells * vehicle.panel_areas_m2)
+        panels = vehicle.panels.panel
+        areas_m2 = np.array([panel.area_m2 for panel in panels])
+        return cls(unit([panel.normal for panel in panels]), irradiance_w_m2 * cells * areas_m2)
 
     def generation(self, sun_body: Array) -> Array:
         """Power of each panel, W, (..., n), for unit vectors to the Sun, body frame, (..., 3)."""

@@ -205,16 +205,6 @@ class Vehicle(Section):
         return np.diag(self.mass.inertia_kg_m2)
 
     @cached_property
-    def panel_normals(self) -> Array:
-        """Unit normals of the panels' cells, body frame, shape (p, 3)."""
-        return unit([panel.normal for panel in self.panels.panel])
-
-    @cached_property
-    def panel_areas_m2(self) -> Array:
-        """Areas of the panels, m^2, shape (p,)."""
-        return np.array([panel.area_m2 for panel in self.panels.panel])
-
-    @cached_property
     def plates(self) -> tuple[Face, ...]:
         """Every plate that sunlight falls on: the faces, and the panels' cells."""
         cells = (
