@@ -12,8 +12,7 @@ from matplotlib.patches import Polygon
 from scipy.spatial import HalfspaceIntersection
 
 from formulations.arrays import Array
-from formulations.problem.facets import Polytopes, inner_facets, outer_facets
-from formulations.problem.polytopes import paper_ball
+from formulations.problem.facets import Polytopes, inner_facets, outer_facets, paper_ball
 from formulations.problem.regions import Ball, Cone, Halfspaces
 from paper_figs.drawing import Look
 from paper_figs.inputs import FlownPlan, Runs

@@ -18,12 +18,21 @@ from scp_recon.api.inputs import PlanRequest, date_in_tdb
 from scp_recon.api.planning import carry_out
 from scp_recon.bodies.catalogue import DAY_S, J2000_TDB, body_names, packaged_body
 from scp_recon.display import digits, exact, mm_s
-from scp_recon.drafting.draft import Draft, GivenBody, Tables, draft_text, drafts
+from scp_recon.drafting.draft import (
+    Draft,
+    GivenBody,
+    Tables,
+    Track,
+    draft_text,
+    drafts,
+    flown_draft,
+    start_csv,
+    start_table,
+)
 from scp_recon.drafting.draft import scenario_of as drafted
-from scp_recon.drafting.flown import Track, flown_draft, start_csv, start_table
 from scp_recon.errors import InputError, make_whole, number_between, option, path_of, shortened
 from scp_recon.files import check_writable, write_atomically, writing
-from scp_recon.interop.oem import oem_track
+from scp_recon.interop.ccsds import oem_track
 from scp_recon.interop.tracks import (
     csv_track,
     cut,

@@ -24,10 +24,9 @@ from formulations.linearisation.dynamics import Dynamics
 from formulations.problem.controls import Feedback
 from formulations.problem.execution_errors import ComponentwiseErrors, ExecutionErrors, GatesErrors
 from formulations.problem.expression_flow import ExpressionFlow
-from formulations.problem.facets import Polytopes, split_risk
+from formulations.problem.facets import Polytopes, ball, split_risk
 from formulations.problem.flow import Flow, ScaledFlow, check_flow
 from formulations.problem.flyby import FlybyProblem, Iterate, StateConstraint
-from formulations.problem.polytopes import ball
 from formulations.problem.regions import Ball, Cone, Ellipsoid, Halfspaces, Polytope
 from scp_recon.certification.certify import certified
 from scp_recon.certification.flights import Step

@@ -17,8 +17,7 @@ import numpy as np
 
 from scp_recon.bodies.catalogue import DAY_S, J2000_TDB, PackagedBody
 from scp_recon.bodies.kernels import number_of, read_gm, read_heliocentric, read_pck, read_states
-from scp_recon.drafting.draft import Entry, Tables
-from scp_recon.drafting.flown import Track
+from scp_recon.drafting.draft import Entry, Tables, Track
 from scp_recon.errors import InputError, option
 from scp_recon.files import read_text
 from scp_recon.mission.mission import Mission

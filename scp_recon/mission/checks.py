@@ -47,8 +47,8 @@ from scp_recon.mission.knowledge import FAR, Uncertain, check_knowledge
 from scp_recon.mission.scene import Scene, orbit_of_body
 from scp_recon.mission.schedule import check_in_flight
 from scp_recon.mission.windows import SCAN_STEP_S, Lighting, Window
+from scp_recon.physics.forces import STEP
 from scp_recon.physics.frames import Rotation, unit
-from scp_recon.physics.partials import STEP
 from scp_recon.physics.two_body import Orbit
 from scp_recon.scenario.fields import ScenarioWarning
 from scp_recon.scenario.given import COORDINATES, POLE

@@ -12,9 +12,8 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from formulations.arrays import Array, Indices
-from formulations.problem.facets import Polytopes, split_risk
+from formulations.problem.facets import Polytopes, ball, paper_ball, split_risk
 from formulations.problem.flyby import StateConstraint
-from formulations.problem.polytopes import ball, paper_ball
 from formulations.problem.regions import Ball, Cone
 from scp_recon.display import exact
 from scp_recon.errors import InputError

@@ -21,9 +21,8 @@ from scp_recon.errors import InputError, option
 from scp_recon.mission.constraints import companion_distance_m
 from scp_recon.mission.scene import NODES_MAX, Scene, Units
 from scp_recon.physics.flow import GridFlow
-from scp_recon.physics.forces import ForceModel
+from scp_recon.physics.forces import ForceModel, Partials
 from scp_recon.physics.frames import TabulatedRotation
-from scp_recon.physics.partials import Partials
 from scp_recon.scenario.schema import DRIFT_PROBABILITY, DRIFT_S, Scenario
 
 STEP_S = 120.0

@@ -20,10 +20,9 @@ from formulations.problem.motion import Motion
 from scp_recon.bodies.catalogue import DAY_S
 from scp_recon.display import exact
 from scp_recon.errors import InputError
-from scp_recon.physics.forces import ForceModel
+from scp_recon.physics.forces import STEP, ForceModel, Partials
 from scp_recon.physics.frames import Rotation, unit
 from scp_recon.physics.geometry import Site, track
-from scp_recon.physics.partials import STEP, Partials
 from scp_recon.physics.two_body import Companion
 from scp_recon.scenario.knowledge import SIZES
 from scp_recon.scenario.schema import Scenario

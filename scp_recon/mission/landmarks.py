@@ -23,8 +23,8 @@ from scp_recon.errors import InputError
 from scp_recon.mission.feedback import USELESS
 from scp_recon.mission.knowledge import Uncertain
 from scp_recon.mission.scene import Scene
+from scp_recon.physics.forces import STEP
 from scp_recon.physics.frames import unit
-from scp_recon.physics.partials import STEP
 from scp_recon.scenario.schema import Scenario
 from scp_recon.scenario.uncertainty import Landmarks
 

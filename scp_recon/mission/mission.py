@@ -58,9 +58,8 @@ from scp_recon.mission.schedule import (
 from scp_recon.mission.windows import WindowEdges, edge_sigmas_s, moved_edges, scan_step_s
 from scp_recon.physics import geometry
 from scp_recon.physics.flow import GridFlow
-from scp_recon.physics.forces import ForceModel
+from scp_recon.physics.forces import STEP, ForceModel, Partials
 from scp_recon.physics.frames import Rotation
-from scp_recon.physics.partials import STEP, Partials
 from scp_recon.physics.two_body import lambert
 from scp_recon.scenario.fields import ScenarioWarning
 from scp_recon.scenario.schema import Risk, Scenario

@@ -17,8 +17,7 @@ from scp_recon.bodies.catalogue import J2000_TDB
 from scp_recon.bodies.kernels import read_states
 from scp_recon.display import digits, exact
 from scp_recon.errors import InputError
-from scp_recon.interop.ccsds import plain_name
-from scp_recon.interop.oem import oem_track
+from scp_recon.interop.ccsds import oem_track, plain_name
 from scp_recon.interop.tracks import csv_track
 from scp_recon.mission.firing import TURN, Ring
 from scp_recon.physics.forces import ForceModel, acceleration

@@ -18,11 +18,11 @@ from formulations.arrays import Array, Indices
 from scp_recon.physics.forces import (
     ForceModel,
     Moment,
+    Partials,
     accelerations,
     gravity_curvature,
     gravity_gradient,
 )
-from scp_recon.physics.partials import Partials
 
 
 @dataclass(frozen=True, eq=False)

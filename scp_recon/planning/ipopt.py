@@ -24,8 +24,7 @@ from scp_recon.errors import InputError, option
 from scp_recon.mission.constraints import AS_PRINTED, require_without
 from scp_recon.mission.mission import Mission
 from scp_recon.physics.flow import GridFlow
-from scp_recon.physics.forces import ForceModel, acceleration
-from scp_recon.physics.partials import STEP
+from scp_recon.physics.forces import STEP, ForceModel, acceleration
 from scp_recon.planning.method import FacetRounds
 from scp_recon.planning.missions import make_plan, other_starts
 from scp_recon.planning.plan import Plan, Provenance, Stage, StageSpec

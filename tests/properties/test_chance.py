@@ -9,9 +9,17 @@ from hypothesis import strategies as st
 from scipy.stats import multivariate_normal, norm, qmc
 
 from formulations.arrays import Array
-from formulations.problem.facets import Facets, Polytopes, choose_facets, quantile, split_risk
+from formulations.problem.facets import (
+    Facets,
+    Polytopes,
+    ball,
+    choose_facets,
+    inner_pyramid_angle,
+    paper_ball,
+    quantile,
+    split_risk,
+)
 from formulations.problem.flyby import FlybyProblem, StateConstraint
-from formulations.problem.polytopes import ball, inner_pyramid_angle, paper_ball
 from formulations.problem.regions import Ball, Cone, Region
 from tests.helpers import generators, random_flyby, random_unit, share_of_examples
 

@@ -14,13 +14,14 @@ from formulations.arrays import Array
 from formulations.problem.facets import (
     Facets,
     Polytopes,
+    ball,
     choose_facets,
     inner_facets,
     outer_facets,
+    paper_ball,
     touching_facets,
 )
 from formulations.problem.flyby import FlybyProblem, StateConstraint
-from formulations.problem.polytopes import ball, paper_ball
 from formulations.problem.regions import Ball, Cone, Ellipsoid, Halfspaces, Region
 from tests.helpers import constrain, generators, random_flyby, random_unit
 

@@ -27,7 +27,7 @@ from scp_recon.advice import infeasibility, trials
 from scp_recon.api import planning
 from scp_recon.cli.commands import montecarlo, simulate, solve, verify
 from scp_recon.errors import InputError
-from scp_recon.interop.oem import oem_track
+from scp_recon.interop.ccsds import oem_track
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess, planner
 from scp_recon.results.read import read_solution

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial import HalfspaceIntersection
 
 from formulations.arrays import Array
-from formulations.problem.polytopes import ball, inner_pyramid_angle, paper_ball, rotations_between
+from formulations.problem.facets import ball, inner_pyramid_angle, paper_ball, rotations_between
 from tests.helpers import generators, random_rotation, random_unit
 
 EXACT = 1e-9

@@ -10,8 +10,7 @@ import scipy.sparse as sp
 
 from formulations.arrays import Array
 from formulations.linearisation.linearisation import Condensation, Linearisation, condense
-from formulations.problem.facets import Polytopes, choose_facets
-from formulations.problem.polytopes import ball
+from formulations.problem.facets import Polytopes, ball, choose_facets
 from formulations.problem.regions import Ball
 from formulations.program import solvers
 from formulations.program.certificate import ConeProgram

@@ -8,8 +8,7 @@ import pytest
 
 from formulations.linearisation.linearisation import Linearisation
 from formulations.problem.controls import Cost
-from formulations.problem.facets import Polytopes, choose_facets
-from formulations.problem.polytopes import ball
+from formulations.problem.facets import Polytopes, ball, choose_facets
 from formulations.problem.regions import Ball
 from formulations.program import solvers
 from formulations.program.solvers import SOLVERS

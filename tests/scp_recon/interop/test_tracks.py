@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from scp_recon.bodies.catalogue import J2000_TDB
-from scp_recon.drafting.flown import Track
+from scp_recon.drafting.draft import Track
 from scp_recon.errors import InputError
+from scp_recon.interop.ccsds import oem_track
 from scp_recon.interop.files import csv_text
-from scp_recon.interop.oem import oem_track
 from scp_recon.interop.tracks import csv_track, cut, pull_doubts, step_doubts
 
 

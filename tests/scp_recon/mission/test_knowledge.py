@@ -23,9 +23,8 @@ from scp_recon.errors import InputError
 from scp_recon.mission.knowledge import Uncertain, in_words
 from scp_recon.mission.mission import Mission
 from scp_recon.physics.flow import GridFlow
-from scp_recon.physics.forces import ForceModel
+from scp_recon.physics.forces import STEP, ForceModel, Partials
 from scp_recon.physics.geometry import track
-from scp_recon.physics.partials import STEP, Partials
 from scp_recon.planning.initial_guess import from_burns
 from scp_recon.scenario.load import load_scenario
 from tests.helpers import usually
