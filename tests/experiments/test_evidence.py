@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from scipy.special import ndtri
 
-from experiments import evidence, pages, renewal
+from experiments import evidence, harness, pages, renewal
 from experiments.__main__ import main
 from experiments.evidence import FOLDER, SOURCES, Evidence, path_of
 from experiments.sentinels import WITHIN, near, sentinels_of
@@ -105,10 +105,10 @@ def test_only_outdated_evidence_is_renewed(folder, capsys):
 
 
 MORE = 1.001
-MOST = "plans designs sites policies frontier sensitivity cross_check observation_table"
+MOST = "plans frontier sensitivity cross_check observation_table"
 FELT = {
-    "quantile": f"{MOST} compare_solvers uncertainty_sources maps",
-    "GM": f"{MOST} compare_solvers peers model_fidelity feedback map_sample",
+    "quantile": f"{MOST} designs sites compare_solvers uncertainty_sources maps",
+    "GM": f"{MOST} designs sites policies compare_solvers model_fidelity feedback map_sample",
     "sunlight": f"{MOST} model_fidelity feedback map_sample battery_cones missed_burns",
 }
 """Evidence that each planted change makes out of date."""
@@ -123,6 +123,8 @@ def plant(what: str, patch: pytest.MonkeyPatch) -> None:
             if ours and vars(module).get(name) is usual:
                 patch.setattr(module, name, other)
 
+    for remembered in (harness.default_mission, harness.default_plan):
+        remembered.cache_clear()
     real, light_m_s, irradiance = forces_of, forces.SPEED_OF_LIGHT_M_S, panels.irradiance
 
     def heavier(scene: Any, field: Any) -> forces.ForceModel:
@@ -141,11 +143,11 @@ def plant(what: str, patch: pytest.MonkeyPatch) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("what", FELT)
 @pytest.mark.parametrize("names", ["battery_cones sensitivity", pytest.param("", marks=nightly)])
-def test_planted_changes_move_half_of_studies(what, names, monkeypatch):
+def test_planted_changes_move_a_third_of_studies(what, names, monkeypatch):
     every = [name for name, source in SOURCES.items() if not source.dated]
     expected = set(FELT[what].split())
     assert expected <= set(every)
-    assert 2 * len(expected) >= len(every)
+    assert 3 * len(expected) >= len(every)
     plant(what, monkeypatch)
     rows: dict[str, Any] = {}
     for name in names.split() or sorted(expected):
