@@ -1,6 +1,7 @@
 """Evidence: when it is out of date, what a sentinel feels, and renewal."""
 
 import sys
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -114,6 +115,16 @@ FELT = {
 """Evidence that each planted change makes out of date."""
 
 
+@pytest.fixture
+def forgetting() -> Iterator[None]:
+    """Plans that studies remember belong to this test alone."""
+    for remembered in (harness.default_mission, harness.default_plan):
+        remembered.cache_clear()
+    yield
+    for remembered in (harness.default_mission, harness.default_plan):
+        remembered.cache_clear()
+
+
 def plant(what: str, patch: pytest.MonkeyPatch) -> None:
     """Change the normal quantile, GM or sunlight by 0.1 % in all modules that are loaded."""
 
@@ -123,8 +134,6 @@ def plant(what: str, patch: pytest.MonkeyPatch) -> None:
             if ours and vars(module).get(name) is usual:
                 patch.setattr(module, name, other)
 
-    for remembered in (harness.default_mission, harness.default_plan):
-        remembered.cache_clear()
     real, light_m_s, irradiance = forces_of, forces.SPEED_OF_LIGHT_M_S, panels.irradiance
 
     def heavier(scene: Any, field: Any) -> forces.ForceModel:
@@ -141,6 +150,7 @@ def plant(what: str, patch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("forgetting")
 @pytest.mark.parametrize("what", FELT)
 @pytest.mark.parametrize("names", ["battery_cones sensitivity", pytest.param("", marks=nightly)])
 def test_planted_changes_move_a_third_of_studies(what, names, monkeypatch):
