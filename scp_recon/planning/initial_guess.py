@@ -79,7 +79,7 @@ def circular(mission: Mission, way: float) -> Iterate:
     """A steady turn from the initial to the final position, burns nearly zero.
 
     Unlike a straight line the path never comes nearer to the body than its ends. `way` is 1 for the
-    shorter way round the body, -1 for the longer; between equal directions both are whole turns.
+    shorter way round the body, -1 for the longer: between equal directions none and a whole turn.
     """
     ends = mission.initial_state, mission.final_state
     position = _circular_positions(mission, ends, way, _fraction(mission)).T
@@ -101,7 +101,7 @@ def _circular_positions(
     across = np.cross(normal / np.linalg.norm(normal), first)
     sweep = np.arctan2(last @ across, last @ first) % (2.0 * np.pi)
     if parallel and last @ first > 0.0:  # rounding must not choose between none and a whole turn
-        sweep = 2.0 * np.pi
+        sweep = np.pi * (1.0 - way)
     turned = np.outer(first, np.cos(sweep * fraction)) + np.outer(across, np.sin(sweep * fraction))
     return np.interp(fraction, [0, 1], radii) * turned
 

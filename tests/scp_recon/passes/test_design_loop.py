@@ -184,7 +184,7 @@ def test_kingfisher_as_packaged_has_a_pass_with_feedback():
     assert plan.certificate.certifies(0.9)
     assert min(margin for margin, _ in plan.worst_margins.values()) > -1e-4
     cost_m_s = plan.final.result.lin.cost.value * plan.mission.units.speed_m_s
-    assert plan.total_dv_m_s < cost_m_s < 0.56
+    assert plan.total_dv_m_s < cost_m_s < 0.526  # 0.530 to 0.536 where it is planned once
 
 
 FIXED = {

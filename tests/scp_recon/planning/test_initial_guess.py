@@ -235,6 +235,21 @@ def test_only_random_guesses_ignore_their_burns(mission, default_plan):
         assert path_ignores_burns(mission.dynamics.linearise(mission.problem, guess))
 
 
+@pytest.mark.parametrize("off_m", [-1e-10, 0.0, 1e-10])
+def test_turns_between_equal_directions_ignore_rounding(mission, off_m):
+    first = np.r_[2400.0, 1600.0, 900.0, np.zeros(3)]
+    alike = replace(mission, initial_state=first, final_state=first + off_m * np.eye(6)[1])
+    stays, turns = (
+        initial_guess.circular(alike, way).mean[:, :3] * mission.units.length_m
+        for way in (1.0, -1.0)
+    )
+    np.testing.assert_allclose(stays, np.broadcast_to(first[:3], stays.shape), rtol=1e-9)
+    distance = np.linalg.norm(turns, axis=1)
+    np.testing.assert_allclose(distance, np.linalg.norm(first), rtol=1e-9)
+    cosines = turns @ first[:3] / distance / np.linalg.norm(first)
+    assert cosines.min() < -0.99 < 0.99 < cosines[-1]
+
+
 def test_a_flight_stays_on_its_side(mission):
     """Whoever gives a flight beyond the cone means that side."""
     found = plan(mission, flight_beyond(mission), problem="P3")
