@@ -146,10 +146,10 @@ class Session:
         executor: Executor | None = None,
         failed: Callable[[Key, Failure], Record] | None = None,
     ) -> list[Record]:
-        """Measure the cases whose rows a store lacks, under a bar; return the rows of all in order.
+        """Measure the cases whose rows a store lacks, with progress shown; return all rows in order.
 
-        `work` makes the row of a case, which may be a `Job` with a key of its own, `failed` the row of
-        a job that failed, whose failure is raised without it.
+        `work` makes the row of a case, which may be a `Job` with a key of its own. `failed` makes the
+        row of a job that failed; without `failed` the failure is raised.
         """
         jobs = [case if isinstance(case, Job) else Job(repr(case), case) for case in cases]
         columns = (TextColumn(label), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())

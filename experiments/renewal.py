@@ -30,7 +30,7 @@ from scp_recon.jobs.processes import Processes
 
 RUNS = Path("runs") / "evidence"
 OUT_OF_DATE = 1
-"""Exit status where anything is."""
+"""Exit status where any evidence is out of date, or was not renewed."""
 PROCESSES = 2
 
 

@@ -63,7 +63,7 @@ FLOWN = (
     "whole_flight kept open_flown safe reached probability_min observed_mean_s mean_s "
     "closest_0_3_percent_m mean_off_plan_m camera_max_deg terminal_miss_m"
 )
-"""The same, of flights, some in ten thousand of which may end otherwise."""
+"""Columns on flights that are compared; some flights in ten thousand may end otherwise."""
 WITHIN = dict.fromkeys(EXACT.split()) | dict.fromkeys(FLOWN.split(), 2e-3)
 """Tolerances by column, relative; that of a sentinel where there is none."""
 

@@ -49,7 +49,7 @@ def planned(out: Path) -> Solution:
     spacecraft can turn.
 
     Raises:
-        InputError: if there is none.
+        InputError: if no pass is found.
     """
     if (out / FILE_NAME).is_file():
         return read_solution(out)

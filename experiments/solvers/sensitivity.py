@@ -1,8 +1,8 @@
 """Vary the penalty weight and the first trust-region radius, one at a time.
 
 The three problems of `compare_solvers` are planned from the straight line, in the condensed form by
-Clarabel, each time with one of these at a multiple of its usual value. SCvx bounds a step by the
-radius r, PTR charges ||s||^2 / (2 r). They belong to the loop, not to a scenario, and no value of them
+Clarabel, each time with weight or radius at a multiple of its usual value. SCvx bounds a step by the
+radius r, PTR charges ||s||^2 / (2 r). Both factors belong to the loop, not to a scenario, and no value
 is refused. OUT/sensitivity.csv has a row for each plan. OUT/by_value.csv has a row for each value, and
 a column for each problem: delta-v in m/s, or the status without a plan, and P3's and P2's iterations.
 After Ctrl-C the study continues with the missing rows.

@@ -74,7 +74,7 @@ def find_cones(seed: int) -> list[Record]:
 
 
 def batteries() -> list[Record]:
-    """A recharge from empty, facing the Sun, and the charge that a warm-up in the dark leaves of full.
+    """A recharge from empty, facing the Sun; and the share of charge left after a warm-up in the dark.
 
     The recharge is quiescent, or with the attitude control's reserve drawn as well.
     """

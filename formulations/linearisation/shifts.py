@@ -40,7 +40,7 @@ class Shifts:
     Attributes:
         problem: of the iterate.
         iterate: burns, means and times.
-        arcs: its arcs, whose flow tells its rate.
+        arcs: the iterate's arcs, whose flow gives the state's rate.
     """
 
     problem: FlybyProblem

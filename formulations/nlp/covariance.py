@@ -29,9 +29,9 @@ def root(square: ca.MX) -> ca.MX:
 
 
 class Covariance:
-    """Sigma by entries: all 36 in the problem's units, as printed; or 21 in those of the initial one.
+    """Sigma by entries: all 36 in the problem's units, as printed; or the 21 unique ones, scaled.
 
-    These are the unique entries, over the square of `initial_deviation`. Only feasibility keeps an
+    The unique entries are divided by the square of `initial_deviation`. Only feasibility keeps an
     iterate positive semidefinite.
     """
 

@@ -5,7 +5,7 @@ to cut-off. A linear Kalman filter along the plan turns the measurement into an 
 I_6), independent of all earlier ones. The commanded burn is its nominal value plus gains times all
 innovations until then,
 
-    dv_i + U_i0 xi_0 + ... + U_ij xi_j,    j the cut-off of burn i,
+    dv_i + U_i0 xi_0 + ... + U_ij xi_j,    j the cut-off of burn i.
 
 Gains are velocities, as burns are. The sum of squares of a burn's gains is the variance of its
 correction.

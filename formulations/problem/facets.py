@@ -1,6 +1,6 @@
 """Choose facets of the chance constraints at a guess, by largest probability; then they are fixed.
 
-Risk is split evenly over facets by Boole's inequality. They are those of polytopes around and inside
+Risk is split evenly over facets by Boole's inequality. Facets are those of polytopes around and inside
 balls, and of pyramids around and inside circular cones.
 
 A ball polytope is kept as the unit normals u_j of its facets. Then {y : u_j'y <= 1} contains the

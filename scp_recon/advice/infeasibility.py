@@ -1,4 +1,4 @@
-"""Diagnose a plan that failed: values with which the user's command ends verified, within a time.
+"""Diagnose a failed plan: find, within a limit of time, values with which the command ends verified.
 
 Every trial is a local search. A trial without a plan therefore does not prove that no plan exists.
 

@@ -1,4 +1,4 @@
-"""Make a plan again until its drifts are safe, and pictures tell what the plan takes them to tell.
+"""Plan again until drifts are safe, and pictures of landmarks inform as much as the plan assumes.
 
 Within a day the curvature of the flow moves drifts by a part of their spread, so that the linear law is
 optimistic or pessimistic by some hundredths of a standard deviation. As certification does for the

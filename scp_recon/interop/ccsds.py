@@ -1,6 +1,6 @@
 """Write and read CCSDS 502.0-B-2 messages: OEM (path, covariances), and OPM (burns).
 
-They are written in key-value notation. An OEM has a segment for each coast, so that no
+Messages are written in key-value notation. An OEM has a segment for each coast, so that no
 interpolation crosses a burn. Segments meet at the burn's epoch. An OEM cannot hold burns, so an OPM
 holds them as manoeuvres. Units are the standard's: km, km/s, kg, s.
 

@@ -178,10 +178,10 @@ def run_in_child(pickled: bytes, job: bytes, limits: Limits) -> Done:
 
 
 def check_workers(workers: object, scheduler: str | None, least: int) -> int | None:
-    """Check a number of processes, None for the usual one, that is not given beside a scheduler.
+    """Check the number of processes, None for the default.
 
     Raises:
-        InputError: if it is out of bounds, or given beside one.
+        InputError: if the number is out of bounds, or given beside a scheduler.
     """
     if workers is None:
         return None
@@ -195,7 +195,7 @@ def check_workers(workers: object, scheduler: str | None, least: int) -> int | N
 def executor_for(
     workers: int, scheduler: str | None, limits: Limits, say: Callable[[str], None]
 ) -> Executor:
-    """Choose an executor: so many processes, with 0 this one, or the Dask cluster of an address.
+    """Choose an executor: `workers` processes, for 0 this process, or the Dask cluster of an address.
 
     `say` is called with each line worth showing.
     """

@@ -25,7 +25,7 @@ from scp_recon.scenario.schema import Scenario
 Measure = Literal["distance", "emission", "phase"]
 Beyond = Literal["drifts", "feedback", "knowledge", "final sigma"]
 AS_PRINTED: tuple[Beyond, ...] = ("feedback", "knowledge", "final sigma")
-"""What the paper's own problem does not have, drifts apart."""
+"""What the paper's own problem does not have, except drifts."""
 
 
 @dataclass(frozen=True)

@@ -1,9 +1,9 @@
-"""Find the observation window, lay out the attitude modes, and tell the legal times of burns.
+"""Find the observation window, lay out the attitude modes, and list the legal times of burns.
 
-A survey does so for all lighting windows of a span of time.
-The rules are those of Echigo et al., section V.A: delta-V mode starts one slew and one heating before a
-burn, observation mode one slew before the window, and sun-pointing fills the rest, each time for at
-least one slew and one recharge. `ScheduleRules` has the durations that follow.
+A survey does the same for all lighting windows of a span of time. The rules are those of Echigo et
+al., section V.A: delta-V mode starts one slew and one heating before a burn, observation mode one slew
+before the window, and sun-pointing fills the rest, each time for at least one slew and one recharge.
+`ScheduleRules` has the durations that follow.
 """
 
 from __future__ import annotations

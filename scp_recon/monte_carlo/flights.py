@@ -269,8 +269,9 @@ def fly_many(
 ) -> FlightTally:
     """Fly `samples` flights, or fewer if every probability's interval is `until` wide before.
 
-    Where `PLAIN` flights leave one wider, further flights in strata narrow the joint constraints'
-    probabilities, at most as many as are left, if that is quicker: see `narrow`.
+    Where an interval is wider after `PLAIN` flights, further flights in strata narrow the joint
+    constraints' probabilities, at most as many as are left, if that is quicker: see `narrow`.
+
     The result does not depend on where the executor flies blocks, by default in this process. After
     each block `progress` is called with the number flown so far, and a true `stop()` ends the flights.
 

@@ -72,7 +72,7 @@ class Trial:
     The pass's own times count from `begin_s` past the scenario's epoch.
 
     Attributes:
-        step: that it belongs to.
+        step: the step of the design that the plan belongs to.
         window: number of the lighting window, from 0.
         begin_s: where the pass's times begin.
         result: the pass and its plan.

@@ -1,7 +1,7 @@
 """Define the tables `[body]`, `[sun]`, `[site]`, `[boundary]` and `[design]`.
 
-They say what the asteroid is, its rotation, gravity and Sun; where the site is, where a flight begins
-and ends, and what a design may choose.
+The tables say what the asteroid is, its rotation, gravity and Sun; where the site is, where a flight
+begins and ends, and what a design may choose.
 """
 
 from __future__ import annotations
