@@ -232,6 +232,9 @@ def _doubts(request: PlanRequest, scenario: Scenario) -> Iterator[ScenarioWarnin
             yield ScenarioWarning.of(entry, given, "has no effect on a plan of P3")
         elif is_open and entry == "policy.cost":
             yield ScenarioWarning.of(entry, given, 'has no effect with policy.kind = "open"')
+        elif entry.partition(".")[0] == "design":
+            words = "has no effect on a plan at given times: `design` chooses them"
+            yield ScenarioWarning.of(entry, given, words)
         elif is_exact and entry.startswith("polytopes"):
             yield ScenarioWarning.of(entry, given, 'has no effect with risk.allocation = "exact"')
         elif entry == "burns.times_s":

@@ -38,10 +38,6 @@ def check_do(do: str, base: Scenario) -> None:
     home = base.boundary.home
     if base.in_flight is not None:
         raise InputError("campaign.base", "a flight under way", "must be a whole flight")
-    if do == "design" and home is None:
-        raise InputError(
-            "campaign.do", "'design' of a base without boundary.home", "must have a home orbit"
-        )
     if do != "design" and home is not None and home.is_free:
         raise InputError(
             "campaign.do",

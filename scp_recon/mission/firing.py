@@ -17,6 +17,8 @@ from scp_recon.scenario.schema import Scenario
 
 FREE_SPAN_S = 1e-3
 """Span below which a time counts as given."""
+BEFORE_END = "before the end of its span"
+"""Words of a rule that more time, not less, makes weaker."""
 FREE_SPAN = 1e-9
 """Span below which a phase counts as given, rad."""
 TURN = 2.0 * np.pi
@@ -75,7 +77,7 @@ class HomePhases:
 
 def firing_times(
     scenario: Scenario,
-    window_s: Window,
+    window_s: Window | None,
     nodes: tuple[Array, Indices, Indices],
     spans_s: Sequence[Interval],
     unit_s: float,
@@ -92,7 +94,7 @@ def firing_times(
 
     Args:
         scenario: with the present times.
-        window_s: observation window.
+        window_s: observation window; None if nothing is observed.
         nodes: their times, shape (n,) in s; those of the burns to be planned; others that stay.
         spans_s: earliest and latest time of each burn to be planned; equal where it is given.
         unit_s: unit of time.
@@ -114,7 +116,7 @@ def firing_times(
     if not free.size and not phases:
         return None
     flown, times = scenario.burns_flown, np.array(scenario.burns.times_s)
-    before = burns_before(scenario.burns.times_s, window_s)
+    before = 0 if window_s is None else burns_before(scenario.burns.times_s, window_s)
     matrix, least, names = timing_rules(len(times), window_s, before, scenario.schedule)
     own, one = matrix[:, flown + free], np.eye(len(free))
     least = least - np.delete(matrix, flown + free, axis=1) @ np.delete(times, flown + free)
@@ -129,8 +131,8 @@ def firing_times(
         *names,
         *ordered,
         *waiting,
-        *(f"{name} at {time:g} s or later" for name, time in zip(number, low, strict=True)),
-        *(f"{name} at {time:g} s or before" for name, time in zip(number, high, strict=True)),
+        *(f"{name} after the beginning of its span" for name in number),
+        *(f"{name} {BEFORE_END}" for name in number),
     )
     felt = np.flatnonzero(rows.any(axis=1) & np.isfinite(bounds))
     bounds = np.minimum(bounds, rows @ now)[felt] / unit_s

@@ -55,7 +55,7 @@ from scp_recon.mission.schedule import (
     find_window,
     make_schedule,
 )
-from scp_recon.mission.windows import WindowEdges, edge_sigmas_s, moved_edges, scan_step_s
+from scp_recon.mission.windows import Window, WindowEdges, edge_sigmas_s, moved_edges, scan_step_s
 from scp_recon.physics import geometry
 from scp_recon.physics.flow import GridFlow
 from scp_recon.physics.forces import STEP, ForceModel, Partials
@@ -335,11 +335,16 @@ class Mission:
         return np.searchsorted(self.times_s, self.scenario.burn_times_s)
 
     @property
+    def kept_window_s(self) -> Window | None:
+        """Window that burns keep out of, whole; None if no observation is required."""
+        return None if self.scenario.observation.required is False else self.schedule.window_s
+
+    @property
     def observed_s(self) -> tuple[float, float] | None:
         """Observation window from the first node on; None if it is over, or not required."""
-        if self.scenario.observation.required is False:
+        if self.kept_window_s is None:
             return None
-        first, last = self.schedule.window_s
+        first, last = self.kept_window_s
         start = float(self.times_s[0])
         return (max(first, start), last) if last > start else None
 
@@ -430,7 +435,7 @@ class Mission:
         if self.firing_spans_s is None:
             return None
         nodes, spans = (self.times_s, self.burn_nodes, self.window_nodes), self.firing_spans_s
-        window, unit = self.schedule.window_s, self.units.time_s
+        window, unit = self.kept_window_s, self.units.time_s
         home = None
         if self.home is not None:
             home = self.home, self.home.boundary(self.units.state, self._initial_factor_at)

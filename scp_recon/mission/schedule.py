@@ -173,22 +173,24 @@ def burns_before(times_s: Sequence[float], window_s: Window) -> int:
 
 
 def timing_rules(
-    n_burns: int, window_s: Window, before: int, rules: ScheduleRules
+    n_burns: int, window_s: Window | None, before: int, rules: ScheduleRules
 ) -> tuple[Array, Array, tuple[str, ...]]:
     """A and b of A t >= b, shapes (m, m) and (m,), for the times t of m burns in s; names of the rows.
 
     A burn comes a cycle after the burn or the window before it: slew and recharge, then slew and
     heating. Slew, recharge and another slew part a burn from the window after it. Echigo et al.,
-    section V.A. The window is in the burns' time; `before` counts burns between the first one and the
-    window, at most m - 2.
+    section V.A. The window is in the burns' time, None if nothing is observed; `before` counts burns
+    between the first one and the window, at most m - 2.
     """
     rows = np.eye(n_burns - 1, n_burns, 1) - np.eye(n_burns - 1, n_burns)
     least = np.full(n_burns - 1, rules.cycle_s)
+    cycle = f"at least {rules.cycle_s:g} s after"
+    names = [f"burn {i + 2} {cycle} burn {i + 1}" for i in range(n_burns - 1)]
+    if window_s is None:
+        return rows, least, tuple(names)
     rows[before, before] = 0.0  # the window lies between these two
     least[before] += window_s[1]
     rows = np.vstack([rows, -np.eye(n_burns)[before]])
-    cycle = f"at least {rules.cycle_s:g} s after"
-    names = [f"burn {i + 2} {cycle} burn {i + 1}" for i in range(n_burns - 1)]
     names[before] = f"burn {before + 2} {cycle} the window"
     names.append(f"burn {before + 1} at least {rules.before_window_s:g} s before the window")
     return rows, np.r_[least, rules.before_window_s - window_s[0]], tuple(names)
@@ -220,12 +222,12 @@ def legal_burns(
 
 
 def legal_additions(
-    times_s: Sequence[float], window_s: Window, rules: ScheduleRules
+    times_s: Sequence[float], window_s: Window | None, rules: ScheduleRules
 ) -> list[Interval]:
     """Legal times of one more burn among burns that keep the rules and stay; no empty intervals."""
-    gap, found = burns_before(times_s, window_s), []
+    found = []
     for index, (time, following) in enumerate(itertools.pairwise(times_s)):
-        if index == gap:
+        if window_s is not None and index == burns_before(times_s, window_s):
             found.append((time + rules.cycle_s, window_s[0] - rules.before_window_s))
             time = window_s[1]
         found.append((time + rules.cycle_s, following - rules.cycle_s))

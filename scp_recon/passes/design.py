@@ -440,7 +440,7 @@ def _with_burn(space: Space, result: PassResult, time_s: float) -> Candidate | N
     wider = replace(space, time_spans=(*spans[:place], inner, *spans[place:]))
     rules = space.mission.scenario.schedule
     before = space.before(wanted)
-    legal = nearest_legal(wanted, wider.time_spans, space.window_s, before, rules)
+    legal = nearest_legal(wanted, wider.time_spans, space.kept_window_s, before, rules)
     if legal is None:
         return None
     burns = np.insert(result.burns_m_s, place, 0.0, axis=0)

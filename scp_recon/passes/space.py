@@ -57,6 +57,11 @@ class Space:
         return len(self.time_spans)
 
     @property
+    def kept_window_s(self) -> Window | None:
+        """Window that burns keep out of; None if no observation is required."""
+        return None if self.mission.kept_window_s is None else self.window_s
+
+    @property
     def has_home(self) -> bool:
         """Whether passes begin and end on a home orbit; otherwise boundary states are given."""
         return self.mission.scenario.boundary.home is not None
@@ -103,7 +108,7 @@ def unchecked(scenario: Scenario, **tables: Mapping[str, object]) -> Scenario:
 def nearest_legal(
     times_s: Sequence[float],
     spans_s: Sequence[Span],
-    window_s: Window,
+    window_s: Window | None,
     before: int,
     rules: ScheduleRules,
     room_s: float = 0.0,
@@ -117,7 +122,7 @@ def nearest_legal(
     apart = np.vstack([np.hstack([s * np.eye(n), -np.eye(n)]) for s in (1.0, -1.0)])
     result = linprog(
         np.r_[np.zeros(n), np.ones(n)],
-        A_ub=np.vstack([apart, np.hstack([-matrix, np.zeros((n, n))])]),
+        A_ub=np.vstack([apart, np.hstack([-matrix, np.zeros_like(matrix)])]),
         b_ub=np.r_[wanted, -wanted, -least - room_s],
         bounds=[*spans_s, *[(0.0, None)] * n],
     )

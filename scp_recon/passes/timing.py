@@ -19,7 +19,7 @@ from formulations.problem.facets import choose_facets
 from formulations.program.multipliers import multipliers
 from formulations.rows.exact_flight import FlightRows
 from scp_recon.display import digits
-from scp_recon.mission.firing import FREE_SPAN_S, HomePhases
+from scp_recon.mission.firing import BEFORE_END, FREE_SPAN_S, HomePhases
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.schedule import ROOM_S
 from scp_recon.passes.space import Pass, Space, nearest_legal
@@ -96,7 +96,8 @@ class RulePrice:
 
     Attributes:
         rule: in words.
-        saving_m_s2: delta-v that each second less of the rule would save, at first order.
+        saving_m_s2: delta-v that each second less of the rule, or more of a span, would save, at
+            first order.
     """
 
     rule: str
@@ -104,7 +105,8 @@ class RulePrice:
 
     def __str__(self) -> str:
         """In words, for five minutes."""
-        return f"{self.rule}: 300 s less would save {300e3 * self.saving_m_s2:.2g} mm/s"
+        change = "more" if self.rule.endswith(BEFORE_END) else "less"
+        return f"{self.rule}: 300 s {change} would save {300e3 * self.saving_m_s2:.2g} mm/s"
 
 
 @dataclass(frozen=True)
@@ -154,7 +156,7 @@ class Timing:
         """The nearest times that may be rounded, if there are any."""
         space, times = self.space, at.times_s
         rules, before = space.mission.scenario.schedule, space.before(times)
-        legal = nearest_legal(times, space.time_spans, space.window_s, before, rules, ROOM_S)
+        legal = nearest_legal(times, space.time_spans, space.kept_window_s, before, rules, ROOM_S)
         return at if legal is None else Pass(at.phases, legal)
 
     def plan(

@@ -105,7 +105,7 @@ def legal_nodes(mission: Mission) -> Booleans:
     """Mask of nodes at which another burn is legal with the others kept, shape (n,)."""
     scenario, times = mission.scenario, mission.times_s
     legal = np.zeros(len(times), dtype=np.bool_)
-    window = mission.schedule.window_s
+    window = mission.kept_window_s
     for first, last in legal_additions(scenario.burns.times_s, window, scenario.schedule):
         legal |= (times >= first) & (times <= last)
     return legal

@@ -126,13 +126,16 @@ BAD_AXES: list[tuple[dict[str, Any], str, str]] = [
 
 BAD_CAMPAIGNS: list[tuple[dict[str, Any], str, str]] = [
     ({"do": "fyl"}, "campaign.do", "plan"),
-    ({"do": "design"}, "campaign.do", "home orbit"),
     ({"do": "certify"}, "campaign.do", "exact"),
     ({"base": "nowhere"}, "scenario nowhere", "must be a readable"),
     ({"overrides": {P: 2}}, P, "must be"),
     ({"limit_s": 0}, "campaign.limit_s", "at least 0.1"),
     ({"baze": "x"}, "campaign.baze", "did you mean base?"),
 ]
+
+
+def test_designs_between_given_states_are_accepted():
+    assert study({"entry": P, "values": [0.7]}, do="design").campaign.do == "design"
 
 
 @pytest.mark.parametrize(
