@@ -1,4 +1,4 @@
-"""What goes with what, by pairs: times, drifts, knowledge, feedback, pictures, risks, formulations."""
+"""What goes with what, by pairs: times, drifts, knowledge, feedback, risks, errors, formulations."""
 
 import itertools
 from collections.abc import Mapping, Sequence
@@ -37,13 +37,18 @@ WORDS: Mapping[str, tuple[str, ...]] = {
         "navigation.landmarks.field_of_view_deg=40",
         "navigation.landmarks.pixels=1024",
     ),
+    "gates": (
+        "uncertainty.gates={magnitude_fixed_m_s=5e-4, pointing_fixed_m_s=5e-4, "
+        "magnitude_proportional=0.01, pointing_proportional_rad=0.01}",
+        "boundary.final_sigma_position_m=300",
+    ),
     "node": ("risk.allocation=exact",),
     "flight": ("risk.allocation=exact", "risk.scope=flight"),
 }
 MEASURED = ("navigation.sigma_position_m=10", "navigation.sigma_velocity_m_s=5e-4")
 TIMES, DRIFTS, KNOWLEDGE = ("given", "free"), ("no drift", "missed"), ("known", "uncertain")
 POLICIES, RISKS = ("open", "feedback", "considering", "pictured"), ("node", "flight")
-FORMS = "condensed", "lifted"
+ERRORS, FORMS = ("by component", "gates"), ("condensed", "lifted")
 
 
 def is_planned(choice: Choice) -> bool:
@@ -94,8 +99,8 @@ def with_free_times(fixed: Plan, form: str) -> Stage:
     return pipeline.solve(spec, start)
 
 
-DAILY = covering(TIMES, DRIFTS, KNOWLEDGE, POLICIES[:2], RISKS, FORMS[:1])
-NIGHTLY = covering(TIMES, DRIFTS, KNOWLEDGE, POLICIES, (*RISKS, "uniform"), FORMS)
+DAILY = covering(TIMES, DRIFTS, KNOWLEDGE, POLICIES[:2], RISKS, ERRORS, FORMS[:1])
+NIGHTLY = covering(TIMES, DRIFTS, KNOWLEDGE, POLICIES, (*RISKS, "uniform"), ERRORS, FORMS)
 
 
 def check(choice: Choice, *, certify: bool | None) -> list[str]:
@@ -120,7 +125,7 @@ def wholly_covered(found: Sequence[Choice], *factors: Choice) -> bool:
 
 
 def test_every_pair_is_tried():
-    assert wholly_covered(DAILY, TIMES, DRIFTS, KNOWLEDGE, POLICIES[:2], RISKS, FORMS[:1])
+    assert wholly_covered(DAILY, TIMES, DRIFTS, KNOWLEDGE, POLICIES[:2], RISKS, ERRORS, FORMS[:1])
     assert len(DAILY) < 10
 
 
