@@ -239,6 +239,10 @@ def test_ipopt_agrees_on_drawn_scenarios(seed):
     stage = freed(plan, mission)
     found = stage.result.lin.cost.value * mission.units.speed_m_s
     assert found == pytest.approx(cost, rel=1e-5)
+    firing, moved = mission.problem.firing, stage.result.lin.iterate.times
+    slack_s = (firing.matrix @ moved - firing.least) * mission.units.time_s
+    ruled = np.any(firing.matrix[slack_s < 1.0] != 0.0, axis=0)  # elsewhere the optimum is flat
     fires = np.linalg.norm(stage.result.lin.iterate.burns, axis=1)[1:-1] > FIRES
-    own = np.array(times_s(plan, stage)[1:-1])
-    np.testing.assert_allclose(own[fires], np.array(times)[fires], rtol=0.0, atol=1.0)
+    apart = np.abs(np.array(times_s(plan, stage)[1:-1]) - times)
+    assert np.all(apart[fires & ruled] < 1.0)
+    assert np.all(apart[fires] < 60.0)
