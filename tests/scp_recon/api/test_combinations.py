@@ -100,7 +100,7 @@ def with_free_times(fixed: Plan, form: str) -> Stage:
 
 
 DAILY = covering(TIMES, DRIFTS, KNOWLEDGE, POLICIES[:2], RISKS, ERRORS, FORMS[:1])
-NIGHTLY = covering(TIMES, DRIFTS, KNOWLEDGE, POLICIES, (*RISKS, "uniform"), ERRORS, FORMS)
+NIGHTLY = covering(TIMES, DRIFTS, KNOWLEDGE, POLICIES, (*RISKS, "uniform"), ERRORS[:1], FORMS)
 
 
 def check(choice: Choice, *, certify: bool | None) -> list[str]:
