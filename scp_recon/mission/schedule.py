@@ -225,9 +225,9 @@ def legal_additions(
     times_s: Sequence[float], window_s: Window | None, rules: ScheduleRules
 ) -> list[Interval]:
     """Legal times of one more burn among burns that keep the rules and stay; no empty intervals."""
-    found = []
+    found, gap = [], None if window_s is None else burns_before(times_s, window_s)
     for index, (time, following) in enumerate(itertools.pairwise(times_s)):
-        if window_s is not None and index == burns_before(times_s, window_s):
+        if window_s is not None and index == gap:
             found.append((time + rules.cycle_s, window_s[0] - rules.before_window_s))
             time = window_s[1]
         found.append((time + rules.cycle_s, following - rules.cycle_s))
