@@ -43,11 +43,10 @@ from scp_recon.mission.drifts import check_drifts
 from scp_recon.mission.feedback import check_feedback, uncorrected_burns, useless_measurement
 from scp_recon.mission.gravity import planned_field
 from scp_recon.mission.intervals import INTERVALS, J2_ENDS, PLANNER_INTERVALS, STATE_INTERVALS
-from scp_recon.mission.knowledge import FAR, Uncertain, check_knowledge
+from scp_recon.mission.knowledge import FAR, Deviation, Uncertain, check_knowledge
 from scp_recon.mission.scene import Scene, orbit_of_body
 from scp_recon.mission.schedule import check_in_flight
 from scp_recon.mission.windows import SCAN_STEP_S, Lighting, Window
-from scp_recon.physics.forces import STEP
 from scp_recon.physics.frames import Rotation, unit
 from scp_recon.physics.two_body import Orbit
 from scp_recon.scenario.fields import ScenarioWarning
@@ -351,14 +350,15 @@ def check_state(scene: Scene) -> tuple[ScenarioWarning, ...]:
 
 def _incidence_spread(scene: Scene, times_s: Array) -> Array:
     """`FAR` sigma of the incidence at times (n,) by uncertain spin and site, deg; linearised."""
-    moved = [
-        Lighting(one.site(scene.site), one.rotation(scene.rotation), scene.sun_direction)
-        for sides in Uncertain.of(scene.scenario).steps()
-        for one in sides
-    ]
-    angles = np.array([one.incidence(times_s) for one in moved]).reshape(-1, 2, len(times_s))
-    slopes = (angles[:, 0] - angles[:, 1]) / (2.0 * STEP)
-    return np.rad2deg(FAR * np.linalg.norm(slopes, axis=0))
+    uncertain = Uncertain.of(scene.scenario)
+    if not uncertain.count:
+        return np.zeros(len(times_s))
+
+    def incidence(one: Deviation) -> Array:
+        site, rotation = one.site(scene.site), one.rotation(scene.rotation)
+        return Lighting(site, rotation, scene.sun_direction).incidence(times_s)
+
+    return np.rad2deg(FAR * np.linalg.norm(uncertain.slopes(incidence), axis=-1))
 
 
 def check_window(scene: Scene, window: Window) -> tuple[ScenarioWarning, ...]:

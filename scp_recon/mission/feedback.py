@@ -18,9 +18,6 @@ USELESS = 1e3
 """Errors of a measurement over what a flight strays at most, from which on nothing is corrected: a
 measurement takes a millionth off a variance, and what that saves is less than plans are accurate to."""
 
-RATIO = 3e6
-"""Of a measurement's errors along turned axes: with more, variances are lost in rounding."""
-
 
 def felt_cut_offs_s(scene: Scene, window_s: tuple[float, float]) -> dict[int, float]:
     """`cut_offs_s` of the burns that affect the window, or limits at the end.
@@ -122,8 +119,8 @@ def in_vain(scene: Scene) -> float:
     """
     if scene.scenario.navigation.landmarks is not None:
         return 0.0 if _strays(scene).any() else np.inf
-    (measured,) = scene.measurement_factors(scene.initial_state[None])
-    known = float(np.linalg.norm(np.linalg.solve(measured, np.diag(_strays(scene))), 2))
+    by_measurement = np.linalg.solve(scene.measurement_factor, np.diag(_strays(scene)))
+    known = float(np.linalg.norm(by_measurement, 2))
     return 1.0 / known if known > 0.0 else np.inf
 
 
@@ -141,34 +138,6 @@ def _strays(scene: Scene) -> Array:
     speed = np.hypot(np.linalg.norm(sigma[3:]), np.sqrt(burns) * of_burn)
     position = np.hypot(np.linalg.norm(sigma[:3]), speed * (last - first))
     return np.repeat([position, speed], 3)
-
-
-def resolved(scene: Scene, factors: Array) -> Array:
-    """Factors N of measurements, m and m/s, shape (k, 6, 6), whose errors in turned axes are bounded.
-
-    The bound is `USELESS` times the largest deviation of a flight. Without it, rotation to J2000
-    would lose the variances of useful axes in the rounding of useless ones.
-
-    Raises:
-        InputError: if they are lost in spite of the bound.
-    """
-    if scene.scenario.navigation.frame != "rtn" or not cut_offs_s(scene.scenario):
-        return factors
-    most, strays = USELESS * _strays(scene), in_vain(scene) < USELESS
-    if strays and np.any(np.linalg.norm(factors, axis=2) > most):
-        # With what a measurement tells that errs by the bound: (N N')^-1 + diag(most)^-2.
-        one = np.broadcast_to(np.eye(6), factors.shape)
-        both = np.concatenate([one, np.linalg.solve(factors, np.diag(most))], axis=1)
-        factors = np.diag(most) @ np.linalg.inv(np.linalg.qr(both).R)
-    unit = factors / np.linalg.norm(factors, axis=2, keepdims=True)
-    ratio = 1.0 / float(np.linalg.svd(unit)[1].min())
-    if ratio > RATIO:
-        raise InputError(
-            "navigation.covariance",
-            f"errors in a ratio of {ratio:.1g} along the axes of rtn",
-            f"must be in a ratio of at most {RATIO:g}, or in the frame j2000",
-        )
-    return factors
 
 
 def _correctable(scenario: Scenario) -> dict[int, float]:
@@ -249,7 +218,7 @@ def require_measurement(scenario: Scenario, entry: str, policy: str) -> None:
             entry,
             f"{policy} without a measurement",
             "must be 'open', or [navigation] must have sigma_position_m with sigma_velocity_m_s, "
-            "covariance with frame, or landmarks",
+            "covariance, or landmarks",
         )
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -22,7 +23,7 @@ from scp_recon.display import exact
 from scp_recon.errors import InputError
 from scp_recon.physics.forces import STEP, ForceModel, Partials
 from scp_recon.physics.frames import Rotation, unit
-from scp_recon.physics.geometry import Site, track
+from scp_recon.physics.geometry import Site, SiteTrack, track
 from scp_recon.physics.two_body import Companion
 from scp_recon.scenario.knowledge import SIZES
 from scp_recon.scenario.schema import Scenario
@@ -58,13 +59,6 @@ class Deviation:
     def at(self, flights: Indices | int) -> Deviation:
         """The deviations of some flights."""
         return Deviation({entry: value[flights] for entry, value in self.values.items()})
-
-    @property
-    def without_spin(self) -> Deviation:
-        """The deviations of all else."""
-        return Deviation(
-            {entry: value for entry, value in self.values.items() if entry not in SPIN}
-        )
 
     def rotation(self, rotation: Rotation) -> Rotation:
         """The body's rotation."""
@@ -155,6 +149,11 @@ class Uncertain:
         moves = STEP * np.eye(self.count)
         return [(self.deviation(move), self.deviation(-move)) for move in moves]
 
+    def slopes(self, of: Callable[[Deviation], Array], unit: float = 1.0) -> Array:
+        """Derivatives of a function of deviations by the p > 0 numbers, in a unit, shape (..., p)."""
+        ends = [(of(ahead), of(behind)) for ahead, behind in self.steps()]
+        return np.stack([(one - other) / (2.0 * STEP * unit) for one, other in ends], axis=-1)
+
     def _rows(self) -> list[tuple[str, Array]]:
         first, found = 0, []
         for entry in self.entries:
@@ -168,25 +167,22 @@ class Uncertain:
     ) -> Partials:
         """Derivatives of the forces of deviations; `turning` says whether these depend on the spin."""
         still, spin = {POSITION, NORMAL, *SPIN}, {*POLE, *((PHASE, RATE) if turning else ())}
-        columns = self._columns(lambda entry: entry not in still)
-        turned = self._columns(lambda entry: entry in spin)
+        columns, turned = self._columns({*self.entries} - still), self._columns(spin)
         steps = self.steps()
-        pairs = [
-            _without_shared_field(*(forces(one.without_spin) for one in steps[k])) for k in columns
-        ]
+        pairs = []
+        for k in columns:
+            held = [{e: v for e, v in one.values.items() if e not in SPIN} for one in steps[k]]
+            pairs.append(_without_shared_field(*(forces(Deviation(values)) for values in held)))
         ahead, behind = (tuple(pair[side] for pair in pairs) for side in (0, 1))
         turns = [(one.rotation(rotation), other.rotation(rotation)) for one, other in steps]
         gravity = replace(forces(Deviation({})), srp=np.zeros(3), companion=None)
         own = tuple(turns[k] for k in turned)
         return Partials(ahead, behind, columns, own, turned, gravity, self.count)
 
-    def _columns(self, acts: Callable[[str], bool]) -> Indices:
-        """Numbers along which an entry deviates that acts."""
-        found = np.zeros(self.count, dtype=bool)
-        for entry, rows in self._rows():
-            if acts(entry):
-                found |= rows.any(axis=0)
-        return np.flatnonzero(found)
+    def _columns(self, entries: set[str]) -> Indices:
+        """Numbers along which any of some entries deviates."""
+        acting = [rows.any(axis=0) for entry, rows in self._rows() if entry in entries]
+        return np.flatnonzero(np.any(acting, axis=0))
 
 
 def _without_shared_field(ahead: ForceModel, behind: ForceModel) -> tuple[ForceModel, ForceModel]:
@@ -210,14 +206,18 @@ def region_motions(
     Distances move with the site alone. The axis of emission turns with its normal, and that of phase,
     which points to the Sun, does not.
     """
-    at = track(site, rotation, times_s)
-    shift, turn = np.zeros((2, len(times_s), 3, uncertain.count))
-    for k, sides in enumerate(uncertain.steps()):
-        ahead, behind = (track(one.site(site), one.rotation(rotation), times_s) for one in sides)
-        shift[:, :, k] = (ahead.position - behind.position) / (2.0 * STEP * length_m)
-        turn[:, :, k] = np.cross(at.normal, ahead.normal - behind.normal) / (2.0 * STEP)
-    if not (shift.any() or turn.any()):
+    if not uncertain.count:
         return {}
+    at = track(site, rotation, times_s)
+
+    def moved(deviation: Deviation) -> SiteTrack:
+        return track(deviation.site(site), deviation.rotation(rotation), times_s)
+
+    shift = uncertain.slopes(lambda deviation: moved(deviation).position, length_m)
+    tilt = uncertain.slopes(lambda deviation: moved(deviation).normal)
+    if not (shift.any() or tilt.any()):
+        return {}
+    turn = np.cross(at.normal[..., None], tilt, axis=1)
     apex, still = at.position / length_m, np.zeros_like(turn)
     plain = Motion(apex, shift, still)
     return {"distance": plain, "phase": plain, "emission": Motion(apex, shift, turn)}
@@ -229,10 +229,7 @@ def companion_motion(
     """Motion of the ball about the companion with its phase, at times (n,); nondimensional."""
     if COMPANION_PHASE not in uncertain.sigmas:
         return None
-    shift = np.zeros((len(times_s), 3, uncertain.count))
-    for k, sides in enumerate(uncertain.steps()):
-        ahead, behind = (one.companion(companion).position(times_s) for one in sides)
-        shift[:, :, k] = (ahead - behind) / (2.0 * STEP * length_m)
+    shift = uncertain.slopes(lambda one: one.companion(companion).position(times_s), length_m)
     return Motion(companion.position(times_s) / length_m, shift, np.zeros_like(shift))
 
 
@@ -242,37 +239,24 @@ def check_knowledge(scenario: Scenario) -> None:
     Raises:
         InputError: naming the entry, what was given and what is allowed.
     """
-    body, craft = scenario.body, scenario.spacecraft
-    sigmas = Uncertain.of(scenario).sigmas
+    body, sigmas = scenario.body, Uncertain.of(scenario).sigmas
     if body.companion is None and (own := [e for e in sigmas if ".companion." in e]):
         _refuse(own[0], sigmas, "needs body.companion, which the scenario does not have")
     if body.attitude is not None and (own := [e for e in (J2, *SPIN) if e in sigmas]):
         _refuse(own[0], sigmas, "goes with a body that turns evenly, not with body.attitude")
-    positive = {
-        GM: body.gm_m3_s2,
-        COMPANION_GM: body.companion.gm_m3_s2 if body.companion else 0.0,
-        AREA: craft.srp_area_m2,
-        REFLECTIVITY: craft.reflectivity_coefficient,
-        POSITION: float(np.linalg.norm(scenario.site.position_body_m)),
-    }
-    for entry, sigma in sigmas.items():
-        most = float(np.max(sigma))
-        if entry in positive and FAR * most >= positive[entry]:
-            least = f"must be below {positive[entry] / FAR:g}: {FAR:g} sigma reach zero"
-            _refuse(entry, sigmas, least)
-        if entry == J2 and abs(body.j2) + FAR * most > 1.0:
-            _refuse(entry, sigmas, f"must be at most {(1.0 - abs(body.j2)) / FAR:g}: |J2| <= 1")
-        if entry == NORMAL and most > TILT_MAX:
-            _refuse(entry, sigmas, f"must be at most {TILT_MAX:g}, about 6 deg")
-        if entry in (*POLE, PHASE, COMPANION_PHASE) and most > TURN_MAX_DEG:
-            _refuse(entry, sigmas, f"must be at most {TURN_MAX_DEG:g} deg")
-    if POLE[1] in sigmas and abs(body.pole_dec_deg) + FAR * sigmas[POLE[1]][0] > 90.0:
-        room = (90.0 - abs(body.pole_dec_deg)) / FAR
-        _refuse(POLE[1], sigmas, f"must be at most {room:g} deg: {FAR:g} sigma pass J2000's pole")
-    turned = float(sigmas[RATE][0]) * scenario.duration_s / DAY_S if RATE in sigmas else 0.0
-    if turned > TURN_MAX_DEG:
-        most = TURN_MAX_DEG * DAY_S / scenario.duration_s
-        _refuse(RATE, sigmas, f"must be at most {most:.3g}: {TURN_MAX_DEG:g} deg in the flight")
+    above_zero = {GM, COMPANION_GM, AREA, REFLECTIVITY, POSITION} & sigmas.keys()
+    values = {entry: np.linalg.norm(attrgetter(entry)(scenario)) for entry in above_zero}
+    limits = [
+        *((entry, value / FAR, f": {FAR:g} sigma reach zero") for entry, value in values.items()),
+        (J2, (1.0 - abs(body.j2)) / FAR, ": |J2| <= 1"),
+        (NORMAL, TILT_MAX, ", about 6 deg"),
+        *((entry, TURN_MAX_DEG, " deg") for entry in (*POLE, PHASE, COMPANION_PHASE)),
+        (POLE[1], (90.0 - abs(body.pole_dec_deg)) / FAR, f" deg: {FAR:g} sigma pass J2000's pole"),
+        (RATE, TURN_MAX_DEG * DAY_S / scenario.duration_s, f": {TURN_MAX_DEG:g} deg in the flight"),
+    ]
+    for entry, most, why in limits:
+        if entry in sigmas and sigmas[entry].max() > most:
+            _refuse(entry, sigmas, f"must be at most {most:.6g}{why}")
 
 
 def _refuse(entry: str, sigmas: Mapping[str, Array], needs: str) -> None:
@@ -280,17 +264,16 @@ def _refuse(entry: str, sigmas: Mapping[str, Array], needs: str) -> None:
     raise InputError(f"knowledge.{entry}", given, needs)
 
 
+SHARED = (GM, J2, RATE, AREA, REFLECTIVITY, COMPANION_GM)
+"""Entries of which a share says something."""
+
+
 def in_words(scenario: Scenario) -> str:
     """1 sigma of each uncertain entry, with its share of the entry where that says something."""
-    body, craft = scenario.body, scenario.spacecraft
-    values = {GM: body.gm_m3_s2, J2: body.j2, RATE: body.prime_meridian_rate_deg_day}
-    values |= {AREA: craft.srp_area_m2, REFLECTIVITY: craft.reflectivity_coefficient}
-    if body.companion is not None:
-        values[COMPANION_GM] = body.companion.gm_m3_s2
     parts = []
     for entry, sigma in Uncertain.of(scenario).sigmas.items():
-        words = f"{entry} {', '.join(f'{exact(one)}' for one in sigma)}"
-        if value := values.get(entry):
+        words = f"{entry} {', '.join(map(exact, sigma))}"
+        if entry in SHARED and (value := attrgetter(entry)(scenario)):
             words += f" ({100.0 * float(sigma[0]) / abs(value):.3g} %)"
         parts.append(words)
     return "; ".join(parts)

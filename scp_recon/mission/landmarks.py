@@ -17,13 +17,10 @@ import numpy as np
 from scipy.linalg import block_diag, cho_factor, cho_solve, solve_triangular
 
 from formulations.arrays import Array
-from formulations.linearisation.dynamics import Dynamics
-from formulations.problem.flow import by_parameters
 from scp_recon.errors import InputError
 from scp_recon.mission.feedback import USELESS
 from scp_recon.mission.knowledge import Uncertain
 from scp_recon.mission.scene import Scene
-from scp_recon.physics.forces import STEP
 from scp_recon.physics.frames import unit
 from scp_recon.scenario.schema import Scenario
 from scp_recon.scenario.uncertainty import Landmarks
@@ -52,36 +49,6 @@ class Path:
     stm: Array
     executed: Mapping[int, Array]
     prior: Array
-
-    @classmethod
-    def flown(
-        cls,
-        times_s: Array,
-        dynamics: Dynamics,
-        start: Array,
-        burns: Array,
-        executed: Mapping[int, Array],
-        units: Array,
-        factor: Array,
-    ) -> Path:
-        """The path of some burns from a start, shapes (m, 3) and (6,), nondimensional.
-
-        Args:
-            times_s: of the nodes.
-            dynamics: between them.
-            start: state at the first node.
-            burns: zero for a coast.
-            executed: as the attribute.
-            units: of the state and the parameters, shape (6 + p,).
-            factor: of the covariance of state and parameters at the first node, shape (6 + p, c).
-        """
-        states = dynamics.rollout(start, burns)
-        arcs = dynamics.flow.differentiate(states[:-1])
-        stm = np.tile(np.eye(len(units)), (len(arcs.stm), 1, 1))
-        stm[:, :6] = np.concatenate([arcs.stm, by_parameters(arcs, len(units) - 6)], axis=2)
-        prior = units[:, None] * factor
-        position = states[:, :3] * units[:3]
-        return cls(times_s, position, units[:, None] * stm / units, executed, prior @ prior.T)
 
 
 def picture_times_s(scenario: Scenario, until_s: float) -> Array:
@@ -150,11 +117,12 @@ class Camera:
         p = self.uncertain.count
         found = np.zeros((len(who), 2, 6 + p + 3 * len(places)))
         found[:, :, :3] = -by_line
-        for k, (ahead, behind) in enumerate(self.uncertain.steps()):
-            ends = (one.rotation(self.scene.rotation) for one in (ahead, behind))
-            one, other = (self.landmarks_m[who] @ end.body_to_j2000(time_s).T for end in ends)
-            moved = (one - other) / (2.0 * STEP)
-            found[:, :, 6 + k] = np.einsum("vij,vj->vi", by_line, moved)
+        if p:
+            own, rotation = self.landmarks_m[who], self.scene.rotation
+            moved = self.uncertain.slopes(
+                lambda one: own @ one.rotation(rotation).body_to_j2000(time_s).T
+            )
+            found[:, :, 6 : 6 + p] = np.einsum("vij,vjk->vik", by_line, moved)
         for i, landmark in enumerate(who.tolist()):
             first = 6 + p + 3 * landmark
             found[i, :, first : first + 3] = by_line[i] @ turn

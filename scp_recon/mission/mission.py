@@ -17,6 +17,7 @@ from formulations.arrays import Array, Indices
 from formulations.linearisation.dynamics import Dynamics
 from formulations.problem.controls import Feedback, FiringTimes
 from formulations.problem.facets import Polytopes
+from formulations.problem.flow import by_parameters
 from formulations.problem.flyby import FlybyProblem
 from scp_recon.mission.checks import (
     check_plannable,
@@ -34,7 +35,7 @@ from scp_recon.mission.constraints import (
     state_constraints,
 )
 from scp_recon.mission.drifts import problem_drifts
-from scp_recon.mission.feedback import felt_cut_offs_s, resolved
+from scp_recon.mission.feedback import felt_cut_offs_s
 from scp_recon.mission.firing import HomePhases, firing_times
 from scp_recon.mission.gravity import Gravity
 from scp_recon.mission.knowledge import Deviation, Uncertain
@@ -255,15 +256,13 @@ class Mission:
             return None
         nodes = np.searchsorted(self.times_s, list(cut_offs.values()))
         if self.scenario.navigation.landmarks is None:
-            coast = self.dynamics.rollout(self._coast_start, np.zeros((len(self.burn_nodes), 3)))
-            measurement = self.measurement(coast[nodes])
+            measured = np.tile(self.scene.measurement_factor, (len(nodes), 1, 1))
         else:
-            found = self.measured_by_pictures(self.times_s[nodes])
-            measurement = found / self.units.state[:, None]
+            measured = self.measured_by_pictures(self.times_s[nodes])
         return Feedback(
             burns=np.array(list(cut_offs)),
             cut_offs=nodes,
-            measurement=measurement,
+            measurement=measured / self.units.state[:, None],
             cost=self.scenario.policy.cost,
             probability=self.scenario.risk.p_chance,
             considers=self.uncertain.count > 0 and self.estimated == 0,
@@ -275,16 +274,11 @@ class Mission:
         considers = self.scenario.navigation.estimate_parameters is False
         return 0 if considers else self.uncertain.count
 
-    def measurement(self, mean: Array) -> Array:
-        """Factors N of the covariances N N' of states measured at means (k, 6); shape (k, 6, 6).
-
-        Everything is nondimensional. The means matter only for a covariance in the frame "rtn".
-        """
-        found = self.scene.measurement_factors(mean * self.units.state)
-        return resolved(self.scene, found) / self.units.state[:, None]
-
     def measured_by_pictures(self, cut_offs_s: Array) -> Array:
         """Factors N of the covariances N N' of states that pictures tell at times (k,), (k, 6, 6); SI.
+
+        Before there is a plan the pictures are taken on a coast: on Lambert's arc of less than half a
+        revolution to the final position; where there is none, with the initial velocity.
 
         Raises:
             InputError: if no picture shows a landmark before a cut-off along the path of some burns.
@@ -293,28 +287,24 @@ class Mission:
             return self.nominal.measured_by_pictures(cut_offs_s)
         pictures = picture_times_s(self.scenario, cut_offs_s[-1])
         times = np.unique(np.concatenate([self.times_s, pictures, cut_offs_s]))
-        fine = replace(self, times_s=times)
-        start, burns, executed = fine._coast_start, np.zeros((len(fine.burn_nodes), 3)), {}
+        dynamics, start = replace(self, times_s=times).dynamics, self.initial_state.copy()
+        burns, executed = np.zeros((len(dynamics.burn_nodes), 3)), dict[int, Array]()
         if self.pictured_m_s is not None:
-            start, burns = self.initial_state / self.units.state, self.pictured_m_s
+            burns = self.pictured_m_s
             columns = execution_errors(self.scenario).columns(burns)
-            executed = dict(zip(fine.burn_nodes.tolist(), columns @ columns.mT, strict=True))
-        units, burns = self.state_units(6 + self.uncertain.count), burns / self.units.speed_m_s
-        path = Path.flown(times, fine.dynamics, start, burns, executed, units, self.joint_factor)
+            executed = dict(zip(dynamics.burn_nodes.tolist(), columns @ columns.mT, strict=True))
+        else:
+            span = float(times[-1] - times[0])
+            arc = lambert(start[:3], self.final_state[:3], span, self.scenario.body.gm_m3_s2)
+            start[3:] = start[3:] if arc is None else arc[0]
+        states = dynamics.rollout(start / self.units.state, burns / self.units.speed_m_s)
+        arcs, p = dynamics.flow.differentiate(states[:-1]), self.uncertain.count
+        units, stm = self.state_units(6 + p), np.tile(np.eye(6 + p), (len(times) - 1, 1, 1))
+        stm[:, :6] = np.concatenate([arcs.stm, by_parameters(arcs, p)], axis=2)
+        prior = units[:, None] * self.joint_factor
+        position, stm = states[:, :3] * units[:3], units[:, None] * stm / units
+        path = Path(times, position, stm, executed, prior @ prior.T)
         return measurement_factors(Camera(self.scene, self.uncertain), path, cut_offs_s)
-
-    @cached_property
-    def _coast_start(self) -> Array:
-        """Nondimensional start of a coast that stands for a plan before there is one, shape (6,).
-
-        It leaves on Lambert's arc of less than half a revolution to the final position; where there is
-        none, with the initial velocity.
-        """
-        state, time = self.initial_state.copy(), float(self.times_s[-1] - self.times_s[0])
-        arc = lambert(state[:3], self.final_state[:3], time, self.scenario.body.gm_m3_s2)
-        if arc is not None:
-            state[3:] = arc[0]
-        return state / self.units.state
 
     @property
     def joint_factor(self) -> Array:

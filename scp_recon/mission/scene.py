@@ -216,23 +216,13 @@ class Scene:
         axes = _rtn_to_j2000(state, f"{entry}_frame") if rtn else self.axes(str(frame))
         return np.vstack([axes @ root[:3], axes @ root[3:]])
 
-    def measurement_factors(self, states: Array) -> Array:
-        """Factors N of the covariances N N' of states measured in flight, m and m/s, shape (k, 6, 6).
-
-        Radial, transverse and normal axes are those of the states measured, shape (k, 6).
-
-        Raises:
-            InputError: if a state has no plane to be normal to.
-        """
+    @property
+    def measurement_factor(self) -> Array:
+        """Factor N of the covariance N N' of a state measured in flight, m and m/s, shape (6, 6)."""
         given = self.scenario.navigation
-        if given.covariance is None:
-            root = np.diag(np.repeat([given.sigma_position_m, given.sigma_velocity_m_s], 3))
-            return np.tile(root, (len(states), 1, 1))
-        root = factor_of(np.array(given.covariance))
-        if given.frame == "j2000":
-            return np.tile(root, (len(states), 1, 1))
-        axes = [np.kron(np.eye(2), _rtn_to_j2000(x, "navigation.frame")) for x in states]
-        return np.array(axes) @ root
+        if given.covariance is not None:
+            return factor_of(np.array(given.covariance))
+        return np.diag(np.repeat([given.sigma_position_m, given.sigma_velocity_m_s], 3))
 
 
 def orbit_of_body(scene: Scene) -> Orbit:

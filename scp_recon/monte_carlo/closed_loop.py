@@ -189,7 +189,7 @@ def replans(mission: Mission, burns_m_s: Array) -> Replans:
         node = int(np.searchsorted(left.times_s, at_s))
         state = lin.iterate.mean[node] * left.units.state
         factor = lin.factor[node] * left.units.state[:, None]
-        root = roots[len(found)] if pictured else left.scene.measurement_factors(state[None])[0]
+        root = roots[len(found)] if pictured else left.scene.measurement_factor
         measured, before = root @ root.T, factor @ factor.T
         after = before - before @ np.linalg.solve(before + measured, before)
         flown = [] if scenario.in_flight is None else list(scenario.in_flight.flown_m_s)

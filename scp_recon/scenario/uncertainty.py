@@ -339,15 +339,15 @@ class Landmarks(Section):
 class Navigation(OneWay):
     """Measurement of the state before each burn, at a cut-off, with errors independent of all others.
 
-    The errors are 1-sigma figures, the same along every axis; a covariance in a frame, m and m/s; or
-    those of pictures of landmarks, in place of both. Without them nothing is measured: the lead alone
-    counts, of plans that are made again in flight.
+    The errors are 1-sigma figures, the same along every axis; a covariance; or those of pictures of
+    landmarks, in place of both. Without them nothing is measured: the lead alone counts, of plans that
+    are made again in flight.
     """
 
     WAYS: ClassVar[Mapping[str, tuple[Way, ...]]] = {
         "measurement's errors": (
             ("sigma_position_m", "sigma_velocity_m_s"),
-            ("covariance", "frame"),
+            ("covariance",),
             ("landmarks",),
         ),
     }
@@ -360,10 +360,7 @@ class Navigation(OneWay):
     sigma_velocity_m_s: MeasuredSigma | None = None
     """1 sigma of the measured velocity along each axis in m/s."""
     covariance: MeasuredMatrix | None = None
-    """Covariance of the measured state, six by six, position first, in m and m/s along frame."""
-    frame: Literal["j2000", "rtn"] | None = None
-    """Axes of the covariance: rtn are radial, transverse and normal, at the cut-off on the transfer of
-    less than half a revolution from the initial to the final position."""
+    """Covariance of the measured state, six by six, position first, in m and m/s, J2000."""
     estimate_parameters: bool | None = None
     """Whether the filter estimates the uncertain parameters of `knowledge` with the state, the default;
     or considers their errors without estimating them (Schmidt)."""

@@ -33,7 +33,7 @@ SIGMAS = {
 }
 OTHER_ERRORS = {
     "uncertainty": {"gates": GATES, **SIGMAS},
-    "navigation": {"covariance": np.diag([1.0] * 3 + [1e-8] * 3).tolist(), "frame": "rtn"},
+    "navigation": {"covariance": np.diag([1.0] * 3 + [1e-8] * 3).tolist()},
 }
 
 

@@ -1,7 +1,6 @@
 """Burns that feedback corrects, their cut-offs among the nodes, and what is measured there."""
 
 import re
-from collections.abc import Iterator
 
 import numpy as np
 import pytest
@@ -9,8 +8,6 @@ import pytest
 from formulations.arrays import Array
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
-from scp_recon.physics.frames import unit
-from scp_recon.planning import initial_guess
 from scp_recon.scenario.schema import Scenario
 from tests.scp_recon.support import mission_of
 
@@ -22,14 +19,6 @@ BIASED = (
     "uncertainty.gates={magnitude_fixed_m_s=1e-4, magnitude_proportional=0.03, "
     "pointing_fixed_m_s=1e-4, pointing_proportional_rad=0.02, magnitude_bias=0.02}"
 )
-VARIANCES = [100.0, 400.0, 900.0, 1e-6, 4e-6, 9e-6]
-
-
-def in_frame(frame: str) -> Mission:
-    matrix = np.diag(VARIANCES)
-    matrix[0, 4] = matrix[4, 0] = 0.5 * np.sqrt(matrix[0, 0] * matrix[4, 4])
-    given = f"navigation.covariance={matrix.tolist()}", f"navigation.frame={frame}"
-    return mission_of("policy.kind=feedback", *given, END)
 
 
 @pytest.fixture(scope="module")
@@ -103,27 +92,10 @@ def test_in_flight_only_future_cut_offs_correct_burns(corrected):
         assert not left.warnings
 
 
-def covariances(mission: Mission, measurement: Array | None = None) -> Array:
+def covariances(mission: Mission) -> Array:
     """Of what is measured at each cut-off, SI."""
-    if measurement is None:
-        measurement = mission.problem.feedback.measurement
-    factors = mission.units.state[:, None] * measurement
+    factors = mission.units.state[:, None] * mission.problem.feedback.measurement
     return factors @ np.swapaxes(factors, 1, 2)
-
-
-def measured_on(mission: Mission, path: Array) -> Iterator[tuple[Array, Array]]:
-    """Covariances in J2000 at cut-offs, and by the directions themselves the axes of RTN there.
-
-    Along the position, across in the plane, and normal to it.
-    """
-    states = path[mission.problem.feedback.cut_offs]
-    for covariance, state in zip(
-        covariances(mission, mission.measurement(states)), states, strict=True
-    ):
-        radial, normal = unit(state[:3]), unit(np.cross(state[:3], state[3:]))
-        axes = np.array([radial, np.cross(normal, radial), normal])
-        assert axes[1] @ state[3:] > 0.0
-        yield covariance, axes
 
 
 def test_measurements_cost_and_probability_are_the_scenarios(corrected):
@@ -131,50 +103,10 @@ def test_measurements_cost_and_probability_are_the_scenarios(corrected):
     np.testing.assert_allclose(covariances(corrected), [expected] * 2, rtol=1e-12)
     feedback = mission_of(*FEEDBACK, "policy.cost=expected", "risk.p_chance=0.9").problem.feedback
     assert (feedback.cost, feedback.probability) == ("expected", 0.9)
-    fixed = in_frame("j2000")
-    given = np.array(fixed.scenario.navigation.covariance)
-    np.testing.assert_allclose(covariances(fixed), [given] * 2, rtol=1e-9, atol=1e-12)
-
-
-def test_a_covariance_in_rtn_turns_with_the_path():
-    mission = in_frame("rtn")
-    given = np.array(mission.scenario.navigation.covariance)
-    found = list(measured_on(mission, initial_guess.ballistic(mission).mean))
-    for covariance, axes in found:
-        for part in (slice(0, 3), slice(3, 6)):
-            turned = axes @ covariance[part, part] @ axes.T
-            np.testing.assert_allclose(turned, given[part, part], rtol=1e-9, atol=1e-12)
-        assert axes[0] @ covariance[:3, 3:] @ axes[1] == pytest.approx(given[0, 4])
-    assert not np.allclose(found[0][0], found[1][0])
-
-
-def test_useless_axes_of_rtn_leave_the_others_resolved():
-    """Of 1 m and 1e6 m doubles in J2000 keep little of the first; 1 mm is refused."""
-    given = in_frame("rtn").scenario
-    path, sigma = initial_guess.ballistic(in_frame("rtn")).mean, [1.0, 1e6, 10.0, 1e3, 5e-4, 1e-4]
-    mission = Mission.from_scenario(
-        given.replace({"navigation.covariance": np.diag(np.square(sigma)).tolist()})
-    )
-    for covariance, axes in measured_on(mission, path):
-        for part in (slice(0, 3), slice(3, 6)):
-            own = np.array(sigma[part])
-            found = np.sqrt(np.diag(axes @ covariance[part, part] @ axes.T))
-            kept = own < own.max()
-            np.testing.assert_allclose(found[kept], own[kept], rtol=1e-4)
-            assert 1e3 * own[kept].max() < found[~kept][0] < own.max()
-    finer = np.diag(np.square([1e-3, *sigma[1:]])).tolist()
-    with pytest.raises(InputError, match=r"navigation.covariance: .* in a ratio of"):
-        _ = Mission.from_scenario(given.replace({"navigation.covariance": finer})).feedback
-
-
-def test_rtn_before_a_plan_follows_a_transfer():
-    """Lambert's arc is near the two-impulse flight, which is solved with the planner's forces."""
-    mission = in_frame("rtn")
-    path = initial_guess.ballistic(mission).mean
-    feedback = mission.problem.feedback
-    near = mission.measurement(path[feedback.cut_offs])
-    off = np.linalg.norm(feedback.measurement - near) / np.linalg.norm(near)
-    assert off < 0.02
+    given = np.diag([100.0, 400.0, 900.0, 1e-6, 4e-6, 9e-6])
+    given[0, 4] = given[4, 0] = 0.5 * np.sqrt(given[0, 0] * given[4, 4])
+    one = mission_of("policy.kind=feedback", f"navigation.covariance={given.tolist()}", END)
+    np.testing.assert_allclose(covariances(one), [given] * 2, rtol=1e-9, atol=1e-12)
 
 
 @pytest.mark.parametrize(

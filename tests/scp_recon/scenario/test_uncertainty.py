@@ -41,8 +41,8 @@ def covariance(matrix: Array) -> tuple[str, str]:
     return f"uncertainty.initial_covariance={np.asarray(matrix).tolist()}", RTN
 
 
-def measured(matrix: Array) -> tuple[str, str]:
-    return f"navigation.covariance={np.asarray(matrix).tolist()}", "navigation.frame=rtn"
+def measured(matrix: Array) -> tuple[str]:
+    return (f"navigation.covariance={np.asarray(matrix).tolist()}",)
 
 
 def changed(entries: dict[tuple[int, int], float]) -> Array:
@@ -80,7 +80,7 @@ def test_another_way_replaces_the_navigation_errors():
     first = load_scenario(None, MEASURED)
     sigmas = {"navigation.sigma_position_m": 1.0, "navigation.sigma_velocity_m_s": 1e-4}
     second = first.replace(sigmas)
-    assert second.navigation.covariance is second.navigation.frame is None
+    assert second.navigation.covariance is None
     third = second.replace({"navigation.sigma_position_m": 2.0})
     assert third.navigation.sigma_velocity_m_s == 1e-4
     assert first.replace({"navigation.lead_s": 0.0}).navigation.covariance is not None
@@ -114,9 +114,7 @@ NAVIGATION = [
     (measured(changed(ALIKE)), "covariance", "positive definite"),
     (SIGMAS[:1], "", "must have sigma_velocity_m_s"),
     ([*SIGMAS, *MEASURED], "", "in one way"),
-    (MEASURED[:1], "", "must have frame"),
-    ([MEASURED[0], "frame=body_fixed"], "frame", "'j2000' or 'rtn'"),
-    (["covariance=[[1.0]]", "frame=rtn"], "covariance", "6 rows of 6"),
+    (["covariance=[[1.0]]"], "covariance", "6 rows of 6"),
     (measured(changed({(0, 0): -100.0})), "covariance", "entry 1,1 is -100"),
 ]
 MATRIX = "initial_covariance"
