@@ -15,16 +15,16 @@ if __name__ == "__main__":
 import argparse
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from matplotlib.figure import Figure
 from rich.console import Console
 
-from paper_figs import campaigns, flight, observation, plans, polytopes
+from paper_figs import flight, polytopes, studies
 from paper_figs.drawing import save
-from paper_figs.inputs import read_runs, read_tables, read_whole_flight
+from paper_figs.inputs import Runs, read_runs, read_tables, read_whole_flight
 from scp_recon.errors import one_of
 from scp_recon.files import unwritable
 from scp_recon.mission.mission import Mission
@@ -33,8 +33,7 @@ from scp_recon.scenario.load import load_scenario
 PICTURES = (".png", ".pdf")
 
 
-@dataclass(frozen=True)
-class Item:
+class Item(NamedTuple):
     """A figure.
 
     Attributes:
@@ -50,59 +49,46 @@ class Item:
     dpi: float | None = None
 
 
-def _study(
-    draw: Callable[..., Figure | Mapping[str, Figure]],
-    folder: str = "",
-    line: str = "",
-    **columns: str,
-) -> Item:
-    """A figure of a study's tables, each with a column that it must have."""
-    name = folder or draw.__name__
-    command = f"python -m experiments {line or name}"
-    return Item(draw, lambda place: read_tables(place, command, columns), name)
-
-
 FIGURES = {
     draw.__name__: Item(draw)
     for draw in (
-        observation.observation_geometry,
-        polytopes.cone_polytopes,
         polytopes.ball_polytopes,
         flight.trajectories,
         flight.control_history,
-        observation.observation_histories,
-        observation.observation_times,
-        observation.terminal_normality,
+        flight.observation_histories,
+        flight.observation_times,
+        flight.terminal_normality,
     )
 }
 """The paper's figures, in the paper's order."""
 
-STUDIES = {
-    item.draw.__name__: item
-    for item in (
-        _study(plans.frontier, frontier="total_dv_m_s"),
-        _study(plans.feedback, feedback="dv99_m_s", feedback_errors="program_m_s"),
-        _study(plans.policies, policies="dv99_m_s"),
-        _study(plans.missed_burns, costs="more_percent"),
-        _study(plans.knowledge, parameters="kept", plans="without"),
-        _study(plans.map_sample, line="maps --sample", sample="site.latitude_deg"),
-        _study(
-            plans.solver_comparison,
-            "comparison",
-            "compare_solvers",
-            methods="method",
-            random="solved",
-        ),
-    )
+TABLES = {
+    "frontier": {"frontier": "total_dv_m_s"},
+    "feedback": {"feedback": "dv99_m_s", "feedback_errors": "program_m_s"},
+    "policies": {"policies": "dv99_m_s"},
+    "missed_burns": {"costs": "more_percent"},
+    "knowledge": {"parameters": "kept", "plans": "without"},
+    "map_sample": {"sample": "site.latitude_deg"},
+    "solver_comparison": {"methods": "method", "random": "solved"},
 }
-"""Figures of studies."""
+"""Tables of the studies that are drawn, each with a column that it must have."""
+COMMANDS = {"map_sample": "maps --sample", "solver_comparison": "compare_solvers"}
+"""Studies by their figures, where the names differ."""
 
+
+def _study(name: str) -> Item:
+    command = f"python -m experiments {COMMANDS.get(name, name)}"
+    read = partial(read_tables, command=command, columns=TABLES[name])
+    return Item(getattr(studies, name), read, name)
+
+
+STUDIES = {name: _study(name) for name in TABLES}
 EVERYTHING: dict[str, Item] = {
     **FIGURES,
     **STUDIES,
     "flyby": Item(flight.flyby, read_whole_flight, "paper/scp_cold", 140),
     "modes": Item(flight.modes, lambda _: Mission.from_scenario(load_scenario()), dpi=120),
-    "maps": Item(campaigns.campaigns, campaigns.read_campaigns, "maps"),
+    "maps": Item(studies.campaigns, studies.read_campaigns, "maps"),
 }
 
 
@@ -127,7 +113,9 @@ def draw(items: Mapping[str, Item], runs: Path | None, out: Path) -> Iterator[Pa
         folder = runs or Path("runs") / item.folder
         key = item.read, folder
         inputs = inputs if key in inputs else {key: item.read(folder)}
-        made, plan_hash = item.draw(inputs[key]), getattr(inputs[key], "plan_hash", None)
+        given = inputs[key]
+        made = item.draw(given)
+        plan_hash = given.plan.solution.plan_hash if isinstance(given, Runs) else None
         for own, figure in ({name: made} if isinstance(made, Figure) else made).items():
             for path in [out] if alone else [out / f"{own}{ending}" for ending in endings]:
                 yield save(figure, path, item.dpi, plan_hash)

@@ -1,8 +1,7 @@
-"""Draw a plan's flight: its path with sampled flights, its burns, its attitude modes."""
+"""Draw a plan's flight: its path, burns and modes, what it observes, and where its flights end."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from functools import partial
 
 import numpy as np
@@ -10,36 +9,51 @@ from matplotlib.axes import Axes
 from matplotlib.collections import EllipseCollection, LineCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Patch, Polygon
-from matplotlib.patheffects import withStroke
-from matplotlib.ticker import MaxNLocator, MultipleLocator
+from matplotlib.ticker import MaxNLocator
+from scipy.interpolate import interp1d
 from scipy.spatial import ConvexHull
+from scipy.stats import norm
 
 from formulations.arrays import Array
-from paper_figs.drawing import BURN, Look, draw_burns, history, place_labels
+from paper_figs.drawing import BURN, Look, draw_burns, history
 from paper_figs.inputs import FlownPlan, Runs
-from paper_figs.observation import SEED, observed, planned_positions
 from scp_recon.display import mm_s
 from scp_recon.mission.constraints import companion_distance_m
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.schedule import Mode
-from scp_recon.monte_carlo.sampling import sample_positions
+from scp_recon.monte_carlo.sampling import flown_mission, sample_positions
+from scp_recon.monte_carlo.summary import COMPONENTS
 from scp_recon.physics import geometry
 from scp_recon.physics.frames import sun_north_to_j2000
+from scp_recon.reports.shown import History, observed_over
+from scp_recon.results.comparison import path_of
 from scp_recon.results.pictures import legend, page, plain
 from scp_recon.results.solution import Solution
 
-PATHS_SHOWN = 150
-ARROW = 0.2
-"""In the flyby: arrow of the largest burn over the extent of the path."""
-
-PATHS, TIMES = 60, 600
+SAMPLES, SEED = 2000, 1
+PATHS_SHOWN, PATHS = 150, 60
+"""Sampled flights seen from the Sun, and on the planes of J2000."""
+ARROW, PLANE_ARROW = 0.2, 0.12
+"""The largest burn's arrow over the extent of what is drawn, seen from the Sun and on planes."""
+TIMES = 600
 SIGMAS = ((2.0, "0.87", "2 sigma"), (1.0, "0.7", "1 sigma"))
-PLANE_ARROW, MARGIN, TICKS = 0.12, 0.06, 7
-"""On the J2000 planes: the largest burn's arrow over the longest side, the room around all that is
-drawn, and ticks at most."""
-AXES = ("x", "y", "z")
 PLANES = ((1, 2), (0, 2), (1, 0))
 """Horizontal and vertical axis of each panel, placed so that neighbours share one."""
+BEFORE_AND_AFTER_S = 1500.0
+"""Time shown before the window and after it, s."""
+BINS = 34
+"""Bins across the window, of about a hundred seconds each."""
+REACH = 4.0
+"""Standard deviations shown; the outermost of the quantiles lies at 2.3 of a normal variable's."""
+
+
+def observed(solution: Solution, times_s: Array, samples: int | None = None) -> list[History]:
+    """Site distance, emission and phase at times of the flight, shape (n,), with sampled flights."""
+    mission, count = solution.mission, samples or SAMPLES
+    burns, policy = solution.burns_m_s, solution.corrections
+    sampled = sample_positions(mission, burns, times_s, count, SEED, policy)
+    flown = flown_mission(mission, SEED, count)
+    return observed_over(mission, flown, times_s, path_of(solution)(times_s), sampled)
 
 
 def flyby(solution: Solution) -> Figure:
@@ -50,20 +64,20 @@ def flyby(solution: Solution) -> Figure:
     with page(1.2 + 3.5 * min(up / across, 1.0), 8.6) as figure:
         path, *histories = figure.subplots(1, 4, width_ratios=(3.0, 1.0, 1.0, 1.0))
         _path(path, mission, solution)
-        _histories(histories, mission, solution)
+        window = mission.schedule.window_s
+        for axes, shown in zip(
+            histories, observed(solution, np.linspace(*window, 61)), strict=True
+        ):
+            history(axes, shown, window)
+            axes.set_title(shown.title, size=8)
+            axes.xaxis.set_major_locator(MaxNLocator(2))
+        histories[1].set_xlabel("time past the epoch (s)")
         path.set_title(
             f"{plain(mission.scenario.site.name)} on {plain(mission.scenario.body.name)}: "
             f"{mm_s(solution.total_dv_m_s, 1)} in {len(solution.executed)} burns",
             fontweight="bold",
         )
         legend(figure, 7, columnspacing=1.2, handlelength=1.6)
-        starts, arrows, _ = _burns_from_sun(mission, solution)
-        sizes = [1e3 * float(np.linalg.norm(burn.dv_m_s)) for _, burn in solution.executed]
-        words = [
-            f"{n}: {size:.0f} mm/s" for (n, _), size in zip(solution.executed, sizes, strict=True)
-        ]
-        along = (starts + np.linspace(0.0, 1.0, 9)[:, None, None] * arrows).reshape(-1, 2)
-        place_labels(path, starts, words, np.vstack([seen, along]), color=BURN, fontsize=8)
     return figure
 
 
@@ -73,30 +87,20 @@ def seen_from_sun(mission: Mission, vectors: Array) -> Array:
     return (vectors @ to_frame)[..., 1:] / 1000.0
 
 
-def _burns(solution: Solution, project: Callable[[Array], Array]) -> tuple[Array, Array]:
-    """Positions and sizes of the burns that are not zero, projected, shape (m, 2) each."""
-    nodes, fired = solution.mission.burn_nodes, solution.burns_m_s.any(axis=1)
-    places = np.array(solution.nodes.state)[nodes[fired], :3]
-    return project(places), project(solution.burns_m_s[fired])
-
-
-def _burns_from_sun(mission: Mission, solution: Solution) -> tuple[Array, Array, float]:
-    """Positions of the burns that are not zero, their arrows, km, (m, 2) each, and km per m/s."""
-    starts, burns = _burns(solution, partial(seen_from_sun, mission))
-    extent = float(np.ptp(np.array(solution.nodes.state)[:, :3], axis=0).max()) / 1000.0
-    scale = ARROW * extent / max(np.linalg.norm(solution.burns_m_s, axis=1).max(), 1e-12)
-    return starts, 1000.0 * scale * burns, scale
+def _executed(solution: Solution) -> tuple[Array, Array, list[str]]:
+    """Positions, m, and sizes, m/s, of the burns that are not zero, J2000, and their numbers."""
+    fired = solution.burns_m_s.any(axis=1)
+    places = np.array(solution.nodes.state)[solution.mission.burn_nodes[fired], :3]
+    return places, solution.burns_m_s[fired], [str(number) for number, _ in solution.executed]
 
 
 def _path(axes: Axes, mission: Mission, solution: Solution) -> None:
-    seen, times = partial(seen_from_sun, mission), mission.times_s
-    burns, policy = solution.burns_m_s, solution.corrections
-    samples = seen(sample_positions(mission, burns, times, PATHS_SHOWN, SEED, policy))
-    axes.plot(samples[..., 0], samples[..., 1], color="0.7", lw=0.4, alpha=0.6, zorder=1)
+    seen, times, burns = partial(seen_from_sun, mission), mission.times_s, solution.burns_m_s
+    samples = sample_positions(mission, burns, times, PATHS_SHOWN, SEED, solution.corrections)
+    axes.plot(*np.moveaxis(seen(samples), -1, 0), color="0.7", lw=0.4, alpha=0.6, zorder=1)
     axes.plot([], [], color="0.6", lw=1, label=f"{PATHS_SHOWN} sampled flights")
-    mean = seen(np.array(solution.nodes.state)[:, :3])
+    mean, window = seen(np.array(solution.nodes.state)[:, :3]), mission.window_nodes
     axes.plot(*mean.T, color="k", lw=1.2, label="plan", zorder=3)
-    window = mission.window_nodes
     axes.plot(*mean[window].T, color="C0", lw=4, solid_capstyle="butt", label="window", zorder=3)
     track = geometry.track(mission.site, mission.rotation, times[window])
     axes.plot(*seen(track.position).T, color="C4", lw=3, label="site in the window", zorder=3)
@@ -108,10 +112,15 @@ def _path(axes: Axes, mission: Mission, solution: Solution) -> None:
         radius, label = companion_distance_m(mission.scenario) / 1e3, "kept clear, mid-window"
         look: Look = {"facecolor": "none", "edgecolor": "C2", "zorder": 2}
         axes.add_patch(Circle(tuple(at), radius, label=label, **look))
-    starts, arrows, scale = _burns_from_sun(mission, solution)
-    size = float(f"{500.0 * np.linalg.norm(burns, axis=1).max():.1g}")
-    arrow = draw_burns(axes, starts, arrows)
-    axes.quiverkey(arrow, 0.76, 0.06, 1e-3 * scale * size, f"{size:g} mm/s", labelpos="E")
+    starts, sizes, numbers = _executed(solution)
+    largest = float(np.linalg.norm(sizes, axis=1).max(initial=1e-12))
+    scale = ARROW * float(np.ptp(mean, axis=0).max()) / largest
+    words = [
+        f"{n}: {1e3 * np.linalg.norm(dv):.0f} mm/s" for n, dv in zip(numbers, sizes, strict=True)
+    ]
+    arrows = draw_burns(axes, seen(starts), 1000.0 * scale * seen(sizes), words)
+    size = float(f"{500.0 * largest:.1g}")
+    axes.quiverkey(arrows, 0.76, 0.06, 1e-3 * scale * size, f"{size:g} mm/s", labelpos="E")
     axes.set(xlabel="Sun-North Y (km), seen from the Sun", ylabel="Sun-North Z (km)")
     axes.set_aspect("equal")
     axes.margins(0.12)
@@ -128,94 +137,48 @@ def _body(mission: Mission) -> Patch:
     return Polygon(corners[ConvexHull(corners).vertices], **look)
 
 
-def _histories(panels: Sequence[Axes], mission: Mission, solution: Solution) -> None:
-    window = mission.schedule.window_s
-    times = np.linspace(*window, 61)
-    for axes, quantity in zip(panels, observed(solution, times), strict=True):
-        history(axes, times, quantity.sampled, quantity.plan, quantity.limits, window)
-        axes.set_title(quantity.label)
-        axes.xaxis.set_major_locator(MaxNLocator(3))
-    panels[1].set_xlabel("time past the epoch (s)")
-
-
 def trajectories(runs: Runs) -> Figure:
     """Front, side and top view as in a technical drawing, J2000, the legend in the free corner."""
-    mission, burns = runs.plan.mission, runs.plan.solution.burns_m_s
+    solution, mission = runs.plan.solution, runs.plan.solution.mission
     times = np.linspace(0.0, mission.times_s[-1], TIMES)
-    policy = runs.plan.solution.corrections
-    sampled = sample_positions(mission, burns, mission.times_s, PATHS, SEED, policy)
-    flights = sampled.transpose(1, 0, 2) / 1000.0
-    plan, reference, window = (
-        planned_positions(mission, of, at) / 1000.0
-        for of, at in (
-            (burns, times),
-            (runs.reference.solution.burns_m_s, times),
-            (burns, np.array(mission.schedule.window_s)),
-        )
-    )
-    low, high = _reach(runs.plan, np.vstack([plan, reference, flights.reshape(-1, 3)]))
-    spans, words = high - low, [str(number) for number, _ in runs.plan.solution.executed]
-    arrow = PLANE_ARROW * float(spans.max())
-    scale = arrow / max(np.linalg.norm(burns, axis=1).max(), 1e-12)
-    locator = MaxNLocator(TICKS, steps=[1, 2, 5, 10])
-    step = float(np.diff(locator.tick_values(0.0, spans.max()))[0])
+    plan, reference = (path_of(s)(times) / 1e3 for s in (solution, runs.reference.solution))
+    edges = path_of(solution)(np.array(mission.schedule.window_s)) / 1e3
+    burns, policy = solution.burns_m_s, solution.corrections
+    sampled = sample_positions(mission, burns, mission.times_s, PATHS, SEED, policy) / 1e3
+    starts, sizes, numbers = _executed(solution)
+    safe = np.full((1, 3), mission.scenario.safety.radius_min_m / 1e3)
+    spans = np.ptp(np.vstack([reference, *sampled, safe, -safe]), axis=0) + PLANE_ARROW
+    largest = np.linalg.norm(sizes, axis=1).max(initial=1e-12)
+    arrows = PLANE_ARROW * spans.max() * sizes / largest
     sides: Look = {"width_ratios": spans[[1, 0]], "height_ratios": spans[[2, 0]]}
     with page(5.95) as figure:
         panels = figure.subplots(2, 2, **sides)
-        ends = list[tuple[Array, Array]]()
-        shown = [(axes, list(pair)) for axes, pair in zip(panels.flat, PLANES, strict=False)]
-        for axes, pair in shown:
-            _dispersions(axes, runs.plan, times, plan[:, pair], pair)
+        for axes, pair in zip(panels.flat, map(list, PLANES), strict=False):
+            _dispersions(axes, solution, times, plan[:, pair], pair)
             look: Look = {"colors": "0.35", "linewidths": 0.3, "alpha": 0.6, "zorder": 2}
-            axes.add_collection(LineCollection(list(flights[..., pair]), **look))
+            axes.add_collection(LineCollection(list(sampled[..., pair].swapaxes(0, 1)), **look))
             axes.plot([], [], color="0.35", lw=0.6, label=f"{PATHS} sampled flights")
             axes.plot(*plan[:, pair].T, "k-", lw=1.4, label="plan", zorder=4)
-            label = runs.reference.label.replace(" (", "\n(")
-            axes.plot(*reference[:, pair].T, "k:", lw=1.4, label=label, zorder=4)
+            axes.plot(*reference[:, pair].T, "k:", lw=1.4, label=runs.reference.label, zorder=4)
             _spheres(axes, mission)
-            starts, sizes = _burns(runs.plan.solution, partial(np.take, indices=pair, axis=1))
-            starts, arrows = starts / 1000.0, scale * sizes
-            ends.append((starts, starts + arrows))
-            draw_burns(axes, starts, arrows)
-            label = f"burns {', '.join(words)}, arrows to scale"
-            axes.plot(*starts.T, "o", color=BURN, ms=4.5, zorder=7, label=label)
+            draw_burns(axes, starts[:, pair] / 1e3, arrows[:, pair], numbers)
+            axes.plot([], [], "o", color=BURN, ms=3, label="burns, arrows to scale")
             look = {"mfc": "w", "mec": "k", "ms": 5, "zorder": 6}
-            axes.plot(*window[:, pair].T, "s", label="window opens, closes", **look)
-            across, up = (f"J2000 {AXES[axis]} (km)" for axis in pair)
-            (left, right), (bottom, top) = zip(low[pair], high[pair], strict=True)
-            axes.set(xlabel=across, ylabel=up, xlim=(left, right), ylim=(bottom, top))
-            axes.set(aspect="equal", axisbelow=True)
-            axes.xaxis.set_major_locator(MultipleLocator(step))
-            axes.yaxis.set_major_locator(MultipleLocator(step))
-        look = {"color": BURN, "fontweight": "bold", "zorder": 7}
-        look["path_effects"] = [withStroke(linewidth=2.5, foreground="w")]
-        for (axes, _), (starts, tips) in zip(shown, ends, strict=True):
-            place_labels(axes, tips, words, np.vstack([starts, tips]), **look)
-        corner = panels[1, 1]
-        corner.axis("off")
+            axes.plot(*edges[:, pair].T, "s", label="window opens, closes", **look)
+            across, up = (f"J2000 {'xyz'[axis]} (km)" for axis in pair)
+            axes.set(xlabel=across, ylabel=up, aspect="equal", adjustable="datalim")
+        panels[1, 1].axis("off")
         handles, labels = panels[0, 0].get_legend_handles_labels()
-        corner.legend(handles, labels, loc="center", borderaxespad=0.0)
+        panels[1, 1].legend(handles, labels, loc="center", borderaxespad=0.0)
     return figure
 
 
-def _reach(flown: FlownPlan, drawn: Array) -> tuple[Array, Array]:
-    """Least and greatest coordinates of paths, the widest band and the keep-out sphere, with room."""
-    safe, nodes = flown.mission.scenario.safety.radius_min_m / 1000.0, flown.solution.nodes
-    variance = np.diagonal(np.array(nodes.covariance), axis1=1, axis2=2)[:, :3]
-    band = max(sigmas for sigmas, *_ in SIGMAS) * np.sqrt(variance) / 1000.0
-    mean = np.array(nodes.state)[:, :3] / 1000.0
-    drawn = np.vstack([drawn, mean - band, mean + band, np.full(3, safe), np.full(3, -safe)])
-    low, high = drawn.min(axis=0), drawn.max(axis=0)
-    room = MARGIN * float((high - low).max())
-    return low - room, high + room
-
-
-def _dispersions(axes: Axes, flown: FlownPlan, times: Array, path: Array, pair: list[int]) -> None:
+def _dispersions(
+    axes: Axes, solution: Solution, times: Array, path: Array, pair: list[int]
+) -> None:
     """Draw ellipses of the planned covariance along the path, dense enough for a band."""
-    nodes, stored = flown.mission.times_s, np.array(flown.solution.nodes.covariance)
-    covariance = np.empty((len(times), 2, 2))
-    for i, j in np.ndindex(2, 2):
-        covariance[:, i, j] = np.interp(times, nodes, stored[:, pair[i], pair[j]])
+    stored = np.array(solution.nodes.covariance)[:, pair][:, :, pair]
+    covariance = interp1d(solution.nodes.t_s, stored, axis=0)(times)
     variance, direction = np.linalg.eigh(covariance)
     narrow, wide = np.sqrt(np.maximum(variance, 0.0)).T / 1000.0
     angles = np.rad2deg(np.arctan2(direction[:, 1, 1], direction[:, 0, 1]))
@@ -240,9 +203,9 @@ def _spheres(axes: Axes, mission: Mission) -> None:
 
 def control_history(runs: Runs) -> Figure:
     """Burn sizes with their limit above, angles to the Sun with the keep-out bands below."""
-    mission, fired = runs.plan.mission, [burn for _, burn in runs.plan.solution.executed]
-    times = np.array([burn.t_s for burn in fired])
-    burns = np.array([burn.dv_m_s for burn in fired])
+    solution, mission = runs.plan.solution, runs.plan.solution.mission
+    times = np.array([burn.t_s for _, burn in solution.executed])
+    _, burns, _ = _executed(solution)
     sizes = 1000.0 * np.linalg.norm(burns, axis=1)
     angles = np.rad2deg(geometry.angle(burns, mission.sun_direction(times)))
     cone = mission.scenario.battery.delta_v_cone_deg
@@ -250,29 +213,21 @@ def control_history(runs: Runs) -> Figure:
     with page(4.2) as figure:
         top, bottom = figure.subplots(2, 1, sharex=True)
         top.vlines(times, 0.0, sizes, color="k", lw=2)
-        top.axhline(limit, color="k", ls="--", lw=1)
-        look: Look = {"textcoords": "offset points", "ha": "right", "va": "top"}
-        top.annotate(f"limit {limit:g} mm/s", (times[-1], limit), (0, -4), **look)
+        top.axhline(limit, color="k", ls="--", lw=1, label=f"limit {limit:g} mm/s")
         top.set(ylabel="burn size (mm/s)", ylim=(0.0, 1.12 * limit))
-        look = {"ha": "center", "va": "center"}
-        box: Look = {"facecolor": "w", "edgecolor": "none", "pad": 1.5}
-        for low, way in ((0.0, "the Sun"), (180.0 - cone, "the anti-Sun")):
-            hatched: Look = {"facecolor": "0.88", "edgecolor": "0.55", "hatch": "///"}
-            bottom.axhspan(low, low + cone, lw=0, **hatched)
-            text = f"keep-out: within {cone:g} deg of {way}"
-            bottom.text(0.5 * times[-1], low + 0.5 * cone, text, bbox=box, **look)
-        bottom.set(
-            ylabel="angle to the Sun (deg)", xlabel="time past the epoch (s)", ylim=(0.0, 180.0)
-        )
+        look: Look = {"facecolor": "0.88", "edgecolor": "0.55", "hatch": "///", "lw": 0}
+        bottom.axhspan(0.0, cone, label=f"keep-out: within {cone:g} deg of the Sun line", **look)
+        bottom.axhspan(180.0 - cone, 180.0, **look)
+        bottom.set(ylabel="angle to the Sun (deg)", ylim=(0.0, 180.0))
         bottom.set_yticks(np.arange(0, 181, 30))
-        top.text(float(np.mean(window)), 0.5 * limit, "observation\nwindow", size=8, **look)
         for axes, values in ((top, sizes), (bottom, angles)):
             axes.plot(times, values, "ko", ms=5)
-            axes.axvspan(*window, facecolor="0.92", edgecolor="none", zorder=0)
-            axes.set_xlim(-0.02 * times[-1], 1.02 * times[-1])
-        for axes, values in ((top, sizes), (bottom, angles)):
-            marked = np.column_stack([times, values])
-            place_labels(axes, marked, [f"{value:.1f}" for value in values], marked)
+            axes.axvspan(*window, facecolor="0.92", lw=0, zorder=0, label="observation window")
+            axes.set_xlim(-0.03 * times[-1], 1.05 * times[-1])
+            for time, value in zip(times, values, strict=True):
+                axes.annotate(f"{value:.1f}", (time, value), (6, 4), textcoords="offset points")
+        bottom.set_xlabel("time past the epoch (s)")
+        legend(figure, 3)
     return figure
 
 
@@ -303,12 +258,11 @@ def modes(mission: Mission) -> Figure:
                 length = getattr(scenario.schedule, rule)
                 axes.barh(row, length, 0.6, begin, fc=colour, lw=0)
                 begin += length
+        end = scenario.duration_s + 600.0
+        look: Look = {"lw": 5.0, "alpha": 0.35, "color": BURN}
         burns = zip(scenario.burns.times_s, schedule.firing_intervals_s, strict=True)
         for time, (early, late) in burns:
-            late = min(late, scenario.duration_s + 600.0)
-            axes.plot(
-                [early, late], [0.0, 0.0], color=BURN, lw=5.0, alpha=0.35, solid_capstyle="butt"
-            )
+            axes.plot([early, min(late, end)], [0.0, 0.0], solid_capstyle="butt", **look)
             axes.plot(time, 0.0, "v", color=BURN, ms=7)
         axes.axvspan(*schedule.window_s, fc=LIT, lw=0, zorder=0)
         for name, (colour, _) in RULES.items():
@@ -318,6 +272,83 @@ def modes(mission: Mission) -> Figure:
         axes.plot([], [], "v", color=BURN, label="burn, and its legal times")
         axes.set_yticks(range(len(rows) + 1), ["burns", *rows])
         axes.invert_yaxis()
-        axes.set(xlabel="time past the epoch (s)", xlim=(-600.0, scenario.duration_s + 600.0))
+        axes.set(xlabel="time past the epoch (s)", xlim=(-600.0, end))
         legend(figure, 3)
+    return figure
+
+
+def observation_histories(runs: Runs) -> Figure:
+    """Distance, emission and phase with their spread, limits in the window, and the reference."""
+    first, last = runs.plan.solution.mission.schedule.window_s
+    times = np.linspace(first - BEFORE_AND_AFTER_S, last + BEFORE_AND_AFTER_S, 107)
+    plan, reference = (
+        observed(runs.plan.solution, times),
+        observed(runs.reference.solution, times, 1),
+    )
+    with page(5.6) as figure:
+        panels = figure.subplots(3, 1, sharex=True)
+        for axes, own, other in zip(panels, plan, reference, strict=True):
+            history(axes, own, (first, last))
+            axes.plot(times, other.planned, "k:", lw=1.4, label=runs.reference.label)
+            for edge in (first, last):
+                axes.axvline(edge, color="0.4", lw=0.8)
+            axes.set_ylabel(own.title)
+        panels[0].set_title(f"observation window, {last - first:.0f} s")
+        panels[-1].set_xlabel("time past the epoch (s)")
+        legend(figure, 5)
+    return figure
+
+
+def observation_times(runs: Runs) -> Figure:
+    """Times for which flights keep limits: the plan's filled, the reference's in outline."""
+    first, last = runs.plan.solution.mission.schedule.window_s
+    edges = np.linspace(0.0, last - first, BINS + 1)
+    with page(4.6) as figure:
+        panels = figure.subplots(2, 1, sharex=True, sharey=True)
+        for axes, name in zip(panels, ("emission", "site_distance"), strict=True):
+            _times(axes, runs, name, edges)
+            axes.set_title(f"{name.replace('_', ' ')} limits held", loc="left")
+            axes.set(ylabel="share of flights (%)", yscale="log", xlim=(edges[0], edges[-1]))
+            axes.yaxis.set_major_formatter("{x:g}")
+        panels[-1].set_xlabel("time held in the observation window (s)")
+        legend(figure, 2)
+    return figure
+
+
+def _times(axes: Axes, runs: Runs, name: str, edges: Array) -> None:
+    """Shares of flights in coarser bins than the summary's."""
+    least, words = 50.0 / max(runs.plan.summary.samples, runs.reference.summary.samples), []
+    plan: Look = {"fill": True, "facecolor": "0.75", "edgecolor": "k", "lw": 0.6}
+    reference: Look = {"fill": False, "edgecolor": "k", "ls": "--", "lw": 1.2}
+    flights: tuple[tuple[FlownPlan, Look], ...] = ((runs.plan, plan), (runs.reference, reference))
+    for flown, look in flights:
+        held = flown.summary.held_s[name]
+        middles = np.array(held.histogram.start) + 0.5 * held.histogram.bin
+        inside = np.clip(middles, edges[0], edges[-1])
+        counts = np.histogram(inside, edges, weights=held.histogram.count)[0]
+        shares = 100.0 * counts / flown.summary.samples
+        axes.stairs(shares, edges, label=flown.label, baseline=least, **look)
+        whole = 100.0 * held.throughout.estimate.value
+        words.append(f"{flown.label}: {whole:.1f} % throughout the window")
+    axes.set_ylim(least, 200.0)
+    box: Look = {"facecolor": "w", "edgecolor": "none", "alpha": 0.9, "pad": 1.0}
+    look = {"transform": axes.transAxes, "ha": "center", "va": "top", "bbox": box}
+    axes.text(0.5, 0.96, "\n".join(words), **look)
+
+
+def terminal_normality(runs: Runs) -> Figure:
+    """A quantile-quantile panel per component of the final state, J2000."""
+    tests = runs.plan.summary.terminal.normality
+    with page(4.8) as figure:
+        panels = figure.subplots(2, 3, sharex=True, sharey=True)
+        for axes, name in zip(panels.flat, COMPONENTS, strict=True):
+            test, reach = tests[name], (-REACH, REACH)
+            axes.axline((0.0, 0.0), slope=1.0, color="0.5", lw=1.0, ls="--", label="normal")
+            expected = norm.ppf(test.levels)
+            axes.plot(expected, test.quantiles, "o", ms=2.5, color="k", label="sampled flights")
+            axes.set_title(f"{name}: p-value {test.p_value:.1g}", loc="left")
+            axes.set(xlim=reach, ylim=reach, aspect="equal")
+            axes.set(xlabel="normal quantile (sigma)", ylabel="sampled quantile (sigma)")
+            axes.label_outer()
+        legend(figure, 2)
     return figure

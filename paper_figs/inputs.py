@@ -5,13 +5,13 @@ Every message names the command that writes what is missing, damaged or of anoth
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
 from pathlib import Path
+from typing import NamedTuple
 
 import pandas as pd
 
 from scp_recon.errors import InputError
-from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.flights import FlightConfig, fly_many
 from scp_recon.monte_carlo.summarise import summarise
 from scp_recon.monte_carlo.summary import FILE_NAME as SUMMARY_FILE
@@ -29,58 +29,34 @@ SHOWN = 16
 """Digits of a plan's hash in messages."""
 
 
-@dataclass(frozen=True)
-class FlownPlan:
+class FlownPlan(NamedTuple):
     """A plan with its name for legends, and the summary of its flights."""
 
     label: str
     solution: Solution
     summary: Summary
 
-    @property
-    def mission(self) -> Mission:
-        """The plan's mission."""
-        return self.solution.mission
 
-
-@dataclass(frozen=True)
-class Runs:
-    """Inputs of the paper's figures.
-
-    Attributes:
-        plan: P2 by sequential convex programming from the cold start; or the user's own plan.
-        reference: the ballistic arc.
-    """
+class Runs(NamedTuple):
+    """Inputs of the paper's figures: P2 from the cold start, or the user's plan; the ballistic arc."""
 
     plan: FlownPlan
     reference: FlownPlan
-
-    @property
-    def plan_hash(self) -> str:
-        """Hash of the plan."""
-        return self.plan.solution.plan_hash
 
 
 def read_runs(folder: Path) -> Runs:
     """Read results of `experiments observation_table`, or a plan; fly missing flights of a plan.
 
+    The reference of a plan is the ballistic arc of its mission.
+
     Raises:
         InputError: if a file is missing or unusable.
     """
     home = resolve_run(folder)
-    if home.is_file() or (home / SOLUTION_FILE).exists():
-        return own_plan(home)
-    reference = _flown(folder, SURROGATE, "OSIRIS-REx surrogate (ballistic arc)")
-    return Runs(_flown(folder, PLAN, "plan"), reference)
-
-
-def own_plan(home: Path) -> Runs:
-    """Inputs from any plan, with the ballistic arc of its mission as reference.
-
-    Its flights are read if they lie beside it and are of this plan; else they are flown.
-    """
-    solution = read_solution(home)
-    file = folder_of(home) / SUMMARY_FILE
+    if not (home.is_file() or (home / SOLUTION_FILE).exists()):
+        reference = _flown(folder, SURROGATE, "OSIRIS-REx surrogate\n(ballistic arc)")
+        return Runs(_flown(folder, PLAN, "plan"), reference)
+    solution, file = read_solution(home), folder_of(home) / SUMMARY_FILE
     summary = read_summary(file) if file.is_file() else None
     if summary is None or not summary.is_of(solution):
         summary = _fly(solution)
@@ -97,16 +73,16 @@ def _flown(folder: Path, key: str, label: str) -> FlownPlan:
     plan_file, file = folder / key / SOLUTION_FILE, folder / key / SUMMARY_FILE
     for path in (plan_file, file):
         if not path.is_file():
-            raise _refused(path, "no such file", PAPER)
+            raise _refused(path, "no such file", PAPER, folder)
     solution = read_solution(plan_file)
     try:
         summary = read_summary(file)
     except InputError:
-        raise _refused(file, "an unusable file", PAPER) from None
+        raise _refused(file, "an unusable file", PAPER, folder) from None
     if not summary.is_of(solution):
         flown = f"flights of plan {summary.plan_hash[:SHOWN]}"
         must = f"must be of the plan {solution.plan_hash[:SHOWN]} of {plan_file}: "
-        raise _refused(file, flown, PAPER, must)
+        raise _refused(file, flown, PAPER, folder, must)
     return FlownPlan(label, solution, summary)
 
 
@@ -121,7 +97,7 @@ def read_whole_flight(folder: Path) -> Solution:
     return solution
 
 
-def read_tables(folder: Path, command: str, columns: dict[str, str]) -> list[pd.DataFrame]:
+def read_tables(folder: Path, command: str, columns: Mapping[str, str]) -> list[pd.DataFrame]:
     """Tables of a study by name, each with a column that it must have.
 
     Raises:
@@ -131,18 +107,17 @@ def read_tables(folder: Path, command: str, columns: dict[str, str]) -> list[pd.
     for name, column in columns.items():
         path = folder / f"{name}.csv"
         if not path.is_file():
-            raise _refused(path, "no such file", command)
+            raise _refused(path, "no such file", command, folder)
         try:
             table = pd.read_csv(path)
         except ValueError:
             table = pd.DataFrame()
         if column not in table or table.empty:
-            raise _refused(path, "an unusable file", command)
+            raise _refused(path, "an unusable file", command, folder)
         found.append(table)
     return found
 
 
-def _refused(path: Path, given: str, command: str, must: str = "") -> InputError:
+def _refused(path: Path, given: str, command: str, out: Path, must: str = "") -> InputError:
     """Error for a file, with the command that writes it anew."""
-    home = path.parent.parent if command is PAPER else path.parent
-    return InputError(str(path), given, f"{must}written by `{command} --out {home}`")
+    return InputError(str(path), given, f"{must}written by `{command} --out {out}`")

@@ -121,17 +121,33 @@ def bands_of(sampled: Array, sigmas: tuple[int, ...]) -> dict[int, tuple[Array, 
 
 def observation_histories(plan: Shown) -> list[History]:
     """Distance from the site, emission and phase in the window, with every limit on them."""
-    mean, sampled = _measured(plan)
-    limits = plan.subject.mission.limits
+    mission, flown = plan.subject.mission, plan.flown
+    mean, sampled = plan.subject.positions(flown.window_s), flown.positions[flown.window]
+    return observed_over(mission, flown.mission, flown.window_s, mean, sampled)
+
+
+def observed_over(
+    mission: Mission, flown: Mission, times_s: Array, mean: Array, sampled: Array
+) -> list[History]:
+    """Distance from the site, emission and phase over time, with every limit on them.
+
+    Args:
+        mission: of the plan.
+        flown: as the flights have it, with their parameters.
+        times_s: shape (n,).
+        mean: planned positions, J2000, m, shape (n, 3).
+        sampled: those of flights, shape (n, flights, 3).
+    """
+    planned, each = measured(mission, times_s, mean), measured(flown, times_s, sampled)
     return [
         History(
             title,
-            plan.flown.window_s,
-            scale * mean[measure],
-            bands_of(scale * sampled[measure], (1, 2)),
+            times_s,
+            scale * planned[measure],
+            bands_of(scale * each[measure], (1, 2)),
             tuple(
                 (f"{limit.name}: at {'least' if limit.sense == 'min' else 'most'}", value)
-                for limit in limits
+                for limit in mission.limits
                 if limit.measure == measure and (value := scale * limit.value) < without
             ),
         )

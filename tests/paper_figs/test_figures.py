@@ -2,7 +2,6 @@
 
 import json
 import shutil
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +11,7 @@ from matplotlib.figure import Figure
 
 from experiments import observation_table
 from paper_figs import __main__ as command_line
-from paper_figs import campaigns, flight, inputs, observation
+from paper_figs import flight, inputs, studies
 from paper_figs.__main__ import EVERYTHING, FIGURES, STUDIES, Item, main
 from paper_figs.drawing import save
 from paper_figs.inputs import PAPER, PLAN, SURROGATE, Runs, read_runs
@@ -52,7 +51,7 @@ def runs(folder) -> Runs:
 
 def test_figures_of_the_paper_carry_their_plan(folder, runs, tmp_path, monkeypatch):
     for name, item in FIGURES.items():
-        monkeypatch.setitem(FIGURES, name, replace(item, dpi=DPI))
+        monkeypatch.setitem(FIGURES, name, item._replace(dpi=DPI))
     monkeypatch.setattr(command_line, "PICTURES", (".png",))
     assert main(["--runs", str(folder), "--out", str(tmp_path)]) == 0
     plan_hash = runs.plan.solution.plan_hash.encode()
@@ -86,9 +85,9 @@ def test_every_flight_of_a_plan_is_corrected(runs, monkeypatch):
         return fly(flyer, *given)
 
     monkeypatch.setattr(Flyer, "fly", seen)
-    monkeypatch.setattr(observation, "SAMPLES", 50)
+    monkeypatch.setattr(flight, "SAMPLES", 50)
     monkeypatch.setattr(inputs, "FLIGHTS", SAMPLES)
-    for draw in (flight.trajectories, observation.observation_histories):
+    for draw in (flight.trajectories, flight.observation_histories):
         draw(runs)
     flight.flyby(runs.plan.solution)
     inputs._fly(runs.plan.solution)
@@ -117,7 +116,7 @@ def test_unusable_input_names_the_command(folder, tmp_path, bad, capsys):
 @pytest.mark.parametrize("name", STUDIES)
 def test_study_is_drawn_or_names_its_command(tmp_path, name, capsys, monkeypatch):
     study = STUDIES[name]
-    monkeypatch.setitem(EVERYTHING, name, replace(study, dpi=DPI))
+    monkeypatch.setitem(EVERYTHING, name, study._replace(dpi=DPI))
     words = [name, "--runs", str(tmp_path), "--out", str(tmp_path / "drawn")]
     assert main(words) == 2
     assert f"--out {tmp_path}" in capsys.readouterr().err
@@ -158,12 +157,12 @@ def test_campaigns_are_drawn_with_cases_without_plan():
     table = pd.DataFrame(sizes, columns=[LATITUDE, LONGITUDE]).assign(
         case=range(12), status="converged", verdict="verified", **{COST: 0.1, CHANCE: 0.9}
     )
-    table[campaigns.BURN] = table[campaigns.LARGEST] = table[LATITUDE] + 0.1
-    table[campaigns.INITIAL] = table[campaigns.LEAST] = table[LONGITUDE] + 0.1
+    table[studies.BURN] = table[studies.LARGEST] = table[LATITUDE] + 0.1
+    table[studies.INITIAL] = table[studies.LEAST] = table[LONGITUDE] + 0.1
     table[EPOCH] = pd.date_range("2020-01-01", periods=12).astype(str)
     table.loc[8:, "status"] = "infeasible"
     results = CampaignResults(Path(), table, None, None, (LATITUDE, LONGITUDE), 12)
-    drawn = campaigns.campaigns(dict.fromkeys(campaigns.CAMPAIGNS, results))
+    drawn = studies.campaigns(dict.fromkeys(studies.CAMPAIGNS, results))
     for figure in drawn.values():
         figure.draw_without_rendering()
-    assert {*drawn} == {*campaigns.CAMPAIGNS}
+    assert {*drawn} == {*studies.CAMPAIGNS}
