@@ -230,7 +230,7 @@ def flight_figures(flown: FlightTally) -> Record:
         "node": node[lowest],
         "node_of": lowest.replace("_", " "),
         "whole_flight": flown.whole / flown.samples,
-        "observed_mean_s": flown.held_s[ALL].mean().value,
+        "observed_mean_s": flown.tallies[ALL].mean().value,
     }
 
 

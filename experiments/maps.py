@@ -119,7 +119,7 @@ def sampled(sites: Study, number: int) -> Record:
         if found is not None:
             flown = fly_plan(found, FLIGHTS, SEED)
             row |= {"open": name == "open", "corrected": True, "total_dv_m_s": found.total_dv_m_s}
-            row |= {"dv99_m_s": flown.commanded_dv.quantile(MOST)[0]}
+            row |= {"dv99_m_s": flown.tallies["commanded_dv_m_s"].quantile(MOST)[0]}
             row |= {"whole_flight": flown.whole / flown.samples}
             break
     else:

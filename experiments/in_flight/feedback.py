@@ -71,7 +71,7 @@ def row(kind: str, asked: float, found: Plan, flights: int, processor_s: float) 
     if not np.isfinite(costs["total_dv_m_s"]):
         return costs
     lin, speed = found.final.result.lin, found.mission.units.speed_m_s
-    dv99, low, high = flown.commanded_dv.quantile(MOST)
+    dv99, low, high = flown.tallies["commanded_dv_m_s"].quantile(MOST)
     if not lin.iterate.gains.any():
         dv99 = low = high = found.total_dv_m_s
     limits = [counts.min() / flown.samples for counts in flown.limits.values() if len(counts)]

@@ -14,7 +14,8 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from formulations.arrays import Array
-from formulations.risk.strata import Allocation, Counted, Survey, allocate
+from formulations.risk.strata import Counted, allocate
+from formulations.rows.exact_flight import FLIGHT
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.estimates import (
     CONFIDENCE,
@@ -26,14 +27,9 @@ from scp_recon.monte_carlo.estimates import (
     proportion,
     seed_of_test,
 )
-from scp_recon.monte_carlo.law import CountedFlights, Law, fly_strata, survey
-from scp_recon.monte_carlo.law_in_time import fly_in_time, survey_in_time
-from scp_recon.monte_carlo.whole_flight import (
-    KeptCounts,
-    SampledFlights,
-    kept_flights,
-    seconds_of,
-)
+from scp_recon.monte_carlo.law import Law
+from scp_recon.monte_carlo.strata import DrawsInStrata, fly_strata, surveyed
+from scp_recon.monte_carlo.whole_flight import KeptCounts, SampledFlights, kept_flights
 from scp_recon.planning.plan import Aimed, Plan
 from scp_recon.planning.records import Certificate
 from scp_recon.results.policy import policy_of
@@ -162,67 +158,51 @@ def with_nodes_at(mission: Mission, times_s: Array) -> Mission:
 
 def fly_plan(watch: Watch | None, plan: Plan, step: Step) -> KeptCounts:
     """Fly a mission's plan: see `Fly`."""
-    if watch is None:
-        return _fly(plan, step, None)
-    watch(step.name, plan, step.samples)
-    kept = _fly(plan, step, partial(watch, step.name, plan))
-    flown = flown_of(kept)
-    watch(step.name, plan, flown, flown, reached_of(kept, step.confidence))
+
+    def told(samples: int, flown: int = 0) -> None:
+        if watch is not None:
+            watch(step.name, plan, samples, flown)
+
+    told(step.samples)
+    mission, policy = plan.mission, policy_of(plan.mission, plan.final.result.lin)
+    flights = SampledFlights(mission, plan.burns_m_s, policy)
+    kept = None
+    if mission.scenario.risk.sampling == "strata":
+        kept = _fly_in_strata(flights, plan, step, told)
+    if kept is None:
+        seen = partial(told, step.samples)
+        kept = kept_flights(mission, plan.burns_m_s, step.samples, step.seed, seen, policy)
+    if watch is not None:
+        flown = flown_of(kept)
+        watch(step.name, plan, flown, flown, reached_of(kept, step.confidence))
     return kept
 
 
-def _fly(plan: Plan, step: Step, told: Callable[[int, int], None] | None) -> KeptCounts:
-    mission, policy = plan.mission, policy_of(plan.mission, plan.final.result.lin)
-    if mission.scenario.risk.sampling == "strata":
-        kept = _fly_in_strata(SampledFlights(mission, plan.burns_m_s, policy), plan, step, told)
-        if kept is not None:
-            return kept
-    seen = partial(told, step.samples) if told else None
-    return kept_flights(mission, plan.burns_m_s, step.samples, step.seed, seen, policy)
-
-
 def _fly_in_strata(
-    flights: SampledFlights, plan: Plan, step: Step, told: Callable[[int, int], None] | None
+    flights: SampledFlights, plan: Plan, step: Step, told: Callable[[int, int], None]
 ) -> KeptCounts | None:
-    """Fly in strata of the law's margin.
+    """What flights in strata of the law's margin keep.
 
-    With the scope `node` each limit counts at each second separately.
-
-    Returns:
-        What the flights keep; None if as many plain flights are quicker, if all are the same, or if
-            no limit that counts separately is within reach.
+    None if as many plain flights are quicker, if all are the same, or if no limit that counts
+    separately is within reach.
     """
-    if flights.certain:
+    lin, length_m = plan.final.result.lin, flights.mission.units.length_m
+    if flights.is_whole:
+        laws = {FLIGHT: Law.of(lin, length_m, is_whole=True)}
+    else:
+        laws = Law.of_events(lin, length_m)
+    if flights.certain or not laws:
         return None
-    mission, lin, seed = plan.mission, plan.final.result.lin, step.seed
-
-    def allocated(known: Survey) -> Allocation | None:
-        reached = interval_of_test(round((1.0 - known.failed) * step.samples), step.samples)
-        ends = reached.value - reached.low, reached.high - reached.value
-        widths = step.width * ends[0], step.width * ends[1]
-        known = replace(known, unlike=np.r_[step.unlike[0], known.unlike[1:-1], step.unlike[1]])
-        return allocate(known, step.samples, widths, TAIL, mirrored=not whole)
-
-    whole = mission.scenario.risk.scope == "flight"
-    if whole:
-        law = Law.of(lin, mission.units.length_m)
-        allocation = allocated(survey(law, flights, seed))
-        if allocation is None:
-            return None
-        return kept_in_strata(fly_strata(law, flights, allocation, seed, told))
-    laws = Law.of_events(lin, mission.units.length_m)
-    if not laws:
-        return None
-    in_time, known = survey_in_time(laws, mission.times_s, flights, seed)
-    allocation = allocated(known)
+    known, survey = surveyed(laws, flights, step.seed)
+    reached = interval_of_test(round((1.0 - survey.failed) * step.samples), step.samples)
+    widths = step.width * (reached.value - reached.low), step.width * (reached.high - reached.value)
+    survey = replace(survey, unlike=np.r_[step.unlike[0], survey.unlike[1:-1], step.unlike[1]])
+    allocation = allocate(survey, step.samples, widths, TAIL, mirrored=not flights.is_whole)
     if allocation is None:
         return None
-    seconds = seconds_of(mission)
-    return kept_in_strata(fly_in_time(in_time, flights, seconds, allocation, seed, TAIL, told))
+    expected = allocation.draws * float(np.dot(allocation.share, survey.share))
 
+    def report(share: float) -> None:
+        told(round(expected), round(share * expected))
 
-def kept_in_strata(flown: CountedFlights) -> KeptCounts:
-    """Counts of flights in strata, as plain flights with the same standard error."""
-    worth, reached = flown.throughout.equivalent, 1.0 - flown.throughout.failed
-    at_nodes = max(1.0 - flown.at_nodes.failed, reached)
-    return KeptCounts(at_nodes * worth, reached * worth, worth, flown.touched_s, flown.throughout)
+    return fly_strata(DrawsInStrata(known, flights, allocation, step.seed), TAIL, report)

@@ -4,29 +4,30 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import closing
-from dataclasses import dataclass, field
-from functools import partial
+from dataclasses import dataclass, field, replace
+from functools import partial, reduce
+from operator import add
 
 import numpy as np
-import numpy.typing as npt
+from scipy.special import ndtri
 
-from formulations.arrays import Array
+from formulations.arrays import Array, Indices
+from formulations.risk.strata import Allocation, Counted, Survey, allocate
 from scp_recon.jobs.job import Executor, Job, here, in_order
 from scp_recon.jobs.processes import Limits
 from scp_recon.mission.constraints import companion_distance_m
 from scp_recon.mission.scene import errors_of_kind
 from scp_recon.mission.windows import Window
-from scp_recon.monte_carlo.estimates import Estimate, Tally, proportion
-from scp_recon.monte_carlo.limits import EVERYWHERE, limit_margins, limits_kept
-from scp_recon.monte_carlo.narrow import Narrowed, narrow
+from scp_recon.monte_carlo.closed_loop import MEASURED
+from scp_recon.monte_carlo.estimates import CONFIDENCE, Estimate, Tally, of_strata, proportion
+from scp_recon.monte_carlo.law import Law
+from scp_recon.monte_carlo.limits import EVERYWHERE, kept_limits, limit_margins
 from scp_recon.monte_carlo.observation_time import ALL, SCIENCE, time_held
-from scp_recon.monte_carlo.sampling import (
-    BLOCK,
-    Flyer,
-    corrections_of,
-    policy_kind,
-)
+from scp_recon.monte_carlo.sampling import BLOCK, Flyer, corrections_of, policy_kind
+from scp_recon.monte_carlo.strata import DrawsInStrata, StrataCounts, surveyed, worst_event
 from scp_recon.monte_carlo.whole_flight import SampledFlights
+from scp_recon.planning.initial_guess import from_burns
+from scp_recon.results.policy import with_policy
 
 SAMPLES_MIN, SAMPLES_MAX, SEED_MAX = 20, 10**9, 2**63 - 1
 """Least number of flights: the normality test needs as many."""
@@ -43,6 +44,12 @@ LIMITS = Limits(seconds=3600.0)
 """Limits of a block, which takes a second or less: one that takes longer hangs."""
 TERMINAL_KEPT = 5000
 """Final states kept for the normality test, whose distribution is tabulated up to this number."""
+TAIL = 0.5 * (1.0 - CONFIDENCE)
+DRAW, TIMES = 0.09, (1.1, 1.3, 1.6, 2.0, 3.0, 4.0)
+"""Time of a draw by the law over that of a flight sampled at given times; and draws per plain flight
+that are tried."""
+MORE = 0.25
+"""Further draws where the intervals came out wider, over those of the first time."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,19 +98,14 @@ class FlightConfig(Flyer):
 
 @dataclass(frozen=True, eq=False)
 class FlightBlock:
-    """Counts and sums of one block of flights."""
+    """One block of flights: values of each, shape (flights,), and counts, as in `FlightTally`."""
 
-    held_s: dict[str, Array]
-    entry: Array
-    exit: Array
-    node_counts: dict[str, npt.NDArray[np.int64]]
+    values: dict[str, Array]
+    node_counts: dict[str, Indices]
+    limits: dict[str, Indices]
     whole: int
-    closest_m: Array
-    executed_dv_m_s: Array
-    commanded_dv_m_s: Array
-    limits: dict[str, npt.NDArray[np.int64]]
+    failed: Indices
     terminal: Array
-    failed: npt.NDArray[np.int64]
 
 
 def run_block(config: FlightConfig, block: tuple[int, int]) -> FlightBlock:
@@ -123,29 +125,35 @@ def run_block(config: FlightConfig, block: tuple[int, int]) -> FlightBlock:
     observed, seen, nodes = (
         np.searchsorted(times, at) for at in (samples, watched, mission.times_s)
     )
-    own = flown.mission
-    held = time_held(own, samples, flown.states[observed]) if len(samples) else {}
+    own, values = flown.mission, dict[str, Array]()
+    if len(samples):
+        held = time_held(own, samples, flown.states[observed])
+        values = {name: one.duration for name, one in held.items()}
+        ever = np.isfinite(held[ALL].entry)
+        values |= {"entry_s": held[ALL].entry[ever], "exit_s": held[ALL].exit[ever]}
     position, certain = flown.states[..., :3], config.certain
-    holds = limits_kept(limit_margins(own, times, position, seen, nodes, certain=certain))
-    nothing = np.zeros(0)
-    scenario = mission.scenario
-    whole = flown.closest_m >= scenario.safety.radius_min_m
-    whole &= flown.apart_m >= companion_distance_m(scenario)
-    for kept in holds.values():
-        whole &= kept.all(axis=0)
-    return FlightBlock(
-        held_s={name: h.duration for name, h in held.items()},
-        entry=held[ALL].entry if held else nothing,
-        exit=held[ALL].exit if held else nothing,
-        node_counts={name: h.sum(axis=1) for name, h in holds.items()},
-        whole=int(whole.sum()),
-        closest_m=flown.closest_m,
-        executed_dv_m_s=np.linalg.norm(flown.burns_m_s, axis=2).sum(axis=1),
-        commanded_dv_m_s=np.linalg.norm(flown.commanded_m_s, axis=2).sum(axis=1),
-        limits={name: (margin[corrected] >= 0.0).sum(axis=1) for name, margin in of_burns.items()},
-        terminal=flown.states[-1],
-        failed=flown.failed.sum(axis=1),
+    margins = limit_margins(own, times, position, seen, nodes, certain=certain)
+    kept = kept_limits(margins, at_once=True)
+    whole = flown.closest_m >= mission.scenario.safety.radius_min_m
+    whole &= flown.apart_m >= companion_distance_m(mission.scenario)
+    for _, holds in kept.values():
+        whole &= holds.all(axis=0)
+    sizes = (
+        np.linalg.norm(dv, axis=2).sum(axis=1) for dv in (flown.burns_m_s, flown.commanded_m_s)
     )
+    of_flights = flown.closest_m, *sizes
+    return FlightBlock(
+        values=values | dict(zip(FIGURES, of_flights, strict=True)),
+        node_counts={name: holds.sum(axis=1) for name, (_, holds) in kept.items()},
+        limits={name: (margin[corrected] >= 0.0).sum(axis=1) for name, margin in of_burns.items()},
+        whole=int(whole.sum()),
+        failed=flown.failed.sum(axis=1),
+        terminal=flown.states[-1],
+    )
+
+
+FIGURES = "closest_m", "executed_dv_m_s", "commanded_dv_m_s"
+"""Of each flight: smallest distance from the body's centre, total delta-v executed and commanded."""
 
 
 @dataclass(eq=False)
@@ -153,73 +161,63 @@ class FlightTally:
     """Running totals of the flights of a configuration.
 
     Attributes:
-        held_s: seconds in which each observation constraint holds, and all at once.
-        full: flights in which each holds throughout the window.
-        entry, exit: first and last time at which all hold, of the flights in which they ever do.
+        tallies: by observation constraint, and `all` at once, seconds in which it holds; `entry_s` and
+            `exit_s`, the first and last time at which all hold, of the flights in which they ever do;
+            and the `FIGURES`.
+        full: flights in which each observation constraint holds throughout the window.
         node_counts: flights in which each joint constraint holds, at the times of `counted_s`.
         whole: flights that keep every limit on the position at every sampled time.
-        closest, executed_dv, commanded_dv: smallest distance from the body's centre, total delta-v.
         limits: flights in which each corrected burn keeps each limit on burns, shape (k,).
         failed: flights in which planning each burn again failed, shape (k,); empty without.
         terminal: final states of the first flights.
-        narrowed: the joint constraints' probabilities, of flights in strata; None without such flights.
+        narrowed: of flights in strata for each joint constraint, the time at which it may be least
+            likely, s, and the counts there; none without such flights.
     """
 
     config: FlightConfig
     samples: int = 0
-    held_s: dict[str, Tally] = field(init=False)
+    tallies: dict[str, Tally] = field(init=False)
     full: dict[str, int] = field(init=False)
-    entry: Tally = field(init=False)
-    exit: Tally = field(init=False)
-    node_counts: dict[str, npt.NDArray[np.int64]] = field(default_factory=dict)
+    node_counts: dict[str, Indices] = field(default_factory=dict)
     whole: int = 0
-    closest: Tally = field(init=False)
-    executed_dv: Tally = field(init=False)
-    commanded_dv: Tally = field(init=False)
-    limits: dict[str, npt.NDArray[np.int64]] = field(default_factory=dict)
+    limits: dict[str, Indices] = field(default_factory=dict)
+    failed: Array = field(init=False)
     terminal: Array = field(default_factory=lambda: np.empty((0, 6)))
     terminal_sum: Array = field(default_factory=lambda: np.zeros(6))
     terminal_outer: Array = field(default_factory=lambda: np.zeros((6, 6)))
-    narrowed: Narrowed | None = None
-    failed: Array = field(init=False)
+    narrowed: dict[str, tuple[float, Counted]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Make empty tallies that span all values that can occur."""
-        observed = self.config.mission.observed_s
-        first, last = observed or self.config.mission.schedule.window_s
-        planned = float(np.linalg.norm(self.config.burns_m_s, axis=1).sum())
-        far = 20.0 * float(np.linalg.norm(self.config.mission.initial_state[:3]))
+        mission, burns = self.config.mission, self.config.burns_m_s
+        observed = mission.observed_s
+        first, last = observed or mission.schedule.window_s
+        planned = float(np.linalg.norm(burns, axis=1).sum())
+        far = 20.0 * float(np.linalg.norm(mission.initial_state[:3]))
+        # However small the planned burns are, corrected ones may be as large as their limit.
+        most = planned + mission.scenario.burns.dv_max_m_s * len(burns)
         names = (*SCIENCE, ALL) if observed else ()
-        self.held_s = {name: Tally.empty(0.0, last - first, TIME_BIN_S) for name in names}
-        self.full = dict.fromkeys(self.held_s, 0)
-        self.entry = self.exit = Tally.empty(first, last, TIME_BIN_S)
-        bins = self.config.mission.units.tolerance(DISTANCE_BIN_M, "m")
-        self.closest = Tally.empty(0.0, far, bins)
-        self.executed_dv = Tally.empty(0.0, 3.0 * max(planned, 1e-9), planned / 1e4 or 1e-9)
+        spans = dict.fromkeys(names, (0.0, last - first, TIME_BIN_S))
+        spans |= dict.fromkeys(("entry_s", "exit_s"), (first, last, TIME_BIN_S))
+        spans["closest_m"] = 0.0, far, mission.units.tolerance(DISTANCE_BIN_M, "m")
+        spans["executed_dv_m_s"] = 0.0, 3.0 * max(planned, 1e-9), planned / 1e4 or 1e-9
+        spans["commanded_dv_m_s"] = 0.0, most, most * DV_BIN
+        self.tallies = {name: Tally.empty(*span) for name, span in spans.items()}
+        self.full = dict.fromkeys(names, 0)
         again = policy_kind(self.config.policy) == "replan"
         self.failed = np.zeros(len(self.config.policy) if again else 0)
-        # However small the planned burns are, corrected ones may be as large as their limit.
-        most = planned + self.config.mission.scenario.burns.dv_max_m_s * len(self.config.burns_m_s)
-        self.commanded_dv = Tally.empty(0.0, most, most * DV_BIN)
 
     def add(self, block: FlightBlock) -> None:
         """Count a block; blocks must come in order, so that sums round the same way every time."""
         first, last = self.config.mission.observed_s or (0.0, 0.0)
-        for name, seconds in block.held_s.items():
-            self.held_s[name] = self.held_s[name].add(seconds)
-            self.full[name] += int((seconds >= last - first - 1e-6).sum())
-        ever = np.isfinite(block.entry)
-        if ever.any():
-            self.entry = self.entry.add(block.entry[ever])
-            self.exit = self.exit.add(block.exit[ever])
-        for name, counts in block.node_counts.items():
-            self.node_counts[name] = self.node_counts.get(name, np.zeros_like(counts)) + counts
+        for name, values in block.values.items():
+            if len(values):
+                self.tallies[name] = self.tallies[name].add(values)
+        for name in self.full:
+            self.full[name] += int((block.values[name] >= last - first - 1e-6).sum())
+        for own, more in ((self.node_counts, block.node_counts), (self.limits, block.limits)):
+            own.update({name: own.get(name, 0) + counts for name, counts in more.items()})
         self.whole += block.whole
-        self.closest = self.closest.add(block.closest_m)
-        self.executed_dv = self.executed_dv.add(block.executed_dv_m_s)
-        self.commanded_dv = self.commanded_dv.add(block.commanded_dv_m_s)
-        for name, counts in block.limits.items():
-            self.limits[name] = self.limits.get(name, np.zeros_like(counts)) + counts
         room = TERMINAL_KEPT - len(self.terminal)
         self.terminal = np.vstack([self.terminal, block.terminal[: max(room, 0)]])
         deviation = block.terminal - self.config.mission.final_state
@@ -236,16 +234,17 @@ class FlightTally:
         counts = self.node_counts[name]
         at = int(np.argmin(counts))
         plain = proportion(int(counts[at]), self.samples)
-        if self.narrowed is not None:
-            narrowed = self.narrowed.probability(name)
-            if narrowed[1].width < plain.width:
-                return narrowed
+        if name in self.narrowed:
+            time_s, counted = self.narrowed[name]
+            if (narrowed := of_strata(counted, CONFIDENCE)).width < plain.width:
+                return time_s, narrowed
         return float(self.config.counted_s(name)[at]), plain
 
     def is_narrowed(self, name: str) -> bool:
         """Whether a joint constraint's probability is that of flights in strata."""
-        narrowed = self.narrowed
-        return narrowed is not None and self.worst_probability(name) == narrowed.probability(name)
+        if name not in self.narrowed:
+            return False
+        return self.worst_probability(name)[1] == of_strata(self.narrowed[name][1], CONFIDENCE)
 
     def widest_interval(self) -> float:
         """Width of the widest confidence interval among the joint probabilities."""
@@ -299,31 +298,93 @@ def fly_many(
         fly_to(PLAIN)
         if has_ended():
             return flown
-        flown.narrowed = _narrowed(flown, until, samples, executor, stop)
-        if flown.narrowed is not None or stop():
+        flown.narrowed = narrow(config, flown.samples, until, samples, executor, stop)
+        if flown.narrowed or stop():
             return flown
     fly_to(samples)
     return flown
 
 
-def _narrowed(
-    flown: FlightTally,
+def narrow(
+    config: FlightConfig,
+    flown: int,
     until: float,
     samples: int,
     executor: Executor,
-    stop: Callable[[], bool],
-) -> Narrowed | None:
-    """Probabilities of further flights in strata.
+    stop: Callable[[], bool] = lambda: False,
+) -> dict[str, tuple[float, Counted]]:
+    """Draw and fly in strata until every joint constraint's interval has a given width.
 
-    None where burns are planned again, for which there is no law, where each flight has a window of its
-    own, and after the window.
+    Some thousands of plain flights suffice for all other statistics. A narrow interval of a probability
+    needs far more flights. Further flights are therefore drawn in strata of the law's margin. Each
+    joint constraint at each time is an event of its own. The result does not depend on the executor.
+
+    Args:
+        config: of the flights.
+        flown: plain flights so far, in whole blocks.
+        until: width.
+        samples: flights at most, with those so far.
+        executor: runs the jobs.
+        stop: returns whether to stop; called after each job.
+
+    Returns:
+        See `FlightTally`; with wider intervals if that many flights do not suffice. None if plain
+            flights are cheaper or all the same, if there is no law or if each flight has a window of
+            its own, after the window, and after a stop.
     """
-    config, before = flown.config, flown.samples
-    mission = config.mission
-    if policy_kind(config.policy) == "replan" or mission.observed_s is None:
-        return None
-    if mission.edges.sigmas_s is not None:
-        return None
-    how = corrections_of(config.policy), config.truth, config.errors, config.window_samples_s
-    flights = SampledFlights(config.mission, config.burns_m_s, *how)
-    return narrow(flights, config.seed, before // BLOCK, until, samples - before, executor, stop)
+    mission, how = config.mission, (corrections_of(config.policy), config.truth, config.errors)
+    if mission.observed_s is None or mission.edges.sigmas_s is not None:
+        return {}
+    flights = SampledFlights(mission, config.burns_m_s, *how, config.window_samples_s)
+    if config.certain or not (laws := _laws(config)):
+        return {}
+    known, survey = surveyed(laws, flights, config.seed)
+    if (first := _allocation(survey, until)) is None:
+        return {}
+    share, draws, worst = float(np.dot(first.share, survey.share)), 0.0, {}
+    more, counts, block, spent = first, list[StrataCounts](), flown // BLOCK, flown
+    while spent + share * more.draws <= samples:
+        work, draws = DrawsInStrata(known, flights, more, config.seed), draws + more.draws
+        jobs = [Job(k, blocks) for k, blocks in enumerate(work.jobs(block))]
+        with closing(in_order(executor, work.count, jobs)) as coming:
+            for done in coming:
+                counts.append(done.result("flights", "job"))
+                if stop():
+                    return {}
+        total, every = reduce(add, counts), replace(first, draws=draws)
+        for name, times in flights.counted_s.items():
+            event, counted = worst_event(every, total.of(name), TAIL)
+            worst[name] = float(times[event]), counted
+        if max(of_strata(one, CONFIDENCE).width for _, one in worst.values()) <= until:
+            break
+        block, spent = block + sum(len(job.inputs) for job in jobs), flown + total.flown
+        counts, more = [total], replace(first, draws=MORE * first.draws)
+    return worst
+
+
+def _laws(config: FlightConfig) -> dict[str, Law]:
+    """Laws of flights, with their errors, and with their corrections if the mission has these.
+
+    None if a flight draws numbers for which the linearised flight has no columns, or plans again.
+    """
+    mission, policy = config.mission, corrections_of(config.policy)
+    feedback, corrected = mission.feedback, [one.burn for one in policy]
+    closed = feedback is not None and corrected == feedback.burns.tolist()
+    problem = mission.problem if closed else mission.problem.open_loop
+    errors = errors_of_kind(mission.scenario, config.errors).in_units(mission.units.speed_m_s)
+    problem = replace(problem, execution_errors=errors)
+    lin = mission.dynamics.linearise(problem, from_burns(mission, config.burns_m_s))
+    lin = with_policy(mission, lin, policy)
+    laws = Law.of_events(lin, mission.units.length_m, {ALL: SCIENCE})
+    drawn = config.sources + MEASURED * len(config.policy)
+    return laws if laws and next(iter(laws.values())).sources == drawn else {}
+
+
+def _allocation(survey: Survey, until: float) -> Allocation | None:
+    """Allocation of draws for intervals of the required width."""
+    q = survey.failed
+    plain = int(4.0 * float(ndtri(TAIL)) ** 2 * max(q * (1.0 - q), until / 4.0) / until**2) + 1
+    reached = proportion(round((1.0 - q) * plain), plain)
+    scale = until / reached.width
+    widths = scale * (reached.value - reached.low), scale * (reached.high - reached.value)
+    return allocate(survey, plain, widths, TAIL, mirrored=True, draw=DRAW, times=TIMES)

@@ -1,8 +1,7 @@
-"""Fly few of many draws of the errors: mainly those whose outcome the normal law leaves uncertain.
+"""Approximate flights by the normal law: positions at the nodes are mean + factor w.
 
-The law approximates a flight's positions at the nodes by mean + factor w, with the random numbers w
-of the flight. It gives every draw's margin to the nearest limit, a hundred times as fast as a
-flight. `risk.strata` has the statistics.
+The random numbers w are those of the flight. The law gives every draw's margin to the nearest limit, a
+hundred times as fast as a flight.
 """
 
 from __future__ import annotations
@@ -10,37 +9,20 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 
-from formulations.arrays import Array, Booleans, Indices
+from formulations.arrays import Array, Indices
 from formulations.linearisation.linearisation import Linearisation
 from formulations.problem.motion import with_parameters
-from formulations.risk.strata import COUNT, FAILS, Allocation, Counted, Survey, strata_of
 from formulations.rows.flight_probability import Limit, Limits, limits_within
 from formulations.rows.node_probability import joint_events
-from scp_recon.jobs.cores import each
-from scp_recon.jobs.job import generator
-from scp_recon.monte_carlo.sampling import BLOCK, draw
-from scp_recon.monte_carlo.whole_flight import SampledFlights
 
 REACH = 5.0
 """Standard deviations from a limit beyond which the law leaves it out: a draw in three million."""
 
 FAR = 1e6
 """Margin where no limit is within reach, m."""
-
-SURVEY_DRAWS, SURVEY_FLIGHTS = 10_000, 200
-"""Draws of a survey, which allocates the others, and the number of them flown: the nearest to a
-limit."""
-
-BEYOND = 1.5
-"""Times the largest difference of margins in a survey from which on a verdict is sure. Of 10,000
-flights of a plan for 0.90, and of one for 0.99, none beyond it ended unlike the law."""
-
-COINS, NUMBER, SURVEY = 1, 2, 3
-"""Streams of random numbers besides the draws' own."""
 
 
 @dataclass(frozen=True)
@@ -53,22 +35,24 @@ class Law:
             that a flight draws, shape (n, 3 + p, sources).
         limits: that flights may break.
         length_m: of the unit of length.
+        is_whole: whether a flight has one margin, the least of all nodes.
     """
 
     mean: Array
     factor: Array
     limits: Limits
     length_m: float
+    is_whole: bool = False
 
     @classmethod
-    def of(cls, lin: Linearisation, length_m: float) -> Law:
+    def of(cls, lin: Linearisation, length_m: float, *, is_whole: bool = False) -> Law:
         """The law at an iterate, with a column for each number that its flights draw.
 
         Errors of executing a correction are products of two numbers, and have no column.
         """
         mean, factor = lin.iterate.mean[:, :3], with_parameters(drawn_factor(lin))
         events = joint_events(lin.problem.constraints)
-        return cls(mean, factor, limits_within(events, mean, REACH * factor), length_m)
+        return cls(mean, factor, limits_within(events, mean, REACH * factor), length_m, is_whole)
 
     @classmethod
     def of_events(
@@ -97,26 +81,20 @@ class Law:
 
     @cached_property
     def span(self) -> slice:
-        """Nodes within `REACH` sigma of a limit, and their neighbours."""
-        nodes = np.concatenate([limit.nodes for _, limit in self._signed_limits])
-        return slice(max(0, int(nodes.min()) - 1), int(nodes.max()) + 2)
+        """Nodes within `REACH` sigma of a limit, and their neighbours; the first if there are none."""
+        nodes = self.limits.nodes
+        return slice(max(0, int(nodes.min()) - 1), int(nodes.max()) + 2) if len(nodes) else slice(1)
 
     @property
     def sources(self) -> int:
         """Number of standard normal numbers that a flight draws."""
         return self.factor.shape[2]
 
-    def margin(self, draws: Array) -> Array:
-        """Distance to the nearest limit, m, negative where one is broken; of draws (m, sources).
-
-        Infinite where no limit is within reach.
-        """
-        if not self._signed_limits:
-            return np.full(len(draws), np.inf)
-        return np.asarray(self.margins(draws).min(axis=0))
-
     def margins(self, draws: Array) -> Array:
-        """Distance to the nearest limit at each node of the span, m, (nodes, m), at most `FAR`."""
+        """Distance to the nearest limit at each node of the span, m, (nodes, m), at most `FAR`.
+
+        Negative where the limit is broken; of draws (m, sources).
+        """
 
         def positions(nodes: Indices) -> Array:
             factor = self.factor[nodes, :3].swapaxes(0, 1)  # components first: one matrix product
@@ -145,7 +123,7 @@ class Law:
                 point = limit.motion.of_draws(point, parameters)
             margin = sign * self.length_m * limit.region.inside(point)
             least[rows] = np.minimum(least[rows], margin)
-        return least
+        return least.min(axis=0, keepdims=True) if self.is_whole else least
 
 
 def drawn_factor(lin: Linearisation) -> Array:
@@ -160,107 +138,3 @@ def drawn_factor(lin: Linearisation) -> Array:
         turned = np.linalg.solve(np.linalg.cholesky(measurement @ measurement.T), measurement)
         drawn.append(factor[..., problem.columns_of_correction(j)[1]] @ turned.T)
     return np.concatenate(drawn, axis=2)
-
-
-class CountedFlights(NamedTuple):
-    """Result of flights in strata.
-
-    Attributes:
-        throughout: of verdicts at all times.
-        at_nodes: of verdicts at the nodes alone.
-        touched_s: as `KeptCounts.touched_s`.
-    """
-
-    throughout: Counted
-    at_nodes: Counted
-    touched_s: Array
-
-
-def survey(law: Law, flights: SampledFlights, seed: int) -> Survey:
-    """Learn from a few draws how reliable the law's verdicts are."""
-    draws = survey_draws(law, seed)
-    margin = law.margin(draws)
-    nearest = np.argsort(np.abs(margin), kind="stable")[:SURVEY_FLIGHTS]
-    if np.isinf(margin).all():
-        return Survey(0.0, np.eye(COUNT)[-1], np.zeros(COUNT))
-    flown = law.margins_at(flights.positions(draws[nearest]), draws[nearest])
-    off = flown.min(axis=0) - margin[nearest]
-    near = BEYOND * float(np.abs(off).max())
-    stratum = strata_of(margin, near)
-    share = np.bincount(stratum, minlength=COUNT) / len(margin)
-    return Survey(near, share, ending_unlike(stratum, margin, off))
-
-
-def ending_unlike(stratum: Indices, margin: Array, off: Array) -> Array:
-    """Share of each stratum's draws that end unlike the law if margins are so far off, shape (6,)."""
-    unlike = np.zeros(COUNT)
-    for number in range(1, COUNT - 1):
-        mine = margin[stratum == number]
-        if len(mine):
-            unlike[number] = np.mean((mine[:, None] + off < 0.0) != FAILS[number])
-    return unlike
-
-
-def fly_strata(
-    law: Law,
-    flights: SampledFlights,
-    allocation: Allocation,
-    seed: int,
-    progress: Callable[[int, int], None] | None = None,
-) -> CountedFlights:
-    """Draw, sort draws by the law, and fly the allotted share of each stratum.
-
-    `progress` is called at times with the total number and the number flown so far.
-    """
-    share = np.array(allocation.share)
-
-    def drawn_of(one: tuple[int, int]) -> tuple[Indices, Array, Indices]:
-        some, coins = tossed(seed, law.sources, *one)
-        own = allocation.strata(law.margin(some))
-        flown = coins < share[own]
-        return np.bincount(own, minlength=COUNT), some[flown], own[flown]
-
-    none = np.zeros(COUNT, np.intp), np.zeros((0, law.sources)), np.zeros(0, np.intp)
-    counts, draws, strata = zip(none, *each(drawn_of, blocks_of(allocation, seed)), strict=True)
-    drawn, chosen, stratum = np.sum(counts, axis=0), np.concatenate(draws), np.concatenate(strata)
-
-    blocks = [chosen[first : first + BLOCK] for first in range(0, len(chosen), BLOCK)]
-
-    def report(done: int) -> None:
-        if progress:
-            progress(len(chosen), min(done * BLOCK, len(chosen)))
-
-    seen = each(flights.count, blocks, report)
-
-    def counted(kept: list[Booleans]) -> Counted:
-        unlike = np.concatenate([np.zeros(0, dtype=bool), *kept]) == FAILS[stratum]
-        flown = np.bincount(stratum, minlength=COUNT), np.bincount(stratum[unlike], minlength=COUNT)
-        return Counted(allocation, *(tuple(counts.tolist()) for counts in (drawn, *flown)))
-
-    return CountedFlights(
-        counted([one.kept for one in seen]),
-        counted([one.kept_at_nodes for one in seen]),
-        np.concatenate([np.zeros(0), *(one.touched_s for one in seen)]),
-    )
-
-
-def survey_draws(law: Law, seed: int) -> Array:
-    """The draws of a survey, shape (SURVEY_DRAWS, sources)."""
-    blocks = range(SURVEY_DRAWS // BLOCK)
-    return np.concatenate([draw(seed, block, law.sources, SURVEY) for block in blocks])
-
-
-def blocks_of(allocation: Allocation, seed: int, first: int = 0) -> list[tuple[int, int]]:
-    """Blocks from the first one, with their draws; the total number follows a Poisson law."""
-    number = int(generator(seed, first, NUMBER).poisson(allocation.draws))
-    begun = range(0, number, BLOCK)
-    return [(first + k, min(BLOCK, number - draws)) for k, draws in enumerate(begun)]
-
-
-def tossed(seed: int, sources: int, block: int, size: int) -> tuple[Array, Array]:
-    """The draws of a block, shape (size, sources), with a number from 0 to 1 each, shape (size,).
-
-    A draw is flown if its number is below its share.
-    """
-    coins = generator(seed, block, COINS).random(BLOCK)
-    return draw(seed, block, sources)[:size], coins[:size]

@@ -7,10 +7,9 @@ plan's mean, which may violate a limit between nodes by `MEAN_TOLERANCE`.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
 from formulations.arrays import Array, Booleans, Indices
 from scp_recon.mission.constraints import COMPANION, SAFETY, safety_margins
@@ -19,14 +18,14 @@ from scp_recon.mission.scene import errors_of_kind
 from scp_recon.monte_carlo.observation_time import ALL, SCIENCE, joint_margins
 from scp_recon.planning.initial_guess import from_burns
 
-Counts = npt.NDArray[np.int64]
+Kept = dict[str, tuple[Array, Booleans]]
+"""By joint constraint the times at which it counts, s, shape (k,), and whether flights keep it there,
+shape (k, flights)."""
 
 EVERYWHERE = SAFETY, COMPANION
 """Joint constraints that count throughout the flight; all others count in the window."""
 OUTSIDE = 1e-3
 """Margin a second outside the flight's own window: only its sign counts."""
-PARTS = 30
-"""Of the time between two samples of a history: a second each."""
 MEAN_TOLERANCE = {"m": 0.5, "rad": 1e-3}
 """Amount by which the mean may violate a limit between nodes, where it binds at nodes; at the default
 mission's scale."""
@@ -98,85 +97,10 @@ def allowed(mission: Mission, name: str) -> float:
     return mission.units.tolerance(MEAN_TOLERANCE[unit], unit)
 
 
-def limits_kept(margins: dict[str, tuple[Array, Array]]) -> dict[str, Booleans]:
-    """Whether flights keep each joint constraint of `limit_margins`, and the observation's together."""
-    kept = {name: np.asarray(margin >= 0.0) for name, (_, margin) in margins.items()}
-    if kept.keys() >= set(SCIENCE):
-        kept[ALL] = np.logical_and.reduce([kept[name] for name in SCIENCE])
+def kept_limits(margins: dict[str, tuple[Array, Array]], *, at_once: bool = False) -> Kept:
+    """Whether flights keep each joint constraint of `limit_margins`, and the observation's at once."""
+    kept = {name: (at, np.asarray(margin >= 0.0)) for name, (at, margin) in margins.items()}
+    if at_once and kept.keys() >= set(SCIENCE):
+        at, _ = kept[SCIENCE[0]]
+        kept[ALL] = at, np.logical_and.reduce([kept[name][1] for name in SCIENCE])
     return kept
-
-
-def every_second(times_s: Array) -> Array:
-    """Sampled times (n,) and the seconds between, ascending, s, shape (PARTS (n - 1) + 1,)."""
-    parts = times_s[:-1, None] + np.diff(times_s)[:, None] * (np.arange(PARTS) / PARTS)
-    return np.append(parts.ravel(), times_s[-1])
-
-
-@dataclass(frozen=True)
-class LimitHistory:
-    """Whether flights keep one joint constraint at some times, and every second between if uncertain.
-
-    Attributes:
-        name: of the constraint.
-        times_s: at which it is sampled, s, shape (n,).
-        holds: whether a flight keeps it at each time, shape (n, flights).
-        arc: number of the time before each uncertain interval, shape (m,); none by default.
-        flight: flight of each uncertain interval, shape (m,).
-        between: whether the flight keeps the constraint at the seconds between, shape (m, PARTS - 1);
-            None if the constraint counts at `times_s` alone.
-    """
-
-    name: str
-    times_s: Array
-    holds: Booleans
-    arc: Indices = field(default_factory=lambda: np.zeros(0, np.intp))
-    flight: Indices = field(default_factory=lambda: np.zeros(0, np.intp))
-    between: Booleans | None = None
-
-    @property
-    def counts(self) -> Counts:
-        """Flights that keep it at each time or, with `between`, each of `every_second`, (times,)."""
-        at_times = self.holds.sum(axis=1)
-        if self.between is None:
-            return np.asarray(at_times)
-        throughout = self._throughout
-        counts = throughout.sum(axis=1) - np.bincount(
-            self.arc[throughout[self.arc, self.flight]], minlength=len(throughout)
-        )
-        counts = np.repeat(counts[:, None], PARTS, axis=1)
-        counts[:, 0] = at_times[:-1]
-        np.add.at(counts[:, 1:], self.arc, self.between)
-        return np.append(counts, at_times[-1])
-
-    @property
-    def kept(self) -> Booleans:
-        """Flights that keep it whenever it counts, shape (flights,)."""
-        kept = np.asarray(self.holds.all(axis=0))
-        if self.between is not None:
-            kept[self.flight[~self.between.all(axis=1)]] = False
-        return kept
-
-    @property
-    def broken(self) -> tuple[Array, Indices]:
-        """Times at which flights break it, s, and these flights, in pairs."""
-        assert self.between is not None
-        (sample, who), (row, part) = np.nonzero(~self.holds), np.nonzero(~self.between)
-        step = np.diff(self.times_s)[self.arc[row]]
-        time = self.times_s[self.arc[row]] + (part + 1) / PARTS * step
-        return np.concatenate([self.times_s[sample], time]), np.concatenate([who, self.flight[row]])
-
-    def fails(self, flights: Indices) -> Booleans:
-        """Whether some flights break it at each time or, with `between`, each second: (times, some)."""
-        if self.between is None:
-            return np.asarray(~self.holds[:, flights])
-        holds, column = self.holds[:, flights], np.full(self.holds.shape[1], -1)
-        column[flights] = np.arange(len(flights))
-        fails = np.repeat(~self._throughout[:, None, flights], PARTS, axis=1)
-        fails[:, 0] = ~holds[:-1]
-        mine = column[self.flight] >= 0
-        fails[self.arc[mine], 1:, column[self.flight[mine]]] = ~self.between[mine]
-        return np.concatenate([fails.reshape(len(fails) * PARTS, -1), ~holds[-1:]])
-
-    @property
-    def _throughout(self) -> Booleans:
-        return self.holds[1:] & self.holds[:-1]

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from formulations.arrays import Array
-from scp_recon.monte_carlo.estimates import CONFIDENCE, Estimate, Tally, proportion
+from scp_recon.monte_carlo.estimates import CONFIDENCE, Tally, proportion
 from scp_recon.monte_carlo.flights import FlightTally
 from scp_recon.monte_carlo.sampling import policy_kind
 from scp_recon.monte_carlo.summary import (
@@ -48,9 +48,12 @@ def summarise(flown: FlightTally, solution: Solution) -> Summary:
     if not same_burns or (gains and not same_gains) or config.mission.scenario != solution.scenario:
         raise ValueError("the flights are of another plan than the solution's")
     further: dict[str, Any] = {"commanded": _commanded(flown)} if config.policy else {}
-    if (those := flown.narrowed) is not None:
+    if flown.narrowed:
         names = [name for name in flown.node_counts if flown.is_narrowed(name)]
-        further["strata"] = Strata(draws=those.draws, flights=those.flights, names=names)
+        _, counted = next(iter(flown.narrowed.values()))
+        draws, flights = sum(counted.drawn), sum(counted.flown)
+        further["strata"] = Strata(draws=draws, flights=flights, names=names)
+    closest, executed = (flown.tallies[name] for name in ("closest_m", "executed_dv_m_s"))
     return Summary(
         plan_hash=solution.plan_hash,
         samples=flown.samples,
@@ -63,41 +66,41 @@ def summarise(flown: FlightTally, solution: Solution) -> Summary:
         confidence=CONFIDENCE,
         planned_dv_m_s=solution.total_dv_m_s,
         window_s=config.mission.observed_s,
-        held_s={name: _held(flown, name) for name in flown.held_s},
-        entry_s=Statistics(**_spread(flown.entry)),
-        exit_s=Statistics(**_spread(flown.exit)),
+        held_s={name: _held(flown, name) for name in flown.full},
+        entry_s=_statistics(flown.tallies["entry_s"]),
+        exit_s=_statistics(flown.tallies["exit_s"]),
         probability={name: _lowest(flown, name) for name in flown.node_counts},
-        whole_flight=_interval(proportion(flown.whole, flown.samples)),
+        whole_flight=Interval.of(proportion(flown.whole, flown.samples)),
         closest_m=ClosestApproach(
-            **_spread(flown.closest), worst=_interval(flown.closest.quantile(CLOSEST))
+            **dict(_statistics(closest)), worst=Interval.of(closest.quantile(CLOSEST))
         ),
-        executed_dv_m_s=Statistics(**_spread(flown.executed_dv)),
+        executed_dv_m_s=_statistics(executed),
         terminal=_terminal(flown, solution),
         **further,
     )
 
 
-def _finite(estimate: Estimate) -> dict[str, float | None]:
-    return {k: v if np.isfinite(v) else None for k, v in estimate._asdict().items()}
-
-
-def _interval(estimate: Estimate) -> Interval:
-    return Interval(**_finite(estimate))
-
-
 def _lowest(flown: FlightTally, name: str) -> LowestProbability:
     at, estimate = flown.worst_probability(name)
-    return LowestProbability(**_finite(estimate), worst_t_s=at)
+    return LowestProbability.of(estimate, worst_t_s=at)
+
+
+def _statistics(tally: Tally) -> Statistics:
+    if not tally.samples:
+        return Statistics(samples=0)
+    found = {"mean": tally.mean(), "q05": tally.quantile(0.05), "q95": tally.quantile(0.95)}
+    intervals = {name: Interval.of(one) for name, one in found.items()}
+    return Statistics(samples=tally.samples, **intervals)
 
 
 def _held(flown: FlightTally, name: str) -> HoldingTime:
-    tally = flown.held_s[name]
+    tally = flown.tallies[name]
     used = np.flatnonzero(tally.counts)
     return HoldingTime(
-        mean=_interval(tally.mean()),
-        worst_1_sigma=_interval(tally.quantile(ONE_SIGMA)),
-        worst_2_sigma=_interval(tally.quantile(TWO_SIGMA)),
-        throughout=_interval(proportion(flown.full[name], flown.samples)),
+        mean=Interval.of(tally.mean()),
+        worst_1_sigma=Interval.of(tally.quantile(ONE_SIGMA)),
+        worst_2_sigma=Interval.of(tally.quantile(TWO_SIGMA)),
+        throughout=Interval.of(proportion(flown.full[name], flown.samples)),
         histogram=Histogram(
             bin=float(tally.edges[1] - tally.edges[0]),
             start=tally.edges[used].tolist(),
@@ -107,16 +110,16 @@ def _held(flown: FlightTally, name: str) -> HoldingTime:
 
 
 def _commanded(flown: FlightTally) -> Commanded:
-    first = 1 + flown.config.mission.scenario.burns_flown
+    first, total = 1 + flown.config.mission.scenario.burns_flown, flown.tallies["commanded_dv_m_s"]
     return Commanded(
-        mean_dv_m_s=_interval(flown.commanded_dv.mean()),
-        dv99_m_s=_interval(flown.commanded_dv.quantile(MOST)),
+        mean_dv_m_s=Interval.of(total.mean()),
+        dv99_m_s=Interval.of(total.quantile(MOST)),
         burns=[
             CorrectedBurn(
                 burn=first + one.burn,
                 cut_off_s=one.cut_off_s,
                 limits={
-                    name: _interval(proportion(int(counts[j]), flown.samples))
+                    name: Interval.of(proportion(int(counts[j]), flown.samples))
                     for name, counts in flown.limits.items()
                 },
                 **({"failed": int(flown.failed[j])} if len(flown.failed) else {}),
@@ -124,17 +127,6 @@ def _commanded(flown: FlightTally) -> Commanded:
             for j, one in enumerate(flown.config.policy)
         ],
     )
-
-
-def _spread(tally: Tally) -> dict[str, Any]:
-    if not tally.samples:
-        return {"samples": 0}
-    return {
-        "samples": tally.samples,
-        "mean": _interval(tally.mean()),
-        "q05": _interval(tally.quantile(0.05)),
-        "q95": _interval(tally.quantile(0.95)),
-    }
 
 
 def _terminal(flown: FlightTally, solution: Solution) -> Terminal:

@@ -52,6 +52,12 @@ class Interval(Section):
     low: float | None
     high: float | None
 
+    @classmethod
+    def of(cls, estimate: Estimate, **further: Any) -> Self:
+        """Make it of an estimate and what else it has."""
+        finite = {k: v if np.isfinite(v) else None for k, v in estimate._asdict().items()}
+        return cls(**finite, **further)
+
     @property
     def estimate(self) -> Estimate:
         """The interval as an estimate with infinite ends, and NaN for no value."""

@@ -7,30 +7,27 @@ there. Second differences bound how far a margin falls below the line between th
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 
 from formulations.arrays import Array, Booleans
 from formulations.risk.strata import Counted
+from formulations.rows.exact_flight import FLIGHT
 from scp_recon.mission.mission import Mission
-from scp_recon.monte_carlo.limits import (
-    EVERYWHERE,
-    PARTS,
-    Counts,
-    LimitHistory,
-    every_second,
-    limit_margins,
-    limits_kept,
-)
+from scp_recon.monte_carlo.limits import EVERYWHERE, Kept, kept_limits, limit_margins
+from scp_recon.monte_carlo.observation_time import ALL
 from scp_recon.monte_carlo.sampling import FlightLog, Flyer
 from scp_recon.physics.flow import interpolate
 from scp_recon.results.policy import Policy
 
 SAMPLE_STEP_S = 30.0
 """Longest time between two samples of a flight."""
+PARTS = 30
+"""Of the time between two samples: a second each."""
 BENDS = 4.0
 """Times the dip h^2 |m''| / 8 of a parabola that a margin may dip between two samples h apart. With
 two, a margin that falls and rises at one speed would be missed where it turns between them."""
@@ -75,42 +72,24 @@ def kept_flights(
 
     A policy corrects the burns. `progress` is called with the number flown so far after each block.
     """
-    sampled, blocks = SampledFlights(mission, burns_m_s, policy), []
+    sampled = SampledFlights(mission, burns_m_s, policy)
+    counts, touched, flown = np.zeros(1, dtype=np.intp), [np.zeros(0)], 0
     for draws in sampled.blocks_of_draws(samples, seed):
-        blocks.append(sampled.count(draws))
+        seen = sampled.judged(draws)
+        parts = [holds.sum(axis=1) for _, holds in seen.kept.values()]
+        counts, flown = counts + np.concatenate(parts), flown + len(draws)
+        touched.append(seen.touched_s)
         if progress:
-            progress(sum(len(block.kept) for block in blocks))
-    if mission.scenario.risk.scope == "flight":
-        at_nodes = sum(int(block.kept_at_nodes.sum()) for block in blocks)
-        kept = sum(int(block.kept.sum()) for block in blocks)
-        return KeptCounts(at_nodes, kept, samples, np.concatenate([b.touched_s for b in blocks]))
-    seconds, names = seconds_of(mission), blocks[0].counts
-    times = np.concatenate([seconds[name] for name in names])
-    counts = np.concatenate([np.sum([b.counts[name] for b in blocks], axis=0) for name in names])
-    least = int(counts[np.isin(times, mission.times_s)].min())
-    return KeptCounts(least, int(counts.min()), samples, less_likely(times, least - counts))
+            progress(flown)
+    times = np.concatenate([at for at, _ in seen.kept.values()])
+    at_nodes, throughout = int(counts[np.isin(times, mission.times_s)].min()), int(counts.min())
+    touched.append(less_likely(times, np.asarray(at_nodes - counts, dtype=float)))
+    return KeptCounts(at_nodes, throughout, samples, np.concatenate(touched))
 
 
 def less_likely(times: Array, fall: Array) -> Array:
     """Times at which the probability falls below the worst node by half of the largest fall or more."""
-    return times[fall > max(0.0, FALL * fall.max())]
-
-
-@dataclass(frozen=True)
-class BlockLimits:
-    """Limits that some flights keep.
-
-    Attributes:
-        counts: flights that keep each joint constraint at the times of `seconds_of`.
-        kept_at_nodes: flights that keep everything at all nodes, shape (flights,).
-        kept: flights that keep everything at all times, shape (flights,).
-        touched_s: times at which flights that keep all limits at nodes break one.
-    """
-
-    counts: dict[str, Counts]
-    kept_at_nodes: Booleans
-    kept: Booleans
-    touched_s: Array
+    return times[(fall > max(0.0, FALL * fall.max())) & np.isfinite(times)]
 
 
 def sample_times(mission: Mission) -> Array:
@@ -120,19 +99,10 @@ def sample_times(mission: Mission) -> Array:
     return np.union1d(even, mission.edges.samples_s)
 
 
-def seconds_of(mission: Mission) -> dict[str, Array]:
-    """Times at which each joint constraint counts, ascending, s: samples and the seconds between."""
-    samples, seconds = sample_times(mission), {}
-    for name in dict.fromkeys(constraint.event for constraint in mission.problem.constraints):
-        times = samples if name in EVERYWHERE else samples[_in_window(mission, samples)]
-        if len(times):
-            seconds[name] = every_second(times)
-    return seconds
-
-
-def _in_window(mission: Mission, times: Array) -> Booleans:
-    first, last = mission.edges.watched_s or (np.inf, np.inf)
-    return (times >= first) & (times <= last)
+def every_second(times_s: Array) -> Array:
+    """Sampled times (n,) and the seconds between, ascending, s, shape (PARTS (n - 1) + 1,)."""
+    parts = times_s[:-1, None] + np.diff(times_s)[:, None] * (np.arange(PARTS) / PARTS)
+    return np.append(parts.ravel(), times_s[-1])
 
 
 def may_dip(times: Array, margin: Array) -> Array:
@@ -149,66 +119,90 @@ def may_dip(times: Array, margin: Array) -> Array:
     return np.asarray(BENDS * step**2 / 8.0 * np.maximum(padded[1:], padded[:-1]))
 
 
+class Judged(NamedTuple):
+    """Limits that flights keep, and the times at which flights that keep all at nodes break one.
+
+    Where flights are judged as a whole, `kept` has one entry: whether they keep all limits at all
+    times, whose time is infinite, and at the nodes. Otherwise no times are told.
+    """
+
+    kept: Kept
+    touched_s: Array = np.zeros(0)
+
+
 @dataclass(frozen=True, eq=False)
 class SampledFlights(Flyer):
     """Flies draws of the errors, and decides which limits the flights keep.
 
     Attributes:
         times_s: at which observation limits count, while safety distances count at nodes. If None, all
-            limits count at every second.
+            limits count at every second, and together if the scope of risk is the flight.
     """
 
     times_s: Array | None = None
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether flights are judged as a whole."""
+        return self.times_s is None and self.mission.scenario.risk.scope == "flight"
+
+    @cached_property
+    def counted_s(self) -> dict[str, Array]:
+        """Times at which each joint constraint counts, ascending, s."""
+        mission, samples = self.mission, sample_times(self.mission)
+        names = dict.fromkeys(constraint.event for constraint in mission.problem.constraints)
+        if self.is_whole:
+            return {FLIGHT: np.array([np.inf, mission.times_s[0]])}
+        if self.times_s is not None:
+            always, observed = mission.times_s, self.times_s
+            names |= {ALL: None}
+        else:
+            always, window = every_second(samples), samples[_in_window(mission, samples)]
+            observed = every_second(window) if len(window) else window
+        times = {name: always if name in EVERYWHERE else observed for name in names}
+        return {name: at for name, at in times.items() if len(at)}
 
     def positions(self, draws: Array) -> Array:
         """Positions at the nodes, J2000, m, shape (n, flights, 3)."""
         return self.fly(self.mission.times_s, draws).states[..., :3]
 
-    def count(self, draws: Array) -> BlockLimits:
-        """Limits that the flights keep, at the nodes and between them."""
-        histories = list(self.histories(draws))
-        kept_at_nodes, kept = np.ones((2, len(draws)), dtype=bool)
-        for history in histories:
-            at_nodes = np.isin(history.times_s, self.mission.times_s)
-            kept_at_nodes &= history.holds[at_nodes].all(axis=0)
-            kept &= history.kept
-        lost = kept_at_nodes & ~kept
-        broken = [history.broken for history in histories] if lost.any() else []
-        touched = np.concatenate([np.zeros(0), *(time[lost[flight]] for time, flight in broken)])
-        counts = {history.name: history.counts for history in histories}
-        return BlockLimits(counts, kept_at_nodes, kept, touched)
-
-    def histories(self, draws: Array) -> Iterator[LimitHistory]:
-        """How they keep each joint constraint; at given times the observation's together too."""
-        mission, nodes = self.mission, self.mission.times_s
+    def judged(self, draws: Array) -> Judged:
+        """The limits that flights keep at `counted_s`."""
+        mission, nodes, certain = self.mission, self.mission.times_s, self.certain
         if self.times_s is not None:
             times = np.union1d(self.times_s, nodes)
-            observed, everywhere = (np.searchsorted(times, at) for at in (self.times_s, nodes))
+            counted = (np.searchsorted(times, at) for at in (self.times_s, nodes))
             flown = self.fly(times, draws)
             position = flown.states[..., :3]
-            margins = limit_margins(
-                flown.mission, times, position, observed, everywhere, certain=self.certain
-            )
-            kept = limits_kept(margins)
-            for name, holds in kept.items():
-                yield LimitHistory(name, nodes if name in EVERYWHERE else self.times_s, holds)
-            return
+            margins = limit_margins(flown.mission, times, position, *counted, certain=certain)
+            return Judged(kept_limits(margins, at_once=True))
         times = sample_times(mission)
         flown, window = self.fly(times, draws), _in_window(mission, times)
-        position, certain = flown.states[..., :3], self.certain
+        position = flown.states[..., :3]
         margins = limit_margins(flown.mission, times, position, window, certain=certain)
-        for name, (_, margin) in margins.items():
+        kept = {}
+        for name, (at, margin) in margins.items():
             own = slice(None) if name in EVERYWHERE else window
-            yield self._follow(name, times[own], flown, flown.states[own], margin)
+            kept[name] = every_second(at), self._by_second(name, at, flown, own, margin)
+        if not self.is_whole:
+            return Judged(kept)
+        all_kept, at_nodes = np.ones((2, len(draws)), dtype=bool)
+        for at, holds in kept.values():
+            all_kept &= holds.all(axis=0)
+            at_nodes &= holds[np.isin(at, nodes)].all(axis=0)
+        lost = at_nodes & ~all_kept
+        touched = [at[np.nonzero(~holds[:, lost])[0]] for at, holds in kept.values()]
+        whole = {FLIGHT: (self.counted_s[FLIGHT], np.stack([all_kept, at_nodes]))}
+        return Judged(whole, np.concatenate(touched))
 
-    def _follow(
-        self, name: str, times: Array, flown: FlightLog, states: Array, margin: Array
-    ) -> LimitHistory:
-        """Follow flights by the second between samples whose margins leave a violation possible.
+    def _by_second(
+        self, name: str, times: Array, flown: FlightLog, own: Booleans | slice, margin: Array
+    ) -> Booleans:
+        """Whether flights with margins (n, flights) at sampled times keep a limit at every second.
 
-        Samples are times (n,), states after burns (n, flights, 6), and margins (n, flights).
+        They are followed between samples whose margins leave a violation possible.
         """
-        burns = flown.burns_m_s
+        states, holds = flown.states[own], margin >= 0.0
         low, high = np.minimum(margin[1:], margin[:-1]), np.maximum(margin[1:], margin[:-1])
         near = may_dip(times, margin)
         k, flight = np.nonzero((low < near) & (high > -near))
@@ -217,9 +211,10 @@ class SampledFlights(Flyer):
         mission = flown.mission.some_flights(flight)
         for number, time in enumerate(mission.scenario.burn_times_s):
             burning = times[k + 1] == time  # the next sample's velocity is that after its burn
-            end[burning, 3:] -= burns[flight[burning], number]
+            end[burning, 3:] -= flown.burns_m_s[flight[burning], number]
         observed = slice(0) if name in EVERYWHERE else slice(None)
-        between = np.empty((len(k), PARTS - 1), dtype=bool)
+        every = np.repeat((holds[1:] & holds[:-1])[:, None], PARTS, axis=1)
+        every[:, 0] = holds[:-1]
         for part in range(1, PARTS) if len(k) else ():
             share = part / PARTS
             position, _ = interpolate(
@@ -227,6 +222,10 @@ class SampledFlights(Flyer):
             )
             seconds = times[k] + share * step[:, 0]
             found = limit_margins(mission, seconds, position, observed, certain=self.certain)
-            _, there = found[name]
-            between[:, part - 1] = there >= 0.0
-        return LimitHistory(name, times, margin >= 0.0, k, flight, between)
+            every[k, part, flight] = found[name][1] >= 0.0
+        return np.concatenate([every.reshape(-1, holds.shape[1]), holds[-1:]])
+
+
+def _in_window(mission: Mission, times: Array) -> Booleans:
+    first, last = mission.edges.watched_s or (np.inf, np.inf)
+    return (times >= first) & (times <= last)

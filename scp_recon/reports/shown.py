@@ -16,7 +16,7 @@ from scp_recon.mission.constraints import (
 )
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.estimates import binomial_quantile, proportion
-from scp_recon.monte_carlo.limits import is_certain
+from scp_recon.monte_carlo.limits import is_certain, kept_limits, limit_margins
 from scp_recon.monte_carlo.observation_time import measured
 from scp_recon.monte_carlo.sampling import Flyer, flown_mission
 from scp_recon.physics import geometry
@@ -26,7 +26,7 @@ from scp_recon.reports.subject import Subject
 from scp_recon.reports.surfaces import Shape
 from scp_recon.reports.tables import or_none
 from scp_recon.results.table import Column, Table
-from scp_recon.verification.probabilities import SAMPLES, SEED, kept_limits
+from scp_recon.verification.probabilities import SAMPLES, SEED
 
 LOOKS_IN_WINDOW = 121
 SHARE = 0.99
@@ -261,7 +261,8 @@ class Achieved:
 def achieved(subject: Subject, flown: DrawnFlights) -> list[Achieved]:
     """Probabilities of every joint constraint at each time, and of all constraints so far."""
     certain = is_certain(subject.mission, subject.solution.burns_m_s)
-    kept = kept_limits(flown.mission, flown.times_s, flown.positions, flown.window, certain=certain)
+    at = flown.mission, flown.times_s, flown.positions, flown.window
+    kept = kept_limits(limit_margins(*at, certain=certain))
     still = np.ones((len(flown.times_s), flown.samples), dtype=bool)
     for times, those in kept.values():
         still[np.isin(flown.times_s, times)] &= those

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 from scipy.special import ndtri
 
-from formulations.arrays import Array, Booleans, Indices
+from formulations.arrays import Array, Booleans
 from formulations.rows.exact_flight import FLIGHT
 from scp_recon.mission.drifts import STEP_S, Miss
 from scp_recon.mission.drifts import planned as misses_planned
@@ -17,7 +17,7 @@ from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.drifts import fly_drifts, reach_s, safety_of
 from scp_recon.monte_carlo.estimates import proportion
 from scp_recon.monte_carlo.flights import FlightConfig
-from scp_recon.monte_carlo.limits import is_certain, limit_margins
+from scp_recon.monte_carlo.limits import is_certain, kept_limits, limit_margins
 from scp_recon.monte_carlo.sampling import BLOCK, Flyer
 from scp_recon.monte_carlo.summary import COMPONENTS, WIDER
 from scp_recon.results.facts import Risk
@@ -138,7 +138,8 @@ def joint_probabilities(
     parts, ends = [], []
     for flown in flyer.fly_blocks(times, SAMPLES, SEED):
         position, certain = flown.states[..., :3], flyer.certain
-        parts.append(kept_limits(flown.mission, times, position, seen, certain=certain))
+        margins = limit_margins(flown.mission, times, position, seen, certain=certain)
+        parts.append(kept_limits(margins))
         ends.append(flown.states[-1])
     kept = {
         name: (at, np.concatenate([part[name][1] for part in parts], axis=1))
@@ -150,17 +151,6 @@ def joint_probabilities(
         first = min(found, key=lambda one: one.estimate)
         found.append(_worst(FLIGHT, np.array([first.worst_t_s]), every[None]))
     return found, np.concatenate(ends)
-
-
-def kept_limits(
-    mission: Mission, times: Array, positions: Array, seen: Indices, *, certain: bool
-) -> dict[str, tuple[Array, Booleans]]:
-    """Flights that keep the safety distances at all times, and each joint constraint at times `seen`.
-
-    By name: times, s, shape (n,), and flights, shape (n, flights); of positions (times, flights, 3).
-    """
-    margins = limit_margins(mission, times, positions, seen, certain=certain)
-    return {name: (at, margin >= 0.0) for name, (at, margin) in margins.items()}
 
 
 def _worst(name: str, times: Array, holds: Booleans) -> JointProbability:

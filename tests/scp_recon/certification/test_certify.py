@@ -17,7 +17,6 @@ from scp_recon.certification.flights import (
     TEST_WIDTH,
     Step,
     certificate_of,
-    kept_in_strata,
     unlike_beyond,
 )
 from scp_recon.monte_carlo.estimates import (
@@ -30,7 +29,7 @@ from scp_recon.monte_carlo.estimates import (
     proportion,
     seed_of_test,
 )
-from scp_recon.monte_carlo.law import CountedFlights
+from scp_recon.monte_carlo.whole_flight import KeptCounts
 from scp_recon.planning import initial_guess
 from scp_recon.planning.plan import Plan
 from scp_recon.planning.planner import plan
@@ -64,18 +63,21 @@ def run(request) -> Certified:
     sampling = "strata" if "strata" in request.param else "plain"
     mission, seeds = mission_of(scope, ASKED, sampling), []
 
-    def noting(fly: Callable[..., Any], place: int) -> Callable[..., Any]:
-        """The flights of a function, whose seed stands at a place of its arguments."""
+    def noting(fly: Callable[..., Any], seed_of: Callable[..., int]) -> Callable[..., Any]:
+        """The flights of a function, whose seed is told by its arguments."""
 
         def flown(*given: Any) -> Any:
-            seeds.append(given[place])
+            seeds.append(seed_of(*given))
             return fly(*given)
 
         return flown
 
     with pytest.MonkeyPatch.context() as patch:
-        for name, place in (("kept_flights", 3), ("fly_strata", 3), ("fly_in_time", 4)):
-            patch.setattr(flights, name, noting(getattr(flights, name), place))
+        for name, seed_of in (
+            ("kept_flights", lambda *given: given[3]),
+            ("fly_strata", lambda *given: given[0].seed),
+        ):
+            patch.setattr(flights, name, noting(getattr(flights, name), seed_of))
         found = certify(
             mission, initial_guess.cold(mission), lambda m, s, target: plan(m, s, target=target)
         )
@@ -124,7 +126,8 @@ def test_rounding_keeps_nodes_at_least_as_likely():
     for failing in range(60):
         drawn = (failing, 0, 0, 0, 0, 9_000)
         counted = Counted(allocation, drawn, (0,) * 6, (0,) * 6)
-        told = certificate_of(kept_in_strata(CountedFlights(counted, counted, np.zeros(0))), 1, 1)
+        kept = (1.0 - counted.failed) * counted.equivalent
+        told = certificate_of(KeptCounts(kept, kept, counted.equivalent, strata=counted), 1, 1)
         assert told.reached <= told.at_nodes == pytest.approx(told.reached)
 
 

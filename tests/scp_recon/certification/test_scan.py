@@ -11,7 +11,6 @@ from scp_recon.monte_carlo.whole_flight import (
     SAMPLE_STEP_S,
     SampledFlights,
     kept_flights,
-    seconds_of,
 )
 from scp_recon.planning import initial_guess
 from scp_recon.planning.plan import Plan
@@ -42,7 +41,8 @@ def test_violations_between_nodes_are_found(sparse):
     whole = Mission.from_scenario(mission.scenario.replace({"risk.scope": "flight"}))
     kept = kept_flights(whole, burns, FLIGHTS, SEED, told.append)
     assert told == [FLIGHTS]
-    block = SampledFlights(mission, burns).count(Flyer(mission, burns).draws(SEED, 0)[:FLIGHTS])
+    flights = SampledFlights(mission, burns)
+    judged = flights.judged(flights.draws(SEED, 0)[:FLIGHTS]).kept
     worst = kept_flights(mission, burns, FLIGHTS, SEED)
     assert mission.observed_s is not None
     first, last = mission.observed_s
@@ -57,16 +57,17 @@ def test_violations_between_nodes_are_found(sparse):
     every = np.logical_and.reduce(list(holds.values()))
     at_nodes, throughout = every[at].all(axis=0).sum(), every.all(axis=0).sum()
     assert throughout < at_nodes - 3
-    assert block.counts[SAFETY].min() == FLIGHTS  # so that the window alone decides
+    assert judged[SAFETY][1].all()  # so that the window alone decides
     # A flight may touch a limit for less than a second.
     assert kept[:2] == pytest.approx((at_nodes, throughout), abs=1)
     for name, held in holds.items():
-        counts, nodes_at = block.counts[name], np.isin(seconds_of(mission)[name], nodes)
-        np.testing.assert_array_equal(counts[nodes_at], held[at].sum(axis=1))
+        counts = judged[name][1].sum(axis=1)
+        np.testing.assert_array_equal(counts[np.isin(judged[name][0], nodes)], held[at].sum(axis=1))
         assert counts.min() == pytest.approx(held.sum(axis=1).min(), abs=1)
+    seen = [judged[name] for name in holds]
     assert worst[:2] == (
-        min(block.counts[n][np.isin(seconds_of(mission)[n], nodes)].min() for n in holds),
-        min(block.counts[n].min() for n in holds),
+        min(those[np.isin(times, nodes)].sum(axis=1).min() for times, those in seen),
+        min(those.sum(axis=1).min() for _, those in seen),
     )
     lost = every[at].all(axis=0) & ~every.all(axis=0)
     broken = seconds[~every[:, lost].all(axis=1)]

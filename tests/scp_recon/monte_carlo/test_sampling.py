@@ -14,13 +14,13 @@ from scp_recon.mission.constraints import SAFETY
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.estimates import CONFIDENCE, binomial_quantile, proportion
 from scp_recon.monte_carlo.flights import FlightConfig
-from scp_recon.monte_carlo.limits import every_second
 from scp_recon.monte_carlo.observation_time import ALL, SCIENCE, joint_margins, time_held
 from scp_recon.monte_carlo.sampling import BLOCK, Flyer, draw, sample_positions
 from scp_recon.monte_carlo.whole_flight import (
     PARTS,
     SAMPLE_STEP_S,
     SampledFlights,
+    every_second,
     kept_flights,
     may_dip,
     sample_times,
@@ -105,8 +105,8 @@ def test_path_before_a_burn_is_unchanged(solution):
     at_limit = solution.scenario.replace({"safety.radius_min_m": limit})
     tight = dataclasses.replace(mission, scenario=at_limit)  # a limit in the flight's own way
     draws = draw(SEED, 0, Flyer(tight, burns).sources)
-    counts = SampledFlights(tight, burns).count(draws).counts[SAFETY]
-    found = counts[PARTS * arc + 1 : PARTS * (arc + 1)]
+    _, holds = SampledFlights(tight, burns).judged(draws).kept[SAFETY]
+    found = holds.sum(axis=1)[PARTS * arc + 1 : PARTS * (arc + 1)]
     np.testing.assert_allclose(found, np.sum(distance >= limit, axis=1), atol=1)
 
 

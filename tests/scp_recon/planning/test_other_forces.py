@@ -17,7 +17,7 @@ from scp_recon.mission.constraints import COMPANION as NAME
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.flights import FlightConfig, fly_many
 from scp_recon.monte_carlo.sampling import Flyer
-from scp_recon.monte_carlo.whole_flight import BlockLimits, SampledFlights
+from scp_recon.monte_carlo.whole_flight import SampledFlights, kept_flights
 from scp_recon.physics.flow import propagate
 from scp_recon.physics.forces import accelerations
 from scp_recon.planning.initial_guess import ballistic
@@ -91,20 +91,18 @@ def test_a_plan_keeps_out_of_the_moving_ball(overrides):
     (chance,) = (p for p in checked.probabilities if p.name == NAME)
     assert chance.low < 1.0
     assert chance.high > 0.7
-    kept = block(mission, planned.burns_m_s).counts[NAME]
-    assert kept.min() / 200 == pytest.approx(chance.estimate, abs=0.1)
-
-
-def block(mission: Mission, burns: Array) -> BlockLimits:
-    """Limits that 200 flights keep."""
-    return SampledFlights(mission, burns).count(Flyer(mission, burns).draws(0, 0)[:200])
+    flights = SampledFlights(mission.changed({"risk.scope": "node"}), planned.burns_m_s)
+    _, holds = flights.judged(flights.draws(0, 0)[:200]).kept[NAME]
+    assert holds.mean(axis=1).min() == pytest.approx(chance.estimate, abs=0.1)
 
 
 def test_flights_through_the_ball_are_counted_as_lost(default_plan):
     counts = []
     for mission in (mission_of(COARSE), in_the_way()):
         flown = fly_many(FlightConfig(mission, default_plan.burns_m_s), samples=200)
-        counts.append((flown.whole, block(mission, default_plan.burns_m_s).kept.sum()))
+        whole = mission.changed({"risk.scope": "flight", "risk.allocation": "exact"})
+        kept = kept_flights(whole, default_plan.burns_m_s, 200, 0)
+        counts.append((flown.whole, kept.throughout))
     assert min(counts[0]) > 150
     assert max(counts[1]) < 10
     assert flown.node_counts[NAME].min() < 10
