@@ -41,7 +41,6 @@ class PackagedBody:
             heliocentric; shape (n, 7).
         span: first and last day of the elements, TDB days past J2000.
         years: first and last year of that.
-        other_meridian: W0, W1, W2 of a second source, if the two sources differ by degrees.
         assumed: assumptions by entry, dotted from `[body]` on, for entries without a measurement.
     """
 
@@ -49,7 +48,6 @@ class PackagedBody:
     elements: Array
     span: tuple[float, float]
     years: tuple[int, int]
-    other_meridian: tuple[float, float, float] | None = None
     assumed: Mapping[str, str] = field(default_factory=dict)
 
     def covers(self, days: float) -> bool:
@@ -144,13 +142,7 @@ def _bodies() -> dict[str, PackagedBody]:
             half = 0.5 * np.diff(elements[:2, 0]).item()
             span = elements[0, 0] - half, elements[-1, 0] + half
             first, last = data["sun"]["years"]
-            other = data.get("second_source", {}).get("prime_meridian")
             found[data["body"]["name"].casefold()] = PackagedBody(
-                data["body"],
-                elements,
-                span,
-                (first, last),
-                other and tuple(other),
-                data.get("assumed", {}),
+                data["body"], elements, span, (first, last), data.get("assumed", {})
             )
     return found

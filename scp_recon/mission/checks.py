@@ -20,10 +20,11 @@ If `base` names a complete file, no entry of another date or body is inherited.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import reduce
 from operator import attrgetter, getitem
+from typing import Any
 
 import numpy as np
 
@@ -33,13 +34,12 @@ from scp_recon.bodies.catalogue import (
     DAY_S,
     GM_SUN_KM3_S2,
     J2000_TDB,
-    PackagedBody,
     packaged_body,
 )
 from scp_recon.bodies.surface import angle_deg, coordinates_of, direction_of
 from scp_recon.display import digits, exact
 from scp_recon.errors import InputError
-from scp_recon.mission.drifts import check_drifts
+from scp_recon.mission.constraints import check_drifts
 from scp_recon.mission.feedback import check_feedback, uncorrected_burns, useless_measurement
 from scp_recon.mission.gravity import planned_field
 from scp_recon.mission.intervals import INTERVALS, J2_ENDS, PLANNER_INTERVALS, STATE_INTERVALS
@@ -47,10 +47,10 @@ from scp_recon.mission.knowledge import FAR, Deviation, Uncertain, check_knowled
 from scp_recon.mission.scene import Scene, orbit_of_body
 from scp_recon.mission.schedule import check_in_flight
 from scp_recon.mission.windows import SCAN_STEP_S, Lighting, Window
-from scp_recon.physics.frames import Rotation, unit
+from scp_recon.physics.frames import Rotation
 from scp_recon.physics.two_body import Orbit
 from scp_recon.scenario.fields import ScenarioWarning
-from scp_recon.scenario.given import COORDINATES, POLE
+from scp_recon.scenario.given import COORDINATES, MERIDIAN, POLE, keys
 from scp_recon.scenario.load import base_names, packaged_scenario
 from scp_recon.scenario.schema import Scenario
 
@@ -73,15 +73,11 @@ def named_site(scene: Scene) -> Iterator[ScenarioWarning]:
         there = packaged_scenario(name)
         if (here.body.name, here.site.name) != (there.body.name, there.site.name):
             continue
-        place = there.site.position_body_m
-        off = angle_deg(scene.site.position_body, place)
+        places = scene.site.position_body, np.array(there.site.position_body_m)
+        off = angle_deg(*places)
         if off > SAME_SITE_DEG:
-            at, expected = (
-                "latitude {:.1f} deg, longitude {:.1f} deg east".format(
-                    *coordinates_of(np.array(x))
-                )
-                for x in (scene.site.position_body, place)
-            )
+            words = "latitude {:.1f} deg, longitude {:.1f} deg east"
+            at, expected = (words.format(*coordinates_of(place)) for place in places)
             yield ScenarioWarning.of(
                 "site.name",
                 f"{here.site.name} at {at}, {off:.0f} deg off",
@@ -94,7 +90,7 @@ def known_body(scene: Scene) -> Iterator[ScenarioWarning]:
     """Warn of a packaged body's name with another body's figures.
 
     Compared are GM (to 5 %), J2, radius and radii (20 %), spin (1 %), pole and prime meridian (2
-    deg). It also warns if two sources differ by more than 2 deg on the prime meridian, as for Eros.
+    deg).
     """
     body = scene.scenario.body
     packaged = packaged_body(body.name)
@@ -120,7 +116,7 @@ def known_body(scene: Scene) -> Iterator[ScenarioWarning]:
             f"{known['name']} has {known['radii_m']} m along x, y and z",
         )
     if body.attitude is None and "pole_ra_deg" in known:
-        yield from _known_attitude(scene, packaged)
+        yield from _known_attitude(scene, known)
 
 
 def assumed(scene: Scene) -> Iterator[ScenarioWarning]:
@@ -137,49 +133,29 @@ def assumed(scene: Scene) -> Iterator[ScenarioWarning]:
             yield ScenarioWarning.of(f"body.{entry}", f"{given}, which is assumed", text)
 
 
-def _known_attitude(scene: Scene, packaged: PackagedBody) -> Iterator[ScenarioWarning]:
+def _known_attitude(scene: Scene, known: Mapping[str, Any]) -> Iterator[ScenarioWarning]:
     """Compare pole and, if that agrees, prime meridian at the epoch with the packaged body's."""
-    body, tdb, known = scene.scenario.body, scene.scenario.epoch.tdb, packaged.entries
-    pole = known["pole_ra_deg"], known["pole_dec_deg"]
-    w0, w1, w2 = (
-        known[f"prime_meridian_{key}"] for key in ("deg", "rate_deg_day", "acceleration_deg_day2")
-    )
-    right = Rotation.from_iau(*pole, (w0, w1, w2), tdb)
-
-    def meridian(rotation: Rotation) -> Array:
-        return rotation.body_to_j2000(0.0)[:, 0]
-
+    body, name = scene.scenario.body, known["name"]
+    pole_ra, pole_dec, *meridian = (known[key] for key in keys((*POLE, *MERIDIAN)))
+    right = Rotation.from_iau(pole_ra, pole_dec, tuple(meridian), scene.scenario.epoch.tdb)
     off = angle_deg(scene.rotation.pole, right.pole)
+    ahead = angle_deg(*(one.body_to_j2000(0.0)[:, 0] for one in (scene.rotation, right)))
     if off > SAME_ANGLE_DEG:
         given, entry, hint = (body.pole_ra_deg, body.pole_dec_deg), POLE[0], ""
-        for turned, name in enumerate(POLE):
+        for turned, angle in enumerate(POLE):
             ra, dec = (np.rad2deg(x) if i == turned else x for i, x in enumerate(given))
             if angle_deg(direction_of(dec, ra), right.pole) <= SAME_ANGLE_DEG:
-                entry, hint = name, "; degrees?"
+                entry, hint = angle, "; degrees?"
         yield ScenarioWarning.of(
             entry,
             f"({exact(given[0])}, {exact(given[1])}) deg, {off:.1f} deg off",
-            f"the pole of {known['name']} is at ({pole[0]:g}, {pole[1]:g}) deg{hint}",
+            f"the pole of {name} is at ({pole_ra:g}, {pole_dec:g}) deg{hint}",
         )
-        return
-    other = right
-    if packaged.other_meridian is not None:
-        other = Rotation.from_iau(*pole, packaged.other_meridian, tdb)
-    apart = angle_deg(meridian(other), meridian(right))
-    ahead = min(angle_deg(meridian(scene.rotation), meridian(one)) for one in (right, other))
-    if ahead > SAME_ANGLE_DEG:
+    elif ahead > SAME_ANGLE_DEG:
         yield ScenarioWarning.of(
             "body.prime_meridian_deg",
             f"a prime meridian that is {ahead:.1f} deg off at the epoch",
-            f"W of {known['name']} is {w0:g} + {w1:.10g} d + {w2:g} d^2 deg",
-        )
-    elif apart > SAME_ANGLE_DEG:
-        minutes = np.deg2rad(apart) / abs(scene.rotation.rate) / 60.0
-        yield ScenarioWarning.of(
-            "body.prime_meridian_deg",
-            f"a prime meridian of {known['name']}, of which two sources are {apart:.1f} deg apart at "
-            "the epoch",
-            f"the window may be {minutes:.0f} minutes off, until a measurement of its phase is given",
+            "W of {} is {:g} + {:.10g} d + {:g} d^2 deg".format(name, *meridian),
         )
 
 
@@ -251,9 +227,8 @@ def known_orbit(scene: Scene) -> Iterator[ScenarioWarning]:
     if packaged is None:
         return
     days = (scenario.epoch.tdb - J2000_TDB).total_seconds() / DAY_S
-    found = orbit_of_body(scene)
-    state = packaged.heliocentric(float(np.clip(days, *packaged.span)))
-    known = Orbit.of(*state, GM_SUN_KM3_S2)
+    found, (position, velocity) = orbit_of_body(scene), packaged.extrapolated(days)
+    known = Orbit.of(position, velocity, GM_SUN_KM3_S2)
     tilt = angle_deg(found.normal, known.normal)
     off = float(np.linalg.norm(found.eccentricity - known.eccentricity))
     same = abs(found.axis / known.axis - 1.0) <= SAME_AXIS
@@ -266,8 +241,7 @@ def known_orbit(scene: Scene) -> Iterator[ScenarioWarning]:
             f"{SAME_ECCENTRICITY:g}",
         )
         return
-    place = unit(packaged.extrapolated(days)[0])
-    ahead = angle_deg(sun.body_position_km, place)
+    ahead = angle_deg(sun.body_position_km, position)
     days_beyond = max(packaged.span[0] - days, days - packaged.span[1])
     most = SAME_PLACE_DEG * max(1.0, days_beyond / 365.25)
     if ahead > most:
