@@ -8,8 +8,8 @@ import os
 import re
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from functools import cache
+from contextlib import contextmanager, suppress
+from functools import cache, reduce
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -58,10 +58,10 @@ def load_scenario(path: Path | str | None = None, overrides: Sequence[str] = ())
         )
     name = "recon_b" if path is None else str(path)
     if name in base_names():
-        return _validated(_with_base(packaged(name), Path(), ()), overrides)
+        return _validated(packaged(name), None, overrides)
     file = Path(name)
     with naming_files(file, overrides):
-        return _validated(_with_base(_read(file), file.parent, (file.absolute(),)), overrides)
+        return _validated(_read(file), file, overrides)
 
 
 @contextmanager
@@ -79,7 +79,10 @@ def naming_files(scenario: object, overrides: Sequence[str] = ()) -> Iterator[No
     except InputError as error:
         if not isinstance(scenario, str | Path) or str(scenario) in base_names() or error.file:
             raise
-        sources, layer = list(_sources(Path(scenario))), _layer(overrides)
+        layer, sources = _layer(overrides), list[tuple[Path, Mapping[str, Any]]]()
+        with suppress(InputError):  # bases are named as far as they can be read
+            for file, tables in _layers(_read(Path(scenario)), Path(scenario)):
+                sources += [] if file is None else [(file, tables)]
 
         def file_of(entry: str) -> str:
             if _holds(layer, entry) or not sources:
@@ -91,20 +94,6 @@ def naming_files(scenario: object, overrides: Sequence[str] = ()) -> Iterator[No
             return held[0] if held else str(sources[0][0]) if known else ""
 
         raise error.in_files(file_of) from None
-
-
-def _sources(file: Path) -> Iterator[tuple[Path, dict[str, Any]]]:
-    """A scenario's file and those that it is based on, as far as they can be read."""
-    for _ in range(BASES_MAX):
-        try:
-            tables = _read(file)
-        except InputError:
-            return
-        yield file, tables
-        base = tables.get("base")
-        if not isinstance(base, str) or base in base_names():
-            return
-        file = file.parent / base
 
 
 def _holds(tables: Mapping[str, Any], entry: str) -> bool:
@@ -124,7 +113,7 @@ def validate_scenario(data: Mapping[str, Any], overrides: Sequence[str] = ()) ->
 
     Files that they name are relative to the current folder.
     """
-    return _validated(_with_base(data, Path(), ()), overrides)
+    return _validated(data, None, overrides)
 
 
 def override(scenario: Scenario, overrides: Sequence[str]) -> Scenario:
@@ -139,8 +128,9 @@ def override(scenario: Scenario, overrides: Sequence[str]) -> Scenario:
     return scenario.changed(_layer(overrides)) if overrides else scenario
 
 
-def _validated(data: Mapping[str, Any], overrides: Sequence[str]) -> Scenario:
-    return Scenario.validated(derive(inherit(data, _layer(overrides))))
+def _validated(data: Mapping[str, Any], file: Path | None, overrides: Sequence[str]) -> Scenario:
+    given = [_layer(overrides), *(tables for _, tables in _layers(data, file))]
+    return Scenario.validated(derive(reduce(inherit, reversed(given))))
 
 
 def _layer(overrides: Sequence[str]) -> dict[str, Any]:
@@ -192,27 +182,35 @@ def _read(path: Path) -> dict[str, Any]:
         ) from None
 
 
-def _with_base(data: Mapping[str, Any], folder: Path, above: tuple[Path, ...]) -> dict[str, Any]:
-    """Tables of a file over their base; `above` are the file and the files that inherit from it."""
-    if not {"base", *Scenario.model_fields} & set(data):
-        raise InputError(
-            "scenario", "none of its entries", 'must be complete or have base = "recon_b"'
-        )
-    own = anchored({key: value for key, value in data.items() if key != "base"}, folder)
-    if "base" not in data:
-        return own
-    name, names = data["base"], base_names()
-    if isinstance(name, str) and name in names:
-        return inherit(_with_base(packaged(name), Path(), ()), own)
-    if not isinstance(name, str) or not (folder / name).is_file():
-        allowed = f"must be one of {', '.join(names)}, or a scenario file"
-        raise InputError("base", repr(name)[:80], f"{allowed}, relative to the one that names it")
-    file = (folder / name).absolute()
-    if any(file.samefile(other) for other in above) or len(above) >= BASES_MAX:
-        chain = " -> ".join(other.name for other in (*above, file))
-        rule = f"must come to an end, after {BASES_MAX} files at most"
-        raise InputError("base", chain, rule)
-    return inherit(_with_base(_read(file), file.parent, (*above, file)), own)
+def _layers(
+    data: Mapping[str, Any], file: Path | None
+) -> Iterator[tuple[Path | None, dict[str, Any]]]:
+    """A scenario's own tables and those of each base in turn, with their files if they have one."""
+    above: list[Path] = []
+    while True:
+        if not {"base", *Scenario.model_fields} & set(data):
+            rule = 'must be complete or have base = "recon_b"'
+            raise InputError("scenario", "none of its entries", rule)
+        folder = Path() if file is None else file.parent
+        yield file, anchored({key: data[key] for key in data if key != "base"}, folder)
+        if "base" not in data:
+            return
+        name, names = data["base"], base_names()
+        if isinstance(name, str) and name in names:
+            file, data = None, packaged(name)
+            continue
+        if not isinstance(name, str) or not (folder / name).is_file():
+            rule = (
+                f"must be one of {', '.join(names)}, or a scenario file, relative to the one that "
+            )
+            raise InputError("base", repr(name)[:80], f"{rule}names it")
+        above += [] if file is None else [file.absolute()]
+        file = (folder / name).absolute()
+        if any(file.samefile(other) for other in above) or len(above) >= BASES_MAX:
+            chain = " -> ".join(other.name for other in (*above, file))
+            rule = f"must come to an end, after {BASES_MAX} files at most"
+            raise InputError("base", chain, rule)
+        data = _read(file)
 
 
 def _parse_override(text: str) -> tuple[str, Any]:
