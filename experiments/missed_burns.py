@@ -29,7 +29,7 @@ from scp_recon.api.options import PlanOptions
 from scp_recon.api.verbs import plan, replan
 from scp_recon.jobs.job import Failure, Job, Key
 from scp_recon.jobs.processes import Limits, Processes
-from scp_recon.mission.drifts import planned
+from scp_recon.mission.constraints import planned_misses
 from scp_recon.planning.plan import Plan
 from scp_recon.results.solution import make_solution
 from scp_recon.scenario.load import load_scenario
@@ -141,7 +141,7 @@ def what_would_do(found: Plan, case: str, scenario: Scenario) -> str:
 
 def in_words(scenario: Scenario, names: Set[str]) -> str:
     """Drifts by their names: what happens before them, the shares of each burn together."""
-    misses = [miss for miss in planned(scenario) if miss.name in names]
+    misses = [miss for miss in planned_misses(scenario) if miss.name in names]
     said = [miss.event for miss in misses if not miss.share]
     for burn in dict.fromkeys(miss.burn for miss in misses if miss.share):
         shares = [f"{100.0 * miss.share:g}" for miss in misses if miss.share and miss.burn == burn]

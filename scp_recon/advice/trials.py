@@ -26,8 +26,7 @@ from scp_recon.api.options import PlanOptions
 from scp_recon.api.planning import PlanOutcome, carry_out, plan_mission
 from scp_recon.certification.largest import Search, rounded_down
 from scp_recon.errors import InputError
-from scp_recon.mission.constraints import companion_distance_m
-from scp_recon.mission.drifts import planned, radius_m
+from scp_recon.mission.constraints import companion_distance_m, drift_radius_m, planned_misses
 from scp_recon.mission.mission import Mission
 from scp_recon.planning.initial_guess import from_burns
 from scp_recon.planning.method import SETTLE
@@ -421,9 +420,9 @@ def _entries(scenario: Scenario, violated: Sequence[str]) -> dict[str, tuple[flo
         ),
     }
     found = {}
-    drifts = {miss.name for miss in planned(scenario)}
+    drifts = {miss.name for miss in planned_misses(scenario)}
     for name in violated:
-        if name in drifts and (kept := radius_m(scenario)) > radius:
+        if name in drifts and (kept := drift_radius_m(scenario)) > radius:
             found["safety.drift_radius_m"] = (kept, radius)
         # Sets with both limits count as one constraint where risk is exact.
         for constraint, (entry, given, widest) in every.items():

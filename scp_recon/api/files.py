@@ -20,7 +20,7 @@ from scp_recon.interop.export import UNNAMED_BODY_ID, Export, Ids
 from scp_recon.interop.files import FORMATS, require, stem, write_export
 from scp_recon.interop.path import fly_path
 from scp_recon.jobs.cores import one_thread
-from scp_recon.mission.drifts import check_miss
+from scp_recon.mission.constraints import check_miss
 from scp_recon.planning.plan import Plan
 from scp_recon.results.read import read_solution
 from scp_recon.results.runs import resolve_run

@@ -25,7 +25,7 @@ from scp_recon.errors import (
 from scp_recon.files import writing
 from scp_recon.jobs.cluster import check_workers, executor_for
 from scp_recon.jobs.cores import one_thread
-from scp_recon.mission.drifts import Miss, check_miss, planned, required_probability
+from scp_recon.mission.constraints import Miss, check_miss, drift_probability, planned_misses
 from scp_recon.mission.gravity import TruthModel
 from scp_recon.monte_carlo.closed_loop import replans
 from scp_recon.monte_carlo.drifts import fly_drifts, safety_of
@@ -179,7 +179,9 @@ def _with_drift(
         return summary
     mission, miss = config.mission, Miss(options.miss)
     flown = fly_drifts(config, [miss], summary.samples)
-    required = required_probability(mission.scenario) if miss in planned(mission.scenario) else None
+    required = (
+        drift_probability(mission.scenario) if miss in planned_misses(mission.scenario) else None
+    )
     found = safety_of(mission, miss, flown[0], required)
     then = None if options.then is None else _contingency(plan, options.miss, options)
     return summary.model_copy(update={"drift": found, "then": then})

@@ -17,7 +17,7 @@ from formulations.arrays import Array, Indices
 from formulations.linearisation.linearisation import Linearisation
 from formulations.problem.flyby import Drift
 from formulations.rows.drift import REACH, branch_at, start_of
-from scp_recon.mission.drifts import Miss, duration_s, planned, required_probability
+from scp_recon.mission.constraints import Miss, drift_duration_s, drift_probability, planned_misses
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.drifts import drift, states_after
 from scp_recon.monte_carlo.estimates import proportion
@@ -82,10 +82,10 @@ def shortfalls(plan: Plan) -> dict[str, float]:
     Infinite where the linear law sees room that flights do not have.
     """
     lin, mission = plan.final.result.lin.with_drifts(plan.final.drifts), plan.mission
-    asked = required_probability(mission.scenario)
+    asked = drift_probability(mission.scenario)
     needed, found = float(ndtri(asked)), dict[str, float]()
     near, blind = list[tuple[Miss, Drift]](), list[tuple[Miss, Drift]]()
-    for miss, one in zip(planned(mission.scenario), lin.problem.drifts, strict=True):
+    for miss, one in zip(planned_misses(mission.scenario), lin.problem.drifts, strict=True):
         if one.by_planes:
             continue
         if plan.final.margins[one.name].margin.min() < NEAR:
@@ -120,7 +120,10 @@ def _unsafe(
     blocks = (draws[first : first + BLOCK] for first in range(0, len(draws), BLOCK))
     starts = states_after(config, [miss for miss, _ in cases], blocks)
     for (miss, one), state in zip(cases, starts, strict=True):
-        begin, step = scenario.burns.times_s[miss.burn - 1], duration_s(scenario) / one.flow.arcs
+        begin, step = (
+            scenario.burns.times_s[miss.burn - 1],
+            drift_duration_s(scenario) / one.flow.arcs,
+        )
         flown = drift(deviating, config.truth, state, begin, step)
         yield int((~flown.safe(mission)).sum())
 

@@ -1,18 +1,31 @@
-"""Choose the burns that feedback corrects, and the cut-offs at which states are measured."""
+"""Choose the burns that feedback corrects, and the cut-offs at which states are measured.
+
+With pictures of landmarks, state, uncertain parameters and errors of the map are estimated together
+along a path, from all pictures so far, with what was known before the flight and the execution errors
+of the planned burns. Errors of the map, which all pictures share, thus never average out. A plan's
+filter has one measurement of the state at each cut-off instead. Its errors are independent of all
+others, and such that the error of the estimated state has the covariance of that estimation.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
+from scipy.linalg import block_diag, cho_factor, cho_solve, solve_triangular
 
 from formulations.arrays import Array
 from scp_recon.display import exact
 from scp_recon.errors import InputError
+from scp_recon.mission.knowledge import Uncertain
 from scp_recon.mission.scene import Scene, execution_errors
 from scp_recon.mission.schedule import SAME_S
+from scp_recon.physics.frames import unit
 from scp_recon.scenario.fields import ScenarioWarning
 from scp_recon.scenario.schema import Scenario
+from scp_recon.scenario.uncertainty import Contacts, Landmarks
 
 USELESS = 1e3
 """Errors of a measurement over what a flight strays at most, from which on nothing is corrected: a
@@ -41,21 +54,16 @@ def felt_cut_offs_s(scene: Scene, window_s: tuple[float, float]) -> dict[int, fl
         times = scenario.burn_times_s
         felt = {burn: at for burn, at in found.items() if times[burn] < window_s[1]}
         found = felt if felt or scenario.in_flight is not None else found
-    _check_bias(scenario, list(found))
-    return found
-
-
-def _check_bias(scenario: Scenario, corrected: list[int]) -> None:
-    """Refuse an error that all burns share where several are corrected: no filter estimates it."""
     gates = scenario.uncertainty.gates
-    if gates is not None and gates.magnitude_bias > 0.0 and len(corrected) > 1:
-        burns = ", ".join(str(burn + 1) for burn in corrected)
+    if gates is not None and gates.magnitude_bias > 0.0 and len(found) > 1:
+        burns = ", ".join(str(burn + 1) for burn in found)
         raise InputError(
             "uncertainty.gates.magnitude_bias",
             f"{gates.magnitude_bias:g} with corrected burns {burns}",
             "must be 0 where several burns are corrected, whose filter does not estimate it: add it to "
             "magnitude_proportional",
         )
+    return found
 
 
 def cut_offs_s(scenario: Scenario) -> dict[int, float]:
@@ -172,39 +180,35 @@ def check_feedback(scenario: Scenario) -> None:
             "'feedback' with no burn between the first and the last",
             "must be 'open', or boundary.final_sigma_velocity_m_s must limit what the last burn leaves",
         )
-    _check_contacts(scenario)
-    if not cut_offs_s(scenario):
-        latest = max(correctable)
+    contacts, latest = scenario.navigation.contacts, max(correctable.values())
+    last = scenario.burns.times_s.index(latest) + 1
+    if contacts is None and not cut_offs_s(scenario):
         raise InputError(
             "navigation.lead_s",
             f"{exact(scenario.navigation.lead_s)} s, with which every cut-off precedes departure",
-            f"must be at most {correctable[latest]:g} s, for burn {latest + 1} to be corrected",
+            f"must be at most {latest:g} s, for burn {last} to be corrected",
         )
+    if contacts is not None:
+        _check_contacts(scenario, contacts, latest)
 
 
-def _check_contacts(scenario: Scenario) -> None:
-    """Refuse contacts that serve no burn, and burns on board that there are not."""
-    contacts = scenario.navigation.contacts
-    if contacts is None:
+def _check_contacts(scenario: Scenario, contacts: Contacts, latest_s: float) -> None:
+    """Refuse contacts that serve no burn until the latest, and burns on board that there are not."""
+    burns, table = len(scenario.burns.times_s), "navigation.contacts"
+    if strange := [number for number in contacts.onboard or () if number > burns]:
+        raise InputError(f"{table}.onboard", f"{strange[0]}", f"must be among 1 to {burns}")
+    if cut_offs_s(scenario):
         return
-    times = scenario.burns.times_s
-    if strange := [number for number in contacts.onboard or () if number > len(times)]:
-        allowed = f"must be among 1 to {len(times)}"
-        raise InputError("navigation.contacts.onboard", f"{strange[0]}", allowed)
-    if not cut_offs_s(scenario):
-        latest = max(_correctable(scenario).values())
-        if contacts.turnaround_s > latest - scenario.start_s:
-            needs = f"must be at most {latest - scenario.start_s:g} s, for a burn to use a contact"
-            raise InputError(
-                "navigation.contacts.turnaround_s", f"{exact(contacts.turnaround_s)} s", needs
-            )
-        given = "every_s" if contacts.windows_s is None else "windows_s"
-        raise InputError(
-            f"navigation.contacts.{given}",
-            f"no contact that a burn can use, {exact(contacts.turnaround_s)} s after its end",
-            f"must have one that begins at {scenario.start_s:g} s or later and ends by "
-            f"{latest - contacts.turnaround_s:g} s",
-        )
+    wait, most = exact(contacts.turnaround_s), latest_s - scenario.start_s
+    if contacts.turnaround_s > most:
+        needs = f"must be at most {most:g} s, for a burn to use a contact"
+        raise InputError(f"{table}.turnaround_s", f"{wait} s", needs)
+    raise InputError(
+        f"{table}.{'every_s' if contacts.windows_s is None else 'windows_s'}",
+        f"no contact that a burn can use, {wait} s after its end",
+        f"must have one that begins at {scenario.start_s:g} s or later and ends by "
+        f"{latest_s - contacts.turnaround_s:g} s",
+    )
 
 
 def require_measurement(scenario: Scenario, entry: str, policy: str) -> None:
@@ -230,27 +234,20 @@ def uncorrected_burns(scene: Scene) -> Iterator[ScenarioWarning]:
     scenario = scene.scenario
     if scenario.in_flight is not None:
         return
-    corrected = cut_offs_s(scenario)
+    corrected, navigation = cut_offs_s(scenario), scenario.navigation
     for burn, time in _correctable(scenario).items():
-        if burn not in corrected and contact_of(scenario, burn) is not None:
-            yield ScenarioWarning.of(
-                "navigation.contacts",
-                f"no contact with new data for burn {burn + 1} at {time:g} s, which is not corrected",
-                "expected one after that of the burn before, a turnaround before the burn",
-            )
-        elif burn not in corrected and (landmarks := scenario.navigation.landmarks):
-            yield ScenarioWarning.of(
-                "navigation.landmarks",
-                f"no new picture for burn {burn + 1} at {time:g} s, which is not corrected",
-                f"expected every_s of less than {landmarks.every_s:g} s, or less navigation.lead_s",
-            )
-        elif burn not in corrected:
-            yield ScenarioWarning.of(
-                "navigation.lead_s",
-                f"{exact(scenario.navigation.lead_s)} s, so that burn {burn + 1} at {time:g} s is not "
-                "corrected: its cut-off precedes departure",
-                f"expected at most {time - scenario.start_s:g} s",
-            )
+        if burn in corrected:
+            continue
+        entry, given = "navigation.lead_s", f"{exact(navigation.lead_s)} s, so that"
+        why, expected = ": its cut-off precedes departure", f"at most {time - scenario.start_s:g} s"
+        if contact_of(scenario, burn) is not None:
+            entry, given, why = "navigation.contacts", "no contact with new data:", ""
+            expected = "one after that of the burn before, a turnaround before the burn"
+        elif (landmarks := navigation.landmarks) is not None:
+            entry, given, why = "navigation.landmarks", "no new picture:", ""
+            expected = f"every_s of less than {landmarks.every_s:g} s, or less navigation.lead_s"
+        given = f"{given} burn {burn + 1} at {time:g} s is not corrected{why}"
+        yield ScenarioWarning.of(entry, given, f"expected {expected}")
 
 
 def useless_measurement(scene: Scene) -> Iterator[ScenarioWarning]:
@@ -268,3 +265,169 @@ def useless_measurement(scene: Scene) -> Iterator[ScenarioWarning]:
             f"measurements {compared}, so that they are useless and no burn is corrected",
             f"expected errors of less than {USELESS:,.0f} times that",
         )
+
+
+# --- pictures of landmarks --------------------------------------------------------------------------
+
+LEAST = 1e-6
+"""Error below which nothing is learnt, over the root mean square of those of position, or velocity."""
+
+GOLDEN_RAD = np.pi * (3.0 - np.sqrt(5.0))
+
+
+@dataclass(frozen=True, eq=False)
+class Path:
+    """A path along which pictures are taken, and how errors grow there; J2000, m and m/s.
+
+    Attributes:
+        times_s: nodes, with all pictures and cut-offs among them, shape (n,).
+        position_m: at the nodes, shape (n, 3).
+        stm: of the state and p parameters along each arc, shape (n - 1, 6 + p, 6 + p).
+        executed: covariances of the velocity that burns add, by their nodes, shape (3, 3) each; none
+            on a coast, which is no plan.
+        prior: covariance of state and parameters at the first node, shape (6 + p, 6 + p).
+    """
+
+    times_s: Array
+    position_m: Array
+    stm: Array
+    executed: Mapping[int, Array]
+    prior: Array
+
+
+def picture_times_s(scenario: Scenario, until_s: float) -> Array:
+    """Times of the pictures up to a time, s; in flight of those after the delivered state."""
+    given = scenario.navigation.landmarks
+    assert given is not None
+    times = given.every_s * np.arange(round(given.last_by(until_s) / given.every_s) + 1)
+    after = -np.inf if scenario.in_flight is None else scenario.start_s
+    return np.asarray(times[times > after])
+
+
+@dataclass(frozen=True, eq=False)
+class Camera:
+    """Lines of sight to the landmarks of a scene's body.
+
+    Attributes:
+        scene: with the body, its rotation and the Sun.
+        uncertain: parameters, some of which turn the body.
+    """
+
+    scene: Scene
+    uncertain: Uncertain
+
+    @property
+    def given(self) -> Landmarks:
+        """What the scenario says of camera and map."""
+        given = self.scene.scenario.navigation.landmarks
+        assert given is not None
+        return given
+
+    @cached_property
+    def _radii(self) -> Array:
+        body = self.scene.scenario.body
+        return np.array(body.radii_m or (body.reference_radius_m,) * 3)
+
+    @cached_property
+    def _spread(self) -> Array:
+        """Unit vectors that are spread evenly, a Fibonacci lattice, shape (l, 3)."""
+        count = 2 * self.given.number
+        z = 1.0 - (2.0 * np.arange(count) + 1.0) / count
+        across, turn = np.sqrt(1.0 - z * z), GOLDEN_RAD * np.arange(count)
+        return np.stack([across * np.cos(turn), across * np.sin(turn), z], axis=1)
+
+    @property
+    def landmarks_m(self) -> Array:
+        """Landmarks, body-fixed, m, shape (l, 3)."""
+        return self._radii * self._spread
+
+    def partials(self, time_s: float, position_m: Array) -> Array:
+        """Derivatives of a picture's pixels by state, parameters and map, shape (2 v, 6 + p + 3 l).
+
+        They are of the v landmarks that are lit, visible and in the field, seen from a position (3,).
+        """
+        turn, normals = self.scene.rotation.body_to_j2000(time_s), unit(self._spread / self._radii)
+        places, up = self.landmarks_m @ turn.T, normals @ turn.T
+        axis, half = -unit(position_m), np.deg2rad(0.5 * self.given.field_of_view_deg)
+        line = places - position_m
+        depth, focal = line @ axis, 0.5 * self.given.pixels / np.tan(half)
+        seen = np.einsum("li,li->l", up, line) < 0.0
+        seen &= (up @ self.scene.sun_direction(time_s) > 0.0) & (
+            depth > np.cos(half) * np.linalg.norm(line, axis=1)
+        )
+        who, line, depth = np.flatnonzero(seen), line[seen], depth[seen, None, None]
+        across = np.linalg.svd(axis[None])[2][1:]
+        by_line = focal * (across - (line @ across.T)[:, :, None] * axis / depth) / depth
+        p = self.uncertain.count
+        found = np.zeros((len(who), 2, 6 + p + 3 * len(places)))
+        found[:, :, :3] = -by_line
+        if p:
+            own, rotation = self.landmarks_m[who], self.scene.rotation
+            moved = self.uncertain.slopes(
+                lambda one: own @ one.rotation(rotation).body_to_j2000(time_s).T
+            )
+            found[:, :, 6 : 6 + p] = np.einsum("vij,vjk->vik", by_line, moved)
+        for i, landmark in enumerate(who.tolist()):
+            first = 6 + p + 3 * landmark
+            found[i, :, first : first + 3] = by_line[i] @ turn
+        return found.reshape(-1, found.shape[2])
+
+
+def measurement_factors(camera: Camera, path: Path, cut_offs_s: Iterable[float]) -> Array:
+    """Factors N of the covariances N N' of states measured at cut-offs, m and m/s, shape (k, 6, 6).
+
+    With P of the estimation and P- of the filter that has the measurements before,
+    (N N')^-1 = P^-1 - (P-)^-1; an error is at most `USELESS` times what is known without it. Parameters
+    are learnt by the state alone.
+
+    Raises:
+        InputError: if no picture before a cut-off shows a landmark, along planned burns.
+    """
+    given, size = camera.given, len(path.prior)
+    errors = given.map_error_m**2 * np.eye(3 * len(camera.landmarks_m))
+    whole, own = block_diag(path.prior, errors), path.prior.copy()
+    pictures = picture_times_s(camera.scene.scenario, path.times_s[-1])
+    found, cut_offs, shown = list[Array](), list(cut_offs_s), 0
+    for k, (time, position) in enumerate(zip(path.times_s, path.position_m, strict=True)):
+        if k > 0:
+            stm = path.stm[k - 1]
+            own = stm @ own @ stm.T
+            whole[:size] = stm @ whole[:size]
+            whole[:, :size] = whole[:, :size] @ stm.T
+        if time in pictures:
+            seen = camera.partials(time, position)
+            whole = _updated(whole, seen, given.pixel_error**2 * np.eye(len(seen)))
+            shown += len(seen)
+        if time in cut_offs:
+            if not shown and path.executed:
+                raise InputError(
+                    "navigation.landmarks",
+                    f"no landmark that is lit, visible and in the field until {time:g} s",
+                    "must have one before each cut-off: mind field_of_view_deg, number and every_s",
+                )
+            found.append(_factor(own[:6, :6], whole[:6, :6]))
+            own = _updated(own, np.eye(6, size), found[-1] @ found[-1].T)
+        if k in path.executed:
+            own[3:6, 3:6] += path.executed[k]
+            whole[3:6, 3:6] += path.executed[k]
+        if len(found) == len(cut_offs):
+            break
+    return np.array(found)
+
+
+def _updated(covariance: Array, partials: Array, errors: Array) -> Array:
+    """The covariance after measurements with partials (m, n) and errors of covariance (m, m)."""
+    known = partials @ covariance
+    after = covariance - known.T @ cho_solve(cho_factor(known @ partials.T + errors), known)
+    return np.asarray(0.5 * (after + after.T))
+
+
+def _factor(before: Array, after: Array) -> Array:
+    """Factor of a measurement's errors that takes an estimate's covariance from one to another."""
+    blocks = np.diag(before).reshape(2, 3).mean(axis=1)
+    floor = LEAST**2 * np.diag(np.repeat(blocks, 3))
+    root = np.linalg.cholesky(before + floor)
+    half = solve_triangular(root, after + floor, lower=True)
+    left, axes = np.linalg.eigh(solve_triangular(root, half.T, lower=True))
+    learnt = np.maximum(1.0 / left - 1.0, USELESS**-2)
+    return np.asarray(root @ axes / np.sqrt(learnt))

@@ -53,12 +53,13 @@ class Gravity:
         if truth == "planner":
             return self.planned
         if truth == "harmonics":
-            return self._deviating(forces_of(self.scene, self.harmonics))
-        gm, solid = self.scene.scenario.body.gm_m3_s2, self.solid
-        field = PolyhedronField(gm, solid.vertices_m, solid.facets)
-        turning = TurningField(field, self.scene.rotation)
-        point = forces_of(self.scene, None)
-        return self._deviating(replace(point, gm=0.0, j2_strength=0.0, field=turning))
+            found = forces_of(self.scene, self.harmonics)
+        else:
+            gm, solid = self.scene.scenario.body.gm_m3_s2, self.solid
+            field = PolyhedronField(gm, solid.vertices_m, solid.facets)
+            turning, point = TurningField(field, self.scene.rotation), forces_of(self.scene, None)
+            found = replace(point, gm=0.0, j2_strength=0.0, field=turning)
+        return self._deviating(found)
 
     def _deviating(self, forces: ForceModel) -> ForceModel:
         deviation = self.scene.deviation
@@ -81,20 +82,12 @@ class Gravity:
 
     @cached_property
     def solid(self) -> Mesh:
-        """The body as a homogeneous polyhedron.
-
-        Raises:
-            InputError: if its shape is not known.
-        """
+        """The body as a homogeneous polyhedron; errors as `solid_of`."""
         return solid_of(self.scene.scenario.body)
 
     @cached_property
     def harmonics(self) -> HarmonicField:
-        """Field of the true dynamics, against which the planner's J2 is tested.
-
-        Raises:
-            InputError: if there is no field of this body.
-        """
+        """Field of the true dynamics, against which J2 is tested; errors as `truth_field`."""
         return truth_field(self.scene.scenario)
 
 
@@ -183,24 +176,17 @@ def truth_field(scenario: Scenario, needed_by: str = option("truth", "harmonics"
         degree = max(n for n, _, _, _ in rows)
         return HarmonicField.of_rows(body.gm_m3_s2, body.gravity.reference_radius_m, degree, rows)
     if packaged_body(body.name) is packaged_body(FIELD_BODY):
-        _check_is_packaged(body, needed_by)
+        known = packaged_body(FIELD_BODY)
+        assert known is not None
+        for entry, share in (("gm_m3_s2", SAME_GM), ("reference_radius_m", 0.0), ("j2", SAME_J2)):
+            given, own = getattr(body, entry), known.entries[entry]
+            if abs(given - own) > share * own:
+                within = f"within {100 * share:g} % of " if share else ""
+                needs = f"must be {within}{own:g}: the packaged gravity field is {FIELD_BODY}'s"
+                raise InputError(needed_by, f"body.{entry} {exact(given)}", needs)
         return HarmonicField.bennu(body.gm_m3_s2, HARMONICS_DEGREE)
     raise InputError(
         "body.gravity_file",
         f"nothing for {body.name}",
         f"must name a gravity field (.gfc, or a PDS SHA table) for {needed_by}",
     )
-
-
-def _check_is_packaged(body: Body, needed_by: str) -> None:
-    known = packaged_body(FIELD_BODY)
-    assert known is not None
-    for entry, share in (("gm_m3_s2", SAME_GM), ("reference_radius_m", 0.0), ("j2", SAME_J2)):
-        given, own = getattr(body, entry), known.entries[entry]
-        if abs(given - own) > share * own:
-            within = f"within {100 * share:g} % of " if share else ""
-            raise InputError(
-                needed_by,
-                f"body.{entry} {exact(given)}",
-                f"must be {within}{own:g}: the packaged gravity field is that of {FIELD_BODY}",
-            )

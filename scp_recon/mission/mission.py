@@ -31,15 +31,20 @@ from scp_recon.mission.constraints import (
     Limit,
     chosen_polytopes,
     observation_limits,
+    problem_drifts,
     require_without,
     state_constraints,
 )
-from scp_recon.mission.drifts import problem_drifts
-from scp_recon.mission.feedback import felt_cut_offs_s
+from scp_recon.mission.feedback import (
+    Camera,
+    Path,
+    felt_cut_offs_s,
+    measurement_factors,
+    picture_times_s,
+)
 from scp_recon.mission.firing import HomePhases, firing_times
 from scp_recon.mission.gravity import Gravity
 from scp_recon.mission.knowledge import Deviation, Uncertain
-from scp_recon.mission.landmarks import Camera, Path, measurement_factors, picture_times_s
 from scp_recon.mission.scene import (
     DEFAULT,
     RK4_STEP_MAX_S,
@@ -56,7 +61,7 @@ from scp_recon.mission.schedule import (
     find_window,
     make_schedule,
 )
-from scp_recon.mission.windows import Window, WindowEdges, edge_sigmas_s, moved_edges, scan_step_s
+from scp_recon.mission.windows import EDGE_MOVES_S, Window, WindowEdges, moved_edges, scan_step_s
 from scp_recon.physics import geometry
 from scp_recon.physics.flow import GridFlow
 from scp_recon.physics.forces import STEP, ForceModel, Partials
@@ -353,7 +358,8 @@ class Mission:
             return None
         moves = STEP * np.eye(self.uncertain.count)
         ahead, behind = (self.of_flights(sign * moves).own_edges_s for sign in (1.0, -1.0))
-        return edge_sigmas_s((ahead - behind) / (2.0 * STEP))
+        sigmas = np.linalg.norm((ahead - behind) / (2.0 * STEP), axis=1)
+        return np.asarray(sigmas) if sigmas.max() > EDGE_MOVES_S else None
 
     @property
     def own_edges_s(self) -> Array:

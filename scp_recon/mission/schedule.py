@@ -427,41 +427,27 @@ def survey(scenario: Scenario, span_s: Window) -> Survey:
     flight = 0.0, duration
     longest = min(span_s[0], 0.0), max(span_s[1], duration)
     step = scan_step_s(scene.rotation.rate, longest)
-    lighting = Lighting(scene.site, scene.rotation, _to_sun(scenario, longest))
+    sun = scenario.sun
+    try:
+        position = two_body(sun.body_position_km, sun.body_velocity_km_s, longest)
+    except ValueError as error:
+        given_km = f"{list(sun.body_position_km)} km"
+        raise InputError("sun.body_position_km", given_km, f"must be an orbit: {error}") from None
+    lighting = Lighting(scene.site, scene.rotation, lambda time_s: -unit(position(time_s)))
     slack = lighting.slack(scenario.observation)
     times, given = scenario.burns.times_s, scenario.observation.window_s
     own = given or next(whole_windows(each_window(slack, flight, step), flight), None)
     others = len(times) - 2  # between the first burn and the last
     before = min(burns_before(times, own), others) if own else others // 2
-    found = list(each_window(slack, span_s, step))
-    windows = [
-        LitWindow(
-            edges_s=edges,
-            least_incidence_rad=_least(lighting.incidence, edges),
-            local_solar_time_h=_at_edges(lighting.local_solar_time, edges),
-            burns_s=tuple(
-                legal_burns(edges, duration, before, len(times) - 1 - before, scenario.schedule)
-            ),
-            shifts_s=tuple(legal_shifts(edges, times, scenario.schedule)),
-        )
-        for edges in whole_windows(found, span_s)
-    ]
+    found, windows = list(each_window(slack, span_s, step)), []
+    for edges in whole_windows(found, span_s):
+        least = _least(lighting.incidence, edges)
+        opens, closes = lighting.local_solar_time(np.array(edges)).tolist()
+        after = len(times) - 1 - before
+        legal = tuple(legal_burns(edges, duration, before, after, scenario.schedule))
+        shifts = tuple(legal_shifts(edges, times, scenario.schedule))
+        windows.append(LitWindow(edges, least, (opens, closes), legal, shifts))
     return Survey(scenario, lighting, span_s, tuple(windows), found == [span_s], before)
-
-
-def _to_sun(scenario: Scenario, span_s: Window) -> OfTime:
-    sun = scenario.sun
-    try:
-        position = two_body(sun.body_position_km, sun.body_velocity_km_s, span_s)
-    except ValueError as error:
-        given = f"{list(sun.body_position_km)} km"
-        raise InputError("sun.body_position_km", given, f"must be an orbit: {error}") from None
-    return lambda time_s: -unit(position(time_s))
-
-
-def _at_edges(of_time: OfTime, edges: Sequence[float]) -> tuple[float, float]:
-    first, last = of_time(np.array(edges)).tolist()
-    return first, last
 
 
 def _least(of_time: OfTime, edges: Window) -> float:

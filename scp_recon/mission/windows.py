@@ -168,15 +168,6 @@ def moved_edges(slack: OfTime, window: Window) -> Array:
     return np.array(found)
 
 
-def edge_sigmas_s(by_parameters: Array) -> Array | None:
-    """1 sigma of the edges from their derivatives, shape (2, p), by standard normal parameters, s.
-
-    Shape (2,); None where both stay.
-    """
-    sigmas = np.linalg.norm(by_parameters, axis=1)
-    return np.asarray(sigmas) if sigmas.max() > EDGE_MOVES_S else None
-
-
 @dataclass(frozen=True, eq=False)
 class WindowEdges:
     """Edges of the observation window, and when flights observe.

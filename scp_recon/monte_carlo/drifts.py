@@ -12,8 +12,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from formulations.arrays import Array, Booleans
-from scp_recon.mission.constraints import companion_distance_m
-from scp_recon.mission.drifts import STEP_S, Miss, attitudes_left_s, duration_s, radius_m
+from scp_recon.mission.constraints import (
+    JUDGED_STEP_S,
+    Miss,
+    attitudes_left_s,
+    companion_distance_m,
+    drift_duration_s,
+    drift_radius_m,
+)
 from scp_recon.mission.gravity import TruthModel
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.estimates import proportion
@@ -44,11 +50,11 @@ class Drifted:
     def safe(self, mission: Mission) -> Booleans:
         """Drifts that keep both distances."""
         clear = self.apart_m >= companion_distance_m(mission.scenario)
-        return clear & (self.closest_m >= radius_m(mission.scenario))
+        return clear & (self.closest_m >= drift_radius_m(mission.scenario))
 
 
 def fly_drifts(
-    config: FlightConfig, misses: Sequence[Miss], flights: int, *, step_s: float = STEP_S
+    config: FlightConfig, misses: Sequence[Miss], flights: int, *, step_s: float = JUDGED_STEP_S
 ) -> list[Drifted]:
     """Fly drifts of several misses, each from the same flights: see `states_after`."""
     blocks = config.blocks_of_draws(flights, config.seed)
@@ -77,7 +83,7 @@ def states_after(
 
 
 def drift(
-    mission: Mission, truth: TruthModel, state: Array, start_s: float, step_s: float = STEP_S
+    mission: Mission, truth: TruthModel, state: Array, start_s: float, step_s: float = JUDGED_STEP_S
 ) -> Drifted:
     """Fly free drifts from states (flights, 6) at a time, J2000, m and m/s."""
     flow, companion = flow_of(mission, truth), mission.scene.companion
@@ -103,7 +109,7 @@ def drift(
 
 def reach_s(mission: Mission) -> float:
     """Time of a drift, s: the scenario's, as far as a table of attitudes goes after the last burn."""
-    return min(duration_s(mission.scenario), attitudes_left_s(mission.scene))
+    return min(drift_duration_s(mission.scenario), attitudes_left_s(mission.scene))
 
 
 def safety_of(
@@ -118,7 +124,7 @@ def safety_of(
         burn=miss.burn,
         share=miss.share,
         drift_s=drifted.spell_s,
-        radius_m=radius_m(mission.scenario),
+        radius_m=drift_radius_m(mission.scenario),
         required=required,
         **proportion(int(safe.sum()), len(safe))._asdict(),
         closest_m=float(drifted.closest_m[nearest]),

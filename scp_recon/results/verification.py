@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from scp_recon.display import digits
-from scp_recon.mission.drifts import Miss
+from scp_recon.mission.constraints import Miss
 from scp_recon.scenario.fields import Line, Number, Probability
 
 NAMES = {

@@ -9,9 +9,7 @@ from scipy.special import ndtri
 
 from formulations.arrays import Array, Booleans
 from formulations.rows.exact_flight import FLIGHT
-from scp_recon.mission.drifts import STEP_S, Miss
-from scp_recon.mission.drifts import planned as misses_planned
-from scp_recon.mission.drifts import required_probability as drift_probability
+from scp_recon.mission.constraints import JUDGED_STEP_S, Miss, drift_probability, planned_misses
 from scp_recon.mission.feedback import contact_of
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.drifts import fly_drifts, reach_s, safety_of
@@ -164,7 +162,7 @@ def drift_safety(
 ) -> list[DriftSafety]:
     """Drifts after each missed burn, and after each miss for which is `planned`, by their flights."""
     scenario = mission.scenario
-    judged = misses_planned(scenario) if planned else ()
+    judged = planned_misses(scenario) if planned else ()
     numbers = range(1 + scenario.burns_flown, 1 + len(scenario.burns.times_s))
     reported = [miss for miss in map(Miss, numbers) if miss not in judged]
     if reach_s(mission) <= 0.0:
@@ -172,7 +170,7 @@ def drift_safety(
     config, found = FlightConfig(mission, burns, policy, seed=SEED), []
     for misses, flights, step, asked in (
         (reported, DRIFTS, DRIFT_STEP_S, None),
-        (judged, DRIFTS_JUDGED, STEP_S, drift_probability(scenario)),
+        (judged, DRIFTS_JUDGED, JUDGED_STEP_S, drift_probability(scenario)),
     ):
         flown = fly_drifts(config, misses, flights, step_s=step)
         found += [

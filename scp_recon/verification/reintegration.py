@@ -21,8 +21,7 @@ from scipy.integrate import solve_ivp
 from formulations.arrays import Array, Indices
 from formulations.linearisation.dynamics import Dynamics
 from scp_recon.jobs.cores import beside
-from scp_recon.mission.constraints import safety_margins
-from scp_recon.mission.drifts import drift_times, planned
+from scp_recon.mission.constraints import drift_times, planned_misses, safety_margins
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.schedule import MISS_WEIGHT
 from scp_recon.monte_carlo.estimates import CONFIDENCE
@@ -358,7 +357,7 @@ def _drift_error(mission: Mission, states: Array, burns: Array) -> float:
     Both begin at the stored states (n, 6) of the burns' nodes, less the shares of burns that lack.
     """
     errors, units = [], mission.units.state
-    for miss, one in zip(planned(mission.scenario), mission.problem.drifts, strict=True):
+    for miss, one in zip(planned_misses(mission.scenario), mission.problem.drifts, strict=True):
         start, times = (
             states[mission.burn_nodes[one.burn]].copy(),
             drift_times(mission.scenario, miss),

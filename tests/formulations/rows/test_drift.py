@@ -18,7 +18,7 @@ from formulations.program.multipliers import adjoint
 from formulations.rows.drift import FAR, Branch, DriftRows, Start, start_of, tangent
 from formulations.rows.exact import NodeRows
 from formulations.rows.node_probability import Event
-from scp_recon.mission.drifts import CUTS, duration_s
+from scp_recon.mission.constraints import CUTS, drift_duration_s
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess, ipopt
 from scp_recon.planning.ipopt import casadi_arcs
@@ -150,7 +150,7 @@ def test_a_drift_follows_the_two_body_orbit():
     drift = mission.problem.drifts[0]
     start = start_of(lin, drift)
     mean, stm = Branch(drift).flown(start.mean)
-    time, h = duration_s(mission.scenario) / mission.units.time_s, 1e-5
+    time, h = drift_duration_s(mission.scenario) / mission.units.time_s, 1e-5
 
     def end(state: Array) -> Array:
         def rate(_, x):

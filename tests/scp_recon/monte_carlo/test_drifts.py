@@ -13,7 +13,7 @@ from scp_recon.advice.trials import _entries
 from scp_recon.certification import again
 from scp_recon.certification.again import shortfalls
 from scp_recon.errors import InputError
-from scp_recon.mission.drifts import Miss
+from scp_recon.mission.constraints import Miss
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.drifts import fly_drifts, states_after
 from scp_recon.monte_carlo.flights import FlightConfig
@@ -130,7 +130,7 @@ def test_verification_integrates_means_of_drifts_again(monkeypatch):
     assert found.ok
     assert all(one.required for one in found.drifts[1:])
     assert found.drift_error_m < 0.01
-    monkeypatch.setattr("scp_recon.mission.drifts.NODE_SHARE", 1.0)  # steps of an hour
+    monkeypatch.setattr("scp_recon.mission.constraints.NODE_SHARE", 1.0)  # steps of an hour
     rough = Mission.from_scenario(plan.mission.scenario)
     assert _drift_error(rough, np.array(solution.nodes.state), plan.burns_m_s) > 1.0
 

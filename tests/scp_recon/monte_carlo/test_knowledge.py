@@ -9,7 +9,7 @@ from scipy.stats import binom
 
 import scp_recon
 from formulations.rows.drift import start_of
-from scp_recon.mission.drifts import Miss
+from scp_recon.mission.constraints import Miss
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.windows import SCAN_STEP_S, each_window
 from scp_recon.monte_carlo.drifts import fly_drifts
