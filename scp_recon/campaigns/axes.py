@@ -19,7 +19,7 @@ from scipy.spatial import KDTree
 
 from formulations.arrays import Array
 from scp_recon.bodies.catalogue import DAY_S
-from scp_recon.bodies.shape_file import read_shape
+from scp_recon.bodies.files import read_shape
 from scp_recon.bodies.surface import Ellipsoid, Mesh, Surface, coordinates_of, quartered
 from scp_recon.errors import InputError
 from scp_recon.jobs.job import generator, sequence
@@ -333,7 +333,7 @@ def surface_of(scenario: Scenario) -> Surface:
     body = scenario.body
     if body.shape_file is not None:
         radius = scenario.site.normal_radius_m or 0.0
-        return read_shape(Path(body.shape_file), body.shape_unit, radius, body.naif_id)
+        return read_shape(Path(body.shape_file), body.shape_unit, radius)
     if body.radii_m is None:
         raise InputError(
             "body.radii_m", "nothing", "must be there, or body.shape_file, to spread sites over"

@@ -16,8 +16,8 @@ import numpy.typing as npt
 from formulations.arrays import Array
 from formulations.linearisation.factor import factor_of
 from formulations.problem.execution_errors import ComponentwiseErrors, ExecutionErrors, GatesErrors
-from scp_recon.bodies.attitude import AttitudeTable
 from scp_recon.bodies.catalogue import GM_SUN_KM3_S2
+from scp_recon.bodies.files import AttitudeTable
 from scp_recon.errors import InputError
 from scp_recon.mission.knowledge import Deviation
 from scp_recon.mission.windows import Lighting

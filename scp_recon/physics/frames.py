@@ -14,8 +14,8 @@ import numpy as np
 import numpy.typing as npt
 
 from formulations.arrays import Array
-from scp_recon.bodies.attitude import AttitudeTable
 from scp_recon.bodies.catalogue import DAY_S, J2000_TDB
+from scp_recon.bodies.files import AttitudeTable
 
 
 def unit(vector: npt.ArrayLike) -> Array:

@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 
 from formulations.arrays import Array, Indices
 from formulations.problem.regions import perpendicular
-from scp_recon.bodies.shape_file import read_shape
+from scp_recon.bodies.files import read_shape
 from scp_recon.bodies.surface import Ellipsoid, Mesh
 from scp_recon.errors import InputError
 from scp_recon.physics.frames import unit

@@ -18,11 +18,15 @@ from typing import Any
 import numpy as np
 from pydantic import ValidationError
 
-from scp_recon.bodies.attitude import AttitudeTable, read_attitude
 from scp_recon.bodies.catalogue import DAY_S, J2000_TDB, PackagedBody, packaged_body
-from scp_recon.bodies.gravity_file import GravityTable, read_gravity
+from scp_recon.bodies.files import (
+    AttitudeTable,
+    GravityTable,
+    read_attitude,
+    read_gravity,
+    read_shape,
+)
 from scp_recon.bodies.kernels import read_heliocentric, read_pck
-from scp_recon.bodies.shape_file import read_shape
 from scp_recon.bodies.surface import angle_deg, direction_of
 from scp_recon.errors import InputError
 from scp_recon.scenario import given as entries_of
@@ -307,8 +311,7 @@ def _gravity(body: dict[str, Any], known: PackagedBody | None) -> None:
 def _enter_solid(body: dict[str, Any]) -> None:
     """Enter a homogeneous solid, and its J2 at its largest radius where none is given."""
     entry, name = "body.solid_file", body["solid_file"]
-    unit, naif_id = body.get("shape_unit"), body.get("naif_id")
-    mesh = read_shape(Path(name), unit, naif_id=naif_id, entry=entry)
+    mesh = read_shape(Path(name), body.get("shape_unit"), entry=entry)
     if len(mesh.facets) > FACETS_MAX:
         raise InputError(
             entry, f"{len(mesh.facets)} facets", f"must have at most {FACETS_MAX}: a coarser model"

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from formulations.arrays import Array
-from scp_recon.bodies.shape_file import read_shape
+from scp_recon.bodies.files import read_shape
 from scp_recon.bodies.surface import (
     Ellipsoid,
     Mesh,
@@ -90,7 +90,7 @@ def _surface(site: dict[str, Any], body: dict[str, Any]) -> Surface | None:
         return None if radii is None else Ellipsoid(radii)
     path = Path(body["shape_file"])
     radius = site.get("normal_radius_m") or 0.0
-    mesh = read_shape(path, body.get("shape_unit"), radius, body.get("naif_id"))
+    mesh = read_shape(path, body.get("shape_unit"), radius)
     if mesh.normal_radius_m:
         low, high = FACETS * mesh.facet_size_m, float(mesh.half_extents_m.min()) / 2.0
         if not low <= mesh.normal_radius_m <= high:

@@ -9,8 +9,8 @@ import pytest
 from scipy.spatial.transform import Rotation as SciPyRotation
 
 from formulations.arrays import Array
-from scp_recon.bodies.attitude import read_attitude
 from scp_recon.bodies.catalogue import J2000_TDB, OBLIQUITY, packaged_body
+from scp_recon.bodies.files import read_attitude
 from scp_recon.campaigns.axes import noons_of
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from formulations.arrays import Array
-from scp_recon.bodies.shape_file import read_shape
+from scp_recon.bodies.files import read_shape
 from scp_recon.bodies.surface import (
     Ellipsoid,
     Mesh,
