@@ -183,11 +183,8 @@ def _check_centre(path: Path, table: GravityTable) -> None:
         if n == 0 and c != 0.0 and abs(c - 1.0) > SAME:
             raise InputError(GRAVITY, f"{path}, with C00 = {c:g}", "must have C00 = 1, or none")
         if n == 1 and max(abs(c), abs(s)) > SAME:
-            raise InputError(
-                GRAVITY,
-                f"{path}, with degree 1, order {m}: {c:g}, {s:g}",
-                f"must be about the centre of mass: below {SAME:g} in degree 1",
-            )
+            needs = f"must be about the centre of mass: below {SAME:g} in degree 1"
+            raise InputError(GRAVITY, f"{path}, with degree 1, order {m}: {c:g}, {s:g}", needs)
 
 
 def _gfc(text: str) -> GravityTable:

@@ -112,29 +112,30 @@ DISTANCES, SAFETY = (1.7, 2.6), 1.5
 
 def draft_text(draft: Draft) -> str:
     """Write the scenario file: every entry with unit, frame and source of its value."""
-    tables = _tables("scenario", _values(draft), _words(draft))
-    if draft.given is not None:
-        tables |= _tables("given_body", _values_given(draft, draft.given))
+    tables = _tables("scenario", _written(_values(draft)) | _words(draft))
+    if (body := draft.given) is not None:
+        ra, dec = body.pole_deg
+        values = asdict(body) | {"body": draft.body, "epoch": draft.epoch.isoformat()}
+        values |= {"radii_m": 3 * [body.radius_m], "pole_ra_deg": ra, "pole_dec_deg": dec}
+        tables |= _tables("given_body", _written(values))
     for title, entries in draft.instead.items():
-        tables[title] = "\n".join(
-            f"{key} = {json.dumps(value)}  # {c}" for key, value, c in entries
-        )
+        lines = (f"{key} = {json.dumps(value)}  # {comment}" for key, value, comment in entries)
+        tables[title] = "\n".join(lines)
     head = [f"# A flyby of {draft.body}, drafted by scp-recon new."]
     head += [f"# {line}" for line in draft.outcome]
     top, *others = tables.items()
     return "\n".join([*head, top[1], *(f"\n[{title}]\n{lines}" for title, lines in others)]) + "\n"
 
 
-def _tables(
-    name: str, values: Mapping[str, object], words: Mapping[str, str] | None = None
-) -> dict[str, str]:
-    """Lines of a template's tables by title; lines above the first have none.
+def _written(values: Mapping[str, object]) -> dict[str, str]:
+    """Values as JSON, which is valid TOML; a date is a string in the file, too."""
+    return {key: json.dumps(value) for key, value in values.items()}
 
-    Values as JSON are valid TOML; a date is a string in the file, too.
-    """
+
+def _tables(name: str, written: Mapping[str, str]) -> dict[str, str]:
+    """Lines of a template's tables by title; lines above the first have none."""
     template = Template((TEMPLATES / f"{name}.template").read_text(encoding="utf-8"))
-    written = {key: json.dumps(value) for key, value in values.items()}
-    parts = re.split(r"^\[(\w+)\]\n", template.substitute(written, **(words or {})), flags=re.M)
+    parts = re.split(r"^\[(\w+)\]\n", template.substitute(written), flags=re.M)
     tables = zip(["", *parts[1::2]], parts[::2], strict=True)
     return {title: lines.strip() for title, lines in tables if lines.strip()}
 
@@ -143,20 +144,19 @@ def _values(draft: Draft) -> dict[str, object]:
     """Values for the scenario's template."""
     design, radius = draft.design, draft.radius_m
     home = np.array([HOME_RADII * radius, 0.0, 0.0, 0.0, 0.0, 0.0])
-    states = (home, home) if design is None else (design.initial_state, design.final_state)
-    begin = states[0]
+    first, last = (home, home) if design is None else (design.initial_state, design.final_state)
+    begin = first
     if "boundary" in draft.instead:  # by a trajectory
         given = {key: value for key, value, _ in draft.instead["boundary"]}
         begin = np.concatenate([given["initial_position_m"], given["initial_velocity_m_s"]])
     assumed = SIGMA_SHARE / np.sqrt(3.0) * np.linalg.norm(begin.reshape(2, 3), axis=1)
-    values: dict[str, object] = {
+    return {
         "sigma_position": 3 * [float(f"{assumed[0]:.1g}")],
         "sigma_velocity": 3 * [float(f"{assumed[1]:.1g}")],
-    }
-    for which, state in zip(("initial", "final"), states, strict=True):
-        values[f"{which}_position"] = _rounded(state[:3], 3)
-        values[f"{which}_velocity"] = _rounded(state[3:], 7)
-    return values | {
+        "initial_position": _rounded(first[:3], 3),
+        "initial_velocity": _rounded(first[3:], 7),
+        "final_position": _rounded(last[:3], 3),
+        "final_velocity": _rounded(last[3:], 7),
         "name": draft.name,
         "epoch": draft.epoch.isoformat(),
         "body": draft.body,
@@ -182,23 +182,11 @@ def _words(draft: Draft) -> dict[str, str]:
         why = f"more than recon_b's {INCIDENCE_MAX_DEG:g}, because the least here is about {least}"
     if draft.window_s is not None:
         edges = [round(draft.window_s[0] + 0.5, 1), round(draft.window_s[1] - 0.5, 1)]
-        why_window = "from the lighting, because one comes before it"
-        window = f"window_s = {edges}  # s past epoch.tdb; {why_window}\n"
-    numbers = {
-        "home_radii": HOME_RADII,
-        "slack": SLACK_S,
-        "least_radii": DISTANCES[0],
-        "greatest_radii": DISTANCES[1],
-        "safety_radii": SAFETY,
-    }
-    return {key: f"{x:g}" for key, x in numbers.items()} | {"why_incidence": why, "window": window}
-
-
-def _values_given(draft: Draft, body: GivenBody) -> dict[str, object]:
-    """Values for the template of a body that is not packaged."""
-    (ra, dec), radii = body.pole_deg, 3 * [body.radius_m]
-    named = {"body": draft.body, "epoch": draft.epoch.isoformat(), "radii_m": radii}
-    return asdict(body) | named | {"pole_ra_deg": ra, "pole_dec_deg": dec}
+        because = "from the lighting, because one comes before it"
+        window = f"window_s = {edges}  # s past epoch.tdb; {because}\n"
+    names = "home_radii", "slack", "least_radii", "greatest_radii", "safety_radii"
+    numbers = zip(names, (HOME_RADII, SLACK_S, *DISTANCES, SAFETY), strict=True)
+    return {name: f"{x:g}" for name, x in numbers} | {"why_incidence": why, "window": window}
 
 
 def _three(value: float) -> float:
@@ -231,20 +219,20 @@ def drafts(first: Draft) -> Iterator[Draft]:
     period = abs(2.0 * np.pi / max(abs(Scene.of(scenario).rotation.rate), 1e-12))
     opens, known = window_opens_s(scenario.schedule), set[Window]()
     for limited, windows in under_limits(first, (0.0, 2.2 * period + opens)):
-        later = [
-            w for w in windows if w[0] >= opens and WINDOW_MIN_S <= w[1] - w[0] <= WINDOW_MAX_S
-        ]
-        if not later or later[0] in known:
-            continue
-        known.add(later[0])
-        moved = _moved(limited, float(round(later[0][0] - opens)))
-        yield _designed(moved, opens)
+        window = next((w for w in windows if w[0] >= opens and _is_of_use(w)), None)
+        if window is not None and window not in known:
+            known.add(window)
+            yield _designed(_moved(limited, float(round(window[0] - opens))), opens)
     if not known:
         raise InputError(
             option("site"),
             f"latitude {first.site_deg[0]:g} deg, longitude {first.site_deg[1]:g} deg",
             f"must have a lighting window of {WINDOW_MIN_S:g} to {WINDOW_MAX_S:g} s about the epoch",
         )
+
+
+def _is_of_use(window: Window) -> bool:
+    return WINDOW_MIN_S <= window[1] - window[0] <= WINDOW_MAX_S
 
 
 def under_limits(draft: Draft, span: Window) -> Iterator[tuple[Draft, list[Window]]]:
@@ -261,11 +249,8 @@ def under_limits(draft: Draft, span: Window) -> Iterator[tuple[Draft, list[Windo
     incidence = np.rad2deg(lighting.incidence(samples_s))
     least, limit = float(incidence.min()), scenario.observation.incidence_max_deg
     if least > DARK_DEG:
-        raise InputError(
-            option("site"),
-            f"a least incidence of {least:.1f} deg",
-            f"must be lit at the epoch, at {DARK_DEG:g} deg or less: take another site or date",
-        )
+        needs = f"must be lit at the epoch, at {DARK_DEG:g} deg or less: take another site or date"
+        raise InputError(option("site"), f"a least incidence of {least:.1f} deg", needs)
     limit = max(limit, float(np.ceil(least + ROOM_DEG)))
     best_hour = lighting.local_solar_time(samples_s[np.array([int(np.argmin(incidence))])]).item()
     for half in HALF_WIDTHS_H:
@@ -359,7 +344,7 @@ def flown_draft(first: Draft, known: Tables, track: Track) -> Draft:
         scenario = scenario_of(draft)
         for number, window in enumerate(windows):
             times = _legal_times(scenario, window)
-            if times is not None and WINDOW_MIN_S <= window[1] - window[0] <= WINDOW_MAX_S:
+            if times is not None and _is_of_use(window):
                 tables = {**found.instead, "burns": _burns(track, times)}
                 return replace(draft, window_s=window if number else None, instead=tables)
         seen += windows

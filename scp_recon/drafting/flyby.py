@@ -11,6 +11,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass
+from operator import itemgetter
 
 import numpy as np
 from scipy.integrate import solve_ivp
@@ -66,15 +67,10 @@ def design_flyby(scene: Scene, window_s: Window) -> Design:
     passes = _passes(scene, window_s, times)
     margins = np.array([margin for margin, _, _ in passes])
     enough = min(ENOUGH, float(margins.max()))
-    best: Design | None = None
-    for margin, before, after in passes:
-        if margin < enough:
-            continue
-        found = _joined(scene, times, before, after)
-        if found and (best is None or found.burns_m_s.sum() < best.burns_m_s.sum()):
-            best = found
-    assert best is not None, "no arc joins the home orbit to any pass"
-    return best
+    kept = (one for margin, *one in passes if margin >= enough)
+    designs = [found for one in kept if (found := _joined(scene, times, *one)) is not None]
+    assert designs, "no arc joins the home orbit to any pass"
+    return min(designs, key=lambda design: float(design.burns_m_s.sum()))
 
 
 def _passes(
@@ -136,18 +132,17 @@ def _margins(scene: Scene, times_s: Array, positions: Array) -> Array:
     )
     least_phase = max(o.phase_min_deg, scenario.battery.observation_cone_deg)
     radius = np.linalg.norm(positions, axis=-1)
+    half_m = 0.5 * (o.site_distance_max_m - o.site_distance_min_m)
+    half_deg = 0.5 * (o.emission_max_deg - o.emission_min_deg)
     shares = [
-        *_shares(distance, o.site_distance_min_m, o.site_distance_max_m),
-        *_shares(emission, o.emission_min_deg, o.emission_max_deg),
+        (distance - o.site_distance_min_m) / half_m,
+        (o.site_distance_max_m - distance) / half_m,
+        (emission - o.emission_min_deg) / half_deg,
+        (o.emission_max_deg - emission) / half_deg,
         (phase - least_phase) / 20.0,
         (radius / scenario.safety.radius_min_m - 1.0) / 0.3,
     ]
     return np.min(shares, axis=(0, 2))
-
-
-def _shares(value: Array, low: float, high: float) -> tuple[Array, Array]:
-    half = 0.5 * (high - low)
-    return (value - low) / half, (high - value) / half
 
 
 def _joined(
@@ -162,29 +157,22 @@ def _joined(
         near = abs(float(burn @ sun)) > size * np.cos(cone)
         return size * (SUN_LINE_COST if near else 1.0)
 
-    best: list[tuple[float, Array, Array] | None] = [None, None]
-    for home in _home_orbit(scenario, axes):
-        legs = (
-            (home[:3], before[:3], times[1] - times[0]),
-            (after[:3], home[:3], times[3] - times[2]),
-        )
-        for which, leg in enumerate(legs):
-            if (arc := lambert(*leg, gm)) is None:
-                continue
-            burns = (
-                np.array([arc[0] - home[3:], before[3:] - arc[1]])
-                if which == 0
-                else np.array([arc[0] - after[3:], home[3:] - arc[1]])
-            )
-            total, known = cost(burns[0]) + cost(burns[1]), best[which]
-            if known is None or total < known[0]:
-                best[which] = total, home, np.linalg.norm(burns, axis=1)
-    there, back = best
-    if there is None or back is None:
-        return None
+    orbit, found = list(_home_orbit(scenario, axes)), []
+    there = [(home, before, times[1] - times[0]) for home in orbit]
+    back = [(after, home, times[3] - times[2]) for home in orbit]
+    for legs in (there, back):
+        joined = []
+        for start, end, duration in legs:
+            if (arc := lambert(start[:3], end[:3], duration, gm)) is not None:
+                burns = np.array([arc[0] - start[3:], end[3:] - arc[1]])
+                sizes = np.linalg.norm(burns, axis=1)
+                joined.append((cost(burns[0]) + cost(burns[1]), start, end, sizes))
+        if not joined:
+            return None
+        found.append(min(joined, key=itemgetter(0)))
+    (_, first, _, sizes), (_, _, last, other_sizes) = found
     turn = np.kron(np.eye(2), axes.T)
-    sizes = np.concatenate([there[2], back[2]])
-    return Design(times, turn @ there[1], turn @ back[1], sizes)
+    return Design(times, turn @ first, turn @ last, np.concatenate([sizes, other_sizes]))
 
 
 def _home_orbit(scenario: Scenario, axes: Array) -> Iterator[Array]:

@@ -78,11 +78,9 @@ def named_site(scene: Scene) -> Iterator[ScenarioWarning]:
         if off > SAME_SITE_DEG:
             words = "latitude {:.1f} deg, longitude {:.1f} deg east"
             at, expected = (words.format(*coordinates_of(place)) for place in places)
-            yield ScenarioWarning.of(
-                "site.name",
-                f"{here.site.name} at {at}, {off:.0f} deg off",
-                f"{here.site.name} is at {expected}; another place has another name",
-            )
+            given = f"{here.site.name} at {at}, {off:.0f} deg off"
+            expected = f"{here.site.name} is at {expected}; another place has another name"
+            yield ScenarioWarning.of("site.name", given, expected)
         return  # other packaged scenarios of that site have it at the same place
 
 
@@ -110,11 +108,8 @@ def known_body(scene: Scene) -> Iterator[ScenarioWarning]:
                 f"body.{entry}", exact(value), f"{known['name']} has {right:g}"
             )
     if body.radii_m is not None and not np.allclose(body.radii_m, known["radii_m"], SAME_RADIUS):
-        yield ScenarioWarning.of(
-            "body.radii_m",
-            f"{list(body.radii_m)} m",
-            f"{known['name']} has {known['radii_m']} m along x, y and z",
-        )
+        expected = f"{known['name']} has {known['radii_m']} m along x, y and z"
+        yield ScenarioWarning.of("body.radii_m", f"{list(body.radii_m)} m", expected)
     if body.attitude is None and "pole_ra_deg" in known:
         yield from _known_attitude(scene, known)
 
@@ -187,11 +182,9 @@ def angles_in_radians(scene: Scene) -> Iterator[ScenarioWarning]:
         if north is None or east is None:
             continue
         if 0.0 < abs(north) < 0.5 * np.pi and 0.0 < abs(east) < 2.0 * np.pi:
-            yield ScenarioWarning.of(
-                entry,
-                f"{exact(north)} deg, and {other.partition('.')[2]} {exact(east)} deg",
-                f"expected more than {0.5 * np.pi:.2f} or {2.0 * np.pi:.2f} deg; degrees?",
-            )
+            given = f"{exact(north)} deg, and {other.partition('.')[2]} {exact(east)} deg"
+            expected = f"expected more than {0.5 * np.pi:.2f} or {2.0 * np.pi:.2f} deg; degrees?"
+            yield ScenarioWarning.of(entry, given, expected)
 
 
 @contextmanager

@@ -185,8 +185,5 @@ def truth_field(scenario: Scenario, needed_by: str = option("truth", "harmonics"
                 needs = f"must be {within}{own:g}: the packaged gravity field is {FIELD_BODY}'s"
                 raise InputError(needed_by, f"body.{entry} {exact(given)}", needs)
         return HarmonicField.bennu(body.gm_m3_s2, HARMONICS_DEGREE)
-    raise InputError(
-        "body.gravity_file",
-        f"nothing for {body.name}",
-        f"must name a gravity field (.gfc, or a PDS SHA table) for {needed_by}",
-    )
+    needs = f"must name a gravity field (.gfc, or a PDS SHA table) for {needed_by}"
+    raise InputError("body.gravity_file", f"nothing for {body.name}", needs)

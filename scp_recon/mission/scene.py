@@ -250,11 +250,8 @@ def _rtn_to_j2000(state: Array, entry: str) -> Array:
     radial, momentum = unit(state[:3]), np.cross(state[:3], state[3:])
     size = np.linalg.norm(state[:3]) * np.linalg.norm(state[3:])
     if np.linalg.norm(momentum) <= ALONG * size:
-        raise InputError(
-            entry,
-            "rtn",
-            "must be another frame: the velocity points along the position or is zero",
-        )
+        needs = "must be another frame: the velocity points along the position or is zero"
+        raise InputError(entry, "rtn", needs)
     normal = unit(momentum)
     return np.stack([radial, np.cross(normal, radial), normal], axis=1)
 

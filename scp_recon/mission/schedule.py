@@ -96,11 +96,8 @@ def find_window(scenario: Scenario, lighting: Lighting, step_s: float = SCAN_STE
     if limits.window_s is not None:
         first, last = limits.window_s
         if not 0.0 < first < last < end:
-            raise InputError(
-                "observation.window_s",
-                f"[{exact(first)}, {exact(last)}] s",
-                f"must be ascending and inside the flight, 0 to {exact(end)} s",
-            )
+            needs = f"must be ascending and inside the flight, 0 to {exact(end)} s"
+            raise InputError("observation.window_s", f"[{exact(first)}, {exact(last)}] s", needs)
         return first, last
     slack, flight = lighting.slack(limits), (0.0, end)
     found = next(whole_windows(each_window(slack, flight, step_s), flight), None)
@@ -156,11 +153,8 @@ def make_schedule(
                 f"between {early:g} s and {late:g} s" if late < np.inf else f"from {early:g} s on"
             )
             moved = f"nowhere, from {early:g} s on but until {late:g} s" if early > late else moved
-            raise InputError(
-                f"burns.times_s.{burn}",
-                f"{exact(times_s[burn])} s",
-                f"{broken}; with the others kept this burn may be {moved}; {legal}",
-            )
+            needs = f"{broken}; with the others kept this burn may be {moved}; {legal}"
+            raise InputError(f"burns.times_s.{burn}", f"{exact(times_s[burn])} s", needs)
         if leg.start_s > previous.end_s:
             legs.append(Leg(Mode.SUN_POINTING, previous.end_s, leg.start_s))
         legs.append(leg)
@@ -359,11 +353,8 @@ def check_in_flight(scenario: Scenario) -> None:
             f"at most {following - lead:g} s{later}",
         )
     if len(flight.flown_m_s) != flown:
-        raise InputError(
-            "in_flight.flown_m_s",
-            f"{len(flight.flown_m_s)} burns",
-            f"must be the {flown} burns at or before in_flight.at_s, {exact(at)} s",
-        )
+        needs = f"must be the {flown} burns at or before in_flight.at_s, {exact(at)} s"
+        raise InputError("in_flight.flown_m_s", f"{len(flight.flown_m_s)} burns", needs)
 
 
 @dataclass(frozen=True)

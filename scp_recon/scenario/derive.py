@@ -134,12 +134,7 @@ UTC_TOLERANCE_S = 0.001
 
 
 def _epoch(tables: Given) -> None:
-    """Enter TDB in the place of UTC.
-
-    Raises:
-        InputError: if both are given and differ, for example by a date in UTC that was taken for
-            TDB.
-    """
+    """Enter TDB in the place of UTC; refuse both if they differ, as by a UTC that was taken for TDB."""
     epoch = tables.get("epoch")
     if not isinstance(epoch, dict) or epoch.get("utc") is None:
         return
@@ -186,9 +181,6 @@ def _rotation(body: dict[str, Any], known: PackagedBody | None, days: float | No
 
     A period of P hours is W1 = 360 * 24 / P and W2 = 0; an angle W at the epoch, d TDB days past J2000,
     is W0 = W - W1 d - W2 d^2.
-
-    Raises:
-        InputError: if a kernel cannot be used, or entries contradict one another.
     """
     if has(body, "pck_file") and days is not None:
         _from_kernel(body, days)
@@ -238,8 +230,7 @@ def _from_attitudes(body: dict[str, Any], days: float | None) -> None:
 
 
 def _from_kernel(body: dict[str, Any], days: float) -> None:
-    if not has(body, "naif_id"):
-        raise InputError("body.naif_id", "nothing", "must be NAIF's number of the body in pck_file")
+    _require_number(body, "pck_file")
     kernel = read_pck(Path(body["pck_file"]), body["naif_id"], days)
     pole = kernel.pole_ra_deg, kernel.pole_dec_deg
     _check_pole(body, pole, "pck_file")
@@ -250,11 +241,16 @@ def _from_kernel(body: dict[str, Any], days: float) -> None:
         w0, w1, w2 = kernel.prime_meridian
         _check_meridian(w0 + w1 * days + w2 * days**2, body, days, "pck_file")
     else:
-        raise InputError(
-            "body.pck_file", body["pck_file"], "must stand alone, or beside all of W0, W1 and W2"
-        )
+        needs = "must stand alone, or beside all of W0, W1 and W2"
+        raise InputError("body.pck_file", body["pck_file"], needs)
     if kernel.radii_m is not None and lacks(body, "radii_m"):
         body["radii_m"] = list(kernel.radii_m)
+
+
+def _require_number(body: dict[str, Any], kernels: str) -> None:
+    if not has(body, "naif_id"):
+        needs = f"must be NAIF's number of the body in {kernels}"
+        raise InputError("body.naif_id", "nothing", needs)
 
 
 def _check_pole(body: dict[str, Any], pole: tuple[float, float], source: str) -> None:
@@ -283,19 +279,13 @@ GRAVITY_TOLERANCE = 0.01
 
 
 def _gravity(body: dict[str, Any], known: PackagedBody | None) -> None:
-    """Enter GM, J2, its radius, and the field if there is a file.
-
-    Raises:
-        InputError: if the file cannot be used, or does not agree with what is given.
-    """
+    """Enter GM, J2, its radius, and the field if there is a file."""
     if has(body, "gravity_file"):
         table = read_gravity(Path(body["gravity_file"]), DEGREE_MAX)
         if table.gm_m3_s2 is not None:
             fill(body, {"gm_m3_s2": table.gm_m3_s2})
-            source = "gravity_file"
-            check_share(
-                "body.gm_m3_s2", body["gm_m3_s2"], table.gm_m3_s2, GRAVITY_TOLERANCE, source
-            )
+            given, source = body["gm_m3_s2"], "gravity_file"
+            check_share("body.gm_m3_s2", given, table.gm_m3_s2, GRAVITY_TOLERANCE, source)
         _enter_field(body, table, known)
     elif has(body, "gravity", "j2", "reference_radius_m"):
         field = body["gravity"]
@@ -313,9 +303,8 @@ def _enter_solid(body: dict[str, Any]) -> None:
     entry, name = "body.solid_file", body["solid_file"]
     mesh = read_shape(Path(name), body.get("shape_unit"), entry=entry)
     if len(mesh.facets) > FACETS_MAX:
-        raise InputError(
-            entry, f"{len(mesh.facets)} facets", f"must have at most {FACETS_MAX}: a coarser model"
-        )
+        needs = f"must have at most {FACETS_MAX}: a coarser model"
+        raise InputError(entry, f"{len(mesh.facets)} facets", needs)
     (xx, yy, zz) = np.diag(check_solid(entry, name, mesh).inertia_m2).tolist()
     radius = float(np.linalg.norm(mesh.vertices_m, axis=1).max())
     if lacks(body, "j2", "reference_radius_m"):
@@ -330,11 +319,8 @@ def _enter_field(body: dict[str, Any], table: GravityTable, known: PackagedBody 
     if radius is None and known is not None:
         radius = known.entries["reference_radius_m"]
     if radius is None:
-        raise InputError(
-            "body.reference_radius_m",
-            "nothing",
-            "must be the radius of gravity_file, which has none",
-        )
+        needs = "must be the radius of gravity_file, which has none"
+        raise InputError("body.reference_radius_m", "nothing", needs)
     j2 = _j2(table.rows)
     if lacks(body, "j2", "reference_radius_m"):
         fill(body, {"j2": j2, "reference_radius_m": radius})
@@ -366,19 +352,11 @@ SUN_DIRECTION_DEG, SUN_DISTANCE, SUN_VELOCITY_KM_S = 0.1, 0.01, 0.5
 def _sun(
     sun: dict[str, Any], body: dict[str, Any], known: PackagedBody | None, days: float | None
 ) -> None:
-    """Enter the body's heliocentric position and velocity at the epoch, in TDB days past J2000.
-
-    Raises:
-        InputError: if kernels cannot be used, the epoch is outside the packaged elements' span and no
-            Sun is given, or a given Sun does not agree with the computed one.
-    """
+    """Enter the body's heliocentric state at the epoch, in TDB days past J2000; check a given one."""
     if days is None:
         return
     if has(sun, "spk_files"):
-        if not has(body, "naif_id"):
-            raise InputError(
-                "body.naif_id", "nothing", "must be NAIF's number of the body in spk_files"
-            )
+        _require_number(body, "spk_files")
         paths = [Path(name) for name in sun["spk_files"]]
         state, source = read_heliocentric(paths, body["naif_id"], days * DAY_S), "sun.spk_files"
     elif known is not None and (known.covers(days) or lacks(sun, *STATE)):
@@ -388,22 +366,16 @@ def _sun(
     else:
         return
     fill(sun, dict(zip(STATE, state, strict=True)))
-    _check_sun(sun, np.array(state[0]), np.array(state[1]), source)
-
-
-def _check_sun(sun: dict[str, Any], position: Any, velocity: Any, source: str) -> None:
-    given = np.array(sun[STATE[0]], dtype=float)
+    (position, velocity), source = map(np.array, state), f"by {source}, to"
+    given, moving = (np.array(sun[key], dtype=float) for key in STATE)
     distance = float(np.linalg.norm(position))
-    near = bool(
-        angle_deg(given, position) <= SUN_DIRECTION_DEG
-        and abs(np.linalg.norm(given) - distance) <= SUN_DISTANCE * distance
-    )
-    within = f"to {SUN_DIRECTION_DEG:g} deg and {SUN_DISTANCE:g} of the distance"
-    check(f"sun.{STATE[0]}", given, near, position, f"by {source}, {within} (or be left out)")
-    moving = np.array(sun[STATE[1]], dtype=float)
+    near = angle_deg(given, position) <= SUN_DIRECTION_DEG
+    near &= abs(float(np.linalg.norm(given)) - distance) <= SUN_DISTANCE * distance
     slow = float(np.linalg.norm(moving - velocity)) <= SUN_VELOCITY_KM_S
-    within = f"to {SUN_VELOCITY_KM_S:g} km/s"
-    check(f"sun.{STATE[1]}", moving, slow, velocity, f"by {source}, {within} (or be left out)")
+    within = f"{SUN_DIRECTION_DEG:g} deg and {SUN_DISTANCE:g} of the distance (or be left out)"
+    check(f"sun.{STATE[0]}", given, near, position, f"{source} {within}")
+    within = f"{SUN_VELOCITY_KM_S:g} km/s (or be left out)"
+    check(f"sun.{STATE[1]}", moving, slow, velocity, f"{source} {within}")
 
 
 HOME_TOLERANCE = 1e-6
@@ -411,11 +383,7 @@ HOME_TOLERANCE = 1e-6
 
 
 def _boundary(boundary: dict[str, Any], gm: object) -> None:
-    """Enter the states, if there is a home orbit and GM, m^3/s^2, is known.
-
-    Raises:
-        InputError: if given states are not those of the home orbit.
-    """
+    """Enter the states of a home orbit, if there is one and GM, m^3/s^2, is known; check given ones."""
     if boundary.get("home") is None or not isinstance(gm, int | float):
         return
     home = HomeOrbit.model_validate_json(json.dumps(boundary["home"]))
@@ -427,8 +395,5 @@ def _boundary(boundary: dict[str, Any], gm: object) -> None:
     for key, value in zip(ENDS, computed, strict=True):
         given = boundary.setdefault(key, value.tolist())
         if not np.allclose(given, value, rtol=0.0, atol=HOME_TOLERANCE * np.linalg.norm(value)):
-            raise InputError(
-                f"boundary.{key}",
-                str(given)[:80],
-                "must be left out beside boundary.home, from which it follows",
-            )
+            needs = "must be left out beside boundary.home, from which it follows"
+            raise InputError(f"boundary.{key}", str(given)[:80], needs)

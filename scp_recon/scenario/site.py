@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from formulations.arrays import Array
 from scp_recon.bodies.files import read_shape
 from scp_recon.bodies.surface import (
     Ellipsoid,
@@ -47,15 +46,17 @@ def derive_site(site: dict[str, Any], body: dict[str, Any]) -> None:
     if given is not None:
         direction = np.array(given, dtype=float) / max(np.linalg.norm(given), np.finfo(float).tiny)
         if has(site, "latitude_deg", "longitude_deg"):
-            _check_coordinates(site, direction)
+            coordinates = site["latitude_deg"], site["longitude_deg"]
+            near = angle_deg(direction, direction_of(*coordinates)) <= DIRECTION_TOLERANCE_DEG
+            why = f"the direction of position_body_m, to {DIRECTION_TOLERANCE_DEG:g} deg"
+            entry, found = "site.latitude_deg, longitude_deg", coordinates_of(direction)
+            check(entry, coordinates, near, found, why)
     elif surface is not None:
         direction = direction_of(site["latitude_deg"], site["longitude_deg"])
     else:
-        raise InputError(
-            "site.latitude_deg",
-            f"{exact(site['latitude_deg'])} on a body without a shape",
-            "needs body.radii_m or body.shape_file, or a packaged body's name",
-        )
+        given_deg = f"{exact(site['latitude_deg'])} on a body without a shape"
+        needs = "needs body.radii_m or body.shape_file, or a packaged body's name"
+        raise InputError("site.latitude_deg", given_deg, needs)
     if surface is None:
         if has(site, "normal_body") and angle_deg(site["normal_body"], direction) >= 90.0:
             raise InputError("site.normal_body", shown(site["normal_body"]), "must point outward")
@@ -68,7 +69,11 @@ def derive_site(site: dict[str, Any], body: dict[str, Any]) -> None:
     if given is None:
         site["position_body_m"] = position.tolist()
     else:
-        _check_distance(given, position, OFF_MESH if isinstance(surface, Mesh) else OFF_ELLIPSOID)
+        factor = OFF_MESH if isinstance(surface, Mesh) else OFF_ELLIPSOID
+        size, radius = float(np.linalg.norm(given)), float(np.linalg.norm(position))
+        near = radius / factor <= size <= radius * factor
+        why = f"where the surface is, within a factor of {factor:g}"
+        check("site.position_body_m", f"{size:g} m from the centre", near, f"{radius:g} m", why)
     if has(site, "normal_body"):
         apart = angle_deg(site["normal_body"], normal)
         why = f"the surface's there, to {NORMAL_TOLERANCE_DEG:g} deg (or be left out)"
@@ -82,11 +87,8 @@ def _surface(site: dict[str, Any], body: dict[str, Any]) -> Surface | None:
     radii = np.array(body["radii_m"], dtype=float) if has(body, "radii_m") else None
     if not has(body, "shape_file"):
         if has(site, "normal_radius_m"):
-            raise InputError(
-                "site.normal_radius_m",
-                exact(site["normal_radius_m"]),
-                "goes with body.shape_file only",
-            )
+            wide = exact(site["normal_radius_m"])
+            raise InputError("site.normal_radius_m", wide, "goes with body.shape_file only")
         return None if radii is None else Ellipsoid(radii)
     path = Path(body["shape_file"])
     radius = site.get("normal_radius_m") or 0.0
@@ -94,11 +96,8 @@ def _surface(site: dict[str, Any], body: dict[str, Any]) -> Surface | None:
     if mesh.normal_radius_m:
         low, high = FACETS * mesh.facet_size_m, float(mesh.half_extents_m.min()) / 2.0
         if not low <= mesh.normal_radius_m <= high:
-            raise InputError(
-                "site.normal_radius_m",
-                f"{exact(mesh.normal_radius_m)} m",
-                f"must be {low:.3g} to {high:.3g} m, from a tenth of a facet to half the body",
-            )
+            needs = f"must be {low:.3g} to {high:.3g} m, from a tenth of a facet to half the body"
+            raise InputError("site.normal_radius_m", f"{exact(mesh.normal_radius_m)} m", needs)
     if radii is not None:
         ratio = mesh.half_extents_m / radii
         why = f"body.radii_m along x, y and z, within a factor of {OFF_RADII:g}: mind unit and axes"
@@ -119,42 +118,18 @@ def check_solid(entry: str, given: str, mesh: Mesh) -> Solid:
     except ValueError as error:
         raise InputError(entry, f"{given}, with {error}", "must be closed") from None
     if solid.volume_m3 < 0.0:
-        raise InputError(
-            entry,
-            f"{given}, whose facets turn inward",
-            "must have facets that turn outward: two axes swapped or one mirrored turn them",
-        )
+        needs = "must have facets that turn outward: two axes swapped or one mirrored turn them"
+        raise InputError(entry, f"{given}, whose facets turn inward", needs)
     off = float(np.linalg.norm(solid.centre_m))
     if off > OFF_CENTRE * solid.radius_m:
-        raise InputError(
-            entry,
-            f"{given}, whose centre is {off:.3g} m off the origin",
-            f"must be closed and about its centre of mass, to {OFF_CENTRE * solid.radius_m:.3g} m",
+        needs = (
+            f"must be closed and about its centre of mass, to {OFF_CENTRE * solid.radius_m:.3g} m"
         )
+        raise InputError(entry, f"{given}, whose centre is {off:.3g} m off the origin", needs)
     values, axes = np.linalg.eigh(solid.inertia_m2)
     if solid.inertia_m2[2, 2] < OFF_INERTIA * values[2]:
         tilt = float(np.rad2deg(np.arccos(min(1.0, abs(axes[2, 2])))))
-        raise InputError(
-            entry,
-            f"{given}, whose axis of largest inertia is {tilt:.0f} deg off z",
-            "must turn about that axis, as bodies do: are the axes in order?",
-        )
+        given = f"{given}, whose axis of largest inertia is {tilt:.0f} deg off z"
+        needs = "must turn about that axis, as bodies do: are the axes in order?"
+        raise InputError(entry, given, needs)
     return solid
-
-
-def _check_coordinates(site: dict[str, Any], direction: Array) -> None:
-    coordinates = site["latitude_deg"], site["longitude_deg"]
-    near = angle_deg(direction, direction_of(*coordinates)) <= DIRECTION_TOLERANCE_DEG
-    why = f"the direction of position_body_m, to {DIRECTION_TOLERANCE_DEG:g} deg"
-    check("site.latitude_deg, longitude_deg", coordinates, near, coordinates_of(direction), why)
-
-
-def _check_distance(given: Any, position: Array, factor: float) -> None:
-    size, surface = float(np.linalg.norm(given)), float(np.linalg.norm(position))
-    check(
-        "site.position_body_m",
-        f"{size:g} m from the centre",
-        surface / factor <= size <= surface * factor,
-        f"{surface:g} m",
-        f"where the surface is, within a factor of {factor:g}",
-    )
