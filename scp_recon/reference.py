@@ -23,8 +23,7 @@ from scp_recon.cli.commands import COMMANDS
 from scp_recon.errors import InputError
 from scp_recon.files import check_own, check_writable, write_atomically
 from scp_recon.mission import checks, scene
-from scp_recon.mission.interval import Interval
-from scp_recon.mission.intervals import INTERVALS, PLANNER_INTERVALS, STATE_INTERVALS
+from scp_recon.mission.intervals import INTERVALS, PLANNER_INTERVALS, STATE_INTERVALS, Interval
 from scp_recon.planning import primer, records
 from scp_recon.results import facts, figures, policy, verification
 from scp_recon.results.solution import HASH, SCHEMA

@@ -138,7 +138,8 @@ class Mission:
         scene = Scene.of(scenario)
         check_plannable(scene)
         with hinting(scene):
-            if known is not None and known.scenario.same_but_in_flight(scenario):
+            before = known and scenario.model_copy(update={"in_flight": known.scenario.in_flight})
+            if known is not None and known.scenario == before:
                 window, warnings = known.schedule.window_s, known.warnings
             else:
                 warnings = check_scene(scene)

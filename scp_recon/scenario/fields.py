@@ -4,9 +4,16 @@ from __future__ import annotations
 
 import math
 from datetime import datetime
-from typing import Annotated
+from typing import Annotated, Any
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    SerializerFunctionWrapHandler,
+    model_serializer,
+)
 
 from scp_recon.errors import Named, Value, printable
 
@@ -132,6 +139,14 @@ class Section(BaseModel):
     def __dir__(self) -> list[str]:
         """Names of the class's own, without pydantic's methods."""
         return [name for name in super().__dir__() if name not in dir(BaseModel)]
+
+
+class Sparse(Section):
+    """A table that is written, and hashed, without the entries that are not given."""
+
+    @model_serializer(mode="wrap")
+    def _what_is_given(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        return {key: value for key, value in handler(self).items() if value is not None}
 
 
 class ScenarioWarning(Section):

@@ -6,24 +6,16 @@ from collections.abc import Iterator
 from typing import Annotated, Any, Self
 
 import numpy as np
-from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
+from pydantic import Field, model_validator
 
 from formulations.arrays import Array
-from scp_recon.scenario.fields import Component, Line, NonNegative, Section
+from scp_recon.scenario.fields import Component, Line, NonNegative, Section, Sparse
 from scp_recon.scenario.uncertainty import check_covariance
 
 Sigmas = tuple[NonNegative, NonNegative, NonNegative]
 
 
-class Known(Section):
-    """A table of 1-sigma errors; entries left out are known."""
-
-    @model_serializer(mode="wrap")
-    def _what_is_given(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        return {key: value for key, value in handler(self).items() if value is not None}
-
-
-class KnownCompanion(Known):
+class KnownCompanion(Sparse):
     """1-sigma errors of the companion."""
 
     gm_m3_s2: NonNegative | None = None
@@ -32,7 +24,7 @@ class KnownCompanion(Known):
     """1 sigma of the companion's phase, body.companion.mean_anomaly_deg, in deg."""
 
 
-class KnownBody(Known):
+class KnownBody(Sparse):
     """1-sigma errors of the body."""
 
     gm_m3_s2: NonNegative | None = None
@@ -51,7 +43,7 @@ class KnownBody(Known):
     """Of the companion."""
 
 
-class KnownSpacecraft(Known):
+class KnownSpacecraft(Sparse):
     """1-sigma errors of the cannonball."""
 
     srp_area_m2: NonNegative | None = None
@@ -60,7 +52,7 @@ class KnownSpacecraft(Known):
     """1 sigma of C_R."""
 
 
-class KnownSite(Known):
+class KnownSite(Sparse):
     """1-sigma errors of the site, body-fixed."""
 
     position_body_m: Sigmas | None = None
@@ -73,7 +65,7 @@ SIZES = {"site.position_body_m": 3, "site.normal_body": 3}
 """Number of components of entries that have several."""
 
 
-class Knowledge(Known):
+class Knowledge(Sparse):
     """1-sigma errors of what a flight cannot change, named and in the unit of the scenario's entries.
 
     They are constant in a flight, normal, and independent of all other errors; of each other too, but
@@ -126,7 +118,7 @@ class Knowledge(Known):
 def _entries(table: type[Section], before: str = "") -> Iterator[str]:
     for key, one in table.model_fields.items():
         inner = [t for t in getattr(one.annotation, "__args__", ()) if isinstance(t, type)]
-        below = [t for t in inner if issubclass(t, Known)]
+        below = [t for t in inner if issubclass(t, Sparse)]
         if below:
             yield from _entries(below[0], f"{before}{key}.")
         elif before:

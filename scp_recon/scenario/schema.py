@@ -258,12 +258,8 @@ class Scenario(Section):
     @model_serializer(mode="wrap")
     def _what_is_given(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
         """Leave out empty tables, so that older scenarios are written as before."""
-        said = handler(self)
-        for table in (Navigation(), Policy()):
-            name = type(table).__name__.casefold()
-            if getattr(self, name) == table:
-                said.pop(name, None)
-        return said
+        empty = {"navigation": Navigation(), "policy": Policy()}
+        return {k: v for k, v in handler(self).items() if getattr(self, k) != empty.get(k, ...)}
 
     def __repr__(self) -> str:
         """One line; `print` shows every entry."""
@@ -289,11 +285,6 @@ class Scenario(Section):
     def burn_times_s(self) -> tuple[float, ...]:
         """Firing times of the burns to be planned, s."""
         return self.burns.times_s[self.burns_flown :]
-
-    def same_but_in_flight(self, other: Scenario) -> bool:
-        """Whether another scenario differs in nothing but `in_flight`."""
-        alone = {"in_flight": None}
-        return self.model_copy(update=alone) == other.model_copy(update=alone)
 
     @classmethod
     def validated(cls, data: Mapping[str, Any]) -> Self:

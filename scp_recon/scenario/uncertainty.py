@@ -10,13 +10,7 @@ from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
-from pydantic import (
-    AfterValidator,
-    Field,
-    SerializerFunctionWrapHandler,
-    model_serializer,
-    model_validator,
-)
+from pydantic import AfterValidator, Field, model_validator
 
 from formulations.arrays import Array
 from formulations.problem.controls import Cost
@@ -26,6 +20,7 @@ from scp_recon.scenario.fields import (
     NonZeroVector,
     Section,
     Share,
+    Sparse,
     Velocity,
     zero_or_at_least,
 )
@@ -137,7 +132,7 @@ Way = tuple[str, ...]
 """Keys that say a quantity together."""
 
 
-class OneWay(Section):
+class OneWay(Sparse):
     """A table that says each of its quantities in one of several ways, and leaves the others out."""
 
     WAYS: ClassVar[Mapping[str, tuple[Way, ...]]] = {}
@@ -159,11 +154,6 @@ class OneWay(Section):
             if missing:
                 raise ValueError(f"must have {', '.join(missing)} too, for the {what}")
         return self
-
-    @model_serializer(mode="wrap")
-    def _what_is_given(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Leave out the ways not taken, so that older scenarios are written and hashed as before."""
-        return {key: value for key, value in handler(self).items() if value is not None}
 
     @classmethod
     def without_other_ways(

@@ -15,6 +15,7 @@ from scipy.integrate import solve_ivp
 from formulations.arrays import Array
 from formulations.problem.flyby import Iterate
 from scp_recon.cli.commands import solve
+from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.physics.forces import ForceModel, acceleration
 from scp_recon.planning import initial_guess
@@ -47,6 +48,13 @@ def sigma_of(mission: Mission) -> Array:
 
 def mission_of(*overrides: str) -> Mission:
     return Mission.from_scenario(load_scenario(None, overrides))
+
+
+def refusal(make: Callable[..., Any], *given: Any, **named: Any) -> InputError:
+    """The error with which something refuses what it is given."""
+    with pytest.raises(InputError) as caught:
+        make(*given, **named)
+    return caught.value
 
 
 def from_cold(mission: Mission, **options: Any) -> Plan:

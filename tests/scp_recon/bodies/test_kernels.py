@@ -16,6 +16,7 @@ from scp_recon.errors import InputError
 from scp_recon.physics.frames import Rotation
 from scp_recon.scenario.load import validate_scenario
 from tests.scp_recon.bodies.test_surface import box, write_obj
+from tests.scp_recon.support import refusal
 
 ROCK_ID = 2_999_999
 PCK = f"""KPL/PCK
@@ -150,15 +151,10 @@ def test_the_users_own_kernels_stay(tmp_path, spice):
 
 
 def refusals(path: Path) -> list[InputError]:
-    found = []
-    for reading in (
-        lambda: read_pck(path, ROCK_ID, DAYS),
-        lambda: read_heliocentric([path], ROCK_ID, DAYS * DAY_S),
-    ):
-        with pytest.raises(InputError) as caught:
-            reading()
-        found.append(caught.value)
-    return found
+    return [
+        refusal(read_pck, path, ROCK_ID, DAYS),
+        refusal(read_heliocentric, [path], ROCK_ID, DAYS * DAY_S),
+    ]
 
 
 @pytest.mark.parametrize("text", [None, "", "no kernel\n", "KPL/PCK\n\\begindata\nX = 1\n"])
@@ -245,6 +241,5 @@ def test_bare_table_has_neither_gm_nor_radius(tmp_path):
     ],
 )
 def test_unnormalised_fields_are_refused_in_one_message(text, tmp_path):
-    with pytest.raises(InputError) as caught:
-        read_gravity(written(tmp_path, text), 20)
-    assert caught.value.entry.startswith("body.gravity_file")
+    error = refusal(read_gravity, written(tmp_path, text), 20)
+    assert error.entry.startswith("body.gravity_file")

@@ -22,6 +22,7 @@ from scp_recon.bodies.surface import (
 )
 from scp_recon.errors import InputError
 from tests.helpers import generators
+from tests.scp_recon.support import refusal
 
 latitudes, longitudes = st.floats(-90.0, 90.0), st.floats(-180.0, 180.0)
 radii = st.tuples(*[st.floats(10.0, 1e5)] * 3).map(np.array)
@@ -191,9 +192,8 @@ def test_degenerate_facet_is_named_by_its_own_line(facet, tmp_path):
 )
 def test_unreadable_shapes_are_refused_in_one_message(text, tmp_path):
     (tmp_path / "no.obj").write_text(text, "utf-8")
-    with pytest.raises(InputError) as caught:
-        read_shape(tmp_path / "no.obj", "m")
-    assert caught.value.entry.startswith("body.shape_file")
+    error = refusal(read_shape, tmp_path / "no.obj", "m")
+    assert error.entry.startswith("body.shape_file")
 
 
 def test_an_obj_without_a_unit_is_refused(tmp_path):

@@ -20,7 +20,7 @@ from scp_recon.physics.two_body import two_body
 from scp_recon.scenario.load import validate_scenario
 from scp_recon.scenario.schema import Scenario
 from tests import reliability
-from tests.scp_recon.support import file_of, mission_of
+from tests.scp_recon.support import file_of, mission_of, refusal
 
 ELSEWHERE = [-91.0, 81.0, 181.0]
 LATER = "2020-03-21T20:33:17"
@@ -84,10 +84,9 @@ CONTRADICTING = [
     ],
 )
 def test_impossible_or_contradicting_entries_are_refused(name, changes, entry, words, scenario):
-    with pytest.raises(InputError) as caught:
-        Mission.from_scenario(file_of(scenario, changes, name))
-    assert caught.value.entry == entry
-    assert words in str(caught.value)
+    error = refusal(lambda: Mission.from_scenario(file_of(scenario, changes, name)))
+    assert error.entry == entry
+    assert words in str(error)
     reliability.count(reliability.BAD_INPUTS)
 
 
@@ -347,23 +346,22 @@ def test_a_delivered_state_in_thousandths_is_refused(key, value, scenario, missi
     """It is checked where all else is known, as of a plan made again."""
     Mission.from_scenario(scenario.replace({"in_flight": FLIGHT}), known=mission)
     wrong = scenario.replace({"in_flight": FLIGHT | {key: value}})
-    with pytest.raises(InputError) as caught:
-        Mission.from_scenario(wrong, known=mission)
-    assert caught.value.entry == f"in_flight.{key}"
+    error = refusal(Mission.from_scenario, wrong, known=mission)
+    assert error.entry == f"in_flight.{key}"
 
 
 @pytest.mark.parametrize("given", [(0.976, 0.73), (-1.2, -3.0), (0.1, 6.2)])
 def test_radians_are_told_before_what_follows_from_them(given):
     """At such a place the flight may have no window, or none between its burns."""
     north, east = given
-    with pytest.raises(InputError) as caught:
-        mission_of(f"site.latitude_deg={north}", f"site.longitude_deg={east}")
-    first, *others = str(caught.value).splitlines()
-    assert (caught.value.entry, "degrees?" in first) == ("site.latitude_deg", True)
+    error = refusal(mission_of, f"site.latitude_deg={north}", f"site.longitude_deg={east}")
+    first, *others = str(error).splitlines()
+    assert (error.entry, "degrees?" in first) == ("site.latitude_deg", True)
     assert others
-    with pytest.raises(InputError) as caught:
-        mission_of(f"site.latitude_deg={north}", f"site.longitude_deg={east}", "risk.p_chance=2")
-    assert caught.value.entry == "risk.p_chance"
+    error = refusal(
+        mission_of, f"site.latitude_deg={north}", f"site.longitude_deg={east}", "risk.p_chance=2"
+    )
+    assert error.entry == "risk.p_chance"
 
 
 def test_largest_probability_of_whole_flights_is_accepted():
@@ -409,7 +407,6 @@ def test_the_rows_are_about_entries_of_a_scenario(row):
     ],
 )
 def test_refused_value_of_another_unit_gets_hint(override, hint):
-    with pytest.raises(InputError) as caught:
-        mission_of(override)
-    said = caught.value.allowed.splitlines()[0]
+    error = refusal(mission_of, override)
+    said = error.allowed.splitlines()[0]
     assert said.endswith(hint) if hint else "?" not in said

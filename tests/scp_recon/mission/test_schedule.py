@@ -21,7 +21,7 @@ from scp_recon.mission.schedule import (
     make_schedule,
 )
 from scp_recon.scenario.schema import Scenario, ScheduleRules
-from tests.scp_recon.support import mission_of
+from tests.scp_recon.support import mission_of, refusal
 
 WINDOW = (13_140.0, 16_537.0)
 RULES = ScheduleRules(attitude_s=1800.0, heating_s=1800.0, recharge_s=1200.0)
@@ -75,9 +75,8 @@ def test_local_solar_time_may_close_the_window_instead():
     "window", [(-10.0, 1000.0), (30_000.0, 40_000.0), (15_000.0, 14_000.0), (9e3, 9e3), (0.0, 9e3)]
 )
 def test_a_window_outside_the_flight_is_refused(window):
-    with pytest.raises(InputError) as caught:
-        mission_of(f"observation.window_s={list(window)}")
-    error = caught.value
+    error = refusal(mission_of, f"observation.window_s={list(window)}")
+    error = error
     assert error.entry == "observation.window_s"
     assert all(f"{edge:g}" in error.given for edge in window)
     assert "34842" in error.allowed
@@ -249,9 +248,8 @@ def test_additional_burns_are_legal_in_their_spans(gaps, length, share, added):
 
 
 def message(*overrides: str) -> str:
-    with pytest.raises(InputError) as caught:
-        mission_of(*overrides)
-    return str(caught.value)
+    error = refusal(mission_of, *overrides)
+    return str(error)
 
 
 @pytest.mark.parametrize(

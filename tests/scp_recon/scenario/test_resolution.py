@@ -21,7 +21,7 @@ from scp_recon.scenario.load import load_scenario, override, validate_scenario
 from scp_recon.scenario.schema import Scenario
 from tests.scp_recon.bodies.test_kernels import BARE, GFC
 from tests.scp_recon.bodies.test_surface import box, write_obj
-from tests.scp_recon.support import mission_of
+from tests.scp_recon.support import mission_of, refusal
 
 ROCK: dict[str, Any] = {
     "name": "Rock",
@@ -48,9 +48,7 @@ def rock(*overrides: str, **tables: dict[str, Any]) -> Scenario:
 
 
 def refused(*overrides: str, **tables: dict[str, Any]) -> InputError:
-    with pytest.raises(InputError) as caught:
-        rock(*overrides, **tables)
-    return caught.value
+    return refusal(rock, *overrides, **tables)
 
 
 def w_deg(scenario: Scenario) -> float:
@@ -91,9 +89,8 @@ def test_given_entries_win_over_packaged_ones():
     heavier = load_scenario(None, ["body.gm_m3_s2=6.0"])
     assert (heavier.body.gm_m3_s2, heavier.body.pole_ra_deg) == (6.0, 85.46097)
     bare = {"base": "recon_b", "body": {"name": "Eros", "j2": 0.1}, "site": PLACE}
-    with pytest.raises(InputError) as caught:  # J2 of another radius than the packaged one's
-        validate_scenario(bare)
-    assert caught.value.entry == "body.reference_radius_m"
+    error = refusal(validate_scenario, bare)
+    assert error.entry == "body.reference_radius_m"
 
 
 # --- site ---------------------------------------------------------------------------------------
@@ -124,9 +121,8 @@ def test_a_site_on_a_shape_file(tmp_path):
     assert found.replace({"risk.p_chance": 0.8}).site == found.site
     assert override(found, ["burns.dv_max_m_s=0.3"]).site == found.site
     assert Scenario.model_validate_json(found.model_dump_json()) == found
-    with pytest.raises(InputError) as caught:
-        found.replace({"site.latitude_deg": 70.0})
-    assert "shape" in caught.value.entry
+    error = refusal(found.replace, {"site.latitude_deg": 70.0})
+    assert "shape" in error.entry
 
 
 def test_a_solid_gives_j2_and_is_stored(tmp_path):

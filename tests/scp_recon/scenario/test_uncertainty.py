@@ -17,7 +17,7 @@ from scp_recon.mission.mission import Mission
 from scp_recon.scenario.load import base_names, load_scenario, scenario_text, validate_scenario
 from scp_recon.scenario.uncertainty import MATRIX_TOLERANCE
 from tests.helpers import generators
-from tests.scp_recon.support import sigma_of
+from tests.scp_recon.support import mission_of, refusal, sigma_of
 
 POSITION = "uncertainty.initial_sigma_position_m=[30, 10, 5]"
 VELOCITY = "uncertainty.initial_sigma_velocity_m_s=[1e-3, 5e-4, 1e-4]"
@@ -165,10 +165,9 @@ POLICY = [
     ],
 )
 def test_invalid_uncertainty_is_refused_in_one_message(overrides, entry, words):
-    with pytest.raises(InputError) as caught:
-        Mission.from_scenario(load_scenario(None, overrides))
-    assert (caught.value.entry, "\n" in caught.value.allowed) == (entry, False)
-    assert words in str(caught.value)
+    error = refusal(mission_of, *overrides)
+    assert (error.entry, "\n" in error.allowed) == (entry, False)
+    assert words in str(error)
 
 
 @pytest.mark.parametrize("missing", ["initial_sigma_fraction", "execution_error"])
