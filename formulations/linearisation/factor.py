@@ -27,6 +27,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -314,7 +315,6 @@ class FactorSensitivity:
         moved: deviations of the mean at the legs' starts by control, shape (legs + 1, 7, q).
         bent: derivatives of the STMs from the legs' starts by the deviation there, shape
             (n_nodes, 6, 6 + p, 7); None if they are held.
-        gains: whether gains are among the controls, or held.
         shifted: changes by the firing times (`Shifts.factor`), if these are controls.
     """
 
@@ -325,24 +325,18 @@ class FactorSensitivity:
         spread: Spread,
         moved: Array,
         bent: Array | None,
-        *,
-        gains: bool,
         shifted: Shifted | None = None,
     ) -> None:
         self._problem, self._iterate, self._spread = problem, iterate, spread
-        self._shifted = shifted
-        self._moved, self._bent, self._gains = moved, bent, gains
+        self._shifted, self._moved, self._bent = shifted, moved, bent
         self._slopes = problem.execution_errors.jacobian(iterate.burns)
-        self._first = problem.controls_before if gains else 3 * np.arange(problem.n_burns + 1)
         rows = 6 if problem.feedback is None else 6 + problem.parameters
         self._shape = rows, problem.factor_columns, moved.shape[-1]
 
     def at(self, nodes: Indices) -> Array:
         """The derivative at some nodes, shape (n, 6 or 6 + p, c, q)."""
         problem, starts = self._problem, self._problem.leg_starts
-        start, _ = self._starts(int(nodes.max(initial=0)))
-        factors = self._spread.factor[starts]
-        legs = problem.legs.of[nodes]
+        start, factors, legs = self.starts, self._spread.factor[starts], problem.legs.of[nodes]
         derivative = self._reached(nodes, start[legs], factors[legs])
         last = np.searchsorted(starts, nodes)
         here = starts[last] == nodes
@@ -351,19 +345,22 @@ class FactorSensitivity:
 
     def kicks(self) -> Array:
         """Derivative of each burn's additions to the factor at its node, (m, 6 or 6 + p, c, q)."""
-        problem, d_rows = self._problem, np.zeros((0, *self._shape[1:]))
-        if problem.feedback is not None:
-            _, d_rows = self._starts(problem.n_nodes)
-        kicks = np.zeros((problem.n_burns, *self._shape))
+        kicks = np.zeros((self._problem.n_burns, *self._shape))
         for burn, kick in enumerate(kicks):
-            self._corrected(burn, kick, d_rows)
+            self._corrected(burn, kick, self._starts[1])
             self._add_errors(burn, kick)
             if self._shifted is not None:
-                kick[:6, ..., problem.time_controls] += self._shifted.factor[burn]
+                kick[:6, ..., self._problem.time_controls] += self._shifted.factor[burn]
         return kicks
 
-    def _starts(self, last: int) -> tuple[Array, Array]:
-        """The derivatives at the legs' starts up to a node, (legs + 1, ., c, q), and of Xi."""
+    @property
+    def starts(self) -> Array:
+        """The derivatives at the legs' starts, after the burns there, (legs + 1, 6 or 6 + p, c, q)."""
+        return self._starts[0]
+
+    @cached_property
+    def _starts(self) -> tuple[Array, Array]:
+        """`starts`, and the derivatives of all Xi."""
         problem, spread = self._problem, self._spread
         starts, shifted, timed = problem.leg_starts, self._shifted, problem.time_controls
         start = np.zeros((len(starts), *self._shape))
@@ -371,14 +368,12 @@ class FactorSensitivity:
         if shifted is not None:
             d_error[:6, ..., timed] = shifted.first
         d_error, d_rows = self._measured(-1, d_error, d_rows)
-        for leg, node in enumerate(starts):
-            if node > last:
-                break
+        for leg in range(len(starts)):
+            there = starts[leg : leg + 1]
             if leg > 0:
                 before = start[leg - 1 : leg], spread.factor[None, starts[leg - 1]]
-                start[leg] = self._reached(starts[leg : leg + 1], *before)[0]
+                start[leg] = self._reached(there, *before)[0]
                 if problem.feedback is not None:
-                    there = starts[leg : leg + 1]
                     error = after_measurements(problem, spread, leg - 1)
                     d_error = self._reached(there, d_error[None], error[None])[0]
             burn = leg - problem.coasts
@@ -427,27 +422,21 @@ class FactorSensitivity:
             return
         gains, n = problem.gains_of(self._iterate, j), 6 * (j + 1)
         start[3:6] += np.einsum("an,ncq->acq", gains, d_rows[:n])
-        if not self._gains:
-            return
         rows = np.vstack([one.rows for one in self._spread.innovations[: j + 1]])
-        for axis, by in enumerate(self._gain_controls(j).reshape(3, n)):
+        own = problem.commanded_controls(j)
+        for axis, by in enumerate(np.arange(own.start + 3, own.stop).reshape(3, n)):
             start[3 + axis][:, by] += rows.T
 
     def _add_errors(self, burn: int, start: Array) -> None:
         """Add the derivatives of a burn's errors of execution, and of its correction's."""
         problem, errors = self._problem, self._problem.execution_errors
-        first, j = int(self._first[burn]), corrected(problem, burn)
-        slopes = self._slopes[burn]
+        j, slopes = corrected(problem, burn), self._slopes[burn]
+        first = int(problem.controls_before[burn])
         place = slice(first, first + 3)
         start[3:6, problem.shared_columns, place] += slopes[:, : errors.shared]
         start[3:6, problem.columns_of_burn(burn), place] += slopes[:, errors.shared :]
-        if j is not None and self._gains:
+        if j is not None:
             _, of_gains = errors.correction_columns(problem.gains_of(self._iterate, j))
             place = slice(first + 3, problem.commanded_controls(j).stop)
             own = of_gains.reshape(3, of_gains.shape[1], -1)
             start[3:6, problem.columns_of_correction(j)[0], place] += own
-
-    def _gain_controls(self, j: int) -> Indices:
-        """The controls that are gains of the corrected burn j, ascending."""
-        own = self._problem.commanded_controls(j)
-        return np.arange(own.start + 3, own.stop)

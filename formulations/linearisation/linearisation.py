@@ -222,6 +222,11 @@ class Linearisation:
         """
         return _composed_tensor(self, self.problem.n_nodes - 1)
 
+    @cached_property
+    def factor_sensitivity(self) -> FactorSensitivity:
+        """Derivatives of the factor by the controls: see `condense` and `gradient`."""
+        return sensitivity_of_factor(self, self.bent)
+
     def after_burns(self, kicks: Array, constant: Array) -> Array:
         """Deviations at the legs' starts, (legs + 1, 7, q), after changes (m, 3 or 6, q) there.
 
@@ -326,37 +331,28 @@ def condense(
     *,
     factor: bool = True,
     curvature: bool = True,
-    gains: bool = True,
 ) -> Sensitivity:
-    """Eliminate the linearised mean and factor, leaving burns and gains, at some nodes or all.
+    """Eliminate the linearised mean and factor, leaving the controls, at some nodes or all.
 
     The affine map closes the defects. Without `factor` the factor has no columns; without
-    `curvature` the T_k term is left out: the STMs do not depend on the mean. Without `gains` these are
-    held, and the burns' components are the only controls.
+    `curvature` the T_k term is left out: the STMs do not depend on the mean.
 
     Raises:
         LinearisationError: if mean or factor is not finite.
     """
-    z = lin.controls if gains else lin.iterate.burns.ravel()
+    z, timed = lin.controls, lin.problem.time_controls
     nodes = np.arange(lin.problem.n_nodes) if nodes is None else nodes
     # The last column of each derivative is the part that does not depend on the controls: what closing
     # the defects moves.
-    moved = lin.sensitivity if gains else lin.burn_sensitivity
-    d_mean = lin.at_nodes(moved, nodes)
-    timed = lin.problem.time_controls if gains else np.zeros(0, np.intp)
-    d_mean[..., timed] += lin.shifts.drift(nodes) if timed.size else 0.0
+    d_mean = lin.at_nodes(lin.sensitivity, nodes)
+    if timed.size:
+        d_mean[..., timed] += lin.shifts.drift(nodes)
+    at, d_factor = np.zeros((len(nodes), 6, 0)), np.zeros((len(nodes), 6, 0, len(z) + 1))
     if factor:
-        bent = lin.bent if curvature else None
-        shifted = lin.shifts.factor(lin.spread) if timed.size else None
-        legs = FactorSensitivity(
-            lin.problem, lin.iterate, lin.spread, moved, bent, gains=gains, shifted=shifted
-        )
+        legs = lin.factor_sensitivity if curvature else sensitivity_of_factor(lin, None)
         at, d_factor = lin.factor[nodes], legs.at(nodes)[:, :6]
-        d_factor[..., timed] += (
-            lin.shifts.factor_drift(nodes, lin.spread.factor[nodes]) if timed.size else 0.0
-        )
-    else:
-        at, d_factor = np.zeros((len(nodes), 6, 0)), np.zeros((len(nodes), 6, 0, len(z) + 1))
+        if timed.size:
+            d_factor[..., timed] += lin.shifts.factor_drift(nodes, lin.spread.factor[nodes])
     require_finite(d_mean, d_factor)
     return Sensitivity(
         lin.iterate.mean[nodes] + d_mean[..., -1] - d_mean[..., :-1] @ z,
@@ -366,21 +362,47 @@ def condense(
     )
 
 
-def factor_kicks(lin: Linearisation) -> Array:
-    """Columns that burns add to the factor, differentiated as in `condense`: (m, 6, c, nz + 1).
+def gradient(lin: Linearisation, by_mean: Array, by_factor: Array) -> Array:
+    """The derivative by the controls of a function with given derivatives at all nodes.
 
-    By the controls and, last, by closing the defects, which innovations feel.
+    `condense`, transposed. For a row that depends on many nodes it costs less to take their derivatives
+    back to the legs' starts than to carry those by all controls to the nodes.
+
+    Args:
+        lin: where it is taken.
+        by_mean: by the means' first components, shape (n_nodes, 3 or 6).
+        by_factor: by the factor's first rows and columns, shape (n_nodes, 3 or 6, d).
     """
-    legs = FactorSensitivity(
-        lin.problem,
-        lin.iterate,
-        lin.spread,
-        lin.sensitivity,
-        lin.bent,
-        gains=True,
-        shifted=None if lin.problem.firing is None else lin.shifts.factor(lin.spread),
-    )
-    return legs.kicks()[:, :6]
+    problem, spread, starts = lin.problem, lin.spread, lin.problem.leg_starts
+    by_starts = lin.factor_sensitivity.starts
+    felt = np.flatnonzero(by_mean.any(axis=1) | by_factor.any(axis=(1, 2)))
+    inside = np.setdiff1d(felt, starts)
+    (rows, columns), legs = by_factor.shape[1:], problem.legs.of[inside]
+    d_factor = np.zeros((len(starts), *by_starts.shape[1:3]))
+    d_factor[:, :rows, :columns] = by_factor[starts]
+    d_mean = np.zeros((len(starts), 7))
+    d_mean[:, : by_mean.shape[1]] = by_mean[starts]
+    stm = spread.stm[inside, :rows, : d_factor.shape[1]].swapaxes(1, 2)
+    np.add.at(d_factor[..., :columns], legs, stm @ by_factor[inside])
+    both = by_factor[inside] @ spread.factor[starts[legs], :, :columns].swapaxes(1, 2)
+    pulled = np.einsum("nijl,nij->nl", lin.bent[inside, :rows], both)
+    maps = lin.affine_map_from_last_burn[inside, : by_mean.shape[1]]
+    np.add.at(d_mean, legs, pulled + np.einsum("nij,ni->nj", maps, by_mean[inside]))
+    slope = np.tensordot(d_mean, lin.sensitivity[..., :-1], 2)
+    slope += np.tensordot(d_factor, by_starts[..., :-1], 3)
+    if problem.firing is not None:
+        every = np.arange(problem.n_nodes)
+        drift = lin.shifts.drift(every)[:, : by_mean.shape[1]]
+        turned = lin.shifts.factor_drift(every, spread.factor[:, :, :columns])[:, :rows]
+        slope[problem.time_controls] += np.tensordot(by_mean, drift, 2)
+        slope[problem.time_controls] += np.tensordot(by_factor, turned, 3)
+    return np.asarray(slope)
+
+
+def sensitivity_of_factor(lin: Linearisation, bent: Array | None) -> FactorSensitivity:
+    """Derivatives of the factor, whose STMs bend with the mean unless they are held."""
+    shifted = None if lin.problem.firing is None else lin.shifts.factor(lin.spread)
+    return FactorSensitivity(lin.problem, lin.iterate, lin.spread, lin.sensitivity, bent, shifted)
 
 
 def _composed_tensor(lin: Linearisation, last: int) -> Array:

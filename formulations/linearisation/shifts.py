@@ -169,16 +169,3 @@ class Shifts:
         turned = self._rates[1][here] @ factor[moved]
         found[moved] = UNIT * turned[..., None] * self._firing.shares[here, None, None]
         return found
-
-    def pulled(self, by_mean: Array, by_factor: Array, factor: Array) -> Array:
-        """Derivative by the times of a function through drifts alone, shape (q,).
-
-        Args:
-            by_mean: its derivatives by the means at all nodes, shape (n_nodes, 6).
-            by_factor: by the factors, shape (n_nodes, 6, c).
-            factor: the iterate's at all nodes, shape (n_nodes, 6 + p, c).
-        """
-        rate, turn = self._rates
-        own = np.einsum("ki,ki->k", by_mean[:-1], rate)
-        own += np.einsum("kic,kij,kjc->k", by_factor[:-1], turn, factor[:-1], optimize=True)
-        return np.asarray(UNIT * own @ self._firing.shares[:-1])

@@ -1,13 +1,14 @@
 """Solve the lifted subproblem: mean, covariance factor and virtual control are sparse variables.
 
-    mu_{k+1} = mu^_{k+1} + A_k (mu_k - mu^_k) + d_k + B (dv_i - dv^_i)
-    S_{k+1}  = [A_k S_k + (T_k . (mu_k - mu^_k)) S^_k, B (C^_i + C'^_i . (dv_i - dv^_i))]
+    mu_k = mu^_k + P_k (mu_s - mu^_s) + d_k + B (dv_i - dv^_i)
+    S_k  = [P_k S_s + (T_k . (mu_s - mu^_s)) S^_s, B (C^_i + C'^_i . (dv_i - dv^_i))]
 
-with hats for the iterate, d for its defects and C for the columns of a burn's errors. Corrections
+with hats for the iterate, s the node where the leg to k starts, P and T the STM and the second-order
+tensor from there, d the sum of the defects and C the columns of a burn's errors. Corrections
 add B (U Xi) and the columns of their own errors, linearised. The effect of controls on the
 innovations Xi is eliminated as in the condensed form. The program has only nodes with a constraint
-or a burn. Arcs between them are composed, which is exact to the order of the linearisation and
-makes the program ten times smaller. The dynamics are one product of a block-sparse parameter with
+or a burn. STMs from the legs' starts are exact to the order of the linearisation and make the program
+ten times smaller than one of all arcs. The dynamics are one product of a block-sparse parameter with
 all states stacked (every mean, then every factor, row-major), so that the sparsity is constant.
 
 The virtual control is the miss of the final state. Any burns have a trajectory, so the linearised
@@ -17,8 +18,7 @@ path at the price of a gap, which no flight can have.
 
 from __future__ import annotations
 
-import itertools
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from time import perf_counter
 
@@ -30,7 +30,6 @@ from formulations.arrays import Array, Indices
 from formulations.linearisation.linearisation import (
     Linearisation,
     LinearisationError,
-    factor_kicks,
     require_finite,
 )
 from formulations.problem.flyby import FlybyProblem, factor_columns_used
@@ -47,9 +46,6 @@ from formulations.program.solvers import FallbackSolver
 from formulations.program.subproblem import Penalty, PenaltyParameters, Step, SubproblemError
 from formulations.rows.cones import Rows, StateCones
 
-SETTINGS = {"CLARABEL": {"static_regularization_constant": 1e-7}}
-"""With the default 1e-8 Clarabel's factorisation breaks down short of the tolerances."""
-
 
 class LiftedSubproblem(ConvexSubproblem):
     """The textbook form of P3 or P2 around an iterate.
@@ -59,7 +55,7 @@ class LiftedSubproblem(ConvexSubproblem):
     """
 
     def __init__(self, problem: FlybyProblem, rows: Rows, penalty: Penalty, solver: str) -> None:
-        super().__init__(problem, rows, penalty, FallbackSolver(solver, SETTINGS))
+        super().__init__(problem, rows, penalty, FallbackSolver(solver))
         self._dynamics, self._name = LiftedDynamics(problem, rows), solver
         self._model: Model | None = None
         self._compiled: CompiledProgram | None = None
@@ -73,7 +69,7 @@ class LiftedSubproblem(ConvexSubproblem):
         except LinearisationError as error:
             raise SubproblemError(str(error)) from error
         if self._model is not None:  # zeros are left out, so that the sparsity may be another
-            self._solver = FallbackSolver(self._name, SETTINGS)
+            self._solver = FallbackSolver(self._name)
         self._at, self._model, self._compiled = lin, model, None
 
     def _states(self, lin: Linearisation, controls: cp.Variable, _: Numbers) -> StateModel:
@@ -113,6 +109,9 @@ class LiftedDynamics:
             used = factor_columns_used(problem, nodes)
             self._columns = problem.factor_columns if limited else used
         self._arcs = len(self._nodes) - 1
+        # Number of the node at which the leg to each node but the first begins.
+        begun = problem.leg_starts[problem.legs.of[self._nodes[1:]]]
+        self._begun = np.searchsorted(self._nodes, begun)
         # The factor is needed up to the last node that a constraint looks at.
         self._factor_arcs = int(np.searchsorted(self._nodes, nodes[-1])) if self._columns else 0
         self._mean_size = 6 * (self._arcs + 1)
@@ -135,15 +134,17 @@ class LiftedDynamics:
         Raises:
             LinearisationError: if their numbers are not finite.
         """
-        n, c, arcs = self._factor_arcs, self._columns, compose(lin, self._nodes)
-        full = lin.spread.factor[self._nodes[: n + 1], :, :c]
-        factor = full[:, :6]
-        # (T_k . dmu) S^_k: rows i, factor column c, mean component l.
-        bent = np.einsum("kijl,kjc->kicl", arcs.tensor[:n], full[:n], optimize=True)
-        own = np.broadcast_to(arcs.stm[:n, :, None, :], bent.shape)
-        entries = np.concatenate([arcs.stm.ravel(), own.ravel(), bent.ravel()])
+        n, c, reached = self._factor_arcs, self._columns, self._nodes[1:]
+        maps, tensor = lin.affine_map_from_last_burn[reached, :6], lin.bent[reached[:n]]
+        require_finite(maps, tensor)
+        stm, factor = maps[:, :, :6], lin.factor[self._nodes[: n + 1], :, :c]
+        # (T_k . dmu) S^_k: rows i, factor column c, mean component l; the last one is constant.
+        start = lin.spread.factor[self._nodes[self._begun[:n]], :, :c]
+        bent = np.einsum("kijl,kjc->kicl", tensor, start, optimize=True)
+        own = np.broadcast_to(stm[:n, :, None], (n, 6, c, 6))
+        entries = np.concatenate([stm.ravel(), own.ravel(), bent[..., :6].ravel()])
         step = sp.csr_array((entries, self._pattern()), shape=(len(self._ends), self.size))
-        closing = np.r_[arcs.shift.ravel(), (arcs.shift_stm[:n] @ full[:n]).ravel()]
+        closing = np.r_[maps[:, :, 6].ravel(), bent[..., 6].ravel()]
         here = np.r_[lin.iterate.mean[self._nodes].ravel(), factor.ravel()]
         (kicks, closed), moved = self._kicks(lin), controls - lin.controls
         off, starts, ends = states - here, self._starts, self._ends
@@ -175,20 +176,21 @@ class LiftedDynamics:
         In this order: A_k on the mean; A_k on every factor column; T_k . S^_k from the mean.
         """
         k, i, j = np.meshgrid(np.arange(self._arcs), np.arange(6), np.arange(6), indexing="ij")
-        mean_row, mean_entry = 6 * k + i, 6 * k + j
+        mean_row, mean_entry = 6 * k + i, 6 * self._begun[k] + j
         c = self._columns
         k, i, col, j = np.meshgrid(
             np.arange(self._factor_arcs), np.arange(6), np.arange(c), np.arange(6), indexing="ij"
         )
         factor_row = 6 * self._arcs + (6 * k + i) * c + col
-        own, from_mean = self._mean_size + (6 * k + j) * c + col, 6 * k + j
+        from_mean = 6 * self._begun[k] + j
+        own = self._mean_size + from_mean * c + col
         rows = np.concatenate([mean_row.ravel(), factor_row.ravel(), factor_row.ravel()])
         return rows, np.concatenate([mean_entry.ravel(), own.ravel(), from_mean.ravel()])
 
     def _kicks(self, lin: Linearisation) -> tuple[sp.csr_array, Array]:
         """Derivatives by controls of means and factors at burns, (states, nz), and their defects.
 
-        Of the means B dv; of the factors B C'^_i . dv, and what `factor_kicks` says of corrections; of
+        Of the means B dv; of the factors B C'^_i . dv, and what corrections change; of
         both what a burn changes that comes later, at given times.
         """
         problem, c, controls = self._problem, self._columns, len(lin.controls)
@@ -202,58 +204,13 @@ class LiftedDynamics:
             kicks = kicks + sp.csr_array((lin.shifts.mean[burn, i, q], place), shape=shape)
         if c > 0:
             felt = node <= self._factor_arcs
-            added = factor_kicks(lin)[felt, :, :c]
+            added = lin.factor_sensitivity.kicks()[felt, :6, :c]
             state = self._mean_size + row[felt, :, None] * c + np.arange(c)
             filled = np.nonzero(added)
             kicks = kicks + sp.csr_array(
                 (added[filled], (state[filled[:3]], filled[3])), shape=shape
             )
         return kicks[:, :-1], kicks[:, [-1]].toarray().ravel()
-
-
-@dataclass(frozen=True)
-class ComposedArcs:
-    """Arcs between chosen nodes, composed from the grid's, as maps of the deviation d at their start.
-
-    Deviation of the mean at the end: stm d + shift. STM along the deviated mean, of p parameters too:
-    stm + shift_stm + tensor . d. Shapes: (n, 6, 6), (n, 6), (n, 6, 6 + p), (n, 6, 6 + p, 6).
-    """
-
-    stm: Array
-    shift: Array
-    shift_stm: Array
-    tensor: Array
-
-
-def compose(lin: Linearisation, nodes: Indices) -> ComposedArcs:
-    """Compose the arcs between consecutive `nodes`, which must contain every burn's node.
-
-    With A, T, d of the next arc, D the deviation so far and P the STM so far,
-    D' = A D + d and dP' = A dP + (T . D) P: the product rule, once for the part that the starting
-    deviation causes (tensor) and once for the part that the defects cause (shift_stm).
-
-    Raises:
-        LinearisationError: if they are not finite.
-    """
-    n, size = len(nodes) - 1, 6 + lin.problem.parameters
-    composed = ComposedArcs(
-        np.empty((n, 6, 6)), np.empty((n, 6)), np.empty((n, 6, size)), np.empty((n, 6, size, 6))
-    )
-    defects = lin.defects
-    for arc, (first, last) in enumerate(itertools.pairwise(nodes)):
-        stm, shift, full = np.eye(6), np.zeros(6), np.eye(size)
-        shift_stm, tensor = np.zeros((6, size)), np.zeros((6, size, 6))
-        for k in range(first, last):
-            a, t = lin.arcs.stm[k], lin.bending[k]
-            shift_stm = a @ shift_stm + (t @ shift) @ full
-            # (T . stm d) full: rows i, columns c of the STM, component l of d.
-            tensor = (a @ tensor.reshape(6, -1)).reshape(6, size, 6) + full.T @ (t @ stm)
-            stm, shift = a @ stm, a @ shift + defects[k]
-            full = lin.stm_of_arcs[k] @ full
-        composed.stm[arc], composed.shift[arc] = stm, shift
-        composed.shift_stm[arc], composed.tensor[arc] = shift_stm, tensor
-    require_finite(composed.stm, composed.shift, composed.shift_stm, composed.tensor)
-    return composed
 
 
 def write_row(

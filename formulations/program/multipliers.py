@@ -26,15 +26,16 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg import solve_triangular
 from scipy.optimize import lsq_linear
 
 from formulations.arrays import Array, Booleans
-from formulations.linearisation.adjoint import pulled_before
+from formulations.linearisation.factor import Innovation
 from formulations.linearisation.linearisation import Linearisation, condense, miss_of
 from formulations.problem.controls import UNIT
 from formulations.problem.cost import cost
 from formulations.problem.flyby import FlybyProblem
-from formulations.rows.cones import Rows
+from formulations.rows.cones import Rows, slopes_by_states
 
 BINDING, UNRESOLVED = 1e-5, 10.0
 """Slack up to which a constraint counts as active, and the same over the rows' resolution: a program
@@ -154,24 +155,20 @@ def adjoint(rows: Rows, lin: Linearisation, prices: Array) -> Adjoints:
     """The adjoints; prices are in the order of `multipliers`."""
     problem, arcs = lin.problem, lin.arcs
     first = MISS + BURN_LIMITS * problem.n_burns
-    here, here_factor = rows.pulled(lin, prices[first:])
-    columns = problem.factor_columns if rows.with_factor else 0
-    by_mean = np.zeros((problem.n_nodes, 6))
-    by_factor, by_error = np.zeros((2, problem.n_nodes, 6 + problem.parameters, columns))
-    by_mean[:, : here.shape[1]] = here
+    by_mean, by_state = slopes_by_states(lin, rows.state_cones(lin), prices[first:])
     by_mean[-1] += prices[:MISS]
-    by_factor[:, : here_factor.shape[1], : here_factor.shape[2]] = here_factor
+    by_factor = np.pad(by_state, ((0, 0), (0, problem.parameters), (0, 0)))
+    by_error = np.zeros_like(by_factor)
     knowledge, stm = _Knowledge(lin), lin.stm_of_arcs
     for k in range(problem.n_nodes - 2, -1, -1):
         by_mean[k] += by_mean[k + 1] @ arcs.stm[k]
-        if columns:
-            bent = by_factor[k + 1, :6] @ lin.spread.factor[k].T
-            by_factor[k] += stm[k].T @ by_factor[k + 1]
-            if problem.feedback is not None:
-                before = knowledge.before(k + 1, by_factor[k + 1], by_error[k + 1])
-                bent += before[:6] @ knowledge.error(k).T
-                by_error[k] = stm[k].T @ before
-            by_mean[k] += np.einsum("ijl,ij->l", lin.bending[k], bent)
+        bent = by_factor[k + 1, :6] @ lin.spread.factor[k].T
+        by_factor[k] += stm[k].T @ by_factor[k + 1]
+        if problem.feedback is not None:
+            before = knowledge.before(k + 1, by_factor[k + 1], by_error[k + 1])
+            bent += before[:6] @ knowledge.error(k).T
+            by_error[k] = stm[k].T @ before
+        by_mean[k] += np.einsum("ijl,ij->l", lin.bending[k], bent)
     return Adjoints(by_mean, by_factor[:, :6], by_error[:, :6])
 
 
@@ -205,6 +202,23 @@ class _Knowledge:
             self._rows[: j + 1] += (gains.T @ by_factor[3:6]).reshape(j + 1, 6, -1)
         for j in np.flatnonzero(feedback.cut_offs == node)[::-1].tolist():
             one, error = self._lin.spread.innovations[j], self.error(node, j)
-            along, there = pulled_before(one, error, by_error, self._rows[j])
+            along, there = _pulled_before(one, error, by_error, self._rows[j])
             by_error = along + there
         return by_error
+
+
+def _pulled_before(
+    one: Innovation, error: Array, d_error: Array, d_rows: Array
+) -> tuple[Array, Array]:
+    """Pulls at E before a measurement, from those at E after it and at Xi, in two parts.
+
+    The first is at E where `error` is, the second where it is measured.
+    """
+    along, pulled = error @ one.rows.T, d_error @ one.rows.T
+    d_rows = d_rows - pulled.T @ error - along.T @ d_error
+    low = np.tril(d_rows @ one.rows.T)
+    low[range(6), range(6)] *= 0.5
+    moved = d_rows - (low + low.T) @ one.rows
+    there = np.zeros_like(d_error)
+    there[:6] = solve_triangular(one.root, moved, lower=True, trans="T")
+    return d_error - pulled @ one.rows, there

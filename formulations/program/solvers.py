@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import importlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from time import perf_counter
 from typing import Any, ClassVar, NamedTuple, Protocol
 
@@ -46,9 +46,8 @@ class Clarabel:
     again where the entries that are not zero have other places.
     """
 
-    def __init__(self, settings: Mapping[str, float]) -> None:
+    def __init__(self) -> None:
         self._solver: Any = None
-        self._settings = settings
         self._places: Any = None
 
     def solve(self, program: ConeProgram) -> Answer:
@@ -62,8 +61,6 @@ class Clarabel:
             settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = TOLERANCE
             settings.presolve_enable = False  # or its data could not be updated
             settings.max_threads = 1
-            for name, value in self._settings.items():
-                setattr(settings, name, value)
             cones = [
                 *([clarabel.ZeroConeT(program.zero)] if program.zero else []),
                 clarabel.NonnegativeConeT(program.nonnegative),
@@ -91,8 +88,7 @@ class Qoco:
     It has no certificate of infeasibility; the subproblems need none, as they are always feasible.
     """
 
-    def __init__(self, settings: Mapping[str, float]) -> None:
-        self._settings = settings
+    def __init__(self) -> None:
         self._qoco = importlib.import_module("qoco")
         self._solver: Any = None
 
@@ -107,8 +103,7 @@ class Qoco:
             sizes = len(q), len(h), z
             matrices = None, q, a if z else None, b if z else None, g, h
             cones = program.nonnegative, len(program.second_order), np.array(program.second_order)
-            options = {"abstol": TOLERANCE, "reltol": TOLERANCE} | dict(self._settings)
-            self._solver.setup(*sizes, *matrices, *cones, **options)
+            self._solver.setup(*sizes, *matrices, *cones, abstol=TOLERANCE, reltol=TOLERANCE)
         else:
             self._solver.update_vector_data(c=q, b=b if z else None, h=h)
             self._solver.update_matrix_data(P=None, A=a.data if z else None, G=g.data)
@@ -146,11 +141,11 @@ class ByCvxpy:
         "SCS": {"eps_abs": 1e-8, "eps_rel": 1e-8, "max_iters": 200_000},
     }
 
-    def __init__(self, name: str, settings: Mapping[str, float]) -> None:
+    def __init__(self, name: str) -> None:
         from cvxpy.reductions.solvers.defines import SOLVER_MAP_CONIC
 
         self._name, self._interface = name, SOLVER_MAP_CONIC[name]
-        self._settings = self.SETTINGS.get(name, {}) | dict(settings)
+        self._settings = self.SETTINGS.get(name, {})
         self._interface.import_solver()
         self._last: dict[str, Any] = {}
 
@@ -170,10 +165,7 @@ class ByCvxpy:
         return Answer(x, solution.status, accurate, seconds, np.concatenate(duals))
 
 
-SOLVERS: dict[str, Callable[[Mapping[str, float]], ConicSolver]] = {
-    "CLARABEL": Clarabel,
-    "QOCO": Qoco,
-}
+SOLVERS: dict[str, Callable[[], ConicSolver]] = {"CLARABEL": Clarabel, "QOCO": Qoco}
 """Solvers that are kept and updated in place."""
 
 
@@ -192,6 +184,10 @@ def installed() -> tuple[str, ...]:
     return tuple(sorted(names, key=lambda name: (name != "CLARABEL", name)))
 
 
+def _built(name: str) -> ConicSolver:
+    return SOLVERS[name]() if name in SOLVERS else ByCvxpy(name)
+
+
 class FallbackSolver:
     """A conic solver with fallbacks: rebuild it, then try the others whose numbers can be updated.
 
@@ -199,26 +195,18 @@ class FallbackSolver:
     numbers, it is built again. A solver is foreign code, so three things count as a failure: any
     exception, numbers that are not finite, and an "accurate" answer whose multipliers do not prove
     it optimal. After a failure of all solvers the algorithm shrinks the trust region. A solver that
-    is not in `SOLVERS` has no fallbacks: it is there for comparison. `settings` are by CVXPY's name
-    of a solver, besides its tolerances.
+    is not in `SOLVERS` has no fallbacks: it is there for comparison.
 
     Raises:
         ModuleNotFoundError: if the solver is not installed.
     """
 
-    def __init__(
-        self, name: str, settings: Mapping[str, Mapping[str, float]] | None = None
-    ) -> None:
-        self._name, self._settings = name, settings or {}
-        self._kept = self._built(name)
-
-    def _built(self, name: str) -> ConicSolver:
-        settings = self._settings.get(name, {})
-        return SOLVERS[name](settings) if name in SOLVERS else ByCvxpy(name, settings)
+    def __init__(self, name: str) -> None:
+        self._name, self._kept = name, _built(name)
 
     def forget(self) -> None:
         """Build the solver again at the next call, for a program with another sparsity."""
-        self._kept = self._built(self._name)
+        self._kept = _built(self._name)
 
     def solve(self, program: ConeProgram, gap: float = GAP) -> Answer:
         """See `ConicSolver`. An inaccurate answer counts if no solver has a better one.
@@ -233,7 +221,7 @@ class FallbackSolver:
             if answer is not None and answer.accurate:
                 break
             try:
-                solver = self._built(name)
+                solver = _built(name)
             except ModuleNotFoundError:  # the other one, which need not be installed
                 continue
             self._kept = solver if name == self._name else self._kept

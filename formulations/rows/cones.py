@@ -102,27 +102,6 @@ POSITION = np.arange(3)[:, None]
 """Components of the position, in `placed` beside columns."""
 
 
-class Pulled(NamedTuple):
-    """Derivatives of weighed violations by the positions of a flight.
-
-    Attributes:
-        by_mean: by the means' first components, 3 of positions or all 6, shape (n_nodes, 3 or 6).
-        by_factor: by the covariance factor's first rows, 3 of positions or all 6, and columns,
-            shape (n_nodes, 3 or 6, c).
-    """
-
-    by_mean: Array
-    by_factor: Array
-
-    def by_states(self, lin: Linearisation) -> Pulled:
-        """The same by all of means and factors, shapes (n_nodes, 6) and (n_nodes, 6, c)."""
-        found = Pulled(np.zeros((lin.problem.n_nodes, 6)), np.zeros(lin.factor.shape))
-        found.by_mean[:, : self.by_mean.shape[1]] = self.by_mean
-        _, rows, columns = self.by_factor.shape
-        found.by_factor[:, :rows, :columns] = self.by_factor
-        return found
-
-
 def triangular_cones(rows: Indices, head: Array, tail: Array) -> Cones:
     """Cones head (z', 1) + buffer >= ||tail (z', 1)||, reduced to the tail's triangular factor.
 
@@ -188,13 +167,25 @@ def on_states(
     return StateCones(cones.rows, places, gradient.ravel(), burns, constants)
 
 
-def pulled_at(problem: FlybyProblem, nodes: Indices, by_mean: Array, by_factor: Array) -> Pulled:
-    """The sums of parts at some nodes, shapes (r, 3) and (r, 3, c)."""
-    n, (_, *shape) = problem.n_nodes, by_factor.shape
-    pulled = Pulled(np.zeros((n, 3)), np.zeros((n, *shape)))
-    np.add.at(pulled.by_mean, nodes, by_mean)
-    np.add.at(pulled.by_factor, nodes, by_factor)
-    return pulled
+def slopes_by_states(
+    lin: Linearisation, blocks: list[StateCones], prices: Array
+) -> tuple[Array, Array]:
+    """Derivative of the rows' violations ||y_1..|| - y_0, weighed by prices (rows,), at an iterate.
+
+    Returns:
+        By the means, shape (n_nodes, 6), and by the factors, shape (n_nodes, 6, c).
+    """
+    states = np.concatenate([lin.iterate.mean[:, :, None], lin.factor], axis=2)
+    slope = np.zeros(states.shape)
+    for block in blocks:
+        component, *at = block.places
+        y = block.constants + block.burns @ lin.controls[: block.burns.shape[2]]
+        entries = block.entries * states[tuple(at)]
+        y += np.bincount(component, entries, y.size).reshape(y.shape)
+        size = np.maximum(np.linalg.norm(y[:, 1:], axis=1, keepdims=True), 1e-300)
+        by_y = prices[block.rows, None] * np.hstack([np.full((len(y), 1), -1.0), y[:, 1:] / size])
+        np.add.at(slope, tuple(at), block.entries * by_y.ravel()[component])
+    return slope[..., 0], slope[..., 1:]
 
 
 class Rows(Protocol):
@@ -240,9 +231,6 @@ class Rows(Protocol):
 
     def state_cones(self, lin: Linearisation) -> list[StateCones]:
         """The rows of `cones` before mean and factor are eliminated."""
-
-    def pulled(self, lin: Linearisation, prices: Array) -> Pulled:
-        """Derivative of the rows' violations, weighed by prices (rows,), in the order of `cones`."""
 
 
 def controls_felt(problem: FlybyProblem, nodes: Indices) -> Indices:
@@ -315,14 +303,3 @@ class FinalSpread:
             none = np.zeros((1, 1 + y.size, 0))
             cones.append(StateCones(rows, places, np.ones(y.size), none, constants))
         return cones
-
-    def pulled(self, others: Pulled, lin: Linearisation, prices: Array) -> Pulled:
-        """Pull of the other rows and of these, vec(S) / ||vec(S)|| each, at the prices of all rows."""
-        if not self.count:
-            return others
-        by_factor = others.by_states(lin).by_factor
-        for number, (_, part, _limit) in enumerate(self._limits):
-            spread = lin.factor[-1, part]
-            size = max(float(np.linalg.norm(spread)), 1e-300)
-            by_factor[-1, part] += prices[self._first + number] / size * spread
-        return Pulled(others.by_mean, by_factor)

@@ -25,7 +25,7 @@ from formulations.problem.controls import Feedback
 from formulations.problem.flyby import FlybyProblem
 from formulations.problem.regions import Ball, Cone
 from formulations.risk.lines import normal_density
-from formulations.rows.cones import Cones, FinalSpread, Margins, Pulled, StateCones
+from formulations.rows.cones import Cones, FinalSpread, Margins, StateCones
 from formulations.rows.drift import DriftRows
 from formulations.rows.node_probability import LEAST, Event, Quantiles, node_quantiles
 
@@ -233,7 +233,3 @@ class FurtherRows:
             + [StateCones(o.rows, *none, o.values, o.constants) for o in self._burns.cones(lin)]
             + self._drifts.state_cones(lin)
         )
-
-    def pulled(self, others: Pulled, lin: Linearisation, prices: Array) -> Pulled:
-        """Pull of the other rows, of the final spread's and of the drifts': burns pull at no state."""
-        return self._drifts.pulled(self._final.pulled(others, lin, prices), lin, prices)

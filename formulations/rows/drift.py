@@ -20,21 +20,19 @@ from typing import NamedTuple
 import numpy as np
 
 from formulations.arrays import Array, Indices
-from formulations.linearisation.adjoint import gradient
 from formulations.linearisation.dynamics import Dynamics
 from formulations.linearisation.linearisation import (
     Linearisation,
     Seen,
-    Sensitivity,
     affine_maps,
-    condense,
+    gradient,
     require_finite,
 )
 from formulations.problem.flow import ArcDerivatives, bending, by_parameters
 from formulations.problem.flyby import Drift, FlybyProblem, Legs
 from formulations.problem.regions import Ball
 from formulations.risk.lines import sphere_directions
-from formulations.rows.cones import Cones, Margins, Pulled, StateCones, on_states
+from formulations.rows.cones import Cones, Margins, StateCones, on_states
 from formulations.rows.flight_probability import Coordinates, FlightProbability
 from formulations.rows.node_probability import SPREAD_MIN, Event
 
@@ -60,7 +58,7 @@ NO_BURNS = np.zeros((0, 3))
 
 
 class Start(NamedTuple):
-    """Mean (6,) and factor (6 + p, c) at a drift's start; or derivatives of a function by them.
+    """Mean (6,) and factor (6 + p, c) at a drift's start; or derivatives of a number by them.
 
     The factor's p rows of uncertain parameters are constant: no derivative is by them.
     """
@@ -265,45 +263,29 @@ class DriftRows:
 
     def cones(self, lin: Linearisation) -> list[Cones]:
         """A half-space for each drift, in all controls: curving them was tried, and slows planning."""
-        z, blocks = lin.controls, []
-        if not self.count:
-            return []
-        s = condense(lin, self.nodes)
+        blocks, timed = [], lin.problem.time_controls
         for row, (drift, found) in enumerate(zip(self._drifts, self.at(lin), strict=True)):
-            slope = _slope(found.by, self._maps(lin, drift, s))
-            constant = found.value - drift.required - slope @ z
+            by_states = self._by_states(lin, drift, found)
+            slope = gradient(lin, *by_states)
+            slope[timed] += self._by_times(lin, drift, found, *by_states)
+            constant = found.value - drift.required - slope @ lin.controls
             rows = np.array([self._first + row])
             blocks.append(Cones(rows, slope[None, None], np.full((1, 1), constant)))
         return blocks
 
     def state_cones(self, lin: Linearisation) -> list[StateCones]:
-        """The slopes act on mean and factor at the two nodes about each burn.
-
-        The controls have what is left of times: the node before a burn moves less than the burn does.
-        """
+        """The slopes act on mean and factor at the two nodes about each burn."""
         blocks, timed = [], lin.problem.time_controls
         for own, drift, found in zip(self.cones(lin), self._drifts, self.at(lin), strict=True):
             nodes = lin.problem.burn_nodes[drift.burn] - np.array([1, 0])
-            by_mean, by_factor = self._on_nodes(lin, drift, found)
+            by_mean, by_factor = self._by_states(lin, drift, found)
             by_states = np.concatenate([by_mean[nodes, :, None], by_factor[nodes]], axis=2)
             block = on_states(own, lin, np.zeros(2, dtype=np.intp), nodes, by_states)
-            if timed.size:
-                left = own.values[0, 0, timed] - gradient(lin, by_mean, by_factor)[timed]
-                block.burns[0, 0, timed] = left
-                block.constants[0, 0] -= left @ lin.controls[timed]
+            left = self._by_times(lin, drift, found, by_mean, by_factor)
+            block.burns[0, 0, timed] = left
+            block.constants[0, 0] -= left @ lin.controls[timed]
             blocks.append(block)
         return blocks
-
-    def pulled(self, others: Pulled, lin: Linearisation, prices: Array) -> Pulled:
-        """Pull of the other rows and of these, -dg each, at the prices of all rows."""
-        if not self.count:
-            return others
-        by_mean, by_factor = others.by_states(lin)
-        for row, (drift, found) in enumerate(zip(self._drifts, self.at(lin), strict=True)):
-            of_mean, of_factor = self._on_nodes(lin, drift, found)
-            by_mean -= prices[self._first + row] * of_mean
-            by_factor -= prices[self._first + row] * of_factor
-        return Pulled(by_mean, by_factor)
 
     def at(self, lin: Linearisation) -> list[DriftValue]:
         """Values of all drifts at an iterate."""
@@ -317,33 +299,27 @@ class DriftRows:
             self._branches[number] = branch_at(lin, drift)
         return self._branches[number](start_of(lin, drift))
 
-    def _maps(self, lin: Linearisation, drift: Drift, s: Sensitivity) -> Start:
-        """Derivatives of a drift's start by the controls, (6, nz) and (6, c, nz).
+    def _by_times(
+        self, lin: Linearisation, drift: Drift, found: DriftValue, by_mean: Array, by_factor: Array
+    ) -> Array:
+        """Derivative by times beside that by the states at nodes, which `_by_states` gives, (q,).
 
-        A burn that moves takes the drift along. The drift's own forces stay those of its times.
+        A burn that moves takes the drift along: the node before it moves less than the burn does. The
+        drift's own forces stay those of its times.
         """
-        k = int(lin.problem.burn_nodes[drift.burn])
-        before, after = np.searchsorted(self.nodes, [k - 1, k])
-        stm, missed, moved = lin.arcs.stm[k - 1], 1.0 - drift.share, s.mean_jacobian[before]
-        turned, timed = s.factor_jacobian[before], lin.problem.time_controls
-        if timed.size:  # the arc begins and ends at other times
-            nodes, here = np.array([k - 1]), lin.spread.factor[k - 1]
-            moved, turned = moved.copy(), turned.copy()
-            moved[:, timed] -= lin.shifts.drift(nodes)[0]
-            turned[..., timed] -= lin.shifts.factor_drift(nodes, here[None])[0]
-        mean = stm @ moved
-        factor = np.einsum("ij,jcz->icz", stm, turned)
-        factor += np.einsum("ijl,lz,jc->icz", lin.bending[k - 1], moved, lin.spread.factor[k - 1])
-        if timed.size:
-            along = lin.shifts.before(drift.burn, lin.stm_of_arcs[k - 1] @ here)
-            mean[:, timed] += along[0]
-            factor[..., timed] += along[1]
-        return Start(
-            missed * mean + drift.share * s.mean_jacobian[after],
-            missed * factor + drift.share * s.factor_jacobian[after],
-        )
+        if not lin.problem.time_controls.size:
+            return np.zeros(0)
+        before = int(lin.problem.burn_nodes[drift.burn]) - 1
+        node, factor = np.array([before]), lin.spread.factor[before]
+        moved, turned = lin.shifts.before(drift.burn, lin.stm_of_arcs[before] @ factor)
+        slope = found.by.mean @ moved + np.tensordot(found.by.factor, turned, 2)
+        less = by_mean[before] @ lin.shifts.drift(node)[0]
+        less += np.tensordot(by_factor[before], lin.shifts.factor_drift(node, factor[None])[0], 2)
+        return np.asarray((1.0 - drift.share) * slope - less)
 
-    def _on_nodes(self, lin: Linearisation, drift: Drift, found: DriftValue) -> tuple[Array, Array]:
+    def _by_states(
+        self, lin: Linearisation, drift: Drift, found: DriftValue
+    ) -> tuple[Array, Array]:
         """Derivatives by means (n_nodes, 6) and factors (n_nodes, 6, c), from those by the start."""
         k, missed = int(lin.problem.burn_nodes[drift.burn]), 1.0 - drift.share
         by_mean = np.zeros((lin.problem.n_nodes, 6))
@@ -355,11 +331,6 @@ class DriftRows:
         by_mean[k - 1] = missed * (stm.T @ found.by.mean + bent)
         by_factor[k - 1] = missed * stm.T @ found.by.factor
         return by_mean, by_factor
-
-
-def _slope(by: Start, maps: Start) -> Array:
-    """Derivative by the controls, from those by a drift's start and of the start."""
-    return np.asarray(by.mean @ maps.mean + np.einsum("ic,icz->z", by.factor, maps.factor))
 
 
 def branch_at(lin: Linearisation, drift: Drift) -> Branch:

@@ -22,13 +22,11 @@ from formulations.rows.cones import (
     BINDING,
     Cones,
     Margins,
-    Pulled,
     StateCones,
     Unit,
     controls_felt,
     curved_cones,
     on_states,
-    pulled_at,
 )
 from formulations.rows.corrected_burns import FurtherRows
 from formulations.rows.node_probability import Quantiles, joint_events, moving_quantiles
@@ -48,7 +46,7 @@ def bent_by_gains(problem: FlybyProblem, g: Quantiles, factor: Array, map_: Arra
         problem: with feedback.
         g: at r nodes.
         factor: of the positions there, shape (r, 3, d).
-        map_: of burns' components to the positions there, shape (r, 3, 3 m).
+        map_: of the controls to the positions there, shape (r, 3, controls).
     """
     feedback = problem.feedback
     assert feedback is not None
@@ -56,7 +54,7 @@ def bent_by_gains(problem: FlybyProblem, g: Quantiles, factor: Array, map_: Arra
     half = 0.5 * g.by_factor @ factor.swapaxes(1, 2) @ inverse
     values, axes = np.linalg.eigh(0.5 * (half + half.swapaxes(1, 2)))
     negative = (axes * np.minimum(values, 0.0)[:, None]) @ axes.swapaxes(1, 2)
-    by_burn = [map_[:, :, 3 * i : 3 * i + 3] for i in feedback.burns]
+    by_burn = [map_[:, :, problem.burn_controls[i]] for i in feedback.burns]
     bent = np.zeros((len(map_), feedback.size, feedback.size))
     first = feedback.first_gain
     for j, one in enumerate(by_burn):
@@ -130,12 +128,6 @@ class NodeRows(ExactRows):
             for block in own
         ] + self.further.state_cones(lin)
 
-    def pulled(self, lin: Linearisation, prices: Array) -> Pulled:
-        """Derivatives of -g at each row's node; see `Rows.pulled`."""
-        g, own = self._at(lin), -prices[: len(self.node)]
-        parts = own[:, None] * g.by_mean, own[:, None, None] * g.by_factor
-        return self.further.pulled(pulled_at(self.problem, self.node, *parts), lin, prices)
-
     def _at(self, lin: Linearisation) -> Quantiles:
         """The quantiles g of all rows at an iterate."""
         if lin in self._seen:
@@ -189,8 +181,8 @@ class NodeRows(ExactRows):
             return hessian
         hessian[:, :, burns] = hessian[:, burns].swapaxes(1, 2)
         here = Quantiles(*(part[rows] for part in self._at(lin)))
-        maps = s.mean_jacobian[at, :3][..., problem.burn_controls.ravel()]
-        bent = bent_by_gains(problem, here, lin.factor[self.node[rows], :3], maps)
+        factor = lin.factor[self.node[rows], :3]
+        bent = bent_by_gains(problem, here, factor, s.mean_jacobian[at, :3])
         gains = problem.gain_controls[problem.gain_controls < p]
         hessian[:, gains[:, None], gains] = bent[:, : len(gains), : len(gains)]
         return hessian

@@ -13,11 +13,16 @@ import numpy as np
 from scipy.linalg import null_space
 
 from formulations.arrays import Array
-from formulations.linearisation.adjoint import gradient
-from formulations.linearisation.linearisation import Linearisation, Sensitivity, condense, miss_of
+from formulations.linearisation.linearisation import (
+    Linearisation,
+    Sensitivity,
+    condense,
+    gradient,
+    miss_of,
+)
 from formulations.problem.flyby import FlybyProblem, factor_columns_used
 from formulations.risk.lines import Directions, aimed_directions, sphere_directions
-from formulations.rows.cones import Cones, Margins, Pulled, StateCones, curved_cones, on_states
+from formulations.rows.cones import Cones, Margins, StateCones, curved_cones, on_states
 from formulations.rows.corrected_burns import FurtherRows
 from formulations.rows.exact import ExactRows, bent_by_gains
 from formulations.rows.flight_probability import Coordinates, FlightProbability, FlightValue, Limits
@@ -180,12 +185,6 @@ class FlightRows(ExactRows):
             *self.further.state_cones(lin),
         ]
 
-    def pulled(self, lin: Linearisation, prices: Array) -> Pulled:
-        """Derivatives of -g at all nodes; see `Rows.pulled`."""
-        g = self.at(lin)
-        own = Pulled(-prices[0] * g.by_mean, -prices[0] * g.by_factor)
-        return self.further.pulled(own, lin, prices)
-
     def at(self, lin: Linearisation) -> FlightValue:
         """G at an iterate."""
         mean, factor = lin.iterate.mean[:, :3], lin.spread.factor
@@ -223,7 +222,7 @@ class FlightRows(ExactRows):
         if self.problem.feedback is not None:
             at, gains = np.unique(g.limits.nodes), self.problem.gain_controls
             quantiles = Quantiles(np.zeros(len(at)), g.by_mean[at], g.by_factor[at, :3])
-            maps = condense(lin, at, factor=False, gains=False).mean_jacobian[:, :3]
+            maps = condense(lin, at, factor=False).mean_jacobian[:, :3]
             bent = bent_by_gains(self.problem, quantiles, lin.factor[at, :3], maps)
             hessian[np.ix_(gains, gains)] = bent.sum(axis=0)
         return hessian

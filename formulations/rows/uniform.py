@@ -17,12 +17,10 @@ from formulations.rows.cones import (
     POSITION,
     Cones,
     Margins,
-    Pulled,
     StateCones,
     Unit,
     controls_felt,
     placed,
-    pulled_at,
     triangular_cones,
 )
 from formulations.rows.corrected_burns import FurtherRows
@@ -79,22 +77,6 @@ class DeterministicRows:
             blocks.append(StateCones(rows, places, matrix.ravel(), none, constants))
             first += n
         return blocks
-
-    def pulled(self, lin: Linearisation, prices: Array) -> Pulled:
-        """Derivatives of keep-in cones and of keep-out sets' supporting planes, by the mean alone."""
-        by_mean, first = np.zeros((self.problem.n_nodes, 3)), 0
-        for c in self.problem.constraints:
-            position, price = lin.iterate.mean[c.nodes, :3], prices[first : first + len(c.nodes)]
-            if c.keep == "out":
-                slope = -c.region.supporting(position).normal
-            else:
-                cone = c.region.second_order_cone
-                across = np.einsum("nij,nj->ni", cone.matrix, position - cone.origin)
-                size = np.maximum(np.linalg.norm(across, axis=1), 1e-300)
-                slope = np.einsum("ni,nij->nj", across / size[:, None], cone.matrix) - cone.linear
-            np.add.at(by_mean, c.nodes, price[:, None] * slope)
-            first += len(c.nodes)
-        return Pulled(by_mean, np.zeros((self.problem.n_nodes, 3, 0)))
 
 
 def _map_of(constraint: StateConstraint, lin: Linearisation) -> tuple[Array, Array, Array]:
@@ -226,18 +208,3 @@ class ChanceRows:
         motion, normal = carried.motion.at(rows), carried.normal[rows]
         value = np.einsum("ri,rip->rp", normal, motion.seen(point)) @ own
         return np.asarray(motion.slope(normal) @ own), np.asarray(value)
-
-    def pulled(self, lin: Linearisation, prices: Array) -> Pulled:
-        """Derivatives of a'mu + q ||S'a||: a by the mean, q a (S'a)' / ||S'a|| by the factor.
-
-        Where regions move, S depends on the mean, too.
-        """
-        carried, node = self.carried, self.carried.node
-        spread = carried.along(lin.iterate.mean, lin.spread.factor)
-        size = np.maximum(np.linalg.norm(spread, axis=1), 1e-300)
-        weighted = prices[: len(node), None] * carried.normal
-        along = (carried.quantile / size)[:, None] * spread
-        by_factor = weighted[:, :, None] * along[:, None]
-        if carried.motion is not None:
-            weighted = weighted + carried.motion.pulled(by_factor @ self.problem.parameter_factor.T)
-        return self.further.pulled(pulled_at(self.problem, node, weighted, by_factor), lin, prices)

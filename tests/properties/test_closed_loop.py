@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 from scipy.optimize import brentq
 
 from formulations.arrays import Array
-from formulations.linearisation.adjoint import gradient
-from formulations.linearisation.linearisation import condense
+from formulations.linearisation.linearisation import condense, gradient
 from formulations.nlp.program import Arcs, Start
 from formulations.problem.controls import Cost
 from formulations.problem.execution_errors import ComponentwiseErrors, GatesErrors

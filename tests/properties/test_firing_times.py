@@ -11,9 +11,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from formulations.arrays import Array, Indices
-from formulations.linearisation.adjoint import gradient
 from formulations.linearisation.dynamics import Dynamics
-from formulations.linearisation.linearisation import Linearisation, condense, miss_of, step_mean
+from formulations.linearisation.linearisation import (
+    Linearisation,
+    condense,
+    gradient,
+    miss_of,
+    step_mean,
+)
 from formulations.problem.controls import UNIT, Boundary, Feedback, FiringTimes
 from formulations.problem.execution_errors import ComponentwiseErrors, GatesErrors
 from formulations.problem.expression_flow import ExpressionDerivatives, ExpressionFlow

@@ -1,7 +1,6 @@
 """Mean, factor and virtual control as variables make the condensed program again."""
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -10,8 +9,6 @@ from formulations.linearisation.linearisation import Linearisation
 from formulations.problem.controls import Cost
 from formulations.problem.facets import Polytopes, ball, choose_facets
 from formulations.problem.regions import Ball
-from formulations.program import solvers
-from formulations.program.solvers import SOLVERS
 from formulations.program.subproblem import Step
 from formulations.registry import FORMULATIONS, make_subproblem
 from formulations.rows.cones import PARTS, Rows
@@ -95,22 +92,6 @@ def test_corrections_are_linearised_as_in_the_condensed_form(seed, name, cost):
     assert theirs.burns == pytest.approx(ours.burns, abs=1e-4)
     if cost != "nominal":  # which hardly tells one gain from another
         assert theirs.gains == pytest.approx(ours.gains, abs=1e-3)
-
-
-def test_clarabels_regularisation_is_what_this_form_needs_and_no_others(monkeypatch):
-    asked: list[Any] = []
-
-    def recording(settings: Any) -> solvers.Clarabel:
-        asked.append(dict(settings))
-        return solvers.Clarabel(settings)
-
-    monkeypatch.setitem(SOLVERS, "CLARABEL", recording)
-    lin = small()
-    for formulation in ("condensed", "lifted"):
-        subproblem = make_subproblem(lin.problem, every_row(lin, "P3", 4), formulation)
-        subproblem.update(lin)
-        subproblem.solve(0.5, 10.0)
-    assert asked == [{}, {"static_regularization_constant": 1e-7}]
 
 
 @pytest.mark.parametrize("formulation", FORMULATIONS)

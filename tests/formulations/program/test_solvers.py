@@ -1,7 +1,7 @@
 """Conic solvers say what they found, a verdict needs a proof, and failures have others behind."""
 
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from functools import cache
 from types import SimpleNamespace
 from typing import Any
@@ -28,7 +28,6 @@ from formulations.program.solvers import (
 
 from .support import alone, disk, need, tent
 
-Settings = Mapping[str, float]
 FREE = ConeProgram(np.zeros(2), sp.csc_array((0, 2)), np.zeros(0), 0, 0, ())
 
 
@@ -42,7 +41,7 @@ def test_clarabel_is_set_up_for_new_numbers_on_one_core(monkeypatch):
         return real(*arguments)
 
     monkeypatch.setattr(clarabel, "DefaultSolver", watch)
-    solver = Clarabel({})
+    solver = Clarabel()
     for _ in range(2):
         solver.solve(disk(np.random.default_rng(1), 1))
     ((*_, settings),) = seen  # built once
@@ -55,7 +54,7 @@ def test_an_almost_solved_program_is_answered_and_not_vouched_for(monkeypatch):
     found = SimpleNamespace(x=[1.0, 2.0, 3.0], z=[4.0], status="AlmostSolved")
     fake = SimpleNamespace(solve=lambda: found)
     monkeypatch.setattr(clarabel, "DefaultSolver", lambda *_: fake)
-    answer = Clarabel({}).solve(disk(np.random.default_rng(1), 0))
+    answer = Clarabel().solve(disk(np.random.default_rng(1), 0))
     assert (answer.status, answer.accurate) == ("AlmostSolved", False)
     assert list(answer.x) == [1.0, 2.0, 3.0]
     assert answer.multipliers is not None
@@ -70,12 +69,12 @@ def test_qoco_is_asked_for_our_tolerance_and_not_vouched_for_beyond_it():
     def setup(*_: object, **settings: object) -> None:
         given.append(settings)
 
-    solver = Qoco({"extra": 3})
+    solver = Qoco()
     solver._qoco = SimpleNamespace(QOCO=lambda: SimpleNamespace(setup=setup, solve=lambda: found))
     answer = solver.solve(disk(np.random.default_rng(2), 1))
     assert (answer.status, answer.accurate) == ("QOCO_SOLVED_INACCURATE", False)
     assert list(answer.multipliers) == [2.0, 3.0, 4.0]
-    assert given == [{"abstol": solvers.TOLERANCE, "reltol": solvers.TOLERANCE, "extra": 3}]
+    assert given == [{"abstol": solvers.TOLERANCE, "reltol": solvers.TOLERANCE}]
 
 
 @pytest.mark.parametrize("solver", SOLVERS)
@@ -84,7 +83,7 @@ def test_a_program_without_a_solution_has_no_answer(solver):
     matrix = sp.csc_array(np.array([[1.0], [-1.0]]))
     program = ConeProgram(np.ones(1), matrix, np.array([-1.0, -1.0]), 0, 2, ())
     with pytest.raises(ValueError, match=f"{solver} ended with status"):
-        SOLVERS[solver]({}).solve(program)
+        SOLVERS[solver]().solve(program)
 
 
 @pytest.mark.parametrize("equations", [0, 1])
@@ -93,10 +92,10 @@ def test_a_solver_with_new_numbers_proves_its_answer_as_a_new_one_does(solver, e
     """And is silent."""
     need(solver)
     rng = np.random.default_rng(7)
-    kept = SOLVERS[solver]({})
+    kept = SOLVERS[solver]()
     for _ in range(4):
         program = disk(rng, equations)
-        answer, new = kept.solve(program), SOLVERS[solver]({}).solve(program)
+        answer, new = kept.solve(program), SOLVERS[solver]().solve(program)
         assert answer.x == pytest.approx(new.x, abs=1e-5)
         assert answer.multipliers is not None
         assert is_optimal(program, answer.x, answer.multipliers)
@@ -130,8 +129,8 @@ def script(monkeypatch, first: list[Word], second: list[Word]) -> dict[str, int]
     """Two solvers with what they say from now on; counts how often each was built."""
     built = {"CLARABEL": 0, "QOCO": 0}
 
-    def maker(name: str, words: list[Word]) -> Callable[[Settings], Scripted]:
-        def make(_: Settings) -> Scripted:
+    def maker(name: str, words: list[Word]) -> Callable[[], Scripted]:
+        def make() -> Scripted:
             built[name] += 1
             return Scripted(words)
 
@@ -200,10 +199,10 @@ def test_the_one_named_is_kept(name, first, second, built, monkeypatch):
 def test_another_that_is_not_installed_is_passed_over(monkeypatch):
     script(monkeypatch, [POOR, POOR, ValueError("a"), ValueError("b")], [])
 
-    def absent(_: Settings) -> Scripted:
+    def absent() -> Scripted:
         raise ModuleNotFoundError("no module named so")
 
-    later = {"QOCO": absent, "third": lambda _: Scripted([GOOD])}
+    later = {"QOCO": absent, "third": lambda: Scripted([GOOD])}
     for name, make in later.items():
         monkeypatch.setitem(SOLVERS, name, make)
     assert FallbackSolver("CLARABEL").solve(FREE).status == "good"
@@ -254,20 +253,6 @@ def test_a_solver_that_is_not_installed_is_missed_at_once(monkeypatch):
     monkeypatch.setitem(sys.modules, "qoco", None)
     with pytest.raises(ModuleNotFoundError, match="qoco"):
         FallbackSolver("QOCO")
-
-
-def test_every_solver_is_built_with_the_settings_for_it(monkeypatch):
-    built: list[tuple[str, Settings]] = []
-    for name, answer in (("CLARABEL", POOR), ("QOCO", GOOD)):
-
-        def make(given: Settings, name: str = name, answer: Answer = answer) -> Scripted:
-            built.append((name, given))
-            return Scripted([answer])
-
-        monkeypatch.setitem(SOLVERS, name, make)
-    FallbackSolver("CLARABEL", {"CLARABEL": {"max_iter": 7}}).solve(FREE)
-    own = ("CLARABEL", {"max_iter": 7})
-    assert built == [own, own, ("QOCO", {})]
 
 
 @cache
@@ -339,12 +324,12 @@ def fake(monkeypatch, interface: FakeInterface, name: str = "FAKE") -> None:
 
 
 @pytest.mark.parametrize("solver", [*ByCvxpy.SETTINGS, "ANOTHER"])
-def test_solvers_get_their_settings_and_what_is_asked_besides(solver, monkeypatch):
+def test_solvers_get_their_settings(solver, monkeypatch):
     interface, program = FakeInterface(), two_tents()
     fake(monkeypatch, interface, solver)
     settings = ByCvxpy.SETTINGS.get(solver, {})
-    ByCvxpy(solver, {"extra": 3}).solve(program)
-    assert interface.asked == {"warm": True, "verbose": False, **settings, "extra": 3}
+    ByCvxpy(solver).solve(program)
+    assert interface.asked == {"warm": True, "verbose": False, **settings}
     cost, offset, matrix, bound = interface.values
     assert (cost.tolist(), offset, bound.tolist()) == (
         program.cost.tolist(),
@@ -352,11 +337,6 @@ def test_solvers_get_their_settings_and_what_is_asked_besides(solver, monkeypatc
         program.bound.tolist(),
     )
     assert np.array_equal(matrix.toarray(), -program.matrix.toarray())
-    if settings:
-        key = next(iter(settings))
-        ByCvxpy(solver, {key: 5}).solve(program)
-        assert interface.asked[key] == 5
-        assert ByCvxpy.SETTINGS[solver] == settings
 
 
 @pytest.mark.parametrize(
@@ -389,10 +369,11 @@ def test_a_solver_asked_to_be_compared_stands_alone(status, monkeypatch):
     assert (built, made) == ({"CLARABEL": 0, "QOCO": 0}, [])
 
 
-def test_a_solver_that_stops_early_says_so_and_warns_nobody(capfd):
+def test_a_solver_that_stops_early_says_so_and_warns_nobody(capfd, monkeypatch):
     """Warnings are errors here, and CVXPY's own word for an inaccurate answer is one."""
     need("SCS")
-    answer = ByCvxpy("SCS", {"max_iters": 5}).solve(two_tents())
+    monkeypatch.setitem(ByCvxpy.SETTINGS, "SCS", {"max_iters": 5})
+    answer = ByCvxpy("SCS").solve(two_tents())
     assert (answer.status, answer.accurate) == (cp.OPTIMAL_INACCURATE, False)
     assert capfd.readouterr() == ("", "")
 

@@ -143,8 +143,8 @@ class Scripted:
 
 def scripted(monkeypatch, answer: Answer | str, other: str) -> None:
     """One solver with this answer, however often it is built, and another that fails."""
-    monkeypatch.setitem(SOLVERS, "CLARABEL", lambda _: Scripted(answer))
-    monkeypatch.setitem(SOLVERS, "QOCO", lambda _: Scripted(other))
+    monkeypatch.setitem(SOLVERS, "CLARABEL", lambda: Scripted(answer))
+    monkeypatch.setitem(SOLVERS, "QOCO", lambda: Scripted(other))
 
 
 @pytest.mark.parametrize("formulation", ["condensed", "lifted"])

@@ -16,9 +16,9 @@ from formulations.rows.cones import (
     FINAL_POSITION,
     FINAL_VELOCITY,
     FinalSpread,
-    Pulled,
     Rows,
     curved_cones,
+    slopes_by_states,
 )
 from formulations.rows.exact import NodeRows
 from formulations.rows.exact_flight import FLIGHT, TANGENTS, FlightRows
@@ -286,24 +286,20 @@ def test_each_limit_is_one_row_after_the_others_with_the_root_of_the_summed_vari
 
 
 @given(generators, st.integers(0, 4), st.booleans())
-def test_what_pulls_is_the_derivative_of_the_root_at_its_price(rng, first, certain):
-    """By differences of margins, on top of what the rows before pull."""
+def test_slopes_by_states_are_those_of_priced_roots(rng, first, certain):
+    """By differences of margins."""
     lin = flown_spread(rng, 0.3, 0.2)
     rows, prices = FinalSpread(lin.problem, first), rng.uniform(0.5, 2.0, first + 2)
-    n, columns = lin.problem.n_nodes, lin.factor.shape[2]
-    before = Pulled(rng.normal(size=(n, 3)), rng.normal(size=(n, 3, columns - 1)))
     if certain:
         lin.__dict__["factor"] = np.zeros_like(lin.factor)
-    found = rows.pulled(before, lin, prices)
-    assert found.by_mean is before.by_mean
-    own = found.by_factor.copy()
-    own[:, :3, : columns - 1] -= before.by_factor
-    assert own.shape == (n, 6, columns)
-    assert not own[:-1].any()
+    by_mean, by_factor = slopes_by_states(lin, rows.state_cones(), prices)
+    assert by_factor.shape == lin.factor.shape
+    assert not by_mean.any()
+    assert not by_factor[:-1].any()
     if certain:
-        assert not own[-1].any()
+        assert not by_factor[-1].any()
         return
-    move, h = rng.normal(size=(6, columns)), 1e-6
+    move, h = rng.normal(size=lin.factor.shape[1:]), 1e-6
 
     def priced(step: float) -> float:
         other = Linearisation(lin.problem, lin.iterate, lin.arcs)
@@ -311,4 +307,4 @@ def test_what_pulls_is_the_derivative_of_the_root_at_its_price(rng, first, certa
         return -float(prices[first:] @ margins(rows, other))
 
     slope = (priced(h) - priced(-h)) / (2.0 * h)
-    assert np.sum(own[-1] * move) == pytest.approx(slope, rel=1e-6, abs=1e-8)
+    assert np.sum(by_factor[-1] * move) == pytest.approx(slope, rel=1e-6, abs=1e-8)

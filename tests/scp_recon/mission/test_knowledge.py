@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from formulations.arrays import Array
-from formulations.linearisation.adjoint import gradient
-from formulations.linearisation.linearisation import Linearisation, condense
+from formulations.linearisation.linearisation import Linearisation, condense, gradient
 from formulations.problem.facets import choose_facets
 from formulations.problem.motion import Motion, relative, with_parameters
 from formulations.problem.regions import Ball
