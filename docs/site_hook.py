@@ -1,7 +1,5 @@
 """Takes README and what the pages link to outside `docs` into the site, and formulas: a hook of MkDocs.
 
-At the end it warns of links that lead nowhere, of tags too, which MkDocs itself does not look at.
-
 Pages link as files do in the repository, so that both a reader of the repository and one of the site
 get somewhere: `docs/frames.md` in README, `../examples/halo_transfer.py` in a page.
 """
@@ -9,16 +7,13 @@ get somewhere: `docs/frames.md` in README, `../examples/halo_transfer.py` in a p
 from __future__ import annotations
 
 import ast
-import logging
 import posixpath
 import re
 import tomllib
 from contextlib import suppress
 from html import unescape
-from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
-from urllib.parse import unquote, urlsplit
 
 from latex2mathml.converter import convert
 from mkdocs.structure.files import File, Files
@@ -26,8 +21,6 @@ from pygments import highlight
 from pygments.formatters import HtmlFormatter
 from pygments.lexers import get_lexer_by_name
 
-_LOG = logging.getLogger("mkdocs.hooks.site_hook")
-"""Whose warnings MkDocs counts."""
 _LINK = re.compile(r"(?<=\]\()([^)#\s]+)")
 _FORMULA = re.compile(r'(?s)<(?:span|div) class="arithmatex">\\([(\[])(.*?)\\[)\]]</(?:span|div)>')
 """As pymdownx.arithmatex leaves them."""
@@ -105,38 +98,6 @@ def _language(code: str) -> str:
             if reader(code):
                 return language
     return "bash"
-
-
-class _Read(HTMLParser):
-    """A page of the site: where its tags lead, and what they may be led to."""
-
-    def __init__(self, file: Path) -> None:
-        super().__init__()
-        self.links: list[str] = []
-        self.ids = {""}
-        self.feed(file.read_text("utf-8"))
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:  # noqa: ARG002 -- of HTMLParser
-        named = {name: value for name, value in attrs if value}
-        self.links += [named[name] for name in ("href", "src") if name in named]
-        self.ids |= {named[name] for name in ("id", "name") if name in named}
-
-
-def on_post_build(config: Any) -> None:
-    """Warn of each link of a page to a file or a heading that is not in the site."""
-    site = Path(config.site_dir).resolve()
-    whole = {"404.html", "notebooks", "source"}  # not made from pages
-    files = [file for file in site.rglob("*.html") if file.relative_to(site).parts[0] not in whole]
-    pages = {file: _Read(file) for file in files}
-    for file, page in pages.items():
-        for link in dict.fromkeys(page.links):
-            where = urlsplit(link)
-            if where.scheme or where.netloc:
-                continue
-            to = (file.parent / unquote(where.path)).resolve() if where.path else file
-            known = to.exists() and (to not in pages or unquote(where.fragment) in pages[to].ids)
-            if not known:
-                _LOG.warning("%s leads to %s, which is not there", file.relative_to(site), link)
 
 
 def _of_top(file: Path) -> str:

@@ -61,9 +61,6 @@ BROKEN = {
     "link": ("[a](nowhere.md)", "nowhere.md"),
     "anchor": ("[a](frames.md#nowhere)", "frames.md#nowhere"),
     "picture": ("![a](nowhere.png)", "nowhere.png"),
-    "tag": ('<a href="no_page.html">a</a>', "no_page.html"),
-    "anchor of a tag": ('<a href="frames.html#no_heading">a</a>', "frames.html#no_heading"),
-    "picture of a tag": ('<p><img src="no_picture.png" alt="a"></p>', "no_picture.png"),
 }
 
 
