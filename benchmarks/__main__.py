@@ -25,7 +25,7 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
-from experiments.harness import Findings, Record, Session, Study, run, run_python
+from experiments.harness import Record, Session, Study, Tables, run, run_python
 from scp_recon.files import write_atomically
 from scp_recon.jobs.job import Job
 
@@ -87,18 +87,17 @@ WAITS = {
 """Commands that users wait for; `{out}` has the plan of `solve`."""
 
 
-def methods(session: Session) -> Findings:
+def methods(session: Session) -> Tables:
     """Time every method and the command line."""
-    store = session.store()
     what: dict[str, tuple[str, ...]]
     what = {name: ("planned", name, str(repeats)) for name, repeats in METHODS.items()}
     what |= {REPLANS: ("replanned",), FLIGHTS: ("flown", str(REPEATS))}
     every = product(range(ROUNDS), what)
     jobs = [Job(f"{round_} {name}", what[name]) for round_, name in every]
-    rows = session.rows("methods", in_a_process, jobs, store)
+    rows = session.rows("methods", in_a_process, jobs)
     found = {name: best([*rows[k :: len(what)]]) for k, name in enumerate(what)}
     repeats = [Job(f"command {number}", session.out) for number in range(2 * ROUNDS)]
-    times = session.rows("commands", command_times, repeats, store)
+    times = session.rows("commands", command_times, repeats)
     commands = {name: min(row[name] for row in times) for name in times[0]}
     planned = [found[name] for name in METHODS]
     least = planned[0]["total_dv_m_s"]
@@ -108,7 +107,7 @@ def methods(session: Session) -> Findings:
         | {key: row[key] for key in row if key != "subproblem_s"}
         for row in planned
     ]
-    return Findings({"methods": table, "ratios": ratios(found, commands)})
+    return {"methods": table, "ratios": ratios(found, commands)}
 
 
 def best(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
@@ -164,12 +163,12 @@ def _without_setup(row: Mapping[str, Any]) -> float:
     return float(row["later_s"] - row["setup_s"])
 
 
-def waits(session: Session) -> Findings:
+def waits(session: Session) -> Tables:
     """Time every command, and keep of each the run of least processor time."""
     runs = product(range(ROUNDS - 1), WAITS)
-    rows = session.rows("waits", lambda one: waited(one[1], session.out), runs, session.store())
+    rows = session.rows("waits", lambda one: waited(one[1], session.out), runs)
     ends = (rows[k :: len(WAITS)] for k in range(len(WAITS)))
-    return Findings({"waits": [min(own, key=lambda row: row["processor_s"]) for own in ends]})
+    return {"waits": [min(own, key=lambda row: row["processor_s"]) for own in ends]}
 
 
 def waited(name: str, out: Path) -> dict[str, Any]:

@@ -54,37 +54,32 @@ class Source(NamedTuple):
     figures: tuple[str, ...] = ()
 
 
-BODIES = ("ryugu", "itokawa", "didymos", "apophis")
-DRAWN = {
-    **{name: (f"{name} --runs {{out}} --out docs/{name}.png",)
-       for name in ("frontier", "feedback", "policies", "map_sample", "missed_burns",
-                    "knowledge")},
-    "gallery": tuple(f"flyby --runs {{out}}/{one} --out docs/gallery/{one}.png" for one in BODIES),
-    "compare_solvers": ("solver_comparison --runs {out} --out docs",),
-    "maps": ("maps --runs {out} --out docs",),
-    "observation_table": ("flyby --runs {out}/scp_cold --out docs/flyby.png",
-                          "ball_polytopes --runs {out} --out docs/ball_polytopes.png"),
-}  # fmt: skip
-COMMANDS = {
-    **{name: name for name in (
-        "plans", "sites", "peers", "cross_check", "sensitivity",
-        "model_fidelity", "battery_cones", "flown_plan", "gallery", "frontier",
-        "feedback", "policies", "observation_table", "optima", "maps",
-        "missed_burns", "knowledge", "flown_policies",
-        "compare_solvers", "uncertainty_sources",
-    )},
-    "designs": "plans --designs",
-    "map_sample": "maps --sample",
-}  # fmt: skip
-DATED = {
-    "benchmarks": "benchmarks",
-    "waits": "benchmarks waits",
-    **{name: f"experiments testing {name}" for name in ("reliability", "coverage", "mutation")},
-}
+DRAWN = "frontier feedback policies missed_burns knowledge"
+BODIES = "ryugu itokawa didymos apophis"
+COUNTED = "reliability coverage mutation"
 SOURCES: Mapping[str, Source] = {
-    name: Source(f"experiments {command}", figures=DRAWN.get(name, ()))
-    for name, command in COMMANDS.items()
-} | {name: Source(command, dated=True) for name, command in DATED.items()}
+    **{name: Source(f"experiments {name}") for name in (
+        "plans", "peers", "cross_check", "sensitivity", "optima", "model_fidelity", "battery_cones",
+        "flown_plan", "flown_policies", "uncertainty_sources",
+    )},
+    **{name: Source(f"experiments {name}", figures=(f"{name} --runs {{out}} --out docs/{name}.png",))
+       for name in DRAWN.split()},
+    "map_sample": Source("experiments maps --sample",
+        figures=("map_sample --runs {out} --out docs/map_sample.png",)),
+    "designs": Source("experiments plans --designs"),
+    "gallery": Source("experiments gallery", figures=tuple(
+        f"flyby --runs {{out}}/{one} --out docs/gallery/{one}.png" for one in BODIES.split())),
+    "compare_solvers": Source("experiments compare_solvers",
+        figures=("solver_comparison --runs {out} --out docs",)),
+    "maps": Source("experiments maps", figures=("maps --runs {out} --out docs",)),
+    "observation_table": Source("experiments observation_table", figures=(
+        "flyby --runs {out}/scp_cold --out docs/flyby.png",
+        "ball_polytopes --runs {out} --out docs/ball_polytopes.png",
+    )),
+    **{name: Source(f"experiments testing {name}", dated=True) for name in COUNTED.split()},
+    "benchmarks": Source("benchmarks", dated=True),
+    "waits": Source("benchmarks waits", dated=True),
+}  # fmt: skip
 """By name of the evidence."""
 
 
@@ -98,8 +93,7 @@ class Evidence(File):
         date: on which it was made (UTC).
         machine: processor and number of cores.
         versions: of packages.
-        seconds: wall time of the study.
-        resumed: whether it continued finished work, whose time the seconds leave out.
+        seconds: wall time of the study, without what a stopped run of it had finished.
         tables: rows of each table by its name.
     """
 
@@ -110,7 +104,6 @@ class Evidence(File):
     machine: str
     versions: dict[str, str]
     seconds: float
-    resumed: bool
     tables: dict[str, list[dict[str, Any]]]
 
     @classmethod
@@ -122,7 +115,7 @@ class Evidence(File):
                 found[name] = version_of(name)
         return cls(
             command=command, version=version, commit=_commit(), date=today, machine=machine(),
-            versions=found, seconds=0.0, resumed=False, tables={},
+            versions=found, seconds=0.0, tables={},
         )  # fmt: skip
 
     @classmethod

@@ -15,7 +15,18 @@ from itertools import product
 from time import process_time
 from typing import Any
 
-from experiments.harness import Findings, Record, Session, Study, flight_figures, fly_plan
+import pandas as pd
+
+from experiments.harness import (
+    CONVERGED,
+    Record,
+    Session,
+    Study,
+    Tables,
+    flight_figures,
+    fly_plan,
+    wide,
+)
 from scp_recon.api.verbs import plan
 from scp_recon.monte_carlo.flights import FlightTally
 from scp_recon.planning.plan import Plan
@@ -40,8 +51,6 @@ KINDS: Mapping[str, tuple[dict[str, Any], dict[str, Any]]] = {
 """Changes to the scenario, and options of planning; paper polytopes with facets chosen once."""
 NOT_CERTIFIED = "not certified"
 """Status of a converged plan whose flights do not reach the required probability."""
-COMPARED = {"certifying_dv_m_s": "total_dv_m_s", "certifying_processor_s": "processor_s"}
-"""What certifying costs over the same problem without certifying, and the column compared."""
 
 
 def measure(case: tuple[str, float]) -> Record:
@@ -76,51 +85,35 @@ def record(kind: str, p: float, found: Plan, flown: FlightTally, processor_s: fl
 
 
 def with_costs(rows: Sequence[Record]) -> list[Record]:
-    """Rows with the extra cost of certifying over planning for the probability itself; else NaN."""
+    """Rows with what certifying adds to the plan for the probability itself; NaN if either failed."""
     found = {(row["kind"], row["asked"]): row for row in rows}
-    nothing = dict.fromkeys(COMPARED.values(), float("nan"))
     result = []
     for row in rows:
-        same = row["kind"].replace("certified", "exact"), row["asked"]
-        other = found.get(same, nothing) if row["kind"].startswith("certified") else nothing
-        result.append(row | {key: row[cost] - other[cost] for key, cost in COMPARED.items()})
+        kind = row["kind"].replace("certified", "exact")
+        if kind != row["kind"]:
+            alone = found[kind, row["asked"]]
+            more = row["total_dv_m_s"] - alone["total_dv_m_s"]
+            percent = 100.0 * more / alone["total_dv_m_s"]
+            row |= {"certifying_dv_m_s": more, "certifying_percent": percent}
+            row |= {"by_itself_s": alone["processor_s"]}
+        result.append(row)
     return result
 
 
 def costs(rows: Sequence[Record]) -> list[Record]:
     """Delta-v, or the status without a plan: a row for each kind, a column for each probability."""
-    found: dict[str, Record] = {}
-    for row in rows:
-        solved = row["status"] == Status.CONVERGED.value.name
-        own = found.setdefault(row["kind"], {"delta_v_m_s_for": row["kind"]})
-        column = f"{row['asked']:g}".replace(".", "_")
-        own[column] = row["total_dv_m_s"] if solved else row["status"]
-    return [*found.values()]
+    frame = pd.DataFrame(rows)
+    cells = frame.total_dv_m_s.astype(object).where(frame.status == CONVERGED, frame.status)
+    columns = frame.asked.map("{:g}".format).str.replace(".", "_")
+    named = frame.assign(delta_v_m_s_for=frame.kind, cell=cells, column=columns)
+    return wide(named, ["delta_v_m_s_for"], "column", "cell")
 
 
-def certifying(rows: Sequence[Record]) -> list[Record]:
-    """What certifying costs beside a plan for the probability itself; NaN if either failed."""
-    return [
-        {
-            "plan": row["kind"],
-            "required": row["asked"],
-            "rounds": row["rounds"],
-            "delta_v_m_s": (more := row["certifying_dv_m_s"]),
-            "of_it": 100.0 * more / (row["total_dv_m_s"] - more),
-            "processor_s": row["processor_s"],
-            "by_itself_s": row["processor_s"] - row["certifying_processor_s"],
-        }
-        for row in rows
-        if row["kind"].startswith("certified")
-    ]
-
-
-def run(session: Session) -> Findings:
+def run(session: Session) -> Tables:
     """Plan and fly every kind for every probability."""
     cases = product(KINDS, PROBABILITIES)
-    rows = with_costs(session.rows("plans", measure, cases, session.store()))
-    more = certifying(rows)
-    return Findings({"frontier": rows, "costs": costs(rows), "extra_cost_of_certifying": more})
+    rows = with_costs(session.rows("plans", measure, cases))
+    return {"frontier": rows, "costs": costs(rows)}
 
 
 STUDY = Study(__doc__, run)

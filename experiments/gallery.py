@@ -14,7 +14,7 @@ from time import process_time
 
 import numpy as np
 
-from experiments.harness import Findings, Record, Session, Study
+from experiments.harness import Record, Session, Study, Tables
 from scp_recon.api.plan_verbs import fly, save
 from scp_recon.api.verbs import design
 from scp_recon.mission.gravity import TruthModel
@@ -59,10 +59,10 @@ def measure(out: Path, name: str) -> Record:
     }
 
 
-def run(session: Session) -> Findings:
+def run(session: Session) -> Tables:
     """Measure every body."""
-    rows = session.rows("passes", partial(measure, session.out), BODIES, session.store())
-    return Findings({"gallery": rows})
+    rows = session.rows("passes", partial(measure, session.out), BODIES)
+    return {"gallery": rows}
 
 
 STUDY = Study(__doc__, run)

@@ -1,8 +1,8 @@
 """Run a study: options, finished work, progress and tables.
 
 A study is a module with a `STUDY`, which `python -m experiments NAME` runs. Its `run` gets a
-`Session` and returns `Findings`: tables, which go to OUT as CSV. All tables of at most `ROWS_MAX` rows
-go into a file of evidence as well, from which the pages' tables are rendered.
+`Session` and returns tables, which go to OUT as CSV. All tables of at most `ROWS_MAX` rows go into a
+file of evidence as well, from which the pages' tables are rendered.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ import shlex
 import subprocess
 import sys
 from collections.abc import Callable, Container, Iterable, Mapping, Sequence
-from contextlib import ExitStack
 from dataclasses import dataclass, field
 from functools import cache
+from math import isfinite
 from pathlib import Path
 from time import perf_counter
-from typing import Any
+from typing import Any, TypeAlias
 
 import pandas as pd
 from rich.console import Console
@@ -50,107 +50,64 @@ from scp_recon.monte_carlo.observation_time import ALL
 from scp_recon.planning.plan import Plan
 from scp_recon.results.policy import policy_of
 from scp_recon.results.solution import Solution, make_solution
-from scp_recon.results.table import Table
 from scp_recon.scenario.load import base_names, load_scenario, packaged
+from scp_recon.scp.status import Status
 
 Record = dict[str, Any]
 """A row of a CSV file by column."""
 
 ROWS_MAX = 400
 """Rows of a table up to which it is kept as evidence; longer ones are for figures."""
-Option = tuple[str, Mapping[str, Any]]
-"""An option of a study, or its argument, with what `argparse.add_argument` takes of it."""
-
-
-def option(flag: str, **settings: Any) -> Option:
-    """An option or argument, with the keywords of `argparse.add_argument`."""
-    return flag, settings
-
-
-def claim(words: str, threshold: str, measured: str, holds: bool | None) -> Record:
-    """A claim as a row: its threshold and measurement in words; `holds` is None if undecided."""
-    return {"claim": words, "threshold": threshold, "measured": measured, "holds": holds}
-
-
-@dataclass(frozen=True)
-class Findings:
-    """Results of a study.
-
-    `tables` are rows by the name of their table, which is that of the CSV file too.
-    """
-
-    tables: Mapping[str, Sequence[Record] | pd.DataFrame]
-
-    def written(self) -> dict[str, Table]:
-        """The tables as they are written, a column for each key of any row."""
-        rows = {
-            name: own.to_dict("records") if isinstance(own, pd.DataFrame) else own
-            for name, own in self.tables.items()
-        }
-        return {name: Table.of_records("", own) for name, own in rows.items()}
+Tables: TypeAlias = Mapping[str, Sequence[Record] | pd.DataFrame]
+"""Rows by the name of their table, which is that of the CSV file too."""
+CONVERGED = Status.CONVERGED.value.name
 
 
 @dataclass(frozen=True)
 class Study:
     """A study: the text of --help, and the function that does the work.
 
-    `options` come besides --out, --json and --quiet. `folder` of `runs` is the study's name by default.
-    Raise `version` when results change where no sentinel (`experiments.sentinels`) feels it.
+    `options` come besides --out, --json and --quiet: keywords of `argparse.add_argument` by flag. The
+    `folder` of `runs` is the study's name by default. Raise `version` when results change where no
+    sentinel (`experiments.sentinels`) feels it.
     """
 
     about: str | None
-    run: Callable[[Session], Findings]
-    options: Sequence[Option] = ()
+    run: Callable[[Session], Tables]
+    options: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     folder: str = ""
     version: int = 1
 
 
-@dataclass
+@dataclass(frozen=True)
 class Session:
-    """One run of a study, which writes into the folder `out`."""
+    """One run of a study, which writes into the folder `out`; `store` has its finished rows."""
 
-    name: str
     options: argparse.Namespace
     out: Path
     console: Console
-    evidence: Evidence
-    resumed: bool = False
-    stores: ExitStack = field(default_factory=ExitStack)
-    _partial: list[Store] = field(default_factory=list)
-    _began: float = field(default_factory=perf_counter)
+    store: Store
 
     def say(self, line: str) -> None:
         """Show a line of progress."""
         show_line(self.console, line)
-
-    def store(self, file: str = "", **setting: Any) -> Store:
-        """Open the rows of finished work in OUT.
-
-        Rows of another version of the study, other scenarios or settings are ignored. The rows are kept
-        in `file`; without one they are deleted when the study has ended, because its tables have them.
-        """
-        depends_on = {"version": self.evidence.version, "scenarios": packaged_entries(), **setting}
-        place = self.out / (file or f"{self.name}_partial.jsonl")
-        store = self.stores.enter_context(Store(place, depends_on))
-        self._partial += [] if file else [store]
-        self.resumed = self.resumed or len(store) > 0
-        return store
 
     def rows(
         self,
         label: str,
         work: Work,
         cases: Iterable[Any],
-        store: Store,
         *,
         executor: Executor | None = None,
         failed: Callable[[Key, Failure], Record] | None = None,
     ) -> list[Record]:
-        """Measure the cases whose rows a store lacks, with progress shown; return all rows in order.
+        """Measure the cases whose rows the store lacks, with progress shown; return all in order.
 
-        `work` makes the row of a case, which may be a `Job` with a key of its own. `failed` makes the
-        row of a job that failed; without `failed` the failure is raised.
+        `work` makes the row of a case, which may be a `Job` with a key of its own; no two of a study
+        have the same. `failed` makes the row of a job that failed; without `failed` the failure is
+        raised.
         """
+        store = self.store
         jobs = [case if isinstance(case, Job) else Job(repr(case), case) for case in cases]
         columns = (TextColumn(label), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
         with Progress(*columns, console=progress_console(self.console), transient=True) as bar:
@@ -172,22 +129,6 @@ class Session:
 
             run_jobs(work, jobs, store, executor, row_of=row_of, on_done=tell)
         return [store[job.key] for job in jobs]
-
-    def end(self, found: Findings) -> Answer:
-        """Write the findings."""
-        self.out.mkdir(parents=True, exist_ok=True)
-        tables, took = found.written(), round(perf_counter() - self._began, 1)
-        written = [
-            write_atomically(self.out / f"{name}.csv", own.csv()) for name, own in tables.items()
-        ]
-        rows = {key: own.records() for key, own in tables.items() if len(own.rows) <= ROWS_MAX}
-        ended = {"seconds": took, "resumed": self.resumed, "tables": rows}
-        written.append(self.evidence.model_copy(update=ended).write(self.out / FILE))
-        for store in self._partial:
-            store.forget()
-        for path in written:
-            show_written(self.console, path)
-        return Answer(0, {"folder": str(self.out), "files": [str(path) for path in written]})
 
 
 @cache
@@ -280,13 +221,16 @@ def study_of(name: str) -> Study:
 
 
 def run(prog: str, study: Study, arguments: Sequence[str]) -> int:
-    """Run a study's command line, `prog` and arguments, to its exit status."""
+    """Run a study's command line, `prog` and arguments, to its exit status.
+
+    Finished rows of a study that was stopped are taken up again, if version and scenarios are the same.
+    """
     name = prog.split()[-1]
     default = Path("runs") / (study.folder or name)
     p = argparse.ArgumentParser(prog=prog, description=study.about)
     said = f"folder for what is written (default: {default})"
     p.add_argument("--out", type=Path, default=default, metavar="DIR", help=said)
-    for flag, settings in study.options:
+    for flag, settings in study.options.items():
         p.add_argument(flag, **settings)
     options = parse(p, arguments)
     output = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
@@ -295,17 +239,47 @@ def run(prog: str, study: Study, arguments: Sequence[str]) -> int:
     command = shlex.join([*prog.split()[2:], *output.parse_known_args(arguments)[1]])
 
     def action(console: Console) -> Answer:
-        begun = Evidence.begun(command, study.version)
-        # Campaigns take up their own work.
-        resumed = any(options.out.glob("*/campaign.json"))
-        session = Session(name, options, options.out, console, begun, resumed)
+        out, begun, began = options.out, Evidence.begun(command, study.version), perf_counter()
+        depends_on = {"version": study.version, "scenarios": packaged_entries()}
         try:
-            with session.stores:
-                return session.end(study.run(session))
+            with Store(out / f"{name}_partial.jsonl", depends_on) as store:
+                tables = study.run(Session(options, out, console, store))
+                seconds = round(perf_counter() - began, 1)
+                written = write(out, tables, begun.model_copy(update={"seconds": seconds}))
+                store.forget()
         except OSError as error:
             if error.filename is None:  # the terminal, or a pipe
                 raise
             reason = (error.strerror or "unusable").lower()
             raise InputError(str(error.filename), reason, "must be writable") from None
+        for path in written:
+            show_written(console, path)
+        return Answer(0, {"folder": str(out), "files": [str(path) for path in written]})
 
     return run_command(action, options)
+
+
+def write(out: Path, tables: Tables, evidence: Evidence) -> list[Path]:
+    """Write a study's tables, with a column for each key of any row, and its evidence."""
+    written, kept = list[Path](), dict[str, list[Record]]()
+    for name, own in tables.items():
+        frame = pd.DataFrame(own, dtype=object)  # so that numbers stay what they are
+        written.append(write_atomically(out / f"{name}.csv", frame.to_csv(index=False)))
+        if len(frame) <= ROWS_MAX:
+            kept[name] = [
+                {str(key): as_json(value) for key, value in row.items()}
+                for row in frame.to_dict("records")
+            ]
+    return [*written, evidence.model_copy(update={"tables": kept}).write(out / FILE)]
+
+
+def as_json(value: Any) -> Any:
+    """A cell of a table; null where a number is not finite."""
+    return None if isinstance(value, float) and not isfinite(value) else value
+
+
+def wide(frame: pd.DataFrame, index: Sequence[str], columns: str, values: str) -> list[Record]:
+    """A row for each combination of `index`, with a column for each value of `columns`."""
+    found = frame.pivot_table(values, [*index], columns, aggfunc="first", sort=False)
+    rows: list[Record] = found.reset_index().to_dict("records")
+    return rows

@@ -15,10 +15,10 @@ from collections.abc import Mapping, Sequence
 from functools import cache
 from typing import Any, NamedTuple
 
-from experiments.harness import Findings, Record, Session, Study, fly_plan
-from experiments.in_flight.feedback import LEAD_S, measured
+from experiments.harness import Record, Session, Study, Tables, fly_plan
+from experiments.in_flight.feedback import LEAD_S
 from experiments.missed_burns import passes
-from experiments.plans import FLIGHT
+from experiments.plans import FLIGHT, measured
 from scp_recon.api.verbs import plan
 from scp_recon.mission.knowledge import in_words
 from scp_recon.monte_carlo.flights import FlightConfig, fly_many
@@ -189,13 +189,12 @@ def measure(at: tuple[str, str]) -> Record:
     return row | planned(case, "open") | planned(case, "feedback")
 
 
-def run(session: Session) -> Findings:
+def run(session: Session) -> Tables:
     """Measure every parameter of every case, alone and together."""
     each = [(case, one.entry) for case, of in CASES.items() for one in of.known]
-    store = session.store()
-    alone = session.rows("parameters", measure, each, store)
-    together = session.rows("plans", measure, [(case, ALL) for case in CASES], store)
-    return Findings({"parameters": alone, "plans": together})
+    alone = session.rows("parameters", measure, each)
+    together = session.rows("plans", measure, [(case, ALL) for case in CASES])
+    return {"parameters": alone, "plans": together}
 
 
 STUDY = Study(__doc__, run)

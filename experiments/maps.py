@@ -24,9 +24,9 @@ import numpy as np
 import pandas as pd
 
 from experiments.evidence import ROOT
-from experiments.harness import Findings, Record, Session, fly_plan, option
+from experiments.harness import Record, Session, Tables, fly_plan
 from experiments.harness import Study as Harnessed
-from experiments.in_flight.feedback import measured
+from experiments.plans import measured
 from scp_recon.api.verbs import campaign
 from scp_recon.campaigns.axes import changed
 from scp_recon.campaigns.results import VERIFIED
@@ -134,15 +134,15 @@ def planned(scenario: Scenario, where: Around, one: PassResult, policy: str) -> 
     return Planner(mission).plan(from_burns(mission, one.burns_m_s), once=True)
 
 
-def run_sample(session: Session) -> Findings:
+def run_sample(session: Session) -> Tables:
     """Plan the sampled sites."""
     sites = read_study(STUDIES / "reconnaissance_map.toml")
-    rows = session.rows("sites", partial(sampled, sites), drawn_numbers(sites), session.store())
+    rows = session.rows("sites", partial(sampled, sites), drawn_numbers(sites))
     found = pd.DataFrame(rows)
     bands = found.apply(latitude, axis=1)
     own = {band: found[bands == band] for band in BANDS} | {"all": found}
     sums = [{"of": band, **counted(some)} for band, some in own.items() if len(some)]
-    return Findings({"sample": rows, "sample_latitudes": sums})
+    return {"sample": rows, "sample_latitudes": sums}
 
 
 def drawn_numbers(sites: Study) -> list[int]:
@@ -161,7 +161,7 @@ def counted(rows: pd.DataFrame) -> Record:
     return row
 
 
-def run(session: Session) -> Findings:
+def run(session: Session) -> Tables:
     """Run every campaign, and sum it up; or plan the sample."""
     if session.options.sample:
         return run_sample(session)
@@ -181,8 +181,8 @@ def run(session: Session) -> Findings:
         }
         total["processor_s"] = cases.cpu_s.sum()
         tables["campaigns"].append({"campaign": name, **summary(cases), **total})
-    return Findings(tables)
+    return tables
 
 
-SAMPLED = option("--sample", action="store_true", help="a sample of the map's sites, with feedback")
-STUDY = Harnessed(__doc__, run, [SAMPLED])
+SAMPLED = {"action": "store_true", "help": "a sample of the map's sites, with feedback"}
+STUDY = Harnessed(__doc__, run, {"--sample": SAMPLED})

@@ -21,7 +21,7 @@ from typing import Any, Literal
 import numpy as np
 
 from experiments.frontier import TANGENT
-from experiments.harness import Findings, Record, Session, Study
+from experiments.harness import Record, Session, Study, Tables
 from experiments.plans import FLIGHT
 from scp_recon.advice.infeasibility import diagnose
 from scp_recon.api.inputs import PlanRequest
@@ -193,21 +193,20 @@ def cost(found: Plan) -> float:
     return found.cost_m_s if found.status is Status.CONVERGED else float("nan")
 
 
-def run(session: Session) -> Findings:
+def run(session: Session) -> Tables:
     """Plan every case with and without drifts, and from each missed burn on."""
     alone = Processes(2, Limits(seconds=20.0 * LIMIT_S, cpu_s=LIMIT_S, apart=True))
     how: dict[str, Any] = {"executor": alone, "failed": ended}
     plans = [Job("; ".join(of), of) for of in product(CASES, DRIFTS)]
-    costs = session.rows("plans", measure, plans, session.store(), **how)
+    costs = session.rows("plans", measure, plans, **how)
     without = {row["case"]: row.get("cost_m_s") for row in costs if row["drifts"] == "without"}
     for row in costs:
         least, own = without[row["case"]], row.get("cost_m_s")
         row["more_percent"] = 100.0 * (own / least - 1.0) if own and least else float("nan")
-    store = session.store("afterwards.jsonl")
     each = [Job(case, case) for case in CASES]
-    later = session.rows("afterwards", rows_after, each, store, **how)
+    later = session.rows("afterwards", rows_after, each, **how)
     every = [row for found in later for row in found.get("rows", [])]
-    return Findings({"costs": costs, "afterwards": every})
+    return {"costs": costs, "afterwards": every}
 
 
 def ended(key: Key, failure: Failure) -> Record:

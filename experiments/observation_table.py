@@ -11,16 +11,16 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.optimize import brentq
 
-from experiments.harness import Findings, Record, Session, Study, default_mission
+from experiments.frontier import TANGENT
+from experiments.harness import Record, Session, Study, Tables, default_mission
 from formulations.problem.flyby import Iterate
 from scp_recon.api.options import PlanOptions
 from scp_recon.api.planning import plan_mission
-from scp_recon.jobs.job import Job
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.estimates import Estimate
 from scp_recon.monte_carlo.flights import FlightConfig, fly_many
@@ -30,7 +30,7 @@ from scp_recon.monte_carlo.summary import Summary
 from scp_recon.physics import geometry
 from scp_recon.planning import initial_guess
 from scp_recon.results.solution import NOT_OPTIMISED, Solution, ballistic_arc, make_solution
-from scp_recon.scenario.schema import Scenario
+from scp_recon.scenario.load import load_scenario
 from scp_recon.verification.reintegration import verify
 
 SAMPLES = 10_000
@@ -41,94 +41,82 @@ SOON_S = 300.0
 LITTLE_S = 1000.0
 """What the paper says a flight seldom loses more of, where emission is beyond its limits."""
 
-Design = Callable[[Mission], Solution]
+ONCE, AGAIN, P3 = (
+    PlanOptions(facet_rounds=0),
+    PlanOptions(facet_rounds=1),
+    PlanOptions(problem="P3"),
+)
+IPOPT = PlanOptions(method="ipopt", facet_rounds=0)
+SURROGATE, FLOWN = "OSIRIS-REx surrogate: ", "OSIRIS-REx"
 
 
 class Row(NamedTuple):
     """A row of the table.
 
     Attributes:
-        key: name of its folder.
         label: its name in the table.
         printed: the paper's row, a key of `PRINTED`.
-        design: function that finds the burns.
+        options: of planning; without them the ballistic arc is flown.
+        guess: the start.
         changes: entries of the default scenario that are others here.
     """
 
-    key: str
     label: str
-    printed: str
-    design: Design
+    printed: str = "cold"
+    options: PlanOptions | None = ONCE
+    guess: Callable[[Mission], Iterate] = initial_guess.cold
     changes: Mapping[str, Any] = {}
 
 
-def rows() -> list[Row]:
-    """The table's rows in its order; two surrogates stand for the flight of OSIRIS-REx."""
-    surrogate, flight = "OSIRIS-REx surrogate: ", "OSIRIS-REx"
-    p3, settled = planned(PlanOptions(problem="P3")), planned(PlanOptions())
-    found = [
-        Row("ballistic", f"{surrogate}ballistic two-impulse arc", flight, ballistic_arc),
-        Row("p3", f"{surrogate}P3 design, no uncertainty", flight, p3),
-    ]
-    names: tuple[Literal["scp", "ipopt"], ...] = ("scp", "ipopt")
-    for name in names:
-        options = PlanOptions(method=name, facet_rounds=0)
-        warm, cold = planned(options, initial_guess.ballistic), planned(options)
-        found += [
-            Row(f"{name}_warm", f"{name.upper()}, warm start", "warm", warm),
-            Row(f"{name}_cold", f"{name.upper()}, cold start", "cold", cold),
-        ]
-    return [*found, Row("settled", "SCP, facets settled", "cold", settled)]
-
-
-def variants(scenario: Scenario) -> list[Row]:
-    """The default plan from the cold start with another reading of the paper, or another choice."""
-    at, errors = scenario.boundary, scenario.uncertainty
-    printed = np.array([*at.initial_position_m, *at.initial_velocity_m_s])
-    sigma = (np.abs(printed) * errors.initial_sigma_fraction).tolist()
-    spread = {
-        "uncertainty.initial_sigma_position_m": sigma[:3],
-        "uncertainty.initial_sigma_velocity_m_s": sigma[3:],
+def in_the_printed_frame() -> dict[str, Any]:
+    """The initial covariance diagonal in the axes of the printed boundary states."""
+    scenario = load_scenario()
+    at, fraction = scenario.boundary, scenario.uncertainty.initial_sigma_fraction
+    sigma = np.abs([at.initial_position_m, at.initial_velocity_m_s]) * fraction
+    return {
+        "uncertainty.initial_sigma_position_m": sigma[0].tolist(),
+        "uncertainty.initial_sigma_velocity_m_s": sigma[1].tolist(),
         "uncertainty.initial_frame": "sun_north",
     }
-    table_1 = {"uncertainty.initial_sigma_fraction": 0.03, "uncertainty.execution_error": 0.1}
-    tangent = {"polytopes.ball": "tangent", "polytopes.cone": 12}
-    literal = {"boundary.frame": "j2000"}
-    plain, again = (PlanOptions(facet_rounds=rounds) for rounds in (0, 1))
-    p3 = PlanOptions(problem="P3")
-    made: tuple[tuple[str, str, PlanOptions, Mapping[str, Any]], ...] = (
-        ("facets_again", "facets chosen again at the solution", again, {}),
-        ("cones_24", "cones of 24 facets", plain, {"polytopes.cone": 24}),
-        ("tangent", "tangent spheres, cones of 12 facets", plain, tangent),
-        ("tangent_again", "the same, facets chosen again", again, tangent),
-        ("spread_printed", "initial covariance diagonal in the printed frame", plain, spread),
-        ("errors_table_1", "the errors of the paper's table 1, 3 % and 10 %", plain, table_1),
-        ("p3_j2000", "P3, boundary states read as J2000", p3, literal),
-        ("p2_j2000", "P2, boundary states read as J2000", plain, literal),
-    )
-    return [
-        Row(key, label, "cold", planned(options), changes) for key, label, options, changes in made
-    ]
 
 
-def planned(
-    options: PlanOptions, guess: Callable[[Mission], Iterate] = initial_guess.cold
-) -> Design:
-    """A design by the planner."""
-    return lambda mission: make_solution(plan_mission(mission, guess(mission), options))
+TABLE_1 = {"uncertainty.initial_sigma_fraction": 0.03, "uncertainty.execution_error": 0.1}
+LITERAL = {"boundary.frame": "j2000"}
+ROWS: Mapping[str, Row] = {
+    "ballistic": Row(f"{SURROGATE}ballistic two-impulse arc", FLOWN, None),
+    "p3": Row(f"{SURROGATE}P3 design, no uncertainty", FLOWN, P3),
+    "scp_warm": Row("SCP, warm start", "warm", guess=initial_guess.ballistic),
+    "scp_cold": Row("SCP, cold start"),
+    "ipopt_warm": Row("IPOPT, warm start", "warm", IPOPT, initial_guess.ballistic),
+    "ipopt_cold": Row("IPOPT, cold start", "cold", IPOPT),
+    "settled": Row("SCP, facets settled", "cold", PlanOptions()),
+    "facets_again": Row("facets chosen again at the solution", "cold", AGAIN),
+    "cones_24": Row("cones of 24 facets", changes={"polytopes.cone": 24}),
+    "tangent": Row("tangent spheres, cones of 12 facets", changes=TANGENT),
+    "tangent_again": Row("the same, facets chosen again", "cold", AGAIN, changes=TANGENT),
+    "spread_printed": Row(
+        "initial covariance diagonal in the printed frame", changes=in_the_printed_frame()
+    ),
+    "errors_table_1": Row("the errors of the paper's table 1, 3 % and 10 %", changes=TABLE_1),
+    "p3_j2000": Row("P3, boundary states read as J2000", "cold", P3, changes=LITERAL),
+    "p2_j2000": Row("P2, boundary states read as J2000", changes=LITERAL),
+}
+"""The table's rows, two surrogates for the flight of OSIRIS-REx first, then variants by name."""
 
 
 # --- a row's figures ------------------------------------------------------------------------------
 
 
-def run_row(out: Path, row: Row) -> Record:
+def run_row(out: Path, key: str) -> Record:
     """Design a row's burns, verify and fly them: a row of the CSV, SI, its files in OUT/key."""
-    mission, folder = default_mission(), out / row.key
+    row, mission, folder = ROWS[key], default_mission(), out / key
     if row.changes:
         mission = Mission.from_scenario(mission.scenario.replace(row.changes))
     folder.mkdir(parents=True, exist_ok=True)
-    solution = row.design(mission)
-    if solution.algorithm != NOT_OPTIMISED:
+    if row.options is None:
+        solution = ballistic_arc(mission)
+    else:
+        solution = make_solution(plan_mission(mission, row.guess(mission), row.options))
         solution = solution.with_verification(verify(mission, solution))
     solution.write(folder)
     flown = fly_many(FlightConfig(mission, solution.burns_m_s), samples=SAMPLES)
@@ -139,7 +127,7 @@ def run_row(out: Path, row: Row) -> Record:
     lowest = min(joint, key=lambda name: joint[name].value)
     mean, worst = PRINTED[row.printed]
     return {
-        "row": row.key,
+        "row": key,
         "label": row.label,
         **status(solution),
         "paper_mean_s": mean,
@@ -261,11 +249,9 @@ def nominal_time_s(mission: Mission, solution: Solution) -> float:
     return float(time_held(mission, mission.times_s[window], states)[ALL].duration[0])
 
 
-def run(session: Session) -> Findings:
+def run(session: Session) -> Tables:
     """Design and fly every row."""
-    jobs = [Job(row.key, row) for row in (*rows(), *variants(default_mission().scenario))]
-    work, store = partial(run_row, session.out), session.store(samples=SAMPLES)
-    return Findings({"observation_table": session.rows("rows", work, jobs, store)})
+    return {"observation_table": session.rows("rows", partial(run_row, session.out), ROWS)}
 
 
 STUDY = Study(__doc__, run, folder="paper")

@@ -21,7 +21,7 @@ from rich.console import Console
 from experiments import pages
 from experiments.evidence import FILE, SOURCES, Evidence, path_of
 from experiments.harness import study_of
-from experiments.sentinels import Sentinel, sentinels_of
+from experiments.sentinels import OWN, Sentinel, sentinels_of
 from scp_recon.cli.command import parse, run_command, show_line, show_written
 from scp_recon.errors import InputError
 from scp_recon.files import write_atomically
@@ -80,7 +80,7 @@ def check(console: Console) -> list[str]:
         for one in sentinels_of(name):
             for case in one.cases:
                 key = f"{one.of}, {one.work}, {case}"  # those of several studies are measured once
-                cases[key] = Job(key, (one, case))
+                cases[key] = Job(key, (OWN.index(one), case))
                 uses.setdefault(key, []).append((name, one))
     for done in Processes(PROCESSES)(measured, cases.values()):
         for name, one in uses[str(done.key)]:
@@ -106,10 +106,10 @@ def changes(name: str) -> list[str]:
     return found + ([f"made by {kept.command}"] if kept.command != source.command else [])
 
 
-def measured(inputs: tuple[Sentinel, Any]) -> Any:
-    """Measure a case of a sentinel: the work of a process."""
-    one, case = inputs
-    return one.work(case)
+def measured(inputs: tuple[int, Any]) -> Any:
+    """Measure a case of a sentinel, given by its place: the work of a process."""
+    place, case = inputs
+    return OWN[place].work(case)
 
 
 def seconds_of(name: str) -> float:
@@ -123,11 +123,8 @@ def renewed(names: Sequence[str], console: Console) -> Iterator[str]:
         source, out = SOURCES[name], RUNS / name
         try:
             _run(f"{source.command} --out {out}", console)
-            found = Evidence.read(out / FILE)
-            if found.resumed:
-                found = found.model_copy(update={"seconds": max(found.seconds, seconds_of(name))})
             path_of(name).parent.mkdir(exist_ok=True)
-            found.write(path_of(name))
+            Evidence.read(out / FILE).write(path_of(name))
             for figure in source.figures:
                 _run(f"paper_figs {figure.format(out=out)}", console)
         except InputError as error:  # the others need not wait for what this one lacks

@@ -30,16 +30,14 @@ from experiments.evidence import Evidence, Records, path_of
 from experiments.harness import Record, default_mission, default_plan
 from experiments.in_flight import feedback, policies
 from experiments.other_tools import cross_check, peers
-from experiments.solvers import optima, sensitivity
+from experiments.solvers import compare_solvers, optima, sensitivity
 from experiments.solvers.cases import (
     REFERENCE,
     SHOOTING,
     TUNED,
     Cell,
-    Method,
     exact_design,
 )
-from experiments.solvers.cells import solve
 from experiments.spacecraft import (
     battery_cones,
     flown_plan,
@@ -135,12 +133,6 @@ def in_folder(work: Callable[[Path, Any], Any], case: Any) -> Any:
         return work(Path(folder), case)
 
 
-def error_rows(at: tuple[str, float, Sequence[float | None]]) -> list[Record]:
-    """Rows over the measurement's error."""
-    rows: list[Record] = feedback.over_errors(at)["rows"]
-    return rows
-
-
 def sampled_site(place: int) -> Record:
     """A site of the sample by its place."""
     study = read_study(maps.STUDIES / "reconnaissance_map.toml")
@@ -155,44 +147,16 @@ def sizes_row(of: str) -> Record:
     return {"of": of} | maps.summary(pd.DataFrame(rows))
 
 
-def method_row(method: Method) -> Record:
+def method_row(cell: Cell) -> Record:
     """A row of the table of methods."""
-    row = solve(Cell("matrix", "recon_b", (), method, "cold"))
-    names = {"problem": row["scenario"], "start": row["start"], "method": row["method"]}
-    return names | {"status": row["status"], "delta_v_m_s": row["total_dv_m_s"]}
-
-
-def exact_row(seed: int) -> Record:
-    """The default's row of a scenario of exact risk."""
-    (cell,) = (each for each in exact_design(range(seed, seed + 1)) if each.method == REFERENCE)
-    return solve(cell)
-
-
-def left_out_rows(_: None) -> list[Record]:
-    """The forces that the planner leaves out; the other differences are rounding."""
-    return [row for row in cross_check.compare(default_plan()) if row["why"]]
-
-
-def observation_row(folder: Path, key: str) -> Record:
-    """A row of the table of observation times."""
-    (row,) = (one for one in observation_table.rows() if one.key == key)
-    return observation_table.run_row(folder, row)
+    row = compare_solvers.solve(cell)
+    return row | {"problem": row["scenario"], "delta_v_m_s": row["total_dv_m_s"]}
 
 
 def fidelity_rows(_: None) -> list[Record]:
     """The ballistic arc by models that matter."""
     rows = model_fidelity.compare("ballistic arc", ballistic_arc(default_mission()))
     return [row for row in rows if row["terminal_m"] > 0.1]
-
-
-def flight_row(seed: int) -> Record:
-    """A flight of the default plan by the whole spacecraft."""
-    return flown_plan.row(simulate(default_plan(), seed=seed))
-
-
-def path_rows(_: None) -> list[Record]:
-    """Sources of uncertainty that act on the path of the default plan."""
-    return uncertainty_sources.measure_paths(default_plan(), load_vehicle())
 
 
 # --- the table ----------------------------------------------------------------------------------
@@ -215,31 +179,37 @@ OWN = (
         FACETS),
     Sentinel("missed_burns.costs", "case, drifts", missed_burns.measure,
         [("nightingale", "missed")]),
-    Sentinel("feedback.feedback_errors", "scope, scale, asked", error_rows,
+    Sentinel("feedback.feedback_errors", "scope, scale, asked",
+        lambda at: feedback.over_errors(at)["rows"],
         [("flight", 0.9, feedback.ERRORS[:3])]),
     Sentinel("policies", "policy, asked, scale", policies.measure,
         [policies.Case("open", 0.7), policies.Case("feedback", 0.7)], 1e-5),
     Sentinel("compare_solvers.methods", "problem, start, method", method_row,
-        [REFERENCE, TUNED, SHOOTING], 2e-5),
-    Sentinel("compare_solvers.exact", "scenario, method", exact_row, [0, 3]),
+        [Cell("matrix", "recon_b", (), method, "cold") for method in (REFERENCE, TUNED, SHOOTING)],
+        2e-5),
+    Sentinel("compare_solvers.exact", "scenario, method", compare_solvers.solve,
+        [exact_design(range(seed, seed + 1))[0] for seed in (0, 3)]),
     Sentinel("optima", "kind, seeds, seed", optima.measure, [("uniform", "tuned", 17)], FACETS),
     Sentinel("peers.methods", "method", peers.measure, ["scvx"], 1e-5),
-    Sentinel("cross_check", "tool, forces", left_out_rows, [None], 1e-4),
+    Sentinel("cross_check", "tool, forces",
+        lambda _: [row for row in cross_check.compare(default_plan()) if row["why"]], [None], 1e-4),
     Sentinel("sensitivity", "problem, algorithm, factor, multiple", sensitivity.measure,
         [("nightingale", "scvx", *DEFAULT), ("replan", "scvx", *DEFAULT)]),
     Sentinel("sensitivity", "problem, algorithm, factor, multiple", sensitivity.measure,
         [("recon_b", "scvx", *DEFAULT)], FACETS),
-    Sentinel("observation_table", "row", partial(in_folder, observation_row), ["scp_cold"], FACETS),
-    Sentinel("observation_table", "row", partial(in_folder, observation_row), ["p3"]),
+    Sentinel("observation_table", "row", partial(in_folder, observation_table.run_row), ["scp_cold"],
+        FACETS),
+    Sentinel("observation_table", "row", partial(in_folder, observation_table.run_row), ["p3"]),
     Sentinel("model_fidelity", "flight, effect, model", fidelity_rows, [None], 1e-4),
     Sentinel("battery_cones", "mode, calibrated", battery_cones.find_cones, [0]),
-    Sentinel("uncertainty_sources", "source", path_rows, [None], 1e-5),
-    Sentinel("flown_plan", "seed", flight_row, [0]),
+    Sentinel("uncertainty_sources", "source",
+        lambda _: uncertainty_sources.measure_paths(default_plan(), load_vehicle()), [None], 1e-5),
+    Sentinel("flown_plan", "seed",
+        lambda seed: flown_plan.row(simulate(default_plan(), seed=seed)), [0]),
     Sentinel("maps.sizes", "of", sizes_row, ["0.05 500"]),
     Sentinel("map_sample.sample", "site.name", sampled_site, [9, 10]),
 )  # fmt: skip
 ALSO = {
-    "sites": ("designs", "policies"),
     "uncertainty_sources": ("flown_plan",),
     "flown_policies": ("flown_plan", "policies"),
 }

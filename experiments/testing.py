@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from experiments.evidence import ROOT
-from experiments.harness import Findings, Record, Session, Study, option, run_python
+from experiments.harness import Record, Session, Study, Tables, run_python
 from scp_recon.monte_carlo.estimates import proportion
 
 BY_FILE = ("-n", "2", "--dist", "loadfile")
@@ -73,7 +73,7 @@ def mutation(session: Session) -> list[Record]:
         """Outcomes of the tests for the drawn mutants of a module."""
         return {"of": module, **_tried(drawn[module])}
 
-    rows = session.rows("modules", tried, drawn, session.store())
+    rows = session.rows("modules", tried, drawn)
     total = {key: sum(row[key] for row in rows) for key in ("tried", "found_out", "without_test")}
     share = proportion(total["found_out"], total["tried"])
     ends = {"share": share.value, "share_low": share.low, "share_high": share.high}
@@ -115,11 +115,11 @@ def _run(profile: str, *words: str, statuses: Sequence[int] = (0,)) -> str:
 KINDS = {"reliability": reliability, "coverage": coverage, "mutation": mutation}
 
 
-def run(session: Session) -> Findings:
+def run(session: Session) -> Tables:
     """Measure one of them."""
     what = session.options.what
-    return Findings({what: KINDS[what](session)})
+    return {what: KINDS[what](session)}
 
 
-WHAT = option("what", choices=tuple(KINDS), metavar="WHAT", help=f"one of {', '.join(KINDS)}")
-STUDY = Study(__doc__, run, [WHAT])
+WHAT = {"choices": tuple(KINDS), "metavar": "WHAT", "help": f"one of {', '.join(KINDS)}"}
+STUDY = Study(__doc__, run, {"what": WHAT})

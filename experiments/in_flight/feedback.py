@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 
 from experiments.frontier import SEED, record
-from experiments.harness import Findings, Record, Session, Study, fly_plan
-from experiments.plans import FLIGHT
+from experiments.harness import Record, Session, Study, Tables, fly_plan
+from experiments.plans import FLIGHT, measured
 from scp_recon.api.verbs import plan
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.summary import MOST
@@ -32,20 +32,8 @@ FLIGHTS = 40_000
 ERRORS = (None, 1e6, 100.0, 10.0, 3.0, 1.0, 0.3, 0.1)
 ERRORS_AT = (("flight", 0.9), ("flight", 0.99), ("node", 0.99))
 """Scopes of the risk, and probabilities."""
-POSITION_M, VELOCITY_M_S = 10.0, 5e-4
-"""1 sigma of the measurement along each axis, and what `ERRORS` multiply; without one, open loop."""
 LEAD_S = 3600.0
 OPEN, CORRECTED, LATE = "open loop", "feedback", "feedback, lead 1 h"
-
-
-def measured(scale: float = 1.0, lead_s: float = 0.0) -> dict[str, Any]:
-    """Changes to the scenario: feedback, by a measurement of so many times the usual error."""
-    return {
-        "policy.kind": "feedback",
-        "navigation.lead_s": lead_s,
-        "navigation.sigma_position_m": scale * POSITION_M,
-        "navigation.sigma_velocity_m_s": scale * VELOCITY_M_S,
-    }
 
 
 KINDS: Mapping[str, dict[str, Any]] = {
@@ -106,14 +94,13 @@ def over_errors(at: tuple[str, float, Sequence[float | None]]) -> Record:
     return {"rows": rows}
 
 
-def run(session: Session) -> Findings:
+def run(session: Session) -> Tables:
     """Plan and fly everything."""
-    store = session.store(flights=FLIGHTS)
     cases = [(kind, p) for kind in KINDS for p in PROBABILITIES]
-    rows = session.rows("plans", measure, cases, store)
-    chains = session.rows("errors", over_errors, [(*at, ERRORS) for at in ERRORS_AT], store)
+    rows = session.rows("plans", measure, cases)
+    chains = session.rows("errors", over_errors, [(*at, ERRORS) for at in ERRORS_AT])
     errors = [one for chain in chains for one in chain["rows"]]
-    return Findings({"feedback": rows, "feedback_errors": errors})
+    return {"feedback": rows, "feedback_errors": errors}
 
 
 STUDY = Study(__doc__, run)

@@ -1,7 +1,7 @@
 """Fly a pass of Kingfisher with the spacecraft: as planned, corrected by gains, and planned again.
 
 OUT/flown_policies.csv has a row for each policy, flown_policies_flights.csv one for each flight.
-Flights that were flown before are kept.
+A run that was stopped continues with the missing flights; the plan in OUT/kingfisher is kept.
 """
 
 from __future__ import annotations
@@ -15,9 +15,10 @@ import numpy as np
 import pandas as pd
 from scipy.interpolate import CubicHermiteSpline
 
-from experiments.harness import Findings, Session, Study
 from experiments.harness import Record as Row
-from experiments.in_flight.feedback import LEAD_S, measured
+from experiments.harness import Session, Study, Tables
+from experiments.in_flight.feedback import LEAD_S
+from experiments.plans import measured
 from experiments.spacecraft.flown_plan import SEEDS, row
 from scp_recon.api.options import PlanOptions
 from scp_recon.api.plan_verbs import simulate
@@ -32,8 +33,7 @@ from scp_recon.planning.initial_guess import from_burns
 from scp_recon.results.read import read_solution
 from scp_recon.results.solution import FILE_NAME, Solution, make_solution
 from scp_recon.scenario.load import load_scenario
-from scp_recon.simulation.record import Record, inputs_digest
-from scp_recon.simulation.vehicle import load_vehicle
+from scp_recon.simulation.record import Record
 from scp_recon.verification.causes import shortfalls
 
 SITE = "kingfisher"
@@ -122,15 +122,12 @@ def by_policy(rows: Sequence[Row]) -> list[Row]:
     return found
 
 
-def run(session: Session) -> Findings:
+def run(session: Session) -> Tables:
     """Fly the plan by each policy, once for each seed."""
     solution = planned(session.out / SITE)
-    inputs = inputs_digest(solution, load_vehicle())
-    store = session.store("flown_policies.jsonl", inputs=inputs)
-    rows = session.rows(
-        "flights", partial(fly_policy, solution), [*product(POLICIES, range(SEEDS))], store
-    )
-    return Findings({"flown_policies": by_policy(rows), "flown_policies_flights": rows})
+    cases = product(POLICIES, range(SEEDS))
+    rows = session.rows("flights", partial(fly_policy, solution), cases)
+    return {"flown_policies": by_policy(rows), "flown_policies_flights": rows}
 
 
 STUDY = Study(__doc__, run)

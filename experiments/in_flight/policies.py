@@ -16,9 +16,8 @@ from typing import NamedTuple
 import numpy as np
 
 from experiments.frontier import SEED
-from experiments.harness import Findings, Record, Session, Study
-from experiments.in_flight.feedback import measured
-from experiments.plans import FLIGHT
+from experiments.harness import Record, Session, Study, Tables
+from experiments.plans import FLIGHT, measured
 from scp_recon.api.plan_verbs import fly
 from scp_recon.api.verbs import plan
 from scp_recon.monte_carlo.sampling import PolicyKind
@@ -73,9 +72,9 @@ def measure(case: Case) -> Record:
     return row | {"flights": flights, "failed_replans": failed, "flying_s": seconds}
 
 
-def run(session: Session) -> Findings:
+def run(session: Session) -> Tables:
     """Measure every case."""
-    return Findings({"policies": session.rows("cases", measure, CASES, session.store())})
+    return {"policies": session.rows("cases", measure, CASES)}
 
 
 STUDY = Study(__doc__, run)

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from experiments.harness import Findings, Record, Session, Study, default_plan
+from experiments.harness import Record, Session, Study, Tables, default_plan
 from formulations.arrays import Array
 from scp_recon.api.plan_verbs import export
 from scp_recon.bodies.catalogue import AU_KM, GM_SUN_KM3_S2
@@ -294,10 +294,10 @@ def row(tool: str, forces: str, states: Array, own: Array, why: str = "") -> Rec
     return {"tool": tool, "forces": forces, **off, "why": why}
 
 
-def run(session: Session) -> Findings:
+def run(session: Session) -> Tables:
     """Fly the plan by Orekit."""
     session.say("Orekit's virtual machine takes some seconds to start")
-    return Findings({"cross_check": compare(default_plan())})
+    return {"cross_check": compare(default_plan())}
 
 
 STUDY = Study(__doc__, run)

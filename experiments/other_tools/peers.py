@@ -19,7 +19,7 @@ from time import process_time
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from experiments.harness import Findings, Record, Session, Study
+from experiments.harness import Record, Session, Study, Tables
 from formulations.arrays import Array
 from scp_recon.errors import needing
 from scp_recon.impulsive.problem import ImpulsiveProblem
@@ -97,12 +97,12 @@ def measure(method: str) -> Record:
     return Halo().row(method)
 
 
-def run(session: Session) -> Findings:
+def run(session: Session) -> Tables:
     """Solve the transfer by all."""
     with needing("peers", "peers"):
         importlib.import_module(SCOCP)
-    rows = session.rows("solves", measure, [*ALGORITHMS, SCOCP], session.store())
-    return Findings({"methods": rows})
+    rows = session.rows("solves", measure, [*ALGORITHMS, SCOCP])
+    return {"methods": rows}
 
 
 STUDY = Study(__doc__, run)

@@ -10,11 +10,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from formulations.problem.flyby import Iterate
 from formulations.program.solvers import installed
 from formulations.registry import FORMULATIONS, FULL
-from scp_recon.mission.mission import Mission
-from scp_recon.planning import initial_guess
 from scp_recon.scp.algorithms import ALGORITHMS
 
 IPOPT, UNO = "IPOPT", "UNO"
@@ -155,50 +152,42 @@ def scenarios() -> dict[str, tuple[str, ...]]:
     found["bold"] = ("risk.p_chance=0.95", "uncertainty.execution_error=0.16")
     found["tangent"] = ('polytopes.ball="tangent"', "polytopes.cone=12")
     found["frame=j2000"] = ('boundary.frame="j2000"',)
-    found |= {f"shifted {seed}": _shifted(seed) for seed in range(1, 5)}
+    for seed in range(1, 5):
+        found[f"shifted {seed}"] = _overrides(_boundary(np.random.default_rng(seed)))
     return found
 
 
-def _shifted(seed: int) -> tuple[str, ...]:
-    return _overrides(_boundary(np.random.default_rng(seed)))
+def full_design() -> list[Cell]:
+    """All cells with uniform risk.
 
-
-def _overrides(changes: Changes) -> tuple[str, ...]:
-    # What JSON says of numbers, lists and text says TOML alike.
-    return tuple(f"{entry}={json.dumps(value)}" for entry, value in changes.items())
-
-
-def start_of(mission: Mission, cell: Cell) -> Iterate:
-    """The initial guess of a cell; a start from P3's solution itself begins at the straight line."""
-    if cell.start == "random":
-        return initial_guess.random(mission, cell.seed)
-    return initial_guess.ballistic(mission) if cell.start == "warm" else initial_guess.cold(mission)
-
-
-def full_design() -> tuple[Cell, ...]:
-    """All cells: every method in the default scenario from the straight line, a few elsewhere."""
+    Every method solves every problem from the straight line, several times; a few do elsewhere.
+    """
     default: dict[str, tuple[str, ...]] = {"recon_b": ()}
     by_clarabel = [method for method in SCP_METHODS if method.solver == "CLARABEL"]
-    return (
-        *crossing(),
+    uniform = {"risk.allocation": "uniform", "risk.scope": "node"}
+    random = {f"uniform {k:02d}": _overrides(drawn(k)[1] | uniform) for k in range(NUMBER)}
+    return [
+        *(
+            Cell("matrix", name, overrides, method, "cold", base=base, repeat=repeat)
+            for repeat in range(REPEATS)
+            for name, (base, overrides) in PROBLEMS.items()
+            for method in (*SCP_METHODS, *NLP_METHODS)
+        ),
         *_cells("matrix", default, (*by_clarabel, *NLP_METHODS), "warm"),
         *_cells("scenarios", scenarios(), FEW, "p3"),
         *(
             Cell("guesses", "recon_b", (), method, "random", seed)
             for seed, method in product(range(GUESSES), GUESSED)
         ),
-        *_cells("random", uniform_scenarios(), ONE_FACTOR, "cold"),
-    )
-
-
-def crossing() -> list[Cell]:
-    """Every method on every problem from the straight line, several times."""
-    return [
-        Cell("matrix", name, overrides, method, "cold", base=base, repeat=repeat)
-        for repeat in range(REPEATS)
-        for name, (base, overrides) in PROBLEMS.items()
-        for method in (*SCP_METHODS, *NLP_METHODS)
+        *_cells("random", random, ONE_FACTOR, "cold"),
     ]
+
+
+def exact_design(seeds: range = range(NUMBER)) -> list[Cell]:
+    """Random scenarios of exact risk from the straight line, by every form that takes it."""
+    methods = [method for method in ONE_FACTOR if method.formulation in FULL]
+    found = {name: _overrides(changes) for name, changes in map(drawn, seeds)}
+    return _cells(EXACT, found, methods, "cold")
 
 
 def _cells(
@@ -211,7 +200,25 @@ def _cells(
     ]
 
 
-# --- exact risk: variations of the default scenario drawn from seeds --------------------------------
+def _overrides(changes: Changes) -> tuple[str, ...]:
+    # What JSON says of numbers, lists and text says TOML alike.
+    return tuple(f"{entry}={json.dumps(value)}" for entry, value in changes.items())
+
+
+# --- variations of the default scenario drawn from seeds ------------------------------------------
+
+LIMITS = {
+    "observation.site_distance_min_m": (450.0, 520.0),
+    "observation.site_distance_max_m": (710.0, 800.0),
+    "observation.emission_min_deg": (12.0, 22.0),
+    "observation.emission_max_deg": (42.0, 55.0),
+    "observation.phase_min_deg": (5.0, 20.0),
+    "observation.phase_max_deg": (70.0, 89.0),
+    "battery.observation_cone_deg": (12.0, 22.0),
+    "battery.delta_v_cone_deg": (15.0, 30.0),
+    "safety.radius_min_m": (480.0, 560.0),
+}
+"""Between which each limit is drawn."""
 
 
 def drawn(seed: int) -> tuple[str, Changes]:
@@ -223,7 +230,9 @@ def drawn(seed: int) -> tuple[str, Changes]:
         "risk.scope": scope,
         "risk.p_chance": round(float(rng.uniform(0.55, 0.99)), 3),
     }
-    return f"{scope} {seed:02d}", risk | _errors(rng) | _boundary(rng) | _limits(rng)
+    found = risk | _errors(rng) | _boundary(rng)
+    limits = {name: round(float(rng.uniform(*ends)), 2) for name, ends in LIMITS.items()}
+    return f"{scope} {seed:02d}", found | limits
 
 
 def _errors(rng: np.random.Generator) -> Changes:
@@ -260,33 +269,3 @@ def _boundary(rng: np.random.Generator) -> Changes:
         off = rng.normal(scale=OFF_M if name.endswith("_m") else OFF_M_S, size=3)
         found[f"boundary.{name}"] = np.round(np.add(values, off), 6).tolist()
     return found
-
-
-def _limits(rng: np.random.Generator) -> Changes:
-    def between(low: float, high: float) -> float:
-        return round(float(rng.uniform(low, high)), 2)
-
-    return {
-        "observation.site_distance_min_m": between(450.0, 520.0),
-        "observation.site_distance_max_m": between(710.0, 800.0),
-        "observation.emission_min_deg": between(12.0, 22.0),
-        "observation.emission_max_deg": between(42.0, 55.0),
-        "observation.phase_min_deg": between(5.0, 20.0),
-        "observation.phase_max_deg": between(70.0, 89.0),
-        "battery.observation_cone_deg": between(12.0, 22.0),
-        "battery.delta_v_cone_deg": between(15.0, 30.0),
-        "safety.radius_min_m": between(480.0, 560.0),
-    }
-
-
-def uniform_scenarios() -> dict[str, tuple[str, ...]]:
-    """Overrides of the random scenarios with uniform risk at nodes, by name."""
-    uniform = {"risk.allocation": "uniform", "risk.scope": "node"}
-    return {f"uniform {k:02d}": _overrides(drawn(k)[1] | uniform) for k in range(NUMBER)}
-
-
-def exact_design(seeds: range = range(NUMBER)) -> list[Cell]:
-    """Random scenarios of exact risk from the straight line, by every form that takes it."""
-    methods = [method for method in ONE_FACTOR if method.formulation in FULL]
-    found = {name: _overrides(changes) for name, changes in map(drawn, seeds)}
-    return _cells(EXACT, found, methods, "cold")

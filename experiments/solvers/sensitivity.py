@@ -15,11 +15,12 @@ from itertools import product
 
 import pandas as pd
 
-from experiments.harness import Findings, Record, Session, Study, plan_figures
+from experiments.harness import CONVERGED, Record, Session, Study, Tables, plan_figures, wide
 from experiments.solvers.cases import PROBLEMS
-from experiments.solvers.cells import CONVERGED, posed, wide
+from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
 from scp_recon.planning.planner import Planner
+from scp_recon.scenario.load import load_scenario
 from scp_recon.scp.algorithms import ALGORITHMS, SCvx
 
 FACTORS = {
@@ -35,7 +36,8 @@ VARIED = ("scvx", "ptr")
 def measure(case: tuple[str, str, str, float]) -> Record:
     """Plan a problem by an algorithm with a factor at a multiple of its usual value: a row."""
     problem, algorithm, name, multiple = case
-    mission, (attribute, usual) = posed(problem), FACTORS[name]
+    mission = Mission.from_scenario(load_scenario(*PROBLEMS[problem]))
+    attribute, usual = FACTORS[name]
     planner, value = Planner(mission, algorithm=algorithm), multiple * usual
     planner.algorithm = ALGORITHMS[algorithm](**{attribute: value})
     found = planner.plan(initial_guess.cold(mission))
@@ -59,11 +61,11 @@ def by_value(rows: Sequence[Record]) -> list[Record]:
     return wide(found.assign(cell=ends + " (" + counts + ")"), index, "problem", "cell")
 
 
-def run(session: Session) -> Findings:
+def run(session: Session) -> Tables:
     """Plan every problem with every value."""
     cases = [(problem, *rest) for *rest, problem in product(VARIED, FACTORS, MULTIPLES, PROBLEMS)]
-    rows = session.rows("plans", measure, cases, session.store())
-    return Findings({"sensitivity": rows, "by_value": by_value(rows)})
+    rows = session.rows("plans", measure, cases)
+    return {"sensitivity": rows, "by_value": by_value(rows)}
 
 
 STUDY = Study(__doc__, run)

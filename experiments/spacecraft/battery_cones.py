@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.optimize import brentq
 
-from experiments.harness import Findings, Record, Session, Study
+from experiments.harness import Record, Session, Study, Tables
 from formulations.arrays import Array
 from scp_recon.scenario.load import load_scenario
 from scp_recon.simulation.panels import SolarArray, irradiance
@@ -99,9 +99,9 @@ def batteries() -> list[Record]:
     return [{"figure": figure, "value": value} for figure, value in found.items()]
 
 
-def run(_: Session) -> Findings:
+def run(_: Session) -> Tables:
     """Sample positions, and find every mode's cone."""
-    return Findings({"battery_cones": find_cones(0), "batteries": batteries()})
+    return {"battery_cones": find_cones(0), "batteries": batteries()}
 
 
 STUDY = Study(__doc__, run)

@@ -2,36 +2,34 @@
 
 The plan is simulated with every source of error, once for each seed. OUT/flown_plan.csv has a row
 for each seed, the other tables charge, pointing and the flown path against the planned covariance;
-the flights themselves go to OUT/seed_N/simulation.npz. Existing flights of the same plan
-and vehicle are kept.
+the flights themselves go to OUT/seed_N/simulation.npz. A run that was stopped continues with the
+missing flights.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from experiments.harness import Findings, Session, Study, default_plan
 from experiments.harness import Record as Row
+from experiments.harness import Session, Study, Tables, default_plan
 from formulations.arrays import Array, Indices
 from scp_recon.api.plan_verbs import simulate
-from scp_recon.mission.mission import Mission
-from scp_recon.mission.scene import execution_errors
 from scp_recon.monte_carlo.estimates import proportion
-from scp_recon.monte_carlo.sampling import BLOCK
+from scp_recon.monte_carlo.sampling import sample_positions
 from scp_recon.results.solution import Solution
 from scp_recon.simulation.flight import Actuators, distance_in_sigmas
 from scp_recon.simulation.record import (
     FlightSummary,
     Record,
-    inputs_digest,
     read_record,
     write_record,
 )
-from scp_recon.simulation.vehicle import Vehicle, load_vehicle
+from scp_recon.simulation.vehicle import load_vehicle
 
 SEEDS, SAMPLES = 20, 10_000
 RADIUS_SIGMA = 3.0
@@ -163,71 +161,44 @@ def within(flown: Array, sampled: Sequence[Array], window: Indices) -> list[Row]
     return found
 
 
-def sampled_states(
-    mission: Mission,
-    factor: Array,
-    executed: Callable[[Array], Array],
-    numbers: int,
-    samples: int,
-    seed: int,
-) -> Array:
-    """States of flights without a spacecraft, J2000, m and m/s, shape (nodes, samples, 6).
+def erring(thruster: float | None = None, initial: float | None = None) -> dict[str, Any]:
+    """Entries of a scenario whose burns err in size, as by a thruster, and its state by component.
 
-    Args:
-        mission: of the flights.
-        factor: of the initial state's covariance, m and m/s, shape (6, 6).
-        executed: function from standard normal numbers, shape (n, numbers), to burns, m/s, (n, m, 3).
-        numbers: drawn for the burns of a flight.
-        samples: number of flights.
-        seed: of their errors.
+    Each is 1 sigma as a fraction; None leaves the scenario's own errors.
     """
-    units, found = mission.units, []
-    for block, first in enumerate(range(0, samples, BLOCK)):
-        rng = np.random.default_rng([seed, block])
-        draws = rng.standard_normal((min(BLOCK, samples - first), 6 + numbers))
-        initial = mission.initial_state + draws[:, :6] @ factor.T
-        burns = executed(draws[:, 6:]) / units.speed_m_s
-        found.append(mission.dynamics.rollout(initial / units.state, burns) * units.state)
-    return np.concatenate(found, axis=1)
+    found: dict[str, Any] = {}
+    if thruster is not None:
+        names = ("magnitude_fixed_m_s", "pointing_fixed_m_s", "pointing_proportional_rad")
+        gates = dict.fromkeys(names, 0.0) | {"magnitude_proportional": thruster}
+        found = {f"uncertainty.gates.{name}": value for name, value in gates.items()}
+    return found if initial is None else found | {"uncertainty.initial_sigma_fraction": initial}
 
 
-def sample_distances(solution: Solution, vehicle: Vehicle | None, samples: int) -> Array:
+def sample_distances(solution: Solution, thruster: float | None, samples: int) -> Array:
     """Distances of sampled positions from the mean, in planned sigmas, shape (samples, nodes).
 
-    The initial state errs as the scenario says, each burn in size as the vehicle's thruster does;
-    without a vehicle burns err as the planner expects.
+    The initial state errs as the scenario says, each burn in size by a fraction of 1 sigma; without
+    the fraction burns err as the planner expects.
     """
-    mission, planned = solution.mission, solution.burns_m_s
-    model = execution_errors(mission.scenario)
-
-    def executed(draws: Array) -> Array:
-        if vehicle is None:
-            return model.execute(planned, draws)
-        sizes = draws.reshape(-1, *planned.shape)[..., :1]
-        return planned * (1.0 + vehicle.errors.chemical_thruster * sizes)
-
-    numbers = planned.size if vehicle else model.draws(len(planned))
-    factor = mission.initial_factor
-    states = sampled_states(mission, factor, executed, numbers, samples, seed=0)
-    return distance_in_sigmas(np.moveaxis(states, 0, 1)[..., :3], solution)
+    mission, burns_m_s = solution.mission.changed(erring(thruster)), solution.burns_m_s
+    positions = sample_positions(mission, burns_m_s, mission.times_s, samples)
+    return distance_in_sigmas(np.moveaxis(positions, 0, 1), solution)
 
 
-def run(session: Session) -> Findings:
+def run(session: Session) -> Tables:
     """Fly the plan once for each seed, and sample its dispersion without a spacecraft."""
-    solution, vehicle = default_plan(), load_vehicle()
-    store = session.store("flown_plan.jsonl", inputs=inputs_digest(solution, vehicle))
-    rows = session.rows("flights", partial(fly, solution, session.out), range(SEEDS), store)
+    solution, thruster = default_plan(), load_vehicle().errors.chemical_thruster
+    rows = session.rows("flights", partial(fly, solution, session.out), range(SEEDS))
     flights = [read_record(session.out / f"seed_{seed}") for seed in range(SEEDS)]
     distances = np.array([flight.arrays["node_sigma_distance"] for flight in flights])
-    sampled = [sample_distances(solution, errs, SAMPLES) for errs in (vehicle, None)]
+    sampled = [sample_distances(solution, errs, SAMPLES) for errs in (thruster, None)]
     window = solution.mission.window_nodes
-    tables = {
+    return {
         "flown_plan": rows,
         "figures": figures(rows, flights),
         "pointing": pointing([flight.summary for flight in flights]),
         "position_against_the_planned_covariance": within(distances, sampled, window),
     }
-    return Findings(tables)
 
 
 STUDY = Study(__doc__, run)

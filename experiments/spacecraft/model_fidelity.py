@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from experiments.harness import Findings, Record, Session, Study, default_mission, default_plan
+from experiments.harness import Record, Session, Study, Tables, default_mission, default_plan
 from formulations.arrays import Array
 from scp_recon.mission.gravity import HARMONICS_DEGREE
 from scp_recon.mission.mission import Mission
@@ -230,10 +230,10 @@ def compare(name: str, solution: Solution) -> list[Record]:
     return rows
 
 
-def run(_: Session) -> Findings:
+def run(_: Session) -> Tables:
     """Fly every model on the plan, and on the departure burn alone, as the paper does."""
     arc = compare("ballistic arc", ballistic_arc(default_mission()))
-    return Findings({"model_fidelity": arc + compare("plan", default_plan())})
+    return {"model_fidelity": arc + compare("plan", default_plan())}
 
 
 STUDY = Study(__doc__, run)

@@ -217,8 +217,6 @@ VARIANTS: dict[str, Variant] = {
     "shooting": Variant(SingleShooting(), p3=EXACT, p2=QUASI_NEWTON),
 }
 """Variants: the problems as the paper prints them, as an expert would pose them, with few unknowns."""
-BY_UNO = Variant(SingleShooting(), p3=Settings(solver="uno"), p2=Settings(solver="uno"))
-"""Single shooting by Uno, for comparison; the commands know IPOPT alone."""
 
 
 class NlpOutcome(Enum):

@@ -88,10 +88,6 @@ class Settling:
         rows = NodeRows(self.task.problem.open_loop, self.task.risk.p_chance, PATH)
         return self.run(StageSpec("P2", rows, "node"), start).result.lin
 
-    def along(self, lin: Linearisation) -> Stage:
-        """Settle along a path."""
-        return self._best(self._along([lin], []))
-
     def _along(self, paths: Sequence[Linearisation], begun: list[Facets]) -> list[Stage]:
         """Settle at the first weight along each path on which no earlier path's facets are chosen."""
         found = []

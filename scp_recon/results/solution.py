@@ -342,30 +342,21 @@ def _timing(plan: Plan) -> PlanTiming:
 # --- burns that were given and not planned ------------------------------------------------------
 
 
-def evaluated(mission: Mission, burns_m_s: Array, init: str, message: str) -> Solution:
-    """Evaluate given burns, J2000, m/s, shape (m, 3), without optimising: a solution with P3's margins.
-
-    `init` and `message` say in the file where the burns come from.
-    """
-    from scp_recon.planning.initial_guess import (
-        from_burns,  # SciPy's integrators: readers need none
+def ballistic_arc(mission: Mission) -> Solution:
+    """The two-impulse arc between the boundary positions, evaluated as it is, with P3's margins."""
+    from scp_recon.planning.initial_guess import (  # SciPy's integrators: readers need none
+        ballistic,
+        from_burns,
     )
 
+    burns_m_s = ballistic(mission).burns * mission.units.speed_m_s
     lin = mission.dynamics.linearise(mission.problem, from_burns(mission, burns_m_s))
-    spec = StageSpec("P3", DeterministicRows(mission.problem), title=init)
+    spec = StageSpec("P3", DeterministicRows(mission.problem), title="ballistic")
     merit = MeritFunction(mission.problem, spec.rows)
     # No iteration was allowed, which is what the status says of a plan that is none.
     result = Result(Status.MAX_ITERATIONS, lin, (), Timing())
     stage = Stage(spec, result, merit, SCvx().feasible)
-    provenance = Provenance(NOT_OPTIMISED, NOT_OPTIMISED, NOT_OPTIMISED, init, "none")
+    provenance = Provenance(NOT_OPTIMISED, NOT_OPTIMISED, NOT_OPTIMISED, "ballistic", "none")
     solution = make_solution(Plan(mission, provenance, (stage,), stage, Timing(), 0.0))
-    return _resolved(replace(solution, message=message), mission)
-
-
-def ballistic_arc(mission: Mission) -> Solution:
-    """The two-impulse arc between the boundary positions, evaluated as it is."""
-    from scp_recon.planning.initial_guess import ballistic
-
-    burns = ballistic(mission).burns * mission.units.speed_m_s
     message = "Not a plan: the ballistic arc between the boundary positions, evaluated as it is."
-    return evaluated(mission, burns, "ballistic", message)
+    return _resolved(replace(solution, message=message), mission)

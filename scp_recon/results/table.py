@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import csv
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from html import escape
 from io import StringIO
@@ -131,16 +131,6 @@ class Table:
         named = tuple(Column(c) if isinstance(c, str) else c for c in columns)
         cells = (tuple(c.cell(v) for c, v in zip(named, row, strict=True)) for row in rows)
         return cls(title, named, tuple(cells), key, note)
-
-    @classmethod
-    def of_records(cls, title: str, records: Sequence[Mapping[str, Value]]) -> Table:
-        """Make a table from records, with a column for each key of any.
-
-        A record that lacks a key has an empty cell.
-        """
-        keys = list(dict.fromkeys(key for record in records for key in record))
-        columns = [Column(key, form=".6g", name=key) for key in keys]
-        return cls.of(title, columns, ([record.get(key) for key in keys] for record in records))
 
     @property
     def sides(self) -> list[Literal["left", "right"]]:

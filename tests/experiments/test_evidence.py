@@ -108,8 +108,8 @@ def test_only_outdated_evidence_is_renewed(folder, capsys):
 MORE = 1.001
 MOST = "plans frontier sensitivity cross_check observation_table"
 FELT = {
-    "quantile": f"{MOST} designs sites compare_solvers uncertainty_sources maps",
-    "GM": f"{MOST} designs sites policies compare_solvers model_fidelity feedback map_sample",
+    "quantile": f"{MOST} designs compare_solvers uncertainty_sources maps",
+    "GM": f"{MOST} designs policies compare_solvers model_fidelity feedback map_sample",
     "sunlight": f"{MOST} model_fidelity feedback map_sample battery_cones missed_burns",
 }
 """Evidence that each planted change makes out of date."""

@@ -2,56 +2,51 @@
 
 import inspect
 import json
-from argparse import Namespace
 from pathlib import Path
 
-from rich.console import Console
+import numpy as np
+import pytest
 
 from experiments import frontier, testing
 from experiments.__main__ import STUDIES, main
 from experiments.evidence import FILE, ROOT, Evidence
-from experiments.harness import Findings, Record, Session, Study, run, study_of
+from experiments.harness import Record, Session, Study, Tables, run, study_of, write
 from experiments.other_tools import cross_check
-from scp_recon.jobs.job import Job
 from tests import reliability
 
 
-def test_a_study_leaves_tables_and_origin(tmp_path):
-    def study(session: Session) -> Findings:
-        rows: list[Record] = session.rows(
-            "rows", lambda x: {"x": x}, [Job(1, 1.5)], session.store("kept.jsonl")
-        )
-        return Findings({"rows": rows, "long": [{"i": i} for i in range(1000)]})
+@pytest.mark.parametrize(("version", "again"), [(1, [2.0]), (2, [1.5, 2.0])])
+def test_stopped_study_measures_missing_rows(tmp_path, version, again):
+    """Those of its version; a finished one measures all."""
+    tried: list[float] = []
 
-    found = []
-    for _ in range(2):
-        words = ["--out", str(tmp_path), "--quiet"]
-        assert run("python -m experiments some", Study("", study), words) == 0
-        found.append(Evidence.read(tmp_path / FILE))
-    assert found[0].tables == {"rows": [{"x": 1.5}]}
-    assert [one.resumed for one in found] == [False, True]
-    (tmp_path / "map").mkdir()
-    (tmp_path / "map" / "campaign.json").write_text("{}")
+    def measure(x: float) -> Record:
+        tried.append(x)
+        if tried == [1.5, 2.0]:
+            raise KeyboardInterrupt
+        return {"x": x}
+
+    def tables(session: Session) -> Tables:
+        return {"rows": session.rows("rows", measure, [1.5, 2.0]), "long": [{"i": 0}] * 1000}
+
     words = ["--out", str(tmp_path), "--quiet"]
-    none = Study("", lambda _: Findings({}))
-    assert run("python -m experiments some", none, words) == 0
-    assert Evidence.read(tmp_path / FILE).resumed
-    assert found[0].command == "experiments some"
+    for number, status in ((1, 130), (version, 0), (version, 0)):
+        study = Study("", tables, version=number)
+        assert run("python -m experiments some", study, words) == status
+    assert tried == [1.5, 2.0, *again, 1.5, 2.0]
+    found = Evidence.read(tmp_path / FILE)
+    assert (found.command, found.version) == ("experiments some", version)
+    assert found.tables == {"rows": [{"x": 1.5}, {"x": 2.0}]}
 
 
-def session_in(out: Path, name: str = "study", version: int = 1) -> Session:
-    """A session of a study that writes into a folder, in silence."""
-    return Session(name, Namespace(), out, Console(quiet=True), Evidence.begun(name, version))
-
-
-def test_finished_rows_depend_on_version_and_settings(tmp_path):
-    def count(version: int, flights: int) -> int:
-        session = session_in(tmp_path, version=version)
-        with session.stores:
-            store = session.store("kept.jsonl", flights=flights)
-            return len(store) or store.put(0, {}) or 0
-
-    assert [count(1, 10), count(1, 10), count(2, 10), count(2, 20)] == [0, 1, 0, 0]
+def test_cells_are_written_as_they_are(tmp_path):
+    rows = [{"n": 3, "ok": np.True_, "off": np.inf}, {"n": None, "x": np.float64(0.1)}]
+    write(tmp_path, {"rows": rows}, Evidence.begun("some", 1))
+    assert Evidence.read(tmp_path / FILE).tables["rows"] == [
+        {"n": 3, "ok": True, "off": None, "x": None},
+        {"n": None, "ok": None, "off": None, "x": 0.1},
+    ]
+    assert (tmp_path / "rows.csv").read_text() == "n,ok,off,x\n3,True,inf,\n,,,0.1\n"
 
 
 PACKAGE = Path(frontier.__file__).parent
@@ -71,8 +66,7 @@ def test_every_study_is_listed(capsys):
 
 def test_a_study_is_one_document_or_silent(tmp_path, capsys, monkeypatch):
     words = ["cross_check", "--out", str(tmp_path)]
-    found = Findings({"rows": [{"x": 1}]})
-    monkeypatch.setattr(cross_check, "STUDY", Study("", lambda _: found))
+    monkeypatch.setattr(cross_check, "STUDY", Study("", lambda _: {"rows": [{"x": 1}]}))
     assert main([*words, "--json"]) == 0
     said = capsys.readouterr()
     document = json.loads(said.out)

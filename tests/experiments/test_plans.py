@@ -66,3 +66,13 @@ def test_flights_that_fall_short_certify_nothing():
     kept, missed = (record("certified, each node", p, found, flown, 1.0) for p in (0.69, 0.7))
     assert kept["total_dv_m_s"] == plain.total_dv_m_s
     assert (missed["status"], math.isnan(float(missed["total_dv_m_s"]))) == (NOT_CERTIFIED, True)
+
+
+def test_sites_are_counted_by_how_reached():
+    alone = {"open": True, "corrected": True, "dv99_m_s": 0.1, "whole_flight": 0.91}
+    more = {"open": False, "corrected": True, "dv99_m_s": 0.3, "whole_flight": 0.88}
+    row = maps.counted(pd.DataFrame([alone, more, {"open": False, "corrected": False}]))
+    assert (row["sites"], row["open"], row["more"]) == (3, 1, 1)
+    assert row["open_dv99_m_s_max"] == 0.1
+    assert row["more_dv99_m_s_min"] == 0.3
+    assert row["more_whole_flight_min"] == 0.88

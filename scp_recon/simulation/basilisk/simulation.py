@@ -96,14 +96,12 @@ def simulate(
     seed: int = 0,
     *,
     sources: Collection[Source] = frozenset(Source),
-    initial_sigma_fraction: float | None = None,
     progress: Callable[[float], None] | None = None,
     policy: AnyPolicy = (),
     miss: int | None = None,
 ) -> Flight:
     """Simulate a solution's flight; a source of error that is left out is perfect.
 
-    The initial state's 1 sigma is a fraction of each component, or the scenario's uncertainty.
     `progress` is called now and then with the simulated time in s. A policy commands burns at their
     cut-offs, from the true state then with the errors of its measurement. If a burn is missed, no burn
     follows, and the flight goes on until the end of the drift.
@@ -129,10 +127,7 @@ def simulate(
         policy = policy[: sum(one.burn < miss - 1 for one in policy)]
         end_s = max(end_s, plan.firings[miss - 1].start_s + reach_s(mission))
     times = CONTROL_PERIOD_S * np.arange(round(end_s / CONTROL_PERIOD_S) + 1.0)
-    factor = mission.initial_factor
-    if initial_sigma_fraction is not None:
-        factor = np.diag(initial_sigma_fraction * np.abs(mission.initial_state))
-    draws = Draws.of(plan, factor, len(times), seed, sources, len(policy))
+    draws = Draws.of(plan, mission.initial_factor, len(times), seed, sources, len(policy))
     commands = plan.attitudes(times)
     start = Start(
         mission.initial_state + draws.initial,
