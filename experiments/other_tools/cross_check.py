@@ -3,15 +3,15 @@
 Orekit reads the exported OPM and OEM with its own parsers. It flies the OPM's state and burns with
 its own forces, and with the numbers and axes of the scenario. Each flight is compared with the
 planner's equations, integrated by SciPy's DOP853. A row for each set of forces has the largest distance
-at the grid's nodes. Two rows have forces that the planner leaves out: sunlight from a moving Sun, and
-the Sun's tide.
+at the grid's nodes.
 """
 
 from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -22,10 +22,9 @@ from scipy.integrate import solve_ivp
 from experiments.harness import Record, Session, Study, Tables, default_plan
 from formulations.arrays import Array
 from scp_recon.api.plan_verbs import export
-from scp_recon.bodies.catalogue import AU_KM, GM_SUN_KM3_S2
 from scp_recon.errors import needing
 from scp_recon.mission.mission import Mission
-from scp_recon.physics.forces import SPEED_OF_LIGHT_M_S, acceleration
+from scp_recon.physics.forces import acceleration
 from scp_recon.results.solution import Solution
 from scp_recon.scenario.time_scales import FIRST_TAI_MINUS_UTC_S, LEAPS
 
@@ -34,23 +33,11 @@ ROUNDED_S = 1e-6
 """Off a node that a burn of a file may be."""
 SAME_M = 1e-3
 """Distance up to which flights by the same forces are the same, m."""
-FORCES: dict[str, set[str]] = {
-    "point mass": set(),
-    "point mass, J2": {"J2"},
-    "point mass, J2, sunlight": {"J2", "sunlight"},
-    "harmonics to degree 8, sunlight": {"harmonics", "sunlight"},
-}
-"""Forces beside the point mass, by the names of the rows."""
-ALL = "point mass, J2, sunlight"
-"""The forces with which the default plan is made."""
-LEFT_OUT = {
-    "the same, the Sun moving": ({"J2", "moving Sun"}, "the planner's sunlight is constant"),
-    "the same, with the Sun's tide": (FORCES[ALL] | {"tide"}, "the planner has no third body"),
-}
-"""Forces that the planner leaves out, and why."""
+PLANNED, HARMONICS = "point mass, J2, sunlight", "harmonics to degree 8, sunlight"
+"""Forces of the plan, and with the whole field in place of point mass and J2."""
 
-Coaster = Callable[[Array, Array, set[str]], Array]
-"""From a state, times (n,) from that of the state on and the forces: states (n, 6), SI."""
+Coaster = Callable[[Array, Array], Array]
+"""From a state and times (n,) from that of the state on: states (n, 6), SI."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +49,7 @@ class Flight:
     burns_s: Array
     burns_m_s: Array
 
-    def by(self, coast: Coaster, forces: set[str]) -> Array:
+    def by(self, coast: Coaster) -> Array:
         """States (nodes, 6) with a tool's coasts, before each burn that falls on a node."""
         nodes, state, found = self.mission.times_s, self.state.copy(), [self.state[None]]
         ends = np.r_[self.burns_s[1:], nodes[-1]]
@@ -70,26 +57,19 @@ class Flight:
             state[3:] += burn
             times = nodes[(nodes >= begin - ROUNDED_S) & (nodes <= end + ROUNDED_S)]
             if len(times) > 1:
-                found.append(coast(state, times, forces)[1:])
+                found.append(coast(state, times)[1:])
                 state = found[-1][-1].copy()
         return np.concatenate(found)
 
 
-def planners(mission: Mission) -> Coaster:
+def planners(mission: Mission, forces: str) -> Coaster:
     """The planner's equations of motion by DOP853."""
+    model = mission.forces if forces == PLANNED else mission.gravity.forces("harmonics")
 
-    def fly(state: Array, times_s: Array, forces: set[str]) -> Array:
-        model = mission.forces
-        if "J2" not in forces:
-            model = replace(model, j2_strength=0.0)
-        if "sunlight" not in forces:
-            model = replace(model, srp=np.zeros(3))
-        if "harmonics" in forces:
-            model = mission.gravity.forces("harmonics")
+    def rate(t: float, y: Array) -> Array:
+        return np.r_[y[3:], acceleration(y[0], y[1], y[2], model, model.moment(t))]
 
-        def rate(t: float, y: Array) -> Array:
-            return np.r_[y[3:], acceleration(y[0], y[1], y[2], model, model.moment(t))]
-
+    def fly(state: Array, times_s: Array) -> Array:
         ends = times_s[0], times_s[-1]
         within: dict[str, Any] = {"rtol": TOLERANCE, "atol": TOLERANCE * np.repeat([1e3, 1.0], 3)}
         return np.asarray(solve_ivp(rate, ends, state, "DOP853", times_s, **within).y.T)
@@ -159,8 +139,8 @@ class Orekit:
         ]
         return flight, np.array(rows)
 
-    def fly(self, state: Array, times_s: Array, forces: set[str]) -> Array:
-        """See `Coaster`."""
+    def fly(self, forces: str, state: Array, times_s: Array) -> Array:
+        """States under some forces: see `Coaster`."""
         begin, gm = self._epoch.shiftedBy(float(times_s[0])), self._mission.forces.gm
         place = self._own("utils.PVCoordinates")(*map(self._vector, (state[:3], state[3:])))
         orbit = self._own("orbits.CartesianOrbit")(place, self._frame, begin, gm)
@@ -175,11 +155,14 @@ class Orekit:
         states = (propagator.propagate(date).getPVCoordinates(self._frame) for date in dates)
         return np.vstack([state, *map(_numbers, states)])
 
-    def _forces(self, names: set[str]) -> Iterator[Any]:
+    def _forces(self, names: str) -> Iterator[Any]:
         mission, gravity = self._mission, "forces.gravity."
         gm, body = mission.forces.gm, mission.scenario.body
         yield self._own(gravity + "NewtonianAttraction")(gm)
-        if "harmonics" in names:
+        if names == PLANNED:
+            j2 = gm, body.reference_radius_m, body.j2
+            yield self._own(gravity + "J2OnlyPerturbation")(*j2, self._turning)
+        else:
             field = mission.gravity.harmonics
             unknown = self._own(gravity + "potential.TideSystem").UNKNOWN
             triangles = (
@@ -188,28 +171,11 @@ class Orekit:
             factory = self._own(gravity + "potential.GravityFieldFactory")
             terms = factory.getNormalizedProvider(field.radius, field.gm, unknown, *triangles)
             yield self._own(gravity + "HolmesFeatherstoneAttractionModel")(self._turning, terms)
-        if "J2" in names:
-            j2 = gm, body.reference_radius_m, body.j2
-            yield self._own(gravity + "J2OnlyPerturbation")(*j2, self._turning)
-        if "sunlight" in names:
-            size = float(np.linalg.norm(mission.forces.srp))
-            model = self._own("forces.empirical.PolynomialAccelerationModel")("srp", self._epoch, 0)
-            model.getParametersDrivers().get(0).setValue(size)
-            way = self._vector(mission.forces.srp / size)
-            yield self._own("forces.empirical.ParametricAcceleration")(way, True, model)
-        if "moving Sun" in names:
-            craft, radiation = mission.scenario.spacecraft, "forces.radiation."
-            plate = craft.srp_area_m2, craft.reflectivity_coefficient
-            surface = self._own(radiation + "IsotropicRadiationSingleCoefficient")(*plate)
-            ball = self._own("bodies.OneAxisEllipsoid")(body.reference_radius_m, 0.0, self._turning)
-            # The spacecraft's mass is Orekit's default, 1000 kg: the pressure is scaled to it.
-            pressure = mission.scenario.sun.solar_constant_w_m2 / SPEED_OF_LIGHT_M_S
-            own = 1e3 * AU_KM, pressure * 1000.0 / craft.mass_kg
-            model = self._own(radiation + "SolarRadiationPressure")
-            yield model(*own, self._sun(), ball, surface)
-        if "tide" in names:
-            third = self._own(gravity + "ThirdBodyAttraction")
-            yield third(self._sun(), "Sun", 1e9 * GM_SUN_KM3_S2)
+        size = float(np.linalg.norm(mission.forces.srp))
+        model = self._own("forces.empirical.PolynomialAccelerationModel")("srp", self._epoch, 0)
+        model.getParametersDrivers().get(0).setValue(size)
+        way = self._vector(mission.forces.srp / size)
+        yield self._own("forces.empirical.ParametricAcceleration")(way, True, model)
 
     def _turn(self) -> Any:
         """The rotation of the body."""
@@ -233,21 +199,6 @@ class Orekit:
 
         return Turning()
 
-    def _sun(self) -> Any:
-        """The Sun on the scenario's straight line."""
-        from jpype import JImplements, JOverride
-
-        given, epoch, vector = self._mission.scenario.sun, self._epoch, self._vector
-
-        @JImplements("org.orekit.utils.ExtendedPositionProvider")
-        class Sun:
-            @JOverride  # type: ignore[untyped-decorator]  # JPype's
-            def getPosition(self, date: Any, _frame: Any) -> Any:  # noqa: N802  Orekit's name
-                moved = np.multiply(given.body_velocity_km_s, float(date.durationFrom(epoch)))
-                return vector(-1e3 * (np.array(given.body_position_km) + moved))
-
-        return Sun()
-
 
 def _leap_seconds() -> Iterator[str]:
     """Lines of the format of USNO's tai-utc.dat."""
@@ -269,29 +220,25 @@ def _numbers(coordinates: Any) -> Array:
 
 def compare(solution: Solution) -> list[Record]:
     """Rows for each set of forces, and one for the OEM that Orekit read."""
-    mission = Mission.from_scenario(solution.scenario)
+    mission, rows = Mission.from_scenario(solution.scenario), list[Record]()
+
+    def add(tool: str, what: str, states: Array, own: Array) -> None:
+        off = np.linalg.norm((states - own).reshape(-1, 2, 3), axis=2).max(axis=0).tolist()
+        row = {"tool": tool, "forces": what, "position_m": off[0], "velocity_m_s": off[1]}
+        rows.append(row | {"same": off[0] < SAME_M})
+
     with TemporaryDirectory() as name:
         folder = Path(name)
         export(solution, "oem", folder / "plan")
         orekit = Orekit(mission, folder)
         flight, oem = orekit.read(folder / "plan")
-        own = {name: flight.by(planners(mission), forces) for name, forces in FORCES.items()}
-        rows = [
-            row("Orekit", name, flight.by(orekit.fly, forces), own[name])
-            for name, forces in FORCES.items()
-        ]
-        for name, (forces, why) in LEFT_OUT.items():
-            rows.append(row("Orekit", name, flight.by(orekit.fly, forces), own[ALL], why))
+        for forces in (PLANNED, HARMONICS):
+            flown = flight.by(partial(orekit.fly, forces))
+            add("Orekit", forces, flown, flight.by(planners(mission, forces)))
     nodes = np.searchsorted(oem[:, 0], mission.times_s - ROUNDED_S)  # before a burn
-    parsed = row("Orekit's parser", "the OEM against its OPM, flown", oem[nodes, 1:], own[ALL])
-    return [*rows, parsed]
-
-
-def row(tool: str, forces: str, states: Array, own: Array, why: str = "") -> Record:
-    """Largest distances over the flight, in position and velocity."""
-    position, velocity = np.linalg.norm((states - own).reshape(-1, 2, 3), axis=2).max(axis=0)
-    off = {"position_m": float(position), "velocity_m_s": float(velocity)}
-    return {"tool": tool, "forces": forces, **off, "why": why}
+    own = flight.by(planners(mission, PLANNED))
+    add("Orekit's parser", "the OEM against its OPM, flown", oem[nodes, 1:], own)
+    return rows
 
 
 def run(session: Session) -> Tables:

@@ -21,7 +21,7 @@ def test_the_planners_flight_meets_every_node(mission, solution):
     """What other tools are held against is the plan."""
     burns, times = solution.burns_m_s, np.array(mission.scenario.burns.times_s)
     flight = cross_check.Flight(mission, mission.initial_state, times, burns)
-    states = flight.by(cross_check.planners(mission), cross_check.FORCES[cross_check.ALL])
+    states = flight.by(cross_check.planners(mission, cross_check.PLANNED))
     assert np.abs(states - solution.nodes.state)[:-1, :3].max() < 1e-2
 
 
@@ -35,5 +35,4 @@ def test_leap_seconds_have_the_columns_of_usno():
 @pytest.mark.slow
 def test_orekit_flies_the_plan_where_the_planner_does(solution):
     pytest.importorskip("orekit_jpype", reason="needs the extra [crosscheck]")
-    for row in cross_check.compare(solution):
-        assert row["position_m"] < (0.1 if row["why"] else cross_check.SAME_M), row
+    assert all(row["same"] for row in cross_check.compare(solution))

@@ -106,7 +106,7 @@ def test_only_outdated_evidence_is_renewed(folder, capsys):
 
 
 MORE = 1.001
-MOST = "plans frontier sensitivity cross_check observation_table"
+MOST = "plans frontier sensitivity observation_table"
 FELT = {
     "quantile": f"{MOST} designs compare_solvers uncertainty_sources maps",
     "GM": f"{MOST} designs policies compare_solvers model_fidelity feedback map_sample",
