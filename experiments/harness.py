@@ -111,23 +111,16 @@ class Session:
         jobs = [case if isinstance(case, Job) else Job(repr(case), case) for case in cases]
         columns = (TextColumn(label), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
         with Progress(*columns, console=progress_console(self.console), transient=True) as bar:
-            task = bar.add_task("", total=len(jobs))
-
-            def tell(key: Key, row: Mapping[str, Any]) -> None:
-                if "status" in row:
-                    self.say(f"{key}: {row['status']}")
-                bar.advance(task)
-
-            for job in jobs:
-                if job.key in store:
-                    tell(job.key, store[job.key])
+            done = sum(job.key in store for job in jobs)
+            task = bar.add_task("", total=len(jobs), completed=done)
 
             def row_of(one: Done) -> Row:
+                bar.advance(task)
                 if one.failure is not None and failed is not None:
                     return Row(failed(one.key, one.failure))
                 return Row(one.result())
 
-            run_jobs(work, jobs, store, executor, row_of=row_of, on_done=tell)
+            run_jobs(work, jobs, store, executor, row_of=row_of)
         return [store[job.key] for job in jobs]
 
 
@@ -165,11 +158,8 @@ def plan_figures(found: Plan) -> Record:
 
 def flight_figures(flown: FlightTally) -> Record:
     """Columns on flights: probability at the worst node and of whole flights, and time observed."""
-    node = {n: flown.worst_probability(n)[1].value for n in flown.node_counts if n != ALL}
-    lowest = min(node, key=lambda name: node[name])
     return {
-        "node": node[lowest],
-        "node_of": lowest.replace("_", " "),
+        "node": min(flown.worst_probability(n)[1].value for n in flown.node_counts if n != ALL),
         "whole_flight": flown.whole / flown.samples,
         "observed_mean_s": flown.tallies[ALL].mean().value,
     }
@@ -207,16 +197,12 @@ def fly_plan(found: Plan, samples: int, seed: int) -> FlightTally:
     return fly_many(config, samples=samples)
 
 
-def module_of(name: str) -> str:
-    """Name of a study's module, in whichever folder: the study's own, or `study` in its folder."""
-    root = Path(__file__).parent
-    (found,) = [*root.rglob(f"{name}.py"), *root.rglob(f"{name}/study.py")]
-    return ".".join(("experiments", *found.relative_to(root).with_suffix("").parts))
-
-
 def study_of(name: str) -> Study:
-    """The study of a name."""
-    study: Study = importlib.import_module(module_of(name)).STUDY
+    """The study of a name, in whichever folder."""
+    root = Path(__file__).parents[1]
+    (found,) = (root / "experiments").rglob(f"{name}.py")
+    words = found.relative_to(root).with_suffix("").parts
+    study: Study = importlib.import_module(".".join(words)).STUDY
     return study
 
 
@@ -266,16 +252,9 @@ def write(out: Path, tables: Tables, evidence: Evidence) -> list[Path]:
         frame = pd.DataFrame(own, dtype=object)  # so that numbers stay what they are
         written.append(write_atomically(out / f"{name}.csv", frame.to_csv(index=False)))
         if len(frame) <= ROWS_MAX:
-            kept[name] = [
-                {str(key): as_json(value) for key, value in row.items()}
-                for row in frame.to_dict("records")
-            ]
+            finite = frame.map(lambda v: isinstance(v, str) or (v is not None and isfinite(v)))
+            kept[name] = frame.where(finite, None).to_dict("records")
     return [*written, evidence.model_copy(update={"tables": kept}).write(out / FILE)]
-
-
-def as_json(value: Any) -> Any:
-    """A cell of a table; null where a number is not finite."""
-    return None if isinstance(value, float) and not isfinite(value) else value
 
 
 def wide(frame: pd.DataFrame, index: Sequence[str], columns: str, values: str) -> list[Record]:

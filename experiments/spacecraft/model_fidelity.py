@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -82,7 +83,7 @@ def _zonal(field: HarmonicField) -> HarmonicField:
 
 def _plate_srp(plan: FlightPlan) -> Acceleration:
     """Acceleration of the vehicle's plates in its commanded attitude."""
-    plates, vehicle, mission = Plates.of(plan.vehicle), plan.vehicle, plan.mission
+    plates, vehicle, mission = plates_of(plan.vehicle), plan.vehicle, plan.mission
     scale = irradiance(mission.scenario) / SPEED_OF_LIGHT_M_S / vehicle.mass.mass_kg
     times, values = [], []
     for leg in plan.legs:
@@ -90,7 +91,7 @@ def _plate_srp(plan: FlightPlan) -> Acceleration:
         inside = np.linspace(leg.start_s, np.nextafter(leg.end_s, leg.start_s), count)
         to_j2000 = plan.attitudes(inside).as_matrix()
         sun_body = np.einsum("nji,nj->ni", to_j2000, mission.sun_direction(inside))
-        force = plates.force_per_pressure(sun_body)
+        force = light_force(sun_body, *plates)
         times.append(inside)
         values.append(scale * np.einsum("nij,nj->ni", to_j2000, force))
     starts = np.array([leg.start_s for leg in plan.legs])
@@ -102,116 +103,94 @@ def _plate_srp(plan: FlightPlan) -> Acceleration:
     return acceleration
 
 
-@dataclass(frozen=True)
-class Plates:
-    """The N-plate model of a rigid body; plates do not shade each other.
+def plates_of(vehicle: Vehicle) -> tuple[Array, Array, Array, Array]:
+    """Normals (n, 3), areas (n,), specular and diffuse fractions (n,) of faces and cells."""
+    sizes = [(plate.area_m2, plate.specular, plate.diffuse) for plate in vehicle.plates]
+    area, specular, diffuse = np.array(sizes).T
+    return unit([plate.normal for plate in vehicle.plates]), area, specular, diffuse
 
-    Attributes:
+
+def light_force(
+    sun_body: Array, normals: Array, areas_m2: Array, specular: Array, diffuse: Array
+) -> Array:
+    """Force on a rigid body's plates over the pressure of sunlight, body frame, m^2, shape (..., 3).
+
+    -sum_i A_i cos_i ((1 - rho_s) s + 2 (rho_s cos_i + rho_d / 3) n_i) over the plates with
+    cos_i = n_i . s > 0: Montenbruck & Gill, Satellite Orbits, eq. 3.73, with Lambert's law. Plates do
+    not shade each other.
+
+    Args:
+        sun_body: unit vectors to the Sun, body frame, shape (..., 3).
         normals: outward unit vectors, body frame, shape (n, 3).
         areas_m2: shape (n,).
-        specular, diffuse: fractions of the light that are reflected like that, shape (n,).
+        specular: fraction of the light that is reflected as by a mirror, shape (n,).
+        diffuse: fraction reflected by Lambert's law, shape (n,).
     """
-
-    normals: Array
-    areas_m2: Array
-    specular: Array
-    diffuse: Array
-
-    @classmethod
-    def of(cls, vehicle: Vehicle) -> Plates:
-        """A vehicle's faces and the cells of its panels."""
-        sizes = [(plate.area_m2, plate.specular, plate.diffuse) for plate in vehicle.plates]
-        return cls(unit([plate.normal for plate in vehicle.plates]), *np.array(sizes).T)
-
-    def force_per_pressure(self, sun_body: Array) -> Array:
-        """Force over the pressure of sunlight, body frame, m^2.
-
-        -sum_i A_i cos_i ((1 - rho_s) s + 2 (rho_s cos_i + rho_d / 3) n_i) over the plates with
-        cos_i = n_i . s > 0: Montenbruck & Gill, Satellite Orbits, eq. 3.73, with Lambert's law.
-
-        Args:
-            sun_body: unit vectors to the Sun, body frame, shape (..., 3).
-
-        Returns:
-            Shape (..., 3).
-        """
-        cosine = np.maximum(0.0, sun_body @ self.normals.T)
-        lit = self.areas_m2 * cosine
-        along_sun = (lit * (1.0 - self.specular)).sum(axis=-1, keepdims=True) * sun_body
-        reflected = 2.0 * lit * (self.specular * cosine + self.diffuse / 3.0)
-        return -along_sun - reflected @ self.normals
+    cosine = np.maximum(0.0, sun_body @ normals.T)
+    lit = areas_m2 * cosine
+    along_sun = (lit * (1.0 - specular)).sum(axis=-1, keepdims=True) * sun_body
+    return -along_sun - 2.0 * lit * (specular * cosine + diffuse / 3.0) @ normals
 
 
 def fly(
     mission: Mission,
     burns_m_s: Array,
     model: Mapping[str, Any],
-    times_s: Array,
+    end_s: float,
     *,
-    thrust_acceleration_m_s2: float,
+    thrust_m_s2: float,
     breaks_s: Sequence[float] = (),
 ) -> Array:
-    """States before any burn at the same time, J2000, m and m/s, shape (n, 6).
+    """State at a time, before a burn then, J2000, m and m/s, shape (6,).
 
     Args:
         mission: initial state, rotation and firing times.
         burns_m_s: planned burns, shape (m, 3); they may be zero.
         model: of each effect; see `Models`.
-        times_s: ascending times of the states, from 0 on.
-        thrust_acceleration_m_s2: while firing; it is constant, the propellant being a ten-thousandth.
+        end_s: the time.
+        thrust_m_s2: while firing; it is constant, the propellant being a ten-thousandth.
         breaks_s: times at which sunlight's acceleration may jump.
     """
-    lengths = np.linalg.norm(burns_m_s, axis=1) / thrust_acceleration_m_s2
+    lengths = np.linalg.norm(burns_m_s, axis=1) / thrust_m_s2
     impulses, thrusts = dict[float, Array](), list[tuple[float, float, Array]]()
     for start, length, burn in zip(mission.scenario.burns.times_s, lengths, burns_m_s, strict=True):
         if model[BURNS] is None:
             thrusts.append((start, start + length, burn / length if length else burn))
         else:
             impulses[start + model[BURNS] * length] = burn
-    end = float(times_s[-1])
-    edges = {0.0, end, *impulses, *breaks_s, *(edge for *ends, _ in thrusts for edge in ends)}
+    edges = {0.0, end_s, *impulses, *breaks_s, *(edge for *ends, _ in thrusts for edge in ends)}
     state = mission.initial_state.copy()
-    found = [state[None].copy()] if times_s[0] == 0.0 else []
-    for before, after in itertools.pairwise(sorted(edge for edge in edges if edge <= end)):
+    for before, after in itertools.pairwise(sorted(edge for edge in edges if edge <= end_s)):
         state[3:] += impulses.get(before, np.zeros(3))
         middle = 0.5 * (before + after)
         thrust = sum((a for start, stop, a in thrusts if start < middle < stop), np.zeros(3))
         # An arc belongs to what holds before its end.
-        rate = _rate(mission, model, thrust, float(np.nextafter(after, before)))
-        shown = times_s[(times_s > before) & (times_s <= after)]
-        ends, looks = (before, after), np.union1d(shown, after)
-        states = solve_ivp(rate, ends, state, t_eval=looks, **INTEGRATOR).y.T
-        found.append(states[: len(shown)])
-        state = states[-1].copy()
-    return np.concatenate(found)
+        rate = partial(_rate, mission, model, thrust, float(np.nextafter(after, before)))
+        state = solve_ivp(rate, (before, after), state, **INTEGRATOR).y[:, -1].copy()
+    return state
 
 
 def _rate(
-    mission: Mission, model: Mapping[str, Any], thrust: Array, before: float
-) -> Callable[[float, Array], Array]:
-    """Rate of the state on an arc without jumps of forces, which ends after `before`."""
-
-    def rate(time: float, y: Array) -> Array:
-        turn = mission.rotation.body_to_j2000(time)
-        pull = turn @ np.array(model[GRAVITY].acceleration(*(turn.T @ y[:3])))
-        return np.r_[y[3:], pull + model[SRP](min(time, before)) + thrust]
-
-    return rate
+    mission: Mission, model: Mapping[str, Any], thrust: Array, last_s: float, time: float, y: Array
+) -> Array:
+    """Rate of the state on an arc without jumps of forces, which ends after `last_s`."""
+    turn = mission.rotation.body_to_j2000(time)
+    pull = turn @ np.array(model[GRAVITY].acceleration(*(turn.T @ y[:3])))
+    return np.r_[y[3:], pull + model[SRP](min(time, last_s)) + thrust]
 
 
 def compare(name: str, solution: Solution) -> list[Record]:
     """Fly every model of every effect, then the crudest that pass and the planner's together: rows."""
     plan = flight_plan(solution, solution.mission, load_vehicle())
     mission, models, rows = plan.mission, models_of(plan), list[Record]()
-    burns, times = np.array([firing.dv_m_s for firing in plan.firings]), mission.times_s
+    burns, end_s = np.array([firing.dv_m_s for firing in plan.firings]), float(mission.times_s[-1])
     thrust = plan.vehicle.chemical_thruster.thrust_n / plan.vehicle.mass.mass_kg
     truth = {effect: list(names)[-1] for effect, names in models.items()}
     legs = [leg.start_s for leg in plan.legs]
 
     def end(names: Mapping[str, str]) -> Array:
         model = {effect: models[effect][name] for effect, name in names.items()}
-        how: dict[str, Any] = {"thrust_acceleration_m_s2": thrust, "breaks_s": legs}
-        return fly(mission, burns, model, times[-1:], **how)[-1, :3]
+        return fly(mission, burns, model, end_s, thrust_m_s2=thrust, breaks_s=legs)[:3]
 
     true = end(truth)
 

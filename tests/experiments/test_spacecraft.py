@@ -11,7 +11,7 @@ from experiments.__main__ import main
 from experiments.in_flight import flown_policies
 from experiments.spacecraft import flown_plan
 from experiments.spacecraft.battery_cones import SAMPLES, find_cones
-from experiments.spacecraft.model_fidelity import Plates
+from experiments.spacecraft.model_fidelity import light_force, plates_of
 from experiments.spacecraft.uncertainty_sources import dispersion
 from scp_recon.errors import InputError
 from scp_recon.physics.forces import SPEED_OF_LIGHT_M_S
@@ -47,10 +47,9 @@ def test_panels_have_their_peak_powers(panels):
 
 
 def test_light_pushes_the_vehicle_by_its_areas(mission, vehicle):
-    plates = Plates.of(vehicle)
     pressure = irradiance(mission.scenario) / SPEED_OF_LIGHT_M_S
     cells, structure = 0.7486, 0.0614 + 0.036
-    to_panels = plates.force_per_pressure(-np.eye(3)[0])
+    to_panels = light_force(-np.eye(3)[0], *plates_of(vehicle))
     np.testing.assert_allclose(to_panels, [1.01 * cells + 1.6 * structure, 0.0, 0.0], atol=1e-12)
     assert pressure * to_panels[0] == pytest.approx(4.05e-6, rel=2e-3)
 
@@ -107,10 +106,8 @@ def test_a_short_flight_is_tabulated_and_judged(tmp_path, monkeypatch):
         (row,) = csv.DictReader(file)
     record = read_record(tmp_path / "seed_0")
     assert row["modes_hold"] == row["settled_in_time"] == "True"
-    executed = [burn.executed_pointing_deg for burn in record.summary.burns]
-    assert float(row["burn_executed_max_deg"]) == max(executed) < 0.5
     assert float(row["least_charge"]) == record.summary.least_charge > 0.3
-    assert float(row["terminal_sigma"]) == record.arrays["node_sigma_distance"][-1]
+    assert float(row["largest_sigma"]) == record.arrays["node_sigma_distance"].max()
 
     def simulate(_: object, *, seed: int, **__: object) -> Record:
         if seed:

@@ -12,7 +12,7 @@ pytest.importorskip("Basilisk", reason="needs the extra [sim]")
 
 from Basilisk.utilities import SimulationBaseClass, macros
 
-from experiments.spacecraft.model_fidelity import Plates
+from experiments.spacecraft.model_fidelity import light_force, plates_of
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.schedule import Leg, Mode
 from scp_recon.physics.flow import propagate
@@ -50,7 +50,7 @@ def push(mission: Mission, vehicle: Vehicle, attitude: Rotation, time_s: float) 
     """Acceleration by light on the plates, by their own formula, in J2000."""
     pressure = irradiance(mission.scenario) / 299_792_458.0
     sun = attitude.inv().apply(mission.sun_direction(time_s))
-    force = pressure * Plates.of(vehicle).force_per_pressure(sun)
+    force = pressure * light_force(sun, *plates_of(vehicle))
     return attitude.apply(force) / vehicle.mass.mass_kg
 
 
