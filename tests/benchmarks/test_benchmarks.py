@@ -27,44 +27,53 @@ OTHERS = {
     "replanned": {"replans": 100, "converged": 99, "later_s": 0.02, "cold_s": 0.1},
     "flown": {"flights": 1000, "first_s": 0.1, "later_s": 0.05},
 }
+RATIOS = {
+    "IPOPT as printed over SCP, first plan of a process": 100.0,
+    "IPOPT as printed over SCP": 150.0,
+    # The quickest to the first answer is not the quickest without set-up.
+    "best tuned NLP over SCP, first plan of a process": 10.0,
+    "best tuned NLP over SCP": 11.0,
+    "all else over the conic solver": 1.0,
+    "replan over cold plan": 0.2,
+    "flights a second": 20_000.0,
+    "command line over importing CVXPY": 2.0,
+}
 
 
-def made_up(words: Sequence[str]) -> dict[str, Any]:
-    what, *rest = words
-    return OTHERS.get(what) or {"method": rest[0], **PLANNED, **SLOW.get(rest[0], {})}
+def evidence_of(out: Path, *words: str) -> Evidence:
+    assert command.main([*words, "--out", str(out), "--quiet"]) == 0
+    found = Evidence.read(out / FILE)
+    assert found.command == " ".join(("benchmarks", *words))
+    return found
 
 
-def test_stopped_run_continues_and_leaves_evidence(tmp_path, monkeypatch):
-    ran: list[Sequence[str]] = []
+def test_ratios_follow_from_the_methods_times(tmp_path, monkeypatch):
+    def made_up(words: Sequence[str]) -> dict[str, Any]:
+        what, *rest = words
+        return OTHERS.get(what) or {"method": rest[0], **PLANNED, **SLOW.get(rest[0], {})}
 
-    def in_a_process(words: Sequence[str]) -> dict[str, Any]:
-        ran.append(words)
-        if len(ran) == 4:
-            raise KeyboardInterrupt
-        return made_up(words)
-
-    monkeypatch.setattr(command, "in_a_process", in_a_process)
+    monkeypatch.setattr(command, "in_a_process", made_up)
     monkeypatch.setattr(command, "command_times", lambda _: {"solve": 1.5, "import cvxpy": 0.75})
-    words = ["--out", str(tmp_path), "--quiet"]
-    monkeypatch.setattr(command, "ROUNDS", 1)
-    assert command.main(words) == 130
-    assert command.main(words) == 0
-    assert len(ran) == len(command.METHODS) + len(OTHERS) + 1
-    found = Evidence.read(tmp_path / FILE)
-    assert found.command == "benchmarks"
-    rows = {row["method"]: row for row in found.tables["methods"]}
+    tables = evidence_of(tmp_path).tables
+    rows = {row["method"]: row for row in tables["methods"]}
     assert list(rows) == list(command.METHODS)
     assert rows["ipopt printed"]["off"] == pytest.approx(1e-3)
-    ratios = {row["figure"]: row["value"] for row in found.tables["ratios"]}
-    assert ratios["IPOPT as printed over SCP, first plan of a process"] == pytest.approx(100)
-    assert ratios["IPOPT as printed over SCP"] == pytest.approx(150)
-    # The quickest to the first answer is not the quickest without set-up.
-    assert ratios["best tuned NLP over SCP, first plan of a process"] == pytest.approx(10)
-    assert ratios["best tuned NLP over SCP"] == pytest.approx(11)
-    assert ratios["all else over the conic solver"] == pytest.approx(1.0)
-    assert ratios["replan over cold plan"] == pytest.approx(0.2)
-    assert ratios["flights a second"] == 20_000
-    assert ratios["command line over importing CVXPY"] == pytest.approx(2.0)
+    ratios = {row["figure"]: row["value"] for row in tables["ratios"]}
+    assert {name: ratios[name] for name in RATIOS} == pytest.approx(RATIOS)
+
+
+def test_least_processor_time_of_a_command_counts(tmp_path, monkeypatch):
+    took = itertools.count(1)
+
+    def waited(name: str, _: Path) -> dict[str, Any]:
+        number = next(took)
+        return {"command": name, "wall_s": 100.0 - number, "processor_s": float(number)}
+
+    monkeypatch.setattr(command, "waited", waited)
+    rows = evidence_of(tmp_path, "waits").tables["waits"]
+    expected = list(zip(command.WAITS, range(1, len(command.WAITS) + 1), strict=True))
+    assert [(row["command"], row["processor_s"]) for row in rows] == expected
+    assert next(took) == 2 * len(command.WAITS) + 1
 
 
 IMPORTED = """
@@ -85,20 +94,3 @@ methods.main()
 @pytest.mark.parametrize("name", ["scp condensed", "ipopt tuned"])
 def test_timed_run_imports_nothing(name):
     subprocess.run([sys.executable, "-c", IMPORTED, "planned", name, "0"], check=True, cwd=ROOT)
-
-
-def test_least_processor_time_of_a_command_counts(tmp_path, monkeypatch):
-    took = itertools.count(1)
-
-    def waited(name: str, _: Path) -> dict[str, Any]:
-        number = next(took)
-        return {"command": name, "wall_s": 100.0 - number, "processor_s": float(number)}
-
-    monkeypatch.setattr(command, "waited", waited)
-    assert command.main(["waits", "--out", str(tmp_path), "--quiet"]) == 0
-    found = Evidence.read(tmp_path / FILE)
-    assert found.command == "benchmarks waits"
-    rows = found.tables["waits"]
-    assert [row["command"] for row in rows] == list(command.WAITS)
-    assert [row["processor_s"] for row in rows] == list(range(1, len(command.WAITS) + 1))
-    assert next(took) == 2 * len(command.WAITS) + 1

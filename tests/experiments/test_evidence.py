@@ -77,7 +77,7 @@ def test_figures_move_beyond_their_tolerance(old, new, within, same):
     [
         ({"version": 0}, "version 0, now 1"),
         ({"command": "experiments other"}, "experiments other"),
-        ({"versions": {"clarabel": "0.1"}, "commit": "old", "machine": "other"}, None),
+        ({"versions": {"clarabel": "0.1"}, "commit": "old", "machine": "other"}, ""),
         ({"tables": {CONES: [TABLE[0] | {"half_angle_deg": 22.0}, *TABLE[1:]]}}, "22.0"),
     ],
 )
@@ -86,8 +86,8 @@ def test_evidence_is_outdated_by_results_alone(changes, said):
     keep(**changes)
     (sentinel,) = sentinels_of(CONES)
     lines = renewal.changes(CONES) or sentinel.moved(TABLE)
-    assert (lines == []) == (said is None)
-    assert said is None or said in lines[0]
+    assert bool(lines) == bool(said)
+    assert said in "".join(lines)
 
 
 @nightly
@@ -127,26 +127,25 @@ def forgetting() -> Iterator[None]:
 
 def plant(what: str, patch: pytest.MonkeyPatch) -> None:
     """Change the normal quantile, GM or sunlight by 0.1 % in all modules that are loaded."""
+    light_m_s, irradiance = forces.SPEED_OF_LIGHT_M_S, panels.irradiance
 
-    def everywhere(name: str, usual: object, other: object) -> None:
+    def heavier(scene: Any, field: Any) -> forces.ForceModel:
+        found = forces_of(scene, field)
+        return replace(found, gm=MORE * found.gm, j2_strength=MORE * found.j2_strength)
+
+    planted: dict[str, dict[str, tuple[object, object]]] = {
+        "quantile": {"ndtri": (ndtri, lambda p: MORE * ndtri(p))},
+        "GM": {"forces_of": (forces_of, heavier)},
+        "sunlight": {
+            "SPEED_OF_LIGHT_M_S": (light_m_s, light_m_s / MORE),
+            "irradiance": (irradiance, lambda scenario: MORE * irradiance(scenario)),
+        },
+    }
+    for name, (usual, other) in planted[what].items():
         for module in list(sys.modules.values()):
             ours = module.__name__.startswith(("experiments", "formulations", "scp_recon"))
             if ours and vars(module).get(name) is usual:
                 patch.setattr(module, name, other)
-
-    real, light_m_s, irradiance = forces_of, forces.SPEED_OF_LIGHT_M_S, panels.irradiance
-
-    def heavier(scene: Any, field: Any) -> forces.ForceModel:
-        found = real(scene, field)
-        return replace(found, gm=MORE * found.gm, j2_strength=MORE * found.j2_strength)
-
-    if what == "quantile":
-        everywhere("ndtri", ndtri, lambda p: MORE * ndtri(p))
-    elif what == "GM":
-        everywhere("forces_of", real, heavier)
-    else:
-        everywhere("SPEED_OF_LIGHT_M_S", light_m_s, light_m_s / MORE)
-        everywhere("irradiance", irradiance, lambda scenario: MORE * irradiance(scenario))
 
 
 @pytest.mark.slow
@@ -154,17 +153,9 @@ def plant(what: str, patch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize("what", FELT)
 @pytest.mark.parametrize("names", ["battery_cones sensitivity", pytest.param("", marks=nightly)])
 def test_planted_changes_move_a_third_of_studies(what, names, monkeypatch):
-    every = [name for name, source in SOURCES.items() if not source.dated]
     expected = set(FELT[what].split())
-    assert expected <= set(every)
-    assert 3 * len(expected) >= len(every)
+    assert 3 * len(expected) >= sum(not source.dated for source in SOURCES.values())
     plant(what, monkeypatch)
-    rows: dict[str, Any] = {}
     for name in names.split() or sorted(expected):
-        found = list[str]()
-        for one in sentinels_of(name):
-            for case in () if found else one.cases:
-                if (key := f"{one.work}{case}") not in rows:
-                    rows[key] = one.work(case)
-                found += one.moved(rows[key])
-        assert bool(found) == (name in expected), name
+        moved = (one.moved(one.work(case)) for one in sentinels_of(name) for case in one.cases)
+        assert any(moved) == (name in expected), name
