@@ -34,8 +34,8 @@ from scp_recon.campaigns.study import Study, read_study
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.summary import MOST
-from scp_recon.passes.design import Around, Designer, windows_of
-from scp_recon.passes.setting import settled
+from scp_recon.passes.design import Designer
+from scp_recon.passes.setting import settled, spaces_of
 from scp_recon.passes.timing import PassResult
 from scp_recon.planning.initial_guess import from_burns
 from scp_recon.planning.plan import Plan
@@ -109,12 +109,12 @@ def sampled(sites: Study, number: int) -> Record:
     row = {entry: case.changes[entry] for entry in ("site.name", LATITUDE, "site.longitude_deg")}
     scenario = changed(sites.base, case.changes, sites.folder).replace(ASKED | KNOWN)
     try:
-        where = windows_of(scenario)[0]
+        space = spaces_of(scenario)[0]
     except InputError as error:
         return row | {"open": False, "corrected": False, "why": str(error.given)}
-    passes = [one for one in Designer(scenario, lambda _: None).certain(where) if one.converged]
+    passes = [one for one in Designer(scenario, lambda _: None).certain(space) if one.converged]
     for name, policy in (("open", "open"), ("corrected", "feedback")):
-        plans = (planned(scenario, where, one, policy) for one in passes[:PASSES])
+        plans = (planned(scenario, one, policy) for one in passes[:PASSES])
         found = next((one for one in plans if one.status is Status.CONVERGED), None)
         if found is not None:
             flown = fly_plan(found, FLIGHTS, SEED)
@@ -127,9 +127,9 @@ def sampled(sites: Study, number: int) -> Record:
     return row | {"processor_s": process_time() - begin}
 
 
-def planned(scenario: Scenario, where: Around, one: PassResult, policy: str) -> Plan:
+def planned(scenario: Scenario, one: PassResult, policy: str) -> Plan:
     """A pass planned once by a policy."""
-    fixed = settled(scenario, where.space, one.at).replace({"policy.kind": policy})
+    fixed = settled(scenario, one.space, one.at).replace({"policy.kind": policy})
     mission = Mission.from_scenario(fixed)
     return Planner(mission).plan(from_burns(mission, one.burns_m_s), once=True)
 

@@ -87,10 +87,10 @@ def trials_table(found: Design) -> Table:
     rows = (
         [
             one.step,
-            one.window,
+            one.result.space.number,
             one.result.stage.problem,
             *phases_deg(one.result),
-            " ".join(f"{one.begin_s + time:.1f}" for time in one.result.at.times_s),
+            " ".join(f"{one.result.space.begin_s + t:.1f}" for t in one.result.at.times_s),
             one.result.stage.result.status.value.name,
             one.result.dv_m_s if one.result.converged else None,
         ]
@@ -132,13 +132,13 @@ def find_pass(
     """
     designer = Designer(scenario, observe, facet_rounds)
     try:
-        space, best = designer.run()
+        best = designer.run()
     except InputError as error:
         raise read_in_degrees(scenario, error, spaces_of) from None
-    fixed = settled(scenario, space, best.at) if best.converged else None
+    fixed = settled(scenario, best.space, best.at) if best.converged else None
     # From a home orbit only passes without corrections are found by programs with free times.
-    has_prices = fixed and (scenario.policy.kind == "open" or not space.has_home)
-    timing = Timing(space.with_policy_of(scenario), facet_rounds)
+    has_prices = fixed and (scenario.policy.kind == "open" or not best.space.has_home)
+    timing = Timing(best.space.with_policy_of(scenario), facet_rounds)
     prices = timing.prices(best) if has_prices else ()
     return Design(tuple(designer.trials), best, fixed, start=designer.corrected, prices=prices)
 

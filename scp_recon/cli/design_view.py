@@ -114,7 +114,7 @@ def progress(console: Console) -> Iterator[Callable[[Trial], None]]:
         if tried.expected is None:
             time = time_left(took_s, OF_MAP * map_s, took_s)
             return f"; {time}, then its plan" if time else ""
-        mapped.add(tried.window)
+        mapped.add(tried.result.space.number)
         total, done, map_s = tried.expected * len(mapped), counts[tried.step], took_s
         time = time_left(done, total, took_s)
         return f"; of {total}, {time}, then descents from the map's minima" if time else ""

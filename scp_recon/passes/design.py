@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -18,8 +19,8 @@ import numpy as np
 from formulations.arrays import Array, Booleans
 from scp_recon.mission.mission import Mission
 from scp_recon.passes.scan import phases, scan, starts
-from scp_recon.passes.setting import BURNS_MAX, settled, spaces_of
-from scp_recon.passes.space import Pass, Space, nearest_legal
+from scp_recon.passes.setting import BURNS_MAX, has_given_times, settled, spaces_of
+from scp_recon.passes.space import Pass, Space
 from scp_recon.passes.timing import Effort, PassResult, Timing
 from scp_recon.planning.initial_guess import from_burns
 from scp_recon.planning.method import SETTLE, FacetRounds
@@ -67,47 +68,27 @@ Step = Literal[
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """A plan made during the design, and the number of its lighting window, from 0.
-
-    The pass's own times count from `begin_s` past the scenario's epoch.
+    """A plan made during the design.
 
     Attributes:
         step: the step of the design that the plan belongs to.
-        window: number of the lighting window, from 0.
-        begin_s: where the pass's times begin.
         result: the pass and its plan.
         expected: number of plans of the step, of which only that of a map of several pairs of phases is
             known beforehand.
     """
 
     step: Step
-    window: int
-    begin_s: float
     result: PassResult
     expected: int | None = None
 
 
 @dataclass(frozen=True, eq=False)
-class Around:
-    """A window's space and number, its time zero past the scenario's epoch, s, and legal times."""
-
-    space: Space
-    number: int
-    begin_s: float
-    times_s: tuple[float, ...]
-
-
-@dataclass(frozen=True, eq=False)
 class Candidate:
-    """A pass with another number of burns, and burns to start from, J2000, m/s, shape (m, 3)."""
+    """A pass to descend from, and burns to start from, J2000, m/s, shape (m, 3)."""
 
     space: Space
     at: Pass
     burns_m_s: Array
-
-
-Best = tuple[Around, PassResult]
-"""A pass and its window."""
 
 
 @dataclass
@@ -122,102 +103,92 @@ class Designer:
     observe: Callable[[Trial], None]
     facet_rounds: FacetRounds = SETTLE
     trials: list[Trial] = field(default_factory=list)
-    exact: list[Best] = field(default_factory=list)
+    exact: list[PassResult] = field(default_factory=list)
     corrected: Plan | None = None
+
+    @property
+    def _is_exact(self) -> bool:
+        return self.scenario.risk.allocation == "exact"
 
     @property
     def effort(self) -> Effort:
         """Settings of the last descents before those with exact risk."""
-        return FIRST if self.scenario.risk.allocation == "exact" else LAST
+        return FIRST if self._is_exact else LAST
 
-    @property
-    def _rival_m_s(self) -> float:
-        """Least cost under exact risk so far."""
-        return min((one.dv_m_s for _, one in self.exact), default=np.inf)
-
-    def run(self) -> tuple[Space, PassResult]:
-        """Find the cheapest pass and its space; if none converged, the one with the least violation.
+    def run(self) -> PassResult:
+        """Find the cheapest pass; if none converged, the one with the least violation.
 
         Raises:
             InputError: see `spaces_of`.
         """
-        exact = self.scenario.risk.allocation == "exact"
-        given = self.scenario.changed(SURROGATE) if exact else self.scenario
         if self.scenario.policy.kind == "feedback":
-            return self._with_corrections(windows_of(self.scenario))
-        around = windows_of(given)
-        begun = []
-        for first in around:
-            begun.append(self._map_and_descend(first))
-            if begun[-1][1].converged:
+            return self._with_corrections(spaces_of(self.scenario))
+        spaces = spaces_of(self.scenario.changed(SURROGATE) if self._is_exact else self.scenario)
+        begun: list[PassResult] = []
+        for space in spaces:
+            begun.append(self._map_and_descend(space))
+            if begun[-1].converged:
                 break
-        where, best = begun[-1]
-        if not best.converged:
-            where, best = min(begun, key=lambda one: violation(one[1]))
-            if exact:  # which requires less than what stands for it
-                where, best = self._descend_exact(where, best)
-            return where.space, best
-        others = around[len(begun) :]  # the earlier ones have no pass
-        where, best = self._chosen([(where, best), *self._other_windows(others, best)])
+        else:
+            best = min(begun, key=violation)
+            # Exact risk requires less than what stands for it.
+            return self._descend_exact(best) if self._is_exact else best
+        first, others = begun[-1], spaces[len(begun) :]  # the earlier ones have no pass
+        best = self._chosen([first, *self._other_windows(others, first)])
         if not self.exact:
-            best = self._descent(where, "refinement", best.at, best, self.effort)
-        chosen = best
-        where, best = self._vary_burns(where, best)
-        if exact:
-            cheaper = best.dv_m_s <= (1.0 - self.effort.worth) * chosen.dv_m_s
-            if not self.exact or cheaper or len(best.at.times_s) != len(chosen.at.times_s):
-                self.exact.append(self._descend_exact(where, best, self._rival_m_s))
-            where, best = self._without_vanished(*cheapest(self.exact))
-        return where.space, best
+            best = self._descend("refinement", best, self.effort)
+        varied = self._vary_burns(best)
+        if not self._is_exact:
+            return varied
+        cheaper = varied.dv_m_s <= (1.0 - self.effort.worth) * best.dv_m_s
+        if not self.exact or cheaper or len(varied.at.times_s) != len(best.at.times_s):
+            self._compare_exact([varied])
+        return self._without_vanished(cheapest(self.exact))
 
-    def _with_corrections(self, around: list[Around]) -> tuple[Space, PassResult]:
+    def _with_corrections(self, spaces: list[Space]) -> PassResult:
         """The first pass that has a plan with gains, of those that are cheapest without uncertainty.
 
         The cost of errors and limits without corrections says little about passes with corrections.
         Windows with more burns before them come first, because later burns correct earlier errors.
         """
-        tries: list[Best] = []
-        for where in sorted(around, key=lambda one: -one.space.before(one.times_s)):
-            for one in self.certain(where)[:CORRECTED_MAX]:
-                planned = self._correct(where, one) if one.converged else one
-                tries.append((where, planned))
-                if planned.converged:
-                    return where.space, self._with_moved_cut_offs(where, planned)
-        where, best = min(tries, key=lambda one: violation(one[1]))
-        return where.space, best
+        tries: list[PassResult] = []
+        for space in sorted(spaces, key=lambda one: -one.before(one.times_s)):
+            for one in self.certain(space)[:CORRECTED_MAX]:
+                tries.append(self._correct(one) if one.converged else one)
+                if tries[-1].converged:
+                    return self._with_moved_cut_offs(tries[-1])
+        return min(tries, key=violation)
 
-    def _map(self, where: Around) -> list[PassResult]:
-        cells = math.prod(len(phases(span)) for span in where.space.phase_spans)
+    def _map(self, space: Space) -> list[PassResult]:
+        cells = math.prod(len(phases(span)) for span in space.phase_spans)
         known = cells if cells > 1 else None  # one pair of phases has several plans
-        return scan(where.space, where.times_s, self._seen("map", where, known))
+        return scan(space, partial(self._keep, "map", expected=known))
 
-    def certain(self, where: Around) -> list[PassResult]:
+    def certain(self, space: Space) -> list[PassResult]:
         """Passes about a window without uncertainty, the cheapest first.
 
         Burns between departure and the last one before the window stay where they are: without errors
         some are zero, at any time, and how well they correct depends on their times.
         """
-        mapped = self._map(where)
-        seen, spans = self._seen("certain", where), list(where.space.time_spans)
-        for burn in range(1, where.space.before(where.times_s)):
-            spans[burn] = (where.times_s[burn],) * 2
-        space = replace(where.space, time_spans=tuple(spans))
-        found = [
-            self._search(space, one.at, one.burns_m_s, seen, FIRST, certain=True)
-            for one in starts(mapped, STARTS_MAX)
-        ]
-        return sorted(found, key=lambda one: one.dv_m_s) or [min(mapped, key=violation)]
+        mapped, spans = self._map(space), list(space.time_spans)
+        for burn in range(1, space.before(space.times_s)):
+            spans[burn] = (space.times_s[burn],) * 2
+        still = replace(space, time_spans=tuple(spans))
+        begun = [Candidate(still, one.at, one.burns_m_s) for one in starts(mapped, STARTS_MAX)]
+        found = [self._search("certain", one, FIRST, certain=True) for one in begun]
+        free = [replace(one, space=space) for one in found]
+        return sorted(free, key=lambda one: one.dv_m_s) or [min(mapped, key=violation)]
 
-    def _correct(self, where: Around, one: PassResult) -> PassResult:
+    def _correct(self, one: PassResult) -> PassResult:
         """Plan a pass with gains, in its own scenario; landmarks are pictured along the given burns."""
-        mission = Mission.from_scenario(settled(self.scenario, where.space, one.at))
-        mission, seen = mission.along(one.burns_m_s), self._seen("corrected", where)
+        mission = Mission.from_scenario(settled(self.scenario, one.space, one.at))
+        mission = mission.along(one.burns_m_s)
         planner = Planner(mission)
         plan = planner.plan(from_burns(mission, one.burns_m_s), once=True)
-        seen(result := PassResult(one.at, mission, plan.final))
-        for _ in range(AIMED_MAX if mission.risk.allocation == "exact" and result.converged else 0):
+        result = self._keep("corrected", replace(one, mission=mission, stage=plan.final))
+        for _ in range(AIMED_MAX if self._is_exact and result.converged else 0):
             again = planner.plan(plan, once=True)
-            seen(last := PassResult(one.at, mission, again.final))
+            last = self._keep("corrected", replace(result, stage=again.final))
             if last.dv_m_s > (1.0 - AIMED_WORTH) * result.dv_m_s:
                 break
             plan, result = again, last
@@ -225,169 +196,137 @@ class Designer:
             self.corrected = plan
         return result
 
-    def _with_moved_cut_offs(self, where: Around, planned: PassResult) -> PassResult:
+    def _with_moved_cut_offs(self, planned: PassResult) -> PassResult:
         """The pass with the times at which it is cheapest with gains, or as it is planned.
 
         From a home orbit times stay: burns between departure and window are where they correct.
         """
-        if where.space.has_home:
+        if planned.space.has_home:
             return planned
-        space, first = where.space.with_policy_of(self.scenario), self.corrected
-        seen = self._seen("corrected", where)
-        found = self._search(space, planned.at, planned.burns_m_s, seen, EXACT)
+        space, first = planned.space.with_policy_of(self.scenario), self.corrected
+        found = self._search("corrected", replace(planned, space=space), EXACT)
         if found.dv_m_s < planned.dv_m_s:
-            again = self._correct(where, found)
+            again = self._correct(replace(found, space=planned.space))
             if again.dv_m_s < planned.dv_m_s:
                 return again
         self.corrected = first
         return planned
 
-    def _chosen(self, tries: list[Best]) -> Best:
+    def _chosen(self, tries: list[PassResult]) -> PassResult:
         """The cheapest pass of all windows; of nearly equal ones, the cheapest by exact risk."""
         least = cheapest(tries)
-        near = [one for one in tries if one[1].dv_m_s <= NEAR * least[1].dv_m_s]
-        if self.scenario.risk.allocation != "exact" or len(near) == 1:
+        near = [one for one in tries if one.dv_m_s <= NEAR * least.dv_m_s]
+        if not self._is_exact or len(near) == 1:
             return least
-        near.sort(key=lambda one: one[1].dv_m_s)
-        for where, best in near:
-            self.exact.append(self._descend_exact(where, best, self._rival_m_s))
+        near.sort(key=lambda one: one.dv_m_s)
+        self._compare_exact(near)
         return near[self.exact.index(cheapest(self.exact))]
 
-    def _descend_exact(self, where: Around, best: PassResult, rival_m_s: float = np.inf) -> Best:
+    def _compare_exact(self, passes: list[PassResult]) -> None:
+        """Descend from passes under exact risk, each as long as it may beat all before it."""
+        for one in passes:
+            rival_m_s = min((other.dv_m_s for other in self.exact), default=np.inf)
+            self.exact.append(self._descend_exact(one, rival_m_s))
+
+    def _descend_exact(self, best: PassResult, rival_m_s: float = np.inf) -> PassResult:
         """Descend from a pass under the scenario's own, exact risk, as long as it may beat a rival."""
-        space, given = where.space, self.scenario
+        space, given = best.space, self.scenario
         update = {"risk": given.risk, "polytopes": given.polytopes}
         own = space.mission.scenario.model_copy(update=update)
-        where = replace(where, space=replace(space, mission=replace(space.mission, scenario=own)))
+        best = replace(best, space=replace(space, mission=replace(space.mission, scenario=own)))
         if np.isfinite(rival_m_s):
-            best = self._descent(where, "exact", best.at, best, TRIED, rival_m_s)
+            best = self._descend("exact", best, TRIED, rival_m_s)
             if best.dv_m_s > HOPEFUL * rival_m_s:
-                return where, best
-        return where, self._descent(where, "exact", best.at, best, EXACT, rival_m_s)
+                return best
+        return self._descend("exact", best, EXACT, rival_m_s)
 
-    def _map_and_descend(self, first: Around, rival_m_s: float = np.inf) -> Best:
+    def _map_and_descend(self, space: Space, rival_m_s: float = np.inf) -> PassResult:
         """Map one window and descend from its minima: the best pass, or the one of least violation.
 
         Minima that cost more than a rival even without uncertainty are left.
         """
-        mapped = self._map(first)
+        mapped = self._map(space)
         tries: list[PassResult] = []
         for one in starts(mapped, STARTS_MAX):
             if one.dv_m_s > rival_m_s:
                 break
-            tries.append(self._descent(first, "descent", one.at, one, FIRST))
+            tries.append(self._descend("descent", one, FIRST))
             rival_m_s = min(rival_m_s, tries[-1].dv_m_s)
-        held = [one for one in tries if one.converged]
-        if held:
-            return first, min(held, key=lambda one: one.dv_m_s)
-        return first, min(tries or mapped, key=violation)
+        if any(one.converged for one in tries):
+            return cheapest(tries)
+        return min(tries or mapped, key=violation)
 
-    def _other_windows(self, others: Iterable[Around], best: PassResult) -> Iterable[Best]:
+    def _other_windows(self, others: list[Space], best: PassResult) -> Iterator[PassResult]:
         """Descend from a pass about the other windows, at their own legal times.
 
         A window in which that finds no pass is mapped: its passes may have other phases.
         """
         for other in others:
-            at = Pass(best.at.phases, other.times_s)
-            found = self._descent(other, "window", at, best, FIRST)
-            yield (other, found) if found.converged else self._map_and_descend(other, best.dv_m_s)
+            begun = Candidate(other, Pass(best.at.phases, other.times_s), best.burns_m_s)
+            found = self._descend("window", begun, FIRST)
+            yield found if found.converged else self._map_and_descend(other, best.dv_m_s)
 
-    def _vary_burns(self, where: Around, best: PassResult) -> Best:
+    def _vary_burns(self, best: PassResult) -> PassResult:
         """Leave out vanished burns and add others, as long as that helps."""
-        if self.scenario.design is not None and self.scenario.design.burn_times == "given":
-            return where, best
+        if has_given_times(self.scenario):
+            return best
         for _ in range(BURNS_MAX):
-            where, best = self._without_vanished(where, best)
+            best = self._without_vanished(best)
             tries = [
-                self._descend_candidate("number", where, other, best.dv_m_s)
-                for other in other_counts(where.space, best)
+                self._search("number", other, self.effort, rival_m_s=best.dv_m_s)
+                for other in other_counts(best)
             ]
-            there, result = cheapest([(where, best), *tries])
-            if result.dv_m_s > (1.0 - self.effort.worth) * best.dv_m_s:
+            found = cheapest([best, *tries])
+            if found.dv_m_s > (1.0 - self.effort.worth) * best.dv_m_s:
                 break
-            where, best = there, result
-        return where, best
+            best = found
+        return best
 
-    def _without_vanished(self, where: Around, best: PassResult) -> Best:
+    def _without_vanished(self, best: PassResult) -> PassResult:
         """The pass without its vanished burns, unless it costs more or their times are given."""
-        design, fewer = self.scenario.design, vanished(where.space, best)
-        if fewer is None or (design is not None and design.burn_times == "given"):
-            return where, best
-        there, result = self._descend_candidate("fewer", where, fewer, best.dv_m_s)
-        if result.dv_m_s <= (1.0 + self.effort.worth) * best.dv_m_s:
-            return there, result
-        return where, best
+        fewer = vanished(best)
+        if fewer is None or has_given_times(self.scenario):
+            return best
+        found = self._search("fewer", fewer, self.effort, rival_m_s=best.dv_m_s)
+        return found if found.dv_m_s <= (1.0 + self.effort.worth) * best.dv_m_s else best
 
-    def _descend_candidate(
-        self, step: Step, where: Around, other: Candidate, rival_m_s: float
-    ) -> Best:
-        """Descend from a pass with another number of burns, as long as it may be worth it."""
-        there = replace(where, space=other.space)
-        seen = self._seen(step, there)
-        return there, self._search(
-            there.space, other.at, other.burns_m_s, seen, self.effort, rival_m_s=rival_m_s
-        )
-
-    def _descent(
+    def _descend(
         self,
-        where: Around,
         step: Step,
-        at: Pass,
-        known: PassResult,
+        begun: Candidate | PassResult,
         effort: Effort,
         rival_m_s: float = np.inf,
     ) -> PassResult:
-        """Descend from a pass, started from the burns of a known plan.
-
-        If that does not converge, descend without uncertainty first, and from there again.
-        """
-        space, seen = where.space, self._seen(step, where)
-        result = self._search(space, at, known.burns_m_s, seen, effort, rival_m_s=rival_m_s)
+        """Descend from a pass; if that does not converge, without uncertainty first, and from there."""
+        result = self._search(step, begun, effort, rival_m_s=rival_m_s)
         if result.converged:
             return result
-        sure = self._search(
-            space, at, known.burns_m_s, self._seen("certain", where), effort, certain=True
-        )
-        if not sure.converged:
-            return result
-        return self._search(space, sure.at, sure.burns_m_s, seen, effort)
+        sure = self._search("certain", begun, effort, certain=True)
+        return self._search(step, sure, effort) if sure.converged else result
 
     def _search(
         self,
-        space: Space,
-        at: Pass,
-        burns_m_s: Array,
-        seen: Callable[[PassResult], None],
+        step: Step,
+        begun: Candidate | PassResult,
         effort: Effort,
         *,
         certain: bool = False,
         rival_m_s: float = np.inf,
     ) -> PassResult:
         """Find the best pass from a given one."""
-        timing = Timing(space, self.facet_rounds, certain)
-        return timing.descend(at, burns_m_s, seen, effort, rival_m_s)
+        timing, keep = Timing(begun.space, self.facet_rounds, certain), partial(self._keep, step)
+        return timing.descend(begun.at, begun.burns_m_s, keep, effort, rival_m_s)
 
-    def _seen(
-        self, step: Step, where: Around, expected: int | None = None
-    ) -> Callable[[PassResult], None]:
-        def seen(result: PassResult) -> None:
-            self.trials.append(Trial(step, where.number, where.begin_s, result, expected))
-            self.observe(self.trials[-1])
-
-        return seen
+    def _keep(self, step: Step, result: PassResult, expected: int | None = None) -> PassResult:
+        """Keep and report a plan."""
+        self.trials.append(Trial(step, result, expected))
+        self.observe(self.trials[-1])
+        return result
 
 
-def windows_of(scenario: Scenario) -> list[Around]:
-    """Every window's space, its times from its own first burn on."""
-    return [
-        Around(space, number, times[0], tuple(time - times[0] for time in times))
-        for number, (space, times) in enumerate(spaces_of(scenario))
-    ]
-
-
-def cheapest(tries: Iterable[Best]) -> Best:
+def cheapest(tries: Iterable[PassResult]) -> PassResult:
     """The cheapest of some passes; any of them if none converged."""
-    return min(tries, key=lambda one: one[1].dv_m_s)
+    return min(tries, key=lambda one: one.dv_m_s)
 
 
 def violation(result: PassResult) -> float:
@@ -395,24 +334,24 @@ def violation(result: PassResult) -> float:
     return result.stage.merit.worst_violation(result.stage.result.lin)
 
 
-def vanished(space: Space, result: PassResult) -> Candidate | None:
+def vanished(result: PassResult) -> Candidate | None:
     """The pass without its vanished inner burns; None if no burn has vanished."""
     there = np.linalg.norm(result.burns_m_s, axis=1) > VANISHED_M_S
     there[[0, -1]] = True
-    return None if there.all() else _chosen(space, result, there)
+    return None if there.all() else _only(result, there)
 
 
-def other_counts(space: Space, result: PassResult) -> list[Candidate]:
+def other_counts(result: PassResult) -> list[Candidate]:
     """Passes with one burn more, and without a primer also with one less."""
     history = primer_history(result.mission, result.stage)
-    times, every = result.at.times_s, np.arange(space.n_burns)
+    times, every = result.at.times_s, np.arange(len(result.at.times_s))
     if history is not None:
         places, fewer = peaks(history), []
     else:
         places = [0.5 * (first + second) for first, second in itertools.pairwise(times)]
-        fewer = [_chosen(space, result, every != gone) for gone in every[1:-1]]
-    room = space.n_burns < BURNS_MAX
-    more = [_with_burn(space, result, place) for place in places if room]
+        fewer = [_only(result, every != gone) for gone in every[1:-1]]
+    room = len(times) < BURNS_MAX
+    more = [_with_burn(result, place) for place in places if room]
     # At several places the rules may leave a burn the same time.
     apart = {tuple(np.round(one.at.times_s)): one for one in more if one is not None}
     return [*apart.values(), *fewer]
@@ -431,25 +370,24 @@ def peaks(history: PrimerHistory) -> list[float]:
     return [history.t_s[at] for at in best.tolist()]
 
 
-def _with_burn(space: Space, result: PassResult, time_s: float) -> Candidate | None:
+def _with_burn(result: PassResult, time_s: float) -> Candidate | None:
     """The pass with another burn at a time, the others moved as little as the rules require."""
-    times, spans = result.at.times_s, space.time_spans
+    space, times = result.space, result.at.times_s
+    spans = space.time_spans
     place = int(np.clip(np.searchsorted(times, time_s), 1, len(times) - 1))
     inner = spans[1] if len(spans) > 2 else (spans[0][0], spans[-1][1])
     wanted = (*times[:place], time_s, *times[place:])
     wider = replace(space, time_spans=(*spans[:place], inner, *spans[place:]))
-    rules = space.mission.scenario.schedule
-    before = space.before(wanted)
-    legal = nearest_legal(wanted, wider.time_spans, space.kept_window_s, before, rules)
+    legal = wider.nearest_legal(wanted)
     if legal is None:
         return None
     burns = np.insert(result.burns_m_s, place, 0.0, axis=0)
     return Candidate(wider, Pass(result.at.phases, legal), burns)
 
 
-def _chosen(space: Space, result: PassResult, there: Booleans) -> Candidate:
-    spans = tuple(itertools.compress(space.time_spans, there))
+def _only(result: PassResult, there: Booleans) -> Candidate:
+    """The pass with some of its burns."""
+    spans = tuple(itertools.compress(result.space.time_spans, there))
     times = tuple(itertools.compress(result.at.times_s, there))
-    return Candidate(
-        replace(space, time_spans=spans), Pass(result.at.phases, times), result.burns_m_s[there]
-    )
+    space, at = replace(result.space, time_spans=spans), Pass(result.at.phases, times)
+    return Candidate(space, at, result.burns_m_s[there])

@@ -45,12 +45,15 @@ def home_ring(home: HomeOrbit, gm: float, axes: Array) -> Ring:
     return lambda phase_rad: np.cos(phase_rad) * first + np.sin(phase_rad) * ahead
 
 
-def directions(home: HomeOrbit, axes: Array) -> tuple[Array, Array, float]:
-    """Unit vectors of phase zero and of a quarter turn, J2000, and the sense of flight, 1 or -1."""
-    first, second = (
-        axes @ home.state(phase, 1.0)[:3] / home.radius_m for phase in (0.0, 0.25 * TURN)
-    )
-    return first, second, 1.0 if home.sense == "right_handed" else -1.0
+def angles(home: HomeOrbit, axes: Array, places: Array) -> Array:
+    """Phases in the sense of flight, unwrapped, rad, shape (n,), of positions (3, n) along a track."""
+    first, second = (axes @ home.state(phase, 1.0)[:3] for phase in (0.0, 0.25 * TURN))
+    return _sense(home) * np.unwrap(np.arctan2(second @ places, first @ places))
+
+
+def _sense(home: HomeOrbit) -> float:
+    """1 towards growing phases, -1 the other way."""
+    return 1.0 if home.sense == "right_handed" else -1.0
 
 
 def flown_ring(home: HomeOrbit, forces: ForceModel, axes: Array) -> Ring:
@@ -64,10 +67,7 @@ def flown_ring(home: HomeOrbit, forces: ForceModel, axes: Array) -> Ring:
         InputError: if the orbit does not close within three periods of the circle.
     """
     start = home_ring(home, forces.gm, axes)(0.0)
-    first, second, sense = directions(home, axes)
-    period = TURN * np.sqrt(home.radius_m**3 / forces.gm)
-
-    forces = forces.autonomous
+    period, forces = TURN * np.sqrt(home.radius_m**3 / forces.gm), forces.autonomous
 
     def rate(_: float, y: Array) -> Array:
         return np.array([*y[3:], *acceleration(y[0], y[1], y[2], forces)])
@@ -78,7 +78,7 @@ def flown_ring(home: HomeOrbit, forces: ForceModel, axes: Array) -> Ring:
     track = flown.sol
     assert track is not None  # of a dense output
     times, last = np.linspace(0.0, LONGEST * period, SAMPLES), float(flown.t[-1])
-    ring = ring_of(track, times[times <= last], first, second, sense)
+    ring = ring_of(track, times[times <= last], home, axes)
     if ring is None:
         raise InputError(
             "boundary.home.flown",
@@ -89,20 +89,18 @@ def flown_ring(home: HomeOrbit, forces: ForceModel, axes: Array) -> Ring:
 
 
 def ring_of(
-    track: Callable[[Array], Array], times_s: Array, first: Array, second: Array, sense: float
+    track: Callable[[Array], Array], times_s: Array, home: HomeOrbit, axes: Array
 ) -> Ring | None:
-    """The first revolution of a track, if the track keeps one sense of rotation.
+    """The first revolution of a track, if the track keeps the orbit's sense of rotation.
 
     Args:
         track: states (6, n) at times (n,), or (6,) at one time.
         times_s: ascending times at which to sample it, close to each other.
-        first: unit vector of phase zero.
-        second: unit vector of a quarter turn.
-        sense: 1 towards growing phases, -1 the other way.
+        home: the orbit.
+        axes: shape (3, 3), from boundary.frame to J2000.
     """
-    places = track(times_s)[:3]
-    angle = sense * np.unwrap(np.arctan2(second @ places, first @ places))
-    begin = angle[0]
+    angle = angles(home, axes, track(times_s)[:3])
+    begin, sense = angle[0], _sense(home)
     once = int(np.argmax(angle - begin >= TURN)) + 1
     if once == 1 or np.any(np.diff(angle[:once]) <= 0.0):
         return None
@@ -135,15 +133,14 @@ def ephemeris_ring(scenario: Scenario, home: HomeOrbit, axes: Array) -> Ring:
             f"must be within a factor of {WITHIN:g} of boundary.home.radius_m, {digits(home.radius_m)} "
             f"m{unit_hint(unit, low / metres, *ends)}",
         )
-    first, second, sense = directions(home, axes)
-    angle = sense * np.unwrap(np.arctan2(second @ states[:, :3].T, first @ states[:, :3].T))
+    angle = angles(home, axes, states[:, :3].T)
     turned, steps = angle - angle[0], np.diff(angle)
     once = int(np.argmax(turned >= TURN)) + 1 if np.any(turned >= TURN) else 0
     ring = None
     if once and np.all(np.diff(times[:once]) > 0.0) and steps[: once - 1].max() <= APART:
-        track = _cubics(times[:once], states[:once])
+        place = CubicHermiteSpline(times[:once], states[:once, :3], states[:once, 3:])
         fine_s = np.interp(np.arange(LOOKS * (once - 1) + 1) / LOOKS, np.arange(once), times[:once])
-        ring = ring_of(track, fine_s, first, second, sense)
+        ring = ring_of(lambda t: np.r_[place(t).T, place(t, 1).T], fine_s, home, axes)
     if ring is None:
         raise InputError(
             ENTRY,
@@ -152,12 +149,6 @@ def ephemeris_ring(scenario: Scenario, home: HomeOrbit, axes: Array) -> Ring:
             f"must go round once without a burn, by at most {np.rad2deg(APART):g} deg between states",
         )
     return ring
-
-
-def _cubics(times_s: Array, states: Array) -> Callable[[Array], Array]:
-    """Cubic Hermite interpolation of states (n, 6): a function from times (n,) to states (6, n)."""
-    place = CubicHermiteSpline(times_s, states[:, :3], states[:, 3:])
-    return lambda time_s: np.concatenate([place(time_s).T, place(time_s, 1).T])
 
 
 def _states(scenario: Scenario, home: HomeOrbit, path: Path) -> tuple[Array, Array]:

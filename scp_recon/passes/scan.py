@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy.ndimage import minimum_filter
 
 from formulations.arrays import Array
 from formulations.problem.flyby import Iterate
@@ -18,6 +19,7 @@ from scp_recon.passes.space import Pass, Space
 from scp_recon.passes.timing import PassResult
 from scp_recon.planning.initial_guess import circular, cold, from_burns, random
 from scp_recon.planning.missions import other_starts
+from scp_recon.planning.plan import is_converged
 from scp_recon.planning.planner import Planner
 from scp_recon.planning.stages import Pipeline, same_optimum
 
@@ -42,58 +44,46 @@ def phases(span: tuple[float, float]) -> Array:
     return np.linspace(low, high, int(np.ceil((high - low) / STEP - 1e-9)) + 1)
 
 
-def scan(
-    space: Space, times_s: tuple[float, ...], observe: Callable[[PassResult], None]
-) -> list[PassResult]:
-    """Plan P3 at every pair of phases for one set of times, row by row of departure, to and fro.
+def scan(space: Space, observe: Callable[[PassResult], object]) -> list[PassResult]:
+    """Plan P3 at every pair of phases for a space's first times, row by row of departure, to and fro.
 
+    Each cell starts from a turn about the body; if that does not converge, from the last cell's burns.
     One pair, as between given states, is planned from several guesses.
     """
-    space = space.coarser(COARSER)
+    coarse = space.coarser(COARSER)
     pairs = list(_to_and_fro(*map(phases, space.phase_spans)))
     if len(pairs) == 1:
-        return _optima(space, Pass(pairs[0], times_s), observe)
+        return _optima(space, Pass(pairs[0], space.times_s), observe)
     planner: Planner[Mission] | None = None
     cells: list[PassResult] = []
-    last: PassResult | None = None
     for pair in pairs:
-        at = Pass(pair, times_s)
-        mission = space.mission_of(at)
+        at = Pass(pair, space.times_s)
+        mission = coarse.mission_of(at)
         planner = planner or Planner(mission, p3_resolution=ROUGH)
-        last = _cheapest(planner, at, mission, last)
-        cells.append(last)
-        observe(last)
+        pipeline, spec = Pipeline(mission, planner), replace(planner.p3, max_iterations=ITERATIONS)
+        stage = pipeline.solve(spec, pipeline.start(ahead(mission)))
+        # Where neither converges, there is most often no pass at all.
+        if not is_converged(stage) and cells and cells[-1].converged:
+            start = pipeline.start(from_burns(mission, cells[-1].burns_m_s))
+            stage = pipeline.solve(spec, start)
+        cells.append(PassResult(space, at, mission, stage))
+        observe(cells[-1])
     return cells
 
 
-def _optima(space: Space, at: Pass, observe: Callable[[PassResult], None]) -> list[PassResult]:
+def _optima(space: Space, at: Pass, observe: Callable[[PassResult], object]) -> list[PassResult]:
     """Optima of P3, each found once: from one guess the last digits choose which one is found."""
-    mission = space.mission_of(at)
+    mission = space.coarser(COARSER).mission_of(at)
     planner = Planner(mission)
     pipeline, found = Pipeline(mission, planner), list[PassResult]()
     guesses = [guess for _, guess in other_starts(mission)]
     for guess in [cold(mission), *guesses, *(random(mission, seed) for seed in range(RANDOM))]:
         start = pipeline.start(guess)
-        one = PassResult(at, mission, pipeline.run(planner.p3_stages(start), start))
-        observe(one)
-        if not any(same_optimum(one.stage, other.stage) for other in found):
+        stage = pipeline.run(planner.p3_stages(start), start)
+        observe(one := PassResult(space, at, mission, stage))
+        if not any(same_optimum(stage, other.stage) for other in found):
             found.append(one)
     return found
-
-
-def _cheapest(
-    planner: Planner[Mission], at: Pass, mission: Mission, last: PassResult | None
-) -> PassResult:
-    """Plan P3 from a turn about the body; if that does not converge, from the last cell's burns."""
-    pipeline, spec = Pipeline(mission, planner), replace(planner.p3, max_iterations=ITERATIONS)
-
-    def planned(guess: Iterate) -> PassResult:
-        return PassResult(at, mission, pipeline.solve(spec, pipeline.start(guess)))
-
-    found = planned(ahead(mission))
-    if found.converged or last is None or not last.converged:
-        return found  # where neither converges, there is most often no pass at all
-    return planned(from_burns(mission, last.burns_m_s))
 
 
 def ahead(mission: Mission) -> Iterate:
@@ -113,17 +103,13 @@ def starts(cells: Sequence[PassResult], most: int) -> list[PassResult]:
 
     With one pair of phases, as between given states, every optimum.
     """
-    if len({one.at.phases for one in cells}) == 1:
-        optima = [one for one in cells if one.converged]
-        return sorted(optima, key=lambda one: one.dv_m_s)[:most]
-    rows, columns = (sorted({one.at.phases[k] for one in cells}) for k in (0, 1))
-    cost = np.full((len(rows), len(columns)), np.inf)
-    cell = {(rows.index(one.at.phases[0]), columns.index(one.at.phases[1])): one for one in cells}
-    for (i, j), one in cell.items():
-        cost[i, j] = one.dv_m_s
-    around = [
-        np.roll(cost, (i, j), (0, 1)) for i in (-1, 0, 1) for j in (-1, 0, 1) if (i, j) != (0, 0)
-    ]
-    least = np.isfinite(cost) & np.all([cost <= other for other in around], axis=0)
-    kept = [cell[int(i), int(j)] for i, j in np.argwhere(least)]
-    return sorted(kept, key=lambda one: one.dv_m_s)[:most]
+    found = [one for one in cells if one.converged]
+    if len({one.at.phases for one in cells}) > 1:
+        rows, columns = (sorted({one.at.phases[k] for one in cells}) for k in (0, 1))
+        cost = np.full((len(rows), len(columns)), np.inf)
+        places = [(rows.index(one.at.phases[0]), columns.index(one.at.phases[1])) for one in found]
+        for place, one in zip(places, found, strict=True):
+            cost[place] = one.dv_m_s
+        lowest = cost <= minimum_filter(cost, size=3, mode="wrap")
+        found = [one for place, one in zip(places, found, strict=True) if lowest[place]]
+    return sorted(found, key=lambda one: one.dv_m_s)[:most]

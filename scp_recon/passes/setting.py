@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import replace
 from datetime import timedelta
 
 import numpy as np
@@ -29,79 +31,105 @@ WINDOW_AT = 0.43
 SECOND = 1.0
 
 
-def spaces_of(scenario: Scenario) -> list[tuple[Space, tuple[float, ...]]]:
+def spaces_of(scenario: Scenario) -> list[Space]:
     """The spaces of a scenario's passes in order of time, each with legal burn times to start from.
 
     Raises:
         InputError: if there is no home orbit, no lighting window in the span of dates, too many, or
             none about which the burns can be legal; and as `Mission.from_scenario`.
     """
-    home, design = scenario.boundary.home, scenario.design or Design()
-    if scenario.in_flight is not None:
-        raise InputError("in_flight", "a flight under way", "must be left out of a design")
-    _check_size(scenario)
+    home, spans = scenario.boundary.home, _spans(scenario, len(scenario.burns.times_s))
     _check_given(scenario)
-    departure = design.departure_s or (0.0, 0.0)
-    arrival = design.arrival_s or (scenario.duration_s,) * 2
-    _check_spans(scenario, departure, arrival)
+    _check_spans(scenario, spans)
     axes, known = Scene.of(scenario).boundary_axes, None
     if home is None:
         known = _between_states(scenario, axes)
     elif home.ephemeris_file is not None:
         known = ephemeris_ring(scenario, home, axes)
-    windows = _windows(scenario, (departure[0], arrival[1]))
-    spaces = []
+    windows = _windows(scenario, (spans[0][0], spans[-1][1]))
+    spaces: list[Space] = []
     for window in windows:
-        times = _first_times(scenario, window, departure, arrival)
-        if times is not None:
-            spaces.append(
-                (_space(scenario, window, times, (departure, arrival), axes, known), times)
-            )
+        if (times := _first_times(scenario, window)) is not None:
+            space = _space(scenario, window, times, axes, known)
+            spaces.append(replace(space, number=len(spaces)))
     if not spaces:
         raise InputError(
             "design",
-            f"departure in {_text(departure)} and arrival in {_text(arrival)}",
-            f"must leave a legal schedule of {len(scenario.burns.times_s)} burns about a whole "
+            f"departure in {_text(spans[0])} and arrival in {_text(spans[-1])}",
+            f"must leave a legal schedule of {len(spans)} burns about a whole "
             f"lighting window; those there: {'; '.join(map(_text, windows)) or 'none'}"
-            + _what_is_left(scenario, windows, departure, arrival),
+            + _what_is_left(scenario, windows, spans),
         )
     return spaces
 
 
-def _check_spans(scenario: Scenario, departure: Span, arrival: Span) -> None:
+def has_given_times(scenario: Scenario) -> bool:
+    """Whether the inner burns of a design stay where they are."""
+    return scenario.design is not None and scenario.design.burn_times == "given"
+
+
+def _spans(scenario: Scenario, burns: int) -> list[Span]:
+    """Spans of the times of so many burns, s: of departure, of the burns between, of arrival."""
+    design, times = scenario.design or Design(), scenario.burns.times_s
+    departure = design.departure_s or (0.0, 0.0)
+    arrival = design.arrival_s or (scenario.duration_s,) * 2
+    inner = [(departure[0], arrival[1])] * (burns - 2)
+    if has_given_times(scenario):
+        inner = [(time, time) for time in times[1:-1]]
+    return [departure, *inner, arrival]
+
+
+def _check_given(scenario: Scenario) -> None:
+    """Refuse what no design can begin with, and a design between given states without free times."""
+    home, design, count = scenario.boundary.home, scenario.design, len(scenario.burns.times_s)
+    least = scenario.safety.radius_min_m
+    if scenario.in_flight is not None:
+        raise InputError("in_flight", "a flight under way", "must be left out of a design")
+    if home is not None and home.ephemeris_file is None and home.radius_m <= least:
+        must = f"must exceed safety.radius_min_m, {exact(least)} m"
+        raise InputError("boundary.home.radius_m", exact(home.radius_m), must)
+    if count > BURNS_MAX:
+        must = f"must be at most {BURNS_MAX} in a design"
+        raise InputError("burns.times_s", f"{count} burns", must)
+    if home is not None:
+        return
+    for name in ("departure_s", "arrival_s"):
+        if span := getattr(design, name, None):
+            last = exact(scenario.burns.times_s[-1])
+            fixed = f"given states fix the first burn at 0 s and the last at {last} s"
+            raise InputError(f"design.{name}", _text(span), f"goes with boundary.home: {fixed}")
+    if has_given_times(scenario):
+        must = "must be 'free', or there must be a boundary.home: nothing is left to design"
+        raise InputError("design.burn_times", "'given'", must)
+    if count < BURNS_LEAST:
+        must = f"must be at least {BURNS_LEAST} where the boundary states are given"
+        why = "the first and the last stay"
+        raise InputError("burns.times_s", f"{count} burns", f"{must}: {why}")
+
+
+def _check_spans(scenario: Scenario, spans: list[Span]) -> None:
     """Refuse an arrival that no burns reach in time, and one at another time than given."""
-    design, times, cycle = scenario.design, scenario.burns.times_s, scenario.schedule.cycle_s
-    apart = len(times) - 1 if scenario.policy.kind == "open" else 1
+    departure, arrival, cycle = spans[0], spans[-1], scenario.schedule.cycle_s
+    apart = len(spans) - 1 if scenario.policy.kind == "open" else 1
     if (least := departure[0] + apart * cycle) > arrival[1]:
         each = f"with {apart + 1} burns, each at least {cycle:g} s after the one before it"
-        raise InputError(
-            "design.arrival_s",
-            _text(arrival),
+        must = (
             f"must reach {least:g} s or later, after departure in {_text(departure)} {each}: "
-            f"{least:g} to {arrival[1]:g} s is left",
+            f"{least:g} to {arrival[1]:g} s is left"
         )
-    if design is None or design.burn_times == "free" or design.arrival_s is None:
-        return
-    if not arrival[0] <= times[-1] <= arrival[1]:
-        raise InputError(
-            "design.arrival_s",
-            _text(arrival),
-            f"must contain the last of burns.times_s, {exact(times[-1])} s, where design.burn_times is "
-            "'given'",
-        )
+        raise InputError("design.arrival_s", _text(arrival), must)
+    last = scenario.burns.times_s[-1]
+    if has_given_times(scenario) and not arrival[0] <= last <= arrival[1]:
+        given = f"the last of burns.times_s, {exact(last)} s, where design.burn_times is 'given'"
+        raise InputError("design.arrival_s", _text(arrival), f"must contain {given}")
 
 
-def _what_is_left(scenario: Scenario, windows: list[Window], departure: Span, arrival: Span) -> str:
+def _what_is_left(scenario: Scenario, windows: list[Window], spans: list[Span]) -> str:
     """Rules that leave a burn no time, and what span they leave, about the nearest window."""
-    times = scenario.burns.times_s
-    inner = [(departure[0], arrival[1])] * (len(times) - 2)
-    if (scenario.design or Design()).burn_times == "given":
-        inner = [(time, time) for time in times[1:-1]]
-    spans = [departure, *inner, arrival]
     tries = [
         (_shortage(spans, window, before, scenario.schedule), _text(window))
         for window in windows
-        for before in range(len(times) - 1)
+        for before in range(len(spans) - 1)
     ]
     if not tries:
         return ""
@@ -130,50 +158,6 @@ def _shortage(
     return float(early[worst] - late[worst]), left
 
 
-def _check_size(scenario: Scenario) -> None:
-    """Refuse a home orbit inside the safety radius, and more burns than a design allows."""
-    home, least = scenario.boundary.home, scenario.safety.radius_min_m
-    if home is not None and home.ephemeris_file is None and home.radius_m <= least:
-        raise InputError(
-            "boundary.home.radius_m",
-            exact(home.radius_m),
-            f"must exceed safety.radius_min_m, {exact(least)} m",
-        )
-    count = len(scenario.burns.times_s)
-    if count > BURNS_MAX:
-        raise InputError(
-            "burns.times_s", f"{count} burns", f"must be at most {BURNS_MAX} in a design"
-        )
-
-
-def _check_given(scenario: Scenario) -> None:
-    """Refuse to move boundary states in time, and a design in which nothing may move."""
-    design = scenario.design or Design()
-    if scenario.boundary.home is not None:
-        return
-    for name in ("departure_s", "arrival_s"):
-        if (span := getattr(design, name)) is not None:
-            raise InputError(
-                f"design.{name}",
-                _text(span),
-                "goes with boundary.home: given states fix the first burn at 0 s and the last at "
-                f"{exact(scenario.burns.times_s[-1])} s",
-            )
-    if design.burn_times == "given":
-        raise InputError(
-            "design.burn_times",
-            "'given'",
-            "must be 'free', or there must be a boundary.home: nothing is left to design",
-        )
-    if len(scenario.burns.times_s) < BURNS_LEAST:
-        raise InputError(
-            "burns.times_s",
-            f"{len(scenario.burns.times_s)} burns",
-            f"must be at least {BURNS_LEAST} where the boundary states are given: the first and the "
-            "last stay",
-        )
-
-
 def _between_states(scenario: Scenario, axes: Array) -> Ring:
     """The given boundary states, at phases 0 and 1; axes (3, 3) rotate from boundary.frame to J2000."""
     given, turn = scenario.boundary, np.kron(np.eye(2), axes)
@@ -196,89 +180,66 @@ def _windows(scenario: Scenario, span: Span) -> list[Window]:
     return windows
 
 
-def _first_times(
-    scenario: Scenario, window: Window, departure: Span, arrival: Span
-) -> tuple[float, ...] | None:
-    """Legal times nearest to the scenario's own, shifted with the window.
+def _first_times(scenario: Scenario, window: Window) -> tuple[float, ...] | None:
+    """Legal times about a window that are nearest to those wanted; None if there are none."""
+    for wanted, before in _wanted_times(scenario, window):
+        spans = _spans(scenario, len(wanted))
+        legal = nearest_legal(wanted, spans, window, before, scenario.schedule)
+        if legal is not None:
+            return legal
+    return None
 
-    As many burns come before the window as in the scenario, or any other number if that is not legal;
-    with feedback as many as there is time for.
+
+def _wanted_times(scenario: Scenario, window: Window) -> Iterator[tuple[list[float], int]]:
+    """Burn times that would do, and how many come before the window after departure, the best first.
+
+    The scenario's own, shifted with the window, with as many before it as there, or any other number.
+    With feedback each burn corrects the errors of those before it: as many as there is time for, evenly
+    spaced from the first departure, and as many after the window as in the scenario.
     """
     times, rules = np.array(scenario.burns.times_s), scenario.schedule
+    departure, *_, arrival = _spans(scenario, len(times))
+    if scenario.policy.kind == "feedback" and not has_given_times(scenario):
+        after = max(int(np.sum(times > WINDOW_AT * times[-1])), 1)
+        last, following = window[0] - rules.before_window_s, window[1] + rules.cycle_s
+        late = np.linspace(following, arrival[1], after).tolist()
+        for before in range(BURNS_MAX - 1 - after, -1, -1):
+            yield [*np.linspace(departure[0], last, before + 1).tolist(), *late], before
+        return
     middle = 0.5 * (window[0] + window[1])
-    begin = float(np.clip(middle - WINDOW_AT * times[-1], *departure))
-    given = (scenario.design or Design()).burn_times == "given"
-    if scenario.policy.kind == "feedback" and not given:
-        return _times_to_correct(scenario, window, departure, arrival)
-    wanted = times if given else times + begin
-    free = (departure[0], arrival[1])
-    spans = [departure, *([(t, t) for t in wanted[1:-1]] if given else [free] * (len(times) - 2))]
-    own = min(int(np.sum(wanted[1:] <= middle)), len(times) - 2)
+    if not has_given_times(scenario):
+        times = times + float(np.clip(middle - WINDOW_AT * times[-1], *departure))
+    own = min(int(np.sum(times[1:] <= middle)), len(times) - 2)
     for before in sorted(range(len(times) - 1), key=lambda count: abs(count - own)):
-        legal = nearest_legal(wanted.tolist(), [*spans, arrival], window, before, rules)
-        if legal is not None:
-            return legal
-    return None
-
-
-def _times_to_correct(
-    scenario: Scenario, window: Window, departure: Span, arrival: Span
-) -> tuple[float, ...] | None:
-    """Legal times with as many burns before the window as fit, evenly spaced from the first departure.
-
-    Each burn corrects the errors of those before it. After the window there are as many as in the
-    scenario.
-    """
-    times, rules = np.array(scenario.burns.times_s), scenario.schedule
-    after = max(int(np.sum(times > WINDOW_AT * times[-1])), 1)
-    last, following = window[0] - rules.before_window_s, window[1] + rules.cycle_s
-    for before in range(BURNS_MAX - 1 - after, -1, -1):
-        wanted = [
-            *np.linspace(departure[0], last, before + 1).tolist(),
-            *np.linspace(following, arrival[1], after).tolist(),
-        ]
-        spans = [departure, *[(departure[0], arrival[1])] * (before + after - 1), arrival]
-        legal = nearest_legal(wanted, spans, window, before, rules)
-        if legal is not None:
-            return legal
-    return None
+        yield times.tolist(), before
 
 
 def _space(
-    scenario: Scenario,
-    window: Window,
-    times: tuple[float, ...],
-    ends: tuple[Span, Span],
-    axes: Array,
-    known: Ring | None,
+    scenario: Scenario, window: Window, times: tuple[float, ...], axes: Array, known: Ring | None
 ) -> Space:
     """The space about a window, times past the first of legal burns, on a known ring or its own."""
-    home, begin, (departure, arrival) = scenario.boundary.home, times[0], ends
+    home, begin = scenario.boundary.home, times[0]
     circling = unchecked(scenario, policy={"kind": "open"})
     if home is not None:
         circle = {"flown": False, "ephemeris_file": None, "spacecraft_id": None} | {
             f"{end}_deg": (getattr(home, f"{end}_deg")[0],) * 2 for end in ("departure", "arrival")
         }
         circling = unchecked(circling, boundary={"home": home.model_copy(update=circle)})
+    past = tuple(time - begin for time in times)
     fixed = at_epoch(circling, begin).replace(
-        {
-            "burns.times_s": [time - begin for time in times],
-            "observation.window_s": [edge - begin for edge in window],
-        }
+        {"burns.times_s": past, "observation.window_s": [edge - begin for edge in window]}
     )
-    free = (scenario.design or Design()).burn_times == "free"
-    inner = [(departure[0], arrival[1]) if free else (time, time) for time in times[1:-1]]
-    spans = [(low - begin, high - begin) for low, high in (departure, *inner, arrival)]
-    mission, gm = Mission.from_scenario(fixed), scenario.body.gm_m3_s2
-    window_s = mission.schedule.window_s
+    mission, phases = Mission.from_scenario(fixed), ((0.0, 0.0), (1.0, 1.0))
     if home is None:
         assert known is not None
-        return Space(mission, known, window_s, ((0.0, 0.0), (1.0, 1.0)), tuple(spans))
-    phases = [tuple(np.deg2rad(span).tolist()) for span in (home.departure_deg, home.arrival_deg)]
-    ring = known or (
-        flown_ring(home, mission.forces, axes) if home.flown else home_ring(home, gm, axes)
-    )
-    return Space(mission, ring, window_s, (phases[0], phases[1]), tuple(spans))
+        ring = known
+    else:
+        first, last = np.deg2rad([home.departure_deg, home.arrival_deg]).tolist()
+        phases = (first[0], first[1]), (last[0], last[1])
+        flown = flown_ring(home, mission.forces, axes) if home.flown else None
+        ring = known or flown or home_ring(home, scenario.body.gm_m3_s2, axes)
+    spans = tuple((low - begin, high - begin) for low, high in _spans(scenario, len(times)))
+    return Space(mission, ring, mission.schedule.window_s, phases, spans, past, begin)
 
 
 def at_epoch(scenario: Scenario, shift_s: float) -> Scenario:

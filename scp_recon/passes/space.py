@@ -34,41 +34,46 @@ class Pass:
     times_s: tuple[float, ...]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Space:
-    """All passes with one number of burns about one window."""
+    """All passes with one number of burns about one window; times are past the design's epoch."""
 
     mission: Mission
     """Mission of any pass of the design, for body, limits, units and rules."""
     ring: Ring
     """Home orbit."""
     window_s: Window
-    """Observation window, past the design's epoch."""
+    """Observation window."""
     phase_spans: tuple[Span, Span]
     """Least and greatest phase of departure and of arrival, rad."""
     time_spans: tuple[Span, ...]
     """Earliest and latest time of each burn, s; equal where it is fixed."""
+    times_s: tuple[float, ...] = ()
+    """Legal times from which its first passes start."""
+    begin_s: float = 0.0
+    """The design's epoch, past the scenario's."""
+    number: int = 0
+    """Number of the lighting window, from 0."""
     step_max_s: float = 2.0 * RK4_STEP_MAX_S
     """Longest Runge-Kutta step, s: the pass that is found is planned again with shorter ones."""
-
-    @property
-    def n_burns(self) -> int:
-        """Number of burns."""
-        return len(self.time_spans)
-
-    @property
-    def kept_window_s(self) -> Window | None:
-        """Window that burns keep out of; None if no observation is required."""
-        return None if self.mission.kept_window_s is None else self.window_s
 
     @property
     def has_home(self) -> bool:
         """Whether passes begin and end on a home orbit; otherwise boundary states are given."""
         return self.mission.scenario.boundary.home is not None
 
-    def before(self, times_s: tuple[float, ...]) -> int:
+    def before(self, times_s: Sequence[float]) -> int:
         """Burns between departure and window."""
         return burns_before(times_s, self.window_s)
+
+    def nearest_legal(
+        self, times_s: Sequence[float], room_s: float = 0.0
+    ) -> tuple[float, ...] | None:
+        """Times within its spans and rules, the nearest to given ones: see `nearest_legal`."""
+        rules, window = self.mission.scenario.schedule, self.window_s
+        kept = None if self.mission.kept_window_s is None else window
+        before = self.before(times_s)
+        return nearest_legal(times_s, self.time_spans, kept, before, rules, room_s)
 
     def coarser(self, factor: float) -> Space:
         """The same space with longer spacings of nodes and integration steps."""
@@ -77,7 +82,7 @@ class Space:
         return replace(self, mission=mission, step_max_s=factor * self.step_max_s)
 
     def mission_of(self, one: Pass) -> Mission:
-        """The mission of a pass, without checks; times are past the design's epoch."""
+        """The mission of a pass, without checks."""
         made = replace(
             self.mission,
             scenario=unchecked(self.mission.scenario, burns={"times_s": one.times_s}),

@@ -22,7 +22,7 @@ from scp_recon.display import digits
 from scp_recon.mission.firing import BEFORE_END, FREE_SPAN_S, HomePhases
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.schedule import ROOM_S
-from scp_recon.passes.space import Pass, Space, nearest_legal
+from scp_recon.passes.space import Pass, Space
 from scp_recon.planning.initial_guess import from_burns
 from scp_recon.planning.method import FacetRounds
 from scp_recon.planning.plan import Stage, StageSpec, rank, scales
@@ -34,7 +34,7 @@ from scp_recon.scp.status import Status
 PRICELESS = 1e-6
 """Multiplier up to which a rule costs nothing: its unit is the speed's over the time's."""
 
-Observe = Callable[["PassResult"], None]
+Observe = Callable[["PassResult"], object]
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,11 +42,13 @@ class PassResult:
     """A pass with its mission and its plan, the last stage of P3 or P2.
 
     Attributes:
+        space: of the pass.
         at: the pass.
         mission: of it.
         stage: of P3 or P2.
     """
 
+    space: Space
     at: Pass
     mission: Mission
     stage: Stage
@@ -154,9 +156,7 @@ class Timing:
 
     def _with_room(self, at: Pass) -> Pass:
         """The nearest times that may be rounded, if there are any."""
-        space, times = self.space, at.times_s
-        rules, before = space.mission.scenario.schedule, space.before(times)
-        legal = nearest_legal(times, space.time_spans, space.kept_window_s, before, rules, ROOM_S)
+        legal = self.space.nearest_legal(at.times_s, ROOM_S)
         return at if legal is None else Pass(at.phases, legal)
 
     def plan(
@@ -169,7 +169,7 @@ class Timing:
             problem: Problem = "P3" if self.certain else "P2"
             rounds = self.facet_rounds
             plan = planner.plan(guess, problem=problem, facet_rounds=rounds, once=True)
-            return PassResult(at, mission, plan.final)
+            return PassResult(self.space, at, mission, plan.final)
         pipeline = Pipeline(mission, planner)
         start, polytopes = pipeline.start(guess), mission.polytopes
         p3 = replace(planner.p3, resolution=resolution)
@@ -185,7 +185,7 @@ class Timing:
             )
             spec = planner.p2_stage(facets, start, again=again)
         stage = pipeline.solve(replace(spec, resolution=resolution), start)
-        return PassResult(at, mission, stage)
+        return PassResult(self.space, at, mission, stage)
 
     def _exact(self, planner: Planner[Mission]) -> StageSpec:
         """Exact risk, of whole flights from a home orbit by few directions."""
@@ -222,7 +222,7 @@ class Timing:
         if problem.firing.boundary is not None:
             first, last = problem.firing.phases(moved).tolist()
             phases = first, last
-        return PassResult(Pass(phases, tuple(map(float, times))), mission, stage)
+        return PassResult(space, Pass(phases, tuple(map(float, times))), mission, stage)
 
     def _spec(self, planner: Planner[Mission], result: PassResult) -> StageSpec:
         if self.certain:

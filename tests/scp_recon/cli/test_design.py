@@ -118,13 +118,13 @@ def test_what_is_left_is_shown_in_every_step(monkeypatch):
     console = Console(file=StringIO())
     status = SimpleNamespace(update=shown.append)
     monkeypatch.setattr(console, "status", lambda _: nullcontext(status))
-    result = SimpleNamespace(converged=False, dv_m_s=1.0)
+    result = SimpleNamespace(converged=False, dv_m_s=1.0, space=SimpleNamespace(number=0))
     with design_view.progress(console) as count:
         for time_s, step, expected in ((10.0, "map", 2), (20.0, "map", 2), (30.0, "descent", None)):
             clock[0] = time_s
-            count(SimpleNamespace(step=step, window=0, expected=expected, result=result))
+            count(SimpleNamespace(step=step, expected=expected, result=result))
         clock[0] = 500.0
-        count(SimpleNamespace(step="exact", window=0, expected=None, result=result))
+        count(SimpleNamespace(step="exact", expected=None, result=result))
     assert "of 2, about 10 s left, then descents" in shown[0]
     assert shown[2].endswith("; about 50 s left, then its plan")
     assert "left" not in shown[3]

@@ -23,6 +23,7 @@ SPANS = {"departure_s": [-20_000.0, 30_000.0], "arrival_s": [10_000.0, 70_000.0]
 class Made:
     """What stands for a plan."""
 
+    space: Any
     at: Pass
     converged: bool
     cost: float = 1.0
@@ -48,31 +49,17 @@ class World:
     costs: tuple[float, ...] = (3.0, 2.0, 1.0)
 
     def install(self, patch, edges: list[tuple[float, float]]) -> None:
-        def number(space: Any) -> int:
-            return edges.index(space.window_s)
-
-        def scan(space: Any, times: tuple[float, ...], seen: Any) -> list[Made]:
-            at = Pass((0.0, 0.0), times)
-            made = Made(at, number(space) in self.mapped, short=1.0 + number(space))
-            seen(made)
+        def scan(space: Any, seen: Any) -> list[Made]:
+            at, one = Pass((0.0, 0.0), space.times_s), edges.index(space.window_s)
+            seen(made := Made(space, at, one in self.mapped, short=1.0 + one))
             return [made]
 
-        def descend(
-            space: Any,
-            at: Pass,
-            _burns: Any,
-            seen: Any,
-            *_: Any,
-            certain: bool = False,
-            **_rival: Any,
-        ) -> Made:
-            one = number(space)
+        def descend(space: Any, at: Pass, certain: bool) -> Made:
+            one = edges.index(space.window_s)
             eased = at.phases[0] == 0.5 or not self.only_after_certain
             there = certain or (one in self.planned and eased)
             begun = Pass((0.5, 0.0), at.times_s) if certain else at
-            made = Made(begun, there, self.costs[one], 0.1 * (1.0 + one), certain)
-            seen(made)
-            return made
+            return Made(space, begun, there, self.costs[one], 0.1 * (1.0 + one), certain)
 
         patch.setattr(design, "scan", scan)
         search_by(patch, descend)
@@ -83,8 +70,17 @@ class World:
 
 
 def search_by(patch, descend: Any) -> None:
-    """Put a function in the place of the descents."""
-    patch.setattr(Designer, "_search", lambda _, *given, **named: descend(*given, **named))
+    """Put a function of space, pass and certainty in the place of the descents."""
+
+    def search(self: Designer, step: Any, begun: Any, *_: Any, certain: bool = False, **__: Any):
+        return self._keep(step, descend(begun.space, begun.at, certain))
+
+    patch.setattr(Designer, "_search", search)
+
+
+def mapped_of(tried: list[Trial]) -> list[int]:
+    """Numbers of the windows that were mapped."""
+    return [one.result.space.number for one in tried if one.step == "map"]
 
 
 def run(
@@ -92,7 +88,7 @@ def run(
 ) -> tuple[Any, Any, int, list[Trial]]:
     """What is found, in which space and window, and all that was tried; with other stand-ins."""
     scenario = home_scenario(changes, SPANS)
-    edges = [space.window_s for space, _ in spaces_of(scenario)]
+    edges = [space.window_s for space in spaces_of(scenario)]
     assert len(edges) >= 3
     world.install(patch, edges)
     for name, function in others.items():
@@ -101,8 +97,8 @@ def run(
         else:
             patch.setattr(design, name, function)
     designer = Designer(scenario, lambda _: None)
-    space, found = designer.run()
-    return found, space, edges.index(space.window_s), designer.trials
+    found = designer.run()
+    return found, found.space, edges.index(found.space.window_s), designer.trials
 
 
 def test_the_next_window_is_mapped_where_the_first_has_no_pass(monkeypatch):
@@ -110,7 +106,7 @@ def test_the_next_window_is_mapped_where_the_first_has_no_pass(monkeypatch):
     found, _, window, tried = run(World({1, 2}, {2}, costs=costs), monkeypatch)
     assert found.converged
     assert window == 2
-    mapped = [one.window for one in tried if one.step == "map"]
+    mapped = mapped_of(tried)
     assert mapped == list(range(len(mapped)))  # also the later ones, none of which has a plan
     assert len(mapped) > 3
     assert all(one.expected == (36 if one.step == "map" else None) for one in tried)  # 6 x 6 phases
@@ -121,26 +117,25 @@ def test_later_windows_are_tried_and_the_cheapest_counts(monkeypatch):
     everywhere = set(range(12))
     found, _, window, tried = run(World(everywhere, everywhere, costs=costs), monkeypatch)
     assert (found.cost, window) == (1.0, 1)
-    assert [one.window for one in tried if one.step == "map"] == [0]
+    assert mapped_of(tried) == [0]
 
 
 @pytest.mark.parametrize(("costs", "chosen"), [((1.0, 2.0, 3.0), 0), ((1.0, 0.5, 3.0), 1)])
 def test_a_later_window_without_a_descent_is_mapped(monkeypatch, costs, chosen):
     """A window has passes at its own phases alone, where descents from another window's fail."""
-    edges = [space.window_s for space, _ in spaces_of(home_scenario(None, SPANS))]
+    edges = [space.window_s for space in spaces_of(home_scenario(None, SPANS))]
 
-    def scan(space: Any, times: tuple[float, ...], seen: Any) -> list[Made]:
-        made = Made(Pass((float(edges.index(space.window_s)), 0.0), times), True, 0.4)
-        seen(made)
+    def scan(space: Any, seen: Any) -> list[Made]:
+        at = Pass((float(edges.index(space.window_s)), 0.0), space.times_s)
+        seen(made := Made(space, at, True, 0.4))
         return [made]
 
-    def descend(space: Any, at: Pass, _burns: Any, seen: Any, *_more: Any, **_others: Any) -> Made:
+    def descend(space: Any, at: Pass, _: bool) -> Made:
         window = edges.index(space.window_s)
-        seen(made := Made(at, at.phases[0] == window, costs[min(window, 2)]))
-        return made
+        return Made(space, at, at.phases[0] == window, costs[min(window, 2)])
 
     found, _, window, tried = run(World(set(), set()), monkeypatch, scan=scan, descend=descend)
-    assert [one.window for one in tried if one.step == "map"] == list(range(len(edges)))
+    assert mapped_of(tried) == list(range(len(edges)))
     assert (found.dv_m_s, window) == (costs[chosen], chosen)
 
 
@@ -161,19 +156,19 @@ def test_with_feedback_a_pass_without_uncertainty_has_to_have_a_plan_with_gains(
 ):
     """Windows with more burns before them come first."""
     scenario = load_scenario("kingfisher").replace(MEASURED)
-    edges = [space.window_s for space, _ in spaces_of(scenario)]
+    edges = [space.window_s for space in spaces_of(scenario)]
     World({0, 1}, set()).install(monkeypatch, edges)
     asked = []
 
-    def correct(_: Designer, where: Any, one: Made) -> Made:
-        asked.append(where.number)
-        return replace(one, converged=where.number in planned, short=0.1 * where.number)
+    def correct(_: Designer, one: Made) -> Made:
+        asked.append(number := one.space.number)
+        return replace(one, converged=number in planned, short=0.1 * number)
 
     monkeypatch.setattr(Designer, "_correct", correct)
-    space, found = Designer(scenario, lambda _: None).run()
+    found = Designer(scenario, lambda _: None).run()
     assert asked == tried
     assert found.converged == bool(planned)
-    assert space.window_s == edges[next(iter(planned), 0)]
+    assert found.space.window_s == edges[next(iter(planned), 0)]
 
 
 @nightly
@@ -236,22 +231,20 @@ def test_where_none_has_a_plan_the_one_that_came_furthest_is_told(monkeypatch, m
 def test_a_burn_more_counts_only_where_it_is_cheaper(monkeypatch, cost, burns):
     """Whatever the descent with one more ends at: with it no pass is dearer than without."""
 
-    def more(space: Any, found: Made) -> list[Candidate]:
-        times = found.at.times_s
+    def more(found: Made) -> list[Candidate]:
+        space, times = found.space, found.at.times_s
         if len(times) > 4:
             return []
         at = Pass(found.at.phases, (*times[:3], 0.5 * (times[2] + times[3]), times[3]))
         wider = replace(space, time_spans=(*space.time_spans[:3], *space.time_spans[2:]))
         return [Candidate(wider, at, np.insert(found.burns_m_s, 3, 0.0, axis=0))]
 
-    def descend(_: Any, at: Pass, _burns: Any, seen: Any, *_more: Any, **_others: Any) -> Made:
-        made = Made(at, True, cost if len(at.times_s) == 5 else 1.0)
-        seen(made)
-        return made
+    def descend(space: Any, at: Pass, _: bool) -> Made:
+        return Made(space, at, True, cost if len(at.times_s) == 5 else 1.0)
 
     found, space, _, tried = run(World({0}, {0}), monkeypatch, other_counts=more, descend=descend)
     assert found.dv_m_s == min(cost, 1.0)
-    assert space.n_burns == len(found.at.times_s) == burns
+    assert len(space.time_spans) == len(found.at.times_s) == burns
     assert any(len(one.result.at.times_s) == 5 for one in tried)
 
 
@@ -261,22 +254,22 @@ def test_a_burn_that_vanishes_with_exact_risk_is_left_out_where_that_costs_nothi
 ):
     last: list[Pass] = []
 
-    def fewer(space: Any, found: Made) -> Candidate | None:
+    def fewer(found: Made) -> Candidate | None:
         if found.at not in last:
             return None
+        space = found.space
         spans = (*space.time_spans[:1], *space.time_spans[2:])
         at = Pass(found.at.phases, (*found.at.times_s[:1], *found.at.times_s[2:]))
         return Candidate(replace(space, time_spans=spans), at, found.burns_m_s[1:])
 
-    def exact(_: Designer, where: Any, best: Made, _rival: float = 0.0) -> Any:
+    def exact(_: Designer, best: Made, _rival: float = 0.0) -> Made:
         last.append(best.at)
-        return where, best
+        return best
 
-    def descend(_: Any, at: Pass, _burns: Any, seen: Any, *_more: Any, **_others: Any) -> Made:
-        seen(made := Made(at, True, cost if len(at.times_s) == 3 else 1.0))
-        return made
+    def descend(space: Any, at: Pass, _: bool) -> Made:
+        return Made(space, at, True, cost if len(at.times_s) == 3 else 1.0)
 
     monkeypatch.setattr(Designer, "_descend_exact", exact)
     only = {"risk.allocation": "exact"}
     found, space, _, _ = run(World({0}, {0}), monkeypatch, only, vanished=fewer, descend=descend)
-    assert space.n_burns == len(found.at.times_s) == burns
+    assert len(space.time_spans) == len(found.at.times_s) == burns

@@ -35,8 +35,8 @@ def test_the_home_orbit_is_a_circle_at_two_body_speed_in_its_plane(phase, sense)
 
 def test_a_flown_home_orbit_leaves_the_circle_slowly_and_obeys_the_forces():
     """Held against an integration of the test's own, from one phase to another."""
-    space, _ = spaces_of(home_scenario(flown=True))[0]
-    circle, _ = spaces_of(home_scenario())[0]
+    space, *_ = spaces_of(home_scenario(flown=True))
+    circle, *_ = spaces_of(home_scenario())
     np.testing.assert_allclose(space.ring(0.0), circle.ring(0.0), atol=1e-6)
     apart = [np.linalg.norm(space.ring(-a)[:3] - circle.ring(-a)[:3]) for a in (0.1, 1.0, 3.0)]
     assert 0.0 < apart[0] < apart[1] < apart[2] < 200.0
@@ -63,10 +63,10 @@ def test_with_feedback_as_many_burns_as_fit_come_before_each_window():
     """Legal, planned open loop, and told to correct again in the scenario that is found."""
     scenario = load_scenario("kingfisher").replace(MEASURED)
     counts = []
-    for space, times in spaces_of(scenario):
-        counts.append(space.before(tuple(time - times[0] for time in times)))
+    for space in spaces_of(scenario):
+        begun = space.times_s
+        counts.append(space.before(begun))
         assert space.mission.scenario.policy.kind == "open"
-        begun = tuple(time - times[0] for time in times)
         make_schedule(begun, space.window_s, scenario.schedule)
         cycle = space.window_s[0] - begun[0] - 4800.0 - 6600.0 * counts[-1]
         assert 0.0 <= cycle < 6600.0  # no room for another
@@ -161,23 +161,23 @@ def test_every_window_of_a_span_has_a_space_with_legal_times():
     scenario = home_scenario(design=design)
     spaces = spaces_of(scenario)
     assert len(spaces) >= 3
-    for space, times in spaces:
+    for space in spaces:
         assert Mission.from_scenario(space.mission.scenario).schedule.legs
         shift = space.mission.scenario.epoch.tdb - scenario.epoch.tdb
-        assert shift.total_seconds() == pytest.approx(times[0], abs=1e-5)
-        assert -20_000.0 <= times[0] <= 30_000.0
-        assert 10_000.0 <= times[-1] <= 70_000.0
+        assert shift.total_seconds() == pytest.approx(space.begin_s, abs=1e-5)
+        assert -20_000.0 <= space.begin_s <= 30_000.0
+        assert 10_000.0 <= space.begin_s + space.times_s[-1] <= 70_000.0
 
 
 @pytest.mark.parametrize("later_s", [0.0, 777.0])
 def test_a_settled_pass_starts_and_ends_on_the_ring_with_the_same_window(later_s):
     span = [0.0, 2000.0]
     scenario = home_scenario(design={"departure_s": span, "arrival_s": [30_000.0, 40_000.0]})
-    space, times = spaces_of(scenario)[0]
-    one = Pass((2.5, -0.3), (later_s, *(t - times[0] for t in times[1:])))
+    space, *_ = spaces_of(scenario)
+    one = Pass((2.5, -0.3), (later_s, *space.times_s[1:]))
     fixed = settled(scenario, space, one)
     mission = Mission.from_scenario(fixed)
-    begin = timedelta(seconds=times[0] + later_s)
+    begin = timedelta(seconds=space.begin_s + later_s)
     assert abs(fixed.epoch.tdb - scenario.epoch.tdb - begin) < timedelta(microseconds=2)
     np.testing.assert_allclose(mission.initial_state, space.ring(2.5), atol=1e-8)
     np.testing.assert_allclose(mission.final_state, space.ring(-0.3), atol=1e-8)

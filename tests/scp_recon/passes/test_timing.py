@@ -161,15 +161,15 @@ def test_kernels_of_linear_algebra_design_alike(kernel):
 def test_rounds_are_never_worse_than_their_start():
     """Also where nothing may move."""
     scenario = load_scenario(None, ["grid.step_max_s=450"])
-    (space, times), *_ = spaces_of(scenario)
-    at = Pass((0.0, 1.0), times)
+    space, *_ = spaces_of(scenario)
+    at = Pass((0.0, 1.0), space.times_s)
     mission = space.mission_of(at)
     burns = Planner(mission).plan(cold(mission)).burns_m_s
     timing, seen = Timing(space, 0), []
     best = timing.descend(at, burns, seen.append, Effort(2, 1e-4, 40))
     assert best.dv_m_s == min(one.dv_m_s for one in seen) < seen[0].dv_m_s
     assert Mission.from_scenario(settled(scenario, space, best.at)).schedule.legs
-    still = tuple((time, time) for time in times)
+    still = tuple((time, time) for time in space.times_s)
     alone = Timing(replace(space, time_spans=still), 0)
     assert alone.freed(best) is None
     assert alone.prices(best) == ()
@@ -208,10 +208,10 @@ def test_what_leaves_nothing_to_move_is_refused(changes, told):
 @pytest.mark.slow
 def test_missed_burns_stay_safe_with_free_times():
     scenario = load_scenario(None, [COARSE, 'risk.allocation="exact"', "safety.missed_burns=1"])
-    (space, times), *_ = spaces_of(scenario)
+    space, *_ = spaces_of(scenario)
     timing, seen = Timing(space, 0), []
     effort = Effort(1, 1e-2, 15)
-    best = timing.descend(Pass((0.0, 1.0), times), np.zeros((4, 3)), seen.append, effort)
+    best = timing.descend(Pass((0.0, 1.0), space.times_s), np.zeros((4, 3)), seen.append, effort)
     assert best.dv_m_s < 0.999 * seen[0].dv_m_s
     drifts = [f"missed_burn_{number}" for number in (2, 3, 4)]
     assert all(best.stage.margins[name].margin > -1e-6 for name in drifts)
