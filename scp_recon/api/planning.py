@@ -276,22 +276,12 @@ def _of_several(
 ) -> Plan:
     """The best plan of several starts, which are asked for or pay after the first one."""
     guess = from_burns(mission, start.burns_m_s) if isinstance(start, Plan) else start
-    seen, first = partial(_show_start, observe) if observe else None, None
-    if options.starts is None:
-        first = make(mission, guess, init=init, observe=observe)
-        if not _may_be_poor(first):
-            return first
+    first = make(mission, guess, init=init, observe=observe)
+    if options.starts is None and not _may_be_poor(first):
+        return first
+    seed, workers = options.seed or 0, options.workers or 1
     return plan_from_several(
-        mission,
-        guess,
-        make,
-        starts=number,
-        seed=options.seed or 0,
-        workers=options.workers or 1,
-        init=init,
-        seen=seen,
-        first=first,
-        observe=observe,
+        first, make, starts=number, seed=seed, workers=workers, observe=observe
     )
 
 
@@ -338,13 +328,6 @@ def _within_budget(best: Plan, budget: float) -> Plan:
         allowed = f"must be at least {best.cost_m_s:.6f} m/s, which {LEAST} costs"
         raise InputError(option("dv_budget_m_s"), f"{exact(budget)} m/s", allowed)
     return best
-
-
-def _show_start(observe: PlanObserver, number: int, found: Plan) -> None:
-    """Show the last iteration of each stage."""
-    for stage in found.stages:
-        for record in stage.result.records[-1:]:
-            observe(f"{number} {stage.name}", record)
 
 
 @contextmanager

@@ -50,7 +50,7 @@ from scp_recon.monte_carlo.estimates import (
     successes_needed,
 )
 from scp_recon.monte_carlo.whole_flight import KeptCounts
-from scp_recon.planning.plan import Aimed, AimedPlan, Plan, as_interrupted
+from scp_recon.planning.plan import Aimed, Plan, StagedPlan, as_interrupted
 from scp_recon.scp.status import Status
 
 ROUNDS_MAX = 6
@@ -215,17 +215,17 @@ class _Certification(Generic[Aimed]):
         return best
 
 
-def _low(plan: AimedPlan) -> float:
+def _low(plan: StagedPlan) -> float:
     assert plan.certificate is not None
     return plan.certificate.low
 
 
-def _law(plan: AimedPlan) -> float:
+def _law(plan: StagedPlan) -> float:
     """The quantile of the plan's probability by the normal law; it may exceed the target."""
     return float(ndtri(target_of(plan))) + max(slack(plan), 0.0)
 
 
-def slack(plan: AimedPlan) -> float:
+def slack(plan: StagedPlan) -> float:
     """Excess of the normal law's probabilities over the target, in standard deviations."""
     of, drifts = plan.final, {drift.name for drift in plan.final.merit.problem.drifts}
     return min(

@@ -15,7 +15,7 @@ from typing import Generic
 from scipy.special import ndtr, ndtri
 
 from scp_recon.monte_carlo.estimates import FAILURES, FLIGHTS_MAX
-from scp_recon.planning.plan import Aimed, AimedPlan, as_interrupted
+from scp_recon.planning.plan import Aimed, StagedPlan, as_interrupted
 from scp_recon.scp.status import Status
 
 MOST = 1.0 - FAILURES / FLIGHTS_MAX
@@ -31,7 +31,7 @@ ANSWERS = (Status.CONVERGED, Status.INFEASIBLE, Status.INTERRUPTED)
 """Outcomes that answer whether a target has a plan, or end planning."""
 
 
-def is_plan(trial: AimedPlan) -> bool:
+def is_plan(trial: StagedPlan) -> bool:
     """Whether a trial found a plan."""
     return trial.status is Status.CONVERGED
 
@@ -155,12 +155,12 @@ def _half_way(one: float, other: float) -> float:
     return float(ndtr(0.5 * (ndtri(one) + ndtri(other))))
 
 
-def target_of(plan: AimedPlan) -> float:
+def target_of(plan: StagedPlan) -> float:
     """Target probability of a plan with exact risk."""
     assert plan.target is not None
     return plan.target
 
 
-def cost_of(plan: AimedPlan) -> float:
+def cost_of(plan: StagedPlan) -> float:
     """What planning minimises, nondimensional."""
     return plan.final.merit.cost(plan.final.result.lin)

@@ -18,9 +18,7 @@ from scp_recon.jobs.cores import one_thread
 from scp_recon.monte_carlo.estimates import Estimate, proportion
 from scp_recon.monte_carlo.flights import SAMPLES_MAX, SEED_MAX
 from scp_recon.monte_carlo.sampling import BLOCK, NAVIGATION, draw
-from scp_recon.planning.plan import Stage, Unit
-from scp_recon.planning.records import Certificate
-from scp_recon.scp.loop import Timing
+from scp_recon.planning.plan import StagedPlan, Unit
 from scp_recon.scp.status import Status
 
 QUANTILE = 0.99
@@ -54,31 +52,16 @@ class ImpulsiveFlights:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class ImpulsivePlan:
+class ImpulsivePlan(StagedPlan):
     """Burns and states that solve an `ImpulsiveProblem`, or the last ones of its search.
 
     Attributes:
         dynamics: flow with burns, nondimensional.
         unit: of the state's components, shape (6,).
-        final: the stage that holds the answer, nondimensional.
-        stages: all stages.
-        timing: seconds by part of the work.
-        target: target probability of exact risk.
-        certificate: probability that independent flights reached; None without certification.
     """
 
     dynamics: Dynamics
     unit: Array
-    final: Stage
-    stages: tuple[Stage, ...]
-    timing: Timing
-    target: float
-    certificate: Certificate | None = None
-
-    @property
-    def status(self) -> Status:
-        """How the last stage ended."""
-        return self.final.result.status
 
     @property
     def ok(self) -> bool:

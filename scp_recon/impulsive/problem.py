@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -38,6 +38,7 @@ from scp_recon.monte_carlo.whole_flight import KeptCounts
 from scp_recon.planning.method import ALGORITHM, FORMULATION, SOLVER, scp_method
 from scp_recon.planning.planner import Planner
 from scp_recon.planning.stages import Observer, Pipeline, unobserved
+from scp_recon.scenario.schema import Risk
 
 __all__ = [
     "Ball",
@@ -61,14 +62,6 @@ PAIRS = {
     "units": "a length and a time",
     "final_sigma": "of position and of velocity, or None",
 }
-
-
-class Risk(NamedTuple):
-    """See `scp_recon.planning.plan.RiskSpec`."""
-
-    p_chance: float
-    allocation: Literal["uniform", "exact"]
-    scope: Literal["node", "flight"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -236,8 +229,8 @@ class ImpulsiveProblem:
     def risk(self) -> Risk:
         """How risk is spent: see `scp_recon.planning.plan.PlanningProblem`."""
         if self.scope == "uniform" or not self.regions:
-            return Risk(self.probability, "uniform", "node")
-        return Risk(self.probability, "exact", self.scope)
+            return Risk(p_chance=self.probability)
+        return Risk(p_chance=self.probability, allocation="exact", scope=self.scope)
 
     @property
     def clearances(self) -> tuple[float, float]:
@@ -355,8 +348,14 @@ class ImpulsiveProblem:
         planner = Planner(self, **method._asdict(), target=target)
         run = Pipeline(self, planner, observe or unobserved)
         final = run.plan(start, "P3" if self.is_deterministic else "P2")
-        stages = tuple(run.stages)
-        return ImpulsivePlan(self.dynamics, self.unit, final, stages, run.timing, planner.target)
+        return ImpulsivePlan(
+            self.dynamics,
+            self.unit,
+            stages=tuple(run.stages),
+            final=final,
+            timing=run.timing,
+            target=planner.target,
+        )
 
     @one_thread
     def certify(

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
 from time import perf_counter
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -19,18 +21,16 @@ from formulations.problem.flyby import FlybyProblem, Iterate
 from formulations.program.subproblem import MeritFunction
 from formulations.rows.cones import Rows
 from formulations.rows.drift import DriftRows
-from formulations.rows.uniform import ChanceRows, DeterministicRows
+from formulations.rows.uniform import ChanceRows
 from scp_recon.errors import InputError, option
 from scp_recon.mission.constraints import AS_PRINTED, require_without
 from scp_recon.mission.mission import Mission
 from scp_recon.physics.flow import GridFlow
 from scp_recon.physics.forces import STEP, ForceModel, acceleration
-from scp_recon.planning.method import FacetRounds
-from scp_recon.planning.missions import make_plan, other_starts
-from scp_recon.planning.plan import Plan, Provenance, Stage, StageSpec
-from scp_recon.planning.planner import Planner, screened
+from scp_recon.planning.plan import Plan, Stage, StageSpec
+from scp_recon.planning.planner import Planner
 from scp_recon.planning.records import Problem
-from scp_recon.planning.stages import Observer, Pipeline, StageSolver, unobserved
+from scp_recon.planning.stages import Observer
 from scp_recon.scp.algorithms import SCvx
 from scp_recon.scp.loop import Record, Result, Timing
 from scp_recon.scp.status import Status
@@ -84,81 +84,70 @@ def plan(
     guess: Iterate,
     *,
     problem: Problem = "P2",
-    facet_rounds: FacetRounds = 0,
     variant: str = "tuned",
     elastic: bool = False,
-    init: str = "given",
-    observe: Observer | None = None,
+    **how: Any,
 ) -> Plan:
-    """Solve P3 from the guess, choose the facets at its solution, and solve P2 from there.
+    """Plan as `Planner.plan`, with its other arguments.
 
-    A stage that does not converge is tried from other starts, as in `Planner.plan`. The variant is
-    a key of `formulations.nlp.solve.VARIANTS`. With `elastic`, violations are penalised as in SCP
-    instead of forbidden. The observer is called with each line of IPOPT's log once a run is over.
+    The variant is a key of `formulations.nlp.solve.VARIANTS`. With `elastic`, violations are penalised
+    as in SCP instead of forbidden. The observer is called with each line of IPOPT's log once a run is
+    over.
 
     Returns:
         A plan, whose linearisations are those of the dynamics at IPOPT's iterates.
 
     Raises:
-        InputError: if burns are corrected by feedback, which IPOPT does not plan; or if the variant
-            as printed is asked for limits that the paper does not have.
+        InputError: if burns are corrected by feedback or risk is exact, which IPOPT does not plan; or
+            if the variant as printed is asked for limits that the paper does not have.
     """
+    scp, forms = option("method", "scp"), partial(option, "formulation")
     if problem == "P2":
-        require_without(("feedback",), mission.scenario, option("method", "scp"))
+        if mission.risk.allocation == "exact":
+            raise InputError("risk.allocation", "'exact'", f"goes with {scp} only")
+        require_without(("feedback",), mission.scenario, scp)
         plain = not (mission.flow.forces.timed or mission.problem.drifts)
         if variant != "shooting" or not plain:
-            method, form = option("method", "scp"), option("formulation", "shooting")
-            needs = f"{method}, or with {form} if no force depends on time, without drifts"
+            needs = (
+                f"{scp}, or with {forms('shooting')} if no force depends on time, without drifts"
+            )
             require_without(("knowledge",), mission.scenario, needs)
     if variant == "printed":
-        other = f"{option('method', 'scp')}, or with {option('formulation', 'tuned')} or shooting"
-        require_without(AS_PRINTED, mission.scenario, other)
-    solver = IpoptStages(mission, casadi_arcs(mission.flow), VARIANTS[variant], elastic)
-    pipeline = Pipeline(mission, solver, observe or unobserved, facet_rounds)
-    algorithm = "interior point, elastic" if elastic else "interior point"
-    provenance = Provenance(variant, algorithm, "IPOPT", init, "ipopt")
-
-    def work() -> Stage:
-        return pipeline.plan(guess, problem, other_starts(mission))
-
-    return make_plan(mission, pipeline, work, provenance)
+        needs = f"{scp}, or with {forms('tuned')} or shooting"
+        require_without(AS_PRINTED, mission.scenario, needs)
+    return IpoptPlanner(mission, variant, elastic=elastic).plan(guess, problem=problem, **how)
 
 
-@dataclass(frozen=True)
-class IpoptStages:
-    """Solves a stage by IPOPT, with arcs over CasADi symbols, in place of SCP.
+class IpoptPlanner(Planner[Mission]):
+    """Plans by IPOPT, with arcs over CasADi symbols, in place of SCP; without exact risk.
 
-    With `elastic`, violations are penalised instead of forbidden.
+    Args:
+        task: the mission to plan.
+        variant: name of a variant, or the variant.
+        elastic: whether violations are penalised instead of forbidden.
     """
 
-    mission: Mission
-    arcs: Arcs
-    variant: Variant
-    elastic: bool = False
+    method = "ipopt"
 
-    def p3_stages(self, _: Linearisation) -> Sequence[StageSpec]:
+    def __init__(self, task: Mission, variant: str | Variant, *, elastic: bool = False) -> None:
+        super().__init__(task)
+        name = variant if isinstance(variant, str) else "own"
+        self.variant = VARIANTS[variant] if isinstance(variant, str) else variant
+        self.elastic, self.arcs = elastic, casadi_arcs(task.flow)
+        self.names = name, "interior point, elastic" if elastic else "interior point", "IPOPT"
+
+    def p3_stages(self, start: Linearisation) -> Sequence[StageSpec]:
         """P3 alone: IPOPT's programs have all constraints from the start."""
-        return [StageSpec("P3", DeterministicRows(self.mission.problem.open_loop))]
+        del start
+        return [self.p3]
 
-    def p2_stage(self, facets: Facets, lin: Linearisation) -> StageSpec:
-        """P2 with given facets, screened as the planner screens them."""
-        clearance = self.mission.clearances[0] if self.variant.screened else np.inf
-        included = screened(facets, lin, clearance)
-        return StageSpec("P2", ChanceRows(self.mission.problem, facets, included))
-
-    @property
-    def others(self) -> Mapping[str, StageSolver]:
-        """None: see `StageSolver`."""
-        return {}
-
-    @property
-    def scout(self) -> StageSolver:
-        """See `StageSolver`."""
-        return Planner(self.mission)
-
-    def exact_stages(self, *, growing: bool = False) -> Sequence[StageSpec]:  # noqa: ARG002 -- of the protocol
-        """Refuse: IPOPT has no rows of exact risk."""
-        raise InputError("risk.allocation", "'exact'", f"goes with {option('method', 'scp')} only")
+    def p2_stage(self, facets: Facets, lin: Linearisation, *, again: bool = False) -> StageSpec:
+        """P2 with given facets, screened as of SCP if the variant screens them."""
+        if self.variant.screened:
+            return super().p2_stage(facets, lin, again=again)
+        return StageSpec(
+            "P2", ChanceRows(self.task.problem, facets, np.ones(len(facets.node), bool))
+        )
 
     def solve(
         self, spec: StageSpec, start: Linearisation, dynamics: Dynamics, observe: Observer

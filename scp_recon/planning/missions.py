@@ -60,11 +60,11 @@ def make_plan(
     return Plan(
         mission,
         provenance,
-        stages,
-        final,
-        pipeline.timing,
         seconds,
-        target,
+        stages=stages,
+        final=final,
+        timing=pipeline.timing,
+        target=target,
         without_uncertainty=least,
     )
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from typing import Any, ClassVar, Literal, Protocol, TypeVar
+from typing import Literal, Protocol, TypeVar
 
 import numpy as np
 
@@ -26,25 +26,10 @@ from scp_recon.errors import Named
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.scene import Units
 from scp_recon.planning.records import Certificate, Parent, Problem, Starts, WithoutUncertainty
+from scp_recon.scenario.schema import Risk
 from scp_recon.scp.algorithms import SCvx
 from scp_recon.scp.loop import Result, Timing
 from scp_recon.scp.status import Status
-
-
-class RiskSpec(Protocol):
-    """Required probability, and how the risk is allocated: see `scp_recon.scenario.schema.Risk`."""
-
-    @property
-    def p_chance(self) -> float:
-        """Required probability."""
-
-    @property
-    def allocation(self) -> Literal["uniform", "exact"]:
-        """Split of the risk: "uniform" over facets, or "exact" by the probabilities of the sets."""
-
-    @property
-    def scope(self) -> Literal["node", "flight"]:
-        """What must hold with that probability: each node, or the whole flight."""
 
 
 class PlanningProblem(Protocol):
@@ -63,7 +48,7 @@ class PlanningProblem(Protocol):
         """Polytopes that approximate regions where risk is split evenly."""
 
     @property
-    def risk(self) -> RiskSpec:
+    def risk(self) -> Risk:
         """Required probability and allocation of the risk."""
 
     @property
@@ -261,8 +246,32 @@ class Provenance:
     method: Literal["scp", "ipopt", "none"] = "scp"
 
 
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class StagedPlan:
+    """What plans of missions and of impulsive problems have in common.
+
+    Attributes:
+        stages: all runs; the final one need not be the last.
+        final: the run that holds the answer.
+        timing: of all stages, s.
+        target: probability that the rows of an exact plan are held to; None of others.
+        certificate: probability that flights of an exact plan reached; None without such flights.
+    """
+
+    stages: tuple[Stage, ...]
+    final: Stage
+    timing: Timing
+    target: float | None = None
+    certificate: Certificate | None = None
+
+    @property
+    def status(self) -> Status:
+        """Status of the final stage."""
+        return self.final.result.status
+
+
 @dataclass(frozen=True, eq=False, repr=False)
-class Plan(Displayed):
+class Plan(StagedPlan, Displayed):
     """The stages of planning a mission; `final` holds the answer.
 
     A plan is data: it pickles and copies, and its arrays are read-only. Two plans are equal if
@@ -273,12 +282,7 @@ class Plan(Displayed):
     Attributes:
         mission: that was planned.
         provenance: method, start and solver.
-        stages: all runs; the final one need not be the last.
-        final: the run that holds the answer.
-        timing: of all stages, s.
         total_s: of planning, s.
-        target: probability that the rows of an exact plan are held to; None of others.
-        certificate: probability that flights of an exact plan reached; None without such flights.
         starts: local optima, where there were several starts.
         parent: the plan before, of one made in flight.
         without_uncertainty: the cheapest P3; None if planning began at a plan without one.
@@ -286,12 +290,7 @@ class Plan(Displayed):
 
     mission: Mission
     provenance: Provenance
-    stages: tuple[Stage, ...]
-    final: Stage
-    timing: Timing
     total_s: float
-    target: float | None = None
-    certificate: Certificate | None = None
     starts: Starts | None = None
     parent: Parent | None = None
     without_uncertainty: WithoutUncertainty | None = None
@@ -309,11 +308,6 @@ class Plan(Displayed):
     def __getstate__(self) -> dict[str, object]:
         """Its fields; a copy computes the cached arrays again, read-only too."""
         return {field.name: getattr(self, field.name) for field in fields(self)}
-
-    @property
-    def status(self) -> Status:
-        """Status of the final stage."""
-        return self.final.result.status
 
     @property
     def times_s(self) -> Array:
@@ -441,29 +435,7 @@ class Plan(Displayed):
         return self.mission.scenario, made, runs
 
 
-class AimedPlan(Protocol):
-    """Protocol of a plan that may have a target probability: of a mission or an `ImpulsiveProblem`."""
-
-    __dataclass_fields__: ClassVar[dict[str, Any]]
-
-    @property
-    def final(self) -> Stage:
-        """The run that holds the answer."""
-
-    @property
-    def status(self) -> Status:
-        """Status of the final stage."""
-
-    @property
-    def target(self) -> float | None:
-        """Probability that the rows of an exact plan are held to."""
-
-    @property
-    def certificate(self) -> Certificate | None:
-        """Probability that flights reached."""
-
-
-Aimed = TypeVar("Aimed", bound=AimedPlan)
+Aimed = TypeVar("Aimed", bound=StagedPlan)
 
 
 def as_interrupted(plan: Aimed) -> Aimed:

@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property, partial
 from time import perf_counter
-from typing import Any, Final, Generic, TypeVar
+from typing import Any, Final, Generic, Literal, TypeVar
 
 import numpy as np
 
@@ -83,7 +83,7 @@ AnyProblem = TypeVar("AnyProblem", bound=PlanningProblem)
 
 
 class Planner(Generic[AnyProblem]):
-    """A `StageSolver` by SCP that keeps its compiled subproblems and solvers.
+    """A `StageSolver` by SCP that keeps its compiled subproblems and solvers; IPOPT's is derived.
 
     They serve any task with the same constraints, burn nodes and nodes: see `plan` and `replan`.
 
@@ -99,6 +99,8 @@ class Planner(Generic[AnyProblem]):
         InputError: if the algorithm cannot weigh a miss of the final state where that is needed.
     """
 
+    method: Literal["scp", "ipopt"] = "scp"
+
     def __init__(
         self,
         task: AnyProblem,
@@ -111,7 +113,7 @@ class Planner(Generic[AnyProblem]):
     ) -> None:
         self.task = task
         self.target: Final = task.risk.p_chance if target is None else target
-        self._names = formulation, algorithm, solver
+        self.names = formulation, algorithm, solver
         limited = any(limit is not None for limit in task.problem.final_spread)
         special: dict[str, float] = {"weight": WEIGHT} if limited else {}
         if task.problem.feedback is not None:
@@ -161,7 +163,7 @@ class Planner(Generic[AnyProblem]):
 
     def exact_stages(self, *, growing: bool = False) -> Sequence[StageSpec]:
         """See `StageSolver`."""
-        formulation = self._names[0]
+        formulation = self.names[0]
         if formulation not in FULL:
             needs = f"goes with the formulations {' and '.join(FULL)}, not with {formulation}"
             raise InputError("risk.allocation", "'exact'", needs)
@@ -214,7 +216,7 @@ class Planner(Generic[AnyProblem]):
         """The convex subproblem with some rows; the last ones of P3 and of P2 are kept."""
         kept = self._kept.get(type(rows))
         if kept is None or kept.merit.rows is not rows:
-            formulation, _, solver = self._names
+            formulation, _, solver = self.names
             penalty = self.algorithm.penalty
             kept = make_subproblem(rows.problem, rows, formulation, solver, penalty)
             self._kept[type(rows)] = kept
@@ -233,12 +235,12 @@ class Planner(Generic[AnyProblem]):
             own: dict[str, Any] = {"max_iterations": spec.max_iterations}
             if spec.weight is not None:
                 own |= dict.fromkeys(("weight", "weight_max", "weight_limit"), spec.weight)
-            algorithm = ALGORITHMS[self._names[1]](**self._special | own)
+            algorithm = ALGORITHMS[self.names[1]](**self._special | own)
         resolution = max(rows.resolution, spec.resolution)
         algorithm = algorithm.resolving(resolution)
         seen, rough = partial(observe, spec.name), spec.max_iterations is not None
         result = run(subproblem, dynamics, start, algorithm, seen, rough=rough)
-        formulation, _, solver = self._names
+        formulation, _, solver = self.names
         # Frozen derivatives prove nothing, and a stage of few iterations is not asked to.
         if formulation in FULL and not rough:
             slopes = None
@@ -257,7 +259,7 @@ class Planner(Generic[AnyProblem]):
 
         Nor with feedback, where each takes as long as a plan.
         """
-        formulation, algorithm, solver = self._names
+        formulation, algorithm, solver = self.names
         may_miss = self.task.problem.miss_weight is not None
         names = ("ptr",) if may_miss else ("ptr", "scvx-star")
         return {
@@ -275,7 +277,7 @@ class Planner(Generic[AnyProblem]):
     @cached_property
     def scout(self) -> StageSolver:
         """See `StageSolver`: this planner, if it plans as usual, or one that does."""
-        usual = self._names == (FORMULATION, ALGORITHM, SOLVER)
+        usual = self.names == (FORMULATION, ALGORITHM, SOLVER)
         return self if usual else Planner(self.task)
 
     def plan(
@@ -348,23 +350,19 @@ class Planner(Generic[AnyProblem]):
     def _provenance(self, init: str) -> tuple[Provenance, float | None]:
         """Words on how a plan is made, and the target probability of exact risk."""
         exact = self.task.risk.allocation == "exact"
-        return Provenance(*self._names, init), self.target if exact else None
+        return Provenance(*self.names, init, self.method), self.target if exact else None
 
 
 def plan(
     mission: Mission,
     guess: Iterate | Plan,
     *,
-    problem: Problem = "P2",
     formulation: str = FORMULATION,
     algorithm: str = ALGORITHM,
     solver: str = SOLVER,
     target: float | None = None,
     p3_resolution: float = 0.0,
-    facet_rounds: FacetRounds = 0,
-    init: str = "given",
-    observe: Observer | None = None,
-    once: bool = False,
+    **how: Any,
 ) -> Plan:
     """Plan a mission once: `Planner.plan` with its arguments and those of `Planner`."""
     planner = Planner(
@@ -375,14 +373,7 @@ def plan(
         target=target,
         p3_resolution=p3_resolution,
     )
-    return planner.plan(
-        guess,
-        problem=problem,
-        facet_rounds=facet_rounds,
-        init=init,
-        observe=observe,
-        once=once,
-    )
+    return planner.plan(guess, **how)
 
 
 def screened(facets: Facets, lin: Linearisation, clearance: float) -> Booleans:

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from scp_recon.planning.initial_guess import bent
 from scp_recon.planning.missions import cheapest_p3
 from scp_recon.planning.plan import Plan, Stage, as_interrupted, is_converged, merit_of, rank
 from scp_recon.planning.records import Optimum, Starts
-from scp_recon.planning.stages import Observer, same_optimum
+from scp_recon.planning.stages import Observer, same_optimum, unobserved
 from scp_recon.scp.status import Status
 
 CHANCE, CHANCE_WITHOUT, STARTS_AUTO_MAX = 0.05, 0.01, 100
@@ -34,19 +34,15 @@ BEND, BURN = 0.5, 0.75
 
 
 def plan_from_several(
-    mission: Mission,
-    guess: Iterate,
+    first: Plan,
     make_plan: Callable[..., Plan],
     *,
     starts: int | Literal["auto"],
     seed: int = 0,
     workers: int = 1,
-    init: str = "given",
-    seen: Callable[[int, Plan], None] | None = None,
-    first: Plan | None = None,
     observe: Observer | None = None,
 ) -> Plan:
-    """Plan from the guess, and from the other optima of P3 that random flights lead to; keep the best.
+    """Plan also from the other optima of P3 that random flights lead to; keep the best plan.
 
     Every random flight is planned as P3, each optimum of P3 once as P2, the cheapest first; an optimum
     of P3 that costs more than the best P2 so far is left out where P3 bounds P2 (`_bounds`). Neither
@@ -54,41 +50,31 @@ def plan_from_several(
     plan so far, marked as interrupted.
 
     Args:
-        mission: to plan.
-        guess: the first start.
+        first: the plan from the first start, the guess.
         make_plan: like `planner.plan`; it must pickle, and with `once` plans from its start alone.
         starts: their number, the guess included; "auto" for as many as Boender and Rinnooy Kan's rule
             asks for, and more where P3 has no optimum: see `Starts.chance`.
         seed: of the random flights.
         workers: processes.
-        init: name of the guess.
-        seen: called with each start's number and plan.
-        first: the plan from the guess, if it is made already.
-        observe: called with the iterations of plans from the guess and from other optima.
+        observe: called with the iterations of plans from other optima, and with the last one of each
+            stage of each start, whose number then precedes the name of the stage.
     """
-    work = _Several(mission, guess, make_plan, seed, init, seen or unseen, observe)
+    work = _Several(first, make_plan, seed, observe)
     interrupted = False
     try:
-        work.begin(first)
+        work.note(first, [0])
         work.search(starts, workers)
         work.plan_others()
     except KeyboardInterrupt:
-        if not work.plans:
-            raise
         interrupted = True
     whole = [plan for plan in work.plans if plan.status is not Status.INTERRUPTED]
     best = max(whole or work.plans, key=lambda plan: rank(plan.final))
-    least = cheapest_p3(mission, [stage for stage, _ in work.optima])
+    least = cheapest_p3(first.mission, [stage for stage, _ in work.optima])
     return replace(
         as_interrupted(best) if interrupted else best,
         starts=work.listed() if work.number > 1 else None,
         without_uncertainty=least or best.without_uncertainty,
     )
-
-
-def unseen(number: int, plan: Plan) -> None:
-    """Show nothing of a start."""
-    del number, plan
 
 
 @dataclass
@@ -101,22 +87,18 @@ class _Several:
         number: of starts.
     """
 
-    mission: Mission
-    guess: Iterate
+    first: Plan
     make_plan: Callable[..., Plan]
     seed: int
-    init: str
-    seen: Callable[[int, Plan], None]
     observe: Observer | None
     plans: list[Plan] = field(default_factory=list)
     optima: list[tuple[Stage, list[int]]] = field(default_factory=list)
     number: int = 1
 
-    def begin(self, first: Plan | None) -> None:
-        """Plan from the guess, and from its other starts where it does not converge."""
-        first = first or self._made(self.guess, once=False, init=self.init)
-        self._note(first, [0])
-        self.mission = first.mission  # on the grid that planning may have refined
+    @property
+    def mission(self) -> Mission:
+        """The mission on the grid that planning may have refined."""
+        return self.first.mission
 
     def search(self, starts: int | Literal["auto"], workers: int) -> None:
         """Plan P3 from random flights, until so many starts are planned or the rule is met."""
@@ -130,9 +112,7 @@ class _Several:
                 if plan.status is not Status.INTERRUPTED:
                     self.number += 1
                     self._add(_p3_ends(plan), [int(done.key)])
-                self.seen(int(done.key), plan)
-                if plan.status is Status.INTERRUPTED:
-                    raise KeyboardInterrupt
+                self._show(int(done.key), plan)
                 listed = self.listed()
                 enough = CHANCE if listed.converged else CHANCE_WITHOUT
                 if starts == "auto" and listed.chance < enough:
@@ -141,34 +121,18 @@ class _Several:
     @property
     def _leads(self) -> bool:
         """Whether P3 leads to P2; else P3 was asked for."""
-        first = self.plans[0].final
-        return first.problem == "P2" or not is_converged(first)
+        return self.first.final.problem == "P2" or not is_converged(self.first.final)
 
     def plan_others(self) -> None:
         """Plan P2 from the optima of P3 to which only random flights led."""
-        if not self._leads:
-            return
-        new = [found for found in self.optima if _is_new(*found)]
+        new = [found for found in self.optima if _is_new(*found)] if self._leads else []
         for stage, numbers in sorted(new, key=lambda found: merit_of(found[0])):
             best = max((plan.final for plan in self.plans), key=rank)
             if _bounds(self.mission) and is_converged(best) and merit_of(stage) >= merit_of(best):
                 continue
-            start, called = (
-                self._on_grid(stage.result.lin.iterate),
-                f"random flight {numbers[0]} of seed {self.seed}",
-            )
-            self._note(self._made(start, once=True, init=called), numbers)
-
-    def _made(self, start: Iterate, **how: Any) -> Plan:
-        """A plan on the present grid, observed."""
-        return self.make_plan(self.mission, start, observe=self.observe, **how)
-
-    def _on_grid(self, found: Iterate) -> Iterate:
-        """A flight on the mission's nodes, which may have been found on a finer grid."""
-        if len(found.mean) == len(self.mission.times_s):
-            return found
-        path = self.mission.dynamics.rollout(self.mission.problem.initial_state, found.burns)
-        return replace(found, mean=path)
+            start = on_grid(self.mission, stage.result.lin.iterate)
+            how = {"init": f"random flight {numbers[0]} of seed {self.seed}", "once": True}
+            self.note(self.make_plan(self.mission, start, observe=self.observe, **how), numbers)
 
     def listed(self) -> Starts:
         """The list of distinct optima, P3's first, the cheapest first."""
@@ -188,14 +152,25 @@ class _Several:
         optima.sort(key=lambda o: (o.problem == "P2", o.status != "converged", o.total_dv_m_s))
         return Starts(self.number, self.seed, tuple(optima))
 
-    def _note(self, plan: Plan, numbers: list[int]) -> None:
+    def note(self, plan: Plan, numbers: list[int]) -> None:
         """Keep a plan and the optima where its runs ended."""
         self.plans.append(plan)
-        self.seen(numbers[0], plan)
-        if plan.status is Status.INTERRUPTED:
-            raise KeyboardInterrupt
+        self._show(numbers[0], plan)
         final = [plan.final] if plan.final.problem == "P2" and _is_optimum(plan.final) else []
         self._add([*_p3_ends(plan), *final], numbers)
+
+    def _show(self, number: int, found: Plan) -> None:
+        """Show the last iteration of each stage.
+
+        Raises:
+            KeyboardInterrupt: if the plan was interrupted.
+        """
+        observe = self.observe or unobserved
+        for stage in found.stages:
+            for record in stage.result.records[-1:]:
+                observe(f"{number} {stage.name}", record)
+        if found.status is Status.INTERRUPTED:
+            raise KeyboardInterrupt
 
     def _add(self, ends: Iterable[Stage], numbers: list[int]) -> None:
         """Add ends of runs to the optima that they are."""
@@ -206,6 +181,14 @@ class _Several:
                     break
             else:
                 self.optima.append((stage, list(numbers)))
+
+
+def on_grid(mission: Mission, found: Iterate) -> Iterate:
+    """A flight on the mission's nodes, which may have been found on a finer grid."""
+    if len(found.mean) == len(mission.times_s):
+        return found
+    path = mission.dynamics.rollout(mission.problem.initial_state, found.burns)
+    return replace(found, mean=path)
 
 
 def _p3_of(

@@ -357,6 +357,7 @@ def ballistic_arc(mission: Mission) -> Solution:
     result = Result(Status.MAX_ITERATIONS, lin, (), Timing())
     stage = Stage(spec, result, merit, SCvx().feasible)
     provenance = Provenance(NOT_OPTIMISED, NOT_OPTIMISED, NOT_OPTIMISED, "ballistic", "none")
-    solution = make_solution(Plan(mission, provenance, (stage,), stage, Timing(), 0.0))
+    made = Plan(mission, provenance, 0.0, stages=(stage,), final=stage, timing=Timing())
+    solution = make_solution(made)
     message = "Not a plan: the ballistic arc between the boundary positions, evaluated as it is."
     return _resolved(replace(solution, message=message), mission)

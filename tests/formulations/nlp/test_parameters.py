@@ -7,12 +7,11 @@ import pytest
 
 from formulations.nlp.program import Start
 from formulations.nlp.shooting import SingleShooting
-from formulations.nlp.solve import VARIANTS
 from formulations.rows.uniform import ChanceRows
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess, ipopt
-from scp_recon.planning.ipopt import IpoptStages, casadi_arcs
+from scp_recon.planning.ipopt import IpoptPlanner, casadi_arcs
 from scp_recon.planning.plan import Plan
 from scp_recon.planning.stages import unobserved
 from scp_recon.scenario.load import load_scenario
@@ -53,7 +52,7 @@ def test_rows_have_the_parameters_of_the_convex_side(plan):
 def test_ipopt_finds_the_same_plan_with_parameters(plan):
     """The same facets from the plan's burns: one problem, to 1e-5."""
     mission, lin = plan.mission, plan.final.result.lin
-    stages = IpoptStages(mission, casadi_arcs(mission.flow), VARIANTS["shooting"])
+    stages = IpoptPlanner(mission, "shooting")
     pushed = mission.dynamics.linearise(
         mission.problem, initial_guess.from_burns(mission, 1.05 * plan.burns_m_s)
     )

@@ -194,7 +194,9 @@ def corrected(solution) -> Solution:
     result = Result(Status.CONVERGED, case.lin, (), Timing())
     stage = Stage(StageSpec("P2", merit.rows), result, merit, 1e-6)
     provenance = Provenance("condensed", "scvx", "clarabel", "given")
-    return make_solution(Plan(case.mission, provenance, (stage,), stage, Timing(), 0.0))
+    return make_solution(
+        Plan(case.mission, provenance, 0.0, stages=(stage,), final=stage, timing=Timing())
+    )
 
 
 @pytest.mark.slow

@@ -4,6 +4,7 @@ import itertools
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,8 +19,8 @@ from scp_recon.planning import initial_guess
 from scp_recon.planning.plan import Plan
 from scp_recon.planning.planner import plan
 from scp_recon.planning.records import Optimum, Starts
-from scp_recon.planning.stages import path_ignores_burns, unobserved
-from scp_recon.planning.starts import _Several, plan_from_several, random_flight, unseen
+from scp_recon.planning.stages import path_ignores_burns
+from scp_recon.planning.starts import on_grid, plan_from_several, random_flight
 from scp_recon.results.solution import make_solution
 from scp_recon.scp.algorithms import ALGORITHMS
 from scp_recon.scp.loop import Record
@@ -271,13 +272,17 @@ def test_an_interrupted_opening_is_judged_by_all_rows(mission):
     assert make_solution(found).problem == "P3"
 
 
-THREE = partial(plan_from_several, make_plan=partial(plan, problem="P3"), starts=3)
-"""Of which the third, by seed 0, flies beyond the cone of the least emission."""
+P3 = partial(plan, problem="P3")
+
+
+def three(mission: Mission, **how: Any) -> Plan:
+    """Of three starts of P3; the third, by seed 0, flies beyond the cone of the least emission."""
+    return plan_from_several(P3(mission, initial_guess.cold(mission)), P3, starts=3, **how)
 
 
 @pytest.fixture(scope="module")
 def found(mission) -> Plan:
-    return THREE(mission, initial_guess.cold(mission))
+    return three(mission)
 
 
 @pytest.mark.slow
@@ -300,7 +305,7 @@ def test_several_starts_find_both_optima_of_p3(mission, found):
 @pytest.mark.slow
 @nightly
 def test_neither_plan_nor_optima_depend_on_the_processes(mission, found):
-    split = THREE(mission, initial_guess.cold(mission), workers=2)
+    split = three(mission, workers=2)
     assert split == found
     assert split.starts == found.starts
 
@@ -320,9 +325,9 @@ def test_random_flights_obey_dynamics_and_follow_their_seed(mission):
 
 
 @pytest.mark.slow
-def test_p2_from_dearer_p3_is_left_out(mission, default_plan):
+def test_p2_from_dearer_p3_is_left_out(default_plan):
     """Both optima of P3 are listed; P2 costs less than the dearer one, which bounds the P2 near it."""
-    found = plan_from_several(mission, initial_guess.cold(mission), plan, starts=3)
+    found = plan_from_several(default_plan, plan, starts=3)
     assert found.total_dv_m_s == pytest.approx(default_plan.total_dv_m_s, rel=1e-6)
     assert [(o.problem, o.status, o.starts) for o in found.starts.optima] == [
         ("P3", "converged", (0, 1)),
@@ -363,11 +368,11 @@ def test_starts_end_by_the_rule():
 
 @pytest.mark.slow
 def test_an_interrupt_keeps_the_best_start_so_far(mission):
-    def stop(number: int, _: Plan) -> None:
-        if number == 1:
+    def stop(stage: str, _: Record) -> None:
+        if stage.startswith("1 "):
             raise KeyboardInterrupt
 
-    found = THREE(mission, initial_guess.cold(mission), seen=stop)
+    found = three(mission, observe=stop)
     assert found.status is Status.INTERRUPTED
     assert found.total_dv_m_s == pytest.approx(0.107723, rel=1e-4)
     assert [o.starts for o in found.starts.optima] == [(0, 1)]
@@ -376,18 +381,9 @@ def test_an_interrupt_keeps_the_best_start_so_far(mission):
 def test_optima_on_finer_grids_start_on_the_missions(mission):
     """A close random flight may want shorter steps than the plan beside it."""
     finer = mission.changed({"grid.step_max_s": 100.0})
-    work = _Several(mission, initial_guess.cold(mission), plan, 0, "cold", unseen, unobserved)
-    found = work._on_grid(random_flight(finer, 0, 1))
+    found = on_grid(mission, random_flight(finer, 0, 1))
     lin = mission.dynamics.linearise(mission.problem, found)
     assert np.abs(lin.defects[:-1]).max() < 1e-9
     assert found.burns == pytest.approx(random_flight(finer, 0, 1).burns)
     same = random_flight(mission, 0, 1)
-    assert work._on_grid(same) is same
-
-
-def test_an_interrupt_before_any_start_is_no_plan(mission):
-    def stop(*_: object, **__: object) -> Plan:
-        raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        plan_from_several(mission, initial_guess.cold(mission), stop, starts=2)
+    assert on_grid(mission, same) is same

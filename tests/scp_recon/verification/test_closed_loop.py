@@ -120,7 +120,7 @@ def with_gains(*overrides: str) -> Solution:
     result = Result(Status.MAX_ITERATIONS, lin, (), Timing())
     stage = Stage(StageSpec("P3", merit.rows), result, merit, SCvx().feasible)
     made = Provenance("none", "none", "none", "given", "none")
-    return make_solution(Plan(mission, made, (stage,), stage, Timing(), 0.0))
+    return make_solution(Plan(mission, made, 0.0, stages=(stage,), final=stage, timing=Timing()))
 
 
 def gates(magnitude: float, bias: float) -> str:
