@@ -10,15 +10,11 @@ from time import process_time
 from typing import TypeVar
 
 from scp_recon.api.planning import PlanObserver, Watch
-from scp_recon.certification.flights import Watch as FlightWatch
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.estimates import Estimate
 from scp_recon.planning.plan import Plan
 from scp_recon.scp.loop import Record
-
-OTHERS = (".ptr", ".scvx-star")
-"""Ends of the names of stages by other algorithms."""
 
 T = TypeVar("T")
 
@@ -109,25 +105,3 @@ class Clock(Watch):
         if found is None:
             self.tried.append(name)
         return found
-
-
-class Undecided(Exception):  # noqa: N818 -- no error
-    """The usual algorithm has found no plan."""
-
-
-@dataclass
-class Roughly:
-    """Observer of a rough plan: it ends where other algorithms would be tried."""
-
-    clock: Clock
-
-    def __call__(self, stage: str, record: Record) -> None:
-        """An iteration is done."""
-        if stage.endswith(OTHERS):
-            raise Undecided
-        self.clock(stage, record)
-
-    @property
-    def flights(self) -> FlightWatch:
-        """Observer of flights."""
-        return self.clock.flights

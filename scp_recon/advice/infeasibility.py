@@ -12,14 +12,20 @@ import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import pairwise
 
 import numpy as np
 
 from scp_recon.advice.clock import Clock
 from scp_recon.advice.trials import (
+    CONE,
+    CORRECTED,
+    DIRECTIONS,
     FINAL_SPREAD,
     FINAL_STATE,
+    FREE_CONE_DEG,
     LARGEST,
+    LIMITS,
     MORE_BURNS,
     PROBABILITY,
     RETURN,
@@ -28,7 +34,10 @@ from scp_recon.advice.trials import (
     Case,
     Changes,
     Remedy,
+    limits_violated,
     rounded,
+    spreads_of,
+    violated_by,
 )
 from scp_recon.api.inputs import PlanRequest
 from scp_recon.api.planning import carry_out
@@ -63,10 +72,74 @@ FINER, STRICTER = "a finer grid", "a higher probability"
 EXECUTED, UNCORRECTED = "the least burn", "burns without corrections"
 TARGET = "the target of the certificate"
 
+FEEDBACK = {
+    "policy.kind": "feedback",
+    "navigation.sigma_position_m": 5.0,
+    "navigation.sigma_velocity_m_s": 0.0005,
+}
+"""Feedback as it is tried where the scenario has no measurements of its own."""
 
-def repairs(
-    case: Case, verification: Verification | None
-) -> Iterator[tuple[str, Callable[[], Remedy | None]]]:
+Trials = Iterator[tuple[str, Callable[[str], Remedy | None]]]
+"""Names of what is tried, and trials that find a remedy of that name."""
+
+
+def relaxations(case: Case, p3: Status) -> Trials:
+    """Trials of an infeasible plan: of what is violated and of what gives up nothing first.
+
+    Risk may be what makes the plan infeasible unless P3, which has none, is infeasible too.
+    """
+    scenario, violated = case.scenario, violated_by(case.failed)
+    is_risky = case.request.options.problem == "P2" and p3 is not Status.INFEASIBLE
+    cone = scenario.battery.delta_v_cone_deg, FREE_CONE_DEG
+    burns = {
+        "dv_max": (SIZE, partial(case.relaxed, {}, sized=True)),
+        "dv_battery": (DIRECTIONS, partial(case.relaxed, {CONE: cone})),
+    }
+    if is_risky and scenario.risk.allocation == "uniform":
+        yield SPLIT, partial(case.first, [{"risk.allocation": "exact"}])
+        if case.remedies:
+            return  # nothing else has to be given up
+    yield from (trial for name, trial in burns.items() if name in violated)
+    if is_risky and spreads_of(scenario):
+        yield FINAL_SPREAD, partial(case.relaxed, spreads_of(scenario))
+    limits, sized = limits_violated(scenario, violated), "dv_max" in violated
+    if len(limits) > 1 or (limits and sized):
+        yield f"{LIMITS} together", partial(case.relaxed, limits, sized=sized)
+    for entry, ends in limits.items():
+        yield f"{LIMITS}: {entry}", partial(case.relaxed, {entry: ends})
+    if case.request.remade is not None and case.failed.mission.observed_s is not None:
+        yield RETURN, partial(case.first, [{"observation.required": False}])
+    yield from (trial for name, trial in burns.items() if name not in violated)
+    case.miss = case.clock.attempt(FINAL_STATE, case.final_miss)
+    if not is_risky:
+        return
+    yield PROBABILITY, case.likeliest
+    if case.scenario.policy.kind == "open":
+        measures = case.scenario.navigation.measures
+        changes: dict[str, object] = {"policy.kind": "feedback"} if measures else dict(FEEDBACK)
+        if case.scenario.risk.allocation != "exact":
+            changes["risk.allocation"] = "exact"
+        yield CORRECTED, partial(case.first, [changes])
+
+
+def rescues(case: Case) -> Trials:
+    """Trials of a lost flight: burns added to its rest, and the rest without its observation."""
+    scenario = case.scenario
+    times = list(scenario.burns.times_s)
+    ends = [scenario.start_s, *(t for t in times if t > scenario.start_s)]
+    apart = min(late - early for early, late in pairwise(times))
+    several = [
+        sorted([*times, float(round(begin + share * (end - begin)))])
+        for share in (0.5, 0.25, 0.75)
+        for begin, end in pairwise(ends)
+    ]
+    several += [[*times, *(times[-1] + k * apart for k in range(1, n + 1))] for n in (1, 2)]
+    yield MORE_BURNS, partial(case.first, [{"burns.times_s": one} for one in several])
+    if not case.remedies and case.failed.mission.observed_s is not None:
+        yield RETURN, partial(case.first, [{"observation.required": False}])
+
+
+def repairs(case: Case, verification: Verification | None) -> Trials:
     """Trials of a plan without a verdict, or of one whose verification fails, by its checks."""
     mission, scenario, options = case.failed.mission, case.scenario, case.request.options
     kinds = {STATUS}
@@ -81,29 +154,31 @@ def repairs(
         if verification is not None and GRID in kinds:
             steps.insert(0, needed_step_s(mission, verification))
         finer: list[Changes] = [{"grid.step_max_s": step} for step in steps if step >= 1.0]
-        yield FINER, partial(case.first, FINER, finer)
+        yield FINER, partial(case.first, finer)
     uniform = options.problem == "P2" and risk.allocation == "uniform"
     if kinds & {STATUS, SHORT} and uniform:
-        yield SPLIT, partial(case.confirmed, SPLIT, {"risk.allocation": "exact"})
+        yield SPLIT, partial(case.first, [{"risk.allocation": "exact"}])
     if kinds & {BY_LAW, DRIFT} and risk.allocation == "exact" and options.certify is False:
-        yield CERTIFIED, partial(case.confirmed, CERTIFIED, {}, certified=True)
+        yield CERTIFIED, partial(case.confirmed, {}, certified=True)
     if kinds & {SHORT, BY_LAW}:
-        yield STRICTER, partial(case.first, STRICTER, _steeper("risk.p_chance", risk.p_chance))
+        yield STRICTER, partial(case.first, _steeper("risk.p_chance", risk.p_chance))
     if SPREAD in kinds:
-        yield FINAL_SPREAD, case.final_spread
+        yield FINAL_SPREAD, partial(case.relaxed, spreads_of(scenario))
     if COMMANDS in kinds:
         larger = [{LARGEST: rounded(f * burns.dv_max_m_s)} for f in (1.1, 1.25, 1.5, 2.0)]
-        yield SIZE, partial(case.first, SIZE, larger)
-        yield UNCORRECTED, partial(case.confirmed, UNCORRECTED, {"policy.kind": "open"})
+        yield SIZE, partial(case.first, larger)
+        yield UNCORRECTED, partial(case.first, [{"policy.kind": "open"}])
     if UNEXECUTED in kinds:
         sizes = np.linalg.norm(case.failed.burns_m_s, axis=1)
         least = {"burns.dv_min_m_s": rounded(float(sizes[sizes > 0.0].min()), up=False)}
-        yield EXECUTED, partial(case.confirmed, EXECUTED, least)
+        yield EXECUTED, partial(case.first, [least])
     entry = "safety.drift_probability"
     if DRIFT in kinds and (asked := scenario.safety.drift_probability) is not None:
-        yield STRICTER, partial(case.first, STRICTER, _steeper(entry, asked))
+        yield STRICTER, partial(case.first, _steeper(entry, asked))
     if kinds & {STATUS, CERTIFICATE} and case.failed.target is not None:
-        yield TARGET, partial(_lower_promise, case)
+        below = [1.0 - rounded((1.0 - risk.p_chance) * f, digits=1) for f in (1.1, 1.5, 2.0, 4.0)]
+        lower = dict.fromkeys(round(p, 9) for p in below if 0.5 < p < risk.p_chance)
+        yield TARGET, partial(case.first, [{"risk.p_chance": p} for p in lower])
 
 
 def kept(case: Case) -> float | None:
@@ -122,22 +197,14 @@ def kept(case: Case) -> float | None:
     return case.clock.attempt("flights of this plan", reached)
 
 
-def _continued(case: Case) -> Remedy | None:
+def _continued(case: Case, name: str) -> Remedy | None:
     """The user's command, started from the plan that failed; a certification goes on by itself."""
     options = case.request.options
     if options.is_certified(case.scenario) and options.objective == "delta-v":
         return None
     outcome = carry_out(replace(case.request, init=case.failed), case.clock)
     ok = outcome.verification is not None and outcome.verification.ok
-    return Remedy.of(CONTINUED, {}, outcome.plan) if ok else None
-
-
-def _lower_promise(case: Case) -> Remedy | None:
-    """The largest of some lower probabilities that flights certify."""
-    required = case.scenario.risk.p_chance
-    below = [1.0 - rounded((1.0 - required) * factor, digits=1) for factor in (1.1, 1.5, 2.0, 4.0)]
-    tries = dict.fromkeys(round(p, 9) for p in below if 0.5 < p < required)
-    return case.first(TARGET, [{"risk.p_chance": p} for p in tries])
+    return Remedy.of(name, {}, outcome.plan) if ok else None
 
 
 def _steeper(entry: str, asked: float) -> list[Changes]:
@@ -149,7 +216,7 @@ TIMES, LEAST_S = 3.0, 30.0
 """Limit of a diagnosis: so many times the processor time of the plan, at least so many seconds."""
 
 SHARE = 0.25
-SHARES = {SPLIT: 0.8, PROBABILITY: 0.5}
+SHARES = {SPLIT: 0.8, PROBABILITY: 0.5, CORRECTED: 1.0}
 """Shares of all time that a trial may take, and those of the dearer ones."""
 
 LEAST_TRIAL_S, WORTH_SAYING = 1.0, 1e-3
@@ -202,30 +269,25 @@ def diagnose(
     clock = Clock(max(TIMES * spent_s, LEAST_S), show=show)
     case = Case(failed, request, clock)
     p3 = _without_uncertainty(failed)
-    known = Diagnosis(p3, limit_s=clock.limit_s)
-    if failed.status is Status.LOST:
-        remedies = [clock.attempt(MORE_BURNS, case.more_burns)]
-        if not remedies[0] and failed.mission.observed_s is not None:
-            remedies.append(clock.attempt(RETURN, case.going_home))
-    elif failed.status is not Status.INFEASIBLE:
-        known = replace(known, kept=kept(case))
-        remedies = [
-            clock.attempt(name, work, SHARES.get(name, SHARE))
-            for name, work in repairs(case, verification)
-        ]
+    lost, share = failed.status is Status.LOST, None
+    if failed.status is Status.INFEASIBLE:
+        trials = relaxations(case, p3)
     else:
-        remedies = []
-        for name, work in case.trials(p3):
-            remedies.append(clock.attempt(name, work, SHARES.get(name, SHARE)))
-            if name == SPLIT and remedies[-1]:
-                break  # nothing else has to be given up
-        else:
-            known = replace(known, miss=clock.attempt(FINAL_STATE, case.final_miss))
-            for name, work in case.longer_trials(p3):
-                remedies.append(clock.attempt(name, work, SHARES.get(name, 1.0)))
-        known = replace(known, largest=case.largest)
-    found = tuple(remedy for remedy in remedies if remedy)
-    return replace(known, remedies=found, tried=tuple(clock.tried), left_out=tuple(clock.left_out))
+        share = None if lost else kept(case)
+        trials = rescues(case) if lost else repairs(case, verification)
+    for name, work in trials:
+        remedy = clock.attempt(name, partial(work, name), 1.0 if lost else SHARES.get(name, SHARE))
+        case.remedies += [remedy] if remedy else []
+    return Diagnosis(
+        p3,
+        tuple(case.remedies),
+        tuple(clock.tried),
+        tuple(clock.left_out),
+        clock.limit_s,
+        case.miss,
+        share,
+        case.largest,
+    )
 
 
 @one_thread

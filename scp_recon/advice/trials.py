@@ -9,10 +9,8 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import partial
-from itertools import pairwise
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.special import ndtr, ndtri
@@ -20,7 +18,7 @@ from scipy.special import ndtr, ndtri
 from formulations.problem.controls import Cost
 from formulations.problem.flyby import Iterate
 from formulations.registry import FULL
-from scp_recon.advice.clock import Clock, Roughly, TimeIsUp, Undecided
+from scp_recon.advice.clock import Clock, TimeIsUp
 from scp_recon.api.inputs import PlanRequest
 from scp_recon.api.options import PlanOptions
 from scp_recon.api.planning import PlanOutcome, carry_out, plan_mission
@@ -45,8 +43,8 @@ user's grid may require more than a rough plan does, and flights do."""
 SEARCHING = 0.6
 """Share of the time for a lower probability in which the largest is looked for."""
 
-LARGEST = "burns.dv_max_m_s"
-"""Entry of the largest burn."""
+LARGEST, CONE = "burns.dv_max_m_s", "battery.delta_v_cone_deg"
+"""Entries of the largest burn, and of the cone that burns avoid."""
 
 FREE = 100.0
 """Factor on the largest burn and on the final spread if they are relaxed."""
@@ -60,13 +58,6 @@ the final state is relaxed."""
 
 STEPS = 6
 """Bisections of the shares by which limits are relaxed."""
-
-FEEDBACK = {
-    "policy.kind": "feedback",
-    "navigation.sigma_position_m": 5.0,
-    "navigation.sigma_velocity_m_s": 0.0005,
-}
-"""Feedback as it is tried where the scenario has no measurements of its own."""
 
 SIZE, DIRECTIONS = "the size of the burns", "the directions of the burns"
 FINAL_STATE, LIMITS = "the final state", "the limits"
@@ -88,14 +79,12 @@ class Remedy:
         changes: values by entry.
         cost_m_s: delta-v of the plan, as `counted` counts it.
         certify: option of certification that the command needs; None for its own.
-        options: of the command, that stand for the changes.
     """
 
     name: str
     changes: Changes
     cost_m_s: float
     certify: bool | None = None
-    options: tuple[str, ...] = ()
     counted: Cost = "nominal"
 
     @classmethod
@@ -121,12 +110,16 @@ class Case:
     """A failed plan, the request of its command, and the trials that the time allows.
 
     Attributes:
+        remedies: found so far.
+        miss: see `Diagnosis`.
         largest: see `Diagnosis`.
     """
 
     failed: Plan
     request: PlanRequest
     clock: Clock
+    remedies: list[Remedy] = field(default_factory=list)
+    miss: tuple[float, float] | None = None
     largest: float | None = None
 
     @property
@@ -134,56 +127,18 @@ class Case:
         """That of the failed plan."""
         return self.failed.mission.scenario
 
-    def trials(self, p3: Status) -> Iterator[tuple[str, Callable[[], Remedy | None]]]:
-        """Trials of an infeasible plan: of what is violated and of what gives up nothing first."""
-        risky = self._is_risky(p3)
-        risk, violated = self.scenario.risk, violated_by(self.failed)
-        if risky and risk.allocation == "uniform":
-            yield SPLIT, partial(self.confirmed, SPLIT, {"risk.allocation": "exact"})
-        burns = [("dv_max", SIZE, self._size), ("dv_battery", DIRECTIONS, self._directions)]
-        for name, what, work in burns:
-            if name in violated:
-                yield what, work
-        if risky and _spreads(self.scenario):
-            yield FINAL_SPREAD, self.final_spread
-        entries = _entries(self.scenario, violated)
-        if len(entries) > 1 or (entries and "dv_max" in violated):
-            yield f"{LIMITS} together", partial(self._together, entries)
-        for entry in entries:
-            yield f"{LIMITS}: {entry}", partial(self._limits, {entry: entries[entry]})
-        if self.request.remade is not None and self.failed.mission.observed_s is not None:
-            yield RETURN, self.going_home
-        for name, what, work in burns:
-            if name not in violated:
-                yield what, work
-
-    def longer_trials(self, p3: Status) -> Iterator[tuple[str, Callable[[], Remedy | None]]]:
-        """Trials of an infeasible plan that take longest."""
-        if self._is_risky(p3):
-            yield PROBABILITY, self._probability
-            if self.scenario.policy.kind == "open":
-                yield CORRECTED, self._feedback
-
-    def _is_risky(self, p3: Status) -> bool:
-        """Whether risk may be what makes the plan infeasible."""
-        return self.request.options.problem == "P2" and p3 is not Status.INFEASIBLE
-
-    def rough(self, changes: Changes, *, certain: bool = False) -> Plan | None:
+    def rough(self, changes: Changes) -> Plan | None:
         """A plan with other values, from one start and without flights; None if there is none."""
         mission = self.failed.mission.changed(changes)
-        return self._roughly(mission, self.failed.final.result.lin.iterate, certain=certain)
+        return self._roughly(mission, self.failed.final.result.lin.iterate)
 
-    def _roughly(self, mission: Mission, start: Iterate, *, certain: bool = False) -> Plan | None:
+    def _roughly(self, mission: Mission, start: Iterate) -> Plan | None:
         if len(start.mean) != len(mission.times_s):
             start = from_burns(mission, self.failed.burns_m_s)
-        problem = "P3" if certain else self.request.options.problem
+        problem = self.request.options.problem
         exact = problem == "P2" and mission.scenario.risk.allocation == "exact"
         options = PlanOptions(problem, certify=False if exact else None, facet_rounds=0, starts=1)
-        observe = Roughly(self.clock)
-        try:
-            plan = plan_mission(mission, start, options, observe, once=True)
-        except Undecided:
-            return None
+        plan = plan_mission(mission, start, options, self.clock, once=True, others=False)
         return plan if _converged(plan) else None
 
     def command(self, changes: Changes, *, certify: bool | None = None) -> PlanOutcome | None:
@@ -201,14 +156,15 @@ class Case:
         return outcome if outcome.verification.ok else None
 
     def confirmed(
-        self, name: str, changes: Changes, *, certified: bool | None = None
+        self, changes: Changes, name: str, *, certified: bool | None = None
     ) -> Remedy | None:
         """The remedy, if the user's command ends verified with these values.
 
         A command that turns to exact risk is tried without flights, then with them.
         """
-        turns = changes.get("risk.allocation", "uniform") != self.scenario.risk.allocation
-        for certify in (False, True) if turns and "risk.allocation" in changes else (certified,):
+        own = self.scenario.risk.allocation
+        turns = changes.get("risk.allocation", own) != own
+        for certify in (False, True) if turns else (certified,):
             try:
                 outcome = self.command(changes, certify=certify)
             except InputError:  # no flights certify so much
@@ -217,53 +173,29 @@ class Case:
                 return Remedy.of(name, changes, outcome.plan, certify)
         return None
 
-    def first(self, name: str, several: Sequence[Changes]) -> Remedy | None:
+    def first(self, several: Sequence[Changes], name: str) -> Remedy | None:
         """The remedy of the first values that suffice."""
-        return next((one for values in several if (one := self.confirmed(name, values))), None)
+        return next((one for values in several if (one := self.confirmed(values, name))), None)
 
-    def _size(self) -> Remedy | None:
-        """A larger limit of the burns, as large as a plan without it needs."""
-        free = self.rough({LARGEST: FREE * self.scenario.burns.dv_max_m_s})
-        if free is None:
-            return None
-        # With corrections, or a limit that risk makes smaller, the mean burn alone does not suffice.
-        given = self.scenario.burns.dv_max_m_s
-        needed = MORE[-1] * float(np.linalg.norm(free.burns_m_s, axis=1).max())
-        return self._least(SIZE, {LARGEST: (given, max(given, needed))})
+    def relaxed(
+        self, entries: Mapping[str, tuple[float, float]], name: str, *, sized: bool = False
+    ) -> Remedy | None:
+        """The remedy with values the least of the way from the given ones to the widest.
 
-    def _directions(self) -> Remedy | None:
-        """A narrower cone that burns avoid; None if that alone does not suffice."""
-        entry, given = "battery.delta_v_cone_deg", self.scenario.battery.delta_v_cone_deg
-        if self.rough({entry: FREE_CONE_DEG}) is None:
-            return None
-        return self._least(DIRECTIONS, {entry: (given, FREE_CONE_DEG)})
-
-    def final_spread(self) -> Remedy | None:
-        """Larger limits on the final covariance, as large as a plan without them needs."""
-        given = _spreads(self.scenario)
-        return self._least(FINAL_SPREAD, {e: (v, FREE * v) for e, v in given.items()})
-
-    def _together(self, entries: Mapping[str, tuple[float, float]]) -> Remedy | None:
-        """Wider limits; where burns are too large, also as large ones as the widest limits need."""
-        if "dv_max" not in violated_by(self.failed):
-            return self._limits(entries)
-        given = self.scenario.burns.dv_max_m_s
-        widest: dict[str, object] = {entry: value for entry, (_, value) in entries.items()}
-        free = self.rough(widest | {LARGEST: FREE * given})
-        if free is None:
-            return None
-        needed = MORE[-1] * float(np.linalg.norm(free.burns_m_s, axis=1).max())
-        return self._limits({**entries, LARGEST: (given, max(given, needed))})
-
-    def _limits(self, entries: Mapping[str, tuple[float, float]]) -> Remedy | None:
-        """Wider limits: each by the same share of the way to the widest value."""
-        one = len(entries) == 1
-        return self._least(
-            f"{LIMITS}: {next(iter(entries))}" if one else f"{LIMITS} together", entries
-        )
-
-    def _least(self, name: str, entries: Mapping[str, tuple[float, float]]) -> Remedy | None:
-        """The remedy with values the least of the way from the given ones to the widest."""
+        All entries go by the same share of their way. If `sized`, the largest burn goes with them, to
+        what the widest values need: with corrections, or a limit that risk makes smaller, that is more
+        than the mean burn.
+        """
+        if sized:
+            given, widest = (
+                self.scenario.burns.dv_max_m_s,
+                {e: last for e, (_, last) in entries.items()},
+            )
+            free = self.rough({**widest, LARGEST: FREE * given})
+            if free is None:
+                return None
+            needed = MORE[-1] * float(np.linalg.norm(free.burns_m_s, axis=1).max())
+            entries = {**entries, LARGEST: (given, max(given, needed))}
 
         def at(share: float) -> dict[str, object]:
             return {
@@ -278,9 +210,9 @@ class Case:
             middle = 0.25 * high if low == 0.0 else math.sqrt(low * high)
             low, high = (low, middle) if self.rough(at(middle)) else (middle, high)
         shares = dict.fromkeys(min(1.0, factor * high) for factor in (*MORE, 2.0))
-        return self.first(name, [at(share) for share in shares])
+        return self.first([at(share) for share in shares], name)
 
-    def _probability(self) -> Remedy | None:
+    def likeliest(self, name: str) -> Remedy | None:
         """The largest probability with exact risk, of which the command ends verified."""
         required, allocation = self.scenario.risk.p_chance, self.scenario.risk.allocation
         split: Changes = {} if allocation == "exact" else {"risk.allocation": "exact"}
@@ -299,7 +231,7 @@ class Case:
             p = rounded_down(float(ndtr(ndtri(self.largest) - less)))
             if 0.5 < p < required:
                 tries.append({**split, "risk.p_chance": p})
-        return self.first(PROBABILITY, tries)
+        return self.first(tries, name)
 
     def _for_target(
         self, mission: Mission, start: Iterate | Plan, target: float, *, once: bool
@@ -310,14 +242,6 @@ class Case:
         if _converged(plan):
             self.largest = max(self.largest or 0.0, target)
         return plan
-
-    def _feedback(self) -> Remedy | None:
-        """Burns that are corrected in flight, with the scenario's measurements if it has any."""
-        measures = self.scenario.navigation.measures
-        changes: dict[str, object] = {"policy.kind": "feedback"} if measures else dict(FEEDBACK)
-        if self.scenario.risk.allocation != "exact":
-            changes["risk.allocation"] = "exact"
-        return self.confirmed(CORRECTED, changes)
 
     def final_miss(self) -> tuple[float, float] | None:
         """Miss in m and m/s of a plan that may miss the final state, on a grid that is fine enough.
@@ -338,26 +262,6 @@ class Case:
         # No scenario asks for such a problem: it takes the place of the one that this copy caches.
         vars(free)["problem"] = replace(mission.problem, miss_weight=FREE_MISS)
         return self._roughly(free, from_burns(free, self.failed.burns_m_s))
-
-    def more_burns(self) -> Remedy | None:
-        """Burns added to the rest of a flight, at the first of some times that suffice."""
-        scenario = self.scenario
-        times = list(scenario.burns.times_s)
-        ends = [scenario.start_s, *(t for t in times if t > scenario.start_s)]
-        apart = min(late - early for early, late in pairwise(times))
-        several = [
-            sorted([*times, float(round(begin + share * (end - begin)))])
-            for share in (0.5, 0.25, 0.75)
-            for begin, end in pairwise(ends)
-        ]
-        later = [[times[-1] + apart], [times[-1] + apart, times[-1] + 2.0 * apart]]
-        several += [[*times, *added] for added in later]
-        return self.first(MORE_BURNS, [{"burns.times_s": tried} for tried in several])
-
-    def going_home(self) -> Remedy | None:
-        """The rest of a flight without its observation."""
-        found = self.confirmed(RETURN, {"observation.required": False})
-        return found and replace(found, options=("--goal", "return"))
 
 
 def overrides_of(changes: Changes) -> list[str]:
@@ -387,14 +291,14 @@ def violated_by(plan: Plan) -> tuple[str, ...]:
     )
 
 
-def _spreads(scenario: Scenario) -> dict[str, float]:
-    """Limits on the final covariance by entry."""
+def spreads_of(scenario: Scenario) -> dict[str, tuple[float, float]]:
+    """Entries of the limits on the final covariance: their values, and far wider ones."""
     names = ("final_sigma_position_m", "final_sigma_velocity_m_s")
     given = {f"boundary.{name}": getattr(scenario.boundary, name) for name in names}
-    return {entry: float(value) for entry, value in given.items() if value is not None}
+    return {entry: (value, FREE * value) for entry, value in given.items() if value is not None}
 
 
-def _entries(scenario: Scenario, violated: Sequence[str]) -> dict[str, tuple[float, float]]:
+def limits_violated(scenario: Scenario, violated: Sequence[str]) -> dict[str, tuple[float, float]]:
     """Entries of the limits that are violated: their values, and the widest that make sense."""
     o, safety, battery = scenario.observation, scenario.safety, scenario.battery
     radius = scenario.body.reference_radius_m

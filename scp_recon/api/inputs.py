@@ -47,6 +47,7 @@ class PlannerArguments(TypedDict, total=False):
     target: float | None
     p3_resolution: float
     once: bool
+    others: bool
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,7 +12,7 @@ from typing import Self
 from rich.console import Console
 
 from scp_recon.advice.infeasibility import Diagnosis, cost_of_exact_risk, diagnose
-from scp_recon.advice.trials import Remedy, for_exact, overrides_of
+from scp_recon.advice.trials import RETURN, Remedy, for_exact, overrides_of
 from scp_recon.api.inputs import PlanRequest
 from scp_recon.api.keeping import UNVERIFIED, point_latest, run_folder
 from scp_recon.api.options import PlanOptions
@@ -253,10 +253,10 @@ def what_binds(diagnosis: Diagnosis) -> str:
 def what_would_do(remedy: Remedy, more: Sequence[str] = (), file: Path = Path(FILE_NAME)) -> str:
     """Options with which the command ended verified, and the delta-v of that plan."""
     turns = "risk.allocation" in remedy.changes or "risk.p_chance" in remedy.changes
-    options = [*(more if turns else ()), *remedy.options]
+    options = [*(more if turns else ()), *(("--goal", "return") if remedy.name == RETURN else ())]
     if not remedy.changes and remedy.certify is None:
         options += ["--init", str(file)]
-    for override in overrides_of({} if remedy.options else remedy.changes):
+    for override in overrides_of({} if remedy.name == RETURN else remedy.changes):
         options += ["--set", shlex.quote(override)]
     if remedy.certify is not None:
         options += ["--certify", "yes" if remedy.certify else "no"]

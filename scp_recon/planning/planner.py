@@ -94,6 +94,7 @@ class Planner(Generic[AnyProblem]):
         solver: of the convex programs.
         target: probability of exact constraints, by default the task's.
         p3_resolution: relative reduction of the merit at which P3 stops if P2 follows.
+        others: whether other algorithms are tried where exact risk ends badly.
 
     Raises:
         InputError: if the algorithm cannot weigh a miss of the final state where that is needed.
@@ -110,8 +111,9 @@ class Planner(Generic[AnyProblem]):
         solver: str = SOLVER,
         target: float | None = None,
         p3_resolution: float = 0.0,
+        others: bool = True,
     ) -> None:
-        self.task = task
+        self.task, self._has_others = task, others
         self.target: Final = task.risk.p_chance if target is None else target
         self.names = formulation, algorithm, solver
         limited = any(limit is not None for limit in task.problem.final_spread)
@@ -271,7 +273,7 @@ class Planner(Generic[AnyProblem]):
                 target=self.target,
             )
             for name in names
-            if algorithm == ALGORITHM and self.task.problem.feedback is None
+            if self._has_others and algorithm == ALGORITHM and self.task.problem.feedback is None
         }
 
     @cached_property
@@ -362,6 +364,7 @@ def plan(
     solver: str = SOLVER,
     target: float | None = None,
     p3_resolution: float = 0.0,
+    others: bool = True,
     **how: Any,
 ) -> Plan:
     """Plan a mission once: `Planner.plan` with its arguments and those of `Planner`."""
@@ -372,6 +375,7 @@ def plan(
         solver=solver,
         target=target,
         p3_resolution=p3_resolution,
+        others=others,
     )
     return planner.plan(guess, **how)
 

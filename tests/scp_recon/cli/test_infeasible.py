@@ -17,6 +17,7 @@ from scp_recon.advice.infeasibility import (
     CERTIFIED,
     CONTINUED,
     EXECUTED,
+    FEEDBACK,
     FINER,
     STRICTER,
     TARGET,
@@ -24,11 +25,11 @@ from scp_recon.advice.infeasibility import (
     Diagnosis,
     cost_of_exact_risk,
     diagnose,
+    relaxations,
     repairs,
 )
 from scp_recon.advice.trials import (
     CORRECTED,
-    FEEDBACK,
     FINAL_SPREAD,
     LIMITS,
     MORE_BURNS,
@@ -190,7 +191,7 @@ def small_burns() -> tuple[Case, Diagnosis]:
     with pytest.MonkeyPatch.context() as patch:
         fly_few(patch)
         patch.setattr(module, "LEAST_S", 20.0)
-        patch.setattr(Case, "_feedback", lambda _: None)
+        patch.setitem(module.SHARES, CORRECTED, 0.0)
         case = case_of(*EXACT, "burns.dv_max_m_s=0.038", "risk.p_chance=0.9")
         assert case.failed.status is Status.INFEASIBLE
         return case, diagnose(case.failed, case.request)
@@ -247,7 +248,7 @@ def test_feedback_is_tried_with_what_it_needs(small_burns, monkeypatch):
     case, _ = small_burns
     tried: list[dict[str, object]] = []
     monkeypatch.setattr(Case, "command", lambda _, changes, **__: tried.append(dict(changes)))
-    dict(case.longer_trials(Status.CONVERGED))[CORRECTED]()
+    dict(relaxations(case, Status.CONVERGED))[CORRECTED](CORRECTED)
     (changes,) = tried
     assert changes == FEEDBACK
     scenario = case.failed.mission.scenario.replace(changes)
@@ -272,10 +273,10 @@ def test_size_of_burns_is_relaxed_with_the_limits():
     near, options = "observation.site_distance_max_m", PlanOptions("P3", starts=1)
     case = case_of(*few, f"{near}=520.0", options=options)
     assert case.failed.status is Status.INFEASIBLE
-    trials = dict(case.trials(Status.INFEASIBLE))
-    assert trials[SIZE]() is None
-    assert trials[f"{LIMITS}: {near}"]() is None
-    remedy = trials[f"{LIMITS} together"]()
+    trials = dict(relaxations(case, Status.INFEASIBLE))
+    names = SIZE, f"{LIMITS}: {near}", f"{LIMITS} together"
+    *alone, remedy = (trials[name](name) for name in names)
+    assert alone == [None, None]
     assert remedy is not None
     assert {*remedy.changes} == {near, "burns.dv_max_m_s"}
     outcome = case.command(remedy.changes)

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from scp_recon.advice.trials import RETURN, Case, Remedy
+from scp_recon.advice.trials import RETURN, Remedy
 from scp_recon.cli.commands import compare, montecarlo, replan, simulate, verify
 from scp_recon.cli.plan_run import what_would_do
 from scp_recon.mission.mission import Mission
@@ -85,10 +85,5 @@ def test_verdict_has_the_miss_of_one_burn(plan_folder, state_at, tmp_path, capsy
 
 
 def test_advice_to_go_home_is_an_option_of_replan():
-    case = Case.__new__(Case)
-    found = Remedy(RETURN, {"observation.required": False}, 0.049)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Case, "confirmed", lambda *_: found)
-        remedy = case.going_home()
-    assert remedy is not None
+    remedy = Remedy(RETURN, {"observation.required": False}, 0.049)
     assert what_would_do(remedy) == "feasible, for 49.0 mm/s, with: --goal return"

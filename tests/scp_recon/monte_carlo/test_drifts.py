@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 from scipy.stats import binom
 
 import scp_recon as sr
-from scp_recon.advice.trials import _entries
+from scp_recon.advice.trials import limits_violated
 from scp_recon.certification import again
 from scp_recon.certification.again import shortfalls
 from scp_recon.errors import InputError
@@ -109,7 +109,9 @@ def test_a_mission_without_safe_plans_ends_infeasible(monkeypatch):
 
 def test_a_violated_drift_has_a_smaller_radius_to_try():
     scenario = planned(*ONE_DAY).mission.scenario
-    assert _entries(scenario, ("missed_burn_2",)) == {"safety.drift_radius_m": (500.0, 290.0)}
+    assert limits_violated(scenario, ("missed_burn_2",)) == {
+        "safety.drift_radius_m": (500.0, 290.0)
+    }
 
 
 @nightly
