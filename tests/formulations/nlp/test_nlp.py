@@ -372,7 +372,7 @@ def test_infeasible_is_never_called_solved(infeasible):
     variant = replace(VARIANTS["shooting"], p2=replace(QUASI_NEWTON, max_iterations=60))
     hard = solve_nlp(infeasible.problem, infeasible.arcs, infeasible.facets, start, variant)
     assert hard.outcome in (NlpOutcome.INFEASIBLE, NlpOutcome.LIMIT), hard.status
-    stages = ipopt.IpoptStages(mission, infeasible.arcs, VARIANTS["shooting"], elastic=True)
+    stages = ipopt.IpoptPlanner(mission, "shooting", elastic=True)
     start_lin = infeasible.p3.result.lin
     elastic = stages.solve(infeasible.p2.spec, start_lin, mission.dynamics, lambda *_: None)
     assert elastic.result.status is Status.INFEASIBLE
