@@ -34,7 +34,8 @@ from scp_recon.planning.initial_guess import from_burns, start_from
 from scp_recon.planning.method import ALGORITHM, FORMULATION, SETTLE, NumberOfStarts
 from scp_recon.planning.plan import Plan, ended
 from scp_recon.planning.records import Parent
-from scp_recon.planning.stages import DOUBTFUL, Observer
+from scp_recon.planning.solver import Observer
+from scp_recon.planning.stages import DOUBTFUL
 from scp_recon.planning.starts import plan_from_several
 from scp_recon.replanning.flown import FlownPlan
 from scp_recon.replanning.remainder import path_planned, with_free_times

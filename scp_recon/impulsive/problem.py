@@ -37,7 +37,8 @@ from scp_recon.jobs.cores import one_thread
 from scp_recon.monte_carlo.whole_flight import KeptCounts
 from scp_recon.planning.method import ALGORITHM, FORMULATION, SOLVER, scp_method
 from scp_recon.planning.planner import Planner
-from scp_recon.planning.stages import Observer, Pipeline, unobserved
+from scp_recon.planning.solver import Observer, unobserved
+from scp_recon.planning.stages import Pipeline
 from scp_recon.scenario.schema import Risk
 
 __all__ = [

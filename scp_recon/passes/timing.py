@@ -26,8 +26,9 @@ from scp_recon.passes.space import Pass, Space
 from scp_recon.planning.initial_guess import from_burns
 from scp_recon.planning.method import FacetRounds
 from scp_recon.planning.plan import Stage, StageSpec, rank, scales
-from scp_recon.planning.planner import FEW_LINES, FINE, Planner
+from scp_recon.planning.planner import Planner
 from scp_recon.planning.records import Problem
+from scp_recon.planning.solver import FEW_LINES, FINE
 from scp_recon.planning.stages import Pipeline
 from scp_recon.scp.status import Status
 

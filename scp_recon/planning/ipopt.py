@@ -30,7 +30,7 @@ from scp_recon.physics.forces import STEP, ForceModel, acceleration
 from scp_recon.planning.plan import Plan, Stage, StageSpec
 from scp_recon.planning.planner import Planner
 from scp_recon.planning.records import Problem
-from scp_recon.planning.stages import Observer
+from scp_recon.planning.solver import Observer
 from scp_recon.scp.algorithms import SCvx
 from scp_recon.scp.loop import Record, Result, Timing
 from scp_recon.scp.status import Status

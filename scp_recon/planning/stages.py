@@ -2,28 +2,20 @@
 
 A stage is data (`plan.StageSpec`): a problem's rows, and what follows if it does not converge. A
 `StageSolver` lists the stages of P3 and P2 and solves one; `Pipeline.run` is the loop over a list.
-
-A keep-out set is linearised by the plane that touches it nearest to the iterate, so an iterate
-stays on its side of the set. If a guess does not obey the dynamics, its path says nothing about the
-right side. P3 then begins with an open stage, without the keep-out sets of a part of the flight. The
-answer of the open stage hardly depends on the guess. P3 continues with all sets, on the side nearest
-to that answer. The open stage costs at most as much as any plan with all sets. If its answer keeps
-all sets, no nearby plan is better.
 """
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
-from typing import Protocol
+from typing import Any
 
 import numpy as np
 
-from formulations.linearisation.dynamics import Dynamics
 from formulations.linearisation.linearisation import Linearisation
 from formulations.problem.facets import Facets, choose_facets
-from formulations.problem.flyby import FlybyProblem, Iterate
+from formulations.problem.flyby import Iterate
 from formulations.program.subproblem import MeritFunction
 from formulations.rows.drift import HOPELESS
 from formulations.rows.uniform import ChanceRows
@@ -31,7 +23,8 @@ from scp_recon.planning.method import SETTLE, FacetRounds
 from scp_recon.planning.plan import PlanningProblem, Stage, StageSpec, is_converged, merit_of, rank
 from scp_recon.planning.records import Problem
 from scp_recon.planning.settling import Settling
-from scp_recon.scp.loop import Record, Timing
+from scp_recon.planning.solver import Observer, StageSolver, unobserved
+from scp_recon.scp.loop import Timing
 from scp_recon.scp.status import Status
 from scp_recon.scp.verdict import UNDECIDED
 
@@ -43,60 +36,11 @@ OTHER_BURNS = 1e-2
 
 HARDLY = 0.5
 """Share of a least violation above which that of a run without a verdict refutes nothing."""
-RESOLUTION = 1e-3
-"""Relative reduction of the merit at which the open stage stops: P3 continues from there."""
-
-NO_BURN = 1e-6
-"""Total delta-v, nondimensional, below which a guess has no burns that could be wrong."""
-
 DOUBTFUL = 1.3
 """Cost of exact risk over P3's above which other algorithms are tried: it may be a poor optimum."""
 
 CHOICES_MAX = 4
 """Further choices of facets before P2 is called infeasible, where there is another choice."""
-
-
-class Observer(Protocol):
-    """Observes planning."""
-
-    def __call__(self, stage: str, record: Record, /) -> None:
-        """Called after each iteration with the name of the stage and the record."""
-
-
-def unobserved(stage: str, record: Record, /) -> None:
-    """Ignore an iteration."""
-
-
-class StageSolver(Protocol):
-    """A method, SCP or IPOPT: the stages that it needs, and how it solves one."""
-
-    def p3_stages(self, start: Linearisation) -> Sequence[StageSpec]:
-        """Stages of P3 from a start."""
-
-    def p2_stage(self, facets: Facets, lin: Linearisation) -> StageSpec:
-        """P2 with given facets; its program includes those near an iterate."""
-
-    def exact_stages(self, *, growing: bool = False) -> Sequence[StageSpec]:
-        """Stages of P2 with exact risk, each started from the end of the one before.
-
-        If `growing`, stages whose drifts keep out of smaller balls come first.
-
-        Raises:
-            InputError: if the method cannot plan exact risk.
-        """
-
-    def solve(
-        self, spec: StageSpec, start: Linearisation, dynamics: Dynamics, observe: Observer
-    ) -> Stage:
-        """Solve a stage from a start; its status says if it was interrupted."""
-
-    @property
-    def others(self) -> Mapping[str, StageSolver]:
-        """Other algorithms by their names, for exact risk where this one ends badly."""
-
-    @property
-    def scout(self) -> StageSolver:
-        """The method that chooses facets for this one: the quickest, the same for every method."""
 
 
 @dataclass
@@ -114,7 +58,7 @@ class Pipeline:
     """
 
     task: PlanningProblem
-    solver: StageSolver
+    solver: StageSolver[Any]
     observe: Observer = unobserved
     facet_rounds: FacetRounds = 0
     stages: list[Stage] = field(default_factory=list)
@@ -172,40 +116,38 @@ class Pipeline:
 
     def p2(self, p3: Stage, letter: str = "") -> Stage:
         """Solve P2 from the end of P3, and again with new facets as long as that improves it."""
-        lin = p3.result.lin
+        lin, problem = p3.result.lin, self.task.problem
         if self.task.risk.allocation == "exact":
             final = self.exact(lin, letter)
-            if not is_converged(final) and _is_hopeless(final):
+            # A drift may be so far inside a ball that its row knows no way out.
+            margins = {} if is_converged(final) or not problem.drifts else final.margins
+            if any(margins[one.name].margin.min() < HOPELESS for one in problem.drifts if margins):
                 grown = self.run(self.solver.exact_stages(growing=True), lin, letter)
                 final = grown if is_converged(grown) else final
             doubtful = final.result.is_weighed or merit_of(final) > DOUBTFUL * merit_of(p3)
             return self._by_others(final, p3) if doubtful and is_converged(final) else final
-        if self.task.problem.drifts:  # P3 has none, so its path says little about the facets
-            scouting = Pipeline(self.task, self.solver.scout)
-            lin = Settling(self.task, scouting.solve).exact_path(lin)
-            self.timing.add(scouting.timing)
-        final = self._with_facets(lin, letter)
-        if self.facet_rounds == SETTLE:
-            return self._settled(final, p3)
-        for _ in range(self.facet_rounds):
-            again = self._with_facets(final.result.lin, letter)
-            if not rank(again) > rank(final):
-                break
-            final = again
-        return final
-
-    def _settled(self, first: Stage, p3: Stage) -> Stage:
-        """Settle the facets by the scout's rounds, and solve P2 with them; return the better plan."""
         scouting = Pipeline(self.task, self.solver.scout)
-        settled = Settling(self.task, scouting.solve)(first, p3)
+        settling = Settling(self.task, scouting.solve)
+        if problem.drifts:  # P3 has none, so its path says little about the facets
+            lin = settling.exact_path(lin)
+        best = self._with_facets(lin, letter)
+        if self.facet_rounds == SETTLE:
+            settled = settling(best, p3)
+            assert settled.facets is not None
+            lin = settled.result.lin.with_drifts(settled.drifts)
+            spec = replace(self.solver.p2_stage(settled.facets, lin), role="settled")
+            found = self.run([spec], lin, letter)
+            if found.result.status is Status.STALLED:  # too near to its end for frozen derivatives
+                found = max(found, self.run([spec], p3.result.lin, letter), key=rank)
+            best = max(best, found, key=rank)
+        else:
+            for _ in range(self.facet_rounds):
+                again = self._with_facets(best.result.lin, letter)
+                if not rank(again) > rank(best):
+                    break
+                best = again
         self.timing.add(scouting.timing)
-        assert settled.facets is not None
-        lin = settled.result.lin.with_drifts(settled.drifts)
-        spec = replace(self.solver.p2_stage(settled.facets, lin), role="settled")
-        found = self.run([spec], lin, first.spec.start)
-        if found.result.status is Status.STALLED:  # too near to its end for frozen derivatives
-            found = max(found, self.run([spec], p3.result.lin, first.spec.start), key=rank)
-        return max(first, found, key=rank)
+        return best
 
     def exact(self, lin: Linearisation, letter: str = "") -> Stage:
         """Solve P2 with exact risk; a start with gains keeps them and skips stages without gains."""
@@ -215,7 +157,10 @@ class Pipeline:
         return self.run(stages, lin, letter)
 
     def _by_others(self, found: Stage, p3: Stage) -> Stage:
-        """Solve P2 with exact risk by other algorithms too, whose stages end in their names."""
+        """Solve P2 with exact risk by other algorithms too, whose stages end in their names.
+
+        An end without a verdict says less than a proof that a hardly larger violation is the least.
+        """
         best = found
         for name, solver in self.solver.others.items():
             runs = Pipeline(self.task, solver, self.observe)
@@ -224,8 +169,10 @@ class Pipeline:
                 for spec in solver.exact_stages()
             ]
             other = runs.run(named, p3.result.lin, p3.spec.start)
+            proved = best.result.status is Status.INFEASIBLE and other.result.status in UNDECIDED
+            says_less = proved and _worst(other) > HARDLY * _worst(best)
             better = rank(other) > rank(best, saving=1.0 - OTHER_OPTIMUM)
-            best = other if better and not _says_less(other, best) else best
+            best = other if better and not says_less else best
             self.stages += runs.stages
             self.timing.add(runs.timing)
         return best
@@ -278,12 +225,27 @@ class Pipeline:
     def solve(self, spec: StageSpec, start: Linearisation) -> Stage:
         """Solve one stage, and again with facets that were left out of its program and are violated.
 
+        A start without means of drifts has those that the last stage found.
+
         Raises:
             KeyboardInterrupt: if it was interrupted.
         """
         while True:
-            stage = self._solve_once(spec, start)
-            rows, start = spec.rows, stage.result.lin
+            problem = spec.rows.problem
+            start = start.known(problem.feedback)
+            if problem.drifts and not start.iterate.drifts:
+                known = (one.drifts for one in reversed(self.stages))
+                start = start.with_drifts(next(filter(None, known), {}))
+            stage = self.solver.solve(spec, start, self.task.dynamics, self.observe)
+            start = stage.result.lin.informed
+            stage = replace(stage, result=replace(stage.result, lin=start))
+            if spec.judges is not None:
+                stage = replace(stage, merit=MeritFunction(self.task.problem, spec.judges))
+            self.stages.append(stage)
+            self.timing.add(stage.result.timing)
+            if stage.result.status is Status.INTERRUPTED:
+                raise KeyboardInterrupt
+            rows = spec.rows
             if not isinstance(rows, ChanceRows):
                 return stage
             missed = rows.missed(start, stage.tolerance)
@@ -292,56 +254,9 @@ class Pipeline:
             every = ChanceRows(self.task.problem, rows.facets, rows.included | missed)
             spec = replace(spec, rows=every)
 
-    def _near_drifts(self, start: Linearisation, spec: StageSpec) -> Linearisation:
-        """The start, with the means of drifts that the last stage found if it has none."""
-        if start.iterate.drifts or not spec.rows.problem.drifts:
-            return start
-        known = (one.drifts for one in reversed(self.stages))
-        return start.with_drifts(next(filter(None, known), {}))
 
-    def _solve_once(self, spec: StageSpec, start: Linearisation) -> Stage:
-        start = self._near_drifts(start.known(spec.rows.problem.feedback), spec)
-        stage = self.solver.solve(spec, start, self.task.dynamics, self.observe)
-        stage = replace(stage, result=replace(stage.result, lin=stage.result.lin.informed))
-        if spec.judges is not None:
-            stage = replace(stage, merit=MeritFunction(self.task.problem, spec.judges))
-        self.stages.append(stage)
-        self.timing.add(stage.result.timing)
-        if stage.result.status is Status.INTERRUPTED:
-            raise KeyboardInterrupt
-        return stage
-
-
-def path_ignores_burns(lin: Linearisation) -> bool:
-    """Whether a guess has burns, but its path has larger velocity defects than these.
-
-    Two kinds of guesses are no such path: a coarse trajectory of another tool, and a path without
-    burns, such as the paper's straight line.
-    """
-    kicks = float(np.linalg.norm(lin.defects[:-1, 3:], axis=1).sum())
-    return NO_BURN < lin.iterate.total_dv < kicks
-
-
-def without_partial_keep_out(problem: FlybyProblem) -> FlybyProblem:
-    """The problem without the keep-out sets of a part of the flight.
-
-    Sets of the whole flight stay: they keep the path away from the dynamics' singularity.
-    """
-    kept = [c for c in problem.constraints if c.keep == "in" or len(c.nodes) == problem.n_nodes]
-    return replace(problem, constraints=tuple(kept))
-
-
-def _is_hopeless(stage: Stage) -> bool:
-    """Whether a drift at a run's end is so far inside a ball that its row knows no way out."""
-    margins, drifts = stage.margins, stage.merit.problem.drifts
-    return any(margins[drift.name].margin.min() < HOPELESS for drift in drifts)
-
-
-def _says_less(one: Stage, other: Stage) -> bool:
-    """Whether a run ended without a verdict where another proved a hardly larger violation least."""
-    least = (run.merit.worst_violation(run.result.lin) for run in (one, other))
-    undecided = other.result.status is Status.INFEASIBLE and one.result.status in UNDECIDED
-    return undecided and next(least) > HARDLY * next(least)
+def _worst(stage: Stage) -> float:
+    return stage.merit.worst_violation(stage.result.lin)
 
 
 def same_optimum(one: Stage, other: Stage) -> bool:

@@ -19,7 +19,8 @@ from scp_recon.planning.initial_guess import bent
 from scp_recon.planning.missions import cheapest_p3
 from scp_recon.planning.plan import Plan, Stage, as_interrupted, is_converged, merit_of, rank
 from scp_recon.planning.records import Optimum, Starts
-from scp_recon.planning.stages import Observer, same_optimum, unobserved
+from scp_recon.planning.solver import Observer, unobserved
+from scp_recon.planning.stages import same_optimum
 from scp_recon.scp.status import Status
 
 CHANCE, CHANCE_WITHOUT, STARTS_AUTO_MAX = 0.05, 0.01, 100

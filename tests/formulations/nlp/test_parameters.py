@@ -13,7 +13,7 @@ from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess, ipopt
 from scp_recon.planning.ipopt import IpoptPlanner, casadi_arcs
 from scp_recon.planning.plan import Plan
-from scp_recon.planning.stages import unobserved
+from scp_recon.planning.solver import unobserved
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scp.status import Status
 from tests.scp_recon.support import from_cold

@@ -22,7 +22,8 @@ from scp_recon.mission.constraints import CUTS, drift_duration_s
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess, ipopt
 from scp_recon.planning.ipopt import casadi_arcs
-from scp_recon.planning.planner import GROWN, Planner, plan
+from scp_recon.planning.planner import Planner, plan
+from scp_recon.planning.solver import GROWN
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scenario.schema import Scenario
 from scp_recon.scp.status import Status

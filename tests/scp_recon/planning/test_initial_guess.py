@@ -19,7 +19,7 @@ from scp_recon.planning import initial_guess
 from scp_recon.planning.plan import Plan
 from scp_recon.planning.planner import plan
 from scp_recon.planning.records import Optimum, Starts
-from scp_recon.planning.stages import path_ignores_burns
+from scp_recon.planning.solver import path_ignores_burns
 from scp_recon.planning.starts import on_grid, plan_from_several, random_flight
 from scp_recon.results.solution import make_solution
 from scp_recon.scp.algorithms import ALGORITHMS
