@@ -80,11 +80,8 @@ def flown_ring(home: HomeOrbit, forces: ForceModel, axes: Array) -> Ring:
     times, last = np.linspace(0.0, LONGEST * period, SAMPLES), float(flown.t[-1])
     ring = ring_of(track, times[times <= last], home, axes)
     if ring is None:
-        raise InputError(
-            "boundary.home.flown",
-            f"a circle of {exact(home.radius_m)} m",
-            f"must come round under the mission's forces within {LONGEST:g} of its revolutions",
-        )
+        must = f"must come round under the mission's forces within {LONGEST:g} of its revolutions"
+        raise InputError("boundary.home.flown", f"a circle of {exact(home.radius_m)} m", must)
     return ring
 
 
@@ -127,12 +124,10 @@ def ephemeris_ring(scenario: Scenario, home: HomeOrbit, axes: Array) -> Ring:
     if not home.radius_m / WITHIN <= low <= high <= home.radius_m * WITHIN:
         unit, metres = ("m", 1.0) if path.suffix.lower() == ".csv" else ("km", 1e3)
         ends = home.radius_m / WITHIN / metres, home.radius_m * WITHIN / metres
-        raise InputError(
-            ENTRY,
-            f"{path.name}, {digits(low / metres)} to {digits(high / metres)} {unit} from the centre",
-            f"must be within a factor of {WITHIN:g} of boundary.home.radius_m, {digits(home.radius_m)} "
-            f"m{unit_hint(unit, low / metres, *ends)}",
-        )
+        given = f"{digits(low / metres)} to {digits(high / metres)} {unit} from the centre"
+        near = f"within a factor of {WITHIN:g} of boundary.home.radius_m, {digits(home.radius_m)} m"
+        hint = unit_hint(unit, low / metres, *ends)
+        raise InputError(ENTRY, f"{path.name}, {given}", f"must be {near}{hint}")
     angle = angles(home, axes, states[:, :3].T)
     turned, steps = angle - angle[0], np.diff(angle)
     once = int(np.argmax(turned >= TURN)) + 1 if np.any(turned >= TURN) else 0
@@ -142,12 +137,11 @@ def ephemeris_ring(scenario: Scenario, home: HomeOrbit, axes: Array) -> Ring:
         fine_s = np.interp(np.arange(LOOKS * (once - 1) + 1) / LOOKS, np.arange(once), times[:once])
         ring = ring_of(lambda t: np.r_[place(t).T, place(t, 1).T], fine_s, home, axes)
     if ring is None:
-        raise InputError(
-            ENTRY,
-            f"{path.name}, {np.rad2deg(turned[-1]):.0f} deg about boundary.home.normal the way that "
-            f"boundary.home.sense says, in {len(times)} states",
-            f"must go round once without a burn, by at most {np.rad2deg(APART):g} deg between states",
-        )
+        about = "about boundary.home.normal the way that boundary.home.sense says"
+        given = f"{np.rad2deg(turned[-1]):.0f} deg {about}, in {len(times)} states"
+        step = f"at most {np.rad2deg(APART):g} deg between states"
+        must = f"must go round once without a burn, by {step}"
+        raise InputError(ENTRY, f"{path.name}, {given}", must)
     return ring
 
 
@@ -156,11 +150,8 @@ def _states(scenario: Scenario, home: HomeOrbit, path: Path) -> tuple[Array, Arr
     body, kind = scenario.body, path.suffix.lower()
     if kind in (".csv", ".oem"):
         if home.spacecraft_id is not None:
-            raise InputError(
-                "boundary.home.spacecraft_id",
-                str(home.spacecraft_id),
-                f"must be left out: {path.name} is no kernel",
-            )
+            must = f"must be left out: {path.name} is no kernel"
+            raise InputError("boundary.home.spacecraft_id", str(home.spacecraft_id), must)
         try:
             if kind == ".csv":
                 track = csv_track(path, scenario.epoch.tdb)

@@ -53,13 +53,11 @@ def spaces_of(scenario: Scenario) -> list[Space]:
             space = _space(scenario, window, times, axes, known)
             spaces.append(replace(space, number=len(spaces)))
     if not spaces:
-        raise InputError(
-            "design",
-            f"departure in {_text(spans[0])} and arrival in {_text(spans[-1])}",
-            f"must leave a legal schedule of {len(spans)} burns about a whole "
-            f"lighting window; those there: {'; '.join(map(_text, windows)) or 'none'}"
-            + _what_is_left(scenario, windows, spans),
-        )
+        given = f"departure in {_text(spans[0])} and arrival in {_text(spans[-1])}"
+        there = f"those there: {'; '.join(map(_text, windows)) or 'none'}"
+        must = f"must leave a legal schedule of {len(spans)} burns about a whole lighting window"
+        left = _what_is_left(scenario, windows, spans)
+        raise InputError("design", given, f"{must}; {there}{left}")
     return spaces
 
 
@@ -172,11 +170,9 @@ def _windows(scenario: Scenario, span: Span) -> list[Window]:
         return [given]
     windows = [window.edges_s for window in survey(scenario, span).windows]
     if len(windows) > WINDOWS_MAX:
-        raise InputError(
-            "design",
-            f"{len(windows)} lighting windows in {_text(span)}",
-            f"must have at most {WINDOWS_MAX}: shorten the span of dates",
-        )
+        found = f"{len(windows)} lighting windows in {_text(span)}"
+        must = f"must have at most {WINDOWS_MAX}: shorten the span of dates"
+        raise InputError("design", found, must)
     return windows
 
 

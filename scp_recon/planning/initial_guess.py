@@ -21,15 +21,8 @@ from scp_recon.planning.plan import Plan
 COLD_BURN_M_S = 1e-10
 """Every component of every burn: Echigo et al., section VI."""
 
-COLUMNS = {
-    "t": "t_s",
-    "x": "x_m",
-    "y": "y_m",
-    "z": "z_m",
-    "vx": "vx_m_s",
-    "vy": "vy_m_s",
-    "vz": "vz_m_s",
-}
+COLUMNS = {"t": "t_s", "x": "x_m", "y": "y_m", "z": "z_m"}
+COLUMNS |= {"vx": "vx_m_s", "vy": "vy_m_s", "vz": "vz_m_s"}
 """Header of a table of states, short and with units; either is accepted."""
 
 UNITS_RATIO_MAX = 30.0
@@ -42,11 +35,9 @@ move, and how far it may be from that."""
 
 def cold(mission: Mission) -> Iterate:
     """The cold start: the straight line from the initial to the final state, burns nearly zero."""
-    states = mission.initial_state + _fraction(mission)[:, None] * (
-        mission.final_state - mission.initial_state
-    )
+    way = np.outer(_fraction(mission), mission.final_state - mission.initial_state)
     burns = np.full((len(mission.burn_nodes), 3), COLD_BURN_M_S)
-    return nondimensional(mission, burns, states)
+    return nondimensional(mission, burns, mission.initial_state + way)
 
 
 def _fraction(mission: Mission) -> Array:
@@ -65,14 +56,13 @@ def ballistic(mission: Mission, entry: str = "init") -> Iterate:
     Raises:
         InputError: if neither boundary-value problem can be solved, or there are not two burns.
     """
+    between = "between the boundary positions; use cold"
     if len(mission.burn_nodes) < 2:
-        raise InputError(entry, "warm", "needs two burns between the boundary positions; use cold")
-    candidates = [iterate for way in (1.0, -1.0) if (iterate := _two_impulses(mission, way))]
-    if not candidates:
-        raise InputError(
-            entry, "warm", "found no ballistic arc between the boundary positions; use cold"
-        )
-    return min(candidates, key=lambda iterate: iterate.total_dv)
+        raise InputError(entry, "warm", f"needs two burns {between}")
+    arcs = [arc for way in (1.0, -1.0) if (arc := _two_impulses(mission, way))]
+    if not arcs:
+        raise InputError(entry, "warm", f"found no ballistic arc {between}")
+    return min(arcs, key=lambda arc: arc.total_dv)
 
 
 def circular(mission: Mission, way: float) -> Iterate:
@@ -177,11 +167,8 @@ def from_burns(mission: Mission, burns_m_s: Array, entry: str = "init") -> Itera
         InputError: if there are not as many as the scenario has firing times.
     """
     if burns_m_s.shape != (len(mission.burn_nodes), 3):
-        raise InputError(
-            entry,
-            f"{len(burns_m_s)} burns",
-            f"must have {len(mission.burn_nodes)} as the scenario has to plan",
-        )
+        must = f"must have {len(mission.burn_nodes)} as the scenario has to plan"
+        raise InputError(entry, f"{len(burns_m_s)} burns", must)
     burns = burns_m_s / mission.units.speed_m_s
     return Iterate(burns, mission.dynamics.rollout(mission.problem.initial_state, burns))
 
@@ -220,28 +207,20 @@ def from_states(mission: Mission, table: Array, entry: str = "init") -> Iterate:
         InputError: as `from_table`.
     """
     if table.dtype.kind not in "iuf" or table.ndim != 2 or table.shape[1] != len(COLUMNS):
-        raise InputError(
-            entry,
-            f"an array of shape {table.shape} and {table.dtype}",
-            f"must be numbers, shape (n, 7): {', '.join(COLUMNS.values())}",
-        )
+        must = f"must be numbers, shape (n, 7): {', '.join(COLUMNS.values())}"
+        raise InputError(entry, f"an array of shape {table.shape} and {table.dtype}", must)
     if not np.all(np.isfinite(table)):
         raise InputError(entry, "an array of numbers that are not finite", "must be finite")
     time, states = table[:, 0], table[:, 1:]
     start, end = mission.times_s[[0, -1]]
     pieces = np.split(table, np.flatnonzero(np.diff(time) == 0.0) + 1)
     if any(len(piece) < 2 for piece in pieces) or np.any(np.diff(time) < 0.0):
-        raise InputError(
-            entry,
-            f"{len(time)} rows",
-            "times must be ascending, strictly but for two states at a burn",
-        )
+        must = "times must be ascending, strictly but for two states at a burn"
+        raise InputError(entry, f"{len(time)} rows", must)
     if time[0] > start or time[-1] < end:
-        raise InputError(
-            entry,
-            f"{exact(time[0])} to {exact(time[-1])} s",
-            f"must cover the flight, {exact(start)} to {exact(end)} s",
-        )
+        given = f"{exact(time[0])} to {exact(time[-1])} s"
+        must = f"must cover the flight, {exact(start)} to {exact(end)} s"
+        raise InputError(entry, given, must)
     _check_units(mission, entry, time, states)
     nodes = _interpolated(pieces, mission.times_s)
     begin, durations = mission.times_s[:-1], np.diff(mission.times_s)
@@ -275,35 +254,27 @@ def _check_units(mission: Mission, entry: str, time: Array, states: Array) -> No
     distance = np.median(np.linalg.norm(states[:, :3], axis=1))
     ends = np.linalg.norm([mission.initial_state[:3], mission.final_state[:3]], axis=1)
     if not ends.min() / UNITS_RATIO_MAX <= distance <= ends.max() * UNITS_RATIO_MAX:
-        raise InputError(
-            entry,
-            f"positions about {distance:.3g} from the centre",
-            f"must be in metres: the flight is {ends.min():.3g} to {ends.max():.3g} m from it",
-        )
+        must = f"must be in metres: the flight is {ends.min():.3g} to {ends.max():.3g} m from it"
+        raise InputError(entry, f"positions about {distance:.3g} from the centre", must)
     took = np.diff(time)
+
+    def lengths(vectors: Array) -> Array:
+        return np.asarray(np.linalg.norm(vectors, axis=1))
+
     moved = (np.diff(states[:, :3], axis=0).T[:, took > 0.0] / took[took > 0.0]).T
     mean = 0.5 * (states[:-1, 3:] + states[1:, 3:])[took > 0.0]
-    speed, path_speed = np.median(_lengths(states[:, 3:])), np.median(_lengths(moved))
-    if not path_speed / UNITS_RATIO_MAX <= speed <= path_speed * UNITS_RATIO_MAX:
-        raise InputError(
-            entry,
-            f"velocities about {speed:.3g}",
-            f"must be in metres per second: the positions move at {path_speed:.3g} m/s",
-        )
+    speed, pace = np.median(lengths(states[:, 3:])), np.median(lengths(moved))
+    if not pace / UNITS_RATIO_MAX <= speed <= pace * UNITS_RATIO_MAX:
+        must = f"must be in metres per second: the positions move at {pace:.3g} m/s"
+        raise InputError(entry, f"velocities about {speed:.3g}", must)
     turned = np.diff(states[:, 3:], axis=0)[took > 0.0]
-    close = _lengths(turned) <= TURN_MAX * _lengths(mean)
-    off, pace = _lengths(moved - mean)[close], _lengths(moved)[close]
-    if close.any() and not np.median(off) <= MOTION_OFF_MAX * np.median(pace):
-        raise InputError(
-            entry,
-            f"velocities {np.median(off):.3g} m/s from how the positions move",
-            "must be the positions' own, along the same axes, which are inertial",
-        )
-
-
-def _lengths(vectors: Array) -> Array:
-    """Lengths of vectors (n, 3), shape (n,)."""
-    return np.asarray(np.linalg.norm(vectors, axis=1))
+    close = lengths(turned) <= TURN_MAX * lengths(mean)
+    if not close.any():
+        return
+    off, pace = np.median(lengths(moved - mean)[close]), np.median(lengths(moved)[close])
+    if not off <= MOTION_OFF_MAX * pace:
+        must = "must be the positions' own, along the same axes, which are inertial"
+        raise InputError(entry, f"velocities {off:.3g} m/s from how the positions move", must)
 
 
 def read_table(path: Path, entry: str) -> Array:
@@ -325,9 +296,8 @@ def read_table(path: Path, entry: str) -> Array:
     except (ValueError, TypeError, csv.Error) as error:
         raise InputError(entry, str(error), "must be a table of numbers") from None
     if missing or not len(table) or not np.all(np.isfinite(table)):
-        raise InputError(
-            entry,
-            f"columns {', '.join(names)}" if names else "no known columns",
-            f"must be a solution file or a CSV of finite numbers with {', '.join(COLUMNS.values())}",
-        )
+        found = f"columns {', '.join(names)}" if names else "no known columns"
+        every = ", ".join(COLUMNS.values())
+        must = f"must be a solution file or a CSV of finite numbers with {every}"
+        raise InputError(entry, found, must)
     return table
