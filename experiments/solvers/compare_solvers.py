@@ -45,8 +45,9 @@ from scp_recon.monte_carlo.estimates import proportion
 from scp_recon.planning import initial_guess
 from scp_recon.planning.missions import make_plan, other_starts
 from scp_recon.planning.plan import Plan, Provenance, Stage, StageSpec
-from scp_recon.planning.planner import Planner, screened
-from scp_recon.planning.stages import Pipeline, StageSolver
+from scp_recon.planning.planner import Planner
+from scp_recon.planning.solver import screened
+from scp_recon.planning.stages import Pipeline
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scp.algorithms import SCvx
 from scp_recon.scp.status import Status
@@ -122,7 +123,7 @@ def planned(mission: Mission, cell: Cell) -> Plan:
         names = of.formulation, of.algorithm, of.solver
         options = PlanOptions("P2", "scp", *names, facet_rounds=0, certify=certify, starts=1)
         return plan_mission(mission, start, options)
-    pipeline = Pipeline(mission, stage_solver(mission, of))
+    pipeline = Pipeline(mission, planner_of(mission, of))
 
     def work() -> Stage:
         if not from_p3:
@@ -142,18 +143,18 @@ def p3_solution(mission: Mission) -> Linearisation:
     return [one for one in stages if one.spec.role != "held"][-1].result.lin
 
 
-def stage_solver(mission: Mission, method: Method) -> StageSolver:
+def planner_of(mission: Mission, method: Method) -> Planner[Mission]:
     """The solver of stages by a method."""
     form, name, solver = method.formulation, method.algorithm, method.solver
     if solver not in NLP_SOLVERS:
         return Planner(mission, formulation=form, algorithm=name, solver=solver)
     from formulations.nlp.solve import VARIANTS, Settings
-    from scp_recon.planning.ipopt import IpoptStages, casadi_arcs
+    from scp_recon.planning.ipopt import IpoptPlanner
 
     variant = VARIANTS[form]
     if solver == UNO:
         variant = replace(variant, p3=Settings(solver="uno"), p2=Settings(solver="uno"))
-    return IpoptStages(mission, casadi_arcs(mission.flow), variant, elastic=name == "elastic")
+    return IpoptPlanner(mission, variant, elastic=name == "elastic")
 
 
 def solved_cells(session: Session, cells: Sequence[Cell]) -> Frame:
