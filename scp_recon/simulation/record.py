@@ -25,22 +25,12 @@ from scp_recon.errors import InputError
 from scp_recon.files import reason_of, write_atomically
 from scp_recon.mission.schedule import Mode
 from scp_recon.monte_carlo.sampling import PolicyKind
+from scp_recon.physics import geometry
+from scp_recon.physics.frames import unit
 from scp_recon.results.read import File, parse_file
 from scp_recon.results.solution import Solution
 from scp_recon.scenario.fields import Line, Section
-from scp_recon.simulation.flight import (
-    Flight,
-    Pointing,
-    attitude_error,
-    ledger_error,
-    node_states,
-    pointing,
-    settling_time,
-    sigma_distance,
-    state_of_charge,
-    thruster_torque,
-    wheel_torque,
-)
+from scp_recon.simulation.flight import Flight
 from scp_recon.simulation.guidance import CONTROL_PERIOD_S
 from scp_recon.simulation.vehicle import Vehicle
 
@@ -273,15 +263,15 @@ ARRAYS: dict[str, tuple[Shape, Of]] = {
     "mode": (("samples",), lambda f, _: _modes(f)),
     "actuators": (("samples",), lambda f, _: f.in_use[EVERY]),
     "wheel_speed_rad_s": (("samples", "wheels"), lambda f, _: f.wheel_speeds_rad_s[EVERY]),
-    "wheel_torque_n_m": (("samples", 3), lambda f, _: _means(wheel_torque(f))),
-    "thruster_torque_n_m": (("samples", 3), lambda f, _: _means(thruster_torque(f))),
-    "panel_w": (("samples", "panels"), lambda f, _: f.panels_w[EVERY]),
+    "wheel_torque_n_m": (("samples", 3), lambda f, _: _means(f.wheel_torque)),
+    "thruster_torque_n_m": (("samples", 3), lambda f, _: _means(f.thruster_torque)),
+    "panel_w": (("samples", "panels"), lambda f, _: f.power.panels_w[EVERY]),
     "panel_peak_w": (("panels",), lambda f, _: f.plan.panels.peak_w),
-    "consumed_w": (("samples",), lambda f, _: f.consumed_w[EVERY]),
-    "state_of_charge": (("samples", "batteries"), lambda f, _: state_of_charge(f)[EVERY]),
-    "pointing_error_rad": (("seconds",), lambda f, _: attitude_error(f).astype(np.float32)),
-    "node_state": (("nodes", 6), node_states),
-    "node_sigma_distance": (("nodes",), sigma_distance),
+    "consumed_w": (("samples",), lambda f, _: f.power.consumed_w[EVERY]),
+    "state_of_charge": (("samples", "batteries"), lambda f, _: f.state_of_charge[EVERY]),
+    "pointing_error_rad": (("seconds",), lambda f, _: f.attitude_error.astype(np.float32)),
+    "node_state": (("nodes", 6), Flight.node_states),
+    "node_sigma_distance": (("nodes",), Flight.sigma_distance),
 }
 """Arrays of a file of this schema: the shape of each, and a function of a flight."""
 
@@ -308,23 +298,17 @@ class Record:
         return self.summary.plan_hash
 
 
-def make_record(flight: Flight, solution: Solution, seed: int) -> Record:
-    """Make the record of a solution's flight, its errors drawn with a seed."""
-    arrays = {name: of(flight, solution) for name, (_, of) in ARRAYS.items()}
-    return Record(arrays, _summary(flight, solution, seed))
-
-
 def inputs_digest(solution: Solution, vehicle: Vehicle) -> str:
     """SHA-256 of plan and vehicle: flights with equal digests differ by the seed alone."""
     inputs = {"plan_hash": solution.plan_hash, "vehicle": vehicle.model_dump(mode="json")}
     return hashlib.sha256(json.dumps(inputs, sort_keys=True).encode()).hexdigest()
 
 
-def _summary(flight: Flight, solution: Solution, seed: int) -> FlightSummary:
-    plan, angles = flight.plan, pointing(flight)
-    charge, distance = state_of_charge(flight), sigma_distance(flight, solution)
+def make_record(flight: Flight, solution: Solution, seed: int) -> Record:
+    """Make the record of a solution's flight, its errors drawn with a seed."""
+    plan, distance = flight.plan, flight.sigma_distance(solution)
     miss = flight.terminal_state - np.array(solution.nodes.state[-1])
-    return FlightSummary(
+    summary = FlightSummary(
         vehicle=plan.vehicle.name,
         seed=seed,
         policy=flight.policy,
@@ -332,15 +316,15 @@ def _summary(flight: Flight, solution: Solution, seed: int) -> FlightSummary:
         inputs_sha256=inputs_digest(solution, plan.vehicle),
         modes=tuple(mode.value for mode in MODES),
         legs=tuple(leg_outcomes(flight)),
-        burns=tuple(_burns(flight, angles)),
-        window_pointing_deg=WindowPointing(
-            camera=_quantiles(angles.camera), site=_quantiles(angles.site)
+        burns=tuple(_burns(flight)),
+        window_pointing_deg=_window_pointing(flight),
+        estimate_deg=_quantiles(
+            np.asarray((flight.estimates.inv() * flight.attitudes).magnitude())
         ),
-        estimate_deg=_quantiles(angles.estimate),
-        least_charge=float(charge.min()),
+        least_charge=float(flight.state_of_charge.min()),
         floor_charge=plan.vehicle.battery.floor_charge,
-        energy_wh=_energy(flight),
-        ledger_error=ledger_error(flight),
+        energy_wh=Energy(**flight.power.totals_wh),
+        ledger_error=flight.power.ledger_error,
         dumps=flight.dumps,
         terminal_miss=TerminalMiss(
             position_m=float(np.linalg.norm(miss[:3])),
@@ -350,6 +334,7 @@ def _summary(flight: Flight, solution: Solution, seed: int) -> FlightSummary:
         largest_sigma_distance=float(distance.max()),
         drift=_drift(flight),
     )
+    return Record({name: of(flight, solution) for name, (_, of) in ARRAYS.items()}, summary)
 
 
 def _drift(flight: Flight) -> SimulatedDrift | None:
@@ -369,7 +354,7 @@ def _drift(flight: Flight) -> SimulatedDrift | None:
 
 def leg_outcomes(flight: Flight) -> Iterator[ModeOutcome]:
     """Outcomes of all modes after the first burn, whose attitude is acquired before the start."""
-    plan, error, times = flight.plan, attitude_error(flight), flight.times_s
+    plan, times = flight.plan, flight.times_s
     rules, window = plan.mission.scenario.schedule, plan.mission.schedule.window_s
     steady_s = {
         Mode.SUN_POINTING: rules.recharge_s,
@@ -379,7 +364,9 @@ def leg_outcomes(flight: Flight) -> Iterator[ModeOutcome]:
     for leg in plan.legs[1:]:
         required = rules.attitude_s + steady_s[leg.mode]
         burn = next((f.start_s for f in plan.firings if f.end_s == leg.end_s), leg.end_s)
-        settled = settling_time(error[(times >= leg.start_s) & (times < burn)], STEADY_RAD)
+        error = flight.attitude_error[(times >= leg.start_s) & (times < burn)]
+        settling = CONTROL_PERIOD_S * int(np.flatnonzero(np.append(True, error >= STEADY_RAD))[-1])
+        settled = settling if settling < CONTROL_PERIOD_S * len(error) else None
         duration = leg.end_s - leg.start_s
         yield ModeOutcome(
             mode=leg.mode.value,
@@ -387,23 +374,38 @@ def leg_outcomes(flight: Flight) -> Iterator[ModeOutcome]:
             duration_s=duration,
             required_s=required,
             ok=bool(duration >= required - CONTROL_PERIOD_S),
-            settled_s=settled if np.isfinite(settled) else None,
-            settled_in_time=bool(settled <= rules.attitude_s),
+            settled_s=settled,
+            settled_in_time=settled is not None and settled <= rules.attitude_s,
         )
 
 
-def _burns(flight: Flight, angles: Pointing) -> Iterator[FlownBurn]:
-    """Every burn as planned and as executed."""
-    start, mean = np.rad2deg(angles.burns).tolist(), np.rad2deg(angles.executed).tolist()
-    for i, firing in enumerate(flight.plan.firings):
+def _burns(flight: Flight) -> Iterator[FlownBurn]:
+    """Every burn as planned and as executed; a burn of zero errs by no angle."""
+    thrust = unit(flight.plan.vehicle.chemical_thruster.direction)
+    for firing, executed in zip(flight.plan.firings, flight.burns_m_s, strict=True):
+        start = flight.attitudes[round(firing.start_s / CONTROL_PERIOD_S)].apply(thrust)
+        off, turned = np.rad2deg(geometry.angle(np.stack([start, executed]), firing.direction))
         yield FlownBurn(
             t_s=firing.start_s,
             duration_s=firing.duration_s,
             planned_m_s=tuple(firing.dv_m_s.tolist()),
-            executed_m_s=tuple(flight.burns_m_s[i].tolist()),
-            pointing_deg=start[i],
-            executed_pointing_deg=mean[i],
+            executed_m_s=tuple(executed.tolist()),
+            pointing_deg=float(off) if firing.duration_s else 0.0,
+            executed_pointing_deg=float(turned) if executed.any() else 0.0,
         )
+
+
+def _window_pointing(flight: Flight) -> WindowPointing:
+    """Angles of the boresight with its command and with the true line of sight, in the window."""
+    mission, camera = flight.plan.mission, unit(flight.plan.vehicle.sensors.camera)
+    first, last = mission.schedule.window_s
+    window = (flight.times_s >= first) & (flight.times_s < last)
+    boresight = flight.attitudes[window].apply(camera)
+    track = geometry.track(mission.site, mission.rotation, flight.times_s[window])
+    return WindowPointing(
+        camera=_quantiles(geometry.angle(boresight, flight.commands[window].apply(camera))),
+        site=_quantiles(geometry.angle(track.position - flight.states[window, :3], boresight)),
+    )
 
 
 def _quantiles(angle: Array) -> Angles:
@@ -411,19 +413,6 @@ def _quantiles(angle: Array) -> Angles:
     degrees = np.rad2deg(angle)
     named = {name: float(np.quantile(degrees, level)) for name, level in QUANTILES.items()}
     return Angles(mean=float(degrees.mean()), **named)
-
-
-def _energy(flight: Flight) -> Energy:
-    """Totals of the bus."""
-    hours = CONTROL_PERIOD_S / 3600.0
-    totals = {
-        "generated": flight.panels_w,
-        "consumed": flight.consumed_w,
-        "lost": flight.lost_w,
-        "unused": flight.unused_w,
-        "short": flight.short_w,
-    }
-    return Energy(**{name: float(power[1:].sum()) * hours for name, power in totals.items()})
 
 
 def write_record(record: Record, folder: Path) -> Path:
@@ -468,28 +457,21 @@ def read_record(path: Path) -> Record:
             f"simulation {file}", str(error)[:80], "must be a simulation file"
         ) from None
     parsed = parse_file(summary, FlightSummary, SCHEMA, f"simulation {file}")
-    if strange := _strange(arrays):
-        raise InputError(
-            f"simulation {file}: {strange}", "missing or malformed", _shape_of(strange)
-        )
+    lengths = dict[str | int, int]()
+    for name, (shape, _) in ARRAYS.items():
+        if not _fits(arrays, name, lengths):
+            given = f"must be finite numbers of shape ({', '.join(map(str, shape))})"
+            raise InputError(f"simulation {file}: {name}", "missing or malformed", given)
     return Record(arrays, parsed)
 
 
-def _strange(arrays: Arrays) -> str | None:
-    """Name of an array that is missing, not finite, or of a wrong shape; None if none is."""
-    lengths: dict[str | int, int] = {}
-    for name, (shape, _) in ARRAYS.items():
-        array = arrays.get(name)
-        if array is None or array.dtype.kind not in "fiu" or array.ndim != len(shape):
-            return name
-        for side, length in zip(shape, array.shape, strict=True):
-            expected = side if isinstance(side, int) else lengths.setdefault(side, length)
-            if length != expected or not length:
-                return name
-        if not np.isfinite(array).all():
-            return name
-    return None
-
-
-def _shape_of(name: str) -> str:
-    return f"must be finite numbers of shape ({', '.join(map(str, ARRAYS[name][0]))})"
+def _fits(arrays: Arrays, name: str, lengths: dict[str | int, int]) -> bool:
+    """Whether an array is there, finite, and of the right shape with the lengths of those before."""
+    shape, array = ARRAYS[name][0], arrays.get(name)
+    if array is None or array.dtype.kind not in "fiu" or array.ndim != len(shape):
+        return False
+    expected = [
+        side if isinstance(side, int) else lengths.setdefault(side, length)
+        for side, length in zip(shape, array.shape, strict=True)
+    ]
+    return list(array.shape) == expected and array.size > 0 and bool(np.isfinite(array).all())

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from Basilisk.architecture import messaging, sysModel
 from Basilisk.simulation import coarseSunSensor, imuSensor, starTracker
@@ -13,66 +11,61 @@ from scipy.spatial.transform import Rotation
 from formulations.arrays import Array
 from scp_recon.bodies.catalogue import AU_KM
 from scp_recon.physics.frames import unit
-from scp_recon.simulation.basilisk.plant import Surroundings
+from scp_recon.simulation.basilisk.plant import Plant, module
 from scp_recon.simulation.estimator import AttitudeFilter, SensorSigmas
 from scp_recon.simulation.guidance import CONTROL_PERIOD_S, FlightPlan
-from scp_recon.simulation.vehicle import Vehicle
 
 JUMP_RAD_S = 0.01
 """A command that turns faster has jumped to another mode; within a mode it turns at some 1e-4 rad/s."""
 
 
-@dataclass(frozen=True)
 class Sensors:
-    """Basilisk's sensor models, each with its own seed."""
+    """Star tracker, gyro and Sun sensors of a plant, each with its own seed; their noise is white."""
 
-    star_tracker: starTracker.StarTracker
-    gyro: imuSensor.ImuSensor
-    suns: tuple[coarseSunSensor.CoarseSunSensor, ...]
+    def __init__(self, plant: Plant, sigmas: SensorSigmas, seeds: dict[str, int]) -> None:
+        state, around, white = (
+            plant.hub.scStateOutMsg,
+            plant.surroundings,
+            np.zeros((3, 3)).tolist(),
+        )
+        self.star_tracker = module(
+            starTracker.StarTracker(),
+            {"scStateInMsg": state},
+            PMatrix=(sigmas.star_tracker * np.eye(3)).tolist(),
+            RNGSeed=seeds["star_tracker"],
+        )
+        self.star_tracker.setAMatrix(white)
+        self.star_tracker.setWalkBounds([[np.pi]] * 3)
+        self.gyro = module(
+            imuSensor.ImuSensor(),
+            {"scStateInMsg": state},
+            PMatrixGyro=(sigmas.gyro / CONTROL_PERIOD_S * np.eye(3)).tolist(),
+            RNGSeed=seeds["imu"],
+        )
+        self.gyro.setAMatrixGyro(white)
+        self.gyro.setWalkBoundsGyro(np.full(3, np.pi))
+        # Basilisk's are as bright as the Sun; of that a sensor's cosine must not depend, nor its noise.
+        sun_km = np.linalg.norm(around.mission.scenario.sun.body_position_km)
+        scale, known = float(sun_km / AU_KM) ** 2, plant.vehicle.sensors
+        self.suns = [
+            module(
+                coarseSunSensor.CoarseSunSensor(),
+                {"stateInMsg": state, "sunInMsg": around.sun, "sunEclipseInMsg": around.shadow},
+                nHat_B=[[x] for x in boresight],
+                fov=np.deg2rad(known.sun_sensor_half_angle_deg),
+                scaleFactor=scale,
+                senNoiseStd=sigmas.sun_sensor / scale,
+                minOutput=-10.0,
+                maxOutput=10.0,
+                RNGSeed=(seeds["sun_sensor"] + index) % 2**32,
+            )
+            for index, boresight in enumerate(known.sun_sensors)
+        ]
 
     @property
     def models(self) -> list[sysModel.SysModel]:
         """Star tracker, gyro and Sun sensors, as Basilisk's tasks take them."""
         return [self.star_tracker, self.gyro, *self.suns]
-
-
-def build_sensors(
-    states: messaging.SCStatesMsg,
-    surroundings: Surroundings,
-    vehicle: Vehicle,
-    sigmas: SensorSigmas,
-    seeds: dict[str, int],
-) -> Sensors:
-    """Build sensors of a hub with these states; their noise is white with the given sigmas."""
-    white = np.zeros((3, 3)).tolist()
-    tracker = starTracker.StarTracker()
-    tracker.scStateInMsg.subscribeTo(states)
-    tracker.PMatrix = (sigmas.star_tracker * np.eye(3)).tolist()
-    tracker.setAMatrix(white)
-    tracker.setWalkBounds([[np.pi]] * 3)
-    tracker.RNGSeed = seeds["star_tracker"]
-    gyro = imuSensor.ImuSensor()
-    gyro.scStateInMsg.subscribeTo(states)
-    gyro.PMatrixGyro = (sigmas.gyro / CONTROL_PERIOD_S * np.eye(3)).tolist()
-    gyro.setAMatrixGyro(white)
-    gyro.setWalkBoundsGyro(np.full(3, np.pi))
-    gyro.RNGSeed = seeds["imu"]
-    # Basilisk's are as bright as the Sun; of that a sensor's cosine must not depend, nor its noise.
-    sun_km = np.linalg.norm(surroundings.mission.scenario.sun.body_position_km)
-    scale = float(sun_km / AU_KM) ** 2
-    suns = []
-    for index, boresight in enumerate(vehicle.sensors.sun_sensors):
-        sun = coarseSunSensor.CoarseSunSensor()
-        sun.stateInMsg.subscribeTo(states)
-        sun.sunInMsg.subscribeTo(surroundings.sun)
-        sun.sunEclipseInMsg.subscribeTo(surroundings.shadow)
-        sun.nHat_B = [[x] for x in boresight]
-        sun.fov = np.deg2rad(vehicle.sensors.sun_sensor_half_angle_deg)
-        sun.scaleFactor, sun.senNoiseStd = scale, sigmas.sun_sensor / scale
-        sun.minOutput, sun.maxOutput = -10.0, 10.0
-        sun.RNGSeed = (seeds["sun_sensor"] + index) % 2**32
-        suns.append(sun)
-    return Sensors(tracker, gyro, tuple(suns))
 
 
 class Navigator(sysModel.SysModel):

@@ -6,7 +6,9 @@ its origin at the centre of mass. The mass is constant: a flight uses some ten g
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from Basilisk.architecture import messaging, sysModel
@@ -26,7 +28,7 @@ from scp_recon.mission.mission import Mission
 from scp_recon.physics.forces import SPEED_OF_LIGHT_M_S
 from scp_recon.physics.harmonics import HarmonicField
 from scp_recon.simulation.estimator import cross_matrix
-from scp_recon.simulation.vehicle import Vehicle
+from scp_recon.simulation.vehicle import ChemicalThruster, MicroThrusters, Vehicle
 
 STEP_S = 0.1
 """Step of the Runge-Kutta integration: the shortest pulse of a micro-thruster."""
@@ -80,27 +82,6 @@ class Surroundings(sysModel.SysModel):
 
 
 @dataclass(frozen=True)
-class Plant:
-    """Physics of the simulation: asteroid and Sun, and the rigid body with its effectors attached.
-
-    Effectors are in the order in which they must be updated before the hub. The thrusters' settings
-    are kept so that their thrust can be changed; the flight software reads the configurations of
-    wheels and micro-thrusters.
-    """
-
-    surroundings: Surroundings
-    hub: spacecraft.Spacecraft
-    wheels: reactionWheelStateEffector.ReactionWheelStateEffector
-    micro: thrusterDynamicEffector.ThrusterDynamicEffector
-    chemical: thrusterDynamicEffector.ThrusterDynamicEffector
-    micro_thrusters: tuple[thrusterDynamicEffector.THRSimConfig, ...]
-    chemical_thruster: thrusterDynamicEffector.THRSimConfig
-    effectors: tuple[sysModel.SysModel, ...]
-    wheel_config: messaging.RWArrayConfigMsg
-    micro_config: messaging.THRArrayConfigMsg
-
-
-@dataclass(frozen=True)
 class Start:
     """Initial condition: state (6,), J2000, m and m/s; attitude from the body to J2000.
 
@@ -113,164 +94,133 @@ class Start:
     wheel_speeds_rad_s: Array
 
 
-def build_plant(
-    mission: Mission,
-    vehicle: Vehicle,
-    start: Start,
-    *,
-    field: HarmonicField | None,
-    light: bool = True,
-    gravity_gradient: bool = True,
-) -> Plant:
-    """Assemble a spacecraft; without a field, in the asteroid's frame, gravity is a point mass's."""
-    surroundings = Surroundings(mission)
-    hub = _hub(vehicle, start)
-    surroundings.states.subscribeTo(hub.scStateOutMsg)
-    asteroid = _attach_gravity(hub, mission, field)
-    asteroid.planetBodyInMsg.subscribeTo(surroundings.asteroid)
-    wheels, wheel_config = _attach_wheels(hub, vehicle, start.wheel_speeds_rad_s)
-    micro, micro_thrusters, micro_config = _attach_micro_thrusters(hub, vehicle)
-    chemical, chemical_thruster = _attach_chemical_thruster(hub, vehicle)
-    effectors = [surroundings, micro, chemical, wheels]
-    if light:
-        effectors.append(_attach_light(hub, surroundings, vehicle))
-    if gravity_gradient:
-        gradient = GravityGradientEffector.GravityGradientEffector()
-        gradient.addPlanetName(asteroid.planetName)
-        hub.addDynamicEffector(gradient)
-        effectors.append(gradient)
-    return Plant(
-        surroundings=surroundings,
-        hub=hub,
-        wheels=wheels,
-        micro=micro,
-        chemical=chemical,
-        micro_thrusters=micro_thrusters,
-        chemical_thruster=chemical_thruster,
-        effectors=tuple(effectors),
-        wheel_config=wheel_config,
-        micro_config=micro_config,
-    )
-
-
-def _hub(vehicle: Vehicle, start: Start) -> spacecraft.Spacecraft:
-    """The rigid body alone."""
-    hub = spacecraft.Spacecraft()
-    hub.ModelTag = vehicle.name
-    hub.hub.mHub = vehicle.mass.mass_kg
-    hub.hub.IHubPntBc_B = vehicle.inertia.tolist()
-    hub.hub.r_CN_NInit = start.state[:3].tolist()
-    hub.hub.v_CN_NInit = start.state[3:].tolist()
-    hub.hub.sigma_BNInit = start.attitude.as_mrp().tolist()
-    hub.hub.omega_BN_BInit = start.rate_rad_s.tolist()
-    return hub
-
-
-def _attach_gravity(
-    hub: spacecraft.Spacecraft, mission: Mission, field: HarmonicField | None
-) -> simIncludeGravBody.gravityEffector.GravBodyData:
-    body = mission.scenario.body
-    factory = simIncludeGravBody.gravBodyFactory()
-    asteroid = factory.createCustomGravObject(body.name, mu=body.gm_m3_s2)
-    asteroid.isCentralBody = True
-    asteroid.radEquator = body.reference_radius_m
-    if field is not None:
-        asteroid.radEquator = field.radius
-        asteroid.gravityModel = harmonic_gravity(field)
-    factory.addBodiesTo(hub)
-    return asteroid
-
-
-def harmonic_gravity(
-    field: HarmonicField,
-) -> sphericalHarmonicsGravityModel.SphericalHarmonicsGravityModel:
-    """Basilisk's model of a gravity field; its coefficients are fully normalised."""
-    model = sphericalHarmonicsGravityModel.SphericalHarmonicsGravityModel()
-    model.maxDeg = len(field.c) - 1
-    model.muBody, model.radEquator = field.gm, field.radius
-    c_bar, s_bar = field.normalised()
-    model.cBar = [row[: n + 1].tolist() for n, row in enumerate(c_bar)]
-    model.sBar = [row[: n + 1].tolist() for n, row in enumerate(s_bar)]
+def module(model: Any, inputs: Mapping[str, Any], **settings: Any) -> Any:
+    """Give one of Basilisk's modules its settings and the messages that it reads, and return it."""
+    for name, value in settings.items():
+        setattr(model, name, value)
+    for name, message in inputs.items():
+        getattr(model, name).subscribeTo(message)
     return model
 
 
-def _attach_wheels(
-    hub: spacecraft.Spacecraft, vehicle: Vehicle, speeds: Array
-) -> tuple[reactionWheelStateEffector.ReactionWheelStateEffector, messaging.RWArrayConfigMsg]:
-    """Attach balanced wheels, whose mass and transverse inertia are counted with the hub."""
-    wheels, factory = vehicle.wheels, simIncludeRW.rwFactory()
-    for axis, speed in zip(wheels.axes, speeds.tolist(), strict=True):
-        factory.create(
-            "custom",
-            list(axis),
-            Js=wheels.inertia_kg_m2,
-            Omega=speed / macros.RPM,
-            Omega_max=wheels.speed_max_rad_s / macros.RPM,
-            u_max=wheels.torque_max_n_m,
-            RWModel=messaging.BalancedWheels,
+class Plant:
+    """Physics of the simulation: asteroid and Sun, and the rigid body with its effectors attached.
+
+    `effectors` are in the order in which they must be updated before the hub. The thrusters' settings
+    are kept so that their thrust can be changed; the flight software reads the configurations of
+    wheels and micro-thrusters. Without a field, in the asteroid's frame, gravity is a point mass's.
+    """
+
+    def __init__(
+        self,
+        mission: Mission,
+        vehicle: Vehicle,
+        start: Start,
+        *,
+        field: HarmonicField | None,
+        light: bool = True,
+        gravity_gradient: bool = True,
+    ) -> None:
+        self.vehicle, self.surroundings = vehicle, Surroundings(mission)
+        self.hub = spacecraft.Spacecraft()
+        module(
+            self.hub.hub,
+            {},
+            mHub=vehicle.mass.mass_kg,
+            IHubPntBc_B=vehicle.inertia.tolist(),
+            r_CN_NInit=start.state[:3].tolist(),
+            v_CN_NInit=start.state[3:].tolist(),
+            sigma_BNInit=start.attitude.as_mrp().tolist(),
+            omega_BN_BInit=start.rate_rad_s.tolist(),
         )
-    effector = reactionWheelStateEffector.ReactionWheelStateEffector()
-    factory.addToSpacecraft("wheels", effector, hub)
-    return effector, factory.getConfigMessage()
-
-
-def _attach_micro_thrusters(
-    hub: spacecraft.Spacecraft, vehicle: Vehicle
-) -> tuple[
-    thrusterDynamicEffector.ThrusterDynamicEffector,
-    tuple[thrusterDynamicEffector.THRSimConfig, ...],
-    messaging.THRArrayConfigMsg,
-]:
-    micro, factory = vehicle.micro_thrusters, simIncludeThruster.thrusterFactory()
-    thrusters = tuple(
-        factory.create(
-            "Blank_Thruster",
-            list(offset),
-            list(direction),
-            MaxThrust=micro.thrust_n,
-            steadyIsp=micro.specific_impulse_s,
+        self.surroundings.states.subscribeTo(self.hub.scStateOutMsg)
+        self._attach_gravity(mission, field)
+        self.wheels, self.wheel_config = self._wheels(start.wheel_speeds_rad_s)
+        micro, chemical = vehicle.micro_thrusters, vehicle.chemical_thruster
+        self.micro, self.micro_thrusters, self.micro_config = self._thrusters(
+            micro, micro.offsets_m, micro.directions
         )
-        for offset, direction in zip(micro.offsets_m, micro.directions, strict=True)
-    )
-    effector = thrusterDynamicEffector.ThrusterDynamicEffector()
-    factory.addToSpacecraft("micro-thrusters", effector, hub)
-    return effector, thrusters, factory.getConfigMessage()
-
-
-def _attach_chemical_thruster(
-    hub: spacecraft.Spacecraft, vehicle: Vehicle
-) -> tuple[thrusterDynamicEffector.ThrusterDynamicEffector, thrusterDynamicEffector.THRSimConfig]:
-    chemical, factory = vehicle.chemical_thruster, simIncludeThruster.thrusterFactory()
-    thruster = factory.create(
-        "Blank_Thruster",
-        (np.array(chemical.position_m) - vehicle.centre_of_mass_m).tolist(),
-        list(chemical.direction),
-        MaxThrust=chemical.thrust_n,
-        steadyIsp=chemical.specific_impulse_s,
-    )
-    effector = thrusterDynamicEffector.ThrusterDynamicEffector()
-    factory.addToSpacecraft("chemical thruster", effector, hub)
-    return effector, thruster
-
-
-def _attach_light(
-    hub: spacecraft.Spacecraft, surroundings: Surroundings, vehicle: Vehicle
-) -> facetSRPDynamicEffector.FacetSRPDynamicEffector:
-    """Attach the plates, with areas scaled from Basilisk's solar constant to the scenario's."""
-    constant = surroundings.mission.scenario.sun.solar_constant_w_m2 / SPEED_OF_LIGHT_M_S
-    light = facetSRPDynamicEffector.FacetSRPDynamicEffector()
-    light.setNumFacets(len(vehicle.plates))
-    for plate in vehicle.plates:
-        light.addFacet(
-            plate.area_m2 * constant / BASILISK_PRESSURE,
-            np.eye(3).tolist(),
-            list(plate.normal),
-            [1.0, 0.0, 0.0],
-            (np.array(plate.centre_m) - vehicle.centre_of_mass_m).tolist(),
-            plate.diffuse,
-            plate.specular,
+        self.chemical, (self.chemical_thruster,), _ = self._thrusters(
+            chemical, [self._arm(chemical.position_m)], [chemical.direction]
         )
-    light.sunInMsg.subscribeTo(surroundings.sun)
-    light.sunEclipseInMsg.subscribeTo(surroundings.shadow)
-    hub.addDynamicEffector(light)
-    return light
+        self.effectors = [self.surroundings, self.micro, self.chemical, self.wheels]
+        if light:
+            self.effectors.append(self._light(mission.scenario.sun.solar_constant_w_m2))
+        if gravity_gradient:
+            self.effectors.append(GravityGradientEffector.GravityGradientEffector())
+            self.effectors[-1].addPlanetName(mission.scenario.body.name)
+        for effector in self.effectors[4:]:
+            self.hub.addDynamicEffector(effector)
+
+    def _attach_gravity(self, mission: Mission, field: HarmonicField | None) -> None:
+        body, factory = mission.scenario.body, simIncludeGravBody.gravBodyFactory()
+        asteroid = factory.createCustomGravObject(body.name, mu=body.gm_m3_s2)
+        asteroid.isCentralBody = True
+        asteroid.radEquator = body.reference_radius_m if field is None else field.radius
+        if field is not None:  # Basilisk's coefficients are fully normalised
+            model = sphericalHarmonicsGravityModel.SphericalHarmonicsGravityModel()
+            model.maxDeg, model.muBody, model.radEquator = len(field.c) - 1, field.gm, field.radius
+            model.cBar, model.sBar = (
+                [row[: n + 1].tolist() for n, row in enumerate(each)] for each in field.normalised()
+            )
+            asteroid.gravityModel = model
+        factory.addBodiesTo(self.hub)
+        asteroid.planetBodyInMsg.subscribeTo(self.surroundings.asteroid)
+
+    def _wheels(self, speeds: Array) -> tuple[Any, messaging.RWArrayConfigMsg]:
+        """Attach balanced wheels, whose mass and transverse inertia are counted with the hub."""
+        wheels, factory = self.vehicle.wheels, simIncludeRW.rwFactory()
+        for axis, speed in zip(wheels.axes, speeds.tolist(), strict=True):
+            factory.create(
+                "custom",
+                list(axis),
+                Js=wheels.inertia_kg_m2,
+                Omega=speed / macros.RPM,
+                Omega_max=wheels.speed_max_rad_s / macros.RPM,
+                u_max=wheels.torque_max_n_m,
+                RWModel=messaging.BalancedWheels,
+            )
+        effector = reactionWheelStateEffector.ReactionWheelStateEffector()
+        factory.addToSpacecraft("wheels", effector, self.hub)
+        return effector, factory.getConfigMessage()
+
+    def _thrusters(
+        self,
+        kind: MicroThrusters | ChemicalThruster,
+        offsets_m: Iterable[Sequence[float]],
+        directions: Iterable[Sequence[float]],
+    ) -> tuple[Any, list[Any], messaging.THRArrayConfigMsg]:
+        """Attach thrusters of a kind: effector, the settings of each, and what software reads."""
+        factory = simIncludeThruster.thrusterFactory()
+        settings = {"MaxThrust": kind.thrust_n, "steadyIsp": kind.specific_impulse_s}
+        each = [
+            factory.create("Blank_Thruster", list(offset), list(direction), **settings)
+            for offset, direction in zip(offsets_m, directions, strict=True)
+        ]
+        effector = thrusterDynamicEffector.ThrusterDynamicEffector()
+        factory.addToSpacecraft(type(kind).__name__, effector, self.hub)
+        return effector, each, factory.getConfigMessage()
+
+    def _light(self, solar_constant_w_m2: float) -> facetSRPDynamicEffector.FacetSRPDynamicEffector:
+        """Light on the plates, with areas scaled from Basilisk's solar constant to the scenario's."""
+        light = module(
+            facetSRPDynamicEffector.FacetSRPDynamicEffector(),
+            {"sunInMsg": self.surroundings.sun, "sunEclipseInMsg": self.surroundings.shadow},
+        )
+        light.setNumFacets(len(self.vehicle.plates))
+        for plate in self.vehicle.plates:
+            light.addFacet(
+                plate.area_m2 * solar_constant_w_m2 / SPEED_OF_LIGHT_M_S / BASILISK_PRESSURE,
+                np.eye(3).tolist(),
+                list(plate.normal),
+                [1.0, 0.0, 0.0],
+                self._arm(plate.centre_m),
+                plate.diffuse,
+                plate.specular,
+            )
+        return light
+
+    def _arm(self, place_m: Sequence[float]) -> list[float]:
+        """A place in the structure frame from the centre of mass, m."""
+        arm: list[float] = (np.array(place_m) - self.vehicle.centre_of_mass_m).tolist()
+        return arm

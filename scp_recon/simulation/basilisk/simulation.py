@@ -22,9 +22,8 @@ from scp_recon.monte_carlo.sampling import AnyPolicy, policy_kind, start_loop
 from scp_recon.physics.frames import unit
 from scp_recon.results.solution import Solution
 from scp_recon.simulation.basilisk.control import build_flight_software
-from scp_recon.simulation.basilisk.navigation import build_sensors
-from scp_recon.simulation.basilisk.plant import STEP_S, SURROUNDINGS_S, Start, build_plant
-from scp_recon.simulation.basilisk.power import Bus
+from scp_recon.simulation.basilisk.navigation import Sensors
+from scp_recon.simulation.basilisk.plant import STEP_S, SURROUNDINGS_S, Plant, Start
 from scp_recon.simulation.estimator import AttitudeFilter, SensorSigmas
 from scp_recon.simulation.flight import Flight
 from scp_recon.simulation.guidance import CONTROL_PERIOD_S, FlightPlan
@@ -198,14 +197,8 @@ class Simulator:
     ) -> None:
         self.plan, self.times_s = plan, times_s
         field = plan.mission.gravity.harmonics
-        self.plant = build_plant(plan.mission, plan.vehicle, start, field=field)
-        sensors = build_sensors(
-            self.plant.hub.scStateOutMsg,
-            self.plant.surroundings,
-            plan.vehicle,
-            sigmas,
-            draws.seeds,
-        )
+        self.plant = Plant(plan.mission, plan.vehicle, start, field=field)
+        sensors = Sensors(self.plant, sigmas, draws.seeds)
         # Designed for all errors: the filter cannot know which sources are left out, and one that took
         # the gyro for perfect would in time ignore the star tracker.
         expected = sensor_sigmas(plan.vehicle.errors, frozenset(Source))
@@ -215,7 +208,6 @@ class Simulator:
         software, self.navigator, self.allocator, self.firer = build_flight_software(
             plan, commands, self.plant, sensors, estimate, times_s, draws.pulses, draws.burns
         )
-        self.bus = Bus(plan, self.plant, self.firer, times_s)
         period = macros.sec2nano(CONTROL_PERIOD_S)
         self._states = self.plant.hub.scStateOutMsg.recorder(period)
         self._wheels = self.plant.wheels.rwSpeedOutMsg.recorder(period)
@@ -224,7 +216,7 @@ class Simulator:
                 "surroundings": (SURROUNDINGS_S, [self.plant.surroundings]),
                 "dynamics": (STEP_S, [*self.plant.effectors[1:], self.plant.hub]),
                 "software": (CONTROL_PERIOD_S, [*sensors.models, *software]),
-                "power": (CONTROL_PERIOD_S, [*self.bus.models(), self._states, self._wheels]),
+                "record": (CONTROL_PERIOD_S, [self._states, self._wheels]),
             }
         )
 
@@ -246,19 +238,17 @@ class Simulator:
                 self._follow(self.plan.with_burns(commander.burns_m_s(state)), time)
             if progress is not None:
                 progress(time)
-        self.bus.close()
 
     def _follow(self, plan: FlightPlan, time_s: float) -> None:
         """Take up a plan with other burns from a time on."""
         self.plan, k = plan, int(np.searchsorted(self.times_s, time_s, side="right"))
         past, coming = self.navigator.commands[:k], plan.attitudes(self.times_s)[k:]
         self.navigator.follow(Rotation.concatenate([past, coming]))
-        for module in (self.allocator, self.firer, self.bus):
-            module.follow(plan)
+        self.allocator.plan = self.firer.plan = plan
 
     def flight(self) -> Flight:
         """The recorded flight."""
-        states, bus = self._states, self.bus
+        states = self._states
         flown = np.hstack([states.r_CN_N, states.v_CN_N])
         attitudes = Rotation.from_mrp(states.sigma_BN)
         burns = self._executed_burns(attitudes)
@@ -277,12 +267,6 @@ class Simulator:
             in_use=self.allocator.in_use,
             wheel_speeds_rad_s=self._wheels.wheelSpeeds[:, : len(self.plan.vehicle.wheels.axes)],
             micro_on_s=self.firer.on_time_s,
-            panels_w=bus.generated,
-            consumed_w=bus.consumed,
-            lost_w=bus.lost,
-            unused_w=bus.unused,
-            short_w=bus.short,
-            stored_wh=bus.stored_wh,
             burns_m_s=burns,
             dumps=self.allocator.dumps,
             terminal_state=terminal,

@@ -19,8 +19,8 @@ from scp_recon.physics.flow import propagate
 from scp_recon.physics.forces import ForceModel
 from scp_recon.physics.frames import unit
 from scp_recon.physics.harmonics import HarmonicField
-from scp_recon.simulation.basilisk.navigation import build_sensors
-from scp_recon.simulation.basilisk.plant import Start, build_plant
+from scp_recon.simulation.basilisk.navigation import Sensors
+from scp_recon.simulation.basilisk.plant import Plant, Start
 from scp_recon.simulation.basilisk.simulation import Draws, Simulator, Source, sensor_sigmas
 from scp_recon.simulation.guidance import FlightPlan
 from scp_recon.simulation.panels import irradiance
@@ -39,9 +39,7 @@ def start(state: Array) -> Start:
 
 def flown(mission: Mission, vehicle: Vehicle, state: Array, field: HarmonicField | None) -> Array:
     """Final state of a ballistic flight half as long as the plan, without light and torques."""
-    plant = build_plant(
-        mission, vehicle, start(state), field=field, light=False, gravity_gradient=False
-    )
+    plant = Plant(mission, vehicle, start(state), field=field, light=False, gravity_gradient=False)
     (end,) = coast(plant, [DURATION_S], step_s=3.0)
     return end.state
 
@@ -70,9 +68,7 @@ def test_the_whole_field_turns_as_the_bodys_rotation_says(mission, vehicle, solu
     """Basilisk's acceleration against ours, after half a turn of the asteroid."""
     field = HarmonicField.bennu(mission.scenario.body.gm_m3_s2, 8)
     state = np.array(solution.nodes.state[70])
-    plant = build_plant(
-        mission, vehicle, start(state), field=field, light=False, gravity_gradient=False
-    )
+    plant = Plant(mission, vehicle, start(state), field=field, light=False, gravity_gradient=False)
     half = 7732.0
     first, last = coast(plant, [half, half + 2.0], step_s=2.0)
     mean = (last.state[3:] - first.state[3:]) / 2.0
@@ -89,7 +85,7 @@ def test_light_pushes_on_the_plates_as_their_formula_says(mission, vehicle):
     far = np.array([0.0, 1e6, 0.0, 0.0, 0.0, 0.0])
     attitude = Rotation.from_euler("xyz", [0.3, -0.5, 1.1])
     begin = Start(far, attitude, np.zeros(3), np.zeros(4))
-    plant = build_plant(mission, vehicle, begin, field=None, gravity_gradient=False)
+    plant = Plant(mission, vehicle, begin, field=None, gravity_gradient=False)
     (end,) = coast(plant, [10.0])
     gravity = mission.scenario.body.gm_m3_s2 / 1e12
     acceleration = end.state[3:] / 10.0 + gravity * np.array([0.0, 1.0, 0.0])
@@ -130,10 +126,9 @@ def test_sensors_err_as_their_sigmas_say(short_mission, vehicle):
     sun = short_mission.sun_direction(0.0)
     begin = Rotation.align_vectors([sun], [unit([0.5, 0.6, 0.62])])[0]
     start = Start(short_mission.initial_state, begin, np.array([1e-5, -2e-5, 1e-5]), np.zeros(4))
-    plant = build_plant(short_mission, vehicle, start, field=None, light=False)
+    plant = Plant(short_mission, vehicle, start, field=None, light=False)
     seeds = {"star_tracker": 1, "imu": 2, "sun_sensor": 3}
-    states = plant.hub.scStateOutMsg
-    sensors = build_sensors(states, plant.surroundings, vehicle, sigmas, seeds)
+    states, sensors = plant.hub.scStateOutMsg, Sensors(plant, sigmas, seeds)
     sim = SimulationBaseClass.SimBaseClass()
     process = sim.CreateNewProcess("flight")
     process.addTask(sim.CreateNewTask("all", macros.sec2nano(1.0)))
