@@ -267,13 +267,13 @@ def campaign(
     """
     from scp_recon.api.campaigns import CampaignOutput, run_campaign
     from scp_recon.campaigns import outcome, page
-    from scp_recon.campaigns.study import study_of
+    from scp_recon.campaigns.study import read_study
     from scp_recon.errors import option, path_of
     from scp_recon.reports.write import check_extra
 
     check_extra()
     folder = path_of(option("out"), out)
-    run_campaign(study_of(study, yes=yes), folder, workers=workers, scheduler=scheduler)
+    run_campaign(read_study(study, yes=yes), folder, workers=workers, scheduler=scheduler)
     results = outcome.read_campaign(folder)
     return CampaignOutput(results.table, page.figures(results))
 

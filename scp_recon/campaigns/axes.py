@@ -5,10 +5,10 @@ A row has the entries that change from case to case.
 
 from __future__ import annotations
 
-from abc import abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import timedelta
+from itertools import product
 from math import prod
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple, Self
@@ -122,43 +122,6 @@ ROUNDS = 40
 GOLDEN = (np.sqrt(5.0) - 1.0) / 2.0
 
 
-class Axis(Section):
-    """A table `[[axis]]`."""
-
-    @abstractmethod
-    def rows(self, base: Scenario, seed: tuple[int, ...], /) -> list[Changes]:
-        """Make the rows in order, from the study's scenario and the axis's own seed.
-
-        Raises:
-            InputError: if the axis has no rows, or a file or an entry cannot be used.
-        """
-
-
-class Values(Axis):
-    """A list of values of an entry, or rows of values of several."""
-
-    entry: Entry | None = None
-    entries: Annotated[tuple[Entry, ...], Field(min_length=1)] | None = None
-    values: Annotated[tuple[Any, ...], Field(min_length=1)]
-
-    @model_validator(mode="after")
-    def _fit_together(self) -> Self:
-        if (self.entry is None) == (self.entries is None):
-            raise ValueError("must have entry, or entries with a row of values each")
-        if len(set(self.entries or ())) < len(self.entries or ()):
-            raise ValueError("must have each entry once")
-        for row in self.values if self.entries else ():
-            if not isinstance(row, list | tuple) or len(row) != len(self.entries or ()):
-                raise ValueError(f"each row of values must have {len(self.entries or ())} items")
-        return self
-
-    def rows(self, _base: Scenario, _seed: tuple[int, ...], /) -> list[Changes]:
-        """Rows in the order of the file."""
-        if self.entry is not None:
-            return [{self.entry: value} for value in self.values]
-        return [dict(zip(self.entries or (), row, strict=True)) for row in self.values]
-
-
 class Span(Section):
     """Numbers from one to another, both included, at even steps or in equal ratios."""
 
@@ -182,17 +145,6 @@ class Span(Section):
         return numbers
 
 
-class Grid(Axis):
-    """Numbers at even steps, of one entry."""
-
-    entry: Entry
-    grid: Span
-
-    def rows(self, _base: Scenario, _seed: tuple[int, ...], /) -> list[Changes]:
-        """One row a number, in the order of the span."""
-        return [{self.entry: number} for number in self.grid.numbers()]
-
-
 class Law(Section):
     """The distribution of a random entry.
 
@@ -209,51 +161,26 @@ class Law(Section):
 
     @model_validator(mode="after")
     def _whole(self) -> Self:
-        by_moments = self.law.endswith("normal")
-        needed, others = ("mean", "sigma"), ("low", "high")
-        if not by_moments:
-            needed, others = others, needed
-        if any(getattr(self, name) is None for name in needed):
-            raise ValueError(f"{self.law} must have {needed[0]} and {needed[1]}")
-        if any(getattr(self, name) is not None for name in others):
-            raise ValueError(f"{self.law} must not have {others[0]} or {others[1]}")
-        if not by_moments and not (self.low or 0.0) < (self.high or 0.0):
-            raise ValueError("low must be less than high")
-        if self.law == "loguniform" and (self.low or 0.0) <= 0.0:
-            raise ValueError("low must be positive")
+        needed = ["mean", "sigma"] if self.law.endswith("normal") else ["low", "high"]
+        if [name for name, value in self if value is not None] != ["entry", "law", *needed]:
+            raise ValueError(f"{self.law} must have {needed[0]} and {needed[1]} alone")
+        if self.low is not None and self.high is not None:
+            if self.low >= self.high:
+                raise ValueError("low must be less than high")
+            if self.law == "loguniform" and self.low <= 0.0:
+                raise ValueError("low must be positive")
         return self
 
     def drawn(self, rng: np.random.Generator, count: int) -> Array:
         """Draw `count` values, shape (count,)."""
-        if self.law.endswith("normal"):
-            found = rng.normal(self.mean or 0.0, self.sigma or 0.0, count)
-            return np.exp(found) if self.law == "lognormal" else found
-        low, high = self.low or 0.0, self.high or 0.0
-        if self.law == "uniform":
-            return rng.uniform(low, high, count)
-        return np.exp(rng.uniform(np.log(low), np.log(high), count))
-
-
-class Draws(Axis):
-    """Random rows with independent entries; a larger count keeps the first rows."""
-
-    draws: Annotated[tuple[Law, ...], Field(min_length=1)]
-    count: Count
-
-    @model_validator(mode="after")
-    def _once(self) -> Self:
-        if len({law.entry for law in self.draws}) < len(self.draws):
-            raise ValueError("must have each entry once")
-        return self
-
-    def rows(self, _base: Scenario, seed: tuple[int, ...], /) -> list[Changes]:
-        """Random rows; each entry has a stream of its own."""
-        columns = [
-            law.drawn(generator(*seed, place), self.count).tolist()
-            for place, law in enumerate(self.draws)
-        ]
-        names = [law.entry for law in self.draws]
-        return [dict(zip(names, values, strict=True)) for values in zip(*columns, strict=True)]
+        log = self.law.startswith("log")
+        if self.mean is not None and self.sigma is not None:
+            found = rng.normal(self.mean, self.sigma, count)
+        else:
+            low, high = np.array([self.low, self.high], dtype=float)
+            ends = (np.log(low), np.log(high)) if log else (low, high)
+            found = rng.uniform(*ends, size=count)
+        return np.exp(found) if log else found
 
 
 class LatLonGrid(Section):
@@ -262,26 +189,21 @@ class LatLonGrid(Section):
     latitude_deg: Span
     longitude_deg: Span
 
-
-class Sites(Axis):
-    """Sites on a grid of latitude and longitude, row by row."""
-
-    sites: LatLonGrid
-
     @model_validator(mode="after")
     def _not_too_many(self) -> Self:
-        if self.sites.latitude_deg.count * self.sites.longitude_deg.count > ROWS_MAX:
+        if self.latitude_deg.count * self.longitude_deg.count > ROWS_MAX:
             raise ValueError(f"must have at most {ROWS_MAX:,} sites")
         return self
 
-    def rows(self, _base: Scenario, _seed: tuple[int, ...], /) -> list[Changes]:
-        """Sites of the first latitude, then of the next."""
-        longitudes = self.sites.longitude_deg.numbers()
-        return [
-            {LATITUDE: latitude, LONGITUDE: longitude}
-            for latitude in self.sites.latitude_deg.numbers()
-            for longitude in longitudes
-        ]
+
+class EvenSites(Section):
+    """The number of sites, and the time of their local noon."""
+
+    count: Annotated[int, Field(ge=4, le=10_000)]
+    """Number of sites; each has nearly the same share of the area."""
+    noon_at_s: Annotated[float | None, Field(ge=-1e7, le=1e7)] = None
+    """Time of local solar noon at the site, s past the epoch, which moves by less than a rotation: each
+    site is then seen at the same time of its flight. Without it the epoch stays."""
 
 
 class WindowSearch(Section):
@@ -292,36 +214,133 @@ class WindowSearch(Section):
     every: Annotated[int, Field(ge=1)] = 1
 
 
-class Windows(Axis):
-    """Epochs with which the base's burns are legal about the lighting windows of its site.
+KINDS: dict[str, tuple[str, ...]] = {
+    "values": ("entry", "entries"),
+    "grid": ("entry",),
+    "draws": ("count",),
+    "sites": (),
+    "spread": (),
+    "windows": (),
+}
+"""Kinds of axes by their key, and the keys one of which goes with it."""
 
-    A window gives one epoch: the middle of its legal epochs, to the second. The span must contain
-    the whole window, and the window must fall between the same burns as in the base.
+
+class Axis(Section):
+    """A table `[[axis]]`: the entries that change together, and their values.
+
+    Attributes:
+        entry, entries: that take `values`, each a value or a row of several.
+        grid: numbers of an entry.
+        draws: independent random entries; a larger count keeps the first rows.
+        sites: on a grid of latitude and longitude, row by row.
+        spread: sites spread evenly over the base's shape file, or its ellipsoid.
+        windows: epochs with which the base's burns are legal about the lighting windows of its site.
     """
 
-    windows: WindowSearch
+    entry: Entry | None = None
+    entries: Annotated[tuple[Entry, ...], Field(min_length=1)] | None = None
+    values: Annotated[tuple[Any, ...], Field(min_length=1)] | None = None
+    grid: Span | None = None
+    draws: Annotated[tuple[Law, ...], Field(min_length=1)] | None = None
+    count: Count | None = None
+    sites: LatLonGrid | None = None
+    spread: EvenSites | None = None
+    windows: WindowSearch | None = None
 
-    def rows(self, base: Scenario, _seed: tuple[int, ...], /) -> list[Changes]:
-        """Epochs in order of time."""
-        epoch, search = base.epoch.tdb, self.windows
-        first = ((search.start or epoch) - epoch).total_seconds()
-        if abs(first) > DAYS_MAX * DAY_S:
-            raise InputError(
-                "windows.from",
-                str(search.start),
-                f"must be within {DAYS_MAX:g} days of the base's epoch, {epoch.isoformat()}",
+    @model_validator(mode="after")
+    def _of_one_kind(self) -> Self:
+        given = [name for name, value in self if value is not None]
+        kinds = [name for name in given if name in KINDS]
+        if len(kinds) != 1:
+            raise ValueError(f"must have one of {', '.join(KINDS)}")
+        beside, known = [name for name in given if name not in kinds], KINDS[kinds[0]]
+        if beside not in ([[name] for name in known] or [[]]):
+            expected = " or ".join(known) or "nothing else"
+            raise ValueError(
+                f"{kinds[0]} must stand with {expected}, not {', '.join(beside) or '-'}"
             )
-        found = survey(base, (first, first + search.span_days * DAY_S))
-        allowed = [dict(window.shifts_s).get(found.before) for window in found.windows]
-        middles = [round(0.5 * (low + high)) for low, high in filter(None, allowed)]
-        middles = middles[:: search.every]
-        if not middles:
-            raise InputError(
-                "windows",
-                f"{len(found.windows)} lighting windows, none in which the base's burns are legal",
-                "must find one: see python -m scp_recon windows",
-            )
-        return [{EPOCH: (epoch + timedelta(seconds=s)).isoformat()} for s in middles]
+        names = self.entries or [law.entry for law in self.draws or ()]
+        if len(set(names)) < len(names):
+            raise ValueError("must have each entry once")
+        for row in (self.values or ()) if self.entries else ():
+            if not isinstance(row, list | tuple) or len(row) != len(names):
+                raise ValueError(f"each row of values must have {len(names)} items")
+        return self
+
+    def rows(self, base: Scenario, seed: tuple[int, ...]) -> list[Changes]:
+        """Make the rows in order, from the study's scenario and the axis's own seed.
+
+        Raises:
+            InputError: if the axis has no rows, or a file or an entry cannot be used.
+        """
+        if self.spread is not None:
+            return spread_sites(base, self.spread)
+        if self.windows is not None:
+            return window_epochs(base, self.windows)
+        if self.sites is not None:
+            names: Sequence[str] = (LATITUDE, LONGITUDE)
+            spans = self.sites.latitude_deg, self.sites.longitude_deg
+            values: Iterable[Sequence[Any]] = product(*(span.numbers() for span in spans))
+        elif self.draws is not None:  # each entry has a stream of its own
+            names, count = [law.entry for law in self.draws], self.count or 0
+            drawn = (law.drawn(generator(*seed, k), count) for k, law in enumerate(self.draws))
+            values = zip(*(column.tolist() for column in drawn), strict=True)
+        elif self.entries is not None:
+            names, values = self.entries, self.values or ()
+        else:
+            names = [self.entry or ""]
+            values = ([one] for one in (self.grid.numbers() if self.grid else self.values or ()))
+        return [dict(zip(names, row, strict=True)) for row in values]
+
+
+def window_epochs(base: Scenario, search: WindowSearch) -> list[Changes]:
+    """Epochs in order of time: for each window the middle of its legal ones, to the second.
+
+    The span must contain the whole window, and the window must fall between the same burns as in the
+    base.
+
+    Raises:
+        InputError: if there are none.
+    """
+    epoch = base.epoch.tdb
+    first = ((search.start or epoch) - epoch).total_seconds()
+    if abs(first) > DAYS_MAX * DAY_S:
+        raise InputError(
+            "windows.from",
+            str(search.start),
+            f"must be within {DAYS_MAX:g} days of the base's epoch, {epoch.isoformat()}",
+        )
+    found = survey(base, (first, first + search.span_days * DAY_S))
+    allowed = [dict(window.shifts_s).get(found.before) for window in found.windows]
+    middles = [round(0.5 * (low + high)) for low, high in filter(None, allowed)][:: search.every]
+    if not middles:
+        raise InputError(
+            "windows",
+            f"{len(found.windows)} lighting windows, none in which the base's burns are legal",
+            "must find one: see python -m scp_recon windows",
+        )
+    return [{EPOCH: (epoch + timedelta(seconds=s)).isoformat()} for s in middles]
+
+
+def spread_sites(base: Scenario, spread: EvenSites) -> list[Changes]:
+    """Latitude, longitude, name and, if it moves, the epoch of each site.
+
+    The first sites are spread evenly too, so a stopped campaign still has a coarser map.
+
+    Raises:
+        InputError: if the body has no shape, or no noons that the epochs could follow.
+    """
+    sites = even_sites(surface_of(base), spread.count)
+    order = sorted(range(len(sites)), key=lambda number: number * STRIDE % 1.0)
+    rows, noon_s = list[Changes](), noons_of(base) if spread.noon_at_s is not None else None
+    for number in order:
+        latitude, longitude = (round(angle, 2) for angle in sites[number])
+        name = f"{abs(latitude):.1f}{'NS'[latitude < 0]} {longitude % 360:.1f}E"
+        rows.append({NAME: name, LATITUDE: latitude, LONGITUDE: longitude})
+        if noon_s is not None and spread.noon_at_s is not None:
+            shift = timedelta(seconds=round(noon_s(longitude) - spread.noon_at_s))
+            rows[-1][EPOCH] = (base.epoch.tdb + shift).isoformat()
+    return rows
 
 
 def surface_of(scenario: Scenario) -> Surface:
@@ -415,59 +434,3 @@ def noons_of(scenario: Scenario) -> Callable[[float], float]:
         return time
 
     return noon_s
-
-
-class EvenSites(Section):
-    """The number of sites, and the time of their local noon."""
-
-    count: Annotated[int, Field(ge=4, le=10_000)]
-    """Number of sites; each has nearly the same share of the area."""
-    noon_at_s: Annotated[float | None, Field(ge=-1e7, le=1e7)] = None
-    """Time of local solar noon at the site, s past the epoch, which moves by less than a rotation: each
-    site is then seen at the same time of its flight. Without it the epoch stays."""
-
-
-class ShapeSites(Axis):
-    """Sites spread evenly over the base's shape file, or its ellipsoid.
-
-    The first sites are spread evenly too, so a stopped campaign still has a coarser map.
-    """
-
-    spread: EvenSites
-
-    def rows(self, base: Scenario, _seed: tuple[int, ...], /) -> list[Changes]:
-        """Latitude, longitude, name and, if it moves, the epoch of each."""
-        sites = even_sites(surface_of(base), self.spread.count)
-        order = sorted(range(len(sites)), key=lambda number: number * STRIDE % 1.0)
-        noon_at_s, noon_s, rows = self.spread.noon_at_s, noons_of(base), list[Changes]()
-        for number in order:
-            latitude, longitude = (round(angle, 2) for angle in sites[number])
-            name = f"{abs(latitude):.1f}{'NS'[latitude < 0]} {longitude % 360:.1f}E"
-            rows.append({NAME: name, LATITUDE: latitude, LONGITUDE: longitude})
-            if noon_at_s is not None:
-                shift = timedelta(seconds=round(noon_s(longitude) - noon_at_s))
-                rows[-1][EPOCH] = (base.epoch.tdb + shift).isoformat()
-        return rows
-
-
-KINDS: dict[str, type[Axis]] = {
-    "values": Values,
-    "grid": Grid,
-    "draws": Draws,
-    "sites": Sites,
-    "spread": ShapeSites,
-    "windows": Windows,
-}
-"""Kinds of axes by their key."""
-
-
-def axis_of(table: Mapping[str, Any]) -> type[Axis]:
-    """Find the kind of an axis by the key of its table.
-
-    Raises:
-        ValueError: if the table has not exactly one key of `KINDS`.
-    """
-    kinds = [key for key in KINDS if key in table]
-    if len(kinds) != 1:
-        raise ValueError(f"must have one of {', '.join(KINDS)}")
-    return KINDS[kinds[0]]

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
@@ -18,16 +19,11 @@ from scp_recon.campaigns.axes import (
     Axis,
     Cases,
     Changes,
-    Draws,
-    Grid,
-    Values,
-    Windows,
-    axis_of,
     changed,
     layer_of,
     of_campaign,
 )
-from scp_recon.campaigns.checks import REPLAN, REST, check_axes, check_do, ineffective, refuse
+from scp_recon.campaigns.checks import REPLAN, REST, check_axes, check_do, ineffective
 from scp_recon.campaigns.results import kind_of
 from scp_recon.errors import InputError, shortened
 from scp_recon.files import read_text
@@ -73,6 +69,13 @@ class Campaign(Section):
     """Entries of the base that differ in all cases."""
 
 
+class Tables(Section):
+    """A study file."""
+
+    campaign: Campaign = Campaign()
+    axis: tuple[Axis, ...] = ()
+
+
 @dataclass(frozen=True)
 class Study:
     """A base scenario, the axes along which it changes, and what is done with each case.
@@ -95,34 +98,28 @@ class Study:
         Raises:
             InputError: one message of everything that is wrong.
         """
-        unknown = set(tables) - {"campaign", "axis"}
-        if unknown:
-            raise InputError(
-                ", ".join(sorted(map(str, unknown))), "an unknown entry", "must be campaign or axis"
-            )
-        campaign = _model(Campaign, tables.get("campaign", {}), "campaign")
-        kinds = _axes(tables.get("axis", []))
+        found = _read(tables)
+        campaign, kinds = found.campaign, found.axis
         name = campaign.base
         base = load_scenario(name if name in base_names() else folder / name)
         base = _overridden(base, campaign.overrides, kinds, folder)
         check_do(campaign.do, base)
         rows = tuple(axis.rows(base, (campaign.seed, place)) for place, axis in enumerate(kinds))
-        given = campaign.model_dump(mode="json", exclude_unset=True)
+        own = campaign.model_dump(exclude_unset=True)
         for row in (row for each in rows for row in each if of_campaign(row)):
             if unknown := of_campaign(row).keys() - REST:
                 named = f"campaign.{min(unknown)}"
                 raise InputError(
                     named, "an axis", f"must be one of {', '.join(REST)}, or given once"
                 )
-            _model(Campaign, given | of_campaign(row), "campaign")
+            _read({"campaign": own | of_campaign(row)})
         study = cls(campaign, base, rows, folder, tables)
         if len(study.cases) > ASK_FROM and not yes:
             product = " x ".join(f"{len(each):,}" for each in rows)
             given = f"{len(study.cases):,} cases ({product})"
             raise InputError("axis", given, f"more than {ASK_FROM:,} need --yes")
-        random, windows = ([isinstance(axis, kind) for axis in kinds] for kind in (Draws, Windows))
-        own = campaign.model_dump(exclude_unset=True)
-        unfelt = ineffective(base, campaign.do, own, rows, windows)
+        random, windows = ([getattr(axis, key) for axis in kinds] for key in ("draws", "windows"))
+        unfelt = ineffective(base, campaign.do, own, rows, beside_windows=any(windows))
         check_axes(base, folder, rows, random, unfelt, replanned=campaign.policy == "replan")
         return study
 
@@ -158,12 +155,17 @@ class Study:
         return hashlib.sha256(text.encode()).hexdigest()
 
 
-def read_study(path: Path, *, yes: bool = False) -> Study:
-    """Read a study file.
+def read_study(given: str | Path | Mapping[str, Any], *, yes: bool = False) -> Study:
+    """Read a study from its file or its tables.
 
     Raises:
         InputError: one message of everything that is wrong.
     """
+    if isinstance(given, Mapping):
+        return Study.validated(given, yes=yes)
+    if not isinstance(given, str | Path):
+        raise InputError("study", shortened(given), "must be a file, or tables as in one")
+    path = Path(given)
     text = read_text(path, f"study {path}", "study file in TOML", BYTES_MAX)
     try:
         tables = tomllib.loads(text)
@@ -174,57 +176,32 @@ def read_study(path: Path, *, yes: bool = False) -> Study:
     return Study.validated(tables, path.parent, yes=yes)
 
 
-def study_of(given: str | Path | Mapping[str, Any], *, yes: bool = False) -> Study:
-    """Read a study from its file or its tables.
-
-    Raises:
-        InputError: one message of everything that is wrong.
-    """
-    if isinstance(given, str | Path):
-        return read_study(Path(given), yes=yes)
-    if not isinstance(given, Mapping):
-        raise InputError("study", shortened(given), "must be a file, or tables as in one")
-    return Study.validated(given, yes=yes)
-
-
-def _overridden(base: Scenario, overrides: Changes, axes: list[Axis], folder: Path) -> Scenario:
+def _overridden(base: Scenario, overrides: Changes, axes: Sequence[Axis], folder: Path) -> Scenario:
     """The base with overrides; entries that only an axis gives come from its first row."""
     try:
         return changed(base, overrides, folder)
     except InputError as error:
-        named = [axis for axis in axes if isinstance(axis, Values | Grid)]
+        named = [axis for axis in axes if axis.values or axis.grid]
         first = {entry: value for axis in named for entry, value in axis.rows(base, ())[0].items()}
         with suppress(InputError):
             return changed(base, {**first, **overrides}, folder)
         raise error
 
 
-def _model(schema: Any, table: Any, name: str) -> Any:
+def _read(tables: Any) -> Tables:
+    """Tables as a model; axes count from 1 in messages."""
     try:
-        return schema.model_validate_json(json.dumps(table, default=str))
+        return Tables.model_validate_json(json.dumps(tables, default=str))
     except ValidationError as error:
-        found = input_error(error, schema)
-        entry = name if found.entry == "scenario" else f"{name}.{found.entry}"
-        raise InputError(entry, found.given, found.allowed) from None
+        found = input_error(error, Tables)
+        entry = "study" if found.entry == "scenario" else found.entry
+        entry, allowed = (
+            re.sub(r"\baxis\.(\d+)", lambda match: f"axis {int(match[1]) + 1}", text)
+            for text in (entry, found.allowed)
+        )
+        raise InputError(entry, found.given, allowed) from None
     except (ValueError, RecursionError) as error:
-        raise InputError(name, "values that cannot be read", str(error)[:120]) from None
-
-
-def _axes(tables: Any) -> list[Axis]:
-    if not isinstance(tables, list) or not all(isinstance(table, dict) for table in tables):
-        raise InputError("axis", shortened(tables), "must be tables [[axis]]")
-    found, wrong = [], []
-    for number, table in enumerate(tables, start=1):
-        name = f"axis {number}"
-        try:
-            found.append(_model(axis_of(table), table, name))
-        except InputError as error:
-            wrong.append(error)
-        except ValueError as error:
-            wrong.append(InputError(name, ", ".join(table) or "nothing", str(error)))
-    if wrong:
-        refuse(wrong)
-    return found
+        raise InputError("study", "values that cannot be read", str(error)[:120]) from None
 
 
 def _digests(study: Study) -> Iterator[tuple[str, str]]:

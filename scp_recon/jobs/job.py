@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator
 from contextlib import closing
-from dataclasses import dataclass, field
 from time import perf_counter, process_time
 from typing import Any, NamedTuple
 
@@ -128,7 +127,7 @@ def attempt(work: Work, job: Job) -> Done:
     Raises:
         KeyboardInterrupt: if the user interrupts.
     """
-    watch = Stopwatch()
+    wall, cpu = perf_counter(), process_time()
     value, failure = None, None
     try:
         value = work(job.inputs)
@@ -140,16 +139,4 @@ def attempt(work: Work, job: Job) -> Done:
         failure = Failure(FAILED, printable(f"{type(error).__name__}: {error}"), error)
     except SystemExit as error:
         failure = Failure(FAILED, printable(f"SystemExit: {error}"))
-    return Done(job.key, value, failure, *watch.read(), 1)
-
-
-@dataclass
-class Stopwatch:
-    """Wall and processor time since it was made, s."""
-
-    wall: float = field(default_factory=perf_counter)
-    cpu: float = field(default_factory=process_time)
-
-    def read(self) -> tuple[float, float]:
-        """Wall and processor time so far, s."""
-        return perf_counter() - self.wall, process_time() - self.cpu
+    return Done(job.key, value, failure, perf_counter() - wall, process_time() - cpu, 1)

@@ -14,19 +14,17 @@ import signal
 import subprocess
 import sys
 import threading
-import time
 import warnings
 from collections.abc import Generator, Iterable
-from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextlib import suppress
 from dataclasses import dataclass
 from itertools import islice
 from math import inf, isfinite
 from multiprocessing import Pipe
-from multiprocessing.connection import Connection
+from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from signal import SIGALRM, SIGKILL, SIGPROF
-from typing import Any
+from time import monotonic, sleep
 
 from scp_recon.errors import InputError, option
 from scp_recon.jobs.job import (
@@ -37,7 +35,6 @@ from scp_recon.jobs.job import (
     Done,
     Failure,
     Job,
-    Stopwatch,
     Work,
     attempt,
 )
@@ -65,17 +62,13 @@ class Limits:
     Attributes:
         seconds, cpu_s: wall and processor time.
         memory_mb: megabytes beyond the process's own memory.
-        apart: run each job in a copy of a process that has run none, and has only imported the work.
+        apart: run each job in a process of its own.
     """
 
     seconds: float = inf
     cpu_s: float = inf
     memory_mb: int | None = None
     apart: bool = False
-
-
-class StoppedError(Exception):
-    """The child was ended: its job is no longer wanted."""
 
 
 class UnfitError(Exception):
@@ -96,99 +89,71 @@ class Processes:
             InputError: if the processes cannot load the work.
         """
         children = [Child(pickle.dumps(work), self.limits) for _ in range(self.workers)]
-        left, running = iter(jobs), dict[Future[Done], Child]()
-        pool = ThreadPoolExecutor(self.workers)
+        left = iter(jobs)
 
         def begin(child: Child) -> None:
             for job in islice(left, 1):
-                running[pool.submit(child.run, job)] = child
+                child.begin(job)
 
         try:
             for child in children:
                 begin(child)
-            while running:
-                for ended in wait(running, return_when=FIRST_COMPLETED).done:
-                    done = ended.result()
-                    begin(running.pop(ended))
-                    yield done
+            while running := {child.pipe: child for child in children if child.job is not None}:
+                ready = wait(running, _until(min(child.deadline for child in running.values())))
+                for pipe, child in running.items():
+                    late = child.deadline <= monotonic()
+                    if (pipe in ready or late) and (done := child.answer()) is not None:
+                        begin(child)
+                        yield done
         except UnfitError as error:
             allowed = "must be able to run the work"
             raise InputError(option("workers"), str(error), allowed) from None
         finally:
             for child in children:
-                child.stop()
-            pool.shutdown()
-            for child in children:
                 child.end()
 
 
 class Child:
-    """A process for jobs, started with the first job and restarted after it has died."""
+    """A process for jobs, started with its first job and again after it has died.
+
+    Attributes:
+        job: that is run; None while there is none.
+        pipe: ready where `answer` need not wait.
+        deadline: at which the process is ended, s of `monotonic`.
+    """
+
+    pipe: Connection
+    deadline: float
 
     def __init__(self, pickled_work: bytes, limits: Limits) -> None:
         self.work, self.limits = pickled_work, limits
+        self.job: Job | None = None
         self._process: subprocess.Popen[bytes] | None = None
-        self._pipe: Connection
-        self._used = False
-        self._stopped = threading.Event()
+        self._sent = 0
 
     def run(self, job: Job) -> Done:
         """Run a job, up to `TRIES` times while it kills the process.
 
         Raises:
-            StoppedError: if `stop` is called during the job.
             UnfitError: if no job can be run here.
         """
-        watch, status, tries = Stopwatch(), 0, 0
-        limits = self.limits
-        too_long = {
-            -SIGALRM: f"took longer than {limits.seconds:g} s",
-            -SIGPROF: f"took longer than {limits.cpu_s:g} s of the processor",
-        }
-        while tries < TRIES:
-            tries += 1
-            used = self._used
-            done, status = self._try(job)
-            if self._stopped.is_set():
-                raise StoppedError
-            if done is not None and done.failure and done.failure.status == OUT_OF_MEMORY:
-                self.end()  # what it could not finish may be half done
-                if used:  # and earlier jobs may have left it less than their due
-                    continue
-            if done is not None:
-                return done._replace(tries=tries)
-            if status in too_long:
-                failure = Failure(TIMED_OUT, too_long[status])
-                return Done(job.key, None, failure, watch.read()[0], None, tries)
-        message = f"ended its process in each of {TRIES} tries, at last with status {status}"
-        return Done(job.key, None, Failure(DIED, message), watch.read()[0], None, tries)
+        self.begin(job)
+        while (done := self.answer()) is None:
+            pass
+        return done
 
-    def _try(self, job: Job) -> tuple[Done | None, int]:
-        """Try a job once: its outcome, or the exit status of a process that died."""
-        try:
-            if self._process is None:
-                self._begin()
-                if (answer := self._answer(START_S)) != READY:
-                    raise UnfitError(answer)
-            self._used = True
-            self._pipe.send(job)
-            return self._answer(self.limits.seconds + GRACE_S), 0
-        except TimeoutError:
-            late = -SIGALRM if self._used else -SIGKILL
-            self.end()
-            return None, late
-        except (OSError, EOFError, pickle.UnpicklingError):
-            return None, self.end(patience_s=GRACE_S)
+    def begin(self, job: Job) -> None:
+        """Begin a job, whose outcome `answer` will have."""
+        self.job, self._tries, self._begun = job, 0, monotonic()
+        self._try()
 
-    def _answer(self, limit_s: float) -> Any:
-        if not self._pipe.poll(limit_s if isfinite(limit_s) else None):
-            raise TimeoutError
-        return self._pipe.recv()
-
-    def _begin(self) -> None:
-        """Start a process, which sends READY once it can run jobs."""
+    def _try(self) -> None:
+        self._tries += 1
+        if self._process is not None:
+            self._send()
+            return
         paths = os.pathsep.join(path or str(Path.cwd()) for path in sys.path)
-        self._pipe, far = Pipe()
+        self.pipe, far = Pipe()
         with far:
             self._process = subprocess.Popen(
                 [sys.executable, "-P", "-c", SERVE.format(far.fileno())],
@@ -198,27 +163,79 @@ class Child:
                 env={**os.environ, **ONE_THREAD, "PYTHONPATH": paths},
                 start_new_session=True,  # Ctrl-C is the parent's to handle
             )
-        if self._stopped.is_set():  # meanwhile
-            self._process.kill()
-        self._pipe.send((self.work, self.limits))
+        self._say((self.work, self.limits), START_S)
 
-    def stop(self) -> None:
-        """End the process for good, from any thread, and drop the result of its job."""
-        self._stopped.set()
-        process = self._process
-        if process is not None:
-            process.kill()
+    def _send(self) -> None:
+        self._sent += 1
+        self._say(self.job, self.limits.seconds + GRACE_S)
+
+    def _say(self, what: object, limit_s: float) -> None:
+        self.deadline = monotonic() + limit_s
+        with suppress(OSError):  # it has died, which `answer` finds
+            self.pipe.send(what)
+
+    def answer(self) -> Done | None:
+        """Wait for the process until the deadline; the job's outcome, None if it goes on.
+
+        Raises:
+            UnfitError: if no job can be run here.
+        """
+        assert self.job is not None
+        done, status = None, 0
+        try:
+            if not self.pipe.poll(_until(self.deadline)):
+                raise TimeoutError
+            said = self.pipe.recv()
+            if said == READY:
+                self._send()
+                return None
+            if isinstance(said, str):
+                raise UnfitError(said)
+            done = said
+        except TimeoutError:
+            status = -SIGALRM if self._sent else -SIGKILL
+            self.end()
+        except (OSError, EOFError, pickle.UnpicklingError):
+            status = self.end(patience_s=GRACE_S)
+        if done is not None and done.failure and done.failure.status == OUT_OF_MEMORY:
+            # What it could not finish may be half done, and earlier jobs may have left it too little.
+            done = None if self._sent > 1 else done
+            self.end()
+        if done is None and (failure := self._failure(status)) is None:
+            self._try()
+            return None
+        done = done or Done(self.job.key, None, failure, monotonic() - self._begun, None, 0)
+        if self.limits.apart:
+            self.end()
+        self.job = None
+        return done._replace(tries=self._tries)
+
+    def _failure(self, status: int) -> Failure | None:
+        """The reason for which a process that ended with a status ends its job too, if it does."""
+        if status == -SIGALRM:
+            return Failure(TIMED_OUT, f"took longer than {self.limits.seconds:g} s")
+        if status == -SIGPROF:
+            return Failure(TIMED_OUT, f"took longer than {self.limits.cpu_s:g} s of the processor")
+        if self._tries < TRIES:
+            return None
+        said = f"ended its process in each of {TRIES} tries, at last with status {status}"
+        return Failure(DIED, said)
 
     def end(self, patience_s: float = 0.0) -> int:
         """Wait for the process to end, then kill it; its exit status. The next job starts another."""
-        process, self._process, self._used = self._process, None, False
+        process, self._process, self._sent = self._process, None, 0
         if process is None:
             return 0
-        self._pipe.close()
+        self.pipe.close()
         with suppress(subprocess.TimeoutExpired):
             return process.wait(patience_s)
         process.kill()
         return process.wait()
+
+
+def _until(deadline: float) -> float | None:
+    """Seconds until a time of `monotonic`; None if that never comes."""
+    return max(deadline - monotonic(), 0.0) if isfinite(deadline) else None
 
 
 def serve(socket: int) -> None:
@@ -236,8 +253,7 @@ def serve(socket: int) -> None:
         sys.exit(1)
     pipe.send(READY)
     _limit_memory(limits)
-    timers = ((signal.ITIMER_REAL, limits.seconds), (signal.ITIMER_PROF, limits.cpu_s))
-    kept = [(timer, limit_s) for timer, limit_s in timers if isfinite(limit_s)]
+    timers = {signal.ITIMER_REAL: limits.seconds, signal.ITIMER_PROF: limits.cpu_s}
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", category=RuntimeWarning)  # as `run_command` does
         while True:
@@ -245,33 +261,12 @@ def serve(socket: int) -> None:
                 job = pipe.recv()
             except (EOFError, OSError):  # the parent is done, or gone
                 return
-            if limits.apart and _left_to_a_copy():
-                continue
-            for timer, limit_s in kept:
-                signal.setitimer(timer, limit_s)
+            for timer, limit_s in timers.items():
+                signal.setitimer(timer, limit_s if isfinite(limit_s) else 0.0)
             done = attempt(work, job)
-            for timer, _ in kept:
+            for timer in timers:
                 signal.setitimer(timer, 0.0)
             pipe.send(_portable(done))
-            if limits.apart:
-                os._exit(0)
-
-
-def _left_to_a_copy() -> bool:
-    """Copy this process: False in the copy, True once that has ended well. Dies as the copy does."""
-    here = os.getpid()
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", category=DeprecationWarning)  # of the thread that watches
-        copy = os.fork()
-    if copy == 0:
-        threading.Thread(target=_end_with, args=(here,), daemon=True).start()
-        return False
-    status = os.waitstatus_to_exitcode(os.waitpid(copy, 0)[1])
-    if status < 0:
-        os.kill(here, -status)
-    elif status:
-        os._exit(status)
-    return True
 
 
 def _portable(done: Done) -> Done:
@@ -288,7 +283,7 @@ def _portable(done: Done) -> Done:
 
 def _end_with(parent: int) -> None:
     while os.getppid() == parent:
-        time.sleep(LOOK_S)
+        sleep(LOOK_S)
     os._exit(1)
 
 

@@ -14,7 +14,6 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, closing, suppress
 from pathlib import Path
 from time import monotonic
-from types import TracebackType
 from typing import IO, Any, NamedTuple, Self
 
 from scp_recon.errors import InputError, option, version_of
@@ -81,12 +80,7 @@ class Store:
         """The store itself, closed at the end."""
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        at: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def __len__(self) -> int:

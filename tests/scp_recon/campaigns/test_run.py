@@ -14,7 +14,7 @@ from scp_recon.api.campaigns import work_of
 from scp_recon.api.planning import PlanOutcome
 from scp_recon.campaigns import run as run_module
 from scp_recon.campaigns import study as study_module
-from scp_recon.campaigns.axes import Case, Values
+from scp_recon.campaigns.axes import Axis, Case
 from scp_recon.campaigns.results import RESULTS, ROWS, cell, kind_of, read_results
 from scp_recon.campaigns.run import FILE_NAME, Observer, run_study
 from scp_recon.campaigns.study import Campaign, Do, Study
@@ -147,7 +147,7 @@ def test_case_follows_the_do_of_its_study(do, default_plan, verification, monkey
 @pytest.mark.slow
 def test_campaigns_sweep_free_times_of_the_rest():
     base = load_scenario(None, [COARSE])
-    times = Values(entry="campaign.free_times", values=(False, True)).rows(base, ())
+    times = Axis(entry="campaign.free_times", values=(False, True)).rows(base, ())
     work = campaigns.StudyWork(base, Path(), Campaign(do="replan", at_s=2000.0))
     given, free = (work(Case(i, 0, row)).values for i, row in enumerate(times))
     assert given["rest_status"] == free["rest_status"] == "converged"

@@ -6,7 +6,7 @@ from scipy.spatial import ConvexHull, KDTree
 
 from scp_recon.bodies.surface import Ellipsoid, Mesh, direction_of
 from scp_recon.campaigns.axes import (
-    ShapeSites,
+    Axis,
     changed,
     even_sites,
     fibonacci,
@@ -100,7 +100,7 @@ def test_sites_without_shape_or_radii_are_refused():
 
 def test_the_first_sites_are_spread_too():
     base = load_scenario("recon_b")
-    rows = ShapeSites.model_validate({"spread": {"count": 128}}).rows(base, (0,))
+    rows = Axis.model_validate({"spread": {"count": 128}}).rows(base, (0,))
     places = [direction_of(row["site.latitude_deg"], row["site.longitude_deg"]) for row in rows]
     far = KDTree(places[:32]).query(fibonacci(2000))[0].max()
     alone = KDTree(fibonacci(32)).query(fibonacci(2000))[0].max()

@@ -110,7 +110,7 @@ BAD_AXES: list[tuple[dict[str, Any], str, str]] = [
     ({"entry": P, "values": []}, "axis 1.values", "at least 1"),
     ({"entry": P, "values": [7.0, 0.7]}, FIRST, "must be"),
     ({"entry": P}, "axis 1", "must have one of"),
-    ({"entry": P, "values": [1], "count": 3}, "axis 1.count", "must be one of"),
+    ({"entry": P, "values": [1], "count": 3}, "axis 1", "with entry or entries, not entry, count"),
     ({"entries": ["a.b", "c.d"], "values": [[1]]}, "axis 1", "must have 2 items"),
     ({"entry": P, "grid": GRID | {"count": 0}}, "axis 1.grid.count", "at least 1"),
     ({"entry": P, "grid": GRID | {"scale": "log"}}, "axis 1.grid", "positive"),
@@ -130,7 +130,7 @@ BAD_CAMPAIGNS: list[tuple[dict[str, Any], str, str]] = [
     ({"base": "nowhere"}, "scenario nowhere", "must be a readable"),
     ({"overrides": {P: 2}}, P, "must be"),
     ({"limit_s": 0}, "campaign.limit_s", "at least 0.1"),
-    ({"baze": "x"}, "campaign.baze", "did you mean base?"),
+    ({"baze": "x"}, "campaign.baze", "did you mean campaign.base?"),
 ]
 
 
@@ -195,8 +195,12 @@ IDLE: list[tuple[list[dict[str, Any]], dict[str, Any], str]] = [
     ([], {"samples": 1_000_000}, r"campaign.samples: got 1000000 with do = 'plan'; needs"),
     ([axis("design.departure_s", [0, 0])], {}, r"1: design.departure_s: .*; needs do = 'design'"),
     ([], {"overrides": GIVEN_TIMES}, r"overrides: design.burn_times: got"),
-    ([axis("campaign.free_times", True)], {}, "campaign.free_times: got with do = 'plan'; needs"),
-    ([], {"at_s": 5.0}, "campaign.at_s: got with do = 'plan'; needs do = 'replan'"),
+    (
+        [axis("campaign.free_times", True)],
+        {},
+        "campaign.free_times: got True with do = 'plan'; needs",
+    ),
+    ([], {"at_s": 5.0}, "campaign.at_s: got 5.0 with do = 'plan'; needs do = 'replan'"),
     ([axis("campaign.at_s", -1.0)], {"do": "replan"}, "campaign.at_s: got -1"),
     ([axis("campaign.seed", 1)], {"do": "replan"}, "seed: got an axis; must be one of"),
     ([P_CHANCE, P_CHANCE], {}, "must be in one place"),
@@ -207,9 +211,13 @@ IDLE: list[tuple[list[dict[str, Any]], dict[str, Any], str]] = [
     ([POINTS], {}, r"row 2: .* row 1 again"),
     ([{"sites": SITES}], {}, r"row 2: .* the site of row 1 again.* a pole is one site"),
     ([ONE_LATITUDE], {}, r"row 5: .* 0 and 360 deg are one meridian"),
-    (BESIDE, {}, "axis 1.windows: got beside site.latitude_deg on axis 2; are windows of the base"),
-    ([COST], {"overrides": MEASURED}, r"axis 1: policy.cost: got with policy.kind = 'open'"),
-    ([LEAD], {}, r"axis 1: navigation.lead_s: got with policy.kind = 'open'; needs"),
+    (BESIDE, {}, "axis 2: site.latitude_deg: got 10.0 beside windows of the base's site"),
+    (
+        [COST],
+        {"overrides": MEASURED},
+        r"axis 1: policy.cost: got 'nominal' with policy.kind = 'open'",
+    ),
+    ([LEAD], {}, r"axis 1: navigation.lead_s: got 0.0 with policy.kind = 'open'; needs"),
     ([], {"policy": "replan"}, r"campaign.policy: got 'replan' with do = 'plan'; needs"),
     ([LEAD], REPLANNED, r"'replan' without a measurement"),
     ([axis(LEAD_S, 0, 1e4)], REPLANNED | {"overrides": MEASURED}, "row 2: .* cut-off of burn 4"),
@@ -246,7 +254,7 @@ def test_billion_cases_are_counted_and_need_consent():
         study(*grids)
     with pytest.raises(InputError, match=r"axis 1.grid.count: got 1000000000; .* 1e\+06"):
         study({"entry": "risk.p_chance", "grid": {"from": 0.1, "to": 0.2, "count": 10**9}})
-    with pytest.raises(InputError, match=r"axis 1: .* at most 1,000,000 sites"):
+    with pytest.raises(InputError, match=r"axis 1.sites: .* at most 1,000,000 sites"):
         study({"sites": {key: GRID | {"count": 2000} for key in SITES}})
     assert time.process_time() - begun < 1.0
 

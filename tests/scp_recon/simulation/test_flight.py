@@ -24,9 +24,8 @@ from scp_recon.simulation.basilisk.simulation import (
     sensor_sigmas,
     simulate,
 )
-from scp_recon.simulation.flight import Actuators, Flight
+from scp_recon.simulation.flight import Actuators, Flight, distribute
 from scp_recon.simulation.guidance import FlightPlan
-from scp_recon.simulation.power import distribute
 from scp_recon.simulation.record import ARRAYS, FILE_NAME, make_record, read_record, write_record
 from tests.helpers import nightly
 from tests.scp_recon.simulation.short_plan import SHORT, short_plan
