@@ -16,11 +16,9 @@ from scp_recon.errors import (
     whole_number,
 )
 from scp_recon.files import check_writable, writing
-from scp_recon.interop.export import UNNAMED_BODY_ID, Export, Ids
+from scp_recon.interop.export import Export
 from scp_recon.interop.files import FORMATS, require, stem, write_export
-from scp_recon.interop.path import fly_path
 from scp_recon.jobs.cores import one_thread
-from scp_recon.mission.constraints import check_miss
 from scp_recon.planning.plan import Plan
 from scp_recon.results.read import read_solution
 from scp_recon.results.runs import resolve_run
@@ -172,16 +170,7 @@ def write_export_of(
             option("miss"), str(miss), f"goes with a path, not with {option('format')} ck"
         )
     craft = load_vehicle(None if vehicle is None else path_of(option("vehicle"), vehicle))
-    found, place = export_of(plan, spacecraft, miss), path_of(option("out"), out)
+    found, place = Export.of(solution_of(plan), spacecraft, miss), path_of(option("out"), out)
     check_writable(place, f"{stem(found)}.{form}", option("out"))
     with writing(place, option("out")):
         return Exported(write_export(found, form, place, craft), found)
-
-
-def export_of(plan: AnyPlan, spacecraft: int = -999, miss: int | None = None) -> Export:
-    """Fly a plan's burns again, sampled for other tools."""
-    solution = solution_of(plan)
-    mission = solution.mission
-    check_miss(solution.scenario, miss)
-    ids = Ids(spacecraft, mission.scenario.body.naif_id or UNNAMED_BODY_ID)
-    return Export(solution, mission, fly_path(mission, solution, miss), ids, miss)

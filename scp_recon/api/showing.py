@@ -5,10 +5,11 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from scp_recon.api.designing import Design, trials_table
-from scp_recon.api.files import charts_of, export_of, solution_of
+from scp_recon.api.files import charts_of, solution_of
 from scp_recon.api.survey import survey_table
 from scp_recon.display import Displayed, Tabulated
 from scp_recon.errors import imported, one_of, option
+from scp_recon.interop.export import Export
 from scp_recon.interop.files import columns
 from scp_recon.mission.schedule import Survey
 from scp_recon.monte_carlo.summary import Summary
@@ -74,7 +75,7 @@ def _rows(result: Tabulated, table: str) -> Any:
         return {"plan": result.names, **named}
     assert isinstance(result, Plan | Solution)
     if table == "path":
-        return columns(export_of(result))
+        return columns(Export.of(solution_of(result)))
     return OF_A_PLAN[table](solution_of(result)).records()
 
 

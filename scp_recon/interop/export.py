@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import textwrap
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
 from scp_recon.errors import printable, version_of
-from scp_recon.interop.path import MARGIN_S, FlownPath
+from scp_recon.interop.path import MARGIN_S, FlownPath, fly_path
+from scp_recon.mission.constraints import check_miss
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.summary import missed_by_law
 from scp_recon.results.facts import Burn
@@ -23,35 +23,43 @@ UNNAMED_BODY_ID = 9_999_999
 LINE = 100
 
 
-class Ids(NamedTuple):
-    """NAIF's numbers in the files.
-
-    Attributes:
-        spacecraft: below zero.
-        body: above.
-    """
-
-    spacecraft: int
-    body: int
-
-
 @dataclass(frozen=True, eq=False)
 class Export:
     """A plan to be exported: its solution and the path that its burns lead along.
 
     Attributes:
         solution: the plan's solution.
-        mission: of its scenario.
         path: flown with its burns.
-        ids: of spacecraft and body.
+        spacecraft: NAIF's number in the files, below zero.
         miss: number of the burn that is missed, whose drift the path is; None for the whole plan.
     """
 
     solution: Solution
-    mission: Mission
     path: FlownPath
-    ids: Ids
+    spacecraft: int = SPACECRAFT_ID
     miss: int | None = None
+
+    @classmethod
+    def of(
+        cls, solution: Solution, spacecraft: int = SPACECRAFT_ID, miss: int | None = None
+    ) -> Export:
+        """Fly a plan's burns again, sampled for other tools.
+
+        Raises:
+            InputError: as `fly_path`, or if there is no such burn to miss.
+        """
+        check_miss(solution.scenario, miss)
+        return cls(solution, fly_path(solution, miss), spacecraft, miss)
+
+    @property
+    def mission(self) -> Mission:
+        """Mission of the solution."""
+        return self.solution.mission
+
+    @property
+    def body(self) -> int:
+        """NAIF's number of the body in the files."""
+        return self.mission.scenario.body.naif_id or UNNAMED_BODY_ID
 
     @property
     def burns_flown(self) -> int:
@@ -108,8 +116,8 @@ def heading(export: Export) -> list[str]:
         f"plan {solution.plan_hash}",
         f"{export.verdict}",
         *(f"warning: {warning}" for warning in solution.warnings),
-        f"center {scenario.body.name} (NAIF {export.ids.body}), spacecraft NAIF "
-        f"{export.ids.spacecraft}; axes J2000, which are the ICRF's, inertial",
+        f"center {scenario.body.name} (NAIF {export.body}), spacecraft NAIF "
+        f"{export.spacecraft}; axes J2000, which are the ICRF's, inertial",
         f"t_s = 0 is {iso_tdb(export.instant(0.0))} TDB, {iso_utc(export.instant(0.0))} UTC",
         f"mean and covariance of the planner's model; coasting {MARGIN_S:g} s before the first burn "
         "and after the last is not part of the plan",

@@ -10,7 +10,7 @@ from __future__ import annotations
 import csv
 import io
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from itertools import combinations_with_replacement
 from pathlib import Path
 from typing import Any
@@ -26,8 +26,8 @@ from scp_recon.simulation.guidance import FlightPlan
 from scp_recon.simulation.vehicle import Vehicle
 
 FORMATS = ("oem", "spk", "ck", "csv", "parquet")
-KERNELS = {"spk": (".bsp", "_body.bsp"), "ck": (".bc",)}
-BINARY = (*KERNELS["spk"], *KERNELS["ck"])
+KERNELS = ("spk", "ck")
+BINARY = (".bsp", "_body.bsp", ".bc")
 TEXTS = {
     ".tls": kernels.leap_seconds,
     ".tpc": kernels.body_constants,
@@ -44,7 +44,7 @@ def stem(export: Export) -> str:
     """Common part of the files' names: scenario, first digits of the plan's hash, spacecraft."""
     name = re.sub(r"[^A-Za-z0-9_-]+", "_", export.mission.scenario.name)[:NAME_MAX]
     drift = f"_miss_{export.miss}" if export.miss else ""
-    return f"{name}_{export.solution.plan_hash[:8]}_{abs(export.ids.spacecraft)}{drift}"
+    return f"{name}_{export.solution.plan_hash[:8]}_{abs(export.spacecraft)}{drift}"
 
 
 def plan_in(name: str) -> str | None:
@@ -59,7 +59,7 @@ def require(form: str) -> None:
     Raises:
         InputError: if it is not.
     """
-    if form in ("spk", "ck"):
+    if form in KERNELS:
         imported(option("format"), "spice", "spiceypy")
     elif form == "parquet":
         needing_pyarrow()
@@ -122,11 +122,28 @@ def needing_pyarrow() -> Any:
     return imported(option("format"), "parquet", "pyarrow", "pyarrow.parquet")
 
 
-CONTENTS: dict[str, dict[str, Callable[[Export], str | bytes]]] = {
-    "oem": {".oem": ccsds.oem_text, ".opm": ccsds.opm_text},
-    "csv": {".csv": csv_text},
-    "parquet": {".parquet": parquet_bytes},
-}
+def contents(export: Export, form: str, vehicle: Vehicle) -> dict[str, str | bytes]:
+    """Contents of a format's files by the ends of their names, but for the list of kernels.
+
+    Raises:
+        InputError: if an extra is missing, or the vehicle cannot fly the plan.
+    """
+    if form == "oem":
+        return {".oem": ccsds.oem_text(export), ".opm": ccsds.opm_text(export)}
+    if form == "csv":
+        return {".csv": csv_text(export)}
+    if form == "parquet":
+        return {".parquet": parquet_bytes(export)}
+    texts = {end: text(export) for end, text in TEXTS.items()}
+    if form == "ck":
+        flight = FlightPlan.of(export.solution, export.mission, vehicle)
+        turns = kernels.attitude_segments(export, flight)
+        return {".bc": kernels.binary(export, "ck", turns), **texts}
+    return {
+        ".bsp": kernels.binary(export, "spk", kernels.path_segments(export)),
+        "_body.bsp": kernels.binary(export, "spk", kernels.body_segments(export)),
+        **texts,
+    }
 
 
 def write_export(export: Export, form: str, folder: Path, vehicle: Vehicle) -> list[Path]:
@@ -139,31 +156,12 @@ def write_export(export: Export, form: str, folder: Path, vehicle: Vehicle) -> l
             names that this program did not write.
         OSError: if a file cannot be written.
     """
-    home = folder / stem(export)
-    ends = tuple(CONTENTS[form]) if form in CONTENTS else (*KERNELS[form], *TEXTS, ".tm")
-    for end in ends:  # every file holds its plan's hash in the heading
-        check_own(_named(home, end), option("out"), export.solution.plan_hash.encode())
-    if form in ("spk", "ck"):
-        return _kernels(export, form, home, vehicle)
-    contents = CONTENTS[form].items()
-    return [write_atomically(_named(home, end), content(export)) for end, content in contents]
-
-
-def _kernels(export: Export, form: str, home: Path, vehicle: Vehicle) -> list[Path]:
-    """Write the binary kernels, the text kernels and the meta-kernel that loads them all."""
-    if form == "spk":
-        kernels.write_spk(export, _named(home, ".bsp"))
-        kernels.write_body_spk(export, _named(home, "_body.bsp"))
-        written = [_named(home, ".bsp"), _named(home, "_body.bsp")]
-    else:
-        flight = FlightPlan.of(export.solution, export.mission, vehicle)
-        kernels.write_ck(export, flight, _named(home, ".bc"))
-        written = [_named(home, ".bc")]
-    written += [write_atomically(_named(home, end), text(export)) for end, text in TEXTS.items()]
-    there = [path for end in (*TEXTS, *BINARY) if (path := _named(home, end)).is_file()]
-    listed = write_atomically(_named(home, ".tm"), kernels.meta_kernel(export, there))
-    return [listed, *written]
-
-
-def _named(home: Path, end: str) -> Path:
-    return home.with_name(home.name + end)
+    made, name = contents(export, form, vehicle), stem(export)
+    if form in KERNELS:
+        ends = [e for e in (*TEXTS, *BINARY) if e in made or (folder / f"{name}{e}").is_file()]
+        made[".tm"] = kernels.meta_kernel(export, [f"{name}{end}" for end in ends])
+    files = {folder / f"{name}{end}": content for end, content in made.items()}
+    for path in files:  # every file holds its plan's hash in the heading
+        check_own(path, option("out"), export.solution.plan_hash.encode())
+    written = [write_atomically(path, content) for path, content in files.items()]
+    return sorted(written, key=lambda path: path.suffix != ".tm")

@@ -13,17 +13,16 @@ them after the plan's.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, Literal
-from uuid import uuid4
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from formulations.arrays import Array
-from scp_recon.bodies.kernels import reachable, spice_alone
+from scp_recon.bodies.kernels import spice_alone
 from scp_recon.errors import option
 from scp_recon.interop.export import Export, heading, maker
 from scp_recon.interop.path import MARGIN_S
@@ -39,7 +38,10 @@ from scp_recon.scenario.time_scales import (
 )
 from scp_recon.simulation.guidance import FlightPlan
 
-Value = float | str | Sequence[float | str]
+Segment = tuple[Any, ...]
+"""Arguments of one of `WRITERS` after the file's handle."""
+WRITERS = {"spk": "spkw13", "ck": "ckw03"}
+"""SPICE's functions that write a segment."""
 
 TICKS_PER_S = 1_000_000
 """Ticks per second of the spacecraft's clock, which runs with TDB."""
@@ -56,63 +58,62 @@ WITHIN_RAD, STEP_MAX_S = 1e-6, 60.0
 TICK_S = 1.0 / TICKS_PER_S
 
 
-def write_spk(export: Export, path: Path) -> None:
-    """Write the SPK of the spacecraft about the body, km and km/s, J2000.
-
-    Raises:
-        InputError: if spiceypy is missing.
-        OSError: if the file cannot be written.
-    """
-    with _written(path, export, "spk") as (spice, handle):
-        for number, coast in enumerate(export.path.coasts):
-            et, burn = export.et(coast.times_s), export.burns_flown + number
-            spice.spkw13(
-                handle, export.ids.spacecraft, export.ids.body, "J2000",
-                et[0], et[-1], f"AFTER BURN {burn}" if number else f"BEFORE BURN {burn + 1}",
-                CUBIC, len(et), np.ascontiguousarray(coast.states / 1e3), et,
-            )  # fmt: skip
+def path_segments(export: Export) -> Iterator[Segment]:
+    """Segments of an SPK of the spacecraft about the body, km and km/s, J2000."""
+    for number, coast in enumerate(export.path.coasts):
+        et, burn = export.et(coast.times_s), export.burns_flown + number
+        name = f"AFTER BURN {burn}" if number else f"BEFORE BURN {burn + 1}"
+        states = np.ascontiguousarray(coast.states / 1e3)
+        ids = export.spacecraft, export.body, "J2000"
+        yield (*ids, et[0], et[-1], name, CUBIC, len(et), states, et)
 
 
-def write_body_spk(export: Export, path: Path) -> None:
-    """Write the SPK of the body about the Sun on the planner's straight line, km and km/s, J2000.
-
-    Raises:
-        InputError: if spiceypy is missing.
-        OSError: if the file cannot be written.
-    """
+def body_segments(export: Export) -> Iterator[Segment]:
+    """The segment of an SPK of the body about the Sun on the planner's straight line; likewise."""
     sun = export.mission.scenario.sun
     times = np.array([-MARGIN_S, export.path.coasts[-1].times_s[-1]])
     position, velocity = np.array(sun.body_position_km), np.array(sun.body_velocity_km_s)
     states = np.hstack([position + np.outer(times, velocity), np.tile(velocity, (2, 1))])
     et = export.et(times)
-    with _written(path, export, "spk") as (spice, handle):
-        spice.spkw13(
-            handle, export.ids.body, SUN, "J2000", et[0], et[-1], "STRAIGHT LINE",
-            CUBIC, len(et), states, et,
-        )  # fmt: skip
+    yield export.body, SUN, "J2000", et[0], et[-1], "STRAIGHT LINE", CUBIC, len(et), states, et
 
 
-def write_ck(export: Export, flight: FlightPlan, path: Path) -> None:
-    """Write the CK of the vehicle's commanded attitude and rates, from the first burn on.
+def attitude_segments(export: Export, flight: FlightPlan) -> Iterator[Segment]:
+    """Segments of a CK of the vehicle's commanded attitude and rates, from the first burn on."""
+    for leg in flight.legs:
+        times = command_times(flight, leg)
+        times = np.append(times[0], times)
+        to_axes = commanded(flight, leg, times).inv().as_quat(scalar_first=True)
+        clock = ticks(times)
+        clock[0] -= 1.0  # so that its first instant, however it is rounded, has this mode
+        if leg is flight.legs[-1]:  # whose end no next one takes over
+            clock[-1] += 1.0
+        about = clock[0], clock[-1], attitude_id(export), "J2000", True, leg.mode.upper()
+        yield (*about, len(times), clock, to_axes, _rates(flight, leg, times), 1, clock[:1])
+
+
+def binary(export: Export, kind: Literal["spk", "ck"], segments: Iterable[Segment]) -> bytes:
+    """The content of an SPK or a CK.
 
     Raises:
         InputError: if spiceypy is missing.
-        OSError: if the file cannot be written.
+        OSError: if there is no room for a temporary file.
     """
-    with _written(path, export, "ck") as (spice, handle):
-        for leg in flight.legs:
-            times = command_times(flight, leg)
-            times = np.append(times[0], times)
-            to_axes = np.ascontiguousarray(commanded(flight, leg, times).inv().as_matrix())
-            clock = ticks(times)
-            clock[0] -= 1.0  # so that its first instant, however it is rounded, has this mode
-            if leg is flight.legs[-1]:  # whose end no next one takes over
-                clock[-1] += 1.0
-            spice.ckw03(
-                handle, clock[0], clock[-1], attitude_id(export), "J2000", True, leg.mode.upper(),
-                len(times), clock, np.array([spice.m2q(matrix) for matrix in to_axes]),
-                _rates(flight, leg, times), 1, clock[:1],
-            )  # fmt: skip
+    lines = heading(export)
+    with spice_alone(option("format")) as spice, TemporaryDirectory() as folder:
+        file = Path(folder) / kind
+        try:
+            room = sum(len(line) + 1 for line in lines)
+            handle = getattr(spice, f"{kind}opn")(str(file), maker(), room)
+            try:
+                spice.dafac(handle, lines)
+                for segment in segments:
+                    getattr(spice, WRITERS[kind])(handle, *segment)
+            finally:
+                spice.dafcls(handle)
+        except spice.SpiceyError as error:
+            raise OSError(f"{kind.upper()}: {error.short}") from None
+        return file.read_bytes()
 
 
 def commanded(flight: FlightPlan, leg: Leg, times: Array) -> Rotation:
@@ -141,37 +142,14 @@ def _rates(flight: FlightPlan, leg: Leg, times: Array) -> Array:
     return turned.as_rotvec() / (late - early)[:, None]
 
 
-@contextmanager
-def _written(path: Path, export: Export, kind: Literal["spk", "ck"]) -> Iterator[tuple[Any, int]]:
-    """SPICE and the handle of a new kernel, which replaces the target once it is complete."""
-    beside, lines = path.with_name(f".{uuid4().hex}"), heading(export)
-    with spice_alone(option("format")) as spice:
-        try:
-            room = sum(len(line) + 1 for line in lines)
-            with reachable(beside) as name:
-                handle = getattr(spice, f"{kind}opn")(name, maker(), room)
-            try:
-                spice.dafac(handle, lines)
-                yield spice, handle
-            except BaseException:
-                spice.dafcls(handle)
-                raise
-            getattr(spice, f"{kind}cls")(handle)
-            beside.replace(path)
-        except spice.SpiceyError as error:
-            raise OSError(f"{path}: {error.short}") from None
-        finally:
-            beside.unlink(missing_ok=True)
-
-
 def frame_names(export: Export) -> tuple[str, str]:
     """Names of the spacecraft's and the body's axes in the frame kernel."""
-    return f"SC{abs(export.ids.spacecraft)}_AXES", f"B{export.ids.body}_FIXED"
+    return f"SC{abs(export.spacecraft)}_AXES", f"B{export.body}_FIXED"
 
 
 def attitude_id(export: Export) -> int:
     """Number of the spacecraft's axes in a CK."""
-    return 1000 * export.ids.spacecraft
+    return 1000 * export.spacecraft
 
 
 def leap_seconds(export: Export) -> str:
@@ -179,21 +157,21 @@ def leap_seconds(export: Export) -> str:
     dates: list[float | str] = []
     for offset, (year, month) in enumerate(LEAPS, start=FIRST_TAI_MINUS_UTC_S):
         dates += [float(offset), f"@{year}-{MONTHS[month]}-1"]
-    entries: dict[str, Value] = {
+    entries = {
         "DELTET/DELTA_T_A": TT_MINUS_TAI_S,
         "DELTET/K": K_S,
         "DELTET/EB": EB,
         "DELTET/M": (M0, M1),
         "DELTET/DELTA_AT": dates,
     }
-    return _kernel("LSK", export, entries, ["Leap seconds by the IERS's Bulletin C 52 of 2016."])
+    return _kernel("LSK", export, entries, "Leap seconds by the IERS's Bulletin C 52 of 2016.")
 
 
 def body_constants(export: Export) -> str:
     """Text of the PCK: the planner's rotation, gravitational parameter and size."""
-    body, of = export.mission.scenario.body, f"BODY{export.ids.body}"
+    body, of = export.mission.scenario.body, f"BODY{export.body}"
     radii = body.radii_m or (body.reference_radius_m,) * 3
-    entries: dict[str, Value] = {
+    entries = {
         f"{of}_POLE_RA": (body.pole_ra_deg, 0.0, 0.0),
         f"{of}_POLE_DEC": (body.pole_dec_deg, 0.0, 0.0),
         f"{of}_PM": (
@@ -204,42 +182,42 @@ def body_constants(export: Export) -> str:
         f"{of}_RADII": [radius / 1e3 for radius in radii],
         f"{of}_GM": body.gm_m3_s2 / 1e9,
     }
-    return _kernel("PCK", export, entries, ["Angles in deg, deg/day, deg/day^2; km; km^3/s^2."])
+    return _kernel("PCK", export, entries, "Angles in deg, deg/day, deg/day^2; km; km^3/s^2.")
 
 
 def frames(export: Export) -> str:
     """Text of the FK: the spacecraft's axes by the CK, the body's by the PCK, both bodies' names."""
     craft, fixed = frame_names(export)
-    ids, number = export.ids, attitude_id(export)
-    body_frame = PUBLIC_FRAMES + ids.body % PUBLIC_COUNT
-    entries: dict[str, Value] = {
+    number = attitude_id(export)
+    body_frame = PUBLIC_FRAMES + export.body % PUBLIC_COUNT
+    entries = {
         f"FRAME_{craft}": number,
         f"FRAME_{number}_NAME": craft,
         f"FRAME_{number}_CLASS": 3,
         f"FRAME_{number}_CLASS_ID": number,
-        f"FRAME_{number}_CENTER": ids.spacecraft,
-        f"CK_{number}_SCLK": ids.spacecraft,
-        f"CK_{number}_SPK": ids.spacecraft,
+        f"FRAME_{number}_CENTER": export.spacecraft,
+        f"CK_{number}_SCLK": export.spacecraft,
+        f"CK_{number}_SPK": export.spacecraft,
         f"FRAME_{fixed}": body_frame,
         f"FRAME_{body_frame}_NAME": fixed,
         f"FRAME_{body_frame}_CLASS": 2,
-        f"FRAME_{body_frame}_CLASS_ID": ids.body,
-        f"FRAME_{body_frame}_CENTER": ids.body,
-        f"OBJECT_{ids.body}_FRAME": fixed,
+        f"FRAME_{body_frame}_CLASS_ID": export.body,
+        f"FRAME_{body_frame}_CENTER": export.body,
+        f"OBJECT_{export.body}_FRAME": fixed,
         "NAIF_BODY_NAME": (
             _name(export.mission.scenario.name),
             _name(export.mission.scenario.body.name),
         ),
-        "NAIF_BODY_CODE": (ids.spacecraft, ids.body),
+        "NAIF_BODY_CODE": (export.spacecraft, export.body),
     }
-    return _kernel("FK", export, entries, [f"{craft}: the vehicle's axes. {fixed}: body-fixed."])
+    return _kernel("FK", export, entries, f"{craft}: the vehicle's axes. {fixed}: body-fixed.")
 
 
 def clock(export: Export) -> str:
     """Text of the SCLK: microseconds of TDB from a day before the scenario's epoch on."""
-    of = f"_{abs(export.ids.spacecraft)}"
+    of = f"_{abs(export.spacecraft)}"
     start = float(export.et(np.array([CLOCK_STARTS_S]))[0])
-    entries: dict[str, Value] = {
+    entries = {
         "SCLK_KERNEL_ID": "@2000-JAN-1",
         f"SCLK_DATA_TYPE{of}": 1,
         f"SCLK01_TIME_SYSTEM{of}": 1,
@@ -251,7 +229,7 @@ def clock(export: Export) -> str:
         f"SCLK_PARTITION_END{of}": 1e10 * TICKS_PER_S,
         f"SCLK01_COEFFICIENTS{of}": (0.0, start, 1.0),
     }
-    return _kernel("SCLK", export, entries, ["Seconds and microseconds of TDB."])
+    return _kernel("SCLK", export, entries, "Seconds and microseconds of TDB.")
 
 
 def ticks(times_s: np.ndarray) -> np.ndarray:
@@ -259,19 +237,18 @@ def ticks(times_s: np.ndarray) -> np.ndarray:
     return np.round((times_s - CLOCK_STARTS_S) * TICKS_PER_S)
 
 
-def meta_kernel(export: Export, files: Sequence[Path]) -> str:
-    """Text of the meta-kernel that loads files by their full paths."""
+def meta_kernel(export: Export, names: Sequence[str]) -> str:
+    """Text of the meta-kernel that loads files of these names from its folder."""
     parts: list[float | str] = []
-    for file in files:
-        path = f"$HERE/{file.name}"
+    for name in names:
+        path = f"$HERE/{name}"
         pieces = [path[i : i + STRING_MAX] for i in range(0, len(path), STRING_MAX)]
         parts += [f"{piece}+" for piece in pieces[:-1]] + pieces[-1:]
-    words = [
-        "furnsh this one alone, with its folder as the current one; from elsewhere put that folder in",
-        "place of the point.",
-    ]
     entries = {"PATH_VALUES": ".", "PATH_SYMBOLS": "HERE", "KERNELS_TO_LOAD": parts}
-    return _kernel("MK", export, entries, words)
+    words = "furnsh this one alone, with its folder as the current one;"
+    return _kernel(
+        "MK", export, entries, words, "from elsewhere put that folder in place of the point."
+    )
 
 
 def _name(name: str) -> str:
@@ -279,7 +256,7 @@ def _name(name: str) -> str:
     return re.sub(r"[^A-Z0-9]+", "_", name.upper()).strip("_")[:36] or "UNNAMED"
 
 
-def _kernel(kind: str, export: Export, entries: Mapping[str, Value], words: Sequence[str]) -> str:
+def _kernel(kind: str, export: Export, entries: Mapping[str, Any], *words: str) -> str:
     lines = [f"KPL/{kind}", "", *heading(export), *words, "", "\\begindata", ""]
     for key, value in entries.items():
         values = [value] if isinstance(value, str | int | float) else value
@@ -291,7 +268,7 @@ def _kernel(kind: str, export: Export, entries: Mapping[str, Value], words: Sequ
     return "\n".join([*lines, "", "\\begintext", ""])
 
 
-def _shown(value: float | str) -> str:
+def _shown(value: object) -> str:
     if isinstance(value, str):
         return value if value.startswith("@") else "'{}'".format(value.replace("'", "''"))
     return repr(value)

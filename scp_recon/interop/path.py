@@ -54,6 +54,16 @@ class Coast:
     linear_error_m: float
     cubic_error_m: float
 
+    def joined(self, other: Coast) -> Coast:
+        """This coast and one that follows it without a burn."""
+        return Coast(
+            np.concatenate([self.times_s, other.times_s[1:]]),
+            np.concatenate([self.states, other.states[1:]]),
+            np.concatenate([self.covariances, other.covariances[1:]]),
+            max(self.linear_error_m, other.linear_error_m),
+            max(self.cubic_error_m, other.cubic_error_m),
+        )
+
 
 @dataclass(frozen=True, eq=False)
 class FlownPath:
@@ -83,12 +93,13 @@ class FlownPath:
         return sum(len(coast.times_s) for coast in self.coasts)
 
 
-def fly_path(mission: Mission, solution: Solution, miss: int | None = None) -> FlownPath:
+def fly_path(solution: Solution, miss: int | None = None) -> FlownPath:
     """Fly a plan's burns and sample the path; if a burn is missed, the free drift from it on.
 
     Raises:
         InputError: if the stored nodes are off the path, or the path needs too many states.
     """
+    mission = solution.mission
     nodes, firing = np.array(solution.nodes.t_s), [burn.t_s for burn in solution.burns]
     begin, state = float(nodes[0]), mission.initial_state.copy()
     spread = JointCovariance.before_burns(mission, solution.corrections).measured(begin)
@@ -106,7 +117,7 @@ def fly_path(mission: Mission, solution: Solution, miss: int | None = None) -> F
             edges = np.array([begin, *nodes[(nodes > begin) & (nodes < end)], end])
             coast = _sampled(flown, edges, spread.deviation, within)
             if begin == nodes[0] and firing[0] > begin:  # it coasts before its first burn
-                coasts = [_joined(coasts[0], coast)]
+                coasts = [coasts[0].joined(coast)]
             else:
                 coasts.append(coast)
             state, spread = flown(end)[:6], _carried(spread, flown, begin, end)
@@ -128,17 +139,6 @@ def _carried(
         spread = spread.carried(np.asarray(there @ np.linalg.inv(stm))).measured(time)
         stm = there
     return spread
-
-
-def _joined(one: Coast, other: Coast) -> Coast:
-    """Join two coasts without a burn between them."""
-    return Coast(
-        np.concatenate([one.times_s, other.times_s[1:]]),
-        np.concatenate([one.states, other.states[1:]]),
-        np.concatenate([one.covariances, other.covariances[1:]]),
-        max(one.linear_error_m, other.linear_error_m),
-        max(one.cubic_error_m, other.cubic_error_m),
-    )
 
 
 def _flight(mission: Mission, state: Array, begin: float, end: float) -> OdeSolution:

@@ -11,9 +11,8 @@ import pytest
 from scp_recon.bodies.catalogue import J2000_TDB
 from scp_recon.cli.commands import new
 from scp_recon.interop.ccsds import oem_text
-from scp_recon.interop.export import Export, Ids
+from scp_recon.interop.export import Export
 from scp_recon.interop.files import csv_text
-from scp_recon.interop.path import fly_path
 from scp_recon.interop.tracks import csv_track
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scenario.time_scales import tdb_of_utc
@@ -36,8 +35,8 @@ def _elsewhere(monkeypatch, tmp_path) -> None:
 
 
 @pytest.fixture(scope="module")
-def export(mission, solution) -> Export:
-    return Export(solution, mission, fly_path(mission, solution), Ids(CRAFT, reference.BENNU))
+def export(solution) -> Export:
+    return Export.of(solution, CRAFT)
 
 
 @pytest.fixture(scope="module")

@@ -4,6 +4,7 @@ import itertools
 import re
 from collections.abc import Iterator
 from contextlib import chdir
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 
@@ -13,7 +14,7 @@ import pytest
 from formulations.arrays import Array
 from scp_recon.bodies.catalogue import packaged_body
 from scp_recon.interop import kernels
-from scp_recon.interop.export import UNNAMED_BODY_ID, Export, Ids
+from scp_recon.interop.export import UNNAMED_BODY_ID
 from scp_recon.interop.files import write_export
 from scp_recon.interop.kernels import command_times, commanded
 from scp_recon.scenario.time_scales import iso_utc
@@ -115,7 +116,10 @@ def test_exported_body_turns_and_moves_as_planned(spice, export):
 
 @pytest.mark.parametrize("body", [BENNU, UNNAMED_BODY_ID, 20_600_001, 433])
 def test_frame_numbers_are_those_that_are_free(export, body):
-    given = Export(export.solution, export.mission, export.path, Ids(-999, body))
+    scenario = export.solution.scenario
+    known = scenario.body.model_copy(update={"naif_id": body})
+    of = replace(export.solution, scenario=scenario.model_copy(update={"body": known}))
+    given = replace(export, solution=of)
     found = re.search(rf"FRAME_B{body}_FIXED = (\d+)\n", kernels.frames(given))
     assert 1_400_000 <= int(found[1]) <= 2_000_000
 

@@ -15,7 +15,7 @@ from scp_recon.api.planning import plan_left
 from scp_recon.errors import InputError
 from scp_recon.interop import path as path_module
 from scp_recon.interop.ccsds import oem_text, opm_text
-from scp_recon.interop.export import Export, Ids
+from scp_recon.interop.export import Export
 from scp_recon.interop.files import columns, csv_text, parquet_bytes
 from scp_recon.interop.path import MARGIN_S, WITHIN_M, fly_path
 from scp_recon.replanning.delivery import Delivery
@@ -44,7 +44,7 @@ def test_coasts_meet_at_burns_that_jump_the_velocity(export):
 
 def test_a_missed_burn_leaves_the_free_drift(export):
     mission, solution = export.mission, export.solution
-    drifting = replace(export, path=fly_path(mission, solution, miss=2), miss=2)
+    drifting = replace(export, path=fly_path(solution, miss=2), miss=2)
     (drift,) = drifting.path.coasts[1:]
     ends = (0.0, mission.scenario.burns.times_s[1] + 86_400.0)
     assert (drift.times_s[0], drift.times_s[-1]) == ends
@@ -84,25 +84,25 @@ def test_straight_lines_between_neighbours_are_within_a_centimetre(export, share
         assert coast.linear_error_m <= WITHIN_M
 
 
-def test_a_path_that_bends_more_gets_more_states(mission, solution, export, monkeypatch):
+def test_a_path_that_bends_more_gets_more_states(solution, export, monkeypatch):
     monkeypatch.setattr(path_module, "WITHIN_M", 1e-4)
-    denser = fly_path(mission, solution)
+    denser = fly_path(solution)
     assert denser.linear_error_m <= 1e-4 < export.path.linear_error_m
     assert denser.size > 3 * export.path.size
 
 
-def test_what_needs_too_many_states_is_refused(mission, solution, monkeypatch):
+def test_what_needs_too_many_states_is_refused(solution, monkeypatch):
     monkeypatch.setattr(path_module, "STATES_MAX", 100)
     with pytest.raises(InputError, match="more than 100 states"):
-        fly_path(mission, solution)
+        fly_path(solution)
 
 
-def test_nodes_off_the_burns_path_are_refused(mission, solution):
+def test_nodes_off_the_burns_path_are_refused(solution):
     states = [list(state) for state in solution.nodes.state]
     states[40][1] += 0.02
     nodes = replace(solution.nodes, state=states)
     with pytest.raises(InputError, match="off the path that its burns give"):
-        fly_path(mission, replace(solution, nodes=nodes))
+        fly_path(replace(solution, nodes=nodes))
 
 
 def test_csv_is_the_path_to_the_last_digit(export):
@@ -170,8 +170,7 @@ def test_plan_in_flight_keeps_the_flights_burn_numbers(default_plan):
     flown = FlownPlan.of(default_plan)
     delivery = Delivery(17_000.0, predict(flown, 17_000.0, {}).state)
     plan = plan_left(flown, mission_left(flown, delivery, ()))
-    solution, ids = make_solution(plan), Ids(-999, 2101955)
-    left = Export(solution, plan.mission, fly_path(plan.mission, solution), ids)
+    left = Export.of(make_solution(plan))
     text = oem_text(left) + opm_text(left)
     for said in ("burn 3: t_s = 25000", "ends before burn 3", "begins after burn 4", "burn 4; the"):
         assert f"COMMENT {said}" in text

@@ -7,8 +7,7 @@ import pytest
 
 import scp_recon as sr
 from scp_recon.interop.ccsds import opm_text
-from scp_recon.interop.export import SPACECRAFT_ID, Export, Ids
-from scp_recon.interop.path import fly_path
+from scp_recon.interop.export import Export
 from scp_recon.planning.plan import Plan
 from scp_recon.reports.shown import budget_of, budget_table, fly
 from scp_recon.reports.subject import Subject
@@ -129,8 +128,7 @@ def test_a_file_with_a_zero_burn_is_verified(stored, tmp_path):
 
 
 def test_a_zero_burn_is_no_manoeuvre(stored):
-    path = fly_path(stored.mission, stored)
-    text = opm_text(Export(stored, stored.mission, path, Ids(SPACECRAFT_ID, 2101955)))
+    text = opm_text(Export.of(stored))
     numbers = [line for line in text.splitlines() if line.startswith("COMMENT burn ")]
     assert [line.split()[2].rstrip(":;") for line in numbers if "mass" in line] == ["1", "2", "4"]
     assert text.count("MAN_EPOCH_IGNITION") == 3

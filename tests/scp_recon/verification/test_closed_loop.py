@@ -20,8 +20,7 @@ from formulations.rows.uniform import DeterministicRows
 from scp_recon.cli.command import WIDE
 from scp_recon.cli.plan_view import show_plan
 from scp_recon.errors import InputError
-from scp_recon.interop.export import Export, Ids, heading
-from scp_recon.interop.path import fly_path
+from scp_recon.interop.export import Export, heading
 from scp_recon.mission.mission import Mission
 from scp_recon.physics.geometry import angle
 from scp_recon.planning import initial_guess
@@ -90,15 +89,14 @@ def checked(solution: Solution, mission: Mission | None = None) -> Verification:
 
 def test_description_of_plan_names_its_corrections(crossed):
     """In the heading of every file for other tools, and beside other plans."""
-    policy, ids = crossed.policy, Ids(-999, 2101955)
+    policy, export = crossed.policy, Export.of(crossed)
     assert policy is not None
-    path = fly_path(crossed.mission, crossed)
-    told = " ".join(heading(Export(crossed, crossed.mission, path, ids)))
+    told = " ".join(heading(export))
     numbers = [one.burn for one in policy.corrections]
     assert [int(burn) for burn in re.findall(r"burn (\d) is corrected in flight", told)] == numbers
     assert f"99 % {1e3 * policy.dv99_m_s:.3f} mm/s; burns are without corrections" in told
     none = [replace(burn, dv_m_s=(0.0, 0.0, 0.0)) for burn in crossed.burns]
-    without = Export(replace(crossed, burns=none), crossed.mission, path, ids)
+    without = replace(export, solution=replace(crossed, burns=none))
     told = " ".join(heading(without))
     assert [int(burn) for burn in re.findall(r"burn (\d): none, but its", told)] == numbers
     beside = compare(["one", "two"], [crossed, replace(crossed, policy=None)])

@@ -6,8 +6,7 @@ import pytest
 
 from formulations.rows.exact_flight import FLIGHT
 from scp_recon.certification.flights import certificate_of
-from scp_recon.interop.export import Export, Ids
-from scp_recon.interop.path import fly_path
+from scp_recon.interop.export import Export
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.estimates import proportion, successes_needed
 from scp_recon.monte_carlo.whole_flight import KeptCounts
@@ -141,6 +140,6 @@ def test_failed_checks_are_in_words_everywhere(solution, verification):
     words = "stored probabilities, covariance, re-integrated"
     assert str(failed).startswith(f"not verified: {words}\n")
     told = replace(solution, verification=failed)
-    export = Export(told, told.mission, fly_path(told.mission, told), Ids(-999, 2101955))
+    export = Export.of(told)
     assert export.shortfalls == [f"converged; failed: {words}"]
     assert f"no: {words}" in str(compare(["one", "two"], [solution, told]))
