@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import timedelta
-from itertools import product
 from math import prod
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple, Self
@@ -183,19 +182,6 @@ class Law(Section):
         return np.exp(found) if log else found
 
 
-class LatLonGrid(Section):
-    """Every latitude with every longitude."""
-
-    latitude_deg: Span
-    longitude_deg: Span
-
-    @model_validator(mode="after")
-    def _not_too_many(self) -> Self:
-        if self.latitude_deg.count * self.longitude_deg.count > ROWS_MAX:
-            raise ValueError(f"must have at most {ROWS_MAX:,} sites")
-        return self
-
-
 class EvenSites(Section):
     """The number of sites, and the time of their local noon."""
 
@@ -218,7 +204,6 @@ KINDS: dict[str, tuple[str, ...]] = {
     "values": ("entry", "entries"),
     "grid": ("entry",),
     "draws": ("count",),
-    "sites": (),
     "spread": (),
     "windows": (),
 }
@@ -232,7 +217,6 @@ class Axis(Section):
         entry, entries: that take `values`, each a value or a row of several.
         grid: numbers of an entry.
         draws: independent random entries; a larger count keeps the first rows.
-        sites: on a grid of latitude and longitude, row by row.
         spread: sites spread evenly over the base's shape file, or its ellipsoid.
         windows: epochs with which the base's burns are legal about the lighting windows of its site.
     """
@@ -243,7 +227,6 @@ class Axis(Section):
     grid: Span | None = None
     draws: Annotated[tuple[Law, ...], Field(min_length=1)] | None = None
     count: Count | None = None
-    sites: LatLonGrid | None = None
     spread: EvenSites | None = None
     windows: WindowSearch | None = None
 
@@ -277,11 +260,9 @@ class Axis(Section):
             return spread_sites(base, self.spread)
         if self.windows is not None:
             return window_epochs(base, self.windows)
-        if self.sites is not None:
-            names: Sequence[str] = (LATITUDE, LONGITUDE)
-            spans = self.sites.latitude_deg, self.sites.longitude_deg
-            values: Iterable[Sequence[Any]] = product(*(span.numbers() for span in spans))
-        elif self.draws is not None:  # each entry has a stream of its own
+        names: Sequence[str]
+        values: Iterable[Sequence[Any]]
+        if self.draws is not None:  # each entry has a stream of its own
             names, count = [law.entry for law in self.draws], self.count or 0
             drawn = (law.drawn(generator(*seed, k), count) for k, law in enumerate(self.draws))
             values = zip(*(column.tolist() for column in drawn), strict=True)

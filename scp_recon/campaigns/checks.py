@@ -8,13 +8,12 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import combinations, islice, product
-from numbers import Real
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from scp_recon.campaigns.axes import LATITUDE, LONGITUDE, NAME, Changes, changed
+from scp_recon.campaigns.axes import NAME, Changes, changed
 from scp_recon.errors import InputError, shortened
 from scp_recon.mission.feedback import check_feedback
 from scp_recon.monte_carlo.closed_loop import cut_offs_s
@@ -159,19 +158,14 @@ def _rows(axes: Sequence[list[Changes]]) -> Iterator[Iterator[tuple[str, Any]]]:
 
 
 def _doubled(name: str, rows: Sequence[Changes]) -> Iterator[InputError]:
-    """Find rows that repeat earlier ones: numbers are equal by value, and sites by place."""
+    """Find rows that repeat earlier ones; numbers are equal by value."""
     seen: dict[str, int] = {}
     for place, row in enumerate(rows, start=1):
-        own, latitude, longitude = row, row.get(LATITUDE), row.get(LONGITUDE)
-        if isinstance(latitude, Real) and isinstance(longitude, Real):
-            own = {**row, LONGITUDE: 0.0 if abs(latitude) == 90.0 else longitude % 360.0}
-        numbers = json.loads(json.dumps(own, default=str), parse_int=float)
+        numbers = json.loads(json.dumps(row, default=str), parse_int=float)
         first = seen.setdefault(json.dumps(numbers, sort_keys=True), place)
         if first != place:
-            kind = "value" if own is row else "site"
-            why = "; 0 and 360 deg are one meridian, and a pole is one site" * (kind == "site")
-            given = f"{shortened(row)}, the {kind} of row {first} again"
-            yield InputError(f"{name}, row {place}", given, f"must be given once{why}")
+            given = f"{shortened(row)}, the value of row {first} again"
+            yield InputError(f"{name}, row {place}", given, "must be given once")
 
 
 def leaves(changes: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, Any]]:

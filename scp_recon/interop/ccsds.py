@@ -170,6 +170,8 @@ BARYCENTER, EPOCH_SLACK_S = "BARYCENTER", 120.0
 """What systems' names end with; and how far a frame's epoch may be off J2000, which no scale is."""
 SCALES = ("UTC", "TDB", "TT", "TAI")
 VERSIONS = ("1.0", "2.0", "3.0")
+SIZE = 6
+"""Rows and columns of a covariance."""
 EPOCH = re.compile(r"([1-8]\d{3})-(?:(\d\d-\d\d)|(\d{3}))T(\d\d:\d\d:\d\d(?:\.\d*)?)Z?")
 """A calendar date or day of the year; a Z ends it in any scale: CCSDS 502.0-B-3, 7.5.10."""
 Line = tuple[str, str]
@@ -180,7 +182,7 @@ def oem_track(path: Path, body: str) -> Track:
     """Read all segments of an OEM, in order; there are two states at a burn.
 
     Spaces, case and signs of the centre's name do not count. States about the barycentre of a
-    body's system count as states about the body, with a warning. Covariances are left out.
+    body's system count as states about the body, with a warning.
 
     Raises:
         InputError: if the file is no OEM, of another frame, centre or time scale, or its states or
@@ -256,19 +258,24 @@ def _segments(entry: str, lines: Iterable[Line]) -> Iterator[tuple[_Metadata, li
     Raises:
         InputError: naming the line, if it is none of an OEM.
     """
-    about, rows, inside = _Metadata(entry), list[Line](), ""
+    about, rows, inside, triangle = _Metadata(entry), list[Line](), "", -1
     for number, (where, line) in enumerate(lines):
         key, equals, value = (part.strip() for part in line.partition("="))
-        allowed = ""
+        mark = not equals and re.fullmatch("(META|COVARIANCE)_(START|STOP)", line)
+        begins, allowed = inside == "COVARIANCE_START" and key == "EPOCH", ""
         if number == 0:
             if key != "CCSDS_OEM_VERS" or value not in VERSIONS:
                 allowed = f"must be CCSDS_OEM_VERS = {' or '.join(VERSIONS)}, as an OEM begins"
-        elif not equals and re.fullmatch("(META|COVARIANCE)_(START|STOP)", line):
+        elif (mark or begins) and 0 <= triangle < SIZE:
+            allowed = f"must follow all {SIZE} rows of a covariance, and follows {triangle}"
+        elif begins:
+            triangle = 0
+        elif mark:
             if line == "META_START":
                 if rows:
                     yield about, rows
                 about, rows = _Metadata(entry), []
-            inside = line
+            inside, triangle = line, -1
         elif inside in ("", "META_START"):
             if not equals:
                 allowed = "must read KEY = value"
@@ -278,8 +285,14 @@ def _segments(entry: str, lines: Iterable[Line]) -> Iterator[tuple[_Metadata, li
                 about.values[key] = (where, value)
         elif inside != "COVARIANCE_START":
             rows.append((where, line))
+        elif not equals:  # a covariance is not used, but a row that is none tells of a damaged file
+            triangle += triangle >= 0
+            if not len(line.split()) == triangle <= SIZE:
+                allowed = "must follow its EPOCH, or the row of a lower triangle with a number less"
         if allowed:
             raise InputError(f"{entry}, {where}", line[:120], allowed)
+    if inside == "COVARIANCE_START":
+        raise InputError(f"{entry}, {where}", line[:120], "must be followed by COVARIANCE_STOP")
     if rows:
         yield about, rows
 

@@ -55,12 +55,12 @@ def test_remarks_say_why_cases_have_no_plan(mapped, errors, column):
 
 
 def test_charts_draw_the_cheapest_case_of_a_place(tmp_path):
-    sites = {
-        "latitude_deg": {"from": -30.0, "to": 30.0, "count": 2},
-        "longitude_deg": {"from": 0.0, "to": 240.0, "count": 3},
-    }
+    sites = [
+        {"entry": "site.latitude_deg", "values": [-30.0, 30.0]},
+        {"entry": "site.longitude_deg", "grid": {"from": 0.0, "to": 240.0, "count": 3}},
+    ]
     chances = {"entry": "risk.p_chance", "values": [0.9, 0.7]}
-    campaign_of({"axis": [{"sites": sites}, chances]}, tmp_path / "map")
+    campaign_of({"axis": [*sites, chances]}, tmp_path / "map")
     results = read_campaign(tmp_path / "map")
     assert (len(results.table), results.feasible) == (12, 6)
     assert list(results.by_site.table["case"]) == [0, 2, 4, 6, 8, 10], (
