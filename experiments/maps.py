@@ -29,7 +29,7 @@ from experiments.harness import Study as Harnessed
 from experiments.plans import measured
 from scp_recon.api.verbs import campaign
 from scp_recon.campaigns.axes import changed
-from scp_recon.campaigns.results import VERIFIED
+from scp_recon.campaigns.run import VERIFIED
 from scp_recon.campaigns.study import Study, read_study
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission

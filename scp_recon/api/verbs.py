@@ -299,7 +299,7 @@ def read_campaign(folder: str | Path) -> "pandas.DataFrame":
         >>> sr.read_campaign("runs/study")["status"].tolist()
         ['converged', 'converged']
     """
-    from scp_recon.campaigns.results import read_results
+    from scp_recon.campaigns.run import read_results
     from scp_recon.errors import path_of
 
     return read_results(path_of("folder", folder))

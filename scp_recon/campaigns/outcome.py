@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from scp_recon.campaigns.axes import EPOCH, LATITUDE, LONGITUDE, NAME
-from scp_recon.campaigns.results import VERIFIED, read_results
-from scp_recon.campaigns.run import FILE_NAME, SCHEMA
+from scp_recon.campaigns.run import FILE_NAME, SCHEMA, VERIFIED, read_results
 from scp_recon.campaigns.study import Campaign
 from scp_recon.display import digits
 from scp_recon.errors import InputError
@@ -26,13 +25,12 @@ from scp_recon.scp.status import Status
 
 if TYPE_CHECKING:
     import pandas
-FEASIBLE, INFEASIBLE, NO_MISSION, NOT_VERIFIED, NO_ANSWER = (
+ENDS = FEASIBLE, INFEASIBLE, NO_MISSION, NOT_VERIFIED, NO_ANSWER = (
     *("feasible", "infeasible", "no mission"),
     *("not verified", "no answer"),
 )
 """Ends of a case: a verified plan; infeasible; refused, as without a lighting window; a plan that
 fails its flights, simulation or other checks; an iteration that ended early, or a failure."""
-ENDS = (FEASIBLE, INFEASIBLE, NO_MISSION, NOT_VERIFIED, NO_ANSWER)
 SHORTFALLS = ("flown_shortfalls", "simulated_shortfalls")
 """Columns of requirements that a plan's own flights or its simulation did not meet."""
 AXES_DRAWN = 3
@@ -71,12 +69,18 @@ class CampaignResults:
     @cached_property
     def ends(self) -> list[str]:
         """End of each row, one of `ENDS`."""
-        rows = self.table.reindex(columns=["status", "verdict"])
-        short = self.table.reindex(columns=list(SHORTFALLS)).notna().any(axis=1)
-        return [
-            _end(status, verdict, kept=not missed)
-            for status, verdict, missed in zip(rows["status"], rows["verdict"], short, strict=True)
-        ]
+        rows = self.table.reindex(columns=["status", "verdict", *SHORTFALLS])
+        planned = rows["status"] == Status.CONVERGED.value.name
+        kept = (rows["verdict"] == VERIFIED) & rows[list(SHORTFALLS)].isna().all(axis=1)
+        infeasible, refused = (
+            rows["status"] == status for status in (Status.INFEASIBLE.value.name, REFUSED)
+        )
+        found: list[str] = np.select(
+            [planned & kept, planned, infeasible, refused],
+            [FEASIBLE, NOT_VERIFIED, INFEASIBLE, NO_MISSION],
+            NO_ANSWER,
+        ).tolist()
+        return found
 
     def ending(self, end: str) -> pandas.DataFrame:
         """The rows with that end."""
@@ -124,12 +128,25 @@ class CampaignResults:
         kinds = self.table.dtypes
         return [e for e in self.free if e == EPOCH or kinds[e].kind in "if"]
 
+    @property
+    def axes(self) -> list[str]:
+        """Entries along curves, by curve and by panel, those with more values first.
+
+        The entry along curves has numbers, or is the epoch.
+        """
+        entries = sorted(self.free, key=lambda entry: -self.table[entry].nunique())
+        first = next(entry for entry in entries if entry in self.varies)
+        return [first, *(entry for entry in entries if entry != first)][:AXES_DRAWN]
+
     @cached_property
     def by_site(self) -> CampaignResults:
         """One case per site: the cheapest feasible case, else the first of those that came furthest."""
-        ranks = [ENDS.index(end) for end in self.ends]
-        costs = self.table[COST].where([end == FEASIBLE for end in self.ends])
-        rows = self.table.assign(rank=ranks, cost=costs).sort_values(["rank", "cost", "case"])
+        good = np.array(self.ends) == FEASIBLE
+        columns = {
+            "rank": [ENDS.index(end) for end in self.ends],
+            "cost": self.table[COST].where(good),
+        }
+        rows = self.table.assign(**columns).sort_values(["rank", "cost", "case"])
         kept = rows.drop_duplicates([LATITUDE, LONGITUDE])["case"]
         return replace(self, table=self.table[self.table["case"].isin(kept)])
 
@@ -159,14 +176,6 @@ class CampaignResults:
         return {end: self.ends.count(end) for end in ENDS if end in self.ends}
 
 
-def _end(status: Any, verdict: Any, *, kept: bool) -> str:
-    if status == Status.CONVERGED.value.name:
-        return FEASIBLE if verdict == VERIFIED and kept else NOT_VERIFIED
-    if status == Status.INFEASIBLE.value.name:
-        return INFEASIBLE
-    return NO_MISSION if status == REFUSED else NO_ANSWER
-
-
 def read_campaign(folder: Path) -> CampaignResults:
     """Read the folder of a campaign, finished or not.
 
@@ -184,16 +193,6 @@ def read_campaign(folder: Path) -> CampaignResults:
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise InputError("folder", f"{folder} ({error})"[:200], "must hold a campaign") from None
     return CampaignResults(folder, read_results(folder), base, campaign, entries, cases)
-
-
-def axes_of(results: CampaignResults) -> list[str]:
-    """Entries along curves, by curve and by panel, those with more values first.
-
-    The entry along curves has numbers, or is the epoch.
-    """
-    entries = sorted(results.free, key=lambda entry: -results.table[entry].nunique())
-    first = next(entry for entry in entries if entry in results.varies)
-    return [first, *(entry for entry in entries if entry != first)][:AXES_DRAWN]
 
 
 def in_words(value: Any) -> str:

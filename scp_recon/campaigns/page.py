@@ -24,12 +24,11 @@ from scp_recon.campaigns.outcome import (
     GREYS,
     SHORTFALLS,
     CampaignResults,
-    axes_of,
     in_words,
     label,
     remarks,
 )
-from scp_recon.campaigns.results import OWN
+from scp_recon.campaigns.run import OWN
 from scp_recon.files import PAGE as MADE
 from scp_recon.files import check_own, unwritable, write_atomically
 from scp_recon.reports.marks import (
@@ -205,7 +204,7 @@ def shape_chart(results: CampaignResults) -> dict[str, Any]:
 
 def curve_chart(results: CampaignResults, column: str, name: str) -> dict[str, Any]:
     """Curves of a measure of the feasible cases along an axis, one for each value of the others."""
-    along, *by = axes_of(results)
+    along, *by = results.axes
     table = results.ending(FEASIBLE)
     groups = [((), table)] if not by else list(table.groupby(by))
     shown = f", {CURVES_MAX} of {len(groups)} curves" if len(groups) > CURVES_MAX else ""

@@ -6,7 +6,7 @@ import hashlib
 import json
 import re
 import tomllib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
@@ -24,7 +24,6 @@ from scp_recon.campaigns.axes import (
     of_campaign,
 )
 from scp_recon.campaigns.checks import REPLAN, REST, check_axes, check_do, ineffective
-from scp_recon.campaigns.results import kind_of
 from scp_recon.errors import InputError, shortened
 from scp_recon.files import read_text
 from scp_recon.scenario.fields import Section
@@ -225,3 +224,14 @@ def files_in(table: Any) -> Iterator[Any]:
             yield from value if isinstance(value, list) else [value]
         else:
             yield from files_in(value)
+
+
+def kind_of(values: Iterable[Any]) -> type:
+    """Kind of a column for these values; text if they are of several kinds."""
+    known = list(values)
+    kinds = {type(value) for value in known}
+    if kinds == {bool}:
+        return bool
+    if kinds == {int} and all(abs(value) < 2**63 for value in known):
+        return int
+    return float if kinds <= {int, float} else str

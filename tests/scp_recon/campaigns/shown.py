@@ -7,8 +7,7 @@ from typing import Any
 import pyarrow.parquet
 
 from scp_recon.campaigns.axes import Case
-from scp_recon.campaigns.results import MEASURED, RESULTS
-from scp_recon.campaigns.run import run_study
+from scp_recon.campaigns.run import MEASURED, RESULTS, run_study
 from scp_recon.campaigns.study import Study
 from scp_recon.jobs.job import here
 from scp_recon.jobs.store import Row

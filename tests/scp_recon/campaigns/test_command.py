@@ -7,8 +7,7 @@ from pathlib import Path
 import pytest
 
 from scp_recon.campaigns import page
-from scp_recon.campaigns.results import read_results
-from scp_recon.campaigns.run import executor_of
+from scp_recon.campaigns.run import executor_of, read_results
 from scp_recon.campaigns.study import Study
 from scp_recon.cli.commands import campaign as command
 from scp_recon.cli.rendering import time_left

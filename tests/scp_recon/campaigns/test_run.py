@@ -15,9 +15,16 @@ from scp_recon.api.planning import PlanOutcome
 from scp_recon.campaigns import run as run_module
 from scp_recon.campaigns import study as study_module
 from scp_recon.campaigns.axes import Axis, Case
-from scp_recon.campaigns.results import RESULTS, ROWS, cell, kind_of, read_results
-from scp_recon.campaigns.run import FILE_NAME, Observer, run_study
-from scp_recon.campaigns.study import Campaign, Do, Study
+from scp_recon.campaigns.run import (
+    FILE_NAME,
+    RESULTS,
+    ROWS,
+    Observer,
+    cell,
+    read_results,
+    run_study,
+)
+from scp_recon.campaigns.study import Campaign, Do, Study, kind_of
 from scp_recon.errors import InputError
 from scp_recon.jobs import store
 from scp_recon.jobs.job import Executor, here
