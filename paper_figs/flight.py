@@ -25,7 +25,7 @@ from scp_recon.monte_carlo.sampling import flown_mission, sample_positions
 from scp_recon.monte_carlo.summary import COMPONENTS
 from scp_recon.physics import geometry
 from scp_recon.physics.frames import sun_north_to_j2000
-from scp_recon.reports.shown import History, observed_over
+from scp_recon.reports.histories import History, observed_over
 from scp_recon.results.comparison import path_of
 from scp_recon.results.pictures import legend, page, plain
 from scp_recon.results.solution import Solution

@@ -89,7 +89,7 @@ class Displayed(Tabulated):
         Args:
             chart: of plans, and of their comparison, one of `scp_recon.charts`: "flight" in 3-D,
                 "observation", "probability", "ranges", "lighting", "ground", "resolution", "timeline",
-                "budget", "convergence"; with feedback "knowledge", "ellipses", "commanded" too. Of
+                "budget", "convergence"; with feedback "knowledge", "commanded" too. Of
                 flights "held", the time for which limits hold, or "probability" (default: the first).
 
         Returns:

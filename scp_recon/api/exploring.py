@@ -212,7 +212,7 @@ class Explorer:
             InputError: if there is none for them.
         """
         shown = self.plan(values)
-        solution, mission = shown.subject.solution, shown.subject.mission
+        solution, mission = shown.solution, shown.mission
         converged = Status.named(solution.status) is Status.CONVERGED
         iterations = ", ".join(f"{stage.name} {stage.iterations}" for stage in solution.stages)
         legal = mission.schedule.firing_intervals_s[-len(mission.scenario.burn_times_s) :]
@@ -237,7 +237,7 @@ class Explorer:
             InputError: if there is none for them.
         """
         shown = self.plan(values)
-        return {"verdict": slider_verdict(shown, files.verified(shown.subject.solution))}
+        return {"verdict": slider_verdict(shown, files.verified(shown.solution))}
 
     def html(self) -> str:
         """The page with the plan of the scenario as it was given."""

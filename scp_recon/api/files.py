@@ -79,7 +79,7 @@ def write_page_of(
 ) -> Path:
     """See `plan_verbs.report`."""
     from scp_recon.reports import write
-    from scp_recon.reports.ground import Camera
+    from scp_recon.reports.shown import Camera
 
     write.check_extra()
     require_some(plans)

@@ -174,7 +174,8 @@ def map_chart(results: CampaignResults, column: str, name: str) -> dict[str, Any
     axes["yaxis"]["title"] = {"text": "latitude (deg)"}
     margin = {"l": 55, "r": 10, "t": BAR_PX + LINE_PX, "b": 50}
     layout = {"height": HEIGHT_PX, "margin": margin, **axes, "legend": ABOVE}
-    return chart(f"map_{column}", f"{name.capitalize()} by latitude and longitude", data, layout)
+    title = f"{name.capitalize()} by latitude and longitude"
+    return chart(f"map_{column}", data, layout, title)
 
 
 def shape_chart(results: CampaignResults) -> dict[str, Any]:
@@ -199,7 +200,7 @@ def shape_chart(results: CampaignResults) -> dict[str, Any]:
         "legend": ABOVE,
         "scene": {"aspectmode": "data", **hidden, "camera": camera},
     }
-    return chart("shape", f"Sites on the shape ({shape.description})", data, layout)
+    return chart("shape", data, layout, f"Sites on the shape ({shape.description})")
 
 
 def curve_chart(results: CampaignResults, column: str, name: str) -> dict[str, Any]:
@@ -235,7 +236,7 @@ def curve_chart(results: CampaignResults, column: str, name: str) -> dict[str, A
         "xaxis": {"title": {"text": label(along)}},
         "yaxis": {"title": {"text": name}},
     }
-    return chart(column, f"{name} of the feasible cases{shown}", data, layout)
+    return chart(column, data, layout, f"{name} of the feasible cases{shown}")
 
 
 def _by_end(results: CampaignResults, size: int, column: str, name: str) -> list[tuple[Trace, Any]]:

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from formulations.arrays import Array
+from scp_recon.display import mm_s
 from scp_recon.monte_carlo.summary import Summary
-from scp_recon.reports.ground import degrees_of, terminator
 from scp_recon.reports.marks import (
     BURN,
     DASHES,
@@ -21,22 +20,22 @@ from scp_recon.reports.marks import (
     PLANS,
     SITE,
     VIEW,
+    Chart,
     Panels,
+    Trace,
+    faint,
     labelled,
     map_axes,
     points,
     significant,
     whiskers,
 )
-from scp_recon.reports.shown import SO_FAR, History, Shown
-from scp_recon.reports.subject import Subject
-from scp_recon.reports.tables import called
+from scp_recon.reports.shown import GroundTrack, Shown
+from scp_recon.reports.surfaces import degrees_of
+from scp_recon.reports.tables import SHARE, called
 from scp_recon.simulation.guidance import CONTROL_PERIOD_S
 from scp_recon.simulation.record import Record
 
-SHADES = {1: 0.34, 2: 0.2, 3: 0.14}
-"""Opacity of a band by its sigmas."""
-WORDS = {1: "1 sigma of the flights", 2: "2 sigma", 3: "3 sigma"}
 LEVELS = 3
 """Heights at which burns are named."""
 OUTLINES_SHOWN = 5
@@ -49,102 +48,43 @@ CONVERGENCE = (
 )
 LEAST, LEAST_DEG = 1e-13, 1e-4
 """Below these, logarithmic axes show nothing."""
-BINS = 700
-"""Parts of the time, of all simulations together, each shown by two points."""
+BINS, DELTA_V_BINS = 700, 60
+"""Parts of the time, of all simulations together, each shown by two points; and of a histogram."""
 IN_SIMULATION = (
     *("state of charge (%)", "power (W)", "pointing error (deg)"),
     "wheel speed (rad/s)",
 )
 
 
-def history_chart(
-    key: str,
-    title: str,
-    plans: Sequence[Shown],
-    of: Callable[[Shown], Sequence[History]],
-    *,
-    marked: bool = False,
-) -> dict[str, Any]:
-    """Panels of the histories `of` each plan, those of several laid over each other.
-
-    `marked`: the observation window is marked behind them.
-    """
-    each = [(plan.subject.name, of(plan)) for plan in plans]
-    alone, panels = len(plans) == 1, Panels([history.title for history in each[0][1]])
-    if marked:
-        panels.window(plans[0].subject.mission.schedule.window_s)
-    for number, (name, histories) in enumerate(each):
-        for panel, history in enumerate(histories):
-            times, first = history.times_s, panel == 0
-            for sigmas in sorted(history.bands, reverse=True):
-                if alone or sigmas == max(history.bands):
-                    said = labelled(name, WORDS[sigmas], alone)
-                    edges, shade = history.bands[sigmas], SHADES[sigmas]
-                    panels.band(times, edges, said, number, panel, shade, legend=first)
-            shown = "plan" if alone else name
-            panels.curve(times, history.planned, shown, number, panel, legend=first)
-            for limit, value in history.limits:
-                panels.limit(limit, value, panel)
-    return panels.chart(key, title)
-
-
-def probability_chart(plans: Sequence[Shown]) -> dict[str, Any]:
-    """Probability of every joint constraint, and of all so far, over time with 95 % intervals.
-
-    Of several plans only the latter is shown, to which a probability required at nodes does not apply.
-    """
-    panels = Panels(["probability (1)"], panel_px=300)
-    alone, lowest = len(plans) == 1, 1.0
-    for number, plan in enumerate(plans):
-        # Several plans are told apart by colour: of each no more than what all of it comes to.
-        shown = [one for one in plan.achieved if alone or one.name == SO_FAR]
-        for i, one in enumerate(shown):
-            colour = (i if alone else number) % len(PLANS)
-            name = labelled(plan.subject.name, one.name, alone)
-            panels.band(one.times_s, (one.low, one.high), name, colour, 0, 0.2, legend=False)
-            panels.curve(one.times_s, one.value, name, colour)
-            lowest = min(lowest, float(one.low.min()))
-        risk, whole = plan.subject.solution.scenario.risk, "of whole flights"
-        said = whole if risk.scope == "flight" else "of each at every node"
-        if plan.subject.solution.problem == "P2" and (alone or said == whole):
-            lowest = min(lowest, risk.p_chance)
-            panels.limit(f"required {said}: at least", risk.p_chance, 0)
-    panels.window(plans[0].subject.mission.schedule.window_s)
-    panels.y_axis(0, range=[max(0.0, lowest - 0.06), 1.02])
-    return panels.chart("probability", "Probability achieved over time")
-
-
-def ground_chart(shown: Sequence[Shown]) -> dict[str, Any]:
+def ground_chart(plans: Sequence[Shown]) -> Chart:
     """Points below the spacecraft, the site, the field of view on the ground, and the terminator."""
     panels = Panels(["latitude (deg)"], panel_px=380)
-    subject, alone = shown[0].subject, len(shown) == 1
-    for number, one in enumerate(shown):
-        track = one.ground
-        first, last = one.subject.window_s
+    alone, sites = len(plans) == 1, {}
+    for number, plan in enumerate(plans):
+        track, site = plan.ground, plan.mission.site.position_body
+        first, last = plan.window_s
         seen = (track.times_s >= first) & (track.times_s <= last)
         longitude = _unbroken(track.longitude_deg)
-        name = "below the spacecraft" if alone else one.subject.name
+        name = "below the spacecraft" if alone else plan.name
         panels.curve(longitude, track.latitude_deg, name, number)
         if seen.any():
             within = longitude[seen], track.latitude_deg[seen], f"{name}, window"
             panels.curve(*within, number, line={"dash": "solid", "width": 6})
-            named = labelled(one.subject.name, "field of view", alone)
-            panels.curve(*_outlines(one), named, number, line={"color": VIEW, "width": 1.5})
+            named = labelled(plan.name, "field of view", alone)
+            x, y = _outlines(track)
+            panels.curve(x, y, named, number, line={"color": VIEW, "width": 1.5})
+        sites[degrees_of(site)] = plan.mission.scenario.site.name
     star = {"symbol": "star", "size": 14, "color": SITE, "line": {"width": 1}}
-    missions = [one.subject.mission for one in shown]
-    sites = {degrees_of(m.site.position_body): m.scenario.site.name for m in missions}
     panels.data += [points([x], [y], f"site {name}", **star) for (x, y), name in sites.items()]
-    middle = float(np.mean(subject.mission.schedule.window_s))
+    dark = terminator(plans[0], float(np.mean(plans[0].mission.schedule.window_s)))
     style = {"color": GREY, "dash": "dot", "width": 2}
-    panels.curve(
-        *terminator(subject, middle), "terminator at mid-window, of a sphere", 0, line=style
-    )
+    panels.curve(*dark, "terminator at mid-window, of a sphere", 0, line=style)
     ring = {"symbol": "circle-open", "size": 13, "color": VIEW, "line": {"width": 3}}
     panels.data.append(points([None], [None], "now", **ring) | {"meta": {"now": 0}})
     for axis, entries in map_axes((-180.0, 180.0)).items():
         panels.layout[axis] |= entries
     panels.layout["hovermode"] = "closest"
-    return panels.chart("ground", "Ground track and field of view")
+    return panels.chart("ground")
 
 
 def _unbroken(longitude_deg: Array) -> Array:
@@ -153,47 +93,57 @@ def _unbroken(longitude_deg: Array) -> Array:
     return np.where(jumps, np.nan, longitude_deg)
 
 
-def _outlines(one: Shown) -> tuple[list[float], list[float]]:
-    """Some outlines of the field of view, broken where it leaves the body or the map, deg."""
-    chosen = np.linspace(0, len(one.ground.looks_s) - 1, OUTLINES_SHOWN).astype(int)
-    x: list[float] = []
-    y: list[float] = []
-    for outline in one.ground.outlines_m[chosen]:
+def _outlines(track: GroundTrack) -> Array:
+    """Some outlines of the field of view, broken where it leaves the body or the map, deg, (2, n)."""
+    chosen = np.linspace(0, len(track.looks_s) - 1, OUTLINES_SHOWN).astype(int)
+    found = []
+    for outline in track.outlines_m[chosen]:
         longitude, latitude = degrees_of(np.vstack([outline, outline[:1]]))
-        x += [*_unbroken(longitude).tolist(), np.nan]
-        y += [*latitude.tolist(), np.nan]
-    return x, y
+        found += [np.stack([_unbroken(longitude), latitude]), np.full((2, 1), np.nan)]
+    return np.hstack(found)
 
 
-def timeline_chart(subjects: Sequence[Subject]) -> dict[str, Any]:
+def terminator(plan: Shown, time_s: float) -> tuple[Array, Array]:
+    """Longitude and latitude (deg) of the great circle on which the Sun stands on the horizon.
+
+    Of a sphere: a rough shape's own terminator departs from it.
+    """
+    mission = plan.mission
+    sun = mission.rotation.body_to_j2000(time_s).T @ mission.sun_direction(time_s)
+    # n . sun = 0: tan(latitude) tan(latitude of the Sun) = -cos(longitude from the Sun)
+    longitude = np.linspace(-180.0, 180.0, 361)
+    at, high = degrees_of(sun)
+    from_sun = np.deg2rad(longitude - at)
+    latitude = np.arctan2(-np.cos(from_sun) * np.cos(np.deg2rad(high)), np.sin(np.deg2rad(high)))
+    latitude = np.where(
+        np.abs(latitude) > 0.5 * np.pi, latitude - np.sign(latitude) * np.pi, latitude
+    )
+    return longitude, np.rad2deg(latitude)
+
+
+def timeline_chart(plans: Sequence[Shown]) -> Chart:
     """Attitude modes, the burns above them, and where each burn may be moved."""
-    panels = Panels(["attitude modes and burns"], panel_px=max(170, 140 * len(subjects)))
-    # Modes in the legend, each by the first plan that has it: an empty bar would not be there.
-    named: set[str] = set()
-    for row, subject in enumerate(reversed(subjects)):
-        for mode, colour in MODES.items():
-            legs = [
-                x for x in subject.mission.schedule.legs if x.mode == mode and x.end_s > x.start_s
-            ]
+    panels = Panels(["attitude modes and burns"], panel_px=max(170, 140 * len(plans)))
+    rows = list(enumerate(reversed(plans)))
+    for mode, colour in MODES.items():
+        legs = [(row, leg) for row, plan in rows for leg in plan.mission.schedule.legs
+                if leg.mode == mode and leg.end_s > leg.start_s]  # fmt: skip
+        if legs:
             panels.data.append(
                 {
                     "type": "bar",
                     "orientation": "h",
                     "name": mode,
-                    "legendgroup": mode,
-                    "showlegend": bool(legs) and mode not in named,
-                    "y": [row] * len(legs),
-                    "base": [leg.start_s for leg in legs],
-                    "x": [leg.end_s - leg.start_s for leg in legs],
+                    "y": [row for row, _ in legs],
+                    "base": [leg.start_s for _, leg in legs],
+                    "x": [leg.end_s - leg.start_s for _, leg in legs],
                     "width": 0.34,
                     "marker": {"color": colour, "line": {"width": 1, "color": "#ffffff"}},
                     "hovertemplate": f"{mode}: %{{base:.0f}} s for %{{x:.0f}} s<extra></extra>",
                 }
             )
-            if legs:
-                named.add(mode)
-        panels.data += _burn_marks(subject, row)
-    names = [subject.name for subject in reversed(subjects)]
+    panels.data += _burn_marks(rows)
+    names = [plan.name for _, plan in rows]
     panels.y_axis(
         0,
         tickvals=list(range(len(names))),
@@ -204,53 +154,41 @@ def timeline_chart(subjects: Sequence[Subject]) -> dict[str, Any]:
         zeroline=False,
     )
     panels.layout |= {"hovermode": "closest", "barmode": "overlay"}
-    return panels.chart("timeline", "Attitude modes under the burns")
+    return panels.chart("timeline")
 
 
-def _burn_marks(subject: Subject, row: int) -> list[dict[str, Any]]:
+def _burn_marks(rows: Sequence[tuple[int, Shown]]) -> list[Trace]:
     """Burns as triangles, where each may be moved as lines below, and their numbers and sizes."""
-    executed, end = subject.solution.executed, float(subject.nodes_s[-1])
-    sizes = {number: 1000.0 * float(np.linalg.norm(burn.dv_m_s)) for number, burn in executed}
-    reach: list[float | None] = []
-    intervals = subject.mission.schedule.firing_intervals_s
-    for burn, (low, high) in zip(subject.solution.burns, intervals, strict=True):
-        reach += [low, min(high, end), None] if any(burn.dv_m_s) else []
-    times = [burn.t_s for _, burn in executed]
-    moves = {
-        "type": "scatter",
-        "mode": "lines",
-        "legendgroup": "moves",
-        "showlegend": row == 0,
-        "name": "where a burn may be moved, the others kept",
-        "x": reach,
-        "y": [row + 0.22] * len(reach),
-        "line": {"color": BURN, "width": 4},
-        "hoverinfo": "skip",
-    }
+    reach, burns, words, sides = list[tuple[Any, Any]](), [], [], []
+    for row, plan in rows:
+        end = float(plan.nodes_s[-1])
+        intervals = plan.mission.schedule.firing_intervals_s
+        for burn, (low, high) in zip(plan.solution.burns, intervals, strict=True):
+            if any(burn.dv_m_s):
+                reach += [(low, row + 0.22), (min(high, end), row + 0.22), (None, None)]
+        for i, (number, burn) in enumerate(plan.solution.executed):
+            # Neighbours stand at different heights, so that on a phone too none lies on another.
+            burns.append((burn.t_s, row + 0.3, row + 0.42 + 0.15 * (i % LEVELS)))
+            words.append(f"{number}: {mm_s(float(np.linalg.norm(burn.dv_m_s)), 1)}")
+            share = burn.t_s / end
+            side = "right" if share < 0.1 else "left" if share > 0.9 else "center"
+            sides.append(f"middle {side}")
+    times, marks, heights = zip(*burns, strict=True) if burns else ((), (), ())
+    silent: Trace = {"type": "scatter", "hoverinfo": "skip"}
+    x, y = zip(*reach, strict=True) if reach else ((), ())
+    line = {"color": BURN, "width": 4}
+    moves = {"mode": "lines", "name": "where a burn may be moved, the others kept", "line": line}
+    text = {"mode": "text", "showlegend": False, "text": words, "textposition": sides}
     triangle = {"symbol": "triangle-down", "size": 13, "color": BURN}
-    marks = points(times, [row + 0.3] * len(executed), "burn", **triangle) | {
-        "legendgroup": "burn",
-        "showlegend": row == 0,
-        "hovertemplate": "burn at %{x:.0f} s<extra></extra>",
-    }
-    words = {
-        "type": "scatter",
-        "mode": "text",
-        "showlegend": False,
-        "hoverinfo": "skip",
-        "x": times,
-        # Neighbours stand at different heights, so that on a phone too none lies on another.
-        "y": [row + 0.42 + 0.15 * (i % LEVELS) for i in range(len(executed))],
-        "text": [f"{number}: {size:.1f} mm/s" for number, size in sizes.items()],
-        "textposition": [
-            "middle right" if t < 0.1 * end else "middle left" if t > 0.9 * end else "middle center"
-            for t in times
-        ],
-    }
-    return [moves, marks, words]
+    return [
+        silent | moves | {"x": x, "y": y},
+        points(times, marks, "burn", **triangle)
+        | {"hovertemplate": "burn at %{x:.0f} s<extra></extra>"},
+        silent | text | {"x": times, "y": heights},
+    ]
 
 
-def budget_chart(plans: Sequence[Shown]) -> dict[str, Any]:
+def budget_chart(plans: Sequence[Shown]) -> Chart:
     """Every burn as planned, and what 99 % of its executions stay below."""
     panels = Panels(["delta-v (mm/s)"], "burn", panel_px=260)
     last = max(plan.budget.first + len(plan.budget.planned_m_s) for plan in plans)
@@ -258,7 +196,7 @@ def budget_chart(plans: Sequence[Shown]) -> dict[str, Any]:
     panels.layout |= {"hovermode": "closest", "barmode": "group"}
     for number, plan in enumerate(plans):
         budget, count = plan.budget, len(plan.budget.planned_m_s)
-        name = "planned; whisker: 99 % of the flights" if len(plans) == 1 else plan.subject.name
+        name = "planned; whisker: 99 % of the flights" if len(plans) == 1 else plan.name
         above = 1000.0 * (budget.high_m_s - budget.planned_m_s)
         panels.data.append(
             {
@@ -270,10 +208,10 @@ def budget_chart(plans: Sequence[Shown]) -> dict[str, Any]:
                 "error_y": whiskers(above, np.zeros(count), color=GREY),
             }
         )
-    return panels.chart("budget", "Delta-v of every burn")
+    return panels.chart("budget")
 
 
-def held_chart(flights: Summary) -> dict[str, Any]:
+def held_chart(flights: Summary) -> Chart:
     """Share of flights that keep each limit of the observation for so long, or longer."""
     x_title = "time in the observation window for which limits hold (s)"
     panels = Panels(["share of the flights that hold at least so long (%)"], x_title, 300)
@@ -285,7 +223,7 @@ def held_chart(flights: Summary) -> dict[str, Any]:
     return panels.chart("held", f"Time observed, of {flights.samples} flights")
 
 
-def lowest_chart(flights: Summary) -> dict[str, Any]:
+def lowest_chart(flights: Summary) -> Chart:
     """Lowest probability of each joint constraint with its interval."""
     panels = Panels(["lowest probability (1)"], "", 300)
     panels.layout |= {"hovermode": "closest", "showlegend": False}
@@ -299,28 +237,25 @@ def lowest_chart(flights: Summary) -> dict[str, Any]:
     return panels.chart("probability", title)
 
 
-def convergence_chart(subjects: Sequence[Subject]) -> dict[str, Any]:
+def convergence_chart(plans: Sequence[Shown]) -> Chart:
     """Merit, its changes, violation and radius by iteration, stages one after the other."""
     panels = Panels([title for title, _, _ in CONVERGENCE], "iteration, over all stages", 140)
-    alone = len(subjects) == 1
-    for number, subject in enumerate(subjects):
-        records = subject.solution.iterations
-        x = np.arange(1, len(records) + 1)
+    alone = len(plans) == 1
+    for number, plan in enumerate(plans):
+        records = plan.solution.iterations
         words = [f"{r.stage} {r.k}{'' if r.accepted else ', rejected'}" for r in records]
         for panel, (_, keys, scale) in enumerate(CONVERGENCE):
             for other, key in enumerate(keys):
                 values = scale * np.abs([getattr(record, key) for record in records])
-                said = key.removeprefix("max_").replace("_", " ")
-                first = panel == other == 0
+                # Several plans have one entry each in the legend: titles name the curves.
+                said = key.removeprefix("max_").replace("_", " ") if alone else plan.name
                 panels.curve(
-                    x,
+                    np.arange(1, len(records) + 1),
                     np.where(values > LEAST, values, np.nan),
-                    # Of several plans each has one entry in the legend: titles name the curves.
-                    subject.name if first and not alone else labelled(subject.name, said, alone),
+                    said,
                     panel if alone else number,
                     panel,
-                    legend=alone or first,
-                    **({} if alone else {"legendgroup": subject.name}),
+                    legend=alone or panel == other == 0,
                     line={"dash": "dot" if other else "solid"},
                     mode="lines+markers",
                     marker={"symbol": "x" if other else "circle", "size": 7},
@@ -328,59 +263,76 @@ def convergence_chart(subjects: Sequence[Subject]) -> dict[str, Any]:
                 )
     for panel in range(len(CONVERGENCE)):
         panels.y_axis(panel, **LOGARITHMIC)
-    return panels.chart("convergence", "Convergence")
+    return panels.chart("convergence")
 
 
-def craft_chart(subjects: Sequence[Subject]) -> dict[str, Any] | None:
+def craft_chart(plans: Sequence[Shown]) -> Chart | None:
     """State of charge, power, attitude error and wheels over time; none without a simulation."""
-    flown = [(s, s.record) for s in subjects if s.record is not None]
+    flown = [(plan, plan.record) for plan in plans if plan.record is not None]
     if not flown:
         return None
     panels = Panels(IN_SIMULATION)
     panels.window(flown[0][0].mission.schedule.window_s)
-    for number, (subject, record) in enumerate(flown):
-        before = "" if len(flown) == 1 else f"{subject.name}: "
-        _draw_record(panels, record, before, number, BINS // len(flown))
+    for number, (plan, record) in enumerate(flown):
+        alone = len(flown) == 1
+        for panel, which, name, times, values in _simulated(record):
+            x, y = thinned(times, np.asarray(values, dtype=float), BINS // len(flown))
+            colour, style = which if alone else number, {"dash": DASHES[which % len(DASHES)]}
+            panels.curve(
+                x, y, labelled(plan.name, name, alone), colour % len(PLANS), panel, line=style
+            )
         panels.limit("floor: at least", 100.0 * record.summary.floor_charge, 0)
     panels.y_axis(2, **LOGARITHMIC)
     panels.y_axis(0, range=[0, 104])
-    return panels.chart("craft", "Battery and pointing in the simulation")
+    return panels.chart("craft")
 
 
-def _draw_record(panels: Panels, record: Record, before: str, number: int, bins: int) -> None:
-    times, arrays = record.arrays["t_s"].astype(float), record.arrays
-
-    def add(values: npt.NDArray[Any], name: str, panel: int, which: int) -> None:
-        points = thinned(times, np.asarray(values, dtype=float), bins)
-        colour = (number if before else which) % len(PLANS)
-        panels.curve(
-            *points, before + name, colour, panel, line={"dash": DASHES[which % len(DASHES)]}
-        )
-
+def _simulated(record: Record) -> Iterator[tuple[int, int, str, Array, Array]]:
+    """Panel, number among its curves, name, times and values of each curve of a simulation."""
+    arrays, times = record.arrays, record.arrays["t_s"].astype(float)
     for i, charge in enumerate(100.0 * arrays["state_of_charge"].T):
-        add(charge, f"battery {i + 1}", 0, i)
-    add(arrays["panel_w"].reshape(len(times), -1).sum(axis=1), "generated", 1, 2)
-    add(arrays["consumed_w"].reshape(len(times), -1).sum(axis=1), "consumed", 1, 3)
-    error = np.rad2deg(arrays["pointing_error_rad"].astype(np.float64))
-    seconds = CONTROL_PERIOD_S * np.arange(len(error))
-    points = thinned(seconds, np.asarray(np.maximum(error, LEAST_DEG), dtype=float), bins)
-    panels.curve(*points, f"{before}attitude against its command", number, 2)
+        yield 0, i, f"battery {i + 1}", times, charge
+    for i, (name, key) in enumerate(
+        (("generated", "panel_w"), ("consumed", "consumed_w")), start=2
+    ):
+        yield 1, i, name, times, arrays[key].reshape(len(times), -1).sum(axis=1)
+    error: Array = np.maximum(np.rad2deg(arrays["pointing_error_rad"].astype(float)), LEAST_DEG)
+    seconds = CONTROL_PERIOD_S * np.arange(len(error), dtype=float)
+    yield 2, 0, "attitude against its command", seconds, error
     for i, speed in enumerate(arrays["wheel_speed_rad_s"].T):
-        add(speed, f"wheel {i + 1}", 3, i)
+        yield 3, i, f"wheel {i + 1}", times, speed
 
 
-def thinned(
-    times: npt.NDArray[Any], values: npt.NDArray[Any], bins: int = BINS
-) -> tuple[Array, Array]:
+def thinned(times: Array, values: Array, bins: int = BINS) -> tuple[Array, Array]:
     """Least and largest value of even parts, each at its time: no peak is lost."""
     if len(times) <= 2 * bins:
         return times, values
     edges = np.linspace(0, len(times), bins + 1).astype(int)
-    kept = sorted(
-        {
-            low + int(pick(values[low:high]))
-            for low, high in itertools.pairwise(edges)
-            for pick in (np.argmin, np.argmax)
-        }
-    )
+    parts = [(low, values[low:high]) for low, high in itertools.pairwise(edges)]
+    kept = np.unique([low + each for low, part in parts for each in (part.argmin(), part.argmax())])
     return times[kept], values[kept]
+
+
+def commanded_chart(plans: Sequence[Shown]) -> Chart:
+    """Distribution of the flights' commanded delta-v, with the plan's own, the mean and 99 %."""
+    panels = Panels(["share of the flights (%)"], "commanded delta-v of a flight (mm/s)", 240)
+    panels.layout["hovermode"] = "closest"
+    for number, plan in enumerate(plans):
+        totals = 1000.0 * plan.flown.commanded_m_s
+        counts, edges = np.histogram(totals, DELTA_V_BINS)
+        share = 100.0 * counts / len(totals)
+        name = "flights" if len(plans) == 1 else plan.name
+        steps = np.repeat(edges, 2)[1:-1], np.repeat(share, 2)
+        style = {"dash": "solid"}
+        panels.curve(*steps, name, number, line=style, fill="tozeroy")
+        panels.data[-1]["fillcolor"] = faint(PLANS[number], 0.3)
+        figures = {
+            "nominal": 1000.0 * plan.solution.total_dv_m_s,
+            "mean": float(totals.mean()),
+            f"{100.0 * SHARE:g} %": float(np.quantile(totals, SHARE)),
+        }
+        for i, (what, value) in enumerate(figures.items(), start=1):
+            said = labelled(plan.name, f"{what} {value:.2f} mm/s", len(plans) == 1)
+            style = {"dash": DASHES[i]}
+            panels.curve([value, value], [0.0, float(share.max())], said, number, line=style)
+    return panels.chart("commanded")

@@ -11,12 +11,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from scp_recon.monte_carlo.observation_time import ALL
-from scp_recon.reports.tables import AT, called, dv_column, or_none
-from scp_recon.results.table import Cell, Column, Table
+from scp_recon.reports.tables import called, or_none
+from scp_recon.results.table import Cell, Table, columns
 
 if TYPE_CHECKING:
     from scp_recon.monte_carlo.summary import Commanded, Contingency, Interval, Summary
-    from scp_recon.results.verification import DriftSafety
     from scp_recon.simulation.record import FlightSummary
 
 
@@ -24,8 +23,9 @@ def observation_times_table(summary: Summary) -> Table:
     """Time observed by flights, s, and the probability that a limit holds throughout."""
     return Table.of(
         "Observation times",
-        ("time held", *(Column(name, "s") for name in ("mean", "worst 1 sigma", "worst 2 sigma")),
-         Column("throughout", "1")),
+        columns(
+            "time held", "mean (s)", "worst 1 sigma (s)", "worst 2 sigma (s)", "throughout (1)"
+        ),
         (
             [
                 called(name),
@@ -41,30 +41,23 @@ def observation_times_table(summary: Summary) -> Table:
         note=f"{summary.samples} flights, seed {summary.seed}, {summary.errors} errors, planned with "
         f"{summary.planned_gravity}, flown with "
         f"{summary.flown_gravity}, as in montecarlo.json.",
-    )  # fmt: skip
+    )
 
 
 def missed_burns_table(missed: Sequence[Summary]) -> Table:
     """Flights that miss a burn: their drifts, and the way home where it was planned."""
     return Table.of(
         "Flown with a missed burn, and then home",
+        columns("what happens", "closest 99.7 % (m) .0f", "safe .4f", "impact .4f", "way home",
+                "delta-v (mm/s) .3f", "burns at s", "flights home that keep every limit"),
         (
-            "what happens",
-            Column("closest 99.7 %", "m", ".0f"),
-            *(Column(name, form=".4f") for name in ("safe", "impact")),
-            "way home",
-            dv_column("delta-v"),
-            "burns at s",
-            "flights home that keep every limit",
+            [drift.event, drift.closest_m, drift.value, drift.impact, *_home(one.then)]
+            for one in missed
+            if (drift := one.drift) is not None
         ),
-        ([*_drifted(one.drift), *_home(one.then)] for one in missed if one.drift is not None),
         key="missed_burns",
         note="From `scp-recon montecarlo --miss N --then return`: see montecarlo_miss_N.json.",
-    )
-
-
-def _drifted(drift: DriftSafety) -> Sequence[object]:
-    return drift.event, drift.closest_m, drift.value, drift.impact
+    )  # fmt: skip
 
 
 def _home(then: Contingency | None) -> Sequence[object]:
@@ -88,12 +81,12 @@ def flown_probabilities_table(summary: Summary, required: float | None) -> Table
     ]
     whole, counted = interval_cell(summary.whole_flight, 4), _counted(summary, narrowed=False)
     rows.append(["all limits, whole flight", whole, None, None, counted])
-    columns = ("joint constraint", "lowest probability", AT, Column("required", form="g"), "of")
+    heads = columns("joint constraint", "lowest probability", "at (s) .0f", "required g", "of")
     note = (
         "Rows of draws are of further flights, mostly of draws near a limit; within the intervals they "
         "differ from rows of flights."
     )
-    return Table.of("Lowest probabilities", columns, rows, note=note if summary.strata else "")
+    return Table.of("Lowest probabilities", heads, rows, note=note if summary.strata else "")
 
 
 def _counted(summary: Summary, *, narrowed: bool) -> str:
@@ -109,14 +102,8 @@ def corrected_burns_table(commanded: Commanded, required: float | None) -> Table
     again = any(burn.failed is not None for burn in commanded.burns)
     return Table.of(
         "Burns planned again, as commanded" if again else "Corrected burns as commanded",
-        (
-            "burn",
-            Column("cut-off", "s", "g"),
-            "limit",
-            "probability that it holds",
-            Column("required", form="g"),
-            *(["failed replans"] if again else []),
-        ),
+        columns("burn", "cut-off (s) g", "limit", "probability that it holds", "required g",
+                *(["failed replans"] if again else [])),
         (
             [
                 *(str(burn.burn), burn.cut_off_s, name, interval_cell(kept, 4), required),
@@ -126,7 +113,7 @@ def corrected_burns_table(commanded: Commanded, required: float | None) -> Table
             for name, kept in burn.limits.items()
         ),
         key="corrected_burns",
-    )
+    )  # fmt: skip
 
 
 def interval_cell(interval: Interval, digits: int, gap: str = " ", scale: float = 1.0) -> Cell:
@@ -141,12 +128,8 @@ def simulated_burns_table(summary: FlightSummary) -> Table:
     """Burns as planned and as the spacecraft's simulation executed them."""
     return Table.of(
         f"Burns in the simulation ({summary.vehicle}, seed {summary.seed})",
-        (
-            "burn",
-            AT,
-            *map(dv_column, ("planned", "executed")),
-            *(Column(name, "deg", ".3f") for name in ("off at start", "off")),
-        ),
+        columns("burn", "at (s) .0f", "planned (mm/s) .3f", "executed (mm/s) .3f",
+                "off at start (deg) .3f", "off (deg) .3f"),
         (
             [
                 str(number),
@@ -161,7 +144,7 @@ def simulated_burns_table(summary: FlightSummary) -> Table:
             for number, burn in enumerate(summary.burns, start=1)
         ),
         key="simulated_burns",
-    )
+    )  # fmt: skip
 
 
 def legs_table(summary: FlightSummary) -> Table:
@@ -173,8 +156,8 @@ def legs_table(summary: FlightSummary) -> Table:
         )
         settled = "never" if leg.settled_s is None else leg.settled_s
         rows.append([leg.mode + faults, leg.start_s, leg.duration_s, leg.required_s, settled])
-    times = ("from", "for", "at least", "steady after")
-    return Table.of("Attitude modes", ("mode", *(Column(name, "s", ".0f") for name in times)), rows)
+    times = (f"{name} (s) .0f" for name in ("from", "for", "at least", "steady after"))
+    return Table.of("Attitude modes", columns("mode", *times), rows)
 
 
 def simulated_table(summary: FlightSummary) -> Table:

@@ -20,6 +20,8 @@ from scp_recon.display import COLOURS
 from scp_recon.reports.surfaces import Solid
 
 Trace = dict[str, Any]
+Chart = dict[str, Any]
+"""A key that is an identifier, title and note, and the data and layout of Plotly's figure."""
 
 PLANS = COLOURS
 """Of overlaid plans, and of the curves in one chart."""
@@ -46,6 +48,61 @@ PANEL_PX, FOOT_PX, HEAD_PX, GAP_PX = 160, 56, 58, 42
 LEGEND = {"orientation": "h", "x": 0, "xanchor": "left", "yanchor": "bottom"}
 """Entries in a row, above the uppermost panel."""
 LOGARITHMIC = {"type": "log", "exponentformat": "power", "nticks": 5}
+
+
+ABOUT = {
+    "flight": ("The flight, as it stands amid the observation window", ""),
+    "observation": (
+        "Constraints of the observation, in the window",
+        "Line: planned mean. Bands: where 68.3 % and 95.4 % of the flights are. Dashed: limits.",
+    ),
+    "probability": (
+        "Probability achieved over time",
+        "Of sampled flights, with 95 % intervals. Shaded: observation window.",
+    ),
+    "ranges": (
+        "Range to the surface and to the centre",
+        "To the surface along the line to the centre. Bands: 1 and 3 sigma (99.7 %) of the sampled "
+        "flights. Shaded: observation window.",
+    ),
+    "lighting": (
+        "Incidence and local solar time at the site",
+        "Certain: both follow from the body's rotation alone. Shaded: observation window.",
+    ),
+    "ground": (
+        "Ground track and field of view",
+        "Planned mean, body-fixed. Outlines: field of view at five times of the window, the camera "
+        "pointed to the site. Ring: the time that the 3-D view shows.",
+    ),
+    "resolution": (
+        "Resolution at the site, in the window",
+        "Ground that a pixel sees at the site; along the slope it is stretched by the emission angle. "
+        "Bands: 68.3 % and 95.4 % of the flights.",
+    ),
+    "timeline": (
+        "Attitude modes under the burns",
+        "Triangles: burns. Lines below them: where each may be moved, the others kept.",
+    ),
+    "budget": (
+        "Delta-v of every burn",
+        "Bars: planned. Whiskers: what 99 % of the executions stay below.",
+    ),
+    "knowledge": (
+        "Dispersion and knowledge over time",
+        "By the normal law: roots of the summed variances of the components. Corrections act from "
+        "their burns on, measurements from their cut-offs on. Shaded: observation window.",
+    ),
+    "commanded": (
+        "Delta-v with corrections",
+        "Of the sampled flights, as their policy commands the burns.",
+    ),
+    "craft": (
+        "Battery and pointing in the simulation",
+        "One flight of the spacecraft's simulation. Shaded: observation window.",
+    ),
+    "convergence": ("Convergence", "Magnitudes. Hover names stage and iteration."),
+}
+"""Title of each chart of a plan, and the note below it."""
 
 
 def labelled(plan: str, curve: str, alone: bool) -> str:
@@ -87,9 +144,10 @@ def script(value: object) -> str:
     return text.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e")
 
 
-def chart(key: str, title: str, data: list[Trace], layout: dict[str, Any]) -> dict[str, Any]:
-    """A chart as pages take it: a key that is an identifier, what it shows, and Plotly's figure."""
-    return {"key": key, "title": title, "data": data, "layout": layout}
+def chart(key: str, data: list[Trace], layout: dict[str, Any], title: str = "") -> Chart:
+    """A chart as pages take it; title and note are those of `ABOUT` by default."""
+    said, note = ABOUT.get(key, ("", ""))
+    return {"key": key, "title": title or said, "note": note, "data": data, "layout": layout}
 
 
 class Panels:
@@ -123,9 +181,9 @@ class Panels:
             where = {"xref": "paper", "x": 0, "xanchor": "left", "yref": "paper", "y": top}
             self._write(f"<b>{title}</b>", where | {"name": _axis(i), "yanchor": "bottom"})
 
-    def chart(self, key: str, title: str) -> dict[str, Any]:
+    def chart(self, key: str, title: str = "") -> Chart:
         """The chart as pages take it."""
-        return chart(key, title, self.data, self.layout)
+        return chart(key, self.data, self.layout, title)
 
     def y_axis(self, panel: int, **entries: Any) -> None:
         """Set entries of a panel's axis."""

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
 from datetime import datetime
 from functools import cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -16,9 +15,8 @@ from scp_recon.display import digits, mm_s
 from scp_recon.errors import version_of
 from scp_recon.mission.constraints import required_in_words
 from scp_recon.planning.plan import NOT_CHECKED
-from scp_recon.reports.marks import BODY, script
+from scp_recon.reports.marks import BODY, TIME, Chart, script
 from scp_recon.reports.shown import SO_FAR, Shown
-from scp_recon.reports.subject import Subject
 from scp_recon.results.solution import Solution
 from scp_recon.results.table import Table
 from scp_recon.scenario.time_scales import instant, iso_utc, shown_utc
@@ -31,43 +29,9 @@ if TYPE_CHECKING:
 OWN = "scp_recon.reports"
 SHOWN = 12
 """Digits of a plan's hash on a sheet."""
-CURSORS = (
-    "observation",
-    "probability",
-    "ranges",
-    "lighting",
-    "resolution",
-    "timeline",
-    "craft",
-    "knowledge",
-)
-"""Charts over time, in which the time that the view shows is marked."""
-NOTES = {
-    "observation": "Line: planned mean. Bands: where 68.3 % and 95.4 % of the sampled flights are. "
-    "Dashed: limits.",
-    "probability": "Of sampled flights, with 95 % intervals. Shaded: observation window.",
-    "ranges": "To the surface along the line to the centre. Bands: 1 and 3 sigma (99.7 %) of the "
-    "sampled flights. Shaded: observation window.",
-    "lighting": "Certain: both follow from the body's rotation alone. Shaded: observation window.",
-    "ground": "Planned mean, body-fixed. Outlines: field of view at five times of the window, the "
-    "camera pointed to the site. Ring: the time that the 3-D view shows.",
-    "resolution": "Ground that a pixel sees at the site; along the slope it is stretched by the "
-    "emission angle. Bands: 68.3 % and 95.4 % of the flights.",
-    "timeline": "Triangles: burns. Lines below them: where each may be moved, the others kept.",
-    "budget": "Bars: planned. Whiskers: what 99 % of the executions stay below.",
-    "knowledge": "By the normal law: roots of the summed variances of the components. Corrections act "
-    "from their burns on, measurements from their cut-offs on. Shaded: observation window.",
-    "ellipses": "By the normal law, 2 sigma, in the plane of the two longest axes before the "
-    "correction; in the middle of what is left of the window after the burn, or at the end if it is "
-    "over. Before: with the corrections of earlier burns alone.",
-    "commanded": "Of the sampled flights, as their policy commands the burns.",
-    "craft": "One flight of the spacecraft's simulation. Shaded: observation window.",
-    "convergence": "Magnitudes. Hover names stage and iteration.",
-}
 
 
-@dataclass(frozen=True)
-class Verdict:
+class Verdict(NamedTuple):
     """The head of the page, in words: probability required and achieved, delta-v; what to do next."""
 
     good: bool
@@ -81,8 +45,7 @@ class Verdict:
 
 def verdict_of(plan: Shown) -> Verdict:
     """The verdict on a plan; one that was not verified is judged by the sampled flights."""
-    subject = plan.subject
-    solution = subject.solution
+    solution = plan.solution
     checked, status = solution.verification, Status.named(solution.status)
     good = checked is not None and checked.ok and status is Status.CONVERGED
     word = "verified" if good else "not verified"
@@ -90,23 +53,22 @@ def verdict_of(plan: Shown) -> Verdict:
         word = NOT_CHECKED
     elif checked.failed:
         word = f"not verified: {checked.failed_in_words}"
-    required = "no probability (P3: the problem without uncertainty)"
-    if solution.problem == "P2":
-        required = required_in_words(solution.scenario)
     return Verdict(
         good,
         word,
-        required,
+        required_in_words(solution.scenario)
+        if solution.problem == "P2"
+        else "no probability (P3: the problem without uncertainty)",
         _achieved(plan),
         f"{mm_s(solution.total_dv_m_s)} in {len(solution.executed)} burns; 99 % of the "
         f"flights execute at most {mm_s(plan.budget.total_high_m_s)}",
-        _remarks(subject, status),
-        _advice(subject),
+        _remarks(plan, status),
+        () if checked is None else next_lines(plan.mission, solution, checked),
     )
 
 
 def _achieved(plan: Shown) -> str:
-    solution = plan.subject.solution
+    solution = plan.solution
     whole = solution.scenario.risk.scope == "flight"
     checked, by = solution.verification, "sampled flights"
     if whole and solution.risk is not None and solution.risk.certificate is not None:
@@ -130,8 +92,8 @@ def _achieved(plan: Shown) -> str:
     return f"{value:.4f} where it is least, {name} at {at:.0f} s {interval}"
 
 
-def _remarks(subject: Subject, status: Status) -> tuple[str, ...]:
-    solution = subject.solution
+def _remarks(plan: Shown, status: Status) -> tuple[str, ...]:
+    solution = plan.solution
     said = [] if status is Status.CONVERGED else [status.value.message]
     said += [
         f"{name}: violated by up to {digits(amount.max, 4)} {amount.unit}"
@@ -142,70 +104,54 @@ def _remarks(subject: Subject, status: Status) -> tuple[str, ...]:
     if risk is not None:
         law = "not certified by flights: the normal law alone promises the probability"
         said.append(f"certificate: {risk.certificate}" if risk.certificate else law)
-    warned = [*solution.warnings, *subject.mission.warnings]
+    warned = [*solution.warnings, *plan.mission.warnings]
     said += [f"warning: {one}" for one in in_doubt(solution, solution.verification, warned)]
-    return (*said, *subject.passed_over)
+    return (*said, *plan.passed_over)
 
 
-def _advice(subject: Subject) -> tuple[str, ...]:
-    """What was found to work for this plan, else why its checks fail."""
-    solution = subject.solution
-    if solution.verification is None:
-        return ()
-    return next_lines(subject.mission, solution, solution.verification)
-
-
-@dataclass(frozen=True, eq=False)
-class Page:
+class Page(NamedTuple):
     """Everything on it; tables are one tuple a plan, charts in their order, `made` is UTC."""
 
-    plans: tuple[Shown, ...]
-    tables: tuple[tuple[Table, ...], ...]
+    plans: Sequence[Shown]
+    tables: Sequence[Sequence[Table]]
     comparison: Table | None
     scene: dict[str, Any]
-    charts: tuple[dict[str, Any], ...]
+    charts: Sequence[Chart]
     made: datetime
 
 
-def identity(page: Page) -> str:
-    """Foot of every sheet: scenarios, their epochs in UTC, plans, version, and when it was made."""
-    plans = "; ".join(
-        f"{s.solution.scenario.name}, "
-        f"t = 0 at {shown_utc(instant(s.solution.scenario.epoch.tdb))} UTC, "
-        f"plan {s.solution.plan_hash[:SHOWN]}"
-        for s in (plan.subject for plan in page.plans)
-    )
-    return f"{plans} | {made_by(page.made)}"
-
-
 def render(page: Page) -> str:
-    """Render a page as one HTML file that needs no other file."""
-    subjects = [plan.subject for plan in page.plans]
-    first = subjects[0]
+    """Render a page as one HTML file that needs no other file.
+
+    At the foot of each sheet stand scenarios, their epochs in UTC, plans, version and time of making.
+    """
+    solutions = [plan.solution for plan in page.plans]
+    plans = "; ".join(
+        f"{s.scenario.name}, t = 0 at {shown_utc(instant(s.scenario.epoch.tdb))} UTC, "
+        f"plan {s.plan_hash[:SHOWN]}"
+        for s in solutions
+    )
     return render_offline(
         "page.html",
         ("report.js",),
-        script_data(page.scene, page.charts, first.solution),
+        script_data(page.scene, page.charts, solutions[0]),
         page=page,
         charts=page.charts,
         first=page.plans[0],
-        names=[subject.name for subject in subjects],
+        names=[plan.name for plan in page.plans],
         verdicts=map(verdict_of, page.plans),
-        title=", ".join(dict.fromkeys(s.solution.scenario.name for s in subjects)),
-        identity=identity(page),
-        notes=NOTES,
+        title=", ".join(dict.fromkeys(s.scenario.name for s in solutions)),
+        identity=f"{plans} | {made_by(page.made)}",
         groups=groups_of(page.scene),
     )
 
 
-def script_data(
-    scene: dict[str, Any], charts: Sequence[dict[str, Any]], first: Solution
-) -> dict[str, Any]:
-    """Data that `report.js` draws; `first` is the first plan."""
+def script_data(scene: dict[str, Any], charts: Sequence[Chart], first: Solution) -> dict[str, Any]:
+    """Data that `report.js` draws; `first` is the first plan. It marks the time in charts over time."""
     return {
         "scene": scene,
         "charts": charts,
-        "cursors": CURSORS,
+        "cursors": [c["key"] for c in charts if c["layout"]["xaxis"]["title"]["text"] == TIME],
         "epoch_utc": iso_utc(instant(first.scenario.epoch.tdb))[:23] + "Z",
         "file": f"{first.scenario.name}-{first.plan_hash[:SHOWN]}",
     }

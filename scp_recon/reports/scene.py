@@ -34,6 +34,7 @@ from scp_recon.reports.marks import (
     SITE,
     SUN,
     VIEW,
+    Chart,
     Trace,
     chart,
     compact,
@@ -43,7 +44,6 @@ from scp_recon.reports.marks import (
     spots,
 )
 from scp_recon.reports.shown import Shown
-from scp_recon.reports.subject import Subject
 from scp_recon.reports.surfaces import Shape, Solid, cone, shell, sphere, tube
 
 ARROW = 0.13
@@ -83,62 +83,65 @@ def frame_of(plans: Sequence[Shown]) -> Frame:
 
     The box ends at whole metres, as in the file, so that points on its edge are inside.
     """
-    mission = plans[0].subject.mission
+    mission = plans[0].mission
     axes = sun_north_to_j2000(mission.sun_direction(0.0), mission.rotation.pole)
-    paths = np.vstack([one.subject.positions(one.subject.fine_s) @ axes for one in plans])
+    paths = np.vstack([plan.positions(plan.fine_s) @ axes for plan in plans])
     safety = mission.scenario.safety.radius_min_m
     low, high = np.minimum(paths.min(axis=0), -safety), np.maximum(paths.max(axis=0), safety)
     edge = float((high - low).max())
     bare = Frame(axes, low, high, ARROW * edge)
-    tips = np.vstack([arrows_of(bare, one.subject)[1] for one in plans])
+    tips = np.vstack([arrows_of(bare, plan)[1] for plan in plans])
     low = np.minimum(low, tips.min(axis=0, initial=np.inf))
     high = np.maximum(high, tips.max(axis=0, initial=-np.inf))
     low, high = np.floor(low - ROOM * edge), np.ceil(high + ROOM * edge)
     return replace(bare, low_m=low, high_m=high)
 
 
-def arrows_of(frame: Frame, subject: Subject) -> tuple[Array, Array]:
+def arrows_of(frame: Frame, plan: Shown) -> tuple[Array, Array]:
     """Starts and ends of the arrows of the burns that are executed, shape (m, 3) each."""
-    executed = [burn for _, burn in subject.solution.executed]
+    executed = [burn for _, burn in plan.solution.executed]
     burns = np.array([burn.dv_m_s for burn in executed]).reshape(-1, 3)
     scale = frame.arrow_m / max(float(np.linalg.norm(burns, axis=1).max(initial=0.0)), 1e-12)
-    starts = frame.seen(subject.positions(np.array([burn.t_s for burn in executed])))
+    starts = frame.seen(plan.positions(np.array([burn.t_s for burn in executed])))
     return starts, starts + scale * frame.seen(burns)
 
 
-def scene(plans: Sequence[Shown], shape: Shape) -> dict[str, Any]:
+def scene(plans: Sequence[Shown]) -> dict[str, Any]:
     """Traces, layout and what moves them, as the page's script takes them."""
-    frame, mission = frame_of(plans), plans[0].subject.mission
-    sites = {tuple(m.site.position_body): m for m in (one.subject.mission for one in plans)}
+    first, frame = plans[0], frame_of(plans)
+    mission, shape = first.mission, first.shape
+    sites = {tuple(m.site.position_body): m for m in (plan.mission for plan in plans)}
     traces = [
         *_body(frame, mission, shape),
         *(_site(each, shape) for each in sites.values()),
-        *keep_sets(frame, plans[0].subject),
-        *drifts(frame, plans[0].subject),
+        *keep_sets(frame, first),
+        *drifts(frame, first),
     ]
-    for number, one in enumerate(plans):
-        traces += _plan(frame, one, number, PATHS // len(plans))
-    nodes = [one.subject.nodes_s for one in plans]
-    ends = [float(min(each[0] for each in nodes)), float(max(each[-1] for each in nodes))]
+    for number, plan in enumerate(plans):
+        traces += _plan(frame, plan, number, PATHS // len(plans))
+    ends = [
+        float(min(plan.nodes_s[0] for plan in plans)),
+        float(max(plan.nodes_s[-1] for plan in plans)),
+    ]
     return {
         "traces": traces,
-        "layout": _layout(frame, plans[0].subject, shape),
+        "layout": _layout(frame, first),
         "motion": {
             "rotation": _rotation(frame, mission),
             "site": compact(mission.site.position_body, 3),
             "site_normal": compact(mission.site.normal_body, 9),
             "sun": [compact(frame.seen(mission.sun_direction(t)), 8) for t in ends],
             "ends_s": ends,
-            "companion": companion_of(frame, plans[0].subject),
+            "companion": companion_of(frame, first),
             "normals": compact(shape.normals, 3),
-            "plans": [_moving(frame, one) for one in plans],
+            "plans": [_moving(frame, plan) for plan in plans],
         },
     }
 
 
-def picture(plans: Sequence[Shown], shape: Shape) -> dict[str, Any]:
+def picture(plans: Sequence[Shown]) -> Chart:
     """The view at the middle of the first plan's window, as a chart without motion."""
-    shown, mission = scene(plans, shape), plans[0].subject.mission
+    shown, mission, shape = scene(plans), plans[0].mission, plans[0].shape
     frame, at_s = frame_of(plans), float(np.mean(mission.schedule.window_s))
     body = frame.to_j2000.T @ mission.rotation.body_to_j2000(at_s)
     sun = frame.seen(mission.sun_direction(at_s)) @ body
@@ -151,7 +154,7 @@ def picture(plans: Sequence[Shown], shape: Shape) -> dict[str, Any]:
         if about.get("moves") == "body":
             xyz = body @ xyz
         elif about.get("moves") == "craft":
-            xyz = frame.seen(plans[about["plan"]].subject.positions(np.array([at_s]))).T
+            xyz = frame.seen(plans[about["plan"]].positions(np.array([at_s]))).T
         placed = trace | dict(zip("xyz", compact(xyz, 1), strict=True))
         if "lit" in about:
             placed["intensity"] = compact(shape.normals @ sun, 3)
@@ -160,59 +163,51 @@ def picture(plans: Sequence[Shown], shape: Shape) -> dict[str, Any]:
         name = trace["name"] if several else about["group"]
         first = all(name != other["legendgroup"] for other in traces)
         traces.append(placed | {"name": name, "legendgroup": name, "showlegend": first})
-    legend = {"orientation": "h", "yanchor": "top", "y": 0.0}
     view = shown["layout"]["scene"]
     eye = {axis: 1.1 * at for axis, at in view["camera"]["eye"].items()}  # all of it, at any width
-    placed_view = view | {"camera": view["camera"] | {"eye": eye}}
     layout = shown["layout"] | {
         "height": 640,
-        "scene": placed_view,
+        "scene": view | {"camera": view["camera"] | {"eye": eye}},
         "showlegend": True,
-        "legend": legend,
+        "legend": {"orientation": "h", "yanchor": "top", "y": 0.0},
     }
-    return chart("flight", "The flight, as it stands amid the observation window", traces, layout)
+    return chart("flight", traces, layout)
 
 
 def _rotation(frame: Frame, mission: Mission) -> dict[str, Any]:
     """The attitude at angle W is `axes` turned by W about their third."""
     rotation = mission.rotation
     if isinstance(rotation, TabulatedRotation):  # shown as it is amid the window
-        at = rotation.body_to_j2000(float(np.mean(mission.schedule.window_s)))
-        axes = compact(frame.to_j2000.T @ at, 9)
-        return {"axes": axes, "meridian": 0.0, "rate": 0.0, "acceleration": 0.0}
-    still = rotation.body_to_j2000(0.0)
-    c, s = np.cos(rotation.meridian), np.sin(rotation.meridian)
-    axes = still @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]).T
-    return {
-        "axes": compact(frame.to_j2000.T @ axes, 9),
-        "meridian": rotation.meridian,
-        "rate": rotation.rate,
-        "acceleration": rotation.acceleration,
-    }
+        axes = rotation.body_to_j2000(float(np.mean(mission.schedule.window_s)))
+        turn = {"meridian": 0.0, "rate": 0.0, "acceleration": 0.0}
+    else:
+        turn = {key: getattr(rotation, key) for key in ("meridian", "rate", "acceleration")}
+        c, s = np.cos(rotation.meridian), np.sin(rotation.meridian)
+        back = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+        axes = rotation.body_to_j2000(0.0) @ back
+    return {"axes": compact(frame.to_j2000.T @ axes, 9)} | turn
 
 
-def companion_of(frame: Frame, subject: Subject) -> dict[str, Any] | None:
+def companion_of(frame: Frame, plan: Shown) -> dict[str, Any] | None:
     """Where the second body is at even times of the flight, if there is one."""
-    other, times = subject.mission.scene.companion, subject.fine_s
+    other, times = plan.mission.scene.companion, plan.fine_s
     if other is None:
         return None
     return {"t_s": compact(times, 3), "position": compact(frame.seen(other.position(times)).T, 1)}
 
 
-def _moving(frame: Frame, one: Shown) -> dict[str, Any]:
-    subject, ground = one.subject, one.ground
-    times = subject.fine_s
-    legs = [[leg.mode.value, leg.start_s, leg.end_s] for leg in subject.mission.schedule.legs]
+def _moving(frame: Frame, plan: Shown) -> dict[str, Any]:
+    times, schedule = plan.fine_s, plan.mission.schedule
     return {
-        "name": subject.name,
+        "name": plan.name,
         "t_s": compact(times, 3),
-        "position": compact(frame.seen(subject.positions(times)).T, 2),
-        "nodes_s": compact(subject.nodes_s, 3),
-        "window_s": list(subject.window_s),
-        "legs": legs,
-        "site": compact(subject.mission.site.position_body, 3),
-        "looks_s": compact(ground.looks_s, 2),
-        "outlines": compact(ground.outlines_m, 1),
+        "position": compact(frame.seen(plan.positions(times)).T, 2),
+        "nodes_s": compact(plan.nodes_s, 3),
+        "window_s": list(plan.window_s),
+        "legs": [[leg.mode.value, leg.start_s, leg.end_s] for leg in schedule.legs],
+        "site": compact(plan.mission.site.position_body, 3),
+        "looks_s": compact(plan.ground.looks_s, 2),
+        "outlines": compact(plan.ground.outlines_m, 1),
     }
 
 
@@ -245,9 +240,9 @@ def _site(mission: Mission, shape: Shape) -> Trace:
     return moved(trace, "body")
 
 
-def keep_sets(frame: Frame, subject: Subject) -> list[Trace]:
+def keep_sets(frame: Frame, plan: Shown) -> list[Trace]:
     """Sets that positions and burns of the first plan keep in or out of; shown on demand."""
-    mission = subject.mission
+    mission = plan.mission
     scenario, site = mission.scenario, mission.site
     limits = {limit.name: limit.value for limit in mission.limits}
     distances = limits["site_distance_min"], limits["site_distance_max"]
@@ -265,7 +260,7 @@ def keep_sets(frame: Frame, subject: Subject) -> list[Trace]:
         mesh(sphere(scenario.safety.radius_min_m), safety, safety, KEEP_OUT, 0.16),
         moved(mesh(keep_in, f"{seen}, in the window", seen, KEEP_IN, 0.22), "body"),
         moved(mesh(phase, f"{lit}, in the window", f"{lit} cone", KEEP_OUT, 0.22), "site"),
-        _burn_cones(frame, subject),
+        _burn_cones(frame, plan),
     ]
     if mission.scene.companion is not None:
         name, ball = "keep out: companion", sphere(companion_distance_m(scenario))
@@ -276,15 +271,15 @@ def keep_sets(frame: Frame, subject: Subject) -> list[Trace]:
     return [trace | {"visible": False} for trace in traces]
 
 
-def drifts(frame: Frame, subject: Subject) -> list[Trace]:
+def drifts(frame: Frame, plan: Shown) -> list[Trace]:
     """Mean drifts of the first plan after each missed burn but the first, and where they are nearest.
 
     They are shown on demand, as far as they stay in the box; with the way home where it was planned.
     """
-    mission, nodes, traces = subject.mission, subject.solution.nodes, list[Trace]()
+    mission, nodes, traces = plan.mission, plan.solution.nodes, list[Trace]()
     spell = reach_s(mission)
-    homes = {one.drift.burn: one.then for one in subject.missed if one.drift and one.then}
-    for number, burn in subject.solution.executed:
+    homes = {one.drift.burn: one.then for one in plan.missed if one.drift and one.then}
+    for number, burn in plan.solution.executed:
         if number == 1 or spell <= 0.0:
             continue
         state = np.array(nodes.state[int(np.searchsorted(nodes.t_s, burn.t_s))])
@@ -321,12 +316,12 @@ def _way_home(mission: Mission, state: Array, begin_s: float, home: Contingency)
     return np.concatenate(parts)
 
 
-def _burn_cones(frame: Frame, subject: Subject) -> Trace:
+def _burn_cones(frame: Frame, plan: Shown) -> Trace:
     """The double cone about the Sun line that every burn keeps out of."""
-    mission = subject.mission
-    times = np.array([burn.t_s for _, burn in subject.solution.executed])
+    mission = plan.mission
+    times = np.array([burn.t_s for _, burn in plan.solution.executed])
     angle = float(np.deg2rad(mission.scenario.battery.delta_v_cone_deg))
-    places, suns = subject.positions(times), mission.sun_direction(times)
+    places, suns = plan.positions(times), mission.sun_direction(times)
     parts = [
         cone(side * unit(frame.seen(sun)), at, angle, frame.arrow_m)
         for at, sun in zip(frame.seen(places), suns, strict=True)
@@ -336,11 +331,10 @@ def _burn_cones(frame: Frame, subject: Subject) -> Trace:
     return mesh(Solid.joined(parts), name, name, KEEP_OUT, 0.22)
 
 
-def _plan(frame: Frame, one: Shown, number: int, flights: int) -> list[Trace]:
-    subject, colour = one.subject, PLANS[number]
-    name, times = subject.name, subject.fine_s
-    path = frame.seen(subject.positions(times))
-    first, last = subject.mission.schedule.window_s
+def _plan(frame: Frame, plan: Shown, number: int, flights: int) -> list[Trace]:
+    colour, name, times = PLANS[number], plan.name, plan.fine_s
+    path = frame.seen(plan.positions(times))
+    first, last = plan.mission.schedule.window_s
     seen = (times >= first) & (times <= last)
     edge = {"color": "#ffffff", "width": 2}
     dot = {"size": 7, "color": colour, "symbol": "circle", "line": edge}
@@ -349,20 +343,20 @@ def _plan(frame: Frame, one: Shown, number: int, flights: int) -> list[Trace]:
     return [
         lines(path, name, "planned path", colour, width=5, dash=DASHES[number]),
         lines(path[seen], f"{name}: window", "observation window", colour, width=11),
-        *_sampled(frame, one, number, flights),
-        *_tubes(frame, subject, number),
-        *_burns(frame, subject),
+        *_sampled(frame, plan, number, flights),
+        *_tubes(frame, plan, number),
+        *_burns(frame, plan),
         moved(craft, "craft", plan=number),
         moved(view, "view", plan=number),
     ]
 
 
-def _sampled(frame: Frame, one: Shown, number: int, flights: int) -> list[Trace]:
+def _sampled(frame: Frame, plan: Shown, number: int, flights: int) -> list[Trace]:
     """Paths of some flights at the nodes, broken between them; and where they are at a time."""
-    nodes = np.isin(one.flown.times_s, one.subject.mission.times_s)
-    paths = frame.seen(one.flown.positions[nodes][:, :flights]).swapaxes(0, 1)
+    nodes = np.isin(plan.flown.times_s, plan.mission.times_s)
+    paths = frame.seen(plan.flown.positions[nodes][:, :flights]).swapaxes(0, 1)
     broken = np.concatenate([paths, np.full((len(paths), 1, 3), np.nan)], axis=1).reshape(-1, 3)
-    name, group = f"{one.subject.name}: {len(paths)} sampled flights", "sampled flights"
+    name, group = f"{plan.name}: {len(paths)} sampled flights", "sampled flights"
     drawn = lines(broken, name, group, FLIGHTS[number], width=1)
     marker = {"size": 2.5, "color": PLANS[number], "opacity": 0.6}
     cloud = spots(paths[:, 0], f"{name}, now", group, **marker)
@@ -371,31 +365,31 @@ def _sampled(frame: Frame, one: Shown, number: int, flights: int) -> list[Trace]
     return [moved(drawn, "", paths=number), moved(cloud, "cloud", plan=number)]
 
 
-def _tubes(frame: Frame, subject: Subject, number: int) -> list[Trace]:
-    states = np.array(subject.solution.nodes.state)
-    covariance = np.array(subject.solution.nodes.covariance)[:, :3, :3]
+def _tubes(frame: Frame, plan: Shown, number: int) -> list[Trace]:
+    states = np.array(plan.solution.nodes.state)
+    covariance = np.array(plan.solution.nodes.covariance)[:, :3, :3]
     turned = frame.to_j2000.T @ covariance @ frame.to_j2000
     path = frame.seen(states[:, :3])
     apart = np.linalg.norm(np.gradient(path, axis=0), axis=1) > 0.0
     traces = []
     for sigmas, opacity in ((1, 0.3), (3, 0.14)):
         solid = tube(path[apart], turned[apart], sigmas)
-        name, group = f"{subject.name}: {sigmas} sigma", f"{sigmas} sigma tube"
+        name, group = f"{plan.name}: {sigmas} sigma", f"{sigmas} sigma tube"
         trace = mesh(solid, name, group, PLANS[number], opacity)
         traces.append(trace | {"visible": sigmas == 3})
     return traces
 
 
-def _burns(frame: Frame, subject: Subject) -> list[Trace]:
+def _burns(frame: Frame, plan: Shown) -> list[Trace]:
     """Arrows of the burns, proportional to their sizes."""
-    starts, ends = arrows_of(frame, subject)
-    gaps, name = np.full_like(starts, np.nan), f"{subject.name}: burns"
+    starts, ends = arrows_of(frame, plan)
+    gaps, name = np.full_like(starts, np.nan), f"{plan.name}: burns"
     shafts = np.stack([starts, ends, gaps], axis=1).reshape(-1, 3)
     tips = spots(ends, name, "burns", size=5, color=BURN, symbol="diamond")
     return [lines(shafts, name, "burns", BURN, width=7), tips]
 
 
-def _layout(frame: Frame, subject: Subject, shape: Shape) -> dict[str, Any]:
+def _layout(frame: Frame, plan: Shown) -> dict[str, Any]:
     # What is written stands in annotations: letters in WebGL would take longer than all the rest.
     ends = zip("xyz", compact(frame.low_m, 0), compact(frame.high_m, 0), strict=True)
     axes = {f"{x}axis": {"title": {"text": ""}, "range": [a, b], "nticks": 4} for x, a, b in ends}
@@ -413,28 +407,28 @@ def _layout(frame: Frame, subject: Subject, shape: Shape) -> dict[str, Any]:
             "aspectratio": dict(zip("xyz", compact(size / np.cbrt(size.prod()), 6), strict=True)),
             "camera": camera,
             "dragmode": "orbit",
-            "annotations": _words(frame, subject, shape),
+            "annotations": _words(frame, plan),
         },
         "margin": {"l": 0, "r": 0, "t": 0, "b": 0},
         "showlegend": False,
     }
 
 
-def _words(frame: Frame, subject: Subject, shape: Shape) -> list[dict[str, Any]]:
+def _words(frame: Frame, plan: Shown) -> list[dict[str, Any]]:
     """Names of axes, Sun, north, and the first plan's burns."""
-    mission, low, high = subject.mission, frame.low_m, frame.high_m
+    mission, low, high, size = plan.mission, frame.low_m, frame.high_m, plan.shape.size_m
     middle = 0.5 * (low + high)
     named: list[tuple[Any, str]] = [
         ((middle[0], low[1], low[2]), X_NAME),
         ((high[0], middle[1], low[2]), "Y (m)"),
         ((low[0], low[1], middle[2]), Z_NAME),
-        (SUN_TO * shape.size_m * frame.seen(mission.sun_direction(0.0)), "Sun"),
-        (1.5 * shape.size_m * frame.seen(mission.rotation.pole), "N"),
+        (SUN_TO * size * frame.seen(mission.sun_direction(0.0)), "Sun"),
+        (1.5 * size * frame.seen(mission.rotation.pole), "N"),
     ]
-    for at, (number, burn) in zip(
-        arrows_of(frame, subject)[1], subject.solution.executed, strict=True
-    ):
-        named.append((at, f"{number}: {1000.0 * np.linalg.norm(burn.dv_m_s):.1f} mm/s"))
+    tips = zip(arrows_of(frame, plan)[1], plan.solution.executed, strict=True)
+    named += [
+        (at, f"{number}: {mm_s(float(np.linalg.norm(b.dv_m_s)), 1)}") for at, (number, b) in tips
+    ]
     found = []
     for at, text in named:
         where = dict(zip("xyz", compact(np.array(at), 1), strict=True))

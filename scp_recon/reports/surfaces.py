@@ -28,6 +28,8 @@ FACETS_MAX = 12_000
 """Of a mesh as it is drawn: more would make the file heavy and the view slow."""
 HALVINGS = 4
 """Halvings of an octahedron's sides to draw an ellipsoid: 2,048 facets."""
+STEPS, BISECTIONS = 48, 30
+"""Of the search along a ray: even steps until the ray is below the surface, and bisections after."""
 NEIGHBOURS = 3
 """Vertices between which the radius along a direction is averaged."""
 
@@ -163,6 +165,43 @@ class Shape(Solid):
             np.add.at(sums, corner, areas)
         lengths = np.linalg.norm(sums, axis=1, keepdims=True)
         return np.where(lengths > 0.0, sums / np.maximum(lengths, 1e-300), unit(self.vertices_m))
+
+
+def degrees_of(position: Array) -> tuple[Array, Array]:
+    """East longitude and planetocentric latitude of positions (..., 3), deg."""
+    x, y, z = np.moveaxis(position, -1, 0)
+    return np.rad2deg(np.arctan2(y, x)), np.rad2deg(np.arctan2(z, np.hypot(x, y)))
+
+
+def first_hit(start: Array, ray: Array, shape: Shape) -> Array:
+    """First points at which rays meet the surface; NaN where none does.
+
+    Every direction from the centre is assumed to meet the surface once. The search takes even steps
+    through the sphere around the surface, and then halves them. Rays are unit vectors (..., 3) that
+    start outside.
+    """
+    size = 1.001 * shape.size_m
+    middle = -np.sum(start * ray, axis=-1)
+    nearest2 = np.sum(start * start, axis=-1) - middle**2
+    half = np.sqrt(np.maximum(size**2 - nearest2, 0.0))
+
+    def above(along: Array) -> Array:
+        position = start + along[..., None] * ray
+        distance = np.linalg.norm(position, axis=-1)
+        return distance - shape.radius(position / np.maximum(distance, 1e-9)[..., None])
+
+    steps = (middle - half)[..., None] + half[..., None] * np.linspace(0.0, 2.0, STEPS)
+    under = np.stack([above(steps[..., k]) < 0.0 for k in range(STEPS)], axis=-1)
+    first = np.argmax(under, axis=-1)
+    hit = under.any(axis=-1) & (nearest2 < size**2)
+    high = np.take_along_axis(steps, first[..., None], -1)[..., 0]
+    low = np.take_along_axis(steps, np.maximum(first - 1, 0)[..., None], -1)[..., 0]
+    for _ in range(BISECTIONS):
+        between = 0.5 * (low + high)
+        below = above(between) < 0.0
+        low, high = np.where(below, low, between), np.where(below, between, high)
+    found = start + (0.5 * (low + high))[..., None] * ray
+    return np.where(hit[..., None], found, np.nan)
 
 
 def shape_of(scenario: Scenario) -> Shape:

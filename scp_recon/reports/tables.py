@@ -7,6 +7,7 @@ files to the last digit.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,55 +18,42 @@ from scp_recon.monte_carlo.observation_time import ALL
 from scp_recon.physics.geometry import track
 from scp_recon.planning.records import Starts
 from scp_recon.results.comparison import BINDING
-from scp_recon.results.facts import Burn, IterationRecord
+from scp_recon.results.facts import IterationRecord
 from scp_recon.results.policy import sigmas
 from scp_recon.results.solution import Solution
-from scp_recon.results.table import SCALES, Cell, Column, Table
+from scp_recon.results.table import SCALES, Cell, Column, Table, columns
 from scp_recon.results.verification import DriftSafety, MeanMargin, Verification
 from scp_recon.scenario.time_scales import instant, shown_utc
 from scp_recon.verification.reintegration import FIGURES, limits_of
 
-AT = Column("at", "s", ".0f")
-ITERATION_COLUMNS: tuple[Column | str, ...] = (
-    "stage",
-    "k",
-    Column("merit", "m/s", ".3f", shown_unit="mm/s"),
-    *(Column(name, "m/s", ".2e", shown_unit="mm/s") for name in ("predicted", "actual")),
-    "step",
-    Column("radius", "m/s", ".3g", shown_unit="mm/s"),
-    Column("violation", "m", ".1e"),
-    Column("defect", "m", ".1e"),
-    Column("solver", "s", ".3f"),
-)
+if TYPE_CHECKING:
+    from scp_recon.reports.shown import Budget
+
+ITERATION_COLUMNS = columns(
+    "stage", "k", "merit (mm/s) .3f", "predicted (mm/s) .2e", "actual (mm/s) .2e", "step",
+    "radius (mm/s) .3g", "violation (m) .1e", "defect (m) .1e", "solver (s) .3f",
+)  # fmt: skip
+SHARE = 0.99
+"""Share of the flights whose delta-v stays below a budget."""
 NO_BURN = Cell("0", 0.0)
 """In place of each component of a burn that is not executed."""
 STARTS_NAMED = 6
 """Starts of a local optimum that are listed by number."""
 
 
-def dv_column(heading: str, form: str = ".3f") -> Column:
-    """A column of delta-v: values in m/s, texts in mm/s."""
-    return Column(heading, "m/s", form, shown_unit="mm/s")
-
-
 def burns_table(solution: Solution, legal_s: Sequence[tuple[float, float]] = ()) -> Table:
     """Times, components along J2000 and sizes of the burns, and their legal times where given."""
     scenario = solution.scenario
+    axes = (f"{axis} (mm/s) +z.3f" for axis in "xyz")
     table = Table.of(
         "Burns, J2000",
-        (
-            "burn",
-            Column("time", "s"),
-            "UTC",
-            *(dv_column(axis, "+z.3f") for axis in "xyz"),
-            dv_column("size"),
-        ),
+        columns("burn", "time (s)", "UTC", *axes, "size (mm/s) .3f"),
         (
             [
                 str(number),
                 burn.t_s,
                 shown_utc(instant(scenario.epoch.tdb, burn.t_s)),
-                *_components(burn),
+                *or_none(any(burn.dv_m_s), *burn.dv_m_s, float(np.linalg.norm(burn.dv_m_s))),
             ]
             for number, burn in enumerate(solution.burns, start=1 + scenario.burns_flown)
         ),
@@ -88,19 +76,15 @@ def corrections_table(solution: Solution) -> Table:
     flown = solution.scenario.burns_flown
     fixed = {*range(flown + 1, flown + 1 + len(solution.burns))} - {c.burn for c in corrections}
     nominal = [solution.burns_m_s[one.burn] for one in solution.corrections]
+    known = (
+        f"{what} known {when} ({unit}) {form}"
+        for when in ("before", "after")
+        for what, unit, form in (("position", "m", ".2f"), ("velocity", "m/s", ".2e"))
+    )
+    heads = "burn", "cut-off (s)", "nominal (mm/s) .3f", "correction, 1 sigma (mm/s) .3f"
     return Table.of(
         "Corrected burns",
-        (
-            "burn",
-            Column("cut-off", "s"),
-            dv_column("nominal"),
-            dv_column("correction, 1 sigma"),
-            *(
-                Column(f"{what} known {when}", unit, form)
-                for when in ("before", "after")
-                for what, unit, form in (("position", "m", ".2f"), ("velocity", "m/s", ".2e"))
-            ),
-        ),
+        columns(*heads, *known),
         (
             [
                 str(c.burn),
@@ -123,16 +107,11 @@ def burn_limits_table(v: Verification, required: float) -> Table:
     """Probabilities that corrected burns keep their limits, each for itself."""
     return Table.of(
         "Limits on corrected burns",
-        ("burn", "limit", Column("probability", form=".4f"), AT, Column("required", form="g")),
+        columns("burn", "limit", "probability .4f", "at (s) .0f", "required g"),
         ([str(b.burn), b.name, b.probability, b.t_s, required] for b in v.burn_limits),
         key="burn_limits",
         note="As they are commanded, by the normal law of the corrections.",
     )
-
-
-def _components(burn: Burn) -> Sequence[object]:
-    """Its three and its size."""
-    return or_none(any(burn.dv_m_s), *burn.dv_m_s, float(np.linalg.norm(burn.dv_m_s)))
 
 
 def or_none(fired: object, *figures: float) -> Sequence[object]:
@@ -166,7 +145,7 @@ def constraints_table(solution: Solution) -> Table:
     ]
     return Table.of(
         "Margins at the nodes",
-        ("constraint", "kind", Column(worst, form="+.4f"), "unit", AT, "facets", by),
+        [*columns("constraint", "kind", f"{worst} +.4f", "unit", "at (s) .0f", "facets"), by],
         rows,
         key="constraints",
         note="A margin of 0 or more is satisfied. Of a drift it is that of the distance which 99.7 % "
@@ -183,12 +162,8 @@ def mean_margins_table(mission: Mission, v: Verification) -> Table:
     ]
     return Table.of(
         "Margins of the mean, between the nodes too",
-        (
-            "original constraint on the mean",
-            "required",
-            Column("worst margin", form="+.4f"),
-            "unit",
-            AT,
+        columns(
+            "original constraint on the mean", "required", "worst margin +.4f", "unit", "at (s) .0f"
         ),
         rows,
         key="mean_margins",
@@ -237,17 +212,10 @@ def limits_table(mission: Mission, solution: Solution, v: Verification) -> Table
         ]
         for d in _planned_drifts(v)
     ]
+    interval = f"{100 * v.confidence:.0f} % interval"
     return Table.of(
         "Limits",
-        (
-            "limit",
-            "allowed",
-            "planned",
-            Column("chance", form=".4f"),
-            f"{100 * v.confidence:.0f} % interval",
-            AT,
-            "",
-        ),
+        [*columns("limit", "allowed", "planned", "chance .4f", interval, "at (s) .0f"), Column("")],
         rows,
         note=f"planned: of the mean; chance: lowest of {v.samples} flights, required "
         f"{mission.scenario.risk.p_chance:g}; {mission.gravity.in_words()}{own_windows(mission)}"
@@ -334,7 +302,7 @@ def reintegration_table(mission: Mission, v: Verification) -> Table:
     limits = limits_of(mission)
     return Table.of(
         "Integrated again without the solver",
-        ("re-integrated", Column("off by", form=".1e"), Column("allowed", form=".1e"), "unit"),
+        columns("re-integrated", "off by .1e", "allowed .1e", "unit"),
         (
             [
                 name,
@@ -354,11 +322,13 @@ def probabilities_table(mission: Mission, v: Verification) -> Table:
     required = mission.scenario.risk.p_chance
     return Table.of(
         "Lowest probabilities, by the verification's flights",
-        (
+        columns(
             "joint constraint",
-            *(Column(name, form=".4f") for name in ("lowest probability", "low", "high")),
-            AT,
-            Column("required", form="g"),
+            "lowest probability .4f",
+            "low .4f",
+            "high .4f",
+            "at (s) .0f",
+            "required g",
         ),
         ([p.name, p.estimate, p.low, p.high, p.worst_t_s, required] for p in v.probabilities),
         key="probabilities",
@@ -383,12 +353,15 @@ def drifts_table(v: Verification) -> Table:
     radius = v.drifts[0].radius_m if v.drifts else 0.0
     return Table.of(
         "Drift after a missed burn",
-        (
+        columns(
             "what happens",
-            Column("closest 99.7 %", "m", ".0f"),
-            AT,
-            *(Column(name, form=".4f") for name in ("safe", "low", "high", "impact")),
-            Column("required", form="g"),
+            "closest 99.7 % (m) .0f",
+            "at (s) .0f",
+            "safe .4f",
+            "low .4f",
+            "high .4f",
+            "impact .4f",
+            "required g",
         ),
         (
             [d.event, d.closest_m, d.closest_t_s, d.value, d.low, d.high, d.impact, d.required]
@@ -405,12 +378,14 @@ def lost_contacts_table(v: Verification) -> Table:
     """What each lost contact does; no rows if the scenario does not ask."""
     return Table.of(
         "Lost contacts",
-        (
-            Column("contact", "s"),
-            Column("ends", "s"),
+        columns(
+            "contact (s)",
+            "ends (s)",
             "for burn",
             "fewest keep",
-            *(Column(name, form=".4f") for name in ("probability", "low", "high")),
+            "probability .4f",
+            "low .4f",
+            "high .4f",
         ),
         (
             [one.begin_s, one.end_s, str(one.burn), p.name, p.estimate, p.low, p.high]
@@ -427,12 +402,7 @@ def starts_table(starts: Starts) -> Table:
     """The distinct local optima of several starts."""
     return Table.of(
         "Local optima",
-        (
-            f"local optima, seed {starts.seed}",
-            dv_column("delta-v"),
-            "starts",
-            "which",
-        ),
+        columns(f"local optima, seed {starts.seed}", "delta-v (mm/s) .3f", "starts", "which"),
         (
             [
                 f"{optimum.problem} {optimum.status}",
@@ -447,6 +417,29 @@ def starts_table(starts: Starts) -> Table:
     )
 
 
+def budget_table(budget: Budget, corrected: bool = False) -> Table:
+    """Sizes of each burn and of the whole flight, of burns that gains correct or of planned ones."""
+    each = zip(budget.planned_m_s, budget.mean_m_s, budget.high_m_s, strict=True)
+    rows = [
+        [str(i), *or_none(sizes[0] > 0.0, *map(float, sizes))]
+        for i, sizes in enumerate(each, start=budget.first)
+    ]
+    total = float(budget.planned_m_s.sum())
+    rows.append(["whole flight", total, budget.total_mean_m_s, budget.total_high_m_s])
+    low, high = budget.interval_m_s
+    percent, form = f"{100.0 * SHARE:g} %", " (mm/s) .3f"
+    sizes = f"planned{form}", f"executed, mean{form}", f"executed, {percent} stay below{form}"
+    return Table.of(
+        "Delta-v budget",
+        columns("burn", *sizes),
+        rows,
+        key="budget",
+        note=f"95 % interval of the flights' {percent}: {1e3 * low:.3f} to {1e3 * high:.3f} mm/s. "
+        "Of the planned burns with their execution errors; "
+        + ("corrected by gains." if corrected else "no burns to correct them."),
+    )
+
+
 def called(constraint: str) -> str:
     """A constraint's name in a table of flights."""
     return "all at once" if constraint == ALL else constraint
@@ -456,7 +449,7 @@ def stages_table(solution: Solution) -> Table:
     """Status, iterations and delta-v of each stage of planning."""
     return Table.of(
         "Stages",
-        ("stage", "status", "iterations", dv_column("total delta-v"), "meaning"),
+        columns("stage", "status", "iterations", "total delta-v (mm/s) .3f", "meaning"),
         ([s.name, s.status, s.iterations, s.total_dv_m_s, s.meaning] for s in solution.stages),
         key="stages",
     )
@@ -464,18 +457,9 @@ def stages_table(solution: Solution) -> Table:
 
 def iteration_row(r: IterationRecord) -> list[object]:
     """A row of `ITERATION_COLUMNS`."""
-    return [
-        r.stage,
-        r.k,
-        r.merit,
-        r.predicted,
-        r.actual,
-        "accepted" if r.accepted else "rejected",
-        r.trust_radius,
-        r.max_violation,
-        r.max_defect,
-        r.solver_s,
-    ]
+    step = "accepted" if r.accepted else "rejected"
+    sizes = r.trust_radius, r.max_violation, r.max_defect, r.solver_s
+    return [r.stage, r.k, r.merit, r.predicted, r.actual, step, *sizes]
 
 
 def iterations_table(solution: Solution) -> Table:

@@ -5,28 +5,18 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
+from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from scp_recon.errors import imported, option
 from scp_recon.files import PAGE, check_ending, check_own, unwritable, write_atomically
-from scp_recon.reports import charts, flight_tables, page, tables
-from scp_recon.reports.charts import history_chart
-from scp_recon.reports.corrections import correction_charts
-from scp_recon.reports.ground import Camera
+from scp_recon.reports import charts, flight_tables, histories, page, tables
+from scp_recon.reports.histories import history_chart
+from scp_recon.reports.marks import Chart
 from scp_recon.reports.page import Page
 from scp_recon.reports.scene import picture, scene
-from scp_recon.reports.shown import (
-    Budget,
-    Shown,
-    budget_table,
-    lighting_histories,
-    observation_histories,
-    range_histories,
-    resolution_histories,
-)
-from scp_recon.reports.subject import Subject, subjects_of
-from scp_recon.reports.surfaces import shape_of
+from scp_recon.reports.shown import Camera, Shown, plans_of
 from scp_recon.results.comparison import compare
 from scp_recon.results.solution import Solution
 from scp_recon.results.table import Table
@@ -73,7 +63,7 @@ def write_report(
     check_extra()
     check_ending(file, option("out"), ".html", ".htm")
     check_own(file, option("out"), PAGE)
-    html = page.render(page_of(subjects_of(given), camera or Camera(), now()))
+    html = page.render(page_of(plans_of(given, camera), now()))
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
         return write_atomically(file, html)
@@ -81,17 +71,15 @@ def write_report(
         raise unwritable(file.parent, option("out"), error) from None
 
 
-def page_of(subjects: Sequence[Subject], camera: Camera, made: datetime) -> Page:
+def page_of(plans: Sequence[Shown], made: datetime) -> Page:
     """Compute the content of the page."""
-    shape = shape_of(subjects[0].solution.scenario)
-    plans = [Shown.of(subject, shape, camera) for subject in subjects]
-    comparison = compare([s.name for s in subjects], [s.solution for s in subjects]).table
+    comparison = compare([plan.name for plan in plans], [plan.solution for plan in plans])
     return Page(
-        plans=tuple(plans),
-        tables=tuple(tuple(tables_of(plan.subject, plan.budget)) for plan in plans),
-        comparison=comparison if len(subjects) > 1 else None,
-        scene=scene(plans, shape),
-        charts=tuple(all_charts(plans)),
+        plans=plans,
+        tables=[tables_of(plan) for plan in plans],
+        comparison=comparison.table if len(plans) > 1 else None,
+        scene=scene(plans),
+        charts=list(all_charts(plans)),
         made=made,
     )
 
@@ -103,10 +91,8 @@ def charts_of(given: Sequence[Solution | Path]) -> dict[str, Figure]:
         InputError: as `write_report`.
     """
     check_extra()
-    subjects = subjects_of(given)
-    shape = shape_of(subjects[0].solution.scenario)
-    plans = [Shown.of(subject, shape, Camera()) for subject in subjects]
-    return figures_of((picture(plans, shape), *all_charts(plans)))
+    plans = plans_of(given)
+    return figures_of((picture(plans), *all_charts(plans)))
 
 
 def figures_of(drawn: Iterable[dict[str, Any]]) -> dict[str, Figure]:
@@ -129,79 +115,60 @@ def figures_of(drawn: Iterable[dict[str, Any]]) -> dict[str, Figure]:
     return found
 
 
-def tables_of(subject: Subject, budget: Budget) -> list[Table]:
+def tables_of(plan: Shown) -> list[Table]:
     """The tables of a plan, those that have any rows."""
-    solution, mission = subject.solution, subject.mission
-    burns, v = tables.burns_table(solution), solution.verification
+    solution, mission, v = plan.solution, plan.mission, plan.solution.verification
+    burns, required = tables.burns_table(solution), solution.scenario.risk.p_chance
     total = burns.columns[-1].cell(solution.total_dv_m_s)
-    corrected = solution.policy is not None
     found = [burns.with_rows([["total", "", "", "", "", "", total]])]
-    found += [budget_table(budget, corrected), tables.corrections_table(solution)]
+    found.append(tables.budget_table(plan.budget, solution.policy is not None))
+    found.append(tables.corrections_table(solution))
     if v is not None:
-        required = solution.scenario.risk.p_chance
         found += [tables.probabilities_table(mission, v), tables.burn_limits_table(v, required)]
         found += [tables.drifts_table(v), tables.lost_contacts_table(v)]
     found.append(tables.constraints_table(solution))
     if v is not None:
-        found.append(tables.mean_margins_table(mission, v))
-        found.append(tables.reintegration_table(mission, v))
+        found += [tables.mean_margins_table(mission, v), tables.reintegration_table(mission, v)]
     found += [tables.stages_table(solution), tables.iterations_table(solution)]
-    if subject.summary is not None:
-        found.append(flight_tables.observation_times_table(subject.summary))
-    found.append(flight_tables.missed_burns_table(subject.missed))
-    if subject.record is not None:
-        flown = subject.record.summary
+    if plan.summary is not None:
+        found.append(flight_tables.observation_times_table(plan.summary))
+    found.append(flight_tables.missed_burns_table(plan.missed))
+    if plan.record is not None:
+        flown = plan.record.summary
         found += [flight_tables.simulated_burns_table(flown), flight_tables.simulated_table(flown)]
     return [each for each in found if each.rows]
 
 
-def all_charts(plans: Sequence[Shown]) -> Iterator[dict[str, Any]]:
+def all_charts(plans: Sequence[Shown]) -> Iterator[Chart]:
     """All charts of the page, in order."""
-    subjects = [plan.subject for plan in plans]
     observes = any(len(plan.flown.window) for plan in plans)  # none does after the window
     if observes:
-        yield history_chart(
-            "observation",
-            "Constraints of the observation, in the window",
-            plans,
-            observation_histories,
-        )
-    yield charts.probability_chart(plans)
-    yield history_chart(
-        "ranges", "Range to the surface and to the centre", plans, range_histories, marked=True
-    )
-    yield history_chart(
-        "lighting",
-        "Incidence and local solar time at the site",
-        plans,
-        lighting_histories,
-        marked=True,
-    )
+        yield history_chart("observation", plans, histories.observation_histories)
+    yield histories.probability_chart(plans)
+    yield history_chart("ranges", plans, histories.range_histories, marked=True)
+    yield history_chart("lighting", plans, histories.lighting_histories, marked=True)
     yield charts.ground_chart(plans)
     if observes:
-        yield history_chart(
-            "resolution", "Resolution at the site, in the window", plans, resolution_histories
-        )
-    yield charts.timeline_chart(subjects)
+        yield history_chart("resolution", plans, histories.resolution_histories)
+    yield charts.timeline_chart(plans)
     yield charts.budget_chart(plans)
-    yield from correction_charts(plans)
-    simulated = charts.craft_chart(subjects)
-    if simulated is not None:
+    if corrected := list(filter(histories.is_corrected, plans)):
+        yield histories.knowledge_chart(corrected)
+        yield charts.commanded_chart(corrected)
+    if (simulated := charts.craft_chart(plans)) is not None:
         yield simulated
-    yield charts.convergence_chart(subjects)
+    yield charts.convergence_chart(plans)
 
 
 def slider_plan(solution: Solution) -> Shown:
-    """Fly a plan, and compute the content of the page with sliders."""
-    scenario = solution.scenario
-    subject = Subject(scenario.name, solution)
-    return Shown.of(subject, shape_of(scenario), Camera(), SLIDER_FLIGHTS)
+    """The content of the page with sliders."""
+    return Shown(solution.scenario.name, solution, samples=SLIDER_FLIGHTS)
 
 
 def slider_data(shown: Shown) -> dict[str, Any]:
     """Data of a plan for the scripts of the page with sliders: the 3-D view and some charts."""
     chosen = [chart for chart in all_charts([shown]) if chart["key"] in SLIDER_CHARTS]
-    return page.script_data(scene([shown], shown.shape), chosen, shown.subject.solution)
+    return page.script_data(scene([shown]), chosen, shown.solution)
 
 
 def slider_verdict(shown: Shown, solution: Solution) -> str:
@@ -209,9 +176,8 @@ def slider_verdict(shown: Shown, solution: Solution) -> str:
 
     It has no advice, which is for commands: the page has controls of its own.
     """
-    subject = replace(shown.subject, solution=solution)
-    verdict = replace(page.verdict_of(replace(shown, subject=subject)), advice=())
-    return page.render_part("verdicts.html", verdicts=[verdict], names=[subject.name])
+    verdict = page.verdict_of(replace(shown, solution=solution))._replace(advice=())
+    return page.render_part("verdicts.html", verdicts=[verdict], names=[shown.name])
 
 
 def slider_page(shown: Shown, sliders: Sequence[Any], answer: dict[str, Any]) -> str:
@@ -223,19 +189,16 @@ def slider_page(shown: Shown, sliders: Sequence[Any], answer: dict[str, Any]) ->
         answer: the answer for that plan; `drawn` has the data to draw.
     """
     data = answer["drawn"]
-    by_group: dict[str, list[Any]] = {}
-    for slider in sliders:
-        by_group.setdefault(slider.group, []).append(slider)
+    by_group = {group: list(own) for group, own in groupby(sliders, lambda slider: slider.group)}
     return page.render_offline(
         "explore.html",
         ("report.js", "explore.js"),
         data | {"answer": answer | {"drawn": None}},
-        title=shown.subject.name,
+        title=shown.name,
         sliders=by_group,
-        feedback=shown.subject.solution.scenario.policy.kind == "feedback",
+        feedback=shown.solution.scenario.policy.kind == "feedback",
         first=shown,
         charts=data["charts"],
         groups=page.groups_of(data["scene"]),
-        notes=page.NOTES,
         identity="",
     )

@@ -22,6 +22,7 @@ from scp_recon.display import digits
 Value = str | int | float | bool | None
 SCALES = {("m/s", "mm/s"): 1e3}
 """Factors from the unit of a column's values to that of its texts."""
+UNITS = {shown: unit for unit, shown in SCALES}
 
 
 @dataclass(frozen=True)
@@ -41,6 +42,15 @@ class Column:
     form: str = ".6g"
     name: str = ""
     shown_unit: str = ""
+
+    @classmethod
+    def of(cls, text: str) -> Column:
+        """A column by its label and form, such as "size (mm/s) +.3f"; values of mm/s are in m/s."""
+        found = re.fullmatch(r"(.+?)(?: \(([^()]+)\))?(?: ([+z]*(?:\.\d+)?[defg]))?", text)
+        assert found is not None
+        heading, shown, form = found.groups(default="")
+        unit = UNITS.get(shown, shown)
+        return cls(heading, unit, form or ".6g", shown_unit=shown if unit != shown else "")
 
     @property
     def label(self) -> str:
@@ -73,6 +83,11 @@ class Column:
         else:
             text = "" if value is None else str(value)
         return Cell(text, value, style)
+
+
+def columns(*texts: str) -> list[Column]:
+    """Columns, each by `Column.of`."""
+    return list(map(Column.of, texts))
 
 
 @dataclass(frozen=True)

@@ -77,8 +77,8 @@ def test_the_written_scenario_gives_the_shown_plan(server, tmp_path):
 @pytest.mark.slow
 def test_a_plan_that_is_infeasible_says_so(server):
     made = server.explorer.plan({})
-    infeasible = replace(made.subject.solution, status="infeasible")
-    shown = replace(made, subject=replace(made.subject, solution=infeasible))
+    infeasible = replace(made.solution, status="infeasible")
+    shown = replace(made, solution=infeasible)
     found = Explorer(server.explorer.scenario, ({}, shown)).answer({})
     assert found["cost"].endswith("mm/s, infeasible")
     assert not found["converged"]

@@ -54,14 +54,13 @@ from scp_recon.planning import initial_guess
 from scp_recon.planning.plan import Plan, ended
 from scp_recon.planning.planner import plan
 from scp_recon.replanning.flown import FlownPlan, predict
-from scp_recon.reports.page import _advice
-from scp_recon.reports.subject import Subject
 from scp_recon.results.figures import FINAL_POSITION
 from scp_recon.results.read import read_solution
 from scp_recon.results.verification import BurnLimit, JointProbability
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scp.status import Status
 from scp_recon.verification import refinement
+from scp_recon.verification.causes import next_lines
 from tests.helpers import nightly
 from tests.scenarios import COARSE
 from tests.scp_recon.support import CommandLine, fly_few, from_cold, mission_of, run_solve
@@ -118,7 +117,8 @@ def test_split_is_priced_on_screen_and_page(refused):
     assert words.startswith(f"what binds: {SPLIT}\n")
     assert SIZE not in words
     assert "next: " not in refused.output
-    assert _advice(Subject("plan", solution)) == solution.advice == tuple(words.splitlines())
+    given = solution.mission, solution, solution.verification
+    assert next_lines(*given) == solution.advice == tuple(words.splitlines())
 
 
 def test_saving_by_exact_risk_is_that_of_its_plan(default_plan, mission):

@@ -9,9 +9,8 @@ import scp_recon as sr
 from scp_recon.interop.ccsds import opm_text
 from scp_recon.interop.export import Export
 from scp_recon.planning.plan import Plan
-from scp_recon.reports.shown import budget_of, budget_table, fly
-from scp_recon.reports.subject import Subject
-from scp_recon.reports.tables import burns_table, limits_table
+from scp_recon.reports.shown import Shown
+from scp_recon.reports.tables import budget_table, burns_table, limits_table
 from scp_recon.results.facts import Burn
 from scp_recon.results.read import read_solution
 from scp_recon.results.solution import Solution, make_solution
@@ -143,6 +142,5 @@ def test_a_zero_burn_is_shown_without_sign(stored):
     assert shown[0][3:] == ["+0.000", "+20.000", "+0.000", "20.000"]
     assert shown[2][3:] == ["0", "0", "0", "0"]
     assert [cell.value for cell in table.rows[2][3:]] == [0.0, 0.0, 0.0, 0.0]
-    subject = Subject("plan", stored)
-    budget = budget_table(budget_of(subject, fly(subject, 100)))
+    budget = budget_table(Shown("plan", stored, samples=100).budget)
     assert [cell.text for cell in budget.rows[2]] == ["3", "0", "0", "0"]

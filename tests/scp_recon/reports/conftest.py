@@ -8,9 +8,8 @@ import pytest
 
 from scp_recon.monte_carlo.flights import FlightConfig, fly_many
 from scp_recon.monte_carlo.summarise import summarise
-from scp_recon.reports.ground import Camera
 from scp_recon.reports.page import Page
-from scp_recon.reports.subject import Subject, subjects_of
+from scp_recon.reports.shown import Shown, plans_of
 from scp_recon.reports.write import page_of, write_report
 from scp_recon.results.solution import Solution
 from tests.scp_recon.support import fly_few
@@ -28,23 +27,22 @@ def plan_folder(verified, tmp_path_factory) -> Path:
     """With flights of the plan beside it."""
     folder = tmp_path_factory.mktemp("plan")
     verified.write(folder)
-    mission = subjects_of([verified])[0].mission
-    flown = fly_many(FlightConfig(mission, verified.burns_m_s), samples=200)
+    flown = fly_many(FlightConfig(verified.mission, verified.burns_m_s), samples=200)
     summarise(flown, verified).write(folder)
     return folder
 
 
 @pytest.fixture(scope="session")
-def subject(plan_folder) -> Subject:
-    return subjects_of([plan_folder])[0]
+def shown(plan_folder) -> Shown:
+    return plans_of([plan_folder])[0]
 
 
 @pytest.fixture(scope="session")
-def page(subject) -> Page:
+def page(plan_folder) -> Page:
     """Of few flights, as the file is: what is tested depends not on their number."""
     with pytest.MonkeyPatch.context() as patch:
         fly_few(patch)
-        return page_of([subject], Camera(), MADE)
+        return page_of(plans_of([plan_folder]), MADE)
 
 
 @pytest.fixture(scope="session")

@@ -66,10 +66,10 @@ def test_verdict_is_readable_before_charts_are_drawn(seen):
     assert seen.page.locator("#flight canvas").count() >= 1
 
 
-def test_slider_moves_the_spacecraft_to_each_node(seen, subject):
-    states = np.array(subject.solution.nodes.state)
+def test_slider_moves_the_spacecraft_to_each_node(seen, shown):
+    states = np.array(shown.solution.nodes.state)
     for node in (0, 40, len(states) - 1):
-        time = subject.nodes_s[node]
+        time = shown.nodes_s[node]
         seen.page.evaluate(
             "t => { const s = document.getElementById('time'); s.value = t;"
             " s.dispatchEvent(new Event('input')); }",
@@ -81,17 +81,17 @@ def test_slider_moves_the_spacecraft_to_each_node(seen, subject):
             " return Math.hypot(s.data[i].x[0] - p[0], s.data[i].y[0] - p[1]) < 1e-6; }",
             arg=float(time),
         )
-        shown = seen.page.evaluate(
+        drawn = seen.page.evaluate(
             "() => { const s = document.getElementById('flight');"
             " const d = s.data.find(d => d.meta.moves === 'craft'); return [d.x[0], d.y[0], d.z[0]]; }"
         )
         expected = np.linalg.norm(states[node, :3])
-        assert np.linalg.norm(shown) == pytest.approx(expected, abs=0.05)
+        assert np.linalg.norm(drawn) == pytest.approx(expected, abs=0.05)
         assert f"t = {time:.0f} s | 2020-01-2" in seen.page.inner_text("#readout")
     seen.page.evaluate("report.show(15000)")
-    mission, times = subject.mission, np.array([15_000.0])
+    mission, times = shown.mission, np.array([15_000.0])
     site = geometry.track(mission.site, mission.rotation, times)
-    away = geometry.distance(subject.positions(times), site)[0]
+    away = geometry.distance(shown.positions(times), site)[0]
     assert f"observation, {away:.0f} m from the site" in seen.page.inner_text("#readout")
 
 
@@ -109,12 +109,12 @@ def test_the_body_turns_and_night_moves_over_it(seen):
     assert 0.3 < (after[1] > 0.0).mean() < 0.7
 
 
-def test_tables_are_read_without_scripts(browser, html_file, subject):
+def test_tables_are_read_without_scripts(browser, html_file, shown):
     page = browser.new_context(java_script_enabled=False).new_page()
     page.goto(html_file.as_uri())
     assert "Required:" in page.inner_text("header")
     total = page.locator("[data-table=burns] tr").last.locator("td").last
-    assert float(total.get_attribute("data-value")) == subject.solution.total_dv_m_s
+    assert float(total.get_attribute("data-value")) == shown.solution.total_dv_m_s
     page.context.close()
 
 

@@ -7,26 +7,28 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from formulations.arrays import Array
 from scp_recon.bodies.surface import Ellipsoid, Mesh, direction_of
 from scp_recon.mission.constraints import companion_distance_m
 from scp_recon.monte_carlo.summary import Contingency, Interval, Summary
 from scp_recon.physics.frames import unit
-from scp_recon.reports.charts import BINS, thinned
-from scp_recon.reports.ground import Camera, degrees_of, first_hit, ground_track, terminator
+from scp_recon.reports.charts import BINS, terminator, thinned
 from scp_recon.reports.scene import Frame, companion_of, drifts, free_path, keep_sets
-from scp_recon.reports.shown import SO_FAR, DrawnFlights, achieved, budget_of, fly
-from scp_recon.reports.subject import Subject
-from scp_recon.reports.surfaces import FACETS_MAX, RING, _of_mesh, ellipsoid, shape_of, shell, tube
+from scp_recon.reports.shown import SO_FAR, Camera, Shown
+from scp_recon.reports.surfaces import (
+    FACETS_MAX,
+    RING,
+    _of_mesh,
+    degrees_of,
+    ellipsoid,
+    first_hit,
+    shape_of,
+    shell,
+    tube,
+)
 from scp_recon.results.verification import DriftSafety
 from tests.helpers import generators, random_unit
 from tests.scp_recon.bodies.test_surface import write_obj
 from tests.scp_recon.support import COMPANION, mission_of
-
-
-@pytest.fixture(scope="module")
-def flown(subject) -> DrawnFlights:
-    return fly(subject)
 
 
 @given(generators)
@@ -47,11 +49,11 @@ def test_rays_hit_an_ellipsoid_where_the_quadratic_says(rng):
     np.testing.assert_allclose(found[both], expected[both], atol=1e-3)
 
 
-def test_footprint_subtends_the_camera_angle(subject):
-    scenario, mission = subject.solution.scenario, subject.mission
-    track = ground_track(subject, shape_of(scenario), Camera())
+def test_footprint_subtends_the_camera_angle(shown):
+    scenario, mission = shown.solution.scenario, shown.mission
+    track = shown.ground
     site = mission.site.position_body
-    here = in_the_body(subject, track.looks_s)
+    here = shown.fixed(track.looks_s)
     seen = unit(track.outlines_m - here[:, None])
     angle = np.rad2deg(np.arccos(np.einsum("nri,ni->nr", seen, unit(site - here))))
     np.testing.assert_allclose(angle, 0.5 * Camera().field_deg, atol=1e-6)
@@ -60,33 +62,33 @@ def test_footprint_subtends_the_camera_angle(subject):
     for outline in track.outlines_m:
         centre = outline.mean(axis=0)
         assert np.linalg.norm(site - centre) < 0.5 * np.linalg.norm(outline - centre, axis=1).min()
-    longitude, latitude = degrees_of(in_the_body(subject, track.times_s))
+    longitude, latitude = degrees_of(shown.fixed(track.times_s))
     np.testing.assert_allclose(track.longitude_deg, longitude)
     np.testing.assert_allclose(track.latitude_deg, latitude)
 
 
 def test_the_ball_about_a_companion_moves_with_it(solution):
     mission = mission_of().changed({"body.companion": COMPANION})
-    subject = Subject("two bodies", replace(solution, scenario=mission.scenario))
+    shown = Shown("two bodies", replace(solution, scenario=mission.scenario))
     frame = Frame(np.eye(3), np.zeros(3), np.zeros(3), 1.0)
-    (ball,) = (t for t in keep_sets(frame, subject) if t["meta"].get("moves") == "companion")
+    (ball,) = (t for t in keep_sets(frame, shown) if t["meta"].get("moves") == "companion")
     sizes = np.linalg.norm([ball[axis] for axis in "xyz"], axis=0)
     np.testing.assert_allclose(sizes, companion_distance_m(mission.scenario), atol=0.1)
-    path = companion_of(frame, subject)
-    times = np.linspace(*subject.nodes_s[[0, -1]], 1000)
+    path = companion_of(frame, shown)
+    times = np.linspace(*shown.nodes_s[[0, -1]], 1000)
     drawn = [np.interp(times, path["t_s"], x) for x in path["position"]]
     expected = mission.scene.companion.position(times).T
     assert np.linalg.norm(drawn - expected, axis=0).max() < 1.0
 
 
 def test_drifts_begin_at_their_burns_and_mark_their_nearest_point(solution):
-    subject = Subject("default", solution)
+    shown = Shown("default", solution)
     edge = np.full(3, 1e5)
-    paths = drifts(Frame(np.eye(3), -edge, edge, 1.0), subject)
+    paths = drifts(Frame(np.eye(3), -edge, edge, 1.0), shown)
     planned = [burn for number, burn in solution.executed if number > 1]
     for burn, path, mark in zip(planned, paths[::2], paths[1::2], strict=True):
         drawn = np.array([path[axis] for axis in "xyz"])
-        begin = subject.positions(np.array([burn.t_s]))[0]
+        begin = shown.positions(np.array([burn.t_s]))[0]
         np.testing.assert_allclose(drawn[:, 0], begin, atol=0.1)
         nearest = np.linalg.norm(drawn, axis=0).min()
         marked = np.linalg.norm([mark[axis][0] for axis in "xyz"])
@@ -105,28 +107,22 @@ def test_way_home_after_missed_burn_is_drawn(solution):
     )
     drift = DriftSafety(number, 0.0, 86_400.0, 500.0, None, 1.0, 0.9, 1.0, 600.0, ends[0], 0.0)
     flights = Summary.model_construct(drift=drift, then=home)
-    subject = replace(Subject("default", solution), missed=(flights,))
+    shown = replace(Shown("default", solution), missed=(flights,))
     edge = np.full(3, 1e5)
-    paths = drifts(Frame(np.eye(3), -edge, edge, 1.0), subject)
+    paths = drifts(Frame(np.eye(3), -edge, edge, 1.0), shown)
     free, way = (np.array([paths[k][axis] for axis in "xyz"]) for k in (0, 2))
     assert paths[2]["name"] == f"way home if burn {number} is missed, 0.0 mm/s"
     state = np.array(solution.nodes.state[list(solution.nodes.t_s).index(burn.t_s)])
     state[3:] -= burn.dv_m_s
-    expected = free_path(subject.mission, state, burn.t_s, 5000.0)[-1, :3]
+    expected = free_path(shown.mission, state, burn.t_s, 5000.0)[-1, :3]
     np.testing.assert_allclose(way[:, 0], free[:, 0], atol=0.1)
     np.testing.assert_allclose(way[:, -1], expected, atol=0.1)
 
 
-def in_the_body(subject: Subject, times_s: Array) -> Array:
-    """The path in body-fixed axes, m."""
-    at = subject.mission.rotation.body_to_j2000(times_s)
-    return np.einsum("nji,nj->ni", at, subject.positions(times_s))
-
-
-def test_sun_is_on_the_horizon_at_the_terminator(subject):
-    mission = subject.mission
+def test_sun_is_on_the_horizon_at_the_terminator(shown):
+    mission = shown.mission
     for time in (0.0, 15_000.0):
-        longitude, latitude = terminator(subject, time)
+        longitude, latitude = terminator(shown, time)
         normal = np.array([direction_of(*place) for place in zip(latitude, longitude, strict=True)])
         sun = mission.rotation.body_to_j2000(time).T @ mission.sun_direction(time)
         np.testing.assert_allclose(normal @ sun, 0.0, atol=1e-12)
@@ -196,10 +192,10 @@ def test_missing_shape_file_is_named(solution, tmp_path):
 
 
 @pytest.mark.slow
-def test_probabilities_are_the_verification_s(subject, flown, verified):
+def test_probabilities_are_the_verification_s(shown, verified):
     """The same draws: at the nodes the same numbers."""
     checked = verified.verification
-    found = {one.name: one for one in achieved(subject, flown)}
+    found = {one.name: one for one in shown.achieved}
     for p in checked.probabilities:
         one = found[p.name]
         at = np.flatnonzero(np.isclose(one.times_s, p.worst_t_s, atol=1e-6))
@@ -212,25 +208,25 @@ def test_probabilities_are_the_verification_s(subject, flown, verified):
 
 
 @pytest.mark.slow
-def test_the_budget_is_that_of_the_executed_burns(subject, flown):
-    budget = budget_of(subject, flown)
-    total = subject.solution.total_dv_m_s
+def test_the_budget_is_that_of_the_executed_burns(shown):
+    budget = shown.budget
+    total = shown.solution.total_dv_m_s
     assert budget.planned_m_s.sum() == pytest.approx(total, rel=1e-12)
     low, high = budget.interval_m_s
     assert total < low <= budget.total_high_m_s <= high < 1.2 * total
-    below = (flown.executed_m_s.sum(axis=1) < budget.total_high_m_s).mean()
+    below = (shown.flown.executed_m_s.sum(axis=1) < budget.total_high_m_s).mean()
     assert below == pytest.approx(0.99, abs=1e-3)
     assert budget.total_high_m_s < budget.high_m_s.sum()
 
 
 @pytest.mark.slow
-def test_the_view_moves_through_the_nodes(page, subject):
+def test_the_view_moves_through_the_nodes(page, shown):
     motion = page.scene["motion"]
     plan = motion["plans"][0]
     axes = np.array(motion["rotation"]["axes"])
     np.testing.assert_allclose(axes.T @ axes, np.eye(3), atol=1e-8)
-    states = np.array(subject.solution.nodes.state)[:, :3]
-    at = np.searchsorted(plan["t_s"], subject.nodes_s - 1e-3)
+    states = np.array(shown.solution.nodes.state)[:, :3]
+    at = np.searchsorted(plan["t_s"], shown.nodes_s - 1e-3)
     seen = np.array(plan["position"]).T[at]
     np.testing.assert_allclose(
         np.linalg.norm(seen, axis=1), np.linalg.norm(states, axis=1), atol=0.02
@@ -241,9 +237,9 @@ def test_the_view_moves_through_the_nodes(page, subject):
     turn = np.array([[np.cos(w), -np.sin(w), 0.0], [np.sin(w), np.cos(w), 0.0], [0.0, 0.0, 1.0]])
     site = axes @ turn @ np.array(motion["site"])
     craft = [np.interp(t, plan["t_s"], x) for x in plan["position"]]
-    mission = subject.mission
+    mission = shown.mission
     true = mission.rotation.body_to_j2000(t) @ mission.site.position_body
-    apart = np.linalg.norm(subject.positions(np.array([t]))[0] - true)
+    apart = np.linalg.norm(shown.positions(np.array([t]))[0] - true)
     assert np.linalg.norm(craft - site) == pytest.approx(apart, abs=0.1)
 
 

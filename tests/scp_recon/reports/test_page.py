@@ -23,12 +23,10 @@ from scp_recon.physics.geometry import track
 from scp_recon.replanning.delivery import Delivery
 from scp_recon.replanning.flown import FlownPlan, predict
 from scp_recon.replanning.remainder import mission_left
-from scp_recon.reports.charts import probability_chart
 from scp_recon.reports.flight_tables import missed_burns_table
-from scp_recon.reports.ground import Camera
+from scp_recon.reports.histories import probability_chart
 from scp_recon.reports.page import Page, _remarks, render, verdict_of
-from scp_recon.reports.shown import fly
-from scp_recon.reports.subject import PLANS_MAX, subjects_of
+from scp_recon.reports.shown import PLANS_MAX, plans_of
 from scp_recon.reports.tables import constraints_table, limits_table
 from scp_recon.reports.write import page_of
 from scp_recon.results.figures import Violation, ViolationAmount
@@ -134,16 +132,13 @@ def test_required_probability_is_drawn_where_it_applies(page):
     """That of nodes not across the share of whole flights, which is all that several plans show."""
     (shown,) = page.plans
     flight = {"risk.p_chance": 0.8, "risk.scope": "flight", "risk.allocation": "exact"}
-    solution = shown.subject.solution
+    solution = shown.solution
     changed = {
         "node": solution,
         "flight": replace(solution, scenario=solution.scenario.replace(flight)),
         "P3": replace(solution, problem="P3"),
     }
-    of = {
-        name: replace(shown, subject=replace(shown.subject, solution=one))
-        for name, one in changed.items()
-    }
+    of = {name: replace(shown, solution=one) for name, one in changed.items()}
     node = ["required of each at every node: at least 0.7"]
     whole = ["required of whole flights: at least 0.8"]
     for names, expected in (
@@ -164,7 +159,7 @@ def test_names_are_escaped(verified):
     hostile = "</script><b onload=alert(1)>&\"'"
     scenario = verified.scenario.model_copy(update={"name": hostile})
     solution = replace(verified, scenario=scenario)
-    text = render(page_of(subjects_of([solution]), Camera(), MADE))
+    text = render(page_of(plans_of([solution]), MADE))
     assert "<b onload" not in text
     assert hostile in unescape(text)
     data = re.search(r'id="report-data">(.*?)</script>', text)
@@ -174,13 +169,13 @@ def test_names_are_escaped(verified):
 @pytest.mark.usefixtures("few_flights")
 def test_latest_run_is_named_by_its_own_folder(plan_folder, tmp_path):
     (tmp_path / "latest").symlink_to(plan_folder)
-    (found,) = subjects_of([tmp_path / "latest"])
+    (found,) = plans_of([tmp_path / "latest"])
     assert found.name == str(plan_folder)
 
 
 def test_several_plans_are_laid_over_each_other(page, verified, plan_folder):
     other = replace(verified, burns=verified.burns[:], status="stalled", advice=("next: less",))
-    both = page_of(subjects_of([plan_folder, other]), Camera(), MADE)
+    both = page_of(plans_of([plan_folder, other]), MADE)
     assert [verdict_of(plan).good for plan in both.plans] == [True, False]
     assert "stalled" in both.comparison.rows[2][2].text if both.comparison else False
     assert len(both.scene["motion"]["plans"]) == 2
@@ -235,35 +230,35 @@ def test_plans_that_do_not_fit_are_refused(verified):
         ([], number),
     ):
         with pytest.raises(InputError, match=said):
-            subjects_of(plans)
+            plans_of(plans)
 
 
-def test_flights_of_another_plan_are_skipped(plan_folder, subject, tmp_path):
-    assert subject.summary is not None
-    other = replace(subject.solution, burns=subject.solution.burns[::1])
+def test_flights_of_another_plan_are_skipped(plan_folder, shown, tmp_path):
+    assert shown.summary is not None
+    other = replace(shown.solution, burns=shown.solution.burns[::1])
     other.write(tmp_path)
     text = (plan_folder / "montecarlo.json").read_text("utf-8")
     (tmp_path / "montecarlo.json").write_text(
-        text.replace(subject.solution.plan_hash, "0" * 64), "utf-8"
+        text.replace(shown.solution.plan_hash, "0" * 64), "utf-8"
     )
-    (found,) = subjects_of([tmp_path])
+    (found,) = plans_of([tmp_path])
     assert found.summary is None
     assert found.passed_over == (f"{tmp_path / 'montecarlo.json'}: flights of another plan",)
 
 
-def test_flights_that_miss_a_burn_are_shown(subject, tmp_path):
+def test_flights_that_miss_a_burn_are_shown(shown, tmp_path):
     """With the way home where it was planned; a file of another plan is left out."""
-    subject.solution.write(tmp_path)
-    drift = subject.solution.verification.drifts[1]
+    shown.solution.write(tmp_path)
+    drift = shown.solution.verification.drifts[1]
     kept = Interval(value=0.99, low=0.98, high=1.0)
     home = Contingency(
         status="converged", total_dv_m_s=0.06, burn_times_s=(25000.0,), whole_flight=kept
     )
-    flown = subject.summary.model_copy(update={"drift": drift, "then": home})
+    flown = shown.summary.model_copy(update={"drift": drift, "then": home})
     flown.write(tmp_path, "montecarlo_miss_2.json")
     other = flown.model_copy(update={"plan_hash": "0" * 64})
     other.write(tmp_path, "montecarlo_miss_3.json")
-    (found,) = subjects_of([tmp_path])
+    (found,) = plans_of([tmp_path])
     assert found.missed == (flown,)
     assert found.summary is None
     assert len(found.passed_over) == 1
@@ -272,25 +267,25 @@ def test_flights_that_miss_a_burn_are_shown(subject, tmp_path):
     assert [row[k].text for k in (0, 4, 5, 6, 7)] == shown
 
 
-def test_planned_drifts_are_rows_of_limits(subject):
+def test_planned_drifts_are_rows_of_limits(shown):
     """Of limits and of margins, with what flights keep; one cut short by its share."""
-    solution, v = subject.solution, subject.solution.verification
+    solution, v = shown.solution, shown.solution.verification
     planned = replace(v.drifts[1], required=0.997, low=0.996, high=0.999)
     planned = replace(planned, closest_m=512.0, share=0.3)
     judged = replace(v, drifts=(v.drifts[0], planned))
-    row = limits_table(subject.mission, solution, judged).rows[-1]
+    row = limits_table(shown.mission, solution, judged).rows[-1]
     name, *figures = (cell.text for cell in row)
     assert name == "drift: burn 2 stops at 30 %"
     assert figures[:2] == [">= 500 m", ">= 512 m"]
     assert figures[-1] == "binds"
     name, kind, margin = constraints_table(replace(solution, verification=judged)).rows[-1][:3]
     assert (name.text, kind.text, margin.value) == ("drift: burn 2 stops at 30 %", "drift", 12.0)
-    assert "drift: " not in str(limits_table(subject.mission, solution, v).rows)
+    assert "drift: " not in str(limits_table(shown.mission, solution, v).rows)
 
 
-def test_violated_angles_are_shown_in_degrees(subject):
+def test_violated_angles_are_shown_in_degrees(shown):
     """The larger side of two; seen from the site, or from where the burn begins."""
-    solution, mission, off = subject.solution, subject.mission, np.sin(np.deg2rad(2.0))
+    solution, mission, off = shown.solution, shown.mission, np.sin(np.deg2rad(2.0))
     at = {c.name: c.worst_t_s for c in solution.constraints}
     node = solution.nodes.t_s.index(at["emission_max"])
     site = track(mission.site, mission.rotation, np.array([at["emission_max"]])).position[0]
@@ -313,9 +308,9 @@ def test_violated_angles_are_shown_in_degrees(subject):
     assert marks["site_distance"] == "min off 3 m"
 
 
-def test_stored_plan_keeps_all_warnings(subject):
-    wider = replace(subject.solution.verification, wider={"vz": 2.0})
-    doubtful = replace(subject, solution=replace(subject.solution, verification=wider))
+def test_stored_plan_keeps_all_warnings(shown):
+    wider = replace(shown.solution.verification, wider={"vz": 2.0})
+    doubtful = replace(shown, solution=replace(shown.solution, verification=wider))
     said = _remarks(doubtful, Status.CONVERGED)
     assert any(one.startswith("warning: after the last burn") for one in said)
 
@@ -362,21 +357,21 @@ def earliest(page: Page, keys: set[str]) -> float:
 @pytest.mark.usefixtures("few_flights")
 @pytest.mark.parametrize("at_s", [IN_THE_WINDOW, AFTER_IT])
 def test_report_begins_at_the_start_of_plan(left, at_s):
-    (subject,) = subjects_of([left[at_s]])
-    assert fly(subject, samples=10).times_s[0] == at_s
-    page = page_of([subject], Camera(), MADE)
+    (shown,) = plans_of([left[at_s]])
+    assert shown.flown.times_s[0] == at_s
+    page = page_of([shown], MADE)
     assert earliest(page, {"ranges", "probability", *OF_THE_WINDOW}) == pytest.approx(at_s)
     moving = page.scene["motion"]
     assert moving["ends_s"][0] == at_s
     assert all(look >= at_s for look in moving["plans"][0]["looks_s"])
-    shown = {chart["key"] for chart in page.charts}
-    assert (shown >= OF_THE_WINDOW) == (at_s < subject.mission.schedule.window_s[1])
+    keys = {chart["key"] for chart in page.charts}
+    assert (keys >= OF_THE_WINDOW) == (at_s < shown.mission.schedule.window_s[1])
     assert "<html" in render(page)
 
 
 @pytest.mark.usefixtures("few_flights")
 def test_burns_keep_their_numbers_of_the_flight(left):
-    page = page_of(subjects_of([left[AFTER_IT]]), Camera(), MADE)
+    page = page_of(plans_of([left[AFTER_IT]]), MADE)
     charts = {chart["key"]: chart["data"] for chart in page.charts}
     assert charts["budget"][0]["x"] == ["burn 3", "burn 4"]
     words = [word["text"] for word in page.scene["layout"]["scene"]["annotations"]]
