@@ -30,7 +30,7 @@ from scp_recon.reports.marks import (
     significant,
     whiskers,
 )
-from scp_recon.reports.shown import GroundTrack, Shown
+from scp_recon.reports.shown import Shown
 from scp_recon.reports.surfaces import degrees_of
 from scp_recon.reports.tables import SHARE, called
 from scp_recon.simulation.guidance import CONTROL_PERIOD_S
@@ -61,19 +61,18 @@ def ground_chart(plans: Sequence[Shown]) -> Chart:
     panels = Panels(["latitude (deg)"], panel_px=380)
     alone, sites = len(plans) == 1, {}
     for number, plan in enumerate(plans):
-        track, site = plan.ground, plan.mission.site.position_body
-        first, last = plan.window_s
-        seen = (track.times_s >= first) & (track.times_s <= last)
-        longitude = _unbroken(track.longitude_deg)
-        name = "below the spacecraft" if alone else plan.name
-        panels.curve(longitude, track.latitude_deg, name, number)
+        times, (first, last) = plan.fine_s, plan.window_s
+        seen = (times >= first) & (times <= last)
+        longitude, latitude = degrees_of(plan.fixed(times))
+        longitude, name = _unbroken(longitude), "below the spacecraft" if alone else plan.name
+        panels.curve(longitude, latitude, name, number)
         if seen.any():
-            within = longitude[seen], track.latitude_deg[seen], f"{name}, window"
+            within = longitude[seen], latitude[seen], f"{name}, window"
             panels.curve(*within, number, line={"dash": "solid", "width": 6})
             named = labelled(plan.name, "field of view", alone)
-            x, y = _outlines(track)
+            x, y = _outlines(plan.outlines_m)
             panels.curve(x, y, named, number, line={"color": VIEW, "width": 1.5})
-        sites[degrees_of(site)] = plan.mission.scenario.site.name
+        sites[degrees_of(plan.mission.site.position_body)] = plan.mission.scenario.site.name
     star = {"symbol": "star", "size": 14, "color": SITE, "line": {"width": 1}}
     panels.data += [points([x], [y], f"site {name}", **star) for (x, y), name in sites.items()]
     dark = terminator(plans[0], float(np.mean(plans[0].mission.schedule.window_s)))
@@ -93,11 +92,11 @@ def _unbroken(longitude_deg: Array) -> Array:
     return np.where(jumps, np.nan, longitude_deg)
 
 
-def _outlines(track: GroundTrack) -> Array:
+def _outlines(outlines_m: Array) -> Array:
     """Some outlines of the field of view, broken where it leaves the body or the map, deg, (2, n)."""
-    chosen = np.linspace(0, len(track.looks_s) - 1, OUTLINES_SHOWN).astype(int)
+    chosen = np.linspace(0, len(outlines_m) - 1, OUTLINES_SHOWN).astype(int)
     found = []
-    for outline in track.outlines_m[chosen]:
+    for outline in outlines_m[chosen]:
         longitude, latitude = degrees_of(np.vstack([outline, outline[:1]]))
         found += [np.stack([_unbroken(longitude), latitude]), np.full((2, 1), np.nan)]
     return np.hstack(found)

@@ -43,7 +43,7 @@ from scp_recon.reports.marks import (
     moved,
     spots,
 )
-from scp_recon.reports.shown import Shown
+from scp_recon.reports.shown import LOOKS, Shown
 from scp_recon.reports.surfaces import Shape, Solid, cone, shell, sphere, tube
 
 ARROW = 0.13
@@ -206,8 +206,8 @@ def _moving(frame: Frame, plan: Shown) -> dict[str, Any]:
         "window_s": list(plan.window_s),
         "legs": [[leg.mode.value, leg.start_s, leg.end_s] for leg in schedule.legs],
         "site": compact(plan.mission.site.position_body, 3),
-        "looks_s": compact(plan.ground.looks_s, 2),
-        "outlines": compact(plan.ground.outlines_m, 1),
+        "looks_s": compact(plan.looks_s(LOOKS), 2),
+        "outlines": compact(plan.outlines_m, 1),
     }
 
 

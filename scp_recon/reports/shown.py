@@ -18,7 +18,7 @@ from scp_recon.monte_carlo.limits import is_certain, kept_limits, limit_margins
 from scp_recon.monte_carlo.sampling import Flyer, flown_mission
 from scp_recon.monte_carlo.summary import Summary, read_summary
 from scp_recon.physics.frames import unit
-from scp_recon.reports.surfaces import TURNS, Shape, degrees_of, first_hit, rim, shape_of
+from scp_recon.reports.surfaces import Shape, first_hit, rim, shape_of
 from scp_recon.reports.tables import SHARE
 from scp_recon.results.comparison import path_of
 from scp_recon.results.read import read_solution
@@ -52,26 +52,6 @@ class Camera:
     def __str__(self) -> str:
         """The camera in words."""
         return f"camera of {self.field_deg:g} deg and {self.pixels} pixels across"
-
-
-@dataclass(frozen=True, eq=False)
-class GroundTrack:
-    """A plan over the ground.
-
-    Attributes:
-        times_s: shape (n,).
-        longitude_deg: east, -180 to 180, of the point below the spacecraft, shape (n,).
-        latitude_deg: planetocentric, shape (n,).
-        looks_s: times in the rest of the window, shape (w,).
-        outlines_m: edge of the field of view on the ground, NaN where a ray misses the body, shape
-            (w, rays, 3).
-    """
-
-    times_s: Array
-    longitude_deg: Array
-    latitude_deg: Array
-    looks_s: Array
-    outlines_m: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -253,17 +233,16 @@ class Shown:
         )
 
     @cached_property
-    def ground(self) -> GroundTrack:
-        """Ground track of the mean; the camera points to the site in the rest of the window."""
-        times, looks = self.fine_s, self.looks_s(LOOKS)
-        below, outlines = degrees_of(self.fixed(times)), np.empty((0, TURNS, 3))
-        if len(looks):
-            here = self.fixed(looks)
-            boresight = unit(self.mission.site.position_body - here)
-            half = float(np.deg2rad(0.5 * self.camera.field_deg))
-            rays = np.cos(half) * boresight[:, None] + np.sin(half) * rim(boresight)
-            outlines = first_hit(np.broadcast_to(here[:, None], rays.shape), rays, self.shape)
-        return GroundTrack(times, *below, looks, outlines)
+    def outlines_m(self) -> Array:
+        """Edge of the field of view on the ground at `LOOKS` times in the rest of the window.
+
+        The camera points to the site. Body-fixed, shape (w, rays, 3); NaN where a ray misses the body.
+        """
+        here = self.fixed(self.looks_s(LOOKS))
+        boresight = unit(self.mission.site.position_body - here)
+        half = float(np.deg2rad(0.5 * self.camera.field_deg))
+        rays = np.cos(half) * boresight[:, None] + np.sin(half) * rim(boresight)
+        return first_hit(np.broadcast_to(here[:, None], rays.shape), rays, self.shape)
 
 
 def plans_of(given: Sequence[Solution | Path], camera: Camera | None = None) -> list[Shown]:

@@ -84,18 +84,14 @@ def tube(path: Array, covariance: Array, sigmas: float) -> Solid:
 
 
 def planes_along(path: Array) -> Array:
-    """Two unit vectors across a path (n, 3), carried along it without a turn: shape (n, 2, 3).
+    """Two unit vectors across a path (n, 3), of which the first turns least: shape (n, 2, 3).
 
-    Each pair is the previous pair, projected normal to the path.
+    It is the direction that all tangents are farthest from, projected normal to the path.
     """
     along = unit(np.gradient(path, axis=0))
-    planes = []
-    side = perpendicular(along[:1])[0]
-    for direction in along:
-        left = side - (side @ direction) * direction
-        side = left / np.linalg.norm(left)
-        planes.append(np.stack([side, np.cross(direction, side)]))
-    return np.array(planes)
+    farthest = np.linalg.svd(along)[2][-1]
+    side = unit(farthest - (along @ farthest)[:, None] * along)
+    return np.stack([side, np.cross(along, side)], axis=1)
 
 
 def rim(axes: Array) -> Array:

@@ -153,23 +153,6 @@ def constraints_table(solution: Solution) -> Table:
     )
 
 
-def mean_margins_table(mission: Mission, v: Verification) -> Table:
-    """Worst margins of the original constraints on the mean, each beside its limit."""
-    limits = bounds_on_mean(mission.scenario, mission.limits)
-    rows = [
-        [m.name, str(limits.get(m.name, "")), *_shown_margin(m), m.worst_t_s]
-        for m in v.mean_margins
-    ]
-    return Table.of(
-        "Margins of the mean, between the nodes too",
-        columns(
-            "original constraint on the mean", "required", "worst margin +.4f", "unit", "at (s) .0f"
-        ),
-        rows,
-        key="mean_margins",
-    )
-
-
 def limits_table(mission: Mission, solution: Solution, v: Verification) -> Table:
     """Each limit in a row: the mean's values, and the lowest probability with its interval.
 
@@ -217,6 +200,7 @@ def limits_table(mission: Mission, solution: Solution, v: Verification) -> Table
         "Limits",
         [*columns("limit", "allowed", "planned", "chance .4f", interval, "at (s) .0f"), Column("")],
         rows,
+        key="limits",
         note=f"planned: of the mean; chance: lowest of {v.samples} flights, required "
         f"{mission.scenario.risk.p_chance:g}; {mission.gravity.in_words()}{own_windows(mission)}"
         + "".join(
@@ -314,26 +298,6 @@ def reintegration_table(mission: Mission, v: Verification) -> Table:
             if getattr(v, figure) is not None
         ),
         key="reintegration",
-    )
-
-
-def probabilities_table(mission: Mission, v: Verification) -> Table:
-    """Lowest probabilities of the joint constraints, with their intervals."""
-    required = mission.scenario.risk.p_chance
-    return Table.of(
-        "Lowest probabilities, by the verification's flights",
-        columns(
-            "joint constraint",
-            "lowest probability .4f",
-            "low .4f",
-            "high .4f",
-            "at (s) .0f",
-            "required g",
-        ),
-        ([p.name, p.estimate, p.low, p.high, p.worst_t_s, required] for p in v.probabilities),
-        key="probabilities",
-        note=f"Monte Carlo, {v.samples} flights, {100 * v.confidence:.0f} % intervals. Planned and "
-        f"flown with {mission.gravity.in_words()}{own_windows(mission)}.",
     )
 
 

@@ -124,11 +124,11 @@ def tables_of(plan: Shown) -> list[Table]:
     found.append(tables.budget_table(plan.budget, solution.policy is not None))
     found.append(tables.corrections_table(solution))
     if v is not None:
-        found += [tables.probabilities_table(mission, v), tables.burn_limits_table(v, required)]
+        found += [tables.limits_table(mission, solution, v), tables.burn_limits_table(v, required)]
         found += [tables.drifts_table(v), tables.lost_contacts_table(v)]
     found.append(tables.constraints_table(solution))
     if v is not None:
-        found += [tables.mean_margins_table(mission, v), tables.reintegration_table(mission, v)]
+        found.append(tables.reintegration_table(mission, v))
     found += [tables.stages_table(solution), tables.iterations_table(solution)]
     if plan.summary is not None:
         found.append(flight_tables.observation_times_table(plan.summary))

@@ -13,8 +13,10 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Annotated, Any, ClassVar, Literal
 
+import numpy as np
 from pydantic import ConfigDict, Field, TypeAdapter
 
+from formulations.arrays import Array
 from scp_recon.display import mm_s
 from scp_recon.planning.primer import PrimerHistory
 from scp_recon.planning.records import Certificate, Parent, Starts, WithoutUncertainty
@@ -302,6 +304,16 @@ class Facts:
     warnings: tuple[ScenarioWarning, ...] = ()
     advice: tuple[Line, ...] = ()
     scenario: Scenario
+
+    @property
+    def burns_m_s(self) -> Array:
+        """Burns, J2000, m/s, shape (m, 3)."""
+        return np.array([burn.dv_m_s for burn in self.burns]).reshape(-1, 3)
+
+    @property
+    def total_dv_m_s(self) -> float:
+        """Sum of the burns' sizes, m/s."""
+        return float(np.linalg.norm(self.burns_m_s, axis=1).sum())
 
     @property
     def cost_in_words(self) -> str:

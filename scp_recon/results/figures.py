@@ -124,21 +124,11 @@ def figures_of(mission: Mission, facts: Facts) -> Figures:
     """Compute all figures from the facts alone; `mission` is that of their scenario."""
     rows = rows_of(mission, facts)
     return Figures(
-        total_dv_m_s=total_dv(facts),
+        total_dv_m_s=facts.total_dv_m_s,
         constraints=[_result(name, one, facts) for name, one in rows.items()],
         violation=_violation(mission, facts, rows),
         units=mission.units,
     )
-
-
-def burns_of(facts: Facts) -> Array:
-    """Burns as an array, J2000, m/s, shape (m, 3)."""
-    return np.array([burn.dv_m_s for burn in facts.burns]).reshape(-1, 3)
-
-
-def total_dv(facts: Facts) -> float:
-    """Sum of the burns' sizes, m/s."""
-    return float(np.linalg.norm(burns_of(facts), axis=1).sum())
 
 
 def rows_of(mission: Mission, facts: Facts) -> dict[str, Rows]:
@@ -169,7 +159,7 @@ def rows_of(mission: Mission, facts: Facts) -> dict[str, Rows]:
 
 def _burn_rows(mission: Mission, facts: Facts) -> dict[str, tuple[Array, Array]]:
     """Times and margins of the limits on the burns, m/s; a burn of zero has none."""
-    burns, problem = burns_of(facts), mission.problem
+    burns, problem = facts.burns_m_s, mission.problem
     fired = burns.any(axis=1)
     if not fired.any():
         return {}
@@ -292,7 +282,7 @@ def amounts_of(
     with np.errstate(all="ignore"):
         begin, took = np.array(facts.nodes.t_s[:-1]), np.diff(facts.nodes.t_s)
         arcs = propagate(states[:-1], took, mission.forces, mission.arc_substeps, begin)
-        flown = Iterate(burns_of(facts) / units.speed_m_s, states / units.state)
+        flown = Iterate(facts.burns_m_s / units.speed_m_s, states / units.state)
         defects = np.abs(mission.problem.defects(flown, arcs / units.state)) * units.length_m
     if not mission.must_meet:
         defects = defects[:-1]

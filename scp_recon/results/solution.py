@@ -39,10 +39,8 @@ from scp_recon.results.figures import (
     ConstraintResult,
     Figures,
     Violation,
-    burns_of,
     figures_of,
     finite,
-    total_dv,
 )
 from scp_recon.results.policy import Policy, StoredPolicy, policy_in, stored_policy
 from scp_recon.results.verification import Verification
@@ -92,11 +90,6 @@ class Solution(Displayed, Facts):
         return figures_of(self.mission, self)
 
     @property
-    def total_dv_m_s(self) -> float:
-        """Sum of the burns' sizes, m/s."""
-        return total_dv(self)
-
-    @property
     def constraints(self) -> list[ConstraintResult]:
         """The smallest margin of each constraint."""
         return self.figures.constraints
@@ -110,11 +103,6 @@ class Solution(Displayed, Facts):
     def units(self) -> Units:
         """Units of the nondimensional problem."""
         return self.mission.units
-
-    @property
-    def burns_m_s(self) -> Array:
-        """Burns, J2000, m/s, shape (m, 3)."""
-        return burns_of(self)
 
     @property
     def corrections(self) -> Policy:
