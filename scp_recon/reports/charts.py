@@ -30,9 +30,9 @@ from scp_recon.reports.marks import (
     significant,
     whiskers,
 )
-from scp_recon.reports.shown import Shown
+from scp_recon.reports.shown import SHARE, Shown
 from scp_recon.reports.surfaces import degrees_of
-from scp_recon.reports.tables import SHARE, called
+from scp_recon.reports.tables import called
 from scp_recon.simulation.guidance import CONTROL_PERIOD_S
 from scp_recon.simulation.record import Record
 

@@ -19,11 +19,12 @@ from scp_recon.monte_carlo.sampling import Flyer, flown_mission
 from scp_recon.monte_carlo.summary import Summary, read_summary
 from scp_recon.physics.frames import unit
 from scp_recon.reports.surfaces import Shape, first_hit, rim, shape_of
-from scp_recon.reports.tables import SHARE
+from scp_recon.reports.tables import or_none
 from scp_recon.results.comparison import path_of
 from scp_recon.results.read import read_solution
 from scp_recon.results.runs import folder_of, resolve_run
 from scp_recon.results.solution import Solution
+from scp_recon.results.table import Table, columns
 from scp_recon.scenario.time_scales import instant, iso_tdb
 from scp_recon.simulation import record as record_file
 from scp_recon.simulation.record import Record, read_record
@@ -35,6 +36,8 @@ PARTS_PER_ARC = 3
 """Points of a path between two nodes."""
 LOOKS_IN_WINDOW, LOOKS = 121, 41
 """Times in the window at which flights are sampled, and at which the view on the ground is drawn."""
+SHARE = 0.99
+"""Share of the flights whose delta-v stays below a budget."""
 SO_FAR = "all of them, from the start so far"
 """Name of the share of flights that have broken no limit so far."""
 
@@ -243,6 +246,29 @@ class Shown:
         half = float(np.deg2rad(0.5 * self.camera.field_deg))
         rays = np.cos(half) * boresight[:, None] + np.sin(half) * rim(boresight)
         return first_hit(np.broadcast_to(here[:, None], rays.shape), rays, self.shape)
+
+
+def budget_table(budget: Budget, corrected: bool = False) -> Table:
+    """Sizes of each burn and of the whole flight, of burns that gains correct or of planned ones."""
+    each = zip(budget.planned_m_s, budget.mean_m_s, budget.high_m_s, strict=True)
+    rows = [
+        [str(i), *or_none(sizes[0] > 0.0, *map(float, sizes))]
+        for i, sizes in enumerate(each, start=budget.first)
+    ]
+    total = float(budget.planned_m_s.sum())
+    rows.append(["whole flight", total, budget.total_mean_m_s, budget.total_high_m_s])
+    low, high = budget.interval_m_s
+    percent, form = f"{100.0 * SHARE:g} %", " (mm/s) .3f"
+    sizes = f"planned{form}", f"executed, mean{form}", f"executed, {percent} stay below{form}"
+    return Table.of(
+        "Delta-v budget",
+        columns("burn", *sizes),
+        rows,
+        key="budget",
+        note=f"95 % interval of the flights' {percent}: {1e3 * low:.3f} to {1e3 * high:.3f} mm/s. "
+        "Of the planned burns with their execution errors; "
+        + ("corrected by gains." if corrected else "no burns to correct them."),
+    )
 
 
 def plans_of(given: Sequence[Solution | Path], camera: Camera | None = None) -> list[Shown]:

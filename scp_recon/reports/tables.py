@@ -7,7 +7,6 @@ files to the last digit.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -26,15 +25,10 @@ from scp_recon.results.verification import DriftSafety, MeanMargin, Verification
 from scp_recon.scenario.time_scales import instant, shown_utc
 from scp_recon.verification.reintegration import FIGURES, limits_of
 
-if TYPE_CHECKING:
-    from scp_recon.reports.shown import Budget
-
 ITERATION_COLUMNS = columns(
     "stage", "k", "merit (mm/s) .3f", "predicted (mm/s) .2e", "actual (mm/s) .2e", "step",
     "radius (mm/s) .3g", "violation (m) .1e", "defect (m) .1e", "solver (s) .3f",
 )  # fmt: skip
-SHARE = 0.99
-"""Share of the flights whose delta-v stays below a budget."""
 NO_BURN = Cell("0", 0.0)
 """In place of each component of a burn that is not executed."""
 STARTS_NAMED = 6
@@ -378,29 +372,6 @@ def starts_table(starts: Starts) -> Table:
             for optimum in starts.optima
         ),
         note=str(starts),
-    )
-
-
-def budget_table(budget: Budget, corrected: bool = False) -> Table:
-    """Sizes of each burn and of the whole flight, of burns that gains correct or of planned ones."""
-    each = zip(budget.planned_m_s, budget.mean_m_s, budget.high_m_s, strict=True)
-    rows = [
-        [str(i), *or_none(sizes[0] > 0.0, *map(float, sizes))]
-        for i, sizes in enumerate(each, start=budget.first)
-    ]
-    total = float(budget.planned_m_s.sum())
-    rows.append(["whole flight", total, budget.total_mean_m_s, budget.total_high_m_s])
-    low, high = budget.interval_m_s
-    percent, form = f"{100.0 * SHARE:g} %", " (mm/s) .3f"
-    sizes = f"planned{form}", f"executed, mean{form}", f"executed, {percent} stay below{form}"
-    return Table.of(
-        "Delta-v budget",
-        columns("burn", *sizes),
-        rows,
-        key="budget",
-        note=f"95 % interval of the flights' {percent}: {1e3 * low:.3f} to {1e3 * high:.3f} mm/s. "
-        "Of the planned burns with their execution errors; "
-        + ("corrected by gains." if corrected else "no burns to correct them."),
     )
 
 

@@ -16,7 +16,7 @@ from scp_recon.reports.histories import history_chart
 from scp_recon.reports.marks import Chart
 from scp_recon.reports.page import Page
 from scp_recon.reports.scene import picture, scene
-from scp_recon.reports.shown import Camera, Shown, plans_of
+from scp_recon.reports.shown import Camera, Shown, budget_table, plans_of
 from scp_recon.results.comparison import compare
 from scp_recon.results.solution import Solution
 from scp_recon.results.table import Table
@@ -121,7 +121,7 @@ def tables_of(plan: Shown) -> list[Table]:
     burns, required = tables.burns_table(solution), solution.scenario.risk.p_chance
     total = burns.columns[-1].cell(solution.total_dv_m_s)
     found = [burns.with_rows([["total", "", "", "", "", "", total]])]
-    found.append(tables.budget_table(plan.budget, solution.policy is not None))
+    found.append(budget_table(plan.budget, solution.policy is not None))
     found.append(tables.corrections_table(solution))
     if v is not None:
         found += [tables.limits_table(mission, solution, v), tables.burn_limits_table(v, required)]

@@ -9,8 +9,8 @@ import scp_recon as sr
 from scp_recon.interop.ccsds import opm_text
 from scp_recon.interop.export import Export
 from scp_recon.planning.plan import Plan
-from scp_recon.reports.shown import Shown
-from scp_recon.reports.tables import budget_table, burns_table, limits_table
+from scp_recon.reports.shown import Shown, budget_table
+from scp_recon.reports.tables import burns_table, limits_table
 from scp_recon.results.facts import Burn
 from scp_recon.results.read import read_solution
 from scp_recon.results.solution import Solution, make_solution
