@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 
 from experiments.harness import Record, Session, Study, Tables, fly_plan
 from experiments.in_flight.feedback import LEAD_S
-from experiments.missed_burns import passes
+from experiments.missed_burns import fixed
 from experiments.plans import FLIGHT, measured
 from scp_recon.api.verbs import plan
 from scp_recon.mission.knowledge import in_words
@@ -37,7 +37,7 @@ class Known(NamedTuple):
     """An entry of the scenario, its 1 sigma in the entry's unit, and where the number is from."""
 
     entry: str
-    sigma: float | tuple[float, ...]
+    sigma: float | list[float]
     source: str
 
 
@@ -66,15 +66,6 @@ ASSUMED = "assumed"
 BENNU = FLIGHT | {"risk.p_chance": 0.9}
 
 
-def _fixed(name: str) -> dict[str, Any]:
-    """The pass that a design found over a packaged scenario's site."""
-    return passes()[name] | {"boundary.home": None, "design": None}
-
-
-def _sphere(metres: float) -> tuple[float, float, float]:
-    return metres, metres, metres
-
-
 CASES: Mapping[str, Case] = {
     **{
         GM_TO.format(share): Case(
@@ -96,7 +87,7 @@ CASES: Mapping[str, Case] = {
         Known(RA, 1.0, ASSUMED),
         Known(DEC, 0.5, ASSUMED),
         Known(PHASE, 1.0, ASSUMED),
-        Known(SITE, _sphere(3.0), ASSUMED),
+        Known(SITE, [3.0] * 3, ASSUMED),
         Known(LIGHT, 0.1, ASSUMED),
     ]),
     "Bennu after Preliminary Survey": Case("recon_b", BENNU, [
@@ -105,7 +96,7 @@ CASES: Mapping[str, Case] = {
         Known(RA, 0.12, LAURETTA.format("pole 85.65 +- 0.12 deg")),
         Known(DEC, 0.09, LAURETTA.format("pole -60.17 +- 0.09 deg")),
         Known(PHASE, 0.1, ASSUMED),
-        Known(SITE, _sphere(1.0), ASSUMED),
+        Known(SITE, [1.0] * 3, ASSUMED),
         Known(LIGHT, 0.05, ASSUMED),
     ]),
     "Bennu today": Case("recon_b", BENNU, [
@@ -113,21 +104,21 @@ CASES: Mapping[str, Case] = {
         Known(J2, 1e-4, ASSUMED),
         Known(DEC, 0.01, "0.0092 deg between bennu_v15.tpc and v16"),
         Known(PHASE, 0.065, "W in January 2020 between bennu_v15.tpc and v16"),
-        Known(SITE, _sphere(0.2), ASSUMED),
+        Known(SITE, [0.2] * 3, ASSUMED),
         Known(LIGHT, 0.05, ASSUMED),
     ]),
-    "Didymos today": Case("didymos", _fixed("didymos"), [
+    "Didymos today": Case("didymos", fixed("didymos"), [
         Known(GM, 1.87, MAKADIA.format("2600 +- 140")),
         Known("body.companion.gm_m3_s2", 0.0426, MAKADIA.format("1540 +- 220")),
         Known(J2, 0.012, "radii 394 +- 11 and 290 +- 16 m: Naidu et al. 2024, abstract"),
         Known("body.companion.mean_anomaly_deg", 2.0, "assumed; unmeasured it grows by 10 deg a year"),
-        Known(SITE, _sphere(5.0), ASSUMED),
+        Known(SITE, [5.0] * 3, ASSUMED),
         Known(LIGHT, 0.1, ASSUMED),
     ]),
-    "Apophis today": Case("apophis", _fixed("apophis"), [
+    "Apophis today": Case("apophis", fixed("apophis"), [
         Known(GM, 0.5, DIAMETERS),
-        Known(SITE, _sphere(6.0), "assumed: its attitude to 2 deg"),
-        Known(NORMAL, _sphere(0.03), "assumed: its attitude to 2 deg"),
+        Known(SITE, [6.0] * 3, "assumed: its attitude to 2 deg"),
+        Known(NORMAL, [0.03] * 3, "assumed: its attitude to 2 deg"),
         Known(LIGHT, 0.1, ASSUMED),
     ]),
 }  # fmt: skip

@@ -16,7 +16,7 @@ sites.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from functools import partial
+from functools import cache
 from time import process_time
 from typing import Any, TypeAlias
 
@@ -62,9 +62,9 @@ def size(case: Case) -> str:
     return f"{case['burns.dv_max_m_s']:g} {case['safety.radius_min_m']:g}"
 
 
-SUMMED: Mapping[str, tuple[str, Callable[[Case], str]]] = {
+SUMMED: Mapping[str, tuple[str, Callable[[Case], str]] | None] = {
     "sizes": ("sizes", size),
-    "asteroid_year": ("year", lambda _: "all"),
+    "asteroid_year": None,
     "errors": ("errors", lambda case: f"{case['uncertainty.execution_error']:.3g}"),
     "reconnaissance_map": ("latitudes", latitude),
     "ryugu_map": ("ryugu_latitudes", latitude),
@@ -99,15 +99,19 @@ SAMPLE, SEED, FLIGHTS = 60, 0, 2_000
 PASSES = 2
 """Passes of a site that are planned."""
 ASKED = {"risk.allocation": "exact", "risk.scope": "flight", "risk.p_chance": 0.9}
-KNOWN = measured()
-"""Feedback by a measurement at each burn."""
 
 
-def sampled(sites: Study, number: int) -> Record:
+@cache
+def sites() -> Study:
+    """The campaign of the map."""
+    return read_study(STUDIES / "reconnaissance_map.toml")
+
+
+def sampled(number: int) -> Record:
     """A site of the map, open loop and with feedback: a row."""
-    begin, case = process_time(), sites.cases[number]
+    begin, case = process_time(), sites().cases[number]
     row = {entry: case.changes[entry] for entry in ("site.name", LATITUDE, "site.longitude_deg")}
-    scenario = changed(sites.base, case.changes, sites.folder).replace(ASKED | KNOWN)
+    scenario = changed(sites().base, case.changes, sites().folder).replace(ASKED | measured())
     try:
         space = spaces_of(scenario)[0]
     except InputError as error:
@@ -136,8 +140,7 @@ def planned(scenario: Scenario, one: PassResult, policy: str) -> Plan:
 
 def run_sample(session: Session) -> Tables:
     """Plan the sampled sites."""
-    sites = read_study(STUDIES / "reconnaissance_map.toml")
-    rows = session.rows("sites", partial(sampled, sites), drawn_numbers(sites))
+    rows = session.rows("sites", sampled, drawn_numbers())
     found = pd.DataFrame(rows)
     bands = found.apply(latitude, axis=1)
     own = {band: found[bands == band] for band in BANDS} | {"all": found}
@@ -145,9 +148,9 @@ def run_sample(session: Session) -> Tables:
     return {"sample": rows, "sample_latitudes": sums}
 
 
-def drawn_numbers(sites: Study) -> list[int]:
+def drawn_numbers() -> list[int]:
     """Numbers of the sample's cases."""
-    drawn = np.random.default_rng(SEED).choice(len(sites.cases), SAMPLE, replace=False)
+    drawn = np.random.default_rng(SEED).choice(len(sites().cases), SAMPLE, replace=False)
     return sorted(int(number) for number in drawn)
 
 
@@ -166,21 +169,19 @@ def run(session: Session) -> Tables:
     if session.options.sample:
         return run_sample(session)
     tables: dict[str, list[Record]] = {"campaigns": []}
-    for name, (key, by) in SUMMED.items():
+    for name, summed in SUMMED.items():
         session.say(f"{name}:")
-        path = STUDIES / f"{name}.toml"
-        found = campaign(path, session.out / name)
-        cases, solved = found.table, feasible(found.table)
-        groups = cases.groupby(cases.apply(by, axis=1), sort=False)
-        tables[key] = [{"of": words} | summary(group) for words, group in groups]
-        if by is latitude:
-            tables[key].sort(key=lambda row: [*BANDS].index(row["of"]))
-        total = {
-            f"processor_s_{words}": cases.cpu_s[solved == end].quantile(0.5, "higher")
-            for words, end in (("feasible", True), ("other", False))
-        }
-        total["processor_s"] = cases.cpu_s.sum()
-        tables["campaigns"].append({"campaign": name, **summary(cases), **total})
+        cases = campaign(STUDIES / f"{name}.toml", session.out / name).table
+        row, solved = {"campaign": name, **summary(cases)}, feasible(cases)
+        for words, own in (("feasible", cases[solved]), ("other", cases[~solved])):
+            row[f"processor_s_{words}"] = own.cpu_s.quantile(0.5, "higher")
+        tables["campaigns"].append(row | {"processor_s": cases.cpu_s.sum()})
+        if summed is not None:
+            key, by = summed
+            groups = cases.groupby(cases.apply(by, axis=1), sort=False)
+            tables[key] = [{"of": words} | summary(group) for words, group in groups]
+            if by is latitude:
+                tables[key].sort(key=lambda row: [*BANDS].index(row["of"]))
     return tables
 
 

@@ -37,7 +37,6 @@ from scp_recon.scenario.schema import Scenario
 from scp_recon.scp.status import Status
 from scp_recon.verification.reintegration import verify
 
-PASSES = Path(__file__).with_name("passes.toml")
 GAINS = {
     "policy.kind": "feedback",
     "navigation.lead_s": 0.0,
@@ -69,20 +68,23 @@ MORE = (0.2, 0.7), (0.5, 1.0), (0.3, 1.5)
 duration: the first pair that has a plan."""
 
 
-def passes() -> dict[str, dict[str, Any]]:
-    """Tables of entries of the passes by the names of their scenarios."""
-    return tomllib.loads(PASSES.read_text("utf-8"))
+PASSES: dict[str, dict[str, Any]] = tomllib.loads(
+    Path(__file__).with_name("passes.toml").read_text("utf-8")
+)
+"""Entries of the passes that designs found over packaged scenarios' sites."""
+CASES = [*DEFAULT, *PASSES]
 
 
-CASES = [*DEFAULT, *passes()]
+def fixed(case: str) -> dict[str, Any]:
+    """A pass by itself: no home orbit is left to design from."""
+    return PASSES[case] | {"boundary.home": None, "design": None}
 
 
 def scenario_of(case: str, drifts: str) -> Scenario:
-    """The scenario of a case; a designed pass has no home orbit left to design from."""
+    """The scenario of a case."""
     if case in DEFAULT:
         return load_scenario().replace(DEFAULT[case] | DRIFTS[drifts])
-    fixed = passes()[case] | {"boundary.home": None, "design": None}
-    return load_scenario(case).replace(fixed | CORRECTED.get(case, {}) | DRIFTS[drifts])
+    return load_scenario(case).replace(fixed(case) | CORRECTED.get(case, {}) | DRIFTS[drifts])
 
 
 def options_of(case: str) -> dict[str, Any]:
@@ -149,8 +151,8 @@ def in_words(scenario: Scenario, names: Set[str]) -> str:
     return "; ".join(said)
 
 
-def afterwards(case: str) -> list[Record]:
-    """The pass and the way home after each missed burn but the first: rows.
+def afterwards(case: str) -> Record:
+    """The rows of the pass and the way home after each missed burn but the first.
 
     They are those of the plan that survives its misses; with gains, or where there is none, of the one
     without drifts.
@@ -160,7 +162,7 @@ def afterwards(case: str) -> list[Record]:
     if found.status is not Status.CONVERGED:
         found = plan(scenario_of(case, "without"), **options_of(case))
     times = found.mission.scenario.burns.times_s
-    return [after(case, found, number) for number in range(2, 1 + len(times))]
+    return {"rows": [after(case, found, number) for number in range(2, 1 + len(times))]}
 
 
 def after(case: str, found: Plan, number: int) -> Record:
@@ -204,7 +206,7 @@ def run(session: Session) -> Tables:
         least, own = without[row["case"]], row.get("cost_m_s")
         row["more_percent"] = 100.0 * (own / least - 1.0) if own and least else float("nan")
     each = [Job(case, case) for case in CASES]
-    later = session.rows("afterwards", rows_after, each, **how)
+    later = session.rows("afterwards", afterwards, each, **how)
     every = [row for found in later for row in found.get("rows", [])]
     return {"costs": costs, "afterwards": every}
 
@@ -215,11 +217,6 @@ def ended(key: Key, failure: Failure) -> Record:
         raise failure.error
     case, _, drifts = str(key).partition("; ")
     return {"case": case, "drifts": drifts, "status": f"not within {LIMIT_S:.0f} s"}
-
-
-def rows_after(case: str) -> Record:
-    """The rows of a case in one."""
-    return {"rows": afterwards(case)}
 
 
 STUDY = Study(__doc__, run, version=2)

@@ -133,12 +133,6 @@ def in_folder(work: Callable[[Path, Any], Any], case: Any) -> Any:
         return work(Path(folder), case)
 
 
-def sampled_site(place: int) -> Record:
-    """A site of the sample by its place."""
-    study = read_study(maps.STUDIES / "reconnaissance_map.toml")
-    return maps.sampled(study, maps.drawn_numbers(study)[place])
-
-
 def sizes_row(of: str) -> Record:
     """The summary of the cases of some sizes."""
     study = read_study(maps.STUDIES / "sizes.toml")
@@ -207,7 +201,8 @@ OWN = (
     Sentinel("flown_plan", "seed",
         lambda seed: flown_plan.row(simulate(default_plan(), seed=seed)), [0]),
     Sentinel("maps.sizes", "of", sizes_row, ["0.05 500"]),
-    Sentinel("map_sample.sample", "site.name", sampled_site, [9, 10]),
+    Sentinel("map_sample.sample", "site.name",
+        lambda place: maps.sampled(maps.drawn_numbers()[place]), [9, 10]),
 )  # fmt: skip
 ALSO = {
     "uncertainty_sources": ("flown_plan",),

@@ -36,7 +36,7 @@ class Method:
         return f"{self.formulation}/{self.algorithm}/{self.solver}"
 
 
-Start = Literal["cold", "warm", "p3", "random"]
+Start = Literal["cold", "p3", "random"]
 Group = Literal["matrix", "scenarios", "guesses", "random", "exact"]
 EXACT: Group = "exact"
 
@@ -50,8 +50,8 @@ class Cell:
         scenario: name of the scenario.
         overrides: its changes to the base, as for `--set`.
         method: method that solves it.
-        start: straight line; ballistic arc; SCP's own P3 solution and the facets there, the same for
-            every method; or a random guess.
+        start: straight line; SCP's own P3 solution and the facets there, the same for every method;
+            or a random guess.
         seed: of the random guess.
         base: scenario that is changed.
         repeat: number of the run, which changes nothing but times.
@@ -82,11 +82,8 @@ SHOOTING, SHOOTING_UNO = (Method("shooting", "hard", solver) for solver in NLP_S
 
 SCP_METHODS = tuple(Method(*key) for key in product(FORMULATIONS, ALGORITHMS, installed()))
 NLP_METHODS = (Method("printed", "hard", IPOPT), TUNED, SHOOTING, SHOOTING_UNO, ELASTIC)
-FEW = (
-    *(REFERENCE, PTR, SCVX_STAR, FROZEN_STM, FROZEN_COVARIANCE),
-    *(TUNED, SHOOTING, SHOOTING_UNO, ELASTIC),
-)
-"""Methods run in every scenario."""
+FEW = (REFERENCE, FROZEN_COVARIANCE, TUNED, ELASTIC)
+"""Methods that plan the variations of the default scenario."""
 
 ONE_FACTOR = (
     *(REFERENCE, PTR, SCVX_STAR, LIFTED, FROZEN_STM),
@@ -95,7 +92,10 @@ ONE_FACTOR = (
 )
 """Methods that differ from the reference in one thing, and nonlinear programs."""
 
-GUESSED = (*FEW[:4], Method("lifted", solver="ECOS"), TUNED, SHOOTING, SHOOTING_UNO)
+GUESSED = (
+    *(REFERENCE, PTR, SCVX_STAR, FROZEN_STM, Method("lifted", solver="ECOS")),
+    *(TUNED, SHOOTING, SHOOTING_UNO),
+)
 """Methods started from random guesses; lifted by ECOS, its fastest solver except SCS."""
 
 
@@ -162,8 +162,6 @@ def full_design() -> list[Cell]:
 
     Every method solves every problem from the straight line, several times; a few do elsewhere.
     """
-    default: dict[str, tuple[str, ...]] = {"recon_b": ()}
-    by_clarabel = [method for method in SCP_METHODS if method.solver == "CLARABEL"]
     uniform = {"risk.allocation": "uniform", "risk.scope": "node"}
     random = {f"uniform {k:02d}": _overrides(drawn(k)[1] | uniform) for k in range(NUMBER)}
     return [
@@ -173,7 +171,6 @@ def full_design() -> list[Cell]:
             for name, (base, overrides) in PROBLEMS.items()
             for method in (*SCP_METHODS, *NLP_METHODS)
         ),
-        *_cells("matrix", default, (*by_clarabel, *NLP_METHODS), "warm"),
         *_cells("scenarios", scenarios(), FEW, "p3"),
         *(
             Cell("guesses", "recon_b", (), method, "random", seed)

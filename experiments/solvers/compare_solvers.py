@@ -116,8 +116,6 @@ def planned(mission: Mission, cell: Cell) -> Plan:
     start = initial_guess.cold(mission)  # of P3, too, where that is the start
     if cell.start == "random":
         start = initial_guess.random(mission, cell.seed)
-    elif cell.start == "warm":
-        start = initial_guess.ballistic(mission)
     if of.solver not in NLP_SOLVERS and not from_p3:
         certify = False if cell.group == EXACT else None
         names = of.formulation, of.algorithm, of.solver

@@ -15,6 +15,7 @@ from collections.abc import Sequence
 from functools import cache
 from time import process_time
 
+import numpy as np
 import pandas as pd
 
 from experiments.evidence import Evidence, path_of
@@ -25,7 +26,7 @@ from scp_recon.api.planning import plan_mission
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
-from scp_recon.planning.plan import Plan, Stage, is_converged
+from scp_recon.planning.plan import is_converged
 from scp_recon.planning.planner import Planner
 from scp_recon.scenario.load import load_scenario
 
@@ -54,44 +55,36 @@ def reference() -> dict[tuple[str, int], float]:
 
 
 def measure(case: tuple[str, str, int]) -> Record:
-    """A row: the plans of a scenario, and the least that is known now."""
-    row = planned(case)
-    costs = [row["total_dv_m_s"], row["simple_m_s"], reference()[row["kind"], row["seed"]]]
-    return row | {"least_m_s": pd.Series(costs).min()}
-
-
-def planned(case: tuple[str, str, int]) -> Record:
-    """Plan a scenario as `solve` does, and with facets chosen once or from one start."""
+    """Plan a scenario as `solve` does, and with facets chosen once or from one start: a row."""
     kind, seeds, seed = case
+    least = reference()[kind, seed]
     row: Record = {"kind": kind, "seeds": seeds, "seed": seed, "status": "no window"}
-    nothing = ("total_dv_m_s", "processor_s", "simple_m_s", "simple_processor_s", "p3_m_s")
+    row |= dict.fromkeys(
+        ("total_dv_m_s", "processor_s", "simple_m_s", "simple_processor_s"), np.nan
+    )
     try:
         mission = posed(kind, seed)
     except InputError:
-        return row | dict.fromkeys(nothing, float("nan"))
+        return row | {"p3_m_s": np.nan, "least_m_s": least}
     _warm()
-    options = PlanOptions(certify=False) if kind == "exact" else PlanOptions()
-    simple = (
-        PlanOptions(certify=False, starts=1) if kind == "exact" else PlanOptions(facet_rounds=0)
-    )
-    found, seconds = _planned(mission, options)
-    other, less = _planned(mission, simple)
+    more, less = PlanOptions(), PlanOptions(facet_rounds=0)
+    if kind == "exact":
+        more, less = PlanOptions(certify=False), PlanOptions(certify=False, starts=1)
+    for cost, seconds, options in (
+        ("simple_m_s", "simple_processor_s", less),
+        ("total_dv_m_s", "processor_s", more),
+    ):
+        begin = process_time()
+        found = plan_mission(mission, initial_guess.cold(mission), options)
+        row[seconds] = process_time() - begin
+        if is_converged(found.final) and found.final.problem == "P2":
+            row[cost] = found.total_dv_m_s
     p3 = found.without_uncertainty
     return row | {
         "status": found.status.value.name,
-        "total_dv_m_s": _cost(mission, found.final),
-        "processor_s": seconds,
-        "simple_m_s": _cost(mission, other.final),
-        "simple_processor_s": less,
-        "p3_m_s": p3.total_dv_m_s if p3 else float("nan"),
+        "p3_m_s": p3.total_dv_m_s if p3 else np.nan,
+        "least_m_s": pd.Series([row["total_dv_m_s"], row["simple_m_s"], least]).min(),
     }
-
-
-def _planned(mission: Mission, options: PlanOptions) -> tuple[Plan, float]:
-    """A plan from the straight line, and the processor's seconds for it."""
-    begin = process_time()
-    found = plan_mission(mission, initial_guess.cold(mission), options)
-    return found, process_time() - begin
 
 
 @cache
@@ -100,16 +93,6 @@ def _warm() -> None:
     for kind in ("uniform", "exact"):
         mission = posed(kind, 0)
         Planner(mission).plan(initial_guess.cold(mission))
-
-
-def _cost(mission: Mission, stage: Stage) -> float:
-    """Delta-v of a converged run of P2, m/s; NaN of any other."""
-    solved = is_converged(stage) and stage.problem == "P2"
-    return (
-        float(stage.result.lin.iterate.total_dv * mission.units.speed_m_s)
-        if solved
-        else float("nan")
-    )
 
 
 def summary(rows: Sequence[Record]) -> list[Record]:

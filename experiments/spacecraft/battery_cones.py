@@ -11,7 +11,6 @@ import numpy as np
 from scipy.optimize import brentq
 
 from experiments.harness import Record, Session, Study, Tables
-from formulations.arrays import Array
 from scp_recon.scenario.load import load_scenario
 from scp_recon.simulation.panels import SolarArray, irradiance
 from scp_recon.simulation.vehicle import load_vehicle
@@ -21,56 +20,40 @@ BOTTOM = np.array([0.0, 0.0, -1.0])
 """Body axis that points to nadir: the camera's, and along it the thruster pushes."""
 
 
-def sample(panels: SolarArray, seed: int, shadow_radius_m: float) -> tuple[Array, Array]:
-    """Angles of uniform positions to the nearer end of the Sun line, rad, and the power there, W.
-
-    The power is the most that any rotation about nadir gives, none in the shadow, a cylinder.
-    """
-    drawn = np.random.default_rng(seed).standard_normal((SAMPLES, 3))
-    direction = drawn / np.linalg.norm(drawn, axis=1, keepdims=True)
-    to_sun, across = direction[:, 0], np.linalg.norm(direction[:, 1:], axis=1)
-    dark = (to_sun < 0.0) & (RADIUS_M * across < shadow_radius_m)
-    power_w = panels.best_about(BOTTOM, np.arccos(-to_sun))
-    return np.arctan2(across, np.abs(to_sun)), np.where(dark, 0.0, power_w)
-
-
 def find_cones(seed: int) -> list[Record]:
     """Every mode's double cone of too little power, uncalibrated and calibrated by housekeeping.
 
-    Generation less housekeeping is below the load there. The half-angle is the wider cone's by the
-    panels' closed form. It lies between the angles of the farthest sample below the load and of the
-    nearest one above it.
+    Generation less housekeeping is below the load there, with the best rotation about nadir. The
+    half-angle is the wider cone's by the panels' closed form; sampled positions are also in the body's
+    shadow, a cylinder.
     """
     scenario, vehicle = load_scenario(), load_vehicle()
     panels, battery = SolarArray.of(vehicle, irradiance(scenario)), scenario.battery
-    off, power_w = sample(panels, seed, scenario.body.reference_radius_m)
+    drawn = np.random.default_rng(seed).standard_normal((SAMPLES, 3))
+    direction = drawn / np.linalg.norm(drawn, axis=1, keepdims=True)
+    to_sun, across = direction[:, 0], np.linalg.norm(direction[:, 1:], axis=1)
+    dark = (to_sun < 0.0) & (RADIUS_M * across < scenario.body.reference_radius_m)
+    power_w = np.where(dark, 0.0, panels.best_about(BOTTOM, np.arccos(-to_sun)))
 
     def surplus(angle: float, needed_w: float) -> float:
         ends = panels.best_about(BOTTOM, np.array([angle, np.pi - angle]))
         return float(ends.min()) - needed_w
 
-    found = list[Record]()
-    for housekeeping_w in (0.0, vehicle.loads.housekeeping_w):
+    return [
+        {
+            "mode": mode,
+            "load_w": load_w,
+            "calibrated": own_w > 0.0,
+            "half_angle_deg": float(np.rad2deg(brentq(surplus, 0.0, np.pi / 2, (load_w + own_w,)))),
+            "paper_deg": paper_deg,
+            "sampled_fraction": float((power_w < load_w + own_w).mean()),
+        }
+        for own_w in (0.0, vehicle.loads.housekeeping_w)
         for mode, load_w, paper_deg in (
             ("delta-V, warm-up", vehicle.loads.warm_up_w, battery.delta_v_cone_deg),
             ("observation", vehicle.loads.observation_w, battery.observation_cone_deg),
-        ):
-            needed_w = load_w + housekeeping_w
-            half_angle = brentq(surplus, 0.0, np.pi / 2, (needed_w,), xtol=1e-12)
-            short = power_w < needed_w
-            found.append(
-                {
-                    "mode": mode,
-                    "load_w": load_w,
-                    "calibrated": housekeeping_w > 0.0,
-                    "half_angle_deg": float(np.rad2deg(half_angle)),
-                    "sampled_below_up_to_deg": float(np.rad2deg(off[short].max())),
-                    "sampled_met_from_deg": float(np.rad2deg(off[~short].min())),
-                    "paper_deg": paper_deg,
-                    "sampled_fraction": float(short.mean()),
-                }
-            )
-    return found
+        )
+    ]
 
 
 def batteries() -> list[Record]:

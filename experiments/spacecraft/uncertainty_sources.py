@@ -13,7 +13,6 @@ import importlib
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
-from types import ModuleType
 
 import numpy as np
 from scipy.stats import chi2
@@ -28,55 +27,39 @@ from scp_recon.results.solution import Solution
 from scp_recon.simulation.vehicle import Errors, Vehicle, load_vehicle
 
 PATHS, FLIGHTS = 10_000, 4
-INITIAL, CHEMICAL, BOTH, NO_ERRORS = "initial_state", "chemical_thruster", "path", "none"
+INITIAL, CHEMICAL, NO_ERRORS = "initial_state", "chemical_thruster", "none"
 PATH, SPACECRAFT = "planner's dynamics", "whole spacecraft"
 ATTITUDE = ("sun_sensor", "star_tracker", "imu", "micro_thruster")
 """Sources that act on the path by way of the attitude; names are those of the vehicle's errors."""
-PATH_SETS = {INITIAL: (INITIAL,), CHEMICAL: (CHEMICAL,), BOTH: (INITIAL, CHEMICAL)}
-SPACECRAFT_SETS: dict[str, tuple[str, ...]] = {
-    NO_ERRORS: (),
-    **{source: (source,) for source in ATTITUDE},
-    "attitude": ATTITUDE,
-    "all": (*ATTITUDE, INITIAL, CHEMICAL),
-}
-"""Sources that err together, flown in the planner's dynamics and by the whole spacecraft."""
-SOURCES: dict[str, tuple[str, Callable[[Errors], str]]] = {
-    NO_ERRORS: ("no errors", lambda _: ""),
-    "sun_sensor": ("sun sensor", lambda e: f"{e.sun_sensor_rad:g} rad"),
-    "star_tracker": ("star tracker", lambda e: f"{e.star_tracker_arcsec:g} arcsec"),
-    "imu": ("IMU", lambda e: f"{e.imu_rad_s:g} rad/s"),
-    "micro_thruster": ("micro-thrusters", lambda e: f"{e.micro_thruster_n:g} N"),
-    "attitude": ("attitude sources together", lambda _: "the four above"),
-    INITIAL: ("initial state", lambda e: f"{100 * e.initial_state:g} % of each component"),
-    CHEMICAL: ("chemical thruster", lambda e: f"{100 * e.chemical_thruster:g} % of the thrust"),
-    BOTH: ("path sources together", lambda _: "the two above"),
-    "all": ("all together", lambda _: "all six"),
-}
-"""In the order of the tables: their label, and their 1 sigma in words."""
+SETS: dict[str, tuple[str, tuple[str, ...], Callable[[Errors], str]]] = {
+    NO_ERRORS: ("no errors", (), lambda _: ""),
+    "sun_sensor": ("sun sensor", ATTITUDE[:1], lambda e: f"{e.sun_sensor_rad:g} rad"),
+    "star_tracker": ("star tracker", ATTITUDE[1:2], lambda e: f"{e.star_tracker_arcsec:g} arcsec"),
+    "imu": ("IMU", ATTITUDE[2:3], lambda e: f"{e.imu_rad_s:g} rad/s"),
+    "micro_thruster": ("micro-thrusters", ATTITUDE[3:], lambda e: f"{e.micro_thruster_n:g} N"),
+    "attitude": ("attitude sources together", ATTITUDE, lambda _: "the four above"),
+    INITIAL: ("initial state", (INITIAL,), lambda e: f"{100 * e.initial_state:g} % of each component"),
+    CHEMICAL: ("chemical thruster", (CHEMICAL,),
+        lambda e: f"{100 * e.chemical_thruster:g} % of the thrust"),
+    "path": ("path sources together", (INITIAL, CHEMICAL), lambda _: "the two above"),
+    "all": ("all together", (*ATTITUDE, INITIAL, CHEMICAL), lambda _: "all six"),
+}  # fmt: skip
+"""Sources that err together, in the order of the table: label, members, their 1 sigma in words."""
+PATH_SETS = (INITIAL, CHEMICAL, "path")
+"""Those that are flown in the planner's dynamics; the others are flown by the whole spacecraft."""
 POSITION = ("x_m", "y_m", "z_m")
 
 
-def simulator() -> ModuleType:
-    """The simulation of the whole spacecraft, which takes seconds to import.
-
-    Raises:
-        InputError: if Basilisk is not there.
-    """
-    with needing("--flights", "sim", "Basilisk"):
-        return importlib.import_module("scp_recon.simulation.basilisk.simulation")
-
-
 def fly_spacecraft(solution: Solution, vehicle: Vehicle, case: tuple[str, int]) -> Record:
-    """Simulate one flight, (key of `SPACECRAFT_SETS`, seed): a row of the flights' CSV.
+    """Simulate one flight, (key of `SETS`, seed): a row of the flights' CSV.
 
     It has the position at the planned end, J2000, and the angle between attitude and command when the
     last burn begins.
-
-    Raises:
-        InputError: if Basilisk is not there.
     """
-    simulation, (name, seed) = simulator(), case
-    sources = [simulation.Source(source) for source in SPACECRAFT_SETS[name]]
+    from scp_recon.simulation.basilisk import simulation  # takes seconds
+
+    name, seed = case
+    sources = [simulation.Source(source) for source in SETS[name][1]]
     entries = erring(initial=vehicle.errors.initial_state)
     solution = replace(solution, scenario=solution.scenario.replace(entries))
     flight = simulation.simulate(solution, vehicle, seed, sources=sources)
@@ -110,8 +93,8 @@ def measure_paths(solution: Solution, vehicle: Vehicle) -> list[Record]:
     """Rows of the sources that act on the path, alone and together, in the planner's dynamics."""
     mission, errors, rows = solution.mission, vehicle.errors, list[Record]()
     planned = np.array(solution.nodes.state[-1])[:3]
-    for seed, (name, sources) in enumerate(PATH_SETS.items()):
-        initial, thruster = errors.initial_state, errors.chemical_thruster
+    for seed, name in enumerate(PATH_SETS):
+        sources, initial, thruster = SETS[name][1], errors.initial_state, errors.chemical_thruster
         entries = erring(thruster * (CHEMICAL in sources), initial * (INITIAL in sources))
         own, ends_s = mission.changed(entries), mission.times_s[-1:]
         (ends,) = sample_positions(own, solution.burns_m_s, ends_s, PATHS, seed)
@@ -140,7 +123,7 @@ def row(
 
     `perfect` is the end of the flight without errors.
     """
-    spread, (label, sigma) = dispersion(ends - perfect), SOURCES[name]
+    spread, (label, _, sigma) = dispersion(ends - perfect), SETS[name]
     return {
         "source": name,
         "label": label,
@@ -158,17 +141,18 @@ def row(
 def run(session: Session) -> Tables:
     """Fly every set of sources."""
     vehicle, solution = load_vehicle(), default_plan()
+    with needing("uncertainty_sources", "sim", "Basilisk"):
+        importlib.import_module("scp_recon.simulation.basilisk.simulation")
     # Seed by seed, so that an interrupted study has as many flights of every set.
     cases = [
         (name, seed)
         for seed in range(FLIGHTS)
-        for name in SPACECRAFT_SETS
-        if name != NO_ERRORS or not seed
+        for name in SETS
+        if name not in PATH_SETS and (name != NO_ERRORS or not seed)
     ]
-    simulator()  # if it is not there, that is said once, and here
     flown = session.rows("flights", partial(fly_spacecraft, solution, vehicle), cases)
     rows = measure_paths(solution, vehicle) + measure_flights(flown, solution, vehicle)
-    rows.sort(key=lambda one: [*SOURCES].index(one["source"]))
+    rows.sort(key=lambda one: [*SETS].index(one["source"]))
     return {"uncertainty_sources": rows, "uncertainty_flights": flown}
 
 
