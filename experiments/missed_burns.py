@@ -197,7 +197,7 @@ def cost(found: Plan) -> float:
 
 def run(session: Session) -> Tables:
     """Plan every case with and without drifts, and from each missed burn on."""
-    alone = Processes(2, Limits(seconds=20.0 * LIMIT_S, cpu_s=LIMIT_S, apart=True))
+    alone = Processes(2, Limits(seconds=20.0 * LIMIT_S, cpu_s=LIMIT_S))
     how: dict[str, Any] = {"executor": alone, "failed": ended}
     plans = [Job("; ".join(of), of) for of in product(CASES, DRIFTS)]
     costs = session.rows("plans", measure, plans, **how)
