@@ -29,6 +29,7 @@ def find_cones(seed: int) -> list[Record]:
     """
     scenario, vehicle = load_scenario(), load_vehicle()
     panels, battery = SolarArray.of(vehicle, irradiance(scenario)), scenario.battery
+    loads, turning_w = vehicle.loads, vehicle.loads.quiescent_w + vehicle.loads.attitude_control_w
     drawn = np.random.default_rng(seed).standard_normal((SAMPLES, 3))
     direction = drawn / np.linalg.norm(drawn, axis=1, keepdims=True)
     to_sun, across = direction[:, 0], np.linalg.norm(direction[:, 1:], axis=1)
@@ -48,10 +49,10 @@ def find_cones(seed: int) -> list[Record]:
             "paper_deg": paper_deg,
             "sampled_fraction": float((power_w < load_w + own_w).mean()),
         }
-        for own_w in (0.0, vehicle.loads.housekeeping_w)
+        for own_w in (0.0, loads.housekeeping_w)
         for mode, load_w, paper_deg in (
-            ("delta-V, warm-up", vehicle.loads.warm_up_w, battery.delta_v_cone_deg),
-            ("observation", vehicle.loads.observation_w, battery.observation_cone_deg),
+            ("delta-V, warm-up", turning_w + loads.heater_w, battery.delta_v_cone_deg),
+            ("observation", turning_w + loads.payload_w, battery.observation_cone_deg),
         )
     ]
 
@@ -65,16 +66,15 @@ def batteries() -> list[Record]:
     battery, loads = vehicle.battery, vehicle.loads
     peak_w = np.linalg.norm(SolarArray.of(vehicle, irradiance(load_scenario())).best_direction())
     stored_wh = battery.count * battery.capacity_wh
-    warm_up_wh = loads.warm_up_w * vehicle.chemical_thruster.heating_s / 3600.0
+    turning_w = loads.quiescent_w + loads.attitude_control_w
+    warm_up_wh = (turning_w + loads.heater_w) * vehicle.chemical_thruster.heating_s / 3600.0
 
     def recharge_min(drawn_w: float) -> float:
         return float(60.0 * stored_wh / battery.efficiency / (peak_w - drawn_w))
 
     found = {
         "recharge from empty, quiescent, min": recharge_min(loads.quiescent_w),
-        "the same with the attitude control, min": recharge_min(
-            loads.quiescent_w + loads.attitude_control_w
-        ),
+        "the same with the attitude control, min": recharge_min(turning_w),
         "charge after a warm-up that no panel helps": 1.0
         - warm_up_wh / battery.efficiency / stored_wh,
         "floor of the charge": battery.floor_charge,

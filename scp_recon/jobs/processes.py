@@ -62,13 +62,11 @@ class Limits:
     Attributes:
         seconds, cpu_s: wall and processor time.
         memory_mb: megabytes beyond the process's own memory.
-        apart: run each job in a process of its own.
     """
 
     seconds: float = inf
     cpu_s: float = inf
     memory_mb: int | None = None
-    apart: bool = False
 
 
 class UnfitError(Exception):
@@ -205,8 +203,6 @@ class Child:
             self._try()
             return None
         done = done or Done(self.job.key, None, failure, monotonic() - self._begun, None, 0)
-        if self.limits.apart:
-            self.end()
         self.job = None
         return done._replace(tries=self._tries)
 

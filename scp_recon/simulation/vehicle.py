@@ -93,16 +93,6 @@ class Loads(Section):
     firing_w: NonNegative
     housekeeping_w: NonNegative
 
-    @property
-    def observation_w(self) -> float:
-        """Power drawn in observation mode, W, without spinning wheels."""
-        return self.quiescent_w + self.attitude_control_w + self.payload_w
-
-    @property
-    def warm_up_w(self) -> float:
-        """Power drawn in delta-V mode before the burn, W, without spinning wheels."""
-        return self.quiescent_w + self.attitude_control_w + self.heater_w
-
 
 class Wheels(Section):
     """Equal reaction wheels.

@@ -5,7 +5,6 @@ import signal
 import time
 from collections.abc import Generator, Iterable, Iterator
 from contextlib import closing
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -14,9 +13,8 @@ from scp_recon.errors import InputError
 from scp_recon.jobs.job import Done, Job, Work, attempt, here, in_order
 from scp_recon.jobs.processes import Limits, Processes
 from scp_recon.jobs.store import Store, run
-from tests.helpers import usually
 from tests.scp_recon.jobs.support import LIMITS, computed, run_all, some_jobs
-from tests.scp_recon.jobs.works import ENDS, Naughty, OddError, Quick, jobs_before
+from tests.scp_recon.jobs.works import ENDS, Naughty, OddError, Quick
 
 
 def backwards(work: Work, jobs: Iterable[Job]) -> Generator[Done, None, None]:
@@ -35,11 +33,10 @@ def test_rows_are_the_same_for_any_split(executor, tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("apart", usually([False, True], 1))
-def test_misbehaving_jobs_do_not_change_other_rows(apart, tmp_path):
+def test_misbehaving_jobs_do_not_change_other_rows(tmp_path):
     jobs, ways = some_jobs(18), dict(zip(range(1, 17, 2), ENDS, strict=True))
-    executor = Processes(2, replace(LIMITS, apart=apart))
-    found = run_all(Naughty(ways=tuple(ways.items())), jobs, tmp_path / "a", executor)
+    naughty = Naughty(ways=tuple(ways.items()))
+    found = run_all(naughty, jobs, tmp_path / "a", Processes(2, LIMITS))
     assert {n: found[n]["status"] for n in ways} == {n: ENDS[way] for n, way in ways.items()}
     assert {way: found[n]["tries"] for n, way in ways.items()} == dict.fromkeys(ENDS, 1) | {
         "die": 3,
@@ -70,12 +67,6 @@ def test_a_result_raises_what_the_work_raised(executor, tmp_path):
         pytest.raises(ZeroDivisionError, match="in\nthe job"),
     ):
         run(work, some_jobs(2), store, executor)
-
-
-@pytest.mark.parametrize(("apart", "before"), [(False, [0, 1, 2]), (True, [0, 0, 0])])
-def test_job_apart_runs_in_a_fresh_process(apart, before):
-    executor = Processes(1, replace(LIMITS, apart=apart))
-    assert [done.result() for done in executor(jobs_before, some_jobs(3))] == before
 
 
 @pytest.mark.slow

@@ -21,15 +21,6 @@ class Quick:
         return {"value": (number * 0x9E3779B97F4A7C15 % 1_000_003) / 7.0 * 0.1}
 
 
-RUN: list[int] = []
-
-
-def jobs_before(number: int) -> int:
-    """How many jobs this process has run before."""
-    RUN.append(number)
-    return len(RUN) - 1
-
-
 @dataclass(frozen=True)
 class Naughty(Quick):
     """Some of its jobs hang, spin, eat, die, end or raise."""
