@@ -46,7 +46,7 @@ from scp_recon.jobs.store import Row, Store
 from scp_recon.jobs.store import run as run_jobs
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.flights import FlightConfig, FlightTally, fly_many
-from scp_recon.monte_carlo.observation_time import ALL
+from scp_recon.monte_carlo.limits import ALL
 from scp_recon.planning.plan import Plan
 from scp_recon.results.policy import policy_of
 from scp_recon.results.solution import Solution, make_solution

@@ -24,7 +24,7 @@ from scp_recon.api.planning import plan_mission
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.estimates import Estimate
 from scp_recon.monte_carlo.flights import FlightConfig, fly_many
-from scp_recon.monte_carlo.observation_time import ALL, SCIENCE, measured, time_held
+from scp_recon.monte_carlo.limits import ALL, SCIENCE, measured, time_held
 from scp_recon.monte_carlo.summarise import summarise
 from scp_recon.monte_carlo.summary import Summary
 from scp_recon.physics import geometry

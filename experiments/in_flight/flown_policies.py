@@ -27,7 +27,7 @@ from scp_recon.api.verbs import design
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.estimates import proportion
-from scp_recon.monte_carlo.observation_time import ALL, joint_margins, time_held
+from scp_recon.monte_carlo.limits import ALL, joint_margins, time_held
 from scp_recon.monte_carlo.sampling import PolicyKind
 from scp_recon.planning.initial_guess import from_burns
 from scp_recon.results.read import read_solution

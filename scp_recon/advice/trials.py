@@ -31,7 +31,7 @@ from scp_recon.planning.method import SETTLE
 from scp_recon.planning.plan import Plan
 from scp_recon.scenario.schema import Scenario
 from scp_recon.scp.status import Status
-from scp_recon.verification.refinement import refined
+from scp_recon.verification.causes import refined
 
 CLOSE = 0.03
 """Standard deviations between the largest probability with a plan and the next without: a hint."""

@@ -21,12 +21,11 @@ from scp_recon.campaigns.study import Campaign, Study
 from scp_recon.errors import imported
 from scp_recon.jobs.cluster import check_workers
 from scp_recon.jobs.store import Row
-from scp_recon.monte_carlo.observation_time import ALL
+from scp_recon.monte_carlo.limits import ALL
 from scp_recon.monte_carlo.sampling import PolicyKind
 from scp_recon.planning.plan import Plan, Stage
-from scp_recon.replanning.delivery import Delivery
 from scp_recon.replanning.flown import FlownPlan, predict
-from scp_recon.replanning.remainder import mission_left
+from scp_recon.replanning.remainder import Delivery, mission_left
 from scp_recon.results.figures import FINAL_STATE
 from scp_recon.results.policy import sigmas
 from scp_recon.results.solution import Solution

@@ -41,9 +41,8 @@ from scp_recon.monte_carlo.flights import (
 from scp_recon.monte_carlo.sampling import AnyPolicy, ErrorModel, PolicyKind, policy_kind
 from scp_recon.monte_carlo.summarise import summarise
 from scp_recon.monte_carlo.summary import FILE_NAME, MARK, Contingency, Summary
-from scp_recon.replanning.delivery import Delivery
 from scp_recon.replanning.flown import FlownPlan
-from scp_recon.replanning.remainder import mission_left, with_goal
+from scp_recon.replanning.remainder import Delivery, mission_left, with_goal
 from scp_recon.results.solution import Solution, burns_of_plan, require_whole_flight
 from scp_recon.simulation import record as records
 from scp_recon.simulation.vehicle import Vehicle, load_vehicle
@@ -178,7 +177,7 @@ def _with_drift(
     if options.miss is None:
         return summary
     mission, miss = config.mission, Miss(options.miss)
-    flown = fly_drifts(config, [miss], summary.samples)
+    flown = fly_drifts(config, [miss], config.first_draws(summary.samples, config.seed))
     required = (
         drift_probability(mission.scenario) if miss in planned_misses(mission.scenario) else None
     )

@@ -43,7 +43,7 @@ from scp_recon.results.solution import Solution, make_solution
 from scp_recon.results.verification import Verification
 from scp_recon.scenario.schema import Scenario
 from scp_recon.scp.status import Status
-from scp_recon.verification.refinement import refined
+from scp_recon.verification.causes import refined
 from scp_recon.verification.reintegration import verify
 
 REFINEMENTS = 6
@@ -379,7 +379,7 @@ def request_of_rest(
     mission = with_free_times(flown, mission) if free_times else mission
     determined = _is_determined(mission)
     known: PlannerArguments = {
-        "p3_resolution": P3_RESOLUTION if flown.problem == "P2" else 0.0,
+        "p3_resolution": P3_RESOLUTION if flown.solution.problem == "P2" else 0.0,
         "once": determined,
     }
 
@@ -388,7 +388,7 @@ def request_of_rest(
         at_s = mission.scenario.start_s
         commanded = flown.commanded(mission.initial_state, at_s)
         commanded_m_s = None if commanded is None else tuple(commanded.tolist())
-        parent = Parent(flown.name, flown.plan_hash, at_s, commanded_m_s)
+        parent = Parent(flown.name, flown.solution.plan_hash, at_s, commanded_m_s)
         plan = replace(plan, mission=replace(plan.mission, warnings=warnings), parent=parent)
         if plan.status is Status.CONVERGED and flown.is_lost(plan.states[-1] - mission.final_state):
             return ended(plan, Status.LOST)
@@ -412,7 +412,7 @@ def left_options(flown: FlownPlan, mission: Mission, *, certify: bool | None) ->
     exact = mission.scenario.risk.allocation == "exact"
     made = flown.method.formulation
     options = PlanOptions(
-        problem=flown.problem,
+        problem=flown.solution.problem,
         facet_rounds=0 if _is_determined(mission) else SETTLE,
         formulation=FORMULATION if exact and made not in FULL else made,
         algorithm=flown.method.algorithm if mission.must_meet else ALGORITHM,

@@ -210,9 +210,8 @@ def replan(
     """
     from scp_recon.api.inputs import check_overrides
     from scp_recon.api.planning import plan_left
-    from scp_recon.replanning.delivery import Delivery
     from scp_recon.replanning.flown import FlownPlan
-    from scp_recon.replanning.remainder import mission_left, with_goal
+    from scp_recon.replanning.remainder import Delivery, mission_left, with_goal
 
     check_overrides(overrides)
     flown = FlownPlan.of(plan)

@@ -7,7 +7,7 @@ flight, the difference is measured and added to the quantile that the plan's row
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -19,11 +19,10 @@ from formulations.problem.flyby import Drift
 from formulations.rows.drift import REACH, branch_at, start_of
 from scp_recon.mission.constraints import Miss, drift_duration_s, drift_probability, planned_misses
 from scp_recon.mission.mission import Mission
-from scp_recon.monte_carlo.drifts import drift, states_after
+from scp_recon.monte_carlo.drifts import fly_drifts
 from scp_recon.monte_carlo.estimates import proportion
 from scp_recon.monte_carlo.flights import FlightConfig
-from scp_recon.monte_carlo.law import drawn_factor
-from scp_recon.monte_carlo.sampling import BLOCK
+from scp_recon.monte_carlo.strata import drawn_factor
 from scp_recon.planning.plan import Plan
 from scp_recon.results.policy import SAME, misjudged, policy_of
 from scp_recon.scp.status import Status
@@ -95,37 +94,21 @@ def shortfalls(plan: Plan) -> dict[str, float]:
     if not (near or blind):
         return found
     config = FlightConfig(mission, plan.burns_m_s, policy_of(mission, lin), seed=SEED)
-    draws = np.concatenate([*config.blocks_of_draws(FLIGHTS if near else BLIND, SEED)])
+    draws = config.first_draws(FLIGHTS if near else BLIND, SEED)
+    step_s = (
+        drift_duration_s(mission.scenario) / lin.problem.drifts[0].flow.arcs
+    )  # as the linear law's
     for miss, one in near:
-        nearest = draws[_nearest(lin, one, draws)]
-        (unsafe,) = _unsafe(config, [(miss, one)], nearest)
+        (flown,) = fly_drifts(config, [miss], draws[_nearest(lin, one, draws)], step_s)
+        unsafe = int((~flown.safe(mission)).sum())
         short = needed - float(ndtri(1.0 - max(unsafe, 0.5) / FLIGHTS))
         if short > RESOLVED:
             found[one.name] = short
-    for (_, one), unsafe in zip(blind, _unsafe(config, blind, draws[:BLIND]), strict=True):
-        if proportion(BLIND - unsafe, BLIND).high < asked:
+    drifted = fly_drifts(config, [miss for miss, _ in blind], draws[:BLIND], step_s)
+    for (_, one), flown in zip(blind, drifted, strict=True):
+        if proportion(int(flown.safe(mission).sum()), BLIND).high < asked:
             found[one.name] = np.inf
     return found
-
-
-def _unsafe(
-    config: FlightConfig, cases: Sequence[tuple[Miss, Drift]], draws: Array
-) -> Iterator[int]:
-    """Number of flights whose drifts are not safe, of each case, with steps as the linear law's."""
-    if not cases:
-        return
-    mission, scenario = config.mission, config.mission.scenario
-    initial = mission.initial_factor.shape[1]
-    deviating = mission.of_flights(draws[:, initial : initial + mission.uncertain.count])
-    blocks = (draws[first : first + BLOCK] for first in range(0, len(draws), BLOCK))
-    starts = states_after(config, [miss for miss, _ in cases], blocks)
-    for (miss, one), state in zip(cases, starts, strict=True):
-        begin, step = (
-            scenario.burns.times_s[miss.burn - 1],
-            drift_duration_s(scenario) / one.flow.arcs,
-        )
-        flown = drift(deviating, config.truth, state, begin, step)
-        yield int((~flown.safe(mission)).sum())
 
 
 def _nearest(lin: Linearisation, one: Drift, draws: Array) -> Indices:

@@ -32,6 +32,7 @@ from formulations.arrays import Array
 from formulations.problem.flyby import Iterate
 from formulations.risk.strata import Counted
 from scp_recon.certification.flights import (
+    ROUNDS_MAX,
     Fly,
     Watch,
     are_close,
@@ -41,7 +42,7 @@ from scp_recon.certification.flights import (
     unlike_beyond,
     with_nodes_at,
 )
-from scp_recon.certification.targets import Targets, is_plan, largest_kept, target_of
+from scp_recon.certification.largest import Targets, is_plan, largest_kept, target_of
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.estimates import (
     TESTS_MAX,
@@ -52,8 +53,6 @@ from scp_recon.monte_carlo.estimates import (
 from scp_recon.monte_carlo.whole_flight import KeptCounts
 from scp_recon.planning.plan import Aimed, Plan, StagedPlan, as_interrupted
 from scp_recon.scp.status import Status
-
-ROUNDS_MAX = 6
 
 BINDING = 0.01
 """Standard deviations between aim and law, up to which a constraint binds."""
@@ -183,10 +182,9 @@ class _Certification(Generic[Aimed]):
         if kept.strata is not None:
             self.counted.append(kept.strata)
         close = are_close(kept, self.asked)
-        if close:
-            self.aiming.learn(_law(plan), kept.throughout, kept.samples)
-        else:
-            self.aiming.begin_again(_law(plan), kept.at_nodes, kept.samples)
+        if not close:  # nodes are added, which recover what the flights so far lost between nodes
+            self.aiming.losses = []
+        self.aiming.learn(_law(plan), kept.throughout if close else kept.at_nodes, kept.samples)
         self.touched_s = kept.touched_s[:0] if close else kept.touched_s
         return close
 
@@ -297,14 +295,6 @@ class Aiming:
         half = 0.5 / samples
         reached = ndtri(np.clip(kept / samples, half, 1.0 - half))
         self.losses.append((law - float(reached), samples))
-
-    def begin_again(self, law: float, at_nodes: float, samples: int) -> None:
-        """Forget the flights on other nodes, except the last round's loss at its nodes.
-
-        The added nodes recover the loss between nodes.
-        """
-        self.losses = []
-        self.learn(law, at_nodes, samples)
 
     def next(self) -> float:
         """The target at which a test passes with the probability of `SURE`."""

@@ -9,31 +9,30 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 
 from formulations.arrays import Array
 from formulations.risk.strata import Counted, allocate
-from formulations.rows.exact_flight import FLIGHT
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.estimates import (
     CONFIDENCE,
     FIRST_SEED,
     TEST_CONFIDENCE,
     Estimate,
-    interval_of_test,
     of_strata,
     proportion,
     seed_of_test,
 )
-from scp_recon.monte_carlo.law import Law
-from scp_recon.monte_carlo.strata import DrawsInStrata, fly_strata, surveyed
+from scp_recon.monte_carlo.strata import DrawsInStrata, Law, fly_strata, surveyed
 from scp_recon.monte_carlo.whole_flight import KeptCounts, SampledFlights, kept_flights
 from scp_recon.planning.plan import Aimed, Plan
 from scp_recon.planning.records import Certificate
 from scp_recon.results.policy import policy_of
 
+ROUNDS_MAX = 6
+"""Rounds of flights of one certification."""
 TEST_WIDTH, ROUND_WIDTH = 0.97, 1.5
 """Widths of intervals of flights in strata over those of plain flights: a test's is no wider. A round's
 does not judge, and its standard error is the smaller one all the same."""
@@ -45,23 +44,9 @@ LOST_BETWEEN = 0.05
 """Share of 1 - p that flights may lose between nodes."""
 
 
-class Watch(Protocol):
-    """Observes certification."""
-
-    def __call__(
-        self,
-        step: str,
-        plan: Plan,
-        samples: int,
-        flown: int = 0,
-        reached: Estimate | None = None,
-        /,
-    ) -> None:
-        """Report the number of flights flown in a step, such as "calibration 2" or "test 1".
-
-        After the last flight the probability reached is reported too.
-        """
-        ...
+Watch = Callable[[str, Plan, int, int, Estimate | None], None]
+"""Observes certification: a step such as "calibration 2" or "test 1", its plan, the number of flights,
+those flown so far, and after the last of them the probability reached."""
 
 
 def reached_of(kept: KeptCounts, confidence: float) -> Estimate:
@@ -161,7 +146,7 @@ def fly_plan(watch: Watch | None, plan: Plan, step: Step) -> KeptCounts:
 
     def told(samples: int, flown: int = 0) -> None:
         if watch is not None:
-            watch(step.name, plan, samples, flown)
+            watch(step.name, plan, samples, flown, None)
 
     told(step.samples)
     mission, policy = plan.mission, policy_of(plan.mission, plan.final.result.lin)
@@ -186,15 +171,12 @@ def _fly_in_strata(
     None if as many plain flights are quicker, if all are the same, or if no limit that counts
     separately is within reach.
     """
-    lin, length_m = plan.final.result.lin, flights.mission.units.length_m
-    if flights.is_whole:
-        laws = {FLIGHT: Law.of(lin, length_m, is_whole=True)}
-    else:
-        laws = Law.of_events(lin, length_m)
-    if flights.certain or not laws:
+    law = Law.of(flights.mission, plan.final.result.lin, is_whole=flights.is_whole)
+    if flights.certain or not law.limits:
         return None
-    known, survey = surveyed(laws, flights, step.seed)
-    reached = interval_of_test(round((1.0 - survey.failed) * step.samples), step.samples)
+    law, survey = surveyed(law, flights, step.seed)
+    successes = round((1.0 - survey.failed) * step.samples)
+    reached = proportion(successes, step.samples, TEST_CONFIDENCE)
     widths = step.width * (reached.value - reached.low), step.width * (reached.high - reached.value)
     survey = replace(survey, unlike=np.r_[step.unlike[0], survey.unlike[1:-1], step.unlike[1]])
     allocation = allocate(survey, step.samples, widths, TAIL, mirrored=not flights.is_whole)
@@ -205,4 +187,4 @@ def _fly_in_strata(
     def report(share: float) -> None:
         told(round(expected), round(share * expected))
 
-    return fly_strata(DrawsInStrata(known, flights, allocation, step.seed), TAIL, report)
+    return fly_strata(DrawsInStrata(law, flights, allocation, step.seed), TAIL, report)

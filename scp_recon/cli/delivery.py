@@ -8,7 +8,7 @@ from pathlib import Path
 
 from scp_recon.errors import InputError
 from scp_recon.files import read_text
-from scp_recon.replanning.delivery import Delivery
+from scp_recon.replanning.remainder import Delivery
 
 BYTES_MAX = 100_000
 """Of a file of 36 numbers with whatever is said of them."""

@@ -12,12 +12,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
 from formulations.arrays import Array, Booleans
-from formulations.problem.flyby import Iterate
 from scp_recon.errors import InputError, option
 from scp_recon.mission.feedback import data_until_s, require_measurement
 from scp_recon.mission.mission import Mission
@@ -42,7 +40,7 @@ def due(policy: Sequence[CutOff], after_s: float, until_s: float) -> Iterator[fl
 
 
 class ClosedLoop:
-    """Estimates and corrections of flights under way; J2000, m and m/s, deviations from the plan.
+    """Measurements and corrections of flights under way; J2000, m and m/s.
 
     Args:
         mission: that is flown.
@@ -57,73 +55,58 @@ class ClosedLoop:
     failed: Sequence[Booleans] = ()
 
     def __init__(self, mission: Mission, burns_m_s: Array, policy: Policy, draws: Array) -> None:
-        self._mission, self._burns, self._policy = mission, burns_m_s, policy
+        self._policy = policy
         self._draws = draws.reshape(len(draws), len(policy), MEASURED)
-        # Of the state and q parameters after each cut-off so far, shape (6 + q, flights).
-        self._estimates: list[Array] = []
-        self._size = len(policy[0].estimate_covariance) if policy else MEASURED
+        self._measured: list[Array] = []  # deviations from the plan at the cut-offs, (6, flights)
+        self._planned, self._commands = (
+            _commands(mission, burns_m_s, policy) if policy else ([], [])
+        )
 
     def measure(self, state: Array) -> None:
-        """Update the estimates at the next cut-off from true states (6, flights) before a burn."""
-        j = len(self._estimates)
-        one = self._policy[j]
-        predicted = self._predicted(j)
-        measured = state - self._planned(j)[:, None] + one.noise(self._draws[:, j])
-        innovation = measured - predicted[:MEASURED]
-        self._estimates.append(predicted + one.kalman_gain @ innovation)
+        """Measure true states (6, flights) at the next cut-off, before a burn there."""
+        j = len(self._measured)
+        noise = self._policy[j].noise(self._draws[:, j])
+        self._measured.append(state - self._planned[j][:, None] + noise)
 
     def correction(self, burn: int) -> Array | None:
         """Correction of a planned burn, shape (flights, 3); None if it has no gains."""
-        for one in self._policy:
+        for j, one in enumerate(self._policy):
             if one.burn == burn and one.gains.any():
-                known = zip(one.gains, self._estimates, strict=False)
-                return np.asarray(sum(gain @ estimate[:MEASURED] for gain, estimate in known).T)
+                measured = np.concatenate(self._measured[: j + 1])
+                return np.asarray((self._commands[j][:, : len(measured)] @ measured).T)
         return None
 
-    def _predicted(self, j: int) -> Array:
-        """The estimate just before a cut-off, shape (6 + q, flights)."""
-        node = self._node(j)
-        predicted = np.zeros((self._size, len(self._draws)))
-        if j == 0:
-            return predicted
-        before = self._node(j - 1)
-        predicted += self._carried(before, node) @ self._estimates[j - 1]
-        for one in self._policy[:j]:
-            fired = int(self._mission.burn_nodes[one.burn])
-            correction = self.correction(one.burn)
-            if before <= fired < node and correction is not None:
-                predicted += self._carried(fired, node)[:, 3:6] @ correction.T
-        return predicted
 
-    def _node(self, j: int) -> int:
-        return int(np.searchsorted(self._mission.times_s, self._policy[j].cut_off_s))
+def _commands(
+    mission: Mission, burns_m_s: Array, policy: Policy
+) -> tuple[list[Array], list[Array]]:
+    """Planned states before the burn at each cut-off, and the corrections as a linear map.
 
-    def _planned(self, j: int) -> Array:
-        """The planned state at a cut-off, before a burn there."""
-        node, state = self._node(j), self._states[self._node(j)].copy()
-        state[3:] -= self._burns[self._mission.burn_nodes == node].sum(axis=0)
-        return np.asarray(state)
-
-    def _carried(self, first: int, last: int) -> Array:
-        """The plan's transition matrix of state and q parameters between two nodes, in SI."""
-        units = self._mission.state_units(self._size)
-        return np.asarray(units[:, None] * transition(self._stm, first, last) / units)
-
-    @cached_property
-    def _states(self) -> Array:
-        """The planned states at the nodes, after the burns, shape (n, 6)."""
-        return np.asarray(self._iterate.mean * self._mission.units.state)
-
-    @cached_property
-    def _iterate(self) -> Iterate:
-        return from_burns(self._mission, self._burns)
-
-    @cached_property
-    def _stm(self) -> Array:
-        """Transition matrices of the arcs, shape (n - 1, 6 + q, 6 + q), nondimensional."""
-        mission, size = self._mission, self._size
-        lin = mission.dynamics.linearise(mission.problem.open_loop, self._iterate)
-        return np.asarray(lin.stm_of_arcs[:, :size, :size])
+    Each correction is a matrix (3, 6 k) times the measured deviations at all k cut-offs; those after
+    its own have no part. Estimates are predicted by the plan's transition matrices and the corrections.
+    """
+    iterate, size = from_burns(mission, burns_m_s), len(policy[0].estimate_covariance)
+    lin = mission.dynamics.linearise(mission.problem.open_loop, iterate)
+    units, count = mission.state_units(size), MEASURED * len(policy)
+    stm = units[:, None] * lin.stm_of_arcs[:, :size, :size] / units
+    states, estimates, commands = list[Array](), list[Array](), list[Array]()
+    nodes = [int(np.searchsorted(mission.times_s, one.cut_off_s)) for one in policy]
+    for j, (one, node) in enumerate(zip(policy, nodes, strict=True)):
+        state = iterate.mean[node] * mission.units.state
+        state[3:] -= burns_m_s[mission.burn_nodes == node].sum(axis=0)
+        states.append(state)
+        estimate = np.zeros((size, count))
+        if estimates:
+            estimate += transition(stm, nodes[j - 1], node) @ estimates[-1]
+        for earlier, command in zip(policy, commands, strict=False):
+            fired = int(mission.burn_nodes[earlier.burn])
+            if nodes[j - 1] <= fired < node:
+                estimate += transition(stm, fired, node)[:, 3:6] @ command
+        innovation = np.eye(MEASURED, count, MEASURED * j) - estimate[:MEASURED]
+        estimates.append(estimate + one.kalman_gain @ innovation)
+        gained = zip(one.gains, estimates, strict=True)
+        commands.append(np.sum([gain @ known[:MEASURED] for gain, known in gained], axis=0))
+    return states, commands
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,12 +1,11 @@
 """Fly the drift after a burn that is missed or cut short, with the nonlinear dynamics.
 
-The flights up to the burn are those of `Flyer.fly_blocks`, with the same draws: flights without a
-miss stay as they are.
+The flights up to the burn have the same draws as flights without a miss.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,7 +23,7 @@ from scp_recon.mission.gravity import TruthModel
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.estimates import proportion
 from scp_recon.monte_carlo.flights import FlightConfig
-from scp_recon.monte_carlo.sampling import flow_of, flown_mission
+from scp_recon.monte_carlo.sampling import BLOCK, flow_of
 from scp_recon.results.verification import DriftSafety
 
 NEAREST = 0.003
@@ -54,24 +53,24 @@ class Drifted:
 
 
 def fly_drifts(
-    config: FlightConfig, misses: Sequence[Miss], flights: int, *, step_s: float = JUDGED_STEP_S
+    config: FlightConfig, misses: Sequence[Miss], draws: Array, step_s: float = JUDGED_STEP_S
 ) -> list[Drifted]:
-    """Fly drifts of several misses, each from the same flights: see `states_after`."""
-    blocks = config.blocks_of_draws(flights, config.seed)
-    starts = states_after(config, misses, blocks) if misses else []
-    times = [config.mission.scenario.burns.times_s[miss.burn - 1] for miss in misses]
-    own = flown_mission(config.mission, config.seed, flights)
+    """Fly drifts of several misses, each from the same flights, with draws (flights, sources)."""
+    if not misses:
+        return []
+    mission, initial = config.mission, config.mission.initial_factor.shape[1]
+    own = mission.of_flights(draws[:, initial : initial + mission.uncertain.count])
+    times = [mission.scenario.burns.times_s[miss.burn - 1] for miss in misses]
+    starts = states_after(config, misses, draws)
     return [drift(own, config.truth, *at, step_s) for at in zip(starts, times, strict=True)]
 
 
-def states_after(
-    config: FlightConfig, misses: Sequence[Miss], blocks: Iterable[Array]
-) -> list[Array]:
+def states_after(config: FlightConfig, misses: Sequence[Miss], draws: Array) -> list[Array]:
     """States of draws just after each missed or cut burn, J2000, m and m/s, (flights, 6) each."""
     scenario, parts = config.mission.scenario, []
     times = np.unique([scenario.burns.times_s[miss.burn - 1] for miss in misses])
-    for draws in blocks:
-        flown = config.fly(times, draws, until_s=times[-1])
+    for first in range(0, len(draws), BLOCK):
+        flown = config.fly(times, draws[first : first + BLOCK], until_s=times[-1])
         part = []
         for miss in misses:
             at = np.searchsorted(times, scenario.burns.times_s[miss.burn - 1])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -179,19 +180,11 @@ def seed_of_test(number: int) -> int:
     return FIRST_TEST_SEED + number - 1
 
 
-def interval_of_test(successes: int, samples: int) -> Estimate:
-    """Probability with its interval; the lower end judges a plan."""
-    return proportion(successes, samples, TEST_CONFIDENCE)
-
-
 def successes_needed(required: float, samples: int) -> int:
     """Least number of successes with which a test passes: its lower limit is at least `required`."""
-    low, high = int(required * samples), samples
-    while low < high:
-        middle = (low + high) // 2
-        low, high = (
-            (low, middle)
-            if interval_of_test(middle, samples).low >= required
-            else (middle + 1, high)
-        )
-    return low
+    least = int(required * samples)
+
+    def passes(successes: int) -> bool:
+        return proportion(successes, samples, TEST_CONFIDENCE).low >= required
+
+    return least + bisect_left(range(least, samples), True, key=passes)

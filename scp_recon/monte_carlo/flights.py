@@ -20,11 +20,16 @@ from scp_recon.mission.scene import errors_of_kind
 from scp_recon.mission.windows import Window
 from scp_recon.monte_carlo.closed_loop import MEASURED
 from scp_recon.monte_carlo.estimates import CONFIDENCE, Estimate, Tally, of_strata, proportion
-from scp_recon.monte_carlo.law import Law
-from scp_recon.monte_carlo.limits import EVERYWHERE, kept_limits, limit_margins
-from scp_recon.monte_carlo.observation_time import ALL, SCIENCE, time_held
+from scp_recon.monte_carlo.limits import (
+    ALL,
+    EVERYWHERE,
+    SCIENCE,
+    kept_limits,
+    limit_margins,
+    time_held,
+)
 from scp_recon.monte_carlo.sampling import BLOCK, Flyer, corrections_of, policy_kind
-from scp_recon.monte_carlo.strata import DrawsInStrata, StrataCounts, surveyed, worst_event
+from scp_recon.monte_carlo.strata import DrawsInStrata, Law, StrataCounts, surveyed, worst_event
 from scp_recon.monte_carlo.whole_flight import SampledFlights
 from scp_recon.planning.initial_guess import from_burns
 from scp_recon.results.policy import with_policy
@@ -336,15 +341,17 @@ def narrow(
     if mission.observed_s is None or mission.edges.sigmas_s is not None:
         return {}
     flights = SampledFlights(mission, config.burns_m_s, *how, config.window_samples_s)
-    if config.certain or not (laws := _laws(config)):
+    law = _law(config)
+    drawn = config.sources + MEASURED * len(config.policy)
+    if config.certain or not law.limits or law.sources != drawn:
         return {}
-    known, survey = surveyed(laws, flights, config.seed)
+    law, survey = surveyed(law, flights, config.seed)
     if (first := _allocation(survey, until)) is None:
         return {}
     share, draws, worst = float(np.dot(first.share, survey.share)), 0.0, {}
     more, counts, block, spent = first, list[StrataCounts](), flown // BLOCK, flown
     while spent + share * more.draws <= samples:
-        work, draws = DrawsInStrata(known, flights, more, config.seed), draws + more.draws
+        work, draws = DrawsInStrata(law, flights, more, config.seed), draws + more.draws
         jobs = [Job(k, blocks) for k, blocks in enumerate(work.jobs(block))]
         with closing(in_order(executor, work.count, jobs)) as coming:
             for done in coming:
@@ -362,10 +369,10 @@ def narrow(
     return worst
 
 
-def _laws(config: FlightConfig) -> dict[str, Law]:
-    """Laws of flights, with their errors, and with their corrections if the mission has these.
+def _law(config: FlightConfig) -> Law:
+    """The law of flights, with their errors, and with their corrections if the mission has these.
 
-    None if a flight draws numbers for which the linearised flight has no columns, or plans again.
+    It lacks columns for numbers that a flight draws if the flight plans again.
     """
     mission, policy = config.mission, corrections_of(config.policy)
     feedback, corrected = mission.feedback, [one.burn for one in policy]
@@ -374,10 +381,7 @@ def _laws(config: FlightConfig) -> dict[str, Law]:
     errors = errors_of_kind(mission.scenario, config.errors).in_units(mission.units.speed_m_s)
     problem = replace(problem, execution_errors=errors)
     lin = mission.dynamics.linearise(problem, from_burns(mission, config.burns_m_s))
-    lin = with_policy(mission, lin, policy)
-    laws = Law.of_events(lin, mission.units.length_m, {ALL: SCIENCE})
-    drawn = config.sources + MEASURED * len(config.policy)
-    return laws if laws and next(iter(laws.values())).sources == drawn else {}
+    return Law.of(mission, with_policy(mission, lin, policy), {ALL: SCIENCE})
 
 
 def _allocation(survey: Survey, until: float) -> Allocation | None:

@@ -135,6 +135,10 @@ class Flyer:
         for first in range(0, samples, BLOCK):
             yield self.draws(seed, first // BLOCK)[: samples - first]
 
+    def first_draws(self, samples: int, seed: int) -> Array:
+        """The draws of the first flights, shape (samples, sources)."""
+        return np.concatenate([*self.blocks_of_draws(samples, seed)])
+
     def fly_blocks(self, times_s: Array, samples: int, seed: int) -> Iterator[FlightLog]:
         """Fly the first flights, block by block: see `fly`."""
         for draws in self.blocks_of_draws(samples, seed):

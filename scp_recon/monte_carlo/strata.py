@@ -13,7 +13,7 @@ event that fails most often, whichever event that is.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import reduce
 from operator import add
 
@@ -21,6 +21,8 @@ import numpy as np
 import numpy.typing as npt
 
 from formulations.arrays import Array, Booleans, Indices
+from formulations.linearisation.linearisation import Linearisation
+from formulations.problem.motion import with_parameters
 from formulations.risk.strata import (
     COUNT,
     EDGES,
@@ -31,11 +33,138 @@ from formulations.risk.strata import (
     failed_at,
     most_at,
 )
+from formulations.rows.exact_flight import FLIGHT
+from formulations.rows.flight_probability import Limits, limits_within
+from formulations.rows.node_probability import joint_events
 from scp_recon.jobs.cores import each
 from scp_recon.jobs.job import generator
-from scp_recon.monte_carlo.law import FAR, Law
+from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.sampling import BLOCK, draw
 from scp_recon.monte_carlo.whole_flight import KeptCounts, SampledFlights, less_likely
+
+REACH = 5.0
+"""Standard deviations from a limit beyond which the law leaves it out: a draw in three million."""
+
+FAR = 1e6
+"""Margin where no limit is within reach, m."""
+
+
+@dataclass(frozen=True)
+class Law:
+    """Normal law of a flight's positions at the nodes, and the limits of each event.
+
+    Attributes:
+        mean: positions, shape (n, 3).
+        factor: of the covariance of positions and of p uncertain parameters, a column for each number
+            that a flight draws, shape (n, 3 + p, sources).
+        limits: that flights may break, by event.
+        length_m: of the unit of length.
+        times_s: of the nodes, shape (n,).
+        is_whole: whether a flight has one margin, the least of all nodes.
+        contends: nodes of an event's span that have a part in sorting, shape (nodes,).
+    """
+
+    mean: Array
+    factor: Array
+    limits: Mapping[str, Limits]
+    length_m: float
+    times_s: Array
+    is_whole: bool = False
+    contends: Mapping[str, Booleans] = field(default_factory=dict)
+
+    @classmethod
+    def of(
+        cls,
+        mission: Mission,
+        lin: Linearisation,
+        together: Mapping[str, Sequence[str]] | None = None,
+        *,
+        is_whole: bool = False,
+    ) -> Law:
+        """The law at an iterate, with a column for each number that its flights draw.
+
+        Errors of executing a correction are products of two numbers, and have no column.
+
+        Args:
+            mission: of the iterate.
+            lin: the iterate.
+            together: names of further events, each of some joint constraints together.
+            is_whole: whether all constraints together are the only event. Otherwise events without a
+                limit within reach are left out.
+        """
+        mean, factor = lin.iterate.mean[:, :3], with_parameters(drawn_factor(lin))
+        alone, limits = joint_events(lin.problem.constraints), {}
+        names = {event.name: (event.name,) for event in alone} | dict(together or {})
+        for name, those in {FLIGHT: [*names]}.items() if is_whole else names.items():
+            own = tuple(event for event in alone if event.name in those)
+            found = limits_within(own, mean, REACH * factor)
+            if is_whole or found.inner or found.outer:
+                limits[name] = found
+        return cls(mean, factor, limits, mission.units.length_m, mission.times_s, is_whole)
+
+    @property
+    def sources(self) -> int:
+        """Number of standard normal numbers that a flight draws."""
+        return self.factor.shape[2]
+
+    def span(self, name: str) -> slice:
+        """Nodes within `REACH` sigma of a limit of an event, and their neighbours; all without one."""
+        if name not in self.limits or not len(nodes := self.limits[name].nodes):
+            return slice(0, len(self.mean))
+        return slice(max(0, int(nodes.min()) - 1), min(int(nodes.max()) + 2, len(self.mean)))
+
+    def margins(self, draws: Array, positions: Array | None = None) -> dict[str, Array]:
+        """Distances to the nearest limit of each event at the nodes of its span, m, (nodes, m).
+
+        Negative where the limit is broken, and at most `FAR`; of draws (m, sources), by the law or with
+        positions at all nodes, m, shape (n, m, 3).
+        """
+        parameters, found = draws @ self.factor[0, 3:].T, {}
+        for name, (inner, outer) in self.limits.items():
+            span = self.span(name)
+            least = np.full((span.stop - span.start, len(draws)), FAR)
+            for sign, limit in [*((1.0, one) for one in inner), *((-1.0, one) for one in outer)]:
+                if positions is None:
+                    point = self._positions(limit.nodes, draws)
+                else:
+                    point = positions[limit.nodes] / self.length_m
+                if limit.motion is not None:
+                    point = limit.motion.of_draws(point, parameters)
+                rows, margin = limit.nodes - span.start, self.length_m * limit.region.inside(point)
+                least[rows] = np.minimum(least[rows], sign * margin)
+            found[name] = least.min(axis=0, keepdims=True) if self.is_whole else least
+        return found
+
+    def _positions(self, nodes: Indices, draws: Array) -> Array:
+        factor = self.factor[nodes, :3].swapaxes(0, 1)  # components first: one matrix product
+        moved = factor.reshape(-1, self.sources) @ draws.T
+        at = self.mean[nodes].T[:, :, None] + moved.reshape(3, len(nodes), -1)
+        return np.moveaxis(at, 0, -1)
+
+    def nearest(self, margins: Mapping[str, Array]) -> Array:
+        """How near draws come to a limit that contends, m, shape (m,); zero if they cross it."""
+        near = []
+        for name, margin in margins.items():
+            contends = self.contends[name]
+            either = contends[1:] | contends[:-1]
+            crosses = ((margin[1:] < 0.0) != (margin[:-1] < 0.0))[either].any(axis=0)
+            near.append(np.where(crosses, 0.0, np.abs(margin[contends]).min(axis=0, initial=FAR)))
+        return np.asarray(np.minimum.reduce(near))
+
+
+def drawn_factor(lin: Linearisation) -> Array:
+    """Columns of the factor for the flights' random numbers, in order, (n_nodes, 6 + p, sources)."""
+    problem, factor = lin.problem, lin.spread.factor
+    if problem.feedback is None:
+        return factor
+    drawn = [factor[..., : problem.shared_columns.stop]]
+    drawn += [factor[..., problem.columns_of_burn(burn)] for burn in range(problem.n_burns)]
+    for j, measurement in enumerate(problem.feedback.measurement):
+        # Flights draw with the triangular root of the measurement's covariance.
+        turned = np.linalg.solve(np.linalg.cholesky(measurement @ measurement.T), measurement)
+        drawn.append(factor[..., problem.columns_of_correction(j)[1]] @ turned.T)
+    return np.concatenate(drawn, axis=2)
+
 
 Counts = npt.NDArray[np.int64]
 
@@ -60,68 +189,26 @@ BLOCKS = 20
 """Of draws in a job."""
 
 
-@dataclass(frozen=True)
-class Laws:
-    """Normal laws of events at the nodes, and where these contend for the largest failure.
-
-    Attributes:
-        laws: with the limits of each joint constraint; of those that may be broken.
-        nodes_s: times of all nodes, shape (n,).
-        contends: nodes of a law's span that have a part in sorting, by constraint, shape (nodes,).
-    """
-
-    laws: Mapping[str, Law]
-    nodes_s: Array
-    contends: Mapping[str, Booleans]
-
-    @property
-    def sources(self) -> int:
-        """Number of standard normal numbers that a flight draws."""
-        return next(iter(self.laws.values())).sources
-
-    def margins(self, draws: Array) -> dict[str, Array]:
-        """Margins of each constraint at the nodes of its span, m, shape (nodes, m)."""
-        return {name: law.margins(draws) for name, law in self.laws.items()}
-
-    def times_s(self, name: str) -> Array:
-        """Times of the nodes of a law's span, s; of all nodes if no limit is within reach."""
-        return self.nodes_s[self.laws[name].span] if name in self.laws else self.nodes_s
-
-    def nearest(self, margins: Mapping[str, Array]) -> Array:
-        """How near draws come to a limit that contends, m, shape (m,); zero if they cross it."""
-        near = []
-        for name, margin in margins.items():
-            contends = self.contends[name]
-            either = contends[1:] | contends[:-1]
-            crosses = ((margin[1:] < 0.0) != (margin[:-1] < 0.0))[either].any(axis=0)
-            near.append(np.where(crosses, 0.0, np.abs(margin[contends]).min(axis=0, initial=FAR)))
-        return np.asarray(np.minimum.reduce(near))
-
-
-def surveyed(laws: Mapping[str, Law], flights: SampledFlights, seed: int) -> tuple[Laws, Survey]:
+def surveyed(law: Law, flights: SampledFlights, seed: int) -> tuple[Law, Survey]:
     """Learn from a few draws which nodes may be the worst, and the law's least reliability there."""
-    sources, blocks = next(iter(laws.values())).sources, range(SURVEY_DRAWS // BLOCK)
-    draws = np.concatenate([draw(seed, block, sources, SURVEY) for block in blocks])
-    margins = {name: law.margins(draws) for name, law in laws.items()}
+    blocks = range(SURVEY_DRAWS // BLOCK)
+    draws = np.concatenate([draw(seed, block, law.sources, SURVEY) for block in blocks])
+    margins = law.margins(draws)
     failed = {name: np.mean(margin < 0.0, axis=1) for name, margin in margins.items()}
     most = max(share.max() for share in failed.values())
-    contends = {name: share >= CONTENDS * most for name, share in failed.items()}
-    known = Laws(laws, flights.mission.times_s, contends)
-    nearest = known.nearest(margins)
+    law = replace(law, contends={name: each >= CONTENDS * most for name, each in failed.items()})
+    nearest = law.nearest(margins)
     chosen = np.argsort(nearest, kind="stable")[:SURVEY_FLIGHTS]
-    flown = flights.positions(draws[chosen]), draws[chosen]
-    off = {name: law.margins_at(*flown) - margins[name][:, chosen] for name, law in laws.items()}
-    near = BEYOND * max(np.abs(off[name][contends[name]]).max(initial=0.0) for name in laws)
+    flown = law.margins(draws[chosen], flights.positions(draws[chosen]))
+    contending = [(n, node) for n, those in law.contends.items() for node in np.flatnonzero(those)]
+    off = {(n, node): flown[n][node] - margins[n][node, chosen] for n, node in contending}
+    near = BEYOND * max(float(np.abs(one).max()) for one in off.values())
     level = levels_of(nearest, near)
     worst = max(failed, key=lambda name: float(failed[name].max()))
     stratum = _strata(margins[worst][np.argmax(failed[worst])] < 0.0, level)
     share = np.bincount(stratum, minlength=COUNT) / len(level)
-    unlike = [
-        _ending_unlike(margins[name][node], off[name][node], level)
-        for name in laws
-        for node in np.flatnonzero(contends[name])
-    ]
-    return known, Survey(near, share, np.max(unlike, axis=0))
+    unlike = [_ending_unlike(margins[n][node], off[n, node], level) for n, node in contending]
+    return law, Survey(near, share, np.max(unlike, axis=0))
 
 
 def _ending_unlike(margin: Array, off: Array, level: Indices) -> Array:
@@ -187,13 +274,13 @@ class DrawsInStrata:
     """Work of a process: draw, sort draws, fly the allotted share of each stratum, and count.
 
     Attributes:
-        laws: of the draws.
+        law: of the draws, surveyed.
         flights: fly them.
         allocation: of the draws; its shares are mirrored if there is more than one event.
         seed: of the draws.
     """
 
-    laws: Laws
+    law: Law
     flights: SampledFlights
     allocation: Allocation
     seed: int
@@ -207,16 +294,16 @@ class DrawsInStrata:
 
     def count(self, blocks: Sequence[tuple[int, int]]) -> StrataCounts:
         """Count the flights of blocks, each with its number of draws."""
-        laws, share, times = self.laws, np.array(self.allocation.share), self.flights.counted_s
+        law, share, times = self.law, np.array(self.allocation.share), self.flights.counted_s
         total = np.zeros((2, LEVELS), np.int64)
         failing = {name: np.zeros((2, len(at) + 1, LEVELS), np.int64) for name, at in times.items()}
         unlike = {name: np.zeros((len(at), COUNT), np.int64) for name, at in times.items()}
-        chosen, levels = [np.zeros((0, laws.sources))], [np.zeros(0, dtype=np.intp)]
+        chosen, levels = [np.zeros((0, law.sources))], [np.zeros(0, dtype=np.intp)]
         for block, size in blocks:
-            some = draw(self.seed, block, laws.sources)[:size]
+            some = draw(self.seed, block, law.sources)[:size]
             coins = generator(self.seed, block, COINS).random(BLOCK)[:size]
-            margins = laws.margins(some)
-            level = levels_of(laws.nearest(margins), self.allocation.near)
+            margins = law.margins(some)
+            level = levels_of(law.nearest(margins), self.allocation.near)
             least = np.minimum.reduce([margin.min(axis=0) for margin in margins.values()])
             flown = coins < share[_strata(least < 0.0, level)]
             for row, those in enumerate((np.ones_like(flown), flown)):
@@ -230,7 +317,7 @@ class DrawsInStrata:
         draws, level, touched = np.concatenate(chosen), np.concatenate(levels), [np.zeros(0)]
         for first in range(0, len(draws), BLOCK):
             now = slice(first, first + BLOCK)
-            margins, seen = laws.margins(draws[now]), self.flights.judged(draws[now])
+            margins, seen = law.margins(draws[now]), self.flights.judged(draws[now])
             for name, (_, holds) in seen.kept.items():
                 margin = margins.get(name, np.full((1, holds.shape[1]), FAR))
                 unlike[name] += self._unlike(name, ~holds, margin, level[now])
@@ -253,7 +340,7 @@ class DrawsInStrata:
     def _changes(self, name: str, margin: Array) -> tuple[Indices, Indices, Indices]:
         """Where verdicts of margins (nodes, m) change: first times of new ones, draws, 1 if failing."""
         fails, (arc, which) = margin < 0.0, np.nonzero((margin[1:] < 0.0) != (margin[:-1] < 0.0))
-        begun, nodes_s = np.flatnonzero(fails[0]), self.laws.times_s(name)
+        begun, nodes_s = np.flatnonzero(fails[0]), self.law.times_s[self.law.span(name)]
         before, after = margin[arc, which], margin[arc + 1, which]
         time = nodes_s[arc] + (nodes_s[arc + 1] - nodes_s[arc]) * before / (before - after)
         at = np.searchsorted(self.flights.counted_s[name], time)
@@ -286,7 +373,7 @@ def fly_strata(
     total = reduce(add, each(draws.count, jobs, report))
     counts = np.concatenate([total.of(name) for name in times], axis=1)
     times_s = np.concatenate([*times.values()])
-    at_nodes = np.isin(times_s, draws.laws.nodes_s)
+    at_nodes = np.isin(times_s, draws.law.times_s)
     failed = failed_at(draws.allocation, counts[0], counts[2])
     touched = less_likely(times_s, failed - failed[at_nodes].max())
     _, worst = worst_event(draws.allocation, counts, tail)

@@ -14,7 +14,7 @@ from scp_recon.display import Displayed, mm_s
 from scp_recon.files import write_atomically
 from scp_recon.mission.gravity import TruthModel
 from scp_recon.monte_carlo.estimates import Estimate
-from scp_recon.monte_carlo.observation_time import ALL, SCIENCE
+from scp_recon.monte_carlo.limits import ALL, SCIENCE
 from scp_recon.monte_carlo.sampling import ErrorModel, PolicyKind
 from scp_recon.results.read import File, read_file
 from scp_recon.results.solution import Solution

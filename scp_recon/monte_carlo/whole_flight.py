@@ -18,8 +18,7 @@ from formulations.arrays import Array, Booleans
 from formulations.risk.strata import Counted
 from formulations.rows.exact_flight import FLIGHT
 from scp_recon.mission.mission import Mission
-from scp_recon.monte_carlo.limits import EVERYWHERE, Kept, kept_limits, limit_margins
-from scp_recon.monte_carlo.observation_time import ALL
+from scp_recon.monte_carlo.limits import ALL, EVERYWHERE, Kept, kept_limits, limit_margins
 from scp_recon.monte_carlo.sampling import FlightLog, Flyer
 from scp_recon.physics.flow import interpolate
 from scp_recon.results.policy import Policy

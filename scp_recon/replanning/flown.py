@@ -6,7 +6,6 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
@@ -19,16 +18,20 @@ from scp_recon.physics.flow import differentiate
 from scp_recon.physics.forces import ForceModel
 from scp_recon.planning.initial_guess import nondimensional
 from scp_recon.planning.method import ScpMethod, scp_method
-from scp_recon.planning.plan import Plan, Provenance
-from scp_recon.results.figures import is_strange, strange_times
-from scp_recon.results.policy import Policy, policy_of, stored_policy, with_policy
+from scp_recon.planning.plan import Plan
+from scp_recon.results.figures import is_converged, is_strange, strange_times
+from scp_recon.results.policy import Policy, policy_of, with_policy
 from scp_recon.results.read import read_solution
 from scp_recon.results.runs import resolve_run
-from scp_recon.results.solution import Solution, burns_of_plan, plan_hash
+from scp_recon.results.solution import Solution, make_solution
 from scp_recon.results.verification import in_words
 from scp_recon.scenario.fields import ScenarioWarning
 from scp_recon.scp.status import Status
-from scp_recon.verification.reintegration import POSITION_LIMIT_M, VELOCITY_LIMIT_M_S
+from scp_recon.verification.reintegration import (
+    POSITION_LIMIT_M,
+    VELOCITY_LIMIT_M_S,
+    relative_error,
+)
 
 PATH_ERROR_M, COVARIANCE_ERROR = 1e-2, 1e-6
 """Of a file's nodes: in metres with speeds over one unit of time, and relative in scaled units."""
@@ -72,25 +75,19 @@ class FlownPlan:
 
     Attributes:
         name: its name in the file of the new plan.
+        solution: its facts.
         mission: its.
         lin: its linearisation, with the gains of its corrected burns.
-        problem: "P2", with uncertainty, or "P3", without it.
         method: the method that made it, as far as it is available.
-        status: how it ended.
-        plan_hash: see `Solution.plan_hash`.
         failed: failed checks, and contradictions in its file.
-        warnings: of the plan.
     """
 
     name: str
+    solution: Solution
     mission: Mission
     lin: Linearisation
-    problem: Literal["P3", "P2"]
     method: ScpMethod
-    status: str
-    plan_hash: str
     failed: tuple[str, ...]
-    warnings: tuple[ScenarioWarning, ...]
 
     @classmethod
     def of(cls, given: Plan | Solution | str | Path, name: str | None = None) -> FlownPlan:
@@ -103,55 +100,28 @@ class FlownPlan:
         Raises:
             InputError: if `given` is none of these, or cannot be used.
         """
+        noun = "a plan" if isinstance(given, Plan) else "a solution"
         if isinstance(given, Plan):
-            return cls._of_plan(given, name or "a plan")
-        if not isinstance(given, Solution | str | Path):
+            given = make_solution(given)
+        elif isinstance(given, str | Path):
+            home = resolve_run(Path(given))  # runs/latest will point to another
+            given, noun = read_solution(home), str(home)
+        elif not isinstance(given, Solution):
             raise InputError("plan", shortened(given), "must be a plan, a solution or its file")
-        if isinstance(given, Solution):
-            return cls._of_solution(given, name or "a solution")
-        home = resolve_run(Path(given))  # runs/latest will point to another
-        return cls._of_solution(read_solution(home), name or str(home))
-
-    @classmethod
-    def _of_plan(cls, plan: Plan, name: str) -> FlownPlan:
-        mission, made = plan.mission, plan.provenance
-        return cls(
-            name=name,
-            mission=mission,
-            lin=plan.final.result.lin,
-            problem=plan.final.problem,
-            method=_method(made),
-            status=plan.status.value.name,
-            plan_hash=plan_hash(mission.scenario, burns_of_plan(plan), stored_policy(plan)),
-            failed=(),
-            warnings=mission.warnings,
-        )
-
-    @classmethod
-    def _of_solution(cls, solution: Solution, name: str) -> FlownPlan:
-        mission = solution.mission
+        mission, solution = given.mission, given
         times = [burn.t_s for burn in solution.burns], solution.nodes.t_s
         if strange := strange_times(mission, *times):
-            given = f"{strange[0]} that contradict its scenario"
-            raise InputError("plan", given, "must be of one plan")
+            contradicts = f"{strange[0]} that contradict its scenario"
+            raise InputError("plan", contradicts, "must be of one plan")
         states = np.array(solution.nodes.state)
         path = nondimensional(mission, solution.burns_m_s, states)
         lin = mission.dynamics.linearise(mission.problem, path)
         if solution.policy is None or is_strange(mission, solution.policy):
             lin = lin.known(None)
         lin = with_policy(mission, lin, solution.corrections)
-        failed = () if solution.verification is None else solution.verification.failed
-        return cls(
-            name=name,
-            mission=mission,
-            lin=lin,
-            problem=solution.problem,
-            method=_method(solution),
-            status=solution.status,
-            plan_hash=solution.plan_hash,
-            failed=tuple(dict.fromkeys((*failed, *_contradictions(solution, lin, mission.units)))),
-            warnings=solution.warnings,
-        )
+        failed = [] if solution.verification is None else solution.verification.failed
+        failed = [*dict.fromkeys((*failed, *_contradictions(solution, lin, mission.units)))]
+        return cls(name or noun, solution, mission, lin, _method(solution), tuple(failed))
 
     @property
     def times_s(self) -> Array:
@@ -240,20 +210,19 @@ class FlownPlan:
 
     def strange(self) -> Iterator[ScenarioWarning]:
         """Warnings about this plan for a new plan."""
-        converged = Status.CONVERGED.value.name
         if self.failed:
             yield ScenarioWarning.of(
                 "parent",
                 f"{self.name}, which is not verified: {', '.join(map(in_words, self.failed))}",
                 "expected a verified plan: only then are its nodes and their spread certain",
             )
-        elif self.status != converged:
-            yield ScenarioWarning.of(
-                "parent", f"{self.name}, which is {self.status}", f"expected {converged}"
-            )
+        elif not is_converged(self.solution):
+            expected = f"expected {Status.CONVERGED.value.name}"
+            ended = f"{self.name}, which is {self.solution.status}"
+            yield ScenarioWarning.of("parent", ended, expected)
 
 
-def _method(made: Provenance | Solution) -> ScpMethod:
+def _method(made: Solution) -> ScpMethod:
     """The plan's own method; the default if SCP did not make it, or its solver is not installed.
 
     Raises:
@@ -275,10 +244,8 @@ def _contradictions(solution: Solution, lin: Linearisation, units: Units) -> Ite
     off = max(np.abs(lin.defects[:-1]).max(), np.abs(lin.iterate.mean[0] - first).max())
     if not off * units.length_m <= units.tolerance(PATH_ERROR_M, "m"):
         yield "max_defect"
-    expected = lin.factor @ lin.factor.swapaxes(1, 2)
-    stored = np.array(solution.nodes.covariance) / np.outer(units.state, units.state)
-    size = np.abs(expected).max(axis=(1, 2), initial=np.finfo(float).tiny)
-    if not (np.abs(stored - expected).max(axis=(1, 2)) / size).max() <= COVARIANCE_ERROR:
+    expected, scale = lin.factor @ lin.factor.swapaxes(1, 2), np.outer(units.state, units.state)
+    if relative_error(solution.nodes.covariance, expected * scale, scale) > COVARIANCE_ERROR:
         yield "covariance_error"
 
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from scp_recon.monte_carlo.observation_time import ALL
+from scp_recon.monte_carlo.limits import ALL
 from scp_recon.reports.tables import called, or_none
 from scp_recon.results.table import Cell, Table, columns
 

@@ -16,7 +16,7 @@ from scp_recon.mission.constraints import (
     safety_margins,
 )
 from scp_recon.mission.mission import Mission
-from scp_recon.monte_carlo.observation_time import measured
+from scp_recon.monte_carlo.limits import measured
 from scp_recon.physics import geometry
 from scp_recon.physics.frames import unit
 from scp_recon.planning.initial_guess import nondimensional

@@ -13,7 +13,7 @@ import numpy as np
 from scp_recon.display import digits
 from scp_recon.mission.constraints import Bound, bounds_on_mean
 from scp_recon.mission.mission import Mission
-from scp_recon.monte_carlo.observation_time import ALL
+from scp_recon.monte_carlo.limits import ALL
 from scp_recon.physics.geometry import track
 from scp_recon.planning.records import Starts
 from scp_recon.results.comparison import BINDING
@@ -288,7 +288,7 @@ def reintegration_table(mission: Mission, v: Verification) -> Table:
                 limits[figure] if np.isfinite(limits[figure]) else None,
                 unit or "1",
             ]
-            for figure, (name, unit) in FIGURES.items()
+            for figure, (name, unit, _) in FIGURES.items()
             if getattr(v, figure) is not None
         ),
         key="reintegration",

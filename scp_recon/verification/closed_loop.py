@@ -51,14 +51,6 @@ SAME_M_S = 1e-8
 
 
 @dataclass(frozen=True)
-class ErrorCovariances:
-    """Of what a filter estimates, before and after a cut-off, shape (6 + q, 6 + q)."""
-
-    before: Array
-    after: Array
-
-
-@dataclass(frozen=True)
 class JointCovariance:
     """The joint covariance of a flight, and the knowledge at its cut-offs; SI, J2000.
 
@@ -67,13 +59,14 @@ class JointCovariance:
         policy: its corrections.
         joint: of e and x, with p parameters each, bias, and estimates of the state at k cut-offs, shape
             (13 + 2 p + 6 k, 13 + 2 p + 6 k).
-        known: of each cut-off so far.
+        known: covariances of the errors of what the filter estimates before and after each cut-off so
+            far, shape (6 + q, 6 + q).
     """
 
     mission: Mission
     policy: Policy
     joint: Array
-    known: tuple[ErrorCovariances, ...] = ()
+    known: tuple[tuple[Array, Array], ...] = ()
 
     @classmethod
     def before_burns(cls, mission: Mission, policy: Policy = ()) -> JointCovariance:
@@ -103,11 +96,6 @@ class JointCovariance:
         return self.joint[: self.size, : self.size]
 
     @property
-    def knowledge(self) -> Array:
-        """That of the state, shape (6, 6)."""
-        return self.joint[:6, :6]
-
-    @property
     def commands(self) -> Array:
         """Covariance of the corrections whose cut-offs are past, shape (3 k, 3 k)."""
         gains = np.zeros((3 * len(self.known), len(self.joint)))
@@ -133,14 +121,14 @@ class JointCovariance:
         size, n, told = len(self.joint), self.size, 6 + self.mission.estimated
         before = self.joint[:told, :told]
         gain = np.zeros((n, 6))
-        gain[:told] = cho_solve(cho_factor(self.knowledge + errors), self.joint[:6, :told]).T
+        gain[:told] = cho_solve(cho_factor(self.joint[:6, :6] + errors), self.joint[:6, :told]).T
         update, noise = np.eye(size + 6, size), np.zeros((size + 6, 6))
         update[:n, :6] -= gain
         update[n : 2 * n, :6] = gain
         noise[:n], noise[n : 2 * n] = -gain, gain
         update[size:], noise[size:] = update[n : n + 6], noise[n : n + 6]
         joint = update @ self.joint @ update.T + noise @ errors @ noise.T
-        known = (*self.known, ErrorCovariances(before, joint[:told, :told]))
+        known = (*self.known, (before, joint[:told, :told]))
         return replace(self, joint=joint, known=known)
 
     def after_burn(self, burn: Array, number: int) -> JointCovariance:
@@ -211,22 +199,28 @@ def commanded(solution: Solution, covariance: Array) -> Array:
     return np.asarray(nominal + normal_points(covariance).reshape(POINTS, -1, 3))
 
 
+def burn_margins(mission: Mission, times_s: Array, burns: Array) -> dict[str, Array]:
+    """Margins of burns (..., m, 3) at times (m,): of their size, m/s, and off the Sun line, rad.
+
+    A burn that needs no attitude has an infinite one.
+    """
+    size = np.linalg.norm(burns, axis=-1)
+    angle = geometry.angle(burns, mission.sun_direction(times_s))
+    off = np.minimum(angle, np.pi - angle) - np.deg2rad(mission.scenario.battery.delta_v_cone_deg)
+    none = mission.units.tolerance(NO_BURN_M_S, "m/s")
+    off_sun = np.where(size > none, off, np.inf)
+    return {"dv_max": mission.scenario.burns.dv_max_m_s - size, "dv_battery": off_sun}
+
+
 def burn_limits(mission: Mission, solution: Solution, burns: Array) -> Iterator[BurnLimit]:
     """Probabilities that corrected burns (draws, k, 3) keep their size and stay out of the cones."""
-    cone = np.deg2rad(mission.scenario.battery.delta_v_cone_deg)
+    first = 1 + mission.scenario.burns_flown
     times = np.array([solution.burns[c.burn].t_s for c in solution.corrections])
-    suns, first = mission.sun_direction(times), 1 + mission.scenario.burns_flown
-    none = mission.units.tolerance(NO_BURN_M_S, "m/s")
+    margins = burn_margins(mission, times, burns)
+    kept = {name: (margin >= 0.0).mean(axis=0).tolist() for name, margin in margins.items()}
     for j, correction in enumerate(solution.corrections):
-        size = np.linalg.norm(burns[:, j], axis=1)
-        angle = geometry.angle(burns[:, j], suns[j])
-        kept = {
-            "dv_max": size <= mission.scenario.burns.dv_max_m_s,
-            "dv_battery": (np.minimum(angle, np.pi - angle) >= cone) | (size <= none),
-        }
-        for name, those in kept.items():
-            share = float(those.mean())
-            yield BurnLimit(first + correction.burn, name, float(times[j]), share)
+        for name, shares in kept.items():
+            yield BurnLimit(first + correction.burn, name, float(times[j]), shares[j])
 
 
 def is_kept(limit: BurnLimit, required: float) -> bool:

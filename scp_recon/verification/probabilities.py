@@ -16,7 +16,7 @@ from scp_recon.monte_carlo.drifts import fly_drifts, reach_s, safety_of
 from scp_recon.monte_carlo.estimates import proportion
 from scp_recon.monte_carlo.flights import FlightConfig
 from scp_recon.monte_carlo.limits import is_certain, kept_limits, limit_margins
-from scp_recon.monte_carlo.sampling import BLOCK, Flyer
+from scp_recon.monte_carlo.sampling import Flyer
 from scp_recon.monte_carlo.summary import COMPONENTS, WIDER
 from scp_recon.results.facts import Risk
 from scp_recon.results.figures import FINAL_SIGMAS, final_sigma_limits
@@ -44,8 +44,8 @@ ERRORS = 5.0
 DRIFTS, DRIFT_STEP_S, DRIFTS_JUDGED = 1000, 240.0, 4000
 """Flights of a drift for which nothing was planned, and their steps; flights of one that is judged."""
 
-BLOCKS = 5
-"""Number of blocks of a thousand flights."""
+SIGMA_FLIGHTS = 5000
+"""Flights that judge the spread after the last burn."""
 
 LAW = 0.02
 """Share of a sigma by which nonlinear flights may differ from it."""
@@ -172,7 +172,7 @@ def drift_safety(
         (reported, DRIFTS, DRIFT_STEP_S, None),
         (judged, DRIFTS_JUDGED, JUDGED_STEP_S, drift_probability(scenario)),
     ):
-        flown = fly_drifts(config, misses, flights, step_s=step)
+        flown = fly_drifts(config, misses, config.first_draws(flights, SEED), step)
         found += [
             safety_of(mission, miss, one, asked) for miss, one in zip(misses, flown, strict=True)
         ]
@@ -194,20 +194,12 @@ def lost_contacts(mission: Mission, burns: Array, policy: Policy) -> Iterator[Lo
             yield LostContact(number, *contact, worst)
 
 
-def flown_sigmas(
-    mission: Mission, burns: Array, seed: int, policy: Policy = ()
-) -> list[FinalSigma]:
-    """The roots of nonlinear flights, with the standard error of their number."""
-    limits, found = final_sigma_limits(mission), []
-    if not limits:
-        return []
-    end = mission.times_s[-1:]
-    blocks = Flyer(mission, burns, policy).fly_blocks(end, BLOCKS * BLOCK, seed)
-    states = np.concatenate([flown.states[-1] for flown in blocks])
+def flown_sigmas(mission: Mission, ends: Array) -> list[FinalSigma]:
+    """The roots of flights' states after the last burn (flights, 6), with the error of their number."""
+    limits, found, states = final_sigma_limits(mission), [], ends[:SIGMA_FLIGHTS]
     for name, part, unit in FINAL_SIGMAS:
         if name in limits:
-            deviation = states[:, part] - states[:, part].mean(axis=0)
-            squares = (deviation**2).sum(axis=1)
+            squares = ((states[:, part] - states[:, part].mean(axis=0)) ** 2).sum(axis=1)
             sigma = float(np.sqrt(squares.mean()))
             error = float(squares.std() / np.sqrt(len(squares)) / (2.0 * sigma)) if sigma else 0.0
             found.append(

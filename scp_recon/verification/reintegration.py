@@ -11,24 +11,22 @@ and the boundary states.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
+import numpy.typing as npt
 from scipy.integrate import solve_ivp
 
-from formulations.arrays import Array, Indices
+from formulations.arrays import Array
 from formulations.linearisation.dynamics import Dynamics
 from scp_recon.jobs.cores import beside
 from scp_recon.mission.constraints import drift_times, planned_misses, safety_margins
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.schedule import MISS_WEIGHT
 from scp_recon.monte_carlo.estimates import CONFIDENCE
-from scp_recon.monte_carlo.limits import MEAN_TOLERANCE
-from scp_recon.monte_carlo.observation_time import observation_margins
+from scp_recon.monte_carlo.limits import MEAN_TOLERANCE, observation_margins
 from scp_recon.monte_carlo.sampling import Flyer
-from scp_recon.physics import geometry
 from scp_recon.physics.forces import ForceModel, Moment, acceleration
 from scp_recon.results.figures import is_converged, is_strange
 from scp_recon.results.policy import Policy
@@ -36,7 +34,6 @@ from scp_recon.results.solution import Solution
 from scp_recon.results.verification import (
     BurnLimit,
     FinalMiss,
-    FinalSigma,
     MeanMargin,
     Verification,
 )
@@ -44,6 +41,7 @@ from scp_recon.verification.closed_loop import (
     NO_BURN_M_S,
     JointCovariance,
     burn_limits,
+    burn_margins,
     commanded,
     is_kept,
     wrong_costs,
@@ -66,20 +64,19 @@ MARGIN_LIMIT = MEAN_TOLERANCE | {"m/s": 1e-6}
 """Amount by which a constraint on the mean that binds at nodes may be violated."""
 MARGIN_STEP_S = 10.0
 POSITION_LIMIT_M, VELOCITY_LIMIT_M_S, DEFECT_LIMIT_M = 1.0, 1e-4, 1e-2
-"""At the default mission's scale, as all tolerances in m and m/s: see `Units.tolerance`."""
 EXECUTED = 1e-4
 """Share of the smallest executed burn by which a burn may be smaller: the accuracy of the solver."""
-COVARIANCE_LIMIT = 1e-6
 FIGURES = {
-    "terminal_position_error_m": ("final position", "m"),
-    "terminal_velocity_error_m_s": ("final velocity", "m/s"),
-    "max_defect": ("nodes", "m"),
-    "sample_error_m": ("sampled flights", "m"),
-    "covariance_error": ("covariance, relative", ""),
-    "knowledge_error": ("covariance of estimates, relative", ""),
-    "drift_error_m": ("planned drifts", "m"),
+    "terminal_position_error_m": ("final position", "m", POSITION_LIMIT_M),
+    "terminal_velocity_error_m_s": ("final velocity", "m/s", VELOCITY_LIMIT_M_S),
+    "max_defect": ("nodes", "m", DEFECT_LIMIT_M),
+    "sample_error_m": ("sampled flights", "m", DEFECT_LIMIT_M),
+    "covariance_error": ("covariance, relative", "", 1e-6),
+    "knowledge_error": ("covariance of estimates, relative", "", 1e-6),
+    "drift_error_m": ("planned drifts", "m", POSITION_LIMIT_M),
 }
-"""Figures of a verification that `limits_of` limits: their names in tables, and units."""
+"""Figures of a verification: their names in tables, units, and limits; those in m and m/s are at the
+default mission's scale, as all such tolerances: see `Units.tolerance`."""
 SMALLEST = 1e-30
 """Scaled covariance that counts as none."""
 DIVERGED = 1e100
@@ -89,7 +86,7 @@ DIVERGED = 1e100
 def verify(mission: Mission, solution: Solution) -> Verification:
     """Check a solution against its mission; the answer holds figures and what failed."""
     burns, times = solution.burns_m_s, np.array(solution.nodes.t_s)
-    states = np.array(solution.nodes.state)
+    states, is_p2 = np.array(solution.nodes.state), solution.problem == "P2"
     fine = np.arange(mission.times_s[0], mission.times_s[-1], MARGIN_STEP_S)
     policy = () if is_strange(mission, solution.policy) else solution.corrections
     with beside(lambda: joint_probabilities(mission, burns, policy)) as coming:
@@ -97,37 +94,27 @@ def verify(mission: Mission, solution: Solution) -> Verification:
         sample_error = _sample_error(mission, burns, policy)
         probabilities, ends = coming()
     at_nodes = np.searchsorted(flown.times, times)
-    stored = np.array(solution.nodes.covariance)
     defects = np.abs(flown.states[at_nodes] - states) / mission.units.state * mission.units.length_m
-    final = np.abs(flown.states[-1] - mission.final_state)
-    missed = None if mission.must_meet else final_miss(mission, final)
-    margins = [*_burn_margins(mission, burns), *_mean_margins(mission, flown)]
+    miss = np.abs(flown.states[-1] - mission.final_state)
     figures = {
-        "terminal_position_error_m": _finite(np.linalg.norm(final[:3])),
-        "terminal_velocity_error_m_s": _finite(np.linalg.norm(final[3:])),
+        "terminal_position_error_m": _finite(np.linalg.norm(miss[:3])),
+        "terminal_velocity_error_m_s": _finite(np.linalg.norm(miss[3:])),
         "max_defect": _finite(defects.max()),
         "sample_error_m": sample_error,
-        "covariance_error": _covariance_error(mission, stored, flown.covariances[at_nodes]),
+        "covariance_error": _covariance_error(mission, solution, flown.deviation[at_nodes]),
     }
-    if mission.uncertain.count:
-        figures["covariance_error"] = max(
-            figures["covariance_error"],
-            _parameter_error(mission, solution, flown.parameters[at_nodes]),
-        )
     if policy:
-        figures["knowledge_error"] = _knowledge_error(mission, solution, flown, at_nodes)
-    if solution.problem == "P2" and mission.problem.drifts:
+        known = flown.error[at_nodes]
+        figures["knowledge_error"] = _knowledge_error(mission, solution, known, flown.end)
+    if is_p2 and mission.problem.drifts:
         figures["drift_error_m"] = _drift_error(mission, states, burns)
-    limits = limits_of(mission)
+    limits, tolerance = limits_of(mission), mission.units.tolerance
     failed = [name for name, value in figures.items() if value > limits[name]]
     failed += inconsistencies(mission, solution)
-    if not is_converged(solution) and "status" not in failed:
+    if not is_converged(solution):
         failed.append("status")
-    failed += [
-        m.name
-        for m in margins
-        if m.worst_margin < -mission.units.tolerance(MARGIN_LIMIT[m.unit], m.unit)
-    ]
+    margins = _mean_margins(mission, flown, burns)
+    failed += [m.name for m in margins if m.worst_margin < -tolerance(MARGIN_LIMIT[m.unit], m.unit)]
     failed += not_executed(mission, solution)
     on_burns: list[BurnLimit] = []
     if policy and len(flown.end.known) == len(policy):  # else the flight has no end
@@ -136,12 +123,10 @@ def verify(mission: Mission, solution: Solution) -> Verification:
         failed += wrong_costs(mission, solution, covariance, draws)
         on_burns += burn_limits(mission, solution, draws)
         failed += [str(b) for b in on_burns if not is_kept(b, mission.scenario.risk.p_chance)]
-    sigmas: list[FinalSigma] = []
-    if solution.problem == "P2":
-        failed += refuted(mission, solution, probabilities)
-        sigmas = flown_sigmas(mission, burns, SEED, policy)
-        failed += exceeded(sigmas)
-    drifts = drift_safety(mission, burns, policy, planned=solution.problem == "P2")
+    sigmas = flown_sigmas(mission, ends) if is_p2 else []
+    if is_p2:
+        failed += [*refuted(mission, solution, probabilities), *exceeded(sigmas)]
+    drifts = drift_safety(mission, burns, policy, planned=is_p2)
     failed += [one.check for one in drifts if one.is_refuted]
     return Verification(
         **figures,
@@ -150,12 +135,12 @@ def verify(mission: Mission, solution: Solution) -> Verification:
         confidence=CONFIDENCE,
         probabilities=probabilities,
         failed=list(dict.fromkeys(failed)),
-        missed=missed,
+        missed=None if mission.must_meet else final_miss(mission, miss),
         final_sigmas=tuple(sigmas),
         burn_limits=tuple(on_burns),
         drifts=tuple(drifts),
         lost_contacts=tuple(lost_contacts(mission, burns, policy)) or None,
-        wider=wider_than_law(ends, stored[-1]) or None,
+        wider=wider_than_law(ends, np.array(solution.nodes.covariance[-1])) or None,
         ok=not failed,
     )
 
@@ -166,17 +151,15 @@ def limits_of(mission: Mission) -> dict[str, float]:
     If too few burns are left to meet the final state, its miss is reported but not judged:
     infinity.
     """
-    missed, tolerance = not mission.must_meet, mission.units.tolerance
-    final = tolerance(POSITION_LIMIT_M, "m"), tolerance(VELOCITY_LIMIT_M_S, "m/s")
-    return {
-        "terminal_position_error_m": np.inf if missed else final[0],
-        "terminal_velocity_error_m_s": np.inf if missed else final[1],
-        "max_defect": tolerance(DEFECT_LIMIT_M, "m"),
-        "sample_error_m": tolerance(DEFECT_LIMIT_M, "m"),
-        "covariance_error": COVARIANCE_LIMIT,
-        "knowledge_error": COVARIANCE_LIMIT,
-        "drift_error_m": tolerance(POSITION_LIMIT_M, "m"),
+    tolerance = mission.units.tolerance
+    limits = {
+        n: tolerance(limit, unit) if unit else limit for n, (_, unit, limit) in FIGURES.items()
     }
+    if mission.must_meet:
+        return limits
+    return limits | dict.fromkeys(
+        ("terminal_position_error_m", "terminal_velocity_error_m_s"), np.inf
+    )
 
 
 def not_executed(mission: Mission, solution: Solution) -> list[str]:
@@ -207,17 +190,16 @@ def final_miss(mission: Mission, miss: Array) -> FinalMiss:
 
 @dataclass(frozen=True)
 class _Flown:
-    """A re-integrated flight, after the burns: times (n,), states (n, 6), covariances (n, 6, 6).
+    """A re-integrated flight, after the burns: times (n,), states (n, 6), and the spread at the end.
 
-    Covariances are those of the deviation from the plan, of the p parameters with it, (n, 6, p), and of
-    the estimate's error; last the spread at the end.
+    Covariances of the deviation from the plan, and of the estimate's error, are those of the state
+    and of p parameters, shape (n, 6 + p, 6 + p).
     """
 
     times: Array
     states: Array
-    covariances: Array
-    parameters: Array
-    knowledge: Array
+    deviation: Array
+    error: Array
     end: JointCovariance
 
 
@@ -241,11 +223,6 @@ def _fly(
     states = np.full((len(times), 6), DIVERGED)  # for what the integrator does not reach
     size = 6 + mission.uncertain.count
     deviation, error = (np.full((len(times), size, size), DIVERGED) for _ in range(2))
-
-    def flown() -> _Flown:
-        own, known = deviation[:, :6, :6], error[:, :6, :6]
-        return _Flown(times, states, own, deviation[:, :6, 6:], known, spread)
-
     state, spread = initial.copy(), JointCovariance.before_burns(mission, policy)
     for i, begin in enumerate(stops):
         spread = spread.measured(begin)
@@ -259,7 +236,7 @@ def _fly(
         span = begin, stops[i + 1]
         answer = integrated(mission, state, span, with_stm=spreads, t_eval=times[leg])
         if not answer.success:
-            return flown()
+            return _Flown(times, states, deviation, error, spread)
         states[leg] = answer.y[:6].T
         state = states[leg][-1].copy()
         if not spreads:
@@ -269,7 +246,7 @@ def _fly(
         error[leg] = stm @ spread.error @ stm.transpose(0, 2, 1)
         spread = spread.carried(stm[-1])
     states[-1], deviation[-1], error[-1] = state, spread.deviation, spread.error
-    return flown()
+    return _Flown(times, states, deviation, error, spread)
 
 
 def integrated(
@@ -376,82 +353,59 @@ def _finite(figure: np.floating) -> float:
     return float(np.nan_to_num(figure, nan=DIVERGED, posinf=DIVERGED))
 
 
-def _covariance_error(mission: Mission, stored: Array, flown: Array) -> float:
-    """Largest error of a node's covariance relative to its largest entry, in scaled units."""
-    units = np.outer(mission.units.state, mission.units.state)
-    return relative_error(stored / units, flown / units)
+def _covariance_error(mission: Mission, solution: Solution, exact: Array) -> float:
+    """Largest error of the nodes' covariances, and of those of state and parameters."""
+    units = mission.units.state[:, None]
+    errors = [relative_error(solution.nodes.covariance, exact[:, :6, :6], units * units.T)]
+    if mission.uncertain.count:
+        errors.append(relative_error(solution.nodes.parameters, exact[:, :6, 6:], units))
+    return max(errors)
 
 
-def _parameter_error(mission: Mission, solution: Solution, flown: Array) -> float:
-    """Largest error of a node's covariance of state and parameters, in standard deviations."""
-    given, units = np.array(solution.nodes.parameters), mission.units.state[:, None]
-    if given.shape != flown.shape:
-        return DIVERGED
-    size = np.abs(flown / units).max(axis=(1, 2))
-    error = np.abs((given - flown) / units).max(axis=(1, 2))
-    return _finite((error / np.maximum(size, SMALLEST)).max())
+def _knowledge_error(
+    mission: Mission, solution: Solution, exact: Array, end: JointCovariance
+) -> float:
+    """Largest error of estimates' covariances at nodes, and at cut-offs before and after measuring.
 
-
-def _knowledge_error(mission: Mission, solution: Solution, flown: _Flown, nodes: Indices) -> float:
-    """Largest error of estimates' covariances at nodes, and at cut-offs before and after measuring."""
-    stored = solution.policy
+    Those of cut-offs have blocks of the state, of parameters with it, and of parameters.
+    """
+    stored, size = solution.policy, 6 + mission.estimated
     assert stored is not None
-    if solution.nodes.knowledge is None or len(flown.end.known) != len(stored.corrections):
+    pairs = [(c.predicted_covariance, c.estimate_covariance) for c in stored.corrections]
+    given, known = (np.array(both).reshape(-1, size, size) for both in (pairs, end.known))
+    units = mission.state_units(size)[:, None] * mission.state_units(size)
+    state, rest = slice(6), slice(6, None)
+    blocks = (state, state), (rest, state), (rest, rest)
+    errors = [relative_error(given[:, a, b], known[:, a, b], units[a, b]) for a, b in blocks]
+    return max(relative_error(solution.nodes.knowledge, exact[:, :6, :6], units[:6, :6]), *errors)
+
+
+def relative_error(given: npt.ArrayLike | None, exact: Array, units: Array | float = 1.0) -> float:
+    """Largest error of covariances (n, ., .) in units, relative to each one's largest entry."""
+    given = np.asarray(given)
+    if given.shape != exact.shape:
         return DIVERGED
-    given = [[c.predicted_covariance for c in stored.corrections]]
-    given += [[c.estimate_covariance for c in stored.corrections]]
-    exact = [
-        [known.before for known in flown.end.known],
-        [known.after for known in flown.end.known],
-    ]
-    if np.shape(given) != np.shape(exact):
-        return DIVERGED
-    at_nodes = _covariance_error(
-        mission, np.array(solution.nodes.knowledge), flown.knowledge[nodes]
-    )
-    return max(at_nodes, *_estimate_errors(mission, np.concatenate(given), np.concatenate(exact)))
+    size = np.abs(exact / units).max(axis=(1, 2), initial=SMALLEST)
+    error = np.abs((given - exact) / units).max(axis=(1, 2), initial=0.0)
+    return _finite((error / size).max())
 
 
-def _estimate_errors(mission: Mission, given: Array, exact: Array) -> Iterator[float]:
-    """Errors of covariances (n, 6 + q, 6 + q): of the state, of parameters with it, and of these."""
-    yield _covariance_error(mission, given[:, :6, :6], exact[:, :6, :6])
-    if given.shape[1] > 6:
-        units = mission.units.state
-        yield relative_error(given[:, 6:, :6] / units, exact[:, 6:, :6] / units)
-        yield relative_error(given[:, 6:, 6:], exact[:, 6:, 6:])
-
-
-def relative_error(given: Array, exact: Array) -> float:
-    """Largest error of nondimensional covariances (n, ., .), relative to each one's largest entry."""
-    size = np.abs(exact).max(axis=(1, 2))
-    error = np.abs(given - exact).max(axis=(1, 2))
-    return _finite((error / np.maximum(size, SMALLEST)).max())
-
-
-def _mean_margins(mission: Mission, flown: _Flown) -> list[MeanMargin]:
-    """Margins of every original constraint, between the nodes too."""
-    first, last = mission.observed_s or (np.inf, np.inf)
-    window = (flown.times >= first) & (flown.times <= last)
-    times = flown.times[window]
-    margins = observation_margins(mission, times, flown.states[window, :3])
+def _mean_margins(mission: Mission, flown: _Flown, burns: Array) -> list[MeanMargin]:
+    """Margins of every original constraint on burns and path, between the nodes too."""
+    firing, first_last = np.array(mission.scenario.burn_times_s), mission.observed_s
+    size, off_sun = burn_margins(mission, firing, burns).items()
+    found = [_worst(size[0], "m/s", firing, size[1])]
+    if np.isfinite(off_sun[1]).any():
+        found.append(_worst(off_sun[0], "rad", firing, off_sun[1]))
     clear = safety_margins(mission.scene, flown.times, flown.states[:, :3])
-    observed = margins.items() if len(times) else ()
-    seen = [_worst(name, unit, times, margin) for name, (unit, margin) in observed]
-    return [*(_worst(name, "m", flown.times, margin) for name, margin in clear.items()), *seen]
-
-
-def _burn_margins(mission: Mission, burns: Array) -> list[MeanMargin]:
-    """Size of the planned burns and their angle from the Sun line, either way."""
-    times = np.array(mission.scenario.burn_times_s)
-    size = np.linalg.norm(burns, axis=1)
-    angle = geometry.angle(burns, mission.sun_direction(times))
-    cone = np.deg2rad(mission.scenario.battery.delta_v_cone_deg)
-    none = mission.units.tolerance(NO_BURN_M_S, "m/s")
-    off_sun = np.where(size > none, np.minimum(angle, np.pi - angle) - cone, np.inf)
-    margins = [_worst("dv_max", "m/s", times, mission.scenario.burns.dv_max_m_s - size)]
-    if np.isfinite(off_sun).any():
-        margins.append(_worst("dv_battery", "rad", times, off_sun))
-    return margins
+    found += [_worst(name, "m", flown.times, margin) for name, margin in clear.items()]
+    first, last = first_last or (np.inf, np.inf)
+    window = (flown.times >= first) & (flown.times <= last)
+    if window.any():
+        times = flown.times[window]
+        margins = observation_margins(mission, times, flown.states[window, :3])
+        found += [_worst(name, unit, times, margin) for name, (unit, margin) in margins.items()]
+    return found
 
 
 def _worst(name: str, unit: Literal["m", "rad", "m/s"], times: Array, margin: Array) -> MeanMargin:

@@ -25,7 +25,7 @@ from formulations.risk.strata import (
     most_failures,
 )
 from scp_recon.certification.flights import TEST_WIDTH
-from scp_recon.monte_carlo.estimates import TEST_CONFIDENCE, flights_of_test, interval_of_test
+from scp_recon.monte_carlo.estimates import TEST_CONFIDENCE, flights_of_test, proportion
 from tests.helpers import usually
 
 TAIL = 0.5 * (1.0 - TEST_CONFIDENCE)
@@ -48,7 +48,8 @@ def survey_of(required: float) -> Survey:
 def plain_widths(required: float) -> tuple[float, float]:
     """Distances of the limits of as many plain flights as a look has."""
     n = flights_of_test(required)
-    reached = interval_of_test(round(n * (1.0 - survey_of(required).failed)), n)
+    successes = round(n * (1.0 - survey_of(required).failed))
+    reached = proportion(successes, n, TEST_CONFIDENCE)
     return reached.value - reached.low, reached.high - reached.value
 
 

@@ -8,13 +8,20 @@ from scipy.special import ndtr, ndtri
 
 from formulations.problem.flyby import Iterate
 from scp_recon.certification import largest
-from scp_recon.certification.largest import CLOSE, LEAST, Search, largest_promise, rounded_down
-from scp_recon.certification.targets import MOST
+from scp_recon.certification.largest import (
+    CLOSE,
+    LEAST,
+    MOST,
+    Search,
+    largest_promise,
+    rounded_down,
+)
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.estimates import (
     FIRST_SEED,
+    TEST_CONFIDENCE,
     flights_of_test,
-    interval_of_test,
+    proportion,
     seed_of_test,
 )
 from scp_recon.planning import initial_guess
@@ -151,7 +158,7 @@ def test_lower_limit_of_a_test_is_promised(real, monkeypatch):
     assert world.seeds == [FIRST_SEED, seed_of_test(1)]
     assert (reached.samples, reached.seed) == (flights_of_test(found.target), seed_of_test(1))
     kept = round((found.target - 0.01) * reached.samples)
-    assert reached.low == interval_of_test(kept, reached.samples).low
+    assert reached.low == proportion(kept, reached.samples, TEST_CONFIDENCE).low
     assert found.mission.scenario.risk.p_chance == rounded_down(reached.low) < found.target
 
 

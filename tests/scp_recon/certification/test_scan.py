@@ -5,7 +5,7 @@ import pytest
 
 from scp_recon.mission.constraints import SAFETY
 from scp_recon.mission.mission import Mission
-from scp_recon.monte_carlo.observation_time import joint_margins
+from scp_recon.monte_carlo.limits import joint_margins
 from scp_recon.monte_carlo.sampling import Flyer
 from scp_recon.monte_carlo.whole_flight import (
     SAMPLE_STEP_S,

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from scp_recon.certification import targets
-from scp_recon.certification.targets import SAVING, Targets
+from scp_recon.certification import largest
+from scp_recon.certification.largest import SAVING, Targets
 from scp_recon.scp.status import Status
 
 FRONTIER = (0.6, 0.9, 0.99)
@@ -49,7 +49,7 @@ def test_no_higher_target_costs_less(basins, order):
         return Fake(start.price, start.most, target)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(targets, "cost_of", lambda trial: trial.cost)
+        patch.setattr(largest, "cost_of", lambda trial: trial.cost)
         work = Targets(make)
         for target in order:
             work.plan(None, target)
@@ -63,7 +63,7 @@ def test_no_higher_target_costs_less(basins, order):
 @pytest.mark.parametrize(("first", "then"), [(0.6, 0.9), (0.99, 0.9)])
 def test_other_target_leads_where_its_own_ends(monkeypatch, first, then):
     """From the first start only one target has a plan; the other is found from that one."""
-    monkeypatch.setattr(targets, "cost_of", lambda trial: trial.cost)
+    monkeypatch.setattr(largest, "cost_of", lambda trial: trial.cost)
 
     def make(start: Fake | None, target: float) -> Fake:
         lost = start.most < 1.0 if start else target == then

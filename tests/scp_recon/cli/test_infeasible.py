@@ -59,7 +59,7 @@ from scp_recon.results.read import read_solution
 from scp_recon.results.verification import BurnLimit, JointProbability
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scp.status import Status
-from scp_recon.verification import refinement
+from scp_recon.verification import reintegration
 from scp_recon.verification.causes import next_lines
 from tests.helpers import nightly
 from tests.scenarios import COARSE
@@ -289,7 +289,7 @@ def test_size_of_burns_is_relaxed_with_the_limits():
 def test_relaxed_plan_stays_relaxed_on_a_finer_grid(monkeypatch):
     """And without a price of the final state, too."""
     case = case_of("burns.dv_max_m_s=0.02", COARSE)
-    monkeypatch.setattr(refinement.reintegration, "COVARIANCE_LIMIT", 1e-6 * 1e-3)
+    monkeypatch.setitem(reintegration.FIGURES, "covariance_error", ("", "", 1e-9))
     free = case.rough({"burns.dv_max_m_s": 2.0})
     assert free is not None
     assert len(free.mission.times_s) > len(case.failed.mission.times_s)

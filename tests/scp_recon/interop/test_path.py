@@ -18,9 +18,8 @@ from scp_recon.interop.ccsds import oem_text, opm_text
 from scp_recon.interop.export import Export
 from scp_recon.interop.files import columns, csv_text, parquet_bytes
 from scp_recon.interop.path import MARGIN_S, WITHIN_M, fly_path
-from scp_recon.replanning.delivery import Delivery
 from scp_recon.replanning.flown import FlownPlan, predict
-from scp_recon.replanning.remainder import mission_left
+from scp_recon.replanning.remainder import Delivery, mission_left
 from scp_recon.results.solution import make_solution
 from tests.scp_recon.support import integrate
 

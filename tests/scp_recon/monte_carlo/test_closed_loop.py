@@ -15,8 +15,8 @@ from formulations.rows.uniform import DeterministicRows
 from scp_recon.cli.commands import montecarlo
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.flights import FlightConfig, fly_many
-from scp_recon.monte_carlo.law import Law
 from scp_recon.monte_carlo.sampling import BLOCK, FlightLog, Flyer, draw
+from scp_recon.monte_carlo.strata import Law
 from scp_recon.monte_carlo.summarise import summarise
 from scp_recon.monte_carlo.summary import read_summary
 from scp_recon.monte_carlo.whole_flight import SampledFlights
@@ -129,7 +129,7 @@ def test_law_has_the_draws_of_corrected_flights(solution, correlated):
     if correlated:
         words = f"navigation.covariance={along.tolist()}"
         case = case_of(3600.0, solution, words, measured=())
-    mission, law = case.mission, Law.of(case.lin, case.mission.units.length_m)
+    mission, law = case.mission, Law.of(case.mission, case.lin)
     draws = Flyer(mission, case.burns_m_s, case.policy).draws(0, 0)[:50]
     assert draws.shape[1] == law.sources
     flights = SampledFlights(mission, case.burns_m_s, case.policy)

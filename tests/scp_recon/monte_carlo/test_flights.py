@@ -19,7 +19,7 @@ from scp_recon.jobs.processes import Processes
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo import flights, strata
 from scp_recon.monte_carlo.flights import FlightConfig, FlightTally, fly_many
-from scp_recon.monte_carlo.observation_time import ALL
+from scp_recon.monte_carlo.limits import ALL
 from scp_recon.monte_carlo.summarise import summarise
 from scp_recon.monte_carlo.summary import FILE_NAME, read_summary
 from scp_recon.planning import initial_guess

@@ -9,14 +9,15 @@ from scipy.stats import binom
 
 import scp_recon
 from formulations.rows.drift import start_of
+from formulations.rows.exact_flight import FLIGHT
 from scp_recon.mission.constraints import Miss
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.windows import SCAN_STEP_S, each_window
 from scp_recon.monte_carlo.drifts import fly_drifts
 from scp_recon.monte_carlo.flights import FlightConfig
-from scp_recon.monte_carlo.law import Law
-from scp_recon.monte_carlo.observation_time import SCIENCE, joint_margins
+from scp_recon.monte_carlo.limits import SCIENCE, joint_margins
 from scp_recon.monte_carlo.sampling import Flyer
+from scp_recon.monte_carlo.strata import Law
 from scp_recon.monte_carlo.whole_flight import PARTS, SampledFlights, kept_flights, sample_times
 from scp_recon.planning.initial_guess import from_burns
 from scp_recon.scenario.load import load_scenario
@@ -53,7 +54,7 @@ def flights_of(mission: Mission) -> SampledFlights:
 
 def law_of(mission: Mission) -> Law:
     lin = mission.dynamics.linearise(mission.problem, from_burns(mission, BURNS))
-    return Law.of(lin, mission.units.length_m)
+    return Law.of(mission, lin, is_whole=True)
 
 
 @pytest.mark.parametrize("entry", ALONE)
@@ -131,7 +132,7 @@ def test_flights_keep_limits_as_often_as_by_law():
     mission = mission_with({"knowledge": EVERYTHING, "observation.window_s": window})
     flights, law = flights_of(mission), law_of(mission)
     draws = np.concatenate([Flyer(mission, BURNS).draws(5, block) for block in range(3)])
-    by_law = law.margins(draws).min(axis=0) >= 0.0
+    by_law = law.margins(draws)[FLIGHT][0] >= 0.0
     flown = np.logical_and.reduce(
         [those.all(axis=0) for _, those in flights.judged(draws).kept.values()]
     )
@@ -159,7 +160,7 @@ def test_drifts_have_the_parameters_of_their_flights():
     lin = mission.dynamics.linearise(mission.problem, from_burns(mission, BURNS))
     assert start_of(lin, drift).factor.shape[0] == 7
     assert np.abs(start_of(lin, drift).factor[:6, 6]).max() > 1e-4
-    (flown,) = fly_drifts(config, [Miss(4)], 30)
+    (flown,) = fly_drifts(config, [Miss(4)], config.first_draws(30, 0))
     assert flown.closest_m.std() > 0.0
 
 

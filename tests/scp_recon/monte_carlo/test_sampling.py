@@ -14,7 +14,7 @@ from scp_recon.mission.constraints import SAFETY
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.estimates import CONFIDENCE, binomial_quantile, proportion
 from scp_recon.monte_carlo.flights import FlightConfig
-from scp_recon.monte_carlo.observation_time import ALL, SCIENCE, joint_margins, time_held
+from scp_recon.monte_carlo.limits import ALL, SCIENCE, joint_margins, time_held
 from scp_recon.monte_carlo.sampling import BLOCK, Flyer, draw, sample_positions
 from scp_recon.monte_carlo.whole_flight import (
     PARTS,

@@ -4,7 +4,6 @@ Of all limits together, and then of each limit at each second by itself.
 """
 
 from dataclasses import dataclass, replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,9 +15,8 @@ from formulations.rows.exact_flight import FLIGHT
 from formulations.rows.flight_probability import Limit, Limits
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.estimates import of_strata, proportion
-from scp_recon.monte_carlo.law import FAR, Law
 from scp_recon.monte_carlo.sampling import Flyer, draw
-from scp_recon.monte_carlo.strata import DrawsInStrata, Laws, fly_strata, surveyed
+from scp_recon.monte_carlo.strata import FAR, DrawsInStrata, Law, fly_strata, surveyed
 from scp_recon.monte_carlo.whole_flight import (
     PARTS,
     Judged,
@@ -34,10 +32,10 @@ rng = np.random.default_rng(1)
 MEAN = np.array([[3.0, 0.0, 0.0]]) * np.arange(1, NODES + 1)[:, None]
 FACTOR = 0.3 * rng.normal(size=(NODES, 3, SOURCES))
 BALLS = Limit(Ball(MEAN, 1.6), np.arange(NODES))
-LAW = Law(MEAN, FACTOR, Limits((BALLS,), ()), 10.0)
-"""Of five sources, whatever they are: positions at four nodes are to be within 16 m of their mean."""
-WHOLE = replace(LAW, is_whole=True)
 NODES_S = 90.0 * np.arange(NODES)
+LAW = Law(MEAN, FACTOR, {"ball": Limits((BALLS,), ())}, 10.0, NODES_S)
+"""Of five sources, whatever they are: positions at four nodes are to be within 16 m of their mean."""
+WHOLE = replace(LAW, limits={FLIGHT: LAW.limits["ball"]}, is_whole=True)
 SAMPLES_S = np.arange(0.0, NODES_S[-1] + 1.0, 30.0)
 TIMES_S = every_second(SAMPLES_S)
 TAIL = 0.0125
@@ -48,7 +46,6 @@ class Toy:
     """Flights that follow the law, bent by so many metres times the square of the first number."""
 
     bend_m: float
-    mission = SimpleNamespace(times_s=NODES_S)
     counted_s = {FLIGHT: np.array([np.inf, 0.0])}  # noqa: RUF012
 
     def positions(self, draws: Array) -> Array:
@@ -67,7 +64,6 @@ class ToyInTime:
     """Flights that keep the law's margin less so much, on a line between the nodes."""
 
     less_m: float
-    mission = SimpleNamespace(times_s=NODES_S)
     counted_s = {"ball": TIMES_S}  # noqa: RUF012
 
     def positions(self, draws: Array) -> Array:
@@ -76,7 +72,7 @@ class ToyInTime:
         return moved
 
     def margins(self, draws: Array) -> Array:
-        at_nodes = LAW.margins_at(self.positions(draws), draws)
+        at_nodes = LAW.margins(draws, self.positions(draws))["ball"]
         lines = [np.interp(TIMES_S, NODES_S, margin) for margin in at_nodes.T]
         return np.column_stack(lines)
 
@@ -92,7 +88,7 @@ def plain(toy: Toy, blocks: int) -> float:
 
 def in_strata(toy: Toy | ToyInTime, draws: float = 20_000, share: float = 0.0) -> DrawsInStrata:
     """What is allotted for so many plain flights; or so many draws, of which a share is flown."""
-    known, survey = surveyed({name: law_of(toy) for name in toy.counted_s}, toy, SEED)
+    known, survey = surveyed(WHOLE if isinstance(toy, Toy) else LAW, toy, SEED)
     p = proportion(round((1.0 - survey.failed) * draws), int(draws), 1.0 - 2.0 * TAIL)
     widths, mirrored = (p.value - p.low, p.high - p.value), isinstance(toy, ToyInTime)
     found = allocate(survey, int(draws), widths, TAIL, mirrored=mirrored)
@@ -101,10 +97,6 @@ def in_strata(toy: Toy | ToyInTime, draws: float = 20_000, share: float = 0.0) -
     assert found is not None
     assert not mirrored or found.share == found.share[::-1]
     return DrawsInStrata(known, toy, found, SEED)
-
-
-def law_of(toy: Toy | ToyInTime) -> Law:
-    return WHOLE if isinstance(toy, Toy) else LAW
 
 
 def flown(toy: Toy | ToyInTime, *how: float) -> KeptCounts:
@@ -141,9 +133,9 @@ def test_flights_are_told_as_they_are_flown():
 
 
 def test_no_limit_within_reach_is_kept_for_sure():
-    free, toy = replace(WHOLE, limits=Limits((), ())), Toy(0.0)
-    assert np.all(free.margins(draw(0, 0, SOURCES)) == FAR)
-    _, survey = surveyed({FLIGHT: free}, toy, SEED)
+    free, toy = replace(WHOLE, limits={FLIGHT: Limits((), ())}), Toy(0.0)
+    assert np.all(free.margins(draw(0, 0, SOURCES))[FLIGHT] == FAR)
+    _, survey = surveyed(free, toy, SEED)
     assert survey.share.tolist() == [0.0, 0.0, 0.0, 0.0, 0.0, 1.0]
 
 
@@ -152,7 +144,7 @@ def law(solution) -> tuple[Mission, Law]:
     mission = Mission.from_scenario(solution.scenario)
     guess = from_burns(mission, solution.burns_m_s)
     lin = mission.dynamics.linearise(mission.problem, guess)
-    return mission, Law.of(lin, mission.units.length_m)
+    return mission, Law.of(mission, lin, is_whole=True)
 
 
 def test_law_has_the_draws_of_flights_in_order(solution, law):
@@ -165,7 +157,8 @@ def test_law_has_the_draws_of_flights_in_order(solution, law):
     moved = np.linalg.norm(expected - its.mean[:, None], axis=2) * its.length_m
     assert off.max() < 0.02
     assert moved.max() > 1.0
-    assert its.margins(draws) == pytest.approx(its.margins_at(flown, draws), abs=0.02)
+    by_law, exact = its.margins(draws)[FLIGHT], its.margins(draws, flown)[FLIGHT]
+    assert by_law == pytest.approx(exact, abs=0.02)
 
 
 @pytest.mark.parametrize("less_m", [0.0, 1.0, -3.0])
@@ -196,9 +189,9 @@ def test_few_strata_flights_agree_with_all(less_m):
 
 
 def test_draws_crossing_between_nodes_are_nearest():
-    laws = Laws({"ball": LAW}, NODES_S, {"ball": np.array([False, True, False, False])})
+    law = replace(LAW, contends={"ball": np.array([False, True, False, False])})
     margins = np.array([[5.0, 5.0, 5.0], [3.0, 3.0, -4.0], [-1.0, 1.0, -1.0], [-9.0, -9.0, 9.0]])
-    assert laws.nearest({"ball": margins}).tolist() == [0.0, 3.0, 0.0]
+    assert law.nearest({"ball": margins}).tolist() == [0.0, 3.0, 0.0]
 
 
 def test_flights_are_judged_alike_by_second_and_whole(mission, default_plan):

@@ -14,7 +14,7 @@ from scp_recon.errors import InputError
 from scp_recon.jobs.job import here
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.flights import FlightConfig, FlightTally, fly_many, narrow
-from scp_recon.monte_carlo.observation_time import ALL, SCIENCE
+from scp_recon.monte_carlo.limits import ALL, SCIENCE
 from scp_recon.monte_carlo.sampling import Flyer
 from scp_recon.monte_carlo.summarise import summarise
 from scp_recon.monte_carlo.summary import (

@@ -12,9 +12,8 @@ from scp_recon.errors import InputError
 from scp_recon.planning import initial_guess
 from scp_recon.planning.plan import Plan
 from scp_recon.planning.planner import Planner
-from scp_recon.replanning.delivery import Delivery
 from scp_recon.replanning.flown import FlownPlan, predict
-from scp_recon.replanning.remainder import mission_left
+from scp_recon.replanning.remainder import Delivery, mission_left
 
 AT = 17_000.0
 SIGMA = np.array([10.0, 10.0, 10.0, 3e-4, 3e-4, 3e-4])

@@ -17,9 +17,8 @@ from scp_recon.planning.method import ScpMethod, scp_method
 from scp_recon.planning.missions import other_starts
 from scp_recon.planning.plan import Plan
 from scp_recon.planning.planner import Planner
-from scp_recon.replanning.delivery import Delivery
 from scp_recon.replanning.flown import FlownPlan, predict
-from scp_recon.replanning.remainder import mission_left, path_planned
+from scp_recon.replanning.remainder import Delivery, mission_left, path_planned
 from scp_recon.results.solution import make_solution
 from scp_recon.scenario.schema import Scenario
 from scp_recon.scp.status import Status

@@ -20,9 +20,8 @@ from scp_recon.cli.commands import report
 from scp_recon.errors import InputError
 from scp_recon.monte_carlo.summary import Contingency, Interval
 from scp_recon.physics.geometry import track
-from scp_recon.replanning.delivery import Delivery
 from scp_recon.replanning.flown import FlownPlan, predict
-from scp_recon.replanning.remainder import mission_left
+from scp_recon.replanning.remainder import Delivery, mission_left
 from scp_recon.reports.flight_tables import missed_burns_table
 from scp_recon.reports.histories import probability_chart
 from scp_recon.reports.page import Page, _remarks, render, verdict_of

@@ -15,7 +15,7 @@ from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.whole_flight import KeptCounts, kept_flights
 from scp_recon.results.solution import make_solution
 from scp_recon.scp.status import Status
-from scp_recon.verification import refinement, reintegration
+from scp_recon.verification import causes, reintegration
 from scp_recon.verification.reintegration import verify
 
 pytestmark = pytest.mark.slow
@@ -26,14 +26,14 @@ TIGHT = 2e-8
 
 @pytest.fixture
 def _tight(monkeypatch) -> None:
-    monkeypatch.setattr(reintegration, "COVARIANCE_LIMIT", TIGHT)
+    monkeypatch.setitem(reintegration.FIGURES, "covariance_error", ("", "", TIGHT))
 
 
 def test_the_estimate_is_what_the_verification_finds(default_plan, verification):
-    error = refinement.integration_error(default_plan)
+    error = causes.integration_error(default_plan)
     assert error.covariance == pytest.approx(verification.covariance_error, rel=0.02)
     assert error.path_m == pytest.approx(verification.max_defect, rel=0.05)
-    assert refinement.refined(default_plan) is None
+    assert causes.refined(default_plan) is None
 
 
 @pytest.mark.usefixtures("_tight", "few_flights")
@@ -76,12 +76,12 @@ def test_wrong_covariances_are_not_certified(monkeypatch):
 
 @pytest.mark.usefixtures("_tight")
 def test_no_grid_is_refined_that_is_no_remedy(default_plan, monkeypatch):
-    assert refinement.refined(default_plan) is not None
+    assert causes.refined(default_plan) is not None
     stage = default_plan.final
     stalled = replace(stage, result=replace(stage.result, status=Status.STALLED))
-    assert refinement.refined(replace(default_plan, final=stalled)) is None
-    monkeypatch.setattr(refinement, "NODES_MAX", 150)
-    assert refinement.refined(default_plan) is None
+    assert causes.refined(replace(default_plan, final=stalled)) is None
+    monkeypatch.setattr(causes, "NODES_MAX", 150)
+    assert causes.refined(default_plan) is None
 
 
 @pytest.mark.usefixtures("_tight", "few_flights")
