@@ -24,6 +24,15 @@ from scp_recon.campaigns.outcome import (
 )
 from scp_recon.results.pictures import legend, page
 
+MARKS = "os^DvPX"
+
+
+def looks(*names: str, **more: Any) -> dict[str, Look]:
+    """A marker and a colour for each name, and more that all have."""
+    marked = enumerate(zip(names, MARKS, strict=False))
+    return {name: {"marker": mark, "color": f"C{i}"} | more for i, (name, mark) in marked}
+
+
 FRONTIER: dict[str, Look] = {
     "uniform, paper polytopes": {"marker": "s", "color": "C1"},
     "uniform, facets settled": {"marker": "v", "color": "C4"},
@@ -33,25 +42,17 @@ FRONTIER: dict[str, Look] = {
     "certified, each node": {"marker": "o", "color": "C0", "ms": 7, "mfc": "none", "ls": ":"},
     "certified, whole flights": {"marker": "D", "color": "C2", "ms": 3, "ls": ":"},
 }
-DRIFTS: dict[str, Look] = {
-    "without": {"marker": "s", "color": "C1", "ls": "", "ms": 5},
-    "missed": {"marker": "o", "color": "C0", "ls": "", "ms": 5},
-    "cut short": {"marker": "D", "color": "C2", "ls": "", "ms": 4},
+DRIFTS = looks("missed", "without", "cut short", ls="", ms=5)
+PARAMETERS = {
+    "body.gm": "GM",
+    "body.j2": "J2",
+    "body.pole": "pole",
+    "body.prime": "phase, spin rate",
+    "site": "site",
+    "spacecraft": "reflectivity",
+    "body.companion": "companion",
 }
-PARAMETERS: dict[str, tuple[str, Look]] = {
-    "body.gm": ("GM", {"marker": "o", "color": "C0"}),
-    "body.j2": ("J2", {"marker": "s", "color": "C1"}),
-    "body.pole": ("pole", {"marker": "D", "color": "C2"}),
-    "body.prime": ("phase, spin rate", {"marker": "^", "color": "C4"}),
-    "site": ("site", {"marker": "v", "color": "C5"}),
-    "spacecraft": ("reflectivity", {"marker": "x", "color": "k"}),
-    "body.companion": ("companion", {"marker": "P", "color": "C3"}),
-}
-"""Beginnings of uncertain entries, with their names and looks."""
-KNOWING: dict[str, Look] = {
-    "open": {"marker": "s", "color": "C1", "ls": "", "ms": 6, "mfc": "none"},
-    "feedback": {"marker": "o", "color": "C0", "ls": "", "ms": 4},
-}
+"""Beginnings of uncertain entries, with their names."""
 NONE_INSIDE = 1e-4
 """Where no flight comes inside, of 4,000."""
 LEFT_OF = 0.98
@@ -79,21 +80,14 @@ QUANTITIES = {
 POSITION_M, UNMEASURED_M = 10.0, 1e4
 """Error of the usual measurement, of which `scale` gives multiples, and that which is as good as none,
 m."""
-SOLVERS: dict[str, Look] = {
-    "CLARABEL": {"marker": "o", "color": "C0"},
-    "QOCO": {"marker": "^", "color": "C2"},
-    "ECOS": {"marker": "s", "color": "C4"},
-    "SCS": {"marker": "D", "color": "C3"},
-    "IPOPT": {"marker": "P", "color": "C1"},
-    "UNO": {"marker": "X", "color": "k"},
+SOLVERS = looks("CLARABEL", "IPOPT", "QOCO", "SCS", "ECOS", "UNO", ms=6)
+WITHIN = {
+    "solved": "a plan",
+    "within_0_1_of_the_least": "within 10 % of the cheapest",
+    "within_0_01_of_the_least": "within 1 %",
+    "within_0_0001_of_the_least": "within 0.01 %",
 }
-WITHIN: dict[str, tuple[str, Look]] = {
-    "solved": ("a plan", {"marker": "s", "color": "C0", "mfc": "none"}),
-    "within_0_1_of_the_least": ("within 10 % of the cheapest", {"marker": "^", "color": "C2"}),
-    "within_0_01_of_the_least": ("within 1 %", {"marker": "D", "color": "C4"}),
-    "within_0_0001_of_the_least": ("within 0.01 %", {"marker": "o", "color": "C1"}),
-}
-"""Columns of the random scenarios, with their names and looks."""
+"""Columns of the random scenarios, with their names."""
 
 
 def frontier(tables: list[Table]) -> Figure:
@@ -150,13 +144,13 @@ def knowledge(tables: list[Table]) -> Figure:
     cases, without = list(plans.case), plans.set_index("case").without
     with page(3.8) as figure:
         lost, price = figure.subplots(1, 2, sharey=True, width_ratios=(1.5, 1.0))
-        for begins, (name, look) in PARAMETERS.items():
+        for begins, look in looks(*PARAMETERS, ls="", ms=5, mfc="none").items():
             own = alone[alone.parameter.str.startswith(begins)]
             share = 100.0 * (without.loc[own.case].to_numpy() - own.kept)
-            lost.plot(share, own.case.map(cases.index), ls="", ms=5, mfc="none", label=name, **look)
-        for policy, look in KNOWING.items():
+            lost.plot(share, own.case.map(cases.index), label=PARAMETERS[begins], **look)
+        for policy, look in looks("feedback", "open", ls="", ms=5, mfc="none").items():
             percent = plans[f"{policy}_percent"]
-            label = "open loop" if policy == "open" else policy
+            label = OPEN if policy == "open" else policy
             price.plot(percent.clip(lower=0.0), range(len(cases)), label=label, **look)
             for at in np.flatnonzero(percent.isna()):
                 height = at + (-0.17 if policy == "open" else 0.17)
@@ -330,10 +324,9 @@ def comparison_times(rows: Table) -> Figure:
     with page(0.22 * len(lines) + 1.4) as figure:
         axes = figure.subplots()
         for row, (form, algorithm, solver) in zip(own.itertuples(), words.values, strict=True):
-            look: Look = {"ms": 6, **SOLVERS[solver]}
-            if not row.status.startswith("converged"):
-                look["mfc"] = "none"
-            axes.plot(row.processor_s, lines.index(f"{form}, {algorithm}"), **look)
+            hollow = {} if row.status.startswith("converged") else {"mfc": "none"}
+            place = lines.index(f"{form}, {algorithm}")
+            axes.plot(row.processor_s, place, **SOLVERS[solver] | hollow)
         for name, look in SOLVERS.items():
             axes.plot([], [], ls="", label=name, **look)
         axes.plot([], [], "o", color="0.4", mfc="none", label="no plan")
@@ -350,8 +343,8 @@ def comparison_random(rows: Table) -> Figure:
     places, most = range(len(rows)), rows.solved_by_any.max()
     with page(0.24 * len(rows) + 1.3) as figure:
         left, right = figure.subplots(1, 2, sharey=True, width_ratios=(1.5, 1.0))
-        for column, (label, look) in WITHIN.items():
-            left.plot(rows[column], places, ls="", ms=6, label=label, **look)
+        for column, look in looks(*WITHIN, ls="", ms=6, mfc="none").items():
+            left.plot(rows[column], places, label=WITHIN[column], **look)
         left.axvline(most, color="0.4", ls="--", lw=1.0, label="solved by any method")
         right.plot(rows.median_processor_s_of_the_solved, places, "ko", ms=5)
         left.set(xlabel=f"random scenarios, of {rows.scenarios.max()}", xlim=(0, None))
@@ -377,7 +370,6 @@ MEASURES = ((COST, 1e3, "delta-v (mm/s)"), (CHANCE, 1.0, "lowest probability (-)
 """Columns, with their factors and names."""
 BURN, INITIAL = "uncertainty.execution_error", "uncertainty.initial_sigma_fraction"
 LARGEST, LEAST = "burns.dv_max_m_s", "safety.radius_min_m"
-MARKS = ("o", "s", "^", "D")
 INITIALS_SHOWN = 3
 """Largest initial errors with a curve of their own; below them delta-v hardly changes."""
 
@@ -428,7 +420,7 @@ def errors(results: CampaignResults) -> Figure:
     initial = sorted(results.table[INITIAL].unique())
     with page(4.6) as figure:
         panels = figure.subplots(2, 1, sharex=True)
-        for mark, size in zip(MARKS, [initial[0], *initial[-INITIALS_SHOWN:]], strict=True):
+        for mark, size in zip(MARKS, [initial[0], *initial[-INITIALS_SHOWN:]], strict=False):
             own = good[good[INITIAL] == size].sort_values(BURN)
             label = f"initial error {100.0 * size:.2g} %"
             _curves(panels, 100.0 * own[BURN], own, {"marker": mark, "label": label})

@@ -260,7 +260,7 @@ def keep_sets(frame: Frame, plan: Shown) -> list[Trace]:
         mesh(sphere(scenario.safety.radius_min_m), safety, safety, KEEP_OUT, 0.16),
         moved(mesh(keep_in, f"{seen}, in the window", seen, KEEP_IN, 0.22), "body"),
         moved(mesh(phase, f"{lit}, in the window", f"{lit} cone", KEEP_OUT, 0.22), "site"),
-        _burn_cones(frame, plan),
+        *_burn_cones(frame, plan),
     ]
     if mission.scene.companion is not None:
         name, ball = "keep out: companion", sphere(companion_distance_m(scenario))
@@ -316,19 +316,17 @@ def _way_home(mission: Mission, state: Array, begin_s: float, home: Contingency)
     return np.concatenate(parts)
 
 
-def _burn_cones(frame: Frame, plan: Shown) -> Trace:
-    """The double cone about the Sun line that every burn keeps out of."""
-    mission = plan.mission
+def _burn_cones(frame: Frame, plan: Shown) -> list[Trace]:
+    """The double cones about the Sun line that every burn keeps out of."""
     times = np.array([burn.t_s for _, burn in plan.solution.executed])
-    angle = float(np.deg2rad(mission.scenario.battery.delta_v_cone_deg))
-    places, suns = plan.positions(times), mission.sun_direction(times)
-    parts = [
-        cone(side * unit(frame.seen(sun)), at, angle, frame.arrow_m)
-        for at, sun in zip(frame.seen(places), suns, strict=True)
+    angle = float(np.deg2rad(plan.mission.scenario.battery.delta_v_cone_deg))
+    places, suns = plan.positions(times), plan.mission.sun_direction(times)
+    name = "keep out: burns' battery cones"
+    return [
+        mesh(cone(side * unit(sun), at, angle, frame.arrow_m), name, name, KEEP_OUT, 0.22)
+        for at, sun in zip(frame.seen(places), frame.seen(suns), strict=True)
         for side in (1.0, -1.0)
     ]
-    name = "keep out: burns' battery cones"
-    return mesh(Solid.joined(parts), name, name, KEEP_OUT, 0.22)
 
 
 def _plan(frame: Frame, plan: Shown, number: int, flights: int) -> list[Trace]:

@@ -41,26 +41,14 @@ class Solid:
     vertices_m: Array
     facets: Indices
 
-    @classmethod
-    def joined(cls, solids: list[Solid]) -> Solid:
-        """Several as one."""
-        starts = np.cumsum([0, *(len(solid.vertices_m) for solid in solids[:-1])])
-        return cls(
-            np.vstack([solid.vertices_m for solid in solids]),
-            np.vstack([s.facets + start for s, start in zip(solids, starts, strict=True)]),
-        )
-
 
 def _sheet(rows: int, columns: int) -> Indices:
     """Facets of a sheet of points, closed across."""
-    here = np.arange(columns)
-    there = (here + 1) % columns
-    facets = []
-    for k in range(rows - 1):
-        low, high = k * columns, (k + 1) * columns
-        facets.append(np.column_stack([low + here, low + there, high + here]))
-        facets.append(np.column_stack([low + there, high + there, high + here]))
-    return np.vstack(facets)
+    number = np.arange(rows * columns).reshape(rows, columns)
+    here, there = number, np.roll(number, -1, axis=1)
+    lower = np.stack([here[:-1], there[:-1], here[1:]], axis=-1)
+    upper = np.stack([there[:-1], there[1:], here[1:]], axis=-1)
+    return np.stack([lower, upper], axis=1).reshape(-1, 3)
 
 
 def tube(path: Array, covariance: Array, sigmas: float) -> Solid:

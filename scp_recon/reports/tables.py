@@ -39,29 +39,20 @@ def burns_table(solution: Solution, legal_s: Sequence[tuple[float, float]] = ())
     """Times, components along J2000 and sizes of the burns, and their legal times where given."""
     scenario = solution.scenario
     axes = (f"{axis} (mm/s) +z.3f" for axis in "xyz")
-    table = Table.of(
-        "Burns, J2000",
-        columns("burn", "time (s)", "UTC", *axes, "size (mm/s) .3f"),
-        (
-            [
-                str(number),
-                burn.t_s,
-                shown_utc(instant(scenario.epoch.tdb, burn.t_s)),
-                *or_none(any(burn.dv_m_s), *burn.dv_m_s, float(np.linalg.norm(burn.dv_m_s))),
-            ]
-            for number, burn in enumerate(solution.burns, start=1 + scenario.burns_flown)
-        ),
-        key="burns",
-    )
-    if not legal_s:
-        return table
-    spans = (
-        f"{early:.0f}"
-        if early == late
-        else (f"{early:.0f} to {late:.0f}" if np.isfinite(late) else f"from {early:.0f}")
-        for early, late in legal_s
-    )
-    return table.with_column(Column("legal", "s"), spans)
+    heads = columns("burn", "time (s)", "UTC", *axes, "size (mm/s) .3f")
+    rows: list[list[object]] = [
+        [
+            str(number),
+            burn.t_s,
+            shown_utc(instant(scenario.epoch.tdb, burn.t_s)),
+            *or_none(any(burn.dv_m_s), *burn.dv_m_s, float(np.linalg.norm(burn.dv_m_s))),
+        ]
+        for number, burn in enumerate(solution.burns, start=1 + scenario.burns_flown)
+    ]
+    for row, (early, late) in zip(rows, legal_s, strict=False):
+        until = "" if early == late else f" to {late:.0f}"
+        row.append(f"{early:.0f}{until}" if np.isfinite(late) else f"from {early:.0f}")
+    return Table.of("Burns, J2000", heads + columns("legal (s)") * bool(legal_s), rows, key="burns")
 
 
 def corrections_table(solution: Solution) -> Table:

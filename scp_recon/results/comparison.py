@@ -18,8 +18,6 @@ from scp_recon.results.table import SCALES, Cell, Column, Table
 from scp_recon.results.verification import Verification
 from scp_recon.scenario.schema import Scenario
 
-SHOWN = dict(SCALES.keys())
-"""Units of a table's texts by those of the rows."""
 DIFFERS = "differs from the first in"
 """Row of the sections in which a scenario differs from the first plan's: it limits comparison."""
 MARGIN, MARGIN_ROUNDING = "margin ", {"m/s": 1e-6}
@@ -28,9 +26,13 @@ BINDING = 1e-4
 """Margin in the program below which a limit binds, m or sigma."""
 
 
+Row = tuple[str, str, tuple[float | str | None, ...]]
+"""A name, its unit, and every plan's figure, None where it has none."""
+
+
 @dataclass(frozen=True, repr=False)
 class Comparison(Displayed):
-    """Figures of plans: rows of a name, its unit and every plan's figure, None where it has none.
+    """Figures of plans.
 
     Attributes:
         names: of the plans.
@@ -39,7 +41,7 @@ class Comparison(Displayed):
     """
 
     names: tuple[str, ...]
-    rows: tuple[tuple[str, str, tuple[float | str | None, ...]], ...]
+    rows: tuple[Row, ...]
     plans: tuple[Solution, ...]
 
     def __getitem__(self, name: str) -> tuple[float | str | None, ...]:
@@ -57,7 +59,7 @@ class Comparison(Displayed):
     def table(self) -> Table:
         """Rows with their units in brackets, speeds in mm/s; six digits, rounding counts as zero."""
         rows = (
-            [_label(name, unit), *(_cell(name, unit, figure) for figure in row)]
+            [Column(name, shown(unit)).label, *(_cell(name, unit, figure) for figure in row)]
             for name, unit, row in self.rows
         )
         columns = (Column("", name="figure"), *map(Column, self.names))
@@ -76,7 +78,7 @@ class Comparison(Displayed):
 
 def compare(names: Sequence[str], solutions: Sequence[Solution]) -> Comparison:
     """Compare plans with each other, and their paths with the first one's."""
-    rows: list[tuple[str, str, tuple[float | str | None, ...]]] = [
+    rows: list[Row] = [
         ("scenario", "", tuple(s.scenario.name for s in solutions)),
         (DIFFERS, "", tuple(_differences(solutions[0].scenario, s.scenario) for s in solutions)),
         ("status", "", tuple(s.status for s in solutions)),
@@ -132,9 +134,7 @@ def _whole_flight(solution: Solution) -> Array:
     return np.vstack([solution.flown_m_s, solution.burns_m_s])
 
 
-def _history(
-    solutions: Sequence[Solution],
-) -> list[tuple[str, str, tuple[float | str | None, ...]]]:
+def _history(solutions: Sequence[Solution]) -> list[Row]:
     """Rows for plans made in flight: parent, burns flown before, miss of the final state."""
     whole = [float(np.linalg.norm(_whole_flight(s), axis=1).sum()) for s in solutions]
     missed = [s.verification.missed if s.verification else None for s in solutions]
@@ -147,9 +147,9 @@ def _history(
     ]
 
 
-def _label(name: str, unit: str) -> str:
-    """A row's name with its unit, as shown."""
-    return f"{name} ({SHOWN.get(unit, unit)})" if unit else name
+def shown(unit: str) -> str:
+    """Unit of a table's texts by that of the rows."""
+    return dict(SCALES.keys()).get(unit, unit)
 
 
 def _cell(name: str, unit: str, figure: float | str | None) -> Cell | str | None:
@@ -157,8 +157,8 @@ def _cell(name: str, unit: str, figure: float | str | None) -> Cell | str | None
     if not isinstance(figure, float):
         return figure
     rounding = MARGIN_ROUNDING.get(unit, BINDING) if name.startswith(MARGIN) else 1e-9
-    shown = figure * SCALES.get((unit, SHOWN.get(unit, unit)), 1.0)
-    return Cell(digits(shown, 6) if abs(figure) >= rounding else "0", shown)
+    value = figure * SCALES.get((unit, shown(unit)), 1.0)
+    return Cell(digits(value, 6) if abs(figure) >= rounding else "0", value)
 
 
 def largest_distance_m(one: Solution, other: Solution) -> float | None:

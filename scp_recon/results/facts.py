@@ -127,12 +127,8 @@ class StageSummary:
     """One run of the SCP.
 
     Attributes:
-        name: `P3`, `P2`; `P2.2` with facets chosen a second time, and so on; `P3b`, `P2b` restarted
-            from the ballistic arc, `c` and `d` from a turn about the body, the shorter and the longer
-            way; `P3.open` leads from a guess that is no flight to P3, `P2.node` and `P2.coarse` to
-            the P2 of an exact plan of whole flights; `P2.settled` has facets chosen until none is
-            cheaper; `P2.grown` keeps drifts out of a smaller ball; `P2.held` holds burns that would be
-            too small to execute.
+        name: `P3` or `P2`, and endings: `P2.2` with facets chosen a second time, and so on; `P3b`,
+            `P2.settled` and others as the report's table of stages explains them.
         status: how it ended.
         total_dv_m_s: sum of its burns' sizes.
         iterations: their number.

@@ -215,7 +215,7 @@ def require_whole_flight(scenario: Scenario, entry: str) -> None:
 def make_solution(plan: Plan) -> Solution:
     """Make a solution, not yet verified, from a plan's facts in SI."""
     mission, outcome = plan.mission, plan.final.result.status.value
-    policy = stored_policy(plan)
+    policy, parts = stored_policy(plan), vars(plan.timing)
     solution = Solution(
         **vars(plan.provenance),
         status=outcome.name,
@@ -230,7 +230,15 @@ def make_solution(plan: Plan) -> Solution:
             knowledge=plan.known.tolist() if policy is not None else None,
             parameters=plan.parameter_covariances.tolist() if mission.uncertain.count else None,
         ),
-        stages=[_summary(mission, stage) for stage in plan.stages],
+        stages=[
+            StageSummary(
+                name=stage.name,
+                status=stage.result.status.value.name,
+                total_dv_m_s=float(stage.result.lin.iterate.total_dv * mission.units.speed_m_s),
+                iterations=len(stage.result.records),
+            )
+            for stage in plan.stages
+        ],
         facets=_facet_table(mission, plan.final),
         risk=_risk(plan),
         policy=policy,
@@ -243,7 +251,7 @@ def make_solution(plan: Plan) -> Solution:
             for stage in plan.stages
             for record in stage.result.records
         ],
-        timing_s=_timing(plan),
+        timing_s=PlanTiming(total=plan.total_s, other=plan.total_s - sum(parts.values()), **parts),
         verification=None,
         warnings=mission.warnings,
         scenario=mission.scenario,
@@ -271,15 +279,6 @@ def iteration_record(mission: Mission, stage: str, record: Record) -> IterationR
         max_violation=finite(record.max_violation * length),
         max_defect=finite(record.max_defect * length),
         solver_s=record.solver_s,
-    )
-
-
-def _summary(mission: Mission, stage: Stage) -> StageSummary:
-    return StageSummary(
-        name=stage.name,
-        status=stage.result.status.value.name,
-        total_dv_m_s=float(stage.result.lin.iterate.total_dv * mission.units.speed_m_s),
-        iterations=len(stage.result.records),
     )
 
 
@@ -320,11 +319,6 @@ def _risk(plan: Plan) -> Risk | None:
             if plan.final.unit(name) == "sigma" and name not in drifts
         ],
     )
-
-
-def _timing(plan: Plan) -> PlanTiming:
-    parts = vars(plan.timing)
-    return PlanTiming(total=plan.total_s, other=plan.total_s - sum(parts.values()), **parts)
 
 
 # --- burns that were given and not planned ------------------------------------------------------

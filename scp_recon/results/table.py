@@ -165,12 +165,6 @@ class Table:
             rows=tuple(tuple(row[i] for i in kept) for row in self.rows),
         )
 
-    def with_column(self, column: Column, values: Iterable[object]) -> Table:
-        """The table with a further column on the right."""
-        cells = map(column.cell, values)
-        rows = tuple((*row, cell) for row, cell in zip(self.rows, cells, strict=True))
-        return replace(self, columns=(*self.columns, column), rows=rows)
-
     def with_rows(self, rows: Iterable[Sequence[object]]) -> Table:
         """The table with more rows at the end."""
         more = Table.of(self.title, self.columns, rows)
