@@ -44,9 +44,8 @@ class Flight:
         in_use: `Actuators` that control the attitude, shape (n,).
         wheel_speeds_rad_s: shape (n, wheels).
         micro_on_s: on-time of each micro-thruster in the period, shape (n, thrusters).
-        burns_m_s: executed, J2000, shape (m, 3).
+        burn_error: of each burn's thrust, relative, shape (m,).
         dumps: number of dumps of the wheels' momentum.
-        terminal_state: at the planned end, with the last burn as an impulse, shape (6,).
         policy: that commanded the burns.
         miss: number of the burn that did not happen, if one did not.
     """
@@ -61,9 +60,8 @@ class Flight:
     in_use: npt.NDArray[np.int8]
     wheel_speeds_rad_s: Array
     micro_on_s: Array
-    burns_m_s: Array
+    burn_error: Array
     dumps: int
-    terminal_state: Array
     policy: PolicyKind = "open"
     miss: int | None = None
 
@@ -71,6 +69,27 @@ class Flight:
     def power(self) -> Power:
         """Panels, loads and batteries, balanced in each control period."""
         return Power.of(self)
+
+    @cached_property
+    def burns_m_s(self) -> Array:
+        """Executed burns, J2000, m/s: impulse over mass at the flown attitudes, shape (m, 3)."""
+        directions = self.attitudes.apply(unit(self.plan.vehicle.chemical_thruster.direction))
+        burns = np.zeros((len(self.plan.firings), 3))
+        for i, firing in enumerate(self.plan.firings):
+            if not firing.duration_s:
+                continue
+            first, last = np.searchsorted(self.times_s, [firing.start_s, firing.end_s])
+            # A last burn that is commanded longer than it was planned outlasts what is recorded.
+            flown = directions[first : last + 1]
+            mean = 0.5 * (flown[:-1] + flown[1:]).mean(axis=0) if len(flown) > 1 else flown[0]
+            burns[i] = np.linalg.norm(firing.dv_m_s) * (1.0 + self.burn_error[i]) * mean
+        return burns
+
+    @property
+    def terminal_state(self) -> Array:
+        """State at the planned end, with the last burn as an impulse, shape (6,)."""
+        last = round(self.plan.firings[-1].start_s / CONTROL_PERIOD_S)
+        return self.states[last] + np.concatenate([np.zeros(3), self.burns_m_s[-1]])
 
     @cached_property
     def attitude_error(self) -> Array:

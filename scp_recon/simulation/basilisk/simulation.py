@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
@@ -19,7 +19,6 @@ from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.closed_loop import MEASURED
 from scp_recon.monte_carlo.drifts import reach_s
 from scp_recon.monte_carlo.sampling import AnyPolicy, policy_kind, start_loop
-from scp_recon.physics.frames import unit
 from scp_recon.results.solution import Solution
 from scp_recon.simulation.basilisk.control import build_flight_software
 from scp_recon.simulation.basilisk.navigation import Sensors
@@ -30,6 +29,7 @@ from scp_recon.simulation.guidance import CONTROL_PERIOD_S, FlightPlan
 from scp_recon.simulation.vehicle import Errors, Vehicle
 
 ARCSEC = np.deg2rad(1.0 / 3600.0)
+REPORT_S = 200.0
 
 
 class Source(StrEnum):
@@ -49,12 +49,16 @@ class Source(StrEnum):
 
 @dataclass(frozen=True)
 class Draws:
-    """Errors drawn with one seed; leaving a source out does not change the others' draws."""
+    """Errors drawn with one seed; leaving a source out does not change the others' draws.
+
+    Those of sensors are drawn by Basilisk, with the sigmas and the seeds of the sources.
+    """
 
     initial: Array
     burns: Array
     pulses: Array
     measured: Array
+    sigmas: SensorSigmas
     seeds: dict[str, int]
 
     @classmethod
@@ -85,6 +89,7 @@ class Draws:
             burns=errors.chemical_thruster * normal(Source.CHEMICAL_THRUSTER, len(plan.firings)),
             pulses=errors.micro_thruster_n * normal(Source.MICRO_THRUSTER, periods, thrusters),
             measured=normal(Source.NAVIGATION, 1, MEASURED * cut_offs),
+            sigmas=sensor_sigmas(errors, sources),
             seeds={s.value: int(c.generate_state(1)[0]) for s, c in stream.items()},
         )
 
@@ -134,8 +139,7 @@ def simulate(
         (commands[0].inv() * commands[1]).as_rotvec() / CONTROL_PERIOD_S,
         np.zeros(len(vehicle.wheels.axes)),
     )
-    sigmas = sensor_sigmas(vehicle.errors, sources)
-    sim = Simulator(plan, commands, start, draws, sigmas, times)
+    sim = Simulator(plan, commands, start, draws, times)
     sim.run(progress, Commander(mission, burns, policy, draws.measured))
     return replace(sim.flight(), policy=policy_kind(policy), miss=miss)
 
@@ -192,13 +196,12 @@ class Simulator:
         commands: Rotation,
         start: Start,
         draws: Draws,
-        sigmas: SensorSigmas,
         times_s: Array,
     ) -> None:
         self.plan, self.times_s = plan, times_s
         field = plan.mission.gravity.harmonics
         self.plant = Plant(plan.mission, plan.vehicle, start, field=field)
-        sensors = Sensors(self.plant, sigmas, draws.seeds)
+        sensors = Sensors(self.plant, draws.sigmas, draws.seeds)
         # Designed for all errors: the filter cannot know which sources are left out, and one that took
         # the gyro for perfect would in time ignore the star tracker.
         expected = sensor_sigmas(plan.vehicle.errors, frozenset(Source))
@@ -211,14 +214,18 @@ class Simulator:
         period = macros.sec2nano(CONTROL_PERIOD_S)
         self._states = self.plant.hub.scStateOutMsg.recorder(period)
         self._wheels = self.plant.wheels.rwSpeedOutMsg.recorder(period)
-        self.sim = _schedule(
-            {
-                "surroundings": (SURROUNDINGS_S, [self.plant.surroundings]),
-                "dynamics": (STEP_S, [*self.plant.effectors[1:], self.plant.hub]),
-                "software": (CONTROL_PERIOD_S, [*sensors.models, *software]),
-                "record": (CONTROL_PERIOD_S, [self._states, self._wheels]),
-            }
-        )
+        tasks: dict[str, tuple[float, list[sysModel.SysModel]]] = {
+            "surroundings": (SURROUNDINGS_S, [self.plant.surroundings]),
+            "dynamics": (STEP_S, [*self.plant.effectors[1:], self.plant.hub]),
+            "software": (CONTROL_PERIOD_S, [*sensors.models, *software]),
+            "record": (CONTROL_PERIOD_S, [self._states, self._wheels]),
+        }
+        self.sim = SimulationBaseClass.SimBaseClass()
+        process = self.sim.CreateNewProcess("flight")
+        for rank, (name, (period_s, models)) in enumerate(tasks.items()):  # in their order
+            process.addTask(self.sim.CreateNewTask(name, macros.sec2nano(period_s)), -rank)
+            for model in models:
+                self.sim.AddModelToTask(name, model)
 
     def run(
         self,
@@ -249,56 +256,17 @@ class Simulator:
     def flight(self) -> Flight:
         """The recorded flight."""
         states = self._states
-        flown = np.hstack([states.r_CN_N, states.v_CN_N])
-        attitudes = Rotation.from_mrp(states.sigma_BN)
-        burns = self._executed_burns(attitudes)
-        terminal = flown[-1]
-        if self.plan.firings:
-            last = round(self.plan.firings[-1].start_s / CONTROL_PERIOD_S)
-            terminal = flown[last] + np.concatenate([np.zeros(3), burns[-1]])
         return Flight(
             plan=self.plan,
             times_s=self.times_s,
-            states=flown,
-            attitudes=attitudes,
+            states=np.hstack([states.r_CN_N, states.v_CN_N]),
+            attitudes=Rotation.from_mrp(states.sigma_BN),
             commands=self.navigator.commands,
             estimates=Rotation.from_quat(self.navigator.estimates, scalar_first=True),
             rates_rad_s=states.omega_BN_B,
             in_use=self.allocator.in_use,
             wheel_speeds_rad_s=self._wheels.wheelSpeeds[:, : len(self.plan.vehicle.wheels.axes)],
             micro_on_s=self.firer.on_time_s,
-            burns_m_s=burns,
+            burn_error=self.firer.burn_error,
             dumps=self.allocator.dumps,
-            terminal_state=terminal,
         )
-
-    def _executed_burns(self, attitudes: Rotation) -> Array:
-        """Executed burns, J2000, m/s: impulse over mass at the flown attitudes, shape (m, 3)."""
-        directions = attitudes.apply(unit(self.plan.vehicle.chemical_thruster.direction))
-        burns = np.zeros((len(self.plan.firings), 3))
-        for i, firing in enumerate(self.plan.firings):
-            if not firing.duration_s:
-                continue
-            first, last = np.searchsorted(self.times_s, [firing.start_s, firing.end_s])
-            # A last burn that is commanded longer than it was planned outlasts what is recorded.
-            flown = directions[first : last + 1]
-            mean = 0.5 * (flown[:-1] + flown[1:]).mean(axis=0) if len(flown) > 1 else flown[0]
-            size = np.linalg.norm(firing.dv_m_s) * (1.0 + self.firer.burn_error[i])
-            burns[i] = size * mean
-        return burns
-
-
-REPORT_S = 200.0
-
-
-def _schedule(
-    tasks: Mapping[str, tuple[float, Sequence[sysModel.SysModel]]],
-) -> SimulationBaseClass.SimBaseClass:
-    """A simulation of tasks: period in s and models of each, all in the order of their execution."""
-    sim = SimulationBaseClass.SimBaseClass()
-    process = sim.CreateNewProcess("flight")
-    for rank, (name, (period_s, models)) in enumerate(tasks.items()):
-        process.addTask(sim.CreateNewTask(name, macros.sec2nano(period_s)), -rank)
-        for model in models:
-            sim.AddModelToTask(name, model)
-    return sim

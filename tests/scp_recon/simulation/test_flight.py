@@ -1,6 +1,5 @@
 import json
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -64,10 +63,7 @@ def test_a_last_burn_may_be_commanded_longer_than_planned(perfect):
     burns[-1] *= 3.0
     plan = perfect.plan.with_burns(burns)
     assert plan.end_s > perfect.times_s[-1]
-    flown = SimpleNamespace(
-        plan=plan, times_s=perfect.times_s, firer=SimpleNamespace(burn_error=np.zeros(len(burns)))
-    )
-    found = simulation.Simulator._executed_burns(flown, perfect.attitudes)  # type: ignore[arg-type]
+    found = replace(perfect, plan=plan).burns_m_s
     np.testing.assert_allclose(found[0], perfect.burns_m_s[0], rtol=1e-12)
     np.testing.assert_allclose(found[-1], 3.0 * perfect.burns_m_s[-1], atol=1e-3 * 0.1)
 
@@ -220,8 +216,7 @@ def short_run(
     draws = Draws.of(plan, own, seconds, seed, sources)
     state = mission.initial_state + draws.initial
     start = Start(state, commands[begin], rate, np.array(speeds))
-    sigmas = sensor_sigmas(whole.vehicle.errors, sources)
-    sim = Simulator(plan, commands, start, draws, sigmas, times)
+    sim = Simulator(plan, commands, start, draws, times)
     sim.run()
     return sim
 
