@@ -16,7 +16,7 @@ from scp_recon.mission.mission import Mission
 from scp_recon.mission.scene import errors_of_kind, make_grid
 from scp_recon.monte_carlo.closed_loop import MEASURED, ClosedLoop, Replan, ReplanLoop, Replans, due
 from scp_recon.monte_carlo.limits import is_certain
-from scp_recon.physics.flow import advance, interpolate
+from scp_recon.physics.flow import SHARES, interpolate, runge_kutta
 from scp_recon.physics.forces import accelerations
 from scp_recon.results.policy import Correction, Policy
 
@@ -261,10 +261,11 @@ def flow_of(mission: Mission, truth: TruthModel) -> Flow:
     forces, each = mission.gravity.forces(truth), mission.deviation is not None
 
     def flow(r: Array, v: Array, start: float, duration: float) -> tuple[Array, Array]:
-        def acceleration(at: Array, elapsed: float) -> Array:
-            time = np.full(at.shape[1], start + elapsed) if each else start + elapsed
-            return accelerations(at, forces, forces.moment(time))
-
-        return advance(r, v, duration, acceleration, 1)
+        times = [start + share * duration for share in SHARES]
+        moments = (forces.moment(np.full(r.shape[1], t) if each else t) for t in times)
+        _, *end = runge_kutta(
+            r, v, duration, lambda at, known: accelerations(at, forces, known), moments
+        )
+        return end[0], end[1]
 
     return flow

@@ -7,7 +7,7 @@ the exact derivatives of the discrete map, not approximations of those of the co
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -201,15 +201,18 @@ def propagate(
 
     The time at which an arc starts is needed where forces depend on it.
     """
-    begin = _begin(start, forces)
+    begin, h = _begin(start, forces), np.asarray(duration) / substeps
 
-    def rate(r: Array, elapsed: Any) -> Array:
-        moment = _moment(forces, begin + elapsed, r.shape[1:])
+    def rate(r: Array, time: Array) -> Array:
+        moment = _moment(forces, time, r.shape[1:])
         return accelerations(r.reshape(3, -1), forces, moment).reshape(r.shape)
 
     r = np.moveaxis(np.asarray(state)[..., :3], -1, 0)
     v = np.moveaxis(np.asarray(state)[..., 3:], -1, 0)
-    return np.moveaxis(np.concatenate(advance(r, v, duration, rate, substeps)), 0, -1)
+    for k in range(substeps):
+        times = [begin + (k * h + share * h) for share in SHARES]
+        _, r, v = runge_kutta(r, v, h, rate, times)
+    return np.moveaxis(np.concatenate([r, v]), 0, -1)
 
 
 def _begin(start: Array | float | None, forces: ForceModel) -> Array:
@@ -223,29 +226,31 @@ def _moment(forces: ForceModel, time: Array, shape: tuple[int, ...]) -> Moment |
     return forces.moment(np.broadcast_to(time, shape).ravel()) if forces.timed else None
 
 
-def advance(
-    r: Array, v: Array, duration: Array | float, rate: Callable[[Array, Any], Array], substeps: int
-) -> tuple[Array, Array]:
-    """Fourth-order Runge-Kutta for an acceleration of the position (3, ...) and the elapsed time.
+SHARES = (0.0, 0.5, 0.5, 1.0)
+"""Of a step's length, at its four stages."""
 
-    Positions and velocities have shape (3, ...), and `duration` broadcasts against (...). With a_i the
-    accelerations at the stages, the classical scheme for r'' = a(r, t) is
+
+def runge_kutta(
+    r: Array, v: Array, h: Array | float, rate: Callable[[Array, Any], Array], known: Iterable[Any]
+) -> tuple[tuple[Array, ...], Array, Array]:
+    """Positions of the four stages of a Runge-Kutta step, and position and velocity of its end.
+
+    With a_i the accelerations at the stages, the classical scheme for r'' = a(r, t) is
 
         r_1 = r,  r_2 = r + h/2 v,  r_3 = r_2 + h^2/4 a_1,  r_4 = r + h v + h^2/2 a_2
         r+ = r + h v + h^2/6 (a_1 + a_2 + a_3),  v+ = v + h/6 (a_1 + 2 a_2 + 2 a_3 + a_4).
+
+    The acceleration is a function of a stage's position and of what else is known there; so are its
+    derivatives, of which the same step makes those of the end.
     """
-    h = np.asarray(duration) / substeps
-    for k in range(substeps):
-        t = k * h
-        half, full = r + (0.5 * h) * v, r + h * v
-        a1 = rate(r, t)
-        a2 = rate(half, t + 0.5 * h)
-        a3 = rate(half + (0.25 * h * h) * a1, t + 0.5 * h)
-        a4 = rate(full + (0.5 * h * h) * a2, t + h)
-        middle = a2 + a3
-        r = full + (h * h / 6.0) * (a1 + middle)
-        v = v + (h / 6.0) * (a1 + a4 + 2.0 * middle)
-    return r, v
+    one, two, three, four = known
+    half, full = r + (0.5 * h) * v, r + h * v
+    a1, a2 = rate(r, one), rate(half, two)
+    third, fourth = half + (0.25 * h * h) * a1, full + (0.5 * h * h) * a2
+    a3, a4 = rate(third, three), rate(fourth, four)
+    middle = a2 + a3
+    end = full + (h * h / 6.0) * (a1 + middle), v + (h / 6.0) * (a1 + a4 + 2.0 * middle)
+    return (r, half, third, fourth), *end
 
 
 def interpolate(
@@ -281,34 +286,17 @@ def differentiate(
     stm = np.broadcast_to(np.eye(6).reshape(2, 3, 6), (n, 2, 3, 6))
     steps = []
     for k in range(substeps):
-        time = begin + h * (k + np.array([[0.0], [0.5], [0.5], [1.0]]))
+        time = begin + h * (k + np.array(SHARES)[:, None])
+        moments = [_moment(forces, at, at.shape) for at in time]
         # The stages' positions come first: the gradients are evaluated at all of them at once.
-        position, r, v = _stage_positions(r, v, h, time, forces)
-        moment = _moment(forces, time, (4, n))
+        stages, r, v = runge_kutta(r, v, h, lambda at, own: accelerations(at, forces, own), moments)
+        position, moment = np.stack(stages).transpose(0, 2, 1), _moment(forces, time, (4, n))
         gradient = gravity_gradient(position.reshape(-1, 3), forces, moment).reshape(4, n, 3, 3)
         first, stm = _first_order(stm, gradient, h)
         steps.append(_Stages(h, time, position, gradient, first))
     return FlowDerivatives(
         np.concatenate([r, v]).T.copy(), stm.reshape(n, 6, 6), tuple(steps), forces
     )
-
-
-def _stage_positions(
-    r: Array, v: Array, h: Array, time: Array, forces: ForceModel
-) -> tuple[Array, Array, Array]:
-    """Positions of the four stages (4, n, 3), and the step's end, for r and v of shape (3, n)."""
-    half, full = r + (0.5 * h) * v, r + h * v
-    moments = [_moment(forces, at, at.shape) for at in time]
-    a1 = accelerations(r, forces, moments[0])
-    a2 = accelerations(half, forces, moments[1])
-    third = half + (0.25 * h * h) * a1
-    a3 = accelerations(third, forces, moments[2])
-    fourth = full + (0.5 * h * h) * a2
-    a4 = accelerations(fourth, forces, moments[3])
-    middle = a2 + a3
-    position = np.stack([r, half, third, fourth]).transpose(0, 2, 1)
-    end = full + (h * h / 6.0) * (a1 + middle)
-    return position, end, v + (h / 6.0) * (a1 + a4 + 2.0 * middle)
 
 
 def _first_order(
@@ -318,15 +306,11 @@ def _first_order(
 
     Or those by p parameters, with the accelerations' own derivatives by these, shape (4, n, 3, p).
     """
-    w = h[:, None, None]
-    r, v = stm[:, 0], stm[:, 1]
-    half, full = r + (0.5 * w) * v, r + w * v
-    a1, a2 = gradient[0] @ r + push[0], gradient[1] @ half + push[1]
-    third, fourth = half + (0.25 * w * w) * a1, full + (0.5 * w * w) * a2
-    a3, a4 = gradient[2] @ third + push[2], gradient[3] @ fourth + push[3]
-    middle = a2 + a3
-    end = full + (w * w / 6.0) * (a1 + middle), v + (w / 6.0) * (a1 + a4 + 2.0 * middle)
-    return np.stack([r, half, third, fourth]), np.stack(end, axis=1)
+    known = zip(gradient, push, strict=True)
+    stages, *end = runge_kutta(
+        stm[:, 0], stm[:, 1], h[:, None, None], lambda at, own: own[0] @ at + own[1], known
+    )
+    return np.stack(stages), np.stack(end, axis=1)
 
 
 def _second_order(
@@ -337,7 +321,7 @@ def _second_order(
     The stages' accelerations have a_i'' = H_i (r_i', r_i') + G_i r_i''. With p parameters w besides,
     those by w and state follow, (n, 2, 3, 6 (6 + p)), with H_i (dr_i/dw, r_i') + (dG_i/dw) r_i' + ...
     """
-    n, w, g = len(tensor), stages.h[:, None, None], stages.gradient
+    n = len(tensor)
     first = stages.first.reshape(4 * n, 3, 6)
     moment = _moment(forces, stages.time, stages.time.shape)
     curvature = gravity_curvature(stages.position.reshape(-1, 3), forces, moment)
@@ -350,11 +334,8 @@ def _second_order(
     if forced is not None:
         both[:, :, 6:] += forced.slope @ stages.first[:, :, None]
     bend = both.transpose(0, 1, 3, 2, 4).reshape(4, n, 3, -1)
-    r, v = tensor[:, 0], tensor[:, 1]
-    half, full = r + (0.5 * w) * v, r + w * v
-    a1, a2 = bend[0] + g[0] @ r, bend[1] + g[1] @ half
-    a3 = bend[2] + g[2] @ (half + (0.25 * w * w) * a1)
-    a4 = bend[3] + g[3] @ (full + (0.5 * w * w) * a2)
-    middle = a2 + a3
-    end = full + (w * w / 6.0) * (a1 + middle), v + (w / 6.0) * (a1 + a4 + 2.0 * middle)
+    w, known = stages.h[:, None, None], zip(bend, stages.gradient, strict=True)
+    _, *end = runge_kutta(
+        tensor[:, 0], tensor[:, 1], w, lambda at, own: own[0] + own[1] @ at, known
+    )
     return np.stack(end, axis=1)
