@@ -71,14 +71,10 @@ class Cluster:
         try:
             addressing = distributed.comm.addressing
             addressing.parse_host_port(addressing.parse_address(self.address)[1])
-        except ValueError as error:
-            given = f"{self.address!r}: {error}"
-            raise InputError(option("scheduler"), given, EXAMPLE) from None
-        try:
             return distributed.Client(self.address, timeout=ANSWER_S, set_as_default=False)
         except (OSError, TimeoutError, ValueError) as error:
             said = (str(error).splitlines() or [type(error).__name__])[0]
-            given = f"{self.address}, where none answers ({said[:120]})"
+            given = f"{self.address!r}, where none answers ({said[:120]})"
             raise InputError(option("scheduler"), given, EXAMPLE) from None
 
     def _run(self, client: Any, pickled: bytes, jobs: Iterable[Job]) -> Iterator[Done]:

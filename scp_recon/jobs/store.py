@@ -58,7 +58,6 @@ class Store:
         self._head = json.dumps(head, sort_keys=True, default=str).encode() + b"\n"
         self._places: dict[Key, int] = {}
         self._end = 0  # of the last whole line; 0 where there are no rows of ours
-        self._file: IO[bytes] | None = None
         self._synced = monotonic()
         self._open = ExitStack()
         try:
@@ -125,23 +124,19 @@ class Store:
             raise InputError(found.entry, found.given, allowed) from None
 
     def _append(self, key: Key, line: bytes) -> None:
-        if self._file is None:
-            if not self._end:
-                write_atomically(self.path, self._head)
-                self._end = len(self._head)
-            self._file = self.path.open("r+b")
-            self._file.truncate(self._end)
-            self._file.seek(self._end)
+        if not self._end:
+            write_atomically(self.path, self._head)
+            self._end = len(self._head)
         try:
-            self._file.write(line)
-            self._file.flush()
-            if monotonic() - self._synced > SYNC_S:
-                os.fsync(self._file.fileno())
-                self._synced = monotonic()
+            with self.path.open("r+b") as file:
+                file.truncate(self._end)
+                file.seek(self._end)
+                file.write(line)
+                file.flush()
+                if monotonic() - self._synced > SYNC_S:
+                    os.fsync(file.fileno())
+                    self._synced = monotonic()
         except OSError:
-            with suppress(OSError):  # which tries to write the rest
-                self._file.close()
-            self._file = None
             with suppress(OSError):
                 os.truncate(self.path, self._end)
             raise
@@ -150,21 +145,13 @@ class Store:
 
     def forget(self) -> None:
         """Delete the file, once its rows are kept elsewhere."""
-        self._leave()
         self._places, self._end = {}, 0
         self.path.unlink(missing_ok=True)
 
-    def _leave(self) -> None:
-        file, self._file = self._file, None
-        if file is not None:
-            with suppress(OSError):
-                os.fsync(file.fileno())
-            with suppress(OSError):
-                file.close()
-
     def close(self) -> None:
-        """Close the file, so that another process may open it."""
-        self._leave()
+        """Let another process open the file."""
+        with suppress(OSError), self.path.open("rb") as file:
+            os.fsync(file.fileno())
         self._open.close()
 
 
