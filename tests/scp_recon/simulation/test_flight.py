@@ -41,9 +41,7 @@ def perfect(short_solution, vehicle) -> Flight:
     return simulate(short_solution, vehicle, sources=())
 
 
-def test_a_flight_without_errors_stays_with_the_plan_and_gains_what_its_burns_are_said_to_be(
-    perfect, short_solution
-):
+def test_flight_without_errors_stays_with_the_plan(perfect, short_solution):
     """Gravity's share over the few seconds of a burn is taken from the coast before."""
     error = perfect.node_states(short_solution) - np.array(short_solution.nodes.state)
     assert np.linalg.norm(error[:, :3], axis=1).max() < 3.0
@@ -184,13 +182,9 @@ def test_leaving_a_source_out_leaves_the_draws_of_the_others(
     for source in Source:
         one = Draws.of(plan, factor, 100, 5, {source})
         rest = Draws.of(plan, factor, 100, 5, frozenset(Source) - {source})
-        for a, b, c in zip(
-            (every.initial, every.burns, every.pulses),
-            (one.initial, one.burns, one.pulses),
-            (rest.initial, rest.burns, rest.pulses),
-            strict=True,
-        ):
-            np.testing.assert_array_equal(a, b + c)
+        for name in ("initial", "burns", "pulses"):
+            whole, own, others = (getattr(draws, name) for draws in (every, one, rest))
+            np.testing.assert_array_equal(whole, own + others)
     assert sensor_sigmas(vehicle.errors, {Source.IMU}).star_tracker == 0.0
     assert sensor_sigmas(vehicle.errors, {Source.IMU}).gyro == vehicle.errors.imu_rad_s
 
@@ -329,9 +323,7 @@ def test_a_record_is_read_as_it_was_written(perfect, short_solution, tmp_path):
         np.testing.assert_array_equal(again.arrays[name], record.arrays[name])
 
 
-def test_the_command_writes_one_file_and_says_one_document_with_json(
-    perfect, short_solution, tmp_path, monkeypatch, capsys
-):
+def test_command_writes_one_file(perfect, short_solution, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(simulation, "simulate", lambda *_, **__: perfect)
     short_solution.write(tmp_path)
     assert (

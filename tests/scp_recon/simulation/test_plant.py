@@ -1,6 +1,7 @@
 """The plant against forces and flows written apart, and errors as large as was drawn."""
 
-from dataclasses import replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -20,17 +21,41 @@ from scp_recon.physics.forces import ForceModel
 from scp_recon.physics.frames import unit
 from scp_recon.physics.harmonics import HarmonicField
 from scp_recon.simulation.basilisk.navigation import Sensors
-from scp_recon.simulation.basilisk.plant import Plant, Start
+from scp_recon.simulation.basilisk.plant import STEP_S, Plant, Start
 from scp_recon.simulation.basilisk.simulation import Draws, Simulator, Source, sensor_sigmas
 from scp_recon.simulation.guidance import FlightPlan
 from scp_recon.simulation.panels import irradiance
 from scp_recon.simulation.vehicle import Vehicle
 
-from .support import coast
-
 pytestmark = pytest.mark.slow
 
 DURATION_S = 17_421.0
+
+
+@dataclass(frozen=True)
+class Hub:
+    """State J2000 (6,), MRPs (3,) and rate in the body frame (3,)."""
+
+    state: Array
+    mrp: Array
+    rate: Array
+
+
+def coast(plant: Plant, times_s: Sequence[float] | Array, step_s: float = STEP_S) -> Iterator[Hub]:
+    """Fly, and stop with the state of the hub at each of the ascending times."""
+    sim = SimulationBaseClass.SimBaseClass()
+    process = sim.CreateNewProcess("flight")
+    process.addTask(sim.CreateNewTask("dynamics", macros.sec2nano(step_s)))
+    for model in (*plant.effectors, plant.hub):
+        sim.AddModelToTask("dynamics", model)
+    sim.InitializeSimulation()
+    for time in times_s:
+        sim.ConfigureStopTime(macros.sec2nano(float(time)))
+        sim.ExecuteSimulation()
+        now = plant.hub.scStateOutMsg.read()
+        yield Hub(
+            np.array([*now.r_CN_N, *now.v_CN_N]), np.array(now.sigma_BN), np.array(now.omega_BN_B)
+        )
 
 
 def start(state: Array) -> Start:
