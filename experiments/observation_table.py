@@ -173,11 +173,11 @@ def losses(summary: Summary, window_s: float) -> Record:
     for name in SCIENCE:
         held = summary.held_s[name]
         kept, bins = held.throughout.estimate, held.histogram
-        found |= ends(f"{name}_broken", Estimate(1.0 - kept.value, 1.0 - kept.high, 1.0 - kept.low))
         start, count = np.array(bins.start), np.array(bins.count)
         lost, broken = window_s - start - 0.5 * bins.bin, start + bins.bin < window_s
         flights = max(int(count[broken].sum()), 1)
         found |= {
+            f"{name}_broken": 1.0 - kept.value,
             f"{name}_lost_s": float(lost[broken] @ count[broken]) / flights,
             f"{name}_lost_little": float(count[broken & (lost <= LITTLE_S)].sum()) / flights,
             f"{name}_lost_all": float(count[broken & (start < bins.bin)].sum()) / flights,

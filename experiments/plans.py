@@ -9,7 +9,6 @@ missing rows.
 
 from __future__ import annotations
 
-import json
 import re
 import shlex
 from collections.abc import Mapping
@@ -161,14 +160,7 @@ def printed(out: Path, name: str) -> Record:
     command = PRINTED[name].format(**{other: out / other for other in PRINTED})
     words = ["-m", *shlex.split(command), "--out", str(out / name)]
     seconds, said = run_python(words, ENDS)
-    solution = json.loads((out / name / "solution.json").read_text("utf-8"))
-    planning = {"planning_s": solution["timing_s"]["total"]}
-    return {
-        "command": name,
-        **seconds,
-        **planning,
-        "lines": said.replace(str(out), "runs").splitlines(),
-    }
+    return {"command": name, **seconds, "lines": said.replace(str(out), "runs").splitlines()}
 
 
 def run(session: Session) -> Tables:

@@ -112,9 +112,7 @@ def by_policy(rows: Sequence[Row]) -> list[Row]:
                 "whole_high": share.high,
                 "window_s": own.window_s.max(),
                 "observed_mean_s": own.observed_s.mean(),
-                "observed_least_s": own.observed_s.min(),
                 "commanded_mean_m_s": own.commanded_m_s.mean(),
-                "commanded_most_m_s": own.commanded_m_s.max(),
                 "miss_m": np.sqrt((own.terminal_miss_m.astype(float) ** 2).mean()),
                 "as_required": int(own.shortfalls.eq("").sum()),
             }

@@ -13,15 +13,12 @@ from collections.abc import Mapping
 from time import process_time
 from typing import NamedTuple
 
-import numpy as np
-
 from experiments.frontier import SEED
 from experiments.harness import Record, Session, Study, Tables
 from experiments.plans import FLIGHT, measured
 from scp_recon.api.plan_verbs import fly
 from scp_recon.api.verbs import plan
 from scp_recon.monte_carlo.sampling import PolicyKind
-from scp_recon.monte_carlo.summary import Interval
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scp.status import Status
 
@@ -56,18 +53,15 @@ def measure(case: Case) -> Record:
     flights, begin = FLIGHTS[case.policy], process_time()
     flown = fly(found, flights, SEED, policy=case.policy)
     seconds = process_time() - begin
-    fixed = Interval(value=found.total_dv_m_s, low=found.total_dv_m_s, high=found.total_dv_m_s)
-    dv = flown.commanded
-    figures = {
-        "whole_flight": flown.whole_flight,
-        "mean_dv_m_s": dv.mean_dv_m_s if dv else fixed,
-        "dv99_m_s": dv.dv99_m_s if dv else fixed,
-        "final_sigma_m": flown.terminal.sigma_position_m,
+    whole, dv = flown.whole_flight, flown.commanded
+    row |= {
+        "whole_flight": whole.value,
+        "whole_flight_low": whole.low,
+        "whole_flight_high": whole.high,
+        "mean_dv_m_s": dv.mean_dv_m_s.value if dv else found.total_dv_m_s,
+        "dv99_m_s": dv.dv99_m_s.value if dv else found.total_dv_m_s,
+        "final_sigma_m": flown.terminal.sigma_position_m.value,
     }
-    for name, figure in figures.items():
-        assert figure is not None
-        ends = {"": figure.value, "_low": figure.low, "_high": figure.high}
-        row |= {name + end: np.nan if value is None else value for end, value in ends.items()}
     failed = sum(burn.failed or 0 for burn in dv.burns) if dv else 0
     return row | {"flights": flights, "failed_replans": failed, "flying_s": seconds}
 

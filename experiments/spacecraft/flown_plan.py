@@ -102,23 +102,23 @@ def pointing(summaries: Sequence[FlightSummary]) -> list[Row]:
     burns = [burn for summary in summaries for burn in summary.burns]
     # At time zero the attitude is what it should be, by construction.
     starts = [burn.pointing_deg for burn in burns if burn.t_s > 0.0]
-    executed, found = [burn.executed_pointing_deg for burn in burns], list[Row]()
-
-    def add(name: str, mean: float, quantiles: Array) -> None:
-        angles = zip(("95", "99_7", "largest"), quantiles.tolist(), strict=True)
-        found.append({"angle_deg": name, "mean": mean, **dict(angles)})
-
-    for name, angles in (
-        ("thrust against burn, as it starts, but for the first", starts),
-        ("velocity gained against burn", executed),
-    ):
-        add(name, float(np.mean(angles)), np.quantile(angles, (0.95, 0.997, 1.0)))
+    executed = [burn.executed_pointing_deg for burn in burns]
+    found = {
+        name: (float(np.mean(angles)), float(np.quantile(angles, 0.95)), max(angles))
+        for name, angles in (
+            ("thrust against burn, as it starts, but for the first", starts),
+            ("velocity gained against burn", executed),
+        )
+    }
     for name, target in (("camera", "command"), ("site", "the site")):
         spreads = [getattr(summary.window_pointing_deg, name) for summary in summaries]
-        worst = np.array([(s.q95, s.q997, s.q100) for s in spreads]).max(axis=0)
-        mean = float(np.mean([spread.mean for spread in spreads]))
-        add(f"camera against {target}, in the window", mean, worst)
-    return found
+        figures = [(spread.mean, spread.q95, spread.q100) for spread in spreads]
+        means, *worst = zip(*figures, strict=True)
+        found[f"camera against {target}, in the window"] = float(np.mean(means)), *map(max, worst)
+    return [
+        {"angle_deg": name, **dict(zip(("mean", "95", "largest"), own, strict=True))}
+        for name, own in found.items()
+    ]
 
 
 def within(flown: Array, sampled: Sequence[Array], window: Indices) -> list[Row]:

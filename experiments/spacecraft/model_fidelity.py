@@ -1,8 +1,8 @@
-"""Find the crudest model of each effect that is accurate enough for the planner.
+"""Measure how far a flight ends from the truth by cruder models of each effect.
 
 The truth is a flight under the degree-8 field, light pressure on the vehicle's plates in their
-commanded attitude, and finite burns. Each effect is replaced by its cruder models in turn. Writes
-OUT/model_fidelity.csv: how far the flight of each ends from the truth, and whether within 10 m.
+commanded attitude, and finite burns. Each effect is replaced by its cruder models in turn, then all by
+the planner's together. OUT/model_fidelity.csv has the distances.
 """
 
 from __future__ import annotations
@@ -32,10 +32,6 @@ from scp_recon.simulation.vehicle import Vehicle, load_vehicle
 SRP, GRAVITY, BURNS = "solar radiation pressure", "gravity", "burns"
 PLANNER = {SRP: "cannonball", GRAVITY: "J2", BURNS: "impulsive"}
 """The planner's own models."""
-TOGETHER = "together"
-"""Effect of rows in which all effects are modelled at once."""
-LIMIT_M = 10.0
-"""At the end of the flight: Echigo et al., section IV.B."""
 ATTITUDE_STEP_S = 60.0
 """Spacing at which the commanded attitude is turned into a force, linear in between."""
 INTEGRATOR: Mapping[str, Any] = {"rtol": 1e-11, "atol": 1e-9, "method": "DOP853"}
@@ -180,9 +176,9 @@ def _rate(
 
 
 def compare(name: str, solution: Solution) -> list[Record]:
-    """Fly every model of every effect, then the crudest that pass and the planner's together: rows."""
+    """Fly every model of every effect, then the planner's together: rows."""
     plan = flight_plan(solution, solution.mission, load_vehicle())
-    mission, models, rows = plan.mission, models_of(plan), list[Record]()
+    mission, models = plan.mission, models_of(plan)
     burns, end_s = np.array([firing.dv_m_s for firing in plan.firings]), float(mission.times_s[-1])
     thrust = plan.vehicle.chemical_thruster.thrust_n / plan.vehicle.mass.mass_kg
     truth = {effect: list(names)[-1] for effect, names in models.items()}
@@ -193,20 +189,20 @@ def compare(name: str, solution: Solution) -> list[Record]:
         return fly(mission, burns, model, end_s, thrust_m_s2=thrust, breaks_s=legs)[:3]
 
     true = end(truth)
-
-    def add(effect: str, model: str, names: Mapping[str, str]) -> bool:
-        off = float(np.linalg.norm(end(names) - true))
-        row = {"flight": name, "effect": effect, "model": model, "terminal_m": off}
-        rows.append(row | {"passes": off < LIMIT_M})
-        return off < LIMIT_M
-
-    crudest = dict(truth)
-    for effect, names in models.items():
-        passing = [model for model in [*names][:-1] if add(effect, model, truth | {effect: model})]
-        crudest[effect] = next(iter(passing), truth[effect])
-    for each in (crudest, PLANNER):
-        add(TOGETHER, ", ".join(each.values()), each)
-    return rows
+    flown = [
+        (effect, model, truth | {effect: model})
+        for effect, names in models.items()
+        for model in [*names][:-1]
+    ]
+    return [
+        {
+            "flight": name,
+            "effect": effect,
+            "model": model,
+            "terminal_m": float(np.linalg.norm(end(names) - true)),
+        }
+        for effect, model, names in (*flown, ("together", ", ".join(PLANNER.values()), PLANNER))
+    ]
 
 
 def run(_: Session) -> Tables:

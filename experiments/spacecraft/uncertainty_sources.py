@@ -28,7 +28,6 @@ from scp_recon.simulation.vehicle import Errors, Vehicle, load_vehicle
 
 PATHS, FLIGHTS = 10_000, 4
 INITIAL, CHEMICAL, NO_ERRORS = "initial_state", "chemical_thruster", "none"
-PATH, SPACECRAFT = "planner's dynamics", "whole spacecraft"
 ATTITUDE = ("sun_sensor", "star_tracker", "imu", "micro_thruster")
 """Sources that act on the path by way of the attitude; names are those of the vehicle's errors."""
 SETS: dict[str, tuple[str, tuple[str, ...], Callable[[Errors], str]]] = {
@@ -98,27 +97,25 @@ def measure_paths(solution: Solution, vehicle: Vehicle) -> list[Record]:
         entries = erring(thruster * (CHEMICAL in sources), initial * (INITIAL in sources))
         own, ends_s = mission.changed(entries), mission.times_s[-1:]
         (ends,) = sample_positions(own, solution.burns_m_s, ends_s, PATHS, seed)
-        rows.append(row(name, PATH, ends, planned, planned, errors))
+        rows.append(row(name, ends, planned, errors))
     return rows
 
 
-def measure_flights(flown: Sequence[Record], solution: Solution, vehicle: Vehicle) -> list[Record]:
+def measure_flights(flown: Sequence[Record], errors: Errors) -> list[Record]:
     """Rows of the sets that the whole spacecraft was flown with, among them the one without errors."""
-    planned, rows = np.array(solution.nodes.state[-1])[:3], list[Record]()
+    rows = list[Record]()
     sets: dict[str, list[Record]] = {}
     for one in flown:
         sets.setdefault(one["error_sources"], []).append(one)
     ends = {key: np.array([[one[x] for x in POSITION] for one in own]) for key, own in sets.items()}
     for name, own in sets.items():
-        found = row(name, SPACECRAFT, ends[name], ends[NO_ERRORS][0], planned, vehicle.errors)
+        found = row(name, ends[name], ends[NO_ERRORS][0], errors)
         off = max(one["attitude_error_rad"] for one in own)
         rows.append(found | {"attitude_error_deg": float(np.rad2deg(off))})
     return rows
 
 
-def row(
-    name: str, flown_by: str, ends: Array, perfect: Array, planned: Array, errors: Errors
-) -> Record:
+def row(name: str, ends: Array, perfect: Array, errors: Errors) -> Record:
     """A row of the CSV: a set of sources, from where its flights end, J2000, m, shape (n, 3).
 
     `perfect` is the end of the flight without errors.
@@ -128,12 +125,10 @@ def row(
         "source": name,
         "label": label,
         "sigma": sigma(errors),
-        "flown_by": flown_by,
         "flights": len(ends),
         "rms_m": spread.value,
         "rms_m_low": spread.low,
         "rms_m_high": spread.high,
-        "mean_off_plan_m": float(np.linalg.norm(ends.mean(axis=0) - planned)),
         "attitude_error_deg": "",
     }
 
@@ -151,7 +146,7 @@ def run(session: Session) -> Tables:
         if name not in PATH_SETS and (name != NO_ERRORS or not seed)
     ]
     flown = session.rows("flights", partial(fly_spacecraft, solution, vehicle), cases)
-    rows = measure_paths(solution, vehicle) + measure_flights(flown, solution, vehicle)
+    rows = measure_paths(solution, vehicle) + measure_flights(flown, vehicle.errors)
     rows.sort(key=lambda one: [*SETS].index(one["source"]))
     return {"uncertainty_sources": rows, "uncertainty_flights": flown}
 
