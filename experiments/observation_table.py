@@ -9,12 +9,12 @@ After a stop the study continues with the missing rows.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.optimize import brentq
 
 from experiments.frontier import TANGENT
 from experiments.harness import Record, Session, Study, Tables, default_mission
@@ -22,6 +22,7 @@ from formulations.problem.flyby import Iterate
 from scp_recon.api.options import PlanOptions
 from scp_recon.api.planning import plan_mission
 from scp_recon.mission.mission import Mission
+from scp_recon.mission.windows import SCAN_STEP_S, each_window, whole_windows
 from scp_recon.monte_carlo.estimates import Estimate
 from scp_recon.monte_carlo.flights import FlightConfig, fly_many
 from scp_recon.monte_carlo.limits import ALL, SCIENCE, measured, time_held
@@ -223,23 +224,13 @@ def middle_beyond_facet_m(solution: Solution) -> float | str:
     return float(quantile[tight] * np.sqrt(0.5 * variance[tight]) - 0.5 * room[tight])
 
 
-def still_sun_window_s(mission: Mission) -> float | str:
-    """Length of the window were the Sun's direction that of the epoch, s.
-
-    "" where the limit of incidence is not what opens and closes the window.
-    """
-    sun, limit = mission.sun_direction(0.0), mission.scenario.observation.incidence_max_deg
-
-    def beyond(time_s: float) -> float:
-        track = geometry.track(mission.site, mission.rotation, np.array([time_s]))
-        return float(np.rad2deg(geometry.incidence(track, sun[None])[0])) - limit
-
-    first, last = mission.schedule.window_s
-    near = ((first - SOON_S, first + SOON_S), (last - SOON_S, last + SOON_S))
-    if any(beyond(a) * beyond(b) >= 0.0 for a, b in near):
-        return ""
-    opens, closes = (brentq(beyond, *edges) for edges in near)
-    return float(closes - opens)
+def still_sun_window_s(mission: Mission) -> float:
+    """Length of the window were the Sun's direction that of the epoch, s."""
+    sun, (first, last) = mission.sun_direction(0.0), mission.schedule.window_s
+    lighting = replace(mission.scene.lighting, to_sun=lambda t: np.broadcast_to(sun, (*t.shape, 3)))
+    slack, span_s = lighting.slack(mission.scenario.observation), (first - SOON_S, last + SOON_S)
+    ((opens, closes),) = whole_windows(each_window(slack, span_s, SCAN_STEP_S), span_s)
+    return closes - opens
 
 
 def nominal_time_s(mission: Mission, solution: Solution) -> float:

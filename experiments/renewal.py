@@ -13,6 +13,7 @@ import shlex
 import subprocess
 import sys
 from collections.abc import Iterator, Sequence
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,7 @@ from rich.console import Console
 from experiments import pages
 from experiments.evidence import FILE, SOURCES, Evidence, path_of
 from experiments.harness import study_of
-from experiments.sentinels import OWN, Sentinel, sentinels_of
+from experiments.sentinels import OWN, sentinels_of
 from scp_recon.cli.command import parse, run_command, show_line, show_written
 from scp_recon.errors import InputError
 from scp_recon.files import write_atomically
@@ -74,18 +75,18 @@ def check(console: Console) -> list[str]:
     """
     names = sorted(SOURCES, key=seconds_of, reverse=True)  # the slowest sentinels first
     found = {name: changes(name) for name in names}
-    cases: dict[str, Job] = {}
-    uses: dict[str, list[tuple[str, Sentinel]]] = {}
-    for name in (name for name in names if not (SOURCES[name].dated or found[name])):
-        for one in sentinels_of(name):
-            for case in one.cases:
-                key = f"{one.of}, {one.work}, {case}"  # those of several studies are measured once
-                cases[key] = Job(key, (OWN.index(one), case))
-                uses.setdefault(key, []).append((name, one))
-    for done in Processes(PROCESSES)(measured, cases.values()):
-        for name, one in uses[str(done.key)]:
+    asked = {
+        name: [OWN.index(one) for one in sentinels_of(name)]
+        for name in names
+        if not (SOURCES[name].dated or found[name])
+    }
+    jobs = [Job(place, place) for place in dict.fromkeys(chain(*asked.values()))]
+    results = {done.key: done for done in Processes(PROCESSES)(measured, jobs)}
+    for name, places in asked.items():
+        for place in places:
             try:
-                found[name] += one.moved(done.result())
+                for result in results[place].result():
+                    found[name] += OWN[place].moved(result)
             except InputError as error:  # an extra that is missing, or a row that is not there
                 found[name].append(str(error))
     for name, lines in found.items():
@@ -106,10 +107,9 @@ def changes(name: str) -> list[str]:
     return found + ([f"made by {kept.command}"] if kept.command != source.command else [])
 
 
-def measured(inputs: tuple[int, Any]) -> Any:
-    """Measure a case of a sentinel, given by its place: the work of a process."""
-    place, case = inputs
-    return OWN[place].work(case)
+def measured(place: int) -> list[Any]:
+    """Measure the cases of a sentinel, given by its place: the work of a process."""
+    return [OWN[place].work(case) for case in OWN[place].cases]
 
 
 def seconds_of(name: str) -> float:
