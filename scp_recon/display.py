@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from html import escape
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     import pandas
@@ -37,22 +37,16 @@ def exact(value: float) -> str:
     return repr(float(value)).removesuffix(".0")
 
 
-class Displays(Protocol):
-    """Functions that draw and tabulate results."""
-
-    def plot(self, result: Displayed, chart: str | None, /) -> Figure:
-        """Draw a chart of a result: see `Displayed.plot`."""
-
-    def to_frame(self, result: Tabulated, table: str | None, /) -> pandas.DataFrame:
-        """Tabulate a result: see `Tabulated.to_frame`."""
+_showing: list[Callable[[], Any]] = []
 
 
-_import: list[Callable[[], Displays]] = []
+def shown_by(module: Callable[[], Any]) -> None:
+    """Let `plot` and `to_frame` of a module display the results; the package calls this once.
 
-
-def shown_by(displays: Callable[[], Displays]) -> None:
-    """Let the results be displayed by a module that a function imports; called once, by the package."""
-    _import[:] = [displays]
+    Args:
+        module: imports and returns it.
+    """
+    _showing[:] = [module]
 
 
 class Tabulated:
@@ -77,7 +71,8 @@ class Tabulated:
         Raises:
             InputError: naming the tables that there are, or the missing extra.
         """
-        return _import[0]().to_frame(self, table)
+        frame: pandas.DataFrame = _showing[0]().to_frame(self, table)
+        return frame
 
 
 class Displayed(Tabulated):
@@ -98,4 +93,5 @@ class Displayed(Tabulated):
         Raises:
             InputError: naming the charts that there are, or the missing extra.
         """
-        return _import[0]().plot(self, chart)
+        figure: Figure = _showing[0]().plot(self, chart)
+        return figure

@@ -147,6 +147,17 @@ def path_of(entry: str, given: object) -> Path:
     return Path(given)
 
 
+def only_with(needed: str, **given: object) -> None:
+    """Refuse options that are given without what they need; None is not given.
+
+    Raises:
+        InputError: naming the option.
+    """
+    for name, value in given.items():
+        if value is not None:
+            raise InputError(option(name), str(value), f"goes with {needed}")
+
+
 EXACT = 2.0**53
 """Above it a float such as 1e4 need not be the whole number that was meant."""
 
@@ -184,12 +195,7 @@ def make_whole(options: object, name: str, low: int, high: int, word: str = "") 
 
 @contextmanager
 def needing(entry: str, extra: str, *packages: str) -> Iterator[None]:
-    """Context for imports that need an extra.
-
-    Args:
-        entry: what a message names.
-        extra: its name.
-        packages: packages that may be missing; empty for any package.
+    """Context for imports that need an extra; of the packages that are named, or of any.
 
     Raises:
         InputError: if one is not installed.

@@ -99,12 +99,7 @@ def reason_of(error: OSError) -> str:
 
 
 def check_ending(file: Path, entry: str, *endings: str) -> None:
-    """Refuse the name of a file to write without one of some endings, in either case of letters.
-
-    Args:
-        file: to write.
-        entry: what to name in a message.
-        endings: such as .html.
+    """Refuse the name of a file to write without one of some endings, such as .html, in any letters.
 
     Raises:
         InputError: if it has none of them.
@@ -150,18 +145,21 @@ def writing(folder: Path, entry: str) -> Iterator[None]:
         raise unwritable(folder, entry, error) from None
 
 
-def check_own(file: Path, entry: str, mark: bytes) -> None:
-    """Refuse to overwrite a file that this program did not write.
+def check_own(file: Path, entry: str, mark: bytes, *endings: str) -> None:
+    """Refuse to overwrite a file that this program did not write; or a name without its ending.
 
     Args:
         file: to write.
         entry: what to name in a message.
         mark: bytes that every file of this kind written by this program has in its first megabyte, or
             in its last.
+        endings: such as .html; empty for any: see `check_ending`.
 
     Raises:
-        InputError: if there is such a file without the mark.
+        InputError: if there is such a file without the mark, or it has none of the endings.
     """
+    if endings:
+        check_ending(file, entry, *endings)
     with writing(file.parent, entry):
         if not file.exists() or file.is_dir():
             return  # a folder is refused by `check_writable`
@@ -173,6 +171,16 @@ def check_own(file: Path, entry: str, mark: bytes) -> None:
                     return
     given = f"{file}, which holds something else"
     raise InputError(entry, given, "must be a new file, or one that this command wrote")
+
+
+def write_for(entry: str, path: Path, content: str | bytes) -> Path:
+    """Write a file atomically; a failure is the error of its folder, by the entry.
+
+    Raises:
+        InputError: if it cannot be written.
+    """
+    with writing(path.parent, entry):
+        return write_atomically(path, content)
 
 
 def write_atomically(path: Path, content: str | bytes) -> Path:
@@ -201,10 +209,7 @@ def set_aside(path: Path, to: Path) -> Path:
 def only_run_in(folder: Path, entry: str, name: str = LOCK) -> Iterator[None]:
     """Keep other runs out of a folder that exists; a lock left by a dead process does not count.
 
-    Args:
-        folder: to keep.
-        entry: what to name in a message.
-        name: of the lock file, if the lock is not for the whole folder.
+    `name` is of the lock file, if the lock is not for the whole folder.
 
     Raises:
         InputError: if another process is at work in it.

@@ -20,6 +20,7 @@ from pydantic import BaseModel
 from formulations.risk import strata
 from scp_recon.cli.command import EXIT_STATUSES, SCRIPT, add_output_options
 from scp_recon.cli.commands import COMMANDS
+from scp_recon.cli.options import DESCRIBED
 from scp_recon.errors import InputError
 from scp_recon.files import check_own, check_writable, write_atomically
 from scp_recon.mission import checks, scene
@@ -33,6 +34,7 @@ from scp_recon.simulation.vehicle import check_vehicle
 Schema = Mapping[str, Any]
 VAST = 1e9
 """Bounds from here on only keep squares finite."""
+OF_HASH = "`scenario`, `burns` and corrections"
 HEAD = "<!-- Written by `make reference` from the code: do not edit. -->\n\n"
 
 
@@ -73,15 +75,18 @@ def scenario_page() -> str:
     schema = json_schema()
     parts = [
         "# Entries of a scenario",
-        f"{schema['description']} [scenario.md](../scenario.md) says",
+        f"{schema['description']} [scenario.md](../scenario.md) says what has to be given, and what "
+        "follows from it.",
     ]
-    parts[-1] += " what has to be given, and what follows from it."
     for path, entries in _tables(schema, schema["definitions"]):
-        rows = (
-            (f"`{key}`", _kind(entry), _default(entry), _first_of_table(entry))
-            for key, entry in entries["properties"].items()
-        )
-        parts += [f"## `[{path}]`" if path else "## Above all tables"]
+        rows = []
+        for key, entry in entries["properties"].items():
+            text, kind, default = _flowing(entry["description"]), _kind(entry), entry.get("default")
+            if "table" in kind:  # it stands there in full
+                text = text.split(". ")[0].removesuffix(".") + "."
+            shown = "" if default is None or isinstance(default, dict) else f"`{default}`"
+            rows.append((f"`{key}`", kind, shown, text))
+        parts.append(f"## `[{path}]`" if path else "## Above all tables")
         parts += [_flowing(entries["description"])] if path else []
         parts.append(table(("entry", "value", "default", "means"), rows))
     return _page(parts)
@@ -91,39 +96,30 @@ def solution_page() -> str:
     """Every key of a solution file."""
     modules = (records, strata, primer, scene, policy, facts, verification, figures)
     kinds = {name: kind for module in modules for name, kind in vars(module).items()}
-    parts = [
-        "# Keys of a solution file",
-        "SI, J2000, body-centred. [solution_file.md](../solution_file.md) says which follow from "
-        "others, and what the verification is.",
-    ]
-    head = {
-        "schema": ("text", f"`{SCHEMA}`."),
-        HASH: (
-            "text",
-            "SHA-256 of `scenario`, `burns` and corrections as they were written; see there.",
-        ),
-    }
-    rows = [(f"`{key}`", *words) for key, words in head.items()]
+    head, means = (
+        ("key", "value", "means"),
+        f"SHA-256 of {OF_HASH} as they were written; see there.",
+    )
+    rows = [("`schema`", "text", f"`{SCHEMA}`."), (f"`{HASH}`", "text", means)]
+    parts = []
     for root in (figures.Figures, facts.Facts):
         schema = facts.adapter(root).json_schema()
         schema["properties"].pop("scenario", None)
         for path, entries in _tables(schema, schema["$defs"]):
             kind = kinds[entries["title"]] if path else root
-            descriptions = _fields(kind)
-            found = [
-                (f"`{key}`", _kind(entry), text)
-                for (key, entry), text in zip(
-                    entries["properties"].items(), descriptions, strict=False
-                )
-            ]
+            properties = zip(entries["properties"].items(), _fields(kind), strict=False)
+            found = [(f"`{key}`", _kind(entry), text) for (key, entry), text in properties]
             if path:
-                parts += [f"## `{path}`", _summary(kind)]
-                parts.append(table(("key", "value", "means"), found))
+                parts += [f"## `{path}`", _summary(kind), table(head, found)]
             else:
                 rows += found
     rows.append(("`scenario`", "table", _fields(facts.Facts)[-1]))
-    parts.insert(2, table(("key", "value", "means"), rows))
-    return _page(parts)
+    begin = (
+        "# Keys of a solution file",
+        "SI, J2000, body-centred. [solution_file.md](../solution_file.md) says which follow from "
+        "others, and what the verification is.",
+    )
+    return _page([*begin, table(head, rows), *parts])
 
 
 def _fields(kind: Any) -> list[str]:
@@ -138,7 +134,7 @@ def _fields(kind: Any) -> list[str]:
     descriptions = {}
     for each in reversed(kind.__mro__[:-1]):
         _, _, block = (inspect.getdoc(each) or "").partition("Attributes:\n")
-        descriptions |= re.findall(r"^    (\w+): (.*(?:\n {8}.*)*)", block, re.MULTILINE)
+        descriptions |= DESCRIBED.findall(block)
         descriptions |= field_descriptions(each)
     return [descriptions[field.name] for field in fields(kind)]
 
@@ -204,8 +200,8 @@ def _kind(entry: Schema) -> str:
             kinds = [_kind(one) for one in each]
             same = len(set(kinds)) == 1
             return f"{len(kinds)} times {kinds[0]}" if same else f"[{', '.join(kinds)}]"
-        bounds = [str(entry[key]) for key in ("minItems", "maxItems") if key in entry]
-        return f"list{' of ' + ' to '.join(bounds) if bounds else ''}: {_kind(each)}"
+        ends = " to ".join(str(entry[key]) for key in ("minItems", "maxItems") if key in entry)
+        return f"list{f' of {ends}' if ends else ''}: {_kind(each)}"
     if entry["type"] == "object":
         return f"by name: {_kind(entry['additionalProperties'])}"
     names = {"string": "text", "boolean": "true or false"}
@@ -216,17 +212,6 @@ def _kind(entry: Schema) -> str:
         if abs(entry.get(key, VAST)) < VAST
     ]
     return f"{names.get(entry['type'], entry['type'])} {', '.join(bounds)}".strip()
-
-
-def _first_of_table(entry: Schema) -> str:
-    """The description; of a table its first sentence, as it stands there in full."""
-    text = _flowing(entry["description"])
-    return text.split(". ")[0].removesuffix(".") + "." if "table" in _kind(entry) else text
-
-
-def _default(entry: Schema) -> str:
-    default = entry.get("default")
-    return "" if default is None or isinstance(default, dict) else f"`{default}`"
 
 
 def _summary(thing: object) -> str:

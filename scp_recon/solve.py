@@ -9,7 +9,7 @@ if __name__ == "__main__":
 
 import sys
 
-from scp_recon.cli.commands.planning import solve
+from scp_recon.cli.commands import solve
 
 if __name__ == "__main__":
     sys.exit(solve.main())

@@ -107,7 +107,7 @@ def relaxations(case: Case, p3: Status) -> Trials:
         yield f"{LIMITS} together", partial(case.relaxed, limits, sized=sized)
     for entry, ends in limits.items():
         yield f"{LIMITS}: {entry}", partial(case.relaxed, {entry: ends})
-    if case.request.remade is not None and case.failed.mission.observed_s is not None:
+    if case.request.is_in_flight and case.failed.mission.observed_s is not None:
         yield RETURN, partial(case.first, [{"observation.required": False}])
     yield from (trial for name, trial in burns.items() if name not in violated)
     case.miss = case.clock.attempt(FINAL_STATE, case.final_miss)
@@ -146,7 +146,7 @@ def repairs(case: Case, verification: Verification | None) -> Trials:
     if verification is not None and STATUS not in verification.failed:
         kinds = {kind_of(name, mission, verification) for name in verification.failed}
     risk, burns = scenario.risk, scenario.burns
-    if kinds & {STATUS, BURNS, CONTRADICTION} and case.request.remade is None:
+    if kinds & {STATUS, BURNS, CONTRADICTION} and not case.request.is_in_flight:
         yield CONTINUED, partial(_continued, case)
     if kinds & {STATUS, GRID, BETWEEN}:
         apart = float(np.diff(mission.times_s).max())

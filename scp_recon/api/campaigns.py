@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from scp_recon.api.designing import find_pass, options_for, request_of
-from scp_recon.api.flying import FlyOptions, flown_summary, simulation_of
+from scp_recon.api.flying import Flights, FlyOptions, simulation_of
 from scp_recon.api.inputs import PlanRequest
 from scp_recon.api.options import PlanOptions
 from scp_recon.api.planning import PlanOutcome, carry_out, plan_left
@@ -25,7 +25,7 @@ from scp_recon.monte_carlo.limits import ALL
 from scp_recon.monte_carlo.sampling import PolicyKind
 from scp_recon.planning.plan import Plan, Stage
 from scp_recon.replanning.flown import FlownPlan, predict
-from scp_recon.replanning.remainder import Delivery, mission_left
+from scp_recon.replanning.remainder import Delivery
 from scp_recon.results.figures import FINAL_STATE
 from scp_recon.results.policy import sigmas
 from scp_recon.results.solution import Solution
@@ -60,18 +60,10 @@ def run_campaign(
     observe: Observer | None = None,
     say: Callable[[str], None] = lambda _: None,
 ) -> Path:
-    """Run the cases of a study that have no row in a folder yet.
+    """Run the cases of a study that have no row in a folder yet; returns the file `results.parquet`.
 
-    Args:
-        study: what to run.
-        folder: for the results.
-        workers: processes, one by default; 0 for this one.
-        scheduler: address of a Dask cluster's, in their place.
-        observe: called after each row.
-        say: called with each line worth showing.
-
-    Returns:
-        The file `results.parquet`.
+    `workers` are processes, one by default, 0 for this one; `observe` is called after each row, `say`
+    with each line worth showing.
 
     Raises:
         InputError: naming the argument, what was given and what is allowed.
@@ -128,12 +120,14 @@ class StudyWork:
             row["binds"] = binding(found.final)
         if do == "certify":
             row |= certified_row(found)
-        elif do == "replan" and found.status is Status.CONVERGED:
+        elif found.status is not Status.CONVERGED:
+            pass  # what else there is to do needs a plan
+        elif do == "replan":
             row |= rest_row(found, self.campaign.model_copy(update=of_campaign(case.changes)))
-        elif do == "fly" and found.status is Status.CONVERGED:
+        elif do == "fly":
             options = FlyOptions(self.campaign.samples, seed=case.seed, policy=self.campaign.policy)
             row |= flown_row(solution, options)
-        elif do == "simulate" and found.status is Status.CONVERGED:
+        elif do == "simulate":
             row |= simulated_row(solution, case.seed, self.campaign.policy)
         files = {}
         if self.campaign.keep_solutions:
@@ -143,9 +137,7 @@ class StudyWork:
 
 def planned(scenario: Scenario, *, certify: bool) -> PlanOutcome:
     """Plan and verify a scenario from a straight line; certify on request only."""
-    exact = scenario.risk.allocation == "exact"
-    options = PlanOptions(certify=certify if exact else None)
-    return carry_out(PlanRequest(scenario, options=options))
+    return carry_out(PlanRequest(scenario, options=PlanOptions(certify=certify)))
 
 
 def designed(scenario: Scenario) -> tuple[PlanOutcome | None, dict[str, Any]]:
@@ -153,9 +145,7 @@ def designed(scenario: Scenario) -> tuple[PlanOutcome | None, dict[str, Any]]:
 
     If no pass has a plan, the columns say what stopped the pass that came furthest.
     """
-    exact = scenario.risk.allocation == "exact"
-    options = options_for(scenario, certify=False if exact else None)
-    found = find_pass(scenario)
+    options, found = options_for(scenario, certify=False), find_pass(scenario)
     if found.scenario is None:
         return None, {
             "status": Status.INFEASIBLE.value.name,
@@ -197,9 +187,8 @@ def planned_row(solution: Solution, verification: Verification) -> dict[str, Any
 def rest_row(found: Plan, campaign: Campaign) -> dict[str, Any]:
     """Columns of the rest of a flight, planned again from its planned state; cost of the rest alone."""
     flown = FlownPlan.of(found)
-    state = predict(flown, campaign.at_s, {}).state
-    mission = mission_left(flown, Delivery.of(campaign.at_s, state))
-    rest = plan_left(flown, mission, free_times=campaign.free_times)
+    delivery = Delivery.of(campaign.at_s, predict(flown, campaign.at_s, {}).state)
+    rest = plan_left(flown, delivery, free_times=campaign.free_times)
     return {
         "rest_status": rest.status.value.name,
         "rest_dv_m_s": rest.total_dv_m_s,
@@ -209,20 +198,15 @@ def rest_row(found: Plan, campaign: Campaign) -> dict[str, Any]:
 
 def certified_row(found: Plan) -> dict[str, Any]:
     """Columns of a certificate."""
-    reached = found.certificate
-    if reached is None:
-        return {"target": found.target}
-    return {
-        "certified": reached.reached,
-        "certified_low": reached.low,
-        "target": found.target,
-        "rounds": reached.rounds,
-    }
+    row: dict[str, Any] = {"target": found.target}
+    if (one := found.certificate) is not None:
+        row |= {"certified": one.reached, "certified_low": one.low, "rounds": one.rounds}
+    return row
 
 
 def flown_row(solution: Solution, options: FlyOptions) -> dict[str, Any]:
     """Columns of many flights."""
-    summary = flown_summary(solution, options)
+    summary = Flights.of(solution, options).summary()
     joint = {name: found for name, found in summary.probability.items() if name != ALL}
     name, lowest = min(joint.items(), key=lambda item: item[1].estimate.value, default=(None, None))
     whole, commanded = summary.whole_flight, summary.commanded
@@ -241,10 +225,10 @@ def flown_row(solution: Solution, options: FlyOptions) -> dict[str, Any]:
 
 def simulated_row(solution: Solution, seed: int, policy: PolicyKind | None) -> dict[str, Any]:
     """Columns of a simulated flight."""
-    from scp_recon.simulation.vehicle import check_vehicle, load_vehicle
+    from scp_recon.simulation.vehicle import check_vehicle
 
-    summary = simulation_of(solution, seed, policy, None).fly().summary
-    doubts = check_vehicle(load_vehicle(None), solution.scenario)
+    simulation = simulation_of(solution, seed, policy, None)
+    summary, doubts = simulation.fly().summary, check_vehicle(simulation.craft, solution.scenario)
     strange = "; ".join(map(str, [*solution.warnings, *doubts]))
     return {
         "least_charge": summary.least_charge,

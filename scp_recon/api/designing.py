@@ -1,25 +1,31 @@
-"""Design a whole pass: find its times, and phases on a home orbit, and plan it as any mission."""
+"""Find when a site can be observed: its lighting windows, and a whole pass with its own times."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from datetime import datetime, timedelta
+from pathlib import Path
 
 import numpy as np
 
-from scp_recon.api.inputs import PlanRequest, read_in_degrees
+from scp_recon.api.inputs import PlanRequest, date_in_tdb, read_in_degrees, scenario_of
 from scp_recon.api.options import PlanOptions
+from scp_recon.bodies.catalogue import DAY_S
 from scp_recon.display import Tabulated
-from scp_recon.errors import InputError
+from scp_recon.errors import InputError, needing, number_between, option
+from scp_recon.files import PICTURE, check_own, write_for
 from scp_recon.jobs.cores import one_thread
 from scp_recon.mission.mission import Mission
+from scp_recon.mission.schedule import Survey, survey
 from scp_recon.passes.design import Designer, Trial
 from scp_recon.passes.setting import settled, spaces_of
 from scp_recon.passes.timing import PassResult, RulePrice, Timing, explain_failure
 from scp_recon.planning.initial_guess import from_burns
 from scp_recon.planning.method import SETTLE, FacetRounds
 from scp_recon.planning.plan import Plan
-from scp_recon.results.table import Table
+from scp_recon.results.table import Column, Table
+from scp_recon.scenario.load import naming_files
 from scp_recon.scenario.schema import Scenario
 
 INIT = "design"
@@ -70,20 +76,10 @@ def phases_deg(result: PassResult) -> tuple[float | None, float | None]:
     return float(departure), float(arrival)
 
 
-COLUMNS = (
-    "step",
-    "window",
-    "problem",
-    "departure_deg",
-    "arrival_deg",
-    "times_s",
-    "status",
-    "dv_m_s",
-)
-
-
 def trials_table(found: Design) -> Table:
     """A row for each plan: times past the scenario's epoch; no delta-v without convergence."""
+    phases = ("departure_deg", "arrival_deg")
+    columns = ("step", "window", "problem", *phases, "times_s", "status", "dv_m_s")
     rows = (
         [
             one.step,
@@ -96,7 +92,7 @@ def trials_table(found: Design) -> Table:
         ]
         for one in found.trials
     )
-    return Table.of("Plans of a design", COLUMNS, rows)
+    return Table.of("Plans of a design", columns, rows)
 
 
 def options_for(
@@ -122,10 +118,8 @@ def find_pass(
 ) -> Design:
     """Find the cheapest pass.
 
-    Args:
-        scenario: with a home orbit, or given boundary states.
-        observe: called with every plan that the design makes.
-        facet_rounds: of plans between given boundary states, as of `Planner.plan`.
+    `observe` is called with every plan that the design makes; `facet_rounds` are of plans between given
+    boundary states, as of `Planner.plan`.
 
     Raises:
         InputError: see `passes.setting.spaces_of`.
@@ -149,3 +143,77 @@ def request_of(found: Design, options: PlanOptions) -> PlanRequest:
     mission = Mission.from_scenario(found.scenario)
     start = found.start or from_burns(mission, found.best.burns_m_s, INIT)
     return PlanRequest(mission, start, options, called=INIT)
+
+
+# --- lighting windows ----------------------------------------------------------------------------
+
+DAYS_MAX = 100.0
+"""At most; the span may begin as far from the epoch. The planets, which two-body motion
+leaves out, turn Bennu's direction of the Sun by 0.001 deg in 100 days, and by 0.02 deg in 400."""
+MARK = b"opens_tdb,closes_tdb,"
+"""At the head of every table of windows."""
+
+
+def find_windows(
+    scenario: Scenario | str | Path,
+    begin: datetime | str | None,
+    span_days: float,
+    csv: str | Path | None,
+    chart: str | Path | None,
+) -> Survey:
+    """See `api.verbs.windows`."""
+    number_between(option("span_days"), span_days, 0.01, DAYS_MAX)
+    given = scenario_of(scenario)
+    epoch = given.epoch.tdb
+    first = ((date_in_tdb(option("begin"), begin) or epoch) - epoch).total_seconds()
+    if abs(first) > DAYS_MAX * DAY_S:
+        within = f"must be within {DAYS_MAX:g} days of the scenario's epoch, {epoch.isoformat()}"
+        allowed = f"{within}: its orbit is two-body motion from there"
+        raise InputError(option("begin"), str(begin), allowed)
+    if csv is not None:
+        check_own(Path(csv), option("csv"), MARK, ".csv")
+    if chart is not None:
+        with needing(option("chart"), "report"):
+            from scp_recon.reports.command_charts import draw_windows
+            from scp_recon.results.pictures import endings
+        check_own(Path(chart), option("chart"), PICTURE, *endings())
+    with naming_files(scenario):
+        found = survey(given, (first, first + span_days * DAY_S))
+    if csv is not None:
+        write_for(option("csv"), Path(csv), windows_table(found).csv())
+    if chart is not None:
+        write_for(option("chart"), Path(chart), draw_windows(given, found, Path(chart).suffix))
+    return found
+
+
+def tdb(scenario: Scenario, time_s: float) -> str:
+    """Date and time of seconds past the scenario's epoch, TDB, to the second."""
+    date = scenario.epoch.tdb + timedelta(seconds=time_s + 0.5)
+    return date.replace(microsecond=0).isoformat()
+
+
+def windows_table(found: Survey) -> Table:
+    """One row for each window; times in s past the scenario's epoch, and edges as TDB dates too.
+
+    An empty interval of a burn has its first number above its second.
+    """
+    burns = range(1, len(found.scenario.burns.times_s) + 1)
+    columns = (
+        *(Column(f"{edge}, TDB", name=f"{edge}_tdb") for edge in ("opens", "closes")),
+        *(Column(name, "s", ".1f") for name in ("opens", "closes", "lasts")),
+        Column("least incidence", "deg", ".2f"),
+        *(Column(f"local solar time {edge}", "h", ".2f") for edge in ("opens", "closes")),
+        *(Column(f"burn {i} {end}", "s") for i in burns for end in ("earliest", "latest")),
+    )
+    rows = (
+        [
+            *(tdb(found.scenario, edge) for edge in w.edges_s),
+            *w.edges_s,
+            w.edges_s[1] - w.edges_s[0],
+            float(np.rad2deg(w.least_incidence_rad)),
+            *w.local_solar_time_h,
+            *(edge for interval in w.burns_s for edge in interval),
+        ]
+        for w in found.windows
+    )
+    return Table.of("Windows", columns, rows)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from datetime import datetime
 from functools import partial
 from itertools import product
@@ -18,36 +18,18 @@ from scp_recon.api.inputs import PlanRequest, date_in_tdb
 from scp_recon.api.planning import carry_out
 from scp_recon.bodies.catalogue import DAY_S, J2000_TDB, body_names, packaged_body
 from scp_recon.display import digits, exact, mm_s
-from scp_recon.drafting.draft import (
-    Draft,
-    GivenBody,
-    Tables,
-    Track,
-    draft_text,
-    drafts,
-    flown_draft,
-    start_csv,
-    start_table,
-)
-from scp_recon.drafting.draft import scenario_of as drafted
+from scp_recon.drafting import draft as drafting
+from scp_recon.drafting.draft import Draft, Track
 from scp_recon.errors import InputError, make_whole, number_between, option, path_of, shortened
-from scp_recon.files import check_writable, write_atomically, writing
+from scp_recon.files import check_writable, write_for
+from scp_recon.interop import tracks
 from scp_recon.interop.ccsds import oem_track
-from scp_recon.interop.tracks import (
-    csv_track,
-    cut,
-    pull_doubts,
-    spice_body,
-    spice_track,
-    step_doubts,
-)
 from scp_recon.mission.intervals import DENSITIES, density
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
 from scp_recon.results.solution import Solution
 from scp_recon.results.verification import Verification
 from scp_recon.scenario.schema import Scenario
-from scp_recon.scp.status import Status
 from scp_recon.verification.causes import causes
 
 NUMBERS = {
@@ -59,11 +41,14 @@ NUMBERS = {
 LISTS = {"site": 2, "pole": 2, "orbit": 6}
 OF_A_BODY = ("gm", "radius", "period", "pole", "orbit")
 SOURCES = ("from_spice", "from_oem", "from_csv")
-NEEDS = {"from_spice": ("spacecraft", "begin", "end"), "from_csv": ("epoch",)}
-"""What a trajectory needs besides."""
-GOES_WITH = {"spacecraft": SOURCES[:1], "begin": SOURCES, "end": SOURCES} | dict.fromkeys(
-    OF_A_BODY, (None, *SOURCES[1:])
-)
+NEEDS = {None: ("epoch",), "from_spice": ("spacecraft", "begin", "end"), "from_csv": ("epoch",)}
+"""What a trajectory, or none, needs besides."""
+GOES_WITH = {
+    "epoch": (None, "from_csv"),
+    "spacecraft": ("from_spice",),
+    **dict.fromkeys(("begin", "end"), SOURCES),
+    **dict.fromkeys(OF_A_BODY, (None, "from_oem", "from_csv")),
+}
 """Trajectories, or none, with which an option may be given; kernels contain the body."""
 BOUNDARY_AT = {"initial": (0, "at --from"), "final": (-1, "at --to")}
 """Number of a boundary's state in a trajectory, and its time in words."""
@@ -98,19 +83,19 @@ class NewOptions:
     end: datetime | None = None
 
     @classmethod
-    def of(cls, **given: Any) -> NewOptions:
-        """Convert and check the arguments of `api.verbs.new`."""
-        read: dict[str, Any] = {"name": str(path_of(option("name"), given["name"]))}
-        read["name"] = read["name"].removesuffix(".toml")
+    def of(cls, *arguments: Any) -> NewOptions:
+        """Convert and check the arguments of `api.verbs.new`, in order."""
+        read: dict[str, Any] = dict(zip((one.name for one in fields(cls)), arguments, strict=True))
+        for name in ("name", *SOURCES):
+            if name == "name" or read[name] is not None:
+                read[name] = path_of(option(name), read[name])
+        read["name"] = str(read["name"]).removesuffix(".toml")
         for name, count in LISTS.items():
-            if given[name] is not None or name == "site":
-                read[name] = _numbers(name, given[name], count)
-        for name in SOURCES:
-            if given[name] is not None:
-                read[name] = path_of(option(name), given[name])
+            if read[name] is not None or name == "site":
+                read[name] = _numbers(name, read[name], count)
         for name, utc in (("epoch", False), ("begin", True), ("end", True)):
-            read[name] = date_in_tdb(option(name), given[name], utc=utc)
-        return cls(**given | read)
+            read[name] = date_in_tdb(option(name), read[name], utc=utc)
+        return cls(**read)
 
     def __post_init__(self) -> None:
         for name, (low, high, unit) in NUMBERS.items():
@@ -122,32 +107,28 @@ class NewOptions:
             raise InputError(option("site"), f"{exact(latitude)},{exact(longitude)}", allowed)
         if self.spacecraft is not None:
             make_whole(self, "spacecraft", -(2**31) + 1, 2**31 - 1)
-        self._check_source()
-
-    def _check_source(self) -> None:
-        """Refuse more than one trajectory, and missing or superfluous arguments for it."""
-        given = [name for name in SOURCES if getattr(self, name) is not None]
-        flags = ", ".join(map(option, given))
-        if len(given) > 1:
-            raise InputError(flags, "more than one", "must be one of them")
-        needs = NEEDS.get(given[0], ()) if given else ()
-        missing = ", ".join(option(name) for name in needs if getattr(self, name) is None)
-        if missing:
-            raise InputError(flags, "not all that it needs", f"needs {missing}")
-        if not given and self.epoch is None:
-            allowed = "must be given, or a trajectory to start from"
-            raise InputError(option("epoch"), "nothing", allowed)
-        source = given[0] if given else None
+        # One trajectory at most, with all that it needs, and nothing that it has itself.
+        sources = [name for name in SOURCES if getattr(self, name) is not None]
+        if len(sources) > 1:
+            raise InputError(
+                ", ".join(map(option, sources)), "more than one", "must be one of them"
+            )
+        flag = "".join(map(option, sources))
+        lacks = [name for name in NEEDS.get(self.source, ()) if getattr(self, name) is None]
+        if missing := ", ".join(map(option, lacks)):
+            if self.source is None:
+                allowed = "must be given, or a trajectory to start from"
+                raise InputError(missing, "nothing", allowed)
+            raise InputError(flag, "not all that it needs", f"needs {missing}")
         idle = [
-            n for n, ok in GOES_WITH.items() if getattr(self, n) is not None and source not in ok
+            name
+            for name, sources_of in GOES_WITH.items()
+            if getattr(self, name) is not None and self.source not in sources_of
         ]
         if idle:
-            said = f"{flags} has the body" if source else "goes with a trajectory of another tool"
+            said = f"{flag} has it" if flag else "goes with a trajectory of another tool"
             values = ", ".join(f"{getattr(self, name)}" for name in idle)
             raise InputError(", ".join(map(option, idle)), values, f"must be left out: {said}")
-        if given and given[0] != "from_csv" and self.epoch is not None:
-            allowed = f"must be left out: {flags} has it"
-            raise InputError(option("epoch"), self.epoch.isoformat(), allowed)
 
     @property
     def title(self) -> str:
@@ -173,10 +154,8 @@ class NewOptions:
                 allowed = f"is packaged: {extra} must be left out"
                 raise InputError(option("body"), self.body, allowed)
             if not known.covers((epoch - J2000_TDB).total_seconds() / DAY_S):
-                first, last = known.years
-                allowed = (
-                    f"must be from {first} to {last}, for which mean elements of it are packaged"
-                )
+                years = " to ".join(map(str, known.years))
+                allowed = f"must be from {years}, for which mean elements of it are packaged"
                 given = f"{epoch.isoformat()} of {self.body}"
                 raise InputError(option("epoch"), given, allowed)
             name, radius = known.entries["name"], known.entries["reference_radius_m"]
@@ -191,7 +170,7 @@ class NewOptions:
             given = f"{exact(gm)} m^3/s^2, a density of {digits(dense, 3)} kg/m^3"
             allowed = f"must make {low:g} to {high:g} kg/m^3 with {option('radius')}"
             raise InputError(option("gm"), given, allowed)
-        body = GivenBody(gm, radius, period, pole, orbit[:3], orbit[3:], 0.0)
+        body = drafting.GivenBody(gm, radius, period, pole, orbit[:3], orbit[3:], 0.0)
         return Draft(self.title, self.body, body, site, epoch, radius)
 
 
@@ -221,12 +200,12 @@ class NewScenario:
     @property
     def is_verified(self) -> bool:
         """Whether planning converged, and the plan is verified."""
-        return self.solution.status == Status.CONVERGED.value.name and self.verification.ok
+        return self.verification.ok
 
     @property
     def verdict(self) -> str:
         """The verdict on the plan in one line."""
-        verdict = "verified" if self.verification.ok else "not verified"
+        verdict = "verified" if self.is_verified else "not verified"
         return f"{self.solution.status}, {verdict}, {mm_s(self.solution.total_dv_m_s, 1)}"
 
     def __repr__(self) -> str:
@@ -251,15 +230,16 @@ def draft(options: NewOptions, progress: Callable[[str], None]) -> NewScenario:
     first = options.draft_at(options.epoch)
     check_writable(path.parent, path.name, option("name"))
     tried: list[NewScenario] = []
-    for one in drafts(first):
-        tried.append(found := _planned(one, PlanRequest(drafted(one))))
+    for one in drafting.drafts(first):
+        tried.append(found := _planned(one, PlanRequest(drafting.scenario_of(one))))
         first_s, last_s = found.mission.schedule.window_s
         hours = f"local solar time {one.hours[0]:g} to {one.hours[1]:g} h"
         progress(f"{hours}, window of {last_s - first_s:.0f} s: {found.verdict}")
         if found.is_verified:
             break
     best = min(tried, key=lambda one: (not one.is_verified, one.solution.violation.total))
-    _write(path, draft_text(replace(best.draft, outcome=_outcome(best))))
+    text = drafting.draft_text(replace(best.draft, outcome=_outcome(best)))
+    write_for(option("name"), path, text)
     return replace(best, files=(path,))
 
 
@@ -280,18 +260,15 @@ def _planned(draft: Draft, request: PlanRequest) -> NewScenario:
     Raises:
         KeyboardInterrupt: if planning was interrupted.
     """
-    outcome, given = carry_out(request), drafted(draft)
+    outcome, given = carry_out(request), drafting.scenario_of(draft)
     if outcome.verification is None:
         raise KeyboardInterrupt
     mission = outcome.plan.mission
     step = mission.scenario.grid.step_max_s
     if step != given.grid.step_max_s:
-        finer = (
-            "step_max_s",
-            step,
-            "s between nodes at most; finer than recon_b's, for covariances",
-        )
-        draft = replace(draft, instead={**draft.instead, "grid": [finer]})
+        comment = "s between nodes at most; finer than recon_b's, for covariances"
+        grid = {"grid": [("step_max_s", step, comment)]}
+        draft = replace(draft, instead={**draft.instead, **grid})
     return NewScenario(draft, mission, outcome.solution, outcome.verification)
 
 
@@ -300,31 +277,24 @@ def _from_track(options: NewOptions, source: str, path: Path, start: Path) -> Ne
     about, track = _track_draft(options, source)
     flown = about(track)
     try:
-        mission = Mission.from_scenario(drafted(flown))
+        mission = Mission.from_scenario(drafting.scenario_of(flown))
     except InputError as error:
         raise _of_the_file(error, track, about) from None
-    doubts = (*track.doubts, *step_doubts(track), *pull_doubts(mission, track))
+    doubts = (*track.doubts, *tracks.step_doubts(track), *tracks.pull_doubts(mission, track))
     mission = replace(mission, warnings=(*mission.warnings, *doubts))
     check_writable(path.parent, path.name, option("name"))
-    guess = initial_guess.from_states(mission, start_table(track), track.source)
+    guess = initial_guess.from_states(mission, drafting.start_table(track), track.source)
     found = _planned(flown, PlanRequest(mission, guess, called=start.name))
-    outcome = [
-        *_outcome(found, f" --init {start.name}"),
-        *(f"warning: {doubt}" for doubt in doubts),
-    ]
-    _write(start, start_csv(track, list(initial_guess.COLUMNS.values())))
-    _write(path, draft_text(replace(found.draft, outcome=outcome)))
+    outcome = _outcome(found, f" --init {start.name}")
+    outcome += [f"warning: {doubt}" for doubt in doubts]
+    entry = option("name")
+    write_for(entry, start, drafting.start_csv(track, list(initial_guess.COLUMNS.values())))
+    write_for(entry, path, drafting.draft_text(replace(found.draft, outcome=outcome)))
     return replace(found, files=(path, start))
 
 
 def _of_the_file(error: InputError, track: Track, about: Callable[[Track], Draft]) -> InputError:
-    """A refused boundary state as one of the trajectory's file, with units that are accepted.
-
-    Args:
-        error: the refusal.
-        track: the trajectory.
-        about: drafts a scenario about a trajectory.
-    """
+    """A refused boundary state as one of the trajectory's file, with units that are accepted."""
     which = error.entry.removeprefix("boundary.").partition("_")[0]
     if which not in BOUNDARY_AT:
         return error
@@ -336,8 +306,8 @@ def _of_the_file(error: InputError, track: Track, about: Callable[[Track], Draft
         factors = np.repeat([METRES[position], METRES[speed]], 3) / METRES[unit]
         read = replace(track, states=factors * track.states)
         with suppress(InputError):
-            mission = Mission.from_scenario(drafted(about(read)))
-            if not any((*step_doubts(read), *pull_doubts(mission, read))):
+            mission = Mission.from_scenario(drafting.scenario_of(about(read)))
+            if not any((*tracks.step_doubts(read), *tracks.pull_doubts(mission, read))):
                 units = f"{unit} and {unit}/s, not {position} and {speed}/s"
                 return InputError(place, given, f"must be in {units}?\n{allowed}")
     return InputError(place, given, allowed)
@@ -345,13 +315,15 @@ def _of_the_file(error: InputError, track: Track, about: Callable[[Track], Draft
 
 def _track_draft(options: NewOptions, source: str) -> tuple[Callable[[Track], Draft], Track]:
     """What drafts a scenario about a trajectory, and the trajectory."""
-    known: Tables = {}
+    known: drafting.Tables = {}
     packaged = packaged_body(options.body)
     if source == "from_spice":
         given: Any = options  # which has all of these, as was checked
-        number, radius, known = spice_body(given.from_spice, options.body, packaged, given.begin)
+        number, radius, known = tracks.spice_body(
+            given.from_spice, options.body, packaged, given.begin
+        )
         span = given.begin, given.end
-        track = spice_track(given.from_spice, given.spacecraft, number, span)
+        track = tracks.spice_track(given.from_spice, given.spacecraft, number, span)
         site = options.site[0], options.site[1]
         draft = Draft(options.title, options.body, None, site, track.epoch, radius)
     else:
@@ -361,10 +333,10 @@ def _track_draft(options: NewOptions, source: str) -> tuple[Callable[[Track], Dr
         else:
             assert options.from_csv is not None
             assert options.epoch is not None
-            track = csv_track(options.from_csv, options.epoch)
-        track = cut(track, options.begin, options.end)
+            track = tracks.csv_track(options.from_csv, options.epoch)
+        track = tracks.cut(track, options.begin, options.end)
         draft = options.draft_at(track.epoch)  # at which orbit and meridian are
-    return partial(flown_draft, replace(draft, epoch=track.epoch), known), track
+    return partial(drafting.flown_draft, replace(draft, epoch=track.epoch), known), track
 
 
 def _outcome(found: NewScenario, options: str = "") -> list[str]:
@@ -379,8 +351,3 @@ def _outcome(found: NewScenario, options: str = "") -> list[str]:
     for line in said:
         lines += wrap(line, HEAD_COLUMNS, subsequent_indent="  ")
     return lines
-
-
-def _write(path: Path, text: str) -> None:
-    with writing(path.parent, option("name")):
-        write_atomically(path, text)

@@ -94,39 +94,36 @@ LIMITS = (
     ("safety.radius_min_m", "distance from the centre, at least (m)"),
     ("burns.dv_max_m_s", "a burn, at most (m/s)"),
 )
+GROUPS = ("Risk", "Errors", "Limits", "Burn times", "Navigation")
 
 
 def sliders_of(scenario: Scenario) -> list[Slider]:
     """The sliders whose entries a scenario has, group by group."""
     tables = scenario.model_dump(mode="json", exclude_none=True)
-    p, lead = scenario.risk.p_chance, scenario.navigation.lead_s
+    p, navigation, times = scenario.risk.p_chance, scenario.navigation, scenario.burns.times_s
     rows = [Slider("Risk", "risk.p_chance", "required probability", p, min(p, 0.51), max(p, 0.999))]
     for key, label in SHARES:
         if (value := value_of(tables, key)) is not None:
             rows.append(Slider("Errors", key, label, value, 0.0, max(0.2, value)))
-    multiplied = [
-        Slider(group, key, f"{what}, times the scenario's", 1.0, 0.1, 10.0, log=True, power=power)
-        for group, key, what, power in MULTIPLIED
-        if value_of(tables, key) is not None
-    ]
-    rows += [slider for slider in multiplied if slider.group == "Errors"]
+    for group, key, what, power in MULTIPLIED:
+        if value_of(tables, key) is not None:
+            label = f"{what}, times the scenario's"
+            rows.append(Slider(group, key, label, 1.0, 0.1, 10.0, log=True, power=power))
     for key, label in LIMITS:
         if (value := value_of(tables, key)) is not None:
             ends = (min(value, 1.0), max(value, 89.0)) if "deg" in key else (value / 5, 3 * value)
             rows.append(Slider("Limits", key, label, value, *ends))
-    times = scenario.burns.times_s
     for k in range(max(1, scenario.burns_flown), len(times) - 1):
         ends = times[k - 1], times[k + 1]
         rows.append(Slider("Burn times", f"{BURN}.{k}", f"burn {k + 1} (s)", times[k], *ends))
-    label = "cut-off before a burn (s)"
+    lead, label = navigation.lead_s, "cut-off before a burn (s)"
     rows.append(Slider("Navigation", "navigation.lead_s", label, lead, 0.0, max(14_400.0, lead)))
-    navigation = scenario.navigation
     if navigation.covariance is None and navigation.landmarks is None:
         for key, (label, usual) in MEASURED.items():
             value = value_of(tables, key) or usual
             ends = value / 100, 100 * value
             rows.append(Slider("Navigation", key, label, value, *ends, log=True))
-    return rows + [slider for slider in multiplied if slider.group == "Navigation"]
+    return sorted(rows, key=lambda slider: GROUPS.index(slider.group))
 
 
 def changed(scenario: Scenario, sliders: Sequence[Slider], values: object) -> Scenario:
@@ -198,19 +195,13 @@ class Explorer:
             if self.kept is not None and self.kept[0] == values:
                 return self.kept[1]
             scenario = changed(self.scenario, self.sliders, values)
-            exact = scenario.risk.allocation == "exact"
-            options = PlanOptions(certify=False if exact else None)
-            outcome = carry_out(PlanRequest(scenario, options=options), verifies=False)
-            shown = slider_plan(outcome.solution)
+            request = PlanRequest(scenario, options=PlanOptions(certify=False))
+            shown = slider_plan(carry_out(request, verifies=False).solution)
             self.kept = values, shown
             return shown
 
     def answer(self, values: Values) -> dict[str, Any]:
-        """The plan for these values, not verified yet, and all that is drawn of it.
-
-        Raises:
-            InputError: if there is none for them.
-        """
+        """The plan for these values, not verified yet, and all that is drawn of it."""
         shown = self.plan(values)
         solution, mission = shown.solution, shown.mission
         converged = Status.named(solution.status) is Status.CONVERGED
@@ -231,11 +222,7 @@ class Explorer:
         }
 
     def verdict(self, values: Values) -> dict[str, Any]:
-        """The verdict on the plan for these values, by the flights of the verification.
-
-        Raises:
-            InputError: if there is none for them.
-        """
+        """The verdict on the plan for these values, by the flights of the verification."""
         shown = self.plan(values)
         return {"verdict": slider_verdict(shown, files.verified(shown.solution))}
 
@@ -269,8 +256,7 @@ class _Handler(BaseHTTPRequestHandler):
     def do_GET(self) -> None:
         """The page."""
         if self._is_ours({"/"}):
-            html = self.server.explorer.html()
-            self._send(HTTPStatus.OK, html.encode(), "text/html; charset=utf-8")
+            self._send(HTTPStatus.OK, self.server.explorer.html(), "text/html; charset=utf-8")
 
     def do_POST(self) -> None:
         """A plan or a verdict in JSON; if the values have no plan, the reason."""
@@ -279,14 +265,12 @@ class _Handler(BaseHTTPRequestHandler):
         length = self.headers.get("Content-Length", "")
         if not re.fullmatch("[0-9]{1,9}", length) or int(length) > BYTES_MAX:
             self._refuse(HTTPStatus.BAD_REQUEST, f"at most {BYTES_MAX} bytes, and their number")
-        elif self.headers.get_content_type() != "application/json":
+            return
+        if self.headers.get_content_type() != "application/json":
             self._refuse(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, "must be application/json")
-        else:
-            self._answer(self.rfile.read(int(length)))
-
-    def _answer(self, body: bytes) -> None:
+            return
         try:
-            values = json.loads(body)
+            values = json.loads(self.rfile.read(int(length)))
         except (ValueError, RecursionError):
             self._refuse(HTTPStatus.BAD_REQUEST, "must be JSON")
             return
@@ -294,7 +278,7 @@ class _Handler(BaseHTTPRequestHandler):
             answer = self.server.questions[self.path](values)
         except InputError as error:
             answer = {"refused": str(error)}
-        self._send(HTTPStatus.OK, json.dumps(answer, allow_nan=False).encode(), "application/json")
+        self._send(HTTPStatus.OK, json.dumps(answer, allow_nan=False), "application/json")
 
     def _is_ours(self, paths: Sequence[str] | set[str] | Mapping[str, object]) -> bool:
         """Whether the request comes from this page for a known path; others are refused."""
@@ -310,9 +294,10 @@ class _Handler(BaseHTTPRequestHandler):
         return False
 
     def _refuse(self, status: HTTPStatus, reason: str) -> None:
-        self._send(status, f"{status.phrase}: {reason}\n".encode(), "text/plain; charset=utf-8")
+        self._send(status, f"{status.phrase}: {reason}\n", "text/plain; charset=utf-8")
 
-    def _send(self, status: HTTPStatus, body: bytes, kind: str) -> None:
+    def _send(self, status: HTTPStatus, text: str, kind: str) -> None:
+        body = text.encode()
         with suppress(ConnectionError):  # who asked is gone
             self.send_response(status)
             self.send_header("Content-Type", kind)

@@ -3,25 +3,31 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 from pathlib import Path
-from typing import NamedTuple, TypedDict
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from formulations.arrays import Array
 from formulations.problem.flyby import Iterate
+from formulations.registry import FULL
 from scp_recon.api.options import PlanOptions
 from scp_recon.display import exact
 from scp_recon.errors import InputError, option, shortened
 from scp_recon.mission.checks import check_scene, later_end
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.scene import Scene
+from scp_recon.mission.schedule import BURNS_TO_MEET
 from scp_recon.planning import initial_guess
-from scp_recon.planning.plan import Plan
+from scp_recon.planning.method import ALGORITHM, FORMULATION, SETTLE
+from scp_recon.planning.plan import Plan, ended
+from scp_recon.planning.records import Parent
+from scp_recon.replanning.flown import FlownPlan
+from scp_recon.replanning.remainder import Delivery, mission_left, path_planned, with_free_times
 from scp_recon.results.policy import with_policy
 from scp_recon.results.read import read_solution
 from scp_recon.results.runs import resolve_run
@@ -30,24 +36,19 @@ from scp_recon.scenario.fields import ScenarioWarning
 from scp_recon.scenario.load import load_scenario, naming_files, override
 from scp_recon.scenario.schema import Scenario
 from scp_recon.scenario.time_scales import tdb_of_utc
+from scp_recon.scp.status import Status
 
 Init = Iterate | Plan | Solution | str | Path | Array
 """A start: "cold", "warm", a guess, a plan or a solution, its file, or a table of states."""
 GUESSES = ("cold", "warm")
 """Starts that are made on a mission's own grid."""
-UNCERTAIN = ("risk", "policy", "navigation", "polytopes")
-"""Tables of entries that a plan without uncertainty does not use."""
+UNCERTAIN = ("risk.", "policy.", "navigation.", "polytopes.")
+"""Beginnings of the entries that a plan without uncertainty does not use."""
 ABOUT_LIGHT = ("site.", "sun.", "body.pole", "body.prime_meridian", "body.rotation")
 """Beginnings of the entries that decide when a site is lit."""
-
-
-class PlannerArguments(TypedDict, total=False):
-    """Arguments of `planner.plan` that are known before planning."""
-
-    target: float | None
-    p3_resolution: float
-    once: bool
-    others: bool
+P3_RESOLUTION = 1e-3
+"""Relative reduction of the merit at which P3 stops in flight if P2 follows: the end of P3 only
+places the facets. Newton's steps then still converge to about 1e-6, with one iteration less."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,52 +56,51 @@ class PlanRequest:
     """What to plan, and how.
 
     Attributes:
-        scenario: itself, its mission, its file or a packaged name; None for that of `init`, or recon_b.
+        scenario: itself, its mission, its file or a packaged name, or the rest of a flight; None for
+            that of `init`, or recon_b.
         init: see `api.verbs.plan`; or a guess; a plan of the same mission is continued.
-        options: of planning.
+        options: of planning; the rest of a flight takes only `certify`, the others are its plan's.
         overrides: `section.entry=value` each.
         called: name of the start in the solution file; None for the name that `init` has.
-        known: arguments of `planner.plan`, for sequential convex programming.
-        finish: what to make of the plan before it is verified.
-        remade: makes it anew with overrides, where its mission is made of more than a scenario.
     """
 
-    scenario: Mission | Scenario | str | Path | None = None
+    scenario: Mission | Scenario | RestOfFlight | str | Path | None = None
     init: Init = "cold"
     options: PlanOptions = field(default_factory=PlanOptions)
     overrides: Sequence[str] = ()
     called: str | None = None
-    known: PlannerArguments = field(default_factory=PlannerArguments)
-    finish: Callable[[Plan], Plan] = lambda plan: plan
-    remade: Callable[[Sequence[str]], PlanRequest] | None = None
+
+    @property
+    def is_in_flight(self) -> bool:
+        """Whether the rest of a flight is planned."""
+        return isinstance(self.scenario, RestOfFlight)
 
     def again(self, overrides: Sequence[str]) -> PlanRequest:
-        """The request with further overrides.
-
-        Raises:
-            InputError: if they are not valid.
-        """
-        if self.remade is not None:
-            return self.remade(overrides)
-        scenario = self.scenario
-        given = scenario.scenario if isinstance(scenario, Mission) else scenario
-        return replace(self, scenario=given, overrides=(*self.overrides, *overrides))
+        """The request with further overrides."""
+        given = self.scenario
+        scenario = given.scenario if isinstance(given, Mission) else given
+        return replace(self, scenario=scenario, overrides=(*self.overrides, *overrides))
 
 
 class Loaded(NamedTuple):
     """What a request names, read from its files."""
 
-    scenario: Mission | Scenario
+    scenario: Mission | Scenario | RestOfFlight
     init: Init
     called: str
 
 
 class Resolved(NamedTuple):
-    """A mission, the start of its plan, and the name of the start in the solution file."""
+    """A mission, the start of its plan and its name in the solution file, options of planning.
+
+    `known` are arguments of `planner.plan` that the rest of a flight fixes.
+    """
 
     mission: Mission
     start: Iterate | Plan
     called: str
+    options: PlanOptions
+    known: Mapping[str, Any] = {}
 
 
 def load(request: PlanRequest) -> Loaded:
@@ -119,7 +119,7 @@ def load(request: PlanRequest) -> Loaded:
             scenario = init.mission.scenario
         elif isinstance(init, Solution):
             scenario = init.scenario
-    if not isinstance(scenario, Mission):
+    if not isinstance(scenario, Mission | RestOfFlight):
         with naming_files(scenario, request.overrides):
             scenario = scenario_of(scenario, request.overrides)
     return Loaded(scenario, init, called)
@@ -132,18 +132,80 @@ def resolve(loaded: Loaded, request: PlanRequest) -> Resolved:
         InputError: if the scenario has no mission, the start is unusable, or an option does not suit
             the scenario.
     """
-    mission, init = loaded.scenario, loaded.init
+    mission, init, called = loaded
+    if isinstance(mission, RestOfFlight):
+        return mission.resolved(request)
     if isinstance(mission, Mission) and isinstance(init, Plan):
-        return Resolved(mission, init, loaded.called)
+        return Resolved(mission, init, called, request.options)
     if not isinstance(mission, Mission):
         with naming_files(request.scenario, request.overrides):
             mission = _mission_of(mission)
     start = _start(mission, init)
     request.options.check(mission.scenario)
-    doubts = tuple(_doubts(request, mission.scenario))
-    if doubts:
+    if doubts := tuple(_doubts(request, mission.scenario)):
         mission = replace(mission, warnings=(*mission.warnings, *doubts))
-    return Resolved(mission, start, loaded.called)
+    return Resolved(mission, start, called, request.options)
+
+
+@dataclass(frozen=True, eq=False)
+class RestOfFlight:
+    """What is left of a flight: planned near the plan in flight, by the method of that plan.
+
+    With one or two burns left, the final state determines the burns. An infeasible case is then
+    infeasible from every start and with all facets, so planning ends at once. A method that cannot
+    plan the rest, with exact risk or with a miss of the final state, is replaced by the default.
+
+    Attributes:
+        flown: the plan in flight.
+        delivery: the state from which the rest is planned.
+        free_times: whether burns that are left may move: see `with_free_times`.
+    """
+
+    flown: FlownPlan
+    delivery: Delivery
+    free_times: bool = False
+
+    def resolved(self, request: PlanRequest) -> Resolved:
+        """Make the mission that is left, its start along the plan in flight, and its options.
+
+        Raises:
+            InputError: if flights cannot certify a plan, or no burn may move.
+        """
+        flown = self.flown
+        mission = mission_left(flown, self.delivery, request.overrides)
+        scenario, made = mission.scenario, flown.method.formulation
+        exact = scenario.risk.allocation == "exact"
+        determined = len(scenario.burn_times_s) <= BURNS_TO_MEET
+        options = PlanOptions(
+            problem=flown.solution.problem,
+            facet_rounds=0 if determined else SETTLE,
+            formulation=FORMULATION if exact and made not in FULL else made,
+            algorithm=flown.method.algorithm if mission.must_meet else ALGORITHM,
+            solver=flown.method.solver,
+            certify=request.options.certify,
+            starts=1,
+        )
+        options.check(scenario)
+        if self.free_times:
+            mission = with_free_times(flown, mission)
+        resolution = P3_RESOLUTION if flown.solution.problem == "P2" else 0.0
+        known = {"p3_resolution": resolution, "once": determined}
+        start = path_planned(flown, mission)
+        return Resolved(mission, start, f"the path of {flown.name}", options, known)
+
+    def finished(self, plan: Plan, mission: Mission) -> Plan:
+        """A plan of the mission that is left, with its parent and all warnings.
+
+        It is lost if it misses the final state by more than `FlownPlan.is_lost` allows.
+        """
+        flown, at_s = self.flown, mission.scenario.start_s
+        commanded = flown.commanded(mission.initial_state, at_s)
+        commanded_m_s = None if commanded is None else tuple(commanded.tolist())
+        parent = Parent(flown.name, flown.solution.plan_hash, at_s, commanded_m_s)
+        warnings = tuple(dict.fromkeys((*plan.mission.warnings, *mission.warnings)))
+        plan = replace(plan, mission=replace(plan.mission, warnings=warnings), parent=parent)
+        lost = flown.is_lost(plan.states[-1] - mission.final_state)
+        return ended(plan, Status.LOST) if lost and plan.status is Status.CONVERGED else plan
 
 
 def _mission_of(scenario: Scenario) -> Mission:
@@ -176,28 +238,17 @@ def _mission_of(scenario: Scenario) -> Mission:
 def read_in_degrees(
     scenario: Scenario, error: InputError, resolve: Callable[[Scenario], object]
 ) -> InputError:
-    """Begin a refusal with a small angle that, in degrees instead of radians, is accepted.
-
-    Args:
-        scenario: that is refused.
-        error: the refusal.
-        resolve: raises an `InputError` if a scenario is refused.
-    """
-    for entry, value in _small_angles(scenario):
-        right = math.degrees(value)
-        with suppress(InputError):
-            resolve(scenario.replace({entry: right}))
-            allowed = f"tried, and accepted: {right:.6g}; degrees?\n{error}"
-            return InputError(entry, f"{value:.12g} deg", allowed)
-    return error
-
-
-def _small_angles(scenario: Scenario) -> Iterator[tuple[str, float]]:
-    """Angles that may be in radians, by entry."""
+    """Begin a refusal with a small angle that in degrees, not radians, `resolve` does not refuse."""
     for table in ("site", "body", "observation"):
         for key, value in getattr(scenario, table):
-            if key.endswith("_deg") and value is not None and 0.0 < abs(value) < 2.0 * math.pi:
-                yield f"{table}.{key}", value
+            if not key.endswith("_deg") or not 0.0 < abs(value or 0.0) < 2.0 * math.pi:
+                continue
+            entry, right = f"{table}.{key}", math.degrees(value)
+            with suppress(InputError):
+                resolve(scenario.replace({entry: right}))
+                allowed = f"tried, and accepted: {right:.6g}; degrees?\n{error}"
+                return InputError(entry, f"{value:.12g} deg", allowed)
+    return error
 
 
 def _other_readings(scenario: Scenario) -> Iterator[tuple[str, dict[str, object]]]:
@@ -227,18 +278,19 @@ def _doubts(request: PlanRequest, scenario: Scenario) -> Iterator[ScenarioWarnin
     """Overrides that have no effect on the plan that is asked for, or end the flight later."""
     certain, is_open = request.options.problem == "P3", scenario.policy.kind == "open"
     is_exact = scenario.risk.allocation == "exact"
+    idle = (
+        (UNCERTAIN, certain, "on a plan of P3"),
+        (("policy.cost.",), is_open, 'with policy.kind = "open"'),
+        (("design.",), True, "on a plan at given times: `design` chooses them"),
+        (("polytopes.",), is_exact, 'with risk.allocation = "exact"'),
+    )
     for text in request.overrides:
         entry, _, given = (part.strip() for part in text.partition("="))
-        if certain and entry.partition(".")[0] in UNCERTAIN:
-            yield ScenarioWarning.of(entry, given, "has no effect on a plan of P3")
-        elif is_open and entry == "policy.cost":
-            yield ScenarioWarning.of(entry, given, 'has no effect with policy.kind = "open"')
-        elif entry.partition(".")[0] == "design":
-            words = "has no effect on a plan at given times: `design` chooses them"
-            yield ScenarioWarning.of(entry, given, words)
-        elif is_exact and entry.startswith("polytopes"):
-            yield ScenarioWarning.of(entry, given, 'has no effect with risk.allocation = "exact"')
-        elif entry == "burns.times_s":
+        for beginnings, applies, words in idle:
+            if applies and f"{entry}.".startswith(beginnings):
+                yield ScenarioWarning.of(entry, given, f"has no effect {words}")
+                break
+        if entry == "burns.times_s":
             others = [one for one in request.overrides if one != text]
             with suppress(InputError):  # burns that alone make the others right
                 before = load(replace(request, overrides=others)).scenario
@@ -303,11 +355,7 @@ def is_solution(path: Path) -> bool:
 
 
 def scenario_of(given: Scenario | str | Path, overrides: Sequence[str] = ()) -> Scenario:
-    """Read a scenario that is given as itself, by name, or by its file.
-
-    Args:
-        given: the scenario, its name, or its file.
-        overrides: `section.entry=value` each.
+    """Read a scenario that is given as itself, by name, or by its file, with overrides.
 
     Raises:
         InputError: if `given` is none of these, or cannot be read.

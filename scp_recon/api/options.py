@@ -7,7 +7,15 @@ from typing import Literal
 
 from formulations.registry import FULL
 from scp_recon.display import digits
-from scp_recon.errors import InputError, make_whole, number_between, one_of, option, shortened
+from scp_recon.errors import (
+    InputError,
+    make_whole,
+    number_between,
+    one_of,
+    only_with,
+    option,
+    shortened,
+)
 from scp_recon.jobs.cores import WORKERS_MAX
 from scp_recon.monte_carlo.estimates import flights_needed
 from scp_recon.planning.method import (
@@ -32,9 +40,6 @@ OBJECTIVES = ("delta-v", "probability")
 VARIANT = "tuned"
 """Of the nonlinear program, unless another is chosen."""
 BUDGET_MIN_M_S, BUDGET_MAX_M_S = 1e-9, 1e6
-
-_OF_SCP = ("algorithm", "solver", "starts", "seed", "workers")
-_OF_STARTS = ("seed", "workers")
 
 
 @dataclass(frozen=True)
@@ -61,31 +66,36 @@ class PlanOptions:
     workers: int | None = None
 
     def __post_init__(self) -> None:
-        one_of(option("problem"), self.problem, PROBLEMS)
-        one_of(option("method"), self.method, METHODS)
-        one_of(option("objective"), self.objective, OBJECTIVES)
-        if self.facet_rounds != SETTLE:
-            make_whole(self, "facet_rounds", 0, FACET_ROUNDS_MAX, SETTLE)
-        for name, low, high, word in (
-            ("starts", 1, STARTS_MAX, AUTO),
-            ("seed", 0, SEED_MAX, ""),
-            ("workers", 1, WORKERS_MAX, ""),
+        for name, known in (("problem", PROBLEMS), ("method", METHODS), ("objective", OBJECTIVES)):
+            one_of(option(name), getattr(self, name), known)
+        for name, low, high, *words in (
+            ("facet_rounds", 0, FACET_ROUNDS_MAX, SETTLE),
+            ("starts", 1, STARTS_MAX, AUTO, None),
+            ("seed", 0, SEED_MAX, None),
+            ("workers", 1, WORKERS_MAX, None),
         ):
-            if (given := getattr(self, name)) is not None and (not word or given != word):
-                make_whole(self, name, low, high, word)
+            if getattr(self, name) not in words:
+                make_whole(self, name, low, high, words[0] or "")
         if self.dv_budget_m_s is not None:
-            number_between(
-                option("dv_budget_m_s"), self.dv_budget_m_s, BUDGET_MIN_M_S, BUDGET_MAX_M_S
-            )
+            bounds = BUDGET_MIN_M_S, BUDGET_MAX_M_S
+            number_between(option("dv_budget_m_s"), self.dv_budget_m_s, *bounds)
         if self.certify is not None and not isinstance(self.certify, bool):
-            raise InputError(
-                option("certify"), shortened(self.certify), "must be True, False or None"
-            )
+            allowed = "must be True, False or None"
+            raise InputError(option("certify"), shortened(self.certify), allowed)
+        several = {"seed": self.seed, "workers": self.workers}
         if self.method == "ipopt":
-            self._check_ipopt()
-        else:
-            self.scp  # noqa: B018 -- whether its names are known
-            self._check_starts()
+            others = {"algorithm": self.algorithm, "solver": self.solver, "starts": self.starts}
+            only_with(f"{option('method', 'scp')} only", **others, **several)
+            if self.formulation is not None:
+                from formulations.nlp.solve import VARIANTS  # CasADi takes a second to import
+
+                one_of(option("formulation"), self.formulation, VARIANTS)
+            return
+        self.scp  # noqa: B018 -- whether its names are known
+        if self.starts in (None, 1):
+            only_with(f"{option('starts')} of 2 or more", **several)
+        elif self.objective == "probability":
+            only_with(option("objective", "delta-v"), starts=self.starts)
 
     @property
     def scp(self) -> ScpMethod:
@@ -97,11 +107,6 @@ class PlanOptions:
         names = (self.formulation, self.algorithm, self.solver)
         usual = (FORMULATION, ALGORITHM, SOLVER)
         return scp_method(*(b if a is None else a for a, b in zip(names, usual, strict=True)))
-
-    @property
-    def variant(self) -> str:
-        """Variant of the nonlinear program."""
-        return self.formulation or VARIANT
 
     def is_certified(self, scenario: Scenario) -> bool:
         """Whether flights must certify the probability of a scenario's plan."""
@@ -126,21 +131,19 @@ class PlanOptions:
         Raises:
             InputError: naming the option, what was given and what is allowed.
         """
-        budget = self.dv_budget_m_s
+        budget, exact = self.dv_budget_m_s, scenario.risk.allocation == "exact"
+        if self.objective != "probability":
+            only_with(option("objective", "probability"), dv_budget_m_s=budget)
         most = len(scenario.burn_times_s) * scenario.burns.dv_max_m_s
-        if budget is not None and self.objective != "probability":
-            allowed = f"goes with {option('objective', 'probability')}"
-            raise InputError(option("dv_budget_m_s"), digits(budget, 12), allowed)
         if budget is not None and budget > most:
             allowed = f"must be at most {most:g} m/s, all burns at burns.dv_max_m_s, or any"
             raise InputError(option("dv_budget_m_s"), f"{digits(budget, 12)} m/s", allowed)
-        exact = scenario.risk.allocation == "exact"
         if not exact or self.problem != "P2":
             others = option("problem", "P2") if exact else "risk.allocation = exact only"
-            if self.certify or (exact and self.certify is not None):  # "no" is what is done anyway
-                raise InputError(option("certify"), str(self.certify), f"goes with {others}")
+            if exact or self.certify:  # without exact risk "no" is what is done anyway
+                only_with(others, certify=self.certify)
             if self.objective == "probability":
-                raise InputError(option("objective"), self.objective, f"goes with {others}")
+                only_with(others, objective=self.objective)
         if not exact:
             return
         for name, given, those in (
@@ -153,26 +156,3 @@ class PlanOptions:
                 raise InputError(option(name), shortened(given), allowed)
         if self.is_certified(scenario) and self.objective == "delta-v":
             flights_needed(scenario.risk.p_chance)
-
-    def _check_ipopt(self) -> None:
-        """Refuse options of sequential convex programming, and an unknown variant."""
-        usual = PlanOptions()
-        for name in _OF_SCP:
-            if (given := getattr(self, name)) != getattr(usual, name):
-                allowed = f"goes with {option('method', 'scp')} only"
-                raise InputError(option(name), str(given), allowed)
-        if self.formulation is not None:
-            from formulations.nlp.solve import VARIANTS  # CasADi takes a second to import
-
-            one_of(option("formulation"), self.formulation, VARIANTS)
-
-    def _check_starts(self) -> None:
-        """Refuse options that need several starts, or do not allow them."""
-        if self.starts in (None, 1):
-            for name in _OF_STARTS:
-                if (given := getattr(self, name)) is not None:
-                    allowed = f"goes with {option('starts')} of 2 or more"
-                    raise InputError(option(name), str(given), allowed)
-        elif self.objective == "probability":
-            allowed = f"goes with {option('objective', 'delta-v')}"
-            raise InputError(option("starts"), str(self.starts), allowed)

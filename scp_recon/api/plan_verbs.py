@@ -146,10 +146,10 @@ def fly(
         0.979, 95 % interval 0.968 to 0.987
     """
     from scp_recon.api.files import solution_of
-    from scp_recon.api.flying import FlyOptions, flown_summary
+    from scp_recon.api.flying import Flights, FlyOptions
 
     how = FlyOptions(samples, until, truth, errors, seed, workers, scheduler, policy, miss, then)
-    return flown_summary(solution_of(plan), how)
+    return Flights.of(solution_of(plan), how).summary()
 
 
 def simulate(

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from scp_recon.api.designing import Design, trials_table
+from scp_recon.api.designing import Design, trials_table, windows_table
 from scp_recon.api.files import charts_of, solution_of
-from scp_recon.api.survey import survey_table
 from scp_recon.display import Displayed, Tabulated
 from scp_recon.errors import imported, one_of, option
 from scp_recon.interop.export import Export
@@ -67,7 +66,7 @@ def _rows(result: Tabulated, table: str) -> Any:
     if isinstance(result, Summary):
         return _flown(result)
     if isinstance(result, Survey):
-        return survey_table(result).records()
+        return windows_table(result).records()
     if isinstance(result, Design):
         return trials_table(result).records()
     if isinstance(result, Comparison):

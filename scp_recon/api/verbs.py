@@ -91,20 +91,8 @@ def plan(
     from scp_recon.api.options import PlanOptions
     from scp_recon.api.planning import carry_out
 
-    options = PlanOptions(
-        problem=problem,
-        method=method,
-        formulation=formulation,
-        algorithm=algorithm,
-        solver=solver,
-        facet_rounds=facet_rounds,
-        certify=certify,
-        objective=objective,
-        dv_budget_m_s=dv_budget_m_s,
-        starts=starts,
-        seed=seed,
-        workers=workers,
-    )
+    how = problem, method, formulation, algorithm, solver, facet_rounds, certify
+    options = PlanOptions(*how, objective, dv_budget_m_s, starts, seed, workers)
     return carry_out(PlanRequest(scenario, init, options, overrides), verifies=False).plan
 
 
@@ -211,7 +199,7 @@ def replan(
     from scp_recon.api.inputs import check_overrides
     from scp_recon.api.planning import plan_left
     from scp_recon.replanning.flown import FlownPlan
-    from scp_recon.replanning.remainder import Delivery, mission_left, with_goal
+    from scp_recon.replanning.remainder import Delivery, with_goal
 
     check_overrides(overrides)
     flown = FlownPlan.of(plan)
@@ -224,8 +212,7 @@ def replan(
         covariance_frame=covariance_frame,
         measured=measured_burns,
     )
-    left = mission_left(flown, delivery, overrides)
-    return plan_left(flown, left, certify=certify, free_times=free_times)
+    return plan_left(flown, delivery, overrides, certify=certify, free_times=free_times)
 
 
 def campaign(
@@ -366,23 +353,9 @@ def new(
     """
     from scp_recon.api.drafts import NewOptions, draft
 
-    options = NewOptions.of(
-        name=name,
-        body=body,
-        site=site,
-        epoch=epoch,
-        gm=gm,
-        radius=radius,
-        period=period,
-        pole=pole,
-        orbit=orbit,
-        from_spice=from_spice,
-        spacecraft=spacecraft,
-        from_oem=from_oem,
-        from_csv=from_csv,
-        begin=begin,
-        end=end,
-    )
+    of_body = gm, radius, period, pole, orbit
+    of_track = from_spice, spacecraft, from_oem, from_csv, begin, end
+    options = NewOptions.of(name, body, site, epoch, *of_body, *of_track)
     return draft(options, progress)
 
 
@@ -448,7 +421,7 @@ def windows(
         >>> len(sr.windows("recon_b", span_days=1.0).windows)
         5
     """
-    from scp_recon.api.survey import find_windows
+    from scp_recon.api.designing import find_windows
 
     return find_windows(scenario, begin, span_days, csv, chart)
 

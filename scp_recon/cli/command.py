@@ -143,7 +143,12 @@ def parse(p: argparse.ArgumentParser, arguments: Sequence[str] | None) -> argpar
     p.error = error  # type: ignore[method-assign]  # errors go into the document too
     found = p.parse_args(arguments)
     found.prog = p.prog
-    found.flags = flags_of(p)
+    found.flags = {
+        action.dest: action.option_strings[-1]
+        if action.option_strings
+        else str(action.metavar or action.dest)
+        for action in p._actions
+    }
     return found
 
 
@@ -185,16 +190,6 @@ def add_output_options(p: argparse.ArgumentParser) -> None:
     )
 
 
-def flags_of(p: argparse.ArgumentParser) -> dict[str, str]:
-    """Flags of a command's options by the names of their parameters."""
-    return {
-        action.dest: action.option_strings[-1]
-        if action.option_strings
-        else str(action.metavar or action.dest)
-        for action in p._actions
-    }
-
-
 def exit_on_sigint() -> None:
     """End the process at once on Ctrl-C, unless it is ignored, until `run_command` handles it."""
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
@@ -211,9 +206,7 @@ def run_command(
 ) -> int:
     """Run a command's work; return its exit status, or that of its error.
 
-    Args:
-        action: function that prints to a console, and returns an exit status or an answer.
-        options: result of `parse`; None for a command without --json and --quiet.
+    `options` is the result of `parse`; None for a command without --json and --quiet.
     """
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, TextIOWrapper):  # what it cannot encode must not end the command
@@ -228,9 +221,7 @@ def run_command(
 
     def fail(message: str, **error: str) -> int:
         # the terminal, not the message, breaks long lines: a path stays whole for who copies it
-        errors.print(
-            f"error: {message}", style="red", markup=False, highlight=False, soft_wrap=True
-        )
+        show_line(errors, f"error: {message}", "red")
         return end(BAD_INPUT, {"error": {"message": message, **error}})
 
     started = signal.getsignal(signal.SIGINT) is _end
@@ -262,10 +253,9 @@ def make_console(*, stderr: bool = False, quiet: bool = False) -> Console:
     """Make a console as wide as the terminal, or without one as the widest table."""
     from rich.console import Console  # which takes longer to import than all the rest here
 
-    wide = (
-        None if (sys.stderr if stderr else sys.stdout).isatty() or "COLUMNS" in os.environ else WIDE
-    )
-    return Console(stderr=stderr, quiet=quiet, width=wide)
+    is_terminal = (sys.stderr if stderr else sys.stdout).isatty()
+    width = None if is_terminal or "COLUMNS" in os.environ else WIDE
+    return Console(stderr=stderr, quiet=quiet, width=width)
 
 
 def progress_console(console: Console) -> Console:

@@ -11,10 +11,15 @@ import inspect
 import re
 import types
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from datetime import datetime
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, Union, get_args, get_origin
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Union, get_args, get_origin
 
-from scp_recon.errors import EXACT, InputError, whole_number
+from scp_recon.errors import EXACT, InputError, shortened, whole_number
+
+if TYPE_CHECKING:
+    from scp_recon.replanning.remainder import Delivery
 
 WHOLE = re.compile(r"[+-]?[0-9]{1,20}")
 """Longer ones are beyond every bound, and slow to read."""
@@ -45,41 +50,15 @@ def numbers(text: str) -> tuple[float, ...] | str:
     return floats if floats == found else text
 
 
-def folder(text: str) -> Path:
-    """A type of option: a folder with a name that is not empty."""
-    if not text:
-        raise argparse.ArgumentTypeError("got ''; must be a folder")
-    return Path(text)
+def matching(pattern: str, allowed: str, convert: Callable[[str], Any]) -> Callable[[str], Any]:
+    """A type of option: texts of a pattern alone."""
 
+    def read(text: str) -> Any:
+        if not re.fullmatch(pattern, text):
+            raise argparse.ArgumentTypeError(f"got {text!r}; must be {allowed}")
+        return convert(text)
 
-def yes_or_no(text: str) -> bool:
-    """A type of option: a choice."""
-    if text not in ("yes", "no"):
-        raise argparse.ArgumentTypeError(f"got {text!r}; must be yes or no")
-    return text == "yes"
-
-
-def width(text: str) -> float:
-    """A type of option: an interval's width in percent."""
-    try:
-        found = float(text.removesuffix("%")) / 100.0
-    except ValueError:
-        found = 0.0
-    if not text.endswith("%") or not 0.0 < found < 1.0:
-        raise argparse.ArgumentTypeError(f"got {text!r}; must be a percentage such as 0.5%")
-    return found
-
-
-def start(text: str) -> str:
-    """A type of option: where planning begins."""
-    if not text:
-        raise argparse.ArgumentTypeError("got ''; must be cold, warm or a file")
-    return text
-
-
-def budget(text: str) -> float | str | None:
-    """A type of option: a number, or any."""
-    return None if text == "any" else number(text)
+    return read
 
 
 class Option(NamedTuple):
@@ -98,11 +77,30 @@ class Option(NamedTuple):
     help: str = ""
 
 
+FOLDER = matching("(?s).+", "a folder", Path)
+START = matching("(?s).+", "cold, warm or a file", str)
+YES_OR_NO = matching("yes|no", "yes or no", lambda text: text == "yes")
+"""Types of options."""
+
+
+def width(text: str) -> float:
+    """A type of option: an interval's width in percent."""
+    found = number(text.removesuffix("%"))
+    if isinstance(found, str) or not text.endswith("%") or not 0.0 < found < 100.0:
+        raise argparse.ArgumentTypeError(f"got {text!r}; must be a percentage such as 0.5%")
+    return found / 100.0
+
+
+def budget(text: str) -> float | str | None:
+    """A type of option: a number, or any."""
+    return None if text == "any" else number(text)
+
+
 SPELT: Mapping[str, Option] = {
     "file": Option("SCENARIO"),
     "verbose": Option(flag="-v"),
     "scenario": Option("SCENARIO", read=Path),
-    "init": Option("cold|warm|FILE", read=start),
+    "init": Option("cold|warm|FILE", read=START),
     "facet_rounds": Option("N|settle", read=whole),
     "starts": Option("N|auto", read=whole),
     "dv_budget_m_s": Option("M_S", "--dv-budget", budget),
@@ -115,7 +113,7 @@ SPELT: Mapping[str, Option] = {
         help="with risk.allocation = exact, raise the target probability until fresh flights reach the "
         "required one (default: yes)"
     ),
-    "out": Option("DIR", read=folder),
+    "out": Option("DIR", read=FOLDER),
     "plan": Option("PLAN", read=Path, help="folder with a solution.json, or the file"),
     "plans": Option("PLAN", read=Path),
     "at_s": Option("T", "--at", str),
@@ -137,7 +135,7 @@ SPELT: Mapping[str, Option] = {
 }
 """Parameters, of any command, of which name and type do not say how they are spelt."""
 USUAL: dict[Any, dict[str, Any]] = {
-    bool: {"type": yes_or_no, "metavar": "yes|no"},
+    bool: {"type": YES_OR_NO, "metavar": "yes|no"},
     int: {"type": whole, "metavar": "N"},
     float: {"type": number, "metavar": "X"},
     Path: {"type": Path, "metavar": "FILE"},
@@ -184,14 +182,10 @@ def parser_of(
     spelt: Mapping[str, Option],
     prog: str,
 ) -> argparse.ArgumentParser:
-    """Make the parser of a command.
+    """Make the parser of a command from its function and its owner in `api`, for its name `prog`.
 
-    Args:
-        function: of the command. Parameters by keyword alone, and those with a default of the owner,
-            are options, the others arguments; a parameter without a default is required.
-        owner: function of `api` whose parameters the command takes too.
-        spelt: parameters that this command spells in another way than the others.
-        prog: name of the command for its help.
+    Parameters by keyword alone, and those with a default of the owner, are options, the others
+    arguments; a parameter without a default is required.
     """
     said, words = described(function)
     shared = {name: option.help for name, option in SPELT.items() if option.help}
@@ -258,23 +252,92 @@ def joined(arguments: Sequence[str]) -> list[str]:
     found: list[str] = []
     for argument in arguments:
         name, separator, value = found[-1].partition("=") if found else ("", "", "")
-        if name in LISTS and _goes_on(name, value if separator else None, argument):
-            found[-1] += f" {argument}" if separator else f"={argument}"
+        if name in LISTS and not separator and (_count(argument) or not argument.startswith("-")):
+            found[-1] += f"={argument}"
+        elif name in LISTS and separator and (more := _count(argument)):
+            so_far = _count(value.partition("=")[2] if name == "--measured-burn" else value)
+            if so_far and so_far + more <= LISTS[name]:
+                found[-1] += f" {argument}"
+            else:
+                found.append(argument)
         else:
             found.append(argument)
     return found
 
 
-def _goes_on(name: str, value: str | None, argument: str) -> bool:
-    """Whether an argument belongs to a list's value so far, None before it has begun."""
-    more = _count(argument)
-    if value is None:
-        return more is not None or not argument.startswith("-")
-    so_far = _count(value.partition("=")[2] if name == "--measured-burn" else value)
-    return so_far is not None and more is not None and so_far + more <= LISTS[name]
+def _count(text: str) -> int:
+    """Number of numbers in a text; 0 if it holds anything else."""
+    found = numbers(text)
+    return 0 if isinstance(found, str) else len(found)
 
 
-def _count(text: str) -> int | None:
-    """Number of numbers in a text; None if it holds anything else."""
-    found = [number(part) for part in text.replace(",", " ").split()]
-    return len(found) if all(isinstance(x, float) for x in found) else None
+BYTES_MAX = 100_000
+"""Of a file of 36 numbers with whatever is said of them."""
+
+
+def read_delivery(
+    epoch: datetime,
+    *,
+    at_s: str,
+    state: str,
+    covariance: Path | None,
+    measured_burns: Sequence[str],
+    **frames: str,
+) -> Delivery:
+    """Make a delivery from options of `replan`, for a plan of that epoch, TDB.
+
+    The state is six numbers, m and m/s, or their file; the covariance a file of six rows of six; each
+    measured burn N=X,Y,Z, m/s; `frames` are as of `Delivery.of`.
+
+    Raises:
+        InputError: if a number, a date or a file is not valid.
+    """
+    from scp_recon.replanning.remainder import Delivery
+
+    rows = None if covariance is None else _rows(covariance, "--covariance")
+    if rows is not None and [len(row) for row in rows] != 6 * [6]:
+        sizes = " and ".join(sorted({str(len(row)) for row in rows})) or "no"
+        given, allowed = f"{len(rows)} rows of {sizes} numbers", "must be six rows of six numbers"
+        raise InputError(f"--covariance {covariance}", given, f"{allowed}, m and m/s")
+    six = numbers(state)
+    if isinstance(six, str):
+        six = tuple(number for row in _rows(Path(state), "--state") for number in row)
+    if len(six) != 6:
+        allowed = "must be six, m and m/s, or their file"
+        raise InputError("--state", f"{len(six)} numbers", allowed)
+    burns: dict[int, tuple[float, ...]] = {}
+    for text in measured_burns:
+        index, _, burn = text.partition("=")
+        three = numbers(burn)
+        if not WHOLE.fullmatch(index.strip()) or isinstance(three, str) or len(three) != 3:
+            allowed = "must read N=X,Y,Z: the burn's number and three numbers in m/s"
+            raise InputError("--measured-burn", shortened(text), allowed)
+        if int(index) in burns:
+            raise InputError("--measured-burn", f"burn {index} twice", "must be given once")
+        burns[int(index)] = three
+    return Delivery.of(_time(at_s, epoch), six, covariance=rows, measured=burns, **frames)
+
+
+def _time(text: str, epoch: datetime) -> float:
+    """Seconds past the epoch, given as such or as a date."""
+    if isinstance(found := number(text), float):
+        return found
+    with suppress(ValueError):
+        if (date := datetime.fromisoformat(text)).tzinfo is None:
+            return (date - epoch).total_seconds()
+    allowed = "must be seconds past the plan's epoch, or a date in TDB such as 2020-01-22T01:16:37"
+    raise InputError("--at", shortened(text), allowed)
+
+
+def _rows(path: Path, entry: str) -> list[tuple[float, ...]]:
+    """Numbers of a file, line by line; text after a # is ignored."""
+    from scp_recon.files import read_text
+
+    text = read_text(path, f"{entry} {path}", "file of numbers", BYTES_MAX)
+    lines = (line.partition("#")[0] for line in text.splitlines())
+    found = []
+    for row in (numbers(line) for line in lines if line.strip()):
+        if isinstance(row, str):
+            raise InputError(f"{entry} {path}", shortened(row), "must be a file of numbers")
+        found.append(row)
+    return found

@@ -1,34 +1,36 @@
-"""Show a plan on its way into the folder of a run; for an infeasible plan show feasible options."""
+"""Show a plan or a design on its way into the folder of a run, and what a failed plan needs."""
 
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
+from dataclasses import dataclass, field
 from pathlib import Path
-from time import process_time
+from time import monotonic, process_time
 from typing import Self
 
+import numpy as np
 from rich.console import Console
 
 from scp_recon.advice.infeasibility import Diagnosis, cost_of_exact_risk, diagnose
 from scp_recon.advice.trials import RETURN, Remedy, for_exact, overrides_of
+from scp_recon.api.designing import phases_deg
+from scp_recon.api.files import UNVERIFIED, run_folder
 from scp_recon.api.inputs import PlanRequest
-from scp_recon.api.keeping import UNVERIFIED, point_latest, run_folder
 from scp_recon.api.options import PlanOptions
 from scp_recon.api.planning import PlanOutcome, Watch
 from scp_recon.certification.largest import rounded_down
 from scp_recon.cli import plan_view
-from scp_recon.cli.command import (
-    NOT_VERIFIED,
-    Answer,
-    show_line,
-    show_written,
-)
+from scp_recon.cli.command import Answer, show_line, show_written
 from scp_recon.cli.plan_view import Progress, live_progress, plan_document
+from scp_recon.cli.views import time_left
 from scp_recon.display import digits, mm_s
 from scp_recon.mission.mission import Mission
+from scp_recon.passes.design import Trial
 from scp_recon.planning.plan import Plan
+from scp_recon.planning.primer import WORTH, PrimerHistory
+from scp_recon.results.runs import point_to
 from scp_recon.results.solution import FILE_NAME
 from scp_recon.scenario.schema import Scenario
 from scp_recon.scp.status import Status
@@ -43,62 +45,55 @@ def show_largest(budget_m_s: float | None, plan: Plan, console: Console) -> None
     show_line(console, f"largest probability found for {most}: {result}")
 
 
-def write_report_of(folder: Path, console: Console) -> None:
-    """Write the report of the plan that was just written."""
+def write_report_of(outcome: PlanOutcome, console: Console) -> None:
+    """Write the report of the plan that was just written, beside its file."""
     from scp_recon.reports import write
 
-    aside = folder / UNVERIFIED
-    if aside.is_file():
-        path = write.write_report([aside], aside.with_name(write.UNVERIFIED_NAME))
-    else:
-        path = write.write_report([folder], folder / write.FILE_NAME)
-    show_written(console, path)
+    path = outcome.path
+    assert path is not None
+    aside = path.name == UNVERIFIED
+    name = write.UNVERIFIED_NAME if aside else write.FILE_NAME
+    given = path if aside else path.parent
+    show_written(console, write.write_report([given], path.with_name(name)))
 
 
+@dataclass(eq=False)
 class Shown(Watch):
     """Shows a plan on its way, and keeps it in the folder of a run, which is locked until the end.
 
-    Args:
+    Attributes:
         console: where to show it.
         out: the folder as the user gave it; None for a new one.
         instead: further options of the command for a proposed feasible plan.
         verbose: whether to show all of the mission, each iteration, and the re-integration.
-
-    Attributes:
         found: the scenario of a design's pass, for which advised options are tried.
     """
 
+    console: Console
+    out: Path | None
+    instead: Sequence[str] = ()
+    verbose: bool = field(default=False, kw_only=True)
     found: Path | None = None
-
-    def __init__(
-        self,
-        console: Console,
-        out: Path | None,
-        instead: Sequence[str] = (),
-        *,
-        verbose: bool = False,
-    ) -> None:
-        self._verbose = verbose
-        self._console, self._out, self._instead = console, out, instead
-        self._open = ExitStack()
-        self._status: int | None = None
-        self._folder: Path | None = None
-        self._began_s = process_time()
+    _opened: ExitStack = field(default_factory=ExitStack)
+    _folder: Path | None = None
+    _status: int | None = None
+    _began_s: float = field(default_factory=process_time)
 
     def __enter__(self) -> Self:
         """Begin."""
         return self
 
     def __exit__(self, *raised: object) -> None:
-        """Free the folder; `runs/latest` points to it if the run has its answer."""
-        self._open.close()
-        if self._folder is not None and self._status is not None and raised[0] is None:
-            point_latest(self._out, self._folder, self._status)
+        """Free the folder; `runs/latest` points to a new one if its run has its answer."""
+        self._opened.close()
+        is_finished = self._status not in (None, Status.INTERRUPTED.value.exit_code)
+        if self.out is None and self._folder is not None and is_finished and raised[0] is None:
+            point_to(self._folder)
 
     def open(self, name: str) -> Path:
         """Open the folder of a run that is named after its scenario; it stays open until the end."""
         if self._folder is None:
-            self._folder = self._open.enter_context(run_folder(self._out, name))
+            self._folder = self._opened.enter_context(run_folder(self.out, name))
         return self._folder
 
     def folder(self, scenario: Scenario) -> AbstractContextManager[Path]:
@@ -108,54 +103,46 @@ class Shown(Watch):
     @contextmanager
     def planning(self, mission: Mission) -> Iterator[Progress]:
         """Show the mission, and the progress of planning."""
-        plan_view.show_mission(self._console, mission, verbose=self._verbose)
-        if self._verbose:
-            self._console.print()
-        with live_progress(self._console, mission, verbose=self._verbose) as observe:
+        plan_view.show_mission(self.console, mission, verbose=self.verbose)
+        if self.verbose:
+            self.console.print()
+        with live_progress(self.console, mission, verbose=self.verbose) as observe:
             yield observe
 
-    def planned(self, outcome: PlanOutcome) -> None:
-        """Show an interrupted plan and its file; any other is shown when it is verified."""
-        if outcome.plan.status is Status.INTERRUPTED and outcome.kept.path:
-            solution = outcome.solution
-            plan_view.show_plan(
-                self._console, outcome.plan.mission, solution, None, solution.warnings
-            )
-            show_written(self._console, outcome.kept.path)
-
-    def verified(self, outcome: PlanOutcome, request: PlanRequest | None) -> tuple[str, ...]:
-        """Show the verification and the files, and find and show advice on a plan that failed."""
+    def kept(self, outcome: PlanOutcome, request: PlanRequest) -> tuple[str, ...]:
+        """Show the plan and its files; find and show advice on a plan that failed."""
         spent_s = process_time() - self._began_s
-        console, mission, path = self._console, outcome.plan.mission, outcome.kept.path
-        assert outcome.verification is not None
-        diagnosed = request is not None and not outcome.verification.ok
+        console, mission, solution = self.console, outcome.plan.mission, outcome.solution
+        verification, path = outcome.verification, outcome.path
         assert path is not None
+        if verification is None:
+            plan_view.show_plan(console, mission, solution, None, solution.warnings)
+            show_written(console, path)
+            return ()
         plan_view.show_plan(
             console,
             mission,
-            outcome.solution,
-            outcome.verification,
+            solution,
+            verification,
             mission.warnings,
-            advised=diagnosed,
-            verbose=self._verbose,
+            advised=not verification.ok,
+            verbose=self.verbose,
         )
-        for old in outcome.kept.aside:
+        for old in outcome.aside:
             show_line(console, f"set aside because it belongs to another plan: {old}")
         if path.name == UNVERIFIED:
             show_line(console, f"kept, as it is verified: {path.with_name(FILE_NAME)}")
         show_written(console, path)
-        if request is None:
-            return ()
-        if diagnosed:
-            with plan_view.live_line(console) as show:
-                diagnosis = diagnose(outcome.plan, request, spent_s, show, outcome.verification)
-            advised = bool(diagnosis.remedies)
-            lines = advice_on(diagnosis, outcome.plan, self._instead, path)
-            if outcome.plan.status is Status.CONVERGED:
-                lines = (*causes(mission, outcome.verification), *lines)
-        else:
-            lines = saving(outcome, request, spent_s, self._instead)
+        if verification.ok:
+            lines = saving(outcome, request, spent_s, self.instead)
             advised = bool(lines)
+        else:
+            with plan_view.live_line(console) as show:
+                diagnosis = diagnose(outcome.plan, request, spent_s, show, verification)
+            advised = bool(diagnosis.remedies)
+            lines = advice_on(diagnosis, outcome.plan, self.instead, path)
+            if outcome.plan.status is Status.CONVERGED:
+                lines = (*causes(mission, verification), *lines)
         if self.found is not None and advised:
             lines = (*lines, f"these options are for solve --scenario {self.found}")
         for line in lines:
@@ -164,13 +151,9 @@ class Shown(Watch):
 
     def answer(self, outcome: PlanOutcome) -> Answer:
         """The exit status and the document of a plan."""
-        status, verification = outcome.plan.status, outcome.verification
-        code = status.value.exit_code
-        if not code and verification is not None and not verification.ok:
-            code = NOT_VERIFIED
-        assert outcome.kept.path is not None
-        self._status = code
-        return Answer(code, plan_document(outcome.solution, [outcome.kept.path]))
+        assert outcome.path is not None
+        self._status = plan_view.exit_code(outcome.solution)
+        return Answer(self._status, plan_document(outcome.solution, [outcome.path]))
 
 
 def advice_on(
@@ -178,16 +161,14 @@ def advice_on(
 ) -> tuple[str, ...]:
     """Lines on what binds, on options that were tried and work, and on what did not.
 
-    Args:
-        diagnosis: of the plan.
-        failed: the plan.
-        more: options that undo those of the command that exclude exact risk.
-        file: of the plan.
+    `more` are options that undo those of the command that exclude exact risk; `file` is the plan's.
     """
     risk, found = failed.mission.scenario.risk, diagnosis
     lines = []
     if failed.status is Status.INFEASIBLE:
-        lines.append(what_binds(found))
+        binds = ", ".join(one.name for one in found.remedies) or "nothing that suffices alone"
+        several = "; relaxing any one of them suffices" if len(found.remedies) > 1 else ""
+        lines.append(f"what binds: {binds}{several}")
         if found.without_uncertainty is Status.INFEASIBLE or failed.final.problem == "P3":
             word = "not asked for"
             if found.without_uncertainty is Status.INFEASIBLE:
@@ -243,13 +224,6 @@ def undoing(options: PlanOptions) -> list[str]:
     return undone
 
 
-def what_binds(diagnosis: Diagnosis) -> str:
-    """One line on what suffices if it is relaxed alone."""
-    binds = ", ".join(one.name for one in diagnosis.remedies) or "nothing that suffices alone"
-    several = "; relaxing any one of them suffices" if len(diagnosis.remedies) > 1 else ""
-    return f"what binds: {binds}{several}"
-
-
 def what_would_do(remedy: Remedy, more: Sequence[str] = (), file: Path = Path(FILE_NAME)) -> str:
     """Options with which the command ended verified, and the delta-v of that plan."""
     turns = "risk.allocation" in remedy.changes or "risk.p_chance" in remedy.changes
@@ -261,3 +235,77 @@ def what_would_do(remedy: Remedy, more: Sequence[str] = (), file: Path = Path(FI
     if remedy.certify is not None:
         options += ["--certify", "yes" if remedy.certify else "no"]
     return f"feasible, for {mm_s(remedy.cost_m_s, 1, remedy.counted)}, with: {' '.join(options)}"
+
+
+# --- designs ---------------------------------------------------------------------------------------
+
+TABLE, SCENARIO = "design.csv", "scenario.toml"
+"""What a design writes besides its plan."""
+HEAD = "# Written by `scp-recon design`.\n"
+MARKS = {TABLE: b"step,window,problem,", SCENARIO: HEAD.encode()}
+"""What only this program's files of these names hold."""
+OF_MAP = 4.0
+"""Time of a design over that of its maps: 2.9 was measured for Nightingale, 4.9 for Sandpiper."""
+RESIDUAL = 0.1
+"""Largest residual of an optimum's multipliers: a primer errs by its residual."""
+
+
+@contextmanager
+def design_progress(console: Console) -> Iterator[Callable[[Trial], None]]:
+    """Yield a function that counts plans; the best plan of each step gets a line."""
+    trials: dict[str, list[Trial]] = {}
+    begun, map_s = monotonic(), 0.0
+
+    def line(step: str) -> str:
+        best, number = min(trials[step], key=lambda one: one.result.dv_m_s), len(trials[step])
+        count = f"{step:10} {number:4} plan{'s' if number > 1 else ''}"
+        if not best.result.converged:
+            return f"{count}, none that holds"
+        phases = phases_deg(best.result)
+        counted = best.result.mission.scenario.policy.cost if step == "corrected" else "nominal"
+        between = "" if None in phases else " from {:.1f} to {:.1f} deg".format(*phases)
+        return f"{count}, best {mm_s(best.result.dv_m_s, counted=counted)}{between}" + (
+            ", without uncertainty" if step in ("map", "certain") else ""
+        )
+
+    with console.status("designing") as status:
+
+        def count(tried: Trial) -> None:
+            nonlocal map_s
+            if tried.step not in trials and trials:
+                console.print(line(next(reversed(trials))), highlight=False)
+            same = trials.setdefault(tried.step, [])
+            same.append(tried)
+            took_s = monotonic() - begun
+            if tried.expected is None:
+                time = time_left(took_s, OF_MAP * map_s, took_s)
+                left = f"; {time}, then its plan"
+            else:
+                total, map_s = (
+                    tried.expected * len({one.result.space.number for one in same}),
+                    took_s,
+                )
+                time = time_left(len(same), total, took_s)
+                left = f"; of {total}, {time}, then descents from the map's minima"
+            status.update(line(tried.step) + (left if time else ""))
+
+        yield count
+    if trials:
+        console.print(line(next(reversed(trials))), highlight=False)
+
+
+def primer_says(primer: PrimerHistory | None) -> str:
+    """Whether one more burn would help, by a plan's primer, in one line."""
+    if primer is None:
+        return "no primer: it needs a plan whose errors shrink with the burns"
+    legal = np.flatnonzero(primer.legal)
+    if len(legal) == 0:
+        return "primer: no time is legal for another burn with the present ones kept"
+    if primer.residual > RESIDUAL:
+        left = f"leave a residual of {primer.residual:.2g}, at most {RESIDUAL:g} expected"
+        return f"primer: its multipliers {left}: no conclusion about another burn"
+    best = legal[np.argmax(np.array(primer.allowed)[legal])]
+    most, when = primer.allowed[best], f"at {primer.t_s[best]:.0f} s"
+    if most <= 1.0 + WORTH:
+        return f"primer at most {most:.3f} at legal times ({when}): no additional small burn helps"
+    return f"primer up to {most:.3f} at legal times: an additional burn {when} would help"

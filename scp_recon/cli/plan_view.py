@@ -11,13 +11,12 @@ from typing import Any
 import numpy as np
 from rich.console import Console, Group, RenderableType
 from rich.live import Live
-from rich.table import Table as RichTable
 from rich.text import Text
 
 from formulations.arrays import Array
 from scp_recon.bodies.catalogue import AU_KM, packaged_body
-from scp_recon.cli.command import show_line
-from scp_recon.cli.rendering import fitting, show_verdict, show_warnings, terminal
+from scp_recon.cli.command import NOT_VERIFIED, show_line
+from scp_recon.cli.views import show_headline, show_table, show_verdict, show_warnings, terminal
 from scp_recon.display import mm_s
 from scp_recon.errors import InputError
 from scp_recon.interop.export import Export
@@ -28,25 +27,11 @@ from scp_recon.mission.scene import Scene, orbit_of_body
 from scp_recon.monte_carlo.estimates import Estimate
 from scp_recon.physics.geometry import angle
 from scp_recon.planning.plan import Plan
-from scp_recon.reports.tables import (
-    ITERATION_COLUMNS,
-    burn_limits_table,
-    burns_table,
-    constraints_table,
-    corrections_table,
-    iteration_row,
-    limits_table,
-    lost_contacts_table,
-    own_windows,
-    reintegration_table,
-    starts_table,
-)
-from scp_recon.results.facts import Risk
+from scp_recon.reports import tables
 from scp_recon.results.solution import Solution, iteration_record
 from scp_recon.results.table import Cell, Table
 from scp_recon.results.verification import Verification, in_words
 from scp_recon.scenario.fields import ScenarioWarning
-from scp_recon.scenario.schema import Scenario
 from scp_recon.scenario.time_scales import instant, iso_tdb, iso_utc
 from scp_recon.scp.loop import Record
 from scp_recon.scp.status import Status
@@ -59,44 +44,34 @@ def show_mission(console: Console, mission: Mission, *, verbose: bool = True) ->
     scenario, schedule = mission.scenario, mission.schedule
     first, last = mission.observed_s or schedule.window_s
     origin = "given" if scenario.observation.window_s else "by incidence and solar time"
-    console.print(
-        Text(scenario.name, style="bold")
-        + Text(
-            f": {scenario.body.name}, site {scenario.site.name}; {required_in_words(scenario)}; "
-            f"{scenario.uncertainty.execution}",
-            style="not bold",
-        ),
-        soft_wrap=True,
-    )
+    place = f"{scenario.body.name}, site {scenario.site.name}"
+    what = f"{place}; {required_in_words(scenario)}; {scenario.uncertainty.execution}"
+    show_headline(console, scenario.name, what)
     if packaged_body(scenario.body.name) is None:
         show_line(console, f"body      {as_given(mission.scene)}")
     if scenario.observation.required is False:
         origin += "; not required, nothing is observed"
     elif mission.observed_s is None:
         origin += "; over, nothing is observed any more"
-    span = f"{first:.1f} to {last:.1f} s ({last - first:.1f} s, {origin}){own_windows(mission)}"
+    span = (
+        f"{first:.1f} to {last:.1f} s ({last - first:.1f} s, {origin}){tables.own_windows(mission)}"
+    )
     show_line(console, f"window    {span}; boundary in {scenario.boundary.frame} axes")
     if mission.uncertain.count:
         show_line(console, f"uncertain {knowledge.in_words(scenario)} (1 sigma)")
     if scenario.in_flight is not None:
-        flown = f"{scenario.burns_flown} burns flown"
-        show_line(console, f"in flight from {scenario.start_s:g} s on, {flown}")
+        since = f"from {scenario.start_s:g} s on, {scenario.burns_flown} burns flown"
+        show_line(console, f"in flight {since}")
     if not verbose:
         return
-    start, end = mission.times_s[[0, -1]]
-    places = (
-        place_of(mission, start, mission.initial_state),
-        place_of(mission, end, mission.final_state),
-    )
+    ends = mission.times_s[[0, -1]], (mission.initial_state, mission.final_state)
+    places = (place_of(mission, time, state) for time, state in zip(*ends, strict=True))
     show_line(console, f"boundary  {'; '.join(places)}")
     legs = ", ".join(f"{leg.mode} {leg.start_s:.0f}-{leg.end_s:.0f}" for leg in schedule.legs)
     show_line(console, f"schedule  {legs} s")
-    arcs = np.diff(mission.times_s)
-    show_line(
-        console,
-        f"grid      {len(mission.times_s)} nodes, {len(mission.window_nodes)} of them in the "
-        f"window, arcs of {arcs.min():.0f} to {arcs.max():.0f} s",
-    )
+    nodes, arcs = len(mission.times_s), np.diff(mission.times_s)
+    grid = f"{nodes} nodes, {len(mission.window_nodes)} of them in the window"
+    show_line(console, f"grid      {grid}, arcs of {arcs.min():.0f} to {arcs.max():.0f} s")
 
 
 def as_given(scene: Scene) -> str:
@@ -152,7 +127,7 @@ def show_plan(
         verbose: whether margins at the nodes, the re-integration, local optima and every share of a
             burn cut short are shown too.
     """
-    status = Status.named(solution.status)
+    status, scenario = Status.named(solution.status), solution.scenario
     doubts = in_doubt(solution, verification, warnings)
     many = f"{len(doubts)} warning{'s' if len(doubts) > 1 else ''} above" if doubts else None
     show_warnings(console, doubts)
@@ -162,21 +137,33 @@ def show_plan(
         if verification.missed is not None:
             show_line(console, str(verification.missed))
     colour = "green" if status is Status.CONVERGED else "red"
-    console.print(
-        Text(f"{solution.problem}: ", style=f"bold {colour}")
-        + Text(status.value.message, style="not bold")
-    )
+    show_headline(console, solution.problem, status.value.message, colour)
     _show_cost(console, solution, verbose=verbose)
-    burns = burns_table(solution, mission.schedule.firing_intervals_s)
-    console.print(fitting(console, burns, "UTC"))
-    show_line(console, frame_and_time(solution.scenario), "dim")
-    _show_policy(console, solution)
+    show_table(console, tables.burns_table(solution, mission.schedule.firing_intervals_s), "UTC")
+    epoch = scenario.epoch.tdb
+    times = f"times from {epoch.isoformat(timespec='milliseconds')} TDB"
+    with suppress(InputError):  # there is no UTC before 1972
+        times += f", {iso_utc(instant(epoch))[:-6]} UTC"
+    show_line(console, f"x, y, z along J2000; {times}", "dim")
+    if solution.by_policy is not None:
+        show_line(console, solution.by_policy)
+    if solution.policy is not None:
+        show_table(console, tables.corrections_table(solution))
+        show_line(console, f"{solution.policy}; of the plan itself {mm_s(solution.total_dv_m_s)}")
     if verbose or verification is None:
-        console.print(terminal(constraints_table(solution).without("kind")))
-    _show_risk(console, solution.risk)
+        console.print(terminal(tables.constraints_table(solution).without("kind")))
+    if (risk := solution.risk) is not None:
+        what = "of whole flights" if risk.scope == "flight" else "of each constraint at each node"
+        line = f"probability {what}: required {risk.required:g}, target {risk.target:.5g}"
+        if (reached := risk.certificate) is None:
+            line += "; not certified: the normal law alone promises it"
+        else:
+            word = "certified" if reached.certifies(risk.required) else "NOT reached"
+            line += f"; {word}: {reached}"
+        show_line(console, line)
     if solution.starts is not None:
         if verbose:
-            console.print(terminal(starts_table(solution.starts)))
+            console.print(terminal(tables.starts_table(solution.starts)))
         show_line(console, str(solution.starts), "dim")
     if verification is not None:
         _show_verification(console, mission, solution, verification, verbose=verbose)
@@ -187,8 +174,9 @@ def show_plan(
 
 def _show_cost(console: Console, solution: Solution, *, verbose: bool) -> None:
     """Show delta-v, iterations and times."""
+    reached = None if solution.risk is None else solution.risk.certificate
+    of = " of the last plan" if reached and reached.rounds + reached.tests > 2 else ""
     iterations = ", ".join(f"{s.name} {s.iterations}" for s in solution.stages)
-    of = " of the last plan" if _rounds(solution.risk) > 1 else ""
     total = mm_s(solution.total_dv_m_s)
     more = f"; iterations{of}: {iterations}; {solution.timing_s.total:.2f} s"
     console.print(Text.assemble("total delta-v ", (total, "bold"), more), soft_wrap=True)
@@ -201,70 +189,23 @@ def _show_cost(console: Console, solution: Solution, *, verbose: bool) -> None:
         show_line(console, f"conic solver: {solution.timing_s.conic_solver:.2f} s", "dim")
 
 
-def _rounds(risk: Risk | None) -> int:
-    """Number of plans that a certificate took; 0 without one."""
-    reached = None if risk is None else risk.certificate
-    return 0 if reached is None else reached.rounds + reached.tests - 1
-
-
-def _show_policy(console: Console, solution: Solution) -> None:
-    """Show corrected burns, the knowledge at their cut-offs, and their cost."""
-    if solution.by_policy is not None:
-        show_line(console, solution.by_policy)
-    corrections, policy = corrections_table(solution), solution.policy
-    if policy is None:
-        return
-    console.print(terminal(corrections))
-    show_line(console, corrections.note, "dim")
-    show_line(console, f"{policy}; of the plan itself {mm_s(solution.total_dv_m_s)}")
-
-
-def frame_and_time(scenario: Scenario) -> str:
-    """Frame of the components and epoch of the times in a plan's tables, in words."""
-    epoch = scenario.epoch.tdb
-    said = f"x, y, z along J2000; times from {epoch.isoformat(timespec='milliseconds')} TDB"
-    with suppress(InputError):  # there is no UTC before 1972
-        said += f", {iso_utc(instant(epoch))[:-6]} UTC"
-    return said
-
-
-def _show_risk(console: Console, risk: Risk | None) -> None:
-    """Required, target and reached probability in one line."""
-    if risk is None:
-        return
-    what = "of whole flights" if risk.scope == "flight" else "of each constraint at each node"
-    line = f"probability {what}: required {risk.required:g}, target {risk.target:.5g}"
-    reached = risk.certificate
-    if reached is None:
-        line += "; not certified: the normal law alone promises it"
-    else:
-        word = "certified" if reached.certifies(risk.required) else "NOT reached"
-        line += f"; {word}: {reached}"
-    show_line(console, line)
-
-
 def _show_verification(
     console: Console, mission: Mission, solution: Solution, v: Verification, *, verbose: bool
 ) -> None:
     """Show the limits and the drifts; the re-integration if `verbose`, or if it differs too much."""
     if verbose or FIGURES.keys() & {*v.failed}:
-        console.print(terminal(reintegration_table(mission, v)))
-    limits = limits_table(mission, solution, v)
+        console.print(terminal(tables.reintegration_table(mission, v)))
+    limits = tables.limits_table(mission, solution, v)
     if not verbose:
         idle = {d.row for d in v.drifts if d.share and not d.binds}
         limits = replace(limits, rows=tuple(row for row in limits.rows if row[0].text not in idle))
-    console.print(fitting(console, limits, f"{100 * v.confidence:.0f} % interval"))
-    show_line(console, limits.note, "dim")
+    show_table(console, limits, f"{100 * v.confidence:.0f} % interval")
     if (nearest := v.nearest_drift) is not None and nearest.impact < IMPACT_WARNED:
         show_line(console, str(nearest))
     if v.lost_contacts:
-        lost = lost_contacts_table(v)
-        console.print(terminal(lost))
-        show_line(console, lost.note, "dim")
+        show_table(console, tables.lost_contacts_table(v))
     if v.burn_limits:
-        corrected = burn_limits_table(v, mission.scenario.risk.p_chance)
-        console.print(terminal(corrected))
-        show_line(console, corrected.note, "dim")
+        show_table(console, tables.burn_limits_table(v, mission.scenario.risk.p_chance))
 
 
 @dataclass
@@ -292,7 +233,7 @@ class Progress:
     def __call__(self, stage: str, record: Record) -> None:
         """An iteration is done."""
         r = iteration_record(self.mission, stage, record)
-        row = iteration_row(r)
+        row = tables.iteration_row(r)
         if record.failure:
             row[2:] = [Cell("solver failed", style="doubtful"), *[None] * (len(row) - 3)]
         elif not r.accepted:
@@ -326,13 +267,11 @@ class Progress:
     def _refresh(self) -> None:
         shown: list[RenderableType] = []
         if self.verbose:
-            shown = [*self.steps.values(), self._shown()]
+            table = terminal(self.table.without("step"), narrow=True)
+            shown = [*self.steps.values(), table]
         elif self.doing and self.live.console.is_terminal:
             shown = [Text(self.doing, style="dim")]
         self.live.update(Group(*shown), refresh=True)
-
-    def _shown(self) -> RichTable:
-        return terminal(self.table.without("step"), narrow=True)
 
 
 @contextmanager
@@ -340,7 +279,9 @@ def live_progress(console: Console, mission: Mission, *, verbose: bool) -> Itera
     """Show the progress of planning until it ends; each iteration if `verbose`."""
     # Redrawn on every row and never from a thread, so that a captured log holds the table once.
     with Live(console=console, auto_refresh=False) as live:
-        shown = Progress(mission, live, Table.of("Iterations", ITERATION_COLUMNS, ()), verbose)
+        shown = Progress(
+            mission, live, Table.of("Iterations", tables.ITERATION_COLUMNS, ()), verbose
+        )
         try:
             yield shown
         finally:
@@ -380,6 +321,12 @@ def plan_document(solution: Solution, files: Iterable[Path] = ()) -> dict[str, A
         "plan": {key: value for key, value in solution.document().items() if key not in IN_FILE},
         "files": [str(file) for file in files],
     }
+
+
+def exit_code(solution: Solution) -> int:
+    """The exit status for a plan that was made: of its planning, else of its verification."""
+    failed = solution.verification is not None and not solution.verification.ok
+    return Status.named(solution.status).value.exit_code or (NOT_VERIFIED if failed else 0)
 
 
 def export_document(found: Export, files: Iterable[Path]) -> dict[str, Any]:

@@ -1,7 +1,7 @@
 """Build a table once and render it for the terminal, a page, Markdown, CSV and JSON.
 
 A cell has a text for people and a value for programs. Terminal, page and Markdown show the texts;
-CSV and JSON hold the values to the last digit. The terminal's renderer is `cli/rendering.py`.
+CSV and JSON hold the values to the last digit. The terminal's renderer is `cli/views.py`.
 """
 
 from __future__ import annotations

@@ -205,7 +205,7 @@ def _layers(
             )
             raise InputError("base", repr(name)[:80], f"{rule}names it")
         above += [] if file is None else [file.absolute()]
-        file = (folder / name).absolute()
+        file = folder / name
         if any(file.samefile(other) for other in above) or len(above) >= BASES_MAX:
             chain = " -> ".join(other.name for other in (*above, file))
             rule = f"must come to an end, after {BASES_MAX} files at most"

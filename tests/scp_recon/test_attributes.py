@@ -69,44 +69,33 @@ def described(one: type) -> set[str]:
     assert isinstance(node, ast.ClassDef)
     text = ast.get_docstring(node) or ""
     section = text.partition("Attributes:\n")[2]
-    names = set(
-        re.findall(r"\w+", " ".join(re.findall(r"^ {4}([\w, ]+): ", section, re.MULTILINE)))
-    )
-    names |= set(re.findall(r"`(\w+)`", text))
-    for field, below in zip(node.body, node.body[1:], strict=False):
-        if isinstance(field, ast.AnnAssign) and isinstance(below, ast.Expr):
-            names.add(ast.unparse(field.target))
-    return names
+    lists = " ".join(re.findall(r"^ {4}([\w, ]+): ", section, re.MULTILINE))
+    below = zip(node.body, node.body[1:], strict=False)
+    return {
+        *re.findall(r"\w+", lists),
+        *re.findall(r"`(\w+)`", text),
+        *(ast.unparse(one.target) for one, said in below
+          if isinstance(one, ast.AnnAssign) and isinstance(said, ast.Expr)),
+    }  # fmt: skip
+
+
+def names_of(one: type) -> set[str]:
+    """Public fields of a class, and properties without a docstring."""
+    fields = [f.name for f in dataclasses.fields(one)] if dataclasses.is_dataclass(one) else []
+    fields += getattr(one, "model_fields", getattr(one, "_fields", ()))
+    bare = inspect.getmembers(one, lambda value: isinstance(value, property) and not value.__doc__)
+    return {name for name in (*fields, *dict(bare)) if name[0] != "_"}
 
 
 def test_every_attribute_of_what_comes_back_is_described():
-    classes = reached()
+    classes, missing = reached(), {}
     assert len(classes) > 60
-    missing = {}
     for one in classes:
-        fields = (
-            [f.name for f in dataclasses.fields(one)]
-            if dataclasses.is_dataclass(one)
-            else [*getattr(one, "model_fields", getattr(one, "_fields", ()))]
-        )
-        known = {
-            name
-            for base in one.__mro__
-            if base.__module__.startswith(OURS)
-            for name in described(base)
-        }
+        bases = (base for base in one.__mro__ if base.__module__.startswith(OURS))
+        known = set().union(*map(described, bases))
         if one is Scenario:  # each of its tables is described as a class
-            known |= {
-                name
-                for name, hint in hints(one).items()
-                if any(issubclass(c, Section) for c in classes_in(hint))
-            }
-        left = [name for name in fields if name[0] != "_" and name not in known]
-        left += [
-            name
-            for name, value in inspect.getmembers(one, lambda v: isinstance(v, property))
-            if name[0] != "_" and not value.__doc__
-        ]
-        if left:
+            kinds = {name: [*classes_in(hint)] for name, hint in hints(one).items()}
+            known |= {name for name, of in kinds.items() if any(issubclass(c, Section) for c in of)}
+        if left := names_of(one) - known:
             missing[one.__name__] = left
     assert missing == {}

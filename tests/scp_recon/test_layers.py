@@ -71,26 +71,29 @@ def floor_of(module: str) -> str | None:
     )
 
 
+def higher(floor: str, own: str | None) -> bool:
+    return own is None or FLOORS[floor] > FLOORS[own]
+
+
 @pytest.mark.slow
 def test_folders_import_downwards_only():
     upwards = {}
     for path in modules(*LIBRARY):
         own = floor_of(module_name(path))
-        if own is None:
-            assert path.name == "__init__.py", f"{path} is not drawn in CONTRIBUTING"
-            continue
-        above = {floor_of(name) for name in imports(path)} - {None}
-        above = {name for name in above if name and FLOORS[name] > FLOORS[own]}
-        barred = {name.split(".")[0] for name in imports(path)} & {*UPPER_FLOORS}
-        if above | barred:
-            upwards[module_name(path)] = above | barred
+        assert own or path.name == "__init__.py", f"{path} is not drawn in CONTRIBUTING"
+        targets = imports(path) if own else frozenset()
+        above = {floor for name in targets if (floor := floor_of(name)) and higher(floor, own)}
+        above |= {name.split(".")[0] for name in targets} & {*UPPER_FLOORS}
+        if above:
+            upwards[module_name(path)] = above
     assert upwards == {}
-
-
-def test_formulations_know_no_file_and_no_mission():
     barred = {"scp_recon", "json", "tomllib", "csv", "pathlib", "pydantic", "rich"}
-    for path in modules("formulations"):
+    for path in modules("formulations"):  # no file and no mission
         assert not {name.split(".")[0] for name in imports(path)} & barred, path
+    for wing in WINGS[2:]:  # studies, figures and timings use the library and the harness alone
+        others = tuple(f"{other}." for other in UPPER_FLOORS if other != wing)
+        for name in set().union(*map(imports, modules(wing))):
+            assert not f"{name}.".startswith(others) or "experiments.harness." in f"{name}.", wing
 
 
 def test_the_tree_draws_every_folder_study_and_command():
@@ -104,15 +107,6 @@ def test_the_tree_draws_every_folder_study_and_command():
     assert all(
         (PROJECT / name.replace(".", "/")).with_suffix("").parent.is_dir() for name in FLOORS
     )
-
-
-@pytest.mark.parametrize("wing", WINGS[2:])
-def test_studies_figures_and_timings_use_the_library_alone(wing):
-    """But for the harness, by which timings are a study as well."""
-    others = tuple(f"{other}." for other in UPPER_FLOORS if other != wing)
-    for path in modules(wing):
-        used = {name for name in imports(path) if f"{name}.".startswith(others)}
-        assert all(f"{name}.".startswith("experiments.harness.") for name in used), path
 
 
 def test_of_the_api_one_module_alone_plans():
@@ -134,21 +128,17 @@ def test_there_are_no_circles():
 
 @pytest.mark.slow
 def test_the_library_neither_prints_nor_asks_nor_sets_anything_global():
+    settings = ("np.seterr(", "np.random.seed(", "warnings.simplefilter(", "os.environ[")
     for path in modules(*LIBRARY):
-        text, nodes = path.read_text("utf-8"), list(ast.walk(parsed(path)))
-        for setting in ("np.seterr(", "np.random.seed(", "warnings.simplefilter(", "os.environ["):
-            assert setting not in text, path
+        nodes = list(ast.walk(parsed(path)))
+        assert not [one for one in settings if one in path.read_text("utf-8")], path
         calls = {node: ast.unparse(node.func) for node in nodes if isinstance(node, ast.Call)}
         assert not {*calls.values()} & {"print", "input", "breakpoint"}, path
         assert not any(isinstance(node, ast.Global) for node in nodes), path
+        blocks = (node for node in nodes if isinstance(node, ast.With))
+        caught = (one for one in blocks if "catch_warnings" in ast.unparse(one.items[0]))
+        guarded = {inside for block in caught for inside in ast.walk(block)}
         filters = {node for node, name in calls.items() if name == "warnings.filterwarnings"}
-        guarded = {
-            inside
-            for node in nodes
-            if filters and isinstance(node, ast.With)
-            if "catch_warnings" in ast.unparse(node.items[0])
-            for inside in ast.walk(node)
-        }
         assert filters <= guarded, f"{path}: a warnings filter outside catch_warnings"
 
 
@@ -166,7 +156,7 @@ HEAVY = (
     *("oem", "astropy", "pyarrow", "distributed"),
 )
 COMMANDS = {module_name(path) for path in modules("scp_recon/cli")}
-NEEDED = {name for path in modules("scp_recon/cli/commands") for name in imports(path)} & {
+NEEDED = imports(PROJECT / "scp_recon/cli/commands.py") & {
     module_name(path) for path in modules("scp_recon")
 }
 """What commands import when they are called."""

@@ -29,8 +29,15 @@ def test_no_other_page_stands_there():
     assert {path.stem for path in PUBLISHED.iterdir()} == {*PAGES}
 
 
-def test_where_no_folder_can_be_made_is_one_message(tmp_path, capsys):
-    (tmp_path / "a.md").write_text("")
-    with pytest.raises(SystemExit, match="2"):
-        main([str(tmp_path / "a.md")])
-    assert "must be a folder to write to" in capsys.readouterr().err
+def test_no_folder_and_pages_of_others_are_refused(tmp_path, capsys):
+    (tmp_path / "warnings.md").write_text("mine", "utf-8")
+    for folder, said in (
+        (tmp_path / "warnings.md", "a folder to write to"),
+        (tmp_path, "a new file"),
+    ):
+        with pytest.raises(SystemExit, match="2"):
+            main([str(folder)])
+        assert f"must be {said}" in capsys.readouterr().err
+    assert (tmp_path / "warnings.md").read_text("utf-8") == "mine"
+    (tmp_path / "warnings.md").unlink()
+    assert main([str(tmp_path)]) == main([str(tmp_path)]) == 0

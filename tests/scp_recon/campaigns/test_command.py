@@ -10,7 +10,7 @@ from scp_recon.campaigns import page
 from scp_recon.campaigns.run import executor_of, read_results
 from scp_recon.campaigns.study import Study
 from scp_recon.cli.commands import campaign as command
-from scp_recon.cli.rendering import time_left
+from scp_recon.cli.views import time_left
 from scp_recon.jobs.job import here
 from scp_recon.jobs.processes import Processes
 from scp_recon.jobs.store import Store

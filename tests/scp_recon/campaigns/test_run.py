@@ -126,7 +126,7 @@ def test_case_follows_the_do_of_its_study(do, default_plan, verification, monkey
     """With its own seed; only what is to be certified is planned so."""
     certified: list[bool] = []
 
-    outcome = PlanOutcome(default_plan, make_solution(default_plan), verification)
+    outcome = PlanOutcome(default_plan, make_solution(default_plan).with_verification(verification))
 
     def planned(_: Scenario, *, certify: bool) -> PlanOutcome:
         certified.append(certify)

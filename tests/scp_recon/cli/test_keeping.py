@@ -8,7 +8,7 @@ import pytest
 
 import scp_recon as sr
 from scp_recon.advice.infeasibility import Diagnosis
-from scp_recon.api.keeping import UNVERIFIED, check_holds, keep, run_folder
+from scp_recon.api.files import UNVERIFIED, keep, results_beside
 from scp_recon.cli import plan_run
 from scp_recon.cli.commands import compare, montecarlo, solve, verify
 from scp_recon.errors import InputError
@@ -89,7 +89,7 @@ def test_exports_of_another_plan_are_set_aside(verified, tmp_path):
         assert list(aside) == [old] * bool(number)
         assert not mine.exists()
         (file,) = sr.export(tmp_path, "csv", mine).files
-        assert keep(plan, tmp_path).aside == ()
+        assert keep(plan, tmp_path)[1] == ()
         assert [*mine.iterdir()] == [file]
         assert sorted(path.name for path in old.glob("*")) == sorted(exported)
         exported.append(file.name)
@@ -100,8 +100,9 @@ def test_exports_of_another_plan_are_set_aside(verified, tmp_path):
 
 def test_results_beside_another_plan_are_refused(verified, tmp_path):
     another(verified).write(tmp_path)
-    with pytest.raises(InputError, match="holds another plan"):
-        check_holds(tmp_path, verified, "--out")
+    beside = results_beside(tmp_path, verified, FILE_NAME, "--out", b"")
+    with pytest.raises(InputError, match="holds another plan"), beside:
+        pytest.fail("work was begun")
 
 
 def test_second_run_into_a_folder_is_refused(tmp_path):
@@ -127,12 +128,6 @@ def test_run_without_out_makes_its_own_folder(tmp_path, monkeypatch, capsys):
     assert capsys.readouterr().err == ""
     assert solve.main(["--out", "runs/latest"]) == 2
     assert "points to the last finished run" in capsys.readouterr().err
-
-
-def test_folder_of_the_user_is_kept(tmp_path):
-    with run_folder(tmp_path / "mine", "name"):
-        pass
-    assert (tmp_path / "mine").is_dir()
 
 
 STRANGE = "observation.emission_min_deg=0.349"

@@ -67,8 +67,3 @@ def test_an_unknown_scenario_lists_the_packaged_ones(capsys):
     shown = capsys.readouterr().out
     assert all(name in shown for name in base_names())
     assert {*sr.scenarios()} == {*base_names()}
-
-
-def test_it_says_its_version(capsys):
-    assert main(["--version"]) == 0
-    assert capsys.readouterr().out == f"scp-recon {sr.__version__}\n"

@@ -127,6 +127,8 @@ def test_help_and_unknown_commands_list_all_commands(capsys):
     for words in ([], ["fly"], ["--verse"]):
         assert every.main(words) == 2
         assert "solve" in capsys.readouterr().err
+    assert every.main(["--version"]) == 0
+    assert capsys.readouterr().out == f"scp-recon {every.version_of('scp_recon')}\n"
     assert every.main(["--help"]) == 0
     said = capsys.readouterr().out
     assert all(f"  {command} " in said for command in every.COMMANDS)

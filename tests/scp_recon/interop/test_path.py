@@ -19,7 +19,7 @@ from scp_recon.interop.export import Export
 from scp_recon.interop.files import columns, csv_text, parquet_bytes
 from scp_recon.interop.path import MARGIN_S, WITHIN_M, fly_path
 from scp_recon.replanning.flown import FlownPlan, predict
-from scp_recon.replanning.remainder import Delivery, mission_left
+from scp_recon.replanning.remainder import Delivery
 from scp_recon.results.solution import make_solution
 from tests.scp_recon.support import integrate
 
@@ -168,7 +168,7 @@ def test_another_reader_interpolates_segments_within_a_centimetre(message, expor
 def test_plan_in_flight_keeps_the_flights_burn_numbers(default_plan):
     flown = FlownPlan.of(default_plan)
     delivery = Delivery(17_000.0, predict(flown, 17_000.0, {}).state)
-    plan = plan_left(flown, mission_left(flown, delivery, ()))
+    plan = plan_left(flown, delivery)
     left = Export.of(make_solution(plan))
     text = oem_text(left) + opm_text(left)
     for said in ("burn 3: t_s = 25000", "ends before burn 3", "begins after burn 4", "burn 4; the"):

@@ -46,8 +46,7 @@ def late(flown) -> Plan:
 
 def again(flown: FlownPlan, at_s: float, off: Array, *overrides: str) -> Plan:
     state = predict(flown, at_s, {}).state + off
-    mission = mission_left(flown, Delivery(at_s, state), overrides)
-    return plan_left(flown, mission)
+    return plan_left(flown, Delivery(at_s, state), overrides)
 
 
 def drawn(flown: FlownPlan, at_s: float, seed: int = 0) -> Array:
@@ -222,9 +221,10 @@ def test_a_replan_is_flown_and_replanned_in_its_turn(flown, default_plan):
 
 def test_where_p3_stops_before_its_end_p2_ends_at_the_same(flown):
     state = predict(flown, 5_000.0, {}).state + drawn(flown, 5_000.0, 3)
-    mission = mission_left(flown, Delivery(5_000.0, state), ["navigation.lead_s=1800"])
+    given = Delivery(5_000.0, state), ["navigation.lead_s=1800"]
+    mission = mission_left(flown, *given)
     whole = Planner(mission).plan(path_planned(flown, mission), facet_rounds="settle")
-    quick = plan_left(flown, mission)
+    quick = plan_left(flown, *given)
     p3, p3_whole = quick.stages[0].result, whole.stages[0].result
     assert len(p3.records) < len(p3_whole.records)
     assert quick.total_dv_m_s == pytest.approx(whole.total_dv_m_s, rel=5e-6)
@@ -282,10 +282,10 @@ def test_exact_risk_goes_on_in_flight(flown):
 def test_whole_flights_are_certified_in_flight(flown):
     state = predict(flown, 17_000.0, {}).state + OFF
     asked = ("risk.allocation=exact", "risk.scope=flight", "risk.p_chance=0.9")
-    mission = mission_left(flown, Delivery(17_000.0, state), asked)
-    plan = plan_left(flown, mission)
+    plan = plan_left(flown, Delivery(17_000.0, state), asked)
     assert plan.certificate.low >= 0.9
-    assert plan.mission.warnings == mission.warnings
+    left = mission_left(flown, Delivery(17_000.0, state), asked)
+    assert plan.mission.warnings == left.warnings
     assert verify(plan.mission, make_solution(plan)).ok
 
 

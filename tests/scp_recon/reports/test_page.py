@@ -21,7 +21,7 @@ from scp_recon.errors import InputError
 from scp_recon.monte_carlo.summary import Contingency, Interval
 from scp_recon.physics.geometry import track
 from scp_recon.replanning.flown import FlownPlan, predict
-from scp_recon.replanning.remainder import Delivery, mission_left
+from scp_recon.replanning.remainder import Delivery
 from scp_recon.reports.flight_tables import missed_burns_table
 from scp_recon.reports.histories import probability_chart
 from scp_recon.reports.page import Page, _remarks, render, verdict_of
@@ -330,7 +330,7 @@ def left(default_plan) -> dict[float, Solution]:
 
     def from_time(at_s: float) -> Solution:
         delivery = Delivery(at_s, predict(flown, at_s, {}).state)
-        return make_solution(plan_left(flown, mission_left(flown, delivery, ())))
+        return make_solution(plan_left(flown, delivery))
 
     return {at_s: from_time(at_s) for at_s in (IN_THE_WINDOW, AFTER_IT)}
 

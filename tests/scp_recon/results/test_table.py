@@ -7,7 +7,7 @@ from io import StringIO
 import pytest
 from rich.console import Console
 
-from scp_recon.cli.rendering import terminal
+from scp_recon.cli.views import terminal
 from scp_recon.display import digits
 from scp_recon.results.table import Cell, Column, Table
 
