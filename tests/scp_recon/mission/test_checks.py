@@ -119,7 +119,7 @@ WARNED = [
     ),
     ({"spacecraft.mass_kg": 0.178}, "spacecraft.srp_area_m2", "m^2/kg"),
     ({"spacecraft.mass_kg": 178e3}, "spacecraft.srp_area_m2", "kilograms, not grams?"),
-    ({"body.radii_m": RADII, "body.j2": 0.0193}, "body.j2", "has 0.0344 at 290 m"),
+    ({"body.radii_m": RADII, "body.j2": 0.0193}, "body.j2", "homogeneous ellipsoid"),
     ({"body.radii_m": RADII, "body.reference_radius_m": 170.0}, "body.radii_m", "no diameters?"),
     ({"body.radii_m": RADII, "body.gm_m3_s2": 1.6}, "body.radii_m", "packaged: 299 kg/m^3"),
     (
@@ -263,7 +263,7 @@ def test_sun_outside_the_elements_span_is_checked(carried_days, told, scenario):
     scene = Scene.of(found)
     warnings = list(known.known_orbit(scene))
     assert bool(warnings) == told
-    assert all("would be at 2037" in w.given and "2035" in w.given for w in warnings)
+    assert all("2037" in w.given and "2035" in w.given for w in warnings)
 
 
 @pytest.mark.parametrize(("fraction", "told"), [(0.0, 0), (0.001, 0), (0.09, 0), (0.3, 2)])
