@@ -17,7 +17,7 @@ import numpy as np
 from experiments.harness import Record, Session, Study, Tables
 from scp_recon.api.plan_verbs import fly, save
 from scp_recon.api.verbs import design
-from scp_recon.mission.gravity import TruthModel
+from scp_recon.mission.scene import TruthModel
 from scp_recon.scenario.load import load_scenario
 
 BODIES: dict[str, TruthModel] = {

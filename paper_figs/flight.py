@@ -133,7 +133,7 @@ def _body(mission: Mission) -> Patch:
     if body.solid is None and body.radii_m is None:
         return Circle((0.0, 0.0), float(np.linalg.norm(mission.site.position_body)) / 1e3, **look)
     axes = mission.rotation.body_to_j2000(np.mean(mission.schedule.window_s))
-    corners = seen_from_sun(mission, mission.gravity.solid.vertices_m @ axes.T)
+    corners = seen_from_sun(mission, mission.scene.solid.vertices_m @ axes.T)
     return Polygon(corners[ConvexHull(corners).vertices], **look)
 
 

@@ -64,7 +64,7 @@ class Flight:
 
 def planners(mission: Mission, forces: str) -> Coaster:
     """The planner's equations of motion by DOP853."""
-    model = mission.forces if forces == PLANNED else mission.gravity.forces("harmonics")
+    model = mission.forces if forces == PLANNED else mission.scene.forces("harmonics")
 
     def rate(t: float, y: Array) -> Array:
         return np.r_[y[3:], acceleration(y[0], y[1], y[2], model, model.moment(t))]
@@ -163,7 +163,7 @@ class Orekit:
             j2 = gm, body.reference_radius_m, body.j2
             yield self._own(gravity + "J2OnlyPerturbation")(*j2, self._turning)
         else:
-            field = mission.gravity.harmonics
+            field = mission.scene.harmonics
             unknown = self._own(gravity + "potential.TideSystem").UNKNOWN
             triangles = (
                 [row[: n + 1].tolist() for n, row in enumerate(c)] for c in field.normalised()

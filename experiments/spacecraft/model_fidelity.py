@@ -18,8 +18,8 @@ from scipy.integrate import solve_ivp
 
 from experiments.harness import Record, Session, Study, Tables, default_mission, default_plan
 from formulations.arrays import Array
-from scp_recon.mission.gravity import HARMONICS_DEGREE
 from scp_recon.mission.mission import Mission
+from scp_recon.mission.scene import HARMONICS_DEGREE
 from scp_recon.mission.schedule import Mode
 from scp_recon.physics.forces import SPEED_OF_LIGHT_M_S
 from scp_recon.physics.frames import unit

@@ -26,7 +26,7 @@ from scp_recon.files import writing
 from scp_recon.jobs.cluster import check_workers, executor_for
 from scp_recon.jobs.cores import one_thread
 from scp_recon.mission.constraints import Miss, check_miss, drift_probability, planned_misses
-from scp_recon.mission.gravity import TruthModel
+from scp_recon.mission.scene import TruthModel
 from scp_recon.monte_carlo.closed_loop import replans
 from scp_recon.monte_carlo.drifts import fly_drifts, safety_of
 from scp_recon.monte_carlo.flights import (

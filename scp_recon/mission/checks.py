@@ -35,10 +35,9 @@ from scp_recon.display import digits, exact
 from scp_recon.errors import InputError
 from scp_recon.mission.constraints import check_drifts
 from scp_recon.mission.feedback import check_feedback, uncorrected_burns, useless_measurement
-from scp_recon.mission.gravity import planned_field
 from scp_recon.mission.intervals import INTERVALS, PLANNER_INTERVALS, STATE_INTERVALS
 from scp_recon.mission.knowledge import FAR, Deviation, Uncertain, check_knowledge
-from scp_recon.mission.scene import Scene
+from scp_recon.mission.scene import Scene, planned_field
 from scp_recon.mission.schedule import check_in_flight
 from scp_recon.mission.windows import SCAN_STEP_S, Lighting, Window
 from scp_recon.physics.frames import Rotation

@@ -43,7 +43,6 @@ from scp_recon.mission.feedback import (
     picture_times_s,
 )
 from scp_recon.mission.firing import HomePhases, firing_times
-from scp_recon.mission.gravity import Gravity
 from scp_recon.mission.knowledge import Deviation, Uncertain
 from scp_recon.mission.scene import (
     DEFAULT,
@@ -226,15 +225,10 @@ class Mission:
         """Unit vectors from the body to the Sun, J2000, shape (..., 3)."""
         return self.scene.sun_direction(time_s)
 
-    @cached_property
-    def gravity(self) -> Gravity:
-        """Forces of the planner, and of flights with another gravity."""
-        return Gravity(self.scene)
-
     @property
     def forces(self) -> ForceModel:
         """Forces of the planner, SI, J2000."""
-        return self.gravity.planned
+        return self.scene.planned
 
     @cached_property
     def partials(self) -> Partials | None:

@@ -19,8 +19,8 @@ from scp_recon.mission.constraints import (
     drift_duration_s,
     drift_radius_m,
 )
-from scp_recon.mission.gravity import TruthModel
 from scp_recon.mission.mission import Mission
+from scp_recon.mission.scene import TruthModel
 from scp_recon.monte_carlo.estimates import proportion
 from scp_recon.monte_carlo.flights import FlightConfig
 from scp_recon.monte_carlo.sampling import BLOCK, flow_of

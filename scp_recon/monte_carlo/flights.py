@@ -70,7 +70,7 @@ class FlightConfig(Flyer):
     def __post_init__(self) -> None:
         """Refuse inputs that make flights impossible, and another body's gravity."""
         errors_of_kind(self.mission.scenario, self.errors)
-        self.mission.gravity.in_words(self.truth)
+        self.mission.scene.gravity_in_words(self.truth)
 
     def __getstate__(self) -> dict[str, object]:
         """What a copy for another process takes along, with `certain`, which takes long to find."""

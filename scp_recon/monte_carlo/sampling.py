@@ -11,9 +11,8 @@ import numpy as np
 
 from formulations.arrays import Array, Booleans
 from scp_recon.jobs.job import generator
-from scp_recon.mission.gravity import TruthModel
 from scp_recon.mission.mission import Mission
-from scp_recon.mission.scene import errors_of_kind, make_grid
+from scp_recon.mission.scene import TruthModel, errors_of_kind, make_grid
 from scp_recon.monte_carlo.closed_loop import MEASURED, ClosedLoop, Replan, ReplanLoop, Replans, due
 from scp_recon.monte_carlo.limits import is_certain
 from scp_recon.physics.flow import SHARES, interpolate, runge_kutta
@@ -258,7 +257,7 @@ def sample_positions(
 
 def flow_of(mission: Mission, truth: TruthModel) -> Flow:
     """Flow of positions and velocities (3, flights) from a time over a duration."""
-    forces, each = mission.gravity.forces(truth), mission.deviation is not None
+    forces, each = mission.scene.forces(truth), mission.deviation is not None
 
     def flow(r: Array, v: Array, start: float, duration: float) -> tuple[Array, Array]:
         times = [start + share * duration for share in SHARES]

@@ -12,7 +12,7 @@ from pydantic import Field, model_validator
 
 from scp_recon.display import Displayed, mm_s
 from scp_recon.files import write_atomically
-from scp_recon.mission.gravity import TruthModel
+from scp_recon.mission.scene import TruthModel
 from scp_recon.monte_carlo.estimates import Estimate
 from scp_recon.monte_carlo.limits import ALL, SCIENCE
 from scp_recon.monte_carlo.sampling import ErrorModel, PolicyKind

@@ -187,7 +187,7 @@ def limits_table(mission: Mission, solution: Solution, v: Verification) -> Table
         rows,
         key="limits",
         note=f"planned: of the mean; chance: lowest of {v.samples} flights, required "
-        f"{mission.scenario.risk.p_chance:g}; {mission.gravity.in_words()}{own_windows(mission)}"
+        f"{mission.scenario.risk.p_chance:g}; {mission.scene.gravity_in_words()}{own_windows(mission)}"
         + "".join(
             f"; of drifts: the distance that 99.7 % of flights keep for {d.drift_s / 3600.0:.3g} h, "
             f"and the chance to keep the radius, required {d.required:g}"

@@ -12,7 +12,7 @@ from experiments.__main__ import main
 from experiments.evidence import FOLDER, SOURCES, Evidence, path_of
 from experiments.sentinels import WITHIN, near, sentinels_of
 from experiments.spacecraft.battery_cones import find_cones
-from scp_recon.mission.gravity import forces_of
+from scp_recon.mission.scene import forces_of
 from scp_recon.physics.forces import ForceModel
 from tests.helpers import nightly
 

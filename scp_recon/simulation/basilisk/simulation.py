@@ -199,7 +199,7 @@ class Simulator:
         times_s: Array,
     ) -> None:
         self.plan, self.times_s = plan, times_s
-        field = plan.mission.gravity.harmonics
+        field = plan.mission.scene.harmonics
         self.plant = Plant(plan.mission, plan.vehicle, start, field=field)
         sensors = Sensors(self.plant, draws.sigmas, draws.seeds)
         # Designed for all errors: the filter cannot know which sources are left out, and one that took

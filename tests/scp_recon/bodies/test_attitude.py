@@ -54,7 +54,7 @@ def test_a_table_of_a_uniform_rotation_changes_nothing(tabulated, mission, defau
     assert planned.burns_m_s == pytest.approx(default_plan.burns_m_s, abs=1e-6)
     body = tabulated.scenario.body
     assert body.pole_ra_deg == pytest.approx(mission.scenario.body.pole_ra_deg, abs=1e-6)
-    assert tabulated.gravity.in_words() == "point mass and J2 that tumble with the body"
+    assert tabulated.scene.gravity_in_words() == "point mass and J2 that tumble with the body"
 
 
 def test_arcs_over_symbols_tumble_too(uniform):

@@ -14,8 +14,7 @@ from scipy.spatial import ConvexHull
 from scp_recon.bodies.catalogue import J2000_TDB
 from scp_recon.bodies.surface import Ellipsoid, Mesh, angle_deg, direction_of
 from scp_recon.errors import InputError
-from scp_recon.mission.gravity import planned_field, solid_of, truth_field
-from scp_recon.mission.scene import Scene
+from scp_recon.mission.scene import Scene, planned_field, solid_of, truth_field
 from scp_recon.physics.forces import accelerations
 from scp_recon.scenario.load import load_scenario, override, validate_scenario
 from scp_recon.scenario.schema import Scenario
@@ -144,11 +143,11 @@ def test_polyhedron_truth_flies_the_solid(tmp_path):
     mesh = Ellipsoid(np.full(3, 290.0)).tessellated(3)
     file = write_obj(tmp_path / "ball.obj", mesh)
     mission = mission_of(f'body.solid_file="{file}"', 'body.shape_unit="m"', "body.j2=0")
-    assert mission.gravity.in_words("polyhedron") == "a homogeneous polyhedron of 512 facets"
+    assert mission.scene.gravity_in_words("polyhedron") == "a homogeneous polyhedron of 512 facets"
     at = np.array([[900.0], [500.0], [-700.0]])
     exact, point = (
         accelerations(at, forces, forces.moment(0.0))
-        for forces in map(mission.gravity.forces, ("polyhedron", "planner"))
+        for forces in map(mission.scene.forces, ("polyhedron", "planner"))
     )
     np.testing.assert_allclose(exact, point, rtol=1e-4)
 
