@@ -1,5 +1,6 @@
-"""Data of asteroids: the packaged catalogue, surfaces, shape files, kernels, gravity fields.
+"""Data of asteroids: the packaged catalogue, surfaces, shapes, gravity fields, attitudes, kernels.
 
-`catalogue` has the packaged bodies; the other modules each read one kind of file. Scenarios, physics
-and everything above them may import this folder; it imports `errors` and `files` alone.
+`catalogue` has the packaged bodies; `files` and `kernels` read what a scenario names. Scenarios,
+physics and everything above them may import this folder, which imports `errors` and `files` of the
+package alone.
 """

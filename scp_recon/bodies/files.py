@@ -163,7 +163,13 @@ def read_gravity(path: Path, degree_max: int) -> GravityTable:
         raise InputError(
             GRAVITY, f"{path} ({str(error)[:80]})", "must be an ICGEM .gfc or a PDS SHA table"
         ) from None
-    _check_centre(path, table)
+    for n, m, c, s in table.rows:  # of a field about the centre of mass
+        if n == 0 and c != 0.0 and abs(c - 1.0) > SAME:
+            raise InputError(GRAVITY, f"{path}, with C00 = {c:g}", "must have C00 = 1, or none")
+        if n == 1 and max(abs(c), abs(s)) > SAME:
+            given = f"{path}, with degree 1, order {m}: {c:g}, {s:g}"
+            needs = f"must be about the centre of mass: below {SAME:g} in degree 1"
+            raise InputError(GRAVITY, given, needs)
     rows = [row for row in table.rows if 0 < row[0] <= degree_max and any(row[2:])]
     if not rows:
         raise InputError(GRAVITY, str(path), "must hold coefficients from degree 2 on")
@@ -175,16 +181,6 @@ def read_gravity(path: Path, degree_max: int) -> GravityTable:
     if any(abs(c) > 1.0 or abs(s) > 1.0 for _, _, c, s in rows):
         raise InputError(GRAVITY, str(path), "must be normalised coefficients, between -1 and 1")
     return GravityTable(table.gm_m3_s2, table.radius_m, tuple(rows))
-
-
-def _check_centre(path: Path, table: GravityTable) -> None:
-    """Refuse a field with C00 other than 1, or with degree 1: it is not about the centre of mass."""
-    for n, m, c, s in table.rows:
-        if n == 0 and c != 0.0 and abs(c - 1.0) > SAME:
-            raise InputError(GRAVITY, f"{path}, with C00 = {c:g}", "must have C00 = 1, or none")
-        if n == 1 and max(abs(c), abs(s)) > SAME:
-            needs = f"must be about the centre of mass: below {SAME:g} in degree 1"
-            raise InputError(GRAVITY, f"{path}, with degree 1, order {m}: {c:g}, {s:g}", needs)
 
 
 def _gfc(text: str) -> GravityTable:

@@ -262,19 +262,6 @@ def check_state(scene: Scene) -> tuple[ScenarioWarning, ...]:
     return tuple(found for check in STATE_CHECKS for found in check(scene))
 
 
-def _incidence_spread(scene: Scene, times_s: Array) -> Array:
-    """`FAR` sigma of the incidence at times (n,) by uncertain spin and site, deg; linearised."""
-    uncertain = Uncertain.of(scene.scenario)
-    if not uncertain.count:
-        return np.zeros(len(times_s))
-
-    def incidence(one: Deviation) -> Array:
-        site, rotation = one.site(scene.site), one.rotation(scene.rotation)
-        return Lighting(site, rotation, scene.sun_direction).incidence(times_s)
-
-    return np.rad2deg(FAR * np.linalg.norm(uncertain.slopes(incidence), axis=-1))
-
-
 def check_window(scene: Scene, window: Window) -> tuple[ScenarioWarning, ...]:
     """Refuse a window in which the site is dark at any time; warn of a given one beyond its limits.
 
@@ -300,10 +287,16 @@ def check_window(scene: Scene, window: Window) -> tuple[ScenarioWarning, ...]:
     if computed:
         return ()
     found = []
-    spread, how = _incidence_spread(scene, times), ""
-    if spread.any():
-        worst, how = float((angles + spread).max()), f", with {FAR:g} sigma of knowledge,"
-        at = float(times[np.argmax(angles + spread)])
+    how, uncertain = "", Uncertain.of(scene.scenario)
+    if uncertain.count:
+
+        def incidence(one: Deviation) -> Array:
+            site, rotation = one.site(scene.site), one.rotation(scene.rotation)
+            return Lighting(site, rotation, scene.sun_direction).incidence(times)
+
+        spread = np.rad2deg(FAR * np.linalg.norm(uncertain.slopes(incidence), axis=-1))
+        how = f", with {FAR:g} sigma of knowledge," if spread.any() else ""
+        worst, at = float((angles + spread).max()), float(times[np.argmax(angles + spread)])
     if worst > limits.incidence_max_deg + WINDOW_SLACK:
         text = f"{given}, in which incidence{how} reaches {worst:.1f} deg at {at:.0f} s"
         expected = f"observation.incidence_max_deg is {exact(limits.incidence_max_deg)} deg"

@@ -344,17 +344,12 @@ class Mission:
         if self.nominal is not None:
             return self.nominal.edges
         first, last = self.times_s[[0, -1]].tolist()
-        return WindowEdges(self.observed_s, self._edge_sigmas_s(), (first, last))
-
-    def _edge_sigmas_s(self) -> Array | None:
-        """1 sigma of the window's edges; None where they do not move, or the window is given."""
-        given = self.observed_s is None or self.scenario.observation.window_s is not None
-        if given or not self.uncertain.count:
-            return None
-        moves = STEP * np.eye(self.uncertain.count)
-        ahead, behind = (self.of_flights(sign * moves).own_edges_s for sign in (1.0, -1.0))
-        sigmas = np.linalg.norm((ahead - behind) / (2.0 * STEP), axis=1)
-        return np.asarray(sigmas) if sigmas.max() > EDGE_MOVES_S else None
+        observed, moves, sigmas = self.observed_s, STEP * np.eye(self.uncertain.count), None
+        if observed and self.scenario.observation.window_s is None and len(moves):
+            ahead, behind = (self.of_flights(sign * moves).own_edges_s for sign in (1.0, -1.0))
+            found = np.linalg.norm((ahead - behind) / (2.0 * STEP), axis=1)
+            sigmas = np.asarray(found) if found.max() > EDGE_MOVES_S else None
+        return WindowEdges(observed, sigmas, (first, last))
 
     @property
     def own_edges_s(self) -> Array:
@@ -427,15 +422,14 @@ class Mission:
             return None
         nodes, spans = (self.times_s, self.burn_nodes, self.window_nodes), self.firing_spans_s
         window, unit = self.kept_window_s, self.units.time_s
-        home = None
-        if self.home is not None:
-            home = self.home, self.home.boundary(self.units.state, self._initial_factor_at)
-        return firing_times(self.scenario, window, nodes, spans, unit, home, self.feedback)
+        home, units = None, self.units.state
 
-    def _initial_factor_at(self, state: Array) -> Array:
-        """Nondimensional factor of another initial state, SI, and the parameters."""
-        factor = self.scene.initial_factor(state, signed=True)
-        return self._joint(factor / self.units.state[:, None])
+        def factor_at(state: Array) -> Array:
+            return self._joint(self.scene.initial_factor(state, signed=True) / units[:, None])
+
+        if self.home is not None:
+            home = self.home, self.home.boundary(units, factor_at)
+        return firing_times(self.scenario, window, nodes, spans, unit, home, self.feedback)
 
     @cached_property
     def polytopes(self) -> Polytopes:

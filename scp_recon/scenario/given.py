@@ -9,6 +9,7 @@ another body's spin). `derive` computes them anew or the schema reports them as 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -181,18 +182,12 @@ def anchored(tables: Mapping[str, Any], folder: Path) -> Given:
 def _differs(base: Mapping[str, Any], changes: Mapping[str, Any], entry: str) -> bool:
     """Whether an entry's value differs from the base's; dates compare as instants."""
     old, new = value_of(base, entry), value_of(changes, entry)
-    if entry == "epoch.tdb":
-        return _date(old) != _date(new)
     if entry == "body.name":
         return str(old).casefold() != str(new).casefold()
+    with suppress(ValueError):
+        if entry == "epoch.tdb":
+            return datetime.fromisoformat(str(old)) != datetime.fromisoformat(str(new))
     return bool(old != new)
-
-
-def _date(value: object) -> object:
-    try:
-        return datetime.fromisoformat(str(value))
-    except ValueError:
-        return value
 
 
 # --- one table, and what can be computed of it ------------------------------------------------------
