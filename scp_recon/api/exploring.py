@@ -28,7 +28,7 @@ from scp_recon.reports.write import (
     slider_plan,
     slider_verdict,
 )
-from scp_recon.scenario.given import tables_of, value_of
+from scp_recon.scenario.given import value_of
 from scp_recon.scenario.load import naming_files, scenario_text
 from scp_recon.scenario.schema import Scenario
 from scp_recon.scp.status import Status
@@ -155,7 +155,7 @@ def changed(scenario: Scenario, sliders: Sequence[Slider], values: object) -> Sc
             changes[key] = _scaled(value_of(tables, key), number**slider.power)
         else:
             changes[key] = number
-    return scenario.changed(tables_of(changes.items())) if changes else scenario
+    return scenario.replace(changes) if changes else scenario
 
 
 def _scaled(value: Any, factor: float) -> Any:

@@ -93,7 +93,7 @@ def changed(base: Scenario, changes: Mapping[str, Any], folder: Path) -> Scenari
         InputError: if the result is no valid scenario.
     """
     own = {entry: value for entry, value in changes.items() if not entry.startswith(TABLE)}
-    return base.changed(layer_of(own, folder)) if own else base
+    return base.replace(layer_of(own, folder)) if own else base
 
 
 def layer_of(changes: Mapping[str, Any], folder: Path) -> dict[str, Any]:

@@ -17,7 +17,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from formulations.arrays import Array, Indices
-from formulations.problem.facets import Polytopes, ball, paper_ball, quantile, split_risk
+from formulations.problem.facets import quantile, split_risk
 from formulations.problem.flyby import Drift, StateConstraint
 from formulations.problem.regions import Ball, Cone
 from scp_recon.display import exact
@@ -69,14 +69,6 @@ class Limit:
 
 SAFETY, COMPANION = "safety_radius", "companion_distance"
 """Constraints that count throughout the flight."""
-
-
-def chosen_polytopes(scenario: Scenario) -> Polytopes:
-    """Polytopes that approximate balls and cones in P2."""
-    choice, shape = scenario.polytopes, None
-    if choice.ball != "tangent":
-        shape = paper_ball() if choice.ball == "paper" else ball(choice.ball)
-    return Polytopes(shape, 4 if choice.cone == "paper" else choice.cone)
 
 
 def require_without(refused: Container[Beyond], scenario: Scenario, needs: str) -> None:

@@ -16,7 +16,7 @@ from scipy.linalg import block_diag
 from formulations.arrays import Array, Indices
 from formulations.linearisation.dynamics import Dynamics
 from formulations.problem.controls import Feedback, FiringTimes
-from formulations.problem.facets import Polytopes
+from formulations.problem.facets import Polytopes, ball, paper_ball
 from formulations.problem.flow import by_parameters
 from formulations.problem.flyby import FlybyProblem
 from scp_recon.mission.checks import (
@@ -29,7 +29,6 @@ from scp_recon.mission.checks import (
 from scp_recon.mission.constraints import (
     AS_PRINTED,
     Limit,
-    chosen_polytopes,
     observation_limits,
     problem_drifts,
     require_without,
@@ -212,7 +211,15 @@ class Mission:
             raise ValueError(f"an initial state has six finite components, not {state}")
         if np.linalg.norm(state[:3]) <= radius:
             raise ValueError(f"an initial state is outside the body, whose radius is {radius:g} m")
-        return replace(self, scenario=self.scene.beginning_at(state), initial_state=state.copy())
+        flight, boundary = self.scenario.in_flight, self.scenario.boundary
+        which, frame = ("", flight.frame) if flight else ("initial_", boundary.frame)
+        matrix = self.scene.axes(frame)
+        given: dict[str, object] = {} if flight else {"home": None}
+        given[f"{which}position_m"] = tuple((matrix.T @ state[:3]).tolist())
+        given[f"{which}velocity_m_s"] = tuple((matrix.T @ state[3:]).tolist())
+        name, table = ("in_flight", flight) if flight else ("boundary", boundary)
+        scenario = self.scenario.model_copy(update={name: table.model_copy(update=given)})
+        return replace(self, scenario=scenario, initial_state=state.copy())
 
     def some_flights(self, flights: Indices | int) -> Mission:
         """The mission as some of the flights have it that it deviates for, or one."""
@@ -434,7 +441,10 @@ class Mission:
     @cached_property
     def polytopes(self) -> Polytopes:
         """Polytopes that approximate balls and cones in P2."""
-        return chosen_polytopes(self.scenario)
+        choice, shape = self.scenario.polytopes, None
+        if choice.ball != "tangent":
+            shape = paper_ball() if choice.ball == "paper" else ball(choice.ball)
+        return Polytopes(shape, 4 if choice.cone == "paper" else choice.cone)
 
     @property
     def risk(self) -> Risk:

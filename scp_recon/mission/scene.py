@@ -170,19 +170,6 @@ class Scene:
         """Rotation from boundary.frame to J2000 at the epoch, shape (3, 3)."""
         return self.axes(self.scenario.boundary.frame)
 
-    def beginning_at(self, state: Array) -> Scenario:
-        """The scenario with another state at the first node, J2000, SI, shape (6,)."""
-        flight, boundary = self.scenario.in_flight, self.scenario.boundary
-        frame, which = (flight.frame, "") if flight else (boundary.frame, "initial_")
-        matrix = self.axes(frame)
-        given: dict[str, object] = {} if flight else {"home": None}
-        given |= {
-            f"{which}position_m": tuple((matrix.T @ state[:3]).tolist()),
-            f"{which}velocity_m_s": tuple((matrix.T @ state[3:]).tolist()),
-        }
-        name, table = ("in_flight", flight) if flight else ("boundary", boundary)
-        return self.scenario.model_copy(update={name: table.model_copy(update=given)})
-
     def boundary_state(self, which: str) -> Array:
         """The "initial" or "final" boundary state, shape (6,)."""
         boundary = self.scenario.boundary

@@ -123,7 +123,7 @@ class Designer:
         """
         if self.scenario.policy.kind == "feedback":
             return self._with_corrections(spaces_of(self.scenario))
-        spaces = spaces_of(self.scenario.changed(SURROGATE) if self._is_exact else self.scenario)
+        spaces = spaces_of(self.scenario.replace(SURROGATE) if self._is_exact else self.scenario)
         begun: list[PassResult] = []
         for space in spaces:
             begun.append(self._map_and_descend(space))

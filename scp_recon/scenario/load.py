@@ -125,7 +125,7 @@ def override(scenario: Scenario, overrides: Sequence[str]) -> Scenario:
     Raises:
         InputError: naming the entry, what was given and what is allowed.
     """
-    return scenario.changed(_layer(overrides)) if overrides else scenario
+    return scenario.replace(_layer(overrides)) if overrides else scenario
 
 
 def _validated(data: Mapping[str, Any], file: Path | None, overrides: Sequence[str]) -> Scenario:

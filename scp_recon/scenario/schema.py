@@ -301,7 +301,7 @@ class Scenario(Section):
             raise InputError("scenario", "values that cannot be read", str(error)[:120]) from None
 
     def replace(self, changes: Mapping[str, Any]) -> Self:
-        """The same scenario with other values.
+        """The same scenario with other values, and everything computed from them.
 
         Args:
             changes: values by entry, `{"risk.p_chance": 0.8}`, or nested as in the file.
@@ -311,13 +311,6 @@ class Scenario(Section):
         """
         if not isinstance(changes, Mapping):
             raise InputError("changes", shortened(changes), 'must be as {"risk.p_chance": 0.8}')
-        return self.changed(tables_of(changes.items()))
-
-    def changed(self, layer: Mapping[str, Any]) -> Self:
-        """The same scenario with the values of nested tables, and everything computed from them.
-
-        Raises:
-            InputError: naming the entry, what was given and what is allowed.
-        """
+        layer = tables_of(changes.items())
         data = inherit(self.model_dump(mode="json", exclude_none=True), layer)
         return self.validated(derive(data, layer))

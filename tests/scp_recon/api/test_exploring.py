@@ -142,7 +142,7 @@ def test_sliders_hold_the_values_of_their_scenario(scenario):
 
 
 def test_entries_of_many_numbers_are_multiplied_as_sigmas(scenario):
-    other: Scenario = scenario.changed(OTHER_ERRORS)
+    other: Scenario = scenario.replace(OTHER_ERRORS)
     sliders = sliders_of(other)
     several = {slider.key for slider in sliders if slider.power}
     assert len(several) == 4
