@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,6 +23,8 @@ FREE_SPAN = 1e-9
 """Span below which a phase counts as given, rad."""
 TURN = 2.0 * np.pi
 
+Rule = tuple[str, Array, float]
+"""A name, factors of the free times in s (and phases in rad), and the least of the sum."""
 Ring = Callable[[float], Array]
 """States by phase, rad, of any turn; the waiting spacecraft may be at any of them at any time.
 
@@ -58,21 +60,13 @@ class HomePhases:
 
         return Boundary(first, lambda phase: self.ring(phase) / units, self.at, self.free)
 
-    def rules(self, columns: int) -> tuple[Array, Array, tuple[str, ...]]:
-        """Edges of spans of less than a turn, as matrix t >= least; phases are t's last columns."""
-        rows, least, names = np.zeros((0, columns)), [], []
-        for number, which in enumerate(self.free):
+    def rules(self, columns: int) -> Iterator[Rule]:
+        """Edges of spans of less than a turn; phases are the last of so many columns."""
+        for row, which in zip(np.eye(columns)[columns - len(self.free) :], self.free, strict=True):
             (low, high), end = self.spans[which], ("departure", "arrival")[which]
-            if high - low >= TURN - FREE_SPAN:
-                continue
-            one = np.eye(columns)[[columns - len(self.free) + number]]
-            rows = np.vstack([rows, one, -one])
-            least += [low, -high]
-            names += [
-                f"{end} at {np.rad2deg(low):g} deg or more",
-                f"{end} at {np.rad2deg(high):g} deg or less",
-            ]
-        return rows, np.array(least), tuple(names)
+            if high - low < TURN - FREE_SPAN:
+                yield f"{end} at {np.rad2deg(low):g} deg or more", row, low
+                yield f"{end} at {np.rad2deg(high):g} deg or less", -row, -high
 
 
 def firing_times(
@@ -118,33 +112,43 @@ def firing_times(
     flown, times = scenario.burns_flown, np.array(scenario.burns.times_s)
     before = 0 if window_s is None else burns_before(scenario.burns.times_s, window_s)
     matrix, least, names = timing_rules(len(times), window_s, before, scenario.schedule)
-    own, one = matrix[:, flown + free], np.eye(len(free))
+    own, one, now = matrix[:, flown + free], np.eye(len(free)), times[flown + free]
     least = least - np.delete(matrix, flown + free, axis=1) @ np.delete(times, flown + free)
     low, high = np.array(spans_s)[free].reshape(-1, 2).T
     number = [f"burn {1 + flown + i}" for i in free]
-    order, gaps, ordered = _in_order(nodes, free, cut_offs, along, flown)
-    late, known_s, waiting = _after_data(scenario, times_s, free, cut_offs, along)
-    now = times[flown + free]
-    rows = np.vstack([own, order, late, one, -one])
-    bounds = np.concatenate([least + ROOM_S, order @ now - gaps + ROOM_S, known_s, low, -high])
-    said = (
-        *names,
-        *ordered,
-        *waiting,
-        *(f"{name} after the beginning of its span" for name in number),
-        *(f"{name} {BEFORE_END}" for name in number),
-    )
-    felt = np.flatnonzero(rows.any(axis=1) & np.isfinite(bounds))
-    bounds = np.minimum(bounds, rows @ now)[felt] / unit_s
-    rows, said = np.pad(rows[felt], ((0, 0), (0, len(phases)))), tuple(said[i] for i in felt)
+    known_s = {
+        burn: (i, known_from_s(scenario, burn, float(times_s[cut_offs[burn]])))
+        for i, burn in enumerate(free.tolist())
+        if burn in cut_offs and burn not in along
+    }
+    with_data = "burn {} at {:g} s or later, with its data"
+    begin = (f"{name} after the beginning of its span" for name in number)
+    rules = [
+        *zip(names, own, least + ROOM_S, strict=True),
+        *_in_order(scenario, nodes, free, cut_offs, along),
+        *(
+            (with_data.format(1 + flown + burn, at), one[i], at)
+            for burn, (i, at) in known_s.items()
+        ),
+        *zip(begin, one, low, strict=True),
+        *zip((f"{name} {BEFORE_END}" for name in number), -one, -high, strict=True),
+    ]
+    felt: list[Rule] = [
+        (name, np.pad(row, (0, len(phases))), min(bound, float(row @ now)) / unit_s)
+        for name, row, bound in rules
+        if row.any() and np.isfinite(bound)
+    ]
     if home is not None:
-        of_phases, edges, words = home[0].rules(len(free) + len(phases))
-        rows, said = np.vstack([rows, of_phases]), (*said, *words)
-        bounds = np.r_[bounds, edges]
+        felt += home[0].rules(len(free) + len(phases))
     boundary = home[1] if home and phases else None
     fixed = np.union1d(fixed, list(cut_offs.values())).astype(np.intp)
-    grid, rules = (times_s / unit_s, burn_nodes, fixed), (rows, bounds, said)
-    return FiringTimes.on_grid(free, *grid, rules, boundary, along)
+    limits = (
+        np.array([row for _, row, _ in felt]).reshape(len(felt), len(free) + len(phases)),
+        np.array([bound for _, _, bound in felt]),
+        tuple(name for name, _, _ in felt),
+    )
+    grid = times_s / unit_s, burn_nodes, fixed
+    return FiringTimes.on_grid(free, *grid, limits, boundary, along)
 
 
 def _tied(
@@ -162,23 +166,19 @@ def _tied(
     return tied
 
 
-Rules = tuple[Array, Array, tuple[str, ...]]
-"""Rows of the free times, a number in s for each, and names."""
-
-
 def _in_order(
+    scenario: Scenario,
     nodes: tuple[Array, Indices, Indices],
     free: Indices,
     cut_offs: Mapping[int, int],
     along: Mapping[int, int],
-    flown: int,
-) -> Rules:
+) -> Iterator[Rule]:
     """Differences of times that keep cut-offs in order, with the present gaps.
 
     Each is between neighbours of which at least one is a cut-off apart from its burn. Nodes of
     cut-offs are given by their burns, of all and of those that move along.
     """
-    times_s, burn_nodes, fixed = nodes
+    (times_s, burn_nodes, fixed), flown = nodes, scenario.burns_flown
     owner = {int(burn_nodes[burn]): i for i, burn in enumerate(free)}
     owner |= {node: int(np.searchsorted(free, burn)) for burn, node in along.items()}
     served = {node: burn for burn, node in cut_offs.items() if node != burn_nodes[burn]}
@@ -186,28 +186,12 @@ def _in_order(
     called |= dict.fromkeys(fixed.tolist(), "the window")
     called |= {node: f"burn {1 + flown + i}" for i, node in enumerate(burn_nodes.tolist())}
     called |= {node: f"the cut-off of burn {1 + flown + i}" for node, i in served.items()}
-    pairs = [pair for pair in itertools.pairwise(sorted(called)) if served.keys() & pair]
-    rows, gaps = np.zeros((len(pairs), len(free))), np.zeros(len(pairs))
-    for row, (first, second) in enumerate(pairs):
-        gaps[row] = times_s[second] - times_s[first]
-        for node, sign in ((second, 1.0), (first, -1.0)):
-            if node in owner:
-                rows[row, owner[node]] += sign
-    return rows, gaps, tuple(f"{called[second]} after {called[first]}" for first, second in pairs)
-
-
-def _after_data(
-    scenario: Scenario,
-    times_s: Array,
-    free: Indices,
-    cut_offs: Mapping[int, int],
-    along: Mapping[int, int],
-) -> Rules:
-    """Times of burns whose data do not move along, with those from which on the data are known."""
-    waits = [i for i, burn in enumerate(free.tolist()) if burn in cut_offs and burn not in along]
-    known_s, names = np.zeros(len(waits)), list[str]()
-    for row, burn in enumerate(free[waits].tolist()):
-        known_s[row] = known_from_s(scenario, burn, float(times_s[cut_offs[burn]]))
-        number = 1 + scenario.burns_flown + burn
-        names.append(f"burn {number} at {known_s[row]:g} s or later, with its data")
-    return np.eye(len(free))[waits], known_s, tuple(names)
+    now = np.array(scenario.burns.times_s)[flown + free]
+    for first, second in itertools.pairwise(sorted(called)):
+        if served.keys() & {first, second}:
+            row = np.zeros(len(free))
+            for node, sign in ((second, 1.0), (first, -1.0)):
+                if node in owner:
+                    row[owner[node]] += sign
+            least = row @ now - (times_s[second] - times_s[first]) + ROOM_S
+            yield f"{called[second]} after {called[first]}", row, float(least)

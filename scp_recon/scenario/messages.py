@@ -112,7 +112,7 @@ def _slip(problem: dict[str, Any], entry: str, allowed: Sequence[Node]) -> str:
     value = problem["input"]
     if not isinstance(value, int | float) or not problem["type"].startswith(("greater", "less")):
         return ""
-    ends = {end: node[key] for node in allowed for key, end in ENDS_OF.items() if key in node}
+    ends = {end: node[key] for node in allowed for key, (end, _) in BOUNDS.items() if key in node}
     unit = unit_of(next(part for part in reversed(entry.split(".")) if not part.isdigit()))
     low, high = ends.get("low", -math.inf), ends.get("high", math.inf)
     return unit_hint(unit, value, low, high) if unit or high <= 1.0 else ""
@@ -158,19 +158,13 @@ WORDS = {
     **dict.fromkeys(("datetime_type", "datetime_parsing", "datetime_from_date_parsing"), DATE),
 }
 """Allowed values, by the type of Pydantic's error."""
-ENDS_OF = {
-    "minimum": "low",
-    "exclusiveMinimum": "low",
-    "maximum": "high",
-    "exclusiveMaximum": "high",
-}
-"""Ends of a range by the JSON schema's names."""
 BOUNDS = {
-    "exclusiveMinimum": "greater than",
-    "minimum": "at least",
-    "exclusiveMaximum": "less than",
-    "maximum": "at most",
+    "exclusiveMinimum": ("low", "greater than"),
+    "minimum": ("low", "at least"),
+    "exclusiveMaximum": ("high", "less than"),
+    "maximum": ("high", "at most"),
 }
+"""End of a range, and its words, by the JSON schema's names."""
 
 
 def _rule(problem: dict[str, Any], allowed: Sequence[Node]) -> str:
@@ -179,7 +173,7 @@ def _rule(problem: dict[str, Any], allowed: Sequence[Node]) -> str:
     bounds = " and ".join(
         f"{words} {_number(node[key])}"
         for node in allowed
-        for key, words in BOUNDS.items()
+        for key, (_, words) in BOUNDS.items()
         if key in node
     )
     if kind == "too_short":

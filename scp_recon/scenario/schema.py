@@ -106,18 +106,16 @@ class Observation(Section):
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:
-        for name in ("site_distance", "emission", "phase", "local_solar_time"):
-            low, high = (
-                next(v for k, v in self if k.startswith(f"{name}_{end}")) for end in ("min", "max")
-            )
+        for name, unit in (
+            *(("site_distance", "m"), ("emission", "deg"), ("phase", "deg")),
+            ("local_solar_time", "h"),
+        ):
+            low, high = (getattr(self, f"{name}_{end}_{unit}") for end in ("min", "max"))
             if high is not None and low >= high:
-                unit = {"site_distance": "m", "local_solar_time": "h"}.get(name, "deg")
                 hint = unit_hint(unit, high, low, math.inf) or unit_hint(unit, low, 0.0, high)
-                if unit == "deg" and high < 0.5 * math.pi:
-                    hint = "; degrees?"
-                raise ValueError(
-                    f"{name}: the minimum {low} must be below the maximum {high}{hint}"
-                )
+                hint = "; degrees?" if unit == "deg" and high < 0.5 * math.pi else hint
+                rule = f"the minimum {low} must be below the maximum {high}{hint}"
+                raise ValueError(f"{name}: {rule}")
         return self
 
 
