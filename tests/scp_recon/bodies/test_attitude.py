@@ -132,12 +132,7 @@ ONE = [1.0, 0.0, 0.0, 0.0]
         ([0.0, 1.0, 1.0], [ONE, ONE, ONE], HEADER, "ascending order, as row 3"),
         ([0.0, 1.0], [ONE, [0.0, 1.0, 0.0, 0.0]], HEADER, "at most 30 deg, as row 2"),
         ([0.0, 1.0], [[0.9, 0.0, 0.0, 0.0], ONE], HEADER, "length one, to 0.001, as row 1"),
-        (
-            [0.0, 1.0],
-            [ONE, ONE],
-            f"{HEADER}\n0,1,0,0",
-            "line 3: '0,1,0,0'; must be 5 finite numbers",
-        ),
+        ([0.0, 1.0], [ONE, ONE], f"{HEADER}\n0,1,0,0", "line 3: '0,1,0,0'; must be 5"),
         ([0.0, 1.0], [ONE, ONE], f"{HEADER}\n0,1,0,x,0", "line 3: '0,1,0,x,0'"),
         ([0.0, 1.0], [ONE, [np.nan, 0.0, 0.0, 0.0]], HEADER, "line 4: '"),
         ([0.0, 1.0], [ONE, [2.0, 0.0, 0.0, 0.0]], HEADER, "length one, to 0.001, as row 2"),

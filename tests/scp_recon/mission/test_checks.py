@@ -48,11 +48,7 @@ REFUSED = [
     *(
         ({entry: value}, entry, words)
         for entry, value, words in (
-            (
-                "boundary.initial_velocity_m_s",
-                [-4.7, -16.7, 27.8],
-                "m/s (10 times the speed of escape",
-            ),
+            ("boundary.initial_velocity_m_s", [-4.7, -16.7, 27.8], "m/s (10 times the speed"),
             ("boundary.final_velocity_m_s", [0.3, 49.6, -45.7], "in metres per second"),
             ("boundary.initial_position_m", [7e4, -1.1e6, 4e5], "in metres"),
             ("boundary.final_position_m", [2e4, 1.1e6, -1.4e5], "times the nearer end"),
@@ -122,11 +118,7 @@ WARNED = [
     ({"body.radii_m": RADII, "body.j2": 0.0193}, "body.j2", "homogeneous ellipsoid"),
     ({"body.radii_m": RADII, "body.reference_radius_m": 170.0}, "body.radii_m", "no diameters?"),
     ({"body.radii_m": RADII, "body.gm_m3_s2": 1.6}, "body.radii_m", "packaged: 299 kg/m^3"),
-    (
-        {"epoch.tdb": "2120-01-21T01:56:24", PLACE: SUN, SPEED: SUN_S},
-        "epoch.tdb",
-        "years after 2000: 120",
-    ),
+    ({"epoch.tdb": "2120-01-21T01:56:24", PLACE: SUN, SPEED: SUN_S}, "epoch.tdb", "2000: 120"),
 ]
 
 
@@ -182,10 +174,7 @@ WINDOW, HOUR = "observation.window_s", "observation.local_solar_time_max_h"
         (["body.prime_meridian_deg={round}"], "", ""),
         (SWAPPED, "site.name", "latitude 55.9 deg, longitude 41.8 deg east"),
         ((*SWAPPED, 'site.name="Elsewhere"'), "", ""),
-        (
-            [f"{WINDOW}=[13140, 17200]", f"{HOUR}=16"],
-            *(WINDOW, "reaches 68.6 deg at 17200 s.*observation.incidence_max_deg is 60 deg"),
-        ),
+        ([f"{WINDOW}=[13140, 17200]", f"{HOUR}=16"], WINDOW, "reaches 68.6 deg at 17200 s.*60 deg"),
         ([f"{WINDOW}=[13200, 16500]", f"{HOUR}=11"], WINDOW, "local solar time.* 8 and 11 h"),
     ],
 )

@@ -281,11 +281,7 @@ ALWAYS = (
     [
         (
             ["burns.times_s=[0.0, 8000.0, 12000.0]"],
-            [
-                "windows near it, in seconds past epoch.tdb:",
-                "13140.2 to 16537.5 s: no gap between burns is long enough",
-                "14797 s",
-            ],
+            ["13140.2 to 16537.5 s: no gap between burns is long enough", "14797 s"],
         ),
         (ALWAYS, ["give observation.window_s"]),
         (["observation.incidence_max_deg=10"], ["10 deg", "34842", "least incidence is 48.9 deg"]),
