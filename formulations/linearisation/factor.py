@@ -219,32 +219,17 @@ def propagate_factor(problem: FlybyProblem, stm: Array, iterate: Iterate) -> Spr
     return Spread(factor, tuple(innovations), errors, stm, leg_errors)
 
 
-def best_filter(problem: FlybyProblem, spread: Spread) -> Filter:
-    """Kalman's filter, which estimates the parameters with the state."""
-    error = spread.stm @ spread.leg_errors[problem.legs.of]
-    error[problem.leg_starts] = spread.leg_errors
-    for leg, end in enumerate(problem.legs.ends):
-        for j in measured_in(problem, leg):
-            assert problem.feedback is not None
-            after = slice(problem.feedback.cut_offs[j], end)
-            error[after] = spread.innovations[j].updated(error[after])
-    before = tuple(
-        spread.stm[problem.feedback.cut_offs[j]] @ own
-        for j, own in enumerate(spread.errors)
-        if problem.feedback is not None
-    )
-    return Filter(error, before, spread.innovations, error.shape[1])
+def flight_filter(
+    problem: FlybyProblem, stm_of_arcs: Array, iterate: Iterate, estimated: int
+) -> Filter:
+    """Kalman's filter, which estimates the parameters with the state, or Schmidt's: 6 are `estimated`.
 
-
-def considering_filter(problem: FlybyProblem, stm_of_arcs: Array, iterate: Iterate) -> Filter:
-    """Schmidt's filter, which considers the parameters: its estimates of them stay zero.
-
-    It weighs measurements by the errors that parameters cause, too (S. F. Schmidt, "Application of
-    state-space methods to navigation problems", 1966). STMs are of state and parameters along the
-    arcs, shape (n_nodes - 1, 6 + p, 6 + p).
+    Schmidt's considers the parameters: its estimates of them stay zero, and it weighs measurements by
+    the errors that parameters cause, too (S. F. Schmidt, "Application of state-space methods to
+    navigation problems", 1966). STMs are of state and parameters along the arcs, shape
+    (n_nodes - 1, 6 + p, 6 + p).
     """
     feedback = problem.feedback
-    assert feedback is not None
     found = np.zeros((problem.n_nodes, 6 + problem.parameters, problem.factor_columns))
     found[0, :, : problem.first_factor.shape[1]] = problem.first_factor
     columns = problem.execution_errors.columns(iterate.burns)
@@ -253,14 +238,15 @@ def considering_filter(problem: FlybyProblem, stm_of_arcs: Array, iterate: Itera
     for node, error in enumerate(found):
         if node > 0:
             error[:] = stm_of_arcs[node - 1] @ found[node - 1]
-        for j in np.flatnonzero(feedback.cut_offs == node).tolist():
-            _, own = problem.columns_of_correction(j)
-            before.append(error.copy())
-            innovations.append(Innovation.of(error, feedback.measurement[j], own))
-            error[:6] = innovations[-1].updated(error[:6])
+        if feedback is not None:
+            for j in np.flatnonzero(feedback.cut_offs == node).tolist():
+                _, own = problem.columns_of_correction(j)
+                before.append(error.copy())
+                innovations.append(Innovation.of(error, feedback.measurement[j], own))
+                error[:estimated] = innovations[-1].updated(error[:estimated])
         for burn in np.flatnonzero(problem.burn_nodes == node).tolist():
             _add_errors(problem, iterate, burn, columns[burn], error)
-    return Filter(found, tuple(before), tuple(innovations), 6)
+    return Filter(found, tuple(before), tuple(innovations), estimated)
 
 
 def after_measurements(problem: FlybyProblem, spread: Spread, leg: int) -> Array:

@@ -37,8 +37,7 @@ from formulations.linearisation.factor import (
     FactorSensitivity,
     Filter,
     Spread,
-    best_filter,
-    considering_filter,
+    flight_filter,
     propagate_factor,
 )
 from formulations.linearisation.shifts import Shifts
@@ -170,9 +169,10 @@ class Linearisation:
     @cached_property
     def flown_filter(self) -> Filter:
         """What the filter that flies knows; without feedback, what is known before departure."""
-        if self.problem.feedback is not None and self.problem.feedback.considers:
-            return considering_filter(self.problem, self.stm_of_arcs, self.iterate)
-        return best_filter(self.problem, self.spread)
+        feedback = self.problem.feedback
+        considers = feedback is not None and feedback.considers
+        estimated = 6 if considers else 6 + self.problem.parameters
+        return flight_filter(self.problem, self.stm_of_arcs, self.iterate, estimated)
 
     @cached_property
     def affine_map_from_last_burn(self) -> Array:

@@ -23,6 +23,7 @@ with the final state as the only constraint.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -30,7 +31,7 @@ from scipy.linalg import solve_triangular
 from scipy.optimize import lsq_linear
 
 from formulations.arrays import Array, Booleans
-from formulations.linearisation.factor import Innovation
+from formulations.linearisation.factor import flight_filter
 from formulations.linearisation.linearisation import Linearisation, condense, miss_of
 from formulations.problem.controls import UNIT
 from formulations.problem.cost import cost
@@ -159,66 +160,41 @@ def adjoint(rows: Rows, lin: Linearisation, prices: Array) -> Adjoints:
     by_mean[-1] += prices[:MISS]
     by_factor = np.pad(by_state, ((0, 0), (0, problem.parameters), (0, 0)))
     by_error = np.zeros_like(by_factor)
-    knowledge, stm = _Knowledge(lin), lin.stm_of_arcs
+    stm = lin.stm_of_arcs
+    known = flight_filter(problem, stm, lin.iterate, 6 + problem.parameters)
+    of_rows = np.zeros((len(known.before), 6, problem.factor_columns))
     for k in range(problem.n_nodes - 2, -1, -1):
         by_mean[k] += by_mean[k + 1] @ arcs.stm[k]
         bent = by_factor[k + 1, :6] @ lin.spread.factor[k].T
         by_factor[k] += stm[k].T @ by_factor[k + 1]
         if problem.feedback is not None:
-            before = knowledge.before(k + 1, by_factor[k + 1], by_error[k + 1])
-            bent += before[:6] @ knowledge.error(k).T
+            after = by_factor[k + 1], by_error[k + 1]
+            before = _before(lin, known.before, k + 1, after, of_rows)
+            bent += before[:6] @ known.error[k].T
             by_error[k] = stm[k].T @ before
         by_mean[k] += np.einsum("ijl,ij->l", lin.bending[k], bent)
     return Adjoints(by_mean, by_factor[:, :6], by_error[:, :6])
 
 
-class _Knowledge:
-    """Estimates' errors E along a flight, and what corrections and measurements pull at them."""
+def _before(
+    lin: Linearisation, before: Sequence[Array], node: int, pulls: tuple[Array, Array], rows: Array
+) -> Array:
+    """Omega as it is before a node's measurements and burn, from Psi and Omega after them.
 
-    def __init__(self, lin: Linearisation) -> None:
-        self._lin, self._problem = lin, lin.problem
-        k = 0 if lin.problem.feedback is None else len(lin.problem.feedback.burns)
-        self._rows = np.zeros((k, 6, lin.problem.factor_columns))
-
-    def error(self, node: int, measurement: int | None = None) -> Array:
-        """E at a node (6 + p, c), after a burn there, or before one of the measurements there."""
-        problem, spread = self._problem, self._lin.spread
-        feedback, starts = problem.feedback, problem.leg_starts
-        assert feedback is not None
-        after = measurement is None
-        leg = int(np.searchsorted(starts, node, side="right" if after else "left")) - 1
-        error, first = spread.leg_errors[leg], starts[leg]
-        made = np.searchsorted(feedback.cut_offs, node, side="right") if after else measurement
-        for j in np.flatnonzero(feedback.cut_offs[:made] > first):
-            error = spread.innovations[j].updated(error)
-        return error if node == first else np.asarray(spread.stm[node] @ error)
-
-    def before(self, node: int, by_factor: Array, by_error: Array) -> Array:
-        """Omega as it is before a node's measurements and burn, from Psi and Omega after them."""
-        problem, feedback = self._problem, self._problem.feedback
-        assert feedback is not None
-        for j in np.flatnonzero(problem.burn_nodes[feedback.burns] == node).tolist():
-            gains = problem.gains_of(self._lin.iterate, j)
-            self._rows[: j + 1] += (gains.T @ by_factor[3:6]).reshape(j + 1, 6, -1)
-        for j in np.flatnonzero(feedback.cut_offs == node)[::-1].tolist():
-            one, error = self._lin.spread.innovations[j], self.error(node, j)
-            along, there = _pulled_before(one, error, by_error, self._rows[j])
-            by_error = along + there
-        return by_error
-
-
-def _pulled_before(
-    one: Innovation, error: Array, d_error: Array, d_rows: Array
-) -> tuple[Array, Array]:
-    """Pulls at E before a measurement, from those at E after it and at Xi, in two parts.
-
-    The first is at E where `error` is, the second where it is measured.
+    `before` are the errors E before the measurements; the pull at the rows of Xi, (k, 6, c), grows.
     """
-    along, pulled = error @ one.rows.T, d_error @ one.rows.T
-    d_rows = d_rows - pulled.T @ error - along.T @ d_error
-    low = np.tril(d_rows @ one.rows.T)
-    low[range(6), range(6)] *= 0.5
-    moved = d_rows - (low + low.T) @ one.rows
-    there = np.zeros_like(d_error)
-    there[:6] = solve_triangular(one.root, moved, lower=True, trans="T")
-    return d_error - pulled @ one.rows, there
+    problem, feedback, (by_factor, by_error) = lin.problem, lin.problem.feedback, pulls
+    assert feedback is not None
+    for j in np.flatnonzero(problem.burn_nodes[feedback.burns] == node).tolist():
+        gains = problem.gains_of(lin.iterate, j)
+        rows[: j + 1] += (gains.T @ by_factor[3:6]).reshape(j + 1, 6, -1)
+    for j in np.flatnonzero(feedback.cut_offs == node)[::-1].tolist():
+        one, error = lin.spread.innovations[j], before[j]
+        along, pulled = error @ one.rows.T, by_error @ one.rows.T
+        own = rows[j] - pulled.T @ error - along.T @ by_error
+        low = np.tril(own @ one.rows.T)
+        low[range(6), range(6)] *= 0.5
+        moved = own - (low + low.T) @ one.rows
+        by_error = by_error - pulled @ one.rows
+        by_error[:6] += solve_triangular(one.root, moved, lower=True, trans="T")
+    return by_error
