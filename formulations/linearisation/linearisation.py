@@ -388,8 +388,8 @@ def gradient(lin: Linearisation, by_mean: Array, by_factor: Array) -> Array:
     pulled = np.einsum("nijl,nij->nl", lin.bent[inside, :rows], both)
     maps = lin.affine_map_from_last_burn[inside, : by_mean.shape[1]]
     np.add.at(d_mean, legs, pulled + np.einsum("nij,ni->nj", maps, by_mean[inside]))
-    slope = np.tensordot(d_mean, lin.sensitivity[..., :-1], 2)
-    slope += np.tensordot(d_factor, by_starts[..., :-1], 3)
+    slope = np.einsum("lj,ljq->q", d_mean, lin.sensitivity[..., :-1])
+    slope += np.einsum("lic,licq->q", d_factor, by_starts[..., :-1])
     if problem.firing is not None:
         every = np.arange(problem.n_nodes)
         drift = lin.shifts.drift(every)[:, : by_mean.shape[1]]

@@ -114,32 +114,21 @@ def shared_columns(errors: ExecutionErrors, burn: ca.MX) -> ca.MX:
 
 
 def own_covariance(errors: ExecutionErrors, burn: ca.MX) -> ca.MX:
-    """Covariance C C' of a burn's own columns, shape (3, 3), smooth where the burn (3,) vanishes."""
-    if isinstance(errors, GatesErrors):
-        s, p, outer = errors.magnitude_proportional, errors.pointing_proportional, burn @ burn.T
-        covariance = s**2 * outer + p**2 * (ca.dot(burn, burn) * ca.MX(np.eye(3)) - outer)
-        if not errors.affine:
-            executed, root = _fixed_part(errors, burn)
-            covariance += executed * root @ root
-        return covariance
-    return ca.diag((_componentwise(errors).fraction * burn) ** 2)
-
-
-def _fixed_part(errors: GatesErrors, burn: ca.MX) -> tuple[ca.MX, ca.MX]:
-    """Degree e^2 to which a burn counts as executed, and the root of its fixed part, (3, 3)."""
-    square = ca.dot(burn, burn)
-    executed, points = errors.transitions(square)
-    m, s, p = errors.fixed_bound, errors.magnitude_fixed, errors.pointing_fixed
-    isotropic = m - points * square * (m - p)
-    return executed, isotropic * ca.MX(np.eye(3)) + points * (s - p) * (burn @ burn.T)
-
-
-def _componentwise(errors: ExecutionErrors) -> ComponentwiseErrors:
-    """The errors as the componentwise model.
+    """Covariance C C' of a burn's own columns, shape (3, 3), smooth where the burn (3,) vanishes.
 
     Raises:
-        TypeError: if they are of a model without a nonlinear program.
+        TypeError: if the errors are of a model without a nonlinear program.
     """
-    if not isinstance(errors, ComponentwiseErrors):
+    if isinstance(errors, ComponentwiseErrors):
+        return ca.diag((errors.fraction * burn) ** 2)
+    if not isinstance(errors, GatesErrors):
         raise TypeError(f"no nonlinear program for {type(errors).__name__}")
-    return errors
+    square, outer, eye = ca.dot(burn, burn), burn @ burn.T, ca.MX(np.eye(3))
+    s, p = errors.magnitude_proportional, errors.pointing_proportional
+    covariance = s**2 * outer + p**2 * (square * eye - outer)
+    if not errors.affine:
+        executed, points = errors.transitions(square)
+        m, s, p = errors.fixed_bound, errors.magnitude_fixed, errors.pointing_fixed
+        root = (m - points * square * (m - p)) * eye + points * (s - p) * outer
+        covariance += executed * root @ root
+    return covariance

@@ -17,8 +17,8 @@ import scipy.sparse as sp
 from formulations.arrays import Array
 from formulations.nlp.covariance import Covariance, root
 from formulations.problem.facets import Facets
-from formulations.problem.flyby import FlybyProblem, Iterate, StateConstraint
-from formulations.problem.regions import Ball, Cone
+from formulations.problem.flyby import FlybyProblem, Iterate
+from formulations.problem.regions import Ball, Cone, Region
 from formulations.program.subproblem import DYNAMICS_WEIGHT
 
 
@@ -236,34 +236,22 @@ def state_blocks(
     *,
     printed: bool,
 ) -> Iterator[NlpRows]:
-    """State constraints on the means (6, n_nodes), P3's without facets.
+    """State constraints on the means (6, n_nodes): P3's sets, without facets, or b - a'r - q ||S'a||.
 
     P3, and P2 without a facet, have no standard deviations along the facets' normals, shape (m,).
     `printed` writes P3's cones by ratios.
     """
     if facets is None:
-        yield from _set_blocks(problem, mean[:3, :], printed)
+        for constraint in problem.constraints:
+            inside = _inside(constraint.region, mean[:3, constraint.nodes.tolist()], printed).T
+            yield NlpRows(constraint.name, inside if constraint.keep == "in" else -inside)
     elif deviation is not None:
-        yield from _facet_blocks(problem, facets, mean[:3, :], deviation)
-
-
-def _set_blocks(problem: FlybyProblem, position: ca.MX, printed: bool) -> Iterator[NlpRows]:
-    """P3: positions (3, n_nodes) in or out of every region."""
-    for constraint in problem.constraints:
-        inside = _inside(constraint, position[:, constraint.nodes.tolist()], printed).T
-        yield NlpRows(constraint.name, inside if constraint.keep == "in" else -inside)
-
-
-def _facet_blocks(
-    problem: FlybyProblem, facets: Facets, position: ca.MX, deviation: ca.MX
-) -> Iterator[NlpRows]:
-    """P2: b - a'r - q ||S'a|| for positions (3, n_nodes) and deviations (m,)."""
-    along = ca.sum1(position[:, facets.node.tolist()] * facets.normal.T).T
-    margin: ca.MX = ca.DM(facets.offset) - along - ca.DM(facets.quantile) * deviation
-    for index, constraint in enumerate(problem.constraints):
-        rows = np.flatnonzero(facets.constraint == index)
-        if len(rows):
-            yield NlpRows(constraint.name, margin[rows.tolist()])
+        along = ca.sum1(mean[:3, facets.node.tolist()] * facets.normal.T).T
+        margin: ca.MX = ca.DM(facets.offset) - along - ca.DM(facets.quantile) * deviation
+        for index, constraint in enumerate(problem.constraints):
+            rows = np.flatnonzero(facets.constraint == index)
+            if len(rows):
+                yield NlpRows(constraint.name, margin[rows.tolist()])
 
 
 def deviations(spread: Covariance, facets: Facets, node: Sequence[ca.MX]) -> ca.MX:
@@ -276,8 +264,7 @@ def deviations(spread: Covariance, facets: Facets, node: Sequence[ca.MX]) -> ca.
     return ca.vertcat(*parts)[np.argsort(np.concatenate(order)).tolist()]
 
 
-def _inside(constraint: StateConstraint, position: ca.MX, printed: bool) -> ca.MX:
-    region = constraint.region
+def _inside(region: Region, position: ca.MX, printed: bool) -> ca.MX:
     if isinstance(region, Ball):
         return region.radius - norms(position - region.center.T)
     assert isinstance(region, Cone), "IPOPT's programs know balls and cones only"

@@ -218,19 +218,15 @@ def _burn_part(
     """Initial data and additions of the burns, in the rows of their nodes."""
     parts = [ca.MX(int(size), 1) for size in layout.size]
     for i, k in enumerate(problem.burn_nodes):
-        parts[k] = kick(spread if layout.size[k] > 6 else None, burns[:, i])
+        parts[k] = ca.vertcat(ca.MX(3, 1), burns[:, i])
+        if spread is not None and layout.size[k] > 6:
+            parts[k] = ca.vertcat(parts[k], spread.kick(burns[:, i]))
     given = np.zeros(layout.size[0])
     given[:6] = problem.initial_state
     if spread is not None:
         given[6:] = spread.pack(problem.first_factor)
     parts[0] += given
     return ca.vertcat(*parts)
-
-
-def kick(spread: Covariance | None, burn: ca.MX) -> ca.MX:
-    """Addition of a burn (3,) to y = (mean, entries)."""
-    state = ca.vertcat(ca.MX(3, 1), burn)
-    return state if spread is None else ca.vertcat(state, spread.kick(burn))
 
 
 def _pack(spread: Covariance | None, layout: _Layout, start: Start) -> Array:
@@ -355,7 +351,8 @@ def _covariances(
     covariance[:size, :size] = first
     for leg, node in enumerate(starts[starts <= last].tolist()):
         if leg > 0:
-            flown = ca.diagcat(_with_parameters(stm[node]), ca.MX(np.eye(errors.shared)))
+            constant = ca.MX(np.eye(size)[6:])
+            flown = ca.diagcat(ca.vertcat(stm[node], constant), ca.MX(np.eye(errors.shared)))
             covariance = flown @ covariance @ flown.T
         if (burn := leg - problem.coasts) >= 0:
             kick = ca.MX(np.eye(size + errors.shared))
@@ -364,11 +361,6 @@ def _covariances(
             covariance[3:6, 3:6] += own_covariance(errors, burns[:, burn])
         found.append(covariance[:size, :size])
     return found
-
-
-def _with_parameters(stm: ca.MX) -> ca.MX:
-    """The STM of state and p parameters, which are constant, from its rows (6, 6 + p) of the state."""
-    return ca.vertcat(stm, ca.MX(np.eye(stm.shape[1])[6:]))
 
 
 def roll_out(
@@ -408,7 +400,7 @@ def _deviations(
 ) -> ca.MX:
     """Standard deviations along the facets' normals, (m,), from the covariances at the legs' starts.
 
-    Of positions as they are seen from regions that move with p parameters: see `problem.motion`.
+    Of positions as they are seen from regions that move with p parameters: see `regions.Motion`.
     """
     leg, p = np.searchsorted(problem.leg_starts, facets.node), problem.parameters
     begun = problem.leg_starts[leg] == facets.node

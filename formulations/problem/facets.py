@@ -21,17 +21,19 @@ from scipy.special import ndtri
 
 from formulations.arrays import Array, Booleans, Indices
 from formulations.problem.flyby import FlybyProblem, StateConstraint
-from formulations.problem.motion import Motion, relative, with_parameters
 from formulations.problem.regions import (
     Ball,
     Cone,
     Ellipsoid,
     Halfspaces,
+    Motion,
     Polytope,
     Region,
     perpendicular,
     reject,
+    relative,
     unit,
+    with_parameters,
 )
 
 

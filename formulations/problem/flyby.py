@@ -14,8 +14,7 @@ from formulations.arrays import Array, Indices
 from formulations.problem.controls import UNIT, Feedback, FiringTimes
 from formulations.problem.execution_errors import ExecutionErrors
 from formulations.problem.flow import Flow
-from formulations.problem.motion import Motion
-from formulations.problem.regions import Ball, Cone, Region
+from formulations.problem.regions import Ball, Cone, Motion, Region
 
 
 @dataclass(frozen=True, eq=False)

@@ -72,9 +72,8 @@ class Halfspaces:
     @cached_property
     def second_order_cone(self) -> SecondOrderCone:
         """0 <= b - a'y."""
-        n = len(self.offset)
-        none = np.zeros((n, 3, 3)), np.zeros((n, 3))
-        return SecondOrderCone(*none, -self.normal, self.offset)
+        zero = np.zeros_like(self.normal)
+        return _second_order_cone(zero, np.zeros((3, 3)), -self.normal, self.offset)
 
     def slack(self, point: Array) -> Array:
         """Distance b - a'y to the plane from points (n, 3), >= 0 inside."""
@@ -85,21 +84,19 @@ class Halfspaces:
         return Halfspaces(-self.normal, -self.offset)
 
 
-@dataclass(frozen=True)
-class SecondOrderCone:
-    """The set || M (y - origin) || <= c'(y - origin) + d, one per node.
+SecondOrderCone = tuple[Array, Array]
+"""Matrices M (n, 4, 3) and offsets m (n, 4) of regions with ||(M y + m)_1..|| <= (M y + m)_0."""
 
-    Attributes:
-        matrix: M, shape (n, 3, 3).
-        origin: shape (n, 3).
-        linear: c, shape (n, 3).
-        constant: d, shape (n,).
-    """
 
-    matrix: Array
-    origin: Array
-    linear: Array
-    constant: Array
+def _second_order_cone(
+    origin: Array, matrix: Array, linear: Array, constant: Array | float
+) -> SecondOrderCone:
+    """Of || matrix (y - origin) || <= linear'(y - origin) + constant; a matrix (3, 3) is all nodes'."""
+    matrices = np.broadcast_to(matrix, (len(origin), 3, 3))
+    both = np.concatenate([linear[:, None], matrices], axis=1)
+    offset = -(both @ origin[:, :, None])[:, :, 0]
+    offset[:, 0] += constant
+    return both, offset
 
 
 def unit(vector: Array, fallback: Array) -> Array:
@@ -238,13 +235,8 @@ class Ball:
     @cached_property
     def second_order_cone(self) -> SecondOrderCone:
         """|| y - center || <= radius."""
-        n = len(self.center)
-        return SecondOrderCone(
-            np.broadcast_to(np.eye(3), (n, 3, 3)),
-            self.center,
-            np.zeros((n, 3)),
-            np.full(n, self.radius),
-        )
+        zero = np.zeros_like(self.center)
+        return _second_order_cone(self.center, np.eye(3), zero, self.radius)
 
 
 @dataclass(frozen=True)
@@ -321,12 +313,8 @@ class Cone:
     def second_order_cone(self) -> SecondOrderCone:
         """cos(theta) || (I - u u')(y - apex) || <= sin(theta) u'(y - apex)."""
         across = np.eye(3) - self.axis[:, :, None] * self.axis[:, None, :]
-        return SecondOrderCone(
-            np.cos(self.half_angle) * across,
-            self.apex,
-            np.sin(self.half_angle) * self.axis,
-            np.zeros(len(self.apex)),
-        )
+        cos, sin = np.cos(self.half_angle), np.sin(self.half_angle)
+        return _second_order_cone(self.apex, cos * across, sin * self.axis, 0.0)
 
 
 @dataclass(frozen=True)
@@ -388,9 +376,8 @@ class Ellipsoid:
     @cached_property
     def second_order_cone(self) -> SecondOrderCone:
         """|| matrix (y - center) || <= radius."""
-        n, none = len(self.center), np.zeros_like(self.center)
-        matrix = np.broadcast_to(self.matrix, (n, 3, 3))
-        return SecondOrderCone(matrix, self.center, none, np.full(n, self.radius))
+        zero = np.zeros_like(self.center)
+        return _second_order_cone(self.center, self.matrix, zero, self.radius)
 
 
 @dataclass(frozen=True)
@@ -453,3 +440,60 @@ class Polytope:
 
 
 Region = Ball | Cone | Halfspaces | Ellipsoid | Polytope
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """Motion of a region at n nodes with p uncertain parameters of standard normal law.
+
+    A site whose position is uncertain takes the limits about it along, and so does a body whose spin
+    is. To first order in the parameters w a region's apex moves by shift w, and its axes turn by turn w
+    about the apex c. Seen from the region, a position r is then at
+
+        r + D(r) w,    D(r) = -(shift + turn x (r - c)),
+
+    and keeps a limit if that point is in the region as it is planned with.
+
+    Attributes:
+        apex: that the region turns about, shape (n, 3).
+        shift: of the apex with each parameter, shape (n, 3, p).
+        turn: rotation vector of the axes with each parameter, rad, shape (n, 3, p).
+    """
+
+    apex: Array
+    shift: Array
+    turn: Array
+
+    def at(self, which: Indices) -> Motion:
+        """The motion at some of the nodes."""
+        return Motion(self.apex[which], self.shift[which], self.turn[which])
+
+    def seen(self, point: Array) -> Array:
+        """D of points (n, 3), shape (n, 3, p)."""
+        off = (point - self.apex)[:, :, None]
+        return -(self.shift + np.cross(self.turn, off, axis=1))
+
+    def slope(self, normal: Array) -> Array:
+        """Derivative of normals' a'D (n, p) by the points, for normals (n, 3): shape (n, 3, p)."""
+        return -np.cross(normal[:, :, None], self.turn, axis=1)
+
+    def of_draws(self, point: Array, draws: Array) -> Array:
+        """Points (n, m, 3) as seen from the region, for m draws (m, p) of the parameters."""
+        shift, turn = (np.einsum("nip,mp->nmi", a, draws) for a in (self.shift, self.turn))
+        return np.asarray(point - shift - np.cross(turn, point - self.apex[:, None]))
+
+    def pulled(self, by_seen: Array) -> Array:
+        """Derivatives by the points, (n, 3), of functions with derivatives (n, 3, p) by D."""
+        return np.asarray(-np.cross(by_seen, self.turn, axis=1).sum(axis=2))
+
+
+def with_parameters(factor: Array) -> Array:
+    """Rows of the position and of the parameters of factors (n, 6 + p, c), shape (n, 3 + p, c)."""
+    return factor[:, :3] if factor.shape[1] == 6 else np.delete(factor, (3, 4, 5), axis=1)
+
+
+def relative(motion: Motion | None, point: Array, factor: Array) -> Array:
+    """Factors (n, 3, c) of points (n, 3) relative to a region, from `with_parameters` (n, 3 + p, c)."""
+    if motion is None:
+        return factor[:, :3]
+    return np.asarray(factor[:, :3] + motion.seen(point) @ factor[:, 3:])

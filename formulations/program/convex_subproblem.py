@@ -12,9 +12,8 @@ from formulations.arrays import Array, Indices
 from formulations.linearisation.linearisation import Linearisation
 from formulations.problem.controls import UNIT
 from formulations.problem.flyby import FlybyProblem
-from formulations.program.certificate import GAP
 from formulations.program.model import CompiledProgram, Values, cost_values, penalty_values
-from formulations.program.solvers import FallbackSolver
+from formulations.program.solvers import GAP, FallbackSolver
 from formulations.program.subproblem import (
     MeritFunction,
     Penalty,

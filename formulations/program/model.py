@@ -34,7 +34,7 @@ from formulations.linearisation.linearisation import Linearisation
 from formulations.problem.controls import Cost
 from formulations.problem.cost import SMALLEST, formula, roots_of
 from formulations.problem.flyby import FlybyProblem
-from formulations.program.certificate import ConeProgram
+from formulations.program.solvers import ConeProgram
 from formulations.program.subproblem import DYNAMICS_WEIGHT, Penalty, PenaltyParameters
 
 Values = dict[str, Array]

@@ -130,7 +130,7 @@ class Branch:
         if self._drift.by_planes or nearest[0] > self._drift.required + FAR:
             return nearest
         probability = FlightProbability((event,), self._directions, REACH)
-        found = self._coordinates(probability, mean[:, :3], factor, None)
+        found = self._coordinates(probability, mean[:, :3], factor)
         if len(found.limits.nodes) == 0 or found.value < HOPELESS:
             return nearest
         return found.value, found.by_mean, found.by_factor

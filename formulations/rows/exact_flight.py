@@ -192,7 +192,7 @@ class FlightRows(ExactRows):
             if np.array_equal(seen[0], mean) and np.array_equal(seen[1], factor):
                 self._seen.insert(0, self._seen.pop(k))
                 return seen[2]
-        found = self._coordinates(self.probability, mean, factor, None)
+        found = self._coordinates(self.probability, mean, factor)
         if self._tangents is not None:
             own = lin, found.value, gradient(lin, found.by_mean, found.by_factor)
             self._tangents[:] = [own, *self._tangents[: TANGENTS - 2]]

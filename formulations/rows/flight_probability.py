@@ -22,8 +22,7 @@ from scipy.linalg import solve_triangular
 from scipy.special import ndtri
 
 from formulations.arrays import Array, Booleans, Indices
-from formulations.problem.motion import Motion, relative, with_parameters
-from formulations.problem.regions import Region
+from formulations.problem.regions import Motion, Region, relative, with_parameters
 from formulations.risk.lines import (
     Chords,
     Directions,
@@ -124,14 +123,17 @@ class Limits(NamedTuple):
         return normal
 
 
-class FlightQuantile(NamedTuple):
-    """g = Phi^-1(P) of the whole flight and derivatives in mean positions and factors at r rows.
+class FlightValue(NamedTuple):
+    """g = Phi^-1(P) of the whole flight, and derivatives in mean positions and factors.
+
+    They are at the r rows of limits; `Coordinates` give them at all nodes instead, by the factors' rows
+    of the state.
 
     Attributes:
         value: g.
         limits: limits evaluated, r rows.
-        by_mean: shape (r, 3).
-        by_factor: shape (r, 3 + p, d), of the factor's first d columns.
+        by_mean: shape (r, 3) or (n_nodes, 3).
+        by_factor: of the factor's first d columns, shape (r, 3 + p, d); or (n_nodes, 6, c).
         ends: share of the flights that a row ends, in density, shape (r,).
     """
 
@@ -168,16 +170,11 @@ class FlightProbability:
             self.events, mean, self.reach * factor[:, :, : self.directions.unit.shape[1]]
         )
 
-    def __call__(self, mean: Array, factor: Array, limits: Limits | None = None) -> FlightQuantile:
-        """The quantile g for mean positions (n, 3) and factors (n, 3 + p, c) at all nodes.
+    def __call__(self, mean: Array, factor: Array) -> FlightValue:
+        """The quantile g for mean positions (n, 3) and factors (n, 3 + p, c) at all nodes."""
+        return self.of_many(mean[None], factor[None], self.limits(mean, factor))[0]
 
-        By default all limits within reach are evaluated.
-        """
-        if limits is None:
-            limits = self.limits(mean, factor)
-        return self.of_many(mean[None], factor[None], limits)[0]
-
-    def of_many(self, mean: Array, factor: Array, limits: Limits) -> list[FlightQuantile]:
+    def of_many(self, mean: Array, factor: Array, limits: Limits) -> list[FlightValue]:
         """The quantiles g of b flights by the same limits, from (b, n, 3) and (b, n, 3 + p, c)."""
         (unit, weight), law, nodes = self.directions, self._law, limits.nodes
         (lines, d), b, r = unit.shape, len(mean), len(nodes)
@@ -209,9 +206,7 @@ class FlightProbability:
         if every.shape[2] > 3:
             by_mean, by_factor = _with_motion(limits, at, every, by_mean, by_factor)
         parts = by_mean, by_factor, ends
-        return [
-            FlightQuantile(float(g[j]), limits, *(part[:, j] for part in parts)) for j in range(b)
-        ]
+        return [FlightValue(float(g[j]), limits, *(part[:, j] for part in parts)) for j in range(b)]
 
     def failing(self, mean: Array, factor: Array) -> Array:
         """Probability that a flight on each of the lines fails, shape (lines,)."""
@@ -358,25 +353,6 @@ with its gains adds nothing to a velocity. The direction of such a coordinate wo
 step, and with it the lines of flights."""
 
 
-@dataclass(frozen=True, eq=False)
-class FlightValue:
-    """g = Phi^-1(P) of the whole flight, and its derivatives in means and factors at all nodes.
-
-    Attributes:
-        value: g.
-        limits: limits evaluated.
-        ends: share of the flights that each limit's node ends, in density.
-        by_mean: shape (n_nodes, 3).
-        by_factor: by the state's rows of the factors, shape (n_nodes, 6, c).
-    """
-
-    value: float
-    limits: Limits
-    ends: Array
-    by_mean: Array
-    by_factor: Array
-
-
 class Coordinates:
     """Numbers in which a flight's positions are linear, and the root of their law.
 
@@ -401,12 +377,9 @@ class Coordinates:
         own = np.linalg.norm(factor[self._node, self._row], axis=1)
         self._certain = np.maximum(CERTAIN, DIRECTED * own)
 
-    def __call__(
-        self, probability: FlightProbability, mean: Array, factor: Array, limits: Limits | None
-    ) -> FlightValue:
+    def __call__(self, probability: FlightProbability, mean: Array, factor: Array) -> FlightValue:
         """G for means (n_nodes, 3) and factors (n_nodes, 6 + p, c) at all nodes."""
-        if limits is None:
-            limits = probability.limits(mean, self.reduced(factor))
+        limits = probability.limits(mean, self.reduced(factor))
         return self.of_many(probability, mean[None], factor[None], limits)[0]
 
     def of_many(
@@ -420,7 +393,7 @@ class Coordinates:
         return [self._value(g, one, few, *root) for g, one, few, root in parts]
 
     def _value(
-        self, g: FlightQuantile, factor: Array, reduced: Array, root: Array, rows: Array
+        self, g: FlightValue, factor: Array, reduced: Array, root: Array, rows: Array
     ) -> FlightValue:
         """G with derivatives at all nodes from those in the coordinates, whose W and R are given."""
         n, size, columns = factor.shape
@@ -437,7 +410,7 @@ class Coordinates:
         by_own = solve_triangular(root, turned @ rows, lower=True, trans="T")
         own = self._turning
         np.add.at(by_factor, (self._node[own], self._row[own]), by_own[own])
-        return FlightValue(g.value, g.limits, g.ends, by_mean, by_factor)
+        return g._replace(by_mean=by_mean, by_factor=by_factor)
 
     def reduced(self, factor: Array) -> Array:
         """Factors of positions and parameters in fewer columns, S R', (n_nodes, 3 + p, count)."""

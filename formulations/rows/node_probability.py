@@ -18,8 +18,7 @@ from scipy.special import ndtr, ndtri
 
 from formulations.arrays import Array, Indices
 from formulations.problem.flyby import StateConstraint
-from formulations.problem.motion import Motion
-from formulations.problem.regions import Ball, Cone, Ellipsoid, Halfspaces, Polytope, Region
+from formulations.problem.regions import Ball, Cone, Ellipsoid, Halfspaces, Motion, Polytope, Region
 from formulations.risk.lines import normal_density
 from formulations.risk.quadratic_forms import NAPPE, WHOLE, Below, below, below_beyond
 

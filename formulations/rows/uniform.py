@@ -56,8 +56,8 @@ class DeterministicRows:
         for c in self.problem.constraints:
             at = np.searchsorted(self.nodes, c.nodes)
             position, jacobian = s.mean_constant[at, :3], s.mean_jacobian[at, :3]
-            matrix, origin, offset = _map_of(c, lin)
-            constants = (matrix @ (position - origin)[:, :, None])[:, :, 0] + offset
+            matrix, offset = _map_of(c, lin)
+            constants = (matrix @ position[:, :, None])[:, :, 0] + offset
             rows = first + np.arange(len(c.nodes))
             values = matrix @ jacobian[:, :, : controls_felt(self.problem, c.nodes).max()]
             blocks[c.keep].append(Cones(rows, values, constants))
@@ -68,25 +68,22 @@ class DeterministicRows:
         """One block of cones for each constraint, as in `cones`."""
         blocks, first = [], 0
         for c in self.problem.constraints:
-            matrix, origin, offset = _map_of(c, lin)
+            matrix, offset = _map_of(c, lin)
             n, d, _ = matrix.shape
             y = np.arange(n * d).reshape(n, d, 1)
             places = placed(y, c.nodes[:, None, None], POSITION[:, 0], np.array(0))
-            constants = offset - (matrix @ origin[:, :, None])[:, :, 0]
             rows, none = first + np.arange(n), np.zeros((n, d, 0))
-            blocks.append(StateCones(rows, places, matrix.ravel(), none, constants))
+            blocks.append(StateCones(rows, places, matrix.ravel(), none, offset))
             first += n
         return blocks
 
 
-def _map_of(constraint: StateConstraint, lin: Linearisation) -> tuple[Array, Array, Array]:
-    """Maps from positions r to y = matrix (r - origin) + offset; (n, d, 3), (n, 3) and (n, d)."""
-    if constraint.keep == "out":
-        planes = constraint.region.supporting(lin.iterate.mean[constraint.nodes, :3])
-        return planes.normal[:, None], np.zeros_like(planes.normal), -planes.offset[:, None]
-    cone = constraint.region.second_order_cone
-    matrix = np.concatenate([cone.linear[:, None], cone.matrix], axis=1)
-    return matrix, cone.origin, cone.constant[:, None] * np.eye(1, 4)
+def _map_of(constraint: StateConstraint, lin: Linearisation) -> tuple[Array, Array]:
+    """Maps from positions r to y = matrix r + offset; (n, d, 3) and (n, d)."""
+    if constraint.keep == "in":
+        return constraint.region.second_order_cone
+    planes = constraint.region.supporting(lin.iterate.mean[constraint.nodes, :3])
+    return planes.normal[:, None], -planes.offset[:, None]
 
 
 def _joined(blocks: list[Cones]) -> Cones:

@@ -17,7 +17,7 @@ from scipy.linalg import block_diag
 
 from formulations.arrays import Array, Indices
 from formulations.linearisation.factor import factor_of
-from formulations.problem.motion import Motion
+from formulations.problem.regions import Motion
 from scp_recon.bodies.catalogue import DAY_S
 from scp_recon.display import exact
 from scp_recon.errors import InputError

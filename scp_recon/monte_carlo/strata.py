@@ -22,7 +22,7 @@ import numpy.typing as npt
 
 from formulations.arrays import Array, Booleans, Indices
 from formulations.linearisation.linearisation import Linearisation
-from formulations.problem.motion import with_parameters
+from formulations.problem.regions import with_parameters
 from formulations.risk.strata import (
     COUNT,
     EDGES,

@@ -17,8 +17,7 @@ from scipy.special import ndtri
 
 from formulations.arrays import Array, Booleans, Indices
 from formulations.problem.flyby import Iterate, StateConstraint
-from formulations.problem.motion import Motion
-from formulations.problem.regions import Ball, Cone
+from formulations.problem.regions import Ball, Cone, Motion
 from formulations.rows.cones import FINAL_POSITION, FINAL_VELOCITY
 from scp_recon.errors import Named
 from scp_recon.mission.mission import Mission

@@ -73,9 +73,9 @@ def contains(halfspaces: Halfspaces, inner_points: Array) -> bool:
 
 
 def cone_slack(cone: SecondOrderCone, point: Array) -> Array:
-    d = point - cone.origin
-    left = lengths(np.einsum("nij,nj->ni", cone.matrix, d))
-    return np.sum(cone.linear * d, axis=-1) + cone.constant - left
+    matrix, offset = cone
+    y = np.einsum("nij,nj->ni", matrix, point) + offset
+    return y[:, 0] - lengths(y[:, 1:])
 
 
 @given(balls, points)

@@ -13,7 +13,7 @@ from formulations.linearisation.linearisation import Condensation, Linearisation
 from formulations.problem.facets import Polytopes, ball, choose_facets
 from formulations.problem.regions import Ball
 from formulations.program import solvers
-from formulations.program.certificate import ConeProgram
+from formulations.program.solvers import ConeProgram
 from formulations.program.subproblem import MeritFunction, Penalty, PenaltyParameters, Step
 from formulations.rows.cones import Cones, Rows
 from formulations.rows.exact import NodeRows

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from formulations.arrays import Array
 from formulations.linearisation.linearisation import CONDENSATIONS, Linearisation
-from formulations.program.certificate import GAP, ConeProgram, is_optimal, outside
+from formulations.program.solvers import GAP, ConeProgram, is_optimal, outside
 from formulations.program.subproblem import SubproblemError
 from formulations.registry import FORMULATIONS, make_subproblem
 from tests.helpers import generators, share_of_examples, usually

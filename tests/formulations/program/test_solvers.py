@@ -14,7 +14,6 @@ import scipy.sparse as sp
 from cvxpy.reductions.solvers import defines
 
 from formulations.program import solvers
-from formulations.program.certificate import ConeProgram, is_optimal, outside
 from formulations.program.model import CompiledProgram, Model
 from formulations.program.solvers import (
     HUGE,
@@ -22,8 +21,11 @@ from formulations.program.solvers import (
     Answer,
     ByCvxpy,
     Clarabel,
+    ConeProgram,
     FallbackSolver,
     Qoco,
+    is_optimal,
+    outside,
 )
 
 from .support import alone, disk, need, tent

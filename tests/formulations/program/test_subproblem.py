@@ -11,10 +11,9 @@ from formulations.arrays import Array
 from formulations.linearisation.linearisation import Linearisation, condense
 from formulations.problem.flyby import FlybyProblem, Iterate
 from formulations.program import condensed
-from formulations.program.certificate import ConeProgram
 from formulations.program.condensed import CondensedSubproblem
 from formulations.program.convex_subproblem import SMALL_BURN
-from formulations.program.solvers import SOLVERS, Answer
+from formulations.program.solvers import SOLVERS, Answer, ConeProgram
 from formulations.program.subproblem import PenaltyParameters, Step, SubproblemError
 from formulations.registry import FORMULATIONS, make_subproblem
 from formulations.rows.cones import Rows

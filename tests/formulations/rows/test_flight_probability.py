@@ -232,7 +232,7 @@ def test_many_flights_at_once_are_as_each_by_itself():
     factor = flight.factor * (1.0 + 0.01 * rng.normal(size=(3, *flight.factor.shape)))
     limits = estimate.limits(flight.mean, flight.factor)
     for j, found in enumerate(estimate.of_many(mean, factor, limits)):
-        alone = estimate(mean[j], factor[j], limits)
+        (alone,) = estimate.of_many(mean[j : j + 1], factor[j : j + 1], limits)
         for one, other in zip(found, alone, strict=True):
             if not isinstance(one, Limits):
                 np.testing.assert_allclose(one, other, rtol=1e-12, atol=1e-12)

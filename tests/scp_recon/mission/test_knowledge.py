@@ -10,8 +10,7 @@ import pytest
 from formulations.arrays import Array
 from formulations.linearisation.linearisation import Linearisation, condense, gradient
 from formulations.problem.facets import choose_facets
-from formulations.problem.motion import Motion, relative, with_parameters
-from formulations.problem.regions import Ball
+from formulations.problem.regions import Ball, Motion, relative, with_parameters
 from formulations.program.lifted import LiftedSubproblem
 from formulations.registry import make_subproblem
 from formulations.rows.exact import NodeRows
