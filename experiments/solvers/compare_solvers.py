@@ -44,9 +44,8 @@ from scp_recon.jobs.processes import Limits, Processes
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.estimates import proportion
 from scp_recon.planning import initial_guess
-from scp_recon.planning.missions import make_plan, other_starts
 from scp_recon.planning.plan import Plan, Provenance, Stage, StageSpec
-from scp_recon.planning.planner import Planner
+from scp_recon.planning.planner import Planner, make_plan, other_starts
 from scp_recon.planning.solver import screened
 from scp_recon.planning.stages import Pipeline
 from scp_recon.scenario.load import load_scenario

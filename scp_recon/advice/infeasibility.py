@@ -16,7 +16,6 @@ from itertools import pairwise
 
 import numpy as np
 
-from scp_recon.advice.clock import Clock
 from scp_recon.advice.trials import (
     CONE,
     CORRECTED,
@@ -33,6 +32,7 @@ from scp_recon.advice.trials import (
     SPLIT,
     Case,
     Changes,
+    Clock,
     Remedy,
     limits_violated,
     rounded,

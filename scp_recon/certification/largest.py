@@ -38,8 +38,8 @@ from scp_recon.certification.flights import (
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.estimates import FAILURES, FLIGHTS_MAX, flights_needed, flights_of_test
 from scp_recon.planning.initial_guess import start_from
-from scp_recon.planning.missions import flown
 from scp_recon.planning.plan import Aimed, Plan, StagedPlan, as_interrupted
+from scp_recon.planning.planner import flown
 from scp_recon.scenario.fields import ScenarioWarning
 from scp_recon.scp.status import Status
 

@@ -18,9 +18,8 @@ from scp_recon.mission.mission import Mission
 from scp_recon.passes.space import Pass, Space
 from scp_recon.passes.timing import PassResult
 from scp_recon.planning.initial_guess import circular, cold, from_burns, random
-from scp_recon.planning.missions import other_starts
 from scp_recon.planning.plan import is_converged
-from scp_recon.planning.planner import Planner
+from scp_recon.planning.planner import Planner, other_starts
 from scp_recon.planning.stages import Pipeline, same_optimum
 
 STEP = float(np.deg2rad(60.0))

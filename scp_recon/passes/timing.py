@@ -15,7 +15,8 @@ from typing import NamedTuple
 import numpy as np
 
 from formulations.arrays import Array
-from formulations.problem.facets import choose_facets
+from formulations.linearisation.linearisation import Linearisation
+from formulations.problem.facets import Facets, choose_facets
 from formulations.program.multipliers import multipliers
 from formulations.rows.exact_flight import FlightRows
 from scp_recon.display import digits
@@ -171,25 +172,31 @@ class Timing:
             rounds = self.facet_rounds
             plan = planner.plan(guess, problem=problem, facet_rounds=rounds, once=True)
             return PassResult(self.space, at, mission, plan.final)
-        pipeline = Pipeline(mission, planner)
-        start, polytopes = pipeline.start(guess), mission.polytopes
-        p3 = replace(planner.p3, resolution=resolution)
-        if self.certain:
-            spec = p3
-        elif mission.risk.allocation == "exact":
-            spec = self._exact(planner)
-        else:
+        pipeline, facets = Pipeline(mission, planner), None
+        start = pipeline.start(guess)
+        if not self.certain and mission.risk.allocation == "uniform":
             if not again:
+                p3 = replace(planner.p3, resolution=resolution)
                 start = pipeline.solve(p3, start).result.lin
-            facets = choose_facets(
-                mission.problem, polytopes, start.iterate.mean, start.spread.factor
-            )
-            spec = planner.p2_stage(facets, start, again=again)
+            mean, factor = start.iterate.mean, start.spread.factor
+            facets = choose_facets(mission.problem, mission.polytopes, mean, factor)
+        spec = self._spec(planner, facets, start, again=again)
         stage = pipeline.solve(replace(spec, resolution=resolution), start)
         return PassResult(self.space, at, mission, stage)
 
-    def _exact(self, planner: Planner[Mission]) -> StageSpec:
-        """Exact risk, of whole flights from a home orbit by few directions."""
+    def _spec(
+        self,
+        planner: Planner[Mission],
+        facets: Facets | None,
+        lin: Linearisation,
+        *,
+        again: bool = False,
+    ) -> StageSpec:
+        """P3, P2 with facets, or exact risk, of whole flights from a home orbit by few directions."""
+        if self.certain:
+            return planner.p3
+        if facets is not None:
+            return planner.p2_stage(facets, lin, again=again)
         final = planner.exact_stages()[-1]
         if self.space.has_home and isinstance(final.rows, FlightRows):
             rows = FlightRows(final.rows.problem, planner.target, FEW_LINES, FINE).bundled()
@@ -209,7 +216,7 @@ class Timing:
             return None
         planner, lin = Planner(mission), result.stage.result.lin
         pipeline = Pipeline(mission, planner)
-        spec = self._spec(planner, result)
+        spec = self._spec(planner, result.stage.facets, lin)
         spec = replace(spec, max_iterations=iterations, resolution=resolution)
         start = pipeline.start(lin.iterate)
         if lin.iterate.gains.any():
@@ -224,12 +231,6 @@ class Timing:
             first, last = problem.firing.phases(moved).tolist()
             phases = first, last
         return PassResult(space, Pass(phases, tuple(map(float, times))), mission, stage)
-
-    def _spec(self, planner: Planner[Mission], result: PassResult) -> StageSpec:
-        if self.certain:
-            return planner.p3
-        facets, lin = result.stage.facets, result.stage.result.lin
-        return self._exact(planner) if facets is None else planner.p2_stage(facets, lin)
 
     def prices(self, result: PassResult) -> tuple[RulePrice, ...]:
         """What each rule costs that binds at the times of a converged pass, the dearest first.

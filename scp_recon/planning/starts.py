@@ -16,8 +16,8 @@ from scp_recon.jobs.job import Job, generator, here, in_order
 from scp_recon.jobs.processes import Processes
 from scp_recon.mission.mission import Mission
 from scp_recon.planning.initial_guess import bent
-from scp_recon.planning.missions import cheapest_p3
 from scp_recon.planning.plan import Plan, Stage, as_interrupted, is_converged, merit_of, rank
+from scp_recon.planning.planner import cheapest_p3
 from scp_recon.planning.records import Optimum, Starts
 from scp_recon.planning.solver import Observer, unobserved
 from scp_recon.planning.stages import same_optimum

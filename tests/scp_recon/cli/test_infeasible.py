@@ -12,7 +12,6 @@ from rich.console import Console
 
 import scp_recon as sr
 from scp_recon.advice import infeasibility as module
-from scp_recon.advice.clock import Clock
 from scp_recon.advice.infeasibility import (
     CERTIFIED,
     CONTINUED,
@@ -37,6 +36,7 @@ from scp_recon.advice.trials import (
     SIZE,
     SPLIT,
     Case,
+    Clock,
     Remedy,
     overrides_of,
 )

@@ -19,7 +19,8 @@ from formulations.rows.exact_flight import FLIGHT, FlightRows
 from formulations.rows.node_probability import SPREAD_MIN
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
-from scp_recon.planning import initial_guess, ipopt, missions
+from scp_recon.planning import initial_guess, ipopt
+from scp_recon.planning import planner as planning
 from scp_recon.planning.plan import StageSpec
 from scp_recon.planning.planner import Plan, Planner, plan
 from scp_recon.planning.stages import Pipeline
@@ -271,7 +272,7 @@ def test_gains_are_led_to_or_kept(gains, ends, names, monkeypatch):
     monkeypatch.setattr(pipeline, "solve", solve)
     begun = start.iterate
     stage = (
-        missions.continued(mission, pipeline, begun, once=False) if gains else pipeline.exact(start)
+        planning.continued(mission, pipeline, begun, once=False) if gains else pipeline.exact(start)
     )
     assert seen == names
     assert (stage is None) == (gains > 0.0 and ends[-1] == "i")

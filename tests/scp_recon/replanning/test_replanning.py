@@ -14,9 +14,8 @@ from scp_recon.mission.mission import Mission
 from scp_recon.mission.schedule import MISS_WEIGHT, Mode
 from scp_recon.planning import initial_guess, ipopt
 from scp_recon.planning.method import ScpMethod, scp_method
-from scp_recon.planning.missions import other_starts
 from scp_recon.planning.plan import Plan
-from scp_recon.planning.planner import Planner
+from scp_recon.planning.planner import Planner, other_starts
 from scp_recon.replanning.flown import FlownPlan, predict
 from scp_recon.replanning.remainder import Delivery, mission_left, path_planned
 from scp_recon.results.solution import make_solution
