@@ -23,14 +23,16 @@ COVARIANCE = np.diag([2.0, 2.0, 2.0, 0.001, 0.001, 0.001]) ** 2
 
 
 def hill(r: Any, v: Any, t: Any, p: Any) -> list[Any]:
+    """With a push along the track that nobody knows well."""
     del t
-    return [3.0 * p[0] ** 2 * r[0] + 2.0 * p[0] * v[1], -2.0 * p[0] * v[0], -(p[0] ** 2) * r[2]]
+    w = p[0]
+    return [3.0 * w**2 * r[0] + 2.0 * w * v[1], -2.0 * w * v[0] + p[1], -(w**2) * r[2]]
 
 
 @pytest.fixture(scope="module")
 def flow() -> sr.ExpressionFlow:
     times = np.linspace(0.0, 4000.0, NODES)
-    return sr.ExpressionFlow(hill, times, parameters=[RATE], substeps=3)
+    return sr.ExpressionFlow(hill, times, parameters=[RATE, 0.0], substeps=3)
 
 
 @pytest.fixture(scope="module")
@@ -342,3 +344,55 @@ def test_infeasible_plan_names_what_is_violated(problem):
 def test_flights_refuse_numbers_out_of_range(given, says, problem):
     with pytest.raises(InputError, match=says):
         problem.solve().fly(**given)
+
+
+PARAMETERS = np.diag([0.03 * RATE, 2e-5]) ** 2
+"""Of the rate, 3 %, and of the push, which alone moves a flight by 160 m."""
+
+
+@pytest.fixture(scope="module")
+def unknown(erring) -> sr.ImpulsiveProblem:
+    return replace(erring, errors=None, parameter_covariance=PARAMETERS)
+
+
+def law_flown(plan: ImpulsivePlan) -> Array:
+    """Final sigmas by the law, which flights bear out."""
+    flown, factor = plan.fly(4000, seed=3), plan.final.result.lin.factor[-1]
+    law = np.linalg.norm(factor, axis=1) * plan.unit
+    assert flown.kept["ball"].high > 0.95
+    assert (flown.final.std(axis=0) / law)[:3] == pytest.approx(np.ones(3), abs=0.06)
+    return law
+
+
+@pytest.mark.slow
+def test_plans_keep_probability_with_uncertain_parameters(unknown):
+    """The plan that knows them does not, and costs less."""
+    known, plan = replace(unknown, parameter_covariance=None).solve(), unknown.solve()
+    assert plan.ok
+    assert plan.cost > 1.02 * known.cost
+    assert np.all(law_flown(plan)[:2] > 50.0)
+
+
+@pytest.mark.slow
+def test_filters_learn_parameters_of_any_flow(unknown):
+    """Measurements before burns 2 and 3 leave less of the push unknown, and the end nearer."""
+    measurement = np.tile(np.diag([1.0, 1.0, 1.0, 0.001, 0.001, 0.001]), (2, 1, 1))
+    feedback = sr.Feedback(np.array([1, 2]), np.array([7, 15]), measurement, "expected", 0.99)
+    plan = replace(unknown, feedback=feedback).solve()
+    assert plan.ok
+    lin = plan.final.result.lin
+    before = np.linalg.norm(lin.spread.leg_errors[0][6:], axis=1)
+    after = np.linalg.norm(lin.spread.leg_errors[-1][6:], axis=1)
+    assert after[1] < 0.2 * before[1]
+    law_flown(plan)
+
+
+def test_bad_covariances_of_parameters_are_named(problem, flow):
+    for covariance, words in (
+        (np.diag([1.0, -1.0]), "no covariance"),
+        (np.eye(3), "parameter_covariance"),
+    ):
+        with pytest.raises(InputError, match=words):
+            replace(problem, parameter_covariance=covariance)
+    with pytest.raises(InputError, match="goes with an ExpressionFlow"):
+        replace(problem, flow=Off(flow, lambda a: a), parameter_covariance=PARAMETERS)

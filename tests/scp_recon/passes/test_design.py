@@ -1,6 +1,7 @@
 """Burns of a pass: how many, and the descent of their phases and times."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,10 +21,9 @@ from scp_recon.planning.initial_guess import cold
 from scp_recon.planning.ipopt import casadi_arcs
 from scp_recon.planning.planner import Planner
 from scp_recon.planning.primer import primer_history
-from scp_recon.scenario.schema import Scenario
 from scp_recon.scp.algorithms import SCvx
-from scp_recon.scp.loop import Record
 from tests.scp_recon.passes.support import home_scenario
+from tests.scp_recon.support import raising
 
 
 @pytest.fixture(scope="module")
@@ -84,18 +84,9 @@ def test_times_that_are_all_given_leave_no_rules_to_keep(near):
     assert best.at.phases != at.phases
 
 
-@pytest.fixture
-def _interrupted(monkeypatch) -> None:
+def test_an_interrupt_ends_map_and_descent(space, monkeypatch):
     """As soon as something is iterated."""
-
-    def step(*_: object) -> Record:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(SCvx, "step", step)
-
-
-@pytest.mark.usefixtures("_interrupted")
-def test_an_interrupt_ends_the_map_and_a_descent(space):
+    monkeypatch.setattr(SCvx, "step", raising(KeyboardInterrupt()))
     times = (0.0, 8000.0, 24_000.0, 34_842.0)
     with pytest.raises(KeyboardInterrupt):
         scan(replace(space, times_s=times), lambda _: None)
@@ -105,7 +96,6 @@ def test_an_interrupt_ends_the_map_and_a_descent(space):
 
 
 PHASES = np.deg2rad(140.0), np.deg2rad(10.0)
-COARSE = {"grid.step_max_s": 464.0}
 GATES = {
     "uncertainty.gates": {
         "magnitude_fixed_m_s": 1e-5,
@@ -116,14 +106,16 @@ GATES = {
 }
 
 
-def near_of(scenario: Scenario) -> PassResult:
-    space, *_ = spaces_of(scenario)
-    return Timing(space, 0).plan(Pass(PHASES, space.times_s), np.zeros((len(space.times_s), 3)))
+def near_of(last_s: float, changes: dict[str, Any] | None = None, **how: Any) -> PassResult:
+    """A pass with three burns."""
+    coarse = {"grid.step_max_s": 464.0, "burns.times_s": [0.0, 25_000.0, last_s]}
+    space, *_ = spaces_of(home_scenario(coarse | (changes or {}), **how))
+    return Timing(space, 0).plan(Pass(PHASES, space.times_s), np.zeros((3, 3)))
 
 
 @pytest.fixture(scope="module")
 def few() -> PassResult:
-    return near_of(home_scenario(COARSE | {"burns.times_s": [0.0, 25_000.0, 34_842.0]}))
+    return near_of(34_842.0)
 
 
 @pytest.mark.slow
@@ -153,19 +145,16 @@ def test_a_burn_is_tried_where_the_primer_exceeds_one_and_makes_the_pass_cheaper
     assert after < 0.99 * before
 
 
-def test_a_burn_at_the_same_legal_time_is_tried_once(few, monkeypatch):
+def test_another_burn_is_tried_once_and_where_there_is_room(few, monkeypatch):
     monkeypatch.setattr(design, "peaks", lambda _: [2_000.0, 2_500.0])
     (other,) = other_counts(few)
     assert other.at.times_s == pytest.approx((0.0, 6_600.0, 25_000.0, 34_842.0))
-
-
-def test_there_are_eight_burns_at_most(few, monkeypatch):
     monkeypatch.setattr(design, "BURNS_MAX", 3)
     assert other_counts(few) == []
 
 
 def test_inner_burns_that_have_vanished_are_left_out_with_their_rules():
-    found = near_of(home_scenario(COARSE | {"burns.times_s": [0.0, 25_000.0, 34_842.0]}))
+    found = near_of(34_842.0)
     assert vanished(found) is None
     found.stage.result.lin.iterate.burns[1] = 0.0
     fewer = vanished(found)
@@ -175,8 +164,7 @@ def test_inner_burns_that_have_vanished_are_left_out_with_their_rules():
 
 
 def test_where_errors_do_not_shrink_one_more_and_one_less_is_tried():
-    changes = COARSE | GATES | {"burns.times_s": [0.0, 25_000.0, 38_000.0]}
-    near = near_of(home_scenario(changes, design={"arrival_s": [36_000.0, 52_000.0]}))
+    near = near_of(38_000.0, GATES, design={"arrival_s": [36_000.0, 52_000.0]})
     assert near.converged
     counts = sorted(len(other.at.times_s) for other in other_counts(near))
     assert counts == [2, 4, 4]

@@ -154,32 +154,26 @@ def test_multipliers_of_rules_tell_what_time_saves(gains, left, off, request):
     assert dearer == pytest.approx(first * 20.0 / plan.mission.units.time_s, rel=off)
 
 
-def test_burns_stay_whose_cut_offs_have_no_room():
-    """That of burn 2 is at the epoch, that of burn 3 in the window."""
-    late = mission_of(*MEASURED, "navigation.lead_s=8000", "boundary.final_sigma_position_m=150")
-    problem = with_free_times(late).problem
-    assert problem.feedback.burns.tolist() == [1, 2]
-    assert problem.firing.burns.tolist() == [2]
-    later = mission_of(*MEASURED, "navigation.lead_s=9000", "boundary.final_sigma_position_m=150")
-    assert np.isin(later.problem.feedback.cut_offs, later.window_nodes).any()
-    assert with_free_times(later).problem.firing.burns.tolist() == [1]
-
-
-def test_no_burn_moves_whose_time_is_a_cut_off():
-    """That of burn 3, 17,000 s before it, is at burn 2; burn 2 itself has none after departure."""
-    given = *MEASURED, "navigation.lead_s=17000", "boundary.final_sigma_position_m=150"
-    problem = mission_of(*given).problem
-    assert problem.feedback.cut_offs.tolist() == [problem.burn_nodes[1]]
-    assert with_free_times(mission_of(*given)).problem.firing is None
-
-
-def test_cut_offs_keep_their_order():
-    """That of burn 3 comes after the window, even where the burn itself could be earlier."""
-    mission = mission_of(*MEASURED, "navigation.lead_s=8000", "boundary.final_sigma_position_m=150")
-    firing = with_free_times(mission).problem.firing
-    least = dict(zip(firing.names, firing.least * mission.units.time_s, strict=True))
-    end = mission.schedule.window_s[1]
-    assert least["the cut-off of burn 3 after the window"] == pytest.approx(end + 8001.0)
+@pytest.mark.parametrize(
+    ("lead_s", "corrected", "free"),
+    [
+        (8000, [1, 2], [2]),  # the cut-off of burn 2 is at the epoch
+        (9000, [2], [1]),  # that of burn 3 in the window
+        (17_000, [2], None),  # that of burn 3 at burn 2, which has none after departure
+    ],
+)
+def test_burns_stay_whose_cut_offs_have_no_room(lead_s, corrected, free):
+    limited = f"navigation.lead_s={lead_s}", "boundary.final_sigma_position_m=150"
+    mission = with_free_times(mission_of(*MEASURED, *limited))
+    firing, unit = mission.problem.firing, mission.units.time_s
+    assert mission.problem.feedback.burns.tolist() == corrected
+    assert (firing and firing.burns.tolist()) == free
+    if (
+        lead_s == 8000
+    ):  # the cut-off of burn 3 comes after the window, though the burn could be earlier
+        least = dict(zip(firing.names, firing.least * unit, strict=True))
+        end = mission.schedule.window_s[1]
+        assert least["the cut-off of burn 3 after the window"] == pytest.approx(end + 8001.0)
 
 
 def test_data_of_contacts_stay_where_they_are():

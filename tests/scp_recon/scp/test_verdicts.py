@@ -7,65 +7,47 @@ phases of a circular orbit: those that once cycled, stalled or failed, and a few
 import numpy as np
 import pytest
 
-from formulations.problem.flyby import Iterate
+from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
 from scp_recon.planning.plan import Plan
 from scp_recon.planning.planner import plan
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scp.status import Status
 from tests.helpers import nightly, usually
+from tests.scp_recon.passes.support import home_scenario
 from tests.scp_recon.support import mission_of
 
 VERDICTS = (Status.CONVERGED, Status.INFEASIBLE)
 
 
-def planned(overrides: list[str], start: str = "cold", algorithm: str = "scvx") -> Plan:
-    mission = mission_of(*overrides)
+def planned(mission: Mission, start: str = "cold", algorithm: str = "scvx") -> Plan:
     guesses = {"cold": initial_guess.cold, "warm": initial_guess.ballistic}
-    first: Iterate = guesses[start](mission)
-    return plan(mission, first, algorithm=algorithm)
+    return plan(mission, guesses[start](mission), algorithm=algorithm)
 
 
-def random_scenario(seed: int) -> list[str]:
+def random_scenario(seed: int) -> Mission:
     """Another final position, other errors and risk, and cones of 4 to 16 facets."""
     rng = np.random.default_rng([2026, seed])
     final = np.array(load_scenario().boundary.final_position_m) + rng.normal(0.0, 30.0, 3)
-    return [
+    return mission_of(
         'polytopes.ball="tangent"',
         f"polytopes.cone={rng.integers(4, 17)}",
         f"risk.p_chance={rng.uniform(0.6, 0.99):.4f}",
         f"uncertainty.execution_error={rng.uniform(0.02, 0.15):.4f}",
         f"uncertainty.initial_sigma_fraction={rng.uniform(0.003, 0.015):.5f}",
         f"boundary.final_position_m={[round(float(x), 2) for x in final]}",
-    ]
+    )
 
 
-def between_phases(departure_deg: int, arrival_deg: int, sense: int) -> list[str]:
-    """On a circle of 1 km in the terminator plane, phases from +Y towards +Z in the Sun-North frame."""
-    radius = 1000.0
-    speed = sense * np.sqrt(load_scenario().body.gm_m3_s2 / radius)
-
-    def at(phase_deg: int) -> tuple[list[float], list[float]]:
-        c, s = np.cos(np.deg2rad(phase_deg)), np.sin(np.deg2rad(phase_deg))
-        vectors = [0.0, radius * c, radius * s], [0.0, -speed * s, speed * c]
-        position, velocity = ([round(float(x), 9) for x in vector] for vector in vectors)
-        return position, velocity
-
-    (r0, v0), (rf, vf) = at(departure_deg), at(arrival_deg)
-    return [
-        'boundary.frame="sun_north"',
-        f"boundary.initial_position_m={r0}",
-        f"boundary.initial_velocity_m_s={v0}",
-        f"boundary.final_position_m={rf}",
-        f"boundary.final_velocity_m_s={vf}",
-        'polytopes.ball="tangent"',
-        "polytopes.cone=12",
-    ]
+def between_phases(departure_deg: int, arrival_deg: int, sense: str) -> Mission:
+    """On a circle of 1 km in the terminator plane."""
+    spans = {"departure_deg": [departure_deg] * 2, "arrival_deg": [arrival_deg] * 2}
+    return Mission.from_scenario(home_scenario(**spans, sense=f"{sense}_handed"))
 
 
 def test_a_vanishing_burn_at_the_cone_converges():
     """Burn 3 is zero at the solution: where it points is the program's to find, not the iterate's."""
-    found = planned(["risk.p_chance=0.8", 'polytopes.ball="tangent"'])
+    found = planned(mission_of("risk.p_chance=0.8", 'polytopes.ball="tangent"'))
     final = found.final.result
     assert final.status is Status.CONVERGED
     sizes = np.linalg.norm(final.lin.iterate.burns, axis=1) * found.mission.units.speed_m_s
@@ -81,10 +63,10 @@ FALSELY_INFEASIBLE = (
     559,  # with the facets of the first choice
 )
 BETWEEN_PHASES = (
-    (150, 210, -1),  # stalled: far from any vertex, and the solver's rounding at the end
-    (270, 90, 1),  # from a line through the body's centre no answer of the solver
-    (180, 240, -1),  # these without a solution: the iteration limit, stalled
-    (210, 270, 1),
+    (150, 210, "left"),  # stalled: far from any vertex, and the solver's rounding at the end
+    (270, 90, "right"),  # from a line through the body's centre no answer of the solver
+    (180, 240, "left"),  # these without a solution: the iteration limit, stalled
+    (210, 270, "right"),
 )
 
 
