@@ -129,7 +129,7 @@ def planned(mission: Mission, cell: Cell) -> Plan:
         return pipeline.solve(StageSpec("P2", rows), p3)
 
     provenance = Provenance(of.formulation, of.algorithm, of.solver, cell.start)
-    return make_plan(mission, pipeline, work, provenance)
+    return make_plan(pipeline, work, provenance)
 
 
 def p3_solution(mission: Mission) -> Linearisation:

@@ -68,14 +68,14 @@ class Planner(StageSolver[AnyProblem]):
         def work() -> Stage:
             start = flown(mission, guess) if isinstance(guess, Plan) else guess
             goes_on = problem == "P2" and (isinstance(guess, Plan) or start.gains.any())
-            if goes_on and (stage := continued(mission, pipeline, start, once=once)):
+            if goes_on and (stage := continued(pipeline, start, once=once)):
                 return stage
             return pipeline.plan(start, problem, () if once else other_starts(mission))
 
         known = guess.without_uncertainty if isinstance(guess, Plan) else None
         leads = problem == "P3" and self._resolution > 0.0
         made = self._provenance(init)
-        return make_plan(mission, pipeline, work, *made, known, executes=not leads)
+        return make_plan(pipeline, work, *made, known, executes=not leads)
 
     def replan(self: Planner[Mission], last: Plan, initial_state: Array) -> Plan:
         """Solve P2 again for another initial state, from the last plan and with its facets.
@@ -105,7 +105,7 @@ class Planner(StageSolver[AnyProblem]):
             spec = self.p2_stage(facets, lin, again=True)
             return pipeline.choose_again(pipeline.solve(spec, pipeline.start(lin.iterate)))
 
-        return make_plan(mission, pipeline, work, *self._provenance("plan"))
+        return make_plan(pipeline, work, *self._provenance("plan"))
 
     def _provenance(self, init: str) -> tuple[Provenance, float | None]:
         """Words on how a plan is made, and the target probability of exact risk."""
@@ -139,8 +139,7 @@ def plan(
 
 
 def make_plan(
-    mission: Mission,
-    pipeline: Pipeline,
+    pipeline: Pipeline[Mission],
     work: Callable[[], Stage],
     provenance: Provenance,
     target: float | None = None,
@@ -154,11 +153,11 @@ def make_plan(
     or the one `known` before. Burns too small stay in a plan that only leads to another, which nobody
     `executes`.
     """
-    started = perf_counter()
+    started, mission = perf_counter(), pipeline.task
     kept = tuple(word for word in mission.warnings if not word.expected.endswith(NEITHER))
     try:
         stage = work()
-        final, words = executable(mission, pipeline, stage) if executes else (stage, ())
+        final, words = executable(pipeline, stage) if executes else (stage, ())
     except KeyboardInterrupt:
         if not pipeline.stages:
             raise
@@ -213,7 +212,7 @@ def flown(mission: Mission, last: Plan) -> Iterate:
     return replace(from_burns(mission, last.burns_m_s), gains=gains, drifts=drifts)
 
 
-def continued(mission: Mission, pipeline: Pipeline, begun: Iterate, *, once: bool) -> Stage | None:
+def continued(pipeline: Pipeline[Mission], begun: Iterate, *, once: bool) -> Stage | None:
     """Solve P2 with exact risk from a plan's burns and gains, without the preliminary stages.
 
     If the last stage alone does not converge from gains, all stages with gains are run; not if `once`
@@ -223,6 +222,7 @@ def continued(mission: Mission, pipeline: Pipeline, begun: Iterate, *, once: boo
         The stage; None if it did not converge, or if risk is not exact. If `once`, also a stage that
             found the case infeasible.
     """
+    mission = pipeline.task
     if mission.risk.allocation != "exact":
         return None
     *before, spec = pipeline.solver.exact_stages()
@@ -237,7 +237,7 @@ def continued(mission: Mission, pipeline: Pipeline, begun: Iterate, *, once: boo
 
 
 def executable(
-    mission: Mission, pipeline: Pipeline, stage: Stage
+    pipeline: Pipeline[Mission], stage: Stage
 ) -> tuple[Stage, tuple[ScenarioWarning, ...]]:
     """Solve a stage again without burns too small to execute, or with some of them raised.
 
@@ -249,8 +249,9 @@ def executable(
     Returns:
         The stage, and the warning if there is one.
     """
+    mission, rows = pipeline.task, stage.merit.rows
     least_m_s, speed_m_s = mission.scenario.burns.dv_min_m_s, mission.units.speed_m_s
-    least, rows = least_m_s / speed_m_s, stage.merit.rows
+    least = least_m_s / speed_m_s
     kinked = rows.problem.feedback is not None or rows.problem.drifts
     accuracy = max(RESOLVED, rows.resolution) if kinked else RESOLVED
     while stage.result.status is Status.CONVERGED:
@@ -292,7 +293,7 @@ def _sizes(stage: Stage) -> Array:
 
 
 def _with_burns(
-    pipeline: Pipeline, stage: Stage, small: Booleans, raised: Booleans, least: float
+    pipeline: Pipeline[Mission], stage: Stage, small: Booleans, raised: Booleans, least: float
 ) -> Stage:
     """Solve a stage again, its small burns held at zero, except those that are raised to `least`."""
     dynamics, at = pipeline.task.dynamics, stage.result.lin.problem

@@ -9,7 +9,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, Generic
 
 import numpy as np
 
@@ -20,10 +20,10 @@ from formulations.program.subproblem import MeritFunction
 from formulations.rows.drift import HOPELESS
 from formulations.rows.uniform import ChanceRows
 from scp_recon.planning.method import SETTLE, FacetRounds
-from scp_recon.planning.plan import PlanningProblem, Stage, StageSpec, is_converged, merit_of, rank
+from scp_recon.planning.plan import Stage, StageSpec, is_converged, merit_of, rank
 from scp_recon.planning.records import Problem
 from scp_recon.planning.settling import Settling
-from scp_recon.planning.solver import Observer, StageSolver, unobserved
+from scp_recon.planning.solver import AnyProblem, Observer, StageSolver, unobserved
 from scp_recon.scp.loop import Timing
 from scp_recon.scp.status import Status
 from scp_recon.scp.verdict import UNDECIDED
@@ -44,7 +44,7 @@ CHOICES_MAX = 4
 
 
 @dataclass
-class Pipeline:
+class Pipeline(Generic[AnyProblem]):
     """One planning run, with the stages and timings so far.
 
     Attributes:
@@ -57,7 +57,7 @@ class Pipeline:
         timing: of all stages, s.
     """
 
-    task: PlanningProblem
+    task: AnyProblem
     solver: StageSolver[Any]
     observe: Observer = unobserved
     facet_rounds: FacetRounds = 0

@@ -271,9 +271,7 @@ def test_gains_are_led_to_or_kept(gains, ends, names, monkeypatch):
 
     monkeypatch.setattr(pipeline, "solve", solve)
     begun = start.iterate
-    stage = (
-        planning.continued(mission, pipeline, begun, once=False) if gains else pipeline.exact(start)
-    )
+    stage = planning.continued(pipeline, begun, once=False) if gains else pipeline.exact(start)
     assert seen == names
     assert (stage is None) == (gains > 0.0 and ends[-1] == "i")
     assert [one.name for one in planner.exact_stages()] == ["P2.node", "P2.coarse", "P2"]
