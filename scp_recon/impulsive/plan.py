@@ -11,7 +11,7 @@ import numpy as np
 from formulations.arrays import Array
 from formulations.linearisation.dynamics import Dynamics
 from formulations.problem.expression_flow import ExpressionFlow
-from formulations.problem.flow import Flow, ScaledFlow
+from formulations.problem.flow import ScaledFlow
 from formulations.rows.node_probability import joint_events
 from scp_recon.errors import whole_number
 from scp_recon.jobs.cores import one_thread
@@ -95,15 +95,17 @@ class ImpulsivePlan(StagedPlan):
         return np.asarray(factor @ factor.swapaxes(1, 2))
 
     @property
+    def _units(self) -> dict[Unit, float]:
+        return {"m": float(self.unit[0]), "m/s": float(self.unit[3]), "sigma": 1.0}
+
+    @property
     def margins(self) -> dict[str, float]:
         """Least margin by region: a distance, or standard deviations where risk is exact."""
-        return {name: value for name, (value, _) in self._margins().items()}
-
-    def _margins(self) -> dict[str, tuple[float, Unit]]:
-        names = {c.name for c in self.final.merit.problem.constraints}
+        stage, units = self.final, self._units
+        names = {c.name for c in stage.merit.problem.constraints}
         return {
-            name: self._scaled(float(margins.margin.min()), self.final.unit(name))
-            for name, margins in self.final.margins.items()
+            name: float(margins.margin.min()) * units[stage.unit(name)]
+            for name, margins in stage.margins.items()
             if name in names or name not in ("dv_max", "dv_battery")
         }
 
@@ -113,23 +115,19 @@ class ImpulsivePlan(StagedPlan):
 
         "position" and "velocity" are those of states that the flow and the final state do not join.
         """
-        stage, lin = self.final, self.final.result.lin
-        apart = np.abs(lin.defects).max(axis=0)
-        amounts: dict[str, tuple[float, Unit]] = {
-            "position": (float(apart[:3].max()), "m"),
-            "velocity": (float(apart[3:].max()), "m/s"),
-        }
-        for name, amount in stage.merit.violations(lin).items():
+        stage, apart = self.final, np.abs(self.final.result.lin.defects).max(axis=0)
+        amounts: list[tuple[str, float, Unit]] = [
+            ("position", float(apart[:3].max()), "m"),
+            ("velocity", float(apart[3:].max()), "m/s"),
+        ]
+        for name, amount in stage.merit.violations(stage.result.lin).items():
             if name != "dynamics":
-                amounts[name] = float(amount.max(initial=0.0)), stage.unit(name)
-        found = {n: self._scaled(*one) for n, one in amounts.items() if one[0] > stage.tolerance}
-        return {name: (size, UNITS[unit]) for name, (size, unit) in found.items()}
-
-    def _scaled(self, value: float, unit: Unit) -> tuple[float, Unit]:
-        """A nondimensional value in the user's units."""
-        return value * {"m": float(self.unit[0]), "m/s": float(self.unit[3]), "sigma": 1.0}[
-            unit
-        ], unit
+                amounts.append((name, float(amount.max(initial=0.0)), stage.unit(name)))
+        return {
+            name: (size * self._units[unit], UNITS[unit])
+            for name, size, unit in amounts
+            if size > stage.tolerance
+        }
 
     def __str__(self) -> str:
         """Status, cost, burns, violations and margins."""
@@ -139,11 +137,10 @@ class ImpulsivePlan(StagedPlan):
         ]
         for node, burn in zip(self.final.merit.problem.burn_nodes, self.burns, strict=True):
             lines.append(f"node {node:4}  " + "  ".join(f"{x:+.6e}" for x in burn))
-        if not self.ok:
-            violated = self.violations.items()
-            lines += [f"{name}: violated by {size:.6g} ({unit})" for name, (size, unit) in violated]
-        margins = self._margins().items()
-        lines += [f"{name}: margin {value:+.6g} ({UNITS[unit]})" for name, (value, unit) in margins]
+        violated = {} if self.ok else self.violations
+        lines += [f"{name}: violated by {size:.6g} ({of})" for name, (size, of) in violated.items()]
+        for name, value in self.margins.items():
+            lines.append(f"{name}: margin {value:+.6g} ({UNITS[self.final.unit(name)]})")
         return "\n".join(lines)
 
     def __repr__(self) -> str:
@@ -185,9 +182,7 @@ class ImpulsivePlan(StagedPlan):
             final.append(last)
             report(min(first + BLOCK, samples))
         worst = {name: proportion(int(some.min()), samples) for name, some in counts.items()}
-        ends = np.concatenate(final) * self.unit
-        speed = float(self.unit[3])
-        own = np.concatenate(commanded) * speed
+        ends, own = np.concatenate(final) * self.unit, np.concatenate(commanded) * self.unit[3]
         return ImpulsiveFlights(samples, worst, proportion(whole, samples), own, ends)
 
     def _fly(self, block: int, flights: int, seed: int) -> tuple[Array, Array, Array]:
@@ -203,7 +198,11 @@ class ImpulsivePlan(StagedPlan):
         draws = draw(seed, block, columns + errors.draws(problem.n_burns))[:flights]
         state = problem.initial_state + draws[:, :columns] @ problem.initial_factor[:6].T
         if problem.parameters:
-            flow = _deviating(flow, draws[:, :columns] @ problem.initial_factor[6:].T)
+            assert isinstance(flow, ScaledFlow)
+            assert isinstance(flow.flow, ExpressionFlow)
+            deviations = problem.initial_factor[6:] @ draws[:, :columns].T
+            values = flow.flow.parameters[:, None] + deviations
+            flow = replace(flow, flow=flow.flow.with_parameters(values))
         draws, estimate = draws[:, columns:], np.zeros((flights, 6 + problem.parameters))
         known: list[Array] = []
         if feedback is not None:
@@ -236,12 +235,3 @@ class ImpulsivePlan(StagedPlan):
                 total += np.linalg.norm(command, axis=1)
             positions[node] = state[:, :3]
         return positions, total, state
-
-
-def _deviating(flow: Flow, deviations: Array) -> Flow:
-    """The flow of flights whose parameters deviate, by (flights, q)."""
-    assert isinstance(flow, ScaledFlow)
-    own = flow.flow
-    assert isinstance(own, ExpressionFlow)
-    values = own.parameters[:, None] + deviations.T
-    return replace(flow, flow=own.with_parameters(values))

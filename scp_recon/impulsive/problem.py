@@ -59,10 +59,7 @@ FACETS, CONE_FACETS = 24, 8
 """Of the polytopes about balls and cones where risk is split evenly."""
 
 NO_ERRORS = ComponentwiseErrors(0.0)
-PAIRS = {
-    "units": "a length and a time",
-    "final_sigma": "of position and of velocity, or None",
-}
+PAIRS = {"units": "a length and a time", "final_sigma": "of position and of velocity, or None"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -276,13 +273,8 @@ class ImpulsiveProblem:
             dv_max=self.dv_max / unit[3],
             sun=np.tile([0.0, 0.0, 1.0], (len(nodes), 1)),
             dv_cone=0.0,
-            constraints=tuple(
-                c for name, keep in self._named for c in self._constraints(name, keep)
-            ),
-            final_spread=(
-                limits[0] and limits[0] / unit[0],
-                limits[1] and limits[1] / unit[3],
-            ),
+            constraints=tuple(c for named in self._named for c in self._constraints(*named)),
+            final_spread=(limits[0] and limits[0] / unit[0], limits[1] and limits[1] / unit[3]),
             feedback=feedback,
         )
 
@@ -342,9 +334,8 @@ class ImpulsiveProblem:
         try:
             check_flow(self.flow, self.unit, start.mean[:-1])
         except ValueError as error:
-            needs = (
-                "must be those of one map; or the guess leads where it is not smooth: give states"
-            )
+            smooth = "or the guess leads where it is not smooth: give states"
+            needs = f"must be those of one map; {smooth}"
             raise InputError("flow", str(error), needs) from None
         planner = Planner(self, **method._asdict(), target=target)
         run = Pipeline(self, planner, observe or unobserved)
@@ -384,22 +375,16 @@ class ImpulsiveProblem:
         """
         if self.is_deterministic or self.risk.allocation != "exact":
             raise InputError("scope", self.scope, "must be node or flight, of regions, with errors")
-        solve = partial(
-            self.solve,
-            formulation=formulation,
-            algorithm=algorithm,
-            solver=solver,
-            observe=observe,
-        )
+        method = scp_method(formulation, algorithm, solver)._asdict()
+        solve = partial(self.solve, observe=observe, **method)
 
         def anew(last: ImpulsivePlan | None, _: Array, target: float) -> ImpulsivePlan:
             start = (states, burns) if last is None else (last.states, last.burns)
             return solve(start[0], burns=start[1], target=target)
 
         def fly(plan: ImpulsivePlan, step: Step) -> KeptCounts:
-            flights = plan.fly(
-                step.samples, step.seed, lambda flown: watch(step.name, flown, step.samples)
-            )
+            report = partial(watch, step.name)
+            flights = plan.fly(step.samples, step.seed, lambda flown: report(flown, step.samples))
             found = [flights.whole] if self.scope == "flight" else flights.kept.values()
             kept = round(step.samples * min(estimate.value for estimate in found))
             return KeptCounts(kept, kept, step.samples)
