@@ -375,12 +375,11 @@ class ImpulsiveProblem:
         """
         if self.is_deterministic or self.risk.allocation != "exact":
             raise InputError("scope", self.scope, "must be node or flight, of regions, with errors")
-        method = scp_method(formulation, algorithm, solver)._asdict()
-        solve = partial(self.solve, observe=observe, **method)
+        solve = partial(self.solve, formulation=formulation, algorithm=algorithm, solver=solver)
 
         def anew(last: ImpulsivePlan | None, _: Array, target: float) -> ImpulsivePlan:
             start = (states, burns) if last is None else (last.states, last.burns)
-            return solve(start[0], burns=start[1], target=target)
+            return solve(start[0], burns=start[1], target=target, observe=observe)
 
         def fly(plan: ImpulsivePlan, step: Step) -> KeptCounts:
             report = partial(watch, step.name)

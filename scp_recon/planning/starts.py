@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from contextlib import closing
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -112,7 +112,7 @@ class _Several:
                 plan: Plan = done.result(name="start")
                 if plan.status is not Status.INTERRUPTED:
                     self.number += 1
-                    self._add(_p3_ends(plan), [int(done.key)])
+                    self._add(_ends(plan), [int(done.key)])
                 self._show(int(done.key), plan)
                 listed = self.listed()
                 enough = CHANCE if listed.converged else CHANCE_WITHOUT
@@ -126,8 +126,10 @@ class _Several:
 
     def plan_others(self) -> None:
         """Plan P2 from the optima of P3 to which only random flights led."""
-        new = [found for found in self.optima if _is_new(*found)] if self._leads else []
-        for stage, numbers in sorted(new, key=lambda found: merit_of(found[0])):
+        for stage, numbers in sorted(self.optima, key=lambda found: merit_of(found[0])):
+            is_p3 = stage.problem == "P3" and is_converged(stage)
+            if not (self._leads and is_p3) or 0 in numbers:
+                continue
             best = max((plan.final for plan in self.plans), key=rank)
             if _bounds(self.mission) and is_converged(best) and merit_of(stage) >= merit_of(best):
                 continue
@@ -157,8 +159,7 @@ class _Several:
         """Keep a plan and the optima where its runs ended."""
         self.plans.append(plan)
         self._show(numbers[0], plan)
-        final = [plan.final] if plan.final.problem == "P2" and _is_optimum(plan.final) else []
-        self._add([*_p3_ends(plan), *final], numbers)
+        self._add(_ends(plan), numbers)
 
     def _show(self, number: int, found: Plan) -> None:
         """Show the last iteration of each stage.
@@ -213,11 +214,6 @@ def _bounds(mission: Mission) -> bool:
     return mission.problem.feedback is None and not (uniform and mission.polytopes.ball is None)
 
 
-def _is_new(stage: Stage, numbers: Sequence[int]) -> bool:
-    """Whether this is a converged P3 to which only random flights led."""
-    return stage.problem == "P3" and is_converged(stage) and 0 not in numbers
-
-
 def random_flight(mission: Mission, seed: int, number: int) -> Iterate:
     """A random flight from the initial to the final state, without regard to limits.
 
@@ -236,12 +232,8 @@ def random_flight(mission: Mission, seed: int, number: int) -> Iterate:
     return mission.dynamics.close_defects(lin, burns).iterate
 
 
-def _p3_ends(plan: Plan) -> list[Stage]:
-    """Local optima of P3 among the stages of a plan."""
+def _ends(plan: Plan) -> list[Stage]:
+    """Local optima of P3 among the stages of a plan, and its final one of P2; also least violations."""
     ends = [s for s in plan.stages if s.problem == "P3" and s.spec.role != "open"]
-    return [stage for stage in ends if _is_optimum(stage)]
-
-
-def _is_optimum(stage: Stage) -> bool:
-    """Whether it converged, or is stationary at the least violation."""
-    return stage.result.status in (Status.CONVERGED, Status.INFEASIBLE)
+    ends += [plan.final] if plan.final.problem == "P2" else []
+    return [s for s in ends if s.result.status in (Status.CONVERGED, Status.INFEASIBLE)]
