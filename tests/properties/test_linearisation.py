@@ -1,6 +1,5 @@
 """Covariance lifting: the factor is the covariance, and its affine map is the derivative."""
 
-import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -20,7 +19,6 @@ from formulations.linearisation.linearisation import (
 )
 from formulations.problem.execution_errors import GatesErrors
 from formulations.problem.flyby import FlybyProblem, Iterate, Legs, factor_columns_used
-from formulations.program.lifted import compose
 from tests.helpers import Arcs, Flyby, generators, random_flyby
 
 
@@ -180,26 +178,24 @@ def test_means_are_the_condensed_ones_which_close_every_defect_from_the_initial_
 
 
 @given(flybys, generators)
-def test_composed_arcs_give_the_condensed_map_at_their_nodes(flyby, rng):
+def test_maps_from_the_legs_starts_give_the_condensed_map(flyby, rng):
+    """As the lifted form has them: from the states where a leg starts, after its burn."""
     lin, problem = flyby.perturbed(rng, 0.3, 0.1), flyby.problem
-    burns, nodes = some_burns(rng, problem), some_nodes(rng, problem)
-    arcs = compose(lin, nodes)
-    expected = applied(condense(lin), burns)
-
-    mean = lin.iterate.mean[0].copy()
-    mean[3:] += (burns[0] - lin.iterate.burns[0]) * (problem.burn_nodes[0] == 0)
-    factor = factor_of(problem, lin.arcs.stm, burns)[0]
-    for arc, (first, last) in enumerate(itertools.pairwise(nodes)):
-        deviation = mean - lin.iterate.mean[first]
-        bent = arcs.shift_stm[arc] + arcs.tensor[arc] @ deviation
-        mean = lin.iterate.mean[last] + arcs.stm[arc] @ deviation + arcs.shift[arc]
-        factor = arcs.stm[arc] @ factor + bent @ lin.factor[first]
-        for i in np.flatnonzero(problem.burn_nodes == last):
-            mean[3:] += burns[i] - lin.iterate.burns[i]
+    burns = some_burns(rng, problem)
+    means, factors = applied(condense(lin), burns)
+    starts = problem.leg_starts[problem.legs.of]
+    off = np.column_stack([means - lin.iterate.mean, np.ones(problem.n_nodes)])[starts]
+    kicks = burns - lin.iterate.burns
+    for k in range(1, problem.n_nodes):
+        mean = lin.iterate.mean[k] + lin.affine_map_from_last_burn[k, :6] @ off[k]
+        factor = lin.stm_from_last_burn[k] @ factors[starts[k]]
+        factor += (lin.bent[k] @ off[k]) @ lin.factor[starts[k]]
+        for i in np.flatnonzero(problem.burn_nodes == k):
+            mean[3:] += kicks[i]
             columns = problem.execution_errors.columns(burns[i : i + 1])[0]
             factor[3:, problem.columns_of_burn(i)] += columns
-        close(mean, expected[0][last])
-        close(factor, expected[1][last])
+        close(mean, means[k])
+        close(factor, factors[k])
 
 
 @given(flybys, st.sampled_from(["state", "stm", "tensor"]), st.sampled_from([np.nan, np.inf]))
@@ -210,9 +206,8 @@ def test_dynamics_without_finite_derivatives_have_no_affine_map(flyby, part, val
     broken[-1] = value
     with np.errstate(invalid="ignore"):
         lin = Linearisation(flyby.problem, iterate, replace(arcs, **{part: broken}))
-        for model in (condense, lambda lin: compose(lin, lin.problem.leg_starts)):
-            with pytest.raises(LinearisationError, match="no finite derivatives"):
-                model(lin)
+        with pytest.raises(LinearisationError, match="no finite derivatives"):
+            condense(lin)
 
 
 @given(st.integers(2, 60), st.integers(0, 6), st.integers(1, 7), generators)
