@@ -86,38 +86,30 @@ def test_a_limits_border_switches_the_status_once(risk, entry):
     assert sum(a.status is not b.status for a, b in itertools.pairwise(plans)) == 1
 
 
+EMISSION, ERROR = "observation.emission_max_deg", "uncertainty.execution_error"
+STALLED = [
+    ("uniform", "burns.dv_max_m_s", 0.0409084, Status.INFEASIBLE),
+    ("uniform", "burns.dv_max_m_s", 0.04091012, Status.CONVERGED),
+    ("node", "risk.p_chance", 0.9996328567697995, Status.INFEASIBLE),
+]
+STALLED_BY_NIGHT = [
+    ("node", "burns.dv_max_m_s", 0.0370792, Status.INFEASIBLE),
+    ("flight", "burns.dv_max_m_s", 0.037169094085693355, Status.INFEASIBLE),
+    # Of which few directions alone say that they are infeasible.
+    ("flight", EMISSION, 29.84750366, Status.CONVERGED),
+    # Where a conic solver's miss of the final state, weighed, refused every step.
+    ("flight", EMISSION, 29.849, Status.CONVERGED),
+    # Where kinks of the estimate refused steps: the first far from the border, the second at it.
+    ("flight", ERROR, 0.23, Status.INFEASIBLE),
+    ("flight", ERROR, 0.22958984375, Status.INFEASIBLE),
+    # Which the iterations of another algorithm, of a lower cost, hid.
+    ("flight", EMISSION, 29.75, Status.INFEASIBLE),
+]
+
+
 @pytest.mark.parametrize(
     ("risk", "entry", "value", "status"),
-    [
-        ("uniform", "burns.dv_max_m_s", 0.0409084, Status.INFEASIBLE),
-        ("uniform", "burns.dv_max_m_s", 0.04091012, Status.CONVERGED),
-        pytest.param("node", "burns.dv_max_m_s", 0.0370792, Status.INFEASIBLE, marks=nightly),
-        ("node", "risk.p_chance", 0.9996328567697995, Status.INFEASIBLE),
-        pytest.param(
-            *("flight", "burns.dv_max_m_s", 0.037169094085693355, Status.INFEASIBLE), marks=nightly
-        ),
-        # Of which few directions alone say that they are infeasible.
-        pytest.param(
-            *("flight", "observation.emission_max_deg", 29.84750366, Status.CONVERGED),
-            marks=nightly,
-        ),
-        # Where a conic solver's miss of the final state, weighed, refused every step.
-        pytest.param(
-            *("flight", "observation.emission_max_deg", 29.849, Status.CONVERGED), marks=nightly
-        ),
-        # Where kinks of the estimate refused steps: the first far from the border, the second at it.
-        pytest.param(
-            *("flight", "uncertainty.execution_error", 0.23, Status.INFEASIBLE), marks=nightly
-        ),
-        pytest.param(
-            *("flight", "uncertainty.execution_error", 0.22958984375, Status.INFEASIBLE),
-            marks=nightly,
-        ),
-        # Which the iterations of another algorithm, of a lower cost, hid.
-        pytest.param(
-            *("flight", "observation.emission_max_deg", 29.75, Status.INFEASIBLE), marks=nightly
-        ),
-    ],
+    [*STALLED, *(pytest.param(*one, marks=nightly) for one in STALLED_BY_NIGHT)],
 )
 def test_probes_that_once_stalled_have_a_verdict(risk, entry, value, status):
     one = probe(risk, entry, value)

@@ -147,21 +147,11 @@ def scripted(monkeypatch, answer: Answer | str, other: str) -> None:
 
 
 @pytest.mark.parametrize("formulation", ["condensed", "lifted"])
-@pytest.mark.parametrize(
-    ("answer", "words"),
-    [
-        ("it broke down", r"^it broke down; so did I$"),
-        (Answer(np.full(1, np.nan), "good", True, 0.0), "no finite burns"),
-        (Answer(np.full(1, 1e300), "good", True, 0.0), "no finite burns"),
-    ],
-)
-def test_solvers_that_fail_or_give_no_finite_answer_raise_our_own_error(
-    case, formulation, answer, words, monkeypatch
-):
-    scripted(monkeypatch, answer, other="so did I")
+def test_solvers_that_fail_raise_our_own_error(case, formulation, monkeypatch):
+    scripted(monkeypatch, "it broke down", other="so did I")
     subproblem = make_subproblem(case.problem, case.rows("P3"), formulation)
     subproblem.update(case.at("P3"))
-    with pytest.raises(SubproblemError, match=words) as caught:
+    with pytest.raises(SubproblemError, match=r"^it broke down; so did I$") as caught:
         subproblem.solve(1.0, WEIGHT)
     assert isinstance(caught.value.__cause__, ValueError)
 
