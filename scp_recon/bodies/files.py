@@ -1,4 +1,4 @@
-"""Read files about a body: shape models (OBJ), gravity fields (gfc, SHA), tables of attitudes (CSV)."""
+"""Read files about a body: shapes (OBJ, DSK), gravity fields (gfc, SHA), tables of attitudes (CSV)."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from formulations.arrays import Array, Indices
+from scp_recon.bodies.kernels import read_dsk
 from scp_recon.bodies.surface import Mesh
 from scp_recon.errors import InputError
 from scp_recon.files import read_text
@@ -28,26 +29,36 @@ CLOSED = "must be closed: each edge the side of two facets"
 
 
 def read_shape(
-    path: Path, unit: str | None, normal_radius_m: float = 0.0, entry: str = SHAPE
+    path: Path,
+    unit: str | None,
+    normal_radius_m: float = 0.0,
+    naif_id: int | None = None,
+    entry: str = SHAPE,
 ) -> Mesh:
-    """Read an OBJ in a unit, "m" or "km", which an entry names.
+    """Read a DSK (.bds) of the body `naif_id`, or an OBJ in a unit, "m" or "km", which an entry names.
 
     Facets that turn against their neighbours are turned round, as the mesh is closed.
 
     Raises:
         InputError: if the file cannot be read, is no closed mesh, or its unit is not given.
     """
-    if unit is None:
+    is_dsk = path.suffix.lower() == ".bds"
+    if is_dsk:
+        vertices, facets = read_dsk(path, naif_id)
+        lines = np.arange(1, len(facets) + 1)
+    elif unit is None:
         raise InputError("body.shape_unit", "nothing", 'must be "m" or "km": an OBJ has no units')
-    vertices, facets, lines = _read_obj(path, entry)
-    vertices = vertices * {"m": 1.0, "km": 1000.0}[unit]
+    else:
+        vertices, facets, lines = _read_obj(path, entry)
+        vertices = vertices * {"m": 1.0, "km": 1000.0}[unit]
     if len(facets) < 4:
         raise InputError(entry, str(path), "must have four facets at least")
     if not np.isfinite(vertices).all() or np.abs(vertices).max() > 1e12:
         raise InputError(entry, str(path), "must have finite coordinates")
 
     def fail(facet: int, fault: str, allowed: str) -> InputError:
-        return InputError(entry, f"{path}, line {lines[facet]}: {fault}", allowed)
+        word = "plate" if is_dsk else "line"
+        return InputError(entry, f"{path}, {word} {lines[facet]}: {fault}", allowed)
 
     outside = ((facets < 0) | (facets >= len(vertices))).any(axis=1)
     if outside.any():
@@ -105,8 +116,7 @@ def _read_obj(path: Path, entry: str) -> tuple[Array, Indices, Indices]:
     vertices: list[list[float]] = []
     facets: list[tuple[int, int, int]] = []
     of_facets: list[int] = []
-    kind = "shape model, an OBJ (NAIF's dskexp makes one of a DSK)"
-    lines = read_text(path, f"{entry} {path}", kind, BYTES_MAX).splitlines()
+    lines = read_text(path, f"{entry} {path}", "shape model", BYTES_MAX).splitlines()
     for number, line in enumerate(lines, start=1):
         kind, *values = line.partition("#")[0].split() or [""]
         try:

@@ -1,4 +1,4 @@
-"""Read SPICE kernels: rotation (PCK), heliocentric state (SPK), spacecraft states.
+"""Read SPICE kernels: rotation (PCK), heliocentric state (SPK), shape (DSK), spacecraft states.
 
 Needs the extra [spice]. SPICE has one state in a process and no thread may share it: whatever uses
 SPICE does so in `spice_alone`. Kernels that the user has loaded are loaded again after each reading.
@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from formulations.arrays import Array
+from formulations.arrays import Array, Indices
 from scp_recon.bodies.catalogue import J2000_TDB
 from scp_recon.errors import InputError, imported
 
@@ -94,6 +94,43 @@ def read_heliocentric(
     what = f"body {naif_id} (body.naif_id) from the Sun ({SUN}) at the epoch"
     (state,) = _geometric("sun.spk_files", paths, (naif_id, SUN), [seconds], what)
     return state[:3].tolist(), state[3:].tolist()
+
+
+def read_dsk(path: Path, naif_id: int | None = None) -> tuple[Array, Indices]:
+    """Read vertices in m and triangles (indices from 0) from a DSK with one segment of type 2.
+
+    Raises:
+        InputError: if spiceypy is missing, the file is not such a kernel, or it belongs to another
+            body.
+    """
+    entry = "body.shape_file"
+    if path.is_fifo():
+        raise InputError(entry, str(path), "must be a readable kernel")
+    with _kernels(entry, []) as spice:
+        handle = None
+        try:
+            with reachable(path) as name:
+                handle = spice.dasopr(name)
+            segment = spice.dlabfs(handle)
+            described = spice.dskgd(handle, segment)
+            if described.dtype != 2:
+                raise InputError(entry, str(path), "must hold a plate model (DSK type 2)")
+            if naif_id is not None and described.center != naif_id:
+                given = f"{path}, of body {described.center}"
+                raise InputError(entry, given, f"must be of body {naif_id} (body.naif_id)")
+            with spice.no_found_check():
+                _, another = spice.dlafns(handle, segment)
+            if another:
+                raise InputError(entry, f"{path}, of several segments", "must hold one shape alone")
+            vertex_count, plate_count = spice.dskz02(handle, segment)
+            vertices = spice.dskv02(handle, segment, 1, vertex_count)
+            plates = spice.dskp02(handle, segment, 1, plate_count)
+        except spice.SpiceyError as error:
+            raise _no_kernel(entry, [path], error) from None
+        finally:
+            if handle is not None:
+                spice.dascls(handle)
+    return np.array(vertices) * 1e3, np.array(plates, dtype=np.intp) - 1
 
 
 _ALONE = RLock()

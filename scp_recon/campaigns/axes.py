@@ -333,7 +333,7 @@ def surface_of(scenario: Scenario) -> Surface:
     body = scenario.body
     if body.shape_file is not None:
         radius = scenario.site.normal_radius_m or 0.0
-        return read_shape(Path(body.shape_file), body.shape_unit, radius)
+        return read_shape(Path(body.shape_file), body.shape_unit, radius, body.naif_id)
     if body.radii_m is None:
         raise InputError(
             "body.radii_m", "nothing", "must be there, or body.shape_file, to spread sites over"

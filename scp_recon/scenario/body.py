@@ -168,8 +168,8 @@ class Body(Section):
     """Semi-axes of the ellipsoid in m along body-fixed x, y, z: for sites by latitude and longitude,
     and to check positions and normals."""
     shape_file: Path | None = None
-    """Shape model for the site: OBJ (with shape_unit), body-fixed, origin in the centre of mass.
-    Relative to this file."""
+    """Shape model for the site: OBJ (with shape_unit), or SPICE DSK (.bds, extra [spice]); body-fixed,
+    origin in the centre of mass. Relative to this file."""
     shape_unit: Literal["m", "km"] | None = None
     """Unit of the OBJ's coordinates, which the format does not tell."""
     pck_file: Path | None = None
@@ -190,8 +190,8 @@ class Body(Section):
     """The field itself, as gravity_file gives it."""
     solid_file: Path | None = None
     """Shape model taken as homogeneous, which `--truth polyhedron` flies in place of the ellipsoid
-    radii_m: OBJ (with shape_unit). Gives j2 and reference_radius_m where they are left out. Relative to
-    this file."""
+    radii_m: OBJ (with shape_unit), or SPICE DSK. Gives j2 and reference_radius_m where they are left
+    out. Relative to this file."""
     solid: Solid | None = None
     """The solid itself, as solid_file gives it."""
     planned_degree: Annotated[int, Field(ge=2, le=PLANNED_MAX)] | None = None

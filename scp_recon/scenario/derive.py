@@ -301,7 +301,8 @@ def _gravity(body: dict[str, Any], known: PackagedBody | None) -> None:
 def _enter_solid(body: dict[str, Any]) -> None:
     """Enter a homogeneous solid, and its J2 at its largest radius where none is given."""
     entry, name = "body.solid_file", body["solid_file"]
-    mesh = read_shape(Path(name), body.get("shape_unit"), entry=entry)
+    unit, naif_id = body.get("shape_unit"), body.get("naif_id")
+    mesh = read_shape(Path(name), unit, naif_id=naif_id, entry=entry)
     if len(mesh.facets) > FACETS_MAX:
         needs = f"must have at most {FACETS_MAX}: a coarser model"
         raise InputError(entry, f"{len(mesh.facets)} facets", needs)

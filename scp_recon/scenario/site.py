@@ -92,7 +92,7 @@ def _surface(site: dict[str, Any], body: dict[str, Any]) -> Surface | None:
         return None if radii is None else Ellipsoid(radii)
     path = Path(body["shape_file"])
     radius = site.get("normal_radius_m") or 0.0
-    mesh = read_shape(path, body.get("shape_unit"), radius)
+    mesh = read_shape(path, body.get("shape_unit"), radius, body.get("naif_id"))
     if mesh.normal_radius_m:
         low, high = FACETS * mesh.facet_size_m, float(mesh.half_extents_m.min()) / 2.0
         if not low <= mesh.normal_radius_m <= high:

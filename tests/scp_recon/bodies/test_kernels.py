@@ -3,6 +3,7 @@
 import sys
 from concurrent.futures import ThreadPoolExecutor
 from datetime import timedelta
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -11,11 +12,12 @@ import pytest
 
 from scp_recon.bodies.catalogue import DAY_S, J2000_TDB
 from scp_recon.bodies.files import read_gravity
-from scp_recon.bodies.kernels import read_heliocentric, read_pck
+from scp_recon.bodies.kernels import read_dsk, read_heliocentric, read_pck
+from scp_recon.bodies.surface import Mesh, direction_of
 from scp_recon.errors import InputError
 from scp_recon.physics.frames import Rotation
 from scp_recon.scenario.load import validate_scenario
-from tests.scp_recon.bodies.test_surface import box, write_obj
+from tests.scp_recon.bodies.test_surface import box
 from tests.scp_recon.support import refusal
 
 ROCK_ID = 2_999_999
@@ -49,6 +51,33 @@ def write_spk(path: Path, spice: Any) -> tuple[Path, Any]:
     return path, states
 
 
+def write_dsk(path: Path, mesh: Mesh, spice: Any, segments: int = 1) -> Path:
+    vertices, plates = mesh.vertices_m / 1e3, mesh.facets + 1
+    finscl, corscl, worksz, voxpsz, voxlsz, spxisz = 5.0, 4, 10_000, 2_000, 5_000, 200_000
+    spaixd, spaixi = spice.dskmi2(
+        vertices, plates, finscl, corscl, worksz, voxpsz, voxlsz, True, spxisz
+    )
+    pi = np.pi
+    low, high = spice.dskrb2(vertices, plates, 1, np.zeros(10))
+    handle = spice.dskopn(str(path), "test", 0)
+    for surface in range(1, segments + 1):
+        spice.dskw02(
+            *(handle, ROCK_ID, surface, 1, "J2000", 1, np.zeros(10)),
+            *(-pi, pi, -pi / 2, pi / 2, low, high, -1e9, 1e9, vertices, plates, spaixd, spaixi),
+        )
+    spice.dskcls(handle, True)
+    return path
+
+
+def test_dsk_of_other_body_or_several_shapes_is_refused(tmp_path, spice):
+    one = write_dsk(tmp_path / "one.bds", ROCK, spice)
+    assert len(read_dsk(one, ROCK_ID)[1]) == len(ROCK.facets)
+    with pytest.raises(InputError, match=f"must be of body {ROCK_ID + 1}"):
+        read_dsk(one, ROCK_ID + 1)
+    with pytest.raises(InputError, match="of several segments; must hold one shape alone"):
+        read_dsk(write_dsk(tmp_path / "two.bds", ROCK, spice, segments=2), ROCK_ID)
+
+
 @pytest.mark.usefixtures("spice")
 def test_meta_kernel_is_read_from_its_own_folder(tmp_path):
     """As an export writes it, from wherever the program runs."""
@@ -77,12 +106,27 @@ def test_spk_states_are_those_written(tmp_path, spice):
     np.testing.assert_allclose([*position, *velocity], states[12], rtol=1e-12)
 
 
+@pytest.mark.parametrize(("latitude", "longitude"), [(10.0, 20.0), (-70.0, 100.0), (40.0, -130.0)])
+def test_rays_meet_a_dsk_where_spice_says(latitude, longitude, tmp_path, spice):
+    file = write_dsk(tmp_path / "rock.bds", ROCK, spice)
+    vertices, facets = read_dsk(file)
+    direction = direction_of(latitude, longitude)
+    position, normal = Mesh(vertices, facets).at(direction)
+    with spice.KernelPool(str(file)):
+        handle = spice.kdata(0, "dsk")[3]
+        segment = spice.dlabfs(handle)
+        plate, point, found = spice.dskx02(handle, segment, 2.0 * direction, -direction)
+        assert found
+        np.testing.assert_allclose(position, point * 1e3, rtol=1e-9)
+        np.testing.assert_allclose(normal, spice.dskn02(handle, segment, plate), atol=1e-12)
+
+
 def test_a_scenario_by_kernels_needs_them_once(tmp_path, spice):
     write_pck(tmp_path / "rock.tpc")
     write_spk(tmp_path / "rock.bsp", spice)
-    write_obj(tmp_path / "rock.obj", ROCK)
-    body = {"name": "Rock", "naif_id": ROCK_ID, "gm_m3_s2": 5.0, "j2": 0.0, "shape_unit": "m"}
-    body |= {"pck_file": str(tmp_path / "rock.tpc"), "shape_file": str(tmp_path / "rock.obj")}
+    write_dsk(tmp_path / "rock.bds", ROCK, spice)
+    body = {"name": "Rock", "naif_id": ROCK_ID, "gm_m3_s2": 5.0, "j2": 0.0}
+    body |= {"pck_file": str(tmp_path / "rock.tpc"), "shape_file": str(tmp_path / "rock.bds")}
     found = validate_scenario(
         {
             "base": "recon_b",
@@ -126,7 +170,11 @@ def test_kernels_at_long_paths_are_read(tmp_path, spice):
     pck = write_pck(folder / "rock.tpc")
     found = read_pck(pck, ROCK_ID, DAYS).prime_meridian
     assert found == pytest.approx((140.7, 2011.1, 1.8e-6))
-    write_spk(tmp_path / "rock.bsp", spice)[0].rename(folder / "rock.bsp")
+    for name in ("rock.bsp", "rock.bds"):
+        write = write_spk if name == "rock.bsp" else partial(write_dsk, mesh=ROCK)
+        write(tmp_path / name, spice=spice)
+        (tmp_path / name).rename(folder / name)
+    assert len(read_dsk(folder / "rock.bds", ROCK_ID)[1]) == len(ROCK.facets)
     here = Path.cwd()
     assert read_heliocentric([folder / "rock.bsp"], ROCK_ID, DAYS * DAY_S)[0]
     with pytest.raises(InputError, match=f"rock.bsp has {ROCK_ID} from "):
@@ -154,6 +202,7 @@ def refusals(path: Path) -> list[InputError]:
     return [
         refusal(read_pck, path, ROCK_ID, DAYS),
         refusal(read_heliocentric, [path], ROCK_ID, DAYS * DAY_S),
+        refusal(read_dsk, path),
     ]
 
 
@@ -164,7 +213,7 @@ def test_what_is_no_kernel_is_refused(text, tmp_path, spice):
     if text is not None:
         path.write_text(text, "utf-8")
     entries = [error.entry for error in refusals(path)]
-    assert entries == ["body.pck_file", "sun.spk_files"]
+    assert entries == ["body.pck_file", "sun.spk_files", "body.shape_file"]
 
 
 def test_epoch_that_kernels_do_not_cover_is_refused(tmp_path, spice):
