@@ -21,6 +21,7 @@ from scp_recon.display import mm_s
 from scp_recon.mission.constraints import companion_distance_m
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.schedule import Mode
+from scp_recon.monte_carlo.limits import measured
 from scp_recon.monte_carlo.sampling import flown_mission, sample_positions
 from scp_recon.monte_carlo.summary import COMPONENTS
 from scp_recon.physics import geometry
@@ -52,8 +53,9 @@ def observed(solution: Solution, times_s: Array, samples: int | None = None) -> 
     mission, count = solution.mission, samples or SAMPLES
     burns, policy = solution.burns_m_s, solution.corrections
     sampled = sample_positions(mission, burns, times_s, count, SEED, policy)
-    flown = flown_mission(mission, SEED, count)
-    return observed_over(mission, flown, times_s, path_of(solution)(times_s), sampled)
+    planned = measured(mission, times_s, path_of(solution)(times_s))
+    flown = measured(flown_mission(mission, SEED, count), times_s, sampled)
+    return observed_over(mission, times_s, planned, flown)
 
 
 def flyby(solution: Solution) -> Figure:

@@ -1,20 +1,17 @@
-"""Draw the chart of a command: lighting windows and legal burn times."""
+"""Draw the chart of lighting windows."""
 
 from __future__ import annotations
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.patches import Patch
 
 from scp_recon.mission.schedule import LitWindow, Survey
-from scp_recon.results.pictures import HOUR_S, page, picture, plain
+from scp_recon.results.pictures import HOUR_S, legend, page, picture, plain
 from scp_recon.scenario.schema import Scenario
 
 ROWS_MAX = 12
 """Windows that are drawn: more rows cannot be read."""
 BURN_COLOURS = ("C0", "C4", "C2", "C1", "C3", "C5")
-WINDOW_COLOUR = "0.15"
 
 
 def draw_windows(scenario: Scenario, survey: Survey, ending: str) -> bytes:
@@ -25,19 +22,17 @@ def draw_windows(scenario: Scenario, survey: Survey, ending: str) -> bytes:
         survey: the windows found.
         ending: of the file, which is the format, one of `pictures.endings`.
     """
-    shown = survey.windows[:ROWS_MAX]
+    shown, count = survey.windows[:ROWS_MAX], len(survey.windows)
     heights = [2.4, 0.8 + 0.34 * max(1, len(shown))]
     with page(3.4 + 0.34 * len(shown)) as figure:
         above, below = figure.subplots(2, 1, sharex=True, height_ratios=heights)
-        some = "" if len(shown) == len(survey.windows) else f", first {ROWS_MAX} of them"
-        figure.suptitle(
-            f"{plain(scenario.body.name)}, {plain(scenario.site.name)}: "
-            f"{len(survey.windows)} lighting windows{some}"
-        )
+        some = "" if len(shown) == count else f", first {ROWS_MAX} of them"
+        names = f"{plain(scenario.body.name)}, {plain(scenario.site.name)}"
+        figure.suptitle(f"{names}: {count} lighting windows{some}")
         _incidence(above, scenario, survey, shown)
         _rows(below, shown)
         below.set_xlabel(f"hours past {scenario.epoch.tdb.isoformat(timespec='seconds')} TDB")
-        _legend(figure, len(scenario.burns.times_s))
+        legend(figure, 7, "outside lower center")
         return picture(figure, ending)
 
 
@@ -48,57 +43,41 @@ def _incidence(
     if len(shown) < len(survey.windows):
         last = shown[-1].edges_s[1] + 0.5 * (shown[-1].edges_s[1] - shown[0].edges_s[0]) / ROWS_MAX
     times = np.linspace(first, last, 4000)
-    incidence = np.rad2deg(survey.lighting.incidence(times))
     for window in shown:
         axes.axvspan(*(edge / HOUR_S for edge in window.edges_s), color="#fbf6c0", lw=0, zorder=0)
-    axes.plot(times / HOUR_S, incidence, color="0.3", lw=1.2)
-    limit = scenario.observation.incidence_max_deg
+    axes.plot(times / HOUR_S, np.rad2deg(survey.lighting.incidence(times)), color="0.3", lw=1.2)
+    rules = scenario.observation
+    limit = rules.incidence_max_deg
     axes.axhline(limit, color="C1", lw=1.0, ls="--")
     axes.annotate(
         f"limit {limit:g} deg", (1.0, limit), xycoords=("axes fraction", "data"), color="C1",
         xytext=(-4, 3), textcoords="offset points", ha="right", fontsize=8,
     )  # fmt: skip
-    axes.set_ylabel("incidence (deg)")
-    axes.set_ylim(0.0, 180.0)
-    axes.set_yticks(range(0, 181, 30))
-    hours = scenario.observation
+    axes.set(ylabel="incidence (deg)", ylim=(0.0, 180.0), yticks=range(0, 181, 30))
     axes.set_title(
         f"windows (shaded): incidence at most {limit:g} deg, local solar time "
-        f"{hours.local_solar_time_min_h:g} to {hours.local_solar_time_max_h:g} h",
+        f"{rules.local_solar_time_min_h:g} to {rules.local_solar_time_max_h:g} h",
     )
 
 
 def _rows(axes: Axes, shown: tuple[LitWindow, ...]) -> None:
     """One row for each window: a thin bar for each burn, one below the other, and the window."""
     count = len(shown[0].burns_s) if shown else 0
-    thick = 0.8 / max(1, count)
+    thick, times = 0.8 / max(1, count), list[float]()
     for row, window in enumerate(shown):
         first, last = (edge / HOUR_S for edge in window.edges_s)
-        axes.barh(row, last - first, 0.8, first, color=WINDOW_COLOUR)
-        for i, (early, late) in enumerate(window.burns_s):
-            if early <= late:
-                place = row - 0.4 + (i + 0.5) * thick
-                colour = BURN_COLOURS[i % len(BURN_COLOURS)]
-                # An instant is seen too.
-                axes.barh(place, (late - early) / HOUR_S, thick, early / HOUR_S, color=colour,
-                          edgecolor=colour, lw=1.0)  # fmt: skip
+        axes.barh(row, last - first, 0.8, first, color="0.15", label="window")
+        for i, interval in enumerate(window.burns_s):
+            early, late = (edge / HOUR_S for edge in interval)
+            label = f"burn {i + 1}" + (" = epoch" if i == 0 else "")
+            place, colour = row - 0.4 + (i + 0.5) * thick, BURN_COLOURS[i % len(BURN_COLOURS)]
+            # An instant is seen too; where no time is legal nothing is.
+            width = max(late - early, 0.0) if early <= late else np.nan
+            axes.barh(place, width, thick, early, color=colour, ec=colour, lw=1.0, label=label)
+            times += [early, late]
     axes.set_yticks(range(len(shown)), [f"{k + 1}" for k in range(len(shown))])
-    axes.set_ylim(len(shown) - 0.4, -0.6)
-    axes.set_ylabel("window")
+    axes.set(ylabel="window", ylim=(len(shown) - 0.4, -0.6))
     axes.grid(visible=False, axis="y")
-    times = [edge / HOUR_S for window in shown for interval in window.burns_s for edge in interval]
     if times:
         axes.set_xlim(min(times) - 1.0, max(times) + 1.0)
     axes.set_title("where each burn may be, for a flight that observes in that window")
-
-
-def _legend(figure: Figure, count: int) -> None:
-    names = [Patch(color=WINDOW_COLOUR, label="window")]
-    names += [
-        Patch(
-            color=BURN_COLOURS[i % len(BURN_COLOURS)],
-            label=f"burn {i + 1}" + (" = epoch" if i == 0 else ""),
-        )
-        for i in range(count)
-    ]
-    figure.legend(handles=names, loc="outside lower center", ncols=7)

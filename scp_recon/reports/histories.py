@@ -38,6 +38,9 @@ SHADES = {1: 0.34, 2: 0.2, 3: 0.14}
 WORDS = {1: "1 sigma of the flights", 2: "2 sigma", 3: "3 sigma"}
 
 
+Measured = dict[Measure, Array]
+
+
 @dataclass(frozen=True, eq=False)
 class History:
     """A quantity over time.
@@ -66,30 +69,26 @@ def bands_of(sampled: Array, sigmas: tuple[int, ...]) -> dict[int, tuple[Array, 
 
 def observation_histories(plan: Shown) -> list[History]:
     """Distance from the site, emission and phase in the window, with every limit on them."""
-    mission, flown = plan.mission, plan.flown
-    mean, sampled = plan.positions(flown.window_s), flown.positions[flown.window]
-    return observed_over(mission, flown.mission, flown.window_s, mean, sampled)
+    return observed_over(plan.mission, plan.flown.window_s, *_measured(plan))
 
 
 def observed_over(
-    mission: Mission, flown: Mission, times_s: Array, mean: Array, sampled: Array
+    mission: Mission, times_s: Array, planned: Measured, sampled: Measured
 ) -> list[History]:
     """Distance from the site, emission and phase over time, with every limit on them.
 
     Args:
-        mission: of the plan.
-        flown: as the flights have it, with their parameters.
+        mission: whose limits are shown.
         times_s: shape (n,).
-        mean: planned positions, J2000, m, shape (n, 3).
-        sampled: those of flights, shape (n, flights, 3).
+        planned: of the mean, shape (n,) each, m and rad.
+        sampled: of flights, shape (n, flights) each.
     """
-    planned, each = measured(mission, times_s, mean), measured(flown, times_s, sampled)
     return [
         History(
             title,
             times_s,
             scale * planned[measure],
-            bands_of(scale * each[measure], (1, 2)),
+            bands_of(scale * sampled[measure], (1, 2)),
             tuple(
                 (f"{limit.name}: at {'least' if limit.sense == 'min' else 'most'}", value)
                 for limit in mission.limits
@@ -100,7 +99,7 @@ def observed_over(
     ]
 
 
-def _measured(plan: Shown) -> tuple[dict[Measure, Array], dict[Measure, Array]]:
+def _measured(plan: Shown) -> tuple[Measured, Measured]:
     """Distance, emission and phase in the window: of the mean, and of the sampled flights."""
     mission, flown = plan.mission, plan.flown
     mean = measured(mission, flown.window_s, plan.positions(flown.window_s))

@@ -19,7 +19,6 @@ from scp_recon.mission.constraints import companion_distance_m
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.scene import RK4_STEP_MAX_S
 from scp_recon.monte_carlo.drifts import reach_s
-from scp_recon.monte_carlo.summary import Contingency
 from scp_recon.physics.flow import propagate
 from scp_recon.physics.frames import TabulatedRotation, sun_north_to_j2000, unit
 from scp_recon.reports.marks import (
@@ -253,32 +252,30 @@ def keep_sets(frame: Frame, plan: Shown) -> list[Trace]:
     def about_the_sun(angle: float) -> Solid:
         return cone(sun, np.zeros(3), angle, distances[1])
 
-    safety, seen = "keep out: safety radius", "keep in: distance and emission"
-    phase = about_the_sun(max(limits["phase_min"], limits["battery_observation"]))
-    lit = "keep out: phase and battery"
-    traces = [
-        mesh(sphere(scenario.safety.radius_min_m), safety, safety, KEEP_OUT, 0.16),
-        moved(mesh(keep_in, f"{seen}, in the window", seen, KEEP_IN, 0.22), "body"),
-        moved(mesh(phase, f"{lit}, in the window", f"{lit} cone", KEEP_OUT, 0.22), "site"),
-        *_burn_cones(frame, plan),
+    lit = about_the_sun(max(limits["phase_min"], limits["battery_observation"]))
+    sets = [
+        ("keep out: safety radius", sphere(scenario.safety.radius_min_m), ""),
+        ("keep in: distance and emission", keep_in, "body"),
+        ("keep out: phase and battery cone", lit, "site"),
     ]
     if mission.scene.companion is not None:
-        name, ball = "keep out: companion", sphere(companion_distance_m(scenario))
-        traces.append(moved(mesh(ball, name, name, KEEP_OUT, 0.16), "companion"))
+        sets.append(("keep out: companion", sphere(companion_distance_m(scenario)), "companion"))
     if "phase_max" in limits:
-        name, most = "keep in: phase at most", about_the_sun(limits["phase_max"])
-        traces.append(moved(mesh(most, name, name, KEEP_IN, 0.22), "site"))
+        sets.append(("keep in: phase at most", about_the_sun(limits["phase_max"]), "site"))
+    traces = _burn_cones(frame, plan)
+    for name, solid, moves in sets:
+        colour = KEEP_IN if name.startswith("keep in") else KEEP_OUT
+        traces.append(moved(mesh(solid, name, name, colour, 0.2), moves))
     return [trace | {"visible": False} for trace in traces]
 
 
 def drifts(frame: Frame, plan: Shown) -> list[Trace]:
     """Mean drifts of the first plan after each missed burn but the first, and where they are nearest.
 
-    They are shown on demand, as far as they stay in the box; with the way home where it was planned.
+    They are shown on demand, as far as they stay in the box.
     """
     mission, nodes, traces = plan.mission, plan.solution.nodes, list[Trace]()
     spell = reach_s(mission)
-    homes = {one.drift.burn: one.then for one in plan.missed if one.drift and one.then}
     for number, burn in plan.solution.executed:
         if number == 1 or spell <= 0.0:
             continue
@@ -291,10 +288,6 @@ def drifts(frame: Frame, plan: Shown) -> list[Trace]:
         name = f"{group}, nearest {np.linalg.norm(nearest):.0f} m from the centre"
         traces.append(lines(np.where(outside[:, None], np.nan, seen), group, group, BURN, width=3))
         traces.append(spots(nearest, name, group, size=5, color=BURN, symbol="circle"))
-        if (home := homes.get(number)) is not None:
-            name = f"way home if burn {number} is missed, {mm_s(home.total_dv_m_s, 1)}"
-            way = frame.seen(_way_home(mission, state, burn.t_s, home)[:, :3])
-            traces.append(lines(way, name, group, BURN, width=3, dash="dash"))
     return [trace | {"visible": False} for trace in traces]
 
 
@@ -305,15 +298,6 @@ def free_path(mission: Mission, state: Array, begin_s: float, spell_s: float) ->
     for time in times[:-1]:
         path.append(propagate(path[-1], times[1], mission.forces, 1, begin_s + time))
     return np.stack(path)
-
-
-def _way_home(mission: Mission, state: Array, begin_s: float, home: Contingency) -> Array:
-    """Mean states (n, 6) from a missed burn to the last burn of the way home."""
-    parts = []
-    for time, burn in zip(home.burn_times_s, home.burns_m_s, strict=True):
-        parts.append(free_path(mission, state, begin_s, time - begin_s))
-        state, begin_s = parts[-1][-1] + np.r_[0.0, 0.0, 0.0, burn], time
-    return np.concatenate(parts)
 
 
 def _burn_cones(frame: Frame, plan: Shown) -> list[Trace]:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -88,18 +89,13 @@ class DrawnFlights:
         return len(self.executed_m_s)
 
 
-@dataclass(frozen=True, eq=False)
-class Budget:
-    """Sizes of burns, m/s.
+class Budget(NamedTuple):
+    """Sizes of burns, planned and executed, shape (m,) each, and of a flight's total; m/s.
 
     Attributes:
         first: number of the first burn, more than 1 in flight.
-        planned_m_s: shape (m,).
-        mean_m_s: of the executions, shape (m,).
-        high_m_s: quantile `SHARE` of the executions of each burn, shape (m,).
-        total_mean_m_s: of a flight's total.
-        total_high_m_s: quantile `SHARE` of the flights' totals.
-        interval_m_s: 95 % confidence interval of that.
+        high_m_s: quantile `SHARE` of the executions of each burn.
+        total_high_m_s: quantile `SHARE` of the flights' totals, and its 95 % confidence interval.
     """
 
     first: int
@@ -111,8 +107,7 @@ class Budget:
     interval_m_s: tuple[float, float]
 
 
-@dataclass(frozen=True, eq=False)
-class Achieved:
+class Achieved(NamedTuple):
     """A probability over time with its 95 % interval, shape (n,) each."""
 
     name: str

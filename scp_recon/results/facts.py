@@ -20,7 +20,7 @@ from formulations.arrays import Array
 from scp_recon.display import mm_s
 from scp_recon.planning.primer import PrimerHistory
 from scp_recon.planning.records import Certificate, Parent, Starts, WithoutUncertainty
-from scp_recon.results.policy import StoredPolicy
+from scp_recon.results.policy import StoredPolicy, has_shape
 from scp_recon.results.verification import Verification
 from scp_recon.scenario.fields import Line, Number, Probability, ScenarioWarning, Speed
 from scp_recon.scenario.schema import Scenario
@@ -69,16 +69,11 @@ class Nodes:
         n = len(self.t_s)
         if n < 2 or any(b <= a for a, b in itertools.pairwise(self.t_s)):
             raise ValueError("nodes.t_s must be at least two ascending times")
-        if len(self.state) != n or any(len(state) != 6 for state in self.state):
-            raise ValueError(f"nodes.state must hold 6 numbers for each of {n} times")
-        for name in ("covariance", "knowledge"):
-            matrices = getattr(self, name)
-            if matrices is None:
-                continue
-            rows = [row for matrix in matrices for row in matrix]
-            square = all(len(matrix) == 6 for matrix in matrices)
-            if len(matrices) != n or not square or any(len(row) != 6 for row in rows):
-                raise ValueError(f"nodes.{name} must hold 6 by 6 numbers for each of {n} times")
+        for name, *shape in (("state", 6), ("covariance", 6, 6), ("knowledge", 6, 6)):
+            given = getattr(self, name)
+            if given is not None and not has_shape(given, n, *shape):
+                size = " by ".join(map(str, shape))
+                raise ValueError(f"nodes.{name} must hold {size} numbers for each of {n} times")
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ estimates of parameters are a linear function of these.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Annotated, Self
+from typing import Annotated, Any, Self
 
 import numpy as np
 from pydantic import Field
@@ -235,6 +235,13 @@ def transition(stm: Array, first: int, last: int) -> Array:
 Rows = list[list[Number]]
 
 
+def has_shape(lists: Any, *shape: int) -> bool:
+    """Whether nested lists are an array of a shape."""
+    if not shape:
+        return True
+    return len(lists) == shape[0] and all(has_shape(one, *shape[1:]) for one in lists)
+
+
 @dataclass(frozen=True)
 class CorrectedBurn:
     """One corrected burn: its nominal value and, for each cut-off so far, a gain times an estimate.
@@ -265,10 +272,9 @@ class CorrectedBurn:
         """Refuse arrays of other shapes."""
         size = max(6, len(self.estimate_covariance))
         for name, n in {"measurement": 6, "predicted": size, "estimate": size}.items():
-            rows = getattr(self, f"{name}_covariance")
-            if len(rows) != n or any(len(row) != n for row in rows):
+            if not has_shape(getattr(self, f"{name}_covariance"), n, n):
                 raise ValueError(f"{name}_covariance must hold {n} by {n} numbers")
-        if any(len(block) != 3 or any(len(row) != 6 for row in block) for block in self.gain):
+        if not has_shape(self.gain, len(self.gain), 3, 6):
             raise ValueError("gain must hold 3 by 6 numbers for each cut-off so far")
 
 

@@ -9,10 +9,9 @@ from hypothesis import strategies as st
 
 from scp_recon.bodies.surface import Ellipsoid, Mesh, direction_of
 from scp_recon.mission.constraints import companion_distance_m
-from scp_recon.monte_carlo.summary import Contingency, Interval, Summary
 from scp_recon.physics.frames import unit
 from scp_recon.reports.charts import BINS, terminator, thinned
-from scp_recon.reports.scene import Frame, companion_of, drifts, free_path, keep_sets
+from scp_recon.reports.scene import Frame, companion_of, drifts, keep_sets
 from scp_recon.reports.shown import LOOKS, SO_FAR, Camera, Shown
 from scp_recon.reports.surfaces import (
     FACETS_MAX,
@@ -24,7 +23,6 @@ from scp_recon.reports.surfaces import (
     shell,
     tube,
 )
-from scp_recon.results.verification import DriftSafety
 from tests.helpers import generators, random_unit
 from tests.scp_recon.bodies.test_surface import write_obj
 from tests.scp_recon.support import COMPANION, mission_of
@@ -90,29 +88,6 @@ def test_drifts_begin_at_their_burns_and_mark_their_nearest_point(solution):
         marked = np.linalg.norm([mark[axis][0] for axis in "xyz"])
         assert marked == pytest.approx(nearest, abs=0.2)
         assert f"{marked:.0f} m" in mark["name"]
-
-
-def test_way_home_after_missed_burn_is_drawn(solution):
-    """From the missed burn, by two burns of no size: along the free drift, to the last one."""
-    number, burn = next((number, burn) for number, burn in solution.executed if number > 1)
-    kept = Interval(value=1.0, low=0.9, high=1.0)
-    ends = (burn.t_s + 1000.0, burn.t_s + 5000.0)
-    still = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
-    home = Contingency(
-        status="converged", total_dv_m_s=0.0, burn_times_s=ends, burns_m_s=still, whole_flight=kept
-    )
-    drift = DriftSafety(number, 0.0, 86_400.0, 500.0, None, 1.0, 0.9, 1.0, 600.0, ends[0], 0.0)
-    flights = Summary.model_construct(drift=drift, then=home)
-    shown = replace(Shown("default", solution), missed=(flights,))
-    edge = np.full(3, 1e5)
-    paths = drifts(Frame(np.eye(3), -edge, edge, 1.0), shown)
-    free, way = (np.array([paths[k][axis] for axis in "xyz"]) for k in (0, 2))
-    assert paths[2]["name"] == f"way home if burn {number} is missed, 0.0 mm/s"
-    state = np.array(solution.nodes.state[list(solution.nodes.t_s).index(burn.t_s)])
-    state[3:] -= burn.dv_m_s
-    expected = free_path(shown.mission, state, burn.t_s, 5000.0)[-1, :3]
-    np.testing.assert_allclose(way[:, 0], free[:, 0], atol=0.1)
-    np.testing.assert_allclose(way[:, -1], expected, atol=0.1)
 
 
 def test_sun_is_on_the_horizon_at_the_terminator(shown):
@@ -213,30 +188,6 @@ def test_the_budget_is_that_of_the_executed_burns(shown):
     below = (shown.flown.executed_m_s.sum(axis=1) < budget.total_high_m_s).mean()
     assert below == pytest.approx(0.99, abs=1e-3)
     assert budget.total_high_m_s < budget.high_m_s.sum()
-
-
-@pytest.mark.slow
-def test_the_view_moves_through_the_nodes(page, shown):
-    motion = page.scene["motion"]
-    plan = motion["plans"][0]
-    axes = np.array(motion["rotation"]["axes"])
-    np.testing.assert_allclose(axes.T @ axes, np.eye(3), atol=1e-8)
-    states = np.array(shown.solution.nodes.state)[:, :3]
-    at = np.searchsorted(plan["t_s"], shown.nodes_s - 1e-3)
-    seen = np.array(plan["position"]).T[at]
-    np.testing.assert_allclose(
-        np.linalg.norm(seen, axis=1), np.linalg.norm(states, axis=1), atol=0.02
-    )
-    # The site that the page turns is the site of the mission, seen from the spacecraft.
-    t, r = 15_000.0, motion["rotation"]
-    w = r["meridian"] + r["rate"] * t + 0.5 * r["acceleration"] * t * t
-    turn = np.array([[np.cos(w), -np.sin(w), 0.0], [np.sin(w), np.cos(w), 0.0], [0.0, 0.0, 1.0]])
-    site = axes @ turn @ np.array(motion["site"])
-    craft = [np.interp(t, plan["t_s"], x) for x in plan["position"]]
-    mission = shown.mission
-    true = mission.rotation.body_to_j2000(t) @ mission.site.position_body
-    apart = np.linalg.norm(shown.positions(np.array([t]))[0] - true)
-    assert np.linalg.norm(craft - site) == pytest.approx(apart, abs=0.1)
 
 
 @given(generators, st.integers(2, 20_000))

@@ -221,21 +221,8 @@ def test_plans_that_do_not_fit_are_refused(verified):
             plans_of(plans)
 
 
-def test_flights_of_another_plan_are_skipped(plan_folder, shown, tmp_path):
-    assert shown.summary is not None
-    other = replace(shown.solution, burns=shown.solution.burns[::1])
-    other.write(tmp_path)
-    text = (plan_folder / "montecarlo.json").read_text("utf-8")
-    (tmp_path / "montecarlo.json").write_text(
-        text.replace(shown.solution.plan_hash, "0" * 64), "utf-8"
-    )
-    (found,) = plans_of([tmp_path])
-    assert found.summary is None
-    assert found.passed_over == (f"{tmp_path / 'montecarlo.json'}: flights of another plan",)
-
-
-def test_flights_that_miss_a_burn_are_shown(shown, tmp_path):
-    """With the way home where it was planned; a file of another plan is left out."""
+def test_flights_beside_plan_are_shown_or_named(shown, tmp_path):
+    """Those that miss a burn with the way home, where it was planned; not those of another plan."""
     shown.solution.write(tmp_path)
     drift = shown.solution.verification.drifts[1]
     kept = Interval(value=0.99, low=0.98, high=1.0)
@@ -244,15 +231,16 @@ def test_flights_that_miss_a_burn_are_shown(shown, tmp_path):
     )
     flown = shown.summary.model_copy(update={"drift": drift, "then": home})
     flown.write(tmp_path, "montecarlo_miss_2.json")
-    other = flown.model_copy(update={"plan_hash": "0" * 64})
-    other.write(tmp_path, "montecarlo_miss_3.json")
+    for summary, name in ((flown, "montecarlo_miss_3.json"), (shown.summary, "montecarlo.json")):
+        summary.model_copy(update={"plan_hash": "0" * 64}).write(tmp_path, name)
     (found,) = plans_of([tmp_path])
     assert found.missed == (flown,)
     assert found.summary is None
-    assert len(found.passed_over) == 1
+    names = ("montecarlo.json", "montecarlo_miss_3.json")
+    assert found.passed_over == tuple(f"{tmp_path / n}: flights of another plan" for n in names)
     (row,) = missed_burns_table(found.missed).rows
-    shown = ["burn 2 is missed", "converged", "60.000", "25000", "0.9900 (0.9800 to 1.0000)"]
-    assert [row[k].text for k in (0, 4, 5, 6, 7)] == shown
+    texts = ["burn 2 is missed", "converged", "60.000", "25000", "0.9900 (0.9800 to 1.0000)"]
+    assert [row[k].text for k in (0, 4, 5, 6, 7)] == texts
 
 
 def test_planned_drifts_are_rows_of_limits(shown):

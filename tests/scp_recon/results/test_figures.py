@@ -5,17 +5,16 @@
 
 import json
 import pickle
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from scp_recon.errors import InputError
 from scp_recon.results.figures import Figures
 from scp_recon.results.read import parse_solution, read_solution
-from scp_recon.results.solution import SCHEMA, Solution
+from scp_recon.results.solution import Solution
 from scp_recon.verification.reintegration import verify
 
 STORED = Path(__file__).parent / "stored"
@@ -67,15 +66,6 @@ def test_carried_figures_follow_from_the_facts(stored, tmp_path):
 @pytest.mark.usefixtures("few_flights")
 def test_verify_agrees_with_the_stored_verdict(stored, tmp_path):
     assert failures(stored, tmp_path) == stored["verification"]["failed"]
-
-
-@pytest.mark.parametrize("number", [1, 2, 3])
-def test_an_older_schema_is_refused_by_name(number, tmp_path):
-    schema = f"scp_recon.solution/{number}"
-    data = json.loads((STORED / "facets.json").read_text("utf-8")) | {"schema": schema}
-    with pytest.raises(InputError, match=f"got '{schema}'; schema must be '{SCHEMA}'") as caught:
-        read(data, tmp_path)
-    assert "\n" not in str(caught.value)
 
 
 @pytest.mark.usefixtures("few_flights")
@@ -144,3 +134,38 @@ def test_a_scenario_lists_its_own_names_alone(stored):
     for shown in (scenario, scenario.risk):
         assert {"replace", "p_chance"} & {*dir(shown)}
         assert not {*dir(shown)} & {"model_dump", "model_fields", "copy", "json"}
+
+
+def test_timing_adds_up(solution):
+    parts = asdict(solution.timing_s)
+    assert parts.pop("total") == pytest.approx(sum(parts.values()))
+    assert min(parts.values()) >= 0.0
+    solver = sum(i.solver_s for i in solution.iterations)
+    assert parts["conic_solver"] == pytest.approx(solver)
+
+
+def test_every_constraint_has_its_worst_margin(mission, solution):
+    named = {c.name: c for c in solution.constraints}
+    assert set(named) == {"dv_max", "dv_battery", *(c.name for c in mission.problem.constraints)}
+    assert all(c.worst_margin >= -2e-3 for c in named.values())  # a millimetre
+    in_window = [c for name, c in named.items() if not name.startswith(("dv_", "safety"))]
+    first, last = mission.schedule.window_s
+    assert all(first <= c.worst_t_s <= last for c in in_window)
+    facets = {"site_distance_max": 24, "emission_max": 4, "site_distance_min": 1}
+    assert {name: named[name].facets for name in facets} == facets
+    sizes = np.linalg.norm(solution.burns_m_s, axis=1)
+    assert named["dv_max"].unit == "m/s"
+    assert named["dv_max"].worst_margin == pytest.approx(0.2 - sizes.max())
+    assert named["dv_max"].worst_t_s == solution.burns[int(np.argmax(sizes))].t_s
+    kinds = {name: c.kind for name, c in named.items()}
+    assert kinds["emission_max"] == "keep_in"
+    assert kinds["safety_radius"] == kinds["phase_min"] == "keep_out"
+    assert kinds["dv_max"] == "burn"
+
+
+def test_the_primer_is_known_at_every_node(solution):
+    primer = solution.primer
+    assert primer.t_s == solution.nodes.t_s
+    assert np.all(np.array(primer.allowed) <= np.linalg.norm(primer.vector, axis=1) + 1e-12)
+    assert primer.residual < 1e-3
+    assert not any(primer.legal)  # four burns leave none of the default flight's gaps to a fifth

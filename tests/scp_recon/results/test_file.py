@@ -144,7 +144,7 @@ OTHER = [b"[]", b"5", b"null", b'"text"', b"{}", b'{"schema": 1}']
     ("content", "words"),
     [
         *((content, "JSON") for content in NO_JSON),
-        *((content, SCHEMA) for content in (*OTHER, b'{"schema": "scp_recon.solution/0"}')),
+        *((content, SCHEMA) for content in (*OTHER, b'{"schema": "scp_recon.solution/3"}')),
     ],
     ids=lambda given: str(given[:35]),
 )

@@ -75,6 +75,12 @@ def test_the_terminal_shows_texts_as_they_are(*, narrow):
     assert plain[1].split() == said[1 + narrow].split()
 
 
+def test_a_column_is_written_as_read():
+    assert Column.of("size (mm/s) +.3f") == Column("size", "m/s", "+.3f", shown_unit="mm/s")
+    assert Column.of("closest 99.7 % (m)") == Column("closest 99.7 %", "m")
+    assert Column.of("what happens") == Column("what happens")
+
+
 def test_large_figures_have_no_exponent():
     column = Column("radius", "m/s", ".3g", shown_unit="mm/s")
     assert [column.cell(value).text for value in (1.84567, 0.9996, 0.0123, -123.4)] == [
