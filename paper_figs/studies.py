@@ -258,11 +258,10 @@ def policies(tables: list[Table]) -> Figure:
 
 
 def _bars(axes: Axes, x: Any, rows: Table, name: str, look: dict[str, str]) -> None:
-    """Draw a figure with its intervals."""
-    y = rows[name]
-    ends = (y - rows[f"{name}_low"], rows[f"{name}_high"] - y)
+    """Draw a figure, with its intervals where they are known."""
+    y, low, high = rows[name], rows.get(f"{name}_low"), rows.get(f"{name}_high")
     style: Look = {"ms": 3, "lw": 1.0, "capsize": 2, **look}
-    axes.errorbar(x, y, ends, **style)
+    axes.errorbar(x, y, None if low is None else (y - low, high - y), **style)
 
 
 def map_sample(tables: list[Table]) -> Figure:
