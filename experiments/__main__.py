@@ -16,14 +16,11 @@ from collections.abc import Sequence
 
 from rich.console import Console
 
-from experiments.evidence import SOURCES
+from experiments.evidence import STUDIES
 from experiments.harness import run, study_of
 from scp_recon.cli.command import run_command, show_line
 from scp_recon.errors import one_of
 
-COMMANDS = [source.command.split() for source in SOURCES.values()]
-STUDIES = [*dict.fromkeys(words[1] for words in COMMANDS if words[0] == "experiments")]
-"""Names of the studies, those of which a page shows something."""
 RENEW = "evidence"
 
 

@@ -83,6 +83,19 @@ SOURCES: Mapping[str, Source] = {
 """By name of the evidence."""
 
 
+MODULES = {
+    "plans": "plans gallery",
+    "costs": "frontier feedback policies",
+    "flown": "flown_plan flown_policies",
+    "left_out": "model_fidelity battery_cones uncertainty_sources",
+    "other_tools": "cross_check peers",
+    "solvers.optima": "optima sensitivity",
+    "solvers.compare_solvers": "compare_solvers",
+} | {name: name for name in ("knowledge", "maps", "missed_burns", "observation_table", "testing")}
+STUDIES = {study: name for name, studies in MODULES.items() for study in studies.split()}
+"""The module of each study, by the study's name."""
+
+
 class Evidence(File):
     """A file of evidence.
 

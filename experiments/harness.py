@@ -1,6 +1,6 @@
 """Run a study: options, finished work, progress and tables.
 
-A study is a module with a `STUDY`, which `python -m experiments NAME` runs. Its `run` gets a
+A study is in the `STUDIES` of a module; `python -m experiments NAME` runs it. Its `run` gets a
 `Session` and returns tables, which go to OUT as CSV. All tables of at most `ROWS_MAX` rows go into a
 file of evidence as well, from which the pages' tables are rendered.
 """
@@ -28,7 +28,7 @@ import pandas as pd
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from experiments.evidence import FILE, Evidence
+from experiments.evidence import FILE, STUDIES, Evidence
 from scp_recon.api.verbs import plan
 from scp_recon.cli.command import (
     Answer,
@@ -198,12 +198,9 @@ def fly_plan(found: Plan, samples: int, seed: int) -> FlightTally:
 
 
 def study_of(name: str) -> Study:
-    """The study of a name, in whichever folder."""
-    root = Path(__file__).parents[1]
-    (found,) = (root / "experiments").rglob(f"{name}.py")
-    words = found.relative_to(root).with_suffix("").parts
-    study: Study = importlib.import_module(".".join(words)).STUDY
-    return study
+    """The study of a name."""
+    studies: Mapping[str, Study] = importlib.import_module(f"experiments.{STUDIES[name]}").STUDIES
+    return studies[name]
 
 
 def run(prog: str, study: Study, arguments: Sequence[str]) -> int:

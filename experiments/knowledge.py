@@ -15,8 +15,8 @@ from collections.abc import Mapping, Sequence
 from functools import cache
 from typing import Any, NamedTuple
 
+from experiments.costs import LEAD_S
 from experiments.harness import Record, Session, Study, Tables, fly_plan
-from experiments.in_flight.feedback import LEAD_S
 from experiments.missed_burns import fixed
 from experiments.plans import FLIGHT, measured
 from scp_recon.api.verbs import plan
@@ -188,4 +188,4 @@ def run(session: Session) -> Tables:
     return {"parameters": alone, "plans": together}
 
 
-STUDY = Study(__doc__, run)
+STUDIES = {"knowledge": Study(__doc__, run)}

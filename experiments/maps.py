@@ -44,7 +44,7 @@ from scp_recon.scenario.schema import Scenario
 from scp_recon.scp.status import Status
 
 Case: TypeAlias = Mapping[str, Any]
-STUDIES = ROOT / "examples" / "studies"
+CAMPAIGNS = ROOT / "examples" / "studies"
 LATITUDE = "site.latitude_deg"
 BANDS = {"above 70 N": 70.0, "30 to 70 N": 30.0, "0 to 30 N": 0.0, "0 to 40 S": -40.0}
 BANDS |= {"40 to 70 S": -70.0, "beyond 70 S": -90.0}
@@ -104,7 +104,7 @@ ASKED = {"risk.allocation": "exact", "risk.scope": "flight", "risk.p_chance": 0.
 @cache
 def sites() -> Study:
     """The campaign of the map."""
-    return read_study(STUDIES / "reconnaissance_map.toml")
+    return read_study(CAMPAIGNS / "reconnaissance_map.toml")
 
 
 def sampled(number: int) -> Record:
@@ -171,7 +171,7 @@ def run(session: Session) -> Tables:
     tables: dict[str, list[Record]] = {"campaigns": []}
     for name, summed in SUMMED.items():
         session.say(f"{name}:")
-        cases = campaign(STUDIES / f"{name}.toml", session.out / name).table
+        cases = campaign(CAMPAIGNS / f"{name}.toml", session.out / name).table
         row, solved = {"campaign": name, **summary(cases)}, feasible(cases)
         for words, own in (("feasible", cases[solved]), ("other", cases[~solved])):
             row[f"processor_s_{words}"] = own.cpu_s.quantile(0.5, "higher")
@@ -186,4 +186,4 @@ def run(session: Session) -> Tables:
 
 
 SAMPLED = {"action": "store_true", "help": "a sample of the map's sites, with feedback"}
-STUDY = Harnessed(__doc__, run, {"--sample": SAMPLED})
+STUDIES = {"maps": Harnessed(__doc__, run, {"--sample": SAMPLED})}

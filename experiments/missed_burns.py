@@ -20,9 +20,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from experiments.frontier import TANGENT
 from experiments.harness import Record, Session, Study, Tables
-from experiments.plans import FLIGHT
+from experiments.plans import FLIGHT, TANGENT
 from scp_recon.advice.infeasibility import diagnose
 from scp_recon.api.inputs import PlanRequest
 from scp_recon.api.options import PlanOptions
@@ -219,4 +218,4 @@ def ended(key: Key, failure: Failure) -> Record:
     return {"case": case, "drifts": drifts, "status": f"not within {LIMIT_S:.0f} s"}
 
 
-STUDY = Study(__doc__, run, version=2)
+STUDIES = {"missed_burns": Study(__doc__, run, version=2)}

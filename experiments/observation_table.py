@@ -16,8 +16,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from experiments.frontier import TANGENT
 from experiments.harness import Record, Session, Study, Tables, default_mission
+from experiments.plans import TANGENT
 from formulations.problem.flyby import Iterate
 from scp_recon.api.options import PlanOptions
 from scp_recon.api.planning import plan_mission
@@ -245,4 +245,4 @@ def run(session: Session) -> Tables:
     return {"observation_table": session.rows("rows", partial(run_row, session.out), ROWS)}
 
 
-STUDY = Study(__doc__, run, folder="paper")
+STUDIES = {"observation_table": Study(__doc__, run, folder="paper")}

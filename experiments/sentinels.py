@@ -18,32 +18,20 @@ from typing import Any, NamedTuple
 import pandas as pd
 
 from experiments import (
-    frontier,
-    gallery,
+    costs,
+    flown,
     knowledge,
+    left_out,
     maps,
     missed_burns,
     observation_table,
+    other_tools,
     plans,
 )
 from experiments.evidence import Evidence, Records, path_of
 from experiments.harness import Record, default_mission, default_plan
-from experiments.in_flight import feedback, policies
-from experiments.other_tools import cross_check, peers
-from experiments.solvers import compare_solvers, optima, sensitivity
-from experiments.solvers.cases import (
-    REFERENCE,
-    SHOOTING,
-    TUNED,
-    Cell,
-    exact_design,
-)
-from experiments.spacecraft import (
-    battery_cones,
-    flown_plan,
-    model_fidelity,
-    uncertainty_sources,
-)
+from experiments.solvers import compare_solvers, optima
+from experiments.solvers.cases import REFERENCE, SHOOTING, TUNED, Cell, exact_design
 from scp_recon.api.campaigns import work_of
 from scp_recon.api.plan_verbs import simulate
 from scp_recon.campaigns.study import read_study
@@ -135,7 +123,7 @@ def in_folder(work: Callable[[Path, Any], Any], case: Any) -> Any:
 
 def sizes_row(of: str) -> Record:
     """The summary of the cases of some sizes."""
-    study = read_study(maps.STUDIES / "sizes.toml")
+    study = read_study(maps.CAMPAIGNS / "sizes.toml")
     cases = [case for case in study.cases if maps.size(dict(case.changes)) == of]
     rows = [{**case.changes, **work_of(study)(case).values} for case in cases]
     return {"of": of} | maps.summary(pd.DataFrame(rows))
@@ -149,7 +137,7 @@ def method_row(cell: Cell) -> Record:
 
 def fidelity_rows(_: None) -> list[Record]:
     """The ballistic arc by models that matter."""
-    rows = model_fidelity.compare("ballistic arc", ballistic_arc(default_mission()))
+    rows = left_out.compare_models("ballistic arc", ballistic_arc(default_mission()))
     return [row for row in rows if row["terminal_m"] > 0.1]
 
 
@@ -163,9 +151,9 @@ OWN = (
     Sentinel("plans", "plan", plans.measure, ["certified 0.9"]),
     Sentinel("plans", "plan", plans.measure, ["default"], FACETS),
     Sentinel("designs", "design", plans.measure_design, ["whole flights 0.9"], 2e-5),
-    Sentinel("gallery", "body", partial(in_folder, gallery.measure), ["didymos"], 4e-3),
-    Sentinel("frontier", "kind, asked", frontier.measure, [("exact, whole flights", 0.7)]),
-    Sentinel("frontier", "kind, asked", frontier.measure, [("uniform, tangent spheres", 0.9)],
+    Sentinel("gallery", "body", partial(in_folder, plans.measure_pass), ["didymos"], 4e-3),
+    Sentinel("frontier", "kind, asked", costs.plan_kind, [("exact, whole flights", 0.7)]),
+    Sentinel("frontier", "kind, asked", costs.plan_kind, [("uniform, tangent spheres", 0.9)],
         FACETS),
     Sentinel("knowledge.parameters", "case, parameter", knowledge.measure,
         [("Bennu on approach", knowledge.PHASE)]),
@@ -174,32 +162,32 @@ OWN = (
     Sentinel("missed_burns.costs", "case, drifts", missed_burns.measure,
         [("nightingale", "missed")]),
     Sentinel("feedback.feedback_errors", "scope, scale, asked",
-        lambda at: feedback.over_errors(at)["rows"],
-        [("flight", 0.9, feedback.ERRORS[:3])]),
-    Sentinel("policies", "policy, asked, scale", policies.measure,
-        [policies.Case("open", 0.7), policies.Case("feedback", 0.7)], 1e-5),
+        lambda at: costs.over_errors(at)["rows"],
+        [("flight", 0.9, costs.ERRORS[:3])]),
+    Sentinel("policies", "policy, asked, scale", costs.fly_policy,
+        [costs.Case("open", 0.7), costs.Case("feedback", 0.7)], 1e-5),
     Sentinel("compare_solvers.methods", "problem, start, method", method_row,
         [Cell("matrix", "recon_b", (), method, "cold") for method in (REFERENCE, TUNED, SHOOTING)],
         2e-5),
     Sentinel("compare_solvers.exact", "scenario, method", compare_solvers.solve,
         [exact_design(range(seed, seed + 1))[0] for seed in (0, 3)]),
-    Sentinel("optima", "kind, seeds, seed", optima.measure, [("uniform", "tuned", 17)], FACETS),
-    Sentinel("peers.methods", "method", peers.measure, ["scvx"], 1e-5),
+    Sentinel("optima", "kind, seeds, seed", optima.plan_drawn, [("uniform", "tuned", 17)], FACETS),
+    Sentinel("peers.methods", "method", other_tools.solve, ["scvx"], 1e-5),
     Sentinel("cross_check", "tool, forces",
-        lambda _: cross_check.compare(default_plan()), [None]),
-    Sentinel("sensitivity", "problem, algorithm, factor, multiple", sensitivity.measure,
+        lambda _: other_tools.compare(default_plan()), [None]),
+    Sentinel("sensitivity", "problem, algorithm, factor, multiple", optima.plan_varied,
         [("nightingale", "scvx", *DEFAULT), ("replan", "scvx", *DEFAULT)]),
-    Sentinel("sensitivity", "problem, algorithm, factor, multiple", sensitivity.measure,
+    Sentinel("sensitivity", "problem, algorithm, factor, multiple", optima.plan_varied,
         [("recon_b", "scvx", *DEFAULT)], FACETS),
     Sentinel("observation_table", "row", partial(in_folder, observation_table.run_row), ["scp_cold"],
         FACETS),
     Sentinel("observation_table", "row", partial(in_folder, observation_table.run_row), ["p3"]),
     Sentinel("model_fidelity", "flight, effect, model", fidelity_rows, [None], 1e-4),
-    Sentinel("battery_cones", "mode, calibrated", battery_cones.find_cones, [0]),
+    Sentinel("battery_cones", "mode, calibrated", left_out.find_cones, [0]),
     Sentinel("uncertainty_sources", "source",
-        lambda _: uncertainty_sources.measure_paths(default_plan(), load_vehicle()), [None], 1e-5),
+        lambda _: left_out.measure_paths(default_plan(), load_vehicle()), [None], 1e-5),
     Sentinel("flown_plan", "seed",
-        lambda seed: flown_plan.row(simulate(default_plan(), seed=seed)), [0]),
+        lambda seed: flown.row(simulate(default_plan(), seed=seed)), [0]),
     Sentinel("maps.sizes", "of", sizes_row, ["0.05 500"]),
     Sentinel("map_sample.sample", "site.name",
         lambda place: maps.sampled(maps.drawn_numbers()[place]), [9, 10]),

@@ -122,4 +122,4 @@ def run(session: Session) -> Tables:
 
 
 WHAT = {"choices": tuple(KINDS), "metavar": "WHAT", "help": f"one of {', '.join(KINDS)}"}
-STUDY = Study(__doc__, run, {"what": WHAT})
+STUDIES = {"testing": Study(__doc__, run, {"what": WHAT})}

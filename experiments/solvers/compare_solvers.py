@@ -321,4 +321,4 @@ def run(session: Session) -> Tables:
     return {**tables_of(rows), "comparison": rows}
 
 
-STUDY = Study(__doc__, run, folder="comparison")
+STUDIES = {"compare_solvers": Study(__doc__, run, folder="comparison")}

@@ -5,8 +5,8 @@ import sys
 import numpy as np
 import pytest
 
+from experiments import other_tools
 from experiments.__main__ import main
-from experiments.other_tools import cross_check
 from tests.helpers import nightly
 
 
@@ -20,13 +20,13 @@ def test_without_orekit_it_says_what_is_missing(monkeypatch, capsys, tmp_path):
 def test_the_planners_flight_meets_every_node(mission, solution):
     """What other tools are held against is the plan."""
     burns, times = solution.burns_m_s, np.array(mission.scenario.burns.times_s)
-    flight = cross_check.Flight(mission, mission.initial_state, times, burns)
-    states = flight.by(cross_check.planners(mission, cross_check.PLANNED))
+    flight = other_tools.Flight(mission, mission.initial_state, times, burns)
+    states = flight.by(other_tools.planners(mission, other_tools.PLANNED))
     assert np.abs(states - solution.nodes.state)[:-1, :3].max() < 1e-2
 
 
 def test_leap_seconds_have_the_columns_of_usno():
-    lines = list(cross_check._leap_seconds())
+    lines = list(other_tools._leap_seconds())
     assert lines[0].startswith(" 1972 JAN  1 =JD 2441317.5  TAI-UTC=  10.0 ")
     assert lines[-1].startswith(" 2017 JAN  1 =JD 2457754.5  TAI-UTC=  37.0 ")
 
@@ -35,4 +35,4 @@ def test_leap_seconds_have_the_columns_of_usno():
 @pytest.mark.slow
 def test_orekit_flies_the_plan_where_the_planner_does(solution):
     pytest.importorskip("orekit_jpype", reason="needs the extra [crosscheck]")
-    assert all(row["same"] for row in cross_check.compare(solution))
+    assert all(row["same"] for row in other_tools.compare(solution))

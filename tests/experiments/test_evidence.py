@@ -10,8 +10,8 @@ import pytest
 from experiments import evidence, harness, pages, renewal
 from experiments.__main__ import main
 from experiments.evidence import FOLDER, SOURCES, Evidence, path_of
+from experiments.left_out import find_cones
 from experiments.sentinels import WITHIN, near, sentinels_of
-from experiments.spacecraft.battery_cones import find_cones
 from scp_recon.mission.scene import forces_of
 from scp_recon.physics.forces import ForceModel
 from tests.helpers import nightly

@@ -1,17 +1,16 @@
 """The shell of the studies: options, finished work, what is written; tests counted."""
 
-import inspect
 import json
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from experiments import frontier, testing
-from experiments.__main__ import STUDIES, main
-from experiments.evidence import FILE, ROOT, Evidence
+from experiments import harness, other_tools, testing
+from experiments.__main__ import main
+from experiments.evidence import FILE, MODULES, ROOT, SOURCES, STUDIES, Evidence
 from experiments.harness import Record, Session, Study, Tables, run, study_of, write
-from experiments.other_tools import cross_check
 from tests import reliability
 
 
@@ -49,14 +48,14 @@ def test_cells_are_written_as_they_are(tmp_path):
     assert (tmp_path / "rows.csv").read_text() == "n,ok,off,x\n3,True,inf,\n,,,0.1\n"
 
 
-PACKAGE = Path(frontier.__file__).parent
-
-
 def test_every_study_is_listed(capsys):
-    having = {path for path in PACKAGE.rglob("*.py") if "\nSTUDY = " in path.read_text("utf-8")}
-    runs = {study_of(name).run for name in STUDIES}
-    assert len(runs) == len(STUDIES)
-    assert {Path(inspect.getfile(run)) for run in runs} == having
+    package = Path(harness.__file__).parent
+    texts = {path: path.read_text("utf-8") for path in package.rglob("*.py")}
+    having = {path for path, text in texts.items() if re.search(r'^STUDIES = {\s*"', text, re.M)}
+    assert {package.joinpath(*name.split(".")).with_suffix(".py") for name in MODULES} == having
+    assert all(study_of(name).about for name in STUDIES)
+    commands = [source.command.split() for source in SOURCES.values()]
+    assert {words[1] for words in commands if words[0] == "experiments"} == set(STUDIES)
     assert main([]) == 0
     said = capsys.readouterr().out
     assert all(f"  {name} " in said for name in STUDIES)
@@ -66,7 +65,8 @@ def test_every_study_is_listed(capsys):
 
 def test_a_study_is_one_document_or_silent(tmp_path, capsys, monkeypatch):
     words = ["cross_check", "--out", str(tmp_path)]
-    monkeypatch.setattr(cross_check, "STUDY", Study("", lambda _: {"rows": [{"x": 1}]}))
+    study = Study("", lambda _: {"rows": [{"x": 1}]})
+    monkeypatch.setitem(other_tools.STUDIES, "cross_check", study)
     assert main([*words, "--json"]) == 0
     said = capsys.readouterr()
     document = json.loads(said.out)
@@ -79,7 +79,7 @@ def test_a_study_is_one_document_or_silent(tmp_path, capsys, monkeypatch):
 
 def evidence_of(what: str, out: Path) -> dict[str, dict[str, object]]:
     words = [what, "--out", str(out), "--quiet"]
-    assert run("python -m experiments testing", testing.STUDY, words) == 0
+    assert run("python -m experiments testing", testing.STUDIES["testing"], words) == 0
     rows = Evidence.read(out / FILE).tables[what]
     return {str(next(iter(row.values()))): dict(row) for row in rows}
 

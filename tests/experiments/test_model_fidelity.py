@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from experiments.spacecraft.model_fidelity import (
+from experiments.left_out import (
     BURNS,
     GRAVITY,
     PLANNER,

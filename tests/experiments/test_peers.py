@@ -2,13 +2,13 @@
 
 import pytest
 
-from experiments.other_tools import peers
+from experiments.other_tools import Halo
 
 pytestmark = pytest.mark.slow
 
 
 def test_another_integrator_flies_the_burns():
-    halo = peers.Halo()
+    halo = Halo()
     row = halo.row("scvx")
     assert row["status"] == "converged"
     assert float(row["cost"]) == pytest.approx(0.1945583, abs=2e-7)

@@ -8,8 +8,8 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from experiments import frontier, maps, plans
-from experiments.frontier import NOT_CERTIFIED, record
+from experiments import costs, maps, plans
+from experiments.costs import NOT_CERTIFIED, record
 from experiments.harness import fly_plan
 from scp_recon.api.verbs import plan
 from scp_recon.planning.records import Certificate
@@ -21,7 +21,7 @@ pytestmark = pytest.mark.slow
 
 def test_measured_frontiers_are_monotone():
     """A plan for a higher probability costs no less, and exists only where lower ones have plans."""
-    root = Path(frontier.__file__).parents[1]
+    root = Path(costs.__file__).parents[1]
     file = json.loads((root / "docs" / "evidence" / "frontier.json").read_text())
     for row in pd.DataFrame(file["tables"]["costs"]).set_index("delta_v_m_s_for").to_numpy():
         solved = [cost for cost in row if not isinstance(cost, str)]

@@ -7,11 +7,9 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
+from experiments import flown
 from experiments.__main__ import main
-from experiments.in_flight import flown_policies
-from experiments.spacecraft import flown_plan
-from experiments.spacecraft.battery_cones import SAMPLES, find_cones
-from experiments.spacecraft.uncertainty_sources import dispersion
+from experiments.left_out import SAMPLES, dispersion, find_cones
 from scp_recon.errors import InputError
 from scp_recon.simulation.panels import SolarArray, irradiance
 from scp_recon.simulation.record import Record, read_record
@@ -86,9 +84,9 @@ def test_a_short_flight_is_tabulated_and_judged(tmp_path, monkeypatch):
     """By the study of plans, and by policies beside one whose commands the thruster cannot give."""
     mission = mission_of(*SHORT)
     solution = short_plan(mission)
-    monkeypatch.setattr(flown_plan, "default_plan", lambda: solution)
-    monkeypatch.setattr(flown_plan, "SAMPLES", 500)
-    monkeypatch.setattr(flown_plan, "SEEDS", 1)
+    monkeypatch.setattr(flown, "default_plan", lambda: solution)
+    monkeypatch.setattr(flown, "SAMPLES", 500)
+    monkeypatch.setattr(flown, "SEEDS", 1)
     assert main(["flown_plan", "--out", str(tmp_path)]) == 0
     with (tmp_path / "flown_plan.csv").open(encoding="utf-8", newline="") as file:
         (row,) = csv.DictReader(file)
@@ -102,14 +100,14 @@ def test_a_short_flight_is_tabulated_and_judged(tmp_path, monkeypatch):
             raise InputError("vehicle", "a burn", "must end before the mode does")
         return record
 
-    monkeypatch.setattr(flown_policies, "simulate", simulate)
+    monkeypatch.setattr(flown, "simulate", simulate)
     first, last = mission.schedule.window_s
-    rows = [flown_policies.fly_policy(solution, ("open", seed)) for seed in (0, 1)]
+    rows = [flown.fly_policy(solution, ("open", seed)) for seed in (0, 1)]
     assert rows[0]["window_s"] == last - first
     assert 0.0 <= rows[0]["observed_s"] <= last - first + 1e-6
     assert rows[0]["whole"] <= (rows[0]["observed_s"] > last - first - 1e-3)
     assert rows[0]["commanded_m_s"] == pytest.approx(solution.total_dv_m_s)
     assert "must end before" in rows[1]["shortfalls"]
-    (summed,) = flown_policies.by_policy(rows)
+    (summed,) = flown.by_policy(rows)
     assert (summed["flights"], summed["observed_mean_s"]) == (2, rows[0]["observed_s"])
     assert summed["as_required"] == (not rows[0]["shortfalls"])

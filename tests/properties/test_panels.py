@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from experiments.spacecraft.model_fidelity import light_force
+from experiments.left_out import light_force
 from formulations.arrays import Array
 from scp_recon.simulation.panels import SolarArray, align
 from tests.helpers import generators, random_unit

@@ -2,7 +2,7 @@
 
 import pytest
 
-from experiments.solvers.sensitivity import FACTORS, by_value, measure
+from experiments.solvers.optima import FACTORS, by_value, plan_varied
 
 pytestmark = pytest.mark.slow
 
@@ -12,12 +12,12 @@ CHEAP = "replan"
 @pytest.fixture(scope="module")
 def usual() -> dict[str, object]:
     """The row of the default plan."""
-    return measure((CHEAP, "scvx", "penalty weight", 1.0))
+    return plan_varied((CHEAP, "scvx", "penalty weight", 1.0))
 
 
 @pytest.mark.parametrize("name", FACTORS)
 def test_every_factor_reaches_the_loop(name, usual):
-    row = measure((CHEAP, "scvx", name, 0.01))
+    row = plan_varied((CHEAP, "scvx", name, 0.01))
     assert row["iterations_p3"] > usual["iterations_p3"]
     assert row["total_dv_m_s"] == pytest.approx(usual["total_dv_m_s"], rel=1e-4)
     (line,) = by_value([usual | {"status": "max_iterations"}])

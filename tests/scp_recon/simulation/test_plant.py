@@ -13,7 +13,7 @@ pytest.importorskip("Basilisk", reason="needs the extra [sim]")
 
 from Basilisk.utilities import SimulationBaseClass, macros
 
-from experiments.spacecraft.model_fidelity import light_force, plates_of
+from experiments.left_out import light_force, plates_of
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.schedule import Leg, Mode
 from scp_recon.physics.flow import propagate

@@ -1,32 +1,36 @@
-"""Fly the default plan with Orekit's forces and integrator; needs the extra [crosscheck].
-
-Orekit reads the exported OPM and OEM with its own parsers. It flies the OPM's state and burns with
-its own forces, and with the numbers and axes of the scenario. Each flight is compared with the
-planner's equations, integrated by SciPy's DOP853. A row for each set of forces has the largest distance
-at the grid's nodes.
-"""
+"""Studies that fly or solve by other tools: Orekit, scocp."""
 
 from __future__ import annotations
 
+import contextlib
+import importlib
+import io
 import os
+import runpy
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from time import process_time
 from typing import Any
 
 import numpy as np
 from scipy.integrate import solve_ivp
 
+from experiments.evidence import ROOT
 from experiments.harness import Record, Session, Study, Tables, default_plan
 from formulations.arrays import Array
 from scp_recon.api.plan_verbs import export
 from scp_recon.errors import needing
+from scp_recon.impulsive.problem import ImpulsiveProblem
 from scp_recon.mission.mission import Mission
 from scp_recon.physics.forces import acceleration
 from scp_recon.results.solution import Solution
 from scp_recon.scenario.time_scales import FIRST_TAI_MINUS_UTC_S, LEAPS
+from scp_recon.scp.algorithms import ALGORITHMS
+
+# --- Orekit ---------------------------------------------------------------------------------------
 
 TOLERANCE = 1e-13
 ROUNDED_S = 1e-6
@@ -241,10 +245,111 @@ def compare(solution: Solution) -> list[Record]:
     return rows
 
 
-def run(session: Session) -> Tables:
-    """Fly the plan by Orekit."""
+def cross_check(session: Session) -> Tables:
+    """Fly the default plan with Orekit's forces and integrator; needs the extra [crosscheck].
+
+    Orekit reads the exported OPM and OEM with its own parsers. It flies the OPM's state and burns
+    with its own forces, and with the numbers and axes of the scenario. Each flight is compared with
+    the planner's equations, integrated by SciPy's DOP853. A row for each set of forces has the
+    largest distance at the grid's nodes.
+    """
     session.say("Orekit's virtual machine takes some seconds to start")
     return {"cross_check": compare(default_plan())}
 
 
-STUDY = Study(__doc__, run)
+# --- scocp ----------------------------------------------------------------------------------------
+
+EXAMPLE = ROOT / "examples" / "halo_transfer.py"
+PEERS_TOLERANCE = 1e-9
+SCOCP = "scocp"
+
+
+class Halo:
+    """The problem of the example."""
+
+    def __init__(self) -> None:
+        with contextlib.redirect_stdout(io.StringIO()):
+            names = runpy.run_path(str(EXAMPLE))
+        self.problem: ImpulsiveProblem = names["problem"]
+        self.acceleration, self.mu = names["acceleration"], float(names["MU"])
+        self.guess, self.nodes = names["guess"], names["nodes"]
+        self.times = names["times"][self.nodes]
+        self.ends = np.array(names["START"]), np.array(names["GOAL"])
+
+    def missed(self, burns: Array) -> float:
+        """By how much burns miss the final state, the largest component."""
+        if not np.isfinite(burns).all():
+            return np.inf
+        state = self.ends[0].copy()
+        for k, burn in enumerate(burns):
+            state[3:] += burn
+            if k + 1 < len(burns):
+                span = self.times[k], self.times[k + 1]
+                flown = solve_ivp(self._rate, span, state, method="DOP853", rtol=1e-13, atol=1e-13)
+                state = flown.y[:, -1].copy()
+        return float(np.abs(state - self.ends[1]).max())
+
+    def _rate(self, t: float, state: Array) -> Array:
+        return np.array([*state[3:], *self.acceleration(state[:3], state[3:], t, [self.mu])])
+
+    def row(self, method: str) -> Record:
+        """Solve by an algorithm of the planner or by scocp: a row."""
+        begin = process_time()
+        if method == SCOCP:
+            burns, status, iterations = self._scocp()
+        else:
+            plan = self.problem.solve(self.guess, algorithm=method)
+            burns, status, iterations = plan.burns, plan.status.value.name, plan.iterations
+        return {
+            "method": method,
+            "status": status.replace("_", " "),
+            "cost": f"{np.linalg.norm(burns, axis=1).sum():.7f}",
+            "missed": self.missed(burns),
+            "iterations": iterations,
+            "solve_s": process_time() - begin,
+        }
+
+    def _scocp(self) -> tuple[Array, str, int]:
+        """Burns, status and iterations of scocp, with its test's tolerances and limit of iterations."""
+        import scocp
+
+        n, within = (
+            len(self.nodes),
+            {"method": "DOP853", "reltol": PEERS_TOLERANCE, "abstol": PEERS_TOLERANCE},
+        )
+        rates = scocp.rhs_cr3bp, scocp.rhs_cr3bp_stm
+        flow = scocp.ScipyIntegrator(6, 3, *rates, args=(self.mu,), **within)
+        posed = scocp.FixedTimeImpulsiveRdv(*self.ends, flow, self.times)
+        algorithm = scocp.SCvxStar(posed, tol_opt=1e-4, tol_feas=1e-10)
+        start = self.guess[self.nodes].copy(), np.zeros((n, 3)), np.zeros((n, 1))
+        found = algorithm.solve(*start, maxiter=100, verbose=False)
+        told = found.summary_dict
+        burns = np.full((n, 3), np.nan) if found.u is None else found.u
+        status = {"Optimal": "converged"}.get(told["status"], told["status"])
+        return burns, status, told["num_iter"]
+
+
+def solve(method: str) -> Record:
+    """The row of a method."""
+    return Halo().row(method)
+
+
+def peers(session: Session) -> Tables:
+    """Solve a halo transfer with the planner and with scocp; needs the extra [peers].
+
+    The halo transfer of `examples` is the own test of scocp (SCvx*, by CVXPY and Clarabel). Both
+    tools integrate an arc between burns to 1e-9: the planner by the classical Runge-Kutta scheme in
+    40 steps, which errs by at most 7e-10 along the optimum; scocp adaptively with that tolerance.
+    Burns are then flown by DOP853 to 1e-13. OUT/methods.csv has a row for each method. Seconds are
+    of the processor, libraries imported.
+    """
+    with needing("peers", "peers"):
+        importlib.import_module(SCOCP)
+    rows = session.rows("solves", solve, [*ALGORITHMS, SCOCP])
+    return {"methods": rows}
+
+
+STUDIES = {
+    "cross_check": Study(cross_check.__doc__, cross_check),
+    "peers": Study(peers.__doc__, peers),
+}

@@ -1,1 +1,0 @@
-"""Studies of feedback in flight: gains, replanning, and sites that need feedback."""

@@ -1,1 +1,0 @@
-"""Studies that fly or solve by other tools: Orekit, scocp."""

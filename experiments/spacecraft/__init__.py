@@ -1,1 +1,0 @@
-"""Studies that fly plans with the simulated spacecraft."""
