@@ -5,7 +5,7 @@ Uncertainty only adds constraints: where P3 is expensive, so is P2.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -50,7 +50,8 @@ def scan(space: Space, observe: Callable[[PassResult], object]) -> list[PassResu
     One pair, as between given states, is planned from several guesses.
     """
     coarse = space.coarser(COARSER)
-    pairs = list(_to_and_fro(*map(phases, space.phase_spans)))
+    rows, columns = (phases(span).tolist() for span in space.phase_spans)
+    pairs = [(row, one) for k, row in enumerate(rows) for one in columns[:: -1 if k % 2 else 1]]
     if len(pairs) == 1:
         return _optima(space, Pass(pairs[0], space.times_s), observe)
     planner: Planner[Mission] | None = None
@@ -90,11 +91,6 @@ def ahead(mission: Mission) -> Iterate:
     first, last = mission.initial_state, mission.final_state[:3]
     shorter = np.cross(first[:3], first[3:]) @ np.cross(first[:3], last) >= 0.0
     return circular(mission, 1.0 if shorter else -1.0)
-
-
-def _to_and_fro(rows: Array, columns: Array) -> Iterator[tuple[float, float]]:
-    for number, row in enumerate(rows.tolist()):
-        yield from ((row, column) for column in columns.tolist()[:: -1 if number % 2 else 1])
 
 
 def starts(cells: Sequence[PassResult], most: int) -> list[PassResult]:

@@ -139,9 +139,10 @@ class Timing:
         another if its relative gain is worth it, or that of the round before was, and if the pass is
         not dearer than a rival by more than that.
         """
-        failed = 0
-        rough = effort.resolution
-        best = last = self.plan(self._with_room(at), burns_m_s, resolution=rough)
+        failed, rough = 0, effort.resolution
+        legal = self.space.nearest_legal(at.times_s, ROOM_S)  # which may be rounded
+        at = at if legal is None else Pass(at.phases, legal)
+        best = last = self.plan(at, burns_m_s, resolution=rough)
         observe(best)
         for _ in range(effort.rounds):
             freed = self.freed(last, effort.iterations, rough)
@@ -155,11 +156,6 @@ class Timing:
             if failed > PATIENCE or best.dv_m_s > (1.0 + effort.worth) * rival_m_s:
                 break
         return best
-
-    def _with_room(self, at: Pass) -> Pass:
-        """The nearest times that may be rounded, if there are any."""
-        legal = self.space.nearest_legal(at.times_s, ROOM_S)
-        return at if legal is None else Pass(at.phases, legal)
 
     def plan(
         self, at: Pass, burns_m_s: Array, *, again: bool = False, resolution: float = 0.0
