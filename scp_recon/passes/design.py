@@ -331,7 +331,7 @@ def cheapest(tries: Iterable[PassResult]) -> PassResult:
 
 def violation(result: PassResult) -> float:
     """Largest violation of a pass's plan."""
-    return result.stage.merit.worst_violation(result.stage.result.lin)
+    return result.stage.violation
 
 
 def vanished(result: PassResult) -> Candidate | None:

@@ -16,7 +16,7 @@ import numpy as np
 
 from formulations.arrays import Array
 from formulations.linearisation.linearisation import Linearisation
-from formulations.problem.facets import Facets, choose_facets
+from formulations.problem.facets import Facets
 from formulations.program.multipliers import multipliers
 from formulations.rows.exact_flight import FlightRows
 from scp_recon.display import digits
@@ -29,7 +29,7 @@ from scp_recon.planning.method import FacetRounds
 from scp_recon.planning.plan import Stage, StageSpec, rank, scales
 from scp_recon.planning.planner import Planner
 from scp_recon.planning.records import Problem
-from scp_recon.planning.solver import FEW_LINES, FINE
+from scp_recon.planning.solver import FEW_LINES, FINE, facets_at
 from scp_recon.planning.stages import Pipeline
 from scp_recon.scp.status import Status
 
@@ -174,8 +174,7 @@ class Timing:
             if not again:
                 p3 = replace(planner.p3, resolution=resolution)
                 start = pipeline.solve(p3, start).result.lin
-            mean, factor = start.iterate.mean, start.spread.factor
-            facets = choose_facets(mission.problem, mission.polytopes, mean, factor)
+            facets = facets_at(mission, start)
         spec = self._spec(planner, facets, start, again=again)
         stage = pipeline.solve(replace(spec, resolution=resolution), start)
         return PassResult(self.space, at, mission, stage)

@@ -169,6 +169,16 @@ class Stage:
         rows = self.merit.rows
         return rows.facets if isinstance(rows, ChanceRows) else None
 
+    @property
+    def cost(self) -> float:
+        """What planning minimises, nondimensional."""
+        return self.merit.cost(self.result.lin)
+
+    @property
+    def violation(self) -> float:
+        """Largest violation, nondimensional."""
+        return self.merit.worst_violation(self.result.lin)
+
     def unit(self, constraint: str) -> Unit:
         """Unit of a constraint's margins in SI."""
         if constraint in (*BURN_LIMITS, FINAL_VELOCITY):
@@ -214,14 +224,14 @@ def rank(stage: Stage, *, saving: float = 0.0) -> tuple[int, float]:
     ended = 0 if stage.result.status is Status.SOLVER_FAILED else 1
     if stage.result.status is Status.CONVERGED:
         ended = 3
-    elif stage.merit.worst_violation(stage.result.lin) <= stage.tolerance:
+    elif stage.violation <= stage.tolerance:
         ended = 2
     return ended, -(1.0 - saving) * merit_of(stage)
 
 
-def merit_of(stage: Stage) -> float:
-    """Merit of a run's end with the first weight of violations."""
-    return stage.merit(stage.result.lin, SCvx().weight)
+def merit_of(stage: Stage, weight: float = SCvx.weight) -> float:
+    """Merit of a run's end with a weight of violations, by default the first."""
+    return stage.merit(stage.result.lin, weight)
 
 
 @dataclass(frozen=True)

@@ -21,11 +21,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from formulations.linearisation.linearisation import Linearisation
-from formulations.problem.facets import Facets, choose_facets, touching_facets
+from formulations.problem.facets import Facets, touching_facets
 from formulations.rows.exact import NodeRows
 from formulations.rows.uniform import ChanceRows
 from scp_recon.planning.method import FACET_ROUNDS_MAX
-from scp_recon.planning.plan import PlanningProblem, Stage, StageSpec, is_converged
+from scp_recon.planning.plan import PlanningProblem, Stage, StageSpec, is_converged, merit_of
+from scp_recon.planning.solver import facets_at, screened
+from scp_recon.scp.algorithms import SCvx
 
 ROUGH = 1e-3
 """Relative reduction of the merit at which a round stops."""
@@ -33,7 +35,7 @@ ROUGH = 1e-3
 WORTH = 2e-4
 """Relative reduction of the merit below which a choice is no better."""
 
-WEIGHTS = (10.0, 1000.0)
+WEIGHTS = (SCvx.weight, 1000.0)
 """Penalty weights of violations: of all rounds, and of those that follow where violations are left."""
 
 HOLDS = 1e-4
@@ -72,12 +74,12 @@ class Settling:
             lin = rough.result.lin
         begun: list[Facets] = []
         found = self._along([lin], begun)
-        if _price(found[0]) > NEAR * max(_cost(rough), _cost(p3)):
+        if _price(found[0]) > NEAR * max(rough.cost, p3.cost):
             if is_converged(first) and not first.result.is_weighed:
                 found.append(self._settled(first, WEIGHTS[0]))
             else:
                 found += self._along([one.result.lin for one in (p3, first)], begun)
-            if min(_price(one) for one in found) > DEAR * _cost(p3):
+            if min(_price(one) for one in found) > DEAR * p3.cost:
                 found += self._along([self.exact_path(lin)], begun)
             if min(_price(one) for one in found) == math.inf:
                 found += self._along([self.exact_path(p3.result.lin)], begun)
@@ -92,7 +94,7 @@ class Settling:
         """Settle at the first weight along each path on which no earlier path's facets are chosen."""
         found = []
         for lin in paths:
-            facets = self._fresh(lin)
+            facets = facets_at(self.task, lin)
             if any(facets.are_near(others) for others in begun):
                 continue
             begun.append(facets)
@@ -106,16 +108,16 @@ class Settling:
         Not where the merit is above the cost of a plan: a larger weight makes no merit smaller.
         """
         best: list[Stage] = []
-        for one in sorted(settled, key=lambda one: one.merit(one.result.lin, WEIGHTS[0])):
+        for one in sorted(settled, key=merit_of):
             least = min((_price(other) for other in best), default=math.inf)
-            if _holds(one):
+            if one.violation <= HOLDS:
                 best.append(one)
-            elif one.merit(one.result.lin, WEIGHTS[0]) < least:
+            elif merit_of(one) < least:
                 assert one.facets is not None
                 weight = WEIGHTS[1]
                 again = self._round(one.facets, one.result.lin, FIRST_ITERATIONS, weight)
                 best.append(self._settled(again, weight))
-        return max(best, key=_order)
+        return max(best, key=lambda one: (one.violation <= HOLDS, -merit_of(one, WEIGHTS[1])))
 
     def _settled(self, best: Stage, weight: float) -> Stage:
         """Choose facets along a flight and those that follow, all anew and then where they hold."""
@@ -124,7 +126,7 @@ class Settling:
             gains = True
             while gains and rounds < FACET_ROUNDS_MAX:
                 rounds += 1
-                lin, facets = best.result.lin, self._fresh(best.result.lin)
+                lin, facets = best.result.lin, facets_at(self.task, best.result.lin)
                 if holding and best.facets is not None:
                     facets = best.facets.where_they_hold(
                         facets, lin.iterate.mean, lin.spread.factor
@@ -132,7 +134,7 @@ class Settling:
                 if known is not None and known.are_near(facets):
                     break
                 again = self._round(facets, lin, iterations, weight)
-                merit, least = (one.merit(one.result.lin, weight) for one in (again, best))
+                merit, least = merit_of(again, weight), merit_of(best, weight)
                 gains = merit < (1.0 - WORTH) * least
                 best = again if merit < least else best
                 known = facets if best is not again or is_converged(again) else None
@@ -140,29 +142,12 @@ class Settling:
 
     def _round(self, facets: Facets, lin: Linearisation, iterations: int, weight: float) -> Stage:
         """Solve P2 roughly with given facets and penalty weight from a start."""
-        included = facets.margin(lin.iterate.mean, lin.spread.factor) < self.task.clearances[1]
+        included = screened(facets, lin, self.task.clearances[1])
         rows = ChanceRows(self.task.problem, facets, included, ROUGH)
         spec = StageSpec("P2", rows, "settled", max_iterations=iterations, weight=weight)
         return self.run(spec, lin)
 
-    def _fresh(self, lin: Linearisation) -> Facets:
-        task = self.task
-        return choose_facets(task.problem, task.polytopes, lin.iterate.mean, lin.spread.factor)
-
 
 def _price(stage: Stage) -> float:
     """Cost of a plan; without bound where violations are left."""
-    return _cost(stage) if _holds(stage) else math.inf
-
-
-def _holds(stage: Stage) -> bool:
-    return stage.merit.worst_violation(stage.result.lin) <= HOLDS
-
-
-def _cost(stage: Stage) -> float:
-    return stage.merit.cost(stage.result.lin)
-
-
-def _order(stage: Stage) -> tuple[bool, float]:
-    """Order of rounds, the better the greater."""
-    return _holds(stage), -stage.merit(stage.result.lin, WEIGHTS[-1])
+    return stage.cost if stage.violation <= HOLDS else math.inf

@@ -17,7 +17,7 @@ import numpy as np
 from formulations.arrays import Booleans
 from formulations.linearisation.dynamics import Dynamics
 from formulations.linearisation.linearisation import Linearisation
-from formulations.problem.facets import Facets
+from formulations.problem.facets import Facets, choose_facets
 from formulations.program.subproblem import Subproblem
 from formulations.registry import FULL, make_subproblem
 from formulations.rows.cones import Rows
@@ -305,6 +305,11 @@ def path_ignores_burns(lin: Linearisation) -> bool:
     """
     kicks = float(np.linalg.norm(lin.defects[:-1, 3:], axis=1).sum())
     return NO_BURN < lin.iterate.total_dv < kicks
+
+
+def facets_at(task: PlanningProblem, lin: Linearisation) -> Facets:
+    """Facets chosen along a path: see `choose_facets`."""
+    return choose_facets(task.problem, task.polytopes, lin.iterate.mean, lin.spread.factor)
 
 
 def screened(facets: Facets, lin: Linearisation, clearance: float) -> Booleans:

@@ -14,7 +14,6 @@ from typing import Any, Generic
 import numpy as np
 
 from formulations.linearisation.linearisation import Linearisation
-from formulations.problem.facets import Facets, choose_facets
 from formulations.problem.flyby import Iterate
 from formulations.program.subproblem import MeritFunction
 from formulations.rows.drift import HOPELESS
@@ -23,7 +22,7 @@ from scp_recon.planning.method import SETTLE, FacetRounds
 from scp_recon.planning.plan import Stage, StageSpec, is_converged, merit_of, rank
 from scp_recon.planning.records import Problem
 from scp_recon.planning.settling import Settling
-from scp_recon.planning.solver import AnyProblem, Observer, StageSolver, unobserved
+from scp_recon.planning.solver import AnyProblem, Observer, StageSolver, facets_at, unobserved
 from scp_recon.scp.loop import Timing
 from scp_recon.scp.status import Status
 from scp_recon.scp.verdict import UNDECIDED
@@ -170,7 +169,7 @@ class Pipeline(Generic[AnyProblem]):
             ]
             other = runs.run(named, p3.result.lin, p3.spec.start)
             proved = best.result.status is Status.INFEASIBLE and other.result.status in UNDECIDED
-            says_less = proved and _worst(other) > HARDLY * _worst(best)
+            says_less = proved and other.violation > HARDLY * best.violation
             better = rank(other) > rank(best, saving=1.0 - OTHER_OPTIMUM)
             best = other if better and not says_less else best
             self.stages += runs.stages
@@ -188,19 +187,15 @@ class Pipeline(Generic[AnyProblem]):
         while tries[-1].result.status is Status.INFEASIBLE and len(tries) <= CHOICES_MAX:
             same = [s for s in self.stages if s.problem == stage.problem and s.spec.start == letter]
             lin, facets = same[-1].result.lin, same[-1].facets
-            if facets is not None and facets.are_near(self._facets_at(lin)):
+            if facets is not None and facets.are_near(facets_at(self.task, lin)):
                 break
             tries.append(self._with_facets(lin, letter))
         verdicts = (Status.CONVERGED, stage.result.status)
         return max((one for one in tries if one.result.status in verdicts), key=rank)
 
-    def _facets_at(self, lin: Linearisation) -> Facets:
-        mean, factor = lin.iterate.mean, lin.spread.factor
-        return choose_facets(self.task.problem, self.task.polytopes, mean, factor)
-
     def _with_facets(self, lin: Linearisation, letter: str) -> Stage:
         """Solve P2 with facets chosen at a start."""
-        facets = self._facets_at(lin)
+        facets = facets_at(self.task, lin)
         chosen = [one.spec for one in self.stages if one.facets is not None]
         last = max((spec.choice for spec in chosen if spec.start == letter), default=0)
         spec = replace(self.solver.p2_stage(facets, lin), choice=last + 1)
@@ -215,7 +210,7 @@ class Pipeline(Generic[AnyProblem]):
             lin = stage.result.lin
             if stage.result.status is Status.CONVERGED:
                 continue
-            in_doubt = spec.doubt and stage.merit.worst_violation(lin) < spec.doubt
+            in_doubt = spec.doubt and stage.violation < spec.doubt
             if spec.is_required and not in_doubt:
                 break
             if spec.fallback is not None:
@@ -253,10 +248,6 @@ class Pipeline(Generic[AnyProblem]):
                 return stage
             every = ChanceRows(self.task.problem, rows.facets, rows.included | missed)
             spec = replace(spec, rows=every)
-
-
-def _worst(stage: Stage) -> float:
-    return stage.merit.worst_violation(stage.result.lin)
 
 
 def same_optimum(one: Stage, other: Stage) -> bool:
