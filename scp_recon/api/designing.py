@@ -200,7 +200,7 @@ def windows_table(found: Survey) -> Table:
     burns = range(1, len(found.scenario.burns.times_s) + 1)
     columns = (
         *(Column(f"{edge}, TDB", name=f"{edge}_tdb") for edge in ("opens", "closes")),
-        *(Column(name, "s", ".1f") for name in ("opens", "closes", "lasts")),
+        *(Column(name, "s", ".1f") for name in ("opens", "closes")),
         Column("least incidence", "deg", ".2f"),
         *(Column(f"local solar time {edge}", "h", ".2f") for edge in ("opens", "closes")),
         *(Column(f"burn {i} {end}", "s") for i in burns for end in ("earliest", "latest")),
@@ -209,7 +209,6 @@ def windows_table(found: Survey) -> Table:
         [
             *(tdb(found.scenario, edge) for edge in w.edges_s),
             *w.edges_s,
-            w.edges_s[1] - w.edges_s[0],
             float(np.rad2deg(w.least_incidence_rad)),
             *w.local_solar_time_h,
             *(edge for interval in w.burns_s for edge in interval),

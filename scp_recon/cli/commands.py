@@ -176,7 +176,7 @@ def verify(console: "Console", plan: Path, *, verbose: bool = False) -> Answer:
     found = checked.verification
     assert found is not None
     warnings = [*solution.warnings, *mission.warnings]
-    plan_view.show_plan(console, mission, solution, found, warnings, verbose=verbose)
+    plan_view.show_plan(console, mission, checked, warnings, verbose=verbose)
     return Answer(0 if found.ok else NOT_VERIFIED, plan_view.plan_document(checked))
 
 
@@ -280,8 +280,7 @@ def campaign(
     with continuing(console), cases_bar(console) as (observe, say):
         path = run_campaign(cases, out, observe=observe, say=say, **given)
     results = read_campaign(out)
-    statuses = Counter(results.table["status"]).items()
-    counts = dict(sorted(statuses, key=lambda item: (-item[1], item[0])))
+    counts = dict(Counter(sorted(results.table["status"])).most_common())
     for status, count in counts.items():
         show_line(console, f"{count:10,}  {status}")
     show_written(console, path)
@@ -387,7 +386,7 @@ def new(console: "Console", **given: Any) -> Answer:
     found = verbs.new(**given, progress=partial(show_line, console))
     mission, solution = found.mission, found.solution
     show_mission(console, mission)
-    show_plan(console, mission, solution, found.verification, mission.warnings)
+    show_plan(console, mission, solution, mission.warnings)
     for file in found.files:
         show_written(console, file)
     return Answer(exit_code(solution), plan_document(solution, found.files))

@@ -116,18 +116,11 @@ class Shown(Watch):
         verification, path = outcome.verification, outcome.path
         assert path is not None
         if verification is None:
-            plan_view.show_plan(console, mission, solution, None, solution.warnings)
+            plan_view.show_plan(console, mission, solution, solution.warnings)
             show_written(console, path)
             return ()
-        plan_view.show_plan(
-            console,
-            mission,
-            solution,
-            verification,
-            mission.warnings,
-            advised=not verification.ok,
-            verbose=self.verbose,
-        )
+        how = {"advised": not verification.ok, "verbose": self.verbose}
+        plan_view.show_plan(console, mission, solution, mission.warnings, **how)
         for old in outcome.aside:
             show_line(console, f"set aside because it belongs to another plan: {old}")
         if path.name == UNVERIFIED:
@@ -169,11 +162,10 @@ def advice_on(
         binds = ", ".join(one.name for one in found.remedies) or "nothing that suffices alone"
         several = "; relaxing any one of them suffices" if len(found.remedies) > 1 else ""
         lines.append(f"what binds: {binds}{several}")
-        if found.without_uncertainty is Status.INFEASIBLE or failed.final.problem == "P3":
-            word = "not asked for"
-            if found.without_uncertainty is Status.INFEASIBLE:
-                word = "no lower probability helps"
-            lines.append(f"without uncertainty it is infeasible too: {word}")
+        if found.without_uncertainty is Status.INFEASIBLE:
+            lines.append("without uncertainty it is infeasible too: no lower probability helps")
+        elif failed.final.problem == "P3":
+            lines.append("without uncertainty it is infeasible too: not asked for")
         elif found.without_uncertainty is not Status.CONVERGED:
             how = found.without_uncertainty.value.name
             lines.append(f"without uncertainty planning ended {how}, which shows little")
@@ -203,9 +195,7 @@ def saving(
     outcome: PlanOutcome, request: PlanRequest, spent_s: float, more: Sequence[str] = ()
 ) -> tuple[str, ...]:
     """A line on what exact risk would save of a verified plan's delta-v; see `advice_on`."""
-    verified = outcome.verification is not None and outcome.verification.ok
-    cost = cost_of_exact_risk(outcome.plan, request, spent_s) if verified else None
-    if cost is None:
+    if (cost := cost_of_exact_risk(outcome.plan, request, spent_s)) is None:
         return ()
     options = " ".join([*more, "--set", shlex.quote('risk.allocation="exact"')])
     saved = mm_s(outcome.plan.cost_m_s - cost, 1)

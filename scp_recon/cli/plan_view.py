@@ -109,7 +109,6 @@ def show_plan(
     console: Console,
     mission: Mission,
     solution: Solution,
-    verification: Verification | None,
     warnings: Iterable[ScenarioWarning] = (),
     *,
     advised: bool = False,
@@ -120,14 +119,13 @@ def show_plan(
     Args:
         console: to print to.
         mission: that was planned.
-        solution: the plan.
-        verification: of the plan; None if it was interrupted.
+        solution: the plan, verified unless it was interrupted.
         warnings: on the scenario.
         advised: whether advice on this plan follows, in place of the causes of failed checks.
         verbose: whether margins at the nodes, the re-integration, local optima and every share of a
             burn cut short are shown too.
     """
-    status, scenario = Status.named(solution.status), solution.scenario
+    status, verification = Status.named(solution.status), solution.verification
     doubts = in_doubt(solution, verification, warnings)
     many = f"{len(doubts)} warning{'s' if len(doubts) > 1 else ''} above" if doubts else None
     show_warnings(console, doubts)
@@ -140,7 +138,7 @@ def show_plan(
     show_headline(console, solution.problem, status.value.message, colour)
     _show_cost(console, solution, verbose=verbose)
     show_table(console, tables.burns_table(solution, mission.schedule.firing_intervals_s), "UTC")
-    epoch = scenario.epoch.tdb
+    epoch = solution.scenario.epoch.tdb
     times = f"times from {epoch.isoformat(timespec='milliseconds')} TDB"
     with suppress(InputError):  # there is no UTC before 1972
         times += f", {iso_utc(instant(epoch))[:-6]} UTC"

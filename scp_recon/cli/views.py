@@ -40,7 +40,6 @@ from scp_recon.simulation.record import FlightSummary
 
 if TYPE_CHECKING:
     from scp_recon.campaigns.outcome import CampaignResults
-    from scp_recon.monte_carlo.summary import Interval as Estimated
 
 STYLES = {"bad": "red", "doubtful": "yellow"}
 """Rich's styles of the cells' by name."""
@@ -187,12 +186,15 @@ def show_survey(console: Console, survey: Survey) -> None:
     legal = [
         [
             opens.text,
+            window.edges_s[1] - window.edges_s[0],
             "\n".join(_words(shift) for _, shift in window.shifts_s) or "nowhere",
             *map(_words, window.burns_s),
         ]
         for (opens, *_), window in zip(windows.rows, survey.windows, strict=True)
     ]
-    columns = ("opens, TDB", "moved", "burn 1 = epoch", *(f"burn {i}" for i in range(2, count + 1)))
+    later = (f"burn {i}" for i in range(2, count + 1))
+    lasts = Column("lasts", "s", ".1f")
+    columns: list[Column | str] = ["opens, TDB", lasts, "moved", "burn 1 = epoch", *later]
     console.print(terminal(Table.of("Where burns may be", columns, legal), narrow=True))
     console.print(
         f"A flight of {scenario.duration_s:g} s with {survey.before} of its burns between the first "
@@ -217,7 +219,7 @@ def show_summary(console: Console, summary: Summary, required: float | None = No
     `required` is the required probability of every joint constraint, if one is.
     """
 
-    def said(interval: Estimated, digits: int, scale: float = 1.0) -> str:
+    def said(interval: Any, digits: int, scale: float = 1.0) -> str:
         return tables.interval_cell(interval, digits, scale=scale).text
 
     first, last = summary.window_s or (0.0, 0.0)

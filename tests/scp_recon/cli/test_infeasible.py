@@ -12,34 +12,9 @@ from rich.console import Console
 
 import scp_recon as sr
 from scp_recon.advice import infeasibility as module
-from scp_recon.advice.infeasibility import (
-    CERTIFIED,
-    CONTINUED,
-    EXECUTED,
-    FEEDBACK,
-    FINER,
-    STRICTER,
-    TARGET,
-    UNCORRECTED,
-    Diagnosis,
-    cost_of_exact_risk,
-    diagnose,
-    relaxations,
-    repairs,
-)
-from scp_recon.advice.trials import (
-    CORRECTED,
-    FINAL_SPREAD,
-    LIMITS,
-    MORE_BURNS,
-    PROBABILITY,
-    SIZE,
-    SPLIT,
-    Case,
-    Clock,
-    Remedy,
-    overrides_of,
-)
+from scp_recon.advice import trials
+from scp_recon.advice.infeasibility import CONTINUED, FEEDBACK, Diagnosis, diagnose
+from scp_recon.advice.trials import CORRECTED, PROBABILITY, SIZE, SPLIT, Case, Remedy, overrides_of
 from scp_recon.api import planning
 from scp_recon.api.inputs import PlanRequest
 from scp_recon.api.options import PlanOptions
@@ -49,7 +24,6 @@ from scp_recon.cli import plan_view
 from scp_recon.cli.commands import replan, solve
 from scp_recon.cli.plan_run import advice_on, undoing, what_would_do
 from scp_recon.errors import InputError
-from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
 from scp_recon.planning.plan import Plan, ended
 from scp_recon.planning.planner import plan
@@ -83,7 +57,7 @@ class Asked(Watch):
 def case_of(*overrides: str, options: PlanOptions = NO_FLIGHTS, limit_s: float = 60.0) -> Case:
     asked = Asked()
     carry_out(PlanRequest(None, "cold", options, overrides), asked)
-    return Case(asked.plan, asked.request, Clock(limit_s))
+    return Case(asked.plan, asked.request, trials.Clock(limit_s))
 
 
 def said(run: CommandLine) -> str:
@@ -120,18 +94,9 @@ def test_split_is_priced_on_screen_and_page(refused):
     assert next_lines(*given) == solution.advice == tuple(words.splitlines())
 
 
-def test_saving_by_exact_risk_is_that_of_its_plan(default_plan, mission):
-    request = PlanRequest(mission.scenario, "cold", PlanOptions())
-    cost = cost_of_exact_risk(default_plan, request)
-    exact = Mission.from_scenario(mission.scenario.replace({"risk.allocation": "exact"}))
-    assert cost == pytest.approx(from_cold(exact).cost_m_s, rel=2e-3)
-    assert cost < 0.9 * default_plan.cost_m_s
-    assert cost_of_exact_risk(from_cold(exact), request) is None
-
-
 def test_what_is_tried_is_shown_with_its_time():
     shown = list[str]()
-    clock = Clock(30.0, show=shown.append)
+    clock = trials.Clock(30.0, show=shown.append)
     assert clock.attempt("the limits", clock.check) is None
     assert {*shown} == {"trying the limits: 0 of at most 30 s"}
 
@@ -236,7 +201,7 @@ def test_feedback_is_tried_with_what_it_needs(small_burns, monkeypatch):
     case, _ = small_burns
     tried: list[dict[str, object]] = []
     monkeypatch.setattr(Case, "command", lambda _, changes, **__: tried.append(dict(changes)))
-    dict(relaxations(case, Status.CONVERGED))[CORRECTED](CORRECTED)
+    dict(module.relaxations(case, Status.CONVERGED))[CORRECTED](CORRECTED)
     (changes,) = tried
     assert changes == FEEDBACK
     scenario = case.failed.mission.scenario.replace(changes)
@@ -261,9 +226,9 @@ def test_size_of_burns_is_relaxed_with_the_limits():
     near, options = "observation.site_distance_max_m", PlanOptions("P3", starts=1)
     case = case_of(*few, f"{near}=520.0", options=options)
     assert case.failed.status is Status.INFEASIBLE
-    trials = dict(relaxations(case, Status.INFEASIBLE))
-    names = SIZE, f"{LIMITS}: {near}", f"{LIMITS} together"
-    *alone, remedy = (trials[name](name) for name in names)
+    work = dict(module.relaxations(case, Status.INFEASIBLE))
+    names = SIZE, f"{trials.LIMITS}: {near}", f"{trials.LIMITS} together"
+    *alone, remedy = (work[name](name) for name in names)
     assert alone == [None, None]
     assert remedy is not None
     assert {*remedy.changes} == {near, "burns.dv_max_m_s"}
@@ -305,7 +270,7 @@ def test_missed_target_is_told_with_what_flights_kept(monkeypatch):
     found = diagnose(missed, asked.request)
     assert found.kept == pytest.approx(0.9, abs=0.02)
     assert found.tried[0] == CONTINUED
-    assert TARGET in [one.name for one in found.remedies]
+    assert module.TARGET in [one.name for one in found.remedies]
     assert found.remedies[-1].changes["risk.p_chance"] < 0.9
 
 
@@ -357,14 +322,14 @@ def exact() -> Case:
 @pytest.mark.parametrize(
     ("failed", "names"),
     [
-        ("P(whole_flight)", {CERTIFIED, STRICTER}),
-        ("certificate", {TARGET}),
-        ("dv_min of burn 2", {EXECUTED}),
-        (FINAL_POSITION, {FINAL_SPREAD}),
-        ("covariance_error", {FINER}),
+        ("P(whole_flight)", {module.CERTIFIED, module.STRICTER}),
+        ("certificate", {module.TARGET}),
+        ("dv_min of burn 2", {module.EXECUTED}),
+        (FINAL_POSITION, {trials.FINAL_SPREAD}),
+        ("covariance_error", {module.FINER}),
         ("total_dv_m_s", {CONTINUED}),
-        ("P(dv_max of burn 2)", {SIZE, UNCORRECTED}),
-        ("status", {CONTINUED, FINER, TARGET}),
+        ("P(dv_max of burn 2)", {SIZE, module.UNCORRECTED}),
+        ("status", {CONTINUED, module.FINER, module.TARGET}),
     ],
 )
 def test_each_failed_check_has_its_trials(failed, names, exact, verification):
@@ -374,7 +339,7 @@ def test_each_failed_check_has_its_trials(failed, names, exact, verification):
         verification, failed=[failed], ok=False, probabilities=(p,), burn_limits=limits
     )
     checked = replace(checked, covariance_error=1.7e-5)
-    assert dict(repairs(exact, checked)).keys() == names
+    assert dict(module.repairs(exact, checked)).keys() == names
 
 
 def test_certification_is_advised_once_it_verified(exact, verification, monkeypatch):
@@ -383,8 +348,8 @@ def test_certification_is_advised_once_it_verified(exact, verification, monkeypa
     failed = replace(verification, failed=["P(whole_flight)"], ok=False, probabilities=(p,))
     found = diagnose(exact.failed, exact.request, verification=failed)
     assert [(one.name, one.certify) for one in found.remedies] == [
-        (CERTIFIED, True),
-        (STRICTER, None),
+        (module.CERTIFIED, True),
+        (module.STRICTER, None),
     ]
     lines = advice_on(found, exact.failed)
     assert lines[0].endswith("mm/s, with: --certify yes")
@@ -392,7 +357,7 @@ def test_certification_is_advised_once_it_verified(exact, verification, monkeypa
     nothing = diagnose(exact.failed, exact.request, verification=failed)
     assert advice_on(nothing, exact.failed) == (
         "no values were found with which this command ends verified",
-        f"tried, and not sufficient alone: {CERTIFIED}, {STRICTER}",
+        f"tried, and not sufficient alone: {module.CERTIFIED}, {module.STRICTER}",
     )
 
 
@@ -406,6 +371,6 @@ def test_added_burns_are_advised_only_after_a_try(default_plan, tmp_path, capsys
     code = replan.main([*given, "--out", str(tmp_path / "lost")])
     out = capsys.readouterr().out
     assert code == Status.LOST.value.exit_code
-    (line,) = [line for line in out.splitlines() if line.startswith(f"{MORE_BURNS}: ")]
+    (line,) = [line for line in out.splitlines() if line.startswith(f"{trials.MORE_BURNS}: ")]
     more = shlex.split(line.rsplit("with: ", 1)[1])
     assert replan.main([*given, *more, "--out", str(tmp_path / "saved")]) == 0

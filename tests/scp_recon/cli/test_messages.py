@@ -8,7 +8,6 @@ import pytest
 import scp_recon as sr
 from scp_recon.__main__ import main
 from scp_recon.errors import InputError
-from scp_recon.scenario.load import base_names
 
 CHAIN = {
     "c.toml": 'base = "b.toml"\n',
@@ -56,14 +55,3 @@ def test_entry_of_no_file_names_none(chain):
     (chain / "a.toml").write_text('base = "recon_bb"\n', "utf-8")
     with pytest.raises(InputError, match=r"^a\.toml: base: got 'recon_bb'"):
         sr.load_scenario("c.toml")
-
-
-def test_an_unknown_scenario_lists_the_packaged_ones(capsys):
-    assert main(["windows", "recon_c"]) == 2
-    said = capsys.readouterr().err
-    assert "no such file" in said
-    assert all(name in said for name in base_names())
-    assert main(["scenarios"]) == 0
-    shown = capsys.readouterr().out
-    assert all(name in shown for name in base_names())
-    assert {*sr.scenarios()} == {*base_names()}

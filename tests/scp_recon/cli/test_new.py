@@ -59,9 +59,9 @@ def test_infeasible_draft_proposes_nothing_untried(monkeypatch, capsys):
 
     def infeasible(*given: Any) -> drafts.NewScenario:
         found = planned(*given)
-        status = {"status": Status.INFEASIBLE.value.name}
         failed = replace(found.verification, failed=["status"], ok=False)
-        solution = replace(found.solution, **status)
+        status = Status.INFEASIBLE.value.name
+        solution = replace(found.solution, status=status, verification=failed)
         return replace(found, solution=solution, verification=failed)
 
     monkeypatch.setattr(drafting, "HALF_WIDTHS_H", (4.0,))

@@ -2,6 +2,7 @@
 
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 
 from scp_recon import __main__ as every
 from scp_recon.cli.command import DOCUMENT
+from scp_recon.cli.commands import export
 from scp_recon.results.read import read_solution
 
 pytestmark = pytest.mark.slow
@@ -136,3 +138,26 @@ def test_help_and_unknown_commands_list_all_commands(capsys):
         with pytest.raises(SystemExit) as end:
             every.main([command, "--help"])
         assert end.value.code == 0
+
+
+def test_exported_plans_and_spacecraft_never_share_a_name(folder, tmp_path, capsys):
+    """And one that is not verified says so in its file."""
+    solution = read_solution(folder)
+    first, *others = solution.burns
+    moved = replace(first, dv_m_s=tuple(x * (1.0 + 1e-12) for x in first.dv_m_s))
+    other, out = tmp_path / "other", tmp_path / "out"
+    other.mkdir()
+    replace(solution, burns=[moved, *others], verification=None).write(other)
+    given = ([str(folder)], 0), ([str(other)], 4), ([str(folder), "--spacecraft=-64"], 0)
+    for words, status in given:
+        form = ["--format", "csv", "--out", str(out), "--quiet"]
+        assert export.main([*words, *form]) == status
+    texts = [path.read_text("utf-8") for path in out.iterdir()]
+    assert len(texts) == 3
+    assert sum("# NOT VERIFIED" in text for text in texts) == 1
+    assert capsys.readouterr().out == ""
+    assert export.main([str(folder), "--format", "csv", "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert document["linear_error_m"] <= document["asked_error_m"] == pytest.approx(0.01)
+    assert all(solution.plan_hash[:8] in Path(file).name for file in document["files"])
+    assert all(Path(file).parent == folder / "export" for file in document["files"])

@@ -286,7 +286,7 @@ def test_a_policy_of_another_shape_is_refused(solution, change, told):
 def test_the_terminal_tells_the_policy(solution, verification):
     shown = io.StringIO()
     console = Console(file=shown, width=WIDE)
-    show_plan(console, solution.mission, solution, verification)
+    show_plan(console, solution.mission, solution.with_verification(verification))
     text = shown.getvalue()
     assert f"99 % {1e3 * solution.policy.dv99_m_s:.3f} mm/s" in text
     assert "correction, 1 sigma" in text
