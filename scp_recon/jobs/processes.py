@@ -23,7 +23,7 @@ from math import inf, isfinite
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
-from signal import SIGALRM, SIGKILL, SIGPROF
+from signal import SIGALRM, SIGPROF
 from time import monotonic, sleep
 
 from scp_recon.errors import InputError, option
@@ -40,13 +40,12 @@ from scp_recon.jobs.job import (
 )
 
 SERVE = "from scp_recon.jobs.processes import serve; serve({})"
-READY = "ready"
 TRIES = 3
 """Number of tries of a job that kills its process."""
 GRACE_S = 5.0
 """Seconds past a job's limit after which the parent ends a child that its alarm has not ended."""
 START_S = 600.0
-"""Seconds that a process may take to import its modules: a busy file server is slow."""
+"""Seconds more for the first job, while modules are imported: a busy file server is slow."""
 LOOK_S = 1.0
 """Seconds between a child's checks that its parent is alive."""
 ONE_THREAD = dict.fromkeys(
@@ -147,33 +146,29 @@ class Child:
 
     def _try(self) -> None:
         self._tries += 1
-        if self._process is not None:
-            self._send()
-            return
-        paths = os.pathsep.join(path or str(Path.cwd()) for path in sys.path)
-        self.pipe, far = Pipe()
-        with far:
-            self._process = subprocess.Popen(
-                [sys.executable, "-P", "-c", SERVE.format(far.fileno())],
-                stdin=subprocess.DEVNULL,
-                stdout=2,  # what a job prints is no answer
-                pass_fds=[far.fileno()],
-                env={**os.environ, **ONE_THREAD, "PYTHONPATH": paths},
-                start_new_session=True,  # Ctrl-C is the parent's to handle
-            )
-        self._say((self.work, self.limits), START_S)
-
-    def _send(self) -> None:
+        self.deadline = monotonic() + self.limits.seconds + GRACE_S
+        messages: list[object] = [self.job]
+        if self._process is None:
+            paths = os.pathsep.join(path or str(Path.cwd()) for path in sys.path)
+            self.pipe, far = Pipe()
+            with far:
+                self._process = subprocess.Popen(
+                    [sys.executable, "-P", "-c", SERVE.format(far.fileno())],
+                    stdin=subprocess.DEVNULL,
+                    stdout=2,  # what a job prints is no answer
+                    pass_fds=[far.fileno()],
+                    env={**os.environ, **ONE_THREAD, "PYTHONPATH": paths},
+                    start_new_session=True,  # Ctrl-C is the parent's to handle
+                )
+            self.deadline += START_S
+            messages.insert(0, (self.work, self.limits))
         self._sent += 1
-        self._say(self.job, self.limits.seconds + GRACE_S)
-
-    def _say(self, what: object, limit_s: float) -> None:
-        self.deadline = monotonic() + limit_s
         with suppress(OSError):  # it has died, which `answer` finds
-            self.pipe.send(what)
+            for message in messages:
+                self.pipe.send(message)
 
     def answer(self) -> Done | None:
-        """Wait for the process until the deadline; the job's outcome, None if it goes on.
+        """Wait for the process until the deadline; the job's outcome, None if it is tried again.
 
         Raises:
             UnfitError: if no job can be run here.
@@ -181,20 +176,15 @@ class Child:
         assert self.job is not None
         done, status = None, 0
         try:
-            if not self.pipe.poll(_until(self.deadline)):
-                raise TimeoutError
-            said = self.pipe.recv()
-            if said == READY:
-                self._send()
-                return None
-            if isinstance(said, str):
-                raise UnfitError(said)
-            done = said
-        except TimeoutError:
-            status = -SIGALRM if self._sent else -SIGKILL
-            self.end()
+            if self.pipe.poll(_until(self.deadline)):
+                done = self.pipe.recv()
+            else:
+                status = -SIGALRM
+                self.end()
         except (OSError, EOFError, pickle.UnpicklingError):
             status = self.end(patience_s=GRACE_S)
+        if isinstance(done, str):
+            raise UnfitError(done)
         if done is not None and done.failure and done.failure.status == OUT_OF_MEMORY:
             # What it could not finish may be half done, and earlier jobs may have left it too little.
             done = None if self._sent > 1 else done
@@ -247,7 +237,6 @@ def serve(socket: int) -> None:
     except Exception as error:  # a module that is not here, or is another
         pipe.send(f"{type(error).__name__}: {error}")
         sys.exit(1)
-    pipe.send(READY)
     _limit_memory(limits)
     timers = {signal.ITIMER_REAL: limits.seconds, signal.ITIMER_PROF: limits.cpu_s}
     with warnings.catch_warnings():
