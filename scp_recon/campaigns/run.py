@@ -9,6 +9,7 @@ from __future__ import annotations
 import io
 import json
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from functools import partial
 from itertools import islice
 from pathlib import Path
@@ -170,33 +171,29 @@ def _take(folder: Path, study: Study) -> None:
         "study": study.tables,
         "base": study.base.model_dump(mode="json", exclude_none=True),
     }
-    path = folder / FILE_NAME
-
-    def refused(given: str, allowed: str = "") -> InputError:
-        allowed = f"must be a folder of its own{allowed}"
-        return InputError(option("out"), f"{folder}, {given}", allowed)
-
-    kept = (SOLUTIONS,) if study.campaign.keep_solutions else ()
-    for name in (RESULTS, ROWS, *kept):
-        if (folder / name).exists() and not path.is_file():
-            raise refused(f"with {name} but no {FILE_NAME}")
+    path, kept = folder / FILE_NAME, (SOLUTIONS,) if study.campaign.keep_solutions else ()
+    given, allowed, found = "", "", None
     try:
-        if not path.is_file():
+        if path.is_file():
+            with suppress(ValueError):
+                found = json.loads(path.read_text("utf-8"))
+            if not isinstance(found, dict) or found.get("schema") != SCHEMA:
+                given = f"whose {FILE_NAME} is damaged or of another version"
+            elif found.get("hash") != identity["hash"]:
+                given = "which holds another campaign"
+                allowed = ", or of the same study and files that it names"
+                if found.get("version") != VERSION:
+                    allowed += f", and version {VERSION} of the work, not {found.get('version')}"
+        elif there := [name for name in (RESULTS, ROWS, *kept) if (folder / name).exists()]:
+            given = f"with {there[0]} but no {FILE_NAME}"
+        else:
             content = {"schema": SCHEMA, **identity}
             write_atomically(path, json.dumps(content, indent=1, default=str) + "\n")
-            return
-        found = json.loads(path.read_text("utf-8"))
     except OSError as error:
         raise unwritable(folder, option("out"), error) from None
-    except ValueError:
-        found = None
-    if not isinstance(found, dict) or found.get("schema") != SCHEMA:
-        raise refused(f"whose {FILE_NAME} is damaged or of another version")
-    if found.get("hash") != identity["hash"]:
-        same = ", or of the same study and files that it names"
-        if found.get("version") != VERSION:
-            same += f", and version {VERSION} of the work, not {found.get('version')}"
-        raise refused("which holds another campaign", same)
+    if given:
+        allowed = f"must be a folder of its own{allowed}"
+        raise InputError(option("out"), f"{folder}, {given}", allowed)
 
 
 def cell(value: Any, kind: type) -> Any:

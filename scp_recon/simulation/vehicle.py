@@ -71,6 +71,7 @@ class Panels(Section):
     packing: PositiveShare
     specular: Share
     panel: Annotated[tuple[Panel, ...], Field(min_length=1, max_length=16)]
+    """More would have too many subsets for `SolarArray`."""
 
 
 class BatterySection(Section):

@@ -11,7 +11,7 @@ from experiments import flown
 from experiments.__main__ import main
 from experiments.left_out import SAMPLES, dispersion, find_cones
 from scp_recon.errors import InputError
-from scp_recon.simulation.panels import SolarArray, irradiance
+from scp_recon.simulation.guidance import SolarArray, irradiance
 from scp_recon.simulation.record import Record, read_record
 from scp_recon.simulation.vehicle import Vehicle, load_vehicle
 from tests.helpers import nightly

@@ -20,8 +20,7 @@ from scp_recon.monte_carlo.closed_loop import MEASURED
 from scp_recon.monte_carlo.drifts import reach_s
 from scp_recon.monte_carlo.sampling import AnyPolicy, policy_kind, start_loop
 from scp_recon.results.solution import Solution
-from scp_recon.simulation.basilisk.control import build_flight_software
-from scp_recon.simulation.basilisk.navigation import Sensors
+from scp_recon.simulation.basilisk.control import Sensors, build_flight_software
 from scp_recon.simulation.basilisk.plant import STEP_S, SURROUNDINGS_S, Plant, Start
 from scp_recon.simulation.estimator import AttitudeFilter, SensorSigmas
 from scp_recon.simulation.flight import Flight

@@ -7,8 +7,7 @@ from scipy.special import elliprd
 
 from formulations.arrays import Array
 from scp_recon.bodies.surface import Ellipsoid, Mesh, Solid
-from scp_recon.physics.harmonics import HarmonicField
-from scp_recon.physics.polyhedron import PolyhedronField
+from scp_recon.physics.harmonics import HarmonicField, PolyhedronField
 
 RADII, GM = np.array([304.68, 136.60, 114.21]), 2.34
 CUBE = Ellipsoid(np.ones(3)).tessellated(0)

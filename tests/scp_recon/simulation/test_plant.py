@@ -20,11 +20,10 @@ from scp_recon.physics.flow import propagate
 from scp_recon.physics.forces import ForceModel
 from scp_recon.physics.frames import unit
 from scp_recon.physics.harmonics import HarmonicField
-from scp_recon.simulation.basilisk.navigation import Sensors
+from scp_recon.simulation.basilisk.control import Sensors
 from scp_recon.simulation.basilisk.plant import STEP_S, Plant, Start
 from scp_recon.simulation.basilisk.simulation import Draws, Simulator, Source, sensor_sigmas
-from scp_recon.simulation.guidance import FlightPlan
-from scp_recon.simulation.panels import irradiance
+from scp_recon.simulation.guidance import FlightPlan, irradiance
 from scp_recon.simulation.vehicle import Vehicle
 
 pytestmark = pytest.mark.slow
