@@ -30,7 +30,7 @@ from scp_recon.campaigns.outcome import (
 )
 from scp_recon.campaigns.run import OWN
 from scp_recon.files import PAGE as MADE
-from scp_recon.files import check_own, unwritable, write_atomically
+from scp_recon.files import check_own, write_atomically, writing
 from scp_recon.reports.marks import (
     BODY,
     DASHES,
@@ -81,10 +81,8 @@ def write_page(results: CampaignResults) -> Path:
     """
     check_extra()
     check_own(results.folder / PAGE, "DIR", MADE)
-    try:
+    with writing(results.folder, "DIR"):
         return write_atomically(results.folder / PAGE, render(results, datetime.now(UTC)))
-    except OSError as error:
-        raise unwritable(results.folder, "DIR", error) from None
 
 
 def figures(results: CampaignResults) -> dict[str, Figure]:

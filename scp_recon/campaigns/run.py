@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 from scp_recon.campaigns.axes import SOLUTIONS, Case
 from scp_recon.campaigns.study import VERSION, Study
 from scp_recon.errors import InputError, imported, option
-from scp_recon.files import check_writable, only_run_in, unwritable, write_atomically
+from scp_recon.files import check_writable, only_run_in, write_atomically, writing
 from scp_recon.jobs.cluster import executor_for
 from scp_recon.jobs.job import Done, Executor, Job, Key
 from scp_recon.jobs.processes import Limits
@@ -136,10 +136,8 @@ def run_study(
                 raise RuntimeError(f"{len(rows)} rows of {len(cases)} cases")
             buffer = io.BytesIO()
             _arrow().parquet.write_table(_table(folder / ROWS), buffer)
-            try:
+            with writing(folder, option("out")):
                 path = write_atomically(folder / RESULTS, buffer.getvalue())
-            except OSError as error:
-                raise unwritable(folder, option("out"), error) from None
             rows.forget()
             return path
 
@@ -173,7 +171,7 @@ def _take(folder: Path, study: Study) -> None:
     }
     path, kept = folder / FILE_NAME, (SOLUTIONS,) if study.campaign.keep_solutions else ()
     given, allowed, found = "", "", None
-    try:
+    with writing(folder, option("out")):
         if path.is_file():
             with suppress(ValueError):
                 found = json.loads(path.read_text("utf-8"))
@@ -189,8 +187,6 @@ def _take(folder: Path, study: Study) -> None:
         else:
             content = {"schema": SCHEMA, **identity}
             write_atomically(path, json.dumps(content, indent=1, default=str) + "\n")
-    except OSError as error:
-        raise unwritable(folder, option("out"), error) from None
     if given:
         allowed = f"must be a folder of its own{allowed}"
         raise InputError(option("out"), f"{folder}, {given}", allowed)

@@ -92,15 +92,12 @@ def spice_body(
         raise InputError(SPICE, str(meta), f"must hold {lacking}")
     radius = float(packaged.get("reference_radius_m", max(radii)))
     own = f"packaged, of {packaged['name']}" if packaged else "unknown here"
+    gm, of_gm = (packaged["gm_m3_s2"], own) if gm is None else (gm, source)
     w0, w1, w2 = rotation.prime_meridian
     body: list[Entry] = [
         ("name", packaged.get("name", name), "as given"),
         ("naif_id", number, "NAIF's number"),
-        (
-            "gm_m3_s2",
-            packaged["gm_m3_s2"] if gm is None else gm,
-            f"m^3/s^2; {own if gm is None else source}",
-        ),
+        ("gm_m3_s2", gm, f"m^3/s^2; {of_gm}"),
         ("j2", packaged.get("j2", 0.0), f"unnormalised, at reference_radius_m; {own}"),
         ("reference_radius_m", radius, f"m; {own if packaged else 'the largest of radii_m'}"),
         ("radii_m", list(radii), f"m, semi-axes body-fixed; {source if rotation.radii_m else own}"),

@@ -17,7 +17,7 @@ from time import monotonic
 from typing import IO, Any, NamedTuple, Self
 
 from scp_recon.errors import InputError, option, version_of
-from scp_recon.files import only_run_in, unwritable, write_atomically
+from scp_recon.files import only_run_in, unwritable, write_atomically, writing
 from scp_recon.jobs.job import Done, Executor, Job, Key, Work, here
 
 SCHEMA = "scp_recon.jobs/1"
@@ -60,20 +60,18 @@ class Store:
         self._end = 0  # of the last whole line; 0 where there are no rows of ours
         self._synced = monotonic()
         self._open = ExitStack()
-        try:
+        with writing(path.parent, OUT):
             path.parent.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise unwritable(path.parent, OUT, error) from None
         self._open.enter_context(only_run_in(path.parent, OUT, f".{path.name}.lock"))
         try:
-            with suppress(FileNotFoundError), path.open("rb") as file:
+            with writing(path.parent, OUT), suppress(FileNotFoundError), path.open("rb") as file:
                 if file.readline() == self._head:
                     self._end = file.tell()
                     for key, _, place, self._end in _lines(file):
                         self._places[key] = place
-        except OSError as error:
-            self.close()
-            raise unwritable(path.parent, OUT, error) from None
+        except InputError:
+            self._open.close()
+            raise
 
     def __enter__(self) -> Self:
         """The store itself, closed at the end."""
