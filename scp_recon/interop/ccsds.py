@@ -14,6 +14,7 @@ import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
+from itertools import chain
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -120,6 +121,11 @@ def _object(export: Export) -> list[str]:
 def _segment(export: Export, number: int, coast: Coast) -> list[str]:
     epochs = [iso_tdb(export.instant(time)) for time in coast.times_s.tolist()]
     last, burn = len(export.path.coasts) - 1, export.burns_flown + number
+    covariances = [
+        [f"EPOCH = {epoch}", f"COV_REF_FRAME = {FRAME}"]
+        + [_numbers(row[: i + 1]) for i, row in enumerate(matrix)]
+        for epoch, matrix in zip(epochs, KM**2 * coast.covariances, strict=True)
+    ]  # lower triangles, km^2, km^2/s and km^2/s^2
     ends = [f"begins after burn {burn}"] if number else []
     ends += [f"ends before burn {burn + 1}"] if number < last else []
     return [
@@ -136,17 +142,9 @@ def _segment(export: Export, number: int, coast: Coast) -> list[str]:
             for epoch, state in zip(epochs, coast.states, strict=True)
         ),
         "COVARIANCE_START",
-        *_covariances(epochs, coast.covariances),
+        *chain.from_iterable(covariances),
         "COVARIANCE_STOP",
     ]
-
-
-def _covariances(epochs: Sequence[str], matrices: Array) -> Iterable[str]:
-    """Lower triangles, km^2, km^2/s and km^2/s^2."""
-    for epoch, matrix in zip(epochs, KM**2 * matrices, strict=True):
-        yield f"EPOCH = {epoch}"
-        yield f"COV_REF_FRAME = {FRAME}"
-        yield from (_numbers(row[: i + 1]) for i, row in enumerate(matrix))
 
 
 def _unit(row: str, column: str) -> str:

@@ -73,12 +73,6 @@ class Export:
         return [(number, burn) for number, burn in some if not self.miss or number < self.miss]
 
     @property
-    def missed(self) -> str | None:
-        """What the covariance after the last burn misses of nonlinear flights."""
-        checked = self.solution.verification
-        return missed_by_law(checked.wider or {}) if checked else None
-
-    @property
     def shortfalls(self) -> list[str]:
         """Reasons for which the plan is not verified; empty if it is."""
         checked = self.solution.verification
@@ -111,6 +105,8 @@ def heading(export: Export) -> list[str]:
     """Lines of the heading, in ASCII, short enough for a CCSDS message."""
     scenario, solution, path = export.mission.scenario, export.solution, export.path
     total = sum(float(np.linalg.norm(burn.dv_m_s)) for _, burn in export.executed)
+    policy, checked = solution.policy, solution.verification
+    missed = missed_by_law(checked.wider or {}) if checked else None
     lines = [
         f"scenario {scenario.name}, {solution.problem}, by {maker()}",
         f"plan {solution.plan_hash}",
@@ -121,30 +117,21 @@ def heading(export: Export) -> list[str]:
         f"t_s = 0 is {iso_tdb(export.instant(0.0))} TDB, {iso_utc(export.instant(0.0))} UTC",
         f"mean and covariance of the planner's model; coasting {MARGIN_S:g} s before the first burn "
         "and after the last is not part of the plan",
-        *([f"of this covariance: {export.missed}"] if export.missed else []),
+        *([f"of this covariance: {missed}"] if missed else []),
         f"a straight line between neighbouring states is within {path.linear_error_m:.1e} m of the "
         f"flight (required: {path.within_m:g}), a cubic of both states within "
         f"{path.cubic_error_m:.1e} m",
         f"{len(export.executed)} burns, impulses; {total:.6f} m/s in all:",
         *(burn_line(export, number) for number in range(1, len(solution.burns) + 1)),
-        *_policy_lines(solution),
-    ]
-    plain = [printable(line).encode("ascii", "replace").decode() for line in lines]
-    return [part for line in plain for part in textwrap.wrap(line, LINE) or [""]]
-
-
-def _policy_lines(solution: Solution) -> list[str]:
-    """Lines on corrections: the files have burns without them, and covariances with them."""
-    if solution.policy is None:
-        return []
-    return [
         *(
             f"burn {one.burn} is corrected in flight, from a measurement at t_s = {one.cut_off_s:g}; "
             f"1 sigma of the correction is {one.sigma_m_s:.6f} m/s"
-            for one in solution.policy.corrections
+            for one in (policy.corrections if policy else ())
         ),
-        f"{solution.policy}; burns are without corrections, covariances with them",
+        *([f"{policy}; burns are without corrections, covariances with them"] if policy else []),
     ]
+    plain = [printable(line).encode("ascii", "replace").decode() for line in lines]
+    return [part for line in plain for part in textwrap.wrap(line, LINE) or [""]]
 
 
 def burn_line(export: Export, number: int) -> str:

@@ -111,22 +111,17 @@ def _copied(work: Callable[[], object]) -> tuple[int, IO[bytes]] | None:
         return None
     else:
         if process == 0:
-            os.close(read)  # or it would never learn that nobody reads any more
-            _do(work, write)
+            try:
+                os.close(read)  # or it would never learn that nobody reads any more
+                signal.signal(signal.SIGINT, signal.SIG_IGN)  # the first process ends the copy
+                with os.fdopen(write, "wb") as pipe:
+                    pickle.dump(work(), pipe, pickle.HIGHEST_PROTOCOL)
+            finally:
+                os._exit(0)
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
     os.close(write)
     return process, os.fdopen(read, "rb")
-
-
-def _do(work: Callable[[], object], write: int) -> None:
-    """Main function of a copy; the first process handles Ctrl-C and ends the copy."""
-    try:
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
-        with os.fdopen(write, "wb") as pipe:
-            pickle.dump(work(), pipe, pickle.HIGHEST_PROTOCOL)
-    finally:
-        os._exit(0)
 
 
 GIVEN = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")

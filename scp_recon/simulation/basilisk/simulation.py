@@ -241,16 +241,13 @@ class Simulator:
             if commander is not None and time in stops:
                 now = self.plant.hub.scStateOutMsg.read()
                 state = np.concatenate([now.r_CN_N, now.v_CN_N])
-                self._follow(self.plan.with_burns(commander.burns_m_s(state)), time)
+                self.plan = self.plan.with_burns(commander.burns_m_s(state))
+                self.allocator.plan = self.firer.plan = self.plan
+                k = int(np.searchsorted(self.times_s, time, side="right"))
+                past, coming = self.navigator.commands[:k], self.plan.attitudes(self.times_s)[k:]
+                self.navigator.follow(Rotation.concatenate([past, coming]))
             if progress is not None:
                 progress(time)
-
-    def _follow(self, plan: FlightPlan, time_s: float) -> None:
-        """Take up a plan with other burns from a time on."""
-        self.plan, k = plan, int(np.searchsorted(self.times_s, time_s, side="right"))
-        past, coming = self.navigator.commands[:k], plan.attitudes(self.times_s)[k:]
-        self.navigator.follow(Rotation.concatenate([past, coming]))
-        self.allocator.plan = self.firer.plan = plan
 
     def flight(self) -> Flight:
         """The recorded flight."""
