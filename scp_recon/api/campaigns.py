@@ -15,9 +15,8 @@ from scp_recon.api.inputs import PlanRequest
 from scp_recon.api.options import PlanOptions
 from scp_recon.api.planning import PlanOutcome, carry_out, plan_left
 from scp_recon.campaigns.axes import Case, changed, of_campaign, solution_name
-from scp_recon.campaigns.checks import check_do
 from scp_recon.campaigns.run import Observer, executor_of, run_study
-from scp_recon.campaigns.study import Campaign, Study
+from scp_recon.campaigns.study import Campaign, Study, check_do
 from scp_recon.errors import imported
 from scp_recon.jobs.cluster import check_workers
 from scp_recon.jobs.store import Row

@@ -333,10 +333,10 @@ def export_document(found: Export, files: Iterable[Path]) -> dict[str, Any]:
         "verdict": found.verdict,
         "files": [str(file) for file in files],
         "frame": FRAME,
-        "states": found.path.size,
-        "linear_error_m": found.path.linear_error_m,
-        "cubic_error_m": found.path.cubic_error_m,
-        "asked_error_m": found.path.within_m,
+        "states": found.size,
+        "linear_error_m": found.linear_error_m,
+        "cubic_error_m": found.cubic_error_m,
+        "asked_error_m": found.within_m,
         "burns": [
             {
                 "t_s": burn.t_s,

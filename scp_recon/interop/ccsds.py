@@ -25,8 +25,7 @@ from scp_recon.bodies.catalogue import J2000_TDB
 from scp_recon.drafting.draft import Track
 from scp_recon.errors import InputError, option
 from scp_recon.files import read_text
-from scp_recon.interop.export import Export, heading, maker
-from scp_recon.interop.path import Coast
+from scp_recon.interop.export import Coast, Export, heading, maker
 from scp_recon.interop.tracks import LATE_MAX_S
 from scp_recon.physics.two_body import Orbit
 from scp_recon.scenario.fields import ScenarioWarning
@@ -43,14 +42,14 @@ CUBIC = 3
 def oem_text(export: Export) -> str:
     """The plan's path and covariances: TIME_SYSTEM TDB, REF_FRAME EME2000, km and km/s."""
     lines = [*_header("OEM", export), ""]
-    for number, coast in enumerate(export.path.coasts):
+    for number, coast in enumerate(export.coasts):
         lines += [*_segment(export, number, coast), ""]
     return "\n".join(lines)
 
 
 def opm_text(export: Export) -> str:
     """Text of an OPM: state before the first burn, orbit, covariance, spacecraft, burns."""
-    craft, before = export.mission.scenario.spacecraft, export.path.coasts[0]
+    craft, before = export.mission.scenario.spacecraft, export.coasts[0]
     epoch = iso_tdb(export.instant(0.0))
     lines = [
         *_header("OPM", export),
@@ -120,7 +119,7 @@ def _object(export: Export) -> list[str]:
 
 def _segment(export: Export, number: int, coast: Coast) -> list[str]:
     epochs = [iso_tdb(export.instant(time)) for time in coast.times_s.tolist()]
-    last, burn = len(export.path.coasts) - 1, export.burns_flown + number
+    last, burn = len(export.coasts) - 1, export.burns_flown + number
     covariances = [
         [f"EPOCH = {epoch}", f"COV_REF_FRAME = {FRAME}"]
         + [_numbers(row[: i + 1]) for i, row in enumerate(matrix)]

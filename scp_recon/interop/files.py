@@ -70,7 +70,7 @@ def columns(export: Export) -> dict[str, list[Any]]:
 
     `coast` is the number of burns before the row.
     """
-    coasts = export.path.coasts
+    coasts = export.coasts
     times = np.concatenate([coast.times_s for coast in coasts])
     instants = [export.instant(time) for time in times.tolist()]
     states = np.concatenate([coast.states for coast in coasts])

@@ -24,8 +24,7 @@ from scipy.spatial.transform import Rotation
 from formulations.arrays import Array
 from scp_recon.bodies.kernels import spice_alone
 from scp_recon.errors import option
-from scp_recon.interop.export import Export, heading, maker
-from scp_recon.interop.path import MARGIN_S
+from scp_recon.interop.export import MARGIN_S, Export, heading, maker
 from scp_recon.mission.schedule import Leg
 from scp_recon.scenario.time_scales import (
     EB,
@@ -60,7 +59,7 @@ TICK_S = 1.0 / TICKS_PER_S
 
 def path_segments(export: Export) -> Iterator[Segment]:
     """Segments of an SPK of the spacecraft about the body, km and km/s, J2000."""
-    for number, coast in enumerate(export.path.coasts):
+    for number, coast in enumerate(export.coasts):
         et, burn = export.et(coast.times_s), export.burns_flown + number
         name = f"AFTER BURN {burn}" if number else f"BEFORE BURN {burn + 1}"
         states = np.ascontiguousarray(coast.states / 1e3)
@@ -71,7 +70,7 @@ def path_segments(export: Export) -> Iterator[Segment]:
 def body_segments(export: Export) -> Iterator[Segment]:
     """The segment of an SPK of the body about the Sun on the planner's straight line; likewise."""
     sun = export.mission.scenario.sun
-    times = np.array([-MARGIN_S, export.path.coasts[-1].times_s[-1]])
+    times = np.array([-MARGIN_S, export.coasts[-1].times_s[-1]])
     position, velocity = np.array(sun.body_position_km), np.array(sun.body_velocity_km_s)
     states = np.hstack([position + np.outer(times, velocity), np.tile(velocity, (2, 1))])
     et = export.et(times)

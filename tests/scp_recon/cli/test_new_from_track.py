@@ -56,10 +56,10 @@ def kernels_of(export: Export, folder: Path, unit_m: float = 1e3) -> Path:
         reference.write_bennu_kernel(folder),
         reference.write_bennu_kernel(folder, STONE, stone),
     )
-    et, begin = [export.et(coast.times_s) for coast in export.path.coasts], et_of(FROM)
+    et, begin = [export.et(coast.times_s) for coast in export.coasts], et_of(FROM)
     handle = spice.spkopn(str(folder / "all.bsp"), "test", 0)
     for body in (reference.BENNU, STONE):
-        for times, coast in zip(et, export.path.coasts, strict=True):
+        for times, coast in zip(et, export.coasts, strict=True):
             states = np.ascontiguousarray(coast.states / unit_m)
             spice.spkw13(
                 handle, CRAFT, body, "J2000", times[0], times[-1], "flight", 3, len(times), states,
@@ -148,8 +148,8 @@ def test_a_message_or_a_table_is_a_start(export, form, capsys):
 )
 def test_states_in_other_units_are_named_by_line(export, form, position, speed, asked, capsys):
     factors = np.repeat([position, speed], 3)
-    coasts = [replace(one, states=factors * one.states) for one in export.path.coasts]
-    scaled = replace(export, path=replace(export.path, coasts=coasts))
+    coasts = [replace(one, states=factors * one.states) for one in export.coasts]
+    scaled = replace(export, coasts=coasts)
     text = oem_text(scaled) if form == "oem" else csv_text(scaled)
     Path(f"plan.{form}").write_text(text, encoding="utf-8")
     lines = text.splitlines()

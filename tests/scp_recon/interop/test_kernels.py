@@ -60,7 +60,7 @@ def state_at(spice: ModuleType, et: float) -> Array:
 
 
 def test_spk_positions_are_within_a_millimetre(spice, export):
-    for coast in export.path.coasts:
+    for coast in export.coasts:
         read = np.array([state_at(spice, et) for et in export.et(coast.times_s[:-1])])
         assert np.abs(read[:, :3] - coast.states[:-1, :3]).max() < 1e-3
         np.testing.assert_allclose(read, coast.states[:-1], rtol=1e-10)
@@ -73,7 +73,7 @@ def test_spk_positions_are_within_a_millimetre(spice, export):
 
 def test_a_burn_has_its_state_before_and_after(spice, export):
     for burn, (before, after) in zip(
-        export.solution.burns, itertools.pairwise(export.path.coasts), strict=True
+        export.solution.burns, itertools.pairwise(export.coasts), strict=True
     ):
         et = export.et(np.array([burn.t_s]))[0]
         early, late = state_at(spice, et - 1e-4)[3:], state_at(spice, et)[3:]

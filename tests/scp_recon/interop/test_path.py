@@ -13,11 +13,10 @@ from hypothesis import strategies as st
 
 from scp_recon.api.planning import plan_left
 from scp_recon.errors import InputError
-from scp_recon.interop import path as path_module
+from scp_recon.interop import export as export_module
 from scp_recon.interop.ccsds import oem_text, opm_text
-from scp_recon.interop.export import Export
+from scp_recon.interop.export import MARGIN_S, WITHIN_M, Export, fly_coasts
 from scp_recon.interop.files import columns, csv_text, parquet_bytes
-from scp_recon.interop.path import MARGIN_S, WITHIN_M, fly_path
 from scp_recon.replanning.flown import FlownPlan, predict
 from scp_recon.replanning.remainder import Delivery
 from scp_recon.results.solution import make_solution
@@ -25,7 +24,7 @@ from tests.scp_recon.support import integrate
 
 
 def test_coasts_meet_at_burns_that_jump_the_velocity(export):
-    coasts, firing = export.path.coasts, export.mission.scenario.burns.times_s
+    coasts, firing = export.coasts, export.mission.scenario.burns.times_s
     edges = [(c.times_s[0], c.times_s[-1]) for c in coasts]
     assert edges == list(itertools.pairwise((firing[0] - MARGIN_S, *firing, firing[-1] + MARGIN_S)))
     assert all((np.diff(coast.times_s) > 0.0).all() for coast in coasts)
@@ -43,8 +42,8 @@ def test_coasts_meet_at_burns_that_jump_the_velocity(export):
 
 def test_a_missed_burn_leaves_the_free_drift(export):
     mission, solution = export.mission, export.solution
-    drifting = replace(export, path=fly_path(solution, miss=2), miss=2)
-    (drift,) = drifting.path.coasts[1:]
+    drifting = Export.of(solution, miss=2)
+    (drift,) = drifting.coasts[1:]
     ends = (0.0, mission.scenario.burns.times_s[1] + 86_400.0)
     assert (drift.times_s[0], drift.times_s[-1]) == ends
     flown = integrate(mission.forces, drift.states[0], ends)[-1]
@@ -60,9 +59,9 @@ def test_covariances_are_the_plans_at_its_nodes(export):
     stored = np.array(export.solution.nodes.covariance)
     times, seen = np.array(export.solution.nodes.t_s), 0
     scale = np.outer(export.mission.units.state, export.mission.units.state)
-    for coast in export.path.coasts[1:]:
+    for coast in export.coasts[1:]:
         at = np.flatnonzero(np.isin(coast.times_s, times))
-        at = at if coast is export.path.coasts[-1] else at[:-1]  # a burn adds its errors
+        at = at if coast is export.coasts[-1] else at[:-1]  # a burn adds its errors
         node, seen = np.searchsorted(times, coast.times_s[at]), seen + len(at)
         off = np.abs(coast.covariances[at] - stored[node]) / scale
         assert off.max() < 1e-6 * np.abs(stored / scale).max()
@@ -71,7 +70,7 @@ def test_covariances_are_the_plans_at_its_nodes(export):
 
 @given(share=st.floats(0.0, 1.0 - 1e-9))
 def test_straight_lines_between_neighbours_are_within_a_centimetre(export, share):
-    for coast in export.path.coasts:
+    for coast in export.coasts:
         span = coast.times_s[-1] - coast.times_s[0]
         time = coast.times_s[0] + share * span
         k = int(np.searchsorted(coast.times_s, time, side="right")) - 1
@@ -84,16 +83,16 @@ def test_straight_lines_between_neighbours_are_within_a_centimetre(export, share
 
 
 def test_a_path_that_bends_more_gets_more_states(solution, export, monkeypatch):
-    monkeypatch.setattr(path_module, "WITHIN_M", 1e-4)
-    denser = fly_path(solution)
-    assert denser.linear_error_m <= 1e-4 < export.path.linear_error_m
-    assert denser.size > 3 * export.path.size
+    monkeypatch.setattr(export_module, "WITHIN_M", 1e-4)
+    denser = Export.of(solution)
+    assert denser.linear_error_m <= 1e-4 < export.linear_error_m
+    assert denser.size > 3 * export.size
 
 
 def test_what_needs_too_many_states_is_refused(solution, monkeypatch):
-    monkeypatch.setattr(path_module, "STATES_MAX", 100)
+    monkeypatch.setattr(export_module, "STATES_MAX", 100)
     with pytest.raises(InputError, match="more than 100 states"):
-        fly_path(solution)
+        fly_coasts(solution)
 
 
 def test_nodes_off_the_burns_path_are_refused(solution):
@@ -101,19 +100,19 @@ def test_nodes_off_the_burns_path_are_refused(solution):
     states[40][1] += 0.02
     nodes = replace(solution.nodes, state=states)
     with pytest.raises(InputError, match="off the path that its burns give"):
-        fly_path(replace(solution, nodes=nodes))
+        fly_coasts(replace(solution, nodes=nodes))
 
 
 def test_csv_is_the_path_to_the_last_digit(export):
     lines = [line for line in csv_text(export).splitlines() if not line.startswith("#")]
     rows = list(csv.DictReader(lines))
-    assert len(rows) == export.path.size
-    states = np.concatenate([coast.states for coast in export.path.coasts])
+    assert len(rows) == export.size
+    states = np.concatenate([coast.states for coast in export.coasts])
     names = ("x_m", "y_m", "z_m", "vx_m_s", "vy_m_s", "vz_m_s")
     read = np.array([[float(row[name]) for name in names] for row in rows])
     np.testing.assert_array_equal(read, states)
     sigma = np.sqrt([float(row["cov_vz_vz_m2_s2"]) for row in rows])
-    matrices = np.concatenate([coast.covariances for coast in export.path.coasts])
+    matrices = np.concatenate([coast.covariances for coast in export.coasts])
     np.testing.assert_allclose(sigma, np.sqrt(matrices[:, 5, 5]), rtol=1e-12)
     times, coasts = (np.array(columns(export)[name]) for name in ("t_s", "coast"))
     for number, burn in enumerate(export.solution.burns):
@@ -148,7 +147,7 @@ def test_another_reader_interpolates_segments_within_a_centimetre(message, expor
     epoch, rng = Time(export.mission.scenario.epoch.tdb, scale="tdb"), np.random.default_rng(5)
     about = {"REF_FRAME": "EME2000", "CENTER_NAME": "BENNU"}
     about |= {"TIME_SYSTEM": "TDB", "INTERPOLATION": "HERMITE"}
-    for segment, coast in zip(message, export.path.coasts, strict=True):
+    for segment, coast in zip(message, export.coasts, strict=True):
         assert {key: segment.metadata[key] for key in about} == about
         read = [(state.epoch - epoch).sec for state in segment.states]
         np.testing.assert_allclose(read, coast.times_s, atol=1e-9)
