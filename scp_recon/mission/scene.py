@@ -27,8 +27,7 @@ from scp_recon.mission.windows import Lighting
 from scp_recon.physics.forces import ForceModel, cannonball_srp
 from scp_recon.physics.frames import Rotation, TabulatedRotation, sun_north_to_j2000, unit
 from scp_recon.physics.geometry import Site
-from scp_recon.physics.harmonics import HarmonicField, TurningField
-from scp_recon.physics.harmonics import PolyhedronField
+from scp_recon.physics.harmonics import HarmonicField, PolyhedronField, TurningField
 from scp_recon.physics.two_body import Companion, Orbit
 from scp_recon.scenario.body import Body
 from scp_recon.scenario.schema import Scenario
