@@ -6,11 +6,7 @@ import logging
 import os
 import pickle
 import signal
-import socket
-import subprocess
-import sys
 from collections.abc import Iterator, Mapping
-from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -33,67 +29,22 @@ PROJECT = Path(__file__).parents[4]
 WORKERS = 2
 
 
-class LocalCluster:
-    """Processes as an administrator would have them: what ends is begun again."""
-
-    def __init__(self, log: Path) -> None:
-        with socket.socket() as free:
-            free.bind(("127.0.0.1", 0))
-            self.port = free.getsockname()[1]
-        self.address = f"tcp://127.0.0.1:{self.port}"
-        self._log = log.open("ab")
-        self.scheduler = self._scheduler()
-        self.nannies = self._workers()
-
-    def _begin(self, *words: str) -> subprocess.Popen[bytes]:
-        env = {**os.environ, "PYTHONPATH": str(PROJECT), "PYTHONWARNINGS": "ignore"}
-        command = [sys.executable, "-m", "distributed.cli." + words[0], *words[1:]]
-        # Of a session of its own: a nanny ends with its workers, and at once.
-        return subprocess.Popen(
-            command, env=env, stdout=self._log, stderr=self._log, start_new_session=True
-        )
-
-    def _scheduler(self) -> subprocess.Popen[bytes]:
-        words = ("--host", "127.0.0.1", "--port", str(self.port), "--no-dashboard")
-        return self._begin("dask_scheduler", *words)
-
-    def _workers(self) -> subprocess.Popen[bytes]:
-        words = ("--nworkers", str(WORKERS), "--nthreads", "1", "--no-dashboard")
-        return self._begin("dask_worker", self.address, *words)
-
-    def pids(self) -> list[int]:
-        """Of the workers, once all are there."""
-        with distributed.Client(self.address, timeout=180, set_as_default=False) as client:
-            client.wait_for_workers(WORKERS, timeout=180)
-            return sorted(client.run(os.getpid).values())
-
-    def kill_scheduler(self) -> None:
-        self.scheduler.kill()
-        self.scheduler.wait()
-
-    def begin_again(self) -> None:
-        """Another scheduler at the same address, with workers of its own."""
-        self.scheduler = self._scheduler()
-        end(self.nannies)
-        self.nannies = self._workers()
-
-    def close(self) -> None:
-        end(self.nannies, self.scheduler)
-        self._log.close()
+def local_cluster() -> Any:
+    """A scheduler here, and workers in processes: one that ends is begun again."""
+    return distributed.LocalCluster(n_workers=WORKERS, threads_per_worker=1, dashboard_address=":0")
 
 
-def end(*processes: subprocess.Popen[bytes]) -> None:
-    for process in processes:
-        with suppress(ProcessLookupError):  # it has ended by itself
-            os.killpg(process.pid, signal.SIGKILL)
-        process.wait()
+def pids(cluster: Any) -> list[int]:
+    """Of the workers, once all are there."""
+    with distributed.Client(cluster, timeout=180, set_as_default=False) as client:
+        client.wait_for_workers(WORKERS, timeout=180)
+        return sorted(client.run(os.getpid).values())
 
 
 @pytest.fixture(scope="module")
-def cluster(tmp_path_factory) -> Iterator[LocalCluster]:
-    begun = LocalCluster(tmp_path_factory.mktemp("cluster") / "log.txt")
-    yield begun
-    begun.close()
+def cluster() -> Iterator[Any]:
+    with local_cluster() as begun:
+        yield begun
 
 
 class After:
@@ -126,40 +77,40 @@ def test_missing_workers_are_reported_once():
 @nightly
 def test_killed_worker_loses_no_row(cluster, tmp_path):
     jobs = some_jobs(60)
-    victim = cluster.pids()[0]
+    victim = pids(cluster)[0]
     killed = After(8, lambda: os.kill(victim, signal.SIGKILL))
-    rows = run_all(Quick(0.05), jobs, tmp_path / "a", Cluster(cluster.address, LIMITS), killed)
+    rows = run_all(
+        Quick(0.05), jobs, tmp_path / "a", Cluster(cluster.scheduler_address, LIMITS), killed
+    )
     assert killed.acted
     assert sorted(killed.keys, key=int) == list(range(60))
     assert computed(rows) == computed(run_all(Quick(), jobs, tmp_path / "b"))
-    assert victim not in cluster.pids()
+    assert victim not in pids(cluster)
 
 
 @nightly
 def test_misbehaving_jobs_have_rows(cluster, tmp_path):
     jobs, ways = some_jobs(20), dict(zip((2, 5, 7, 8, 11, 13, 15, 17), ENDS, strict=True))
-    before = cluster.pids()
+    before = pids(cluster)
     work = Naughty(ways=tuple(ways.items()))
-    found = run_all(work, jobs, tmp_path / "a", Cluster(cluster.address, LIMITS))
+    found = run_all(work, jobs, tmp_path / "a", Cluster(cluster.scheduler_address, LIMITS))
     assert {n: found[n]["status"] for n in ways} == {n: ENDS[way] for n, way in ways.items()}
     assert {n for n in found if found[n]["tries"] == 3} == {n for n in ways if ways[n] == "die"}
     serial = run_all(Quick(), jobs, tmp_path / "b")
     assert all(found[n]["value"] == serial[n]["value"] for n in range(20) if n not in ways)
-    assert cluster.pids() == before, "no worker has died of it"
+    assert pids(cluster) == before, "no worker has died of it"
 
 
 @pytest.mark.slow
 @nightly
 def test_lost_scheduler_stops_and_the_next_run_continues(cluster, tmp_path):
-    jobs = some_jobs(60)
-    cluster.pids()
-    seen = After(8, cluster.kill_scheduler)
-    executor = Cluster(cluster.address, LIMITS)
+    jobs, lost = some_jobs(60), local_cluster()
+    pids(lost)
+    seen = After(8, lost.close)
     with pytest.raises(InputError, match="which was lost"):
-        run_all(Quick(0.05), jobs, tmp_path / "a", executor, seen)
-    cluster.begin_again()
-    cluster.pids()
+        run_all(Quick(0.05), jobs, tmp_path / "a", Cluster(lost.scheduler_address, LIMITS), seen)
     again = After(99, lambda: None)
+    executor = Cluster(cluster.scheduler_address, LIMITS)
     rows = run_all(Quick(0.05), jobs, tmp_path / "a", executor, again)
     assert not set(seen.keys) & set(again.keys)
     assert sorted([*seen.keys, *again.keys], key=int) == list(range(60))
@@ -197,5 +148,5 @@ def test_flights_on_a_cluster_are_the_same(cluster, solution, verification, tmp_
     words = [str(tmp_path), "--samples", "2500", "--seed", "4"]
     assert montecarlo.main(words) == 0
     alone = (tmp_path / FILE_NAME).read_bytes()
-    assert montecarlo.main([*words, "--scheduler", cluster.address]) == 0
+    assert montecarlo.main([*words, "--scheduler", cluster.scheduler_address]) == 0
     assert (tmp_path / FILE_NAME).read_bytes() == alone
