@@ -36,7 +36,7 @@ def test_the_page_shows_the_plan_of_its_sliders(server, tmp_path):
         assert [state, " ".join(sorted(classes.split())), unsaved] == NOT_OF_THE_SLIDERS
         assert page.inner_text("#cost") == ""
         page.wait_for_function("explorer.state() === 'judged'")
-        solution = server.explorer.kept[1].subject.solution
+        solution = server.explorer.kept[1].solution
         assert solution.scenario.risk.p_chance == 0.8
         assert page.inner_text("#cost") == f"{1e3 * solution.total_dv_m_s:.1f} mm/s" != before
         assert "verified" in page.inner_text("#verdict strong")
