@@ -55,7 +55,7 @@ def run(folder: Path, executor: Executor = here, observe: Observer | None = None
     return table_of(folder)
 
 
-def test_two_campaigns_in_one_folder_are_refused(tmp_path):
+def test_two_campaigns_in_one_folder_are_refused(tmp_path, monkeypatch):
     def again(*_: object) -> None:
         with pytest.raises(InputError, match="at work"):
             run(tmp_path)
@@ -63,10 +63,6 @@ def test_two_campaigns_in_one_folder_are_refused(tmp_path):
     run(tmp_path, here, again)
     with pytest.raises(InputError, match=r"holds another campaign.* files that it names$"):
         run_study(replace(STUDY, campaign=Campaign(seed=1)), tmp_path, work, here)
-
-
-def test_rows_of_another_version_are_refused(tmp_path, monkeypatch):
-    run(tmp_path)
     for module in (study_module, run_module):
         monkeypatch.setattr(module, "VERSION", 3)
     with pytest.raises(InputError, match="version 3 of the work, not 2"):
