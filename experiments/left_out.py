@@ -28,8 +28,7 @@ from scp_recon.physics.frames import unit
 from scp_recon.physics.harmonics import HarmonicField
 from scp_recon.results.solution import Solution, ballistic_arc
 from scp_recon.scenario.load import load_scenario
-from scp_recon.simulation.guidance import FlightPlan
-from scp_recon.simulation.guidance import SolarArray, irradiance
+from scp_recon.simulation.guidance import FlightPlan, SolarArray, irradiance
 from scp_recon.simulation.vehicle import Errors, Vehicle, load_vehicle
 
 # --- force and burn models ------------------------------------------------------------------------
