@@ -11,13 +11,13 @@ from hypothesis import strategies as st
 from scipy.optimize import brentq
 
 from formulations.arrays import Array
-from formulations.linearisation.linearisation import condense, gradient
+from formulations.linearisation.linearisation import condense
 from formulations.nlp.program import Arcs, Start
 from formulations.problem.controls import Cost
 from formulations.problem.execution_errors import ComponentwiseErrors, GatesErrors
 from formulations.rows.corrected_burns import BATTERY, SIZE, margins_of
 from formulations.rows.uniform import ChanceRows
-from tests.formulations.program.support import every_row, slope_of
+from tests.formulations.program.support import assert_transposed, every_row, slope_of
 from tests.helpers import Flyby, Waves, constrain, generators, random_flyby, share_of_examples
 from tests.oracles.closed_loop import LEAST, corrected_shooting
 
@@ -54,6 +54,7 @@ def test_condense_is_the_derivative_by_burns_and_gains(case):
     np.testing.assert_allclose(s.mean_jacobian @ direction, mean, rtol=1e-6, atol=1e-7)
     size = max(1.0, float(np.abs(factor).max()))
     np.testing.assert_allclose(s.factor_jacobian @ direction, factor, rtol=1e-5, atol=1e-6 * size)
+    assert_transposed(flyby.at(controls), rng)
 
 
 @given(corrected_flybys())
@@ -144,19 +145,6 @@ def test_gains_act_on_what_estimates_resolve_whatever_measurements_err_by(case, 
         told = one.axes @ one.axes.T
         silent = np.linalg.solve(one.root, error) - told @ np.linalg.solve(one.root, error)
         assert np.linalg.norm(silent, 2) <= 1e-3
-
-
-@given(corrected_flybys())
-def test_the_adjoint_gives_the_condensed_maps_derivative(case):
-    flyby, rng = case
-    lin = flyby.at(some_controls(flyby, rng))
-    by_mean = rng.normal(size=lin.iterate.mean.shape)
-    by_factor = rng.normal(size=lin.factor.shape)
-    s = condense(lin)
-    expected = np.einsum("ni,niz->z", by_mean, s.mean_jacobian)
-    expected += np.einsum("nic,nicz->z", by_factor, s.factor_jacobian)
-    found = gradient(lin, by_mean, by_factor)
-    np.testing.assert_allclose(found, expected, rtol=1e-7, atol=1e-8 * np.abs(expected).max())
 
 
 MODELS = [ComponentwiseErrors(0.05), GATES, replace(GATES, magnitude_bias=0.04)]

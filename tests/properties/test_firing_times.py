@@ -15,7 +15,6 @@ from formulations.linearisation.dynamics import Dynamics
 from formulations.linearisation.linearisation import (
     Linearisation,
     condense,
-    gradient,
     miss_of,
     step_mean,
 )
@@ -31,6 +30,7 @@ from formulations.rows.uniform import ChanceRows, DeterministicRows
 from scp_recon.mission.mission import Mission
 from scp_recon.physics.flow import GridFlow
 from scp_recon.scenario.load import load_scenario
+from tests.formulations.program.support import assert_transposed
 from tests.helpers import generators, random_unit, share_of_examples
 
 pytestmark = pytest.mark.slow
@@ -203,6 +203,7 @@ def test_mean_and_factor_have_derivatives_by_times(one, rng):
     constant, jacobian = miss_of(one.lin)
     close(jacobian[:, timed] @ direction, miss)
     close(constant + jacobian @ one.lin.controls, one.lin.defects[-1])
+    assert_transposed(one.lin, rng)
 
 
 @few
@@ -220,20 +221,7 @@ def test_factor_of_corrected_burns_has_derivatives_by_times(cut_offs, home, rng)
         assert moved[cut_offs[burn]] == moved[BURNS[burn]] == 1.0
     (factor,) = one.differences(lambda lin: (lin.factor,), direction)
     close(s.factor_jacobian[..., timed] @ direction, factor)
-    by_mean, by_factor = np.zeros((len(NODES), 3)), rng.normal(size=factor.shape)
-    expected = np.einsum("kic,kicq->q", by_factor, s.factor_jacobian)
-    close(gradient(one.lin, by_mean, by_factor), expected, 1e-10)
-
-
-@few
-@given(cases(), generators)
-def test_the_adjoint_is_the_transposed_derivative(one, rng):
-    by_mean = rng.normal(size=one.lin.iterate.mean.shape)
-    by_factor = rng.normal(size=one.lin.factor.shape)
-    s = condense(one.lin)
-    forwards = np.einsum("ki,kiq->q", by_mean, s.mean_jacobian)
-    forwards += np.einsum("kic,kicq->q", by_factor, s.factor_jacobian)
-    close(gradient(one.lin, by_mean, by_factor), forwards, 1e-10)
+    assert_transposed(one.lin, rng, 3)
 
 
 @few

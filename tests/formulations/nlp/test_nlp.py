@@ -21,7 +21,7 @@ from formulations.linearisation.linearisation import Linearisation
 from formulations.nlp import solve
 from formulations.nlp.covariance import Covariance
 from formulations.nlp.program import Arcs, Program, Start, Transcription, assemble
-from formulations.nlp.shooting import MultipleShooting
+from formulations.nlp.shooting import MultipleShooting, SingleShooting
 from formulations.nlp.solve import (
     EXACT,
     QUASI_NEWTON,
@@ -40,6 +40,7 @@ from scp_recon.mission.mission import Mission
 from scp_recon.physics.flow import propagate
 from scp_recon.planning import initial_guess, ipopt
 from scp_recon.planning.planner import Plan, Stage, plan
+from scp_recon.planning.solver import unobserved
 from scp_recon.results.solution import make_solution
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scp.loop import Record
@@ -47,6 +48,7 @@ from scp_recon.scp.status import Status
 from tests.helpers import nightly, share_of_examples, usually
 from tests.oracles.closed_loop import solve_corrected
 from tests.scenarios import COARSE
+from tests.scp_recon.support import from_cold
 
 
 @dataclass(frozen=True)
@@ -167,13 +169,11 @@ def test_p2_has_the_rows_of_the_convex_side(coarse, printed, seed):
     for node, defect in enumerate([first, *lin.defects[:-1]]):
         expected += [defect, np.zeros(size if node <= last else 0)]
     assert rows.pop("arcs") == within(np.concatenate(expected))
-    _check_rows(_every_facet(coarse), lin, rows)
+    _check_rows(_every(problem, facets), lin, rows)
 
 
-def _every_facet(case: Case) -> ChanceRows:
-    facets = case.p2.facets
-    assert facets is not None
-    return ChanceRows(case.problem, facets, np.ones(len(facets.node), dtype=bool))
+def _every(problem: FlybyProblem, facets: Facets) -> ChanceRows:
+    return ChanceRows(problem, facets, np.ones(len(facets.node), dtype=bool))
 
 
 def _check_rows(
@@ -416,3 +416,63 @@ def test_without_a_facet_p2_only_flies(coarse, name):
     result = solve_nlp(coarse.problem, coarse.arcs, none, start, VARIANTS[name])
     assert result.outcome is NlpOutcome.SOLVED, result.status
     assert result.iterate.total_dv < coarse.p3.result.lin.iterate.total_dv
+
+
+KNOWN: dict[str, Any] = {
+    "body": {"gm_m3_s2": 0.2, "j2": 0.002, "prime_meridian_deg": 1.0},
+    "spacecraft": {"reflectivity_coefficient": 0.1},
+    "site": {"position_body_m": [2.0, 3.0, 1.0], "normal_body": [0.02, 0.02, 0.01]},
+}
+"""Path and regions move, these with turns too: 10 numbers."""
+
+
+def mission_with(**changes: Any) -> Mission:
+    scenario = load_scenario().replace({"grid.step_max_s": 900.0, **changes})
+    return Mission.from_scenario(scenario.replace({"knowledge": KNOWN}))
+
+
+@pytest.fixture(scope="module")
+def known() -> Plan:
+    return from_cold(mission_with(), facet_rounds=0)
+
+
+@pytest.mark.slow
+def test_rows_have_the_parameters_of_the_convex_side(known):
+    mission, lin, facets = known.mission, known.final.result.lin, known.final.facets
+    every = _every(mission.problem, facets)
+    start = Start(lin.iterate, lin.factor)
+    arcs = ipopt.casadi_arcs(mission.flow)
+    program = SingleShooting()(mission.problem, arcs, facets, start, elastic=False)
+    rows = program.residuals(program.start)
+    for name, expected in every.margins(lin).items():
+        np.testing.assert_allclose(rows[name], expected.margin, atol=1e-7)
+
+
+@pytest.mark.slow
+def test_ipopt_finds_the_same_plan_with_parameters(known):
+    """The same facets from the plan's burns: one problem, to 1e-5."""
+    mission, lin = known.mission, known.final.result.lin
+    stages = ipopt.IpoptPlanner(mission, "shooting")
+    pushed = mission.dynamics.linearise(
+        mission.problem, initial_guess.from_burns(mission, 1.05 * known.burns_m_s)
+    )
+    found = stages.solve(
+        stages.p2_stage(known.final.facets, lin), pushed, mission.dynamics, unobserved
+    )
+    assert found.result.status is Status.CONVERGED
+    cost = found.result.lin.cost.value * mission.units.speed_m_s
+    assert cost == pytest.approx(known.total_dv_m_s, rel=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("variant", "changes"),
+    [
+        ("tuned", {}),
+        ("shooting", {"body.planned_degree": 2}),
+        ("shooting", {"safety.missed_burns": True}),
+    ],
+)
+def test_other_programs_refuse_parameters(variant, changes):
+    mission = mission_with(**changes)
+    with pytest.raises(InputError, match=r"shooting' if no force depends on time, without drifts"):
+        ipopt.plan(mission, initial_guess.cold(mission), variant=variant)

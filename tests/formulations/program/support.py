@@ -9,7 +9,7 @@ import pytest
 import scipy.sparse as sp
 
 from formulations.arrays import Array
-from formulations.linearisation.linearisation import Condensation, Linearisation, condense
+from formulations.linearisation.linearisation import Condensation, Linearisation, condense, gradient
 from formulations.problem.facets import Polytopes, ball, choose_facets
 from formulations.problem.regions import Ball
 from formulations.program import solvers
@@ -69,6 +69,16 @@ def slope_of(lin: Linearisation, rows: Rows, prices: Array) -> Array:
         bent = np.einsum("nd,ndp->np", y[:, 1:] / size[:, None], cones.values[:, 1:])
         slope[:p] += prices[cones.rows] @ (cones.values[:, 0] - bent)
     return slope
+
+
+def assert_transposed(lin: Linearisation, rng: np.random.Generator, by_mean: int = 6) -> None:
+    """`gradient` is the transpose of `condense`, of random functions of means and factors."""
+    slopes = rng.normal(size=(lin.problem.n_nodes, by_mean)), rng.normal(size=lin.factor.shape)
+    s = condense(lin)
+    expected = np.einsum("ki,kiz->z", slopes[0], s.mean_jacobian[:, :by_mean])
+    expected += np.einsum("kic,kicz->z", slopes[1], s.factor_jacobian)
+    found, scale = gradient(lin, *slopes), max(1.0, float(np.abs(expected).max()))
+    np.testing.assert_allclose(found, expected, rtol=1e-7, atol=1e-8 * scale)
 
 
 def charge_for(

@@ -8,9 +8,9 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from formulations.arrays import Array
-from formulations.linearisation.linearisation import Linearisation, condense
+from formulations.linearisation.linearisation import CONDENSATIONS, Linearisation, condense
 from formulations.problem.flyby import FlybyProblem, Iterate
-from formulations.program import condensed
+from formulations.program import condensed, lifted
 from formulations.program.condensed import CondensedSubproblem
 from formulations.program.convex_subproblem import SMALL_BURN
 from formulations.program.solvers import SOLVERS, Answer, ConeProgram
@@ -303,3 +303,25 @@ def test_held_burns_stay_and_raised_ones_are_no_smaller(formulation):
     assert np.array_equal(step[1], burns[1])
     assert step[2] @ burns[2] / sizes[2] == pytest.approx(sizes[2], abs=1e-6)
     assert (np.linalg.norm(step, axis=1) < 0.99 * sizes)[[0, 3]].all()
+
+
+def test_the_solver_is_the_one_required_and_form_and_penalty_are_else_the_usual_ones(monkeypatch):
+    asked: list[str] = []
+    for module in (condensed, lifted):
+        monkeypatch.setattr(module, "FallbackSolver", lambda name, *_: asked.append(name))
+    lin = linearised(np.random.default_rng(3))
+    rows = every_row(lin, "P2")
+    for formulation in FORMULATIONS:
+        make_subproblem(lin.problem, rows, formulation, "QOCO")
+    usual = make_subproblem(lin.problem, rows)
+    assert asked == [*len(FORMULATIONS) * ["QOCO"], "CLARABEL"]
+    assert isinstance(usual, CondensedSubproblem)
+    assert usual._condense is CONDENSATIONS["condensed"]
+    assert (usual.problem, usual.rows, usual._penalty) == (lin.problem, rows, "exact")
+
+
+def test_every_condensation_is_a_formulation_and_others_are_refused():
+    assert set(FORMULATIONS) == {"lifted", *CONDENSATIONS}
+    lin = linearised(np.random.default_rng(3))
+    with pytest.raises(KeyError, match="unheard of"):
+        make_subproblem(lin.problem, every_row(lin, "P3"), "unheard of")
