@@ -44,7 +44,7 @@ from formulations.program.model import (
 )
 from formulations.program.solvers import FallbackSolver
 from formulations.program.subproblem import Penalty, PenaltyParameters, Step, SubproblemError
-from formulations.rows.cones import Rows, StateCones
+from formulations.rows.cones import Cones, Rows
 
 
 class LiftedSubproblem(ConvexSubproblem):
@@ -121,7 +121,7 @@ class LiftedDynamics:
         self._starts = np.setdiff1d(np.arange(self.size), self._ends)
 
     def index(self, places: Indices) -> Indices:
-        """The state at each of `StateCones.places`."""
+        """The state at each of `Cones.places`."""
         _, node, i, j = places
         row = 6 * np.searchsorted(self._nodes, node) + i
         return np.where(j == 0, row, self._mean_size + row * self._columns + j - 1)
@@ -214,12 +214,12 @@ class LiftedDynamics:
 
 
 def write_row(
-    block: StateCones, index: Indices, states: cp.Expression, controls: cp.Variable
+    block: Cones, index: Indices, states: cp.Expression, controls: cp.Variable
 ) -> cp.Expression:
     """The y of a block's cones, shape (n, d); `index` has the state at each of its places."""
     shape = block.constants.size, states.size
     y = sp.csr_array((block.entries, (block.places[0], index)), shape=shape) @ states
-    if block.burns.size:
-        p = block.burns.shape[2]
-        y = y + block.burns.reshape(-1, p) @ controls[:p]
+    if block.values.size:
+        p = block.values.shape[2]
+        y = y + block.values.reshape(-1, p) @ controls[:p]
     return cp.reshape(y, block.constants.shape, order="C") + block.constants

@@ -44,18 +44,26 @@ class Margins(NamedTuple):
     path: Array | None = None
 
 
+NO_PLACES, NO_ENTRIES = np.zeros((4, 0), dtype=np.intp), np.zeros(0)
+
+
 class Cones(NamedTuple):
     """Second-order cones in the controls: y = values z' + constants has y_0 + buffer >= ||y_1..||.
 
     All have one dimension d (d = 1: half-spaces) and depend on the first p controls z' only: see
-    `FlybyProblem.controls`.
+    `FlybyProblem.controls`. Before mean and factor are eliminated, y has in addition the sum of
+    entries * [mu_k, S_k][i, j].
 
     Attributes:
         rows: index of each cone's buffer, shape (n,).
-        values: shape (n, d, p).
+        values: shape (n, d, p); p = 0 where y depends on states alone.
         constants: shape (n, d).
         triangular: whether the last d - 1 rows of [values, constants] are zero below the diagonal.
         shared: whether all bound one row, and have its buffer.
+        places: of each entry the component of y, among all n d, the node k, the state's component i and
+            the column j, 0 of the mean and 1 onwards of the factor; shape (4, e), the same at every
+            iterate.
+        entries: shape (e,).
     """
 
     rows: Indices
@@ -63,38 +71,16 @@ class Cones(NamedTuple):
     constants: Array
     triangular: bool = False
     shared: bool = False
+    places: Indices = NO_PLACES
+    entries: Array = NO_ENTRIES
 
     def at(self, controls: Array) -> Array:
-        """The y of all controls, shape (n, d)."""
+        """The part of y by all controls, shape (n, d)."""
         return self.values @ controls[: self.values.shape[2]] + self.constants
 
 
-class StateCones(NamedTuple):
-    """Second-order cones y_0 + buffer >= ||y_1..|| in means and factors, as `Cones` are in the burns.
-
-        y = sum of entries * [mu_k, S_k][i, j]  +  burns z' + constants
-
-    and the burn components z' that curvature needs, if any.
-
-    Attributes:
-        rows: index of each cone's buffer, shape (n,).
-        places: of each entry the component of y, among all n d, the node k, the state's component i and
-            the column j, 0 of the mean and 1 onwards of the factor; shape (4, e), the same at every
-            iterate.
-        entries: shape (e,).
-        burns: shape (n, d, p); p = 0 where y does not depend on them otherwise.
-        constants: shape (n, d).
-    """
-
-    rows: Indices
-    places: Indices
-    entries: Array
-    burns: Array
-    constants: Array
-
-
 def placed(component: Indices, node: Indices, i: Indices, j: Indices) -> Indices:
-    """`StateCones.places`, all of them broadcast against each other, shape (4, e)."""
+    """`Cones.places`, all of them broadcast against each other, shape (4, e)."""
     return np.stack([part.ravel() for part in np.broadcast_arrays(component, node, i, j)])
 
 
@@ -143,7 +129,7 @@ def curved_cones(
 
 def on_states(
     cones: Cones, lin: Linearisation, row: Indices, nodes: Indices, gradient: Array
-) -> StateCones:
+) -> Cones:
     """Cones whose heads' slopes act on the states instead: only the curvature stays with the burns.
 
     Args:
@@ -159,17 +145,15 @@ def on_states(
         (d * row)[:, None, None], nodes[:, None, None], component, np.arange(gradient.shape[2])
     )
     at = np.concatenate([lin.iterate.mean[nodes, :, None], lin.factor[nodes]], axis=2)
-    burns, constants = cones.values.copy(), cones.constants.copy()
+    values, constants = cones.values.copy(), cones.constants.copy()
     constants[:, 0] = cones.at(lin.controls)[:, 0]
     here = np.einsum("eij,eij->e", gradient, at[:, : gradient.shape[1], : gradient.shape[2]])
     constants[:, 0] -= np.bincount(row, here, n)
-    burns[:, 0] = 0.0
-    return StateCones(cones.rows, places, gradient.ravel(), burns, constants)
+    values[:, 0] = 0.0
+    return Cones(cones.rows, values, constants, places=places, entries=gradient.ravel())
 
 
-def slopes_by_states(
-    lin: Linearisation, blocks: list[StateCones], prices: Array
-) -> tuple[Array, Array]:
+def slopes_by_states(lin: Linearisation, blocks: list[Cones], prices: Array) -> tuple[Array, Array]:
     """Derivative of the rows' violations ||y_1..|| - y_0, weighed by prices (rows,), at an iterate.
 
     Returns:
@@ -179,8 +163,8 @@ def slopes_by_states(
     slope = np.zeros(states.shape)
     for block in blocks:
         component, *at = block.places
-        y = block.constants + block.burns @ lin.controls[: block.burns.shape[2]]
         entries = block.entries * states[tuple(at)]
+        y = block.at(lin.controls)
         y += np.bincount(component, entries, y.size).reshape(y.shape)
         size = np.maximum(np.linalg.norm(y[:, 1:], axis=1, keepdims=True), 1e-300)
         by_y = prices[block.rows, None] * np.hstack([np.full((len(y), 1), -1.0), y[:, 1:] / size])
@@ -229,7 +213,7 @@ class Rows(Protocol):
     def cones(self, lin: Linearisation, s: Sensitivity) -> list[Cones]:
         """The rows, convexified at an iterate, for mean and factor at `nodes` affine in the burns."""
 
-    def state_cones(self, lin: Linearisation) -> list[StateCones]:
+    def state_cones(self, lin: Linearisation) -> list[Cones]:
         """The rows of `cones` before mean and factor are eliminated."""
 
 
@@ -292,7 +276,7 @@ class FinalSpread:
             cones.append(triangular_cones(rows, head[None], spread[None]))
         return cones
 
-    def state_cones(self) -> list[StateCones]:
+    def state_cones(self) -> list[Cones]:
         """One each, in the factor's entries."""
         cones = []
         for number, (_, part, limit) in enumerate(self._limits):
@@ -301,5 +285,6 @@ class FinalSpread:
             places = placed(y, self.nodes, np.arange(6)[part, None], columns)
             rows, constants = np.array([self._first + number]), limit * np.eye(1, 1 + y.size)
             none = np.zeros((1, 1 + y.size, 0))
-            cones.append(StateCones(rows, places, np.ones(y.size), none, constants))
+            ones = np.ones(y.size)
+            cones.append(Cones(rows, none, constants, places=places, entries=ones))
         return cones

@@ -25,7 +25,7 @@ from formulations.problem.controls import Feedback
 from formulations.problem.flyby import FlybyProblem
 from formulations.problem.regions import Ball, Cone
 from formulations.risk.lines import normal_density
-from formulations.rows.cones import Cones, FinalSpread, Margins, StateCones
+from formulations.rows.cones import Cones, FinalSpread, Margins
 from formulations.rows.drift import DriftRows
 from formulations.rows.node_probability import LEAST, Event, Quantiles, node_quantiles
 
@@ -225,11 +225,7 @@ class FurtherRows:
         """One cone per row, in all controls; `s` ends with the last node if the spread is limited."""
         return self._final.cones(lin, s) + self._burns.cones(lin) + self._drifts.cones(lin)
 
-    def state_cones(self, lin: Linearisation) -> list[StateCones]:
+    def state_cones(self, lin: Linearisation) -> list[Cones]:
         """Cones of all these rows; those of burns have no entry of a state."""
-        none = np.zeros((4, 0), dtype=np.intp), np.zeros(0)
-        return (
-            self._final.state_cones()
-            + [StateCones(o.rows, *none, o.values, o.constants) for o in self._burns.cones(lin)]
-            + self._drifts.state_cones(lin)
-        )
+        own = self._final.state_cones() + self._burns.cones(lin)
+        return own + self._drifts.state_cones(lin)

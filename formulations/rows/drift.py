@@ -32,7 +32,7 @@ from formulations.problem.flow import ArcDerivatives, bending, by_parameters
 from formulations.problem.flyby import Drift, FlybyProblem, Legs
 from formulations.problem.regions import Ball
 from formulations.risk.lines import sphere_directions
-from formulations.rows.cones import Cones, Margins, StateCones, on_states
+from formulations.rows.cones import Cones, Margins, on_states
 from formulations.rows.flight_probability import Coordinates, FlightProbability
 from formulations.rows.node_probability import SPREAD_MIN, Event
 
@@ -273,7 +273,7 @@ class DriftRows:
             blocks.append(Cones(rows, slope[None, None], np.full((1, 1), constant)))
         return blocks
 
-    def state_cones(self, lin: Linearisation) -> list[StateCones]:
+    def state_cones(self, lin: Linearisation) -> list[Cones]:
         """The slopes act on mean and factor at the two nodes about each burn."""
         blocks, timed = [], lin.problem.time_controls
         for own, drift, found in zip(self.cones(lin), self._drifts, self.at(lin), strict=True):
@@ -282,7 +282,7 @@ class DriftRows:
             by_states = np.concatenate([by_mean[nodes, :, None], by_factor[nodes]], axis=2)
             block = on_states(own, lin, np.zeros(2, dtype=np.intp), nodes, by_states)
             left = self._by_times(lin, drift, found, by_mean, by_factor)
-            block.burns[0, 0, timed] = left
+            block.values[0, 0, timed] = left
             block.constants[0, 0] -= left @ lin.controls[timed]
             blocks.append(block)
         return blocks

@@ -22,7 +22,6 @@ from formulations.rows.cones import (
     BINDING,
     Cones,
     Margins,
-    StateCones,
     Unit,
     controls_felt,
     curved_cones,
@@ -115,7 +114,7 @@ class NodeRows(ExactRows):
             blocks.append(curved_cones(rows, g.value[rows] - self.required, slope, hessian, z[:p]))
         return blocks + self.further.cones(lin, s)
 
-    def state_cones(self, lin: Linearisation) -> list[StateCones]:
+    def state_cones(self, lin: Linearisation) -> list[Cones]:
         """The gradient of each row acts on the mean and the factor of its node."""
         g = self._at(lin)
         used = factor_columns_used(self.problem, np.unique(self.node))

@@ -22,7 +22,7 @@ from formulations.linearisation.linearisation import (
 )
 from formulations.problem.flyby import FlybyProblem, factor_columns_used
 from formulations.risk.lines import Directions, aimed_directions, sphere_directions
-from formulations.rows.cones import Cones, Margins, StateCones, curved_cones, on_states
+from formulations.rows.cones import Cones, Margins, curved_cones, on_states
 from formulations.rows.corrected_burns import FurtherRows
 from formulations.rows.exact import ExactRows, bent_by_gains
 from formulations.rows.flight_probability import Coordinates, FlightProbability, FlightValue, Limits
@@ -172,7 +172,7 @@ class FlightRows(ExactRows):
         some = np.resize(np.arange(len(margins)), TANGENTS)
         return np.array(margins)[some] - self.required, np.array(slopes)[some]
 
-    def state_cones(self, lin: Linearisation) -> list[StateCones]:
+    def state_cones(self, lin: Linearisation) -> list[Cones]:
         """The gradient acts on the mean and the factor of every node that may take part."""
         g, own = self.at(lin), self.cones(lin, condense(lin, self.nodes, factor=False))[0]
         own = Cones(own.rows[:1], own.values[:1], own.constants[:1], own.triangular)

@@ -17,7 +17,6 @@ from formulations.rows.cones import (
     POSITION,
     Cones,
     Margins,
-    StateCones,
     Unit,
     controls_felt,
     placed,
@@ -64,7 +63,7 @@ class DeterministicRows:
             first += len(rows)
         return [_joined(cones) for cones in blocks.values() if cones]
 
-    def state_cones(self, lin: Linearisation) -> list[StateCones]:
+    def state_cones(self, lin: Linearisation) -> list[Cones]:
         """One block of cones for each constraint, as in `cones`."""
         blocks, first = [], 0
         for c in self.problem.constraints:
@@ -73,7 +72,8 @@ class DeterministicRows:
             y = np.arange(n * d).reshape(n, d, 1)
             places = placed(y, c.nodes[:, None, None], POSITION[:, 0], np.array(0))
             rows, none = first + np.arange(n), np.zeros((n, d, 0))
-            blocks.append(StateCones(rows, places, matrix.ravel(), none, offset))
+            cones = Cones(rows, none, offset, places=places, entries=matrix.ravel())
+            blocks.append(cones)
             first += n
         return blocks
 
@@ -173,7 +173,7 @@ class ChanceRows:
             blocks.append(triangular_cones(rows, room, spread))
         return blocks + self.further.cones(lin, s)
 
-    def state_cones(self, lin: Linearisation) -> list[StateCones]:
+    def state_cones(self, lin: Linearisation) -> list[Cones]:
         """All facets in one block; their numbers are those of the facets."""
         carried, n = self.carried, len(self.carried.node)
         if n == 0:
@@ -192,7 +192,8 @@ class ChanceRows:
             mean = np.zeros(1, dtype=np.intp)
             more = placed(y[..., 1:], carried.node[:, None, None], POSITION, mean)
             places = np.hstack([places, more])
-        own = StateCones(np.arange(n), places, entries, np.zeros((n, d, 0)), constants)
+        none = np.zeros((n, d, 0))
+        own = Cones(np.arange(n), none, constants, places=places, entries=entries)
         return [own, *self.further.state_cones(lin)]
 
     def _moved(self, rows: Indices, point: Array, columns: int) -> tuple[Array, Array]:

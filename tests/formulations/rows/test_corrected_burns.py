@@ -139,7 +139,7 @@ def test_they_follow_the_final_spread_and_need_no_states(case):
     assert [block.rows.item() for block in blocks] == list(range(3, 3 + rows.count))
     for block, lifted in zip(blocks[1:], rows.state_cones(lin)[1:], strict=True):
         assert lifted.places.shape == (4, 0)
-        np.testing.assert_array_equal(lifted.burns, block.values)
+        np.testing.assert_array_equal(lifted.values, block.values)
         np.testing.assert_array_equal(lifted.constants, block.constants)
 
 

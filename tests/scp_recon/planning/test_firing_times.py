@@ -93,9 +93,9 @@ def test_drifts_have_the_same_slopes_in_lifted_form():
     assert len(lin.problem.time_controls) == 2
     for own, lifted in zip(rows.cones(lin), rows.state_cones(lin), strict=True):
         _, node, i, j = lifted.places
-        slope = lifted.entries @ states[node, i, j] + (lifted.burns @ step).item()
+        slope = lifted.entries @ states[node, i, j] + (lifted.values @ step).item()
         assert slope == pytest.approx((own.values @ step).item(), rel=1e-9)
-        value = lifted.entries @ here[node, i, j] + (lifted.burns @ lin.controls).item()
+        value = lifted.entries @ here[node, i, j] + (lifted.values @ lin.controls).item()
         assert value + lifted.constants.item() == pytest.approx(own.at(lin.controls).item())
 
 
