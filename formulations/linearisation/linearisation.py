@@ -262,7 +262,8 @@ class Linearisation:
         it, and changes that after it.
         """
         own, problem = self.burn_sensitivity, self.problem
-        every = np.concatenate([problem.by_controls(own[..., :-1]), own[..., -1:]], axis=-1)
+        every = np.zeros((*own.shape[:-1], problem.controls_before[-1] + 1))
+        every[..., problem.burn_controls.ravel()], every[..., -1] = own[..., :-1], own[..., -1]
         if problem.firing is not None:
             kicks = self.shifts.mean
             every[..., problem.time_controls] = self.after_burns(kicks, np.zeros(kicks.shape[-1]))

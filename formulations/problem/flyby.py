@@ -376,12 +376,6 @@ class FlybyProblem:
             controls[self.gain_controls] = gains
         return controls
 
-    def by_controls(self, by_burns: Array) -> Array:
-        """Derivatives by all controls (..., controls), from those by burns alone (..., 3 m)."""
-        every = np.zeros((*by_burns.shape[:-1], self.controls_before[-1]))
-        every[..., self.burn_controls.ravel()] = by_burns
-        return every
-
     def without_corrections(self, gains: Array, burns: Indices) -> Array:
         """The gains with those of some burns set to zero."""
         if self.feedback is None or not gains.size:
@@ -410,10 +404,6 @@ class FlybyProblem:
         """The two nappes of the cone that burns must avoid, apex at zero."""
         apex = np.zeros((self.n_burns, 3))
         return Cone(apex, self.sun, self.dv_cone), Cone(apex, -self.sun, self.dv_cone)
-
-    def missed(self, defects: Array) -> float:
-        """Cost of the miss of the final state, of `defects`; zero where it is a condition."""
-        return (self.miss_weight or 0.0) * float(np.abs(defects[-1]).sum())
 
     def burn_margins(self, burns: Array) -> dict[str, Array]:
         """Margins of the limits on burns (m, ..., 3), >= 0 where satisfied, (m, ...) each."""

@@ -75,10 +75,6 @@ class Halfspaces:
         zero = np.zeros_like(self.normal)
         return _second_order_cone(zero, np.zeros((3, 3)), -self.normal, self.offset)
 
-    def slack(self, point: Array) -> Array:
-        """Distance b - a'y to the plane from points (n, 3), >= 0 inside."""
-        return self.offset - np.einsum("ni,ni->n", self.normal, point)
-
     def complement(self) -> Halfspaces:
         """The closed half-spaces on the other side of the same planes."""
         return Halfspaces(-self.normal, -self.offset)

@@ -78,7 +78,8 @@ class MeritFunction:
         charge = charge if isinstance(charge, PenaltyParameters) else PenaltyParameters(charge)
         if charge.least:
             return self.violated(lin)
-        cost = self.cost(lin) + self.problem.missed(lin.defects)
+        miss = (self.problem.miss_weight or 0.0) * float(np.abs(lin.defects[-1]).sum())
+        cost = self.cost(lin) + miss
         if charge.budget is not None:
             over = max(self.violated(lin) - charge.budget, 0.0)
             allowed = self.worst_violation(lin) <= charge.allowed

@@ -257,7 +257,7 @@ class FlightProbability:
                 for (region, rows), plane in zip(outer, planes, strict=True):
                     ahead = np.einsum("ni,nic->nc", plane.normal, factor[rows]) @ unit
                     least = np.minimum(first * ahead, last * ahead)
-                    k, line = np.nonzero(least <= ROUNDING + plane.slack(start[rows])[:, None])
+                    k, line = np.nonzero(least <= ROUNDING + plane.inside(start[rows])[:, None])
                     if len(k) == 0:
                         continue
                     direction = np.einsum("nic,cn->ni", factor[rows][k], unit[:, line])
@@ -326,7 +326,7 @@ def _met_outside(event: Event, mean: Array, spread: Array) -> Iterator[Limit]:
         planes = region.supporting(mean[at]).complement()
         own = relative(event.motion, mean[at], spread[at])
         along = np.linalg.norm(np.einsum("ni,nic->nc", planes.normal, own), axis=1)
-        near = np.flatnonzero(planes.slack(mean[at]) < along)
+        near = np.flatnonzero(planes.inside(mean[at]) < along)
         if len(near):
             yield _limit(event, region, near)
 

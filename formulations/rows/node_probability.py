@@ -260,7 +260,7 @@ def _held_planes(planes: Halfspaces, position: Array, covariance: Array) -> Belo
     normal = planes.normal
     variance = np.einsum("ni,nij,nj->n", normal, covariance, normal)
     sigma = np.sqrt(variance)
-    g = planes.slack(position) / sigma
+    g = planes.inside(position) / sigma
     density = normal_density(g)
     outer = normal[:, :, None] * normal[:, None]
     by_covariance = -(0.5 * density * g / variance)[:, None, None] * outer

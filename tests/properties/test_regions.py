@@ -100,8 +100,8 @@ def test_the_supporting_half_space_contains_its_region_and_its_complement_does_n
     assert lengths(halfspaces.normal) == pytest.approx(1.0, abs=EXACT)
     assert contains(halfspaces, members(rng or np.random.default_rng(0), region))
     room = halfspaces.offset - np.sum(halfspaces.normal * other, axis=1)
-    assert halfspaces.slack(other) == pytest.approx(room, abs=EXACT)
-    assert halfspaces.complement().slack(other) == pytest.approx(-room, abs=EXACT)
+    assert halfspaces.inside(other) == pytest.approx(room, abs=EXACT)
+    assert halfspaces.complement().inside(other) == pytest.approx(-room, abs=EXACT)
 
 
 @given(balls, points)
@@ -109,7 +109,7 @@ def test_the_supporting_half_space_touches_the_ball_where_the_line_of_sight_leav
     sight = point - ball.center
     assume(lengths(sight)[0] > 1e-3)
     touched = ball.center + ball.radius * sight / lengths(sight)
-    assert ball.supporting(point).slack(touched) == pytest.approx(0.0, abs=EXACT)
+    assert ball.supporting(point).inside(touched) == pytest.approx(0.0, abs=EXACT)
     # At the centre, where no line of sight is, it touches the top.
     centre = ball.supporting(ball.center)
     assert centre.normal.tolist() == [[0.0, 0.0, 1.0]]
@@ -125,7 +125,7 @@ def test_the_supporting_half_space_touches_the_cone_along_the_ray_nearest_to_the
     ray = np.cos(cone.half_angle) * cone.axis + np.sin(cone.half_angle) * side
     for t in (0.0, 1.0, 3.0):
         touched = cone.apex + t * ray
-        assert cone.supporting(point).slack(touched) == pytest.approx(0.0, abs=EXACT)
+        assert cone.supporting(point).inside(touched) == pytest.approx(0.0, abs=EXACT)
 
 
 @given(directions(), half_angles, st.floats(-16.0, -2.0))
