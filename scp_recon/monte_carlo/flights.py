@@ -323,19 +323,12 @@ def narrow(
     Some thousands of plain flights suffice for all other statistics. A narrow interval of a probability
     needs far more flights. Further flights are therefore drawn in strata of the law's margin. Each
     joint constraint at each time is an event of its own. The result does not depend on the executor.
-
-    Args:
-        config: of the flights.
-        flown: plain flights so far, in whole blocks.
-        until: width.
-        samples: flights at most, with those so far.
-        executor: runs the jobs.
-        stop: returns whether to stop; called after each job.
+    `flown` are the plain flights so far, in whole blocks, and `samples` all at most.
 
     Returns:
-        See `FlightTally`; with wider intervals if that many flights do not suffice. None if plain
-            flights are cheaper or all the same, if there is no law or if each flight has a window of
-            its own, after the window, and after a stop.
+        See `FlightTally`; with wider intervals than `until` if that many flights do not suffice. None
+            if plain flights are cheaper or all the same, if there is no law or if each flight has a
+            window of its own, after the window, and after a stop.
     """
     mission, how = config.mission, (corrections_of(config.policy), config.truth, config.errors)
     if mission.observed_s is None or mission.edges.sigmas_s is not None:

@@ -36,13 +36,9 @@ mission's scale."""
 def is_certain(mission: Mission, burns_m_s: Array, errors: str | None = None) -> bool:
     """Whether flights spread by less than the mean's tolerance all the way, by the linearised flow.
 
-    Corrections, which narrow the spread, are left out. Nothing that flights can show tells one such
-    flight from another, so that probabilities are 1 or 0, by the one path that all fly.
-
-    Args:
-        mission: that is flown.
-        burns_m_s: planned, J2000, shape (m, 3).
-        errors: of the burns; the scenario's if None.
+    With planned burns (m, 3), J2000, and their errors, the scenario's if None. Corrections, which
+    narrow the spread, are left out. Nothing that flights can show tells one such flight from another,
+    so that probabilities are 1 or 0, by the one path that all fly.
     """
     if mission.uncertain.count:  # a site or a pole that is uncertain spreads no path
         return False

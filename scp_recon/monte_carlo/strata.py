@@ -85,12 +85,8 @@ class Law:
 
         Errors of executing a correction are products of two numbers, and have no column.
 
-        Args:
-            mission: of the iterate.
-            lin: the iterate.
-            together: names of further events, each of some joint constraints together.
-            is_whole: whether all constraints together are the only event. Otherwise events without a
-                limit within reach are left out.
+        Events are the joint constraints with a limit within reach, and of those in `together` some at
+        once, by name; or, `is_whole`, all of them at once.
         """
         mean, factor = lin.iterate.mean[:, :3], with_parameters(drawn_factor(lin))
         alone, limits = joint_events(lin.problem.constraints), {}
@@ -359,10 +355,8 @@ def fly_strata(
 ) -> KeptCounts:
     """Fly strata, and count what the event keeps that may fail most often.
 
-    Args:
-        draws: that are flown.
-        tail: probability with which either limit of that event may be missed.
-        progress: called at times with the share of the work that is done.
+    Either limit of that event may be missed with the probability `tail`. `progress` is called at times
+    with the share of the work that is done.
     """
     jobs, times = draws.jobs(), draws.flights.counted_s
 

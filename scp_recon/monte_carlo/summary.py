@@ -361,8 +361,7 @@ class Summary(Displayed, File):
 def missed_by_law(ratios: Mapping[str, float]) -> str | None:
     """What the linear law misses of the spread after the last burn, by axis; None if nothing much.
 
-    Args:
-        ratios: sampled over predicted sigma, by component of the final state in J2000.
+    Ratios are sampled over predicted sigma, by component of the final state in J2000.
     """
     wider = [f"{name} {ratio:.2f}" for name, ratio in ratios.items() if ratio > WIDER]
     if not wider:

@@ -193,14 +193,11 @@ class FlownPlan:
         return last.carried(at_s - since, self.mission.forces, since)
 
     def is_lost(self, miss: Array) -> bool:
-        """Whether a miss of the final state is beyond three sigma of the plan's own final dispersion.
+        """Whether a miss (6,), J2000, m and m/s, is beyond three sigma of the final dispersion.
 
         In position or in velocity, each sigma the root of the three components' summed variances at the
         plan's last node, as `boundary.final_sigma_position_m` counts it. What a verification allows of
         any plan is no loss.
-
-        Args:
-            miss: J2000, m and m/s, shape (6,).
         """
         spread = np.linalg.norm(self.factors[-1].reshape(2, -1), axis=1)
         tolerance = self.mission.units.tolerance

@@ -374,11 +374,8 @@ class Rest(Space):
 def with_free_times(flown: FlownPlan, mission: Mission) -> Mission:
     """The rest of a flight with the times at which it is cheapest; the last burn stays.
 
-    Cut-offs of corrected burns move along. Where no plan is found, times stay.
-
-    Args:
-        flown: the plan in flight.
-        mission: the rest, from `mission_left`.
+    The rest is that of `mission_left`. Cut-offs of corrected burns move along. Where no plan is found,
+    times stay.
 
     Raises:
         InputError: if no burn is left that may move.

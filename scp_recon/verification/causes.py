@@ -87,12 +87,7 @@ def next_lines(mission: Mission, solution: Solution, verification: Verification)
 
 
 def causes(mission: Mission, verification: Verification) -> tuple[str, ...]:
-    """Lines with the names of failed checks and their cause.
-
-    Args:
-        mission: of the plan.
-        verification: of it.
-    """
+    """Lines with the names of a plan's failed checks and their cause."""
     unsolved = STATUS in verification.failed  # whatever else falls short does so for that
     names: dict[str, list[str]] = {}
     for name in verification.failed:
@@ -234,9 +229,7 @@ def integration_error(plan: Plan) -> IntegrationError:
 def finer_step_s(mission: Mission, excess: float) -> float:
     """Longest spacing of nodes with half of the allowed integration error, s.
 
-    Args:
-        mission: on its present grid.
-        excess: its error over the one allowed.
+    `excess` is the error on the mission's present grid over the one allowed.
     """
     longest = float(np.diff(mission.times_s).max()) / mission.arc_substeps
     step = longest * (AIM / max(excess, AIM)) ** (1.0 / ORDER)

@@ -211,9 +211,7 @@ def flown_sigmas(mission: Mission, ends: Array) -> list[FinalSigma]:
 def wider_than_law(ends: Array, covariance: Array) -> dict[str, float]:
     """Flown over predicted sigma of the components in which the linear law misses a part of the spread.
 
-    Args:
-        ends: states of flights after the last burn, shape (flights, 6).
-        covariance: the predicted one, shape (6, 6).
+    By states after the last burn (flights, 6) and the covariance predicted for them (6, 6).
     """
     predicted = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     with np.errstate(all="ignore"):  # a flight through the body may end anywhere

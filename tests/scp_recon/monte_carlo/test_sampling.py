@@ -26,6 +26,8 @@ from scp_recon.monte_carlo.whole_flight import (
     sample_times,
 )
 from scp_recon.physics import geometry
+from scp_recon.planning import initial_guess
+from scp_recon.planning.planner import plan
 from tests.helpers import share_of_examples
 from tests.scp_recon.support import integrate, mission_of
 
@@ -200,3 +202,51 @@ def test_quantile_is_the_binomial_law_s(level, samples, share):
     ours, theirs = binomial_quantile(level, samples, share), binom.ppf(level, samples, share)
     least = min(ours, theirs)
     assert ours == theirs or binom.cdf(least, samples, share) == pytest.approx(level, rel=1e-9)
+
+
+@pytest.mark.slow
+def test_violations_between_nodes_are_found():
+    """Against the same flights sampled every second of the window.
+
+    Emission is largest in the middle of the window, whose edges alone are nodes.
+    """
+    risk = "risk.p_chance=0.9", "risk.allocation=exact", "risk.scope=node"
+    changes = "observation.emission_max_deg=40", "observation.window_s=[13300, 18000]"
+    mission = mission_of(*risk, *changes, "grid.step_max_s=9000")
+    burns = plan(mission, initial_guess.cold(mission)).burns_m_s
+    told: list[int] = []
+    whole = Mission.from_scenario(mission.scenario.replace({"risk.scope": "flight"}))
+    kept = kept_flights(whole, burns, 200, 3, told.append)
+    assert told == [200]
+    flights = SampledFlights(mission, burns)
+    judged = flights.judged(flights.draws(3, 0)[:200]).kept
+    worst = kept_flights(mission, burns, 200, 3)
+    assert mission.observed_s is not None
+    first, last = mission.observed_s
+    nodes = mission.times_s[mission.window_nodes]
+    seconds = np.union1d(np.arange(np.ceil(first), last), nodes)
+    flown = Flyer(mission, burns).fly_block(seconds, 0, flights=200, seed=3)
+    holds = {
+        name: margin >= 0.0
+        for name, margin in joint_margins(mission, seconds, flown.states[..., :3]).items()
+    }
+    at = np.isin(seconds, nodes)
+    every = np.logical_and.reduce(list(holds.values()))
+    at_nodes, throughout = every[at].all(axis=0).sum(), every.all(axis=0).sum()
+    assert throughout < at_nodes - 3
+    assert judged[SAFETY][1].all()  # so that the window alone decides
+    # A flight may touch a limit for less than a second.
+    assert kept[:2] == pytest.approx((at_nodes, throughout), abs=1)
+    for name, held in holds.items():
+        counts = judged[name][1].sum(axis=1)
+        np.testing.assert_array_equal(counts[np.isin(judged[name][0], nodes)], held[at].sum(axis=1))
+        assert counts.min() == pytest.approx(held.sum(axis=1).min(), abs=1)
+    seen = [judged[name] for name in holds]
+    assert worst[:2] == (
+        min(those[np.isin(times, nodes)].sum(axis=1).min() for times, those in seen),
+        min(those.sum(axis=1).min() for _, those in seen),
+    )
+    lost = every[at].all(axis=0) & ~every.all(axis=0)
+    broken = seconds[~every[:, lost].all(axis=1)]
+    assert np.abs(kept.touched_s[:, None] - broken).min(axis=1).max() <= 1.0
+    assert np.abs(broken[:, None] - kept.touched_s).min(axis=1).max() <= 0.5 * SAMPLE_STEP_S
