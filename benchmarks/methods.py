@@ -19,8 +19,8 @@ import numpy as np
 
 from formulations.problem.flyby import Iterate
 from scp_recon.mission.mission import Mission
-from scp_recon.monte_carlo.flights import FlightConfig, run_block
-from scp_recon.monte_carlo.sampling import BLOCK
+from scp_recon.monte_carlo.flights import run_block
+from scp_recon.monte_carlo.sampling import BLOCK, Flyer
 from scp_recon.planning import initial_guess
 from scp_recon.planning.plan import Plan
 from scp_recon.planning.planner import Planner
@@ -113,7 +113,7 @@ def replanned() -> Row:
 def flown(repeats: int) -> Row:
     """A block of flights with crossing times."""
     mission = Mission.from_scenario(load_scenario())
-    config = FlightConfig(mission, Planner(mission).plan(initial_guess.cold(mission)).burns_m_s)
+    config = Flyer(mission, Planner(mission).plan(initial_guess.cold(mission)).burns_m_s)
     return {"flights": BLOCK, **timed(lambda: run_block(config, (0, BLOCK)), 4 * repeats)}
 
 

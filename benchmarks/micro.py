@@ -10,7 +10,8 @@ from formulations.linearisation.linearisation import Linearisation, condense
 from formulations.registry import make_subproblem
 from formulations.rows.uniform import ChanceRows
 from scp_recon.mission.mission import Mission
-from scp_recon.monte_carlo.flights import FlightConfig, run_block
+from scp_recon.monte_carlo.flights import run_block
+from scp_recon.monte_carlo.sampling import Flyer
 from scp_recon.planning import initial_guess
 from scp_recon.planning.plan import Plan
 from scp_recon.planning.planner import plan
@@ -68,4 +69,4 @@ def test_fly_a_step(benchmark: Any, mission: Mission, planned: Plan) -> None:
 
 def test_fly_a_thousand_samples(benchmark: Any, mission: Mission, planned: Plan) -> None:
     burns = planned.final.result.lin.iterate.burns * mission.units.speed_m_s
-    benchmark(run_block, FlightConfig(mission, burns), (0, 1000))
+    benchmark(run_block, Flyer(mission, burns), (0, 1000))

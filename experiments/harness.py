@@ -45,8 +45,9 @@ from scp_recon.jobs.job import Done, Executor, Failure, Job, Key, Work
 from scp_recon.jobs.store import Row, Store
 from scp_recon.jobs.store import run as run_jobs
 from scp_recon.mission.mission import Mission
-from scp_recon.monte_carlo.flights import FlightConfig, FlightTally, fly_many
+from scp_recon.monte_carlo.flights import FlightTally, fly_many
 from scp_recon.monte_carlo.limits import ALL
+from scp_recon.monte_carlo.sampling import Flyer
 from scp_recon.planning.plan import Plan
 from scp_recon.results.policy import policy_of
 from scp_recon.results.solution import Solution, make_solution
@@ -193,7 +194,7 @@ def run_python(
 def fly_plan(found: Plan, samples: int, seed: int) -> FlightTally:
     """Fly a plan with errors, its burns corrected as it says."""
     policy = policy_of(found.mission, found.final.result.lin)
-    config = FlightConfig(found.mission, found.burns_m_s, policy, seed=seed)
+    config = Flyer(found.mission, found.burns_m_s, policy, seed=seed)
     return fly_many(config, samples=samples)
 
 

@@ -21,7 +21,8 @@ from experiments.missed_burns import fixed
 from experiments.plans import FLIGHT, measured
 from scp_recon.api.verbs import plan
 from scp_recon.mission.knowledge import in_words
-from scp_recon.monte_carlo.flights import FlightConfig, fly_many
+from scp_recon.monte_carlo.flights import fly_many
+from scp_recon.monte_carlo.sampling import Flyer
 from scp_recon.planning.plan import Plan
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scenario.schema import Scenario
@@ -145,7 +146,7 @@ def _planned(scenario: Scenario) -> Plan:
 def kept(found: Plan, known: Sequence[Known]) -> float:
     """Share of a plan's flights that keep all limits, with parameters that the plan takes as known."""
     mission = found.mission.changed(sigmas(known))
-    flown = fly_many(FlightConfig(mission, found.burns_m_s, seed=SEED), samples=FLIGHTS)
+    flown = fly_many(Flyer(mission, found.burns_m_s, seed=SEED), samples=FLIGHTS)
     return flown.whole / flown.samples
 
 

@@ -24,8 +24,9 @@ from scp_recon.api.planning import plan_mission
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.windows import SCAN_STEP_S, each_window, whole_windows
 from scp_recon.monte_carlo.estimates import Estimate
-from scp_recon.monte_carlo.flights import FlightConfig, fly_many
+from scp_recon.monte_carlo.flights import fly_many
 from scp_recon.monte_carlo.limits import ALL, SCIENCE, measured, time_held
+from scp_recon.monte_carlo.sampling import Flyer
 from scp_recon.monte_carlo.summarise import summarise
 from scp_recon.monte_carlo.summary import Summary
 from scp_recon.physics import geometry
@@ -120,7 +121,7 @@ def run_row(out: Path, key: str) -> Record:
         solution = make_solution(plan_mission(mission, row.guess(mission), row.options))
         solution = solution.with_verification(verify(mission, solution))
     solution.write(folder)
-    flown = fly_many(FlightConfig(mission, solution.burns_m_s), samples=SAMPLES)
+    flown = fly_many(Flyer(mission, solution.burns_m_s), samples=SAMPLES)
     summary = summarise(flown, solution)
     summary.write(folder)
     held, (first, last) = summary.held_s[ALL], mission.schedule.window_s

@@ -12,7 +12,8 @@ from typing import NamedTuple
 import pandas as pd
 
 from scp_recon.errors import InputError
-from scp_recon.monte_carlo.flights import FlightConfig, fly_many
+from scp_recon.monte_carlo.flights import fly_many
+from scp_recon.monte_carlo.sampling import Flyer
 from scp_recon.monte_carlo.summarise import summarise
 from scp_recon.monte_carlo.summary import FILE_NAME as SUMMARY_FILE
 from scp_recon.monte_carlo.summary import Summary, read_summary
@@ -65,7 +66,7 @@ def read_runs(folder: Path) -> Runs:
 
 
 def _fly(solution: Solution) -> Summary:
-    config = FlightConfig(solution.mission, solution.burns_m_s, policy=solution.corrections)
+    config = Flyer(solution.mission, solution.burns_m_s, policy=solution.corrections)
     return summarise(fly_many(config, samples=FLIGHTS), solution)
 
 

@@ -34,11 +34,10 @@ from scp_recon.monte_carlo.flights import (
     SAMPLES_MAX,
     SAMPLES_MIN,
     SEED_MAX,
-    FlightConfig,
     FlightTally,
     fly_many,
 )
-from scp_recon.monte_carlo.sampling import AnyPolicy, ErrorModel, PolicyKind, policy_kind
+from scp_recon.monte_carlo.sampling import AnyPolicy, ErrorModel, Flyer, PolicyKind, policy_kind
 from scp_recon.monte_carlo.summarise import summarise
 from scp_recon.monte_carlo.summary import FILE_NAME, MARK, Contingency, Summary
 from scp_recon.replanning.flown import FlownPlan
@@ -115,7 +114,7 @@ class Flights:
 
     plan: Solution
     options: FlyOptions
-    config: FlightConfig
+    config: Flyer
 
     @classmethod
     def of(cls, plan: Solution, options: FlyOptions) -> Flights:
@@ -131,7 +130,7 @@ class Flights:
                 "must leave a burn: `scp-recon replan --goal return` takes more in burns.times_s"
             )
             raise InputError(option("then"), f"{options.then} after the last burn", needs)
-        config = FlightConfig(plan.mission, plan.burns_m_s, *how, seed=options.seed)
+        config = Flyer(plan.mission, plan.burns_m_s, *how, seed=options.seed)
         return cls(plan, options, config)
 
     def summary(self) -> Summary:
@@ -193,7 +192,7 @@ class Flights:
         if number is None:
             return summary
         miss, scenario = Miss(number), mission.scenario
-        draws = self.config.first_draws(summary.samples, self.config.seed)
+        draws = self.config.first_draws(summary.samples)
         (flown,) = fly_drifts(self.config, [miss], draws)
         required = drift_probability(scenario) if miss in planned_misses(scenario) else None
         drift = safety_of(mission, miss, flown, required)

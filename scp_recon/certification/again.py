@@ -21,7 +21,7 @@ from scp_recon.mission.constraints import Miss, drift_duration_s, drift_probabil
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.drifts import fly_drifts
 from scp_recon.monte_carlo.estimates import proportion
-from scp_recon.monte_carlo.flights import FlightConfig
+from scp_recon.monte_carlo.sampling import Flyer
 from scp_recon.monte_carlo.strata import drawn_factor
 from scp_recon.planning.plan import Plan
 from scp_recon.results.policy import SAME, misjudged, policy_of
@@ -93,8 +93,8 @@ def shortfalls(plan: Plan) -> dict[str, float]:
             blind.append((miss, one))
     if not (near or blind):
         return found
-    config = FlightConfig(mission, plan.burns_m_s, policy_of(mission, lin), seed=SEED)
-    draws = config.first_draws(FLIGHTS if near else BLIND, SEED)
+    config = Flyer(mission, plan.burns_m_s, policy_of(mission, lin), seed=SEED)
+    draws = config.first_draws(FLIGHTS if near else BLIND)
     step_s = (
         drift_duration_s(mission.scenario) / lin.problem.drifts[0].flow.arcs
     )  # as the linear law's

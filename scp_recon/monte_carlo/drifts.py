@@ -22,8 +22,7 @@ from scp_recon.mission.constraints import (
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.scene import TruthModel
 from scp_recon.monte_carlo.estimates import proportion
-from scp_recon.monte_carlo.flights import FlightConfig
-from scp_recon.monte_carlo.sampling import BLOCK, flow_of
+from scp_recon.monte_carlo.sampling import BLOCK, Flyer, flow_of
 from scp_recon.results.verification import DriftSafety
 
 NEAREST = 0.003
@@ -53,7 +52,7 @@ class Drifted:
 
 
 def fly_drifts(
-    config: FlightConfig, misses: Sequence[Miss], draws: Array, step_s: float = JUDGED_STEP_S
+    config: Flyer, misses: Sequence[Miss], draws: Array, step_s: float = JUDGED_STEP_S
 ) -> list[Drifted]:
     """Fly drifts of several misses, each from the same flights, with draws (flights, sources)."""
     if not misses:
@@ -65,7 +64,7 @@ def fly_drifts(
     return [drift(own, config.truth, *at, step_s) for at in zip(starts, times, strict=True)]
 
 
-def states_after(config: FlightConfig, misses: Sequence[Miss], draws: Array) -> list[Array]:
+def states_after(config: Flyer, misses: Sequence[Miss], draws: Array) -> list[Array]:
     """States of draws just after each missed or cut burn, J2000, m and m/s, (flights, 6) each."""
     scenario, parts = config.mission.scenario, []
     times = np.unique([scenario.burns.times_s[miss.burn - 1] for miss in misses])

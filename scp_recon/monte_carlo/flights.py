@@ -16,6 +16,7 @@ from formulations.risk.strata import Allocation, Counted, Survey, allocate
 from scp_recon.jobs.job import Executor, Job, here, in_order
 from scp_recon.jobs.processes import Limits
 from scp_recon.mission.constraints import companion_distance_m
+from scp_recon.mission.mission import Mission
 from scp_recon.mission.scene import errors_of_kind
 from scp_recon.mission.windows import Window
 from scp_recon.monte_carlo.closed_loop import MEASURED
@@ -57,48 +58,24 @@ MORE = 0.25
 """Further draws where the intervals came out wider, over those of the first time."""
 
 
-@dataclass(frozen=True, eq=False)
-class FlightConfig(Flyer):
-    """Planned burns to fly, and the seed of all draws.
+def window_samples(mission: Mission) -> Array:
+    """Times in the rest of the window, s, at most `SAMPLE_STEP_S` apart, with edges and nodes."""
+    return _samples(mission, mission.observed_s)
 
-    Raises:
-        InputError: if truth or errors cannot be flown in this scenario.
-    """
 
-    seed: int = 0
+def watched_samples(mission: Mission) -> Array:
+    """The same of `watched_s`, in which the windows of flights lie."""
+    whole = _samples(mission, mission.edges.watched_s), mission.edges.samples_s
+    return np.union1d(window_samples(mission), np.concatenate(whole))
 
-    def __post_init__(self) -> None:
-        """Refuse inputs that make flights impossible, and another body's gravity."""
-        errors_of_kind(self.mission.scenario, self.errors)
-        self.mission.scene.gravity_in_words(self.truth)
 
-    def __getstate__(self) -> dict[str, object]:
-        """What a copy for another process takes along, with `certain`, which takes long to find."""
-        _ = self.certain
-        return vars(self)
-
-    @property
-    def window_samples_s(self) -> Array:
-        """Times in the rest of the window, s, at most `SAMPLE_STEP_S` apart, with edges and nodes."""
-        return self._samples(self.mission.observed_s)
-
-    @property
-    def watched_samples_s(self) -> Array:
-        """The same of `watched_s`, in which the windows of flights lie."""
-        whole = self._samples(self.mission.edges.watched_s), self.mission.edges.samples_s
-        return np.union1d(self.window_samples_s, np.concatenate(whole))
-
-    def _samples(self, span: Window | None) -> Array:
-        if span is None:
-            return np.zeros(0)
-        first, last = span
-        even = np.linspace(first, last, int(np.ceil((last - first) / SAMPLE_STEP_S)) + 1)
-        nodes = self.mission.times_s
-        return np.union1d(even, nodes[(nodes >= first) & (nodes <= last)])
-
-    def counted_s(self, name: str) -> Array:
-        """Times at which a joint constraint is counted, s: for safety distances all nodes."""
-        return self.mission.times_s if name in EVERYWHERE else self.watched_samples_s
+def _samples(mission: Mission, span: Window | None) -> Array:
+    if span is None:
+        return np.zeros(0)
+    first, last = span
+    even = np.linspace(first, last, int(np.ceil((last - first) / SAMPLE_STEP_S)) + 1)
+    nodes = mission.times_s
+    return np.union1d(even, nodes[(nodes >= first) & (nodes <= last)])
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,16 +90,13 @@ class FlightBlock:
     terminal: Array
 
 
-def run_block(config: FlightConfig, block: tuple[int, int]) -> FlightBlock:
+def run_block(config: Flyer, block: tuple[int, int]) -> FlightBlock:
     """Fly a block, given as (its number, its number of flights)."""
     number, flights = block
-    mission, samples, watched = (
-        config.mission,
-        config.window_samples_s,
-        config.watched_samples_s,
-    )
+    mission = config.mission
+    samples, watched = window_samples(mission), watched_samples(mission)
     times = np.union1d(watched, mission.times_s)
-    flown = config.fly_block(times, number, flights=flights, seed=config.seed)
+    flown = config.fly_block(times, number, flights=flights)
     corrected = [one.burn for one in config.policy]
     of_burns = mission.problem.burn_margins(
         flown.commanded_m_s.swapaxes(0, 1) / mission.units.speed_m_s
@@ -170,7 +144,7 @@ class FlightTally:
             `exit_s`, the first and last time at which all hold, of the flights in which they ever do;
             and the `FIGURES`.
         full: flights in which each observation constraint holds throughout the window.
-        node_counts: flights in which each joint constraint holds, at the times of `counted_s`.
+        node_counts: flights in which each joint constraint holds, at the nodes or the watched samples.
         whole: flights that keep every limit on the position at every sampled time.
         limits: flights in which each corrected burn keeps each limit on burns, shape (k,).
         failed: flights in which planning each burn again failed, shape (k,); empty without.
@@ -179,7 +153,7 @@ class FlightTally:
             likely, s, and the counts there; none without such flights.
     """
 
-    config: FlightConfig
+    config: Flyer
     samples: int = 0
     tallies: dict[str, Tally] = field(init=False)
     full: dict[str, int] = field(init=False)
@@ -243,7 +217,9 @@ class FlightTally:
             time_s, counted = self.narrowed[name]
             if (narrowed := of_strata(counted, CONFIDENCE)).width < plain.width:
                 return time_s, narrowed
-        return float(self.config.counted_s(name)[at]), plain
+        mission = self.config.mission
+        times = mission.times_s if name in EVERYWHERE else watched_samples(mission)
+        return float(times[at]), plain
 
     def is_narrowed(self, name: str) -> bool:
         """Whether a joint constraint's probability is that of flights in strata."""
@@ -263,7 +239,7 @@ class FlightTally:
 
 
 def fly_many(
-    config: FlightConfig,
+    config: Flyer,
     *,
     samples: int,
     until: float | None = None,
@@ -311,7 +287,7 @@ def fly_many(
 
 
 def narrow(
-    config: FlightConfig,
+    config: Flyer,
     flown: int,
     until: float,
     samples: int,
@@ -333,7 +309,7 @@ def narrow(
     mission, how = config.mission, (corrections_of(config.policy), config.truth, config.errors)
     if mission.observed_s is None or mission.edges.sigmas_s is not None:
         return {}
-    flights = SampledFlights(mission, config.burns_m_s, *how, config.window_samples_s)
+    flights = SampledFlights(mission, config.burns_m_s, *how, times_s=window_samples(mission))
     law = _law(config)
     drawn = config.sources + MEASURED * len(config.policy)
     if config.certain or not law.limits or law.sources != drawn:
@@ -362,7 +338,7 @@ def narrow(
     return worst
 
 
-def _law(config: FlightConfig) -> Law:
+def _law(config: Flyer) -> Law:
     """The law of flights, with their errors, and with their corrections if the mission has these.
 
     It lacks columns for numbers that a flight draws if the flight plans again.

@@ -99,6 +99,10 @@ class Flyer:
         policy: that commands others.
         truth: gravity of the flights.
         errors: of the burns; the scenario's if None.
+        seed: of all draws.
+
+    Raises:
+        InputError: if truth or errors cannot be flown in this scenario.
     """
 
     mission: Mission
@@ -106,6 +110,17 @@ class Flyer:
     policy: AnyPolicy = ()
     truth: TruthModel = "planner"
     errors: ErrorModel | None = None
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        """Refuse inputs that make flights impossible, and another body's gravity."""
+        errors_of_kind(self.mission.scenario, self.errors)
+        self.mission.scene.gravity_in_words(self.truth)
+
+    def __getstate__(self) -> dict[str, object]:
+        """What a copy for another process takes along, with `certain`, which takes long to find."""
+        _ = self.certain
+        return vars(self)
 
     @cached_property
     def certain(self) -> bool:
@@ -119,44 +134,39 @@ class Flyer:
         initial = self.mission.initial_factor.shape[1] + self.mission.uncertain.count
         return initial + model.draws(len(self.burns_m_s))
 
-    def draws(self, seed: int, block: int) -> Array:
+    def draws(self, block: int) -> Array:
         """The draws of a block of flights, shape (BLOCK, sources)."""
         p, initial = self.mission.uncertain.count, self.mission.initial_factor.shape[1]
-        draws = draw(seed, block, self.sources - p)
+        draws = draw(self.seed, block, self.sources - p)
         if p:
-            own = draw_parameters(self.mission, seed, block)
+            own = draw_parameters(self.mission, self.seed, block)
             draws = np.hstack([draws[:, :initial], own, draws[:, initial:]])
-        measured = draw(seed, block, MEASURED * len(self.policy), NAVIGATION)
+        measured = draw(self.seed, block, MEASURED * len(self.policy), NAVIGATION)
         return np.hstack([draws, measured]) if self.policy else draws
 
-    def blocks_of_draws(self, samples: int, seed: int) -> Iterator[Array]:
+    def blocks_of_draws(self, samples: int) -> Iterator[Array]:
         """The draws of the first flights, block by block."""
         for first in range(0, samples, BLOCK):
-            yield self.draws(seed, first // BLOCK)[: samples - first]
+            yield self.draws(first // BLOCK)[: samples - first]
 
-    def first_draws(self, samples: int, seed: int) -> Array:
+    def first_draws(self, samples: int) -> Array:
         """The draws of the first flights, shape (samples, sources)."""
-        return np.concatenate([*self.blocks_of_draws(samples, seed)])
+        return np.concatenate([*self.blocks_of_draws(samples)])
 
-    def fly_blocks(self, times_s: Array, samples: int, seed: int) -> Iterator[FlightLog]:
+    def fly_blocks(self, times_s: Array, samples: int) -> Iterator[FlightLog]:
         """Fly the first flights, block by block: see `fly`."""
-        for draws in self.blocks_of_draws(samples, seed):
+        for draws in self.blocks_of_draws(samples):
             yield self.fly(times_s, draws)
 
-    def fly_block(
-        self, times_s: Array, block: int, *, flights: int = BLOCK, seed: int = 0
-    ) -> FlightLog:
+    def fly_block(self, times_s: Array, block: int, *, flights: int = BLOCK) -> FlightLog:
         """Fly the first `flights` of a block of draws, at most `BLOCK`: see `fly`."""
-        return self.fly(times_s, self.draws(seed, block)[:flights])
+        return self.fly(times_s, self.draws(block)[:flights])
 
     def fly(self, times_s: Array, draws: Array, until_s: float = np.inf) -> FlightLog:
         """Fly draws, shape (flights, sources).
 
         Integration steps depend on the burns' times alone; states at the ascending `times_s` are
         interpolated. Nothing is flown after `until_s`.
-
-        Raises:
-            InputError: if the scenario's errors have no such counterpart as is asked for.
         """
         mission, burns_m_s, policy = self.mission, self.burns_m_s, self.policy
         initial, flights = mission.initial_factor.shape[1], len(draws)
@@ -251,7 +261,7 @@ def sample_positions(
     policy: AnyPolicy = (),
 ) -> Array:
     """Positions of flights with the planner's dynamics, J2000, m, shape (times, samples, 3)."""
-    blocks = Flyer(mission, burns_m_s, policy).fly_blocks(times_s, samples, seed)
+    blocks = Flyer(mission, burns_m_s, policy, seed=seed).fly_blocks(times_s, samples)
     return np.concatenate([flown.states[..., :3] for flown in blocks], axis=1)
 
 

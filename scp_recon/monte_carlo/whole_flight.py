@@ -71,9 +71,9 @@ def kept_flights(
 
     A policy corrects the burns. `progress` is called with the number flown so far after each block.
     """
-    sampled = SampledFlights(mission, burns_m_s, policy)
+    sampled = SampledFlights(mission, burns_m_s, policy, seed=seed)
     counts, touched, flown = np.zeros(1, dtype=np.intp), [np.zeros(0)], 0
-    for draws in sampled.blocks_of_draws(samples, seed):
+    for draws in sampled.blocks_of_draws(samples):
         seen = sampled.judged(draws)
         parts = [holds.sum(axis=1) for _, holds in seen.kept.values()]
         counts, flown = counts + np.concatenate(parts), flown + len(draws)

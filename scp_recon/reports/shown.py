@@ -188,10 +188,11 @@ class Shown:
     def flown(self) -> DrawnFlights:
         """Flights at the nodes' times and at even ones in the window."""
         samples, (first, last) = self.samples or SAMPLES, self.window_s
-        flyer = Flyer(self.mission, self.solution.burns_m_s, self.solution.corrections)
+        burns, policy = self.solution.burns_m_s, self.solution.corrections
+        flyer = Flyer(self.mission, burns, policy, seed=SEED)
         times = np.union1d(self.mission.times_s, self.looks_s(LOOKS_IN_WINDOW))
         positions, executed, commanded = [], [], []
-        for block in flyer.fly_blocks(times, samples, SEED):
+        for block in flyer.fly_blocks(times, samples):
             positions.append(block.states[..., :3])
             executed.append(np.linalg.norm(block.burns_m_s, axis=2))
             commanded.append(np.linalg.norm(block.commanded_m_s, axis=2).sum(axis=1))

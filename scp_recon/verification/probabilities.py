@@ -14,7 +14,6 @@ from scp_recon.mission.feedback import contact_of
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.drifts import fly_drifts, reach_s, safety_of
 from scp_recon.monte_carlo.estimates import proportion
-from scp_recon.monte_carlo.flights import FlightConfig
 from scp_recon.monte_carlo.limits import is_certain, kept_limits, limit_margins
 from scp_recon.monte_carlo.sampling import Flyer
 from scp_recon.monte_carlo.summary import COMPONENTS, WIDER
@@ -132,9 +131,9 @@ def joint_probabilities(
         beyond = np.arange(early, window[0], apart), np.arange(late, window[-1], -apart)
         observed = np.union1d(observed, np.concatenate([*beyond, mission.edges.samples_s]))
     times = np.union1d(observed, mission.times_s)
-    seen, flyer = np.searchsorted(times, observed), Flyer(mission, burns, policy)
+    seen, flyer = np.searchsorted(times, observed), Flyer(mission, burns, policy, seed=SEED)
     parts, ends = [], []
-    for flown in flyer.fly_blocks(times, SAMPLES, SEED):
+    for flown in flyer.fly_blocks(times, SAMPLES):
         position, certain = flown.states[..., :3], flyer.certain
         margins = limit_margins(flown.mission, times, position, seen, certain=certain)
         parts.append(kept_limits(margins))
@@ -167,12 +166,12 @@ def drift_safety(
     reported = [miss for miss in map(Miss, numbers) if miss not in judged]
     if reach_s(mission) <= 0.0:
         return []
-    config, found = FlightConfig(mission, burns, policy, seed=SEED), []
+    config, found = Flyer(mission, burns, policy, seed=SEED), []
     for misses, flights, step, asked in (
         (reported, DRIFTS, DRIFT_STEP_S, None),
         (judged, DRIFTS_JUDGED, JUDGED_STEP_S, drift_probability(scenario)),
     ):
-        flown = fly_drifts(config, misses, config.first_draws(flights, SEED), step)
+        flown = fly_drifts(config, misses, config.first_draws(flights), step)
         found += [
             safety_of(mission, miss, one, asked) for miss, one in zip(misses, flown, strict=True)
         ]

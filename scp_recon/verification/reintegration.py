@@ -315,7 +315,7 @@ def variational_rate(
 def _sample_error(mission: Mission, burns: Array, policy: Policy) -> float:
     """Largest difference of some sampled flights from the adaptive integration of the same, m."""
     times = mission.times_s[[0, *mission.window_nodes, -1]]
-    sampled = Flyer(mission, burns, policy).fly_block(times, 0, flights=FLIGHTS_CHECKED, seed=SEED)
+    sampled = Flyer(mission, burns, policy, seed=SEED).fly_block(times, 0, flights=FLIGHTS_CHECKED)
     errors = []
     for i, executed in enumerate(sampled.burns_m_s):
         initial = sampled.states[0, i].copy()

@@ -18,7 +18,7 @@ from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo import closed_loop as module
 from scp_recon.monte_carlo.closed_loop import Replan, replans
-from scp_recon.monte_carlo.flights import FlightConfig, fly_many
+from scp_recon.monte_carlo.flights import fly_many
 from scp_recon.monte_carlo.sampling import BLOCK, FlightLog, Flyer, draw
 from scp_recon.monte_carlo.strata import Law
 from scp_recon.monte_carlo.summarise import summarise
@@ -134,7 +134,7 @@ def test_law_has_the_draws_of_corrected_flights(solution, correlated):
         words = f"navigation.covariance={along.tolist()}"
         case = case_of(3600.0, solution, words, measured=())
     mission, law = case.mission, Law.of(case.mission, case.lin)
-    draws = Flyer(mission, case.burns_m_s, case.policy).draws(0, 0)[:50]
+    draws = Flyer(mission, case.burns_m_s, case.policy).draws(0)[:50]
     assert draws.shape[1] == law.sources
     flights = SampledFlights(mission, case.burns_m_s, case.policy)
     flown = flights.positions(draws) / law.length_m - law.mean[:, None]
@@ -152,7 +152,7 @@ def test_zero_gains_fly_bit_identical_to_open_loop(solution):
     np.testing.assert_array_equal(corrected.states, alone.states)
     np.testing.assert_array_equal(corrected.burns_m_s, alone.burns_m_s)
     sources = Flyer(mission, burns).sources
-    draws = Flyer(mission, burns, case.policy).draws(5, 2)
+    draws = Flyer(mission, burns, case.policy, seed=5).draws(2)
     assert draws.shape == (BLOCK, sources + 18)
     np.testing.assert_array_equal(draws[:, :sources], draw(5, 2, sources))
     assert len(np.unique(draws)) == draws.size
@@ -175,7 +175,7 @@ def test_flights_count_what_corrected_burns_break(solution):
     largest = float(np.linalg.norm(solution.burns_m_s[2]))
     case = case_of(3600.0, solution, f"burns.dv_max_m_s={largest}", size=0.3)
     mission, burns = case.mission, case.burns_m_s
-    flown = fly_many(FlightConfig(mission, burns, policy=case.policy), samples=BLOCK)
+    flown = fly_many(Flyer(mission, burns, policy=case.policy), samples=BLOCK)
     commanded = case.fly(mission.times_s[-1:]).commanded_m_s
     sizes = np.linalg.norm(commanded, axis=2)
     kept = (sizes <= largest).sum(axis=0)[[1, 2, 3]]
@@ -228,8 +228,8 @@ def test_flights_of_other_gains_are_another_plans(corrected):
     mission, burns, policy = corrected.mission, corrected.burns_m_s, corrected.corrections
     for other in (policy[:1], (replace(policy[0], gains=2.0 * policy[0].gains), *policy[1:])):
         with pytest.raises(ValueError, match="another plan"):
-            summarise(fly_many(FlightConfig(mission, burns, policy=other), samples=20), corrected)
-    open_loop = summarise(fly_many(FlightConfig(mission, burns), samples=20), corrected)
+            summarise(fly_many(Flyer(mission, burns, policy=other), samples=20), corrected)
+    open_loop = summarise(fly_many(Flyer(mission, burns), samples=20), corrected)
     assert (open_loop.policy, open_loop.commanded) == ("open", None)
 
 

@@ -16,7 +16,6 @@ from scp_recon.errors import InputError
 from scp_recon.mission.constraints import Miss
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.drifts import fly_drifts, states_after
-from scp_recon.monte_carlo.flights import FlightConfig
 from scp_recon.monte_carlo.sampling import Flyer
 from scp_recon.physics.forces import acceleration
 from scp_recon.planning.initial_guess import cold
@@ -45,8 +44,8 @@ def test_a_drift_is_that_of_another_integrator():
     """The nearest approach of single flights after half of burn 2, by DOP853 with dense output."""
     plan, miss = planned(*ONE_DAY), Miss(2, 0.5)
     mission = plan.mission
-    config = FlightConfig(mission, plan.burns_m_s)
-    draws = config.first_draws(3, 0)
+    config = Flyer(mission, plan.burns_m_s)
+    draws = config.first_draws(3)
     found = fly_drifts(config, [miss], draws)[0]
     start = mission.scenario.burns.times_s[1]
     for number, state in enumerate(states_after(config, [miss], draws)[0]):
@@ -66,9 +65,9 @@ def test_a_missed_burn_is_what_a_whole_one_lacks():
     mission, burns = plan.mission, plan.burns_m_s
     time = np.array([mission.scenario.burns.times_s[1]])
     flown = Flyer(mission, burns).fly_block(time, 0, flights=5)
-    config = FlightConfig(mission, burns)
+    config = Flyer(mission, burns)
     misses = [Miss(2), Miss(2, 0.5)]
-    missed, half = states_after(config, misses, config.first_draws(5, config.seed))
+    missed, half = states_after(config, misses, config.first_draws(5))
     np.testing.assert_allclose(flown.states[0, :, :3], missed[:, :3])
     np.testing.assert_allclose(flown.states[0, :, 3:] - missed[:, 3:], flown.burns_m_s[:, 1])
     np.testing.assert_allclose(flown.states[0, :, 3:] - half[:, 3:], flown.burns_m_s[:, 1] / 2)
@@ -81,8 +80,8 @@ def test_a_plan_survives_a_missed_burn_in_flight():
     without = planned(*ONE_DAY[:2])
     mission = plan.mission
     safe = [
-        fly_drifts(config, [Miss(2)], config.first_draws(4000, 77))[0].safe(mission).sum()
-        for config in (FlightConfig(mission, one.burns_m_s) for one in (plan, without))
+        fly_drifts(config, [Miss(2)], config.first_draws(4000))[0].safe(mission).sum()
+        for config in (Flyer(mission, one.burns_m_s, seed=77) for one in (plan, without))
     ]
     assert safe[0] >= binom.ppf(0.001, 4000, 0.997)
     assert safe[1] < 0.97 * 4000
@@ -205,6 +204,6 @@ def test_drifts_that_bind_are_safe_in_flight(number):
     names = [one.name for one in plan.mission.problem.drifts]
     assert min(abs(plan.final.margins[name].margin.min()) for name in names) < 1e-4
     for miss in (Miss(2), Miss(3), Miss(4)):
-        config = FlightConfig(plan.mission, plan.burns_m_s)
-        safe = fly_drifts(config, [miss], config.first_draws(10_000, 99))[0]
+        config = Flyer(plan.mission, plan.burns_m_s, seed=99)
+        safe = fly_drifts(config, [miss], config.first_draws(10_000))[0]
         assert safe.safe(plan.mission).sum() >= binom.ppf(0.001, 10_000, 0.997)

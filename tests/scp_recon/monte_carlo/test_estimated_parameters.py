@@ -50,7 +50,7 @@ def test_filter_is_a_square_root_information_filter(lead_s):
     """Commanded corrections and covariances, by another integrator; also across an earlier burn."""
     mission, lin = case(lead_s=lead_s)
     policy = policy_of(mission, lin)
-    draws = Flyer(mission, BURNS, policy).draws(0, 0)[:FLIGHTS]
+    draws = Flyer(mission, BURNS, policy).draws(0)[:FLIGHTS]
     cut_offs = np.array([one.cut_off_s for one in policy])
     flown = Flyer(mission, BURNS, policy).fly(cut_offs, draws)
     commanded = flown.commanded_m_s - BURNS
@@ -117,7 +117,7 @@ def test_filter_that_considers_parameters_commands_the_same():
     """Its estimates err more, and gains on all of them so far make up for it."""
     (mission, lin), (other, considering) = case(), case("navigation.estimate_parameters=false")
     policies = policy_of(mission, lin), policy_of(other, considering)
-    draws = Flyer(mission, BURNS, policies[0]).draws(0, 0)[:FLIGHTS]
+    draws = Flyer(mission, BURNS, policies[0]).draws(0)[:FLIGHTS]
     commands = [
         Flyer(one, BURNS, policy).fly(one.times_s[-1:], draws).commanded_m_s
         for one, policy in zip((mission, other), policies, strict=True)
@@ -141,7 +141,7 @@ def test_flights_are_planned_again_with_uncertain_parameters():
     spreads = [np.sqrt(np.diag(policy[0].estimate_covariance)) for policy in policies]
     assert np.all(spreads[1] > spreads[0])
     assert (spreads[1] / spreads[0]).max() > 2.0
-    draws = Flyer(mission, BURNS, policies[1]).draws(0, 0)[:2]
+    draws = Flyer(mission, BURNS, policies[1]).draws(0)[:2]
     flown = Flyer(mission, BURNS, policies[1]).fly(mission.times_s[-1:], draws)
     assert not flown.failed.any()
     assert np.abs(flown.commanded_m_s - BURNS).max() > 1e-4

@@ -18,8 +18,9 @@ from scp_recon.jobs.job import DIED, Done, Failure, Job, Work, attempt
 from scp_recon.jobs.processes import Processes
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo import flights, strata
-from scp_recon.monte_carlo.flights import FlightConfig, FlightTally, fly_many
+from scp_recon.monte_carlo.flights import FlightTally, fly_many
 from scp_recon.monte_carlo.limits import ALL
+from scp_recon.monte_carlo.sampling import Flyer
 from scp_recon.monte_carlo.summarise import summarise
 from scp_recon.monte_carlo.summary import FILE_NAME, read_summary
 from scp_recon.planning import initial_guess
@@ -35,7 +36,7 @@ SAMPLES = 3_400
 
 
 def test_until_stops_at_the_width_asked(mission, solution):
-    config = FlightConfig(mission, solution.burns_m_s)
+    config = Flyer(mission, solution.burns_m_s)
     stopped = fly_many(config, samples=20_000, until=0.03)
     assert stopped.widest_interval() <= 0.03
     assert stopped.samples < 20_000
@@ -89,8 +90,8 @@ def _equal(a: object, b: object) -> bool:
 
 
 @pytest.fixture(scope="module")
-def config(default_plan) -> FlightConfig:
-    return FlightConfig(default_plan.mission, default_plan.burns_m_s, seed=3)
+def config(default_plan) -> Flyer:
+    return Flyer(default_plan.mission, default_plan.burns_m_s, seed=3)
 
 
 @pytest.fixture(scope="module")
@@ -128,7 +129,7 @@ def test_few_flights_narrow_what_errors_and_corrections_change(
     config = replace(config, errors="gates")
     if kind == "corrections":
         case = case_of(3600.0, solution, "uncertainty.execution_error=0.05")
-        config = FlightConfig(case.mission, case.burns_m_s, seed=3, policy=case.policy)
+        config = Flyer(case.mission, case.burns_m_s, seed=3, policy=case.policy)
     found = fly_many(config, samples=10_000, until=until)
     assert found.widest_interval() <= until
     assert_narrowed(found, fly_many(config, samples=3_000))
@@ -242,5 +243,5 @@ def test_interrupted_flights_are_summarised(tame, tmp_path, monkeypatch, capsys)
     said = capsys.readouterr()
     assert json.loads(said.out)["samples"] == 1000
     assert "1000 of 2000 flights" in said.err
-    whole = fly(FlightConfig(tame.mission, tame.burns_m_s), samples=1000)
+    whole = fly(Flyer(tame.mission, tame.burns_m_s), samples=1000)
     assert read_summary(tmp_path) == summarise(whole, tame)

@@ -14,7 +14,6 @@ from scp_recon.mission.constraints import Miss
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.windows import SCAN_STEP_S, each_window
 from scp_recon.monte_carlo.drifts import fly_drifts
-from scp_recon.monte_carlo.flights import FlightConfig
 from scp_recon.monte_carlo.limits import SCIENCE, joint_margins
 from scp_recon.monte_carlo.sampling import Flyer
 from scp_recon.monte_carlo.strata import Law
@@ -63,7 +62,7 @@ def test_each_parameter_alone_acts_on_flights_as_by_law(entry):
     companion = {"body.companion": COMPANION} if ".companion." in entry else {}
     changes = {**companion, **CERTAIN, f"knowledge.{entry}": ALONE[entry]}
     mission = mission_with(changes)
-    draws = 0.1 * Flyer(mission, BURNS).draws(3, 0)[:20]
+    draws = 0.1 * Flyer(mission, BURNS, seed=3).draws(0)[:20]
     flown = Flyer(mission, BURNS).fly(mission.times_s, draws)
     lin = mission.dynamics.linearise(mission.problem, from_burns(mission, BURNS))
     mean, factor = lin.iterate.mean, lin.spread.factor
@@ -102,7 +101,7 @@ def test_limits_count_in_the_own_window_of_each_flight():
     """The window of each flight is searched for anew, and every sample in it judged by itself."""
     changes = {"knowledge.body.prime_meridian_deg": 2.0, "knowledge.body.pole_dec_deg": 1.0}
     mission = mission_with(changes)
-    draws = Flyer(mission, BURNS).draws(7, 0)[:60]
+    draws = Flyer(mission, BURNS, seed=7).draws(0)[:60]
     flown = Flyer(mission, BURNS).fly(sample_times(mission), draws)
     times, kept, planned = flown.times_s, list[bool](), list[bool]()
     for number in range(len(draws)):
@@ -131,7 +130,7 @@ def test_flights_keep_limits_as_often_as_by_law():
     window = mission_with({}).schedule.window_s
     mission = mission_with({"knowledge": EVERYTHING, "observation.window_s": window})
     flights, law = flights_of(mission), law_of(mission)
-    draws = np.concatenate([Flyer(mission, BURNS).draws(5, block) for block in range(3)])
+    draws = np.concatenate([Flyer(mission, BURNS, seed=5).draws(block) for block in range(3)])
     by_law = law.margins(draws)[FLIGHT][0] >= 0.0
     flown = np.logical_and.reduce(
         [those.all(axis=0) for _, those in flights.judged(draws).kept.values()]
@@ -156,11 +155,11 @@ def test_drifts_have_the_parameters_of_their_flights():
     """After the last burn is missed: the linear law of the drift's start and of its end."""
     changes = {**CERTAIN, "knowledge.body.gm_m3_s2": 0.05, "safety.missed_burns": 1}
     mission = mission_with({**changes, "safety.drift_s": 7200.0})
-    config, (drift,) = FlightConfig(mission, BURNS), mission.problem.drifts[2:]
+    config, (drift,) = Flyer(mission, BURNS), mission.problem.drifts[2:]
     lin = mission.dynamics.linearise(mission.problem, from_burns(mission, BURNS))
     assert start_of(lin, drift).factor.shape[0] == 7
     assert np.abs(start_of(lin, drift).factor[:6, 6]).max() > 1e-4
-    (flown,) = fly_drifts(config, [Miss(4)], config.first_draws(30, 0))
+    (flown,) = fly_drifts(config, [Miss(4)], config.first_draws(30))
     assert flown.closest_m.std() > 0.0
 
 

@@ -13,7 +13,7 @@ from scp_recon.cli.commands import montecarlo
 from scp_recon.errors import InputError
 from scp_recon.jobs.job import here
 from scp_recon.mission.mission import Mission
-from scp_recon.monte_carlo.flights import FlightConfig, FlightTally, fly_many, narrow
+from scp_recon.monte_carlo.flights import FlightTally, fly_many, narrow
 from scp_recon.monte_carlo.limits import ALL, SCIENCE
 from scp_recon.monte_carlo.sampling import Flyer
 from scp_recon.monte_carlo.summarise import summarise
@@ -44,7 +44,7 @@ Data = dict[str, Any]
 @pytest.fixture(scope="module")
 def flown(mission, solution) -> FlightTally:
     """Few flights: a single batch, whose means have no interval."""
-    return fly_many(FlightConfig(mission, solution.burns_m_s), samples=40)
+    return fly_many(Flyer(mission, solution.burns_m_s), samples=40)
 
 
 @pytest.fixture(scope="module")
@@ -83,7 +83,7 @@ def test_file_has_known_keys_and_plan_hash(data, solution):
 
 
 def test_flights_of_another_plan_are_not_summarised(mission, solution, flown):
-    doubled = FlightConfig(mission, 2.0 * solution.burns_m_s)
+    doubled = Flyer(mission, 2.0 * solution.burns_m_s)
     with pytest.raises(ValueError, match="another plan"):
         summarise(fly_many(doubled, samples=20), solution)
     risk = solution.scenario.risk.model_copy(update={"p_chance": 0.8})
@@ -131,7 +131,7 @@ def test_parts_that_do_not_fit_together_are_refused(tmp_path, data, path, value)
 
 @pytest.fixture(scope="module")
 def many(mission, solution) -> Summary:
-    return summarise(fly_many(FlightConfig(mission, solution.burns_m_s), samples=1000), solution)
+    return summarise(fly_many(Flyer(mission, solution.burns_m_s), samples=1000), solution)
 
 
 @pytest.mark.slow
@@ -140,12 +140,12 @@ def test_flights_tell_what_the_verification_tells(mission, solution, many):
     names = [one.name for one in joint_probabilities(mission, solution.burns_m_s)[0]]
     assert [*many.probability] == [*names, ALL]
     nearer = mission.changed({"safety.radius_min_m": 750.0})
-    config = FlightConfig(nearer, solution.burns_m_s)
+    config = Flyer(nearer, solution.burns_m_s)
     flown = fly_many(config, samples=1000)
     at, lowest = flown.worst_probability("safety_radius")
     assert at > nearer.observed_s[1]
     sampled = SampledFlights(nearer, solution.burns_m_s)
-    draws = Flyer(nearer, solution.burns_m_s).draws(0, 0)
+    draws = Flyer(nearer, solution.burns_m_s).draws(0)
     kept = sampled.judged(draws).kept["safety_radius"][1].sum(axis=1)
     assert lowest.value == pytest.approx(kept.min() / 1000, abs=2e-3)
     assert flown.whole <= kept.min()
@@ -192,8 +192,8 @@ def test_packaged_field_refuses_another_body(entry, mission, solution):
     else:
         other, words = mission_of(f"body.{entry}"), f"body.{entry}".replace("=", " ")
     with pytest.raises(InputError, match=words):
-        FlightConfig(other, solution.burns_m_s, truth="harmonics")
-    FlightConfig(mission, solution.burns_m_s, truth="harmonics")
+        Flyer(other, solution.burns_m_s, truth="harmonics")
+    Flyer(mission, solution.burns_m_s, truth="harmonics")
 
 
 def test_spread_beyond_the_linear_law_is_named_by_axis():
@@ -211,7 +211,7 @@ def test_verification_and_flights_miss_the_same_axes(mission, solution):
         covariance[-1][i][4] *= 0.5
     nodes = replace(solution.nodes, covariance=covariance)
     narrowed = replace(solution, nodes=nodes)
-    flown = fly_many(FlightConfig(mission, solution.burns_m_s), samples=1000)
+    flown = fly_many(Flyer(mission, solution.burns_m_s), samples=1000)
     _, ends = joint_probabilities(mission, solution.burns_m_s)
     stored = np.array([covariance[-1], solution.nodes.covariance[-1]])
     assert "vy" in wider_than_law(ends, stored[0])

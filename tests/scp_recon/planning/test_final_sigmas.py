@@ -13,7 +13,6 @@ from formulations.registry import make_subproblem
 from formulations.rows.cones import FINAL_POSITION, FINAL_VELOCITY
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
-from scp_recon.monte_carlo.flights import FlightConfig
 from scp_recon.monte_carlo.sampling import Flyer
 from scp_recon.planning import initial_guess, ipopt
 from scp_recon.planning.plan import Plan
@@ -88,7 +87,7 @@ def test_a_file_that_says_otherwise_is_found_out(free):
     honest = make_solution(free)
     said: Solution = replace(honest, scenario=scenario, carried=honest.figures)
     assert "constraints" in inconsistencies(mission, said)
-    blocks = Flyer(mission, free.burns_m_s).fly_blocks(mission.times_s[-1:], 5000, seed=1)
+    blocks = Flyer(mission, free.burns_m_s, seed=1).fly_blocks(mission.times_s[-1:], 5000)
     ends = np.concatenate([flown.states[-1] for flown in blocks])
     assert FINAL_POSITION in exceeded(flown_sigmas(mission, ends))
 
@@ -184,7 +183,7 @@ def test_flights_take_no_errors_by_component_for_gates():
     """The other way there is an isotropic counterpart of the same size."""
     found = planned_by(UNLIKE)
     with pytest.raises(InputError, match="gates"):
-        FlightConfig(found.mission, found.burns_m_s, errors="componentwise")
+        Flyer(found.mission, found.burns_m_s, errors="componentwise")
     assert np.array_equal(drawn(UNLIKE), drawn(UNLIKE, errors="gates"))
     assert not np.array_equal(drawn(), drawn(errors="gates"))
 

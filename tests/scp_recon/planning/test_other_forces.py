@@ -15,7 +15,7 @@ from formulations.problem.regions import Ball
 from scp_recon.errors import InputError
 from scp_recon.mission.constraints import COMPANION as NAME
 from scp_recon.mission.mission import Mission
-from scp_recon.monte_carlo.flights import FlightConfig, fly_many
+from scp_recon.monte_carlo.flights import fly_many
 from scp_recon.monte_carlo.sampling import Flyer
 from scp_recon.monte_carlo.whole_flight import SampledFlights, kept_flights
 from scp_recon.physics.flow import propagate
@@ -92,14 +92,14 @@ def test_a_plan_keeps_out_of_the_moving_ball(overrides):
     assert chance.low < 1.0
     assert chance.high > 0.7
     flights = SampledFlights(mission.changed({"risk.scope": "node"}), planned.burns_m_s)
-    _, holds = flights.judged(flights.draws(0, 0)[:200]).kept[NAME]
+    _, holds = flights.judged(flights.draws(0)[:200]).kept[NAME]
     assert holds.mean(axis=1).min() == pytest.approx(chance.estimate, abs=0.1)
 
 
 def test_flights_through_the_ball_are_counted_as_lost(default_plan):
     counts = []
     for mission in (mission_of(COARSE), in_the_way()):
-        flown = fly_many(FlightConfig(mission, default_plan.burns_m_s), samples=200)
+        flown = fly_many(Flyer(mission, default_plan.burns_m_s), samples=200)
         whole = mission.changed({"risk.scope": "flight", "risk.allocation": "exact"})
         kept = kept_flights(whole, default_plan.burns_m_s, 200, 0)
         counts.append((flown.whole, kept.throughout))

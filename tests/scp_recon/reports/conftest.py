@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from scp_recon.monte_carlo.flights import FlightConfig, fly_many
+from scp_recon.monte_carlo.flights import fly_many
+from scp_recon.monte_carlo.sampling import Flyer
 from scp_recon.monte_carlo.summarise import summarise
 from scp_recon.reports.page import Page
 from scp_recon.reports.shown import Shown, plans_of
@@ -27,7 +28,7 @@ def plan_folder(verified, tmp_path_factory) -> Path:
     """With flights of the plan beside it."""
     folder = tmp_path_factory.mktemp("plan")
     verified.write(folder)
-    flown = fly_many(FlightConfig(verified.mission, verified.burns_m_s), samples=200)
+    flown = fly_many(Flyer(verified.mission, verified.burns_m_s), samples=200)
     summarise(flown, verified).write(folder)
     return folder
 
