@@ -149,14 +149,13 @@ def fly_plan(watch: Watch | None, plan: Plan, step: Step) -> KeptCounts:
             watch(step.name, plan, samples, flown, None)
 
     told(step.samples)
-    mission, policy = plan.mission, policy_of(plan.mission, plan.final.result.lin)
-    flights = SampledFlights(mission, plan.burns_m_s, policy)
+    policy = policy_of(plan.mission, plan.final.result.lin)
+    flights = SampledFlights(plan.mission, plan.burns_m_s, policy, seed=step.seed)
     kept = None
-    if mission.scenario.risk.sampling == "strata":
+    if plan.mission.scenario.risk.sampling == "strata":
         kept = _fly_in_strata(flights, plan, step, told)
     if kept is None:
-        seen = partial(told, step.samples)
-        kept = kept_flights(mission, plan.burns_m_s, step.samples, step.seed, seen, policy)
+        kept = kept_flights(flights, step.samples, partial(told, step.samples))
     if watch is not None:
         flown = flown_of(kept)
         watch(step.name, plan, flown, flown, reached_of(kept, step.confidence))
@@ -174,7 +173,7 @@ def _fly_in_strata(
     law = Law.of(flights.mission, plan.final.result.lin, is_whole=flights.is_whole)
     if flights.certain or not law.limits:
         return None
-    law, survey = surveyed(law, flights, step.seed)
+    law, survey = surveyed(law, flights)
     successes = round((1.0 - survey.failed) * step.samples)
     reached = proportion(successes, step.samples, TEST_CONFIDENCE)
     widths = step.width * (reached.value - reached.low), step.width * (reached.high - reached.value)
@@ -187,4 +186,4 @@ def _fly_in_strata(
     def report(share: float) -> None:
         told(round(expected), round(share * expected))
 
-    return fly_strata(DrawsInStrata(law, flights, allocation, step.seed), TAIL, report)
+    return fly_strata(DrawsInStrata(law, flights, allocation), TAIL, report)

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass, field, replace
-from functools import partial, reduce
-from operator import add
+from functools import partial
 
 import numpy as np
 from scipy.special import ndtri
@@ -51,6 +50,8 @@ LIMITS = Limits(seconds=3600.0)
 TERMINAL_KEPT = 5000
 """Final states kept for the normality test, whose distribution is tabulated up to this number."""
 TAIL = 0.5 * (1.0 - CONFIDENCE)
+BLOCKS = 20
+"""Of draws in a job."""
 DRAW, TIMES = 0.09, (1.1, 1.3, 1.6, 2.0, 3.0, 4.0)
 """Time of a draw by the law over that of a flight sampled at given times; and draws per plain flight
 that are tried."""
@@ -302,39 +303,41 @@ def narrow(
     `flown` are the plain flights so far, in whole blocks, and `samples` all at most.
 
     Returns:
-        See `FlightTally`; with wider intervals than `until` if that many flights do not suffice. None
+        See `FlightTally`; with wider intervals than `until` if that many flights do not suffice. Empty
             if plain flights are cheaper or all the same, if there is no law or if each flight has a
             window of its own, after the window, and after a stop.
     """
     mission, how = config.mission, (corrections_of(config.policy), config.truth, config.errors)
     if mission.observed_s is None or mission.edges.sigmas_s is not None:
         return {}
-    flights = SampledFlights(mission, config.burns_m_s, *how, times_s=window_samples(mission))
+    flights = SampledFlights(mission, config.burns_m_s, *how, config.seed, window_samples(mission))
     law = _law(config)
     drawn = config.sources + MEASURED * len(config.policy)
     if config.certain or not law.limits or law.sources != drawn:
         return {}
-    law, survey = surveyed(law, flights, config.seed)
+    law, survey = surveyed(law, flights)
     if (first := _allocation(survey, until)) is None:
         return {}
     share, draws, worst = float(np.dot(first.share, survey.share)), 0.0, {}
-    more, counts, block, spent = first, list[StrataCounts](), flown // BLOCK, flown
+    more, total, block, spent = first, None, flown // BLOCK, flown
     while spent + share * more.draws <= samples:
-        work, draws = DrawsInStrata(law, flights, more, config.seed), draws + more.draws
-        jobs = [Job(k, blocks) for k, blocks in enumerate(work.jobs(block))]
+        work, draws = DrawsInStrata(law, flights, more), draws + more.draws
+        blocks, every = work.blocks(block), replace(first, draws=draws)
+        jobs = (Job(k, blocks[k : k + BLOCKS]) for k in range(0, len(blocks), BLOCKS))
         with closing(in_order(executor, work.count, jobs)) as coming:
             for done in coming:
-                counts.append(done.result("flights", "job"))
+                counts: StrataCounts = done.result("flights", "job")
+                total = counts if total is None else total + counts
                 if stop():
                     return {}
-        total, every = reduce(add, counts), replace(first, draws=draws)
+        assert total is not None
         for name, times in flights.counted_s.items():
             event, counted = worst_event(every, total.of(name), TAIL)
             worst[name] = float(times[event]), counted
         if max(of_strata(one, CONFIDENCE).width for _, one in worst.values()) <= until:
             break
-        block, spent = block + sum(len(job.inputs) for job in jobs), flown + total.flown
-        counts, more = [total], replace(first, draws=MORE * first.draws)
+        block, spent = block + len(blocks), flown + total.flown
+        more = replace(first, draws=MORE * first.draws)
     return worst
 
 

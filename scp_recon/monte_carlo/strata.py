@@ -36,7 +36,7 @@ from formulations.risk.strata import (
 from formulations.rows.exact_flight import FLIGHT
 from formulations.rows.flight_probability import Limits, limits_within
 from formulations.rows.node_probability import joint_events
-from scp_recon.jobs.cores import each
+from scp_recon.jobs.cores import cores, each
 from scp_recon.jobs.job import generator
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.sampling import BLOCK, draw
@@ -181,14 +181,11 @@ CONTENDS = 0.3
 LEVELS = COUNT // 2
 """Of how near a draw comes: next to a limit, near, and surely not."""
 
-BLOCKS = 20
-"""Of draws in a job."""
 
-
-def surveyed(law: Law, flights: SampledFlights, seed: int) -> tuple[Law, Survey]:
+def surveyed(law: Law, flights: SampledFlights) -> tuple[Law, Survey]:
     """Learn from a few draws which nodes may be the worst, and the law's least reliability there."""
     blocks = range(SURVEY_DRAWS // BLOCK)
-    draws = np.concatenate([draw(seed, block, law.sources, SURVEY) for block in blocks])
+    draws = np.concatenate([draw(flights.seed, block, law.sources, SURVEY) for block in blocks])
     margins = law.margins(draws)
     failed = {name: np.mean(margin < 0.0, axis=1) for name, margin in margins.items()}
     most = max(share.max() for share in failed.values())
@@ -273,22 +270,23 @@ class DrawsInStrata:
         law: of the draws, surveyed.
         flights: fly them.
         allocation: of the draws; its shares are mirrored if there is more than one event.
-        seed: of the draws.
     """
 
     law: Law
     flights: SampledFlights
     allocation: Allocation
-    seed: int
 
-    def jobs(self, first: int = 0) -> list[list[tuple[int, int]]]:
+    def blocks(self, first: int = 0) -> list[tuple[int, int]]:
         """Blocks from the first one, with their draws; the total number follows a Poisson law."""
-        number = int(generator(self.seed, first, NUMBER).poisson(self.allocation.draws))
+        number = int(generator(self.flights.seed, first, NUMBER).poisson(self.allocation.draws))
         sizes = [min(BLOCK, number - begun) for begun in range(0, number, BLOCK)]
-        blocks = list(enumerate(sizes, start=first))
-        return [blocks[k : k + BLOCKS] for k in range(0, len(blocks), BLOCKS)]
+        return list(enumerate(sizes, start=first))
 
-    def count(self, blocks: Sequence[tuple[int, int]]) -> StrataCounts:
+    def count(
+        self,
+        blocks: Sequence[tuple[int, int]],
+        progress: Callable[[float], None] | None = None,
+    ) -> StrataCounts:
         """Count the flights of blocks, each with its number of draws."""
         law, share, times = self.law, np.array(self.allocation.share), self.flights.counted_s
         total = np.zeros((2, LEVELS), np.int64)
@@ -296,8 +294,8 @@ class DrawsInStrata:
         unlike = {name: np.zeros((len(at), COUNT), np.int64) for name, at in times.items()}
         chosen, levels = [np.zeros((0, law.sources))], [np.zeros(0, dtype=np.intp)]
         for block, size in blocks:
-            some = draw(self.seed, block, law.sources)[:size]
-            coins = generator(self.seed, block, COINS).random(BLOCK)[:size]
+            some = draw(self.flights.seed, block, law.sources)[:size]
+            coins = generator(self.flights.seed, block, COINS).random(BLOCK)[:size]
             margins = law.margins(some)
             level = levels_of(law.nearest(margins), self.allocation.near)
             least = np.minimum.reduce([margin.min(axis=0) for margin in margins.values()])
@@ -318,6 +316,8 @@ class DrawsInStrata:
                 margin = margins.get(name, np.full((1, holds.shape[1]), FAR))
                 unlike[name] += self._unlike(name, ~holds, margin, level[now])
             touched.append(seen.touched_s)
+            if progress:
+                progress(min(first + BLOCK, len(draws)) / len(draws))
         return StrataCounts(total, failing, unlike, np.concatenate(touched))
 
     def _unlike(self, name: str, fails: Booleans, margin: Array, level: Indices) -> Counts:
@@ -358,13 +358,13 @@ def fly_strata(
     Either limit of that event may be missed with the probability `tail`. `progress` is called at times
     with the share of the work that is done.
     """
-    jobs, times = draws.jobs(), draws.flights.counted_s
+    blocks, times = draws.blocks(), draws.flights.counted_s
+    shares = max(1, min(cores(), len(blocks)))
 
-    def report(done: int) -> None:
-        if progress:
-            progress(done / len(jobs))
+    def counted(share: int) -> StrataCounts:
+        return draws.count(blocks[share::shares], None if share else progress)
 
-    total = reduce(add, each(draws.count, jobs, report))
+    total = reduce(add, each(counted, range(shares)))
     counts = np.concatenate([total.of(name) for name in times], axis=1)
     times_s = np.concatenate([*times.values()])
     at_nodes = np.isin(times_s, draws.law.times_s)

@@ -21,7 +21,6 @@ from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.limits import ALL, EVERYWHERE, Kept, kept_limits, limit_margins
 from scp_recon.monte_carlo.sampling import FlightLog, Flyer
 from scp_recon.physics.flow import interpolate
-from scp_recon.results.policy import Policy
 
 SAMPLE_STEP_S = 30.0
 """Longest time between two samples of a flight."""
@@ -60,28 +59,25 @@ class KeptCounts(NamedTuple):
 
 
 def kept_flights(
-    mission: Mission,
-    burns_m_s: Array,
-    samples: int,
-    seed: int,
-    progress: Callable[[int], None] | None = None,
-    policy: Policy = (),
+    flights: SampledFlights, samples: int, progress: Callable[[int], None] | None = None
 ) -> KeptCounts:
-    """Fly a plan's burns, J2000, m/s, shape (m, 3), with the planner's dynamics and count limits kept.
+    """Fly so many flights, and count those that keep the limits.
 
-    A policy corrects the burns. `progress` is called with the number flown so far after each block.
+    `progress` is called with the number flown so far after each block.
     """
-    sampled = SampledFlights(mission, burns_m_s, policy, seed=seed)
     counts, touched, flown = np.zeros(1, dtype=np.intp), [np.zeros(0)], 0
-    for draws in sampled.blocks_of_draws(samples):
-        seen = sampled.judged(draws)
+    for draws in flights.blocks_of_draws(samples):
+        seen = flights.judged(draws)
         parts = [holds.sum(axis=1) for _, holds in seen.kept.values()]
         counts, flown = counts + np.concatenate(parts), flown + len(draws)
         touched.append(seen.touched_s)
         if progress:
             progress(flown)
     times = np.concatenate([at for at, _ in seen.kept.values()])
-    at_nodes, throughout = int(counts[np.isin(times, mission.times_s)].min()), int(counts.min())
+    at_nodes, throughout = (
+        int(counts[np.isin(times, flights.mission.times_s)].min()),
+        int(counts.min()),
+    )
     touched.append(less_likely(times, np.asarray(at_nodes - counts, dtype=float)))
     return KeptCounts(at_nodes, throughout, samples, np.concatenate(touched))
 

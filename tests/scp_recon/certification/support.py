@@ -9,7 +9,7 @@ from formulations.problem.flyby import Iterate
 from scp_recon.certification import certify as certification
 from scp_recon.certification import flights
 from scp_recon.mission.mission import Mission
-from scp_recon.monte_carlo.whole_flight import KeptCounts
+from scp_recon.monte_carlo.whole_flight import KeptCounts, SampledFlights
 from scp_recon.planning import initial_guess
 from scp_recon.planning.plan import Plan
 from scp_recon.planning.planner import plan
@@ -71,11 +71,11 @@ class World:
         final = replace(self.real.final, result=ended)
         return replace(self.real, mission=mission, final=final, target=target, certificate=None)
 
-    def fly(self, _mission, burns_m_s, samples, seed, progress=None, _policy=()) -> KeptCounts:
+    def fly(self, flights: SampledFlights, samples, progress=None) -> KeptCounts:
         """Flights of the plan with such burns."""
-        aim = np.linalg.norm(burns_m_s) / np.linalg.norm(self.real.burns_m_s)
-        self.seeds.append(seed)
-        shares = self.reach(min(self.aims, key=lambda made: abs(made - aim)), seed)
+        aim = np.linalg.norm(flights.burns_m_s) / np.linalg.norm(self.real.burns_m_s)
+        self.seeds.append(flights.seed)
+        shares = self.reach(min(self.aims, key=lambda made: abs(made - aim)), flights.seed)
         if progress:
             progress(samples)
         counts = [round(share * samples) for share in shares]

@@ -74,8 +74,8 @@ def run(request) -> Certified:
 
     with pytest.MonkeyPatch.context() as patch:
         for name, seed_of in (
-            ("kept_flights", lambda *given: given[3]),
-            ("fly_strata", lambda *given: given[0].seed),
+            ("kept_flights", lambda *given: given[0].seed),
+            ("fly_strata", lambda *given: given[0].flights.seed),
         ):
             patch.setattr(flights, name, noting(getattr(flights, name), seed_of))
         found = certify(

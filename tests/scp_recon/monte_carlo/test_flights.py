@@ -17,7 +17,7 @@ from scp_recon.errors import InputError
 from scp_recon.jobs.job import DIED, Done, Failure, Job, Work, attempt
 from scp_recon.jobs.processes import Processes
 from scp_recon.mission.mission import Mission
-from scp_recon.monte_carlo import flights, strata
+from scp_recon.monte_carlo import flights
 from scp_recon.monte_carlo.flights import FlightTally, fly_many
 from scp_recon.monte_carlo.limits import ALL
 from scp_recon.monte_carlo.sampling import Flyer
@@ -151,7 +151,7 @@ def test_narrowed_probabilities_are_the_same_for_any_split(config, narrowed, mon
         yield from backwards(pickle.loads(pickle.dumps(work)), jobs)
 
     monkeypatch.setattr(flights, "PLAIN", 1_000)
-    monkeypatch.setattr(strata, "BLOCKS", 7)
+    monkeypatch.setattr(flights, "BLOCKS", 7)
     other = fly_many(config, samples=10_000, until=0.008, executor=sent)
     assert other.narrowed == narrowed.narrowed
 

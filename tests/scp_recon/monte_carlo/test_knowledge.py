@@ -202,7 +202,8 @@ def test_random_scenarios_hold_their_probability(kind, seed):
         mission, burns, own = found.mission, found.burns_m_s, 900 + seed
         known = Mission.from_scenario(mission.scenario.replace({"knowledge": None}))
         kept, without = (
-            kept_flights(one, burns, 10_000, own).throughout for one in (mission, known)
+            kept_flights(SampledFlights(one, burns, seed=own), 10_000).throughout
+            for one in (mission, known)
         )
         if found.status.name == "CONVERGED" and without - kept > 200:
             break

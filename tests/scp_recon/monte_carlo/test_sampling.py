@@ -115,9 +115,9 @@ def test_path_before_a_burn_is_unchanged(solution):
 @pytest.mark.slow
 def test_nodes_added_at_violations_close_the_gap(burns):
     mission = mission_of("observation.emission_max_deg=36", "grid.step_max_s=3500")
-    kept = kept_flights(mission, burns, FLIGHTS, SEED)
+    kept = kept_flights(SampledFlights(mission, burns, seed=SEED), FLIGHTS)
     finer = with_nodes_at(mission, kept.touched_s)
-    again = kept_flights(finer, burns, FLIGHTS, SEED)
+    again = kept_flights(SampledFlights(finer, burns, seed=SEED), FLIGHTS)
     assert again.throughout == kept.throughout
     lost = [found.at_nodes - found.throughout for found in (kept, again)]
     assert lost[0] > 100
@@ -216,11 +216,11 @@ def test_violations_between_nodes_are_found():
     burns = plan(mission, initial_guess.cold(mission)).burns_m_s
     told: list[int] = []
     whole = Mission.from_scenario(mission.scenario.replace({"risk.scope": "flight"}))
-    kept = kept_flights(whole, burns, 200, 3, told.append)
+    kept = kept_flights(SampledFlights(whole, burns, seed=3), 200, told.append)
     assert told == [200]
     flights = SampledFlights(mission, burns, seed=3)
     judged = flights.judged(flights.draws(0)[:200]).kept
-    worst = kept_flights(mission, burns, 200, 3)
+    worst = kept_flights(SampledFlights(mission, burns, seed=3), 200)
     assert mission.observed_s is not None
     first, last = mission.observed_s
     nodes = mission.times_s[mission.window_nodes]

@@ -46,6 +46,7 @@ class Toy:
     """Flights that follow the law, bent by so many metres times the square of the first number."""
 
     bend_m: float
+    seed = SEED
     counted_s = {FLIGHT: np.array([np.inf, 0.0])}  # noqa: RUF012
 
     def positions(self, draws: Array) -> Array:
@@ -64,6 +65,7 @@ class ToyInTime:
     """Flights that keep the law's margin less so much, on a line between the nodes."""
 
     less_m: float
+    seed = SEED
     counted_s = {"ball": TIMES_S}  # noqa: RUF012
 
     def positions(self, draws: Array) -> Array:
@@ -88,7 +90,7 @@ def plain(toy: Toy, blocks: int) -> float:
 
 def in_strata(toy: Toy | ToyInTime, draws: float = 20_000, share: float = 0.0) -> DrawsInStrata:
     """What is allotted for so many plain flights; or so many draws, of which a share is flown."""
-    known, survey = surveyed(WHOLE if isinstance(toy, Toy) else LAW, toy, SEED)
+    known, survey = surveyed(WHOLE if isinstance(toy, Toy) else LAW, toy)
     p = proportion(round((1.0 - survey.failed) * draws), int(draws), 1.0 - 2.0 * TAIL)
     widths, mirrored = (p.value - p.low, p.high - p.value), isinstance(toy, ToyInTime)
     found = allocate(survey, int(draws), widths, TAIL, mirrored=mirrored)
@@ -96,7 +98,7 @@ def in_strata(toy: Toy | ToyInTime, draws: float = 20_000, share: float = 0.0) -
         found = Allocation(draws, survey.near, (share,) * 6, (0.5, 0.5))
     assert found is not None
     assert not mirrored or found.share == found.share[::-1]
-    return DrawsInStrata(known, toy, found, SEED)
+    return DrawsInStrata(known, toy, found)
 
 
 def flown(toy: Toy | ToyInTime, *how: float) -> KeptCounts:
@@ -135,7 +137,7 @@ def test_flights_are_told_as_they_are_flown():
 def test_no_limit_within_reach_is_kept_for_sure():
     free, toy = replace(WHOLE, limits={FLIGHT: Limits((), ())}), Toy(0.0)
     assert np.all(free.margins(draw(0, 0, SOURCES))[FLIGHT] == FAR)
-    _, survey = surveyed(free, toy, SEED)
+    _, survey = surveyed(free, toy)
     assert survey.share.tolist() == [0.0, 0.0, 0.0, 0.0, 0.0, 1.0]
 
 

@@ -101,7 +101,7 @@ def test_flights_through_the_ball_are_counted_as_lost(default_plan):
     for mission in (mission_of(COARSE), in_the_way()):
         flown = fly_many(Flyer(mission, default_plan.burns_m_s), samples=200)
         whole = mission.changed({"risk.scope": "flight", "risk.allocation": "exact"})
-        kept = kept_flights(whole, default_plan.burns_m_s, 200, 0)
+        kept = kept_flights(SampledFlights(whole, default_plan.burns_m_s), 200)
         counts.append((flown.whole, kept.throughout))
     assert min(counts[0]) > 150
     assert max(counts[1]) < 10

@@ -6,13 +6,12 @@ from datetime import datetime
 import pytest
 
 import scp_recon as sr
-from formulations.arrays import Array
 from scp_recon.api import drafts
 from scp_recon.api.inputs import PlanRequest
 from scp_recon.certification import flights
 from scp_recon.drafting import draft as drafting
 from scp_recon.mission.mission import Mission
-from scp_recon.monte_carlo.whole_flight import KeptCounts, kept_flights
+from scp_recon.monte_carlo.whole_flight import KeptCounts, SampledFlights, kept_flights
 from scp_recon.results.solution import make_solution
 from scp_recon.scp.status import Status
 from scp_recon.verification import causes, reintegration
@@ -56,9 +55,9 @@ def test_wrong_covariances_are_planned_on_a_finer_grid(default_plan, mission):
 def test_wrong_covariances_are_not_certified(monkeypatch):
     flown: list[tuple[int, float]] = []
 
-    def fly(mission: Mission, burns: Array, samples: int, seed: int, *_: object) -> KeptCounts:
-        flown.append((seed, mission.scenario.grid.step_max_s))
-        return kept_flights(mission, burns, samples, seed)
+    def fly(given: SampledFlights, samples: int, _: object) -> KeptCounts:
+        flown.append((given.seed, given.mission.scenario.grid.step_max_s))
+        return kept_flights(given, samples)
 
     monkeypatch.setattr(flights, "kept_flights", fly)
     overrides = (
