@@ -25,7 +25,7 @@ from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.estimates import proportion
 from scp_recon.monte_carlo.limits import ALL, joint_margins, time_held
-from scp_recon.monte_carlo.sampling import PolicyKind, sample_positions
+from scp_recon.monte_carlo.sampling import Flyer, PolicyKind
 from scp_recon.planning.initial_guess import from_burns
 from scp_recon.results.read import read_solution
 from scp_recon.results.solution import FILE_NAME, Solution, make_solution
@@ -183,7 +183,7 @@ def sample_distances(solution: Solution, thruster: float | None, samples: int) -
     the fraction burns err as the planner expects.
     """
     mission, burns_m_s = solution.mission.changed(erring(thruster)), solution.burns_m_s
-    positions = sample_positions(mission, burns_m_s, mission.times_s, samples)
+    positions = Flyer(mission, burns_m_s).first_positions(mission.times_s, samples)
     return distance_in_sigmas(np.moveaxis(positions, 0, 1), solution)
 
 

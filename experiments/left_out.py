@@ -22,7 +22,7 @@ from scp_recon.mission.mission import Mission
 from scp_recon.mission.scene import HARMONICS_DEGREE
 from scp_recon.mission.schedule import Mode
 from scp_recon.monte_carlo.estimates import CONFIDENCE, Estimate
-from scp_recon.monte_carlo.sampling import sample_positions
+from scp_recon.monte_carlo.sampling import Flyer
 from scp_recon.physics.forces import SPEED_OF_LIGHT_M_S
 from scp_recon.physics.frames import unit
 from scp_recon.physics.harmonics import HarmonicField
@@ -372,7 +372,7 @@ def measure_paths(solution: Solution, vehicle: Vehicle) -> list[Record]:
         sources, initial, thruster = SETS[name][1], errors.initial_state, errors.chemical_thruster
         entries = erring(thruster * (CHEMICAL in sources), initial * (INITIAL in sources))
         own, ends_s = mission.changed(entries), mission.times_s[-1:]
-        (ends,) = sample_positions(own, solution.burns_m_s, ends_s, PATHS, seed)
+        (ends,) = Flyer(own, solution.burns_m_s, seed=seed).first_positions(ends_s, PATHS)
         rows.append(source_row(name, ends, planned, errors))
     return rows
 

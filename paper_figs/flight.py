@@ -22,7 +22,7 @@ from scp_recon.mission.constraints import companion_distance_m
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.schedule import Mode
 from scp_recon.monte_carlo.limits import measured
-from scp_recon.monte_carlo.sampling import flown_mission, sample_positions
+from scp_recon.monte_carlo.sampling import Flyer, flown_mission
 from scp_recon.monte_carlo.summary import COMPONENTS
 from scp_recon.physics import geometry
 from scp_recon.physics.frames import sun_north_to_j2000
@@ -52,7 +52,7 @@ def observed(solution: Solution, times_s: Array, samples: int | None = None) -> 
     """Site distance, emission and phase at times of the flight, shape (n,), with sampled flights."""
     mission, count = solution.mission, samples or SAMPLES
     burns, policy = solution.burns_m_s, solution.corrections
-    sampled = sample_positions(mission, burns, times_s, count, SEED, policy)
+    sampled = Flyer(mission, burns, policy, seed=SEED).first_positions(times_s, count)
     planned = measured(mission, times_s, path_of(solution)(times_s))
     flown = measured(flown_mission(mission, SEED, count), times_s, sampled)
     return observed_over(mission, times_s, planned, flown)
@@ -98,7 +98,9 @@ def _executed(solution: Solution) -> tuple[Array, Array, list[str]]:
 
 def _path(axes: Axes, mission: Mission, solution: Solution) -> None:
     seen, times, burns = partial(seen_from_sun, mission), mission.times_s, solution.burns_m_s
-    samples = sample_positions(mission, burns, times, PATHS_SHOWN, SEED, solution.corrections)
+    samples = Flyer(mission, burns, solution.corrections, seed=SEED).first_positions(
+        times, PATHS_SHOWN
+    )
     axes.plot(*np.moveaxis(seen(samples), -1, 0), color="0.7", lw=0.4, alpha=0.6, zorder=1)
     axes.plot([], [], color="0.6", lw=1, label=f"{PATHS_SHOWN} sampled flights")
     mean, window = seen(np.array(solution.nodes.state)[:, :3]), mission.window_nodes
@@ -146,7 +148,7 @@ def trajectories(runs: Runs) -> Figure:
     plan, reference = (path_of(s)(times) / 1e3 for s in (solution, runs.reference.solution))
     edges = path_of(solution)(np.array(mission.schedule.window_s)) / 1e3
     burns, policy = solution.burns_m_s, solution.corrections
-    sampled = sample_positions(mission, burns, mission.times_s, PATHS, SEED, policy) / 1e3
+    sampled = Flyer(mission, burns, policy, seed=SEED).first_positions(mission.times_s, PATHS) / 1e3
     starts, sizes, numbers = _executed(solution)
     safe = np.full((1, 3), mission.scenario.safety.radius_min_m / 1e3)
     spans = np.ptp(np.vstack([reference, *sampled, safe, -safe]), axis=0) + PLANE_ARROW

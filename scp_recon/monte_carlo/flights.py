@@ -16,7 +16,6 @@ from scp_recon.jobs.job import Executor, Job, here, in_order
 from scp_recon.jobs.processes import Limits
 from scp_recon.mission.constraints import companion_distance_m
 from scp_recon.mission.mission import Mission
-from scp_recon.mission.scene import errors_of_kind
 from scp_recon.mission.windows import Window
 from scp_recon.monte_carlo.closed_loop import MEASURED
 from scp_recon.monte_carlo.estimates import CONFIDENCE, Estimate, Tally, of_strata, proportion
@@ -31,7 +30,6 @@ from scp_recon.monte_carlo.limits import (
 from scp_recon.monte_carlo.sampling import BLOCK, Flyer, corrections_of, policy_kind
 from scp_recon.monte_carlo.strata import DrawsInStrata, Law, StrataCounts, surveyed, worst_event
 from scp_recon.monte_carlo.whole_flight import SampledFlights
-from scp_recon.planning.initial_guess import from_burns
 from scp_recon.results.policy import with_policy
 
 SAMPLES_MIN, SAMPLES_MAX, SEED_MAX = 20, 10**9, 2**63 - 1
@@ -350,10 +348,8 @@ def _law(config: Flyer) -> Law:
     feedback, corrected = mission.feedback, [one.burn for one in policy]
     closed = feedback is not None and corrected == feedback.burns.tolist()
     problem = mission.problem if closed else mission.problem.open_loop
-    errors = errors_of_kind(mission.scenario, config.errors).in_units(mission.units.speed_m_s)
-    problem = replace(problem, execution_errors=errors)
-    lin = mission.dynamics.linearise(problem, from_burns(mission, config.burns_m_s))
-    return Law.of(mission, with_policy(mission, lin, policy), {ALL: SCIENCE})
+    lin = with_policy(mission, config.linearised(problem), policy)
+    return Law.of(mission, lin, {ALL: SCIENCE})
 
 
 def _allocation(survey: Survey, until: float) -> Allocation | None:

@@ -1,13 +1,13 @@
 """Decide whether flights keep the limits on their position, and for how long those of the observation.
 
 One rule serves certification, verification and every count of flights: a flight keeps a limit whose
-margin is not negative. Flights that are certain (`is_certain`) have one path, and are judged like the
-plan's mean, which may violate a limit between nodes by `MEAN_TOLERANCE`.
+margin is not negative. Flights that are certain (`Flyer.certain`) have one path, and are judged like
+the plan's mean, which may violate a limit between nodes by `MEAN_TOLERANCE`.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -15,10 +15,8 @@ import numpy as np
 from formulations.arrays import Array, Booleans, Indices
 from scp_recon.mission.constraints import COMPANION, SAFETY, Measure, safety_margins
 from scp_recon.mission.mission import Mission
-from scp_recon.mission.scene import errors_of_kind
 from scp_recon.physics import geometry
 from scp_recon.physics.flow import interpolate
-from scp_recon.planning.initial_guess import from_burns
 
 Kept = dict[str, tuple[Array, Booleans]]
 """By joint constraint the times at which it counts, s, shape (k,), and whether flights keep it there,
@@ -31,22 +29,6 @@ OUTSIDE = 1e-3
 MEAN_TOLERANCE = {"m": 0.5, "rad": 1e-3}
 """Amount by which the mean may violate a limit between nodes, where it binds at nodes; at the default
 mission's scale."""
-
-
-def is_certain(mission: Mission, burns_m_s: Array, errors: str | None = None) -> bool:
-    """Whether flights spread by less than the mean's tolerance all the way, by the linearised flow.
-
-    With planned burns (m, 3), J2000, and their errors, the scenario's if None. Corrections, which
-    narrow the spread, are left out. Nothing that flights can show tells one such flight from another,
-    so that probabilities are 1 or 0, by the one path that all fly.
-    """
-    if mission.uncertain.count:  # a site or a pole that is uncertain spreads no path
-        return False
-    model = errors_of_kind(mission.scenario, errors).in_units(mission.units.speed_m_s)
-    problem = replace(mission.problem.open_loop, execution_errors=model)
-    lin = mission.dynamics.linearise(problem, from_burns(mission, burns_m_s))
-    widest = np.linalg.norm(lin.factor[:, :3], ord=2, axis=(1, 2)).max()
-    return bool(widest * mission.units.length_m < allowed(mission, SAFETY))
 
 
 def limit_margins(

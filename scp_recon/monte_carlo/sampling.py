@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
 
 import numpy as np
 
 from formulations.arrays import Array, Booleans
+from formulations.linearisation.linearisation import Linearisation
+from formulations.problem.flyby import FlybyProblem
 from scp_recon.jobs.job import generator
+from scp_recon.mission.constraints import SAFETY
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.scene import TruthModel, errors_of_kind, make_grid
 from scp_recon.monte_carlo.closed_loop import MEASURED, ClosedLoop, Replan, ReplanLoop, Replans, due
-from scp_recon.monte_carlo.limits import is_certain
+from scp_recon.monte_carlo.limits import allowed
 from scp_recon.physics.flow import SHARES, interpolate, runge_kutta
 from scp_recon.physics.forces import accelerations
+from scp_recon.planning.initial_guess import from_burns
 from scp_recon.results.policy import Correction, Policy
 
 ErrorModel = Literal["componentwise", "gates"]
@@ -124,8 +128,24 @@ class Flyer:
 
     @cached_property
     def certain(self) -> bool:
-        """Whether all flights have one path: see `is_certain`."""
-        return is_certain(self.mission, self.burns_m_s, self.errors)
+        """Whether flights spread by less than the mean's tolerance all the way, by the linearised flow.
+
+        Corrections, which narrow the spread, are left out. Nothing that flights can show tells one such
+        flight from another, so that probabilities are 1 or 0, by the one path that all fly.
+        """
+        mission = self.mission
+        if mission.uncertain.count:  # a site or a pole that is uncertain spreads no path
+            return False
+        factor = self.linearised(mission.problem.open_loop).factor[:, :3]
+        widest = np.linalg.norm(factor, ord=2, axis=(1, 2)).max()
+        return bool(widest * mission.units.length_m < allowed(mission, SAFETY))
+
+    def linearised(self, problem: FlybyProblem) -> Linearisation:
+        """The mission's problem at the planned burns, with the errors of the flights."""
+        mission = self.mission
+        errors = errors_of_kind(mission.scenario, self.errors).in_units(mission.units.speed_m_s)
+        problem = replace(problem, execution_errors=errors)
+        return mission.dynamics.linearise(problem, from_burns(mission, self.burns_m_s))
 
     @property
     def sources(self) -> int:
@@ -157,6 +177,11 @@ class Flyer:
         """Fly the first flights, block by block: see `fly`."""
         for draws in self.blocks_of_draws(samples):
             yield self.fly(times_s, draws)
+
+    def first_positions(self, times_s: Array, samples: int) -> Array:
+        """Positions of the first flights, J2000, m, shape (times, samples, 3)."""
+        blocks = self.fly_blocks(times_s, samples)
+        return np.concatenate([flown.states[..., :3] for flown in blocks], axis=1)
 
     def fly_block(self, times_s: Array, block: int, *, flights: int = BLOCK) -> FlightLog:
         """Fly the first `flights` of a block of draws, at most `BLOCK`: see `fly`."""
@@ -250,19 +275,6 @@ def start_loop(
 def corrections_of(policy: AnyPolicy) -> Policy:
     """The burns that a policy corrects by gains."""
     return tuple(one for one in policy if isinstance(one, Correction))
-
-
-def sample_positions(
-    mission: Mission,
-    burns_m_s: Array,
-    times_s: Array,
-    samples: int,
-    seed: int = 0,
-    policy: AnyPolicy = (),
-) -> Array:
-    """Positions of flights with the planner's dynamics, J2000, m, shape (times, samples, 3)."""
-    blocks = Flyer(mission, burns_m_s, policy, seed=seed).fly_blocks(times_s, samples)
-    return np.concatenate([flown.states[..., :3] for flown in blocks], axis=1)
 
 
 def flow_of(mission: Mission, truth: TruthModel) -> Flow:

@@ -15,7 +15,7 @@ from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo import summary as summary_file
 from scp_recon.monte_carlo.estimates import binomial_quantile, proportion
-from scp_recon.monte_carlo.limits import is_certain, kept_limits, limit_margins
+from scp_recon.monte_carlo.limits import kept_limits, limit_margins
 from scp_recon.monte_carlo.sampling import Flyer, flown_mission
 from scp_recon.monte_carlo.summary import Summary, read_summary
 from scp_recon.physics.frames import unit
@@ -204,7 +204,7 @@ class Shown:
     @cached_property
     def achieved(self) -> list[Achieved]:
         """Probabilities of every joint constraint at each time, and of all constraints so far."""
-        flown, certain = self.flown, is_certain(self.mission, self.solution.burns_m_s)
+        flown, certain = self.flown, Flyer(self.mission, self.solution.burns_m_s).certain
         times, window = flown.times_s, flown.window
         margins = limit_margins(flown.mission, times, flown.positions, window, certain=certain)
         kept = kept_limits(margins)

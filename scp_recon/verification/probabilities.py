@@ -14,7 +14,7 @@ from scp_recon.mission.feedback import contact_of
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.drifts import fly_drifts, reach_s, safety_of
 from scp_recon.monte_carlo.estimates import proportion
-from scp_recon.monte_carlo.limits import is_certain, kept_limits, limit_margins
+from scp_recon.monte_carlo.limits import kept_limits, limit_margins
 from scp_recon.monte_carlo.sampling import Flyer
 from scp_recon.monte_carlo.summary import COMPONENTS, WIDER
 from scp_recon.results.facts import Risk
@@ -91,7 +91,7 @@ def refuted(
             found.append("risk")
     elif flown is not None and mission.edges.sigmas_s is None:  # the law is of the planned window
         reported, low, high = (float(ndtri(p)) for p in (law, flown.low, flown.high))
-        more = low - reported if not is_certain(mission, solution.burns_m_s) else -np.inf
+        more = low - reported if not Flyer(mission, solution.burns_m_s).certain else -np.inf
         off = max(more, reported - high)
         if off > (LAW_ERROR if risk.certificate is None else LAW_LOSS):
             found.append("risk")

@@ -63,21 +63,18 @@ def run(request) -> Certified:
     sampling = "strata" if "strata" in request.param else "plain"
     mission, seeds = mission_of(scope, ASKED, sampling), []
 
-    def noting(fly: Callable[..., Any], seed_of: Callable[..., int]) -> Callable[..., Any]:
-        """The flights of a function, whose seed is told by its arguments."""
+    def noting(fly: Callable[..., Any]) -> Callable[..., Any]:
+        """The flights of a function, whose seed is that of its first argument, or of its flights."""
 
-        def flown(*given: Any) -> Any:
-            seeds.append(seed_of(*given))
-            return fly(*given)
+        def flown(of: Any, *given: Any) -> Any:
+            seeds.append(getattr(of, "flights", of).seed)
+            return fly(of, *given)
 
         return flown
 
     with pytest.MonkeyPatch.context() as patch:
-        for name, seed_of in (
-            ("kept_flights", lambda *given: given[0].seed),
-            ("fly_strata", lambda *given: given[0].flights.seed),
-        ):
-            patch.setattr(flights, name, noting(getattr(flights, name), seed_of))
+        for name in ("kept_flights", "fly_strata"):
+            patch.setattr(flights, name, noting(getattr(flights, name)))
         found = certify(
             mission, initial_guess.cold(mission), lambda m, s, target: plan(m, s, target=target)
         )

@@ -236,7 +236,7 @@ def test_lost_contacts_are_reported(monkeypatch):
     kept = min(p.estimate for p in checked.probabilities)
     assert first.worst.estimate < kept - 0.05
     assert last.worst.estimate == pytest.approx(kept)  # it is after the window
-    draws = Flyer(mission, plan.burns_m_s, policy).draws(0, 0)[:20]
+    draws = Flyer(mission, plan.burns_m_s, policy).draws(0)[:20]
     spread = []
     for one in (policy, (policy[0].lost, *policy[1:])):
         flown = Flyer(mission, plan.burns_m_s, one).fly(mission.times_s[-1:], draws)

@@ -15,7 +15,7 @@ from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.estimates import CONFIDENCE, binomial_quantile, proportion
 from scp_recon.monte_carlo.flights import window_samples
 from scp_recon.monte_carlo.limits import ALL, SCIENCE, joint_margins, time_held
-from scp_recon.monte_carlo.sampling import BLOCK, Flyer, draw, sample_positions
+from scp_recon.monte_carlo.sampling import BLOCK, Flyer, draw
 from scp_recon.monte_carlo.whole_flight import (
     PARTS,
     SAMPLE_STEP_S,
@@ -41,13 +41,13 @@ def burns(solution) -> Array:
 
 def test_flights_are_distinct_and_independent_of_their_number(mission, burns):
     before = np.random.get_state()[1].copy()  # noqa: NPY002
-    few = sample_positions(mission, burns, LOOK, 500, 0)
-    many = sample_positions(mission, burns, LOOK, 1500, 0)
+    few = Flyer(mission, burns).first_positions(LOOK, 500)
+    many = Flyer(mission, burns).first_positions(LOOK, 1500)
     assert few.shape == (len(LOOK), 500, 3)
     assert many.shape == (len(LOOK), 1500, 3)
     np.testing.assert_array_equal(few, many[:, :500])
     # Blocks and seeds draw different numbers, and none of NumPy's global ones.
-    other = sample_positions(mission, burns, LOOK[:1], 500, 1)[0]
+    other = Flyer(mission, burns, seed=1).first_positions(LOOK[:1], 500)[0]
     assert BLOCK < 1500
     assert len(np.unique(np.vstack([many[0], other]), axis=0)) == 2000
     np.testing.assert_array_equal(np.random.get_state()[1], before)  # noqa: NPY002
@@ -102,7 +102,9 @@ def test_path_before_a_burn_is_unchanged(solution):
     samples = sample_times(mission)
     arc = int(np.searchsorted(samples, burn_s)) - 1
     seconds = every_second(samples[arc : arc + 2])[1:-1]
-    distance = np.linalg.norm(sample_positions(mission, burns, seconds, FLIGHTS, SEED), axis=2)
+    distance = np.linalg.norm(
+        Flyer(mission, burns, seed=SEED).first_positions(seconds, FLIGHTS), axis=2
+    )
     limit = float(np.median(distance[2 * PARTS // 3]))
     at_limit = solution.scenario.replace({"safety.radius_min_m": limit})
     tight = dataclasses.replace(mission, scenario=at_limit)  # a limit in the flight's own way

@@ -305,14 +305,11 @@ def test_nodes_that_do_not_follow_from_scenario_and_burns_are_told(
     assert "parent" in [w.entry for w in mission_left(flown, Delivery(AT, state)).warnings]
 
 
-def test_what_a_file_says_of_its_verification_is_told(solution, verification, state):
+def test_a_doubtful_file_is_told_and_another_grid_refused(solution, verification, state):
     bad = replace(verification, ok=False, failed=["safety_radius"])
     found = FlownPlan.of(replace(solution, verification=bad))
     (warning,) = mission_left(found, Delivery(AT, state)).warnings
     assert "not verified: safety_radius" in str(warning)
-
-
-def test_a_solution_of_another_grid_is_refused(solution):
     finer = solution.scenario.replace({"grid.step_max_s": 200.0})
     with pytest.raises(InputError, match=r"^plan: got nodes.t_s that contradict"):
         FlownPlan.of(replace(solution, scenario=finer))

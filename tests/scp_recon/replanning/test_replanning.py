@@ -197,11 +197,8 @@ def test_burns_added_after_the_last_one_go_home(flown):
 
 
 def test_burn_added_after_the_end_ahead_is_warned_about(flown):
-    left = mission_left(
-        flown,
-        Delivery.of(17_000.0, predict(flown, 17_000.0, {}).state),
-        ["burns.times_s=[0, 8000, 25000, 34842, 50842]"],
-    )
+    delivery = Delivery.of(17_000.0, predict(flown, 17_000.0, {}).state)
+    left = mission_left(flown, delivery, ["burns.times_s=[0, 8000, 25000, 34842, 50842]"])
     (warning,) = (one for one in left.warnings if one.entry == "burns.times_s")
     assert warning.given == "a last burn at 50842 s, 16000 s later than before"
 
@@ -346,13 +343,9 @@ def test_way_home_may_burn_in_the_window(default_plan, flown):
     modes = [leg.mode for leg in left.mission.schedule.legs]
     assert Mode.OBSERVATION not in modes
     assert modes.count(Mode.DELTA_V) == 3
+    close = ["burns.times_s=[0, 8000, 15000, 16000, 34842]"]
     with pytest.raises(InputError, match=r"nothing is observed"):
-        sr.replan(
-            default_plan,
-            **given,
-            goal="return",
-            overrides=["burns.times_s=[0, 8000, 15000, 16000, 34842]"],
-        )
+        sr.replan(default_plan, **given, goal="return", overrides=close)
 
 
 def test_the_last_burn_may_come_later(default_plan, flown):

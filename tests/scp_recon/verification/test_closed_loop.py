@@ -33,7 +33,6 @@ from scp_recon.results.verification import Verification
 from scp_recon.scp.algorithms import SCvx
 from scp_recon.scp.loop import Result, Timing
 from scp_recon.scp.status import Status
-from scp_recon.verification.causes import COMMANDS, kind_of
 from scp_recon.verification.consistency import inconsistencies
 from scp_recon.verification.reintegration import limits_of, not_executed, verify
 from tests.helpers import usually
@@ -192,14 +191,6 @@ def test_limits_on_corrected_burns_match_normal_commands(crossed):
         assert 0.01 < broken < 0.5
         assert found.probability == pytest.approx(1.0 - broken, abs=1e-3)
         assert (str(found) in v.failed) == (found.probability < 0.7)
-
-
-def test_a_limit_that_corrections_break_is_named(crossed):
-    """With what would do about it."""
-    stricter = mission_of(*CROSSED, "burns.dv_max_m_s=0.018")
-    v = checked(crossed, stricter)
-    assert "P(dv_max of burn 2)" in v.failed
-    assert kind_of("P(dv_max of burn 2)", stricter, v) == COMMANDS
 
 
 # --- a policy that was changed ------------------------------------------------------------------

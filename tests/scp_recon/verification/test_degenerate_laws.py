@@ -8,7 +8,8 @@ import pytest
 
 from scp_recon.certification.certify import certify
 from scp_recon.mission.mission import Mission
-from scp_recon.monte_carlo.limits import MEAN_TOLERANCE, is_certain, kept_limits, limit_margins
+from scp_recon.monte_carlo.limits import MEAN_TOLERANCE, kept_limits, limit_margins
+from scp_recon.monte_carlo.sampling import Flyer
 from scp_recon.planning import initial_guess
 from scp_recon.planning.plan import Plan
 from scp_recon.planning.planner import plan
@@ -71,8 +72,8 @@ def test_degenerate_laws_are_certified_and_verified(law, scope):
 def test_flights_are_certain_within_the_mean_tolerance(entries, certain):
     mission = mission_of(COARSE, *entries)
     burns = np.full((4, 3), 0.02)
-    assert is_certain(mission, burns) is certain
-    assert not is_certain(mission_of(COARSE), burns)
+    assert Flyer(mission, burns).certain is certain
+    assert not Flyer(mission_of(COARSE), burns).certain
 
 
 @pytest.mark.parametrize(("name", "unit"), [("emission", "rad"), ("safety_radius", "m")])

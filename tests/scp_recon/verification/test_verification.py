@@ -46,24 +46,13 @@ def test_default_solution_is_confirmed(mission, solution, verification):
     assert verify(mission, solution) == v
 
 
-def test_integration_limits_grow_with_a_large_body():
-    mission = mission_of()
+def test_integration_limits_grow_with_a_large_body(mission):
     """Those of the default mission are centimetres and metres to the last digit."""
-    limits = limits_of(mission)
-    sizes = {
-        "terminal_position_error_m": 1.0,
-        "terminal_velocity_error_m_s": 1e-4,
-        "max_defect": 0.01,
-        "sample_error_m": 0.01,
-        "drift_error_m": 1.0,
-    }
-    assert limits == pytest.approx(
-        sizes | dict.fromkeys(("covariance_error", "knowledge_error"), 1e-6)
-    )
+    limits = {name: limit for name, (_, _, limit) in FIGURES.items()}
+    assert limits_of(mission) == pytest.approx(limits)
     large = replace(mission, units=replace(mission.units, length_m=50.0 * mission.units.length_m))
-    grown = {name: pytest.approx(50.0 * size) for name, size in sizes.items()}
-    assert limits_of(large) == limits | grown
-    assert limits.keys() == FIGURES.keys()
+    grown = {name: limit * (50.0 if FIGURES[name][1] else 1.0) for name, limit in limits.items()}
+    assert limits_of(large) == pytest.approx(grown)
 
 
 @pytest.mark.usefixtures("few_flights")
