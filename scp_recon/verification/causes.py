@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -197,20 +196,12 @@ AIM = 0.5
 """Share of a limit that a finer grid should reach."""
 
 
-class IntegrationError(NamedTuple):
-    """Errors by the planner's steps.
+def integration_error(plan: Plan) -> tuple[float, float]:
+    """Estimate a plan's largest integration errors from steps of half the length.
 
-    Attributes:
-        covariance: largest relative one of a node's covariance.
-        path_m: largest one of a node, m, velocities in the nondimensional problem's units.
+    The relative one of a node's covariance; and that of a node, m, velocities in the nondimensional
+    problem's units.
     """
-
-    covariance: float
-    path_m: float
-
-
-def integration_error(plan: Plan) -> IntegrationError:
-    """Estimate a plan's integration errors from steps of half the length."""
     mission, at = plan.mission, plan.final.result.lin
     halves = replace(mission.flow, substeps=2 * mission.flow.substeps)
     dynamics = Dynamics(halves, mission.burn_nodes)
@@ -221,9 +212,7 @@ def integration_error(plan: Plan) -> IntegrationError:
     coarse, fine = (lin.factor @ lin.factor.transpose(0, 2, 1) for lin in (at, flown))
     apart = np.abs(flown.iterate.mean - at.iterate.mean).max() * mission.units.length_m
     known = 1.0 - 0.5**ORDER
-    return IntegrationError(
-        reintegration.relative_error(coarse, fine) / known, float(apart) / known
-    )
+    return reintegration.relative_error(coarse, fine) / known, float(apart) / known
 
 
 def finer_step_s(mission: Mission, excess: float) -> float:
@@ -245,17 +234,17 @@ def refined(plan: Plan) -> Mission | None:
     mission, limits = plan.mission, reintegration.limits_of(plan.mission)
     if plan.status is not Status.CONVERGED:
         return None
-    error = integration_error(plan)
-    of_covariances = error.covariance / limits["covariance_error"]
-    excess = max(of_covariances, error.path_m / limits["max_defect"])
+    covariance, path_m = integration_error(plan)
+    of_covariances = covariance / limits["covariance_error"]
+    excess = max(of_covariances, path_m / limits["max_defect"])
     if excess <= 1.0:
         return None
     step, before = finer_step_s(mission, excess), mission.scenario.grid.step_max_s
     if mission.scenario.duration_s / step > NODES_MAX or step >= before:
         return None
-    said, limit = f"covariances err by {error.covariance:.1e}", f"{limits['covariance_error']:g}"
+    said, limit = f"covariances err by {covariance:.1e}", f"{limits['covariance_error']:g}"
     if of_covariances < excess:
-        said, limit = f"nodes err by {error.path_m:.1e} m", f"{limits['max_defect']:g} m"
+        said, limit = f"nodes err by {path_m:.1e} m", f"{limits['max_defect']:g} m"
     word = ScenarioWarning.of(
         "grid.step_max_s",
         f"{before:g} s, with which {said}",
