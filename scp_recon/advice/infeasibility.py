@@ -47,22 +47,7 @@ from scp_recon.monte_carlo.estimates import flights_of_test
 from scp_recon.planning.plan import Plan
 from scp_recon.results.verification import Verification
 from scp_recon.scp.status import Status
-from scp_recon.verification.causes import (
-    BETWEEN,
-    BURNS,
-    BY_LAW,
-    CERTIFICATE,
-    COMMANDS,
-    CONTRADICTION,
-    DRIFT,
-    GRID,
-    SHORT,
-    SPREAD,
-    STATUS,
-    UNEXECUTED,
-    kind_of,
-    needed_step_s,
-)
+from scp_recon.verification.causes import Cause, kind_of, needed_step_s
 
 STEEPER = (0.9, 0.75, 0.5, 0.25)
 """Factors on a probability's complement, tried one after the other where flights reach too little."""
@@ -142,40 +127,44 @@ def rescues(case: Case) -> Trials:
 def repairs(case: Case, verification: Verification | None) -> Trials:
     """Trials of a plan without a verdict, or of one whose verification fails, by its checks."""
     mission, scenario, options = case.failed.mission, case.scenario, case.request.options
-    kinds = {STATUS}
-    if verification is not None and STATUS not in verification.failed:
+    kinds = {Cause.STATUS}
+    if verification is not None and "status" not in verification.failed:
         kinds = {kind_of(name, mission, verification) for name in verification.failed}
     risk, burns = scenario.risk, scenario.burns
-    if kinds & {STATUS, BURNS, CONTRADICTION} and not case.request.is_in_flight:
+    if kinds & {Cause.STATUS, Cause.BURNS, Cause.CONTRADICTION} and not case.request.is_in_flight:
         yield CONTINUED, partial(_continued, case)
-    if kinds & {STATUS, GRID, BETWEEN}:
+    if kinds & {Cause.STATUS, Cause.GRID, Cause.BETWEEN}:
         apart = float(np.diff(mission.times_s).max())
         steps = [float(math.floor(apart / n)) for n in (2, 4)]
-        if verification is not None and GRID in kinds:
+        if verification is not None and Cause.GRID in kinds:
             steps.insert(0, needed_step_s(mission, verification))
         finer: list[Changes] = [{"grid.step_max_s": step} for step in steps if step >= 1.0]
         yield FINER, partial(case.first, finer)
     uniform = options.problem == "P2" and risk.allocation == "uniform"
-    if kinds & {STATUS, SHORT} and uniform:
+    if kinds & {Cause.STATUS, Cause.SHORT} and uniform:
         yield SPLIT, partial(case.first, [{"risk.allocation": "exact"}])
-    if kinds & {BY_LAW, DRIFT} and risk.allocation == "exact" and options.certify is False:
+    if (
+        kinds & {Cause.BY_LAW, Cause.DRIFT}
+        and risk.allocation == "exact"
+        and options.certify is False
+    ):
         yield CERTIFIED, partial(case.confirmed, {}, certified=True)
-    if kinds & {SHORT, BY_LAW}:
+    if kinds & {Cause.SHORT, Cause.BY_LAW}:
         yield STRICTER, partial(case.first, _steeper("risk.p_chance", risk.p_chance))
-    if SPREAD in kinds:
+    if Cause.SPREAD in kinds:
         yield FINAL_SPREAD, partial(case.relaxed, spreads_of(scenario))
-    if COMMANDS in kinds:
+    if Cause.COMMANDS in kinds:
         larger = [{LARGEST: rounded(f * burns.dv_max_m_s)} for f in (1.1, 1.25, 1.5, 2.0)]
         yield SIZE, partial(case.first, larger)
         yield UNCORRECTED, partial(case.first, [{"policy.kind": "open"}])
-    if UNEXECUTED in kinds:
+    if Cause.UNEXECUTED in kinds:
         sizes = np.linalg.norm(case.failed.burns_m_s, axis=1)
         least = {"burns.dv_min_m_s": rounded(float(sizes[sizes > 0.0].min()), up=False)}
         yield EXECUTED, partial(case.first, [least])
     entry = "safety.drift_probability"
-    if DRIFT in kinds and (asked := scenario.safety.drift_probability) is not None:
+    if Cause.DRIFT in kinds and (asked := scenario.safety.drift_probability) is not None:
         yield STRICTER, partial(case.first, _steeper(entry, asked))
-    if kinds & {STATUS, CERTIFICATE} and case.failed.target is not None:
+    if kinds & {Cause.STATUS, Cause.CERTIFICATE} and case.failed.target is not None:
         below = [1.0 - rounded((1.0 - risk.p_chance) * f, digits=1) for f in (1.1, 1.5, 2.0, 4.0)]
         lower = dict.fromkeys(round(p, 9) for p in below if 0.5 < p < risk.p_chance)
         yield TARGET, partial(case.first, [{"risk.p_chance": p} for p in lower])

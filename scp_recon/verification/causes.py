@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import replace
+from enum import Enum
 
 import numpy as np
 
@@ -35,26 +36,24 @@ SHOWN_S = 1.0
 INTEGRATION = 1e4
 """Factor on a limit beyond which an error is not one of integration: ten times finer steps would
 not reduce it enough."""
-STATUS, GRID, BETWEEN, BURNS, SHORT = "status", "grid", "between nodes", "burns", "short"
-CERTIFICATE, SPREAD, COMMANDS, BY_LAW = "certificate", "spread", "commands", "short by law"
-UNEXECUTED = "unexecuted"
-DRIFT = "drift"
-CONTRADICTION = "contradiction"
-CAUSES = {
-    STATUS: "planning did not converge",
-    GRID: "integration errs on this grid",
-    BETWEEN: "it falls short between nodes",
-    BURNS: "the burns do not keep it",
-    SHORT: "flights reach less than was required",
-    BY_LAW: "flights reach less than the linear law, with which exact risk is planned",
-    CERTIFICATE: "flights do not certify the plan",
-    SPREAD: "flights spread more than the limit",
-    COMMANDS: "corrections break it too often",
-    UNEXECUTED: "too small to be executed, and planning found no plan without",
-    DRIFT: "drifts come nearer than by the linear law",
-    CONTRADICTION: "the file contradicts its own scenario and burns",
-}
-"""One line for each kind of check that can fail."""
+
+
+class Cause(Enum):
+    """Kinds of checks that can fail, each with its line."""
+
+    STATUS = "planning did not converge"
+    GRID = "integration errs on this grid"
+    BETWEEN = "it falls short between nodes"
+    BURNS = "the burns do not keep it"
+    SHORT = "flights reach less than was required"
+    BY_LAW = "flights reach less than the linear law, with which exact risk is planned"
+    CERTIFICATE = "flights do not certify the plan"
+    SPREAD = "flights spread more than the limit"
+    COMMANDS = "corrections break it too often"
+    UNEXECUTED = "too small to be executed, and planning found no plan without"
+    DRIFT = "drifts come nearer than by the linear law"
+    CONTRADICTION = "the file contradicts its own scenario and burns"
+
 
 UNTRIED = (
     "no remedy was tried; solve --init FILE plans from this plan, and tries some if it fails again"
@@ -87,36 +86,37 @@ def next_lines(mission: Mission, solution: Solution, verification: Verification)
 
 def causes(mission: Mission, verification: Verification) -> tuple[str, ...]:
     """Lines with the names of a plan's failed checks and their cause."""
-    unsolved = STATUS in verification.failed  # whatever else falls short does so for that
+    unsolved = "status" in verification.failed  # whatever else falls short does so for that
     names: dict[str, list[str]] = {}
     for name in verification.failed:
-        kind = STATUS if unsolved else kind_of(name, mission, verification)
-        names.setdefault(CAUSES[kind], []).append(name)
+        kind = Cause.STATUS if unsolved else kind_of(name, mission, verification)
+        names.setdefault(kind.value, []).append(name)
     return tuple(f"{', '.join(map(in_words, failed))}: {line}" for line, failed in names.items())
 
 
-def kind_of(name: str, mission: Mission, verification: Verification) -> str:
-    """The kind of a check by its name, a key of `CAUSES`."""
-    if name in (STATUS, CERTIFICATE):
-        return name
+def kind_of(name: str, mission: Mission, verification: Verification) -> Cause:
+    """The kind of a check by its name."""
+    if name in ("status", "certificate"):
+        return Cause[name.upper()]
     limits = limits_of(mission)
     if name in limits:
-        return GRID if getattr(verification, name) < INTEGRATION * limits[name] else CONTRADICTION
+        is_of_grid = getattr(verification, name) < INTEGRATION * limits[name]
+        return Cause.GRID if is_of_grid else Cause.CONTRADICTION
     if name in {final for final, _, _ in FINAL_SIGMAS}:
-        return SPREAD
+        return Cause.SPREAD
     if name in {str(limit) for limit in verification.burn_limits}:
-        return COMMANDS
+        return Cause.COMMANDS
     if name in {drift.check for drift in verification.drifts}:
-        return DRIFT
+        return Cause.DRIFT
     if name.startswith("dv_min of burn"):
-        return UNEXECUTED
-    short = BY_LAW if mission.scenario.risk.allocation == "exact" else SHORT
+        return Cause.UNEXECUTED
+    short = Cause.BY_LAW if mission.scenario.risk.allocation == "exact" else Cause.SHORT
     worst = {f"P({p.name})": (short, p.worst_t_s) for p in verification.probabilities}
-    worst |= {m.name: (BURNS, m.worst_t_s) for m in verification.mean_margins}
+    worst |= {m.name: (Cause.BURNS, m.worst_t_s) for m in verification.mean_margins}
     if name not in worst:  # a part of the file
-        return CONTRADICTION
+        return Cause.CONTRADICTION
     kind, time = worst[name]
-    return BETWEEN if np.abs(mission.times_s - time).min() > SHOWN_S else kind
+    return Cause.BETWEEN if np.abs(mission.times_s - time).min() > SHOWN_S else kind
 
 
 def needed_step_s(mission: Mission, verification: Verification) -> float:

@@ -17,7 +17,7 @@ from scp_recon.drafting import draft as drafting
 from scp_recon.mission.scene import Scene
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scp.status import Status
-from scp_recon.verification.causes import CAUSES
+from scp_recon.verification.causes import Cause
 from tests.helpers import usually
 from tests.scp_recon.support import file_of, status_of
 
@@ -70,8 +70,8 @@ def test_infeasible_draft_proposes_nothing_untried(monkeypatch, capsys):
     said = capsys.readouterr().out
     assert "infeasible" in said
     written = Path("mine.toml").read_text("utf-8")
-    assert f"status: {CAUSES['status']}" in said
-    assert f"# status: {CAUSES['status']}" in written
+    assert f"status: {Cause.STATUS.value}" in said
+    assert f"# status: {Cause.STATUS.value}" in written
     assert "no remedy was tried; the command above tries some" in written
     assert "To change" not in written
     assert tomllib.loads(written)["name"] == "mine"

@@ -17,8 +17,8 @@ from scp_recon.results.solution import HASH, Solution
 from scp_recon.results.verification import BurnLimit, JointProbability, Verification
 from scp_recon.scp.status import Status
 from scp_recon.verification.causes import (
-    CAUSES,
     UNTRIED,
+    Cause,
     causes,
     kind_of,
     needed_step_s,
@@ -96,21 +96,26 @@ def test_every_check_has_a_cause(mission, verification):
     v = replace(v, burn_limits=(BurnLimit(2, "dv_max", 8000.0, 0.5),))
     at_nodes = [p for p in v.probabilities if min(abs(mission.times_s - p.worst_t_s)) < 1.0]
     found = {
-        "status": {"status"},
-        "certificate": {"certificate"},
-        "grid": {"covariance_error", "max_defect", "sample_error_m", "terminal_position_error_m"},
-        "between nodes": {between.name},
-        "short": {f"P({p.name})" for p in at_nodes},
-        "burns": {"dv_max"},
-        "spread": {name for name, _, _ in FINAL_SIGMAS},
-        "commands": {"P(dv_max of burn 2)"},
-        "unexecuted": {"dv_min of burn 2"},
-        "drift": {"P(safe drift where burn 2 is missed)"},
-        "contradiction": {HASH, "facets", "violation", "nodes.t_s", "risk", "total_dv_m_s"},
+        Cause.STATUS: {"status"},
+        Cause.CERTIFICATE: {"certificate"},
+        Cause.GRID: {
+            "covariance_error",
+            "max_defect",
+            "sample_error_m",
+            "terminal_position_error_m",
+        },
+        Cause.BETWEEN: {between.name},
+        Cause.SHORT: {f"P({p.name})" for p in at_nodes},
+        Cause.BURNS: {"dv_max"},
+        Cause.SPREAD: {name for name, _, _ in FINAL_SIGMAS},
+        Cause.COMMANDS: {"P(dv_max of burn 2)"},
+        Cause.UNEXECUTED: {"dv_min of burn 2"},
+        Cause.DRIFT: {"P(safe drift where burn 2 is missed)"},
+        Cause.CONTRADICTION: {HASH, "facets", "violation", "nodes.t_s", "risk", "total_dv_m_s"},
     }
-    assert found.keys() | {"short by law"} == CAUSES.keys()
+    assert found.keys() | {Cause.BY_LAW} == {*Cause}
     exact = mission.changed({"risk.allocation": "exact"})
-    assert {kind_of(name, exact, v) for name in found["short"]} == {"short by law"}
+    assert {kind_of(name, exact, v) for name in found[Cause.SHORT]} == {Cause.BY_LAW}
     for kind, names in found.items():
         assert names
         assert {kind_of(name, mission, v) for name in names} == {kind}
@@ -119,16 +124,16 @@ def test_every_check_has_a_cause(mission, verification):
 def test_it_says_how_fine_a_grid_is_enough(mission, verification):
     """At fourth order: half the limit of covariances that err by 17 times it at 232 s."""
     failed = failing(verification, "covariance_error", covariance_error=1.7e-5)
-    assert causes(mission, failed) == (f"covariance, re-integrated: {CAUSES['grid']}",)
+    assert causes(mission, failed) == (f"covariance, re-integrated: {Cause.GRID.value}",)
     assert needed_step_s(mission, failed) == 94.0
     edited = failing(verification, "covariance_error", covariance_error=0.5)
-    assert causes(mission, edited) == (f"covariance, re-integrated: {CAUSES['contradiction']}",)
+    assert causes(mission, edited) == (f"covariance, re-integrated: {Cause.CONTRADICTION.value}",)
 
 
 def test_causes_without_advice_propose_nothing(mission, solution, verification):
     stalled = replace(solution, status=Status.STALLED.value.name)
     failed = failing(verification, "status", "P(emission)", "emission_max")
-    line = f"status, P(emission), emission_max: {CAUSES['status']}"
+    line = f"status, P(emission), emission_max: {Cause.STATUS.value}"
     assert next_lines(mission, stalled, failed) == (line, UNTRIED)
     advised = replace(stalled, advice=("what was tried",))
     assert next_lines(mission, advised, failed) == ("what was tried",)
