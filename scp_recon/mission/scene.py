@@ -108,7 +108,7 @@ ALONG = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """Geometry of a scenario that does not depend on its window; time zero is the epoch.
+    """Geometry and forces of a scenario, which do not depend on its window; time zero is the epoch.
 
     Attributes:
         scenario: with the data.

@@ -139,17 +139,6 @@ def test_flipped_facets_are_turned_as_most_are(share, rng, inward, seam, tmp_pat
     np.testing.assert_array_equal(read_shape(file, "m").facets, both)
 
 
-def test_a_flipped_facet_moves_no_normal(tmp_path):
-    cube = box(np.full(3, 10.0))
-    for facet in range(12):
-        facets = cube.facets.copy()
-        facets[facet] = facets[facet, ::-1]
-        mesh = read_shape(write_obj(tmp_path / "box.obj", Mesh(cube.vertices_m, facets)), "m", 16.0)
-        expected = Mesh(cube.vertices_m, cube.facets, 16.0)
-        for direction in (direction_of(5.0, 3.0), direction_of(44.0, 100.0)):
-            np.testing.assert_allclose(mesh.at(direction), expected.at(direction), atol=1e-12)
-
-
 @pytest.mark.parametrize("facet", [0, 17, 127])
 @pytest.mark.parametrize("twice", [False, True])
 def test_open_shape_is_refused_with_a_facets_line(facet, twice, tmp_path):

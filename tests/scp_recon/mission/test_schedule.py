@@ -82,24 +82,6 @@ def test_a_window_outside_the_flight_is_refused(window):
     assert "34842" in error.allowed
 
 
-def test_timeline_follows_the_rules(mission):
-    # Echigo et al., section V.A: half an hour each for slews and heating, before burns and window.
-    expected = [
-        (Mode.SUN_POINTING, 0, 4400),
-        (Mode.DELTA_V, 4400, 8000),
-        (Mode.SUN_POINTING, 8000, 11_340),
-        (Mode.OBSERVATION, 11_340, 16_537),
-        (Mode.SUN_POINTING, 16_537, 21_400),
-        (Mode.DELTA_V, 21_400, 25_000),
-        (Mode.SUN_POINTING, 25_000, 31_242),
-        (Mode.DELTA_V, 31_242, 34_842),
-    ]
-    legs = mission.schedule.legs
-    assert [leg.mode for leg in legs] == [mode for mode, *_ in expected]
-    for leg, (_, start, end) in zip(legs, expected, strict=True):
-        assert (leg.start_s, leg.end_s) == pytest.approx((start, end), abs=0.6)
-
-
 def is_allowed(times: tuple[float, ...], window: tuple[float, float]) -> tuple[bool, float]:
     """Whether the rules of Echigo et al., section V.A, hold, and by how many seconds."""
     busy = [(0.0, 0.0), (window[0] - 1800.0, window[1]), *((t - 3600.0, t) for t in times[1:])]
