@@ -66,10 +66,7 @@ class Units:
 
         Tolerances in other units, angles and shares, are the figure.
         """
-        scale = {
-            "m": self.length_m / DEFAULT.length_m,
-            "m/s": self.speed_m_s / DEFAULT.speed_m_s,
-        }
+        scale = {"m": self.length_m / DEFAULT.length_m, "m/s": self.speed_m_s / DEFAULT.speed_m_s}
         return figure * scale.get(unit, 1.0)
 
 

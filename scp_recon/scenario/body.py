@@ -73,8 +73,7 @@ class Attitude(Section):
     tdb_s: Annotated[tuple[Number, ...], Field(min_length=2, max_length=10_000)]
     """Times in s of TDB past J2000, ascending."""
     quaternions: Annotated[
-        tuple[tuple[Number, Number, Number, Number], ...],
-        Field(min_length=2, max_length=10_000),
+        tuple[tuple[Number, Number, Number, Number], ...], Field(min_length=2, max_length=10_000)
     ]
     """Quaternions, scalar first, that turn body-fixed components into J2000."""
 

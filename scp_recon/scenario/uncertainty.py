@@ -245,7 +245,7 @@ class Contacts(OneWay):
     """
 
     WAYS: ClassVar[Mapping[str, tuple[Way, ...]]] = {
-        "times of contacts": (("windows_s",), ("every_s",)),
+        "times of contacts": (("windows_s",), ("every_s",))
     }
 
     windows_s: Annotated[tuple[Interval, ...], Field(min_length=1, max_length=1000)] | None = None
@@ -339,7 +339,7 @@ class Navigation(OneWay):
             ("sigma_position_m", "sigma_velocity_m_s"),
             ("covariance",),
             ("landmarks",),
-        ),
+        )
     }
     REQUIRED: ClassVar[bool] = False
 

@@ -23,12 +23,7 @@ from scp_recon.mission.schedule import (
     make_schedule,
     survey,
 )
-from scp_recon.mission.windows import (
-    SCAN_STEP_S,
-    each_window,
-    moved_edges,
-    scan_step_s,
-)
+from scp_recon.mission.windows import SCAN_STEP_S, each_window, moved_edges, scan_step_s
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scenario.schema import Scenario, ScheduleRules
 from tests.scp_recon.support import file_of, mission_of, refusal

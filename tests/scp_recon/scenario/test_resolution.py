@@ -427,8 +427,7 @@ def test_all_missing_entries_are_told_at_once():
 
 
 @pytest.mark.parametrize(
-    "wrong",
-    ["epoch.tdb=2021-03-14T06:00:00Z", "body.pole_dec_deg=100.0", "site.latitude_deg=95.0"],
+    "wrong", ["epoch.tdb=2021-03-14T06:00:00Z", "body.pole_dec_deg=100.0", "site.latitude_deg=95.0"]
 )
 def test_derivable_entries_are_not_called_missing(wrong):
     """It is computed once that is right."""
