@@ -188,11 +188,11 @@ def _layers(
     """A scenario's own tables and those of each base in turn, with their files if they have one."""
     above: list[Path] = []
     while True:
+        folder = Path() if file is None else file.parent
+        yield file, anchored({key: data[key] for key in data if key != "base"}, folder)
         if not {"base", *Scenario.model_fields} & set(data):
             rule = 'must be complete or have base = "recon_b"'
             raise InputError("scenario", "none of its entries", rule)
-        folder = Path() if file is None else file.parent
-        yield file, anchored({key: data[key] for key in data if key != "base"}, folder)
         if "base" not in data:
             return
         name, names = data["base"], base_names()

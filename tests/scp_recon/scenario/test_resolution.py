@@ -392,6 +392,13 @@ def test_a_base_that_is_none_is_refused(base, tmp_path):
     assert error.entry == "base"
 
 
+def test_a_base_without_entries_is_named(tmp_path):
+    (tmp_path / "empty.toml").write_text("other = 1\n", "utf-8")
+    (tmp_path / "mine.toml").write_text('base = "empty.toml"\n', "utf-8")
+    error = refusal(load_scenario, tmp_path / "mine.toml")
+    assert (error.entry, error.file) == ("scenario", str(tmp_path / "empty.toml"))
+
+
 def test_bases_come_to_an_end(tmp_path):
     assert load_scenario(chain(tmp_path, *[""] * 8))
     with pytest.raises(InputError, match="8 files at most"):
