@@ -99,6 +99,7 @@ def design(
         with view.design_progress(console) as observe, naming_files(*source):
             found = find_pass(scenario, observe, how.facet_rounds)
         table = write_for(entry, folder / view.TABLE, trials_table(found).csv())
+        view.draw_map(found, folder, console)
         if found.scenario is None:
             show_line(console, found.message)
             show_written(console, table)
@@ -108,6 +109,7 @@ def design(
         outcome = carry_out(request_of(found, how), shown)
         if outcome.plan.status is Status.CONVERGED:
             show_line(console, view.primer_says(outcome.solution.primer))
+            view.draw_primer(outcome.solution, folder)
         for price in found.prices:
             show_line(console, str(price))
         return shown.answer(outcome)

@@ -6,6 +6,7 @@ import shlex
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from dataclasses import dataclass, field
+from importlib.util import find_spec
 from pathlib import Path
 from time import monotonic, process_time
 from typing import Self
@@ -15,7 +16,7 @@ from rich.console import Console
 
 from scp_recon.advice.infeasibility import Diagnosis, cost_of_exact_risk, diagnose
 from scp_recon.advice.trials import RETURN, Remedy, for_exact, overrides_of
-from scp_recon.api.designing import phases_deg
+from scp_recon.api.designing import Design, phases_deg
 from scp_recon.api.files import UNVERIFIED, run_folder
 from scp_recon.api.inputs import PlanRequest
 from scp_recon.api.options import PlanOptions
@@ -26,12 +27,14 @@ from scp_recon.cli.command import Answer, show_line, show_written
 from scp_recon.cli.plan_view import Progress, live_progress, plan_document
 from scp_recon.cli.views import time_left
 from scp_recon.display import digits, mm_s
+from scp_recon.errors import option
+from scp_recon.files import PICTURE, write_for
 from scp_recon.mission.mission import Mission
 from scp_recon.passes.design import Trial
 from scp_recon.planning.plan import Plan
 from scp_recon.planning.primer import WORTH, PrimerHistory
 from scp_recon.results.runs import point_to
-from scp_recon.results.solution import FILE_NAME
+from scp_recon.results.solution import FILE_NAME, Solution
 from scp_recon.scenario.schema import Scenario
 from scp_recon.scp.status import Status
 from scp_recon.verification.causes import causes
@@ -229,15 +232,35 @@ def what_would_do(remedy: Remedy, more: Sequence[str] = (), file: Path = Path(FI
 
 # --- designs ---------------------------------------------------------------------------------------
 
-TABLE, SCENARIO = "design.csv", "scenario.toml"
+TABLE, SCENARIO, MAP, PRIMER = "design.csv", "scenario.toml", "design.png", "primer.png"
 """What a design writes besides its plan."""
 HEAD = "# Written by `scp-recon design`.\n"
-MARKS = {TABLE: b"step,window,problem,", SCENARIO: HEAD.encode()}
+MARKS = {TABLE: b"step,window,problem,", SCENARIO: HEAD.encode(), MAP: PICTURE, PRIMER: PICTURE}
 """What only this program's files of these names hold."""
 OF_MAP = 4.0
 """Time of a design over that of its maps: 2.9 was measured for Nightingale, 4.9 for Sandpiper."""
 RESIDUAL = 0.1
 """Largest residual of an optimum's multipliers: a primer errs by its residual."""
+
+
+def draw_map(found: Design, folder: Path, console: Console) -> None:
+    """Write a design's map, if plans from a home orbit converged and matplotlib is installed."""
+    mapped = found.best.space.has_home and any(one.result.converged for one in found.trials)
+    if mapped and find_spec("matplotlib") is None:
+        show_line(console, f"no {MAP}, no {PRIMER}: pip install 'scp_recon[report]' for them")
+    elif mapped:
+        from scp_recon.reports import command_charts as charts
+
+        write_for(option("out"), folder / MAP, charts.draw_design(found.trials, found.best))
+
+
+def draw_primer(solution: Solution, folder: Path) -> None:
+    """Write the picture of a plan's primer, if it has one and matplotlib is installed."""
+    if solution.primer is not None and find_spec("matplotlib") is not None:
+        from scp_recon.reports import command_charts as charts
+
+        times = [burn.t_s for _, burn in solution.executed]
+        write_for(option("out"), folder / PRIMER, charts.draw_primer(solution.primer, times))
 
 
 @contextmanager

@@ -2,10 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.colors import LogNorm
 
+from scp_recon.display import mm_s
 from scp_recon.mission.schedule import LitWindow, Survey
+from scp_recon.passes.design import Trial
+from scp_recon.passes.timing import PassResult
+from scp_recon.planning.primer import PrimerHistory
 from scp_recon.results.pictures import HOUR_S, legend, page, picture, plain
 from scp_recon.scenario.schema import Scenario
 
@@ -81,3 +88,59 @@ def _rows(axes: Axes, shown: tuple[LitWindow, ...]) -> None:
     if times:
         axes.set_xlim(min(times) - 1.0, max(times) + 1.0)
     axes.set_title("where each burn may be, for a flight that observes in that window")
+
+
+COLOURS_NAMED = 6
+
+
+def draw_design(tried: Sequence[Trial], found: PassResult) -> bytes:
+    """Draw a PNG of delta-v over the phases of all plans; a star is at the cheapest pass."""
+    with page(5.6) as figure:
+        axes = figure.subplots()
+        kept = [one for one in tried if one.result.converged and one.step != "certain"]
+        costs = np.array([one.result.dv_m_s for one in kept])
+        places = np.rad2deg([one.result.at.phases for one in kept]) % 360.0
+        mapped = np.array([one.step == "map" for one in kept])
+        colours = LogNorm(costs.min(), max(costs.max(), 1.01 * costs.min()))
+        squares = axes.scatter(*places[mapped].T, c=costs[mapped], marker="s", s=420, norm=colours)
+        others = places[~mapped].T
+        axes.scatter(*others, c=costs[~mapped], s=14, edgecolors="white", norm=colours)
+        if found.converged:
+            label = f"found: {mm_s(found.dv_m_s, 1)}"
+            place = np.rad2deg(found.at.phases) % 360.0
+            axes.plot(*place, "*", color="red", markeredgecolor="white", markersize=14, label=label)
+            figure.legend(loc="outside upper center")
+        bar = figure.colorbar(squares, label="delta-v (m/s); squares: without uncertainty")
+        bar.minorticks_off()
+        between = np.geomspace(costs.min(), costs.max(), COLOURS_NAMED)
+        bar.set_ticks(between.tolist(), labels=[f"{cost:.2g}" for cost in between])
+        axes.set(xlabel="phase of departure (deg)", ylabel="phase of arrival (deg)")
+        edges, ticks = (-25.0, 380.0), np.arange(0.0, 361.0, 60.0)
+        axes.set(xlim=edges, ylim=edges, xticks=ticks, yticks=ticks)
+        return picture(figure)
+
+
+def draw_primer(primer: PrimerHistory, burns_s: Sequence[float]) -> bytes:
+    """Draw a PNG of a primer's size and allowed part over time, with legal times and times of burns."""
+    with page(4.2) as figure:
+        axes = figure.subplots()
+        hours, legal = np.array(primer.t_s) / HOUR_S, np.array(primer.legal)
+        top = 1.05 * max(1.0, *np.linalg.norm(primer.vector, axis=1))
+        axes.fill_between(
+            hours, 0.0, top, where=legal.tolist(), color="0.88", label="another burn is legal"
+        )
+        for number, time in enumerate(burns_s):
+            label = "burns of the plan" if number == 0 else None
+            axes.axvline(time / HOUR_S, color="C1", lw=1.0, ls=":", label=label)
+        axes.axhline(1.0, color="black", lw=0.8)
+        sizes = np.linalg.norm(primer.vector, axis=1)
+        axes.plot(hours, sizes, color="C0", lw=1.0, ls="--", label="in any direction")
+        axes.plot(hours, primer.allowed, color="C0", label="in directions off the battery's cones")
+        axes.set(
+            xlabel="time past the epoch (h)",
+            ylabel="delta-v saved per delta-v of a small burn more",
+        )
+        axes.set(ylim=(0.0, top))
+        axes.margins(x=0.01)
+        figure.legend(loc="outside upper center", ncols=2)
+        return picture(figure)

@@ -63,6 +63,8 @@ def test_design_writes_verified_plan_scenario_and_table(tmp_path, monkeypatch, c
     assert sizes.min() > 1e-4
     least = min(float(row["dv_m_s"]) for row in rows if row["dv_m_s"] and row["problem"] == "P2")
     assert least == pytest.approx(solution.total_dv_m_s, rel=1e-2)
+    for picture in ("design.png", "primer.png"):
+        assert (out / picture).read_bytes().startswith(b"\x89PNG")
     assert solution.primer.residual < 1e-3
 
 
