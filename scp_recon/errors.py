@@ -1,4 +1,4 @@
-"""Report errors of the user's input, and check numbers, names, paths and extras."""
+"""Report errors of the user's input; check numbers, names, paths and extras, or raise such an error."""
 
 from __future__ import annotations
 
@@ -102,11 +102,7 @@ def printable(text: str) -> str:
 
 
 def one_of(entry: str, given: object, known: Collection[str]) -> str:
-    """Check that a name is known, and return it.
-
-    Raises:
-        InputError: if the name is unknown.
-    """
+    """A name that is known; others are refused."""
     if not isinstance(given, str) or given not in known:
         raise InputError(entry, shortened(given), f"must be one of {', '.join(known)}")
     return given
@@ -137,11 +133,7 @@ def nearest(name: object, known: Sequence[str]) -> str:
 
 
 def path_of(entry: str, given: object) -> Path:
-    """Convert a path or a text to a path.
-
-    Raises:
-        InputError: if it is neither.
-    """
+    """Convert a path or a text to a path."""
     if not isinstance(given, str | Path):
         raise InputError(entry, shortened(given), "must be a path")
     return Path(given)
@@ -163,11 +155,7 @@ EXACT = 2.0**53
 
 
 def whole_number(entry: str, given: object, low: int, high: int) -> int:
-    """Check a whole number within bounds, also given as 1e4, and return it.
-
-    Raises:
-        InputError: if it is not a number, or out of bounds.
-    """
+    """Check a whole number within bounds, also given as 1e4, and return it."""
     if isinstance(given, float):
         whole = int(given) if abs(given) < EXACT and given.is_integer() else None
     else:
@@ -181,9 +169,6 @@ def make_whole(options: object, name: str, low: int, high: int, word: str = "") 
     """Check an option of a frozen data class by `whole_number`, and keep it as an int.
 
     A message also names a `word` that is allowed in place of a number.
-
-    Raises:
-        InputError: as that.
     """
     try:
         found = whole_number(option(name), getattr(options, name), low, high)
@@ -213,11 +198,7 @@ def needing(entry: str, extra: str, *packages: str) -> Iterator[None]:
 
 
 def imported(entry: str, extra: str, *modules: str) -> Any:
-    """Import modules that need an extra, and return the first.
-
-    Raises:
-        InputError: if one is not installed.
-    """
+    """Import modules that need an extra, and return the first."""
     with needing(entry, extra, *(name.partition(".")[0] for name in modules)):
         first, *_ = (import_module(name) for name in modules)
     return first
@@ -230,11 +211,7 @@ def shortened(given: object) -> str:
 
 
 def number_between(entry: str, given: object, low: float, high: float, unit: str = "") -> float:
-    """Check a number within bounds, and return it; a message names the unit.
-
-    Raises:
-        InputError: if it is not a number, or out of bounds.
-    """
+    """Check a number within bounds, and return it; a message names the unit."""
     if isinstance(given, int | float) and not isinstance(given, bool) and low <= given <= high:
         return float(given)
     allowed = f"must be a number from {low:g} to {high:g} {unit}".rstrip()

@@ -62,11 +62,7 @@ def read_text(path: Path, entry: str, kind: str, bytes_max: int = BYTES_MAX) -> 
 
 
 def _of_pipe(pipe: BinaryIO, size: int) -> bytes:
-    """Bytes of a pipe until its end, or up to a size.
-
-    Raises:
-        TimeoutError: if nothing comes for `SILENT_S`.
-    """
+    """Bytes of a pipe until its end, or up to a size."""
     data, number = b"", pipe.fileno()
     os.set_blocking(number, False)  # `select` would wait for a first writer too
     while len(data) < size:
@@ -99,22 +95,14 @@ def reason_of(error: OSError) -> str:
 
 
 def check_ending(file: Path, entry: str, *endings: str) -> None:
-    """Refuse the name of a file to write without one of some endings, such as .html, in any letters.
-
-    Raises:
-        InputError: if it has none of them.
-    """
+    """Refuse the name of a file to write without one of some endings, such as .html, in any letters."""
     if file.is_dir() or file.suffix.lower() not in endings:
         allowed = f"must be a file that ends in {' or '.join(endings)}"
         raise InputError(entry, str(file), allowed)
 
 
 def check_writable(folder: Path, name: str, entry: str) -> None:
-    """Make a folder, and check before the work that a file of that name can be written there.
-
-    Raises:
-        InputError: if the file cannot be written.
-    """
+    """Make a folder, and check before the work that a file of that name can be written there."""
     file = folder / name
     with writing(folder, entry):
         folder.mkdir(parents=True, exist_ok=True)
@@ -134,11 +122,7 @@ def unwritable(folder: Path, entry: str, error: OSError) -> InputError:
 
 @contextmanager
 def writing(folder: Path, entry: str) -> Iterator[None]:
-    """Context that turns a failure to write a file into the error of its folder.
-
-    Raises:
-        InputError: if a file cannot be written.
-    """
+    """Context that turns a failure to write a file into the error of its folder."""
     try:
         yield
     except OSError as error:
@@ -174,11 +158,7 @@ def check_own(file: Path, entry: str, mark: bytes, *endings: str) -> None:
 
 
 def write_for(entry: str, path: Path, content: str | bytes) -> Path:
-    """Write a file atomically; a failure is the error of its folder, by the entry.
-
-    Raises:
-        InputError: if it cannot be written.
-    """
+    """Write a file atomically; a failure is the error of its folder, by the entry."""
     with writing(path.parent, entry):
         return write_atomically(path, content)
 

@@ -123,11 +123,7 @@ def solution_page() -> str:
 
 
 def _fields(kind: Any) -> list[str]:
-    """Descriptions of a type's fields in order, by their keys in the file.
-
-    Raises:
-        KeyError: if one has none.
-    """
+    """Descriptions of a type's fields in order, by their keys in the file."""
     if issubclass(kind, BaseModel):
         descriptions = field_descriptions(kind)
         return [descriptions[name] for name in kind.model_fields]

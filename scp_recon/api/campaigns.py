@@ -63,9 +63,6 @@ def run_campaign(
 
     `workers` are processes, one by default, 0 for this one; `observe` is called after each row, `say`
     with each line worth showing.
-
-    Raises:
-        InputError: naming the argument, what was given and what is allowed.
     """
     workers = check_workers(workers, scheduler, 0)
     executor = executor_of(study, 1 if workers is None else workers, scheduler, say)
@@ -73,11 +70,7 @@ def run_campaign(
 
 
 def work_of(study: Study) -> StudyWork:
-    """Make the work of a study's cases.
-
-    Raises:
-        InputError: if an extra is missing that the work needs.
-    """
+    """Make the work of a study's cases."""
     if study.campaign.do == "simulate":
         imported("campaign.do", "sim", "Basilisk")
     return StudyWork(study.base, study.folder.absolute(), study.campaign)
@@ -95,12 +88,7 @@ class StudyWork:
     campaign: Campaign
 
     def __call__(self, case: Case, /) -> Row:
-        """Plan and verify a case, and fly or simulate it if the campaign says so.
-
-        Raises:
-            InputError: if no mission can be made of the case.
-            KeyboardInterrupt: if the plan was interrupted.
-        """
+        """Plan and verify a case, and fly or simulate it if the campaign says so."""
         do, scenario = self.campaign.do, changed(self.base, case.changes, self.folder)
         row: dict[str, Any] = {"asked": scenario.risk.p_chance}
         check_do(do, scenario)

@@ -98,11 +98,7 @@ def trials_table(found: Design) -> Table:
 def options_for(
     scenario: Scenario, *, certify: bool | None, facet_rounds: FacetRounds = SETTLE
 ) -> PlanOptions:
-    """Options with which the pass of a design is planned.
-
-    Raises:
-        InputError: if one is out of range, or flights cannot certify the pass.
-    """
+    """Options with which the pass of a design is planned."""
     # The map of a home orbit's phases has been several starts.
     starts = None if scenario.boundary.home is None else 1
     options = PlanOptions(certify=certify, facet_rounds=facet_rounds, starts=starts)
@@ -120,9 +116,6 @@ def find_pass(
 
     `observe` is called with every plan that the design makes; `facet_rounds` are of plans between given
     boundary states, as of `Planner.plan`.
-
-    Raises:
-        InputError: see `passes.setting.spaces_of`.
     """
     designer = Designer(scenario, observe, facet_rounds)
     try:

@@ -141,11 +141,7 @@ class NewOptions:
         return next((name for name in SOURCES if getattr(self, name) is not None), None)
 
     def draft_at(self, epoch: datetime) -> Draft:
-        """The draft before the flyby is designed, for a packaged body or one given by numbers.
-
-        Raises:
-            InputError: if numbers are given for a packaged body, or are missing for another body.
-        """
+        """The draft before the flyby is designed, for a packaged body or one given by numbers."""
         numbers: dict[str, Any] = {name: getattr(self, name) for name in OF_A_BODY}
         site = self.site[0], self.site[1]
         known = packaged_body(self.body)
@@ -214,11 +210,7 @@ class NewScenario:
 
 
 def draft(options: NewOptions, progress: Callable[[str], None]) -> NewScenario:
-    """See `api.verbs.new`.
-
-    Raises:
-        InputError: if a file is there already or cannot be written, or nothing can be drafted.
-    """
+    """See `api.verbs.new`."""
     path = Path(f"{options.name}.toml")
     start = path.with_name(f"{path.stem}_start.csv")
     for file in (path, start) if options.source else (path,):
@@ -255,11 +247,7 @@ def _numbers(name: str, given: object, count: int) -> tuple[float, ...]:
 
 
 def _planned(draft: Draft, request: PlanRequest) -> NewScenario:
-    """Plan and verify a draft; return both, on the grid that planning may have refined.
-
-    Raises:
-        KeyboardInterrupt: if planning was interrupted.
-    """
+    """Plan and verify a draft; return both, on the grid that planning may have refined."""
     outcome, given = carry_out(request), drafting.scenario_of(draft)
     if outcome.verification is None:
         raise KeyboardInterrupt

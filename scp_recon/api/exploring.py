@@ -127,12 +127,7 @@ def sliders_of(scenario: Scenario) -> list[Slider]:
 
 
 def changed(scenario: Scenario, sliders: Sequence[Slider], values: object) -> Scenario:
-    """The scenario with the values of sliders, and of `policy.kind`.
-
-    Raises:
-        InputError: if a slider is unknown, a value is outside its ends, or the scenario is not
-            valid.
-    """
+    """The scenario with the values of sliders, and of `policy.kind`."""
     if not isinstance(values, Mapping):
         raise InputError("values", shortened(values), "must be values by entry")
     by_key = {slider.key: slider for slider in sliders}
@@ -169,13 +164,7 @@ def _scaled(value: Any, factor: float) -> Any:
 
 @dataclass(eq=False)
 class Explorer:
-    """Answers the page's questions about a scenario; the last plan is kept.
-
-    Attributes:
-        scenario: as it was given.
-        sliders: of the page.
-        kept: the last plan, as it is shown, and its values of the sliders.
-    """
+    """Answers the page's questions about a scenario; keeps the last plan, and the values it is of."""
 
     scenario: Scenario
     sliders: list[Slider] = field(init=False)

@@ -47,11 +47,7 @@ CAMPAIGN, PLANS_ALONE = "campaign.json", "plans, not with a campaign"
 
 
 def solution_of(given: AnyPlan) -> Solution:
-    """The solution of a plan; a plan that was not verified stays so.
-
-    Raises:
-        InputError: if it is no plan and no file of one.
-    """
+    """The solution of a plan; a plan that was not verified stays so."""
     return make_solution(given) if isinstance(given, Plan) else stored(given)
 
 
@@ -123,11 +119,7 @@ def is_campaign(plans: tuple[AnyPlan, ...]) -> bool:
 
 
 def require_some(plans: tuple[object, ...]) -> None:
-    """Refuse no plans, and what is no plan.
-
-    Raises:
-        InputError: if there are none, or one is no plan and no file of one.
-    """
+    """Refuse no plans, and what is no plan."""
     if not plans:
         raise InputError("plans", "none", "must be one or more")
     for given in plans:
@@ -192,9 +184,6 @@ def run_folder(out: Path | None, name: str) -> Iterator[Path]:
     """Yield the folder of a run, locked against other runs; new folders that stay empty are removed.
 
     Without `out` it is a new one that is named after the scenario.
-
-    Raises:
-        InputError: if it cannot be written, another run is at work in it, or it is `runs/latest`.
     """
     if out is not None and is_pointer(out):
         given = f"{out}, which points to the last finished run"
@@ -211,11 +200,7 @@ def run_folder(out: Path | None, name: str) -> Iterator[Path]:
 
 
 def check_folder(folder: Path, entry: str) -> None:
-    """Make a folder for a plan, and refuse one that cannot be written or has another solution.json.
-
-    Raises:
-        InputError: if a plan cannot be written there.
-    """
+    """Make a folder for a plan, and refuse one that cannot be written or has another solution.json."""
     check_writable(folder, FILE_NAME, entry)
     for name in (FILE_NAME, UNVERIFIED):
         check_own(folder / name, entry, MARK)
@@ -226,11 +211,7 @@ Kept = tuple[Path | None, tuple[Path, ...]]
 
 
 def keep(solution: Solution, folder: Path | None, entry: str | None = None) -> Kept:
-    """Write a plan into a folder, if one is given, and set aside results of other plans there.
-
-    Raises:
-        InputError: if the folder cannot be written; names the entry, or the option of the folder.
-    """
+    """Write a plan into a folder, if one is given, and set aside results of other plans there."""
     if folder is None:
         return None, ()
     with writing(folder, entry or option("out")):

@@ -87,14 +87,7 @@ class FlyOptions:
 
 
 class SavedFlights(NamedTuple):
-    """Flights of a plan, summarised in a file.
-
-    Attributes:
-        path: file of the summary.
-        summary: of the flights.
-        widest: interval of all joint probabilities.
-        interrupted: whether the flights were stopped before all were flown.
-    """
+    """Flights of a plan, summarised in a file; `widest` is the interval of all joint probabilities."""
 
     path: Path
     summary: Summary
@@ -104,13 +97,7 @@ class SavedFlights(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Flights:
-    """Many flights of a plan that are checked and not flown yet.
-
-    Attributes:
-        plan: to fly.
-        options: how.
-        config: of the flights.
-    """
+    """Many flights of a plan that are checked and not flown yet."""
 
     plan: Solution
     options: FlyOptions
@@ -118,11 +105,7 @@ class Flights:
 
     @classmethod
     def of(cls, plan: Solution, options: FlyOptions) -> Flights:
-        """Check that a plan can be flown so.
-
-        Raises:
-            InputError: if it cannot.
-        """
+        """Check that a plan can be flown so."""
         how = _policy(plan, options.policy), options.truth, options.errors
         check_miss(plan.scenario, options.miss)
         if options.then and options.miss == len(plan.scenario.burns.times_s):
@@ -219,11 +202,7 @@ class Flights:
 
 
 def _policy(plan: Solution, kind: PolicyKind | None) -> AnyPolicy:
-    """Find the policy that commands the burns of a plan.
-
-    Raises:
-        InputError: if the plan cannot be flown by that policy.
-    """
+    """Find the policy that commands the burns of a plan."""
     if kind == "open":
         return ()
     if kind == "replan":
@@ -240,15 +219,7 @@ def _policy(plan: Solution, kind: PolicyKind | None) -> AnyPolicy:
 
 @dataclass(frozen=True, eq=False)
 class Simulation:
-    """A simulated flight that is checked and not flown yet.
-
-    Attributes:
-        solution: of the plan.
-        seed: of all errors.
-        policy: what commands its burns.
-        craft: the vehicle.
-        miss: number of the burn that does not happen, if one does not.
-    """
+    """A simulated flight that is checked and not flown yet."""
 
     solution: Solution
     seed: int
@@ -277,11 +248,7 @@ def simulation_of(
     vehicle: str | Path | None,
     miss: int | None = None,
 ) -> Simulation:
-    """Check the arguments of `plan_verbs.simulate`.
-
-    Raises:
-        InputError: naming the argument, what was given and what is allowed.
-    """
+    """Check the arguments of `plan_verbs.simulate`."""
     imported("simulate", "sim", "Basilisk")
     seed = whole_number(option("seed"), seed, 0, SEED_MAX)
     solution = solution_of(plan)

@@ -104,11 +104,7 @@ class Resolved(NamedTuple):
 
 
 def load(request: PlanRequest) -> Loaded:
-    """Read the scenario of a request, and its start if that is a solution file.
-
-    Raises:
-        InputError: if an argument is not valid, or a file cannot be used.
-    """
+    """Read the scenario of a request, and its start if that is a solution file."""
     init, scenario = request.init, request.scenario
     called = request.called or _called(init)
     if isinstance(init, str | Path) and init not in GUESSES and is_solution(Path(init)):
@@ -166,11 +162,7 @@ class RestOfFlight:
     free_times: bool = False
 
     def resolved(self, request: PlanRequest) -> Resolved:
-        """Make the mission that is left, its start along the plan in flight, and its options.
-
-        Raises:
-            InputError: if flights cannot certify a plan, or no burn may move.
-        """
+        """Make the mission that is left, its start along the plan in flight, and its options."""
         flown = self.flown
         mission = mission_left(flown, self.delivery, request.overrides)
         scenario, made = mission.scenario, flown.method.formulation
@@ -213,9 +205,6 @@ def _mission_of(scenario: Scenario) -> Mission:
 
     Named are entries that decide when the site is lit: doubtful ones, and other readings that were
     tried and have a mission.
-
-    Raises:
-        InputError: as `Mission.from_scenario`.
     """
     try:
         return Mission.from_scenario(scenario)
@@ -306,11 +295,7 @@ def _called(init: Init) -> str:
 
 
 def _start(mission: Mission, init: Init) -> Iterate:
-    """Make the initial guess of a mission.
-
-    Raises:
-        InputError: if it is no start, or the file or the table is unusable.
-    """
+    """Make the initial guess of a mission."""
     entry = option("init")
     if isinstance(init, Iterate):
         return init
@@ -355,11 +340,7 @@ def is_solution(path: Path) -> bool:
 
 
 def scenario_of(given: Scenario | str | Path, overrides: Sequence[str] = ()) -> Scenario:
-    """Read a scenario that is given as itself, by name, or by its file, with overrides.
-
-    Raises:
-        InputError: if `given` is none of these, or cannot be read.
-    """
+    """Read a scenario that is given as itself, by name, or by its file, with overrides."""
     check_overrides(overrides)
     if isinstance(given, Scenario):
         return override(given, overrides)
@@ -369,22 +350,14 @@ def scenario_of(given: Scenario | str | Path, overrides: Sequence[str] = ()) -> 
 
 
 def check_overrides(given: object) -> None:
-    """Refuse overrides that are not a list of `section.entry=value`.
-
-    Raises:
-        InputError: if they are not.
-    """
+    """Refuse overrides that are not a list of `section.entry=value`."""
     if isinstance(given, list | tuple) and all(isinstance(text, str) for text in given):
         return
     raise InputError(option("overrides"), shortened(given), "must be a list of section.entry=value")
 
 
 def date_in_tdb(entry: str, given: datetime | str | None, *, utc: bool = False) -> datetime | None:
-    """A date in TDB, converted from UTC if `utc`.
-
-    Raises:
-        InputError: if it is no date.
-    """
+    """A date in TDB, converted from UTC if `utc`."""
     if given is None:
         return None
     try:

@@ -99,11 +99,7 @@ class PlanOptions:
 
     @property
     def scp(self) -> ScpMethod:
-        """Formulation, algorithm and solver of sequential convex programming.
-
-        Raises:
-            InputError: if a name is unknown.
-        """
+        """Formulation, algorithm and solver of sequential convex programming."""
         names = (self.formulation, self.algorithm, self.solver)
         usual = (FORMULATION, ALGORITHM, SOLVER)
         return scp_method(*(b if a is None else a for a, b in zip(names, usual, strict=True)))
@@ -126,11 +122,7 @@ class PlanOptions:
         return AUTO if best and plain and scenario.policy.kind == "open" else 1
 
     def check(self, scenario: Scenario) -> None:
-        """Refuse options that do not suit a scenario's risk and burns.
-
-        Raises:
-            InputError: naming the option, what was given and what is allowed.
-        """
+        """Refuse options that do not suit a scenario's risk and burns."""
         budget, exact = self.dv_budget_m_s, scenario.risk.allocation == "exact"
         if self.objective != "probability":
             only_with(option("objective", "probability"), dv_budget_m_s=budget)

@@ -70,11 +70,7 @@ class PlanOutcome:
 
     @cached_property
     def solution(self) -> Solution:
-        """The plan as in its file.
-
-        Raises:
-            InputError: if its figures are not finite.
-        """
+        """The plan as in its file."""
         if self.stored is not None:
             return self.stored
         with finite_figures():
@@ -122,9 +118,6 @@ def carry_out(
         watch: shows and keeps the plan; None for neither.
         verifies: whether the plan is verified and kept; else it is only made. A plan that was
             interrupted is kept without verification.
-
-    Raises:
-        InputError: naming the entry, what was given and what is allowed.
     """
     watch = watch or Watch()
     loaded = load(request)

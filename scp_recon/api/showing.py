@@ -53,11 +53,7 @@ def to_frame(result: Tabulated, table: str | None) -> pandas.DataFrame:
 
 
 def _chosen(argument: str, given: str | None, names: list[str]) -> str:
-    """The name given, or the first.
-
-    Raises:
-        InputError: if there is none of that name.
-    """
+    """The name given, or the first."""
     return names[0] if given is None else one_of(option(argument), given, names)
 
 

@@ -309,9 +309,8 @@ def asked_to_stop() -> Iterator[Callable[[], bool]]:
     came: list[int] = []
 
     def notice(number: int, _: object) -> None:
-        if came:
-            raise KeyboardInterrupt
         came.append(number)
+        signal.signal(signal.SIGINT, before)
 
     signal.signal(signal.SIGINT, notice)
     try:

@@ -288,9 +288,6 @@ def read_delivery(
 
     The state is six numbers, m and m/s, or their file; the covariance a file of six rows of six; each
     measured burn N=X,Y,Z, m/s; `frames` are as of `Delivery.of`.
-
-    Raises:
-        InputError: if a number, a date or a file is not valid.
     """
     from scp_recon.replanning.remainder import Delivery
 
