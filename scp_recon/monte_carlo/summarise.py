@@ -173,7 +173,8 @@ def _size(covariance: Array, samples: int) -> Interval:
     trace = float(np.trace(covariance))
     if trace <= 0.0:
         return Interval(value=0.0, low=0.0, high=0.0)
-    return _sigma(float(np.sqrt(trace)), (samples - 1) * trace**2 / float(np.sum(covariance**2)))
+    rank = max(1.0, trace**2 / float(np.sum(covariance**2)))  # less only by rounding
+    return _sigma(float(np.sqrt(trace)), (samples - 1) * rank)
 
 
 def _sigma(value: float, freedom: float) -> Interval:
