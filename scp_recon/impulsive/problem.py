@@ -135,13 +135,6 @@ class ImpulsiveProblem:
                 raise InputError(name, f"{pair}", "must be two: " + PAIRS[name])
         for size in self.units or ():
             positive("units", size)
-        if self.initial_covariance is not None:
-            _ = self._initial_factor
-        if self.parameter_covariance is not None:
-            if not isinstance(self.flow, ExpressionFlow):
-                given = f"with the flow {type(self.flow).__name__}"
-                raise InputError("parameter_covariance", given, "goes with an ExpressionFlow")
-            _ = self._parameter_factor
         if not isinstance(self.errors, ExecutionErrors | None):
             raise InputError("errors", f"{self.errors!r}", "must be a model, such as GatesErrors")
         for limit in self.final_sigma:
@@ -203,20 +196,6 @@ class ImpulsiveProblem:
         speed = self.length / self.units[1] if self.units else float(self.dv_max)
         return np.repeat([self.length, speed], 3)
 
-    @cached_property
-    def _initial_factor(self) -> Array:
-        """Factor of the initial covariance, zero without one."""
-        given = np.zeros((6, 6)) if self.initial_covariance is None else self.initial_covariance
-        return covariance_factor("initial_covariance", given, 6)
-
-    @cached_property
-    def _parameter_factor(self) -> Array:
-        """Factor of the parameters' covariance."""
-        assert isinstance(self.flow, ExpressionFlow)
-        assert self.parameter_covariance is not None
-        size = len(self.flow.parameters)
-        return covariance_factor("parameter_covariance", self.parameter_covariance, size)
-
     @property
     def is_deterministic(self) -> bool:
         """Whether there are no errors."""
@@ -256,9 +235,15 @@ class ImpulsiveProblem:
     def problem(self) -> FlybyProblem:
         """The nondimensional problem."""
         unit, nodes, limits = self.unit, np.array(self.burn_nodes, dtype=np.intp), self.final_sigma
-        factor, feedback = self._initial_factor / unit[:, None], self.feedback
+        known = np.zeros((6, 6)) if self.initial_covariance is None else self.initial_covariance
+        factor = covariance_factor("initial_covariance", known, 6) / unit[:, None]
         if self.parameter_covariance is not None:
-            factor = block_diag(factor, self._parameter_factor)
+            if not isinstance(self.flow, ExpressionFlow):
+                given = f"with the flow {type(self.flow).__name__}"
+                raise InputError("parameter_covariance", given, "goes with an ExpressionFlow")
+            covariance, size = self.parameter_covariance, len(self.flow.parameters)
+            factor = block_diag(factor, covariance_factor("parameter_covariance", covariance, size))
+        feedback = self.feedback
         if feedback is not None:
             measurement = np.asarray(feedback.measurement, dtype=float) / unit[:, None]
             of = np.array(feedback.burns, np.intp), np.array(feedback.cut_offs, np.intp)

@@ -16,7 +16,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from formulations.arrays import Array, Booleans
+from formulations.arrays import Array
 from formulations.program.multipliers import VANISHED, multipliers, primer, slope_left
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.schedule import legal_additions
@@ -79,13 +79,16 @@ def primer_history(mission: Mission, stage: Stage) -> PrimerHistory | None:
     ):
         return None
     prices = multipliers(merit.problem, merit.rows, lin)
-    vector = primer(merit.rows, lin, prices)
-    sun = mission.sun_direction(mission.times_s)
+    vector, times = primer(merit.rows, lin, prices), mission.times_s
+    sun, legal = mission.sun_direction(times), np.zeros(len(times), dtype=np.bool_)
+    rules, kept = mission.scenario.schedule, mission.kept_window_s
+    for first, last in legal_additions(mission.scenario.burns.times_s, kept, rules):
+        legal |= (times >= first) & (times <= last)
     return PrimerHistory(
-        mission.times_s.tolist(),
+        times.tolist(),
         [(x, y, z) for x, y, z in vector.tolist()],
         allowed_part(vector, sun, lin.problem.dv_cone).tolist(),
-        legal_nodes(mission).tolist(),
+        legal.tolist(),
         slope_left(merit.problem, merit.rows, lin, prices),
     )
 
@@ -99,13 +102,3 @@ def allowed_part(vector: Array, sun: Array, half_angle: float) -> Array:
     across = np.linalg.norm(np.cross(vector, sun), axis=1)
     lacking = np.maximum(half_angle - np.arctan2(across, along), 0.0)
     return np.asarray(np.hypot(along, across) * np.cos(lacking))
-
-
-def legal_nodes(mission: Mission) -> Booleans:
-    """Mask of nodes at which another burn is legal with the others kept, shape (n,)."""
-    scenario, times = mission.scenario, mission.times_s
-    legal = np.zeros(len(times), dtype=np.bool_)
-    window = mission.kept_window_s
-    for first, last in legal_additions(scenario.burns.times_s, window, scenario.schedule):
-        legal |= (times >= first) & (times <= last)
-    return legal

@@ -7,11 +7,11 @@ from typing import NamedTuple
 
 
 class Outcome(NamedTuple):
-    """A status: its name in a file, what happened, the command's exit code."""
+    """A status: its name in a file, what happened, the command's exit code; 4 without a verdict."""
 
     name: str
     message: str
-    exit_code: int
+    exit_code: int = 4
 
 
 class Status(Enum):
@@ -27,20 +27,14 @@ class Status(Enum):
         "Infeasible: stationary at the least violation that was found from here.",
         3,
     )
-    MAX_ITERATIONS = Outcome(
-        "max_iterations",
-        "Not converged: the iteration limit came first.",
-        4,
-    )
+    MAX_ITERATIONS = Outcome("max_iterations", "Not converged: the iteration limit came first.")
     STALLED = Outcome(
         "stalled",
         "Not converged: the trust region collapsed before the iterate became stationary.",
-        4,
     )
     SOLVER_FAILED = Outcome(
         "solver_failed",
         "Not converged: the conic solver gave no usable answer in any trust region tried.",
-        4,
     )
     LOST = Outcome(
         "lost",
