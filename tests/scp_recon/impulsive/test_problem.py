@@ -54,7 +54,7 @@ def erring(problem) -> sr.ImpulsiveProblem:
     )
 
 
-def test_without_regions_the_flight_meets_the_final_state_at_least_cost(problem):
+def test_without_regions_cost_is_the_least(problem):
     """Of two of the burns alone there is one choice: so many of all four can only cost less."""
     plan = problem.solve()
     assert plan.ok
@@ -87,7 +87,7 @@ def test_units_within_change_nothing(problem):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("scope", ["node", "flight", "uniform"])
-def test_flights_keep_a_region_with_the_probability_that_was_planned(erring, scope):
+def test_flights_keep_a_region_as_probably_as_planned(erring, scope):
     """Hill's equations are linear: the normal law is exact, but for errors of Gates' products."""
     plan = replace(erring, scope=scope).solve()
     assert plan.ok
@@ -104,7 +104,7 @@ def test_flights_keep_a_region_with_the_probability_that_was_planned(erring, sco
 
 
 @pytest.mark.slow
-def test_a_certified_plan_costs_more_and_fresh_flights_reach_the_probability(erring):
+def test_certified_plan_reaches_its_probability_in_flight(erring):
     own = replace(erring, probability=0.9)
     seen: list[tuple[str, int, int]] = []
     stages = set[str]()

@@ -40,7 +40,7 @@ def near(space) -> PassResult:
 
 
 @pytest.mark.slow
-def test_a_descent_is_never_worse_and_its_pass_can_be_planned_as_it_is(space, near):
+def test_a_descent_ends_at_a_better_plannable_pass(space, near):
     seen: list[PassResult] = []
     best = Timing(space, 0).descend(near.at, near.burns_m_s, seen.append, Effort(1, 1e-4, 40))
     assert best.dv_m_s < 0.95 * near.dv_m_s
@@ -52,7 +52,7 @@ def test_a_descent_is_never_worse_and_its_pass_can_be_planned_as_it_is(space, ne
 
 
 @pytest.mark.slow
-def test_ipopt_finds_the_same_pass_from_a_home_orbit(space, near):
+def test_ipopt_finds_the_same_pass_from_home(space, near):
     """Phases, dates and times free, with the plan's facets and from its burns."""
     spans = space.time_spans
     home = HomePhases(space.ring, near.at.phases, space.phase_spans)
@@ -75,7 +75,7 @@ def test_ipopt_finds_the_same_pass_from_a_home_orbit(space, near):
     assert np.array(own.at.times_s)[free[fired]] == pytest.approx(times[fired], abs=1.0)
 
 
-def test_times_that_are_all_given_leave_no_rules_to_keep(near):
+def test_given_times_leave_phases_to_move(near):
     space = spaces_of(home_scenario(design={"burn_times": "given"}))[0]
     at = Pass(near.at.phases, space.mission.scenario.burns.times_s)
     best = Timing(space, 0).descend(at, near.burns_m_s, lambda _: None, Effort(1, 1e-4, 40))
@@ -119,7 +119,7 @@ def few() -> PassResult:
 
 
 @pytest.mark.slow
-def test_a_burn_is_tried_where_the_primer_exceeds_one_and_makes_the_pass_cheaper(few):
+def test_burns_where_the_primer_exceeds_one_pay(few):
     found, space = few, few.space
     assert found.converged
     history = primer_history(found.mission, found.stage)
@@ -145,7 +145,7 @@ def test_a_burn_is_tried_where_the_primer_exceeds_one_and_makes_the_pass_cheaper
     assert after < 0.99 * before
 
 
-def test_another_burn_is_tried_once_and_where_there_is_room(few, monkeypatch):
+def test_another_burn_is_tried_once_given_room(few, monkeypatch):
     monkeypatch.setattr(design, "peaks", lambda _: [2_000.0, 2_500.0])
     (other,) = other_counts(few)
     assert other.at.times_s == pytest.approx((0.0, 6_600.0, 25_000.0, 34_842.0))
@@ -153,7 +153,7 @@ def test_another_burn_is_tried_once_and_where_there_is_room(few, monkeypatch):
     assert other_counts(few) == []
 
 
-def test_inner_burns_that_have_vanished_are_left_out_with_their_rules():
+def test_vanished_inner_burns_are_left_out():
     found = near_of(34_842.0)
     assert vanished(found) is None
     found.stage.result.lin.iterate.burns[1] = 0.0
@@ -163,7 +163,7 @@ def test_inner_burns_that_have_vanished_are_left_out_with_their_rules():
     assert fewer.burns_m_s.shape == (2, 3)
 
 
-def test_where_errors_do_not_shrink_one_more_and_one_less_is_tried():
+def test_fixed_errors_have_one_burn_more_or_less():
     near = near_of(38_000.0, GATES, design={"arrival_s": [36_000.0, 52_000.0]})
     assert near.converged
     counts = sorted(len(other.at.times_s) for other in other_counts(near))

@@ -101,7 +101,7 @@ def run(
     return found, found.space, edges.index(found.space.window_s), designer.trials
 
 
-def test_the_next_window_is_mapped_where_the_first_has_no_pass(monkeypatch):
+def test_next_window_is_mapped_without_a_first_pass(monkeypatch):
     costs = tuple(float(10 - k) for k in range(12))
     found, _, window, tried = run(World({1, 2}, {2}, costs=costs), monkeypatch)
     assert found.converged
@@ -139,7 +139,7 @@ def test_a_later_window_without_a_descent_is_mapped(monkeypatch, costs, chosen):
     assert (found.dv_m_s, window) == (costs[chosen], chosen)
 
 
-def test_a_valley_without_a_plan_is_left_by_way_of_one_without_uncertainty(monkeypatch):
+def test_valley_without_a_plan_is_left_without_uncertainty(monkeypatch):
     world = World({0}, {0}, only_after_certain=True, costs=tuple(float(k) for k in range(12)))
     found, _, window, tried = run(world, monkeypatch)
     assert found.converged
@@ -151,9 +151,7 @@ def test_a_valley_without_a_plan_is_left_by_way_of_one_without_uncertainty(monke
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("planned", "tried"), [({1}, [1]), ({0}, [1, 0]), (set(), [1, 0])])
-def test_with_feedback_a_pass_without_uncertainty_has_to_have_a_plan_with_gains(
-    monkeypatch, planned, tried
-):
+def test_with_feedback_passes_must_have_gains(monkeypatch, planned, tried):
     """Windows with more burns before them come first."""
     scenario = load_scenario("kingfisher").replace(MEASURED)
     edges = [space.window_s for space in spaces_of(scenario)]
@@ -205,7 +203,7 @@ def test_packaged_scenarios_have_certified_passes(name, changes, flown):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("mapped", "furthest"), [(set(), 0), ({1}, 1)])
-def test_where_none_has_a_plan_the_one_that_came_furthest_is_told(monkeypatch, mapped, furthest):
+def test_without_a_plan_the_furthest_pass_is_returned(monkeypatch, mapped, furthest):
     """Where the second is mapped it is short by 0.2, and the first one's map by 1."""
     found, _, window, _ = run(World(mapped, set(), costs=(1.0,) * 12), monkeypatch)
     assert (found.converged, window) == (False, furthest)
@@ -213,7 +211,7 @@ def test_where_none_has_a_plan_the_one_that_came_furthest_is_told(monkeypatch, m
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("cost", "burns"), [(9.0, 4), (0.5, 5)])
-def test_a_burn_more_counts_only_where_it_is_cheaper(monkeypatch, cost, burns):
+def test_another_burn_counts_only_where_cheaper(monkeypatch, cost, burns):
     """Whatever the descent with one more ends at: with it no pass is dearer than without."""
 
     def more(found: Made) -> list[Candidate]:
@@ -234,9 +232,7 @@ def test_a_burn_more_counts_only_where_it_is_cheaper(monkeypatch, cost, burns):
 
 
 @pytest.mark.parametrize(("cost", "burns"), [(2.0, 4), (1.0, 3)])
-def test_a_burn_that_vanishes_with_exact_risk_is_left_out_where_that_costs_nothing(
-    monkeypatch, cost, burns
-):
+def test_vanished_burn_under_exact_risk_is_left_out(monkeypatch, cost, burns):
     last: list[Pass] = []
 
     def fewer(found: Made) -> Candidate | None:

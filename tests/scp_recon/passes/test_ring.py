@@ -79,7 +79,7 @@ def from_file(path: Path, **home: Any) -> Scenario:
 
 
 @pytest.mark.parametrize("kind", ["csv", "oem", "bsp"])
-def test_the_ring_of_a_file_is_the_revolution_in_it(kind, tmp_path):
+def test_ring_of_a_file_is_its_revolution(kind, tmp_path):
     times, states = revolution()
     path, more = tmp_path / f"home.{kind}", {}
     if kind == "csv":
@@ -103,7 +103,7 @@ def test_the_ring_of_a_file_is_the_revolution_in_it(kind, tmp_path):
     )
 
 
-def test_the_file_is_named_relative_to_its_scenario_and_designs_alone_take_it(tmp_path):
+def test_designs_alone_take_the_file_beside_their_scenario(tmp_path):
     write_csv(tmp_path / "home.csv", *revolution())
     text = scenario_text(home_scenario()).replace(
         "[boundary.home]", '[boundary.home]\nephemeris_file = "home.csv"'
@@ -130,7 +130,7 @@ FILE = r"boundary\.home\.ephemeris_file"
         ((1.3, 1.0, 400), {"spacecraft_id": -64}, r"boundary\.home\.spacecraft_id.*no kernel"),
     ],
 )
-def test_a_file_that_is_no_home_orbit_is_refused(track, home, told, tmp_path):
+def test_file_without_a_home_orbit_is_refused(track, home, told, tmp_path):
     path = write_csv(tmp_path / "home.csv", *revolution(*track))
     with pytest.raises(InputError, match=told):
         spaces_of(from_file(path, **home))

@@ -21,7 +21,7 @@ RULES = ScheduleRules(attitude_s=1800.0, heating_s=1800.0, recharge_s=1200.0)
 
 
 @given(st.floats(0, 2 * np.pi), st.sampled_from(["right_handed", "left_handed"]))
-def test_the_home_orbit_is_a_circle_at_two_body_speed_in_its_plane(phase, sense):
+def test_home_orbit_is_a_circle_at_two_body_speed(phase, sense):
     scenario = home_scenario(sense=sense)
     home, gm = scenario.boundary.home, scenario.body.gm_m3_s2
     r, v = home.state(phase, gm).reshape(2, 3)
@@ -33,7 +33,7 @@ def test_the_home_orbit_is_a_circle_at_two_body_speed_in_its_plane(phase, sense)
     )
 
 
-def test_a_flown_home_orbit_leaves_the_circle_slowly_and_obeys_the_forces():
+def test_flown_home_orbit_obeys_the_forces():
     """Held against an integration of the test's own, from one phase to another."""
     space, *_ = spaces_of(home_scenario(flown=True))
     circle, *_ = spaces_of(home_scenario())
@@ -59,7 +59,7 @@ def test_packaged_designs_have_a_window_and_legal_times(site):
     assert spaces_of(scenario)
 
 
-def test_with_feedback_as_many_burns_as_fit_come_before_each_window():
+def test_with_feedback_burns_fill_time_before_windows():
     """Legal, planned open loop, and told to correct again in the scenario that is found."""
     scenario = load_scenario("kingfisher").replace(MEASURED)
     counts = []
@@ -75,7 +75,7 @@ def test_with_feedback_as_many_burns_as_fit_come_before_each_window():
     assert fixed.policy == scenario.policy
 
 
-def test_a_home_orbit_with_fixed_phases_is_planned_like_any_boundary():
+def test_home_orbit_with_fixed_phases_is_a_boundary():
     fixed = home_scenario(departure_deg=[150.0, 150.0], arrival_deg=[0.0, 0.0])
     mission = Mission.from_scenario(fixed)
     axes = mission.scene.boundary_axes
@@ -85,7 +85,7 @@ def test_a_home_orbit_with_fixed_phases_is_planned_like_any_boundary():
     assert moved.scenario.boundary.home is None
 
 
-def test_states_and_a_home_orbit_take_each_other_s_place():
+def test_states_and_home_orbit_replace_each_other():
     scenario = home_scenario()
     given_states = scenario.replace({"boundary.initial_position_m": [900.0, 0.0, 100.0]})
     assert given_states.boundary.home is None
@@ -176,7 +176,7 @@ def test_given_states_leave_burns_alone_to_move(changes, told):
         spaces_of(load_scenario().replace(changes))
 
 
-def test_every_window_of_a_span_has_a_space_with_legal_times():
+def test_every_window_has_a_space_with_legal_times():
     design = {"departure_s": [-20_000.0, 30_000.0], "arrival_s": [10_000.0, 70_000.0]}
     scenario = home_scenario(design=design)
     spaces = spaces_of(scenario)
@@ -190,7 +190,7 @@ def test_every_window_of_a_span_has_a_space_with_legal_times():
 
 
 @pytest.mark.parametrize("later_s", [0.0, 777.0])
-def test_a_settled_pass_starts_and_ends_on_the_ring_with_the_same_window(later_s):
+def test_settled_pass_keeps_ring_and_window(later_s):
     span = [0.0, 2000.0]
     scenario = home_scenario(design={"departure_s": span, "arrival_s": [30_000.0, 40_000.0]})
     space, *_ = spaces_of(scenario)
