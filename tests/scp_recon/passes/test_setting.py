@@ -21,7 +21,7 @@ RULES = ScheduleRules(attitude_s=1800.0, heating_s=1800.0, recharge_s=1200.0)
 
 
 @given(st.floats(0, 2 * np.pi), st.sampled_from(["right_handed", "left_handed"]))
-def test_home_orbit_is_a_circle_at_two_body_speed(phase, sense):
+def test_home_orbit_is_a_two_body_circle(phase, sense):
     scenario = home_scenario(sense=sense)
     home, gm = scenario.boundary.home, scenario.body.gm_m3_s2
     r, v = home.state(phase, gm).reshape(2, 3)
