@@ -91,11 +91,9 @@ class Planner(StageSolver[AnyProblem]):
         facets, lin = last.final.facets, last.final.result.lin
         if last.final.problem != "P2":
             raise ValueError("only a plan of P2 can be planned again")
-        if last.mission.with_initial_state(initial_state).scenario != (
-            self.task.with_initial_state(initial_state).scenario
-        ):
-            raise ValueError("the plan is of another mission")
         mission = self.task.with_initial_state(initial_state)
+        if last.mission.with_initial_state(initial_state).scenario != mission.scenario:
+            raise ValueError("the plan is of another mission")
         pipeline = Pipeline(mission, self)
 
         def work() -> Stage:
@@ -149,9 +147,9 @@ def make_plan(
 ) -> Plan:
     """Make the plan of a mission from the stage that `work` finds, without burns too small to execute.
 
-    An interrupted run ends with the best stage so far, if any. The cheapest P3 is that of the stages,
-    or the one `known` before. Burns too small stay in a plan that only leads to another, which nobody
-    `executes`.
+    An interrupted run ends with the best stage so far, if any, of P2 before any other. The cheapest P3
+    is that of the stages, or the one `known` before. Burns too small stay in a plan that only leads to
+    another, which nobody `executes`.
     """
     started, mission = perf_counter(), pipeline.task
     kept = tuple(word for word in mission.warnings if not word.expected.endswith(NEITHER))
@@ -161,19 +159,19 @@ def make_plan(
     except KeyboardInterrupt:
         if not pipeline.stages:
             raise
-        final, words = _interrupted(pipeline.stages), ()
-    seconds, mission = perf_counter() - started, replace(mission, warnings=(*kept, *words))
-    stages = tuple(pipeline.stages)
-    least = cheapest_p3(mission, stages) or known
+        whole = [stage for stage in pipeline.stages if stage.spec.role != "open"]
+        p2 = [stage for stage in whole if stage.problem == "P2"]
+        best = max(p2 or whole or pipeline.stages, key=rank)
+        final, words = replace(best, result=replace(best.result, status=Status.INTERRUPTED)), ()
     return Plan(
-        mission,
+        replace(mission, warnings=(*kept, *words)),
         provenance,
-        seconds,
-        stages=stages,
+        perf_counter() - started,
+        stages=tuple(pipeline.stages),
         final=final,
         timing=pipeline.timing,
         target=target,
-        without_uncertainty=least,
+        without_uncertainty=cheapest_p3(mission, pipeline.stages) or known,
     )
 
 
@@ -312,14 +310,6 @@ def _with_burns(
     moved = Iterate(burns, mean, gains, drifts=stage.drifts)
     spec = replace(stage.spec, rows=stage.merit.rows, role="held")
     return pipeline.solve(spec, dynamics.linearise(problem, moved))
-
-
-def _interrupted(stages: list[Stage]) -> Stage:
-    """The best stage so far, marked as interrupted: one that converged on P2 before any other."""
-    whole = [stage for stage in stages if stage.spec.role != "open"]
-    p2 = [stage for stage in whole if stage.problem == "P2"]
-    best = max(p2 or whole or stages, key=rank)
-    return replace(best, result=replace(best.result, status=Status.INTERRUPTED))
 
 
 def _clearly_better(one: Stage, other: Stage, accuracy: float = RESOLVED) -> bool:

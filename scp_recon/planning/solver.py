@@ -124,11 +124,8 @@ class StageSolver(Generic[AnyProblem]):
         self.algorithm: Algorithm = ALGORITHMS[algorithm](**special)
         self._special = special
         if self.algorithm.penalty == "augmented" and task.problem.miss_weight is not None:
-            raise InputError(
-                "algorithm",
-                algorithm,
-                "must be scvx or ptr where too few burns are left to meet the final state",
-            )
+            must = "must be scvx or ptr where too few burns are left to meet the final state"
+            raise InputError("algorithm", algorithm, must)
         if formulation not in FULL:
             task.require_plain(f"the formulations {' and '.join(FULL)}, not with {formulation}")
         self._resolution = p3_resolution
