@@ -16,7 +16,7 @@ from scipy.stats import norm
 
 from formulations.arrays import Array
 from paper_figs.drawing import BURN, Look, draw_burns, history
-from paper_figs.inputs import FlownPlan, Runs
+from paper_figs.inputs import Runs
 from scp_recon.display import mm_s
 from scp_recon.mission.constraints import companion_distance_m
 from scp_recon.mission.mission import Mission
@@ -307,37 +307,30 @@ def observation_times(runs: Runs) -> Figure:
     """Times for which flights keep limits: the plan's filled, the reference's in outline."""
     first, last = runs.plan.solution.mission.schedule.window_s
     edges = np.linspace(0.0, last - first, BINS + 1)
+    plan: Look = {"histtype": "stepfilled", "fc": "0.75", "ec": "k", "lw": 0.6}
+    reference: Look = {"histtype": "step", "ec": "k", "ls": "--", "lw": 1.2}
     with page(4.6) as figure:
         panels = figure.subplots(2, 1, sharex=True, sharey=True)
         for axes, name in zip(panels, ("emission", "site_distance"), strict=True):
-            _times(axes, runs, name, edges)
+            words = []
+            for (label, _, summary), look in ((runs.plan, plan), (runs.reference, reference)):
+                held = summary.held_s[name]
+                # Bins are coarser than the summary's.
+                middles = np.array(held.histogram.start) + 0.5 * held.histogram.bin
+                share = 100.0 * np.array(held.histogram.count) / summary.samples
+                inside = np.clip(middles, edges[0], edges[-1])
+                axes.hist(inside, edges, weights=share, label=label, log=True, **look)
+                whole = 100.0 * held.throughout.estimate.value
+                words.append(f"{label}: {whole:.1f} % throughout the window".replace("\n", " "))
+            box: Look = {"facecolor": "w", "edgecolor": "none", "alpha": 0.9, "pad": 1.0}
+            at: Look = {"transform": axes.transAxes, "ha": "center", "va": "top"}
+            axes.text(0.5, 0.96, "\n".join(words), bbox=box, **at)
             axes.set_title(f"{name.replace('_', ' ')} limits held", loc="left")
-            axes.set(ylabel="share of flights (%)", yscale="log", xlim=(edges[0], edges[-1]))
+            axes.set(ylabel="share of flights (%)", xlim=(edges[0], edges[-1]), ylim=(None, 200.0))
             axes.yaxis.set_major_formatter("{x:g}")
         panels[-1].set_xlabel("time held in the observation window (s)")
         legend(figure, 2)
     return figure
-
-
-def _times(axes: Axes, runs: Runs, name: str, edges: Array) -> None:
-    """Shares of flights in coarser bins than the summary's."""
-    least, words = 50.0 / max(runs.plan.summary.samples, runs.reference.summary.samples), []
-    plan: Look = {"fill": True, "facecolor": "0.75", "edgecolor": "k", "lw": 0.6}
-    reference: Look = {"fill": False, "edgecolor": "k", "ls": "--", "lw": 1.2}
-    flights: tuple[tuple[FlownPlan, Look], ...] = ((runs.plan, plan), (runs.reference, reference))
-    for flown, look in flights:
-        held = flown.summary.held_s[name]
-        middles = np.array(held.histogram.start) + 0.5 * held.histogram.bin
-        inside = np.clip(middles, edges[0], edges[-1])
-        counts = np.histogram(inside, edges, weights=held.histogram.count)[0]
-        shares = 100.0 * counts / flown.summary.samples
-        axes.stairs(shares, edges, label=flown.label, baseline=least, **look)
-        whole = 100.0 * held.throughout.estimate.value
-        words.append(f"{flown.label}: {whole:.1f} % throughout the window")
-    axes.set_ylim(least, 200.0)
-    box: Look = {"facecolor": "w", "edgecolor": "none", "alpha": 0.9, "pad": 1.0}
-    look = {"transform": axes.transAxes, "ha": "center", "va": "top", "bbox": box}
-    axes.text(0.5, 0.96, "\n".join(words), **look)
 
 
 def terminal_normality(runs: Runs) -> Figure:

@@ -227,17 +227,12 @@ def final_sigma_limits(mission: Mission) -> dict[str, float]:
 def final_sigma_rows(mission: Mission, facts: Facts) -> dict[str, Rows]:
     """Margins of these limits: limit less root of the summed variances at the last node."""
     variances, limits = np.diag(np.array(facts.nodes.covariance[-1])), final_sigma_limits(mission)
-    end = np.array(facts.nodes.t_s[-1:])
-    return {
-        name: Rows(
-            "covariance",
-            unit,
-            end,
-            np.array([limits[name] - np.sqrt(max(float(variances[part].sum()), 0.0))]),
-        )
-        for name, part, unit in FINAL_SIGMAS
-        if name in limits
-    }
+    end, found = np.array(facts.nodes.t_s[-1:]), {}
+    for name, part, unit in FINAL_SIGMAS:
+        if name in limits:
+            sigma = np.sqrt(max(float(variances[part].sum()), 0.0))
+            found[name] = Rows("covariance", unit, end, np.array([limits[name] - sigma]))
+    return found
 
 
 def _result(name: str, rows: Rows, facts: Facts) -> ConstraintResult:

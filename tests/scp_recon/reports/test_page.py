@@ -126,7 +126,7 @@ def test_required_probability_is_drawn_where_it_applies(page):
         "flight": replace(solution, scenario=solution.scenario.replace(flight)),
         "P3": replace(solution, problem="P3"),
     }
-    of = {name: replace(shown, solution=one) for name, one in changed.items()}
+    of = {name: replace(shown, solution=one, samples=100) for name, one in changed.items()}
     node = ["required of each at every node: at least 0.7"]
     whole = ["required of whole flights: at least 0.8"]
     for names, expected in (
