@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 from matplotlib.figure import Figure
 from rich.console import Console
 
-from paper_figs import flight, polytopes, studies
+from paper_figs import flight, studies
 from paper_figs.drawing import save
 from paper_figs.inputs import Runs, read_runs, read_tables, read_whole_flight
 from scp_recon.errors import one_of
@@ -52,7 +52,7 @@ class Item(NamedTuple):
 FIGURES = {
     draw.__name__: Item(draw)
     for draw in (
-        polytopes.ball_polytopes,
+        flight.ball_polytopes,
         flight.trajectories,
         flight.control_history,
         flight.observation_histories,

@@ -15,7 +15,7 @@ from scipy.special import ndtri
 from formulations.arrays import Array
 from scp_recon.files import check_ending, unwritable, write_atomically
 from scp_recon.reports.histories import History
-from scp_recon.results.pictures import endings, picture
+from scp_recon.reports.pictures import endings, picture
 
 Look = dict[str, Any]
 """Keywords of a style."""

@@ -22,7 +22,7 @@ from scp_recon.campaigns.outcome import (
     CampaignResults,
     read_campaign,
 )
-from scp_recon.results.pictures import legend, page
+from scp_recon.reports.pictures import legend, page
 
 MARKS = "os^DvPX"
 

@@ -167,8 +167,7 @@ def find_windows(
         check_own(Path(csv), option("csv"), MARK, ".csv")
     if chart is not None:
         with needing(option("chart"), "report"):
-            from scp_recon.reports.command_charts import draw_windows
-            from scp_recon.results.pictures import endings
+            from scp_recon.reports.pictures import draw_windows, endings
         check_own(Path(chart), option("chart"), PICTURE, *endings())
     with naming_files(scenario):
         found = survey(given, (first, first + span_days * DAY_S))

@@ -249,18 +249,18 @@ def draw_map(found: Design, folder: Path, console: Console) -> None:
     if mapped and find_spec("matplotlib") is None:
         show_line(console, f"no {MAP}, no {PRIMER}: pip install 'scp_recon[report]' for them")
     elif mapped:
-        from scp_recon.reports import command_charts as charts
+        from scp_recon.reports import pictures
 
-        write_for(option("out"), folder / MAP, charts.draw_design(found.trials, found.best))
+        write_for(option("out"), folder / MAP, pictures.draw_design(found.trials, found.best))
 
 
 def draw_primer(solution: Solution, folder: Path) -> None:
     """Write the picture of a plan's primer, if it has one and matplotlib is installed."""
     if solution.primer is not None and find_spec("matplotlib") is not None:
-        from scp_recon.reports import command_charts as charts
+        from scp_recon.reports import pictures
 
         times = [burn.t_s for _, burn in solution.executed]
-        write_for(option("out"), folder / PRIMER, charts.draw_primer(solution.primer, times))
+        write_for(option("out"), folder / PRIMER, pictures.draw_primer(solution.primer, times))
 
 
 @contextmanager

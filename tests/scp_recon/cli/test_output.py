@@ -82,7 +82,7 @@ def test_missing_extra_is_named_before_any_work(
     monkeypatch.chdir(tmp_path)
     for name in [name for name in sys.modules if module.lower() in name.lower()]:
         monkeypatch.delitem(sys.modules, name)
-    monkeypatch.delitem(sys.modules, "scp_recon.reports.command_charts", raising=False)
+    monkeypatch.delitem(sys.modules, "scp_recon.reports.pictures", raising=False)
     monkeypatch.setitem(sys.modules, module, None)
     before = sorted(folder.rglob("*"))
     assert every.main(words.replace("PLAN", str(folder)).split()) == 2

@@ -1,24 +1,102 @@
-"""Draw the chart of lighting windows."""
+"""Write pictures with Matplotlib: style, formats, legends; draw windows, designs and primers.
+
+It needs the extra [report]. The figures of `paper_figs` use this module.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from io import BytesIO
+from typing import Any
 
 import numpy as np
+from cycler import cycler
+from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
+from matplotlib.figure import Figure
 
-from scp_recon.display import mm_s
+from scp_recon.display import COLOURS, mm_s
 from scp_recon.mission.schedule import LitWindow, Survey
 from scp_recon.passes.design import Trial
 from scp_recon.passes.timing import PassResult
 from scp_recon.planning.primer import PrimerHistory
-from scp_recon.results.pictures import HOUR_S, legend, page, picture, plain
 from scp_recon.scenario.schema import Scenario
 
+WIDTH_IN = 7.0
+"""Of a figure across the page."""
+
+HOUR_S = 3600.0
 ROWS_MAX = 12
 """Windows that are drawn: more rows cannot be read."""
+COLOURS_NAMED = 6
 BURN_COLOURS = ("C0", "C4", "C2", "C1", "C3", "C5")
+STYLE = {
+    "axes.axisbelow": True,
+    "axes.grid": True,
+    "axes.prop_cycle": cycler(color=COLOURS),
+    "axes.spines.right": False,
+    "axes.spines.top": False,
+    "axes.titlesize": 9,
+    "date.converter": "concise",
+    "font.size": 9,
+    "grid.color": "0.92",
+    "hatch.linewidth": 0.6,
+    "legend.fontsize": 8,
+    "legend.frameon": False,
+    "pdf.fonttype": 42,
+    "savefig.dpi": 200,
+    "svg.hashsalt": "scp_recon",
+}
+"""Of all pictures; C0 to C5 are blue, vermilion, green, purple, orange and sky blue."""
+
+
+@contextmanager
+def page(height_in: float, width_in: float = WIDTH_IN) -> Iterator[Figure]:
+    """Yield an empty figure in the common style, with room for its labels; draw within the context."""
+    with rc_context(STYLE):
+        yield Figure(figsize=(width_in, height_in), layout="constrained")
+
+
+def plain(text: str) -> str:
+    """A name escaped so that Matplotlib finds no formula in it."""
+    return text.replace("$", r"\$")
+
+
+def legend(figure: Figure, ncols: int, loc: str = "outside upper center", **look: Any) -> None:
+    """Add one legend for all panels, each label once, beside the panels."""
+    named = {
+        label: handle
+        for axes in figure.axes
+        for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)
+    }
+    figure.legend(list(named.values()), list(named), loc=loc, ncols=ncols, **look)
+
+
+def endings() -> list[str]:
+    """The file endings of picture formats, with their dots."""
+    return [f".{name}" for name in Figure().canvas.get_supported_filetypes()]
+
+
+def picture(
+    figure: Figure, ending: str = ".png", *, plan_hash: str | None = None, dpi: float | None = None
+) -> bytes:
+    """A figure in the format of a file ending, with its dot; the same bytes every time.
+
+    A plan's hash is kept in the metadata of PNG, PDF and SVG. Dots per inch are by default the
+    figure's or the style's.
+    """
+    ending, plan = ending.lower(), f"plan {plan_hash}" if plan_hash else None
+    metadata: dict[str, dict[str, str | None]] = {
+        ".png": {"Description": plan} if plan else {},
+        ".pdf": {"Keywords": plan, "CreationDate": None},
+        ".svg": {"Description": plan, "Date": None},
+    }
+    rendered = BytesIO()
+    with rc_context(STYLE):
+        figure.savefig(rendered, format=ending[1:], metadata=metadata.get(ending), dpi=dpi)
+    return rendered.getvalue()
 
 
 def draw_windows(scenario: Scenario, survey: Survey, ending: str) -> bytes:
@@ -90,9 +168,6 @@ def _rows(axes: Axes, shown: tuple[LitWindow, ...]) -> None:
     axes.set_title("where each burn may be, for a flight that observes in that window")
 
 
-COLOURS_NAMED = 6
-
-
 def draw_design(tried: Sequence[Trial], found: PassResult) -> bytes:
     """Draw a PNG of delta-v over the phases of all plans; a star is at the cheapest pass."""
     with page(5.6) as figure:
@@ -102,9 +177,10 @@ def draw_design(tried: Sequence[Trial], found: PassResult) -> bytes:
         places = np.rad2deg([one.result.at.phases for one in kept]) % 360.0
         mapped = np.array([one.step == "map" for one in kept])
         colours = LogNorm(costs.min(), max(costs.max(), 1.01 * costs.min()))
-        squares = axes.scatter(*places[mapped].T, c=costs[mapped], marker="s", s=420, norm=colours)
-        others = places[~mapped].T
-        axes.scatter(*others, c=costs[~mapped], s=14, edgecolors="white", norm=colours)
+        x, y = places[mapped].T
+        squares = axes.scatter(x, y, c=costs[mapped], marker="s", s=420, norm=colours)
+        x, y = places[~mapped].T
+        axes.scatter(x, y, c=costs[~mapped], s=14, edgecolors="white", norm=colours)
         if found.converged:
             label = f"found: {mm_s(found.dv_m_s, 1)}"
             place = np.rad2deg(found.at.phases) % 360.0
@@ -125,15 +201,14 @@ def draw_primer(primer: PrimerHistory, burns_s: Sequence[float]) -> bytes:
     with page(4.2) as figure:
         axes = figure.subplots()
         hours, legal = np.array(primer.t_s) / HOUR_S, np.array(primer.legal)
-        top = 1.05 * max(1.0, *np.linalg.norm(primer.vector, axis=1))
+        sizes = np.linalg.norm(primer.vector, axis=1)
+        top = 1.05 * max(1.0, *sizes)
         axes.fill_between(
             hours, 0.0, top, where=legal.tolist(), color="0.88", label="another burn is legal"
         )
-        for number, time in enumerate(burns_s):
-            label = "burns of the plan" if number == 0 else None
-            axes.axvline(time / HOUR_S, color="C1", lw=1.0, ls=":", label=label)
+        for time in burns_s:
+            axes.axvline(time / HOUR_S, color="C1", lw=1.0, ls=":", label="burns of the plan")
         axes.axhline(1.0, color="black", lw=0.8)
-        sizes = np.linalg.norm(primer.vector, axis=1)
         axes.plot(hours, sizes, color="C0", lw=1.0, ls="--", label="in any direction")
         axes.plot(hours, primer.allowed, color="C0", label="in directions off the battery's cones")
         axes.set(
@@ -142,5 +217,5 @@ def draw_primer(primer: PrimerHistory, burns_s: Sequence[float]) -> bytes:
         )
         axes.set(ylim=(0.0, top))
         axes.margins(x=0.01)
-        figure.legend(loc="outside upper center", ncols=2)
+        legend(figure, 2)
         return picture(figure)
