@@ -24,10 +24,11 @@ from rich.console import Console
 
 from paper_figs import flight, studies
 from paper_figs.drawing import save
-from paper_figs.inputs import Runs, read_runs, read_tables, read_whole_flight
+from paper_figs.inputs import Runs, read_runs, read_tables
 from scp_recon.errors import one_of
 from scp_recon.files import unwritable
 from scp_recon.mission.mission import Mission
+from scp_recon.results.read import read_solution
 from scp_recon.scenario.load import load_scenario
 
 PICTURES = (".png", ".pdf")
@@ -86,7 +87,7 @@ STUDIES = {name: _study(name) for name in TABLES}
 EVERYTHING: dict[str, Item] = {
     **FIGURES,
     **STUDIES,
-    "flyby": Item(flight.flyby, read_whole_flight, "paper/scp_cold", 140),
+    "flyby": Item(flight.flyby, read_solution, "paper/scp_cold", 140),
     "modes": Item(flight.modes, lambda _: Mission.from_scenario(load_scenario()), dpi=120),
     "maps": Item(studies.campaigns, studies.read_campaigns, "maps"),
 }

@@ -32,7 +32,7 @@ from scp_recon.physics.frames import sun_north_to_j2000
 from scp_recon.reports.histories import History, observed_over
 from scp_recon.reports.pictures import legend, page, plain
 from scp_recon.results.comparison import path_of
-from scp_recon.results.solution import Solution
+from scp_recon.results.solution import Solution, require_whole_flight
 
 SAMPLES, SEED = 2000, 1
 PATHS_SHOWN, PATHS = 150, 60
@@ -65,7 +65,12 @@ def observed(solution: Solution, times_s: Array, samples: int | None = None) -> 
 
 
 def flyby(solution: Solution) -> Figure:
-    """The path seen from the Sun with sampled flights; the observation geometry in the window."""
+    """The path seen from the Sun with sampled flights; the observation geometry in the window.
+
+    Raises:
+        InputError: for a plan made in flight.
+    """
+    require_whole_flight(solution.scenario, "solution")
     mission = solution.mission
     seen = seen_from_sun(mission, np.array(solution.nodes.state)[:, :3])
     across, up = np.ptp(np.vstack([seen, np.zeros(2)]), axis=0)

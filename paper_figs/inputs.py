@@ -20,7 +20,7 @@ from scp_recon.monte_carlo.summary import Summary, read_summary
 from scp_recon.results.read import read_solution
 from scp_recon.results.runs import folder_of, resolve_run
 from scp_recon.results.solution import FILE_NAME as SOLUTION_FILE
-from scp_recon.results.solution import Solution, ballistic_arc, require_whole_flight
+from scp_recon.results.solution import Solution, ballistic_arc
 
 PLAN, SURROGATE = "scp_cold", "ballistic"
 PAPER = "python -m experiments observation_table"
@@ -85,17 +85,6 @@ def _flown(folder: Path, key: str, label: str) -> FlownPlan:
         must = f"must be of the plan {solution.plan_hash[:SHOWN]} of {plan_file}: "
         raise _refused(file, flown, PAPER, folder, must)
     return FlownPlan(label, solution, summary)
-
-
-def read_whole_flight(folder: Path) -> Solution:
-    """The solution in a folder.
-
-    Raises:
-        InputError: if there is none, or it is a plan made in flight.
-    """
-    solution = read_solution(folder)
-    require_whole_flight(solution.scenario, "solution")
-    return solution
 
 
 def read_tables(folder: Path, command: str, columns: Mapping[str, str]) -> list[pd.DataFrame]:

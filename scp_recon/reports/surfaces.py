@@ -235,7 +235,9 @@ def _of_mesh(mesh: Mesh) -> Shape:
         parts = parts * 9 // 10
     if len(drawn[1]) < len(facets):
         description += f", drawn with {len(drawn[1])}"
-    return Shape(drawn[0], _outward(*drawn), description, radius)
+    a, b, c = np.moveaxis(drawn[0][drawn[1]], 1, 0)
+    inward = np.einsum("ni,ni->", a, np.cross(b, c)) < 0.0  # by the volume about the origin
+    return Shape(drawn[0], drawn[1][:, ::-1] if inward else drawn[1], description, radius)
 
 
 def clustered(vertices: Array, facets: Indices, parts: int) -> tuple[Array, Indices]:
@@ -253,9 +255,3 @@ def clustered(vertices: Array, facets: Indices, parts: int) -> tuple[Array, Indi
     whole = merged[(a != b) & (b != c) & (c != a)]
     _, first = np.unique(np.sort(whole, axis=1), axis=0, return_index=True)
     return sums / counts[:, None], whole[np.sort(first)]
-
-
-def _outward(vertices: Array, facets: Indices) -> Indices:
-    """With the corners so ordered that the volume about the origin is positive."""
-    a, b, c = np.moveaxis(vertices[facets], 1, 0)
-    return facets if np.einsum("ni,ni->", a, np.cross(b, c)) >= 0.0 else facets[:, ::-1]
