@@ -42,7 +42,6 @@ EVERY = slice(None, None, round(SAMPLE_S / CONTROL_PERIOD_S))
 MODES = tuple(Mode)
 STEADY_RAD = np.deg2rad(0.25)
 """Attitude error in steady state."""
-QUANTILES = {"q50": 0.5, "q95": 0.95, "q997": 0.997, "q100": 1.0}
 
 Arrays = dict[str, npt.NDArray[Any]]
 Count = Annotated[int, Field(ge=0)]
@@ -55,18 +54,14 @@ Of = Callable[[Flight, Solution], npt.NDArray[Any]]
 class ModeOutcome(Section):
     """A mode as commanded and as flown, against the least length that the schedule's rules require.
 
-    A mode is `ok` if it was long enough, to a control period. `settled_s` is the time from the
-    mode's start after which the attitude error stays below `STEADY_RAD` until its end, in delta-V
-    mode until the burn; null if it never does. `settled_in_time` means as early as the rules
-    assume.
-
     Attributes:
         mode: its name.
         start_s: when it was commanded, past the epoch.
         duration_s: how long it was flown.
         required_s: least duration by the rules.
-        ok: whether it was long enough.
-        settled_s: when its attitude was steady, past its start.
+        ok: whether it was long enough, to a control period.
+        settled_s: time from its start after which the attitude error stays below `STEADY_RAD` until its
+            end, in delta-V mode until the burn; null if it never does.
         settled_in_time: whether that is as early as the rules assume.
     """
 
@@ -411,8 +406,8 @@ def _window_pointing(flight: Flight) -> WindowPointing:
 def _quantiles(angle: Array) -> Angles:
     """Mean and quantiles in degrees."""
     degrees = np.rad2deg(angle)
-    named = {name: float(np.quantile(degrees, level)) for name, level in QUANTILES.items()}
-    return Angles(mean=float(degrees.mean()), **named)
+    q50, q95, q997, q100 = np.quantile(degrees, [0.5, 0.95, 0.997, 1.0]).tolist()
+    return Angles(mean=float(degrees.mean()), q50=q50, q95=q95, q997=q997, q100=q100)
 
 
 def write_record(record: Record, folder: Path) -> Path:

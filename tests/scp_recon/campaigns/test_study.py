@@ -130,10 +130,6 @@ BAD_CAMPAIGNS: list[tuple[dict[str, Any], str, str]] = [
 ]
 
 
-def test_designs_between_given_states_are_accepted():
-    assert study({"entry": P, "values": [0.7]}, do="design").campaign.do == "design"
-
-
 @pytest.mark.parametrize(
     ("axes", "campaign", "entry", "words"),
     [
@@ -230,6 +226,7 @@ def test_policies_and_navigation_are_axes():
     sigmas = [(one.sigma_position_m, one.sigma_velocity_m_s) for one in found]
     assert sigmas == [(1.0, 5e-4), (50.0, 5e-4)]
     assert study(LEAD, do="fly", policy="replan", overrides=MEASURED).campaign.policy == "replan"
+    assert study(axis(P, 0.7), do="design").campaign.do == "design"
 
 
 def test_billion_cases_are_counted_and_need_consent():
