@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.interpolate import CubicHermiteSpline
+from scipy.interpolate import CubicHermiteSpline, PPoly
 from scipy.spatial.transform import Rotation
 
 from formulations.arrays import Array
@@ -62,7 +62,7 @@ class FlightPlan:
     vehicle: Vehicle
     firings: tuple[Firing, ...]
     legs: tuple[Leg, ...]
-    nominal: tuple[CubicHermiteSpline, ...]
+    nominal: PPoly
 
     @classmethod
     def of(cls, solution: Solution, mission: Mission, vehicle: Vehicle) -> FlightPlan:
@@ -89,7 +89,7 @@ class FlightPlan:
         burns_m_s: Array,
         mission: Mission,
         vehicle: Vehicle,
-        nominal: tuple[CubicHermiteSpline, ...],
+        nominal: PPoly,
     ) -> FlightPlan:
         thrust, mass = vehicle.chemical_thruster.thrust_n, vehicle.mass.mass_kg
         firings = []
@@ -122,13 +122,7 @@ class FlightPlan:
 
     def position(self, time_s: Array) -> Array:
         """Nominal positions, m, J2000, shape (n, 3); constant after the last burn."""
-        edges = [spline.x[0] for spline in self.nominal[1:]]
-        index = np.searchsorted(edges, time_s, side="right")
-        answer = np.empty((len(time_s), 3))
-        for i, spline in enumerate(self.nominal):
-            chosen = index == i
-            answer[chosen] = spline(np.minimum(time_s[chosen], spline.x[-1]))
-        return answer
+        return self.nominal(np.minimum(time_s, self.nominal.x[-1]))
 
     def attitudes(self, time_s: Array) -> Rotation:
         """Commanded attitudes, from the body to J2000, at ascending times."""
@@ -165,8 +159,8 @@ CONTROL_PERIOD_S = 1.0
 """Period in s with which sensors are read and actuators commanded."""
 
 
-def _interpolate(solution: Solution) -> tuple[CubicHermiteSpline, ...]:
-    """Positions between the nodes, in one piece from burn to burn: velocity jumps at burns."""
+def _interpolate(solution: Solution) -> PPoly:
+    """Cubics between the nodes through positions and velocities, which jump at burns."""
     times, states = np.array(solution.nodes.t_s), np.array(solution.nodes.state)
     at = np.searchsorted(times, [burn.t_s for burn in solution.burns])
     pieces = []
@@ -175,7 +169,8 @@ def _interpolate(solution: Solution) -> tuple[CubicHermiteSpline, ...]:
         velocity[-1] -= burn.dv_m_s
         rows = slice(first, last + 1)
         pieces.append(CubicHermiteSpline(times[rows], states[rows, :3], velocity))
-    return tuple(pieces)
+    edges = [*(piece.x[:-1] for piece in pieces), pieces[-1].x[-1:]]
+    return PPoly(np.concatenate([piece.c for piece in pieces], axis=1), np.concatenate(edges))
 
 
 @dataclass(frozen=True)
