@@ -59,11 +59,9 @@ class Cases(Sequence[Case]):
         """The case of that number."""
         if not 0 <= number < len(self):
             raise IndexError(number)
-        changes: Changes = {}
-        rest = number
-        for rows in reversed(self.axes):
-            rest, place = divmod(rest, len(rows))
-            changes = {**rows[place], **changes}
+        places = np.unravel_index(number, [len(rows) for rows in self.axes])
+        chosen = (rows[k] for rows, k in zip(self.axes, places, strict=True))
+        changes = {entry: value for row in chosen for entry, value in row.items()}
         (state,) = sequence(self.seed, number).generate_state(1, np.uint64)
         return Case(number, int(state >> 1), changes)
 
