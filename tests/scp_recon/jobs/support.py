@@ -1,5 +1,6 @@
 """Run jobs into a store, and compare rows."""
 
+import os
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,19 @@ DEPENDS_ON = {"of": "a test"}
 TOOK = ("tries", "seconds", "cpu_s")
 
 Rows = dict[Key, dict[str, Any]]
+
+
+def children(of: int | None = None) -> list[int]:
+    """Processes that a process has begun and not waited for, by the system's list."""
+    pid, found = of or os.getpid(), []
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            fields = stat.read_text().rpartition(")")[2].split()
+        except OSError:
+            continue
+        if int(fields[1]) == pid:
+            found.append(int(stat.parent.name))
+    return found
 
 
 def some_jobs(count: int) -> list[Job]:

@@ -13,7 +13,7 @@ from scp_recon.errors import InputError
 from scp_recon.jobs.job import Done, Job, Work, attempt, here, in_order
 from scp_recon.jobs.processes import Limits, Processes
 from scp_recon.jobs.store import Store, run
-from tests.scp_recon.jobs.support import LIMITS, computed, run_all, some_jobs
+from tests.scp_recon.jobs.support import LIMITS, children, computed, run_all, some_jobs
 from tests.scp_recon.jobs.works import ENDS, Naughty, OddError, Quick
 
 
@@ -138,19 +138,6 @@ class Vanishing(Quick):
 
     def __reduce__(self) -> tuple[object, ...]:
         return getattr, ("", "no_such_name")
-
-
-def children(of: int | None = None) -> list[int]:
-    """Processes that a process has begun, by the system's list."""
-    pid, found = of or os.getpid(), []
-    for stat in Path("/proc").glob("[0-9]*/stat"):
-        try:
-            fields = stat.read_text().rpartition(")")[2].split()
-        except OSError:
-            continue
-        if int(fields[1]) == pid and fields[0] != "Z":
-            found.append(int(stat.parent.name))
-    return found
 
 
 def is_there(pid: int) -> bool:
