@@ -112,11 +112,7 @@ class Named(dict[str, Value]):
     """Results by name; the error for an unknown name lists the nearest name and all names."""
 
     def __missing__(self, name: object) -> NoReturn:
-        """Refuse it.
-
-        Raises:
-            KeyError: always.
-        """
+        """Refuse it."""
         raise KeyError(unknown_name(name, self))
 
 
@@ -140,11 +136,7 @@ def path_of(entry: str, given: object) -> Path:
 
 
 def only_with(needed: str, **given: object) -> None:
-    """Refuse options that are given without what they need; None is not given.
-
-    Raises:
-        InputError: naming the option.
-    """
+    """Refuse options that are given without what they need; None is not given."""
     for name, value in given.items():
         if value is not None:
             raise InputError(option(name), str(value), f"goes with {needed}")
@@ -180,11 +172,7 @@ def make_whole(options: object, name: str, low: int, high: int, word: str = "") 
 
 @contextmanager
 def needing(entry: str, extra: str, *packages: str) -> Iterator[None]:
-    """Context for imports that need an extra; of the packages that are named, or of any.
-
-    Raises:
-        InputError: if one is not installed.
-    """
+    """Context for imports that need an extra; of the packages that are named, or of any."""
     try:
         yield
     except ModuleNotFoundError as error:

@@ -30,13 +30,7 @@ BYTES_MAX = 100_000_000
 
 
 def read_text(path: Path, entry: str, kind: str, bytes_max: int = BYTES_MAX) -> str:
-    """Read the UTF-8 text of a file, with or without a byte-order mark.
-
-    Args:
-        path: of the file.
-        entry: what to name in a message.
-        kind: what the file must be.
-        bytes_max: largest size allowed.
+    """Read the UTF-8 text of a file, with or without a byte-order mark; messages name entry and kind.
 
     Raises:
         InputError: if it cannot be read, is too large, or is no UTF-8 text.
@@ -132,15 +126,8 @@ def writing(folder: Path, entry: str) -> Iterator[None]:
 def check_own(file: Path, entry: str, mark: bytes, *endings: str) -> None:
     """Refuse to overwrite a file that this program did not write; or a name without its ending.
 
-    Args:
-        file: to write.
-        entry: what to name in a message.
-        mark: bytes that every file of this kind written by this program has in its first megabyte, or
-            in its last.
-        endings: such as .html; empty for any: see `check_ending`.
-
-    Raises:
-        InputError: if there is such a file without the mark, or it has none of the endings.
+    A file of ours has the mark in its first megabyte or in its last; endings, such as .html, may be any
+    where none are given.
     """
     if endings:
         check_ending(file, entry, *endings)

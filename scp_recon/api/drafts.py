@@ -60,11 +60,7 @@ HEAD_COLUMNS = 98
 
 @dataclass(frozen=True)
 class NewOptions:
-    """The checked arguments of `new`; dates in TDB.
-
-    Raises:
-        InputError: if an argument is out of range, missing, or in conflict with another.
-    """
+    """The checked arguments of `new`; dates in TDB."""
 
     name: str
     body: str

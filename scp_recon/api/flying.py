@@ -54,9 +54,6 @@ class FlyOptions:
     """The checked options of `fly`.
 
     Attributes: those that `api.plan_verbs.fly` describes.
-
-    Raises:
-        InputError: if an option is out of range, or in conflict with another.
     """
 
     samples: int = 10_000

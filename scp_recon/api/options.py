@@ -47,9 +47,6 @@ class PlanOptions:
     """The checked options of planning; None means the default.
 
     Attributes: those that `api.verbs.plan` describes.
-
-    Raises:
-        InputError: if an option is out of range, or in conflict with another.
     """
 
     problem: Literal["P3", "P2"] = "P2"

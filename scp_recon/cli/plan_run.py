@@ -294,10 +294,8 @@ def design_progress(console: Console) -> Iterator[Callable[[Trial], None]]:
                 time = time_left(took_s, OF_MAP * map_s, took_s)
                 left = f"; {time}, then its plan"
             else:
-                total, map_s = (
-                    tried.expected * len({one.result.space.number for one in same}),
-                    took_s,
-                )
+                spaces = {one.result.space.number for one in same}
+                total, map_s = tried.expected * len(spaces), took_s
                 time = time_left(len(same), total, took_s)
                 left = f"; of {total}, {time}, then descents from the map's minima"
             status.update(line(tried.step) + (left if time else ""))

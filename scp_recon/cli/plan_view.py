@@ -211,10 +211,7 @@ class Progress:
     """The planner's observer: a table that grows by a row per iteration, and lines of flights above it.
 
     Attributes:
-        mission: the mission to plan.
-        live: display of the table.
-        table: of the iterations.
-        verbose: whether the table and all lines on flights are shown.
+        verbose: whether the table of iterations and all lines on flights are shown.
         doing: the last iteration or flights in words, in place of the table on a terminal.
         steps: lines on flights, by the calibration or test.
         plain: flights of a calibration or test if none were left out.
