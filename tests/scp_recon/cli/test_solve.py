@@ -10,7 +10,7 @@ import pytest
 import scp_recon as sr
 from scp_recon.advice import infeasibility
 from scp_recon.api import planning
-from scp_recon.planning import planner, stages
+from scp_recon.planning import planner, solver
 from scp_recon.results.read import read_solution
 from scp_recon.scp.status import Status
 from tests.scenarios import COARSE
@@ -95,7 +95,7 @@ def test_infeasible_plan_names_violated_constraints(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("module", "name", "left"),
     [
-        (stages, "choose_facets", "interrupted"),
+        (solver, "choose_facets", "interrupted"),
         (planning, "verify", "converged"),
         (planner, "plan", None),
     ],
