@@ -61,6 +61,8 @@ def test_without_regions_cost_is_the_least(problem):
     assert plan.states[-1] == pytest.approx(np.array(problem.final_state), abs=2e-3)
     two = replace(problem, burn_nodes=[0, 24]).solve()
     assert plan.cost <= two.cost * (1.0 + 1e-6)
+    other = replace(problem, units=(500.0, 1500.0)).solve()
+    assert other.cost == pytest.approx(plan.cost, rel=1e-5)
     flown = np.array(problem.initial_state)
     for node in range(NODES):
         flown = flown if node == 0 else problem.flow.propagate(flown, node - 1)
@@ -78,11 +80,6 @@ def test_every_formulation_and_algorithm_finds_the_optimum(problem, formulation,
     plan = problem.solve(formulation=formulation, algorithm=algorithm)
     assert plan.ok
     assert plan.cost == pytest.approx(problem.solve().cost, rel=1e-4)
-
-
-def test_units_within_change_nothing(problem):
-    other = replace(problem, units=(500.0, 1500.0)).solve()
-    assert other.cost == pytest.approx(problem.solve().cost, rel=1e-5)
 
 
 @pytest.mark.slow
