@@ -35,7 +35,7 @@ from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.summary import MOST
 from scp_recon.passes.design import Designer
-from scp_recon.passes.setting import settled, spaces_of
+from scp_recon.passes.space import settled, spaces_of
 from scp_recon.passes.timing import PassResult
 from scp_recon.planning.initial_guess import from_burns
 from scp_recon.planning.plan import Plan

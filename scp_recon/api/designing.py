@@ -19,7 +19,7 @@ from scp_recon.jobs.cores import one_thread
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.schedule import Survey, survey
 from scp_recon.passes.design import Designer, Trial
-from scp_recon.passes.setting import settled, spaces_of
+from scp_recon.passes.space import settled, spaces_of
 from scp_recon.passes.timing import PassResult, RulePrice, Timing, explain_failure
 from scp_recon.planning.initial_guess import from_burns
 from scp_recon.planning.method import SETTLE, FacetRounds

@@ -19,8 +19,7 @@ import numpy as np
 from formulations.arrays import Array, Booleans
 from scp_recon.mission.mission import Mission
 from scp_recon.passes.scan import phases, scan, starts
-from scp_recon.passes.setting import BURNS_MAX, has_given_times, settled, spaces_of
-from scp_recon.passes.space import Pass, Space
+from scp_recon.passes.space import BURNS_MAX, Pass, Space, has_given_times, settled, spaces_of
 from scp_recon.passes.timing import Effort, PassResult, Timing
 from scp_recon.planning.initial_guess import from_burns
 from scp_recon.planning.method import SETTLE, FacetRounds

@@ -14,8 +14,7 @@ from scp_recon.mission.schedule import make_schedule
 from scp_recon.passes import design
 from scp_recon.passes.design import other_counts, peaks, vanished
 from scp_recon.passes.scan import scan
-from scp_recon.passes.setting import settled, spaces_of
-from scp_recon.passes.space import Pass, Space
+from scp_recon.passes.space import Pass, Space, settled, spaces_of
 from scp_recon.passes.timing import Effort, PassResult, Timing
 from scp_recon.planning.initial_guess import cold
 from scp_recon.planning.ipopt import casadi_arcs

@@ -9,8 +9,7 @@ import pytest
 import scp_recon as sr
 from scp_recon.passes import design
 from scp_recon.passes.design import Candidate, Designer, Trial
-from scp_recon.passes.setting import spaces_of
-from scp_recon.passes.space import Pass
+from scp_recon.passes.space import Pass, spaces_of
 from scp_recon.scenario.load import load_scenario
 from tests.helpers import nightly
 from tests.scp_recon.passes.support import MEASURED, home_scenario

@@ -12,8 +12,7 @@ from scp_recon.bodies.catalogue import J2000_TDB
 from scp_recon.errors import InputError
 from scp_recon.mission.firing import TURN
 from scp_recon.mission.mission import Mission
-from scp_recon.passes.setting import settled, spaces_of
-from scp_recon.passes.space import Pass
+from scp_recon.passes.space import Pass, settled, spaces_of
 from scp_recon.scenario.load import load_scenario, scenario_text
 from scp_recon.scenario.schema import Scenario
 from tests.scp_recon.passes.support import home_scenario

@@ -14,8 +14,7 @@ import scp_recon as sr
 from formulations.program.multipliers import multipliers, slope_left
 from scp_recon.api.designing import Design, phases_deg, trials_table
 from scp_recon.mission.mission import Mission
-from scp_recon.passes.setting import settled, spaces_of
-from scp_recon.passes.space import Pass
+from scp_recon.passes.space import Pass, settled, spaces_of
 from scp_recon.passes.timing import Effort, Timing
 from scp_recon.planning.initial_guess import cold
 from scp_recon.planning.planner import Planner

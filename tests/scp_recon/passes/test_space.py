@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.schedule import make_schedule
-from scp_recon.passes.setting import at_epoch, settled, spaces_of
-from scp_recon.passes.space import Pass, nearest_legal
+from scp_recon.passes.space import Pass, at_epoch, nearest_legal, settled, spaces_of
 from scp_recon.scenario.load import load_scenario, validate_scenario
 from scp_recon.scenario.schema import ScheduleRules
 from tests.scp_recon.passes.support import MEASURED, home_scenario
