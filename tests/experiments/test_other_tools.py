@@ -1,4 +1,4 @@
-"""Flights by Orekit: what is told without it, what it is given, and what it finds."""
+"""Other tools: flights by Orekit, and a transfer that scocp solves."""
 
 import sys
 
@@ -36,3 +36,15 @@ def test_leap_seconds_have_the_columns_of_usno():
 def test_orekit_flies_the_plan_where_the_planner_does(solution):
     pytest.importorskip("orekit_jpype", reason="needs the extra [crosscheck]")
     assert all(row["same"] for row in other_tools.compare(solution))
+
+
+@pytest.mark.slow
+def test_another_integrator_flies_the_burns():
+    halo = other_tools.Halo()
+    row = halo.row("scvx")
+    assert row["status"] == "converged"
+    assert float(row["cost"]) == pytest.approx(0.1945583, abs=2e-7)
+    assert row["missed"] < 1e-7
+    plan = halo.problem.solve(halo.guess)
+    assert halo.missed(plan.burns) == pytest.approx(row["missed"])
+    assert halo.missed(plan.burns * 1.01) > 1e-5
