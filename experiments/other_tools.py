@@ -260,7 +260,7 @@ def cross_check(session: Session) -> Tables:
 # --- scocp ----------------------------------------------------------------------------------------
 
 EXAMPLE = ROOT / "examples" / "halo_transfer.py"
-PEERS_TOLERANCE = 1e-9
+ARC_TOLERANCE = 1e-9
 SCOCP = "scocp"
 
 
@@ -300,24 +300,22 @@ class Halo:
         else:
             plan = self.problem.solve(self.guess, algorithm=method)
             burns, status, iterations = plan.burns, plan.status.value.name, plan.iterations
+        seconds = process_time() - begin
         return {
             "method": method,
             "status": status.replace("_", " "),
             "cost": f"{np.linalg.norm(burns, axis=1).sum():.7f}",
             "missed": self.missed(burns),
             "iterations": iterations,
-            "solve_s": process_time() - begin,
+            "solve_s": seconds,
         }
 
     def _scocp(self) -> tuple[Array, str, int]:
         """Burns, status and iterations of scocp, with its test's tolerances and limit of iterations."""
         import scocp
 
-        n, within = (
-            len(self.nodes),
-            {"method": "DOP853", "reltol": PEERS_TOLERANCE, "abstol": PEERS_TOLERANCE},
-        )
-        rates = scocp.rhs_cr3bp, scocp.rhs_cr3bp_stm
+        n, rates = len(self.nodes), (scocp.rhs_cr3bp, scocp.rhs_cr3bp_stm)
+        within = {"method": "DOP853", "reltol": ARC_TOLERANCE, "abstol": ARC_TOLERANCE}
         flow = scocp.ScipyIntegrator(6, 3, *rates, args=(self.mu,), **within)
         posed = scocp.FixedTimeImpulsiveRdv(*self.ends, flow, self.times)
         algorithm = scocp.SCvxStar(posed, tol_opt=1e-4, tol_feas=1e-10)
@@ -345,8 +343,7 @@ def peers(session: Session) -> Tables:
     """
     with needing("peers", "peers"):
         importlib.import_module(SCOCP)
-    rows = session.rows("solves", solve, [*ALGORITHMS, SCOCP])
-    return {"methods": rows}
+    return {"methods": session.rows("solves", solve, [*ALGORITHMS, SCOCP])}
 
 
 STUDIES = {
