@@ -36,10 +36,8 @@ from scp_recon.scp.status import Status
 # --- the frontier ---------------------------------------------------------------------------------
 
 ASKED = (0.55, 0.6, 0.7, 0.8, 0.9, 0.95, 0.98, 0.99, 0.995, 0.999)
-
-ONCE: dict[str, Any] = {"facet_rounds": 0}
 RISKS: Mapping[str, tuple[dict[str, Any], dict[str, Any]]] = {
-    "uniform, paper polytopes": ({}, ONCE),
+    "uniform, paper polytopes": ({}, {"facet_rounds": 0}),
     "uniform, facets settled": ({}, {}),
     "uniform, tangent spheres": (TANGENT, {}),
     "exact, each node": (EXACT, {"certify": False}),
@@ -133,8 +131,6 @@ ERRORS_AT = (("flight", 0.9), ("flight", 0.99), ("node", 0.99))
 """Scopes of the risk, and probabilities."""
 LEAD_S = 3600.0
 OPEN, CORRECTED, LATE = "open loop", "feedback", "feedback, lead 1 h"
-
-
 POLICIES: Mapping[str, dict[str, Any]] = {
     OPEN: {},
     CORRECTED: measured(),
@@ -148,18 +144,18 @@ def plan_policy(case: tuple[str, float]) -> Record:
     (kind, asked), begin = case, process_time()
     changes = FLIGHT | POLICIES[kind] | {"risk.p_chance": asked}
     found = plan(load_scenario().replace(changes), certify=True)
-    return row(kind, asked, found, FEEDBACK_FLIGHTS, process_time() - begin)
+    return corrected_row(kind, asked, found, process_time() - begin)
 
 
-def row(kind: str, asked: float, found: Plan, flights: int, processor_s: float) -> Record:
+def corrected_row(kind: str, asked: float, found: Plan, processor_s: float) -> Record:
     """A row of a plan: its costs, as planned and as flown, and probabilities."""
-    flown = fly_plan(found, flights, SEED)
-    costs = record(kind, asked, found, flown, processor_s)
-    if not np.isfinite(costs["total_dv_m_s"]):
-        return costs
+    flown = fly_plan(found, FEEDBACK_FLIGHTS, SEED)
+    row = record(kind, asked, found, flown, processor_s)
+    if not np.isfinite(row["total_dv_m_s"]):
+        return row
     lin, speed = found.final.result.lin, found.mission.units.speed_m_s
     dv99, corrected = flown.tallies["commanded_dv_m_s"], lin.iterate.gains.any()
-    return costs | {
+    return row | {
         "dv99_m_s": dv99.quantile(MOST)[0] if corrected else found.total_dv_m_s,
         "program_m_s": lin.cost.value * speed,
         "final_sigma_m": float(np.sqrt(np.trace(flown.terminal_covariance()[:3, :3]))),
@@ -180,7 +176,7 @@ def over_errors(at: tuple[str, float, Sequence[float | None]]) -> Record:
         mission = Mission.from_scenario(load_scenario().replace(changes))
         begin = process_time()
         found = Planner(mission).plan(last or initial_guess.cold(mission))
-        one = row(kind, asked, found, FEEDBACK_FLIGHTS, process_time() - begin)
+        one = corrected_row(kind, asked, found, process_time() - begin)
         rows.append({"scope": scope, "scale": scale} | one)
         if found.status is Status.CONVERGED:
             last = found

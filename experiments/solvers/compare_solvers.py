@@ -10,7 +10,7 @@ was stopped continues with the first missing row.
 from __future__ import annotations
 
 import importlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, replace
 from itertools import pairwise
 from time import process_time
@@ -292,27 +292,20 @@ def guesses(rows: Frame) -> list[Record]:
     return found
 
 
-def exact(rows: Frame) -> list[Record]:
-    """A row for each scenario with exact risk and method."""
-    columns = ["scenario", "method", "status", "total_dv_m_s", "cpu_s"]
-    found: list[Record] = rows[columns].to_dict("records")
-    return found
-
-
-def tables_of(rows: Frame) -> Mapping[str, list[Record]]:
+def tables_of(rows: Frame) -> Tables:
     """The tables that sum up the rows, by name."""
     makers = {
         "methods": ("matrix", methods),
         "scenarios": ("scenarios", by_scenario),
         "random": ("random", shares),
         "guesses": ("guesses", guesses),
-        "exact": (EXACT, exact),
     }
     found = {name: make(rows[rows.group == of]) for name, (of, make) in makers.items()}
+    exact = rows[rows.group == EXACT]
     for scope in ("node", "flight"):
-        own = (rows.group == EXACT) & rows.scenario.str.startswith(scope)
-        found[f"{scope}s"] = shares(rows[own])
-    return found
+        found[f"{scope}s"] = shares(exact[exact.scenario.str.startswith(scope)])
+    columns = ["scenario", "method", "status", "total_dv_m_s", "cpu_s"]
+    return {**found, "exact": exact[columns]}
 
 
 def run(session: Session) -> Tables:
