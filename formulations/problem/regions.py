@@ -80,8 +80,8 @@ class Halfspaces:
         return Halfspaces(-self.normal, -self.offset)
 
 
-SecondOrderCone = tuple[Array, Array]
-"""Matrices M (n, 4, 3) and offsets m (n, 4) of regions with ||(M y + m)_1..|| <= (M y + m)_0."""
+SecondOrderCone = tuple[Array, Array, Array]
+"""M (n, 4, 3), r (n, 3) and m (n, 4) of regions with ||y_1..|| <= y_0, y = M (position - r) + m."""
 
 
 def _second_order_cone(
@@ -90,9 +90,7 @@ def _second_order_cone(
     """Of || matrix (y - origin) || <= linear'(y - origin) + constant; a matrix (3, 3) is all nodes'."""
     matrices = np.broadcast_to(matrix, (len(origin), 3, 3))
     both = np.concatenate([linear[:, None], matrices], axis=1)
-    offset = -(both @ origin[:, :, None])[:, :, 0]
-    offset[:, 0] += constant
-    return both, offset
+    return both, origin, np.reshape(constant, (-1, 1)) * np.eye(1, 4)
 
 
 def unit(vector: Array, fallback: Array) -> Array:

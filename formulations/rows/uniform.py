@@ -12,6 +12,7 @@ from formulations.arrays import Array, Booleans, Indices
 from formulations.linearisation.linearisation import Linearisation, Sensitivity
 from formulations.problem.facets import Facets
 from formulations.problem.flyby import FlybyProblem, StateConstraint, factor_columns_used
+from formulations.problem.regions import SecondOrderCone
 from formulations.rows.cones import (
     NEAR_LENGTH,
     POSITION,
@@ -55,8 +56,8 @@ class DeterministicRows:
         for c in self.problem.constraints:
             at = np.searchsorted(self.nodes, c.nodes)
             position, jacobian = s.mean_constant[at, :3], s.mean_jacobian[at, :3]
-            matrix, offset = _map_of(c, lin)
-            constants = (matrix @ position[:, :, None])[:, :, 0] + offset
+            matrix, origin, offset = _map_of(c, lin)
+            constants = (matrix @ (position - origin)[:, :, None])[:, :, 0] + offset
             rows = first + np.arange(len(c.nodes))
             values = matrix @ jacobian[:, :, : controls_felt(self.problem, c.nodes).max()]
             blocks[c.keep].append(Cones(rows, values, constants))
@@ -67,23 +68,23 @@ class DeterministicRows:
         """One block of cones for each constraint, as in `cones`."""
         blocks, first = [], 0
         for c in self.problem.constraints:
-            matrix, offset = _map_of(c, lin)
+            matrix, origin, offset = _map_of(c, lin)
             n, d, _ = matrix.shape
             y = np.arange(n * d).reshape(n, d, 1)
             places = placed(y, c.nodes[:, None, None], POSITION[:, 0], np.array(0))
             rows, none = first + np.arange(n), np.zeros((n, d, 0))
-            cones = Cones(rows, none, offset, places=places, entries=matrix.ravel())
-            blocks.append(cones)
+            constants = offset - (matrix @ origin[:, :, None])[:, :, 0]
+            blocks.append(Cones(rows, none, constants, places=places, entries=matrix.ravel()))
             first += n
         return blocks
 
 
-def _map_of(constraint: StateConstraint, lin: Linearisation) -> tuple[Array, Array]:
-    """Maps from positions r to y = matrix r + offset; (n, d, 3) and (n, d)."""
+def _map_of(constraint: StateConstraint, lin: Linearisation) -> SecondOrderCone:
+    """Maps from positions r to y = matrix (r - origin) + offset; (n, d, 3), (n, 3) and (n, d)."""
     if constraint.keep == "in":
         return constraint.region.second_order_cone
     planes = constraint.region.supporting(lin.iterate.mean[constraint.nodes, :3])
-    return planes.normal[:, None], -planes.offset[:, None]
+    return planes.normal[:, None], np.zeros_like(planes.normal), -planes.offset[:, None]
 
 
 def _joined(blocks: list[Cones]) -> Cones:

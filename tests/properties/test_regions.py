@@ -73,8 +73,8 @@ def contains(halfspaces: Halfspaces, inner_points: Array) -> bool:
 
 
 def cone_slack(cone: SecondOrderCone, point: Array) -> Array:
-    matrix, offset = cone
-    y = np.einsum("nij,nj->ni", matrix, point) + offset
+    matrix, origin, offset = cone
+    y = np.einsum("nij,nj->ni", matrix, point - origin) + offset
     return y[:, 0] - lengths(y[:, 1:])
 
 
