@@ -106,3 +106,12 @@ def test_the_first_sites_are_spread_too():
     alone = KDTree(fibonacci(32)).query(fibonacci(2000))[0].max()
     assert far < 1.8 * alone
     assert len({row["site.name"] for row in rows}) == 128
+
+
+def test_sites_of_a_tumbling_body_keep_the_epoch():
+    base = load_scenario("apophis")
+    rows = Axis.model_validate({"spread": {"count": 4}}).rows(base, (0,))
+    assert ["epoch.tdb" in row for row in rows] == [False] * 4
+    noon = Axis.model_validate({"spread": {"count": 4, "noon_at_s": 0.0}})
+    with pytest.raises(InputError, match="no noons"):
+        noon.rows(base, (0,))
