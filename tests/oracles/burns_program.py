@@ -238,7 +238,7 @@ def burn_limits(problem: FlybyProblem, burns: Array) -> tuple[Array, Array]:
     m = len(burns)
     planes = [cone.supporting(burns) for cone in problem.burn_cones]
     size = 0.5 * (problem.dv_max - (burns**2).sum(axis=1) / problem.dv_max)
-    margins = np.concatenate([size, *(-plane.slack(burns) for plane in planes)])
+    margins = np.concatenate([size, *(-plane.inside(burns) for plane in planes)])
     normals = [-burns / problem.dv_max, *(plane.normal for plane in planes)]
     jacobian = np.zeros((3 * m, m, 3))
     for kind, normal in enumerate(normals):
