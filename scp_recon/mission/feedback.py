@@ -9,9 +9,7 @@ others, and such that the error of the estimated state has the covariance of tha
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
-from functools import cached_property
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 from scipy.linalg import block_diag, cho_factor, cho_solve, solve_triangular
@@ -23,9 +21,10 @@ from scp_recon.mission.knowledge import Uncertain
 from scp_recon.mission.scene import Scene, execution_errors
 from scp_recon.mission.schedule import SAME_S
 from scp_recon.physics.frames import unit
+from scp_recon.scenario.body import Body
 from scp_recon.scenario.fields import ScenarioWarning
 from scp_recon.scenario.schema import Scenario
-from scp_recon.scenario.uncertainty import Contacts, Landmarks
+from scp_recon.scenario.uncertainty import Contacts
 
 USELESS = 1e3
 """Errors of a measurement over what a flight strays at most, from which on nothing is corrected: a
@@ -275,26 +274,6 @@ LEAST = 1e-6
 GOLDEN_RAD = np.pi * (3.0 - np.sqrt(5.0))
 
 
-@dataclass(frozen=True, eq=False)
-class Path:
-    """A path along which pictures are taken, and how errors grow there; J2000, m and m/s.
-
-    Attributes:
-        times_s: nodes, with all pictures and cut-offs among them, shape (n,).
-        position_m: at the nodes, shape (n, 3).
-        stm: of the state and p parameters along each arc, shape (n - 1, 6 + p, 6 + p).
-        executed: covariances of the velocity that burns add, by their nodes, shape (3, 3) each; none
-            on a coast, which is no plan.
-        prior: covariance of state and parameters at the first node, shape (6 + p, 6 + p).
-    """
-
-    times_s: Array
-    position_m: Array
-    stm: Array
-    executed: Mapping[int, Array]
-    prior: Array
-
-
 def picture_times_s(scenario: Scenario, until_s: float) -> Array:
     """Times of the pictures up to a time, s; in flight of those after the delivered state."""
     given = scenario.navigation.landmarks
@@ -304,102 +283,100 @@ def picture_times_s(scenario: Scenario, until_s: float) -> Array:
     return np.asarray(times[times > after])
 
 
-@dataclass(frozen=True, eq=False)
-class Camera:
-    """Lines of sight to the landmarks of a scene's body.
+def landmarks_m(scenario: Scenario) -> Array:
+    """Landmarks, body-fixed, m: directions of a Fibonacci lattice on the ellipsoid, shape (l, 3)."""
+    given, body = scenario.navigation.landmarks, scenario.body
+    assert given is not None
+    count = 2 * given.number
+    z = 1.0 - (2.0 * np.arange(count) + 1.0) / count
+    across, turn = np.sqrt(1.0 - z * z), GOLDEN_RAD * np.arange(count)
+    spread = np.stack([across * np.cos(turn), across * np.sin(turn), z], axis=1)
+    return np.asarray(_radii_m(body) * spread)
 
-    Attributes:
-        scene: with the body, its rotation and the Sun.
-        uncertain: parameters, some of which turn the body.
+
+def _radii_m(body: Body) -> Array:
+    return np.array(body.radii_m or (body.reference_radius_m,) * 3)
+
+
+def _picture(scene: Scene, uncertain: Uncertain, time_s: float, position_m: Array) -> Array:
+    """Derivatives of a picture's pixels by state, parameters and map, shape (2 v, 6 + p + 3 l).
+
+    They are of the v landmarks that are lit, visible and in the field, seen from a position (3,).
     """
-
-    scene: Scene
-    uncertain: Uncertain
-
-    @property
-    def given(self) -> Landmarks:
-        """What the scenario says of camera and map."""
-        given = self.scene.scenario.navigation.landmarks
-        assert given is not None
-        return given
-
-    @cached_property
-    def _radii(self) -> Array:
-        body = self.scene.scenario.body
-        return np.array(body.radii_m or (body.reference_radius_m,) * 3)
-
-    @cached_property
-    def _spread(self) -> Array:
-        """Unit vectors that are spread evenly, a Fibonacci lattice, shape (l, 3)."""
-        count = 2 * self.given.number
-        z = 1.0 - (2.0 * np.arange(count) + 1.0) / count
-        across, turn = np.sqrt(1.0 - z * z), GOLDEN_RAD * np.arange(count)
-        return np.stack([across * np.cos(turn), across * np.sin(turn), z], axis=1)
-
-    @property
-    def landmarks_m(self) -> Array:
-        """Landmarks, body-fixed, m, shape (l, 3)."""
-        return self._radii * self._spread
-
-    def partials(self, time_s: float, position_m: Array) -> Array:
-        """Derivatives of a picture's pixels by state, parameters and map, shape (2 v, 6 + p + 3 l).
-
-        They are of the v landmarks that are lit, visible and in the field, seen from a position (3,).
-        """
-        turn, normals = self.scene.rotation.body_to_j2000(time_s), unit(self._spread / self._radii)
-        places, up = self.landmarks_m @ turn.T, normals @ turn.T
-        axis, half = -unit(position_m), np.deg2rad(0.5 * self.given.field_of_view_deg)
-        line = places - position_m
-        depth, focal = line @ axis, 0.5 * self.given.pixels / np.tan(half)
-        seen = np.einsum("li,li->l", up, line) < 0.0
-        seen &= (up @ self.scene.sun_direction(time_s) > 0.0) & (
-            depth > np.cos(half) * np.linalg.norm(line, axis=1)
-        )
-        who, line, depth = np.flatnonzero(seen), line[seen], depth[seen, None, None]
-        across = np.linalg.svd(axis[None])[2][1:]
-        by_line = focal * (across - (line @ across.T)[:, :, None] * axis / depth) / depth
-        p = self.uncertain.count
-        found = np.zeros((len(who), 2, 6 + p + 3 * len(places)))
-        found[:, :, :3] = -by_line
-        if p:
-            own, rotation = self.landmarks_m[who], self.scene.rotation
-            moved = self.uncertain.slopes(
-                lambda one: own @ one.rotation(rotation).body_to_j2000(time_s).T
-            )
-            found[:, :, 6 : 6 + p] = np.einsum("vij,vjk->vik", by_line, moved)
-        for i, landmark in enumerate(who.tolist()):
-            first = 6 + p + 3 * landmark
-            found[i, :, first : first + 3] = by_line[i] @ turn
-        return found.reshape(-1, found.shape[2])
+    given, rotation, fixed = (
+        scene.scenario.navigation.landmarks,
+        scene.rotation,
+        landmarks_m(scene.scenario),
+    )
+    assert given is not None
+    turn, p = rotation.body_to_j2000(time_s), uncertain.count
+    places, up = fixed @ turn.T, unit(fixed / _radii_m(scene.scenario.body) ** 2) @ turn.T
+    axis, half = -unit(position_m), np.deg2rad(0.5 * given.field_of_view_deg)
+    line = places - position_m
+    depth, focal = line @ axis, 0.5 * given.pixels / np.tan(half)
+    seen = np.einsum("li,li->l", up, line) < 0.0
+    seen &= (up @ scene.sun_direction(time_s) > 0.0) & (
+        depth > np.cos(half) * np.linalg.norm(line, axis=1)
+    )
+    who, line, depth = np.flatnonzero(seen), line[seen], depth[seen, None, None]
+    across = np.linalg.svd(axis[None])[2][1:]
+    by_line = focal * (across - (line @ across.T)[:, :, None] * axis / depth) / depth
+    found = np.zeros((len(who), 2, 6 + p + 3 * len(places)))
+    found[:, :, :3] = -by_line
+    if p:
+        own = fixed[who]
+        moved = uncertain.slopes(lambda one: own @ one.rotation(rotation).body_to_j2000(time_s).T)
+        found[:, :, 6 : 6 + p] = np.einsum("vij,vjk->vik", by_line, moved)
+    for i, landmark in enumerate(who.tolist()):
+        first = 6 + p + 3 * landmark
+        found[i, :, first : first + 3] = by_line[i] @ turn
+    return found.reshape(-1, found.shape[2])
 
 
-def measurement_factors(camera: Camera, path: Path, cut_offs_s: Iterable[float]) -> Array:
+def measurement_factors(
+    scene: Scene,
+    uncertain: Uncertain,
+    path: tuple[Array, Array, Array],
+    executed: Array | None,
+    prior: Array,
+    cut_offs_s: Iterable[float],
+) -> Array:
     """Factors N of the covariances N N' of states measured at cut-offs, m and m/s, shape (k, 6, 6).
 
     With P of the estimation and P- of the filter that has the measurements before,
     (N N')^-1 = P^-1 - (P-)^-1; an error is at most `USELESS` times what is known without it. Parameters
     are learnt by the state alone.
 
+    Args:
+        scene: with the body, its rotation, the Sun and the camera.
+        uncertain: its p parameters, some of which turn the body.
+        path: J2000, m and m/s: times of the nodes (n,), with all pictures and cut-offs among them;
+            positions there (n, 3); STMs of state and parameters to each from the one before
+            (n, 6 + p, 6 + p).
+        executed: covariance of the velocity that a burn adds at each node, shape (n, 3, 3); None for a
+            coast, which is no plan.
+        prior: covariance of state and parameters at the first node, shape (6 + p, 6 + p).
+        cut_offs_s: in order.
+
     Raises:
         InputError: if no picture before a cut-off shows a landmark, along planned burns.
     """
-    given, size = camera.given, len(path.prior)
-    errors = given.map_error_m**2 * np.eye(3 * len(camera.landmarks_m))
-    whole, own = block_diag(path.prior, errors), path.prior.copy()
-    pictures = picture_times_s(camera.scene.scenario, path.times_s[-1])
-    found, cut_offs, shown = list[Array](), list(cut_offs_s), 0
-    for k, (time, position) in enumerate(zip(path.times_s, path.position_m, strict=True)):
-        if k > 0:
-            stm = path.stm[k - 1]
-            own = stm @ own @ stm.T
-            whole[:size] = stm @ whole[:size]
-            whole[:, :size] = whole[:, :size] @ stm.T
+    given, size, own = scene.scenario.navigation.landmarks, len(prior), prior.copy()
+    assert given is not None
+    landmarks = 2 * given.number
+    whole = block_diag(prior, given.map_error_m**2 * np.eye(3 * landmarks))
+    times, cut_offs, found, shown = path[0], list(cut_offs_s), list[Array](), 0
+    pictures = picture_times_s(scene.scenario, times[-1])
+    for k, (time, position, stm) in enumerate(zip(*path, strict=True)):
+        own = stm @ own @ stm.T
+        whole[:size] = stm @ whole[:size]
+        whole[:, :size] = whole[:, :size] @ stm.T
         if time in pictures:
-            seen = camera.partials(time, position)
+            seen = _picture(scene, uncertain, time, position)
             whole = _updated(whole, seen, given.pixel_error**2 * np.eye(len(seen)))
             shown += len(seen)
         if time in cut_offs:
-            if not shown and path.executed:
+            if not shown and executed is not None:
                 raise InputError(
                     "navigation.landmarks",
                     f"no landmark that is lit, visible and in the field until {time:g} s",
@@ -407,9 +384,9 @@ def measurement_factors(camera: Camera, path: Path, cut_offs_s: Iterable[float])
                 )
             found.append(_factor(own[:6, :6], whole[:6, :6]))
             own = _updated(own, np.eye(6, size), found[-1] @ found[-1].T)
-        if k in path.executed:
-            own[3:6, 3:6] += path.executed[k]
-            whole[3:6, 3:6] += path.executed[k]
+        if executed is not None:
+            own[3:6, 3:6] += executed[k]
+            whole[3:6, 3:6] += executed[k]
         if len(found) == len(cut_offs):
             break
     return np.array(found)

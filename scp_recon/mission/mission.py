@@ -34,13 +34,7 @@ from scp_recon.mission.constraints import (
     require_without,
     state_constraints,
 )
-from scp_recon.mission.feedback import (
-    Camera,
-    Path,
-    felt_cut_offs_s,
-    measurement_factors,
-    picture_times_s,
-)
+from scp_recon.mission.feedback import felt_cut_offs_s, measurement_factors, picture_times_s
 from scp_recon.mission.firing import HomePhases, firing_times
 from scp_recon.mission.knowledge import Deviation, Uncertain
 from scp_recon.mission.scene import (
@@ -295,23 +289,23 @@ class Mission:
         pictures = picture_times_s(self.scenario, cut_offs_s[-1])
         times = np.unique(np.concatenate([self.times_s, pictures, cut_offs_s]))
         dynamics, start = replace(self, times_s=times).dynamics, self.initial_state.copy()
-        burns, executed = np.zeros((len(dynamics.burn_nodes), 3)), dict[int, Array]()
+        burns, executed = np.zeros((len(dynamics.burn_nodes), 3)), None
         if self.pictured_m_s is not None:
-            burns = self.pictured_m_s
+            burns, executed = self.pictured_m_s, np.zeros((len(times), 3, 3))
             columns = execution_errors(self.scenario).columns(burns)
-            executed = dict(zip(dynamics.burn_nodes.tolist(), columns @ columns.mT, strict=True))
+            executed[dynamics.burn_nodes] = columns @ columns.mT
         else:
             span = float(times[-1] - times[0])
             arc = lambert(start[:3], self.final_state[:3], span, self.scenario.body.gm_m3_s2)
             start[3:] = start[3:] if arc is None else arc[0]
         states = dynamics.rollout(start / self.units.state, burns / self.units.speed_m_s)
         arcs, p = dynamics.flow.differentiate(states[:-1]), self.uncertain.count
-        units, stm = self.state_units(6 + p), np.tile(np.eye(6 + p), (len(times) - 1, 1, 1))
-        stm[:, :6] = np.concatenate([arcs.stm, by_parameters(arcs, p)], axis=2)
+        units, stm = self.state_units(6 + p), np.tile(np.eye(6 + p), (len(times), 1, 1))
+        stm[1:, :6] = np.concatenate([arcs.stm, by_parameters(arcs, p)], axis=2)
         prior = units[:, None] * self.joint_factor
-        position, stm = states[:, :3] * units[:3], units[:, None] * stm / units
-        path = Path(times, position, stm, executed, prior @ prior.T)
-        return measurement_factors(Camera(self.scene, self.uncertain), path, cut_offs_s)
+        path = times, states[:, :3] * units[:3], units[:, None] * stm / units
+        known = self.scene, self.uncertain, path, executed, prior @ prior.T
+        return measurement_factors(*known, cut_offs_s)
 
     @property
     def joint_factor(self) -> Array:

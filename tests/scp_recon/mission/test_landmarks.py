@@ -10,7 +10,7 @@ from scipy.linalg import block_diag
 
 import scp_recon
 from formulations.arrays import Array
-from scp_recon.mission.feedback import Camera, cut_offs_s, picture_times_s
+from scp_recon.mission.feedback import cut_offs_s, landmarks_m, picture_times_s
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.closed_loop import replans
 from scp_recon.planning.initial_guess import from_burns
@@ -50,13 +50,13 @@ def pictures_after(mission: Mission, cut_off_s: float) -> tuple[Array, Array, Ar
     By the initial state, the parameters and the errors of the burns before; then those of the pixels by
     the map. Central differences of nonlinear flights and of a pinhole camera.
     """
-    scenario, camera = mission.scenario, Camera(mission.scene, mission.uncertain)
-    p, before = mission.uncertain.count, np.array(scenario.burn_times_s) < cut_off_s
+    scenario, p = mission.scenario, mission.uncertain.count
+    before = np.array(scenario.burn_times_s) < cut_off_s
     times = np.union1d(mission.times_s, [*picture_times_s(scenario, cut_off_s), cut_off_s])
     fine = replace(mission, times_s=times)
     half = np.deg2rad(0.5 * PICTURES["field_of_view_deg"])
     focal = 0.5 * PICTURES["pixels"] / np.tan(half)
-    places, states = camera.landmarks_m, flown(fine, np.zeros(6), np.zeros(p), BURNS)
+    places, states = landmarks_m(scenario), flown(fine, np.zeros(6), np.zeros(p), BURNS)
     shots = []
     for time in picture_times_s(scenario, cut_off_s):
         at = int(np.searchsorted(times, time))
