@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 
@@ -31,6 +31,7 @@ from scp_recon.physics.geometry import track
 from scp_recon.scenario.schema import DRIFT_PROBABILITY, DRIFT_S, Scenario
 
 Measure = Literal["distance", "emission", "phase"]
+Sense = Literal["min", "max"]
 Beyond = Literal["drifts", "feedback", "knowledge", "final sigma"]
 AS_PRINTED: tuple[Beyond, ...] = ("feedback", "knowledge", "final sigma")
 """What the paper's own problem does not have, except drifts."""
@@ -54,7 +55,7 @@ class Limit:
     joint: str
     """Chance constraint that this limit belongs to."""
     measure: Measure
-    sense: Literal["min", "max"]
+    sense: Sense
     value: float
 
     @property
@@ -114,7 +115,7 @@ def safety_margins(scene: Scene, times_s: Array, position: Array) -> dict[str, A
 def observation_limits(scenario: Scenario) -> tuple[Limit, ...]:
     """All limits in the window; the battery's cone of observation is a least phase angle."""
     o, battery = scenario.observation, scenario.battery.observation_cone_deg
-    rows: tuple[tuple[str, Measure, Literal["min", "max"], float | None], ...] = (
+    rows: tuple[tuple[str, Measure, Sense, float | None], ...] = (
         ("site_distance", "distance", "min", o.site_distance_min_m),
         ("site_distance", "distance", "max", o.site_distance_max_m),
         ("emission", "emission", "min", o.emission_min_deg),
@@ -136,35 +137,16 @@ def observation_limits(scenario: Scenario) -> tuple[Limit, ...]:
     )
 
 
-class Bound(NamedTuple):
-    """A bound on the mean: at least or at most a value, in the limit's own unit."""
-
-    sense: Literal["min", "max"]
-    value: float
-    unit: Literal["m", "m/s", "deg"]
-
-    def __str__(self) -> str:
-        """In words, such as "at least 500 m"."""
-        return f"at {'least' if self.sense == 'min' else 'most'} {self.value:g} {self.unit}"
-
-    def reached(self, margin: float) -> float:
-        """The value that has a margin to the bound, both in its unit."""
-        return self.value + (margin if self.sense == "min" else -margin)
-
-
-def bounds_on_mean(scenario: Scenario, limits: Sequence[Limit]) -> dict[str, Bound]:
-    """Requirement on the mean by constraint."""
-    found = {
-        SAFETY: Bound("min", scenario.safety.radius_min_m, "m"),
-        "dv_max": Bound("max", scenario.burns.dv_max_m_s, "m/s"),
-        "dv_battery": Bound("min", scenario.battery.delta_v_cone_deg, "deg"),
+def required_of_mean(scenario: Scenario, limits: Sequence[Limit]) -> dict[str, tuple[Sense, float]]:
+    """Sense and value of each requirement on the mean, in m, m/s or rad, by constraint."""
+    found: dict[str, tuple[Sense, float]] = {
+        SAFETY: ("min", scenario.safety.radius_min_m),
+        "dv_max": ("max", scenario.burns.dv_max_m_s),
+        "dv_battery": ("min", float(np.deg2rad(scenario.battery.delta_v_cone_deg))),
     }
     if scenario.body.companion is not None:
-        found[COMPANION] = Bound("min", companion_distance_m(scenario), "m")
-    for limit in limits:
-        in_deg = Bound(limit.sense, float(np.rad2deg(limit.value)), "deg")
-        found[limit.name] = Bound(limit.sense, limit.value, "m") if limit.unit == "m" else in_deg
-    return found
+        found[COMPANION] = "min", companion_distance_m(scenario)
+    return found | {limit.name: (limit.sense, limit.value) for limit in limits}
 
 
 def required_in_words(scenario: Scenario) -> str:

@@ -11,7 +11,7 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 
 from scp_recon.display import digits
-from scp_recon.mission.constraints import Bound, bounds_on_mean
+from scp_recon.mission.constraints import required_of_mean
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.limits import ALL
 from scp_recon.physics.geometry import track
@@ -20,7 +20,7 @@ from scp_recon.results.comparison import BINDING
 from scp_recon.results.facts import IterationRecord
 from scp_recon.results.policy import sigmas
 from scp_recon.results.solution import Solution
-from scp_recon.results.table import SCALES, Cell, Column, Table, columns
+from scp_recon.results.table import Cell, Column, Table, columns
 from scp_recon.results.verification import DriftSafety, MeanMargin, Verification
 from scp_recon.scenario.time_scales import instant, shown_utc
 from scp_recon.verification.reintegration import FIGURES, limits_of
@@ -147,21 +147,21 @@ def limits_table(mission: Mission, solution: Solution, v: Verification) -> Table
     program's margin is zero, and is "off" by its largest violation. Violations without a limit, such as
     that of the final state, are rows of their own.
     """
-    bounds = bounds_on_mean(mission.scenario, mission.limits)
+    required = required_of_mean(mission.scenario, mission.limits)
     joint = {limit.name: limit.joint for limit in mission.limits}
     chance, marks = {p.name: p for p in v.probabilities}, _marks(mission, solution)
     named = [m.name for m in v.mean_margins]
     rows: list[list[object]] = []
     for name in dict.fromkeys(joint.get(one, one) for one in (*named, *chance, *marks)):
         of = [m for m in v.mean_margins if joint.get(m.name, m.name) == name]
-        known = [(bounds[m.name], _shown_margin(m)[0]) for m in of if m.name in bounds]
+        known = [(m, *required[m.name]) for m in of if m.name in required]
         p, worst = chance.get(name), min(of, key=lambda m: m.worst_margin, default=None)
         weakest = p if worst is None or (p is not None and p.estimate < 1.0) else worst
         rows.append(
             [
                 name,
-                " ".join(_span(bound for bound, _ in known)),
-                _span(bound._replace(value=bound.reached(m)) for bound, m in known)[0],
+                " ".join(_span((sense, value, m.unit) for m, sense, value in known)),
+                _span((sense, _reached(m, sense, value), m.unit) for m, sense, value in known)[0],
                 *((None, "") if p is None else (p.estimate, f"{p.low:.4f} to {p.high:.4f}")),
                 None if weakest is None else weakest.worst_t_s,
                 _joined(marks, [one for one in marks if joint.get(one, one) == name], name),
@@ -245,25 +245,26 @@ def _joined(marks: Mapping[str, Cell], of: Sequence[str], name: str) -> Cell:
     return Cell(text, style=marks[of[0]].style if of else "")
 
 
-def _span(bounds: Iterable[Bound]) -> tuple[str, str]:
-    """A range, such as "500 to 740" or ">= 20", and its unit; speeds in mm/s."""
-    by = {bound.sense: _shown(bound.value, bound.unit) for bound in bounds}
+def _span(bounds: Iterable[tuple[str, float, str]]) -> tuple[str, str]:
+    """A range, such as "500 to 740" or ">= 20", and its unit, of senses, values and their units."""
+    by = {sense: _shown(value, unit) for sense, value, unit in bounds}
     ends = [digits(by[sense][0], 4) for sense in ("min", "max") if sense in by]
     unit = next((unit for _, unit in by.values()), "")
     one = {"min": ">= ", "max": "<= "}[next(iter(by))] if len(by) == 1 else ""
     return one + " to ".join(ends), unit
 
 
+def _reached(m: MeanMargin, sense: str, value: float) -> float:
+    """The value of the mean that has a margin to a limit."""
+    return value + (m.worst_margin if sense == "min" else -m.worst_margin)
+
+
 def _shown(value: float, unit: str) -> tuple[float, str]:
-    """A figure and its unit, speeds in mm/s."""
-    shown = "mm/s" if unit == "m/s" else unit
-    return value * SCALES.get((unit, shown), 1.0), shown
-
-
-def _shown_margin(m: MeanMargin) -> tuple[float, str]:
-    """A margin and its unit, angles in deg."""
-    in_deg = float(np.rad2deg(1.0)) * m.worst_margin
-    return (in_deg, "deg") if m.unit == "rad" else (m.worst_margin, m.unit)
+    """A figure and its unit: speeds in mm/s, angles in deg."""
+    factor, shown = {"m/s": (1e3, "mm/s"), "rad": (float(np.rad2deg(1.0)), "deg")}.get(
+        unit, (1.0, unit)
+    )
+    return factor * value, shown
 
 
 def reintegration_table(mission: Mission, v: Verification) -> Table:
