@@ -23,7 +23,7 @@ from scipy.special import chdtrc, chdtri  # of chi-squared; scipy.stats takes ha
 from formulations.arrays import Array
 from formulations.problem.flyby import Iterate
 from scp_recon.display import digits, exact
-from scp_recon.errors import InputError, one_of, option, shortened, whole_number
+from scp_recon.errors import InputError, number_between, one_of, option, shortened, whole_number
 from scp_recon.mission.checks import later_end
 from scp_recon.mission.mission import Mission
 from scp_recon.passes.space import Pass, Space
@@ -303,13 +303,14 @@ def with_goal(
     found = ["observation.required=false"] if goal == "return" else []
     if arrive_by is not None:
         *times, _ = flown.mission.scenario.burns.times_s
+        arrive_by = number_between(option("arrive_by"), arrive_by, 0.0, 1e7, "s")
         if not arrive_by > times[-1]:
             allowed = f"must be after the burn before, {exact(times[-1])} s"
             raise InputError(option("arrive_by"), f"{exact(arrive_by)} s", allowed)
         if twice := [one for one in overrides if one.startswith("burns.times_s=")]:
             allowed = "must be left out beside burns.times_s, whose last burn fixes the same time"
             raise InputError(option("arrive_by"), f"{exact(arrive_by)} s and {twice[-1]}", allowed)
-        found.append(f"burns.times_s={[*times, float(arrive_by)]}")
+        found.append(f"burns.times_s={[*times, arrive_by]}")
     return [*found, *overrides]
 
 

@@ -147,6 +147,7 @@ replan plan --at 17000 STATE --covariance small.txt -> --covariance small.txt: g
 replan plan --at 17000 STATE --covariance bad.txt -> --covariance: got
 replan plan --at 26000 STATE --free-times -> --free-times: got only burn 4 at 34842 s left
 replan plan --at 17000 STATE --free-times --set schedule.recharge_s=20000.0 -> 21800 s' is broken
+replan plan --at 17000 STATE --arrive-by noon -> --arrive-by: got 'noon'; must be a number
 replan plan --at 17000 STATE --free-times --arrive-by 4e4 --set burns.times_s=[0] -> --arrive-by
 replan plan --at 17000 STATE --free-times --formulation frozen-stm -> got --formulation frozen-stm
 replan plan --at 17000 STATE --set in_flight.at_s=9000.0 -> --set: got another in_flight
