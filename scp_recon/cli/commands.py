@@ -75,7 +75,7 @@ def design(
     """Choose the burn times of a pass, on a home orbit departure and arrival too, and plan it.
 
     Args:
-        out: folder for solution.json, scenario.toml and design.csv (default: runs/NAME/UTC
+        out: folder for solution.json, scenario.toml, design.csv and pictures (default: runs/NAME/UTC
             with the scenario's name, to which runs/latest then points); a verified plan there is
             overwritten only by a verified one.
         verbose: show boundary states, schedule, grid, each iteration and the re-integration too.
