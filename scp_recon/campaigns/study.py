@@ -202,6 +202,8 @@ def _read(tables: Any) -> Tables:
     except ValidationError as error:
         found = input_error(error, Tables)
         entry = "study" if found.entry == "scenario" else found.entry
+        if entry == "axis":
+            raise InputError(entry, found.given, "must be tables [[axis]]") from None
         entry, allowed = (
             re.sub(r"\baxis\.(\d+)", lambda match: f"axis {int(match[1]) + 1}", text)
             for text in (entry, found.allowed)

@@ -258,8 +258,9 @@ def test_the_hash_is_of_what_decides_the_rows(tmp_path):
         "[0.7, 0.8]", "{from = 0.7, to = 0.8, count = 2}"
     )
     assert hashed(one) == hashed(same) == hashed(spelled)
-    for text in ("[campaign", "[campaign]\n[[axes]]\n", "axis = 3"):
-        with pytest.raises(InputError):
+    refused = {"[campaign": "TOML", "[[axes]]": "did you mean axis", "[axis]": r"tables \[\[axis]]"}
+    for text, said in refused.items():
+        with pytest.raises(InputError, match=said):
             hashed(text)
     for other in (
         one.replace("0.8", "0.81"),
