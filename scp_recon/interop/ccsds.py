@@ -285,7 +285,10 @@ def _segments(entry: str, lines: Iterable[Line]) -> Iterator[tuple[_Metadata, li
         elif not equals:  # a covariance is not used, but a row that is none tells of a damaged file
             triangle += triangle >= 0
             if not len(line.split()) == triangle <= SIZE:
-                allowed = "must follow its EPOCH, or the row of a lower triangle with a number less"
+                rows_of_it = f"a lower triangle of {SIZE} rows"
+                allowed = (
+                    f"must be the next row of {rows_of_it}, each a number longer, after its EPOCH"
+                )
         if allowed:
             raise InputError(f"{entry}, {where}", line[:120], allowed)
     if inside == "COVARIANCE_START":
