@@ -46,168 +46,15 @@ KERNELS: tuple[Mapping[str, str], ...] = (
 )
 """Environments that `--renew` measures: the processor's own kernel first, whose figures are kept."""
 WORKERS = 2
-# Commands between semicolons; `plan` is the default plan, and `solve` writes to `out`.
-COMMANDS = """
-default: solve
-warm: solve --init warm
-p3: solve --problem P3
-facet_rounds: solve --facet-rounds 1
-tangent: solve --set 'polytopes.ball="tangent"'
-likelier: solve --set risk.p_chance=0.8
-lifted: solve --formulation lifted
-frozen_stm: solve --formulation frozen-stm
-ptr: solve --algorithm ptr
-scvx_star: solve --algorithm scvx-star
-qoco: solve --solver QOCO
-ecos: solve --solver ECOS
-ipopt: solve --method ipopt
-exact_node: solve EXACT --certify no --set risk.p_chance=0.9
-exact_flight: solve EXACT --certify no --set risk.p_chance=0.9 --set 'risk.scope="flight"'
-exact_certified: solve EXACT --set 'risk.scope="flight"'
-probability: solve EXACT --certify no --objective probability --dv-budget 0.115
-feedback: solve EXACT --certify no --set risk.p_chance=0.99 --set 'risk.scope="flight"' GAINS
-starts: solve --starts 3 --seed 0
-infeasible_frame: solve --set 'boundary.frame="j2000"' --set grid.step_max_s=450
-infeasible_risk: solve --set risk.p_chance=0.999
-gates: solve --scenario gates.toml
-warned: solve --problem P3 --set uncertainty.initial_sigma_fraction=0.00001
-unknown_key: solve --set risk.p_chanse=0.8
-out_of_range: solve --set risk.p_chance=1.2
-misspelt_option: solve --formulaton lifted
-unreadable_file: solve --scenario garbled.toml
-wrong_unit: solve --set 'boundary.initial_position_m=[0.0702, -1.0963, 0.4064]'
-replan: replan plan --at 17000 --state state_17000.txt --out out
-replan_last: replan plan --at 26000 --state state_26000.txt --out out
-verify: verify plan
-compare: solve --quiet --init plan/solution.json --problem P3; compare plan out
-flights: montecarlo plan --samples 2000 --seed 3
-flights_until: montecarlo plan --until 2% --samples 20000
-flights_harmonics: montecarlo plan --samples 500 --truth harmonics
-windows: windows recon_b --span-days 3 --csv windows.csv
-export: export plan --format csv; export plan --format oem; export plan --format parquet
-simulate: simulate plan
-design: design pass.toml --out out
-campaign: campaign study.toml --out out --workers 0
-new: new draft --body Bennu --site 20,150 EPOCH
-new_from_csv: export plan --format csv; new track --body Bennu --site 55.9,41.8 --from-csv *.csv EPOCH
-new_from_oem: export plan --format oem; new track --body Bennu --site 55.9,41.8 --from-oem *.oem
-eros: new eros --body Eros --site=20,80 --epoch 2030-01-01T00:00:00
-nightingale: solve --scenario pass_nightingale.toml --certify no
-apophis: solve --scenario pass_apophis.toml --certify no
-didymos: solve --scenario pass_didymos.toml --certify no
-itokawa: solve --scenario pass_itokawa.toml --certify no
-ryugu: solve --scenario pass_ryugu.toml --certify no
-impulsive: python impulsive.py
+INPUTS = TREE / "tests" / "golden_runs"
+"""What each run finds in its folder: scenarios, a study, a script; and the commands of all runs.
+
+Boundary states, burn times and epoch of a `pass_*.toml` are those that a design of the packaged
+scenario found.
 """
-SHORT = {
-    "EXACT": "--set 'risk.allocation=\"exact\"'",
-    "EPOCH": "--epoch 2020-01-21T20:33:17.184",
-    "GAINS": "--set 'policy.kind=\"feedback\"' --set navigation.lead_s=0 "
-    "--set navigation.sigma_position_m=10 --set navigation.sigma_velocity_m_s=0.0005",
-}
-RUNS = dict(line.split(": ", 1) for line in COMMANDS.strip().splitlines())
-PASSES = {
-    "nightingale": """epoch.tdb = "2020-01-21T23:21:07.246761"
-burns.times_s = [0.0, 8723.6, 32515.4, 41929.9]
-observation.window_s = [18528.052, 21925.279]
-[boundary]
-initial_position_m = [2.0392325, -999.85972, -16.625008]
-initial_velocity_m_s = [1.9091192e-06, -0.0011626144, 0.069922085]
-final_position_m = [-2.0289368, 995.18269, -98.016825]
-final_velocity_m_s = [1.4438839e-05, -0.0068544729, -0.069595012]
-""",
-    "apophis": """epoch.tdb = "2028-10-04T01:00:00"
-burns.times_s = [0.0, 7769.9, 39417.4, 46018.4]
-[boundary]
-initial_position_m = [18.418346, -698.27215, -45.571605]
-initial_velocity_m_s = [-0.0001045059, 0.004077012, -0.062512364]
-final_position_m = [-6.5342694, 246.55507, 655.10908]
-final_velocity_m_s = [0.0015446398, -0.058607475, 0.022072756]
-""",
-    "didymos": """epoch.tdb = "2027-03-01T01:05:16.284751"
-burns.times_s = [0.0, 17467.0, 37173.9, 56083.7]
-observation.window_s = [22268.0, 22945.845]
-[boundary]
-initial_position_m = [-1.3448724, 1815.4483, -839.1338]
-initial_velocity_m_s = [-2.399042e-05, 0.055183871, 0.11938918]
-final_position_m = [-1.369644, 1876.4849, -691.95564]
-final_velocity_m_s = [-1.6873978e-05, 0.04550501, 0.12340312]
-""",
-    "itokawa": """epoch.tdb = "2005-10-15T15:51:48.755620"
-burns.times_s = [0.0, 6601.0, 56891.2]
-[boundary]
-initial_position_m = [6.7896396, -984.73983, -173.90048]
-initial_velocity_m_s = [5.1347702e-05, -0.0084168448, 0.047663761]
-final_position_m = [-6.8705478, 999.15655, 40.484267]
-final_velocity_m_s = [-6.8853455e-06, 0.0019594877, -0.048361559]
-""",
-    "ryugu": """epoch.tdb = "2018-10-03T09:14:47.417473"
-burns.times_s = [0.0, 6601.0, 39912.6]
-[boundary]
-initial_position_m = [4.726764, -1762.8281, -363.8882]
-initial_velocity_m_s = [0.00011084285, -0.026011412, 0.1260117]
-final_position_m = [-4.9122924, 1798.1691, 81.016171]
-final_velocity_m_s = [-5.6109669e-05, 0.0057911017, -0.12853799]
-""",
-}
-"""Boundary states, burn times and epoch of passes that designs of packaged scenarios found."""
-INPUTS = {
-    **{f"pass_{name}.toml": f'base = "{name}"\n{found}' for name, found in PASSES.items()},
-    "gates.toml": """base = "recon_b"
-uncertainty.initial_sigma_fraction = 0.01
-uncertainty.gates.magnitude_fixed_m_s = 0.001
-uncertainty.gates.magnitude_proportional = 0.01
-uncertainty.gates.pointing_fixed_m_s = 0.001
-uncertainty.gates.pointing_proportional_rad = 0.0087
-uncertainty.gates.magnitude_bias = 0.01
-""",
-    "pass.toml": """base = "recon_b"
-name = "terminator"
-boundary.home.radius_m = 1000.0
-boundary.home.normal = [1, 0, 0]
-boundary.home.sense = "left_handed"
-boundary.home.departure_deg = [155, 165]
-boundary.home.arrival_deg = [-5, 5]
-design.burn_times = "given"
-polytopes = { ball = "tangent", cone = 12 }
-grid.step_max_s = 450.0
-""",
-    "study.toml": """campaign = { base = "recon_b", do = "fly", samples = 1000 }
-axis = [
-    { entry = "uncertainty.execution_error", values = [0.04, 0.08] },
-    { entry = "risk.p_chance", values = [0.7, 0.999] },
-]
-""",
-    "impulsive.py": """import json
-import numpy as np
-import scp_recon as sr
-
-def acceleration(r, v, t, p):
-    return [3.0 * p[0] ** 2 * r[0] + 2.0 * p[0] * v[1], -2.0 * p[0] * v[0], -(p[0] ** 2) * r[2]]
-
-times = np.linspace(0.0, 5556.0, 37)
-flow = sr.ExpressionFlow(acceleration, times, parameters=[2.0 * np.pi / 5556.0], substeps=4)
-ball, axis = sr.Ball([0.0, 0.0, 0.0], 150.0), [0.0, 1.0, 0.0]
-cone = sr.Cone(apex=[0.0, 0.0, 0.0], axis=axis, half_angle=np.pi / 6.0)
-plan = sr.ImpulsiveProblem(
-    flow,
-    [0, 12, 24, 36],
-    [-300.0, -1000.0, 200.0, 0.0, 0.4, 0.0],
-    [0.0, 200.0, 0.0, 0.0, 0.0, 0.0],
-    dv_max=2.0,
-    initial_covariance=np.diag([2.0, 2.0, 2.0, 0.001, 0.001, 0.001]) ** 2,
-    errors=sr.GatesErrors(0.0, 0.005, 0.0, 0.005),
-    regions=[
-        sr.Keep("out", ball, range(1, 25), "ball"), sr.Keep("in", cone, range(30, 37), "cone")
-    ],
-    probability=0.95,
-    scope="flight",
-).solve()
-whole = plan.fly(500).whole.value
-answer = {"ok": plan.ok, "cost": plan.cost, "burns": plan.burns.tolist(), "whole": whole}
-print(json.dumps(answer))
-""",
-}
+TEXT = (INPUTS / "commands.txt").read_text("utf-8")
+SHORT = dict(re.findall(r"^([A-Z]+) = (.+)$", TEXT, re.MULTILINE))
+RUNS = dict(re.findall(r"^([a-z]\w*): (.+)$", TEXT, re.MULTILINE))
 FORGOTTEN = {
     *("timing_s", "solver_s", "seconds", "cpu_s", "tries", "versions", "plan_hash", "hash"),
     *("files", "inputs_sha256", "folder", "file", "init", "parent"),
@@ -352,9 +199,7 @@ def measured(names: Iterable[str], kernel: Mapping[str, str]) -> dict[str, Figur
 def recorded(root: Path, environment: Mapping[str, str], run: str) -> Figures:
     """Exit status, documents and new files of a run, in a folder of its own, by their places."""
     folder = root / run
-    folder.mkdir()
-    for name, text in INPUTS.items():
-        (folder / name).write_text(text)
+    shutil.copytree(INPUTS, folder)
     (folder / "garbled.toml").write_bytes(b"\xff\xfe[risk\n")
     shutil.copytree(root / "plan", folder / "plan")
     nodes = json.loads((folder / "plan" / "solution.json").read_text())["nodes"]
