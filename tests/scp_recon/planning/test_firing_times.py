@@ -16,6 +16,7 @@ from scp_recon.planning.planner import Planner
 from scp_recon.planning.stages import Pipeline
 from scp_recon.scp.status import Status
 from tests.helpers import nightly
+from tests.scenarios import COARSE
 from tests.scp_recon.support import from_cold, mission_of
 
 
@@ -45,7 +46,7 @@ FIRES = 1e-4
 
 @pytest.fixture(scope="module")
 def fixed() -> Plan:
-    return from_cold(mission_of())
+    return from_cold(mission_of(COARSE))
 
 
 @pytest.fixture(scope="module")
@@ -113,7 +114,7 @@ MEASURED = (
 
 @pytest.fixture(scope="module")
 def corrected() -> Plan:
-    return from_cold(mission_of(*MEASURED, "navigation.lead_s=3600"))
+    return from_cold(mission_of(COARSE, *MEASURED, "navigation.lead_s=3600"))
 
 
 @pytest.fixture(scope="module")

@@ -27,6 +27,7 @@ from scp_recon.scp.loop import Record
 from scp_recon.scp.status import Status
 from tests import reference, reliability
 from tests.helpers import nightly, usually
+from tests.scenarios import COARSE
 from tests.scp_recon.support import burns_of, flight_beyond, fly, integrate, mission_of
 
 SHORT = ("t", "x", "y", "z", "vx", "vy", "vz")
@@ -357,7 +358,7 @@ def test_starts_end_by_the_rule():
         < replace(without, optima=(replace(least, starts=(*range(14),)),)).chance
     )
     assert "0 optima of P3, 1 minimum of its violation" in str(without)
-    made = sr.plan(problem="P3", starts="auto")
+    made = sr.plan(problem="P3", starts="auto", overrides=[COARSE])
     assert made.starts.number == 12
     assert made.starts.chance < 0.05
 

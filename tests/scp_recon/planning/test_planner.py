@@ -267,7 +267,7 @@ def test_every_method_settles_alike(settled, mission, options):
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("seed", "most"),
-    usually([(17, 0.1126), (13, 0.1650), (7, 0.1375), (12, 0.1212), (22, 0.15), (511, 0.1278)], 2),
+    usually([(17, 0.1126), (13, 0.1650), (7, 0.1375), (12, 0.1212), (22, 0.15), (511, 0.1278)], 1),
 )
 def test_settled_plan_may_be_far_cheaper(seed, most):
     """Infeasible with P3's facets at the cheapest optimum of P3, or a third dearer or more."""

@@ -21,7 +21,7 @@ from tests.scenarios import COARSE
 
 pytestmark = pytest.mark.slow
 
-EXACT = ('risk.allocation="exact"', 'risk.scope="flight"', "risk.p_chance=0.8")
+EXACT = (COARSE, 'risk.allocation="exact"', 'risk.scope="flight"', "risk.p_chance=0.8")
 
 
 def sizes_of(plan: Plan) -> list[float]:
@@ -67,6 +67,7 @@ def test_small_burns_are_left_out_or_raised(least, algorithm, sizes):
     assert plan.final.result.lin.iterate.total_dv == min(costs)
 
 
+@pytest.mark.usefixtures("few_flights")
 def test_table_says_that_the_smallest_burn_binds(default_plan, solution, verification):
     raised = without_uncertainty(0.025)
     kept = make_solution(raised)
