@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from datetime import datetime
-from typing import Annotated, Any
+from inspect import isclass
+from typing import Annotated, Any, get_args
 
 from pydantic import (
     AfterValidator,
@@ -147,6 +149,16 @@ class Sparse(Section):
     @model_serializer(mode="wrap")
     def _what_is_given(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
         return {key: value for key, value in handler(self).items() if value is not None}
+
+
+def walk(table: type[BaseModel], above: str = "") -> Iterator[tuple[str, type[BaseModel] | None]]:
+    """Paths of a table's entries, and of those in its tables; with its type where one is a table."""
+    for key, field in table.model_fields.items():
+        kinds = field.annotation, *get_args(field.annotation)
+        inside = next((k for k in kinds if isclass(k) and issubclass(k, BaseModel)), None)
+        yield f"{above}{key}", inside
+        if inside is not None:
+            yield from walk(inside, f"{above}{key}.")
 
 
 class ScenarioWarning(Section):

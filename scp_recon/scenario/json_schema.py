@@ -16,6 +16,7 @@ from typing import Any
 from pydantic import BaseModel
 
 from scp_recon.bodies.catalogue import body_names
+from scp_recon.scenario.fields import walk
 from scp_recon.scenario.load import base_names
 from scp_recon.scenario.schema import Scenario
 
@@ -30,7 +31,8 @@ def json_schema() -> dict[str, Any]:
     None is required because a base or a computation may give it; the program says what is missing.
     """
     schema = Scenario.model_json_schema()
-    models = {model.__name__: model for model in _models(Scenario)}
+    models: dict[str, type[BaseModel]] = {"Scenario": Scenario}
+    models |= {table.__name__: table for _, table in walk(Scenario) if table is not None}
     definitions = _as_draft_7(schema.pop("$defs"))
     for name, table in [("Scenario", schema), *definitions.items()]:
         table.pop("required", None)
@@ -68,16 +70,6 @@ def _as_draft_7(part: Any) -> Any:
     if isinstance(part, list):
         return [_as_draft_7(item) for item in part]
     return part.replace("#/$defs/", "#/definitions/") if isinstance(part, str) else part
-
-
-def _models(model: type[BaseModel]) -> set[type[BaseModel]]:
-    """A model and the models of its fields, however deep."""
-    found = {model}
-    for field in model.model_fields.values():
-        for kind in (field.annotation, *getattr(field.annotation, "__args__", ())):
-            if inspect.isclass(kind) and issubclass(kind, BaseModel):
-                found |= _models(kind)
-    return found
 
 
 def field_descriptions(kind: type) -> dict[str, str]:

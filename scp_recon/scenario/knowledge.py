@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from formulations.arrays import Array
-from scp_recon.scenario.fields import Component, Line, NonNegative, Section, Sparse
+from scp_recon.scenario.fields import Component, Line, NonNegative, Sparse, walk
 from scp_recon.scenario.uncertainty import check_covariance
 
 Sigmas = tuple[NonNegative, NonNegative, NonNegative]
@@ -115,15 +115,5 @@ class Knowledge(Sparse):
                 yield entry, np.atleast_1d(np.array(value, dtype=float))
 
 
-def _entries(table: type[Section], before: str = "") -> Iterator[str]:
-    for key, one in table.model_fields.items():
-        inner = [t for t in getattr(one.annotation, "__args__", ()) if isinstance(t, type)]
-        below = [t for t in inner if issubclass(t, Sparse)]
-        if below:
-            yield from _entries(below[0], f"{before}{key}.")
-        elif before:
-            yield f"{before}{key}"
-
-
-ENTRIES = tuple(_entries(Knowledge))
+ENTRIES = tuple(path for path, table in walk(Knowledge) if table is None and "." in path)
 """Entries of the scenario that may be uncertain."""

@@ -11,7 +11,7 @@ from typing import Any
 from pydantic import BaseModel, ValidationError
 
 from scp_recon.errors import InputError, shortened
-from scp_recon.scenario.fields import unit_hint, unit_of
+from scp_recon.scenario.fields import unit_hint, unit_of, walk
 from scp_recon.scenario.given import ENDS, derivable
 
 Node = dict[str, Any]
@@ -197,7 +197,8 @@ def _number(value: float) -> str:
 
 def _suggestion(location: list[str | int], schema: type[BaseModel]) -> str:
     """Suggest the entry meant by an unknown one, else list the entries of its table."""
-    paths, key = list(_entries(_whole(schema), schema)), str(location[-1])
+    paths = [path for path, table in walk(schema) if table is None and "." in path]
+    key = str(location[-1])
     written = ".".join(str(part) for part in location)
     by_key = {path.rsplit(".", 1)[1]: path for path in paths}
     tables = [node for node in _at(location[:-1], schema) if "properties" in node]
@@ -249,13 +250,3 @@ def _alternatives(node: Node, schema: type[BaseModel]) -> Iterator[Node]:
         yield node
     for branch in node.get("anyOf", ()):
         yield from _alternatives(branch, schema)
-
-
-def _entries(table: Node, schema: type[BaseModel], above: str = "") -> Iterator[str]:
-    """Paths of all entries in tables, and in tables of those."""
-    for key, node in table["properties"].items():
-        inside = [one for one in _alternatives(node, schema) if "properties" in one]
-        for one in inside:
-            yield from _entries(one, schema, f"{above}{key}.")
-        if above and not inside:
-            yield above + key
