@@ -19,7 +19,7 @@ from scp_recon.physics.forces import ForceModel
 from scp_recon.planning.initial_guess import nondimensional
 from scp_recon.planning.method import ScpMethod, scp_method
 from scp_recon.planning.plan import Plan
-from scp_recon.results.figures import is_converged, is_strange, strange_times
+from scp_recon.results.figures import is_converged, strange_parts
 from scp_recon.results.policy import Policy, policy_of, with_policy
 from scp_recon.results.read import read_solution
 from scp_recon.results.runs import resolve_run
@@ -109,14 +109,13 @@ class FlownPlan:
         elif not isinstance(given, Solution):
             raise InputError("plan", shortened(given), "must be a plan, a solution or its file")
         mission, solution = given.mission, given
-        times = [burn.t_s for burn in solution.burns], solution.nodes.t_s
-        if strange := strange_times(mission, *times):
+        if strange := strange_parts(mission, solution):
             contradicts = f"{strange[0]} that contradict its scenario"
             raise InputError("plan", contradicts, "must be of one plan")
         states = np.array(solution.nodes.state)
         path = nondimensional(mission, solution.burns_m_s, states)
         lin = mission.dynamics.linearise(mission.problem, path)
-        if solution.policy is None or is_strange(mission, solution.policy):
+        if solution.policy is None:
             lin = lin.known(None)
         lin = with_policy(mission, lin, solution.corrections)
         failed = [] if solution.verification is None else solution.verification.failed

@@ -31,7 +31,7 @@ from scp_recon.reports.marks import (
     whiskers,
 )
 from scp_recon.reports.shown import SHARE, Shown
-from scp_recon.reports.surfaces import degrees_of
+from scp_recon.reports.surfaces import degrees_of, rim
 from scp_recon.reports.tables import called
 from scp_recon.simulation.guidance import CONTROL_PERIOD_S
 from scp_recon.simulation.record import Record
@@ -109,15 +109,9 @@ def terminator(plan: Shown, time_s: float) -> tuple[Array, Array]:
     """
     mission = plan.mission
     sun = mission.rotation.body_to_j2000(time_s).T @ mission.sun_direction(time_s)
-    # n . sun = 0: tan(latitude) tan(latitude of the Sun) = -cos(longitude from the Sun)
-    longitude = np.linspace(-180.0, 180.0, 361)
-    at, high = degrees_of(sun)
-    from_sun = np.deg2rad(longitude - at)
-    latitude = np.arctan2(-np.cos(from_sun) * np.cos(np.deg2rad(high)), np.sin(np.deg2rad(high)))
-    latitude = np.where(
-        np.abs(latitude) > 0.5 * np.pi, latitude - np.sign(latitude) * np.pi, latitude
-    )
-    return longitude, np.rad2deg(latitude)
+    longitude, latitude = degrees_of(rim(sun[None], 360)[0])
+    order = np.argsort(longitude)
+    return longitude[order], latitude[order]
 
 
 def timeline_chart(plans: Sequence[Shown]) -> Chart:

@@ -22,7 +22,6 @@ from scp_recon.physics.frames import unit
 from scp_recon.planning.initial_guess import nondimensional
 from scp_recon.reports.marks import DASHES, LOGARITHMIC, PLANS, Chart, Panels, labelled
 from scp_recon.reports.shown import SO_FAR, Shown
-from scp_recon.results.figures import is_strange
 
 SIGMAS = {1: (15.8655, 84.1345), 2: (2.2750, 97.7250), 3: (0.1350, 99.8650)}
 """Percentiles between which a normal variable is within so many sigma of its mean."""
@@ -248,9 +247,8 @@ def probability_chart(plans: Sequence[Shown]) -> Chart:
 
 
 def is_corrected(plan: Shown) -> bool:
-    """Whether a plan has corrections, and those that its scenario has."""
-    policy, known = plan.solution.policy, plan.solution.nodes.knowledge
-    return None not in (policy, known) and not is_strange(plan.mission, policy)
+    """Whether a plan has corrections."""
+    return None not in (plan.solution.policy, plan.solution.nodes.knowledge)
 
 
 def uncorrected(plan: Shown) -> Array:

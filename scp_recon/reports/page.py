@@ -48,14 +48,9 @@ def verdict_of(plan: Shown) -> Verdict:
     solution = plan.solution
     checked, status = solution.verification, Status.named(solution.status)
     good = checked is not None and checked.ok and status is Status.CONVERGED
-    word = "verified" if good else "not verified"
-    if checked is None:
-        word = NOT_CHECKED
-    elif checked.failed:
-        word = f"not verified: {checked.failed_in_words}"
     return Verdict(
         good,
-        word,
+        NOT_CHECKED if checked is None else checked.verdict,
         required_in_words(solution.scenario)
         if solution.problem == "P2"
         else "no probability (P3: the problem without uncertainty)",

@@ -82,10 +82,10 @@ def planes_along(path: Array) -> Array:
     return np.stack([side, np.cross(along, side)], axis=1)
 
 
-def rim(axes: Array) -> Array:
-    """Unit vectors normal to unit axes (n, 3), evenly around them: shape (n, TURNS, 3)."""
+def rim(axes: Array, turns: int = TURNS) -> Array:
+    """Unit vectors normal to unit axes (n, 3), evenly around them: shape (n, turns, 3)."""
     side = perpendicular(axes)
-    turn = np.arange(TURNS) * 2.0 * np.pi / TURNS
+    turn = np.arange(turns) * 2.0 * np.pi / turns
     other = np.cross(axes, side)
     return np.cos(turn)[:, None] * side[:, None] + np.sin(turn)[:, None] * other[:, None]
 

@@ -7,7 +7,6 @@ them with the computed ones.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated, Literal, NamedTuple
 
@@ -298,38 +297,37 @@ def finite(value: float) -> float:
     return float(np.nan_to_num(value, nan=np.finfo(float).max))
 
 
-def strange_times(
-    mission: Mission, burn_times_s: Sequence[float], node_times_s: Sequence[float]
-) -> list[str]:
-    """Names of a plan's times, `burns.t_s` or `nodes.t_s`, that are not its mission's.
+def strange_parts(mission: Mission, facts: Facts) -> list[str]:
+    """Names of a plan's times and corrections that are not its mission's.
 
-    The window's edges are found by a root search, so that nodes agree within `TIME_ERROR_S`. Burns,
-    and the nodes they fall on, are at the scenario's own numbers, to the last bit.
+    The window's edges are found by a root search, so that nodes and cut-offs agree within
+    `TIME_ERROR_S`. Burns, and the nodes they fall on, are at the scenario's own numbers, to the last
+    bit.
     """
-    firing, nodes = np.array(mission.scenario.burn_times_s), np.array(node_times_s)
+    firing, nodes = np.array(mission.scenario.burn_times_s), np.array(facts.nodes.t_s)
     agree = {
-        "burns.t_s": np.array_equal(burn_times_s, firing),
+        "burns.t_s": np.array_equal([burn.t_s for burn in facts.burns], firing),
         "nodes.t_s": len(nodes) == len(mission.times_s)
         and np.allclose(nodes, mission.times_s, rtol=0.0, atol=TIME_ERROR_S)
         and np.array_equal(nodes[mission.burn_nodes], firing),
+        "policy.corrections": facts.policy is None or _is_of(mission, facts.policy),
     }
     return [name for name, does in agree.items() if not does]
 
 
-def is_strange(mission: Mission, policy: StoredPolicy | None) -> bool:
-    """Whether corrected burns, cut-offs or what is estimated are not a mission's; none never are."""
-    if policy is None:
-        return False
-    feedback, flown = mission.feedback, mission.scenario.burns_flown
-    if feedback is None:
-        return True
-    burns = [correction.burn - 1 - flown for correction in policy.corrections]
-    cut_offs = [correction.cut_off_s for correction in policy.corrections]
-    sizes = {len(correction.estimate_covariance) for correction in policy.corrections}
-    if sizes != {6 + mission.estimated}:
-        return True
-    return burns != feedback.burns.tolist() or not np.allclose(
-        cut_offs, mission.times_s[feedback.cut_offs], rtol=0.0, atol=TIME_ERROR_S
+def _is_of(mission: Mission, policy: StoredPolicy) -> bool:
+    """Whether corrected burns, cut-offs and what is estimated are a mission's."""
+    feedback, first = mission.feedback, 1 + mission.scenario.burns_flown
+    return (
+        feedback is not None
+        and [c.burn - first for c in policy.corrections] == feedback.burns.tolist()
+        and {len(c.estimate_covariance) for c in policy.corrections} == {6 + mission.estimated}
+        and np.allclose(
+            [c.cut_off_s for c in policy.corrections],
+            mission.times_s[feedback.cut_offs],
+            rtol=0.0,
+            atol=TIME_ERROR_S,
+        )
     )
 
 

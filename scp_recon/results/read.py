@@ -17,7 +17,7 @@ from pydantic import ConfigDict, TypeAdapter, ValidationError
 from scp_recon.errors import InputError
 from scp_recon.files import read_text
 from scp_recon.results.facts import Facts, adapter
-from scp_recon.results.figures import Figures, is_strange, strange_times
+from scp_recon.results.figures import Figures, strange_parts
 from scp_recon.results.runs import resolve_run
 from scp_recon.results.solution import FILE_NAME, HASH, SCHEMA, Solution
 from scp_recon.scenario.fields import ScenarioWarning, Section
@@ -151,9 +151,7 @@ def _strange(solution: Solution) -> list[str]:
     """Entries that contradict the scenario's grid or units by more than machines differ."""
     assert solution.carried is not None
     units, expected, facets = solution.carried.units, solution.units, solution.facets
-    found = strange_times(solution.mission, [b.t_s for b in solution.burns], solution.nodes.t_s)
-    if solution.policy is not None and is_strange(solution.mission, solution.policy):
-        found.append("policy.corrections")
+    found = strange_parts(solution.mission, solution)
     if facets is not None and max(facets.node, default=0) >= len(solution.mission.times_s):
         found.append("facets.node")
     if not np.allclose([units.length_m, units.time_s], [expected.length_m, expected.time_s]):

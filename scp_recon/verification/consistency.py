@@ -43,10 +43,9 @@ from scp_recon.results.figures import (
     facets_at,
     figures_of,
     is_converged,
-    is_strange,
     relative_covariances,
     rows_of,
-    strange_times,
+    strange_parts,
     summed,
 )
 from scp_recon.results.policy import SAME, misjudged
@@ -76,7 +75,7 @@ def inconsistencies(mission: Mission, solution: Solution) -> list[str]:
 
     They include the figures that its file carried, and violations of a converged plan.
     """
-    found = strange_times(mission, [b.t_s for b in solution.burns], solution.nodes.t_s)
+    found = strange_parts(mission, solution)
     if "nodes.t_s" in found:  # nothing else can be told without them
         return found
     if solution.problem == "P2" and mission.scenario.risk.allocation == "exact":
@@ -87,7 +86,7 @@ def inconsistencies(mission: Mission, solution: Solution) -> list[str]:
             found.append("risk")
     elif solution.problem == "P2" and not _are_sound(mission, solution.facets):
         return [*found, "facets"]
-    if not _is_policy(mission, solution):
+    if "policy.corrections" not in found and not _is_policy(mission, solution):
         found.append("policy.corrections")
     return [*found, *_wrong_figures(mission, solution)]
 
@@ -98,21 +97,21 @@ def _wrong_figures(mission: Mission, solution: Solution) -> list[str]:
     The status must be that of a stage, unless the plan was interrupted. A converged plan must
     violate nothing.
     """
-    found, own, carried = [], figures_of(mission, solution), solution.carried
+    found, own = [], figures_of(mission, solution)
+    carried = solution.carried or own
     stages = {stage.status for stage in solution.stages}
     if stages and solution.status not in stages | {Status.INTERRUPTED.value.name}:
         found.append("status")
-    if carried is not None:
-        if not np.isclose(carried.total_dv_m_s, own.total_dv_m_s, rtol=ROUNDING, atol=1e-12):
-            found.append("total_dv_m_s")
-        rows, results = rows_of(mission, solution), {c.name: c for c in carried.constraints}
-        if [c.name for c in carried.constraints] != [*rows] or not all(
-            _is_result(mission, results[name], one, solution) for name, one in rows.items()
-        ):
-            found.append("constraints")
-    violated = [own.violation] if carried is None else [own.violation, carried.violation]
-    wrong = is_converged(solution) and any(one.by_constraint for one in violated)
-    if wrong or (carried is not None and not _is_violation(mission, solution, *violated)):
+    if not np.isclose(carried.total_dv_m_s, own.total_dv_m_s, rtol=ROUNDING, atol=1e-12):
+        found.append("total_dv_m_s")
+    rows, results = rows_of(mission, solution), {c.name: c for c in carried.constraints}
+    if [c.name for c in carried.constraints] != [*rows] or not all(
+        _is_result(mission, results[name], one, solution) for name, one in rows.items()
+    ):
+        found.append("constraints")
+    violated = carried.violation.by_constraint or own.violation.by_constraint
+    refuted = is_converged(solution) and violated
+    if refuted or not _is_violation(mission, solution, own.violation, carried.violation):
         found.append("violation")
     return found
 
@@ -157,12 +156,11 @@ def _is_violation(
 
 
 def _is_policy(mission: Mission, solution: Solution) -> bool:
-    """Whether a plan corrects the same burns as its scenario, with the scenario's measurements."""
+    """Whether a plan has corrections if its scenario asks for them, by the scenario's measurements."""
     feedback = mission.feedback
     if solution.policy is None:
         return feedback is None or solution.problem == "P3" or not is_converged(solution)
-    if feedback is None or is_strange(mission, solution.policy):
-        return False
+    assert feedback is not None  # as its parts are the mission's
     if mission.scenario.navigation.landmarks is not None:
         return misjudged(mission, solution.corrections, solution.burns_m_s) <= PICTURED
     given = np.array([c.measurement_covariance for c in solution.policy.corrections])

@@ -28,7 +28,7 @@ from scp_recon.monte_carlo.estimates import CONFIDENCE
 from scp_recon.monte_carlo.limits import MEAN_TOLERANCE, observation_margins
 from scp_recon.monte_carlo.sampling import Flyer
 from scp_recon.physics.forces import ForceModel, Moment, acceleration
-from scp_recon.results.figures import is_converged, is_strange
+from scp_recon.results.figures import is_converged, strange_parts
 from scp_recon.results.policy import Policy
 from scp_recon.results.solution import Solution
 from scp_recon.results.verification import (
@@ -88,7 +88,8 @@ def verify(mission: Mission, solution: Solution) -> Verification:
     burns, times = solution.burns_m_s, np.array(solution.nodes.t_s)
     states, is_p2 = np.array(solution.nodes.state), solution.problem == "P2"
     fine = np.arange(mission.times_s[0], mission.times_s[-1], MARGIN_STEP_S)
-    policy = () if is_strange(mission, solution.policy) else solution.corrections
+    is_strange = "policy.corrections" in strange_parts(mission, solution)
+    policy = () if is_strange else solution.corrections
     with beside(lambda: joint_probabilities(mission, burns, policy)) as coming:
         flown = _fly(mission, burns, np.union1d(times, fine), mission.initial_state, policy)
         sample_error = _sample_error(mission, burns, policy)
@@ -169,10 +170,9 @@ def not_executed(mission: Mission, solution: Solution) -> list[str]:
     the flight by less than its tolerances: the plan is the same without it.
     """
     sizes = np.linalg.norm(solution.burns_m_s, axis=1)
-    if solution.policy is not None and not is_strange(mission, solution.policy):
-        for one, stored in zip(solution.corrections, solution.policy.corrections, strict=True):
-            sizes[one.burn] = np.hypot(sizes[one.burn], stored.sigma_m_s)
     least, first = mission.scenario.burns.dv_min_m_s, 1 + mission.scenario.burns_flown
+    for one in solution.policy.corrections if solution.policy is not None else ():
+        sizes[one.burn - first] = np.hypot(sizes[one.burn - first], one.sigma_m_s)
     none = mission.units.tolerance(NO_BURN_M_S, "m/s")
     small = (sizes > none) & (sizes < (1.0 - EXECUTED) * least)
     return [f"dv_min of burn {first + i}" for i in np.flatnonzero(small)]

@@ -225,12 +225,6 @@ def in_other_units(data: dict[str, Any]) -> None:
         part["unit"] = OTHER_UNIT[part["unit"]]
 
 
-@pytest.mark.parametrize(("error_s", "found"), [(1e-9, []), (-9e-4, []), (1.0, ["nodes.t_s"])])
-def test_window_edge_has_the_tolerance_of_reading(mission, solution, error_s, found):
-    late = moved("nodes", "t_s", int(mission.window_nodes[0]), by=error_s)
-    assert inconsistencies(mission, changed(solution, late)) == found
-
-
 @pytest.mark.usefixtures("few_flights")
 @pytest.mark.parametrize(
     ("override", "named"),
