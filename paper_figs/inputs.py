@@ -17,8 +17,7 @@ from scp_recon.monte_carlo.sampling import Flyer
 from scp_recon.monte_carlo.summarise import summarise
 from scp_recon.monte_carlo.summary import FILE_NAME as SUMMARY_FILE
 from scp_recon.monte_carlo.summary import Summary, read_summary
-from scp_recon.results.read import read_solution
-from scp_recon.results.runs import folder_of, resolve_run
+from scp_recon.results.read import folder_of, read_solution, resolve_run
 from scp_recon.results.solution import FILE_NAME as SOLUTION_FILE
 from scp_recon.results.solution import Solution, ballistic_arc
 

@@ -27,8 +27,7 @@ from scp_recon.interop.export import Export
 from scp_recon.interop.files import FORMATS, require, stem, write_export
 from scp_recon.jobs.cores import one_thread
 from scp_recon.planning.plan import Plan
-from scp_recon.results.read import read_solution
-from scp_recon.results.runs import is_pointer, new_run, resolve_run
+from scp_recon.results.read import is_pointer, new_run, read_solution, resolve_run
 from scp_recon.results.solution import FILE_NAME, Solution, make_solution
 from scp_recon.simulation.vehicle import load_vehicle
 from scp_recon.verification import reintegration

@@ -29,8 +29,7 @@ from scp_recon.planning.records import Parent
 from scp_recon.replanning.flown import FlownPlan
 from scp_recon.replanning.remainder import Delivery, mission_left, path_planned, with_free_times
 from scp_recon.results.policy import with_policy
-from scp_recon.results.read import read_solution
-from scp_recon.results.runs import resolve_run
+from scp_recon.results.read import read_solution, resolve_run
 from scp_recon.results.solution import Solution
 from scp_recon.scenario.fields import ScenarioWarning
 from scp_recon.scenario.load import load_scenario, naming_files, override

@@ -143,8 +143,7 @@ def replan(
     from scp_recon.errors import InputError, option
     from scp_recon.replanning.flown import FlownPlan
     from scp_recon.replanning.remainder import with_goal
-    from scp_recon.results.read import read_solution
-    from scp_recon.results.runs import folder_of, resolve_run
+    from scp_recon.results.read import folder_of, read_solution, resolve_run
 
     home = resolve_run(plan)
     if out is not None and out.resolve() == folder_of(home).resolve():
@@ -188,7 +187,7 @@ def montecarlo(console: "Console", plan: Path, **how: Any) -> Answer:
     from scp_recon.api.files import solution_of
     from scp_recon.api.flying import Flights, FlyOptions
     from scp_recon.cli.views import flights_bar, show_summary, show_verdict, show_warnings
-    from scp_recon.results.runs import folder_of, resolve_run
+    from scp_recon.results.read import folder_of, resolve_run
     from scp_recon.scp.status import Status
     from scp_recon.verification.causes import shortfalls
     from scp_recon.verification.probabilities import required_probability
@@ -232,7 +231,7 @@ def simulate(console: "Console", plan: Path, *, out: Path | None = None, **how: 
     from scp_recon.cli.views import flights_bar, show_flight, show_verdict, show_warnings
     from scp_recon.errors import option
     from scp_recon.files import writing
-    from scp_recon.results.runs import folder_of, resolve_run
+    from scp_recon.results.read import folder_of, resolve_run
     from scp_recon.simulation import record as records
     from scp_recon.simulation.vehicle import check_vehicle
     from scp_recon.verification.causes import shortfalls
@@ -321,7 +320,7 @@ def report(console: "Console", *, out: Path | None = None, **given: Any) -> Answ
         out: the page of plans (default: report.html in the first plan's folder).
     """
     from scp_recon.api import files
-    from scp_recon.results.runs import folder_of, resolve_run
+    from scp_recon.results.read import folder_of, resolve_run
 
     plans = given.pop("plans")
     if files.is_campaign(tuple(plans)):
@@ -368,7 +367,7 @@ def export(console: "Console", plan: Path, *, out: Path | None = None, **given: 
     from scp_recon.cli.plan_view import export_document
     from scp_recon.cli.views import show_verdict
     from scp_recon.interop.export import heading
-    from scp_recon.results.runs import folder_of, resolve_run
+    from scp_recon.results.read import folder_of, resolve_run
 
     home = resolve_run(plan)
     written, found = plan_verbs.export(home, out=out or folder_of(home) / EXPORTS, **given)

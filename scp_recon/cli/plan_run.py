@@ -33,7 +33,7 @@ from scp_recon.mission.mission import Mission
 from scp_recon.passes.design import Trial
 from scp_recon.planning.plan import Plan
 from scp_recon.planning.primer import WORTH, PrimerHistory
-from scp_recon.results.runs import point_to
+from scp_recon.results.read import point_to
 from scp_recon.results.solution import FILE_NAME, Solution
 from scp_recon.scenario.schema import Scenario
 from scp_recon.scp.status import Status

@@ -21,8 +21,7 @@ from scp_recon.planning.method import ScpMethod, scp_method
 from scp_recon.planning.plan import Plan
 from scp_recon.results.figures import is_converged, strange_parts
 from scp_recon.results.policy import Policy, policy_of, with_policy
-from scp_recon.results.read import read_solution
-from scp_recon.results.runs import resolve_run
+from scp_recon.results.read import read_solution, resolve_run
 from scp_recon.results.solution import Solution, make_solution
 from scp_recon.results.verification import in_words
 from scp_recon.scenario.fields import ScenarioWarning

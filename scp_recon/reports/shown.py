@@ -22,8 +22,7 @@ from scp_recon.physics.frames import unit
 from scp_recon.reports.surfaces import Shape, first_hit, rim, shape_of
 from scp_recon.reports.tables import or_none
 from scp_recon.results.comparison import path_of
-from scp_recon.results.read import read_solution
-from scp_recon.results.runs import folder_of, resolve_run
+from scp_recon.results.read import folder_of, read_solution, resolve_run
 from scp_recon.results.solution import Solution
 from scp_recon.results.table import Table, columns
 from scp_recon.scenario.time_scales import instant, iso_tdb

@@ -111,13 +111,10 @@ class JointCovariance:
 
     def measured(self, time_s: float) -> JointCovariance:
         """The spread after the measurement at a time, if there is one."""
-        spread = self
-        for correction in self.policy[len(self.known) :]:
-            if correction.cut_off_s == time_s:
-                spread = spread._measured(correction.measurement_covariance)
-        return spread
-
-    def _measured(self, errors: Array) -> JointCovariance:
+        coming = self.policy[len(self.known) :]
+        if not coming or coming[0].cut_off_s != time_s:
+            return self
+        errors = coming[0].measurement_covariance
         size, n, told = len(self.joint), self.size, 6 + self.mission.estimated
         before = self.joint[:told, :told]
         gain = np.zeros((n, 6))

@@ -16,8 +16,7 @@ from scp_recon.cli.commands import COMMANDS
 from scp_recon.cli.options import joined, parameters
 from scp_recon.errors import InputError
 from scp_recon.files import read_text
-from scp_recon.results.read import read_solution
-from scp_recon.results.runs import point_to
+from scp_recon.results.read import point_to, read_solution
 from tests.scp_recon.support import run_solve
 
 OWN = {"solve": {"file", "out", "report", "verbose"}, "schema": {"file"}}

@@ -12,8 +12,7 @@ import pytest
 from scp_recon.api.inputs import is_solution
 from scp_recon.errors import InputError
 from scp_recon.files import LOCK, only_run_in
-from scp_recon.results.read import read_solution
-from scp_recon.results.runs import folder_of, is_pointer, new_run, point_to
+from scp_recon.results.read import folder_of, is_pointer, new_run, point_to, read_solution
 
 NAMES = ["recon_b", "", "latest", ".", "..", "../../etc", "/", "a b\\c", "é" * 300, "con:"]
 
