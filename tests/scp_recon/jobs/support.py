@@ -1,11 +1,11 @@
 """Run jobs into a store, and compare rows."""
 
 import os
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Generator, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from scp_recon.jobs.job import Done, Executor, Job, Key, Work
+from scp_recon.jobs.job import Done, Executor, Job, Key, Work, attempt
 from scp_recon.jobs.processes import Limits
 from scp_recon.jobs.store import Row, Store, run
 
@@ -31,6 +31,11 @@ def children(of: int | None = None) -> list[int]:
 
 def some_jobs(count: int) -> list[Job]:
     return [Job(number, number) for number in range(count)]
+
+
+def backwards(work: Work, jobs: Iterable[Job]) -> Generator[Done, None, None]:
+    """An executor that ends the last job first."""
+    yield from (attempt(work, job) for job in reversed(list(jobs)))
 
 
 def row_of(done: Done) -> Row:

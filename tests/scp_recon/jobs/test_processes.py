@@ -3,22 +3,18 @@
 import os
 import signal
 import time
-from collections.abc import Generator, Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
 
 import pytest
 
 from scp_recon.errors import InputError
-from scp_recon.jobs.job import Done, Job, Work, attempt, here, in_order
+from scp_recon.jobs.job import Job, here, in_order
 from scp_recon.jobs.processes import Limits, Processes
 from scp_recon.jobs.store import Store, run
-from tests.scp_recon.jobs.support import LIMITS, children, computed, run_all, some_jobs
+from tests.scp_recon.jobs.support import LIMITS, backwards, children, computed, run_all, some_jobs
 from tests.scp_recon.jobs.works import ENDS, Naughty, OddError, Quick
-
-
-def backwards(work: Work, jobs: Iterable[Job]) -> Generator[Done, None, None]:
-    yield from (attempt(work, job) for job in reversed(list(jobs)))
 
 
 @pytest.mark.slow

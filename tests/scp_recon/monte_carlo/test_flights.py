@@ -28,6 +28,7 @@ from scp_recon.planning.planner import plan
 from scp_recon.reports.flight_tables import flown_probabilities_table
 from scp_recon.results.solution import Solution, make_solution
 from tests.helpers import usually
+from tests.scp_recon.jobs.support import backwards
 from tests.scp_recon.monte_carlo.test_closed_loop import case_of
 from tests.scp_recon.simulation.short_plan import SHORT, short_plan
 from tests.scp_recon.support import mission_of
@@ -64,10 +65,6 @@ def test_certain_flights_have_no_spread(certain, tmp_path, capsys):
     # The mean of equal states may differ from each by rounding.
     assert max(max(size.values()) for size in terminal.values()) < 1e-12
     assert "no component spreads" in capsys.readouterr().out
-
-
-def backwards(work: Work, jobs: Iterable[Job]) -> Generator[Done, None, None]:
-    yield from (attempt(work, job) for job in reversed(list(jobs)))
 
 
 def failing(work: Work, jobs: Iterable[Job]) -> Generator[Done, None, None]:

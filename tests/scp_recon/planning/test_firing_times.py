@@ -16,7 +16,7 @@ from scp_recon.planning.planner import Planner
 from scp_recon.planning.stages import Pipeline
 from scp_recon.scp.status import Status
 from tests.helpers import nightly
-from tests.scenarios import COARSE
+from tests.scenarios import COARSE, reference
 from tests.scp_recon.support import from_cold, mission_of
 
 
@@ -46,7 +46,7 @@ FIRES = 1e-4
 
 @pytest.fixture(scope="module")
 def fixed() -> Plan:
-    return from_cold(mission_of(COARSE))
+    return reference()[1]
 
 
 @pytest.fixture(scope="module")

@@ -25,7 +25,7 @@ from scp_recon.scp.loop import Record, run
 from scp_recon.scp.status import Status
 from scp_recon.verification.reintegration import verify
 from tests.helpers import usually
-from tests.scenarios import COARSE
+from tests.scenarios import COARSE, reference
 from tests.scp_recon.support import flight_beyond, from_cold, mission_of, sigma_of
 
 
@@ -40,7 +40,7 @@ def assert_no_buffer_is_used(of: Plan) -> None:
 
 @pytest.fixture(scope="module")
 def coarse_plan() -> Plan:
-    return from_cold(mission_of(COARSE))
+    return reference()[1]
 
 
 @pytest.fixture(scope="module")

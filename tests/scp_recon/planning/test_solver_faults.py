@@ -1,6 +1,5 @@
 """Conic solvers that call their answers what they are not never make a wrong plan."""
 
-from functools import cache
 from types import SimpleNamespace
 from typing import Any
 
@@ -10,26 +9,18 @@ import pytest
 
 from formulations.program import solvers
 from formulations.program.solvers import SOLVERS
-from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
 from scp_recon.planning.planner import Plan, plan
-from scp_recon.scenario.load import load_scenario
 from scp_recon.scp.status import Status
 from tests import reliability
-from tests.scenarios import COARSE
+from tests.scenarios import reference
 
 pytestmark = pytest.mark.slow
 
 
-@cache
-def coarse() -> tuple[Mission, Plan]:
-    mission = Mission.from_scenario(load_scenario(None, [COARSE]))
-    return mission, plan(mission, initial_guess.cold(mission))
-
-
 def assert_honest(found: Plan) -> None:
     """Nothing is called converged that is not the optimum, and nothing infeasible at all."""
-    status, best = found.final.result.status, coarse()[1].final.result.lin.iterate.total_dv
+    status, best = found.final.result.status, reference()[1].final.result.lin.iterate.total_dv
     assert status is not Status.INFEASIBLE
     if status is Status.CONVERGED:
         assert found.final.result.lin.iterate.total_dv == pytest.approx(best, rel=2e-3)
@@ -72,7 +63,7 @@ class Timid(Liar):
     """Feasible, and far from optimal: the best next to where it stands, called solved."""
 
     def asked(self, b: Any) -> Any:
-        n = 3 * coarse()[0].problem.n_burns
+        n = 3 * reference()[0].problem.n_burns
         middle = 0.5 * (b[:n] - b[n : 2 * n])  # of the trust region's rows, radius +- burns
         assert np.ptp(b[:n] + b[n : 2 * n]) < 1e-9
         return np.concatenate([1e-7 + middle, 1e-7 - middle, b[2 * n :]])
@@ -86,7 +77,7 @@ class Mislabelled(Liar):
 @pytest.mark.parametrize("liar", [Stale, Timid, Mislabelled])
 def test_wrong_solver_status_is_found_out(liar, monkeypatch):
     """A verdict needs a closed duality gap, whatever the solver calls its answer."""
-    mission, _ = coarse()
+    mission, _ = reference()
     names = {name: getattr(clarabel, name) for name in dir(clarabel)}
     lying = SimpleNamespace(**{**names, "DefaultSolver": liar})
     monkeypatch.setattr(solvers, "clarabel", lying)
