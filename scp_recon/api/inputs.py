@@ -60,14 +60,14 @@ class PlanRequest:
         init: see `api.verbs.plan`; or a guess; a plan of the same mission is continued.
         options: of planning; the rest of a flight takes only `certify`, the others are its plan's.
         overrides: `section.entry=value` each.
-        called: name of the start in the solution file; None for the name that `init` has.
+        called: name of the start in the solution file; empty for the name that `init` has.
     """
 
     scenario: Mission | Scenario | RestOfFlight | str | Path | None = None
     init: Init = "cold"
     options: PlanOptions = field(default_factory=PlanOptions)
     overrides: Sequence[str] = ()
-    called: str | None = None
+    called: str = ""
 
     @property
     def is_in_flight(self) -> bool:
@@ -81,29 +81,20 @@ class PlanRequest:
         return replace(self, scenario=scenario, overrides=(*self.overrides, *overrides))
 
 
-class Loaded(NamedTuple):
-    """What a request names, read from its files."""
-
-    scenario: Mission | Scenario | RestOfFlight
-    init: Init
-    called: str
-
-
 class Resolved(NamedTuple):
-    """A mission, the start of its plan and its name in the solution file, options of planning.
+    """A mission, the start of its plan, and the request with all that follows from its files.
 
     `known` are arguments of `planner.plan` that the rest of a flight fixes.
     """
 
     mission: Mission
     start: Iterate | Plan
-    called: str
-    options: PlanOptions
+    asked: PlanRequest
     known: Mapping[str, Any] = {}
 
 
-def load(request: PlanRequest) -> Loaded:
-    """Read the scenario of a request, and its start if that is a solution file."""
+def load(request: PlanRequest) -> PlanRequest:
+    """The request with its scenario, and its start if that is a solution file, read."""
     init, scenario = request.init, request.scenario
     called = request.called or _called(init)
     if isinstance(init, str | Path) and init not in GUESSES and is_solution(Path(init)):
@@ -117,29 +108,34 @@ def load(request: PlanRequest) -> Loaded:
     if not isinstance(scenario, Mission | RestOfFlight):
         with naming_files(scenario, request.overrides):
             scenario = scenario_of(scenario, request.overrides)
-    return Loaded(scenario, init, called)
+    overrides = request.overrides if request.is_in_flight else ()
+    return replace(request, scenario=scenario, init=init, called=called, overrides=overrides)
 
 
-def resolve(loaded: Loaded, request: PlanRequest) -> Resolved:
-    """Make the mission of a scenario, and the initial guess on its grid.
+def resolve(request: PlanRequest) -> Resolved:
+    """Load a request, make the mission of its scenario, and the initial guess on its grid.
 
     Raises:
         InputError: if the scenario has no mission, the start is unusable, or an option does not suit
             the scenario.
     """
-    mission, init, called = loaded
+    loaded = load(request)
+    mission, init = loaded.scenario, loaded.init
     if isinstance(mission, RestOfFlight):
-        return mission.resolved(request)
+        return mission.resolved(loaded)
     if isinstance(mission, Mission) and isinstance(init, Plan):
-        return Resolved(mission, init, called, request.options)
+        return Resolved(mission, init, loaded)
     if not isinstance(mission, Mission):
+        assert isinstance(mission, Scenario)
         with naming_files(request.scenario, request.overrides):
             mission = _mission_of(mission)
     start = _start(mission, init)
+    if isinstance(init, str | Path) and init not in GUESSES:  # a pipe can be read only once
+        loaded = replace(loaded, init=start)
     request.options.check(mission.scenario)
     if doubts := tuple(_doubts(request, mission.scenario)):
         mission = replace(mission, warnings=(*mission.warnings, *doubts))
-    return Resolved(mission, start, called, request.options)
+    return Resolved(mission, start, loaded)
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,8 +177,8 @@ class RestOfFlight:
             mission = with_free_times(flown, mission)
         resolution = P3_RESOLUTION if flown.solution.problem == "P2" else 0.0
         known = {"p3_resolution": resolution, "once": determined}
-        start = path_planned(flown, mission)
-        return Resolved(mission, start, f"the path of {flown.name}", options, known)
+        asked = replace(request, called=f"the path of {flown.name}", options=options)
+        return Resolved(mission, path_planned(flown, mission), asked, known)
 
     def finished(self, plan: Plan, mission: Mission) -> Plan:
         """A plan of the mission that is left, with its parent and all warnings.

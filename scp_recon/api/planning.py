@@ -17,7 +17,7 @@ from pydantic import ValidationError
 
 from formulations.problem.flyby import Iterate
 from scp_recon.api.files import keep
-from scp_recon.api.inputs import GUESSES, PlanRequest, RestOfFlight, load, resolve
+from scp_recon.api.inputs import PlanRequest, RestOfFlight, resolve
 from scp_recon.api.options import VARIANT, PlanOptions
 from scp_recon.certification.again import with_pictures, with_safe_drifts
 from scp_recon.certification.certify import certify
@@ -120,11 +120,10 @@ def carry_out(
             interrupted is kept without verification.
     """
     watch = watch or Watch()
-    loaded = load(request)
-    mission, start, called, options, known = resolve(loaded, request)
+    mission, start, asked, known = resolve(request)
     with watch.folder(mission.scenario) as folder:
         with watch.planning(mission) as observe, finite_figures():
-            made = plan_mission(mission, start, options, observe, init=called, **known)
+            made = plan_mission(mission, start, asked.options, observe, init=asked.called, **known)
             if isinstance(request.scenario, RestOfFlight):
                 made = request.scenario.finished(made, mission)
         outcome = PlanOutcome(made)
@@ -137,11 +136,6 @@ def carry_out(
             solution = outcome.solution.with_verification(verification)
             path, aside = keep(solution, folder)
             outcome = PlanOutcome(made, solution, path, outcome.aside + aside)
-        asked = replace(request, scenario=loaded.scenario, called=called, options=options)
-        if not request.is_in_flight:
-            # A pipe can be read only once.
-            is_read = isinstance(loaded.init, str | Path) and loaded.init not in GUESSES
-            asked = replace(asked, init=start if is_read else loaded.init, overrides=())
         if not (advice := watch.kept(outcome, asked)):
             return outcome
         solution = replace(outcome.solution, advice=advice)

@@ -3,7 +3,7 @@
 import pytest
 
 from scp_recon.api.designing import find_pass
-from scp_recon.api.inputs import PlanRequest, load, resolve
+from scp_recon.api.inputs import PlanRequest, resolve
 from scp_recon.errors import InputError
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scenario.schema import Scenario
@@ -16,7 +16,7 @@ AWAY = {entry: [-part for part in state] for entry, state in STATE.items()}
 def refusal(scenario: Scenario | str, *overrides: str) -> str:
     request = PlanRequest(scenario, overrides=overrides)
     with pytest.raises(InputError) as caught:
-        resolve(load(request), request)
+        resolve(request)
     return str(caught.value)
 
 
@@ -39,7 +39,7 @@ def test_other_readings_that_light_the_window_are_named(tables, line):
     assert said.startswith("observation.window_s: got ")
     assert line in said
     right = PlanRequest(rock(observation=WINDOW))
-    assert resolve(load(right), right).mission.schedule.window_s == (13_200.0, 16_500.0)
+    assert resolve(right).mission.schedule.window_s == (13_200.0, 16_500.0)
 
 
 @pytest.mark.parametrize(
@@ -56,7 +56,7 @@ def test_one_angle_in_radians_begins_the_refusal(override, right):
     assert first == f"{entry}: got {given} deg; tried, and accepted: {right}; degrees?"
     assert others[0].startswith("observation")
     accepted = PlanRequest("recon_b", overrides=(f"{entry}={right}",))
-    assert resolve(load(accepted), accepted).mission.schedule.window_s
+    assert resolve(accepted).mission.schedule.window_s
 
 
 def test_design_names_one_angle_in_radians():
@@ -68,7 +68,7 @@ def test_design_names_one_angle_in_radians():
 
 def test_declination_in_radians_is_asked_about():
     request = PlanRequest("recon_b", overrides=("body.pole_dec_deg=-1.0535",))
-    (warning,) = resolve(load(request), request).mission.warnings
+    (warning,) = resolve(request).mission.warnings
     assert warning.entry == "body.pole_dec_deg"
     assert warning.expected.endswith("; degrees?")
 

@@ -10,7 +10,7 @@ import scp_recon as sr
 from scp_recon import files
 from scp_recon.__main__ import main
 from scp_recon.api.files import keep
-from scp_recon.api.inputs import PlanRequest, load, resolve
+from scp_recon.api.inputs import PlanRequest, resolve
 from scp_recon.api.options import PlanOptions
 from scp_recon.cli.commands import COMMANDS
 from scp_recon.cli.options import joined, parameters
@@ -90,7 +90,7 @@ EXACT = 'risk.allocation="exact"'
 )
 def test_override_without_effect_is_warned_about(problem, override, more, warned):
     request = PlanRequest(options=PlanOptions(problem), overrides=[override, *more])
-    warnings = resolve(load(request), request).mission.warnings
+    warnings = resolve(request).mission.warnings
     idle = [one.entry for one in warnings if "has no effect" in one.expected]
     assert idle == [override.partition("=")[0]] * warned
 
@@ -99,7 +99,7 @@ def test_override_without_effect_is_warned_about(problem, override, more, warned
 def test_burn_added_after_the_end_is_warned_about(last, warned):
     override = f"burns.times_s=[0.0, 8000.0, 22700.0, 28700.0, {last}]"
     request = PlanRequest(overrides=[override, "schedule.recharge_s=600"])
-    found = [str(one) for one in resolve(load(request), request).mission.warnings]
+    found = [str(one) for one in resolve(request).mission.warnings]
     said = "burns.times_s: got a last burn at 50842 s, 16000 s later than before"
     assert sum(one.startswith(said) for one in found) == warned
 
