@@ -10,30 +10,20 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 from scp_recon.errors import (
     InputError,
-    number_between,
-    one_of,
-    only_with,
     option,
-    path_of,
     shortened,
-    whole_number,
 )
 from scp_recon.files import check_own, check_writable, only_run_in, set_aside, writing
 from scp_recon.interop.export import Export
-from scp_recon.interop.files import FORMATS, require, stem, write_export
 from scp_recon.jobs.cores import one_thread
 from scp_recon.planning.plan import Plan
 from scp_recon.results.read import is_pointer, new_run, read_solution, resolve_run
 from scp_recon.results.solution import FILE_NAME, Solution, make_solution
-from scp_recon.simulation.vehicle import load_vehicle
 from scp_recon.verification import reintegration
-
-if TYPE_CHECKING:
-    from plotly.graph_objects import Figure
 
 AnyPlan = Plan | Solution | str | Path
 """A plan, a solution, or the file or folder of one."""
@@ -66,48 +56,8 @@ def verified(solution: Solution) -> Solution:
     return solution.with_verification(reintegration.verify(solution.mission, solution))
 
 
-def save(plan: AnyPlan, folder: str | Path) -> Path:
-    """See `plan_verbs.save`."""
-    given = plan if isinstance(plan, Plan) else stored(plan)
-    path = path_of("folder", folder)
-    check_folder(path, "folder")
-    written, _ = keep(stored(given), path, "folder")
-    assert written is not None
-    return written
-
-
-def write_page_of(
-    plans: tuple[AnyPlan, ...], out: str | Path, field_deg: float | None, pixels: int | None
-) -> Path:
-    """See `plan_verbs.report`."""
-    from scp_recon.reports import write
-    from scp_recon.reports.shown import Camera
-
-    write.check_extra()
-    require_some(plans)
-    if is_campaign(plans):
-        only_with(PLANS_ALONE, field_deg=field_deg, pixels=pixels)
-        from scp_recon.campaigns.outcome import read_campaign
-        from scp_recon.campaigns.page import write_page
-
-        return write_page(read_campaign(Path(str(plans[0]))))
-    field, across = Camera().field_deg, Camera().pixels
-    if field_deg is not None:
-        field = number_between(option("field_deg"), field_deg, 0.01, FIELD_MAX_DEG)
-    if pixels is not None:
-        across = whole_number(option("pixels"), pixels, 1, PIXELS_MAX)
-    return write.write_report(_shown(plans), path_of(option("out"), out), Camera(field, across))
-
-
-def charts_of(plans: tuple[AnyPlan, ...]) -> dict[str, Figure]:
-    """See `plan_verbs.charts`."""
-    from scp_recon.reports import write
-
-    require_some(plans)
-    return write.charts_of(_shown(plans))
-
-
-def _shown(plans: tuple[AnyPlan, ...]) -> list[Solution | Path]:
+def shown_of(plans: tuple[AnyPlan, ...]) -> list[Solution | Path]:
+    """Plans as a report takes them: solutions, or paths, which have results beside them."""
     return [stored(p) if isinstance(p, Plan | Solution) else Path(p) for p in plans]
 
 
@@ -140,30 +90,6 @@ class Exported(NamedTuple):
     def __repr__(self) -> str:
         """One line."""
         return f"<Exported: {', '.join(file.name for file in self.files)}>"
-
-
-def write_export_of(
-    plan: AnyPlan,
-    form: str,
-    out: str | Path,
-    spacecraft: int,
-    vehicle: str | Path | None,
-    miss: int | None,
-) -> Exported:
-    """See `plan_verbs.export`."""
-    one_of(option("format"), form, FORMATS)
-    spacecraft = whole_number(option("spacecraft"), spacecraft, SPACECRAFT_MIN, -1)
-    require(form)
-    attitude = f"{option('format')} ck"
-    if form == "ck":
-        only_with(f"a path, not with {attitude}", miss=miss)
-    else:
-        only_with(attitude, vehicle=vehicle)
-    craft = load_vehicle(None if vehicle is None else path_of(option("vehicle"), vehicle))
-    found, place = Export.of(solution_of(plan), spacecraft, miss), path_of(option("out"), out)
-    check_writable(place, f"{stem(found)}.{form}", option("out"))
-    with writing(place, option("out")):
-        return Exported(write_export(found, form, place, craft), found)
 
 
 # --- the folder of a run: all files there belong to one plan -------------------------------------

@@ -66,8 +66,15 @@ def save(plan: "AnyPlan", folder: str | Path) -> Path:
         'solution.json'
     """
     from scp_recon.api import files
+    from scp_recon.errors import path_of
+    from scp_recon.planning.plan import Plan
 
-    return files.save(plan, folder)
+    given = plan if isinstance(plan, Plan) else files.stored(plan)
+    path = path_of("folder", folder)
+    files.check_folder(path, "folder")
+    written, _ = files.keep(files.stored(given), path, "folder")
+    assert written is not None
+    return written
 
 
 def verify(plan: "AnyPlan") -> "Verification":
@@ -255,8 +262,26 @@ def report(
         'mine.html'
     """
     from scp_recon.api import files
+    from scp_recon.errors import number_between, only_with, option, path_of, whole_number
+    from scp_recon.reports import write
+    from scp_recon.reports.shown import Camera
 
-    return files.write_page_of(plans, out, field_deg, pixels)
+    write.check_extra()
+    files.require_some(plans)
+    if files.is_campaign(plans):
+        only_with(files.PLANS_ALONE, field_deg=field_deg, pixels=pixels)
+        from scp_recon.campaigns.outcome import read_campaign
+        from scp_recon.campaigns.page import write_page
+
+        return write_page(read_campaign(Path(str(plans[0]))))
+    field, across = Camera().field_deg, Camera().pixels
+    if field_deg is not None:
+        field = number_between(option("field_deg"), field_deg, 0.01, files.FIELD_MAX_DEG)
+    if pixels is not None:
+        across = whole_number(option("pixels"), pixels, 1, files.PIXELS_MAX)
+    return write.write_report(
+        files.shown_of(plans), path_of(option("out"), out), Camera(field, across)
+    )
 
 
 def charts(*plans: "AnyPlan") -> "dict[str, Figure]":
@@ -280,9 +305,11 @@ def charts(*plans: "AnyPlan") -> "dict[str, Figure]":
         >>> sorted(sr.charts(sr.plan()))[:3]
         ['budget', 'convergence', 'flight']
     """
-    from scp_recon.api.files import charts_of
+    from scp_recon.api import files
+    from scp_recon.reports import write
 
-    return charts_of(plans)
+    files.require_some(plans)
+    return write.charts_of(files.shown_of(plans))
 
 
 def export(
@@ -319,6 +346,23 @@ def export(
         >>> [file.suffix for file in files]
         ['.csv']
     """
-    from scp_recon.api.files import write_export_of
+    from scp_recon.api.files import SPACECRAFT_MIN, Exported, solution_of
+    from scp_recon.errors import one_of, only_with, option, path_of, whole_number
+    from scp_recon.files import check_writable, writing
+    from scp_recon.interop.export import Export
+    from scp_recon.interop.files import FORMATS, require, stem, write_export
+    from scp_recon.simulation.vehicle import load_vehicle
 
-    return write_export_of(plan, format, out, spacecraft, vehicle, miss)
+    one_of(option("format"), format, FORMATS)
+    spacecraft = whole_number(option("spacecraft"), spacecraft, SPACECRAFT_MIN, -1)
+    require(format)
+    attitude = f"{option('format')} ck"
+    if format == "ck":
+        only_with(f"a path, not with {attitude}", miss=miss)
+    else:
+        only_with(attitude, vehicle=vehicle)
+    craft = load_vehicle(None if vehicle is None else path_of(option("vehicle"), vehicle))
+    found, place = Export.of(solution_of(plan), spacecraft, miss), path_of(option("out"), out)
+    check_writable(place, f"{stem(found)}.{format}", option("out"))
+    with writing(place, option("out")):
+        return Exported(write_export(found, format, place, craft), found)

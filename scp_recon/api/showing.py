@@ -5,7 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from scp_recon.api.designing import Design, trials_table, windows_table
-from scp_recon.api.files import charts_of, solution_of
+from scp_recon.api.files import solution_of
+from scp_recon.api.plan_verbs import charts
 from scp_recon.display import Displayed, Tabulated
 from scp_recon.errors import imported, one_of, option
 from scp_recon.interop.export import Export
@@ -41,7 +42,7 @@ def plot(result: Displayed, chart: str | None) -> Figure:
         drawn = figures_of((held_chart(result), lowest_chart(result)))
     else:
         shown: Any = result.plans if isinstance(result, Comparison) else (result,)
-        drawn = charts_of(shown)
+        drawn = charts(*shown)
     return drawn[_chosen("chart", chart, [*drawn])]
 
 
