@@ -4,20 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from datetime import datetime, timedelta
-from pathlib import Path
+from datetime import timedelta
 
 import numpy as np
 
-from scp_recon.api.inputs import PlanRequest, date_in_tdb, read_in_degrees, scenario_of
+from scp_recon.api.inputs import PlanRequest, read_in_degrees
 from scp_recon.api.options import PlanOptions
-from scp_recon.bodies.catalogue import DAY_S
 from scp_recon.display import Tabulated
-from scp_recon.errors import InputError, needing, number_between, option
-from scp_recon.files import PICTURE, check_own, write_for
+from scp_recon.errors import InputError
 from scp_recon.jobs.cores import one_thread
 from scp_recon.mission.mission import Mission
-from scp_recon.mission.schedule import Survey, survey
+from scp_recon.mission.schedule import Survey
 from scp_recon.passes.design import Designer, Trial
 from scp_recon.passes.space import settled, spaces_of
 from scp_recon.passes.timing import PassResult, RulePrice, Timing, explain_failure
@@ -25,7 +22,6 @@ from scp_recon.planning.initial_guess import from_burns
 from scp_recon.planning.method import SETTLE, FacetRounds
 from scp_recon.planning.plan import Plan
 from scp_recon.results.table import Column, Table
-from scp_recon.scenario.load import naming_files
 from scp_recon.scenario.schema import Scenario
 
 INIT = "design"
@@ -145,37 +141,6 @@ DAYS_MAX = 100.0
 leaves out, turn Bennu's direction of the Sun by 0.001 deg in 100 days, and by 0.02 deg in 400."""
 MARK = b"opens_tdb,closes_tdb,"
 """At the head of every table of windows."""
-
-
-def find_windows(
-    scenario: Scenario | str | Path,
-    begin: datetime | str | None,
-    span_days: float,
-    csv: str | Path | None,
-    chart: str | Path | None,
-) -> Survey:
-    """See `api.verbs.windows`."""
-    number_between(option("span_days"), span_days, 0.01, DAYS_MAX)
-    given = scenario_of(scenario)
-    epoch = given.epoch.tdb
-    first = ((date_in_tdb(option("begin"), begin) or epoch) - epoch).total_seconds()
-    if abs(first) > DAYS_MAX * DAY_S:
-        within = f"must be within {DAYS_MAX:g} days of the scenario's epoch, {epoch.isoformat()}"
-        allowed = f"{within}: its orbit is two-body motion from there"
-        raise InputError(option("begin"), str(begin), allowed)
-    if csv is not None:
-        check_own(Path(csv), option("csv"), MARK, ".csv")
-    if chart is not None:
-        with needing(option("chart"), "report"):
-            from scp_recon.reports.pictures import draw_windows, endings
-        check_own(Path(chart), option("chart"), PICTURE, *endings())
-    with naming_files(scenario):
-        found = survey(given, (first, first + span_days * DAY_S))
-    if csv is not None:
-        write_for(option("csv"), Path(csv), windows_table(found).csv())
-    if chart is not None:
-        write_for(option("chart"), Path(chart), draw_windows(given, found, Path(chart).suffix))
-    return found
 
 
 def tdb(scenario: Scenario, time_s: float) -> str:

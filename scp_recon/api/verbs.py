@@ -421,9 +421,35 @@ def windows(
         >>> len(sr.windows("recon_b", span_days=1.0).windows)
         5
     """
-    from scp_recon.api.designing import find_windows
+    from scp_recon.api import designing
+    from scp_recon.api.inputs import date_in_tdb, scenario_of
+    from scp_recon.bodies.catalogue import DAY_S
+    from scp_recon.errors import InputError, needing, number_between, option
+    from scp_recon.files import PICTURE, check_own, write_for
+    from scp_recon.mission.schedule import survey
+    from scp_recon.scenario.load import naming_files
 
-    return find_windows(scenario, begin, span_days, csv, chart)
+    number_between(option("span_days"), span_days, 0.01, designing.DAYS_MAX)
+    given = scenario_of(scenario)
+    epoch = given.epoch.tdb
+    first = ((date_in_tdb(option("begin"), begin) or epoch) - epoch).total_seconds()
+    if abs(first) > designing.DAYS_MAX * DAY_S:
+        within = f"must be within {designing.DAYS_MAX:g} days of the scenario's epoch"
+        allowed = f"{within}, {epoch.isoformat()}: its orbit is two-body motion from there"
+        raise InputError(option("begin"), str(begin), allowed)
+    if csv is not None:
+        check_own(Path(csv), option("csv"), designing.MARK, ".csv")
+    if chart is not None:
+        with needing(option("chart"), "report"):
+            from scp_recon.reports.pictures import draw_windows, endings
+        check_own(Path(chart), option("chart"), PICTURE, *endings())
+    with naming_files(scenario):
+        found = survey(given, (first, first + span_days * DAY_S))
+    if csv is not None:
+        write_for(option("csv"), Path(csv), designing.windows_table(found).csv())
+    if chart is not None:
+        write_for(option("chart"), Path(chart), draw_windows(given, found, Path(chart).suffix))
+    return found
 
 
 def scenarios() -> "dict[str, Scenario]":
