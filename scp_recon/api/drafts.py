@@ -20,13 +20,14 @@ from scp_recon.bodies.catalogue import DAY_S, J2000_TDB, body_names, packaged_bo
 from scp_recon.display import digits, exact, mm_s
 from scp_recon.drafting import draft as drafting
 from scp_recon.drafting.draft import Draft, Track
-from scp_recon.errors import InputError, make_whole, number_between, option, path_of, shortened
+from scp_recon.errors import InputError, make_whole, number_between, option, path_of
 from scp_recon.files import check_writable, write_for
 from scp_recon.interop import tracks
 from scp_recon.interop.ccsds import oem_track
 from scp_recon.mission.intervals import DENSITIES, density
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
+from scp_recon.replanning.remainder import numbers
 from scp_recon.results.solution import Solution
 from scp_recon.results.verification import Verification
 from scp_recon.scenario.schema import Scenario
@@ -88,7 +89,8 @@ class NewOptions:
         read["name"] = str(read["name"]).removesuffix(".toml")
         for name, count in LISTS.items():
             if read[name] is not None or name == "site":
-                read[name] = _numbers(name, read[name], count)
+                given = numbers(option(name), read[name], (count,), f"{count} numbers")
+                read[name] = tuple(given.tolist())
         for name, utc in (("epoch", False), ("begin", True), ("end", True)):
             read[name] = date_in_tdb(option(name), read[name], utc=utc)
         return cls(**read)
@@ -138,11 +140,11 @@ class NewOptions:
 
     def draft_at(self, epoch: datetime) -> Draft:
         """The draft before the flyby is designed, for a packaged body or one given by numbers."""
-        numbers: dict[str, Any] = {name: getattr(self, name) for name in OF_A_BODY}
+        of_body: dict[str, Any] = {name: getattr(self, name) for name in OF_A_BODY}
         site = self.site[0], self.site[1]
         known = packaged_body(self.body)
         if known is not None:
-            if extra := ", ".join(option(n) for n, value in numbers.items() if value is not None):
+            if extra := ", ".join(option(n) for n, value in of_body.items() if value is not None):
                 allowed = f"is packaged: {extra} must be left out"
                 raise InputError(option("body"), self.body, allowed)
             if not known.covers((epoch - J2000_TDB).total_seconds() / DAY_S):
@@ -152,10 +154,10 @@ class NewOptions:
                 raise InputError(option("epoch"), given, allowed)
             name, radius = known.entries["name"], known.entries["reference_radius_m"]
             return Draft(self.title, str(name), None, site, epoch, float(radius))
-        if missing := ", ".join(option(name) for name, value in numbers.items() if value is None):
+        if missing := ", ".join(option(name) for name, value in of_body.items() if value is None):
             allowed = f"must be one of {', '.join(body_names())}, or needs {missing} too"
             raise InputError(option("body"), self.body, allowed)
-        gm, radius, period, pole, orbit = numbers.values()
+        gm, radius, period, pole, orbit = of_body.values()
         dense = density(gm, radius)
         if not DENSITIES[0] <= dense <= DENSITIES[1]:  # before any search about such a body
             low, high = DENSITIES
@@ -229,17 +231,6 @@ def draft(options: NewOptions, progress: Callable[[str], None]) -> NewScenario:
     text = drafting.draft_text(replace(best.draft, outcome=_outcome(best)))
     write_for(option("name"), path, text)
     return replace(best, files=(path,))
-
-
-def _numbers(name: str, given: object, count: int) -> tuple[float, ...]:
-    """Check a list of so many finite numbers."""
-    try:
-        numbers = np.asarray(given, dtype=float)
-    except (TypeError, ValueError):
-        numbers = np.full(0, np.nan)
-    if numbers.shape != (count,) or not np.isfinite(numbers).all():
-        raise InputError(option(name), shortened(given), f"must be {count} numbers")
-    return tuple(numbers.tolist())
 
 
 def _planned(draft: Draft, request: PlanRequest) -> NewScenario:

@@ -53,19 +53,19 @@ WORDS = {
 }
 
 
-def numbers(entry: str, given: npt.ArrayLike, shape: tuple[int, ...]) -> Array:
+def numbers(entry: str, given: npt.ArrayLike, shape: tuple[int, ...], words: str = "") -> Array:
     """An array of finite numbers.
 
     Raises:
-        InputError: if it is not numeric, not finite, or of another shape.
+        InputError: if it is not numeric, not finite, or of another shape; `words` say what is allowed.
     """
     try:
         array = np.asarray(given, dtype=float)
     except (TypeError, ValueError):
         array = np.full(0, np.nan)
     if array.shape != shape or not np.isfinite(array).all():
-        words = " ".join(shortened(given).replace("\\n", " ").split())
-        raise InputError(entry, words, f"must be {WORDS[shape]}, all finite")
+        found = " ".join(shortened(given).replace("\\n", " ").split())
+        raise InputError(entry, found, f"must be {words or WORDS[shape]}, all finite")
     return array
 
 
