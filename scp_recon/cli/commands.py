@@ -299,10 +299,9 @@ def compare(console: "Console", **given: Any) -> Answer:
     from scp_recon.cli.views import show_warnings, terminal
     from scp_recon.errors import printable
 
-    plans = [plan_verbs.load(path) for path in given["plans"]]
     found = plan_verbs.compare(*given["plans"])
     console.print(terminal(found.table))
-    for name, solution in zip(found.names, plans, strict=True):
+    for name, solution in zip(found.names, found.plans, strict=True):
         show_warnings(console, solution.warnings, of=printable(name))
     rows = [{"name": name, "unit": unit, "values": row} for name, unit, row in found.rows]
     return Answer(0, {"plans": list(found.names), "rows": rows})
