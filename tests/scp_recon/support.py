@@ -3,6 +3,8 @@
 import contextlib
 import copy
 import io
+import subprocess
+import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,6 +27,7 @@ from scp_recon.scenario.load import load_scenario, validate_scenario
 from scp_recon.scenario.schema import Scenario
 from scp_recon.verification import probabilities, reintegration
 
+PROJECT = Path(__file__).parents[2]
 COMPANION: dict[str, object] = {
     "name": "Second",
     "gm_m3_s2": 0.05,
@@ -89,6 +92,16 @@ def raising(error: BaseException) -> Callable[..., Any]:
         raise error
 
     return raises
+
+
+def run_python(
+    *words: str, env: Mapping[str, str] | None = None
+) -> subprocess.CompletedProcess[str]:
+    """A program of Python in a process of its own, from the project's folder, ended."""
+    command = [sys.executable, *words]
+    return subprocess.run(
+        command, cwd=PROJECT, env=env, capture_output=True, text=True, timeout=240, check=False
+    )
 
 
 def file_of(scenario: Scenario, changes: Mapping[str, Any], name: str | None = None) -> Scenario:

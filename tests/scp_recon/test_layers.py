@@ -2,16 +2,14 @@
 
 import ast
 import re
-import subprocess
-import sys
 from functools import cache
 from pathlib import Path
 
 import pytest
 
 from scp_recon.cli.commands import COMMANDS as BY_NAME
+from tests.scp_recon.support import PROJECT, run_python
 
-PROJECT = Path(__file__).parents[2]
 LIBRARY = ("formulations", "scp_recon")
 UPPER_FLOORS = ("tests", "experiments", "paper_figs", "benchmarks")
 WINGS = (*LIBRARY, *UPPER_FLOORS[1:])
@@ -142,12 +140,8 @@ def test_the_library_neither_prints_nor_asks_nor_sets_anything_global():
         assert filters <= guarded, f"{path}: a warnings filter outside catch_warnings"
 
 
-def run_python(code: str) -> None:
-    """Run a program, which has to end in silence."""
-    words = [sys.executable, "-W", "error", "-c", code]
-    run = subprocess.run(
-        words, cwd=PROJECT, capture_output=True, text=True, timeout=240, check=False
-    )
+def run_in_silence(code: str) -> None:
+    run = run_python("-W", "error", "-c", code)
     assert (run.returncode, run.stdout, run.stderr) == (0, "", "")
 
 
@@ -180,7 +174,7 @@ assert before == after, [(a, b) for a, b in zip(before, after) if a != b]
 @pytest.mark.slow
 def test_commands_import_in_silence_and_nothing_heavy():
     """What the first imports has no part in what the next is found to."""
-    run_python(QUIET_IMPORT.format(modules=sorted(COMMANDS | NEEDED)))
+    run_in_silence(QUIET_IMPORT.format(modules=sorted(COMMANDS | NEEDED)))
 
 
 TO_PLAN = ("cvxpy", "clarabel", *HEAVY)
@@ -204,4 +198,4 @@ for command, heavy in ((verify, {("jinja2", *TO_PLAN)}), (report, {TO_PLAN})):
 def test_help_verification_and_a_report_load_nothing_heavy(solution, tmp_path):
     """In this order: what one imports the next may too."""
     solution.write(tmp_path)
-    run_python(READ.format(folder=str(tmp_path)))
+    run_in_silence(READ.format(folder=str(tmp_path)))

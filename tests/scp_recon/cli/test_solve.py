@@ -1,9 +1,6 @@
 """The command line: what it shows, what it leaves on disk, and how it ends."""
 
 import re
-import subprocess
-import sys
-from pathlib import Path
 
 import pytest
 
@@ -14,11 +11,9 @@ from scp_recon.planning import planner, solver
 from scp_recon.results.read import read_solution
 from scp_recon.scp.status import Status
 from tests.scenarios import COARSE
-from tests.scp_recon.support import raising, run_solve
+from tests.scp_recon.support import raising, run_python, run_solve
 
 pytestmark = pytest.mark.slow
-
-PROJECT = Path(__file__).parents[3]
 
 
 def test_default_plan_is_verified_shown_and_kept_alone(default_run):
@@ -53,14 +48,7 @@ def test_saving_by_exact_risk_was_planned(default_run):
 
 def test_it_runs_as_a_module(tmp_path):
     words = ("--init", "cold", "--problem", "P3", "--set", COARSE, "--out", str(tmp_path))
-    run = subprocess.run(
-        [sys.executable, "-m", "scp_recon.solve", *words],
-        cwd=PROJECT,
-        capture_output=True,
-        text=True,
-        timeout=120,
-        check=False,
-    )
+    run = run_python("-m", "scp_recon.solve", *words)
     assert (run.returncode, run.stderr) == (0, "")
     assert read_solution(tmp_path).problem == "P3"
 

@@ -1,18 +1,15 @@
 """Ctrl-C while a command is still importing ends in one line and its exit status."""
 
-import subprocess
-import sys
 import textwrap
-from pathlib import Path
 
 import pytest
 
 from tests import reliability
 from tests.helpers import usually
+from tests.scp_recon.support import run_python
 
 pytestmark = pytest.mark.slow
 
-PROJECT = Path(__file__).parents[3]
 COMMANDS = ["scp_recon.solve", "scp_recon verify plan"]
 COMMANDS += ["experiments", "paper_figs", "benchmarks"]
 CASES = [
@@ -35,13 +32,6 @@ AS_CTRL_C = """
 
 @pytest.mark.parametrize(("late", "command"), usually(CASES, 3))
 def test_ctrl_c_during_import_ends_in_one_line(late, command):
-    done = subprocess.run(
-        [sys.executable, "-c", textwrap.dedent(AS_CTRL_C), late, *command.split()],
-        cwd=PROJECT,
-        capture_output=True,
-        text=True,
-        timeout=60,
-        check=False,
-    )
+    done = run_python("-c", textwrap.dedent(AS_CTRL_C), late, *command.split())
     assert (done.returncode, done.stdout, done.stderr) == (130, "", "\ninterrupted\n")
     reliability.count(reliability.FAULTS)

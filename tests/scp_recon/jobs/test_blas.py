@@ -4,15 +4,12 @@ In a process of its own, in which no variable limits the threads.
 """
 
 import os
-import subprocess
-import sys
-from pathlib import Path
 
 import pytest
 
 from scp_recon.jobs.cores import GIVEN
+from tests.scp_recon.support import run_python
 
-PROJECT = Path(__file__).parents[3]
 HEAD = """
 import os
 import numpy.linalg, scipy.linalg
@@ -94,13 +91,5 @@ with one_thread:
 @pytest.mark.parametrize("script", [WORKS, BY_HAND, OVERLAP, GIVEN_BY_USER])
 def test_one_thread_while_the_library_works(script):
     free = {name: value for name, value in os.environ.items() if name not in GIVEN}
-    run = subprocess.run(
-        [sys.executable, "-c", HEAD + script],
-        cwd=PROJECT,
-        env=free,
-        capture_output=True,
-        text=True,
-        timeout=60,
-        check=False,
-    )
+    run = run_python("-c", HEAD + script, env=free)
     assert (run.returncode, run.stderr) == (0, "")

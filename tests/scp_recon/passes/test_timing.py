@@ -3,8 +3,6 @@
 import os
 import platform
 import re
-import subprocess
-import sys
 from dataclasses import replace
 
 import numpy as np
@@ -22,6 +20,7 @@ from scp_recon.scenario.load import load_scenario
 from scp_recon.scp.status import Status
 from tests.helpers import nightly
 from tests.scenarios import COARSE
+from tests.scp_recon.support import run_python
 
 pytestmark = pytest.mark.slow
 
@@ -136,13 +135,7 @@ def test_kernels_of_linear_algebra_design_alike(kernel):
     code = "import scp_recon as sr; scenario = sr.load_scenario('osprey')"
     code += ".replace({'observation.emission_max_deg': 60.0}); found = sr.design(scenario).plan"
     code += "; print(found.status.name, found.total_dv_m_s)"
-    ran = subprocess.run(
-        [sys.executable, "-c", code],
-        env=os.environ | {"OPENBLAS_CORETYPE": kernel},
-        capture_output=True,
-        check=True,
-        text=True,
-    )
+    ran = run_python("-c", code, env=os.environ | {"OPENBLAS_CORETYPE": kernel})
     status, total_m_s = ran.stdout.split()
     assert status == "CONVERGED"
     assert float(total_m_s) == pytest.approx(0.1559, rel=5e-3)

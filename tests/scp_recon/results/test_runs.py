@@ -2,8 +2,6 @@
 
 import re
 import signal
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,6 +11,7 @@ from scp_recon.api.inputs import is_solution
 from scp_recon.errors import InputError
 from scp_recon.files import LOCK, only_run_in
 from scp_recon.results.read import folder_of, is_pointer, new_run, point_to, read_solution
+from tests.scp_recon.support import run_python
 
 NAMES = ["recon_b", "", "latest", ".", "..", "../../etc", "/", "a b\\c", "é" * 300, "con:"]
 
@@ -72,17 +71,13 @@ def test_a_folder_has_one_run_at_once(tmp_path):
         "    os.kill(os.getpid(), signal.SIGKILL)\n"
     )
 
-    def other_process() -> str:
-        command = [sys.executable, "-c", code]
-        return subprocess.run(
-            command, capture_output=True, text=True, timeout=60, check=False
-        ).stderr
-
     with only_run_in(tmp_path, "--out"):
-        assert re.search(r"InputError: .*in which process \d+ is at work", other_process())
+        assert re.search(
+            r"InputError: .*in which process \d+ is at work", run_python("-c", code).stderr
+        )
         with pytest.raises(InputError), only_run_in(tmp_path, "--out"):
             pass
-    assert other_process() == ""
+    assert run_python("-c", code).stderr == ""
     assert (tmp_path / LOCK).exists()
     with only_run_in(tmp_path, "--out"):
         pass
