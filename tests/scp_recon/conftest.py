@@ -1,6 +1,7 @@
 """The default mission, planned and verified once for all tests of this wing."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 from types import ModuleType
 
 import pytest
@@ -40,6 +41,11 @@ def solution(default_plan) -> Solution:
 @pytest.fixture(scope="session")
 def verification(mission, solution) -> Verification:
     return verify(mission, solution)
+
+
+@pytest.fixture(scope="session")
+def verified(solution, verification) -> Solution:
+    return replace(solution, verification=verification)
 
 
 @pytest.fixture(scope="session")

@@ -26,11 +26,6 @@ HOPELESS = (
 )
 
 
-@pytest.fixture(scope="module")
-def verified(solution, verification) -> Solution:
-    return replace(solution, verification=verification)
-
-
 @pytest.fixture
 def undiagnosed(monkeypatch) -> None:
     """Why there is no plan is told elsewhere, and takes long to find."""

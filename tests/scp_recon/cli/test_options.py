@@ -185,7 +185,10 @@ def test_own_notes_beside_plans_are_kept(tmp_path, solution, default_plan):
     assert (runs / "latest").resolve() == runs / "one"
 
 
-@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no pipes here")
+with_pipes = pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no pipes here")
+
+
+@with_pipes
 @pytest.mark.parametrize("name", ["solution.json", "mine.json", "mine.toml", "mine.csv"])
 def test_pipe_without_writer_is_refused_at_once(name, tmp_path, capsys):
     pipe = tmp_path / name
@@ -199,8 +202,9 @@ def test_pipe_without_writer_is_refused_at_once(name, tmp_path, capsys):
     assert main(["solve", "--out", str(tmp_path)]) == 2 or name != "solution.json"
 
 
-@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no pipes here")
-def test_pipe_of_a_silent_writer_is_refused(tmp_path, monkeypatch):
+@with_pipes
+def test_pipe_is_read_until_its_writer_ends(tmp_path, monkeypatch):
+    """A writer that is silent too long is refused, at once or in the middle."""
     monkeypatch.setattr(files, "SILENT_S", 0.1)
     pipe = tmp_path / "mine.toml"
     os.mkfifo(pipe)
@@ -209,14 +213,7 @@ def test_pipe_of_a_silent_writer_is_refused(tmp_path, monkeypatch):
         os.write(writer, begun)
         with pytest.raises(InputError, match=r"a pipe into which nothing is written for 0\.1 s"):
             read_text(pipe, "scenario", "text")
-    os.close(writer)
-
-
-@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no pipes here")
-def test_pipe_is_read_until_its_writer_ends(tmp_path):
-    pipe = tmp_path / "mine.toml"
-    os.mkfifo(pipe)
-    writer = os.open(pipe, os.O_RDWR)
+    monkeypatch.undo()
     os.write(writer, b"name = ")
     Timer(0.1, lambda: (os.write(writer, b'"piped"'), os.close(writer))).start()
     assert read_text(pipe, "scenario", "text") == 'name = "piped"'

@@ -3,7 +3,6 @@
 import json
 import shlex
 import shutil
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -156,12 +155,12 @@ replan plan --at 17000 STATE --set burns.times_s=[0.0,7000.0,25000.0,34842.0] ->
 
 
 @pytest.fixture(scope="module")
-def folder(solution, verification, tmp_path_factory) -> Path:
+def folder(verified, tmp_path_factory) -> Path:
     """A plan, and files that are no scenario, no solution, no table and no covariance."""
     folder = tmp_path_factory.mktemp("bad")
     for name in ("plan", "empty"):
         (folder / name).mkdir()
-    replace(solution, verification=verification).write(folder / "plan")
+    verified.write(folder / "plan")
     for name, text in {
         "words.toml": "not a scenario at all",
         "words.json": "not a solution",

@@ -1,7 +1,6 @@
 """`python -m scp_recon replan`: plan and verdict, what others make of them, and its messages."""
 
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -21,10 +20,10 @@ OFF = np.array([40.0, -40.0, 20.0, 2e-3, 2e-3, -1e-3])
 
 
 @pytest.fixture
-def plan_folder(solution, verification, tmp_path) -> Path:
+def plan_folder(verified, tmp_path) -> Path:
     folder = tmp_path / "plan"
     folder.mkdir()
-    replace(solution, verification=verification).write(folder)
+    verified.write(folder)
     return folder
 
 

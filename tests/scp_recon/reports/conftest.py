@@ -1,6 +1,5 @@
 """Reports of the default plan, written once."""
 
-from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -12,15 +11,9 @@ from scp_recon.monte_carlo.summarise import summarise
 from scp_recon.reports.page import Page
 from scp_recon.reports.shown import Shown, plans_of
 from scp_recon.reports.write import page_of, write_report
-from scp_recon.results.solution import Solution
 from tests.scp_recon.support import fly_few
 
 MADE = datetime(2026, 1, 2, 3, 4, 5, tzinfo=UTC)
-
-
-@pytest.fixture(scope="session")
-def verified(solution, verification) -> Solution:
-    return replace(solution, verification=verification)
 
 
 @pytest.fixture(scope="session")
