@@ -22,6 +22,7 @@ pytestmark = pytest.mark.slow
 STUDY = """
 [campaign]
 keep_solutions = true
+overrides = { "grid.step_max_s" = 450.0 }
 [[axis]]
 entry = "boundary.final_position_m"
 values = [[1.0, 2.0, 3.0], [19.9, 1128.7, -140.9]]
