@@ -5,6 +5,7 @@ What is shown of a plan is in `plan_view`.
 
 from __future__ import annotations
 
+import math
 import signal
 import threading
 from collections import Counter
@@ -157,7 +158,7 @@ def survey_document(survey: Survey) -> dict[str, Any]:
 
 def show_survey(console: Console, survey: Survey) -> None:
     """Show the windows of a span, and the legal burn times about them."""
-    from scp_recon.api.designing import tdb, windows_table  # which search for passes too
+    from scp_recon.api.designing import tdb  # which searches for passes too
 
     scenario, (first, last) = survey.scenario, survey.span_s
     limits, epoch = scenario.observation, scenario.epoch.tdb.isoformat()
@@ -179,22 +180,31 @@ def show_survey(console: Console, survey: Survey) -> None:
     if not survey.windows:
         console.print("the limits hold throughout" if survey.always else "no whole window")
         return
-    count = len(scenario.burns.times_s)
-    burns = (f"burn {i} {end}" for i in range(1, count + 1) for end in ("earliest", "latest"))
-    windows = windows_table(survey).without("closes, TDB", *burns)
-    console.print(terminal(windows, narrow=True))
+    lit = [
+        [
+            number,
+            tdb(scenario, one.edges_s[0]),
+            *one.edges_s,
+            one.edges_s[1] - one.edges_s[0],
+            math.degrees(one.least_incidence_rad),
+            "{:.2f} to {:.2f}".format(*one.local_solar_time_h),
+        ]
+        for number, one in enumerate(survey.windows, start=1)
+    ]
+    times = (Column(name, "s", ".1f") for name in ("opens", "closes", "lasts"))
+    lighting = Column("least incidence", "deg", ".2f"), Column("local solar time", "h")
+    table = Table.of("Windows", ["window", "opens, TDB", *times, *lighting], lit)
+    console.print(terminal(table, narrow=True))
     legal = [
         [
-            opens.text,
-            window.edges_s[1] - window.edges_s[0],
+            number,
             "\n".join(_words(shift) for _, shift in window.shifts_s) or "nowhere",
             *map(_words, window.burns_s),
         ]
-        for (opens, *_), window in zip(windows.rows, survey.windows, strict=True)
+        for number, window in enumerate(survey.windows, start=1)
     ]
-    later = (f"burn {i}" for i in range(2, count + 1))
-    lasts = Column("lasts", "s", ".1f")
-    columns: list[Column | str] = ["opens, TDB", lasts, "moved", "burn 1 = epoch", *later]
+    later = (f"burn {i}" for i in range(2, len(scenario.burns.times_s) + 1))
+    columns = ["window", "moved", "burn 1 = epoch", *later]
     console.print(terminal(Table.of("Where burns may be", columns, legal), narrow=True))
     console.print(
         f"A flight of {scenario.duration_s:g} s with {survey.before} of its burns between the first "

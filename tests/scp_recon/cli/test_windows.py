@@ -29,7 +29,9 @@ def test_windows_before_and_after_epoch_are_tabulated(tmp_path, mission, capsys)
     assert run(str(scenario), "--from", "2020-01-20T00:00:00", "--span-days", "3") == 0
     assert "2020-01-20T" in capsys.readouterr().out
     assert run("recon_b", "--span-days", "1", "--csv", str(path)) == 0
-    assert "2020-01-22T00:12:17 13140.2 16537.5" in " ".join(capsys.readouterr().out.split())
+    assert "1 2020-01-22T00:12:17 13140.2 16537.5 3397.3 48.87 8.48 to 13.75" in " ".join(
+        capsys.readouterr().out.split()
+    )
     rows = list(csv.DictReader(path.read_text("utf-8").splitlines()))
     edges = [float(rows[0][name]) for name in ("opens_s", "closes_s")]
     assert edges == pytest.approx(mission.schedule.window_s, abs=0.01)
