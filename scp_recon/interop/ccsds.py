@@ -10,6 +10,7 @@ another frame or centre is refused, with the key and the line. Other doubts beco
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
@@ -171,6 +172,7 @@ SIZE = 6
 """Rows and columns of a covariance."""
 EPOCH = re.compile(r"([1-8]\d{3})-(?:(\d\d-\d\d)|(\d{3}))T(\d\d:\d\d:\d\d(?:\.\d*)?)Z?")
 """A calendar date or day of the year; a Z ends it in any scale: CCSDS 502.0-B-3, 7.5.10."""
+AN_EPOCH = "must have an epoch such as 2020-01-21T20:33:17.184, or 2020-021T20:33:17.184"
 Line = tuple[str, str]
 """Where a line of an OEM stands, in words, and the line."""
 
@@ -266,7 +268,7 @@ def _segments(entry: str, lines: Iterable[Line]) -> Iterator[tuple[_Metadata, li
         elif (mark or begins) and 0 <= triangle < SIZE:
             allowed = f"must follow all {SIZE} rows of a covariance, and follows {triangle}"
         elif begins:
-            triangle = 0
+            triangle, allowed = 0, "" if EPOCH.fullmatch(value) else AN_EPOCH
         elif mark:
             if line == "META_START":
                 if rows:
@@ -284,11 +286,14 @@ def _segments(entry: str, lines: Iterable[Line]) -> Iterator[tuple[_Metadata, li
             rows.append((where, line))
         elif not equals:  # a covariance is not used, but a row that is none tells of a damaged file
             triangle += triangle >= 0
-            if not len(line.split()) == triangle <= SIZE:
+            words = line.split()
+            if not len(words) == triangle <= SIZE:
                 rows_of_it = f"a lower triangle of {SIZE} rows"
                 allowed = (
                     f"must be the next row of {rows_of_it}, each a number longer, after its EPOCH"
                 )
+            elif not all(map(_is_finite, words)):
+                allowed = "must be finite numbers"
         if allowed:
             raise InputError(f"{entry}, {where}", line[:120], allowed)
     if inside == "COVARIANCE_START":
@@ -368,9 +373,7 @@ def _instant(epoch: str, scale: str) -> int:
     """
     found = EPOCH.fullmatch(epoch)
     if found is None:
-        raise ValueError(
-            "must have an epoch such as 2020-01-21T20:33:17.184, or 2020-021T20:33:17.184"
-        )
+        raise ValueError(AN_EPOCH)
     year, date, day, time = found.groups()
     if day is not None:
         turned = datetime(int(year), 1, 1) + timedelta(days=int(day) - 1)
@@ -389,10 +392,13 @@ def _state(words: Sequence[str]) -> list[float]:
     """
     if len(words) not in (6, 9):
         raise ValueError("must be an epoch and six numbers")
-    try:
-        found = [float(word) for word in words]
-    except ValueError:
-        raise ValueError("must be numbers") from None
-    if not np.isfinite(found).all():
+    if not all(map(_is_finite, words)):
         raise ValueError("must be finite numbers")
-    return found[:6]
+    return [float(word) for word in words[:6]]
+
+
+def _is_finite(word: str) -> bool:
+    try:
+        return math.isfinite(float(word))
+    except ValueError:
+        return False

@@ -120,6 +120,8 @@ def test_oems_agree_with_another_reader(scale, tmp_path):
         ("0.0 0.0 1e-4\n", "0.0 0.0 1e-4 0 0 0 0\n", "line 23", "each a number longer"),
         ("0.0 1e-8\nCOV", "0.0 1e-8\n0 0 0 0 0 0 1\nCOV", "line 27", "triangle of 6 rows"),
         ("EPOCH = 2027-02-01T00:00:00\n", "", "line 20", "after its EPOCH"),
+        ("EPOCH = 2027-02-01T00:00:00\n", "EPOCH = today\n", "line 20", "an epoch such as"),
+        ("0.0 0.0 1e-4\n", "0.0 none 1e-4\n", "line 23", "finite numbers"),
         ("0.0 0.0 0.0 0.0 0.0 1e-8\n", "", "line 26", "follow all 6 rows"),
         ("COVARIANCE_STOP\n", "", "line 26", "followed by COVARIANCE_STOP"),
         ("= EME2000\n", "= ITRF93\nREF_FRAME = EME2000\n", "line 10", "given once"),
