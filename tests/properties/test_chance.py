@@ -56,7 +56,7 @@ def problem_with(constraint: StateConstraint) -> FlybyProblem:
 
 
 @given(probabilities, probabilities, generators)
-def test_a_facet_with_zero_margin_holds_with_just_the_required_probability(probability, more, rng):
+def test_zero_margin_facet_has_required_probability(probability, more, rng):
     """So that it has none, or some, at another."""
     mean, factor = gaussian(rng)
     normal = random_unit(rng)
@@ -83,13 +83,13 @@ def test_quantiles_invert_the_normal_distribution(probability):
 
 
 @pytest.mark.parametrize("probability", [-0.1, 0.0, 0.4999, 1.0, 1.1, float("nan")])
-def test_no_quantile_where_the_condition_is_not_convex_or_never_met(probability):
+def test_no_quantile_for_nonconvex_or_impossible_condition(probability):
     with pytest.raises(ValueError, match=r"outside \[0.5, 1\)"):
         quantile(probability)
 
 
 @given(probabilities, st.integers(1, 100))
-def test_booles_shares_of_the_risk_add_up_to_the_whole(probability, parts):
+def test_booles_shares_sum_to_the_risk(probability, parts):
     share = split_risk(probability, parts)
     assert parts * (1.0 - share) == pytest.approx(1.0 - probability, abs=1e-12)
     assert probability <= share < 1.0
@@ -119,7 +119,7 @@ few_facets = st.builds(
 
 @settings(max_examples=share_of_examples(6, usual=3))
 @given(st.sampled_from([0.55, 0.7, 0.9, 0.99]), few_facets, generators)
-def test_facets_with_booles_shares_hold_together_with_the_probability(probability, shapes, rng):
+def test_facets_with_booles_shares_jointly_hold(probability, shapes, rng):
     """Three to twenty-four facets of balls and cones, the first of them without margin."""
     mean, factor = gaussian(rng)
     region = random_region(rng, "in", mean[:, :3])
@@ -132,7 +132,7 @@ def test_facets_with_booles_shares_hold_together_with_the_probability(probabilit
 
 @pytest.mark.parametrize("probability", [0.9, 0.99])
 @pytest.mark.parametrize("facets", [4, 5, 6])
-def test_booles_shares_are_nearly_used_up_where_all_facets_bind(probability, facets):
+def test_booles_shares_nearly_used_where_all_bind(probability, facets):
     """From the centre of a ball what little is left is that two facets fail at once."""
     mean, factor = np.zeros((1, 6)), np.eye(6)[None]
     found = facets_of(
@@ -149,7 +149,7 @@ def largest_scale(facets: Facets, mean: Array, factor: Array) -> float:
     return float(np.min(distance / (distance - facets.margin(mean, factor))))
 
 
-def test_the_quasi_random_sample_is_as_accurate_as_claimed():
+def test_quasi_random_sample_is_as_accurate_as_claimed():
     rng = np.random.default_rng(3)
     for normal in random_unit(rng, 200):
         offset = rng.normal()
@@ -201,9 +201,7 @@ def probability_of(keep: str, region: Region, mean: Array, factor: Array) -> flo
 
 @pytest.mark.parametrize("keep", ["in", "out"])
 @given(st.floats(0.55, 0.99), polytopes, generators)
-def test_facets_without_margin_left_keep_the_position_in_or_out_with_the_probability(
-    keep, probability, shapes, rng
-):
+def test_zero_margin_facets_keep_position_with_probability(keep, probability, shapes, rng):
     mean, factor = gaussian(rng)
     region = random_region(rng, keep, mean[:, :3])
     if keep == "out" and rng.integers(3) == 0:  # a tangent facet is exact there

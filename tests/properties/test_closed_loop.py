@@ -58,7 +58,7 @@ def test_condense_is_the_derivative_by_burns_and_gains(case):
 
 
 @given(corrected_flybys())
-def test_flights_of_linear_arcs_with_a_kalman_filter_of_their_own_have_the_factors_covariance(case):
+def test_kalman_filtered_flights_have_factors_covariance(case):
     """Every source of errors, one at a time, through the textbook's filter and the gains.
 
     The second moment of the correction's errors of execution comes in as a source of its own.
@@ -106,7 +106,7 @@ def test_flights_of_linear_arcs_with_a_kalman_filter_of_their_own_have_the_facto
 
 
 @given(corrected_flybys())
-def test_a_correction_knows_only_what_was_measured_by_its_cut_off(case):
+def test_correction_uses_measurements_before_cut_off(case):
     """A burn's velocity does not depend on sources that enter after its cut-off."""
     flyby, rng = case
     problem = flyby.problem
@@ -130,7 +130,7 @@ def test_a_correction_knows_only_what_was_measured_by_its_cut_off(case):
 
 
 @given(corrected_flybys(), st.lists(st.floats(-3.0, 12.0), min_size=6, max_size=6))
-def test_gains_act_on_what_estimates_resolve_whatever_measurements_err_by(case, exponents):
+def test_gains_act_on_what_estimates_resolve(case, exponents):
     """In any ratio: commands follow from estimates, and what is left out tells next to nothing."""
     flyby, rng = case
     feedback = flyby.problem.feedback
@@ -164,7 +164,7 @@ def casadi_arcs(waves: Waves) -> Arcs:
 @given(generators, st.sampled_from(MODELS))
 @example(np.random.default_rng(1), MODELS[1])
 @settings(max_examples=share_of_examples(30, usual=1))
-def test_rows_cost_and_gradient_are_those_of_the_convex_side(price, rng, errors):
+def test_rows_cost_gradient_match_convex_program(price, rng, errors):
     """Whatever the burns and gains: the two are one problem. Gradients are CasADi's own."""
     coast, burns = int(rng.integers(0, 2)), 2 if errors.shared else 3
     flyby = random_flyby(rng, nodes=7, burns=burns, coast=coast)

@@ -91,7 +91,7 @@ def faced(region: Region, point: Array) -> tuple[Array, Array]:
 
 
 @given(balls(), polytopes, points)
-def test_inner_facets_of_a_ball_bound_a_polytope_inside_it(region, shapes, point):
+def test_inner_facets_of_ball_lie_inside(region, shapes, point):
     facets = inner_facets(region, shapes, point)
     corners = vertices(facets, region.center[0])
     assert np.linalg.norm(corners - region.center, axis=1).max() <= region.radius * (1.0 + EXACT)
@@ -103,7 +103,7 @@ def test_inner_facets_of_a_ball_bound_a_polytope_inside_it(region, shapes, point
 
 
 @given(cones(), polytopes, points)
-def test_inner_facets_of_a_cone_bound_a_pyramid_inside_it(region, shapes, point):
+def test_inner_facets_of_cone_lie_inside(region, shapes, point):
     facets = inner_facets(region, shapes, point)
     normal, offset = stacked(facets)
     assert offset == pytest.approx(normal @ region.apex[0], abs=EXACT)
@@ -118,7 +118,7 @@ def test_inner_facets_of_a_cone_bound_a_pyramid_inside_it(region, shapes, point)
 
 
 @given(balls(), polytopes, points)
-def test_outer_facets_of_a_ball_bound_a_polytope_around_it(region, shapes, point):
+def test_outer_facets_of_ball_lie_around(region, shapes, point):
     facets = outer_facets(region, shapes, point)
     normal, offset = stacked(facets)
     # The farthest point of a ball along a unit normal is a radius from its centre.
@@ -128,7 +128,7 @@ def test_outer_facets_of_a_ball_bound_a_polytope_around_it(region, shapes, point
 
 
 @given(cones(), polytopes, points)
-def test_outer_facets_of_a_cone_bound_a_pyramid_around_it(region, shapes, point):
+def test_outer_facets_of_cone_lie_around(region, shapes, point):
     facets = outer_facets(region, shapes, point)
     normal, offset = stacked(facets)
     assert offset == pytest.approx(normal @ region.apex[0], abs=EXACT)
@@ -141,7 +141,7 @@ def test_outer_facets_of_a_cone_bound_a_pyramid_around_it(region, shapes, point)
 
 
 @given(st.one_of(balls(), cones()), generous, points)
-def test_one_outer_facet_faces_the_point_and_touches_the_region_there(region, shapes, point):
+def test_nearest_outer_facet_touches_the_region(region, shapes, point):
     place, outward = faced(region, point)
     normal, offset = stacked(outer_facets(region, shapes, point))
     best = np.argmax(normal @ outward)
@@ -179,7 +179,7 @@ def spread_over(region: Region, nodes: Array) -> Region:
 
 
 @given(st.one_of(balls(), cones()), generous, beliefs())
-def test_of_a_keep_out_polytope_the_most_probable_facet_is_chosen(region, shapes, belief):
+def test_most_probable_keep_out_facet_is_chosen(region, shapes, belief):
     mean, factor = belief
     nodes = np.array([1, 4, 7])
     constraint = StateConstraint("out", nodes, spread_over(region, nodes), "out", 0.8)
@@ -201,9 +201,7 @@ def test_of_a_keep_out_polytope_the_most_probable_facet_is_chosen(region, shapes
 
 
 @given(st.one_of(balls(), cones()), generous, generators, st.floats(-2.0, 3.0))
-def test_without_spread_the_facet_with_the_most_room_is_chosen_in_any_units(
-    region, shapes, rng, decade
-):
+def test_without_spread_roomiest_facet_is_chosen(region, shapes, rng, decade):
     mean = 10.0**decade * rng.normal(size=(9, 6))
     nodes = np.array([2])
     constraint = StateConstraint("out", nodes, region, "out", 0.8)
@@ -215,9 +213,7 @@ def test_without_spread_the_facet_with_the_most_room_is_chosen_in_any_units(
 
 
 @given(st.floats(0.5, 0.99), st.one_of(balls(), cones()), generous, beliefs())
-def test_keep_in_facets_share_the_risk_and_keep_out_facets_take_it_whole(
-    probability, region, shapes, belief
-):
+def test_keep_in_shares_risk_keep_out_whole(probability, region, shapes, belief):
     nodes = np.array([3, 5])
     regions = spread_over(region, nodes)
     constraints = [
@@ -239,7 +235,7 @@ def test_keep_in_facets_share_the_risk_and_keep_out_facets_take_it_whole(
 
 
 @given(st.floats(0.5, 0.99), st.one_of(balls(), cones()), beliefs())
-def test_touching_facets_bear_the_whole_risk_at_the_surface(probability, region, belief):
+def test_touching_facets_bear_whole_risk_at_surface(probability, region, belief):
     mean, _ = belief
     nodes = np.array([3, 5])
     regions = spread_over(region, nodes)
@@ -269,7 +265,7 @@ def test_facets_are_those_of_their_constraint_and_node(rng, shapes):
 
 
 @given(generators, beliefs())
-def test_a_facets_deviation_is_that_of_the_covariance_along_it(rng, belief):
+def test_facets_deviation_is_covariances_along_it(rng, belief):
     mean, factor = belief
     node, normal = rng.integers(0, 9, 20), random_unit(rng, 20)
     facets = Facets(
@@ -284,9 +280,7 @@ def test_a_facets_deviation_is_that_of_the_covariance_along_it(rng, belief):
 
 
 @given(generators, generous, points)
-def test_facets_of_an_ellipsoid_touch_it_and_without_a_constraint_there_are_none(
-    rng, shapes, point
-):
+def test_ellipsoids_facets_touch_unconstrained_has_none(rng, shapes, point):
     matrix = rng.normal(size=(3, 3)) + 3.0 * np.eye(3)
     egg = Ellipsoid(rng.normal(size=(1, 3)), matrix, 0.7)
     normal, offset = stacked(outer_facets(egg, shapes, point))

@@ -264,13 +264,13 @@ MISSION = Mission.from_scenario(load_scenario(None, [COARSE]))
 )
 @patient
 @given(st.data())
-def test_no_bytes_end_in_anything_but_what_they_say_or_a_message(read, contents, data):
+def test_any_bytes_are_read_or_refused(read, contents, data):
     read_alone(data.draw(contents), read)
 
 
 @patient
 @given(st.lists(words | hostile.map(str), max_size=3), words)
-def test_a_base_is_the_file_that_is_named_and_no_other(values, name):
+def test_base_is_the_named_file_alone(values, name):
     content = document({"base": values if values else name, "name": name or "x"})
     named = [] if values or "\0" in name else [name]
     read_alone(content, load_scenario, PACKAGE / "data", *named)
@@ -281,7 +281,7 @@ entries = st.sampled_from([".".join(map(str, where)) for where in places(RECON_B
 
 @patient
 @given(st.lists(st.tuples(entries, hostile), min_size=1, max_size=3))
-def test_no_override_ends_in_anything_but_a_mission_or_a_message(changes):
+def test_any_override_gives_mission_or_message(changes):
     overrides = [f"{entry}={toml(value)}" for entry, value in changes]
     read_or_refuse(lambda: Mission.from_scenario(load_scenario(None, overrides)).problem)
 
@@ -341,7 +341,7 @@ slow = settings(
 @pytest.mark.slow
 @slow
 @given(st.lists(strained(), min_size=1, max_size=3))
-def test_no_magnitudes_end_in_anything_but_a_plan_or_a_message(overrides):
+def test_any_magnitudes_give_plan_or_message(overrides):
     solved_or_refused([VERY_COARSE, *overrides])
 
 
@@ -363,7 +363,7 @@ AT_THE_ENDS = [
 
 @pytest.mark.slow
 @pytest.mark.parametrize("override", usually(AT_THE_ENDS, 3))
-def test_a_scenario_at_the_ends_of_its_ranges_is_solved_or_refused(override):
+def test_scenario_at_range_ends_is_solved_or_refused(override):
     solved_or_refused([VERY_COARSE, override])
 
 
@@ -442,7 +442,7 @@ READERS = [verify.main, montecarlo.main, simulate.main]
 
 @pytest.mark.slow
 @pytest.mark.parametrize("edit", EDITS)
-def test_a_solution_whose_parts_do_not_fit_together_is_refused(solved, edit):
+def test_solution_of_inconsistent_parts_is_refused(solved, edit):
     """By each command that reads one; in usual runs by one of them in turn."""
     content = json.loads((solved / "solution.json").read_text("utf-8"))
     EDITS[edit](content)
@@ -455,7 +455,7 @@ def test_a_solution_whose_parts_do_not_fit_together_is_refused(solved, edit):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("word", usually(["[/red]", "\\[", "[bold]", "[/]", "["], 2))
-def test_names_of_a_solution_are_shown_as_they_are(solved, tmp_path, word, monkeypatch):
+def test_names_of_solution_are_shown_literally(solved, tmp_path, word, monkeypatch):
     """Those of stages; constraints have the names of their scenario, whatever the file carries."""
     fly_few(monkeypatch)
     content = json.loads((solved / "solution.json").read_text("utf-8"))
@@ -498,7 +498,7 @@ def interrupted(*_: object, **__: object) -> None:
 
 @patient
 @given(argument_lists)
-def test_no_arguments_of_solve_end_in_a_traceback_or_write_elsewhere(arguments):
+def test_arguments_of_solve_never_trace_or_stray(arguments):
     with tempfile.TemporaryDirectory() as folder, watched() as touched:
         out = Path(folder) / "out"
         with mock.patch.object(planner, "plan", interrupted):
@@ -515,14 +515,14 @@ def test_no_arguments_of_solve_end_in_a_traceback_or_write_elsewhere(arguments):
 
 @patient
 @given(argument_lists, st.sampled_from([verify.main, montecarlo.main]))
-def test_no_arguments_of_the_other_commands_end_in_a_traceback(arguments, main):
+def test_arguments_of_other_commands_never_trace(arguments, main):
     code = command(main, arguments)
     assert code in (0, 2)
     if code == 2:
         reliability.count(reliability.BAD_INPUTS)
 
 
-def test_a_link_in_the_folder_is_replaced_and_not_followed(solved, tmp_path):
+def test_link_in_folder_is_replaced_not_followed(solved, tmp_path):
     """The user did not name the file that a link named solution.json points to."""
     target = tmp_path / "precious"
     target.write_text("mine", "utf-8")

@@ -99,7 +99,7 @@ def test_columns_left_out_are_zero_in_the_positions(flyby, rng):
 
 
 @given(flybys)
-def test_columns_in_use_are_the_initial_ones_and_three_per_burn_before(flyby):
+def test_columns_used_are_initial_and_earlier_burns(flyby):
     problem = flyby.problem
     initial = problem.initial_factor.shape[1]
     assert np.array_equal(problem.leg_starts, np.union1d([0], problem.burn_nodes))
@@ -131,9 +131,7 @@ def test_condense_is_the_derivative_by_the_burns(flyby, gates, rng):
 
 
 @given(flybys, st.sampled_from([0.0, 0.1]), curvatures, generators)
-def test_the_model_error_is_quadratic_and_without_curvature_the_factors_is_linear(
-    flyby, defect, curvature, rng
-):
+def test_model_error_is_quadratic_without_curvature_linear(flyby, defect, curvature, rng):
     """Of mean and factor, part of the way along a step that moves burns and closes all defects."""
     lin = flyby.perturbed(rng, 0.3, defect)
     burns, step = lin.iterate.burns, some_burns(rng, flyby.problem)
@@ -151,7 +149,7 @@ def test_the_model_error_is_quadratic_and_without_curvature_the_factors_is_linea
 
 
 @given(flybys, generators)
-def test_without_curvature_the_factor_is_that_of_the_iterates_stms(flyby, rng):
+def test_without_curvature_factor_has_iterates_stms(flyby, rng):
     lin = flyby.perturbed(rng, 0.3, 0.1)
     burns = some_burns(rng, flyby.problem)
     _, factor = applied(condense(lin, curvature=False), burns)
@@ -160,7 +158,7 @@ def test_without_curvature_the_factor_is_that_of_the_iterates_stms(flyby, rng):
 
 
 @given(flybys, generators)
-def test_means_are_the_condensed_ones_which_close_every_defect_from_the_initial_state(flyby, rng):
+def test_condensed_means_close_every_defect(flyby, rng):
     lin = flyby.perturbed(rng, 0.3, 0.1)
     burns, s = some_burns(rng, flyby.problem), condense(lin)
     constant, jacobian = final_state_map(lin)
@@ -178,7 +176,7 @@ def test_means_are_the_condensed_ones_which_close_every_defect_from_the_initial_
 
 
 @given(flybys, generators)
-def test_maps_from_the_legs_starts_give_the_condensed_map(flyby, rng):
+def test_maps_from_leg_starts_compose_condensed_map(flyby, rng):
     """As the lifted form has them: from the states where a leg starts, after its burn."""
     lin, problem = flyby.perturbed(rng, 0.3, 0.1), flyby.problem
     burns = some_burns(rng, problem)

@@ -202,7 +202,7 @@ def converged(overrides: tuple[str, ...]) -> tuple[Mission, Plan]:
 
 @expensive
 @given(scenarios())
-def test_a_converged_plan_satisfies_the_kkt_conditions_of_p2_with_facets_fixed(overrides):
+def test_converged_plan_satisfies_kkt_with_facets_fixed(overrides):
     mission, found = converged(overrides)
     at = conditions(mission, found.final)
     assert at.infeasibility < 2.0 * SCvx.feasible
@@ -215,9 +215,7 @@ def test_a_converged_plan_satisfies_the_kkt_conditions_of_p2_with_facets_fixed(o
 @pytest.mark.parametrize(
     ("formulation", "least", "most"), [("condensed", 0.0, 1e-4), ("frozen-stm", 3e-3, np.inf)]
 )
-def test_the_default_plan_satisfies_the_kkt_conditions_and_with_frozen_stms_does_not(
-    formulation, least, most
-):
+def test_default_plan_satisfies_kkt_frozen_stms_fail(formulation, least, most):
     """Frozen STMs converge to a feasible point of P2 that is none of its solutions."""
     mission = Mission.from_scenario(load_scenario())
     found = plan(mission, initial_guess.cold(mission), formulation=formulation)

@@ -34,7 +34,7 @@ def norms(array: Array) -> Array:
 
 
 @pytest.mark.parametrize("facets", ["paper", *COUNTS])
-def test_a_polytope_fits_the_unit_ball_from_inside_and_from_outside(facets):
+def test_polytope_bounds_unit_ball_from_both_sides(facets):
     polytope = ball(facets) if isinstance(facets, int) else paper_ball()
     normals, count = polytope.normals, 24 if facets == "paper" else facets
     assert normals.shape == (count, 3)
@@ -55,7 +55,7 @@ def test_outer_polytopes_are_nested(facets):
 
 
 @pytest.mark.parametrize("facets", COUNTS)
-def test_tightness_lies_between_the_covering_and_the_packing_bound(facets):
+def test_tightness_is_between_covering_and_packing_bounds(facets):
     # Caps of the angle alpha = acos(1 / reach) about the normals cover the sphere, each a fraction
     # (1 - cos alpha) / 2 of it; and as every normal was put where the covering was worst, caps of
     # half the angle are disjoint.
@@ -64,7 +64,7 @@ def test_tightness_lies_between_the_covering_and_the_packing_bound(facets):
     assert tightness >= 1.0 - 8.0 / facets + 8.0 / facets**2 - EXACT
 
 
-def test_the_paper_polytope_has_24_facets_at_one_distance_and_14_vertices_on_the_sphere():
+def test_paper_polytope_has_24_facets_and_14_vertices():
     polytope = paper_ball()
     found = vertices(polytope.normals, 1.0 / polytope.reach)
     axes = np.vstack([np.eye(3), -np.eye(3)])
@@ -98,7 +98,7 @@ def assert_smallest_rotations(rotation: Array, start: Array, end: Array) -> None
 
 
 @given(generators, st.integers(1, 6))
-def test_turn_is_the_smallest_rotation_from_start_to_end(rng, count):
+def test_turn_is_smallest_rotation_between_vectors(rng, count):
     start, end = random_unit(rng), random_unit(rng, count)
     assume(np.all(end @ start > -0.999))
     assert_smallest_rotations(rotations_between(start, end), start, end)
@@ -114,7 +114,7 @@ def test_turn_reverses_antiparallel_vectors_and_leaves_parallel_ones(axis, rng):
 @given(st.floats(-15.0, -1.0), generators)
 @example(-6.5, np.random.default_rng(0))
 @example(-5.5, np.random.default_rng(0))
-def test_turn_is_a_rotation_however_nearly_antiparallel_the_vectors(decade, rng):
+def test_turn_is_rotation_for_nearly_antiparallel_vectors(decade, rng):
     q = random_rotation(rng)
     start, aside = q[0], q[1]
     angle = 10.0**decade

@@ -79,13 +79,13 @@ def cone_slack(cone: SecondOrderCone, point: Array) -> Array:
 
 
 @given(balls, points)
-def test_inside_of_a_ball_is_its_radius_less_the_distance_to_its_centre(ball, point):
+def test_inside_of_ball_is_radius_less_distance(ball, point):
     distance = lengths(point - ball.center)
     assert ball.inside(point) == pytest.approx(ball.radius - distance, abs=EXACT)
 
 
 @given(cones, points)
-def test_inside_of_a_cone_is_the_sine_of_the_angle_to_its_surface(cone, point):
+def test_inside_of_cone_is_sine_to_surface(cone, point):
     angle = cone.half_angle - angle_off_axis(cone, point)
     distance = lengths(point - cone.apex) * np.sin(angle)
     assert cone.inside(point) == pytest.approx(distance, abs=EXACT)
@@ -93,9 +93,7 @@ def test_inside_of_a_cone_is_the_sine_of_the_angle_to_its_surface(cone, point):
 
 @given(st.one_of(balls, cones), points, points, generators)
 @example(Ball(np.zeros((1, 3)), 1.0), np.array([[0.0, 0.0, 3e-162]]), np.zeros((1, 3)), None)
-def test_the_supporting_half_space_contains_its_region_and_its_complement_does_not(
-    region, point, other, rng
-):
+def test_supporting_half_space_contains_only_its_region(region, point, other, rng):
     halfspaces = region.supporting(point)
     assert lengths(halfspaces.normal) == pytest.approx(1.0, abs=EXACT)
     assert contains(halfspaces, members(rng or np.random.default_rng(0), region))
@@ -105,7 +103,7 @@ def test_the_supporting_half_space_contains_its_region_and_its_complement_does_n
 
 
 @given(balls, points)
-def test_the_supporting_half_space_touches_the_ball_where_the_line_of_sight_leaves_it(ball, point):
+def test_half_space_touches_ball_along_the_radius(ball, point):
     sight = point - ball.center
     assume(lengths(sight)[0] > 1e-3)
     touched = ball.center + ball.radius * sight / lengths(sight)
@@ -117,7 +115,7 @@ def test_the_supporting_half_space_touches_the_ball_where_the_line_of_sight_leav
 
 
 @given(cones, points)
-def test_the_supporting_half_space_touches_the_cone_along_the_ray_nearest_to_the_point(cone, point):
+def test_half_space_touches_cone_along_nearest_ray(cone, point):
     d = point - cone.apex
     side = d - np.sum(d * cone.axis) * cone.axis
     assume(lengths(side)[0] > 1e-3)
@@ -131,7 +129,7 @@ def test_the_supporting_half_space_touches_the_cone_along_the_ray_nearest_to_the
 @given(directions(), half_angles, st.floats(-16.0, -2.0))
 @example(np.array([[0.6, 0.0, 0.8]]), 1.0, -14.0)
 @example(np.array([[0.6, 0.0, 0.8]]), 1.0, -11.0)
-def test_the_half_space_at_and_near_a_cones_axis_contains_and_touches_it(axis, half_angle, decade):
+def test_half_space_near_axis_touches_its_cone(axis, half_angle, decade):
     cone = Cone(np.zeros((1, 3)), axis, half_angle)
     side = perpendicular(axis)
     assert np.sum(side * axis) == pytest.approx(0.0, abs=EXACT)
@@ -142,7 +140,7 @@ def test_the_half_space_at_and_near_a_cones_axis_contains_and_touches_it(axis, h
 
 
 @given(st.floats(-14.0, 0.0), generators)
-def test_a_part_across_an_axis_is_what_is_left_of_it_and_nothing_where_rounding_is(decade, rng):
+def test_part_across_axis_is_remainder_or_zero(decade, rng):
     axis = random_unit(rng, 4)
     side = perpendicular(axis)
     vector = 3.0 * axis + 10.0**decade * side
@@ -166,9 +164,7 @@ def assert_supports(cone: Cone, halfspaces: Halfspaces) -> None:
 
 
 @given(st.one_of(balls, cones), points)
-def test_the_second_order_cone_and_margins_hold_exactly_inside_and_by_the_same_amount(
-    region, point
-):
+def test_cone_constraint_and_margins_equal_inside(region, point):
     inside, slack = region.inside(point), cone_slack(region.second_order_cone, point)
     assert slack == pytest.approx(inside, abs=EXACT)
     mean = np.concatenate([point, np.full((1, 3), np.nan)], axis=1)  # velocities do not matter

@@ -40,7 +40,7 @@ def burns() -> Array:
 
 
 @pytest.mark.parametrize("size", usually(SCALES, 2))
-def test_a_mission_of_any_size_has_the_same_plan(burns, size, monkeypatch):
+def test_plan_is_independent_of_mission_scale(burns, size, monkeypatch):
     fly_few(monkeypatch)
     plan = sr.plan(scaled(size), certify=False)
     assert plan.burns_m_s / size == pytest.approx(burns, rel=1e-6, abs=1e-8)

@@ -82,7 +82,7 @@ def is_told(scenario: Scenario, changes: Entries) -> bool:
 
 
 @given(consistent())
-def test_what_is_consistent_is_let_pass_without_a_word(scenario):
+def test_consistent_scenario_raises_no_question(scenario):
     assert Mission.from_scenario(scenario).warnings == ()
 
 
@@ -144,7 +144,7 @@ def test_entries_in_another_unit_are_told(wrong, scenario, data):
 
 @pytest.mark.slow
 @given(st.sets(st.sampled_from(BODY_ANGLES), min_size=1))
-def test_pole_and_spin_of_a_known_body_in_radians_or_swapped_are_told(paths):
+def test_pole_or_spin_in_radians_is_told(paths):
     assert is_told(RECON_B, {path: np.deg2rad(entry_of(RECON_B, path)) for path in paths})
     body = RECON_B.body
     changes = {"body.pole_ra_deg": body.pole_dec_deg, "body.pole_dec_deg": body.pole_ra_deg}
@@ -164,9 +164,7 @@ def test_swapped_axes_of_the_sun_are_told(path, swap):
 
 
 @given(st.floats(0.0, 2.0 * np.pi), st.floats(0.0, 16.6), st.booleans())
-def test_a_sun_along_the_axes_of_the_ecliptic_is_told_and_of_the_equator_is_not(
-    node, inclination_deg, wrong
-):
+def test_sun_in_ecliptic_axes_alone_is_told(node, inclination_deg, wrong):
     """An orbit about any node, less inclined if the axes are wrong."""
     inclination_deg *= 0.4 if wrong else 1.0
     tilt = Rotation.from_euler("zx", [node, np.deg2rad(inclination_deg)])
@@ -214,7 +212,7 @@ HALVES = slice(0, 3), slice(3, 6)
 
 
 @given(st.floats(-1.0, 1.0))
-def test_a_known_body_may_be_anywhere_on_its_orbit(days):
+def test_known_body_may_be_anywhere_on_orbit(days):
     """Carried on by SciPy's integrator about a Sun alone, a hundred days either way, with the epoch."""
     sun = RECON_B.sun
     later = RECON_B.epoch.tdb + timedelta(days=100.0 * days)
@@ -237,7 +235,7 @@ def test_a_known_body_may_be_anywhere_on_its_orbit(days):
     st.tuples(*[st.floats(-1.0, 1.0)] * 3).filter(lambda v: np.linalg.norm(v) > 0.1),
     st.sampled_from(list(SWAPS.values())),
 )
-def test_swapped_axes_of_a_site_are_told_where_its_slope_shows_them(direction, swap):
+def test_swapped_site_axes_are_told_by_slope(direction, swap):
     normal, position = unit(direction), 250.0 * unit(direction)
     site = Site(position[list(swap)], normal)
     moved = np.rad2deg(np.arccos(np.clip(site.position_body @ position / 250.0**2, -1.0, 1.0)))

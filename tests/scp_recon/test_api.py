@@ -56,7 +56,7 @@ def test_the_example_runs(capsys):
         ("nrho_keeping", "cost 0.36 m/s"),
     ],
 )
-def test_a_problem_by_hand_costs_what_its_page_says(name, cost, capsys):
+def test_problem_by_hand_costs_its_pages_figure(name, cost, capsys):
     script = PROJECT / "examples" / f"{name}.py"
     assert len(script.read_text("utf-8").splitlines()) <= 80
     runpy.run_path(str(script))
@@ -88,7 +88,7 @@ def test_docstrings_run(name, tmp_path, monkeypatch):
         Displayed.to_frame,
     ],
 )
-def test_help_tells_every_parameter_what_comes_back_and_what_is_raised(function):
+def test_help_tells_parameters_returns_and_raises(function):
     """In this order, as SciPy's does, and examples last."""
     said = getdoc(function) or ""
     sections = re.findall(r"^(Args|Returns|Raises|Examples):$", said, re.MULTILINE)
@@ -134,7 +134,7 @@ def test_what_comes_back_tells_its_verdict(default_plan, solution, verification)
         sr.plann  # noqa: B018 -- the attribute is what is asked for
 
 
-def test_a_misspelt_name_of_a_result_is_told_the_near_one(default_plan, solution):
+def test_misspelt_result_name_suggests_near_one(default_plan, solution):
     flights = sr.fly(default_plan, samples=20)
     table = sr.compare(solution)
     for results, name, near in (
@@ -151,7 +151,7 @@ def test_a_misspelt_name_of_a_result_is_told_the_near_one(default_plan, solution
 
 
 @pytest.mark.slow
-def test_a_plan_is_data_that_anything_but_its_timing_makes_another(default_plan):
+def test_plans_equal_unless_more_than_timing_differs(default_plan):
     """What it is made of holds arrays, and is equal only to itself: asking ends in no traceback."""
     for again in (pickle.loads(pickle.dumps(default_plan)), copy.deepcopy(default_plan)):
         assert (again, hash(again)) == (default_plan, hash(default_plan))
@@ -390,7 +390,7 @@ def test_plans_stand_side_by_side(default_plan):
         table["delta-v"]
 
 
-def test_a_comparison_says_what_was_verified_and_of_which_scenario(solution, verification):
+def test_comparison_names_scenario_and_verification(solution, verification):
     """Figures are those of the burns; what stands beside them says how far they can be compared."""
     failed = replace(verification, ok=False, failed=["status", "violation"])
     other = solution.scenario.replace(
@@ -413,7 +413,7 @@ def test_a_comparison_says_what_was_verified_and_of_which_scenario(solution, ver
 
 
 @nightly
-def test_paths_on_different_grids_are_held_against_each_other_at_one_time():
+def test_paths_on_different_grids_compare_at_time():
     """The same burns on a grid twice as fine: the path between nodes is a cubic of its states."""
     fine = sr.plan(
         sr.load_scenario("recon_b").replace({"grid.step_max_s": 116.0}), init="cold", problem="P3"

@@ -125,7 +125,7 @@ def test_there_are_no_circles():
 
 
 @pytest.mark.slow
-def test_the_library_neither_prints_nor_asks_nor_sets_anything_global():
+def test_library_neither_prints_nor_sets_global_state():
     settings = ("np.seterr(", "np.random.seed(", "warnings.simplefilter(", "os.environ[")
     for path in modules(*LIBRARY):
         nodes = list(ast.walk(parsed(path)))

@@ -15,7 +15,7 @@ from tests.helpers import Arcs, Waves, generators, random_flyby
 @pytest.mark.parametrize("name", CONDENSATIONS)
 @settings(max_examples=10)
 @given(generators)
-def test_a_factor_that_is_not_wanted_is_not_there(name, rng):
+def test_unwanted_factor_is_none(name, rng):
     lin = random_flyby(rng).perturbed(rng, 0.2, 0.1)
     nodes, columns = np.array([1, 4, 8]), lin.problem.factor_columns
     z, full = lin.iterate.burns.size, condense(lin, nodes)
@@ -42,7 +42,7 @@ def test_every_model_is_exact_at_its_iterate(name, rng):
 
 @settings(max_examples=10)
 @given(generators)
-def test_frozen_forms_are_those_without_curvature_and_without_a_derivative(rng):
+def test_frozen_forms_omit_curvature_or_derivative(rng):
     lin = random_flyby(rng).perturbed(rng, 0.2, 0.1)
     nodes = np.arange(lin.problem.n_nodes)
     stm, still = (
@@ -55,7 +55,7 @@ def test_frozen_forms_are_those_without_curvature_and_without_a_derivative(rng):
 
 
 @given(generators)
-def test_defects_are_what_is_left_of_arcs_and_burns_wherever_these_are(rng):
+def test_defects_are_residuals_of_arcs_and_burns(rng):
     flyby = random_flyby(rng)
     burn_nodes = np.sort(rng.choice(flyby.problem.n_nodes, flyby.problem.n_burns, replace=False))
     flyby = replace(flyby, problem=replace(flyby.problem, burn_nodes=burn_nodes))
@@ -83,7 +83,7 @@ class Motion:
         return self.waves.derivatives(state)
 
 
-def test_burns_whose_defects_newton_does_not_close_are_flown_as_they_are():
+def test_burns_are_flown_where_newton_fails():
     """Where a step meets another branch of strongly curved arcs."""
     rng = np.random.default_rng(0)
     flyby = random_flyby(rng, curvature=5.0)

@@ -65,7 +65,7 @@ def assert_holds(region: Region, start: Array, direction: Array) -> None:
 
 
 @given(generators)
-def test_a_chord_holds_the_points_of_the_line_that_are_inside_and_ends_on_the_surface(rng):
+def test_chord_is_inside_and_ends_on_surface(rng):
     region, start, direction = region_and_line(rng)
     assert_holds(region, start, direction)
     for end in filter(np.isfinite, chord(region, start, direction)):
@@ -88,7 +88,7 @@ def test_a_line_that_grazes_a_ball(rng, gap, side):
 
 
 @given(generators, st.sampled_from([-1.0, 1.0]), st.floats(0.02, 1.4), st.floats(0.0, 0.98))
-def test_a_steep_line_is_in_its_cone_from_one_point_on(rng, up, half_angle, share):
+def test_steep_line_enters_its_cone_once(rng, up, half_angle, share):
     """Whatever nappe it comes from."""
     cone = Cone(rng.normal(size=(1, 3)), random_unit(rng, 1), half_angle)
     tilt = share * half_angle
@@ -101,7 +101,7 @@ def test_a_steep_line_is_in_its_cone_from_one_point_on(rng, up, half_angle, shar
 
 
 @given(generators, st.floats(0.05, 1.4), st.floats(0.05, 1.0))
-def test_a_shallow_line_through_the_wrong_nappe_is_not_in_the_cone(rng, half_angle, depth):
+def test_wrong_nappe_is_outside_the_cone(rng, half_angle, depth):
     cone = Cone(rng.normal(size=(1, 3)), random_unit(rng, 1), half_angle)
     behind = cone.apex[0] - depth * cone.axis[0]
     assert chord(cone, behind, perpendicular(cone.axis)[0]) == (np.inf, np.inf)
@@ -111,7 +111,7 @@ def test_a_shallow_line_through_the_wrong_nappe_is_not_in_the_cone(rng, half_ang
 
 
 @given(generators, st.floats(0.05, 1.4), st.floats(-3.0, 3.0), st.floats(0.0, 0.9))
-def test_a_steep_line_through_the_apex_is_in_the_cone_from_there(rng, half_angle, back, share):
+def test_steep_line_enters_at_the_apex(rng, half_angle, back, share):
     cone = Cone(rng.normal(size=(1, 3)), random_unit(rng, 1), half_angle)
     tilt = share * half_angle
     direction = (np.cos(tilt) * cone.axis + np.sin(tilt) * perpendicular(cone.axis))[0]
@@ -125,7 +125,7 @@ def test_a_steep_line_through_the_apex_is_in_the_cone_from_there(rng, half_angle
 
 
 @pytest.mark.parametrize("shift", [0.5, -0.5])
-def test_a_line_along_a_ray_of_the_surface_is_inside_from_one_point_or_never(shift):
+def test_surface_ray_is_inside_from_one_point(shift):
     """cos^2 |v|^2 = (u'v)^2 exactly: one of the roots is at infinity."""
     cone = Cone(np.zeros((1, 3)), np.array([[0.0, 0.0, 1.0]]), float(np.arccos(0.6)))
     direction = np.array([0.8, 0.0, 0.6])
@@ -138,7 +138,7 @@ def test_a_line_along_a_ray_of_the_surface_is_inside_from_one_point_or_never(shi
 
 
 @given(generators)
-def test_lines_along_normals_of_a_cone_of_45_degrees_leave_it(rng):
+def test_normals_of_a_45_degree_cone_leave_it(rng):
     """They are parallel to the rays of the far side, so that rounding alone says how steep they are."""
     cone = Cone(np.zeros((1, 3)), random_unit(rng, 1), np.pi / 4)
     point = cone.axis + rng.uniform(0.1, 0.9) * cone.across(rng.normal(size=(1, 3)))

@@ -78,7 +78,7 @@ def test_the_gradient_is_that_of_differences(kind, value):
 
 
 @pytest.mark.parametrize("sigma", [0.02, 0.2, 2.0])
-def test_corrections_across_a_burn_have_the_law_of_one_normal_number(sigma):
+def test_correction_across_burn_has_one_dimensional_law(sigma):
     """|v + sigma z| is monotonic in |z|. The law is skewed, which the smoothed cost tells less well."""
     problem, controls = case("dv99")
     iterate = iterate_of(problem, controls)
@@ -112,7 +112,7 @@ def test_the_program_curves_as_the_cost_does(across, along):
     assert ahead == pytest.approx(behind, rel=0.5)
 
 
-def test_gains_that_are_rounding_give_the_program_no_direction():
+def test_gains_of_rounding_size_have_no_direction():
     """Beside a burn that is nearly none; steps of gains longer than rounding and shorter than it."""
     problem, z = case("dv99")
     rng = np.random.default_rng(2)
@@ -128,7 +128,7 @@ def test_gains_that_are_rounding_give_the_program_no_direction():
         assert said == pytest.approx(real, rel=0.2)
 
 
-def test_the_program_has_the_kink_where_corrections_along_burns_cancel():
+def test_program_has_kink_where_corrections_cancel():
     """Across burns nothing adds up, so that past it the cost rises as it fell."""
     problem, z = case("dv99")
     assert problem.feedback is not None
@@ -153,7 +153,7 @@ def test_the_program_has_the_kink_where_corrections_along_burns_cancel():
     st.sampled_from([(), (1,), (2,), (1, 2)]),
     st.floats(0.0, 1.0),
 )
-def test_the_program_touches_the_cost_and_no_small_step_costs_less(rng, kind, gone, share):
+def test_program_touches_cost_at_local_minimum(rng, kind, gone, share):
     """To first order, with burns and their gains that have vanished, where the cost has kinks, or none.
 
     Where nothing is corrected yet the program knows no draws near a quantile: gains alone count there.

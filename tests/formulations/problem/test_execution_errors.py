@@ -60,7 +60,7 @@ def test_the_jacobian_is_the_derivative_by_finite_differences(errors, rng):
 
 
 @given(gates, generators)
-def test_from_its_own_fixed_error_on_a_burn_errs_as_gates_says(errors, rng):
+def test_burn_errs_by_gates_above_fixed_error(errors, rng):
     burns = (errors.fixed_bound + rng.uniform(1e-3, 1.0, (5, 1))) * random_unit(rng, 5)
     np.testing.assert_allclose(
         product(errors.columns(burns)), printed(errors, burns), rtol=1e-9, atol=1e-15
@@ -73,7 +73,7 @@ def test_from_its_own_fixed_error_on_a_burn_errs_as_gates_says(errors, rng):
 
 
 @given(gates, generators, st.floats(1.0, 2e3))
-def test_an_executed_burn_errs_no_less_than_gates_says(errors, rng, share):
+def test_executed_burn_errs_at_least_by_gates(errors, rng, share):
     """An isotropic bound near zero, where nothing depends on where the burn points."""
     bound = errors.fixed_bound or 1e-2
     burns = share * VANISHED * bound * random_unit(rng, 3)

@@ -50,7 +50,7 @@ def test_the_flow_is_what_an_adaptive_integration_gives(libration, arc):
         assert libration.propagate(start, arc) == pytest.approx(truth, abs=1e-9)
 
 
-def test_an_oscillator_that_is_driven_in_time_moves_as_it_is_known_to():
+def test_driven_oscillator_follows_its_closed_form():
     """x'' = -x + cos 2t has x = (4 cos t - cos 2t) / 3 from x = 1 at rest."""
     flow = ExpressionFlow(lambda r, _v, t, _p: -r + ca.cos(2.0 * t), np.linspace(0.0, 3.0, 61))
     end = np.ones((2, 6)) * [1.0, 1.0, 1.0, 0.0, 0.0, 0.0]

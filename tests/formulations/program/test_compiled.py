@@ -157,7 +157,7 @@ def test_a_program_that_is_not_disciplined_is_refused():
             CompiledProgram(Model(program, burns, parameters))
 
 
-def test_the_burns_are_those_of_the_variables_that_they_belong_to():
+def test_burns_are_values_of_their_own_variables():
     """Min sum of ||z_i|| with z on planes: each burn has an answer of its own."""
     before, burns, sizes = cp.Variable(5), cp.Variable(6), cp.Variable(2)
     target = cp.Parameter(6)

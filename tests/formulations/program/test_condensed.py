@@ -75,7 +75,7 @@ def lin() -> Linearisation:
     return small(nodes=8, burns=4)
 
 
-def test_rows_near_binding_are_taken_at_every_iterate_anew(lin):
+def test_rows_near_binding_are_chosen_each_iterate(lin):
     subproblem = Told(lin)
     solver = subproblem._solver
     assert subproblem.taken == []
@@ -90,7 +90,7 @@ def test_rows_near_binding_are_taken_at_every_iterate_anew(lin):
         assert subproblem._solver is solver
 
 
-def test_an_answer_that_misses_rows_takes_them_in_and_no_others(lin, monkeypatch):
+def test_missed_rows_alone_are_added(lin, monkeypatch):
     subproblem = Told(lin)
     clock = iter([100.0, 107.0])
     monkeypatch.setattr(condensed, "perf_counter", lambda: next(clock))
@@ -107,7 +107,7 @@ def test_an_answer_that_misses_rows_takes_them_in_and_no_others(lin, monkeypatch
     assert step.canonicalise_s == 6.5
 
 
-def test_half_of_the_slots_go_to_the_rows_with_the_least_room(lin, monkeypatch):
+def test_half_the_slots_hold_the_tightest_rows(lin, monkeypatch):
     """The other half stays free for what the answer misses."""
     monkeypatch.setattr(condensed, "SLOTS", 4)
     subproblem = Told(lin)
@@ -126,7 +126,7 @@ def test_half_of_the_slots_go_to_the_rows_with_the_least_room(lin, monkeypatch):
     assert subproblem._slots == [4] * len(blocks)
 
 
-def test_slots_double_for_those_cones_alone_that_run_out_of_them(lin, monkeypatch):
+def test_slots_double_only_where_exhausted(lin, monkeypatch):
     monkeypatch.setattr(condensed, "SLOTS", 2)
     subproblem = Told(lin)
     subproblem.told = [subproblem.slack()]
@@ -163,7 +163,7 @@ def test_slots_double_for_those_cones_alone_that_run_out_of_them(lin, monkeypatc
 @pytest.mark.parametrize("name", ["P3", "P2"])
 @settings(max_examples=share_of_examples(250, usual=1))
 @given(generators)
-def test_few_slots_and_no_row_at_first_end_where_everything_taken_does(name, penalty, slots, rng):
+def test_few_slots_reach_the_full_program_solution(name, penalty, slots, rng):
     lin = linearised(rng)
     rows = every_row(lin, name)
     charge, found = charge_for(penalty, rows, lin), []
@@ -183,7 +183,7 @@ def test_few_slots_and_no_row_at_first_end_where_everything_taken_does(name, pen
 
 
 @pytest.mark.slow
-def test_the_default_plan_needs_three_programs_at_the_most(monkeypatch):
+def test_default_plan_needs_at_most_three_programs(monkeypatch):
     """One a stage, and one more where its slots run out; a second plan needs none."""
     sizes: set[Any] = set()
 

@@ -42,7 +42,7 @@ def steps_of_both(lin: Linearisation, rows: Rows, weight: float, *radii: float) 
 
 @every_limit
 @pytest.mark.parametrize("seed", usually(range(6), 3))
-def test_lifted_rows_may_start_and_end_at_any_node(seed, limits):
+def test_lifted_rows_span_any_two_nodes(seed, limits):
     """One constraint at a few nodes: before and after inner burns, at burns, in a coast."""
     flyby = small(seed, nodes=8, burns=4, coast=seed % 2)
     one = flyby.problem.constraints[0]
@@ -61,7 +61,7 @@ def test_lifted_rows_may_start_and_end_at_any_node(seed, limits):
 @every_limit
 @pytest.mark.parametrize("scope", ["node", "flight"])
 @pytest.mark.parametrize("seed", [3, 4])
-def test_the_gradient_of_exact_risk_acts_on_the_factor_as_it_does_on_the_burns(seed, scope, limits):
+def test_exact_risk_gradient_matches_factor_and_burns(seed, scope, limits):
     """The same program, at a flight that obeys the dynamics, within 1e-6 with tightened loops."""
     flyby = small(seed, defect=0.0)
     problem = replace(flyby.problem, final_spread=limited(flyby, limits))

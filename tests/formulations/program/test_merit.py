@@ -62,7 +62,7 @@ def signed(lin: Linearisation) -> dict[str, Array]:
 
 @some
 @given(generators)
-def test_violations_are_positive_parts_of_margins_and_excess_has_their_signs(rng):
+def test_violations_are_positive_parts_excess_is_signed(rng):
     lin = mixed(rng)
     problem, amounts = lin.problem, signed(lin)
     evaluation = MeritFunction(problem, DeterministicRows(problem))
@@ -85,7 +85,7 @@ def test_violations_are_positive_parts_of_margins_and_excess_has_their_signs(rng
 
 @some
 @given(generators)
-def test_the_merit_is_delta_v_plus_what_the_penalty_charges(rng):
+def test_merit_is_delta_v_plus_penalty(rng):
     lin = mixed(rng)
     evaluation, amounts = MeritFunction(lin.problem, DeterministicRows(lin.problem)), signed(lin)
     broken = np.concatenate([np.maximum(a, 0.0) for a in amounts.values()])
@@ -134,7 +134,7 @@ def strange_flight(rng: np.random.Generator) -> tuple[FlybyProblem, Linearisatio
 
 @some
 @given(generators)
-def test_a_flight_from_elsewhere_is_judged_by_its_own_ends_and_the_merits_limits(rng):
+def test_other_flight_has_own_ends_same_limits(rng):
     problem, flight = strange_flight(rng)
     allowed = replace(
         flight.problem, dv_max=problem.dv_max, sun=problem.sun, constraints=problem.constraints
@@ -158,7 +158,7 @@ def test_a_flight_from_elsewhere_is_judged_by_its_own_ends_and_the_merits_limits
 
 @some
 @given(generators, st.integers(0, 4))
-def test_a_miss_that_need_not_be_met_is_a_cost_and_no_violation(rng, coast):
+def test_optional_miss_is_cost_not_violation(rng, coast):
     flyby = random_flyby(rng, coast=coast)
     problem = replace(flyby.problem, miss_weight=7.0)
     lin = replace(flyby, problem=problem).perturbed(rng, 0.1, 0.0)
@@ -229,7 +229,7 @@ def test_the_adjoint_is_the_affine_model_read_backwards(rng, name, corrected):
 @pytest.mark.slow
 @given(generators, st.booleans(), st.sampled_from([None, *get_args(Cost)]))
 @settings(max_examples=share_of_examples(2, usual=4))
-def test_multipliers_are_the_best_signed_ones_of_what_binds(rng, vanishing, corrected):
+def test_multipliers_are_best_signed_fit_of_binding(rng, vanishing, corrected):
     """By differences of flown excesses, for the conditions of non-negative least squares."""
     flyby = constrain(rng, random_flyby(rng, nodes=8, burns=2 if corrected else 4))
     flyby = flyby.corrected(rng, corrected) if corrected else flyby
@@ -263,7 +263,7 @@ def test_multipliers_are_the_best_signed_ones_of_what_binds(rng, vanishing, corr
 
 
 @pytest.mark.slow
-def test_where_steps_end_that_lower_the_merit_the_slope_left_certifies_burns_and_gains():
+def test_remaining_slope_certifies_burns_and_gains():
     """From 0.94 at a start of random gains."""
     rng = np.random.default_rng(11)
     flyby = random_flyby(rng, nodes=5, burns=3, curvature=0.01)

@@ -37,7 +37,7 @@ CASES = usually(KINDS[::3] + KINDS[1::3] + KINDS[2::3], len(KINDS) // 3)
 @pytest.mark.parametrize(("formulation", "name", "penalty"), CASES)
 @settings(max_examples=share_of_examples(250, usual=1))
 @given(generators)
-def test_the_program_has_the_solution_of_the_one_said_plainly(formulation, name, penalty, rng):
+def test_program_has_solution_of_its_plain_form(formulation, name, penalty, rng):
     """Row by row, in CVXPY."""
     lin = linearised(rng)
     rows = every_row(lin, name)
@@ -116,7 +116,7 @@ def test_each_condition_is_held_to_its_tolerance(price, size, dx, dz, scale):
         assert is_optimal(program, x + step * np.array(dx), z + step * np.array(dz)) is optimal
 
 
-def test_the_largest_number_may_be_a_variable_and_the_largest_price_a_multiplier():
+def test_largest_value_and_price_bind_to_program():
     """Min x with x = y / 1000 and x >= 1; min x with x / 1000 >= 0."""
     matrix = sp.csc_array(np.array([[1.0, -1e-3], [-1.0, 0.0]]))
     program = ConeProgram(np.array([1.0, 0.0]), matrix, np.array([0.0, -1.0]), 1, 1, ())

@@ -33,7 +33,7 @@ from .support import alone, disk, need, tent
 FREE = ConeProgram(np.zeros(2), sp.csc_array((0, 2)), np.zeros(0), 0, 0, ())
 
 
-def test_clarabel_is_set_up_for_new_numbers_on_one_core(monkeypatch):
+def test_clarabel_updates_numbers_on_one_core(monkeypatch):
     """Presolving would make its data final; its threads are ours to give."""
     seen: list[Any] = []
     real = clarabel.DefaultSolver
@@ -52,7 +52,7 @@ def test_clarabel_is_set_up_for_new_numbers_on_one_core(monkeypatch):
     assert tolerances == (solvers.TOLERANCE,) * 3
 
 
-def test_an_almost_solved_program_is_answered_and_not_vouched_for(monkeypatch):
+def test_almost_solved_answer_is_not_proved(monkeypatch):
     found = SimpleNamespace(x=[1.0, 2.0, 3.0], z=[4.0], status="AlmostSolved")
     fake = SimpleNamespace(solve=lambda: found)
     monkeypatch.setattr(clarabel, "DefaultSolver", lambda *_: fake)
@@ -63,7 +63,7 @@ def test_an_almost_solved_program_is_answered_and_not_vouched_for(monkeypatch):
     assert list(answer.multipliers) == [4.0]
 
 
-def test_qoco_is_asked_for_our_tolerance_and_not_vouched_for_beyond_it():
+def test_qoco_is_proved_only_within_tolerance():
     need("QOCO")
     given: list[Any] = []
     found = SimpleNamespace(x=[1.0], y=[2.0], z=[3.0, 4.0], status="QOCO_SOLVED_INACCURATE")
@@ -90,7 +90,7 @@ def test_a_program_without_a_solution_has_no_answer(solver):
 
 @pytest.mark.parametrize("equations", [0, 1])
 @pytest.mark.parametrize("solver", SOLVERS)
-def test_a_solver_with_new_numbers_proves_its_answer_as_a_new_one_does(solver, equations, capfd):
+def test_updated_solver_proves_like_a_new_one(solver, equations, capfd):
     """And is silent."""
     need(solver)
     rng = np.random.default_rng(7)
@@ -174,7 +174,7 @@ FAILURE = ValueError("no")
         ([FAILURE, FAILURE], [OTHER], OTHER, 1.0, (2, 1)),
     ],
 )
-def test_the_first_accurate_answer_counts_and_the_seconds_of_all(
+def test_first_accurate_answer_counts_all_seconds(
     first, second, expected, seconds, built, monkeypatch
 ):
     seen = script(monkeypatch, list(first), list(second))
@@ -214,7 +214,7 @@ def test_another_that_is_not_installed_is_passed_over(monkeypatch):
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt, MemoryError])
-def test_what_is_no_fault_of_the_solver_goes_through(error, monkeypatch):
+def test_other_exceptions_pass_through(error, monkeypatch):
     script(monkeypatch, [error(), GOOD], [GOOD])
     with pytest.raises(error):
         FallbackSolver("CLARABEL").solve(FREE)
@@ -232,7 +232,7 @@ def test_numbers_have_to_be_finite(value, taken, monkeypatch):
             FallbackSolver("CLARABEL").solve(FREE)
 
 
-def test_only_an_accurate_answer_with_multipliers_is_held_to_them(monkeypatch):
+def test_only_accurate_answers_need_fitting_multipliers(monkeypatch):
     program, x, z = tent()
     right = Answer(x, "right", True, 1.0, z)
     off = right._replace(x=x + 0.1)
@@ -251,7 +251,7 @@ def test_only_an_accurate_answer_with_multipliers_is_held_to_them(monkeypatch):
         FallbackSolver("CLARABEL").solve(program)
 
 
-def test_a_solver_that_is_not_installed_is_missed_at_once(monkeypatch):
+def test_missing_solver_is_refused_at_once(monkeypatch):
     monkeypatch.setitem(sys.modules, "qoco", None)
     with pytest.raises(ModuleNotFoundError, match="qoco"):
         FallbackSolver("QOCO")
@@ -274,7 +274,7 @@ def two_tents(first: float = 0.5, second: float = 2.0) -> ConeProgram:
 
 
 @pytest.mark.parametrize("solver", [*SOLVERS, *ByCvxpy.SETTINGS])
-def test_every_solver_solves_each_program_with_its_own_numbers_and_proves_it(solver, monkeypatch):
+def test_every_solver_proves_each_programs_solution(solver, monkeypatch):
     """Those of the call, whatever is left in CVXPY's parameters by another; the same multipliers."""
     need(solver)
     alone(monkeypatch, solver)
@@ -348,7 +348,7 @@ def test_solvers_get_their_settings(solver, monkeypatch):
         *((cp.OPTIMAL, error) for error in (ValueError, cp.SolverError, RuntimeError)),
     ],
 )
-def test_any_other_status_or_exception_is_a_failure_with_its_words(status, error, monkeypatch):
+def test_other_status_or_exception_is_quoted_failure(status, error, monkeypatch):
     fake(monkeypatch, FakeInterface(status, error and error("it broke")))
     words = "it broke" if error else f"FAKE ended with status {status}"
     with pytest.raises(ValueError, match=rf"^{words}$"):
@@ -371,7 +371,7 @@ def test_a_solver_asked_to_be_compared_stands_alone(status, monkeypatch):
     assert (built, made) == ({"CLARABEL": 0, "QOCO": 0}, [])
 
 
-def test_a_solver_that_stops_early_says_so_and_warns_nobody(capfd, monkeypatch):
+def test_early_stop_is_told_without_warning(capfd, monkeypatch):
     """Warnings are errors here, and CVXPY's own word for an inaccurate answer is one."""
     need("SCS")
     monkeypatch.setitem(ByCvxpy.SETTINGS, "SCS", {"max_iters": 5})

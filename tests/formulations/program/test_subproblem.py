@@ -87,7 +87,7 @@ def breaking_every_limit(rng: np.random.Generator) -> Linearisation:
 @settings(max_examples=share_of_examples(100, usual=1))
 @given(st.integers(0, 2**32 - 1))
 @example(1)  # a constraint on the last node, where the final state is missed
-def test_without_a_step_the_model_predicts_what_breaking_every_limit_costs(formulation, name, seed):
+def test_zero_step_predicts_cost_of_every_violation(formulation, name, seed):
     lin = breaking_every_limit(np.random.default_rng(seed))
     subproblem = make_subproblem(lin.problem, every_row(lin, name), formulation)
     subproblem.update(lin)
@@ -118,7 +118,7 @@ def test_the_predicted_merit_errs_quadratically_in_the_step(name, rng, facets):
 
 
 @pytest.mark.parametrize("formulation", FORMULATIONS)
-def test_only_frozen_models_promise_what_is_not_to_be_had_at_the_solution_of_p2(case, formulation):
+def test_only_frozen_models_overpromise_at_p2_solution(case, formulation):
     """A reduction of the merit, relative, within a unit radius."""
     lin, subproblem = case.at("P2"), make_subproblem(case.problem, case.rows("P2"), formulation)
     subproblem.update(lin)
@@ -209,7 +209,7 @@ def step(burns: Array, merit: float, seconds: float = 1.0) -> Step:
     return Step(burns, merit, seconds, 10.0 * seconds)
 
 
-def test_a_plane_touches_its_cone_nearest_to_the_burn():
+def test_plane_touches_cone_nearest_to_burn():
     burns = along([1e-3, 0.5, 1.0, 3.0])
     subproblem = Attempted(burns, [])
     problem, planes = subproblem.problem, subproblem.burn_planes(burns)
@@ -235,7 +235,7 @@ def test_a_plane_touches_its_cone_nearest_to_the_burn():
         ([0.5, 1.0, 1.5, 2.0], 0.5, 0),
     ],
 )
-def test_a_small_burn_that_may_turn_is_first_kept_out_of_no_cone(sizes, radius, small):
+def test_small_turning_burn_first_avoids_no_cone(sizes, radius, small):
     """Small is a hundredth of the largest burn, or no more than the trust region lets it turn.
 
     Of the others no second answer is asked, whatever cone they are in.
@@ -252,7 +252,7 @@ def test_a_small_burn_that_may_turn_is_first_kept_out_of_no_cone(sizes, radius, 
     assert np.array_equal(planes[:, small:], subproblem.burn_planes(burns)[:, small:])
 
 
-def test_from_a_guess_the_first_answer_is_taken_wherever_it_points():
+def test_first_answer_from_guess_is_taken():
     """There is no step to compare it with, and the next one is made at its burns."""
     subproblem = Attempted(along([0.5 * LIMIT, 1.0, 1.5, 2.0]), [], flown=False)
     inside = across(subproblem, 0.1)
@@ -262,7 +262,7 @@ def test_from_a_guess_the_first_answer_is_taken_wherever_it_points():
 
 
 @pytest.mark.parametrize("better", [1, 2])
-def test_a_small_burn_that_turns_into_a_cone_is_asked_again_both_ways(better):
+def test_burn_turning_into_cone_is_retried_both_ways(better):
     """With planes where the first answer points, and where the burn did; the lower merit counts."""
     burns = along([0.5 * LIMIT, 1.0, 1.5, 2.0])
     subproblem = Attempted(burns, [])
@@ -285,7 +285,7 @@ def test_a_small_burn_that_turns_into_a_cone_is_asked_again_both_ways(better):
 
 
 @pytest.mark.parametrize("formulation", ["condensed", "lifted"])
-def test_held_burns_stay_and_raised_ones_are_no_smaller(formulation):
+def test_fixed_burns_stay_raised_are_no_smaller(formulation):
     """At a weight that makes every burn shrink; before and after the kept program is as it was."""
     lin = linearised(np.random.default_rng(4))
     burns, problem = lin.iterate.burns, replace(lin.problem, dv_max=9.0)
@@ -305,7 +305,7 @@ def test_held_burns_stay_and_raised_ones_are_no_smaller(formulation):
     assert (np.linalg.norm(step, axis=1) < 0.99 * sizes)[[0, 3]].all()
 
 
-def test_the_solver_is_the_one_required_and_form_and_penalty_are_else_the_usual_ones(monkeypatch):
+def test_solver_is_as_required_rest_by_default(monkeypatch):
     asked: list[str] = []
     for module in (condensed, lifted):
         monkeypatch.setattr(module, "FallbackSolver", lambda name, *_: asked.append(name))
@@ -320,7 +320,7 @@ def test_the_solver_is_the_one_required_and_form_and_penalty_are_else_the_usual_
     assert (usual.problem, usual.rows, usual._penalty) == (lin.problem, rows, "exact")
 
 
-def test_every_condensation_is_a_formulation_and_others_are_refused():
+def test_unknown_condensation_is_refused():
     assert set(FORMULATIONS) == {"lifted", *CONDENSATIONS}
     lin = linearised(np.random.default_rng(3))
     with pytest.raises(KeyError, match="unheard of"):

@@ -54,7 +54,7 @@ def test_the_chi_law_is_scipys_in_both_tails(dimension, one, other):
 
 
 @pytest.mark.parametrize("law", LAWS, ids=NAMES)
-def test_all_of_a_law_is_one_and_none_of_it_nothing(law):
+def test_whole_line_has_probability_one_empty_zero(law):
     assert between(law, -np.inf, np.inf) == pytest.approx(1.0, abs=1e-15)
     assert between(law, -np.inf, 0.0) == pytest.approx(0.5, abs=1e-15)
     for s in (-np.inf, -1.0, 0.0, 2.0, np.inf):
@@ -73,7 +73,7 @@ def test_the_density_integrates_to_the_law(law, low, width):
 
 
 @pytest.mark.parametrize("law", LAWS, ids=NAMES)
-def test_the_density_is_even_and_finite_and_vanishes_at_infinity(law):
+def test_density_is_even_finite_and_vanishes(law):
     s = np.array([0.0, 1e-300, 1e-3, 1.0, 50.0, np.inf])
     density = law.density(s)
     if law.dimension == 1:
@@ -111,7 +111,7 @@ def kept_of(segments: Segments, lines: int) -> Array:
 
 
 @given(generators, st.integers(0, 3), st.integers(0, 5))
-def test_segments_are_where_all_limits_hold_and_name_those_that_end_them(rng, inner, outer):
+def test_segments_satisfy_limits_and_name_their_ends(rng, inner, outer):
     lines = 6
     keep_in, keep_out = some_intervals(rng, lines, inner), some_intervals(rng, lines, outer)
 
@@ -183,7 +183,7 @@ def law(rng: np.random.Generator, n: int, slenderness: float = 30.0) -> tuple[Ar
 
 
 @given(st.floats(0.05, 20.0), st.floats(0.0, 10.0), st.floats(-4.0, 4.0), generators)
-def test_a_round_form_has_the_noncentral_chi_square_law(sigma, distance, deviations, rng):
+def test_round_form_has_noncentral_chi_square_law(sigma, distance, deviations, rng):
     radius = max(distance + deviations * sigma, 0.1 * sigma)
     mean = distance * random_rotation(rng)[:1]
     found = below(np.eye(3)[None], mean, np.array([radius**2]), sigma**2 * np.eye(3)[None])
@@ -206,7 +206,7 @@ def test_a_form_of_one_coordinate_is_a_slab(rng):
 
 
 @given(st.floats(0.05, 20.0), generators)
-def test_a_double_wedge_about_the_mean_has_its_angle(slope, rng):
+def test_double_wedge_about_mean_has_its_angle(slope, rng):
     """|u| < slope |v| of independent coordinates has the share 2 atan(slope) / pi; a side has half."""
     turn = random_rotation(rng)
     form = turn[0][:, None] * turn[0] - slope**2 * turn[1][:, None] * turn[1]
@@ -230,7 +230,7 @@ def test_above_and_below_change_places_with_the_sign(rng):
 
 
 @given(generators)
-def test_the_derivative_in_the_covariance_is_half_the_second_in_the_mean(rng):
+def test_covariance_derivative_is_half_second_mean_derivative(rng):
     """The heat equation, and the derivative in the mean by differences of values."""
     mean, covariance = law(rng, 1, 5.0)
     radius = np.linalg.norm(mean, axis=1) + 2.0

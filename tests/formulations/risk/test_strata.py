@@ -115,7 +115,7 @@ def flights_like(a: Allocation, law: str, required: float) -> tuple[Array, Array
 @pytest.mark.parametrize(
     ("required", "mirrored"), [*((p, False) for p in REQUIRED), (0.9, True), (0.99, True)]
 )
-def test_no_limit_is_missed_more_often_than_it_says(required, mirrored, law):
+def test_no_limit_is_missed_above_its_bound(required, mirrored, law):
     """However wrong the law is, of flights that reach just what is required."""
     a = allocation_of(required, mirrored=mirrored)
     assert not mirrored or a.share == a.share[::-1]
@@ -128,7 +128,7 @@ def test_no_limit_is_missed_more_often_than_it_says(required, mirrored, law):
 
 
 @given(st.integers(1, 500), st.floats(0.02, 0.5))
-def test_the_laws_part_of_a_limit_is_the_worst_of_all(failing, lean):
+def test_laws_part_is_the_worst_of_all(failing, lean):
     """Of means of the failures, told by SciPy's search: a limit has to hold for each of them."""
     none, one, ends = np.zeros(COUNT), np.ones(COUNT), (0.0, failing + 50.0 * np.sqrt(failing))
     of = np.array(float(failing)), none, one, np.array(lean), np.array(1.0), TAIL
@@ -145,7 +145,7 @@ def test_the_laws_part_of_a_limit_is_the_worst_of_all(failing, lean):
 
 
 @pytest.mark.parametrize("required", REQUIRED)
-def test_a_look_takes_a_tenth_of_the_flights_for_no_wider_an_interval(required):
+def test_stratified_test_needs_a_tenth_of_flights(required):
     """With flights as a survey expects them."""
     a, known, n = allocation_of(required), survey_of(required), flights_of_test(required)
     drawn = a.draws * known.share

@@ -50,7 +50,7 @@ def modelled(blocks: list[Cones], controls: Array) -> Array:
 
 
 @given(cases(), st.floats(0.01, 0.3))
-def test_margins_are_quantiles_of_the_distance_to_the_limits(case, spread):
+def test_margins_are_quantiles_of_distance_to_limits(case, spread):
     """Of drawn commands the required share keeps the limit when it is moved by the margin."""
     flyby, rng = case
     lin, problem = flyby.at(some_controls(case, spread)), flyby.problem
@@ -129,7 +129,7 @@ def test_without_corrections_margins_are_those_of_the_burns(case):
 
 @settings(max_examples=share_of_examples(10))
 @given(cases())
-def test_they_follow_the_final_spread_and_need_no_states(case):
+def test_rows_follow_final_spread_without_states(case):
     problem = replace(case[0].problem, final_spread=(0.1, None))
     lin = replace(case[0], problem=problem).at(some_controls(case, 0.1))
     rows, own = FurtherRows(problem, 3), CorrectedBurns(problem, 4)
@@ -143,7 +143,7 @@ def test_they_follow_the_final_spread_and_need_no_states(case):
         np.testing.assert_array_equal(lifted.constants, block.constants)
 
 
-def test_a_zero_burn_without_corrections_is_at_the_apex_and_open_loops_have_no_rows():
+def test_zero_burn_is_apex_open_loop_rowless():
     rng = np.random.default_rng(1)
     flyby = random_flyby(rng).corrected(rng)
     lin = flyby.at(np.zeros(flyby.problem.controls_before[-1]))

@@ -180,7 +180,7 @@ def test_derivatives_of_a_drift_are_those_of_casadi():
             np.testing.assert_allclose(stm[node + 1], there[1], atol=1e-6 * scale)
 
 
-def test_the_law_of_a_drift_is_that_of_linear_flights():
+def test_law_of_drift_matches_linear_flights():
     """Against draws of the linear law at the drift's nodes."""
     mission, lin = at_plan_without(MISSED)
     drift = mission.problem.drifts[0]

@@ -42,7 +42,7 @@ SCOPES = ("node", "flight")
 
 
 @given(generators, st.integers(1, 6))
-def test_a_curved_cone_has_value_slope_and_concave_curvature(rng, p):
+def test_curved_cone_has_value_slope_concave_curvature(rng, p):
     """By differences of y_0 - ||y_1..|| about where it is made; and it is triangular."""
     r, h = 3, 1e-4
     margin, slope, z = rng.normal(size=r), rng.normal(size=(r, p)), rng.normal(size=p)
@@ -125,7 +125,7 @@ def test_at_the_iterate_rows_have_the_margins_themselves(scope):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("scope", "accuracy"), [("node", 1e-3), ("flight", 3e-2)])
-def test_rows_have_the_slope_of_margins_along_flown_burns(scope, accuracy):
+def test_rows_have_slope_of_flown_margins(scope, accuracy):
     """Along directions that keep the final state, whose steps are flown by Newton's method."""
     mission, lin = flown(scope)
     rows, z = rows_of(scope, mission), lin.iterate.burns.ravel()
@@ -147,7 +147,7 @@ def test_rows_have_the_slope_of_margins_along_flown_burns(scope, accuracy):
 
 
 @pytest.mark.slow
-def test_a_bundle_bounds_a_flight_by_tangents_where_it_was_asked():
+def test_bundle_bounds_flight_by_its_tangents():
     """None of them cuts off the iterate; where a tangent belongs, the model says no more than it."""
     mission, lin = flown("flight")
     rows, z = rows_of("flight", mission).bundled(), lin.controls
@@ -169,7 +169,7 @@ def test_a_bundle_bounds_a_flight_by_tangents_where_it_was_asked():
         assert slack(cones, other.controls).min() < value + 1e-6
 
 
-def test_slopes_near_an_iterate_bound_it_through_its_value():
+def test_nearby_slopes_bound_through_iterates_value():
     """Without curvature; those beyond the reach are left out, and what is evaluated later counts."""
     mission, lin = flown("flight")
     bundle, z = rows_of("flight", mission).bundled(), lin.controls
@@ -185,7 +185,7 @@ def test_slopes_near_an_iterate_bound_it_through_its_value():
 
 
 @pytest.mark.slow
-def test_curvature_of_a_node_is_that_of_its_margin():
+def test_curvature_of_node_is_its_margins():
     """On the affine model: second differences of g, where g is concave along a direction."""
     mission, lin = flown("node")
     rows, z = NodeRows(mission.problem, 0.9), lin.iterate.burns.ravel()
@@ -204,7 +204,7 @@ def test_curvature_of_a_node_is_that_of_its_margin():
         assert model == pytest.approx(min(second, 0.0), abs=0.35 * abs(second) + 2e-3)
 
 
-def test_a_flights_margin_is_told_at_the_node_where_most_flights_end():
+def test_margin_is_at_node_ending_most_flights():
     mission, lin = flown("flight")
     rows = rows_of("flight", mission)
     ((name, found),) = rows.margins(lin).items()
@@ -218,14 +218,14 @@ def test_a_flights_margin_is_told_at_the_node_where_most_flights_end():
 
 
 @pytest.mark.parametrize("scope", SCOPES)
-def test_asking_more_leaves_less_by_the_difference_of_quantiles(scope):
+def test_higher_target_costs_difference_of_quantiles(scope):
     mission, lin = flown(scope)
     less, more = (rows_of(scope, mission, p) for p in (0.8, 0.95))
     apart = margins(less, lin) - margins(more, lin)
     np.testing.assert_allclose(apart, 1.6448536269514722 - 0.8416212335729143, rtol=1e-9)
 
 
-def test_a_burn_that_vanished_with_its_corrections_turns_no_coordinates():
+def test_vanished_burn_turns_no_coordinates():
     """Its velocities are all but known from what came before: nearly nothing has any direction."""
     problem = Mission.from_scenario(load_scenario(None, (COARSE,))).problem
     rng = np.random.default_rng(5)
@@ -254,9 +254,7 @@ def flown_spread(rng: np.random.Generator, *spread: float | None) -> Linearisati
 
 
 @given(generators, limits, limits, st.integers(0, 5))
-def test_each_limit_is_one_row_after_the_others_with_the_root_of_the_summed_variances(
-    rng, position, velocity, first
-):
+def test_each_limits_row_has_root_summed_variance(rng, position, velocity, first):
     lin = flown_spread(rng, position, velocity)
     rows, last = FinalSpread(lin.problem, first), lin.problem.n_nodes - 1
     both = dict(zip(PARTS, (position, velocity), strict=True))

@@ -88,7 +88,7 @@ def test_plain_monte_carlo_agrees(seed, outside):
 
 @given(seeds)
 @settings(max_examples=share_of_examples(6))
-def test_flights_that_fail_on_the_lines_are_all_that_fail(seed):
+def test_flights_failing_on_lines_are_all_failures(seed):
     mean, factor, _ = flight = some_flight(seed, 0.0)
     found = of_flight(flight, 512)
     weight = found.directions.weight / 512
@@ -97,7 +97,7 @@ def test_flights_that_fail_on_the_lines_are_all_that_fail(seed):
 
 @pytest.mark.parametrize("deviations", [3.1, 3.7, float(ndtri(PROBABILITY_MAX))])
 @pytest.mark.parametrize("dimension", [9, 15])
-def test_up_to_what_may_be_asked_the_rest_is_told_to_a_half(deviations, dimension):
+def test_failure_up_to_highest_target_within_half(deviations, dimension):
     """Of one limit at one node, for which the nodes' quadrature is exact."""
     law = sphere_directions(LINES, dimension)
     for seed in range(6):
@@ -117,9 +117,7 @@ def test_up_to_what_may_be_asked_the_rest_is_told_to_a_half(deviations, dimensio
 
 @given(seeds, st.floats(0.5, 2.5))
 @few
-def test_half_spaces_that_only_one_part_of_the_errors_knows_have_their_closed_form(
-    seed, deviations
-):
+def test_half_spaces_of_one_error_match_closed_form(seed, deviations):
     """Huge balls at several nodes, in whose normals all factors are along one direction of w.
 
     A flight keeps all of them if it keeps the one nearest in standard deviations.
@@ -140,7 +138,7 @@ def test_half_spaces_that_only_one_part_of_the_errors_knows_have_their_closed_fo
 
 @given(seed=seeds, outside=st.sampled_from([None, -0.02, 0.02]))
 @few
-def test_chords_that_no_line_comes_near_are_missed_by_none(seed, outside):
+def test_distant_chords_are_never_missed(seed, outside):
     """Against all chords of all lines, which a plane through each keep-out decides not to compute."""
     flight = some_flight(seed, outside)
     estimate = of_flight(flight, 512)
@@ -214,7 +212,7 @@ def test_the_gradient_is_that_of_the_sampled_function(seed, outside):
     assert slope == pytest.approx(difference, rel=1e-2, abs=1e-2)
 
 
-def test_shares_of_flights_that_end_are_those_of_the_gradient():
+def test_shares_of_ended_flights_match_gradient():
     """A limit that ends no flight has no say."""
     flight = some_flight(2)
     found = of_flight(flight, reach=100.0)(flight.mean, flight.factor)
@@ -225,7 +223,7 @@ def test_shares_of_flights_that_end_are_those_of_the_gradient():
     assert np.all(found.by_factor[silent] == 0.0)
 
 
-def test_many_flights_at_once_are_as_each_by_itself():
+def test_batch_of_flights_equals_single_flights():
     flight, rng = some_flight(1, -0.02), np.random.default_rng(1)
     estimate = of_flight(flight, 512)
     mean = flight.mean + 1e-3 * rng.normal(size=(3, *flight.mean.shape))

@@ -130,7 +130,7 @@ def test_balls_and_cones_agree_with_nested_quadrature(spread, slenderness, devia
 
 @given(st.floats(0.05, 0.5), st.floats(0.0, 1.0), generators)
 @few
-def test_a_long_law_deep_inside_a_ball_reaches_out_of_it(spread, distance, rng):
+def test_long_law_deep_inside_reaches_out(spread, distance, rng):
     """Lying across the way to the nearest point of the limit, which it is far from."""
     normal, side, other = random_rotation(rng)
     axes = [normal / SLENDER, side, other / 10.0]
@@ -220,7 +220,7 @@ def test_without_any_spread_the_means_side_tells(rng, out):
 
 @given(generators)
 @few
-def test_where_nothing_is_left_to_see_g_stays_beyond_what_is_told(rng):
+def test_vanishing_probability_keeps_g_beyond_bound(rng):
     """A slender law beside a ball: its tangent plane is near, and the ball itself out of reach."""
     ball = Ball(np.zeros((1, 3)), 0.43)
     turn = random_rotation(rng)
@@ -267,7 +267,7 @@ def test_gradients_are_good_to_a_millionth(kind, spread, slenderness):
 
 @few
 @given(generators)
-def test_flat_and_stretched_regions_hold_what_draws_of_the_law_say(rng):
+def test_flat_and_stretched_regions_match_draws(rng):
     """An ellipsoid exactly; many faces by the sum of what each loses, a bound, in and out."""
     factor, faces = root(rng, 0.5), random_unit(rng, 5)
     mean, room = rng.normal(scale=0.3, size=(1, 3)), rng.uniform(0.6, 1.5, 5)
@@ -322,7 +322,7 @@ def test_joint_events_are_made_of_their_sides():
 
 @pytest.mark.parametrize("left", [1e-3, 1e-6, 1e-9])
 @pytest.mark.parametrize("spread", [0.01, 0.1])
-def test_what_is_left_of_a_probability_near_one_keeps_its_digits(left, spread):
+def test_complement_near_one_keeps_its_digits(left, spread):
     """Down to the least that a scenario may leave, 1e-9: by the noncentral chi-square law."""
     mean = np.array([[1.0, 0.0, 0.0]])
     factor = spread * np.eye(3)[None]

@@ -73,7 +73,7 @@ def test_declination_in_radians_is_asked_about():
     assert warning.expected.endswith("; degrees?")
 
 
-def test_a_known_bodys_wrong_spin_is_named_beside_its_window():
+def test_wrong_spin_of_known_body_is_named():
     overrides = "observation.window_s=[13200, 16500]", "body.prime_meridian_rate_deg_day=1600.0"
     said = refusal("recon_b", *overrides)
     assert said.startswith("observation.window_s: got ")

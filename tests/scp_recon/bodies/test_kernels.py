@@ -69,7 +69,7 @@ def write_dsk(path: Path, mesh: Mesh, spice: Any, segments: int = 1) -> Path:
     return path
 
 
-def test_dsk_of_other_body_or_several_shapes_is_refused(tmp_path, spice):
+def test_dsk_of_other_or_several_shapes_refused(tmp_path, spice):
     one = write_dsk(tmp_path / "one.bds", ROCK, spice)
     assert len(read_dsk(one, ROCK_ID)[1]) == len(ROCK.facets)
     with pytest.raises(InputError, match=f"must be of body {ROCK_ID + 1}"):

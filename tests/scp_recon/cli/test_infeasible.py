@@ -101,7 +101,7 @@ def test_what_is_tried_is_shown_with_its_time():
     assert {*shown} == {"trying the limits: 0 of at most 30 s"}
 
 
-def test_planning_shows_its_last_iteration_on_a_terminal_alone(mission):
+def test_last_iteration_is_shown_on_terminal_alone(mission):
     ends = {}
     for is_terminal in (True, False):
         console = Console(file=StringIO(), force_terminal=is_terminal, width=100)

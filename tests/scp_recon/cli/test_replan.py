@@ -83,6 +83,6 @@ def test_verdict_has_the_miss_of_one_burn(plan_folder, state_at, tmp_path, capsy
     assert rows["nodes"][-2:] == [f"{limit:.1e}", "m"]
 
 
-def test_advice_to_go_home_is_an_option_of_replan():
+def test_advised_way_home_is_replans_option():
     remedy = Remedy(RETURN, {"observation.required": False}, 0.049)
     assert what_would_do(remedy) == "feasible, for 49.0 mm/s, with: --goal return"

@@ -144,7 +144,7 @@ def test_faults_of_an_oem_are_named_by_line(old, new, where, allowed):
     assert "\n" not in str(caught.value)
 
 
-def test_states_that_stop_before_their_file_says_are_doubted():
+def test_states_ending_before_stated_stop_are_doubted():
     (doubt,) = oem_track(
         hera(("2027-02-01T02:00:00.000000  9.28", "COMMENT")), "didymosbarycenter"
     ).doubts

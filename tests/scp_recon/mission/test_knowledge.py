@@ -284,6 +284,6 @@ def test_bad_knowledge_is_refused_in_one_message(changes, words):
     assert str(error).startswith("knowledge")
 
 
-def test_sigmas_of_a_companion_are_set_in_one_override():
+def test_companions_sigmas_are_set_in_one_override():
     scenario = load_scenario("didymos", ["knowledge.body.companion.gm_m3_s2=0.01"])
     assert Uncertain.of(scenario).sigmas == {"body.companion.gm_m3_s2": np.array([0.01])}

@@ -60,7 +60,7 @@ def test_a_drift_is_that_of_another_integrator():
         assert found.at_s[number] == pytest.approx(times[np.argmin(distance)], abs=1.0)
 
 
-def test_a_missed_burn_is_what_a_whole_one_lacks():
+def test_missed_burn_is_whole_less_executed():
     plan = planned(*ONE_DAY)
     mission, burns = plan.mission, plan.burns_m_s
     time = np.array([mission.scenario.burns.times_s[1]])
@@ -88,7 +88,7 @@ def test_a_plan_survives_a_missed_burn_in_flight():
     assert plan.total_dv_m_s < 1.05 * without.total_dv_m_s
 
 
-def test_flights_judge_a_drift_where_the_law_is_blind():
+def test_flights_judge_drift_where_law_cannot():
     """After burn 4, cut at 0.9, the linear law sees no drift inside, and 43 % of flights are."""
     entries = (COARSE, "risk.allocation='exact'", "safety.cut_short=true")
     mission, name = Mission.from_scenario(load_scenario(None, entries)), "cut_burn_4_at_0.9"
@@ -107,7 +107,7 @@ def test_a_mission_without_safe_plans_ends_infeasible(monkeypatch):
     assert found is unsafe
 
 
-def test_a_violated_drift_has_a_smaller_radius_to_try():
+def test_violated_drift_suggests_a_smaller_radius():
     scenario = planned(*ONE_DAY).mission.scenario
     assert limits_violated(scenario, ("missed_burn_2",)) == {
         "safety.drift_radius_m": (500.0, 290.0)
@@ -149,7 +149,7 @@ def test_flights_miss_a_burn_on_request():
         sr.fly(plan, 200, miss=5)
 
 
-def test_the_way_home_is_flown_after_a_missed_burn():
+def test_way_home_is_flown_after_missed_burn():
     plan = planned(*ONE_DAY)
     then = sr.fly(plan, 200, miss=2, then="return").then
     assert then.status == "converged"

@@ -57,7 +57,7 @@ def law_of(mission: Mission) -> Law:
 
 
 @pytest.mark.parametrize("entry", ALONE)
-def test_each_parameter_alone_acts_on_flights_as_by_law(entry):
+def test_single_parameter_acts_on_flights_as_predicted(entry):
     """What flights see of each limit, less the mean, is the linear law's to 2 %, for small draws."""
     companion = {"body.companion": COMPANION} if ".companion." in entry else {}
     changes = {**companion, **CERTAIN, f"knowledge.{entry}": ALONE[entry]}
@@ -97,7 +97,7 @@ def test_parameters_have_a_stream_of_their_own():
     assert other.mission.site.position_body.shape == (40, 3)
 
 
-def test_limits_count_in_the_own_window_of_each_flight():
+def test_limits_count_in_each_flights_own_window():
     """The window of each flight is searched for anew, and every sample in it judged by itself."""
     changes = {"knowledge.body.prime_meridian_deg": 2.0, "knowledge.body.pole_dec_deg": 1.0}
     mission = mission_with(changes)

@@ -196,7 +196,7 @@ def test_packaged_field_refuses_another_body(entry, mission, solution):
     Flyer(mission, solution.burns_m_s, truth="harmonics")
 
 
-def test_spread_beyond_the_linear_law_is_named_by_axis():
+def test_spread_beyond_linear_law_names_its_axis():
     assert missed_by_law({"x": 0.5, "vy": WIDER}) is None
     told = missed_by_law({"x": 1.0, "vz": 1.87, "vx": 1.26})
     assert "vz 1.87, vx 1.26 in J2000" in told

@@ -67,7 +67,7 @@ def test_no_measured_burn_makes_a_variance_negative(default_plan):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("measured", [(), (1,), (2,), (1, 3), (2, 3)])
-def test_the_spread_is_that_of_flights_in_which_measured_burns_do_not_err(default_plan, measured):
+def test_spread_omits_errors_of_measured_burns(default_plan, measured):
     """Small errors, so that flights are linear; the bias is one draw for all burns of a flight."""
     flown = with_gates(default_plan, 2e-3, magnitude_bias=0.02, pointing_proportional_rad=0.005)
     mission, firing = flown.mission, (0.0, 8_000.0, 25_000.0)
@@ -100,7 +100,7 @@ def corrected() -> Solution:
 @pytest.mark.parametrize(
     "words", [("navigation.lead_s=0",), ("navigation.lead_s=20000", LAST_TOO), (gates(0.03, 0.0),)]
 )
-def test_the_gains_of_a_file_are_those_that_it_was_made_of(words):
+def test_file_keeps_the_gains_of_its_plan(words):
     given = with_gains(*words)
     flown = FlownPlan.of(given)
     assert flown.failed == ()
@@ -136,7 +136,7 @@ OFF = np.array([20.0, -10.0, 5.0, 1e-3, 2e-3, -1e-3])
 
 
 @pytest.mark.parametrize("at_s", [4_400.0, 3_000.0])
-def test_the_policy_alone_acts_on_the_estimate_at_the_cut_off(corrected, at_s):
+def test_policy_alone_uses_estimate_at_cut_off(corrected, at_s):
     """From an earlier state on the estimate that follows from it."""
     flown, first = FlownPlan.of(corrected), corrected.corrections[0]
     planned = predict(flown, at_s, {}).state
@@ -154,7 +154,7 @@ def test_the_policy_alone_acts_on_the_estimate_at_the_cut_off(corrected, at_s):
 
 
 @pytest.mark.slow
-def test_a_plan_with_corrections_is_continued_from_its_cut_off(corrected):
+def test_corrected_plan_continues_from_its_cut_off(corrected):
     """The next burn is as it is; later ones are corrected by measurements to come."""
     flown, first = FlownPlan.of(corrected), corrected.corrections[0]
     state = predict(flown, 4_400.0, {}).state + OFF
@@ -296,16 +296,14 @@ def test_only_exact_risk_with_uncertainty_is_certified(default_plan, mission, st
         ("boundary.initial_velocity_m_s", [0.0, 0.0, 0.05], "max_defect"),
     ],
 )
-def test_nodes_that_do_not_follow_from_scenario_and_burns_are_told(
-    solution, state, entry, value, failed
-):
+def test_nodes_inconsistent_with_burns_are_told(solution, state, entry, value, failed):
     edited = solution.scenario.replace({entry: value})
     flown = FlownPlan.of(replace(solution, scenario=edited))
     assert failed in flown.failed
     assert "parent" in [w.entry for w in mission_left(flown, Delivery(AT, state)).warnings]
 
 
-def test_a_doubtful_file_is_told_and_another_grid_refused(solution, verification, state):
+def test_doubtful_file_is_told_other_grid_refused(solution, verification, state):
     bad = replace(verification, ok=False, failed=["safety_radius"])
     found = FlownPlan.of(replace(solution, verification=bad))
     (warning,) = mission_left(found, Delivery(AT, state)).warnings

@@ -68,7 +68,7 @@ def drawn(flown: FlownPlan, at_s: float, seed: int = 0) -> Array:
         3,
     ),
 )
-def test_from_every_leg_what_is_left_is_planned_and_verified(flown, at_s, left, observed):
+def test_rest_is_planned_from_every_leg(flown, at_s, left, observed):
     plan = again(flown, at_s, drawn(flown, at_s))
     mission = plan.mission
     assert plan.status is Status.CONVERGED
@@ -86,7 +86,7 @@ def test_from_every_leg_what_is_left_is_planned_and_verified(flown, at_s, left, 
 
 
 @pytest.mark.parametrize("seed", usually([0, 2], 1))
-def test_before_the_window_a_flight_is_met_or_cannot_be_helped(flown, seed):
+def test_before_window_flight_is_met_or_lost(flown, seed):
     """No burn is left before the window; what is infeasible says so at once, and by how much."""
     plan = again(flown, 8_000.0, drawn(flown, 8_000.0, seed))
     mission, solution = plan.mission, make_solution(plan)
@@ -115,7 +115,7 @@ def test_ipopt_finds_the_same_of_the_remaining_problem(flown, at_s):
         assert plan.burns_m_s == pytest.approx(reference.burns_m_s, abs=1e-6)
 
 
-def test_one_burn_meets_the_velocity_and_misses_what_the_coast_misses(late):
+def test_one_burn_meets_velocity_not_position(late):
     mission = late.mission
     end = integrate(mission.forces, mission.initial_state, [26_000.0, 34_842.0])[-1]
     missed = verify(mission, make_solution(late)).missed
@@ -130,7 +130,7 @@ def test_one_burn_meets_the_velocity_and_misses_what_the_coast_misses(late):
     assert late.burns_m_s[0] == pytest.approx(mission.final_state[3:] - end[3:], abs=1e-7)
 
 
-def test_a_burn_that_cannot_meet_it_misses_the_least_by_its_weight(flown):
+def test_insufficient_burn_minimises_weighted_miss(flown):
     plan = again(flown, 26_000.0, OFF, "burns.dv_max_m_s=0.03")
     mission, burn = plan.mission, plan.burns_m_s[0]
     before = plan.states[-1, 3:] - burn
@@ -150,7 +150,7 @@ def test_a_burn_that_cannot_meet_it_misses_the_least_by_its_weight(flown):
     assert "missed" in str(found)
 
 
-def test_a_flight_is_lost_beyond_three_sigma_of_the_final_dispersion(flown, default_plan):
+def test_flight_is_lost_beyond_three_final_sigma(flown, default_plan):
     """In position or in velocity, by the roots of their summed variances; one burn meets velocity."""
     end = default_plan.covariances[-1]
     sigmas = [np.sqrt(np.trace(block)) for block in (end[:3, :3], end[3:, 3:])]
@@ -196,14 +196,14 @@ def test_burns_added_after_the_last_one_go_home(flown):
         again(flown, 38_000.0, OFF)
 
 
-def test_burn_added_after_the_end_ahead_is_warned_about(flown):
+def test_burn_added_after_end_is_warned_about(flown):
     delivery = Delivery.of(17_000.0, predict(flown, 17_000.0, {}).state)
     left = mission_left(flown, delivery, ["burns.times_s=[0, 8000, 25000, 34842, 50842]"])
     (warning,) = (one for one in left.warnings if one.entry == "burns.times_s")
     assert warning.given == "a last burn at 50842 s, 16000 s later than before"
 
 
-def test_a_replan_is_flown_and_replanned_in_its_turn(flown, default_plan):
+def test_replan_is_flown_and_replanned(flown, default_plan):
     first = again(flown, 9_000.0, 0.1 * drawn(flown, 9_000.0))
     assert first.parent.plan_hash == make_solution(default_plan).plan_hash
     child = FlownPlan.of(first)
@@ -215,7 +215,7 @@ def test_a_replan_is_flown_and_replanned_in_its_turn(flown, default_plan):
     assert second.mission.scenario.burn_times_s == (34_842.0,)
 
 
-def test_where_p3_stops_before_its_end_p2_ends_at_the_same(flown):
+def test_p2_ends_where_p3_stops_early(flown):
     state = predict(flown, 5_000.0, {}).state + drawn(flown, 5_000.0, 3)
     given = Delivery(5_000.0, state), ["navigation.lead_s=1800"]
     mission = mission_left(flown, *given)
@@ -241,7 +241,7 @@ def test_a_replan_is_made_as_its_parent_was(flown):
     assert exact.provenance.formulation == "condensed"  # of which exact risk has rows
 
 
-def test_a_method_that_is_not_here_gives_way_and_one_that_is_none_is_refused(solution):
+def test_missing_method_gives_way_unknown_is_refused(solution):
     elsewhere = replace(solution, solver="ELSEWHERE")
     assert FlownPlan.of(elsewhere).method.solver == "CLARABEL"
     by_ipopt = replace(solution, method="ipopt", formulation="tuned")
@@ -250,7 +250,7 @@ def test_a_method_that_is_not_here_gives_way_and_one_that_is_none_is_refused(sol
         FlownPlan.of(replace(solution, formulation="none"))
 
 
-def test_what_is_known_of_a_mission_is_what_would_be_found_again(flown):
+def test_known_quantities_equal_those_computed_anew(flown):
     state = predict(flown, 17_000.0, {}).state
     left = mission_left(flown, Delivery(17_000.0, state))
     anew = Mission.from_scenario(left.scenario)
@@ -285,7 +285,7 @@ def test_whole_flights_are_certified_in_flight(flown):
     assert verify(plan.mission, make_solution(plan)).ok
 
 
-def test_a_measured_burn_explains_a_state_and_stands_in_the_history(flown, default_plan):
+def test_measured_burn_explains_state_and_enters_history(flown, default_plan):
     burn = 1.4 * flown.burns_m_s[1]
     state = predict(flown, 17_000.0, {2: burn}).state
     strange = sr.replan(default_plan, 17_000.0, state).mission.warnings
@@ -295,7 +295,7 @@ def test_a_measured_burn_explains_a_state_and_stands_in_the_history(flown, defau
     assert plan.mission.scenario.in_flight.flown_m_s[1] == pytest.approx(burn)
 
 
-def test_a_scenario_in_flight_can_be_written_by_hand_or_left_out(scenario):
+def test_scenario_in_flight_may_be_omitted(scenario):
     flight = {
         "at_s": 17_000.0,
         "position_m": [-122.6, 419.9, -556.2],
@@ -323,7 +323,7 @@ def survivor() -> Plan:
     return sr.plan(mission_of(*entries).scenario, starts=1, certify=False)
 
 
-def test_a_missed_burn_loses_the_observation_not_the_way_home(survivor):
+def test_missed_burn_loses_observation_not_way_home(survivor):
     """Burn 2 does not happen: the final state is still reached, without the site."""
     given = after_missed_burn(FlownPlan.of(survivor), 9_000.0)
     left = sr.replan(survivor, **given, goal="return", certify=False)

@@ -75,7 +75,7 @@ def test_the_ball_about_a_companion_moves_with_it(solution):
     assert np.linalg.norm(drawn - expected, axis=0).max() < 1.0
 
 
-def test_drifts_begin_at_their_burns_and_mark_their_nearest_point(solution):
+def test_drifts_begin_at_burns_and_mark_nearest(solution):
     shown = Shown("default", solution)
     edge = np.full(3, 1e5)
     paths = drifts(Frame(np.eye(3), -edge, edge, 1.0), shown)

@@ -55,7 +55,7 @@ def test_flight_without_errors_stays_with_the_plan(perfect, short_solution):
     np.testing.assert_allclose(gain, perfect.burns_m_s[1], atol=3e-6)
 
 
-def test_a_last_burn_may_be_commanded_longer_than_planned(perfect):
+def test_last_burn_may_be_longer_than_planned(perfect):
     """Its end is not recorded; the burn is whole, along the attitudes that are."""
     burns = np.array([firing.dv_m_s for firing in perfect.plan.firings])
     burns[-1] *= 3.0
@@ -94,7 +94,7 @@ def corrected(gain: float, cut_off_s: float) -> Correction:
 
 
 @nightly
-def test_a_burn_is_commanded_at_its_cut_off_from_the_state_there(vehicle):
+def test_burn_is_commanded_from_state_at_cut_off(vehicle):
     """With the length and the attitude of the corrected burn; what was before stays."""
     mission = mission_of(*SHORT, "grid.nodes_s=[2600.0]")
     solution, sources = short_plan(mission), {Source.INITIAL_STATE}
@@ -116,7 +116,7 @@ def test_a_burn_is_commanded_at_its_cut_off_from_the_state_there(vehicle):
     assert (planned.inv() * flight.commands[:2600]).magnitude().max() == 0.0
 
 
-def test_a_cut_off_at_its_burn_is_a_control_period_before(short_mission):
+def test_cut_off_precedes_burn_by_control_period(short_mission):
     """The state is taken along to the cut-off."""
     burns = np.zeros((2, 3))
     policy = (corrected(2.0, 3270.0),)
@@ -171,9 +171,7 @@ def test_the_bus_keeps_all_energy(net, room, efficiency, data):
     assert unused == 0.0 or short == 0.0
 
 
-def test_leaving_a_source_out_leaves_the_draws_of_the_others(
-    short_solution, short_mission, vehicle
-):
+def test_omitted_source_leaves_other_draws(short_solution, short_mission, vehicle):
     plan = FlightPlan.of(short_solution, short_mission, vehicle)
     sigma, factor = sigma_of(short_mission), short_mission.initial_factor
     every = Draws.of(plan, factor, 100, 5, frozenset(Source))
@@ -339,7 +337,7 @@ def test_command_writes_one_file(perfect, short_solution, tmp_path, monkeypatch,
     assert (summary.seed, summary.least_charge > 0.3) == (7, True)
 
 
-def test_a_seed_below_zero_is_refused_before_a_bar_shows(short_solution, tmp_path, capsys):
+def test_negative_seed_is_refused_before_progress(short_solution, tmp_path, capsys):
     assert command.main([str(short_solution.write(tmp_path)), "--seed", "-1"]) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert "--seed" in line

@@ -55,7 +55,7 @@ def push(mission: Mission, vehicle: Vehicle, attitude: Rotation, time_s: float) 
     return attitude.apply(force) / vehicle.mass.mass_kg
 
 
-def test_a_point_mass_arc_is_the_planners_to_a_millimetre(mission, vehicle, solution):
+def test_point_mass_arc_matches_planner_to_millimetre(mission, vehicle, solution):
     """Half as long as the plan, without light and torques."""
     forces = replace(mission.forces, j2_strength=0.0, srp=np.zeros(3))
     state = np.array(solution.nodes.state[0])
@@ -67,7 +67,7 @@ def test_a_point_mass_arc_is_the_planners_to_a_millimetre(mission, vehicle, solu
     assert np.linalg.norm(error[3:]) < 1e-7
 
 
-def test_the_whole_field_turns_as_the_bodys_rotation_says(mission, vehicle, solution):
+def test_field_turns_with_the_bodys_rotation(mission, vehicle, solution):
     """Basilisk's acceleration against ours, after half a turn of the asteroid."""
     field = HarmonicField.bennu(mission.scenario.body.gm_m3_s2, 8)
     state = np.array(solution.nodes.state[70])
@@ -84,7 +84,7 @@ def test_the_whole_field_turns_as_the_bodys_rotation_says(mission, vehicle, solu
     np.testing.assert_allclose(mean, expected, atol=2e-11)
 
 
-def test_light_pushes_on_the_plates_as_their_formula_says(mission, vehicle):
+def test_plates_feel_light_by_their_formula(mission, vehicle):
     """Far from the asteroid nothing but light moves the spacecraft."""
     far = np.array([0.0, 1e6, 0.0, 0.0, 0.0, 0.0])
     attitude = Rotation.from_euler("xyz", [0.3, -0.5, 1.1])
@@ -97,7 +97,7 @@ def test_light_pushes_on_the_plates_as_their_formula_says(mission, vehicle):
     np.testing.assert_allclose(acceleration, expected, rtol=2e-5, atol=2e-13)
 
 
-def test_coasting_is_the_field_of_degree_eight_and_light_on_the_plates(short_mission, vehicle):
+def test_coasting_has_degree_eight_field_and_light(short_mission, vehicle):
     """Forty seconds at 400 m, where the degrees from five on still pull as much as light pushes."""
     state = short_mission.initial_state
     state = np.concatenate([400.0 * unit(state[:3]), state[3:]])

@@ -142,14 +142,14 @@ def leg(**changes: object) -> dict[str, Any]:
         ),
     ],
 )
-def test_what_is_not_kept_stands_beside_what_was_asked(changes, said, short_solution):
+def test_broken_limit_stands_beside_requirement(changes, said, short_solution):
     assert shortfalls(summary(**changes), short_solution) == said
     stalled = replace(short_solution, status="stalled")
     first = "the plan is stalled, required converged"
     assert shortfalls(summary(**changes), stalled) == [first, *said]
 
 
-def test_a_vehicle_that_is_not_the_plans_spacecraft_is_warned_about(short_solution):
+def test_vehicle_unlike_plans_spacecraft_is_warned_about(short_solution):
     """A tonne is planned for, and the packaged vehicle flown."""
     vehicle, scenario = load_vehicle(None), short_solution.scenario
     assert list(check_vehicle(vehicle, scenario)) == []

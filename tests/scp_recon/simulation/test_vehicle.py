@@ -100,13 +100,13 @@ def test_burns_keep_their_attitude_to_the_end(plan):
     assert all(a.end_s == b.start_s for a, b in zip(plan.legs, plan.legs[1:], strict=False))
 
 
-def test_the_nominal_path_is_the_planned_mean_between_the_nodes(plan, solution, mission):
+def test_nominal_path_is_planned_mean_between_nodes(plan, solution, mission):
     times = np.union1d(np.arange(0.0, 34842.0, 971.0), mission.scenario.burns.times_s)
     truth = fly(mission, solution.burns_m_s, times)[:, :3]
     assert np.abs(plan.position(times) - truth).max() < 0.01
 
 
-def test_every_mode_points_what_it_serves_and_rolls_for_power(plan, mission):
+def test_every_mode_points_and_rolls_for_power(plan, mission):
     times = np.arange(0.0, plan.end_s, 61.0)
     attitudes = plan.attitudes(times)
     sun = mission.sun_direction(times)
@@ -133,7 +133,7 @@ def test_every_mode_points_what_it_serves_and_rolls_for_power(plan, mission):
         np.testing.assert_allclose(power[k], most, rtol=1e-9)
 
 
-def test_a_burn_of_zero_keeps_the_panels_on_the_sun(plan):
+def test_zero_burn_keeps_panels_on_sun(plan):
     """Whatever the others are: turned away for an hour or more, they would not charge."""
     burns = np.array([firing.dv_m_s for firing in plan.firings])
     burns[1] = 0.0

@@ -84,7 +84,7 @@ def test_no_grid_is_refined_that_is_no_remedy(default_plan, monkeypatch):
 
 
 @pytest.mark.usefixtures("_tight", "few_flights")
-def test_a_draft_has_the_grid_on_which_it_was_planned():
+def test_draft_has_its_plans_grid():
     first = drafting.Draft("m", "Bennu", None, (55.9, 41.8), datetime(2020, 1, 21), 290.0)
     draft = next(drafting.drafts(first))
     mission = Mission.from_scenario(drafting.scenario_of(draft))
